@@ -1,0 +1,1 @@
+//! The memory: embeds frames, builds the representations, retrieves.

@@ -1,0 +1,1 @@
+//! The program `memtransfer`: cases, conditions, lanes, scoring, logs, command line.

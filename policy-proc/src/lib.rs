@@ -1,0 +1,1 @@
+//! The policy: turns an observation, a window and a recall into an action.

@@ -1,0 +1,17 @@
+//! How the agent's camera maps metres to pixels (SPEC section 2).
+//!
+//! Public knowledge: it is part of the interface that a policy is told, not of the map.
+
+/// Height of the camera above the floor, in metres.
+pub const CAMERA_HEIGHT_M: f32 = 1.2;
+
+/// Horizontal field of view, in degrees.
+pub const FIELD_OF_VIEW_DEG: f32 = 90.0;
+
+/// Focal length in pixels of an image `width_px` wide; square pixels, so it serves both axes.
+///
+/// With 90 degrees this is half the width: a point `right` metres to the side and `ahead` metres in
+/// front of the camera is drawn `focal * right / ahead` pixels right of the image's centre.
+pub const fn focal_length_px(width_px: u32) -> f32 {
+    width_px as f32 / 2.0
+}

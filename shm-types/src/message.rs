@@ -1,0 +1,503 @@
+//! The messages: fixed width, no padding, no pointers, safe to receive from anybody.
+//!
+//! A message is `Pod`: every bit pattern is a value, so receiving one can never be undefined behaviour.
+//! Whether it *means* something is checked where it is read, through the `TryFrom` of its codes
+//! ([`WirePose`], [`Action`](crate::Action), [`StepKind`], ...).
+//!
+//! One lane has at most one message outstanding on any service. `episode` is a ticket that the
+//! orchestrator never hands out twice in a run, so an answer that arrives late is recognised and
+//! dropped. All `*_ns` fields are CLOCK_MONOTONIC nanoseconds, one scale over all processes.
+
+use bytemuck::{Pod, Zeroable};
+use iceoryx2::prelude::ZeroCopySend;
+
+use crate::pose::{Heading, Pose, UnknownCode};
+
+/// Changes whenever any message or the frame header changes; compared when a process attaches.
+pub const WIRE_VERSION: u32 = 1;
+
+/// Most window entries a [`Recall`] carries.
+pub const MAX_WINDOW: usize = 32;
+
+/// Most entries of a retrieved segment a [`Recall`] carries: the matched view and what follows.
+pub const MAX_SEGMENT: usize = 32;
+
+/// Most bytes of an instruction.
+pub const MAX_INSTRUCTION: usize = 232;
+
+/// The `action` code that says: no action was taken.
+pub const NO_ACTION: u8 = u8::MAX;
+
+/// A count that was not measured. Absent, never zero.
+pub const NOT_MEASURED: u32 = u32::MAX;
+
+/// Names a frame in the frame store. Never reused within a run; 0 names none.
+pub type FrameId = u64;
+
+/// The frame id that names no frame.
+pub const NO_FRAME: FrameId = 0;
+
+/// A type that travels on its own service.
+///
+/// # Safety of the wire
+/// Implemented by [`messages!`] only, which also asserts size and padding through `Pod`.
+pub trait Message: ZeroCopySend + Pod + core::fmt::Debug {
+    /// Last part of the service's name; the run and generation come before it.
+    const SERVICE: &'static str;
+}
+
+/// Declares wire structs: layout, name, service and asserted size in one place.
+macro_rules! messages {
+    ($($(#[$doc:meta])* $name:ident, $type_name:literal, $service:literal, $size:literal bytes {
+        $($(#[$field_doc:meta])* $field:ident: $type:ty,)*
+    })*) => {$(
+        $(#[$doc])*
+        #[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable, ZeroCopySend)]
+        #[repr(C)]
+        #[type_name($type_name)]
+        pub struct $name { $($(#[$field_doc])* pub $field: $type,)* }
+        impl Message for $name { const SERVICE: &'static str = $service; }
+        const _: () = assert!(size_of::<$name>() == $size, "wire size changed: raise WIRE_VERSION");
+    )*};
+}
+
+/// A pose on the wire: column, row, heading code, and a zero.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Pod, Zeroable, ZeroCopySend)]
+#[repr(C)]
+#[type_name("memtransfer.WirePose")]
+pub struct WirePose(pub [u8; 4]);
+
+impl From<Pose> for WirePose {
+    fn from(pose: Pose) -> Self {
+        Self([pose.cell.x, pose.cell.y, pose.heading as u8, 0])
+    }
+}
+
+impl TryFrom<WirePose> for Pose {
+    type Error = UnknownCode;
+
+    fn try_from(WirePose([x, y, heading, _]): WirePose) -> Result<Self, UnknownCode> {
+        Ok(Self::new(x, y, Heading::try_from(heading)?))
+    }
+}
+
+/// One past step: the view it was taken from, what was done there, and what the world answered.
+#[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable, ZeroCopySend)]
+#[repr(C)]
+#[type_name("memtransfer.PastStep")]
+pub struct PastStep {
+    /// The view before the action.
+    pub frame: FrameId,
+    /// Code of the [`Action`](crate::Action) taken, or [`NO_ACTION`].
+    pub action: u8,
+    /// Code of the [`Feedback`](crate::Feedback) it got.
+    pub feedback: u8,
+    /// Zero.
+    pub reserved: [u8; 6],
+}
+
+/// One view of a retrieved segment and the expert's next action there.
+#[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable, ZeroCopySend)]
+#[repr(C)]
+#[type_name("memtransfer.SegmentStep")]
+pub struct SegmentStep {
+    /// The remembered view.
+    pub frame: FrameId,
+    /// Code of the [`Action`](crate::Action) the expert took there, or [`NO_ACTION`] for the last
+    /// view of the segment.
+    pub action: u8,
+    /// Zero.
+    pub reserved: [u8; 7],
+}
+
+messages! {
+    /// Orchestrator to simulator: put a lane's agent somewhere, or let it act.
+    StepCommand, "memtransfer.StepCommand", "command", 40 bytes {
+        /// The episode's ticket.
+        episode: u64,
+        /// When the orchestrator sent it.
+        sent_ns: u64,
+        /// The lane.
+        lane: u32,
+        /// Steps taken once this command is done: 0 for a reset.
+        step: u32,
+        /// World variant: 0 is unchanged, `1 + case index` has that case's passage closed.
+        variant: u32,
+        /// For a reset: where the agent starts. Otherwise ignored.
+        start: WirePose,
+        /// A [`StepKind`] code.
+        kind: u8,
+        /// For an act: the [`Action`](crate::Action) code. Otherwise [`NO_ACTION`].
+        action: u8,
+        /// 1 when the episode ends with this step: nothing is rendered, nobody decides any more.
+        last: u8,
+        /// Zero.
+        reserved: [u8; 5],
+    }
+
+    /// Simulator to memory, policy and orchestrator: what is true after a step.
+    Observation, "memtransfer.Observation", "observation", 72 bytes {
+        /// The episode's ticket.
+        episode: u64,
+        /// The agent's view; [`NO_FRAME`] when `last` is 1.
+        frame: FrameId,
+        /// When the command was sent.
+        commanded_ns: u64,
+        /// When the simulator took the command up.
+        woken_ns: u64,
+        /// When the dynamics were applied.
+        stepped_ns: u64,
+        /// When the view was there (at once, if it was rendered before).
+        rendered_ns: u64,
+        /// When this message was sent.
+        sent_ns: u64,
+        /// The lane.
+        lane: u32,
+        /// Steps taken so far.
+        step: u32,
+        /// Where the agent is.
+        pose: WirePose,
+        /// Code of the [`Feedback`](crate::Feedback) to the last action.
+        feedback: u8,
+        /// Code of the last action, or [`NO_ACTION`].
+        action: u8,
+        /// 1 when the episode is over: forget the lane.
+        last: u8,
+        /// Zero.
+        reserved: u8,
+    }
+
+    /// Orchestrator to memory, before a reset: whose memory the lane's next episode is given.
+    MemoryBrief, "memtransfer.MemoryBrief", "memory-brief", 32 bytes {
+        /// The episode's ticket.
+        episode: u64,
+        /// The lane.
+        lane: u32,
+        /// Index of the case.
+        case: u32,
+        /// Bit i set: the case's demonstration i (original, opposite, nearby, distant) is remembered.
+        demonstrations: u32,
+        /// Code of the [`Representation`].
+        representation: u8,
+        /// Window length h, at most [`MAX_WINDOW`].
+        window: u8,
+        /// Expert actions a retrieved segment follows, H_epi, less than [`MAX_SEGMENT`].
+        horizon: u8,
+        /// Zero.
+        reserved: [u8; 9],
+    }
+
+    /// Orchestrator to policy, before a reset: what the lane's next episode asks for.
+    PolicyBrief, "memtransfer.PolicyBrief", "policy-brief", 256 bytes {
+        /// The episode's ticket.
+        episode: u64,
+        /// A policy that draws at random draws from this.
+        seed: u64,
+        /// The lane.
+        lane: u32,
+        /// Bytes of `instruction` in use.
+        instruction_len: u32,
+        /// The instruction, UTF-8.
+        instruction: [u8; MAX_INSTRUCTION],
+    }
+
+    /// Memory to simulator: make a view of the unchanged world resident, or let it go.
+    ViewRequest, "memtransfer.ViewRequest", "view-request", 16 bytes {
+        /// For a release: the frame. For a request: [`NO_FRAME`].
+        frame: FrameId,
+        /// For a request: the view's pose.
+        pose: WirePose,
+        /// A [`ViewRequestKind`] code.
+        kind: u8,
+        /// Zero.
+        reserved: [u8; 3],
+    }
+
+    /// Simulator to memory: the requested view is resident and stays until it is released.
+    View, "memtransfer.View", "view", 16 bytes {
+        /// The view's frame.
+        frame: FrameId,
+        /// The pose that was asked for.
+        pose: WirePose,
+        /// Zero.
+        reserved: u32,
+    }
+
+    /// Simulator to whoever holds frames: let this one go. No live lane or memory refers to it.
+    Eviction, "memtransfer.Eviction", "eviction", 8 bytes {
+        /// The frame.
+        frame: FrameId,
+    }
+
+    /// Memory to policy: the window, and what was remembered for this step.
+    Recall, "memtransfer.Recall", "recall", 1072 bytes {
+        /// The episode's ticket.
+        episode: u64,
+        /// When the observation was taken up.
+        received_ns: u64,
+        /// When this message was sent.
+        sent_ns: u64,
+        /// The lane.
+        lane: u32,
+        /// The step it answers.
+        step: u32,
+        /// Cosine distance of the segment's first view to the current one; NaN without a segment.
+        distance: f32,
+        /// Entries of `window` in use, oldest first.
+        window_len: u32,
+        /// Entries of `segment` in use: 0 without a retrieval.
+        segment_len: u32,
+        /// Zero.
+        reserved: u32,
+        /// The last steps before the current one, oldest first.
+        window: [PastStep; MAX_WINDOW],
+        /// The matched view, then the views that the expert's actions led to.
+        segment: [SegmentStep; MAX_SEGMENT],
+    }
+
+    /// Memory to orchestrator, with every recall: where it came from and what it cost.
+    RecallTrace, "memtransfer.RecallTrace", "recall-trace", 64 bytes {
+        /// The episode's ticket.
+        episode: u64,
+        /// When the observation was taken up.
+        received_ns: u64,
+        /// When the current view's embedding was there.
+        embedded_ns: u64,
+        /// When the nearest view was found.
+        searched_ns: u64,
+        /// When the recall was sent.
+        sent_ns: u64,
+        /// The lane.
+        lane: u32,
+        /// The step.
+        step: u32,
+        /// Case whose demonstration was matched, or [`NOT_MEASURED`] without a retrieval.
+        case: u32,
+        /// Which of its demonstrations (0 original, 1 opposite, 2 nearby, 3 distant).
+        demonstration: u16,
+        /// Step of the matched view in it.
+        index: u16,
+        /// Cosine distance of the match; NaN without one.
+        distance: f32,
+        /// Zero.
+        reserved: u32,
+    }
+
+    /// Policy to orchestrator: what to do.
+    Decision, "memtransfer.Decision", "decision", 64 bytes {
+        /// The episode's ticket.
+        episode: u64,
+        /// When observation and recall were both there.
+        received_ns: u64,
+        /// When the policy began to decide.
+        started_ns: u64,
+        /// When it had decided.
+        decided_ns: u64,
+        /// The lane.
+        lane: u32,
+        /// The step it answers.
+        step: u32,
+        /// Tokens of the prompt, or [`NOT_MEASURED`].
+        prompt_tokens: u32,
+        /// Tokens of the completion, or [`NOT_MEASURED`].
+        completion_tokens: u32,
+        /// Images the policy was given.
+        images: u32,
+        /// An [`Outcome`] code.
+        outcome: u8,
+        /// Code of the action when the outcome is [`Outcome::Acted`], otherwise [`NO_ACTION`].
+        action: u8,
+        /// Zero.
+        reserved: [u8; 10],
+    }
+
+    /// Anyone to orchestrator, once, when ready to work.
+    Hello, "memtransfer.Hello", "hello", 512 bytes {
+        /// [`WIRE_VERSION`] the sender was built with.
+        wire_version: u32,
+        /// Code of its [`Role`].
+        role: u32,
+        /// Its process id.
+        pid: u32,
+        /// Bytes of `facts` in use.
+        facts_len: u32,
+        /// A JSON object of strings for the manifest: adapter, frame path, encoder, policy, ...
+        facts: [u8; 496],
+    }
+
+    /// Anyone to orchestrator: a message that could not be used, or a failure that ends the sender.
+    Complaint, "memtransfer.Complaint", "complaint", 256 bytes {
+        /// Code of the sender's [`Role`].
+        role: u32,
+        /// Complaints the sender has made so far, this one included.
+        count: u32,
+        /// Bytes of `text` in use.
+        text_len: u32,
+        /// Zero.
+        reserved: u32,
+        /// What, which value, what was expected; UTF-8.
+        text: [u8; 240],
+    }
+
+    /// Anyone to orchestrator, once, after [`Stop`]: what the sender did with frames.
+    Farewell, "memtransfer.Farewell", "farewell", 48 bytes {
+        /// Code of the sender's [`Role`].
+        role: u32,
+        /// Zero.
+        reserved: u32,
+        /// Frames rendered into the store (simulator only).
+        frames_rendered: u64,
+        /// Frames evicted from the store (simulator only).
+        frames_evicted: u64,
+        /// Frames that this process took hold of (memory and policy).
+        frames_held: u64,
+        /// Bytes of pixels that the sender's own code copied on their way to another process.
+        pixel_bytes_copied: u64,
+        /// Messages that could not be used.
+        complaints: u64,
+    }
+
+    /// Orchestrator to everyone: finish, send a [`Farewell`], exit.
+    Stop, "memtransfer.Stop", "stop", 8 bytes {
+        /// Zero.
+        reserved: u64,
+    }
+}
+
+/// Declares a closed set with `u8` codes that are positions in `ALL`.
+macro_rules! codes {
+    ($($(#[$doc:meta])* $name:ident, $what:literal {
+        $($(#[$variant_doc:meta])* $variant:ident = $code:literal,)*
+    })*) => {$(
+        $(#[$doc])*
+        #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
+        #[repr(u8)]
+        pub enum $name { $($(#[$variant_doc])* $variant = $code,)* }
+
+        impl $name {
+            /// Every member, in code order.
+            pub const ALL: &'static [Self] = &[$(Self::$variant),*];
+        }
+
+        impl TryFrom<u8> for $name {
+            type Error = UnknownCode;
+
+            fn try_from(code: u8) -> Result<Self, UnknownCode> {
+                match code {
+                    $($code => Ok(Self::$variant),)*
+                    _ => Err(UnknownCode::new(code, $what)),
+                }
+            }
+        }
+    )*};
+}
+
+codes! {
+    /// What a [`StepCommand`] asks for.
+    StepKind, "a step kind (0 reset, 1 act, 2 stay)" {
+        /// Put the agent at the start pose.
+        Reset = 0,
+        /// Take the action.
+        Act = 1,
+        /// Stay: the policy's answer could not be read.
+        Stay = 2,
+    }
+
+    /// What a [`ViewRequest`] asks for.
+    ViewRequestKind, "a view request kind (0 hold, 1 release)" {
+        /// Make the view resident and keep it.
+        Hold = 0,
+        /// It may be evicted again.
+        Release = 1,
+    }
+
+    /// How a decision came out (DESIGN section 5). Infrastructure failures are retried by the policy
+    /// and reported as [`Complaint`]s: they are never an outcome of the model.
+    Outcome, "an outcome (0 acted, 1 unreadable, 2 empty, 3 refused)" {
+        /// An action was chosen.
+        Acted = 0,
+        /// There was an answer, and no action could be read from it.
+        Unreadable = 1,
+        /// The answer was empty.
+        Empty = 2,
+        /// The model refused.
+        Refused = 3,
+    }
+
+    /// A process's part in a run.
+    Role, "a role (0 orchestrator, 1 sim, 2 memory, 3 policy)" {
+        /// Sequences the steps; the program `memtransfer`.
+        Orchestrator = 0,
+        /// Steps the world and renders.
+        Sim = 1,
+        /// Embeds and retrieves.
+        Memory = 2,
+        /// Decides.
+        Policy = 3,
+    }
+
+    /// A memory representation (SPEC section 5).
+    Representation, "a representation (0 working, 1 episodic)" {
+        /// The window alone.
+        Working = 0,
+        /// The nearest stored view and the expert's continuation.
+        Episodic = 1,
+    }
+}
+
+impl Role {
+    /// The word used in logs, service names and messages.
+    pub const fn word(self) -> &'static str {
+        match self {
+            Self::Orchestrator => "orchestrator",
+            Self::Sim => "sim",
+            Self::Memory => "memory",
+            Self::Policy => "policy",
+        }
+    }
+}
+
+/// Copies as much of `text` as fits into `buffer`, cut at a character; returns the bytes used.
+pub fn write_text(buffer: &mut [u8], text: &str) -> u32 {
+    let mut end = text.len().min(buffer.len());
+    while !text.is_char_boundary(end) {
+        end -= 1;
+    }
+    buffer[..end].copy_from_slice(&text.as_bytes()[..end]);
+    end as u32
+}
+
+/// The text that the first `len` bytes of `buffer` hold.
+///
+/// # Errors
+/// When `len` is past the buffer or the bytes are not UTF-8: the sender is broken.
+pub fn read_text(buffer: &[u8], len: u32) -> Result<&str, UnknownCode> {
+    let broken = || UnknownCode::new(format_args!("a text of {len} bytes"), "UTF-8 that fits");
+    let bytes = buffer.get(..len as usize).ok_or_else(broken)?;
+    core::str::from_utf8(bytes).map_err(|_| broken())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{Action, Feedback};
+
+    #[test]
+    fn codes_are_positions() {
+        for (code, role) in Role::ALL.iter().enumerate() {
+            assert_eq!(Role::try_from(code as u8), Ok(*role));
+        }
+        assert!(Role::try_from(4).is_err());
+        assert!(Outcome::try_from(NO_ACTION).is_err());
+        assert!(Action::try_from(NO_ACTION).is_err() && Feedback::try_from(NO_ACTION).is_err());
+    }
+
+    #[test]
+    fn text_is_cut_at_a_character_and_read_with_care() {
+        let mut buffer = [0; 4];
+        let used = write_text(&mut buffer, "abcé");
+        assert_eq!(read_text(&buffer, used), Ok("abc"));
+        assert!(read_text(&buffer, 5).is_err());
+        assert!(read_text(&[0xff; 4], 4).is_err());
+    }
+}

@@ -1,0 +1,85 @@
+//! The label plate: how an item spells its type in pixels.
+//!
+//! Every item hangs under a plate on the rack face: a magenta frame around six horizontal bands of
+//! unlit, saturated colour. Three bands spell the category and three the type, each group a base-7
+//! number hashed from the *name*, so a policy that reads "blue barrel" in its instruction knows what
+//! to look for without a catalogue. Bands are horizontal because a plate seen at a grazing angle keeps
+//! its height and loses its width.
+//!
+//! The simulator draws plates and a policy may read them; both take geometry and code from here.
+
+/// Width and height of the plate's outside edge, in metres.
+pub const SIZE_M: f32 = 0.36;
+
+/// Width of the magenta frame on all four sides, in metres.
+pub const FRAME_M: f32 = 0.03;
+
+/// Height of the plate's centre above the floor, in metres. The plate is centred on its bay and
+/// stands [`FACE_OFFSET_M`] in front of the rack face, which lies on the boundary between two cells.
+pub const CENTRE_HEIGHT_M: f32 = 1.50;
+
+/// How far the plate stands out from the rack face, in metres.
+pub const FACE_OFFSET_M: f32 = 0.02;
+
+/// The frame's colour. Nothing else in the world is drawn in it.
+pub const FRAME_RGB: [u8; 3] = [255, 0, 255];
+
+/// What a band may be: seven colours, every channel 0 or 255, magenta left out.
+pub const BAND_RGB: [[u8; 3]; 7] = [
+    [0, 0, 0],
+    [255, 0, 0],
+    [0, 255, 0],
+    [0, 0, 255],
+    [255, 255, 0],
+    [0, 255, 255],
+    [255, 255, 255],
+];
+
+/// Bands on a plate, top to bottom: three for the category, then three for the type.
+pub const BANDS: usize = 6;
+
+/// The bands of one plate, top to bottom, as indices into [`BAND_RGB`].
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub struct Plate(pub [u8; BANDS]);
+
+impl Plate {
+    /// The plate of an item of type `item_type` ("blue barrel") in category `category` ("barrels").
+    pub fn new(category: &str, item_type: &str) -> Self {
+        let ([a, b, c], [d, e, f]) = (code(category), code(item_type));
+        Self([a, b, c, d, e, f])
+    }
+
+    /// Whether this is the plate of an item in `category`.
+    pub fn is_category(self, category: &str) -> bool {
+        self.0[..3] == code(category)
+    }
+
+    /// Whether this is the plate of an item of type `item_type`.
+    pub fn is_type(self, item_type: &str) -> bool {
+        self.0[3..] == code(item_type)
+    }
+}
+
+/// Three base-7 digits from a name: FNV-1a over its bytes, so any language can compute it.
+///
+/// Names may collide (343 codes); a catalogue is checked for that when it is loaded.
+pub fn code(name: &str) -> [u8; 3] {
+    let hash = name
+        .bytes()
+        .fold(0x811c_9dc5_u32, |hash, byte| (hash ^ u32::from(byte)).wrapping_mul(0x0100_0193));
+    let n = hash % 343;
+    [(n / 49) as u8, (n / 7 % 7) as u8, (n % 7) as u8]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_plate_answers_to_its_own_names_only() {
+        let plate = Plate::new("barrels", "blue barrel");
+        assert!(plate.is_category("barrels") && plate.is_type("blue barrel"));
+        assert!(!plate.is_category("cones") && !plate.is_type("red barrel"));
+        assert!(plate.0.iter().all(|&band| usize::from(band) < BAND_RGB.len()));
+    }
+}

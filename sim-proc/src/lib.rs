@@ -1,0 +1,1 @@
+//! The simulator: steps the world and renders what the agent sees into shared memory.
