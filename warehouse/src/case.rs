@@ -1,0 +1,166 @@
+//! A case: one task with its six reference trajectories and the barricade of its blocked variant.
+
+use shm_types::{Action, Cell, Feedback, Pose};
+
+use crate::dynamics::{Variant, step};
+use crate::progress::Progress;
+use crate::task::Task;
+use crate::world::Warehouse;
+
+/// Which of a case's six trajectories (SPEC section 4).
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub enum Start {
+    /// The case's start.
+    Original,
+    /// The same cell, heading turned around.
+    Opposite,
+    /// 2 to 4 cells along the same aisle, same heading.
+    Nearby,
+    /// Another aisle, heading turned by a quarter.
+    Distant,
+    /// The new start that episodes are tested from. Never memory.
+    Test,
+    /// The test start with a passage closed. Never memory.
+    Blocked,
+}
+
+impl Start {
+    /// All six, demonstrations first.
+    pub const ALL: [Self; 6] =
+        [Self::Original, Self::Opposite, Self::Nearby, Self::Distant, Self::Test, Self::Blocked];
+
+    /// The four that memory is built from.
+    pub const DEMONSTRATIONS: [Self; 4] =
+        [Self::Original, Self::Opposite, Self::Nearby, Self::Distant];
+
+    /// The name in files and tables.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Original => "original",
+            Self::Opposite => "opposite",
+            Self::Nearby => "nearby",
+            Self::Distant => "distant",
+            Self::Test => "test",
+            Self::Blocked => "blocked",
+        }
+    }
+}
+
+/// A start pose and what is done from there. Everything else about it follows by replay.
+#[derive(Debug, Clone, PartialEq, Eq, Hash)]
+pub struct Trajectory {
+    /// Where it begins.
+    pub start: Pose,
+    /// What is done, in order.
+    pub actions: Vec<Action>,
+}
+
+/// A trajectory acted out. Index 0 of each list is the start, index `t` the state after action `t`.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Replay {
+    /// Where the agent was.
+    pub poses: Vec<Pose>,
+    /// What it was told; [`Feedback::Start`] first.
+    pub feedback: Vec<Feedback>,
+    /// Sub-goals completed so far.
+    pub stages: Vec<u32>,
+    /// For each sub-goal in order of completion: the step at which it was completed.
+    pub goal_steps: Vec<u32>,
+    /// Steps until the task was complete, `l_i` of a reference; `None` when it never was. A last turn
+    /// towards the rack comes after it and does not count.
+    pub length: Option<u32>,
+}
+
+impl Trajectory {
+    /// Acts the trajectory out in the world's own dynamics and scores it for `task`.
+    pub fn replay(&self, warehouse: &Warehouse, task: &Task, variant: &Variant) -> Replay {
+        let mut progress = Progress::new(warehouse, task, self.start.cell);
+        let mut replay = Replay {
+            poses: vec![self.start],
+            feedback: vec![Feedback::Start],
+            stages: vec![progress.stage()],
+            goal_steps: vec![0; progress.stage() as usize],
+            length: progress.is_complete().then_some(0),
+        };
+        let mut pose = self.start;
+        for (taken, &action) in (1..).zip(&self.actions) {
+            let feedback;
+            (pose, feedback) = step(&warehouse.layout, variant, pose, action);
+            let met = progress.visit(pose.cell);
+            replay.poses.push(pose);
+            replay.feedback.push(feedback);
+            replay.stages.push(progress.stage());
+            replay.goal_steps.extend((0..met).map(|_| taken));
+            if met > 0 && progress.is_complete() {
+                replay.length = Some(taken);
+            }
+        }
+        replay
+    }
+}
+
+/// One task, its six trajectories, and what its blocked variant closes.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Case {
+    /// Names the case everywhere, for example `t03-07`: type 3, seventh case.
+    pub id: String,
+    /// What is asked.
+    pub task: Task,
+    /// Demonstration from the case's start.
+    pub original: Trajectory,
+    /// Demonstration from the same cell, facing the other way.
+    pub opposite: Trajectory,
+    /// Demonstration from a few cells along the aisle.
+    pub nearby: Trajectory,
+    /// Demonstration from another aisle.
+    pub distant: Trajectory,
+    /// Reference from the test start.
+    pub test: Trajectory,
+    /// Reference from the test start with `barricade` closed.
+    pub blocked: Trajectory,
+    /// The cells of the closed passage, sorted.
+    pub barricade: Vec<Cell>,
+}
+
+impl Case {
+    /// The trajectory from `start`.
+    pub fn trajectory(&self, start: Start) -> &Trajectory {
+        match start {
+            Start::Original => &self.original,
+            Start::Opposite => &self.opposite,
+            Start::Nearby => &self.nearby,
+            Start::Distant => &self.distant,
+            Start::Test => &self.test,
+            Start::Blocked => &self.blocked,
+        }
+    }
+
+    /// The world in which the trajectory from `start` is walked.
+    pub fn variant(&self, start: Start) -> Variant {
+        match start {
+            Start::Blocked => Variant::closing(self.barricade.iter().copied()),
+            _ => Variant::UNCHANGED,
+        }
+    }
+
+    /// The trajectory from `start`, acted out in its own world.
+    pub fn replay(&self, warehouse: &Warehouse, start: Start) -> Replay {
+        self.trajectory(start).replay(warehouse, &self.task, &self.variant(start))
+    }
+}
+
+/// The cases of a benchmark, all made from one seed.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct CaseSet {
+    /// What they were generated from.
+    pub seed: u64,
+    /// In the order of their ids.
+    pub cases: Vec<Case>,
+}
+
+impl CaseSet {
+    /// The case called `id`.
+    pub fn case(&self, id: &str) -> Option<&Case> {
+        self.cases.iter().find(|case| case.id == id)
+    }
+}

@@ -1,0 +1,241 @@
+//! The ten task types: what must be visited, in which order, and the sentence a policy reads.
+//!
+//! Types and categories are indices into the [`Catalogue`]. Scoring is [`Progress`](crate::Progress)'s
+//! business; it and the planner both read a task as [`Phase`]s.
+
+use crate::catalogue::Catalogue;
+use crate::world::{Item, Warehouse};
+
+/// What an agent is asked to do. `a` and `b` are item types, `c` is a category (SPEC section 3).
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub enum Task {
+    /// 1: reach one instance of A.
+    FindType {
+        /// A.
+        a: usize,
+    },
+    /// 2: reach one item of C.
+    FindCategory {
+        /// C.
+        c: usize,
+    },
+    /// 3: visit every instance of A.
+    EveryOfType {
+        /// A.
+        a: usize,
+    },
+    /// 4: visit every item of C.
+    EveryOfCategory {
+        /// C.
+        c: usize,
+    },
+    /// 5: visit one A and one B, in any order.
+    BothTypes {
+        /// A.
+        a: usize,
+        /// B.
+        b: usize,
+    },
+    /// 6: visit an A, then a B.
+    InOrder {
+        /// A.
+        a: usize,
+        /// B.
+        b: usize,
+    },
+    /// 7: reach an A, then end at the origin.
+    FindAndReturn {
+        /// A.
+        a: usize,
+    },
+    /// 8: visit every A, then end at the origin.
+    EveryAndReturn {
+        /// A.
+        a: usize,
+    },
+    /// 9: reach an A, then a B, then the same A again.
+    Revisit {
+        /// A.
+        a: usize,
+        /// B.
+        b: usize,
+    },
+    /// 10: visit an A, then a B, then end at the origin.
+    InOrderAndReturn {
+        /// A.
+        a: usize,
+        /// B.
+        b: usize,
+    },
+}
+
+/// The groups that results are broken down by.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub enum Group {
+    /// Types 1 and 2.
+    Basic,
+    /// Types 3 to 6.
+    MultiObject,
+    /// Types 7, 8 and 10.
+    ReturnLoop,
+    /// Type 9.
+    Revisit,
+}
+
+/// A part of a task that is finished before the next begins.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Phase {
+    /// One item of each set, in any order. Every set is one sub-goal and holds item ids, sorted.
+    OneOfEach(Vec<Vec<u16>>),
+    /// The cell where the episode began.
+    Origin,
+    /// The item that was reached first in the episode.
+    FirstAgain,
+}
+
+impl Task {
+    /// The paper's number of this type, 1 to 10.
+    pub const fn number(&self) -> u8 {
+        match self {
+            Self::FindType { .. } => 1,
+            Self::FindCategory { .. } => 2,
+            Self::EveryOfType { .. } => 3,
+            Self::EveryOfCategory { .. } => 4,
+            Self::BothTypes { .. } => 5,
+            Self::InOrder { .. } => 6,
+            Self::FindAndReturn { .. } => 7,
+            Self::EveryAndReturn { .. } => 8,
+            Self::Revisit { .. } => 9,
+            Self::InOrderAndReturn { .. } => 10,
+        }
+    }
+
+    /// The type's name in the paper, for a type number; `None` outside 1 to 10.
+    pub fn type_name(number: u8) -> Option<&'static str> {
+        const NAMES: [&str; 10] = [
+            "single object search",
+            "category search",
+            "exhaustive object search",
+            "exhaustive category search",
+            "unordered search",
+            "ordered search",
+            "search with return",
+            "exhaustive with return",
+            "revisit",
+            "two with return",
+        ];
+        NAMES.get(usize::from(number).checked_sub(1)?).copied()
+    }
+
+    /// The group of results it counts in.
+    pub const fn group(&self) -> Group {
+        match self.number() {
+            1 | 2 => Group::Basic,
+            3..=6 => Group::MultiObject,
+            9 => Group::Revisit,
+            _ => Group::ReturnLoop,
+        }
+    }
+
+    /// The sentence a policy reads. It and the policy's reading of it share these exact forms.
+    pub fn instruction(&self, catalogue: &Catalogue) -> String {
+        let plain = |index: usize| catalogue.types[index].name.as_str();
+        let one = |index: usize| with_article(plain(index));
+        let category = |index: usize| catalogue.categories[index].name.as_str();
+        match *self {
+            Self::FindType { a } => format!("Find {}.", one(a)),
+            Self::FindCategory { c } => format!("Find any item of the category {}.", category(c)),
+            Self::EveryOfType { a } => format!("Visit every {} in the warehouse.", plain(a)),
+            Self::EveryOfCategory { c } => {
+                format!("Visit every item of the category {} in the warehouse.", category(c))
+            }
+            Self::BothTypes { a, b } => format!("Visit {} and {}, in any order.", one(a), one(b)),
+            Self::InOrder { a, b } => format!("Visit {}, then {}.", one(a), one(b)),
+            Self::FindAndReturn { a } => {
+                format!("Find {}, then return to the cell where you started.", one(a))
+            }
+            Self::EveryAndReturn { a } => format!(
+                "Visit every {} in the warehouse, then return to the cell where you started.",
+                plain(a)
+            ),
+            Self::Revisit { a, b } => {
+                format!(
+                    "Find {}, then visit {}, then go back to the same {}.",
+                    one(a),
+                    one(b),
+                    plain(a)
+                )
+            }
+            Self::InOrderAndReturn { a, b } => format!(
+                "Visit {}, then {}, then return to the cell where you started.",
+                one(a),
+                one(b)
+            ),
+        }
+    }
+
+    /// Its parts, in order.
+    pub fn phases(&self, warehouse: &Warehouse) -> Vec<Phase> {
+        let of_type = |index| ids(warehouse.instances(index));
+        let of_category = |index| ids(warehouse.items_in(index));
+        let one = |set: Vec<u16>| Phase::OneOfEach(vec![set]);
+        let every = |set: Vec<u16>| Phase::OneOfEach(set.into_iter().map(|id| vec![id]).collect());
+        match *self {
+            Self::FindType { a } => vec![one(of_type(a))],
+            Self::FindCategory { c } => vec![one(of_category(c))],
+            Self::EveryOfType { a } => vec![every(of_type(a))],
+            Self::EveryOfCategory { c } => vec![every(of_category(c))],
+            Self::BothTypes { a, b } => vec![Phase::OneOfEach(vec![of_type(a), of_type(b)])],
+            Self::InOrder { a, b } => vec![one(of_type(a)), one(of_type(b))],
+            Self::FindAndReturn { a } => vec![one(of_type(a)), Phase::Origin],
+            Self::EveryAndReturn { a } => vec![every(of_type(a)), Phase::Origin],
+            Self::Revisit { a, b } => vec![one(of_type(a)), one(of_type(b)), Phase::FirstAgain],
+            Self::InOrderAndReturn { a, b } => {
+                vec![one(of_type(a)), one(of_type(b)), Phase::Origin]
+            }
+        }
+    }
+
+    /// The items it is about, by id: every instance of A and B, or every item of C. All of them must be
+    /// visited where the task says "every"; otherwise any of them counts.
+    pub fn targets<'w>(&self, warehouse: &'w Warehouse) -> Vec<&'w Item> {
+        let wanted = |item: &&Item| match *self {
+            Self::FindCategory { c } | Self::EveryOfCategory { c } => {
+                warehouse.category_of(item) == c
+            }
+            Self::FindType { a }
+            | Self::EveryOfType { a }
+            | Self::FindAndReturn { a }
+            | Self::EveryAndReturn { a } => item.item_type == a,
+            Self::BothTypes { a, b }
+            | Self::InOrder { a, b }
+            | Self::Revisit { a, b }
+            | Self::InOrderAndReturn { a, b } => item.item_type == a || item.item_type == b,
+        };
+        warehouse.items.iter().filter(wanted).collect()
+    }
+}
+
+impl Group {
+    /// All groups, in the order of the paper's table.
+    pub const ALL: [Self; 4] = [Self::Basic, Self::MultiObject, Self::ReturnLoop, Self::Revisit];
+
+    /// The heading of its column.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Basic => "basic",
+            Self::MultiObject => "multi-object",
+            Self::ReturnLoop => "return loops",
+            Self::Revisit => "revisit",
+        }
+    }
+}
+
+fn ids<'a>(items: impl Iterator<Item = &'a Item>) -> Vec<u16> {
+    items.map(|item| item.id).collect()
+}
+
+fn with_article(noun: &str) -> String {
+    let article = if noun.starts_with(['a', 'e', 'i', 'o', 'u']) { "an" } else { "a" };
+    format!("{article} {noun}")
+}

@@ -1,0 +1,245 @@
+//! The warehouse: floor plan and catalogue put together, every item in its bay.
+
+use std::path::Path;
+
+use shm_types::{Cell, Heading};
+
+use crate::asset::{AssetError, Problem, invalid, read};
+use crate::catalogue::{self, Catalogue, Stock, StockCell};
+use crate::layout::{Layout, Square};
+
+const LAYOUT_FILE: &str = "layout.toml";
+const CATALOGUE_FILE: &str = "catalogue.toml";
+const SHIPPED_LAYOUT: &str = include_str!("../../assets/layout.toml");
+const SHIPPED_CATALOGUE: &str = include_str!("../../assets/catalogue.toml");
+
+/// One item in its bay.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub struct Item {
+    /// Position in [`Warehouse::items`].
+    pub id: u16,
+    /// Index of its type in [`Catalogue::types`].
+    pub item_type: usize,
+    /// The rack square it stands in.
+    pub rack: Cell,
+    /// The side of the rack it stands on: points from the rack to the standpoint.
+    pub face: Heading,
+    /// The free cell in front of it; standing there reaches the item.
+    pub standpoint: Cell,
+}
+
+impl Item {
+    /// The heading from which the item is looked at on its standpoint.
+    pub fn viewing_heading(&self) -> Heading {
+        self.face.opposite()
+    }
+}
+
+/// The floor plan, the catalogue and the items. No two items share a standpoint.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Warehouse {
+    /// The floor plan.
+    pub layout: Layout,
+    /// What there is.
+    pub catalogue: Catalogue,
+    /// Every item, by id: row by row of their standpoints from the south-west corner.
+    pub items: Vec<Item>,
+}
+
+impl Warehouse {
+    /// The warehouse that is compiled in.
+    pub fn shipped() -> Self {
+        match Self::parse(
+            LAYOUT_FILE.into(),
+            SHIPPED_LAYOUT,
+            CATALOGUE_FILE.into(),
+            SHIPPED_CATALOGUE,
+        ) {
+            Ok(warehouse) => warehouse,
+            Err(error) => unreachable!("the shipped warehouse is tested: {error}"),
+        }
+    }
+
+    /// Reads `layout.toml` and `catalogue.toml` in the folder `assets`.
+    ///
+    /// # Errors
+    /// A file that cannot be read, or that describes no possible warehouse.
+    pub fn load(assets: &Path) -> Result<Self, AssetError> {
+        let (layout, catalogue) = (assets.join(LAYOUT_FILE), assets.join(CATALOGUE_FILE));
+        Self::parse(
+            layout.display().to_string(),
+            &read(&layout)?,
+            catalogue.display().to_string(),
+            &read(&catalogue)?,
+        )
+    }
+
+    /// Reads the two texts; the names are those of the files, for messages.
+    fn parse(
+        layout_file: String,
+        layout_text: &str,
+        catalogue_file: String,
+        catalogue_text: &str,
+    ) -> Result<Self, AssetError> {
+        let layout = Layout::parse(layout_text).map_err(invalid(layout_file))?;
+        catalogue::parse(catalogue_text)
+            .and_then(|(catalogue, stock)| {
+                let items = place(&layout, &stock)?;
+                Ok(Self { layout, catalogue, items })
+            })
+            .map_err(invalid(catalogue_file))
+    }
+
+    /// Item `id`.
+    ///
+    /// # Panics
+    /// When there is no such item.
+    pub fn item(&self, id: u16) -> &Item {
+        &self.items[usize::from(id)]
+    }
+
+    /// The item that is reached by standing on `cell`.
+    pub fn item_at(&self, cell: Cell) -> Option<&Item> {
+        self.items.iter().find(|item| item.standpoint == cell)
+    }
+
+    /// The instances of type `item_type`, by id.
+    pub fn instances(&self, item_type: usize) -> impl Iterator<Item = &Item> + '_ {
+        self.items.iter().filter(move |item| item.item_type == item_type)
+    }
+
+    /// The items of `category`, by id.
+    pub fn items_in(&self, category: usize) -> impl Iterator<Item = &Item> + '_ {
+        self.items.iter().filter(move |item| self.category_of(item) == category)
+    }
+
+    /// The category of `item`.
+    pub fn category_of(&self, item: &Item) -> usize {
+        self.catalogue.types[item.item_type].category
+    }
+}
+
+/// Turns the stock plan into items.
+fn place(layout: &Layout, stock: &Stock) -> Result<Vec<Item>, Problem> {
+    let (width, height) = (usize::from(layout.width()), usize::from(layout.height()));
+    if stock.rows.len() != height {
+        return Err(format!("stock has {} lines and the floor plan {height}", stock.rows.len()));
+    }
+    let mut items = Vec::new();
+    for (y, (line, row)) in stock.rows.iter().enumerate().rev().enumerate() {
+        if row.len() != width {
+            return Err(format!(
+                "stock line {} has {} cells and the floor plan {width} columns",
+                line + 1,
+                row.len()
+            ));
+        }
+        for (x, &content) in row.iter().enumerate() {
+            let cell = Cell::new(x as u8, y as u8);
+            let place = format!("stock line {}, column {} (cell {cell})", line + 1, x + 1);
+            match (layout.is_free(cell), content) {
+                (true, StockCell::Empty) | (false, StockCell::Solid) => {}
+                (true, StockCell::Solid) => {
+                    return Err(format!("{place}: the floor plan has floor there; write .."));
+                }
+                (false, _) => {
+                    return Err(format!("{place}: the floor plan has no floor there; write ##"));
+                }
+                (true, StockCell::Item(item_type)) => {
+                    let (rack, face) =
+                        faced_bay(layout, cell).map_err(|problem| format!("{place}: {problem}"))?;
+                    items.push(Item {
+                        id: items.len() as u16,
+                        item_type,
+                        rack,
+                        face,
+                        standpoint: cell,
+                    });
+                }
+            }
+        }
+    }
+    Ok(items)
+}
+
+/// The one rack square beside `cell`, and the side of it that faces `cell`.
+fn faced_bay(layout: &Layout, cell: Cell) -> Result<(Cell, Heading), Problem> {
+    let mut bays = Heading::ALL.into_iter().filter_map(|heading| {
+        let rack = cell.step(heading).filter(|&next| layout.square(next) == Square::Rack)?;
+        Some((rack, heading.opposite()))
+    });
+    match (bays.next(), bays.next()) {
+        (Some(bay), None) => Ok(bay),
+        (None, _) => Err("no rack beside this cell for the item to stand on".into()),
+        (Some(_), Some(_)) => {
+            Err("two racks beside this cell, so the item's place is ambiguous; move the item"
+                .into())
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const LAYOUT: &str = "plan = \"aaa\\naaa\\n###\"\n\
+        [[aisle]]\nmark = \"a\"\nname = \"Aisle A\"\nruns = \"east-west\"\n";
+    const CATALOGUE: &str = "stock = \"\"\"\n.. .. ..\nb1 .. b1\n## ## ##\n\"\"\"\n\
+        [[category]]\nmark = \"b\"\nname = \"barrels\"\nshape = \"barrel\"\n\
+        types = [{ name = \"blue barrel\", colour = \"#2a5bd0\" }]\n";
+
+    fn parse(layout: &str, catalogue: &str) -> Result<Warehouse, AssetError> {
+        Warehouse::parse("layout.toml".into(), layout, "catalogue.toml".into(), catalogue)
+    }
+
+    #[test]
+    fn items_stand_on_the_rack_beside_their_mark() {
+        let warehouse = parse(LAYOUT, CATALOGUE).unwrap();
+        let bays = warehouse.items.iter().map(|i| (i.id, i.rack, i.face, i.standpoint));
+        assert_eq!(
+            bays.collect::<Vec<_>>(),
+            [
+                (0, Cell::new(0, 0), Heading::N, Cell::new(0, 1)),
+                (1, Cell::new(2, 0), Heading::N, Cell::new(2, 1)),
+            ]
+        );
+        assert_eq!(warehouse.item_at(Cell::new(2, 1)).map(|item| item.id), Some(1));
+    }
+
+    #[test]
+    fn the_shipped_warehouse_parses_and_is_rich_enough() {
+        let warehouse = Warehouse::shipped();
+        assert_eq!((warehouse.layout.width(), warehouse.layout.height()), (16, 30));
+        assert!(warehouse.catalogue.categories.len() >= 8);
+        assert!(warehouse.catalogue.types.len() >= 24);
+        assert!(warehouse.items.len() >= 150);
+    }
+
+    #[test]
+    fn a_stock_plan_that_does_not_fit_the_floor_says_where() {
+        for (from, to, expected) in [
+            (
+                "b1 .. b1",
+                "b1 .. ##",
+                "stock line 2, column 3 (cell (2, 1)): the floor plan has floor",
+            ),
+            ("## ## ##", "## .. ##", "the floor plan has no floor there"),
+            ("b1 .. b1", "b1 ..", "stock line 2 has 2 cells"),
+            (".. .. ..\n", "", "stock has 2 lines and the floor plan 3"),
+            (".. .. ..", "b1 .. ..", "no rack beside this cell"),
+        ] {
+            let error = parse(LAYOUT, &CATALOGUE.replacen(from, to, 1)).unwrap_err().to_string();
+            assert!(error.starts_with("catalogue.toml: ") && error.contains(expected), "{error}");
+        }
+        let corner = LAYOUT.replace("aaa\\naaa", "aaa\\n#aa");
+        let catalogue = CATALOGUE.replace("b1 .. b1", "## b1 ..");
+        let error = parse(&corner, &catalogue).unwrap_err().to_string();
+        assert!(error.contains("two racks beside this cell"), "{error}");
+    }
+
+    #[test]
+    fn a_missing_asset_is_named() {
+        let error = Warehouse::load(Path::new("no/such/folder")).unwrap_err().to_string();
+        assert!(error.contains("no/such/folder/layout.toml"), "{error}");
+    }
+}
