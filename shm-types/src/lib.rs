@@ -1,15 +1,33 @@
 //! The words MemTransfer's processes exchange, and the shared memory they travel through.
 //!
 //! Every process links this crate and none links another process, so whatever two of them must agree
-//! on is here: what a pose and an action are ([`pose`]), the messages ([`message`]), how an item's
-//! label plate spells its type in coloured bands ([`plate`]) and how the camera maps metres to pixels
-//! ([`camera`]).
+//! on is here:
 //!
-//! What is not here: the map, the tasks, anything that decides.
+//! - the words: poses and actions ([`pose`]), messages and their routes ([`message`]), label plates
+//!   ([`plate`]), the camera ([`camera`]);
+//! - the shared memory: what a process needs to join a run ([`attach`]), its place in one ([`bus`]),
+//!   sleeping and waking ([`doorbell`]), views written once and held by all ([`frames`]), what could not be
+//!   used ([`complaints`]);
+//! - the machine: runs, living and dead ([`registry`]), clock, parent and room ([`process`]).
+//!
+//! iceoryx2 is used here and nowhere else. What is not here: the map, the tasks, anything that decides.
 
+pub mod attach;
+pub mod bus;
 pub mod camera;
+pub mod complaints;
+pub mod doorbell;
+pub mod frames;
 pub mod message;
 pub mod plate;
 pub mod pose;
+pub mod process;
+pub mod registry;
 
+pub use attach::{Attach, AttachError, FrameControl, FrameSize, Wait};
+pub use bus::{Bus, BusError, Receiver, Sender};
+pub use complaints::Complaints;
+pub use doorbell::{Bell, Doorbell};
+pub use frames::{Frame, FrameError, FramePublisher, FrameSlot, FrameStore};
 pub use pose::{Action, Cell, Feedback, Heading, Pose};
+pub use registry::RunDir;

@@ -44,11 +44,30 @@ pub const NO_FRAME: FrameId = 0;
 pub trait Message: ZeroCopySend + Pod + core::fmt::Debug {
     /// Last part of the service's name; the run and generation come before it.
     const SERVICE: &'static str;
+    /// Who sends it.
+    const FROM: &'static [Role];
+    /// Who receives it: each of them gets every one.
+    const TO: &'static [Role];
+    /// How many can wait for one receiver at the same time.
+    const TRAFFIC: Traffic;
 }
 
-/// Declares wire structs: layout, name, service and asserted size in one place.
+/// What bounds the number of messages that wait for a receiver, and so how long its queue must be.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Traffic {
+    /// A lane has at most two waiting: the last of one episode and the first of the next.
+    Lanes,
+    /// Every frame of the store has at most two waiting: a request and a release, or a view and an
+    /// eviction.
+    Frames,
+    /// A few a run.
+    Few,
+}
+
+/// Declares wire structs: layout, name, service, route and asserted size in one place.
 macro_rules! messages {
-    ($($(#[$doc:meta])* $name:ident, $type_name:literal, $service:literal, $size:literal bytes {
+    ($($(#[$doc:meta])* $name:ident, $type_name:literal, $service:literal, $size:literal bytes,
+        [$($from:ident)*] to [$($to:ident)*], $traffic:ident {
         $($(#[$field_doc:meta])* $field:ident: $type:ty,)*
     })*) => {$(
         $(#[$doc])*
@@ -56,7 +75,12 @@ macro_rules! messages {
         #[repr(C)]
         #[type_name($type_name)]
         pub struct $name { $($(#[$field_doc])* pub $field: $type,)* }
-        impl Message for $name { const SERVICE: &'static str = $service; }
+        impl Message for $name {
+            const SERVICE: &'static str = $service;
+            const FROM: &'static [Role] = &[$(Role::$from),*];
+            const TO: &'static [Role] = &[$(Role::$to),*];
+            const TRAFFIC: Traffic = Traffic::$traffic;
+        }
         const _: () = assert!(size_of::<$name>() == $size, "wire size changed: raise WIRE_VERSION");
     )*};
 }
@@ -112,7 +136,8 @@ pub struct SegmentStep {
 
 messages! {
     /// Orchestrator to simulator: put a lane's agent somewhere, or let it act.
-    StepCommand, "memtransfer.StepCommand", "command", 40 bytes {
+    StepCommand, "memtransfer.StepCommand", "command", 40 bytes,
+        [Orchestrator] to [Sim], Lanes {
         /// The episode's ticket.
         episode: u64,
         /// When the orchestrator sent it.
@@ -136,7 +161,8 @@ messages! {
     }
 
     /// Simulator to memory, policy and orchestrator: what is true after a step.
-    Observation, "memtransfer.Observation", "observation", 72 bytes {
+    Observation, "memtransfer.Observation", "observation", 72 bytes,
+        [Sim] to [Memory Policy Orchestrator], Lanes {
         /// The episode's ticket.
         episode: u64,
         /// The agent's view; [`NO_FRAME`] when `last` is 1.
@@ -168,7 +194,8 @@ messages! {
     }
 
     /// Orchestrator to memory, before a reset: whose memory the lane's next episode is given.
-    MemoryBrief, "memtransfer.MemoryBrief", "memory-brief", 32 bytes {
+    MemoryBrief, "memtransfer.MemoryBrief", "memory-brief", 32 bytes,
+        [Orchestrator] to [Memory], Lanes {
         /// The episode's ticket.
         episode: u64,
         /// The lane.
@@ -188,7 +215,8 @@ messages! {
     }
 
     /// Orchestrator to policy, before a reset: what the lane's next episode asks for.
-    PolicyBrief, "memtransfer.PolicyBrief", "policy-brief", 256 bytes {
+    PolicyBrief, "memtransfer.PolicyBrief", "policy-brief", 256 bytes,
+        [Orchestrator] to [Policy], Lanes {
         /// The episode's ticket.
         episode: u64,
         /// A policy that draws at random draws from this.
@@ -202,7 +230,8 @@ messages! {
     }
 
     /// Memory to simulator: make a view of the unchanged world resident, or let it go.
-    ViewRequest, "memtransfer.ViewRequest", "view-request", 16 bytes {
+    ViewRequest, "memtransfer.ViewRequest", "view-request", 16 bytes,
+        [Memory] to [Sim], Frames {
         /// For a release: the frame. For a request: [`NO_FRAME`].
         frame: FrameId,
         /// For a request: the view's pose.
@@ -214,7 +243,8 @@ messages! {
     }
 
     /// Simulator to memory: the requested view is resident and stays until it is released.
-    View, "memtransfer.View", "view", 16 bytes {
+    View, "memtransfer.View", "view", 16 bytes,
+        [Sim] to [Memory], Frames {
         /// The view's frame.
         frame: FrameId,
         /// The pose that was asked for.
@@ -224,13 +254,15 @@ messages! {
     }
 
     /// Simulator to whoever holds frames: let this one go. No live lane or memory refers to it.
-    Eviction, "memtransfer.Eviction", "eviction", 8 bytes {
+    Eviction, "memtransfer.Eviction", "eviction", 8 bytes,
+        [Sim] to [Memory Policy], Frames {
         /// The frame.
         frame: FrameId,
     }
 
     /// Memory to policy: the window, and what was remembered for this step.
-    Recall, "memtransfer.Recall", "recall", 1072 bytes {
+    Recall, "memtransfer.Recall", "recall", 1072 bytes,
+        [Memory] to [Policy], Lanes {
         /// The episode's ticket.
         episode: u64,
         /// When the observation was taken up.
@@ -256,7 +288,8 @@ messages! {
     }
 
     /// Memory to orchestrator, with every recall: where it came from and what it cost.
-    RecallTrace, "memtransfer.RecallTrace", "recall-trace", 64 bytes {
+    RecallTrace, "memtransfer.RecallTrace", "recall-trace", 64 bytes,
+        [Memory] to [Orchestrator], Lanes {
         /// The episode's ticket.
         episode: u64,
         /// When the observation was taken up.
@@ -284,7 +317,8 @@ messages! {
     }
 
     /// Policy to orchestrator: what to do.
-    Decision, "memtransfer.Decision", "decision", 64 bytes {
+    Decision, "memtransfer.Decision", "decision", 64 bytes,
+        [Policy] to [Orchestrator], Lanes {
         /// The episode's ticket.
         episode: u64,
         /// When observation and recall were both there.
@@ -312,7 +346,8 @@ messages! {
     }
 
     /// Anyone to orchestrator, once, when ready to work.
-    Hello, "memtransfer.Hello", "hello", 512 bytes {
+    Hello, "memtransfer.Hello", "hello", 512 bytes,
+        [Sim Memory Policy] to [Orchestrator], Few {
         /// [`WIRE_VERSION`] the sender was built with.
         wire_version: u32,
         /// Code of its [`Role`].
@@ -326,7 +361,8 @@ messages! {
     }
 
     /// Anyone to orchestrator: a message that could not be used, or a failure that ends the sender.
-    Complaint, "memtransfer.Complaint", "complaint", 256 bytes {
+    Complaint, "memtransfer.Complaint", "complaint", 256 bytes,
+        [Sim Memory Policy] to [Orchestrator], Few {
         /// Code of the sender's [`Role`].
         role: u32,
         /// Complaints the sender has made so far, this one included.
@@ -340,7 +376,8 @@ messages! {
     }
 
     /// Anyone to orchestrator, once, after [`Stop`]: what the sender did with frames.
-    Farewell, "memtransfer.Farewell", "farewell", 48 bytes {
+    Farewell, "memtransfer.Farewell", "farewell", 48 bytes,
+        [Sim Memory Policy] to [Orchestrator], Few {
         /// Code of the sender's [`Role`].
         role: u32,
         /// Zero.
@@ -358,7 +395,8 @@ messages! {
     }
 
     /// Orchestrator to everyone: finish, send a [`Farewell`], exit.
-    Stop, "memtransfer.Stop", "stop", 8 bytes {
+    Stop, "memtransfer.Stop", "stop", 8 bytes,
+        [Orchestrator] to [Sim Memory Policy], Few {
         /// Zero.
         reserved: u64,
     }

@@ -1,0 +1,284 @@
+//! What a process must know to join a run: `attach.json` in the run's folder.
+//!
+//! The orchestrator writes it once a generation, every other process reads it once at its start. All
+//! sizes of queues and of the frame store follow from it, so peers that read the same file agree on
+//! them without a word.
+
+use std::fs;
+use std::io::{self, Write};
+use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
+
+use crate::message::WIRE_VERSION;
+use crate::registry::RunDir;
+
+/// Name of the file in a run's folder.
+pub const ATTACH_FILE: &str = "attach.json";
+
+/// Bytes of one page of shared memory; frames are whole pages.
+pub const PAGE_BYTES: usize = 4096;
+
+/// Most lanes a run can have.
+pub const MAX_LANES: u32 = 4096;
+
+/// Most frames a run can keep resident.
+pub const MAX_FRAMES: u32 = 1 << 20;
+
+/// Frames that may be resident unless somebody says otherwise: room for every view of the unchanged world.
+pub const DEFAULT_FRAMES: u32 = 1536;
+
+/// Window length h unless somebody says otherwise (SPEC section 5).
+pub const DEFAULT_WINDOW: u32 = 6;
+
+/// Frames a renderer can fill at the same time.
+pub const MAX_LOANED_FRAMES: u32 = 32;
+
+/// Longest path of a run's folder, in bytes: socket names below it have to fit into 108.
+pub const MAX_ROOT_BYTES: usize = 48;
+
+/// Everything a process needs to join a run.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Attach {
+    /// [`WIRE_VERSION`] of the writer.
+    pub wire_version: u32,
+    /// Starts the name of everything the run has in shared memory.
+    pub prefix: String,
+    /// Grows by one whenever the processes are started anew; part of every service's name.
+    pub generation: u32,
+    /// Process id of the orchestrator.
+    pub orchestrator_pid: u32,
+    /// Episodes that run at once.
+    pub lanes: u32,
+    /// Longest window h that any lane uses.
+    pub window: u32,
+    /// Size of every frame.
+    pub frame: FrameSize,
+    /// Frames that may be resident at once (`--frame-budget`).
+    pub frame_capacity: u32,
+    /// How a process waits for work.
+    pub wait: Wait,
+    /// What observed frames show.
+    pub frame_control: FrameControl,
+    /// The run's folder: where the file was read from. Not in the file, so that a folder can be mounted
+    /// elsewhere.
+    #[serde(skip)]
+    pub root: PathBuf,
+}
+
+/// Width and height of a frame in pixels.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct FrameSize {
+    /// Pixels in a row: a multiple of 64, so that a row is a multiple of 256 bytes.
+    pub width: u32,
+    /// Rows.
+    pub height: u32,
+}
+
+impl FrameSize {
+    /// 448 x 448: 196 pages.
+    pub const DEFAULT: Self = Self { width: 448, height: 448 };
+
+    /// Bytes of the pixels: RGBA8, rows top to bottom without gaps.
+    pub const fn bytes(self) -> usize {
+        self.width as usize * self.height as usize * 4
+    }
+
+    /// Whole pages that hold them.
+    pub const fn pages(self) -> usize {
+        self.bytes().div_ceil(PAGE_BYTES)
+    }
+}
+
+/// How a process waits for its doorbell.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Wait {
+    /// Microseconds to look for work before sleeping. 0 sleeps at once, which is best unless every
+    /// process has a core of its own.
+    pub spin_us: u32,
+}
+
+/// What observed frames show. The controls show that results come from pixels; views that memory asks
+/// for are true under each of them.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum FrameControl {
+    /// What the agent sees.
+    #[default]
+    Rendered,
+    /// A uniform grey.
+    Blank,
+    /// What an agent would see from another pose.
+    Swapped,
+}
+
+impl FrameControl {
+    /// The word on the command line and in files.
+    pub const fn word(self) -> &'static str {
+        match self {
+            Self::Rendered => "rendered",
+            Self::Blank => "blank",
+            Self::Swapped => "swapped",
+        }
+    }
+}
+
+/// Why `attach.json` cannot be used.
+#[derive(Debug, thiserror::Error)]
+pub enum AttachError {
+    /// The file cannot be read or written.
+    #[error("{}: {source}", path.display())]
+    File {
+        /// The file.
+        path: PathBuf,
+        /// What the system said.
+        source: io::Error,
+    },
+    /// It is not the JSON that it should be.
+    #[error("{}: {source}", path.display())]
+    Json {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong with it.
+        source: serde_json::Error,
+    },
+    /// The writer speaks another version of the wire.
+    #[error(
+        "the run speaks wire version {theirs} and this program {ours}: use programs of the same build"
+    )]
+    WireVersion {
+        /// The writer's.
+        theirs: u32,
+        /// This program's.
+        ours: u32,
+    },
+    /// A value that cannot be.
+    #[error("{field} is {value}, but must be {expected}")]
+    Value {
+        /// The field.
+        field: &'static str,
+        /// Its value.
+        value: String,
+        /// What would be accepted.
+        expected: String,
+    },
+}
+
+impl Attach {
+    /// The first generation of `run`, with this process as its orchestrator, one lane and every other
+    /// setting at its default.
+    pub fn new(run: &RunDir) -> Self {
+        Self {
+            wire_version: WIRE_VERSION,
+            prefix: run.prefix(),
+            generation: 1,
+            orchestrator_pid: std::process::id(),
+            lanes: 1,
+            window: DEFAULT_WINDOW,
+            frame: FrameSize::DEFAULT,
+            frame_capacity: DEFAULT_FRAMES,
+            wait: Wait::default(),
+            frame_control: FrameControl::default(),
+            root: run.path().to_owned(),
+        }
+    }
+
+    /// Reads and checks `attach.json` in the run's folder `dir`.
+    ///
+    /// # Errors
+    /// When the file is missing or not the JSON expected, has unknown fields, was written by a program
+    /// that speaks another wire version, or holds a value that cannot be.
+    pub fn read(dir: &Path) -> Result<Self, AttachError> {
+        let path = dir.join(ATTACH_FILE);
+        let file_error = |source| AttachError::File { path: path.clone(), source };
+        let text = fs::read_to_string(&path).map_err(file_error)?;
+        let json_error = |source| AttachError::Json { path: path.clone(), source };
+        // The version comes first: a file of another version may well have other fields.
+        let value: serde_json::Value = serde_json::from_str(&text).map_err(json_error)?;
+        let theirs = value.get("wire_version").and_then(serde_json::Value::as_u64);
+        if let Some(theirs) = theirs.filter(|&theirs| theirs != u64::from(WIRE_VERSION)) {
+            let theirs = u32::try_from(theirs).unwrap_or(u32::MAX);
+            return Err(AttachError::WireVersion { theirs, ours: WIRE_VERSION });
+        }
+        let attach: Self = serde_json::from_value(value).map_err(json_error)?;
+        let attach = Self { root: dir.canonicalize().map_err(file_error)?, ..attach };
+        attach.check()?;
+        Ok(attach)
+    }
+
+    /// Checks, and writes `attach.json` into the run's folder `dir`, all of it or nothing.
+    ///
+    /// # Errors
+    /// When a value cannot be, or the file cannot be written.
+    pub fn write(&self, dir: &Path) -> Result<(), AttachError> {
+        self.check()?;
+        let path = dir.join(ATTACH_FILE);
+        let draft = dir.join("attach.json.new");
+        let json_error = |source| AttachError::Json { path: path.clone(), source };
+        let text = serde_json::to_string_pretty(self).map_err(json_error)?;
+        fs::File::create(&draft)
+            .and_then(|mut file| writeln!(file, "{text}"))
+            .and_then(|()| fs::rename(&draft, &path))
+            .map_err(|source| AttachError::File { path: path.clone(), source })
+    }
+
+    /// Whether every value can be.
+    ///
+    /// # Errors
+    /// For the first one that cannot.
+    pub fn check(&self) -> Result<(), AttachError> {
+        let value = |field, value: &dyn ToString, expected: String| {
+            Err(AttachError::Value { field, value: value.to_string(), expected })
+        };
+        if self.wire_version != WIRE_VERSION {
+            return Err(AttachError::WireVersion { theirs: self.wire_version, ours: WIRE_VERSION });
+        }
+        let plain = |c: char| c.is_ascii_alphanumeric() || c == '_';
+        if !self.prefix.starts_with("mt")
+            || self.prefix.len() > 16
+            || !self.prefix.chars().all(plain)
+        {
+            let expected = "\"mt\" and up to 14 letters, digits or underscores".to_owned();
+            return value("prefix", &self.prefix, expected);
+        }
+        if !(1..=MAX_LANES).contains(&self.lanes) {
+            return value("lanes", &self.lanes, format!("1 to {MAX_LANES}"));
+        }
+        let most = crate::message::MAX_WINDOW as u32;
+        if self.window > most {
+            return value("window", &self.window, format!("0 to {most}"));
+        }
+        let FrameSize { width, height } = self.frame;
+        if width == 0 || !width.is_multiple_of(64) || width > 4096 {
+            return value("frame.width", &width, "a multiple of 64 up to 4096".to_owned());
+        }
+        if !(1..=4096).contains(&height) {
+            return value("frame.height", &height, "1 to 4096".to_owned());
+        }
+        if !(1..=MAX_FRAMES).contains(&self.frame_capacity) {
+            return value("frame_capacity", &self.frame_capacity, format!("1 to {MAX_FRAMES}"));
+        }
+        if self.wait.spin_us > 1_000_000 {
+            return value("wait.spin_us", &self.wait.spin_us, "0 to 1000000".to_owned());
+        }
+        Ok(())
+    }
+
+    /// Chunks the frame store owns, each of one frame: what may be resident, what a renderer fills, and
+    /// what is evicted while a consumer has not let go of it yet. Shared memory never holds more.
+    pub const fn frame_chunks(&self) -> u32 {
+        let lag = self.frame_capacity / 8 + self.lanes + 16;
+        self.frame_capacity + MAX_LOANED_FRAMES + lag
+    }
+
+    /// Most bytes of shared memory the run can come to use: every chunk of the frame store, a page of
+    /// headers each, and an allowance for messages.
+    pub const fn shared_memory_bytes(&self) -> u64 {
+        let chunk = (self.frame.pages() + 1) * PAGE_BYTES;
+        let messages = (16 << 20) + self.lanes as u64 * (64 << 10);
+        self.frame_chunks() as u64 * chunk as u64 + messages
+    }
+}

@@ -1,0 +1,326 @@
+//! The runs of this user: one folder each, and how to tell a living run from what a dead one left.
+//!
+//! A run's folder holds `attach.json`, iceoryx2's files and sockets, and a file `lock`. Every process of the
+//! run keeps a shared lock on that file; the kernel takes it away with the process, however that ends. So
+//! whoever can lock it exclusively knows that the run is dead, and may remove what the run has in shared
+//! memory (everything that starts with its prefix) and its folder. Peers in other languages that do not lock
+//! are seen as iceoryx2 nodes.
+
+use std::ffi::OsStr;
+use std::fs::{self, DirBuilder, File, TryLockError};
+use std::hash::{BuildHasher, Hasher, RandomState};
+use std::io;
+use std::os::unix::fs::{DirBuilderExt, MetadataExt};
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use iceoryx2::node::{Node, NodeState};
+use iceoryx2::prelude::{CallbackProgression, Config};
+
+use crate::attach::MAX_ROOT_BYTES;
+use crate::bus::{Ipc, raw_config};
+use crate::process::SHARED_MEMORY;
+
+/// The file that every process of a run keeps locked.
+const LOCK_FILE: &str = "lock";
+
+/// How long to wait for another cleaner of the same node.
+const CLEANER_PATIENCE: Duration = Duration::from_secs(5);
+
+/// Why a run's folder cannot be made or removed.
+#[derive(Debug, thiserror::Error)]
+pub enum RegistryError {
+    /// The system refused.
+    #[error("{doing} {}: {source}", path.display())]
+    System {
+        /// What was tried.
+        doing: &'static str,
+        /// With what.
+        path: PathBuf,
+        /// What it said.
+        source: io::Error,
+    },
+    /// The folder of all runs belongs to somebody else, or others may write to it.
+    #[error("{} is not a folder that only you can write to: remove it or choose another", path.display())]
+    NotOurs {
+        /// The folder.
+        path: PathBuf,
+    },
+    /// No socket would fit below the folder.
+    #[error(
+        "{} is too long a path for runs, sockets below it need it to stay under {} bytes: choose another",
+        path.display(), MAX_ROOT_BYTES - RUN_NAME_BYTES
+    )]
+    TooLong {
+        /// The folder.
+        path: PathBuf,
+    },
+}
+
+fn system<'a>(doing: &'static str, path: &'a Path) -> impl FnOnce(io::Error) -> RegistryError + 'a {
+    move |source| RegistryError::System { doing, path: path.to_owned(), source }
+}
+
+/// Bytes of a slash and a run's name.
+const RUN_NAME_BYTES: usize = 9;
+
+/// The folder of all runs of this user: `/tmp/memtransfer-<uid>`, unless `MEMTRANSFER_RUN_DIR` names one.
+pub fn default_base() -> PathBuf {
+    std::env::var_os("MEMTRANSFER_RUN_DIR").map_or_else(
+        || PathBuf::from(format!("/tmp/memtransfer-{}", rustix::process::getuid().as_raw())),
+        PathBuf::from,
+    )
+}
+
+/// A run's folder, held by the process that made it. Dropping it removes the run, unless a process of it
+/// still lives.
+#[derive(Debug)]
+pub struct RunDir {
+    path: PathBuf,
+    lock: File,
+}
+
+impl RunDir {
+    /// Makes the folder of a new run below `base`, which is made too if it is missing.
+    ///
+    /// # Errors
+    /// When `base` is not this user's own, too long a path, or the system refuses.
+    pub fn create(base: &Path) -> Result<Self, RegistryError> {
+        let _base_lock = lock_base(base)?;
+        loop {
+            let name = format!("{:08x}", RandomState::new().build_hasher().finish() as u32);
+            let path = base.join(&name);
+            if !names_with_prefix(&prefix(&name))?.is_empty() {
+                continue;
+            }
+            match DirBuilder::new().mode(0o700).create(&path) {
+                Err(e) if e.kind() == io::ErrorKind::AlreadyExists => continue,
+                outcome => outcome.map_err(system("cannot make", &path))?,
+            }
+            let file = path.join(LOCK_FILE);
+            let lock = File::create_new(&file)
+                .and_then(|lock| lock.lock_shared().map(|()| lock))
+                .map_err(system("cannot lock", &file))?;
+            return Ok(Self { path, lock });
+        }
+    }
+
+    /// The folder.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// What the names of the run's shared memory start with.
+    pub fn prefix(&self) -> String {
+        prefix(&self.name())
+    }
+
+    /// The run's name: the folder's last part.
+    pub fn name(&self) -> String {
+        self.path.file_name().map(OsStr::to_string_lossy).unwrap_or_default().into_owned()
+    }
+
+    fn remove(&self) -> Result<bool, RegistryError> {
+        let _base_lock = self.path.parent().map(lock_base).transpose()?;
+        match self.lock.try_lock() {
+            Ok(()) => remove_if_dead(&self.path),
+            Err(TryLockError::WouldBlock) => Ok(false),
+            Err(TryLockError::Error(source)) => Err(system("cannot lock", &self.path)(source)),
+        }
+    }
+}
+
+impl Drop for RunDir {
+    fn drop(&mut self) {
+        match self.remove() {
+            Ok(true) => {}
+            Ok(false) => tracing::warn!(
+                "a process of run {} still lives; `memtransfer clean` removes the run when it is gone",
+                self.name()
+            ),
+            Err(error) => tracing::warn!(%error, "run {} could not be removed", self.name()),
+        }
+    }
+}
+
+/// What [`clean`] found.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct Cleaned {
+    /// Folders of dead runs, now gone.
+    pub removed: Vec<PathBuf>,
+    /// Folders of runs that live, untouched.
+    pub alive: Vec<PathBuf>,
+}
+
+/// A run as [`list`] finds it.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Run {
+    /// Its folder.
+    pub path: PathBuf,
+    /// Whether a process of it lives.
+    pub alive: bool,
+}
+
+/// Every run below `base`, by name.
+///
+/// # Errors
+/// When `base` is not this user's own or the system refuses.
+pub fn list(base: &Path) -> Result<Vec<Run>, RegistryError> {
+    if !base.exists() {
+        return Ok(Vec::new());
+    }
+    let _base_lock = lock_base(base)?;
+    let dead = |path: &Path| Ok(hold_dead(path)?.is_some() && !has_living_node(path));
+    run_folders(base)?.into_iter().map(|path| Ok(Run { alive: !dead(&path)?, path })).collect()
+}
+
+/// Removes what dead runs below `base` left: shared memory, sockets, folders. Touches nothing of a run
+/// that lives.
+///
+/// # Errors
+/// When `base` is not this user's own or the system refuses; what was removed before stays removed.
+pub fn clean(base: &Path) -> Result<Cleaned, RegistryError> {
+    let mut cleaned = Cleaned::default();
+    if !base.exists() {
+        return Ok(cleaned);
+    }
+    let _base_lock = lock_base(base)?;
+    for path in run_folders(base)? {
+        let dead = match hold_dead(&path)? {
+            Some(_lock) => remove_if_dead(&path)?,
+            None => false,
+        };
+        if dead { cleaned.removed.push(path) } else { cleaned.alive.push(path) }
+    }
+    Ok(cleaned)
+}
+
+/// Takes part in the run in `root` until the file is dropped: nobody cleans it away meanwhile.
+pub(crate) fn hold(root: &Path) -> io::Result<File> {
+    let lock = File::open(root.join(LOCK_FILE))?;
+    // Never waits long: only a cleaner locks exclusively, and only for a moment or for good.
+    lock.lock_shared()?;
+    // A cleaner that came first has removed the file that is now locked.
+    fs::metadata(root.join(LOCK_FILE)).map(|_| lock)
+}
+
+fn prefix(name: &str) -> String {
+    format!("mt{name}_")
+}
+
+/// Makes and checks the folder of all runs, and locks it: runs are made and cleaned one at a time.
+fn lock_base(base: &Path) -> Result<File, RegistryError> {
+    if base.as_os_str().len() > MAX_ROOT_BYTES - RUN_NAME_BYTES {
+        return Err(RegistryError::TooLong { path: base.to_owned() });
+    }
+    match DirBuilder::new().mode(0o700).create(base) {
+        Err(e) if e.kind() == io::ErrorKind::AlreadyExists => {}
+        outcome => outcome.map_err(system("cannot make", base))?,
+    }
+    let about = fs::symlink_metadata(base).map_err(system("cannot look at", base))?;
+    let others_write = about.mode() & 0o022 != 0;
+    if !about.is_dir() || about.uid() != rustix::process::getuid().as_raw() || others_write {
+        return Err(RegistryError::NotOurs { path: base.to_owned() });
+    }
+    let lock = File::open(base).map_err(system("cannot open", base))?;
+    lock.lock().map_err(system("cannot lock", base))?;
+    Ok(lock)
+}
+
+/// The folders below `base` that are named as runs are.
+fn run_folders(base: &Path) -> Result<Vec<PathBuf>, RegistryError> {
+    let is_run = |name: &str| {
+        name.len() == 8 && name.bytes().all(|b| b.is_ascii_hexdigit() && !b.is_ascii_uppercase())
+    };
+    let mut folders = Vec::new();
+    for entry in fs::read_dir(base).map_err(system("cannot list", base))? {
+        let entry = entry.map_err(system("cannot list", base))?;
+        if entry.file_type().is_ok_and(|kind| kind.is_dir())
+            && entry.file_name().to_str().is_some_and(is_run)
+        {
+            folders.push(entry.path());
+        }
+    }
+    folders.sort();
+    Ok(folders)
+}
+
+/// The run's lock, held exclusively, if no process holds it.
+fn hold_dead(run: &Path) -> Result<Option<File>, RegistryError> {
+    let file = run.join(LOCK_FILE);
+    // A run that died before it had a lock file gets one: runs are made under the lock of the base.
+    let lock = File::options().create(true).append(true).open(&file);
+    let lock = lock.map_err(system("cannot open", &file))?;
+    match lock.try_lock() {
+        Ok(()) => Ok(Some(lock)),
+        Err(TryLockError::WouldBlock) => Ok(None),
+        Err(TryLockError::Error(source)) => Err(system("cannot lock", &file)(source)),
+    }
+}
+
+/// The iceoryx2 settings of the run in `path`.
+fn run_config(path: &Path) -> Option<Config> {
+    let name = path.file_name()?.to_str()?;
+    raw_config(&prefix(name), path).ok()
+}
+
+fn has_living_node(run: &Path) -> bool {
+    let mut alive = false;
+    let Some(config) = run_config(run) else { return false };
+    let outcome = Node::<Ipc>::list(&config, |node| {
+        alive |= matches!(node, NodeState::Alive(_));
+        CallbackProgression::Continue
+    });
+    if let Err(error) = outcome {
+        tracing::debug!(?error, run = %run.display(), "its nodes cannot be listed");
+    }
+    alive
+}
+
+/// Removes a run that nobody holds; `false` when a peer that does not lock still lives. The caller has the
+/// run's lock.
+fn remove_if_dead(run: &Path) -> Result<bool, RegistryError> {
+    if has_living_node(run) {
+        return Ok(false);
+    }
+    let Some(name) = run.file_name().and_then(OsStr::to_str) else { return Ok(false) };
+    remove_dead_nodes(run);
+    for name in names_with_prefix(&prefix(name))? {
+        let path = Path::new(SHARED_MEMORY).join(name);
+        match fs::remove_file(&path) {
+            Err(e) if e.kind() == io::ErrorKind::NotFound => {}
+            outcome => outcome.map_err(system("cannot remove", &path))?,
+        }
+    }
+    fs::remove_dir_all(run).map_err(system("cannot remove", run))?;
+    Ok(true)
+}
+
+/// iceoryx2's own way first: it knows what belongs to a node. What it leaves goes by name.
+fn remove_dead_nodes(run: &Path) {
+    let Some(config) = run_config(run) else { return };
+    let outcome = Node::<Ipc>::list(&config, |node| {
+        if let NodeState::Dead(node) = node
+            && let Err(error) = node.blocking_remove_stale_resources(CLEANER_PATIENCE)
+        {
+            tracing::debug!(?error, "a dead node is removed by name");
+        }
+        CallbackProgression::Continue
+    });
+    if let Err(error) = outcome {
+        tracing::debug!(?error, "dead nodes are removed by name");
+    }
+}
+
+/// Names in shared memory that start with `prefix`.
+fn names_with_prefix(prefix: &str) -> Result<Vec<std::ffi::OsString>, RegistryError> {
+    let folder = Path::new(SHARED_MEMORY);
+    let mut names = Vec::new();
+    for entry in fs::read_dir(folder).map_err(system("cannot list", folder))? {
+        let name = entry.map_err(system("cannot list", folder))?.file_name();
+        if name.as_encoded_bytes().starts_with(prefix.as_bytes()) {
+            names.push(name);
+        }
+    }
+    Ok(names)
+}
