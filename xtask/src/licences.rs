@@ -1,0 +1,121 @@
+//! The licences of everything that is linked, checked against `deny.toml` where cargo-deny is not
+//! installed.
+//!
+//! Reads the same list as cargo-deny does. Leaves to it what needs more than `cargo metadata`: bans
+//! and advisories.
+
+use anyhow::{Context, bail};
+use serde::Deserialize;
+use spdx::{Expression, ParseMode};
+
+use crate::workspace::Workspace;
+
+/// The one place that packages come from, as `Cargo.lock` writes it.
+const SOURCE_PREFIX: &str = "registry+";
+
+/// Checks every package that is built for this platform; prints those that are not allowed.
+pub(crate) fn are_allowed(workspace: &Workspace) -> anyhow::Result<bool> {
+    let path = workspace.root().join("deny.toml");
+    let text = std::fs::read_to_string(&path)
+        .with_context(|| format!("cannot read {}", path.display()))?;
+    let rules: Rules =
+        toml::from_str(&text).with_context(|| format!("cannot use {}", path.display()))?;
+
+    let objections: Vec<String> = packages(workspace)?
+        .iter()
+        .filter_map(|package| objection(package, &rules.licenses.allow))
+        .collect();
+    for objection in &objections {
+        eprintln!("{objection}");
+    }
+    Ok(objections.is_empty())
+}
+
+#[derive(Deserialize)]
+struct Rules {
+    licenses: LicenceRules,
+}
+
+#[derive(Deserialize)]
+struct LicenceRules {
+    allow: Vec<String>,
+}
+
+#[derive(Deserialize)]
+struct Metadata {
+    packages: Vec<Package>,
+}
+
+#[derive(Deserialize)]
+struct Package {
+    name: String,
+    version: String,
+    license: Option<String>,
+    /// `None` for the workspace's own crates.
+    source: Option<String>,
+}
+
+fn packages(workspace: &Workspace) -> anyhow::Result<Vec<Package>> {
+    let platform = format!("{}-unknown-linux-gnu", std::env::consts::ARCH);
+    let output = workspace
+        .cargo(&["metadata", "--format-version", "1", "--locked", "--filter-platform", &platform])
+        .output()
+        .context("cannot start cargo metadata")?;
+    if !output.status.success() {
+        bail!("cargo metadata failed: {}", String::from_utf8_lossy(&output.stderr));
+    }
+    let metadata: Metadata =
+        serde_json::from_slice(&output.stdout).context("cannot read cargo metadata's answer")?;
+    Ok(metadata.packages)
+}
+
+/// Why a package may not be used, if it may not.
+fn objection(package: &Package, allowed: &[String]) -> Option<String> {
+    let Package { name, version, license, source } = package;
+    if source.as_ref().is_some_and(|source| !source.starts_with(SOURCE_PREFIX)) {
+        return Some(format!("{name} {version} does not come from the registry"));
+    }
+    let Some(license) = license else {
+        return Some(format!("{name} {version} states no licence"));
+    };
+    let Ok(expression) = Expression::parse_mode(license, ParseMode::LAX) else {
+        return Some(format!("{name} {version}: cannot read its licence {license:?}"));
+    };
+    let allows = expression.evaluate(|requirement| allowed.contains(&requirement.to_string()));
+    (!allows)
+        .then(|| format!("{name} {version} is under {license}, which deny.toml does not allow"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_package_is_allowed_when_one_way_of_reading_its_licence_is() {
+        let allowed = ["MIT".to_owned(), "Apache-2.0".to_owned(), "ISC".to_owned()];
+        let registry = Some("registry+somewhere".to_owned());
+        let cases = [
+            (Some("MIT"), &registry, true),
+            (Some("MIT OR GPL-3.0-only"), &registry, true),
+            (Some("MIT/Apache-2.0"), &registry, true),
+            (Some("Apache-2.0 WITH LLVM-exception OR Apache-2.0"), &registry, true),
+            (Some("Apache-2.0 WITH LLVM-exception"), &registry, false),
+            (Some("(MIT OR GPL-3.0-only) AND ISC"), &registry, true),
+            (Some("MIT AND GPL-3.0-only"), &registry, false),
+            (Some("GPL-3.0-only"), &registry, false),
+            (Some("as you like"), &registry, false),
+            (None, &registry, false),
+            (Some("MIT"), &None, true),
+            (Some("MIT"), &Some("git+elsewhere".to_owned()), false),
+        ];
+        for (license, source, expected) in cases {
+            let package = Package {
+                name: "some".to_owned(),
+                version: "1.0.0".to_owned(),
+                license: license.map(str::to_owned),
+                source: source.clone(),
+            };
+            assert_eq!(objection(&package, &allowed).is_none(), expected, "{license:?} {source:?}");
+        }
+    }
+}

@@ -1,0 +1,197 @@
+//! `setup.toml`, as typed values: the one list of what set-up may bring.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, bail};
+use serde::Deserialize;
+
+use crate::sha256::Sum;
+
+/// The whole list.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct Pins {
+    /// What the operating system has to have, in the order in which it is needed.
+    #[serde(default)]
+    pub(crate) system: Vec<SystemNeed>,
+    /// Files that the program looks for in the cache folder.
+    #[serde(default)]
+    pub(crate) file: Vec<FilePin>,
+}
+
+/// Something that the operating system's packages bring.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct SystemNeed {
+    pub(crate) name: String,
+    pub(crate) why: String,
+    pub(crate) probe: Probe,
+    /// Debian's names.
+    pub(crate) packages: Vec<String>,
+}
+
+/// How to see that a [`SystemNeed`] is met without asking a package manager.
+#[derive(Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub(crate) enum Probe {
+    /// `python3 -m MODULE --version` works.
+    PythonModule(String),
+    /// A shared library of this name is in one of the usual folders.
+    Library(String),
+    /// One of these folders has a Vulkan driver's manifest whose library is there.
+    VulkanManifests(Vec<PathBuf>),
+}
+
+/// A file in the cache folder, made by a script.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct FilePin {
+    pub(crate) name: String,
+    pub(crate) why: String,
+    /// Relative to the cache folder.
+    pub(crate) place: PathBuf,
+    /// Relative to the workspace; called as `python3 SCRIPT [WHEEL] OUTPUT ARGUMENTS...`.
+    pub(crate) script: PathBuf,
+    #[serde(default)]
+    pub(crate) arguments: Vec<String>,
+    /// Only made when its own verb asks for it.
+    #[serde(default)]
+    pub(crate) on_demand: bool,
+    /// By `linux-x86_64` and the like, or `any`.
+    platform: BTreeMap<String, PlatformPin>,
+}
+
+/// What a [`FilePin`] is on one platform.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct PlatformPin {
+    /// Of the finished file.
+    pub(crate) sha256: Sum,
+    /// What it is made from; absent when the script needs nothing.
+    pub(crate) wheel: Option<WheelPin>,
+}
+
+/// One wheel, and no other.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct WheelPin {
+    /// `name==version`, as pip reads it.
+    pub(crate) package: String,
+    /// The wheel's file name.
+    pub(crate) file: String,
+    pub(crate) sha256: Sum,
+    /// Flags that make pip choose this wheel on any Python.
+    #[serde(default)]
+    pub(crate) pip: Vec<String>,
+}
+
+impl Pins {
+    /// The file of this name.
+    pub(crate) fn file(&self, name: &str) -> anyhow::Result<&FilePin> {
+        self.file
+            .iter()
+            .find(|file| file.name == name)
+            .with_context(|| format!("xtask/setup.toml has no file {name:?}"))
+    }
+
+    /// Reads the list; an unknown key is an error.
+    pub(crate) fn load(path: &Path) -> anyhow::Result<Self> {
+        let text = std::fs::read_to_string(path)
+            .with_context(|| format!("cannot read {}", path.display()))?;
+        toml::from_str(&text).with_context(|| format!("cannot use {}", path.display()))
+    }
+}
+
+impl FilePin {
+    /// The pin for this machine.
+    pub(crate) fn here(&self) -> anyhow::Result<&PlatformPin> {
+        self.on(&format!("{}-{}", std::env::consts::OS, std::env::consts::ARCH))
+    }
+
+    fn on(&self, platform: &str) -> anyhow::Result<&PlatformPin> {
+        match self.platform.get("any").or_else(|| self.platform.get(platform)) {
+            Some(pin) => Ok(pin),
+            None => bail!(
+                "{} is not pinned for {platform} (only for {}); add [file.platform.{platform}] to \
+                 xtask/setup.toml, whose head says how",
+                self.name,
+                self.platform.keys().map(String::as_str).collect::<Vec<_>>().join(", "),
+            ),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn shipped() -> Pins {
+        Pins::load(&Path::new(env!("CARGO_MANIFEST_DIR")).join("setup.toml")).unwrap()
+    }
+
+    #[test]
+    fn the_shipped_list_has_a_pin_for_the_platforms_it_names() {
+        for file in shipped().file {
+            assert!(file.on("linux-x86_64").is_ok(), "{}", file.name);
+        }
+    }
+
+    #[test]
+    fn a_platform_without_a_pin_is_told_how_to_add_one() {
+        let pins = shipped();
+        let runtime = pins.file.iter().find(|file| file.name.starts_with("ONNX Runtime")).unwrap();
+        let Err(error) = runtime.on("plan9-mips") else { panic!("there is no such wheel") };
+        let message = error.to_string();
+        assert!(
+            message.contains("plan9-mips") && message.contains("xtask/setup.toml"),
+            "{message}"
+        );
+    }
+
+    #[test]
+    fn scripts_that_the_list_names_are_in_the_tree() {
+        let root = Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap();
+        for file in shipped().file {
+            assert!(root.join(&file.script).is_file(), "{}", file.script.display());
+        }
+    }
+
+    #[test]
+    fn the_models_are_those_that_the_manifest_of_encoders_pins() {
+        let manifest = Path::new(env!("CARGO_MANIFEST_DIR")).join("../assets/models.toml");
+        let manifest: toml::Table =
+            toml::from_str(&std::fs::read_to_string(manifest).unwrap()).unwrap();
+        let text = |model: &toml::Value, key: &str| {
+            model.get(key).and_then(toml::Value::as_str).map(str::to_owned)
+        };
+        let expected: Vec<_> = manifest["model"]
+            .as_array()
+            .unwrap()
+            .iter()
+            .filter_map(|model| {
+                Some((format!("models/{}", text(model, "file")?), text(model, "sha256").unwrap()))
+            })
+            .collect();
+        let pinned: Vec<_> = shipped()
+            .file
+            .iter()
+            .filter(|file| file.place.starts_with("models"))
+            .map(|file| {
+                (
+                    file.place.display().to_string(),
+                    file.on("linux-x86_64").unwrap().sha256.to_string(),
+                )
+            })
+            .collect();
+        assert_eq!(pinned, expected);
+    }
+
+    #[test]
+    fn an_unknown_key_is_refused() {
+        let result = toml::from_str::<Pins>(
+            "[[system]]\nname = 'x'\nwhy = 'y'\nprobe = { library = 'z' }\npackage = []",
+        );
+        assert!(result.is_err());
+    }
+}

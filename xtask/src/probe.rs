@@ -1,0 +1,114 @@
+//! Whether the machine already has what a [`SystemNeed`](crate::pins::SystemNeed) asks for, seen
+//! from its files.
+
+use std::ffi::OsStr;
+use std::path::{Path, PathBuf};
+
+use serde::Deserialize;
+
+use crate::pins::Probe;
+use crate::python;
+
+impl Probe {
+    /// Where it was found, for a person to read; `None` when it is missing.
+    pub(crate) fn look(&self) -> Option<String> {
+        match self {
+            Self::PythonModule(module) => python::module_version(module),
+            Self::Library(name) => find_library(name).map(|path| path.display().to_string()),
+            Self::VulkanManifests(folders) => {
+                find_vulkan_driver(folders).map(|path| path.display().to_string())
+            }
+        }
+    }
+}
+
+/// Where the dynamic linker would find a library: its own variable first, then the folders of
+/// Debian, Fedora and Arch.
+fn find_library(name: &str) -> Option<PathBuf> {
+    let arch = std::env::consts::ARCH;
+    let listed = std::env::var_os("LD_LIBRARY_PATH").unwrap_or_default();
+    let usual = [
+        format!("/usr/lib/{arch}-linux-gnu"),
+        format!("/lib/{arch}-linux-gnu"),
+        "/usr/lib64".to_owned(),
+        "/usr/lib".to_owned(),
+        "/usr/local/lib".to_owned(),
+    ];
+    std::env::split_paths(&listed)
+        .chain(usual.into_iter().map(PathBuf::from))
+        .map(|folder| folder.join(name))
+        .find(|path| path.is_file())
+}
+
+/// The first driver manifest whose library is there. Like the Vulkan loader, reads
+/// `VK_DRIVER_FILES` or the older `VK_ICD_FILENAMES` instead of the folders when one of them is
+/// set.
+fn find_vulkan_driver(folders: &[PathBuf]) -> Option<PathBuf> {
+    let chosen = ["VK_DRIVER_FILES", "VK_ICD_FILENAMES"].into_iter().find_map(std::env::var_os);
+    let mut manifests = match chosen {
+        Some(list) => std::env::split_paths(&list).collect(),
+        None => folders.iter().flat_map(|folder| json_files(folder)).collect::<Vec<_>>(),
+    };
+    // lavapipe first, then by name: what is printed does not depend on the order of a folder's
+    // entries.
+    manifests.sort_by_key(|path| (!path.to_string_lossy().contains("lvp"), path.clone()));
+    manifests.into_iter().find(|path| driver_library(path).is_some())
+}
+
+fn json_files(folder: &Path) -> Vec<PathBuf> {
+    let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
+    entries
+        .map(|entry| entry.path())
+        .filter(|path| path.extension() == Some(OsStr::new("json")))
+        .collect()
+}
+
+/// The library that a manifest names, if it is there: a bare name is looked up, a path is relative
+/// to the manifest.
+fn driver_library(manifest: &Path) -> Option<PathBuf> {
+    #[derive(Deserialize)]
+    struct Manifest {
+        #[serde(rename = "ICD")]
+        icd: Icd,
+    }
+    #[derive(Deserialize)]
+    struct Icd {
+        library_path: String,
+    }
+    let text = std::fs::read_to_string(manifest).ok()?;
+    let Manifest { icd: Icd { library_path } } = serde_json::from_str(&text).ok()?;
+    if library_path.contains('/') {
+        Some(manifest.parent()?.join(library_path)).filter(|path| path.is_file())
+    } else {
+        find_library(&library_path)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_driver_counts_only_when_its_library_is_there() {
+        let folder = tempfile::tempdir().unwrap();
+        let manifest = folder.path().join("x_icd.json");
+        let check = |library: &str, expected: bool| {
+            let text =
+                format!(r#"{{"ICD": {{"library_path": "{library}", "api_version": "1.3"}}}}"#);
+            std::fs::write(&manifest, text).unwrap();
+            assert_eq!(driver_library(&manifest).is_some(), expected, "{library}");
+        };
+        std::fs::write(folder.path().join("libx.so"), "").unwrap();
+        check("./libx.so", true);
+        check(folder.path().join("libx.so").to_str().unwrap(), true);
+        check("./liby.so", false);
+        check("libno-such-driver.so", false);
+        std::fs::write(&manifest, "not json").unwrap();
+        assert_eq!(driver_library(&manifest), None);
+    }
+
+    #[test]
+    fn a_missing_folder_of_manifests_is_no_driver_and_no_accident() {
+        assert_eq!(json_files(Path::new("/no/such/folder")), Vec::<PathBuf>::new());
+    }
+}

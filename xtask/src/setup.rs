@@ -1,0 +1,112 @@
+//! `setup`: says what is there and what it is about to do, then brings what is missing.
+//!
+//! Run twice, the second time does nothing. Interrupted anywhere, the next run goes on: nothing is
+//! under its final name before it was found right.
+
+use anyhow::bail;
+
+use crate::apt;
+use crate::cache::Cache;
+use crate::files::{self, Found};
+use crate::pins::{FilePin, Pins, SystemNeed};
+use crate::workspace::Workspace;
+
+/// Looks at everything on the list, prints it, and brings what is missing.
+pub(crate) fn bring_missing(
+    pins: &Pins,
+    cache: &Cache,
+    workspace: &Workspace,
+) -> anyhow::Result<()> {
+    let locked = cache.lock()?;
+    eprintln!("set-up: cache folder {}", cache.root().display());
+    let needs: Vec<&SystemNeed> = pins.system.iter().filter(|need| !report_system(need)).collect();
+    let mut missing_files: Vec<&FilePin> = Vec::new();
+    for file in pins.file.iter().filter(|file| !file.on_demand) {
+        if !report_file(file, cache)? {
+            missing_files.push(file);
+        }
+    }
+
+    if needs.is_empty() && missing_files.is_empty() {
+        eprintln!("set-up: nothing to do");
+        return locked.tidy();
+    }
+    if !needs.is_empty() {
+        install(&needs)?;
+    }
+    for file in &missing_files {
+        files::bring(file, &locked, workspace)?;
+    }
+    locked.tidy()?;
+    eprintln!("set-up: done");
+    Ok(())
+}
+
+/// Makes a file that is only made on demand.
+pub(crate) fn bring_on_demand(
+    name: &str,
+    pins: &Pins,
+    cache: &Cache,
+    workspace: &Workspace,
+) -> anyhow::Result<()> {
+    let file = pins.file(name)?;
+    let locked = cache.lock()?;
+    if !report_file(file, cache)? {
+        files::bring(file, &locked, workspace)?;
+    }
+    locked.tidy()
+}
+
+/// Prints whether a need is met.
+fn report_system(need: &SystemNeed) -> bool {
+    let found = need.probe.look();
+    match &found {
+        Some(place) => line("there", &need.name, place),
+        None => line(
+            "missing",
+            &need.name,
+            &format!("({}) apt-get install {}", need.why, need.packages.join(" ")),
+        ),
+    }
+    found.is_some()
+}
+
+/// Prints whether a file is in its place.
+fn report_file(file: &FilePin, cache: &Cache) -> anyhow::Result<bool> {
+    let found = files::look(file, cache)?;
+    let wheel = file.here()?.wheel.as_ref();
+    let plan = || {
+        let download =
+            wheel.map_or(String::new(), |wheel| format!("pip download {}, check, ", wheel.package));
+        format!("({}) {download}make {}", file.why, file.place.display())
+    };
+    match found {
+        Found::Right => line("there", &file.name, &file.place.display().to_string()),
+        Found::Other => line("changed", &file.name, &plan()),
+        Found::Nothing => line("missing", &file.name, &plan()),
+    }
+    Ok(found == Found::Right)
+}
+
+fn line(state: &str, name: &str, what: &str) {
+    eprintln!("  {state:<8} {name:<20} {what}");
+}
+
+/// Installs the packages of all needs, then looks again.
+fn install(needs: &[&SystemNeed]) -> anyhow::Result<()> {
+    let mut packages: Vec<&str> =
+        needs.iter().flat_map(|need| &need.packages).map(String::as_str).collect();
+    packages.sort_unstable();
+    packages.dedup();
+    apt::install(&packages)?;
+    for need in needs {
+        if need.probe.look().is_none() {
+            bail!(
+                "{} is still not found after its packages were installed: {}",
+                need.name,
+                need.packages.join(" ")
+            );
+        }
+    }
+    Ok(())
+}

@@ -1,0 +1,105 @@
+//! `test`: builds the programs, runs every test, and closes with one line of totals.
+//!
+//! Cargo runs one test binary after another, so tests that start several processes are alone as
+//! long as they are in one binary that runs them one by one; that binary sees to it itself.
+
+use std::io::{BufRead, BufReader, Write};
+use std::process::Stdio;
+
+use anyhow::Context;
+
+use crate::workspace::Workspace;
+
+/// Runs the tests; whether all passed.
+pub(crate) fn run(workspace: &Workspace, test_arguments: &[String]) -> anyhow::Result<bool> {
+    if !workspace.build_programs()? {
+        return Ok(false);
+    }
+    eprintln!("testing");
+    let mut command =
+        workspace.cargo(&["test", "--release", "--workspace", "--no-fail-fast", "--"]);
+    let mut child = command
+        .args(test_arguments)
+        .stdout(Stdio::piped())
+        .spawn()
+        .context("cannot start cargo test")?;
+    let output = child.stdout.take().context("cargo test has no output")?;
+
+    let mut summary = Summary::default();
+    let mut stdout = std::io::stdout().lock();
+    for line in BufReader::new(output).split(b'\n') {
+        let line = line.context("cannot read cargo test's output")?;
+        stdout.write_all(&line).and_then(|()| stdout.write_all(b"\n")).context("cannot write")?;
+        summary.add(&String::from_utf8_lossy(&line));
+    }
+    let passed = child.wait().context("cannot wait for cargo test")?.success();
+
+    writeln!(stdout)?;
+    for name in &summary.failed_names {
+        writeln!(stdout, "failed: {name}")?;
+    }
+    if !passed && summary.failed == 0 {
+        writeln!(stdout, "the tests could not all be built and run; the reason is above")?;
+    }
+    writeln!(
+        stdout,
+        "tests: {} passed, {} failed, {} skipped",
+        summary.passed, summary.failed, summary.ignored
+    )?;
+    Ok(passed)
+}
+
+/// Totals over all test binaries, read from what they print.
+#[derive(Default, PartialEq, Eq, Debug)]
+struct Summary {
+    passed: u64,
+    failed: u64,
+    ignored: u64,
+    failed_names: Vec<String>,
+}
+
+impl Summary {
+    /// Takes in one line: `test result: ok. 3 passed; 0 failed; 1 ignored; ...` or `test NAME ...
+    /// FAILED`.
+    fn add(&mut self, line: &str) {
+        if let Some(result) = line.strip_prefix("test result: ") {
+            // The outcome's word ends in a full stop, the counts are between semicolons.
+            let counts = result.split_once(". ").map_or("", |(_, counts)| counts);
+            for (number, what) in counts.split("; ").filter_map(|part| part.split_once(' ')) {
+                let Ok(number) = number.parse::<u64>() else { continue };
+                match what {
+                    "passed" => self.passed += number,
+                    "failed" => self.failed += number,
+                    "ignored" => self.ignored += number,
+                    _ => {}
+                }
+            }
+        } else if let Some(name) =
+            line.strip_prefix("test ").and_then(|rest| rest.strip_suffix(" ... FAILED"))
+        {
+            self.failed_names.push(name.to_owned());
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn totals_add_up_over_test_binaries() {
+        let mut summary = Summary::default();
+        let output = "\
+running 3 tests
+test pose::turns ... ok
+test pose::moves ... FAILED
+test slow ... ignored
+test result: FAILED. 1 passed; 1 failed; 1 ignored; 0 measured; 0 filtered out; finished in 0.02s
+running 2 tests
+test result: ok. 2 passed; 0 failed; 0 ignored; 0 measured; 7 filtered out; finished in 1.50s
+";
+        output.lines().for_each(|line| summary.add(line));
+        let failed_names = vec!["pose::moves".to_owned()];
+        assert_eq!(summary, Summary { passed: 3, failed: 1, ignored: 1, failed_names });
+    }
+}
