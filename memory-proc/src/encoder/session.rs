@@ -1,0 +1,219 @@
+//! ONNX Runtime: the one file that speaks to `ort`.
+//!
+//! A model file is read once, its SHA-256 compared with the manifest's, and every session is made from
+//! those same bytes. A session has one thread and takes one image a call, so what comes out for an image
+//! cannot depend on what else is being embedded.
+
+use std::path::{Path, PathBuf};
+use std::sync::OnceLock;
+
+use ort::environment::Environment;
+use ort::session::Session as OrtSession;
+use ort::session::builder::{BuilderResult, GraphOptimizationLevel, SessionBuilder};
+use ort::session::{HasSelectedOutputs, OutputSelector, RunOptions};
+use ort::value::{Outlet, TensorElementType, TensorRef};
+use sha2::{Digest, Sha256};
+
+use super::EncoderError;
+use crate::embedding::Embedding;
+use crate::manifest::{Model, Pooling};
+use crate::paths::Cache;
+
+/// A model file's bytes, checked against its manifest entry.
+#[derive(Debug)]
+pub struct ModelFile {
+    /// What the manifest says about it.
+    pub model: Model,
+    /// Where it was read.
+    pub path: PathBuf,
+    /// SHA-256 of the bytes, in hexadecimal.
+    pub sha256: String,
+    bytes: Vec<u8>,
+}
+
+impl ModelFile {
+    /// Reads a model's file: `given`, or else the one that setup put into the cache.
+    ///
+    /// # Errors
+    /// When there is no such file, or its SHA-256 is not the manifest's.
+    pub fn read(model: &Model, given: Option<&Path>, cache: &Cache) -> Result<Self, EncoderError> {
+        let path = match (given, &model.file) {
+            (Some(given), _) => given.to_path_buf(),
+            (None, Some(file)) => cache.model(file),
+            (None, None) => return Err(EncoderError::FileNotGiven { name: model.name.clone() }),
+        };
+        let bytes = std::fs::read(&path).map_err(|source| match source.kind() {
+            std::io::ErrorKind::NotFound if given.is_none() => {
+                EncoderError::ModelMissing { name: model.name.clone(), path: path.clone() }
+            }
+            _ => EncoderError::Read { path: path.clone(), message: source.to_string() },
+        })?;
+        let sha256: String = Sha256::digest(&bytes).iter().map(|b| format!("{b:02x}")).collect();
+        if let Some(expected) = model.sha256.as_ref().filter(|expected| **expected != sha256) {
+            return Err(EncoderError::WrongFile { path, expected: expected.clone(), found: sha256 });
+        }
+        Ok(Self { model: model.clone(), path, sha256, bytes })
+    }
+}
+
+/// The loaded ONNX Runtime. There is one in a process, and it stays.
+pub(super) struct Runtime(&'static Environment);
+
+impl Runtime {
+    /// Loads the library at `path`, unless this process has loaded one already.
+    pub(super) fn load(path: &Path) -> Result<Self, EncoderError> {
+        static ENVIRONMENT: OnceLock<Result<Environment, String>> = OnceLock::new();
+        if !path.is_file() {
+            return Err(EncoderError::RuntimeMissing { path: path.into() });
+        }
+        let load = || {
+            let builder = ort::init_from(path).map_err(|error| error.to_string())?;
+            let builder = builder.with_name("memtransfer").with_telemetry(false);
+            builder.build().map_err(|error| error.to_string())
+        };
+        match ENVIRONMENT.get_or_init(load) {
+            Ok(environment) => Ok(Self(environment)),
+            Err(message) => {
+                Err(EncoderError::Runtime { path: path.into(), message: message.clone() })
+            }
+        }
+    }
+
+    /// The library's version, for example "1.22.1"; its whole description where that cannot be told.
+    pub(super) fn version(&self) -> String {
+        let info = ort::info();
+        let branch = info.split([' ', ',']).find_map(|word| word.strip_prefix("git-branch=rel-"));
+        branch.unwrap_or(info).to_owned()
+    }
+}
+
+/// One model, ready to run on the thread that calls it.
+pub(super) struct Session {
+    session: OrtSession,
+    outputs: RunOptions<HasSelectedOutputs>,
+    model: Model,
+}
+
+impl Session {
+    pub(super) fn new(runtime: &Runtime, file: &ModelFile) -> Result<Self, EncoderError> {
+        let rejected = |error: ort::Error| EncoderError::Rejected {
+            path: file.path.clone(),
+            message: error.message().to_owned(),
+        };
+        let mut builder = builder(runtime.0).map_err(rejected)?;
+        let session = builder.commit_from_memory(&file.bytes).map_err(rejected)?;
+        let model = &file.model;
+        let input = outlet(file, "input", session.inputs(), &model.input)?;
+        let size = i64::from(model.input_size);
+        check(file, &model.input, input, &[&[1, 3, size, size]])?;
+        let output = outlet(file, "output", session.outputs(), &model.output)?;
+        let dimension = model.dimension as i64;
+        check(file, &model.output, output, &[&[1, -1, dimension], &[1, dimension]])?;
+        let selected = OutputSelector::no_default().with(&model.output);
+        let outputs = RunOptions::new().map_err(rejected)?.with_outputs(selected);
+        Ok(Self { session, outputs, model: model.clone() })
+    }
+
+    /// The embedding of an input tensor.
+    pub(super) fn embed(&mut self, tensor: &[f32]) -> Result<Embedding, EncoderError> {
+        let failed = |error: ort::Error| EncoderError::Run { message: error.message().to_owned() };
+        let model = &self.model;
+        let size = model.input_size as usize;
+        let input = TensorRef::from_array_view(([1, 3, size, size], tensor)).map_err(failed)?;
+        let inputs = ort::inputs![model.input.as_str() => input];
+        let outputs = self.session.run_with_options(inputs, &self.outputs).map_err(failed)?;
+        let (_, tokens) = outputs[0].try_extract_tensor::<f32>().map_err(failed)?;
+        let pooled = pool(model, tokens).ok_or_else(|| EncoderError::Run {
+            message: format!("{} holds {} numbers, too few", model.output, tokens.len()),
+        })?;
+        Embedding::normalised(&pooled).ok_or_else(|| EncoderError::Run {
+            message: format!("{} holds zeros or what is no number", model.output),
+        })
+    }
+}
+
+fn builder(environment: &Environment) -> Result<SessionBuilder, ort::Error> {
+    fn plain(result: BuilderResult) -> Result<SessionBuilder, ort::Error> {
+        result.map_err(|error| ort::Error::new(error.message()))
+    }
+    let builder = OrtSession::builder(environment)?;
+    let builder = plain(builder.with_intra_threads(1))?;
+    let builder = plain(builder.with_deterministic_compute(true))?;
+    plain(builder.with_optimization_level(GraphOptimizationLevel::All))
+}
+
+/// The input or output called `name`.
+fn outlet<'a>(
+    file: &ModelFile,
+    side: &'static str,
+    outlets: &'a [Outlet],
+    name: &str,
+) -> Result<&'a Outlet, EncoderError> {
+    outlets.iter().find(|outlet| outlet.name() == name).ok_or_else(|| EncoderError::NoTensor {
+        path: file.path.clone(),
+        side,
+        name: name.into(),
+        known: outlets.iter().map(Outlet::name).collect::<Vec<_>>().join(", "),
+    })
+}
+
+/// Whether a tensor is of floats and of one of the `expected` shapes; -1 stands for any length.
+fn check(
+    file: &ModelFile,
+    name: &str,
+    outlet: &Outlet,
+    expected: &[&[i64]],
+) -> Result<(), EncoderError> {
+    let kind = outlet.dtype();
+    let fits = |shape: &[i64], expected: &[i64]| {
+        let free = |n: i64| n < 0;
+        let mut pairs = shape.iter().zip(expected);
+        shape.len() == expected.len() && pairs.all(|(&s, &e)| free(s) || free(e) || s == e)
+    };
+    let shape = kind.tensor_shape().map(|shape| shape.to_vec()).unwrap_or_default();
+    let is_float = kind.tensor_type() == Some(TensorElementType::Float32);
+    if is_float && expected.iter().any(|expected| fits(&shape, expected)) {
+        return Ok(());
+    }
+    let expected: Vec<_> = expected.iter().map(|shape| format!("{shape:?}")).collect();
+    Err(EncoderError::WrongShape {
+        path: file.path.clone(),
+        name: name.into(),
+        found: kind.to_string(),
+        expected: expected.join(" or "),
+    })
+}
+
+/// One vector from the output tensor: a single vector as it is, tokens by the model's pooling.
+fn pool(model: &Model, tokens: &[f32]) -> Option<Vec<f32>> {
+    let (first, others) = tokens.split_at_checked(model.dimension)?;
+    let count = others.len() / model.dimension;
+    if count == 0 || model.pooling == Pooling::Cls {
+        return Some(first.to_vec());
+    }
+    let mut mean = vec![0.0_f32; model.dimension];
+    for token in others.chunks_exact(model.dimension) {
+        for (sum, value) in mean.iter_mut().zip(token) {
+            *sum += value / count as f32;
+        }
+    }
+    Some(mean)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::manifest::Manifest;
+
+    #[test]
+    fn pooling_takes_the_first_token_or_the_mean_of_the_others() {
+        let mut model = Manifest::shipped().unwrap().models[0].clone();
+        model.dimension = 2;
+        let tokens = [1.0, 2.0, 3.0, 4.0, 5.0, 6.0];
+        assert_eq!(pool(&model, &tokens), Some(vec![1.0, 2.0]));
+        model.pooling = Pooling::Mean;
+        assert_eq!(pool(&model, &tokens), Some(vec![4.0, 5.0]));
+        assert_eq!(pool(&model, &tokens[..2]), Some(vec![1.0, 2.0]));
+        assert_eq!(pool(&model, &tokens[..1]), None);
+    }
+}
