@@ -22,11 +22,7 @@ pub struct Demonstration {
 /// The demonstrations of `case` that the bits of `selection` choose (bit i: number i), in order.
 ///
 /// `None` when a bit stands for no demonstration.
-pub fn selected(
-    warehouse: &Warehouse,
-    case: &Case,
-    selection: u32,
-) -> Option<Vec<Demonstration>> {
+pub fn selected(warehouse: &Warehouse, case: &Case, selection: u32) -> Option<Vec<Demonstration>> {
     if selection >> Start::DEMONSTRATIONS.len() != 0 {
         return None;
     }

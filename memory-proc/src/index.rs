@@ -54,9 +54,7 @@ impl Index {
     ///
     /// # Panics
     /// When embeddings differ in dimension.
-    pub fn new<'a>(
-        views: impl IntoIterator<Item = (Entry, ContentHash, &'a Embedding)>,
-    ) -> Self {
+    pub fn new<'a>(views: impl IntoIterator<Item = (Entry, ContentHash, &'a Embedding)>) -> Self {
         let mut index = Self { dimension: 0, vectors: Vec::new(), entries: Vec::new() };
         let mut rows = HashMap::new();
         for (entry, content, embedding) in views {
@@ -81,7 +79,10 @@ impl Index {
     /// When the query's embedding is of another dimension.
     pub fn nearest(&self, query: Query<'_>) -> Option<Nearest> {
         let vector = query.embedding.as_slice();
-        assert!(self.entries.is_empty() || vector.len() == self.dimension, "another encoder's query");
+        assert!(
+            self.entries.is_empty() || vector.len() == self.dimension,
+            "another encoder's query"
+        );
         let mut least = f32::INFINITY;
         let mut tied: Vec<usize> = Vec::new();
         for (row, stored) in self.vectors.chunks_exact(self.dimension.max(1)).enumerate() {
@@ -115,7 +116,9 @@ mod tests {
     /// A palette of few embeddings, so that ties are common.
     fn palette() -> Vec<Embedding> {
         let raw = |a: i16, b: i16| vec![f32::from(a), f32::from(b), 1.0];
-        (-1..=1).flat_map(|a| (-1..=1).map(move |b| Embedding::normalised(&raw(a, b)).unwrap())).collect()
+        (-1..=1)
+            .flat_map(|a| (-1..=1).map(move |b| Embedding::normalised(&raw(a, b)).unwrap()))
+            .collect()
     }
 
     /// SPEC section 5 word for word, one view at a time.

@@ -5,7 +5,10 @@
 //!
 //! What is not here: stepping and rendering (sim-proc), deciding (policy-proc), scoring (orchestrator).
 
+pub mod demonstrations;
 pub mod embedding;
+pub mod embedding_cache;
 pub mod encoder;
+pub mod index;
 pub mod manifest;
 pub mod paths;

@@ -116,10 +116,12 @@ impl Model {
         if self.name.is_empty() || self.input.is_empty() || self.output.is_empty() {
             return Some("`name`, `input` and `output` must not be empty".into());
         }
-        if let Some(file) = self.file.as_deref().filter(|f| f.is_empty() || f.contains(['/', '\0'])) {
+        if let Some(file) = self.file.as_deref().filter(|f| f.is_empty() || f.contains(['/', '\0']))
+        {
             return Some(format!("file = {file:?} must be a file name without a folder"));
         }
-        if let Some(sha) = self.sha256.as_ref().filter(|s| s.len() != 64 || !s.bytes().all(is_hex)) {
+        if let Some(sha) = self.sha256.as_ref().filter(|s| s.len() != 64 || !s.bytes().all(is_hex))
+        {
             return Some(format!("sha256 = {sha:?} must be 64 lower-case hexadecimal digits"));
         }
         if !(16..=2048).contains(&self.input_size) {
@@ -194,7 +196,10 @@ impl Manifest {
             }
         }
         if parsed.model(&parsed.default).is_err() {
-            return Err(invalid(&parsed.default, "`default` names no model of the manifest".into()));
+            return Err(invalid(
+                &parsed.default,
+                "`default` names no model of the manifest".into(),
+            ));
         }
         Ok(parsed)
     }
@@ -205,7 +210,8 @@ impl Manifest {
     /// When there is none.
     pub fn model(&self, name: &str) -> Result<&Model, ManifestError> {
         self.models.iter().find(|model| model.name == name).ok_or_else(|| {
-            let known: Vec<_> = self.models.iter().map(|model| format!("`{}`", model.name)).collect();
+            let known: Vec<_> =
+                self.models.iter().map(|model| format!("`{}`", model.name)).collect();
             ManifestError::Unknown { name: name.into(), known: known.join(", ") }
         })
     }

@@ -33,7 +33,8 @@ impl Cache {
     /// # Errors
     /// When none of the three variables is set.
     pub fn from_environment() -> Result<Self, NoCacheFolder> {
-        let set = |name| std::env::var_os(name).filter(|value| !value.is_empty()).map(PathBuf::from);
+        let set =
+            |name| std::env::var_os(name).filter(|value| !value.is_empty()).map(PathBuf::from);
         set("MEMTRANSFER_CACHE")
             .or_else(|| Some(set("XDG_CACHE_HOME")?.join("memtransfer")))
             .or_else(|| Some(set("HOME")?.join(".cache").join("memtransfer")))

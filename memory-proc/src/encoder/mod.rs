@@ -1,12 +1,12 @@
 //! The encoder: frames in, embeddings out, on worker threads.
 //!
-//! [`Encoder`] turns an image into its input tensor on the caller's thread, straight from the frame's
-//! bytes, and hands the tensor to one of its workers, each with its own ONNX Runtime session of one thread.
-//! An image is always a call of its own, so its embedding has the same bits whatever else is in flight.
-//! Results come back in any order, named by content.
+//! Each worker has an ONNX Runtime session of one thread. It makes the input tensor straight from the
+//! picture's bytes, wherever they lie, and every picture is a call of its own: so an embedding has the
+//! same bits whatever else is in flight. Results come back in any order, named by content.
 //!
-//! It knows nothing of frames, lanes or caches: those are [`crate::serve`]'s.
+//! The encoder knows nothing of frames, lanes or caches.
 
+use std::collections::BTreeMap;
 use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
 use std::thread::JoinHandle;
@@ -32,7 +32,9 @@ pub enum EncoderError {
     #[error("the encoder {name} needs {path}, which is not there; run `cargo xtask setup`")]
     ModelMissing { name: String, path: PathBuf },
     /// The user brings this model's file and has not.
-    #[error("the encoder {name} needs a file of yours: pass --encoder-file (docs/encoders.md says how to export one)")]
+    #[error(
+        "the encoder {name} needs a file of yours: pass --encoder-file (docs/encoders.md says how to export one)"
+    )]
     FileNotGiven { name: String },
     /// The file cannot be read.
     #[error("cannot read the model file {path}: {message}")]
@@ -47,20 +49,29 @@ pub enum EncoderError {
     #[error("ONNX Runtime is not at {path}; run `cargo xtask setup`")]
     RuntimeMissing { path: PathBuf },
     /// The library is there and cannot be used.
-    #[error("ONNX Runtime at {path} cannot be used ({message}); delete it and run `cargo xtask setup`")]
+    #[error(
+        "ONNX Runtime at {path} cannot be used ({message}); delete it and run `cargo xtask setup`"
+    )]
     Runtime { path: PathBuf, message: String },
     /// ONNX Runtime cannot make anything of the file.
     #[error("ONNX Runtime refuses the model file {path}: {message}")]
     Rejected { path: PathBuf, message: String },
     /// The file has no tensor of the name that the manifest gives.
-    #[error("{path} has no {side} tensor {name}; it has {known}. Correct the model's entry in models.toml")]
+    #[error(
+        "{path} has no {side} tensor {name}; it has {known}. Correct the model's entry in models.toml"
+    )]
     NoTensor { path: PathBuf, side: &'static str, name: String, known: String },
     /// The tensor is of another shape.
-    #[error("tensor {name} of {path} is {found}, not float {expected}. Correct the model's entry in models.toml")]
+    #[error(
+        "tensor {name} of {path} is {found}, not float {expected}. Correct the model's entry in models.toml"
+    )]
     WrongShape { path: PathBuf, name: String, found: String, expected: String },
     /// A call failed.
     #[error("the encoder failed on an image: {message}")]
     Run { message: String },
+    /// The workers have ended before their time.
+    #[error("the encoder's worker threads have ended")]
+    WorkersGone,
     /// The image's size and bytes do not match.
     #[error("an image of {width} x {height} pixels has {bytes} bytes")]
     BadImage { width: u32, height: u32, bytes: usize },
@@ -97,15 +108,20 @@ pub struct Embedded {
     pub embedding: Result<Embedding, EncoderError>,
 }
 
+/// Something with pixels that a worker can look at.
+pub trait Picture: Send + 'static {
+    /// Its pixels.
+    fn image(&self) -> Image<'_>;
+}
+
 struct Job {
     content: ContentHash,
-    tensor: Vec<f32>,
+    picture: Box<dyn Picture>,
 }
 
 /// A pool of workers that embed images. Dropping it lets them finish what they are at.
 pub struct Encoder {
     facts: EncoderFacts,
-    preprocessor: Preprocessor,
     jobs: Option<Sender<Job>>,
     results: Receiver<Embedded>,
     workers: Vec<JoinHandle<()>>,
@@ -132,21 +148,21 @@ impl Encoder {
         let sessions = std::thread::scope(|scope| {
             let open = || Session::new(&runtime, file);
             let opening: Vec<_> = (0..threads).map(|_| scope.spawn(open)).collect();
-            let joined = opening.into_iter().map(|thread| thread.join().unwrap_or_else(|panic| {
-                std::panic::resume_unwind(panic)
-            }));
+            let joined = opening.into_iter().map(|thread| {
+                thread.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))
+            });
             joined.collect::<Result<Vec<_>, _>>()
         })?;
         let (jobs, queue) = bounded(threads * (1 + WAITING_PER_WORKER));
         let (done, results) = unbounded();
-        let workers = sessions.into_iter().map(|session| {
-            let (queue, done, wake) = (queue.clone(), done.clone(), wake.clone());
-            std::thread::spawn(move || work(session, &queue, &done, wake))
-        });
         let model = &file.model;
+        let workers = sessions.into_iter().map(|session| {
+            let preprocessor = Preprocessor::new(model.input_size, model.mean, model.std);
+            let (queue, done, wake) = (queue.clone(), done.clone(), wake.clone());
+            std::thread::spawn(move || work(session, preprocessor, &queue, &done, wake))
+        });
         let version = runtime.version();
         Ok(Self {
-            preprocessor: Preprocessor::new(model.input_size, model.mean, model.std),
             jobs: Some(jobs),
             results,
             workers: workers.collect(),
@@ -179,18 +195,18 @@ impl Encoder {
         self.in_flight
     }
 
-    /// Hands in an image. Reads `image` before it returns and keeps nothing of it.
+    /// Hands in a picture, which is dropped as soon as it is embedded.
     ///
     /// # Errors
-    /// When the image's size and bytes do not match, or the workers are gone.
-    pub fn submit(&mut self, content: ContentHash, image: Image<'_>) -> Result<(), EncoderError> {
-        if !image.is_sound() {
-            let Image { width, height, rgba } = image;
-            return Err(EncoderError::BadImage { width, height, bytes: rgba.len() });
-        }
-        let tensor = self.preprocessor.tensor(image);
-        let sent = self.jobs.as_ref().and_then(|jobs| jobs.send(Job { content, tensor }).ok());
-        sent.ok_or_else(|| EncoderError::Run { message: "its worker threads have ended".into() })?;
+    /// When the workers are gone.
+    pub fn submit(
+        &mut self,
+        content: ContentHash,
+        picture: impl Picture,
+    ) -> Result<(), EncoderError> {
+        let job = Job { content, picture: Box::new(picture) };
+        let sent = self.jobs.as_ref().and_then(|jobs| jobs.send(job).ok());
+        sent.ok_or(EncoderError::WorkersGone)?;
         self.in_flight += 1;
         Ok(())
     }
@@ -202,31 +218,32 @@ impl Encoder {
         Some(embedded)
     }
 
-    /// Embeds images and waits for all of them; results in the images' order.
+    /// Embeds pictures and waits for all of them; results in the pictures' order.
     ///
     /// # Errors
-    /// The first failure, if any image fails.
-    pub fn embed_all(&mut self, images: &[Image<'_>]) -> Result<Vec<Embedding>, EncoderError> {
-        let mut embeddings = vec![None; images.len()];
-        let mut keep = |embedded: Embedded| {
-            let index = u128::from_le_bytes(embedded.content) as usize;
-            embeddings[index] = Some(embedded.embedding);
-        };
-        for (index, image) in images.iter().enumerate() {
+    /// The first failure, if any picture fails.
+    pub fn embed_all<P: Picture>(
+        &mut self,
+        pictures: impl IntoIterator<Item = P>,
+    ) -> Result<Vec<Embedding>, EncoderError> {
+        // Pictures are named by their position here; equal ones are embedded each.
+        let mut embeddings = BTreeMap::new();
+        for (position, picture) in (0_u128..).zip(pictures) {
             if !self.has_room() {
-                keep(self.wait()?);
+                let Embedded { content, embedding } = self.wait()?;
+                embeddings.insert(u128::from_be_bytes(content), embedding?);
             }
-            self.submit((index as u128).to_le_bytes(), *image)?;
+            self.submit(position.to_be_bytes(), picture)?;
         }
         while self.in_flight > 0 {
-            keep(self.wait()?);
+            let Embedded { content, embedding } = self.wait()?;
+            embeddings.insert(u128::from_be_bytes(content), embedding?);
         }
-        embeddings.into_iter().flatten().collect()
+        Ok(embeddings.into_values().collect())
     }
 
     fn wait(&mut self) -> Result<Embedded, EncoderError> {
-        let gone = |_| EncoderError::Run { message: "its worker threads have ended".into() };
-        let embedded = self.results.recv().map_err(gone)?;
+        let embedded = self.results.recv().map_err(|_| EncoderError::WorkersGone)?;
         self.in_flight -= 1;
         Ok(embedded)
     }
@@ -242,9 +259,16 @@ impl Drop for Encoder {
     }
 }
 
-fn work(mut session: Session, queue: &Receiver<Job>, done: &Sender<Embedded>, wake: impl Fn()) {
-    for Job { content, tensor } in queue {
-        let embedding = session.embed(&tensor);
+fn work(
+    mut session: Session,
+    mut preprocessor: Preprocessor,
+    queue: &Receiver<Job>,
+    done: &Sender<Embedded>,
+    wake: impl Fn(),
+) {
+    for Job { content, picture } in queue {
+        let embedding = preprocessor.tensor(picture.image()).and_then(|t| session.embed(&t));
+        drop(picture);
         if done.send(Embedded { content, embedding }).is_err() {
             break;
         }

@@ -5,6 +5,8 @@
 //! image is used: one that is not square is squeezed. Plain loops in a fixed order, so equal bytes
 //! give equal tensors on every machine.
 
+use super::EncoderError;
+
 /// Changes whenever the same bytes would give another tensor; part of the embedding cache's key.
 pub(super) const VERSION: u32 = 1;
 
@@ -21,7 +23,7 @@ pub struct Image<'a> {
 
 impl Image<'_> {
     /// Whether there are pixels, and as many as the size says.
-    pub fn is_sound(&self) -> bool {
+    fn is_sound(&self) -> bool {
         let bytes = 4 * u64::from(self.width) * u64::from(self.height);
         bytes > 0 && bytes == self.rgba.len() as u64
     }
@@ -35,7 +37,7 @@ pub(super) struct Preprocessor {
     scale: [f32; 3],
     offset: [f32; 3],
     /// Filters for the last input size seen: all frames of a run have one size.
-    filters: Option<(u32, u32, Filter, Filter)>,
+    filters: Option<Filters>,
     /// All rows after the horizontal pass, `height x size` of RGB.
     narrowed: Vec<f32>,
 }
@@ -50,26 +52,27 @@ impl Preprocessor {
 
     /// The input tensor of an image: three planes of `size x size`, red, green, blue.
     ///
-    /// # Panics
-    /// When the image [is not sound](Image::is_sound).
-    pub(super) fn tensor(&mut self, image: Image<'_>) -> Vec<f32> {
-        assert!(image.is_sound(), "{} bytes for {} x {}", image.rgba.len(), image.width, image.height);
-        let current = self.filters.as_ref().map(|(width, height, ..)| (*width, *height));
-        if current != Some((image.width, image.height)) {
-            let columns = Filter::new(image.width as usize, self.size);
-            let rows = Filter::new(image.height as usize, self.size);
-            self.filters = Some((image.width, image.height, columns, rows));
+    /// # Errors
+    /// When the image's size and bytes do not match.
+    pub(super) fn tensor(&mut self, image: Image<'_>) -> Result<Vec<f32>, EncoderError> {
+        if !image.is_sound() {
+            let Image { width, height, rgba } = image;
+            return Err(EncoderError::BadImage { width, height, bytes: rgba.len() });
         }
-        let Some((_, _, columns, rows)) = &self.filters else { unreachable!("set above") };
-        narrow(image, columns, &mut self.narrowed);
+        let size = (image.width, image.height);
+        self.filters.take_if(|filters| filters.size != size);
+        let filters = self.filters.get_or_insert_with(|| Filters::new(size, self.size));
+        narrow(image, &filters.columns, &mut self.narrowed);
 
         let stride = 3 * self.size;
         let mut tensor = vec![0.0; stride * self.size];
         let mut row = vec![0.0_f32; stride];
         for y in 0..self.size {
             row.fill(0.0);
-            let (first, weights) = rows.taps(y);
-            for (source, &weight) in self.narrowed[first * stride..].chunks_exact(stride).zip(weights) {
+            let (first, weights) = filters.rows.taps(y);
+            for (source, &weight) in
+                self.narrowed[first * stride..].chunks_exact(stride).zip(weights)
+            {
                 for (sum, value) in row.iter_mut().zip(source) {
                     *sum += weight * value;
                 }
@@ -81,7 +84,7 @@ impl Preprocessor {
                 }
             }
         }
-        tensor
+        Ok(tensor)
     }
 }
 
@@ -103,6 +106,21 @@ fn narrow(image: Image<'_>, columns: &Filter, narrowed: &mut Vec<f32>) {
     }
 }
 
+/// How images of one size are brought to the square.
+#[derive(Debug)]
+struct Filters {
+    size: (u32, u32),
+    columns: Filter,
+    rows: Filter,
+}
+
+impl Filters {
+    fn new(size: (u32, u32), side: usize) -> Self {
+        let columns = Filter::new(size.0 as usize, side);
+        Self { size, columns, rows: Filter::new(size.1 as usize, side) }
+    }
+}
+
 /// For every position along an axis of the result: which source positions it is made of.
 #[derive(Debug)]
 struct Filter {
@@ -120,7 +138,8 @@ impl Filter {
             let centre = (position as f64 + 0.5) * ratio;
             let first = (centre - reach).floor().max(0.0) as usize;
             let last = ((centre + reach).ceil() as usize).min(from);
-            let triangle = |source: usize| (1.0 - (source as f64 + 0.5 - centre).abs() / reach).max(0.0);
+            let triangle =
+                |source: usize| (1.0 - (source as f64 + 0.5 - centre).abs() / reach).max(0.0);
             let total: f64 = (first..last).map(triangle).sum();
             let begin = weights.len();
             weights.extend((first..last).map(|source| (triangle(source) / total) as f32));
@@ -156,7 +175,7 @@ mod tests {
     fn a_plain_colour_stays_what_it_is_at_any_size() {
         for (width, height) in [(1, 1), (7, 3), (224, 224), (448, 448), (640, 64)] {
             let rgba = image(width, height, |_, _| [10, 20, 255]);
-            let tensor = plain(16).tensor(Image { width, height, rgba: &rgba });
+            let tensor = plain(16).tensor(Image { width, height, rgba: &rgba }).unwrap();
             for (channel, expected) in [10.0, 20.0, 255.0].into_iter().enumerate() {
                 for value in &tensor[channel * 256..][..256] {
                     assert!((value - expected).abs() < 1e-3, "{width}x{height}: {value}");
@@ -168,7 +187,7 @@ mod tests {
     #[test]
     fn equal_size_copies_and_halving_weighs_one_three_three_one() {
         let rgba = image(16, 16, |x, y| [x as u8, y as u8, 0]);
-        let tensor = plain(16).tensor(Image { width: 16, height: 16, rgba: &rgba });
+        let tensor = plain(16).tensor(Image { width: 16, height: 16, rgba: &rgba }).unwrap();
         assert!((tensor[5] - 5.0).abs() < 1e-5 && (tensor[256 + 3 * 16] - 3.0).abs() < 1e-5);
 
         let filter = Filter::new(32, 16);
@@ -182,7 +201,7 @@ mod tests {
     fn normalisation_is_per_channel() {
         let rgba = image(8, 8, |_, _| [255, 0, 51]);
         let mut preprocessor = Preprocessor::new(16, [0.5, 0.25, 0.2], [0.5, 0.125, 1.0]);
-        let tensor = preprocessor.tensor(Image { width: 8, height: 8, rgba: &rgba });
+        let tensor = preprocessor.tensor(Image { width: 8, height: 8, rgba: &rgba }).unwrap();
         for (index, expected) in [(0, 1.0), (256, -2.0), (512, 0.0)] {
             assert!((tensor[index] - expected).abs() < 1e-5, "{}", tensor[index]);
         }
@@ -195,9 +214,10 @@ mod tests {
         let large = Image { width: 90, height: 64, rgba: &large };
         let small = Image { width: 20, height: 10, rgba: &small };
         let mut used = plain(16);
-        used.tensor(small);
-        assert_eq!(used.tensor(large), plain(16).tensor(large));
-        assert!(!Image { width: 3, ..small }.is_sound());
-        assert!(!Image { width: 0, height: 0, rgba: &[] }.is_sound());
+        used.tensor(small).unwrap();
+        assert_eq!(used.tensor(large).unwrap(), plain(16).tensor(large).unwrap());
+        for unsound in [Image { width: 3, ..small }, Image { width: 0, height: 0, rgba: &[] }] {
+            assert!(matches!(used.tensor(unsound), Err(EncoderError::BadImage { .. })));
+        }
     }
 }

@@ -50,7 +50,11 @@ impl ModelFile {
         })?;
         let sha256: String = Sha256::digest(&bytes).iter().map(|b| format!("{b:02x}")).collect();
         if let Some(expected) = model.sha256.as_ref().filter(|expected| **expected != sha256) {
-            return Err(EncoderError::WrongFile { path, expected: expected.clone(), found: sha256 });
+            return Err(EncoderError::WrongFile {
+                path,
+                expected: expected.clone(),
+                found: sha256,
+            });
         }
         Ok(Self { model: model.clone(), path, sha256, bytes })
     }
