@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
-use crate::message::WIRE_VERSION;
+use crate::message::{Role, WIRE_VERSION};
 use crate::registry::RunDir;
 
 /// Name of the file in a run's folder.
@@ -49,6 +49,8 @@ pub struct Attach {
     pub generation: u32,
     /// Process id of the orchestrator.
     pub orchestrator_pid: u32,
+    /// The processes that take part beside the orchestrator. Messages wait for these and no others.
+    pub crew: Vec<Role>,
     /// Episodes that run at once.
     pub lanes: u32,
     /// Longest window h that any lane uses.
@@ -176,6 +178,7 @@ impl Attach {
             prefix: run.prefix(),
             generation: 1,
             orchestrator_pid: std::process::id(),
+            crew: Role::CREW.to_vec(),
             lanes: 1,
             window: DEFAULT_WINDOW,
             frame: FrameSize::DEFAULT,
@@ -223,6 +226,12 @@ impl Attach {
             .and_then(|mut file| writeln!(file, "{text}"))
             .and_then(|()| fs::rename(&draft, &path))
             .map_err(|source| AttachError::File { path: path.clone(), source })
+    }
+
+    /// How many of `roles` take part in the run.
+    pub fn count(&self, roles: &[Role]) -> usize {
+        let takes_part = |role: &&Role| **role == Role::Orchestrator || self.crew.contains(role);
+        roles.iter().filter(takes_part).count()
     }
 
     /// Whether every value can be.

@@ -190,7 +190,8 @@ impl Bus {
             .set_backpressure_handler(|_| BackpressureAction::DiscardDataAndFail)
             .create()
             .map_err(|e| BusError::open(format_args!("cannot send on {}", M::SERVICE), e))?;
-        Ok(Sender { publisher, service, complete: Cell::new(false) })
+        let receivers = self.attach.count(M::TO);
+        Ok(Sender { publisher, service, receivers, complete: Cell::new(false) })
     }
 
     /// The receiving end for `M`.
@@ -284,6 +285,8 @@ pub(crate) fn raw_config(prefix: &str, root: &Path) -> Result<Config, BusError> 
 pub struct Sender<M: Message> {
     publisher: Publisher<Ipc, M, ()>,
     service: PortFactory<Ipc, M, ()>,
+    /// How many receivers take part in the run.
+    receivers: usize,
     /// Whether all receivers have been seen.
     complete: Cell<bool>,
 }
@@ -307,12 +310,12 @@ impl<M: Message> Sender<M> {
 
     /// Whether every receiver is there.
     pub fn is_complete(&self) -> bool {
-        self.service.dynamic_config().number_of_subscribers() >= M::TO.len()
+        self.service.dynamic_config().number_of_subscribers() >= self.receivers
     }
 
     /// As [`Sender::send`], without waiting for anybody.
     pub(crate) fn send_now(&self, message: &M) -> Result<(), BusError> {
-        delivered(M::SERVICE, M::TO.len(), self.publisher.send_copy(*message))
+        delivered(M::SERVICE, self.receivers, self.publisher.send_copy(*message))
     }
 }
 

@@ -133,6 +133,7 @@ pub struct FramePublisher {
     chunks: u32,
     generation: u32,
     published: u64,
+    consumers: usize,
 }
 
 impl FramePublisher {
@@ -160,6 +161,7 @@ impl FramePublisher {
             chunks,
             generation: attach.generation,
             published: 0,
+            consumers: attach.count(&FRAME_CONSUMERS),
         })
     }
 
@@ -196,7 +198,7 @@ impl FramePublisher {
         self.published += 1;
         let id = (u64::from(self.generation) << ID_BITS) | self.published;
         *sample.user_header_mut() = FrameHeader { id, width, height, content_hash };
-        delivered(FRAME_SERVICE, FRAME_CONSUMERS.len(), sample.send())?;
+        delivered(FRAME_SERVICE, self.consumers, sample.send())?;
         Ok(id)
     }
 }

@@ -463,6 +463,8 @@ codes! {
     }
 
     /// A process's part in a run.
+    #[derive(serde::Serialize, serde::Deserialize)]
+    #[serde(rename_all = "lowercase")]
     Role, "a role (0 orchestrator, 1 sim, 2 memory, 3 policy)" {
         /// Sequences the steps; the program `memtransfer`.
         Orchestrator = 0,
@@ -484,6 +486,9 @@ codes! {
 }
 
 impl Role {
+    /// Everybody but the orchestrator.
+    pub const CREW: [Self; 3] = [Self::Sim, Self::Memory, Self::Policy];
+
     /// The word used in logs, service names and messages.
     pub const fn word(self) -> &'static str {
         match self {
