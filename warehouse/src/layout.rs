@@ -207,6 +207,29 @@ impl Layout {
         self.aisle(cell).map(|aisle| aisle.name.as_str())
     }
 
+    /// Every passage: the cells across one aisle, from wall or rack to wall or rack. Closing one closes the
+    /// aisle there across its full width. In the order of their first cell; cells sorted.
+    pub fn passages(&self) -> Vec<Vec<Cell>> {
+        let mut passages = Vec::new();
+        for first in self.free_cells() {
+            let Some(index) = self.aisle_index(first) else { continue };
+            let across = match self.aisles[index].runs {
+                Axis::EastWest => Heading::N,
+                Axis::NorthSouth => Heading::E,
+            };
+            if self.free_neighbour(first, across.opposite()).is_some() {
+                continue;
+            }
+            let run = std::iter::successors(Some(first), |&cell| self.free_neighbour(cell, across));
+            let run: Vec<Cell> = run.collect();
+            // A run that leaves the aisle is a junction, which has no full width to close.
+            if run.iter().all(|&cell| self.aisle_index(cell) == Some(index)) {
+                passages.push(run);
+            }
+        }
+        passages
+    }
+
     /// The free cells that can be walked to from `from` without entering `closed`, sorted.
     pub fn reachable(&self, from: Cell, closed: &[Cell]) -> Vec<Cell> {
         let mut reached = vec![from];

@@ -3,23 +3,33 @@
 //! - [`layout`]: the floor plan; [`catalogue`]: what stands on the racks; [`Warehouse`]: both, checked.
 //! - [`dynamics`]: one function, pose + action + variant -> pose + feedback.
 //! - [`task`]: the ten task types; [`progress`]: the one checker that scores any walk.
-//! - [`case`]: a task with its six trajectories.
+//! - [`case`]: a task with its six trajectories; [`case_file`]: a set of them as a readable file.
 //!
 //! Everything is integer arithmetic on a grid, so every machine computes the same.
 
 pub mod asset;
 pub mod case;
+pub mod case_file;
 pub mod catalogue;
+mod constraints;
+mod draw;
 pub mod dynamics;
+mod generate;
 pub mod layout;
+mod order;
+pub mod plan;
 pub mod progress;
+mod route;
+pub mod sight;
 pub mod task;
 mod world;
 
 pub use asset::AssetError;
 pub use case::{Case, CaseSet, Replay, Start, Trajectory};
 pub use catalogue::{Catalogue, Category, ItemType, Shape};
+pub use constraints::MAX_DETOUR_PERCENT;
 pub use dynamics::{MAX_STEPS, Variant, step};
+pub use generate::{GenerateError, SHIPPED_COUNT, SHIPPED_SEED};
 pub use layout::{Aisle, Axis, Layout, Square};
 pub use progress::Progress;
 pub use task::{Group, Phase, Task};

@@ -174,7 +174,12 @@ impl Task {
         }
     }
 
-    /// Its parts, in order.
+    /// Whether it ends at the cell where the episode began.
+    pub const fn returns_to_origin(&self) -> bool {
+        matches!(self.group(), Group::ReturnLoop)
+    }
+
+    /// Its parts, in order. A return is always the last.
     pub fn phases(&self, warehouse: &Warehouse) -> Vec<Phase> {
         let of_type = |index| ids(warehouse.instances(index));
         let of_category = |index| ids(warehouse.items_in(index));

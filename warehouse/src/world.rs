@@ -13,6 +13,9 @@ const CATALOGUE_FILE: &str = "catalogue.toml";
 const SHIPPED_LAYOUT: &str = include_str!("../../assets/layout.toml");
 const SHIPPED_CATALOGUE: &str = include_str!("../../assets/catalogue.toml");
 
+/// Most items of one category: planning searches all orders of visiting them.
+const MAX_CATEGORY: usize = 16;
+
 /// One item in its bay.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub struct Item {
@@ -85,9 +88,33 @@ impl Warehouse {
         catalogue::parse(catalogue_text)
             .and_then(|(catalogue, stock)| {
                 let items = place(&layout, &stock)?;
-                Ok(Self { layout, catalogue, items })
+                let warehouse = Self { layout, catalogue, items };
+                warehouse.check_sizes()?;
+                Ok(warehouse)
             })
             .map_err(invalid(catalogue_file))
+    }
+
+    /// Every type stands somewhere, and no category is too large to search all visit orders of.
+    fn check_sizes(&self) -> Result<(), Problem> {
+        for (index, item_type) in self.catalogue.types.iter().enumerate() {
+            if self.instances(index).next().is_none() {
+                return Err(format!(
+                    "no {} in the stock plan; add one or drop the type",
+                    item_type.name
+                ));
+            }
+        }
+        for (index, category) in self.catalogue.categories.iter().enumerate() {
+            let count = self.items_in(index).count();
+            if count > MAX_CATEGORY {
+                return Err(format!(
+                    "{count} {} in the stock plan; at most {MAX_CATEGORY}",
+                    category.name
+                ));
+            }
+        }
+        Ok(())
     }
 
     /// Item `id`.

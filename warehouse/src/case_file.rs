@@ -1,0 +1,282 @@
+//! A set of cases as a text file that people can read: `cases.toml`.
+//!
+//! A case lists its task by type number and names, and six trajectories as a start pose and a letter for
+//! each action. Reading checks that the file means something in a warehouse; whether it is a *good* set
+//! is the validator's business.
+
+use std::fmt::Write as _;
+use std::path::Path;
+
+use serde::Deserialize;
+use shm_types::{Action, Cell, Pose};
+
+use crate::asset::{AssetError, Problem, invalid, read, toml};
+use crate::case::{Case, CaseSet, Start, Trajectory};
+use crate::catalogue::Catalogue;
+use crate::dynamics::MAX_STEPS;
+use crate::task::Task;
+use crate::world::Warehouse;
+
+/// The file's name in an assets folder.
+pub const CASES_FILE: &str = "cases.toml";
+
+const SHIPPED_CASES: &str = include_str!("../../assets/cases.toml");
+
+/// Most cases of a set.
+const MAX_CASES: usize = 100_000;
+
+/// Most bytes of a case's id: it becomes part of file names and log keys.
+const MAX_ID: usize = 32;
+
+const HEADER: &str = "\
+# The cases: a task each, four demonstrations, and the two references that tests are scored against.
+# Generated from the seed; do not edit, the program checks that this file is what the seed gives.
+#
+# A trajectory is a start pose (column,row,heading) and its actions, one letter each:
+#   moves  f forward  b backward  l left  r right      turns  L left  R right  U around
+# `barricade` lists the cells closed in the blocked variant.
+";
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct CasesFile {
+    seed: u64,
+    case: Vec<CaseEntry>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct CaseEntry {
+    id: String,
+    #[serde(rename = "type")]
+    number: u8,
+    a: Option<String>,
+    b: Option<String>,
+    c: Option<String>,
+    original: String,
+    opposite: String,
+    nearby: String,
+    distant: String,
+    test: String,
+    blocked: String,
+    barricade: Vec<Cell>,
+}
+
+impl CaseSet {
+    /// The cases that are compiled in; they belong to [`Warehouse::shipped`].
+    pub fn shipped() -> Self {
+        match Self::parse(SHIPPED_CASES, &Warehouse::shipped()) {
+            Ok(cases) => cases,
+            Err(problem) => unreachable!("the shipped cases are tested: {problem}"),
+        }
+    }
+
+    /// Reads the file at `path`, whose names and cells are those of `warehouse`.
+    ///
+    /// # Errors
+    /// A file that cannot be read, or a case in it that means nothing in `warehouse`; the message names
+    /// the case and the field.
+    pub fn load(path: &Path, warehouse: &Warehouse) -> Result<Self, AssetError> {
+        Self::parse(&read(path)?, warehouse).map_err(invalid(path.display()))
+    }
+
+    fn parse(text: &str, warehouse: &Warehouse) -> Result<Self, Problem> {
+        let file: CasesFile = toml(text)?;
+        if file.case.is_empty() || file.case.len() > MAX_CASES {
+            return Err(format!("{} cases; must be 1 to {MAX_CASES}", file.case.len()));
+        }
+        let mut cases = Vec::with_capacity(file.case.len());
+        let mut ids = std::collections::BTreeSet::new();
+        for entry in file.case {
+            let id = entry.id.clone();
+            let plain = id.bytes().all(|b| b.is_ascii_alphanumeric() || b == b'-' || b == b'_');
+            if id.is_empty() || id.len() > MAX_ID || !plain {
+                return Err(format!(
+                    "case {id:?}: an id has 1 to {MAX_ID} letters, digits, hyphens and underscores"
+                ));
+            }
+            if !ids.insert(id.clone()) {
+                return Err(format!("case {id:?} is listed twice"));
+            }
+            let case =
+                entry.read(warehouse).map_err(|problem| format!("case {id:?}: {problem}"))?;
+            cases.push(case);
+        }
+        Ok(Self { seed: file.seed, cases })
+    }
+
+    /// The file's text. [`load`](Self::load) gives the same set back.
+    pub fn to_toml(&self, catalogue: &Catalogue) -> String {
+        let mut text = format!("{HEADER}\nseed = {}\n", self.seed);
+        for case in &self.cases {
+            write_case(&mut text, case, catalogue);
+        }
+        text
+    }
+}
+
+fn write_case(text: &mut String, case: &Case, catalogue: &Catalogue) {
+    let type_name = |index: usize| &catalogue.types[index].name;
+    let (first, second) = match case.task {
+        Task::FindCategory { c } | Task::EveryOfCategory { c } => {
+            (format!("c = {:?}", catalogue.categories[c].name), None)
+        }
+        Task::FindType { a }
+        | Task::EveryOfType { a }
+        | Task::FindAndReturn { a }
+        | Task::EveryAndReturn { a } => (format!("a = {:?}", type_name(a)), None),
+        Task::BothTypes { a, b }
+        | Task::InOrder { a, b }
+        | Task::Revisit { a, b }
+        | Task::InOrderAndReturn { a, b } => {
+            (format!("a = {:?}", type_name(a)), Some(format!("b = {:?}", type_name(b))))
+        }
+    };
+    let mut lines = vec![
+        format!("\n# {}\n[[case]]", case.task.instruction(catalogue)),
+        format!("id = {:?}", case.id),
+        format!("type = {}", case.task.number()),
+        first,
+    ];
+    lines.extend(second);
+    for start in Start::ALL {
+        let Trajectory { start: pose, actions } = case.trajectory(start);
+        let letters: String = actions.iter().map(|action| action.letter()).collect();
+        lines.push(format!("{} = \"{pose} {letters}\"", start.name()));
+    }
+    let cells: Vec<String> =
+        case.barricade.iter().map(|cell| format!("[{}, {}]", cell.x, cell.y)).collect();
+    lines.push(format!("barricade = [{}]", cells.join(", ")));
+    for line in lines {
+        // Writing to a string cannot fail.
+        let _ = writeln!(text, "{line}");
+    }
+}
+
+impl CaseEntry {
+    fn read(self, warehouse: &Warehouse) -> Result<Case, Problem> {
+        let task = self.task(&warehouse.catalogue)?;
+        let trajectory = |start: Start, text: &str| {
+            parse_trajectory(text, warehouse)
+                .map_err(|problem| format!("{}: {problem}", start.name()))
+        };
+        check_barricade(&self.barricade, warehouse)
+            .map_err(|problem| format!("barricade: {problem}"))?;
+        Ok(Case {
+            task,
+            original: trajectory(Start::Original, &self.original)?,
+            opposite: trajectory(Start::Opposite, &self.opposite)?,
+            nearby: trajectory(Start::Nearby, &self.nearby)?,
+            distant: trajectory(Start::Distant, &self.distant)?,
+            test: trajectory(Start::Test, &self.test)?,
+            blocked: trajectory(Start::Blocked, &self.blocked)?,
+            barricade: self.barricade,
+            id: self.id,
+        })
+    }
+
+    fn task(&self, catalogue: &Catalogue) -> Result<Task, Problem> {
+        let item_type = |field: &str, name: &Option<String>| {
+            let name = name.as_deref().ok_or_else(|| missing(field, self.number))?;
+            let names = catalogue.types.iter().map(|item_type| item_type.name.as_str());
+            catalogue.type_named(name).ok_or_else(|| unknown(field, name, "type", names))
+        };
+        let a = || item_type("a", &self.a);
+        let b = || item_type("b", &self.b);
+        let c = || {
+            let name = self.c.as_deref().ok_or_else(|| missing("c", self.number))?;
+            let names = catalogue.categories.iter().map(|category| category.name.as_str());
+            catalogue.category_named(name).ok_or_else(|| unknown("c", name, "category", names))
+        };
+        let task = match self.number {
+            1 => Task::FindType { a: a()? },
+            2 => Task::FindCategory { c: c()? },
+            3 => Task::EveryOfType { a: a()? },
+            4 => Task::EveryOfCategory { c: c()? },
+            5 => Task::BothTypes { a: a()?, b: b()? },
+            6 => Task::InOrder { a: a()?, b: b()? },
+            7 => Task::FindAndReturn { a: a()? },
+            8 => Task::EveryAndReturn { a: a()? },
+            9 => Task::Revisit { a: a()?, b: b()? },
+            10 => Task::InOrderAndReturn { a: a()?, b: b()? },
+            number => return Err(format!("type: {number} is not a task type; 1 to 10 are")),
+        };
+        let (wants_a, wants_b) = match task {
+            Task::FindCategory { .. } | Task::EveryOfCategory { .. } => (false, false),
+            Task::FindType { .. }
+            | Task::EveryOfType { .. }
+            | Task::FindAndReturn { .. }
+            | Task::EveryAndReturn { .. } => (true, false),
+            Task::BothTypes { .. }
+            | Task::InOrder { .. }
+            | Task::Revisit { .. }
+            | Task::InOrderAndReturn { .. } => (true, true),
+        };
+        for (field, given, wanted) in [
+            ("a", self.a.is_some(), wants_a),
+            ("b", self.b.is_some(), wants_b),
+            ("c", self.c.is_some(), !wants_a),
+        ] {
+            if given && !wanted {
+                return Err(format!("{field}: a task of type {} has none; remove it", self.number));
+            }
+        }
+        if wants_b && self.a == self.b {
+            return Err(format!(
+                "b: must differ from a, and both are {:?}",
+                self.b.as_deref().unwrap_or("")
+            ));
+        }
+        Ok(task)
+    }
+}
+
+fn missing(field: &str, number: u8) -> Problem {
+    format!("{field}: missing; a task of type {number} needs it")
+}
+
+fn unknown<'n>(
+    field: &str,
+    name: &str,
+    what: &str,
+    known: impl Iterator<Item = &'n str>,
+) -> Problem {
+    let near = known.min_by_key(|known| strsim::levenshtein(known, name)).unwrap_or_default();
+    format!("{field}: the catalogue has no {what} {name:?}; the nearest is {near:?}")
+}
+
+fn parse_trajectory(text: &str, warehouse: &Warehouse) -> Result<Trajectory, Problem> {
+    let (pose, letters) = text.split_once(' ').unwrap_or((text, ""));
+    let start: Pose =
+        pose.parse().map_err(|error: shm_types::pose::UnknownCode| error.to_string())?;
+    if !warehouse.layout.is_free(start.cell) {
+        return Err(format!("starts on {}, which is no free cell", start.cell));
+    }
+    let action = |(at, letter)| {
+        Action::from_letter(letter).ok_or_else(|| {
+            format!("action {} is {letter:?}, which is none of f b l r L R U", at + 1)
+        })
+    };
+    let actions = letters.chars().enumerate().map(action).collect::<Result<Vec<_>, _>>()?;
+    // The last turn towards the rack may come after the last step that counts.
+    if actions.is_empty() || actions.len() > MAX_STEPS as usize + 1 {
+        return Err(format!("{} actions; must be 1 to {}", actions.len(), MAX_STEPS + 1));
+    }
+    Ok(Trajectory { start, actions })
+}
+
+fn check_barricade(cells: &[Cell], warehouse: &Warehouse) -> Result<(), Problem> {
+    if cells.is_empty() {
+        return Err("closes no cell; list the cells of a passage".into());
+    }
+    if let Some(pair) = cells.windows(2).find(|pair| pair[0] >= pair[1]) {
+        return Err(format!(
+            "{} comes before {}; list the cells sorted, each once",
+            pair[0], pair[1]
+        ));
+    }
+    match cells.iter().find(|&&cell| !warehouse.layout.is_free(cell)) {
+        Some(cell) => Err(format!("{cell} is no free cell")),
+        None => Ok(()),
+    }
+}

@@ -1,0 +1,153 @@
+//! What must hold of a case (SPEC section 4), one predicate each, on replayed walks.
+//!
+//! The generator looks for cases that satisfy them and the validator counts those that do
+//! not; both use these words.
+
+use shm_types::{Cell, Feedback, Pose};
+
+use crate::case::Replay;
+use crate::dynamics::MAX_STEPS;
+use crate::layout::{Axis, Layout};
+use crate::sight::sees;
+use crate::task::Task;
+use crate::world::{Item, Warehouse};
+
+/// How far a nearby start lies along the aisle, in cells.
+pub(crate) const NEARBY_CELLS: std::ops::RangeInclusive<u8> = 2..=4;
+
+/// How far a distant start lies off at least, in cells (columns plus rows).
+pub(crate) const DISTANT_CELLS: u32 = 6;
+
+/// Length of the test reference, in percent of the original demonstration's.
+pub(crate) const TEST_LENGTH_PERCENT: std::ops::RangeInclusive<u32> = 75..=135;
+
+/// Length of any trajectory, in percent of the fewest steps that complete its task.
+pub const MAX_DETOUR_PERCENT: u32 = 150;
+
+/// An undirected move between two neighbouring cells, the smaller cell first.
+pub(crate) type Edge = (Cell, Cell);
+
+/// The edges a walk uses, each once, sorted. Turns and blocked moves use none.
+pub(crate) fn edges(poses: &[Pose]) -> Vec<Edge> {
+    let moves = poses.windows(2).map(|pair| (pair[0].cell, pair[1].cell));
+    let mut edges: Vec<Edge> =
+        moves.filter(|(a, b)| a != b).map(|(a, b)| (a.min(b), a.max(b))).collect();
+    edges.sort_unstable();
+    edges.dedup();
+    edges
+}
+
+/// How many edges both walks use.
+pub(crate) fn shared(one: &[Edge], other: &[Edge]) -> usize {
+    one.iter().filter(|edge| other.binary_search(edge).is_ok()).count()
+}
+
+/// Same cell, heading turned around.
+pub(crate) fn is_opposite(original: Pose, opposite: Pose) -> bool {
+    opposite == Pose { heading: original.heading.opposite(), ..original }
+}
+
+/// 2 to 4 cells along the same aisle, in the direction it runs, same heading.
+pub(crate) fn is_nearby(layout: &Layout, original: Pose, nearby: Pose) -> bool {
+    let (from, to) = (original.cell, nearby.cell);
+    let Some(aisle) = layout.aisle(from) else { return false };
+    let (along, across) = match aisle.runs {
+        Axis::EastWest => (from.x.abs_diff(to.x), from.y.abs_diff(to.y)),
+        Axis::NorthSouth => (from.y.abs_diff(to.y), from.x.abs_diff(to.x)),
+    };
+    layout.aisle_index(from) == layout.aisle_index(to)
+        && original.heading == nearby.heading
+        && NEARBY_CELLS.contains(&along)
+        && across == 0
+}
+
+/// At least 6 cells away, in another aisle, heading turned by a quarter.
+pub(crate) fn is_distant(layout: &Layout, original: Pose, distant: Pose) -> bool {
+    layout.is_free(distant.cell)
+        && layout.aisle_index(original.cell) != layout.aisle_index(distant.cell)
+        && original.cell.distance(distant.cell) >= DISTANT_CELLS
+        && [original.heading.left(), original.heading.right()].contains(&distant.heading)
+}
+
+/// At least half of the original's edges are in the other walk.
+pub(crate) fn shares_at_least_half(original: &[Edge], other: &[Edge]) -> bool {
+    2 * shared(original, other) >= original.len()
+}
+
+/// At most half of the original's edges are in the other walk.
+pub(crate) fn shares_at_most_half(original: &[Edge], other: &[Edge]) -> bool {
+    2 * shared(original, other) <= original.len()
+}
+
+/// The test reference is neither much shorter nor much longer than the original demonstration.
+pub(crate) fn is_of_similar_length(original: u32, test: u32) -> bool {
+    let percent = TEST_LENGTH_PERCENT;
+    (percent.start() * original..=percent.end() * original).contains(&(100 * test))
+}
+
+/// The first of `targets` that is in view from `pose`.
+pub(crate) fn target_in_view<'i>(
+    layout: &Layout,
+    pose: Pose,
+    targets: &[&'i Item],
+) -> Option<&'i Item> {
+    targets.iter().copied().find(|item| sees(layout, pose, item))
+}
+
+/// The first of `targets` whose standpoint is among `cells`.
+pub(crate) fn target_on<'i>(cells: &[Cell], targets: &[&'i Item]) -> Option<&'i Item> {
+    targets.iter().copied().find(|item| cells.contains(&item.standpoint))
+}
+
+/// Whether a walk enters one of `cells`.
+pub(crate) fn uses(poses: &[Pose], cells: &[Cell]) -> bool {
+    poses.iter().any(|pose| cells.contains(&pose.cell))
+}
+
+/// The walk does its task, within the step limit, is never blocked, and ends there: at most one turn
+/// follows the step that completes the task.
+pub(crate) fn does_its_task(replay: &Replay) -> Result<u32, String> {
+    let blocked = replay.feedback.iter().position(|&feedback| feedback == Feedback::Blocked);
+    if let Some(at) = blocked {
+        return Err(format!("step {at} is blocked at {}", replay.poses[at]));
+    }
+    let steps = replay.poses.len() as u32 - 1;
+    let Some(length) = replay.length else {
+        return Err(format!(
+            "the task is not complete after {steps} steps: {} sub-goals met",
+            replay.goal_steps.len()
+        ));
+    };
+    if length == 0 || length > MAX_STEPS {
+        return Err(format!("complete after {length} steps; must be 1 to {MAX_STEPS}"));
+    }
+    let tail = &replay.feedback[length as usize + 1..];
+    if tail.len() > 1 || tail.contains(&Feedback::Moved) {
+        return Err(format!("goes on for {} steps after completing the task", tail.len()));
+    }
+    Ok(length)
+}
+
+/// Wherever the walk reaches an item that counts, it looks at the item before it leaves the cell.
+pub(crate) fn faces_targets(
+    warehouse: &Warehouse,
+    task: &Task,
+    replay: &Replay,
+) -> Result<(), String> {
+    let goals = replay.goal_steps.len();
+    let returns = usize::from(task.returns_to_origin() && replay.length.is_some());
+    for &at in replay.goal_steps.iter().take(goals - returns) {
+        let cell = replay.poses[at as usize].cell;
+        let Some(item) = warehouse.item_at(cell) else { continue };
+        let mut stay = replay.poses[at as usize..].iter().take_while(|pose| pose.cell == cell);
+        if !stay.any(|pose| pose.heading == item.viewing_heading()) {
+            return Err(format!("reaches item {} at step {at} without looking at it", item.id));
+        }
+    }
+    Ok(())
+}
+
+/// The walk is at most [`MAX_DETOUR_PERCENT`] of the fewest steps.
+pub(crate) fn is_near_optimal(length: u32, fewest: u32) -> bool {
+    100 * length <= MAX_DETOUR_PERCENT * fewest
+}

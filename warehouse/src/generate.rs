@@ -1,0 +1,303 @@
+//! Makes cases from a seed: a task, a start, and the other five starts and the barricade around it, until
+//! every constraint holds.
+//!
+//! Each case draws from a stream of its own, so the first cases of a larger set are those of a smaller one.
+//! Whatever is tried is tried in an order that the seed alone decides.
+
+use shm_types::{Cell, Heading, Pose};
+
+use crate::case::{Case, CaseSet, Replay, Trajectory};
+use crate::constraints::{
+    Edge, does_its_task, edges, faces_targets, is_distant, is_near_optimal, is_nearby,
+    is_of_similar_length, shares_at_least_half, shares_at_most_half, target_in_view, target_on,
+    uses,
+};
+use crate::draw::Draw;
+use crate::dynamics::Variant;
+use crate::plan::{Planner, Prices};
+use crate::task::Task;
+use crate::world::{Item, Warehouse};
+
+/// The seed of the shipped cases.
+pub const SHIPPED_SEED: u64 = 1;
+
+/// How many cases are shipped.
+pub const SHIPPED_COUNT: usize = 100;
+
+/// Original demonstrations are this long, in steps: short ones leave nothing to remember, long ones
+/// leave no room to get lost within the step limit.
+const ORIGINAL_STEPS: std::ops::RangeInclusive<u32> = 10..=80;
+
+/// Any walk has at least this many steps.
+const LEAST_STEPS: u32 = 6;
+
+/// With a passage closed the reference is longer than without, and at most this long, in steps.
+const MOST_BLOCKED_STEPS: u32 = 120;
+
+/// A test start is at least this far from every demonstration's start, in cells.
+const TEST_CELLS: u32 = 3;
+
+/// Original starts tried for one choice of targets, and choices of targets tried for one case.
+const STARTS_TRIED: usize = 100;
+const TARGETS_TRIED: usize = 50;
+
+/// Test starts tried for one original start.
+const TESTS_TRIED: usize = 60;
+
+/// Why no set of cases could be made.
+#[derive(Debug, thiserror::Error)]
+#[error(
+    "no case of type {number} ({name}) found for seed {seed} after {TARGETS_TRIED} choices of targets with \
+     {STARTS_TRIED} starts each; the warehouse has too few items, aisles or passages for it"
+)]
+pub struct GenerateError {
+    number: u8,
+    name: &'static str,
+    seed: u64,
+}
+
+impl CaseSet {
+    /// Makes `count` cases, as many of each type as of any other or one fewer, by type.
+    ///
+    /// # Errors
+    /// When the warehouse offers no case of some type, such as one with a single aisle.
+    pub fn generate(warehouse: &Warehouse, seed: u64, count: usize) -> Result<Self, GenerateError> {
+        let generator = Generator::new(warehouse, seed);
+        let width = count.div_ceil(10).to_string().len().max(2);
+        let mut cases: Vec<Case> = Vec::with_capacity(count);
+        for number in 1..=10_u8 {
+            let of_type = (count + 10 - usize::from(number)) / 10;
+            let choices = generator.target_choices(number);
+            let first = cases.len();
+            for index in 0..of_type {
+                let mut case = generator
+                    .case(number, index, &choices, &cases[first..])
+                    .ok_or_else(|| GenerateError {
+                        number,
+                        name: Task::type_name(number).unwrap_or_default(),
+                        seed,
+                    })?;
+                case.id = format!("t{number:02}-{:0width$}", index + 1);
+                cases.push(case);
+            }
+        }
+        Ok(Self { seed, cases })
+    }
+}
+
+struct Generator<'w> {
+    warehouse: &'w Warehouse,
+    seed: u64,
+    expert: Planner<'w>,
+    fewest: Planner<'w>,
+    poses: Vec<Pose>,
+    passages: Vec<Vec<Cell>>,
+}
+
+/// A planned walk that may serve as a reference.
+struct Walk {
+    trajectory: Trajectory,
+    replay: Replay,
+    length: u32,
+    edges: Vec<Edge>,
+}
+
+impl<'w> Generator<'w> {
+    fn new(warehouse: &'w Warehouse, seed: u64) -> Self {
+        let facing = |cell| Heading::ALL.map(|heading| Pose { cell, heading });
+        Self {
+            warehouse,
+            seed,
+            expert: Planner::new(warehouse, Variant::UNCHANGED, Prices::EXPERT),
+            fewest: Planner::new(warehouse, Variant::UNCHANGED, Prices::STEPS),
+            poses: warehouse.layout.free_cells().flat_map(facing).collect(),
+            passages: warehouse.layout.passages(),
+        }
+    }
+
+    /// What tasks of type `number` can be about, in the order in which cases take their turn: types with
+    /// at least two instances where every one must be visited, categories, or any types.
+    fn target_choices(&self, number: u8) -> Vec<usize> {
+        let types = 0..self.warehouse.catalogue.types.len();
+        let choices = match number {
+            2 | 4 => (0..self.warehouse.catalogue.categories.len()).collect(),
+            3 | 8 => types.filter(|&a| self.warehouse.instances(a).count() >= 2).collect(),
+            _ => types.collect(),
+        };
+        Draw::new(self.seed, u64::from(number) << 32).shuffled(choices)
+    }
+
+    /// Case `index` of type `number`, unlike those in `taken`.
+    fn case(&self, number: u8, index: usize, choices: &[usize], taken: &[Case]) -> Option<Case> {
+        let mut draw = Draw::new(self.seed, u64::from(number) << 32 | (index as u64 + 1));
+        if choices.is_empty() {
+            return None;
+        }
+        for turn in 0..TARGETS_TRIED {
+            let task = self.task(number, choices[(index + turn) % choices.len()], &mut draw);
+            let Some(task) = task else { continue };
+            for _ in 0..STARTS_TRIED {
+                let start = draw.pick(&self.poses);
+                let known = |case: &Case| case.task == task && case.original.start == start;
+                if taken.iter().any(known) {
+                    continue;
+                }
+                if let Some(case) = self.case_from(task, start, &mut draw) {
+                    return Some(case);
+                }
+            }
+        }
+        None
+    }
+
+    /// The task of type `number` about `a`; a second type is drawn.
+    fn task(&self, number: u8, a: usize, draw: &mut Draw) -> Option<Task> {
+        let others =
+            (0..self.warehouse.catalogue.types.len()).filter(|&b| b != a).collect::<Vec<_>>();
+        if others.is_empty() {
+            return None;
+        }
+        Some(match number {
+            1 => Task::FindType { a },
+            2 => Task::FindCategory { c: a },
+            3 => Task::EveryOfType { a },
+            4 => Task::EveryOfCategory { c: a },
+            5 => Task::BothTypes { a, b: draw.pick(&others) },
+            6 => Task::InOrder { a, b: draw.pick(&others) },
+            7 => Task::FindAndReturn { a },
+            8 => Task::EveryAndReturn { a },
+            9 => Task::Revisit { a, b: draw.pick(&others) },
+            10 => Task::InOrderAndReturn { a, b: draw.pick(&others) },
+            _ => return None,
+        })
+    }
+
+    /// A case of `task` from `start`, if one can be completed around it.
+    fn case_from(&self, task: Task, start: Pose, draw: &mut Draw) -> Option<Case> {
+        let layout = &self.warehouse.layout;
+        let targets = task.targets(self.warehouse);
+        if target_in_view(layout, start, &targets).is_some() {
+            return None;
+        }
+        let original = self.walk(&task, start, &targets)?;
+        if !ORIGINAL_STEPS.contains(&original.length) {
+            return None;
+        }
+        let turned = Pose { heading: start.heading.opposite(), ..start };
+        let opposite = self.walk(&task, turned, &targets)?;
+        let nearby = self.first_walk(
+            &task,
+            &targets,
+            draw,
+            &|pose| is_nearby(layout, start, pose),
+            &|walk| shares_at_least_half(&original.edges, &walk.edges),
+        )?;
+        let distant = self.first_walk(
+            &task,
+            &targets,
+            draw,
+            &|pose| is_distant(layout, start, pose),
+            &|walk| shares_at_most_half(&original.edges, &walk.edges),
+        )?;
+        let demonstrations = [&original, &opposite, &nearby, &distant];
+
+        let is_new = |pose: &Pose| {
+            let far = |walk: &&Walk| walk.trajectory.start.cell.distance(pose.cell) >= TEST_CELLS;
+            demonstrations.iter().all(far) && target_in_view(layout, *pose, &targets).is_none()
+        };
+        let tests: Vec<Pose> = self.poses.iter().copied().filter(is_new).collect();
+        for pose in draw.shuffled(tests).into_iter().take(TESTS_TRIED) {
+            let Some(test) = self.walk(&task, pose, &targets) else { continue };
+            if !is_of_similar_length(original.length, test.length) {
+                continue;
+            }
+            if let Some((blocked, barricade)) =
+                self.blocked(&task, &targets, &test, &demonstrations, draw)
+            {
+                let [original, opposite, nearby, distant, test] =
+                    [original, opposite, nearby, distant, test].map(|walk| walk.trajectory);
+                let id = String::new();
+                return Some(Case {
+                    id,
+                    task,
+                    original,
+                    opposite,
+                    nearby,
+                    distant,
+                    test,
+                    blocked,
+                    barricade,
+                });
+            }
+        }
+        None
+    }
+
+    /// The first walk, in random order of starts, with both properties.
+    fn first_walk(
+        &self,
+        task: &Task,
+        targets: &[&Item],
+        draw: &mut Draw,
+        is_start: &dyn Fn(Pose) -> bool,
+        is_walk: &dyn Fn(&Walk) -> bool,
+    ) -> Option<Walk> {
+        let starts = self.poses.iter().copied().filter(|&pose| is_start(pose)).collect();
+        let mut starts = draw.shuffled(starts).into_iter();
+        starts.find_map(|start| self.walk(task, start, targets).filter(is_walk))
+    }
+
+    /// A closed passage that `test` and a demonstration use, and the reference around it.
+    fn blocked(
+        &self,
+        task: &Task,
+        targets: &[&Item],
+        test: &Walk,
+        demonstrations: &[&Walk],
+        draw: &mut Draw,
+    ) -> Option<(Trajectory, Vec<Cell>)> {
+        let start = test.trajectory.start;
+        let fits = |cells: &&Vec<Cell>| {
+            uses(&test.replay.poses, cells)
+                && demonstrations.iter().any(|walk| uses(&walk.replay.poses, cells))
+                && !cells.contains(&start.cell)
+                && target_on(cells, targets).is_none()
+        };
+        let passages = self.passages.iter().filter(fits).collect();
+        draw.shuffled(passages).into_iter().find_map(|cells| {
+            let variant = Variant::closing(cells.iter().copied());
+            let expert = Planner::new(self.warehouse, variant.clone(), Prices::EXPERT);
+            let fewest = Planner::new(self.warehouse, variant.clone(), Prices::STEPS);
+            let walk = self.walk_with(&expert, &fewest, &variant, task, start)?;
+            let detours = walk.length > test.length && walk.length <= MOST_BLOCKED_STEPS;
+            detours.then(|| (walk.trajectory, cells.clone()))
+        })
+    }
+
+    /// The expert's walk in the unchanged warehouse, if it may serve as a reference.
+    fn walk(&self, task: &Task, start: Pose, targets: &[&Item]) -> Option<Walk> {
+        if target_on(&[start.cell], targets).is_some() {
+            return None;
+        }
+        self.walk_with(&self.expert, &self.fewest, &Variant::UNCHANGED, task, start)
+    }
+
+    fn walk_with(
+        &self,
+        expert: &Planner<'_>,
+        fewest: &Planner<'_>,
+        variant: &Variant,
+        task: &Task,
+        start: Pose,
+    ) -> Option<Walk> {
+        let trajectory = expert.plan(start, task)?;
+        let replay = trajectory.replay(self.warehouse, task, variant);
+        let length = does_its_task(&replay).ok()?;
+        faces_targets(self.warehouse, task, &replay).ok()?;
+        let good = length >= LEAST_STEPS && is_near_optimal(length, fewest.cost(start, task)?);
+        good.then(|| {
+            let edges = edges(&replay.poses);
+            Walk { trajectory, replay, length, edges }
+        })
+    }
+}

@@ -1,0 +1,133 @@
+//! The cheapest order of visits, exactly: dynamic programming over (sub-goals met, last item), after Held
+//! and Karp. Choices of instance and several phases are part of the same tables.
+//!
+//! Costs go from an item to the end of the plan, so one table serves every start.
+
+use crate::route::NO_WAY;
+
+/// Sets of items, one sub-goal each, of which one item must be visited, in any order of sub-goals.
+pub(crate) type PhaseSets = Vec<Vec<u16>>;
+
+/// What it costs to go from one item to another.
+pub(crate) type Leg<'l> = &'l dyn Fn(u16, u16) -> u32;
+
+/// A plan: what it costs and the items in the order it visits them.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) struct Visits {
+    pub(crate) cost: u32,
+    pub(crate) items: Vec<u16>,
+}
+
+/// The tables of a task's phases.
+#[derive(Debug)]
+pub(crate) struct Order {
+    phases: Vec<Table>,
+}
+
+/// One phase: `to_go[met * items + last]` is the cost from `last` to the end of the plan, when the
+/// sub-goals in the bit set `met` (that of `last` included) are done.
+#[derive(Debug)]
+struct Table {
+    /// Item id and the sub-goal it serves, sorted.
+    items: Vec<(u16, u32)>,
+    /// All sub-goals, as a bit set.
+    all: u32,
+    to_go: Vec<u32>,
+}
+
+impl Order {
+    /// Works the tables out from the last phase to the first. `tail` is the cost after the last item.
+    pub(crate) fn new(phases: &[PhaseSets], leg: Leg<'_>, tail: &dyn Fn(u16) -> u32) -> Self {
+        let mut tables: Vec<Table> = Vec::new();
+        for sets in phases.iter().rev() {
+            let after = |id| match tables.last() {
+                None => tail(id),
+                Some(next) => next.entry(&|to| leg(id, to)).map_or(NO_WAY, |(_, cost)| cost),
+            };
+            let table = Table::new(sets, leg, &after);
+            tables.push(table);
+        }
+        tables.reverse();
+        Self { phases: tables }
+    }
+
+    /// The cheapest visits when `entry` is the cost of getting to an item from the start; `None` when
+    /// there are none. Between equals, lower ids come first.
+    pub(crate) fn visits(&self, leg: Leg<'_>, entry: &dyn Fn(u16) -> u32) -> Option<Visits> {
+        let mut visits: Option<Visits> = None;
+        for table in &self.phases {
+            let (first, cost) = match &visits {
+                None => table.entry(entry)?,
+                Some(Visits { items, .. }) => {
+                    let from = *items.last()?;
+                    table.entry(&|to| leg(from, to))?
+                }
+            };
+            let items = table.follow(first, leg)?;
+            visits.get_or_insert(Visits { cost, items: Vec::new() }).items.extend(items);
+        }
+        visits
+    }
+}
+
+impl Table {
+    fn new(sets: &[Vec<u16>], leg: Leg<'_>, after: &dyn Fn(u16) -> u32) -> Self {
+        let members = (0..).zip(sets).flat_map(|(goal, set)| set.iter().map(move |&id| (id, goal)));
+        let mut items: Vec<(u16, u32)> = members.collect();
+        items.sort_unstable();
+        let legs: Vec<Vec<u32>> = items
+            .iter()
+            .map(|&(from, _)| items.iter().map(|&(to, _)| leg(from, to)).collect())
+            .collect();
+        let all = (1_u32 << sets.len()) - 1;
+        let mut table = Self { to_go: vec![NO_WAY; (all as usize + 1) * items.len()], items, all };
+        for met in (1..=all).rev() {
+            for last in 0..table.items.len() {
+                let (id, goal) = table.items[last];
+                if met & (1 << goal) == 0 {
+                    continue;
+                }
+                let open = table.items.iter().zip(&legs[last]).enumerate();
+                let open = open.filter(|(_, ((_, goal), _))| met & (1 << goal) == 0);
+                let costs = open.map(|(next, ((_, goal), leg))| {
+                    leg.saturating_add(table.to_go(met | 1 << goal, next))
+                });
+                let cheapest = if met == all { after(id) } else { costs.min().unwrap_or(NO_WAY) };
+                table.to_go[met as usize * legs.len() + last] = cheapest;
+            }
+        }
+        table
+    }
+
+    fn to_go(&self, met: u32, last: usize) -> u32 {
+        self.to_go[met as usize * self.items.len() + last]
+    }
+
+    /// The cheapest item to begin with when `entry` is the cost of getting to it: position and cost to
+    /// the end of the plan.
+    fn entry(&self, entry: &dyn Fn(u16) -> u32) -> Option<(usize, u32)> {
+        let entries = self
+            .items
+            .iter()
+            .enumerate()
+            .map(|(i, &(id, goal))| (i, entry(id).saturating_add(self.to_go(1 << goal, i))));
+        // `min_by_key` keeps the first of equals.
+        entries.min_by_key(|&(_, cost)| cost).filter(|&(_, cost)| cost < NO_WAY)
+    }
+
+    /// The items in their cheapest order, beginning with the one at position `last`.
+    fn follow(&self, mut last: usize, leg: Leg<'_>) -> Option<Vec<u16>> {
+        let (id, goal) = self.items[last];
+        let (mut met, mut ids) = (1 << goal, vec![id]);
+        while met != self.all {
+            let (from, left) = (self.items[last].0, self.to_go(met, last));
+            last = self.items.iter().enumerate().position(|(next, &(id, goal))| {
+                met & (1 << goal) == 0
+                    && leg(from, id).saturating_add(self.to_go(met | 1 << goal, next)) == left
+            })?;
+            met |= 1 << self.items[last].1;
+            ids.push(self.items[last].0);
+        }
+        Some(ids)
+    }
+}

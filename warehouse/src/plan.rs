@@ -1,0 +1,141 @@
+//! The planner: the cheapest walk that does a task, exact over poses, choices of instance and visit orders.
+//!
+//! A plan has two exact parts. *Legs*: the cheapest walk from any pose to any goal (`route`). *Order*: the
+//! cheapest choice of instances and order of visits, given what legs cost (`order`).
+//!
+//! Two sets of prices are planned with. [`Prices::EXPERT`] makes the reference walks: a sidestep or a
+//! step backwards costs a little more than two plain steps, so the expert turns towards where it goes
+//! except for a single sidestep; among equals it keeps clear of the bays it does not visit; and a target
+//! counts once it is looked at from its standpoint, so the expert faces the rack on arrival.
+//! [`Prices::STEPS`] counts steps alone and gives the true optimum.
+//!
+//! # How near to the optimum
+//! Let `opt` be the fewest steps that complete a task and `k` the items visited on the way. A walk of `opt`
+//! moves becomes one that always faces its direction by adding at most one turn a move and one a target,
+//! so the expert never needs more than `2 * opt + k` steps. What it needs in practice is far less:
+//! [`MAX_DETOUR_PERCENT`](crate::MAX_DETOUR_PERCENT) is kept by every trajectory of a generated set.
+
+use std::cell::{OnceCell, RefCell};
+use std::collections::BTreeMap;
+use std::rc::Rc;
+
+use shm_types::Pose;
+
+use crate::case::Trajectory;
+use crate::dynamics::{Variant, step};
+use crate::order::{Order, PhaseSets, Visits};
+pub use crate::route::Prices;
+use crate::route::{Field, Graph};
+use crate::task::{Phase, Task};
+use crate::world::Warehouse;
+
+/// Plans in one variant of a warehouse, at one set of prices. Keeps what it has worked out.
+#[derive(Debug)]
+pub struct Planner<'w> {
+    warehouse: &'w Warehouse,
+    variant: Variant,
+    graph: Graph,
+    /// By item id: the field towards it.
+    fields: Vec<OnceCell<Field>>,
+    /// Orders of tasks that do not depend on the start.
+    orders: RefCell<BTreeMap<Task, Rc<Vec<Order>>>>,
+}
+
+impl<'w> Planner<'w> {
+    /// A planner that has worked out nothing yet.
+    pub fn new(warehouse: &'w Warehouse, variant: Variant, prices: Prices) -> Self {
+        let graph = Graph::new(warehouse, &variant, prices);
+        let fields = warehouse.items.iter().map(|_| OnceCell::new()).collect();
+        Self { warehouse, variant, graph, fields, orders: RefCell::default() }
+    }
+
+    /// The cheapest walk from `start` that does `task`; `None` when there is no way.
+    ///
+    /// At [`Prices::EXPERT`] it ends facing the last target's rack. Between equally cheap plans the
+    /// choice is fixed: lower item ids first, then forward before turns before sidesteps.
+    pub fn plan(&self, start: Pose, task: &Task) -> Option<Trajectory> {
+        let (home, visits) = self.visits(start, task)?;
+        let targets = visits.items.iter().map(|&id| self.field(id));
+        let mut actions = Vec::new();
+        let mut pose = start;
+        for field in targets.chain(&home) {
+            for action in self.graph.walk(field, pose)? {
+                (pose, _) = step(&self.warehouse.layout, &self.variant, pose, action);
+                actions.push(action);
+            }
+        }
+        Some(Trajectory { start, actions })
+    }
+
+    /// What the cheapest walk costs; `None` when there is no way.
+    pub fn cost(&self, start: Pose, task: &Task) -> Option<u32> {
+        self.visits(start, task).map(|(_, visits)| visits.cost)
+    }
+
+    /// The cheapest visits, and the field towards the origin if the task ends there.
+    fn visits(&self, start: Pose, task: &Task) -> Option<(Option<Field>, Visits)> {
+        let phases = task.phases(self.warehouse);
+        let home = phases.contains(&Phase::Origin).then(|| self.graph.towards_cell(start.cell));
+        let orders = match &home {
+            Some(home) => {
+                let tail = |id| self.graph.cost(home, self.goal(id));
+                Rc::new(vec![Order::new(&sets(&phases), &|from, to| self.leg(from, to), &tail)])
+            }
+            None => self.orders_for_any_start(task, &phases),
+        };
+        let entry = |id| self.graph.cost(self.field(id), start);
+        let visits = orders.iter().filter_map(|o| o.visits(&|from, to| self.leg(from, to), &entry));
+        // `min_by_key` keeps the first of equals.
+        Some((home, visits.min_by_key(|visits| visits.cost)?))
+    }
+
+    /// The orders of a task without a return to the origin: one, or for a revisit one for each instance
+    /// that may be the first.
+    fn orders_for_any_start(&self, task: &Task, phases: &[Phase]) -> Rc<Vec<Order>> {
+        if let Some(known) = self.orders.borrow().get(task) {
+            return Rc::clone(known);
+        }
+        let order = |sets: &[PhaseSets]| Order::new(sets, &|from, to| self.leg(from, to), &|_| 0);
+        let sets = sets(phases);
+        let orders = if phases.contains(&Phase::FirstAgain) {
+            let firsts = sets.first().and_then(|phase| phase.first()).into_iter().flatten();
+            let revisit = |&first: &u16| {
+                let only_first = vec![vec![first]];
+                let middle = sets[1..].iter().cloned();
+                let phases: Vec<PhaseSets> =
+                    [only_first.clone()].into_iter().chain(middle).chain([only_first]).collect();
+                order(&phases)
+            };
+            firsts.map(revisit).collect()
+        } else {
+            vec![order(&sets)]
+        };
+        let orders = Rc::new(orders);
+        self.orders.borrow_mut().insert(*task, Rc::clone(&orders));
+        orders
+    }
+
+    /// The pose in which item `id` is visited. Where headings do not matter it stands for all four.
+    fn goal(&self, id: u16) -> Pose {
+        let item = self.warehouse.item(id);
+        Pose { cell: item.standpoint, heading: item.viewing_heading() }
+    }
+
+    fn field(&self, id: u16) -> &Field {
+        let field = || self.graph.towards_target(self.goal(id));
+        self.fields[usize::from(id)].get_or_init(field)
+    }
+
+    fn leg(&self, from: u16, to: u16) -> u32 {
+        self.graph.cost(self.field(to), self.goal(from))
+    }
+}
+
+/// The sets of items to visit, phase by phase; a return to the origin or the first item left out.
+fn sets(phases: &[Phase]) -> Vec<PhaseSets> {
+    let sets = phases.iter().filter_map(|phase| match phase {
+        Phase::OneOfEach(sets) => Some(sets.clone()),
+        Phase::Origin | Phase::FirstAgain => None,
+    });
+    sets.collect()
+}

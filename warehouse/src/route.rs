@@ -1,0 +1,173 @@
+//! Cheapest walks from anywhere to a goal: a backward Dijkstra over poses, and walks down its costs.
+//!
+//! Which goals, and in which order, is [`plan`](crate::plan)'s business.
+
+use std::cmp::Reverse;
+use std::collections::BinaryHeap;
+
+use shm_types::{Action, Cell, Heading, Pose};
+
+use crate::dynamics::{Variant, step};
+use crate::world::Warehouse;
+
+/// What a walk pays for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Prices {
+    /// One cell forward.
+    forward: u32,
+    /// Any turn, a half turn included.
+    turn: u32,
+    /// One cell to the left, to the right or backward.
+    sidestep: u32,
+    /// For each move onto a cell in front of an item, on top; too little to be worth a step.
+    bay: u32,
+    /// Whether a target must be looked at; otherwise standing in front of it is enough, and all moves
+    /// must cost the same.
+    facing: bool,
+}
+
+impl Prices {
+    /// What the expert pays, in thousandths of a step.
+    pub const EXPERT: Self =
+        Self { forward: 1000, turn: 1000, sidestep: 2100, bay: 1, facing: true };
+
+    /// One for every step: walks at these prices are the shortest there are.
+    pub const STEPS: Self = Self { forward: 1, turn: 1, sidestep: 1, bay: 0, facing: false };
+
+    /// What `action` costs when it ends on a cell that is, or is not, in front of an item.
+    pub(crate) const fn of(&self, action: Action, onto_bay: bool) -> u32 {
+        let bay = if onto_bay { self.bay } else { 0 };
+        match action {
+            Action::Forward => self.forward + bay,
+            Action::TurnLeft | Action::TurnRight | Action::TurnAround => self.turn,
+            Action::Left | Action::Right | Action::Backward => self.sidestep + bay,
+        }
+    }
+}
+
+/// Between equally cheap actions the first of these is taken.
+const PREFERENCE: [Action; 7] = [
+    Action::Forward,
+    Action::TurnLeft,
+    Action::TurnRight,
+    Action::TurnAround,
+    Action::Left,
+    Action::Right,
+    Action::Backward,
+];
+
+/// A cost that no walk has: there is no way.
+pub(crate) const NO_WAY: u32 = u32::MAX;
+
+/// A link that leads nowhere: the action is blocked.
+const NO_POSE: u16 = u16::MAX;
+
+/// Every pose of one variant of a warehouse and what leads to what, at one set of prices.
+#[derive(Debug)]
+pub(crate) struct Graph {
+    prices: Prices,
+    width: usize,
+    /// By pose: from which pose each action leads here, and at what cost.
+    back: Vec<[(u16, u32); 7]>,
+    /// By pose: where each action leads, and at what cost; in the order of [`PREFERENCE`].
+    ahead: Vec<[(u16, u32); 7]>,
+}
+
+/// The cheapest cost from every pose to a goal, by pose.
+#[derive(Debug)]
+pub(crate) struct Field(Vec<u32>);
+
+impl Graph {
+    pub(crate) fn new(warehouse: &Warehouse, variant: &Variant, prices: Prices) -> Self {
+        let layout = &warehouse.layout;
+        let width = usize::from(layout.width());
+        let poses = width * usize::from(layout.height()) * Heading::ALL.len();
+        let nowhere = [(NO_POSE, NO_WAY); 7];
+        let mut graph =
+            Self { prices, width, back: vec![nowhere; poses], ahead: vec![nowhere; poses] };
+        let mut is_bay = vec![false; poses];
+        for item in &warehouse.items {
+            for pose in facing_anywhere(item.standpoint) {
+                is_bay[graph.index(pose)] = true;
+            }
+        }
+        for pose in layout.free_cells().flat_map(facing_anywhere) {
+            for (rank, action) in PREFERENCE.into_iter().enumerate() {
+                let (next, _) = step(layout, variant, pose, action);
+                if next == pose || variant.is_closed(pose.cell) {
+                    continue;
+                }
+                let (from, to) = (graph.index(pose), graph.index(next));
+                let price = prices.of(action, is_bay[to]);
+                graph.ahead[from][rank] = (to as u16, price);
+                graph.back[to][rank] = (from as u16, price);
+            }
+        }
+        graph
+    }
+
+    fn index(&self, pose: Pose) -> usize {
+        (usize::from(pose.cell.y) * self.width + usize::from(pose.cell.x)) * Heading::ALL.len()
+            + pose.heading as usize
+    }
+
+    /// The costs of getting to `goal`; with any heading where headings do not matter.
+    pub(crate) fn towards_target(&self, goal: Pose) -> Field {
+        if self.prices.facing { self.towards(&[goal]) } else { self.towards_cell(goal.cell) }
+    }
+
+    /// The costs of getting to `cell`, facing anywhere.
+    pub(crate) fn towards_cell(&self, cell: Cell) -> Field {
+        self.towards(&facing_anywhere(cell))
+    }
+
+    /// Dijkstra backwards from `goals`.
+    fn towards(&self, goals: &[Pose]) -> Field {
+        let mut costs = vec![NO_WAY; self.back.len()];
+        let mut queue = BinaryHeap::new();
+        for &goal in goals {
+            costs[self.index(goal)] = 0;
+            queue.push(Reverse((0, self.index(goal) as u16)));
+        }
+        while let Some(Reverse((cost, pose))) = queue.pop() {
+            if cost > costs[usize::from(pose)] {
+                continue;
+            }
+            for &(before, price) in &self.back[usize::from(pose)] {
+                let Some(known) = costs.get_mut(usize::from(before)) else { continue };
+                if cost + price < *known {
+                    *known = cost + price;
+                    queue.push(Reverse((cost + price, before)));
+                }
+            }
+        }
+        Field(costs)
+    }
+
+    /// What the cheapest walk from `pose` to the goal of `field` costs.
+    pub(crate) fn cost(&self, field: &Field, pose: Pose) -> u32 {
+        field.0.get(self.index(pose)).copied().unwrap_or(NO_WAY)
+    }
+
+    /// The cheapest walk from `pose` to the goal of `field`; `None` when there is no way.
+    pub(crate) fn walk(&self, field: &Field, pose: Pose) -> Option<Vec<Action>> {
+        let mut actions = Vec::new();
+        let mut at = self.index(pose);
+        while *field.0.get(at)? > 0 {
+            let left = field.0[at];
+            let mut ways = PREFERENCE.into_iter().zip(&self.ahead[at]);
+            let (action, &(next, _)) = ways.find(|&(_, &(next, price))| {
+                let after = field.0.get(usize::from(next)).copied().unwrap_or(NO_WAY);
+                after.checked_add(price) == Some(left)
+            })?;
+            actions.push(action);
+            at = usize::from(next);
+        }
+        Some(actions)
+    }
+}
+
+/// The four poses in `cell`.
+fn facing_anywhere(cell: Cell) -> [Pose; 4] {
+    Heading::ALL.map(|heading| Pose { cell, heading })
+}

@@ -1,0 +1,26 @@
+//! The assets in `assets/` are what the program makes of them.
+
+use std::path::Path;
+
+use warehouse::{CaseSet, SHIPPED_COUNT, SHIPPED_SEED, Warehouse};
+
+/// Set this variable to write `assets/cases.toml` anew after a change to the assets or the generator.
+const REGENERATE: &str = "MEMTRANSFER_REGENERATE";
+
+#[test]
+fn the_shipped_cases_are_what_their_seed_gives() {
+    let warehouse = Warehouse::shipped();
+    let generated = CaseSet::generate(&warehouse, SHIPPED_SEED, SHIPPED_COUNT).unwrap();
+    let text = generated.to_toml(&warehouse.catalogue);
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../assets/cases.toml");
+    if std::env::var_os(REGENERATE).is_some() {
+        std::fs::write(&path, &text).unwrap();
+    }
+    let shipped = std::fs::read_to_string(&path).unwrap();
+    assert!(
+        text == shipped,
+        "assets/cases.toml is not what seed {SHIPPED_SEED} gives; if the change is meant, write it \
+         anew: {REGENERATE}=1 cargo test --release -p warehouse --test shipped"
+    );
+    assert_eq!(CaseSet::load(&path, &warehouse).unwrap(), generated, "reading gives the set back");
+}
