@@ -291,3 +291,87 @@ impl Attach {
         self.frame_chunks() as u64 * chunk as u64 + messages
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn attach() -> Attach {
+        Attach {
+            wire_version: WIRE_VERSION,
+            prefix: "mt0_".to_owned(),
+            generation: 3,
+            orchestrator_pid: 17,
+            lanes: 8,
+            window: 6,
+            frame: FrameSize::DEFAULT,
+            frame_capacity: 100,
+            wait: Wait { spin_us: 20 },
+            frame_control: FrameControl::Swapped,
+            root: PathBuf::new(),
+        }
+    }
+
+    /// What reading a file with `from` replaced by `to` says.
+    fn complaint(from: &str, to: &str) -> String {
+        let dir = tempfile::tempdir().unwrap();
+        attach().write(dir.path()).unwrap();
+        let path = dir.path().join(ATTACH_FILE);
+        let text = fs::read_to_string(&path).unwrap();
+        assert!(text.contains(from), "{from} is not in {text}");
+        fs::write(&path, text.replace(from, to)).unwrap();
+        let error = Attach::read(dir.path()).unwrap_err().to_string();
+        error.replace(&path.display().to_string(), "FILE")
+    }
+
+    #[test]
+    fn what_is_written_is_read() {
+        let dir = tempfile::tempdir().unwrap();
+        attach().write(dir.path()).unwrap();
+        let root = dir.path().canonicalize().unwrap();
+        assert_eq!(Attach::read(dir.path()).unwrap(), Attach { root, ..attach() });
+        assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 1, "no draft is left");
+    }
+
+    #[test]
+    fn what_cannot_be_is_refused_and_named() {
+        for (from, to, said) in [
+            ("\"lanes\": 8", "\"lanes\": 0", "lanes is 0, but must be 1 to 4096"),
+            ("\"window\": 6", "\"window\": 33", "window is 33, but must be 0 to 32"),
+            ("448", "450", "frame.width is 450, but must be a multiple of 64 up to 4096"),
+            ("mt0_", "mt/../", "prefix is mt/../, but must be \"mt\" and up to 14"),
+            ("100", "0", "frame_capacity is 0, but must be 1 to"),
+            ("\"spin_us\": 20", "\"spin_us\": 2000000", "wait.spin_us is 2000000"),
+            ("\"lanes\"", "\"lance\"", "FILE: unknown field `lance`"),
+            ("swapped", "swopped", "FILE: unknown variant `swopped`"),
+            ("\"lanes\": 8", "\"lanes\": -8", "FILE: invalid value"),
+            ("\"mt0_\"", "5", "FILE: invalid type"),
+            ("\"mt0_\"", "", "FILE: expected value"),
+        ] {
+            let error = complaint(from, to);
+            assert!(error.starts_with(said) || error.contains(said), "{error}");
+        }
+    }
+
+    #[test]
+    fn another_wire_version_is_named_before_anything_else() {
+        let from = format!("\"wire_version\": {WIRE_VERSION}");
+        let to = "\"wire_version\": 99, \"news\": true";
+        let ours = format!("the run speaks wire version 99 and this program {WIRE_VERSION}");
+        assert!(complaint(&from, to).starts_with(&ours));
+    }
+
+    #[test]
+    fn a_missing_file_is_named() {
+        let error = Attach::read(Path::new("/nowhere")).unwrap_err().to_string();
+        assert!(error.starts_with("/nowhere/attach.json: "), "{error}");
+    }
+
+    #[test]
+    fn frames_are_whole_pages() {
+        assert_eq!((FrameSize::DEFAULT.bytes(), FrameSize::DEFAULT.pages()), (802_816, 196));
+        let odd = FrameSize { width: 64, height: 65 };
+        assert_eq!((odd.bytes(), odd.pages()), (16_640, 5));
+        assert!(attach().shared_memory_bytes() > 100 * 802_816);
+    }
+}

@@ -9,6 +9,10 @@
 //! create every receiver, then send. The first send on a service waits, for a bounded time, until all its
 //! receivers are there; so processes may start in any order.
 //!
+//! # Leaving
+//! What was sent outlives its sender only for receivers that have looked at their queue since the sender
+//! was created. Therefore: create senders at the start, and do not leave right after a first message.
+//!
 //! All of this is thread-safe; a process normally keeps it on one thread and hands
 //! [`Frame`](crate::frames::Frame)s to others.
 
@@ -25,7 +29,8 @@ use iceoryx2::port::publisher::Publisher;
 use iceoryx2::port::subscriber::Subscriber;
 use iceoryx2::port::{BackpressureAction, SendError};
 use iceoryx2::prelude::{
-    FileName, SemanticString, ServiceName, SignalHandlingMode, ipc_threadsafe,
+    FileName, LogLevel, SemanticString, ServiceName, SignalHandlingMode, ipc_threadsafe,
+    set_log_level_from_env_or,
 };
 use iceoryx2::service::port_factory::PortFactory as _;
 use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
@@ -89,14 +94,16 @@ pub enum BusError {
         /// The service.
         service: &'static str,
     },
-    /// Fewer receivers than the message is for.
-    #[error("{service}: {found} of {expected} receivers are there")]
+    /// Fewer receivers got the message than it is for.
+    #[error(
+        "{service}: reached {found} of {expected} receivers, the others are gone or have never looked"
+    )]
     Deserted {
         /// The service.
         service: &'static str,
         /// How many there should be.
         expected: usize,
-        /// How many there are.
+        /// How many got it.
         found: usize,
     },
     /// The transport failed.
@@ -144,6 +151,8 @@ impl Bus {
             source,
         })?;
         let config = config(&attach)?;
+        // iceoryx2 writes to stderr by itself. What it warns of comes back as an error here, in words.
+        set_log_level_from_env_or(LogLevel::Error);
         let node = NodeBuilder::new()
             .signal_handling_mode(SignalHandlingMode::Disabled)
             .config(&config)

@@ -522,8 +522,19 @@ pub fn read_text(buffer: &[u8], len: u32) -> Result<&str, UnknownCode> {
 
 #[cfg(test)]
 mod tests {
+    use proptest::prelude::*;
+
     use super::*;
     use crate::{Action, Feedback};
+
+    /// Calls `$check::<M>($arguments)` for every message `M`.
+    macro_rules! every_message {
+        ($check:ident $(, $argument:expr)*) => {
+            every_message!(@ $check, ($($argument),*), StepCommand Observation MemoryBrief PolicyBrief
+                ViewRequest View Eviction Recall RecallTrace Decision Hello Complaint Farewell Stop)
+        };
+        (@ $check:ident, $arguments:tt, $($message:ident)*) => {$($check::<$message>$arguments;)*};
+    }
 
     #[test]
     fn codes_are_positions() {
@@ -533,6 +544,57 @@ mod tests {
         assert!(Role::try_from(4).is_err());
         assert!(Outcome::try_from(NO_ACTION).is_err());
         assert!(Action::try_from(NO_ACTION).is_err() && Feedback::try_from(NO_ACTION).is_err());
+    }
+
+    #[test]
+    fn every_message_has_a_way_to_go() {
+        fn check<M: Message>() {
+            assert!(!M::FROM.is_empty() && !M::TO.is_empty(), "{}", M::SERVICE);
+            assert!(M::FROM.iter().all(|role| !M::TO.contains(role)), "{}", M::SERVICE);
+        }
+        every_message!(check);
+    }
+
+    proptest! {
+        /// Whatever arrives is a value or an error.
+        #[test]
+        fn no_bytes_panic(bytes in proptest::collection::vec(any::<u8>(), 2048)) {
+            fn check<M: Message>(bytes: &[u8]) {
+                let message: M = bytemuck::pod_read_unaligned(&bytes[..size_of::<M>()]);
+                let _ = format!("{message:?}");
+            }
+            every_message!(check, &bytes);
+
+            for &byte in &bytes {
+                let _ = (StepKind::try_from(byte), ViewRequestKind::try_from(byte));
+                let _ = (Outcome::try_from(byte), Role::try_from(byte));
+                let _ = (Action::try_from(byte), Feedback::try_from(byte));
+                let _ = Representation::try_from(byte);
+            }
+            for pose in bytes.chunks_exact(4) {
+                let wire: WirePose = bytemuck::pod_read_unaligned(pose);
+                if let Ok(pose) = Pose::try_from(wire) {
+                    prop_assert_eq!(&WirePose::from(pose).0[..3], &wire.0[..3]);
+                }
+            }
+            let hello: Hello = bytemuck::pod_read_unaligned(&bytes[..size_of::<Hello>()]);
+            let _ = read_text(&hello.facts, hello.facts_len);
+            for len in 0..=u32::from(u8::MAX) {
+                if let Ok(text) = read_text(&bytes[..240], len) {
+                    let mut buffer = [0; 240];
+                    prop_assert_eq!(write_text(&mut buffer, text), len);
+                }
+            }
+        }
+
+        /// What is written is read, up to what fits.
+        #[test]
+        fn text_round_trips(text in any::<String>()) {
+            let mut buffer = [0; 24];
+            let used = write_text(&mut buffer, &text);
+            let read = read_text(&buffer, used).map_err(|e| TestCaseError::fail(e.to_string()))?;
+            prop_assert!(text.starts_with(read) && (read == text || read.len() > 20));
+        }
     }
 
     #[test]

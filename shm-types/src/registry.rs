@@ -12,7 +12,8 @@ use std::hash::{BuildHasher, Hasher, RandomState};
 use std::io;
 use std::os::unix::fs::{DirBuilderExt, MetadataExt};
 use std::path::{Path, PathBuf};
-use std::time::Duration;
+use std::thread;
+use std::time::{Duration, Instant};
 
 use iceoryx2::node::{Node, NodeState};
 use iceoryx2::prelude::{CallbackProgression, Config};
@@ -23,6 +24,10 @@ use crate::process::SHARED_MEMORY;
 
 /// The file that every process of a run keeps locked.
 const LOCK_FILE: &str = "lock";
+
+/// How long a run's last processes get to end before it is left to a later [`clean`]. (A process that is
+/// just being started holds its parent's locks for a moment, too.)
+const EXIT_PATIENCE: Duration = Duration::from_secs(1);
 
 /// How long to wait for another cleaner of the same node.
 const CLEANER_PATIENCE: Duration = Duration::from_secs(5);
@@ -122,10 +127,18 @@ impl RunDir {
 
     fn remove(&self) -> Result<bool, RegistryError> {
         let _base_lock = self.path.parent().map(lock_base).transpose()?;
-        match self.lock.try_lock() {
-            Ok(()) => remove_if_dead(&self.path),
-            Err(TryLockError::WouldBlock) => Ok(false),
-            Err(TryLockError::Error(source)) => Err(system("cannot lock", &self.path)(source)),
+        let deadline = Instant::now() + EXIT_PATIENCE;
+        loop {
+            match self.lock.try_lock() {
+                Ok(()) => return remove_if_dead(&self.path),
+                Err(TryLockError::WouldBlock) if Instant::now() < deadline => {
+                    thread::sleep(Duration::from_millis(5));
+                }
+                Err(TryLockError::WouldBlock) => return Ok(false),
+                Err(TryLockError::Error(source)) => {
+                    return Err(system("cannot lock", &self.path)(source));
+                }
+            }
         }
     }
 }

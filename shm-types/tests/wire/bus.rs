@@ -1,0 +1,210 @@
+//! Messages and bells between nodes of one run.
+
+use std::thread;
+use std::time::Duration;
+
+use bytemuck::Zeroable;
+use shm_types::attach::Wait;
+use shm_types::message::{Complaint, Decision, Observation, Role, StepCommand, read_text};
+use shm_types::{Attach, BusError, Complaints};
+
+use crate::common::{LONG, Run, bus, run};
+
+fn command(lane: u32) -> StepCommand {
+    StepCommand { lane, ..Zeroable::zeroed() }
+}
+
+fn decision(step: u32) -> Decision {
+    Decision { step, ..Zeroable::zeroed() }
+}
+
+#[test]
+fn a_message_reaches_its_receiver_and_rings() {
+    let Run { attach, .. } = &run();
+    let (orchestrator, sim) = (bus(attach, Role::Orchestrator), bus(attach, Role::Sim));
+    let commands = sim.receiver::<StepCommand>().unwrap();
+    let sender = orchestrator.sender::<StepCommand>().unwrap();
+    let bell = orchestrator.bell(Role::Sim).unwrap();
+    for lane in 0..16 {
+        sender.send(&command(lane)).unwrap();
+    }
+    bell.ring().unwrap();
+    assert!(sim.doorbell().wait(LONG).unwrap());
+    let lanes: Vec<u32> = commands.drain().unwrap().iter().map(|c| c.lane).collect();
+    assert_eq!(lanes, Vec::from_iter(0..16));
+    assert_eq!(commands.next().unwrap(), None);
+    assert!(!sim.doorbell().wait(Duration::ZERO).unwrap(), "one ring, taken once");
+    assert!(!sim.doorbell().wait(Duration::from_micros(10)).unwrap());
+}
+
+#[test]
+fn every_receiver_gets_it_and_a_missing_one_is_an_error() {
+    let Run { attach, .. } = &run();
+    let sim = bus(attach, Role::Sim);
+    let sender = sim.sender::<Observation>().unwrap();
+    let others = [Role::Memory, Role::Policy, Role::Orchestrator].map(|role| bus(attach, role));
+    let mut receivers = Vec::from(others.each_ref().map(|b| b.receiver::<Observation>().unwrap()));
+    sender.send(&Zeroable::zeroed()).unwrap();
+    assert!(receivers.iter().all(|r| r.next().unwrap().is_some()));
+    receivers.pop();
+    let error = sender.send(&Zeroable::zeroed()).unwrap_err();
+    assert!(matches!(error, BusError::Deserted { expected: 3, found: 2, .. }), "{error}");
+}
+
+#[test]
+fn the_first_send_waits_for_a_receiver_that_starts_later() {
+    let Run { attach, .. } = &run();
+    thread::scope(|scope| {
+        scope.spawn(|| {
+            let policy = bus(attach, Role::Policy);
+            let decisions = policy.sender::<Decision>().unwrap();
+            decisions.send(&decision(1)).unwrap();
+            assert!(policy.doorbell().wait(LONG).unwrap());
+        });
+        thread::sleep(Duration::from_millis(20));
+        let orchestrator = bus(attach, Role::Orchestrator);
+        let decisions = orchestrator.receiver::<Decision>().unwrap();
+        while decisions.next().unwrap().is_none() {
+            thread::yield_now();
+        }
+        orchestrator.bell(Role::Policy).unwrap().ring().unwrap();
+    });
+}
+
+#[test]
+fn a_message_outlives_its_sender_where_somebody_has_looked() {
+    let Run { attach, .. } = &run();
+    let (orchestrator, policy) = (bus(attach, Role::Orchestrator), bus(attach, Role::Policy));
+    let decisions = orchestrator.receiver::<Decision>().unwrap();
+    let sender = policy.sender::<Decision>().unwrap();
+    assert_eq!(decisions.next().unwrap(), None);
+    sender.send(&decision(1)).unwrap();
+    sender.send(&decision(2)).unwrap();
+    drop(sender);
+    drop(policy);
+    assert_eq!(decisions.drain().unwrap(), [decision(1), decision(2)]);
+}
+
+#[test]
+fn a_full_queue_is_an_error_and_not_a_wait() {
+    let Run { attach, .. } = &run();
+    let (orchestrator, sim) = (bus(attach, Role::Orchestrator), bus(attach, Role::Sim));
+    let commands = sim.receiver::<StepCommand>().unwrap();
+    let sender = orchestrator.sender::<StepCommand>().unwrap();
+    let room = 2 * attach.lanes + 16;
+    assert_eq!(commands.next().unwrap(), None);
+    for lane in 0..room {
+        sender.send(&command(lane)).unwrap();
+    }
+    for _ in 0..3 {
+        let error = sender.send(&command(0)).unwrap_err();
+        assert!(matches!(error, BusError::Full { service: "command" }), "{error}");
+    }
+    assert_eq!(commands.drain().unwrap().len(), room as usize);
+    sender.send(&command(0)).unwrap();
+}
+
+#[test]
+fn a_role_cannot_speak_for_another() {
+    let Run { attach, .. } = &run();
+    let policy = bus(attach, Role::Policy);
+    let error = policy.sender::<StepCommand>().unwrap_err();
+    assert_eq!(error.to_string(), "command is not for the policy to send");
+    let error = policy.receiver::<StepCommand>().unwrap_err();
+    assert_eq!(error.to_string(), "command is not for the policy to receive");
+}
+
+#[test]
+fn runs_and_generations_never_meet() {
+    let (one, other) = (run(), run());
+    let next = Attach { generation: 2, ..one.attach.clone() };
+    let senders = bus(&one.attach, Role::Orchestrator);
+    let sender = senders.sender::<StepCommand>().unwrap();
+    let sims = [&one.attach, &next, &other.attach].map(|attach| bus(attach, Role::Sim));
+    let receivers = sims.each_ref().map(|sim| sim.receiver::<StepCommand>().unwrap());
+    sender.send(&command(3)).unwrap();
+    senders.bell(Role::Sim).unwrap().ring().unwrap();
+    assert!(receivers[0].next().unwrap().is_some());
+    assert!(sims[0].doorbell().wait(Duration::ZERO).unwrap());
+    for (sim, receiver) in sims.iter().zip(&receivers).skip(1) {
+        assert_eq!(receiver.next().unwrap(), None);
+        assert!(!sim.doorbell().wait(Duration::ZERO).unwrap());
+    }
+}
+
+/// Two processes' worth of nodes send each other messages and sleep in between; a lost ring would leave
+/// both asleep.
+fn ping_pong(spin_us: u32) {
+    const ROUNDS: u32 = 5_000;
+    let Run { attach, .. } = &run();
+    let attach = &Attach { wait: Wait { spin_us }, ..attach.clone() };
+    thread::scope(|scope| {
+        scope.spawn(|| {
+            let sim = bus(attach, Role::Sim);
+            let commands = sim.receiver::<StepCommand>().unwrap();
+            let observations = sim.sender::<Observation>().unwrap();
+            let bell = sim.bell(Role::Orchestrator).unwrap();
+            let mut seen = 0;
+            while seen < ROUNDS {
+                for StepCommand { step, .. } in commands.drain().unwrap() {
+                    observations.send(&Observation { step, ..Zeroable::zeroed() }).unwrap();
+                    seen += 1;
+                }
+                bell.ring().unwrap();
+                if seen < ROUNDS {
+                    sim.doorbell().wait(4 * LONG).unwrap();
+                }
+            }
+            // Stay until everything has arrived.
+            sim.doorbell().wait(LONG).unwrap();
+        });
+        let orchestrator = bus(attach, Role::Orchestrator);
+        let observations = orchestrator.receiver::<Observation>().unwrap();
+        let idle = [Role::Memory, Role::Policy].map(|role| bus(attach, role));
+        let idle = idle.each_ref().map(|bus| bus.receiver::<Observation>().unwrap());
+        let commands = orchestrator.sender::<StepCommand>().unwrap();
+        let bell = orchestrator.bell(Role::Sim).unwrap();
+        let (mut sent, mut seen) = (0, 0);
+        while seen < ROUNDS {
+            // One to four messages in flight, and a ring for each batch.
+            while sent < ROUNDS && sent - seen <= sent % 4 {
+                commands.send(&StepCommand { step: sent, ..Zeroable::zeroed() }).unwrap();
+                sent += 1;
+            }
+            bell.ring().unwrap();
+            orchestrator.doorbell().wait(4 * LONG).unwrap();
+            for Observation { step, .. } in observations.drain().unwrap() {
+                assert_eq!(step, seen);
+                seen += 1;
+            }
+            idle.iter().for_each(|receiver| drop(receiver.drain().unwrap()));
+        }
+        bell.ring().unwrap();
+    });
+}
+
+#[test]
+fn no_ring_is_lost() {
+    ping_pong(0);
+}
+
+#[test]
+fn no_ring_is_lost_to_one_who_spins_first() {
+    ping_pong(50);
+}
+
+#[test]
+fn complaints_are_counted_told_and_never_in_the_way() {
+    let Run { attach, .. } = &run();
+    let (orchestrator, sim) = (bus(attach, Role::Orchestrator), bus(attach, Role::Sim));
+    let mut complaints = Complaints::new(&sim).unwrap();
+    complaints.raise("nobody listens yet");
+    let receiver = orchestrator.receiver::<Complaint>().unwrap();
+    for lane in 0..1000 {
+        complaints.raise(format_args!("lane {lane} is not below 4"));
+    }
+    assert_eq!(complaints.count(), 1001);
+    let first = receiver.next().unwrap().unwrap();
+    assert_eq!(read_text(&first.text, first.text_len), Ok("lane 0 is not below 4"));
+    assert_eq!((first.role, first.count), (Role::Sim as u32, 2));
+}

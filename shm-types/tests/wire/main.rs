@@ -1,0 +1,9 @@
+//! The shared memory between nodes, threads and processes. Every test has a run of its own.
+
+#![expect(clippy::unwrap_used, reason = "test helpers fail loudly")]
+
+mod bus;
+mod child;
+mod common;
+mod frames;
+mod registry;

@@ -1,0 +1,124 @@
+//! Runs that end in every way: nothing is left behind, and nothing that lives is touched.
+
+use std::fs;
+use std::os::unix::fs::PermissionsExt;
+use std::path::{Path, PathBuf};
+use std::thread;
+
+use bytemuck::Zeroable;
+use shm_types::message::{Role, StepCommand};
+use shm_types::registry::{RegistryError, clean, list};
+use shm_types::{Attach, FramePublisher, FrameStore, RunDir};
+
+use crate::child::sleeper;
+use crate::common::{Run, bus, run, shared_memory};
+
+#[test]
+fn a_run_that_ends_well_leaves_nothing() {
+    let Run { attach, dir, base, .. } = run();
+    let (path, prefix) = (dir.path().to_owned(), dir.prefix());
+    {
+        let buses = Role::ALL.iter().map(|&role| bus(&attach, role)).collect::<Vec<_>>();
+        let _stores = (FrameStore::new(&buses[2]).unwrap(), FrameStore::new(&buses[3]).unwrap());
+        let mut publisher = FramePublisher::new(&buses[1]).unwrap();
+        let slot = publisher.loan().unwrap();
+        publisher.publish(slot, [0; 16]).unwrap();
+        assert!(shared_memory(&prefix).1 > 0);
+    }
+    drop(dir);
+    assert!(!path.exists());
+    assert_eq!(shared_memory(&prefix), (0, 0));
+    assert_eq!(list(base.path()).unwrap(), []);
+}
+
+#[test]
+fn clean_removes_what_a_killed_run_left_and_nothing_that_lives() {
+    let Run { attach, dir, base, .. } = &run();
+    let (orchestrator, sim) = (bus(attach, Role::Orchestrator), bus(attach, Role::Sim));
+    let commands = sim.receiver::<StepCommand>().unwrap();
+    let sender = orchestrator.sender::<StepCommand>().unwrap();
+
+    let child = sleeper("run", base.path());
+    let killed = PathBuf::from(&child.word);
+    let prefix = format!("mt{}_", killed.file_name().unwrap().to_str().unwrap());
+    // Something that is nobody's run, and a run that died before it had a lock.
+    let (foreign, unborn) = (base.path().join("notes"), base.path().join("0123abcd"));
+    fs::create_dir(&foreign).unwrap();
+    fs::create_dir(&unborn).unwrap();
+
+    let living = clean(base.path()).unwrap();
+    assert_eq!(living.removed, [unborn]);
+    assert_eq!(living.alive.len(), 2);
+    assert!(list(base.path()).unwrap().iter().all(|run| run.alive));
+
+    drop(child);
+    assert!(shared_memory(&prefix).0 > 0 && killed.exists());
+    let cleaned = clean(base.path()).unwrap();
+    assert_eq!(cleaned.removed, std::slice::from_ref(&killed));
+    assert_eq!(cleaned.alive, [dir.path()]);
+    assert_eq!(shared_memory(&prefix), (0, 0));
+    assert!(!killed.exists() && foreign.exists());
+
+    sender.send(&Zeroable::zeroed()).unwrap();
+    assert!(commands.next().unwrap().is_some());
+    assert_eq!(clean(base.path()).unwrap().removed, [] as [PathBuf; 0]);
+}
+
+#[test]
+fn a_new_generation_gets_the_memory_of_a_killed_process_back() {
+    let Run { attach, dir, .. } = &run();
+    attach.write(dir.path()).unwrap();
+    let orchestrator = bus(attach, Role::Orchestrator);
+    let (empty, _) = shared_memory(&dir.prefix());
+    let child = sleeper("sim", dir.path());
+    let frames = 8 * attach.frame.bytes() as u64;
+    assert!(shared_memory(&dir.prefix()).0 >= empty + frames);
+    drop(child);
+    drop(orchestrator);
+    let next = Attach { generation: 2, ..attach.clone() };
+    let _orchestrator = bus(&next, Role::Orchestrator);
+    assert!(shared_memory(&dir.prefix()).0 < empty + frames);
+}
+
+#[test]
+fn a_run_outlives_its_owner_while_a_process_of_it_lives() {
+    let Run { attach, dir, base, .. } = run();
+    let path = dir.path().to_owned();
+    let sim = bus(&attach, Role::Sim);
+    drop(dir);
+    assert_eq!(clean(base.path()).unwrap().alive, std::slice::from_ref(&path));
+    drop(sim);
+    // Not at once: a process that another test is starting holds the locks of this one for a moment.
+    while clean(base.path()).unwrap().removed != [path.clone()] {
+        assert!(path.exists());
+        thread::yield_now();
+    }
+}
+
+#[test]
+fn a_base_that_others_write_to_or_that_is_too_long_is_refused() {
+    let base = tempfile::Builder::new().prefix("mt").tempdir_in("/tmp").unwrap();
+    fs::set_permissions(base.path(), fs::Permissions::from_mode(0o777)).unwrap();
+    assert!(matches!(RunDir::create(base.path()), Err(RegistryError::NotOurs { .. })));
+    let long = Path::new("/tmp").join("x".repeat(40));
+    let error = RunDir::create(&long).unwrap_err().to_string();
+    assert!(error.contains("under 39 bytes"), "{error}");
+    assert!(!long.exists());
+    assert_eq!(list(&base.path().join("none")).unwrap(), []);
+}
+
+#[test]
+fn a_child_dies_with_its_parent() {
+    let Run { base, .. } = &run();
+    let parent = sleeper("parent", base.path());
+    let child = Path::new("/proc").join(&parent.word);
+    assert!(child.exists());
+    drop(parent);
+    // A zombie until init collects it; the watchdog is the limit.
+    let gone = |path: &Path| {
+        fs::read_to_string(path.join("stat")).map_or(true, |stat| stat.contains(") Z "))
+    };
+    while !gone(&child) {
+        thread::yield_now();
+    }
+}
