@@ -1,0 +1,111 @@
+//! A Vulkan device without a window: which adapter, and whether it can write into the host's pages.
+//!
+//! The device is opened through wgpu's hardware layer, because importing host memory takes a Vulkan
+//! extension that wgpu does not name. Nothing else here is Vulkan-specific.
+#![expect(unsafe_code, reason = "opening a device with an extra extension goes through raw Vulkan")]
+
+use wgpu::hal::vulkan;
+
+use super::RenderError;
+
+/// An open device with its queue.
+pub(super) struct Gpu {
+    pub(super) device: wgpu::Device,
+    pub(super) queue: wgpu::Queue,
+    pub(super) adapter: wgpu::AdapterInfo,
+    /// The alignment, in bytes, that imported host memory must have; `None` when the driver cannot
+    /// import host memory at all.
+    pub(super) host_import_alignment: Option<u64>,
+}
+
+impl Gpu {
+    /// Opens the best adapter: a graphics card before the software driver, or the first whose name
+    /// contains `wanted` (case-insensitive).
+    pub(super) fn open(wanted: Option<&str>) -> Result<Self, RenderError> {
+        let mut descriptor = wgpu::InstanceDescriptor::new_without_display_handle();
+        descriptor.backends = wgpu::Backends::VULKAN;
+        let instance = wgpu::Instance::new(descriptor);
+        let mut adapters = pollster::block_on(instance.enumerate_adapters(wgpu::Backends::VULKAN));
+        adapters.sort_by_key(|adapter| preference(adapter.get_info().device_type));
+        if adapters.is_empty() {
+            return Err(RenderError::NoVulkan);
+        }
+        let names: Vec<String> = adapters.iter().map(|a| a.get_info().name).collect();
+        let chosen = match wanted {
+            None => 0,
+            Some(text) => names
+                .iter()
+                .position(|name| name.to_lowercase().contains(&text.to_lowercase()))
+                .ok_or_else(|| RenderError::NoSuchAdapter {
+                    wanted: text.to_owned(),
+                    found: names.join(", "),
+                })?,
+        };
+        open_adapter(&adapters[chosen])
+    }
+
+    /// Waits until everything submitted so far has been done.
+    pub(super) fn wait(&self) -> Result<(), RenderError> {
+        let waited = self.device.poll(wgpu::PollType::wait_indefinitely());
+        waited.map(|_| ()).map_err(|error| RenderError::Device(error.to_string()))
+    }
+}
+
+fn preference(kind: wgpu::DeviceType) -> u8 {
+    match kind {
+        wgpu::DeviceType::DiscreteGpu => 0,
+        wgpu::DeviceType::IntegratedGpu => 1,
+        wgpu::DeviceType::VirtualGpu => 2,
+        wgpu::DeviceType::Cpu => 3,
+        wgpu::DeviceType::Other => 4,
+    }
+}
+
+fn open_adapter(adapter: &wgpu::Adapter) -> Result<Gpu, RenderError> {
+    let info = adapter.get_info();
+    let no_device = |reason: String| RenderError::NoDevice { adapter: info.name.clone(), reason };
+    let features = wgpu::Features::empty();
+    let limits = wgpu::Limits::defaults();
+    let descriptor = wgpu::DeviceDescriptor {
+        label: Some("renderer"),
+        required_features: features,
+        required_limits: limits.clone(),
+        ..Default::default()
+    };
+    // SAFETY: the hardware-layer adapter is only borrowed while it opens a device.
+    let hal = unsafe { adapter.as_hal::<vulkan::Api>() }
+        .ok_or_else(|| no_device("it is no Vulkan adapter".to_owned()))?;
+    let host_import_alignment = host_import_alignment(&hal);
+    let extension = host_import_alignment.is_some().then_some(ash::ext::external_memory_host::NAME);
+    // SAFETY: the callback only adds an extension that this adapter lists as supported.
+    let open = unsafe {
+        hal.open_with_callback(
+            features,
+            &limits,
+            &descriptor.memory_hints,
+            Some(Box::new(move |args| args.extensions.extend(extension))),
+        )
+    };
+    let open = open.map_err(|error| no_device(error.to_string()))?;
+    // SAFETY: the device was opened from this very adapter, with the features that are declared.
+    let (device, queue) = unsafe { adapter.create_device_from_hal(open, &descriptor) }
+        .map_err(|error| no_device(error.to_string()))?;
+    drop(hal);
+    Ok(Gpu { device, queue, adapter: info, host_import_alignment })
+}
+
+/// The alignment that `VK_EXT_external_memory_host` asks of a pointer, where the adapter offers it.
+fn host_import_alignment(hal: &vulkan::Adapter) -> Option<u64> {
+    let extension = ash::ext::external_memory_host::NAME;
+    if !hal.physical_device_capabilities().supports_extension(extension) {
+        return None;
+    }
+    let mut host = ash::vk::PhysicalDeviceExternalMemoryHostPropertiesEXT::default();
+    let mut properties = ash::vk::PhysicalDeviceProperties2::default().push_next(&mut host);
+    let instance = hal.shared_instance().raw_instance();
+    // SAFETY: the physical device belongs to this instance, and the chain holds one known structure.
+    unsafe {
+        instance.get_physical_device_properties2(hal.raw_physical_device(), &mut properties);
+    }
+    Some(host.min_imported_host_pointer_alignment)
+}

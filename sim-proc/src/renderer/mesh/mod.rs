@@ -1,0 +1,6 @@
+//! Meshes as pure values: shapes in metres, colours and normals. No light, no device, no layout.
+
+pub(crate) mod builder;
+pub(crate) mod hall;
+pub(crate) mod items;
+pub(crate) mod rack;
