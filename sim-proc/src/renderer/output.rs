@@ -45,12 +45,18 @@ impl Destination<'_> {
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
+
+    fn bytes(&mut self) -> &mut [u8] {
+        match self {
+            Self::Slot(bytes) | Self::Memory(bytes) => bytes,
+        }
+    }
 }
 
 /// The buffer that a view's pixels are copied to by the device.
 pub(super) enum Sink {
     /// The slot itself.
-    Imported(wgpu::Buffer),
+    Imported,
     /// A staging buffer, by its place in the batch.
     Staged(usize),
 }
@@ -59,7 +65,7 @@ pub(super) enum Sink {
 pub(super) struct Outputs {
     frame_bytes: u64,
     path: FramePath,
-    imports: HashMap<usize, wgpu::Buffer>,
+    imports: HashMap<(usize, usize), wgpu::Buffer>,
     staging: Vec<wgpu::Buffer>,
     bytes_copied: u64,
 }
@@ -116,7 +122,7 @@ impl Outputs {
         };
         if let Some(buffer) = imported {
             target.copy_to(encoder, &buffer);
-            return Sink::Imported(buffer);
+            return Sink::Imported;
         }
         while self.staging.len() <= place {
             self.staging.push(gpu.device.create_buffer(&wgpu::BufferDescriptor {
@@ -131,40 +137,42 @@ impl Outputs {
     }
 
     /// Brings staged frames home, once the device is done with the batch.
-    pub(super) fn finish(
+    pub(super) fn finish<'f, 'd: 'f>(
         &mut self,
         gpu: &Gpu,
-        frames: &mut [(Sink, Destination<'_>)],
+        frames: impl Iterator<Item = (&'f Sink, &'f mut Destination<'d>)>,
     ) -> Result<(), RenderError> {
-        let failed = |what: String| RenderError::Device(format!("a frame was not mapped: {what}"));
-        let staged = |sink: &Sink| match sink {
-            Sink::Imported(_) => None,
-            Sink::Staged(place) => Some(*place),
-        };
-        let mut any = false;
-        for place in frames.iter().filter_map(|(sink, _)| staged(sink)) {
+        let staged: Vec<(&wgpu::Buffer, &mut [u8])> = frames
+            .filter_map(|(sink, destination)| match sink {
+                Sink::Imported => None,
+                Sink::Staged(place) => Some((&self.staging[*place], destination.bytes())),
+            })
+            .collect();
+        if staged.is_empty() {
+            return Ok(());
+        }
+        for (buffer, _) in &staged {
             // A failed mapping shows when its range is asked for below.
-            self.staging[place].slice(..).map_async(wgpu::MapMode::Read, |_| ());
-            any = true;
+            buffer.slice(..).map_async(wgpu::MapMode::Read, |_| ());
         }
-        if any {
-            gpu.wait()?;
-        }
-        for (sink, destination) in frames {
-            let Some(place) = staged(sink) else { continue };
-            let (Destination::Slot(pixels) | Destination::Memory(pixels)) = destination;
-            let mapped = self.staging[place].get_mapped_range(..);
-            pixels.copy_from_slice(&mapped.map_err(|error| failed(error.to_string()))?);
-            self.staging[place].unmap();
-            self.bytes_copied += self.frame_bytes;
+        gpu.wait()?;
+        let frame_bytes = self.frame_bytes;
+        for (buffer, pixels) in staged {
+            let mapped = buffer.get_mapped_range(..).map_err(|error| {
+                RenderError::Device(format!("a frame could not be read back: {error}"))
+            })?;
+            pixels[..frame_bytes as usize].copy_from_slice(&mapped);
+            drop(mapped);
+            buffer.unmap();
+            self.bytes_copied += frame_bytes;
         }
         Ok(())
     }
 
     /// The slot as a buffer of the device; `None`, and copies from then on, if the driver refuses it.
     fn import(&mut self, gpu: &Gpu, slot: &mut [u8]) -> Option<wgpu::Buffer> {
-        let address = slot.as_mut_ptr() as usize;
-        if let Some(buffer) = self.imports.get(&address) {
+        let place = (slot.as_mut_ptr() as usize, slot.len());
+        if let Some(buffer) = self.imports.get(&place) {
             return Some(buffer.clone());
         }
         if self.imports.len() >= IMPORT_CACHE_CAPACITY {
@@ -172,7 +180,7 @@ impl Outputs {
         }
         match import(gpu, slot) {
             Ok(buffer) => {
-                self.imports.insert(address, buffer.clone());
+                self.imports.insert(place, buffer.clone());
                 Some(buffer)
             }
             Err(reason) => {
@@ -186,14 +194,15 @@ impl Outputs {
     /// Sends a known picture into file-backed pages like a slot's and reads it there.
     fn test_direct(&mut self, gpu: &Gpu, target: &Target) -> Result<(), String> {
         let mut pages = shared_pages(self.frame_bytes)?;
-        let picture: Vec<u8> = (0..pages.len()).map(|i| (i * 7 + i / 4096 + 1) as u8).collect();
+        let bytes = self.frame_bytes as usize;
+        let picture: Vec<u8> = (0..bytes).map(|i| (i * 7 + i / 4096 + 1) as u8).collect();
         target.fill(gpu, &picture);
         let slot = import(gpu, &mut pages)?;
         let mut encoder = gpu.device.create_command_encoder(&Default::default());
         target.copy_to(&mut encoder, &slot);
         gpu.queue.submit([encoder.finish(), host_read_barrier(gpu)]);
         gpu.wait().map_err(|error| error.to_string())?;
-        if pages[..] == picture[..] {
+        if pages[..bytes] == picture[..] {
             Ok(())
         } else {
             Err("the start-up test found wrong bytes in host memory".to_owned())
@@ -253,8 +262,14 @@ fn import(gpu: &Gpu, slot: &mut [u8]) -> Result<wgpu::Buffer, String> {
     let mut pointer_properties = vk::MemoryHostPointerPropertiesEXT::default();
     // SAFETY: the pointer is that of a live slice of `size` bytes.
     unsafe {
-        host.get_memory_host_pointer_properties(handle_type, pointer.cast(), &mut pointer_properties)
+        (host.fp().get_memory_host_pointer_properties_ext)(
+            device.handle(),
+            handle_type,
+            pointer.cast(),
+            &mut pointer_properties,
+        )
     }
+    .result()
     .map_err(|error| said("vkGetMemoryHostPointerPropertiesEXT", error))?;
 
     let mut external = vk::ExternalMemoryBufferCreateInfo::default().handle_types(handle_type);
@@ -275,9 +290,11 @@ fn import(gpu: &Gpu, slot: &mut [u8]) -> Result<wgpu::Buffer, String> {
     };
     let bits = needs.memory_type_bits & pointer_properties.memory_type_bits;
     let wanted = vk::MemoryPropertyFlags::HOST_VISIBLE | vk::MemoryPropertyFlags::HOST_COHERENT;
-    let memory_type = memory.memory_types_as_slice().iter().enumerate().position(|(i, kind)| {
-        bits & (1 << i) != 0 && kind.property_flags.contains(wanted)
-    });
+    let memory_type = memory
+        .memory_types_as_slice()
+        .iter()
+        .enumerate()
+        .position(|(i, kind)| bits & (1 << i) != 0 && kind.property_flags.contains(wanted));
     let bound = memory_type.ok_or("no coherent memory type takes the slot".to_owned()).and_then(
         |memory_type| {
             if needs.size > size {

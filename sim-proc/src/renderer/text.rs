@@ -117,7 +117,8 @@ fn draw(lettering: &Lettering, [left, top]: [u32; 2], atlas: &mut [u8]) {
         let Some(outline) = font.outline_glyph(glyph) else { continue };
         let bounds = outline.px_bounds();
         outline.draw(|px, py, coverage| {
-            let (px, py) = (bounds.min.x as i64 + i64::from(px), bounds.min.y as i64 + i64::from(py));
+            let (px, py) =
+                (bounds.min.x as i64 + i64::from(px), bounds.min.y as i64 + i64::from(py));
             if (0..w as i64).contains(&px) && (0..h as i64).contains(&py) {
                 let texel = &mut picture[py as usize * w + px as usize];
                 *texel = texel.max(coverage);

@@ -116,12 +116,20 @@ impl Builder {
 
     /// A flat polygon: convex, corners counter-clockwise seen from its front.
     pub(crate) fn polygon(&mut self, corners: &[[f32; 3]]) {
+        self.shaded_polygon(corners, |_| 1.0);
+    }
+
+    /// As [`Self::polygon`], with the material shaded by a factor at each corner.
+    pub(crate) fn shaded_polygon(&mut self, corners: &[[f32; 3]], shade: impl Fn([f32; 3]) -> f32) {
         let points: Vec<Point> = corners.iter().map(|&c| Point::from(c)).collect();
         let normal = (points[1] - points[0]).cross(&(points[2] - points[0])).normalize();
         let first = self.mesh.vertices.len() as u32;
-        for point in points {
+        let material = self.material;
+        for (point, &corner) in points.into_iter().zip(corners) {
+            self.material = material.shaded(shade(corner));
             self.vertex(point, normal);
         }
+        self.material = material;
         for i in 1..corners.len() as u32 - 1 {
             self.mesh.indices.extend([first, first + i, first + i + 1]);
         }
@@ -212,7 +220,8 @@ impl Builder {
         let last = profile.len() - 1;
         let normals: Vec<[f32; 2]> = (0..=last)
             .map(|i| {
-                let [a, b] = [slope(i.max(1) - 1, i.max(1)), slope(i.min(last - 1), i.min(last - 1) + 1)];
+                let [a, b] =
+                    [slope(i.max(1) - 1, i.max(1)), slope(i.min(last - 1), i.min(last - 1) + 1)];
                 let sum = [a[0] + b[0], a[1] + b[1]];
                 let length = sum[0].hypot(sum[1]).max(1e-6);
                 sum.map(|c| c / length)
@@ -264,31 +273,33 @@ impl Builder {
                 along(a).total_cmp(&along(b))
             })
             .unwrap_or(span);
-        let rings: Vec<(u32, Vector3<f32>)> = (0..=last)
-            .map(|i| {
-                let along = direction(i);
-                let side = along.cross(&reference).normalize();
-                let up = side.cross(&along);
-                let first = self.mesh.vertices.len() as u32;
-                for k in 0..sides {
+        let mut first = Vec::new();
+        for (i, &point) in points.iter().enumerate() {
+            let along = direction(i);
+            let side = along.cross(&reference).normalize();
+            let up = side.cross(&along);
+            let around: Vec<Vector3<f32>> = (0..sides)
+                .map(|k| {
                     let angle = k as f32 / sides as f32 * std::f32::consts::TAU;
-                    let normal = side * angle.cos() + up * angle.sin();
-                    self.vertex(points[i] + normal * radius, normal);
-                }
-                (first, along)
-            })
-            .collect();
-        for pair in rings.windows(2) {
-            let (a, b) = (pair[0].0, pair[1].0);
+                    side * angle.cos() + up * angle.sin()
+                })
+                .collect();
+            first.push(self.mesh.vertices.len() as u32);
+            for normal in &around {
+                self.vertex(point + normal * radius, *normal);
+            }
+            let rim = around.iter().map(|normal| (point + normal * radius).into());
+            if i == 0 {
+                self.polygon(&rim.collect::<Vec<_>>());
+            } else if i == last {
+                self.polygon(&rim.rev().collect::<Vec<_>>());
+            }
+        }
+        for pair in first.windows(2) {
+            let (a, b) = (pair[0], pair[1]);
             for k in 0..sides {
                 let l = (k + 1) % sides;
                 self.mesh.indices.extend([a + k, b + k, b + l, a + k, b + l, a + l]);
-            }
-        }
-        for (first, flip) in [(rings[0].0, false), (rings[last].0, true)] {
-            for k in 1..sides - 1 {
-                let (p, q) = if flip { (k + 1, k) } else { (k, k + 1) };
-                self.mesh.indices.extend([first, first + p, first + q]);
             }
         }
     }

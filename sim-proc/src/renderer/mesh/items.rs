@@ -37,7 +37,8 @@ pub(crate) fn item(shape: Shape, rgb: [u8; 3]) -> Mesh {
 
 /// A steel drum: three hoops, a rim, a sunken lid with its bung.
 fn barrel(b: &mut Builder, paint: Material) {
-    let hoop = |z: f32| [[0.19, z - 0.018], [0.205, z - 0.006], [0.205, z + 0.006], [0.19, z + 0.018]];
+    let hoop =
+        |z: f32| [[0.19, z - 0.018], [0.205, z - 0.006], [0.205, z + 0.006], [0.19, z + 0.018]];
     b.material(paint);
     let mut profile = vec![[0.195, 0.0], [0.2, 0.012], [0.19, 0.024]];
     profile.extend(hoop(0.16));
@@ -45,7 +46,10 @@ fn barrel(b: &mut Builder, paint: Material) {
     profile.push([0.19, 0.43]);
     b.smooth_body(&profile, 20);
     b.material(paint.shaded(0.55));
-    b.turned_body(&[[0.19, 0.43], [0.202, 0.434], [0.202, 0.452], [0.186, 0.452], [0.184, 0.436]], 20);
+    b.turned_body(
+        &[[0.19, 0.43], [0.202, 0.434], [0.202, 0.452], [0.186, 0.452], [0.184, 0.436]],
+        20,
+    );
     b.turned_body(&[[0.184, 0.436], [0.0, 0.436]], 20);
     b.material(STEEL);
     b.moved([0.06, -0.1, 0.436], |b| b.turned_body(&[[0.03, 0.0], [0.03, 0.02], [0.0, 0.02]], 8));
@@ -92,7 +96,14 @@ fn toolbox(b: &mut Builder, paint: Material) {
     b.block([-0.255, -0.115, 0.185], [0.255, 0.115, 0.2]);
     b.material(paint.shaded(0.93));
     b.turned(Vector3::z_axis(), 90.0, |b| {
-        let lid = [[-0.125, 0.2], [0.125, 0.2], [0.125, 0.23], [0.07, 0.29], [-0.07, 0.29], [-0.125, 0.23]];
+        let lid = [
+            [-0.125, 0.2],
+            [0.125, 0.2],
+            [0.125, 0.23],
+            [0.07, 0.29],
+            [-0.07, 0.29],
+            [-0.125, 0.23],
+        ];
         b.prism(&lid, -0.265, 0.265);
     });
     b.material(STEEL);
@@ -100,7 +111,14 @@ fn toolbox(b: &mut Builder, paint: Material) {
         b.block_without([x - 0.025, -0.137, 0.14], [x + 0.025, -0.12, 0.225], &[]);
     }
     b.material(BLACK);
-    let handle = [[-0.14, 0.0, 0.28], [-0.13, 0.0, 0.36], [-0.1, 0.0, 0.385], [0.1, 0.0, 0.385], [0.13, 0.0, 0.36], [0.14, 0.0, 0.28]];
+    let handle = [
+        [-0.14, 0.0, 0.28],
+        [-0.13, 0.0, 0.36],
+        [-0.1, 0.0, 0.385],
+        [0.1, 0.0, 0.385],
+        [0.13, 0.0, 0.36],
+        [0.14, 0.0, 0.28],
+    ];
     b.tube(&handle, 0.016, 6);
     b.material(paint.shaded(0.6));
     b.block([-0.09, -0.123, 0.06], [0.09, -0.12, 0.12]);
@@ -132,11 +150,19 @@ fn fire_extinguisher(b: &mut Builder, paint: Material) {
     b.prism(&[[-0.16, 0.452], [0.02, 0.42], [0.02, 0.436], [-0.16, 0.47]], -0.016, 0.016);
     b.material(WHITE);
     b.moved([0.0, -0.028, 0.4], |b| {
-        b.turned(Vector3::x_axis(), 90.0, |b| b.turned_body(&[[0.021, 0.0], [0.021, 0.008], [0.0, 0.008]], 10));
+        b.turned(Vector3::x_axis(), 90.0, |b| {
+            b.turned_body(&[[0.021, 0.0], [0.021, 0.008], [0.0, 0.008]], 10)
+        });
     });
     b.material(BLACK);
     b.tube(
-        &[[0.03, 0.0, 0.4], [0.1, -0.01, 0.41], [0.15, -0.02, 0.36], [0.152, -0.025, 0.2], [0.145, -0.03, 0.12]],
+        &[
+            [0.03, 0.0, 0.4],
+            [0.1, -0.01, 0.41],
+            [0.15, -0.02, 0.36],
+            [0.152, -0.025, 0.2],
+            [0.145, -0.03, 0.12],
+        ],
         0.014,
         6,
     );
@@ -182,8 +208,26 @@ fn tyre(b: &mut Builder, rubber: Material) {
             b.material(rubber.shaded(0.8));
             b.turned_body(&[[inner, half - 0.02], [inner, -half + 0.02]], 24);
             b.material(rubber);
-            b.smooth_body(&[[inner, -half + 0.02], [inner + 0.03, -half], [outer - 0.04, -half], [outer - 0.008, -half + 0.025], [outer, -half + 0.05]], 24);
-            b.smooth_body(&[[outer, half - 0.05], [outer - 0.008, half - 0.025], [outer - 0.04, half], [inner + 0.03, half], [inner, half - 0.02]], 24);
+            b.smooth_body(
+                &[
+                    [inner, -half + 0.02],
+                    [inner + 0.03, -half],
+                    [outer - 0.04, -half],
+                    [outer - 0.008, -half + 0.025],
+                    [outer, -half + 0.05],
+                ],
+                24,
+            );
+            b.smooth_body(
+                &[
+                    [outer, half - 0.05],
+                    [outer - 0.008, half - 0.025],
+                    [outer - 0.04, half],
+                    [inner + 0.03, half],
+                    [inner, half - 0.02],
+                ],
+                24,
+            );
             b.turned_body(&[[outer, -half + 0.05], [outer, half - 0.05]], 24);
             // A raised ring on the side wall, and the treads.
             let light = if rubber.rgb[0] < 80 { rubber.shaded(1.9) } else { rubber.shaded(0.72) };
@@ -192,7 +236,11 @@ fn tyre(b: &mut Builder, rubber: Material) {
             b.material(rubber.shaded(0.86));
             for i in 0..20 {
                 b.turned(Vector3::z_axis(), i as f32 * 18.0, |b| {
-                    b.block_without([outer - 0.012, -0.021, -half + 0.015], [outer + 0.012, 0.021, half - 0.015], &[super::builder::Side::Left]);
+                    b.block_without(
+                        [outer - 0.012, -0.021, -half + 0.015],
+                        [outer + 0.012, 0.021, half - 0.015],
+                        &[super::builder::Side::Left],
+                    );
                 });
             }
         });
@@ -203,7 +251,18 @@ fn tyre(b: &mut Builder, rubber: Material) {
 fn bucket(b: &mut Builder, paint: Material) {
     b.material(paint);
     b.turned_body(&[[0.135, 0.0], [0.172, 0.225]], 20);
-    b.turned_body(&[[0.172, 0.225], [0.182, 0.225], [0.186, 0.255], [0.175, 0.29], [0.19, 0.292], [0.19, 0.308], [0.176, 0.308]], 20);
+    b.turned_body(
+        &[
+            [0.172, 0.225],
+            [0.182, 0.225],
+            [0.186, 0.255],
+            [0.175, 0.29],
+            [0.19, 0.292],
+            [0.19, 0.308],
+            [0.176, 0.308],
+        ],
+        20,
+    );
     b.material(paint.shaded(0.5));
     b.turned_body(&[[0.176, 0.308], [0.135, 0.02], [0.0, 0.02]], 20);
     b.material(DARK);
@@ -244,8 +303,10 @@ fn helmet(b: &mut Builder, shell: Material) {
                 [0.17 * angle.cos(), -0.1 + 0.16 * angle.sin()]
             })
             .collect();
-        let upper: Vec<[f32; 3]> = peak.iter().map(|&[x, y]| [x, y, 0.024 + 0.16 * (y + 0.1)]).collect();
-        let lower: Vec<[f32; 3]> = peak.iter().map(|&[x, y]| [x, y, 0.008 + 0.16 * (y + 0.1)]).collect();
+        let upper: Vec<[f32; 3]> =
+            peak.iter().map(|&[x, y]| [x, y, 0.024 + 0.16 * (y + 0.1)]).collect();
+        let lower: Vec<[f32; 3]> =
+            peak.iter().map(|&[x, y]| [x, y, 0.008 + 0.16 * (y + 0.1)]).collect();
         b.material(shell.shaded(0.94));
         b.polygon(&upper);
         b.material(shell.shaded(0.6));
@@ -268,7 +329,7 @@ fn helmet(b: &mut Builder, shell: Material) {
             b.tube(&ridge, 0.012, 5);
         }
         b.material(DARK);
-        b.turned_body(&[[0.0, 0.005], [0.176, 0.005]].map(|[r, z]| [r, z]).into_iter().rev().collect::<Vec<_>>().as_slice(), 20);
+        b.turned_body(&[[0.0, 0.005], [0.176, 0.005]], 20);
     });
 }
 
@@ -301,7 +362,8 @@ fn jerrycan(b: &mut Builder, paint: Material) {
     b.material(paint);
     b.bevelled([-w, -d, 0.0], [w, d, h], 0.025);
     // The seam around and the pressed cross.
-    let groove = if paint.rgb.iter().all(|&c| c < 60) { paint.shaded(2.1) } else { paint.shaded(0.62) };
+    let groove =
+        if paint.rgb.iter().all(|&c| c < 60) { paint.shaded(2.1) } else { paint.shaded(0.62) };
     b.material(groove);
     for (from, to) in [([-0.12, 0.06], [0.12, 0.3]), ([-0.12, 0.3], [0.12, 0.06])] {
         let (dx, dz) = (to[0] - from[0], to[1] - from[1]);
@@ -310,14 +372,23 @@ fn jerrycan(b: &mut Builder, paint: Material) {
         // The second bar lies a little higher, so that the two never share a plane.
         let y = -d - if dz > 0.0 { 0.006 } else { 0.009 };
         b.prism(
-            &[[from[0] - nx, from[1] - nz], [to[0] - nx, to[1] - nz], [to[0] + nx, to[1] + nz], [from[0] + nx, from[1] + nz]],
+            &[
+                [from[0] - nx, from[1] - nz],
+                [to[0] - nx, to[1] - nz],
+                [to[0] + nx, to[1] + nz],
+                [from[0] + nx, from[1] + nz],
+            ],
             y,
             -d + 0.001,
         );
     }
     b.material(paint.shaded(0.85));
     for y in [-0.05, 0.0, 0.05] {
-        b.tube(&[[-0.12, y, h - 0.01], [-0.11, y, h + 0.05], [0.03, y, h + 0.05], [0.04, y, h - 0.01]], 0.013, 6);
+        b.tube(
+            &[[-0.12, y, h - 0.01], [-0.11, y, h + 0.05], [0.03, y, h + 0.05], [0.04, y, h - 0.01]],
+            0.013,
+            6,
+        );
     }
     b.moved([0.115, 0.0, h - 0.015], |b| {
         b.turned(Vector3::y_axis(), 28.0, |b| {
@@ -335,14 +406,27 @@ fn gas_cylinder(b: &mut Builder, paint: Material) {
     b.material(paint.shaded(0.55));
     b.turned_body(&[[0.12, 0.0], [0.12, 0.03]], 18);
     b.material(paint);
-    b.smooth_body(&[[0.125, 0.025], [0.145, 0.05], [0.145, 0.26], [0.14, 0.295], [0.115, 0.335], [0.07, 0.36], [0.03, 0.368]], 18);
+    b.smooth_body(
+        &[
+            [0.125, 0.025],
+            [0.145, 0.05],
+            [0.145, 0.26],
+            [0.14, 0.295],
+            [0.115, 0.335],
+            [0.07, 0.36],
+            [0.03, 0.368],
+        ],
+        18,
+    );
     // A weld seam around the middle.
     b.material(paint.shaded(0.8));
     b.turned_body(&[[0.145, 0.15], [0.149, 0.153], [0.149, 0.161], [0.145, 0.164]], 18);
     b.material(Material::glossy([190, 150, 70]));
     b.turned_body(&[[0.024, 0.36], [0.024, 0.41], [0.0, 0.41]], 8);
     b.material(BLACK);
-    b.moved([0.0, 0.0, 0.405], |b| b.turned_body(&[[0.0, 0.0], [0.042, 0.0], [0.042, 0.02], [0.0, 0.02]], 10));
+    b.moved([0.0, 0.0, 0.405], |b| {
+        b.turned_body(&[[0.0, 0.0], [0.042, 0.0], [0.042, 0.02], [0.0, 0.02]], 10)
+    });
     // The collar: four posts and a ring.
     b.material(paint.shaded(0.9));
     for i in 0..4 {
@@ -350,11 +434,28 @@ fn gas_cylinder(b: &mut Builder, paint: Material) {
             b.block_without([0.078, -0.028, 0.335], [0.09, 0.028, 0.445], &[]);
         });
     }
-    b.turned_body(&[[0.092, 0.44], [0.096, 0.445], [0.096, 0.475], [0.086, 0.475], [0.086, 0.44], [0.092, 0.44]], 18);
+    b.turned_body(
+        &[
+            [0.092, 0.44],
+            [0.096, 0.445],
+            [0.096, 0.475],
+            [0.086, 0.475],
+            [0.086, 0.44],
+            [0.092, 0.44],
+        ],
+        18,
+    );
     // A diamond on the front, with its dark border.
-    for (half, y, material) in [(0.058, -0.1475, DARK), (0.046, -0.1495, Material::dull([250, 222, 60]))] {
+    for (half, y, material) in
+        [(0.058, -0.1475, DARK), (0.046, -0.1495, Material::dull([250, 222, 60]))]
+    {
         b.material(material);
-        b.polygon(&[[0.0, y, 0.22 - half], [half, y, 0.22], [0.0, y, 0.22 + half], [-half, y, 0.22]]);
+        b.polygon(&[
+            [0.0, y, 0.22 - half],
+            [half, y, 0.22],
+            [0.0, y, 0.22 + half],
+            [-half, y, 0.22],
+        ]);
     }
     b.material(DARK);
     b.polygon(&[[-0.014, -0.151, 0.2], [0.014, -0.151, 0.2], [0.0, -0.151, 0.245]]);
@@ -368,7 +469,9 @@ fn cable_reel(b: &mut Builder, cable: Material) {
             b.turned(Vector3::x_axis(), 90.0, |b| {
                 b.material(cable);
                 let windings: Vec<[f32; 2]> = (0..=10)
-                    .map(|i| [wound + if i % 2 == 0 { 0.0 } else { 0.016 }, -half + 0.022 * i as f32])
+                    .map(|i| {
+                        [wound + if i % 2 == 0 { 0.0 } else { 0.016 }, -half + 0.022 * i as f32]
+                    })
                     .collect();
                 b.turned_body(&windings, 22);
                 for (low, high) in [(-half - 0.028, -half), (half, half + 0.028)] {
@@ -387,14 +490,21 @@ fn cable_reel(b: &mut Builder, cable: Material) {
                 b.material(STEEL);
                 for i in 0..4 {
                     b.turned(Vector3::z_axis(), 90.0 * i as f32 + 20.0, |b| {
-                        b.moved([0.062, 0.0, face + 0.005], |b| b.turned_body(&[[0.012, 0.0], [0.012, 0.01], [0.0, 0.01]], 6));
+                        b.moved([0.062, 0.0, face + 0.005], |b| {
+                            b.turned_body(&[[0.012, 0.0], [0.012, 0.01], [0.0, 0.01]], 6)
+                        });
                     });
                 }
                 // Seams between the boards.
                 b.material(WOOD.shaded(0.7));
                 for y in [-0.13_f32, -0.045, 0.045, 0.13] {
                     let reach = (flange * flange - y * y).sqrt() * 0.98;
-                    b.polygon(&[[-reach, y - 0.004, face + 0.002], [reach, y - 0.004, face + 0.002], [reach, y + 0.004, face + 0.002], [-reach, y + 0.004, face + 0.002]]);
+                    b.polygon(&[
+                        [-reach, y - 0.004, face + 0.002],
+                        [reach, y - 0.004, face + 0.002],
+                        [reach, y + 0.004, face + 0.002],
+                        [-reach, y + 0.004, face + 0.002],
+                    ]);
                 }
             });
         });

@@ -1,0 +1,120 @@
+//! From a pose to a picture: the camera of SPEC section 2, as matrices.
+//!
+//! Three spaces: world (x east, y north, z up), camera (x right, y up, z ahead) and clip.
+
+use nalgebra::{Matrix4, Point3, Vector3};
+use shm_types::camera::{CAMERA_HEIGHT_M, FIELD_OF_VIEW_DEG};
+use shm_types::{Heading, Pose};
+
+/// Nothing nearer to the camera than this is drawn, in metres.
+const NEAR_M: f32 = 0.05;
+
+/// A camera in the world.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Camera {
+    pub(super) position: Point3<f32>,
+    /// Unit vectors: to the right of the image, and along the optical axis. Both are level.
+    pub(super) right: Vector3<f32>,
+    pub(super) ahead: Vector3<f32>,
+    /// Tangents of half the horizontal and half the vertical field of view.
+    pub(super) half_extent: [f32; 2],
+}
+
+impl Camera {
+    /// The agent's camera at `pose`, for images of `width_px` x `height_px` with square pixels.
+    pub(super) fn new(pose: Pose, width_px: u32, height_px: u32) -> Self {
+        let (x, y) = pose.cell.centre();
+        let vector = |heading: Heading| {
+            let (x, y) = heading.vector();
+            Vector3::new(f32::from(x), f32::from(y), 0.0)
+        };
+        // tan(45 degrees) is not exactly 1 in floating point; a pixel's place should be.
+        let across = if FIELD_OF_VIEW_DEG == 90.0 {
+            1.0
+        } else {
+            (FIELD_OF_VIEW_DEG / 2.0).to_radians().tan()
+        };
+        Self {
+            position: Point3::new(x, y, CAMERA_HEIGHT_M),
+            right: vector(pose.heading.right()),
+            ahead: vector(pose.heading),
+            half_extent: [across, across * height_px as f32 / width_px as f32],
+        }
+    }
+
+    /// Rigid: moves the world in front of the camera.
+    pub(super) fn camera_from_world(&self) -> Matrix4<f32> {
+        let rows = [self.right, Vector3::z(), self.ahead];
+        let mut matrix = Matrix4::identity();
+        for (i, row) in rows.into_iter().enumerate() {
+            matrix.fixed_view_mut::<1, 3>(i, 0).copy_from(&row.transpose());
+            matrix[(i, 3)] = -row.dot(&self.position.coords);
+        }
+        matrix
+    }
+
+    /// Perspective with reversed depth: 1 at the near plane, 0 infinitely far away.
+    pub(super) fn clip_from_camera(&self) -> Matrix4<f32> {
+        let [across, up] = self.half_extent;
+        Matrix4::new(
+            1.0 / across,
+            0.0,
+            0.0,
+            0.0, //
+            0.0,
+            1.0 / up,
+            0.0,
+            0.0, //
+            0.0,
+            0.0,
+            0.0,
+            NEAR_M, //
+            0.0,
+            0.0,
+            1.0,
+            0.0,
+        )
+    }
+
+    /// Both in one.
+    pub(super) fn clip_from_world(&self) -> Matrix4<f32> {
+        self.clip_from_camera() * self.camera_from_world()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The pixel, from the top left corner of a 448 x 448 image, that shows a point of the world.
+    fn pixel(pose: &str, world: [f32; 3]) -> (f32, f32) {
+        let camera = Camera::new(pose.parse().unwrap(), 448, 448);
+        let clip = camera.clip_from_world() * Point3::from(world).to_homogeneous();
+        (224.0 * (1.0 + clip.x / clip.w), 224.0 * (1.0 - clip.y / clip.w))
+    }
+
+    #[test]
+    fn points_land_where_the_shared_camera_says() {
+        // 2 m ahead, 1 m to the right and 0.5 m up: focal * right / ahead from the centre.
+        for (pose, world) in [
+            ("3,12,N", [4.5, 14.5, 1.7]),
+            ("3,12,E", [5.5, 11.5, 1.7]),
+            ("3,12,S", [2.5, 10.5, 1.7]),
+            ("3,12,W", [1.5, 13.5, 1.7]),
+        ] {
+            let (x, y) = pixel(pose, world);
+            assert!((x - 336.0).abs() < 1e-3 && (y - 168.0).abs() < 1e-3, "{pose}: {x}, {y}");
+        }
+    }
+
+    #[test]
+    fn near_is_one_and_far_is_zero() {
+        let camera = Camera::new(Pose::new(0, 0, Heading::N), 448, 448);
+        let depth = |ahead: f32| {
+            let clip = camera.clip_from_camera() * nalgebra::Vector4::new(0.0, 0.0, ahead, 1.0);
+            clip.z / clip.w
+        };
+        assert!((depth(NEAR_M) - 1.0).abs() < 1e-6);
+        assert!(depth(1.0) > depth(10.0) && depth(10.0) > 0.0);
+    }
+}

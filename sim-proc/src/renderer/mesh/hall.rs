@@ -1,0 +1,302 @@
+//! The hall around the racks: floor with its markings, walls, roof, lamps, signs' boards, barricades.
+//!
+//! Everything but the barricade is drawn in world space: x east, y north, z up, in metres.
+
+use shm_types::{Cell, Heading};
+use warehouse::{Layout, Square};
+
+use super::builder::{Builder, Material, Mesh, Side};
+
+/// Height of the roof above the floor, in metres.
+pub(crate) const ROOF_M: f32 = 5.6;
+
+/// How far shade reaches from a rack's foot, in metres.
+const SHADE_REACH_M: f32 = 0.4;
+
+const CONCRETE: Material = Material::dull([150, 150, 147]);
+const LINE: Material = Material::dull([232, 190, 44]);
+const WALL: Material = Material::dull([196, 200, 202]);
+const ROOF: Material = Material::dull([168, 174, 180]);
+const TRUSS: Material = Material::dull([104, 112, 122]);
+
+/// Floor of one free cell, darker at the foot of racks and walls, with slabs of slightly different tone.
+pub(crate) fn floor(layout: &Layout, cell: Cell) -> Mesh {
+    let mut b = Builder::new();
+    let (x0, y0) = (f32::from(cell.x), f32::from(cell.y));
+    let solid = solid_around(layout, cell);
+    let slab = dice(u32::from(cell.x) / 4, u32::from(cell.y) / 4);
+    b.material(CONCRETE.shaded(0.97 + 0.06 * slab));
+    let splits = [0.0, SHADE_REACH_M, 1.0 - SHADE_REACH_M, 1.0];
+    for i in 0..3 {
+        for j in 0..3 {
+            let (l, r) = (x0 + splits[i], x0 + splits[i + 1]);
+            let (f, k) = (y0 + splits[j], y0 + splits[j + 1]);
+            b.shaded_polygon(&[[l, f, 0.0], [r, f, 0.0], [r, k, 0.0], [l, k, 0.0]], |[x, y, _]| {
+                floor_shade(&solid, x, y)
+            });
+        }
+    }
+    markings(&mut b, layout, cell);
+    b.finish()
+}
+
+/// The neighbours of `cell`, itself included, that are not free, as their south-west corners.
+fn solid_around(layout: &Layout, cell: Cell) -> Vec<[f32; 2]> {
+    let mut solid = Vec::new();
+    for dy in -1..=1_i16 {
+        for dx in -1..=1_i16 {
+            let (x, y) = (i16::from(cell.x) + dx, i16::from(cell.y) + dy);
+            if !is_free(layout, x, y) {
+                solid.push([f32::from(x), f32::from(y)]);
+            }
+        }
+    }
+    solid
+}
+
+fn is_free(layout: &Layout, x: i16, y: i16) -> bool {
+    match (u8::try_from(x), u8::try_from(y)) {
+        (Ok(x), Ok(y)) => layout.is_free(Cell::new(x, y)),
+        _ => false,
+    }
+}
+
+/// How bright the floor is at (x, y): less near what stands on it.
+fn floor_shade(solid: &[[f32; 2]], x: f32, y: f32) -> f32 {
+    let nearest = solid
+        .iter()
+        .map(|&[sx, sy]| {
+            let dx = (sx - x).max(x - sx - 1.0).max(0.0);
+            let dy = (sy - y).max(y - sy - 1.0).max(0.0);
+            dx.hypot(dy)
+        })
+        .fold(SHADE_REACH_M, f32::min);
+    // A slow stain over the concrete keeps large stretches from looking dead.
+    let stain = 0.02 * ((x * 1.7).sin() * (y * 1.3).cos() + (x * 0.61 + y * 0.83).sin());
+    0.62 + 0.38 * (nearest / SHADE_REACH_M) + stain
+}
+
+/// Yellow lines along the racks.
+fn markings(b: &mut Builder, layout: &Layout, cell: Cell) {
+    let (cx, cy) = cell.centre();
+    let is_rack = |heading: Heading| {
+        cell.step(heading).is_some_and(|next| layout.square(next) == Square::Rack)
+    };
+    let (inner, outer, z) = (0.34, 0.40, 0.003);
+    b.material(LINE);
+    for heading in Heading::ALL {
+        if !is_rack(heading) {
+            continue;
+        }
+        // In the frame of somebody who looks at the rack: along its face, then away from it.
+        let (left, right) = (is_rack(heading.left()), is_rack(heading.right()));
+        let l = if left { -inner } else { -0.5 };
+        let r = if right { inner } else { 0.5 };
+        let at = |along: f32, ahead: f32| {
+            let (fx, fy) = vector(heading);
+            let (rx, ry) = vector(heading.right());
+            [cx + rx * along + fx * ahead, cy + ry * along + fy * ahead, z]
+        };
+        b.polygon(&[at(l, inner), at(r, inner), at(r, outer), at(l, outer)]);
+    }
+    // Around an outer corner of a rack the line goes on through the diagonal cell.
+    for heading in Heading::ALL {
+        let diagonal = cell.step(heading).and_then(|c| c.step(heading.right()));
+        let corner = diagonal.is_some_and(|c| layout.square(c) == Square::Rack)
+            && !is_rack(heading)
+            && !is_rack(heading.right());
+        if !corner {
+            continue;
+        }
+        let at = |along: f32, ahead: f32| {
+            let (fx, fy) = vector(heading);
+            let (rx, ry) = vector(heading.right());
+            [cx + rx * along + fx * ahead, cy + ry * along + fy * ahead, z]
+        };
+        b.polygon(&[at(inner, inner), at(0.5, inner), at(0.5, outer), at(inner, outer)]);
+        b.polygon(&[at(inner, outer), at(outer, outer), at(outer, 0.5), at(inner, 0.5)]);
+    }
+}
+
+fn vector(heading: Heading) -> (f32, f32) {
+    let (x, y) = heading.vector();
+    (f32::from(x), f32::from(y))
+}
+
+/// A number in 0..1 that depends on nothing but the two given.
+fn dice(a: u32, b: u32) -> f32 {
+    let mixed =
+        (a.wrapping_mul(0x9e37_79b1) ^ b.wrapping_mul(0x85eb_ca77)).wrapping_mul(0xc2b2_ae3d);
+    (mixed >> 8) as f32 / (1 << 24) as f32
+}
+
+/// The colour of the stripe at the foot of the wall that one faces in this direction: each side of the
+/// hall has its own, so that a person can tell them apart.
+fn stripe(heading: Heading) -> Material {
+    Material::dull(match heading {
+        Heading::N => [62, 104, 142],
+        Heading::E => [78, 122, 96],
+        Heading::S => [142, 92, 66],
+        Heading::W => [112, 104, 84],
+    })
+}
+
+/// A metre of wall at `cell`'s side towards `heading`, from the floor to the height of the racks.
+pub(crate) fn lower_wall(cell: Cell, heading: Heading, top: f32) -> Mesh {
+    let mut b = Builder::new();
+    let at = wall_frame(cell, heading);
+    let quad = |b: &mut Builder, x0: f32, x1: f32, y: f32, z0: f32, z1: f32| {
+        b.shaded_polygon(
+            &[at(x0, y, z0), at(x1, y, z0), at(x1, y, z1), at(x0, y, z1)],
+            |[_, _, z]| 0.72 + 0.28 * (z / 0.8).min(1.0),
+        );
+    };
+    b.material(stripe(heading));
+    quad(&mut b, -0.5, 0.5, 0.0, 0.0, 0.4);
+    quad(&mut b, -0.5, 0.5, 0.0, 0.4, 1.0);
+    b.material(Material::dull([232, 232, 228]));
+    quad(&mut b, -0.5, 0.5, 0.0, 1.0, 1.06);
+    b.material(WALL);
+    quad(&mut b, -0.5, 0.5, 0.0, 1.06, top);
+    b.finish()
+}
+
+/// The wall above the racks, `length` metres from `start` along the wall to the right.
+pub(crate) fn upper_wall(from: [f32; 2], to: [f32; 2], bottom: f32) -> Mesh {
+    let mut b = Builder::new();
+    let ([x0, y0], [x1, y1]) = (from, to);
+    b.material(WALL.shaded(0.94));
+    b.shaded_polygon(
+        &[[x0, y0, bottom], [x1, y1, bottom], [x1, y1, ROOF_M], [x0, y0, ROOF_M]],
+        |[_, _, z]| {
+            if z > bottom { 0.86 } else { 1.06 }
+        },
+    );
+    b.finish()
+}
+
+/// Maps (right, towards the viewer, up) at the wall on `cell`'s side towards `heading` to the world.
+fn wall_frame(cell: Cell, heading: Heading) -> impl Fn(f32, f32, f32) -> [f32; 3] {
+    let ((cx, cy), (fx, fy)) = (cell.centre(), vector(heading));
+    let (rx, ry) = vector(heading.right());
+    move |right, out, up| {
+        [cx + fx * (0.5 - out) + rx * right, cy + fy * (0.5 - out) + ry * right, up]
+    }
+}
+
+/// A stretch of roof over x0..x1, y0..y1 with a beam across its southern edge.
+pub(crate) fn roof(x0: f32, x1: f32, y0: f32, y1: f32) -> Mesh {
+    let mut b = Builder::new();
+    b.material(ROOF);
+    b.polygon(&[[x0, y1, ROOF_M], [x1, y1, ROOF_M], [x1, y0, ROOF_M], [x0, y0, ROOF_M]]);
+    b.material(TRUSS);
+    let hidden = [Side::Top, Side::Left, Side::Right];
+    b.block_without([x0, y0 - 0.09, ROOF_M - 0.42], [x1, y0 + 0.09, ROOF_M - 0.02], &hidden);
+    b.finish()
+}
+
+/// A lamp of 1.4 m that hangs above (x, y), along the aisle.
+pub(crate) fn lamp(x: f32, y: f32, north_south: bool) -> Mesh {
+    let mut b = Builder::new();
+    let (hx, hy) = if north_south { (0.11, 0.7) } else { (0.7, 0.11) };
+    let z = 4.3;
+    b.material(Material::dull([90, 94, 100]));
+    b.block_without([x - hx, y - hy, z], [x + hx, y + hy, z + 0.09], &[Side::Bottom]);
+    b.material(Material::glowing([255, 253, 240]));
+    b.polygon(&[
+        [x - hx, y + hy, z],
+        [x + hx, y + hy, z],
+        [x + hx, y - hy, z],
+        [x - hx, y - hy, z],
+    ]);
+    b.finish()
+}
+
+/// The board of an overhead sign that is read looking along `heading`, and the rods it hangs from.
+/// The lettering stands out from both faces.
+pub(crate) fn sign_board(
+    [x, y]: [f32; 2],
+    heading: Heading,
+    half_width: f32,
+    bottom: f32,
+    top: f32,
+) -> Mesh {
+    let mut b = Builder::new();
+    let ((fx, fy), (rx, ry)) = (vector(heading), vector(heading.right()));
+    b.material(Material::dull([40, 52, 70]));
+    let boxed = |b: &mut Builder, l: f32, r: f32, d: f32, z0: f32, z1: f32, hidden: &[Side]| {
+        let (p, q) = (
+            [x + rx * l - fx * d, y + ry * l - fy * d],
+            [x + rx * r + fx * d, y + ry * r + fy * d],
+        );
+        let (lo, hi) = ([p[0].min(q[0]), p[1].min(q[1])], [p[0].max(q[0]), p[1].max(q[1])]);
+        b.block_without([lo[0], lo[1], z0], [hi[0], hi[1], z1], hidden);
+    };
+    boxed(&mut b, -half_width, half_width, 0.025, bottom, top, &[]);
+    for rod in [-0.7 * half_width, 0.7 * half_width] {
+        boxed(&mut b, rod - 0.01, rod + 0.01, 0.01, top, ROOF_M, &[Side::Top, Side::Bottom]);
+    }
+    b.finish()
+}
+
+/// One side of a barricade, 1 m wide, in the frame of a face: it stands just behind y = 0 and is
+/// striped on both sides.
+pub(crate) fn barricade() -> Mesh {
+    let mut b = Builder::new();
+    let (front, back) = (0.10, 0.13);
+    for (low, high) in [(0.22, 0.44), (0.62, 0.84), (1.02, 1.24)] {
+        for (y, facing) in [(front, 1.0), (back, -1.0)] {
+            for i in -6..6_i32 {
+                let (x, width, lean) = (i as f32 * 0.125, 0.125, 0.125);
+                let red = i.rem_euclid(2) == 0;
+                let outline =
+                    [[x, low], [x + width, low], [x + width + lean, high], [x + lean, high]];
+                let clipped = within(&outline, -0.5, 0.5);
+                if clipped.len() < 3 {
+                    continue;
+                }
+                b.material(Material::dull(if red { [214, 28, 30] } else { [246, 246, 244] }));
+                let mut corners: Vec<[f32; 3]> =
+                    clipped.iter().map(|&[x, z]| [x * facing, y, z]).collect();
+                // Mirroring the outline for the back also turns it around, as it must be.
+                if facing < 0.0 {
+                    corners = clipped.iter().map(|&[x, z]| [-x, y, z]).collect();
+                }
+                b.polygon(&corners);
+            }
+        }
+        b.material(Material::dull([180, 180, 178]));
+        b.block_without([-0.5, front, low], [0.5, back, high], &[Side::Front, Side::Back]);
+    }
+    b.material(Material::dull([66, 68, 72]));
+    for x in [-0.36, 0.36] {
+        b.block_without([x - 0.03, back, 0.05], [x + 0.03, back + 0.05, 1.3], &[Side::Bottom]);
+        b.block([x - 0.05, -0.05, 0.0], [x + 0.05, 0.42, 0.05]);
+        b.moved([x, back + 0.025, 1.3], |b| {
+            b.material(Material::glowing([255, 150, 20]));
+            b.smooth_body(&[[0.06, 0.02], [0.075, 0.07], [0.06, 0.13], [0.0, 0.155]], 10);
+            b.material(Material::dull([50, 50, 52]));
+            b.turned_body(&[[0.065, 0.0], [0.065, 0.02]], 10);
+        });
+    }
+    b.finish()
+}
+
+/// The part of a convex outline with min <= x <= max.
+fn within(outline: &[[f32; 2]], min: f32, max: f32) -> Vec<[f32; 2]> {
+    let keep = |outline: &[[f32; 2]], inside: &dyn Fn(f32) -> bool, limit: f32| {
+        let mut kept: Vec<[f32; 2]> = Vec::new();
+        for (i, &[x0, z0]) in outline.iter().enumerate() {
+            let [x1, z1] = outline[(i + 1) % outline.len()];
+            if inside(x0) {
+                kept.push([x0, z0]);
+            }
+            if inside(x0) != inside(x1) {
+                kept.push([limit, z0 + (z1 - z0) * (limit - x0) / (x1 - x0)]);
+            }
+        }
+        kept
+    };
+    let kept = keep(outline, &|x| x > min, min);
+    keep(&kept, &|x| x < max, max)
+}

@@ -1,0 +1,280 @@
+//! The racks: a bay of shelving behind each open face, a sheet of steel over each closed one.
+//!
+//! A face is drawn in its own frame: x to the right of somebody who looks at it, y into the rack, z
+//! up, with the origin on the floor in the middle of the face. It is 1 m wide.
+
+use shm_types::plate;
+
+use super::builder::{Builder, Material, Mesh, Side};
+
+/// Height of the shelf that items stand on, in metres.
+pub(crate) const SHELF_TOP_M: f32 = 0.80;
+
+/// Height of the racks, in metres. What stands behind a rack and is no taller cannot be seen from the
+/// camera's height, since the back panels are as tall.
+pub(crate) const RACK_HEIGHT_M: f32 = 3.0;
+
+/// Depth of a bay, in metres.
+pub(crate) const BAY_DEPTH_M: f32 = 0.62;
+
+/// Depth of a bay that shares its rack square with another, in metres.
+pub(crate) const SHALLOW_BAY_DEPTH_M: f32 = 0.31;
+
+/// The panel of the label on the shelf's edge, in the face's frame: left, bottom, right, top.
+pub(crate) const LABEL_M: [f32; 4] = [-0.46, 0.682, 0.46, 0.797];
+
+/// The panel of the bay's number on the upper beam, likewise.
+pub(crate) const BAY_NUMBER_M: [f32; 4] = [-0.16, 1.85, 0.16, 1.918];
+
+/// How far panels with text stand out from the face, in metres.
+pub(crate) const PANEL_OFFSET_M: f32 = 0.012;
+
+const UPRIGHT: Material = Material::dull([52, 74, 108]);
+const BEAM: Material = Material::dull([212, 104, 44]);
+const DECK: Material = Material::dull([150, 152, 152]);
+const SHEET: Material = Material::dull([206, 209, 208]);
+const END_SHEET: Material = Material::dull([122, 136, 152]);
+const PALLET: Material = Material::dull([150, 124, 92]);
+const STRAP: Material = Material::dull([70, 70, 66]);
+
+const LOWER_DECK_M: f32 = 0.77;
+const UPPER_DECK_M: f32 = 1.86;
+const HALF_UPRIGHT_M: f32 = 0.035;
+
+/// How a bay ends to its left or right.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) enum Edge {
+    /// The run continues, with another bay or with a wall.
+    Joined,
+    /// The run continues with a bay that is only this deep.
+    Step(f32),
+    /// A side sheet closes it.
+    Closed,
+    /// An open corner of the rack: a bay of this depth lies around it, and this one has the corner.
+    Corner(f32),
+    /// An open corner that belongs to the other bay, which is this deep.
+    CutBy(f32),
+}
+
+impl Edge {
+    /// Where shelves and beams end, in metres from the bay's middle.
+    fn shelf(self) -> f32 {
+        match self {
+            Self::Joined | Self::Step(_) => 0.5,
+            Self::Closed | Self::Corner(_) => 0.47,
+            Self::CutBy(depth) => 0.5 - depth,
+        }
+    }
+
+    /// The sheet that closes the bay to this side: how far out it is, and how deep it begins.
+    fn side_sheet(self) -> Option<(f32, f32)> {
+        match self {
+            Self::Joined | Self::Corner(_) | Self::CutBy(_) => None,
+            Self::Step(depth) => Some((0.5, depth)),
+            Self::Closed => Some((0.47, 0.03)),
+        }
+    }
+
+    /// Where the back panel ends.
+    fn back(self) -> f32 {
+        match self {
+            Self::Joined | Self::Step(_) => 0.5,
+            Self::Closed => 0.47,
+            Self::Corner(depth) | Self::CutBy(depth) => 0.5 - depth,
+        }
+    }
+}
+
+/// One bay of a rack.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Bay {
+    pub(crate) left: Edge,
+    pub(crate) right: Edge,
+    pub(crate) depth: f32,
+    /// Whether an item stands in it, and hence a plate hangs over it.
+    pub(crate) stocked: bool,
+    /// Decides what the filler loads above and below look like.
+    pub(crate) seed: u32,
+}
+
+impl Bay {
+    /// The sheets that stop every look through the bay, in plan: the back panel and the sides.
+    pub(crate) fn screens(&self) -> Vec<[[f32; 2]; 2]> {
+        let d = self.depth;
+        let mut screens = vec![[[-self.left.back(), d], [self.right.back(), d]]];
+        for (edge, sign) in [(self.left, -1.0), (self.right, 1.0)] {
+            screens.extend(edge.side_sheet().map(|(x, y)| [[sign * x, y], [sign * x, d]]));
+        }
+        screens
+    }
+
+    /// Uprights, beams, shelves, panels and filler loads.
+    pub(crate) fn mesh(&self) -> Mesh {
+        let mut b = Builder::new();
+        self.frame(&mut b);
+        self.shelf(&mut b, LOWER_DECK_M, SHELF_TOP_M, 0.66);
+        self.shelf(&mut b, UPPER_DECK_M, UPPER_DECK_M + 0.06, UPPER_DECK_M - 0.03);
+        self.loads(&mut b);
+        if self.stocked {
+            plate_holder(&mut b);
+        }
+        b.finish()
+    }
+
+    fn frame(&self, b: &mut Builder) {
+        b.material(UPRIGHT);
+        let outer = |edge: Edge| matches!(edge, Edge::Corner(_) | Edge::CutBy(_));
+        let mut hidden = vec![Side::Bottom, Side::Back, Side::Top];
+        if !outer(self.left) {
+            hidden.push(Side::Left);
+        }
+        let (y0, y1, top) = (0.01, 0.07, RACK_HEIGHT_M);
+        b.block_without([-0.5, y0, 0.0], [-0.5 + HALF_UPRIGHT_M, y1, top], &hidden);
+        hidden.truncate(3);
+        if !outer(self.right) {
+            hidden.push(Side::Right);
+        }
+        b.block_without([0.5 - HALF_UPRIGHT_M, y0, 0.0], [0.5, y1, top], &hidden);
+
+        let (l, r, d) = (-self.left.shelf(), self.right.shelf(), self.depth);
+        b.material(Material::dull([118, 118, 115]));
+        b.polygon(&[[l, 0.0, 0.0], [r, 0.0, 0.0], [r, d, 0.0], [l, d, 0.0]]);
+        b.material(SHEET);
+        let (l, r) = (-self.left.back(), self.right.back());
+        // In three heights, so that shade can differ between shelves.
+        for (low, high) in
+            [(0.0, LOWER_DECK_M), (SHELF_TOP_M, UPPER_DECK_M), (UPPER_DECK_M + 0.06, RACK_HEIGHT_M)]
+        {
+            b.polygon(&[[l, d, low], [r, d, low], [r, d, high], [l, d, high]]);
+            for (edge, sign) in [(self.left, -1.0), (self.right, 1.0)] {
+                let Some((out, y)) = edge.side_sheet() else { continue };
+                let x = sign * out;
+                let mut side = [[x, y, low], [x, d, low], [x, d, high], [x, y, high]];
+                if sign > 0.0 {
+                    side.reverse();
+                }
+                b.polygon(&side);
+            }
+        }
+    }
+
+    /// A deck with its front beam; the beam hangs down to `beam_bottom`.
+    fn shelf(&self, b: &mut Builder, bottom: f32, top: f32, beam_bottom: f32) {
+        let (l, r) = (-self.left.shelf(), self.right.shelf());
+        let mut hidden = vec![Side::Back, Side::Front];
+        if !matches!(self.left, Edge::Corner(_)) {
+            hidden.push(Side::Left);
+        }
+        if !matches!(self.right, Edge::Corner(_)) {
+            hidden.push(Side::Right);
+        }
+        b.material(DECK);
+        b.block_without([l, 0.04, bottom], [r, self.depth, top], &hidden);
+        b.material(BEAM);
+        b.block_without([l, 0.0, beam_bottom], [r, 0.04, top - 0.004], &hidden[2..]);
+    }
+
+    /// What fills the shelves that hold no item: pallets under wrapped loads in colours of dust.
+    fn loads(&self, b: &mut Builder) {
+        let (l, r) = (0.06 - self.left.back(), self.right.back() - 0.06);
+        for (level, (floor, room)) in
+            [(0.0, 0.60), (UPPER_DECK_M + 0.06, 1.0)].into_iter().enumerate()
+        {
+            let dice = self.seed.wrapping_mul(2_654_435_761).rotate_left(9 + 7 * level as u32);
+            if dice.is_multiple_of(7) && self.stocked {
+                continue; // An empty place now and then.
+            }
+            let (front, back) = (0.085, self.depth - 0.02);
+            let top = floor + room * (0.72 + 0.05 * (dice / 7 % 5) as f32);
+            b.material(PALLET);
+            b.block_without([l, front, floor + 0.075], [r, back, floor + 0.11], &[Side::Back]);
+            let middle = (l + r) / 2.0;
+            for x in [l, middle - 0.05, r - 0.1] {
+                b.block_without(
+                    [x, front + 0.01, floor],
+                    [x + 0.1, back, floor + 0.075],
+                    &[Side::Back, Side::Bottom, Side::Top],
+                );
+            }
+            let wraps = [
+                [148, 142, 132],
+                [136, 132, 126],
+                [158, 150, 136],
+                [142, 144, 146],
+                [128, 122, 114],
+            ];
+            let wrap = Material::dull(wraps[(dice / 35 % 5) as usize]);
+            b.material(wrap);
+            let inset = 0.02 + 0.01 * (dice / 175 % 3) as f32;
+            let (l, r, front) = (l + inset, r - inset, front + 0.015);
+            b.bevelled([l, front, floor + 0.11], [r, back, top], 0.02);
+            b.material(STRAP);
+            for share in [0.27, 0.73] {
+                let x = l + (r - l) * share;
+                b.block_without(
+                    [x - 0.009, front - 0.003, floor + 0.112],
+                    [x + 0.009, front, top - 0.02],
+                    &[Side::Back, Side::Bottom],
+                );
+            }
+            b.material(wrap.shaded(0.86));
+            let seam = floor + 0.11 + (top - floor - 0.11) * 0.5;
+            b.block_without(
+                [l + 0.02, front - 0.002, seam],
+                [r - 0.02, front, seam + 0.012],
+                &[Side::Back],
+            );
+        }
+    }
+}
+
+/// The two rods and the board that carry a label plate.
+fn plate_holder(b: &mut Builder) {
+    let half = plate::SIZE_M / 2.0 - 0.002;
+    let (front, back) = (-plate::FACE_OFFSET_M + 0.001, -0.008);
+    let (low, high) = (plate::CENTRE_HEIGHT_M - half, plate::CENTRE_HEIGHT_M + half);
+    b.material(Material::dull([72, 76, 82]));
+    b.block_without([-half, front, low], [half, back, high], &[Side::Front]);
+    for x in [-0.12, 0.12] {
+        let hidden = [Side::Bottom, Side::Top];
+        b.block_without(
+            [x - 0.008, front + 0.002, high],
+            [x + 0.008, back, UPPER_DECK_M - 0.02],
+            &hidden,
+        );
+    }
+}
+
+/// A closed face: corrugated steel between two posts, with a kick plate and a bumper.
+pub(crate) fn closed_face() -> Mesh {
+    let mut b = Builder::new();
+    b.material(END_SHEET);
+    // Corrugation: alternating planes, joined by narrow slopes.
+    let (near, far, ribs) = (0.02, 0.034, 6);
+    let step = 0.94 / ribs as f32;
+    for i in 0..ribs {
+        let x = -0.47 + step * i as f32;
+        let xs = [x, x + step * 0.42, x + step * 0.5, x + step * 0.92, x + step];
+        let ys = [near, near, far, far, near];
+        for k in 0..4 {
+            let (x0, x1, y0, y1) = (xs[k], xs[k + 1], ys[k], ys[k + 1]);
+            b.polygon(&[
+                [x0, y0, 0.12],
+                [x1, y1, 0.12],
+                [x1, y1, RACK_HEIGHT_M],
+                [x0, y0, RACK_HEIGHT_M],
+            ]);
+        }
+    }
+    b.material(UPRIGHT);
+    for x in [-0.5, 0.47] {
+        b.block_without(
+            [x, 0.008, 0.0],
+            [x + 0.03, 0.06, RACK_HEIGHT_M],
+            &[Side::Bottom, Side::Back, Side::Top],
+        );
+    }
+    b.material(Material::dull([58, 60, 64]));
+    b.block_without([-0.47, 0.012, 0.0], [0.47, 0.03, 0.12], &[Side::Back, Side::Bottom]);
+    b.finish()
+}

@@ -1,0 +1,397 @@
+//! The three ways of drawing (lit, label plate, text), and the buffers that a batch of views needs.
+
+use std::ops::Range;
+
+use bytemuck::cast_slice;
+use shm_types::plate;
+use wgpu::util::DeviceExt;
+
+use super::device::Gpu;
+use super::scene::{Layer, Scene};
+use super::target::{COLOUR_FORMAT, DEPTH_FORMAT};
+use super::text::{Atlas, MIP_LEVELS};
+use super::vertex::{Placement, PlateVertex, SolidVertex, TextVertex, Vertex, ViewUniform};
+
+/// What all shaders begin with.
+pub(super) const VIEW_WGSL: &str = include_str!("shader/view.wgsl");
+/// Lit triangles.
+pub(super) const SOLID_WGSL: &str = include_str!("shader/solid.wgsl");
+/// Label plates.
+pub(super) const PLATE_WGSL: &str = include_str!("shader/plate.wgsl");
+/// Labels and signs.
+pub(super) const TEXT_WGSL: &str = include_str!("shader/text.wgsl");
+
+/// Distance between the uniforms of two views: the alignment that every device accepts.
+const UNIFORM_STRIDE: usize = 256;
+
+/// A pipeline with the static corners it draws.
+struct Drawing {
+    pipeline: wgpu::RenderPipeline,
+    vertices: wgpu::Buffer,
+}
+
+/// Everything static on the device.
+pub(super) struct Pipelines {
+    view_layout: wgpu::BindGroupLayout,
+    solid: Drawing,
+    plate: Drawing,
+    text: Drawing,
+    lettering: wgpu::BindGroup,
+}
+
+impl Pipelines {
+    pub(super) fn new(gpu: &Gpu, scene: &Scene, samples: u32) -> Self {
+        let view_layout = gpu.device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
+            label: Some("view"),
+            entries: &[wgpu::BindGroupLayoutEntry {
+                binding: 0,
+                visibility: wgpu::ShaderStages::VERTEX,
+                ty: wgpu::BindingType::Buffer {
+                    ty: wgpu::BufferBindingType::Uniform,
+                    has_dynamic_offset: true,
+                    min_binding_size: None,
+                },
+                count: None,
+            }],
+        });
+        let (lettering_layout, lettering) = lettering(gpu, &scene.atlas);
+        let plate_constants = [
+            ("FRAME_SHARE", f64::from(plate::FRAME_M / plate::SIZE_M)),
+            ("BANDS", plate::BANDS as f64),
+        ];
+        let one = [Some(&view_layout)];
+        let two = [Some(&view_layout), Some(&lettering_layout)];
+        Self {
+            solid: Drawing {
+                pipeline: Plan {
+                    name: "solid",
+                    wgsl: SOLID_WGSL,
+                    groups: &one,
+                    buffers: &[vertices::<SolidVertex>(), instances::<Placement>()],
+                    constants: &[],
+                }
+                .build(gpu, samples),
+                vertices: upload(gpu, "solid", &scene.solid),
+            },
+            plate: Drawing {
+                pipeline: Plan {
+                    name: "plate",
+                    wgsl: PLATE_WGSL,
+                    groups: &one,
+                    buffers: &[vertices::<PlateVertex>()],
+                    constants: &plate_constants,
+                }
+                .build(gpu, samples),
+                vertices: upload(gpu, "plate", &scene.plate),
+            },
+            text: Drawing {
+                pipeline: Plan {
+                    name: "text",
+                    wgsl: TEXT_WGSL,
+                    groups: &two,
+                    buffers: &[vertices::<TextVertex>()],
+                    constants: &[],
+                }
+                .build(gpu, samples),
+                vertices: upload(gpu, "text", &scene.text),
+            },
+            view_layout,
+            lettering,
+        }
+    }
+}
+
+/// What differs from pipeline to pipeline.
+struct Plan<'a> {
+    name: &'a str,
+    wgsl: &'a str,
+    groups: &'a [Option<&'a wgpu::BindGroupLayout>],
+    buffers: &'a [Option<wgpu::VertexBufferLayout<'a>>],
+    constants: &'a [(&'a str, f64)],
+}
+
+impl Plan<'_> {
+    fn build(&self, gpu: &Gpu, samples: u32) -> wgpu::RenderPipeline {
+        let module = gpu.device.create_shader_module(wgpu::ShaderModuleDescriptor {
+            label: Some(self.name),
+            source: wgpu::ShaderSource::Wgsl(format!("{VIEW_WGSL}{}", self.wgsl).into()),
+        });
+        let layout = gpu.device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
+            label: Some(self.name),
+            bind_group_layouts: self.groups,
+            immediate_size: 0,
+        });
+        let constants =
+            wgpu::PipelineCompilationOptions { constants: self.constants, ..Default::default() };
+        gpu.device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
+            label: Some(self.name),
+            layout: Some(&layout),
+            vertex: wgpu::VertexState {
+                module: &module,
+                entry_point: Some("corner"),
+                compilation_options: constants.clone(),
+                buffers: self.buffers,
+            },
+            primitive: wgpu::PrimitiveState {
+                front_face: wgpu::FrontFace::Ccw,
+                cull_mode: Some(wgpu::Face::Back),
+                ..Default::default()
+            },
+            depth_stencil: Some(wgpu::DepthStencilState {
+                format: DEPTH_FORMAT,
+                depth_write_enabled: Some(true),
+                depth_compare: Some(wgpu::CompareFunction::Greater),
+                stencil: Default::default(),
+                bias: Default::default(),
+            }),
+            multisample: wgpu::MultisampleState { count: samples, ..Default::default() },
+            fragment: Some(wgpu::FragmentState {
+                module: &module,
+                entry_point: Some("pixel"),
+                compilation_options: constants,
+                targets: &[Some(COLOUR_FORMAT.into())],
+            }),
+            multiview_mask: None,
+            cache: None,
+        })
+    }
+}
+
+fn vertices<V: Vertex>() -> Option<wgpu::VertexBufferLayout<'static>> {
+    Some(wgpu::VertexBufferLayout {
+        array_stride: size_of::<V>() as u64,
+        step_mode: wgpu::VertexStepMode::Vertex,
+        attributes: V::ATTRIBUTES,
+    })
+}
+
+fn instances<V: Vertex>() -> Option<wgpu::VertexBufferLayout<'static>> {
+    vertices::<V>().map(|layout| wgpu::VertexBufferLayout {
+        step_mode: wgpu::VertexStepMode::Instance,
+        ..layout
+    })
+}
+
+fn upload<V: Vertex>(gpu: &Gpu, label: &str, layer: &Layer<V>) -> wgpu::Buffer {
+    gpu.device.create_buffer_init(&wgpu::util::BufferInitDescriptor {
+        label: Some(label),
+        contents: cast_slice(&layer.vertices),
+        usage: wgpu::BufferUsages::VERTEX,
+    })
+}
+
+/// The atlas of texts as a texture with all its levels of detail.
+fn lettering(gpu: &Gpu, atlas: &Atlas) -> (wgpu::BindGroupLayout, wgpu::BindGroup) {
+    let texture = gpu.device.create_texture(&wgpu::TextureDescriptor {
+        label: Some("lettering"),
+        size: wgpu::Extent3d { width: atlas.width, height: atlas.height, depth_or_array_layers: 1 },
+        mip_level_count: MIP_LEVELS,
+        sample_count: 1,
+        dimension: wgpu::TextureDimension::D2,
+        format: wgpu::TextureFormat::R8Unorm,
+        usage: wgpu::TextureUsages::TEXTURE_BINDING | wgpu::TextureUsages::COPY_DST,
+        view_formats: &[],
+    });
+    for (level, texels) in (0..).zip(&atlas.levels) {
+        let (width, height) = (atlas.width >> level, atlas.height >> level);
+        gpu.queue.write_texture(
+            wgpu::TexelCopyTextureInfo { mip_level: level, ..texture.as_image_copy() },
+            texels,
+            wgpu::TexelCopyBufferLayout {
+                offset: 0,
+                bytes_per_row: Some(width),
+                rows_per_image: Some(height),
+            },
+            wgpu::Extent3d { width, height, depth_or_array_layers: 1 },
+        );
+    }
+    let sampler = gpu.device.create_sampler(&wgpu::SamplerDescriptor {
+        label: Some("lettering"),
+        mag_filter: wgpu::FilterMode::Linear,
+        min_filter: wgpu::FilterMode::Linear,
+        mipmap_filter: wgpu::MipmapFilterMode::Linear,
+        // A label is mostly seen aslant, along the aisle.
+        anisotropy_clamp: 8,
+        ..Default::default()
+    });
+    let entry = |binding, ty| wgpu::BindGroupLayoutEntry {
+        binding,
+        visibility: wgpu::ShaderStages::FRAGMENT,
+        ty,
+        count: None,
+    };
+    let layout = gpu.device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
+        label: Some("lettering"),
+        entries: &[
+            entry(
+                0,
+                wgpu::BindingType::Texture {
+                    sample_type: wgpu::TextureSampleType::Float { filterable: true },
+                    view_dimension: wgpu::TextureViewDimension::D2,
+                    multisampled: false,
+                },
+            ),
+            entry(1, wgpu::BindingType::Sampler(wgpu::SamplerBindingType::Filtering)),
+        ],
+    });
+    let group = gpu.device.create_bind_group(&wgpu::BindGroupDescriptor {
+        label: Some("lettering"),
+        layout: &layout,
+        entries: &[
+            wgpu::BindGroupEntry {
+                binding: 0,
+                resource: wgpu::BindingResource::TextureView(&texture.create_view(&<_>::default())),
+            },
+            wgpu::BindGroupEntry { binding: 1, resource: wgpu::BindingResource::Sampler(&sampler) },
+        ],
+    });
+    (layout, group)
+}
+
+/// What one view draws: ranges of the batch's buffers.
+struct Slot {
+    solid: Range<u32>,
+    barricade: Range<u32>,
+    plate: Range<u32>,
+    text: Range<u32>,
+    placements: Range<u32>,
+}
+
+/// What the views of a batch send to the device: uniforms, indices of what is visible, and where
+/// barricades stand.
+pub(super) struct ViewSlots {
+    uniforms: wgpu::Buffer,
+    views: wgpu::BindGroup,
+    indices: wgpu::Buffer,
+    placements: wgpu::Buffer,
+    slots: Vec<Slot>,
+    uniform_bytes: Vec<u8>,
+    index_list: Vec<u32>,
+    placement_list: Vec<Placement>,
+}
+
+impl ViewSlots {
+    pub(super) fn new(gpu: &Gpu, pipelines: &Pipelines, scene: &Scene, capacity: usize) -> Self {
+        let uniforms = gpu.device.create_buffer(&wgpu::BufferDescriptor {
+            label: Some("views"),
+            size: (capacity * UNIFORM_STRIDE) as u64,
+            usage: wgpu::BufferUsages::UNIFORM | wgpu::BufferUsages::COPY_DST,
+            mapped_at_creation: false,
+        });
+        let views = gpu.device.create_bind_group(&wgpu::BindGroupDescriptor {
+            label: Some("views"),
+            layout: &pipelines.view_layout,
+            entries: &[wgpu::BindGroupEntry {
+                binding: 0,
+                resource: wgpu::BindingResource::Buffer(wgpu::BufferBinding {
+                    buffer: &uniforms,
+                    offset: 0,
+                    size: std::num::NonZeroU64::new(size_of::<ViewUniform>() as u64),
+                }),
+            }],
+        });
+        let index_list: Vec<u32> = Vec::with_capacity(scene.solid.indices.len());
+        Self {
+            uniforms,
+            views,
+            indices: growable(gpu, "indices", 4 << 16, wgpu::BufferUsages::INDEX),
+            placements: growable(gpu, "placements", 16 << 8, wgpu::BufferUsages::VERTEX),
+            slots: Vec::new(),
+            uniform_bytes: Vec::new(),
+            index_list,
+            placement_list: Vec::new(),
+        }
+    }
+
+    /// Begins a new batch.
+    pub(super) fn clear(&mut self) {
+        self.slots.clear();
+        self.uniform_bytes.clear();
+        self.index_list.clear();
+        self.placement_list.clear();
+        self.placement_list.push(Placement::IDENTITY);
+    }
+
+    /// Adds a view of some objects of the scene, in the order given, and of barricades.
+    pub(super) fn push(
+        &mut self,
+        scene: &Scene,
+        uniform: &ViewUniform,
+        barricades: &[Placement],
+        objects: impl Iterator<Item = u32> + Clone,
+    ) {
+        self.uniform_bytes.resize(self.slots.len() * UNIFORM_STRIDE, 0);
+        self.uniform_bytes.extend_from_slice(bytemuck::bytes_of(uniform));
+
+        let list = &mut self.index_list;
+        let mut layer = |indices: &[u32], ranges: &mut dyn Iterator<Item = Range<usize>>| {
+            let first = list.len() as u32;
+            for range in ranges {
+                list.extend_from_slice(&indices[range]);
+            }
+            first..list.len() as u32
+        };
+        let object = |index: u32| &scene.objects[index as usize];
+        let solid =
+            layer(&scene.solid.indices, &mut objects.clone().map(|i| object(i).solid.clone()));
+        let plate =
+            layer(&scene.plate.indices, &mut objects.clone().map(|i| object(i).plate.clone()));
+        let text = layer(&scene.text.indices, &mut objects.map(|i| object(i).text.clone()));
+        let pieces = if barricades.is_empty() { 0..0 } else { scene.barricade.clone() };
+        let barricade = layer(&scene.solid.indices, &mut std::iter::once(pieces));
+        let first = self.placement_list.len() as u32;
+        self.placement_list.extend_from_slice(barricades);
+        let placements = first..self.placement_list.len() as u32;
+        self.slots.push(Slot { solid, barricade, plate, text, placements });
+    }
+
+    /// Sends the batch's data to the device.
+    pub(super) fn upload(&mut self, gpu: &Gpu) {
+        let indices = cast_slice(&self.index_list);
+        let placements = cast_slice(&self.placement_list);
+        if indices.len() as u64 > self.indices.size() {
+            let bytes = indices.len().next_power_of_two() as u64;
+            self.indices = growable(gpu, "indices", bytes, wgpu::BufferUsages::INDEX);
+        }
+        if placements.len() as u64 > self.placements.size() {
+            let bytes = placements.len().next_power_of_two() as u64;
+            self.placements = growable(gpu, "placements", bytes, wgpu::BufferUsages::VERTEX);
+        }
+        gpu.queue.write_buffer(&self.uniforms, 0, &self.uniform_bytes);
+        gpu.queue.write_buffer(&self.indices, 0, indices);
+        gpu.queue.write_buffer(&self.placements, 0, placements);
+    }
+
+    /// Draws view number `place` of the batch.
+    pub(super) fn draw(
+        &self,
+        pass: &mut wgpu::RenderPass<'_>,
+        pipelines: &Pipelines,
+        place: usize,
+    ) {
+        let slot = &self.slots[place];
+        pass.set_bind_group(0, &self.views, &[(place * UNIFORM_STRIDE) as u32]);
+        pass.set_index_buffer(self.indices.slice(..), wgpu::IndexFormat::Uint32);
+        pass.set_pipeline(&pipelines.solid.pipeline);
+        pass.set_vertex_buffer(0, pipelines.solid.vertices.slice(..));
+        pass.set_vertex_buffer(1, self.placements.slice(..));
+        pass.draw_indexed(slot.solid.clone(), 0, 0..1);
+        pass.draw_indexed(slot.barricade.clone(), 0, slot.placements.clone());
+        pass.set_pipeline(&pipelines.plate.pipeline);
+        pass.set_vertex_buffer(0, pipelines.plate.vertices.slice(..));
+        pass.draw_indexed(slot.plate.clone(), 0, 0..1);
+        pass.set_pipeline(&pipelines.text.pipeline);
+        pass.set_bind_group(1, &pipelines.lettering, &[]);
+        pass.set_vertex_buffer(0, pipelines.text.vertices.slice(..));
+        pass.draw_indexed(slot.text.clone(), 0, 0..1);
+    }
+}
+
+fn growable(gpu: &Gpu, label: &str, size: u64, usage: wgpu::BufferUsages) -> wgpu::Buffer {
+    gpu.device.create_buffer(&wgpu::BufferDescriptor {
+        label: Some(label),
+        size,
+        usage: usage | wgpu::BufferUsages::COPY_DST,
+        mapped_at_creation: false,
+    })
+}

@@ -1,0 +1,149 @@
+//! What a camera can possibly see: a conservative set, so that leaving the rest out changes no pixel.
+//!
+//! All cameras are at one height, below the racks' top, and the racks' panels reach from the floor to
+//! that top. So for everything no taller than a rack the question is one of the floor plan: is there,
+//! along some direction, nothing in the way? Panels are drawn into a one-dimensional depth buffer over
+//! the picture's columns, and an object is left out when it lies behind the buffer in every column it
+//! could touch. What is taller is only tested against the edges of the picture.
+
+use super::camera::Camera;
+use super::mesh::rack::RACK_HEIGHT_M;
+use super::scene::{Object, Scene, Screen};
+
+/// Columns of the depth buffer; several to a pixel at the sizes that are common.
+const COLUMNS: usize = 2048;
+
+/// Columns by which an object is widened on each side, since a panel counts for a whole column when it
+/// covers its middle.
+const MARGIN_COLUMNS: usize = 2;
+
+/// Nearer than this, in metres, everything is seen.
+const NEAR_M: f32 = 0.1;
+
+/// Panels meet at their ends; rounding must not open a gap there.
+const JOINT_M: f32 = 0.002;
+
+/// The objects of `scene` that `camera` may see, by index, nearest first.
+pub(super) fn visible(scene: &Scene, camera: &Camera) -> Vec<u32> {
+    let columns = Columns::new(&scene.screens, camera);
+    let mut seen: Vec<(f32, u32)> = Vec::new();
+    for (index, object) in scene.objects.iter().enumerate() {
+        let Some(span) = Span::of(object, camera) else { continue };
+        if object.max[2] <= RACK_HEIGHT_M && columns.hide(&span) {
+            continue;
+        }
+        seen.push((span.nearest, index as u32));
+    }
+    seen.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+    seen.into_iter().map(|(_, index)| index).collect()
+}
+
+/// A point of the floor plan as the camera has it: to the right and ahead, in metres.
+fn in_camera(camera: &Camera, [x, y]: [f32; 2]) -> [f32; 2] {
+    let (dx, dy) = (x - camera.position.x, y - camera.position.y);
+    let along = |axis: &nalgebra::Vector3<f32>| dx * axis.x + dy * axis.y;
+    [along(&camera.right), along(&camera.ahead)]
+}
+
+/// What an object may cover: columns of the picture (-1 to 1) and the depth it begins at.
+struct Span {
+    left: f32,
+    right: f32,
+    nearest: f32,
+}
+
+impl Span {
+    /// `None` when the object is outside the picture.
+    fn of(object: &Object, camera: &Camera) -> Option<Self> {
+        let (min, max) = (object.min, object.max);
+        let plan = [[min[0], min[1]], [max[0], min[1]], [max[0], max[1]], [min[0], max[1]]];
+        let corners = plan.map(|corner| in_camera(camera, corner));
+        let [across, up] = camera.half_extent;
+        let nearest = corners.iter().map(|c| c[1]).fold(f32::INFINITY, f32::min);
+        let farthest = corners.iter().map(|c| c[1]).fold(f32::NEG_INFINITY, f32::max);
+        let outside = |side: f32| corners.iter().all(|c| side * c[0] > across * c[1]);
+        // Above or below the picture even at the object's far end.
+        let (bottom, top) = (min[2] - camera.position.z, max[2] - camera.position.z);
+        let beyond = bottom > up * farthest || top < -up * farthest;
+        if farthest <= 0.0 || outside(1.0) || outside(-1.0) || beyond {
+            return None;
+        }
+        if nearest < NEAR_M {
+            return Some(Self { left: -1.0, right: 1.0, nearest });
+        }
+        let columns = corners.map(|[right, ahead]| right / ahead / across);
+        Some(Self {
+            left: columns.into_iter().fold(1.0, f32::min),
+            right: columns.into_iter().fold(-1.0, f32::max),
+            nearest,
+        })
+    }
+}
+
+/// How far one sees in each column, as a reciprocal: 0 is without end.
+struct Columns(Vec<f32>);
+
+impl Columns {
+    fn new(screens: &[Screen], camera: &Camera) -> Self {
+        let mut columns = Self(vec![0.0; COLUMNS]);
+        for screen in screens {
+            columns.add(screen, camera);
+        }
+        columns
+    }
+
+    /// Enters a panel into the columns whose middle it covers.
+    fn add(&mut self, screen: &Screen, camera: &Camera) {
+        let mut ends = [screen.from, screen.to].map(|end| in_camera(camera, end));
+        let along = [ends[1][0] - ends[0][0], ends[1][1] - ends[0][1]];
+        let length = along[0].hypot(along[1]);
+        for (end, sign) in ends.iter_mut().zip([-1.0, 1.0]) {
+            for axis in 0..2 {
+                end[axis] += sign * JOINT_M * along[axis] / length;
+            }
+        }
+        // Cut off what is behind the camera.
+        if ends[0][1] > ends[1][1] {
+            ends.swap(0, 1);
+        }
+        let [near, far] = ends;
+        if far[1] <= NEAR_M {
+            return;
+        }
+        if near[1] < NEAR_M {
+            let share = (NEAR_M - near[1]) / (far[1] - near[1]);
+            ends[0] = [near[0] + (far[0] - near[0]) * share, NEAR_M];
+        }
+        // Across the picture, the reciprocal of the depth along a straight panel is linear.
+        let mut projected =
+            ends.map(|[right, ahead]| [right / ahead / camera.half_extent[0], 1.0 / ahead]);
+        if projected[0][0] > projected[1][0] {
+            projected.swap(0, 1);
+        }
+        let [[x0, w0], [x1, w1]] = projected;
+        let first = (column(x0) + 0.5).floor().max(0.0) as usize;
+        let end = ((column(x1) + 0.5).floor().max(0.0) as usize).min(COLUMNS);
+        for i in first..end {
+            let x = (i as f32 + 0.5) / COLUMNS as f32 * 2.0 - 1.0;
+            let w = w0 + (w1 - w0) * ((x - x0) / (x1 - x0)).clamp(0.0, 1.0);
+            self.0[i] = self.0[i].max(w);
+        }
+    }
+
+    /// Whether panels are in front of the whole span.
+    fn hide(&self, span: &Span) -> bool {
+        if span.nearest < NEAR_M {
+            return false;
+        }
+        let first = (column(span.left).floor().max(0.0) as usize).saturating_sub(MARGIN_COLUMNS);
+        let end = ((column(span.right).ceil().max(0.0) as usize) + MARGIN_COLUMNS).min(COLUMNS);
+        // A panel's depth at a column's middle differs a little from that at its edges.
+        let limit = 1.0 / span.nearest * 1.01;
+        first < end && self.0[first..end].iter().all(|&w| w > limit)
+    }
+}
+
+/// The place of `x` (-1 to 1) among the columns.
+fn column(x: f32) -> f32 {
+    (x + 1.0) / 2.0 * COLUMNS as f32
+}
