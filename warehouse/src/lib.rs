@@ -22,6 +22,7 @@ pub mod progress;
 mod route;
 pub mod sight;
 pub mod task;
+pub mod validate;
 mod world;
 
 pub use asset::AssetError;
@@ -33,4 +34,5 @@ pub use generate::{GenerateError, SHIPPED_COUNT, SHIPPED_SEED};
 pub use layout::{Aisle, Axis, Layout, Square};
 pub use progress::Progress;
 pub use task::{Group, Phase, Task};
+pub use validate::validate;
 pub use world::{Item, Warehouse};

@@ -24,3 +24,11 @@ fn the_shipped_cases_are_what_their_seed_gives() {
     );
     assert_eq!(CaseSet::load(&path, &warehouse).unwrap(), generated, "reading gives the set back");
 }
+
+#[test]
+fn the_shipped_cases_satisfy_every_constraint() {
+    let report = warehouse::validate(&Warehouse::shipped(), &CaseSet::shipped());
+    println!("{report}");
+    assert!(report.is_clean(), "{report}");
+    assert_eq!(report.lines.iter().filter(|line| line.checked == 6 * SHIPPED_COUNT).count(), 4);
+}
