@@ -6,7 +6,7 @@
 //! the simulator evicted it and every consumer has let go.
 //!
 //! # Memory
-//! The store owns [`Attach::frame_chunks`] chunks. Chunks are reused last freed, first used, so a run
+//! The store owns [`frame_chunks`](crate::Attach::frame_chunks) chunks. They are reused last freed, first used, so a run
 //! touches about as many as are alive at once. A chunk is free again when every consumer has applied the
 //! eviction; the store has more chunks than may be resident so that the simulator need not wait for that,
 //! and if a consumer falls far behind, [`FramePublisher::loan`] says so with [`FrameError::NoChunk`].

@@ -40,7 +40,7 @@ pub const NO_FRAME: FrameId = 0;
 /// A type that travels on its own service.
 ///
 /// # Safety of the wire
-/// Implemented by [`messages!`] only, which also asserts size and padding through `Pod`.
+/// Implemented by the macro `messages!` only, which also asserts size and padding through `Pod`.
 pub trait Message: ZeroCopySend + Pod + core::fmt::Debug {
     /// Last part of the service's name; the run and generation come before it.
     const SERVICE: &'static str;

@@ -48,6 +48,7 @@ fn lints(workspace: &Workspace) -> Command {
         "--release",
         "--workspace",
         "--all-targets",
+        "--keep-going",
         "--",
         "--deny",
         "warnings",
@@ -55,7 +56,8 @@ fn lints(workspace: &Workspace) -> Command {
 }
 
 fn docs(workspace: &Workspace) -> Command {
-    let mut command = workspace.cargo(&["doc", "--release", "--workspace", "--no-deps"]);
+    let mut command =
+        workspace.cargo(&["doc", "--release", "--workspace", "--no-deps", "--keep-going"]);
     command.env("RUSTDOCFLAGS", "--deny warnings");
     command
 }
