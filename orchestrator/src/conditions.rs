@@ -6,6 +6,7 @@ use std::fmt;
 use std::str::FromStr;
 
 use serde::{Deserialize, Serialize};
+use shm_types::FrameControl;
 use shm_types::message::Representation;
 
 use crate::names::{UnknownName, named};
@@ -92,6 +93,30 @@ impl PolicyKind {
         match self {
             Self::Grounded | Self::Random => true,
             Self::Expert => false,
+        }
+    }
+}
+
+impl Frames {
+    /// The word for it on the wire.
+    pub const fn control(self) -> FrameControl {
+        match self {
+            Self::Rendered => FrameControl::Rendered,
+            Self::Blank => FrameControl::Blank,
+            Self::Swapped => FrameControl::Swapped,
+        }
+    }
+}
+
+impl Start {
+    /// The case's trajectory whose length is the reference l_i for an episode from here on `route`.
+    ///
+    /// A blocked route is defined from the new start only (SPEC section 4).
+    pub const fn reference(self, route: Route) -> warehouse::Start {
+        match (self, route) {
+            (_, Route::Blocked) => warehouse::Start::Blocked,
+            (Self::Original, Route::Unchanged) => warehouse::Start::Original,
+            (Self::New, Route::Unchanged) => warehouse::Start::Test,
         }
     }
 }

@@ -33,7 +33,7 @@ impl fmt::Display for UnknownName {
             write!(f, ": did you mean `{nearest}`?")?;
         }
         // A long list helps nobody; the nearest name and `memtransfer ls` do.
-        if self.known.len() <= 32 {
+        if (1..=32).contains(&self.known.len()) {
             write!(f, " (known: {})", self.known.join(", "))?;
         }
         Ok(())

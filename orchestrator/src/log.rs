@@ -1,0 +1,104 @@
+//! The run folder: what a run was, and every episode it finished.
+//!
+//! | file | holds | written |
+//! |---|---|---|
+//! | `manifest.json` | settings, versions, hashes, what the processes said they are | first |
+//! | `episodes.jsonl` | one line for each finished episode; nothing in it depends on time or lanes | durably, when it ends |
+//! | `timings.jsonl` | one line for each finished episode: everything that does | beside it |
+//! | `errors.jsonl` | episodes given up because of a fault that is not the model's | as they happen |
+//! | `sessions.jsonl` | starts, restarts and ends of the processes | as they happen |
+//! | `logs/` | what the processes wrote on stderr | by them |
+//!
+//! Scores are made from these files alone ([`score`](crate::score)).
+
+mod folder;
+mod journal;
+mod manifest;
+mod record;
+
+pub use folder::{Opened, RunFolder, RunLog};
+pub use journal::{Journal, read_journal};
+pub use manifest::{Difference, FORMAT, Manifest, commit_of};
+pub use record::{
+    Ending, EpisodeError, EpisodeRecord, EpisodeTimings, SessionEvent, SessionRecord, Stages,
+    Unread,
+};
+
+#[cfg(test)]
+pub(crate) mod testing;
+
+use std::io;
+use std::path::{Path, PathBuf};
+
+/// Why a run folder cannot be used.
+#[derive(Debug, thiserror::Error)]
+pub enum LogError {
+    /// The system refused.
+    #[error("cannot {doing} {}: {source}", path.display())]
+    System {
+        /// What was tried.
+        doing: &'static str,
+        /// With what.
+        path: PathBuf,
+        /// What it said.
+        source: io::Error,
+    },
+    /// A line that is not what it should be, and not because the program was killed while writing it.
+    #[error(
+        "{}, line {line}: {problem}; mend or remove the line, or start over with --fresh", path.display()
+    )]
+    BrokenLine {
+        /// The file.
+        path: PathBuf,
+        /// Counted from 1.
+        line: usize,
+        /// What is wrong with it.
+        problem: String,
+    },
+    /// The manifest cannot be understood.
+    #[error("{}: {problem}; start over with --fresh, or choose another --out", path.display())]
+    BrokenManifest {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong with it.
+        problem: String,
+    },
+    /// The folder holds a run with other settings.
+    #[error(
+        "{} holds a run with other settings:\n{}\nUse the same settings to go on with it, --fresh to start \
+         over, or another --out",
+        dir.display(), differences.iter().map(|d| format!("  {d}")).collect::<Vec<_>>().join("\n")
+    )]
+    OtherSettings {
+        /// The folder.
+        dir: PathBuf,
+        /// What differs.
+        differences: Vec<Difference>,
+    },
+    /// The folder holds something else.
+    #[error(
+        "{} holds files and is no run folder (it has no manifest.json): choose another --out", dir.display()
+    )]
+    NotARun {
+        /// The folder.
+        dir: PathBuf,
+    },
+    /// There is no run there.
+    #[error("{} holds no run: `memtransfer ls runs` lists those there are", dir.display())]
+    NoRun {
+        /// The folder.
+        dir: PathBuf,
+    },
+    /// Somebody else is writing to it.
+    #[error(
+        "another memtransfer is writing to {}: wait until it is done, or choose another --out", dir.display()
+    )]
+    Locked {
+        /// The folder.
+        dir: PathBuf,
+    },
+}
+
+fn system<'a>(doing: &'static str, path: &'a Path) -> impl FnOnce(io::Error) -> LogError + 'a {
+    move |source| LogError::System { doing, path: path.to_owned(), source }
+}

@@ -1,0 +1,460 @@
+//! The folder as a whole: made, locked, resumed, read.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::fs::{self, File};
+use std::path::{Path, PathBuf};
+use std::time::{SystemTime, UNIX_EPOCH};
+
+use rustix::fs::FlockOperation;
+
+use super::manifest::MANIFEST_FILE;
+use super::{
+    EpisodeError, EpisodeRecord, EpisodeTimings, Journal, LogError, Manifest, SessionEvent,
+    SessionRecord, read_journal, system,
+};
+
+const EPISODES_FILE: &str = "episodes.jsonl";
+const TIMINGS_FILE: &str = "timings.jsonl";
+const ERRORS_FILE: &str = "errors.jsonl";
+const SESSIONS_FILE: &str = "sessions.jsonl";
+const LOGS_FOLDER: &str = "logs";
+
+/// Everything a run folder holds. Nothing else in it is ever touched.
+const CONTENTS: [&str; 7] = [
+    MANIFEST_FILE,
+    "manifest.json.new",
+    EPISODES_FILE,
+    TIMINGS_FILE,
+    ERRORS_FILE,
+    SESSIONS_FILE,
+    LOGS_FOLDER,
+];
+
+/// A run folder that this process writes to. Nobody else can meanwhile.
+#[derive(Debug)]
+pub struct RunFolder {
+    dir: PathBuf,
+    manifest: Manifest,
+    session: u32,
+    episodes: Journal<EpisodeRecord>,
+    timings: Journal<EpisodeTimings>,
+    errors: Journal<EpisodeError>,
+    sessions: Journal<SessionRecord>,
+    finished: BTreeSet<String>,
+    /// Last, so that everything else is closed when the lock goes.
+    _lock: File,
+}
+
+/// A run folder, and what was found in it.
+#[derive(Debug)]
+pub struct Opened {
+    /// The folder.
+    pub folder: RunFolder,
+    /// Episodes that are done.
+    pub finished: Vec<EpisodeRecord>,
+    /// What a person should be told: what was removed or cut.
+    pub notes: Vec<String>,
+}
+
+impl RunFolder {
+    /// Makes the folder `dir` for the run that `manifest` describes, or opens it to resume that run.
+    /// `fresh` removes an earlier run in it first.
+    ///
+    /// # Errors
+    /// When the folder holds another run, something else, or a broken log; when another process is
+    /// writing to it; when the system refuses.
+    pub fn open(dir: &Path, manifest: Manifest, fresh: bool) -> Result<Opened, LogError> {
+        fs::create_dir_all(dir).map_err(system("make", dir))?;
+        let lock = lock(dir)?;
+        let mut notes = Vec::new();
+        let manifest = match existing(dir)? {
+            Some(there) if !fresh => {
+                let there = there?;
+                let differences = manifest.differences(&there);
+                if !differences.is_empty() {
+                    return Err(LogError::OtherSettings { dir: dir.to_owned(), differences });
+                }
+                if manifest.commit != there.commit {
+                    let commit = |m: &Manifest| m.commit.clone().unwrap_or("unknown".to_owned());
+                    notes.push(format!(
+                        "the run was begun with commit {} and goes on with {}",
+                        commit(&there),
+                        commit(&manifest)
+                    ));
+                }
+                // What is free to change is as this session has it.
+                Manifest { processes: there.processes, commit: there.commit, ..manifest }
+            }
+            Some(_) => {
+                notes.extend(remove_run(dir)?);
+                manifest
+            }
+            None => manifest,
+        };
+        manifest.write(dir)?;
+
+        let mut open = Opening { dir, notes: &mut notes };
+        let (episodes, finished) = open.journal::<EpisodeRecord>(EPISODES_FILE)?;
+        let (timings, _) = open.journal(TIMINGS_FILE)?;
+        let (errors, _) = open.journal(ERRORS_FILE)?;
+        let (sessions, past) = open.journal::<SessionRecord>(SESSIONS_FILE)?;
+        check_unique(&dir.join(EPISODES_FILE), &finished)?;
+        let logs = dir.join(LOGS_FOLDER);
+        fs::create_dir_all(&logs).map_err(system("make", &logs))?;
+        File::open(dir).and_then(|dir| dir.sync_all()).map_err(system("flush", dir))?;
+
+        let folder = Self {
+            dir: dir.to_owned(),
+            manifest,
+            session: past.iter().map(|record| record.session).max().unwrap_or(0) + 1,
+            episodes,
+            timings,
+            errors,
+            sessions,
+            finished: finished.iter().map(|record| record.key.clone()).collect(),
+            _lock: lock,
+        };
+        Ok(Opened { folder, finished, notes })
+    }
+
+    /// The folder.
+    pub fn dir(&self) -> &Path {
+        &self.dir
+    }
+
+    /// Its manifest.
+    pub fn manifest(&self) -> &Manifest {
+        &self.manifest
+    }
+
+    /// Which session this is, from 1.
+    pub fn session(&self) -> u32 {
+        self.session
+    }
+
+    /// Where the process called `role` writes what it says on stderr.
+    pub fn log_file(&self, role: &str) -> PathBuf {
+        self.dir.join(LOGS_FOLDER).join(format!("{role}.log"))
+    }
+
+    /// Whether the episode is in the log.
+    pub fn is_finished(&self, key: &str) -> bool {
+        self.finished.contains(key)
+    }
+
+    /// Puts finished episodes into the log; returns when they are on the disk.
+    ///
+    /// # Errors
+    /// When the system refuses.
+    pub fn finish(&mut self, episodes: &[(EpisodeRecord, EpisodeTimings)]) -> Result<(), LogError> {
+        if episodes.is_empty() {
+            return Ok(());
+        }
+        for (record, _) in episodes {
+            assert!(self.finished.insert(record.key.clone()), "{} was run twice", record.key);
+            self.episodes.append(record)?;
+        }
+        self.episodes.sync()?;
+        // Timings after the episodes: a crash in between loses a measurement and no result.
+        episodes.iter().try_for_each(|(_, timings)| self.timings.append(timings))
+    }
+
+    /// Notes an episode that was given up.
+    ///
+    /// # Errors
+    /// When the system refuses.
+    pub fn give_up(&mut self, error: &EpisodeError) -> Result<(), LogError> {
+        self.errors.append(error)?;
+        self.errors.sync()
+    }
+
+    /// Notes something that happened to the processes.
+    ///
+    /// # Errors
+    /// When the system refuses.
+    pub fn note(&mut self, event: SessionEvent) -> Result<(), LogError> {
+        let now = SystemTime::now().duration_since(UNIX_EPOCH);
+        let unix_s = now.map_or(0, |since| since.as_secs());
+        self.sessions.append(&SessionRecord { session: self.session, unix_s, event })?;
+        self.sessions.sync()
+    }
+
+    /// Puts what the processes said about themselves into the manifest, the first time; later says how
+    /// they differ from then.
+    ///
+    /// # Errors
+    /// When the system refuses.
+    pub fn introduce(
+        &mut self,
+        processes: BTreeMap<String, BTreeMap<String, String>>,
+    ) -> Result<Vec<String>, LogError> {
+        if self.manifest.processes.is_empty() {
+            self.manifest.processes = processes;
+            self.manifest.write(&self.dir)?;
+            return Ok(Vec::new());
+        }
+        let mut changes = Vec::new();
+        for (role, then) in &self.manifest.processes {
+            let now = processes.get(role);
+            for (fact, then) in then {
+                let now = now.and_then(|facts| facts.get(fact)).map_or("nothing", String::as_str);
+                if now != then {
+                    changes
+                        .push(format!("{role}: {fact} was {then} when the run began, now {now}"));
+                }
+            }
+        }
+        Ok(changes)
+    }
+}
+
+/// A run folder as it is read afterwards, or while somebody writes to it.
+#[derive(Debug, Clone)]
+pub struct RunLog {
+    /// The folder.
+    pub dir: PathBuf,
+    /// What the run is.
+    pub manifest: Manifest,
+    /// Finished episodes, by key.
+    pub episodes: Vec<EpisodeRecord>,
+    /// Their timings, by key.
+    pub timings: Vec<EpisodeTimings>,
+    /// Episodes that were given up and not finished since, by key: the last error of each.
+    pub errors: Vec<EpisodeError>,
+    /// What happened to the processes.
+    pub sessions: Vec<SessionRecord>,
+}
+
+impl RunLog {
+    /// Reads the run in `dir`.
+    ///
+    /// # Errors
+    /// When there is none, or its log is broken.
+    pub fn read(dir: &Path) -> Result<Self, LogError> {
+        if !dir.join(MANIFEST_FILE).exists() {
+            return Err(LogError::NoRun { dir: dir.to_owned() });
+        }
+        let manifest = Manifest::read(dir)?;
+        let mut episodes: Vec<EpisodeRecord> = read_journal(&dir.join(EPISODES_FILE))?;
+        check_unique(&dir.join(EPISODES_FILE), &episodes)?;
+        episodes.sort_by(|a, b| a.key.cmp(&b.key));
+        let mut timings: Vec<EpisodeTimings> = read_journal(&dir.join(TIMINGS_FILE))?;
+        timings.sort_by(|a, b| a.key.cmp(&b.key));
+        let finished: BTreeSet<&str> = episodes.iter().map(|record| record.key.as_str()).collect();
+        let errors: Vec<EpisodeError> = read_journal(&dir.join(ERRORS_FILE))?;
+        let mut last = BTreeMap::new();
+        for error in errors {
+            if !finished.contains(error.key.as_str()) {
+                last.insert(error.key.clone(), error);
+            }
+        }
+        let errors = last.into_values().collect();
+        let sessions = read_journal(&dir.join(SESSIONS_FILE))?;
+        Ok(Self { dir: dir.to_owned(), manifest, episodes, timings, errors, sessions })
+    }
+}
+
+/// Opens journals, and says what was torn.
+struct Opening<'a> {
+    dir: &'a Path,
+    notes: &'a mut Vec<String>,
+}
+
+impl Opening<'_> {
+    fn journal<T: serde::Serialize + serde::de::DeserializeOwned>(
+        &mut self,
+        file: &str,
+    ) -> Result<(Journal<T>, Vec<T>), LogError> {
+        let (journal, entries, torn) = Journal::open(&self.dir.join(file))?;
+        if torn > 0 {
+            self.notes.push(format!(
+                "{file}: cut {torn} bytes of a line that was being written when the program was killed"
+            ));
+        }
+        Ok((journal, entries))
+    }
+}
+
+/// Keeps everybody else from writing to the folder until the file is dropped.
+fn lock(dir: &Path) -> Result<File, LogError> {
+    let file = File::open(dir).map_err(system("open", dir))?;
+    match rustix::fs::flock(&file, FlockOperation::NonBlockingLockExclusive) {
+        Ok(()) => Ok(file),
+        Err(rustix::io::Errno::WOULDBLOCK) => Err(LogError::Locked { dir: dir.to_owned() }),
+        Err(errno) => Err(system("lock", dir)(errno.into())),
+    }
+}
+
+/// The manifest of the run in `dir`, or none when the folder is empty; an error when it holds something
+/// else. A manifest that cannot be read is the inner error: `--fresh` gets past it.
+fn existing(dir: &Path) -> Result<Option<Result<Manifest, LogError>>, LogError> {
+    if dir.join(MANIFEST_FILE).exists() {
+        return Ok(Some(Manifest::read(dir)));
+    }
+    for entry in fs::read_dir(dir).map_err(system("list", dir))? {
+        let name = entry.map_err(system("list", dir))?.file_name();
+        // A draft without its manifest: killed in the first moment of a run.
+        if name != "manifest.json.new" {
+            return Err(LogError::NotARun { dir: dir.to_owned() });
+        }
+    }
+    Ok(None)
+}
+
+/// Removes the run in `dir` and says what that was.
+fn remove_run(dir: &Path) -> Result<Vec<String>, LogError> {
+    let lines = |file: &str| {
+        fs::read(dir.join(file)).map_or(0, |text| text.iter().filter(|&&b| b == b'\n').count())
+    };
+    let note = format!(
+        "--fresh: removed the earlier run in {} ({} finished episodes)",
+        dir.display(),
+        lines(EPISODES_FILE)
+    );
+    // The manifest goes last: a folder with part of a run in it stays recognisable as one.
+    for name in CONTENTS.iter().rev() {
+        let path = dir.join(name);
+        if path.is_dir() {
+            fs::remove_dir_all(&path).map_err(system("remove", &path))?;
+        } else if path.exists() {
+            fs::remove_file(&path).map_err(system("remove", &path))?;
+        }
+    }
+    Ok(vec![note])
+}
+
+fn check_unique(path: &Path, records: &[EpisodeRecord]) -> Result<(), LogError> {
+    let mut seen = BTreeMap::new();
+    for (line, record) in (1..).zip(records) {
+        if let Some(first) = seen.insert(record.key.as_str(), line) {
+            let problem = format!("{} is on line {first} already", record.key);
+            return Err(LogError::BrokenLine { path: path.to_owned(), line, problem });
+        }
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::log::testing::{manifest, record, timings};
+
+    fn keys(records: &[EpisodeRecord]) -> Vec<&str> {
+        records.iter().map(|record| record.key.as_str()).collect()
+    }
+
+    fn add(folder: &mut RunFolder, case: &str) {
+        let record = record(case, true);
+        folder.finish(&[(record.clone(), timings(&record))]).unwrap();
+    }
+
+    #[test]
+    fn a_run_goes_on_where_it_was_killed() {
+        let dir = tempfile::tempdir().unwrap();
+        let open = |fresh| RunFolder::open(dir.path(), manifest(), fresh).unwrap();
+        let mut folder = open(false).folder;
+        add(&mut folder, "t01-01");
+        add(&mut folder, "t01-02");
+        assert_eq!(folder.session(), 1);
+        folder
+            .note(SessionEvent::Failed { generation: 1, reason: "x".into(), in_flight: 3 })
+            .unwrap();
+        drop(folder);
+        // Killed in the middle of a line.
+        let path = dir.path().join(EPISODES_FILE);
+        let text = fs::read(&path).unwrap();
+        fs::write(&path, &text[..text.len() - 7]).unwrap();
+
+        let Opened { mut folder, finished, notes } = open(false);
+        assert_eq!(keys(&finished), [record("t01-01", true).key]);
+        assert!(notes[0].starts_with("episodes.jsonl: cut "), "{notes:?}");
+        assert_eq!(folder.session(), 2);
+        assert!(!folder.is_finished(&record("t01-02", true).key));
+        add(&mut folder, "t01-02");
+        drop(folder);
+        assert_eq!(fs::read(&path).unwrap(), text, "the log is as if nothing had happened");
+
+        let opened = open(true);
+        assert!(opened.finished.is_empty());
+        assert!(opened.notes[0].contains("(2 finished episodes)"), "{:?}", opened.notes);
+    }
+
+    #[test]
+    fn another_run_is_not_touched() {
+        let dir = tempfile::tempdir().unwrap();
+        drop(RunFolder::open(dir.path(), manifest(), false).unwrap());
+        let mut other = manifest();
+        other.settings.seed = 8;
+        other.settings.lanes += 1;
+        other.hashes.insert("layout".into(), "ff".into());
+        let error = RunFolder::open(dir.path(), other, false).unwrap_err().to_string();
+        let error = error.replace(&dir.path().display().to_string(), "DIR");
+        insta::assert_snapshot!(error, @r#"
+        DIR holds a run with other settings:
+          contents of layout: "00" there, "ff" now
+          seed: 1 there, 8 now
+        Use the same settings to go on with it, --fresh to start over, or another --out
+        "#);
+    }
+
+    #[test]
+    fn a_folder_with_other_things_is_refused_and_one_in_use_too() {
+        let dir = tempfile::tempdir().unwrap();
+        let open = || RunFolder::open(dir.path(), manifest(), true);
+        let held = open().unwrap();
+        assert!(matches!(open(), Err(LogError::Locked { .. })));
+        drop(held);
+        fs::remove_file(dir.path().join(MANIFEST_FILE)).unwrap();
+        assert!(matches!(open(), Err(LogError::NotARun { .. })));
+        assert!(dir.path().join(EPISODES_FILE).exists());
+        assert!(matches!(RunLog::read(dir.path()), Err(LogError::NoRun { .. })));
+    }
+
+    #[test]
+    fn the_same_episode_twice_is_a_broken_log() {
+        let dir = tempfile::tempdir().unwrap();
+        let mut folder = RunFolder::open(dir.path(), manifest(), false).unwrap().folder;
+        add(&mut folder, "t01-01");
+        drop(folder);
+        let path = dir.path().join(EPISODES_FILE);
+        fs::write(&path, fs::read(&path).unwrap().repeat(2)).unwrap();
+        for error in [
+            RunLog::read(dir.path()).unwrap_err(),
+            RunFolder::open(dir.path(), manifest(), false).unwrap_err(),
+        ] {
+            assert!(error.to_string().contains("episodes.jsonl, line 2"), "{error}");
+        }
+    }
+
+    #[test]
+    fn an_error_counts_until_the_episode_is_finished() {
+        let dir = tempfile::tempdir().unwrap();
+        let mut folder = RunFolder::open(dir.path(), manifest(), false).unwrap().folder;
+        for case in ["t01-01", "t01-02"] {
+            let (key, error) = (record(case, true).key, "overdue".to_owned());
+            folder.give_up(&EpisodeError { key, session: 1, steps: 4, error }).unwrap();
+        }
+        add(&mut folder, "t01-02");
+        let log = RunLog::read(dir.path()).unwrap();
+        assert_eq!(
+            log.errors.iter().map(|e| e.key.as_str()).collect::<Vec<_>>(),
+            [record("t01-01", true).key]
+        );
+    }
+
+    #[test]
+    fn processes_that_changed_are_told() {
+        let dir = tempfile::tempdir().unwrap();
+        let facts = |adapter: &str| {
+            let facts = BTreeMap::from([("adapter".to_owned(), adapter.to_owned())]);
+            BTreeMap::from([("sim".to_owned(), facts)])
+        };
+        let open = || RunFolder::open(dir.path(), manifest(), false).unwrap().folder;
+        assert!(open().introduce(facts("llvmpipe")).unwrap().is_empty());
+        assert!(open().introduce(facts("llvmpipe")).unwrap().is_empty());
+        assert_eq!(
+            open().introduce(facts("other")).unwrap(),
+            ["sim: adapter was llvmpipe when the run began, now other"]
+        );
+    }
+}

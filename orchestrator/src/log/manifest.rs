@@ -1,0 +1,146 @@
+//! `manifest.json`: what a run is, readable without its episodes.
+
+use std::collections::BTreeMap;
+use std::fmt;
+use std::fs;
+use std::io::Write;
+use std::path::Path;
+use std::process::{Command, Stdio};
+
+use serde::{Deserialize, Serialize};
+use serde_json::{Map, Value};
+
+use super::{LogError, system};
+use crate::settings::{FREE_KEYS, Settings};
+
+/// Changes when a reader of the old files could not read the new ones.
+pub const FORMAT: u32 = 1;
+
+/// Name of the file in a run folder.
+pub(super) const MANIFEST_FILE: &str = "manifest.json";
+
+/// What a run is.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Manifest {
+    /// [`FORMAT`] of the folder.
+    pub format: u32,
+    /// Version of the program.
+    pub version: String,
+    /// Version of the wire.
+    pub wire_version: u32,
+    /// Commit of the checkout that the program lies in, if it lies in one; `+` when that has changes.
+    pub commit: Option<String>,
+    /// The settings, resolved.
+    pub settings: Settings,
+    /// BLAKE3 hashes of layout, catalogue, cases, ... by name.
+    pub hashes: BTreeMap<String, String>,
+    /// Episodes of the whole run.
+    pub episodes: u32,
+    /// What each process said about itself when the run began: adapter, encoder and its hash, policy, ...
+    /// Empty until then.
+    pub processes: BTreeMap<String, BTreeMap<String, String>>,
+}
+
+/// Something that two manifests disagree about.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Difference {
+    /// The key.
+    pub key: String,
+    /// What the folder's manifest says.
+    pub there: String,
+    /// What this command says.
+    pub here: String,
+}
+
+impl fmt::Display for Difference {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}: {} there, {} now", self.key, self.there, self.here)
+    }
+}
+
+impl Manifest {
+    /// Reads the manifest in the run folder `dir`.
+    ///
+    /// # Errors
+    /// When it is missing or cannot be understood.
+    pub fn read(dir: &Path) -> Result<Self, LogError> {
+        let path = dir.join(MANIFEST_FILE);
+        let text = fs::read_to_string(&path).map_err(system("read", &path))?;
+        let broken = |problem: String| LogError::BrokenManifest { path: path.clone(), problem };
+        let value: Value = serde_json::from_str(&text).map_err(|e| broken(e.to_string()))?;
+        // The format comes first: a manifest of another one may well have other fields.
+        match value.get("format").and_then(Value::as_u64) {
+            Some(format) if format == u64::from(FORMAT) => {}
+            Some(format) => {
+                return Err(broken(format!("format {format}, this program reads {FORMAT}")));
+            }
+            None => return Err(broken("it says no format".to_owned())),
+        }
+        serde_json::from_value(value).map_err(|e| broken(e.to_string()))
+    }
+
+    /// Writes it into the run folder `dir`: all of it or nothing, and durably.
+    ///
+    /// # Errors
+    /// When the system refuses.
+    pub fn write(&self, dir: &Path) -> Result<(), LogError> {
+        let path = dir.join(MANIFEST_FILE);
+        let draft = dir.join(format!("{MANIFEST_FILE}.new"));
+        let write = || {
+            let mut file = fs::File::create(&draft)?;
+            serde_json::to_writer_pretty(&mut file, self)?;
+            file.write_all(b"\n")?;
+            file.sync_all()?;
+            fs::rename(&draft, &path)?;
+            fs::File::open(dir)?.sync_all()
+        };
+        write().map_err(system("write", &path))
+    }
+
+    /// What would make the episodes of the two runs different, or their lists.
+    pub fn differences(&self, there: &Self) -> Vec<Difference> {
+        let (here, there) = (self.identity(), there.identity());
+        let shown = |value: Option<&Value>| value.map_or("not set".to_owned(), Value::to_string);
+        let mut keys: Vec<&String> = here.keys().chain(there.keys()).collect();
+        keys.sort();
+        keys.dedup();
+        keys.into_iter()
+            .filter(|key| here.get(*key) != there.get(*key))
+            .map(|key| Difference {
+                key: key.clone(),
+                there: shown(there.get(key)),
+                here: shown(here.get(key)),
+            })
+            .collect()
+    }
+
+    /// What decides the outcome of the run, by name.
+    fn identity(&self) -> Map<String, Value> {
+        let mut identity = match serde_json::to_value(&self.settings) {
+            Ok(Value::Object(settings)) => settings,
+            _ => Map::new(),
+        };
+        FREE_KEYS.iter().for_each(|key| {
+            identity.remove(*key);
+        });
+        identity.insert("version".to_owned(), self.version.clone().into());
+        for (name, hash) in &self.hashes {
+            identity.insert(format!("contents of {name}"), hash.clone().into());
+        }
+        identity
+    }
+}
+
+/// The commit of the checkout that `path` lies in, with a `+` when the checkout has changes; `None` outside
+/// of one, or without git.
+pub fn commit_of(path: &Path) -> Option<String> {
+    let git = |arguments: &[&str]| {
+        let output =
+            Command::new("git").arg("-C").arg(path).args(arguments).stderr(Stdio::null()).output();
+        let output = output.ok().filter(|output| output.status.success())?;
+        String::from_utf8(output.stdout).ok()
+    };
+    let commit = git(&["rev-parse", "HEAD"])?;
+    let changed = !git(&["status", "--porcelain", "--untracked-files=no"])?.is_empty();
+    Some(format!("{}{}", commit.trim(), if changed { "+" } else { "" }))
+}

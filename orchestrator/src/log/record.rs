@@ -1,0 +1,287 @@
+//! The lines of a run folder's journals.
+//!
+//! What an [`EpisodeRecord`] holds follows from settings, seed and frames alone: runs with another number
+//! of lanes, or killed and resumed, give the same lines in another order. Everything else about an episode
+//! goes into its [`EpisodeTimings`].
+
+use std::collections::BTreeMap;
+
+use serde::{Deserialize, Serialize};
+use shm_types::Pose;
+
+use crate::conditions::{Condition, Demonstrations, Memory, Route, Start};
+use crate::names::named;
+
+named! {
+    /// How an episode ended.
+    Ending, "ending" {
+        /// The task is done.
+        Complete = "complete",
+        /// T_max steps were taken and it is not.
+        OutOfSteps = "out-of-steps",
+    }
+}
+
+/// One finished episode.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct EpisodeRecord {
+    /// The [`EpisodeKey`](crate::plan::EpisodeKey) as it is written: unique in the log.
+    pub key: String,
+    /// Which memory.
+    pub memory: Memory,
+    /// From where.
+    pub start: Start,
+    /// On which route.
+    pub route: Route,
+    /// With which demonstrations.
+    pub demonstrations: Demonstrations,
+    /// Which repetition, from 1.
+    pub run: u32,
+    /// The case's id.
+    pub case: String,
+    /// The task's number, 1 to 10.
+    pub task: u8,
+    /// The episode's seed.
+    pub seed: u64,
+    /// How it ended; `complete` is s_i = 1.
+    pub ending: Ending,
+    /// Steps taken, p_i.
+    pub steps: u32,
+    /// Length of the reference, l_i.
+    pub reference: u32,
+    /// What was done, a letter a step (`f b l r` moves, `L R U` turns), `?` for an unreadable answer.
+    pub actions: String,
+    /// For each sub-goal, in order of completion: the step at which it was completed.
+    pub sub_goals: Vec<u32>,
+    /// On a blocked route: whether the agent tried to enter a newly closed cell, b_i. Absent elsewhere.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub tried_closed: Option<bool>,
+    /// Where the agent began.
+    pub start_pose: Pose,
+    /// Where it ended.
+    pub final_pose: Pose,
+    /// Requests to the policy. Absent where no policy was asked (the expert).
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub requests: Option<u32>,
+    /// Images in all of them.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub images: Option<u64>,
+    /// Tokens of all prompts. Absent when any was not measured.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub prompt_tokens: Option<u64>,
+    /// Tokens of all completions. Absent when any was not measured.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub completion_tokens: Option<u64>,
+    /// Answers in which no action could be read, by kind.
+    #[serde(skip_serializing_if = "Unread::is_none", default)]
+    pub unread: Unread,
+    /// Where memory's answer came from, one word a request: demonstration's letter (`o` original, `p`
+    /// opposite, `n` nearby, `d` distant) and step in it, for example `o12`; with the case before it when it
+    /// is another's (`t03-07:o12`); `-` for no match. Absent when nothing was ever retrieved.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub retrieved: Option<String>,
+    /// Mean cosine distance of the matches, rounded to millionths.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub distance: Option<f64>,
+}
+
+impl EpisodeRecord {
+    /// What it was run under.
+    pub fn condition(&self) -> Condition {
+        Condition {
+            memory: self.memory,
+            start: self.start,
+            route: self.route,
+            demonstrations: self.demonstrations,
+        }
+    }
+
+    /// s_i.
+    pub fn is_success(&self) -> bool {
+        self.ending == Ending::Complete
+    }
+}
+
+/// Counts of answers in which no action could be read.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Unread {
+    /// There was an answer, and no action in it.
+    pub unreadable: u32,
+    /// The answer was empty.
+    pub empty: u32,
+    /// The model refused.
+    pub refused: u32,
+}
+
+impl Unread {
+    /// Whether every answer was read.
+    pub fn is_none(&self) -> bool {
+        self.total() == 0
+    }
+
+    /// All of them.
+    pub fn total(&self) -> u32 {
+        self.unreadable + self.empty + self.refused
+    }
+}
+
+/// What an episode's steps cost; depends on machine, lanes and chance.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct EpisodeTimings {
+    /// The episode's key.
+    pub key: String,
+    /// The session it ended in, from 1.
+    pub session: u32,
+    /// How often it was started, this time included.
+    pub attempt: u32,
+    /// The lane it ran in.
+    pub lane: u32,
+    /// When it was started, in nanoseconds since the session began.
+    pub started_ns: u64,
+    /// When it ended, likewise.
+    pub ended_ns: u64,
+    /// Steps taken.
+    pub steps: u32,
+    /// Messages about it that could not be used.
+    #[serde(skip_serializing_if = "is_zero", default)]
+    pub rubbish: u32,
+    /// Where the time went, summed over its steps.
+    pub stages: Stages,
+}
+
+fn is_zero(count: &u32) -> bool {
+    *count == 0
+}
+
+/// Nanoseconds in each stage of a step, in the order of the stages: together the time from a command to the
+/// next one. Several lanes are in different stages at once, and waiting for a busy process counts for the
+/// stage that waits, so with many lanes the sum is a step's latency and not its cost.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Stages {
+    /// From the command's sending until the simulator took it up.
+    pub command: u64,
+    /// Applying the dynamics.
+    pub dynamics: u64,
+    /// Until the view was there.
+    pub render: u64,
+    /// Until memory took the observation up.
+    pub observation: u64,
+    /// Until the view's embedding was there.
+    pub embed: u64,
+    /// Until the nearest remembered view was found.
+    pub search: u64,
+    /// Until the policy had observation and recall.
+    pub recall: u64,
+    /// Until it began to decide.
+    pub queue: u64,
+    /// Until it had decided.
+    pub decide: u64,
+    /// Until the orchestrator took the decision up.
+    pub decision: u64,
+}
+
+impl Stages {
+    /// The names, in order.
+    pub const NAMES: [&'static str; 10] = [
+        "command",
+        "dynamics",
+        "render",
+        "observation",
+        "embed",
+        "search",
+        "recall",
+        "queue",
+        "decide",
+        "decision",
+    ];
+
+    /// The values, in the order of [`Stages::NAMES`].
+    pub const fn values(&self) -> [u64; 10] {
+        let Self { command, dynamics, render, observation, embed, .. } = *self;
+        let Self { search, recall, queue, decide, decision, .. } = *self;
+        [command, dynamics, render, observation, embed, search, recall, queue, decide, decision]
+    }
+}
+
+impl std::ops::AddAssign for Stages {
+    fn add_assign(&mut self, other: Self) {
+        self.command += other.command;
+        self.dynamics += other.dynamics;
+        self.render += other.render;
+        self.observation += other.observation;
+        self.embed += other.embed;
+        self.search += other.search;
+        self.recall += other.recall;
+        self.queue += other.queue;
+        self.decide += other.decide;
+        self.decision += other.decision;
+    }
+}
+
+/// An episode that was given up, because of something that is not the model's mistake. It counts as not
+/// successful until a later session finishes it.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct EpisodeError {
+    /// The episode's key.
+    pub key: String,
+    /// The session it was given up in.
+    pub session: u32,
+    /// Steps taken.
+    pub steps: u32,
+    /// What happened.
+    pub error: String,
+}
+
+/// Something that happened to the processes of a run.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct SessionRecord {
+    /// The session, from 1: one for each time that the command was given.
+    pub session: u32,
+    /// Seconds since 1970.
+    pub unix_s: u64,
+    /// What happened.
+    #[serde(flatten)]
+    pub event: SessionEvent,
+}
+
+/// What can happen to the processes of a run.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case", tag = "event")]
+pub enum SessionEvent {
+    /// The processes of a generation are ready.
+    Ready {
+        /// Which generation.
+        generation: u32,
+        /// Lanes.
+        lanes: u32,
+        /// Frames that may be resident.
+        frame_budget: u32,
+        /// What each process said about itself.
+        processes: BTreeMap<String, BTreeMap<String, String>>,
+    },
+    /// A process failed; all were started anew.
+    Failed {
+        /// Which generation.
+        generation: u32,
+        /// Which process, and how.
+        reason: String,
+        /// Episodes that were under way and are run again.
+        in_flight: u32,
+    },
+    /// The session is over.
+    Ended {
+        /// Episodes it finished.
+        finished: u32,
+        /// Episodes it gave up.
+        errors: u32,
+        /// Why it stopped: complete, or the signal.
+        reason: String,
+        /// Messages about frames at the end, by process: rendered, evicted, held, bytes copied, complaints.
+        farewells: BTreeMap<String, BTreeMap<String, u64>>,
+    },
+}

@@ -1,0 +1,89 @@
+//! Manifests and records for tests.
+
+use std::collections::BTreeMap;
+
+use shm_types::message::WIRE_VERSION;
+use shm_types::{Heading, Pose};
+
+use super::{Ending, EpisodeRecord, EpisodeTimings, FORMAT, Manifest, Stages, Unread};
+use crate::conditions::{Condition, Demonstrations, Memory, Route, Start};
+use crate::plan::EpisodeKey;
+use crate::settings::{Layer, Origin, resolve};
+
+/// The manifest of a run with every setting at its default.
+pub(crate) fn manifest() -> Manifest {
+    Manifest {
+        format: FORMAT,
+        version: "1.2.3".to_owned(),
+        wire_version: WIRE_VERSION,
+        commit: None,
+        settings: resolve([(Origin::Default, Layer::defaults())]).unwrap().settings,
+        hashes: BTreeMap::from([("layout".to_owned(), "00".to_owned())]),
+        episodes: 4,
+        processes: BTreeMap::new(),
+    }
+}
+
+/// The record of `case` under episodic memory: a success is 10 steps for a reference of 8, a failure 200.
+pub(crate) fn record(case: &str, success: bool) -> EpisodeRecord {
+    let condition = Condition {
+        memory: Memory::Episodic,
+        start: Start::Original,
+        route: Route::Unchanged,
+        demonstrations: Demonstrations::ORIGINAL,
+    };
+    let steps = if success { 10 } else { 200 };
+    EpisodeRecord {
+        key: EpisodeKey { condition, run: 1, case: case.to_owned() }.to_string(),
+        memory: condition.memory,
+        start: condition.start,
+        route: condition.route,
+        demonstrations: condition.demonstrations,
+        run: 1,
+        case: case.to_owned(),
+        task: 1,
+        seed: 5,
+        ending: if success { Ending::Complete } else { Ending::OutOfSteps },
+        steps,
+        reference: 8,
+        actions: "f".repeat(steps as usize),
+        sub_goals: if success { vec![10] } else { vec![] },
+        tried_closed: None,
+        start_pose: Pose::new(1, 2, Heading::N),
+        final_pose: Pose::new(1, 12, Heading::N),
+        requests: Some(steps),
+        images: Some(u64::from(steps) * 14),
+        prompt_tokens: None,
+        completion_tokens: None,
+        unread: Unread::default(),
+        retrieved: None,
+        distance: None,
+    }
+}
+
+/// Timings that go with `record`: every step spends 1 us in each stage.
+pub(crate) fn timings(record: &EpisodeRecord) -> EpisodeTimings {
+    let each = u64::from(record.steps) * 1000;
+    EpisodeTimings {
+        key: record.key.clone(),
+        session: 1,
+        attempt: 1,
+        lane: 0,
+        started_ns: 0,
+        ended_ns: 2_000_000_000,
+        steps: record.steps,
+        rubbish: 0,
+        stages: Stages {
+            command: each,
+            dynamics: each,
+            render: each,
+            observation: each,
+            embed: each,
+            search: each,
+            recall: each,
+            queue: each,
+            decide: each,
+            decision: each,
+        },
+    }
+}

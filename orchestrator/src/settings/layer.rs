@@ -1,0 +1,202 @@
+//! What one source of settings says; also the flags of `memtransfer run`.
+
+use std::path::PathBuf;
+
+use clap::{Args, CommandFactory, Parser};
+use serde::{Deserialize, Serialize};
+
+use super::{CaseSelector, SuiteName};
+use crate::conditions::{Demonstrations, Frames, Memory, PolicyKind, Route, Start};
+
+/// Heading of the flags that decide what is run.
+const WHAT: &str = "What is run";
+/// Heading of the flags that decide what the agent perceives.
+const PERCEIVED: &str = "What the agent is given";
+/// Heading of the flags that change no result.
+const HOW: &str = "How it is run (changes no result)";
+
+/// What one source of settings says. `None`: nothing.
+///
+/// The doc comments are the help texts, the field names the keys of a suite file.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Args, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case", deny_unknown_fields)]
+pub struct Layer {
+    /// A shipped suite by name, or a suite file (TOML)
+    #[arg(long, value_name = "NAME|FILE", env = "MEMTRANSFER_SUITE", help_heading = WHAT)]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub suite: Option<SuiteName>,
+
+    /// Who decides: grounded (a scripted stand-in), random, or expert (replays the reference)
+    #[arg(long, value_name = "NAME", env = "MEMTRANSFER_POLICY", help_heading = WHAT)]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub policy: Option<PolicyKind>,
+
+    /// Memory representations: working, episodic
+    #[arg(long, value_name = "LIST", value_delimiter = ',', env = "MEMTRANSFER_MEMORY",
+          help_heading = WHAT)]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub memory: Option<Vec<Memory>>,
+
+    /// Where episodes start: original (as demonstrated), new (a pose no demonstration starts from)
+    #[arg(long, value_name = "LIST", value_delimiter = ',', env = "MEMTRANSFER_STARTS",
+          help_heading = WHAT)]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub starts: Option<Vec<Start>>,
+
+    /// Routes: unchanged, blocked (a demonstrated passage is closed; new starts only)
+    #[arg(long, value_name = "LIST", value_delimiter = ',', env = "MEMTRANSFER_ROUTES",
+          help_heading = WHAT)]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub routes: Option<Vec<Route>>,
+
+    /// Sets of demonstrations to remember: original, opposite, nearby, distant, several joined by +,
+    /// or 4 for all. Each entry of the list is a condition of its own
+    #[arg(long, value_name = "LIST", value_delimiter = ',', env = "MEMTRANSFER_DEMOS",
+          help_heading = WHAT)]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub demos: Option<Vec<Demonstrations>>,
+
+    /// Cases by id (t03-07), task (t03), number (37) or range (1-10, t03-01..t04-10); `all`
+    #[arg(long, value_name = "LIST", value_delimiter = ',', env = "MEMTRANSFER_CASES",
+          help_heading = WHAT)]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub cases: Option<Vec<CaseSelector>>,
+
+    /// At most N of the selected cases, spread evenly over them
+    #[arg(long, value_name = "N", env = "MEMTRANSFER_LIMIT", help_heading = WHAT)]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub limit: Option<u32>,
+
+    /// Repetitions of everything, each with seeds of its own
+    #[arg(long, value_name = "N", env = "MEMTRANSFER_RUNS", help_heading = WHAT)]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub runs: Option<u32>,
+
+    /// The number that every episode's seed is derived from
+    #[arg(long, value_name = "N", env = "MEMTRANSFER_SEED", help_heading = WHAT)]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub seed: Option<u64>,
+
+    /// Steps after which an episode ends, T_max
+    #[arg(long, value_name = "N", env = "MEMTRANSFER_MAX_STEPS", help_heading = WHAT)]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub max_steps: Option<u32>,
+
+    /// Past steps that a policy is shown, h
+    #[arg(long, value_name = "N", env = "MEMTRANSFER_WINDOW", help_heading = PERCEIVED)]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub window: Option<u32>,
+
+    /// Expert actions that a retrieved segment follows, H_epi
+    #[arg(long, value_name = "N", env = "MEMTRANSFER_HORIZON", help_heading = PERCEIVED)]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub horizon: Option<u32>,
+
+    /// Width and height of a frame, a multiple of 64
+    #[arg(long, value_name = "PIXELS", env = "MEMTRANSFER_FRAME_SIZE", help_heading = PERCEIVED)]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub frame_size: Option<u32>,
+
+    /// What observed frames show: rendered, or as a control blank (grey) or swapped (another pose)
+    #[arg(long, value_name = "KIND", env = "MEMTRANSFER_FRAMES", help_heading = PERCEIVED)]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub frames: Option<Frames>,
+
+    /// The model that embeds frames, by its name in models.toml
+    #[arg(long, value_name = "NAME", env = "MEMTRANSFER_ENCODER", help_heading = PERCEIVED)]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub encoder: Option<String>,
+
+    /// Use the layout, catalogue, cases, suites and model manifest in DIR, not the built-in ones
+    #[arg(long, value_name = "DIR", env = "MEMTRANSFER_ASSETS", help_heading = WHAT)]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub assets: Option<PathBuf>,
+
+    /// The run's folder; the same command again resumes what is in it
+    #[arg(long, value_name = "DIR", env = "MEMTRANSFER_OUT", help_heading = HOW)]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub out: Option<PathBuf>,
+
+    /// Episodes that run at once
+    #[arg(long, value_name = "N", env = "MEMTRANSFER_LANES", help_heading = HOW)]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub lanes: Option<u32>,
+
+    /// Frames that may be resident in shared memory; as many as are useful and fit, unless given
+    #[arg(long, value_name = "FRAMES", env = "MEMTRANSFER_FRAME_BUDGET", help_heading = HOW)]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub frame_budget: Option<u32>,
+
+    /// Microseconds that a process looks for work before it sleeps; 0 unless cores are free
+    #[arg(long, value_name = "MICROSECONDS", env = "MEMTRANSFER_SPIN_US", help_heading = HOW)]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub spin_us: Option<u32>,
+
+    /// Seconds after which an answer is overdue, and the process that owes it counts as hung
+    #[arg(long, value_name = "SECONDS", env = "MEMTRANSFER_STEP_TIMEOUT", help_heading = HOW)]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub step_timeout: Option<u32>,
+
+    /// Seconds that processes have to get ready and to answer for the first time
+    #[arg(long, value_name = "SECONDS", env = "MEMTRANSFER_START_TIMEOUT", help_heading = HOW)]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub start_timeout: Option<u32>,
+}
+
+impl Layer {
+    /// What holds when nobody says anything. A suite normally says most of it.
+    pub fn defaults() -> Self {
+        Self {
+            suite: Some(SuiteName::quick()),
+            policy: Some(PolicyKind::Grounded),
+            memory: Some(Memory::ALL.to_vec()),
+            starts: Some(Start::ALL.to_vec()),
+            routes: Some(vec![Route::Unchanged]),
+            demos: Some(vec![Demonstrations::ORIGINAL]),
+            cases: Some(vec![CaseSelector::All]),
+            limit: None,
+            runs: Some(1),
+            seed: Some(1),
+            max_steps: Some(warehouse::MAX_STEPS),
+            window: Some(6),
+            horizon: Some(6),
+            frame_size: Some(448),
+            frames: Some(Frames::Rendered),
+            encoder: Some("dinov2-s14".to_owned()),
+            assets: None,
+            // Follows from suite and policy.
+            out: None,
+            lanes: Some(16),
+            frame_budget: None,
+            spin_us: Some(0),
+            step_timeout: Some(60),
+            start_timeout: Some(300),
+        }
+    }
+
+    /// Every key, as suite files and `--show-settings` spell it.
+    pub fn keys() -> Vec<String> {
+        #[derive(Parser)]
+        struct Flags {
+            #[command(flatten)]
+            _layer: Layer,
+        }
+        let command = Flags::command();
+        command.get_arguments().filter_map(|arg| arg.get_long()).map(str::to_owned).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn flags_and_keys_of_files_are_the_same_words() {
+        for key in Layer::keys() {
+            let Err(error) = toml::from_str::<Layer>(&format!("{key} = {{}}")) else {
+                panic!("`{key}` takes a table");
+            };
+            assert!(!error.message().contains("unknown field"), "{key}: {error}");
+        }
+    }
+}
