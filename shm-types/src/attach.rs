@@ -302,6 +302,7 @@ mod tests {
             prefix: "mt0_".to_owned(),
             generation: 3,
             orchestrator_pid: 17,
+            crew: vec![Role::Sim],
             lanes: 8,
             window: 6,
             frame: FrameSize::DEFAULT,

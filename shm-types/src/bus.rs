@@ -10,16 +10,20 @@
 //! receivers are there; so processes may start in any order.
 //!
 //! # Leaving
-//! What was sent outlives its sender only for receivers that have looked at their queue since the sender
-//! was created. Therefore: create senders at the start, and do not leave right after a first message.
+//! What was sent outlives the sending [`Bus`] only for receivers that have looked at their queue since the
+//! sender was first made. What a process may have to say last is therefore made when it joins, and senders
+//! live as long as their bus.
 //!
 //! All of this is thread-safe; a process normally keeps it on one thread and hands
 //! [`Frame`](crate::frames::Frame)s to others.
 
-use std::cell::Cell;
+use std::any::Any;
+use std::collections::HashMap;
 use std::fmt::Display;
 use std::fs::File;
 use std::path::Path;
+use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::thread;
 use std::time::{Duration, Instant};
 
@@ -37,7 +41,7 @@ use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
 
 use crate::attach::{Attach, AttachError, MAX_ROOT_BYTES};
 use crate::doorbell::{Bell, Doorbell};
-use crate::message::{Message, Role, Traffic};
+use crate::message::{Complaint, Farewell, Hello, Message, Role, Traffic};
 use crate::registry;
 
 /// The kind of iceoryx2 service everything uses.
@@ -132,6 +136,8 @@ pub struct Bus {
     attach: Attach,
     role: Role,
     doorbell: Doorbell,
+    /// Every sender that was asked for, by service.
+    ports: Mutex<HashMap<&'static str, Arc<dyn Any + Send + Sync>>>,
     node: Node<Ipc>,
     /// Locked for as long as the process takes part, so that nobody cleans the run away. Last, so that
     /// everything else is gone when the lock is.
@@ -159,7 +165,14 @@ impl Bus {
             .create::<Ipc>()
             .map_err(|e| BusError::open("cannot create a node in the run", e))?;
         let doorbell = Doorbell::new(&node, &attach, role)?;
-        Ok(Self { attach, role, doorbell, node, _membership: membership })
+        let ports = Mutex::default();
+        let bus = Self { attach, role, doorbell, ports, node, _membership: membership };
+        if role != Role::Orchestrator {
+            bus.sender::<Hello>()?;
+            bus.sender::<Complaint>()?;
+            bus.sender::<Farewell>()?;
+        }
+        Ok(bus)
     }
 
     /// What the run was joined with.
@@ -186,12 +199,17 @@ impl Bus {
         Bell::new(&self.node, &self.attach, of)
     }
 
-    /// The sending end for `M`.
+    /// The sending end for `M`: always the same one, however often it is asked for.
     ///
     /// # Errors
     /// When `M` is not for this role to send, or the service cannot be opened.
     pub fn sender<M: Message>(&self) -> Result<Sender<M>, BusError> {
         self.allowed(M::FROM, M::SERVICE, "send")?;
+        let mut ports = self.ports.lock().unwrap_or_else(PoisonError::into_inner);
+        let known = ports.get(M::SERVICE).cloned();
+        if let Some(port) = known.and_then(|port| port.downcast().ok()) {
+            return Ok(Sender { port });
+        }
         let service = self.service::<M>()?;
         let publisher = service
             .publisher_builder()
@@ -200,7 +218,9 @@ impl Bus {
             .create()
             .map_err(|e| BusError::open(format_args!("cannot send on {}", M::SERVICE), e))?;
         let receivers = self.attach.count(M::TO);
-        Ok(Sender { publisher, service, receivers, complete: Cell::new(false) })
+        let port = Arc::new(Port { publisher, service, receivers, complete: false.into() });
+        ports.insert(M::SERVICE, port.clone());
+        Ok(Sender { port })
     }
 
     /// The receiving end for `M`.
@@ -292,12 +312,18 @@ pub(crate) fn raw_config(prefix: &str, root: &Path) -> Result<Config, BusError> 
 /// The sending end of `M`'s service.
 #[derive(Debug)]
 pub struct Sender<M: Message> {
+    port: Arc<Port<M>>,
+}
+
+/// What all senders of a process for one service share.
+#[derive(Debug)]
+struct Port<M: Message> {
     publisher: Publisher<Ipc, M, ()>,
     service: PortFactory<Ipc, M, ()>,
     /// How many receivers take part in the run.
     receivers: usize,
-    /// Whether all receivers have been seen.
-    complete: Cell<bool>,
+    /// Whether all receivers have been waited for.
+    complete: AtomicBool,
 }
 
 impl<M: Message> Sender<M> {
@@ -310,21 +336,22 @@ impl<M: Message> Sender<M> {
     /// [`BusError::Deserted`] when a receiver is missing, otherwise a failed transport.
     pub fn send(&self, message: &M) -> Result<(), BusError> {
         let deadline = Instant::now() + RECEIVERS_PATIENCE;
-        while !self.complete.get() && !self.is_complete() && Instant::now() < deadline {
+        let complete = &self.port.complete;
+        while !complete.load(Relaxed) && !self.is_complete() && Instant::now() < deadline {
             thread::sleep(Duration::from_millis(1));
         }
-        self.complete.set(true);
+        complete.store(true, Relaxed);
         self.send_now(message)
     }
 
     /// Whether every receiver is there.
     pub fn is_complete(&self) -> bool {
-        self.service.dynamic_config().number_of_subscribers() >= self.receivers
+        self.port.service.dynamic_config().number_of_subscribers() >= self.port.receivers
     }
 
     /// As [`Sender::send`], without waiting for anybody.
     pub(crate) fn send_now(&self, message: &M) -> Result<(), BusError> {
-        delivered(M::SERVICE, self.receivers, self.publisher.send_copy(*message))
+        delivered(M::SERVICE, self.port.receivers, self.port.publisher.send_copy(*message))
     }
 }
 

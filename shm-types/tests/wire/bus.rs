@@ -5,7 +5,9 @@ use std::time::Duration;
 
 use bytemuck::Zeroable;
 use shm_types::attach::Wait;
-use shm_types::message::{Complaint, Decision, Observation, Role, StepCommand, read_text};
+use shm_types::message::{
+    Complaint, Decision, Farewell, Hello, Observation, Role, StepCommand, read_text,
+};
 use shm_types::{Attach, BusError, Complaints};
 
 use crate::common::{LONG, Run, bus, run};
@@ -69,6 +71,22 @@ fn the_first_send_waits_for_a_receiver_that_starts_later() {
         }
         orchestrator.bell(Role::Policy).unwrap().ring().unwrap();
     });
+}
+
+#[test]
+fn first_and_last_words_arrive_from_a_sender_that_nobody_kept() {
+    let Run { attach, .. } = &run();
+    let orchestrator = bus(attach, Role::Orchestrator);
+    let (hellos, farewells) =
+        (orchestrator.receiver::<Hello>().unwrap(), orchestrator.receiver::<Farewell>().unwrap());
+    let policy = bus(attach, Role::Policy);
+    policy.sender::<Hello>().unwrap().send(&Zeroable::zeroed()).unwrap();
+    // The orchestrator looks through all its queues whenever it wakes.
+    assert!(hellos.next().unwrap().is_some() && farewells.next().unwrap().is_none());
+    policy.sender::<Farewell>().unwrap().send(&Zeroable::zeroed()).unwrap();
+    policy.sender::<Farewell>().unwrap().send(&Zeroable::zeroed()).unwrap();
+    drop(policy);
+    assert_eq!(farewells.drain().unwrap().len(), 2);
 }
 
 #[test]
