@@ -99,9 +99,10 @@ pub(crate) fn target_on<'i>(cells: &[Cell], targets: &[&'i Item]) -> Option<&'i 
     targets.iter().copied().find(|item| cells.contains(&item.standpoint))
 }
 
-/// Whether a walk enters one of `cells`.
-pub(crate) fn uses(poses: &[Pose], cells: &[Cell]) -> bool {
-    poses.iter().any(|pose| cells.contains(&pose.cell))
+/// Whether a walk enters `cells` from outside; beginning inside is not enough.
+pub(crate) fn enters(poses: &[Pose], cells: &[Cell]) -> bool {
+    let is_inside = |pose: &Pose| cells.contains(&pose.cell);
+    poses.windows(2).any(|pair| !is_inside(&pair[0]) && is_inside(&pair[1]))
 }
 
 /// The walk does its task, within the step limit, is never blocked, and ends there: at most one turn

@@ -8,9 +8,8 @@ use shm_types::{Cell, Heading, Pose};
 
 use crate::case::{Case, CaseSet, Replay, Trajectory};
 use crate::constraints::{
-    Edge, does_its_task, edges, faces_targets, is_distant, is_near_optimal, is_nearby,
+    Edge, does_its_task, edges, enters, faces_targets, is_distant, is_near_optimal, is_nearby,
     is_of_similar_length, shares_at_least_half, shares_at_most_half, target_in_view, target_on,
-    uses,
 };
 use crate::draw::Draw;
 use crate::dynamics::Variant;
@@ -258,8 +257,8 @@ impl<'w> Generator<'w> {
     ) -> Option<(Trajectory, Vec<Cell>)> {
         let start = test.trajectory.start;
         let fits = |cells: &&Vec<Cell>| {
-            uses(&test.replay.poses, cells)
-                && demonstrations.iter().any(|walk| uses(&walk.replay.poses, cells))
+            enters(&test.replay.poses, cells)
+                && demonstrations.iter().any(|walk| enters(&walk.replay.poses, cells))
                 && !cells.contains(&start.cell)
                 && target_on(cells, targets).is_none()
         };

@@ -16,6 +16,7 @@ mod draw;
 pub mod dynamics;
 mod generate;
 pub mod layout;
+pub mod map;
 mod order;
 pub mod plan;
 pub mod progress;

@@ -11,9 +11,9 @@ use shm_types::plate::Plate;
 
 use crate::case::{Case, CaseSet, Replay, Start};
 use crate::constraints::{
-    Edge, MAX_DETOUR_PERCENT, does_its_task, edges, faces_targets, is_distant, is_near_optimal,
-    is_nearby, is_of_similar_length, is_opposite, shares_at_least_half, shares_at_most_half,
-    target_in_view, target_on, uses,
+    Edge, MAX_DETOUR_PERCENT, does_its_task, edges, enters, faces_targets, is_distant,
+    is_near_optimal, is_nearby, is_of_similar_length, is_opposite, shares_at_least_half,
+    shares_at_most_half, target_in_view, target_on,
 };
 use crate::dynamics::Variant;
 use crate::layout::{Axis, Layout, Square};
@@ -427,7 +427,7 @@ fn tests(report: &mut Report, layout: &Layout, cases: &[Replayed<'_>]) {
     report.push(
         "blocked: the test reference and at least one demonstration use that passage",
         cases.iter().map(|c| {
-            let used = |start| uses(&c.replay(start).poses, &c.case.barricade);
+            let used = |start| enters(&c.replay(start).poses, &c.case.barricade);
             ensure(used(Start::Test) && Start::DEMONSTRATIONS.into_iter().any(used), || {
                 c.at(Start::Blocked, format!("{} is not used by both", list(&c.case.barricade)))
             })

@@ -1,0 +1,228 @@
+//! What stands beside the floor: the task, the routes with their lengths, the targets, the catalogue.
+
+use super::canvas::Canvas;
+use super::routes::{Style, barricade, start_disc, style};
+use super::{CELL, INK, LEGEND, MARGIN, MUTED, Map, PAPER, Point, glyph};
+use crate::case::{Case, Start};
+use crate::catalogue::Catalogue;
+use crate::task::Task;
+use crate::world::{Item, Warehouse};
+
+/// Characters of a line of the instruction.
+const LINE: usize = 36;
+
+/// The letter that a target of `task` wears; `None` for any other item.
+pub(super) fn letter(warehouse: &Warehouse, task: &Task, item: &Item) -> Option<char> {
+    match *task {
+        Task::FindCategory { c } | Task::EveryOfCategory { c } => {
+            (warehouse.category_of(item) == c).then_some('C')
+        }
+        Task::FindType { a }
+        | Task::EveryOfType { a }
+        | Task::FindAndReturn { a }
+        | Task::EveryAndReturn { a } => (item.item_type == a).then_some('A'),
+        Task::BothTypes { a, b }
+        | Task::InOrder { a, b }
+        | Task::Revisit { a, b }
+        | Task::InOrderAndReturn { a, b } => match item.item_type {
+            found if found == a => Some('A'),
+            found if found == b => Some('B'),
+            _ => None,
+        },
+    }
+}
+
+/// The round badge with a target's letter.
+pub(super) fn badge(canvas: &mut Canvas, (x, y): Point, letter: char) {
+    let fill = if letter == 'B' { "#0f766e" } else { INK };
+    canvas.circle((x, y), 8.0, &format!("fill='{fill}'"));
+    canvas.text(
+        (x, y + 4.0),
+        &letter.to_string(),
+        &format!("font-size='11' font-weight='700' fill='{PAPER}' text-anchor='middle'"),
+    );
+}
+
+/// Writes the legend from top to bottom.
+struct Column<'m> {
+    canvas: &'m mut Canvas,
+    x: f64,
+    y: f64,
+}
+
+impl Column<'_> {
+    fn text(&mut self, indent: f64, text: &str, size: f64, colour: &str, weight: u32) {
+        let style = format!("font-size='{size}' fill='{colour}' font-weight='{weight}'");
+        self.canvas.text((self.x + indent, self.y), text, &style);
+    }
+
+    fn title(&mut self, title: &str, subtitle: &str) {
+        self.y += 20.0;
+        self.text(0.0, title, 30.0, INK, 700);
+        self.y += 26.0;
+        self.text(0.0, subtitle, 15.0, MUTED, 400);
+        self.y += 14.0;
+    }
+
+    fn heading(&mut self, text: &str) {
+        self.y += 34.0;
+        self.text(0.0, text, 13.0, MUTED, 700);
+        self.y += 8.0;
+        let (x, y) = (self.x, self.y);
+        let line = format!("M{x:.1} {y:.1}h{:.1}", LEGEND - MARGIN);
+        self.canvas.path(&line, "stroke='#d9dee4'");
+        self.y += 8.0;
+    }
+
+    fn catalogue(&mut self, catalogue: &Catalogue, counts: &dyn Fn(usize) -> usize) {
+        self.heading("ON THE RACKS");
+        for (index, category) in catalogue.categories.iter().enumerate() {
+            self.y += 25.0;
+            for (place, item_type) in catalogue.types_in(index).enumerate() {
+                let item_type = &catalogue.types[item_type];
+                let at = (self.x + 11.0 + 23.0 * place as f64, self.y - 5.0);
+                glyph::draw(self.canvas, at, item_type.shape, item_type.colour);
+            }
+            let indent = 14.0 + 23.0 * catalogue.types_in(index).count() as f64;
+            self.text(indent, &category.name, 14.0, INK, 400);
+            let count = counts(index).to_string();
+            self.right(&count);
+        }
+    }
+
+    /// A figure at the right border.
+    fn right(&mut self, text: &str) {
+        let at = (self.x + LEGEND - MARGIN, self.y);
+        self.canvas.text(at, text, &format!("font-size='14' fill='{MUTED}' text-anchor='end'"));
+    }
+
+    fn note(&mut self, text: &str) {
+        self.y += 20.0;
+        self.text(0.0, text, 12.5, MUTED, 400);
+    }
+}
+
+impl Map<'_> {
+    fn column(&mut self) -> Column<'_> {
+        let x = self.legend_x();
+        Column { canvas: &mut self.canvas, x, y: MARGIN }
+    }
+
+    /// A north arrow and the scale, at the foot of the legend.
+    fn compass(&mut self) {
+        let (x, y) = (self.legend_x(), MARGIN + f64::from(self.layout.height()) * CELL);
+        self.canvas.path(
+            &format!("M{:.1} {:.1}l9 26l-9 -6l-9 6Z", x + 10.0, y - 34.0),
+            &format!("fill='{INK}' stroke-linejoin='round'"),
+        );
+        let style = format!("font-size='13' font-weight='700' fill='{INK}' text-anchor='middle'");
+        self.canvas.text((x + 10.0, y - 40.0), "N", &style);
+        let scale = format!("M{:.1} {:.1}v8h{CELL:.1}v-8", x + 46.0, y - 17.0);
+        self.canvas.path(&scale, &format!("stroke='{INK}' stroke-width='1.5'"));
+        let style = format!("font-size='13' fill='{INK}' text-anchor='middle'");
+        self.canvas.text((x + 46.0 + CELL / 2.0, y - 22.0), "1 m", &style);
+    }
+
+    pub(super) fn floor_legend(&mut self, warehouse: &Warehouse) {
+        let layout = self.layout;
+        let mut column = self.column();
+        let size = format!("{} m x {} m, one cell is 1 m wide", layout.width(), layout.height());
+        column.title("The warehouse", &size);
+        column.catalogue(&warehouse.catalogue, &|index| warehouse.items_in(index).count());
+        column.heading("READING THE MAP");
+        column.note(&format!(
+            "{} items of {} types; each is drawn in its",
+            warehouse.items.len(),
+            warehouse.catalogue.types.len()
+        ));
+        column.note("rack, at the face it is reached from. Standing");
+        column.note("on the cell before the face reaches the item.");
+        self.compass();
+    }
+
+    pub(super) fn case_legend(&mut self, warehouse: &Warehouse, case: &Case) {
+        let mut column = self.column();
+        let number = case.task.number();
+        let name = Task::type_name(number).unwrap_or_default();
+        column.title(&format!("Case {}", case.id), &format!("type {number}, {name}"));
+        column.y += 12.0;
+        for line in wrapped(&case.task.instruction(&warehouse.catalogue), LINE) {
+            column.y += 23.0;
+            column.text(0.0, &line, 18.0, INK, 500);
+        }
+        column.heading("TARGETS");
+        targets(&mut column, warehouse, case);
+        column.heading("DEMONSTRATIONS");
+        for start in Start::DEMONSTRATIONS {
+            route(&mut column, warehouse, case, start);
+        }
+        column.heading("TEST REFERENCES");
+        for start in [Start::Test, Start::Blocked] {
+            route(&mut column, warehouse, case, start);
+        }
+        column.y += 32.0;
+        let at = (column.x + 12.0, column.y - 18.0);
+        barricade(column.canvas, at, 26.0);
+        column.text(66.0, "closed in the blocked variant", 14.0, INK, 400);
+        column.y += 28.0;
+        let at = (column.x + 25.0, column.y - 5.0);
+        column.canvas.circle(at, 4.2, &format!("fill='{PAPER}' stroke='{INK}' stroke-width='2.2'"));
+        column.text(66.0, "a sub-goal is met", 14.0, INK, 400);
+        column.catalogue(&warehouse.catalogue, &|index| warehouse.items_in(index).count());
+        self.compass();
+    }
+}
+
+/// Each letter, what it stands for and how many there are.
+fn targets(column: &mut Column<'_>, warehouse: &Warehouse, case: &Case) {
+    let targets = case.task.targets(warehouse);
+    for wanted in ['A', 'B', 'C'] {
+        let wears = |item: &&&Item| letter(warehouse, &case.task, item) == Some(wanted);
+        let found: Vec<&Item> = targets.iter().filter(wears).copied().collect();
+        let Some(first) = found.first() else { continue };
+        let item_type = &warehouse.catalogue.types[first.item_type];
+        let name = match wanted {
+            'C' => &warehouse.catalogue.categories[item_type.category].name,
+            _ => &item_type.name,
+        };
+        column.y += 26.0;
+        let (x, y) = (column.x, column.y - 5.0);
+        badge(column.canvas, (x + 11.0, y), wanted);
+        glyph::draw(column.canvas, (x + 38.0, y), item_type.shape, item_type.colour);
+        column.text(66.0, name, 15.0, INK, 400);
+        column.right(&format!("{} of them", found.len()));
+    }
+}
+
+/// A route's line, its start and its length.
+fn route(column: &mut Column<'_>, warehouse: &Warehouse, case: &Case, start: Start) {
+    column.y += 29.0;
+    let (x, y) = (column.x, column.y - 5.0);
+    let Style { colour, dashes, width, .. } = style(start);
+    column.canvas.path(
+        &format!("M{x:.1} {y:.1}h50"),
+        &format!("stroke='{colour}' stroke-width='{width}' stroke-dasharray='{dashes}' stroke-linecap='round'"),
+    );
+    let pose = case.trajectory(start).start;
+    start_disc(column.canvas, (x + 25.0, y), start, pose.heading);
+    column.text(66.0, start.name(), 15.0, INK, 500);
+    column.text(150.0, &format!("from {pose}"), 13.0, MUTED, 400);
+    let length = case.replay(warehouse, start).length;
+    let steps = length.map_or_else(|| "fails".into(), |length| format!("{length} steps"));
+    column.right(&steps);
+}
+
+/// `text` in lines of at most `width` characters, where its words allow.
+fn wrapped(text: &str, width: usize) -> Vec<String> {
+    let mut lines: Vec<String> = Vec::new();
+    for word in text.split(' ') {
+        match lines.last_mut() {
+            Some(line) if line.len() + 1 + word.len() <= width => {
+                line.push(' ');
+                line.push_str(word);
+            }
+            _ => lines.push(word.to_owned()),
+        }
+    }
+    lines
+}
