@@ -1,1 +1,16 @@
-//! The policy: turns an observation, a window and a recall into an action.
+//! The policy: turns an observation, a window and a recall into an action (DESIGN section 5).
+//!
+//! - [`request`]: what a policy is given, and what it answers. Nothing else reaches it.
+//! - [`sdk`]: the [`Policy`] trait and [`serve`], which puts an implementation on the wire.
+//! - [`random`] and [`grounded`]: two policies that use nothing but the SDK.
+//!
+//! What is not here: the map. This crate does not link the one that knows it, so a policy can only
+//! have seen what its requests showed.
+
+pub mod grounded;
+pub mod random;
+pub mod request;
+pub mod sdk;
+
+pub use request::{Answer, Decision, FrameView, PastView, Request, Segment, SegmentView, Tokens};
+pub use sdk::Policy;

@@ -1,0 +1,4 @@
+mod instruction;
+mod plates;
+#[cfg(test)]
+mod painter;

@@ -1,0 +1,163 @@
+//! What a policy is given for one step of one episode, and what it answers.
+//!
+//! A request borrows everything: pixels stay where the simulator wrote them. Two equal requests may
+//! be answered at any time, in any batch and any order, so a policy that wants its runs repeatable
+//! answers from the request alone.
+
+use shm_types::message::{FrameId, Outcome};
+use shm_types::{Action, Feedback, Pose};
+
+/// A view: pixels in shared memory, which never change while the view can be named.
+#[derive(Clone, Copy)]
+pub struct FrameView<'a> {
+    /// Names the pixels. Good for caching what was seen in them, since it is never reused; which
+    /// number it is means nothing.
+    pub id: FrameId,
+    /// Pixels in a row.
+    pub width: u32,
+    /// Rows.
+    pub height: u32,
+    /// RGBA, 8 bits each, rows top to bottom: `4 * width * height` bytes.
+    pub pixels: &'a [u8],
+}
+
+impl FrameView<'_> {
+    /// The red, green and blue of the pixel in column `x` and row `y`; black outside the picture.
+    pub fn rgb(&self, x: u32, y: u32) -> [u8; 3] {
+        if x >= self.width {
+            return [0; 3];
+        }
+        let at = 4 * (y as usize * self.width as usize + x as usize);
+        match self.pixels.get(at..at + 3) {
+            Some(&[red, green, blue]) => [red, green, blue],
+            _ => [0; 3],
+        }
+    }
+}
+
+impl std::fmt::Debug for FrameView<'_> {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "FrameView({} of {} x {})", self.id, self.width, self.height)
+    }
+}
+
+/// One past step of the running episode.
+#[derive(Debug, Clone, Copy)]
+pub struct PastView<'a> {
+    /// The view before the action.
+    pub frame: FrameView<'a>,
+    /// What was done there; `None` when the answer could not be read.
+    pub action: Option<Action>,
+    /// What the world said to it.
+    pub feedback: Feedback,
+}
+
+/// One view of a remembered segment.
+#[derive(Debug, Clone, Copy)]
+pub struct SegmentView<'a> {
+    /// The remembered view.
+    pub frame: FrameView<'a>,
+    /// What the expert did there; `None` at the end of the segment.
+    pub action: Option<Action>,
+}
+
+/// What memory found for this step: the stored view nearest to the current one, and what followed.
+#[derive(Debug, Clone, Copy)]
+pub struct Segment<'a> {
+    /// Cosine distance between the embeddings of the first remembered view and the current one.
+    pub distance: f32,
+    /// The matched view, then the views that the expert's actions led to. Never empty.
+    pub steps: &'a [SegmentView<'a>],
+}
+
+/// All that a policy may use to decide one step (SPEC section 1: `x_t`, `W_t` and `m_t`).
+#[derive(Debug, Clone, Copy)]
+pub struct Request<'a> {
+    /// The lane the episode runs in. For a policy's own book-keeping; it means nothing.
+    pub lane: u32,
+    /// Steps taken so far.
+    pub step: u32,
+    /// A policy that draws at random draws from this.
+    pub episode_seed: u64,
+    /// What is asked for, in English.
+    pub instruction: &'a str,
+    /// Where the agent is.
+    pub pose: Pose,
+    /// What the world said to the last action.
+    pub feedback: Feedback,
+    /// What the agent sees.
+    pub frame: FrameView<'a>,
+    /// The last steps, oldest first.
+    pub window: &'a [PastView<'a>],
+    /// What memory offers, if it offers anything.
+    pub segment: Option<Segment<'a>>,
+}
+
+impl Request<'_> {
+    /// Images in the request: the current view, the window's and the segment's.
+    pub fn images(&self) -> u32 {
+        let remembered = self.segment.map_or(0, |segment| segment.steps.len());
+        (1 + self.window.len() + remembered) as u32
+    }
+}
+
+/// What came of asking a policy. Anything but an action leaves the agent where it is, costs a step
+/// and is reported as such; it is never an accident of the machinery.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Answer {
+    /// Do this.
+    Act(Action),
+    /// There was an answer, and no action could be read from it.
+    Unreadable,
+    /// The answer was empty.
+    Empty,
+    /// The model refused.
+    Refused,
+}
+
+impl Answer {
+    /// The word for this on the wire and in the log.
+    pub const fn outcome(self) -> Outcome {
+        match self {
+            Self::Act(_) => Outcome::Acted,
+            Self::Unreadable => Outcome::Unreadable,
+            Self::Empty => Outcome::Empty,
+            Self::Refused => Outcome::Refused,
+        }
+    }
+
+    /// The action, if one was chosen.
+    pub const fn action(self) -> Option<Action> {
+        match self {
+            Self::Act(action) => Some(action),
+            Self::Unreadable | Self::Empty | Self::Refused => None,
+        }
+    }
+}
+
+/// What a language model's server counted.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Tokens {
+    /// Tokens of the prompt.
+    pub prompt: u32,
+    /// Tokens of the answer.
+    pub completion: u32,
+}
+
+/// A policy's answer to one request.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Decision {
+    /// The answer.
+    pub answer: Answer,
+    /// Images the policy was shown for it.
+    pub images: u32,
+    /// Tokens it cost; `None` where nothing counts tokens.
+    pub tokens: Option<Tokens>,
+}
+
+impl Decision {
+    /// `action`, after being shown every image of `request`, with no tokens to count.
+    pub fn act(request: &Request<'_>, action: Action) -> Self {
+        Self { answer: Answer::Act(action), images: request.images(), tokens: None }
+    }
+}
