@@ -13,4 +13,4 @@ pub mod request;
 pub mod sdk;
 
 pub use request::{Answer, Decision, FrameView, PastView, Request, Segment, SegmentView, Tokens};
-pub use sdk::Policy;
+pub use sdk::{Policy, ServeError, serve};

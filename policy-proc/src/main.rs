@@ -1,2 +1,54 @@
-//! entry
-fn main() {}
+//! The policy process: one of the built-in policies, put on the wire.
+
+use std::path::PathBuf;
+
+use anyhow::Context;
+use clap::{Parser, Subcommand, ValueEnum};
+use policy_proc::grounded::Grounded;
+use policy_proc::random::Random;
+use policy_proc::{Policy, serve};
+use shm_types::Attach;
+use shm_types::process::die_with_parent;
+use tracing_subscriber::EnvFilter;
+
+/// Decides what the agents do. Started by `memtransfer run`.
+#[derive(Parser)]
+#[command(version)]
+struct Arguments {
+    #[command(subcommand)]
+    verb: Verb,
+}
+
+#[derive(Subcommand)]
+enum Verb {
+    /// Take part in a run until it stops.
+    Serve {
+        /// The run's folder, which holds attach.json.
+        #[arg(long, value_name = "DIR")]
+        attach: PathBuf,
+        /// Who decides.
+        #[arg(long)]
+        policy: BuiltIn,
+    },
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum BuiltIn {
+    /// Draws an action from the episode's seed and the step.
+    Random,
+    /// A scripted stand-in for a model: reads label plates, follows what memory offers, explores.
+    Grounded,
+}
+
+fn main() -> anyhow::Result<()> {
+    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new("warn"));
+    tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).init();
+    let Verb::Serve { attach, policy } = Arguments::parse().verb;
+    let run = Attach::read(&attach).context("cannot take part in the run")?;
+    die_with_parent(run.orchestrator_pid).context("this process belongs to an orchestrator")?;
+    let mut policy: Box<dyn Policy> = match policy {
+        BuiltIn::Random => Box::new(Random),
+        BuiltIn::Grounded => Box::new(Grounded::default()),
+    };
+    serve(policy.as_mut(), &attach).context("the policy process cannot go on")
+}

@@ -1,6 +1,13 @@
 //! The policy SDK: the trait a policy implements, and the loop that puts it on the wire.
+//!
+//! A policy of one's own is a type with [`Policy`] and a `main` that calls [`serve`] with the folder of
+//! the run. Reading messages, joining what belongs together, holding frames, checking what came and
+//! saying what could not be used is all done here.
 
-use shm_types::message::FrameId;
+mod join;
+mod serve;
+
+pub use serve::{ServeError, serve};
 
 use crate::{Decision, Request};
 
@@ -9,17 +16,17 @@ pub trait Policy {
     /// What the run's manifest calls it.
     fn name(&self) -> &str;
 
-    /// One decision for each request, in the same order. The requests are of different lanes, all that
-    /// wait for an answer at this moment; a decision may not depend on what else is in the batch.
+    /// What else the manifest says about it, as names and values.
+    fn facts(&self) -> Vec<(&'static str, String)> {
+        Vec::new()
+    }
+
+    /// One decision for each request, in the same order. The requests are of different lanes: all that
+    /// wait for an answer at this moment. A decision may not depend on what else is in the batch.
     fn act(&mut self, batch: &[Request<'_>]) -> Vec<Decision>;
 
     /// A new episode begins in `lane`: forget whatever was kept for it.
     fn reset(&mut self, lane: u32) {
         let _ = lane;
-    }
-
-    /// No request will show this frame again: forget whatever was kept for it.
-    fn forget(&mut self, frame: FrameId) {
-        let _ = frame;
     }
 }

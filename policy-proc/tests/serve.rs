@@ -1,0 +1,332 @@
+//! The serve loop against scripted peers: an orchestrator, a simulator and a memory in this process.
+
+use std::sync::mpsc;
+use std::thread::{self, JoinHandle};
+use std::time::{Duration, Instant};
+
+use bytemuck::Zeroable;
+use policy_proc::random::Random;
+use policy_proc::{Answer, Decision, Policy, Request, ServeError, Tokens, serve};
+use shm_types::message::{
+    self, Complaint, Eviction, Farewell, FrameId, Hello, NO_ACTION, Observation, Outcome,
+    PolicyBrief, Recall, Role, Stop, WirePose, read_text, write_text,
+};
+use shm_types::{
+    Action, Attach, Bell, Bus, Feedback, FramePublisher, FrameSize, FrameStore, Heading, Pose,
+    Receiver, RunDir, Sender,
+};
+use tempfile::TempDir;
+
+const PATIENCE: Duration = Duration::from_secs(60);
+
+/// Everybody but the policy. Fields are dropped in order: the run before its folder.
+struct Peers {
+    orchestrator: Bus,
+    briefs: Sender<PolicyBrief>,
+    observations: Sender<Observation>,
+    recalls: Sender<Recall>,
+    evictions: Sender<Eviction>,
+    stops: Sender<Stop>,
+    decisions: Receiver<message::Decision>,
+    complaints: Receiver<Complaint>,
+    farewells: Receiver<Farewell>,
+    policy: Bell,
+    frames: FramePublisher,
+    /// Receivers that must be there for anything to be delivered.
+    _others: (
+        Receiver<Observation>,
+        Receiver<Observation>,
+        FrameStore,
+        Receiver<Stop>,
+        Receiver<Stop>,
+        Bus,
+        Bus,
+    ),
+    hello: Hello,
+    serving: JoinHandle<Result<(), ServeError>>,
+    _run: RunDir,
+    _base: TempDir,
+}
+
+impl Peers {
+    /// A run of four lanes in which `policy` is serving.
+    fn new(policy: impl Policy + Send + 'static) -> Self {
+        let base = tempfile::Builder::new().prefix("mt").tempdir_in("/tmp").unwrap();
+        let run = RunDir::create(base.path()).unwrap();
+        let frame = FrameSize { width: 64, height: 64 };
+        let attach = Attach { frame, frame_capacity: 32, lanes: 4, ..Attach::new(&run) };
+        attach.write(run.path()).unwrap();
+        let bus = |role| Bus::join(attach.clone(), role).unwrap();
+        let (orchestrator, sim, memory) =
+            (bus(Role::Orchestrator), bus(Role::Sim), bus(Role::Memory));
+        let hellos = orchestrator.receiver::<Hello>().unwrap();
+        let (decisions, complaints, farewells) = (
+            orchestrator.receiver().unwrap(),
+            orchestrator.receiver().unwrap(),
+            orchestrator.receiver().unwrap(),
+        );
+        let others = (
+            orchestrator.receiver().unwrap(),
+            memory.receiver().unwrap(),
+            FrameStore::new(&memory).unwrap(),
+            memory.receiver().unwrap(),
+            sim.receiver().unwrap(),
+        );
+        let path = run.path().to_owned();
+        let mut policy = policy;
+        let serving = thread::spawn(move || serve(&mut policy, &path));
+        let hello = within_patience(&orchestrator, || hellos.next().unwrap());
+        Self {
+            briefs: orchestrator.sender().unwrap(),
+            observations: sim.sender().unwrap(),
+            recalls: memory.sender().unwrap(),
+            evictions: sim.sender().unwrap(),
+            stops: orchestrator.sender().unwrap(),
+            decisions,
+            complaints,
+            farewells,
+            policy: orchestrator.bell(Role::Policy).unwrap(),
+            frames: FramePublisher::new(&sim).unwrap(),
+            _others: (others.0, others.1, others.2, others.3, others.4, sim, memory),
+            hello,
+            serving,
+            _run: run,
+            _base: base,
+            orchestrator,
+        }
+    }
+
+    /// A frame of one grey.
+    fn publish(&mut self, grey: u8) -> FrameId {
+        let mut slot = self.frames.loan().unwrap();
+        slot.pixels_mut().fill(grey);
+        self.frames.publish(slot, [grey; 16]).unwrap()
+    }
+
+    fn brief(&self, lane: u32, episode: u64, instruction: &str) {
+        let mut brief =
+            PolicyBrief { lane, episode, seed: u64::from(lane), ..Zeroable::zeroed() };
+        brief.instruction_len = write_text(&mut brief.instruction, instruction);
+        self.briefs.send(&brief).unwrap();
+    }
+
+    fn ring(&self) {
+        self.policy.ring().unwrap();
+    }
+
+    fn decisions(&self, count: usize) -> Vec<message::Decision> {
+        let mut all = Vec::new();
+        within_patience(&self.orchestrator, || {
+            all.extend(self.decisions.drain().unwrap());
+            (all.len() >= count).then_some(())
+        });
+        all
+    }
+
+    /// Stops the policy; returns how serving ended and what it said at the end.
+    fn stop(self) -> (Result<(), ServeError>, Farewell) {
+        self.stops.send(&Stop::zeroed()).unwrap();
+        self.ring();
+        let farewell =
+            within_patience(&self.orchestrator, || self.farewells.next().unwrap());
+        (self.serving.join().unwrap(), farewell)
+    }
+}
+
+/// What `look` finds, sooner or later.
+fn within_patience<T>(bus: &Bus, mut look: impl FnMut() -> Option<T>) -> T {
+    let deadline = Instant::now() + PATIENCE;
+    loop {
+        if let Some(found) = look() {
+            return found;
+        }
+        assert!(Instant::now() < deadline, "nothing came");
+        bus.doorbell().wait(Duration::from_millis(100)).unwrap();
+    }
+}
+
+fn observation(lane: u32, episode: u64, step: u32, frame: FrameId) -> Observation {
+    let pose = WirePose::from(Pose::new(3, 4, Heading::E));
+    let (feedback, action) = (Feedback::Moved as u8, Action::Forward as u8);
+    Observation { lane, episode, step, frame, pose, feedback, action, ..Zeroable::zeroed() }
+}
+
+fn recall(lane: u32, episode: u64, step: u32) -> Recall {
+    Recall { lane, episode, step, distance: f32::NAN, ..Zeroable::zeroed() }
+}
+
+/// Tells what it was asked, and refuses.
+struct Witness(mpsc::Sender<String>);
+
+impl Policy for Witness {
+    fn name(&self) -> &str {
+        "witness"
+    }
+
+    fn facts(&self) -> Vec<(&'static str, String)> {
+        vec![("sees", "all".to_owned())]
+    }
+
+    fn act(&mut self, batch: &[Request<'_>]) -> Vec<Decision> {
+        let grey = |frame: policy_proc::FrameView<'_>| {
+            assert!(frame.pixels.iter().all(|&byte| byte == frame.pixels[0]));
+            assert_eq!(frame.pixels.len(), 64 * 64 * 4);
+            frame.pixels[0]
+        };
+        for request in batch {
+            let window: Vec<_> = request
+                .window
+                .iter()
+                .map(|past| (grey(past.frame), past.action, past.feedback))
+                .collect();
+            let segment = request.segment.map(|segment| {
+                let views: Vec<_> =
+                    segment.steps.iter().map(|view| (grey(view.frame), view.action)).collect();
+                (segment.distance, views)
+            });
+            let Request { lane, step, episode_seed, instruction, pose, feedback, .. } = request;
+            let frame = grey(request.frame);
+            self.0
+                .send(format!(
+                    "lane {lane} step {step} seed {episode_seed} {instruction:?} at {pose} \
+                     {feedback:?} sees {frame} after {window:?} remembers {segment:?}"
+                ))
+                .unwrap();
+        }
+        batch
+            .iter()
+            .map(|request| Decision {
+                answer: Answer::Refused,
+                images: request.images(),
+                tokens: Some(Tokens { prompt: 100 + request.lane, completion: 3 }),
+            })
+            .collect()
+    }
+
+    fn reset(&mut self, lane: u32) {
+        self.0.send(format!("reset {lane}")).unwrap();
+    }
+}
+
+#[test]
+fn a_policy_sees_its_requests_and_nothing_else() {
+    let (say, heard) = mpsc::channel();
+    let mut peers = Peers::new(Witness(say));
+    let facts = read_text(&peers.hello.facts, peers.hello.facts_len).unwrap();
+    assert_eq!(facts, r#"{"policy":"witness","sees":"all"}"#);
+
+    let greys = [10, 20, 30].map(|grey| peers.publish(grey));
+    peers.brief(2, 71, "Find a blue barrel.");
+    peers.brief(0, 72, "Find a red barrel.");
+    let mut full = Recall { window_len: 2, segment_len: 2, distance: 0.25, ..recall(2, 71, 2) };
+    full.window[0].frame = greys[1];
+    full.window[0].action = NO_ACTION;
+    full.window[0].feedback = Feedback::NotUnderstood as u8;
+    full.window[1].frame = greys[2];
+    full.window[1].action = Action::Left as u8;
+    full.window[1].feedback = Feedback::Blocked as u8;
+    full.segment[0].frame = greys[0];
+    full.segment[0].action = Action::TurnAround as u8;
+    full.segment[1].frame = greys[1];
+    full.segment[1].action = NO_ACTION;
+    peers.recalls.send(&full).unwrap();
+    peers.observations.send(&observation(2, 71, 2, greys[0])).unwrap();
+    peers.observations.send(&observation(0, 72, 0, greys[2])).unwrap();
+    peers.recalls.send(&recall(0, 72, 0)).unwrap();
+    peers.ring();
+
+    let mut decisions = peers.decisions(2);
+    decisions.sort_by_key(|decision| decision.lane);
+    let told: Vec<_> = decisions
+        .iter()
+        .map(|d| (d.lane, d.episode, d.step, d.images, d.prompt_tokens, d.completion_tokens))
+        .collect();
+    assert_eq!(told, [(0, 72, 0, 1, 100, 3), (2, 71, 2, 5, 102, 3)]);
+    for decision in &decisions {
+        assert_eq!((decision.outcome, decision.action), (Outcome::Refused as u8, NO_ACTION));
+        assert!(decision.received_ns <= decision.started_ns);
+        assert!(decision.started_ns <= decision.decided_ns);
+    }
+
+    // The last step of an episode is nobody's to decide, and an evicted frame is let go of.
+    let last = Observation { last: 1, ..observation(0, 72, 1, message::NO_FRAME) };
+    peers.observations.send(&last).unwrap();
+    peers.evictions.send(&Eviction { frame: greys[1] }).unwrap();
+    peers.observations.send(&observation(2, 71, 3, greys[0])).unwrap();
+    let mut gone = Recall { window_len: 1, ..recall(2, 71, 3) };
+    gone.window[0].frame = greys[2];
+    peers.recalls.send(&gone).unwrap();
+    peers.ring();
+    assert_eq!(peers.decisions(1)[0].step, 3);
+
+    let (served, farewell) = peers.stop();
+    served.unwrap();
+    assert_eq!((farewell.role, farewell.complaints), (Role::Policy as u32, 0));
+    assert_eq!((farewell.frames_held, farewell.pixel_bytes_copied), (3, 0));
+    let mut heard: Vec<_> = heard.iter().collect();
+    heard.sort();
+    insta::assert_snapshot!(heard.join("\n"), @"");
+}
+
+#[test]
+fn rubbish_is_complained_about_and_the_rest_is_answered() {
+    let mut peers = Peers::new(Random);
+    let frame = peers.publish(1);
+    peers.brief(1, 5, "Find a blue barrel.");
+    peers.brief(9, 6, "Find a blue barrel.");
+    let mut bad_pose = observation(1, 5, 0, frame);
+    bad_pose.pose.0[2] = 200;
+    peers.observations.send(&bad_pose).unwrap();
+    peers.recalls.send(&Recall { window_len: 99, ..recall(1, 5, 0) }).unwrap();
+    let mut no_such_frame = Recall { window_len: 1, ..recall(1, 5, 1) };
+    no_such_frame.window[0].frame = 12_345;
+    peers.observations.send(&observation(1, 5, 1, frame)).unwrap();
+    peers.recalls.send(&no_such_frame).unwrap();
+    peers.ring();
+    let mut texts = Vec::new();
+    within_patience(&peers.orchestrator, || {
+        texts.extend(peers.complaints.drain().unwrap());
+        (texts.len() >= 4).then_some(())
+    });
+    let texts: Vec<_> =
+        texts.iter().map(|c| read_text(&c.text, c.text_len).unwrap().to_owned()).collect();
+    insta::assert_snapshot!(texts.join("\n"), @"");
+
+    peers.observations.send(&observation(1, 5, 2, frame)).unwrap();
+    peers.recalls.send(&recall(1, 5, 2)).unwrap();
+    peers.ring();
+    let decisions = peers.decisions(1);
+    assert_eq!((decisions.len(), decisions[0].step), (1, 2));
+    assert!(Action::try_from(decisions[0].action).is_ok());
+    let (served, farewell) = peers.stop();
+    served.unwrap();
+    assert_eq!(farewell.complaints, 4);
+}
+
+/// Answers nothing.
+struct Mute;
+
+impl Policy for Mute {
+    fn name(&self) -> &str {
+        "mute"
+    }
+
+    fn act(&mut self, _: &[Request<'_>]) -> Vec<Decision> {
+        Vec::new()
+    }
+}
+
+#[test]
+fn a_policy_that_does_not_answer_ends_the_process() {
+    let mut peers = Peers::new(Mute);
+    let frame = peers.publish(1);
+    peers.brief(0, 1, "Find a blue barrel.");
+    peers.observations.send(&observation(0, 1, 0, frame)).unwrap();
+    peers.recalls.send(&recall(0, 1, 0)).unwrap();
+    peers.ring();
+    let error = peers.serving.join().unwrap().unwrap_err();
+    assert_eq!(
+        error.to_string(),
+        "policy mute answered 0 of 1 requests: it must answer each once"
+    );
+}
