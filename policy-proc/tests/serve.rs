@@ -1,5 +1,7 @@
 //! The serve loop against scripted peers: an orchestrator, a simulator and a memory in this process.
 
+#![expect(clippy::unwrap_used, reason = "a test that cannot go on fails")]
+
 use std::sync::mpsc;
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
@@ -104,8 +106,7 @@ impl Peers {
     }
 
     fn brief(&self, lane: u32, episode: u64, instruction: &str) {
-        let mut brief =
-            PolicyBrief { lane, episode, seed: u64::from(lane), ..Zeroable::zeroed() };
+        let mut brief = PolicyBrief { lane, episode, seed: u64::from(lane), ..Zeroable::zeroed() };
         brief.instruction_len = write_text(&mut brief.instruction, instruction);
         self.briefs.send(&brief).unwrap();
     }
@@ -127,8 +128,7 @@ impl Peers {
     fn stop(self) -> (Result<(), ServeError>, Farewell) {
         self.stops.send(&Stop::zeroed()).unwrap();
         self.ring();
-        let farewell =
-            within_patience(&self.orchestrator, || self.farewells.next().unwrap());
+        let farewell = within_patience(&self.orchestrator, || self.farewells.next().unwrap());
         (self.serving.join().unwrap(), farewell)
     }
 }
@@ -265,7 +265,13 @@ fn a_policy_sees_its_requests_and_nothing_else() {
     assert_eq!((farewell.frames_held, farewell.pixel_bytes_copied), (3, 0));
     let mut heard: Vec<_> = heard.iter().collect();
     heard.sort();
-    insta::assert_snapshot!(heard.join("\n"), @"");
+    insta::assert_snapshot!(heard.join("\n"), @r#"
+    lane 0 step 0 seed 0 "Find a red barrel." at 3,4,E Moved sees 30 after [] remembers None
+    lane 2 step 2 seed 2 "Find a blue barrel." at 3,4,E Moved sees 10 after [(20, None, NotUnderstood), (30, Some(Left), Blocked)] remembers Some((0.25, [(10, Some(TurnAround)), (20, None)]))
+    lane 2 step 3 seed 2 "Find a blue barrel." at 3,4,E Moved sees 10 after [(30, Some(Forward), Start)] remembers None
+    reset 0
+    reset 2
+    "#);
 }
 
 #[test]
@@ -290,7 +296,12 @@ fn rubbish_is_complained_about_and_the_rest_is_answered() {
     });
     let texts: Vec<_> =
         texts.iter().map(|c| read_text(&c.text, c.text_len).unwrap().to_owned()).collect();
-    insta::assert_snapshot!(texts.join("\n"), @"");
+    insta::assert_snapshot!(texts.join("\n"), @r#"
+    policy brief for lane 9: the run has 4
+    observation for lane 1, step 0: 200 is not a heading (0 N, 1 E, 2 S, 3 W)
+    recall for lane 1, step 0: 99 past steps, at most 32 fit
+    lane 1, step 1: frame 12345 is not in the store, so it was evicted too early or never published
+    "#);
 
     peers.observations.send(&observation(1, 5, 2, frame)).unwrap();
     peers.recalls.send(&recall(1, 5, 2)).unwrap();
@@ -325,8 +336,5 @@ fn a_policy_that_does_not_answer_ends_the_process() {
     peers.recalls.send(&recall(0, 1, 0)).unwrap();
     peers.ring();
     let error = peers.serving.join().unwrap().unwrap_err();
-    assert_eq!(
-        error.to_string(),
-        "policy mute answered 0 of 1 requests: it must answer each once"
-    );
+    assert_eq!(error.to_string(), "policy mute answered 0 of 1 requests: it must answer each once");
 }

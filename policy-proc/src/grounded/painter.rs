@@ -15,8 +15,7 @@ pub(super) struct Picture {
 }
 
 /// Where the four samples of a pixel lie, as a graphics device places them.
-const SAMPLES: [(f32, f32); 4] =
-    [(0.375, 0.125), (0.875, 0.375), (0.125, 0.625), (0.625, 0.875)];
+const SAMPLES: [(f32, f32); 4] = [(0.375, 0.125), (0.875, 0.375), (0.125, 0.625), (0.625, 0.875)];
 
 impl Picture {
     /// A square picture of the background alone, a different one for each `seed`.

@@ -65,8 +65,8 @@ impl Sighting {
         let (ahead_x, ahead_y) = camera.heading.vector();
         let (right_x, right_y) = camera.heading.right().vector();
         let along = |from: u8, ahead: i8, right: i8| {
-            let offset = i16::from(ahead) * i16::from(self.ahead)
-                + i16::from(right) * i16::from(self.right);
+            let offset =
+                i16::from(ahead) * i16::from(self.ahead) + i16::from(right) * i16::from(self.right);
             u8::try_from(i16::from(from) + offset).ok()
         };
         Some(Landmark {
@@ -250,8 +250,7 @@ fn columns_of(sighting: &Sighting, width: u32) -> u32 {
 /// The band that has this colour, if it is one of the seven without much doubt.
 fn band_of(rgb: [u8; 3]) -> Option<u8> {
     debug_assert!(!BAND_RGB.contains(&FRAME_RGB));
-    let near =
-        |colour: &[u8; 3]| colour.iter().zip(rgb).all(|(&a, b)| a.abs_diff(b) <= TOLERANCE);
+    let near = |colour: &[u8; 3]| colour.iter().zip(rgb).all(|(&a, b)| a.abs_diff(b) <= TOLERANCE);
     BAND_RGB.iter().position(near).map(|band| band as u8)
 }
 

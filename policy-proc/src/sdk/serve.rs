@@ -6,8 +6,8 @@ use std::time::Duration;
 
 use bytemuck::Zeroable;
 use shm_types::message::{
-    Farewell, FrameId, Hello, NO_ACTION, NOT_MEASURED, Observation, PolicyBrief, Recall, Role, Stop,
-    WIRE_VERSION, write_text,
+    Farewell, FrameId, Hello, NO_ACTION, NOT_MEASURED, Observation, PolicyBrief, Recall, Role,
+    Stop, WIRE_VERSION, write_text,
 };
 use shm_types::process::monotonic_ns;
 use shm_types::{
@@ -61,15 +61,12 @@ pub fn serve(policy: &mut dyn Policy, attach_dir: &Path) -> Result<(), ServeErro
     let bus = Bus::join(attach, Role::Policy)?;
     // Receivers first: nobody sends before every process has said hello.
     let mut server = Server::new(&bus)?;
-    bus.sender()?.send(&hello(policy)?)?;
+    server.hellos.send(&hello(policy)?)?;
     server.orchestrator.ring()?;
-    loop {
-        let stop = server.turn(policy)?;
-        if stop {
-            return server.farewell(&bus);
-        }
+    while !server.turn(policy)? {
         bus.doorbell().wait(LONGEST_SLEEP)?;
     }
+    server.farewell()
 }
 
 fn hello(policy: &dyn Policy) -> Result<Hello, ServeError> {
@@ -100,6 +97,10 @@ struct Server {
     recalls: Receiver<Recall>,
     stops: Receiver<Stop>,
     decisions: Sender<message::Decision>,
+    // What a sender sent may be lost when it is gone before a receiver has noticed that it was there, so
+    // these two live as long as the others.
+    hellos: Sender<Hello>,
+    farewells: Sender<Farewell>,
     orchestrator: Bell,
     frames: FrameStore,
     complaints: Complaints,
@@ -114,6 +115,8 @@ impl Server {
             recalls: bus.receiver()?,
             stops: bus.receiver()?,
             decisions: bus.sender()?,
+            hellos: bus.sender()?,
+            farewells: bus.sender()?,
             orchestrator: bus.bell(Role::Orchestrator)?,
             frames: FrameStore::new(bus)?,
             complaints: Complaints::new(bus)?,
@@ -245,8 +248,8 @@ impl Server {
         }
     }
 
-    fn farewell(&self, bus: &Bus) -> Result<(), ServeError> {
-        bus.sender()?.send(&Farewell {
+    fn farewell(&self) -> Result<(), ServeError> {
+        self.farewells.send(&Farewell {
             role: Role::Policy as u32,
             frames_held: self.frames.taken(),
             complaints: self.complaints.count().into(),
@@ -287,11 +290,15 @@ impl<'a> Shown<'a> {
             shown.current.extend(views.by_ref().take(1));
             // The views come second in the zips, so that the shorter side ends them and no view is lost.
             let window = step.recalled.window.iter().zip(views.by_ref());
-            shown.windows.extend(
-                window.map(|(&(_, action, feedback), frame)| PastView { frame, action, feedback }),
-            );
+            shown.windows.extend(window.map(|(&(_, action, feedback), frame)| PastView {
+                frame,
+                action,
+                feedback,
+            }));
             let segment = step.recalled.segment.iter().zip(views.by_ref());
-            shown.segments.extend(segment.map(|(&(_, action), frame)| SegmentView { frame, action }));
+            shown
+                .segments
+                .extend(segment.map(|(&(_, action), frame)| SegmentView { frame, action }));
         }
         shown
     }
