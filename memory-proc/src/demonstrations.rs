@@ -9,7 +9,9 @@ use warehouse::{Case, Start, Warehouse};
 /// One demonstration, acted out.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Demonstration {
-    /// Which of its case's demonstrations: 0 original, 1 opposite, 2 nearby, 3 distant.
+    /// Index of the case it belongs to.
+    pub case: u32,
+    /// Which of that case's demonstrations: 0 original, 1 opposite, 2 nearby, 3 distant.
     pub number: u16,
     /// Where the expert was after `t` steps.
     pub poses: Vec<Pose>,
@@ -19,10 +21,15 @@ pub struct Demonstration {
     pub actions: Vec<Action>,
 }
 
-/// The demonstrations of `case` that the bits of `selection` choose (bit i: number i), in order.
-///
-/// `None` when a bit stands for no demonstration.
-pub fn selected(warehouse: &Warehouse, case: &Case, selection: u32) -> Option<Vec<Demonstration>> {
+/// The demonstrations of the case at `index` that the bits of `selection` choose (bit i: number i), in
+/// order. `None` when there is no such case, or a bit stands for no demonstration.
+pub fn selected(
+    warehouse: &Warehouse,
+    cases: &[Case],
+    index: u32,
+    selection: u32,
+) -> Option<Vec<Demonstration>> {
+    let case = cases.get(index as usize)?;
     if selection >> Start::DEMONSTRATIONS.len() != 0 {
         return None;
     }
@@ -30,6 +37,7 @@ pub fn selected(warehouse: &Warehouse, case: &Case, selection: u32) -> Option<Ve
     let demonstrations = chosen.map(|(number, start)| {
         let replay = case.replay(warehouse, start);
         Demonstration {
+            case: index,
             number,
             poses: replay.poses,
             stages: replay.stages,

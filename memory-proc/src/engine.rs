@@ -1,0 +1,259 @@
+//! All lanes of a run: who waits for what, and who can be answered.
+//!
+//! The engine is told of messages and finished embeddings, in whatever order they come, and says what is to be
+//! sent and what is to be embedded next. It never waits: a lane whose views or embeddings are not there
+//! yet stays open while others are answered. What it answers depends on the messages alone, not on
+//! their timing or on other lanes.
+//!
+//! It does no input or output but the embedding cache's file; [`crate::serve`] connects it to the bus and
+//! to the encoder.
+
+use std::collections::{BTreeSet, HashSet, VecDeque};
+
+use shm_types::Pose;
+use shm_types::message::{FrameId, MemoryBrief, Observation, Recall, RecallTrace, ViewRequest};
+use warehouse::{Case, Warehouse};
+
+use crate::embedding::{ContentHash, Embedding};
+use crate::embedding_cache::{CacheError, EmbeddingCache};
+use crate::episode::{Episode, Question, Unusable, unusable};
+use crate::representation::View;
+use crate::views::{Arrival, HeldViews, Resident};
+
+/// The lanes of a run. `P` is what gives a frame's pixels; the engine only hands it on.
+pub struct Engine<P> {
+    warehouse: Warehouse,
+    cases: Vec<Case>,
+    lanes: Vec<Lane>,
+    /// Lanes with an open question.
+    open: BTreeSet<u32>,
+    views: HeldViews<P>,
+    /// Episodes whose views are still to be asked for, by lane and ticket, first come first served.
+    admission: VecDeque<(u32, u64)>,
+    embeddings: EmbeddingCache,
+    /// Current views to embed: somebody waits for each.
+    urgent: VecDeque<(ContentHash, P)>,
+    /// Poses of demonstration views to embed.
+    background: VecDeque<Pose>,
+    in_flight: HashSet<ContentHash>,
+}
+
+#[derive(Default)]
+struct Lane {
+    /// The episode whose steps are observed.
+    running: Option<Episode>,
+    /// The one that was announced and has not begun.
+    next: Option<Episode>,
+}
+
+impl<P: Clone> Engine<P> {
+    /// For `lanes` lanes, with room for `views` demonstration views.
+    pub fn new(
+        warehouse: Warehouse,
+        cases: Vec<Case>,
+        lanes: u32,
+        views: usize,
+        embeddings: EmbeddingCache,
+    ) -> Self {
+        Self {
+            warehouse,
+            cases,
+            lanes: (0..lanes).map(|_| Lane::default()).collect(),
+            open: BTreeSet::new(),
+            views: HeldViews::new(views),
+            admission: VecDeque::new(),
+            embeddings,
+            urgent: VecDeque::new(),
+            background: VecDeque::new(),
+            in_flight: HashSet::new(),
+        }
+    }
+
+    /// An episode is announced: its views are asked for.
+    ///
+    /// # Errors
+    /// When the brief asks for what cannot be.
+    pub fn brief(&mut self, brief: &MemoryBrief) -> Result<(), Unusable> {
+        let episode = Episode::announced(brief, &self.warehouse, &self.cases)?;
+        let (needed, room) = (episode.blueprint.poses().len(), self.views.room());
+        if needed > room {
+            return Err(unusable!(
+                "brief of episode {}: its memory needs {needed} views and there is room for {room}: raise \
+                 --frame-budget or lower --lanes",
+                brief.episode
+            ));
+        }
+        let lanes = self.lanes.len();
+        let lane = self.lanes.get_mut(brief.lane as usize).ok_or_else(|| {
+            unusable!("brief of episode {}: lane {} of {lanes}", brief.episode, brief.lane)
+        })?;
+        if let Some(dropped) = lane.next.replace(episode) {
+            self.close(dropped);
+        }
+        self.admission.push_back((brief.lane, brief.episode));
+        self.admit();
+        Ok(())
+    }
+
+    /// Whether an observation belongs to an episode that was announced.
+    pub fn knows(&self, seen: &Observation) -> bool {
+        self.lanes.get(seen.lane as usize).is_some_and(|lane| {
+            let episodes = [&lane.running, &lane.next];
+            episodes.into_iter().flatten().any(|episode| episode.ticket == seen.episode)
+        })
+    }
+
+    /// A step was observed. `look` gives the content and pixels of a frame.
+    ///
+    /// # Errors
+    /// When the observation does not continue an episode, or shows what cannot be.
+    pub fn observe(
+        &mut self,
+        seen: &Observation,
+        received_ns: u64,
+        look: impl FnOnce(FrameId) -> Result<(ContentHash, P), Unusable>,
+    ) -> Result<(), Unusable> {
+        let unknown =
+            || unusable!("observation of unknown episode {} in lane {}", seen.episode, seen.lane);
+        let lane = self.lanes.get_mut(seen.lane as usize).ok_or_else(unknown)?;
+        if let Some(next) = lane.next.take_if(|next| next.ticket == seen.episode)
+            && let Some(abandoned) = lane.running.replace(next)
+        {
+            self.open.remove(&seen.lane);
+            self.close(abandoned);
+        }
+        let lane = &mut self.lanes[seen.lane as usize];
+        if seen.last == 1 {
+            let done = lane.running.take_if(|running| running.ticket == seen.episode);
+            self.open.remove(&seen.lane);
+            self.close(done.ok_or_else(unknown)?);
+            return Ok(());
+        }
+        let running = lane.running.as_mut().filter(|running| running.ticket == seen.episode);
+        let running = running.ok_or_else(unknown)?;
+        let mut question = Question { received_ns, content: None };
+        if running.blueprint.matches_views() {
+            let (content, picture) = look(seen.frame)?;
+            question.content = Some(content);
+            if self.embeddings.get(&content).is_none() && !self.in_flight.contains(&content) {
+                self.urgent.push_back((content, picture));
+            }
+        }
+        running.observe(seen, question, &self.warehouse, &self.cases)?;
+        self.open.insert(seen.lane);
+        Ok(())
+    }
+
+    /// A view that was asked for is resident.
+    ///
+    /// # Errors
+    /// When nobody had asked for it.
+    pub fn view(
+        &mut self,
+        pose: Pose,
+        frame: FrameId,
+        content: ContentHash,
+        picture: P,
+    ) -> Result<(), Unusable> {
+        match self.views.arrived(pose, Resident { frame, content, picture }) {
+            Arrival::Needed if self.embeddings.get(&content).is_none() => {
+                self.background.push_back(pose);
+            }
+            Arrival::Needed => {}
+            // Its room is free again.
+            Arrival::Dismissed => self.admit(),
+            Arrival::Unexpected => {
+                return Err(unusable!("view of {pose} as frame {frame}, which nobody waits for"));
+            }
+        }
+        Ok(())
+    }
+
+    /// The next picture to embed: current views first.
+    pub fn next_picture(&mut self) -> Option<(ContentHash, P)> {
+        while let Some((content, picture)) = self.urgent.pop_front() {
+            if self.start_embedding(content) {
+                return Some((content, picture));
+            }
+        }
+        while let Some(pose) = self.background.pop_front() {
+            let view = self.views.resident(pose).map(|view| (view.content, view.picture.clone()));
+            if let Some((content, picture)) = view
+                && self.start_embedding(content)
+            {
+                return Some((content, picture));
+            }
+        }
+        None
+    }
+
+    fn start_embedding(&mut self, content: ContentHash) -> bool {
+        self.embeddings.get(&content).is_none() && self.in_flight.insert(content)
+    }
+
+    /// A picture from [`Self::next_picture`] is embedded.
+    ///
+    /// # Errors
+    /// When the cache's file cannot be written; nothing but the next run's speed depends on that.
+    pub fn embedded(
+        &mut self,
+        content: ContentHash,
+        embedding: Embedding,
+    ) -> Result<(), CacheError> {
+        self.in_flight.remove(&content);
+        self.embeddings.insert(content, embedding)
+    }
+
+    /// Answers every lane that can be answered, in the order of lanes.
+    pub fn answers(&mut self, clock: impl Fn() -> u64) -> Vec<(Recall, RecallTrace)> {
+        let mut answers = Vec::new();
+        let Self { open, lanes, views, embeddings, .. } = self;
+        open.retain(|&lane| {
+            let Some(episode) = &mut lanes[lane as usize].running else { return false };
+            let content = episode.question.and_then(|question| question.content);
+            let embedding = content.and_then(|content| embeddings.get(&content));
+            let view = |pose| {
+                let resident = views.resident(pose)?;
+                let embedding = embeddings.get(&resident.content)?.clone();
+                Some(View { frame: resident.frame, content: resident.content, embedding })
+            };
+            if embedding.is_none() && content.is_some() || !episode.is_built(view) {
+                return true;
+            }
+            answers.extend(episode.answer(embedding, &clock));
+            false
+        });
+        answers
+    }
+
+    /// What is to be asked of the simulator since the last call.
+    pub fn take_view_requests(&mut self) -> Vec<ViewRequest> {
+        self.views.take_requests()
+    }
+
+    /// Asks for the views of episodes in the order of their briefs, as far as there is room.
+    fn admit(&mut self) {
+        while let Some(&(lane, ticket)) = self.admission.front() {
+            let lane = &mut self.lanes[lane as usize];
+            let mut episodes = [&mut lane.running, &mut lane.next].into_iter().flatten();
+            if let Some(episode) = episodes.find(|episode| episode.ticket == ticket) {
+                if !self.views.try_hold(episode.blueprint.poses()) {
+                    return;
+                }
+                episode.admitted = true;
+            }
+            self.admission.pop_front();
+        }
+    }
+
+    /// Forgets an episode that is in no lane any more.
+    fn close(&mut self, episode: Episode) {
+        if episode.admitted {
+            self.views.release(episode.blueprint.poses());
+            self.admit();
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,210 @@
+//! A running episode as memory knows it: what was seen and done, how far the task is, what is open.
+
+use shm_types::message::{
+    FrameId, MAX_WINDOW, MemoryBrief, NO_ACTION, NOT_MEASURED, Observation, PastStep, Recall,
+    RecallTrace, SegmentStep,
+};
+use shm_types::message::{MAX_SEGMENT, NO_FRAME, Representation};
+use shm_types::{Action, Feedback, Pose};
+use warehouse::{Case, Progress, Warehouse};
+
+use crate::demonstrations;
+use crate::embedding::{ContentHash, Embedding};
+use crate::representation::working::Window;
+use crate::representation::{Blueprint, Memory, Retrieved, Situation, View};
+
+/// A message that cannot be used: what, which value, what was expected.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("{0}")]
+pub struct Unusable(pub(crate) String);
+
+/// Makes an [`Unusable`] from a format string.
+macro_rules! unusable {
+    ($($text:tt)*) => { $crate::episode::Unusable(format!($($text)*)) };
+}
+pub(crate) use unusable;
+
+/// An observation that waits for its recall.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Question {
+    pub(crate) received_ns: u64,
+    /// The current view; `None` when the memory does not look at it.
+    pub(crate) content: Option<ContentHash>,
+}
+
+pub(crate) struct Episode {
+    pub(crate) ticket: u64,
+    pub(crate) lane: u32,
+    pub(crate) blueprint: Blueprint,
+    /// Whether its views are held.
+    pub(crate) admitted: bool,
+    /// Views of the blueprint, from the first, that are known to be there.
+    views_there: usize,
+    memory: Option<Box<dyn Memory>>,
+    case: u32,
+    window: Window,
+    /// From the first observation on.
+    now: Option<Now>,
+    pub(crate) question: Option<Question>,
+}
+
+struct Now {
+    step: u32,
+    frame: FrameId,
+    progress: Progress,
+}
+
+impl Episode {
+    /// The episode that a brief announces.
+    pub(crate) fn announced(
+        brief: &MemoryBrief,
+        warehouse: &Warehouse,
+        cases: &[Case],
+    ) -> Result<Self, Unusable> {
+        let MemoryBrief { case, demonstrations, window, horizon, .. } = *brief;
+        let representation = Representation::try_from(brief.representation)
+            .map_err(|error| unusable!("brief of episode {}: {error}", brief.episode))?;
+        if usize::from(window) > MAX_WINDOW || usize::from(horizon) >= MAX_SEGMENT {
+            let most = MAX_SEGMENT - 1;
+            return Err(unusable!(
+                "brief of episode {}: a window of {window} and a horizon of {horizon}, but at most \
+                 {MAX_WINDOW} and {most} fit into a recall",
+                brief.episode
+            ));
+        }
+        let chosen = demonstrations::selected(warehouse, cases, case, demonstrations);
+        let chosen = chosen.ok_or_else(|| {
+            unusable!(
+                "brief of episode {}: case {case} with demonstrations {demonstrations:#b}, but there \
+                 are {} cases of 4 demonstrations each (are both sides given the same assets?)",
+                brief.episode,
+                cases.len()
+            )
+        })?;
+        if chosen.is_empty() && representation == Representation::Episodic {
+            let episode = brief.episode;
+            return Err(unusable!("brief of episode {episode}: a memory of no demonstrations"));
+        }
+        Ok(Self {
+            ticket: brief.episode,
+            lane: brief.lane,
+            blueprint: Blueprint::new(representation, chosen, horizon.into()),
+            admitted: false,
+            views_there: 0,
+            memory: None,
+            case,
+            window: Window::new(window.into()),
+            now: None,
+            question: None,
+        })
+    }
+
+    /// Takes up an observation; an answer is due from now on.
+    pub(crate) fn observe(
+        &mut self,
+        seen: &Observation,
+        question: Question,
+        warehouse: &Warehouse,
+        cases: &[Case],
+    ) -> Result<(), Unusable> {
+        let Observation { episode, step, frame, .. } = *seen;
+        let broken =
+            |what: String| unusable!("observation of episode {episode}, step {step}: {what}");
+        let pose = Pose::try_from(seen.pose).map_err(|error| broken(error.to_string()))?;
+        Feedback::try_from(seen.feedback).map_err(|error| broken(error.to_string()))?;
+        if seen.action != NO_ACTION {
+            Action::try_from(seen.action).map_err(|error| broken(error.to_string()))?;
+        }
+        if frame == NO_FRAME {
+            return Err(broken("it names no frame".into()));
+        }
+        let expected = self.now.as_ref().map_or(0, |now| now.step + 1);
+        if step != expected {
+            return Err(broken(format!("step {expected} was to come")));
+        }
+        let task = &cases[self.case as usize].task;
+        let now = self.now.get_or_insert_with(|| Now {
+            step,
+            frame,
+            progress: Progress::new(warehouse, task, pose.cell),
+        });
+        if step > 0 {
+            let Observation { action, feedback, .. } = *seen;
+            self.window.push(PastStep { frame: now.frame, action, feedback, reserved: [0; 6] });
+            now.progress.visit(pose.cell);
+            (now.step, now.frame) = (step, frame);
+        }
+        self.question = Some(question);
+        Ok(())
+    }
+
+    /// Builds the memory if it is not built yet and all its views are there; says whether it is built.
+    pub(crate) fn is_built(&mut self, view: impl Fn(Pose) -> Option<View>) -> bool {
+        if self.memory.is_none() {
+            let missing = &self.blueprint.poses()[self.views_there..];
+            self.views_there += missing.iter().take_while(|pose| view(**pose).is_some()).count();
+            if self.views_there == self.blueprint.poses().len() {
+                self.memory = self.blueprint.build(view);
+            }
+        }
+        self.memory.is_some()
+    }
+
+    /// Answers the open question. The memory is built, and `embedding` is that of the question's content.
+    pub(crate) fn answer(
+        &mut self,
+        embedding: Option<&Embedding>,
+        clock: impl Fn() -> u64,
+    ) -> Option<(Recall, RecallTrace)> {
+        let (memory, now) = (self.memory.as_ref()?, self.now.as_ref()?);
+        let Question { received_ns, .. } = self.question.take()?;
+        let embedded_ns = clock();
+        let situation = Situation { embedding, stage: now.progress.stage(), elapsed: now.step };
+        let retrieved = memory.access(&situation);
+        let searched_ns = clock();
+
+        let mut window = [bytemuck::Zeroable::zeroed(); MAX_WINDOW];
+        let steps = self.window.steps();
+        let window_len = steps.len() as u32;
+        window.iter_mut().zip(steps).for_each(|(slot, step): (&mut PastStep, _)| *slot = step);
+        let mut segment: [SegmentStep; MAX_SEGMENT] = [bytemuck::Zeroable::zeroed(); MAX_SEGMENT];
+        let found = retrieved.as_ref().map_or(&[][..], |retrieved| &retrieved.segment);
+        segment[..found.len()].copy_from_slice(found);
+        let distance = retrieved.as_ref().map_or(f32::NAN, |retrieved| retrieved.distance);
+
+        let (episode, lane, step) = (self.ticket, self.lane, now.step);
+        let sent_ns = clock();
+        let recall = Recall {
+            episode,
+            received_ns,
+            sent_ns,
+            lane,
+            step,
+            distance,
+            window_len,
+            segment_len: found.len() as u32,
+            reserved: 0,
+            window,
+            segment,
+        };
+        let (case, demonstration, index) = match retrieved {
+            Some(Retrieved { case, demonstration, step, .. }) => (case, demonstration, step),
+            None => (NOT_MEASURED, u16::MAX, u16::MAX),
+        };
+        let trace = RecallTrace {
+            episode,
+            received_ns,
+            embedded_ns,
+            searched_ns,
+            sent_ns,
+            lane,
+            step,
+            case,
+            demonstration,
+            index,
+            distance,
+            reserved: 0,
+        };
+        Some((recall, trace))
+    }
+}
