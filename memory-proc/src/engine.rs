@@ -131,6 +131,7 @@ impl<P: Clone> Engine<P> {
         }
         let running = lane.running.as_mut().filter(|running| running.ticket == seen.episode);
         let running = running.ok_or_else(unknown)?;
+        running.observe(seen, &self.warehouse, &self.cases)?;
         let mut question = Question { received_ns, content: None };
         if running.blueprint.matches_views() {
             let (content, picture) = look(seen.frame)?;
@@ -139,7 +140,7 @@ impl<P: Clone> Engine<P> {
                 self.urgent.push_back((content, picture));
             }
         }
-        running.observe(seen, question, &self.warehouse, &self.cases)?;
+        running.question = Some(question);
         self.open.insert(seen.lane);
         Ok(())
     }
@@ -217,7 +218,8 @@ impl<P: Clone> Engine<P> {
                 let embedding = embeddings.get(&resident.content)?.clone();
                 Some(View { frame: resident.frame, content: resident.content, embedding })
             };
-            if embedding.is_none() && content.is_some() || !episode.is_built(view) {
+            let is_ready = embedding.is_some() || content.is_none();
+            if !is_ready || !episode.admitted || !episode.is_built(view) {
                 return true;
             }
             answers.extend(episode.answer(embedding, &clock));

@@ -99,11 +99,10 @@ impl Episode {
         })
     }
 
-    /// Takes up an observation; an answer is due from now on.
+    /// Takes up the next observation.
     pub(crate) fn observe(
         &mut self,
         seen: &Observation,
-        question: Question,
         warehouse: &Warehouse,
         cases: &[Case],
     ) -> Result<(), Unusable> {
@@ -134,7 +133,6 @@ impl Episode {
             now.progress.visit(pose.cell);
             (now.step, now.frame) = (step, frame);
         }
-        self.question = Some(question);
         Ok(())
     }
 
