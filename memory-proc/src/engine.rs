@@ -95,14 +95,6 @@ impl<P: Clone> Engine<P> {
         Ok(())
     }
 
-    /// Whether an observation belongs to an episode that was announced.
-    pub fn knows(&self, seen: &Observation) -> bool {
-        self.lanes.get(seen.lane as usize).is_some_and(|lane| {
-            let episodes = [&lane.running, &lane.next];
-            episodes.into_iter().flatten().any(|episode| episode.ticket == seen.episode)
-        })
-    }
-
     /// A step was observed. `look` gives the content and pixels of a frame.
     ///
     /// # Errors

@@ -1,11 +1,17 @@
 //! The memory: embeds frames, builds the representations, retrieves.
 //!
-//! A table of contents, outside in: [`paths`] and [`manifest`] say which encoder there is and where its
-//! files lie; [`encoder`] runs it.
+//! A table of contents, outside in:
+//!
+//! - [`serve`] takes part in a run; [`engine`] knows what each lane waits for, [`episode`] one of them;
+//! - [`representation`]: what is stored and what a step is supplied with, made of [`demonstrations`];
+//! - [`index`]: the nearest view; [`embedding`] and [`embedding_cache`]: vectors, and keeping them;
+//! - [`encoder`] makes them; [`manifest`] and [`paths`] say which there are and where their files lie;
+//! - [`embed_command`] shows what an encoder makes of pictures.
 //!
 //! What is not here: stepping and rendering (sim-proc), deciding (policy-proc), scoring (orchestrator).
 
 pub mod demonstrations;
+pub mod embed_command;
 pub mod embedding;
 pub mod embedding_cache;
 pub mod encoder;
@@ -15,4 +21,5 @@ pub mod index;
 pub mod manifest;
 pub mod paths;
 pub mod representation;
+pub mod serve;
 mod views;

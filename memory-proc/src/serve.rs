@@ -1,0 +1,367 @@
+//! Taking part in a run: drain every queue, embed, answer whom one can, ring each neighbour once.
+//!
+//! The loop never waits for an embedding. Workers ring this process's own doorbell when they have one, so a
+//! finished embedding wakes the loop like a message does.
+
+use std::num::NonZeroUsize;
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::time::Duration;
+
+use anyhow::{Context, bail};
+use bytemuck::Zeroable;
+use shm_types::message::{
+    Farewell, FrameId, Hello, MemoryBrief, Observation, Recall, RecallTrace, Role, Stop, View,
+    ViewRequest, WIRE_VERSION, write_text,
+};
+use shm_types::process::{die_with_parent, monotonic_ns};
+use shm_types::{
+    Attach, Bell, Bus, BusError, Complaints, Frame, FrameError, FrameStore, Pose, Receiver, Sender,
+};
+use warehouse::{CaseSet, Warehouse};
+
+use crate::embedding::ContentHash;
+use crate::embedding_cache::{EmbeddingCache, Found};
+use crate::encoder::{Embedded, Encoder, EncoderFacts, Image, ModelFile, Picture};
+use crate::engine::Engine;
+use crate::episode::{Unusable, unusable};
+use crate::manifest::Manifest;
+use crate::paths::Cache;
+
+/// How long the loop sleeps when nobody rings. Only a look around; nothing waits for it.
+const LONGEST_SLEEP: Duration = Duration::from_secs(1);
+
+/// What a memory process is started with.
+#[derive(Debug, Clone)]
+pub struct Settings {
+    /// The run's folder, which holds `attach.json`.
+    pub attach: PathBuf,
+    /// Folder of layout, catalogue, cases and model manifest; `None`: those that are built in.
+    pub assets: Option<PathBuf>,
+    /// Which encoder, and how it runs.
+    pub encoder: EncoderSettings,
+}
+
+/// Which encoder runs, and how.
+#[derive(Debug, Clone)]
+pub struct EncoderSettings {
+    /// Name in the manifest; `None`: the manifest's default.
+    pub name: Option<String>,
+    /// The model's file; `None`: where setup put it.
+    pub file: Option<PathBuf>,
+    /// Worker threads.
+    pub threads: NonZeroUsize,
+    /// Where the things that setup fetched lie, and where embeddings are kept.
+    pub cache: Cache,
+}
+
+impl EncoderSettings {
+    /// Starts the encoder. `wake` is called on a worker's thread whenever a result is there.
+    ///
+    /// # Errors
+    /// When there is no such encoder, or something it needs is missing or broken.
+    pub fn start(
+        &self,
+        manifest: &Manifest,
+        wake: impl Fn() + Clone + Send + 'static,
+    ) -> anyhow::Result<Encoder> {
+        let model = manifest.model(self.name.as_ref().unwrap_or(&manifest.default))?;
+        let file = ModelFile::read(model, self.file.as_deref(), &self.cache)?;
+        Ok(Encoder::start(&file, &self.cache.runtime(), self.threads, wake)?)
+    }
+}
+
+/// Remembers for the run whose folder is `settings.attach`, until the orchestrator says stop.
+///
+/// Messages that cannot be used are complained about and dropped.
+///
+/// # Errors
+/// When the run cannot be joined, its transport fails, the assets or the encoder cannot be used. Once the
+/// run is joined, the orchestrator is told why.
+pub fn serve(settings: &Settings) -> anyhow::Result<()> {
+    let attach = Attach::read(&settings.attach).context("cannot take part in the run")?;
+    die_with_parent(attach.orchestrator_pid).context("this process belongs to an orchestrator")?;
+    let bus = Bus::join(attach, Role::Memory)?;
+    let mut complaints = Complaints::new(&bus)?;
+    // Receivers first: what is sent while the encoder starts waits in their queues.
+    let ports = Ports::new(&bus)?;
+    let served = Server::start(settings, &bus, ports, &mut complaints).and_then(Server::run);
+    if let Err(error) = &served {
+        complaints.raise(format_args!("the memory process cannot go on: {error:#}"));
+        bus.bell(Role::Orchestrator)?.ring()?;
+    }
+    served
+}
+
+impl Picture for Arc<Frame> {
+    fn image(&self) -> Image<'_> {
+        let size = self.size();
+        Image { width: size.width, height: size.height, rgba: self.pixels() }
+    }
+}
+
+/// The process's ends of the bus.
+struct Ports {
+    briefs: Receiver<MemoryBrief>,
+    observations: Receiver<Observation>,
+    views: Receiver<View>,
+    stops: Receiver<Stop>,
+    frames: FrameStore,
+    recalls: Sender<Recall>,
+    traces: Sender<RecallTrace>,
+    requests: Sender<ViewRequest>,
+    sim: Bell,
+    policy: Bell,
+    orchestrator: Bell,
+}
+
+impl Ports {
+    fn new(bus: &Bus) -> Result<Self, BusError> {
+        Ok(Self {
+            briefs: bus.receiver()?,
+            observations: bus.receiver()?,
+            views: bus.receiver()?,
+            stops: bus.receiver()?,
+            frames: FrameStore::new(bus)?,
+            recalls: bus.sender()?,
+            traces: bus.sender()?,
+            requests: bus.sender()?,
+            sim: bus.bell(Role::Sim)?,
+            policy: bus.bell(Role::Policy)?,
+            orchestrator: bus.bell(Role::Orchestrator)?,
+        })
+    }
+}
+
+struct Server<'a> {
+    bus: &'a Bus,
+    ports: Ports,
+    complaints: &'a mut Complaints,
+    engine: Engine<Arc<Frame>>,
+    encoder: Encoder,
+}
+
+impl<'a> Server<'a> {
+    fn start(
+        settings: &Settings,
+        bus: &'a Bus,
+        mut ports: Ports,
+        complaints: &'a mut Complaints,
+    ) -> anyhow::Result<Self> {
+        let (warehouse, cases, manifest) = match &settings.assets {
+            None => (Warehouse::shipped(), CaseSet::shipped(), Manifest::shipped()?),
+            Some(folder) => {
+                let warehouse = Warehouse::load(folder)?;
+                let cases = CaseSet::load(&folder.join(warehouse::CASES_FILE), &warehouse)?;
+                (warehouse, cases, Manifest::load(folder)?)
+            }
+        };
+        let own_bell = Arc::new(bus.bell(Role::Memory)?);
+        let encoder = settings.encoder.start(&manifest, move || {
+            if let Err(error) = own_bell.ring() {
+                tracing::debug!(%error, "an encoder worker cannot wake the loop");
+            }
+        })?;
+        let embeddings = open_cache(&settings.encoder.cache, encoder.facts(), complaints);
+        let attach = bus.attach();
+        let engine =
+            Engine::new(warehouse, cases.cases, attach.lanes, room_for_views(attach), embeddings);
+        bus.sender()?.send(&hello(encoder.facts())?)?;
+        ports.orchestrator.ring()?;
+        // Whatever was evicted while the encoder started.
+        let_go_of_frames(&mut ports.frames, complaints)?;
+        Ok(Self { bus, ports, complaints, engine, encoder })
+    }
+
+    fn run(mut self) -> anyhow::Result<()> {
+        while !self.turn()? {
+            self.bus.doorbell().wait(LONGEST_SLEEP)?;
+        }
+        self.bus.sender()?.send(&Farewell {
+            role: Role::Memory as u32,
+            frames_held: self.ports.frames.taken(),
+            // Workers read pixels where the renderer wrote them; what leaves this process are ids.
+            pixel_bytes_copied: 0,
+            complaints: self.complaints.count().into(),
+            ..Zeroable::zeroed()
+        })?;
+        Ok(self.ports.orchestrator.ring()?)
+    }
+
+    /// Does everything there is to do now; says whether it is time to stop.
+    fn turn(&mut self) -> anyhow::Result<bool> {
+        let complaints = self.complaints.count();
+        self.take_messages()?;
+        self.take_embeddings()?;
+        let answered = self.answer()?;
+        let requests = self.engine.take_view_requests();
+        for request in &requests {
+            self.ports.requests.send(request)?;
+        }
+        if !requests.is_empty() {
+            self.ports.sim.ring()?;
+        }
+        if answered || self.complaints.count() != complaints {
+            self.ports.orchestrator.ring()?;
+        }
+        self.feed_the_encoder()?;
+        let_go_of_frames(&mut self.ports.frames, self.complaints)?;
+        Ok(self.ports.stops.next()?.is_some())
+    }
+
+    /// Reads all queues. A message that refers to another one was sent after it: queues are therefore
+    /// emptied effect first, and what was in them is looked at cause first.
+    fn take_messages(&mut self) -> anyhow::Result<()> {
+        let observations = self.ports.observations.drain()?;
+        let received_ns = monotonic_ns();
+        let views = self.ports.views.drain()?;
+        for brief in self.ports.briefs.drain()? {
+            self.complain(self.engine.brief(&brief));
+        }
+        for view in views {
+            let outcome = self.take_view(view)?;
+            self.complain(outcome);
+        }
+        for seen in observations {
+            let Self { engine, ports, complaints, .. } = self;
+            let mut broken = None;
+            let outcome = engine.observe(&seen, received_ns, |id| {
+                let frame = find_frame(&mut ports.frames, id, complaints);
+                frame.unwrap_or_else(|error| {
+                    broken = Some(error);
+                    Err(unusable!("frame {id} cannot be looked up"))
+                })
+            });
+            if let Some(error) = broken {
+                return Err(error.into());
+            }
+            self.complain(outcome);
+        }
+        Ok(())
+    }
+
+    fn take_view(&mut self, view: View) -> Result<Result<(), Unusable>, BusError> {
+        let pose = match Pose::try_from(view.pose) {
+            Ok(pose) => pose,
+            Err(error) => return Ok(Err(unusable!("view as frame {}: {error}", view.frame))),
+        };
+        let found = find_frame(&mut self.ports.frames, view.frame, self.complaints)?;
+        Ok(found.and_then(|(content, frame)| self.engine.view(pose, view.frame, content, frame)))
+    }
+
+    fn take_embeddings(&mut self) -> anyhow::Result<()> {
+        while let Some(Embedded { content, embedding }) = self.encoder.poll() {
+            if let Err(error) = self.engine.embedded(content, embedding?) {
+                self.complaints.raise(format_args!("{error}; this run goes on without it"));
+            }
+        }
+        Ok(())
+    }
+
+    fn answer(&mut self) -> anyhow::Result<bool> {
+        let answers = self.engine.answers(monotonic_ns);
+        for (recall, trace) in &answers {
+            self.ports.recalls.send(recall)?;
+            self.ports.traces.send(trace)?;
+        }
+        if !answers.is_empty() {
+            self.ports.policy.ring()?;
+        }
+        Ok(!answers.is_empty())
+    }
+
+    fn feed_the_encoder(&mut self) -> anyhow::Result<()> {
+        while self.encoder.has_room()
+            && let Some((content, frame)) = self.engine.next_picture()
+        {
+            self.encoder.submit(content, frame)?;
+        }
+        Ok(())
+    }
+
+    fn complain(&mut self, outcome: Result<(), Unusable>) {
+        if let Err(unusable) = outcome {
+            self.complaints.raise(unusable);
+        }
+    }
+}
+
+/// Demonstration views that may be held: the frame store's room less what running episodes pin, the
+/// current view, the one before it and the window of each lane.
+fn room_for_views(attach: &Attach) -> usize {
+    let pinned = u64::from(attach.lanes) * (u64::from(attach.window) + 2);
+    u64::from(attach.frame_capacity).saturating_sub(pinned) as usize
+}
+
+fn open_cache(cache: &Cache, facts: &EncoderFacts, complaints: &mut Complaints) -> EmbeddingCache {
+    let folder = cache.embeddings();
+    match EmbeddingCache::open(&folder, &facts.fingerprint, facts.dimension) {
+        Ok((cache, found)) => {
+            let Found { embeddings, damaged, torn_bytes, restarted } = found;
+            tracing::debug!(embeddings, "embedding cache read");
+            if damaged > 0 || torn_bytes > 0 || restarted {
+                let folder = folder.display();
+                tracing::warn!(damaged, torn_bytes, restarted, %folder, "embedding cache was damaged");
+            }
+            cache
+        }
+        Err(error) => {
+            complaints.raise(format_args!("{error}; this run goes on without it"));
+            EmbeddingCache::in_memory()
+        }
+    }
+}
+
+fn hello(facts: &EncoderFacts) -> anyhow::Result<Hello> {
+    let facts = serde_json::json!({
+        "encoder": facts.model,
+        "encoder_sha256": facts.sha256,
+        "encoder_trained": facts.trained.to_string(),
+        "encoder_threads": facts.threads.to_string(),
+        "encoder_provider": facts.provider,
+        "onnxruntime": facts.runtime,
+    });
+    let facts = facts.to_string();
+    let mut hello = Hello {
+        wire_version: WIRE_VERSION,
+        role: Role::Memory as u32,
+        pid: std::process::id(),
+        ..Zeroable::zeroed()
+    };
+    hello.facts_len = write_text(&mut hello.facts, &facts);
+    if hello.facts_len as usize != facts.len() {
+        bail!("the facts about the encoder take {} bytes, and {} fit: shorten its name", facts.len(), hello.facts.len());
+    }
+    Ok(hello)
+}
+
+/// A frame and its content. What the store could not use on the way is complained about.
+fn find_frame(
+    frames: &mut FrameStore,
+    id: FrameId,
+    complaints: &mut Complaints,
+) -> Result<Result<(ContentHash, Arc<Frame>), Unusable>, BusError> {
+    loop {
+        match frames.get(id) {
+            Ok(Some(frame)) => return Ok(Ok((frame.content_hash(), frame.clone()))),
+            Ok(None) => {
+                return Ok(Err(unusable!(
+                    "frame {id} is not in the store, so it was evicted too early or never published"
+                )));
+            }
+            Err(FrameError::Bus(error)) => return Err(error),
+            // The store has dropped what it could not use: go on after it.
+            Err(bad) => complaints.raise(bad),
+        }
+    }
+}
+
+fn let_go_of_frames(frames: &mut FrameStore, complaints: &mut Complaints) -> Result<(), BusError> {
+    loop {
+        match frames.apply_evictions() {
+            Ok(_) => return Ok(()),
+            Err(FrameError::Bus(error)) => return Err(error),
+            Err(bad) => complaints.raise(bad),
+        }
+    }
+}
