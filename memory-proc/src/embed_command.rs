@@ -35,7 +35,8 @@ pub fn run(
     settings: &EncoderSettings,
 ) -> anyhow::Result<()> {
     let read = |file: &PathBuf| {
-        let picture = image::open(file).with_context(|| format!("cannot read {}", file.display()))?;
+        let picture =
+            image::open(file).with_context(|| format!("cannot read {}", file.display()))?;
         Ok(Arc::new(PngFile(picture.into_rgba8())))
     };
     let pictures = files.iter().map(read).collect::<anyhow::Result<Vec<_>>>()?;

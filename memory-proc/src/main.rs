@@ -68,7 +68,9 @@ impl EncoderArguments {
             name: self.encoder,
             file: self.encoder_file,
             threads: self.encoder_threads.unwrap_or_else(cores),
-            cache: self.cache.map_or_else(Cache::from_environment, |folder| Ok(Cache::at(folder)))?,
+            cache: self
+                .cache
+                .map_or_else(Cache::from_environment, |folder| Ok(Cache::at(folder)))?,
         })
     }
 }

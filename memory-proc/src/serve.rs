@@ -18,6 +18,7 @@ use shm_types::process::{die_with_parent, monotonic_ns};
 use shm_types::{
     Attach, Bell, Bus, BusError, Complaints, Frame, FrameError, FrameStore, Pose, Receiver, Sender,
 };
+use warehouse::case_file::CASES_FILE;
 use warehouse::{CaseSet, Warehouse};
 
 use crate::embedding::ContentHash;
@@ -152,7 +153,7 @@ impl<'a> Server<'a> {
             None => (Warehouse::shipped(), CaseSet::shipped(), Manifest::shipped()?),
             Some(folder) => {
                 let warehouse = Warehouse::load(folder)?;
-                let cases = CaseSet::load(&folder.join(warehouse::CASES_FILE), &warehouse)?;
+                let cases = CaseSet::load(&folder.join(CASES_FILE), &warehouse)?;
                 (warehouse, cases, Manifest::load(folder)?)
             }
         };
@@ -216,7 +217,8 @@ impl<'a> Server<'a> {
         let received_ns = monotonic_ns();
         let views = self.ports.views.drain()?;
         for brief in self.ports.briefs.drain()? {
-            self.complain(self.engine.brief(&brief));
+            let outcome = self.engine.brief(&brief);
+            self.complain(outcome);
         }
         for view in views {
             let outcome = self.take_view(view)?;
@@ -330,7 +332,11 @@ fn hello(facts: &EncoderFacts) -> anyhow::Result<Hello> {
     };
     hello.facts_len = write_text(&mut hello.facts, &facts);
     if hello.facts_len as usize != facts.len() {
-        bail!("the facts about the encoder take {} bytes, and {} fit: shorten its name", facts.len(), hello.facts.len());
+        bail!(
+            "the facts about the encoder take {} bytes, and {} fit: shorten its name",
+            facts.len(),
+            hello.facts.len()
+        );
     }
     Ok(hello)
 }

@@ -86,7 +86,7 @@ pub struct EncoderFacts {
     pub sha256: String,
     /// Whether its weights learned anything.
     pub trained: bool,
-    /// Version of ONNX Runtime.
+    /// Which build of ONNX Runtime.
     pub runtime: String,
     /// Its execution provider.
     pub provider: &'static str,
@@ -161,7 +161,7 @@ impl Encoder {
             let (queue, done, wake) = (queue.clone(), done.clone(), wake.clone());
             std::thread::spawn(move || work(session, preprocessor, &queue, &done, wake))
         });
-        let version = runtime.version();
+        let build = runtime.build();
         Ok(Self {
             jobs: Some(jobs),
             results,
@@ -174,8 +174,8 @@ impl Encoder {
                 provider: "CPU",
                 threads,
                 dimension: model.dimension,
-                fingerprint: fingerprint(file, &version),
-                runtime: version,
+                fingerprint: fingerprint(file, &build),
+                runtime: build,
             },
         })
     }

@@ -83,11 +83,11 @@ impl Runtime {
         }
     }
 
-    /// The library's version, for example "1.22.1"; its whole description where that cannot be told.
-    pub(super) fn version(&self) -> String {
+    /// Which build the library is: its commit, or its whole description where that cannot be told.
+    pub(super) fn build(&self) -> String {
         let info = ort::info();
-        let branch = info.split([' ', ',']).find_map(|word| word.strip_prefix("git-branch=rel-"));
-        branch.unwrap_or(info).to_owned()
+        let commit = info.split([' ', ',']).find_map(|word| word.strip_prefix("git-commit-id="));
+        commit.map_or_else(|| info.to_owned(), |commit| format!("commit {commit}"))
     }
 }
 
