@@ -1,0 +1,571 @@
+//! Lanes: N episodes walked at once, each a small state machine. Pure: messages in, messages out.
+//!
+//! A lane has at most one question open. A [`StepCommand`] opens it, the [`Observation`] answers the
+//! simulator's half, the [`Decision`] the policy's half; then the next command goes out or the episode
+//! is finished. Where a step ends the episode is known before it is taken, because the dynamics are one
+//! pure function: the simulator is told (`last`), need not render, and nobody has to decide in vain. What
+//! it then reports is compared with the prediction, so a simulator that disagrees is found at once.
+//!
+//! Every answer names its episode by a ticket that is never handed out twice. What belongs to an earlier
+//! episode of the lane is late, and dropped without harm.
+
+use bytemuck::Zeroable;
+use shm_types::message::{
+    Decision, FrameId, MAX_INSTRUCTION, MemoryBrief, NO_ACTION, NO_FRAME, NOT_MEASURED,
+    Observation, Outcome, PolicyBrief, RecallTrace, Role, StepCommand, StepKind, WirePose,
+    write_text,
+};
+use shm_types::process::monotonic_ns;
+use shm_types::{Action, Cell, Feedback, Pose};
+use warehouse::{CaseSet, Progress, Variant, Warehouse, step};
+
+use crate::conditions::{Condition, Demonstration, Route, Start};
+use crate::log::{Ending, EpisodeRecord, Stages, Unread};
+use crate::plan::Episode;
+
+/// What all episodes of a run have in common.
+#[derive(Debug, Clone, Copy)]
+pub struct Rules {
+    /// Window length h.
+    pub window: u8,
+    /// Expert actions that a retrieved segment follows, H_epi.
+    pub horizon: u8,
+    /// T_max.
+    pub max_steps: u32,
+    /// Whether the orchestrator decides itself, by replaying the reference.
+    pub expert: bool,
+}
+
+/// A finished episode: what goes into the log, and what it cost.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Walked {
+    /// Which episode.
+    pub episode: Episode,
+    /// What follows from settings, seed and frames alone.
+    pub record: EpisodeRecord,
+    /// Where the time went.
+    pub stages: Stages,
+    /// The lane it was walked in.
+    pub lane: u32,
+    /// When it began, CLOCK_MONOTONIC.
+    pub started_ns: u64,
+    /// When it was over.
+    pub ended_ns: u64,
+    /// Messages about it that could not be used.
+    pub rubbish: u32,
+}
+
+/// The messages that open an episode, in the order in which they must be sent.
+#[derive(Debug)]
+pub struct Opening {
+    /// For the memory.
+    pub memory: MemoryBrief,
+    /// For the policy.
+    pub policy: PolicyBrief,
+    /// For the simulator.
+    pub command: StepCommand,
+}
+
+/// What follows from a message.
+#[derive(Debug)]
+pub enum Turn {
+    /// Nothing to do.
+    Wait,
+    /// Send this.
+    Command(StepCommand),
+    /// The lane is free; its episode is done.
+    Finished(Box<Walked>),
+}
+
+/// Why a message cannot be used.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum Fault {
+    /// It names no lane.
+    #[error("the {} answered for lane {lane}, but there are {lanes}", role.word())]
+    NoSuchLane {
+        /// Who sent it.
+        role: Role,
+        /// The lane.
+        lane: u32,
+        /// How many there are.
+        lanes: usize,
+    },
+    /// It answers a question that was not asked.
+    #[error(
+        "the {} answered step {step} of lane {lane}, which is not the step it was asked for",
+        role.word()
+    )]
+    NotAsked {
+        /// Who sent it.
+        role: Role,
+        /// The lane.
+        lane: u32,
+        /// The step.
+        step: u32,
+    },
+    /// The simulator's world is not the orchestrator's.
+    #[error("the simulator reports {found} for step {step} of lane {lane}, expected {expected}")]
+    Disagrees {
+        /// The lane.
+        lane: u32,
+        /// The step.
+        step: u32,
+        /// What it said.
+        found: String,
+        /// What the dynamics say.
+        expected: String,
+    },
+    /// The answer itself is no answer. The episode is given up.
+    #[error("the {} sent no usable answer for step {step} of lane {lane}: {what}", role.word())]
+    Garbage {
+        /// Who sent it.
+        role: Role,
+        /// The lane.
+        lane: u32,
+        /// The step.
+        step: u32,
+        /// What is wrong with it.
+        what: String,
+    },
+}
+
+/// The lanes of a run and the episodes in them.
+#[derive(Debug)]
+pub struct Lanes<'w> {
+    warehouse: &'w Warehouse,
+    cases: &'w CaseSet,
+    rules: Rules,
+    lanes: Vec<Option<Walk>>,
+    tickets: u64,
+}
+
+/// One episode under way.
+#[derive(Debug)]
+struct Walk {
+    ticket: u64,
+    variant_code: u32,
+    variant: Variant,
+    /// The reference's actions, for the expert.
+    reference: Vec<Action>,
+    progress: Progress,
+    /// Where the agent will be, and be told, when the open command is done.
+    pose: Pose,
+    feedback: Feedback,
+    last_action: u8,
+    asked: Asked,
+    /// When the open question was asked.
+    since_ns: u64,
+    /// When the current step's view was there.
+    rendered_ns: u64,
+    /// What the memory said of the current step, once it has.
+    trace: Option<RecallTrace>,
+    /// When the current step's decision was made.
+    decided_ns: u64,
+    /// One word a request, see [`EpisodeRecord::retrieved`].
+    retrieved: Vec<String>,
+    distances: Vec<f64>,
+    walked: Walked,
+}
+
+/// Whose answer a lane waits for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Asked {
+    /// The simulator's; the episode goes on.
+    Observation,
+    /// The simulator's; the episode is over with it.
+    LastObservation,
+    /// The policy's.
+    Decision,
+}
+
+impl<'w> Lanes<'w> {
+    /// `count` empty lanes.
+    pub fn new(warehouse: &'w Warehouse, cases: &'w CaseSet, rules: Rules, count: usize) -> Self {
+        let lanes = std::iter::repeat_with(|| None).take(count).collect();
+        Self { warehouse, cases, rules, lanes, tickets: 0 }
+    }
+
+    /// A lane that is free.
+    pub fn free(&self) -> Option<usize> {
+        self.lanes.iter().position(Option::is_none)
+    }
+
+    /// Episodes under way.
+    pub fn busy(&self) -> usize {
+        self.lanes.iter().flatten().count()
+    }
+
+    /// Begins `episode` in the free lane `lane`.
+    pub fn begin(&mut self, lane: usize, episode: Episode) -> Opening {
+        self.tickets += 1;
+        let mut walk = self.set_out(lane, episode);
+        let episode = &walk.walked.episode;
+        let condition = episode.key.condition;
+        let mut policy = PolicyBrief {
+            episode: walk.ticket,
+            seed: episode.seed,
+            lane: lane as u32,
+            instruction_len: 0,
+            instruction: [0; MAX_INSTRUCTION],
+        };
+        let task = &self.cases.cases[episode.case_index].task;
+        let instruction = task.instruction(&self.warehouse.catalogue);
+        policy.instruction_len = write_text(&mut policy.instruction, &instruction);
+        let opening = Opening {
+            memory: MemoryBrief {
+                episode: walk.ticket,
+                lane: lane as u32,
+                case: episode.case_index as u32,
+                demonstrations: condition.demonstrations.bits(),
+                representation: condition.memory.representation() as u8,
+                window: self.rules.window,
+                horizon: self.rules.horizon,
+                ..Zeroable::zeroed()
+            },
+            policy,
+            command: StepCommand { start: walk.pose.into(), ..walk.command(lane, StepKind::Reset) },
+        };
+        self.lanes[lane] = Some(walk);
+        opening
+    }
+
+    /// The walk of `episode` before its first step.
+    fn set_out(&self, lane: usize, episode: Episode) -> Walk {
+        let case = &self.cases.cases[episode.case_index];
+        let condition = episode.key.condition;
+        let from = reference(condition);
+        let trajectory = case.trajectory(from);
+        let start = trajectory.start;
+        let progress = Progress::new(self.warehouse, &case.task, start.cell);
+        let blocked = condition.route == Route::Blocked;
+        let asks = !self.rules.expert;
+        let record = EpisodeRecord {
+            key: episode.key.to_string(),
+            memory: condition.memory,
+            start: condition.start,
+            route: condition.route,
+            demonstrations: condition.demonstrations,
+            run: episode.key.run,
+            case: episode.key.case.clone(),
+            task: case.task.number(),
+            seed: episode.seed,
+            ending: Ending::OutOfSteps,
+            steps: 0,
+            reference: case.replay(self.warehouse, from).length.unwrap_or(0),
+            actions: String::new(),
+            sub_goals: vec![0; progress.stage() as usize],
+            tried_closed: blocked.then_some(false),
+            start_pose: start,
+            final_pose: start,
+            requests: asks.then_some(0),
+            images: asks.then_some(0),
+            prompt_tokens: asks.then_some(0),
+            completion_tokens: asks.then_some(0),
+            unread: Unread::default(),
+            retrieved: None,
+            distance: None,
+        };
+        Walk {
+            ticket: self.tickets,
+            variant_code: if blocked { 1 + episode.case_index as u32 } else { 0 },
+            variant: case.variant(from),
+            reference: trajectory.actions.clone(),
+            progress,
+            pose: start,
+            feedback: Feedback::Start,
+            last_action: NO_ACTION,
+            asked: Asked::Observation,
+            since_ns: 0,
+            rendered_ns: 0,
+            trace: None,
+            decided_ns: 0,
+            retrieved: Vec::new(),
+            distances: Vec::new(),
+            walked: Walked {
+                episode,
+                record,
+                stages: Stages::default(),
+                lane: lane as u32,
+                started_ns: monotonic_ns(),
+                ended_ns: 0,
+                rubbish: 0,
+            },
+        }
+    }
+
+    /// Takes the simulator's answer.
+    ///
+    /// # Errors
+    /// When it cannot be used; [`Fault::Disagrees`] means that the simulator is broken.
+    pub fn observed(&mut self, observation: &Observation) -> Result<Turn, Fault> {
+        let &Observation { lane, step, episode, .. } = observation;
+        let expert = self.rules.expert;
+        let Some(walk) = self.walk(Role::Sim, lane, episode)? else { return Ok(Turn::Wait) };
+        let last = match walk.asked {
+            Asked::Observation => false,
+            Asked::LastObservation => true,
+            Asked::Decision => return Err(walk.not_asked(Role::Sim, step)),
+        };
+        walk.agrees(observation, last)?;
+        walk.walked.stages += stages_observed(observation);
+        walk.rendered_ns = observation.rendered_ns;
+        walk.since_ns = monotonic_ns();
+        if last {
+            return Ok(self.close(lane as usize));
+        }
+        walk.trace = None;
+        walk.asked = Asked::Decision;
+        if !expert {
+            return Ok(Turn::Wait);
+        }
+        let next = walk.reference.get(walk.walked.record.steps as usize).copied();
+        let action = next.ok_or_else(|| {
+            let what = "the case's reference ends before its task is complete".to_owned();
+            Fault::Garbage { role: Role::Orchestrator, lane, step, what }
+        })?;
+        Ok(self.advance(lane as usize, Ok(action)))
+    }
+
+    /// Takes the memory's account of a recall.
+    ///
+    /// # Errors
+    /// When it cannot be used. After [`Fault::Garbage`] the episode cannot go on: [`Lanes::give_up`].
+    pub fn recalled(&mut self, trace: &RecallTrace) -> Result<(), Fault> {
+        let &RecallTrace { lane, step, episode, demonstration, index, .. } = trace;
+        let cases = &self.cases.cases;
+        let Some(walk) = self.walk(Role::Memory, lane, episode)? else { return Ok(()) };
+        let asked = walk.asked == Asked::Decision && walk.trace.is_none();
+        if !asked || step != walk.walked.record.steps {
+            return Err(walk.not_asked(Role::Memory, step));
+        }
+        let word = if trace.case == NOT_MEASURED {
+            "-".to_owned()
+        } else {
+            let source = cases.get(trace.case as usize);
+            let which = Demonstration::ALL.get(usize::from(demonstration));
+            let (Some(source), Some(which)) = (source, which) else {
+                let what = format!("case {}, demonstration {demonstration}", trace.case);
+                return Err(Fault::Garbage { role: Role::Memory, lane, step, what });
+            };
+            walk.distances.push(f64::from(trace.distance));
+            let own = trace.case as usize == walk.walked.episode.case_index;
+            let case = if own { String::new() } else { format!("{}:", source.id) };
+            format!("{case}{}{index}", which.letter())
+        };
+        walk.retrieved.push(word);
+        walk.walked.stages += stages_recalled(trace, walk.rendered_ns);
+        walk.trace = Some(*trace);
+        walk.since_ns = monotonic_ns();
+        Ok(())
+    }
+
+    /// Takes the policy's answer.
+    ///
+    /// # Errors
+    /// When it cannot be used. After [`Fault::Garbage`] the episode cannot go on: [`Lanes::give_up`].
+    pub fn decided(&mut self, decision: &Decision) -> Result<Turn, Fault> {
+        let &Decision { lane, step, episode, .. } = decision;
+        let Some(walk) = self.walk(Role::Policy, lane, episode)? else { return Ok(Turn::Wait) };
+        let trace = match (walk.asked, walk.trace) {
+            (Asked::Decision, Some(trace)) if step == walk.walked.record.steps => trace,
+            _ => return Err(walk.not_asked(Role::Policy, step)),
+        };
+        let garbage = |error: shm_types::pose::UnknownCode| {
+            let what = error.to_string();
+            Fault::Garbage { role: Role::Policy, lane, step, what }
+        };
+        let answer = match Outcome::try_from(decision.outcome).map_err(garbage)? {
+            Outcome::Acted => Ok(Action::try_from(decision.action).map_err(garbage)?),
+            unread => Err(unread),
+        };
+        walk.walked.stages += stages_decided(decision, &trace);
+        walk.decided_ns = decision.decided_ns;
+        let record = &mut walk.walked.record;
+        let told = |tokens: u32| (tokens != NOT_MEASURED).then_some(u64::from(tokens));
+        let sum = |sum: Option<u64>, more: Option<u64>| sum.zip(more).map(|(a, b)| a + b);
+        record.requests = record.requests.map(|requests| requests + 1);
+        record.images = sum(record.images, Some(u64::from(decision.images)));
+        record.prompt_tokens = sum(record.prompt_tokens, told(decision.prompt_tokens));
+        record.completion_tokens = sum(record.completion_tokens, told(decision.completion_tokens));
+        Ok(self.advance(lane as usize, answer))
+    }
+
+    /// Empties the lane and hands its episode back, to be walked again.
+    pub fn give_up(&mut self, lane: u32) -> Option<Episode> {
+        self.lanes.get_mut(lane as usize)?.take().map(|walk| walk.walked.episode)
+    }
+
+    /// Empties all lanes and hands their episodes back, to be walked again.
+    pub fn abandon(&mut self) -> Vec<Episode> {
+        self.lanes.iter_mut().filter_map(Option::take).map(|walk| walk.walked.episode).collect()
+    }
+
+    /// The process that has owed an answer for longest, and since when, if any does.
+    pub fn slowest(&self) -> Option<(Role, u64)> {
+        let owed = self.lanes.iter().flatten().map(|walk| {
+            let role = match (walk.asked, walk.trace) {
+                (Asked::Observation | Asked::LastObservation, _) => Role::Sim,
+                (Asked::Decision, None) => Role::Memory,
+                (Asked::Decision, Some(_)) => Role::Policy,
+            };
+            (role, walk.since_ns)
+        });
+        owed.min_by_key(|&(_, since)| since)
+    }
+
+    /// The walk that a message is about; `None` when the message is late.
+    fn walk(&mut self, role: Role, lane: u32, ticket: u64) -> Result<Option<&mut Walk>, Fault> {
+        let lanes = self.lanes.len();
+        let walk =
+            self.lanes.get_mut(lane as usize).ok_or(Fault::NoSuchLane { role, lane, lanes })?;
+        Ok(walk.as_mut().filter(|walk| walk.ticket == ticket))
+    }
+
+    /// Takes the next step of the lane's walk: an action, or staying where an answer could not be read.
+    fn advance(&mut self, lane: usize, answer: Result<Action, Outcome>) -> Turn {
+        let (layout, max_steps) = (&self.warehouse.layout, self.rules.max_steps);
+        let Some(walk) = &mut self.lanes[lane] else { return Turn::Wait };
+        let record = &mut walk.walked.record;
+        let kind = match answer {
+            Ok(action) => {
+                let tried = entered(walk.pose, action).is_some_and(|c| walk.variant.is_closed(c));
+                record.tried_closed = record.tried_closed.map(|before| before || tried);
+                (walk.pose, walk.feedback) = step(layout, &walk.variant, walk.pose, action);
+                walk.last_action = action as u8;
+                record.actions.push(action.letter());
+                StepKind::Act
+            }
+            Err(outcome) => {
+                match outcome {
+                    Outcome::Acted | Outcome::Unreadable => record.unread.unreadable += 1,
+                    Outcome::Empty => record.unread.empty += 1,
+                    Outcome::Refused => record.unread.refused += 1,
+                }
+                walk.feedback = Feedback::NotUnderstood;
+                walk.last_action = NO_ACTION;
+                record.actions.push('?');
+                StepKind::Stay
+            }
+        };
+        record.steps += 1;
+        record.final_pose = walk.pose;
+        let met = walk.progress.visit(walk.pose.cell);
+        record.sub_goals.extend((0..met).map(|_| record.steps));
+        if walk.progress.is_complete() {
+            record.ending = Ending::Complete;
+        }
+        let over = walk.progress.is_complete() || record.steps >= max_steps;
+        walk.asked = if over { Asked::LastObservation } else { Asked::Observation };
+        Turn::Command(walk.command(lane, kind))
+    }
+
+    /// Takes the finished walk out of its lane.
+    fn close(&mut self, lane: usize) -> Turn {
+        let Some(walk) = self.lanes[lane].take() else { return Turn::Wait };
+        let Walk { mut walked, retrieved, distances, .. } = walk;
+        walked.ended_ns = monotonic_ns();
+        if !distances.is_empty() {
+            let mean = distances.iter().sum::<f64>() / distances.len() as f64;
+            walked.record.distance = Some((mean * 1e6).round() / 1e6);
+            walked.record.retrieved = Some(retrieved.join(" "));
+        }
+        Turn::Finished(Box::new(walked))
+    }
+}
+
+impl Walk {
+    /// The command that makes the simulator do what was predicted.
+    fn command(&mut self, lane: usize, kind: StepKind) -> StepCommand {
+        self.since_ns = monotonic_ns();
+        if self.decided_ns > 0 {
+            self.walked.stages.decision += self.since_ns.saturating_sub(self.decided_ns);
+        }
+        StepCommand {
+            episode: self.ticket,
+            sent_ns: self.since_ns,
+            lane: lane as u32,
+            step: self.walked.record.steps,
+            variant: self.variant_code,
+            kind: kind as u8,
+            action: self.last_action,
+            last: u8::from(self.asked == Asked::LastObservation),
+            ..Zeroable::zeroed()
+        }
+    }
+
+    fn not_asked(&mut self, role: Role, step: u32) -> Fault {
+        self.walked.rubbish += 1;
+        Fault::NotAsked { role, lane: self.walked.lane, step }
+    }
+
+    /// Whether the simulator saw what the dynamics say.
+    fn agrees(&self, observation: &Observation, last: bool) -> Result<(), Fault> {
+        let &Observation { lane, step, .. } = observation;
+        let frame_as_due = |frame: FrameId| (frame == NO_FRAME) == last;
+        let (pose, feedback): (WirePose, u8) = (self.pose.into(), self.feedback as u8);
+        if (step, observation.pose, observation.feedback)
+            == (self.walked.record.steps, pose, feedback)
+            && frame_as_due(observation.frame)
+        {
+            return Ok(());
+        }
+        let found = format!(
+            "step {step}, pose {:?}, feedback {}, frame {}",
+            observation.pose.0, observation.feedback, observation.frame
+        );
+        let expected = format!(
+            "step {}, pose {:?}, feedback {feedback}, {} frame",
+            self.walked.record.steps,
+            pose.0,
+            if last { "no" } else { "a" }
+        );
+        Err(Fault::Disagrees { lane, step, found, expected })
+    }
+}
+
+/// Which of a case's trajectories an episode under `condition` is compared with, and so where it begins.
+pub fn reference(condition: Condition) -> warehouse::Start {
+    match (condition.start, condition.route) {
+        (Start::Original, _) => warehouse::Start::Original,
+        (Start::New, Route::Unchanged) => warehouse::Start::Test,
+        (Start::New, Route::Blocked) => warehouse::Start::Blocked,
+    }
+}
+
+/// The cell that `action` tries to enter from `pose`, if it is a move.
+fn entered(pose: Pose, action: Action) -> Option<Cell> {
+    pose.cell.step(pose.heading.turned(action.move_direction()?))
+}
+
+/// What the simulator's part of a step took.
+fn stages_observed(observation: &Observation) -> Stages {
+    let Observation { commanded_ns, woken_ns, stepped_ns, rendered_ns, .. } = *observation;
+    Stages {
+        command: woken_ns.saturating_sub(commanded_ns),
+        dynamics: stepped_ns.saturating_sub(woken_ns),
+        render: rendered_ns.saturating_sub(stepped_ns),
+        ..Stages::default()
+    }
+}
+
+/// What the memory's part of a step took.
+fn stages_recalled(trace: &RecallTrace, rendered_ns: u64) -> Stages {
+    let RecallTrace { received_ns, embedded_ns, searched_ns, .. } = *trace;
+    Stages {
+        observation: received_ns.saturating_sub(rendered_ns),
+        embed: embedded_ns.saturating_sub(received_ns),
+        search: searched_ns.saturating_sub(embedded_ns),
+        ..Stages::default()
+    }
+}
+
+/// What the policy's part of a step took.
+fn stages_decided(decision: &Decision, trace: &RecallTrace) -> Stages {
+    let Decision { received_ns, started_ns, decided_ns, .. } = *decision;
+    Stages {
+        recall: received_ns.saturating_sub(trace.searched_ns),
+        queue: started_ns.saturating_sub(received_ns),
+        decide: decided_ns.saturating_sub(started_ns),
+        ..Stages::default()
+    }
+}

@@ -1,0 +1,479 @@
+//! Walking episodes through the four processes: generations, their messages, and what is done when one
+//! fails.
+//!
+//! A *generation* is one set of processes and services. When any of them dies, hangs or disagrees, the
+//! whole generation goes: its services have names that no later one shares, so nothing stale can arrive.
+//! The next generation starts after a pause, and the episodes that were under way are walked again from
+//! their beginning; finished ones are in the log already.
+//!
+//! Results leave through [`Observer`]; nothing here writes or prints.
+
+use std::collections::{BTreeMap, VecDeque};
+use std::path::PathBuf;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread;
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, Result, bail};
+use bytemuck::Zeroable;
+use shm_types::message::{
+    Complaint, Decision, Farewell, Hello, MemoryBrief, Observation, PolicyBrief, RecallTrace, Role,
+    StepCommand, Stop, WIRE_VERSION, read_text,
+};
+use shm_types::process::monotonic_ns;
+use shm_types::{Attach, Bell, Bus, Receiver, Sender};
+
+use crate::lanes::{Fault, Lanes, Turn, Walked};
+use crate::plan::{Episode, EpisodeKey};
+use crate::supervise::{Crew, Launch};
+
+/// How often the loop looks after processes, signals and deadlines when nobody rings.
+const TICK: Duration = Duration::from_millis(50);
+
+/// How long processes may take to finish once they are told to.
+const FAREWELL_PATIENCE: Duration = Duration::from_secs(5);
+
+/// Generations that may fail one after the other without an episode being finished in between.
+const FAILURES_IN_A_ROW: u32 = 4;
+
+/// How often an episode is walked before it is left unfinished.
+const WALKS: u32 = 12;
+
+/// How the processes are started and how long they may take.
+#[derive(Debug, Clone)]
+pub struct Crewing {
+    /// The processes; none has the arguments that say where to attach yet, they are appended.
+    pub launches: Vec<Launch>,
+    /// Folder of the processes' logs.
+    pub logs: PathBuf,
+    /// How long a process may take until it is ready.
+    pub start_deadline: Duration,
+    /// How long a process may owe an answer.
+    pub answer_deadline: Duration,
+}
+
+/// What a process told about itself: adapter, encoder, policy, ...
+pub type Facts = BTreeMap<String, String>;
+
+/// Told what happens, as it happens.
+pub trait Observer {
+    /// Processes are being started.
+    fn starting(&mut self, generation: u32);
+    /// All are ready; what each said about itself.
+    fn ready(&mut self, facts: &BTreeMap<Role, Facts>) -> Result<()>;
+    /// An episode is finished, at the `attempt`th time of walking it. An error ends the run.
+    fn finished(&mut self, walked: &Walked, attempt: u32) -> Result<()>;
+    /// `steps` steps were taken since the last call. Called at least a few times a second.
+    fn progress(&mut self, steps: u64);
+    /// Something went wrong and was dealt with.
+    fn trouble(&mut self, what: &str);
+}
+
+/// How walking ended.
+#[derive(Debug)]
+pub struct Ending {
+    /// Whether it was asked to stop early.
+    pub interrupted: bool,
+    /// Episodes that could not be finished, and why.
+    pub unfinished: Vec<(Episode, String)>,
+    /// What the last generation did with frames, by process.
+    pub farewells: BTreeMap<Role, Farewell>,
+}
+
+/// Why a generation ended before its work was done.
+enum Failure {
+    /// The next generation may do better.
+    Again(String),
+    /// It would not.
+    Final(anyhow::Error),
+}
+
+impl<E: Into<anyhow::Error>> From<E> for Failure {
+    fn from(error: E) -> Self {
+        Self::Final(error.into())
+    }
+}
+
+/// Walks `episodes`, in their order as lanes become free, and tells `observer`.
+///
+/// # Errors
+/// When the processes cannot be started, fail again and again, or the observer does not want to go on.
+pub fn walk(
+    lanes: &mut Lanes<'_>,
+    episodes: impl IntoIterator<Item = Episode>,
+    attach: &Attach,
+    crewing: &Crewing,
+    stop: &AtomicBool,
+    observer: &mut dyn Observer,
+) -> Result<Ending> {
+    let mut work = Work {
+        queue: episodes.into_iter().collect(),
+        walks: BTreeMap::new(),
+        unfinished: Vec::new(),
+        finished: 0,
+    };
+    let mut farewells = BTreeMap::new();
+    let mut failures = 0;
+    let mut attach = attach.clone();
+    while !work.queue.is_empty() && !stop.load(Ordering::Relaxed) {
+        observer.starting(attach.generation);
+        let finished_before = work.finished;
+        let outcome = Generation::start(&attach, crewing, stop, observer).and_then(|generation| {
+            let Some(mut generation) = generation else { return Ok(BTreeMap::new()) };
+            match generation.work_off(lanes, &mut work, crewing, stop, observer) {
+                Ok(()) => Ok(generation.finish()),
+                Err(failure) => Err(generation.explain(failure)),
+            }
+        });
+        for episode in lanes.abandon() {
+            work.again(episode, "its processes failed again and again");
+        }
+        match outcome {
+            Ok(said) => farewells = said,
+            Err(Failure::Final(error)) => return Err(error),
+            Err(Failure::Again(why)) => {
+                failures = if work.finished > finished_before { 1 } else { failures + 1 };
+                if failures >= FAILURES_IN_A_ROW {
+                    bail!(
+                        "{why}\nthis was failure {failures} in a row without an episode finished: \
+                         giving up. Finished episodes are kept; the same command goes on from here"
+                    );
+                }
+                observer.trouble(&format!("{why}; starting again"));
+                attach.generation += 1;
+                thread::sleep(Duration::from_millis(100 << failures));
+            }
+        }
+    }
+    Ok(Ending {
+        interrupted: stop.load(Ordering::Relaxed) && !work.queue.is_empty(),
+        unfinished: work.unfinished,
+        farewells,
+    })
+}
+
+/// What is left to walk.
+struct Work {
+    queue: VecDeque<Episode>,
+    /// How often each episode was walked in vain.
+    walks: BTreeMap<EpisodeKey, u32>,
+    unfinished: Vec<(Episode, String)>,
+    finished: u64,
+}
+
+impl Work {
+    /// Which time of walking `episode` this is, from 1.
+    fn attempt(&self, episode: &Episode) -> u32 {
+        1 + self.walks.get(&episode.key).copied().unwrap_or(0)
+    }
+
+    /// Puts an episode that was not finished first in the queue, unless that happened too often.
+    fn again(&mut self, episode: Episode, why: &str) {
+        let walks = self.walks.entry(episode.key.clone()).or_default();
+        *walks += 1;
+        if *walks < WALKS {
+            self.queue.push_front(episode);
+        } else {
+            self.unfinished.push((episode, why.to_owned()));
+        }
+    }
+}
+
+/// One set of processes and what connects them.
+///
+/// The fields are dropped in order: the processes are gone before the services they use.
+struct Generation {
+    crew: Crew,
+    memory_briefs: Option<Sender<MemoryBrief>>,
+    policy_briefs: Option<Sender<PolicyBrief>>,
+    commands: Sender<StepCommand>,
+    stops: Sender<Stop>,
+    inbox: Inbox,
+    bells: BTreeMap<Role, Bell>,
+    bus: Bus,
+}
+
+/// Everything that arrives.
+struct Inbox {
+    observations: Receiver<Observation>,
+    traces: Receiver<RecallTrace>,
+    decisions: Receiver<Decision>,
+    hellos: Receiver<Hello>,
+    complaints: Receiver<Complaint>,
+    farewells: Receiver<Farewell>,
+}
+
+impl Generation {
+    /// Starts the processes and waits until all are ready. `None` when asked to stop meanwhile.
+    fn start(
+        attach: &Attach,
+        crewing: &Crewing,
+        stop: &AtomicBool,
+        observer: &mut dyn Observer,
+    ) -> Result<Option<Self>, Failure> {
+        attach.write(&attach.root)?;
+        let bus = Bus::join(attach.clone(), Role::Orchestrator)?;
+        let inbox = Inbox {
+            observations: bus.receiver()?,
+            traces: bus.receiver()?,
+            decisions: bus.receiver()?,
+            hellos: bus.receiver()?,
+            complaints: bus.receiver()?,
+            farewells: bus.receiver()?,
+        };
+        let takes_part = |role| attach.crew.contains(&role);
+        let memory_briefs = takes_part(Role::Memory).then(|| bus.sender()).transpose()?;
+        let policy_briefs = takes_part(Role::Policy).then(|| bus.sender()).transpose()?;
+        let bells = attach.crew.iter().map(|&role| Ok((role, bus.bell(role)?)));
+        let bells = bells.collect::<Result<_, shm_types::BusError>>()?;
+        let (commands, stops) = (bus.sender()?, bus.sender()?);
+        let launches: Vec<Launch> = crewing
+            .launches
+            .iter()
+            .map(|launch| {
+                let mut launch = launch.clone();
+                launch.args.extend(["--attach".into(), attach.root.clone().into()]);
+                launch
+            })
+            .collect();
+        let crew = Crew::start(&launches, &crewing.logs)?;
+        let mut generation =
+            Self { crew, memory_briefs, policy_briefs, commands, stops, inbox, bells, bus };
+        let Some(facts) = generation.wait_until_ready(crewing, stop, observer)? else {
+            return Ok(None);
+        };
+        observer.ready(&facts)?;
+        Ok(Some(generation))
+    }
+
+    /// Waits for every process's [`Hello`]. A process that fails before it was ever ready would fail again.
+    fn wait_until_ready(
+        &mut self,
+        crewing: &Crewing,
+        stop: &AtomicBool,
+        observer: &mut dyn Observer,
+    ) -> Result<Option<BTreeMap<Role, Facts>>, Failure> {
+        let deadline = Instant::now() + crewing.start_deadline;
+        let mut facts = BTreeMap::new();
+        while facts.len() < self.bells.len() {
+            if stop.load(Ordering::Relaxed) {
+                return Ok(None);
+            }
+            observer.progress(0);
+            self.bus.doorbell().wait(TICK)?;
+            for hello in self.inbox.hellos.drain()? {
+                let (role, said) = introduction(&hello)?;
+                facts.insert(role, said);
+            }
+            self.pass_on_complaints(observer)?;
+            if let Some(death) = self.crew.death() {
+                return Err(Failure::Final(anyhow::anyhow!("{death}")));
+            }
+            if Instant::now() > deadline {
+                let late = self.bells.keys().filter(|role| !facts.contains_key(role));
+                let late: Vec<&str> = late.map(|role| role.word()).collect();
+                return Err(Failure::Final(anyhow::anyhow!(
+                    "the {} process was not ready after {} s: see its log in {}, or allow more with \
+                     --start-timeout",
+                    late.join(" and the "),
+                    crewing.start_deadline.as_secs(),
+                    crewing.logs.display()
+                )));
+            }
+        }
+        Ok(Some(facts))
+    }
+
+    /// Walks what is queued until all is done or `stop` is set.
+    fn work_off(
+        &mut self,
+        lanes: &mut Lanes<'_>,
+        work: &mut Work,
+        crewing: &Crewing,
+        stop: &AtomicBool,
+        observer: &mut dyn Observer,
+    ) -> Result<(), Failure> {
+        let mut looked_after = Instant::now();
+        loop {
+            self.fill(lanes, work)?;
+            if lanes.busy() == 0 || stop.load(Ordering::Relaxed) {
+                return Ok(());
+            }
+            self.bus.doorbell().wait(TICK)?;
+            let steps = self.take_in(lanes, work, observer)?;
+            if looked_after.elapsed() >= TICK {
+                looked_after = Instant::now();
+                self.look_after(lanes, crewing, observer)?;
+            }
+            observer.progress(steps);
+        }
+    }
+
+    /// Begins episodes in the lanes that are free.
+    fn fill(&mut self, lanes: &mut Lanes<'_>, work: &mut Work) -> Result<(), Failure> {
+        let mut began = false;
+        while let Some(lane) = lanes.free()
+            && let Some(episode) = work.queue.pop_front()
+        {
+            let opening = lanes.begin(lane, episode);
+            if let Some(briefs) = &self.memory_briefs {
+                again(briefs.send(&opening.memory))?;
+            }
+            if let Some(briefs) = &self.policy_briefs {
+                again(briefs.send(&opening.policy))?;
+            }
+            again(self.commands.send(&opening.command))?;
+            began = true;
+        }
+        if began { self.ring(Role::Sim) } else { Ok(()) }
+    }
+
+    /// Takes in everything that waits, answers it, and rings the simulator once. Returns how many steps were
+    /// commanded.
+    ///
+    /// What a message refers to was sent before it. So the queues are emptied from the last answer of a
+    /// step to the first, and worked on in the opposite order.
+    fn take_in(
+        &mut self,
+        lanes: &mut Lanes<'_>,
+        work: &mut Work,
+        observer: &mut dyn Observer,
+    ) -> Result<u64, Failure> {
+        let decisions = self.inbox.decisions.drain()?;
+        let traces = self.inbox.traces.drain()?;
+        let observations = self.inbox.observations.drain()?;
+        let mut steps = 0;
+        let mut turns = Vec::with_capacity(decisions.len() + observations.len());
+        for observation in &observations {
+            turns.push(lanes.observed(observation));
+        }
+        for trace in &traces {
+            turns.push(lanes.recalled(trace).map(|()| Turn::Wait));
+        }
+        for decision in &decisions {
+            turns.push(lanes.decided(decision));
+        }
+        for turn in turns {
+            match turn {
+                Ok(Turn::Wait) => {}
+                Ok(Turn::Command(command)) => {
+                    again(self.commands.send(&command))?;
+                    steps += 1;
+                }
+                Ok(Turn::Finished(walked)) => {
+                    work.finished += 1;
+                    let attempt = work.attempt(&walked.episode);
+                    observer.finished(&walked, attempt)?;
+                }
+                Err(fault @ Fault::Disagrees { .. }) => {
+                    return Err(Failure::Again(fault.to_string()));
+                }
+                Err(fault) => {
+                    observer.trouble(&fault.to_string());
+                    if let Fault::Garbage { lane, .. } = fault
+                        && let Some(episode) = lanes.give_up(lane)
+                    {
+                        work.again(episode, &fault.to_string());
+                    }
+                }
+            }
+        }
+        if steps > 0 {
+            self.ring(Role::Sim)?;
+        }
+        Ok(steps)
+    }
+
+    /// Are all alive, and does nobody owe an answer for too long?
+    fn look_after(
+        &mut self,
+        lanes: &Lanes<'_>,
+        crewing: &Crewing,
+        observer: &mut dyn Observer,
+    ) -> Result<(), Failure> {
+        self.pass_on_complaints(observer)?;
+        if let Some(death) = self.crew.death() {
+            return Err(Failure::Again(death.to_string()));
+        }
+        let Some((role, since_ns)) = lanes.slowest() else { return Ok(()) };
+        let owed = Duration::from_nanos(monotonic_ns().saturating_sub(since_ns));
+        if owed <= crewing.answer_deadline {
+            return Ok(());
+        }
+        Err(Failure::Again(format!(
+            "the {} process has owed an answer for {} s and is taken to hang (--step-timeout)",
+            role.word(),
+            owed.as_secs()
+        )))
+    }
+
+    fn pass_on_complaints(&mut self, observer: &mut dyn Observer) -> Result<(), Failure> {
+        for complaint in self.inbox.complaints.drain()? {
+            let who = role(complaint.role).map_or("somebody", Role::word);
+            let what =
+                read_text(&complaint.text, complaint.text_len).unwrap_or("something unreadable");
+            observer.trouble(&format!("{who}: {what}"));
+        }
+        Ok(())
+    }
+
+    fn ring(&self, role: Role) -> Result<(), Failure> {
+        match self.bells.get(&role) {
+            Some(bell) => again(bell.ring()),
+            None => Ok(()),
+        }
+    }
+
+    /// A process that died is the reason for whatever else went wrong.
+    fn explain(&mut self, failure: Failure) -> Failure {
+        let Failure::Again(_) = failure else { return failure };
+        thread::sleep(TICK);
+        self.crew.death().map_or(failure, |death| Failure::Again(death.to_string()))
+    }
+
+    /// Asks the processes to finish and hears what they did with frames.
+    fn finish(self) -> BTreeMap<Role, Farewell> {
+        let mut said = BTreeMap::new();
+        let asked = self.stops.send(&Stop::zeroed()).map_err(anyhow::Error::from).and_then(|()| {
+            self.bells.values().try_for_each(|bell| bell.ring().map_err(anyhow::Error::from))
+        });
+        if let Err(error) = asked {
+            tracing::warn!(%error, "the processes could not be asked to finish");
+            return said;
+        }
+        let deadline = Instant::now() + FAREWELL_PATIENCE;
+        while said.len() < self.bells.len() && Instant::now() < deadline {
+            let heard = self.bus.doorbell().wait(TICK).and_then(|_| self.inbox.farewells.drain());
+            let Ok(farewells) = heard else { break };
+            said.extend(farewells.iter().filter_map(|f| Some((role(f.role).ok()?, *f))));
+        }
+        self.crew.disband(FAREWELL_PATIENCE);
+        said
+    }
+}
+
+/// A failed delivery is worth another generation: a process is dying or hangs.
+fn again(outcome: Result<(), shm_types::BusError>) -> Result<(), Failure> {
+    outcome.map_err(|error| Failure::Again(error.to_string()))
+}
+
+fn role(code: u32) -> Result<Role, shm_types::pose::UnknownCode> {
+    u8::try_from(code).unwrap_or(u8::MAX).try_into()
+}
+
+/// Who says hello, and what it tells about itself.
+fn introduction(hello: &Hello) -> Result<(Role, Facts), Failure> {
+    let role = role(hello.role)?;
+    if hello.wire_version != WIRE_VERSION {
+        return Err(Failure::Final(anyhow::anyhow!(
+            "the {} process speaks wire version {} and this program {WIRE_VERSION}: use programs of \
+             the same build",
+            role.word(),
+            hello.wire_version
+        )));
+    }
+    let facts = read_text(&hello.facts, hello.facts_len)?;
+    let facts = serde_json::from_str(facts)
+        .with_context(|| format!("the {} process introduced itself with {facts:?}", role.word()))?;
+    Ok((role, facts))
+}

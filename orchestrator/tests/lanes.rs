@@ -1,0 +1,243 @@
+//! Lanes against a scripted simulator, memory and policy: no process, no shared memory.
+
+use bytemuck::Zeroable;
+use orchestrator::conditions::{Condition, Demonstrations, Memory, Route, Start};
+use orchestrator::lanes::{Fault, Lanes, Opening, Rules, Turn, Walked};
+use orchestrator::log::Ending;
+use orchestrator::plan::{Episode, EpisodeKey};
+use shm_types::message::{
+    Decision, NOT_MEASURED, Observation, Outcome, RecallTrace, Role, StepCommand, StepKind,
+};
+use shm_types::{Action, Feedback, Pose};
+use warehouse::{CaseSet, Variant, Warehouse, step};
+
+const RULES: Rules = Rules { window: 6, horizon: 6, max_steps: 200, expert: false };
+
+fn world() -> (Warehouse, CaseSet) {
+    (Warehouse::shipped(), CaseSet::shipped())
+}
+
+fn episode(cases: &CaseSet, case_index: usize, start: Start, route: Route) -> Episode {
+    let demonstrations = Demonstrations::ORIGINAL;
+    let condition = Condition { memory: Memory::Episodic, start, route, demonstrations };
+    let case = cases.cases[case_index].id.clone();
+    Episode { key: EpisodeKey { condition, run: 1, case }, case_index, seed: 7 }
+}
+
+/// The simulator: the same dynamics, from what the commands say alone.
+struct Sim<'w> {
+    warehouse: &'w Warehouse,
+    cases: &'w CaseSet,
+    pose: Pose,
+}
+
+impl Sim<'_> {
+    fn observe(&mut self, command: &StepCommand) -> Observation {
+        let variant = match command.variant {
+            0 => Variant::UNCHANGED,
+            n => {
+                let case = &self.cases.cases[n as usize - 1];
+                Variant::closing(case.barricade.iter().copied())
+            }
+        };
+        let feedback = match StepKind::try_from(command.kind).unwrap() {
+            StepKind::Reset => {
+                self.pose = command.start.try_into().unwrap();
+                Feedback::Start
+            }
+            StepKind::Stay => Feedback::NotUnderstood,
+            StepKind::Act => {
+                let action = Action::try_from(command.action).unwrap();
+                let feedback;
+                (self.pose, feedback) = step(&self.warehouse.layout, &variant, self.pose, action);
+                feedback
+            }
+        };
+        Observation {
+            episode: command.episode,
+            frame: u64::from(command.last == 0),
+            lane: command.lane,
+            step: command.step,
+            pose: self.pose.into(),
+            feedback: feedback as u8,
+            action: command.action,
+            last: command.last,
+            ..Zeroable::zeroed()
+        }
+    }
+}
+
+fn trace(of: &Observation) -> RecallTrace {
+    let &Observation { episode, lane, step, .. } = of;
+    RecallTrace { episode, lane, step, case: NOT_MEASURED, ..Zeroable::zeroed() }
+}
+
+fn decision(of: &Observation, action: Action) -> Decision {
+    let &Observation { episode, lane, step, .. } = of;
+    Decision {
+        episode,
+        lane,
+        step,
+        action: action as u8,
+        images: 3,
+        prompt_tokens: NOT_MEASURED,
+        completion_tokens: NOT_MEASURED,
+        ..Zeroable::zeroed()
+    }
+}
+
+/// Walks one episode to its end; the policy answers by step number, `None` for an unreadable answer.
+fn walk(
+    rules: Rules,
+    start: Start,
+    route: Route,
+    case: usize,
+    answer: impl Fn(usize) -> Option<Action>,
+) -> Walked {
+    let (warehouse, cases) = world();
+    let mut lanes = Lanes::new(&warehouse, &cases, rules, 1);
+    let opening = lanes.begin(0, episode(&cases, case, start, route));
+    let mut sim =
+        Sim { warehouse: &warehouse, cases: &cases, pose: Pose::new(0, 0, shm_types::Heading::N) };
+    let mut command = opening.command;
+    loop {
+        let observation = sim.observe(&command);
+        match lanes.observed(&observation).unwrap() {
+            Turn::Finished(walked) => return *walked,
+            Turn::Command(next) => {
+                command = next;
+                continue;
+            }
+            Turn::Wait => {}
+        }
+        lanes.recalled(&trace(&observation)).unwrap();
+        let answer = match answer(observation.step as usize) {
+            Some(action) => decision(&observation, action),
+            None => Decision {
+                outcome: Outcome::Unreadable as u8,
+                ..decision(&observation, Action::Forward)
+            },
+        };
+        match lanes.decided(&answer).unwrap() {
+            Turn::Command(next) => command = next,
+            turn => panic!("{turn:?}"),
+        }
+    }
+}
+
+#[test]
+fn the_expert_completes_every_case_from_every_start_with_the_reference_s_length() {
+    let rules = Rules { expert: true, ..RULES };
+    let (_, cases) = world();
+    for case in 0..cases.cases.len() {
+        for (start, route) in [
+            (Start::Original, Route::Unchanged),
+            (Start::New, Route::Unchanged),
+            (Start::New, Route::Blocked),
+        ] {
+            let record = walk(rules, start, route, case, |_| None).record;
+            assert_eq!(record.ending, Ending::Complete, "{}", record.key);
+            assert_eq!(record.steps, record.reference, "{}", record.key);
+            assert_eq!(record.tried_closed, (route == Route::Blocked).then_some(false));
+            assert_eq!((record.requests, record.images), (None, None));
+        }
+    }
+}
+
+#[test]
+fn an_episode_ends_at_the_limit_and_counts_what_happened() {
+    let turning = |step| (step != 4).then_some(Action::TurnLeft);
+    let rules = Rules { max_steps: 9, ..RULES };
+    let walked = walk(rules, Start::Original, Route::Unchanged, 0, turning);
+    let record = walked.record;
+    assert_eq!((record.ending, record.steps), (Ending::OutOfSteps, 9));
+    assert_eq!(record.actions, "LLLL?LLLL");
+    assert_eq!(record.start_pose, record.final_pose);
+    assert_eq!((record.requests, record.images), (Some(9), Some(27)));
+    assert_eq!((record.prompt_tokens, record.unread.unreadable), (None, 1));
+    assert_eq!((record.retrieved, record.distance), (None, None));
+}
+
+#[test]
+fn walking_into_the_barricade_is_noticed() {
+    let (warehouse, cases) = world();
+    // The unblocked reference runs into the passage that was closed on it.
+    let hits = (0..cases.cases.len())
+        .filter(|&index| {
+            let actions = cases.cases[index].test.actions.clone();
+            let answer = |step: usize| actions.get(step).copied().or(Some(Action::TurnLeft));
+            let rules = Rules { max_steps: actions.len() as u32, ..RULES };
+            let record = walk(rules, Start::New, Route::Blocked, index, answer).record;
+            record.tried_closed == Some(true)
+        })
+        .count();
+    assert_eq!(hits, cases.cases.len());
+    drop(warehouse);
+}
+
+/// Two lanes with an episode each; the first observation of lane 0.
+fn two_lanes<'w>(
+    warehouse: &'w Warehouse,
+    cases: &'w CaseSet,
+) -> (Lanes<'w>, Opening, Observation) {
+    let mut lanes = Lanes::new(warehouse, cases, RULES, 2);
+    let opening = lanes.begin(0, episode(cases, 0, Start::Original, Route::Unchanged));
+    lanes.begin(1, episode(cases, 1, Start::Original, Route::Unchanged));
+    let mut sim = Sim { warehouse, cases, pose: Pose::new(0, 0, shm_types::Heading::N) };
+    let observation = sim.observe(&opening.command);
+    (lanes, opening, observation)
+}
+
+#[test]
+fn answers_out_of_turn_are_faults_and_change_nothing() {
+    let (warehouse, cases) = world();
+    let (mut lanes, opening, observation) = two_lanes(&warehouse, &cases);
+    let answer = decision(&observation, Action::Forward);
+    assert!(matches!(lanes.decided(&answer), Err(Fault::NotAsked { role: Role::Policy, .. })));
+    assert!(matches!(lanes.observed(&observation), Ok(Turn::Wait)));
+    assert!(matches!(lanes.observed(&observation), Err(Fault::NotAsked { role: Role::Sim, .. })));
+    assert!(matches!(lanes.decided(&answer), Err(Fault::NotAsked { .. })), "before the recall");
+    lanes.recalled(&trace(&observation)).unwrap();
+    assert!(matches!(lanes.recalled(&trace(&observation)), Err(Fault::NotAsked { .. })));
+    let ahead = Decision { step: 1, ..answer };
+    assert!(matches!(lanes.decided(&ahead), Err(Fault::NotAsked { step: 1, .. })));
+    let elsewhere = Decision { lane: 2, ..answer };
+    assert!(matches!(lanes.decided(&elsewhere), Err(Fault::NoSuchLane { lane: 2, lanes: 2, .. })));
+    let late = Decision { episode: opening.command.episode + 100, ..answer };
+    assert!(matches!(lanes.decided(&late), Ok(Turn::Wait)), "another episode's ticket");
+    assert!(matches!(lanes.decided(&answer), Ok(Turn::Command(_))));
+}
+
+#[test]
+fn garbage_costs_its_own_episode_and_no_other() {
+    let (warehouse, cases) = world();
+    let (mut lanes, _, observation) = two_lanes(&warehouse, &cases);
+    lanes.observed(&observation).unwrap();
+    lanes.recalled(&trace(&observation)).unwrap();
+    let good = decision(&observation, Action::Forward);
+    for garbage in [Decision { action: 99, ..good }, Decision { outcome: 9, ..good }] {
+        assert!(matches!(lanes.decided(&garbage), Err(Fault::Garbage { lane: 0, .. })));
+    }
+    assert_eq!(lanes.give_up(0).map(|episode| episode.case_index), Some(0));
+    assert_eq!((lanes.busy(), lanes.free()), (1, Some(0)));
+    let again = lanes.begin(0, episode(&cases, 0, Start::Original, Route::Unchanged));
+    assert!(again.command.episode > observation.episode, "tickets are not used twice");
+    assert!(matches!(lanes.decided(&good), Ok(Turn::Wait)), "the old answer is late");
+}
+
+#[test]
+fn a_simulator_that_disagrees_is_found() {
+    let (warehouse, cases) = world();
+    let (_, opening, observation) = two_lanes(&warehouse, &cases);
+    let elsewhere = Pose::try_from(opening.command.start).unwrap();
+    let elsewhere = Pose { heading: elsewhere.heading.right(), ..elsewhere };
+    for wrong in [
+        Observation { pose: elsewhere.into(), ..observation },
+        Observation { step: 1, ..observation },
+        Observation { feedback: Feedback::Moved as u8, ..observation },
+        Observation { frame: 0, ..observation },
+    ] {
+        let (mut lanes, _, _) = two_lanes(&warehouse, &cases);
+        assert!(matches!(lanes.observed(&wrong), Err(Fault::Disagrees { .. })), "{wrong:?}");
+    }
+}
