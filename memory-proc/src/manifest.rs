@@ -81,6 +81,8 @@ pub struct Model {
     pub file: Option<String>,
     /// SHA-256 of the file, 64 lower-case hexadecimal digits; `None`: not known beforehand.
     pub sha256: Option<String>,
+    /// The command that puts the file there; goes with `file`.
+    pub brought_by: Option<String>,
     /// Whether its weights learned anything.
     pub trained: bool,
     /// Name of the input tensor, (1, 3, `input_size`, `input_size`).
@@ -119,6 +121,9 @@ impl Model {
         if let Some(file) = self.file.as_deref().filter(|f| f.is_empty() || f.contains(['/', '\0']))
         {
             return Some(format!("file = {file:?} must be a file name without a folder"));
+        }
+        if self.file.is_some() != self.brought_by.is_some() {
+            return Some("`file` and `brought_by` go together".into());
         }
         if let Some(sha) = self.sha256.as_ref().filter(|s| s.len() != 64 || !s.bytes().all(is_hex))
         {
@@ -256,6 +261,7 @@ mod tests {
             ("file = \"dinov2", "file = \"../dinov2", "without a folder"),
             ("sha256 = \"e", "sha256 = \"E", "64 lower-case hexadecimal digits"),
             ("licence = \"MIT\"\n", "", "missing field `licence`"),
+            ("brought_by = \"cargo xtask setup\"\n", "", "`file` and `brought_by` go together"),
         ] {
             assert!(SHIPPED.contains(from), "{from}");
             let error = parse(&SHIPPED.replacen(from, to, 1)).unwrap_err().to_string();

@@ -29,8 +29,8 @@ use session::{Runtime, Session};
 #[expect(missing_docs, reason = "the fields are what the messages show")]
 pub enum EncoderError {
     /// Setup has not fetched the model.
-    #[error("the encoder {name} needs {path}, which is not there; run `cargo xtask setup`")]
-    ModelMissing { name: String, path: PathBuf },
+    #[error("the encoder {name} needs {path}, which is not there; run `{command}`")]
+    ModelMissing { name: String, path: PathBuf, command: String },
     /// The user brings this model's file and has not.
     #[error(
         "the encoder {name} needs a file of yours: pass --encoder-file (docs/encoders.md says how to export one)"
@@ -42,9 +42,9 @@ pub enum EncoderError {
     /// The file is another one.
     #[error(
         "{path} is not the model that the manifest describes: its SHA-256 is {found}, not {expected}; \
-         delete it and run `cargo xtask setup`, or correct assets/models.toml if the file is yours"
+         {next}"
     )]
-    WrongFile { path: PathBuf, expected: String, found: String },
+    WrongFile { path: PathBuf, expected: String, found: String, next: String },
     /// ONNX Runtime is not there.
     #[error("ONNX Runtime is not at {path}; run `cargo xtask setup`")]
     RuntimeMissing { path: PathBuf },
@@ -66,6 +66,11 @@ pub enum EncoderError {
         "tensor {name} of {path} is {found}, not float {expected}. Correct the model's entry in models.toml"
     )]
     WrongShape { path: PathBuf, name: String, found: String, expected: String },
+    /// The file says of itself what the manifest does not say.
+    #[error(
+        "the weights in {path} are untrained, and {name} would be taken for trained: pass --encoder vit-b16-untrained"
+    )]
+    Untrained { path: PathBuf, name: String },
     /// A call failed.
     #[error("the encoder failed on an image: {message}")]
     Run { message: String },

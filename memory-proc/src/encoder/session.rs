@@ -42,19 +42,21 @@ impl ModelFile {
             (None, Some(file)) => cache.model(file),
             (None, None) => return Err(EncoderError::FileNotGiven { name: model.name.clone() }),
         };
-        let bytes = std::fs::read(&path).map_err(|source| match source.kind() {
-            std::io::ErrorKind::NotFound if given.is_none() => {
-                EncoderError::ModelMissing { name: model.name.clone(), path: path.clone() }
+        let bringing = model.brought_by.as_ref().filter(|_| given.is_none());
+        let bytes = std::fs::read(&path).map_err(|error| match bringing {
+            Some(command) if error.kind() == std::io::ErrorKind::NotFound => {
+                let (name, path) = (model.name.clone(), path.clone());
+                EncoderError::ModelMissing { name, path, command: command.clone() }
             }
-            _ => EncoderError::Read { path: path.clone(), message: source.to_string() },
+            _ => EncoderError::Read { path: path.clone(), message: error.to_string() },
         })?;
         let sha256: String = Sha256::digest(&bytes).iter().map(|b| format!("{b:02x}")).collect();
-        if let Some(expected) = model.sha256.as_ref().filter(|expected| **expected != sha256) {
-            return Err(EncoderError::WrongFile {
-                path,
-                expected: expected.clone(),
-                found: sha256,
-            });
+        if let Some(expected) = model.sha256.clone().filter(|expected| *expected != sha256) {
+            let next = match bringing {
+                Some(command) => format!("delete it and run `{command}`"),
+                None => "give the right file, or correct the model's entry in models.toml".into(),
+            };
+            return Err(EncoderError::WrongFile { path, expected, found: sha256, next });
         }
         Ok(Self { model: model.clone(), path, sha256, bytes })
     }
@@ -107,6 +109,13 @@ impl Session {
         let mut builder = builder(runtime.0).map_err(rejected)?;
         let session = builder.commit_from_memory(&file.bytes).map_err(rejected)?;
         let model = &file.model;
+        let says_untrained = |session: &OrtSession| {
+            session.metadata().ok()?.custom("memtransfer.trained").map(|trained| trained == "false")
+        };
+        if model.trained && says_untrained(&session) == Some(true) {
+            let (path, name) = (file.path.clone(), model.name.clone());
+            return Err(EncoderError::Untrained { path, name });
+        }
         let input = outlet(file, "input", session.inputs(), &model.input)?;
         let size = i64::from(model.input_size);
         check(file, &model.input, input, &[&[1, 3, size, size]])?;
