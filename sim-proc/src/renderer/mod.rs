@@ -13,6 +13,8 @@ mod output;
 mod pipelines;
 mod scene;
 mod target;
+#[cfg(test)]
+mod tests;
 mod text;
 mod vertex;
 mod visibility;
@@ -142,10 +144,8 @@ pub struct Renderer {
     scene: Scene,
     layout: Layout,
     settings: RenderSettings,
-    /// What can be seen from each pose that has been drawn.
+    /// What can be seen from each pose that has been drawn, in the order it is drawn in.
     visible: HashMap<Pose, Vec<u32>>,
-    /// Whether objects that cannot be seen are left out. Always, but for the test of that.
-    cull: bool,
 }
 
 impl Renderer {
@@ -180,7 +180,6 @@ impl Renderer {
             layout: warehouse.layout.clone(),
             settings,
             visible: HashMap::new(),
-            cull: true,
         })
     }
 
@@ -254,16 +253,10 @@ impl Renderer {
             };
             let barricades = barricade_sides(&self.layout, job.view.variant);
             let scene = &self.scene;
-            if self.cull {
-                let visible = self
-                    .visible
-                    .entry(job.view.pose)
-                    .or_insert_with(|| visibility::visible(scene, &camera));
-                self.slots.push(scene, &uniform, &barricades, visible.iter().copied());
-            } else {
-                let all = 0..scene.objects.len() as u32;
-                self.slots.push(scene, &uniform, &barricades, all);
-            }
+            let pose = job.view.pose;
+            let visible =
+                self.visible.entry(pose).or_insert_with(|| visibility::visible(scene, &camera));
+            self.slots.push(scene, &uniform, &barricades, visible);
         }
         self.slots.upload(&self.gpu);
         for (place, job) in jobs.iter_mut().enumerate() {

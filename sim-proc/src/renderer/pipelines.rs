@@ -318,7 +318,7 @@ impl ViewSlots {
         scene: &Scene,
         uniform: &ViewUniform,
         barricades: &[Placement],
-        objects: impl Iterator<Item = u32> + Clone,
+        objects: &[u32],
     ) {
         self.uniform_bytes.resize(self.slots.len() * UNIFORM_STRIDE, 0);
         self.uniform_bytes.extend_from_slice(bytemuck::bytes_of(uniform));
@@ -331,12 +331,10 @@ impl ViewSlots {
             }
             first..list.len() as u32
         };
-        let object = |index: u32| &scene.objects[index as usize];
-        let solid =
-            layer(&scene.solid.indices, &mut objects.clone().map(|i| object(i).solid.clone()));
-        let plate =
-            layer(&scene.plate.indices, &mut objects.clone().map(|i| object(i).plate.clone()));
-        let text = layer(&scene.text.indices, &mut objects.map(|i| object(i).text.clone()));
+        let drawn = || objects.iter().map(|&index| &scene.objects[index as usize]);
+        let solid = layer(&scene.solid.indices, &mut drawn().map(|object| object.solid.clone()));
+        let plate = layer(&scene.plate.indices, &mut drawn().map(|object| object.plate.clone()));
+        let text = layer(&scene.text.indices, &mut drawn().map(|object| object.text.clone()));
         let pieces = if barricades.is_empty() { 0..0 } else { scene.barricade.clone() };
         let barricade = layer(&scene.solid.indices, &mut std::iter::once(pieces));
         let first = self.placement_list.len() as u32;

@@ -26,16 +26,35 @@ const JOINT_M: f32 = 0.002;
 /// The objects of `scene` that `camera` may see, by index, nearest first.
 pub(super) fn visible(scene: &Scene, camera: &Camera) -> Vec<u32> {
     let columns = Columns::new(&scene.screens, camera);
-    let mut seen: Vec<(f32, u32)> = Vec::new();
-    for (index, object) in scene.objects.iter().enumerate() {
-        let Some(span) = Span::of(object, camera) else { continue };
-        if object.max[2] <= RACK_HEIGHT_M && columns.hide(&span) {
-            continue;
-        }
-        seen.push((span.nearest, index as u32));
-    }
-    seen.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-    seen.into_iter().map(|(_, index)| index).collect()
+    nearest_first(scene, camera, |object| {
+        let Some(span) = Span::of(object, camera) else { return false };
+        object.max[2] > RACK_HEIGHT_M || !columns.hide(&span)
+    })
+}
+
+/// The objects that `keep` accepts, by index. Where two surfaces meet in the very same depth the first
+/// one drawn wins, so the order must not depend on what is kept.
+pub(super) fn nearest_first(
+    scene: &Scene,
+    camera: &Camera,
+    keep: impl Fn(&Object) -> bool,
+) -> Vec<u32> {
+    let kept = scene.objects.iter().enumerate().filter(|(_, object)| keep(object));
+    let mut keyed: Vec<(f32, u32)> = kept
+        .map(|(index, object)| {
+            let depths = footprint(object, camera).map(|corner| corner[1]);
+            (depths.into_iter().fold(f32::INFINITY, f32::min), index as u32)
+        })
+        .collect();
+    keyed.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+    keyed.into_iter().map(|(_, index)| index).collect()
+}
+
+/// The corners of an object's bounds in the floor plan, as the camera has them.
+fn footprint(object: &Object, camera: &Camera) -> [[f32; 2]; 4] {
+    let (min, max) = (object.min, object.max);
+    [[min[0], min[1]], [max[0], min[1]], [max[0], max[1]], [min[0], max[1]]]
+        .map(|corner| in_camera(camera, corner))
 }
 
 /// A point of the floor plan as the camera has it: to the right and ahead, in metres.
@@ -56,8 +75,7 @@ impl Span {
     /// `None` when the object is outside the picture.
     fn of(object: &Object, camera: &Camera) -> Option<Self> {
         let (min, max) = (object.min, object.max);
-        let plan = [[min[0], min[1]], [max[0], min[1]], [max[0], max[1]], [min[0], max[1]]];
-        let corners = plan.map(|corner| in_camera(camera, corner));
+        let corners = footprint(object, camera);
         let [across, up] = camera.half_extent;
         let nearest = corners.iter().map(|c| c[1]).fold(f32::INFINITY, f32::min);
         let farthest = corners.iter().map(|c| c[1]).fold(f32::NEG_INFINITY, f32::max);

@@ -40,6 +40,7 @@ const STRAP: Material = Material::dull([70, 70, 66]);
 const LOWER_DECK_M: f32 = 0.77;
 const UPPER_DECK_M: f32 = 1.86;
 const HALF_UPRIGHT_M: f32 = 0.035;
+const BEAM_M: f32 = 0.04;
 
 /// How a bay ends to its left or right.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -61,7 +62,8 @@ impl Edge {
     fn shelf(self) -> f32 {
         match self {
             Self::Joined | Self::Step(_) => 0.5,
-            Self::Closed | Self::Corner(_) => 0.47,
+            Self::Closed => 0.47,
+            Self::Corner(_) => 0.5 - BEAM_M,
             Self::CutBy(depth) => 0.5 - depth,
         }
     }
@@ -123,20 +125,26 @@ impl Bay {
 
     fn frame(&self, b: &mut Builder) {
         b.material(UPRIGHT);
-        let outer = |edge: Edge| matches!(edge, Edge::Corner(_) | Edge::CutBy(_));
-        let mut hidden = vec![Side::Bottom, Side::Back, Side::Top];
-        if !outer(self.left) {
-            hidden.push(Side::Left);
-        }
         let (y0, y1, top) = (0.01, 0.07, RACK_HEIGHT_M);
-        b.block_without([-0.5, y0, 0.0], [-0.5 + HALF_UPRIGHT_M, y1, top], &hidden);
-        hidden.truncate(3);
-        if !outer(self.right) {
-            hidden.push(Side::Right);
+        let hidden = [Side::Bottom, Side::Back, Side::Top];
+        for (edge, sign) in [(self.left, -1.0), (self.right, 1.0)] {
+            // Half a post, shared with the next bay; at an open corner a whole one that stands back
+            // from both faces, drawn by the bay that has the corner.
+            let (inner, outer) = match edge {
+                Edge::CutBy(_) => continue,
+                Edge::Corner(_) => (0.43, 0.49),
+                Edge::Joined | Edge::Step(_) | Edge::Closed => (0.5 - HALF_UPRIGHT_M, 0.5),
+            };
+            let (x0, x1) =
+                (f32::min(sign * inner, sign * outer), f32::max(sign * inner, sign * outer));
+            b.block_without([x0, y0, 0.0], [x1, y1, top], &hidden);
         }
-        b.block_without([0.5 - HALF_UPRIGHT_M, y0, 0.0], [0.5, y1, top], &hidden);
 
-        let (l, r, d) = (-self.left.shelf(), self.right.shelf(), self.depth);
+        let floor = |edge: Edge| match edge {
+            Edge::CutBy(depth) => 0.5 - depth,
+            Edge::Joined | Edge::Step(_) | Edge::Closed | Edge::Corner(_) => 0.5,
+        };
+        let (l, r, d) = (-floor(self.left), floor(self.right), self.depth);
         b.material(Material::dull([118, 118, 115]));
         b.polygon(&[[l, 0.0, 0.0], [r, 0.0, 0.0], [r, d, 0.0], [l, d, 0.0]]);
         b.material(SHEET);
@@ -161,17 +169,24 @@ impl Bay {
     /// A deck with its front beam; the beam hangs down to `beam_bottom`.
     fn shelf(&self, b: &mut Builder, bottom: f32, top: f32, beam_bottom: f32) {
         let (l, r) = (-self.left.shelf(), self.right.shelf());
-        let mut hidden = vec![Side::Back, Side::Front];
-        if !matches!(self.left, Edge::Corner(_)) {
-            hidden.push(Side::Left);
-        }
-        if !matches!(self.right, Edge::Corner(_)) {
-            hidden.push(Side::Right);
-        }
+        let ends = [Side::Left, Side::Right, Side::Back];
         b.material(DECK);
-        b.block_without([l, 0.04, bottom], [r, self.depth, top], &hidden);
+        b.block_without(
+            [l, BEAM_M, bottom],
+            [r, self.depth, top],
+            &[&ends[..], &[Side::Front]].concat(),
+        );
         b.material(BEAM);
-        b.block_without([l, 0.0, beam_bottom], [r, 0.04, top - 0.004], &hidden[2..]);
+        b.block_without([l, 0.0, beam_bottom], [r, BEAM_M, top], &ends);
+        // Around an open corner the beam goes on along the other face.
+        for (edge, sign) in [(self.left, -1.0), (self.right, 1.0)] {
+            let Edge::Corner(depth) = edge else { continue };
+            let (x0, x1) = (sign * (0.5 - BEAM_M), sign * 0.5);
+            let (low, high) = ([x0.min(x1), 0.0, beam_bottom], [x0.max(x1), depth, top]);
+            let hidden =
+                if sign > 0.0 { [Side::Left, Side::Back] } else { [Side::Right, Side::Back] };
+            b.block_without(low, high, &hidden);
+        }
     }
 
     /// What fills the shelves that hold no item: pallets under wrapped loads in colours of dust.
@@ -267,10 +282,11 @@ pub(crate) fn closed_face() -> Mesh {
         }
     }
     b.material(UPRIGHT);
-    for x in [-0.5, 0.47] {
+    // The posts keep clear of the planes of a bay around the corner.
+    for x in [-0.494, 0.47] {
         b.block_without(
             [x, 0.008, 0.0],
-            [x + 0.03, 0.06, RACK_HEIGHT_M],
+            [x + 0.024, 0.06, RACK_HEIGHT_M],
             &[Side::Bottom, Side::Back, Side::Top],
         );
     }

@@ -1,0 +1,71 @@
+//! Prints how many views a second the renderer draws, over every pose of the warehouse.
+//!
+//!     cargo run --release -p sim-proc --example frame_rate -- [rounds]
+//!
+//! Slots are page-aligned memory of this process; publishing them is not measured.
+
+use std::time::{Duration, Instant};
+
+use anyhow::Result;
+use shm_types::{Heading, Pose};
+use sim_proc::renderer::{Destination, RenderJob, RenderSettings, Renderer, Samples, View};
+use warehouse::{Variant, Warehouse};
+
+const PAGE: usize = 4096;
+
+static UNCHANGED: Variant = Variant::UNCHANGED;
+
+fn main() -> Result<()> {
+    let rounds: u32 = std::env::args().nth(1).map_or(Ok(3), |text| text.parse())?;
+    let warehouse = Warehouse::shipped();
+    let poses: Vec<Pose> = warehouse
+        .layout
+        .free_cells()
+        .flat_map(|cell| Heading::ALL.map(|heading| Pose { cell, heading }))
+        .collect();
+    for samples in [Samples::One, Samples::Four] {
+        for batch in [1, 8] {
+            let begun = Instant::now();
+            let settings = RenderSettings { samples, ..RenderSettings::default() };
+            let mut renderer = Renderer::new(&warehouse, settings)?;
+            let start = begun.elapsed();
+            let mut times = Vec::new();
+            for _ in 0..rounds {
+                times.push(all_poses(&mut renderer, &poses, batch)?);
+            }
+            let best = times.iter().min().copied().unwrap_or(Duration::MAX);
+            println!(
+                "{} sample(s), batches of {batch}: {:.0} views a second at best, {:.0} in the first \
+                 round; start {:.0} ms; {}",
+                samples.count(),
+                poses.len() as f64 / best.as_secs_f64(),
+                poses.len() as f64 / times[0].as_secs_f64(),
+                start.as_secs_f64() * 1e3,
+                renderer.report().adapter,
+            );
+        }
+    }
+    Ok(())
+}
+
+/// Draws every pose once and says how long it took.
+fn all_poses(renderer: &mut Renderer, poses: &[Pose], batch: usize) -> Result<Duration> {
+    let bytes = renderer.frame_bytes().next_multiple_of(PAGE);
+    let mut memory = vec![0_u8; bytes * batch + PAGE];
+    let offset = memory.as_ptr().align_offset(PAGE);
+    let pages = &mut memory[offset..][..bytes * batch];
+    renderer.forget_imports();
+    let begun = Instant::now();
+    for poses in poses.chunks(batch) {
+        let mut jobs: Vec<RenderJob<'_>> = poses
+            .iter()
+            .zip(pages.chunks_exact_mut(bytes))
+            .map(|(&pose, slot)| RenderJob {
+                view: View { pose, variant: &UNCHANGED },
+                destination: Destination::Slot(slot),
+            })
+            .collect();
+        renderer.render(&mut jobs)?;
+    }
+    Ok(begun.elapsed())
+}
