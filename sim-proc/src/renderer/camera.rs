@@ -42,6 +42,13 @@ impl Camera {
         }
     }
 
+    /// A level camera at the agent's height, (x, y) on the floor plan, with the agent's field of view.
+    pub(super) fn at([x, y]: [f32; 2], heading: Heading, width_px: u32, height_px: u32) -> Self {
+        let mut camera = Self::new(Pose::new(0, 0, heading), width_px, height_px);
+        (camera.position.x, camera.position.y) = (x, y);
+        camera
+    }
+
     /// Rigid: moves the world in front of the camera.
     pub(super) fn camera_from_world(&self) -> Matrix4<f32> {
         let rows = [self.right, Vector3::z(), self.ahead];

@@ -12,6 +12,7 @@ mod mesh;
 mod output;
 mod pipelines;
 mod scene;
+mod showcase;
 mod target;
 #[cfg(test)]
 mod tests;
@@ -34,6 +35,7 @@ use vertex::ViewUniform;
 
 pub use error::RenderError;
 pub use output::Destination;
+pub use showcase::{Exhibit, exhibits, write};
 
 /// Longest side of a frame, in pixels.
 const MAX_SIDE_PX: u32 = 4096;
@@ -155,6 +157,15 @@ impl Renderer {
     /// No Vulkan driver, no adapter of the wanted name, a device that cannot be opened, or a frame size
     /// that cannot be rendered.
     pub fn new(warehouse: &Warehouse, settings: RenderSettings) -> Result<Self, RenderError> {
+        let scene = Scene::new(warehouse);
+        Self::of_scene(scene, warehouse.layout.clone(), settings)
+    }
+
+    fn of_scene(
+        scene: Scene,
+        layout: Layout,
+        settings: RenderSettings,
+    ) -> Result<Self, RenderError> {
         let (width_px, height_px) = (settings.width_px, settings.height_px);
         let side = 64..=MAX_SIDE_PX;
         if !side.contains(&width_px)
@@ -167,20 +178,10 @@ impl Renderer {
         let samples = settings.samples.count();
         let target = Target::new(&gpu, width_px, height_px, samples);
         let outputs = Outputs::new(&gpu, &target, settings.force_copy);
-        let scene = Scene::new(warehouse);
         let pipelines = Pipelines::new(&gpu, &scene, samples);
-        let slots = ViewSlots::new(&gpu, &pipelines, &scene, VIEWS_IN_FLIGHT);
-        Ok(Self {
-            gpu,
-            target,
-            outputs,
-            pipelines,
-            slots,
-            scene,
-            layout: warehouse.layout.clone(),
-            settings,
-            visible: HashMap::new(),
-        })
+        let slots = ViewSlots::new(&gpu, &pipelines, VIEWS_IN_FLIGHT);
+        let visible = HashMap::new();
+        Ok(Self { gpu, target, outputs, pipelines, slots, scene, layout, settings, visible })
     }
 
     /// Bytes of one frame.
@@ -240,46 +241,45 @@ impl Renderer {
     }
 
     fn submit(&mut self, jobs: &mut [RenderJob<'_>]) -> Result<(), RenderError> {
-        let mut encoder = self.gpu.device.create_command_encoder(&Default::default());
-        let mut sinks: Vec<Sink> = Vec::with_capacity(jobs.len());
         self.slots.clear();
         for job in &*jobs {
-            let camera =
-                Camera::new(job.view.pose, self.settings.width_px, self.settings.height_px);
-            let uniform = ViewUniform {
-                clip_from_world: camera.clip_from_world().into(),
-                fog_rgb: FOG_RGB,
-                fog_per_m: FOG_PER_M,
-            };
-            let barricades = barricade_sides(&self.layout, job.view.variant);
+            let View { pose, variant } = job.view;
+            let camera = Camera::new(pose, self.settings.width_px, self.settings.height_px);
+            let barricades = barricade_sides(&self.layout, variant);
             let scene = &self.scene;
-            let pose = job.view.pose;
             let visible =
                 self.visible.entry(pose).or_insert_with(|| visibility::visible(scene, &camera));
-            self.slots.push(scene, &uniform, &barricades, visible);
+            self.slots.push(scene, &uniform(&camera), &barricades, visible);
         }
+        self.draw(jobs.iter_mut().map(|job| &mut job.destination).collect())
+    }
+
+    /// Draws the views that have been put into the slots, one into each destination.
+    fn draw(&mut self, destinations: Vec<&mut Destination<'_>>) -> Result<(), RenderError> {
         self.slots.upload(&self.gpu);
-        for (place, job) in jobs.iter_mut().enumerate() {
+        let mut encoder = self.gpu.device.create_command_encoder(&Default::default());
+        let mut frames = Vec::with_capacity(destinations.len());
+        for (place, destination) in destinations.into_iter().enumerate() {
             let [r, g, b] = FOG_RGB.map(f64::from);
             let mut pass = self.target.begin(&mut encoder, wgpu::Color { r, g, b, a: 1.0 });
             self.slots.draw(&mut pass, &self.pipelines, place);
             drop(pass);
-            let destination = &mut job.destination;
-            sinks.push(self.outputs.record(
-                &self.gpu,
-                &mut encoder,
-                &self.target,
-                place,
-                destination,
-            ));
+            let sink =
+                self.outputs.record(&self.gpu, &mut encoder, &self.target, place, destination);
+            frames.push((sink, destination));
         }
-        let barrier = sinks
-            .iter()
-            .any(|sink| matches!(sink, Sink::Imported))
-            .then(|| output::host_read_barrier(&self.gpu));
+        let direct = frames.iter().any(|(sink, _)| matches!(sink, Sink::Imported));
+        let barrier = direct.then(|| output::host_read_barrier(&self.gpu));
         self.gpu.queue.submit([encoder.finish()].into_iter().chain(barrier));
         self.gpu.wait()?;
-        let destinations = jobs.iter_mut().map(|job| &mut job.destination);
-        self.outputs.finish(&self.gpu, sinks.iter().zip(destinations))
+        self.outputs.finish(&self.gpu, frames)
+    }
+}
+
+fn uniform(camera: &Camera) -> ViewUniform {
+    ViewUniform {
+        clip_from_world: camera.clip_from_world().into(),
+        fog_rgb: FOG_RGB,
+        fog_per_m: FOG_PER_M,
     }
 }

@@ -137,15 +137,16 @@ impl Outputs {
     }
 
     /// Brings staged frames home, once the device is done with the batch.
-    pub(super) fn finish<'f, 'd: 'f>(
+    pub(super) fn finish(
         &mut self,
         gpu: &Gpu,
-        frames: impl Iterator<Item = (&'f Sink, &'f mut Destination<'d>)>,
+        frames: Vec<(Sink, &mut Destination<'_>)>,
     ) -> Result<(), RenderError> {
         let staged: Vec<(&wgpu::Buffer, &mut [u8])> = frames
+            .into_iter()
             .filter_map(|(sink, destination)| match sink {
                 Sink::Imported => None,
-                Sink::Staged(place) => Some((&self.staging[*place], destination.bytes())),
+                Sink::Staged(place) => Some((&self.staging[place], destination.bytes())),
             })
             .collect();
         if staged.is_empty() {

@@ -271,7 +271,7 @@ pub(super) struct ViewSlots {
 }
 
 impl ViewSlots {
-    pub(super) fn new(gpu: &Gpu, pipelines: &Pipelines, scene: &Scene, capacity: usize) -> Self {
+    pub(super) fn new(gpu: &Gpu, pipelines: &Pipelines, capacity: usize) -> Self {
         let uniforms = gpu.device.create_buffer(&wgpu::BufferDescriptor {
             label: Some("views"),
             size: (capacity * UNIFORM_STRIDE) as u64,
@@ -290,7 +290,6 @@ impl ViewSlots {
                 }),
             }],
         });
-        let index_list: Vec<u32> = Vec::with_capacity(scene.solid.indices.len());
         Self {
             uniforms,
             views,
@@ -298,7 +297,7 @@ impl ViewSlots {
             placements: growable(gpu, "placements", 16 << 8, wgpu::BufferUsages::VERTEX),
             slots: Vec::new(),
             uniform_bytes: Vec::new(),
-            index_list,
+            index_list: Vec::new(),
             placement_list: Vec::new(),
         }
     }

@@ -72,8 +72,12 @@ impl AtlasPlan {
     pub(super) fn draw(&self) -> Atlas {
         let height = (self.cursor[1] + self.row_height).next_power_of_two().max(64);
         let mut base = vec![0; (ATLAS_WIDTH * height) as usize];
-        for (lettering, &place) in &self.places {
-            draw(lettering, place, &mut base);
+        for (lettering, &[left, top]) in &self.places {
+            let width = lettering.size[0] as usize;
+            for (y, row) in coverage(lettering).chunks_exact(width).enumerate() {
+                let at = (top as usize + y) * ATLAS_WIDTH as usize + left as usize;
+                base[at..at + width].copy_from_slice(row);
+            }
         }
         let mut levels = vec![base];
         for level in 1..MIP_LEVELS {
@@ -92,8 +96,9 @@ impl Atlas {
     }
 }
 
-/// Draws one text, as large as its panel allows and centred, with thickened strokes.
-fn draw(lettering: &Lettering, [left, top]: [u32; 2], atlas: &mut [u8]) {
+/// One text as coverage values, row by row: as large as its panel allows, centred, with thickened
+/// strokes.
+pub(super) fn coverage(lettering: &Lettering) -> Vec<u8> {
     let Ok(font) = FontRef::try_from_slice(epaint_default_fonts::UBUNTU_LIGHT) else {
         unreachable!("the font that is compiled in can be read");
     };
@@ -126,12 +131,7 @@ fn draw(lettering: &Lettering, [left, top]: [u32; 2], atlas: &mut [u8]) {
         });
     }
     let thick = thickened(&picture, w, stroke);
-    for (y, row) in thick.chunks_exact(w).enumerate() {
-        let at = (top as usize + y) * ATLAS_WIDTH as usize + left as usize;
-        for (texel, value) in atlas[at..at + w].iter_mut().zip(row) {
-            *texel = (value.min(1.0) * 255.0).round() as u8;
-        }
-    }
+    thick.into_iter().map(|value| (value.min(1.0) * 255.0).round() as u8).collect()
 }
 
 fn text_width(font: &FontRef<'_>, text: &str, scale: PxScale) -> f32 {

@@ -1,6 +1,7 @@
-//! The hall around the racks: floor with its markings, walls, roof, lamps, signs' boards, barricades.
+//! The hall around the racks: floor with its markings, upper walls, roof, lamps, signs, barricades.
 //!
-//! Everything but the barricade is drawn in world space: x east, y north, z up, in metres.
+//! Signs and barricades are drawn in the frame of somebody who faces them, everything else in world
+//! space: x east, y north, z up, in metres.
 
 use shm_types::{Cell, Heading};
 use warehouse::{Layout, Square};
@@ -37,6 +38,15 @@ pub(crate) fn floor(layout: &Layout, cell: Cell) -> Mesh {
         }
     }
     markings(&mut b, layout, cell);
+    b.finish()
+}
+
+/// Plain floor in front of (x, y), `half` metres to both sides and twice as far to the south.
+pub(crate) fn open_floor([x, y]: [f32; 2], half: f32) -> Mesh {
+    let mut b = Builder::new();
+    b.material(CONCRETE);
+    let (l, r, f) = (x - half, x + half, y - 2.0 * half);
+    b.polygon(&[[l, f, 0.0], [r, f, 0.0], [r, y, 0.0], [l, y, 0.0]]);
     b.finish()
 }
 
@@ -130,38 +140,7 @@ fn dice(a: u32, b: u32) -> f32 {
     (mixed >> 8) as f32 / (1 << 24) as f32
 }
 
-/// The colour of the stripe at the foot of the wall that one faces in this direction: each side of the
-/// hall has its own, so that a person can tell them apart.
-fn stripe(heading: Heading) -> Material {
-    Material::dull(match heading {
-        Heading::N => [62, 104, 142],
-        Heading::E => [78, 122, 96],
-        Heading::S => [142, 92, 66],
-        Heading::W => [112, 104, 84],
-    })
-}
-
-/// A metre of wall at `cell`'s side towards `heading`, from the floor to the height of the racks.
-pub(crate) fn lower_wall(cell: Cell, heading: Heading, top: f32) -> Mesh {
-    let mut b = Builder::new();
-    let at = wall_frame(cell, heading);
-    let quad = |b: &mut Builder, x0: f32, x1: f32, y: f32, z0: f32, z1: f32| {
-        b.shaded_polygon(
-            &[at(x0, y, z0), at(x1, y, z0), at(x1, y, z1), at(x0, y, z1)],
-            |[_, _, z]| 0.72 + 0.28 * (z / 0.8).min(1.0),
-        );
-    };
-    b.material(stripe(heading));
-    quad(&mut b, -0.5, 0.5, 0.0, 0.0, 0.4);
-    quad(&mut b, -0.5, 0.5, 0.0, 0.4, 1.0);
-    b.material(Material::dull([232, 232, 228]));
-    quad(&mut b, -0.5, 0.5, 0.0, 1.0, 1.06);
-    b.material(WALL);
-    quad(&mut b, -0.5, 0.5, 0.0, 1.06, top);
-    b.finish()
-}
-
-/// The wall above the racks, `length` metres from `start` along the wall to the right.
+/// The wall above the racks between two points of the floor plan, left to right from inside.
 pub(crate) fn upper_wall(from: [f32; 2], to: [f32; 2], bottom: f32) -> Mesh {
     let mut b = Builder::new();
     let ([x0, y0], [x1, y1]) = (from, to);
@@ -173,15 +152,6 @@ pub(crate) fn upper_wall(from: [f32; 2], to: [f32; 2], bottom: f32) -> Mesh {
         },
     );
     b.finish()
-}
-
-/// Maps (right, towards the viewer, up) at the wall on `cell`'s side towards `heading` to the world.
-fn wall_frame(cell: Cell, heading: Heading) -> impl Fn(f32, f32, f32) -> [f32; 3] {
-    let ((cx, cy), (fx, fy)) = (cell.centre(), vector(heading));
-    let (rx, ry) = vector(heading.right());
-    move |right, out, up| {
-        [cx + fx * (0.5 - out) + rx * right, cy + fy * (0.5 - out) + ry * right, up]
-    }
 }
 
 /// A stretch of roof over x0..x1, y0..y1 with a beam across its southern edge.
@@ -212,29 +182,18 @@ pub(crate) fn lamp(x: f32, y: f32, north_south: bool) -> Mesh {
     b.finish()
 }
 
-/// The board of an overhead sign that is read looking along `heading`, and the rods it hangs from.
-/// The lettering stands out from both faces.
-pub(crate) fn sign_board(
-    [x, y]: [f32; 2],
-    heading: Heading,
-    half_width: f32,
-    bottom: f32,
-    top: f32,
-) -> Mesh {
+/// The board of an overhead sign in the frame of somebody who reads it: left, bottom, right, top.
+pub(crate) const SIGN_M: [f32; 4] = [-0.8, 2.52, 0.8, 2.9];
+
+/// The board of an overhead sign, in the middle of y = 0, and the rods it hangs from. The lettering
+/// stands out from both faces.
+pub(crate) fn sign_board() -> Mesh {
     let mut b = Builder::new();
-    let ((fx, fy), (rx, ry)) = (vector(heading), vector(heading.right()));
+    let [left, bottom, right, top] = SIGN_M;
     b.material(Material::dull([40, 52, 70]));
-    let boxed = |b: &mut Builder, l: f32, r: f32, d: f32, z0: f32, z1: f32, hidden: &[Side]| {
-        let (p, q) = (
-            [x + rx * l - fx * d, y + ry * l - fy * d],
-            [x + rx * r + fx * d, y + ry * r + fy * d],
-        );
-        let (lo, hi) = ([p[0].min(q[0]), p[1].min(q[1])], [p[0].max(q[0]), p[1].max(q[1])]);
-        b.block_without([lo[0], lo[1], z0], [hi[0], hi[1], z1], hidden);
-    };
-    boxed(&mut b, -half_width, half_width, 0.025, bottom, top, &[]);
-    for rod in [-0.7 * half_width, 0.7 * half_width] {
-        boxed(&mut b, rod - 0.01, rod + 0.01, 0.01, top, ROOF_M, &[Side::Top, Side::Bottom]);
+    b.block_without([left, -0.025, bottom], [right, 0.025, top], &[]);
+    for x in [0.7 * left, 0.7 * right] {
+        b.block_without([x - 0.01, -0.01, top], [x + 0.01, 0.01, ROOF_M], &[Side::Top, Side::Bottom]);
     }
     b.finish()
 }

@@ -4,3 +4,4 @@ pub(crate) mod builder;
 pub(crate) mod hall;
 pub(crate) mod items;
 pub(crate) mod rack;
+pub(crate) mod wall;

@@ -18,13 +18,16 @@ pub(crate) const RACK_HEIGHT_M: f32 = 3.0;
 pub(crate) const BAY_DEPTH_M: f32 = 0.62;
 
 /// Depth of a bay that shares its rack square with another, in metres.
-pub(crate) const SHALLOW_BAY_DEPTH_M: f32 = 0.31;
+pub(crate) const SHALLOW_BAY_DEPTH_M: f32 = 0.29;
 
 /// The panel of the label on the shelf's edge, in the face's frame: left, bottom, right, top.
 pub(crate) const LABEL_M: [f32; 4] = [-0.46, 0.682, 0.46, 0.797];
 
 /// The panel of the bay's number on the upper beam, likewise.
 pub(crate) const BAY_NUMBER_M: [f32; 4] = [-0.16, 1.85, 0.16, 1.918];
+
+/// Ends of the sheet that a closed face is, in plan.
+pub(crate) const CLOSED_FACE_SCREEN_M: [[f32; 2]; 2] = [[-0.47, 0.034], [0.47, 0.034]];
 
 /// How far panels with text stand out from the face, in metres.
 pub(crate) const PANEL_OFFSET_M: f32 = 0.012;
@@ -35,12 +38,16 @@ const DECK: Material = Material::dull([150, 152, 152]);
 const SHEET: Material = Material::dull([206, 209, 208]);
 const END_SHEET: Material = Material::dull([122, 136, 152]);
 const PALLET: Material = Material::dull([150, 124, 92]);
+const FLOOR: Material = Material::dull([118, 118, 115]);
 const STRAP: Material = Material::dull([70, 70, 66]);
 
 const LOWER_DECK_M: f32 = 0.77;
 const UPPER_DECK_M: f32 = 1.86;
 const HALF_UPRIGHT_M: f32 = 0.035;
 const BEAM_M: f32 = 0.04;
+/// How deep the sheets lie that cover a face, and where one that narrows a bay ends.
+const COVER_M: f32 = 0.02;
+const COVER_END_M: f32 = 0.48;
 
 /// How a bay ends to its left or right.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -51,38 +58,44 @@ pub(crate) enum Edge {
     Step(f32),
     /// A side sheet closes it.
     Closed,
-    /// An open corner of the rack: a bay of this depth lies around it, and this one has the corner.
-    Corner(f32),
-    /// An open corner that belongs to the other bay, which is this deep.
-    CutBy(f32),
+    /// Around the corner lies another bay, this deep: a sheet covers this face as far as that one goes.
+    Narrowed(f32),
 }
 
 impl Edge {
-    /// Where shelves and beams end, in metres from the bay's middle.
-    fn shelf(self) -> f32 {
+    /// Where shelves, floor and back panel end, in metres from the bay's middle.
+    fn inside(self) -> f32 {
         match self {
             Self::Joined | Self::Step(_) => 0.5,
-            Self::Closed => 0.47,
-            Self::Corner(_) => 0.5 - BEAM_M,
-            Self::CutBy(depth) => 0.5 - depth,
+            Self::Closed => 0.46,
+            Self::Narrowed(depth) => 0.5 - depth,
+        }
+    }
+
+    /// Where the beams along the face end.
+    fn beam(self) -> f32 {
+        match self {
+            Self::Narrowed(_) => 0.5,
+            Self::Joined | Self::Step(_) | Self::Closed => self.inside(),
+        }
+    }
+
+    /// The upright: half of one that is shared with the next bay, or a whole one that stands back from
+    /// the planes of the face around the corner.
+    fn upright(self) -> [f32; 2] {
+        match self {
+            Self::Joined | Self::Step(_) => [0.5 - HALF_UPRIGHT_M, 0.5],
+            Self::Closed => [0.44, 0.49],
+            Self::Narrowed(depth) => [0.5 - depth - HALF_UPRIGHT_M, 0.5 - depth + HALF_UPRIGHT_M],
         }
     }
 
     /// The sheet that closes the bay to this side: how far out it is, and how deep it begins.
     fn side_sheet(self) -> Option<(f32, f32)> {
         match self {
-            Self::Joined | Self::Corner(_) | Self::CutBy(_) => None,
+            Self::Joined => None,
             Self::Step(depth) => Some((0.5, depth)),
-            Self::Closed => Some((0.47, 0.03)),
-        }
-    }
-
-    /// Where the back panel ends.
-    fn back(self) -> f32 {
-        match self {
-            Self::Joined | Self::Step(_) => 0.5,
-            Self::Closed => 0.47,
-            Self::Corner(depth) | Self::CutBy(depth) => 0.5 - depth,
+            Self::Closed | Self::Narrowed(_) => Some((self.inside(), COVER_M)),
         }
     }
 }
@@ -103,9 +116,12 @@ impl Bay {
     /// The sheets that stop every look through the bay, in plan: the back panel and the sides.
     pub(crate) fn screens(&self) -> Vec<[[f32; 2]; 2]> {
         let d = self.depth;
-        let mut screens = vec![[[-self.left.back(), d], [self.right.back(), d]]];
+        let mut screens = vec![[[-self.left.inside(), d], [self.right.inside(), d]]];
         for (edge, sign) in [(self.left, -1.0), (self.right, 1.0)] {
             screens.extend(edge.side_sheet().map(|(x, y)| [[sign * x, y], [sign * x, d]]));
+            if let Edge::Narrowed(_) = edge {
+                screens.push([[sign * edge.inside(), COVER_M], [sign * COVER_END_M, COVER_M]]);
+            }
         }
         screens
     }
@@ -124,37 +140,23 @@ impl Bay {
     }
 
     fn frame(&self, b: &mut Builder) {
+        let (l, r, d) = (-self.left.inside(), self.right.inside(), self.depth);
+        let sides = [(self.left, -1.0), (self.right, 1.0)];
         b.material(UPRIGHT);
-        let (y0, y1, top) = (0.01, 0.07, RACK_HEIGHT_M);
-        let hidden = [Side::Bottom, Side::Back, Side::Top];
-        for (edge, sign) in [(self.left, -1.0), (self.right, 1.0)] {
-            // Half a post, shared with the next bay; at an open corner a whole one that stands back
-            // from both faces, drawn by the bay that has the corner.
-            let (inner, outer) = match edge {
-                Edge::CutBy(_) => continue,
-                Edge::Corner(_) => (0.43, 0.49),
-                Edge::Joined | Edge::Step(_) | Edge::Closed => (0.5 - HALF_UPRIGHT_M, 0.5),
-            };
-            let (x0, x1) =
-                (f32::min(sign * inner, sign * outer), f32::max(sign * inner, sign * outer));
-            b.block_without([x0, y0, 0.0], [x1, y1, top], &hidden);
+        for (edge, sign) in sides {
+            let [near, far] = edge.upright().map(|x| sign * x);
+            let (min, max) = ([near.min(far), 0.01, 0.0], [near.max(far), 0.07, RACK_HEIGHT_M]);
+            b.block_without(min, max, &[Side::Bottom, Side::Back, Side::Top]);
         }
-
-        let floor = |edge: Edge| match edge {
-            Edge::CutBy(depth) => 0.5 - depth,
-            Edge::Joined | Edge::Step(_) | Edge::Closed | Edge::Corner(_) => 0.5,
-        };
-        let (l, r, d) = (-floor(self.left), floor(self.right), self.depth);
-        b.material(Material::dull([118, 118, 115]));
+        b.material(FLOOR);
         b.polygon(&[[l, 0.0, 0.0], [r, 0.0, 0.0], [r, d, 0.0], [l, d, 0.0]]);
-        b.material(SHEET);
-        let (l, r) = (-self.left.back(), self.right.back());
         // In three heights, so that shade can differ between shelves.
-        for (low, high) in
-            [(0.0, LOWER_DECK_M), (SHELF_TOP_M, UPPER_DECK_M), (UPPER_DECK_M + 0.06, RACK_HEIGHT_M)]
-        {
+        let heights =
+            [(0.0, LOWER_DECK_M), (SHELF_TOP_M, UPPER_DECK_M), (UPPER_DECK_M + 0.06, RACK_HEIGHT_M)];
+        for (low, high) in heights {
+            b.material(SHEET);
             b.polygon(&[[l, d, low], [r, d, low], [r, d, high], [l, d, high]]);
-            for (edge, sign) in [(self.left, -1.0), (self.right, 1.0)] {
+            for (edge, sign) in sides {
                 let Some((out, y)) = edge.side_sheet() else { continue };
                 let x = sign * out;
                 let mut side = [[x, y, low], [x, d, low], [x, d, high], [x, y, high]];
@@ -164,34 +166,33 @@ impl Bay {
                 b.polygon(&side);
             }
         }
+        for (edge, sign) in sides {
+            if let Edge::Narrowed(_) = edge {
+                let (p, q) = (sign * edge.inside(), sign * COVER_END_M);
+                let (x0, x1) = (p.min(q), p.max(q));
+                b.material(END_SHEET);
+                let (y, top) = (COVER_M, RACK_HEIGHT_M);
+                b.polygon(&[[x0, y, 0.0], [x1, y, 0.0], [x1, y, top], [x0, y, top]]);
+                b.material(FLOOR);
+                b.polygon(&[[x0, 0.0, 0.0], [x1, 0.0, 0.0], [x1, y, 0.0], [x0, y, 0.0]]);
+            }
+        }
     }
 
     /// A deck with its front beam; the beam hangs down to `beam_bottom`.
     fn shelf(&self, b: &mut Builder, bottom: f32, top: f32, beam_bottom: f32) {
-        let (l, r) = (-self.left.shelf(), self.right.shelf());
-        let ends = [Side::Left, Side::Right, Side::Back];
+        let hidden = [Side::Left, Side::Right, Side::Back, Side::Front];
         b.material(DECK);
-        b.block_without(
-            [l, BEAM_M, bottom],
-            [r, self.depth, top],
-            &[&ends[..], &[Side::Front]].concat(),
-        );
+        let (l, r) = (-self.left.inside(), self.right.inside());
+        b.block_without([l, BEAM_M, bottom], [r, self.depth, top], &hidden);
         b.material(BEAM);
-        b.block_without([l, 0.0, beam_bottom], [r, BEAM_M, top], &ends);
-        // Around an open corner the beam goes on along the other face.
-        for (edge, sign) in [(self.left, -1.0), (self.right, 1.0)] {
-            let Edge::Corner(depth) = edge else { continue };
-            let (x0, x1) = (sign * (0.5 - BEAM_M), sign * 0.5);
-            let (low, high) = ([x0.min(x1), 0.0, beam_bottom], [x0.max(x1), depth, top]);
-            let hidden =
-                if sign > 0.0 { [Side::Left, Side::Back] } else { [Side::Right, Side::Back] };
-            b.block_without(low, high, &hidden);
-        }
+        let (l, r) = (-self.left.beam(), self.right.beam());
+        b.block_without([l, 0.0, beam_bottom], [r, BEAM_M, top], &hidden[2..3]);
     }
 
     /// What fills the shelves that hold no item: pallets under wrapped loads in colours of dust.
     fn loads(&self, b: &mut Builder) {
-        let (l, r) = (0.06 - self.left.back(), self.right.back() - 0.06);
+        let (l, r) = (0.06 - self.left.inside(), self.right.inside() - 0.06);
         for (level, (floor, room)) in
             [(0.0, 0.60), (UPPER_DECK_M + 0.06, 1.0)].into_iter().enumerate()
         {
@@ -292,5 +293,7 @@ pub(crate) fn closed_face() -> Mesh {
     }
     b.material(Material::dull([58, 60, 64]));
     b.block_without([-0.47, 0.012, 0.0], [0.47, 0.03, 0.12], &[Side::Back, Side::Bottom]);
+    b.material(FLOOR);
+    b.polygon(&[[-0.5, 0.0, 0.0], [0.5, 0.0, 0.0], [0.5, 0.03, 0.0], [-0.5, 0.03, 0.0]]);
     b.finish()
 }

@@ -1,0 +1,230 @@
+//! Where floor, walls, roof, lamps and signs are.
+
+use nalgebra::Isometry3;
+use shm_types::{Cell, Heading};
+use warehouse::{Axis, Layout, Square};
+
+use super::assembly::{Assembly, Writing};
+use super::{side_of, world_from_face};
+use crate::renderer::light::Light;
+use crate::renderer::mesh::rack::RACK_HEIGHT_M;
+use crate::renderer::mesh::{hall, wall};
+
+/// The hall of `layout`, without its racks.
+pub(super) fn build(assembly: &mut Assembly, layout: &Layout) {
+    for cell in layout.free_cells() {
+        let mesh = hall::floor(layout, cell);
+        assembly.object(|a| a.solid(&mesh, &Isometry3::identity(), Light::Hall));
+    }
+    for run in wall_runs(layout) {
+        run.build(assembly);
+    }
+    outer_walls(assembly, layout);
+    roof(assembly, layout);
+    for index in 0..layout.aisles().len() {
+        aisle(assembly, layout, index);
+    }
+}
+
+/// A straight piece of wall that borders floor.
+struct WallRun {
+    /// The floor cells along it, from left to right for somebody who faces the wall.
+    cells: Vec<Cell>,
+    /// The way one faces it.
+    facing: Heading,
+    /// Whether the wall stands inside the hall, so that it has to reach the roof by itself.
+    inside: bool,
+}
+
+/// The walls that border floor, piece by piece.
+fn wall_runs(layout: &Layout) -> Vec<WallRun> {
+    let is_wall = |cell: Cell, facing: Heading| {
+        cell.step(facing).is_none_or(|next| layout.square(next) == Square::Wall)
+    };
+    let faces = |cell: Cell, facing: Heading| layout.is_free(cell) && is_wall(cell, facing);
+    let mut runs = Vec::new();
+    for facing in Heading::ALL {
+        for start in layout.free_cells() {
+            let before = start.step(facing.left());
+            if !faces(start, facing) || before.is_some_and(|cell| faces(cell, facing)) {
+                continue;
+            }
+            let next = |cell: &Cell| cell.step(facing.right()).filter(|&cell| faces(cell, facing));
+            let cells = std::iter::successors(Some(start), next).collect();
+            let beyond = start.step(facing);
+            let inside = beyond.is_some_and(|b| b.x < layout.width() && b.y < layout.height());
+            runs.push(WallRun { cells, facing, inside });
+        }
+    }
+    runs
+}
+
+impl WallRun {
+    fn build(&self, assembly: &mut Assembly) {
+        let top = if self.inside { hall::ROOF_M } else { RACK_HEIGHT_M };
+        for &cell in &self.cells {
+            let frame = world_from_face(side_of(cell, self.facing), self.facing);
+            let mesh = wall::cladding(self.facing, top);
+            assembly.object(|a| a.solid(&mesh, &frame, Light::Hall));
+        }
+        // Columns stand between pieces of 4 m; what hangs on a wall depends on the way it faces.
+        let length = self.cells.len() as f32;
+        let along = |metres: f32| {
+            let first = world_from_face(side_of(self.cells[0], self.facing), self.facing);
+            first * nalgebra::Translation3::new(metres - 0.5, 0.0, 0.0)
+        };
+        let columns = (length / 4.0).floor() as u32;
+        for k in 0..=columns {
+            let at = (length * k as f32 / columns.max(1) as f32).clamp(0.15, length - 0.15);
+            assembly.object(|a| a.solid(&wall::column(), &along(at), Light::Hall));
+        }
+        if length >= 6.0 {
+            for (k, share) in [0.25, 0.75].into_iter().enumerate() {
+                self.feature(assembly, &along(length * share), k);
+            }
+        } else if length >= 2.0 {
+            self.notice(assembly, &along(length / 2.0));
+        }
+    }
+
+    /// What marks a long wall: gates to the west, doors and windows elsewhere.
+    fn feature(&self, assembly: &mut Assembly, frame: &Isometry3<f32>, number: usize) {
+        let gate = matches!(self.facing, Heading::W | Heading::S);
+        let (mesh, text, rect, paper) = if gate {
+            (wall::gate(), format!("GATE {}", number + 1), [-0.5, 2.52, 0.5, 2.8], [24, 92, 150])
+        } else {
+            (wall::exit(), "EXIT".to_owned(), [-0.36, 2.2, 0.36, 2.44], [20, 130, 70])
+        };
+        assembly.object(|a| {
+            a.solid(&mesh, frame, Light::Hall);
+            let writing =
+                Writing { text: &text, ink: [250, 250, 250], paper, texels_per_m: 240.0 };
+            a.text(frame, rect, wall::BOARD_OFFSET_M, &writing);
+        });
+    }
+
+    /// A notice on a short piece of wall.
+    fn notice(&self, assembly: &mut Assembly, frame: &Isometry3<f32>) {
+        let text = match self.facing {
+            Heading::N => "NORTH WALL",
+            Heading::E => "EAST WALL",
+            Heading::S => "SOUTH WALL",
+            Heading::W => "WEST WALL",
+        };
+        assembly.object(|a| {
+            a.solid(&wall::notice_board(), frame, Light::Hall);
+            let writing = Writing {
+                text,
+                ink: [36, 44, 58],
+                paper: [236, 238, 238],
+                texels_per_m: 200.0,
+            };
+            a.text(frame, wall::NOTICE_M, wall::BOARD_OFFSET_M, &writing);
+        });
+    }
+}
+
+/// Above the racks the outer wall runs all around, in pieces.
+fn outer_walls(assembly: &mut Assembly, layout: &Layout) {
+    let (w, h) = (f32::from(layout.width()), f32::from(layout.height()));
+    let corners = [[0.0, h], [w, h], [w, 0.0], [0.0, 0.0]];
+    for (i, &from) in corners.iter().enumerate() {
+        let to = corners[(i + 1) % 4];
+        let length = (to[0] - from[0]).abs() + (to[1] - from[1]).abs();
+        let pieces = (length / 4.0).ceil() as u32;
+        let at = |k: u32| {
+            let share = k as f32 / pieces as f32;
+            [from[0] + (to[0] - from[0]) * share, from[1] + (to[1] - from[1]) * share]
+        };
+        for k in 0..pieces {
+            let mesh = hall::upper_wall(at(k), at(k + 1), RACK_HEIGHT_M);
+            assembly.object(|a| a.solid(&mesh, &Isometry3::identity(), Light::Hall));
+        }
+    }
+}
+
+fn roof(assembly: &mut Assembly, layout: &Layout) {
+    let (w, h) = (f32::from(layout.width()), f32::from(layout.height()));
+    let pieces = (h / 5.0).ceil() as u32;
+    for k in 0..pieces {
+        let at = |k: u32| h * k as f32 / pieces as f32;
+        let mesh = hall::roof(0.0, w, at(k), at(k + 1));
+        assembly.object(|a| a.solid(&mesh, &Isometry3::identity(), Light::Hall));
+    }
+}
+
+/// Lamps and signs of one aisle.
+fn aisle(assembly: &mut Assembly, layout: &Layout, index: usize) {
+    let aisle = &layout.aisles()[index];
+    let cells: Vec<Cell> =
+        layout.free_cells().filter(|&cell| layout.aisle_index(cell) == Some(index)).collect();
+    let Some(area) = Area::around(&cells) else { return };
+    let north_south = aisle.runs == Axis::NorthSouth;
+    let (middle, length) = (area.middle(north_south), area.length(north_south));
+    let lamps = (length / 3.2).round().max(1.0) as u32;
+    for k in 0..lamps {
+        let along = area.start(north_south) + length * (k as f32 + 0.5) / lamps as f32;
+        let (x, y) = if north_south { (middle, along) } else { (along, middle) };
+        let mesh = hall::lamp(x, y, north_south);
+        assembly.object(|a| a.solid(&mesh, &Isometry3::identity(), Light::Hall));
+    }
+    for along in area.sign_places(north_south) {
+        let at = if north_south { [middle, along] } else { [along, middle] };
+        sign(assembly, at, aisle.runs.forward(), &aisle.name.to_uppercase());
+    }
+}
+
+/// An overhead sign, read from both sides.
+fn sign(assembly: &mut Assembly, at: [f32; 2], heading: Heading, text: &str) {
+    let [left, bottom, right, top] = hall::SIGN_M;
+    let inset = 0.03;
+    let rect = [left + inset, bottom + inset, right - inset, top - inset];
+    assembly.object(|a| {
+        a.solid(&hall::sign_board(), &world_from_face(at, heading), Light::Hall);
+        for viewer in [heading, heading.opposite()] {
+            let writing = Writing {
+                text,
+                ink: [250, 250, 250],
+                paper: [24, 92, 150],
+                texels_per_m: 200.0,
+            };
+            a.text(&world_from_face(at, viewer), rect, 0.03, &writing);
+        }
+    });
+}
+
+/// The rectangle around an aisle's cells, in metres.
+struct Area {
+    min: [f32; 2],
+    max: [f32; 2],
+}
+
+impl Area {
+    fn around(cells: &[Cell]) -> Option<Self> {
+        let min = |of: fn(&Cell) -> u8| cells.iter().map(of).min().map(f32::from);
+        let max = |of: fn(&Cell) -> u8| cells.iter().map(of).max().map(|v| f32::from(v) + 1.0);
+        Some(Self { min: [min(|c| c.x)?, min(|c| c.y)?], max: [max(|c| c.x)?, max(|c| c.y)?] })
+    }
+
+    fn start(&self, north_south: bool) -> f32 {
+        self.min[usize::from(north_south)]
+    }
+
+    fn length(&self, north_south: bool) -> f32 {
+        self.max[usize::from(north_south)] - self.min[usize::from(north_south)]
+    }
+
+    /// The coordinate across the aisle of its middle line.
+    fn middle(&self, north_south: bool) -> f32 {
+        let across = usize::from(!north_south);
+        (self.min[across] + self.max[across]) / 2.0
+    }
+
+    /// Where signs hang along the aisle: at both ends of one that runs between racks, and within one
+    /// that crosses them.
+    fn sign_places(&self, north_south: bool) -> [f32; 2] {
+        let (start, length) = (self.start(north_south), self.length(north_south));
+        let inset = if north_south { 0.3 } else { length * 0.3125 };
+        [start + inset, start + length - inset]
+    }
+}

@@ -1,0 +1,183 @@
+//! Which rack faces are bays, how the bays meet, and what stands in them.
+
+use nalgebra::{Isometry3, Point3};
+use shm_types::plate::Plate;
+use shm_types::{Cell, Heading};
+use warehouse::{Axis, Catalogue, Layout, Square, Warehouse};
+
+use super::assembly::{Assembly, Writing};
+use super::{side_of, world_from_face};
+use crate::renderer::light::Light;
+use crate::renderer::mesh::builder::Mesh;
+use crate::renderer::mesh::items::item;
+use crate::renderer::mesh::rack::{
+    BAY_DEPTH_M, BAY_NUMBER_M, Bay, CLOSED_FACE_SCREEN_M, Edge, LABEL_M, PANEL_OFFSET_M,
+    SHALLOW_BAY_DEPTH_M, SHELF_TOP_M, closed_face,
+};
+
+/// Every rack face that borders floor: a bay where an item stands, and along the rest a bay or, at the
+/// end of a run, a sheet of steel.
+pub(super) fn build(assembly: &mut Assembly, warehouse: &Warehouse) {
+    let faces = RackFaces { warehouse };
+    let layout = &warehouse.layout;
+    for rack in layout.cells().filter(|&cell| layout.square(cell) == Square::Rack) {
+        for face in Heading::ALL {
+            let frame = world_from_face(side_of(rack, face), face.opposite());
+            match faces.kind(rack, face) {
+                FaceKind::Inner => {}
+                FaceKind::Closed => {
+                    assembly.object(|a| a.solid(&closed_face(), &frame, Light::Bay));
+                    let [from, to] = CLOSED_FACE_SCREEN_M;
+                    assembly.screen(&frame, from, to);
+                }
+                FaceKind::Bay => {
+                    let bay = faces.bay(rack, face);
+                    let stock = warehouse.items.iter().find(|i| i.rack == rack && i.face == face);
+                    assembly.object(|a| match stock {
+                        None => a.solid(&bay.mesh(), &frame, Light::Bay),
+                        Some(stock) => {
+                            let number = bay_number(layout, stock.standpoint);
+                            let catalogue = &warehouse.catalogue;
+                            stocked_bay(a, &frame, &bay, catalogue, stock.item_type, &number);
+                        }
+                    });
+                    for [from, to] in bay.screens() {
+                        assembly.screen(&frame, from, to);
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// A bay with its item, the plate over it, the label under it and the bay's number.
+pub(super) fn stocked_bay(
+    assembly: &mut Assembly,
+    world_from_face: &Isometry3<f32>,
+    bay: &Bay,
+    catalogue: &Catalogue,
+    item_type: usize,
+    number: &str,
+) {
+    let kind = &catalogue.types[item_type];
+    let category = &catalogue.categories[kind.category];
+    assembly.solid(&bay.mesh(), world_from_face, Light::Bay);
+    let mesh = on_shelf(item(kind.shape, kind.colour), bay.depth);
+    assembly.solid(&mesh, world_from_face, Light::Shelf);
+    assembly.plate(world_from_face, Plate::new(&category.name, &kind.name));
+    let label = Writing {
+        text: &kind.name,
+        ink: [16, 16, 18],
+        paper: [248, 248, 244],
+        texels_per_m: 560.0,
+    };
+    assembly.text(world_from_face, LABEL_M, PANEL_OFFSET_M, &label);
+    let number = Writing {
+        text: number,
+        ink: [250, 250, 250],
+        paper: [36, 44, 58],
+        texels_per_m: 300.0,
+    };
+    assembly.text(world_from_face, BAY_NUMBER_M, PANEL_OFFSET_M, &number);
+}
+
+/// Moves an item's mesh onto the shelf of a bay this deep; in a shallow one it stands smaller.
+fn on_shelf(mut mesh: Mesh, depth: f32) -> Mesh {
+    let (scale, y) = if depth < BAY_DEPTH_M { (0.72, 0.155) } else { (1.0, 0.29) };
+    for vertex in &mut mesh.vertices {
+        let p = vertex.position.coords * scale;
+        vertex.position = Point3::new(p.x, p.y + y, p.z + SHELF_TOP_M);
+    }
+    mesh
+}
+
+/// What is written over a bay: the first letter of the aisle's own word, and a number along the aisle.
+fn bay_number(layout: &Layout, standpoint: Cell) -> String {
+    let Some(aisle) = layout.aisle(standpoint) else { return String::new() };
+    let word = aisle.name.split([' ', '-']).find(|w| !w.eq_ignore_ascii_case("aisle"));
+    let letter = word.and_then(|w| w.chars().next()).unwrap_or('?').to_ascii_uppercase();
+    let along = match aisle.runs {
+        Axis::NorthSouth => standpoint.y,
+        Axis::EastWest => standpoint.x,
+    };
+    format!("{letter}-{along:02}")
+}
+
+/// What is on a side of a rack square.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum FaceKind {
+    /// No floor in front.
+    Inner,
+    /// A sheet of steel.
+    Closed,
+    /// Shelves.
+    Bay,
+}
+
+/// Decides for every rack square which of its faces are bays.
+struct RackFaces<'a> {
+    warehouse: &'a Warehouse,
+}
+
+impl RackFaces<'_> {
+    fn is_open(&self, rack: Cell, face: Heading) -> bool {
+        self.warehouse.layout.free_neighbour(rack, face).is_some()
+    }
+
+    fn holds_item(&self, rack: Cell, face: Heading) -> bool {
+        self.warehouse.items.iter().any(|item| item.rack == rack && item.face == face)
+    }
+
+    fn kind(&self, rack: Cell, face: Heading) -> FaceKind {
+        if !self.is_open(rack, face) {
+            return FaceKind::Inner;
+        }
+        if self.holds_item(rack, face) {
+            return FaceKind::Bay;
+        }
+        // Without an item, a face is a bay only if the square has no other bay to share its room with.
+        let first_open = Heading::ALL.into_iter().find(|&other| self.is_open(rack, other));
+        let any_item = Heading::ALL.into_iter().any(|other| self.holds_item(rack, other));
+        if !any_item && first_open == Some(face) { FaceKind::Bay } else { FaceKind::Closed }
+    }
+
+    fn bay(&self, rack: Cell, face: Heading) -> Bay {
+        let viewer = face.opposite();
+        Bay {
+            left: self.edge(rack, face, viewer.left()),
+            right: self.edge(rack, face, viewer.right()),
+            depth: self.depth(rack),
+            stocked: self.holds_item(rack, face),
+            seed: u32::from(rack.x) * 131 + u32::from(rack.y) * 4 + face as u32 + 1,
+        }
+    }
+
+    /// Bays that share a square are shallow, so that they do not run into each other.
+    fn depth(&self, rack: Cell) -> f32 {
+        let bays = Heading::ALL.into_iter().filter(|&face| self.kind(rack, face) == FaceKind::Bay);
+        if bays.count() > 1 { SHALLOW_BAY_DEPTH_M } else { BAY_DEPTH_M }
+    }
+
+    /// How the bay at `face` ends towards `side`.
+    fn edge(&self, rack: Cell, face: Heading, side: Heading) -> Edge {
+        match self.kind(rack, side) {
+            FaceKind::Closed => Edge::Closed,
+            // Of two bays around a corner, the one that looks east or west keeps its width. A sheet
+            // parts them, so that an item is seen through its own face only.
+            FaceKind::Bay if matches!(face, Heading::E | Heading::W) => Edge::Closed,
+            FaceKind::Bay => Edge::Narrowed(self.depth(rack)),
+            FaceKind::Inner => {
+                let layout = &self.warehouse.layout;
+                let next = rack.step(side).filter(|&next| layout.square(next) != Square::Wall);
+                match next {
+                    None => Edge::Joined,
+                    Some(next) if self.kind(next, face) != FaceKind::Bay => Edge::Closed,
+                    Some(next) if self.depth(next) < self.depth(rack) => {
+                        Edge::Step(self.depth(next))
+                    }
+                    Some(_) => Edge::Joined,
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,46 @@
+//! The catalogue as a scene: every type in a bay of its own, far apart on an empty floor.
+
+use nalgebra::Isometry3;
+use shm_types::Heading;
+use warehouse::Catalogue;
+
+use super::assembly::Assembly;
+use super::{Scene, racks, world_from_face};
+use crate::renderer::light::Light;
+use crate::renderer::mesh::hall;
+use crate::renderer::mesh::rack::{BAY_DEPTH_M, Bay, Edge};
+
+/// Distance between two bays, in metres.
+const SPACING_M: f32 = 8.0;
+
+/// Where a type stands.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(in crate::renderer) struct Stand {
+    /// The middle of its bay's face, on the floor. It is looked at along `viewer`.
+    pub(in crate::renderer) at: [f32; 2],
+    pub(in crate::renderer) viewer: Heading,
+}
+
+/// The scene, and the stand of every type of the catalogue.
+pub(in crate::renderer) fn showcase(catalogue: &Catalogue) -> (Scene, Vec<Stand>) {
+    let mut assembly = Assembly::default();
+    let viewer = Heading::N;
+    let stands: Vec<Stand> = (0..catalogue.types.len())
+        .map(|index| Stand { at: [SPACING_M * index as f32, 0.0], viewer })
+        .collect();
+    for (index, stand) in stands.iter().enumerate() {
+        let bay = Bay {
+            left: Edge::Closed,
+            right: Edge::Closed,
+            depth: BAY_DEPTH_M,
+            stocked: true,
+            seed: index as u32 + 1,
+        };
+        let frame = world_from_face(stand.at, stand.viewer);
+        let number = format!("{:02}", index + 1);
+        assembly.object(|a| racks::stocked_bay(a, &frame, &bay, catalogue, index, &number));
+        let floor = hall::open_floor(stand.at, SPACING_M / 2.0);
+        assembly.object(|a| a.solid(&floor, &Isometry3::identity(), Light::Hall));
+    }
+    (assembly.finish(), stands)
+}
