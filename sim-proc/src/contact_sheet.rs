@@ -41,8 +41,11 @@ fn place(sheet: &mut RgbaImage, [left, top]: [u32; 2], exhibit: &Exhibit) {
     let caption = [LARGE_PX + SMALL_PX, CAPTION_PX];
     write(sheet, [left, top], caption, &exhibit.name, [30, 34, 40]);
     let top = top + CAPTION_PX;
-    let places =
-        [(left, top, LARGE_PX), (left + LARGE_PX, top, SMALL_PX), (left + LARGE_PX, top + SMALL_PX, SMALL_PX)];
+    let places = [
+        (left, top, LARGE_PX),
+        (left + LARGE_PX, top, SMALL_PX),
+        (left + LARGE_PX, top + SMALL_PX, SMALL_PX),
+    ];
     for (picture, (x, y, side)) in exhibit.pictures.iter().zip(places) {
         let (width, height) = picture.dimensions();
         let (cut_x, cut_y) = (width.saturating_sub(side) / 2, height.saturating_sub(side) / 2);

@@ -88,7 +88,10 @@ pub fn run(args: &RenderArgs) -> Result<()> {
         }
         let mut renderer = renderer(&warehouse, settings)?;
         let image = renderer.render_image(View { pose, variant: &Variant::UNCHANGED })?;
-        return save(&image, &out(&format!("view-{}-{}-{}.png", pose.cell.x, pose.cell.y, pose.heading)));
+        return save(
+            &image,
+            &out(&format!("view-{}-{}-{}.png", pose.cell.x, pose.cell.y, pose.heading)),
+        );
     }
     if let Some(id) = &args.subject.case {
         let folder = out(&format!("{id}-{}", args.trajectory.name()));

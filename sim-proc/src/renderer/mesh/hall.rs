@@ -193,7 +193,11 @@ pub(crate) fn sign_board() -> Mesh {
     b.material(Material::dull([40, 52, 70]));
     b.block_without([left, -0.025, bottom], [right, 0.025, top], &[]);
     for x in [0.7 * left, 0.7 * right] {
-        b.block_without([x - 0.01, -0.01, top], [x + 0.01, 0.01, ROOF_M], &[Side::Top, Side::Bottom]);
+        b.block_without(
+            [x - 0.01, -0.01, top],
+            [x + 0.01, 0.01, ROOF_M],
+            &[Side::Top, Side::Bottom],
+        );
     }
     b.finish()
 }

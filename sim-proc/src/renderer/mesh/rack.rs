@@ -27,7 +27,7 @@ pub(crate) const LABEL_M: [f32; 4] = [-0.46, 0.682, 0.46, 0.797];
 pub(crate) const BAY_NUMBER_M: [f32; 4] = [-0.16, 1.85, 0.16, 1.918];
 
 /// Ends of the sheet that a closed face is, in plan.
-pub(crate) const CLOSED_FACE_SCREEN_M: [[f32; 2]; 2] = [[-0.47, 0.034], [0.47, 0.034]];
+pub(crate) const CLOSED_FACE_SCREEN_M: [[f32; 2]; 2] = [[-0.494, 0.034], [0.494, 0.034]];
 
 /// How far panels with text stand out from the face, in metres.
 pub(crate) const PANEL_OFFSET_M: f32 = 0.012;
@@ -56,7 +56,9 @@ pub(crate) enum Edge {
     Joined,
     /// The run continues with a bay that is only this deep.
     Step(f32),
-    /// A side sheet closes it.
+    /// The run goes on with a closed face: a side sheet and a whole upright end the bay.
+    Ended,
+    /// The run ends here, with a closed face around the corner; likewise.
     Closed,
     /// Around the corner lies another bay, this deep: a sheet covers this face as far as that one goes.
     Narrowed(f32),
@@ -67,7 +69,7 @@ impl Edge {
     fn inside(self) -> f32 {
         match self {
             Self::Joined | Self::Step(_) => 0.5,
-            Self::Closed => 0.46,
+            Self::Ended | Self::Closed => 0.46,
             Self::Narrowed(depth) => 0.5 - depth,
         }
     }
@@ -76,7 +78,7 @@ impl Edge {
     fn beam(self) -> f32 {
         match self {
             Self::Narrowed(_) => 0.5,
-            Self::Joined | Self::Step(_) | Self::Closed => self.inside(),
+            Self::Joined | Self::Step(_) | Self::Ended | Self::Closed => self.inside(),
         }
     }
 
@@ -85,6 +87,7 @@ impl Edge {
     fn upright(self) -> [f32; 2] {
         match self {
             Self::Joined | Self::Step(_) => [0.5 - HALF_UPRIGHT_M, 0.5],
+            Self::Ended => [0.44, 0.51],
             Self::Closed => [0.44, 0.49],
             Self::Narrowed(depth) => [0.5 - depth - HALF_UPRIGHT_M, 0.5 - depth + HALF_UPRIGHT_M],
         }
@@ -95,7 +98,7 @@ impl Edge {
         match self {
             Self::Joined => None,
             Self::Step(depth) => Some((0.5, depth)),
-            Self::Closed | Self::Narrowed(_) => Some((self.inside(), COVER_M)),
+            Self::Ended | Self::Closed | Self::Narrowed(_) => Some((self.inside(), COVER_M)),
         }
     }
 }
@@ -113,11 +116,12 @@ pub(crate) struct Bay {
 }
 
 impl Bay {
-    /// The sheets that stop every look through the bay, in plan: the back panel and the sides.
+    /// What stops every look through the bay, in plan: back panel, sides and uprights.
     pub(crate) fn screens(&self) -> Vec<[[f32; 2]; 2]> {
         let d = self.depth;
         let mut screens = vec![[[-self.left.inside(), d], [self.right.inside(), d]]];
         for (edge, sign) in [(self.left, -1.0), (self.right, 1.0)] {
+            screens.push(edge.upright().map(|x| [sign * x, 0.04]));
             screens.extend(edge.side_sheet().map(|(x, y)| [[sign * x, y], [sign * x, d]]));
             if let Edge::Narrowed(_) = edge {
                 screens.push([[sign * edge.inside(), COVER_M], [sign * COVER_END_M, COVER_M]]);
@@ -151,8 +155,11 @@ impl Bay {
         b.material(FLOOR);
         b.polygon(&[[l, 0.0, 0.0], [r, 0.0, 0.0], [r, d, 0.0], [l, d, 0.0]]);
         // In three heights, so that shade can differ between shelves.
-        let heights =
-            [(0.0, LOWER_DECK_M), (SHELF_TOP_M, UPPER_DECK_M), (UPPER_DECK_M + 0.06, RACK_HEIGHT_M)];
+        let heights = [
+            (0.0, LOWER_DECK_M),
+            (SHELF_TOP_M, UPPER_DECK_M),
+            (UPPER_DECK_M + 0.06, RACK_HEIGHT_M),
+        ];
         for (low, high) in heights {
             b.material(SHEET);
             b.polygon(&[[l, d, low], [r, d, low], [r, d, high], [l, d, high]]);

@@ -73,10 +73,16 @@ pub(crate) fn gate() -> Mesh {
         let z = top * i as f32 / 14.0;
         let (low, high) = (z, z + top / 14.0);
         b.material(Material::dull([150, 160, 170]));
-        let slat = [[-half, -0.03, low], [half, -0.03, low], [half, -0.012, high], [-half, -0.012, high]];
+        let slat =
+            [[-half, -0.03, low], [half, -0.03, low], [half, -0.012, high], [-half, -0.012, high]];
         b.polygon(&slat);
         b.material(Material::dull([92, 100, 110]));
-        let shadow = [[-half, -0.012, high], [half, -0.012, high], [half, -0.03, high], [-half, -0.03, high]];
+        let shadow = [
+            [-half, -0.012, high],
+            [half, -0.012, high],
+            [half, -0.03, high],
+            [-half, -0.03, high],
+        ];
         b.polygon(&shadow);
     }
     for side in [-1.0_f32, 1.0] {

@@ -167,4 +167,3 @@ fn plate_code(plate: Plate) -> u32 {
     let all = bands.into_iter().chain([plate::FRAME_RGB]);
     all.enumerate().map(|(place, rgb)| bits(rgb) << (3 * place)).sum()
 }
-

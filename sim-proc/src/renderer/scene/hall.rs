@@ -97,8 +97,7 @@ impl WallRun {
         };
         assembly.object(|a| {
             a.solid(&mesh, frame, Light::Hall);
-            let writing =
-                Writing { text: &text, ink: [250, 250, 250], paper, texels_per_m: 240.0 };
+            let writing = Writing { text: &text, ink: [250, 250, 250], paper, texels_per_m: 240.0 };
             a.text(frame, rect, wall::BOARD_OFFSET_M, &writing);
         });
     }
@@ -113,12 +112,8 @@ impl WallRun {
         };
         assembly.object(|a| {
             a.solid(&wall::notice_board(), frame, Light::Hall);
-            let writing = Writing {
-                text,
-                ink: [36, 44, 58],
-                paper: [236, 238, 238],
-                texels_per_m: 200.0,
-            };
+            let writing =
+                Writing { text, ink: [36, 44, 58], paper: [236, 238, 238], texels_per_m: 200.0 };
             a.text(frame, wall::NOTICE_M, wall::BOARD_OFFSET_M, &writing);
         });
     }
@@ -182,12 +177,8 @@ fn sign(assembly: &mut Assembly, at: [f32; 2], heading: Heading, text: &str) {
     assembly.object(|a| {
         a.solid(&hall::sign_board(), &world_from_face(at, heading), Light::Hall);
         for viewer in [heading, heading.opposite()] {
-            let writing = Writing {
-                text,
-                ink: [250, 250, 250],
-                paper: [24, 92, 150],
-                texels_per_m: 200.0,
-            };
+            let writing =
+                Writing { text, ink: [250, 250, 250], paper: [24, 92, 150], texels_per_m: 200.0 };
             a.text(&world_from_face(at, viewer), rect, 0.03, &writing);
         }
     });

@@ -72,12 +72,8 @@ pub(super) fn stocked_bay(
         texels_per_m: 560.0,
     };
     assembly.text(world_from_face, LABEL_M, PANEL_OFFSET_M, &label);
-    let number = Writing {
-        text: number,
-        ink: [250, 250, 250],
-        paper: [36, 44, 58],
-        texels_per_m: 300.0,
-    };
+    let number =
+        Writing { text: number, ink: [250, 250, 250], paper: [36, 44, 58], texels_per_m: 300.0 };
     assembly.text(world_from_face, BAY_NUMBER_M, PANEL_OFFSET_M, &number);
 }
 
@@ -171,7 +167,7 @@ impl RackFaces<'_> {
                 let next = rack.step(side).filter(|&next| layout.square(next) != Square::Wall);
                 match next {
                     None => Edge::Joined,
-                    Some(next) if self.kind(next, face) != FaceKind::Bay => Edge::Closed,
+                    Some(next) if self.kind(next, face) != FaceKind::Bay => Edge::Ended,
                     Some(next) if self.depth(next) < self.depth(rack) => {
                         Edge::Step(self.depth(next))
                     }
