@@ -32,6 +32,10 @@ use crate::paths::Cache;
 /// How long the loop sleeps when nobody rings. Only a look around; nothing waits for it.
 const LONGEST_SLEEP: Duration = Duration::from_secs(1);
 
+/// How long to stay after saying why one cannot go on. What was sent is lost with its sender for a receiver
+/// that has not looked since, and the orchestrator may just be waking up.
+const LAST_WORDS: Duration = Duration::from_millis(200);
+
 /// What a memory process is started with.
 #[derive(Debug, Clone)]
 pub struct Settings {
@@ -90,6 +94,7 @@ pub fn serve(settings: &Settings) -> anyhow::Result<()> {
     if let Err(error) = &served {
         complaints.raise(format_args!("the memory process cannot go on: {error:#}"));
         bus.bell(Role::Orchestrator)?.ring()?;
+        std::thread::sleep(LAST_WORDS);
     }
     served
 }

@@ -1,5 +1,7 @@
 //! The real encoder: needs what `cargo xtask setup` fetches, and says so when it is missing.
 
+#![expect(clippy::unwrap_used, reason = "test helpers fail loudly")]
+
 use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
 use std::process::Command;

@@ -1,0 +1,319 @@
+//! The real process in a run whose other roles are played by this test. Needs what `cargo xtask setup`
+//! fetches, and says so when it is missing.
+
+#![expect(clippy::unwrap_used, reason = "test helpers fail loudly")]
+
+use std::collections::HashMap;
+use std::path::Path;
+use std::process::{Child, Command, ExitStatus};
+use std::time::{Duration, Instant};
+
+use bytemuck::Zeroable;
+use memory_proc::paths::Cache;
+use shm_types::message::{
+    Complaint, Farewell, FrameId, Hello, MAX_SEGMENT, MAX_WINDOW, MemoryBrief, NO_ACTION,
+    NOT_MEASURED, Observation, Recall, RecallTrace, Representation, Role, Stop, View, ViewRequest,
+    ViewRequestKind, read_text,
+};
+use shm_types::{
+    Attach, Bus, FramePublisher, FrameSize, FrameStore, Pose, Receiver, RunDir, Sender,
+};
+use tempfile::TempDir;
+use warehouse::{Case, CaseSet, Replay, Start, Warehouse};
+
+/// Longer than anything here takes; a wait that lasts this long hangs.
+const LONG: Duration = Duration::from_secs(120);
+
+const ORIGINAL: u32 = 0b0001;
+
+/// All parts but memory's, and the child that plays it. Dropped in order: the child first.
+struct Stage {
+    memory: Kill,
+    briefs: Sender<MemoryBrief>,
+    stop: Sender<Stop>,
+    observations: Sender<Observation>,
+    views: Sender<View>,
+    requests: Receiver<ViewRequest>,
+    recalls: Receiver<Recall>,
+    traces: Receiver<RecallTrace>,
+    hellos: Receiver<Hello>,
+    complaints: Receiver<Complaint>,
+    farewells: Receiver<Farewell>,
+    publisher: FramePublisher,
+    /// Pose that each frame shows.
+    shown: HashMap<FrameId, Pose>,
+    released: usize,
+    _idle: Idle,
+    orchestrator: Bus,
+    sim: Bus,
+    _policy: Bus,
+    _run: RunDir,
+    _base: TempDir,
+}
+
+/// Receivers that nobody looks into: a send fails when one of its receivers is missing.
+struct Idle {
+    _observations: [Receiver<Observation>; 2],
+    _stops: [Receiver<Stop>; 2],
+    _frames: FrameStore,
+}
+
+struct Kill(Child);
+
+impl Drop for Kill {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+impl Stage {
+    fn new(cache: &Path) -> Self {
+        let base = tempfile::Builder::new().prefix("mt").tempdir_in("/tmp").unwrap();
+        let run = RunDir::create(base.path()).unwrap();
+        let frame = FrameSize { width: 64, height: 64 };
+        let attach = Attach { frame, frame_capacity: 400, lanes: 2, ..Attach::new(&run) };
+        attach.write(run.path()).unwrap();
+        let [orchestrator, sim, policy] = [Role::Orchestrator, Role::Sim, Role::Policy]
+            .map(|role| Bus::join(attach.clone(), role).unwrap());
+        let memory = Command::new(env!("CARGO_BIN_EXE_memory-proc"))
+            .arg("serve")
+            .arg("--attach")
+            .arg(run.path())
+            .arg("--cache")
+            .arg(cache)
+            .spawn()
+            .unwrap();
+        // Nobody else reads observations here; the receivers only have to be there.
+        std::mem::forget(
+            [&orchestrator, &policy].map(|bus| bus.receiver::<Observation>().unwrap()),
+        );
+        Self {
+            memory: Kill(memory),
+            briefs: orchestrator.sender().unwrap(),
+            stop: orchestrator.sender().unwrap(),
+            observations: sim.sender().unwrap(),
+            views: sim.sender().unwrap(),
+            requests: sim.receiver().unwrap(),
+            recalls: policy.receiver().unwrap(),
+            traces: orchestrator.receiver().unwrap(),
+            hellos: orchestrator.receiver().unwrap(),
+            complaints: orchestrator.receiver().unwrap(),
+            farewells: orchestrator.receiver().unwrap(),
+            publisher: FramePublisher::new(&sim).unwrap(),
+            shown: HashMap::new(),
+            released: 0,
+            _idle: idle,
+            orchestrator,
+            sim,
+            _policy: policy,
+            _run: run,
+            _base: base,
+        }
+    }
+
+    /// Plays the simulator's part until `next` gives something.
+    fn until<T>(&mut self, mut next: impl FnMut(&mut Self) -> Option<T>) -> T {
+        let deadline = Instant::now() + LONG;
+        loop {
+            for request in self.requests.drain().unwrap() {
+                if request.kind == ViewRequestKind::Hold as u8 {
+                    let frame = self.publish(Pose::try_from(request.pose).unwrap());
+                    self.views.send(&View { frame, pose: request.pose, reserved: 0 }).unwrap();
+                    self.sim.bell(Role::Memory).unwrap().ring().unwrap();
+                } else {
+                    assert_eq!(Pose::try_from(request.pose), Ok(self.shown[&request.frame]));
+                    self.released += 1;
+                }
+            }
+            if let Some(found) = next(self) {
+                return found;
+            }
+            let ended = self.memory.0.try_wait().unwrap();
+            assert!(
+                ended.is_none() && Instant::now() < deadline,
+                "memory does not answer: {ended:?}"
+            );
+            self.sim.doorbell().wait(Duration::from_millis(2)).unwrap();
+        }
+    }
+
+    /// A frame that shows `pose`: stripes that no other pose has.
+    fn publish(&mut self, pose: Pose) -> FrameId {
+        let mut slot = self.publisher.loan().unwrap();
+        let seed = *blake3::hash(pose.to_string().as_bytes()).as_bytes();
+        for (index, byte) in slot.pixels_mut().iter_mut().enumerate() {
+            let (column, row) = (index / 4 % 64, index / 256);
+            *byte = seed[(column / 8 + 3 * (row / 8)) % 32] ^ (index % 4) as u8;
+        }
+        let hash = *blake3::hash(slot.pixels()).as_bytes().first_chunk().unwrap();
+        let id = self.publisher.publish(slot, hash).unwrap();
+        self.shown.insert(id, pose);
+        id
+    }
+
+    fn brief(&self, brief: MemoryBrief) {
+        self.briefs.send(&brief).unwrap();
+        self.orchestrator.bell(Role::Memory).unwrap().ring().unwrap();
+    }
+
+    fn observe(&mut self, seen: Observation) -> FrameId {
+        let frame = if seen.last == 1 { 0 } else { self.publish(seen.pose.try_into().unwrap()) };
+        self.observations.send(&Observation { frame, ..seen }).unwrap();
+        self.sim.bell(Role::Memory).unwrap().ring().unwrap();
+        frame
+    }
+
+    fn recall(&mut self) -> (Recall, RecallTrace) {
+        let recall = self.until(|stage| stage.recalls.next().unwrap());
+        let trace = self.until(|stage| stage.traces.next().unwrap());
+        assert_eq!(
+            (recall.episode, recall.lane, recall.step),
+            (trace.episode, trace.lane, trace.step)
+        );
+        let times =
+            [trace.received_ns, trace.embedded_ns, trace.searched_ns, trace.sent_ns, u64::MAX];
+        assert!(times.is_sorted() && times[0] > 0);
+        (recall, trace)
+    }
+
+    fn complaint(&mut self) -> String {
+        let complaint = self.until(|stage| stage.complaints.next().unwrap());
+        read_text(&complaint.text, complaint.text_len).unwrap().to_owned()
+    }
+
+    fn exit(&mut self) -> ExitStatus {
+        let deadline = Instant::now() + LONG;
+        loop {
+            if let Some(status) = self.memory.0.try_wait().unwrap() {
+                return status;
+            }
+            assert!(Instant::now() < deadline, "memory does not end");
+            std::thread::sleep(Duration::from_millis(2));
+        }
+    }
+}
+
+/// What a case's demonstration from `start` shows at `step`.
+fn observation(replay: &Replay, case: &Case, start: Start, step: usize) -> Observation {
+    let actions = &case.trajectory(start).actions;
+    Observation {
+        step: step as u32,
+        pose: replay.poses[step].into(),
+        feedback: replay.feedback[step] as u8,
+        action: if step == 0 { NO_ACTION } else { actions[step - 1] as u8 },
+        ..Zeroable::zeroed()
+    }
+}
+
+/// A cache folder of its own with what setup fetched, and no embeddings.
+fn fresh_cache() -> TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    let setup = Cache::from_environment().unwrap();
+    for part in ["models", "onnxruntime"] {
+        std::os::unix::fs::symlink(setup.root().join(part), folder.path().join(part)).unwrap();
+    }
+    folder
+}
+
+#[test]
+fn it_remembers_complains_and_says_farewell() {
+    let cache = fresh_cache();
+    let mut stage = Stage::new(cache.path());
+    let hello = stage.until(|stage| {
+        // A process that cannot start says why instead.
+        if let Some(complaint) = stage.complaints.next().unwrap() {
+            panic!("{}", read_text(&complaint.text, complaint.text_len).unwrap());
+        }
+        stage.hellos.next().unwrap()
+    });
+    let facts = read_text(&hello.facts, hello.facts_len).unwrap();
+    let facts: HashMap<String, String> = serde_json::from_str(facts).unwrap();
+    assert_eq!((&*facts["encoder"], &*facts["encoder_trained"]), ("dinov2-s14", "true"));
+    assert!(facts["encoder_sha256"].len() == 64 && !facts["onnxruntime"].is_empty());
+
+    // The case whose original demonstration has the fewest views to embed.
+    let (warehouse, cases) = (Warehouse::shipped(), CaseSet::shipped().cases);
+    let length = |case: &Case| case.original.actions.len();
+    let index = (0..cases.len()).min_by_key(|&index| length(&cases[index])).unwrap();
+    let (case, replay) = (&cases[index], cases[index].replay(&warehouse, Start::Original));
+    let brief = MemoryBrief {
+        episode: 11,
+        lane: 0,
+        case: index as u32,
+        demonstrations: ORIGINAL,
+        representation: Representation::Episodic as u8,
+        window: 2,
+        horizon: 3,
+        reserved: [0; 9],
+    };
+    stage.brief(brief);
+    stage.brief(MemoryBrief {
+        episode: 12,
+        lane: 1,
+        representation: Representation::Working as u8,
+        ..brief
+    });
+    let seen = |step| observation(&replay, case, Start::Original, step);
+    let mut frames = Vec::new();
+    for step in 0..4 {
+        frames.push(stage.observe(Observation { episode: 11, ..seen(step) }));
+        let (recall, trace) = stage.recall();
+        assert_eq!((recall.episode, recall.step, recall.distance), (11, step as u32, 0.0));
+        assert_eq!((trace.case, trace.demonstration), (index as u32, 0));
+        let matched = usize::from(trace.index);
+        let segment = &recall.segment[..recall.segment_len as usize];
+        let shown: Vec<Pose> = segment.iter().map(|entry| stage.shown[&entry.frame]).collect();
+        let until = (matched + 3).min(length(case));
+        assert_eq!(shown, replay.poses[matched..=until]);
+        assert_eq!(shown[0], replay.poses[step]);
+        let window = &recall.window[..recall.window_len as usize];
+        let past: Vec<FrameId> = window.iter().map(|step| step.frame).collect();
+        assert_eq!(past, frames[step.saturating_sub(2)..step]);
+        assert!(recall.window_len as usize <= MAX_WINDOW && segment.len() <= MAX_SEGMENT);
+    }
+
+    stage.observe(Observation { episode: 12, lane: 1, ..seen(0) });
+    let (recall, trace) = stage.recall();
+    assert_eq!((recall.lane, recall.segment_len, trace.case), (1, 0, NOT_MEASURED));
+    assert!(recall.distance.is_nan() && trace.distance.is_nan());
+
+    stage.observe(Observation { episode: 99, ..seen(0) });
+    assert_eq!(stage.complaint(), "observation of unknown episode 99 in lane 0");
+    stage.brief(MemoryBrief { episode: 13, case: 4000, ..brief });
+    assert!(stage.complaint().starts_with("brief of episode 13: case 4000"));
+    stage.observations.send(&Observation { episode: 11, frame: 1 << 50, ..seen(4) }).unwrap();
+    stage.sim.bell(Role::Memory).unwrap().ring().unwrap();
+    assert!(stage.complaint().contains("is not in the store"));
+
+    stage.observe(Observation { episode: 11, last: 1, ..seen(4) });
+    let mut views = replay.poses.clone();
+    views.sort_unstable();
+    views.dedup();
+    stage.until(|stage| (stage.released == views.len()).then_some(()));
+
+    stage.stop.send(&Stop { reserved: 0 }).unwrap();
+    stage.orchestrator.bell(Role::Memory).unwrap().ring().unwrap();
+    assert!(stage.exit().success());
+    let farewell = stage.farewells.next().unwrap().unwrap();
+    assert_eq!((farewell.role, farewell.complaints), (Role::Memory as u32, 3));
+    assert_eq!(farewell.pixel_bytes_copied, 0);
+    assert_eq!(farewell.frames_held, stage.shown.len() as u64);
+
+    // What was embedded is on disk: each distinct view once.
+    let files: Vec<_> = std::fs::read_dir(cache.path().join("embeddings")).unwrap().collect();
+    let length = files[0].as_ref().unwrap().metadata().unwrap().len() as usize;
+    assert_eq!((files.len(), length), (1, 44 + views.len() * (16 + 4 * 384 + 8)));
+}
+
+#[test]
+fn without_a_model_it_says_which_command_brings_it() {
+    let empty = tempfile::tempdir().unwrap();
+    let mut stage = Stage::new(empty.path());
+    let said = stage.complaint();
+    assert_eq!(stage.exit().code(), Some(2));
+    assert!(
+        said.starts_with("the memory process cannot go on: the encoder dinov2-s14 needs "),
+        "{said}"
+    );
+}
