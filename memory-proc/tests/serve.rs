@@ -84,10 +84,11 @@ impl Stage {
             .arg(cache)
             .spawn()
             .unwrap();
-        // Nobody else reads observations here; the receivers only have to be there.
-        std::mem::forget(
-            [&orchestrator, &policy].map(|bus| bus.receiver::<Observation>().unwrap()),
-        );
+        let idle = Idle {
+            _observations: [&orchestrator, &policy].map(|bus| bus.receiver().unwrap()),
+            _stops: [&sim, &policy].map(|bus| bus.receiver().unwrap()),
+            _frames: FrameStore::new(&policy).unwrap(),
+        };
         Self {
             memory: Kill(memory),
             briefs: orchestrator.sender().unwrap(),

@@ -294,7 +294,8 @@ messages! {
         episode: u64,
         /// When the observation was taken up.
         received_ns: u64,
-        /// When the current view's embedding was there.
+        /// When the embeddings that the answer needs were there: the current view's and, in an episode's
+        /// first steps, those of the demonstrations.
         embedded_ns: u64,
         /// When the nearest view was found.
         searched_ns: u64,
