@@ -44,9 +44,13 @@ pub struct Settings {
     pub frames: Frames,
     pub encoder: String,
     #[serde(skip_serializing_if = "Option::is_none")]
+    pub encoder_file: Option<PathBuf>,
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub assets: Option<PathBuf>,
     pub out: PathBuf,
     pub lanes: u32,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub encoder_threads: Option<u32>,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub frame_budget: Option<u32>,
     pub spin_us: u32,
@@ -55,6 +59,6 @@ pub struct Settings {
 }
 
 /// Keys that change how fast or where a run goes and never what comes out, so a run may be resumed with
-/// others. The assets' folder is among them because its *contents* are compared, by their hashes.
+/// others. Suite and assets are among them because what they *say* is compared: keys, and hashes of files.
 pub const FREE_KEYS: &[&str] =
-    &["assets", "out", "lanes", "frame-budget", "spin-us", "step-timeout", "start-timeout"];
+    &["suite", "assets", "out", "lanes", "encoder-threads", "frame-budget", "spin-us", "step-timeout", "start-timeout"];

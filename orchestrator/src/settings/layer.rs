@@ -107,6 +107,11 @@ pub struct Layer {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub encoder: Option<String>,
 
+    /// The encoder's ONNX file, for a model that set-up does not fetch
+    #[arg(long, value_name = "FILE", env = "MEMTRANSFER_ENCODER_FILE", help_heading = PERCEIVED)]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub encoder_file: Option<PathBuf>,
+
     /// Use the layout, catalogue, cases, suites and model manifest in DIR, not the built-in ones
     #[arg(long, value_name = "DIR", env = "MEMTRANSFER_ASSETS", help_heading = WHAT)]
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -121,6 +126,11 @@ pub struct Layer {
     #[arg(long, value_name = "N", env = "MEMTRANSFER_LANES", help_heading = HOW)]
     #[serde(skip_serializing_if = "Option::is_none")]
     pub lanes: Option<u32>,
+
+    /// Frames embedded at the same time [default: the processor's cores]
+    #[arg(long, value_name = "N", env = "MEMTRANSFER_ENCODER_THREADS", help_heading = HOW)]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub encoder_threads: Option<u32>,
 
     /// Frames that may be resident in shared memory; as many as are useful and fit, unless given
     #[arg(long, value_name = "FRAMES", env = "MEMTRANSFER_FRAME_BUDGET", help_heading = HOW)]
@@ -163,10 +173,12 @@ impl Layer {
             frame_size: Some(448),
             frames: Some(Frames::Rendered),
             encoder: Some("dinov2-s14".to_owned()),
+            encoder_file: None,
             assets: None,
             // Follows from suite and policy.
             out: None,
             lanes: Some(16),
+            encoder_threads: None,
             frame_budget: None,
             spin_us: Some(0),
             step_timeout: Some(60),

@@ -1,0 +1,76 @@
+//! The world and the cases a run is about: built in, or read from a folder of assets.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::Path;
+
+use warehouse::case_file::CASES_FILE;
+use warehouse::{AssetError, CaseSet, Warehouse};
+
+/// Files whose contents decide a run's outcome: the name of the hash, the file, the built-in text.
+const HASHED: [(&str, &str, &[u8]); 4] = [
+    ("layout", "layout.toml", include_bytes!("../../assets/layout.toml")),
+    ("catalogue", "catalogue.toml", include_bytes!("../../assets/catalogue.toml")),
+    ("cases", CASES_FILE, include_bytes!("../../assets/cases.toml")),
+    ("models", "models.toml", include_bytes!("../../assets/models.toml")),
+];
+
+/// The warehouse, its cases, and what identifies them.
+#[derive(Debug, Clone)]
+pub struct World {
+    /// The warehouse.
+    pub warehouse: Warehouse,
+    /// The cases.
+    pub cases: CaseSet,
+    /// BLAKE3 hashes of the files, as hexadecimal digits, by name.
+    pub hashes: BTreeMap<String, String>,
+}
+
+impl World {
+    /// Reads the assets in `assets`, or takes those that are built in.
+    ///
+    /// # Errors
+    /// When a file cannot be read or says something impossible.
+    pub fn load(assets: Option<&Path>) -> Result<Self, AssetError> {
+        let (warehouse, cases) = match assets {
+            None => (Warehouse::shipped(), CaseSet::shipped()),
+            Some(dir) => {
+                let warehouse = Warehouse::load(dir)?;
+                let cases = CaseSet::load(&dir.join(CASES_FILE), &warehouse)?;
+                (warehouse, cases)
+            }
+        };
+        let mut hashes = BTreeMap::new();
+        for (name, file, built_in) in HASHED {
+            let own = assets.map(|dir| dir.join(file)).filter(|path| path.exists());
+            let hash = match own {
+                None => blake3::hash(built_in),
+                Some(path) => {
+                    let unreadable =
+                        |source| AssetError::Unreadable { file: path.display().to_string(), source };
+                    blake3::hash(&fs::read(&path).map_err(unreadable)?)
+                }
+            };
+            hashes.insert(name.to_owned(), hash.to_hex().to_string());
+        }
+        Ok(Self { warehouse, cases, hashes })
+    }
+
+    /// The ids of all cases, in the order of the case file.
+    pub fn case_ids(&self) -> Vec<&str> {
+        self.cases.cases.iter().map(|case| case.id.as_str()).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_built_in_world_and_a_copy_of_it_have_the_same_hashes() {
+        let assets = Path::new(env!("CARGO_MANIFEST_DIR")).join("../assets");
+        let (built_in, read) = (World::load(None).unwrap(), World::load(Some(&assets)).unwrap());
+        assert_eq!(built_in.hashes, read.hashes);
+        assert_eq!(built_in.case_ids(), read.case_ids());
+    }
+}
