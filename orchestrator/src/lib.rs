@@ -16,6 +16,7 @@ pub mod plan;
 pub mod progress;
 pub mod score;
 pub mod settings;
+pub mod sibling;
 pub mod signals;
 pub mod supervise;
 pub mod table;

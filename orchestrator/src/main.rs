@@ -1,2 +1,7 @@
-//! entry
-fn main() {}
+//! The program `memtransfer`. What each verb does is in [`orchestrator::cli`].
+
+use std::process::ExitCode;
+
+fn main() -> ExitCode {
+    orchestrator::cli::main()
+}

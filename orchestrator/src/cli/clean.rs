@@ -1,0 +1,51 @@
+//! `memtransfer clean`: removes what killed runs left.
+
+use std::path::PathBuf;
+
+use clap::Args;
+use serde_json::json;
+use shm_types::registry;
+
+use super::{Exit, print, print_json};
+
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Only what belongs to runs whose processes are all gone is removed: their names in shared memory, their
+sockets, their temporary folder. Run folders with results are never touched.")]
+pub(super) struct CleanArgs {
+    /// Only say what there is
+    #[arg(long)]
+    dry_run: bool,
+    /// Print JSON
+    #[arg(long)]
+    json: bool,
+}
+
+pub(super) fn run(args: &CleanArgs) -> anyhow::Result<Exit> {
+    let base = registry::default_base();
+    let (dead, alive): (Vec<PathBuf>, Vec<PathBuf>) = if args.dry_run {
+        let (alive, dead): (Vec<_>, Vec<_>) =
+            registry::list(&base)?.into_iter().partition(|run| run.alive);
+        let paths = |runs: Vec<registry::Run>| runs.into_iter().map(|run| run.path).collect();
+        (paths(dead), paths(alive))
+    } else {
+        let cleaned = registry::clean(&base)?;
+        (cleaned.removed, cleaned.alive)
+    };
+    if args.json {
+        let key = if args.dry_run { "dead" } else { "removed" };
+        print_json(&json!({ key: dead, "alive": alive }))?;
+    } else {
+        let verb = if args.dry_run { "dead, would be removed:" } else { "removed" };
+        for path in &dead {
+            print(&format!("{verb} {}", path.display()))?;
+        }
+        for path in &alive {
+            print(&format!("alive, not touched: {}", path.display()))?;
+        }
+        if dead.is_empty() && alive.is_empty() {
+            print("nothing to clean")?;
+        }
+    }
+    Ok(Exit::Complete)
+}

@@ -1,0 +1,51 @@
+//! `memtransfer generate`: makes a case file from a seed.
+
+use std::path::PathBuf;
+
+use anyhow::{Context, ensure};
+use clap::Args;
+use warehouse::{CaseSet, SHIPPED_COUNT, SHIPPED_SEED, Warehouse};
+
+use super::{Exit, WorldArgs, print};
+
+#[derive(Debug, Args)]
+#[command(after_help = "\
+The same seed and count give the same file on every machine; the defaults give the cases that are built in.
+To run other cases, put the file as cases.toml into a folder with layout.toml and catalogue.toml, and pass
+that folder to `run`, `validate` and the others with --assets.
+
+Examples:
+  memtransfer generate --seed 7 --count 1000 --out my-assets/cases.toml
+  memtransfer generate | diff - assets/cases.toml")]
+pub(super) struct GenerateArgs {
+    /// The number that everything is drawn from
+    #[arg(long, value_name = "N", default_value_t = SHIPPED_SEED)]
+    seed: u64,
+    /// How many cases, spread evenly over the ten tasks
+    #[arg(long, value_name = "N", default_value_t = SHIPPED_COUNT)]
+    count: usize,
+    /// Write the file there instead of to stdout
+    #[arg(long, value_name = "FILE")]
+    out: Option<PathBuf>,
+    #[command(flatten)]
+    world: WorldArgs,
+}
+
+pub(super) fn run(args: &GenerateArgs) -> anyhow::Result<Exit> {
+    ensure!(args.count > 0, "--count is 0, but must be at least 1");
+    // The cases that may lie there already are not read: they are what is to be made.
+    let warehouse = match &args.world.assets {
+        None => Warehouse::shipped(),
+        Some(dir) => Warehouse::load(dir)?,
+    };
+    let cases = CaseSet::generate(&warehouse, args.seed, args.count)?;
+    let text = cases.to_toml(&warehouse.catalogue);
+    match &args.out {
+        None => print(&text)?,
+        Some(path) => {
+            std::fs::write(path, text).with_context(|| format!("cannot write {}", path.display()))?;
+            eprintln!("{} cases in {}", cases.cases.len(), path.display());
+        }
+    }
+    Ok(Exit::Complete)
+}
