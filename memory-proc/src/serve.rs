@@ -268,8 +268,9 @@ impl<'a> Server<'a> {
     fn answer(&mut self) -> anyhow::Result<bool> {
         let answers = self.engine.answers(monotonic_ns);
         for (recall, trace) in &answers {
-            self.ports.recalls.send(recall)?;
+            // The recall sets the policy going; its decision should not overtake the account of it.
             self.ports.traces.send(trace)?;
+            self.ports.recalls.send(recall)?;
         }
         if !answers.is_empty() {
             self.ports.policy.ring()?;

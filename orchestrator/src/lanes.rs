@@ -19,7 +19,7 @@ use shm_types::process::monotonic_ns;
 use shm_types::{Action, Cell, Feedback, Pose};
 use warehouse::{CaseSet, Progress, Variant, Warehouse, step};
 
-use crate::conditions::{Condition, Demonstration, Route, Start};
+use crate::conditions::{Demonstration, Route};
 use crate::log::{Ending, EpisodeRecord, Stages, Unread};
 use crate::plan::Episode;
 
@@ -75,6 +75,19 @@ pub enum Turn {
     Command(StepCommand),
     /// The lane is free; its episode is done.
     Finished(Box<Walked>),
+}
+
+/// An answer that a lane waits for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Owed {
+    /// Who owes it.
+    pub role: Role,
+    /// Which lane waits.
+    pub lane: u32,
+    /// Since when, CLOCK_MONOTONIC.
+    pub since_ns: u64,
+    /// Messages about the lane's episode that could not be used: there may have been an answer among them.
+    pub rubbish: u32,
 }
 
 /// Why a message cannot be used.
@@ -159,6 +172,8 @@ struct Walk {
     rendered_ns: u64,
     /// What the memory said of the current step, once it has.
     trace: Option<RecallTrace>,
+    /// A decision on the current step that came before the memory's account of it.
+    early: Option<Decision>,
     /// When the current step's decision was made.
     decided_ns: u64,
     /// One word a request, see [`EpisodeRecord::retrieved`].
@@ -233,7 +248,7 @@ impl<'w> Lanes<'w> {
     fn set_out(&self, lane: usize, episode: Episode) -> Walk {
         let case = &self.cases.cases[episode.case_index];
         let condition = episode.key.condition;
-        let from = reference(condition);
+        let from = condition.start.reference(condition.route);
         let trajectory = case.trajectory(from);
         let start = trajectory.start;
         let progress = Progress::new(self.warehouse, &case.task, start.cell);
@@ -278,6 +293,7 @@ impl<'w> Lanes<'w> {
             since_ns: 0,
             rendered_ns: 0,
             trace: None,
+            early: None,
             decided_ns: 0,
             retrieved: Vec::new(),
             distances: Vec::new(),
@@ -313,7 +329,7 @@ impl<'w> Lanes<'w> {
         if last {
             return Ok(self.close(lane as usize));
         }
-        walk.trace = None;
+        (walk.trace, walk.early) = (None, None);
         walk.asked = Asked::Decision;
         if !expert {
             return Ok(Turn::Wait);
@@ -326,14 +342,15 @@ impl<'w> Lanes<'w> {
         Ok(self.advance(lane as usize, Ok(action)))
     }
 
-    /// Takes the memory's account of a recall.
+    /// Takes the memory's account of a recall. It travels beside the recall itself, so the decision that
+    /// follows from that may be here already.
     ///
     /// # Errors
     /// When it cannot be used. After [`Fault::Garbage`] the episode cannot go on: [`Lanes::give_up`].
-    pub fn recalled(&mut self, trace: &RecallTrace) -> Result<(), Fault> {
+    pub fn recalled(&mut self, trace: &RecallTrace) -> Result<Turn, Fault> {
         let &RecallTrace { lane, step, episode, demonstration, index, .. } = trace;
         let cases = &self.cases.cases;
-        let Some(walk) = self.walk(Role::Memory, lane, episode)? else { return Ok(()) };
+        let Some(walk) = self.walk(Role::Memory, lane, episode)? else { return Ok(Turn::Wait) };
         let asked = walk.asked == Asked::Decision && walk.trace.is_none();
         if !asked || step != walk.walked.record.steps {
             return Err(walk.not_asked(Role::Memory, step));
@@ -356,7 +373,10 @@ impl<'w> Lanes<'w> {
         walk.walked.stages += stages_recalled(trace, walk.rendered_ns);
         walk.trace = Some(*trace);
         walk.since_ns = monotonic_ns();
-        Ok(())
+        match walk.early.take() {
+            Some(decision) => self.decided(&decision),
+            None => Ok(Turn::Wait),
+        }
     }
 
     /// Takes the policy's answer.
@@ -366,9 +386,15 @@ impl<'w> Lanes<'w> {
     pub fn decided(&mut self, decision: &Decision) -> Result<Turn, Fault> {
         let &Decision { lane, step, episode, .. } = decision;
         let Some(walk) = self.walk(Role::Policy, lane, episode)? else { return Ok(Turn::Wait) };
-        let trace = match (walk.asked, walk.trace) {
-            (Asked::Decision, Some(trace)) if step == walk.walked.record.steps => trace,
-            _ => return Err(walk.not_asked(Role::Policy, step)),
+        if walk.asked != Asked::Decision || step != walk.walked.record.steps {
+            return Err(walk.not_asked(Role::Policy, step));
+        }
+        let Some(trace) = walk.trace else {
+            if walk.early.is_some() {
+                return Err(walk.not_asked(Role::Policy, step));
+            }
+            walk.early = Some(*decision);
+            return Ok(Turn::Wait);
         };
         let garbage = |error: shm_types::pose::UnknownCode| {
             let what = error.to_string();
@@ -400,17 +426,18 @@ impl<'w> Lanes<'w> {
         self.lanes.iter_mut().filter_map(Option::take).map(|walk| walk.walked.episode).collect()
     }
 
-    /// The process that has owed an answer for longest, and since when, if any does.
-    pub fn slowest(&self) -> Option<(Role, u64)> {
-        let owed = self.lanes.iter().flatten().map(|walk| {
+    /// The answer that has been owed for longest, if any is.
+    pub fn slowest(&self) -> Option<Owed> {
+        let owed = (0..).zip(&self.lanes).filter_map(|(lane, walk)| {
+            let walk = walk.as_ref()?;
             let role = match (walk.asked, walk.trace) {
                 (Asked::Observation | Asked::LastObservation, _) => Role::Sim,
                 (Asked::Decision, None) => Role::Memory,
                 (Asked::Decision, Some(_)) => Role::Policy,
             };
-            (role, walk.since_ns)
+            Some(Owed { role, lane, since_ns: walk.since_ns, rubbish: walk.walked.rubbish })
         });
-        owed.min_by_key(|&(_, since)| since)
+        owed.min_by_key(|owed| owed.since_ns)
     }
 
     /// The walk that a message is about; `None` when the message is late.
@@ -520,15 +547,6 @@ impl Walk {
             if last { "no" } else { "a" }
         );
         Err(Fault::Disagrees { lane, step, found, expected })
-    }
-}
-
-/// Which of a case's trajectories an episode under `condition` is compared with, and so where it begins.
-pub fn reference(condition: Condition) -> warehouse::Start {
-    match (condition.start, condition.route) {
-        (Start::Original, _) => warehouse::Start::Original,
-        (Start::New, Route::Unchanged) => warehouse::Start::Test,
-        (Start::New, Route::Blocked) => warehouse::Start::Blocked,
     }
 }
 

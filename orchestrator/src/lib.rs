@@ -4,10 +4,14 @@
 //!   [`world`] (warehouse and cases), [`plan`] (the episodes that follow).
 //! - What is done: [`lanes`] (episodes step by step, pure), [`pipeline`] (through four processes),
 //!   [`supervise`] (the processes themselves).
-//! - What shows meanwhile: [`progress`]; [`signals`] stop it.
+//! - How much of shared memory it takes: [`frame_budget`].
+//! - What shows meanwhile: [`session`], [`progress`]; [`signals`] stop it.
 //! - What is kept: [`log`] (the run folder); [`score`] and [`table`] are made from it alone.
+//! - What people type: [`cli`], one file for each verb.
 
+pub mod cli;
 pub mod conditions;
+pub mod frame_budget;
 pub mod lanes;
 pub mod log;
 pub mod names;
@@ -15,8 +19,8 @@ pub mod pipeline;
 pub mod plan;
 pub mod progress;
 pub mod score;
+pub mod session;
 pub mod settings;
-pub mod sibling;
 pub mod signals;
 pub mod supervise;
 pub mod table;

@@ -23,7 +23,7 @@ use shm_types::message::{
 use shm_types::process::monotonic_ns;
 use shm_types::{Attach, Bell, Bus, Receiver, Sender};
 
-use crate::lanes::{Fault, Lanes, Turn, Walked};
+use crate::lanes::{Fault, Lanes, Owed, Turn, Walked};
 use crate::plan::{Episode, EpisodeKey};
 use crate::supervise::{Crew, Launch};
 
@@ -246,7 +246,8 @@ impl Generation {
         Ok(Some(generation))
     }
 
-    /// Waits for every process's [`Hello`]. A process that fails before it was ever ready would fail again.
+    /// Waits for every process's [`Hello`]. What fails before it was ever ready would fail again; in later
+    /// generations it has been ready once.
     fn wait_until_ready(
         &mut self,
         crewing: &Crewing,
@@ -254,6 +255,10 @@ impl Generation {
         observer: &mut dyn Observer,
     ) -> Result<Option<BTreeMap<Role, Facts>>, Failure> {
         let deadline = Instant::now() + crewing.start_deadline;
+        let first = self.bus.attach().generation == 1;
+        let failed = |why: String| {
+            if first { Failure::Final(anyhow::Error::msg(why)) } else { Failure::Again(why) }
+        };
         let mut facts = BTreeMap::new();
         while facts.len() < self.bells.len() {
             if stop.load(Ordering::Relaxed) {
@@ -267,12 +272,12 @@ impl Generation {
             }
             self.pass_on_complaints(observer)?;
             if let Some(death) = self.crew.death() {
-                return Err(Failure::Final(anyhow::anyhow!("{death}")));
+                return Err(failed(death.to_string()));
             }
             if Instant::now() > deadline {
                 let late = self.bells.keys().filter(|role| !facts.contains_key(role));
                 let late: Vec<&str> = late.map(|role| role.word()).collect();
-                return Err(Failure::Final(anyhow::anyhow!(
+                return Err(failed(format!(
                     "the {} process was not ready after {} s: see its log in {}, or allow more with \
                      --start-timeout",
                     late.join(" and the "),
@@ -303,7 +308,7 @@ impl Generation {
             let steps = self.take_in(lanes, work, observer)?;
             if looked_after.elapsed() >= TICK {
                 looked_after = Instant::now();
-                self.look_after(lanes, crewing, observer)?;
+                self.look_after(lanes, work, crewing, observer)?;
             }
             observer.progress(steps);
         }
@@ -342,31 +347,31 @@ impl Generation {
         let decisions = self.inbox.decisions.drain()?;
         let traces = self.inbox.traces.drain()?;
         let observations = self.inbox.observations.drain()?;
-        let mut steps = 0;
         let mut turns = Vec::with_capacity(decisions.len() + observations.len());
         for observation in &observations {
             turns.push(lanes.observed(observation));
         }
         for trace in &traces {
-            turns.push(lanes.recalled(trace).map(|()| Turn::Wait));
+            turns.push(lanes.recalled(trace));
         }
         for decision in &decisions {
             turns.push(lanes.decided(decision));
         }
+        let mut commands = Vec::new();
+        let mut failure = None;
+        // What is finished is kept first: a command that cannot be sent, or a simulator that is broken, ends
+        // the generation.
         for turn in turns {
             match turn {
                 Ok(Turn::Wait) => {}
-                Ok(Turn::Command(command)) => {
-                    again(self.commands.send(&command))?;
-                    steps += 1;
-                }
+                Ok(Turn::Command(command)) => commands.push(command),
                 Ok(Turn::Finished(walked)) => {
                     work.finished += 1;
                     let attempt = work.attempt(&walked.episode);
                     observer.finished(&walked, attempt)?;
                 }
                 Err(fault @ Fault::Disagrees { .. }) => {
-                    return Err(Failure::Again(fault.to_string()));
+                    failure = Some(Failure::Again(fault.to_string()));
                 }
                 Err(fault) => {
                     observer.trouble(&fault.to_string());
@@ -378,16 +383,23 @@ impl Generation {
                 }
             }
         }
-        if steps > 0 {
+        if let Some(failure) = failure {
+            return Err(failure);
+        }
+        for command in &commands {
+            again(self.commands.send(command))?;
+        }
+        if !commands.is_empty() {
             self.ring(Role::Sim)?;
         }
-        Ok(steps)
+        Ok(commands.len() as u64)
     }
 
     /// Are all alive, and does nobody owe an answer for too long?
     fn look_after(
         &mut self,
-        lanes: &Lanes<'_>,
+        lanes: &mut Lanes<'_>,
+        work: &mut Work,
         crewing: &Crewing,
         observer: &mut dyn Observer,
     ) -> Result<(), Failure> {
@@ -395,16 +407,27 @@ impl Generation {
         if let Some(death) = self.crew.death() {
             return Err(Failure::Again(death.to_string()));
         }
-        let Some((role, since_ns)) = lanes.slowest() else { return Ok(()) };
+        let Some(Owed { role, lane, since_ns, rubbish }) = lanes.slowest() else { return Ok(()) };
         let owed = Duration::from_nanos(monotonic_ns().saturating_sub(since_ns));
         if owed <= crewing.answer_deadline {
             return Ok(());
         }
-        Err(Failure::Again(format!(
-            "the {} process has owed an answer for {} s and is taken to hang (--step-timeout)",
+        let overdue = format!(
+            "the {} process has owed an answer for {} s (--step-timeout)",
             role.word(),
             owed.as_secs()
-        )))
+        );
+        // A policy that did answer, but with something that could not be used, has spoilt this episode only.
+        if role == Role::Policy
+            && rubbish > 0
+            && let Some(episode) = lanes.give_up(lane)
+        {
+            let why = format!("{overdue}, after {rubbish} answers that could not be used");
+            observer.trouble(&format!("{}: {why}", episode.key));
+            work.again(episode, &why);
+            return Ok(());
+        }
+        Err(Failure::Again(format!("{overdue} and is taken to hang")))
     }
 
     fn pass_on_complaints(&mut self, observer: &mut dyn Observer) -> Result<(), Failure> {

@@ -375,7 +375,6 @@ mod tests {
         log.errors.push(EpisodeError {
             key: record("b", true).key,
             session: 1,
-            steps: 3,
             error: "overdue".into(),
         });
         let found = only(&log);

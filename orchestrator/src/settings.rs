@@ -60,5 +60,14 @@ pub struct Settings {
 
 /// Keys that change how fast or where a run goes and never what comes out, so a run may be resumed with
 /// others. Suite and assets are among them because what they *say* is compared: keys, and hashes of files.
-pub const FREE_KEYS: &[&str] =
-    &["suite", "assets", "out", "lanes", "encoder-threads", "frame-budget", "spin-us", "step-timeout", "start-timeout"];
+pub const FREE_KEYS: &[&str] = &[
+    "suite",
+    "assets",
+    "out",
+    "lanes",
+    "encoder-threads",
+    "frame-budget",
+    "spin-us",
+    "step-timeout",
+    "start-timeout",
+];

@@ -9,6 +9,7 @@ use signal_hook::consts::{SIGINT, SIGTERM};
 /// What was asked for by signals, from the moment on when it is made.
 #[derive(Debug, Clone)]
 pub struct Signals {
+    asked: Arc<AtomicBool>,
     received: Arc<AtomicUsize>,
 }
 
@@ -26,7 +27,12 @@ impl Signals {
             signal_hook::flag::register(signal, Arc::clone(&asked))?;
             signal_hook::flag::register_usize(signal, Arc::clone(&received), signal as usize)?;
         }
-        Ok(Self { received })
+        Ok(Self { asked, received })
+    }
+
+    /// True from the moment on when a signal asked to stop.
+    pub fn stop(&self) -> &AtomicBool {
+        &self.asked
     }
 
     /// The signal that asked to stop, if one did.

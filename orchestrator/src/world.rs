@@ -46,8 +46,10 @@ impl World {
             let hash = match own {
                 None => blake3::hash(built_in),
                 Some(path) => {
-                    let unreadable =
-                        |source| AssetError::Unreadable { file: path.display().to_string(), source };
+                    let unreadable = |source| AssetError::Unreadable {
+                        file: path.display().to_string(),
+                        source,
+                    };
                     blake3::hash(&fs::read(&path).map_err(unreadable)?)
                 }
             };

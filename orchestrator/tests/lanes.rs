@@ -1,4 +1,5 @@
 //! Lanes against a scripted simulator, memory and policy: no process, no shared memory.
+#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use bytemuck::Zeroable;
 use orchestrator::conditions::{Condition, Demonstrations, Memory, Route, Start};
@@ -196,7 +197,9 @@ fn answers_out_of_turn_are_faults_and_change_nothing() {
     assert!(matches!(lanes.decided(&answer), Err(Fault::NotAsked { role: Role::Policy, .. })));
     assert!(matches!(lanes.observed(&observation), Ok(Turn::Wait)));
     assert!(matches!(lanes.observed(&observation), Err(Fault::NotAsked { role: Role::Sim, .. })));
-    assert!(matches!(lanes.decided(&answer), Err(Fault::NotAsked { .. })), "before the recall");
+    let ahead = Decision { step: 1, ..answer };
+    assert!(matches!(lanes.decided(&ahead), Err(Fault::NotAsked { step: 1, .. })));
+    assert_eq!(lanes.slowest().map(|owed| (owed.lane, owed.role)), Some((1, Role::Sim)));
     lanes.recalled(&trace(&observation)).unwrap();
     assert!(matches!(lanes.recalled(&trace(&observation)), Err(Fault::NotAsked { .. })));
     let ahead = Decision { step: 1, ..answer };
@@ -206,6 +209,17 @@ fn answers_out_of_turn_are_faults_and_change_nothing() {
     let late = Decision { episode: opening.command.episode + 100, ..answer };
     assert!(matches!(lanes.decided(&late), Ok(Turn::Wait)), "another episode's ticket");
     assert!(matches!(lanes.decided(&answer), Ok(Turn::Command(_))));
+}
+
+#[test]
+fn a_decision_may_overtake_the_account_of_its_recall() {
+    let (warehouse, cases) = world();
+    let (mut lanes, _, observation) = two_lanes(&warehouse, &cases);
+    let answer = decision(&observation, Action::Forward);
+    lanes.observed(&observation).unwrap();
+    assert!(matches!(lanes.decided(&answer), Ok(Turn::Wait)));
+    assert!(matches!(lanes.decided(&answer), Err(Fault::NotAsked { .. })), "one answer a step");
+    assert!(matches!(lanes.recalled(&trace(&observation)), Ok(Turn::Command(_))));
 }
 
 #[test]

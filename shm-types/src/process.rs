@@ -64,8 +64,11 @@ pub fn check_shared_memory(attach: &Attach) -> Result<(), SharedMemoryError> {
     room(attach.shared_memory_bytes(), free, total)
 }
 
-/// Bytes free and bytes in all.
-fn shared_memory_space() -> io::Result<(u64, u64)> {
+/// Bytes of shared memory that are free, and that there are in all.
+///
+/// # Errors
+/// When the system does not say.
+pub fn shared_memory_space() -> io::Result<(u64, u64)> {
     let space = rustix::fs::statvfs(Path::new(SHARED_MEMORY))?;
     Ok((space.f_bavail * space.f_frsize, space.f_blocks * space.f_frsize))
 }

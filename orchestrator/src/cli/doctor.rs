@@ -11,7 +11,7 @@ use shm_types::process::{SHARED_MEMORY, check_shared_memory};
 use shm_types::{Attach, RunDir, registry};
 
 use super::{Exit, WorldArgs, print, print_json};
-use crate::sibling::sibling;
+use crate::supervise::sibling;
 
 #[derive(Debug, Args)]
 #[command(after_help = "Exit status 1 when something is missing.")]
@@ -102,7 +102,10 @@ fn encoder(world: &WorldArgs, picture: &Path) -> anyhow::Result<String> {
 fn leftovers() -> anyhow::Result<String> {
     let runs = registry::list(&registry::default_base())?;
     let dead = runs.iter().filter(|run| !run.alive).count();
-    ensure!(dead == 0, "there are {dead}, which hold shared memory: `memtransfer clean` removes them");
+    ensure!(
+        dead == 0,
+        "there are {dead}, which hold shared memory: `memtransfer clean` removes them"
+    );
     Ok("none".to_owned())
 }
 

@@ -43,7 +43,8 @@ pub(super) fn run(args: &GenerateArgs) -> anyhow::Result<Exit> {
     match &args.out {
         None => print(&text)?,
         Some(path) => {
-            std::fs::write(path, text).with_context(|| format!("cannot write {}", path.display()))?;
+            std::fs::write(path, text)
+                .with_context(|| format!("cannot write {}", path.display()))?;
             eprintln!("{} cases in {}", cases.cases.len(), path.display());
         }
     }

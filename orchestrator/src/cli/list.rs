@@ -164,8 +164,10 @@ fn suites() -> Listing {
     // A suite opens with a comment that says what it is for.
     let about = |text: &str| {
         let comment = text.lines().take_while(|line| line.starts_with('#'));
-        let about: Vec<&str> =
-            comment.map(|line| line.trim_start_matches(['#', ' '])).take_while(|line| !line.is_empty()).collect();
+        let about: Vec<&str> = comment
+            .map(|line| line.trim_start_matches(['#', ' ']))
+            .take_while(|line| !line.is_empty())
+            .collect();
         about.join(" ")
     };
     let rows = shipped_suites().iter().map(|(name, text)| vec![json!(name), json!(about(text))]);
@@ -184,8 +186,7 @@ fn runs(dir: &Path) -> anyhow::Result<Listing> {
         folders.sort();
         rows = folders.iter().map(|folder| run_row(folder)).collect();
     }
-    let header =
-        vec!["run", "suite", "policy", "state", "finished", "planned", "given up", "SR"];
+    let header = vec!["run", "suite", "policy", "state", "finished", "planned", "given up", "SR"];
     Ok(Listing { header, numbers: 4, rows })
 }
 

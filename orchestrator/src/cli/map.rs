@@ -38,7 +38,8 @@ pub(super) fn run(args: &MapArgs) -> anyhow::Result<Exit> {
     match &args.out {
         None => print(&svg)?,
         Some(path) => {
-            std::fs::write(path, svg).with_context(|| format!("cannot write {}", path.display()))?;
+            std::fs::write(path, svg)
+                .with_context(|| format!("cannot write {}", path.display()))?;
         }
     }
     Ok(Exit::Complete)

@@ -356,9 +356,7 @@ mod tests {
         add(&mut folder, "t01-01");
         add(&mut folder, "t01-02");
         assert_eq!(folder.session(), 1);
-        folder
-            .note(SessionEvent::Failed { generation: 1, reason: "x".into(), in_flight: 3 })
-            .unwrap();
+        folder.note(SessionEvent::Failed { generation: 1, reason: "x".into() }).unwrap();
         drop(folder);
         // Killed in the middle of a line.
         let path = dir.path().join(EPISODES_FILE);
@@ -432,7 +430,7 @@ mod tests {
         let mut folder = RunFolder::open(dir.path(), manifest(), false).unwrap().folder;
         for case in ["t01-01", "t01-02"] {
             let (key, error) = (record(case, true).key, "overdue".to_owned());
-            folder.give_up(&EpisodeError { key, session: 1, steps: 4, error }).unwrap();
+            folder.give_up(&EpisodeError { key, session: 1, error }).unwrap();
         }
         add(&mut folder, "t01-02");
         let log = RunLog::read(dir.path()).unwrap();

@@ -231,8 +231,6 @@ pub struct EpisodeError {
     pub key: String,
     /// The session it was given up in.
     pub session: u32,
-    /// Steps taken.
-    pub steps: u32,
     /// What happened.
     pub error: String,
 }
@@ -264,14 +262,12 @@ pub enum SessionEvent {
         /// What each process said about itself.
         processes: BTreeMap<String, BTreeMap<String, String>>,
     },
-    /// A process failed; all were started anew.
+    /// A process failed; all are started anew, and the episodes under way are walked again.
     Failed {
-        /// Which generation.
+        /// The generation that failed.
         generation: u32,
         /// Which process, and how.
         reason: String,
-        /// Episodes that were under way and are run again.
-        in_flight: u32,
     },
     /// The session is over.
     Ended {
@@ -281,7 +277,7 @@ pub enum SessionEvent {
         errors: u32,
         /// Why it stopped: complete, or the signal.
         reason: String,
-        /// Messages about frames at the end, by process: rendered, evicted, held, bytes copied, complaints.
+        /// What each process of the last generation did with frames, and what it complained about.
         farewells: BTreeMap<String, BTreeMap<String, u64>>,
     },
 }

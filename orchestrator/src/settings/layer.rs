@@ -147,7 +147,7 @@ pub struct Layer {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub step_timeout: Option<u32>,
 
-    /// Seconds that processes have to get ready and to answer for the first time
+    /// Seconds that processes have to get ready
     #[arg(long, value_name = "SECONDS", env = "MEMTRANSFER_START_TIMEOUT", help_heading = HOW)]
     #[serde(skip_serializing_if = "Option::is_none")]
     pub start_timeout: Option<u32>,
@@ -181,7 +181,7 @@ impl Layer {
             encoder_threads: None,
             frame_budget: None,
             spin_us: Some(0),
-            step_timeout: Some(60),
+            step_timeout: Some(120),
             start_timeout: Some(300),
         }
     }

@@ -8,7 +8,7 @@ use serde_json::{Map, Value};
 use shm_types::message::{MAX_SEGMENT, MAX_WINDOW};
 
 use super::{Layer, Settings};
-use crate::conditions::Condition;
+use crate::conditions::{Condition, Memory};
 
 /// Where a setting comes from, weakest first.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
@@ -94,8 +94,11 @@ pub fn resolve(
 
 impl Settings {
     /// The conditions they ask for, in the order of the table.
+    ///
+    /// The expert asks no memory, so for it every memory is the same: the window alone.
     pub fn conditions(&self) -> Vec<Condition> {
-        Condition::product(&self.memory, &self.starts, &self.routes, &self.demos)
+        let memory = if self.policy.has_process() { &self.memory[..] } else { &[Memory::Working] };
+        Condition::product(memory, &self.starts, &self.routes, &self.demos)
     }
 
     /// Whether every value can be.
@@ -115,6 +118,14 @@ impl Settings {
             if !(least..=most).contains(&value) {
                 let expected = format!("{least} to {most}");
                 return Err(SettingsError::Value { key, value: value.to_string(), expected });
+            }
+        }
+        for (key, value) in
+            [("--encoder-threads", self.encoder_threads), ("--frame-budget", self.frame_budget)]
+        {
+            if value == Some(0) {
+                let expected = "at least 1".to_owned();
+                return Err(SettingsError::Value { key, value: "0".to_owned(), expected });
             }
         }
         if !self.frame_size.is_multiple_of(64) {

@@ -1,0 +1,334 @@
+//! `memtransfer run`: settings, plan, run folder, processes, table, in this order.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::time::Duration;
+
+use anyhow::{Context, Result, bail};
+use clap::parser::ValueSource;
+use clap::{ArgMatches, Args};
+use serde_json::{Map, Value};
+use shm_types::message::{Role, WIRE_VERSION};
+use shm_types::process::{check_shared_memory, shared_memory_space};
+use shm_types::{Attach, FrameSize, RunDir, Wait, registry};
+
+use super::{Exit, print};
+use crate::conditions::{PolicyKind, Route, Start};
+use crate::frame_budget;
+use crate::lanes::{Lanes, Rules};
+use crate::log::{FORMAT, Manifest, Opened, RunFolder, RunLog, commit_of};
+use crate::pipeline::{self, Crewing};
+use crate::plan::{Episode, plan};
+use crate::progress::Progress;
+use crate::session::Session;
+use crate::settings::{Layer, Origin, Resolved, Settings, load_suite, resolve, select_cases};
+use crate::signals::{self, Signals};
+use crate::supervise::{Launch, sibling};
+use crate::table;
+use crate::world::World;
+
+#[derive(Debug, Args)]
+#[command(after_help = "\
+The same command again resumes a run that was stopped or killed: finished episodes stay, the others are
+walked again. Ctrl-C stops cleanly, a second one at once.
+
+Precedence: defaults < suite file < MEMTRANSFER_* variables < flags.
+
+Examples:
+  memtransfer run                                       the suite `quick` with the scripted stand-in
+  memtransfer run --policy random --limit 10            ten cases, spread over the tasks
+  memtransfer run --policy expert --starts original,new --routes unchanged,blocked
+  memtransfer run --memory episodic --demos original,4  one against four demonstrations
+  memtransfer run --frames blank --out runs/blank       a control: does it collapse without pixels?
+  memtransfer run --cases t03,t09-01 --dry-run          what would run")]
+pub(super) struct RunArgs {
+    #[command(flatten)]
+    layer: Layer,
+
+    /// Remove what the run's folder holds of an earlier run, and start over
+    #[arg(long)]
+    fresh: bool,
+
+    /// Show no progress, only what goes wrong
+    #[arg(long)]
+    quiet: bool,
+
+    /// Print the resolved settings, each with where it comes from, and stop
+    #[arg(long)]
+    show_settings: bool,
+
+    /// Print what would run, and stop
+    #[arg(long, conflicts_with = "show_settings")]
+    dry_run: bool,
+}
+
+pub(super) fn run(args: RunArgs, matches: &ArgMatches) -> Result<Exit> {
+    let resolved = settings(args.layer, matches)?;
+    if args.show_settings {
+        print(&resolved.to_string())?;
+        return Ok(Exit::Complete);
+    }
+    let settings = resolved.settings;
+    say_what_is_left_out(&settings);
+    let world = World::load(settings.assets.as_deref())?;
+    let episodes = episodes(&settings, &world)?;
+    let manifest = manifest(&settings, &world, episodes.len());
+    if args.dry_run {
+        print(&dry_run(&settings, &manifest, &episodes, args.fresh)?)?;
+        return Ok(Exit::Complete);
+    }
+
+    let signals = Signals::listen().context("cannot listen to signals")?;
+    let Opened { mut folder, finished, notes } =
+        RunFolder::open(&settings.out, manifest, args.fresh)?;
+    for note in notes {
+        eprintln!("{note}");
+    }
+    let missing: Vec<Episode> = episodes
+        .into_iter()
+        .filter(|episode| !folder.is_finished(&episode.key.to_string()))
+        .collect();
+    if !missing.is_empty() {
+        let successes = finished.iter().filter(|record| record.is_success()).count();
+        let total = finished.len() + missing.len();
+        if !finished.is_empty() && !args.quiet {
+            eprintln!(
+                "resuming {}: {} of {total} are done",
+                settings.out.display(),
+                finished.len()
+            );
+        }
+        let progress = Progress::new(total, finished.len(), successes, args.quiet);
+        walk(&settings, &world, missing, &mut folder, progress, &signals)?;
+    }
+
+    if let Some(signal) = signals.received() {
+        let log = RunLog::read(&settings.out)?;
+        eprintln!(
+            "stopped by {}: {} of {} episodes are done and kept in {}. To go on:\n  {}",
+            signals::name(signal),
+            log.episodes.len(),
+            log.manifest.episodes,
+            settings.out.display(),
+            same_command()
+        );
+        return Ok(Exit::Signal(signal));
+    }
+    let log = RunLog::read(&settings.out)?;
+    print(&table::report(&log))?;
+    let complete = log.episodes.len() >= log.manifest.episodes as usize;
+    Ok(if complete { Exit::Complete } else { Exit::Failed })
+}
+
+/// Puts the layers together.
+fn settings(said: Layer, matches: &ArgMatches) -> Result<Resolved> {
+    let defaults = Layer::defaults();
+    let suite = said.suite.clone().or(defaults.suite.clone()).context("no suite")?;
+    let suite = load_suite(&suite, said.assets.as_deref())?;
+    let from = |source| {
+        let Value::Object(said) = serde_json::to_value(&said)? else { return Ok(Layer::default()) };
+        // clap names an argument as the field, a layer's key has hyphens.
+        let of_source = |key: &str| matches.value_source(&key.replace('-', "_")) == Some(source);
+        let said: Map<String, Value> = said.into_iter().filter(|(key, _)| of_source(key)).collect();
+        serde_json::from_value(Value::Object(said))
+    };
+    Ok(resolve([
+        (Origin::Default, defaults),
+        (Origin::Suite, suite),
+        (Origin::Environment, from(ValueSource::EnvVariable)?),
+        (Origin::CommandLine, from(ValueSource::CommandLine)?),
+    ])?)
+}
+
+/// A combination that was asked for and does not exist should not go without a word.
+fn say_what_is_left_out(settings: &Settings) {
+    if settings.routes.contains(&Route::Blocked) && settings.starts.contains(&Start::Original) {
+        eprintln!(
+            "a blocked route is defined for the new start only: left out for the original start"
+        );
+    }
+}
+
+fn episodes(settings: &Settings, world: &World) -> Result<Vec<Episode>> {
+    let ids = world.case_ids();
+    let cases = select_cases(&ids, &settings.cases, settings.limit)?;
+    let episodes = plan(&settings.conditions(), settings.runs, &cases, &ids, settings.seed);
+    if episodes.is_empty() {
+        bail!("no case is left: --limit is 0, or --cases names none");
+    }
+    Ok(episodes)
+}
+
+fn manifest(settings: &Settings, world: &World, episodes: usize) -> Manifest {
+    let program = std::env::current_exe().ok();
+    Manifest {
+        format: FORMAT,
+        version: env!("CARGO_PKG_VERSION").to_owned(),
+        wire_version: WIRE_VERSION,
+        commit: program.as_deref().and_then(Path::parent).and_then(commit_of),
+        settings: settings.clone(),
+        hashes: world.hashes.clone(),
+        episodes: episodes as u32,
+        processes: BTreeMap::new(),
+    }
+}
+
+/// What would run, touching nothing.
+fn dry_run(
+    settings: &Settings,
+    manifest: &Manifest,
+    episodes: &[Episode],
+    fresh: bool,
+) -> Result<String> {
+    let mut done = Vec::new();
+    if settings.out.join("manifest.json").exists() && !fresh {
+        let log = RunLog::read(&settings.out)?;
+        let differences = manifest.differences(&log.manifest);
+        if !differences.is_empty() {
+            let dir = settings.out.clone();
+            return Err(crate::log::LogError::OtherSettings { dir, differences }.into());
+        }
+        done = log.episodes.into_iter().map(|record| record.key).collect();
+    }
+    let header = ["memory", "start", "route", "demos", "episodes", "done", "missing"];
+    let mut table = table::table(&header, 4);
+    let (mut missing_in_all, mut images) = (0, 0);
+    for condition in settings.conditions() {
+        let of = || episodes.iter().filter(|episode| episode.key.condition == condition);
+        let is_done = |episode: &&Episode| done.binary_search(&episode.key.to_string()).is_ok();
+        let (all, done) = (of().count(), of().filter(is_done).count());
+        let missing = all - done;
+        missing_in_all += missing;
+        let segment = if condition.memory.uses_demonstrations() { settings.horizon + 1 } else { 0 };
+        images += missing as u64 * u64::from(1 + settings.window + segment);
+        table.add_row([
+            condition.memory.to_string(),
+            condition.start.to_string(),
+            condition.route.to_string(),
+            condition.demonstrations.to_string(),
+            all.to_string(),
+            done.to_string(),
+            missing.to_string(),
+        ]);
+    }
+    let steps = u64::from(settings.max_steps);
+    Ok(format!(
+        "{table}\n\n{} of {} episodes would run with policy {}, into {}.\nAt most {} requests with {} images.",
+        missing_in_all,
+        episodes.len(),
+        settings.policy,
+        settings.out.display(),
+        missing_in_all as u64 * steps,
+        images * steps
+    ))
+}
+
+/// Walks the missing episodes, and writes down how that ended.
+fn walk(
+    settings: &Settings,
+    world: &World,
+    missing: Vec<Episode>,
+    folder: &mut RunFolder,
+    progress: Progress,
+    signals: &Signals,
+) -> Result<()> {
+    let base = registry::default_base();
+    for gone in registry::clean(&base)?.removed {
+        progress.note(&format!("removed what a killed run left in {}", gone.display()));
+    }
+    let run = RunDir::create(&base)?;
+    let attach = attach(settings, world, &missing, &run)?;
+    let crewing = Crewing {
+        launches: launches(settings)?,
+        logs: folder.dir().join("logs"),
+        start_deadline: Duration::from_secs(settings.start_timeout.into()),
+        answer_deadline: Duration::from_secs(settings.step_timeout.into()),
+    };
+    let rules = Rules {
+        window: u8::try_from(settings.window).context("--window")?,
+        horizon: u8::try_from(settings.horizon).context("--horizon")?,
+        max_steps: settings.max_steps,
+        expert: settings.policy == PolicyKind::Expert,
+    };
+    let mut lanes = Lanes::new(&world.warehouse, &world.cases, rules, attach.lanes as usize);
+    let mut session = Session::new(folder, progress, attach.lanes, attach.frame_capacity);
+    let outcome =
+        pipeline::walk(&mut lanes, missing, &attach, &crewing, signals.stop(), &mut session);
+    let reason = match (&outcome, signals.received()) {
+        (Err(error), _) => format!("{error:#}"),
+        (Ok(_), Some(signal)) => signals::name(signal).to_owned(),
+        (Ok(_), None) => "complete".to_owned(),
+    };
+    session.end(&outcome, &reason)?;
+    outcome.map(drop)
+}
+
+/// What every process of the run is told.
+fn attach(settings: &Settings, world: &World, missing: &[Episode], run: &RunDir) -> Result<Attach> {
+    let mut attach = Attach {
+        // The expert needs a world and nobody else.
+        crew: if settings.policy.has_process() { Role::CREW.to_vec() } else { vec![Role::Sim] },
+        lanes: settings.lanes.min(missing.len() as u32),
+        window: settings.window,
+        frame: FrameSize { width: settings.frame_size, height: settings.frame_size },
+        wait: Wait { spin_us: settings.spin_us },
+        frame_control: settings.frames.control(),
+        ..Attach::new(run)
+    };
+    let demand = frame_budget::demand(&attach, &world.warehouse, &world.cases, missing);
+    attach.frame_capacity = match settings.frame_budget {
+        None => {
+            let (free, _) =
+                shared_memory_space().context("cannot tell how much shared memory is free")?;
+            frame_budget::choose(&attach, demand, free)?
+        }
+        Some(frames) if frames < demand.least => bail!(
+            "--frame-budget is {frames}, but {} lanes and the demonstrations need at least {}",
+            attach.lanes,
+            demand.least
+        ),
+        Some(frames) => frames,
+    };
+    check_shared_memory(&attach)?;
+    Ok(attach)
+}
+
+/// The processes that a run starts.
+fn launches(settings: &Settings) -> Result<Vec<Launch>> {
+    let launch = |role, program, arguments: &[(&str, Option<String>)]| {
+        let mut args = vec!["serve".into()];
+        for (flag, value) in arguments {
+            args.extend(value.iter().flat_map(|value| [flag.into(), value.into()]));
+        }
+        Ok::<_, anyhow::Error>(Launch { role, program: sibling(program)?, args })
+    };
+    let path = |path: &Option<std::path::PathBuf>| path.as_ref().map(|p| p.display().to_string());
+    let assets = ("--assets", path(&settings.assets));
+    let mut launches = vec![launch(Role::Sim, "sim-proc", std::slice::from_ref(&assets))?];
+    if settings.policy.has_process() {
+        let encoder = [
+            assets,
+            ("--encoder", Some(settings.encoder.clone())),
+            ("--encoder-file", path(&settings.encoder_file)),
+            ("--encoder-threads", settings.encoder_threads.map(|n| n.to_string())),
+        ];
+        launches.push(launch(Role::Memory, "memory-proc", &encoder)?);
+        let policy = ("--policy", Some(settings.policy.to_string()));
+        launches.push(launch(Role::Policy, "policy-proc", &[policy])?);
+    }
+    Ok(launches)
+}
+
+/// The command line that was given, to be given again: without `--fresh`, which would start over.
+fn same_command() -> String {
+    let plain = |c: char| c.is_ascii_alphanumeric() || "-_./,=+:".contains(c);
+    let quoted = |argument: String| {
+        if !argument.is_empty() && argument.chars().all(plain) {
+            argument
+        } else {
+            format!("'{}'", argument.replace('\'', r"'\''"))
+        }
+    };
+    let arguments = std::env::args().filter(|argument| argument != "--fresh");
+    arguments.map(quoted).collect::<Vec<_>>().join(" ")
+}

@@ -1,0 +1,123 @@
+//! How many frames may be resident: as many as are useful, as far as shared memory has room.
+
+use std::collections::BTreeSet;
+
+use shm_types::{Attach, Pose};
+use warehouse::{CaseSet, Start, Warehouse};
+
+use crate::plan::Episode;
+
+/// Free shared memory that is left to others.
+const HEADROOM_BYTES: u64 = 64 << 20;
+
+/// What a run can use.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Demand {
+    /// Frames without which it cannot run: the views that live lanes refer to, and the demonstrations of one
+    /// episode.
+    pub least: u32,
+    /// Frames beyond which more are of no use: in addition every view of the unchanged warehouse.
+    pub most: u32,
+}
+
+/// Not even the least fits.
+#[derive(Debug, PartialEq, Eq, thiserror::Error)]
+#[error(
+    "the run needs room for {least} frames, that is {needed} MiB of shared memory, and {free} MiB are free: \
+     use fewer --lanes or a smaller --frame-size, or make it larger (in Docker with --shm-size)"
+)]
+pub struct NoRoom {
+    least: u32,
+    needed: u64,
+    free: u64,
+}
+
+/// What `episodes` can use in lanes as `attach` has them.
+pub fn demand(
+    attach: &Attach,
+    warehouse: &Warehouse,
+    cases: &CaseSet,
+    episodes: &[Episode],
+) -> Demand {
+    let live = attach.lanes * (attach.window + 2);
+    let remembered = episodes.iter().map(|episode| {
+        let wanted = episode.key.condition.demonstrations.bits();
+        let case = &cases.cases[episode.case_index];
+        let views: BTreeSet<Pose> = (0..)
+            .zip(Start::DEMONSTRATIONS)
+            .filter(|(bit, _)| wanted & (1 << bit) != 0)
+            .flat_map(|(_, start)| case.replay(warehouse, start).poses)
+            .collect();
+        views.len() as u32
+    });
+    let every_view = 4 * warehouse.layout.free_cells().count() as u32;
+    Demand { least: live + remembered.max().unwrap_or(0), most: live + every_view }
+}
+
+/// The largest useful number of frames that fits into `free` bytes.
+///
+/// # Errors
+/// When the least does not fit.
+pub fn choose(attach: &Attach, demand: Demand, free: u64) -> Result<u32, NoRoom> {
+    let needed = |frames| Attach { frame_capacity: frames, ..attach.clone() }.shared_memory_bytes();
+    let room = free.saturating_sub(HEADROOM_BYTES);
+    let Demand { least, most } = demand;
+    if needed(least) > room {
+        let (needed, free) = ((needed(least) + HEADROOM_BYTES).div_ceil(1 << 20), free >> 20);
+        return Err(NoRoom { least, needed, free });
+    }
+    // `fits` holds throughout; what is above `too_many` does not fit or is of no use.
+    let (mut fits, mut too_many) = (least, most.max(least) + 1);
+    while fits + 1 < too_many {
+        let middle = fits + (too_many - fits) / 2;
+        if needed(middle) <= room { fits = middle } else { too_many = middle }
+    }
+    Ok(fits)
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::PathBuf;
+
+    use shm_types::message::{Role, WIRE_VERSION};
+    use shm_types::{FrameControl, FrameSize, Wait};
+
+    use super::*;
+
+    fn attach() -> Attach {
+        Attach {
+            wire_version: WIRE_VERSION,
+            prefix: "mt0_".to_owned(),
+            generation: 1,
+            orchestrator_pid: 1,
+            crew: Role::CREW.to_vec(),
+            lanes: 4,
+            window: 6,
+            frame: FrameSize::DEFAULT,
+            frame_capacity: 1,
+            wait: Wait::default(),
+            frame_control: FrameControl::Rendered,
+            root: PathBuf::new(),
+        }
+    }
+
+    #[test]
+    fn as_many_frames_as_are_useful_and_fit() {
+        let demand = Demand { least: 100, most: 1000 };
+        let bytes = |frames| Attach { frame_capacity: frames, ..attach() }.shared_memory_bytes();
+        for frames in [100, 101, 500, 999, 1000] {
+            let free = bytes(frames) + HEADROOM_BYTES;
+            assert_eq!(choose(&attach(), demand, free), Ok(frames));
+        }
+        assert_eq!(choose(&attach(), demand, u64::MAX), Ok(1000));
+        let error = choose(&attach(), demand, 64 << 20).unwrap_err().to_string();
+        assert!(error.starts_with("the run needs room for 100 frames, that is"), "{error}");
+    }
+
+    #[test]
+    fn every_case_s_demonstrations_count() {
+        let (warehouse, cases) = (Warehouse::shipped(), CaseSet::shipped());
+        let Demand { least, most } = demand(&attach(), &warehouse, &cases, &[]);
+        assert_eq!((least, most), (32, 32 + 4 * warehouse.layout.free_cells().count() as u32));
+    }
+}

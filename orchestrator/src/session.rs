@@ -1,0 +1,151 @@
+//! One session of a run: what the [`pipeline`](crate::pipeline) finishes goes into the run folder, what
+//! happens goes to stderr.
+
+use std::collections::BTreeMap;
+
+use anyhow::Result;
+use shm_types::message::{Farewell, Role};
+use shm_types::process::monotonic_ns;
+
+use crate::lanes::Walked;
+use crate::log::{EpisodeError, EpisodeTimings, RunFolder, SessionEvent};
+use crate::pipeline::{Ending, Facts, Observer};
+use crate::progress::Progress;
+
+/// Troubles that are said one by one; a process that talks rubbish does so often.
+const TROUBLES_SAID: u32 = 20;
+
+/// Keeps a run folder up to date, and a person.
+#[derive(Debug)]
+pub struct Session<'a> {
+    folder: &'a mut RunFolder,
+    progress: Progress,
+    lanes: u32,
+    frame_budget: u32,
+    began_ns: u64,
+    generation: u32,
+    troubles: u32,
+    last_trouble: String,
+    finished: u32,
+}
+
+impl<'a> Session<'a> {
+    /// A session that writes to `folder`, with so many lanes and frames.
+    pub fn new(
+        folder: &'a mut RunFolder,
+        progress: Progress,
+        lanes: u32,
+        frame_budget: u32,
+    ) -> Self {
+        Self {
+            folder,
+            progress,
+            lanes,
+            frame_budget,
+            began_ns: monotonic_ns(),
+            generation: 0,
+            troubles: 0,
+            last_trouble: String::new(),
+            finished: 0,
+        }
+    }
+
+    /// Writes down how the session ended; `reason` is "complete", or why it stopped.
+    ///
+    /// # Errors
+    /// When the run folder cannot be written to.
+    pub fn end(mut self, outcome: &Result<Ending>, reason: &str) -> Result<()> {
+        let session = self.folder.session();
+        let mut errors = 0;
+        let mut farewells = BTreeMap::new();
+        if let Ok(ending) = outcome {
+            for (episode, why) in &ending.unfinished {
+                let (key, error) = (episode.key.to_string(), why.clone());
+                self.folder.give_up(&EpisodeError { key, session, error })?;
+                self.progress.errored();
+                errors += 1;
+            }
+            farewells =
+                ending.farewells.iter().map(|(role, said)| said_about(*role, said)).collect();
+        }
+        if self.troubles > TROUBLES_SAID {
+            let more = self.troubles - TROUBLES_SAID;
+            self.progress.note(&format!("{more} more such messages were not shown"));
+        }
+        self.progress.close();
+        let (finished, reason) = (self.finished, reason.to_owned());
+        Ok(self.folder.note(SessionEvent::Ended { finished, errors, reason, farewells })?)
+    }
+}
+
+impl Observer for Session<'_> {
+    fn starting(&mut self, generation: u32) {
+        if generation > 1 {
+            let (generation, reason) = (self.generation, self.last_trouble.clone());
+            if let Err(error) = self.folder.note(SessionEvent::Failed { generation, reason }) {
+                self.progress.note(&format!("{error}"));
+            }
+        }
+        self.generation = generation;
+        self.progress.phase("starting the processes, loading the encoder");
+    }
+
+    fn ready(&mut self, facts: &BTreeMap<Role, Facts>) -> Result<()> {
+        let processes: BTreeMap<String, Facts> =
+            facts.iter().map(|(role, facts)| (role.word().to_owned(), facts.clone())).collect();
+        self.folder.note(SessionEvent::Ready {
+            generation: self.generation,
+            lanes: self.lanes,
+            frame_budget: self.frame_budget,
+            processes: processes.clone(),
+        })?;
+        for change in self.folder.introduce(processes)? {
+            self.progress.note(&change);
+        }
+        self.progress.phase("looking at the demonstrations");
+        Ok(())
+    }
+
+    fn finished(&mut self, walked: &Walked, attempt: u32) -> Result<()> {
+        let timings = EpisodeTimings {
+            key: walked.record.key.clone(),
+            session: self.folder.session(),
+            attempt,
+            lane: walked.lane,
+            started_ns: walked.started_ns.saturating_sub(self.began_ns),
+            ended_ns: walked.ended_ns.saturating_sub(self.began_ns),
+            steps: walked.record.steps,
+            rubbish: walked.rubbish,
+            stages: walked.stages,
+        };
+        self.folder.finish(&[(walked.record.clone(), timings)])?;
+        self.finished += 1;
+        self.progress.finished(walked.record.is_success());
+        Ok(())
+    }
+
+    fn progress(&mut self, steps: u64) {
+        self.progress.steps(steps);
+        self.progress.tick();
+    }
+
+    fn trouble(&mut self, what: &str) {
+        self.troubles += 1;
+        if self.troubles <= TROUBLES_SAID {
+            self.progress.note(what);
+        }
+        self.last_trouble = what.to_owned();
+    }
+}
+
+fn said_about(role: Role, said: &Farewell) -> (String, BTreeMap<String, u64>) {
+    let counts = [
+        ("frames_rendered", said.frames_rendered),
+        ("frames_evicted", said.frames_evicted),
+        ("frames_held", said.frames_held),
+        ("pixel_bytes_copied", said.pixel_bytes_copied),
+        ("complaints", said.complaints),
+    ];
+    let counts = counts.into_iter().map(|(what, count)| (what.to_owned(), count));
+    (role.word().to_owned(), counts.collect())
+}
