@@ -171,6 +171,7 @@ mod tests {
         let mut command = Cli::command().term_width(100);
         command.clone().debug_assert();
         insta::assert_snapshot!("help", command.render_long_help());
+        command.build();
         let run = command.find_subcommand_mut("run").unwrap().clone().term_width(100);
         // What this machine's environment says is not part of the help.
         insta::assert_snapshot!("help-run", run.hide_env_values().render_help());

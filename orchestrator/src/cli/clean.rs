@@ -10,8 +10,8 @@ use super::{Exit, print, print_json};
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
-Only what belongs to runs whose processes are all gone is removed: their names in shared memory, their
-sockets, their temporary folder. Run folders with results are never touched.")]
+Only what belongs to runs whose processes are all gone is removed: their names in shared memory,
+their sockets, their temporary folder. Run folders with results are never touched.")]
 pub(super) struct CleanArgs {
     /// Only say what there is
     #[arg(long)]

@@ -10,9 +10,9 @@ use super::{Exit, WorldArgs, print};
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
-The same seed and count give the same file on every machine; the defaults give the cases that are built in.
-To run other cases, put the file as cases.toml into a folder with layout.toml and catalogue.toml, and pass
-that folder to `run`, `validate` and the others with --assets.
+The same seed and count give the same file on every machine; the defaults give the cases that
+are built in. To run other cases, put the file as cases.toml into a folder with layout.toml and
+catalogue.toml, and pass that folder to `run`, `validate` and the others with --assets.
 
 Examples:
   memtransfer generate --seed 7 --count 1000 --out my-assets/cases.toml

@@ -29,8 +29,8 @@ use crate::world::World;
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
-The same command again resumes a run that was stopped or killed: finished episodes stay, the others are
-walked again. Ctrl-C stops cleanly, a second one at once.
+The same command again resumes a run that was stopped or killed: finished episodes stay, the
+others are walked again. Ctrl-C stops cleanly, a second one at once.
 
 Precedence: defaults < suite file < MEMTRANSFER_* variables < flags.
 

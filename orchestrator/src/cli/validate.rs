@@ -6,8 +6,8 @@ use super::{Exit, WorldArgs, print, print_json};
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
-Prints one line for each constraint: whether it holds, how often it was checked, how often it does not.
-Exit status 1 when anything is off.
+Prints one line for each constraint: whether it holds, how often it was checked, how often it
+does not. Exit status 1 when anything is off.
 
 Examples:
   memtransfer validate
