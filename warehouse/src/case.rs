@@ -164,3 +164,40 @@ impl CaseSet {
         self.cases.iter().find(|case| case.id == id)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use shm_types::Heading;
+
+    use super::*;
+    use crate::testing::{BLUE_BARREL, RED_BARREL, cells, tiny};
+
+    #[test]
+    fn a_replay_lists_poses_feedback_and_when_each_sub_goal_was_met() {
+        let warehouse = tiny();
+        let task = Task::InOrder { a: BLUE_BARREL, b: RED_BARREL };
+        let actions = "fRUffrfL".chars().filter_map(Action::from_letter).collect();
+        let walk = Trajectory { start: Pose::new(1, 3, Heading::W), actions };
+        let replay = walk.replay(&warehouse, &task, &Variant::UNCHANGED);
+        use Feedback::{Blocked, Moved, Start, Turned};
+        assert_eq!(
+            replay.feedback,
+            [Start, Moved, Turned, Turned, Moved, Moved, Blocked, Blocked, Turned]
+        );
+        assert_eq!(replay.poses[5], Pose::new(0, 1, Heading::S));
+        assert_eq!(replay.poses.last(), Some(&Pose::new(0, 1, Heading::E)));
+        assert_eq!(replay.stages, [0, 1, 1, 1, 1, 1, 1, 1, 1]);
+        assert_eq!((replay.goal_steps, replay.length), (vec![1], None));
+
+        let there =
+            Trajectory { start: Pose::new(1, 3, Heading::E), actions: vec![Action::Backward; 1] };
+        let on =
+            there.actions.iter().copied().chain([Action::Forward; 4]).chain([Action::TurnLeft]);
+        let there = Trajectory { actions: on.collect(), ..there };
+        let replay = there.replay(&warehouse, &task, &Variant::UNCHANGED);
+        // The step beyond the last sub-goal and the last turn do not count.
+        assert_eq!((replay.goal_steps, replay.length), (vec![1, 4], Some(4)));
+        let closed = Variant::closing(cells(&[(2, 3)]));
+        assert_eq!(there.replay(&warehouse, &task, &closed).length, None);
+    }
+}

@@ -280,3 +280,93 @@ fn check_barricade(cells: &[Cell], warehouse: &Warehouse) -> Result<(), Problem>
         None => Ok(()),
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const CASE: &str = r#"
+seed = 18446744073709551615
+
+[[case]]
+id = "t06-01"
+type = 6
+a = "blue barrel"
+b = "red barrel"
+original = "2,1,N fRf"
+opposite = "2,1,S f"
+nearby = "2,1,N f"
+distant = "2,1,N f"
+test = "2,1,N f"
+blocked = "2,1,N f"
+barricade = [[2, 3], [3, 3]]
+"#;
+
+    #[test]
+    fn a_case_is_read_as_it_was_written() {
+        let warehouse = Warehouse::shipped();
+        let cases = CaseSet::parse(CASE, &warehouse).unwrap();
+        assert_eq!(cases.seed, u64::MAX);
+        let case = cases.case("t06-01").unwrap();
+        assert_eq!(
+            case.task.instruction(&warehouse.catalogue),
+            "Visit a blue barrel, then a red barrel."
+        );
+        assert_eq!(case.original.start, Pose::new(2, 1, shm_types::Heading::N));
+        assert_eq!(case.original.actions, [Action::Forward, Action::TurnRight, Action::Forward]);
+        let text = cases.to_toml(&warehouse.catalogue);
+        assert_eq!(CaseSet::parse(&text, &warehouse).unwrap(), cases);
+        assert!(
+            text.starts_with(HEADER) && text.ends_with(&CASE[CASE.find("[[case]]").unwrap()..])
+        );
+    }
+
+    #[test]
+    fn a_broken_case_is_named_with_its_field() {
+        let warehouse = Warehouse::shipped();
+        for (from, to, expected) in [
+            ("t06-01", "", "case \"\": an id has 1 to 32 letters"),
+            ("t06-01", "../x", "case \"../x\": an id has 1 to 32 letters"),
+            ("type = 6", "type = 11", "case \"t06-01\": type: 11 is not a task type"),
+            ("type = 6", "type = 1", "b: a task of type 1 has none"),
+            ("type = 6", "type = 2", "c: missing; a task of type 2 needs it"),
+            ("type = 6", "type = 300", "300"),
+            (
+                "\"blue barrel\"",
+                "\"blue barel\"",
+                "no type \"blue barel\"; the nearest is \"blue barrel\"",
+            ),
+            ("\"red barrel\"", "\"blue barrel\"", "b: must differ from a"),
+            ("b = \"red barrel\"\n", "", "b: missing; a task of type 6 needs it"),
+            ("\"2,1,N fRf\"", "\"2,1 fRf\"", "original: 2,1 is not a pose"),
+            ("\"2,1,N fRf\"", "\"2,1,N fRx\"", "original: action 3 is 'x', which is none of"),
+            ("\"2,1,N fRf\"", "\"2,1,N\"", "original: 0 actions; must be 1 to 201"),
+            ("\"2,1,N fRf\"", "\"0,0,N f\"", "original: starts on (0, 0), which is no free cell"),
+            ("[[2, 3], [3, 3]]", "[]", "barricade: closes no cell"),
+            ("[[2, 3], [3, 3]]", "[[3, 3], [2, 3]]", "barricade: (3, 3) comes before (2, 3)"),
+            ("[[2, 3], [3, 3]]", "[[2, 3], [2, 3]]", "barricade: (2, 3) comes before (2, 3)"),
+            ("[[2, 3], [3, 3]]", "[[1, 3]]", "barricade: (1, 3) is no free cell"),
+            ("[[2, 3], [3, 3]]", "[[2, 3000]]", "3000"),
+            ("test = ", "tset = ", "tset"),
+            ("blocked = \"2,1,N f\"\n", "", "blocked"),
+            ("seed = 18446744073709551615", "", "seed"),
+            ("seed = 18446744073709551615", "seed = -1", "-1"),
+            ("[[case]]", "[[case", "case"),
+        ] {
+            assert!(CASE.contains(from), "{from}");
+            let problem = CaseSet::parse(&CASE.replacen(from, to, 1), &warehouse).unwrap_err();
+            assert!(problem.contains(expected), "{from} -> {to}: {problem}");
+        }
+        let long = CASE.replace("fRf", &"f".repeat(202));
+        assert!(CaseSet::parse(&long, &warehouse).unwrap_err().contains("202 actions"));
+        let twice = format!("{CASE}{}", &CASE[CASE.find("[[case]]").unwrap()..]);
+        assert!(CaseSet::parse(&twice, &warehouse).unwrap_err().contains("listed twice"));
+        assert!(CaseSet::parse("seed = 1\ncase = []", &warehouse).unwrap_err().contains("0 cases"));
+    }
+
+    #[test]
+    fn a_missing_file_is_named() {
+        let error = CaseSet::load(Path::new("no/cases.toml"), &Warehouse::shipped()).unwrap_err();
+        assert!(error.to_string().contains("cannot read no/cases.toml"), "{error}");
+    }
+}

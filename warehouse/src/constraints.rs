@@ -21,7 +21,7 @@ pub(crate) const DISTANT_CELLS: u32 = 6;
 /// Length of the test reference, in percent of the original demonstration's.
 pub(crate) const TEST_LENGTH_PERCENT: std::ops::RangeInclusive<u32> = 75..=135;
 
-/// Length of any trajectory, in percent of the fewest steps that complete its task.
+/// Most steps of any trajectory of a generated set, in percent of the fewest that complete its task.
 pub const MAX_DETOUR_PERCENT: u32 = 150;
 
 /// An undirected move between two neighbouring cells, the smaller cell first.
@@ -151,4 +151,69 @@ pub(crate) fn faces_targets(
 /// The walk is at most [`MAX_DETOUR_PERCENT`] of the fewest steps.
 pub(crate) fn is_near_optimal(length: u32, fewest: u32) -> bool {
     100 * length <= MAX_DETOUR_PERCENT * fewest
+}
+
+#[cfg(test)]
+mod tests {
+    use shm_types::Heading::{E, N, S, W};
+
+    use super::*;
+    use crate::testing::cells;
+
+    fn poses(walk: &[(u8, u8)]) -> Vec<Pose> {
+        cells(walk).into_iter().map(|cell| Pose { cell, heading: N }).collect()
+    }
+
+    #[test]
+    fn edges_have_no_direction_and_count_once() {
+        let there_and_back = edges(&poses(&[(0, 0), (0, 0), (0, 1), (1, 1), (0, 1), (0, 0)]));
+        assert_eq!(there_and_back.len(), 2);
+        assert_eq!(there_and_back, edges(&poses(&[(1, 1), (0, 1), (0, 0)])));
+        let longer = edges(&poses(&[(0, 0), (0, 1), (0, 2), (0, 3)]));
+        assert_eq!(shared(&there_and_back, &longer), 1);
+        // One edge of two is half, one of three is less; half is enough for both rules.
+        assert!(shares_at_least_half(&there_and_back, &longer));
+        assert!(!shares_at_least_half(&longer, &there_and_back));
+        assert!(shares_at_most_half(&there_and_back, &longer));
+        assert!(!shares_at_most_half(&longer, &longer));
+    }
+
+    #[test]
+    fn starts_relate_as_their_names_say() {
+        let layout = Warehouse::shipped().layout;
+        let start = Pose::new(2, 8, N);
+        assert!(is_opposite(start, Pose::new(2, 8, S)) && !is_opposite(start, Pose::new(2, 8, E)));
+        for (nearby, expected, why) in [
+            (Pose::new(2, 10, N), true, "two cells up the aisle"),
+            (Pose::new(2, 4, N), true, "four cells down the aisle"),
+            (Pose::new(2, 9, N), false, "one cell only"),
+            (Pose::new(2, 13, N), false, "five cells"),
+            (Pose::new(3, 10, N), false, "not straight along the aisle"),
+            (Pose::new(2, 10, E), false, "another heading"),
+        ] {
+            assert_eq!(is_nearby(&layout, start, nearby), expected, "{why}");
+        }
+        assert!(!is_nearby(&layout, Pose::new(2, 12, N), Pose::new(2, 14, N)), "another aisle");
+        for (distant, expected, why) in [
+            (Pose::new(8, 8, E), true, "the next aisle, turned right"),
+            (Pose::new(8, 8, W), true, "the next aisle, turned left"),
+            (Pose::new(8, 8, S), false, "turned around"),
+            (Pose::new(8, 8, N), false, "not turned"),
+            (Pose::new(2, 13, E), false, "the same aisle"),
+            (Pose::new(2, 14, E), true, "just out of the aisle, six cells away"),
+            (Pose::new(5, 8, E), false, "no free cell"),
+        ] {
+            assert_eq!(is_distant(&layout, start, distant), expected, "{why}");
+        }
+    }
+
+    #[test]
+    fn limits_include_their_ends() {
+        let similar = |test| is_of_similar_length(20, test);
+        assert_eq!([14, 15, 27, 28].map(similar), [false, true, true, false]);
+        assert!(is_near_optimal(15, 10) && !is_near_optimal(16, 10));
+        let passage = cells(&[(1, 1)]);
+        assert!(enters(&poses(&[(0, 1), (1, 1)]), &passage));
+        assert!(!enters(&poses(&[(1, 1), (0, 1)]), &passage), "it begins inside");
+    }
 }

@@ -34,3 +34,17 @@ impl Draw {
         list
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn draws_are_the_same_for_ever() {
+        let mut draw = Draw::new(1, 2);
+        let numbers: Vec<usize> = (0..8).map(|_| draw.below(1000)).collect();
+        assert_eq!(numbers, [188, 329, 267, 276, 686, 477, 521, 239]);
+        assert_eq!(draw.shuffled((0..6).collect()), [2, 3, 4, 5, 0, 1]);
+        assert_ne!(Draw::new(1, 3).below(1 << 30), Draw::new(2, 3).below(1 << 30));
+    }
+}

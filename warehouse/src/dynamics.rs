@@ -50,3 +50,46 @@ pub fn step(layout: &Layout, variant: &Variant, pose: Pose, action: Action) -> (
         _ => (pose, Feedback::Blocked),
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use shm_types::Heading::{E, N, S, W};
+
+    use super::*;
+    use crate::testing::{cells, tiny};
+
+    #[test]
+    fn every_action_does_what_its_name_says() {
+        let warehouse = tiny();
+        let barricade = Variant::closing(cells(&[(2, 1)]));
+        use Feedback::{Blocked, Moved, Turned};
+        for (from, action, to, feedback) in [
+            (Pose::new(4, 1, W), Action::Forward, Pose::new(3, 1, W), Moved),
+            (Pose::new(4, 1, W), Action::Backward, Pose::new(5, 1, W), Moved),
+            (Pose::new(3, 2, W), Action::Left, Pose::new(3, 1, W), Moved),
+            (Pose::new(3, 2, W), Action::Right, Pose::new(3, 3, W), Moved),
+            (Pose::new(4, 1, W), Action::TurnLeft, Pose::new(4, 1, S), Turned),
+            (Pose::new(4, 1, W), Action::TurnRight, Pose::new(4, 1, N), Turned),
+            (Pose::new(4, 1, W), Action::TurnAround, Pose::new(4, 1, E), Turned),
+            // A rack, the edge of the plan, a barricade.
+            (Pose::new(4, 1, N), Action::Forward, Pose::new(4, 1, N), Blocked),
+            (Pose::new(0, 1, W), Action::Forward, Pose::new(0, 1, W), Blocked),
+            (Pose::new(6, 1, N), Action::Right, Pose::new(6, 1, N), Blocked),
+            (Pose::new(3, 1, W), Action::Forward, Pose::new(3, 1, W), Blocked),
+        ] {
+            let found = step(&warehouse.layout, &barricade, from, action);
+            assert_eq!(found, (to, feedback), "{action:?} at {from}");
+        }
+        let open =
+            step(&warehouse.layout, &Variant::UNCHANGED, Pose::new(3, 1, W), Action::Forward);
+        assert_eq!(open, (Pose::new(2, 1, W), Moved));
+    }
+
+    #[test]
+    fn a_variant_sorts_its_cells() {
+        let variant = Variant::closing(cells(&[(3, 1), (2, 1), (3, 1)]));
+        assert_eq!(variant.closed(), cells(&[(2, 1), (3, 1)]));
+        assert!(variant.is_closed(Cell::new(2, 1)) && !variant.is_closed(Cell::new(1, 1)));
+        assert!(Variant::UNCHANGED.closed().is_empty());
+    }
+}

@@ -56,14 +56,15 @@ pub struct GenerateError {
 }
 
 impl CaseSet {
-    /// Makes `count` cases, as many of each type as of any other or one fewer, by type.
+    /// Makes `count` cases, a tenth of each type and one more of the first types where ten does not
+    /// divide `count`. Ids count within the type: `t03-07` is the seventh case of type 3.
     ///
     /// # Errors
     /// When the warehouse offers no case of some type, such as one with a single aisle.
     pub fn generate(warehouse: &Warehouse, seed: u64, count: usize) -> Result<Self, GenerateError> {
         let generator = Generator::new(warehouse, seed);
         let width = count.div_ceil(10).to_string().len().max(2);
-        let mut cases: Vec<Case> = Vec::with_capacity(count);
+        let mut cases: Vec<Case> = Vec::new();
         for number in 1..=10_u8 {
             let of_type = (count + 10 - usize::from(number)) / 10;
             let choices = generator.target_choices(number);
@@ -266,8 +267,14 @@ impl<'w> Generator<'w> {
         draw.shuffled(passages).into_iter().find_map(|cells| {
             let variant = Variant::closing(cells.iter().copied());
             let expert = Planner::new(self.warehouse, variant.clone(), Prices::EXPERT);
-            let fewest = Planner::new(self.warehouse, variant.clone(), Prices::STEPS);
-            let walk = self.walk_with(&expert, &fewest, &variant, task, start)?;
+            let walk = self.walk_with(&expert, &variant, task, start, |length| {
+                // Closing a passage never shortens a walk, so the cheap answer mostly decides.
+                let unchanged = self.fewest.cost(start, task)?;
+                if is_near_optimal(length, unchanged) {
+                    return Some(unchanged);
+                }
+                Planner::new(self.warehouse, variant.clone(), Prices::STEPS).cost(start, task)
+            })?;
             let detours = walk.length > test.length && walk.length <= MOST_BLOCKED_STEPS;
             detours.then(|| (walk.trajectory, cells.clone()))
         })
@@ -278,25 +285,82 @@ impl<'w> Generator<'w> {
         if target_on(&[start.cell], targets).is_some() {
             return None;
         }
-        self.walk_with(&self.expert, &self.fewest, &Variant::UNCHANGED, task, start)
+        self.walk_with(&self.expert, &Variant::UNCHANGED, task, start, |_| {
+            self.fewest.cost(start, task)
+        })
     }
 
+    /// The walk of `expert` in `variant`, if it may serve as a reference. `fewest` is a lower bound of the
+    /// steps needed, exact where a walk of the given length would be rejected by it.
     fn walk_with(
         &self,
         expert: &Planner<'_>,
-        fewest: &Planner<'_>,
         variant: &Variant,
         task: &Task,
         start: Pose,
+        fewest: impl Fn(u32) -> Option<u32>,
     ) -> Option<Walk> {
         let trajectory = expert.plan(start, task)?;
         let replay = trajectory.replay(self.warehouse, task, variant);
         let length = does_its_task(&replay).ok()?;
         faces_targets(self.warehouse, task, &replay).ok()?;
-        let good = length >= LEAST_STEPS && is_near_optimal(length, fewest.cost(start, task)?);
+        let good = length >= LEAST_STEPS && is_near_optimal(length, fewest(length)?);
         good.then(|| {
             let edges = edges(&replay.poses);
             Walk { trajectory, replay, length, edges }
         })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::testing::tiny;
+
+    #[test]
+    fn a_larger_set_begins_with_the_cases_of_a_smaller_one() {
+        let warehouse = Warehouse::shipped();
+        let (few, more) = (
+            CaseSet::generate(&warehouse, 3, 10).unwrap(),
+            CaseSet::generate(&warehouse, 3, 27).unwrap(),
+        );
+        assert_eq!(few.cases.len(), 10);
+        assert_eq!(more.cases.len(), 27);
+        for case in &few.cases {
+            assert_eq!(more.case(&case.id), Some(case));
+        }
+        let numbers: Vec<u8> = more.cases.iter().map(|case| case.task.number()).collect();
+        let of_type = |number| numbers.iter().filter(|&&n| n == number).count();
+        assert_eq!((1..=10).map(of_type).collect::<Vec<_>>(), [3, 3, 3, 3, 3, 3, 3, 2, 2, 2]);
+    }
+
+    #[test]
+    fn another_seed_gives_other_cases() {
+        let warehouse = Warehouse::shipped();
+        let [one, two] = [1, 2].map(|seed| CaseSet::generate(&warehouse, seed, 10).unwrap());
+        for (one, two) in one.cases.iter().zip(&two.cases) {
+            assert_ne!((one.task, one.original.start), (two.task, two.original.start));
+        }
+    }
+
+    #[test]
+    fn a_thousand_cases_are_as_good_and_as_varied() {
+        let warehouse = Warehouse::shipped();
+        let cases = CaseSet::generate(&warehouse, 77, 1000).unwrap();
+        let report = crate::validate::check(&warehouse, &cases);
+        assert!(report.is_clean(), "{report}");
+        let alike = |task| cases.cases.iter().filter(|case| case.task == task).count();
+        let most = cases.cases.iter().map(|case| alike(case.task)).max();
+        assert!(most <= Some(10), "{most:?} cases have the same task");
+    }
+
+    #[test]
+    fn a_warehouse_too_small_for_cases_is_refused() {
+        let error = CaseSet::generate(&tiny(), 1, 10).unwrap_err().to_string();
+        assert!(
+            error.contains("no case of type 1 (single object search) found for seed 1"),
+            "{error}"
+        );
+        assert_eq!(CaseSet::generate(&tiny(), 1, 0).unwrap().cases, []);
     }
 }

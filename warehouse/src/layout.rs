@@ -305,6 +305,18 @@ mod tests {
     }
 
     #[test]
+    fn a_passage_spans_its_aisle_from_rack_to_rack() {
+        let layout = crate::testing::tiny().layout;
+        // The aisles east-west are one cell wide and open to the north or south at each junction.
+        let across = |y| [1, 2, 4, 5].map(|x| vec![Cell::new(x, y)]);
+        let between = [0, 3, 6].map(|x| vec![Cell::new(x, 2)]);
+        let mut expected: Vec<Vec<Cell>> = across(1).into_iter().chain(across(3)).collect();
+        expected.extend(between);
+        expected.sort_by_key(|cells| (cells[0].y, cells[0].x));
+        assert_eq!(layout.passages(), expected);
+    }
+
+    #[test]
     fn a_broken_plan_says_where() {
         for (plan, expected) in [
             ("aaa\naa\naaa\n", "plan line 2 is 2 cells wide and the first is 3"),

@@ -4,6 +4,9 @@
 //! - [`dynamics`]: one function, pose + action + variant -> pose + feedback.
 //! - [`task`]: the ten task types; [`progress`]: the one checker that scores any walk.
 //! - [`case`]: a task with its six trajectories; [`case_file`]: a set of them as a readable file.
+//! - [`plan`]: the expert's walks and the true optimum; [`sight`]: what is in view, on the grid.
+//! - [`CaseSet::generate`]: cases from a seed; [`validate`](mod@validate): every constraint checked by replay;
+//!   [`map`]: pictures for people.
 //!
 //! Everything is integer arithmetic on a grid, so every machine computes the same.
 
@@ -23,6 +26,8 @@ pub mod progress;
 mod route;
 pub mod sight;
 pub mod task;
+#[cfg(test)]
+mod testing;
 pub mod validate;
 mod world;
 

@@ -1,6 +1,6 @@
 //! Top-down maps as SVG: the warehouse, or a case with its six routes, targets and barricade.
 //!
-//! For people only; nothing reads a map back. North is up, one cell is [`CELL`] units wide.
+//! For people only; nothing reads a map back. North is up.
 
 mod canvas;
 mod glyph;
@@ -14,7 +14,7 @@ use crate::layout::{Axis, Layout, Square};
 use crate::world::{Item, Warehouse};
 use canvas::Canvas;
 
-/// Side of a cell.
+/// Side of a cell, in units of the drawing.
 const CELL: f64 = 40.0;
 /// Space around the floor, for the coordinates.
 const MARGIN: f64 = 44.0;
@@ -227,4 +227,51 @@ impl<'l> Map<'l> {
 fn direction(heading: Heading) -> Point {
     let (x, y) = heading.vector();
     (f64::from(x), -f64::from(y))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::case::{CaseSet, Start};
+
+    /// Every element is closed, in order.
+    fn check_nesting(svg: &str) {
+        let mut open = Vec::new();
+        for tag in svg.split('<').skip(1) {
+            let name: String =
+                tag.trim_start_matches('/').chars().take_while(|c| c.is_alphanumeric()).collect();
+            if tag.starts_with('/') {
+                assert_eq!(open.pop(), Some(name));
+            } else if !tag.split('>').next().unwrap().ends_with('/') {
+                open.push(name);
+            }
+        }
+        assert_eq!(open, [""; 0]);
+    }
+
+    #[test]
+    fn a_map_shows_every_aisle_item_and_route() {
+        let warehouse = Warehouse::shipped();
+        let cases = CaseSet::shipped();
+        let floor = floor_svg(&warehouse);
+        check_nesting(&floor);
+        for aisle in warehouse.layout.aisles() {
+            assert!(floor.contains(&aisle.name.to_uppercase()));
+        }
+        assert!(floor.contains("160 items of 36 types"));
+        for case in cases.cases.iter().step_by(9) {
+            let map = svg(&warehouse, case);
+            check_nesting(&map);
+            assert!(map.contains(&format!("Case {}", case.id)));
+            for start in Start::ALL {
+                let length = case.replay(&warehouse, start).length.unwrap();
+                assert!(map.contains(&format!(">{length} steps<")), "{} {}", case.id, start.name());
+            }
+            // Every target wears its letter, and the legend explains each letter once.
+            let targets = case.task.targets(&warehouse).len();
+            let badges = ["A", "B", "C"].map(|l| map.matches(&format!(">{l}</text>")).count());
+            let letters = badges.iter().filter(|&&count| count > 0).count();
+            assert_eq!(badges.iter().sum::<usize>(), targets + letters, "{}", case.id);
+        }
+    }
 }

@@ -82,16 +82,17 @@ impl Table {
         let all = (1_u32 << sets.len()) - 1;
         let mut table = Self { to_go: vec![NO_WAY; (all as usize + 1) * items.len()], items, all };
         for met in (1..=all).rev() {
+            // The items that may come next, and what is left from each.
+            let is_open = |&(_, &(_, goal)): &(usize, &(u16, u32))| met & (1 << goal) == 0;
+            let open = table.items.iter().enumerate().filter(is_open);
+            let open: Vec<(usize, u32)> =
+                open.map(|(next, &(_, goal))| (next, table.to_go(met | 1 << goal, next))).collect();
             for last in 0..table.items.len() {
                 let (id, goal) = table.items[last];
                 if met & (1 << goal) == 0 {
                     continue;
                 }
-                let open = table.items.iter().zip(&legs[last]).enumerate();
-                let open = open.filter(|(_, ((_, goal), _))| met & (1 << goal) == 0);
-                let costs = open.map(|(next, ((_, goal), leg))| {
-                    leg.saturating_add(table.to_go(met | 1 << goal, next))
-                });
+                let costs = open.iter().map(|&(next, left)| legs[last][next].saturating_add(left));
                 let cheapest = if met == all { after(id) } else { costs.min().unwrap_or(NO_WAY) };
                 table.to_go[met as usize * legs.len() + last] = cheapest;
             }

@@ -19,7 +19,7 @@ use std::cell::{OnceCell, RefCell};
 use std::collections::BTreeMap;
 use std::rc::Rc;
 
-use shm_types::Pose;
+use shm_types::{Cell, Pose};
 
 use crate::case::Trajectory;
 use crate::dynamics::{Variant, step};
@@ -37,8 +37,25 @@ pub struct Planner<'w> {
     graph: Graph,
     /// By item id: the field towards it.
     fields: Vec<OnceCell<Field>>,
-    /// Orders of tasks that do not depend on the start.
-    orders: RefCell<BTreeMap<Task, Rc<Vec<Order>>>>,
+    /// What was worked out for tasks whose plans do not depend on the start.
+    choices: RefCell<BTreeMap<Task, Rc<Vec<Choice>>>>,
+}
+
+/// One way to do a task; the cheapest of them is the plan.
+#[derive(Debug)]
+struct Choice {
+    order: Order,
+    /// The field towards the first item where that is not the ordinary one.
+    approach: Option<Field>,
+}
+
+/// The cheapest visits of a task from one start.
+struct Found {
+    visits: Visits,
+    choices: Rc<Vec<Choice>>,
+    chosen: usize,
+    /// The field towards the origin if the task ends there.
+    home: Option<Field>,
 }
 
 impl<'w> Planner<'w> {
@@ -46,7 +63,7 @@ impl<'w> Planner<'w> {
     pub fn new(warehouse: &'w Warehouse, variant: Variant, prices: Prices) -> Self {
         let graph = Graph::new(warehouse, &variant, prices);
         let fields = warehouse.items.iter().map(|_| OnceCell::new()).collect();
-        Self { warehouse, variant, graph, fields, orders: RefCell::default() }
+        Self { warehouse, variant, graph, fields, choices: RefCell::default() }
     }
 
     /// The cheapest walk from `start` that does `task`; `None` when there is no way.
@@ -54,11 +71,15 @@ impl<'w> Planner<'w> {
     /// At [`Prices::EXPERT`] it ends facing the last target's rack. Between equally cheap plans the
     /// choice is fixed: lower item ids first, then forward before turns before sidesteps.
     pub fn plan(&self, start: Pose, task: &Task) -> Option<Trajectory> {
-        let (home, visits) = self.visits(start, task)?;
-        let targets = visits.items.iter().map(|&id| self.field(id));
+        let Found { visits, choices, chosen, home } = self.find(start, task)?;
+        let mut fields: Vec<&Field> = visits.items.iter().map(|&id| self.field(id)).collect();
+        if let (Some(first), Some(approach)) = (fields.first_mut(), &choices[chosen].approach) {
+            *first = approach;
+        }
+        fields.extend(&home);
         let mut actions = Vec::new();
         let mut pose = start;
-        for field in targets.chain(&home) {
+        for field in fields {
             for action in self.graph.walk(field, pose)? {
                 (pose, _) = step(&self.warehouse.layout, &self.variant, pose, action);
                 actions.push(action);
@@ -69,50 +90,59 @@ impl<'w> Planner<'w> {
 
     /// What the cheapest walk costs; `None` when there is no way.
     pub fn cost(&self, start: Pose, task: &Task) -> Option<u32> {
-        self.visits(start, task).map(|(_, visits)| visits.cost)
+        self.find(start, task).map(|found| found.visits.cost)
     }
 
-    /// The cheapest visits, and the field towards the origin if the task ends there.
-    fn visits(&self, start: Pose, task: &Task) -> Option<(Option<Field>, Visits)> {
+    fn find(&self, start: Pose, task: &Task) -> Option<Found> {
         let phases = task.phases(self.warehouse);
         let home = phases.contains(&Phase::Origin).then(|| self.graph.towards_cell(start.cell));
-        let orders = match &home {
+        let choices = match &home {
             Some(home) => {
-                let tail = |id| self.graph.cost(home, self.goal(id));
-                Rc::new(vec![Order::new(&sets(&phases), &|from, to| self.leg(from, to), &tail)])
+                let order = self.order(&sets(&phases), &|id| self.graph.cost(home, self.goal(id)));
+                Rc::new(vec![Choice { order, approach: None }])
             }
-            None => self.orders_for_any_start(task, &phases),
+            None => self.choices_for_any_start(task, &phases),
         };
-        let entry = |id| self.graph.cost(self.field(id), start);
-        let visits = orders.iter().filter_map(|o| o.visits(&|from, to| self.leg(from, to), &entry));
+        let visits = choices.iter().enumerate().filter_map(|(chosen, choice)| {
+            let entry = |id| {
+                self.graph.cost(choice.approach.as_ref().unwrap_or_else(|| self.field(id)), start)
+            };
+            Some((choice.order.visits(&|from, to| self.leg(from, to), &entry)?, chosen))
+        });
         // `min_by_key` keeps the first of equals.
-        Some((home, visits.min_by_key(|visits| visits.cost)?))
+        let (visits, chosen) = visits.min_by_key(|(visits, _)| visits.cost)?;
+        Some(Found { visits, choices, chosen, home })
     }
 
-    /// The orders of a task without a return to the origin: one, or for a revisit one for each instance
-    /// that may be the first.
-    fn orders_for_any_start(&self, task: &Task, phases: &[Phase]) -> Rc<Vec<Order>> {
-        if let Some(known) = self.orders.borrow().get(task) {
+    /// The choices of a task without a return to the origin: one, or for a revisit one for each instance
+    /// that may be the first. It must not be approached past another instance, which would be the first then.
+    fn choices_for_any_start(&self, task: &Task, phases: &[Phase]) -> Rc<Vec<Choice>> {
+        if let Some(known) = self.choices.borrow().get(task) {
             return Rc::clone(known);
         }
-        let order = |sets: &[PhaseSets]| Order::new(sets, &|from, to| self.leg(from, to), &|_| 0);
-        let sets = sets(phases);
-        let orders = if phases.contains(&Phase::FirstAgain) {
-            let firsts = sets.first().and_then(|phase| phase.first()).into_iter().flatten();
-            let revisit = |&first: &u16| {
-                let only_first = vec![vec![first]];
-                let middle = sets[1..].iter().cloned();
-                let phases: Vec<PhaseSets> =
-                    [only_first.clone()].into_iter().chain(middle).chain([only_first]).collect();
-                order(&phases)
-            };
-            firsts.map(revisit).collect()
-        } else {
-            vec![order(&sets)]
+        let choices = match (phases, sets(phases).as_slice()) {
+            ([.., Phase::FirstAgain], [firsts, middle @ ..]) => {
+                let firsts: Vec<u16> = firsts.iter().flatten().copied().collect();
+                let revisit = |&first: &u16| {
+                    let others = firsts.iter().filter(|&&other| other != first);
+                    let avoid: Vec<Cell> = others.map(|&id| self.goal(id).cell).collect();
+                    let once = [vec![vec![first]]];
+                    Choice {
+                        order: self.order(&[&once, middle, &once].concat(), &|_| 0),
+                        approach: Some(self.graph.towards_target(self.goal(first), &avoid)),
+                    }
+                };
+                firsts.iter().map(revisit).collect()
+            }
+            (_, sets) => vec![Choice { order: self.order(sets, &|_| 0), approach: None }],
         };
-        let orders = Rc::new(orders);
-        self.orders.borrow_mut().insert(*task, Rc::clone(&orders));
-        orders
+        let choices = Rc::new(choices);
+        self.choices.borrow_mut().insert(*task, Rc::clone(&choices));
+        choices
+    }
+
+    fn order(&self, sets: &[PhaseSets], tail: &dyn Fn(u16) -> u32) -> Order {
+        Order::new(sets, &|from, to| self.leg(from, to), tail)
     }
 
     /// The pose in which item `id` is visited. Where headings do not matter it stands for all four.
@@ -122,7 +152,7 @@ impl<'w> Planner<'w> {
     }
 
     fn field(&self, id: u16) -> &Field {
-        let field = || self.graph.towards_target(self.goal(id));
+        let field = || self.graph.towards_target(self.goal(id), &[]);
         self.fields[usize::from(id)].get_or_init(field)
     }
 
@@ -139,3 +169,6 @@ fn sets(phases: &[Phase]) -> Vec<PhaseSets> {
     });
     sets.collect()
 }
+
+#[cfg(test)]
+mod tests;

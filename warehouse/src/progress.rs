@@ -9,7 +9,7 @@ use crate::task::{Phase, Task};
 use crate::world::Warehouse;
 
 /// How far one walk has got with one task.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, Hash)]
 pub struct Progress {
     phases: Vec<Goals>,
     phase: usize,
@@ -20,7 +20,7 @@ pub struct Progress {
 }
 
 /// A [`Phase`] in terms of cells.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, Hash)]
 enum Goals {
     /// The standpoints that satisfy each sub-goal still open.
     OneOfEach(Vec<Vec<Cell>>),
@@ -101,5 +101,152 @@ impl Progress {
     /// Whether the task is done.
     pub fn is_complete(&self) -> bool {
         self.stage == self.total
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::testing::{
+        BLUE_BARREL, CONES, GREEN_CONE, ORANGE_CONE, RED_BARREL, all_tasks, cells, tiny,
+    };
+
+    // Standpoints of the tiny warehouse.
+    const BLUE: [(u8, u8); 3] = [(0, 1), (0, 3), (6, 3)];
+    const RED: [(u8, u8); 2] = [(6, 1), (3, 3)];
+    const ORANGE: [(u8, u8); 2] = [(0, 2), (6, 2)];
+    const GREEN: (u8, u8) = (3, 1);
+    const NOWHERE: (u8, u8) = (2, 1);
+
+    /// The stage after each cell of a walk that begins on the first.
+    fn stages(task: Task, walk: &[(u8, u8)]) -> Vec<u32> {
+        let walk = cells(walk);
+        let mut progress = Progress::new(&tiny(), &task, walk[0]);
+        let mut stages = vec![progress.stage()];
+        for &cell in &walk[1..] {
+            progress.visit(cell);
+            stages.push(progress.stage());
+        }
+        assert_eq!(progress.is_complete(), progress.stage() == progress.total());
+        stages
+    }
+
+    #[test]
+    fn every_type_of_task_is_scored_by_its_own_rule() {
+        let (a, b) = (BLUE_BARREL, RED_BARREL);
+        type Row<'r> = (Task, &'r [(u8, u8)], &'r [u32]);
+        let table: [Row<'_>; 22] = [
+            // Any instance will do, others do not count.
+            (Task::FindType { a }, &[NOWHERE, RED[0], BLUE[2], BLUE[0]], &[0, 0, 1, 1]),
+            (Task::FindCategory { c: CONES }, &[NOWHERE, BLUE[0], GREEN], &[0, 0, 1]),
+            // Every instance, each once, in any order.
+            (
+                Task::EveryOfType { a },
+                &[NOWHERE, BLUE[1], BLUE[1], BLUE[0], BLUE[2]],
+                &[0, 1, 1, 2, 3],
+            ),
+            (
+                Task::EveryOfCategory { c: CONES },
+                &[NOWHERE, ORANGE[1], GREEN, ORANGE[0]],
+                &[0, 1, 2, 3],
+            ),
+            // Any order, one of each.
+            (Task::BothTypes { a, b }, &[NOWHERE, RED[0], RED[1], BLUE[0]], &[0, 1, 1, 2]),
+            (Task::BothTypes { a, b }, &[NOWHERE, BLUE[0], RED[1]], &[0, 1, 2]),
+            // A before B; an early B does not count.
+            (Task::InOrder { a, b }, &[NOWHERE, RED[0], BLUE[0], RED[0]], &[0, 0, 1, 2]),
+            (Task::InOrder { a, b }, &[NOWHERE, BLUE[0], BLUE[1], RED[1]], &[0, 1, 1, 2]),
+            // The return counts after the target only, and only to this episode's own origin.
+            (
+                Task::FindAndReturn { a },
+                &[NOWHERE, NOWHERE, BLUE[0], GREEN, NOWHERE],
+                &[0, 0, 1, 1, 2],
+            ),
+            (
+                Task::EveryAndReturn { a: b },
+                &[NOWHERE, RED[0], NOWHERE, RED[1], NOWHERE],
+                &[0, 1, 1, 2, 3],
+            ),
+            // The same A, the one reached first; another A on the way changes nothing.
+            (
+                Task::Revisit { a, b },
+                &[NOWHERE, BLUE[0], RED[0], BLUE[1], BLUE[0]],
+                &[0, 1, 2, 2, 3],
+            ),
+            (
+                Task::Revisit { a, b },
+                &[NOWHERE, BLUE[1], BLUE[0], RED[0], BLUE[0], BLUE[1]],
+                &[0, 1, 1, 2, 2, 3],
+            ),
+            (
+                Task::Revisit { a, b },
+                &[NOWHERE, RED[0], BLUE[1], BLUE[1], RED[1], BLUE[1]],
+                &[0, 0, 1, 1, 2, 3],
+            ),
+            (
+                Task::InOrderAndReturn { a, b },
+                &[NOWHERE, BLUE[0], NOWHERE, RED[0], NOWHERE],
+                &[0, 1, 1, 2, 3],
+            ),
+            (
+                Task::InOrderAndReturn { a, b },
+                &[NOWHERE, RED[0], NOWHERE, BLUE[0], NOWHERE],
+                &[0, 0, 0, 1, 1],
+            ),
+            // The cell an episode begins on is visited.
+            (Task::FindType { a }, &[BLUE[0]], &[1]),
+            (Task::EveryOfType { a }, &[BLUE[0], BLUE[1], BLUE[2]], &[1, 2, 3]),
+            (Task::InOrder { a, b }, &[BLUE[0], RED[0]], &[1, 2]),
+            (Task::InOrder { a: b, b: a }, &[BLUE[0], RED[0], BLUE[0]], &[0, 1, 2]),
+            (Task::FindAndReturn { a }, &[BLUE[0]], &[2]),
+            (Task::EveryAndReturn { a: b }, &[RED[0], RED[1], RED[0]], &[1, 2, 3]),
+            (Task::Revisit { a, b }, &[BLUE[0], RED[0], BLUE[0]], &[1, 2, 3]),
+        ];
+        for (task, walk, expected) in table {
+            assert_eq!(stages(task, walk), expected, "{task:?} on {walk:?}");
+        }
+    }
+
+    #[test]
+    fn a_task_has_as_many_sub_goals_as_it_names() {
+        let (a, b) = (ORANGE_CONE, GREEN_CONE);
+        for (task, total) in [
+            (Task::FindType { a }, 1),
+            (Task::FindCategory { c: CONES }, 1),
+            (Task::EveryOfType { a }, 2),
+            (Task::EveryOfCategory { c: CONES }, 3),
+            (Task::BothTypes { a, b }, 2),
+            (Task::InOrder { a, b }, 2),
+            (Task::FindAndReturn { a }, 2),
+            (Task::EveryAndReturn { a }, 3),
+            (Task::Revisit { a, b }, 3),
+            (Task::InOrderAndReturn { a, b }, 3),
+        ] {
+            assert_eq!(Progress::new(&tiny(), &task, Cell::new(2, 1)).total(), total, "{task:?}");
+        }
+    }
+
+    proptest::proptest! {
+        #[test]
+        fn standing_still_changes_nothing_and_progress_never_falls(
+            task in 0..64_usize,
+            walk in proptest::collection::vec(0..17_usize, 1..40),
+        ) {
+            let warehouse = tiny();
+            let tasks = all_tasks(&warehouse);
+            let task = tasks[task % tasks.len()];
+            let free: Vec<Cell> = warehouse.layout.free_cells().collect();
+            let mut once = Progress::new(&warehouse, &task, free[walk[0]]);
+            let mut twice = once.clone();
+            for &step in &walk {
+                let before = once.stage();
+                let met = once.visit(free[step]);
+                twice.visit(free[step]);
+                proptest::prop_assert_eq!(twice.visit(free[step]), 0);
+                proptest::prop_assert_eq!(&once, &twice);
+                proptest::prop_assert_eq!(once.stage(), before + met);
+                proptest::prop_assert!(once.stage() <= once.total());
+            }
+        }
     }
 }

@@ -111,18 +111,27 @@ impl Graph {
             + pose.heading as usize
     }
 
-    /// The costs of getting to `goal`; with any heading where headings do not matter.
-    pub(crate) fn towards_target(&self, goal: Pose) -> Field {
-        if self.prices.facing { self.towards(&[goal]) } else { self.towards_cell(goal.cell) }
+    /// The costs of getting to `goal` without entering `avoid`; with any heading where headings do not
+    /// matter.
+    pub(crate) fn towards_target(&self, goal: Pose, avoid: &[Cell]) -> Field {
+        if self.prices.facing {
+            self.towards(&[goal], avoid)
+        } else {
+            self.towards(&facing_anywhere(goal.cell), avoid)
+        }
     }
 
     /// The costs of getting to `cell`, facing anywhere.
     pub(crate) fn towards_cell(&self, cell: Cell) -> Field {
-        self.towards(&facing_anywhere(cell))
+        self.towards(&facing_anywhere(cell), &[])
     }
 
-    /// Dijkstra backwards from `goals`.
-    fn towards(&self, goals: &[Pose]) -> Field {
+    /// Dijkstra backwards from `goals`; there is no way from or through `avoid`.
+    fn towards(&self, goals: &[Pose], avoid: &[Cell]) -> Field {
+        let mut avoided = vec![false; self.back.len()];
+        for pose in avoid.iter().copied().flat_map(facing_anywhere) {
+            avoided[self.index(pose)] = true;
+        }
         let mut costs = vec![NO_WAY; self.back.len()];
         let mut queue = BinaryHeap::new();
         for &goal in goals {
@@ -135,7 +144,7 @@ impl Graph {
             }
             for &(before, price) in &self.back[usize::from(pose)] {
                 let Some(known) = costs.get_mut(usize::from(before)) else { continue };
-                if cost + price < *known {
+                if cost + price < *known && !avoided[usize::from(before)] {
                     *known = cost + price;
                     queue.push(Reverse((cost + price, before)));
                 }

@@ -3,7 +3,8 @@
 //! An item is seen from a pose when some point of its rack face lies within the camera's 90 degrees and
 //! nothing solid stands between, at whatever distance. That is generous: the renderer may show such an
 //! item as three pixels at the far end of an aisle. What is *not* seen by this rule is in no picture, so the rule
-//! serves the constraint that a first view must not show the target. Barricades hide nothing here.
+//! serves the constraint that a first view must not show the target. Racks hide all that stands behind
+//! them, and items are seen through their own face only; barricades hide nothing.
 
 use shm_types::{Cell, Heading, Pose};
 
@@ -83,4 +84,73 @@ fn is_clear(layout: &Layout, from: Cell, point: Point, last: Cell) -> bool {
         }
     }
     true
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::layout::Square;
+    use crate::testing::tiny;
+    use crate::world::Warehouse;
+    use shm_types::Heading::{E, N, S, W};
+
+    #[test]
+    fn an_item_is_seen_from_before_it_within_the_frustum_and_past_no_rack() {
+        let warehouse = tiny();
+        let at = |x, y| warehouse.item_at(Cell::new(x, y)).unwrap();
+        for (pose, item, expected, why) in [
+            (Pose::new(3, 1, S), at(3, 1), true, "in front of it"),
+            (Pose::new(3, 1, N), at(3, 1), false, "behind one's back"),
+            (Pose::new(3, 1, E), at(3, 1), false, "beside one, just out of the frustum"),
+            (Pose::new(2, 1, E), at(3, 1), true, "ahead and beside"),
+            (Pose::new(3, 3, S), at(3, 1), true, "down the aisle between the racks"),
+            (Pose::new(0, 1, E), at(3, 1), true, "along the wall, at a flat angle"),
+            (Pose::new(2, 3, S), at(3, 1), false, "behind a rack"),
+            (Pose::new(5, 1, E), at(6, 2), false, "its rack turns the face away"),
+            (Pose::new(6, 3, S), at(6, 2), true, "beside and ahead"),
+            (Pose::new(6, 3, W), at(6, 2), false, "the rack is in the way"),
+        ] {
+            assert_eq!(sees(&warehouse.layout, pose, item), expected, "{pose}: {why}");
+        }
+    }
+
+    /// Whether the segment passes through the inside of `cell`: clipped to it slab by slab.
+    fn crosses(from: Point, to: Point, cell: Cell) -> bool {
+        let (mut enter, mut leave) = (0.0_f64, 1.0_f64);
+        let low = (i32::from(cell.x) * CELL, i32::from(cell.y) * CELL);
+        for (from, to, low) in [(from.0, to.0, low.0), (from.1, to.1, low.1)] {
+            let (from, span) = (f64::from(from), f64::from(to - from));
+            let (low, high) = (f64::from(low), f64::from(low + CELL));
+            if span == 0.0 {
+                if from <= low || from >= high {
+                    return false;
+                }
+                continue;
+            }
+            let (a, b) = ((low - from) / span, (high - from) / span);
+            enter = enter.max(a.min(b));
+            leave = leave.min(a.max(b));
+        }
+        leave - enter > 1e-9
+    }
+
+    proptest::proptest! {
+        #[test]
+        fn the_line_of_sight_is_clear_when_it_crosses_no_rack(
+            cell in 0..1000_usize, item in 0..160_usize, sample in 0..10_usize,
+        ) {
+            let warehouse = Warehouse::shipped();
+            let layout = &warehouse.layout;
+            let free: Vec<Cell> = layout.free_cells().collect();
+            let (from, item) = (free[cell % free.len()], &warehouse.items[item]);
+            let ((fx, fy), (x, y)) = (vector(item.face), centre(item.rack));
+            let offset = SAMPLES[sample];
+            let point = (x + fx * CELL / 2 + fy * offset, y + fy * CELL / 2 + fx * offset);
+            let camera = centre(from);
+            proptest::prop_assume!((camera.0 - point.0) * fx + (camera.1 - point.1) * fy > 0);
+            let solid = layout.cells().filter(|&cell| layout.square(cell) != Square::Floor);
+            let blocked = solid.into_iter().any(|cell| crosses(camera, point, cell));
+            proptest::prop_assert_eq!(is_clear(layout, from, point, item.standpoint), !blocked);
+        }
+    }
 }

@@ -244,3 +244,59 @@ fn with_article(noun: &str) -> String {
     let article = if noun.starts_with(['a', 'e', 'i', 'o', 'u']) { "an" } else { "a" };
     format!("{article} {noun}")
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::testing::{BLUE_BARREL, CONES, ORANGE_CONE, all_tasks, tiny};
+
+    #[test]
+    fn instructions_read_well() {
+        let (a, b) = (ORANGE_CONE, BLUE_BARREL);
+        let tasks = [
+            Task::FindType { a },
+            Task::FindCategory { c: CONES },
+            Task::EveryOfType { a },
+            Task::EveryOfCategory { c: CONES },
+            Task::BothTypes { a, b },
+            Task::InOrder { a, b },
+            Task::FindAndReturn { a },
+            Task::EveryAndReturn { a },
+            Task::Revisit { a, b },
+            Task::InOrderAndReturn { a, b },
+        ];
+        let catalogue = tiny().catalogue;
+        let lines: Vec<String> =
+            tasks.map(|task| format!("{} {}", task.number(), task.instruction(&catalogue))).into();
+        insta::assert_snapshot!(lines.join("\n"), @"
+        1 Find an orange cone.
+        2 Find any item of the category cones.
+        3 Visit every orange cone in the warehouse.
+        4 Visit every item of the category cones in the warehouse.
+        5 Visit an orange cone and a blue barrel, in any order.
+        6 Visit an orange cone, then a blue barrel.
+        7 Find an orange cone, then return to the cell where you started.
+        8 Visit every orange cone in the warehouse, then return to the cell where you started.
+        9 Find an orange cone, then visit a blue barrel, then go back to the same orange cone.
+        10 Visit an orange cone, then a blue barrel, then return to the cell where you started.
+        ");
+    }
+
+    #[test]
+    fn targets_are_the_items_of_the_phases() {
+        let warehouse = tiny();
+        for task in all_tasks(&warehouse) {
+            let mut in_phases: Vec<u16> = Vec::new();
+            for phase in task.phases(&warehouse) {
+                match phase {
+                    Phase::OneOfEach(sets) => in_phases.extend(sets.into_iter().flatten()),
+                    Phase::Origin => assert!(task.returns_to_origin()),
+                    Phase::FirstAgain => assert_eq!(task.group(), Group::Revisit),
+                }
+            }
+            in_phases.sort_unstable();
+            let targets: Vec<u16> = task.targets(&warehouse).iter().map(|item| item.id).collect();
+            assert_eq!(targets, in_phases, "{task:?}");
+        }
+    }
+}

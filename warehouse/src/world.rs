@@ -78,7 +78,7 @@ impl Warehouse {
     }
 
     /// Reads the two texts; the names are those of the files, for messages.
-    fn parse(
+    pub(crate) fn parse(
         layout_file: String,
         layout_text: &str,
         catalogue_file: String,

@@ -1,0 +1,330 @@
+//! Whatever single thing is wrong, the line of the constraint it breaks says so.
+
+use shm_types::{Action, Heading, Pose};
+
+use super::*;
+use crate::catalogue::Shape;
+
+/// The line about `constraint`, by the words it begins with.
+fn line<'r>(report: &'r Report, constraint: &str) -> &'r Line {
+    let mut lines = report.lines.iter().filter(|line| line.constraint.starts_with(constraint));
+    let line = lines.next().unwrap_or_else(|| panic!("no line begins with {constraint:?}"));
+    assert!(lines.next().is_none(), "two lines begin with {constraint:?}");
+    line
+}
+
+/// Asserts that `report` finds the constraint broken.
+fn assert_broken(report: &Report, constraint: &str, what: &str) {
+    assert!(!report.is_clean(), "{what}");
+    assert!(!line(report, constraint).violations.is_empty(), "{what}\n{report}");
+}
+
+#[test]
+fn a_corrupted_case_breaks_the_line_about_it() {
+    let warehouse = Warehouse::shipped();
+    let shipped = CaseSet::shipped();
+    type Corruption = fn(&mut Case, &Case);
+    let table: [(&str, Corruption, &str); 22] = [
+        (
+            "a step left out",
+            |case, _| _ = case.original.actions.remove(1),
+            "every trajectory replays",
+        ),
+        (
+            "a step into a rack",
+            |case, _| case.test.actions.splice(0..0, into_solid(case)).for_each(drop),
+            "every trajectory replays",
+        ),
+        (
+            "the last step left out",
+            |case, _| case.blocked.actions.truncate(3),
+            "every trajectory replays",
+        ),
+        (
+            "steps after the end",
+            |case, _| case.nearby.actions.extend([Action::TurnLeft; 3]),
+            "every trajectory replays",
+        ),
+        (
+            "a detour",
+            |case, _| case.distant.actions.splice(0..0, [Action::TurnLeft; 40]).for_each(drop),
+            "every trajectory takes at most 150 %",
+        ),
+        (
+            "no look at the target",
+            |case, _| leave_out_last_look(case),
+            "every trajectory looks at each target",
+        ),
+        ("another task", |case, other| case.task = other.task, "every trajectory replays"),
+        (
+            "a start before a target",
+            |case, _| case.distant.start = at_target(case),
+            "no trajectory starts in front",
+        ),
+        (
+            "a target in the first view",
+            |case, _| case.original.start = at_target(case),
+            "original: no target in the first view",
+        ),
+        (
+            "opposite not turned",
+            |case, _| case.opposite.start = case.original.start,
+            "opposite: the original's cell",
+        ),
+        (
+            "nearby elsewhere",
+            |case, other| case.nearby = other.distant.clone(),
+            "nearby: 2 to 4 cells",
+        ),
+        (
+            "nearby not turned alike",
+            |case, _| case.nearby.start.heading = case.nearby.start.heading.left(),
+            "nearby: 2 to 4 cells",
+        ),
+        (
+            "nearby shares little",
+            |case, other| case.nearby.actions = other.distant.actions.clone(),
+            "nearby: at least half",
+        ),
+        (
+            "distant too near",
+            |case, _| case.distant = case.nearby.clone(),
+            "distant: at least 6 cells",
+        ),
+        (
+            "distant shares all",
+            |case, _| case.distant = case.original.clone(),
+            "distant: at most half",
+        ),
+        (
+            "test like a demonstration",
+            |case, _| case.test = case.distant.clone(),
+            "test: starts at another pose",
+        ),
+        (
+            "test sees a target",
+            |case, _| case.test.start = at_target(case),
+            "test: no target in the first view",
+        ),
+        (
+            "test too long",
+            |case, _| case.test.actions.splice(0..0, [Action::TurnAround; 60]).for_each(drop),
+            "test: 75 to 135 %",
+        ),
+        (
+            "blocked starts elsewhere",
+            |case, _| case.blocked.start = case.original.start,
+            "blocked: starts where the test starts",
+        ),
+        ("half a passage", |case, _| _ = case.barricade.pop(), "blocked: a passage is closed"),
+        (
+            "an unused passage",
+            |case, _| case.barricade = vec![Cell::new(15, 27), Cell::new(15, 28)],
+            "blocked: the test reference and",
+        ),
+        (
+            "a barricade on the start",
+            |case, _| case.barricade = vec![case.test.start.cell],
+            "blocked: neither the start nor",
+        ),
+    ];
+    for index in [8, 54] {
+        let (case, other) = (&shipped.cases[index], &shipped.cases[(index + 30) % 100]);
+        let set = |case: &Case| CaseSet { seed: 1, cases: vec![case.clone()] };
+        let before = check(&warehouse, &set(case));
+        for (what, corrupt, constraint) in &table {
+            let mut corrupted = case.clone();
+            corrupt(&mut corrupted, other);
+            assert_ne!(corrupted, *case, "{what} changes nothing");
+            assert_eq!(line(&before, constraint).violations, [""; 0]);
+            assert_broken(&check(&warehouse, &set(&corrupted)), constraint, what);
+        }
+    }
+}
+
+/// Leaves out the turn towards the last target, in a trajectory that ends with one.
+fn leave_out_last_look(case: &mut Case) {
+    let all = [
+        &mut case.original,
+        &mut case.opposite,
+        &mut case.nearby,
+        &mut case.distant,
+        &mut case.test,
+        &mut case.blocked,
+    ];
+    let is_turn = |action: &Action| action.turn_quarters().is_some();
+    let found = all.into_iter().find(|walk| walk.actions.last().is_some_and(is_turn));
+    found.unwrap().actions.pop();
+}
+
+/// Steps into what stands beside the test start: aisles are two cells wide, so something does.
+fn into_solid(case: &Case) -> Vec<Action> {
+    let layout = Warehouse::shipped().layout;
+    let Pose { cell, heading } = case.test.start;
+    let moves = [Action::Forward, Action::Right, Action::Backward, Action::Left];
+    let blocked = |action: &Action| {
+        let direction = heading.turned(action.move_direction().unwrap());
+        layout.free_neighbour(cell, direction).is_none()
+    };
+    moves.into_iter().filter(blocked).collect()
+}
+
+/// The pose in which the case's first target is looked at.
+fn at_target(case: &Case) -> Pose {
+    let warehouse = Warehouse::shipped();
+    let item = case.task.targets(&warehouse)[0];
+    Pose { cell: item.standpoint, heading: item.viewing_heading() }
+}
+
+#[test]
+fn a_corrupted_set_breaks_the_line_about_it() {
+    let warehouse = Warehouse::shipped();
+    let shipped = CaseSet::shipped();
+    type Corruption = fn(&mut CaseSet);
+    let table: [(&str, Corruption, &str); 5] = [
+        ("a case left out", |set| drop(set.cases.remove(40)), "all ten types"),
+        ("two cases swapped", |set| set.cases.swap(3, 4), "case ids differ"),
+        ("an id twice", |set| set.cases[4].id = set.cases[3].id.clone(), "case ids differ"),
+        (
+            "a case twice",
+            |set| {
+                let id = std::mem::take(&mut set.cases[4].id);
+                set.cases[4] = Case { id, ..set.cases[3].clone() };
+            },
+            "no two cases share",
+        ),
+        ("no cases", |set| set.cases.clear(), "case ids differ"),
+    ];
+    for (what, corrupt, constraint) in table {
+        let mut cases = shipped.clone();
+        corrupt(&mut cases);
+        let report = check(&warehouse, &cases);
+        if cases.cases.is_empty() {
+            assert!(!report.is_clean() && line(&report, constraint).checked == 0);
+        } else {
+            assert_broken(&report, constraint, what);
+        }
+    }
+}
+
+#[test]
+fn cases_that_their_seed_does_not_give_are_found() {
+    let warehouse = Warehouse::shipped();
+    let mut cases = CaseSet::generate(&warehouse, 9, 10).unwrap();
+    assert!(validate(&warehouse, &cases).is_clean());
+    cases.seed = 10;
+    assert_broken(&validate(&warehouse, &cases), "the cases are regenerated", "another seed");
+    cases.seed = 9;
+    cases.cases[2].distant.actions.push(Action::TurnLeft);
+    assert_broken(&validate(&warehouse, &cases), "the cases are regenerated", "another action");
+}
+
+#[test]
+fn a_corrupted_item_breaks_the_line_about_it() {
+    let shipped = Warehouse::shipped();
+    let none = CaseSet { seed: 0, cases: Vec::new() };
+    type Corruption = fn(&mut Warehouse);
+    let table: [(&str, Corruption, &str); 8] = [
+        ("too few items", |w| w.items.truncate(149), "there are at least 8 categories"),
+        ("too few types", |w| w.catalogue.types.truncate(23), "there are at least 8 categories"),
+        (
+            "an item moved",
+            |w| w.items[5].standpoint = w.items[6].standpoint,
+            "every item stands on a rack face",
+        ),
+        ("an item turned", |w| w.items[5].face = Heading::W, "every item stands on a rack face"),
+        ("an id changed", |w| w.items[5].id = 6, "every item stands on a rack face"),
+        (
+            "a barrel among the cones",
+            |w| {
+                let cone = w
+                    .items
+                    .iter()
+                    .position(|item| w.catalogue.types[item.item_type].shape == Shape::Cone);
+                w.items[cone.unwrap()].item_type = 0;
+            },
+            "items of a category stand in neighbouring bays",
+        ),
+        (
+            "two types of one name",
+            |w| w.catalogue.types[1].name = w.catalogue.types[0].name.clone(),
+            "plates tell every two types",
+        ),
+        (
+            "two categories of one name",
+            |w| w.catalogue.categories[1].name = "barrels".into(),
+            "plates tell every two types",
+        ),
+    ];
+    for (what, corrupt, constraint) in table {
+        let mut warehouse = shipped.clone();
+        corrupt(&mut warehouse);
+        let mut report = Report { lines: Vec::new() };
+        if warehouse.catalogue.types.len() < shipped.catalogue.types.len() {
+            warehouse.items.retain(|item| item.item_type < 23);
+        }
+        items(&mut report, &warehouse);
+        set(&mut report, &none);
+        assert_broken(&report, constraint, what);
+    }
+}
+
+#[test]
+fn a_corrupted_floor_breaks_the_line_about_it() {
+    let text = include_str!("../../../assets/layout.toml");
+    let first = text.lines().position(|line| line.starts_with("plan")).unwrap() + 1;
+    // The text with some rows, counted from the south, replaced or left out.
+    let change = |rows: &[(usize, Option<&'static str>)]| {
+        let lines = text.lines().enumerate().filter_map(|(at, line)| {
+            let row = rows.iter().find(|(row, _)| first + 29 - row == at);
+            row.map_or(Some(line), |(_, to)| *to)
+        });
+        lines.collect::<Vec<_>>().join("\n")
+    };
+    let merged = text.replace("CC", "BB").replace(&aisle_entry(text, "Aisle C"), "");
+    let one_way = [(15, Some("######xx########")), (14, Some("##xxxxxx########"))];
+    for (what, layout, constraint) in [
+        ("a row left out", change(&[(2, None)]), "the floor is 16 x 30"),
+        ("a block cut in two", change(&[(8, Some("##AAAAAABB####CC"))]), "six rack blocks"),
+        ("the south rack gone", change(&[(0, Some("%%%%%%%%%%%%%%%%"))]), "six rack blocks"),
+        ("two corridors of one name", merged, "six corridors run"),
+        ("one way between the banks", change(&one_way), "every two aisles stay"),
+    ] {
+        let layout = Layout::parse(&layout).unwrap_or_else(|problem| panic!("{what}: {problem}"));
+        let mut report = Report { lines: Vec::new() };
+        floor(&mut report, &layout);
+        assert_broken(&report, constraint, what);
+    }
+}
+
+fn aisle_entry(text: &str, name: &str) -> String {
+    let entries = text.split_inclusive("\n\n").find(|entry| entry.contains(&format!("{name:?}")));
+    entries.unwrap().to_owned()
+}
+
+#[test]
+fn a_report_prints_a_line_for_each_constraint_and_the_first_violations() {
+    let line = |constraint, checked, violations: &[&str]| Line {
+        constraint,
+        checked,
+        violations: violations.iter().map(|v| (*v).to_owned()).collect(),
+    };
+    let report = Report {
+        lines: vec![
+            line("good things are good", 100, &[]),
+            line("bad things are few", 7, &["one", "two", "three", "four", "five"]),
+            line("something is there", 0, &[]),
+        ],
+    };
+    assert!(!report.is_clean());
+    assert_eq!(report.violations(), 5);
+    insta::assert_snapshot!(report, @"
+    ok     100 checked    0 off  good things are good
+    FAIL     7 checked    5 off  bad things are few
+               one
+               two
+               three
+               and 2 more
+    FAIL     0 checked    0 off  something is there
+    ");
+}
