@@ -369,4 +369,18 @@ barricade = [[2, 3], [3, 3]]
         let error = CaseSet::load(Path::new("no/cases.toml"), &Warehouse::shipped()).unwrap_err();
         assert!(error.to_string().contains("cannot read no/cases.toml"), "{error}");
     }
+
+    proptest::proptest! {
+        #[test]
+        fn a_mangled_case_is_refused_or_scored_but_never_panics(
+            at in 0..CASE.len(), to in "[ -~]{0,2}",
+        ) {
+            let warehouse = Warehouse::shipped();
+            let text = format!("{}{to}{}", &CASE[..at], &CASE[at + 1..]);
+            if let Ok(cases) = CaseSet::parse(&text, &warehouse) {
+                let report = crate::validate::check(&warehouse, &cases);
+                proptest::prop_assert!(!report.is_clean());
+            }
+        }
+    }
 }

@@ -269,4 +269,25 @@ mod tests {
         let error = Warehouse::load(Path::new("no/such/folder")).unwrap_err().to_string();
         assert!(error.contains("no/such/folder/layout.toml"), "{error}");
     }
+
+    proptest::proptest! {
+        #[test]
+        fn a_mangled_asset_is_refused_or_read_but_never_panics(
+            layout in proptest::bool::ANY, at in 0..10_000_usize, to in "[ -~\\n]{0,2}",
+        ) {
+            let mangle = |text: &str| {
+                let at = at % text.len();
+                format!("{}{to}{}", &text[..at], &text[at + 1..])
+            };
+            let read = if layout {
+                parse(&mangle(SHIPPED_LAYOUT), SHIPPED_CATALOGUE)
+            } else {
+                parse(SHIPPED_LAYOUT, &mangle(SHIPPED_CATALOGUE))
+            };
+            if let Ok(warehouse) = read {
+                let none = crate::CaseSet { seed: 0, cases: Vec::new() };
+                proptest::prop_assert!(!crate::validate::check(&warehouse, &none).lines.is_empty());
+            }
+        }
+    }
 }
