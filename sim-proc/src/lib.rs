@@ -1,5 +1,17 @@
 //! The simulator: steps the world and renders what the agent sees into shared memory.
+//!
+//! - [`serve`]: its part in a run. [`world`] carries out commands, [`control`] chooses the view that is
+//!   shown, [`views`] keeps account of what is resident; all three are pure.
+//! - [`renderer`]: poses in, pixels out, the only place that knows wgpu; [`painter`] is what the serve loop
+//!   asks of it.
+//! - [`contact_sheet`]: many views on one picture. [`render_command`] and [`serve_command`]: the verbs of the program.
 
 pub mod contact_sheet;
+pub mod control;
+pub mod painter;
 pub mod render_command;
 pub mod renderer;
+pub mod serve;
+pub mod serve_command;
+pub mod views;
+pub mod world;

@@ -1,0 +1,59 @@
+//! What the serve loop asks of a renderer.
+
+use shm_types::{FrameSlot, Pose};
+use warehouse::Variant;
+
+use crate::renderer::{Destination, FramePath, RenderError, RenderJob, Renderer, View};
+
+/// A view and the slot it goes into.
+#[derive(Debug)]
+pub struct Painting<'a> {
+    /// With which barricades.
+    pub variant: &'a Variant,
+    /// Where from.
+    pub pose: Pose,
+    /// Where to.
+    pub slot: &'a mut FrameSlot,
+}
+
+/// Draws views into slots of the frame store. The same view gives the same pixels, whatever else is drawn
+/// with it.
+pub trait Painter {
+    /// Draws every painting and returns when all slots hold their pixels.
+    ///
+    /// # Errors
+    /// When the device fails.
+    fn paint(&mut self, paintings: &mut [Painting<'_>]) -> Result<(), RenderError>;
+
+    /// What it runs on, for the manifest.
+    fn facts(&self) -> Vec<(&'static str, String)>;
+
+    /// Bytes of pixels that the program itself has copied so far.
+    fn pixel_bytes_copied(&self) -> u64;
+}
+
+impl Painter for Renderer {
+    fn paint(&mut self, paintings: &mut [Painting<'_>]) -> Result<(), RenderError> {
+        let mut jobs: Vec<RenderJob<'_>> = paintings
+            .iter_mut()
+            .map(|painting| RenderJob {
+                view: View { pose: painting.pose, variant: painting.variant },
+                destination: Destination::Slot(bytemuck::cast_slice_mut(painting.slot.pages_mut())),
+            })
+            .collect();
+        self.render(&mut jobs)
+    }
+
+    fn facts(&self) -> Vec<(&'static str, String)> {
+        let report = self.report();
+        let path = match report.frame_path {
+            FramePath::Direct => "direct".to_owned(),
+            FramePath::Copied { reason } => format!("copied: {reason}"),
+        };
+        vec![("adapter", report.adapter), ("frame path", path)]
+    }
+
+    fn pixel_bytes_copied(&self) -> u64 {
+        self.report().bytes_copied
+    }
+}

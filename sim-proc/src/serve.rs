@@ -1,0 +1,343 @@
+//! The simulator in a run: commands and view requests in, frames and observations out.
+//!
+//! A turn takes everything that waits, applies it, evicts what has to go, answers whatever is resident,
+//! rings once, and draws the next few missing views. Turns follow each other without a pause until nothing
+//! is missing, so a lane whose view is resident never waits for another lane's drawing, and what lanes wait
+//! for is drawn before what memory asked for.
+//!
+//! A message that cannot be used is complained about and dropped; the lane or view it was about gets no
+//! answer.
+
+use std::thread;
+use std::time::{Duration, Instant};
+
+use bytemuck::Zeroable;
+use shm_types::message::{
+    Eviction, Farewell, Hello, NO_ACTION, NO_FRAME, Observation, Role, StepCommand, StepKind, Stop,
+    View, ViewRequest, ViewRequestKind, WirePose,
+};
+use shm_types::pose::UnknownCode;
+use shm_types::process::monotonic_ns;
+use shm_types::{
+    Bell, Bus, BusError, Complaints, FactsTooLong, FrameError, FramePublisher, FrameSlot, Pose,
+    Receiver, Sender,
+};
+use warehouse::{CaseSet, Warehouse};
+
+use crate::control::Control;
+use crate::painter::{Painter, Painting};
+use crate::renderer::RenderError;
+use crate::views::{NotHeld, Overfull, ViewKey, Views};
+use crate::world::{BadCommand, Stepped, World};
+
+/// Views drawn between two looks at the queues.
+const VIEWS_A_TURN: usize = 8;
+
+/// How long the loop sleeps when nobody rings. Only a look around; nothing waits for it.
+const LONGEST_SLEEP: Duration = Duration::from_secs(1);
+
+/// How long consumers get to let go of evicted frames when no chunk is free.
+const CHUNK_PATIENCE: Duration = Duration::from_secs(30);
+
+/// The pixel of a blank frame, RGBA.
+const GREY: [u8; 4] = [128, 128, 128, 255];
+
+/// Why the simulator ended before it was told to.
+#[derive(Debug, thiserror::Error)]
+pub enum ServeError {
+    /// The transport failed.
+    #[error(transparent)]
+    Bus(#[from] BusError),
+    /// The frame store failed.
+    #[error(transparent)]
+    Frame(#[from] FrameError),
+    /// More views are in use than fit.
+    #[error(transparent)]
+    Overfull(#[from] Overfull),
+    /// The renderer failed.
+    #[error(transparent)]
+    Render(#[from] RenderError),
+    /// The renderer says too much about itself.
+    #[error(transparent)]
+    Facts(#[from] FactsTooLong),
+}
+
+/// A view request that cannot be used.
+#[derive(Debug, thiserror::Error)]
+enum BadRequest {
+    #[error("view request: {0}")]
+    Code(#[from] UnknownCode),
+    #[error("view request: nobody can stand at {0}")]
+    Pose(Pose),
+    #[error("view request: {0}")]
+    Release(#[from] NotHeld),
+}
+
+/// Serves the run that `bus` has joined until the orchestrator says stop. `open` makes the renderer; the
+/// simulator's queues exist before that, so peers may start to send meanwhile.
+///
+/// # Errors
+/// When the transport or the renderer fails, or more views are in use at once than fit. The orchestrator is
+/// told before.
+pub fn serve<P: Painter>(
+    bus: &Bus,
+    warehouse: &Warehouse,
+    cases: &CaseSet,
+    open: impl FnOnce() -> Result<P, RenderError>,
+) -> Result<(), ServeError> {
+    let mut simulator = Simulator::new(bus, warehouse, cases)?;
+    let outcome = open()
+        .map_err(ServeError::from)
+        .and_then(|mut painter| simulator.serve_until_stop(&mut painter));
+    if let Err(error) = &outcome {
+        simulator.complaints.raise(error);
+        simulator.ring()?;
+    }
+    outcome
+}
+
+/// An answer, and the view it waits for.
+#[derive(Debug)]
+struct Pending {
+    view: Option<ViewKey>,
+    answer: Answer,
+}
+
+#[derive(Debug)]
+enum Answer {
+    Observation(Observation),
+    View(WirePose),
+}
+
+struct Simulator<'a> {
+    bus: &'a Bus,
+    commands: Receiver<StepCommand>,
+    requests: Receiver<ViewRequest>,
+    stops: Receiver<Stop>,
+    observations: Sender<Observation>,
+    resident: Sender<View>,
+    evictions: Sender<Eviction>,
+    /// To memory, policy and orchestrator.
+    bells: Vec<Bell>,
+    frames: FramePublisher,
+    complaints: Complaints,
+    world: World,
+    control: Control,
+    views: Views,
+    pending: Vec<Pending>,
+    frames_rendered: u64,
+    frames_evicted: u64,
+}
+
+impl<'a> Simulator<'a> {
+    fn new(bus: &'a Bus, warehouse: &Warehouse, cases: &CaseSet) -> Result<Self, BusError> {
+        let attach = bus.attach();
+        let (lanes, window) = (attach.lanes as usize, attach.window as usize);
+        let neighbours = [Role::Memory, Role::Policy, Role::Orchestrator];
+        Ok(Self {
+            bus,
+            commands: bus.receiver()?,
+            requests: bus.receiver()?,
+            stops: bus.receiver()?,
+            observations: bus.sender()?,
+            resident: bus.sender()?,
+            evictions: bus.sender()?,
+            bells: neighbours.map(|role| bus.bell(role)).into_iter().collect::<Result<_, _>>()?,
+            frames: FramePublisher::new(bus)?,
+            complaints: Complaints::new(bus)?,
+            world: World::new(warehouse, cases, lanes),
+            control: Control::new(attach.frame_control, &warehouse.layout),
+            views: Views::new(attach.frame_capacity as usize, lanes, window),
+            pending: Vec::new(),
+            frames_rendered: 0,
+            frames_evicted: 0,
+        })
+    }
+
+    fn serve_until_stop(&mut self, painter: &mut impl Painter) -> Result<(), ServeError> {
+        self.bus.sender()?.send(&Hello::new(Role::Sim, painter.facts())?)?;
+        self.ring()?;
+        while self.stops.next()?.is_none() {
+            if self.turn(painter)? == 0 {
+                self.bus.doorbell().wait(LONGEST_SLEEP)?;
+            }
+        }
+        self.bus.sender()?.send(&Farewell {
+            role: Role::Sim as u32,
+            frames_rendered: self.frames_rendered,
+            frames_evicted: self.frames_evicted,
+            pixel_bytes_copied: painter.pixel_bytes_copied(),
+            complaints: self.complaints.count().into(),
+            ..Zeroable::zeroed()
+        })?;
+        Ok(self.ring()?)
+    }
+
+    /// One turn; returns how many views it drew. After 0, nothing is left to do.
+    fn turn(&mut self, painter: &mut impl Painter) -> Result<usize, ServeError> {
+        let complaints = self.complaints.count();
+        self.take_requests()?;
+        self.take_commands()?;
+        let evicted = self.evict()?;
+        let answered = self.answer()?;
+        if evicted + answered > 0 || self.complaints.count() != complaints {
+            self.ring()?;
+        }
+        self.draw(painter)
+    }
+
+    /// Wakes the neighbours.
+    fn ring(&self) -> Result<(), BusError> {
+        self.bells.iter().try_for_each(Bell::ring)
+    }
+
+    fn take_requests(&mut self) -> Result<(), BusError> {
+        while let Some(request) = self.requests.next()? {
+            if let Err(bad) = self.take_request(&request) {
+                self.complaints.raise(bad);
+            }
+        }
+        Ok(())
+    }
+
+    fn take_request(&mut self, request: &ViewRequest) -> Result<(), BadRequest> {
+        match ViewRequestKind::try_from(request.kind)? {
+            ViewRequestKind::Hold => {
+                let pose = Pose::try_from(request.pose)?;
+                if !self.world.layout().is_free(pose.cell) {
+                    return Err(BadRequest::Pose(pose));
+                }
+                let view = ViewKey::World { variant: 0, pose };
+                self.views.hold(view);
+                self.pending.push(Pending { view: Some(view), answer: Answer::View(pose.into()) });
+            }
+            ViewRequestKind::Release => self.views.release(request.frame)?,
+        }
+        Ok(())
+    }
+
+    fn take_commands(&mut self) -> Result<(), BusError> {
+        let woken_ns = monotonic_ns();
+        while let Some(command) = self.commands.next()? {
+            if let Err(bad) = self.take_command(&command, woken_ns) {
+                self.complaints.raise(bad);
+            }
+        }
+        Ok(())
+    }
+
+    fn take_command(&mut self, command: &StepCommand, woken_ns: u64) -> Result<(), BadCommand> {
+        let Stepped { lane, variant, pose, feedback, begins, ends } = self.world.apply(command)?;
+        let stepped_ns = monotonic_ns();
+        if begins || ends {
+            self.views.forget(lane);
+            // Nobody waits for what an abandoned episode was about to see.
+            self.pending.retain(|Pending { answer, .. }| {
+                !matches!(answer, Answer::Observation(waiting) if waiting.lane == command.lane)
+            });
+        }
+        let view = (!ends).then(|| {
+            let view = self.control.shown(variant, self.world.variant(variant), pose);
+            self.views.show(lane, view);
+            view
+        });
+        let is_there = view.is_none_or(|view| self.views.frame(view).is_some());
+        let acted = command.kind == StepKind::Act as u8;
+        let observation = Observation {
+            episode: command.episode,
+            frame: NO_FRAME,
+            commanded_ns: command.sent_ns,
+            woken_ns,
+            stepped_ns,
+            rendered_ns: if is_there { stepped_ns } else { 0 },
+            sent_ns: 0,
+            lane: command.lane,
+            step: command.step,
+            pose: pose.into(),
+            feedback: feedback as u8,
+            action: if acted { command.action } else { NO_ACTION },
+            last: u8::from(ends),
+            reserved: 0,
+        };
+        self.pending.push(Pending { view, answer: Answer::Observation(observation) });
+        Ok(())
+    }
+
+    /// Evicts what has to go; returns how many.
+    fn evict(&mut self) -> Result<usize, ServeError> {
+        let frames = self.views.make_room()?;
+        for &frame in &frames {
+            self.evictions.send(&Eviction { frame })?;
+        }
+        self.frames_evicted += frames.len() as u64;
+        Ok(frames.len())
+    }
+
+    /// Sends the answers whose views are resident; returns how many.
+    fn answer(&mut self) -> Result<usize, BusError> {
+        let before = self.pending.len();
+        for Pending { view, answer } in std::mem::take(&mut self.pending) {
+            let frame = view.map_or(Some(NO_FRAME), |view| self.views.frame(view));
+            match (frame, answer) {
+                (None, answer) => self.pending.push(Pending { view, answer }),
+                (Some(frame), Answer::View(pose)) => {
+                    self.resident.send(&View { frame, pose, reserved: 0 })?;
+                }
+                (Some(frame), Answer::Observation(observation)) => {
+                    let sent_ns = monotonic_ns();
+                    let rendered_ns = match observation.rendered_ns {
+                        0 => sent_ns,
+                        at_once => at_once,
+                    };
+                    let observation = Observation { frame, rendered_ns, sent_ns, ..observation };
+                    self.observations.send(&observation)?;
+                }
+            }
+        }
+        Ok(before - self.pending.len())
+    }
+
+    /// Draws the next missing views and makes them resident; returns how many.
+    fn draw(&mut self, painter: &mut impl Painter) -> Result<usize, ServeError> {
+        let views = self.views.take_missing(VIEWS_A_TURN);
+        let mut slots: Vec<FrameSlot> =
+            views.iter().map(|_| self.loan()).collect::<Result<_, _>>()?;
+        let mut paintings = Vec::with_capacity(views.len());
+        for (&view, slot) in views.iter().zip(&mut slots) {
+            match view {
+                ViewKey::World { variant, pose } => {
+                    let variant = self.world.variant(variant);
+                    paintings.push(Painting { variant, pose, slot });
+                }
+                ViewKey::Blank => slot
+                    .pixels_mut()
+                    .chunks_exact_mut(GREY.len())
+                    .for_each(|pixel| pixel.copy_from_slice(&GREY)),
+            }
+        }
+        if !paintings.is_empty() {
+            painter.paint(&mut paintings)?;
+        }
+        for (&view, slot) in views.iter().zip(slots) {
+            let mut content_hash = [0; 16];
+            content_hash.copy_from_slice(&blake3::hash(slot.pixels()).as_bytes()[..16]);
+            let frame = self.frames.publish(slot, content_hash)?;
+            self.views.fill(view, frame);
+            self.frames_rendered += 1;
+        }
+        Ok(views.len())
+    }
+
+    /// A slot; waits for a while if consumers have not let go of what was evicted.
+    fn loan(&self) -> Result<FrameSlot, FrameError> {
+        let deadline = Instant::now() + CHUNK_PATIENCE;
+        loop {
+            match self.frames.loan() {
+                Err(FrameError::NoChunk { .. }) if Instant::now() < deadline => {
+                    thread::sleep(Duration::from_millis(1));
+                }
+                outcome => return outcome,
+            }
+        }
+    }
+}

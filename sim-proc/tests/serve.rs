@@ -1,0 +1,468 @@
+//! The serve loop among scripted peers: this test plays orchestrator, memory and policy, and a painter that
+//! writes down what it was asked to draw.
+
+#![expect(clippy::unwrap_used, reason = "test helpers fail loudly")]
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::mpsc::{Sender as Alive, channel};
+use std::thread::{self, JoinHandle};
+use std::time::Duration;
+
+use bytemuck::Zeroable;
+use shm_types::message::{
+    Complaint, Farewell, FrameId, Hello, NO_ACTION, NO_FRAME, Observation, Role, StepCommand,
+    StepKind, Stop, View, ViewRequest, ViewRequestKind, WirePose, read_text,
+};
+use shm_types::{
+    Action, Attach, Bell, Bus, Feedback, FrameControl, FrameSize, FrameStore, Heading, Pose,
+    Receiver, RunDir, Sender,
+};
+use sim_proc::painter::{Painter, Painting};
+use sim_proc::renderer::{
+    Destination, RenderError, RenderJob, RenderSettings, Renderer, View as Look,
+};
+use sim_proc::serve::{ServeError, serve};
+use tempfile::TempDir;
+use warehouse::{CaseSet, Variant, Warehouse, step};
+
+/// A wait that lasts this long hangs.
+const LONG: Duration = Duration::from_secs(120);
+
+/// Fills a slot with the pose and the barricade's size, again and again.
+struct Scribe;
+
+fn scribble(variant: &Variant, pose: Pose) -> [u8; 4] {
+    let WirePose([x, y, heading, _]) = pose.into();
+    [x, y, heading, variant.closed().len() as u8]
+}
+
+impl Painter for Scribe {
+    fn paint(&mut self, paintings: &mut [Painting<'_>]) -> Result<(), RenderError> {
+        for Painting { variant, pose, slot } in paintings {
+            let text = scribble(variant, *pose);
+            slot.pixels_mut().chunks_exact_mut(4).for_each(|pixel| pixel.copy_from_slice(&text));
+        }
+        Ok(())
+    }
+
+    fn facts(&self) -> Vec<(&'static str, String)> {
+        vec![("adapter", "a scribe".to_owned())]
+    }
+
+    fn pixel_bytes_copied(&self) -> u64 {
+        5
+    }
+}
+
+/// A run with a simulator in it, and everybody else. Fields are dropped in order.
+struct Peers {
+    commands: Sender<StepCommand>,
+    stops: Sender<Stop>,
+    requests: Sender<ViewRequest>,
+    bell: Bell,
+    hellos: Receiver<Hello>,
+    complaints: Receiver<Complaint>,
+    farewells: Receiver<Farewell>,
+    views: Receiver<View>,
+    /// Of orchestrator, memory and policy.
+    observations: [Receiver<Observation>; 3],
+    stores: [FrameStore; 2],
+    orchestrator: Bus,
+    /// Nobody listens to these, but a message waits for all its receivers.
+    _stop_receivers: [Receiver<Stop>; 2],
+    _others: [Bus; 2],
+    warehouse: Warehouse,
+    cases: CaseSet,
+    simulator: Option<JoinHandle<Result<(), ServeError>>>,
+    _run: RunDir,
+    _base: TempDir,
+    _watchdog: Alive<()>,
+}
+
+impl Drop for Peers {
+    fn drop(&mut self) {
+        if let Some(simulator) = self.simulator.take() {
+            // A test has failed. The simulator must not outlive its run.
+            let _ = self.stops.send(&Stop { reserved: 0 });
+            let _ = self.bell.ring();
+            let _ = simulator.join();
+        }
+    }
+}
+
+/// Peers around a simulator with a [`Scribe`].
+fn peers(change: impl FnOnce(&mut Attach)) -> Peers {
+    let mut peers = peers_around(change, |_| Ok(Scribe));
+    let hello = peers.wait(|peers| peers.hellos.next().unwrap());
+    assert_eq!(hello.facts().unwrap(), BTreeMap::from([("adapter".into(), "a scribe".into())]));
+    peers
+}
+
+fn peers_around<P: Painter>(
+    change: impl FnOnce(&mut Attach),
+    open: impl FnOnce(FrameSize) -> Result<P, RenderError> + Send + 'static,
+) -> Peers {
+    let base = tempfile::Builder::new().prefix("mt").tempdir_in("/tmp").unwrap();
+    let run = RunDir::create(base.path()).unwrap();
+    let frame = FrameSize { width: 64, height: 32 };
+    let mut attach = Attach { frame, frame_capacity: 64, lanes: 4, ..Attach::new(&run) };
+    change(&mut attach);
+    let [orchestrator, memory, policy] = [Role::Orchestrator, Role::Memory, Role::Policy]
+        .map(|role| Bus::join(attach.clone(), role).unwrap());
+    let (alive, watched) = channel::<()>();
+    thread::spawn(move || {
+        if watched
+            .recv_timeout(2 * LONG)
+            .is_err_and(|e| e == std::sync::mpsc::RecvTimeoutError::Timeout)
+        {
+            eprintln!("a test of the serve loop hangs");
+            std::process::abort();
+        }
+    });
+    let simulator = thread::spawn(move || {
+        let frame = attach.frame;
+        let bus = Bus::join(attach, Role::Sim)?;
+        serve(&bus, &Warehouse::shipped(), &CaseSet::shipped(), || open(frame))
+    });
+    Peers {
+        commands: orchestrator.sender().unwrap(),
+        stops: orchestrator.sender().unwrap(),
+        requests: memory.sender().unwrap(),
+        bell: orchestrator.bell(Role::Sim).unwrap(),
+        hellos: orchestrator.receiver().unwrap(),
+        complaints: orchestrator.receiver().unwrap(),
+        farewells: orchestrator.receiver().unwrap(),
+        views: memory.receiver().unwrap(),
+        observations: [&orchestrator, &memory, &policy].map(|bus| bus.receiver().unwrap()),
+        stores: [&memory, &policy].map(|bus| FrameStore::new(bus).unwrap()),
+        _stop_receivers: [&memory, &policy].map(|bus| bus.receiver().unwrap()),
+        orchestrator,
+        _others: [memory, policy],
+        warehouse: Warehouse::shipped(),
+        cases: CaseSet::shipped(),
+        simulator: Some(simulator),
+        _run: run,
+        _base: base,
+        _watchdog: alive,
+    }
+}
+
+impl Peers {
+    /// Looks, and sleeps until there is something to see.
+    fn wait<T>(&mut self, look: impl Fn(&mut Self) -> Option<T>) -> T {
+        loop {
+            let over = self.simulator.as_ref().is_none_or(JoinHandle::is_finished);
+            if let Some(seen) = look(self) {
+                return seen;
+            }
+            assert!(!over, "the simulator ended before this came");
+            self.orchestrator.doorbell().wait(Duration::from_millis(100)).unwrap();
+        }
+    }
+
+    /// Rings, waits for `count` observations; all three receivers must get the same.
+    fn observe(&mut self, count: usize) -> Vec<Observation> {
+        self.bell.ring().unwrap();
+        let mut seen = Vec::new();
+        while seen.len() < count {
+            let observation = self.wait(|peers| peers.observations[0].next().unwrap());
+            for other in 1..3 {
+                assert_eq!(
+                    self.wait(|peers| peers.observations[other].next().unwrap()),
+                    observation
+                );
+            }
+            seen.push(observation);
+        }
+        for store in &mut self.stores {
+            store.apply_evictions().unwrap();
+        }
+        seen
+    }
+
+    fn ask(&mut self, command: &StepCommand) -> Observation {
+        self.commands.send(command).unwrap();
+        self.observe(1)[0]
+    }
+
+    fn complaint(&mut self) -> String {
+        self.bell.ring().unwrap();
+        let complaint = self.wait(|peers| peers.complaints.next().unwrap());
+        read_text(&complaint.text, complaint.text_len).unwrap().to_owned()
+    }
+
+    /// What the frame shows, as both consumers see it.
+    fn picture(&mut self, frame: FrameId) -> [u8; 4] {
+        let [memory, policy] = self.stores.each_mut().map(|store| {
+            let frame = store.get(frame).unwrap().expect("the frame is resident").clone();
+            let (first, rest) = frame.pixels().split_at(4);
+            assert!(rest.chunks_exact(4).all(|pixel| pixel == first));
+            assert_eq!(frame.content_hash(), blake3::hash(frame.pixels()).as_bytes()[..16]);
+            <[u8; 4]>::try_from(first).unwrap()
+        });
+        assert_eq!(memory, policy);
+        memory
+    }
+
+    fn hold(&mut self, pose: Pose) -> ViewRequest {
+        let (kind, frame) = (ViewRequestKind::Hold as u8, NO_FRAME);
+        let request = ViewRequest { frame, pose: pose.into(), kind, reserved: [0; 3] };
+        self.requests.send(&request).unwrap();
+        request
+    }
+
+    fn release(&mut self, frame: FrameId) {
+        let kind = ViewRequestKind::Release as u8;
+        self.requests.send(&ViewRequest { frame, kind, ..Zeroable::zeroed() }).unwrap();
+    }
+
+    fn stop(mut self) -> Farewell {
+        self.stops.send(&Stop { reserved: 0 }).unwrap();
+        self.bell.ring().unwrap();
+        let farewell = self.wait(|peers| peers.farewells.next().unwrap());
+        self.simulator.take().unwrap().join().unwrap().unwrap();
+        farewell
+    }
+
+    /// The poses of the shipped floor.
+    fn poses(&self) -> Vec<Pose> {
+        let cells = self.warehouse.layout.free_cells();
+        cells.flat_map(|cell| Heading::ALL.map(|heading| Pose { cell, heading })).collect()
+    }
+}
+
+fn reset(lane: u32, episode: u64, variant: u32, start: Pose) -> StepCommand {
+    let (kind, start) = (StepKind::Reset as u8, start.into());
+    StepCommand { lane, episode, variant, start, kind, action: NO_ACTION, ..Zeroable::zeroed() }
+}
+
+fn act(lane: u32, episode: u64, step: u32, action: Action) -> StepCommand {
+    let (kind, action) = (StepKind::Act as u8, action as u8);
+    StepCommand { lane, episode, step, kind, action, sent_ns: 1, ..Zeroable::zeroed() }
+}
+
+#[test]
+fn episodes_run_by_the_dynamics_and_show_what_is_there() {
+    let mut peers = peers(|_| {});
+    let case = peers.cases.cases[3].clone();
+    let variant = Variant::closing(case.barricade.iter().copied());
+    // The four lanes walk the blocked reference, one after the other in step.
+    let mut pose = case.blocked.start;
+    let mut shown = BTreeSet::new();
+    for lane in 0..4 {
+        peers.commands.send(&reset(lane, 10 + u64::from(lane), 4, pose)).unwrap();
+    }
+    let mut feedback = Feedback::Start;
+    for (n, &action) in case.blocked.actions.iter().enumerate() {
+        let observations = peers.observe(4);
+        let lanes: BTreeSet<u32> = observations.iter().map(|o| o.lane).collect();
+        assert_eq!(lanes, BTreeSet::from([0, 1, 2, 3]));
+        for o in &observations {
+            assert_eq!((o.pose, o.feedback), (pose.into(), feedback as u8));
+            assert_eq!((o.step, o.episode, o.last), (n as u32, 10 + u64::from(o.lane), 0));
+            assert_eq!(o.frame, observations[0].frame, "one view, one frame");
+            assert!(o.woken_ns <= o.stepped_ns && o.stepped_ns <= o.rendered_ns);
+            assert!(o.rendered_ns <= o.sent_ns);
+        }
+        assert_eq!(peers.picture(observations[0].frame), scribble(&variant, pose));
+        shown.insert(observations[0].frame);
+        (pose, feedback) = step(&peers.warehouse.layout, &variant, pose, action);
+        for lane in 0..4 {
+            let command = act(lane, 10 + u64::from(lane), n as u32 + 1, action);
+            peers.commands.send(&command).unwrap();
+        }
+    }
+    peers.observe(4);
+    let steps = case.blocked.actions.len() as u32;
+    for lane in 0..4 {
+        let mut command = act(lane, 10 + u64::from(lane), steps + 1, Action::TurnLeft);
+        command.last = 1;
+        let over = peers.ask(&command);
+        assert_eq!((over.last, over.frame, over.lane), (1, NO_FRAME, lane));
+    }
+    let farewell = peers.stop();
+    assert_eq!(farewell.frames_rendered, shown.len() as u64 + 1);
+    assert_eq!((farewell.complaints, farewell.pixel_bytes_copied), (0, 5));
+}
+
+#[test]
+fn memory_gets_the_views_it_asks_for_until_it_lets_go() {
+    let mut peers = peers(|_| {});
+    let poses = peers.poses();
+    let held: Vec<Pose> = poses[..40].to_vec();
+    for &pose in &held {
+        peers.hold(pose);
+    }
+    peers.bell.ring().unwrap();
+    let mut frames = BTreeMap::new();
+    while frames.len() < held.len() {
+        let view = peers.wait(|peers| peers.views.next().unwrap());
+        frames.insert(Pose::try_from(view.pose).unwrap(), view.frame);
+    }
+    assert_eq!(frames.keys().copied().collect::<BTreeSet<_>>(), held.iter().copied().collect());
+
+    // A walk that needs more than the rest of the store leaves them where they are.
+    let start = poses[0];
+    peers.ask(&reset(0, 1, 0, start));
+    for step in 1..60 {
+        let action = if step % 4 == 0 { Action::Forward } else { Action::TurnLeft };
+        peers.ask(&act(0, 1, step, action));
+    }
+    for (&pose, &frame) in &frames {
+        assert_eq!(peers.picture(frame), scribble(&Variant::UNCHANGED, pose));
+    }
+    // A view that is resident is answered with the same frame, also to a lane.
+    let (&pose, &frame) = frames.first_key_value().unwrap();
+    assert_eq!(peers.ask(&reset(1, 2, 0, pose)).frame, frame);
+    peers.hold(pose);
+    peers.bell.ring().unwrap();
+    assert_eq!(peers.wait(|peers| peers.views.next().unwrap()).frame, frame);
+    peers.release(frame);
+    for &frame in frames.values() {
+        peers.release(frame);
+    }
+    peers.release(frame);
+    assert_eq!(
+        peers.complaint(),
+        format!("view request: frame {frame} is released, but it is not held")
+    );
+    let farewell = peers.stop();
+    assert_eq!(farewell.complaints, 1);
+}
+
+#[test]
+fn a_walk_longer_than_the_store_evicts_and_memory_stays_bounded() {
+    // Two lanes of window 1 keep three views each.
+    let mut peers = peers(|attach| {
+        (attach.frame_capacity, attach.lanes, attach.window) = (6, 2, 1);
+    });
+    let poses = peers.poses();
+    let mut recent = [const { Vec::<(FrameId, Pose)>::new() }; 2];
+    for (n, pair) in poses.chunks_exact(2).enumerate() {
+        for (lane, &pose) in pair.iter().enumerate() {
+            // A new episode each time lets go of the lane; every third goes on instead.
+            let seen = if n % 3 == 0 {
+                recent[lane].clear();
+                peers.ask(&reset(lane as u32, n as u64, 0, pose))
+            } else {
+                let (episode, step) = (n as u64 / 3 * 3, (n % 3) as u32);
+                peers.ask(&act(lane as u32, episode, step, Action::TurnRight))
+            };
+            recent[lane].push((seen.frame, Pose::try_from(seen.pose).unwrap()));
+            assert!(peers.stores[0].held() <= 6);
+        }
+        for (frame, pose) in recent.concat() {
+            assert_eq!(peers.picture(frame), scribble(&Variant::UNCHANGED, pose));
+        }
+    }
+    let farewell = peers.stop();
+    assert!(farewell.frames_evicted > 100);
+    assert!(farewell.frames_rendered - farewell.frames_evicted <= 6);
+}
+
+#[test]
+fn controls_change_what_lanes_see_and_not_what_memory_gets() {
+    for control in [FrameControl::Blank, FrameControl::Swapped] {
+        let mut peers = peers(|attach| attach.frame_control = control);
+        let poses = peers.poses();
+        let mut shown = BTreeSet::new();
+        for (episode, &pose) in poses.iter().step_by(50).enumerate() {
+            let seen = peers.ask(&reset(0, episode as u64, 0, pose));
+            assert_eq!(seen.pose, pose.into());
+            let picture = peers.picture(seen.frame);
+            assert_ne!(picture, scribble(&Variant::UNCHANGED, pose));
+            assert_eq!(picture == [128, 128, 128, 255], control == FrameControl::Blank);
+            shown.insert(seen.frame);
+            peers.hold(pose);
+            peers.bell.ring().unwrap();
+            let view = peers.wait(|peers| peers.views.next().unwrap());
+            assert_eq!(peers.picture(view.frame), scribble(&Variant::UNCHANGED, pose));
+        }
+        assert_eq!(shown.len() == 1, control == FrameControl::Blank, "one grey frame for all");
+        peers.stop();
+    }
+}
+
+#[test]
+fn rubbish_is_counted_and_the_run_goes_on() {
+    let mut peers = peers(|_| {});
+    let pose = peers.poses()[0];
+    let nowhere = WirePose([200, 200, 0, 0]);
+    for (command, said) in [
+        (StepCommand { lane: 9, ..reset(0, 1, 0, pose) }, "there are 4 lanes"),
+        (StepCommand { kind: 77, ..reset(0, 1, 0, pose) }, "77 is not a step kind"),
+        (reset(0, 1, 4000, pose), "variant 4000 is not one of"),
+        (StepCommand { start: nowhere, ..reset(0, 1, 0, pose) }, "nobody can stand at 200,200,N"),
+        (act(0, 1, 1, Action::Forward), "the lane is in no episode"),
+    ] {
+        peers.commands.send(&command).unwrap();
+        let complaint = peers.complaint();
+        assert!(complaint.contains(said), "{complaint}");
+    }
+    for (request, said) in [
+        (ViewRequest { kind: 9, ..Zeroable::zeroed() }, "9 is not a view request kind"),
+        (ViewRequest { pose: nowhere, ..Zeroable::zeroed() }, "nobody can stand at 200,200,N"),
+        (ViewRequest { frame: 5, kind: 1, ..Zeroable::zeroed() }, "frame 5 is released"),
+    ] {
+        peers.requests.send(&request).unwrap();
+        let complaint = peers.complaint();
+        assert!(complaint.contains(said), "{complaint}");
+    }
+    assert_eq!(peers.ask(&reset(0, 1, 0, pose)).feedback, Feedback::Start as u8);
+    assert_eq!(peers.stop().complaints, 8);
+}
+
+#[test]
+fn a_store_that_is_too_small_is_named_before_the_end() {
+    let mut peers = peers(|attach| attach.frame_capacity = 3);
+    let poses = peers.poses();
+    for (lane, &pose) in poses[..4].iter().enumerate() {
+        peers.commands.send(&reset(lane as u32, 1, 0, pose)).unwrap();
+    }
+    let complaint = peers.complaint();
+    assert_eq!(
+        complaint,
+        "4 views are in use at once and the frame store has room for 3: raise --frame-budget or lower --lanes"
+    );
+    let error = peers.simulator.take().unwrap().join().unwrap().unwrap_err();
+    assert!(matches!(error, ServeError::Overfull(_)));
+}
+
+/// The frames in shared memory are the renderer's own, byte for byte, and the device wrote them there.
+#[test]
+fn the_renderer_draws_into_the_frame_store() {
+    let size = FrameSize { width: 128, height: 96 };
+    let settings = move |frame: FrameSize| RenderSettings {
+        width_px: frame.width,
+        height_px: frame.height,
+        ..RenderSettings::default()
+    };
+    let mut peers = peers_around(
+        |attach| {
+            (attach.frame, attach.frame_capacity, attach.lanes, attach.window) = (size, 6, 1, 2)
+        },
+        move |frame| Renderer::new(&Warehouse::shipped(), settings(frame)),
+    );
+    let hello = peers.wait(|peers| peers.hellos.next().unwrap());
+    let facts = hello.facts().unwrap();
+    let mut expected = vec![0; size.bytes()];
+    let mut renderer = Renderer::new(&peers.warehouse, settings(size)).unwrap();
+    let case = peers.cases.cases[0].clone();
+    let variant = Variant::closing(case.barricade.iter().copied());
+    let mut command = reset(0, 1, 1, case.blocked.start);
+    for (&action, step) in case.blocked.actions.iter().zip(1..) {
+        let seen = peers.ask(&command);
+        let pose = Pose::try_from(seen.pose).unwrap();
+        let destination = Destination::Memory(&mut expected);
+        let view = Look { pose, variant: &variant };
+        renderer.render(&mut [RenderJob { view, destination }]).unwrap();
+        for store in &mut peers.stores {
+            assert!(store.get(seen.frame).unwrap().unwrap().pixels() == expected, "{pose}");
+        }
+        command = act(0, 1, step, action);
+    }
+    let Farewell { frames_rendered, frames_evicted, pixel_bytes_copied, .. } = peers.stop();
+    assert!(frames_rendered > 6 && frames_evicted >= frames_rendered - 6);
+    let copied = if facts["frame path"] == "direct" { 0 } else { frames_rendered };
+    assert_eq!(pixel_bytes_copied, copied * size.bytes() as u64, "{facts:?}");
+}
