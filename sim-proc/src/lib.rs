@@ -4,7 +4,7 @@
 //!   shown, [`views`] keeps account of what is resident; all three are pure.
 //! - [`renderer`]: poses in, pixels out, the only place that knows wgpu; [`painter`] is what the serve loop
 //!   asks of it.
-//! - [`contact_sheet`]: many views on one picture. [`render_command`] and [`serve_command`]: the verbs of the program.
+//! - [`contact_sheet`]: the whole catalogue on one picture. [`render_command`] and [`serve_command`]: the verbs of the program.
 
 pub mod contact_sheet;
 pub mod control;
