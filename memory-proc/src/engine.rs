@@ -95,46 +95,50 @@ impl<P: Clone> Engine<P> {
         Ok(())
     }
 
-    /// A step was observed. `look` gives the content and pixels of a frame.
+    /// A step was observed. Returns the frame that [`Self::show`] is then to be told of, when the lane's
+    /// memory looks at the current view.
     ///
     /// # Errors
-    /// When the observation does not continue an episode, or shows what cannot be.
+    /// When the observation does not continue an episode, or says what cannot be.
     pub fn observe(
         &mut self,
         seen: &Observation,
         received_ns: u64,
-        look: impl FnOnce(FrameId) -> Result<(ContentHash, P), Unusable>,
-    ) -> Result<(), Unusable> {
+    ) -> Result<Option<FrameId>, Unusable> {
         let unknown =
             || unusable!("observation of unknown episode {} in lane {}", seen.episode, seen.lane);
         let lane = self.lanes.get_mut(seen.lane as usize).ok_or_else(unknown)?;
         if let Some(next) = lane.next.take_if(|next| next.ticket == seen.episode)
             && let Some(abandoned) = lane.running.replace(next)
         {
-            self.open.remove(&seen.lane);
             self.close(abandoned);
         }
-        let lane = &mut self.lanes[seen.lane as usize];
+        let running = &mut self.lanes[seen.lane as usize].running;
         if seen.last == 1 {
-            let done = lane.running.take_if(|running| running.ticket == seen.episode);
-            self.open.remove(&seen.lane);
+            let done = running.take_if(|running| running.ticket == seen.episode);
             self.close(done.ok_or_else(unknown)?);
-            return Ok(());
+            return Ok(None);
         }
-        let running = lane.running.as_mut().filter(|running| running.ticket == seen.episode);
+        let running = running.as_mut().filter(|running| running.ticket == seen.episode);
         let running = running.ok_or_else(unknown)?;
         running.observe(seen, &self.warehouse, &self.cases)?;
-        let mut question = Question { received_ns, content: None };
+        running.question = Some(Question { received_ns, content: None });
         if running.blueprint.matches_views() {
-            let (content, picture) = look(seen.frame)?;
-            question.content = Some(content);
-            if self.embeddings.get(&content).is_none() && !self.in_flight.contains(&content) {
-                self.urgent.push_back((content, picture));
-            }
+            return Ok(Some(seen.frame));
         }
-        running.question = Some(question);
         self.open.insert(seen.lane);
-        Ok(())
+        Ok(None)
+    }
+
+    /// What the current view of a lane is, as [`Self::observe`] asked.
+    pub fn show(&mut self, lane: u32, content: ContentHash, picture: P) {
+        let running = self.lanes.get_mut(lane as usize).and_then(|lane| lane.running.as_mut());
+        let Some(question) = running.and_then(|running| running.question.as_mut()) else { return };
+        question.content = Some(content);
+        self.open.insert(lane);
+        if self.embeddings.get(&content).is_none() && !self.in_flight.contains(&content) {
+            self.urgent.push_back((content, picture));
+        }
     }
 
     /// A view that was asked for is resident.
@@ -202,8 +206,9 @@ impl<P: Clone> Engine<P> {
         let mut answers = Vec::new();
         let Self { open, lanes, views, embeddings, .. } = self;
         open.retain(|&lane| {
+            // The episode may have ended without an answer.
             let Some(episode) = &mut lanes[lane as usize].running else { return false };
-            let content = episode.question.and_then(|question| question.content);
+            let Some(Question { content, .. }) = episode.question else { return false };
             let embedding = content.and_then(|content| embeddings.get(&content));
             let view = |pose| {
                 let resident = views.resident(pose)?;

@@ -53,7 +53,8 @@ struct EncoderArguments {
     /// The encoder's ONNX file [default: where `cargo xtask setup` puts it]
     #[arg(long, value_name = "FILE")]
     encoder_file: Option<PathBuf>,
-    /// Pictures embedded at the same time [default: the processor's cores]
+    /// Pictures embedded at the same time; each takes memory for the model [default: the processor's
+    /// cores, at most 8]
     #[arg(long, value_name = "N")]
     encoder_threads: Option<NonZeroUsize>,
     /// The cache folder [default: $MEMTRANSFER_CACHE, else memtransfer in the user's cache folder]
@@ -61,9 +62,14 @@ struct EncoderArguments {
     cache: Option<PathBuf>,
 }
 
+/// Most threads that are taken without being asked for: every session has its own copy of the weights.
+const MOST_THREADS: NonZeroUsize = NonZeroUsize::new(8).unwrap();
+
 impl EncoderArguments {
     fn settings(self) -> anyhow::Result<EncoderSettings> {
-        let cores = || std::thread::available_parallelism().unwrap_or(NonZeroUsize::MIN);
+        let cores = || {
+            std::thread::available_parallelism().map_or(NonZeroUsize::MIN, |n| n.min(MOST_THREADS))
+        };
         Ok(EncoderSettings {
             name: self.encoder,
             file: self.encoder_file,

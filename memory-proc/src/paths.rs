@@ -5,9 +5,6 @@
 
 use std::path::{Path, PathBuf};
 
-/// The command that brings whatever is missing, for error messages.
-pub const SETUP: &str = "cargo xtask setup";
-
 /// The environment names no folder in which a cache could lie.
 #[derive(Debug, thiserror::Error)]
 #[error(

@@ -3,6 +3,7 @@
 //! The loop never waits for an embedding. Workers ring this process's own doorbell when they have one, so a
 //! finished embedding wakes the loop like a message does.
 
+use std::fmt::Display;
 use std::num::NonZeroUsize;
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -21,11 +22,10 @@ use shm_types::{
 use warehouse::case_file::CASES_FILE;
 use warehouse::{CaseSet, Warehouse};
 
-use crate::embedding::ContentHash;
 use crate::embedding_cache::{EmbeddingCache, Found};
 use crate::encoder::{Embedded, Encoder, EncoderFacts, Image, ModelFile, Picture};
 use crate::engine::Engine;
-use crate::episode::{Unusable, unusable};
+use crate::episode::Unusable;
 use crate::manifest::Manifest;
 use crate::paths::Cache;
 
@@ -151,7 +151,7 @@ impl<'a> Server<'a> {
     fn start(
         settings: &Settings,
         bus: &'a Bus,
-        mut ports: Ports,
+        ports: Ports,
         complaints: &'a mut Complaints,
     ) -> anyhow::Result<Self> {
         let (warehouse, cases, manifest) = match &settings.assets {
@@ -174,8 +174,6 @@ impl<'a> Server<'a> {
             Engine::new(warehouse, cases.cases, attach.lanes, room_for_views(attach), embeddings);
         bus.sender()?.send(&hello(encoder.facts())?)?;
         ports.orchestrator.ring()?;
-        // Whatever was evicted while the encoder started.
-        let_go_of_frames(&mut ports.frames, complaints)?;
         Ok(Self { bus, ports, complaints, engine, encoder })
     }
 
@@ -211,7 +209,7 @@ impl<'a> Server<'a> {
             self.ports.orchestrator.ring()?;
         }
         self.feed_the_encoder()?;
-        let_go_of_frames(&mut self.ports.frames, self.complaints)?;
+        self.let_go_of_frames()?;
         Ok(self.ports.stops.next()?.is_some())
     }
 
@@ -225,35 +223,57 @@ impl<'a> Server<'a> {
             let outcome = self.engine.brief(&brief);
             self.complain(outcome);
         }
-        for view in views {
-            let outcome = self.take_view(view)?;
-            self.complain(outcome);
+        for View { frame, pose, .. } in views {
+            match Pose::try_from(pose) {
+                Err(error) => self.complaints.raise(format_args!("view as frame {frame}: {error}")),
+                Ok(pose) => {
+                    if let Some(picture) =
+                        self.find_frame(frame, &format_args!("view of {pose}"))?
+                    {
+                        let content = picture.content_hash();
+                        let outcome = self.engine.view(pose, frame, content, picture);
+                        self.complain(outcome);
+                    }
+                }
+            }
         }
         for seen in observations {
-            let Self { engine, ports, complaints, .. } = self;
-            let mut broken = None;
-            let outcome = engine.observe(&seen, received_ns, |id| {
-                let frame = find_frame(&mut ports.frames, id, complaints);
-                frame.unwrap_or_else(|error| {
-                    broken = Some(error);
-                    Err(unusable!("frame {id} cannot be looked up"))
-                })
-            });
-            if let Some(error) = broken {
-                return Err(error.into());
+            let Observation { episode, lane, step, .. } = seen;
+            match self.engine.observe(&seen, received_ns) {
+                Err(unusable) => self.complaints.raise(unusable),
+                Ok(None) => {}
+                Ok(Some(frame)) => {
+                    let what = format_args!("observation of episode {episode}, step {step}");
+                    if let Some(picture) = self.find_frame(frame, &what)? {
+                        self.engine.show(lane, picture.content_hash(), picture);
+                    }
+                }
             }
-            self.complain(outcome);
         }
         Ok(())
     }
 
-    fn take_view(&mut self, view: View) -> Result<Result<(), Unusable>, BusError> {
-        let pose = match Pose::try_from(view.pose) {
-            Ok(pose) => pose,
-            Err(error) => return Ok(Err(unusable!("view as frame {}: {error}", view.frame))),
-        };
-        let found = find_frame(&mut self.ports.frames, view.frame, self.complaints)?;
-        Ok(found.and_then(|(content, frame)| self.engine.view(pose, view.frame, content, frame)))
+    /// The frame that a message names. What cannot be found or used is complained about.
+    fn find_frame(
+        &mut self,
+        id: FrameId,
+        message: &dyn Display,
+    ) -> Result<Option<Arc<Frame>>, BusError> {
+        loop {
+            match self.ports.frames.get(id) {
+                Ok(Some(frame)) => return Ok(Some(frame.clone())),
+                Ok(None) => {
+                    self.complaints.raise(format_args!(
+                        "{message}: frame {id} is not in the store, so it was evicted too early or never \
+                         published"
+                    ));
+                    return Ok(None);
+                }
+                Err(FrameError::Bus(error)) => return Err(error),
+                // The store has dropped what it could not use: go on after it.
+                Err(bad) => self.complaints.raise(bad),
+            }
+        }
     }
 
     fn take_embeddings(&mut self) -> anyhow::Result<()> {
@@ -285,6 +305,16 @@ impl<'a> Server<'a> {
             self.encoder.submit(content, frame)?;
         }
         Ok(())
+    }
+
+    fn let_go_of_frames(&mut self) -> Result<(), BusError> {
+        loop {
+            match self.ports.frames.apply_evictions() {
+                Ok(_) => return Ok(()),
+                Err(FrameError::Bus(error)) => return Err(error),
+                Err(bad) => self.complaints.raise(bad),
+            }
+        }
     }
 
     fn complain(&mut self, outcome: Result<(), Unusable>) {
@@ -345,35 +375,4 @@ fn hello(facts: &EncoderFacts) -> anyhow::Result<Hello> {
         );
     }
     Ok(hello)
-}
-
-/// A frame and its content. What the store could not use on the way is complained about.
-fn find_frame(
-    frames: &mut FrameStore,
-    id: FrameId,
-    complaints: &mut Complaints,
-) -> Result<Result<(ContentHash, Arc<Frame>), Unusable>, BusError> {
-    loop {
-        match frames.get(id) {
-            Ok(Some(frame)) => return Ok(Ok((frame.content_hash(), frame.clone()))),
-            Ok(None) => {
-                return Ok(Err(unusable!(
-                    "frame {id} is not in the store, so it was evicted too early or never published"
-                )));
-            }
-            Err(FrameError::Bus(error)) => return Err(error),
-            // The store has dropped what it could not use: go on after it.
-            Err(bad) => complaints.raise(bad),
-        }
-    }
-}
-
-fn let_go_of_frames(frames: &mut FrameStore, complaints: &mut Complaints) -> Result<(), BusError> {
-    loop {
-        match frames.apply_evictions() {
-            Ok(_) => return Ok(()),
-            Err(FrameError::Bus(error)) => return Err(error),
-            Err(bad) => complaints.raise(bad),
-        }
-    }
 }

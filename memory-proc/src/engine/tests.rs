@@ -106,7 +106,11 @@ impl Rig {
     fn observe(&mut self, mut seen: Observation) -> Result<(), Unusable> {
         let pose = Pose::try_from(seen.pose).unwrap();
         seen.frame = if seen.last == 1 { NO_FRAME } else { self.frame(pose) };
-        self.engine.observe(&seen, 1, |_| Ok((content(pose), pose)))
+        if let Some(frame) = self.engine.observe(&seen, 1)? {
+            assert_eq!(frame, seen.frame);
+            self.engine.show(seen.lane, content(pose), pose);
+        }
+        Ok(())
     }
 
     /// One event of those that are due, by `choice`. Says whether there was any.
@@ -327,8 +331,7 @@ fn what_cannot_be_used_is_refused_and_named() {
     rig.engine.brief(&brief).unwrap();
     let first = script.observations[0];
     let refuse = |rig: &mut Rig, bad: Observation, expected: &str| {
-        let look = |_| Ok(([0; 16], Pose::new(0, 0, Heading::N)));
-        let error = rig.engine.observe(&bad, 1, look).unwrap_err().to_string();
+        let error = rig.engine.observe(&bad, 1).unwrap_err().to_string();
         assert!(error.contains(expected), "{error}");
     };
     let first = Observation { frame: 1, ..first };
