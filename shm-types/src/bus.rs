@@ -10,20 +10,20 @@
 //! receivers are there; so processes may start in any order.
 //!
 //! # Leaving
-//! What was sent outlives the sending [`Bus`] only for receivers that have looked at their queue since the
-//! sender was first made. What a process may have to say last is therefore made when it joins, and senders
-//! live as long as their bus.
+//! What was sent outlives the sending [`Bus`] only for receivers that are connected: that have looked at
+//! their queue since the sender was first made. So that last words always arrive, a process makes the
+//! senders for them when it joins, and whoever receives its [`Hello`] connects all its own receivers.
 //!
 //! All of this is thread-safe; a process normally keeps it on one thread and hands
 //! [`Frame`](crate::frames::Frame)s to others.
 
 use std::any::Any;
 use std::collections::HashMap;
-use std::fmt::Display;
+use std::fmt::{Debug, Display};
 use std::fs::File;
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, PoisonError, Weak};
 use std::thread;
 use std::time::{Duration, Instant};
 
@@ -31,6 +31,7 @@ use iceoryx2::config::Config;
 use iceoryx2::node::{Node, NodeBuilder};
 use iceoryx2::port::publisher::Publisher;
 use iceoryx2::port::subscriber::Subscriber;
+use iceoryx2::port::update_connections::{ConnectionFailure, UpdateConnections};
 use iceoryx2::port::{BackpressureAction, SendError};
 use iceoryx2::prelude::{
     FileName, LogLevel, SemanticString, ServiceName, SignalHandlingMode, ipc_threadsafe,
@@ -138,6 +139,7 @@ pub struct Bus {
     doorbell: Doorbell,
     /// Every sender that was asked for, by service.
     ports: Mutex<HashMap<&'static str, Arc<dyn Any + Send + Sync>>>,
+    receivers: Arc<Siblings>,
     node: Node<Ipc>,
     /// Locked for as long as the process takes part, so that nobody cleans the run away. Last, so that
     /// everything else is gone when the lock is.
@@ -165,8 +167,8 @@ impl Bus {
             .create::<Ipc>()
             .map_err(|e| BusError::open("cannot create a node in the run", e))?;
         let doorbell = Doorbell::new(&node, &attach, role)?;
-        let ports = Mutex::default();
-        let bus = Self { attach, role, doorbell, ports, node, _membership: membership };
+        let (ports, receivers) = (Mutex::default(), Arc::default());
+        let bus = Self { attach, role, doorbell, ports, receivers, node, _membership: membership };
         if role != Role::Orchestrator {
             bus.sender::<Hello>()?;
             bus.sender::<Complaint>()?;
@@ -234,7 +236,9 @@ impl Bus {
             .subscriber_builder()
             .create()
             .map_err(|e| BusError::open(format_args!("cannot receive on {}", M::SERVICE), e))?;
-        Ok(Receiver { subscriber })
+        let subscriber = Arc::new(subscriber);
+        self.receivers.add(subscriber.clone());
+        Ok(Receiver { subscriber, siblings: self.receivers.clone() })
     }
 
     fn allowed(
@@ -372,7 +376,8 @@ pub(crate) fn delivered(
 /// The receiving end of `M`'s service.
 #[derive(Debug)]
 pub struct Receiver<M: Message> {
-    subscriber: Subscriber<Ipc, M, ()>,
+    subscriber: Arc<Subscriber<Ipc, M, ()>>,
+    siblings: Arc<Siblings>,
 }
 
 impl<M: Message> Receiver<M> {
@@ -381,10 +386,11 @@ impl<M: Message> Receiver<M> {
     /// # Errors
     /// When the transport fails.
     pub fn next(&self) -> Result<Option<M>, BusError> {
-        match self.subscriber.receive() {
-            Ok(sample) => Ok(sample.map(|sample| *sample)),
-            Err(e) => Err(BusError::transport(M::SERVICE, e)),
+        let sample = self.subscriber.receive().map_err(|e| BusError::transport(M::SERVICE, e))?;
+        if sample.is_some() && M::SERVICE == Hello::SERVICE {
+            self.siblings.connect()?;
         }
+        Ok(sample.map(|sample| *sample))
     }
 
     /// Every message that waits, in order.
@@ -393,5 +399,36 @@ impl<M: Message> Receiver<M> {
     /// As [`Receiver::next`].
     pub fn drain(&self) -> Result<Vec<M>, BusError> {
         std::iter::from_fn(|| self.next().transpose()).collect()
+    }
+}
+
+/// All receivers of a process, without keeping them.
+#[derive(Debug, Default)]
+struct Siblings(Mutex<Vec<Weak<dyn Connect>>>);
+
+/// Something that can connect to the senders there are.
+trait Connect: Debug + Send + Sync {
+    fn connect(&self) -> Result<(), ConnectionFailure>;
+}
+
+impl<M: Message> Connect for Subscriber<Ipc, M, ()> {
+    fn connect(&self) -> Result<(), ConnectionFailure> {
+        self.update_connections()
+    }
+}
+
+impl Siblings {
+    fn add(&self, receiver: Arc<dyn Connect>) {
+        let mut all = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        all.retain(|other| other.strong_count() > 0);
+        all.push(Arc::downgrade(&receiver));
+    }
+
+    fn connect(&self) -> Result<(), BusError> {
+        let all = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        all.iter()
+            .filter_map(Weak::upgrade)
+            .try_for_each(|receiver| receiver.connect())
+            .map_err(|e| BusError::transport("connecting to a process that said hello", e))
     }
 }

@@ -81,8 +81,7 @@ fn first_and_last_words_arrive_from_a_sender_that_nobody_kept() {
         (orchestrator.receiver::<Hello>().unwrap(), orchestrator.receiver::<Farewell>().unwrap());
     let policy = bus(attach, Role::Policy);
     policy.sender::<Hello>().unwrap().send(&Zeroable::zeroed()).unwrap();
-    // The orchestrator looks through all its queues whenever it wakes.
-    assert!(hellos.next().unwrap().is_some() && farewells.next().unwrap().is_none());
+    assert!(hellos.next().unwrap().is_some());
     policy.sender::<Farewell>().unwrap().send(&Zeroable::zeroed()).unwrap();
     policy.sender::<Farewell>().unwrap().send(&Zeroable::zeroed()).unwrap();
     drop(policy);
