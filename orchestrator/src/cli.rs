@@ -121,10 +121,19 @@ pub fn main() -> ExitCode {
         // `memtransfer ls cases | head` is no failure of anything.
         Err(error) if is_closed_pipe(&error) => Exit::Complete.into(),
         Err(error) => {
-            eprintln!("memtransfer: {error:#}");
+            eprintln!("memtransfer: {}", said_once(&error));
             Exit::CouldNot.into()
         }
     }
+}
+
+/// An error and its causes in one line, without what an error already says about its own cause.
+fn said_once(error: &anyhow::Error) -> String {
+    error.chain().fold(String::new(), |said, cause| match cause.to_string() {
+        cause if said.is_empty() => cause,
+        cause if said.contains(&cause) => said,
+        cause => format!("{said}: {cause}"),
+    })
 }
 
 fn is_closed_pipe(error: &anyhow::Error) -> bool {
@@ -189,6 +198,14 @@ mod tests {
         fn render_help(mut self) -> String {
             clap::Command::render_help(&mut self).to_string()
         }
+    }
+
+    #[test]
+    fn causes_are_said_once() {
+        let missing = || io::Error::new(io::ErrorKind::NotFound, "no such file");
+        let own = anyhow::Error::from(missing()).context("cannot read x: no such file");
+        assert_eq!(said_once(&own), "cannot read x: no such file");
+        assert_eq!(said_once(&own.context("no suite")), "no suite: cannot read x: no such file");
     }
 
     #[test]

@@ -146,7 +146,8 @@ impl Tally {
     fn line(&self, running: Duration) -> String {
         let mut parts = vec![format!("{}/{} episodes", self.done(), self.total)];
         let seconds = running.as_secs_f64();
-        if seconds > 0.0 {
+        // Over less than a second a rate says nothing.
+        if seconds >= 1.0 {
             parts.push(format!("{:.0} steps/s", self.steps as f64 / seconds));
         }
         let (episodes, successes) =

@@ -56,8 +56,25 @@ pub struct ConditionScore {
     pub unread: Option<f64>,
     /// Percentage of retrievals that came from another case's demonstrations.
     pub from_other_cases: Option<f64>,
-    /// Mean microseconds of a step in each stage, in the order of [`Stages::NAMES`].
-    pub stage_us: Option<[f64; Stages::NAMES.len()]>,
+    /// Mean microseconds of a step in each stage that there was, by the names of [`Stages::NAMES`], and in
+    /// all of them together.
+    pub stage_us: Option<StageTimes>,
+}
+
+/// Where the time of a step went, in microseconds.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct StageTimes {
+    /// From a command to the next one.
+    pub sum: f64,
+    /// The stages, in order.
+    pub stages: Vec<(&'static str, f64)>,
+}
+
+impl StageTimes {
+    /// The stage called `name`; `None` when the episodes have no such stage.
+    pub fn of(&self, name: &str) -> Option<f64> {
+        self.stages.iter().find(|(stage, _)| *stage == name).map(|(_, us)| *us)
+    }
 }
 
 /// A figure over runs.
@@ -170,6 +187,8 @@ fn score_condition(
     };
     let timed: Vec<&EpisodeTimings> =
         records.iter().filter_map(|record| timings.get(record.key.as_str()).copied()).collect();
+    // The expert is not asked, so there is nothing to wait for after the view.
+    let asked = records.iter().any(|record| record.requests.is_some());
     Some(ConditionScore {
         condition,
         episodes: records.len() + errored.len(),
@@ -186,7 +205,11 @@ fn score_condition(
         tokens_per_100: tokens_per_100(records),
         unread: unread(records),
         from_other_cases: from_other_cases(records),
-        stage_us: stage_us(&timed),
+        stage_us: stage_us(&timed, |stage| match stage {
+            "command" | "dynamics" | "render" => true,
+            "embed" | "search" => asked && condition.memory.uses_demonstrations(),
+            _ => asked,
+        }),
     })
 }
 
@@ -249,11 +272,17 @@ fn from_other_cases(records: &[&EpisodeRecord]) -> Option<f64> {
     percentage(matches.map(|word| word.contains(':')))
 }
 
-fn stage_us(timings: &[&EpisodeTimings]) -> Option<[f64; Stages::NAMES.len()]> {
+/// Means over all steps, of the stages that there are.
+fn stage_us(timings: &[&EpisodeTimings], exists: impl Fn(&str) -> bool) -> Option<StageTimes> {
     let steps: u64 = timings.iter().map(|timings| u64::from(timings.steps)).sum();
     let mut sum = Stages::default();
     timings.iter().for_each(|timings| sum += timings.stages);
-    (steps > 0).then(|| sum.values().map(|ns| ns as f64 / 1000.0 / steps as f64))
+    let means = sum.values().map(|ns| ns as f64 / 1000.0 / steps as f64);
+    let named = Stages::NAMES.into_iter().zip(means);
+    (steps > 0).then(|| StageTimes {
+        sum: means.iter().sum(),
+        stages: named.filter(|(stage, _)| exists(stage)).collect(),
+    })
 }
 
 /// Steps over running time, which is for each session from its first episode's start to its last one's end.
@@ -358,6 +387,8 @@ mod tests {
         let mut expert = record("a", true);
         (expert.requests, expert.images) = (None, None);
         let mut without = log(vec![expert]);
+        let stages = only(&without).stage_us.unwrap();
+        assert_eq!((stages.of("render"), stages.of("embed")), (Some(1.0), None));
         without.timings.clear();
         let found = only(&without);
         assert_eq!((found.images_per_request, found.unread, found.stage_us), (None, None, None));
@@ -414,7 +445,8 @@ mod tests {
         let found = only(&log);
         assert!((found.from_other_cases.unwrap() - 100.0 / 3.0).abs() < 1e-9);
         assert_eq!(found.unread, Some(20.0));
-        assert_eq!(found.stage_us, Some([1.0; 10]));
+        let stages = Stages::NAMES.map(|name| (name, 1.0)).to_vec();
+        assert_eq!(found.stage_us, Some(StageTimes { sum: 10.0, stages }));
         // 10 steps in the 2 seconds that the test's timings say.
         assert_eq!(score(&log).steps_per_s, Some(5.0));
     }

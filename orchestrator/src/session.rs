@@ -87,7 +87,7 @@ impl Observer for Session<'_> {
             }
         }
         self.generation = generation;
-        self.progress.phase("starting the processes, loading the encoder");
+        self.progress.phase("starting the processes");
     }
 
     fn ready(&mut self, facts: &BTreeMap<Role, Facts>) -> Result<()> {
@@ -102,7 +102,12 @@ impl Observer for Session<'_> {
         for change in self.folder.introduce(processes)? {
             self.progress.note(&change);
         }
-        self.progress.phase("looking at the demonstrations");
+        let remembers = facts.contains_key(&Role::Memory);
+        self.progress.phase(if remembers {
+            "looking at the demonstrations"
+        } else {
+            "setting out"
+        });
         Ok(())
     }
 

@@ -3,7 +3,7 @@
 use comfy_table::{Cell, CellAlignment, LineStyle, Table, TableStyle};
 
 use crate::conditions::{Frames, PolicyKind};
-use crate::log::{RunLog, Stages};
+use crate::log::RunLog;
 use crate::score::{ConditionScore, Scores, Spread, score};
 
 /// What stands where nothing was measured.
@@ -72,23 +72,18 @@ fn times(scores: &Scores) -> Option<Table> {
         .collect();
     let mut table = table(&header, 4);
     for score in &scores.conditions {
-        let Some(stages) = score.stage_us else { continue };
+        let Some(times) = &score.stage_us else { continue };
         let condition = score.condition;
-        let of = |name: &str| {
-            let index = Stages::NAMES.iter().position(|stage| *stage == name);
-            index.map_or(0.0, |index| stages[index])
-        };
-        let sum: f64 = stages.iter().sum();
-        let work: Vec<f64> = WORK.into_iter().map(of).collect();
-        let between = sum - work.iter().sum::<f64>();
+        let work = WORK.map(|stage| times.of(stage));
+        let between = times.sum - work.iter().flatten().sum::<f64>();
         let mut row = vec![
             condition.memory.to_string(),
             condition.start.to_string(),
             condition.route.to_string(),
             condition.demonstrations.to_string(),
         ];
-        let figures = work.into_iter().chain([between, sum]);
-        row.extend(figures.map(|us| figure(Some(us), 0)));
+        row.extend(work.map(|us| figure(us, 0)));
+        row.extend([between, times.sum].map(|us| figure(Some(us), 0)));
         table.add_row(row);
     }
     (table.row_count() > 0).then_some(table)

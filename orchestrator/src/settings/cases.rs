@@ -91,7 +91,12 @@ pub fn select_cases(
     selectors: &[CaseSelector],
     limit: Option<u32>,
 ) -> Result<Vec<usize>, UnknownName> {
-    let unknown = |given: &str| UnknownName::new("case", given, ids.iter().copied());
+    let unknown = |given: &str| {
+        let mut tasks: Vec<&str> =
+            ids.iter().filter_map(|id| Some(id.split_once('-')?.0)).collect();
+        tasks.dedup();
+        UnknownName::new("case", given, ids.iter().copied().chain(tasks))
+    };
     let position = |name: &str| ids.iter().position(|id| *id == name).ok_or_else(|| unknown(name));
     let mut chosen = vec![false; ids.len()];
     for selector in selectors {
@@ -157,7 +162,7 @@ mod tests {
 
     #[test]
     fn cases_that_do_not_exist_are_named() {
-        insta::assert_snapshot!(select("t02-1", None).unwrap_err(), @"unknown case `t02-1`: did you mean `t02-01`? (known: t01-01, t01-02, t02-01, t02-02, t03-01, t03-02)");
+        insta::assert_snapshot!(select("t02-1", None).unwrap_err(), @"unknown case `t02-1`: did you mean `t02-01`? (known: t01-01, t01-02, t02-01, t02-02, t03-01, t03-02, t01, t02, t03)");
         insta::assert_snapshot!(select("5-7", None).unwrap_err(), @"unknown case `5-7` (known: 1-6)");
         insta::assert_snapshot!(select("0", None).unwrap_err(), @"`0` is neither a case (t03-07), a task (t03), a number (37) nor a range (1-10, t03-01..t04-10)");
         assert!(

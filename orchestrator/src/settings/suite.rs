@@ -53,7 +53,7 @@ impl fmt::Display for SuiteName {
 pub enum SuiteError {
     /// No suite has the name.
     #[error("{0}; a file is named by its path, for example ./my-suite.toml")]
-    Unknown(#[from] UnknownName),
+    Unknown(UnknownName),
     /// The file cannot be read.
     #[error("cannot read suite {}: {source}", path.display())]
     Unreadable {
@@ -109,7 +109,8 @@ pub fn load_suite(suite: &SuiteName, assets: Option<&Path>) -> Result<Layer, Sui
     match SHIPPED.iter().find(|(name, _)| *name == suite.0) {
         Some((name, text)) => parse(name, text),
         None => {
-            Err(UnknownName::new("suite", &suite.0, SHIPPED.iter().map(|(name, _)| *name)).into())
+            let known = SHIPPED.iter().map(|(name, _)| *name);
+            Err(SuiteError::Unknown(UnknownName::new("suite", &suite.0, known)))
         }
     }
 }
