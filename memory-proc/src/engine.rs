@@ -184,6 +184,11 @@ impl<P: Clone> Engine<P> {
         None
     }
 
+    /// How many pictures are known to wait for their embeddings, those in work included.
+    pub fn waiting(&self) -> usize {
+        self.urgent.len() + self.background.len() + self.in_flight.len()
+    }
+
     fn start_embedding(&mut self, content: ContentHash) -> bool {
         self.embeddings.get(&content).is_none() && self.in_flight.insert(content)
     }

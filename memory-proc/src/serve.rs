@@ -7,13 +7,13 @@ use std::fmt::Display;
 use std::num::NonZeroUsize;
 use std::path::PathBuf;
 use std::sync::Arc;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use anyhow::{Context, bail};
 use bytemuck::Zeroable;
 use shm_types::message::{
-    Farewell, FrameId, Hello, MemoryBrief, Observation, Recall, RecallTrace, Role, Stop, View,
-    ViewRequest, WIRE_VERSION, write_text,
+    Busy, Farewell, FrameId, Hello, MemoryBrief, Observation, Recall, RecallTrace, Role, Stop,
+    View, ViewRequest, WIRE_VERSION, write_text,
 };
 use shm_types::process::{die_with_parent, monotonic_ns};
 use shm_types::{
@@ -31,6 +31,9 @@ use crate::paths::Cache;
 
 /// How long the loop sleeps when nobody rings. Only a look around; nothing waits for it.
 const LONGEST_SLEEP: Duration = Duration::from_secs(1);
+
+/// How often the orchestrator is told that images wait.
+const BUSY_INTERVAL: Duration = Duration::from_secs(1);
 
 /// How long to stay after saying why one cannot go on. What was sent is lost with its sender for a receiver
 /// that has not looked since, and the orchestrator may just be waking up.
@@ -116,6 +119,7 @@ struct Ports {
     recalls: Sender<Recall>,
     traces: Sender<RecallTrace>,
     requests: Sender<ViewRequest>,
+    busy: Sender<Busy>,
     sim: Bell,
     policy: Bell,
     orchestrator: Bell,
@@ -132,6 +136,7 @@ impl Ports {
             recalls: bus.sender()?,
             traces: bus.sender()?,
             requests: bus.sender()?,
+            busy: bus.sender()?,
             sim: bus.bell(Role::Sim)?,
             policy: bus.bell(Role::Policy)?,
             orchestrator: bus.bell(Role::Orchestrator)?,
@@ -145,6 +150,10 @@ struct Server<'a> {
     complaints: &'a mut Complaints,
     engine: Engine<Arc<Frame>>,
     encoder: Encoder,
+    /// Images embedded so far.
+    embedded: u64,
+    /// When the orchestrator was last told that images wait, and how many were embedded then.
+    told_busy: (Instant, u64),
 }
 
 impl<'a> Server<'a> {
@@ -174,7 +183,8 @@ impl<'a> Server<'a> {
             Engine::new(warehouse, cases.cases, attach.lanes, room_for_views(attach), embeddings);
         bus.sender()?.send(&hello(encoder.facts())?)?;
         ports.orchestrator.ring()?;
-        Ok(Self { bus, ports, complaints, engine, encoder })
+        let told_busy = (Instant::now(), 0);
+        Ok(Self { bus, ports, complaints, engine, encoder, embedded: 0, told_busy })
     }
 
     fn run(mut self) -> anyhow::Result<()> {
@@ -205,10 +215,11 @@ impl<'a> Server<'a> {
         if !requests.is_empty() {
             self.ports.sim.ring()?;
         }
-        if answered || self.complaints.count() != complaints {
+        self.feed_the_encoder()?;
+        let told = self.tell_when_busy()?;
+        if answered || told || self.complaints.count() != complaints {
             self.ports.orchestrator.ring()?;
         }
-        self.feed_the_encoder()?;
         self.let_go_of_frames()?;
         Ok(self.ports.stops.next()?.is_some())
     }
@@ -281,8 +292,21 @@ impl<'a> Server<'a> {
             if let Err(error) = self.engine.embedded(content, embedding?) {
                 self.complaints.raise(format_args!("{error}; this run goes on without it"));
             }
+            self.embedded += 1;
         }
         Ok(())
+    }
+
+    fn tell_when_busy(&mut self) -> anyhow::Result<bool> {
+        let (waiting, embedded) = (self.engine.waiting() as u64, self.embedded);
+        let (when, before) = self.told_busy;
+        // An encoder that hangs is not at work.
+        let is_news = waiting > 0 && embedded > before && when.elapsed() >= BUSY_INTERVAL;
+        if is_news {
+            self.told_busy = (Instant::now(), embedded);
+            self.ports.busy.send(&Busy { embedded, waiting })?;
+        }
+        Ok(is_news)
     }
 
     fn answer(&mut self) -> anyhow::Result<bool> {

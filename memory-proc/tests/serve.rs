@@ -11,7 +11,7 @@ use std::time::{Duration, Instant};
 use bytemuck::Zeroable;
 use memory_proc::paths::Cache;
 use shm_types::message::{
-    Complaint, Farewell, FrameId, Hello, MAX_SEGMENT, MAX_WINDOW, MemoryBrief, NO_ACTION,
+    Busy, Complaint, Farewell, FrameId, Hello, MAX_SEGMENT, MAX_WINDOW, MemoryBrief, NO_ACTION,
     NOT_MEASURED, Observation, Recall, RecallTrace, Representation, Role, Stop, View, ViewRequest,
     ViewRequestKind, read_text,
 };
@@ -55,6 +55,7 @@ struct Stage {
 struct Idle {
     _observations: [Receiver<Observation>; 2],
     _stops: [Receiver<Stop>; 2],
+    _busy: Receiver<Busy>,
     _frames: FrameStore,
 }
 
@@ -86,6 +87,7 @@ impl Stage {
             .unwrap();
         let idle = Idle {
             _observations: [&orchestrator, &policy].map(|bus| bus.receiver().unwrap()),
+            _busy: orchestrator.receiver().unwrap(),
             _stops: [&sim, &policy].map(|bus| bus.receiver().unwrap()),
             _frames: FrameStore::new(&policy).unwrap(),
         };

@@ -426,8 +426,9 @@ impl<'w> Lanes<'w> {
         self.lanes.iter_mut().filter_map(Option::take).map(|walk| walk.walked.episode).collect()
     }
 
-    /// The answer that has been owed for longest, if any is.
-    pub fn slowest(&self) -> Option<Owed> {
+    /// The answer that has been owed for longest, if any is. Memory owes nothing from before
+    /// `memory_busy_ns`, when it was last known to be at work.
+    pub fn slowest(&self, memory_busy_ns: u64) -> Option<Owed> {
         let owed = (0..).zip(&self.lanes).filter_map(|(lane, walk)| {
             let walk = walk.as_ref()?;
             let role = match (walk.asked, walk.trace) {
@@ -435,7 +436,11 @@ impl<'w> Lanes<'w> {
                 (Asked::Decision, None) => Role::Memory,
                 (Asked::Decision, Some(_)) => Role::Policy,
             };
-            Some(Owed { role, lane, since_ns: walk.since_ns, rubbish: walk.walked.rubbish })
+            let since_ns = match role {
+                Role::Memory => walk.since_ns.max(memory_busy_ns),
+                _ => walk.since_ns,
+            };
+            Some(Owed { role, lane, since_ns, rubbish: walk.walked.rubbish })
         });
         owed.min_by_key(|owed| owed.since_ns)
     }

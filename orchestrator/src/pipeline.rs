@@ -17,8 +17,8 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, Result, bail};
 use bytemuck::Zeroable;
 use shm_types::message::{
-    Complaint, Decision, Farewell, Hello, MemoryBrief, Observation, PolicyBrief, RecallTrace, Role,
-    StepCommand, Stop, WIRE_VERSION, read_text,
+    Busy, Complaint, Decision, Farewell, Hello, MemoryBrief, Observation, PolicyBrief, RecallTrace,
+    Role, StepCommand, Stop, WIRE_VERSION, read_text,
 };
 use shm_types::process::monotonic_ns;
 use shm_types::{Attach, Bell, Bus, Receiver, Sender};
@@ -189,6 +189,8 @@ struct Generation {
     commands: Sender<StepCommand>,
     stops: Sender<Stop>,
     inbox: Inbox,
+    /// When memory was last known to be at work.
+    memory_busy_ns: u64,
     bells: BTreeMap<Role, Bell>,
     bus: Bus,
 }
@@ -197,6 +199,7 @@ struct Generation {
 struct Inbox {
     observations: Receiver<Observation>,
     traces: Receiver<RecallTrace>,
+    busy: Receiver<Busy>,
     decisions: Receiver<Decision>,
     hellos: Receiver<Hello>,
     complaints: Receiver<Complaint>,
@@ -216,6 +219,7 @@ impl Generation {
         let inbox = Inbox {
             observations: bus.receiver()?,
             traces: bus.receiver()?,
+            busy: bus.receiver()?,
             decisions: bus.receiver()?,
             hellos: bus.receiver()?,
             complaints: bus.receiver()?,
@@ -237,8 +241,17 @@ impl Generation {
             })
             .collect();
         let crew = Crew::start(&launches, &crewing.logs)?;
-        let mut generation =
-            Self { crew, memory_briefs, policy_briefs, commands, stops, inbox, bells, bus };
+        let mut generation = Self {
+            crew,
+            memory_briefs,
+            policy_briefs,
+            commands,
+            stops,
+            inbox,
+            memory_busy_ns: 0,
+            bells,
+            bus,
+        };
         let Some(facts) = generation.wait_until_ready(crewing, stop, observer)? else {
             return Ok(None);
         };
@@ -404,10 +417,16 @@ impl Generation {
         observer: &mut dyn Observer,
     ) -> Result<(), Failure> {
         self.pass_on_complaints(observer)?;
+        if !self.inbox.busy.drain()?.is_empty() {
+            self.memory_busy_ns = monotonic_ns();
+        }
         if let Some(death) = self.crew.death() {
             return Err(Failure::Again(death.to_string()));
         }
-        let Some(Owed { role, lane, since_ns, rubbish }) = lanes.slowest() else { return Ok(()) };
+        let Some(Owed { role, lane, since_ns, rubbish }) = lanes.slowest(self.memory_busy_ns)
+        else {
+            return Ok(());
+        };
         let owed = Duration::from_nanos(monotonic_ns().saturating_sub(since_ns));
         if owed <= crewing.answer_deadline {
             return Ok(());

@@ -317,6 +317,16 @@ messages! {
         reserved: u32,
     }
 
+    /// Memory to orchestrator, about once a second while images wait to be embedded: it is at work, however
+    /// long an answer takes. Where nothing is cached, the views of many lanes' demonstrations do take long.
+    Busy, "memtransfer.Busy", "busy", 16 bytes,
+        [Memory] to [Orchestrator], Few {
+        /// Images embedded since the sender started.
+        embedded: u64,
+        /// Images known to wait.
+        waiting: u64,
+    }
+
     /// Policy to orchestrator: what to do.
     Decision, "memtransfer.Decision", "decision", 64 bytes,
         [Policy] to [Orchestrator], Lanes {
@@ -532,7 +542,7 @@ mod tests {
     macro_rules! every_message {
         ($check:ident $(, $argument:expr)*) => {
             every_message!(@ $check, ($($argument),*), StepCommand Observation MemoryBrief PolicyBrief
-                ViewRequest View Eviction Recall RecallTrace Decision Hello Complaint Farewell Stop)
+                ViewRequest View Eviction Recall RecallTrace Busy Decision Hello Complaint Farewell Stop)
         };
         (@ $check:ident, $arguments:tt, $($message:ident)*) => {$($check::<$message>$arguments;)*};
     }
