@@ -1,24 +1,33 @@
 //! The grounded policy: a scripted stand-in for a model, so that everything runs offline.
 //!
-//! It looks at the pixels of the frames it is given and at nothing a model would not get: it reads label
-//! plates ([`plates`]), compares pictures ([`likeness`]), follows what memory offers where it fits what it
-//! sees, walks to what is asked for when it sees it, and explores otherwise. It keeps nothing of an
-//! episode: what it knows of earlier steps it works out anew from the window each time.
+//! It looks at the pixels of the frames it is given and at nothing a model would not get. It reads label
+//! plates ([`plates`]) and compares pictures; it follows what memory offers where that fits what it sees,
+//! walks to what is asked for when it sees it, and explores otherwise. It keeps nothing of an episode: what
+//! it knows of earlier steps it works out anew from the window each time.
 //!
 //! It is a stand-in: its results say that the machinery works, not how well a model would do.
 
+mod decide;
+mod explore;
+mod geometry;
+mod history;
 mod instruction;
 #[cfg(test)]
 mod painter;
-mod plates;
-
-use shm_types::Action;
+mod percept;
+pub mod plates;
+mod recognise;
+mod sketch;
+mod surroundings;
 
 use crate::{Decision, Policy, Request};
+use percept::Percepts;
 
-/// The grounded policy. What it keeps is what it saw in frames, which never change.
+/// The grounded policy. All it keeps is what it saw in frames, which never change.
 #[derive(Debug, Default)]
-pub struct Grounded {}
+pub struct Grounded {
+    percepts: Percepts,
+}
 
 impl Policy for Grounded {
     fn name(&self) -> &str {
@@ -30,6 +39,12 @@ impl Policy for Grounded {
     }
 
     fn act(&mut self, batch: &[Request<'_>]) -> Vec<Decision> {
-        batch.iter().map(|request| Decision::act(request, Action::Forward)).collect()
+        let percepts = &mut self.percepts;
+        let decide = |request| Decision::act(request, decide::action(request, percepts));
+        batch.iter().map(decide).collect()
     }
 }
+#[doc(hidden)]
+pub fn scratch(rem: &crate::FrameView<'_>, cur: &crate::FrameView<'_>, here: shm_types::Pose, p: &mut Scratch) -> Option<shm_types::Pose> { let (a, b) = (p.0.of(rem), p.0.of(cur)); recognise::pose_of(&a, &b, here) }
+#[doc(hidden)] #[derive(Default)]
+pub struct Scratch(percept::Percepts);

@@ -4,7 +4,7 @@ use shm_types::plate::{self, Plate};
 
 /// One kind of thing to stand in front of, as the plates spell it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Want {
+pub(super) enum Want {
     /// An item of the type with this code.
     Type([u8; 3]),
     /// Any item of the category with this code.
@@ -13,7 +13,7 @@ pub enum Want {
 
 impl Want {
     /// Whether the item under `plate` is one of these.
-    pub fn is_met_by(self, plate: Plate) -> bool {
+    pub(super) fn is_met_by(self, plate: Plate) -> bool {
         match self {
             Self::Type(code) => plate.0[3..] == code,
             Self::Category(code) => plate.0[..3] == code,
@@ -23,7 +23,7 @@ impl Want {
 
 /// In which way the things wanted are to be visited.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Visit {
+pub(super) enum Visit {
     /// One of it (tasks 1, 2, 7).
     One(Want),
     /// All of it (tasks 3, 4, 8).
@@ -36,7 +36,7 @@ pub enum Visit {
 
 /// Where the walk ends.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Ending {
+pub(super) enum Ending {
     /// At the last thing visited.
     There,
     /// On the cell the episode began on (tasks 7, 8, 10).
@@ -47,16 +47,16 @@ pub enum Ending {
 
 /// What an instruction asks for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Goal {
+pub(super) struct Goal {
     /// What to visit.
-    pub visit: Visit,
+    pub(super) visit: Visit,
     /// Where to end.
-    pub ending: Ending,
+    pub(super) ending: Ending,
 }
 
 impl Goal {
     /// The goal that `instruction` states; `None` when it follows none of the ten templates.
-    pub fn parse(instruction: &str) -> Option<Self> {
+    pub(super) fn parse(instruction: &str) -> Option<Self> {
         let text = instruction.strip_suffix('.')?;
         let (text, ending) = match text.strip_suffix("then return to the cell where you started") {
             Some(rest) => (rest.strip_suffix(", ")?, Ending::Origin),

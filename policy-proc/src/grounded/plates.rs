@@ -15,6 +15,7 @@ use shm_types::plate::{
 };
 use shm_types::{Cell, Heading, Pose};
 
+use super::geometry::cell_at;
 use crate::FrameView;
 
 /// How far above the camera a plate's lower edge is, in metres.
@@ -62,18 +63,8 @@ pub struct Landmark {
 impl Sighting {
     /// Where the plate is when the camera is at `camera`; `None` when that is off the grid.
     pub fn seen_from(self, camera: Pose) -> Option<Landmark> {
-        let (ahead_x, ahead_y) = camera.heading.vector();
-        let (right_x, right_y) = camera.heading.right().vector();
-        let along = |from: u8, ahead: i8, right: i8| {
-            let offset =
-                i16::from(ahead) * i16::from(self.ahead) + i16::from(right) * i16::from(self.right);
-            u8::try_from(i16::from(from) + offset).ok()
-        };
         Some(Landmark {
-            standpoint: Cell::new(
-                along(camera.cell.x, ahead_x, right_x)?,
-                along(camera.cell.y, ahead_y, right_y)?,
-            ),
+            standpoint: cell_at(camera, self.ahead, self.right)?,
             face: camera.heading.turned(self.face),
             plate: self.plate,
         })
@@ -132,7 +123,7 @@ fn magenta_runs(pixels: &[u8], width: usize, height: usize) -> Vec<Run> {
     for above in 0..horizon {
         let row = &pixels[4 * width * (horizon - 1 - above)..][..4 * width];
         for (block, pixels) in row.chunks(4 * 16).enumerate() {
-            // Most of a picture is nowhere near magenta: look at 16 pixels at a time.
+            // Most of a picture is nowhere near magenta, and 16 pixels are looked at as fast as one.
             if !pixels.chunks_exact(4).fold(false, |any, pixel| any | is_magenta(pixel)) {
                 continue;
             }

@@ -1,0 +1,86 @@
+//! From where was a remembered view taken, if it shows the place that is seen now?
+//!
+//! Two pictures that are alike were taken from the same pose. Otherwise plates that are in both give it
+//! away: each says where the remembered camera must have stood for the plate to be where it is, and when
+//! several agree and none objects, it is believed.
+
+use shm_types::Pose;
+
+use super::geometry::{cell_at, offset_of, quarters};
+use super::percept::Percept;
+use super::plates::{Landmark, Sighting};
+
+/// Plates that must agree.
+const LEAST_AGREEING: i32 = 3;
+
+/// Where `remembered` was taken, given that `current` is what is seen from `here`.
+pub(super) fn pose_of(remembered: &Percept, current: &Percept, here: Pose) -> Option<Pose> {
+    let alike = current.sketch.is_like(&remembered.sketch);
+    if alike && current.sightings == remembered.sightings {
+        return Some(here);
+    }
+    by_landmarks(&remembered.sightings, &current.sightings, here)
+}
+
+fn by_landmarks(remembered: &[Sighting], current: &[Sighting], here: Pose) -> Option<Pose> {
+    let landmarks: Vec<Landmark> =
+        current.iter().filter_map(|sighting| sighting.seen_from(here)).collect();
+    let mut candidates: Vec<Pose> = Vec::new();
+    for landmark in &landmarks {
+        for sighting in remembered.iter().filter(|sighting| sighting.plate == landmark.plate) {
+            candidates.extend(camera_of(*sighting, landmark));
+        }
+    }
+    candidates.sort_unstable();
+    candidates.dedup();
+    let mut scored: Vec<(i32, Pose)> = candidates
+        .into_iter()
+        .filter_map(|pose| Some((support(pose, remembered, &landmarks, here)?, pose)))
+        .collect();
+    scored.sort_unstable_by_key(|&(score, _)| std::cmp::Reverse(score));
+    match scored[..] {
+        [(best, pose)] if best > 0 => Some(pose),
+        [(best, pose), (second, _), ..] if best > 0 && best > second => Some(pose),
+        _ => None,
+    }
+}
+
+/// The pose from which `landmark` is seen as `sighting`.
+fn camera_of(sighting: Sighting, landmark: &Landmark) -> Option<Pose> {
+    let heading = landmark.face.turned(-sighting.face);
+    let standpoint = Pose { cell: landmark.standpoint, heading };
+    Some(Pose { cell: cell_at(standpoint, -sighting.ahead, -sighting.right)?, heading })
+}
+
+/// How well the plates of both views go together when the remembered one was taken from `pose`: `None`
+/// when too few agree, or one says something else than the plate in the same place.
+fn support(pose: Pose, remembered: &[Sighting], current: &[Landmark], here: Pose) -> Option<i32> {
+    let placed: Vec<Landmark> =
+        remembered.iter().filter_map(|sighting| sighting.seen_from(pose)).collect();
+    let (mut agreeing, mut missing) = (0, 0);
+    for landmark in &placed {
+        let same_place = |other: &&Landmark| {
+            other.standpoint == landmark.standpoint && other.face == landmark.face
+        };
+        match current.iter().find(same_place) {
+            Some(other) if other.plate == landmark.plate => agreeing += 1,
+            Some(_) => return None,
+            None => missing += i32::from(is_easily_seen(landmark, here)),
+        }
+    }
+    let unremembered =
+        |landmark: &&Landmark| is_easily_seen(landmark, pose) && !placed.contains(landmark);
+    missing += current.iter().filter(unremembered).count() as i32;
+    (agreeing >= LEAST_AGREEING).then_some(agreeing - missing)
+}
+
+/// Whether a plate would be read from `camera` unless something stands in between.
+fn is_easily_seen(landmark: &Landmark, camera: Pose) -> bool {
+    let (ahead, right) = offset_of(camera, landmark.standpoint);
+    match quarters(camera.heading, landmark.face) {
+        0 => (1..=5).contains(&ahead) && right.abs() <= ahead,
+        1 => (1..=5).contains(&ahead) && (0..ahead).contains(&right),
+        3 => (1..=5).contains(&ahead) && (0..ahead).contains(&-right),
+        _ => false,
+    }
+}
