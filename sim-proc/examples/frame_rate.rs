@@ -1,6 +1,6 @@
 //! Prints how many views a second the renderer draws, over every pose of the warehouse.
 //!
-//!     cargo run --release -p sim-proc --example frame_rate -- [rounds]
+//!     cargo run --release -p sim-proc --example frame_rate -- [rounds] [samples]
 //!
 //! Slots are page-aligned memory of this process; publishing them is not measured.
 
@@ -23,29 +23,42 @@ fn main() -> Result<()> {
         .free_cells()
         .flat_map(|cell| Heading::ALL.map(|heading| Pose { cell, heading }))
         .collect();
+    let only: Option<u32> = std::env::args().nth(2).map(|text| text.parse()).transpose()?;
     for samples in [Samples::One, Samples::Four] {
+        if only.is_some_and(|only| only != samples.count()) {
+            continue;
+        }
         for batch in [1, 8] {
             let begun = Instant::now();
             let settings = RenderSettings { samples, ..RenderSettings::default() };
             let mut renderer = Renderer::new(&warehouse, settings)?;
             let start = begun.elapsed();
             let mut times = Vec::new();
+            let cpu = cpu_time();
             for _ in 0..rounds {
                 times.push(all_poses(&mut renderer, &poses, batch)?);
             }
+            let cpu = (cpu_time() - cpu) / (rounds * poses.len() as u32);
             let best = times.iter().min().copied().unwrap_or(Duration::MAX);
             println!(
                 "{} sample(s), batches of {batch}: {:.0} views a second at best, {:.0} in the first \
-                 round; start {:.0} ms; {}",
+                 round; {:.2} ms of processor time a view; start {:.0} ms; {}",
                 samples.count(),
                 poses.len() as f64 / best.as_secs_f64(),
                 poses.len() as f64 / times[0].as_secs_f64(),
+                cpu.as_secs_f64() * 1e3,
                 start.as_secs_f64() * 1e3,
                 renderer.report().adapter,
             );
         }
     }
     Ok(())
+}
+
+/// What all threads of this process have used so far: steadier than the clock on a busy machine.
+fn cpu_time() -> Duration {
+    let now = rustix::time::clock_gettime(rustix::time::ClockId::ProcessCPUTime);
+    Duration::new(now.tv_sec as u64, now.tv_nsec as u32)
 }
 
 /// Draws every pose once and says how long it took.

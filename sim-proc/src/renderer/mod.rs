@@ -32,6 +32,7 @@ use pipelines::{Pipelines, ViewSlots};
 use scene::{Scene, barricade_sides};
 use target::Target;
 use vertex::ViewUniform;
+use visibility::{DrawList, Triangles};
 
 pub use error::RenderError;
 pub use output::Destination;
@@ -249,7 +250,8 @@ impl Renderer {
             let scene = &self.scene;
             let visible =
                 self.visible.entry(pose).or_insert_with(|| visibility::visible(scene, &camera));
-            self.slots.push(scene, &uniform(&camera), &barricades, visible);
+            let list = DrawList::new(scene, &camera, visible, Triangles::Facing);
+            self.slots.push(scene, &uniform(&camera), &list, &barricades);
         }
         self.draw(jobs.iter_mut().map(|job| &mut job.destination).collect())
     }

@@ -11,6 +11,7 @@ use super::scene::{Layer, Scene};
 use super::target::{COLOUR_FORMAT, DEPTH_FORMAT};
 use super::text::{Atlas, MIP_LEVELS};
 use super::vertex::{Placement, PlateVertex, SolidVertex, TextVertex, Vertex, ViewUniform};
+use super::visibility::DrawList;
 
 /// What all shaders begin with.
 pub(super) const VIEW_WGSL: &str = include_str!("shader/view.wgsl");
@@ -209,9 +210,7 @@ fn lettering(gpu: &Gpu, atlas: &Atlas) -> (wgpu::BindGroupLayout, wgpu::BindGrou
         label: Some("lettering"),
         mag_filter: wgpu::FilterMode::Linear,
         min_filter: wgpu::FilterMode::Linear,
-        mipmap_filter: wgpu::MipmapFilterMode::Linear,
-        // A label is mostly seen aslant, along the aisle.
-        anisotropy_clamp: 8,
+        mipmap_filter: wgpu::MipmapFilterMode::Nearest,
         ..Default::default()
     });
     let entry = |binding, ty| wgpu::BindGroupLayoutEntry {
@@ -311,31 +310,25 @@ impl ViewSlots {
         self.placement_list.push(Placement::IDENTITY);
     }
 
-    /// Adds a view of some objects of the scene, in the order given, and of barricades.
+    /// Adds a view of what `list` names, and of barricades.
     pub(super) fn push(
         &mut self,
         scene: &Scene,
         uniform: &ViewUniform,
+        list: &DrawList,
         barricades: &[Placement],
-        objects: &[u32],
     ) {
         self.uniform_bytes.resize(self.slots.len() * UNIFORM_STRIDE, 0);
         self.uniform_bytes.extend_from_slice(bytemuck::bytes_of(uniform));
-
-        let list = &mut self.index_list;
-        let mut layer = |indices: &[u32], ranges: &mut dyn Iterator<Item = Range<usize>>| {
-            let first = list.len() as u32;
-            for range in ranges {
-                list.extend_from_slice(&indices[range]);
-            }
-            first..list.len() as u32
-        };
-        let drawn = || objects.iter().map(|&index| &scene.objects[index as usize]);
-        let solid = layer(&scene.solid.indices, &mut drawn().map(|object| object.solid.clone()));
-        let plate = layer(&scene.plate.indices, &mut drawn().map(|object| object.plate.clone()));
-        let text = layer(&scene.text.indices, &mut drawn().map(|object| object.text.clone()));
         let pieces = if barricades.is_empty() { 0..0 } else { scene.barricade.clone() };
-        let barricade = layer(&scene.solid.indices, &mut std::iter::once(pieces));
+        let mut indices = |add: &[u32]| {
+            let first = self.index_list.len() as u32;
+            self.index_list.extend_from_slice(add);
+            first..self.index_list.len() as u32
+        };
+        let (solid, plate, text) =
+            (indices(&list.solid), indices(&list.plate), indices(&list.text));
+        let barricade = indices(&scene.solid.indices[pieces]);
         let first = self.placement_list.len() as u32;
         self.placement_list.extend_from_slice(barricades);
         let placements = first..self.placement_list.len() as u32;

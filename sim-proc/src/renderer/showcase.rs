@@ -6,7 +6,8 @@ use warehouse::Warehouse;
 use super::camera::Camera;
 use super::scene::showcase;
 use super::text::{Lettering, coverage};
-use super::{Destination, RenderError, RenderSettings, Renderer, uniform, visibility};
+use super::visibility::{DrawList, Triangles, visible};
+use super::{Destination, RenderError, RenderSettings, Renderer, uniform};
 
 /// Writes `text` on one line into the rectangle of `size` pixels whose top left corner is at `place`, as
 /// large as fits, in the renderer's own lettering.
@@ -51,9 +52,10 @@ pub fn exhibits(
                 stand.at[1] + distance * f32::from(back_y),
             ];
             let camera = Camera::at(at, stand.viewer, width_px, height_px);
-            let visible = visibility::visible(&renderer.scene, &camera);
+            let visible = visible(&renderer.scene, &camera);
+            let list = DrawList::new(&renderer.scene, &camera, &visible, Triangles::Facing);
             renderer.slots.clear();
-            renderer.slots.push(&renderer.scene, &uniform(&camera), &[], &visible);
+            renderer.slots.push(&renderer.scene, &uniform(&camera), &list, &[]);
             let mut picture = RgbaImage::new(width_px, height_px);
             renderer.draw(vec![&mut Destination::Memory(&mut picture)])?;
             pictures.push(picture);

@@ -6,6 +6,8 @@
 //! the picture's columns, and an object is left out when it lies behind the buffer in every column it
 //! could touch. What is taller is only tested against the edges of the picture.
 
+use std::ops::Range;
+
 use super::camera::Camera;
 use super::mesh::rack::RACK_HEIGHT_M;
 use super::scene::{Object, Scene, Screen};
@@ -19,6 +21,13 @@ const MARGIN_COLUMNS: usize = 2;
 
 /// Nearer than this, in metres, everything is seen.
 const NEAR_M: f32 = 0.1;
+
+/// From here on, in metres ahead, objects are drawn with less detail.
+const FAR_M: f32 = 4.5;
+
+/// A triangle seen nearly edge-on is left to the device, which rounds corners to its own raster: the
+/// sine of the angle below which that may matter.
+const EDGE_ON: f32 = 0.005;
 
 /// Panels meet at their ends; rounding must not open a gap there.
 const JOINT_M: f32 = 0.002;
@@ -55,6 +64,71 @@ fn footprint(object: &Object, camera: &Camera) -> [[f32; 2]; 4] {
     let (min, max) = (object.min, object.max);
     [[min[0], min[1]], [max[0], min[1]], [max[0], max[1]], [min[0], max[1]]]
         .map(|corner| in_camera(camera, corner))
+}
+
+/// What a view draws: the corners of its triangles, layer by layer.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub(super) struct DrawList {
+    pub(super) solid: Vec<u32>,
+    pub(super) plate: Vec<u32>,
+    pub(super) text: Vec<u32>,
+}
+
+/// Which triangles of the objects to draw.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Triangles {
+    /// All of them; the device leaves out those that turn their back.
+    #[cfg(test)]
+    All,
+    /// Not those that turn their back to the camera, which spares the device half of the work.
+    Facing,
+}
+
+impl DrawList {
+    /// The triangles of `objects`, in their order.
+    pub(super) fn new(
+        scene: &Scene,
+        camera: &Camera,
+        objects: &[u32],
+        triangles: Triangles,
+    ) -> Self {
+        let mut list = Self::default();
+        for &index in objects {
+            let object = &scene.objects[index as usize];
+            let depths = footprint(object, camera).map(|corner| corner[1]);
+            let nearest = depths.into_iter().fold(f32::INFINITY, f32::min);
+            let solid = if nearest < FAR_M { object.near.clone() } else { object.far.clone() };
+            match triangles {
+                #[cfg(test)]
+                Triangles::All => list.solid.extend_from_slice(&scene.solid.indices[solid]),
+                Triangles::Facing => list.facing(scene, camera, solid, reach(object, camera)),
+            }
+            list.plate.extend_from_slice(&scene.plate.indices[object.plate.clone()]);
+            list.text.extend_from_slice(&scene.text.indices[object.text.clone()]);
+        }
+        list
+    }
+
+    /// Adds the lit triangles, no farther than `reach` metres, that do not turn their back.
+    fn facing(&mut self, scene: &Scene, camera: &Camera, solid: Range<usize>, reach: f32) {
+        let [x, y, z]: [f32; 3] = camera.position.into();
+        let limit = -EDGE_ON * reach;
+        let planes = &scene.planes[solid.start / 3..solid.end / 3];
+        for (corners, plane) in scene.solid.indices[solid].chunks_exact(3).zip(planes) {
+            if plane[0] * x + plane[1] * y + plane[2] * z - plane[3] > limit {
+                self.solid.extend_from_slice(corners);
+            }
+        }
+    }
+}
+
+/// How far the farthest corner of an object's bounds is from the camera, in metres.
+fn reach(object: &Object, camera: &Camera) -> f32 {
+    let axis = |i: usize| {
+        let at = camera.position[i];
+        (at - object.min[i]).abs().max((object.max[i] - at).abs())
+    };
+    (0..3).map(|i| axis(i) * axis(i)).sum::<f32>().sqrt()
 }
 
 /// A point of the floor plan as the camera has it: to the right and ahead, in metres.

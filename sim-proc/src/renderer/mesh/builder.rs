@@ -56,16 +56,32 @@ pub(crate) struct Mesh {
     pub(crate) indices: Vec<u32>,
 }
 
+/// How finely a mesh is drawn.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Detail {
+    /// For a look from nearby.
+    Near,
+    /// For a look from several metres: fewer segments, and no small parts.
+    Far,
+}
+
+impl Detail {
+    /// Both.
+    pub(crate) const ALL: [Self; 2] = [Self::Near, Self::Far];
+}
+
 /// Draws shapes into a mesh, in the frame and the material set last.
 pub(crate) struct Builder {
     mesh: Mesh,
     mesh_from_local: Isometry3<f32>,
     material: Material,
+    detail: Detail,
 }
 
 impl Builder {
-    pub(crate) fn new() -> Self {
+    pub(crate) fn new(detail: Detail) -> Self {
         Self {
+            detail,
             mesh: Mesh::default(),
             mesh_from_local: Isometry3::identity(),
             material: Material::dull([128; 3]),
@@ -74,6 +90,21 @@ impl Builder {
 
     pub(crate) fn finish(self) -> Mesh {
         self.mesh
+    }
+
+    /// Draws a part that is too small to be seen from afar.
+    pub(crate) fn small(&mut self, draw: impl FnOnce(&mut Self)) {
+        if self.detail == Detail::Near {
+            draw(self);
+        }
+    }
+
+    /// How many of `segments` a round thing gets.
+    fn segments(&self, segments: u32) -> u32 {
+        match self.detail {
+            Detail::Near => segments,
+            Detail::Far => (segments * 9 / 20).max(4),
+        }
     }
 
     /// What follows is made of this.
@@ -160,6 +191,9 @@ impl Builder {
 
     /// A box whose upright and upper edges are cut off by `bevel` metres, which catches the light.
     pub(crate) fn bevelled(&mut self, min: [f32; 3], max: [f32; 3], bevel: f32) {
+        if self.detail == Detail::Far {
+            return self.block(min, max);
+        }
         let ([x0, y0, z0], [x1, y1, z1]) = (min, max);
         let outline = |inset: f32, z: f32| {
             let (l, r, f, b) = (x0 + inset, x1 - inset, y0 + inset, y1 - inset);
@@ -234,6 +268,7 @@ impl Builder {
 
     /// One stretch of a turned body, with a normal (outward, up) at each of its ends.
     fn ring(&mut self, ends: [[f32; 2]; 2], normals: [[f32; 2]; 2], segments: u32) {
+        let segments = self.segments(segments);
         let first = self.mesh.vertices.len() as u32;
         for i in 0..=segments {
             let angle = (i % segments) as f32 / segments as f32 * std::f32::consts::TAU;
@@ -256,6 +291,7 @@ impl Builder {
 
     /// A round bar through `path`, `sides` around, with flat ends.
     pub(crate) fn tube(&mut self, path: &[[f32; 3]], radius: f32, sides: u32) {
+        let sides = if self.detail == Detail::Far { 3 } else { sides };
         let points: Vec<Point> = path.iter().map(|&p| Point::from(p)).collect();
         let last = points.len() - 1;
         let direction = |i: usize| {
@@ -327,17 +363,19 @@ mod tests {
     use super::*;
 
     /// Every triangle must turn the same way as its corners' normals say.
-    fn assert_faces_outward(name: &str, draw: impl FnOnce(&mut Builder)) {
-        let mut builder = Builder::new();
-        builder.moved([0.3, -0.2, 0.1], |b| b.turned(Vector3::x_axis(), 30.0, draw));
-        let mesh = builder.finish();
-        assert!(!mesh.indices.is_empty());
-        for corners in mesh.indices.chunks_exact(3) {
-            let [a, b, c] = [0, 1, 2].map(|i| mesh.vertices[corners[i] as usize]);
-            let winding = (b.position - a.position).cross(&(c.position - a.position));
-            let normal = a.normal + b.normal + c.normal;
-            assert!(winding.norm() > 1e-9, "{name}: a triangle without area");
-            assert!(winding.dot(&normal) > 0.0, "{name}: a triangle faces inward");
+    fn assert_faces_outward(name: &str, draw: impl Fn(&mut Builder)) {
+        for detail in Detail::ALL {
+            let mut builder = Builder::new(detail);
+            builder.moved([0.3, -0.2, 0.1], |b| b.turned(Vector3::x_axis(), 30.0, &draw));
+            let mesh = builder.finish();
+            assert!(!mesh.indices.is_empty());
+            for corners in mesh.indices.chunks_exact(3) {
+                let [a, b, c] = [0, 1, 2].map(|i| mesh.vertices[corners[i] as usize]);
+                let winding = (b.position - a.position).cross(&(c.position - a.position));
+                let normal = a.normal + b.normal + c.normal;
+                assert!(winding.norm() > 1e-9, "{name}: a triangle without area");
+                assert!(winding.dot(&normal) > 0.0, "{name}: a triangle faces inward");
+            }
         }
     }
 

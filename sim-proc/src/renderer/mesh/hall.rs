@@ -6,7 +6,7 @@
 use shm_types::{Cell, Heading};
 use warehouse::{Layout, Square};
 
-use super::builder::{Builder, Material, Mesh, Side};
+use super::builder::{Builder, Detail, Material, Mesh, Side};
 
 /// Height of the roof above the floor, in metres.
 pub(crate) const ROOF_M: f32 = 5.6;
@@ -22,7 +22,7 @@ const TRUSS: Material = Material::dull([104, 112, 122]);
 
 /// Floor of one free cell, darker at the foot of racks and walls, with slabs of slightly different tone.
 pub(crate) fn floor(layout: &Layout, cell: Cell) -> Mesh {
-    let mut b = Builder::new();
+    let mut b = Builder::new(Detail::Near);
     let (x0, y0) = (f32::from(cell.x), f32::from(cell.y));
     let solid = solid_around(layout, cell);
     let slab = dice(u32::from(cell.x) / 4, u32::from(cell.y) / 4);
@@ -43,7 +43,7 @@ pub(crate) fn floor(layout: &Layout, cell: Cell) -> Mesh {
 
 /// Plain floor in front of (x, y), `half` metres to both sides and twice as far to the south.
 pub(crate) fn open_floor([x, y]: [f32; 2], half: f32) -> Mesh {
-    let mut b = Builder::new();
+    let mut b = Builder::new(Detail::Near);
     b.material(CONCRETE);
     let (l, r, f) = (x - half, x + half, y - 2.0 * half);
     b.polygon(&[[l, f, 0.0], [r, f, 0.0], [r, y, 0.0], [l, y, 0.0]]);
@@ -142,7 +142,7 @@ fn dice(a: u32, b: u32) -> f32 {
 
 /// The wall above the racks between two points of the floor plan, left to right from inside.
 pub(crate) fn upper_wall(from: [f32; 2], to: [f32; 2], bottom: f32) -> Mesh {
-    let mut b = Builder::new();
+    let mut b = Builder::new(Detail::Near);
     let ([x0, y0], [x1, y1]) = (from, to);
     b.material(WALL.shaded(0.94));
     b.shaded_polygon(
@@ -156,7 +156,7 @@ pub(crate) fn upper_wall(from: [f32; 2], to: [f32; 2], bottom: f32) -> Mesh {
 
 /// A stretch of roof over x0..x1, y0..y1 with a beam across its southern edge.
 pub(crate) fn roof(x0: f32, x1: f32, y0: f32, y1: f32) -> Mesh {
-    let mut b = Builder::new();
+    let mut b = Builder::new(Detail::Near);
     b.material(ROOF);
     b.polygon(&[[x0, y1, ROOF_M], [x1, y1, ROOF_M], [x1, y0, ROOF_M], [x0, y0, ROOF_M]]);
     b.material(TRUSS);
@@ -167,7 +167,7 @@ pub(crate) fn roof(x0: f32, x1: f32, y0: f32, y1: f32) -> Mesh {
 
 /// A lamp of 1.4 m that hangs above (x, y), along the aisle.
 pub(crate) fn lamp(x: f32, y: f32, north_south: bool) -> Mesh {
-    let mut b = Builder::new();
+    let mut b = Builder::new(Detail::Near);
     let (hx, hy) = if north_south { (0.11, 0.7) } else { (0.7, 0.11) };
     let z = 4.3;
     b.material(Material::dull([90, 94, 100]));
@@ -188,7 +188,7 @@ pub(crate) const SIGN_M: [f32; 4] = [-0.8, 2.52, 0.8, 2.9];
 /// The board of an overhead sign, in the middle of y = 0, and the rods it hangs from. The lettering
 /// stands out from both faces.
 pub(crate) fn sign_board() -> Mesh {
-    let mut b = Builder::new();
+    let mut b = Builder::new(Detail::Near);
     let [left, bottom, right, top] = SIGN_M;
     b.material(Material::dull([40, 52, 70]));
     b.block_without([left, -0.025, bottom], [right, 0.025, top], &[]);
@@ -205,7 +205,7 @@ pub(crate) fn sign_board() -> Mesh {
 /// One side of a barricade, 1 m wide, in the frame of a face: it stands just behind y = 0 and is
 /// striped on both sides.
 pub(crate) fn barricade() -> Mesh {
-    let mut b = Builder::new();
+    let mut b = Builder::new(Detail::Near);
     let (front, back) = (0.10, 0.13);
     for (low, high) in [(0.22, 0.44), (0.62, 0.84), (1.02, 1.24)] {
         for (y, facing) in [(front, 1.0), (back, -1.0)] {

@@ -6,7 +6,7 @@
 use nalgebra::Vector3;
 use warehouse::Shape;
 
-use super::builder::{Builder, Material, Mesh};
+use super::builder::{Builder, Detail, Material, Mesh};
 
 const BLACK: Material = Material::glossy([34, 35, 38]);
 const DARK: Material = Material::dull([48, 50, 54]);
@@ -15,8 +15,8 @@ const WHITE: Material = Material::dull([238, 238, 234]);
 const WOOD: Material = Material::dull([196, 160, 112]);
 
 /// The mesh of an item of `shape` with main colour `rgb`.
-pub(crate) fn item(shape: Shape, rgb: [u8; 3]) -> Mesh {
-    let mut builder = Builder::new();
+pub(crate) fn item(shape: Shape, rgb: [u8; 3], detail: Detail) -> Mesh {
+    let mut builder = Builder::new(detail);
     let b = &mut builder;
     match shape {
         Shape::Barrel => barrel(b, Material::glossy(rgb)),

@@ -5,7 +5,7 @@
 
 use shm_types::plate;
 
-use super::builder::{Builder, Material, Mesh, Side};
+use super::builder::{Builder, Detail, Material, Mesh, Side};
 
 /// Height of the shelf that items stand on, in metres.
 pub(crate) const SHELF_TOP_M: f32 = 0.80;
@@ -131,8 +131,8 @@ impl Bay {
     }
 
     /// Uprights, beams, shelves, panels and filler loads.
-    pub(crate) fn mesh(&self) -> Mesh {
-        let mut b = Builder::new();
+    pub(crate) fn mesh(&self, detail: Detail) -> Mesh {
+        let mut b = Builder::new(detail);
         self.frame(&mut b);
         self.shelf(&mut b, LOWER_DECK_M, SHELF_TOP_M, 0.66);
         self.shelf(&mut b, UPPER_DECK_M, UPPER_DECK_M + 0.06, UPPER_DECK_M - 0.03);
@@ -152,14 +152,14 @@ impl Bay {
             let (min, max) = ([near.min(far), 0.01, 0.0], [near.max(far), 0.07, RACK_HEIGHT_M]);
             b.block_without(min, max, &[Side::Bottom, Side::Back, Side::Top]);
         }
+        // A little lower than the aisle's floor and a little under it.
+        let (near, z) = (-0.02, -0.003);
         b.material(FLOOR);
-        b.polygon(&[[l, 0.0, 0.0], [r, 0.0, 0.0], [r, d, 0.0], [l, d, 0.0]]);
-        // In three heights, so that shade can differ between shelves.
-        let heights = [
-            (0.0, LOWER_DECK_M),
-            (SHELF_TOP_M, UPPER_DECK_M),
-            (UPPER_DECK_M + 0.06, RACK_HEIGHT_M),
-        ];
+        b.polygon(&[[l, near, z], [r, near, z], [r, d, z], [l, d, z]]);
+        // In three heights, so that shade can differ between shelves. They join behind the decks, and
+        // corners share their ends: a gap as wide as a rounding error would show what is far behind.
+        let joints = [0.0, LOWER_DECK_M + 0.015, UPPER_DECK_M + 0.03, RACK_HEIGHT_M];
+        let heights = [0, 1, 2].map(|i| (joints[i], joints[i + 1]));
         for (low, high) in heights {
             b.material(SHEET);
             b.polygon(&[[l, d, low], [r, d, low], [r, d, high], [l, d, high]]);
@@ -181,7 +181,7 @@ impl Bay {
                 let (y, top) = (COVER_M, RACK_HEIGHT_M);
                 b.polygon(&[[x0, y, 0.0], [x1, y, 0.0], [x1, y, top], [x0, y, top]]);
                 b.material(FLOOR);
-                b.polygon(&[[x0, 0.0, 0.0], [x1, 0.0, 0.0], [x1, y, 0.0], [x0, y, 0.0]]);
+                b.polygon(&[[x0, near, z], [x1, near, z], [x1, y, z], [x0, y, z]]);
             }
         }
     }
@@ -231,22 +231,24 @@ impl Bay {
             let inset = 0.02 + 0.01 * (dice / 175 % 3) as f32;
             let (l, r, front) = (l + inset, r - inset, front + 0.015);
             b.bevelled([l, front, floor + 0.11], [r, back, top], 0.02);
-            b.material(STRAP);
-            for share in [0.27, 0.73] {
-                let x = l + (r - l) * share;
+            b.small(|b| {
+                b.material(STRAP);
+                for share in [0.27, 0.73] {
+                    let x = l + (r - l) * share;
+                    b.block_without(
+                        [x - 0.009, front - 0.003, floor + 0.112],
+                        [x + 0.009, front, top - 0.02],
+                        &[Side::Back, Side::Bottom],
+                    );
+                }
+                b.material(wrap.shaded(0.86));
+                let seam = floor + 0.11 + (top - floor - 0.11) * 0.5;
                 b.block_without(
-                    [x - 0.009, front - 0.003, floor + 0.112],
-                    [x + 0.009, front, top - 0.02],
-                    &[Side::Back, Side::Bottom],
+                    [l + 0.02, front - 0.002, seam],
+                    [r - 0.02, front, seam + 0.012],
+                    &[Side::Back],
                 );
-            }
-            b.material(wrap.shaded(0.86));
-            let seam = floor + 0.11 + (top - floor - 0.11) * 0.5;
-            b.block_without(
-                [l + 0.02, front - 0.002, seam],
-                [r - 0.02, front, seam + 0.012],
-                &[Side::Back],
-            );
+            });
         }
     }
 }
@@ -270,13 +272,13 @@ fn plate_holder(b: &mut Builder) {
 
 /// A closed face: corrugated steel between two posts, with a kick plate and a bumper.
 pub(crate) fn closed_face() -> Mesh {
-    let mut b = Builder::new();
+    let mut b = Builder::new(Detail::Near);
     b.material(END_SHEET);
     // Corrugation: alternating planes, joined by narrow slopes.
     let (near, far, ribs) = (0.02, 0.034, 6);
-    let step = 0.94 / ribs as f32;
+    let step = 0.96 / ribs as f32;
     for i in 0..ribs {
-        let x = -0.47 + step * i as f32;
+        let x = -0.48 + step * i as f32;
         let xs = [x, x + step * 0.42, x + step * 0.5, x + step * 0.92, x + step];
         let ys = [near, near, far, far, near];
         for k in 0..4 {
@@ -299,8 +301,9 @@ pub(crate) fn closed_face() -> Mesh {
         );
     }
     b.material(Material::dull([58, 60, 64]));
-    b.block_without([-0.47, 0.012, 0.0], [0.47, 0.03, 0.12], &[Side::Back, Side::Bottom]);
+    b.block_without([-0.48, 0.012, 0.0], [0.48, 0.03, 0.12], &[Side::Back, Side::Bottom]);
     b.material(FLOOR);
-    b.polygon(&[[-0.5, 0.0, 0.0], [0.5, 0.0, 0.0], [0.5, 0.03, 0.0], [-0.5, 0.03, 0.0]]);
+    let (near, far, z) = (-0.02, 0.03, -0.003);
+    b.polygon(&[[-0.5, near, z], [0.5, near, z], [0.5, far, z], [-0.5, far, z]]);
     b.finish()
 }

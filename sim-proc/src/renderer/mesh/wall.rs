@@ -5,7 +5,7 @@
 
 use shm_types::Heading;
 
-use super::builder::{Builder, Material, Mesh, Side};
+use super::builder::{Builder, Detail, Material, Mesh, Side};
 
 /// How far boards with text stand out from the wall, in metres.
 pub(crate) const BOARD_OFFSET_M: f32 = 0.075;
@@ -31,13 +31,14 @@ fn stripe(facing: Heading) -> Material {
 
 /// A metre of corrugated wall over a painted foot.
 pub(crate) fn cladding(facing: Heading, top: f32) -> Mesh {
-    let mut b = Builder::new();
+    let mut b = Builder::new(Detail::Near);
     let shade = |[_, _, z]: [f32; 3]| 0.70 + 0.30 * (z / 0.7).min(1.0);
     let mut strip = |material: Material, x0: f32, x1: f32, z0: f32, z1: f32| {
         b.material(material);
         b.shaded_polygon(&[[x0, 0.0, z0], [x1, 0.0, z0], [x1, 0.0, z1], [x0, 0.0, z1]], shade);
     };
-    strip(stripe(facing), -0.5, 0.5, 0.0, 0.7);
+    // From below the floor, so that no gap can open between the two.
+    strip(stripe(facing), -0.5, 0.5, -0.02, 0.7);
     strip(stripe(facing), -0.5, 0.5, 0.7, 1.0);
     strip(Material::dull([232, 232, 228]), -0.5, 0.5, 1.0, 1.05);
     // Corrugation is painted on: at this distance shade is all one sees of it.
@@ -51,7 +52,7 @@ pub(crate) fn cladding(facing: Heading, top: f32) -> Mesh {
 
 /// A steel column, as high as the racks.
 pub(crate) fn column() -> Mesh {
-    let mut b = Builder::new();
+    let mut b = Builder::new(Detail::Near);
     b.material(STEEL);
     let hidden = [Side::Bottom, Side::Back, Side::Top];
     b.block_without([-0.11, -0.05, 0.0], [0.11, 0.0, 3.0], &hidden);
@@ -67,7 +68,7 @@ pub(crate) fn column() -> Mesh {
 
 /// A roller gate between striped posts.
 pub(crate) fn gate() -> Mesh {
-    let mut b = Builder::new();
+    let mut b = Builder::new(Detail::Near);
     let (half, top) = (1.25, 2.45);
     for i in 0..14 {
         let z = top * i as f32 / 14.0;
@@ -102,7 +103,7 @@ pub(crate) fn gate() -> Mesh {
 
 /// An emergency exit with its push bar, under a lit sign.
 pub(crate) fn exit() -> Mesh {
-    let mut b = Builder::new();
+    let mut b = Builder::new(Detail::Near);
     b.material(STEEL.shaded(0.75));
     b.block_without([-0.56, -0.04, 0.0], [0.56, 0.0, 2.12], &[Side::Back, Side::Bottom]);
     b.material(Material::dull([72, 128, 104]));
@@ -120,7 +121,7 @@ pub(crate) fn exit() -> Mesh {
 
 /// The frame of a notice.
 pub(crate) fn notice_board() -> Mesh {
-    let mut b = Builder::new();
+    let mut b = Builder::new(Detail::Near);
     b.material(Material::dull([52, 62, 78]));
     let [left, bottom, right, top] = NOTICE_M;
     let frame = 0.04;

@@ -61,10 +61,27 @@ impl Assembly {
         self.objects.push(Object {
             min,
             max,
-            solid: start[0]..end[0],
+            near: start[0]..end[0],
+            far: start[0]..end[0],
             plate: start[1]..end[1],
             text: start[2]..end[2],
         });
+    }
+
+    /// As [`Self::object`], with other lit meshes when seen from afar: those that `far` adds. Both lie
+    /// within the same bounds.
+    pub(super) fn object_with_far(
+        &mut self,
+        draw: impl FnOnce(&mut Self),
+        far: impl FnOnce(&mut Self),
+    ) {
+        self.object(draw);
+        let start = self.solid.indices.len();
+        far(self);
+        let end = self.solid.indices.len();
+        if let Some(object) = self.objects.last_mut() {
+            object.far = start..end;
+        }
     }
 
     pub(super) fn solid(&mut self, mesh: &Mesh, world_from_mesh: &Isometry3<f32>, light: Light) {
@@ -140,6 +157,7 @@ impl Assembly {
         let first = self.solid.indices.len();
         self.solid(&barricade(), &Isometry3::identity(), Light::Bay);
         self.barricade = first..self.solid.indices.len();
+        let planes = planes(&self.solid);
         let atlas = self.atlas.draw();
         let text = self.text.vertices.into_iter().map(|corner| {
             let [u, v, ..] = atlas.share([corner.texel[0], corner.texel[1], 0, 0]);
@@ -147,6 +165,7 @@ impl Assembly {
         });
         Scene {
             solid: self.solid,
+            planes,
             plate: self.plate,
             text: Layer { vertices: text.collect(), indices: self.text.indices },
             objects: self.objects,
@@ -166,4 +185,15 @@ fn plate_code(plate: Plate) -> u32 {
     let bands = plate.0.map(|band| plate::BAND_RGB[usize::from(band)]);
     let all = bands.into_iter().chain([plate::FRAME_RGB]);
     all.enumerate().map(|(place, rgb)| bits(rgb) << (3 * place)).sum()
+}
+
+/// The plane of every triangle: its unit normal, and the normal's product with any of its points.
+fn planes(layer: &Layer<SolidVertex>) -> Vec<[f32; 4]> {
+    let triangle = |corners: &[u32]| {
+        let [a, b, c] =
+            [0, 1, 2].map(|i| Point3::from(layer.vertices[corners[i] as usize].position));
+        let normal = (b - a).cross(&(c - a)).normalize();
+        [normal.x, normal.y, normal.z, normal.dot(&a.coords)]
+    };
+    layer.indices.chunks_exact(3).map(triangle).collect()
 }

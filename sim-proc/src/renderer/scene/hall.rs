@@ -122,7 +122,9 @@ impl WallRun {
 /// Above the racks the outer wall runs all around, in pieces.
 fn outer_walls(assembly: &mut Assembly, layout: &Layout) {
     let (w, h) = (f32::from(layout.width()), f32::from(layout.height()));
-    let corners = [[0.0, h], [w, h], [w, 0.0], [0.0, 0.0]];
+    // A little behind and below the lower walls' upper edge: surfaces that only touch leave gaps.
+    let (out, bottom) = (0.02, RACK_HEIGHT_M - 0.1);
+    let corners = [[-out, h + out], [w + out, h + out], [w + out, -out], [-out, -out]];
     for (i, &from) in corners.iter().enumerate() {
         let to = corners[(i + 1) % 4];
         let length = (to[0] - from[0]).abs() + (to[1] - from[1]).abs();
@@ -132,7 +134,7 @@ fn outer_walls(assembly: &mut Assembly, layout: &Layout) {
             [from[0] + (to[0] - from[0]) * share, from[1] + (to[1] - from[1]) * share]
         };
         for k in 0..pieces {
-            let mesh = hall::upper_wall(at(k), at(k + 1), RACK_HEIGHT_M);
+            let mesh = hall::upper_wall(at(k), at(k + 1), bottom);
             assembly.object(|a| a.solid(&mesh, &Isometry3::identity(), Light::Hall));
         }
     }
@@ -142,8 +144,10 @@ fn roof(assembly: &mut Assembly, layout: &Layout) {
     let (w, h) = (f32::from(layout.width()), f32::from(layout.height()));
     let pieces = (h / 5.0).ceil() as u32;
     for k in 0..pieces {
-        let at = |k: u32| h * k as f32 / pieces as f32;
-        let mesh = hall::roof(0.0, w, at(k), at(k + 1));
+        // Over the edge of the walls.
+        let out = 0.1;
+        let at = |k: u32| -out + (h + 2.0 * out) * k as f32 / pieces as f32;
+        let mesh = hall::roof(-out, w + out, at(k), at(k + 1));
         assembly.object(|a| a.solid(&mesh, &Isometry3::identity(), Light::Hall));
     }
 }

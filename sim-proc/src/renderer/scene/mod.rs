@@ -37,7 +37,9 @@ impl<V> Default for Layer<V> {
 pub(super) struct Object {
     pub(super) min: [f32; 3],
     pub(super) max: [f32; 3],
-    pub(super) solid: Range<usize>,
+    /// Lit triangles for a look from nearby, and for one from several metres.
+    pub(super) near: Range<usize>,
+    pub(super) far: Range<usize>,
     pub(super) plate: Range<usize>,
     pub(super) text: Range<usize>,
 }
@@ -52,6 +54,8 @@ pub(super) struct Screen {
 /// Everything there is to draw.
 pub(super) struct Scene {
     pub(super) solid: Layer<SolidVertex>,
+    /// The plane of each triangle of `solid`: its unit normal, and how far along that it lies.
+    pub(super) planes: Vec<[f32; 4]>,
     pub(super) plate: Layer<PlateVertex>,
     pub(super) text: Layer<TextVertex>,
     pub(super) objects: Vec<Object>,

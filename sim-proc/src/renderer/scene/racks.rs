@@ -8,7 +8,7 @@ use warehouse::{Axis, Catalogue, Layout, Square, Warehouse};
 use super::assembly::{Assembly, Writing};
 use super::{side_of, world_from_face};
 use crate::renderer::light::Light;
-use crate::renderer::mesh::builder::Mesh;
+use crate::renderer::mesh::builder::{Detail, Mesh};
 use crate::renderer::mesh::items::item;
 use crate::renderer::mesh::rack::{
     BAY_DEPTH_M, BAY_NUMBER_M, Bay, CLOSED_FACE_SCREEN_M, Edge, LABEL_M, PANEL_OFFSET_M,
@@ -33,14 +33,16 @@ pub(super) fn build(assembly: &mut Assembly, warehouse: &Warehouse) {
                 FaceKind::Bay => {
                     let bay = faces.bay(rack, face);
                     let stock = warehouse.items.iter().find(|i| i.rack == rack && i.face == face);
-                    assembly.object(|a| match stock {
-                        None => a.solid(&bay.mesh(), &frame, Light::Bay),
-                        Some(stock) => {
-                            let number = bay_number(layout, stock.standpoint);
-                            let catalogue = &warehouse.catalogue;
-                            stocked_bay(a, &frame, &bay, catalogue, stock.item_type, &number);
-                        }
-                    });
+                    if let Some(stock) = stock {
+                        let number = bay_number(layout, stock.standpoint);
+                        let catalogue = &warehouse.catalogue;
+                        stocked_bay(assembly, &frame, &bay, catalogue, stock.item_type, &number);
+                    } else {
+                        assembly.object_with_far(
+                            |a| a.solid(&bay.mesh(Detail::Near), &frame, Light::Bay),
+                            |a| a.solid(&bay.mesh(Detail::Far), &frame, Light::Bay),
+                        );
+                    }
                     for [from, to] in bay.screens() {
                         assembly.screen(&frame, from, to);
                     }
@@ -50,7 +52,7 @@ pub(super) fn build(assembly: &mut Assembly, warehouse: &Warehouse) {
     }
 }
 
-/// A bay with its item, the plate over it, the label under it and the bay's number.
+/// An object: a bay with its item, the plate over it, the label under it and the bay's number.
 pub(super) fn stocked_bay(
     assembly: &mut Assembly,
     world_from_face: &Isometry3<f32>,
@@ -61,20 +63,30 @@ pub(super) fn stocked_bay(
 ) {
     let kind = &catalogue.types[item_type];
     let category = &catalogue.categories[kind.category];
-    assembly.solid(&bay.mesh(), world_from_face, Light::Bay);
-    let mesh = on_shelf(item(kind.shape, kind.colour), bay.depth);
-    assembly.solid(&mesh, world_from_face, Light::Shelf);
-    assembly.plate(world_from_face, Plate::new(&category.name, &kind.name));
-    let label = Writing {
-        text: &kind.name,
-        ink: [16, 16, 18],
-        paper: [248, 248, 244],
-        texels_per_m: 560.0,
+    let solid = |a: &mut Assembly, detail| {
+        a.solid(&bay.mesh(detail), world_from_face, Light::Bay);
+        let item = on_shelf(item(kind.shape, kind.colour, detail), bay.depth);
+        a.solid(&item, world_from_face, Light::Shelf);
     };
-    assembly.text(world_from_face, LABEL_M, PANEL_OFFSET_M, &label);
-    let number =
-        Writing { text: number, ink: [250, 250, 250], paper: [36, 44, 58], texels_per_m: 300.0 };
-    assembly.text(world_from_face, BAY_NUMBER_M, PANEL_OFFSET_M, &number);
+    let near = |a: &mut Assembly| {
+        solid(a, Detail::Near);
+        a.plate(world_from_face, Plate::new(&category.name, &kind.name));
+        let label = Writing {
+            text: &kind.name,
+            ink: [16, 16, 18],
+            paper: [248, 248, 244],
+            texels_per_m: 560.0,
+        };
+        a.text(world_from_face, LABEL_M, PANEL_OFFSET_M, &label);
+        let number = Writing {
+            text: number,
+            ink: [250, 250, 250],
+            paper: [36, 44, 58],
+            texels_per_m: 300.0,
+        };
+        a.text(world_from_face, BAY_NUMBER_M, PANEL_OFFSET_M, &number);
+    };
+    assembly.object_with_far(near, |a| solid(a, Detail::Far));
 }
 
 /// Moves an item's mesh onto the shelf of a bay this deep; in a shallow one it stands smaller.

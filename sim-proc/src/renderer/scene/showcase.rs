@@ -38,7 +38,7 @@ pub(in crate::renderer) fn showcase(catalogue: &Catalogue) -> (Scene, Vec<Stand>
         };
         let frame = world_from_face(stand.at, stand.viewer);
         let number = format!("{:02}", index + 1);
-        assembly.object(|a| racks::stocked_bay(a, &frame, &bay, catalogue, index, &number));
+        racks::stocked_bay(&mut assembly, &frame, &bay, catalogue, index, &number);
         let floor = hall::open_floor(stand.at, SPACING_M / 2.0);
         assembly.object(|a| a.solid(&floor, &Isometry3::identity(), Light::Hall));
     }
