@@ -14,11 +14,14 @@ mod pipelines;
 mod scene;
 mod showcase;
 mod target;
-#[cfg(test)]
-mod tests;
 mod text;
 mod vertex;
 mod visibility;
+
+#[cfg(test)]
+mod shader_tests;
+#[cfg(test)]
+mod tests;
 
 use std::collections::HashMap;
 

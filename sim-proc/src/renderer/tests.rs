@@ -1,9 +1,14 @@
-//! What must hold for every picture: nothing visible is left out, the way out changes no byte, nor does
-//! the batch, and label plates keep their colours.
+//! What must hold for every picture: nothing visible is left out, neither the way out nor the batch
+//! changes a byte, label plates keep their colours, a barricade is seen.
 
 use shm_types::Heading;
+use shm_types::camera::{CAMERA_HEIGHT_M, focal_length_px};
+use shm_types::plate::{self, Plate};
+use warehouse::CaseSet;
 
 use super::*;
+
+const SIDE_PX: u32 = 448;
 
 fn renderer(warehouse: &Warehouse, settings: RenderSettings) -> Renderer {
     match Renderer::new(warehouse, settings) {
@@ -27,7 +32,7 @@ fn drawn_with(
     let list = DrawList::new(&renderer.scene, camera, objects, triangles);
     renderer.slots.clear();
     renderer.slots.push(&renderer.scene, &uniform(camera), &list, &[]);
-    let mut image = image::RgbaImage::new(448, 448);
+    let mut image = image::RgbaImage::new(SIDE_PX, SIDE_PX);
     renderer.draw(vec![&mut Destination::Memory(&mut image)]).unwrap();
     image
 }
@@ -46,24 +51,21 @@ fn differing(pose: Pose, a: &image::RgbaImage, b: &image::RgbaImage) -> usize {
     count
 }
 
+/// Every 29th pose; `POSE_STEP=1` looks at all of them.
 #[test]
 fn leaving_out_what_is_hidden_changes_no_pixel_and_order_hardly_any() {
     let warehouse = Warehouse::shipped();
     let mut renderer = renderer(&warehouse, RenderSettings::default());
     let mut wrong = Vec::new();
-    let step = std::env::var("POSE_STEP").map_or(13, |step| step.parse().unwrap());
-    for pose in poses(&warehouse).into_iter().step_by(step).filter(|p| std::env::var("PX").map_or(true, |v| p.to_string() == v)) {
-        let camera = Camera::new(pose, 448, 448);
+    let step = std::env::var("POSE_STEP").map_or(29, |step| step.parse().unwrap());
+    for pose in poses(&warehouse).into_iter().step_by(step) {
+        let camera = Camera::new(pose, SIDE_PX, SIDE_PX);
         let all = visibility::nearest_first(&renderer.scene, &camera, |_| true);
         let backwards: Vec<u32> = all.iter().rev().copied().collect();
         let culled = visibility::visible(&renderer.scene, &camera);
+        assert!(culled.len() < all.len() / 2, "{pose}: culling left out too little");
         let culled = drawn_with(&mut renderer, &camera, &culled, Triangles::Facing);
         let whole = drawn_with(&mut renderer, &camera, &all, Triangles::All);
-        if std::env::var("PX").is_ok() {
-            let f = drawn_with(&mut renderer, &camera, &all, Triangles::Facing);
-            println!("{pose} culled {:?} whole {:?} facing {:?}", culled.get_pixel(372, 248), whole.get_pixel(372, 248), f.get_pixel(372, 248));
-            whole.save("/tmp/c/whole.png").unwrap();
-        }
         let lost = differing(pose, &culled, &whole);
         if lost > 0 {
             wrong.push(format!("{pose}: {lost} pixels lost"));
@@ -78,97 +80,144 @@ fn leaving_out_what_is_hidden_changes_no_pixel_and_order_hardly_any() {
     assert!(wrong.is_empty(), "views that are wrong:\n{}", wrong.join("\n"));
 }
 
-#[test]
-#[ignore = "prints the scene's size"]
-fn size_of_the_scene() {
-    let warehouse = Warehouse::shipped();
-    let scene = Scene::new(&warehouse);
-    println!(
-        "objects {} solid tris {} verts {}",
-        scene.objects.len(),
-        scene.solid.indices.len() / 3,
-        scene.solid.vertices.len()
-    );
-    let (mut objects, mut tris, n) = (0, 0, poses(&warehouse).len());
-    for pose in poses(&warehouse) {
-        let seen = visibility::visible(&scene, &Camera::new(pose, 448, 448));
-        objects += seen.len();
-        tris += DrawList::new(&scene, &Camera::new(pose, 448, 448), &seen, Triangles::Facing)
-            .solid
-            .len()
-            / 3;
-    }
-    let mut bins = [[0usize; 2]; 16];
-    for pose in poses(&warehouse) {
-        let camera = Camera::new(pose, 448, 448);
-        for i in visibility::visible(&scene, &camera) {
-            let o = &scene.objects[i as usize];
-            let c = [(o.min[0] + o.max[0]) / 2.0 - camera.position.x, (o.min[1] + o.max[1]) / 2.0 - camera.position.y];
-            let d = c[0] * camera.ahead.x + c[1] * camera.ahead.y;
-            let t = DrawList::new(&scene, &camera, &[i], Triangles::Facing).solid.len() / 3;
-            let b = &mut bins[(d / 2.0).max(0.0) as usize];
-            b[usize::from(o.plate.is_empty())] += t;
-        }
-    }
-    for (i, b) in bins.iter().enumerate() {
-        println!("tris at {} m: stocked {} other {}", i * 2, b[0] / n, b[1] / n);
-    }
-    for shape in warehouse::Shape::ALL {
-        let m = |d| crate::renderer::mesh::items::item(shape, [200; 3], d).indices.len() / 3;
-        use crate::renderer::mesh::builder::Detail;
-        println!("tris {shape:?}: {} {}", m(Detail::Near), m(Detail::Far));
-    }
-    println!("a view: objects {} tris {}", objects / n, tris / n);
+/// Whole pages for `frames` frames, in memory that may be imported.
+struct Pages {
+    memory: Vec<u8>,
+    offset: usize,
+    stride: usize,
 }
 
-fn cpu() -> f64 {
-    let now = rustix::time::clock_gettime(rustix::time::ClockId::ProcessCPUTime);
-    now.tv_sec as f64 + now.tv_nsec as f64 * 1e-9
+impl Pages {
+    fn new(renderer: &Renderer, frames: usize) -> Self {
+        let stride = renderer.frame_bytes().next_multiple_of(4096);
+        let memory = vec![0; stride * frames + 4096];
+        let offset = memory.as_ptr().align_offset(4096);
+        Self { memory, offset, stride }
+    }
+
+    fn slots(&mut self) -> impl Iterator<Item = &mut [u8]> {
+        self.memory[self.offset..].chunks_exact_mut(self.stride)
+    }
 }
 
 #[test]
-#[ignore = "experiment"]
-fn where_time_goes() {
-    let var = |name: &str| std::env::var(name).map_or(0, |v| v.parse::<u32>().unwrap());
-    let (mode, size, samples) = (var("MODE"), var("SIZE"), var("SAMPLES"));
+fn neither_the_way_out_nor_the_batch_changes_a_byte() {
     let warehouse = Warehouse::shipped();
-    let samples = if samples == 4 { Samples::Four } else { Samples::One };
-    let mut r = renderer(&warehouse, RenderSettings { samples, width_px: size, height_px: size, ..Default::default() });
-    let some: Vec<Pose> = poses(&warehouse).into_iter().step_by(7).collect();
-    let mut memory = vec![0_u8; 802816 * 4 + 4096];
-    let off = memory.as_ptr().align_offset(4096);
-    let lists: Vec<_> = some.iter().map(|&pose| {
-        let camera = Camera::new(pose, size, size);
-        let mut seen = visibility::visible(&r.scene, &camera);
-        match mode {
-            0 => seen.clear(),
-            1 => seen.retain(|&i| r.scene.objects[i as usize].plate.is_empty() && r.scene.objects[i as usize].max[2] < 0.1),
-            2 => seen.retain(|&i| r.scene.objects[i as usize].plate.is_empty()),
-            3 => seen.retain(|&i| !r.scene.objects[i as usize].plate.is_empty()),
-            _ => {}
+    let settings = RenderSettings { width_px: 192, height_px: 128, ..RenderSettings::default() };
+    let mut direct = renderer(&warehouse, settings.clone());
+    let mut copied = renderer(&warehouse, RenderSettings { force_copy: true, ..settings });
+    assert!(matches!(copied.report().frame_path, FramePath::Copied { .. }));
+    let open = Variant::UNCHANGED;
+    let blocked = Variant::closing(CaseSet::shipped().cases[0].barricade.iter().copied());
+    let views: Vec<View<'_>> = poses(&warehouse)
+        .into_iter()
+        .step_by(47)
+        .zip([&open, &blocked].into_iter().cycle())
+        .map(|(pose, variant)| View { pose, variant })
+        .collect();
+    let frame = direct.frame_bytes();
+    let alone: Vec<Vec<u8>> =
+        views.iter().map(|&view| direct.render_image(view).unwrap().into_raw()).collect();
+    let copied_before = direct.report().bytes_copied;
+    assert_eq!(copied_before as usize, frame * views.len(), "ordinary memory is copied once");
+
+    // All at once, in another order, each into its slot.
+    for renderer in [&mut direct, &mut copied] {
+        let mut pages = Pages::new(renderer, views.len());
+        let mut jobs: Vec<RenderJob<'_>> = views
+            .iter()
+            .rev()
+            .zip(pages.slots())
+            .map(|(&view, slot)| RenderJob { view, destination: Destination::Slot(slot) })
+            .collect();
+        renderer.render(&mut jobs).unwrap();
+        for ((view, expected), slot) in views.iter().zip(&alone).rev().zip(pages.slots()) {
+            assert!(slot[..frame] == expected[..], "{} differs", view.pose);
         }
-        let mut list = DrawList::new(&r.scene, &camera, &seen, Triangles::Facing);
-        match mode {
-            5 => list.text.clear(),
-            6 => { list.text.clear(); list.plate.clear() }
-            7 => list.solid.clear(),
-            8 => { list.solid.clear(); list.text.clear() }
-            9 => { list.solid.clear(); list.plate.clear() }
-            _ => {}
+        renderer.forget_imports();
+    }
+    if direct.report().frame_path == FramePath::Direct {
+        assert_eq!(direct.report().bytes_copied, copied_before, "slots are not copied to");
+    }
+    assert_eq!(copied.report().bytes_copied as usize, frame * views.len());
+}
+
+#[test]
+fn a_plate_in_front_shows_its_exact_colours() {
+    let warehouse = Warehouse::shipped();
+    let mut renderer = renderer(&warehouse, RenderSettings::default());
+    for item in warehouse.items.iter().step_by(5) {
+        let kind = &warehouse.catalogue.types[item.item_type];
+        let category = &warehouse.catalogue.categories[kind.category];
+        let bands = Plate::new(&category.name, &kind.name).0;
+        let pose = Pose { cell: item.standpoint, heading: item.viewing_heading() };
+        let image = renderer.render_image(View { pose, variant: &Variant::UNCHANGED }).unwrap();
+        let scale = focal_length_px(SIDE_PX) / (0.5 - plate::FACE_OFFSET_M);
+        let rgb = |right: f32, up: f32| {
+            let centre = SIDE_PX as f32 / 2.0;
+            let (x, y) = (centre + right * scale, centre - (up - CAMERA_HEIGHT_M) * scale);
+            let [r, g, b, _] = image.get_pixel(x as u32, y as u32).0;
+            [r, g, b]
+        };
+        let inner = plate::SIZE_M - 2.0 * plate::FRAME_M;
+        let top = plate::CENTRE_HEIGHT_M + inner / 2.0;
+        for (row, band) in bands.into_iter().enumerate() {
+            let expected = plate::BAND_RGB[usize::from(band)];
+            for across in [-0.45, 0.0, 0.45] {
+                for down in [0.1, 0.5, 0.9] {
+                    let up = top - (row as f32 + down) * inner / plate::BANDS as f32;
+                    assert_eq!(rgb(across * inner, up), expected, "{pose}: band {row}");
+                }
+            }
         }
-        (camera, list)
-    }).collect();
-    let mut n = [0; 3];
-    let rounds = 10;
-    let start = cpu();
-    for _ in 0..rounds {
-    for (camera, list) in &lists {
-        n[0] += list.solid.len() / 3; n[1] += list.plate.len() / 3; n[2] += list.text.len() / 3;
-        r.slots.clear();
-        r.slots.push(&r.scene, &uniform(camera), list, &[]);
-        let l = r.frame_bytes();
-        r.draw(vec![&mut Destination::Slot(&mut memory[off..off + l])]).unwrap();
+        for side in [-1.0, 1.0] {
+            let middle = side * (inner + plate::FRAME_M) / 2.0;
+            assert_eq!(rgb(middle, plate::CENTRE_HEIGHT_M), plate::FRAME_RGB, "{pose}: frame");
+        }
     }
+}
+
+#[test]
+fn nobody_overlooks_a_barricade() {
+    let warehouse = Warehouse::shipped();
+    let mut renderer = renderer(&warehouse, RenderSettings::default());
+    let mut seen = 0;
+    for case in CaseSet::shipped().cases.iter().step_by(9) {
+        let closed = Variant::closing(case.barricade.iter().copied());
+        for &cell in closed.closed() {
+            for heading in Heading::ALL {
+                // Two cells in front of it, facing it.
+                let back = heading.opposite();
+                let before = warehouse.layout.free_neighbour(cell, back);
+                let stand = before.and_then(|cell| warehouse.layout.free_neighbour(cell, back));
+                let Some(stand) = stand.filter(|_| !closed.is_closed(before.unwrap())) else {
+                    continue;
+                };
+                let pose = Pose { cell: stand, heading };
+                let image = renderer.render_image(View { pose, variant: &closed }).unwrap();
+                let is_red = |p: &&image::Rgba<u8>| p[0] > 120 && p[1] < 60 && p[2] < 60;
+                let middle = image::imageops::crop_imm(&image, 112, 150, 224, 200).to_image();
+                let red = middle.pixels().filter(is_red).count();
+                assert!(red > 2500, "{pose}: only {red} red pixels where a barricade stands");
+                seen += 1;
+            }
+        }
     }
-    println!("samples {samples:?} size {size} mode {mode}: {:.2} ms {:?} x{}", (cpu() - start) * 1e3 / some.len() as f64 / rounds as f64, n.map(|n| n / some.len() / rounds), some.len() * rounds);
+    assert!(seen > 10, "only {seen} views of barricades");
+}
+
+#[test]
+fn what_cannot_be_rendered_is_refused_with_a_reason() {
+    let warehouse = Warehouse::shipped();
+    let refused = |settings| Renderer::new(&warehouse, settings).err().unwrap().to_string();
+    let odd = RenderSettings { width_px: 450, ..RenderSettings::default() };
+    assert!(refused(odd).contains("multiple of 64"));
+    let wanted = RenderSettings { adapter: Some("abacus".into()), ..RenderSettings::default() };
+    assert!(refused(wanted).contains("no Vulkan adapter's name contains \"abacus\"; there are: "));
+
+    let mut renderer = renderer(&warehouse, RenderSettings::default());
+    let view = View { pose: Pose::new(2, 8, Heading::N), variant: &Variant::UNCHANGED };
+    let destination = Destination::Memory(&mut [0; 12]);
+    let error = renderer.render(&mut [RenderJob { view, destination }]).unwrap_err().to_string();
+    assert_eq!(error, "a frame takes 802816 bytes, but the destination of view 2,8,N has 12");
 }

@@ -67,6 +67,7 @@ pub(crate) enum Detail {
 
 impl Detail {
     /// Both.
+    #[cfg(test)]
     pub(crate) const ALL: [Self; 2] = [Self::Near, Self::Far];
 }
 

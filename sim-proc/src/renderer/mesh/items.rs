@@ -1,6 +1,6 @@
 //! What stands on the shelves: one mesh for each shape of the catalogue.
 //!
-//! A mesh stands on z = 0 with its front towards -y, inside 0.6 m of width, 0.46 m of depth and 0.5 m
+//! A mesh stands on z = 0 with its front towards -y, inside 0.6 m of width, 0.52 m of depth and 0.5 m
 //! of height. Each has the two or three details that make a person name it.
 
 use nalgebra::Vector3;
@@ -509,4 +509,37 @@ fn cable_reel(b: &mut Builder, cable: Material) {
             });
         });
     });
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_item_fits_its_bay_and_is_not_heavy() {
+        for shape in Shape::ALL {
+            for detail in Detail::ALL {
+                let mesh = item(shape, [200, 40, 40], detail);
+                let within = mesh.vertices.iter().all(|vertex| {
+                    let p = vertex.position;
+                    p.x.abs() <= 0.3 && p.y.abs() <= 0.26 && (-1e-4..=0.5).contains(&p.z)
+                });
+                assert!(within, "{shape:?} stands out of its place");
+                let triangles = mesh.indices.len() / 3;
+                let most = if detail == Detail::Near { 850 } else { 450 };
+                assert!(triangles <= most, "{shape:?}, {detail:?}: {triangles} triangles");
+            }
+        }
+    }
+
+    #[test]
+    fn no_item_looks_like_a_plates_frame() {
+        let mesh_colours = Shape::ALL.into_iter().flat_map(|shape| {
+            let mesh = item(shape, [34, 168, 163], Detail::Near);
+            mesh.vertices.into_iter().map(|vertex| vertex.material.rgb)
+        });
+        for [r, g, b] in mesh_colours {
+            assert!(!(r.min(b) >= 96 && g <= r.min(b) / 2), "{r}, {g}, {b} is near magenta");
+        }
+    }
 }

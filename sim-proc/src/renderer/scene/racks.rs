@@ -91,7 +91,13 @@ pub(super) fn stocked_bay(
 
 /// Moves an item's mesh onto the shelf of a bay this deep; in a shallow one it stands smaller.
 fn on_shelf(mut mesh: Mesh, depth: f32) -> Mesh {
-    let (scale, y) = if depth < BAY_DEPTH_M { (0.72, 0.155) } else { (1.0, 0.29) };
+    let half_depth = mesh.vertices.iter().map(|v| v.position.y.abs()).fold(0.0, f32::max);
+    let (scale, y) = if depth < BAY_DEPTH_M {
+        // Narrower, too: a bay around the corner takes some of this one's width.
+        (f32::min(0.72, (depth / 2.0 - 0.01) / half_depth), depth / 2.0)
+    } else {
+        (1.0, 0.29)
+    };
     for vertex in &mut mesh.vertices {
         let p = vertex.position.coords * scale;
         vertex.position = Point3::new(p.x, p.y + y, p.z + SHELF_TOP_M);
