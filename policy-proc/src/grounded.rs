@@ -44,7 +44,3 @@ impl Policy for Grounded {
         batch.iter().map(decide).collect()
     }
 }
-#[doc(hidden)]
-pub fn scratch(rem: &crate::FrameView<'_>, cur: &crate::FrameView<'_>, here: shm_types::Pose, p: &mut Scratch) -> Option<shm_types::Pose> { let (a, b) = (p.0.of(rem), p.0.of(cur)); recognise::pose_of(&a, &b, here) }
-#[doc(hidden)] #[derive(Default)]
-pub struct Scratch(percept::Percepts);

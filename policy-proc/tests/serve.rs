@@ -2,6 +2,7 @@
 
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on fails")]
 
+use std::any::Any;
 use std::sync::mpsc;
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
@@ -35,15 +36,7 @@ struct Peers {
     policy: Bell,
     frames: FramePublisher,
     /// Receivers that must be there for anything to be delivered.
-    _others: (
-        Receiver<Observation>,
-        Receiver<Observation>,
-        FrameStore,
-        Receiver<Stop>,
-        Receiver<Stop>,
-        Bus,
-        Bus,
-    ),
+    _others: Box<dyn Any>,
     hello: Hello,
     serving: JoinHandle<Result<(), ServeError>>,
     _run: RunDir,
@@ -68,11 +61,11 @@ impl Peers {
             orchestrator.receiver().unwrap(),
         );
         let others = (
-            orchestrator.receiver().unwrap(),
-            memory.receiver().unwrap(),
+            orchestrator.receiver::<Observation>().unwrap(),
+            memory.receiver::<Observation>().unwrap(),
             FrameStore::new(&memory).unwrap(),
-            memory.receiver().unwrap(),
-            sim.receiver().unwrap(),
+            memory.receiver::<Stop>().unwrap(),
+            sim.receiver::<Stop>().unwrap(),
         );
         let path = run.path().to_owned();
         let mut policy = policy;
@@ -91,7 +84,7 @@ impl Peers {
             farewells,
             policy: orchestrator.bell(Role::Policy).unwrap(),
             frames: FramePublisher::new(&sim).unwrap(),
-            _others: (others.0, others.1, others.2, others.3, others.4, sim, memory),
+            _others: Box::new((others, sim, memory)),
             hello,
             serving,
             _run: run,

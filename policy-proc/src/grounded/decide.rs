@@ -111,7 +111,9 @@ impl Scene {
         let mut surroundings = Surroundings::new(history.here);
         for landmark in &landmarks {
             surroundings.mark_free(landmark.standpoint);
-            landmark.standpoint.step(landmark.face).map(|rack| surroundings.mark_solid(rack));
+            if let Some(rack) = landmark.standpoint.step(landmark.face) {
+                surroundings.mark_solid(rack);
+            }
         }
         history.stood_on().for_each(|cell| surroundings.mark_free(cell));
         history.blocked().for_each(|cell| surroundings.mark_solid(cell));
@@ -181,3 +183,6 @@ fn still_asked_for(goal: &Goal, history: &History, scene: &Scene) -> Vec<Vec<Cel
         },
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -4,8 +4,10 @@ use shm_types::camera::{CAMERA_HEIGHT_M, focal_length_px};
 use shm_types::plate::{
     BAND_RGB, BANDS, CENTRE_HEIGHT_M, FACE_OFFSET_M, FRAME_M, FRAME_RGB, Plate, SIZE_M,
 };
+use shm_types::{Cell, Heading, Pose};
 
-use super::plates::Sighting;
+use super::geometry::{offset_of, quarters};
+use super::plates::{Landmark, Sighting};
 use crate::FrameView;
 
 /// A picture that owns its pixels.
@@ -22,7 +24,8 @@ impl Picture {
     pub(super) fn background(width: u32, seed: u32) -> Self {
         let mottle = |i: u32| {
             let (x, y) = (i % width / 24, i / width / 24);
-            let hash = (x * 7919 + y * 104_729 + seed * 1_299_709).wrapping_mul(2_654_435_761);
+            let place = (x * 7919 + y).wrapping_mul(104_729);
+            let hash = seed.wrapping_mul(1_299_709).wrapping_add(place).wrapping_mul(2_654_435_761);
             90 + (hash >> 27) as u8
         };
         let pixels = (0..width * width).flat_map(|i| {
@@ -47,21 +50,30 @@ impl Picture {
     }
 
     fn paint(&mut self, sighting: &Sighting) {
-        for y in 0..self.width / 2 {
-            for x in 0..self.width {
-                let point = |(dx, dy)| self.on_plate(sighting, x as f32 + dx, y as f32 + dy);
-                let inside = |&(across, down): &(f32, f32)| {
-                    (0.0..1.0).contains(&across) && (0.0..1.0).contains(&down)
-                };
-                let covered = SAMPLES.iter().filter_map(|&s| point(s)).filter(inside).count();
-                let Some(centre) = point((0.5, 0.5)).filter(|_| covered > 0) else { continue };
-                let colour = colour_at(sighting.plate, centre);
-                let at = 4 * (y * self.width + x) as usize;
-                for (pixel, new) in self.pixels[at..at + 3].iter_mut().zip(colour) {
-                    let mix = usize::from(*pixel) * (4 - covered) + usize::from(new) * covered;
-                    *pixel = (mix / 4) as u8;
-                }
+        let across = |x| self.on_plate(sighting, x as f32, 0.0).map_or(-1.0, |(across, _)| across);
+        let meets = |x: &u32| {
+            let (from, to) = (across(*x), across(*x + 1));
+            from.max(to) >= 0.0 && from.min(to) < 1.0
+        };
+        for x in (0..self.width).filter(meets).collect::<Vec<_>>() {
+            for y in 0..self.width / 2 {
+                self.paint_pixel(sighting, x, y);
             }
+        }
+    }
+
+    fn paint_pixel(&mut self, sighting: &Sighting, x: u32, y: u32) {
+        let point = |(dx, dy)| self.on_plate(sighting, x as f32 + dx, y as f32 + dy);
+        let inside = |&(across, down): &(f32, f32)| {
+            (0.0..1.0).contains(&across) && (0.0..1.0).contains(&down)
+        };
+        let covered = SAMPLES.iter().filter_map(|&sample| point(sample)).filter(inside).count();
+        let Some(centre) = point((0.5, 0.5)).filter(|_| covered > 0) else { return };
+        let colour = colour_at(sighting.plate, centre);
+        let at = 4 * (y * self.width + x) as usize;
+        for (pixel, new) in self.pixels[at..at + 3].iter_mut().zip(colour) {
+            let mix = usize::from(*pixel) * (4 - covered) + usize::from(new) * covered;
+            *pixel = (mix / 4) as u8;
         }
     }
 
@@ -100,4 +112,46 @@ fn colour_at(plate: Plate, (across, down): (f32, f32)) -> [u8; 3] {
         return FRAME_RGB;
     }
     BAND_RGB[usize::from(plate.0[(down * BANDS as f32) as usize])]
+}
+
+/// A straight aisle two cells wide, x = 10 and 11, running north from y = 10 to 19. Each rack face has a
+/// plate with its own type; those on the west side are of category "barrels", on the east side "cones".
+pub(super) struct Aisle {
+    pub(super) landmarks: Vec<Landmark>,
+}
+
+impl Aisle {
+    pub(super) fn new() -> Self {
+        let side = |x, face, category| {
+            (10..20).map(move |y| Landmark {
+                standpoint: Cell::new(x, y),
+                face,
+                plate: Plate::new(category, &format!("{category} {y}")),
+            })
+        };
+        let west = side(10, Heading::W, "barrels");
+        Self { landmarks: west.chain(side(11, Heading::E, "cones")).collect() }
+    }
+
+    /// What is seen from `pose`, five cells far.
+    pub(super) fn picture(&self, pose: Pose) -> Picture {
+        let seen: Vec<_> =
+            self.landmarks.iter().filter_map(|landmark| seen(landmark, pose)).collect();
+        let Cell { x, y } = pose.cell;
+        let seed = (u32::from(x) * 256 + u32::from(y)) * 4 + pose.heading as u32;
+        Picture::background(448, seed).with(&seen)
+    }
+}
+
+fn seen(landmark: &Landmark, pose: Pose) -> Option<Sighting> {
+    let (ahead, right) = offset_of(pose, landmark.standpoint);
+    let face = quarters(pose.heading, landmark.face);
+    let visible = match face {
+        0 => (0..=5).contains(&ahead) && right.abs() <= ahead,
+        1 => (1..=5).contains(&ahead) && (0..ahead).contains(&right),
+        3 => (1..=5).contains(&ahead) && (0..ahead).contains(&-right),
+        _ => false,
+    };
+    let (ahead, right) = (ahead as i8, right as i8);
+    visible.then_some(Sighting { ahead, right, face, plate: landmark.plate })
 }

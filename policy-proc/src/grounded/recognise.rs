@@ -84,3 +84,67 @@ fn is_easily_seen(landmark: &Landmark, camera: Pose) -> bool {
         _ => false,
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use shm_types::Heading;
+
+    use super::*;
+    use crate::FrameView;
+    use crate::grounded::painter::{Aisle, Picture};
+
+    fn percept(pose: Pose) -> Percept {
+        Percept::of(&Aisle::new().picture(pose).view(1))
+    }
+
+    #[test]
+    fn poses_along_an_aisle_are_told_apart() {
+        let here = Pose::new(10, 12, Heading::N);
+        for remembered in [
+            here,
+            Pose::new(10, 13, Heading::N),
+            Pose::new(10, 10, Heading::N),
+            Pose::new(11, 12, Heading::N),
+            Pose::new(11, 19, Heading::S),
+        ] {
+            assert_eq!(pose_of(&percept(remembered), &percept(here), here), Some(remembered));
+        }
+    }
+
+    #[test]
+    fn what_shares_nothing_with_the_view_is_not_recognised() {
+        let here = Pose::new(10, 12, Heading::N);
+        for remembered in [
+            Pose::new(10, 12, Heading::S),
+            Pose::new(10, 12, Heading::W),
+            Pose::new(10, 18, Heading::N),
+        ] {
+            assert_eq!(pose_of(&percept(remembered), &percept(here), here), None, "{remembered}");
+        }
+    }
+
+    #[test]
+    fn one_plate_that_says_something_else_refutes_a_place() {
+        let here = Pose::new(10, 12, Heading::N);
+        let mut other = Aisle::new();
+        other.landmarks[4].plate = other.landmarks[0].plate;
+        let other = Percept::of(&other.picture(here).view(1));
+        assert_eq!(pose_of(&other, &percept(here), here), None);
+    }
+
+    #[test]
+    fn blank_views_are_never_recognised() {
+        let here = Pose::new(10, 12, Heading::N);
+        let blank = FrameView { id: 1, width: 64, height: 64, pixels: &[128; 64 * 64 * 4] };
+        let blank = Percept::of(&blank);
+        assert_eq!(pose_of(&blank, &blank, here), None);
+        assert_eq!(pose_of(&percept(here), &blank, here), None);
+        let bare = |seed| Percept::of(&Picture::background(448, seed).view(1));
+        assert_eq!(
+            pose_of(&bare(1), &bare(1), here),
+            Some(here),
+            "texture without plates is enough"
+        );
+        assert_eq!(pose_of(&bare(1), &bare(2), here), None);
+    }
+}

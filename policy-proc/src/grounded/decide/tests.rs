@@ -1,0 +1,237 @@
+use proptest::prelude::*;
+use shm_types::{Feedback, Heading};
+
+use super::*;
+use crate::grounded::painter::{Aisle, Picture};
+use crate::{FrameView, PastView, Segment, SegmentView};
+
+/// A request in the making: pictures of the aisle from the poses that are told.
+struct Ask {
+    instruction: String,
+    step: u32,
+    seed: u64,
+    pose: Pose,
+    /// What was done before, and the pose it was done from.
+    past: Vec<(Pose, Action, Feedback)>,
+    /// What is remembered: where from, and what the expert did there.
+    remembered: Vec<(Pose, Option<Action>)>,
+    blank: bool,
+}
+
+impl Ask {
+    fn at(pose: Pose) -> Self {
+        Self {
+            instruction: "Find a fork lift.".to_owned(),
+            step: 50,
+            seed: 1,
+            pose,
+            past: Vec::new(),
+            remembered: Vec::new(),
+            blank: false,
+        }
+    }
+
+    fn for_the(self, instruction: &str) -> Self {
+        Self { instruction: instruction.to_owned(), ..self }
+    }
+
+    fn after(self, past: &[(Pose, Action, Feedback)]) -> Self {
+        Self { past: past.to_vec(), ..self }
+    }
+
+    fn remembering(self, remembered: &[(Pose, Option<Action>)]) -> Self {
+        Self { remembered: remembered.to_vec(), ..self }
+    }
+
+    /// The decision; the same whatever the frames' ids.
+    fn action(&self) -> Action {
+        let first = self.action_with_ids(1);
+        assert_eq!(first, self.action_with_ids(1000));
+        first
+    }
+
+    fn action_with_ids(&self, first_id: u64) -> Action {
+        let aisle = Aisle::new();
+        let poses = self.past.iter().map(|past| past.0);
+        let poses = poses.chain(self.remembered.iter().map(|view| view.0)).chain([self.pose]);
+        let pictures: Vec<_> = poses.map(|pose| aisle.picture(pose)).collect();
+        let views: Vec<_> =
+            (first_id..).zip(&pictures).map(|(id, picture)| picture.view(id)).collect();
+        let (past, views) = views.split_at(self.past.len());
+        let (remembered, current) = views.split_at(self.remembered.len());
+        let window: Vec<_> = past
+            .iter()
+            .zip(&self.past)
+            .map(|(&frame, &(_, action, feedback))| PastView {
+                frame,
+                action: Some(action),
+                feedback,
+            })
+            .collect();
+        let steps: Vec<_> = remembered
+            .iter()
+            .zip(&self.remembered)
+            .map(|(&frame, &(_, action))| SegmentView { frame, action })
+            .collect();
+        let grey = [128; 64 * 64 * 4];
+        let blank = FrameView { id: first_id + 500, width: 64, height: 64, pixels: &grey };
+        let request = Request {
+            lane: 0,
+            step: self.step,
+            episode_seed: self.seed,
+            instruction: &self.instruction,
+            pose: self.pose,
+            feedback: window.last().map_or(Feedback::Start, |past| past.feedback),
+            frame: if self.blank { blank } else { current[0] },
+            window: &window,
+            segment: (!steps.is_empty()).then_some(Segment { distance: 0.0, steps: &steps }),
+        };
+        action(&request, &mut Percepts::default())
+    }
+}
+
+const HERE: Pose = Pose::new(10, 12, Heading::N);
+
+#[test]
+fn memory_that_fits_is_followed() {
+    for expert in Action::ALL {
+        let ask = Ask::at(HERE).remembering(&[(HERE, Some(expert)), (HERE, None)]);
+        assert_eq!(ask.action(), expert);
+    }
+}
+
+#[test]
+fn memory_of_another_place_is_not_followed() {
+    let elsewhere = Pose::new(10, 18, Heading::N);
+    let explored = Ask::at(HERE).action();
+    for expert in Action::ALL {
+        let ask = Ask::at(HERE).remembering(&[(elsewhere, Some(expert)), (elsewhere, None)]);
+        assert_eq!(ask.action(), explored);
+    }
+}
+
+#[test]
+fn nothing_is_followed_and_nowhere_walked_when_nothing_is_seen() {
+    let ask = Ask::at(HERE).remembering(&[(HERE, Some(Action::Forward)), (HERE, None)]);
+    assert_eq!(Ask { blank: true, ..ask }.action(), Action::TurnRight);
+}
+
+#[test]
+fn a_remembered_path_is_joined_where_it_is_near() {
+    let path = |heading| {
+        let ahead = Pose { heading, ..Pose::new(11, 13, Heading::N) };
+        [(ahead, Some(Action::Forward)), (ahead, None)]
+    };
+    assert_eq!(Ask::at(HERE).remembering(&path(Heading::N)).action(), Action::Forward);
+    let beside = Pose::new(11, 12, Heading::N);
+    let path = [(beside, Some(Action::Forward)), (beside, None)];
+    let ask = Ask::at(HERE).remembering(&path);
+    assert_eq!(ask.action(), Action::Right);
+}
+
+#[test]
+fn what_failed_is_not_tried_again_and_again() {
+    let path = [(HERE, Some(Action::Forward)), (Pose::new(10, 13, Heading::N), None)];
+    let hit = (HERE, Action::Forward, Feedback::Blocked);
+    for times in 1..=6 {
+        let ask = Ask::at(HERE).after(&vec![hit; times]).remembering(&path);
+        assert_ne!(ask.action(), Action::Forward);
+    }
+}
+
+#[test]
+fn what_is_asked_for_and_in_sight_is_walked_to() {
+    // The cones stand on the east side: the nearest way to "cones 14" is two rows up, one column over.
+    let to_the_cone = Ask::at(HERE).for_the("Find a cones 14.");
+    assert_eq!(to_the_cone.action(), Action::Forward);
+    let beside = Ask::at(Pose::new(10, 14, Heading::S))
+        .after(&[(Pose::new(10, 14, Heading::N), Action::TurnAround, Feedback::Turned)])
+        .for_the("Find a barrels 16.");
+    assert_eq!(beside.action(), Action::Backward, "seen before turning, remembered by the window");
+    let nearest = Ask::at(HERE).for_the("Find any item of the category cones.");
+    assert_eq!(nearest.action(), Action::Forward);
+}
+
+#[test]
+fn orders_are_kept_as_far_as_the_window_tells() {
+    let to_the_barrel = [
+        (Pose::new(11, 11, Heading::N), Action::Forward, Feedback::Moved),
+        (Pose::new(11, 12, Heading::N), Action::Forward, Feedback::Moved),
+        (Pose::new(11, 13, Heading::N), Action::Left, Feedback::Moved),
+    ];
+    let here = Pose::new(10, 13, Heading::N);
+    let on_barrel_13 = |instruction| Ask::at(here).after(&to_the_barrel).for_the(instruction);
+    let then = "Visit a barrels 13, then a cones 15.";
+    assert_eq!(on_barrel_13(then).action(), Action::Forward);
+    let back = "Find a barrels 13, then return to the cell where you started.";
+    assert_eq!(Ask { step: 3, ..on_barrel_13(back) }.action(), Action::Right);
+    let any = "Visit a cones 14 and a barrels 13, in any order.";
+    assert_eq!(on_barrel_13(any).action(), Action::Forward);
+    let revisit = "Find a cones 13, then visit a barrels 13, then go back to the same cones 13.";
+    assert_eq!(on_barrel_13(revisit).action(), Action::Right);
+    let every = "Visit every item of the category barrels in the warehouse.";
+    assert_eq!(on_barrel_13(every).action(), Action::Forward, "not the one stood on");
+}
+
+fn pose() -> impl Strategy<Value = Pose> {
+    (9..13_u8, 9..21_u8, 0..4_usize).prop_map(|(x, y, h)| Pose::new(x, y, Heading::ALL[h]))
+}
+
+fn any_action() -> impl Strategy<Value = Action> {
+    prop::sample::select(&Action::ALL[..])
+}
+
+fn feedback() -> impl Strategy<Value = Feedback> {
+    prop::sample::select(&Feedback::ALL[..])
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(24))]
+
+    #[test]
+    fn any_request_has_an_answer_and_only_one(
+        here in pose(),
+        past in prop::collection::vec((pose(), any_action(), feedback()), 0..7),
+        remembered in prop::collection::vec((pose(), prop::option::of(any_action())), 0..8),
+        step in 0..200_u32,
+        seed: u64,
+        instruction in prop::sample::select(vec![
+            "", "Find any item of the category cones.", "Visit a barrels 13, then a cones 15.",
+        ]),
+    ) {
+        let ask = Ask::at(here).for_the(instruction).after(&past).remembering(&remembered);
+        let ask = Ask { step, seed, ..ask };
+        ask.action();
+    }
+
+    #[test]
+    fn rubbish_in_frames_and_edges_of_the_grid_have_an_answer(
+        pixels in prop::collection::vec(any::<u8>(), 32 * 32 * 4),
+        x: u8, y: u8, heading in 0..4_usize,
+        past in prop::collection::vec((any_action(), feedback()), 0..7),
+        actions in prop::collection::vec(prop::option::of(any_action()), 1..8),
+    ) {
+        let texture = Picture::background(64, 3);
+        let noise = FrameView { id: 2, width: 32, height: 32, pixels: &pixels };
+        for frame in [texture.view(1), noise] {
+            let window: Vec<_> = past
+                .iter()
+                .map(|&(action, feedback)| PastView { frame, action: Some(action), feedback })
+                .collect();
+            let steps: Vec<_> =
+                actions.iter().map(|&action| SegmentView { frame, action }).collect();
+            let request = Request {
+                lane: 0,
+                step: window.len() as u32,
+                episode_seed: 7,
+                instruction: "Find a blue barrel, then return to the cell where you started.",
+                pose: Pose::new(x, y, Heading::ALL[heading]),
+                feedback: Feedback::Moved,
+                frame,
+                window: &window,
+                segment: Some(Segment { distance: f32::NAN, steps: &steps }),
+            };
+            action(&request, &mut Percepts::default());
+        }
+    }
+}
