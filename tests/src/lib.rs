@@ -1,1 +1,210 @@
-//! Tests that need several processes.
+//! What tests of the whole program share: running `memtransfer` in a world of its own.
+//!
+//! Every [`Bench`] has its own folder of runs, so that what a run leaves behind can be told from what
+//! anybody else's run is using. Nothing waits without an end.
+
+#![expect(clippy::expect_used, clippy::missing_panics_doc, reason = "a test may panic")]
+
+use std::collections::BTreeSet;
+use std::ffi::OsStr;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Output, Stdio};
+use std::sync::{Mutex, MutexGuard};
+use std::time::{Duration, Instant};
+
+use tempfile::TempDir;
+
+/// Longest a single run of the program may take before it is taken to hang.
+pub const WATCHDOG: Duration = Duration::from_secs(300);
+
+/// Tests that start processes run one at a time: there are two cores.
+static MACHINE: Mutex<()> = Mutex::new(());
+
+/// The program `name`, built beside the running test.
+pub fn program(name: &str) -> PathBuf {
+    let test = std::env::current_exe().expect("a test knows where it lies");
+    let release = test.parent().and_then(Path::parent).expect("target/release/deps/<test>");
+    let program = release.join(name);
+    assert!(
+        program.is_file(),
+        "{} is missing: run the tests with `cargo xtask test`, which builds the programs first",
+        program.display()
+    );
+    program
+}
+
+/// A place to run the program in, and the machine to itself.
+pub struct Bench {
+    /// Holds the run folders.
+    pub folder: TempDir,
+    /// Where live runs are registered; short, because socket names lie below it.
+    pub registry: TempDir,
+    _machine: MutexGuard<'static, ()>,
+}
+
+impl Bench {
+    /// A fresh one.
+    pub fn new() -> Self {
+        let machine = MACHINE.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+        let folder = tempfile::tempdir().expect("a folder");
+        let registry = tempfile::Builder::new().prefix("mt").tempdir_in("/tmp").expect("a folder");
+        Self { folder, registry, _machine: machine }
+    }
+
+    /// `memtransfer` with `args`, not started yet.
+    pub fn command(&self, args: &[&str]) -> Command {
+        let mut command = Command::new(program("memtransfer"));
+        command
+            .args(args)
+            .current_dir(self.folder.path())
+            .env("MEMTRANSFER_RUN_DIR", self.registry.path())
+            .stdin(Stdio::null())
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped());
+        command
+    }
+
+    /// Runs `memtransfer` with `args` to its end.
+    pub fn run(&self, args: &[&str]) -> Ended {
+        Ended::of(self.start(args))
+    }
+
+    /// Starts `memtransfer` with `args`.
+    pub fn start(&self, args: &[&str]) -> Child {
+        self.command(args).spawn().expect("memtransfer starts")
+    }
+
+    /// The run folder `name`.
+    pub fn out(&self, name: &str) -> PathBuf {
+        self.folder.path().join(name)
+    }
+
+    /// What is left of live runs: folders in the registry, names in shared memory, processes.
+    pub fn leftovers(&self) -> Vec<String> {
+        let runs: Vec<PathBuf> = fs::read_dir(self.registry.path())
+            .expect("the registry can be read")
+            .map(|entry| entry.expect("an entry").path())
+            .filter(|path| path.is_dir())
+            .collect();
+        let mut left: Vec<String> = runs.iter().map(|path| path.display().to_string()).collect();
+        left.extend(processes_of(self.registry.path()).iter().map(|pid| format!("process {pid}")));
+        left
+    }
+}
+
+impl Default for Bench {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+/// A run of the program that is over.
+pub struct Ended {
+    /// Exit status; `None` when a signal ended it.
+    pub status: Option<i32>,
+    /// Its standard output.
+    pub stdout: String,
+    /// Its standard error.
+    pub stderr: String,
+}
+
+impl Ended {
+    /// Waits for `child`, and kills it when it hangs.
+    pub fn of(child: Child) -> Self {
+        let pid = child.id();
+        let (done, over) = std::sync::mpsc::channel::<()>();
+        let watchdog = std::thread::spawn(move || {
+            if over.recv_timeout(WATCHDOG) == Err(std::sync::mpsc::RecvTimeoutError::Timeout) {
+                kill(pid);
+            }
+        });
+        let Output { status, stdout, stderr } = child.wait_with_output().expect("it ends");
+        drop(done);
+        watchdog.join().expect("the watchdog ends");
+        let text = |bytes| String::from_utf8_lossy(bytes).into_owned();
+        Self { status: status.code(), stdout: text(&stdout), stderr: text(&stderr) }
+    }
+
+    /// Itself, if it ended with `status`.
+    pub fn expect(self, status: i32) -> Self {
+        assert_eq!(self.status, Some(status), "stdout:\n{}\nstderr:\n{}", self.stdout, self.stderr);
+        self
+    }
+}
+
+/// Kills process `pid` as `kill -9` does.
+pub fn kill(pid: u32) {
+    let pid = i32::try_from(pid).ok().and_then(rustix::process::Pid::from_raw);
+    if let Some(pid) = pid {
+        // It may be gone already.
+        let _ = rustix::process::kill_process(pid, rustix::process::Signal::KILL);
+    }
+}
+
+/// The processes that attached to a run below `registry`, by the argument that names it.
+pub fn processes_of(registry: &Path) -> BTreeSet<u32> {
+    let marker = registry.as_os_str().as_encoded_bytes();
+    let mut found = BTreeSet::new();
+    for entry in fs::read_dir("/proc").expect("/proc").flatten() {
+        let pid = entry.file_name().to_str().and_then(|name| name.parse::<u32>().ok());
+        let Some(pid) = pid else { continue };
+        let arguments = fs::read(entry.path().join("cmdline")).unwrap_or_default();
+        if arguments.windows(marker.len()).any(|window| window == marker) {
+            found.insert(pid);
+        }
+    }
+    found
+}
+
+/// The process in the part `role` ("sim", "memory", "policy") of a run below `registry`, once it is there.
+pub fn process_of(registry: &Path, role: &str) -> u32 {
+    let name = format!("{role}-proc");
+    eventually(&format!("the {name} process to start"), || {
+        processes_of(registry).into_iter().find(|pid| {
+            let exe = fs::read_link(format!("/proc/{pid}/exe")).unwrap_or_default();
+            exe.file_name() == Some(OsStr::new(&name))
+        })
+    })
+}
+
+/// What `look` finds, as soon as it finds something.
+pub fn eventually<T>(what: &str, mut look: impl FnMut() -> Option<T>) -> T {
+    let start = Instant::now();
+    loop {
+        if let Some(found) = look() {
+            return found;
+        }
+        assert!(start.elapsed() < WATCHDOG, "waited in vain for {what}");
+        std::thread::sleep(Duration::from_millis(5));
+    }
+}
+
+/// The lines of a run's episode log, sorted: what must not depend on lanes or crashes.
+pub fn sorted_log(run: &Path) -> Vec<String> {
+    let mut lines: Vec<String> = episodes(run).lines().map(str::to_owned).collect();
+    lines.sort();
+    lines
+}
+
+/// The run's episode log as it stands; empty while there is none.
+pub fn episodes(run: &Path) -> String {
+    fs::read_to_string(run.join("episodes.jsonl")).unwrap_or_default()
+}
+
+/// The records of a run's episode log.
+pub fn records(run: &Path) -> Vec<serde_json::Value> {
+    let parse = |line: &str| serde_json::from_str(line).expect("a line of JSON");
+    episodes(run).lines().map(parse).collect()
+}
+
+/// Success rate in percent of the records that `select` picks; they must not be none.
+pub fn success_rate(
+    records: &[serde_json::Value],
+    select: impl Fn(&serde_json::Value) -> bool,
+) -> f64 {
+    let picked: Vec<bool> =
+        records.iter().filter(|r| select(r)).map(|r| r["ending"] == "complete").collect();
+    assert!(!picked.is_empty(), "no record was picked");
+    100.0 * picked.iter().filter(|&&success| success).count() as f64 / picked.len() as f64
+}
