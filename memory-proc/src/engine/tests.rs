@@ -384,4 +384,55 @@ proptest! {
         let steps: usize = at_once.iter().map(|script| script.poses.len() - 1).sum();
         prop_assert_eq!(together.answers.len(), steps);
     }
+
+    /// Whatever arrives is taken up or refused, and what was held is let go again.
+    #[test]
+    fn no_message_panics(
+        messages in prop::collection::vec(
+            (any::<bool>(), 0..4_u64, 0..3_u32, 0..4_u32, any::<[u8; 7]>(), 0..18_u32), 0..80
+        ),
+    ) {
+        let mut rig = Rig::new(2, 400);
+        for (is_brief, episode, lane, small, bytes, demonstrations) in messages {
+            let [a, b, c, d, e, f, g] = bytes.map(|byte| if byte < 128 { byte % 8 } else { byte });
+            if is_brief {
+                let _ = rig.engine.brief(&MemoryBrief {
+                    episode,
+                    lane,
+                    case: small * 40,
+                    demonstrations,
+                    representation: a,
+                    window: b,
+                    horizon: c,
+                    reserved: [d; 9],
+                });
+            } else {
+                let pose = shm_types::message::WirePose([a, b, c, d]);
+                let seen = Observation {
+                    episode,
+                    lane,
+                    step: small,
+                    frame: 1,
+                    pose,
+                    feedback: e,
+                    action: f,
+                    last: g % 2,
+                    ..bytemuck::Zeroable::zeroed()
+                };
+                if let Ok(Some(_)) = rig.engine.observe(&seen, 1) {
+                    let pose = Pose::try_from(pose).unwrap();
+                    rig.engine.show(lane, content(pose), pose);
+                }
+            }
+            rig.work(usize::from(a));
+            let _ = rig.engine.answers(|| 5);
+        }
+        for (lane, ticket) in [(0, 90), (1, 91)] {
+            let script = rig.script(lane, ticket, 3, Start::Original, WORKING);
+            rig.engine.brief(&script.brief).unwrap();
+            rig.observe(script.observations[0]).unwrap();
+        }
+        while rig.work(0) {}
+        prop_assert_eq!(rig.holds, rig.releases);
+    }
 }
