@@ -35,9 +35,9 @@ const LONGEST_SLEEP: Duration = Duration::from_secs(1);
 /// How often the orchestrator is told that images wait.
 const BUSY_INTERVAL: Duration = Duration::from_secs(1);
 
-/// How long to stay after saying why one cannot go on. What was sent is lost with its sender for a receiver
-/// that has not looked since, and the orchestrator may just be waking up.
-const LAST_WORDS: Duration = Duration::from_millis(200);
+/// How long to stay after saying why one cannot go on. Before an orchestrator has received this process's
+/// hello, what was sent is lost with its sender unless the orchestrator looks in time.
+const LAST_WORDS: Duration = Duration::from_millis(500);
 
 /// What a memory process is started with.
 #[derive(Debug, Clone)]

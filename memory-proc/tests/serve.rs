@@ -77,6 +77,16 @@ impl Stage {
         attach.write(run.path()).unwrap();
         let [orchestrator, sim, policy] = [Role::Orchestrator, Role::Sim, Role::Policy]
             .map(|role| Bus::join(attach.clone(), role).unwrap());
+        let idle = Idle {
+            _observations: [&orchestrator, &policy].map(|bus| bus.receiver().unwrap()),
+            _busy: orchestrator.receiver().unwrap(),
+            _stops: [&sim, &policy].map(|bus| bus.receiver().unwrap()),
+            _frames: FrameStore::new(&policy).unwrap(),
+        };
+        // Memory starts last: what it says at once must find its receivers.
+        let hellos = orchestrator.receiver().unwrap();
+        let complaints = orchestrator.receiver().unwrap();
+        let farewells = orchestrator.receiver().unwrap();
         let memory = Command::new(env!("CARGO_BIN_EXE_memory-proc"))
             .arg("serve")
             .arg("--attach")
@@ -85,12 +95,6 @@ impl Stage {
             .arg(cache)
             .spawn()
             .unwrap();
-        let idle = Idle {
-            _observations: [&orchestrator, &policy].map(|bus| bus.receiver().unwrap()),
-            _busy: orchestrator.receiver().unwrap(),
-            _stops: [&sim, &policy].map(|bus| bus.receiver().unwrap()),
-            _frames: FrameStore::new(&policy).unwrap(),
-        };
         Self {
             memory: Kill(memory),
             briefs: orchestrator.sender().unwrap(),
@@ -100,9 +104,9 @@ impl Stage {
             requests: sim.receiver().unwrap(),
             recalls: policy.receiver().unwrap(),
             traces: orchestrator.receiver().unwrap(),
-            hellos: orchestrator.receiver().unwrap(),
-            complaints: orchestrator.receiver().unwrap(),
-            farewells: orchestrator.receiver().unwrap(),
+            hellos,
+            complaints,
+            farewells,
             publisher: FramePublisher::new(&sim).unwrap(),
             shown: HashMap::new(),
             released: 0,
@@ -129,10 +133,11 @@ impl Stage {
                     self.released += 1;
                 }
             }
+            // Asked before looking: what was said before the end is found.
+            let ended = self.memory.0.try_wait().unwrap();
             if let Some(found) = next(self) {
                 return found;
             }
-            let ended = self.memory.0.try_wait().unwrap();
             assert!(
                 ended.is_none() && Instant::now() < deadline,
                 "memory does not answer: {ended:?}"
