@@ -132,20 +132,20 @@ impl FrameControl {
 #[derive(Debug, thiserror::Error)]
 pub enum AttachError {
     /// The file cannot be read or written.
-    #[error("{}: {source}", path.display())]
+    #[error("{}: {cause}", path.display())]
     File {
         /// The file.
         path: PathBuf,
         /// What the system said.
-        source: io::Error,
+        cause: io::Error,
     },
     /// It is not the JSON that it should be.
-    #[error("{}: {source}", path.display())]
+    #[error("{}: {cause}", path.display())]
     Json {
         /// The file.
         path: PathBuf,
         /// What is wrong with it.
-        source: serde_json::Error,
+        cause: serde_json::Error,
     },
     /// The writer speaks another version of the wire.
     #[error(
@@ -196,9 +196,9 @@ impl Attach {
     /// that speaks another wire version, or holds a value that cannot be.
     pub fn read(dir: &Path) -> Result<Self, AttachError> {
         let path = dir.join(ATTACH_FILE);
-        let file_error = |source| AttachError::File { path: path.clone(), source };
+        let file_error = |cause| AttachError::File { path: path.clone(), cause };
         let text = fs::read_to_string(&path).map_err(file_error)?;
-        let json_error = |source| AttachError::Json { path: path.clone(), source };
+        let json_error = |cause| AttachError::Json { path: path.clone(), cause };
         // The version comes first: a file of another version may well have other fields.
         let value: serde_json::Value = serde_json::from_str(&text).map_err(json_error)?;
         let theirs = value.get("wire_version").and_then(serde_json::Value::as_u64);
@@ -220,12 +220,12 @@ impl Attach {
         self.check()?;
         let path = dir.join(ATTACH_FILE);
         let draft = dir.join("attach.json.new");
-        let json_error = |source| AttachError::Json { path: path.clone(), source };
+        let json_error = |cause| AttachError::Json { path: path.clone(), cause };
         let text = serde_json::to_string_pretty(self).map_err(json_error)?;
         fs::File::create(&draft)
             .and_then(|mut file| writeln!(file, "{text}"))
             .and_then(|()| fs::rename(&draft, &path))
-            .map_err(|source| AttachError::File { path: path.clone(), source })
+            .map_err(|cause| AttachError::File { path: path.clone(), cause })
     }
 
     /// How many of `roles` take part in the run.
@@ -364,8 +364,10 @@ mod tests {
 
     #[test]
     fn a_missing_file_is_named() {
-        let error = Attach::read(Path::new("/nowhere")).unwrap_err().to_string();
+        let error = Attach::read(Path::new("/nowhere")).unwrap_err();
+        let error = format!("{error}{:?}", std::error::Error::source(&error));
         assert!(error.starts_with("/nowhere/attach.json: "), "{error}");
+        assert_eq!(error.matches("No such file").count(), 1, "said once, whoever prints the chain");
     }
 
     #[test]

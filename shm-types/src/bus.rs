@@ -67,12 +67,12 @@ pub enum BusError {
         path: String,
     },
     /// The run's folder cannot be held: it is gone, or belongs to somebody else.
-    #[error("cannot join the run in {path}: {source}")]
+    #[error("cannot join the run in {path}: {cause}")]
     Membership {
         /// The folder.
         path: String,
         /// What the system said.
-        source: std::io::Error,
+        cause: std::io::Error,
     },
     /// Something could not be created or opened.
     #[error("{what}: {cause}")]
@@ -154,9 +154,9 @@ impl Bus {
     /// gone, or iceoryx2 cannot create its node and the role's doorbell.
     pub fn join(attach: Attach, role: Role) -> Result<Self, BusError> {
         attach.check()?;
-        let membership = registry::hold(&attach.root).map_err(|source| BusError::Membership {
+        let membership = registry::hold(&attach.root).map_err(|cause| BusError::Membership {
             path: attach.root.display().to_string(),
-            source,
+            cause,
         })?;
         let config = config(&attach)?;
         // iceoryx2 writes to stderr by itself. What it warns of comes back as an error here, in words.

@@ -51,7 +51,7 @@ pub enum SharedMemoryError {
     },
     /// The system does not say.
     #[error("cannot tell how much room {SHARED_MEMORY} has: {0}")]
-    Unknown(#[source] io::Error),
+    Unknown(io::Error),
 }
 
 /// Checks that shared memory has room for what `attach` can come to use, since writing past its end

@@ -36,14 +36,14 @@ const CLEANER_PATIENCE: Duration = Duration::from_secs(5);
 #[derive(Debug, thiserror::Error)]
 pub enum RegistryError {
     /// The system refused.
-    #[error("{doing} {}: {source}", path.display())]
+    #[error("{doing} {}: {cause}", path.display())]
     System {
         /// What was tried.
         doing: &'static str,
         /// With what.
         path: PathBuf,
         /// What it said.
-        source: io::Error,
+        cause: io::Error,
     },
     /// The folder of all runs belongs to somebody else, or others may write to it.
     #[error("{} is not a folder that only you can write to: remove it or choose another", path.display())]
@@ -63,7 +63,7 @@ pub enum RegistryError {
 }
 
 fn system<'a>(doing: &'static str, path: &'a Path) -> impl FnOnce(io::Error) -> RegistryError + 'a {
-    move |source| RegistryError::System { doing, path: path.to_owned(), source }
+    move |cause| RegistryError::System { doing, path: path.to_owned(), cause }
 }
 
 /// Bytes of a slash and a run's name.
@@ -135,8 +135,8 @@ impl RunDir {
                     thread::sleep(Duration::from_millis(5));
                 }
                 Err(TryLockError::WouldBlock) => return Ok(false),
-                Err(TryLockError::Error(source)) => {
-                    return Err(system("cannot lock", &self.path)(source));
+                Err(TryLockError::Error(cause)) => {
+                    return Err(system("cannot lock", &self.path)(cause));
                 }
             }
         }
@@ -267,7 +267,7 @@ fn hold_dead(run: &Path) -> Result<Option<File>, RegistryError> {
     match lock.try_lock() {
         Ok(()) => Ok(Some(lock)),
         Err(TryLockError::WouldBlock) => Ok(None),
-        Err(TryLockError::Error(source)) => Err(system("cannot lock", &file)(source)),
+        Err(TryLockError::Error(cause)) => Err(system("cannot lock", &file)(cause)),
     }
 }
 
