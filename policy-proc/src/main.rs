@@ -1,6 +1,7 @@
 //! The policy process: one of the built-in policies, put on the wire.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
 
 use anyhow::Context;
 use clap::{Parser, Subcommand, ValueEnum};
@@ -40,15 +41,25 @@ enum BuiltIn {
     Grounded,
 }
 
-fn main() -> anyhow::Result<()> {
+fn main() -> ExitCode {
     let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new("warn"));
     tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).init();
     let Verb::Serve { attach, policy } = Arguments::parse().verb;
-    let run = Attach::read(&attach).context("cannot take part in the run")?;
+    match take_part(&attach, policy) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("policy-proc: {error:#}");
+            ExitCode::from(2)
+        }
+    }
+}
+
+fn take_part(attach_dir: &Path, policy: BuiltIn) -> anyhow::Result<()> {
+    let run = Attach::read(attach_dir).context("cannot take part in the run")?;
     die_with_parent(run.orchestrator_pid).context("this process belongs to an orchestrator")?;
     let mut policy: Box<dyn Policy> = match policy {
         BuiltIn::Random => Box::new(Random),
         BuiltIn::Grounded => Box::new(Grounded::default()),
     };
-    serve(policy.as_mut(), &attach).context("the policy process cannot go on")
+    serve(policy.as_mut(), attach_dir).context("the policy process cannot go on")
 }

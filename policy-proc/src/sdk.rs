@@ -3,6 +3,27 @@
 //! A policy of one's own is a type with [`Policy`] and a `main` that calls [`serve`] with the folder of
 //! the run. Reading messages, joining what belongs together, holding frames, checking what came and
 //! saying what could not be used is all done here.
+//!
+//! ```no_run
+//! use policy_proc::{Decision, Policy, Request, serve};
+//! use shm_types::Action;
+//!
+//! struct AlwaysForward;
+//!
+//! impl Policy for AlwaysForward {
+//!     fn name(&self) -> &str {
+//!         "always-forward"
+//!     }
+//!
+//!     fn act(&mut self, batch: &[Request<'_>]) -> Vec<Decision> {
+//!         batch.iter().map(|request| Decision::act(request, Action::Forward)).collect()
+//!     }
+//! }
+//!
+//! let run_folder = std::env::args_os().nth(1).expect("the run's folder");
+//! serve(&mut AlwaysForward, run_folder.as_ref())?;
+//! # Ok::<(), policy_proc::ServeError>(())
+//! ```
 
 mod join;
 mod serve;

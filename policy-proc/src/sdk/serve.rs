@@ -61,12 +61,12 @@ pub fn serve(policy: &mut dyn Policy, attach_dir: &Path) -> Result<(), ServeErro
     let bus = Bus::join(attach, Role::Policy)?;
     // Receivers first: nobody sends before every process has said hello.
     let mut server = Server::new(&bus)?;
-    server.hellos.send(&hello(policy)?)?;
+    bus.sender()?.send(&hello(policy)?)?;
     server.orchestrator.ring()?;
     while !server.turn(policy)? {
         bus.doorbell().wait(LONGEST_SLEEP)?;
     }
-    server.farewell()
+    server.farewell(&bus)
 }
 
 fn hello(policy: &dyn Policy) -> Result<Hello, ServeError> {
@@ -97,10 +97,6 @@ struct Server {
     recalls: Receiver<Recall>,
     stops: Receiver<Stop>,
     decisions: Sender<message::Decision>,
-    // What a sender sent may be lost when it is gone before a receiver has noticed that it was there, so
-    // these two live as long as the others.
-    hellos: Sender<Hello>,
-    farewells: Sender<Farewell>,
     orchestrator: Bell,
     frames: FrameStore,
     complaints: Complaints,
@@ -115,8 +111,6 @@ impl Server {
             recalls: bus.receiver()?,
             stops: bus.receiver()?,
             decisions: bus.sender()?,
-            hellos: bus.sender()?,
-            farewells: bus.sender()?,
             orchestrator: bus.bell(Role::Orchestrator)?,
             frames: FrameStore::new(bus)?,
             complaints: Complaints::new(bus)?,
@@ -248,8 +242,8 @@ impl Server {
         }
     }
 
-    fn farewell(&self) -> Result<(), ServeError> {
-        self.farewells.send(&Farewell {
+    fn farewell(&self, bus: &Bus) -> Result<(), ServeError> {
+        bus.sender()?.send(&Farewell {
             role: Role::Policy as u32,
             frames_held: self.frames.taken(),
             complaints: self.complaints.count().into(),
