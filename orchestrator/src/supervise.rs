@@ -153,17 +153,21 @@ impl Member {
                 return None;
             }
         };
-        let last_words = last_lines(&self.log, self.log_start).unwrap_or_default();
+        let last_words = last_words(&self.log, self.log_start, self.role).unwrap_or_default();
         Some(Death { role: self.role, status, last_words, log: self.log.clone() })
     }
 }
 
-/// The last lines of `log`, from byte `start` on.
-fn last_lines(log: &Path, start: u64) -> io::Result<String> {
+/// What a process said last in `log`, from byte `start` on: the message it ended with if it did so by
+/// itself, as `sim-proc: ...`, otherwise the last lines.
+fn last_words(log: &Path, start: u64, role: Role) -> io::Result<String> {
     let bytes = fs::read(log)?;
     let text = String::from_utf8_lossy(bytes.get(start as usize..).unwrap_or_default());
     let lines: Vec<&str> = text.lines().collect();
-    Ok(lines[lines.len().saturating_sub(LAST_LINES)..].join("\n"))
+    let farewell = format!("{}-proc: ", role.word());
+    let from = lines.iter().rposition(|line| line.starts_with(&farewell));
+    let from = from.unwrap_or(lines.len().saturating_sub(LAST_LINES));
+    Ok(lines[from..].join("\n"))
 }
 
 /// The program `name` beside the running one.

@@ -1,8 +1,6 @@
 //! Lanes against a scripted simulator, memory and policy: no process, no shared memory.
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
-#![expect(clippy::unwrap_used, reason = "a test may panic")]
-
 use bytemuck::Zeroable;
 use orchestrator::conditions::{Condition, Demonstrations, Memory, Route, Start};
 use orchestrator::lanes::{Fault, Lanes, Opening, Rules, Turn, Walked};

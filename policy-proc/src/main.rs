@@ -1,5 +1,6 @@
 //! The policy process: one of the built-in policies, put on the wire.
 
+use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
@@ -43,7 +44,12 @@ enum BuiltIn {
 
 fn main() -> ExitCode {
     let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new("warn"));
-    tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).init();
+    let colours = std::io::stderr().is_terminal();
+    tracing_subscriber::fmt()
+        .with_env_filter(filter)
+        .with_ansi(colours)
+        .with_writer(std::io::stderr)
+        .init();
     let Verb::Serve { attach, policy } = Arguments::parse().verb;
     match take_part(&attach, policy) {
         Ok(()) => ExitCode::SUCCESS,

@@ -1,7 +1,5 @@
 //! The whole program: four processes, real frames, the real encoder.
 
-#![expect(clippy::unwrap_used, reason = "a test may panic")]
-
 use std::fs;
 use std::path::Path;
 
@@ -116,7 +114,8 @@ fn success_comes_from_pixels() {
 /// Bytes that the process has moved through system calls, read and written; `None` once it is gone.
 fn moved_by_system_calls(pid: u32) -> Option<u64> {
     let text = fs::read_to_string(format!("/proc/{pid}/io")).ok()?;
-    let value = |key| text.lines().find_map(|line| line.strip_prefix(key)?.trim().parse::<u64>().ok());
+    let value =
+        |key| text.lines().find_map(|line| line.strip_prefix(key)?.trim().parse::<u64>().ok());
     Some(value("rchar:")? + value("wchar:")?)
 }
 
