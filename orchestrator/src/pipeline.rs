@@ -36,8 +36,11 @@ const FAREWELL_PATIENCE: Duration = Duration::from_secs(5);
 /// Generations that may fail one after the other without an episode being finished in between.
 const FAILURES_IN_A_ROW: u32 = 4;
 
-/// How often an episode is walked before it is left unfinished.
+/// How often an episode is walked before it is left unfinished, when others may be to blame for it.
 const WALKS: u32 = 12;
+
+/// How often an episode is walked before it is left unfinished, when its own answers could not be used.
+const SPOILT_WALKS: u32 = 3;
 
 /// How the processes are started and how long they may take.
 #[derive(Debug, Clone)]
@@ -126,7 +129,7 @@ pub fn walk(
             }
         });
         for episode in lanes.abandon() {
-            work.again(episode, "its processes failed again and again");
+            work.again(episode, WALKS, "its processes failed again and again");
         }
         match outcome {
             Ok(said) => farewells = said,
@@ -167,11 +170,11 @@ impl Work {
         1 + self.walks.get(&episode.key).copied().unwrap_or(0)
     }
 
-    /// Puts an episode that was not finished first in the queue, unless that happened too often.
-    fn again(&mut self, episode: Episode, why: &str) {
+    /// Puts an episode that was not finished first in the queue, unless it was walked `most` times.
+    fn again(&mut self, episode: Episode, most: u32, why: &str) {
         let walks = self.walks.entry(episode.key.clone()).or_default();
         *walks += 1;
-        if *walks < WALKS {
+        if *walks < most {
             self.queue.push_front(episode);
         } else {
             self.unfinished.push((episode, why.to_owned()));
@@ -391,7 +394,7 @@ impl Generation {
                     if let Fault::Garbage { lane, .. } = fault
                         && let Some(episode) = lanes.give_up(lane)
                     {
-                        work.again(episode, &fault.to_string());
+                        work.again(episode, SPOILT_WALKS, &fault.to_string());
                     }
                 }
             }
@@ -443,7 +446,7 @@ impl Generation {
         {
             let why = format!("{overdue}, after {rubbish} answers that could not be used");
             observer.trouble(&format!("{}: {why}", episode.key));
-            work.again(episode, &why);
+            work.again(episode, SPOILT_WALKS, &why);
             return Ok(());
         }
         Err(Failure::Again(format!("{overdue} and is taken to hang")))

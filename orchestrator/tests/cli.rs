@@ -1,0 +1,174 @@
+//! The program from outside: what it says about bad input, and how it ends. Needs no other process.
+
+#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
+
+use std::fs;
+use std::path::Path;
+use std::process::{Command, Output};
+
+use tempfile::TempDir;
+
+/// `memtransfer ARGUMENTS` in `dir`, away from this machine's settings.
+fn memtransfer(dir: &Path, arguments: &str) -> Output {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_memtransfer"));
+    for (name, _) in std::env::vars().filter(|(name, _)| name.starts_with("MEMTRANSFER_")) {
+        command.env_remove(name);
+    }
+    command.args(arguments.split_whitespace()).current_dir(dir);
+    command.env("MEMTRANSFER_RUN_DIR", dir.join("live")).output().unwrap()
+}
+
+fn dir() -> TempDir {
+    tempfile::Builder::new().prefix("mt").tempdir_in("/tmp").unwrap()
+}
+
+/// Copies the shipped assets to `dir/assets`.
+fn assets(dir: &Path) {
+    let shipped = Path::new(env!("CARGO_MANIFEST_DIR")).join("../assets");
+    fs::create_dir(dir.join("assets")).unwrap();
+    for file in ["layout.toml", "catalogue.toml", "cases.toml", "models.toml"] {
+        fs::copy(shipped.join(file), dir.join("assets").join(file)).unwrap();
+    }
+}
+
+fn text(bytes: &[u8]) -> String {
+    String::from_utf8_lossy(bytes).into_owned()
+}
+
+/// Runs it, expects exit status 2, nothing on stdout and no harm done; returns what it said.
+fn refused(dir: &Path, arguments: &str) -> String {
+    let output = memtransfer(dir, arguments);
+    let said = text(&output.stderr);
+    assert_eq!(output.status.code(), Some(2), "{arguments}: {said}");
+    assert!(output.stdout.is_empty(), "{arguments}");
+    assert!(!dir.join("runs").exists(), "{arguments} left a run folder");
+    said
+}
+
+#[test]
+fn bad_input_gets_one_clear_message_and_exit_status_2() {
+    let dir = dir();
+    fs::write(dir.path().join("typo.toml"), "lane = 3").unwrap();
+    fs::write(dir.path().join("broken.toml"), "runs = = 3").unwrap();
+    for (arguments, said) in [
+        ("run --suite quik", "did you mean `quick`?"),
+        ("run --suite ./missing.toml", "cannot read suite ./missing.toml"),
+        ("run --suite typo.toml", "unknown key `lane`: did you mean `lanes`?"),
+        ("run --suite broken.toml", "suite broken.toml: TOML parse error at line 1"),
+        ("run --policy ground", "did you mean `grounded`?"),
+        ("run --memory episodik", "did you mean `episodic`?"),
+        ("run --demos orginal", "did you mean `original`?"),
+        ("run --frames blanc", "did you mean `blank`?"),
+        ("run --cases t03-7", "did you mean `t03-07`?"),
+        ("run --cases 1-200", "unknown case `1-200`: did you mean `1-100`?"),
+        ("run --limit 0", "no case is left"),
+        ("run --lanes 0", "--lanes is 0, but must be 1 to 1024"),
+        ("run --frame-size 100", "--frame-size is 100, but must be a multiple of 64"),
+        ("run --starts original --routes blocked", "a blocked route needs the new start"),
+        ("run --lames 3", "--lanes"),
+        ("run --assets nowhere", "cannot read nowhere/layout.toml"),
+        ("validate --assets nowhere", "cannot read nowhere/layout.toml"),
+        ("score nowhere", "nowhere holds no run"),
+        ("map t03-7", "did you mean `t03-07`?"),
+        ("generate --count 0", "--count is 0"),
+    ] {
+        let found = refused(dir.path(), arguments);
+        assert!(found.contains(said), "{arguments}: {found}");
+    }
+}
+
+#[test]
+fn broken_assets_are_named_with_file_and_place() {
+    for (file, from, to, said) in [
+        ("layout.toml", "\nplan =", "\nplam =", "layout.toml: "),
+        ("cases.toml", "\nseed =", "\nsead =", "cases.toml: "),
+        ("catalogue.toml", "\nstock =", "\nstick =", "catalogue.toml: "),
+    ] {
+        let dir = dir();
+        assets(dir.path());
+        let path = dir.path().join("assets").join(file);
+        let whole = fs::read_to_string(&path).unwrap();
+        assert!(whole.contains(from), "{file}");
+        fs::write(&path, whole.replacen(from, to, 1)).unwrap();
+        let found = refused(dir.path(), "run --dry-run --assets assets");
+        assert!(found.contains(said), "{found}");
+    }
+}
+
+#[test]
+fn a_world_with_a_wrong_case_is_found_by_validate() {
+    let dir = dir();
+    assets(dir.path());
+    let path = dir.path().join("assets/cases.toml");
+    let text_of = fs::read_to_string(&path).unwrap();
+    // The first trajectory loses its last action.
+    let line = text_of.lines().find(|line| line.starts_with("original")).unwrap();
+    let shorter = format!("{}\"", &line[..line.len() - 2]);
+    fs::write(&path, text_of.replacen(line, &shorter, 1)).unwrap();
+    let output = memtransfer(dir.path(), "validate --assets assets");
+    assert_eq!(output.status.code(), Some(1));
+    assert!(text(&output.stdout).contains("FAIL"), "{}", text(&output.stdout));
+}
+
+#[test]
+fn settings_come_from_everywhere_in_order() {
+    let dir = dir();
+    fs::write(dir.path().join("mine.toml"), "lanes = 3\nruns = 4\nseed = 5").unwrap();
+    let shown = |arguments: &str| {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_memtransfer"));
+        command.args(arguments.split_whitespace()).current_dir(dir.path());
+        let output = command.env("MEMTRANSFER_RUNS", "6").env("MEMTRANSFER_SEED", "7").output();
+        text(&output.unwrap().stdout)
+    };
+    let found = shown("run --suite mine.toml --seed 8 --show-settings");
+    for (key, origin) in [
+        ("window = 6", "default"),
+        ("lanes = 3", "suite"),
+        ("runs = 6", "environment"),
+        ("seed = 8", "command line"),
+        ("out = \"runs/mine-grounded\"", "default"),
+    ] {
+        let line = found.lines().find(|line| line.starts_with(key));
+        assert!(line.is_some_and(|line| line.ends_with(origin)), "{key} from {origin}: {found}");
+    }
+}
+
+#[test]
+fn a_dry_run_counts_and_touches_nothing() {
+    let dir = dir();
+    let output = memtransfer(dir.path(), "run --dry-run --limit 10 --runs 2");
+    assert_eq!(output.status.code(), Some(0));
+    let said = text(&output.stdout);
+    assert!(said.contains("80 of 80 episodes would run"), "{said}");
+    assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 0);
+}
+
+#[test]
+fn a_folder_with_other_things_is_left_alone() {
+    let dir = dir();
+    fs::create_dir(dir.path().join("precious")).unwrap();
+    fs::write(dir.path().join("precious/thesis.txt"), "years").unwrap();
+    for arguments in ["run --out precious", "run --out precious --fresh"] {
+        let said = refused(dir.path(), arguments);
+        assert!(said.contains("precious holds files and is no run folder"), "{said}");
+    }
+    assert_eq!(fs::read_to_string(dir.path().join("precious/thesis.txt")).unwrap(), "years");
+}
+
+#[test]
+fn lists_are_tables_and_json() {
+    let dir = dir();
+    for (list, least) in [("cases", 100), ("tasks", 10), ("items", 150), ("suites", 1), ("runs", 0)]
+    {
+        let output = memtransfer(dir.path(), &format!("ls {list} --json"));
+        assert_eq!(output.status.code(), Some(0), "{list}");
+        let values: Vec<serde_json::Value> = serde_json::from_slice(&output.stdout).unwrap();
+        assert!(values.len() >= least, "{list}");
+        assert_eq!(memtransfer(dir.path(), &format!("ls {list}")).status.code(), Some(0));
+    }
+    let output = memtransfer(dir.path(), "clean --json");
+    assert_eq!(
+        text(&output.stdout).replace(char::is_whitespace, ""),
+        "{\"alive\":[],\"removed\":[]}"
+    );
+}

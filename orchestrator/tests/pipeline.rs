@@ -1,0 +1,273 @@
+//! The pipeline among scripted peers: threads that speak the wire, some of them badly.
+
+#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
+
+use std::collections::BTreeMap;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread;
+use std::time::Duration;
+
+use anyhow::Result;
+use bytemuck::Zeroable;
+use orchestrator::conditions::{Condition, Demonstrations, Memory, Route, Start};
+use orchestrator::lanes::{Lanes, Rules, Walked};
+use orchestrator::pipeline::{Crewing, Ending, Facts, Observer, walk};
+use orchestrator::plan::plan;
+use orchestrator::supervise::Launch;
+use shm_types::message::{
+    Decision, Farewell, Hello, MemoryBrief, NOT_MEASURED, Observation, PolicyBrief, Recall,
+    RecallTrace, Role, StepCommand, StepKind, Stop, WIRE_VERSION, write_text,
+};
+use shm_types::{Action, Attach, Bell, Bus, Feedback, FrameSize, Pose, RunDir};
+use warehouse::{CaseSet, Variant, Warehouse, step};
+
+const TICK: Duration = Duration::from_millis(20);
+const LANES: u32 = 4;
+const MAX_STEPS: u32 = 10;
+/// The case whose episode the policy spoils.
+const VICTIM: usize = 2;
+
+fn hello(role: Role) -> Hello {
+    let mut hello = Hello {
+        wire_version: WIRE_VERSION,
+        role: role as u32,
+        pid: std::process::id(),
+        facts_len: 0,
+        facts: [0; 496],
+    };
+    hello.facts_len = write_text(&mut hello.facts, "{\"kind\": \"scripted\"}");
+    hello
+}
+
+/// A run as a peer sees it.
+struct Run<'a> {
+    attach: &'a Attach,
+    /// Set when the pipeline has returned, whatever it said to its peers.
+    over: &'a AtomicBool,
+}
+
+/// Joins as `role`, says hello, calls `turn` at every ring until told to stop, says farewell.
+/// `turn` is given the bus and a way to ring others.
+fn peer(run: &Run<'_>, role: Role, mut turn: impl FnMut(&Bus, &dyn Fn(Role))) {
+    let Run { attach, over } = *run;
+    let bus = Bus::join(attach.clone(), role).unwrap();
+    let stops = bus.receiver::<Stop>().unwrap();
+    let others = Role::ALL.iter().filter(|other| **other != role);
+    let bells: BTreeMap<Role, Bell> = others.map(|&of| (of, bus.bell(of).unwrap())).collect();
+    let ring = |of: Role| bells[&of].ring().unwrap();
+    // Receivers have to be there before anybody is told so.
+    turn(&bus, &ring);
+    bus.sender().unwrap().send(&hello(role)).unwrap();
+    ring(Role::Orchestrator);
+    while stops.next().unwrap().is_none() {
+        if over.load(Ordering::Relaxed) {
+            return;
+        }
+        bus.doorbell().wait(TICK).unwrap();
+        turn(&bus, &ring);
+    }
+    let farewell = Farewell { role: role as u32, ..Zeroable::zeroed() };
+    bus.sender().unwrap().send(&farewell).unwrap();
+    ring(Role::Orchestrator);
+}
+
+fn sim(run: &Run<'_>) {
+    let warehouse = Warehouse::shipped();
+    let mut poses = BTreeMap::new();
+    let mut commands = None;
+    peer(run, Role::Sim, |bus, ring| {
+        let commands = commands.get_or_insert_with(|| bus.receiver::<StepCommand>().unwrap());
+        for command in commands.drain().unwrap() {
+            let pose: &mut Pose =
+                poses.entry(command.lane).or_insert(command.start.try_into().unwrap());
+            let feedback = match StepKind::try_from(command.kind).unwrap() {
+                StepKind::Reset => {
+                    *pose = command.start.try_into().unwrap();
+                    Feedback::Start
+                }
+                StepKind::Stay => Feedback::NotUnderstood,
+                StepKind::Act => {
+                    let action = Action::try_from(command.action).unwrap();
+                    let feedback;
+                    (*pose, feedback) = step(&warehouse.layout, &Variant::UNCHANGED, *pose, action);
+                    feedback
+                }
+            };
+            let observation = Observation {
+                episode: command.episode,
+                frame: u64::from(command.last == 0),
+                lane: command.lane,
+                step: command.step,
+                pose: (*pose).into(),
+                feedback: feedback as u8,
+                last: command.last,
+                ..Zeroable::zeroed()
+            };
+            bus.sender().unwrap().send(&observation).unwrap();
+            ring(Role::Memory);
+            ring(Role::Orchestrator);
+        }
+    });
+}
+
+fn memory(run: &Run<'_>) {
+    let mut ports = None;
+    peer(run, Role::Memory, |bus, ring| {
+        let (briefs, observations) = ports.get_or_insert_with(|| {
+            (bus.receiver::<MemoryBrief>().unwrap(), bus.receiver::<Observation>().unwrap())
+        });
+        briefs.drain().unwrap();
+        for Observation { episode, lane, step, last, .. } in observations.drain().unwrap() {
+            if last == 1 {
+                continue;
+            }
+            let case = NOT_MEASURED;
+            let trace = RecallTrace { episode, lane, step, case, ..Zeroable::zeroed() };
+            let recall = Recall { episode, lane, step, ..Zeroable::zeroed() };
+            bus.sender().unwrap().send(&trace).unwrap();
+            bus.sender().unwrap().send(&recall).unwrap();
+            ring(Role::Policy);
+        }
+    });
+}
+
+/// Turns left for ever, except that `spoil` may change the decisions on the victim's episode.
+fn policy(run: &Run<'_>, spoil: fn(Decision) -> Decision) {
+    let cases = CaseSet::shipped();
+    let catalogue = Warehouse::shipped().catalogue;
+    let instruction = cases.cases[VICTIM].task.instruction(&catalogue);
+    let mut ports = None;
+    let mut victims = Vec::new();
+    peer(run, Role::Policy, |bus, ring| {
+        let (briefs, observations, recalls) = ports.get_or_insert_with(|| {
+            let observations = bus.receiver::<Observation>().unwrap();
+            (
+                bus.receiver::<PolicyBrief>().unwrap(),
+                observations,
+                bus.receiver::<Recall>().unwrap(),
+            )
+        });
+        let recalls = recalls.drain().unwrap();
+        observations.drain().unwrap();
+        for brief in briefs.drain().unwrap() {
+            if brief.instruction.starts_with(instruction.as_bytes()) {
+                victims.push(brief.episode);
+            }
+        }
+        for Recall { episode, lane, step, .. } in recalls {
+            let action = Action::TurnLeft as u8;
+            let decision = Decision { episode, lane, step, action, ..Zeroable::zeroed() };
+            let spoilt = victims.contains(&episode);
+            let decision = if spoilt { spoil(decision) } else { decision };
+            bus.sender().unwrap().send(&decision).unwrap();
+            ring(Role::Orchestrator);
+        }
+    });
+}
+
+/// What an observer saw.
+#[derive(Default)]
+struct Seen {
+    finished: Vec<usize>,
+    troubles: Vec<String>,
+    generations: u32,
+    steps: u64,
+}
+
+impl Observer for Seen {
+    fn starting(&mut self, generation: u32) {
+        self.generations = generation;
+    }
+    fn ready(&mut self, facts: &BTreeMap<Role, Facts>) -> Result<()> {
+        assert_eq!(facts.len(), 3);
+        assert!(facts.values().all(|facts| facts["kind"] == "scripted"));
+        Ok(())
+    }
+    fn finished(&mut self, walked: &Walked, _attempt: u32) -> Result<()> {
+        assert_eq!(walked.record.steps, MAX_STEPS);
+        self.finished.push(walked.episode.case_index);
+        Ok(())
+    }
+    fn progress(&mut self, steps: u64) {
+        self.steps += steps;
+    }
+    fn trouble(&mut self, what: &str) {
+        self.troubles.push(what.to_owned());
+    }
+}
+
+/// Walks the first eight cases among scripted peers, of which the policy spoils the victim's decisions.
+fn run(spoil: fn(Decision) -> Decision) -> (Seen, Ending) {
+    let base = tempfile::Builder::new().prefix("mt").tempdir_in("/tmp").unwrap();
+    let dir = RunDir::create(base.path()).unwrap();
+    let frame = FrameSize { width: 64, height: 64 };
+    let attach = Attach { frame, lanes: LANES, frame_capacity: 32, ..Attach::new(&dir) };
+    let (warehouse, cases) = (Warehouse::shipped(), CaseSet::shipped());
+    let ids: Vec<&str> = cases.cases.iter().map(|case| case.id.as_str()).collect();
+    let condition = Condition {
+        memory: Memory::Working,
+        start: Start::Original,
+        route: Route::Unchanged,
+        demonstrations: Demonstrations::NONE,
+    };
+    let episodes = plan(&[condition], 1, &[0, 1, 2, 3, 4, 5, 6, 7], &ids, 1);
+    let rules = Rules { window: 6, horizon: 6, max_steps: MAX_STEPS, expert: false };
+    let mut lanes = Lanes::new(&warehouse, &cases, rules, LANES as usize);
+    // The peers are threads; the process that the pipeline watches only has to live.
+    let sleeper = Launch {
+        role: Role::Sim,
+        program: "/bin/sh".into(),
+        args: vec!["-c".into(), "exec sleep 300".into()],
+    };
+    let crewing = Crewing {
+        launches: vec![sleeper],
+        logs: base.path().join("logs"),
+        start_deadline: Duration::from_secs(60),
+        answer_deadline: Duration::from_secs(2),
+    };
+    let mut seen = Seen::default();
+    let over = AtomicBool::new(false);
+    let peers = Run { attach: &attach, over: &over };
+    let outcome = thread::scope(|scope| {
+        scope.spawn(|| sim(&peers));
+        scope.spawn(|| memory(&peers));
+        scope.spawn(|| policy(&peers, spoil));
+        let stop = AtomicBool::new(false);
+        let outcome = walk(&mut lanes, episodes, &attach, &crewing, &stop, &mut seen);
+        over.store(true, Ordering::Relaxed);
+        outcome
+    });
+    seen.finished.sort();
+    (seen, outcome.unwrap())
+}
+
+fn check_only_the_victim_suffers(seen: &Seen, ending: &Ending, said: &str) {
+    assert_eq!(seen.finished, [0, 1, 3, 4, 5, 6, 7]);
+    assert_eq!(seen.generations, 1, "nobody was started anew: {:?}", seen.troubles);
+    let unfinished: Vec<_> =
+        ending.unfinished.iter().map(|(episode, why)| (episode.case_index, why)).collect();
+    let [(VICTIM, why)] = unfinished[..] else { panic!("{unfinished:?}") };
+    assert!(why.contains(said), "{why}");
+}
+
+#[test]
+fn peers_that_behave_finish_everything() {
+    let (seen, ending) = run(|decision| decision);
+    assert_eq!(seen.finished, [0, 1, 2, 3, 4, 5, 6, 7]);
+    assert_eq!((seen.troubles, seen.steps), (vec![], 8 * u64::from(MAX_STEPS)));
+    assert!(ending.unfinished.is_empty() && !ending.interrupted);
+    assert_eq!(ending.farewells.len(), 3);
+}
+
+#[test]
+fn a_policy_that_sends_garbage_spoils_that_episode_and_no_other() {
+    let (seen, ending) = run(|decision| Decision { outcome: 77, action: 99, ..decision });
+    check_only_the_victim_suffers(&seen, &ending, "77 is not an outcome");
+    assert!(!seen.troubles.is_empty());
+}
+
+#[test]
+fn a_policy_that_answers_something_else_spoils_that_episode_and_no_other() {
+    let (seen, ending) = run(|decision| Decision { step: decision.step + 5, ..decision });
+    check_only_the_victim_suffers(&seen, &ending, "answers that could not be used");
+}
