@@ -36,6 +36,9 @@ const TOLERANCE: u8 = 48;
 /// Pixels by which the distance between lower and upper frame may differ from where the plate must be.
 const SLACK_PX: f32 = 1.3;
 
+/// Largest width or height of a picture that is read, in pixels.
+const LARGEST_SIDE: usize = 16_384;
+
 /// A plate seen, in the camera's terms: the cell to stand on in front of its item, and the way to face.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Sighting {
@@ -74,7 +77,9 @@ impl Sighting {
 /// Every plate that can be read in `frame`, nearest rows first.
 pub fn read(frame: &FrameView<'_>) -> Vec<Sighting> {
     let (width, height) = (frame.width as usize, frame.height as usize);
-    if width == 0 || frame.pixels.len() != 4 * width * height {
+    let sides = 1..=LARGEST_SIDE;
+    let is_picture = sides.contains(&width) && sides.contains(&height);
+    if !is_picture || frame.pixels.len() != 4 * width * height {
         return Vec::new();
     }
     let focal = focal_length_px(frame.width);
