@@ -69,8 +69,7 @@ fn standing_before(warehouse: &Warehouse, closed: &Variant) -> (shm_types::Pose,
 fn compare(name: &str, actual: &RgbaImage) -> Option<String> {
     let path = folder().join(format!("{name}.png"));
     if std::env::var_os("UPDATE_GOLDEN").is_some() {
-        std::fs::create_dir_all(folder()).unwrap();
-        actual.save(&path).unwrap();
+        save(actual, &path);
         return None;
     }
     let golden = match image::open(&path) {
@@ -100,12 +99,18 @@ fn compare(name: &str, actual: &RgbaImage) -> Option<String> {
     let out = Path::new(env!("CARGO_TARGET_TMPDIR"));
     let (shown, drawn) =
         (out.join(format!("{name}-difference.png")), out.join(format!("{name}.png")));
-    difference.save(&shown).unwrap();
-    actual.save(&drawn).unwrap();
+    save(&difference, &shown);
+    save(actual, &drawn);
     Some(format!(
         "{name}: {count} pixels differ, {allowed} may; see {} and {}; if the new picture is right, \
          UPDATE_GOLDEN=1 keeps it",
         drawn.display(),
         shown.display()
     ))
+}
+
+fn save(image: &RgbaImage, path: &Path) {
+    if let Err(error) = image.save(path) {
+        panic!("cannot write {}: {error}", path.display());
+    }
 }

@@ -150,6 +150,8 @@ pub struct Renderer {
     scene: Scene,
     layout: Layout,
     settings: RenderSettings,
+    /// What shows where nothing is drawn, which happens only outside the hall.
+    background: wgpu::Color,
     /// What can be seen from each pose that has been drawn, in the order it is drawn in.
     visible: HashMap<Pose, Vec<u32>>,
 }
@@ -184,8 +186,19 @@ impl Renderer {
         let outputs = Outputs::new(&gpu, &target, settings.force_copy);
         let pipelines = Pipelines::new(&gpu, &scene, samples);
         let slots = ViewSlots::new(&gpu, &pipelines, VIEWS_IN_FLIGHT);
-        let visible = HashMap::new();
-        Ok(Self { gpu, target, outputs, pipelines, slots, scene, layout, settings, visible })
+        let [r, g, b] = FOG_RGB.map(f64::from);
+        Ok(Self {
+            gpu,
+            target,
+            outputs,
+            pipelines,
+            slots,
+            scene,
+            layout,
+            settings,
+            background: wgpu::Color { r, g, b, a: 1.0 },
+            visible: HashMap::new(),
+        })
     }
 
     /// Bytes of one frame.
@@ -265,8 +278,7 @@ impl Renderer {
         let mut encoder = self.gpu.device.create_command_encoder(&Default::default());
         let mut frames = Vec::with_capacity(destinations.len());
         for (place, destination) in destinations.into_iter().enumerate() {
-            let [r, g, b] = FOG_RGB.map(f64::from);
-            let mut pass = self.target.begin(&mut encoder, wgpu::Color { r, g, b, a: 1.0 });
+            let mut pass = self.target.begin(&mut encoder, self.background);
             self.slots.draw(&mut pass, &self.pipelines, place);
             drop(pass);
             let sink =

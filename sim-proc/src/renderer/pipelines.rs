@@ -362,11 +362,7 @@ impl ViewSlots {
         let slot = &self.slots[place];
         pass.set_bind_group(0, &self.views, &[(place * UNIFORM_STRIDE) as u32]);
         pass.set_index_buffer(self.indices.slice(..), wgpu::IndexFormat::Uint32);
-        pass.set_pipeline(&pipelines.solid.pipeline);
-        pass.set_vertex_buffer(0, pipelines.solid.vertices.slice(..));
-        pass.set_vertex_buffer(1, self.placements.slice(..));
-        pass.draw_indexed(slot.solid.clone(), 0, 0..1);
-        pass.draw_indexed(slot.barricade.clone(), 0, slot.placements.clone());
+        // What hangs in front comes first, so that little is drawn over.
         pass.set_pipeline(&pipelines.plate.pipeline);
         pass.set_vertex_buffer(0, pipelines.plate.vertices.slice(..));
         pass.draw_indexed(slot.plate.clone(), 0, 0..1);
@@ -374,6 +370,11 @@ impl ViewSlots {
         pass.set_bind_group(1, &pipelines.lettering, &[]);
         pass.set_vertex_buffer(0, pipelines.text.vertices.slice(..));
         pass.draw_indexed(slot.text.clone(), 0, 0..1);
+        pass.set_pipeline(&pipelines.solid.pipeline);
+        pass.set_vertex_buffer(0, pipelines.solid.vertices.slice(..));
+        pass.set_vertex_buffer(1, self.placements.slice(..));
+        pass.draw_indexed(slot.solid.clone(), 0, 0..1);
+        pass.draw_indexed(slot.barricade.clone(), 0, slot.placements.clone());
     }
 }
 

@@ -53,7 +53,7 @@ fn differing(pose: Pose, a: &image::RgbaImage, b: &image::RgbaImage) -> usize {
 
 /// Every 29th pose; `POSE_STEP=1` looks at all of them.
 #[test]
-fn leaving_out_what_is_hidden_changes_no_pixel_and_order_hardly_any() {
+fn culling_loses_nothing_and_the_hall_has_no_holes() {
     let warehouse = Warehouse::shipped();
     let mut renderer = renderer(&warehouse, RenderSettings::default());
     let mut wrong = Vec::new();
@@ -75,6 +75,14 @@ fn leaving_out_what_is_hidden_changes_no_pixel_and_order_hardly_any() {
         let fighting = differing(pose, &whole, &whole_backwards);
         if fighting > 12 {
             wrong.push(format!("{pose}: {fighting} pixels depend on the order of drawing"));
+        }
+        // A hole in the hall would show the background; a few samples at distant corners do.
+        let background = std::mem::replace(&mut renderer.background, wgpu::Color::BLACK);
+        let holes = drawn_with(&mut renderer, &camera, &all, Triangles::All);
+        renderer.background = background;
+        let holes = differing(pose, &whole, &holes);
+        if holes > 4 {
+            wrong.push(format!("{pose}: {holes} pixels show nothing"));
         }
     }
     assert!(wrong.is_empty(), "views that are wrong:\n{}", wrong.join("\n"));

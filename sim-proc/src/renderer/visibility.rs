@@ -23,7 +23,7 @@ const MARGIN_COLUMNS: usize = 2;
 const NEAR_M: f32 = 0.1;
 
 /// From here on, in metres ahead, objects are drawn with less detail.
-const FAR_M: f32 = 4.5;
+const FAR_M: f32 = 3.2;
 
 /// A triangle seen nearly edge-on is left to the device, which rounds corners to its own raster: the
 /// sine of the angle below which that may matter.

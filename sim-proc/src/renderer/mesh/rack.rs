@@ -45,6 +45,10 @@ const LOWER_DECK_M: f32 = 0.77;
 const UPPER_DECK_M: f32 = 1.86;
 const HALF_UPRIGHT_M: f32 = 0.035;
 const BEAM_M: f32 = 0.04;
+/// Where upright things begin, so that no gap opens between them and the floor.
+const BELOW_FLOOR_M: f32 = -0.01;
+/// How far the floor under a closed face reaches to both sides: around the corner, under the aisle's.
+const UNDER_M: f32 = 0.53;
 /// How deep the sheets lie that cover a face, and where one that narrows a bay ends.
 const COVER_M: f32 = 0.02;
 const COVER_END_M: f32 = 0.48;
@@ -52,11 +56,11 @@ const COVER_END_M: f32 = 0.48;
 /// How a bay ends to its left or right.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) enum Edge {
-    /// The run continues, with another bay or with a wall.
+    /// The run continues with another bay.
     Joined,
     /// The run continues with a bay that is only this deep.
     Step(f32),
-    /// The run goes on with a closed face: a side sheet and a whole upright end the bay.
+    /// The run goes on with a closed face or a wall: a side sheet and a whole upright end the bay.
     Ended,
     /// The run ends here, with a closed face around the corner; likewise.
     Closed,
@@ -133,32 +137,47 @@ impl Bay {
     /// Uprights, beams, shelves, panels and filler loads.
     pub(crate) fn mesh(&self, detail: Detail) -> Mesh {
         let mut b = Builder::new(detail);
-        self.frame(&mut b);
-        self.shelf(&mut b, LOWER_DECK_M, SHELF_TOP_M, 0.66);
-        self.shelf(&mut b, UPPER_DECK_M, UPPER_DECK_M + 0.06, UPPER_DECK_M - 0.03);
-        self.loads(&mut b);
+        // From the front to the back, so that little is drawn over.
         if self.stocked {
             plate_holder(&mut b);
         }
+        self.uprights(&mut b);
+        self.shelf(&mut b, LOWER_DECK_M, SHELF_TOP_M, 0.66);
+        self.shelf(&mut b, UPPER_DECK_M, UPPER_DECK_M + 0.06, UPPER_DECK_M - 0.03);
+        self.loads(&mut b);
+        self.sheets(&mut b);
         b.finish()
     }
 
-    fn frame(&self, b: &mut Builder) {
-        let (l, r, d) = (-self.left.inside(), self.right.inside(), self.depth);
-        let sides = [(self.left, -1.0), (self.right, 1.0)];
+    fn sides(&self) -> [(Edge, f32); 2] {
+        [(self.left, -1.0), (self.right, 1.0)]
+    }
+
+    fn uprights(&self, b: &mut Builder) {
         b.material(UPRIGHT);
-        for (edge, sign) in sides {
+        for (edge, sign) in self.sides() {
             let [near, far] = edge.upright().map(|x| sign * x);
-            let (min, max) = ([near.min(far), 0.01, 0.0], [near.max(far), 0.07, RACK_HEIGHT_M]);
+            // Before a wall it stands out a little, or one would see past the wall's end.
+            let front = if edge == Edge::Ended { -0.004 } else { 0.01 };
+            let (min, max) =
+                ([near.min(far), front, BELOW_FLOOR_M], [near.max(far), 0.07, RACK_HEIGHT_M]);
             b.block_without(min, max, &[Side::Bottom, Side::Back, Side::Top]);
         }
+    }
+
+    /// Floor, back panel and what closes the sides.
+    fn sheets(&self, b: &mut Builder) {
+        let (l, r, d) = (-self.left.inside(), self.right.inside(), self.depth);
+        let sides = self.sides();
         // A little lower than the aisle's floor and a little under it.
         let (near, z) = (-0.02, -0.003);
+        let under = |edge: Edge| if edge == Edge::Ended { 0.5 } else { edge.inside() };
         b.material(FLOOR);
-        b.polygon(&[[l, near, z], [r, near, z], [r, d, z], [l, d, z]]);
+        let (left, right) = (-under(self.left), under(self.right));
+        b.polygon(&[[left, near, z], [right, near, z], [right, d, z], [left, d, z]]);
         // In three heights, so that shade can differ between shelves. They join behind the decks, and
         // corners share their ends: a gap as wide as a rounding error would show what is far behind.
-        let joints = [0.0, LOWER_DECK_M + 0.015, UPPER_DECK_M + 0.03, RACK_HEIGHT_M];
+        let joints = [BELOW_FLOOR_M, LOWER_DECK_M + 0.015, UPPER_DECK_M + 0.03, RACK_HEIGHT_M];
         let heights = [0, 1, 2].map(|i| (joints[i], joints[i + 1]));
         for (low, high) in heights {
             b.material(SHEET);
@@ -179,8 +198,15 @@ impl Bay {
                 let (x0, x1) = (p.min(q), p.max(q));
                 b.material(END_SHEET);
                 let (y, top) = (COVER_M, RACK_HEIGHT_M);
-                b.polygon(&[[x0, y, 0.0], [x1, y, 0.0], [x1, y, top], [x0, y, top]]);
+                b.polygon(&[
+                    [x0, y, BELOW_FLOOR_M],
+                    [x1, y, BELOW_FLOOR_M],
+                    [x1, y, top],
+                    [x0, y, top],
+                ]);
                 b.material(FLOOR);
+                let (x0, x1) = (x0.min(UNDER_M * sign), x1.max(UNDER_M * sign));
+                let (y, z) = (0.1, z - 0.003);
                 b.polygon(&[[x0, near, z], [x1, near, z], [x1, y, z], [x0, y, z]]);
             }
         }
@@ -211,14 +237,14 @@ impl Bay {
             let top = floor + room * (0.72 + 0.05 * (dice / 7 % 5) as f32);
             b.material(PALLET);
             b.block_without([l, front, floor + 0.075], [r, back, floor + 0.11], &[Side::Back]);
-            let middle = (l + r) / 2.0;
-            for x in [l, middle - 0.05, r - 0.1] {
-                b.block_without(
-                    [x, front + 0.01, floor],
-                    [x + 0.1, back, floor + 0.075],
-                    &[Side::Back, Side::Bottom, Side::Top],
-                );
-            }
+            b.small(|b| {
+                let hidden = [Side::Back, Side::Bottom, Side::Top];
+                let middle = (l + r) / 2.0;
+                for x in [l, middle - 0.05, r - 0.1] {
+                    let (min, max) = ([x, front + 0.01, floor], [x + 0.1, back, floor + 0.075]);
+                    b.block_without(min, max, &hidden);
+                }
+            });
             let wraps = [
                 [148, 142, 132],
                 [136, 132, 126],
@@ -235,22 +261,19 @@ impl Bay {
                 b.material(STRAP);
                 for share in [0.27, 0.73] {
                     let x = l + (r - l) * share;
-                    b.block_without(
-                        [x - 0.009, front - 0.003, floor + 0.112],
-                        [x + 0.009, front, top - 0.02],
-                        &[Side::Back, Side::Bottom],
-                    );
+                    upright(b, x - 0.009, x + 0.009, front - 0.003, floor + 0.112, top - 0.02);
                 }
                 b.material(wrap.shaded(0.86));
                 let seam = floor + 0.11 + (top - floor - 0.11) * 0.5;
-                b.block_without(
-                    [l + 0.02, front - 0.002, seam],
-                    [r - 0.02, front, seam + 0.012],
-                    &[Side::Back],
-                );
+                upright(b, l + 0.02, r - 0.02, front - 0.0015, seam, seam + 0.012);
             });
         }
     }
+}
+
+/// A rectangle that faces the viewer.
+fn upright(b: &mut Builder, x0: f32, x1: f32, y: f32, z0: f32, z1: f32) {
+    b.polygon(&[[x0, y, z0], [x1, y, z0], [x1, y, z1], [x0, y, z1]]);
 }
 
 /// The two rods and the board that carry a label plate.
@@ -284,8 +307,8 @@ pub(crate) fn closed_face() -> Mesh {
         for k in 0..4 {
             let (x0, x1, y0, y1) = (xs[k], xs[k + 1], ys[k], ys[k + 1]);
             b.polygon(&[
-                [x0, y0, 0.12],
-                [x1, y1, 0.12],
+                [x0, y0, 0.1],
+                [x1, y1, 0.1],
                 [x1, y1, RACK_HEIGHT_M],
                 [x0, y0, RACK_HEIGHT_M],
             ]);
@@ -295,15 +318,15 @@ pub(crate) fn closed_face() -> Mesh {
     // The posts keep clear of the planes of a bay around the corner.
     for x in [-0.494, 0.47] {
         b.block_without(
-            [x, 0.008, 0.0],
+            [x, 0.008, BELOW_FLOOR_M],
             [x + 0.024, 0.06, RACK_HEIGHT_M],
             &[Side::Bottom, Side::Back, Side::Top],
         );
     }
     b.material(Material::dull([58, 60, 64]));
-    b.block_without([-0.48, 0.012, 0.0], [0.48, 0.03, 0.12], &[Side::Back, Side::Bottom]);
+    b.block_without([-0.48, 0.012, BELOW_FLOOR_M], [0.48, 0.04, 0.12], &[Side::Back, Side::Bottom]);
     b.material(FLOOR);
-    let (near, far, z) = (-0.02, 0.03, -0.003);
-    b.polygon(&[[-0.5, near, z], [0.5, near, z], [0.5, far, z], [-0.5, far, z]]);
+    let (near, far, z) = (-0.02, 0.1, -0.006);
+    b.polygon(&[[-UNDER_M, near, z], [UNDER_M, near, z], [UNDER_M, far, z], [-UNDER_M, far, z]]);
     b.finish()
 }

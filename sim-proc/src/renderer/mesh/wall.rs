@@ -70,21 +70,29 @@ pub(crate) fn column() -> Mesh {
 pub(crate) fn gate() -> Mesh {
     let mut b = Builder::new(Detail::Near);
     let (half, top) = (1.25, 2.45);
-    for i in 0..14 {
-        let z = top * i as f32 / 14.0;
-        let (low, high) = (z, z + top / 14.0);
-        b.material(Material::dull([150, 160, 170]));
-        let slat =
-            [[-half, -0.03, low], [half, -0.03, low], [half, -0.012, high], [-half, -0.012, high]];
-        b.polygon(&slat);
-        b.material(Material::dull([92, 100, 110]));
-        let shadow = [
-            [-half, -0.012, high],
-            [half, -0.012, high],
-            [half, -0.03, high],
-            [-half, -0.03, high],
+    let slats = 14;
+    for i in 0..slats {
+        let height = top / slats as f32;
+        let low = height * i as f32;
+        // A slat bulges: its lower half looks down, its upper half up, and between two is a dark groove.
+        let edges = [
+            (low, 0.012),
+            (low + 0.012, 0.012),
+            (low + height / 2.0, 0.034),
+            (low + height, 0.012),
         ];
-        b.polygon(&shadow);
+        let groove = Material::dull([78, 86, 96]);
+        let steel = Material::dull([158, 168, 178]);
+        for (pair, material) in edges.windows(2).zip([groove, steel, steel]) {
+            let [(z0, out0), (z1, out1)] = [pair[0], pair[1]];
+            b.material(material);
+            b.polygon(&[
+                [-half, -out0, z0],
+                [half, -out0, z0],
+                [half, -out1, z1],
+                [-half, -out1, z1],
+            ]);
+        }
     }
     for side in [-1.0_f32, 1.0] {
         let (p, q) = (side * half, side * (half + 0.14));

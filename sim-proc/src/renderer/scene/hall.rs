@@ -26,6 +26,9 @@ pub(super) fn build(assembly: &mut Assembly, layout: &Layout) {
     }
 }
 
+/// About how far apart gates and doors are on a long wall, in metres.
+const FEATURE_SPACING_M: f32 = 6.0;
+
 /// A straight piece of wall that borders floor.
 struct WallRun {
     /// The floor cells along it, from left to right for somebody who faces the wall.
@@ -67,28 +70,29 @@ impl WallRun {
             let mesh = wall::cladding(self.facing, top);
             assembly.object(|a| a.solid(&mesh, &frame, Light::Hall));
         }
-        // Columns stand between pieces of 4 m; what hangs on a wall depends on the way it faces.
+        // What hangs on a wall depends on the way it faces; columns stand between.
         let length = self.cells.len() as f32;
         let along = |metres: f32| {
             let first = world_from_face(side_of(self.cells[0], self.facing), self.facing);
             first * nalgebra::Translation3::new(metres - 0.5, 0.0, 0.0)
         };
-        let columns = (length / 4.0).floor() as u32;
-        for k in 0..=columns {
-            let at = (length * k as f32 / columns.max(1) as f32).clamp(0.15, length - 0.15);
+        let pieces = (length / FEATURE_SPACING_M).round().max(1.0) as u32;
+        for k in 1..pieces {
+            let at = length * k as f32 / pieces as f32;
             assembly.object(|a| a.solid(&wall::column(), &along(at), Light::Hall));
         }
-        if length >= 6.0 {
-            for (k, share) in [0.25, 0.75].into_iter().enumerate() {
-                self.feature(assembly, &along(length * share), k);
+        for k in 0..pieces {
+            let middle = along(length * (k as f32 + 0.5) / pieces as f32);
+            if length >= FEATURE_SPACING_M {
+                self.feature(assembly, &middle, k);
+            } else if length >= 2.0 {
+                self.notice(assembly, &middle);
             }
-        } else if length >= 2.0 {
-            self.notice(assembly, &along(length / 2.0));
         }
     }
 
     /// What marks a long wall: gates to the west, doors and windows elsewhere.
-    fn feature(&self, assembly: &mut Assembly, frame: &Isometry3<f32>, number: usize) {
+    fn feature(&self, assembly: &mut Assembly, frame: &Isometry3<f32>, number: u32) {
         let gate = matches!(self.facing, Heading::W | Heading::S);
         let (mesh, text, rect, paper) = if gate {
             (wall::gate(), format!("GATE {}", number + 1), [-0.5, 2.52, 0.5, 2.8], [24, 92, 150])

@@ -64,9 +64,9 @@ pub(super) fn stocked_bay(
     let kind = &catalogue.types[item_type];
     let category = &catalogue.categories[kind.category];
     let solid = |a: &mut Assembly, detail| {
-        a.solid(&bay.mesh(detail), world_from_face, Light::Bay);
         let item = on_shelf(item(kind.shape, kind.colour, detail), bay.depth);
         a.solid(&item, world_from_face, Light::Shelf);
+        a.solid(&bay.mesh(detail), world_from_face, Light::Bay);
     };
     let near = |a: &mut Assembly| {
         solid(a, Detail::Near);
@@ -120,7 +120,7 @@ fn bay_number(layout: &Layout, standpoint: Cell) -> String {
 /// What is on a side of a rack square.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum FaceKind {
-    /// No floor in front.
+    /// No floor in front, or no rack.
     Inner,
     /// A sheet of steel.
     Closed,
@@ -142,8 +142,10 @@ impl RackFaces<'_> {
         self.warehouse.items.iter().any(|item| item.rack == rack && item.face == face)
     }
 
+    /// What is on this side of a square; nothing where the square is no rack.
     fn kind(&self, rack: Cell, face: Heading) -> FaceKind {
-        if !self.is_open(rack, face) {
+        let is_rack = self.warehouse.layout.square(rack) == Square::Rack;
+        if !is_rack || !self.is_open(rack, face) {
             return FaceKind::Inner;
         }
         if self.holds_item(rack, face) {
@@ -180,18 +182,13 @@ impl RackFaces<'_> {
             // parts them, so that an item is seen through its own face only.
             FaceKind::Bay if matches!(face, Heading::E | Heading::W) => Edge::Closed,
             FaceKind::Bay => Edge::Narrowed(self.depth(rack)),
-            FaceKind::Inner => {
-                let layout = &self.warehouse.layout;
-                let next = rack.step(side).filter(|&next| layout.square(next) != Square::Wall);
-                match next {
-                    None => Edge::Joined,
-                    Some(next) if self.kind(next, face) != FaceKind::Bay => Edge::Ended,
-                    Some(next) if self.depth(next) < self.depth(rack) => {
-                        Edge::Step(self.depth(next))
-                    }
-                    Some(_) => Edge::Joined,
+            FaceKind::Inner => match rack.step(side) {
+                Some(next) if self.kind(next, face) == FaceKind::Bay => {
+                    let depth = self.depth(next);
+                    if depth < self.depth(rack) { Edge::Step(depth) } else { Edge::Joined }
                 }
-            }
+                _ => Edge::Ended,
+            },
         }
     }
 }
