@@ -286,7 +286,7 @@ impl Generation {
                 let (role, said) = introduction(&hello)?;
                 facts.insert(role, said);
             }
-            self.pass_on_complaints(observer)?;
+            // A process that cannot start ends with its complaint as its last words: said once, here.
             if let Some(death) = self.crew.death() {
                 return Err(failed(death.to_string()));
             }

@@ -19,6 +19,10 @@ use shm_types::message::Role;
 /// Lines of a dead process's log that are shown.
 const LAST_LINES: usize = 12;
 
+/// Set for whatever renders: one of Mesa's layers otherwise prints errors about a desktop session where
+/// there is none.
+pub const QUIET_DRIVER: (&str, &str) = ("NODEVICE_SELECT", "1");
+
 /// A process to start.
 #[derive(Debug, Clone)]
 pub struct Launch {
@@ -126,6 +130,7 @@ impl Member {
         let output = file.try_clone().with_context(|| format!("cannot open {}", log.display()))?;
         let child = Command::new(program)
             .args(args)
+            .env(QUIET_DRIVER.0, QUIET_DRIVER.1)
             .stdin(Stdio::null())
             .stdout(output)
             .stderr(file)

@@ -7,7 +7,7 @@ use anyhow::Context;
 use clap::Args;
 
 use super::Exit;
-use crate::supervise::sibling;
+use crate::supervise::{QUIET_DRIVER, sibling};
 
 #[derive(Debug, Args)]
 #[command(disable_help_flag = true)]
@@ -19,7 +19,9 @@ pub(super) struct RenderArgs {
 
 pub(super) fn run(args: &RenderArgs) -> anyhow::Result<Exit> {
     let program = sibling("sim-proc")?;
-    let status = Command::new(&program).arg("render").args(&args.arguments).status();
+    let mut command = Command::new(&program);
+    command.arg("render").args(&args.arguments).env(QUIET_DRIVER.0, QUIET_DRIVER.1);
+    let status = command.status();
     let status = status.with_context(|| format!("cannot start {}", program.display()))?;
     let code = status.code().and_then(|code| u8::try_from(code).ok());
     Ok(code.map_or(Exit::CouldNot, Exit::Code))
