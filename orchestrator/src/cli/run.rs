@@ -184,7 +184,7 @@ fn dry_run(
     if settings.out.join("manifest.json").exists() && !fresh {
         let log = RunLog::read(&settings.out)?;
         let differences = manifest.differences(&log.manifest);
-        if !differences.is_empty() {
+        if !differences.is_empty() && !log.episodes.is_empty() {
             let dir = settings.out.clone();
             return Err(crate::log::LogError::OtherSettings { dir, differences }.into());
         }

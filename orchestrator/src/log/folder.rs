@@ -68,6 +68,11 @@ impl RunFolder {
         let lock = lock(dir)?;
         let mut notes = Vec::new();
         let manifest = match existing(dir)? {
+            // A run that never got anywhere, perhaps for want of a model, binds nobody.
+            Some(_) if !fresh && !has_episodes(dir) => {
+                remove_run(dir)?;
+                manifest
+            }
             Some(there) if !fresh => {
                 let there = there?;
                 let differences = manifest.differences(&there);
@@ -301,6 +306,11 @@ fn existing(dir: &Path) -> Result<Option<Result<Manifest, LogError>>, LogError> 
     Ok(None)
 }
 
+/// Whether the run in `dir` has finished anything.
+fn has_episodes(dir: &Path) -> bool {
+    fs::metadata(dir.join(EPISODES_FILE)).is_ok_and(|file| file.len() > 0)
+}
+
 /// Removes the run in `dir` and says what that was.
 fn remove_run(dir: &Path) -> Result<Vec<String>, LogError> {
     let lines = |file: &str| {
@@ -380,12 +390,19 @@ mod tests {
     #[test]
     fn another_run_is_not_touched() {
         let dir = tempfile::tempdir().unwrap();
-        drop(RunFolder::open(dir.path(), manifest(), false).unwrap());
+        let open = |manifest| RunFolder::open(dir.path(), manifest, false);
+        let mut other = manifest();
+        other.settings.seed = 9;
+        drop(open(other).unwrap());
+        let mut folder = open(manifest()).unwrap().folder;
+        assert_eq!(folder.manifest().settings.seed, 1, "nothing had been finished with seed 9");
+        add(&mut folder, "t01-01");
+        drop(folder);
         let mut other = manifest();
         other.settings.seed = 8;
         other.settings.lanes += 1;
         other.hashes.insert("layout".into(), "ff".into());
-        let error = RunFolder::open(dir.path(), other, false).unwrap_err().to_string();
+        let error = open(other).unwrap_err().to_string();
         let error = error.replace(&dir.path().display().to_string(), "DIR");
         insta::assert_snapshot!(error, @r#"
         DIR holds a run with other settings:
@@ -448,7 +465,10 @@ mod tests {
             BTreeMap::from([("sim".to_owned(), facts)])
         };
         let open = || RunFolder::open(dir.path(), manifest(), false).unwrap().folder;
-        assert!(open().introduce(facts("llvmpipe")).unwrap().is_empty());
+        let mut first = open();
+        assert!(first.introduce(facts("llvmpipe")).unwrap().is_empty());
+        add(&mut first, "t01-01");
+        drop(first);
         assert!(open().introduce(facts("llvmpipe")).unwrap().is_empty());
         assert_eq!(
             open().introduce(facts("other")).unwrap(),
