@@ -80,17 +80,34 @@ impl Bench {
         self.folder.path().join(name)
     }
 
-    /// What is left of live runs: folders in the registry, names in shared memory, processes.
-    pub fn leftovers(&self) -> Vec<String> {
-        let runs: Vec<PathBuf> = fs::read_dir(self.registry.path())
+    /// The names of the runs that are registered, living or dead.
+    pub fn runs(&self) -> Vec<String> {
+        fs::read_dir(self.registry.path())
             .expect("the registry can be read")
             .map(|entry| entry.expect("an entry").path())
             .filter(|path| path.is_dir())
-            .collect();
-        let mut left: Vec<String> = runs.iter().map(|path| path.display().to_string()).collect();
+            .filter_map(|path| Some(path.file_name()?.to_str()?.to_owned()))
+            .collect()
+    }
+
+    /// What is left of live runs: folders in the registry, their shared memory, processes.
+    pub fn leftovers(&self) -> Vec<String> {
+        let runs = self.runs();
+        let mut left = shared_memory_of(&runs);
+        left.extend(runs);
         left.extend(processes_of(self.registry.path()).iter().map(|pid| format!("process {pid}")));
         left
     }
+}
+
+/// The names in shared memory that belong to the runs called `runs`.
+pub fn shared_memory_of(runs: &[String]) -> Vec<String> {
+    let prefixes: Vec<String> = runs.iter().map(|run| format!("mt{run}_")).collect();
+    fs::read_dir("/dev/shm")
+        .expect("shared memory can be listed")
+        .map(|entry| entry.expect("an entry").file_name().to_string_lossy().into_owned())
+        .filter(|name| prefixes.iter().any(|prefix| name.starts_with(prefix)))
+        .collect()
 }
 
 impl Default for Bench {

@@ -4,8 +4,8 @@ use std::fs;
 use std::path::Path;
 
 use memtransfer_tests::{
-    Bench, Ended, episodes, eventually, kill, process_of, processes_of, records, sorted_log,
-    success_rate,
+    Bench, Ended, episodes, eventually, kill, process_of, processes_of, records, shared_memory_of,
+    sorted_log, success_rate,
 };
 use serde_json::Value;
 
@@ -51,6 +51,8 @@ fn the_log_depends_neither_on_lanes_nor_on_crashes() {
     eventually("the orphans to end", || {
         processes_of(bench.registry.path()).is_empty().then_some(())
     });
+    let dead = bench.runs();
+    assert!(!shared_memory_of(&dead).is_empty(), "kill -9 leaves shared memory behind");
     let before = episodes(&bench.out("killed"));
     assert!(sorted_log(&bench.out("killed")).len() < reference.len(), "killed in the middle");
     bench.run(&slice("killed", "4")).expect(0);
@@ -61,6 +63,7 @@ fn the_log_depends_neither_on_lanes_nor_on_crashes() {
 
     bench.run(&["clean"]).expect(0);
     assert_eq!(bench.leftovers(), Vec::<String>::new());
+    assert_eq!(shared_memory_of(&dead), Vec::<String>::new());
 }
 
 /// Waits until some of the slice is in the log, and not all.
