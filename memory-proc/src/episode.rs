@@ -4,8 +4,8 @@ use shm_types::message::{
     FrameId, MAX_WINDOW, MemoryBrief, NO_ACTION, NOT_MEASURED, Observation, PastStep, Recall,
     RecallTrace, SegmentStep,
 };
-use shm_types::message::{MAX_SEGMENT, NO_FRAME, Representation};
-use shm_types::{Action, Feedback, Pose};
+use shm_types::message::{MAX_DOCUMENTS, MAX_SEGMENT, NO_DOCUMENT, NO_FRAME};
+use shm_types::{Action, Feedback, Pose, Representation};
 use warehouse::{Case, Progress, Warehouse};
 
 use crate::demonstrations;
@@ -81,6 +81,12 @@ impl Episode {
                 cases.len()
             )
         })?;
+        if !matches!(representation, Representation::Working | Representation::Episodic) {
+            let episode = brief.episode;
+            return Err(unusable!(
+                "brief of episode {episode}: {representation} memory cannot be built"
+            ));
+        }
         if chosen.is_empty() && representation == Representation::Episodic {
             let episode = brief.episode;
             return Err(unusable!("brief of episode {episode}: a memory of no demonstrations"));
@@ -181,7 +187,8 @@ impl Episode {
             distance,
             window_len,
             segment_len: found.len() as u32,
-            reserved: 0,
+            documents_len: 0,
+            documents: [NO_DOCUMENT; MAX_DOCUMENTS],
             window,
             segment,
         };

@@ -12,11 +12,12 @@ use bytemuck::Zeroable;
 use memory_proc::paths::Cache;
 use shm_types::message::{
     Busy, Complaint, Farewell, FrameId, Hello, MAX_SEGMENT, MAX_WINDOW, MemoryBrief, NO_ACTION,
-    NOT_MEASURED, Observation, Recall, RecallTrace, Representation, Role, Stop, View, ViewRequest,
+    NOT_MEASURED, Observation, Recall, RecallTrace, Role, SegmentContent, Stop, View, ViewRequest,
     ViewRequestKind, read_text,
 };
 use shm_types::{
-    Attach, Bus, FramePublisher, FrameSize, FrameStore, Pose, Receiver, RunDir, Sender,
+    Attach, Bus, FramePublisher, FrameSize, FrameStore, Pose, Receiver, Representation, RunDir,
+    Sender,
 };
 use tempfile::TempDir;
 use warehouse::{Case, CaseSet, Replay, Start, Warehouse};
@@ -253,7 +254,9 @@ fn it_remembers_complains_and_says_farewell() {
         representation: Representation::Episodic as u8,
         window: 2,
         horizon: 3,
-        reserved: [0; 9],
+        keyframes: 40,
+        segment: SegmentContent::Actions as u8,
+        reserved: [0; 7],
     };
     stage.brief(brief);
     stage.brief(MemoryBrief {

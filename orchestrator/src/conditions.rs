@@ -7,7 +7,7 @@ use std::str::FromStr;
 
 use serde::{Deserialize, Serialize};
 use shm_types::FrameControl;
-use shm_types::message::Representation;
+use shm_types::Representation;
 
 use crate::names::{UnknownName, named};
 

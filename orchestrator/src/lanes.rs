@@ -11,9 +11,8 @@
 
 use bytemuck::Zeroable;
 use shm_types::message::{
-    Decision, FrameId, MAX_INSTRUCTION, MemoryBrief, NO_ACTION, NO_FRAME, NOT_MEASURED,
-    Observation, Outcome, PolicyBrief, RecallTrace, Role, StepCommand, StepKind, WirePose,
-    write_text,
+    Decision, FrameId, MemoryBrief, NO_ACTION, NO_FRAME, NOT_MEASURED, Observation, Outcome,
+    PolicyBrief, RecallTrace, Role, StepCommand, StepKind, WirePose, write_text,
 };
 use shm_types::process::monotonic_ns;
 use shm_types::{Action, Cell, Feedback, Pose};
@@ -220,8 +219,7 @@ impl<'w> Lanes<'w> {
             episode: walk.ticket,
             seed: episode.seed,
             lane: lane as u32,
-            instruction_len: 0,
-            instruction: [0; MAX_INSTRUCTION],
+            ..Zeroable::zeroed()
         };
         let task = &self.cases.cases[episode.case_index].task;
         let instruction = task.instruction(&self.warehouse.catalogue);

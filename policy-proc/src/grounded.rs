@@ -1,7 +1,7 @@
 //! The grounded policy: a scripted stand-in for a model, so that everything runs offline.
 //!
 //! It looks at the pixels of the frames it is given and at nothing a model would not get. It reads label
-//! plates ([`plates`]) and compares pictures; it follows what memory offers where that fits what it sees,
+//! plates ([`plate`](shm_types::plate)) and compares pictures; it follows what memory offers where that fits what it sees,
 //! walks to what is asked for when it sees it, and explores otherwise. It keeps nothing of an episode: what
 //! it knows of earlier steps it works out anew from the window each time.
 //!
@@ -12,13 +12,12 @@ mod explore;
 mod geometry;
 mod history;
 mod instruction;
-#[cfg(test)]
-mod painter;
 mod percept;
-pub mod plates;
 mod recognise;
 mod sketch;
 mod surroundings;
+#[cfg(test)]
+mod testing;
 
 use crate::{Decision, Policy, Request};
 use percept::Percepts;

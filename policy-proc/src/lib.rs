@@ -12,5 +12,8 @@ pub mod random;
 pub mod request;
 pub mod sdk;
 
-pub use request::{Answer, Decision, FrameView, PastView, Request, Segment, SegmentView, Tokens};
+pub use request::{
+    Answer, Decision, DocumentView, FrameView, PastView, Request, Segment, SegmentView, Tokens,
+    Trajectory, TrajectoryView,
+};
 pub use sdk::{Policy, ServeError, serve};

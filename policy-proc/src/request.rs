@@ -4,7 +4,7 @@
 //! be answered at any time, in any batch and any order, so a policy that wants its runs repeatable
 //! answers from the request alone.
 
-use shm_types::message::{FrameId, Outcome};
+use shm_types::message::{DocumentId, DocumentKind, FrameId, Outcome};
 use shm_types::{Action, Feedback, Pose};
 
 /// A view: pixels in shared memory, which never change while the view can be named.
@@ -57,7 +57,8 @@ pub struct PastView<'a> {
 pub struct SegmentView<'a> {
     /// The remembered view.
     pub frame: FrameView<'a>,
-    /// What the expert did there; `None` at the end of the segment.
+    /// What the expert did there; `None` at the end of the segment, and everywhere in one of images
+    /// alone.
     pub action: Option<Action>,
 }
 
@@ -68,6 +69,34 @@ pub struct Segment<'a> {
     pub distance: f32,
     /// The matched view, then the views that the expert's actions led to. Never empty.
     pub steps: &'a [SegmentView<'a>],
+}
+
+/// A document that memory supplies as it stands.
+#[derive(Debug, Clone, Copy)]
+pub struct DocumentView<'a> {
+    /// Names the text. Good for caching what was read in it, since it is never reused; which number it
+    /// is means nothing.
+    pub id: DocumentId,
+    /// Summary or semantic.
+    pub kind: DocumentKind,
+    /// The text.
+    pub text: &'a str,
+}
+
+/// One step of a demonstration that memory supplies whole.
+#[derive(Debug, Clone, Copy)]
+pub struct TrajectoryView<'a> {
+    /// The view before the action, where it is a keyframe.
+    pub frame: Option<FrameView<'a>>,
+    /// What the expert did there; `None` at the end of the demonstration.
+    pub action: Option<Action>,
+}
+
+/// A demonstration: every action, and keyframes.
+#[derive(Debug, Clone, Copy)]
+pub struct Trajectory<'a> {
+    /// From its start to its end. Never empty.
+    pub steps: &'a [TrajectoryView<'a>],
 }
 
 /// All that a policy may use to decide one step (SPEC section 1: `x_t`, `W_t` and `m_t`).
@@ -89,15 +118,24 @@ pub struct Request<'a> {
     pub frame: FrameView<'a>,
     /// The last steps, oldest first.
     pub window: &'a [PastView<'a>],
-    /// What memory offers, if it offers anything.
+    /// What memory retrieved for this step, if it retrieves.
     pub segment: Option<Segment<'a>>,
+    /// Documents that memory supplies, in order.
+    pub documents: &'a [DocumentView<'a>],
+    /// Demonstrations that memory supplies whole.
+    pub trajectories: &'a [Trajectory<'a>],
+    /// Whether a demonstration is known to have started in the pose this episode started in: the hint
+    /// of the original start (paper, Design Choices).
+    pub starts_as_demonstrated: bool,
 }
 
 impl Request<'_> {
-    /// Images in the request: the current view, the window's and the segment's.
+    /// Images in the request: the current view, the window's, the segment's and the keyframes.
     pub fn images(&self) -> u32 {
-        let remembered = self.segment.map_or(0, |segment| segment.steps.len());
-        (1 + self.window.len() + remembered) as u32
+        let retrieved = self.segment.map_or(0, |segment| segment.steps.len());
+        let steps = self.trajectories.iter().flat_map(|trajectory| trajectory.steps);
+        let keyframes = steps.filter(|step| step.frame.is_some()).count();
+        (1 + self.window.len() + retrieved + keyframes) as u32
     }
 }
 

@@ -27,6 +27,7 @@
 
 mod join;
 mod serve;
+mod shown;
 
 pub use serve::{ServeError, serve};
 

@@ -10,13 +10,14 @@ use std::time::{Duration, Instant};
 use bytemuck::Zeroable;
 use policy_proc::random::Random;
 use policy_proc::{Answer, Decision, Policy, Request, ServeError, Tokens, serve};
+use shm_types::documents::Content;
 use shm_types::message::{
-    self, Complaint, Eviction, Farewell, FrameId, Hello, NO_ACTION, Observation, Outcome,
-    PolicyBrief, Recall, Role, Stop, WirePose, read_text, write_text,
+    self, Complaint, Eviction, Farewell, FrameId, Hello, NO_ACTION, NO_FRAME, Observation, Outcome,
+    PolicyBrief, Recall, Role, Stop, TrajectoryStep, WirePose, read_text, write_text,
 };
 use shm_types::{
-    Action, Attach, Bell, Bus, Feedback, FramePublisher, FrameSize, FrameStore, Heading, Pose,
-    Receiver, RunDir, Sender,
+    Action, Attach, Bell, Bus, DocumentPublisher, Feedback, FramePublisher, FrameSize, FrameStore,
+    Heading, Pose, Receiver, RunDir, Sender,
 };
 use tempfile::TempDir;
 
@@ -35,6 +36,7 @@ struct Peers {
     farewells: Receiver<Farewell>,
     policy: Bell,
     frames: FramePublisher,
+    documents: DocumentPublisher,
     /// Receivers that must be there for anything to be delivered.
     _others: Box<dyn Any>,
     hello: Hello,
@@ -82,6 +84,7 @@ impl Peers {
             farewells,
             policy: orchestrator.bell(Role::Policy).unwrap(),
             frames: FramePublisher::new(&sim).unwrap(),
+            documents: DocumentPublisher::new(&memory).unwrap(),
             _others: Box::new((others, sim, memory)),
             hello,
             serving,
@@ -178,6 +181,18 @@ impl Policy for Witness {
                 (segment.distance, views)
             });
             let Request { lane, step, episode_seed, instruction, pose, feedback, .. } = request;
+            let documents: Vec<_> = request.documents.iter().map(|d| (d.kind, d.text)).collect();
+            let trajectories: Vec<Vec<_>> = request
+                .trajectories
+                .iter()
+                .map(|t| t.steps.iter().map(|step| (step.frame.map(grey), step.action)).collect())
+                .collect();
+            let hint = request.starts_as_demonstrated;
+            if !documents.is_empty() || !trajectories.is_empty() || hint {
+                let told =
+                    format!("hint {hint} documents {documents:?} trajectories {trajectories:?}");
+                self.0.send(told).unwrap();
+            }
             let frame = grey(request.frame);
             self.0
                 .send(format!(
@@ -199,6 +214,53 @@ impl Policy for Witness {
     fn reset(&mut self, lane: u32) {
         self.0.send(format!("reset {lane}")).unwrap();
     }
+}
+
+#[test]
+fn documents_and_demonstrations_reach_the_policy_with_their_keyframes() {
+    let (say, heard) = mpsc::channel();
+    let mut peers = Peers::new(Witness(say));
+    let frame = peers.publish(10);
+    let keyframe = peers.publish(40);
+    let mut brief = PolicyBrief { episode: 9, starts_as_demonstrated: 1, ..Zeroable::zeroed() };
+    brief.instruction_len = write_text(&mut brief.instruction, "Find a cone.");
+    peers.briefs.send(&brief).unwrap();
+    let step =
+        |trajectory, frame, action| TrajectoryStep { frame, action, trajectory, reserved: [0; 6] };
+    let walks = vec![
+        step(0, keyframe, Action::Forward as u8),
+        step(0, NO_FRAME, NO_ACTION),
+        step(1, frame, NO_ACTION),
+    ];
+    let summary =
+        peers.documents.publish(None, &Content::Summary("a cone at (1, 2)".into())).unwrap();
+    let walks = peers.documents.publish(Some((0, 9)), &Content::Trajectories(walks)).unwrap();
+    let mut recall = recall(0, 9, 0);
+    recall.documents[..2].copy_from_slice(&[summary, walks]);
+    recall.documents_len = 2;
+    peers.recalls.send(&recall).unwrap();
+    peers.observations.send(&observation(0, 9, 0, frame)).unwrap();
+    peers.ring();
+
+    let decision = peers.decisions(1)[0];
+    assert_eq!(decision.images, 3, "the current view and two keyframes");
+    assert_eq!(heard.recv().unwrap(), "reset 0");
+    assert_eq!(
+        heard.recv().unwrap(),
+        "hint true documents [(Summary, \"a cone at (1, 2)\")] trajectories [[(Some(40), \
+         Some(Forward)), (None, None)], [(Some(10), None)]]"
+    );
+
+    // A document that nobody published: said so, and the step stays open.
+    recall.documents[1] = walks + 7;
+    recall.step = 1;
+    peers.recalls.send(&recall).unwrap();
+    peers.observations.send(&observation(0, 9, 1, frame)).unwrap();
+    peers.ring();
+    let complaint = within_patience(&peers.orchestrator, || peers.complaints.next().unwrap());
+    let text = read_text(&complaint.text, complaint.text_len).unwrap();
+    assert!(text.contains("was never published"), "{text}");
+    peers.stop().0.unwrap();
 }
 
 #[test]

@@ -3,11 +3,11 @@
 //! Every process links this crate and none links another process, so whatever two of them must agree
 //! on is here:
 //!
-//! - the words: poses and actions ([`pose`]), messages and their routes ([`message`]), label plates
-//!   ([`plate`]), the camera ([`camera`]);
+//! - the words: poses and actions ([`pose`]), messages and their routes ([`message`]), the memory
+//!   representations ([`representation`]), label plates ([`plate`]), the camera ([`camera`]);
 //! - the shared memory: what a process needs to join a run ([`attach`]), its place in one ([`bus`]),
-//!   sleeping and waking ([`doorbell`]), views written once and held by all ([`frames`]), what could not be
-//!   used ([`complaints`]);
+//!   sleeping and waking ([`doorbell`]), views written once and held by all ([`frames`]), what memory
+//!   supplies that is longer than a message ([`documents`]), what could not be used ([`complaints`]);
 //! - the machine: runs, living and dead ([`registry`]), clock, parent and room ([`process`]).
 //!
 //! iceoryx2 is used here and nowhere else. What is not here: the map, the tasks, anything that decides.
@@ -16,6 +16,7 @@ pub mod attach;
 pub mod bus;
 pub mod camera;
 pub mod complaints;
+pub mod documents;
 pub mod doorbell;
 pub mod frames;
 mod hello;
@@ -24,12 +25,15 @@ pub mod plate;
 pub mod pose;
 pub mod process;
 pub mod registry;
+pub mod representation;
 
 pub use attach::{Attach, AttachError, FrameControl, FrameSize, Wait};
 pub use bus::{Bus, BusError, Receiver, Sender};
 pub use complaints::Complaints;
+pub use documents::{Document, DocumentError, DocumentPublisher, DocumentStore};
 pub use doorbell::{Bell, Doorbell};
 pub use frames::{Frame, FrameError, FramePublisher, FrameSlot, FrameStore};
 pub use hello::FactsTooLong;
 pub use pose::{Action, Cell, Feedback, Heading, Pose};
 pub use registry::RunDir;
+pub use representation::Representation;

@@ -14,13 +14,16 @@ use iceoryx2::prelude::ZeroCopySend;
 use crate::pose::{Heading, Pose, UnknownCode};
 
 /// Changes whenever any message or the frame header changes; compared when a process attaches.
-pub const WIRE_VERSION: u32 = 1;
+pub const WIRE_VERSION: u32 = 2;
 
 /// Most window entries a [`Recall`] carries.
 pub const MAX_WINDOW: usize = 32;
 
 /// Most entries of a retrieved segment a [`Recall`] carries: the matched view and what follows.
 pub const MAX_SEGMENT: usize = 32;
+
+/// Most documents a [`Recall`] names.
+pub const MAX_DOCUMENTS: usize = 4;
 
 /// Most bytes of an instruction.
 pub const MAX_INSTRUCTION: usize = 232;
@@ -36,6 +39,12 @@ pub type FrameId = u64;
 
 /// The frame id that names no frame.
 pub const NO_FRAME: FrameId = 0;
+
+/// Names a [`Document`](crate::documents::Document). Never reused within a run; 0 names none.
+pub type DocumentId = u64;
+
+/// The document id that names no document.
+pub const NO_DOCUMENT: DocumentId = 0;
 
 /// A type that travels on its own service.
 ///
@@ -128,10 +137,27 @@ pub struct SegmentStep {
     /// The remembered view.
     pub frame: FrameId,
     /// Code of the [`Action`](crate::Action) the expert took there, or [`NO_ACTION`] for the last
-    /// view of the segment.
+    /// view of the segment, and for every view of a segment of images alone.
     pub action: u8,
     /// Zero.
     pub reserved: [u8; 7],
+}
+
+/// One step of a demonstration in a [`DocumentKind::Trajectories`] document: what the expert did, and the
+/// view it had there if that is a keyframe.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Pod, Zeroable, ZeroCopySend)]
+#[repr(C)]
+#[type_name("memtransfer.TrajectoryStep")]
+pub struct TrajectoryStep {
+    /// The view before the action, or [`NO_FRAME`] where it was not kept.
+    pub frame: FrameId,
+    /// Code of the [`Action`](crate::Action) the expert took there, or [`NO_ACTION`] at the end of the
+    /// demonstration.
+    pub action: u8,
+    /// Which demonstration, from 0, in the order of the document.
+    pub trajectory: u8,
+    /// Zero.
+    pub reserved: [u8; 6],
 }
 
 messages! {
@@ -202,7 +228,8 @@ messages! {
         lane: u32,
         /// Index of the case.
         case: u32,
-        /// Bit i set: the case's demonstration i (original, opposite, nearby, distant) is remembered.
+        /// Which demonstrations are remembered: bits 0 to 3 the case's own (original, opposite, nearby,
+        /// distant), bit 4 its irrelevant histories, bit 5 its confusable ones.
         demonstrations: u32,
         /// Code of the [`Representation`].
         representation: u8,
@@ -210,12 +237,16 @@ messages! {
         window: u8,
         /// Expert actions a retrieved segment follows, H_epi, less than [`MAX_SEGMENT`].
         horizon: u8,
+        /// Keyframes of full-context memory, shared by all its demonstrations.
+        keyframes: u8,
+        /// Code of the [`SegmentContent`].
+        segment: u8,
         /// Zero.
-        reserved: [u8; 9],
+        reserved: [u8; 7],
     }
 
     /// Orchestrator to policy, before a reset: what the lane's next episode asks for.
-    PolicyBrief, "memtransfer.PolicyBrief", "policy-brief", 256 bytes,
+    PolicyBrief, "memtransfer.PolicyBrief", "policy-brief", 264 bytes,
         [Orchestrator] to [Policy], Lanes {
         /// The episode's ticket.
         episode: u64,
@@ -225,6 +256,10 @@ messages! {
         lane: u32,
         /// Bytes of `instruction` in use.
         instruction_len: u32,
+        /// 1 when the policy is told that the demonstration started where this episode starts.
+        starts_as_demonstrated: u8,
+        /// Zero.
+        reserved: [u8; 7],
         /// The instruction, UTF-8.
         instruction: [u8; MAX_INSTRUCTION],
     }
@@ -261,7 +296,7 @@ messages! {
     }
 
     /// Memory to policy: the window, and what was remembered for this step.
-    Recall, "memtransfer.Recall", "recall", 1072 bytes,
+    Recall, "memtransfer.Recall", "recall", 1104 bytes,
         [Memory] to [Policy], Lanes {
         /// The episode's ticket.
         episode: u64,
@@ -279,8 +314,11 @@ messages! {
         window_len: u32,
         /// Entries of `segment` in use: 0 without a retrieval.
         segment_len: u32,
-        /// Zero.
-        reserved: u32,
+        /// Entries of `documents` in use.
+        documents_len: u32,
+        /// What is supplied beside window and segment, in order. A document is published before the first
+        /// recall that names it.
+        documents: [DocumentId; MAX_DOCUMENTS],
         /// The last steps before the current one, oldest first.
         window: [PastStep; MAX_WINDOW],
         /// The matched view, then the views that the expert's actions led to.
@@ -487,12 +525,22 @@ codes! {
         Policy = 3,
     }
 
-    /// A memory representation (SPEC section 5).
-    Representation, "a representation (0 working, 1 episodic)" {
-        /// The window alone.
-        Working = 0,
-        /// The nearest stored view and the expert's continuation.
-        Episodic = 1,
+    /// What a retrieved segment holds (paper, Design Choices).
+    SegmentContent, "a segment content (0 actions, 1 images)" {
+        /// The expert's actions and the views they led to.
+        Actions = 0,
+        /// The views alone.
+        Images = 1,
+    }
+
+    /// What a [`Document`](crate::documents::Document) is.
+    DocumentKind, "a document kind (0 summary, 1 semantic, 2 trajectories)" {
+        /// Object locations, landmarks and routes: UTF-8 text.
+        Summary = 0,
+        /// General spatial and navigation knowledge: UTF-8 text.
+        Semantic = 1,
+        /// Demonstrations with their keyframes: [`TrajectoryStep`]s.
+        Trajectories = 2,
     }
 }
 
@@ -580,7 +628,7 @@ mod tests {
                 let _ = (StepKind::try_from(byte), ViewRequestKind::try_from(byte));
                 let _ = (Outcome::try_from(byte), Role::try_from(byte));
                 let _ = (Action::try_from(byte), Feedback::try_from(byte));
-                let _ = Representation::try_from(byte);
+                let _ = (DocumentKind::try_from(byte), SegmentContent::try_from(byte));
             }
             for pose in bytes.chunks_exact(4) {
                 let wire: WirePose = bytemuck::pod_read_unaligned(pose);

@@ -6,7 +6,14 @@
 //! to look for without a catalogue. Bands are horizontal because a plate seen at a grazing angle keeps
 //! its height and loses its width.
 //!
-//! The simulator draws plates and a policy may read them; both take geometry and code from here.
+//! The simulator draws plates; who looks at pixels may read them ([`read()`]). Both take geometry and code
+//! from here.
+
+#[cfg(any(test, feature = "painter"))]
+pub mod painter;
+mod read;
+
+pub use read::{Landmark, Sighting, read};
 
 /// Width and height of the plate's outside edge, in metres.
 pub const SIZE_M: f32 = 0.36;

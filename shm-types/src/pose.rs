@@ -120,6 +120,11 @@ impl Heading {
         self.turned(2)
     }
 
+    /// Right turns from here to `other`: 0 to 3.
+    pub fn quarters_to(self, other: Self) -> i8 {
+        (other as i8 - self as i8).rem_euclid(4)
+    }
+
     /// The full English word, in lower case.
     pub const fn word(self) -> &'static str {
         match self {
@@ -182,6 +187,30 @@ impl Pose {
     /// The pose in column `x` and row `y`, facing `heading`.
     pub const fn new(x: u8, y: u8, heading: Heading) -> Self {
         Self { cell: Cell::new(x, y), heading }
+    }
+
+    /// The cell that lies so many cells ahead and to the right; `None` off the grid.
+    pub fn cell_at(self, ahead: i8, right: i8) -> Option<Cell> {
+        let (along, across) = (self.heading.vector(), self.heading.right().vector());
+        let moved = |from: u8, along: i8, across: i8| {
+            let offset = i16::from(along) * i16::from(ahead) + i16::from(across) * i16::from(right);
+            u8::try_from(i16::from(from) + offset).ok()
+        };
+        Some(Cell::new(
+            moved(self.cell.x, along.0, across.0)?,
+            moved(self.cell.y, along.1, across.1)?,
+        ))
+    }
+
+    /// How far ahead and to the right a cell lies.
+    pub fn offset_of(self, cell: Cell) -> (i16, i16) {
+        let (along, across) = (self.heading.vector(), self.heading.right().vector());
+        let (dx, dy) = (
+            i16::from(cell.x) - i16::from(self.cell.x),
+            i16::from(cell.y) - i16::from(self.cell.y),
+        );
+        let in_direction = |(x, y): (i8, i8)| dx * i16::from(x) + dy * i16::from(y);
+        (in_direction(along), in_direction(across))
     }
 }
 
@@ -365,6 +394,19 @@ impl TryFrom<u8> for Feedback {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn cells_and_offsets_are_each_other_s_inverse() {
+        for heading in Heading::ALL {
+            let pose = Pose::new(20, 30, heading);
+            for (ahead, right) in [(0, 0), (3, 1), (-2, 4), (5, -6)] {
+                let cell = pose.cell_at(ahead, right).unwrap();
+                assert_eq!(pose.offset_of(cell), (i16::from(ahead), i16::from(right)));
+            }
+        }
+        assert_eq!(Pose::new(5, 5, Heading::W).cell_at(3, 1), Some(Cell::new(2, 6)));
+        assert_eq!(Pose::new(5, 5, Heading::W).cell_at(6, 0), None);
+    }
 
     #[test]
     fn headings_turn_clockwise_and_step_by_their_vector() {

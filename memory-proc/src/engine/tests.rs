@@ -3,7 +3,8 @@
 use std::collections::BTreeMap;
 
 use proptest::prelude::*;
-use shm_types::message::{NO_ACTION, NO_FRAME, Representation, ViewRequestKind};
+use shm_types::Representation;
+use shm_types::message::{NO_ACTION, NO_FRAME, ViewRequestKind};
 use shm_types::{Feedback, Heading};
 use warehouse::{CaseSet, Start};
 
@@ -91,7 +92,9 @@ impl Rig {
                 representation: kind,
                 window: 6,
                 horizon: 6,
-                reserved: [0; 9],
+                keyframes: 40,
+                segment: 0,
+                reserved: [0; 7],
             },
             observations: (0..=last).map(observation).collect(),
             poses: replay.poses,
@@ -404,7 +407,9 @@ proptest! {
                     representation: a,
                     window: b,
                     horizon: c,
-                    reserved: [d; 9],
+                    keyframes: d,
+                    segment: e,
+                    reserved: [f; 7],
                 });
             } else {
                 let pose = shm_types::message::WirePose([a, b, c, d]);

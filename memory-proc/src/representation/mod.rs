@@ -7,8 +7,8 @@
 //!
 //! Not here: where views and embeddings come from, and when they are there.
 
-use shm_types::Pose;
-use shm_types::message::{FrameId, Representation, SegmentStep};
+use shm_types::message::{FrameId, SegmentStep};
+use shm_types::{Pose, Representation};
 
 use crate::demonstrations::Demonstration;
 use crate::embedding::{ContentHash, Embedding};
@@ -77,7 +77,11 @@ impl Blueprint {
         horizon: usize,
     ) -> Self {
         let mut poses: Vec<Pose> = match representation {
-            Representation::Working => Vec::new(),
+            Representation::Working
+            | Representation::FullContext
+            | Representation::Summary
+            | Representation::Semantic
+            | Representation::Hybrid => Vec::new(),
             Representation::Episodic => demonstrations
                 .iter()
                 .flat_map(|demonstration| &demonstration.poses)
@@ -97,7 +101,11 @@ impl Blueprint {
     /// Whether access compares views, so that the current view must be embedded.
     pub fn matches_views(&self) -> bool {
         match self.representation {
-            Representation::Working => false,
+            Representation::Working
+            | Representation::FullContext
+            | Representation::Summary
+            | Representation::Semantic
+            | Representation::Hybrid => false,
             Representation::Episodic => true,
         }
     }
@@ -105,7 +113,11 @@ impl Blueprint {
     /// Builds the memory. `view` gives the view of each of [`Self::poses`]; `None` as soon as it gives none.
     pub fn build(&self, view: impl Fn(Pose) -> Option<View>) -> Option<Box<dyn Memory>> {
         Some(match self.representation {
-            Representation::Working => Box::new(working::Working),
+            Representation::Working
+            | Representation::FullContext
+            | Representation::Summary
+            | Representation::Semantic
+            | Representation::Hybrid => Box::new(working::Working),
             Representation::Episodic => {
                 Box::new(episodic::Episodic::build(&self.demonstrations, self.horizon, view)?)
             }

@@ -7,10 +7,10 @@ use super::geometry::{after, move_towards, turn_towards};
 use super::history::History;
 use super::instruction::{Ending, Goal, Visit, Want};
 use super::percept::Percepts;
-use super::plates::Landmark;
 use super::recognise;
 use super::surroundings::Surroundings;
 use crate::Request;
+use shm_types::plate::Landmark;
 
 /// Farthest remembered pose that is walked to, in steps.
 const FARTHEST_JOIN: u32 = 6;

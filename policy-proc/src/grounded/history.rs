@@ -115,6 +115,9 @@ mod tests {
                 frame,
                 window: &window,
                 segment: None,
+                documents: &[],
+                trajectories: &[],
+                starts_as_demonstrated: false,
             };
             let history = History::of(&request);
             prop_assert_eq!(history.past, past);

@@ -8,9 +8,9 @@ use std::sync::Arc;
 
 use shm_types::message::FrameId;
 
-use super::plates::{self, Sighting};
 use super::sketch::Sketch;
 use crate::FrameView;
+use shm_types::plate::{self, Sighting};
 
 /// Frames whose percepts are kept; about a kilobyte each.
 const MOST_KEPT: usize = 16_384;
@@ -24,7 +24,10 @@ pub(super) struct Percept {
 
 impl Percept {
     pub(super) fn of(frame: &FrameView<'_>) -> Self {
-        Self { sightings: plates::read(frame), sketch: Sketch::of(frame) }
+        Self {
+            sightings: plate::read(frame.width, frame.height, frame.pixels),
+            sketch: Sketch::of(frame),
+        }
     }
 }
 

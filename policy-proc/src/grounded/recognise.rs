@@ -6,9 +6,8 @@
 
 use shm_types::Pose;
 
-use super::geometry::{cell_at, offset_of, quarters};
 use super::percept::Percept;
-use super::plates::{Landmark, Sighting};
+use shm_types::plate::{Landmark, Sighting};
 
 /// Plates that must agree.
 const LEAST_AGREEING: i32 = 3;
@@ -49,7 +48,7 @@ fn by_landmarks(remembered: &[Sighting], current: &[Sighting], here: Pose) -> Op
 fn camera_of(sighting: Sighting, landmark: &Landmark) -> Option<Pose> {
     let heading = landmark.face.turned(-sighting.face);
     let standpoint = Pose { cell: landmark.standpoint, heading };
-    Some(Pose { cell: cell_at(standpoint, -sighting.ahead, -sighting.right)?, heading })
+    Some(Pose { cell: standpoint.cell_at(-sighting.ahead, -sighting.right)?, heading })
 }
 
 /// How well the plates of both views go together when the remembered one was taken from `pose`: `None`
@@ -76,8 +75,8 @@ fn support(pose: Pose, remembered: &[Sighting], current: &[Landmark], here: Pose
 
 /// Whether a plate would be read from `camera` unless something stands in between.
 fn is_easily_seen(landmark: &Landmark, camera: Pose) -> bool {
-    let (ahead, right) = offset_of(camera, landmark.standpoint);
-    match quarters(camera.heading, landmark.face) {
+    let (ahead, right) = camera.offset_of(landmark.standpoint);
+    match camera.heading.quarters_to(landmark.face) {
         0 => (1..=5).contains(&ahead) && right.abs() <= ahead,
         1 => (1..=5).contains(&ahead) && (0..ahead).contains(&right),
         3 => (1..=5).contains(&ahead) && (0..ahead).contains(&-right),
@@ -91,10 +90,11 @@ mod tests {
 
     use super::*;
     use crate::FrameView;
-    use crate::grounded::painter::{Aisle, Picture};
+    use crate::grounded::testing::view;
+    use shm_types::plate::painter::{Aisle, Picture};
 
     fn percept(pose: Pose) -> Percept {
-        Percept::of(&Aisle::new().picture(pose).view(1))
+        Percept::of(&view(&Aisle::new().picture(pose), 1))
     }
 
     #[test]
@@ -128,7 +128,7 @@ mod tests {
         let here = Pose::new(10, 12, Heading::N);
         let mut other = Aisle::new();
         other.landmarks[4].plate = other.landmarks[0].plate;
-        let other = Percept::of(&other.picture(here).view(1));
+        let other = Percept::of(&view(&other.picture(here), 1));
         assert_eq!(pose_of(&other, &percept(here), here), None);
     }
 
@@ -139,7 +139,7 @@ mod tests {
         let blank = Percept::of(&blank);
         assert_eq!(pose_of(&blank, &blank, here), None);
         assert_eq!(pose_of(&percept(here), &blank, here), None);
-        let bare = |seed| Percept::of(&Picture::background(448, seed).view(1));
+        let bare = |seed| Percept::of(&view(&Picture::background(448, seed), 1));
         assert_eq!(
             pose_of(&bare(1), &bare(1), here),
             Some(here),

@@ -78,7 +78,8 @@ fn brightness(pixel: &[u8]) -> u32 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::grounded::painter::Picture;
+    use crate::grounded::testing::view;
+    use shm_types::plate::painter::Picture;
 
     fn grey(level: u8) -> Sketch {
         Sketch::of(&FrameView { id: 1, width: 64, height: 64, pixels: &[level; 64 * 64 * 4] })
@@ -86,7 +87,7 @@ mod tests {
 
     #[test]
     fn a_picture_is_like_itself_and_unlike_others() {
-        let sketch = |seed| Sketch::of(&Picture::background(448, seed).view(1));
+        let sketch = |seed| Sketch::of(&view(&Picture::background(448, seed), 1));
         assert!(sketch(1).is_like(&sketch(1)));
         assert!(!sketch(1).is_like(&sketch(2)));
     }
@@ -94,7 +95,7 @@ mod tests {
     #[test]
     fn a_blank_picture_is_like_nothing() {
         assert!(!grey(128).is_like(&grey(128)));
-        assert!(!grey(128).is_like(&Sketch::of(&Picture::background(448, 1).view(1))));
+        assert!(!grey(128).is_like(&Sketch::of(&view(&Picture::background(448, 1), 1))));
     }
 
     #[test]

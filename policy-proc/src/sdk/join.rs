@@ -4,8 +4,8 @@
 //! here, and a bad one is an error that names the value and leaves everything as it was.
 
 use shm_types::message::{
-    FrameId, MAX_SEGMENT, MAX_WINDOW, NO_ACTION, NO_FRAME, Observation, PastStep, PolicyBrief,
-    Recall, SegmentStep, read_text,
+    DocumentId, FrameId, MAX_DOCUMENTS, MAX_SEGMENT, MAX_WINDOW, NO_ACTION, NO_FRAME, Observation,
+    PastStep, PolicyBrief, Recall, SegmentStep, read_text,
 };
 use shm_types::pose::UnknownCode;
 use shm_types::{Action, Feedback, Pose};
@@ -41,6 +41,8 @@ pub(super) struct Recalled {
     /// View and action of the remembered segment; empty without one.
     pub(super) segment: Vec<(FrameId, Option<Action>)>,
     pub(super) distance: f32,
+    /// What is supplied beside them, in order.
+    pub(super) documents: Vec<DocumentId>,
 }
 
 /// The running episode of a lane, and what has come for its current step.
@@ -49,6 +51,7 @@ pub(super) struct Lane {
     pub(super) episode: u64,
     pub(super) seed: u64,
     pub(super) instruction: String,
+    pub(super) starts_as_demonstrated: bool,
     running: bool,
     observed: Option<Observed>,
     recalled: Option<Recalled>,
@@ -87,6 +90,7 @@ impl Join {
             episode: brief.episode,
             seed: brief.seed,
             instruction: instruction.to_owned(),
+            starts_as_demonstrated: brief.starts_as_demonstrated != 0,
             running: true,
             observed: None,
             recalled: None,
@@ -134,6 +138,8 @@ impl Join {
         let window = &message.window[..count("past steps", message.window_len, MAX_WINDOW)?];
         let segment =
             &message.segment[..count("remembered views", message.segment_len, MAX_SEGMENT)?];
+        let documents =
+            &message.documents[..count("documents", message.documents_len, MAX_DOCUMENTS)?];
         let past = |past: &PastStep| {
             Ok((past.frame, action(past.action)?, Feedback::try_from(past.feedback)?))
         };
@@ -144,6 +150,7 @@ impl Join {
             window: window.iter().map(past).collect::<Result<_, _>>().map_err(&bad)?,
             segment: segment.iter().map(remembered).collect::<Result<_, _>>().map_err(&bad)?,
             distance: message.distance,
+            documents: documents.to_vec(),
         });
         Ok(())
     }

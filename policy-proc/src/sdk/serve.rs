@@ -6,18 +6,19 @@ use std::time::Duration;
 
 use bytemuck::Zeroable;
 use shm_types::message::{
-    Farewell, FrameId, Hello, NO_ACTION, NOT_MEASURED, Observation, PolicyBrief, Recall, Role,
-    Stop, WIRE_VERSION, write_text,
+    DocumentId, Farewell, FrameId, Hello, NO_ACTION, NOT_MEASURED, Observation, PolicyBrief,
+    Recall, Role, Stop, WIRE_VERSION, write_text,
 };
 use shm_types::process::monotonic_ns;
 use shm_types::{
-    Attach, Bell, Bus, BusError, Complaints, Frame, FrameError, FrameStore, Receiver, Sender,
-    message,
+    Attach, Bell, Bus, BusError, Complaints, Document, DocumentError, DocumentStore, Frame,
+    FrameError, FrameStore, Receiver, Sender, message,
 };
 
 use super::Policy;
 use super::join::{Join, Ready};
-use crate::{Decision, FrameView, PastView, Request, Segment, SegmentView};
+use super::shown::{Held, Shown};
+use crate::{Decision, Request};
 
 /// How long the loop sleeps when nobody rings. Only a look around; nothing waits for it.
 const LONGEST_SLEEP: Duration = Duration::from_secs(1);
@@ -99,6 +100,7 @@ struct Server {
     decisions: Sender<message::Decision>,
     orchestrator: Bell,
     frames: FrameStore,
+    documents: DocumentStore,
     complaints: Complaints,
     join: Join,
 }
@@ -113,6 +115,7 @@ impl Server {
             decisions: bus.sender()?,
             orchestrator: bus.bell(Role::Orchestrator)?,
             frames: FrameStore::new(bus)?,
+            documents: DocumentStore::new(bus)?,
             complaints: Complaints::new(bus)?,
             join: Join::new(bus.attach().lanes),
         })
@@ -139,7 +142,10 @@ impl Server {
         let briefs = self.briefs.drain()?;
         for brief in &briefs {
             match self.join.brief(brief) {
-                Ok(()) => policy.reset(brief.lane),
+                Ok(()) => {
+                    self.documents.begin(brief.lane, brief.episode);
+                    policy.reset(brief.lane);
+                }
                 Err(bad) => self.complaints.raise(bad),
             }
         }
@@ -157,18 +163,20 @@ impl Server {
     fn answer(&mut self, policy: &mut dyn Policy, ready: &[Ready]) -> Result<bool, ServeError> {
         let received_ns = monotonic_ns();
         // Holding on to the frames keeps their pixels where they are for as long as the requests live.
-        let mut held = Vec::new();
-        let mut steps = Vec::with_capacity(ready.len());
+        let mut held = Vec::with_capacity(ready.len());
         for step in ready {
-            if self.hold_frames(step, &mut held)? {
-                steps.push(step);
-            }
+            held.extend(self.hold(step)?);
         }
-        if steps.is_empty() {
+        if held.is_empty() {
             return Ok(false);
         }
-        let shown = Shown::new(&held, &steps);
-        let requests = shown.requests(&self.join, &steps);
+        let shown: Vec<Shown<'_>> = held.iter().map(Shown::new).collect();
+        let trajectories: Vec<_> = shown.iter().map(Shown::trajectories).collect();
+        let requests: Vec<Request<'_>> = shown
+            .iter()
+            .zip(&trajectories)
+            .map(|(shown, trajectories)| shown.request(&self.join, trajectories))
+            .collect();
         let started_ns = monotonic_ns();
         let decisions = policy.act(&requests);
         let decided_ns = monotonic_ns();
@@ -179,7 +187,8 @@ impl Server {
                 answers: decisions.len(),
             });
         }
-        for (step, Decision { answer, images, tokens }) in steps.into_iter().zip(decisions) {
+        for (&Held { step, .. }, Decision { answer, images, tokens }) in held.iter().zip(decisions)
+        {
             self.decisions.send(&message::Decision {
                 episode: self.join.lane(step.lane).episode,
                 received_ns,
@@ -198,27 +207,42 @@ impl Server {
         Ok(true)
     }
 
-    /// Adds the frames that `step` shows to `held`, in the order [`frame_ids`] gives. Without one of
-    /// them the step cannot be decided: that is complained about, and nothing is added.
-    fn hold_frames(
-        &mut self,
-        step: &Ready,
-        held: &mut Vec<Arc<Frame>>,
-    ) -> Result<bool, ServeError> {
-        let already = held.len();
-        for id in frame_ids(step) {
-            let Some(frame) = self.frame(id)? else {
-                let (lane, step) = (step.lane, step.observed.step);
+    /// Takes hold of the documents and frames that `step` shows. Without one of them the step cannot be
+    /// decided: that is complained about.
+    fn hold<'a>(&mut self, step: &'a Ready) -> Result<Option<Held<'a>>, ServeError> {
+        let (lane, number) = (step.lane, step.observed.step);
+        let mut held = Held { step, documents: Vec::new(), frames: Vec::new() };
+        for &id in &step.recalled.documents {
+            let Some(document) = self.document(id)? else {
                 self.complaints.raise(format_args!(
-                    "lane {lane}, step {step}: frame {id} is not in the store, so it was evicted too \
+                    "lane {lane}, step {number}: document {id} was never published"
+                ));
+                return Ok(None);
+            };
+            held.documents.push(document);
+        }
+        for id in held.frame_ids() {
+            let Some(frame) = self.frame(id)? else {
+                self.complaints.raise(format_args!(
+                    "lane {lane}, step {number}: frame {id} is not in the store, so it was evicted too \
                      early or never published"
                 ));
-                held.truncate(already);
-                return Ok(false);
+                return Ok(None);
             };
-            held.push(frame);
+            held.frames.push(frame);
         }
-        Ok(true)
+        Ok(Some(held))
+    }
+
+    fn document(&mut self, id: DocumentId) -> Result<Option<Arc<Document>>, ServeError> {
+        loop {
+            match self.documents.get(id) {
+                Ok(document) => return Ok(document.cloned()),
+                Err(DocumentError::Bus(error)) => return Err(error.into()),
+                // The store has dropped what it could not use: go on after it.
+                Err(bad) => self.complaints.raise(bad),
+            }
+        }
     }
 
     fn frame(&mut self, id: FrameId) -> Result<Option<Arc<Frame>>, ServeError> {
@@ -251,71 +275,5 @@ impl Server {
         })?;
         self.orchestrator.ring()?;
         Ok(())
-    }
-}
-
-/// Every frame that a step shows: the current one, the window's, the segment's.
-fn frame_ids(step: &Ready) -> impl Iterator<Item = FrameId> {
-    let window = step.recalled.window.iter().map(|&(frame, ..)| frame);
-    let segment = step.recalled.segment.iter().map(|&(frame, _)| frame);
-    std::iter::once(step.observed.frame).chain(window).chain(segment)
-}
-
-/// The views of a batch, laid out so that requests can borrow them.
-struct Shown<'a> {
-    /// One for each step.
-    current: Vec<FrameView<'a>>,
-    /// All steps' windows, one after the other.
-    windows: Vec<PastView<'a>>,
-    /// All steps' segments, one after the other.
-    segments: Vec<SegmentView<'a>>,
-}
-
-impl<'a> Shown<'a> {
-    /// `held` are the frames of all steps in the order of [`frame_ids`].
-    fn new(held: &'a [Arc<Frame>], steps: &[&Ready]) -> Self {
-        let mut views = held.iter().map(|frame| {
-            let size = frame.size();
-            let (width, height) = (size.width, size.height);
-            FrameView { id: frame.id(), width, height, pixels: frame.pixels() }
-        });
-        let mut shown = Self { current: Vec::new(), windows: Vec::new(), segments: Vec::new() };
-        for step in steps {
-            shown.current.extend(views.by_ref().take(1));
-            // The views come second in the zips, so that the shorter side ends them and no view is lost.
-            let window = step.recalled.window.iter().zip(views.by_ref());
-            shown.windows.extend(window.map(|(&(_, action, feedback), frame)| PastView {
-                frame,
-                action,
-                feedback,
-            }));
-            let segment = step.recalled.segment.iter().zip(views.by_ref());
-            shown
-                .segments
-                .extend(segment.map(|(&(_, action), frame)| SegmentView { frame, action }));
-        }
-        shown
-    }
-
-    fn requests(&'a self, join: &'a Join, steps: &[&Ready]) -> Vec<Request<'a>> {
-        let (mut windows, mut segments) = (&self.windows[..], &self.segments[..]);
-        let request = |(step, &frame): (&&Ready, _)| {
-            let window = windows.split_off(..step.recalled.window.len()).unwrap_or_default();
-            let views = segments.split_off(..step.recalled.segment.len()).unwrap_or_default();
-            let lane = join.lane(step.lane);
-            Request {
-                lane: step.lane,
-                step: step.observed.step,
-                episode_seed: lane.seed,
-                instruction: &lane.instruction,
-                pose: step.observed.pose,
-                feedback: step.observed.feedback,
-                frame,
-                window,
-                segment: (!views.is_empty())
-                    .then_some(Segment { distance: step.recalled.distance, steps: views }),
-            }
-        };
-        steps.iter().zip(&self.current).map(request).collect()
     }
 }

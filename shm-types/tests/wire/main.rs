@@ -5,5 +5,6 @@
 mod bus;
 mod child;
 mod common;
+mod documents;
 mod frames;
 mod registry;

@@ -1,7 +1,6 @@
 //! Plates in rendered views, read by the policy and looked up in the catalogue.
 
-use policy_proc::grounded::plates::{self, Landmark};
-use shm_types::plate::Plate;
+use shm_types::plate::{self, Landmark, Plate};
 use warehouse::sight::sees;
 use warehouse::{Item, Warehouse};
 
@@ -29,7 +28,8 @@ fn plates_are_read_where_they_hang_and_say_what_stands_there() {
     let (mut near, mut found) = (0, 0);
     for pose in poses(&warehouse).into_iter().step_by(EVERY) {
         let picture = views.of(pose);
-        let read: Vec<_> = plates::read(&picture.frame())
+        let frame = picture.frame();
+        let read: Vec<_> = plate::read(frame.width, frame.height, frame.pixels)
             .into_iter()
             .map(|sighting| sighting.seen_from(pose).expect("a plate off the grid"))
             .collect();

@@ -85,6 +85,9 @@ impl Walker {
                 segment: segment
                     .as_ref()
                     .map(|(distance, steps)| Segment { distance: *distance, steps }),
+                documents: &[],
+                trajectories: &[],
+                starts_as_demonstrated: false,
             };
             let answer = self.policy.act(&[request])[0].answer;
             let action = answer.action().expect("the grounded policy always acts");

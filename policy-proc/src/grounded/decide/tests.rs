@@ -2,7 +2,9 @@ use proptest::prelude::*;
 use shm_types::{Feedback, Heading};
 
 use super::*;
-use crate::grounded::painter::{Aisle, Picture};
+use shm_types::plate::painter::{Aisle, Picture};
+
+use crate::grounded::testing::view;
 use crate::{FrameView, PastView, Segment, SegmentView};
 
 /// A request in the making: pictures of the aisle from the poses that are told.
@@ -56,7 +58,7 @@ impl Ask {
         let poses = poses.chain(self.remembered.iter().map(|view| view.0)).chain([self.pose]);
         let pictures: Vec<_> = poses.map(|pose| aisle.picture(pose)).collect();
         let views: Vec<_> =
-            (first_id..).zip(&pictures).map(|(id, picture)| picture.view(id)).collect();
+            (first_id..).zip(&pictures).map(|(id, picture)| view(picture, id)).collect();
         let (past, views) = views.split_at(self.past.len());
         let (remembered, current) = views.split_at(self.remembered.len());
         let window: Vec<_> = past
@@ -85,6 +87,9 @@ impl Ask {
             frame: if self.blank { blank } else { current[0] },
             window: &window,
             segment: (!steps.is_empty()).then_some(Segment { distance: 0.0, steps: &steps }),
+            documents: &[],
+            trajectories: &[],
+            starts_as_demonstrated: false,
         };
         action(&request, &mut Percepts::default())
     }
@@ -213,7 +218,7 @@ proptest! {
     ) {
         let texture = Picture::background(64, 3);
         let noise = FrameView { id: 2, width: 32, height: 32, pixels: &pixels };
-        for frame in [texture.view(1), noise] {
+        for frame in [view(&texture, 1), noise] {
             let window: Vec<_> = past
                 .iter()
                 .map(|&(action, feedback)| PastView { frame, action: Some(action), feedback })
@@ -230,6 +235,9 @@ proptest! {
                 frame,
                 window: &window,
                 segment: Some(Segment { distance: f32::NAN, steps: &steps }),
+                documents: &[],
+                trajectories: &[],
+                starts_as_demonstrated: false,
             };
             action(&request, &mut Percepts::default());
         }

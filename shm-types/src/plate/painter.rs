@@ -1,17 +1,13 @@
 //! A painter of label plates for tests: racks without anything else in front of a mottled background.
 
-use shm_types::camera::{CAMERA_HEIGHT_M, focal_length_px};
-use shm_types::plate::{
-    BAND_RGB, BANDS, CENTRE_HEIGHT_M, FACE_OFFSET_M, FRAME_M, FRAME_RGB, Plate, SIZE_M,
-};
-use shm_types::{Cell, Heading, Pose};
-
-use super::geometry::{offset_of, quarters};
-use super::plates::{Landmark, Sighting};
-use crate::FrameView;
+use super::read::{Landmark, Sighting};
+use super::{BAND_RGB, BANDS, CENTRE_HEIGHT_M, FACE_OFFSET_M, FRAME_M, FRAME_RGB, Plate, SIZE_M};
+use crate::camera::{CAMERA_HEIGHT_M, focal_length_px};
+use crate::pose::{Cell, Heading, Pose};
 
 /// A picture that owns its pixels.
-pub(super) struct Picture {
+#[derive(Debug)]
+pub struct Picture {
     width: u32,
     pixels: Vec<u8>,
 }
@@ -21,7 +17,7 @@ const SAMPLES: [(f32, f32); 4] = [(0.375, 0.125), (0.875, 0.375), (0.125, 0.625)
 
 impl Picture {
     /// A square picture of the background alone, a different one for each `seed`.
-    pub(super) fn background(width: u32, seed: u32) -> Self {
+    pub fn background(width: u32, seed: u32) -> Self {
         let mottle = |i: u32| {
             let (x, y) = (i % width / 24, i / width / 24);
             let place = (x * 7919 + y).wrapping_mul(104_729);
@@ -36,7 +32,7 @@ impl Picture {
     }
 
     /// Adds plates; of two that overlap, the nearer one is seen.
-    pub(super) fn with(mut self, plates: &[Sighting]) -> Self {
+    pub fn with(mut self, plates: &[Sighting]) -> Self {
         let mut plates = plates.to_vec();
         plates.sort_by_key(|plate| std::cmp::Reverse(plate.ahead));
         for plate in plates {
@@ -45,8 +41,14 @@ impl Picture {
         self
     }
 
-    pub(super) fn view(&self, id: u64) -> FrameView<'_> {
-        FrameView { id, width: self.width, height: self.width, pixels: &self.pixels }
+    /// Pixels in a row, and rows.
+    pub fn width(&self) -> u32 {
+        self.width
+    }
+
+    /// RGBA, rows top to bottom.
+    pub fn pixels(&self) -> &[u8] {
+        &self.pixels
     }
 
     fn paint(&mut self, sighting: &Sighting) {
@@ -116,12 +118,16 @@ fn colour_at(plate: Plate, (across, down): (f32, f32)) -> [u8; 3] {
 
 /// A straight aisle two cells wide, x = 10 and 11, running north from y = 10 to 19. Each rack face has a
 /// plate with its own type; those on the west side are of category "barrels", on the east side "cones".
-pub(super) struct Aisle {
-    pub(super) landmarks: Vec<Landmark>,
+#[derive(Debug)]
+pub struct Aisle {
+    /// Every plate in it.
+    pub landmarks: Vec<Landmark>,
 }
 
 impl Aisle {
-    pub(super) fn new() -> Self {
+    /// The aisle.
+    #[expect(clippy::new_without_default, reason = "there is one aisle")]
+    pub fn new() -> Self {
         let side = |x, face, category| {
             (10..20).map(move |y| Landmark {
                 standpoint: Cell::new(x, y),
@@ -134,7 +140,7 @@ impl Aisle {
     }
 
     /// What is seen from `pose`, five cells far.
-    pub(super) fn picture(&self, pose: Pose) -> Picture {
+    pub fn picture(&self, pose: Pose) -> Picture {
         let seen: Vec<_> =
             self.landmarks.iter().filter_map(|landmark| seen(landmark, pose)).collect();
         let Cell { x, y } = pose.cell;
@@ -144,8 +150,8 @@ impl Aisle {
 }
 
 fn seen(landmark: &Landmark, pose: Pose) -> Option<Sighting> {
-    let (ahead, right) = offset_of(pose, landmark.standpoint);
-    let face = quarters(pose.heading, landmark.face);
+    let (ahead, right) = pose.offset_of(landmark.standpoint);
+    let face = pose.heading.quarters_to(landmark.face);
     let visible = match face {
         0 => (0..=5).contains(&ahead) && right.abs() <= ahead,
         1 => (1..=5).contains(&ahead) && (0..ahead).contains(&right),

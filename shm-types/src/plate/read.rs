@@ -9,14 +9,9 @@
 //! What is not here: what an item looks like. Of a plate that is hidden, cut off or too far away,
 //! nothing is said.
 
-use shm_types::camera::{CAMERA_HEIGHT_M, focal_length_px};
-use shm_types::plate::{
-    BAND_RGB, BANDS, CENTRE_HEIGHT_M, FACE_OFFSET_M, FRAME_M, FRAME_RGB, Plate, SIZE_M,
-};
-use shm_types::{Cell, Heading, Pose};
-
-use super::geometry::cell_at;
-use crate::FrameView;
+use super::{BAND_RGB, BANDS, CENTRE_HEIGHT_M, FACE_OFFSET_M, FRAME_M, FRAME_RGB, Plate, SIZE_M};
+use crate::camera::{CAMERA_HEIGHT_M, focal_length_px};
+use crate::pose::{Cell, Heading, Pose};
 
 /// How far above the camera a plate's lower edge is, in metres.
 const BOTTOM_M: f32 = CENTRE_HEIGHT_M - CAMERA_HEIGHT_M - SIZE_M / 2.0;
@@ -67,24 +62,44 @@ impl Sighting {
     /// Where the plate is when the camera is at `camera`; `None` when that is off the grid.
     pub fn seen_from(self, camera: Pose) -> Option<Landmark> {
         Some(Landmark {
-            standpoint: cell_at(camera, self.ahead, self.right)?,
+            standpoint: camera.cell_at(self.ahead, self.right)?,
             face: camera.heading.turned(self.face),
             plate: self.plate,
         })
     }
 }
 
-/// Every plate that can be read in `frame`, nearest rows first.
-pub fn read(frame: &FrameView<'_>) -> Vec<Sighting> {
-    let (width, height) = (frame.width as usize, frame.height as usize);
+/// A picture: RGBA, 8 bits each, rows top to bottom without gaps.
+#[derive(Clone, Copy)]
+struct Picture<'a> {
+    width: u32,
+    height: u32,
+    rgba: &'a [u8],
+}
+
+impl Picture<'_> {
+    /// The red, green and blue of the pixel in column `x` and row `y`, both inside the picture.
+    fn rgb(&self, x: u32, y: u32) -> [u8; 3] {
+        let at = 4 * (y as usize * self.width as usize + x as usize);
+        [self.rgba[at], self.rgba[at + 1], self.rgba[at + 2]]
+    }
+}
+
+/// Every plate that can be read in a picture of `width` x `height` pixels, nearest rows first.
+///
+/// `rgba` holds 4 bytes a pixel, rows top to bottom without gaps. In bytes that do not make a picture
+/// nothing is read.
+pub fn read(width: u32, height: u32, rgba: &[u8]) -> Vec<Sighting> {
+    let frame = &Picture { width, height, rgba };
+    let (width, height) = (width as usize, height as usize);
     let sides = 1..=LARGEST_SIDE;
     let is_picture = sides.contains(&width) && sides.contains(&height);
-    if !is_picture || frame.pixels.len() != 4 * width * height {
+    if !is_picture || rgba.len() != 4 * width * height {
         return Vec::new();
     }
     let focal = focal_length_px(frame.width);
     let mut votes: Vec<(Sighting, u32)> = Vec::new();
-    let runs = magenta_runs(frame.pixels, width, height);
+    let runs = magenta_runs(rgba, width, height);
     for column in runs.chunk_by(|a, b| a.x == b.x) {
         for (i, lower) in column.iter().enumerate() {
             let Some(reading) =
@@ -167,7 +182,7 @@ struct Reading {
 
 impl Reading {
     /// The plate whose frame's lower and upper edge are `lower` and `upper`, if they are.
-    fn between(frame: &FrameView<'_>, lower: &Run, upper: &Run) -> Option<Self> {
+    fn between(frame: &Picture<'_>, lower: &Run, upper: &Run) -> Option<Self> {
         let middle = |run: &Run| f32::from(run.bottom + run.top) / 2.0;
         let thickness = |run: &Run| f32::from(run.top - run.bottom);
         let scale = (middle(upper) - middle(lower)) / (SIZE_M - FRAME_M);
@@ -251,4 +266,5 @@ fn band_of(rgb: [u8; 3]) -> Option<u8> {
 }
 
 #[cfg(test)]
+#[path = "read_tests.rs"]
 mod tests;

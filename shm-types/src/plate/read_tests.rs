@@ -1,14 +1,18 @@
 use proptest::prelude::*;
 
 use super::*;
-use crate::grounded::painter::Picture;
+use crate::plate::painter::Picture as Painting;
 
 fn plate(code: u32) -> Plate {
     Plate(std::array::from_fn(|i| (code / 7_u32.pow(i as u32) % 7) as u8))
 }
 
+fn look(painting: &Painting) -> Vec<Sighting> {
+    read(painting.width(), painting.width(), painting.pixels())
+}
+
 fn seen(width: u32, plates: &[Sighting]) -> Vec<Sighting> {
-    read(&Picture::background(width, 1).with(plates).view(1))
+    look(&Painting::background(width, 1).with(plates))
 }
 
 #[test]
@@ -81,9 +85,7 @@ fn sightings_become_landmarks_in_the_world() {
 #[test]
 fn a_picture_of_the_wrong_size_shows_nothing() {
     let pixels = [255, 0, 255, 255].repeat(64 * 64);
-    let cut = |width, height, bytes: usize| {
-        read(&FrameView { id: 1, width, height, pixels: &pixels[..bytes] })
-    };
+    let cut = |width, height, bytes: usize| read(width, height, &pixels[..bytes]);
     assert_eq!(cut(64, 64, 64 * 64 * 4), []);
     assert_eq!(cut(64, 64, 64 * 64 * 4 - 1), []);
     assert_eq!(cut(0, 0, 0), []);
@@ -106,8 +108,8 @@ proptest! {
 
     #[test]
     fn a_plate_in_view_is_read_and_nothing_else(sighting in sighting(), seed in 0..1000_u32) {
-        let picture = Picture::background(448, seed).with(&[sighting]);
-        prop_assert_eq!(read(&picture.view(1)), [sighting]);
+        let picture = Painting::background(448, seed).with(&[sighting]);
+        prop_assert_eq!(look(&picture), [sighting]);
     }
 
     #[test]
@@ -117,6 +119,6 @@ proptest! {
     ) {
         let height = (64 * 64) / width.max(1);
         let bytes = &pixels[..4 * (width * height) as usize];
-        read(&FrameView { id: 1, width, height, pixels: bytes });
+        read(width, height, bytes);
     }
 }

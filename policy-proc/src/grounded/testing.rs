@@ -1,0 +1,11 @@
+//! What tests of the grounded policy share.
+
+use shm_types::plate::painter::Picture;
+
+use crate::FrameView;
+
+/// A painted picture as a frame.
+pub(super) fn view(picture: &Picture, id: u64) -> FrameView<'_> {
+    let side = picture.width();
+    FrameView { id, width: side, height: side, pixels: picture.pixels() }
+}

@@ -1,0 +1,284 @@
+//! Documents: what memory supplies that is too large for a message, published once and then named by id.
+//!
+//! Memory publishes a document before the first [`Recall`](crate::message::Recall) that names it. A
+//! document is either for the whole run (episode 0), or belongs to one episode of one lane and is forgotten
+//! with it. The policy keeps a copy of the bytes, made once: documents are text and short lists, never
+//! pixels, which stay in the [frame store](crate::frames) and are named by id here, too.
+
+use std::collections::HashMap;
+use std::sync::Arc;
+
+use bytemuck::{Pod, Zeroable};
+use iceoryx2::port::publisher::Publisher;
+use iceoryx2::port::subscriber::Subscriber;
+use iceoryx2::port::{BackpressureAction, LoanError};
+use iceoryx2::prelude::{AllocationStrategy, ZeroCopySend};
+use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
+
+use crate::bus::{Bus, BusError, Ipc, delivered};
+use crate::message::{DocumentId, DocumentKind, NO_ACTION, NO_DOCUMENT, Role, TrajectoryStep};
+use crate::pose::{Action, UnknownCode};
+
+/// Last part of the name of the service that carries documents.
+pub const DOCUMENT_SERVICE: &str = "document";
+
+/// Most bytes of a document: far more than any prompt holds.
+pub const MAX_DOCUMENT_BYTES: usize = 16 << 20;
+
+/// Bytes that a document may have without a further piece of shared memory.
+const USUAL_BYTES: usize = 16 << 10;
+
+/// Documents for the whole run that can wait beside those of episodes.
+const RUN_DOCUMENTS: usize = 64;
+
+/// Bits of a document id below the generation.
+const ID_BITS: u32 = 40;
+
+/// What travels with a document's bytes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Pod, Zeroable, ZeroCopySend)]
+#[repr(C)]
+#[type_name("memtransfer.DocumentHeader")]
+pub struct DocumentHeader {
+    /// The document's id.
+    pub id: DocumentId,
+    /// Ticket of the episode it belongs to; 0: for the whole run.
+    pub episode: u64,
+    /// That episode's lane.
+    pub lane: u32,
+    /// Code of the [`DocumentKind`].
+    pub kind: u32,
+}
+
+const _: () = assert!(size_of::<DocumentHeader>() == 24 && size_of::<TrajectoryStep>() == 16);
+
+/// What a document says.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Content {
+    /// Object locations, landmarks and routes.
+    Summary(String),
+    /// General spatial and navigation knowledge.
+    Semantic(String),
+    /// Demonstrations with their keyframes, one after the other.
+    Trajectories(Vec<TrajectoryStep>),
+}
+
+impl Content {
+    /// What kind of document this is.
+    pub const fn kind(&self) -> DocumentKind {
+        match self {
+            Self::Summary(_) => DocumentKind::Summary,
+            Self::Semantic(_) => DocumentKind::Semantic,
+            Self::Trajectories(_) => DocumentKind::Trajectories,
+        }
+    }
+
+    fn bytes(&self) -> &[u8] {
+        match self {
+            Self::Summary(text) | Self::Semantic(text) => text.as_bytes(),
+            Self::Trajectories(steps) => bytemuck::cast_slice(steps),
+        }
+    }
+
+    fn read(kind: DocumentKind, bytes: &[u8]) -> Result<Self, UnknownCode> {
+        let text = || match std::str::from_utf8(bytes) {
+            Ok(text) => Ok(text.to_owned()),
+            Err(error) => Err(UnknownCode::new(error, "UTF-8")),
+        };
+        Ok(match kind {
+            DocumentKind::Summary => Self::Summary(text()?),
+            DocumentKind::Semantic => Self::Semantic(text()?),
+            DocumentKind::Trajectories => {
+                let (steps, []) = bytes.as_chunks::<{ size_of::<TrajectoryStep>() }>() else {
+                    let count = format_args!("{} bytes", bytes.len());
+                    return Err(UnknownCode::new(count, "whole trajectory steps of 16 bytes"));
+                };
+                let steps = steps.iter().map(|step| bytemuck::pod_read_unaligned(step));
+                let known = |step: &TrajectoryStep| match step.action {
+                    NO_ACTION => Ok(*step),
+                    code => Action::try_from(code).map(|_| *step),
+                };
+                let steps = steps.map(|step| known(&step)).collect::<Result<Vec<_>, _>>()?;
+                if !steps.is_sorted_by_key(|step| step.trajectory) {
+                    return Err(UnknownCode::new(
+                        "a mixture of trajectories",
+                        "one after the other",
+                    ));
+                }
+                Self::Trajectories(steps)
+            }
+        })
+    }
+}
+
+/// A document as it was received.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Document {
+    /// Its id.
+    pub id: DocumentId,
+    /// Ticket of the episode it belongs to; 0: for the whole run.
+    pub episode: u64,
+    /// That episode's lane.
+    pub lane: u32,
+    /// What it says.
+    pub content: Content,
+}
+
+/// Why a document cannot be published or used.
+#[derive(Debug, thiserror::Error)]
+pub enum DocumentError {
+    /// It is too long.
+    #[error("a document has {bytes} bytes, and at most {MAX_DOCUMENT_BYTES} can be supplied")]
+    TooLong {
+        /// Its bytes.
+        bytes: usize,
+    },
+    /// What arrived is no document; it is dropped, and the next call goes on after it.
+    #[error("document {id}: {problem}")]
+    Unusable {
+        /// Its id.
+        id: DocumentId,
+        /// What is wrong with it.
+        problem: UnknownCode,
+    },
+    /// The bus failed.
+    #[error(transparent)]
+    Bus(#[from] BusError),
+}
+
+fn service(bus: &Bus) -> Result<PortFactory<Ipc, [u8], DocumentHeader>, BusError> {
+    bus.builder(DOCUMENT_SERVICE)?
+        .publish_subscribe::<[u8]>()
+        .user_header::<DocumentHeader>()
+        .enable_safe_overflow(false)
+        .history_size(0)
+        .max_publishers(1)
+        .max_subscribers(1)
+        .max_nodes(2)
+        .subscriber_max_borrowed_samples(1)
+        .subscriber_max_buffer_size(2 * bus.attach().lanes as usize + RUN_DOCUMENTS)
+        .open_or_create()
+        .map_err(|e| BusError::open("cannot open the service of documents", e))
+}
+
+/// The memory's end.
+#[derive(Debug)]
+pub struct DocumentPublisher {
+    publisher: Publisher<Ipc, [u8], DocumentHeader>,
+    generation: u32,
+    published: u64,
+    readers: usize,
+}
+
+impl DocumentPublisher {
+    /// The publishing end.
+    ///
+    /// # Errors
+    /// When this process is not the memory, or the service cannot be opened.
+    pub fn new(bus: &Bus) -> Result<Self, BusError> {
+        let (role, attach) = (bus.role(), bus.attach());
+        if role != Role::Memory {
+            return Err(BusError::WrongRole { service: DOCUMENT_SERVICE, role, verb: "send" });
+        }
+        let publisher = service(bus)?
+            .publisher_builder()
+            .initial_max_slice_len(USUAL_BYTES)
+            .allocation_strategy(AllocationStrategy::PowerOfTwo)
+            .max_loaned_samples(1)
+            .set_backpressure_handler(|_| BackpressureAction::DiscardDataAndFail)
+            .create()
+            .map_err(|e| BusError::open("cannot publish documents", e))?;
+        let readers = attach.count(&[Role::Policy]);
+        Ok(Self { publisher, generation: attach.generation, published: 0, readers })
+    }
+
+    /// Makes a document known, for `episode` (lane and ticket) or for the whole run, and names it.
+    ///
+    /// # Errors
+    /// When it is too long, or the policy does not receive it.
+    pub fn publish(
+        &mut self,
+        episode: Option<(u32, u64)>,
+        content: &Content,
+    ) -> Result<DocumentId, DocumentError> {
+        let bytes = content.bytes();
+        if bytes.len() > MAX_DOCUMENT_BYTES {
+            return Err(DocumentError::TooLong { bytes: bytes.len() });
+        }
+        let sample = self.publisher.loan_slice_uninit(bytes.len()).map_err(|e: LoanError| {
+            DocumentError::from(BusError::transport("loaning a document", e))
+        })?;
+        let mut sample = sample.write_from_slice(bytes);
+        self.published += 1;
+        let id = (u64::from(self.generation) << ID_BITS) | self.published;
+        let (lane, episode) = episode.unwrap_or((0, 0));
+        *sample.user_header_mut() =
+            DocumentHeader { id, episode, lane, kind: content.kind() as u32 };
+        delivered(DOCUMENT_SERVICE, self.readers, sample.send())?;
+        Ok(id)
+    }
+}
+
+/// The policy's end: keeps every document that can still be named.
+#[derive(Debug)]
+pub struct DocumentStore {
+    subscriber: Subscriber<Ipc, [u8], DocumentHeader>,
+    documents: HashMap<DocumentId, Arc<Document>>,
+}
+
+impl DocumentStore {
+    /// An empty store that gets every document published from now on.
+    ///
+    /// # Errors
+    /// When this process is not the policy, or the service cannot be opened.
+    pub fn new(bus: &Bus) -> Result<Self, BusError> {
+        let role = bus.role();
+        if role != Role::Policy {
+            return Err(BusError::WrongRole { service: DOCUMENT_SERVICE, role, verb: "receive" });
+        }
+        let subscriber = service(bus)?
+            .subscriber_builder()
+            .create()
+            .map_err(|e| BusError::open("cannot receive documents", e))?;
+        Ok(Self { subscriber, documents: HashMap::new() })
+    }
+
+    /// The document that `id` names: `None` when there is none.
+    ///
+    /// # Errors
+    /// When a document that arrived cannot be used; it is dropped, and the next call goes on after it.
+    pub fn get(&mut self, id: DocumentId) -> Result<Option<&Arc<Document>>, DocumentError> {
+        if !self.documents.contains_key(&id) {
+            self.take_waiting()?;
+        }
+        Ok(self.documents.get(&id))
+    }
+
+    /// Episode `episode` begins in `lane`: what belonged to the lane's earlier ones is forgotten.
+    pub fn begin(&mut self, lane: u32, episode: u64) {
+        // Tickets grow, and what belongs to a later episode has come early.
+        self.documents.retain(|_, document| {
+            document.episode == 0 || document.lane != lane || document.episode >= episode
+        });
+    }
+
+    /// Documents kept now.
+    pub fn held(&self) -> usize {
+        self.documents.len()
+    }
+
+    fn take_waiting(&mut self) -> Result<(), DocumentError> {
+        let failed = |e| BusError::transport("receiving documents", e);
+        while let Some(sample) = self.subscriber.receive().map_err(failed)? {
+            let DocumentHeader { id, episode, lane, kind } = *sample.user_header();
+            let unusable = |problem| DocumentError::Unusable { id, problem };
+            let kind = u8::try_from(kind).unwrap_or(u8::MAX);
+            let kind = DocumentKind::try_from(kind).map_err(unusable)?;
+            let content = Content::read(kind, sample.payload()).map_err(unusable)?;
+            if id == NO_DOCUMENT || self.documents.contains_key(&id) {
+                return Err(unusable(UnknownCode::new(id, "an id that names no other document")));
+            }
+            self.documents.insert(id, Arc::new(Document { id, episode, lane, content }));
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,73 @@
+//! Documents: published once, kept as long as they can be named.
+
+use shm_types::documents::{Content, MAX_DOCUMENT_BYTES};
+use shm_types::message::{NO_ACTION, Role, TrajectoryStep};
+use shm_types::{Action, DocumentError, DocumentPublisher, DocumentStore};
+
+use crate::common::{Run, bus, run};
+
+fn step(trajectory: u8, frame: u64, action: u8) -> TrajectoryStep {
+    TrajectoryStep { frame, action, trajectory, reserved: [0; 6] }
+}
+
+#[test]
+fn what_is_published_is_read_whatever_its_length() {
+    let Run { attach, .. } = &run();
+    let [memory, policy] = [Role::Memory, Role::Policy].map(|role| bus(attach, role));
+    let mut store = DocumentStore::new(&policy).unwrap();
+    let mut publisher = DocumentPublisher::new(&memory).unwrap();
+    let forward = Action::Forward as u8;
+    let contents = [
+        Content::Summary("a barrel at (3, 7)".repeat(10_000)),
+        Content::Semantic(String::new()),
+        Content::Trajectories(vec![
+            step(0, 7, forward),
+            step(0, 0, NO_ACTION),
+            step(1, 9, NO_ACTION),
+        ]),
+        Content::Summary("ü".repeat(MAX_DOCUMENT_BYTES / 2)),
+    ];
+    let ids = contents.each_ref().map(|content| publisher.publish(None, content).unwrap());
+    for (id, content) in ids.into_iter().zip(contents) {
+        let document = store.get(id).unwrap().unwrap();
+        assert!(document.content == content && document.id == id && document.episode == 0);
+    }
+    assert!(store.get(ids[3] + 1).unwrap().is_none());
+    let long = Content::Semantic("x".repeat(MAX_DOCUMENT_BYTES + 1));
+    assert!(matches!(publisher.publish(None, &long), Err(DocumentError::TooLong { .. })));
+}
+
+#[test]
+fn an_episode_s_document_goes_with_the_episode() {
+    let Run { attach, .. } = &run();
+    let [memory, policy] = [Role::Memory, Role::Policy].map(|role| bus(attach, role));
+    let mut store = DocumentStore::new(&policy).unwrap();
+    let mut publisher = DocumentPublisher::new(&memory).unwrap();
+    let mut publish =
+        |episode| publisher.publish(episode, &Content::Trajectories(Vec::new())).unwrap();
+    let ids = [None, Some((1, 5)), Some((1, 6)), Some((2, 4))].map(&mut publish);
+    let there = |store: &mut DocumentStore| ids.map(|id| store.get(id).unwrap().is_some());
+    assert_eq!(there(&mut store), [true; 4]);
+    store.begin(1, 6);
+    assert_eq!(there(&mut store), [true, false, true, true]);
+    store.begin(2, 7);
+    assert_eq!(there(&mut store), [true, false, true, false]);
+    assert_eq!(store.held(), 2);
+}
+
+#[test]
+fn what_is_no_trajectory_is_said_once_and_dropped() {
+    let Run { attach, .. } = &run();
+    let [memory, policy] = [Role::Memory, Role::Policy].map(|role| bus(attach, role));
+    let mut store = DocumentStore::new(&policy).unwrap();
+    let mut publisher = DocumentPublisher::new(&memory).unwrap();
+    for (steps, what) in [
+        (vec![step(0, 1, 99)], "99"),
+        (vec![step(1, 1, NO_ACTION), step(0, 1, NO_ACTION)], "a mixture of trajectories"),
+    ] {
+        let id = publisher.publish(None, &Content::Trajectories(steps)).unwrap();
+        let error = store.get(id).unwrap_err().to_string();
+        assert!(error.contains(what), "{error}");
+        assert!(store.get(id).unwrap().is_none());
+    }
+}
