@@ -1,6 +1,12 @@
 //! What an episode is run under: which memory, from where, on which route, with which demonstrations.
 //!
-//! Only the words and their combinations; which episodes follow from them is [`plan`](crate::plan)'s.
+//! Only the words and their combinations; which of them a run holds is the
+//! [settings'](crate::settings) business, which episodes follow is [`plan`](crate::plan)'s.
+
+mod variation;
+
+pub use variation::{Hint, SegmentContent, Variation};
+pub(crate) use variation::{is_default, is_standard_window, standard_window};
 
 use std::fmt;
 use std::str::FromStr;
@@ -84,6 +90,16 @@ impl Memory {
             Self::Working => false,
             Self::Episodic => true,
         }
+    }
+
+    /// Whether it supplies demonstrations as such: actions and views.
+    pub const fn supplies_trajectories(self) -> bool {
+        self.uses_demonstrations()
+    }
+
+    /// Whether it retrieves a segment of a demonstration.
+    pub const fn retrieves_segments(self) -> bool {
+        self.uses_demonstrations()
     }
 }
 
@@ -202,7 +218,10 @@ impl From<Demonstrations> for String {
     }
 }
 
-/// One cell of the table of results. Written `memory/start/route/demonstrations`.
+/// One cell of a table of results. Written `memory/start/route/demonstrations`, and after that what departs
+/// from the standard [`Variation`]: `working/original/unchanged/none/h20`.
+///
+/// Always in its normal form, see [`Condition::new`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
 pub struct Condition {
     /// Which memory.
@@ -213,20 +232,109 @@ pub struct Condition {
     pub route: Route,
     /// With which demonstrations.
     pub demonstrations: Demonstrations,
+    /// With which changes to the prompt.
+    #[serde(flatten)]
+    pub variation: Variation,
+}
+
+impl Condition {
+    /// The condition in its normal form: what makes no difference is as it is in the standard, so that two
+    /// conditions differ only where their episodes can. `None` where there is no such condition.
+    ///
+    /// - A memory that needs no demonstration has none; the others need one at least.
+    /// - A blocked route is defined for the new start only (SPEC section 4).
+    /// - What a segment holds concerns those who retrieve one.
+    /// - The hint can be given where it is true and somebody could use it: at the original start, with the
+    ///   original demonstration alone, to a memory that supplies trajectories.
+    pub fn new(
+        memory: Memory,
+        start: Start,
+        route: Route,
+        demonstrations: Demonstrations,
+        variation: Variation,
+    ) -> Option<Self> {
+        let demonstrations =
+            if memory.uses_demonstrations() { demonstrations } else { Demonstrations::NONE };
+        let exists = (start, route) != (Start::Original, Route::Blocked)
+            && (memory.uses_demonstrations() != (demonstrations == Demonstrations::NONE));
+        let mut condition = Self { memory, start, route, demonstrations, variation };
+        if !memory.retrieves_segments() {
+            condition.variation.segment = SegmentContent::default();
+        }
+        if !condition.can_be_hinted() {
+            condition.variation.hint = Hint::default();
+        }
+        exists.then_some(condition)
+    }
+
+    /// Whether the demonstration starts where the episode does, and the policy is shown it.
+    fn can_be_hinted(&self) -> bool {
+        self.start == Start::Original
+            && self.demonstrations == Demonstrations::ORIGINAL
+            && self.memory.supplies_trajectories()
+    }
+
+    /// Whether the policy is told that the demonstration starts where the episode does.
+    pub fn is_hinted(&self) -> bool {
+        self.can_be_hinted() && self.variation.hint == Hint::On
+    }
 }
 
 impl fmt::Display for Condition {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { memory, start, route, demonstrations } = self;
-        write!(f, "{memory}/{start}/{route}/{demonstrations}")
+        let Self { memory, start, route, demonstrations, variation } = self;
+        write!(f, "{memory}/{start}/{route}/{demonstrations}{variation}")
+    }
+}
+
+/// Why a text is no condition.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum BadCondition {
+    /// A part is not what it should be.
+    #[error(transparent)]
+    Name(#[from] UnknownName),
+    /// A part is missing, or one too many.
+    #[error(
+        "`{0}` is no condition: write memory/start/route/demonstrations, then what departs from the \
+         standard (/h20, /images, /no-hint)"
+    )]
+    Parts(String),
+    /// Not in its normal form, or there is no such condition.
+    #[error("there is no condition `{given}`{}", normal.map_or_else(
+        String::new, |normal| format!("; the same episodes are those of `{normal}`")
+    ))]
+    NotNormal {
+        /// What was written.
+        given: String,
+        /// What should have been.
+        normal: Option<Condition>,
+    },
+}
+
+impl FromStr for Condition {
+    type Err = BadCondition;
+
+    fn from_str(text: &str) -> Result<Self, BadCondition> {
+        let bad = || BadCondition::Parts(text.to_owned());
+        let mut parts = text.split('/');
+        let mut next = || parts.next().ok_or_else(bad);
+        let memory = next()?.parse()?;
+        let (start, route) = (next()?.parse()?, next()?.parse()?);
+        let demonstrations = next()?.parse()?;
+        let mut variation = Variation::STANDARD;
+        if !parts.all(|part| variation.read(part)) {
+            return Err(bad());
+        }
+        let normal = Self::new(memory, start, route, demonstrations, variation);
+        match normal {
+            Some(condition) if condition.to_string() == text => Ok(condition),
+            _ => Err(BadCondition::NotNormal { given: text.to_owned(), normal }),
+        }
     }
 }
 
 impl Condition {
-    /// The product of the parts, without what makes no difference and what does not exist.
-    ///
-    /// Working memory has no demonstrations, so it appears once for all sets of them. A blocked route
-    /// is defined for the new start only (SPEC section 4), so it is left out elsewhere.
+    /// The product of the parts under the standard variation, without what does not exist.
     pub fn product(
         memory: &[Memory],
         starts: &[Start],
@@ -238,16 +346,10 @@ impl Condition {
             for &start in starts {
                 for &route in routes {
                     for &demonstrations in demonstrations {
-                        let demonstrations = if memory.uses_demonstrations() {
-                            demonstrations
-                        } else {
-                            Demonstrations::NONE
-                        };
-                        let condition = Self { memory, start, route, demonstrations };
-                        let exists = (start, route) != (Start::Original, Route::Blocked);
-                        if exists && !conditions.contains(&condition) {
-                            conditions.push(condition);
-                        }
+                        let variation = Variation::STANDARD;
+                        let condition = Self::new(memory, start, route, demonstrations, variation);
+                        let new = condition.filter(|condition| !conditions.contains(condition));
+                        conditions.extend(new);
                     }
                 }
             }
@@ -299,5 +401,63 @@ mod tests {
                 "episodic/new/blocked/4",
             ]
         );
+    }
+
+    #[test]
+    fn a_condition_says_no_more_than_makes_a_difference() {
+        let all = Variation { window: 20, segment: SegmentContent::Images, hint: Hint::Off };
+        let written = |memory, start, route, demonstrations: &str| {
+            let demonstrations = demonstrations.parse().unwrap();
+            let condition = Condition::new(memory, start, route, demonstrations, all);
+            condition.map_or("none".to_owned(), |condition| {
+                assert_eq!(condition.to_string().parse(), Ok(condition));
+                let json = serde_json::to_string(&condition).unwrap();
+                assert_eq!(serde_json::from_str::<Condition>(&json).unwrap(), condition);
+                condition.to_string()
+            })
+        };
+        use Memory::{Episodic, Working};
+        use Route::{Blocked, Unchanged};
+        for (found, expected) in [
+            (
+                written(Working, Start::Original, Unchanged, "4"),
+                "working/original/unchanged/none/h20",
+            ),
+            (
+                written(Episodic, Start::Original, Unchanged, "original"),
+                "episodic/original/unchanged/original/h20/images/no-hint",
+            ),
+            (
+                written(Episodic, Start::Original, Unchanged, "nearby"),
+                "episodic/original/unchanged/nearby/h20/images",
+            ),
+            (
+                written(Episodic, Start::New, Blocked, "original"),
+                "episodic/new/blocked/original/h20/images",
+            ),
+            (written(Episodic, Start::Original, Blocked, "4"), "none"),
+            (written(Episodic, Start::New, Unchanged, "none"), "none"),
+        ] {
+            assert_eq!(found, expected);
+        }
+        let standard = Condition::new(
+            Episodic,
+            Start::Original,
+            Unchanged,
+            Demonstrations::ORIGINAL,
+            Variation::STANDARD,
+        );
+        let json = serde_json::to_value(standard.unwrap()).unwrap();
+        assert_eq!(json.as_object().unwrap().len(), 4, "the standard is left out: {json}");
+    }
+
+    #[test]
+    fn what_is_no_condition_is_said() {
+        let error = |text: &str| text.parse::<Condition>().unwrap_err().to_string();
+        insta::assert_snapshot!(error("episodic/new/unchanged"), @"`episodic/new/unchanged` is no condition: write memory/start/route/demonstrations, then what departs from the standard (/h20, /images, /no-hint)");
+        insta::assert_snapshot!(error("working/new/unchanged/none/h200"), @"`working/new/unchanged/none/h200` is no condition: write memory/start/route/demonstrations, then what departs from the standard (/h20, /images, /no-hint)");
+        insta::assert_snapshot!(error("working/new/unchanged/4/h6"), @"there is no condition `working/new/unchanged/4/h6`; the same episodes are those of `working/new/unchanged/none`");
+        insta::assert_snapshot!(error("episodic/original/blocked/4"), @"there is no condition `episodic/original/blocked/4`");
+        insta::assert_snapshot!(error("episodic/newer/blocked/4"), @"unknown start `newer`: did you mean `new`? (known: original, new)");
     }
 }

@@ -25,8 +25,6 @@ use crate::plan::Episode;
 /// What all episodes of a run have in common.
 #[derive(Debug, Clone, Copy)]
 pub struct Rules {
-    /// Window length h.
-    pub window: u8,
     /// Expert actions that a retrieved segment follows, H_epi.
     pub horizon: u8,
     /// T_max.
@@ -231,7 +229,8 @@ impl<'w> Lanes<'w> {
                 case: episode.case_index as u32,
                 demonstrations: condition.demonstrations.bits(),
                 representation: condition.memory.representation() as u8,
-                window: self.rules.window,
+                // At most `MAX_WINDOW`, which the settings check.
+                window: condition.variation.window as u8,
                 horizon: self.rules.horizon,
                 ..Zeroable::zeroed()
             },
@@ -258,6 +257,9 @@ impl<'w> Lanes<'w> {
             start: condition.start,
             route: condition.route,
             demonstrations: condition.demonstrations,
+            window: condition.variation.window,
+            segment: condition.variation.segment,
+            hint: condition.variation.hint,
             run: episode.key.run,
             case: episode.key.case.clone(),
             task: case.task.number(),

@@ -2,7 +2,7 @@
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use bytemuck::Zeroable;
-use orchestrator::conditions::{Condition, Demonstrations, Memory, Route, Start};
+use orchestrator::conditions::{Condition, Demonstrations, Memory, Route, Start, Variation};
 use orchestrator::lanes::{Fault, Lanes, Opening, Rules, Turn, Walked};
 use orchestrator::log::Ending;
 use orchestrator::plan::{Episode, EpisodeKey};
@@ -12,7 +12,7 @@ use shm_types::message::{
 use shm_types::{Action, Feedback, Pose};
 use warehouse::{CaseSet, Variant, Warehouse, step};
 
-const RULES: Rules = Rules { window: 6, horizon: 6, max_steps: 200, expert: false };
+const RULES: Rules = Rules { horizon: 6, max_steps: 200, expert: false };
 
 fn world() -> (Warehouse, CaseSet) {
     (Warehouse::shipped(), CaseSet::shipped())
@@ -20,7 +20,8 @@ fn world() -> (Warehouse, CaseSet) {
 
 fn episode(cases: &CaseSet, case_index: usize, start: Start, route: Route) -> Episode {
     let demonstrations = Demonstrations::ORIGINAL;
-    let condition = Condition { memory: Memory::Episodic, start, route, demonstrations };
+    let variation = Variation::STANDARD;
+    let condition = Condition { memory: Memory::Episodic, start, route, demonstrations, variation };
     let case = cases.cases[case_index].id.clone();
     Episode { key: EpisodeKey { condition, run: 1, case }, case_index, seed: 7 }
 }

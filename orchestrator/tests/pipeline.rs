@@ -9,7 +9,7 @@ use std::time::Duration;
 
 use anyhow::Result;
 use bytemuck::Zeroable;
-use orchestrator::conditions::{Condition, Demonstrations, Memory, Route, Start};
+use orchestrator::conditions::{Condition, Demonstrations, Memory, Route, Start, Variation};
 use orchestrator::lanes::{Lanes, Rules, Walked};
 use orchestrator::pipeline::{Crewing, Ending, Facts, Observer, walk};
 use orchestrator::plan::plan;
@@ -209,9 +209,10 @@ fn run(spoil: fn(Decision) -> Decision) -> (Seen, Ending) {
         start: Start::Original,
         route: Route::Unchanged,
         demonstrations: Demonstrations::NONE,
+        variation: Variation::STANDARD,
     };
     let episodes = plan(&[condition], 1, &[0, 1, 2, 3, 4, 5, 6, 7], &ids, 1);
-    let rules = Rules { window: 6, horizon: 6, max_steps: MAX_STEPS, expert: false };
+    let rules = Rules { horizon: 6, max_steps: MAX_STEPS, expert: false };
     let mut lanes = Lanes::new(&warehouse, &cases, rules, LANES as usize);
     // The peers are threads; the process that the pipeline watches only has to live.
     let sleeper = Launch {

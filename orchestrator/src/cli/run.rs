@@ -245,7 +245,6 @@ fn walk(
         answer_deadline: Duration::from_secs(settings.step_timeout.into()),
     };
     let rules = Rules {
-        window: u8::try_from(settings.window).context("--window")?,
         horizon: u8::try_from(settings.horizon).context("--horizon")?,
         max_steps: settings.max_steps,
         expert: settings.policy == PolicyKind::Expert,

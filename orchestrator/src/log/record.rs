@@ -9,7 +9,10 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 use shm_types::Pose;
 
-use crate::conditions::{Condition, Demonstrations, Memory, Route, Start};
+use crate::conditions::{
+    Condition, Demonstrations, Hint, Memory, Route, SegmentContent, Start, Variation, is_default,
+    is_standard_window, standard_window,
+};
 use crate::names::named;
 
 named! {
@@ -36,6 +39,15 @@ pub struct EpisodeRecord {
     pub route: Route,
     /// With which demonstrations.
     pub demonstrations: Demonstrations,
+    /// Past steps that the policy was shown, h. Absent where it is the standard, 6.
+    #[serde(skip_serializing_if = "is_standard_window", default = "standard_window")]
+    pub window: u32,
+    /// What retrieved segments held. Absent where it is the standard, `actions`.
+    #[serde(skip_serializing_if = "is_default", default)]
+    pub segment: SegmentContent,
+    /// Whether the original-start hint was given where it is true. Absent where it is the standard, `on`.
+    #[serde(skip_serializing_if = "is_default", default)]
+    pub hint: Hint,
     /// Which repetition, from 1.
     pub run: u32,
     /// The case's id.
@@ -94,6 +106,7 @@ impl EpisodeRecord {
             start: self.start,
             route: self.route,
             demonstrations: self.demonstrations,
+            variation: Variation { window: self.window, segment: self.segment, hint: self.hint },
         }
     }
 

@@ -6,7 +6,7 @@ use shm_types::message::WIRE_VERSION;
 use shm_types::{Heading, Pose};
 
 use super::{Ending, EpisodeRecord, EpisodeTimings, FORMAT, Manifest, Stages, Unread};
-use crate::conditions::{Condition, Demonstrations, Memory, Route, Start};
+use crate::conditions::{Condition, Demonstrations, Memory, Route, Start, Variation};
 use crate::plan::EpisodeKey;
 use crate::settings::{Layer, Origin, resolve};
 
@@ -31,6 +31,7 @@ pub(crate) fn record(case: &str, success: bool) -> EpisodeRecord {
         start: Start::Original,
         route: Route::Unchanged,
         demonstrations: Demonstrations::ORIGINAL,
+        variation: Variation::STANDARD,
     };
     let steps = if success { 10 } else { 200 };
     EpisodeRecord {
@@ -39,6 +40,9 @@ pub(crate) fn record(case: &str, success: bool) -> EpisodeRecord {
         start: condition.start,
         route: condition.route,
         demonstrations: condition.demonstrations,
+        window: condition.variation.window,
+        segment: condition.variation.segment,
+        hint: condition.variation.hint,
         run: 1,
         case: case.to_owned(),
         task: 1,

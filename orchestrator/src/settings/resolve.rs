@@ -98,7 +98,9 @@ impl Settings {
     /// The expert asks no memory, so for it every memory is the same: the window alone.
     pub fn conditions(&self) -> Vec<Condition> {
         let memory = if self.policy.has_process() { &self.memory[..] } else { &[Memory::Working] };
-        Condition::product(memory, &self.starts, &self.routes, &self.demos)
+        let mut conditions = Condition::product(memory, &self.starts, &self.routes, &self.demos);
+        conditions.iter_mut().for_each(|condition| condition.variation.window = self.window);
+        conditions
     }
 
     /// Whether every value can be.

@@ -1,0 +1,112 @@
+//! What a condition changes about the prompt (paper, Design Choices).
+//!
+//! Only the words and their standard. Where a variation makes a difference is
+//! [`Condition::new`](super::Condition::new)'s business.
+
+use std::fmt;
+
+use serde::{Deserialize, Serialize};
+use shm_types::message::MAX_WINDOW;
+
+use crate::names::named;
+
+named! {
+    /// What a retrieved segment holds.
+    SegmentContent, "segment content" {
+        /// The expert's actions and the views they led to.
+        Actions = "actions",
+        /// The views alone.
+        Images = "images",
+    }
+
+    /// Whether the prompt states that the demonstration starts at the agent's starting pose, where it does.
+    Hint, "hint" {
+        /// It does.
+        On = "on",
+        /// It does not.
+        Off = "off",
+    }
+}
+
+/// What is varied about the prompt; the default is the paper's standard (paper, Experimental Setup).
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(default)]
+pub struct Variation {
+    /// Past steps that the policy is shown, h.
+    #[serde(skip_serializing_if = "is_standard_window")]
+    pub window: u32,
+    /// What a retrieved segment holds.
+    #[serde(skip_serializing_if = "is_default")]
+    pub segment: SegmentContent,
+    /// Whether the original-start hint is given.
+    #[serde(skip_serializing_if = "is_default")]
+    pub hint: Hint,
+}
+
+impl Variation {
+    /// The paper's standard: h = 6, actions with their views, the hint where it is true.
+    pub const STANDARD: Self = Self { window: 6, segment: SegmentContent::Actions, hint: Hint::On };
+}
+
+impl Default for Variation {
+    fn default() -> Self {
+        Self::STANDARD
+    }
+}
+
+impl Default for SegmentContent {
+    fn default() -> Self {
+        Variation::STANDARD.segment
+    }
+}
+
+impl Default for Hint {
+    fn default() -> Self {
+        Variation::STANDARD.hint
+    }
+}
+
+/// For the log, which leaves out what is standard.
+pub(crate) fn standard_window() -> u32 {
+    Variation::STANDARD.window
+}
+
+pub(crate) fn is_standard_window(window: &u32) -> bool {
+    *window == standard_window()
+}
+
+pub(crate) fn is_default<T: Default + PartialEq>(value: &T) -> bool {
+    *value == T::default()
+}
+
+impl fmt::Display for Variation {
+    /// What departs from the standard, each part after a slash: `/h20`, `/images`, `/no-hint`.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { window, segment, hint } = self;
+        if !is_standard_window(window) {
+            write!(f, "/h{window}")?;
+        }
+        if !is_default(segment) {
+            write!(f, "/{segment}")?;
+        }
+        match hint {
+            Hint::On => Ok(()),
+            Hint::Off => f.write_str("/no-hint"),
+        }
+    }
+}
+
+impl Variation {
+    /// Reads one of the parts that [`Display`](fmt::Display) writes, without its slash. `false` when it is
+    /// none.
+    pub(super) fn read(&mut self, part: &str) -> bool {
+        let window = part.strip_prefix('h').and_then(|digits| digits.parse().ok());
+        match (window, part) {
+            (Some(window), _) if window <= MAX_WINDOW as u32 => self.window = window,
+            (_, "images") => self.segment = SegmentContent::Images,
+            (_, "no-hint") => self.hint = Hint::Off,
+            _ => return false,
+        }
+        true
+    }
+}
