@@ -4,7 +4,7 @@
 //! named by pose: demonstrations are walked in the unchanged world, where a pose has one view.
 
 use shm_types::{Action, Pose};
-use warehouse::{Case, Start, Warehouse};
+use warehouse::{CaseSet, Demonstrations, History, Warehouse};
 
 /// One demonstration, acted out.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -21,28 +21,70 @@ pub struct Demonstration {
     pub actions: Vec<Action>,
 }
 
-/// The demonstrations of the case at `index` that the bits of `selection` choose (bit i: number i), in
-/// order. `None` when there is no such case, or a bit stands for no demonstration.
+/// What the bits of `selection` ([`Demonstrations::bits`]) come to for the case at `index`: its own, and in
+/// a mixed set those of other cases, each acted out as a walk of its own case's task. `None` when there
+/// is no such case or no such set.
 pub fn selected(
     warehouse: &Warehouse,
-    cases: &[Case],
+    cases: &CaseSet,
     index: u32,
     selection: u32,
 ) -> Option<Vec<Demonstration>> {
-    let case = cases.get(index as usize)?;
-    if selection >> Start::DEMONSTRATIONS.len() != 0 {
-        return None;
-    }
-    let chosen = (0..).zip(Start::DEMONSTRATIONS).filter(|(bit, _)| selection >> bit & 1 == 1);
-    let demonstrations = chosen.map(|(number, start)| {
-        let replay = case.replay(warehouse, start);
-        Demonstration {
-            case: index,
-            number,
+    cases.cases.get(index as usize)?;
+    let selection = Demonstrations::from_bits(selection)?;
+    let acted = |History { case, start }| {
+        let of = cases.cases.get(case)?;
+        let replay = of.replay(warehouse, start);
+        Some(Demonstration {
+            case: case as u32,
+            number: start as u16,
             poses: replay.poses,
             stages: replay.stages,
-            actions: case.trajectory(start).actions.clone(),
+            actions: of.trajectory(start).actions.clone(),
+        })
+    };
+    cases.histories(index as usize, selection).into_iter().map(acted).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use warehouse::{Mixture, Start};
+
+    #[test]
+    fn a_demonstration_of_another_case_is_a_walk_of_that_case_s_task() {
+        let (warehouse, cases) = (Warehouse::shipped(), CaseSet::shipped());
+        for (set, mixture) in [
+            (Demonstrations::IRRELEVANT, Mixture::Irrelevant),
+            (Demonstrations::CONFUSABLE, Mixture::Confusable),
+        ] {
+            for index in 0..cases.cases.len() {
+                let chosen = selected(&warehouse, &cases, index as u32, set.bits()).unwrap();
+                assert_eq!(chosen.len(), 4);
+                for (walk, start) in chosen.iter().zip([Start::Original, Start::Opposite]) {
+                    assert_eq!((walk.case, walk.number), (index as u32, start as u16));
+                }
+                for (walk, history) in chosen[2..].iter().zip(cases.cases[index].mixed(mixture)) {
+                    let of = &cases.cases[history.case];
+                    assert_eq!(
+                        (walk.case, walk.number),
+                        (history.case as u32, history.start as u16)
+                    );
+                    let replay = of.replay(&warehouse, history.start);
+                    assert!(replay.length.is_some() && walk.stages == replay.stages);
+                    assert_eq!(walk.poses, replay.poses);
+                    assert_eq!(walk.actions, of.trajectory(history.start).actions);
+                }
+            }
         }
-    });
-    Some(demonstrations.collect())
+    }
+
+    #[test]
+    fn what_is_no_case_or_no_set_is_refused() {
+        let (warehouse, cases) = (Warehouse::shipped(), CaseSet::shipped());
+        let all = Demonstrations::ALL.bits();
+        assert_eq!(selected(&warehouse, &cases, 100, all), None);
+        assert_eq!(selected(&warehouse, &cases, 0, 1 << 4), None);
+        assert_eq!(selected(&warehouse, &cases, 0, 0), Some(Vec::new()));
+    }
 }

@@ -12,7 +12,7 @@ use std::collections::{BTreeSet, HashSet, VecDeque};
 
 use shm_types::Pose;
 use shm_types::message::{FrameId, MemoryBrief, Observation, Recall, RecallTrace, ViewRequest};
-use warehouse::{Case, Warehouse};
+use warehouse::{CaseSet, Warehouse};
 
 use crate::embedding::{ContentHash, Embedding};
 use crate::embedding_cache::{CacheError, EmbeddingCache};
@@ -23,7 +23,7 @@ use crate::views::{Arrival, HeldViews, Resident};
 /// The lanes of a run. `P` is what gives a frame's pixels; the engine only hands it on.
 pub struct Engine<P> {
     warehouse: Warehouse,
-    cases: Vec<Case>,
+    cases: CaseSet,
     lanes: Vec<Lane>,
     /// Lanes with an open question.
     open: BTreeSet<u32>,
@@ -50,7 +50,7 @@ impl<P: Clone> Engine<P> {
     /// For `lanes` lanes, with room for `views` demonstration views.
     pub fn new(
         warehouse: Warehouse,
-        cases: Vec<Case>,
+        cases: CaseSet,
         lanes: u32,
         views: usize,
         embeddings: EmbeddingCache,

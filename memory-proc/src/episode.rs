@@ -6,7 +6,7 @@ use shm_types::message::{
 };
 use shm_types::message::{MAX_DOCUMENTS, MAX_SEGMENT, NO_DOCUMENT, NO_FRAME};
 use shm_types::{Action, Feedback, Pose, Representation};
-use warehouse::{Case, Progress, Warehouse};
+use warehouse::{CaseSet, Progress, Warehouse};
 
 use crate::demonstrations;
 use crate::embedding::{ContentHash, Embedding};
@@ -59,7 +59,7 @@ impl Episode {
     pub(crate) fn announced(
         brief: &MemoryBrief,
         warehouse: &Warehouse,
-        cases: &[Case],
+        cases: &CaseSet,
     ) -> Result<Self, Unusable> {
         let MemoryBrief { case, demonstrations, window, horizon, .. } = *brief;
         let representation = Representation::try_from(brief.representation)
@@ -76,9 +76,9 @@ impl Episode {
         let chosen = chosen.ok_or_else(|| {
             unusable!(
                 "brief of episode {}: case {case} with demonstrations {demonstrations:#b}, but there \
-                 are {} cases of 4 demonstrations each (are both sides given the same assets?)",
+                 are {} cases, and no such set for them (are both sides given the same assets?)",
                 brief.episode,
-                cases.len()
+                cases.cases.len()
             )
         })?;
         if !matches!(representation, Representation::Working | Representation::Episodic) {
@@ -110,7 +110,7 @@ impl Episode {
         &mut self,
         seen: &Observation,
         warehouse: &Warehouse,
-        cases: &[Case],
+        cases: &CaseSet,
     ) -> Result<(), Unusable> {
         let Observation { episode, step, frame, .. } = *seen;
         let broken =
@@ -127,7 +127,7 @@ impl Episode {
         if step != expected {
             return Err(broken(format!("step {expected} was to come")));
         }
-        let task = &cases[self.case as usize].task;
+        let task = &cases.cases[self.case as usize].task;
         let now = self.now.get_or_insert_with(|| Now {
             step,
             frame,

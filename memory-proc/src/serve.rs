@@ -180,7 +180,7 @@ impl<'a> Server<'a> {
         let embeddings = open_cache(&settings.encoder.cache, encoder.facts(), complaints);
         let attach = bus.attach();
         let engine =
-            Engine::new(warehouse, cases.cases, attach.lanes, room_for_views(attach), embeddings);
+            Engine::new(warehouse, cases, attach.lanes, room_for_views(attach), embeddings);
         bus.sender()?.send(&hello(encoder.facts())?)?;
         ports.orchestrator.ring()?;
         let told_busy = (Instant::now(), 0);

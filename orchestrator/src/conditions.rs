@@ -14,6 +14,7 @@ use std::str::FromStr;
 use serde::{Deserialize, Serialize};
 use shm_types::FrameControl;
 use shm_types::Representation;
+pub use warehouse::{Demonstrations, UnknownDemonstrations};
 
 use crate::names::{UnknownName, named};
 
@@ -60,18 +61,6 @@ named! {
         Blank = "blank",
         /// The view of another pose.
         Swapped = "swapped",
-    }
-
-    /// One of a case's four demonstrations; the position is its bit on the wire.
-    Demonstration, "demonstration" {
-        /// From the case's own start.
-        Original = "original",
-        /// From the same cell, facing the other way.
-        Opposite = "opposite",
-        /// From a few cells away in the same aisle.
-        Nearby = "nearby",
-        /// From another aisle.
-        Distant = "distant",
     }
 }
 
@@ -134,87 +123,6 @@ impl Start {
             (Self::Original, Route::Unchanged) => warehouse::Start::Original,
             (Self::New, Route::Unchanged) => warehouse::Start::Test,
         }
-    }
-}
-
-impl Demonstration {
-    /// The letter used in the log's provenance column.
-    pub const fn letter(self) -> char {
-        match self {
-            Self::Original => 'o',
-            Self::Opposite => 'p',
-            Self::Nearby => 'n',
-            Self::Distant => 'd',
-        }
-    }
-}
-
-/// A set of a case's demonstrations. Written `original`, `original+nearby`, `4` for all, `none`.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
-#[serde(try_from = "String", into = "String")]
-pub struct Demonstrations(u8);
-
-impl Demonstrations {
-    /// No demonstration: what working memory has.
-    pub const NONE: Self = Self(0);
-    /// The original demonstration alone.
-    pub const ORIGINAL: Self = Self(1);
-    /// All four.
-    pub const ALL: Self = Self(0b1111);
-
-    /// Bit i set: demonstration i is in the set.
-    pub const fn bits(self) -> u32 {
-        self.0 as u32
-    }
-}
-
-impl fmt::Display for Demonstrations {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let words = match *self {
-            Self::NONE => "none".to_owned(),
-            Self::ALL => "4".to_owned(),
-            Self(bits) => {
-                let members = Demonstration::ALL.iter().filter(|d| bits & (1 << **d as u8) != 0);
-                members.map(|d| d.name()).collect::<Vec<_>>().join("+")
-            }
-        };
-        f.pad(&words)
-    }
-}
-
-impl FromStr for Demonstrations {
-    type Err = UnknownName;
-
-    fn from_str(text: &str) -> Result<Self, UnknownName> {
-        match text {
-            "none" => return Ok(Self::NONE),
-            "1" => return Ok(Self::ORIGINAL),
-            "4" => return Ok(Self::ALL),
-            _ => {}
-        }
-        let mut bits = 0;
-        for word in text.split('+') {
-            let demonstration: Demonstration = word.parse().map_err(|error: UnknownName| {
-                let counts = ["1", "4"].map(str::to_owned);
-                UnknownName { known: error.known.into_iter().chain(counts).collect(), ..error }
-            })?;
-            bits |= 1 << demonstration as u8;
-        }
-        Ok(Self(bits))
-    }
-}
-
-impl TryFrom<String> for Demonstrations {
-    type Error = UnknownName;
-
-    fn try_from(text: String) -> Result<Self, UnknownName> {
-        text.parse()
-    }
-}
-
-impl From<Demonstrations> for String {
-    fn from(demonstrations: Demonstrations) -> Self {
-        demonstrations.to_string()
     }
 }
 
@@ -293,6 +201,9 @@ pub enum BadCondition {
     /// A part is not what it should be.
     #[error(transparent)]
     Name(#[from] UnknownName),
+    /// The demonstrations are not what they should be.
+    #[error(transparent)]
+    Demonstrations(#[from] UnknownDemonstrations),
     /// A part is missing, or one too many.
     #[error(
         "`{0}` is no condition: write memory/start/route/demonstrations, then what departs from the \
@@ -361,24 +272,6 @@ impl Condition {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn sets_of_demonstrations_are_written_as_they_are_read() {
-        for (text, bits, shown) in [
-            ("original", 0b0001, "original"),
-            ("1", 0b0001, "original"),
-            ("4", 0b1111, "4"),
-            ("distant+opposite", 0b1010, "opposite+distant"),
-            ("original+opposite+nearby+distant", 0b1111, "4"),
-            ("none", 0, "none"),
-        ] {
-            let set: Demonstrations = text.parse().unwrap();
-            assert_eq!((set.bits(), set.to_string().as_str()), (bits, shown));
-            assert_eq!(set.to_string().parse(), Ok(set));
-        }
-        let error = "origin".parse::<Demonstrations>().unwrap_err().to_string();
-        assert!(error.contains("did you mean `original`?") && error.contains("4)"), "{error}");
-    }
 
     #[test]
     fn the_product_leaves_out_what_does_not_exist() {

@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 
 use shm_types::{Attach, Pose};
-use warehouse::{CaseSet, Start, Warehouse};
+use warehouse::{CaseSet, History, Warehouse};
 
 use crate::plan::Episode;
 
@@ -41,12 +41,11 @@ pub fn demand(
 ) -> Demand {
     let live = attach.lanes * (attach.window + 2);
     let remembered = episodes.iter().map(|episode| {
-        let wanted = episode.key.condition.demonstrations.bits();
-        let case = &cases.cases[episode.case_index];
-        let views: BTreeSet<Pose> = (0..)
-            .zip(Start::DEMONSTRATIONS)
-            .filter(|(bit, _)| wanted & (1 << bit) != 0)
-            .flat_map(|(_, start)| case.replay(warehouse, start).poses)
+        let demonstrations = episode.key.condition.demonstrations;
+        let histories = cases.histories(episode.case_index, demonstrations);
+        let views: BTreeSet<Pose> = histories
+            .into_iter()
+            .flat_map(|History { case, start }| cases.cases[case].replay(warehouse, start).poses)
             .collect();
         views.len() as u32
     });

@@ -18,7 +18,7 @@ use shm_types::process::monotonic_ns;
 use shm_types::{Action, Cell, Feedback, Pose};
 use warehouse::{CaseSet, Progress, Variant, Warehouse, step};
 
-use crate::conditions::{Demonstration, Route};
+use crate::conditions::Route;
 use crate::log::{Ending, EpisodeRecord, Stages, Unread};
 use crate::plan::Episode;
 
@@ -359,7 +359,7 @@ impl<'w> Lanes<'w> {
             "-".to_owned()
         } else {
             let source = cases.get(trace.case as usize);
-            let which = Demonstration::ALL.get(usize::from(demonstration));
+            let which = warehouse::Start::DEMONSTRATIONS.get(usize::from(demonstration));
             let (Some(source), Some(which)) = (source, which) else {
                 let what = format!("case {}, demonstration {demonstration}", trace.case);
                 return Err(Fault::Garbage { role: Role::Memory, lane, step, what });

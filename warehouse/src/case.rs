@@ -3,6 +3,7 @@
 use shm_types::{Action, Cell, Feedback, Pose};
 
 use crate::dynamics::{Variant, step};
+use crate::mixed::Mixture;
 use crate::progress::Progress;
 use crate::task::Task;
 use crate::world::Warehouse;
@@ -42,6 +43,18 @@ impl Start {
             Self::Distant => "distant",
             Self::Test => "test",
             Self::Blocked => "blocked",
+        }
+    }
+
+    /// The letter in the log's provenance column.
+    pub const fn letter(self) -> char {
+        match self {
+            Self::Original => 'o',
+            Self::Opposite => 'p',
+            Self::Nearby => 'n',
+            Self::Distant => 'd',
+            Self::Test => 't',
+            Self::Blocked => 'b',
         }
     }
 }
@@ -99,7 +112,17 @@ impl Trajectory {
     }
 }
 
-/// One task, its six trajectories, and what its blocked variant closes.
+/// A demonstration, and whose it is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub struct History {
+    /// Index of the case in its set.
+    pub case: usize,
+    /// One of [`Start::DEMONSTRATIONS`].
+    pub start: Start,
+}
+
+/// One task, its six trajectories, what its blocked variant closes, and which demonstrations of other tasks
+/// it is tested with.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Case {
     /// Names the case everywhere, for example `t03-07`: type 3, seventh case.
@@ -120,6 +143,10 @@ pub struct Case {
     pub blocked: Trajectory,
     /// The cells of the closed passage, sorted.
     pub barricade: Vec<Cell>,
+    /// Two demonstrations of other tasks that share no pose with the test reference.
+    pub irrelevant: [History; 2],
+    /// Two demonstrations of other tasks that share poses with it and go on differently from there.
+    pub confusable: [History; 2],
 }
 
 impl Case {
@@ -132,6 +159,14 @@ impl Case {
             Start::Distant => &self.distant,
             Start::Test => &self.test,
             Start::Blocked => &self.blocked,
+        }
+    }
+
+    /// Its histories of one kind.
+    pub const fn mixed(&self, mixture: Mixture) -> [History; 2] {
+        match mixture {
+            Mixture::Irrelevant => self.irrelevant,
+            Mixture::Confusable => self.confusable,
         }
     }
 
@@ -159,6 +194,11 @@ pub struct CaseSet {
 }
 
 impl CaseSet {
+    /// Where the case called `id` stands.
+    pub fn index(&self, id: &str) -> Option<usize> {
+        self.cases.iter().position(|case| case.id == id)
+    }
+
     /// The case called `id`.
     pub fn case(&self, id: &str) -> Option<&Case> {
         self.cases.iter().find(|case| case.id == id)

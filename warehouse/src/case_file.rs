@@ -4,6 +4,7 @@
 //! each action. Reading checks that the file means something in a warehouse; whether it is a *good* set
 //! is the validator's business.
 
+use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::path::Path;
 
@@ -11,9 +12,10 @@ use serde::Deserialize;
 use shm_types::{Action, Cell, Pose};
 
 use crate::asset::{AssetError, Problem, invalid, read, toml};
-use crate::case::{Case, CaseSet, Start, Trajectory};
+use crate::case::{Case, CaseSet, History, Start, Trajectory};
 use crate::catalogue::Catalogue;
 use crate::dynamics::MAX_STEPS;
+use crate::mixed::Mixture;
 use crate::task::Task;
 use crate::world::Warehouse;
 
@@ -35,6 +37,7 @@ const HEADER: &str = "\
 # A trajectory is a start pose (column,row,heading) and its actions, one letter each:
 #   moves  f forward  b backward  l left  r right      turns  L left  R right  U around
 # `barricade` lists the cells closed in the blocked variant.
+# `irrelevant` and `confusable` list two demonstrations of other tasks each: the case and its start.
 ";
 
 #[derive(Deserialize)]
@@ -60,6 +63,8 @@ struct CaseEntry {
     test: String,
     blocked: String,
     barricade: Vec<Cell>,
+    irrelevant: [String; 2],
+    confusable: [String; 2],
 }
 
 impl CaseSet {
@@ -85,23 +90,23 @@ impl CaseSet {
         if file.case.is_empty() || file.case.len() > MAX_CASES {
             return Err(format!("{} cases; must be 1 to {MAX_CASES}", file.case.len()));
         }
-        let mut cases = Vec::with_capacity(file.case.len());
-        let mut ids = std::collections::BTreeSet::new();
-        for entry in file.case {
-            let id = entry.id.clone();
+        let mut indices = BTreeMap::new();
+        for (index, CaseEntry { id, .. }) in file.case.iter().enumerate() {
             let plain = id.bytes().all(|b| b.is_ascii_alphanumeric() || b == b'-' || b == b'_');
             if id.is_empty() || id.len() > MAX_ID || !plain {
                 return Err(format!(
                     "case {id:?}: an id has 1 to {MAX_ID} letters, digits, hyphens and underscores"
                 ));
             }
-            if !ids.insert(id.clone()) {
+            if indices.insert(id.clone(), index).is_some() {
                 return Err(format!("case {id:?} is listed twice"));
             }
-            let case =
-                entry.read(warehouse).map_err(|problem| format!("case {id:?}: {problem}"))?;
-            cases.push(case);
         }
+        let read = |entry: CaseEntry| {
+            let id = entry.id.clone();
+            entry.read(warehouse, &indices).map_err(|problem| format!("case {id:?}: {problem}"))
+        };
+        let cases = file.case.into_iter().map(read).collect::<Result<_, Problem>>()?;
         Ok(Self { seed: file.seed, cases })
     }
 
@@ -109,13 +114,13 @@ impl CaseSet {
     pub fn to_toml(&self, catalogue: &Catalogue) -> String {
         let mut text = format!("{HEADER}\nseed = {}\n", self.seed);
         for case in &self.cases {
-            write_case(&mut text, case, catalogue);
+            write_case(&mut text, case, self, catalogue);
         }
         text
     }
 }
 
-fn write_case(text: &mut String, case: &Case, catalogue: &Catalogue) {
+fn write_case(text: &mut String, case: &Case, set: &CaseSet, catalogue: &Catalogue) {
     let type_name = |index: usize| &catalogue.types[index].name;
     let (first, second) = match case.task {
         Task::FindCategory { c } | Task::EveryOfCategory { c } => {
@@ -147,14 +152,28 @@ fn write_case(text: &mut String, case: &Case, catalogue: &Catalogue) {
     let cells: Vec<String> =
         case.barricade.iter().map(|cell| format!("[{}, {}]", cell.x, cell.y)).collect();
     lines.push(format!("barricade = [{}]", cells.join(", ")));
+    for mixture in Mixture::ALL {
+        let [one, two] = case.mixed(mixture).map(|history| shown(set, history));
+        lines.push(format!("{} = [{one:?}, {two:?}]", mixture.name()));
+    }
     for line in lines {
         // Writing to a string cannot fail.
         let _ = writeln!(text, "{line}");
     }
 }
 
+/// A history as it is written: the case's id and the demonstration's name.
+fn shown(set: &CaseSet, History { case, start }: History) -> String {
+    let id = set.cases.get(case).map_or("?", |case| &case.id);
+    format!("{id} {}", start.name())
+}
+
 impl CaseEntry {
-    fn read(self, warehouse: &Warehouse) -> Result<Case, Problem> {
+    fn read(
+        self,
+        warehouse: &Warehouse,
+        indices: &BTreeMap<String, usize>,
+    ) -> Result<Case, Problem> {
         let task = self.task(&warehouse.catalogue)?;
         let trajectory = |start: Start, text: &str| {
             parse_trajectory(text, warehouse)
@@ -162,7 +181,16 @@ impl CaseEntry {
         };
         check_barricade(&self.barricade, warehouse)
             .map_err(|problem| format!("barricade: {problem}"))?;
+        let histories = |mixture: Mixture, texts: &[String; 2]| -> Result<[History; 2], Problem> {
+            let read = |text: &String| {
+                parse_history(text, indices)
+                    .map_err(|problem| format!("{}: {problem}", mixture.name()))
+            };
+            Ok([read(&texts[0])?, read(&texts[1])?])
+        };
         Ok(Case {
+            irrelevant: histories(Mixture::Irrelevant, &self.irrelevant)?,
+            confusable: histories(Mixture::Confusable, &self.confusable)?,
             task,
             original: trajectory(Start::Original, &self.original)?,
             opposite: trajectory(Start::Opposite, &self.opposite)?,
@@ -265,6 +293,19 @@ fn parse_trajectory(text: &str, warehouse: &Warehouse) -> Result<Trajectory, Pro
     Ok(Trajectory { start, actions })
 }
 
+/// A demonstration of some case of the file; a reference is none.
+fn parse_history(text: &str, indices: &BTreeMap<String, usize>) -> Result<History, Problem> {
+    let (id, name) = text.split_once(' ').unwrap_or((text, ""));
+    let case = indices.get(id).copied();
+    let case = case.ok_or_else(|| format!("{text:?}: there is no case {id:?} in this file"))?;
+    let start = Start::DEMONSTRATIONS.into_iter().find(|start| start.name() == name);
+    let start = start.ok_or_else(|| {
+        let known = Start::DEMONSTRATIONS.map(Start::name).join(", ");
+        format!("{text:?}: {name:?} is no demonstration; a case has {known}")
+    })?;
+    Ok(History { case, start })
+}
+
 fn check_barricade(cells: &[Cell], warehouse: &Warehouse) -> Result<(), Problem> {
     if cells.is_empty() {
         return Err("closes no cell; list the cells of a passage".into());
@@ -300,6 +341,8 @@ distant = "2,1,N f"
 test = "2,1,N f"
 blocked = "2,1,N f"
 barricade = [[2, 3], [3, 3]]
+irrelevant = ["t06-01 nearby", "t06-01 distant"]
+confusable = ["t06-01 original", "t06-01 opposite"]
 "#;
 
     #[test]
@@ -347,6 +390,17 @@ barricade = [[2, 3], [3, 3]]
             ("[[2, 3], [3, 3]]", "[[2, 3], [2, 3]]", "barricade: (2, 3) comes before (2, 3)"),
             ("[[2, 3], [3, 3]]", "[[1, 3]]", "barricade: (1, 3) is no free cell"),
             ("[[2, 3], [3, 3]]", "[[2, 3000]]", "3000"),
+            (
+                "t06-01 nearby",
+                "t06-02 nearby",
+                "irrelevant: \"t06-02 nearby\": there is no case \"t06-02\"",
+            ),
+            (
+                "t06-01 original",
+                "t06-01 test",
+                "confusable: \"t06-01 test\": \"test\" is no demonstration; a case has original,",
+            ),
+            (", \"t06-01 distant\"]", "]", "irrelevant"),
             ("test = ", "tset = ", "tset"),
             ("blocked = \"2,1,N f\"\n", "", "blocked"),
             ("seed = 18446744073709551615", "", "seed"),

@@ -6,13 +6,14 @@
 
 use shm_types::{Cell, Heading, Pose};
 
-use crate::case::{Case, CaseSet, Replay, Trajectory};
+use crate::case::{Case, CaseSet, History, Replay, Start, Trajectory};
 use crate::constraints::{
     Edge, does_its_task, edges, enters, faces_targets, is_distant, is_near_optimal, is_nearby,
     is_of_similar_length, shares_at_least_half, shares_at_most_half, target_in_view, target_on,
 };
 use crate::draw::Draw;
 use crate::dynamics::Variant;
+use crate::mixed::{self, TooFew};
 use crate::plan::{Planner, Prices};
 use crate::task::Task;
 use crate::world::{Item, Warehouse};
@@ -43,24 +44,51 @@ const TARGETS_TRIED: usize = 50;
 /// Test starts tried for one original start.
 const TESTS_TRIED: usize = 60;
 
+/// What a case has until the whole set is there to choose histories from.
+const NO_HISTORIES: [History; 2] = [History { case: usize::MAX, start: Start::Original }; 2];
+
 /// Why no set of cases could be made.
 #[derive(Debug, thiserror::Error)]
-#[error(
-    "no case of type {number} ({name}) found for seed {seed} after {TARGETS_TRIED} choices of targets with \
-     {STARTS_TRIED} starts each; the warehouse has too few items, aisles or passages for it"
-)]
-pub struct GenerateError {
-    number: u8,
-    name: &'static str,
-    seed: u64,
+pub enum GenerateError {
+    /// The warehouse offers no case of some type.
+    #[error(
+        "no case of type {number} ({name}) found for seed {seed} after {TARGETS_TRIED} choices of targets with \
+         {STARTS_TRIED} starts each; the warehouse has too few items, aisles or passages for it"
+    )]
+    NoCase {
+        /// Of this type.
+        number: u8,
+        /// What the type is called.
+        name: &'static str,
+        /// The set's seed.
+        seed: u64,
+    },
+    /// The other cases offer a case too few histories.
+    #[error(
+        "case {case} needs two {mixture} histories and the other {others} cases offer {found}; make a larger \
+         set, or one from another seed"
+    )]
+    NoHistory {
+        /// Which case.
+        case: String,
+        /// Which kind.
+        mixture: &'static str,
+        /// How many other cases there are.
+        others: usize,
+        /// How many histories of the kind they offer.
+        found: usize,
+    },
 }
 
 impl CaseSet {
     /// Makes `count` cases, a tenth of each type and one more of the first types where ten does not
     /// divide `count`. Ids count within the type: `t03-07` is the seventh case of type 3.
     ///
+    /// Histories of other tasks are chosen from the whole set, so they do change with its size.
+    ///
     /// # Errors
-    /// When the warehouse offers no case of some type, such as one with a single aisle.
+    /// When the warehouse offers no case of some type, such as one with a single aisle, and when so few
+    /// cases are made that they offer one of them too few histories of other tasks.
     pub fn generate(warehouse: &Warehouse, seed: u64, count: usize) -> Result<Self, GenerateError> {
         let generator = Generator::new(warehouse, seed);
         let width = count.div_ceil(10).to_string().len().max(2);
@@ -72,7 +100,7 @@ impl CaseSet {
             for index in 0..of_type {
                 let mut case = generator
                     .case(number, index, &choices, &cases[first..])
-                    .ok_or_else(|| GenerateError {
+                    .ok_or_else(|| GenerateError::NoCase {
                         number,
                         name: Task::type_name(number).unwrap_or_default(),
                         seed,
@@ -81,7 +109,12 @@ impl CaseSet {
                 cases.push(case);
             }
         }
-        Ok(Self { seed, cases })
+        let mut set = Self { seed, cases };
+        let others = count.saturating_sub(1);
+        mixed::assign(warehouse, &mut set).map_err(|TooFew { case, mixture, found }| {
+            GenerateError::NoHistory { case, mixture: mixture.name(), others, found }
+        })?;
+        Ok(set)
     }
 }
 
@@ -227,6 +260,8 @@ impl<'w> Generator<'w> {
                     test,
                     blocked,
                     barricade,
+                    irrelevant: NO_HISTORIES,
+                    confusable: NO_HISTORIES,
                 });
             }
         }
@@ -327,7 +362,13 @@ mod tests {
         assert_eq!(few.cases.len(), 10);
         assert_eq!(more.cases.len(), 27);
         for case in &few.cases {
-            assert_eq!(more.case(&case.id), Some(case));
+            // Histories are chosen from the whole set.
+            let same = more.case(&case.id).map(|same| Case {
+                irrelevant: case.irrelevant,
+                confusable: case.confusable,
+                ..same.clone()
+            });
+            assert_eq!(same.as_ref(), Some(case));
         }
         let numbers: Vec<u8> = more.cases.iter().map(|case| case.task.number()).collect();
         let of_type = |number| numbers.iter().filter(|&&n| n == number).count();
@@ -337,7 +378,7 @@ mod tests {
     #[test]
     fn another_seed_gives_other_cases() {
         let warehouse = Warehouse::shipped();
-        let [one, two] = [1, 2].map(|seed| CaseSet::generate(&warehouse, seed, 10).unwrap());
+        let [one, two] = [1, 3].map(|seed| CaseSet::generate(&warehouse, seed, 10).unwrap());
         for (one, two) in one.cases.iter().zip(&two.cases) {
             assert_ne!((one.task, one.original.start), (two.task, two.original.start));
         }

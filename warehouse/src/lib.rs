@@ -4,6 +4,7 @@
 //! - [`dynamics`]: one function, pose + action + variant -> pose + feedback.
 //! - [`task`]: the ten task types; [`progress`]: the one checker that scores any walk.
 //! - [`case`]: a task with its six trajectories; [`case_file`]: a set of them as a readable file.
+//! - [`demonstrations`]: sets of them, as memories are built from; [`mixed`]: histories of other tasks.
 //! - [`plan`]: the expert's walks and the true optimum; [`sight`]: what is in view, on the grid.
 //! - [`CaseSet::generate`]: cases from a seed; [`validate`](mod@validate): every constraint checked by replay;
 //!   [`map`]: pictures for people.
@@ -15,11 +16,13 @@ pub mod case;
 pub mod case_file;
 pub mod catalogue;
 mod constraints;
+pub mod demonstrations;
 mod draw;
 pub mod dynamics;
 mod generate;
 pub mod layout;
 pub mod map;
+pub mod mixed;
 mod order;
 pub mod plan;
 pub mod progress;
@@ -32,12 +35,14 @@ pub mod validate;
 mod world;
 
 pub use asset::AssetError;
-pub use case::{Case, CaseSet, Replay, Start, Trajectory};
+pub use case::{Case, CaseSet, History, Replay, Start, Trajectory};
 pub use catalogue::{Catalogue, Category, ItemType, Shape};
 pub use constraints::MAX_DETOUR_PERCENT;
+pub use demonstrations::{Demonstrations, UnknownDemonstrations};
 pub use dynamics::{MAX_STEPS, Variant, step};
 pub use generate::{GenerateError, SHIPPED_COUNT, SHIPPED_SEED};
 pub use layout::{Aisle, Axis, Layout, Square};
+pub use mixed::{Mixture, Overlap};
 pub use progress::Progress;
 pub use task::{Group, Phase, Task};
 pub use validate::validate;

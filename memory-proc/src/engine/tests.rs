@@ -49,7 +49,7 @@ struct Rig {
 
 impl Rig {
     fn new(lanes: u32, room: usize) -> Self {
-        let (warehouse, cases) = (Warehouse::shipped(), CaseSet::shipped().cases);
+        let (warehouse, cases) = (Warehouse::shipped(), CaseSet::shipped());
         let engine = Engine::new(warehouse, cases, lanes, room, EmbeddingCache::in_memory());
         Self {
             engine,
@@ -64,7 +64,7 @@ impl Rig {
     }
 
     fn script(&self, lane: u32, ticket: u64, case: u32, start: Start, kind: u8) -> Script {
-        let (case_index, case) = (case, &self.engine.cases[case as usize]);
+        let (case_index, case) = (case, &self.engine.cases.cases[case as usize]);
         let replay = case.trajectory(start).replay(
             &self.engine.warehouse,
             &case.task,
@@ -256,7 +256,7 @@ fn every_view_is_held_once_embedded_once_and_let_go() {
 
 /// Distinct views of a case's four demonstrations.
 fn demonstrations(rig: &Rig, case: usize) -> usize {
-    let replay = |start| rig.engine.cases[case].replay(&rig.engine.warehouse, start).poses;
+    let replay = |start| rig.engine.cases.cases[case].replay(&rig.engine.warehouse, start).poses;
     let poses = Start::DEMONSTRATIONS.into_iter().flat_map(replay);
     poses.collect::<std::collections::HashSet<_>>().len()
 }

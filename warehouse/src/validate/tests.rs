@@ -210,11 +210,11 @@ fn a_corrupted_set_breaks_the_line_about_it() {
 #[test]
 fn cases_that_their_seed_does_not_give_are_found() {
     let warehouse = Warehouse::shipped();
-    let mut cases = CaseSet::generate(&warehouse, 9, 10).unwrap();
+    let mut cases = CaseSet::generate(&warehouse, 3, 10).unwrap();
     assert!(validate(&warehouse, &cases).is_clean());
     cases.seed = 10;
     assert_broken(&validate(&warehouse, &cases), "the cases are regenerated", "another seed");
-    cases.seed = 9;
+    cases.seed = 3;
     cases.cases[2].distant.actions.push(Action::TurnLeft);
     assert_broken(&validate(&warehouse, &cases), "the cases are regenerated", "another action");
 }

@@ -1,0 +1,219 @@
+//! Sets of demonstrations: what a memory is built from, as people write it and as it goes over the wire.
+//!
+//! A set is about some case; which demonstrations it then comes to, [`CaseSet::histories`] says.
+
+use std::fmt;
+use std::str::FromStr;
+
+use serde::{Deserialize, Serialize};
+
+use crate::case::{CaseSet, History, Start};
+use crate::mixed::Mixture;
+
+/// Which demonstrations: some of the case's own four, or two of them and two of other cases (SPEC section 6).
+///
+/// Written `original`, `original+nearby`, `4` for all own, `none`, `irrelevant` or `confusable`. The last
+/// two are mixed sets of four: original, opposite, and the case's two histories of that kind.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(try_from = "String", into = "String")]
+pub struct Demonstrations(u8);
+
+/// A set that is written otherwise than [`Demonstrations`] are.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error(
+    "unknown demonstrations `{given}`: did you mean `{nearest}`? (known: 4 for a case's own four, some of \
+     {own} joined by +, 1 for the first of them, irrelevant, confusable, none)",
+    own = OWN.map(Start::name).join(", ")
+)]
+pub struct UnknownDemonstrations {
+    /// The word that is none.
+    pub given: String,
+    /// The word that is written most like it.
+    pub nearest: &'static str,
+}
+
+const OWN: [Start; 4] = Start::DEMONSTRATIONS;
+
+/// The bits of the case's own four.
+const OWN_BITS: u8 = 0b1111;
+
+/// Every set that is written as one word, with what it is shown as; a set is shown as the first that fits.
+const WORDS: [(&str, Demonstrations); 9] = [
+    ("none", Demonstrations::NONE),
+    ("original", Demonstrations::ORIGINAL),
+    ("1", Demonstrations::ORIGINAL),
+    ("opposite", Demonstrations(1 << Start::Opposite as u8)),
+    ("nearby", Demonstrations(1 << Start::Nearby as u8)),
+    ("distant", Demonstrations(1 << Start::Distant as u8)),
+    ("4", Demonstrations::ALL),
+    ("irrelevant", Demonstrations::IRRELEVANT),
+    ("confusable", Demonstrations::CONFUSABLE),
+];
+
+impl Demonstrations {
+    /// No demonstration: what working memory has.
+    pub const NONE: Self = Self(0);
+    /// The case's original demonstration alone.
+    pub const ORIGINAL: Self = Self(1);
+    /// The case's own four.
+    pub const ALL: Self = Self(OWN_BITS);
+    /// Original, opposite, and the case's two irrelevant histories.
+    pub const IRRELEVANT: Self = Self(0b01_0011);
+    /// Original, opposite, and the case's two confusable histories.
+    pub const CONFUSABLE: Self = Self(0b10_0011);
+
+    /// Bit i below 4 set: the case's own demonstration i is in the set. Bit 4: its irrelevant histories
+    /// are; bit 5: its confusable ones.
+    pub const fn bits(self) -> u32 {
+        self.0 as u32
+    }
+
+    /// The set with these [`bits`](Self::bits); `None` when there is no such set.
+    pub const fn from_bits(bits: u32) -> Option<Self> {
+        let is_own = bits <= OWN_BITS as u32;
+        let is_mixed = bits == Self::IRRELEVANT.bits() || bits == Self::CONFUSABLE.bits();
+        if is_own || is_mixed { Some(Self(bits as u8)) } else { None }
+    }
+
+    /// Those of the case's own demonstrations that are in the set, in order.
+    pub fn own(self) -> impl Iterator<Item = Start> {
+        OWN.into_iter().filter(move |&start| self.0 & (1 << start as u8) != 0)
+    }
+
+    /// Which histories of other cases are in the set, if any.
+    pub const fn mixture(self) -> Option<Mixture> {
+        match self {
+            Self::IRRELEVANT => Some(Mixture::Irrelevant),
+            Self::CONFUSABLE => Some(Mixture::Confusable),
+            _ => None,
+        }
+    }
+}
+
+impl CaseSet {
+    /// What `demonstrations` come to for the case at `case`: its own in the order of [`Start`], then the
+    /// histories of other cases as it lists them. None when there is no such case.
+    pub fn histories(&self, case: usize, demonstrations: Demonstrations) -> Vec<History> {
+        let Some(listed) = self.cases.get(case) else { return Vec::new() };
+        let own = demonstrations.own().map(|start| History { case, start });
+        let others = demonstrations.mixture().map(|mixture| listed.mixed(mixture));
+        own.chain(others.into_iter().flatten()).collect()
+    }
+}
+
+impl fmt::Display for Demonstrations {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match WORDS.iter().find(|(_, set)| set == self) {
+            Some((word, _)) => f.pad(word),
+            None => f.pad(&self.own().map(Start::name).collect::<Vec<_>>().join("+")),
+        }
+    }
+}
+
+impl FromStr for Demonstrations {
+    type Err = UnknownDemonstrations;
+
+    fn from_str(text: &str) -> Result<Self, UnknownDemonstrations> {
+        if let Some(&(_, set)) = WORDS.iter().find(|(word, _)| *word == text) {
+            return Ok(set);
+        }
+        let own = |word: &str| OWN.into_iter().find(|start| start.name() == word);
+        let mut bits = 0;
+        for word in text.split('+') {
+            let start = own(word).ok_or_else(|| UnknownDemonstrations::new(word))?;
+            bits |= 1 << start as u8;
+        }
+        Ok(Self(bits))
+    }
+}
+
+impl UnknownDemonstrations {
+    fn new(given: &str) -> Self {
+        let distance = |&(word, _): &(&'static str, _)| strsim::levenshtein(word, given);
+        // `min_by_key` keeps the first of equals.
+        let nearest = WORDS.iter().min_by_key(|entry| distance(entry));
+        Self { given: given.to_owned(), nearest: nearest.map_or("none", |(word, _)| word) }
+    }
+}
+
+impl TryFrom<String> for Demonstrations {
+    type Error = UnknownDemonstrations;
+
+    fn try_from(text: String) -> Result<Self, UnknownDemonstrations> {
+        text.parse()
+    }
+}
+
+impl From<Demonstrations> for String {
+    fn from(demonstrations: Demonstrations) -> Self {
+        demonstrations.to_string()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn sets_are_written_as_they_are_read() {
+        for (text, bits, shown) in [
+            ("original", 0b0001, "original"),
+            ("1", 0b0001, "original"),
+            ("distant", 0b1000, "distant"),
+            ("4", 0b1111, "4"),
+            ("distant+opposite", 0b1010, "opposite+distant"),
+            ("original+opposite+nearby+distant", 0b1111, "4"),
+            ("none", 0, "none"),
+            ("irrelevant", 0b01_0011, "irrelevant"),
+            ("confusable", 0b10_0011, "confusable"),
+        ] {
+            let set: Demonstrations = text.parse().unwrap();
+            assert_eq!((set.bits(), set.to_string().as_str()), (bits, shown));
+            assert_eq!(set.to_string().parse(), Ok(set));
+        }
+        let sets: Vec<Demonstrations> = (0..256).filter_map(Demonstrations::from_bits).collect();
+        assert_eq!(sets.len(), 18);
+        for set in sets {
+            assert_eq!(set.to_string().parse(), Ok(set));
+            assert_eq!(Demonstrations::from_bits(set.bits()), Some(set));
+        }
+    }
+
+    #[test]
+    fn another_word_is_refused_with_the_nearest() {
+        for (text, given, nearest) in [
+            ("origin", "origin", "original"),
+            ("original+near", "near", "nearby"),
+            ("confusible", "confusible", "confusable"),
+            ("original+irrelevant", "irrelevant", "irrelevant"),
+            ("5", "5", "1"),
+        ] {
+            let error = text.parse::<Demonstrations>().unwrap_err();
+            assert_eq!((error.given.as_str(), error.nearest), (given, nearest), "{text}");
+        }
+        insta::assert_snapshot!(
+            "origin".parse::<Demonstrations>().unwrap_err(),
+            @"unknown demonstrations `origin`: did you mean `original`? (known: 4 for a case's own four, some of original, opposite, nearby, distant joined by +, 1 for the first of them, irrelevant, confusable, none)"
+        );
+    }
+
+    #[test]
+    fn a_mixed_set_keeps_original_and_opposite() {
+        let set = CaseSet::shipped();
+        let own = |start| History { case: 7, start };
+        let histories = |demonstrations| set.histories(7, demonstrations);
+        assert_eq!(histories(Demonstrations::NONE), []);
+        assert_eq!(histories(Demonstrations::ALL), Start::DEMONSTRATIONS.map(own));
+        let [first, second] = set.cases[7].irrelevant;
+        assert_eq!(
+            histories(Demonstrations::IRRELEVANT),
+            [own(Start::Original), own(Start::Opposite), first, second]
+        );
+        let [first, second] = set.cases[7].confusable;
+        assert_eq!(
+            histories(Demonstrations::CONFUSABLE),
+            [own(Start::Original), own(Start::Opposite), first, second]
+        );
+        assert_eq!(set.histories(set.cases.len(), Demonstrations::ALL), []);
+    }
+}
