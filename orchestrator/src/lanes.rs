@@ -9,6 +9,8 @@
 //! Every answer names its episode by a ticket that is never handed out twice. What belongs to an earlier
 //! episode of the lane is late, and dropped without harm.
 
+use std::collections::BTreeMap;
+
 use bytemuck::Zeroable;
 use shm_types::message::{
     Decision, FrameId, MemoryBrief, NO_ACTION, NO_FRAME, NOT_MEASURED, Observation, Outcome,
@@ -21,6 +23,7 @@ use warehouse::{CaseSet, Progress, Variant, Warehouse, step};
 use crate::conditions::Route;
 use crate::log::{Ending, EpisodeRecord, Stages, Unread};
 use crate::plan::Episode;
+use crate::witness::Witness;
 
 /// What all episodes of a run have in common.
 #[derive(Debug, Clone, Copy)]
@@ -158,6 +161,7 @@ struct Walk {
     /// The reference's actions, for the expert.
     reference: Vec<Action>,
     progress: Progress,
+    witness: Witness,
     /// Where the agent will be, and be told, when the open command is done.
     pose: Pose,
     feedback: Feedback,
@@ -249,6 +253,9 @@ impl<'w> Lanes<'w> {
         let trajectory = case.trajectory(from);
         let start = trajectory.start;
         let progress = Progress::new(self.warehouse, &case.task, start.cell);
+        let mut witness = Witness::new(self.warehouse, &case.task);
+        witness.stands(0, start);
+        witness.looks(&self.warehouse.layout, 0, start);
         let blocked = condition.route == Route::Blocked;
         let asks = !self.rules.expert;
         let record = EpisodeRecord {
@@ -269,6 +276,10 @@ impl<'w> Lanes<'w> {
             reference: case.replay(self.warehouse, from).length.unwrap_or(0),
             actions: String::new(),
             sub_goals: vec![0; progress.stage() as usize],
+            required: progress.total(),
+            visits: Vec::new(),
+            first_seen: BTreeMap::new(),
+            blocked_moves: Vec::new(),
             tried_closed: blocked.then_some(false),
             start_pose: start,
             final_pose: start,
@@ -286,6 +297,7 @@ impl<'w> Lanes<'w> {
             variant: case.variant(from),
             reference: trajectory.actions.clone(),
             progress,
+            witness,
             pose: start,
             feedback: Feedback::Start,
             last_action: NO_ACTION,
@@ -481,21 +493,32 @@ impl<'w> Lanes<'w> {
         };
         record.steps += 1;
         record.final_pose = walk.pose;
+        if walk.feedback == Feedback::Blocked {
+            record.blocked_moves.push(record.steps);
+        }
+        walk.witness.stands(record.steps, walk.pose);
         let met = walk.progress.visit(walk.pose.cell);
         record.sub_goals.extend((0..met).map(|_| record.steps));
         if walk.progress.is_complete() {
             record.ending = Ending::Complete;
         }
         let over = walk.progress.is_complete() || record.steps >= max_steps;
-        walk.asked = if over { Asked::LastObservation } else { Asked::Observation };
+        walk.asked = if over {
+            Asked::LastObservation
+        } else {
+            walk.witness.looks(layout, record.steps, walk.pose);
+            Asked::Observation
+        };
         Turn::Command(walk.command(lane, kind))
     }
 
     /// Takes the finished walk out of its lane.
     fn close(&mut self, lane: usize) -> Turn {
         let Some(walk) = self.lanes[lane].take() else { return Turn::Wait };
-        let Walk { mut walked, retrieved, distances, .. } = walk;
+        let Walk { mut walked, witness, retrieved, distances, .. } = walk;
         walked.ended_ns = monotonic_ns();
+        walked.record.visits = witness.visits;
+        walked.record.first_seen = witness.first_seen;
         if !distances.is_empty() {
             let mean = distances.iter().sum::<f64>() / distances.len() as f64;
             walked.record.distance = Some((mean * 1e6).round() / 1e6);

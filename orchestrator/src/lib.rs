@@ -2,8 +2,8 @@
 //!
 //! - What is asked for: [`names`] and [`conditions`] (the words), [`settings`] (layers, resolved once),
 //!   [`world`] (warehouse and cases), [`plan`] (the episodes that follow).
-//! - What is done: [`lanes`] (episodes step by step, pure), [`pipeline`] (through four processes),
-//!   [`supervise`] (the processes themselves).
+//! - What is done: [`lanes`] (episodes step by step, pure; [`witness`] notes what failures are sorted by),
+//!   [`pipeline`] (through four processes), [`supervise`] (the processes themselves).
 //! - How much of shared memory it takes: [`frame_budget`].
 //! - What shows meanwhile: [`session`], [`progress`]; [`signals`] stop it.
 //! - What is kept: [`log`] (the run folder); [`score`] and [`table`] are made from it alone.
@@ -24,4 +24,5 @@ pub mod settings;
 pub mod signals;
 pub mod supervise;
 pub mod table;
+pub mod witness;
 pub mod world;

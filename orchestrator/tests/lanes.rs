@@ -142,6 +142,15 @@ fn the_expert_completes_every_case_from_every_start_with_the_reference_s_length(
             assert_eq!(record.steps, record.reference, "{}", record.key);
             assert_eq!(record.tried_closed, (route == Route::Blocked).then_some(false));
             assert_eq!((record.requests, record.images), (None, None));
+            assert_eq!(record.sub_goals.len() as u32, record.required);
+            assert_eq!(record.blocked_moves, Vec::<u32>::new());
+            let visited: Vec<u32> = record.visits.iter().map(|visit| visit.step).collect();
+            // Only a return is no visit: it may lead to any cell.
+            let returns = u32::from(cases.cases[case].task.returns_to_origin());
+            let met = &record.sub_goals[..(record.required - returns) as usize];
+            assert!(met.iter().all(|step| visited.contains(step)), "{}: {visited:?}", record.key);
+            // What is reached facing it was seen; the step that completes the task shows nothing any more.
+            assert!(!record.first_seen.is_empty(), "{}", record.key);
         }
     }
 }
@@ -158,6 +167,7 @@ fn an_episode_ends_at_the_limit_and_counts_what_happened() {
     assert_eq!((record.requests, record.images), (Some(9), Some(27)));
     assert_eq!((record.prompt_tokens, record.unread.unreadable), (None, 1));
     assert_eq!((record.retrieved, record.distance), (None, None));
+    assert_eq!((record.required, record.visits, record.blocked_moves), (1, vec![], vec![]));
 }
 
 #[test]

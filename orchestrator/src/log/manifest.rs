@@ -14,7 +14,7 @@ use super::{LogError, system};
 use crate::settings::{FREE_KEYS, Settings};
 
 /// Changes when a reader of the old files could not read the new ones.
-pub const FORMAT: u32 = 1;
+pub const FORMAT: u32 = 2;
 
 /// Name of the file in a run folder.
 pub(super) const MANIFEST_FILE: &str = "manifest.json";

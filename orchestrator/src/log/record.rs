@@ -14,6 +14,7 @@ use crate::conditions::{
     is_standard_window, standard_window,
 };
 use crate::names::named;
+use crate::witness::{Requirement, Visit};
 
 named! {
     /// How an episode ended.
@@ -66,6 +67,20 @@ pub struct EpisodeRecord {
     pub actions: String,
     /// For each sub-goal, in order of completion: the step at which it was completed.
     pub sub_goals: Vec<u32>,
+    /// Sub-goals of the whole task; a return is the last. The episode is complete when `sub_goals` has as many.
+    pub required: u32,
+    /// Every time that the agent came to stand before an item that the task is about, whether or not that
+    /// counted, in order: `12A@3,7` is after 12 steps before an A, on the cell in column 3 and row 7.
+    #[serde(skip_serializing_if = "Vec::is_empty", default)]
+    pub visits: Vec<Visit>,
+    /// For A, B or C: the first step whose view showed one (by
+    /// [`warehouse::sight`], whatever the distance). Absent for what was never in view.
+    #[serde(skip_serializing_if = "BTreeMap::is_empty", default)]
+    pub first_seen: BTreeMap<Requirement, u32>,
+    /// The steps, from 1, whose move was blocked and left the agent in place. With `start_pose` and `actions`
+    /// they say where the agent was at every step.
+    #[serde(skip_serializing_if = "Vec::is_empty", default)]
+    pub blocked_moves: Vec<u32>,
     /// On a blocked route: whether the agent tried to enter a newly closed cell, b_i. Absent elsewhere.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub tried_closed: Option<bool>,
