@@ -12,21 +12,13 @@ use std::fmt;
 use std::str::FromStr;
 
 use serde::{Deserialize, Serialize};
-use shm_types::FrameControl;
-use shm_types::Representation;
+use shm_types::representation::Trajectories;
+use shm_types::{FrameControl, Representation};
 pub use warehouse::{Demonstrations, UnknownDemonstrations};
 
 use crate::names::{UnknownName, named};
 
 named! {
-    /// A memory representation (SPEC section 5).
-    Memory, "memory" {
-        /// The window alone: no memory of demonstrations.
-        Working = "working",
-        /// The stored view nearest to the current one, and the expert's continuation.
-        Episodic = "episodic",
-    }
-
     /// Where the episode starts.
     Start, "start" {
         /// Where the case's original demonstration starts.
@@ -64,32 +56,15 @@ named! {
     }
 }
 
-impl Memory {
-    /// The word for it on the wire.
-    pub const fn representation(self) -> Representation {
-        match self {
-            Self::Working => Representation::Working,
-            Self::Episodic => Representation::Episodic,
-        }
-    }
-
-    /// Whether demonstrations make a difference to it.
-    pub const fn uses_demonstrations(self) -> bool {
-        match self {
-            Self::Working => false,
-            Self::Episodic => true,
-        }
-    }
-
-    /// Whether it supplies demonstrations as such: actions and views.
-    pub const fn supplies_trajectories(self) -> bool {
-        self.uses_demonstrations()
-    }
-
-    /// Whether it retrieves a segment of a demonstration.
-    pub const fn retrieves_segments(self) -> bool {
-        self.uses_demonstrations()
-    }
+/// The representation that a word names.
+///
+/// # Errors
+/// When it names none; the message names the nearest.
+pub fn representation(word: &str) -> Result<Representation, UnknownName> {
+    let unknown = |_| {
+        UnknownName::new("memory", word, Representation::ALL.iter().map(|member| member.name()))
+    };
+    word.parse().map_err(unknown)
 }
 
 impl PolicyKind {
@@ -133,7 +108,7 @@ impl Start {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
 pub struct Condition {
     /// Which memory.
-    pub memory: Memory,
+    pub memory: Representation,
     /// From where.
     pub start: Start,
     /// On which route.
@@ -155,7 +130,7 @@ impl Condition {
     /// - The hint can be given where it is true and somebody could use it: at the original start, with the
     ///   original demonstration alone, to a memory that supplies trajectories.
     pub fn new(
-        memory: Memory,
+        memory: Representation,
         start: Start,
         route: Route,
         demonstrations: Demonstrations,
@@ -166,7 +141,7 @@ impl Condition {
         let exists = (start, route) != (Start::Original, Route::Blocked)
             && (memory.uses_demonstrations() != (demonstrations == Demonstrations::NONE));
         let mut condition = Self { memory, start, route, demonstrations, variation };
-        if !memory.retrieves_segments() {
+        if memory.describe().trajectories != Trajectories::Segment {
             condition.variation.segment = SegmentContent::default();
         }
         if !condition.can_be_hinted() {
@@ -179,7 +154,7 @@ impl Condition {
     fn can_be_hinted(&self) -> bool {
         self.start == Start::Original
             && self.demonstrations == Demonstrations::ORIGINAL
-            && self.memory.supplies_trajectories()
+            && self.memory.describe().trajectories != Trajectories::Nothing
     }
 
     /// Whether the policy is told that the demonstration starts where the episode does.
@@ -229,7 +204,7 @@ impl FromStr for Condition {
         let bad = || BadCondition::Parts(text.to_owned());
         let mut parts = text.split('/');
         let mut next = || parts.next().ok_or_else(bad);
-        let memory = next()?.parse()?;
+        let memory = representation(next()?)?;
         let (start, route) = (next()?.parse()?, next()?.parse()?);
         let demonstrations = next()?.parse()?;
         let mut variation = Variation::STANDARD;
@@ -247,7 +222,7 @@ impl FromStr for Condition {
 impl Condition {
     /// The product of the parts under the standard variation, without what does not exist.
     pub fn product(
-        memory: &[Memory],
+        memory: &[Representation],
         starts: &[Start],
         routes: &[Route],
         demonstrations: &[Demonstrations],
@@ -276,8 +251,8 @@ mod tests {
     #[test]
     fn the_product_leaves_out_what_does_not_exist() {
         let shown = |demonstrations: &[Demonstrations]| {
-            let conditions =
-                Condition::product(Memory::ALL, Start::ALL, Route::ALL, demonstrations);
+            let memory = [Representation::Working, Representation::Episodic];
+            let conditions = Condition::product(&memory, Start::ALL, Route::ALL, demonstrations);
             conditions.iter().map(ToString::to_string).collect::<Vec<_>>()
         };
         assert_eq!(
@@ -309,7 +284,7 @@ mod tests {
                 condition.to_string()
             })
         };
-        use Memory::{Episodic, Working};
+        use Representation::{Episodic, FullContext, Summary, Working};
         use Route::{Blocked, Unchanged};
         for (found, expected) in [
             (
@@ -327,6 +302,14 @@ mod tests {
             (
                 written(Episodic, Start::New, Blocked, "original"),
                 "episodic/new/blocked/original/h20/images",
+            ),
+            (
+                written(FullContext, Start::Original, Unchanged, "original"),
+                "full-context/original/unchanged/original/h20/no-hint",
+            ),
+            (
+                written(Summary, Start::Original, Unchanged, "original"),
+                "summary/original/unchanged/original/h20",
             ),
             (written(Episodic, Start::Original, Blocked, "4"), "none"),
             (written(Episodic, Start::New, Unchanged, "none"), "none"),

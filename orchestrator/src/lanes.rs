@@ -232,7 +232,7 @@ impl<'w> Lanes<'w> {
                 lane: lane as u32,
                 case: episode.case_index as u32,
                 demonstrations: condition.demonstrations.bits(),
-                representation: condition.memory.representation() as u8,
+                representation: condition.memory as u8,
                 // At most `MAX_WINDOW`, which the settings check.
                 window: condition.variation.window as u8,
                 horizon: self.rules.horizon,

@@ -83,11 +83,13 @@ pub fn seed_of(master_seed: u64, key: &EpisodeKey) -> u64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::conditions::{Demonstrations, Memory, Route, Start};
+    use crate::conditions::{Demonstrations, Route, Start};
+    use shm_types::Representation;
 
     fn quick() -> Vec<Condition> {
         let demonstrations = [Demonstrations::ORIGINAL];
-        Condition::product(Memory::ALL, Start::ALL, &[Route::Unchanged], &demonstrations)
+        let memory = [Representation::Working, Representation::Episodic];
+        Condition::product(&memory, Start::ALL, &[Route::Unchanged], &demonstrations)
     }
 
     #[test]

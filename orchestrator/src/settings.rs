@@ -18,8 +18,9 @@ pub use suite::{SuiteError, SuiteName, load_suite, shipped_suites};
 use std::path::PathBuf;
 
 use serde::{Deserialize, Serialize};
+use shm_types::Representation;
 
-use crate::conditions::{Demonstrations, Frames, Memory, PolicyKind, Route, Start};
+use crate::conditions::{Demonstrations, Frames, PolicyKind, Route, Start};
 
 /// A run's settings, complete and checked. Every field is described where it is written: [`Layer`].
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -28,7 +29,7 @@ use crate::conditions::{Demonstrations, Frames, Memory, PolicyKind, Route, Start
 pub struct Settings {
     pub suite: SuiteName,
     pub policy: PolicyKind,
-    pub memory: Vec<Memory>,
+    pub memory: Vec<Representation>,
     pub starts: Vec<Start>,
     pub routes: Vec<Route>,
     pub demos: Vec<Demonstrations>,

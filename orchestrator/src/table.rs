@@ -155,15 +155,16 @@ fn spread(spread: Option<Spread>, digits: usize) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::conditions::{Demonstrations, Memory};
+    use crate::conditions::Demonstrations;
     use crate::log::testing::{manifest, record, timings};
     use crate::plan::EpisodeKey;
+    use shm_types::Representation;
 
     #[test]
     fn a_report_says_what_ran_and_what_it_is_worth() {
         let mut episodes = vec![record("t01-01", true), record("t01-02", true)];
         let mut without = record("t01-01", false);
-        (without.memory, without.demonstrations) = (Memory::Working, Demonstrations::NONE);
+        (without.memory, without.demonstrations) = (Representation::Working, Demonstrations::NONE);
         without.images = Some(1400);
         without.key = EpisodeKey { condition: without.condition(), run: 1, case: "t01-01".into() }
             .to_string();

@@ -2,14 +2,14 @@
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use bytemuck::Zeroable;
-use orchestrator::conditions::{Condition, Demonstrations, Memory, Route, Start, Variation};
+use orchestrator::conditions::{Condition, Demonstrations, Route, Start, Variation};
 use orchestrator::lanes::{Fault, Lanes, Opening, Rules, Turn, Walked};
 use orchestrator::log::Ending;
 use orchestrator::plan::{Episode, EpisodeKey};
 use shm_types::message::{
     Decision, NOT_MEASURED, Observation, Outcome, RecallTrace, Role, StepCommand, StepKind,
 };
-use shm_types::{Action, Feedback, Pose};
+use shm_types::{Action, Feedback, Pose, Representation};
 use warehouse::{CaseSet, Variant, Warehouse, step};
 
 const RULES: Rules = Rules { horizon: 6, max_steps: 200, expert: false };
@@ -21,7 +21,8 @@ fn world() -> (Warehouse, CaseSet) {
 fn episode(cases: &CaseSet, case_index: usize, start: Start, route: Route) -> Episode {
     let demonstrations = Demonstrations::ORIGINAL;
     let variation = Variation::STANDARD;
-    let condition = Condition { memory: Memory::Episodic, start, route, demonstrations, variation };
+    let condition =
+        Condition { memory: Representation::Episodic, start, route, demonstrations, variation };
     let case = cases.cases[case_index].id.clone();
     Episode { key: EpisodeKey { condition, run: 1, case }, case_index, seed: 7 }
 }
@@ -180,6 +181,7 @@ fn walking_into_the_barricade_is_noticed() {
             let answer = |step: usize| actions.get(step).copied().or(Some(Action::TurnLeft));
             let rules = Rules { max_steps: actions.len() as u32, ..RULES };
             let record = walk(rules, Start::New, Route::Blocked, index, answer).record;
+            assert!(!record.blocked_moves.is_empty(), "{}", record.key);
             record.tried_closed == Some(true)
         })
         .count();

@@ -9,7 +9,7 @@ use std::time::Duration;
 
 use anyhow::Result;
 use bytemuck::Zeroable;
-use orchestrator::conditions::{Condition, Demonstrations, Memory, Route, Start, Variation};
+use orchestrator::conditions::{Condition, Demonstrations, Route, Start, Variation};
 use orchestrator::lanes::{Lanes, Rules, Walked};
 use orchestrator::pipeline::{Crewing, Ending, Facts, Observer, walk};
 use orchestrator::plan::plan;
@@ -18,7 +18,7 @@ use shm_types::message::{
     Decision, Farewell, Hello, MemoryBrief, NOT_MEASURED, Observation, PolicyBrief, Recall,
     RecallTrace, Role, StepCommand, StepKind, Stop, WIRE_VERSION, write_text,
 };
-use shm_types::{Action, Attach, Bell, Bus, Feedback, FrameSize, Pose, RunDir};
+use shm_types::{Action, Attach, Bell, Bus, Feedback, FrameSize, Pose, Representation, RunDir};
 use warehouse::{CaseSet, Variant, Warehouse, step};
 
 const TICK: Duration = Duration::from_millis(20);
@@ -205,7 +205,7 @@ fn run(spoil: fn(Decision) -> Decision) -> (Seen, Ending) {
     let (warehouse, cases) = (Warehouse::shipped(), CaseSet::shipped());
     let ids: Vec<&str> = cases.cases.iter().map(|case| case.id.as_str()).collect();
     let condition = Condition {
-        memory: Memory::Working,
+        memory: Representation::Working,
         start: Start::Original,
         route: Route::Unchanged,
         demonstrations: Demonstrations::NONE,

@@ -7,10 +7,10 @@
 use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
-use shm_types::Pose;
+use shm_types::{Pose, Representation};
 
 use crate::conditions::{
-    Condition, Demonstrations, Hint, Memory, Route, SegmentContent, Start, Variation, is_default,
+    Condition, Demonstrations, Hint, Route, SegmentContent, Start, Variation, is_default,
     is_standard_window, standard_window,
 };
 use crate::names::named;
@@ -33,7 +33,7 @@ pub struct EpisodeRecord {
     /// The [`EpisodeKey`](crate::plan::EpisodeKey) as it is written: unique in the log.
     pub key: String,
     /// Which memory.
-    pub memory: Memory,
+    pub memory: Representation,
     /// From where.
     pub start: Start,
     /// On which route.

@@ -3,10 +3,10 @@
 use std::collections::BTreeMap;
 
 use shm_types::message::WIRE_VERSION;
-use shm_types::{Heading, Pose};
+use shm_types::{Heading, Pose, Representation};
 
 use super::{Ending, EpisodeRecord, EpisodeTimings, FORMAT, Manifest, Stages, Unread};
-use crate::conditions::{Condition, Demonstrations, Memory, Route, Start, Variation};
+use crate::conditions::{Condition, Demonstrations, Route, Start, Variation};
 use crate::plan::EpisodeKey;
 use crate::settings::{Layer, Origin, resolve};
 
@@ -27,7 +27,7 @@ pub(crate) fn manifest() -> Manifest {
 /// The record of `case` under episodic memory: a success is 10 steps for a reference of 8, a failure 200.
 pub(crate) fn record(case: &str, success: bool) -> EpisodeRecord {
     let condition = Condition {
-        memory: Memory::Episodic,
+        memory: Representation::Episodic,
         start: Start::Original,
         route: Route::Unchanged,
         demonstrations: Demonstrations::ORIGINAL,

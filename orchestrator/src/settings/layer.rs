@@ -3,10 +3,12 @@
 use std::path::PathBuf;
 
 use clap::{Args, CommandFactory, Parser};
-use serde::{Deserialize, Serialize};
+use serde::de::Error as _;
+use serde::{Deserialize, Deserializer, Serialize};
+use shm_types::Representation;
 
 use super::{CaseSelector, SuiteName};
-use crate::conditions::{Demonstrations, Frames, Memory, PolicyKind, Route, Start};
+use crate::conditions::{Demonstrations, Frames, PolicyKind, Route, Start, representation};
 
 /// Heading of the flags that decide what is run.
 const WHAT: &str = "What is run";
@@ -31,11 +33,15 @@ pub struct Layer {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub policy: Option<PolicyKind>,
 
-    /// Memory representations: working, episodic
-    #[arg(long, value_name = "LIST", value_delimiter = ',', env = "MEMTRANSFER_MEMORY",
-          help_heading = WHAT)]
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub memory: Option<Vec<Memory>>,
+    /// Memory representations: working, full-context, summary, semantic, hybrid, episodic
+    #[arg(long, value_name = "LIST", value_delimiter = ',', value_parser = representation,
+          env = "MEMTRANSFER_MEMORY", help_heading = WHAT)]
+    #[serde(
+        skip_serializing_if = "Option::is_none",
+        default,
+        deserialize_with = "representations"
+    )]
+    pub memory: Option<Vec<Representation>>,
 
     /// Where episodes start: original (as demonstrated), new (a pose no demonstration starts from)
     #[arg(long, value_name = "LIST", value_delimiter = ',', env = "MEMTRANSFER_STARTS",
@@ -153,13 +159,23 @@ pub struct Layer {
     pub start_timeout: Option<u32>,
 }
 
+/// Reads names of representations, so that an unknown one is answered with the nearest.
+fn representations<'de, D>(deserializer: D) -> Result<Option<Vec<Representation>>, D::Error>
+where
+    D: Deserializer<'de>,
+{
+    let words = Vec::<String>::deserialize(deserializer)?;
+    let members: Result<_, _> = words.iter().map(|word| representation(word)).collect();
+    members.map(Some).map_err(D::Error::custom)
+}
+
 impl Layer {
     /// What holds when nobody says anything. A suite normally says most of it.
     pub fn defaults() -> Self {
         Self {
             suite: Some(SuiteName::quick()),
             policy: Some(PolicyKind::Grounded),
-            memory: Some(Memory::ALL.to_vec()),
+            memory: Some(Representation::ALL.to_vec()),
             starts: Some(Start::ALL.to_vec()),
             routes: Some(vec![Route::Unchanged]),
             demos: Some(vec![Demonstrations::ORIGINAL]),

@@ -5,10 +5,11 @@ use std::fmt;
 use std::path::PathBuf;
 
 use serde_json::{Map, Value};
+use shm_types::Representation;
 use shm_types::message::{MAX_SEGMENT, MAX_WINDOW};
 
 use super::{Layer, Settings};
-use crate::conditions::{Condition, Memory};
+use crate::conditions::Condition;
 
 /// Where a setting comes from, weakest first.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
@@ -97,7 +98,8 @@ impl Settings {
     ///
     /// The expert asks no memory, so for it every memory is the same: the window alone.
     pub fn conditions(&self) -> Vec<Condition> {
-        let memory = if self.policy.has_process() { &self.memory[..] } else { &[Memory::Working] };
+        let memory =
+            if self.policy.has_process() { &self.memory[..] } else { &[Representation::Working] };
         let mut conditions = Condition::product(memory, &self.starts, &self.routes, &self.demos);
         conditions.iter_mut().for_each(|condition| condition.variation.window = self.window);
         conditions

@@ -151,7 +151,7 @@ mod tests {
           |
         2 | memory = ["episodik"]
           |          ^^^^^^^^^^^^
-        unknown memory `episodik`: did you mean `episodic`? (known: working, episodic)
+        unknown memory `episodik`: did you mean `episodic`? (known: working, full-context, summary, semantic, hybrid, episodic)
         "#);
         // A suite cannot name a suite.
         assert!(error("suite = \"quick\"").contains("unknown key `suite`"));
