@@ -3,6 +3,7 @@
 //! A table of contents, outside in:
 //!
 //! - [`serve`] takes part in a run; [`engine`] knows what each lane waits for, [`episode`] one of them;
+//! - [`documents`]: texts built once from the demonstrations of all cases, before a run;
 //! - [`representation`]: what is stored and what a step is supplied with, made of [`demonstrations`];
 //! - [`index`]: the nearest view; [`embedding`] and [`embedding_cache`]: vectors, and keeping them;
 //! - [`encoder`] makes them; [`manifest`] and [`paths`] say which there are and where their files lie;
@@ -11,6 +12,7 @@
 //! What is not here: stepping and rendering (sim-proc), deciding (policy-proc), scoring (orchestrator).
 
 pub mod demonstrations;
+pub mod documents;
 pub mod embed_command;
 pub mod embedding;
 pub mod embedding_cache;

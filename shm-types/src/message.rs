@@ -534,6 +534,8 @@ codes! {
     }
 
     /// What a [`Document`](crate::documents::Document) is.
+    #[derive(serde::Serialize, serde::Deserialize)]
+    #[serde(rename_all = "lowercase")]
     DocumentKind, "a document kind (0 summary, 1 semantic, 2 trajectories)" {
         /// Object locations, landmarks and routes: UTF-8 text.
         Summary = 0,
@@ -555,6 +557,20 @@ impl Role {
             Self::Sim => "sim",
             Self::Memory => "memory",
             Self::Policy => "policy",
+        }
+    }
+}
+
+impl DocumentKind {
+    /// Those that are text, in the order in which they are supplied.
+    pub const TEXTS: [Self; 2] = [Self::Summary, Self::Semantic];
+
+    /// The word used in files, on the command line and in messages.
+    pub const fn word(self) -> &'static str {
+        match self {
+            Self::Summary => "summary",
+            Self::Semantic => "semantic",
+            Self::Trajectories => "trajectories",
         }
     }
 }

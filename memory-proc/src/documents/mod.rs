@@ -1,0 +1,79 @@
+//! Documents: what is told of the demonstrations of all cases in words, written once, before a run.
+//!
+//! Inside out:
+//!
+//! - [`sources`]: which demonstrations a document is made of;
+//! - [`transcript`]: a demonstration as a builder may see it;
+//! - [`Builder`]: makes a text of many of them;
+//! - [`file`]: a text with where it comes from, as it is kept.
+//!
+//! A builder is handed transcripts and nothing else. A [`Transcript`] has no room for the map, the catalogue,
+//! a test reference or a case's name, so none of them can get into a document (SPEC sections 2 and 4).
+
+pub mod file;
+pub mod sources;
+pub mod transcript;
+
+use serde::{Deserialize, Serialize};
+use shm_types::message::DocumentKind;
+
+pub use file::{DocumentError, DocumentFile, Provenance};
+pub use transcript::{Seen, Step, Transcript};
+
+/// Makes documents of demonstrations.
+pub trait Builder {
+    /// The word for it: `extractive`, `model`.
+    fn name(&self) -> &str;
+
+    /// What else decides the outcome when the demonstrations are the same: a version, a model, its prompts.
+    fn version(&self) -> String;
+
+    /// Writes the document of kind `kind`, a text, from `transcripts`, in their order.
+    ///
+    /// `progress` is told how many of how many parts are done.
+    ///
+    /// # Errors
+    /// When it cannot be written. What a person should do is in the message.
+    fn build(
+        &mut self,
+        kind: DocumentKind,
+        transcripts: &[Transcript],
+        progress: &mut dyn FnMut(usize, usize),
+    ) -> anyhow::Result<Built>;
+}
+
+/// A document as a [`Builder`] hands it over.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct Built {
+    /// The text.
+    pub text: String,
+    /// What the builder has to say about how it came to it.
+    pub account: Account,
+}
+
+/// How a builder came to its text, as far as it asked a model. What was not measured is absent.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Account {
+    /// The model that answered, as it calls itself.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub model: Option<String>,
+    /// Version of the prompts.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub prompt_version: Option<u32>,
+    /// Requests that were answered, those of earlier attempts that this one could use included.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub requests: Option<u64>,
+    /// Tokens of all prompts.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub prompt_tokens: Option<u64>,
+    /// Tokens of all answers.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub completion_tokens: Option<u64>,
+}
+
+impl Account {
+    fn is_empty(&self) -> bool {
+        *self == Self::default()
+    }
+}
