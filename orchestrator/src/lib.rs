@@ -10,6 +10,7 @@
 //! - What people type: [`cli`], one file for each verb.
 
 pub mod cli;
+pub mod compare;
 pub mod conditions;
 pub mod frame_budget;
 pub mod lanes;

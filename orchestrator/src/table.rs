@@ -1,12 +1,18 @@
-//! A run's scores as people read them. Only layout: every figure comes from [`score`](crate::score).
+//! A run's scores as people read them in a terminal. Only layout: every figure comes from
+//! [`score`](crate::score).
+
+use std::collections::BTreeMap;
 
 use comfy_table::{Cell, CellAlignment, LineStyle, Table, TableStyle};
 
-use crate::conditions::{Frames, PolicyKind};
+use crate::conditions::{Frames, Memory, PolicyKind};
 use crate::log::RunLog;
-use crate::score::{ConditionScore, Scores, Spread, score};
+use crate::score::{
+    Comparison, ConditionScore, Difference, Failure, Interval, Scores, Spread, StageTimes, score,
+};
+use crate::settings::Settings;
 
-/// What stands where nothing was measured.
+/// What stands where nothing was measured, or nothing is defined.
 const ABSENT: &str = "-";
 
 /// Lines above, below the header, and below: nothing between rows.
@@ -21,11 +27,15 @@ const WORK: [&str; 5] = ["dynamics", "render", "embed", "search", "decide"];
 /// Everything that is printed at the end of a run, from its log alone.
 pub fn report(log: &RunLog) -> String {
     let scores = score(log);
-    let mut text = results(&scores).to_string();
-    text.push('\n');
-    if let Some(times) = times(&scores) {
-        text += &format!("\nMean time of a step by stage, in microseconds\n{times}\n");
-    }
+    let mut text = format!("{}\n", results(&scores));
+    let mut add = |title: &str, table: Option<Table>| {
+        if let Some(table) = table {
+            text += &format!("\n{title}\n{table}\n");
+        }
+    };
+    add("Blocked routes: who ran into the barricade, and what blocking costs", blocked(&scores));
+    add("Failed episodes by kind", failures(&scores));
+    add("Mean time of a step by stage, in microseconds", times(log));
     text.push('\n');
     for line in remarks(log, &scores) {
         text += &line;
@@ -34,63 +44,109 @@ pub fn report(log: &RunLog) -> String {
     text
 }
 
+/// The conditions' scores, in the order of the words of a condition, so that a memory's stand together.
+fn ordered(scores: &Scores) -> Vec<&ConditionScore> {
+    let mut ordered: Vec<_> = scores.conditions.iter().collect();
+    ordered.sort_by_key(|score| score.condition);
+    ordered
+}
+
 fn results(scores: &Scores) -> Table {
-    let blocked = scores.conditions.iter().any(|score| score.tried_closed.is_some());
-    let mut header =
-        vec!["memory", "start", "route", "demos", "episodes", "SR %", "SPL", "steps", "images/req"];
-    if blocked {
-        header.extend(["F %", "C %"]);
-    }
+    let header = [
+        "memory",
+        "start",
+        "route",
+        "demos",
+        "episodes",
+        "SR %",
+        "95 % CI",
+        "SPL",
+        "steps",
+        "images/req",
+    ];
     let mut table = table(&header, 4);
-    for score in &scores.conditions {
-        let ConditionScore { condition, .. } = score;
-        let mut row = vec![
+    for score in ordered(scores) {
+        let condition = score.condition;
+        table.add_row([
             condition.memory.to_string(),
             condition.start.to_string(),
             condition.route.to_string(),
             condition.demonstrations.to_string(),
             score.episodes.to_string(),
             spread(Some(score.sr), 1),
-            spread(Some(score.spl), 3),
+            interval(score.sr.interval, 1),
+            figure(Some(score.spl.mean), 3),
             figure(score.mean_steps, 1),
-            figure(score.images_per_request, 1),
-        ];
-        if blocked {
-            row.extend([spread(score.tried_closed, 1), figure(score.recovered, 1)]);
-        }
-        table.add_row(row);
+            figure(score.images_per_request.map(|spread| spread.mean), 1),
+        ]);
     }
     table
 }
 
-/// `None` when nothing was timed.
-fn times(scores: &Scores) -> Option<Table> {
-    let header: Vec<&str> = ["memory", "start", "route", "demos"]
-        .into_iter()
-        .chain(WORK)
-        .chain(["between", "sum"])
-        .collect();
-    let mut table = table(&header, 4);
-    for score in &scores.conditions {
-        let Some(times) = &score.stage_us else { continue };
-        let condition = score.condition;
-        let work = WORK.map(|stage| times.of(stage));
-        let between = times.sum - work.iter().flatten().sum::<f64>();
-        let mut row = vec![
-            condition.memory.to_string(),
-            condition.start.to_string(),
-            condition.route.to_string(),
-            condition.demonstrations.to_string(),
-        ];
-        row.extend(work.map(|us| figure(us, 0)));
-        row.extend([between, times.sum].map(|us| figure(Some(us), 0)));
-        table.add_row(row);
+/// `None` when no route was blocked.
+fn blocked(scores: &Scores) -> Option<Table> {
+    let header =
+        ["memory", "demos", "follow F %", "recovery C %", "change Δ", "95 % CI", "retention R"];
+    let mut table = table(&header, 2);
+    for score in ordered(scores) {
+        let Some(found) = &score.blocked else { continue };
+        table.add_row([
+            score.condition.memory.to_string(),
+            score.condition.demonstrations.to_string(),
+            spread(found.follow, 1),
+            spread(found.recovery, 1),
+            found
+                .change
+                .map_or_else(|| ABSENT.to_owned(), |change| format!("{:+.1}", change.value)),
+            interval(found.change.and_then(|change| change.interval), 1),
+            figure(found.retention.map(|retention| retention.value), 2),
+        ]);
     }
     (table.row_count() > 0).then_some(table)
 }
 
-fn remarks(log: &RunLog, scores: &Scores) -> Vec<String> {
-    let settings = &log.manifest.settings;
+/// Counts for each memory, of the kinds that there are; `None` when nothing failed.
+fn failures(scores: &Scores) -> Option<Table> {
+    let mut counts: BTreeMap<Memory, BTreeMap<Failure, usize>> = BTreeMap::new();
+    for score in &scores.conditions {
+        let of_memory = counts.entry(score.condition.memory).or_default();
+        for (kind, count) in score.failures.iter().filter(|(_, count)| *count > 0) {
+            *of_memory.entry(kind).or_default() += count;
+        }
+    }
+    let there = |kind: &&Failure| counts.values().any(|counts| counts.contains_key(kind));
+    let kinds: Vec<Failure> = Failure::ALL.iter().filter(there).copied().collect();
+    let header: Vec<&str> =
+        ["memory"].into_iter().chain(kinds.iter().map(|kind| kind.name())).chain(["all"]).collect();
+    let mut table = table(&header, 1);
+    for (memory, counts) in &counts {
+        let count = |kind: &Failure| counts.get(kind).copied().unwrap_or(0);
+        let all: usize = counts.values().sum();
+        table.add_row(
+            [memory.to_string()]
+                .into_iter()
+                .chain(kinds.iter().map(|kind| count(kind).to_string()))
+                .chain([all.to_string()]),
+        );
+    }
+    (!kinds.is_empty()).then_some(table)
+}
+
+/// A row for each memory: start and route make no difference. `None` when nothing was timed.
+fn times(log: &RunLog) -> Option<Table> {
+    let header: Vec<&str> = ["memory"].into_iter().chain(WORK).chain(["between", "sum"]).collect();
+    let mut table = table(&header, 1);
+    for (memory, times) in StageTimes::by_memory(log) {
+        let work = WORK.map(|stage| times.stage(stage));
+        let between = times.sum - work.iter().flatten().sum::<f64>();
+        let figures = work.into_iter().chain([between, times.sum].map(Some));
+        table.add_row([memory.to_string()].into_iter().chain(figures.map(|us| figure(us, 0))));
+    }
+    (table.row_count() > 0).then_some(table)
+}
+
+/// What makes the difference between a result and a test of the harness.
+pub fn standing(settings: &Settings) -> Vec<String> {
     let mut lines = vec![match settings.policy {
         PolicyKind::Grounded => {
             "Policy: grounded, a scripted stand-in. It tests the harness; its numbers are \
@@ -108,6 +164,15 @@ fn remarks(log: &RunLog, scores: &Scores) -> Vec<String> {
             "Control: observed frames were {control}, so these are no results of the benchmark."
         )),
     }
+    lines
+}
+
+fn remarks(log: &RunLog, scores: &Scores) -> Vec<String> {
+    let settings = &log.manifest.settings;
+    let mut lines = standing(settings);
+    lines.push(
+        "SR: mean ± standard deviation over runs; CI: bootstrap over cases and runs.".to_owned(),
+    );
     if let Some(rate) = scores.steps_per_s {
         lines.push(format!("Speed: {rate:.0} steps/s with {} lanes.", settings.lanes));
     }
@@ -129,6 +194,40 @@ fn remarks(log: &RunLog, scores: &Scores) -> Vec<String> {
     lines
 }
 
+/// Paired comparisons, a row each, under the names of their two sides.
+pub fn comparisons(compared: &[Comparison]) -> String {
+    let header =
+        ["A", "B", "cases", "SR A-B", "95 % CI", "SPL A-B", "95 % CI", "A better", "B better", "p"];
+    let mut table = table(&header, 2);
+    for one in compared {
+        let Comparison { a, b, cases, sr, spl, more_under_a, more_under_b, p } = one;
+        let signed =
+            |Difference { mean, .. }: &Difference, digits: usize| format!("{mean:+.digits$}");
+        table.add_row([
+            a.clone(),
+            b.clone(),
+            cases.to_string(),
+            signed(sr, 1),
+            interval(sr.interval, 1),
+            signed(spl, 3),
+            interval(spl.interval, 3),
+            more_under_a.to_string(),
+            more_under_b.to_string(),
+            p_value(*p),
+        ]);
+    }
+    format!(
+        "{table}\n\nDifferences are means over the cases that both have (SR in percentage points); CI: bootstrap, \
+         cases paired.\nA better, B better: cases that succeed more often there; p: exact two-sided sign test on \
+         these counts\n(McNemar's exact test where there is one run each), not corrected for the number of rows.\n"
+    )
+}
+
+/// A p value as it is printed: never as zero.
+pub(crate) fn p_value(p: f64) -> String {
+    if p < 0.001 { "<0.001".to_owned() } else { format!("{p:.3}") }
+}
+
 /// A table whose columns from `numbers` on are aligned to the right.
 pub(crate) fn table(header: &[&str], numbers: usize) -> Table {
     let mut table = Table::new();
@@ -147,9 +246,16 @@ fn figure(value: Option<f64>, digits: usize) -> String {
 fn spread(spread: Option<Spread>, digits: usize) -> String {
     match spread {
         None => ABSENT.to_owned(),
-        Some(Spread { mean, std: None }) => format!("{mean:.digits$}"),
-        Some(Spread { mean, std: Some(std) }) => format!("{mean:.digits$} ± {std:.digits$}"),
+        Some(Spread { mean, std: None, .. }) => format!("{mean:.digits$}"),
+        Some(Spread { mean, std: Some(std), .. }) => format!("{mean:.digits$} ± {std:.digits$}"),
     }
+}
+
+fn interval(interval: Option<Interval>, digits: usize) -> String {
+    interval.map_or_else(
+        || ABSENT.to_owned(),
+        |Interval { low, high }| format!("[{low:.digits$}, {high:.digits$}]"),
+    )
 }
 
 #[cfg(test)]

@@ -1,0 +1,100 @@
+//! Which conditions of which runs are compared, by the names that people write.
+//!
+//! The comparison itself is [`score::compare`]'s.
+
+use crate::conditions::Condition;
+use crate::log::RunLog;
+use crate::names::UnknownName;
+use crate::score::{Comparison, Trials, compare};
+
+/// Why two configurations cannot be compared.
+#[derive(Debug, thiserror::Error)]
+pub enum CompareError {
+    /// A name that no condition of the run has.
+    #[error(transparent)]
+    Unknown(#[from] UnknownName),
+    /// Nothing to compare on.
+    #[error("{a} and {b} have no finished case in common")]
+    NoCommonCase {
+        /// One side.
+        a: String,
+        /// The other.
+        b: String,
+    },
+    /// The same case ids mean different things.
+    #[error(
+        "{a} and {b} were run on different {what}, so their cases cannot be paired; run one of them again \
+         with the other's --assets"
+    )]
+    OtherWorld {
+        /// One run's folder.
+        a: String,
+        /// The other's.
+        b: String,
+        /// What differs: layout, catalogue or cases.
+        what: String,
+    },
+}
+
+/// Compares two conditions, each written as in the log, of one run or of two.
+///
+/// # Errors
+/// When a name is no condition of its run, or the two have no case in common.
+pub fn compare_conditions(
+    a: (&RunLog, &str),
+    b: (&RunLog, &str),
+) -> Result<Comparison, CompareError> {
+    same_world(a.0, b.0)?;
+    let trials = |(log, name): (&'_ RunLog, &str)| -> Result<Condition, UnknownName> {
+        let known = log.manifest.settings.conditions();
+        let found = known.iter().find(|condition| condition.to_string() == name).copied();
+        found.ok_or_else(|| {
+            UnknownName::new("condition of the run", name, known.iter().map(ToString::to_string))
+        })
+    };
+    let (first, second) = (Trials::of(a.0, &trials(a)?), Trials::of(b.0, &trials(b)?));
+    let same_run = std::ptr::eq(a.0, b.0);
+    let name = |(log, name): (&RunLog, &str)| {
+        if same_run { name.to_owned() } else { format!("{}: {name}", run_name(log)) }
+    };
+    let (a, b) = (name(a), name(b));
+    compare((&a, &first), (&b, &second)).ok_or(CompareError::NoCommonCase { a, b })
+}
+
+/// Compares every condition that both runs have, in the order of the first.
+///
+/// # Errors
+/// When they have none in common.
+pub fn compare_runs(a: &RunLog, b: &RunLog) -> Result<Vec<Comparison>, CompareError> {
+    same_world(a, b)?;
+    let (name_a, name_b) = (run_name(a), run_name(b));
+    let conditions = a.manifest.settings.conditions();
+    let compared = conditions.iter().filter_map(|condition| {
+        let names = [&name_a, &name_b].map(|run| format!("{run}: {condition}"));
+        let (first, second) = (Trials::of(a, condition), Trials::of(b, condition));
+        compare((&names[0], &first), (&names[1], &second))
+    });
+    let compared: Vec<Comparison> = compared.collect();
+    if compared.is_empty() {
+        return Err(CompareError::NoCommonCase { a: name_a, b: name_b });
+    }
+    Ok(compared)
+}
+
+/// Whether the same case is the same case in both runs.
+fn same_world(a: &RunLog, b: &RunLog) -> Result<(), CompareError> {
+    let hash = |log: &RunLog, what: &str| log.manifest.hashes.get(what).cloned();
+    for what in ["layout", "catalogue", "cases"] {
+        if hash(a, what) != hash(b, what) {
+            let (a, b) = (a.dir.display().to_string(), b.dir.display().to_string());
+            return Err(CompareError::OtherWorld { a, b, what: what.to_owned() });
+        }
+    }
+    Ok(())
+}
+
+/// What a run is called among others: the last part of its folder.
+pub fn run_name(log: &RunLog) -> String {
+    let name = log.dir.file_name().unwrap_or(log.dir.as_os_str());
+    name.to_string_lossy().into_owned()
+}

@@ -1,0 +1,60 @@
+//! A figure over runs: how it is averaged, and what shows how sure it is.
+
+use serde::Serialize;
+
+use super::bootstrap::Interval;
+
+/// A figure that was computed for each run by itself, over the runs.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Spread {
+    /// Its mean over the runs that have it.
+    pub mean: f64,
+    /// Its sample standard deviation over them (n - 1 in the denominator); `None` for one run.
+    pub std: Option<f64>,
+    /// How many runs that is. A run in which the figure is undefined does not enter, so this can be fewer
+    /// than the condition's runs.
+    pub runs: u32,
+    /// The 95 % bootstrap interval of the mean, where one is computed.
+    pub interval: Option<Interval>,
+}
+
+impl Spread {
+    /// Mean and sample standard deviation of `values`, one a run; `None` of none.
+    pub fn of(values: &[f64]) -> Option<Self> {
+        let mean = mean(values.iter().copied())?;
+        let squares: f64 = values.iter().map(|value| (value - mean).powi(2)).sum();
+        let std = (values.len() > 1).then(|| (squares / (values.len() - 1) as f64).sqrt());
+        Some(Self { mean, std, runs: values.len() as u32, interval: None })
+    }
+
+    /// The same with an interval.
+    pub(super) fn within(self, interval: Option<Interval>) -> Self {
+        Self { interval, ..self }
+    }
+}
+
+/// The mean; `None` of no values.
+pub(super) fn mean(values: impl Iterator<Item = f64>) -> Option<f64> {
+    let (sum, count) = values.fold((0.0, 0_u32), |(sum, count), value| (sum + value, count + 1));
+    (count > 0).then(|| sum / f64::from(count))
+}
+
+/// How many of a hundred are true; `None` of no values.
+pub(super) fn percentage(values: impl Iterator<Item = bool>) -> Option<f64> {
+    mean(values.map(|value| if value { 100.0 } else { 0.0 }))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn mean_and_sample_deviation_by_hand() {
+        assert_eq!(Spread::of(&[]), None);
+        let one = Spread::of(&[4.0]).unwrap();
+        assert_eq!((one.mean, one.std, one.runs), (4.0, None, 1));
+        // Mean 4; squares 4 + 0 + 4 = 8; 8 / (3 - 1) = 4; root 2.
+        let three = Spread::of(&[2.0, 4.0, 6.0]).unwrap();
+        assert_eq!((three.mean, three.std, three.runs), (4.0, Some(2.0), 3));
+    }
+}

@@ -1,0 +1,302 @@
+//! Every figure, reckoned by hand for small made-up logs.
+
+use super::*;
+use crate::conditions::{Demonstrations, Memory, Route, Start};
+use crate::log::testing::{manifest, record, timings};
+use crate::log::{EpisodeError, EpisodeRecord, Stages, Unread};
+use crate::plan::EpisodeKey;
+
+fn log(records: Vec<EpisodeRecord>) -> RunLog {
+    RunLog {
+        dir: "run".into(),
+        manifest: manifest(),
+        timings: records.iter().map(timings).collect(),
+        episodes: records,
+        errors: Vec::new(),
+        sessions: Vec::new(),
+    }
+}
+
+fn only(log: &RunLog) -> ConditionScore {
+    let mut scores = score(log).conditions;
+    assert_eq!(scores.len(), 1);
+    scores.remove(0)
+}
+
+#[track_caller]
+fn near(found: f64, expected: f64) {
+    assert!((found - expected).abs() < 1e-9, "{found}, expected {expected}");
+}
+
+/// Gives the record the key that its condition, run and case make.
+fn keyed(mut record: EpisodeRecord) -> EpisodeRecord {
+    let (condition, case) = (record.condition(), record.case.clone());
+    record.key = EpisodeKey { condition, run: record.run, case }.to_string();
+    record
+}
+
+fn in_run(run: u32, mut record: EpisodeRecord) -> EpisodeRecord {
+    record.run = run;
+    keyed(record)
+}
+
+#[test]
+fn success_and_path_length_per_run_then_over_runs() {
+    // Successes take 10 steps for a reference of 8: 8 / max(10, 8) = 0.8 each. Run 1 has 2 of 4, run 2 1 of 3.
+    let run1 = [("a", true), ("b", false), ("c", true), ("d", false)];
+    let run2 = [("a", true), ("b", false), ("c", false)];
+    let mut records: Vec<_> = run1.map(|(id, success)| record(id, success)).into();
+    records.extend(run2.map(|(id, success)| in_run(2, record(id, success))));
+    let found = only(&log(records));
+    // SR: 100 * 2/4 = 50 and 100 * 1/3 = 33.33; mean 41.67; deviations +-8.33, so std = 8.33 * sqrt(2).
+    near(found.sr.mean, (50.0 + 100.0 / 3.0) / 2.0);
+    near(found.sr.std.unwrap(), 50.0 / 6.0 * 2.0_f64.sqrt());
+    // SPL: (0.8 + 0 + 0.8 + 0) / 4 = 0.4 and 0.8 / 3 = 0.2667; their half difference is 0.0667.
+    near(found.spl.mean, (0.4 + 0.8 / 3.0) / 2.0);
+    near(found.spl.std.unwrap(), (0.4 - 0.8 / 3.0) / 2.0 * 2.0_f64.sqrt());
+    assert_eq!((found.episodes, found.runs, found.cases), (7, 2, 4));
+    // 3 successes of 10 steps, 4 failures of 200.
+    near(found.mean_steps.unwrap(), 830.0 / 7.0);
+    let interval = found.sr.interval.unwrap();
+    assert!((0.0..40.0).contains(&interval.low) && (50.0..=100.0).contains(&interval.high));
+    assert_eq!(score(&log(vec![record("a", true)])).conditions[0].sr.interval, None, "one case");
+}
+
+#[test]
+fn a_walk_shorter_than_its_reference_is_worth_no_more_than_one() {
+    // l / max(p, l): 8/8, 8/max(4, 8), 8/16, failure, 0/0 taken as 1.
+    for (success, steps, reference, expected) in [
+        (true, 8, 8, 1.0),
+        (true, 4, 8, 1.0),
+        (true, 16, 8, 0.5),
+        (false, 8, 8, 0.0),
+        (true, 0, 0, 1.0),
+    ] {
+        let mut record = record("a", success);
+        (record.steps, record.reference) = (steps, reference);
+        assert_eq!(only(&log(vec![record])).spl.mean, expected);
+    }
+}
+
+#[test]
+fn task_groups_are_scored_by_themselves_per_run() {
+    let of_task = |task, id, success, run| {
+        let mut record = record(id, success);
+        record.task = task;
+        in_run(run, record)
+    };
+    let found = only(&log(vec![
+        // Basic: run 1 has 1 of 2, run 2 has 1 of 1: mean 75, std = 25 * sqrt(2).
+        of_task(1, "a", true, 1),
+        of_task(2, "b", false, 1),
+        of_task(1, "a", true, 2),
+        // Multi-object: 1 of 3. Return loop: none of 2. Revisit: 1 of 1.
+        of_task(3, "c", true, 1),
+        of_task(4, "d", false, 1),
+        of_task(6, "e", false, 1),
+        of_task(7, "f", false, 1),
+        of_task(10, "g", false, 1),
+        of_task(9, "h", true, 1),
+    ]));
+    let means: Vec<_> =
+        found.groups.iter().map(|score| (score.group.name(), score.sr.mean)).collect();
+    let expected =
+        [("basic", 75.0), ("multi-object", 100.0 / 3.0), ("return loops", 0.0), ("revisit", 100.0)];
+    assert_eq!(means, expected);
+    near(found.groups[0].sr.std.unwrap(), 25.0 * 2.0_f64.sqrt());
+    assert_eq!(found.groups[1].sr.std, None);
+}
+
+/// A record from the new start under `memory`, blocked when `tried` says whether it tried the closed cell.
+fn walked(memory: Memory, id: &str, run: u32, success: bool, tried: Option<bool>) -> EpisodeRecord {
+    let mut record = record(id, success);
+    (record.memory, record.start) = (memory, Start::New);
+    if memory == Memory::Working {
+        record.demonstrations = Demonstrations::NONE;
+    }
+    record.route = if tried.is_some() { Route::Blocked } else { Route::Unchanged };
+    record.tried_closed = tried;
+    in_run(run, record)
+}
+
+fn with_routes(records: Vec<EpisodeRecord>) -> RunLog {
+    let mut log = log(records);
+    log.manifest.settings.routes = Route::ALL.to_vec();
+    log
+}
+
+fn blocked_score(log: &RunLog, memory: Memory) -> BlockedScore {
+    let blocked = |score: &&ConditionScore| {
+        score.condition.memory == memory && score.condition.route == Route::Blocked
+    };
+    score(log).conditions.iter().find(blocked).unwrap().blocked.unwrap()
+}
+
+#[test]
+fn follow_and_recovery_per_run_and_undefined_is_not_zero() {
+    let blocked = |id, run, success, tried| walked(Memory::Episodic, id, run, success, Some(tried));
+    let mut records = vec![
+        // Run 1: b = 1, 1, 1, 0 and s = 1, 0, 0, 1. F = 100 * 3/4 = 75, C = 100 * 1/3 = 33.33.
+        blocked("a", 1, true, true),
+        blocked("b", 1, false, true),
+        blocked("c", 1, false, true),
+        blocked("d", 1, true, false),
+        // Run 2: b = 1, 0 and s = 1, 0. F = 50, C = 100.
+        blocked("a", 2, true, true),
+        blocked("b", 2, false, false),
+        // Run 3: b = 0, 0. F = 0, C undefined: it does not enter the mean of C.
+        blocked("a", 3, true, false),
+        blocked("b", 3, false, false),
+    ];
+    let found = blocked_score(&with_routes(records.clone()), Memory::Episodic);
+    let (follow, recovery) = (found.follow.unwrap(), found.recovery.unwrap());
+    near(follow.mean, (75.0 + 50.0 + 0.0) / 3.0);
+    // Deviations from 41.67: 33.33, 8.33, -41.67; squares 1111.1 + 69.4 + 1736.1 = 2916.67; / 2.
+    near(follow.std.unwrap(), (2916.666_666_666_667_f64 / 2.0).sqrt());
+    near(recovery.mean, (100.0 / 3.0 + 100.0) / 2.0);
+    near(recovery.std.unwrap(), 100.0 / 3.0 * 2.0_f64.sqrt());
+    assert_eq!((follow.runs, recovery.runs), (3, 2));
+    assert_eq!((found.change, found.retention), (None, None), "nothing to compare with was run");
+    records.iter_mut().for_each(|record| record.tried_closed = Some(false));
+    let found = blocked_score(&with_routes(records), Memory::Episodic);
+    assert_eq!((found.follow.unwrap().mean, found.recovery), (0.0, None));
+}
+
+#[test]
+fn change_and_retention_from_the_mean_success_rates() {
+    let four = |memory, route: Option<bool>, successes: usize| {
+        let ids = ["a", "b", "c", "d"].into_iter().enumerate();
+        ids.map(move |(i, id)| walked(memory, id, 1, i < successes, route)).collect::<Vec<_>>()
+    };
+    // Episodic: 75 unchanged, 25 blocked. Working: 50 unchanged, 25 blocked.
+    let mut records = four(Memory::Episodic, None, 3);
+    records.extend(four(Memory::Episodic, Some(false), 1));
+    records.extend(four(Memory::Working, None, 2));
+    records.extend(four(Memory::Working, Some(false), 1));
+    let log = with_routes(records);
+    let episodic = blocked_score(&log, Memory::Episodic);
+    // Delta = (25 - 75) - (25 - 50) = -25; R = 25 / 75.
+    near(episodic.change.unwrap().value, -25.0);
+    near(episodic.retention.unwrap().value, 1.0 / 3.0);
+    let working = blocked_score(&log, Memory::Working);
+    // The baseline against itself: 0, with certainty. R = 25 / 50.
+    assert_eq!(working.change.unwrap().value, 0.0);
+    assert_eq!(working.change.unwrap().interval, Some(Interval { low: 0.0, high: 0.0 }));
+    near(working.retention.unwrap().value, 0.5);
+
+    // Nothing succeeds on the unchanged route: R is 0 / 0, which is undefined; Delta is still a difference.
+    let mut records = four(Memory::Working, None, 0);
+    records.extend(four(Memory::Working, Some(false), 0));
+    let none = blocked_score(&with_routes(records), Memory::Working);
+    assert_eq!((none.change.unwrap().value, none.retention), (0.0, None));
+}
+
+#[test]
+fn images_tokens_answers_and_retrievals_per_run() {
+    let measured = |id, run, requests, images, tokens: u64, unread, retrieved: &str| {
+        let mut record = record(id, true);
+        (record.requests, record.images) = (Some(requests), Some(images));
+        (record.prompt_tokens, record.completion_tokens) = (Some(tokens - 1), Some(1));
+        record.unread = Unread { unreadable: unread, empty: 0, refused: 0 };
+        record.retrieved = Some(retrieved.to_owned());
+        in_run(run, record)
+    };
+    let mut records = vec![
+        // Run 1: (70 + 20) images / (10 + 5) requests = 6; (100 + 300) / 2 * 100 = 20,000 tokens;
+        // 3 of 15 answers not read: 20 %; of 4 matches (`-` is none) 1 from another case: 25 %.
+        measured("a", 1, 10, 70, 100, 3, "o0 o1 - t03-07:d4"),
+        measured("b", 1, 5, 20, 300, 0, "n3"),
+        // Run 2: 40 / 5 = 8; 500 * 100 = 50,000; 0 of 5: 0 %; 1 of 2: 50 %.
+        measured("a", 2, 5, 40, 500, 0, "o0 t03-07:o1"),
+    ];
+    let found = only(&log(records.clone()));
+    let images = found.images_per_request.unwrap();
+    // Mean of 6 and 8, deviations +-1.
+    assert_eq!((images.mean, images.std), (7.0, Some(2.0_f64.sqrt())));
+    near(found.tokens_per_100.unwrap().mean, 35_000.0);
+    near(found.tokens_per_100.unwrap().std.unwrap(), 15_000.0 * 2.0_f64.sqrt());
+    near(found.unread.unwrap().mean, 10.0);
+    near(found.from_other_cases.unwrap().mean, 37.5);
+    near(found.from_other_cases.unwrap().std.unwrap(), 12.5 * 2.0_f64.sqrt());
+
+    // One episode without a count: no sum at all, whether its run has others or not.
+    records[2].prompt_tokens = None;
+    assert_eq!(only(&log(records.clone())).tokens_per_100, None);
+    records[2].prompt_tokens = Some(0);
+    records[0].completion_tokens = None;
+    assert_eq!(only(&log(records)).tokens_per_100, None);
+}
+
+#[test]
+fn what_was_not_measured_is_absent() {
+    let found = only(&log(vec![record("a", true)]));
+    assert_eq!(found.sr.std, None, "one run has no spread");
+    assert_eq!((found.tokens_per_100, found.blocked, found.from_other_cases), (None, None, None));
+
+    let mut expert = record("a", true);
+    (expert.requests, expert.images) = (None, None);
+    let mut without = log(vec![expert]);
+    let stages = only(&without).stage_us.unwrap();
+    assert_eq!((stages.stage("render"), stages.stage("embed")), (Some(1.0), None));
+    without.timings.clear();
+    let found = only(&without);
+    assert_eq!((found.images_per_request, found.unread, found.stage_us), (None, None, None));
+    assert_eq!(score(&without).steps_per_s, None);
+}
+
+#[test]
+fn an_episode_that_was_given_up_does_not_leave_the_mean() {
+    let mut log = log(vec![record("a", true), in_run(2, record("b", true))]);
+    let error = |record: EpisodeRecord| EpisodeError {
+        key: record.key,
+        session: 1,
+        error: "overdue".into(),
+    };
+    log.errors.push(error(record("b", true)));
+    log.errors.push(error(in_run(2, record("a", true))));
+    let found = only(&log);
+    // Each run has 1 of 2, at 0.8.
+    assert_eq!((found.episodes, found.errored, found.sr.mean, found.spl.mean), (4, 2, 50.0, 0.4));
+    assert_eq!(found.groups[0].sr.mean, 50.0, "its task is known from another run");
+    assert_eq!(found.failures.total(), 0, "a fault is not the model's failure");
+}
+
+#[test]
+fn time_is_a_mean_over_steps() {
+    let log = log(vec![record("a", true)]);
+    let stages = Stages::NAMES.map(|name| (name, 1.0)).to_vec();
+    assert_eq!(only(&log).stage_us, Some(StageTimes { sum: 10.0, stages }));
+    // 10 steps in the 2 seconds that the test's timings say.
+    assert_eq!(score(&log).steps_per_s, Some(5.0));
+}
+
+#[test]
+fn two_configurations_are_compared_case_by_case() {
+    let side = |memory, successes: [[bool; 2]; 4]| {
+        let cases = ["a", "b", "c", "d"].into_iter().zip(successes);
+        let both = |(id, runs): (&'static str, [bool; 2])| {
+            [1, 2].map(|run| walked(memory, id, run, runs[run as usize - 1], None))
+        };
+        cases.flat_map(both).collect::<Vec<_>>()
+    };
+    let (yes, no, half) = ([true, true], [false, false], [true, false]);
+    let mut records = side(Memory::Episodic, [yes, half, yes, no]);
+    records.extend(side(Memory::Working, [no, no, yes, half]));
+    // A fifth case that only one side has does not enter.
+    records.push(walked(Memory::Working, "e", 1, true, None));
+    let log = log(records);
+    let of = |memory| {
+        let conditions = log.manifest.settings.conditions();
+        let found = conditions.into_iter().find(|c| c.memory == memory && c.start == Start::New);
+        Trials::of(&log, &found.unwrap())
+    };
+    let (episodic, working) = (of(Memory::Episodic), of(Memory::Working));
+    let found = compare(("A", &episodic), ("B", &working)).unwrap();
+    // Differences of the cases' means: 100 - 0, 50 - 0, 100 - 100, 0 - 50; their mean is 25. SPL: 0.8 of that.
+    assert_eq!((found.cases, found.sr.mean), (4, 25.0));
+    near(found.spl.mean, 0.2);
+    // Two cases better, one worse, one equal: p = 2 * (1 + 3) / 2^3 = 1.
+    assert_eq!((found.more_under_a, found.more_under_b, found.p), (2, 1, 1.0));
+    let interval = found.sr.interval.unwrap();
+    assert!(interval.low < 25.0 && interval.high > 25.0);
+}
