@@ -152,7 +152,7 @@ fn follow_and_recovery_per_run_and_undefined_is_not_zero() {
     let (follow, recovery) = (found.follow.unwrap(), found.recovery.unwrap());
     near(follow.mean, (75.0 + 50.0 + 0.0) / 3.0);
     // Deviations from 41.67: 33.33, 8.33, -41.67; squares 1111.1 + 69.4 + 1736.1 = 2916.67; / 2.
-    near(follow.std.unwrap(), (2916.666_666_666_667_f64 / 2.0).sqrt());
+    near(follow.std.unwrap(), (17_500.0_f64 / 6.0 / 2.0).sqrt());
     near(recovery.mean, (100.0 / 3.0 + 100.0) / 2.0);
     near(recovery.std.unwrap(), 100.0 / 3.0 * 2.0_f64.sqrt());
     assert_eq!((follow.runs, recovery.runs), (3, 2));
