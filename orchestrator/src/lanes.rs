@@ -281,6 +281,7 @@ impl<'w> Lanes<'w> {
             first_seen: BTreeMap::new(),
             blocked_moves: Vec::new(),
             tried_closed: blocked.then_some(false),
+            tried_closed_at: None,
             start_pose: start,
             final_pose: start,
             requests: asks.then_some(0),
@@ -473,6 +474,9 @@ impl<'w> Lanes<'w> {
         let kind = match answer {
             Ok(action) => {
                 let tried = entered(walk.pose, action).is_some_and(|c| walk.variant.is_closed(c));
+                if tried && record.tried_closed_at.is_none() {
+                    record.tried_closed_at = Some(record.steps + 1);
+                }
                 record.tried_closed = record.tried_closed.map(|before| before || tried);
                 (walk.pose, walk.feedback) = step(layout, &walk.variant, walk.pose, action);
                 walk.last_action = action as u8;

@@ -33,7 +33,7 @@ pub use blocked::{BlockedScore, Derived};
 pub use bootstrap::{Interval, RESAMPLES, SEED, intervals};
 pub use compare::{Comparison, Difference, compare};
 pub use condition::ConditionScore;
-pub use failure::{Failure, Failures};
+pub use failure::{Failure, Failures, LOOP_STEPS, LOOP_VISITS, NEW_CELLS};
 pub use spread::Spread;
 pub use success::{GroupScore, group_of};
 pub use time::StageTimes;

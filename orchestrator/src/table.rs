@@ -5,12 +5,13 @@ use std::collections::BTreeMap;
 
 use comfy_table::{Cell, CellAlignment, LineStyle, Table, TableStyle};
 
-use crate::conditions::{Frames, Memory, PolicyKind};
+use crate::conditions::{Frames, PolicyKind};
 use crate::log::RunLog;
 use crate::score::{
     Comparison, ConditionScore, Difference, Failure, Interval, Scores, Spread, StageTimes, score,
 };
 use crate::settings::Settings;
+use shm_types::Representation;
 
 /// What stands where nothing was measured, or nothing is defined.
 const ABSENT: &str = "-";
@@ -107,7 +108,7 @@ fn blocked(scores: &Scores) -> Option<Table> {
 
 /// Counts for each memory, of the kinds that there are; `None` when nothing failed.
 fn failures(scores: &Scores) -> Option<Table> {
-    let mut counts: BTreeMap<Memory, BTreeMap<Failure, usize>> = BTreeMap::new();
+    let mut counts: BTreeMap<Representation, BTreeMap<Failure, usize>> = BTreeMap::new();
     for score in &scores.conditions {
         let of_memory = counts.entry(score.condition.memory).or_default();
         for (kind, count) in score.failures.iter().filter(|(_, count)| *count > 0) {

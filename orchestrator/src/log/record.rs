@@ -84,6 +84,9 @@ pub struct EpisodeRecord {
     /// On a blocked route: whether the agent tried to enter a newly closed cell, b_i. Absent elsewhere.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub tried_closed: Option<bool>,
+    /// The step, from 1, of the first such try. Absent when there was none.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub tried_closed_at: Option<u32>,
     /// Where the agent began.
     pub start_pose: Pose,
     /// Where it ended.

@@ -57,6 +57,7 @@ pub(crate) fn record(case: &str, success: bool) -> EpisodeRecord {
         first_seen: BTreeMap::new(),
         blocked_moves: Vec::new(),
         tried_closed: None,
+        tried_closed_at: None,
         start_pose: Pose::new(1, 2, Heading::N),
         final_pose: Pose::new(1, 12, Heading::N),
         requests: Some(steps),

@@ -12,8 +12,9 @@ use super::spread::{Spread, mean, percentage};
 use super::success::{self, GroupScore};
 use super::time::{StageTimes, exists};
 use super::trial::{Trial, Trials};
-use crate::conditions::{Condition, Demonstrations, Memory, Route};
+use crate::conditions::{Condition, Demonstrations, Route};
 use crate::log::EpisodeTimings;
+use shm_types::Representation;
 
 /// The scores of one condition. What was not measured, or is not defined, is `None`, never zero.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -164,7 +165,7 @@ pub(super) fn relate(scores: &mut [ConditionScore], trials: &BTreeMap<Condition,
         let blocked = score.condition;
         let unchanged = Condition { route: Route::Unchanged, ..blocked };
         let baseline = [blocked, unchanged].map(|condition| Condition {
-            memory: Memory::Working,
+            memory: Representation::Working,
             demonstrations: Demonstrations::NONE,
             ..condition
         });

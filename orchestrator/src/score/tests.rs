@@ -1,10 +1,11 @@
 //! Every figure, reckoned by hand for small made-up logs.
 
 use super::*;
-use crate::conditions::{Demonstrations, Memory, Route, Start};
+use crate::conditions::{Demonstrations, Route, Start};
 use crate::log::testing::{manifest, record, timings};
 use crate::log::{EpisodeError, EpisodeRecord, Stages, Unread};
 use crate::plan::EpisodeKey;
+use shm_types::Representation;
 
 fn log(records: Vec<EpisodeRecord>) -> RunLog {
     RunLog {
@@ -108,10 +109,16 @@ fn task_groups_are_scored_by_themselves_per_run() {
 }
 
 /// A record from the new start under `memory`, blocked when `tried` says whether it tried the closed cell.
-fn walked(memory: Memory, id: &str, run: u32, success: bool, tried: Option<bool>) -> EpisodeRecord {
+fn walked(
+    memory: Representation,
+    id: &str,
+    run: u32,
+    success: bool,
+    tried: Option<bool>,
+) -> EpisodeRecord {
     let mut record = record(id, success);
     (record.memory, record.start) = (memory, Start::New);
-    if memory == Memory::Working {
+    if memory == Representation::Working {
         record.demonstrations = Demonstrations::NONE;
     }
     record.route = if tried.is_some() { Route::Blocked } else { Route::Unchanged };
@@ -125,7 +132,7 @@ fn with_routes(records: Vec<EpisodeRecord>) -> RunLog {
     log
 }
 
-fn blocked_score(log: &RunLog, memory: Memory) -> BlockedScore {
+fn blocked_score(log: &RunLog, memory: Representation) -> BlockedScore {
     let blocked = |score: &&ConditionScore| {
         score.condition.memory == memory && score.condition.route == Route::Blocked
     };
@@ -134,7 +141,8 @@ fn blocked_score(log: &RunLog, memory: Memory) -> BlockedScore {
 
 #[test]
 fn follow_and_recovery_per_run_and_undefined_is_not_zero() {
-    let blocked = |id, run, success, tried| walked(Memory::Episodic, id, run, success, Some(tried));
+    let blocked =
+        |id, run, success, tried| walked(Representation::Episodic, id, run, success, Some(tried));
     let mut records = vec![
         // Run 1: b = 1, 1, 1, 0 and s = 1, 0, 0, 1. F = 100 * 3/4 = 75, C = 100 * 1/3 = 33.33.
         blocked("a", 1, true, true),
@@ -148,7 +156,7 @@ fn follow_and_recovery_per_run_and_undefined_is_not_zero() {
         blocked("a", 3, true, false),
         blocked("b", 3, false, false),
     ];
-    let found = blocked_score(&with_routes(records.clone()), Memory::Episodic);
+    let found = blocked_score(&with_routes(records.clone()), Representation::Episodic);
     let (follow, recovery) = (found.follow.unwrap(), found.recovery.unwrap());
     near(follow.mean, (75.0 + 50.0 + 0.0) / 3.0);
     // Deviations from 41.67: 33.33, 8.33, -41.67; squares 1111.1 + 69.4 + 1736.1 = 2916.67; / 2.
@@ -158,7 +166,7 @@ fn follow_and_recovery_per_run_and_undefined_is_not_zero() {
     assert_eq!((follow.runs, recovery.runs), (3, 2));
     assert_eq!((found.change, found.retention), (None, None), "nothing to compare with was run");
     records.iter_mut().for_each(|record| record.tried_closed = Some(false));
-    let found = blocked_score(&with_routes(records), Memory::Episodic);
+    let found = blocked_score(&with_routes(records), Representation::Episodic);
     assert_eq!((found.follow.unwrap().mean, found.recovery), (0.0, None));
 }
 
@@ -169,25 +177,25 @@ fn change_and_retention_from_the_mean_success_rates() {
         ids.map(move |(i, id)| walked(memory, id, 1, i < successes, route)).collect::<Vec<_>>()
     };
     // Episodic: 75 unchanged, 25 blocked. Working: 50 unchanged, 25 blocked.
-    let mut records = four(Memory::Episodic, None, 3);
-    records.extend(four(Memory::Episodic, Some(false), 1));
-    records.extend(four(Memory::Working, None, 2));
-    records.extend(four(Memory::Working, Some(false), 1));
+    let mut records = four(Representation::Episodic, None, 3);
+    records.extend(four(Representation::Episodic, Some(false), 1));
+    records.extend(four(Representation::Working, None, 2));
+    records.extend(four(Representation::Working, Some(false), 1));
     let log = with_routes(records);
-    let episodic = blocked_score(&log, Memory::Episodic);
+    let episodic = blocked_score(&log, Representation::Episodic);
     // Delta = (25 - 75) - (25 - 50) = -25; R = 25 / 75.
     near(episodic.change.unwrap().value, -25.0);
     near(episodic.retention.unwrap().value, 1.0 / 3.0);
-    let working = blocked_score(&log, Memory::Working);
+    let working = blocked_score(&log, Representation::Working);
     // The baseline against itself: 0, with certainty. R = 25 / 50.
     assert_eq!(working.change.unwrap().value, 0.0);
     assert_eq!(working.change.unwrap().interval, Some(Interval { low: 0.0, high: 0.0 }));
     near(working.retention.unwrap().value, 0.5);
 
     // Nothing succeeds on the unchanged route: R is 0 / 0, which is undefined; Delta is still a difference.
-    let mut records = four(Memory::Working, None, 0);
-    records.extend(four(Memory::Working, Some(false), 0));
-    let none = blocked_score(&with_routes(records), Memory::Working);
+    let mut records = four(Representation::Working, None, 0);
+    records.extend(four(Representation::Working, Some(false), 0));
+    let none = blocked_score(&with_routes(records), Representation::Working);
     assert_eq!((none.change.unwrap().value, none.retention), (0.0, None));
 }
 
@@ -280,17 +288,17 @@ fn two_configurations_are_compared_case_by_case() {
         cases.flat_map(both).collect::<Vec<_>>()
     };
     let (yes, no, half) = ([true, true], [false, false], [true, false]);
-    let mut records = side(Memory::Episodic, [yes, half, yes, no]);
-    records.extend(side(Memory::Working, [no, no, yes, half]));
+    let mut records = side(Representation::Episodic, [yes, half, yes, no]);
+    records.extend(side(Representation::Working, [no, no, yes, half]));
     // A fifth case that only one side has does not enter.
-    records.push(walked(Memory::Working, "e", 1, true, None));
+    records.push(walked(Representation::Working, "e", 1, true, None));
     let log = log(records);
     let of = |memory| {
         let conditions = log.manifest.settings.conditions();
         let found = conditions.into_iter().find(|c| c.memory == memory && c.start == Start::New);
         Trials::of(&log, &found.unwrap())
     };
-    let (episodic, working) = (of(Memory::Episodic), of(Memory::Working));
+    let (episodic, working) = (of(Representation::Episodic), of(Representation::Working));
     let found = compare(("A", &episodic), ("B", &working)).unwrap();
     // Differences of the cases' means: 100 - 0, 50 - 0, 100 - 100, 0 - 50; their mean is 25. SPL: 0.8 of that.
     assert_eq!((found.cases, found.sr.mean), (4, 25.0));

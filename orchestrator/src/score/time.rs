@@ -4,8 +4,8 @@ use std::collections::BTreeMap;
 
 use serde::Serialize;
 
-use crate::conditions::Memory;
 use crate::log::{EpisodeTimings, RunLog, Stages};
+use shm_types::Representation;
 
 /// Where the time of a step went, in microseconds.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -36,16 +36,16 @@ impl StageTimes {
     }
 
     /// Those of each memory that was timed, over all its conditions: start and route make no difference.
-    pub fn by_memory(log: &RunLog) -> Vec<(Memory, Self)> {
+    pub fn by_memory(log: &RunLog) -> Vec<(Representation, Self)> {
         let timings: BTreeMap<&str, &EpisodeTimings> =
             log.timings.iter().map(|timings| (timings.key.as_str(), timings)).collect();
-        let of = |memory: Memory| {
+        let of = |memory: Representation| {
             let records = || log.episodes.iter().filter(move |record| record.memory == memory);
             let timed = records().filter_map(|record| timings.get(record.key.as_str()).copied());
             let asked = records().any(|record| record.requests.is_some());
             Some((memory, Self::of(timed, |stage| exists(stage, memory, asked))?))
         };
-        Memory::ALL.iter().filter_map(|&memory| of(memory)).collect()
+        Representation::ALL.iter().filter_map(|&memory| of(memory)).collect()
     }
 
     /// The stage called `name`; `None` when the episodes have no such stage.
@@ -56,7 +56,7 @@ impl StageTimes {
 
 /// Whether a step under `memory` has the stage. Where no policy is `asked` (the expert) there is nothing to
 /// wait for after the view.
-pub(super) fn exists(stage: &str, memory: Memory, asked: bool) -> bool {
+pub(super) fn exists(stage: &str, memory: Representation, asked: bool) -> bool {
     match stage {
         "command" | "dynamics" | "render" => true,
         "embed" | "search" => asked && memory.uses_demonstrations(),
