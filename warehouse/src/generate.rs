@@ -356,11 +356,11 @@ mod tests {
     fn a_larger_set_begins_with_the_cases_of_a_smaller_one() {
         let warehouse = Warehouse::shipped();
         let (few, more) = (
-            CaseSet::generate(&warehouse, 3, 10).unwrap(),
-            CaseSet::generate(&warehouse, 3, 27).unwrap(),
+            CaseSet::generate(&warehouse, 3, 40).unwrap(),
+            CaseSet::generate(&warehouse, 3, 57).unwrap(),
         );
-        assert_eq!(few.cases.len(), 10);
-        assert_eq!(more.cases.len(), 27);
+        assert_eq!(few.cases.len(), 40);
+        assert_eq!(more.cases.len(), 57);
         for case in &few.cases {
             // Histories are chosen from the whole set.
             let same = more.case(&case.id).map(|same| Case {
@@ -372,13 +372,13 @@ mod tests {
         }
         let numbers: Vec<u8> = more.cases.iter().map(|case| case.task.number()).collect();
         let of_type = |number| numbers.iter().filter(|&&n| n == number).count();
-        assert_eq!((1..=10).map(of_type).collect::<Vec<_>>(), [3, 3, 3, 3, 3, 3, 3, 2, 2, 2]);
+        assert_eq!((1..=10).map(of_type).collect::<Vec<_>>(), [6, 6, 6, 6, 6, 6, 6, 5, 5, 5]);
     }
 
     #[test]
     fn another_seed_gives_other_cases() {
         let warehouse = Warehouse::shipped();
-        let [one, two] = [1, 3].map(|seed| CaseSet::generate(&warehouse, seed, 10).unwrap());
+        let [one, two] = [1, 2].map(|seed| CaseSet::generate(&warehouse, seed, 40).unwrap());
         for (one, two) in one.cases.iter().zip(&two.cases) {
             assert_ne!((one.task, one.original.start), (two.task, two.original.start));
         }

@@ -2,7 +2,7 @@
 //! two of each kind a case is given.
 //!
 //! A candidate is a demonstration of another case whose targets are not this one's: no item that counts
-//! for one task counts for the other ([`Task::targets`](crate::Task::targets)), so a search for a category and a search for a
+//! for one task counts for the other ([`Task::targets`]), so a search for a category and a search for a
 //! type of that category exclude each other. What it has to do with the case is measured against the
 //! test reference, pose by pose ([`Overlap`]):
 //!
@@ -21,6 +21,7 @@ use shm_types::{Action, Pose};
 
 use crate::case::{Case, CaseSet, History, Start};
 use crate::draw::Draw;
+use crate::task::Task;
 use crate::world::Warehouse;
 
 /// Most cases that one history is given to as an irrelevant one, and again as a confusable one.
@@ -61,17 +62,30 @@ impl Mixture {
 pub struct Overlap {
     /// Poses (cell and heading) that both walks are in at some time.
     pub shared_poses: usize,
-    /// Those of them at which both go on and no action that one takes there is taken there by the other.
+    /// Those of them from which both go on, the reference before its task is complete, and no action that one
+    /// takes there is taken there by the other.
     pub conflicts: usize,
 }
 
 impl Overlap {
     /// Of `history` with the test reference of the case at `case`. `None` when the set lacks one of them.
     pub fn of(warehouse: &Warehouse, set: &CaseSet, case: usize, history: History) -> Option<Self> {
-        let reference = Actions::of(warehouse, set.cases.get(case)?, Start::Test);
-        let history = Actions::of(warehouse, set.cases.get(history.case)?, history.start);
-        Some(reference.dense(warehouse).overlap(&history))
+        let reference = DenseActions::of_reference(warehouse, set.cases.get(case)?);
+        let history = Actions::of_history(warehouse, set.cases.get(history.case)?, history.start);
+        Some(reference.overlap(&history))
     }
+}
+
+/// The items that count for `task`, by id and sorted.
+pub(crate) fn target_ids(warehouse: &Warehouse, task: &Task) -> Vec<u16> {
+    let mut ids: Vec<u16> = task.targets(warehouse).iter().map(|item| item.id).collect();
+    ids.sort_unstable();
+    ids
+}
+
+/// The first item that counts for both of two tasks, by their [`target_ids`].
+pub(crate) fn in_common(one: &[u16], other: &[u16]) -> Option<u16> {
+    one.iter().copied().find(|id| other.binary_search(id).is_ok())
 }
 
 /// A set of actions: bit `a` for action `a`.
@@ -81,7 +95,7 @@ type ActionBits = u8;
 const VISITED: ActionBits = 1 << 7;
 const _: () = assert!(Action::ALL.len() <= 7);
 
-/// What a walk does at each pose it is in, by [`position`].
+/// What a walk does at each pose it is in, by [`position`], which is sorted.
 struct Actions(Vec<(usize, ActionBits)>);
 
 /// The same with an entry for every pose of the floor.
@@ -94,28 +108,36 @@ fn position(warehouse: &Warehouse, pose: Pose) -> usize {
 }
 
 impl Actions {
-    fn of(warehouse: &Warehouse, case: &Case, start: Start) -> Self {
-        let poses = case.replay(warehouse, start).poses;
-        let actions = case.trajectory(start).actions.iter().map(|&action| 1 << action as u8);
+    fn of_history(warehouse: &Warehouse, case: &Case, start: Start) -> Self {
+        let actions = &case.trajectory(start).actions;
+        Self::of(warehouse, &case.replay(warehouse, start).poses, actions)
+    }
+
+    /// The pose after each of `actions`, the start before them; there may be more poses.
+    fn of(warehouse: &Warehouse, poses: &[Pose], actions: &[Action]) -> Self {
+        let actions = actions.iter().map(|&action| 1 << action as u8);
         let mut taken: BTreeMap<usize, ActionBits> = BTreeMap::new();
-        // Nothing is done at the last pose.
-        for (pose, bit) in poses.into_iter().zip(actions.chain([0])) {
+        for (&pose, bit) in poses.iter().zip(actions.chain(std::iter::repeat(0))) {
             *taken.entry(position(warehouse, pose)).or_default() |= VISITED | bit;
         }
         Self(taken.into_iter().collect())
     }
-
-    fn dense(&self, warehouse: &Warehouse) -> DenseActions {
-        let layout = &warehouse.layout;
-        let mut dense = vec![0; 4 * usize::from(layout.width()) * usize::from(layout.height())];
-        for &(position, bits) in &self.0 {
-            dense[position] = bits;
-        }
-        DenseActions(dense)
-    }
 }
 
 impl DenseActions {
+    /// An episode ends when its task is complete, so what the test reference does after that is no action.
+    fn of_reference(warehouse: &Warehouse, case: &Case) -> Self {
+        let replay = case.replay(warehouse, Start::Test);
+        let all = &case.test.actions;
+        let until = replay.length.map_or(all.len(), |length| length as usize);
+        let layout = &warehouse.layout;
+        let mut dense = vec![0; 4 * usize::from(layout.width()) * usize::from(layout.height())];
+        for (position, bits) in Actions::of(warehouse, &replay.poses, &all[..until]).0 {
+            dense[position] = bits;
+        }
+        Self(dense)
+    }
+
     fn overlap(&self, other: &Actions) -> Overlap {
         let mut overlap = Overlap { shared_poses: 0, conflicts: 0 };
         for &(position, theirs) in &other.0 {
@@ -141,19 +163,17 @@ pub(crate) struct TooFew {
 /// Gives every case of `set` its histories; those that it has are forgotten.
 pub(crate) fn assign(warehouse: &Warehouse, set: &mut CaseSet) -> Result<(), TooFew> {
     let all = Start::DEMONSTRATIONS.len();
-    let walks =
-        |case: &Case| Start::DEMONSTRATIONS.map(|start| Actions::of(warehouse, case, start));
-    let walks: Vec<[Actions; 4]> = set.cases.iter().map(walks).collect();
-    let targets = |case: &Case| -> Vec<u16> {
-        case.task.targets(warehouse).iter().map(|item| item.id).collect()
+    let walks = |case: &Case| {
+        Start::DEMONSTRATIONS.map(|start| Actions::of_history(warehouse, case, start))
     };
-    let targets: Vec<Vec<u16>> = set.cases.iter().map(targets).collect();
+    let walks: Vec<[Actions; 4]> = set.cases.iter().map(walks).collect();
+    let targets: Vec<Vec<u16>> =
+        set.cases.iter().map(|case| target_ids(warehouse, &case.task)).collect();
     let mut served = Mixture::ALL.map(|_| vec![0_usize; all * walks.len()]);
     for index in 0..walks.len() {
-        let reference = Actions::of(warehouse, &set.cases[index], Start::Test).dense(warehouse);
+        let reference = DenseActions::of_reference(warehouse, &set.cases[index]);
         let is_foreign = |other: &usize| {
-            let shared = |item: &u16| targets[index].contains(item);
-            *other != index && !targets[*other].iter().any(shared)
+            *other != index && in_common(&targets[index], &targets[*other]).is_none()
         };
         let candidates: Vec<(History, Overlap)> = (0..walks.len())
             .filter(is_foreign)
@@ -200,4 +220,127 @@ fn first_two(mut ranked: impl Iterator<Item = History> + Clone) -> Option<[Histo
     let first = ranked.next()?;
     let elsewhere = ranked.clone().find(|history| history.case != first.case);
     Some([first, elsewhere.or_else(|| ranked.next())?])
+}
+
+#[cfg(test)]
+mod tests {
+    use shm_types::Heading;
+
+    use super::*;
+    use crate::case::Trajectory;
+    use crate::testing::{BLUE_BARREL, CONES, GREEN_CONE, ORANGE_CONE, RED_BARREL, tiny};
+
+    /// A set of one case in the tiny warehouse whose test reference and original demonstration are these.
+    fn overlap(test: (Pose, &str), original: (Pose, &str)) -> Overlap {
+        let walk = |(start, letters): (Pose, &str)| Trajectory {
+            start,
+            actions: letters.chars().filter_map(Action::from_letter).collect(),
+        };
+        let (test, original) = (walk(test), walk(original));
+        let own = [History { case: 0, start: Start::Original }; 2];
+        let case = Case {
+            id: "t01-01".into(),
+            task: Task::FindType { a: BLUE_BARREL },
+            opposite: original.clone(),
+            nearby: original.clone(),
+            distant: original.clone(),
+            original,
+            blocked: test.clone(),
+            test,
+            barricade: Vec::new(),
+            irrelevant: own,
+            confusable: own,
+        };
+        let set = CaseSet { seed: 0, cases: vec![case] };
+        Overlap::of(&tiny(), &set, 0, own[0]).unwrap()
+    }
+
+    #[test]
+    fn poses_are_shared_with_their_heading_and_conflict_where_all_actions_differ() {
+        let at = |x, y, heading| Pose::new(x, y, heading);
+        // To the blue barrel at (6, 3); the turn there comes after the task is complete.
+        let east = (at(3, 3, Heading::E), "fffR");
+        for (history, shared_poses, conflicts, why) in [
+            (east, 5, 0, "the same walk"),
+            ((at(6, 3, Heading::W), "fff"), 0, 0, "the same cells, facing the other way"),
+            ((at(5, 3, Heading::E), "fb"), 2, 0, "it goes on where the reference ends"),
+            ((at(4, 3, Heading::E), "f"), 2, 0, "it ends where the reference goes on"),
+            ((at(4, 3, Heading::E), "fR"), 2, 1, "another action at (5, 3)"),
+            ((at(5, 3, Heading::E), "bbfff"), 4, 0, "the same action, too, where it acts twice"),
+            ((at(4, 3, Heading::E), "bU"), 2, 2, "another action at both"),
+        ] {
+            let found = overlap(east, history);
+            assert_eq!(found, Overlap { shared_poses, conflicts }, "{why}");
+        }
+    }
+
+    #[test]
+    fn a_category_excludes_its_types_and_a_type_itself_only() {
+        let warehouse = tiny();
+        let ids = |task: Task| target_ids(&warehouse, &task);
+        let (a, b) = (ORANGE_CONE, BLUE_BARREL);
+        for (one, other, shared) in [
+            (Task::FindType { a }, Task::FindType { a: GREEN_CONE }, false),
+            (Task::FindType { a }, Task::FindCategory { c: CONES }, true),
+            (Task::EveryOfCategory { c: CONES }, Task::EveryOfType { a: GREEN_CONE }, true),
+            (Task::FindCategory { c: CONES }, Task::EveryAndReturn { a: b }, false),
+            (Task::InOrder { a, b }, Task::Revisit { a: RED_BARREL, b: GREEN_CONE }, false),
+            (Task::InOrder { a, b }, Task::BothTypes { a: RED_BARREL, b }, true),
+        ] {
+            let found = [in_common(&ids(one), &ids(other)), in_common(&ids(other), &ids(one))];
+            assert_eq!(found.map(|item| item.is_some()), [shared; 2], "{one:?} and {other:?}");
+        }
+    }
+
+    #[test]
+    fn the_second_history_is_from_another_case_where_there_is_one() {
+        let histories = |cases: &[usize]| -> Vec<History> {
+            let starts = Start::DEMONSTRATIONS.into_iter().cycle();
+            cases.iter().zip(starts).map(|(&case, start)| History { case, start }).collect()
+        };
+        for (cases, expected) in [
+            (&[3, 3, 5, 4][..], Some([0, 2])),
+            (&[3, 3, 3], Some([0, 1])),
+            (&[3], None),
+            (&[], None),
+        ] {
+            let ranked = histories(cases);
+            let chosen = first_two(ranked.iter().copied());
+            assert_eq!(chosen, expected.map(|at| at.map(|i| ranked[i])), "{cases:?}");
+        }
+    }
+
+    #[test]
+    fn a_set_that_offers_too_little_is_refused() {
+        let error = CaseSet::generate(&Warehouse::shipped(), 3, 1).unwrap_err();
+        insta::assert_snapshot!(
+            error,
+            @"case t01-01 needs two irrelevant histories and the other 0 cases offer 0; make a larger set, or one from another seed"
+        );
+    }
+
+    /// The choice as the module's text states it, by brute force.
+    #[test]
+    fn no_candidate_that_was_free_has_more_conflicts_than_the_first_one_chosen() {
+        let warehouse = Warehouse::shipped();
+        let set = CaseSet::shipped();
+        let mut served = std::collections::BTreeMap::<History, usize>::new();
+        for (index, case) in set.cases.iter().enumerate().take(20) {
+            let own = target_ids(&warehouse, &case.task);
+            let most = (0..set.cases.len())
+                .filter(|&other| {
+                    in_common(&own, &target_ids(&warehouse, &set.cases[other].task)).is_none()
+                })
+                .flat_map(|case| Start::DEMONSTRATIONS.map(|start| History { case, start }))
+                .filter(|history| served.get(history).is_none_or(|&times| times < MOST_SERVED))
+                .filter_map(|history| Overlap::of(&warehouse, &set, index, history))
+                .map(|overlap| overlap.conflicts)
+                .max();
+            let first = Overlap::of(&warehouse, &set, index, case.confusable[0]).unwrap();
+            assert_eq!(Some(first.conflicts), most, "{}", case.id);
+            for history in case.confusable {
+                *served.entry(history).or_default() += 1;
+            }
+        }
+    }
 }

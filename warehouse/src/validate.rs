@@ -1,7 +1,9 @@
-//! Checks a warehouse and its cases against every constraint of SPEC sections 2 to 4, by replay.
+//! Checks a warehouse and its cases against every constraint of SPEC sections 2 to 4 and 6, by replay.
 //!
 //! One line for each constraint: how often it was checked and what violates it. Nothing here trusts how
 //! the cases came about; only the last constraint asks the generator, whether it gives them again.
+
+mod histories;
 
 use std::fmt;
 
@@ -20,6 +22,8 @@ use crate::layout::{Axis, Layout, Square};
 use crate::plan::{Planner, Prices};
 use crate::world::{Item, Warehouse};
 
+pub use histories::{Figures, Spread};
+
 /// How many violations of a constraint a printed report spells out.
 const SPELLED_OUT: usize = 3;
 
@@ -31,6 +35,8 @@ const _: () = assert!(MAX_STEPS == 200 && MAX_DETOUR_PERCENT == 150);
 pub struct Report {
     /// One for each constraint.
     pub lines: Vec<Line>,
+    /// What there is of each kind of histories of other tasks.
+    pub mixtures: Vec<Figures>,
 }
 
 /// What validation found about one constraint.
@@ -85,7 +91,7 @@ impl fmt::Display for Report {
                 writeln!(f, "           and {} more", violations.len() - SPELLED_OUT)?;
             }
         }
-        Ok(())
+        self.mixtures.iter().try_for_each(|figures| writeln!(f, "{figures}"))
     }
 }
 
@@ -98,15 +104,16 @@ pub fn validate(warehouse: &Warehouse, cases: &CaseSet) -> Report {
 
 /// Everything but regeneration.
 pub(crate) fn check(warehouse: &Warehouse, cases: &CaseSet) -> Report {
-    let mut report = Report { lines: Vec::new() };
+    let mut report = Report { lines: Vec::new(), mixtures: Vec::new() };
     floor(&mut report, &warehouse.layout);
     items(&mut report, warehouse);
     set(&mut report, cases);
-    let cases: Vec<Replayed<'_>> =
+    let replayed: Vec<Replayed<'_>> =
         cases.cases.iter().map(|case| Replayed::new(warehouse, case)).collect();
-    trajectories(&mut report, warehouse, &cases);
-    demonstrations(&mut report, &warehouse.layout, &cases);
-    tests(&mut report, &warehouse.layout, &cases);
+    trajectories(&mut report, warehouse, &replayed);
+    demonstrations(&mut report, &warehouse.layout, &replayed);
+    tests(&mut report, &warehouse.layout, &replayed);
+    histories::check(&mut report, warehouse, cases);
     report
 }
 

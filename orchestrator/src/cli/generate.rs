@@ -12,7 +12,9 @@ use super::{Exit, WorldArgs, print};
 #[command(after_help = "\
 The same seed and count give the same file on every machine; the defaults give the cases that
 are built in. To run other cases, put the file as cases.toml into a folder with layout.toml and
-catalogue.toml, and pass that folder to `run`, `validate` and the others with --assets.
+catalogue.toml, and pass that folder to `run`, `validate` and the others with --assets. Each case
+is given demonstrations of others, and a set of a few dozen may offer some case too few of them;
+the program then says which.
 
 Examples:
   memtransfer generate --seed 7 --count 1000 --out my-assets/cases.toml

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use anyhow::Context;
 use clap::{Args, Subcommand};
 use serde_json::{Value, json};
-use warehouse::{Start, Task};
+use warehouse::{Mixture, Overlap, Start, Task};
 
 use super::{Exit, WorldArgs, print, print_json};
 use crate::log::RunLog;
@@ -32,6 +32,8 @@ pub(super) struct ListArgs {
 enum What {
     /// The cases: what is asked, and how long the references are
     Cases(WorldArgs),
+    /// The demonstrations of other tasks that each case's mixed sets hold
+    Histories(WorldArgs),
     /// The ten types of tasks
     Tasks(WorldArgs),
     /// The items in the warehouse, with where one stands to reach them
@@ -57,6 +59,7 @@ struct Listing {
 pub(super) fn run(args: &ListArgs) -> anyhow::Result<Exit> {
     let listing = match &args.what {
         What::Cases(world) => cases(&world.load()?),
+        What::Histories(world) => histories(&world.load()?),
         What::Tasks(world) => tasks(&world.load()?),
         What::Items(world) => items(&world.load()?),
         What::Suites => suites(),
@@ -117,6 +120,30 @@ fn cases(world: &World) -> Listing {
         ],
         numbers: 4,
         rows: rows.collect(),
+    }
+}
+
+fn histories(world: &World) -> Listing {
+    let World { warehouse, cases, .. } = world;
+    let listed = cases.cases.iter().enumerate().flat_map(|(index, case)| {
+        let of = |mixture: Mixture| case.mixed(mixture).map(|history| (mixture, history));
+        Mixture::ALL.into_iter().flat_map(of).map(move |(mixture, history)| {
+            let source = cases.cases.get(history.case);
+            let overlap = Overlap::of(warehouse, cases, index, history);
+            vec![
+                json!(case.id),
+                json!(mixture.name()),
+                json!(source.map(|source| format!("{} {}", source.id, history.start.name()))),
+                json!(source.map(|source| source.task.instruction(&warehouse.catalogue))),
+                json!(overlap.map(|overlap| overlap.shared_poses)),
+                json!(overlap.map(|overlap| overlap.conflicts)),
+            ]
+        })
+    });
+    Listing {
+        header: vec!["case", "kind", "history", "its instruction", "shared poses", "conflicts"],
+        numbers: 4,
+        rows: listed.collect(),
     }
 }
 

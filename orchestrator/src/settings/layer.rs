@@ -56,7 +56,8 @@ pub struct Layer {
     pub routes: Option<Vec<Route>>,
 
     /// Sets of demonstrations to remember: original, opposite, nearby, distant, several joined by +,
-    /// or 4 for all. Each entry of the list is a condition of its own
+    /// or 4 for all; irrelevant or confusable for original, opposite and two of other tasks. Each entry
+    /// of the list is a condition of its own
     #[arg(long, value_name = "LIST", value_delimiter = ',', env = "MEMTRANSFER_DEMOS",
           help_heading = WHAT)]
     #[serde(skip_serializing_if = "Option::is_none")]

@@ -210,7 +210,7 @@ fn a_corrupted_set_breaks_the_line_about_it() {
 #[test]
 fn cases_that_their_seed_does_not_give_are_found() {
     let warehouse = Warehouse::shipped();
-    let mut cases = CaseSet::generate(&warehouse, 3, 10).unwrap();
+    let mut cases = CaseSet::generate(&warehouse, 3, 40).unwrap();
     assert!(validate(&warehouse, &cases).is_clean());
     cases.seed = 10;
     assert_broken(&validate(&warehouse, &cases), "the cases are regenerated", "another seed");
@@ -259,7 +259,7 @@ fn a_corrupted_item_breaks_the_line_about_it() {
     for (what, corrupt, constraint) in table {
         let mut warehouse = shipped.clone();
         corrupt(&mut warehouse);
-        let mut report = Report { lines: Vec::new() };
+        let mut report = Report { lines: Vec::new(), mixtures: Vec::new() };
         if warehouse.catalogue.types.len() < shipped.catalogue.types.len() {
             warehouse.items.retain(|item| item.item_type < 23);
         }
@@ -291,7 +291,7 @@ fn a_corrupted_floor_breaks_the_line_about_it() {
         ("one way between the banks", change(&one_way), "every two aisles stay"),
     ] {
         let layout = Layout::parse(&layout).unwrap_or_else(|problem| panic!("{what}: {problem}"));
-        let mut report = Report { lines: Vec::new() };
+        let mut report = Report { lines: Vec::new(), mixtures: Vec::new() };
         floor(&mut report, &layout);
         assert_broken(&report, constraint, what);
     }
@@ -315,6 +315,7 @@ fn a_report_prints_a_line_for_each_constraint_and_the_first_violations() {
             line("bad things are few", 7, &["one", "two", "three", "four", "five"]),
             line("something is there", 0, &[]),
         ],
+        mixtures: Vec::new(),
     };
     assert!(!report.is_clean());
     assert_eq!(report.violations(), 5);

@@ -1,0 +1,266 @@
+//! What holds of the histories of other tasks that each case lists (SPEC section 6), and how many there are.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::fmt;
+
+use serde::Serialize;
+
+use super::{Report, ensure};
+use crate::case::{Case, CaseSet, History, Start};
+use crate::mixed::{MOST_SERVED, Mixture, Overlap, in_common, target_ids};
+use crate::world::Warehouse;
+
+// A constraint below spells this figure out.
+const _: () = assert!(MOST_SERVED == 4);
+
+/// What there is of one kind of histories.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct Figures {
+    /// The kind: irrelevant or confusable.
+    pub mixture: &'static str,
+    /// How many the cases list.
+    pub listed: usize,
+    /// How many different ones.
+    pub different: usize,
+    /// How many cases these are demonstrations of.
+    pub cases: usize,
+    /// Poses that each shares with the test reference.
+    pub shared_poses: Spread,
+    /// Shared poses from which each goes on differently.
+    pub conflicts: Spread,
+}
+
+/// The smallest, the middle (the upper one of two) and the largest of some numbers.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+pub struct Spread {
+    /// The smallest.
+    pub least: usize,
+    /// The middle.
+    pub median: usize,
+    /// The largest.
+    pub most: usize,
+}
+
+impl Spread {
+    /// `None` without numbers.
+    fn of(numbers: impl Iterator<Item = usize>) -> Option<Self> {
+        let mut numbers: Vec<usize> = numbers.collect();
+        numbers.sort_unstable();
+        let (&least, &most) = (numbers.first()?, numbers.last()?);
+        Some(Self { least, median: numbers[numbers.len() / 2], most })
+    }
+}
+
+impl fmt::Display for Spread {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { least, median, most } = self;
+        if least == most {
+            return write!(f, "{least}");
+        }
+        write!(f, "{least} to {most} (median {median})")
+    }
+}
+
+impl fmt::Display for Figures {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { mixture, listed, different, cases, shared_poses, conflicts } = self;
+        write!(
+            f,
+            "{mixture}: {listed} histories, {different} different ones of {cases} cases; shared poses \
+             {shared_poses}, conflicts {conflicts}"
+        )
+    }
+}
+
+/// A history that a case lists.
+struct Listed<'a> {
+    index: usize,
+    case: &'a Case,
+    mixture: Mixture,
+    history: History,
+    /// Whose demonstration it is; the set may lack it.
+    source: Option<&'a Case>,
+}
+
+impl Listed<'_> {
+    fn overlap(&self, warehouse: &Warehouse, set: &CaseSet) -> Option<Overlap> {
+        Overlap::of(warehouse, set, self.index, self.history)
+    }
+
+    /// Names the case and the history before a violation.
+    fn at(&self, violation: impl fmt::Display) -> String {
+        let source = self.source.map_or("a case that is not in the set", |source| &source.id);
+        let (id, kind, start) = (&self.case.id, self.mixture.name(), self.history.start.name());
+        format!("{id} {kind}, {source} {start}: {violation}")
+    }
+}
+
+pub(super) fn check(report: &mut Report, warehouse: &Warehouse, set: &CaseSet) {
+    let listed: Vec<Listed<'_>> = set
+        .cases
+        .iter()
+        .enumerate()
+        .flat_map(|(index, case)| Mixture::ALL.map(|mixture| (index, case, mixture)))
+        .flat_map(|(index, case, mixture)| {
+            case.mixed(mixture).map(|history| {
+                let source = set.cases.get(history.case);
+                Listed { index, case, mixture, history, source }
+            })
+        })
+        .collect();
+
+    report.push(
+        "mixed: two different histories of each kind, demonstrations of other cases",
+        listed.iter().map(|l| {
+            let is_demonstration = Start::DEMONSTRATIONS.contains(&l.history.start);
+            let is_foreign = l.source.is_some() && l.history.case != l.index;
+            let [one, other] = l.case.mixed(l.mixture);
+            ensure(is_demonstration && is_foreign && one != other, || {
+                l.at("is not one of two demonstrations of other cases")
+            })
+        }),
+    );
+    report.push(
+        "mixed: no item counts for the history's task and for the case's",
+        listed.iter().filter_map(|l| {
+            let [own, theirs] =
+                [&l.case.task, &l.source?.task].map(|task| target_ids(warehouse, task));
+            Some(
+                in_common(&own, &theirs)
+                    .map_or(Ok(()), |item| Err(l.at(format!("item {item} counts for both")))),
+            )
+        }),
+    );
+    let measured: Vec<(&Listed<'_>, Overlap)> =
+        listed.iter().filter_map(|l| Some((l, l.overlap(warehouse, set)?))).collect();
+    for (mixture, constraint) in [
+        (Mixture::Irrelevant, "irrelevant: the history shares no pose with the test reference"),
+        (
+            Mixture::Confusable,
+            "confusable: at a pose shared with the test reference the history goes on differently",
+        ),
+    ] {
+        let of_kind = measured.iter().filter(|(l, _)| l.mixture == mixture);
+        report.push(
+            constraint,
+            of_kind.map(|(l, overlap)| {
+                let Overlap { shared_poses, conflicts } = overlap;
+                ensure(mixture.admits(*overlap), || {
+                    l.at(format!("{shared_poses} poses are shared, {conflicts} in conflict"))
+                })
+            }),
+        );
+    }
+
+    let mut served: BTreeMap<(Mixture, History), Vec<&Listed<'_>>> = BTreeMap::new();
+    for l in &listed {
+        served.entry((l.mixture, l.history)).or_default().push(l);
+    }
+    report.push(
+        "mixed: no history serves more than four cases as one kind",
+        served.values().map(|by| {
+            ensure(by.len() <= MOST_SERVED, || by[0].at(format!("serves {} cases", by.len())))
+        }),
+    );
+    report.mixtures = Mixture::ALL.into_iter().filter_map(|m| figures(m, &measured)).collect();
+}
+
+/// `None` where there are no histories of this kind.
+fn figures(mixture: Mixture, measured: &[(&Listed<'_>, Overlap)]) -> Option<Figures> {
+    let of_kind = || measured.iter().filter(|(l, _)| l.mixture == mixture);
+    let histories: BTreeSet<History> = of_kind().map(|(l, _)| l.history).collect();
+    let cases: BTreeSet<usize> = histories.iter().map(|history| history.case).collect();
+    Some(Figures {
+        mixture: mixture.name(),
+        listed: of_kind().count(),
+        different: histories.len(),
+        cases: cases.len(),
+        shared_poses: Spread::of(of_kind().map(|(_, overlap)| overlap.shared_poses))?,
+        conflicts: Spread::of(of_kind().map(|(_, overlap)| overlap.conflicts))?,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn checked(set: &CaseSet) -> Report {
+        let mut report = Report { lines: Vec::new(), mixtures: Vec::new() };
+        check(&mut report, &Warehouse::shipped(), set);
+        report
+    }
+
+    #[test]
+    fn the_shipped_histories_are_counted() {
+        let report = checked(&CaseSet::shipped());
+        assert!(report.is_clean(), "{report}");
+        insta::assert_snapshot!(report, @"
+        ok     400 checked    0 off  mixed: two different histories of each kind, demonstrations of other cases
+        ok     400 checked    0 off  mixed: no item counts for the history's task and for the case's
+        ok     200 checked    0 off  irrelevant: the history shares no pose with the test reference
+        ok     200 checked    0 off  confusable: at a pose shared with the test reference the history goes on differently
+        ok     365 checked    0 off  mixed: no history serves more than four cases as one kind
+        irrelevant: 200 histories, 200 different ones of 90 cases; shared poses 0, conflicts 0
+        confusable: 200 histories, 165 different ones of 74 cases; shared poses 1 to 32 (median 11), conflicts 1 to 5 (median 3)
+        ");
+    }
+
+    #[test]
+    fn a_corrupted_history_breaks_the_line_about_it() {
+        let shipped = CaseSet::shipped();
+        type Corruption = fn(&mut [Case]);
+        let table: [(&str, Corruption, &str); 9] = [
+            ("of the case itself", |cases| cases[8].irrelevant[0].case = 8, "mixed: two different"),
+            ("of no case", |cases| cases[8].confusable[1].case = 100, "mixed: two different"),
+            (
+                "a test reference",
+                |cases| cases[8].irrelevant[1].start = Start::Test,
+                "mixed: two different",
+            ),
+            (
+                "one twice",
+                |cases| cases[8].confusable[0] = cases[8].confusable[1],
+                "mixed: two different",
+            ),
+            (
+                "of the same task",
+                |cases| cases[cases[8].irrelevant[0].case].task = cases[8].task,
+                "mixed: no item counts",
+            ),
+            (
+                "shared poses",
+                |cases| cases[8].irrelevant = cases[8].confusable,
+                "irrelevant: the history",
+            ),
+            (
+                "no shared pose",
+                |cases| cases[8].confusable = cases[8].irrelevant,
+                "confusable: at a pose",
+            ),
+            (
+                "no conflict",
+                |cases| cases[cases[8].confusable[0].case].distant = cases[8].test.clone(),
+                "confusable: at a pose",
+            ),
+            (
+                "one for many",
+                |cases| {
+                    let common = cases[50].irrelevant;
+                    cases[..5].iter_mut().for_each(|case| case.irrelevant = common);
+                },
+                "mixed: no history serves",
+            ),
+        ];
+        for (what, corrupt, constraint) in table {
+            let mut corrupted = shipped.clone();
+            corrupt(&mut corrupted.cases);
+            if what == "no conflict" {
+                corrupted.cases[8].confusable[0].start = Start::Distant;
+            }
+            let report = checked(&corrupted);
+            let line = report.lines.iter().find(|line| line.constraint.starts_with(constraint));
+            let line = line.unwrap_or_else(|| panic!("no line begins with {constraint:?}"));
+            assert!(!line.violations.is_empty(), "{what}\n{report}");
+        }
+    }
+}
