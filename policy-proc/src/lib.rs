@@ -2,11 +2,13 @@
 //!
 //! - [`request`]: what a policy is given, and what it answers. Nothing else reaches it.
 //! - [`sdk`]: the [`Policy`] trait and [`serve`], which puts an implementation on the wire.
+//! - [`chat`]: asking a model behind an OpenAI-compatible endpoint.
 //! - [`random`] and [`grounded`]: two policies that use nothing but the SDK.
 //!
 //! What is not here: the map. This crate does not link the one that knows it, so a policy can only
 //! have seen what its requests showed.
 
+pub mod chat;
 pub mod grounded;
 pub mod random;
 pub mod request;

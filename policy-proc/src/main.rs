@@ -1,11 +1,13 @@
-//! The policy process: one of the built-in policies, put on the wire.
+//! The policy process: one of the built-in policies, put on the wire; or a pipe to a model.
 
-use std::io::IsTerminal;
+use std::io::{self, IsTerminal};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
+use std::time::Duration;
 
-use anyhow::Context;
-use clap::{Parser, Subcommand, ValueEnum};
+use anyhow::{Context, bail};
+use clap::{Args, Parser, Subcommand, ValueEnum};
+use policy_proc::chat::{Client, Endpoint, Settings, pipe};
 use policy_proc::grounded::Grounded;
 use policy_proc::random::Random;
 use policy_proc::{Policy, serve};
@@ -32,7 +34,47 @@ enum Verb {
         #[arg(long)]
         policy: BuiltIn,
     },
+    /// Ask a model behind an OpenAI-compatible endpoint: a line of JSON in, a line of JSON out.
+    #[command(after_help = ASK_HELP)]
+    Ask(AskArguments),
 }
+
+#[derive(Args)]
+struct AskArguments {
+    /// Where the server is, up to /v1 [default: $OPENAI_BASE_URL, else $OPENAI_API_BASE]
+    #[arg(long, value_name = "URL")]
+    base_url: Option<String>,
+    /// The model, by the name that the server knows it by
+    #[arg(long, value_name = "NAME")]
+    model: String,
+    /// Longest that one attempt may take, in seconds
+    #[arg(long, value_name = "SECONDS", default_value = "300", value_parser = clap::value_parser!(u32).range(1..))]
+    timeout: u32,
+    /// How often a request is sent again that met status 429 or 5xx, no answer in time or no connection
+    #[arg(long, value_name = "N", default_value = "5")]
+    max_retries: u32,
+    /// End with this process, which started this one
+    #[arg(long, value_name = "PID", hide = true)]
+    parent: Option<u32>,
+}
+
+const ASK_HELP: &str = r#"Variables that are not set are looked for in the file .env of the working folder:
+  OPENAI_BASE_URL   where the server is, for example http://localhost:8000/v1
+  OPENAI_API_KEY    the key, where the server wants one; it is never printed
+
+A question, one line on stdin:
+  {"messages": [{"role": "user", "content": "Where is north?"}], "max_tokens": 30}
+Its answer, one line on stdout; a count that the server does not give is null:
+  {"text": "Up.", "outcome": "text", "model": "m", "prompt_tokens": 12, "completion_tokens": 2}
+  outcome: text (whole), length (cut off at max_tokens), empty or refusal
+Or, when there is no reply:
+  {"error": "what happened, and what to do"}
+
+The temperature is 0 and reasoning is off. Ends with stdin: with status 0, or 2 when a question got no reply.
+
+Example:
+  echo '{"messages": [{"role": "user", "content": "Hello"}], "max_tokens": 30}' |
+      policy-proc ask --base-url http://localhost:8000/v1 --model my-model"#;
 
 #[derive(Clone, Copy, ValueEnum)]
 enum BuiltIn {
@@ -50,8 +92,11 @@ fn main() -> ExitCode {
         .with_ansi(colours)
         .with_writer(std::io::stderr)
         .init();
-    let Verb::Serve { attach, policy } = Arguments::parse().verb;
-    match take_part(&attach, policy) {
+    let done = match Arguments::parse().verb {
+        Verb::Serve { attach, policy } => take_part(&attach, policy),
+        Verb::Ask(arguments) => ask(arguments),
+    };
+    match done {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             eprintln!("policy-proc: {error:#}");
@@ -68,4 +113,18 @@ fn take_part(attach_dir: &Path, policy: BuiltIn) -> anyhow::Result<()> {
         BuiltIn::Grounded => Box::new(Grounded::default()),
     };
     serve(policy.as_mut(), attach_dir).context("the policy process cannot go on")
+}
+
+fn ask(arguments: AskArguments) -> anyhow::Result<()> {
+    let AskArguments { base_url, model, timeout, max_retries, parent } = arguments;
+    if let Some(parent) = parent {
+        die_with_parent(parent).context("cannot answer another process")?;
+    }
+    let endpoint = Endpoint::from_environment(base_url.as_deref(), Path::new("."))?;
+    let timeout = Duration::from_secs(timeout.into());
+    let client = Client::new(endpoint, Settings { model, timeout, max_retries });
+    match pipe::run(&client, io::stdin().lock(), io::stdout().lock())? {
+        0 => Ok(()),
+        failed => bail!("{failed} questions got no reply; their lines say why"),
+    }
 }
