@@ -25,6 +25,10 @@ pub trait Painter {
     /// When the device fails.
     fn paint(&mut self, paintings: &mut [Painting<'_>]) -> Result<(), RenderError>;
 
+    /// Whether a barricade of `variant` may show in the view from `pose`. Where none may, the pixels are those
+    /// of the unchanged world, so that one frame does for both.
+    fn may_show_barricade(&mut self, variant: &Variant, pose: Pose) -> bool;
+
     /// What it runs on, for the manifest.
     fn facts(&self) -> Vec<(&'static str, String)>;
 
@@ -42,6 +46,10 @@ impl Painter for Renderer {
             })
             .collect();
         self.render(&mut jobs)
+    }
+
+    fn may_show_barricade(&mut self, variant: &Variant, pose: Pose) -> bool {
+        Self::may_show_barricade(self, View { pose, variant })
     }
 
     fn facts(&self) -> Vec<(&'static str, String)> {

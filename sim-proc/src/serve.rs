@@ -177,7 +177,7 @@ impl<'a> Simulator<'a> {
     fn turn(&mut self, painter: &mut impl Painter) -> Result<usize, ServeError> {
         let complaints = self.complaints.count();
         self.take_requests()?;
-        self.take_commands()?;
+        self.take_commands(painter)?;
         let evicted = self.evict()?;
         let answered = self.answer()?;
         if evicted + answered > 0 || self.complaints.count() != complaints {
@@ -216,17 +216,22 @@ impl<'a> Simulator<'a> {
         Ok(())
     }
 
-    fn take_commands(&mut self) -> Result<(), BusError> {
+    fn take_commands(&mut self, painter: &mut impl Painter) -> Result<(), BusError> {
         let woken_ns = monotonic_ns();
         while let Some(command) = self.commands.next()? {
-            if let Err(bad) = self.take_command(&command, woken_ns) {
+            if let Err(bad) = self.take_command(&command, woken_ns, painter) {
                 self.complaints.raise(bad);
             }
         }
         Ok(())
     }
 
-    fn take_command(&mut self, command: &StepCommand, woken_ns: u64) -> Result<(), BadCommand> {
+    fn take_command(
+        &mut self,
+        command: &StepCommand,
+        woken_ns: u64,
+        painter: &mut impl Painter,
+    ) -> Result<(), BadCommand> {
         let Stepped { lane, variant, pose, feedback, begins, ends } = self.world.apply(command)?;
         let stepped_ns = monotonic_ns();
         if begins || ends {
@@ -237,7 +242,8 @@ impl<'a> Simulator<'a> {
             });
         }
         let view = (!ends).then(|| {
-            let view = self.control.shown(variant, self.world.variant(variant), pose);
+            let shown = self.control.shown(variant, self.world.variant(variant), pose);
+            let view = self.as_drawn(shown, painter);
             self.views.show(lane, view);
             view
         });
@@ -261,6 +267,14 @@ impl<'a> Simulator<'a> {
         };
         self.pending.push(Pending { view, answer: Answer::Observation(observation) });
         Ok(())
+    }
+
+    /// The view that does for `view`, too: variants that close the same passage look alike, and where no
+    /// barricade is in sight the world looks unchanged.
+    fn as_drawn(&self, view: ViewKey, painter: &mut impl Painter) -> ViewKey {
+        let ViewKey::World { variant, pose } = view else { return view };
+        let shows = painter.may_show_barricade(self.world.variant(variant), pose);
+        ViewKey::World { variant: if shows { self.world.first_alike(variant) } else { 0 }, pose }
     }
 
     /// Evicts what has to go; returns how many.

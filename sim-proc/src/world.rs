@@ -1,5 +1,7 @@
 //! The lanes: which episode each is in, where its agent stands, and what a command does to it.
 
+use std::collections::HashMap;
+
 use shm_types::message::{StepCommand, StepKind};
 use shm_types::pose::UnknownCode;
 use shm_types::{Action, Feedback, Pose};
@@ -98,6 +100,8 @@ pub struct World {
     layout: Layout,
     /// By variant number: unchanged, then with each case's passage closed.
     variants: Vec<Variant>,
+    /// By variant number: the first one that closes the same cells.
+    alike: Vec<u32>,
     lanes: Vec<Option<Lane>>,
 }
 
@@ -106,11 +110,10 @@ impl World {
     pub fn new(warehouse: &Warehouse, cases: &CaseSet, lanes: usize) -> Self {
         let closed =
             cases.cases.iter().map(|case| Variant::closing(case.barricade.iter().copied()));
-        Self {
-            layout: warehouse.layout.clone(),
-            variants: std::iter::once(Variant::UNCHANGED).chain(closed).collect(),
-            lanes: vec![None; lanes],
-        }
+        let variants: Vec<Variant> = std::iter::once(Variant::UNCHANGED).chain(closed).collect();
+        let mut first: HashMap<&Variant, u32> = HashMap::new();
+        let alike = (0..).zip(&variants).map(|(n, v)| *first.entry(v).or_insert(n)).collect();
+        Self { layout: warehouse.layout.clone(), variants, alike, lanes: vec![None; lanes] }
     }
 
     /// The floor plan.
@@ -124,6 +127,14 @@ impl World {
     /// When it is not one that a lane can be in.
     pub fn variant(&self, number: u32) -> &Variant {
         &self.variants[number as usize]
+    }
+
+    /// The first variant that closes the same cells as variant `number`.
+    ///
+    /// # Panics
+    /// When it is not one that a lane can be in.
+    pub fn first_alike(&self, number: u32) -> u32 {
+        self.alike[number as usize]
     }
 
     /// Carries out a command.
@@ -240,9 +251,12 @@ mod tests {
     #[test]
     fn every_case_has_its_barricade() {
         let (world, cases) = (world(), CaseSet::shipped());
-        assert_eq!(world.variant(0), &Variant::UNCHANGED);
+        assert_eq!((world.variant(0), world.first_alike(0)), (&Variant::UNCHANGED, 0));
         for (case, number) in cases.cases.iter().zip(1..) {
             assert_eq!(world.variant(number).closed(), case.barricade);
+            let first = world.first_alike(number);
+            assert!(first > 0 && world.variant(first) == world.variant(number));
+            assert!((0..first).all(|before| world.variant(before) != world.variant(number)));
         }
         assert_eq!(world.variants.len(), cases.cases.len() + 1);
     }

@@ -28,12 +28,18 @@ use warehouse::{CaseSet, Variant, Warehouse, step};
 /// A wait that lasts this long hangs.
 const LONG: Duration = Duration::from_secs(120);
 
-/// Fills a slot with the pose and the barricade's size, again and again.
+/// Fills a slot with the pose and the size of a barricade that is near, again and again.
 struct Scribe;
 
 fn scribble(variant: &Variant, pose: Pose) -> [u8; 4] {
     let WirePose([x, y, heading, _]) = pose.into();
-    [x, y, heading, variant.closed().len() as u8]
+    let size = if is_near(variant, pose) { variant.closed().len() } else { 0 };
+    [x, y, heading, size as u8]
+}
+
+/// A scribe sees four cells far, in all directions.
+fn is_near(variant: &Variant, pose: Pose) -> bool {
+    variant.closed().iter().any(|cell| cell.distance(pose.cell) <= 4)
 }
 
 impl Painter for Scribe {
@@ -43,6 +49,10 @@ impl Painter for Scribe {
             slot.pixels_mut().chunks_exact_mut(4).for_each(|pixel| pixel.copy_from_slice(&text));
         }
         Ok(())
+    }
+
+    fn may_show_barricade(&mut self, variant: &Variant, pose: Pose) -> bool {
+        is_near(variant, pose)
     }
 
     fn facts(&self) -> Vec<(&'static str, String)> {
@@ -283,6 +293,44 @@ fn episodes_run_by_the_dynamics_and_show_what_is_there() {
     let farewell = peers.stop();
     assert_eq!(farewell.frames_rendered, shown.len() as u64 + 1);
     assert_eq!((farewell.complaints, farewell.pixel_bytes_copied), (0, 5));
+}
+
+#[test]
+fn lanes_share_a_frame_wherever_their_worlds_look_alike() {
+    let mut peers = peers(|attach| attach.frame_capacity = 2000);
+    let cases = peers.cases.cases.clone();
+    // Two cases that close the same passage, and one that closes another.
+    let (one, another) = (0..cases.len())
+        .flat_map(|b| (0..b).map(move |a| (a, b)))
+        .find(|&(a, b)| cases[a].barricade == cases[b].barricade)
+        .unwrap();
+    let elsewhere = cases.iter().position(|c| c.barricade != cases[one].barricade).unwrap();
+    let numbers = [0, one, another, elsewhere];
+    let variants = numbers.map(|n| Variant::closing(cases[n].barricade.iter().copied()));
+    let variants =
+        [Variant::UNCHANGED, variants[1].clone(), variants[2].clone(), variants[3].clone()];
+    let free = |pose: &Pose| variants.iter().all(|variant| !variant.is_closed(pose.cell));
+    let poses: Vec<Pose> = peers.poses().into_iter().filter(free).step_by(3).collect();
+    let mut looks = BTreeSet::new();
+    for (n, &pose) in (0..).zip(&poses) {
+        let frames: Vec<FrameId> = (0..4)
+            .map(|lane| {
+                let variant = if lane == 0 { 0 } else { numbers[lane] as u32 + 1 };
+                let command = reset(lane as u32, 4 * n + lane as u64, variant, pose);
+                let seen = peers.ask(&command);
+                assert_eq!(peers.picture(seen.frame), scribble(&variants[lane], pose));
+                seen.frame
+            })
+            .collect();
+        assert_eq!(frames[1], frames[2], "they close the same passage");
+        for lane in [1, 3] {
+            assert_eq!(frames[lane] == frames[0], !is_near(&variants[lane], pose), "{pose}");
+        }
+        looks.extend(frames);
+    }
+    let farewell = peers.stop();
+    assert_eq!(farewell.frames_rendered, looks.len() as u64);
+    assert!(looks.len() > poses.len() && looks.len() < 2 * poses.len());
 }
 
 #[test]

@@ -35,7 +35,7 @@ use pipelines::{Pipelines, ViewSlots};
 use scene::{Scene, barricade_sides};
 use target::Target;
 use vertex::ViewUniform;
-use visibility::{DrawList, Triangles};
+use visibility::{DrawList, Sight, Triangles};
 
 pub use error::RenderError;
 pub use output::Destination;
@@ -152,8 +152,8 @@ pub struct Renderer {
     settings: RenderSettings,
     /// What shows where nothing is drawn, which happens only outside the hall.
     background: wgpu::Color,
-    /// What can be seen from each pose that has been drawn, in the order it is drawn in.
-    visible: HashMap<Pose, Vec<u32>>,
+    /// What can be seen from each pose that has been asked about.
+    sights: HashMap<Pose, Sight>,
 }
 
 impl Renderer {
@@ -197,7 +197,7 @@ impl Renderer {
             layout,
             settings,
             background: wgpu::Color { r, g, b, a: 1.0 },
-            visible: HashMap::new(),
+            sights: HashMap::new(),
         })
     }
 
@@ -250,6 +250,19 @@ impl Renderer {
         Ok(image)
     }
 
+    /// Whether a barricade may be in sight. Where none is, the view is that of the unchanged world, byte for
+    /// byte: barricades cast no shadow, and what is hidden is drawn over nothing.
+    pub fn may_show_barricade(&mut self, View { pose, variant }: View<'_>) -> bool {
+        if variant.closed().is_empty() {
+            return false;
+        }
+        let camera = Camera::new(pose, self.settings.width_px, self.settings.height_px);
+        let scene = &self.scene;
+        let sight = self.sights.entry(pose).or_insert_with(|| Sight::new(scene, &camera));
+        let sides = barricade_sides(&self.layout, variant);
+        sides.into_iter().any(|side| sight.may_show(&scene.barricade_at(side), &camera))
+    }
+
     /// Forgets every slot that was written so far. To be called when the memory behind slots is
     /// unmapped, that is when a publisher is dropped, before frames go to another: a driver may tie an
     /// address to the pages that were behind it first.
@@ -264,9 +277,8 @@ impl Renderer {
             let camera = Camera::new(pose, self.settings.width_px, self.settings.height_px);
             let barricades = barricade_sides(&self.layout, variant);
             let scene = &self.scene;
-            let visible =
-                self.visible.entry(pose).or_insert_with(|| visibility::visible(scene, &camera));
-            let list = DrawList::new(scene, &camera, visible, Triangles::Facing);
+            let sight = self.sights.entry(pose).or_insert_with(|| Sight::new(scene, &camera));
+            let list = DrawList::new(scene, &camera, &sight.objects, Triangles::Facing);
             self.slots.push(scene, &uniform(&camera), &list, &barricades);
         }
         self.draw(jobs.iter_mut().map(|job| &mut job.destination).collect())

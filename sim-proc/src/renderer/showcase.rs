@@ -6,7 +6,7 @@ use warehouse::Warehouse;
 use super::camera::Camera;
 use super::scene::showcase;
 use super::text::{Lettering, coverage};
-use super::visibility::{DrawList, Triangles, visible};
+use super::visibility::{DrawList, Sight, Triangles};
 use super::{Destination, RenderError, RenderSettings, Renderer, uniform};
 
 /// Writes `text` on one line into the rectangle of `size` pixels whose top left corner is at `place`, as
@@ -52,7 +52,7 @@ pub fn exhibits(
                 stand.at[1] + distance * f32::from(back_y),
             ];
             let camera = Camera::at(at, stand.viewer, width_px, height_px);
-            let visible = visible(&renderer.scene, &camera);
+            let visible = Sight::new(&renderer.scene, &camera).objects;
             let list = DrawList::new(&renderer.scene, &camera, &visible, Triangles::Facing);
             renderer.slots.clear();
             renderer.slots.push(&renderer.scene, &uniform(&camera), &list, &[]);

@@ -62,7 +62,7 @@ fn culling_loses_nothing_and_the_hall_has_no_holes() {
         let camera = Camera::new(pose, SIDE_PX, SIDE_PX);
         let all = visibility::nearest_first(&renderer.scene, &camera, |_| true);
         let backwards: Vec<u32> = all.iter().rev().copied().collect();
-        let culled = visibility::visible(&renderer.scene, &camera);
+        let culled = Sight::new(&renderer.scene, &camera).objects;
         assert!(culled.len() < all.len() / 2, "{pose}: culling left out too little");
         let culled = drawn_with(&mut renderer, &camera, &culled, Triangles::Facing);
         let whole = drawn_with(&mut renderer, &camera, &all, Triangles::All);
@@ -202,6 +202,7 @@ fn nobody_overlooks_a_barricade() {
                     continue;
                 };
                 let pose = Pose { cell: stand, heading };
+                assert!(renderer.may_show_barricade(View { pose, variant: &closed }), "{pose}");
                 let image = renderer.render_image(View { pose, variant: &closed }).unwrap();
                 let is_red = |p: &&image::Rgba<u8>| p[0] > 120 && p[1] < 60 && p[2] < 60;
                 let middle = image::imageops::crop_imm(&image, 112, 150, 224, 200).to_image();
@@ -212,6 +213,53 @@ fn nobody_overlooks_a_barricade() {
         }
     }
     assert!(seen > 10, "only {seen} views of barricades");
+}
+
+/// 40 pairs of a barricade and a pose before which it lies in the field of view behind racks, and 8 where
+/// it lies elsewhere. `POSE_STEP=1` looks at all of them.
+#[test]
+fn a_barricade_that_is_hidden_changes_no_byte() {
+    let warehouse = Warehouse::shipped();
+    let mut renderer = renderer(&warehouse, RenderSettings::default());
+    let mut barricades: Vec<Variant> = Vec::new();
+    for case in CaseSet::shipped().cases {
+        let variant = Variant::closing(case.barricade);
+        if !barricades.contains(&variant) {
+            barricades.push(variant);
+        }
+    }
+    let (mut ahead, mut elsewhere, mut views) = (Vec::new(), Vec::new(), 0);
+    for (number, variant) in barricades.iter().enumerate() {
+        for pose in poses(&warehouse).into_iter().filter(|pose| !variant.is_closed(pose.cell)) {
+            views += 1;
+            if !renderer.may_show_barricade(View { pose, variant }) {
+                let is_ahead = variant.closed().iter().any(|&cell| is_ahead(pose, cell));
+                if is_ahead { &mut ahead } else { &mut elsewhere }.push((number, pose));
+            }
+        }
+    }
+    let hidden = ahead.len() + elsewhere.len();
+    assert!(10 * hidden > 8 * views, "{hidden} of {views} views show no barricade");
+    for (hidden, count) in [(ahead, 40), (elsewhere, 8)] {
+        let step = hidden.len().div_ceil(count);
+        let step = std::env::var("POSE_STEP").map_or(step, |step| step.parse().unwrap());
+        for (number, pose) in hidden.into_iter().step_by(step) {
+            let variant = &barricades[number];
+            let blocked = renderer.render_image(View { pose, variant }).unwrap();
+            let open = View { pose, variant: &Variant::UNCHANGED };
+            let open = renderer.render_image(open).unwrap();
+            let differing = differing(pose, &open, &blocked);
+            assert_eq!(differing, 0, "{pose} with {:?} closed", variant.closed());
+        }
+    }
+}
+
+/// Whether the middle of `cell` lies in the field of view, on an empty floor.
+fn is_ahead(pose: Pose, cell: shm_types::Cell) -> bool {
+    let camera = Camera::new(pose, SIDE_PX, SIDE_PX);
+    let (x, y) = cell.centre();
+    let to = nalgebra::Vector3::new(x - camera.position.x, y - camera.position.y, 0.0);
+    to.dot(&camera.right).abs() <= to.dot(&camera.ahead)
 }
 
 #[test]

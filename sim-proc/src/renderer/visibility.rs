@@ -32,13 +32,25 @@ const EDGE_ON: f32 = 0.005;
 /// Panels meet at their ends; rounding must not open a gap there.
 const JOINT_M: f32 = 0.002;
 
-/// The objects of `scene` that `camera` may see, by index, nearest first.
-pub(super) fn visible(scene: &Scene, camera: &Camera) -> Vec<u32> {
-    let columns = Columns::new(&scene.screens, camera);
-    nearest_first(scene, camera, |object| {
-        let Some(span) = Span::of(object, camera) else { return false };
-        object.max[2] > RACK_HEIGHT_M || !columns.hide(&span)
-    })
+/// What a camera sees between the panels.
+pub(super) struct Sight {
+    /// The objects of the scene that it may see, by index, nearest first.
+    pub(super) objects: Vec<u32>,
+    columns: Columns,
+}
+
+impl Sight {
+    /// What `camera` sees of `scene`.
+    pub(super) fn new(scene: &Scene, camera: &Camera) -> Self {
+        let columns = Columns::new(&scene.screens, camera);
+        let objects = nearest_first(scene, camera, |object| columns.may_show(object, camera));
+        Self { objects, columns }
+    }
+
+    /// Whether `camera`, which this is the sight of, may see an object that is not part of the scene.
+    pub(super) fn may_show(&self, object: &Object, camera: &Camera) -> bool {
+        self.columns.may_show(object, camera)
+    }
 }
 
 /// The objects that `keep` accepts, by index. Where two surfaces meet in the very same depth the first
@@ -220,6 +232,12 @@ impl Columns {
             let w = w0 + (w1 - w0) * ((x - x0) / (x1 - x0)).clamp(0.0, 1.0);
             self.0[i] = self.0[i].max(w);
         }
+    }
+
+    /// Whether any of `object` may be in the picture.
+    fn may_show(&self, object: &Object, camera: &Camera) -> bool {
+        let Some(span) = Span::of(object, camera) else { return false };
+        object.max[2] > RACK_HEIGHT_M || !self.hide(&span)
     }
 
     /// Whether panels are in front of the whole span.

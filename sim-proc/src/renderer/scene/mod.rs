@@ -73,6 +73,22 @@ impl Scene {
         racks::build(&mut assembly, warehouse);
         assembly.finish()
     }
+
+    /// The bounds of a side of a barricade that stands at `side`.
+    pub(super) fn barricade_at(&self, side: Placement) -> Object {
+        let (mut min, mut max) = ([f32::INFINITY; 3], [f32::NEG_INFINITY; 3]);
+        let [cos, sin] = side.turn;
+        for &corner in &self.solid.indices[self.barricade.clone()] {
+            let [x, y, z] = self.solid.vertices[corner as usize].position;
+            // As in `solid.wgsl`.
+            let position = [side.at[0] + cos * x - sin * y, side.at[1] + sin * x + cos * y, z];
+            for axis in 0..3 {
+                min[axis] = min[axis].min(position[axis]);
+                max[axis] = max[axis].max(position[axis]);
+            }
+        }
+        Object { min, max, ..Object::default() }
+    }
 }
 
 /// Where the sides of the barricades of `variant` stand: on every side of a closed cell that borders
