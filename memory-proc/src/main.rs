@@ -6,10 +6,16 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 use clap::{Args, Parser, Subcommand};
+use memory_proc::documents::build::{self, Wanted};
+use memory_proc::documents::holdings::Question;
+use memory_proc::documents::sources::Sources;
+use memory_proc::documents::{Builder, Extractive};
 use memory_proc::embed_command;
 use memory_proc::manifest::Manifest;
 use memory_proc::paths::Cache;
 use memory_proc::serve::{EncoderSettings, Settings, serve};
+use shm_types::FrameSize;
+use shm_types::message::DocumentKind;
 use tracing_subscriber::EnvFilter;
 
 /// The memory of MemTransfer: embeds frames, builds the representations, retrieves.
@@ -41,6 +47,81 @@ enum Verb {
         #[command(flatten)]
         encoder: EncoderArguments,
     },
+    /// Write documents from demonstrations. Started by `memtransfer memory build`.
+    Build {
+        /// The run's folder, which holds attach.json
+        #[arg(long, value_name = "DIR")]
+        attach: PathBuf,
+        /// Folder of layout, catalogue and cases instead of those that are built in
+        #[arg(long, value_name = "DIR")]
+        assets: Option<PathBuf>,
+        /// The folder that they are written to
+        #[arg(long, value_name = "DIR")]
+        documents: PathBuf,
+        /// Which ones, as kind/demonstrations: summary/4,semantic/original
+        #[arg(long, value_name = "LIST", value_delimiter = ',', required = true, value_parser = wanted)]
+        wanted: Vec<Wanted>,
+        #[command(flatten)]
+        builder: BuilderArguments,
+    },
+    /// Print as JSON which documents there are, and which of them are what would be built.
+    Documents {
+        /// The folder they lie in [default: that of the builder's documents in the cache folder]
+        #[arg(long, value_name = "DIR")]
+        documents: Option<PathBuf>,
+        /// The cache folder [default: $MEMTRANSFER_CACHE, else memtransfer in the user's cache folder]
+        #[arg(long, value_name = "DIR")]
+        cache: Option<PathBuf>,
+        /// Folder of layout, catalogue and cases instead of those that are built in
+        #[arg(long, value_name = "DIR")]
+        assets: Option<PathBuf>,
+        /// Width and height of the frames they should be made of
+        #[arg(long, value_name = "PIXELS", default_value_t = FrameSize::DEFAULT.width)]
+        frame_size: u32,
+        /// Which ones, as kind/demonstrations [default: all that lie there]
+        #[arg(long, value_name = "LIST", value_delimiter = ',', value_parser = wanted)]
+        wanted: Option<Vec<Wanted>>,
+        /// Print the texts, too
+        #[arg(long)]
+        text: bool,
+        /// Take documents by any builder, any version of it
+        #[arg(long)]
+        by_anyone: bool,
+        #[command(flatten)]
+        builder: BuilderArguments,
+    },
+}
+
+#[derive(Args)]
+struct BuilderArguments {
+    /// Who writes the documents
+    #[arg(long, value_name = "NAME", value_enum, default_value_t = BuilderName::Extractive)]
+    builder: BuilderName,
+}
+
+#[derive(Clone, Copy, clap::ValueEnum)]
+enum BuilderName {
+    /// Deterministic and offline.
+    Extractive,
+}
+
+impl BuilderArguments {
+    fn builder(&self) -> anyhow::Result<Box<dyn Builder>> {
+        Ok(match self.builder {
+            BuilderName::Extractive => Box::new(Extractive),
+        })
+    }
+}
+
+/// Reads `summary/4`.
+fn wanted(text: &str) -> Result<Wanted, String> {
+    let (kind, demonstrations) = text.split_once('/').ok_or("not kind/demonstrations")?;
+    let kinds = DocumentKind::TEXTS;
+    let kind = kinds.into_iter().find(|known| known.word() == kind);
+    let kind =
+        kind.ok_or_else(|| format!("a kind is {}", kinds.map(DocumentKind::word).join(" or ")))?;
+    let demonstrations = demonstrations.parse();
+    Ok((kind, demonstrations.map_err(|e: warehouse::UnknownDemonstrations| e.to_string())?))
 }
 
 #[derive(Args)]
@@ -111,6 +192,36 @@ fn run(verb: Verb) -> anyhow::Result<()> {
                 Some(folder) => Manifest::load(folder)?,
             };
             embed_command::run(&files, repeat, &manifest, &encoder.settings()?)
+        }
+        Verb::Build { attach, assets, documents, wanted, builder } => {
+            let settings = build::Settings { attach, assets, documents, wanted };
+            build::build(&settings, builder.builder()?.as_mut())
+        }
+        Verb::Documents {
+            documents,
+            cache,
+            assets,
+            frame_size,
+            wanted,
+            text,
+            by_anyone,
+            builder,
+        } => {
+            let builder = builder.builder()?;
+            let in_cache = || {
+                let cache = cache.map_or_else(Cache::from_environment, |dir| Ok(Cache::at(dir)))?;
+                anyhow::Ok(cache.documents(builder.name()))
+            };
+            let question = Question {
+                folder: documents.map_or_else(in_cache, Ok)?,
+                wanted,
+                frame: FrameSize { width: frame_size, height: frame_size },
+                builder: (!by_anyone).then(|| (builder.name().to_owned(), builder.version())),
+                with_text: text,
+            };
+            let holdings = question.answer(&Sources::load(assets.as_deref())?)?;
+            serde_json::to_writer_pretty(std::io::stdout().lock(), &holdings)?;
+            Ok(())
         }
     }
 }

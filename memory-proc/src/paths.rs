@@ -1,7 +1,7 @@
 //! Where the things that setup fetches lie: one cache folder outside the repository.
 //!
-//! `cargo xtask setup` fills it and this crate only reads it, except for the embeddings, which are
-//! written here. Nothing is ever downloaded by this crate.
+//! `cargo xtask setup` fills it and this crate only reads it, except for the embeddings and documents, which
+//! are written here. Nothing is ever downloaded by this crate.
 
 use std::path::{Path, PathBuf};
 
@@ -52,6 +52,11 @@ impl Cache {
     /// Where setup puts ONNX Runtime.
     pub fn runtime(&self) -> PathBuf {
         self.root.join("onnxruntime").join("libonnxruntime.so")
+    }
+
+    /// The folder of the documents that the builder called `builder` made.
+    pub fn documents(&self, builder: &str) -> PathBuf {
+        self.root.join("documents").join(builder)
     }
 
     /// The folder of embedding files.

@@ -5,18 +5,27 @@
 //! - [`sources`]: which demonstrations a document is made of;
 //! - [`transcript`]: a demonstration as a builder may see it;
 //! - [`Builder`]: makes a text of many of them;
-//! - [`file`]: a text with where it comes from, as it is kept.
+//! - [`Extractive`]: the builder that needs no model;
+//! - [`file`]: a text with where it comes from, as it is kept; [`holdings`]: which of them there are;
+//! - [`build`](mod@build): everything together, in a run of the simulator and this process.
 //!
 //! A builder is handed transcripts and nothing else. A [`Transcript`] has no room for the map, the catalogue,
 //! a test reference or a case's name, so none of them can get into a document (SPEC sections 2 and 4).
 
+pub mod build;
+mod extractive;
 pub mod file;
+mod floor;
+pub mod holdings;
+mod names;
 pub mod sources;
+mod survey;
 pub mod transcript;
 
 use serde::{Deserialize, Serialize};
 use shm_types::message::DocumentKind;
 
+pub use extractive::Extractive;
 pub use file::{DocumentError, DocumentFile, Provenance};
 pub use transcript::{Seen, Step, Transcript};
 

@@ -1,0 +1,100 @@
+//! What hangs where, from many looks at it: readings of a plate put together by majority.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use shm_types::plate::{Landmark, Plate};
+use shm_types::{Cell, Heading, Pose};
+
+use super::transcript::Step;
+use crate::embedding::ContentHash;
+
+/// Readings of the plates at each bay: the cell in front of it and the way it is faced.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Survey {
+    readings: BTreeMap<(Cell, Heading), BTreeMap<Plate, u32>>,
+    /// A picture counts once, however often it was looked at.
+    looked_at: BTreeSet<(Pose, ContentHash)>,
+}
+
+/// A bay and what its plate says.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Bay {
+    /// Where it is and what its plate says.
+    pub(super) landmark: Landmark,
+    /// Pictures in which that was read.
+    pub(super) support: u32,
+}
+
+impl Survey {
+    /// Adds what is seen at `step`.
+    pub(super) fn add(&mut self, step: &Step) {
+        if !self.looked_at.insert((step.pose, step.seen.frame)) {
+            return;
+        }
+        for &Landmark { standpoint, face, plate } in &step.seen.landmarks {
+            let readings = self.readings.entry((standpoint, face)).or_default();
+            *readings.entry(plate).or_default() += 1;
+        }
+    }
+
+    /// Every bay with what most pictures say of it, by standpoint; of equally many, the first in the order
+    /// of plates.
+    pub(super) fn bays(&self) -> impl Iterator<Item = Bay> + '_ {
+        self.readings.iter().filter_map(|(&(standpoint, face), readings)| {
+            let most = readings.values().copied().max()?;
+            let (&plate, &support) = readings.iter().find(|&(_, &count)| count == most)?;
+            Some(Bay { landmark: Landmark { standpoint, face, plate }, support })
+        })
+    }
+
+    /// The plates that are reached by standing on `cell`.
+    pub(super) fn at(&self, cell: Cell) -> impl Iterator<Item = Plate> + '_ {
+        let here = move |bay: &Bay| bay.landmark.standpoint == cell;
+        self.bays().filter(here).map(|bay| bay.landmark.plate)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use shm_types::Feedback;
+
+    use super::super::transcript::Seen;
+    use super::*;
+
+    const CELL: Cell = Cell::new(3, 4);
+
+    fn plate(code: u8) -> Plate {
+        Plate([code; 6])
+    }
+
+    fn look(from: u8, codes: &[u8]) -> Step {
+        let landmark =
+            |&code: &u8| Landmark { standpoint: CELL, face: Heading::E, plate: plate(code) };
+        let seen = Seen { frame: [from; 16], landmarks: codes.iter().map(landmark).collect() };
+        Step {
+            pose: Pose::new(0, from, Heading::N),
+            feedback: Feedback::Moved,
+            seen: Arc::new(seen),
+            completed: 0,
+            action: None,
+        }
+    }
+
+    #[test]
+    fn conflicting_readings_are_put_to_the_vote_and_a_picture_has_one() {
+        let mut survey = Survey::default();
+        assert_eq!(survey.bays().next(), None);
+        for step in [look(1, &[5]), look(1, &[5]), look(1, &[5]), look(2, &[2]), look(3, &[2])] {
+            survey.add(&step);
+        }
+        let bays: Vec<Bay> = survey.bays().collect();
+        assert_eq!((bays.len(), bays[0].landmark.plate, bays[0].support), (1, plate(2), 2));
+        survey.add(&look(4, &[5]));
+        assert_eq!(survey.at(CELL).collect::<Vec<_>>(), [plate(2)]);
+        survey.add(&look(5, &[5]));
+        assert_eq!(survey.at(CELL).collect::<Vec<_>>(), [plate(5)]);
+        assert_eq!(survey.at(Cell::new(4, 4)).count(), 0);
+    }
+}
