@@ -5,8 +5,8 @@
 //! yet stays open while others are answered. What it answers depends on the messages alone, not on
 //! their timing or on other lanes.
 //!
-//! It does no input or output but the embedding cache's file; [`crate::serve`] connects it to the bus and
-//! to the encoder.
+//! It does no input or output but the embedding cache's file; [`crate::serve`] connects it to the bus, to the
+//! encoder and to the documents.
 
 use std::collections::{BTreeSet, HashSet, VecDeque};
 
@@ -17,7 +17,7 @@ use warehouse::{CaseSet, Warehouse};
 use crate::embedding::{ContentHash, Embedding};
 use crate::embedding_cache::{CacheError, EmbeddingCache};
 use crate::episode::{Episode, Question, Unusable, unusable};
-use crate::representation::View;
+use crate::representation::{Documents, View};
 use crate::views::{Arrival, HeldViews, Resident};
 
 /// The lanes of a run. `P` is what gives a frame's pixels; the engine only hands it on.
@@ -123,7 +123,7 @@ impl<P: Clone> Engine<P> {
         let running = running.ok_or_else(unknown)?;
         running.observe(seen, &self.warehouse, &self.cases)?;
         running.question = Some(Question { received_ns, content: None });
-        if running.blueprint.matches_views() {
+        if running.representation.matches_views() {
             return Ok(Some(seen.frame));
         }
         self.open.insert(seen.lane);
@@ -153,10 +153,10 @@ impl<P: Clone> Engine<P> {
         picture: P,
     ) -> Result<(), Unusable> {
         match self.views.arrived(pose, Resident { frame, content, picture }) {
-            Arrival::Needed if self.embeddings.get(&content).is_none() => {
+            Arrival::Needed { embedded: true } if self.embeddings.get(&content).is_none() => {
                 self.background.push_back(pose);
             }
-            Arrival::Needed => {}
+            Arrival::Needed { .. } => {}
             // Its room is free again.
             Arrival::Dismissed => self.admit(),
             Arrival::Unexpected => {
@@ -206,28 +206,38 @@ impl<P: Clone> Engine<P> {
         self.embeddings.insert(content, embedding)
     }
 
-    /// Answers every lane that can be answered, in the order of lanes.
-    pub fn answers(&mut self, clock: impl Fn() -> u64) -> Vec<(Recall, RecallTrace)> {
+    /// Answers every lane that can be answered, in the order of lanes. What they name of `documents` is
+    /// published by then.
+    ///
+    /// # Errors
+    /// When a document that a memory supplies cannot be had.
+    pub fn answers(
+        &mut self,
+        clock: impl Fn() -> u64,
+        documents: &mut dyn Documents,
+    ) -> anyhow::Result<Vec<(Recall, RecallTrace)>> {
         let mut answers = Vec::new();
-        let Self { open, lanes, views, embeddings, .. } = self;
-        open.retain(|&lane| {
+        for lane in std::mem::take(&mut self.open) {
+            let Self { lanes, views, embeddings, .. } = self;
             // The episode may have ended without an answer.
-            let Some(episode) = &mut lanes[lane as usize].running else { return false };
-            let Some(Question { content, .. }) = episode.question else { return false };
+            let Some(episode) = &mut lanes[lane as usize].running else { continue };
+            let Some(Question { content, .. }) = episode.question else { continue };
             let embedding = content.and_then(|content| embeddings.get(&content));
+            let compares = episode.representation.matches_views();
             let view = |pose| {
-                let resident = views.resident(pose)?;
-                let embedding = embeddings.get(&resident.content)?.clone();
-                Some(View { frame: resident.frame, content: resident.content, embedding })
+                let Resident { frame, content, .. } = views.resident(pose)?;
+                let embedding = embeddings.get(content).filter(|_| compares).cloned();
+                let is_ready = embedding.is_some() || !compares;
+                is_ready.then_some(View { frame: *frame, content: *content, embedding })
             };
-            let is_ready = embedding.is_some() || content.is_none();
-            if !is_ready || !episode.admitted || !episode.is_built(view) {
-                return true;
+            let is_seen = embedding.is_some() || content.is_none();
+            if is_seen && episode.admitted && episode.is_built(view, documents)? {
+                answers.extend(episode.answer(embedding, &clock));
+            } else {
+                self.open.insert(lane);
             }
-            answers.extend(episode.answer(embedding, &clock));
-            false
-        });
-        answers
+        }
+        Ok(answers)
     }
 
     /// What is to be asked of the simulator since the last call.
@@ -241,10 +251,22 @@ impl<P: Clone> Engine<P> {
             let lane = &mut self.lanes[lane as usize];
             let mut episodes = [&mut lane.running, &mut lane.next].into_iter().flatten();
             if let Some(episode) = episodes.find(|episode| episode.ticket == ticket) {
-                if !self.views.try_hold(episode.blueprint.poses()) {
+                let (poses, embedded) =
+                    (episode.blueprint.poses(), episode.representation.matches_views());
+                if !self.views.try_hold(poses, embedded) {
                     return;
                 }
                 episode.admitted = true;
+                if embedded {
+                    // Those that are there, and were of no interest to the encoder so far.
+                    for &pose in poses {
+                        if let Some(view) = self.views.resident(pose)
+                            && self.embeddings.get(&view.content).is_none()
+                        {
+                            self.background.push_back(pose);
+                        }
+                    }
+                }
             }
             self.admission.pop_front();
         }

@@ -1,17 +1,20 @@
 //! A running episode as memory knows it: what was seen and done, how far the task is, what is open.
 
+use anyhow::Context;
 use shm_types::message::{
     FrameId, MAX_WINDOW, MemoryBrief, NO_ACTION, NOT_MEASURED, Observation, PastStep, Recall,
     RecallTrace, SegmentStep,
 };
-use shm_types::message::{MAX_DOCUMENTS, MAX_SEGMENT, NO_DOCUMENT, NO_FRAME};
+use shm_types::message::{MAX_DOCUMENTS, MAX_SEGMENT, NO_DOCUMENT, NO_FRAME, SegmentContent};
 use shm_types::{Action, Feedback, Pose, Representation};
-use warehouse::{CaseSet, Progress, Warehouse};
+use warehouse::{CaseSet, Demonstrations, Progress, Warehouse};
 
 use crate::demonstrations;
 use crate::embedding::{ContentHash, Embedding};
 use crate::representation::working::Window;
-use crate::representation::{Blueprint, Memory, Retrieved, Situation, View};
+use crate::representation::{
+    Blueprint, Documents, Ingredients, Memory, Retrieved, Situation, Supply, View, Views, blueprint,
+};
 
 /// A message that cannot be used: what, which value, what was expected.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -35,11 +38,12 @@ pub(crate) struct Question {
 pub(crate) struct Episode {
     pub(crate) ticket: u64,
     pub(crate) lane: u32,
-    pub(crate) blueprint: Blueprint,
+    pub(crate) representation: Representation,
+    pub(crate) blueprint: Box<dyn Blueprint>,
     /// Whether its views are held.
     pub(crate) admitted: bool,
-    /// Views of the blueprint, from the first, that are known to be there.
-    views_there: usize,
+    /// Views of the blueprint, from the first, that are there; none any more once the memory is built.
+    views: Views,
     memory: Option<Box<dyn Memory>>,
     case: u32,
     window: Window,
@@ -72,8 +76,11 @@ impl Episode {
                 brief.episode
             ));
         }
-        let chosen = demonstrations::selected(warehouse, cases, case, demonstrations);
-        let chosen = chosen.ok_or_else(|| {
+        let segment = SegmentContent::try_from(brief.segment)
+            .map_err(|error| unusable!("brief of episode {}: {error}", brief.episode))?;
+        let chosen = demonstrations::selected(warehouse, cases, case, demonstrations)
+            .zip(Demonstrations::from_bits(demonstrations));
+        let (chosen, set) = chosen.ok_or_else(|| {
             unusable!(
                 "brief of episode {}: case {case} with demonstrations {demonstrations:#b}, but there \
                  are {} cases, and no such set for them (are both sides given the same assets?)",
@@ -81,22 +88,27 @@ impl Episode {
                 cases.cases.len()
             )
         })?;
-        if !matches!(representation, Representation::Working | Representation::Episodic) {
+        if chosen.is_empty() && representation.uses_demonstrations() {
             let episode = brief.episode;
             return Err(unusable!(
-                "brief of episode {episode}: {representation} memory cannot be built"
+                "brief of episode {episode}: {representation} memory of no demonstrations"
             ));
         }
-        if chosen.is_empty() && representation == Representation::Episodic {
-            let episode = brief.episode;
-            return Err(unusable!("brief of episode {episode}: a memory of no demonstrations"));
-        }
+        let ingredients = Ingredients {
+            episode: (brief.lane, brief.episode),
+            set,
+            demonstrations: chosen,
+            horizon: horizon.into(),
+            segment,
+            keyframes: brief.keyframes.into(),
+        };
         Ok(Self {
             ticket: brief.episode,
             lane: brief.lane,
-            blueprint: Blueprint::new(representation, chosen, horizon.into()),
+            representation,
+            blueprint: blueprint(representation, ingredients),
             admitted: false,
-            views_there: 0,
+            views: Views::default(),
             memory: None,
             case,
             window: Window::new(window.into()),
@@ -143,15 +155,27 @@ impl Episode {
     }
 
     /// Builds the memory if it is not built yet and all its views are there; says whether it is built.
-    pub(crate) fn is_built(&mut self, view: impl Fn(Pose) -> Option<View>) -> bool {
+    ///
+    /// # Errors
+    /// When a document that the memory supplies cannot be had.
+    pub(crate) fn is_built(
+        &mut self,
+        view: impl Fn(Pose) -> Option<View>,
+        documents: &mut dyn Documents,
+    ) -> anyhow::Result<bool> {
         if self.memory.is_none() {
-            let missing = &self.blueprint.poses()[self.views_there..];
-            self.views_there += missing.iter().take_while(|pose| view(**pose).is_some()).count();
-            if self.views_there == self.blueprint.poses().len() {
-                self.memory = self.blueprint.build(view);
+            let poses = self.blueprint.poses();
+            for &pose in &poses[self.views.len()..] {
+                let Some(view) = view(pose) else { return Ok(false) };
+                self.views.insert(pose, view);
             }
+            let views = std::mem::take(&mut self.views);
+            let memory = self.blueprint.build(&views, documents).with_context(|| {
+                format!("{} memory of episode {}", self.representation, self.ticket)
+            });
+            self.memory = Some(memory?);
         }
-        self.memory.is_some()
+        Ok(true)
     }
 
     /// Answers the open question. The memory is built, and `embedding` is that of the question's content.
@@ -164,7 +188,7 @@ impl Episode {
         let Question { received_ns, .. } = self.question.take()?;
         let embedded_ns = clock();
         let situation = Situation { embedding, stage: now.progress.stage(), elapsed: now.step };
-        let retrieved = memory.access(&situation);
+        let Supply { segment: retrieved, documents: named } = memory.access(&situation);
         let searched_ns = clock();
 
         let mut window = [bytemuck::Zeroable::zeroed(); MAX_WINDOW];
@@ -174,6 +198,8 @@ impl Episode {
         let mut segment: [SegmentStep; MAX_SEGMENT] = [bytemuck::Zeroable::zeroed(); MAX_SEGMENT];
         let found = retrieved.as_ref().map_or(&[][..], |retrieved| &retrieved.segment);
         segment[..found.len()].copy_from_slice(found);
+        let mut documents = [NO_DOCUMENT; MAX_DOCUMENTS];
+        documents[..named.len()].copy_from_slice(&named);
         let distance = retrieved.as_ref().map_or(f32::NAN, |retrieved| retrieved.distance);
 
         let (episode, lane, step) = (self.ticket, self.lane, now.step);
@@ -187,8 +213,8 @@ impl Episode {
             distance,
             window_len,
             segment_len: found.len() as u32,
-            documents_len: 0,
-            documents: [NO_DOCUMENT; MAX_DOCUMENTS],
+            documents_len: named.len() as u32,
+            documents,
             window,
             segment,
         };

@@ -3,7 +3,8 @@
 //! A table of contents, outside in:
 //!
 //! - [`serve`] takes part in a run; [`engine`] knows what each lane waits for, [`episode`] one of them;
-//! - [`documents`]: texts built once from the demonstrations of all cases, before a run;
+//! - [`documents`]: texts built once from the demonstrations of all cases, before a run; the [`library`] reads
+//!   and publishes them;
 //! - [`representation`]: what is stored and what a step is supplied with, made of [`demonstrations`];
 //! - [`index`]: the nearest view; [`embedding`] and [`embedding_cache`]: vectors, and keeping them;
 //! - [`encoder`] makes them; [`manifest`] and [`paths`] say which there are and where their files lie;
@@ -20,6 +21,7 @@ pub mod encoder;
 pub mod engine;
 pub mod episode;
 pub mod index;
+pub mod library;
 pub mod manifest;
 pub mod paths;
 pub mod representation;

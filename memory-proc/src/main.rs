@@ -33,6 +33,13 @@ enum Verb {
         /// The run's folder, which holds attach.json
         #[arg(long, value_name = "DIR")]
         attach: PathBuf,
+        /// Folder of the documents that summary, semantic and hybrid memory supply, as `memtransfer memory
+        /// build` makes them
+        #[arg(long, value_name = "DIR")]
+        documents: Option<PathBuf>,
+        /// Start no encoder: for a run without episodic memory
+        #[arg(long)]
+        no_encoder: bool,
         #[command(flatten)]
         encoder: EncoderArguments,
     },
@@ -182,9 +189,10 @@ fn main() -> ExitCode {
 
 fn run(verb: Verb) -> anyhow::Result<()> {
     match verb {
-        Verb::Serve { attach, encoder } => {
+        Verb::Serve { attach, documents, no_encoder, encoder } => {
             let assets = encoder.assets.clone();
-            serve(&Settings { attach, assets, encoder: encoder.settings()? })
+            let encoder = if no_encoder { None } else { Some(encoder.settings()?) };
+            serve(&Settings { attach, assets, documents, encoder })
         }
         Verb::Embed { files, repeat, encoder } => {
             let manifest = match &encoder.assets {

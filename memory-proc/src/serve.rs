@@ -9,15 +9,15 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use anyhow::{Context, bail};
+use anyhow::Context;
 use bytemuck::Zeroable;
 use shm_types::message::{
     Busy, Farewell, FrameId, Hello, MemoryBrief, Observation, Recall, RecallTrace, Role, Stop,
-    View, ViewRequest, WIRE_VERSION, write_text,
+    View, ViewRequest,
 };
 use shm_types::process::{die_with_parent, monotonic_ns};
 use shm_types::{
-    Attach, Bell, Bus, BusError, Complaints, Frame, FrameError, FrameStore, Pose, Receiver, Sender,
+    Attach, Bell, Bus, BusError, Complaints, DocumentPublisher, Frame, FrameError, FrameStore, Pose, Receiver, Representation, Sender,
 };
 use warehouse::case_file::CASES_FILE;
 use warehouse::{CaseSet, Warehouse};
@@ -25,7 +25,8 @@ use warehouse::{CaseSet, Warehouse};
 use crate::embedding_cache::{EmbeddingCache, Found};
 use crate::encoder::{Embedded, Encoder, EncoderFacts, Image, ModelFile, Picture};
 use crate::engine::Engine;
-use crate::episode::Unusable;
+use crate::episode::{Unusable, unusable};
+use crate::library::Library;
 use crate::manifest::Manifest;
 use crate::paths::Cache;
 
@@ -46,8 +47,10 @@ pub struct Settings {
     pub attach: PathBuf,
     /// Folder of layout, catalogue, cases and model manifest; `None`: those that are built in.
     pub assets: Option<PathBuf>,
-    /// Which encoder, and how it runs.
-    pub encoder: EncoderSettings,
+    /// Folder of the documents that memories supply; `None`: no memory of the run supplies any.
+    pub documents: Option<PathBuf>,
+    /// Which encoder, and how it runs; `None`: no memory of the run compares views.
+    pub encoder: Option<EncoderSettings>,
 }
 
 /// Which encoder runs, and how.
@@ -84,8 +87,8 @@ impl EncoderSettings {
 /// Messages that cannot be used are complained about and dropped.
 ///
 /// # Errors
-/// When the run cannot be joined, its transport fails, the assets or the encoder cannot be used. Once the
-/// run is joined, the orchestrator is told why.
+/// When the run cannot be joined, its transport fails, the assets or the encoder cannot be used, or a document
+/// that a memory supplies cannot be had. Once the run is joined, the orchestrator is told why.
 pub fn serve(settings: &Settings) -> anyhow::Result<()> {
     let attach = Attach::read(&settings.attach).context("cannot take part in the run")?;
     die_with_parent(attach.orchestrator_pid).context("this process belongs to an orchestrator")?;
@@ -149,7 +152,8 @@ struct Server<'a> {
     ports: Ports,
     complaints: &'a mut Complaints,
     engine: Engine<Arc<Frame>>,
-    encoder: Encoder,
+    library: Library,
+    encoder: Option<Encoder>,
     /// Images embedded so far.
     embedded: u64,
     /// When the orchestrator was last told that images wait, and how many were embedded then.
@@ -163,28 +167,38 @@ impl<'a> Server<'a> {
         ports: Ports,
         complaints: &'a mut Complaints,
     ) -> anyhow::Result<Self> {
-        let (warehouse, cases, manifest) = match &settings.assets {
-            None => (Warehouse::shipped(), CaseSet::shipped(), Manifest::shipped()?),
+        let library = Library::new(settings.documents.clone(), DocumentPublisher::new(bus)?);
+        let assets = settings.assets.as_deref();
+        let (warehouse, cases) = match assets {
+            None => (Warehouse::shipped(), CaseSet::shipped()),
             Some(folder) => {
                 let warehouse = Warehouse::load(folder)?;
                 let cases = CaseSet::load(&folder.join(CASES_FILE), &warehouse)?;
-                (warehouse, cases, Manifest::load(folder)?)
+                (warehouse, cases)
             }
         };
-        let own_bell = Arc::new(bus.bell(Role::Memory)?);
-        let encoder = settings.encoder.start(&manifest, move || {
-            if let Err(error) = own_bell.ring() {
-                tracing::debug!(%error, "an encoder worker cannot wake the loop");
+        let (encoder, embeddings) = match &settings.encoder {
+            None => (None, EmbeddingCache::in_memory()),
+            Some(chosen) => {
+                let manifest = assets.map_or_else(Manifest::shipped, Manifest::load)?;
+                let own_bell = Arc::new(bus.bell(Role::Memory)?);
+                let encoder = chosen.start(&manifest, move || {
+                    if let Err(error) = own_bell.ring() {
+                        tracing::debug!(%error, "an encoder worker cannot wake the loop");
+                    }
+                })?;
+                let embeddings = open_cache(&chosen.cache, encoder.facts(), complaints);
+                (Some(encoder), embeddings)
             }
-        })?;
-        let embeddings = open_cache(&settings.encoder.cache, encoder.facts(), complaints);
+        };
         let attach = bus.attach();
-        let engine =
-            Engine::new(warehouse, cases, attach.lanes, room_for_views(attach), embeddings);
-        bus.sender()?.send(&hello(encoder.facts())?)?;
+        let room = room_for_views(attach);
+        let engine = Engine::new(warehouse, cases, attach.lanes, room, embeddings);
+        let facts = encoder.as_ref().map_or_else(Vec::new, |encoder| facts(encoder.facts()));
+        bus.sender()?.send(&Hello::new(Role::Memory, facts)?)?;
         ports.orchestrator.ring()?;
         let told_busy = (Instant::now(), 0);
-        Ok(Self { bus, ports, complaints, engine, encoder, embedded: 0, told_busy })
+        Ok(Self { bus, ports, complaints, engine, library, encoder, embedded: 0, told_busy })
     }
 
     fn run(mut self) -> anyhow::Result<()> {
@@ -231,7 +245,7 @@ impl<'a> Server<'a> {
         let received_ns = monotonic_ns();
         let views = self.ports.views.drain()?;
         for brief in self.ports.briefs.drain()? {
-            let outcome = self.engine.brief(&brief);
+            let outcome = self.can_serve(&brief).and_then(|()| self.engine.brief(&brief));
             self.complain(outcome);
         }
         for View { frame, pose, .. } in views {
@@ -264,6 +278,19 @@ impl<'a> Server<'a> {
         Ok(())
     }
 
+    /// Whether this process was started with what a brief's memory needs.
+    fn can_serve(&self, brief: &MemoryBrief) -> Result<(), Unusable> {
+        match Representation::try_from(brief.representation) {
+            Ok(asked) if asked.matches_views() && self.encoder.is_none() => Err(unusable!(
+                "brief of episode {}: {asked} memory compares views, and this process was started with \
+                 --no-encoder",
+                brief.episode
+            )),
+            // What is none is the engine's to refuse.
+            Ok(_) | Err(_) => Ok(()),
+        }
+    }
+
     /// The frame that a message names. What cannot be found or used is complained about.
     fn find_frame(
         &mut self,
@@ -288,7 +315,8 @@ impl<'a> Server<'a> {
     }
 
     fn take_embeddings(&mut self) -> anyhow::Result<()> {
-        while let Some(Embedded { content, embedding }) = self.encoder.poll() {
+        let poll = || self.encoder.as_mut().and_then(Encoder::poll);
+        while let Some(Embedded { content, embedding }) = poll() {
             if let Err(error) = self.engine.embedded(content, embedding?) {
                 self.complaints.raise(format_args!("{error}; this run goes on without it"));
             }
@@ -310,7 +338,7 @@ impl<'a> Server<'a> {
     }
 
     fn answer(&mut self) -> anyhow::Result<bool> {
-        let answers = self.engine.answers(monotonic_ns);
+        let answers = self.engine.answers(monotonic_ns, &mut self.library)?;
         for (recall, trace) in &answers {
             // The recall sets the policy going; its decision should not overtake the account of it.
             self.ports.traces.send(trace)?;
@@ -323,10 +351,11 @@ impl<'a> Server<'a> {
     }
 
     fn feed_the_encoder(&mut self) -> anyhow::Result<()> {
-        while self.encoder.has_room()
+        let Some(encoder) = &mut self.encoder else { return Ok(()) };
+        while encoder.has_room()
             && let Some((content, frame)) = self.engine.next_picture()
         {
-            self.encoder.submit(content, frame)?;
+            encoder.submit(content, frame)?;
         }
         Ok(())
     }
@@ -374,29 +403,14 @@ fn open_cache(cache: &Cache, facts: &EncoderFacts, complaints: &mut Complaints) 
     }
 }
 
-fn hello(facts: &EncoderFacts) -> anyhow::Result<Hello> {
-    let facts = serde_json::json!({
-        "encoder": facts.model,
-        "encoder_sha256": facts.sha256,
-        "encoder_trained": facts.trained.to_string(),
-        "encoder_threads": facts.threads.to_string(),
-        "encoder_provider": facts.provider,
-        "onnxruntime": facts.runtime,
-    });
-    let facts = facts.to_string();
-    let mut hello = Hello {
-        wire_version: WIRE_VERSION,
-        role: Role::Memory as u32,
-        pid: std::process::id(),
-        ..Zeroable::zeroed()
-    };
-    hello.facts_len = write_text(&mut hello.facts, &facts);
-    if hello.facts_len as usize != facts.len() {
-        bail!(
-            "the facts about the encoder take {} bytes, and {} fit: shorten its name",
-            facts.len(),
-            hello.facts.len()
-        );
-    }
-    Ok(hello)
+/// What the orchestrator is told of the encoder. A run without one says nothing of it.
+fn facts(facts: &EncoderFacts) -> Vec<(&'static str, String)> {
+    vec![
+        ("encoder", facts.model.clone()),
+        ("encoder_sha256", facts.sha256.clone()),
+        ("encoder_trained", facts.trained.to_string()),
+        ("encoder_threads", facts.threads.to_string()),
+        ("encoder_provider", facts.provider.clone()),
+        ("onnxruntime", facts.runtime.clone()),
+    ]
 }

@@ -24,6 +24,8 @@ pub(crate) struct Resident<P> {
 struct Held<P> {
     /// Lanes that need it. 0 only while it was asked for and is no longer wanted.
     users: u32,
+    /// Whether one of them compares views.
+    embedded: bool,
     resident: Option<Resident<P>>,
 }
 
@@ -31,7 +33,10 @@ struct Held<P> {
 #[derive(Debug, PartialEq, Eq)]
 pub(crate) enum Arrival {
     /// A lane needs it.
-    Needed,
+    Needed {
+        /// Its embedding, too.
+        embedded: bool,
+    },
     /// It is no longer needed and was let go again.
     Dismissed,
     /// Nobody had asked for it.
@@ -58,16 +63,21 @@ impl<P> HeldViews<P> {
     }
 
     /// Holds all of `poses`, each of which is named once, or none of them. Says whether there was room.
-    pub(crate) fn try_hold(&mut self, poses: &[Pose]) -> bool {
+    /// `embedded`: their embeddings are needed, too.
+    pub(crate) fn try_hold(&mut self, poses: &[Pose], embedded: bool) -> bool {
         let missing = poses.iter().filter(|pose| !self.views.contains_key(pose)).count();
         if self.views.len() + missing > self.room {
             return false;
         }
         for &pose in poses {
             match self.views.entry(pose) {
-                Entry::Occupied(entry) => entry.into_mut().users += 1,
+                Entry::Occupied(entry) => {
+                    let held = entry.into_mut();
+                    held.users += 1;
+                    held.embedded |= embedded;
+                }
                 Entry::Vacant(entry) => {
-                    entry.insert(Held { users: 1, resident: None });
+                    entry.insert(Held { users: 1, embedded, resident: None });
                     self.requests.push(request(ViewRequestKind::Hold, NO_FRAME, pose));
                 }
             }
@@ -99,7 +109,7 @@ impl<P> HeldViews<P> {
             return Arrival::Dismissed;
         }
         held.resident = Some(resident);
-        Arrival::Needed
+        Arrival::Needed { embedded: held.embedded }
     }
 
     /// The view from `pose`, if it is resident.
@@ -138,14 +148,14 @@ mod tests {
         for pose in poses(cells) {
             let frame = 100 + u64::from(pose.cell.x);
             let resident = Resident { frame, content: [pose.cell.x; 16], picture: () };
-            assert_eq!(views.arrived(pose, resident), Arrival::Needed);
+            assert_eq!(views.arrived(pose, resident), Arrival::Needed { embedded: true });
         }
     }
 
     #[test]
     fn a_view_is_asked_for_once_and_let_go_by_its_last_user() {
         let mut views = HeldViews::new(10);
-        assert!(views.try_hold(&poses(0..3)) && views.try_hold(&poses(1..4)));
+        assert!(views.try_hold(&poses(0..3), true) && views.try_hold(&poses(1..4), true));
         assert_eq!(requests(&mut views), [(HOLD, 0), (HOLD, 1), (HOLD, 2), (HOLD, 3)]);
         arrive(&mut views, 0..4);
         views.release(&poses(0..3));
@@ -157,20 +167,31 @@ mod tests {
     }
 
     #[test]
+    fn a_view_is_to_be_embedded_when_one_of_its_users_compares() {
+        let mut views = HeldViews::new(10);
+        assert!(views.try_hold(&poses(0..3), false) && views.try_hold(&poses(2..4), true));
+        for (column, expected) in [(0, false), (1, false), (2, true), (3, true)] {
+            let resident = Resident { frame: 1, content: [0; 16], picture: () };
+            let arrival = views.arrived(poses([column])[0], resident);
+            assert_eq!(arrival, Arrival::Needed { embedded: expected }, "column {column}");
+        }
+    }
+
+    #[test]
     fn a_lane_gets_all_its_views_or_none() {
         let mut views = HeldViews::new(4);
-        assert!(views.try_hold(&poses(0..3)));
-        assert!(!views.try_hold(&poses(2..5)));
-        assert!(views.try_hold(&poses(2..4)));
+        assert!(views.try_hold(&poses(0..3), true));
+        assert!(!views.try_hold(&poses(2..5), true));
+        assert!(views.try_hold(&poses(2..4), true));
         assert_eq!(requests(&mut views).len(), 4);
     }
 
     #[test]
     fn a_view_that_comes_too_late_is_let_go_and_one_wanted_again_is_kept() {
         let mut views = HeldViews::new(4);
-        assert!(views.try_hold(&poses(0..2)));
+        assert!(views.try_hold(&poses(0..2), true));
         views.release(&poses(0..2));
-        assert!(views.try_hold(&poses([1])));
+        assert!(views.try_hold(&poses([1]), true));
         assert_eq!(requests(&mut views), [(HOLD, 0), (HOLD, 1)]);
         let resident = Resident { frame: 7, content: [0; 16], picture: () };
         assert_eq!(views.arrived(poses([0])[0], resident.clone()), Arrival::Dismissed);

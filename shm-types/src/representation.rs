@@ -142,6 +142,11 @@ impl Representation {
         !matches!(self.describe().source, Source::Nothing)
     }
 
+    /// Whether it is searched by the current view, so that views have to be embedded.
+    pub const fn matches_views(self) -> bool {
+        matches!(self.describe().trajectories, Trajectories::Segment)
+    }
+
     /// Most images of a request: the current view, the window's `window`, and what is remembered with
     /// `horizon` actions after a retrieved view or a budget of `keyframes`.
     pub const fn images(self, window: u32, horizon: u32, keyframes: u32) -> u32 {

@@ -3,23 +3,93 @@
 //! Equations (1) and (2) of the paper: a [`Blueprint`] is what is known before any view is there, from it
 //! and the views `M_r = B_r(D_r)` is built once ([`Blueprint::build`]), and each step is supplied with
 //! `m_{r,t} = A_r(M_r, x_t)` ([`Memory::access`]). Every representation is in addition to the
-//! [`Window`](working::Window). One representation a file.
+//! [`Window`](working::Window). What each of them stores and supplies, in words, is
+//! [`Representation::describe`].
 //!
-//! Not here: where views and embeddings come from, and when they are there.
+//! One representation a file. To add one: its file, with a blueprint and a memory, and the line in
+//! [`blueprint`] that names it, to which the compiler leads from a new [`Representation`].
+//!
+//! Not here: where views, embeddings and documents come from, and when they are there.
 
-use shm_types::message::{FrameId, SegmentStep};
+use std::collections::BTreeMap;
+
+use anyhow::Context;
+use shm_types::documents::Content;
+use shm_types::message::{DocumentId, DocumentKind, FrameId, SegmentContent, SegmentStep};
 use shm_types::{Pose, Representation};
+use warehouse::Demonstrations;
 
 use crate::demonstrations::Demonstration;
 use crate::embedding::{ContentHash, Embedding};
 
-pub mod episodic;
+mod episodic;
+mod fixed;
+mod full_context;
+mod hybrid;
+mod semantic;
+mod summary;
+#[cfg(test)]
+pub(crate) mod testing;
 pub mod working;
+
+/// How `representation` makes its memory of `ingredients`.
+pub fn blueprint(representation: Representation, ingredients: Ingredients) -> Box<dyn Blueprint> {
+    match representation {
+        Representation::Working => Box::new(working::Working),
+        Representation::FullContext => Box::new(full_context::FullContext::new(ingredients)),
+        Representation::Summary => Box::new(summary::Summary(ingredients.set)),
+        Representation::Semantic => Box::new(semantic::Semantic(ingredients.set)),
+        Representation::Hybrid => Box::new(hybrid::Hybrid(ingredients.set)),
+        Representation::Episodic => Box::new(episodic::Episodic::new(ingredients)),
+    }
+}
+
+/// What an episode's memory is to be made of.
+#[derive(Debug, Clone)]
+pub struct Ingredients {
+    /// The episode: lane and ticket.
+    pub episode: (u32, u64),
+    /// Which demonstrations are remembered.
+    pub set: Demonstrations,
+    /// What that comes to for the episode's case, acted out.
+    pub demonstrations: Vec<Demonstration>,
+    /// H_epi: the expert actions that a retrieved segment follows.
+    pub horizon: usize,
+    /// What a retrieved segment holds.
+    pub segment: SegmentContent,
+    /// Most keyframes that all demonstrations together keep.
+    pub keyframes: usize,
+}
+
+/// A memory before it is built.
+pub trait Blueprint {
+    /// The poses, in order and each once, whose views must be resident before the memory can be built.
+    /// They stay so until the episode ends. Those of a representation that
+    /// [matches views](Representation::matches_views) are embedded, too.
+    fn poses(&self) -> &[Pose] {
+        &[]
+    }
+
+    /// Builds the memory of the views of [`Self::poses`]. What it supplies as documents is published here:
+    /// before the first recall that names it.
+    ///
+    /// # Errors
+    /// When a document cannot be had or published; the run cannot go on then.
+    fn build(&self, views: &Views, documents: &mut dyn Documents)
+    -> anyhow::Result<Box<dyn Memory>>;
+}
+
+/// A memory that was built: fixed from then on.
+pub trait Memory {
+    /// What is supplied at a step, beside the window.
+    fn access(&self, now: &Situation<'_>) -> Supply;
+}
 
 /// The current step, as far as a memory may look at it.
 #[derive(Debug, Clone, Copy)]
 pub struct Situation<'a> {
-    /// The current view's embedding; there whenever [`Blueprint::matches_views`].
+    /// The current view's embedding; there whenever the representation
+    /// [matches views](Representation::matches_views).
     pub embedding: Option<&'a Embedding>,
     /// Sub-goals completed so far.
     pub stage: u32,
@@ -27,22 +97,21 @@ pub struct Situation<'a> {
     pub elapsed: u32,
 }
 
-/// A remembered view that is resident and embedded.
-#[derive(Debug, Clone)]
-pub struct View {
-    /// Its frame.
-    pub frame: FrameId,
-    /// Its content.
-    pub content: ContentHash,
-    /// Its embedding.
-    pub embedding: Embedding,
+/// What a step is supplied with, beside the window.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Supply {
+    /// A piece of a demonstration.
+    pub segment: Option<Retrieved>,
+    /// Published documents, in order; at most [`MAX_DOCUMENTS`](shm_types::message::MAX_DOCUMENTS).
+    pub documents: Vec<DocumentId>,
 }
 
 /// A piece of a demonstration, and where it comes from.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Retrieved {
     /// The matched view, then the views that the expert's actions led to. Each step holds the action
-    /// that the expert took *at* that view; the last one holds none.
+    /// that the expert took *at* that view; the last one holds none, and none does in a segment of images
+    /// alone. At most [`MAX_SEGMENT`](shm_types::message::MAX_SEGMENT) steps.
     pub segment: Vec<SegmentStep>,
     /// Index of the case that the demonstration belongs to.
     pub case: u32,
@@ -54,73 +123,62 @@ pub struct Retrieved {
     pub distance: f32,
 }
 
-/// A memory that was built: fixed from then on.
-pub trait Memory {
-    /// What is supplied at a step, beside the window.
-    fn access(&self, now: &Situation<'_>) -> Option<Retrieved>;
-}
-
-/// What a memory will be made of.
+/// A remembered view that is resident.
 #[derive(Debug, Clone)]
-pub struct Blueprint {
-    representation: Representation,
-    demonstrations: Vec<Demonstration>,
-    horizon: usize,
-    poses: Vec<Pose>,
+pub struct View {
+    /// Its frame.
+    pub frame: FrameId,
+    /// Its content.
+    pub content: ContentHash,
+    /// Its embedding, where the representation matches views.
+    pub embedding: Option<Embedding>,
 }
 
-impl Blueprint {
-    /// A memory of `demonstrations`. `horizon` is H_epi, the expert actions that a segment follows.
-    pub fn new(
-        representation: Representation,
-        demonstrations: Vec<Demonstration>,
-        horizon: usize,
-    ) -> Self {
-        let mut poses: Vec<Pose> = match representation {
-            Representation::Working
-            | Representation::FullContext
-            | Representation::Summary
-            | Representation::Semantic
-            | Representation::Hybrid => Vec::new(),
-            Representation::Episodic => demonstrations
-                .iter()
-                .flat_map(|demonstration| &demonstration.poses)
-                .copied()
-                .collect(),
-        };
-        poses.sort_unstable();
-        poses.dedup();
-        Self { representation, demonstrations, horizon, poses }
+/// The views that a blueprint needs, by pose.
+#[derive(Debug, Clone, Default)]
+pub struct Views(BTreeMap<Pose, View>);
+
+impl Views {
+    /// How many are there.
+    pub fn len(&self) -> usize {
+        self.0.len()
     }
 
-    /// The poses, each once, whose views must be resident and embedded before the memory can be built.
-    pub fn poses(&self) -> &[Pose] {
-        &self.poses
+    /// Whether none is there.
+    pub fn is_empty(&self) -> bool {
+        self.0.is_empty()
     }
 
-    /// Whether access compares views, so that the current view must be embedded.
-    pub fn matches_views(&self) -> bool {
-        match self.representation {
-            Representation::Working
-            | Representation::FullContext
-            | Representation::Summary
-            | Representation::Semantic
-            | Representation::Hybrid => false,
-            Representation::Episodic => true,
-        }
+    /// The view from `pose` is there.
+    pub fn insert(&mut self, pose: Pose, view: View) {
+        self.0.insert(pose, view);
     }
 
-    /// Builds the memory. `view` gives the view of each of [`Self::poses`]; `None` as soon as it gives none.
-    pub fn build(&self, view: impl Fn(Pose) -> Option<View>) -> Option<Box<dyn Memory>> {
-        Some(match self.representation {
-            Representation::Working
-            | Representation::FullContext
-            | Representation::Summary
-            | Representation::Semantic
-            | Representation::Hybrid => Box::new(working::Working),
-            Representation::Episodic => {
-                Box::new(episodic::Episodic::build(&self.demonstrations, self.horizon, view)?)
-            }
-        })
+    /// The view from `pose`.
+    ///
+    /// # Errors
+    /// When it was not asked for.
+    pub fn of(&self, pose: Pose) -> anyhow::Result<&View> {
+        self.0.get(&pose).with_context(|| format!("a memory uses the view of {pose} unasked"))
     }
+}
+
+/// Where the documents that a memory supplies come from and go to.
+pub trait Documents {
+    /// Publishes a document that belongs to one episode (lane and ticket), and goes with it.
+    ///
+    /// # Errors
+    /// When it cannot be published.
+    fn publish(&mut self, episode: (u32, u64), content: &Content) -> anyhow::Result<DocumentId>;
+
+    /// The document of one kind that was consolidated over the demonstrations `set` of all cases, published
+    /// for the whole run.
+    ///
+    /// # Errors
+    /// When there is none, it cannot be used or not be published.
+    fn consolidated(
+        &mut self,
+        kind: DocumentKind,
+        set: Demonstrations,
+    ) -> anyhow::Result<DocumentId>;
 }

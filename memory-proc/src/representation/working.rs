@@ -4,7 +4,7 @@ use std::collections::VecDeque;
 
 use shm_types::message::PastStep;
 
-use super::{Memory, Retrieved, Situation};
+use super::{Blueprint, Documents, Memory, Views, fixed};
 
 /// The window W_t, which every representation is supplied with: the last h steps, oldest first.
 #[derive(Debug, Clone)]
@@ -35,11 +35,11 @@ impl Window {
 
 /// The representation that stores nothing: M = m = none.
 #[derive(Debug)]
-pub struct Working;
+pub(super) struct Working;
 
-impl Memory for Working {
-    fn access(&self, _: &Situation<'_>) -> Option<Retrieved> {
-        None
+impl Blueprint for Working {
+    fn build(&self, _: &Views, _: &mut dyn Documents) -> anyhow::Result<Box<dyn Memory>> {
+        Ok(Box::new(fixed::Fixed(Vec::new())))
     }
 }
 

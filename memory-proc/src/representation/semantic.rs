@@ -1,0 +1,16 @@
+//! Semantic memory: one document of general spatial and navigation knowledge, supplied whole at every step.
+
+use shm_types::message::DocumentKind;
+use warehouse::Demonstrations;
+
+use super::{Blueprint, Documents, Memory, Views, fixed};
+
+/// The semantic document, over these demonstrations of all cases.
+#[derive(Debug)]
+pub(super) struct Semantic(pub(super) Demonstrations);
+
+impl Blueprint for Semantic {
+    fn build(&self, _: &Views, documents: &mut dyn Documents) -> anyhow::Result<Box<dyn Memory>> {
+        fixed::consolidated(&[DocumentKind::Semantic], self.0, documents)
+    }
+}
