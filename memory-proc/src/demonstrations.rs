@@ -2,9 +2,12 @@
 //!
 //! A demonstration is stored as actions and replayed here by the warehouse's own dynamics. Its frames are
 //! named by pose: demonstrations are walked in the unchanged world, where a pose has one view.
+//!
+//! Memories are made of these and of nothing else. Only [`Start::DEMONSTRATIONS`] are acted out: the two test
+//! references are never memory, whatever a set of cases says.
 
 use shm_types::{Action, Pose};
-use warehouse::{CaseSet, Demonstrations, History, Warehouse};
+use warehouse::{CaseSet, Demonstrations, History, Start, Warehouse};
 
 /// One demonstration, acted out.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -23,7 +26,7 @@ pub struct Demonstration {
 
 /// What the bits of `selection` ([`Demonstrations::bits`]) come to for the case at `index`: its own, and in
 /// a mixed set those of other cases, each acted out as a walk of its own case's task. `None` when there
-/// is no such case or no such set.
+/// is no such case or no such set, or one of them is a test reference.
 pub fn selected(
     warehouse: &Warehouse,
     cases: &CaseSet,
@@ -33,7 +36,7 @@ pub fn selected(
     cases.cases.get(index as usize)?;
     let selection = Demonstrations::from_bits(selection)?;
     let acted = |History { case, start }| {
-        let of = cases.cases.get(case)?;
+        let of = cases.cases.get(case).filter(|_| Start::DEMONSTRATIONS.contains(&start))?;
         let replay = of.replay(warehouse, start);
         Some(Demonstration {
             case: case as u32,
@@ -49,7 +52,7 @@ pub fn selected(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use warehouse::{Mixture, Start};
+    use warehouse::Mixture;
 
     #[test]
     fn a_demonstration_of_another_case_is_a_walk_of_that_case_s_task() {
@@ -86,5 +89,16 @@ mod tests {
         assert_eq!(selected(&warehouse, &cases, 100, all), None);
         assert_eq!(selected(&warehouse, &cases, 0, 1 << 4), None);
         assert_eq!(selected(&warehouse, &cases, 0, 0), Some(Vec::new()));
+    }
+
+    #[test]
+    fn a_test_reference_is_refused_whatever_the_cases_say() {
+        let (warehouse, mut cases) = (Warehouse::shipped(), CaseSet::shipped());
+        let irrelevant = Demonstrations::IRRELEVANT.bits();
+        assert!(selected(&warehouse, &cases, 0, irrelevant).is_some());
+        for start in [Start::Test, Start::Blocked] {
+            cases.cases[0].irrelevant[1].start = start;
+            assert_eq!(selected(&warehouse, &cases, 0, irrelevant), None);
+        }
     }
 }

@@ -17,7 +17,8 @@ use shm_types::message::{
 };
 use shm_types::process::{die_with_parent, monotonic_ns};
 use shm_types::{
-    Attach, Bell, Bus, BusError, Complaints, DocumentPublisher, Frame, FrameError, FrameStore, Pose, Receiver, Representation, Sender,
+    Attach, Bell, Bus, BusError, Complaints, DocumentPublisher, Frame, FrameError, FrameStore,
+    Pose, Receiver, Representation, Sender,
 };
 use warehouse::case_file::CASES_FILE;
 use warehouse::{CaseSet, Warehouse};
@@ -315,7 +316,7 @@ impl<'a> Server<'a> {
     }
 
     fn take_embeddings(&mut self) -> anyhow::Result<()> {
-        let poll = || self.encoder.as_mut().and_then(Encoder::poll);
+        let mut poll = || self.encoder.as_mut().and_then(Encoder::poll);
         while let Some(Embedded { content, embedding }) = poll() {
             if let Err(error) = self.engine.embedded(content, embedding?) {
                 self.complaints.raise(format_args!("{error}; this run goes on without it"));
@@ -410,7 +411,7 @@ fn facts(facts: &EncoderFacts) -> Vec<(&'static str, String)> {
         ("encoder_sha256", facts.sha256.clone()),
         ("encoder_trained", facts.trained.to_string()),
         ("encoder_threads", facts.threads.to_string()),
-        ("encoder_provider", facts.provider.clone()),
+        ("encoder_provider", facts.provider.to_owned()),
         ("onnxruntime", facts.runtime.clone()),
     ]
 }

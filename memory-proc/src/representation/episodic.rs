@@ -145,7 +145,7 @@ mod tests {
         let view = view(Pose::new(0, row, Heading::N));
         let now = Situation { embedding: view.embedding.as_ref(), stage, elapsed };
         let supply = memory.access(&now);
-        assert_eq!(supply.documents, []);
+        assert!(supply.documents.is_empty());
         supply.segment.unwrap()
     }
 
@@ -211,11 +211,11 @@ mod tests {
         let blueprint = Episodic::new(ingredients(vec![walk(1, 5, 9)]));
         let mut views = Views::default();
         let error = blueprint.build(&views, &mut Shelf::default()).err().unwrap().to_string();
-        assert_eq!(error, "a memory uses the view of (3, 5) N unasked");
+        assert_eq!(error, "a memory uses the view of 3,5,N unasked");
         for &pose in blueprint.poses() {
             views.insert(pose, View { embedding: None, ..view(pose) });
         }
         let error = blueprint.build(&views, &mut Shelf::default()).err().unwrap().to_string();
-        assert_eq!(error, "episodic memory is built before the view of (3, 5) N is embedded");
+        assert_eq!(error, "episodic memory is built before the view of 3,5,N is embedded");
     }
 }

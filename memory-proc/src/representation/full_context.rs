@@ -105,8 +105,7 @@ enum Moment {
 }
 
 impl Moment {
-    const ALL: [Self; 5] =
-        [Self::Start, Self::End, Self::SubGoal, Self::BeforeTurn, Self::Other];
+    const ALL: [Self; 5] = [Self::Start, Self::End, Self::SubGoal, Self::BeforeTurn, Self::Other];
 
     fn of(walk: &Demonstration, step: usize) -> Self {
         const TURNS: [Action; 3] = [Action::TurnLeft, Action::TurnRight, Action::TurnAround];

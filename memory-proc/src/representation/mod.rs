@@ -75,8 +75,11 @@ pub trait Blueprint {
     ///
     /// # Errors
     /// When a document cannot be had or published; the run cannot go on then.
-    fn build(&self, views: &Views, documents: &mut dyn Documents)
-    -> anyhow::Result<Box<dyn Memory>>;
+    fn build(
+        &self,
+        views: &Views,
+        documents: &mut dyn Documents,
+    ) -> anyhow::Result<Box<dyn Memory>>;
 }
 
 /// A memory that was built: fixed from then on.

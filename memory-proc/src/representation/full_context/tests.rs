@@ -61,8 +61,7 @@ fn the_budget_is_shared_fairly_and_what_one_leaves_the_others_take() {
 
 /// The published steps, and the document they are in.
 fn steps(walks: &[Demonstration], keyframes: usize) -> (Vec<TrajectoryStep>, usize) {
-    let blueprint =
-        FullContext::new(Ingredients { keyframes, ..ingredients(walks.to_vec()) });
+    let blueprint = FullContext::new(Ingredients { keyframes, ..ingredients(walks.to_vec()) });
     assert!(blueprint.poses().is_sorted_by(|a, b| a < b));
     let mut views = Views::default();
     for &pose in blueprint.poses() {

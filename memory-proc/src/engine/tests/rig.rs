@@ -1,0 +1,296 @@
+//! A scripted simulator, orchestrator, encoder and shelf of documents around one engine.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use shm_types::Representation;
+use shm_types::documents::Content;
+use shm_types::message::{NO_ACTION, NO_FRAME, ViewRequestKind};
+use warehouse::{CaseSet, Demonstrations, History, Start};
+
+use super::super::*;
+use crate::representation::testing::Shelf;
+
+/// Stands for a renderer and an encoder: every pose has its own content and direction.
+pub(super) fn content(pose: Pose) -> ContentHash {
+    *blake3::hash(pose.to_string().as_bytes()).as_bytes().first_chunk().unwrap()
+}
+
+pub(super) fn embedding(content: ContentHash) -> Embedding {
+    let raw: Vec<f32> = content.iter().map(|&byte| f32::from(byte) - 127.5).collect();
+    Embedding::normalised(&raw).unwrap()
+}
+
+/// An episode that walks one of its case's trajectories in the unchanged world.
+#[derive(Debug, Clone)]
+pub(super) struct Script {
+    pub(super) brief: MemoryBrief,
+    pub(super) poses: Vec<Pose>,
+    pub(super) observations: Vec<Observation>,
+}
+
+/// What was answered, with poses in place of frames and texts in place of documents.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Answer {
+    /// View and action.
+    pub(super) window: Vec<(Pose, u8)>,
+    /// View and action.
+    pub(super) segment: Vec<(Pose, u8)>,
+    /// The distance's bits.
+    pub(super) distance: u32,
+    /// Case, demonstration and step of the match.
+    pub(super) source: (u32, u16, u16),
+    pub(super) texts: Vec<String>,
+    /// Keyframe, action and number of the demonstration.
+    pub(super) trajectories: Vec<(Option<Pose>, u8, u8)>,
+}
+
+impl Answer {
+    /// Images of a request with this answer.
+    pub(super) fn images(&self) -> usize {
+        let keyframes = self.trajectories.iter().filter(|step| step.0.is_some());
+        1 + self.window.len() + self.segment.len() + keyframes.count()
+    }
+}
+
+pub(super) struct Rig {
+    pub(super) engine: Engine<Pose>,
+    /// Pose of frame `i + 1`.
+    pub(super) frames: Vec<Pose>,
+    pub(super) arriving: VecDeque<Pose>,
+    pub(super) embedding: Vec<ContentHash>,
+    pub(super) holds: usize,
+    pub(super) releases: usize,
+    pub(super) embedded: usize,
+    pub(super) answers: BTreeMap<(u64, u32), Answer>,
+    pub(super) shelf: Shelf,
+    /// Poses whose views were asked for.
+    pub(super) asked: BTreeSet<Pose>,
+    /// Frames that the simulator may have evicted.
+    pub(super) gone: BTreeSet<FrameId>,
+}
+
+impl Rig {
+    pub(super) fn new(lanes: u32, room: usize) -> Self {
+        let (warehouse, cases) = (Warehouse::shipped(), CaseSet::shipped());
+        let engine = Engine::new(warehouse, cases, lanes, room, EmbeddingCache::in_memory());
+        Self {
+            engine,
+            frames: Vec::new(),
+            arriving: VecDeque::new(),
+            embedding: Vec::new(),
+            holds: 0,
+            releases: 0,
+            embedded: 0,
+            answers: BTreeMap::new(),
+            shelf: Shelf::default(),
+            asked: BTreeSet::new(),
+            gone: BTreeSet::new(),
+        }
+    }
+
+    /// Episode `ticket` with the case's own four demonstrations and the standard settings.
+    pub(super) fn script(
+        &self,
+        lane: u32,
+        ticket: u64,
+        case: u32,
+        start: Start,
+        representation: Representation,
+    ) -> Script {
+        let (case_index, case) = (case, &self.engine.cases.cases[case as usize]);
+        let replay = case.trajectory(start).replay(
+            &self.engine.warehouse,
+            &case.task,
+            &warehouse::Variant::UNCHANGED,
+        );
+        let actions = &case.trajectory(start).actions;
+        let last = replay.poses.len() - 1;
+        let observation = |step: usize| Observation {
+            episode: ticket,
+            frame: NO_FRAME,
+            step: step as u32,
+            lane,
+            pose: replay.poses[step].into(),
+            feedback: replay.feedback[step] as u8,
+            action: if step == 0 { NO_ACTION } else { actions[step - 1] as u8 },
+            last: u8::from(step == last),
+            ..bytemuck::Zeroable::zeroed()
+        };
+        Script {
+            brief: MemoryBrief {
+                episode: ticket,
+                lane,
+                case: case_index,
+                demonstrations: Demonstrations::ALL.bits(),
+                representation: representation as u8,
+                window: 6,
+                horizon: 6,
+                keyframes: 40,
+                segment: 0,
+                reserved: [0; 7],
+            },
+            observations: (0..=last).map(observation).collect(),
+            poses: replay.poses,
+        }
+    }
+
+    pub(super) fn frame(&mut self, pose: Pose) -> FrameId {
+        self.frames.push(pose);
+        self.frames.len() as FrameId
+    }
+
+    pub(super) fn observe(&mut self, mut seen: Observation) -> Result<(), Unusable> {
+        let pose = Pose::try_from(seen.pose).unwrap();
+        seen.frame = if seen.last == 1 { NO_FRAME } else { self.frame(pose) };
+        if let Some(frame) = self.engine.observe(&seen, 1)? {
+            assert_eq!(frame, seen.frame);
+            self.engine.show(seen.lane, content(pose), pose);
+        }
+        Ok(())
+    }
+
+    /// One event of those that are due, by `choice`. Says whether there was any.
+    pub(super) fn work(&mut self, choice: usize) -> bool {
+        for request in self.engine.take_view_requests() {
+            if request.kind == ViewRequestKind::Hold as u8 {
+                self.holds += 1;
+                let pose = Pose::try_from(request.pose).unwrap();
+                self.asked.insert(pose);
+                self.arriving.push_back(pose);
+            } else {
+                assert_eq!(
+                    self.frames[request.frame as usize - 1],
+                    request.pose.try_into().unwrap()
+                );
+                self.releases += 1;
+                self.gone.insert(request.frame);
+            }
+        }
+        while self.embedding.len() < 3 {
+            let Some((next, pose)) = self.engine.next_picture() else { break };
+            assert_eq!(next, content(pose));
+            self.embedding.push(next);
+        }
+        let due = usize::from(!self.arriving.is_empty()) + self.embedding.len();
+        if due == 0 {
+            return false;
+        }
+        let choice = choice % due;
+        if choice < self.embedding.len() {
+            let content = self.embedding.remove(choice);
+            self.embedded += 1;
+            self.engine.embedded(content, embedding(content)).unwrap();
+        } else if let Some(pose) = self.arriving.pop_front() {
+            let frame = self.frame(pose);
+            self.engine.view(pose, frame, content(pose), pose).unwrap();
+        }
+        true
+    }
+
+    /// Collects what can be answered now; says whose lanes were answered.
+    pub(super) fn collect(&mut self) -> Vec<u32> {
+        let mut lanes = Vec::new();
+        for (recall, trace) in self.engine.answers(|| 5, &mut self.shelf).unwrap() {
+            let window = &recall.window[..recall.window_len as usize];
+            let segment = &recall.segment[..recall.segment_len as usize];
+            let pose = |frame: FrameId| self.frames[frame as usize - 1];
+            let held = |frame: FrameId| {
+                assert!(!self.gone.contains(&frame), "frame {frame} is named and not held");
+                pose(frame)
+            };
+            let (mut texts, mut trajectories) = (Vec::new(), Vec::new());
+            for &id in &recall.documents[..recall.documents_len as usize] {
+                let (episode, content) = &self.shelf.published[id as usize - 1];
+                match content {
+                    Content::Summary(text) | Content::Semantic(text) => {
+                        assert_eq!(*episode, None, "a text is for the whole run");
+                        texts.push(text.clone());
+                    }
+                    Content::Trajectories(steps) => {
+                        assert_eq!(*episode, Some((recall.lane, recall.episode)), "its own");
+                        let shown = |frame| (frame != NO_FRAME).then(|| held(frame));
+                        let steps = steps.iter();
+                        trajectories.extend(
+                            steps.map(|step| (shown(step.frame), step.action, step.trajectory)),
+                        );
+                    }
+                }
+            }
+            let answer = Answer {
+                window: window.iter().map(|step| (pose(step.frame), step.action)).collect(),
+                segment: segment.iter().map(|step| (held(step.frame), step.action)).collect(),
+                distance: recall.distance.to_bits(),
+                source: (trace.case, trace.demonstration, trace.index),
+                texts,
+                trajectories,
+            };
+            assert_eq!((recall.episode, recall.step), (trace.episode, trace.step));
+            assert!(self.answers.insert((recall.episode, recall.step), answer).is_none());
+            lanes.push(recall.lane);
+        }
+        lanes
+    }
+
+    /// Runs episodes lane by lane to their ends, each lane's steps in order and everything else in the
+    /// order that `choices` say.
+    pub(super) fn play(&mut self, episodes: &[Script], choices: impl Iterator<Item = usize>) {
+        let mut lanes: BTreeMap<u32, VecDeque<&Script>> = BTreeMap::new();
+        episodes.iter().for_each(|e| lanes.entry(e.brief.lane).or_default().push_back(e));
+        // Lane -> observations still to come; absent while an answer is due.
+        let mut turns: BTreeMap<u32, VecDeque<Observation>> =
+            lanes.keys().map(|&lane| (lane, VecDeque::new())).collect();
+        let mut waiting: BTreeMap<u32, VecDeque<Observation>> = BTreeMap::new();
+        for choice in choices.chain(std::iter::repeat(0)) {
+            let worked = choice % 3 != 0 && self.work(choice / 3);
+            if !worked && !turns.is_empty() {
+                let lane = *turns.keys().nth(choice / 3 % turns.len()).unwrap();
+                let mut coming = turns.remove(&lane).unwrap();
+                if coming.is_empty() {
+                    let Some(script) = lanes.get_mut(&lane).and_then(VecDeque::pop_front) else {
+                        continue;
+                    };
+                    self.engine.brief(&script.brief).unwrap();
+                    coming = script.observations.iter().copied().collect();
+                }
+                let seen = coming.pop_front().unwrap();
+                self.observe(seen).unwrap();
+                if seen.last == 1 { &mut turns } else { &mut waiting }.insert(lane, coming);
+            } else if !worked && !self.work(choice) && waiting.is_empty() {
+                return;
+            }
+            for lane in self.collect() {
+                let coming = waiting.remove(&lane).unwrap();
+                turns.insert(lane, coming);
+            }
+        }
+    }
+}
+
+impl Script {
+    /// The same with another set of demonstrations.
+    pub(super) fn remembering(mut self, set: Demonstrations) -> Self {
+        self.brief.demonstrations = set.bits();
+        self
+    }
+}
+
+/// A demonstration, as far as a policy may be shown of it, and whose it is.
+pub(super) struct Walk {
+    pub(super) of: History,
+    pub(super) poses: Vec<Pose>,
+    /// Their codes, and [`NO_ACTION`] at the end.
+    pub(super) actions: Vec<u8>,
+}
+
+/// What a set of demonstrations comes to for a case.
+pub(super) fn walks(rig: &Rig, case: usize, set: Demonstrations) -> Vec<Walk> {
+    let cases = &rig.engine.cases;
+    let walk = |of: History| {
+        let case = &cases.cases[of.case];
+        let actions = case.trajectory(of.start).actions.iter();
+        let poses = case.replay(&rig.engine.warehouse, of.start).poses;
+        let actions = actions.map(|&action| action as u8).chain([NO_ACTION]).collect();
+        Walk { of, poses, actions }
+    };
+    cases.histories(case, set).into_iter().map(walk).collect()
+}
