@@ -170,9 +170,8 @@ impl Episode {
                 self.views.insert(pose, view);
             }
             let views = std::mem::take(&mut self.views);
-            let memory = self.blueprint.build(&views, documents).with_context(|| {
-                format!("{} memory of episode {}", self.representation, self.ticket)
-            });
+            let memory = self.blueprint.build(&views, documents);
+            let memory = memory.with_context(|| format!("{} memory", self.representation));
             self.memory = Some(memory?);
         }
         Ok(true)

@@ -3,24 +3,27 @@
 
 #![expect(clippy::unwrap_used, reason = "test helpers fail loudly")]
 
-use std::collections::HashMap;
+use std::collections::{BTreeMap, BTreeSet, HashMap};
+use std::ffi::OsStr;
 use std::path::Path;
 use std::process::{Child, Command, ExitStatus};
 use std::time::{Duration, Instant};
 
 use bytemuck::Zeroable;
+use memory_proc::documents::{Account, DocumentFile, Provenance};
 use memory_proc::paths::Cache;
+use shm_types::documents::Content;
 use shm_types::message::{
-    Busy, Complaint, Farewell, FrameId, Hello, MAX_SEGMENT, MAX_WINDOW, MemoryBrief, NO_ACTION,
-    NOT_MEASURED, Observation, Recall, RecallTrace, Role, SegmentContent, Stop, View, ViewRequest,
-    ViewRequestKind, read_text,
+    Busy, Complaint, DocumentId, DocumentKind, Farewell, FrameId, Hello, MAX_SEGMENT, MAX_WINDOW,
+    MemoryBrief, NO_ACTION, NO_FRAME, NOT_MEASURED, Observation, Recall, RecallTrace, Role,
+    SegmentContent, Stop, View, ViewRequest, ViewRequestKind, read_text,
 };
 use shm_types::{
-    Attach, Bus, FramePublisher, FrameSize, FrameStore, Pose, Receiver, Representation, RunDir,
-    Sender,
+    Attach, Bus, DocumentStore, FramePublisher, FrameSize, FrameStore, Pose, Receiver,
+    Representation, RunDir, Sender,
 };
 use tempfile::TempDir;
-use warehouse::{Case, CaseSet, Replay, Start, Warehouse};
+use warehouse::{Case, CaseSet, Demonstrations, Replay, Start, Warehouse};
 
 /// Longer than anything here takes; a wait that lasts this long hangs.
 const LONG: Duration = Duration::from_secs(120);
@@ -41,6 +44,7 @@ struct Stage {
     complaints: Receiver<Complaint>,
     farewells: Receiver<Farewell>,
     publisher: FramePublisher,
+    documents: DocumentStore,
     /// Pose that each frame shows.
     shown: HashMap<FrameId, Pose>,
     released: usize,
@@ -70,7 +74,13 @@ impl Drop for Kill {
 }
 
 impl Stage {
+    /// With memory's encoder and its cache folder.
     fn new(cache: &Path) -> Self {
+        Self::with(&["--cache".as_ref(), cache.as_os_str()])
+    }
+
+    /// With further arguments of memory's.
+    fn with(arguments: &[&OsStr]) -> Self {
         let base = tempfile::Builder::new().prefix("mt").tempdir_in("/tmp").unwrap();
         let run = RunDir::create(base.path()).unwrap();
         let frame = FrameSize { width: 64, height: 64 };
@@ -88,12 +98,12 @@ impl Stage {
         let hellos = orchestrator.receiver().unwrap();
         let complaints = orchestrator.receiver().unwrap();
         let farewells = orchestrator.receiver().unwrap();
+        let documents = DocumentStore::new(&policy).unwrap();
         let memory = Command::new(env!("CARGO_BIN_EXE_memory-proc"))
             .arg("serve")
             .arg("--attach")
             .arg(run.path())
-            .arg("--cache")
-            .arg(cache)
+            .args(arguments)
             .spawn()
             .unwrap();
         Self {
@@ -109,6 +119,7 @@ impl Stage {
             complaints,
             farewells,
             publisher: FramePublisher::new(&sim).unwrap(),
+            documents,
             shown: HashMap::new(),
             released: 0,
             _idle: idle,
@@ -159,6 +170,28 @@ impl Stage {
         let id = self.publisher.publish(slot, hash).unwrap();
         self.shown.insert(id, pose);
         id
+    }
+
+    /// The facts of memory's hello.
+    fn hello(&mut self) -> BTreeMap<String, String> {
+        let hello = self.until(|stage| {
+            // A process that cannot start says why instead.
+            if let Some(complaint) = stage.complaints.next().unwrap() {
+                panic!("{}", read_text(&complaint.text, complaint.text_len).unwrap());
+            }
+            stage.hellos.next().unwrap()
+        });
+        hello.facts().unwrap()
+    }
+
+    /// What a recall names, in order, and for whom: an episode, or 0 for the run.
+    fn named(&mut self, recall: &Recall) -> Vec<(DocumentId, u64, Content)> {
+        let ids = &recall.documents[..recall.documents_len as usize];
+        let mut named = |&id: &DocumentId| {
+            let document = self.documents.get(id).unwrap().expect("published before it is named");
+            (id, document.episode, document.content.clone())
+        };
+        ids.iter().map(&mut named).collect()
     }
 
     fn brief(&self, brief: MemoryBrief) {
@@ -229,15 +262,7 @@ fn fresh_cache() -> TempDir {
 fn it_remembers_complains_and_says_farewell() {
     let cache = fresh_cache();
     let mut stage = Stage::new(cache.path());
-    let hello = stage.until(|stage| {
-        // A process that cannot start says why instead.
-        if let Some(complaint) = stage.complaints.next().unwrap() {
-            panic!("{}", read_text(&complaint.text, complaint.text_len).unwrap());
-        }
-        stage.hellos.next().unwrap()
-    });
-    let facts = read_text(&hello.facts, hello.facts_len).unwrap();
-    let facts: HashMap<String, String> = serde_json::from_str(facts).unwrap();
+    let facts = stage.hello();
     assert_eq!((&*facts["encoder"], &*facts["encoder_trained"]), ("dinov2-s14", "true"));
     assert!(facts["encoder_sha256"].len() == 64 && !facts["onnxruntime"].is_empty());
 
@@ -327,4 +352,141 @@ fn without_a_model_it_says_which_command_brings_it() {
         said.starts_with("the memory process cannot go on: the encoder dinov2-s14 needs "),
         "{said}"
     );
+}
+
+/// The standard settings.
+fn brief(
+    representation: Representation,
+    lane: u32,
+    episode: u64,
+    set: Demonstrations,
+) -> MemoryBrief {
+    MemoryBrief {
+        episode,
+        lane,
+        case: 0,
+        demonstrations: set.bits(),
+        representation: representation as u8,
+        window: 6,
+        horizon: 6,
+        keyframes: 40,
+        segment: SegmentContent::Actions as u8,
+        reserved: [0; 7],
+    }
+}
+
+/// A document of `set`, made by nobody.
+fn document(kind: DocumentKind, set: Demonstrations) -> DocumentFile {
+    let provenance = Provenance {
+        kind,
+        demonstrations: set,
+        builder: "test".to_owned(),
+        builder_version: "1".to_owned(),
+        inputs_sha256: String::new(),
+        sources_sha256: String::new(),
+        text_sha256: String::new(),
+        trajectories: 100,
+        views: 1,
+        account: Account::default(),
+    };
+    DocumentFile::new(provenance, format!("# {} of {set}", kind.word()))
+}
+
+#[test]
+fn without_an_encoder_all_but_episodic_memory_is_served() {
+    let folder = tempfile::tempdir().unwrap();
+    let original = Demonstrations::ORIGINAL;
+    for kind in [DocumentKind::Summary, DocumentKind::Semantic] {
+        document(kind, original).save(folder.path()).unwrap();
+    }
+    let mut stage =
+        Stage::with(&["--no-encoder".as_ref(), "--documents".as_ref(), folder.path().as_os_str()]);
+    assert_eq!(stage.hello(), BTreeMap::new());
+
+    let (warehouse, cases) = (Warehouse::shipped(), CaseSet::shipped().cases);
+    let replay = cases[0].replay(&warehouse, Start::Original);
+    let seen = |step| observation(&replay, &cases[0], Start::Original, step);
+    let summary = Content::Summary("# summary of original".to_owned());
+    let semantic = Content::Semantic("# semantic of original".to_owned());
+    let mut ids = BTreeSet::new();
+    for (episode, representation, texts) in [
+        (1, Representation::Working, vec![]),
+        (2, Representation::Summary, vec![&summary]),
+        (3, Representation::Semantic, vec![&semantic]),
+        (4, Representation::Hybrid, vec![&summary, &semantic]),
+        (5, Representation::Summary, vec![&summary]),
+    ] {
+        stage.brief(brief(representation, 0, episode, original));
+        for step in 0..2 {
+            stage.observe(Observation { episode, ..seen(step) });
+            let (recall, trace) = stage.recall();
+            assert_eq!((recall.segment_len, trace.case), (0, NOT_MEASURED));
+            let named = stage.named(&recall);
+            assert!(named.iter().all(|(_, owner, _)| *owner == 0), "for the whole run");
+            assert_eq!(named.iter().map(|named| &named.2).collect::<Vec<_>>(), texts);
+            ids.extend(named.into_iter().map(|named| named.0));
+        }
+    }
+    assert_eq!(ids.len(), 2, "each is published once");
+
+    // Two lanes, each with trajectories of its own.
+    for (lane, episode, set) in [(0, 6, original), (1, 7, Demonstrations::ALL)] {
+        stage.brief(brief(Representation::FullContext, lane, episode, set));
+        stage.observe(Observation { episode, lane, ..seen(0) });
+        let (recall, _) = stage.recall();
+        let named = stage.named(&recall);
+        let [(_, owner, Content::Trajectories(steps))] = &named[..] else {
+            panic!("{named:?} for {set}")
+        };
+        assert_eq!(*owner, episode);
+        assert_eq!(recall.documents_len, 1);
+        let mut rest = &steps[..];
+        for start in Start::DEMONSTRATIONS.into_iter().take(if lane == 0 { 1 } else { 4 }) {
+            let walk = cases[0].replay(&warehouse, start);
+            let (these, others) = rest.split_at(walk.poses.len());
+            let actions = cases[0].trajectory(start).actions.iter().map(|&action| action as u8);
+            let actions: Vec<u8> = actions.chain([NO_ACTION]).collect();
+            assert_eq!(these.iter().map(|step| step.action).collect::<Vec<_>>(), actions);
+            for (step, pose) in these.iter().zip(&walk.poses) {
+                assert!(step.frame == NO_FRAME || stage.shown[&step.frame] == *pose);
+            }
+            assert!(these[0].frame != NO_FRAME && these[these.len() - 1].frame != NO_FRAME);
+            rest = others;
+        }
+        assert_eq!(rest, []);
+        let keyframes = steps.iter().filter(|step| step.frame != NO_FRAME).count();
+        assert_eq!(keyframes, steps.len().min(40));
+    }
+
+    stage.brief(brief(Representation::Episodic, 0, 8, original));
+    let said = stage.complaint();
+    assert!(said.starts_with("brief of episode 8: episodic memory compares views"), "{said}");
+    stage.stop.send(&Stop { reserved: 0 }).unwrap();
+    stage.orchestrator.bell(Role::Memory).unwrap().ring().unwrap();
+    assert!(stage.exit().success());
+}
+
+/// A memory of nothing would be measured as if it were the representation: the run ends instead.
+#[test]
+fn without_its_document_a_memory_ends_the_run_and_says_what_makes_it() {
+    let (warehouse, cases) = (Warehouse::shipped(), CaseSet::shipped().cases);
+    let replay = cases[0].replay(&warehouse, Start::Original);
+    let seen = observation(&replay, &cases[0], Start::Original, 0);
+    let folder = tempfile::tempdir().unwrap();
+    // The other set's document is no replacement.
+    document(DocumentKind::Summary, Demonstrations::ORIGINAL).save(folder.path()).unwrap();
+    let documents = ["--documents".as_ref(), folder.path().as_os_str()];
+    for (arguments, expected) in [
+        (&documents[..], "`memtransfer memory build --kind summary --demos 4`"),
+        (&[], "was started without --documents DIR"),
+    ] {
+        let mut stage = Stage::with(&[&["--no-encoder".as_ref()], arguments].concat());
+        stage.hello();
+        stage.brief(brief(Representation::Summary, 0, 1, Demonstrations::ALL));
+        stage.observe(Observation { episode: 1, ..seen });
+        let said = stage.complaint();
+        assert!(said.starts_with("the memory process cannot go on: summary memory: "), "{said}");
+        assert!(said.contains(expected), "{said}");
+        assert_eq!(stage.exit().code(), Some(2));
+    }
 }
