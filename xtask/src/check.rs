@@ -2,8 +2,8 @@
 
 use std::process::{Command, Stdio};
 
-use crate::licences;
 use crate::workspace::{Workspace, succeeds};
+use crate::{boundaries, licences};
 
 /// Runs all checks, also after one has failed; whether all passed.
 pub(crate) fn run(workspace: &Workspace) -> anyhow::Result<bool> {
@@ -15,6 +15,7 @@ pub(crate) fn run(workspace: &Workspace) -> anyhow::Result<bool> {
         }
     };
 
+    check("who links whom", boundaries::are_kept(workspace)?);
     check("format", succeeds(&mut workspace.cargo(&["fmt", "--all", "--check"]))?);
     check("lints", succeeds(&mut lints(workspace))?);
     check("docs", succeeds(&mut docs(workspace))?);

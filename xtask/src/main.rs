@@ -8,6 +8,7 @@
 //! Exit status: 0 done, 1 a check or a test failed, 2 could not do it.
 
 mod apt;
+mod boundaries;
 mod cache;
 mod check;
 mod demo;
