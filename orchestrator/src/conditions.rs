@@ -219,57 +219,9 @@ impl FromStr for Condition {
     }
 }
 
-impl Condition {
-    /// The product of the parts under the standard variation, without what does not exist.
-    pub fn product(
-        memory: &[Representation],
-        starts: &[Start],
-        routes: &[Route],
-        demonstrations: &[Demonstrations],
-    ) -> Vec<Self> {
-        let mut conditions = Vec::new();
-        for &memory in memory {
-            for &start in starts {
-                for &route in routes {
-                    for &demonstrations in demonstrations {
-                        let variation = Variation::STANDARD;
-                        let condition = Self::new(memory, start, route, demonstrations, variation);
-                        let new = condition.filter(|condition| !conditions.contains(condition));
-                        conditions.extend(new);
-                    }
-                }
-            }
-        }
-        conditions
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn the_product_leaves_out_what_does_not_exist() {
-        let shown = |demonstrations: &[Demonstrations]| {
-            let memory = [Representation::Working, Representation::Episodic];
-            let conditions = Condition::product(&memory, Start::ALL, Route::ALL, demonstrations);
-            conditions.iter().map(ToString::to_string).collect::<Vec<_>>()
-        };
-        assert_eq!(
-            shown(&[Demonstrations::ORIGINAL, Demonstrations::ALL]),
-            [
-                "working/original/unchanged/none",
-                "working/new/unchanged/none",
-                "working/new/blocked/none",
-                "episodic/original/unchanged/original",
-                "episodic/original/unchanged/4",
-                "episodic/new/unchanged/original",
-                "episodic/new/unchanged/4",
-                "episodic/new/blocked/original",
-                "episodic/new/blocked/4",
-            ]
-        );
-    }
 
     #[test]
     fn a_condition_says_no_more_than_makes_a_difference() {

@@ -1,7 +1,8 @@
 //! How many frames may be resident: as many as are useful, as far as shared memory has room.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 
+use shm_types::representation::Trajectories;
 use shm_types::{Attach, Pose};
 use warehouse::{CaseSet, History, Warehouse};
 
@@ -13,8 +14,8 @@ const HEADROOM_BYTES: u64 = 64 << 20;
 /// What a run can use.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Demand {
-    /// Frames without which it cannot run: the views that live lanes refer to, and the demonstrations of one
-    /// episode.
+    /// Frames without which it cannot run: the views that live lanes refer to, and what the memory of one
+    /// episode holds of its demonstrations.
     pub least: u32,
     /// Frames beyond which more are of no use: in addition every view of the unchanged warehouse.
     pub most: u32,
@@ -32,22 +33,33 @@ pub struct NoRoom {
     free: u64,
 }
 
-/// What `episodes` can use in lanes as `attach` has them.
+/// What `episodes` can use in lanes as `attach` has them, with a budget of `keyframes` for full-context
+/// memory.
 pub fn demand(
     attach: &Attach,
     warehouse: &Warehouse,
     cases: &CaseSet,
     episodes: &[Episode],
+    keyframes: u32,
 ) -> Demand {
     let live = attach.lanes * (attach.window + 2);
+    let mut views_of = BTreeMap::new();
     let remembered = episodes.iter().map(|episode| {
-        let demonstrations = episode.key.condition.demonstrations;
-        let histories = cases.histories(episode.case_index, demonstrations);
-        let views: BTreeSet<Pose> = histories
-            .into_iter()
-            .flat_map(|History { case, start }| cases.cases[case].replay(warehouse, start).poses)
-            .collect();
-        views.len() as u32
+        let condition = episode.key.condition;
+        let mut views = || {
+            let set = (episode.case_index, condition.demonstrations);
+            *views_of.entry(set).or_insert_with(|| {
+                let histories = cases.histories(set.0, set.1).into_iter();
+                let replay = |History { case, start }| cases.cases[case].replay(warehouse, start);
+                let views: BTreeSet<Pose> = histories.flat_map(|h| replay(h).poses).collect();
+                views.len() as u32
+            })
+        };
+        match condition.memory.describe().trajectories {
+            Trajectories::Nothing => 0,
+            Trajectories::Whole => views().min(keyframes),
+            Trajectories::Segment => views(),
+        }
     });
     let every_view = 4 * warehouse.layout.free_cells().count() as u32;
     Demand { least: live + remembered.max().unwrap_or(0), most: live + every_view }
@@ -82,6 +94,7 @@ mod tests {
     use shm_types::{FrameControl, FrameSize, Wait};
 
     use super::*;
+    use crate::plan::plan;
 
     fn attach() -> Attach {
         Attach {
@@ -114,9 +127,24 @@ mod tests {
     }
 
     #[test]
-    fn every_case_s_demonstrations_count() {
+    fn what_an_episode_s_memory_holds_counts() {
         let (warehouse, cases) = (Warehouse::shipped(), CaseSet::shipped());
-        let Demand { least, most } = demand(&attach(), &warehouse, &cases, &[]);
-        assert_eq!((least, most), (32, 32 + 4 * warehouse.layout.free_cells().count() as u32));
+        let needed = |conditions: &[&str]| {
+            let conditions: Vec<_> =
+                conditions.iter().map(|written| (written.parse().unwrap(), 1)).collect();
+            let ids: Vec<&str> = cases.cases.iter().map(|case| case.id.as_str()).collect();
+            let episodes = plan(&conditions, &[0, 60], &ids, 1);
+            let Demand { least, most } = demand(&attach(), &warehouse, &cases, &episodes, 40);
+            assert_eq!(most, 32 + 4 * warehouse.layout.free_cells().count() as u32);
+            least - 32
+        };
+        let views = |set| needed(&[&format!("episodic/new/unchanged/{set}")]);
+        assert_eq!(needed(&[]), 0);
+        assert_eq!(needed(&["working/new/unchanged/none", "hybrid/new/unchanged/4"]), 0);
+        assert_eq!(needed(&["full-context/new/unchanged/4"]), 40);
+        assert!(views("original") > 10 && views("original") < views("4"));
+        assert!(views("4") > 40 && views("confusable") > views("original"));
+        let all = ["episodic/new/unchanged/4", "full-context/new/unchanged/4"];
+        assert_eq!(needed(&all), views("4"));
     }
 }

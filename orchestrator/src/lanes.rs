@@ -30,6 +30,8 @@ use crate::witness::Witness;
 pub struct Rules {
     /// Expert actions that a retrieved segment follows, H_epi.
     pub horizon: u8,
+    /// Keyframes of full-context memory.
+    pub keyframes: u8,
     /// T_max.
     pub max_steps: u32,
     /// Whether the orchestrator decides itself, by replaying the reference.
@@ -221,6 +223,7 @@ impl<'w> Lanes<'w> {
             episode: walk.ticket,
             seed: episode.seed,
             lane: lane as u32,
+            starts_as_demonstrated: condition.is_hinted().into(),
             ..Zeroable::zeroed()
         };
         let task = &self.cases.cases[episode.case_index].task;
@@ -236,6 +239,8 @@ impl<'w> Lanes<'w> {
                 // At most `MAX_WINDOW`, which the settings check.
                 window: condition.variation.window as u8,
                 horizon: self.rules.horizon,
+                keyframes: self.rules.keyframes,
+                segment: condition.variation.segment.content() as u8,
                 ..Zeroable::zeroed()
             },
             policy,

@@ -4,13 +4,22 @@
 //! `memtransfer run`, the MEMTRANSFER_* variables and the keys of a suite file, so the three cannot
 //! disagree about a name. [`resolve`] puts the layers on top of each other, defaults < suite file <
 //! environment < command line, and checks the outcome: [`Settings`] is complete and possible.
+//!
+//! What a run varies is in [`Group`]s, each a product; a suite file may have several, and what flags and
+//! variables say of a group's keys holds for all of them.
 
 mod cases;
+mod documents;
+mod group;
+mod images;
 mod layer;
 mod resolve;
 mod suite;
 
 pub use cases::{CaseSelector, select_cases};
+pub use documents::{Documents, UnknownDocuments};
+pub use group::{GROUP_KEYS, Group};
+pub use images::{MAX_IMAGES, TooManyImages};
 pub use layer::Layer;
 pub use resolve::{Origin, Resolved, SettingsError, resolve};
 pub use suite::{SuiteError, SuiteName, load_suite, shipped_suites};
@@ -18,9 +27,8 @@ pub use suite::{SuiteError, SuiteName, load_suite, shipped_suites};
 use std::path::PathBuf;
 
 use serde::{Deserialize, Serialize};
-use shm_types::Representation;
 
-use crate::conditions::{Demonstrations, Frames, PolicyKind, Route, Start};
+use crate::conditions::{Condition, Frames, PolicyKind};
 
 /// A run's settings, complete and checked. Every field is described where it is written: [`Layer`].
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -29,18 +37,17 @@ use crate::conditions::{Demonstrations, Frames, PolicyKind, Route, Start};
 pub struct Settings {
     pub suite: SuiteName,
     pub policy: PolicyKind,
-    pub memory: Vec<Representation>,
-    pub starts: Vec<Start>,
-    pub routes: Vec<Route>,
-    pub demos: Vec<Demonstrations>,
+    /// What is varied, one group at least.
+    #[serde(rename = "group")]
+    pub groups: Vec<Group>,
     pub cases: Vec<CaseSelector>,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub limit: Option<u32>,
-    pub runs: u32,
     pub seed: u64,
     pub max_steps: u32,
-    pub window: u32,
     pub horizon: u32,
+    pub keyframes: u32,
+    pub documents: Documents,
     pub frame_size: u32,
     pub frames: Frames,
     pub encoder: String,
@@ -57,6 +64,23 @@ pub struct Settings {
     pub spin_us: u32,
     pub step_timeout: u32,
     pub start_timeout: u32,
+}
+
+impl Settings {
+    /// The conditions that they ask for, each once, in the order of the groups.
+    pub fn conditions(&self) -> Vec<Condition> {
+        self.runs().into_iter().map(|(condition, _)| condition).collect()
+    }
+
+    /// The same, with how often each is run.
+    pub fn runs(&self) -> Vec<(Condition, u32)> {
+        group::union(&self.groups)
+    }
+
+    /// Most images that a request under `condition` can hold.
+    pub const fn images(&self, condition: &Condition) -> u32 {
+        condition.memory.images(condition.variation.window, self.horizon, self.keyframes)
+    }
 }
 
 /// Keys that change how fast or where a run goes and never what comes out, so a run may be resumed with

@@ -49,6 +49,8 @@ fn refused(dir: &Path, arguments: &str) -> String {
 fn bad_input_gets_one_clear_message_and_exit_status_2() {
     let dir = dir();
     fs::write(dir.path().join("typo.toml"), "lane = 3").unwrap();
+    let in_group = "[[group]]\nname = \"new\"\nstart = [\"new\"]";
+    fs::write(dir.path().join("typo-in-group.toml"), in_group).unwrap();
     fs::write(dir.path().join("broken.toml"), "runs = = 3").unwrap();
     for (arguments, said) in [
         ("run --suite quik", "did you mean `quick`?"),
@@ -59,6 +61,15 @@ fn bad_input_gets_one_clear_message_and_exit_status_2() {
         ("run --memory episodik", "did you mean `episodic`?"),
         ("run --demos orginal", "did you mean `original`?"),
         ("run --frames blanc", "did you mean `blank`?"),
+        ("run --segment image", "did you mean `images`?"),
+        ("run --hint of", "did you mean `off`?"),
+        ("run --documents modle", "did you mean `model`?"),
+        (
+            "run --suite typo-in-group.toml",
+            "unknown key `start` in group 1: did you mean `starts`?",
+        ),
+        ("run --suite rq1 --window 20", "lower --window or --keyframes"),
+        ("run --memory episodic --demos none", "no condition is left"),
         ("run --cases t03-7", "did you mean `t03-07`?"),
         ("run --cases 1-200", "unknown case `1-200`: did you mean `1-100`?"),
         ("run --limit 0", "no case is left"),
@@ -122,7 +133,7 @@ fn settings_come_from_everywhere_in_order() {
     };
     let found = shown("run --suite mine.toml --seed 8 --show-settings");
     for (key, origin) in [
-        ("window = 6", "default"),
+        ("window = [6]", "default"),
         ("lanes = 3", "suite"),
         ("runs = 6", "environment"),
         ("seed = 8", "command line"),
@@ -139,7 +150,17 @@ fn a_dry_run_counts_and_touches_nothing() {
     let output = memtransfer(dir.path(), "run --dry-run --limit 10 --runs 2");
     assert_eq!(output.status.code(), Some(0));
     let said = text(&output.stdout);
-    assert!(said.contains("80 of 80 episodes would run"), "{said}");
+    assert!(said.contains("80 of 80 episodes of 4 conditions would run"), "{said}");
+    for (arguments, counted) in [
+        ("--suite paper", "17500 of 17500 episodes of 53 conditions"),
+        ("--suite paper --policy expert", "300 of 300 episodes of 3 conditions"),
+        ("--suite design --memory working --runs 1", "300 of 300 episodes of 3 conditions"),
+        ("--suite rq2 --window 0", "3600 of 3600 episodes of 12 conditions"),
+    ] {
+        let output = memtransfer(dir.path(), &format!("run --dry-run {arguments}"));
+        let said = text(&output.stdout);
+        assert!(said.contains(counted), "{arguments}: {said}{}", text(&output.stderr));
+    }
     assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 0);
 }
 
@@ -158,7 +179,7 @@ fn a_folder_with_other_things_is_left_alone() {
 #[test]
 fn lists_are_tables_and_json() {
     let dir = dir();
-    for (list, least) in [("cases", 100), ("tasks", 10), ("items", 150), ("suites", 1), ("runs", 0)]
+    for (list, least) in [("cases", 100), ("tasks", 10), ("items", 150), ("suites", 6), ("runs", 0)]
     {
         let output = memtransfer(dir.path(), &format!("ls {list} --json"));
         assert_eq!(output.status.code(), Some(0), "{list}");

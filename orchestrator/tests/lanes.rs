@@ -12,7 +12,7 @@ use shm_types::message::{
 use shm_types::{Action, Feedback, Pose, Representation};
 use warehouse::{CaseSet, Variant, Warehouse, step};
 
-const RULES: Rules = Rules { horizon: 6, max_steps: 200, expert: false };
+const RULES: Rules = Rules { horizon: 6, keyframes: 40, max_steps: 200, expert: false };
 
 fn world() -> (Warehouse, CaseSet) {
     (Warehouse::shipped(), CaseSet::shipped())

@@ -211,8 +211,8 @@ fn run(spoil: fn(Decision) -> Decision) -> (Seen, Ending) {
         demonstrations: Demonstrations::NONE,
         variation: Variation::STANDARD,
     };
-    let episodes = plan(&[condition], 1, &[0, 1, 2, 3, 4, 5, 6, 7], &ids, 1);
-    let rules = Rules { horizon: 6, max_steps: MAX_STEPS, expert: false };
+    let episodes = plan(&[(condition, 1)], &[0, 1, 2, 3, 4, 5, 6, 7], &ids, 1);
+    let rules = Rules { horizon: 6, keyframes: 40, max_steps: MAX_STEPS, expert: false };
     let mut lanes = Lanes::new(&warehouse, &cases, rules, LANES as usize);
     // The peers are threads; the process that the pipeline watches only has to live.
     let sleeper = Launch {

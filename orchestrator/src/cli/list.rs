@@ -10,7 +10,7 @@ use warehouse::{Mixture, Overlap, Start, Task};
 use super::{Exit, WorldArgs, print, print_json};
 use crate::log::RunLog;
 use crate::score::score;
-use crate::settings::shipped_suites;
+use crate::settings::{Layer, Origin, load_suite, resolve, select_cases, shipped_suites};
 use crate::table::table;
 use crate::world::World;
 
@@ -38,7 +38,7 @@ enum What {
     Tasks(WorldArgs),
     /// The items in the warehouse, with where one stands to reach them
     Items(WorldArgs),
-    /// The shipped suites
+    /// The shipped suites: what each is for, and how much it runs
     Suites,
     /// The runs in a folder: how far each is, and how well it went
     Runs {
@@ -62,7 +62,7 @@ pub(super) fn run(args: &ListArgs) -> anyhow::Result<Exit> {
         What::Histories(world) => histories(&world.load()?),
         What::Tasks(world) => tasks(&world.load()?),
         What::Items(world) => items(&world.load()?),
-        What::Suites => suites(),
+        What::Suites => suites()?,
         What::Runs { dir } => runs(dir)?,
     };
     if args.json {
@@ -187,7 +187,7 @@ fn items(world: &World) -> Listing {
     }
 }
 
-fn suites() -> Listing {
+fn suites() -> anyhow::Result<Listing> {
     // A suite opens with a comment that says what it is for.
     let about = |text: &str| {
         let comment = text.lines().take_while(|line| line.starts_with('#'));
@@ -197,8 +197,24 @@ fn suites() -> Listing {
             .collect();
         about.join(" ")
     };
-    let rows = shipped_suites().iter().map(|(name, text)| vec![json!(name), json!(about(text))]);
-    Listing { header: vec!["suite", "about"], numbers: 2, rows: rows.collect() }
+    let mut rows = Vec::new();
+    let world = World::load(None)?;
+    for (name, text) in shipped_suites() {
+        let suite = (*name).parse()?;
+        let layers =
+            [(Origin::Default, Layer::defaults()), (Origin::Suite, load_suite(&suite, None)?)];
+        let settings = resolve(layers)?.settings;
+        let cases = select_cases(&world.case_ids(), &settings.cases, settings.limit)?.len();
+        let conditions = settings.runs();
+        let runs: u32 = conditions.iter().map(|(_, runs)| runs).sum();
+        rows.push(vec![
+            json!(name),
+            json!(about(text)),
+            json!(conditions.len()),
+            json!(runs as usize * cases),
+        ]);
+    }
+    Ok(Listing { header: vec!["suite", "about", "conditions", "episodes"], numbers: 2, rows })
 }
 
 fn runs(dir: &Path) -> anyhow::Result<Listing> {

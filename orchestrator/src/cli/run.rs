@@ -13,7 +13,7 @@ use shm_types::process::{check_shared_memory, shared_memory_space};
 use shm_types::{Attach, FrameSize, RunDir, Wait, registry};
 
 use super::{Exit, print};
-use crate::conditions::{PolicyKind, Route, Start};
+use crate::conditions::{Demonstrations, PolicyKind, Route, Start};
 use crate::frame_budget;
 use crate::lanes::{Lanes, Rules};
 use crate::log::{FORMAT, Manifest, Opened, RunFolder, RunLog, commit_of};
@@ -21,7 +21,9 @@ use crate::pipeline::{self, Crewing};
 use crate::plan::{Episode, plan};
 use crate::progress::Progress;
 use crate::session::Session;
-use crate::settings::{Layer, Origin, Resolved, Settings, load_suite, resolve, select_cases};
+use crate::settings::{
+    Group, Layer, Origin, Resolved, Settings, load_suite, resolve, select_cases,
+};
 use crate::signals::{self, Signals};
 use crate::supervise::{Launch, sibling};
 use crate::table;
@@ -39,6 +41,7 @@ Examples:
   memtransfer run --policy random --limit 10            ten cases, spread over the tasks
   memtransfer run --policy expert --starts original,new --routes unchanged,blocked
   memtransfer run --memory episodic --demos original,4  one against four demonstrations
+  memtransfer run --suite paper --dry-run               all that the paper reports, counted
   memtransfer run --frames blank --out runs/blank       a control: does it collapse without pixels?
   memtransfer run --cases t03,t09-01 --dry-run          what would run")]
 pub(super) struct RunArgs {
@@ -142,17 +145,28 @@ fn settings(said: Layer, matches: &ArgMatches) -> Result<Resolved> {
 
 /// A combination that was asked for and does not exist should not go without a word.
 fn say_what_is_left_out(settings: &Settings) {
-    if settings.routes.contains(&Route::Blocked) && settings.starts.contains(&Start::Original) {
+    let groups = &settings.groups;
+    let both = |group: &Group| {
+        group.routes.contains(&Route::Blocked) && group.starts.contains(&Start::Original)
+    };
+    if groups.iter().any(both) {
         eprintln!(
             "a blocked route is defined for the new start only: left out for the original start"
         );
+    }
+    let without = |group: &Group| {
+        group.demos.contains(&Demonstrations::NONE)
+            && group.memory.iter().any(|memory| memory.uses_demonstrations())
+    };
+    if groups.iter().any(without) {
+        eprintln!("a memory of demonstrations needs some: left out with `--demos none`");
     }
 }
 
 fn episodes(settings: &Settings, world: &World) -> Result<Vec<Episode>> {
     let ids = world.case_ids();
     let cases = select_cases(&ids, &settings.cases, settings.limit)?;
-    let episodes = plan(&settings.conditions(), settings.runs, &cases, &ids, settings.seed);
+    let episodes = plan(&settings.runs(), &cases, &ids, settings.seed);
     if episodes.is_empty() {
         bail!("no case is left: --limit is 0, or --cases names none");
     }
@@ -190,36 +204,38 @@ fn dry_run(
         }
         done = log.episodes.into_iter().map(|record| record.key).collect();
     }
-    let header = ["memory", "start", "route", "demos", "episodes", "done", "missing"];
-    let mut table = table::table(&header, 4);
-    let (mut missing_in_all, mut images) = (0, 0);
-    for condition in settings.conditions() {
+    let header = ["condition", "runs", "episodes", "done", "requests", "images/req", "images"];
+    let mut table = table::table(&header, 1);
+    let (mut all, mut missing, mut images) = (0, 0, 0);
+    // At most: no episode ends early, every window is full.
+    let requests = |episodes: u64| {
+        if settings.policy.has_process() { episodes * u64::from(settings.max_steps) } else { 0 }
+    };
+    for (condition, runs) in settings.runs() {
         let of = || episodes.iter().filter(|episode| episode.key.condition == condition);
         let is_done = |episode: &&Episode| done.binary_search(&episode.key.to_string()).is_ok();
-        let (all, done) = (of().count(), of().filter(is_done).count());
-        let missing = all - done;
-        missing_in_all += missing;
-        let segment = if condition.memory.uses_demonstrations() { settings.horizon + 1 } else { 0 };
-        images += missing as u64 * u64::from(1 + settings.window + segment);
+        let (planned, done) = (of().count() as u64, of().filter(is_done).count() as u64);
+        let requests = requests(planned - done);
+        let each = u64::from(settings.images(&condition));
+        (all, missing, images) =
+            (all + planned, missing + planned - done, images + requests * each);
         table.add_row([
-            condition.memory.to_string(),
-            condition.start.to_string(),
-            condition.route.to_string(),
-            condition.demonstrations.to_string(),
-            all.to_string(),
+            condition.to_string(),
+            runs.to_string(),
+            planned.to_string(),
             done.to_string(),
-            missing.to_string(),
+            requests.to_string(),
+            each.to_string(),
+            (requests * each).to_string(),
         ]);
     }
-    let steps = u64::from(settings.max_steps);
     Ok(format!(
-        "{table}\n\n{} of {} episodes would run with policy {}, into {}.\nAt most {} requests with {} images.",
-        missing_in_all,
-        episodes.len(),
+        "{table}\n\n{missing} of {all} episodes of {} conditions would run with policy {}, into {}.\n\
+         At most {} requests with {images} images.",
+        settings.conditions().len(),
         settings.policy,
         settings.out.display(),
-        missing_in_all as u64 * steps,
-        images * steps
+        requests(missing)
     ))
 }
 
@@ -246,6 +262,7 @@ fn walk(
     };
     let rules = Rules {
         horizon: u8::try_from(settings.horizon).context("--horizon")?,
+        keyframes: u8::try_from(settings.keyframes).context("--keyframes")?,
         max_steps: settings.max_steps,
         expert: settings.policy == PolicyKind::Expert,
     };
@@ -264,17 +281,19 @@ fn walk(
 
 /// What every process of the run is told.
 fn attach(settings: &Settings, world: &World, missing: &[Episode], run: &RunDir) -> Result<Attach> {
+    let windows = missing.iter().map(|episode| episode.key.condition.variation.window);
     let mut attach = Attach {
         // The expert needs a world and nobody else.
         crew: if settings.policy.has_process() { Role::CREW.to_vec() } else { vec![Role::Sim] },
         lanes: settings.lanes.min(missing.len() as u32),
-        window: settings.window,
+        window: windows.max().unwrap_or(0),
         frame: FrameSize { width: settings.frame_size, height: settings.frame_size },
         wait: Wait { spin_us: settings.spin_us },
         frame_control: settings.frames.control(),
         ..Attach::new(run)
     };
-    let demand = frame_budget::demand(&attach, &world.warehouse, &world.cases, missing);
+    let World { warehouse, cases, .. } = world;
+    let demand = frame_budget::demand(&attach, warehouse, cases, missing, settings.keyframes);
     attach.frame_capacity = match settings.frame_budget {
         None => {
             let (free, _) =

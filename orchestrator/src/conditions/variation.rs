@@ -6,7 +6,7 @@
 use std::fmt;
 
 use serde::{Deserialize, Serialize};
-use shm_types::message::MAX_WINDOW;
+use shm_types::message::{self, MAX_WINDOW};
 
 use crate::names::named;
 
@@ -51,6 +51,16 @@ impl Variation {
 impl Default for Variation {
     fn default() -> Self {
         Self::STANDARD
+    }
+}
+
+impl SegmentContent {
+    /// The word for it on the wire.
+    pub const fn content(self) -> message::SegmentContent {
+        match self {
+            Self::Actions => message::SegmentContent::Actions,
+            Self::Images => message::SegmentContent::Images,
+        }
     }
 }
 

@@ -123,6 +123,11 @@ impl Manifest {
         FREE_KEYS.iter().for_each(|key| {
             identity.remove(*key);
         });
+        // Not how a suite puts its conditions into groups, but what they come to.
+        identity.remove("group");
+        for (condition, runs) in self.settings.runs() {
+            identity.insert(format!("runs of {condition}"), runs.into());
+        }
         identity.insert("version".to_owned(), self.version.clone().into());
         for (name, hash) in &self.hashes {
             identity.insert(format!("contents of {name}"), hash.clone().into());

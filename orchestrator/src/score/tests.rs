@@ -128,7 +128,7 @@ fn walked(
 
 fn with_routes(records: Vec<EpisodeRecord>) -> RunLog {
     let mut log = log(records);
-    log.manifest.settings.routes = Route::ALL.to_vec();
+    log.manifest.settings.groups[0].routes = Route::ALL.to_vec();
     log
 }
 

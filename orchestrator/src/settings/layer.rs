@@ -7,8 +7,11 @@ use serde::de::Error as _;
 use serde::{Deserialize, Deserializer, Serialize};
 use shm_types::Representation;
 
-use super::{CaseSelector, SuiteName};
-use crate::conditions::{Demonstrations, Frames, PolicyKind, Route, Start, representation};
+use super::{CaseSelector, Documents, SuiteName};
+use crate::conditions::{
+    Demonstrations, Frames, Hint, PolicyKind, Route, SegmentContent, Start, Variation,
+    representation,
+};
 
 /// Heading of the flags that decide what is run.
 const WHAT: &str = "What is run";
@@ -89,15 +92,41 @@ pub struct Layer {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub max_steps: Option<u32>,
 
-    /// Past steps that a policy is shown, h
-    #[arg(long, value_name = "N", env = "MEMTRANSFER_WINDOW", help_heading = PERCEIVED)]
+    /// Past steps that a policy is shown, h. Each entry of the list is a condition of its own
+    #[arg(long, value_name = "LIST", value_delimiter = ',', env = "MEMTRANSFER_WINDOW",
+          help_heading = PERCEIVED)]
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub window: Option<u32>,
+    pub window: Option<Vec<u32>>,
 
     /// Expert actions that a retrieved segment follows, H_epi
     #[arg(long, value_name = "N", env = "MEMTRANSFER_HORIZON", help_heading = PERCEIVED)]
     #[serde(skip_serializing_if = "Option::is_none")]
     pub horizon: Option<u32>,
+
+    /// What a retrieved segment holds: actions (with the views they led to), or images alone
+    #[arg(long, value_name = "LIST", value_delimiter = ',', env = "MEMTRANSFER_SEGMENT",
+          help_heading = PERCEIVED)]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub segment: Option<Vec<SegmentContent>>,
+
+    /// Keyframes of full-context memory, shared by a case's demonstrations
+    #[arg(long, value_name = "N", env = "MEMTRANSFER_KEYFRAMES", help_heading = PERCEIVED)]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub keyframes: Option<u32>,
+
+    /// Whether the prompt says that the demonstration starts where the agent does, where that is so:
+    /// on, off
+    #[arg(long, value_name = "LIST", value_delimiter = ',', env = "MEMTRANSFER_HINT",
+          help_heading = PERCEIVED)]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub hint: Option<Vec<Hint>>,
+
+    /// The documents of summary, semantic and hybrid memory: those of the builder extractive or
+    /// model, or those in the folder DIR
+    #[arg(long, value_name = "BUILDER|DIR", env = "MEMTRANSFER_DOCUMENTS",
+          help_heading = PERCEIVED)]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub documents: Option<Documents>,
 
     /// Width and height of a frame, a multiple of 64
     #[arg(long, value_name = "PIXELS", env = "MEMTRANSFER_FRAME_SIZE", help_heading = PERCEIVED)]
@@ -158,6 +187,16 @@ pub struct Layer {
     #[arg(long, value_name = "SECONDS", env = "MEMTRANSFER_START_TIMEOUT", help_heading = HOW)]
     #[serde(skip_serializing_if = "Option::is_none")]
     pub start_timeout: Option<u32>,
+
+    /// In a suite's `[[group]]`: what it is called.
+    #[arg(skip)]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub name: Option<String>,
+
+    /// A suite's groups: layers that say a name and [`GROUP_KEYS`](super::GROUP_KEYS) only.
+    #[arg(skip)]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub group: Option<Vec<Layer>>,
 }
 
 /// Reads names of representations, so that an unknown one is answered with the nearest.
@@ -185,8 +224,12 @@ impl Layer {
             runs: Some(1),
             seed: Some(1),
             max_steps: Some(warehouse::MAX_STEPS),
-            window: Some(6),
+            window: Some(vec![Variation::STANDARD.window]),
             horizon: Some(6),
+            segment: Some(vec![Variation::STANDARD.segment]),
+            keyframes: Some(40),
+            hint: Some(vec![Variation::STANDARD.hint]),
+            documents: Some(Documents::Extractive),
             frame_size: Some(448),
             frames: Some(Frames::Rendered),
             encoder: Some("dinov2-s14".to_owned()),
@@ -200,10 +243,12 @@ impl Layer {
             spin_us: Some(0),
             step_timeout: Some(120),
             start_timeout: Some(300),
+            name: None,
+            group: None,
         }
     }
 
-    /// Every key, as suite files and `--show-settings` spell it.
+    /// Every key but `group` and what is in groups alone, as suite files and `--show-settings` spell it.
     pub fn keys() -> Vec<String> {
         #[derive(Parser)]
         struct Flags {

@@ -4,12 +4,12 @@ use std::collections::BTreeMap;
 use std::fmt;
 use std::path::PathBuf;
 
-use serde_json::{Map, Value};
+use serde_json::{Map, Value, json};
 use shm_types::Representation;
 use shm_types::message::{MAX_SEGMENT, MAX_WINDOW};
 
-use super::{Layer, Settings};
-use crate::conditions::Condition;
+use super::{GROUP_KEYS, Group, Layer, MAX_IMAGES, Settings, TooManyImages};
+use crate::conditions::{PolicyKind, Variation};
 
 /// Where a setting comes from, weakest first.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
@@ -18,6 +18,8 @@ pub enum Origin {
     Default,
     /// The suite.
     Suite,
+    /// The policy, to which what is varied makes no difference.
+    Policy,
     /// A MEMTRANSFER_* variable.
     Environment,
     /// A flag.
@@ -29,6 +31,7 @@ impl fmt::Display for Origin {
         f.write_str(match self {
             Self::Default => "default",
             Self::Suite => "suite",
+            Self::Policy => "policy",
             Self::Environment => "environment",
             Self::CommandLine => "command line",
         })
@@ -40,8 +43,13 @@ impl fmt::Display for Origin {
 pub struct Resolved {
     /// The settings.
     pub settings: Settings,
-    origins: BTreeMap<String, Origin>,
+    /// Of the keys that are not a group's.
+    origins: Origins,
+    /// Of each group's keys.
+    group_origins: Vec<Origins>,
 }
+
+type Origins = BTreeMap<String, Origin>;
 
 /// Why layers make no settings.
 #[derive(Debug, thiserror::Error)]
@@ -58,10 +66,13 @@ pub enum SettingsError {
     },
     /// Nothing is left to run.
     #[error(
-        "no condition is left: a blocked route needs the new start (add `new` to --starts), and --memory, \
-         --starts, --routes and --demos need an entry each"
+        "no condition is left: a blocked route needs the new start (add `new` to --starts), a memory of \
+         demonstrations needs some (--demos), and each list needs an entry"
     )]
     NoCondition,
+    /// A request could hold more images than a prompt does.
+    #[error(transparent)]
+    Images(#[from] TooManyImages),
     /// The layers do not fit together: a bug.
     #[error("the settings cannot be put together: {0}")]
     Internal(#[from] serde_json::Error),
@@ -75,7 +86,7 @@ pub fn resolve(
     layers: impl IntoIterator<Item = (Origin, Layer)>,
 ) -> Result<Resolved, SettingsError> {
     let mut merged = Map::new();
-    let mut origins = BTreeMap::new();
+    let mut origins = Origins::new();
     for (origin, layer) in layers {
         let Value::Object(said) = serde_json::to_value(layer)? else { continue };
         origins.extend(said.keys().map(|key| (key.clone(), origin)));
@@ -88,37 +99,97 @@ pub fn resolve(
         merged.insert("out".to_owned(), serde_json::to_value(out)?);
         origins.insert("out".to_owned(), Origin::Default);
     }
+    let policy = serde_json::from_value(merged.get("policy").cloned().unwrap_or_default())?;
+    let said = match merged.remove("group") {
+        Some(Value::Array(groups)) => groups,
+        // Without groups there is one, of the top-level keys.
+        _ => vec![Value::Object(Map::new())],
+    };
+    let common: Vec<(&str, Value, Origin)> = GROUP_KEYS
+        .iter()
+        .filter_map(|key| Some((*key, merged.remove(*key)?, origins.remove(*key)?)))
+        .collect();
+    origins.remove("group");
+    let (mut groups, mut group_origins) = (Vec::new(), Vec::new());
+    for group in said {
+        let Value::Object(mut group) = group else { continue };
+        group_origins.push(complete(&mut group, &common, policy));
+        groups.push(Value::Object(group));
+    }
+    merged.insert("group".to_owned(), Value::Array(groups));
     let settings: Settings = serde_json::from_value(Value::Object(merged))?;
     settings.check()?;
-    Ok(Resolved { settings, origins })
+    Ok(Resolved { settings, origins, group_origins })
+}
+
+/// Completes what a suite says of a group: a flag or variable replaces it, what is said at the top level holds
+/// where it says nothing. Returns where each key comes from.
+fn complete(
+    group: &mut Map<String, Value>,
+    common: &[(&str, Value, Origin)],
+    policy: PolicyKind,
+) -> Origins {
+    let mut origins = Origins::new();
+    for (key, value, origin) in common {
+        let origin = match origin {
+            Origin::Environment | Origin::CommandLine => *origin,
+            _ if group.contains_key(*key) => Origin::Suite,
+            _ => *origin,
+        };
+        if origin != Origin::Suite || !group.contains_key(*key) {
+            group.insert((*key).to_owned(), value.clone());
+        }
+        origins.insert((*key).to_owned(), origin);
+    }
+    for (key, value) in makes_no_difference(policy) {
+        let is_asked_for = origins.get(key) >= Some(&Origin::Environment);
+        // A policy without a process can be given nothing, whatever is asked for.
+        let is_possible = policy.has_process() || key == "runs";
+        if !is_asked_for || !is_possible {
+            group.insert(key.to_owned(), value);
+            origins.insert(key.to_owned(), Origin::Policy);
+        }
+    }
+    origins
+}
+
+/// What a suite need not vary for a policy that decides without looking, with the value that stands for all:
+/// each start and route then is run once, not once for every memory.
+fn makes_no_difference(policy: PolicyKind) -> Vec<(&'static str, Value)> {
+    let Variation { window, segment, hint } = Variation::STANDARD;
+    let given = vec![
+        ("memory", json!([Representation::Working])),
+        ("window", json!([window])),
+        ("segment", json!([segment])),
+        ("hint", json!([hint])),
+    ];
+    match policy {
+        PolicyKind::Grounded => Vec::new(),
+        PolicyKind::Random => given,
+        // It does the same in every run.
+        PolicyKind::Expert => given.into_iter().chain([("runs", json!(1))]).collect(),
+    }
 }
 
 impl Settings {
-    /// The conditions they ask for, in the order of the table.
-    ///
-    /// The expert asks no memory, so for it every memory is the same: the window alone.
-    pub fn conditions(&self) -> Vec<Condition> {
-        let memory =
-            if self.policy.has_process() { &self.memory[..] } else { &[Representation::Working] };
-        let mut conditions = Condition::product(memory, &self.starts, &self.routes, &self.demos);
-        conditions.iter_mut().for_each(|condition| condition.variation.window = self.window);
-        conditions
-    }
-
     /// Whether every value can be.
     fn check(&self) -> Result<(), SettingsError> {
         let numbers = [
-            ("--runs", self.runs, 1, 1000),
             ("--max-steps", self.max_steps, 1, 10_000),
-            ("--window", self.window, 0, MAX_WINDOW as u32),
             ("--horizon", self.horizon, 0, MAX_SEGMENT as u32 - 1),
+            ("--keyframes", self.keyframes, 1, MAX_IMAGES),
             ("--frame-size", self.frame_size, 64, 4096),
             ("--lanes", self.lanes, 1, 1024),
             ("--spin-us", self.spin_us, 0, 1_000_000),
             ("--step-timeout", self.step_timeout, 1, 86_400),
             ("--start-timeout", self.start_timeout, 1, 86_400),
         ];
-        for (key, value, least, most) in numbers {
+        let varied = self.groups.iter().flat_map(|group: &Group| {
+            let windows = group.window.iter();
+            let windows = windows.map(|&window| ("--window", window, 0, MAX_WINDOW as u32));
+            windows.chain([("--runs", group.runs, 1, 1000)])
+        });
+        for (key, value, least, most) in numbers.into_iter().chain(varied) {
             if !(least..=most).contains(&value) {
                 let expected = format!("{least} to {most}");
                 return Err(SettingsError::Value { key, value: value.to_string(), expected });
@@ -142,26 +213,61 @@ impl Settings {
         if self.conditions().is_empty() {
             return Err(SettingsError::NoCondition);
         }
-        Ok(())
+        Ok(self.check_images()?)
+    }
+}
+
+impl Resolved {
+    /// The groups that a suite file gave a name, with where each key comes from.
+    fn named_groups(&self) -> impl Iterator<Item = (&Group, &Origins)> {
+        let groups = self.settings.groups.iter().zip(&self.group_origins);
+        groups.filter(|(group, _)| group.name.is_some())
     }
 }
 
 impl fmt::Display for Resolved {
     /// As a suite file would say it, each line with where it comes from. JSON scalars and arrays are TOML.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Ok(Value::Object(values)) = serde_json::to_value(&self.settings) else {
+        let Ok(Value::Object(mut values)) = serde_json::to_value(&self.settings) else {
             return Err(fmt::Error);
         };
+        let mut origins = self.origins.clone();
+        if self.named_groups().next().is_none()
+            && let Some(Value::Array(groups)) = values.remove("group")
+            && let Some(Value::Object(only)) = groups.into_iter().next()
+        {
+            values.extend(only);
+            origins.extend(self.group_origins.iter().flatten().map(|(k, o)| (k.clone(), *o)));
+        }
         for key in Layer::keys() {
-            match (values.get(&key), self.origins.get(&key)) {
-                (Some(value), Some(origin)) => {
-                    writeln!(f, "{:<44} # {origin}", format!("{key} = {value}"))?
+            match (values.get(&key), origins.get(&key)) {
+                // A suite file does not name a suite.
+                (Some(value), Some(origin)) if key == "suite" => {
+                    writeln!(f, "{:<44} # {origin}", format!("# suite = {value}"))?;
                 }
+                (Some(value), Some(origin)) => write_line(f, &key, value, *origin)?,
+                _ if GROUP_KEYS.contains(&key.as_str()) => {}
                 _ => writeln!(f, "# {key}: not set")?,
+            }
+        }
+        for (group, origins) in self.named_groups() {
+            let Ok(Value::Object(values)) = serde_json::to_value(group) else {
+                return Err(fmt::Error);
+            };
+            writeln!(f, "\n[[group]]")?;
+            for key in ["name"].iter().chain(GROUP_KEYS) {
+                let origin = origins.get(*key).copied().unwrap_or(Origin::Suite);
+                if let Some(value) = values.get(*key) {
+                    write_line(f, key, value, origin)?;
+                }
             }
         }
         Ok(())
     }
+}
+
+fn write_line(f: &mut fmt::Formatter<'_>, key: &str, value: &Value, origin: Origin) -> fmt::Result {
+    writeln!(f, "{:<44} # {origin}", format!("{key} = {value}"))
 }
 
 #[cfg(test)]
@@ -232,9 +338,110 @@ mod tests {
         ];
         let resolved = resolve(layers).unwrap();
         insta::assert_snapshot!(resolved);
-        let mut table: toml::Table = resolved.to_string().parse().unwrap();
-        table.remove("suite");
-        let layer: Layer = table.try_into().unwrap();
-        assert_eq!(layer.lanes, Some(4));
+        let dir = tempfile::tempdir().unwrap();
+        let shown = |resolved: &Resolved| {
+            let path = dir.path().join("shown.toml");
+            std::fs::write(&path, resolved.to_string()).unwrap();
+            let suite: SuiteName = path.display().to_string().parse().unwrap();
+            let layer = load_suite(&suite, None).unwrap();
+            resolve([(Origin::Default, Layer::defaults()), (Origin::Suite, layer)]).unwrap()
+        };
+        assert_eq!(shown(&resolved).settings.lanes, 4);
+        let layers = [
+            (Origin::Default, Layer::defaults()),
+            (Origin::Suite, toml::from_str(GROUPS).unwrap()),
+        ];
+        let resolved = resolve(layers).unwrap();
+        insta::assert_snapshot!("groups-as-a-suite-file", resolved);
+        assert_eq!(shown(&resolved).settings, resolved.settings);
+    }
+
+    const GROUPS: &str = r#"
+runs = 3
+memory = ["working"]
+out = "elsewhere"
+
+[[group]]
+name = "one"
+starts = ["original"]
+
+[[group]]
+name = "two"
+memory = ["episodic", "summary"]
+demos = ["4"]
+window = [0, 6]
+runs = 5
+"#;
+
+    fn in_groups(policy: PolicyKind, said: Layer) -> String {
+        let suite = Layer { policy: Some(policy), ..toml::from_str(GROUPS).unwrap() };
+        let layers = [
+            (Origin::Default, Layer::defaults()),
+            (Origin::Suite, suite),
+            (Origin::CommandLine, said),
+        ];
+        let conditions = resolve(layers).unwrap().settings.runs();
+        let shown = conditions.iter().map(|(condition, runs)| format!("{condition} x{runs}"));
+        shown.collect::<Vec<_>>().join("\n")
+    }
+
+    #[test]
+    fn what_is_said_at_the_top_holds_in_groups_and_flags_replace_both() {
+        insta::assert_snapshot!(in_groups(PolicyKind::Grounded, Layer::default()), @"
+        working/original/unchanged/none x3
+        episodic/original/unchanged/4/h0 x5
+        episodic/original/unchanged/4 x5
+        episodic/new/unchanged/4/h0 x5
+        episodic/new/unchanged/4 x5
+        summary/original/unchanged/4/h0 x5
+        summary/original/unchanged/4 x5
+        summary/new/unchanged/4/h0 x5
+        summary/new/unchanged/4 x5
+        ");
+        let flags = Layer {
+            memory: Some(vec![Representation::Episodic]),
+            starts: Some(vec![Start::New]),
+            runs: Some(2),
+            ..Layer::default()
+        };
+        insta::assert_snapshot!(in_groups(PolicyKind::Grounded, flags), @"
+        episodic/new/unchanged/original x2
+        episodic/new/unchanged/4/h0 x2
+        episodic/new/unchanged/4 x2
+        ");
+    }
+
+    #[test]
+    fn a_policy_that_does_not_look_is_run_once_for_all_memories() {
+        insta::assert_snapshot!(in_groups(PolicyKind::Expert, Layer::default()), @"
+        working/original/unchanged/none x1
+        working/new/unchanged/none x1
+        ");
+        insta::assert_snapshot!(in_groups(PolicyKind::Random, Layer::default()), @"
+        working/original/unchanged/none x5
+        working/new/unchanged/none x5
+        ");
+        // Asked for, to see what memory costs.
+        let episodic = Layer { memory: Some(vec![Representation::Episodic]), ..Layer::default() };
+        insta::assert_snapshot!(in_groups(PolicyKind::Random, episodic.clone()), @"
+        episodic/original/unchanged/original x3
+        episodic/original/unchanged/4 x5
+        episodic/new/unchanged/4 x5
+        ");
+        insta::assert_snapshot!(in_groups(PolicyKind::Expert, episodic), @"
+        working/original/unchanged/none x1
+        working/new/unchanged/none x1
+        ");
+    }
+
+    #[test]
+    fn requests_with_too_many_images_are_refused() {
+        let error = |layer| with(layer).unwrap_err().to_string();
+        let window = |window| Layer { window: Some(vec![6, window]), ..Layer::default() };
+        insta::assert_snapshot!(error(window(20)), @"a request under full-context/original/unchanged/original/h20 may need 61 images (the current view, 20 of the window, 40 remembered), and a prompt holds at most 50: lower --window or --keyframes");
+        let long = Layer { horizon: Some(30), keyframes: Some(20), ..window(20) };
+        insta::assert_snapshot!(error(long), @"a request under episodic/original/unchanged/original/h20 may need 52 images (the current view, 20 of the window, 31 remembered), and a prompt holds at most 50: lower --window or --horizon");
+        assert!(with(Layer { keyframes: Some(43), ..Layer::default() }).is_ok(), "50 images");
+        assert!(error(window(33)).starts_with("--window is 33, but must be 0 to 32"));
     }
 }

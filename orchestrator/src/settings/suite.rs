@@ -6,10 +6,17 @@ use std::str::FromStr;
 
 use serde::{Deserialize, Serialize};
 
-use super::Layer;
+use super::{GROUP_KEYS, Layer};
 use crate::names::{UnknownName, nearest};
 
-const SHIPPED: &[(&str, &str)] = &[("quick", include_str!("../../../assets/suites/quick.toml"))];
+/// The shipped suites, in the order in which they are listed.
+macro_rules! shipped {
+    ($($name:literal)*) => {
+        &[$(($name, include_str!(concat!("../../../assets/suites/", $name, ".toml")))),*]
+    };
+}
+
+const SHIPPED: &[(&str, &str)] = shipped!("quick" "rq1" "rq2" "rq3" "design" "paper");
 
 /// A suite as it is asked for: a name, or the path of a file if it has a slash or ends in `.toml`.
 #[derive(Debug, Clone, PartialEq, Eq, Hash, Serialize, Deserialize)]
@@ -63,7 +70,7 @@ pub enum SuiteError {
         source: std::io::Error,
     },
     /// A key that no suite has.
-    #[error("suite {file}: unknown key `{key}`{}", nearest(key, known).map_or_else(
+    #[error("suite {file}: unknown key `{key}`{place}{}", nearest(key, known).map_or_else(
         || format!(" (known: {})", known.join(", ")),
         |nearest| format!(": did you mean `{nearest}`?")
     ))]
@@ -72,6 +79,8 @@ pub enum SuiteError {
         file: String,
         /// The key.
         key: String,
+        /// Where, unless at the top level: ` in group 2`.
+        place: String,
         /// Every key there is.
         known: Vec<String>,
     },
@@ -122,49 +131,34 @@ fn parse(file: &str, text: &str) -> Result<Layer, SuiteError> {
         problem: error.to_string().trim_end().to_owned(),
     };
     // Unknown keys first: the message that names the nearest one beats the parser's list of all.
+    let table: toml::Table = text.parse().map_err(invalid)?;
+    let unknown = |table: &toml::Table, known: Vec<String>, place: String| {
+        let key = table.keys().find(|key| !known.contains(key))?.clone();
+        Some(SuiteError::UnknownKey { file: file.clone(), key, place, known })
+    };
     let mut known = Layer::keys();
     known.retain(|key| key != "suite");
-    let table: toml::Table = text.parse().map_err(invalid)?;
-    if let Some(key) = table.keys().find(|key| !known.contains(key)) {
-        return Err(SuiteError::UnknownKey { file, key: key.clone(), known });
+    known.push("group".to_owned());
+    let in_group: Vec<String> =
+        ["name"].iter().chain(GROUP_KEYS).map(|key| (*key).to_owned()).collect();
+    let groups = table.get("group").and_then(toml::Value::as_array).into_iter().flatten();
+    let groups: Vec<&toml::Table> = groups.filter_map(toml::Value::as_table).collect();
+    let found = unknown(&table, known, String::new()).or_else(|| {
+        let mut groups = (1..).zip(&groups);
+        groups.find_map(|(n, group)| unknown(group, in_group.clone(), format!(" in group {n}")))
+    });
+    if let Some(error) = found {
+        return Err(error);
+    }
+    let mut names: Vec<Option<&str>> =
+        groups.iter().map(|group| group.get("name").and_then(toml::Value::as_str)).collect();
+    names.sort_unstable();
+    if names.contains(&None) || names.windows(2).any(|pair| pair[0] == pair[1]) {
+        let problem = "every [[group]] needs a `name` of its own".to_owned();
+        return Err(SuiteError::Invalid { file: file.clone(), problem });
     }
     toml::from_str(text).map_err(invalid)
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn shipped_suites_can_be_read() {
-        for (name, _) in shipped_suites() {
-            load_suite(&SuiteName((*name).to_owned()), None).unwrap();
-        }
-    }
-
-    #[test]
-    fn what_is_wrong_with_a_suite_is_said_with_its_file() {
-        let error = |text: &str| parse("my.toml", text).unwrap_err().to_string();
-        insta::assert_snapshot!(error("memry = []"), @"suite my.toml: unknown key `memry`: did you mean `memory`?");
-        insta::assert_snapshot!(error("runs = 1\nmemory = [\"episodik\"]"), @r#"
-        suite my.toml: TOML parse error at line 2, column 10
-          |
-        2 | memory = ["episodik"]
-          |          ^^^^^^^^^^^^
-        unknown memory `episodik`: did you mean `episodic`? (known: working, full-context, summary, semantic, hybrid, episodic)
-        "#);
-        // A suite cannot name a suite.
-        assert!(error("suite = \"quick\"").contains("unknown key `suite`"));
-        let error = load_suite(&SuiteName("quik".to_owned()), None).unwrap_err();
-        insta::assert_snapshot!(error, @"unknown suite `quik`: did you mean `quick`? (known: quick); a file is named by its path, for example ./my-suite.toml");
-    }
-
-    #[test]
-    fn a_folder_of_assets_can_bring_its_own_suites() {
-        let dir = tempfile::tempdir().unwrap();
-        std::fs::create_dir(dir.path().join("suites")).unwrap();
-        std::fs::write(dir.path().join("suites/quick.toml"), "runs = 7").unwrap();
-        let layer = load_suite(&SuiteName::quick(), Some(dir.path())).unwrap();
-        assert_eq!(layer, Layer { runs: Some(7), ..Layer::default() });
-    }
-}
+mod tests;

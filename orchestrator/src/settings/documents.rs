@@ -1,0 +1,84 @@
+//! Where the documents of summary, semantic and hybrid memory come from: `--documents`.
+
+use std::fmt;
+use std::path::PathBuf;
+use std::str::FromStr;
+
+use serde::{Deserialize, Serialize};
+
+use crate::names::UnknownName;
+
+/// Where documents come from. Written `extractive`, `model`, or as a path, which has a slash.
+#[derive(Debug, Clone, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(try_from = "String", into = "String")]
+pub enum Documents {
+    /// The deterministic builder that needs no model.
+    Extractive,
+    /// The builder that asks a chat endpoint.
+    Model,
+    /// A folder that holds them.
+    Folder(PathBuf),
+}
+
+/// A word that is neither a builder nor a path.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("{0}; a folder is named by its path, for example ./documents")]
+pub struct UnknownDocuments(UnknownName);
+
+impl FromStr for Documents {
+    type Err = UnknownDocuments;
+
+    fn from_str(text: &str) -> Result<Self, UnknownDocuments> {
+        match text {
+            "extractive" => Ok(Self::Extractive),
+            "model" => Ok(Self::Model),
+            path if path.contains('/') => Ok(Self::Folder(path.into())),
+            word => {
+                let known = ["extractive", "model"];
+                Err(UnknownDocuments(UnknownName::new("builder of documents", word, known)))
+            }
+        }
+    }
+}
+
+impl fmt::Display for Documents {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Extractive => f.pad("extractive"),
+            Self::Model => f.pad("model"),
+            Self::Folder(path) => f.pad(&path.display().to_string()),
+        }
+    }
+}
+
+impl TryFrom<String> for Documents {
+    type Error = UnknownDocuments;
+
+    fn try_from(text: String) -> Result<Self, UnknownDocuments> {
+        text.parse()
+    }
+}
+
+impl From<Documents> for String {
+    fn from(documents: Documents) -> Self {
+        documents.to_string()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn documents_are_written_as_they_are_read() {
+        for (text, expected) in [
+            ("extractive", Documents::Extractive),
+            ("model", Documents::Model),
+            ("./mine", Documents::Folder("./mine".into())),
+        ] {
+            assert_eq!(text.parse().as_ref(), Ok(&expected));
+            assert_eq!(expected.to_string(), text);
+        }
+        insta::assert_snapshot!("modle".parse::<Documents>().unwrap_err(), @"unknown builder of documents `modle`: did you mean `model`? (known: extractive, model); a folder is named by its path, for example ./documents");
+    }
+}

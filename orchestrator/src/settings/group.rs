@@ -1,0 +1,165 @@
+//! Groups: the parts of a suite, each a product of what it varies.
+
+use serde::{Deserialize, Serialize};
+use shm_types::Representation;
+
+use crate::conditions::{Condition, Demonstrations, Hint, Route, SegmentContent, Start, Variation};
+
+/// A part of a run: every combination of what it lists. Every field is described where it is written:
+/// [`Layer`](super::Layer).
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case", deny_unknown_fields)]
+#[expect(missing_docs, reason = "each field is documented once, as a flag in `Layer`")]
+pub struct Group {
+    /// What a suite file calls it; `None` for the one group of a suite that names none.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub name: Option<String>,
+    pub memory: Vec<Representation>,
+    pub starts: Vec<Start>,
+    pub routes: Vec<Route>,
+    pub demos: Vec<Demonstrations>,
+    pub window: Vec<u32>,
+    pub segment: Vec<SegmentContent>,
+    pub hint: Vec<Hint>,
+    pub runs: u32,
+}
+
+/// The keys that a `[[group]]` can have beside its name.
+pub const GROUP_KEYS: &[&str] =
+    &["memory", "starts", "routes", "demos", "window", "segment", "hint", "runs"];
+
+impl Group {
+    /// Its conditions, each once, in the order of the lists.
+    pub fn conditions(&self) -> Vec<Condition> {
+        let mut conditions = Vec::new();
+        for &memory in &self.memory {
+            for &start in &self.starts {
+                for &route in &self.routes {
+                    for &demonstrations in &self.demos {
+                        for variation in self.variations() {
+                            let condition =
+                                Condition::new(memory, start, route, demonstrations, variation);
+                            let new = condition.filter(|condition| !conditions.contains(condition));
+                            conditions.extend(new);
+                        }
+                    }
+                }
+            }
+        }
+        conditions
+    }
+
+    fn variations(&self) -> Vec<Variation> {
+        let mut variations = Vec::new();
+        for &window in &self.window {
+            for &segment in &self.segment {
+                let hints = self.hint.iter();
+                variations.extend(hints.map(|&hint| Variation { window, segment, hint }));
+            }
+        }
+        variations
+    }
+}
+
+/// The conditions of all groups, each once, with how often it is run: where groups share a condition, the
+/// larger number.
+pub(super) fn union(groups: &[Group]) -> Vec<(Condition, u32)> {
+    let mut union: Vec<(Condition, u32)> = Vec::new();
+    for group in groups {
+        for condition in group.conditions() {
+            match union.iter_mut().find(|(there, _)| *there == condition) {
+                Some((_, runs)) => *runs = group.runs.max(*runs),
+                None => union.push((condition, group.runs)),
+            }
+        }
+    }
+    union
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn group() -> Group {
+        Group {
+            name: None,
+            memory: vec![Representation::Working, Representation::Episodic],
+            starts: Start::ALL.to_vec(),
+            routes: Route::ALL.to_vec(),
+            demos: vec![Demonstrations::ORIGINAL, Demonstrations::ALL],
+            window: vec![6],
+            segment: vec![SegmentContent::Actions],
+            hint: vec![Hint::On],
+            runs: 3,
+        }
+    }
+
+    fn shown(conditions: &[(Condition, u32)]) -> Vec<String> {
+        conditions.iter().map(|(condition, runs)| format!("{condition} x{runs}")).collect()
+    }
+
+    #[test]
+    fn a_group_leaves_out_what_does_not_exist_and_what_makes_no_difference() {
+        assert_eq!(
+            shown(&union(&[group()])),
+            [
+                "working/original/unchanged/none x3",
+                "working/new/unchanged/none x3",
+                "working/new/blocked/none x3",
+                "episodic/original/unchanged/original x3",
+                "episodic/original/unchanged/4 x3",
+                "episodic/new/unchanged/original x3",
+                "episodic/new/unchanged/4 x3",
+                "episodic/new/blocked/original x3",
+                "episodic/new/blocked/4 x3",
+            ]
+        );
+        let varied = Group {
+            starts: vec![Start::Original],
+            window: vec![6, 20],
+            segment: SegmentContent::ALL.to_vec(),
+            hint: Hint::ALL.to_vec(),
+            ..group()
+        };
+        assert_eq!(
+            shown(&union(&[varied])),
+            [
+                "working/original/unchanged/none x3",
+                "working/original/unchanged/none/h20 x3",
+                "episodic/original/unchanged/original x3",
+                "episodic/original/unchanged/original/no-hint x3",
+                "episodic/original/unchanged/original/images x3",
+                "episodic/original/unchanged/original/images/no-hint x3",
+                "episodic/original/unchanged/original/h20 x3",
+                "episodic/original/unchanged/original/h20/no-hint x3",
+                "episodic/original/unchanged/original/h20/images x3",
+                "episodic/original/unchanged/original/h20/images/no-hint x3",
+                "episodic/original/unchanged/4 x3",
+                "episodic/original/unchanged/4/images x3",
+                "episodic/original/unchanged/4/h20 x3",
+                "episodic/original/unchanged/4/h20/images x3",
+            ]
+        );
+    }
+
+    #[test]
+    fn a_condition_of_two_groups_is_run_as_often_as_either_wants() {
+        let small = Group {
+            memory: vec![Representation::Working],
+            starts: vec![Start::New],
+            routes: vec![Route::Unchanged],
+            runs: 5,
+            ..group()
+        };
+        let few = Group { runs: 1, ..small.clone() };
+        let fewer = Group { memory: vec![Representation::Summary], ..few.clone() };
+        assert_eq!(
+            shown(&union(&[few, small, fewer])),
+            [
+                "working/new/unchanged/none x5",
+                "summary/new/unchanged/original x1",
+                "summary/new/unchanged/4 x1",
+            ]
+        );
+    }
+}

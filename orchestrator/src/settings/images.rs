@@ -1,0 +1,44 @@
+//! Whether a request can hold the images that settings ask for (SPEC section 5).
+
+use shm_types::representation::Trajectories;
+
+use super::Settings;
+use crate::conditions::Condition;
+
+/// Most images of a prompt (paper, Experimental Setup).
+pub const MAX_IMAGES: u32 = 50;
+
+/// Settings under which a request could hold more than [`MAX_IMAGES`].
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error(
+    "a request under {condition} may need {images} images (the current view, {window} of the window, \
+     {remembered} remembered), and a prompt holds at most {MAX_IMAGES}: lower --window or {flag}"
+)]
+pub struct TooManyImages {
+    condition: Condition,
+    images: u32,
+    window: u32,
+    remembered: u32,
+    flag: &'static str,
+}
+
+impl Settings {
+    /// Whether the requests of every condition fit into a prompt.
+    ///
+    /// # Errors
+    /// For the first condition whose requests might not.
+    pub(super) fn check_images(&self) -> Result<(), TooManyImages> {
+        for condition in self.conditions() {
+            let (images, window) = (self.images(&condition), condition.variation.window);
+            if images > MAX_IMAGES {
+                let flag = match condition.memory.describe().trajectories {
+                    Trajectories::Segment => "--horizon",
+                    Trajectories::Whole | Trajectories::Nothing => "--keyframes",
+                };
+                let remembered = images - 1 - window;
+                return Err(TooManyImages { condition, images, window, remembered, flag });
+            }
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,136 @@
+use super::*;
+use crate::conditions::Condition;
+use crate::settings::{Origin, Settings, resolve};
+
+#[test]
+fn shipped_suites_can_be_read() {
+    for (name, _) in shipped_suites() {
+        load_suite(&SuiteName((*name).to_owned()), None).unwrap();
+    }
+}
+
+#[test]
+fn what_is_wrong_with_a_suite_is_said_with_its_file() {
+    let error = |text: &str| parse("my.toml", text).unwrap_err().to_string();
+    insta::assert_snapshot!(error("memry = []"), @"suite my.toml: unknown key `memry`: did you mean `memory`?");
+    insta::assert_snapshot!(error("runs = 1\nmemory = [\"episodik\"]"), @r#"
+    suite my.toml: TOML parse error at line 2, column 10
+      |
+    2 | memory = ["episodik"]
+      |          ^^^^^^^^^^^^
+    unknown memory `episodik`: did you mean `episodic`? (known: working, full-context, summary, semantic, hybrid, episodic)
+    "#);
+    insta::assert_snapshot!(error("[[group]]\nname = \"a\"\n[[group]]\nstart = []"), @"suite my.toml: unknown key `start` in group 2: did you mean `starts`?");
+    insta::assert_snapshot!(error("[[group]]\nname = \"a\"\nlanes = 3"), @"suite my.toml: unknown key `lanes` in group 1 (known: name, memory, starts, routes, demos, window, segment, hint, runs)");
+    for nameless in ["[[group]]\nruns = 3", "[[group]]\nname = \"a\"\n[[group]]\nname = \"a\""] {
+        insta::allow_duplicates! {
+            insta::assert_snapshot!(error(nameless), @"suite my.toml: every [[group]] needs a `name` of its own");
+        }
+    }
+    // A suite cannot name a suite.
+    assert!(error("suite = \"quick\"").contains("unknown key `suite`"));
+    let error = load_suite(&SuiteName("quik".to_owned()), None).unwrap_err();
+    insta::assert_snapshot!(error, @"unknown suite `quik`: did you mean `quick`? (known: quick, rq1, rq2, rq3, design, paper); a file is named by its path, for example ./my-suite.toml");
+}
+
+#[test]
+fn a_folder_of_assets_can_bring_its_own_suites() {
+    let dir = tempfile::tempdir().unwrap();
+    std::fs::create_dir(dir.path().join("suites")).unwrap();
+    std::fs::write(dir.path().join("suites/quick.toml"), "runs = 7").unwrap();
+    let layer = load_suite(&SuiteName::quick(), Some(dir.path())).unwrap();
+    assert_eq!(layer, Layer { runs: Some(7), ..Layer::default() });
+}
+
+fn shipped(name: &str) -> Settings {
+    let suite = load_suite(&SuiteName(name.to_owned()), None).unwrap();
+    let layers = [(Origin::Default, Layer::defaults()), (Origin::Suite, suite)];
+    resolve(layers).unwrap().settings
+}
+
+/// The conditions of all `settings`, each once, with the largest number of runs, sorted.
+fn union<'a>(settings: impl IntoIterator<Item = &'a Settings>) -> Vec<(Condition, u32)> {
+    let mut conditions: Vec<_> = settings.into_iter().flat_map(Settings::runs).collect();
+    conditions.sort_by_key(|&(condition, runs)| (condition, std::cmp::Reverse(runs)));
+    conditions.dedup_by_key(|(condition, _)| *condition);
+    conditions
+}
+
+#[test]
+fn the_paper_is_all_its_questions() {
+    let paper = shipped("paper");
+    let parts = ["rq1", "rq2", "rq3", "design"].map(shipped);
+    assert_eq!(union([&paper]), union(&parts));
+    let (quick, all) = (shipped("quick").conditions(), paper.conditions());
+    assert!(quick.iter().all(|condition| all.contains(condition)));
+    for part in parts.into_iter().chain([shipped("quick")]) {
+        let (suite, groups) = (paper.suite.clone(), paper.groups.clone());
+        let out = paper.out.clone();
+        assert_eq!(Settings { suite, groups, out, ..part }, paper, "they differ in groups only");
+    }
+}
+
+#[test]
+fn the_paper_runs_these_conditions() {
+    let conditions = shipped("paper").runs();
+    let episodes: u32 = conditions.iter().map(|(_, runs)| 100 * runs).sum();
+    let mut shown: Vec<String> =
+        conditions.iter().map(|(condition, runs)| format!("{condition} x{runs}")).collect();
+    shown.push(format!("{} conditions, {episodes} episodes", conditions.len()));
+    insta::assert_snapshot!(shown.join("\n"), @"
+    working/original/unchanged/none x5
+    working/new/unchanged/none x3
+    full-context/original/unchanged/original x5
+    full-context/new/unchanged/original x3
+    summary/original/unchanged/original x3
+    summary/new/unchanged/original x3
+    semantic/original/unchanged/original x3
+    semantic/new/unchanged/original x3
+    hybrid/original/unchanged/original x3
+    hybrid/new/unchanged/original x3
+    episodic/original/unchanged/original x5
+    episodic/new/unchanged/original x3
+    full-context/original/unchanged/opposite x3
+    full-context/original/unchanged/nearby x3
+    full-context/original/unchanged/distant x3
+    summary/original/unchanged/opposite x3
+    summary/original/unchanged/nearby x3
+    summary/original/unchanged/distant x3
+    semantic/original/unchanged/opposite x3
+    semantic/original/unchanged/nearby x3
+    semantic/original/unchanged/distant x3
+    hybrid/original/unchanged/opposite x3
+    hybrid/original/unchanged/nearby x3
+    hybrid/original/unchanged/distant x3
+    episodic/original/unchanged/opposite x3
+    episodic/original/unchanged/nearby x3
+    episodic/original/unchanged/distant x3
+    working/new/blocked/none x3
+    full-context/new/unchanged/4 x3
+    full-context/new/blocked/4 x3
+    summary/new/unchanged/4 x3
+    summary/new/blocked/4 x3
+    semantic/new/unchanged/4 x3
+    semantic/new/blocked/4 x3
+    hybrid/new/unchanged/4 x3
+    hybrid/new/blocked/4 x3
+    episodic/new/unchanged/4 x3
+    episodic/new/blocked/4 x3
+    full-context/new/unchanged/irrelevant x3
+    full-context/new/unchanged/confusable x3
+    summary/new/unchanged/irrelevant x3
+    summary/new/unchanged/confusable x3
+    semantic/new/unchanged/irrelevant x3
+    semantic/new/unchanged/confusable x3
+    hybrid/new/unchanged/irrelevant x3
+    hybrid/new/unchanged/confusable x3
+    episodic/new/unchanged/irrelevant x3
+    episodic/new/unchanged/confusable x3
+    working/original/unchanged/none/h0 x5
+    working/original/unchanged/none/h20 x5
+    episodic/original/unchanged/original/images x5
+    full-context/original/unchanged/original/no-hint x5
+    episodic/original/unchanged/original/no-hint x5
+    53 conditions, 17500 episodes
+    ");
+}
