@@ -10,7 +10,7 @@ use shm_types::message::{
     Decision, NOT_MEASURED, Observation, Outcome, RecallTrace, Role, StepCommand, StepKind,
 };
 use shm_types::{Action, Feedback, Pose, Representation};
-use warehouse::{CaseSet, Variant, Warehouse, step};
+use warehouse::{CaseSet, History, Mixture, Variant, Warehouse, step};
 
 const RULES: Rules = Rules { horizon: 6, keyframes: 40, max_steps: 200, expert: false };
 
@@ -97,9 +97,20 @@ fn walk(
     case: usize,
     answer: impl Fn(usize) -> Option<Action>,
 ) -> Walked {
+    let (_, cases) = world();
+    walk_remembering(rules, episode(&cases, case, start, route), answer, trace)
+}
+
+/// The same, with what memory recalls at each observation.
+fn walk_remembering(
+    rules: Rules,
+    episode: Episode,
+    answer: impl Fn(usize) -> Option<Action>,
+    recall: impl Fn(&Observation) -> RecallTrace,
+) -> Walked {
     let (warehouse, cases) = world();
     let mut lanes = Lanes::new(&warehouse, &cases, rules, 1);
-    let opening = lanes.begin(0, episode(&cases, case, start, route));
+    let opening = lanes.begin(0, episode);
     let mut sim =
         Sim { warehouse: &warehouse, cases: &cases, pose: Pose::new(0, 0, shm_types::Heading::N) };
     let mut command = opening.command;
@@ -113,7 +124,7 @@ fn walk(
             }
             Turn::Wait => {}
         }
-        lanes.recalled(&trace(&observation)).unwrap();
+        lanes.recalled(&recall(&observation)).unwrap();
         let answer = match answer(observation.step as usize) {
             Some(action) => decision(&observation, action),
             None => Decision {
@@ -169,6 +180,35 @@ fn an_episode_ends_at_the_limit_and_counts_what_happened() {
     assert_eq!((record.prompt_tokens, record.unread.unreadable), (None, 1));
     assert_eq!((record.retrieved, record.distance), (None, None));
     assert_eq!((record.required, record.visits, record.blocked_moves), (1, vec![], vec![]));
+}
+
+#[test]
+fn the_log_says_whose_demonstration_each_match_is_of() {
+    let (_, cases) = world();
+    let mut episode = episode(&cases, 20, Start::New, Route::Unchanged);
+    for (demonstrations, mixture) in [
+        (Demonstrations::IRRELEVANT, Mixture::Irrelevant),
+        (Demonstrations::CONFUSABLE, Mixture::Confusable),
+    ] {
+        episode.key.condition.demonstrations = demonstrations;
+        let histories = cases.histories(20, demonstrations);
+        let recall = |of: &Observation| match histories.get(of.step as usize) {
+            Some(&History { case, start }) => RecallTrace {
+                case: case as u32,
+                demonstration: start as u16,
+                index: 7,
+                ..trace(of)
+            },
+            None => trace(of),
+        };
+        let rules = Rules { max_steps: 5, ..RULES };
+        let turning = |_| Some(Action::TurnLeft);
+        let record = walk_remembering(rules, episode.clone(), turning, recall).record;
+        let [one, two] = cases.cases[20]
+            .mixed(mixture)
+            .map(|History { case, start }| format!("{}:{}7", cases.cases[case].id, start.letter()));
+        assert_eq!(record.retrieved, Some(format!("o7 p7 {one} {two} -")));
+    }
 }
 
 #[test]
