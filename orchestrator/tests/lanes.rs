@@ -7,7 +7,8 @@ use orchestrator::lanes::{Fault, Lanes, Opening, Rules, Turn, Walked};
 use orchestrator::log::Ending;
 use orchestrator::plan::{Episode, EpisodeKey};
 use shm_types::message::{
-    Decision, NOT_MEASURED, Observation, Outcome, RecallTrace, Role, StepCommand, StepKind,
+    Decision, MemoryBrief, NOT_MEASURED, Observation, Outcome, RecallTrace, Role, StepCommand,
+    StepKind,
 };
 use shm_types::{Action, Feedback, Pose, Representation};
 use warehouse::{CaseSet, History, Mixture, Variant, Warehouse, step};
@@ -227,6 +228,51 @@ fn walking_into_the_barricade_is_noticed() {
         .count();
     assert_eq!(hits, cases.cases.len());
     drop(warehouse);
+}
+
+#[test]
+fn what_an_episode_is_given_follows_from_its_own_condition() {
+    let (warehouse, cases) = world();
+    let mut lanes = Lanes::new(&warehouse, &cases, RULES, 1);
+    let mut told = |condition: &str| {
+        let condition: Condition = condition.parse().unwrap();
+        let case = cases.cases[3].id.clone();
+        let key = EpisodeKey { condition, run: 1, case };
+        let opening = lanes.begin(0, Episode { key, case_index: 3, seed: 7 });
+        lanes.give_up(0);
+        let MemoryBrief { representation, demonstrations, window, horizon, .. } = opening.memory;
+        let MemoryBrief { keyframes, segment, case, .. } = opening.memory;
+        assert_eq!((case, horizon, keyframes), (3, 6, 40));
+        let hinted = opening.policy.starts_as_demonstrated;
+        let representation = Representation::try_from(representation).unwrap();
+        format!(
+            "{representation} of {demonstrations:06b}, h {window}, segment {segment}, hint {hinted}"
+        )
+    };
+    for (condition, expected) in [
+        ("working/original/unchanged/none", "working of 000000, h 6, segment 0, hint 0"),
+        ("working/original/unchanged/none/h0", "working of 000000, h 0, segment 0, hint 0"),
+        ("episodic/original/unchanged/original", "episodic of 000001, h 6, segment 0, hint 1"),
+        (
+            "episodic/original/unchanged/original/h20/images/no-hint",
+            "episodic of 000001, h 20, segment 1, hint 0",
+        ),
+        (
+            "full-context/original/unchanged/original",
+            "full-context of 000001, h 6, segment 0, hint 1",
+        ),
+        (
+            "full-context/original/unchanged/nearby",
+            "full-context of 000100, h 6, segment 0, hint 0",
+        ),
+        ("full-context/new/unchanged/original", "full-context of 000001, h 6, segment 0, hint 0"),
+        ("summary/original/unchanged/original", "summary of 000001, h 6, segment 0, hint 0"),
+        ("hybrid/new/blocked/4", "hybrid of 001111, h 6, segment 0, hint 0"),
+        ("episodic/new/unchanged/irrelevant", "episodic of 010011, h 6, segment 0, hint 0"),
+        ("episodic/new/unchanged/confusable", "episodic of 100011, h 6, segment 0, hint 0"),
+    ] {
+        assert_eq!(told(condition), expected, "{condition}");
+    }
 }
 
 /// Two lanes with an episode each; the first observation of lane 0.
