@@ -119,6 +119,22 @@ fn a_world_with_a_wrong_case_is_found_by_validate() {
     let output = memtransfer(dir.path(), "validate --assets assets");
     assert_eq!(output.status.code(), Some(1));
     assert!(text(&output.stdout).contains("FAIL"), "{}", text(&output.stdout));
+
+    // The first case's histories change places.
+    let names = [
+        ("irrelevant =", "swapped ="),
+        ("confusable =", "irrelevant ="),
+        ("swapped =", "confusable ="),
+    ];
+    let swapped = names.iter().fold(text_of, |text, (from, to)| text.replacen(from, to, 1));
+    fs::write(&path, swapped).unwrap();
+    let output = memtransfer(dir.path(), "validate --assets assets");
+    assert_eq!(output.status.code(), Some(1));
+    for constraint in ["irrelevant: the history", "confusable: at a pose", "are regenerated"] {
+        let found = text(&output.stdout);
+        let line = found.lines().find(|line| line.contains(constraint)).unwrap();
+        assert!(line.starts_with("FAIL"), "{found}");
+    }
 }
 
 #[test]
@@ -179,8 +195,14 @@ fn a_folder_with_other_things_is_left_alone() {
 #[test]
 fn lists_are_tables_and_json() {
     let dir = dir();
-    for (list, least) in [("cases", 100), ("tasks", 10), ("items", 150), ("suites", 6), ("runs", 0)]
-    {
+    for (list, least) in [
+        ("cases", 100),
+        ("histories", 400),
+        ("tasks", 10),
+        ("items", 150),
+        ("suites", 6),
+        ("runs", 0),
+    ] {
         let output = memtransfer(dir.path(), &format!("ls {list} --json"));
         assert_eq!(output.status.code(), Some(0), "{list}");
         let values: Vec<serde_json::Value> = serde_json::from_slice(&output.stdout).unwrap();
