@@ -5,9 +5,11 @@ use std::num::NonZeroUsize;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
+use anyhow::Context;
 use clap::{Args, Parser, Subcommand};
 use memory_proc::documents::build::{self, Wanted};
 use memory_proc::documents::holdings::Question;
+use memory_proc::documents::model::{self, Ask, ModelBuilder, Pipe};
 use memory_proc::documents::sources::Sources;
 use memory_proc::documents::{Builder, Extractive};
 use memory_proc::embed_command;
@@ -104,18 +106,52 @@ struct BuilderArguments {
     /// Who writes the documents
     #[arg(long, value_name = "NAME", value_enum, default_value_t = BuilderName::Extractive)]
     builder: BuilderName,
+    /// The model that a builder asks, by the name that its server knows it by
+    #[arg(long, value_name = "NAME", required_if_eq("builder", "model"))]
+    model: Option<String>,
+    /// Where the model's server is, up to /v1 [default: $OPENAI_BASE_URL; the key is $OPENAI_API_KEY]
+    #[arg(long, value_name = "URL")]
+    base_url: Option<String>,
+    /// Longest that one attempt to ask the model may take [default: that of `policy-proc ask`]
+    #[arg(long, value_name = "SECONDS")]
+    timeout: Option<u32>,
+    /// How often the model is asked again when its server fails [default: that of `policy-proc ask`]
+    #[arg(long, value_name = "N")]
+    max_retries: Option<u32>,
+    /// Most characters of what the model is asked at once
+    #[arg(long, value_name = "N", default_value_t = model::Settings::CONTEXT_CHARS)]
+    context_chars: usize,
+    /// Most tokens of an answer of the model
+    #[arg(long, value_name = "N", default_value_t = model::Settings::MAX_TOKENS)]
+    max_tokens: u32,
 }
 
 #[derive(Clone, Copy, clap::ValueEnum)]
 enum BuilderName {
     /// Deterministic and offline.
     Extractive,
+    /// Asks a model behind an OpenAI-compatible endpoint.
+    Model,
 }
 
 impl BuilderArguments {
     fn builder(&self) -> anyhow::Result<Box<dyn Builder>> {
         Ok(match self.builder {
             BuilderName::Extractive => Box::new(Extractive),
+            BuilderName::Model => {
+                let model = self.model.clone().context("the builder `model` needs --model")?;
+                let ask = Ask {
+                    // Both are installed together.
+                    program: std::env::current_exe()?.with_file_name("policy-proc"),
+                    base_url: self.base_url.clone(),
+                    model: model.clone(),
+                    timeout_s: self.timeout,
+                    max_retries: self.max_retries,
+                };
+                let &Self { context_chars, max_tokens, .. } = self;
+                let settings = model::Settings { model, context_chars, max_tokens };
+                Box::new(ModelBuilder::new(Pipe::new(ask), settings))
+            }
         })
     }
 }

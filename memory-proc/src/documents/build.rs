@@ -164,12 +164,13 @@ impl<'a> Scribe<'a> {
     ) -> Result<()> {
         let transcripts = sources.transcripts(selection, |pose| seen.get(&pose).cloned());
         let transcripts = transcripts.context("a view of a demonstration was not looked at")?;
+        let name = DocumentFile::name(kind, selection);
+        let steps = folder.join(&name).with_extension("steps");
         let mut failure = None;
-        let built = builder.build(kind, &transcripts, &mut |done, total| {
+        let built = builder.build(kind, &transcripts, &steps, &mut |done, total| {
             let told = self.tell(done, total, false);
             failure = failure.take().or(told.err());
         });
-        let name = DocumentFile::name(kind, selection);
         let Built { text, account } = built.with_context(|| format!("cannot build {name}"))?;
         if let Some(error) = failure {
             return Err(error);

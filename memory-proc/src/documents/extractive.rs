@@ -6,6 +6,8 @@
 mod semantic;
 mod summary;
 
+use std::path::Path;
+
 use anyhow::bail;
 use shm_types::message::DocumentKind;
 use shm_types::plate::Plate;
@@ -32,6 +34,7 @@ impl Builder for Extractive {
         &mut self,
         kind: DocumentKind,
         transcripts: &[Transcript],
+        _steps: &Path,
         progress: &mut dyn FnMut(usize, usize),
     ) -> anyhow::Result<Built> {
         let text = match kind {

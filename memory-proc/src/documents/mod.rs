@@ -5,7 +5,7 @@
 //! - [`sources`]: which demonstrations a document is made of;
 //! - [`transcript`]: a demonstration as a builder may see it;
 //! - [`Builder`]: makes a text of many of them;
-//! - [`Extractive`]: the builder that needs no model;
+//! - [`Extractive`]: the builder that needs no model; [`model`]: the one that asks one;
 //! - [`file`]: a text with where it comes from, as it is kept; [`holdings`]: which of them there are;
 //! - [`build`](mod@build): everything together, in a run of the simulator and this process.
 //!
@@ -17,10 +17,13 @@ mod extractive;
 pub mod file;
 mod floor;
 pub mod holdings;
+pub mod model;
 mod names;
 pub mod sources;
 mod survey;
 pub mod transcript;
+
+use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 use shm_types::message::DocumentKind;
@@ -39,7 +42,8 @@ pub trait Builder {
 
     /// Writes the document of kind `kind`, a text, from `transcripts`, in their order.
     ///
-    /// `progress` is told how many of how many parts are done.
+    /// `progress` is told how many of how many parts are done, and while nothing is done that work goes on.
+    /// `steps` is a folder that the builder may make, beside the document, to go on there after it was stopped.
     ///
     /// # Errors
     /// When it cannot be written. What a person should do is in the message.
@@ -47,6 +51,7 @@ pub trait Builder {
         &mut self,
         kind: DocumentKind,
         transcripts: &[Transcript],
+        steps: &Path,
         progress: &mut dyn FnMut(usize, usize),
     ) -> anyhow::Result<Built>;
 }
@@ -73,6 +78,9 @@ pub struct Account {
     /// Requests that were answered, those of earlier attempts that this one could use included.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub requests: Option<u64>,
+    /// Answers among them that were cut off at their bound, and used up to their last whole line.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub cut_off: Option<u64>,
     /// Tokens of all prompts.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub prompt_tokens: Option<u64>,

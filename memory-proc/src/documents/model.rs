@@ -14,7 +14,7 @@ mod prompt;
 mod steps;
 mod telling;
 
-use std::path::PathBuf;
+use std::path::Path;
 
 use anyhow::{Context, bail, ensure};
 use shm_types::message::DocumentKind;
@@ -22,7 +22,6 @@ use shm_types::message::DocumentKind;
 pub use chat::{Chat, ChatError, Message, Outcome, Reply, Request, Speaker};
 pub use pipe::{Ask, Pipe};
 pub use prompt::PROMPT_VERSION;
-pub use steps::folder_of;
 
 use self::prompt::Stage;
 use self::steps::Steps;
@@ -52,18 +51,17 @@ impl Settings {
     pub const MAX_TOKENS: u32 = 16_000;
 }
 
-/// Writes one document with a model's help.
+/// Writes documents with a model's help.
 #[derive(Debug)]
 pub struct ModelBuilder<C> {
     chat: C,
     settings: Settings,
-    steps: PathBuf,
 }
 
 impl<C: Chat> ModelBuilder<C> {
-    /// One that asks by `chat` and keeps its steps in the folder `steps`, [`folder_of`] the document.
-    pub fn new(chat: C, settings: Settings, steps: PathBuf) -> Self {
-        Self { chat, settings, steps }
+    /// One that asks by `chat`.
+    pub fn new(chat: C, settings: Settings) -> Self {
+        Self { chat, settings }
     }
 }
 
@@ -83,6 +81,7 @@ impl<C: Chat> Builder for ModelBuilder<C> {
         &mut self,
         kind: DocumentKind,
         transcripts: &[Transcript],
+        steps: &Path,
         progress: &mut dyn FnMut(usize, usize),
     ) -> anyhow::Result<Built> {
         let told: Vec<String> =
@@ -90,7 +89,7 @@ impl<C: Chat> Builder for ModelBuilder<C> {
         let mut work = Work {
             chat: &mut self.chat,
             settings: &self.settings,
-            steps: Steps::open(&self.steps, &self.settings.model)?,
+            steps: Steps::open(steps, &self.settings.model)?,
             account: Ledger::default(),
         };
         let text = match kind {
@@ -140,7 +139,7 @@ impl Work<'_> {
             );
             let demonstrations = told[done..done + next].join("\n");
             let values = [("so_far", &*summary), ("demonstrations", &demonstrations)];
-            summary = self.ask(Stage::Summary, &values)?;
+            summary = self.ask(Stage::Summary, &values, &mut || progress(done, told.len()))?;
             done += next;
         }
         progress(done, told.len());
@@ -159,9 +158,10 @@ impl Work<'_> {
         let mut done = 0;
         for demonstrations in self.groups(Stage::Extract, told)? {
             progress(done, parts);
-            let demonstrations = demonstrations.join("\n");
-            notes.push(self.ask(Stage::Extract, &[("demonstrations", &demonstrations)])?);
-            done += demonstrations.matches("## Demonstration ").count();
+            let joined = demonstrations.join("\n");
+            let values = [("demonstrations", &*joined)];
+            notes.push(self.ask(Stage::Extract, &values, &mut || progress(done, parts))?);
+            done += demonstrations.len();
         }
         ensure!(!notes.is_empty(), "there are no demonstrations to learn from");
         progress(parts - 2, parts);
@@ -181,7 +181,9 @@ impl Work<'_> {
                     .map(|(number, notes): (u32, _)| format!("## Notes {number}\n{notes}\n"))
                     .collect::<Vec<_>>()
                     .join("\n");
-                fewer.push(self.ask(Stage::Consolidate, &[("notes", &joined)])?);
+                let values = [("notes", &*joined)];
+                let waiting = &mut || progress(parts - 2, parts);
+                fewer.push(self.ask(Stage::Consolidate, &values, waiting)?);
             }
             notes = fewer;
             if notes.len() == 1 {
@@ -189,7 +191,8 @@ impl Work<'_> {
             }
         }
         progress(parts - 1, parts);
-        let document = self.ask(Stage::Refine, &[("notes", &notes[0])])?;
+        let waiting = &mut || progress(parts - 1, parts);
+        let document = self.ask(Stage::Refine, &[("notes", &notes[0])], waiting)?;
         progress(parts, parts);
         Ok(document)
     }
@@ -231,13 +234,18 @@ impl Work<'_> {
     }
 
     /// The model's answer at a stage, without what models wrap around an answer; never empty.
-    fn ask(&mut self, stage: Stage, values: &[(&str, &str)]) -> anyhow::Result<String> {
+    fn ask(
+        &mut self,
+        stage: Stage,
+        values: &[(&str, &str)],
+        waiting: &mut dyn FnMut(),
+    ) -> anyhow::Result<String> {
         let request = self.request(stage, values);
         let chat = &mut *self.chat;
         let doing = || format!("the stage `{}` of the document failed", stage.name());
         let reply = self
             .steps
-            .next(stage, &request, || Ok(usable(chat.ask(&request)?)?))
+            .next(stage, &request, || Ok(usable(chat.ask(&request, waiting)?)?))
             .with_context(doing)?;
         self.account.add(&reply);
         if reply.outcome == Outcome::Length {
@@ -259,7 +267,8 @@ fn usable(reply: Reply) -> Result<Reply, ChatError> {
         (Outcome::Text | Outcome::Length, Some(_)) => return Ok(reply),
         (Outcome::Text, None) => "the model's answer has no text in it".to_owned(),
         (Outcome::Length, None) => {
-            "the model's answer was cut off before its first line ended: let it have more tokens".to_owned()
+            "the model's answer was cut off before its first line ended: let it have more tokens"
+                .to_owned()
         }
     };
     Err(ChatError::NoReply(format!("{problem}; start again, or ask another model")))

@@ -1,4 +1,5 @@
 use std::collections::BTreeSet;
+use std::path::Path;
 use std::sync::Arc;
 
 use proptest::prelude::*;
@@ -72,7 +73,7 @@ fn demonstrations() -> Vec<Transcript> {
 }
 
 fn build(kind: DocumentKind, transcripts: &[Transcript]) -> String {
-    Extractive.build(kind, transcripts, &mut |_, _| {}).unwrap().text
+    Extractive.build(kind, transcripts, Path::new(""), &mut |_, _| {}).unwrap().text
 }
 
 #[test]
@@ -137,7 +138,9 @@ fn nothing_is_made_of_nothing() {
     for kind in DocumentKind::TEXTS {
         assert!(build(kind, &[]).starts_with("# "));
     }
-    assert!(Extractive.build(DocumentKind::Trajectories, &[], &mut |_, _| {}).is_err());
+    assert!(
+        Extractive.build(DocumentKind::Trajectories, &[], Path::new(""), &mut |_, _| {}).is_err()
+    );
 }
 
 /// All pairs of numbers that `text` writes as positions, `(3, 7)`.

@@ -79,7 +79,9 @@ pub enum ChatError {
         status: String,
     },
     /// It answers with something else.
-    #[error("{program} answered with a line that cannot be read ({problem}): is it of this version?")]
+    #[error(
+        "{program} answered with a line that cannot be read ({problem}): is it of this version?"
+    )]
     Unreadable {
         /// The program.
         program: String,
@@ -93,9 +95,9 @@ pub enum ChatError {
 
 /// Somebody to ask.
 pub trait Chat {
-    /// Asks, and waits for the answer.
+    /// Asks, and waits for the answer; calls `waiting` now and then in the meantime.
     ///
     /// # Errors
     /// When there is none.
-    fn ask(&mut self, request: &Request) -> Result<Reply, ChatError>;
+    fn ask(&mut self, request: &Request, waiting: &mut dyn FnMut()) -> Result<Reply, ChatError>;
 }

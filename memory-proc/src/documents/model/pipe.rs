@@ -1,13 +1,19 @@
 //! A conversation through `policy-proc ask`, which is where the project's HTTP is: lines of JSON to its
 //! standard input, lines of JSON from its standard output.
 
-use std::io::{BufRead, BufReader, Write};
+use std::io::{self, BufRead, BufReader, Write};
 use std::path::PathBuf;
-use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
+use std::process::{Child, ChildStdin, Command, Stdio};
+use std::sync::mpsc::{self, Receiver, RecvTimeoutError};
+use std::thread;
+use std::time::Duration;
 
 use serde::Deserialize;
 
 use super::chat::{Chat, ChatError, Reply, Request};
+
+/// How often somebody who waits for an answer is told that it is still awaited.
+const HEARTBEAT: Duration = Duration::from_secs(1);
 
 /// What to start.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -36,7 +42,8 @@ pub struct Pipe {
 struct Running {
     child: Child,
     questions: ChildStdin,
-    answers: BufReader<ChildStdout>,
+    /// Its lines, from the thread that reads them until there are no more.
+    answers: Receiver<io::Result<String>>,
 }
 
 /// A line of the child's.
@@ -79,16 +86,21 @@ impl Pipe {
         let failed = |cause| ChatError::Start { program: self.program(), cause };
         let mut child = self.command().spawn().map_err(failed)?;
         match (child.stdin.take(), child.stdout.take()) {
-            (Some(questions), Some(answers)) => {
-                Ok(Running { child, questions, answers: BufReader::new(answers) })
+            (Some(questions), Some(output)) => {
+                let (lines, answers) = mpsc::channel();
+                thread::spawn(move || {
+                    // When nobody listens any more, there is nobody to tell.
+                    BufReader::new(output).lines().try_for_each(|line| lines.send(line))
+                });
+                Ok(Running { child, questions, answers })
             }
-            _ => Err(failed(std::io::Error::other("it has no pipes"))),
+            _ => Err(failed(io::Error::other("it has no pipes"))),
         }
     }
 }
 
 impl Chat for Pipe {
-    fn ask(&mut self, request: &Request) -> Result<Reply, ChatError> {
+    fn ask(&mut self, request: &Request, waiting: &mut dyn FnMut()) -> Result<Reply, ChatError> {
         let running = match self.running.take() {
             Some(running) => running,
             None => self.start()?,
@@ -100,15 +112,11 @@ impl Chat for Pipe {
             problem: e.to_string(),
         };
         let question = serde_json::to_string(request).map_err(unreadable)?;
-        let mut line = String::new();
-        let heard = writeln!(running.questions, "{question}")
-            .and_then(|()| running.questions.flush())
-            .and_then(|()| running.answers.read_line(&mut line));
-        if !matches!(heard, Ok(1..)) {
-            let status = running.stop();
+        let Some(line) = running.converse(&question, waiting) else {
+            let status = running.status();
             self.running = None;
             return Err(ChatError::Ended { program: self.program(), status });
-        }
+        };
         match serde_json::from_str(&line).map_err(unreadable)? {
             Line::Replied(reply) => Ok(reply),
             Line::Failed { error } => Err(ChatError::NoReply(error)),
@@ -117,9 +125,20 @@ impl Chat for Pipe {
 }
 
 impl Running {
-    /// Makes sure that the child has ended; how it did.
-    fn stop(&mut self) -> String {
-        // One that has closed its pipes is about to end by itself, with a status that says more than a signal.
+    /// The line that answers the line `question`; `None` when the child has closed its pipes.
+    fn converse(&mut self, question: &str, waiting: &mut dyn FnMut()) -> Option<String> {
+        writeln!(self.questions, "{question}").and_then(|()| self.questions.flush()).ok()?;
+        loop {
+            match self.answers.recv_timeout(HEARTBEAT) {
+                Ok(line) => return line.ok(),
+                Err(RecvTimeoutError::Timeout) => waiting(),
+                Err(RecvTimeoutError::Disconnected) => return None,
+            }
+        }
+    }
+
+    /// How the child ended, once it has closed its pipes: it is about to, if it has not yet.
+    fn status(&mut self) -> String {
         match self.child.wait() {
             Ok(status) => status.to_string(),
             Err(error) => error.to_string(),
@@ -149,10 +168,11 @@ mod tests {
         std::os::unix::fs::PermissionsExt::set_mode(&mut mode, 0o755);
         std::fs::set_permissions(&program, mode).unwrap();
         let (base_url, model) = (Some("http://x/v1".to_owned()), "m".to_owned());
-        let mut pipe = Pipe::new(Ask { program, base_url, model, timeout_s: Some(7), max_retries: None });
+        let mut pipe =
+            Pipe::new(Ask { program, base_url, model, timeout_s: Some(7), max_retries: None });
         let message = Message { role: Speaker::User, content: "Where?\n".into() };
         let request = Request { messages: vec![message], max_tokens: 3 };
-        [pipe.ask(&request), pipe.ask(&request)].map(|result| {
+        [pipe.ask(&request, &mut || {}), pipe.ask(&request, &mut || {})].map(|result| {
             result.map_err(|error| match error {
                 ChatError::Ended { status, .. } => ChatError::Ended { program: "P".into(), status },
                 ChatError::Unreadable { problem, .. } => {
@@ -178,8 +198,14 @@ mod tests {
     fn what_goes_wrong_is_told_apart() {
         for (script, expected) in [
             (r#"read -r line; echo '{"error": "status 401: who?"}'; cat"#, "status 401: who?"),
-            ("read -r line; exit 2", "P has ended (exit status: 2) without an answer; what it said last is above"),
-            ("exec 0<&-; exit 3", "P has ended (exit status: 3) without an answer; what it said last is above"),
+            (
+                "read -r line; exit 2",
+                "P has ended (exit status: 2) without an answer; what it said last is above",
+            ),
+            (
+                "exec 0<&-; exit 3",
+                "P has ended (exit status: 3) without an answer; what it said last is above",
+            ),
         ] {
             let [first, _] = asked(script);
             assert_eq!(first.unwrap_err().to_string(), expected, "{script}");
@@ -197,7 +223,9 @@ mod tests {
             timeout_s: None,
             max_retries: None,
         };
-        let error = Pipe::new(ask).ask(&Request { messages: vec![], max_tokens: 1 }).unwrap_err();
+        let error = Pipe::new(ask)
+            .ask(&Request { messages: vec![], max_tokens: 1 }, &mut || {})
+            .unwrap_err();
         assert!(error.to_string().starts_with("cannot start /nowhere/policy-proc: "), "{error}");
     }
 }

@@ -44,7 +44,8 @@ impl Stage {
     /// The request of this stage: `values` stand in the places that are named so, in braces.
     pub(super) fn request(self, max_tokens: u32, values: &[(&str, &str)]) -> Request {
         let (rules, question) = self.file().split_once(USER).unwrap_or(("", self.file()));
-        let message = |role, template: &str| Message { role, content: fill(template.trim_end(), values) };
+        let message =
+            |role, template: &str| Message { role, content: fill(template.trim_end(), values) };
         let messages = vec![message(Speaker::System, rules), message(Speaker::User, question)];
         Request { messages, max_tokens }
     }
@@ -90,7 +91,7 @@ mod tests {
             let hash = hex(&Sha256::digest(stage.file()));
             format!("{} {}", stage.name(), &hash[..16])
         });
-        insta::assert_snapshot!(format!("{PROMPT_VERSION}: {}", hashes.join(", ")), @"");
+        insta::assert_snapshot!(format!("{PROMPT_VERSION}: {}", hashes.join(", ")), @"1: summary 6776078441e040b7, extract dd2963990b78b01d, consolidate 65111c567af2d179, refine 159bc2e9d2a78261");
     }
 
     #[test]

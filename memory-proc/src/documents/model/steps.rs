@@ -18,14 +18,6 @@ use super::chat::{Reply, Request};
 use super::prompt::Stage;
 use crate::documents::transcript::hex;
 
-/// What the name of a folder of steps ends with.
-const FOLDER_EXTENSION: &str = "steps";
-
-/// The folder of the steps of the document at `path`: `summary-4.steps` for `summary-4.json`.
-pub fn folder_of(document: &Path) -> PathBuf {
-    document.with_extension(FOLDER_EXTENSION)
-}
-
 /// A file.
 #[derive(Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -158,7 +150,7 @@ mod tests {
     #[test]
     fn a_reply_is_used_again_for_the_same_request_to_the_same_model_only() {
         let folder = tempfile::tempdir().unwrap();
-        let folder = folder_of(&folder.path().join("summary-4.json"));
+        let folder = folder.path().join("summary-4.steps");
         let next = |model, limit, answer: Option<&str>| {
             let mut steps = Steps::open(&folder, model).unwrap();
             let ask = || match answer {

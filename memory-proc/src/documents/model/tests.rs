@@ -1,6 +1,5 @@
 //! The builder with a scripted conversation instead of a model.
 
-use std::collections::VecDeque;
 use std::sync::Arc;
 
 use shm_types::plate::{Landmark, Plate};
@@ -17,7 +16,7 @@ struct Scripted<F> {
 }
 
 impl<F: FnMut(usize, &Request) -> Result<Reply, ChatError>> Chat for &mut Scripted<F> {
-    fn ask(&mut self, request: &Request) -> Result<Reply, ChatError> {
+    fn ask(&mut self, request: &Request, _: &mut dyn FnMut()) -> Result<Reply, ChatError> {
         self.asked.push(request.clone());
         (self.script)(self.asked.len(), request)
     }
@@ -96,10 +95,10 @@ impl Bench {
     ) -> (anyhow::Result<Built>, Vec<Request>) {
         let mut chat = Scripted { script, asked: Vec::new() };
         let steps = self.folder.path().join("summary-4.steps");
-        let mut builder = ModelBuilder::new(&mut chat, settings.clone(), steps);
+        let mut builder = ModelBuilder::new(&mut chat, settings.clone());
         let mut seen = Vec::new();
         let mut progress = |done, of| seen.push((done, of));
-        let built = builder.build(kind, &transcripts(count), &mut progress);
+        let built = builder.build(kind, &transcripts(count), &steps, &mut progress);
         assert!(seen.is_sorted(), "{seen:?}");
         if built.is_ok() {
             assert!(seen.last().is_some_and(|(done, of)| done == of), "{seen:?}");
@@ -123,7 +122,18 @@ fn user(request: &Request) -> &str {
 
 #[test]
 fn a_demonstration_as_it_is_told() {
-    insta::assert_snapshot!(telling::tell(7, &transcript("Find a blue barrel.")), @"");
+    insta::assert_snapshot!(telling::tell(7, &transcript("Find a blue barrel.")), @r#"
+    ## Demonstration 7
+    Task: "Find a blue barrel."
+    - start: at (3, 2) facing N
+    - sees blue barrel [plate 554-611]: stand at (3, 5) facing W
+    - move forward 3: at (3, 4) facing N
+    - the way is blocked
+    - move forward: at (3, 5) facing N
+    - sub-goal 1 of the task is completed
+    - turn left: at (3, 5) facing W
+    - sees item [plate 316-110]: stand at (3, 5) facing W
+    "#);
 }
 
 #[test]
@@ -168,10 +178,19 @@ fn knowledge_is_extracted_consolidated_and_refined() {
     let built = built.unwrap();
     assert_eq!((&*built.text, built.account.requests), ("# Knowledge\n", Some(8)));
     assert_eq!(asked.len(), 8);
-    assert_eq!(bench.steps(), [
-        "001-extract.json", "002-extract.json", "003-extract.json", "004-extract.json",
-        "005-consolidate.json", "006-consolidate.json", "007-consolidate.json", "008-refine.json",
-    ]);
+    assert_eq!(
+        bench.steps(),
+        [
+            "001-extract.json",
+            "002-extract.json",
+            "003-extract.json",
+            "004-extract.json",
+            "005-consolidate.json",
+            "006-consolidate.json",
+            "007-consolidate.json",
+            "008-refine.json",
+        ]
+    );
     assert!(user(&asked[4]).contains("## Notes 2\n") && !user(&asked[4]).contains("## Notes 3"));
 }
 
@@ -189,7 +208,8 @@ fn a_build_that_was_stopped_goes_on_and_a_finished_one_asks_nothing() {
         assert!(error.contains("the server is gone"), "{error}");
         assert_eq!((asked.len(), bench.steps().len()), (3, 2));
 
-        let (built, rest) = bench.build(kind, 4, &settings, |n, _| Ok(says(format!("# Text {}", n + 2))));
+        let (built, rest) =
+            bench.build(kind, 4, &settings, |n, _| Ok(says(format!("# Text {}", n + 2))));
         let whole = Bench::new().build(kind, 4, &settings, |n, _| Ok(says(format!("# Text {n}"))));
         assert_eq!(built.as_ref().unwrap(), &whole.0.unwrap());
         assert_eq!([&asked[..2], &rest].concat(), whole.1, "nothing is asked twice");
@@ -277,6 +297,7 @@ fn a_document_is_not_made_of_nothing_and_not_without_bounds() {
     }
     let settings = Settings { context_chars: 100_000, ..room_for(Stage::Summary, 1, 60) };
     let long = "n".repeat(LARGEST_DOCUMENT + 1);
-    let (built, _) = Bench::new().build(DocumentKind::Summary, 1, &settings, |_, _| Ok(says(&long)));
+    let (built, _) =
+        Bench::new().build(DocumentKind::Summary, 1, &settings, |_, _| Ok(says(&long)));
     assert!(format!("{:#}", built.unwrap_err()).contains("262144 is the most"));
 }
