@@ -330,7 +330,12 @@ fn launches(settings: &Settings) -> Result<Vec<Launch>> {
             ("--encoder-file", path(&settings.encoder_file)),
             ("--encoder-threads", settings.encoder_threads.map(|n| n.to_string())),
         ];
-        launches.push(launch(Role::Memory, "memory-proc", &encoder)?);
+        let mut memory = launch(Role::Memory, "memory-proc", &encoder)?;
+        // Not by what is left to run: what memory says of itself stays the same when a run is resumed.
+        if !settings.conditions().iter().any(|condition| condition.memory.matches_views()) {
+            memory.args.push("--no-encoder".into());
+        }
+        launches.push(memory);
         let policy = ("--policy", Some(settings.policy.to_string()));
         launches.push(launch(Role::Policy, "policy-proc", &[policy])?);
     }
