@@ -9,6 +9,7 @@ mod generate;
 mod list;
 mod map;
 mod render;
+mod report;
 mod run;
 mod score;
 mod validate;
@@ -36,6 +37,7 @@ Examples:
   memtransfer run                          the main job; the same command again resumes it
   memtransfer run --limit 5 --policy random
   memtransfer score runs/quick-grounded    its table once more, from the log alone
+  memtransfer report runs/quick-grounded   pages, tables and data files of it
   memtransfer ls cases                     what there is to walk
   memtransfer map t03-07 --out map.svg     one case from above
   memtransfer doctor                       what is missing on this machine
@@ -55,8 +57,10 @@ enum Verb {
     Map(map::MapArgs),
     /// Render what an agent sees as PNG
     Render(render::RenderArgs),
-    /// Print a run's table once more, from its log alone
+    /// Print a run's tables once more, from its log alone, or compare conditions and runs
     Score(score::ScoreArgs),
+    /// Write a run's pages: the paper's tables, figures and data files, from its log alone
+    Report(report::ReportArgs),
     /// Remove what killed runs left in shared memory and temporary folders
     Clean(clean::CleanArgs),
     /// Make a case file from a seed
@@ -117,6 +121,7 @@ pub fn main() -> ExitCode {
         Verb::Map(args) => map::run(&args),
         Verb::Render(args) => render::run(&args),
         Verb::Score(args) => score::run(&args),
+        Verb::Report(args) => report::run(&args),
         Verb::Clean(args) => clean::run(&args),
         Verb::Generate(args) => generate::run(&args),
         Verb::Doctor(args) => doctor::run(&args),

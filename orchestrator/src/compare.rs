@@ -2,7 +2,6 @@
 //!
 //! The comparison itself is [`score::compare`]'s.
 
-use crate::conditions::Condition;
 use crate::log::RunLog;
 use crate::names::UnknownName;
 use crate::score::{Comparison, Trials, compare};
@@ -45,20 +44,21 @@ pub fn compare_conditions(
     b: (&RunLog, &str),
 ) -> Result<Comparison, CompareError> {
     same_world(a.0, b.0)?;
-    let trials = |(log, name): (&'_ RunLog, &str)| -> Result<Condition, UnknownName> {
-        let known = log.manifest.settings.conditions();
-        let found = known.iter().find(|condition| condition.to_string() == name).copied();
-        found.ok_or_else(|| {
-            UnknownName::new("condition of the run", name, known.iter().map(ToString::to_string))
-        })
-    };
-    let (first, second) = (Trials::of(a.0, &trials(a)?), Trials::of(b.0, &trials(b)?));
+    let (first, second) = (trials(a)?, trials(b)?);
     let same_run = std::ptr::eq(a.0, b.0);
     let name = |(log, name): (&RunLog, &str)| {
         if same_run { name.to_owned() } else { format!("{}: {name}", run_name(log)) }
     };
     let (a, b) = (name(a), name(b));
     compare((&a, &first), (&b, &second)).ok_or(CompareError::NoCommonCase { a, b })
+}
+
+fn trials<'a>((log, name): (&'a RunLog, &str)) -> Result<Trials<'a>, UnknownName> {
+    let mut trials = Trials::by_condition(log);
+    let condition = trials.keys().find(|condition| condition.to_string() == name).copied();
+    condition.and_then(|condition| trials.remove(&condition)).ok_or_else(|| {
+        UnknownName::new("condition of the run", name, trials.keys().map(ToString::to_string))
+    })
 }
 
 /// Compares every condition that both runs have, in the order of the first.
@@ -68,11 +68,10 @@ pub fn compare_conditions(
 pub fn compare_runs(a: &RunLog, b: &RunLog) -> Result<Vec<Comparison>, CompareError> {
     same_world(a, b)?;
     let (name_a, name_b) = (run_name(a), run_name(b));
-    let conditions = a.manifest.settings.conditions();
-    let compared = conditions.iter().filter_map(|condition| {
+    let (trials_a, trials_b) = (Trials::by_condition(a), Trials::by_condition(b));
+    let compared = trials_a.iter().filter_map(|(condition, first)| {
         let names = [&name_a, &name_b].map(|run| format!("{run}: {condition}"));
-        let (first, second) = (Trials::of(a, condition), Trials::of(b, condition));
-        compare((&names[0], &first), (&names[1], &second))
+        compare((&names[0], first), (&names[1], trials_b.get(condition)?))
     });
     let compared: Vec<Comparison> = compared.collect();
     if compared.is_empty() {

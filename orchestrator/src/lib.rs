@@ -6,7 +6,8 @@
 //!   [`pipeline`] (through four processes), [`supervise`] (the processes themselves).
 //! - How much of shared memory it takes: [`frame_budget`].
 //! - What shows meanwhile: [`session`], [`progress`]; [`signals`] stop it.
-//! - What is kept: [`log`] (the run folder); [`score`] and [`table`] are made from it alone.
+//! - What is kept: [`log`] (the run folder). From it alone are made: [`score`], [`compare`], [`table`] (a
+//!   terminal), [`report`] (pages and data files).
 //! - What people type: [`cli`], one file for each verb.
 
 pub mod cli;
@@ -19,6 +20,7 @@ pub mod names;
 pub mod pipeline;
 pub mod plan;
 pub mod progress;
+pub mod report;
 pub mod score;
 pub mod session;
 pub mod settings;

@@ -8,6 +8,7 @@
 //! | `errors.jsonl` | episodes given up because of a fault that is not the model's | as they happen |
 //! | `sessions.jsonl` | starts, restarts and ends of the processes | as they happen |
 //! | `logs/` | what the processes wrote on stderr | by them |
+//! | `report/` | pages and data files about it ([`report`](crate::report)) | when asked for |
 //!
 //! Scores are made from these files alone ([`score`](crate::score)).
 
@@ -16,7 +17,7 @@ mod journal;
 mod manifest;
 mod record;
 
-pub use folder::{Opened, RunFolder, RunLog};
+pub use folder::{Opened, REPORT_FOLDER, RunFolder, RunLog};
 pub use journal::{Journal, read_journal};
 pub use manifest::{Difference, FORMAT, Manifest, commit_of};
 pub use record::{

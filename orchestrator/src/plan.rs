@@ -37,6 +37,16 @@ impl fmt::Display for EpisodeKey {
     }
 }
 
+impl EpisodeKey {
+    /// The key that was written as `text`; `None` when it is none.
+    pub fn read(text: &str) -> Option<Self> {
+        let (rest, case) = text.rsplit_once('/')?;
+        let (condition, run) = rest.rsplit_once("/run")?;
+        let (condition, run) = (condition.parse().ok()?, run.parse().ok()?);
+        Some(Self { condition, run, case: case.to_owned() })
+    }
+}
+
 /// The episodes of a run, in the order in which they are started.
 ///
 /// Run by run, case by case, the conditions of a case next to each other: so any beginning of the list
@@ -106,6 +116,10 @@ mod tests {
         working/original/unchanged/none/run1/c
         ");
         assert_eq!((keys.len(), keys.iter().filter(|key| key.contains("/run2/")).count()), (14, 6));
+        for episode in &episodes {
+            assert_eq!(EpisodeKey::read(&episode.key.to_string()).as_ref(), Some(&episode.key));
+        }
+        assert_eq!(EpisodeKey::read("episodic/new/unchanged/4/t03-07"), None);
         let (mut unique, mut seeds) = (keys, episodes.iter().map(|e| e.seed).collect::<Vec<_>>());
         unique.sort();
         unique.dedup();

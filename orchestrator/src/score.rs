@@ -49,7 +49,8 @@ use crate::log::{EpisodeTimings, RunLog};
 /// Everything that is said about a run.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Scores {
-    /// One entry for each condition that has an episode, in the order of the settings.
+    /// One entry for each condition that has an episode, in the order of the words of a condition: so those of a
+    /// memory stand together.
     pub conditions: Vec<ConditionScore>,
     /// Episodes of the whole run, finished or not.
     pub planned: usize,
@@ -72,12 +73,10 @@ impl Scores {
 pub fn score(log: &RunLog) -> Scores {
     let timings: BTreeMap<&str, &EpisodeTimings> =
         log.timings.iter().map(|timings| (timings.key.as_str(), timings)).collect();
-    let conditions = log.manifest.settings.conditions();
-    let trials: BTreeMap<Condition, Trials<'_>> =
-        conditions.iter().map(|condition| (*condition, Trials::of(log, condition))).collect();
-    let scored = conditions.into_iter().filter_map(|condition| {
-        condition::score_condition(condition, &trials[&condition], &timings)
-    });
+    let trials = Trials::by_condition(log);
+    let scored = trials
+        .iter()
+        .filter_map(|(condition, trials)| condition::score_condition(*condition, trials, &timings));
     let mut conditions: Vec<ConditionScore> = scored.collect();
     condition::relate(&mut conditions, &trials);
     Scores {

@@ -7,9 +7,7 @@ use comfy_table::{Cell, CellAlignment, LineStyle, Table, TableStyle};
 
 use crate::conditions::{Frames, PolicyKind};
 use crate::log::RunLog;
-use crate::score::{
-    Comparison, ConditionScore, Difference, Failure, Interval, Scores, Spread, StageTimes, score,
-};
+use crate::score::{Comparison, Difference, Failure, Interval, Scores, Spread, StageTimes, score};
 use crate::settings::Settings;
 use shm_types::Representation;
 
@@ -45,13 +43,6 @@ pub fn report(log: &RunLog) -> String {
     text
 }
 
-/// The conditions' scores, in the order of the words of a condition, so that a memory's stand together.
-fn ordered(scores: &Scores) -> Vec<&ConditionScore> {
-    let mut ordered: Vec<_> = scores.conditions.iter().collect();
-    ordered.sort_by_key(|score| score.condition);
-    ordered
-}
-
 fn results(scores: &Scores) -> Table {
     let header = [
         "memory",
@@ -66,7 +57,7 @@ fn results(scores: &Scores) -> Table {
         "images/req",
     ];
     let mut table = table(&header, 4);
-    for score in ordered(scores) {
+    for score in &scores.conditions {
         let condition = score.condition;
         table.add_row([
             condition.memory.to_string(),
@@ -89,7 +80,7 @@ fn blocked(scores: &Scores) -> Option<Table> {
     let header =
         ["memory", "demos", "follow F %", "recovery C %", "change Δ", "95 % CI", "retention R"];
     let mut table = table(&header, 2);
-    for score in ordered(scores) {
+    for score in &scores.conditions {
         let Some(found) = &score.blocked else { continue };
         table.add_row([
             score.condition.memory.to_string(),

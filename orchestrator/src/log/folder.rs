@@ -18,9 +18,11 @@ const TIMINGS_FILE: &str = "timings.jsonl";
 const ERRORS_FILE: &str = "errors.jsonl";
 const SESSIONS_FILE: &str = "sessions.jsonl";
 const LOGS_FOLDER: &str = "logs";
+/// Where [`report`](crate::report) writes about a single run.
+pub const REPORT_FOLDER: &str = "report";
 
 /// Everything a run folder holds. Nothing else in it is ever touched.
-const CONTENTS: [&str; 7] = [
+const CONTENTS: [&str; 8] = [
     MANIFEST_FILE,
     "manifest.json.new",
     EPISODES_FILE,
@@ -28,6 +30,7 @@ const CONTENTS: [&str; 7] = [
     ERRORS_FILE,
     SESSIONS_FILE,
     LOGS_FOLDER,
+    REPORT_FOLDER,
 ];
 
 /// A run folder that this process writes to. Nobody else can meanwhile.

@@ -182,6 +182,8 @@ pub(super) fn relate(scores: &mut [ConditionScore], trials: &BTreeMap<Condition,
             },
         };
         let [change, retention] = related_intervals(quartet);
+        // The baseline against itself is 0 by definition, not by measurement.
+        let change = change.filter(|_| blocked != baseline[0]);
         found.change = match baseline.each_ref().map(reported) {
             [Some(baseline_after), Some(baseline_before)] => Some(Derived {
                 value: blocked::change(after, before, [baseline_after, baseline_before]),

@@ -8,6 +8,7 @@ use std::collections::BTreeMap;
 use super::spread::Spread;
 use crate::conditions::Condition;
 use crate::log::{EpisodeRecord, RunLog};
+use crate::plan::EpisodeKey;
 
 /// One episode as the formulas see it.
 #[derive(Debug, Clone, Copy)]
@@ -46,38 +47,34 @@ impl Trial<'_> {
 }
 
 /// All episodes of one condition, by case and run.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Default)]
 pub struct Trials<'a> {
     list: Vec<Trial<'a>>,
 }
 
 impl<'a> Trials<'a> {
-    /// Those of `condition` in `log`.
-    pub fn of(log: &'a RunLog, condition: &Condition) -> Self {
-        let finished = log.episodes.iter().filter(|record| record.condition() == *condition);
-        let mut list: Vec<Trial<'_>> = finished
-            .map(|record| Trial {
-                case: &record.case,
-                run: record.run,
-                task: Some(record.task),
-                record: Some(record),
-            })
-            .collect();
+    /// Those of each condition that has an episode in `log`.
+    pub fn by_condition(log: &'a RunLog) -> BTreeMap<Condition, Self> {
+        let mut trials: BTreeMap<Condition, Self> = BTreeMap::new();
+        let mut tasks: BTreeMap<&str, u8> = BTreeMap::new();
+        for record in &log.episodes {
+            tasks.insert(&record.case, record.task);
+            let EpisodeRecord { case, run, task, .. } = record;
+            let trial = Trial { case, run: *run, task: Some(*task), record: Some(record) };
+            trials.entry(record.condition()).or_default().list.push(trial);
+        }
         // Of an episode that was given up the key says all that is known.
-        let prefix = format!("{condition}/run");
-        list.extend(log.errors.iter().filter_map(|error| {
-            let (run, case) = error.key.strip_prefix(&prefix)?.split_once('/')?;
-            let other = log.episodes.iter().find(|record| record.case == case);
-            let task = other.map(|record| record.task);
-            Some(Trial { case, run: run.parse().ok()?, task, record: None })
-        }));
-        list.sort_by_key(|trial| (trial.case, trial.run));
-        Self { list }
-    }
-
-    /// Whether there are none.
-    pub fn is_empty(&self) -> bool {
-        self.list.is_empty()
+        for error in &log.errors {
+            let Some(key) = EpisodeKey::read(&error.key) else { continue };
+            let case = &error.key[error.key.len() - key.case.len()..];
+            let task = tasks.get(case).copied();
+            let trial = Trial { case, run: key.run, task, record: None };
+            trials.entry(key.condition).or_default().list.push(trial);
+        }
+        for Self { list } in trials.values_mut() {
+            list.sort_by_key(|trial| (trial.case, trial.run));
+        }
+        trials
     }
 
     /// All of them, by case and run.

@@ -1,0 +1,41 @@
+//! `memtransfer report`: pages and data files about runs, from their logs alone.
+
+use std::path::PathBuf;
+
+use anyhow::bail;
+use clap::Args;
+
+use super::{Exit, print};
+use crate::log::{REPORT_FOLDER, RunLog};
+use crate::report;
+
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Reads the runs' folders and nothing else. Writes report.html (one page that needs nothing else),
+report.md with its figures, every table as CSV, and conditions and episodes as CSV and Parquet; prints
+where the page is. Exit status 1 when episodes were given up.
+
+Examples:
+  memtransfer report runs/paper-grounded
+  memtransfer report runs/paper-grounded runs/paper-random --out reports/both")]
+pub(super) struct ReportArgs {
+    /// The runs' folders; conditions that several runs share are compared
+    #[arg(value_name = "RUN", required = true)]
+    runs: Vec<PathBuf>,
+    /// Where to write [default: `report` in the folder of a single run]
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
+}
+
+pub(super) fn run(args: &ReportArgs) -> anyhow::Result<Exit> {
+    let logs = args.runs.iter().map(|dir| RunLog::read(dir)).collect::<Result<Vec<_>, _>>()?;
+    let out = match (&args.out, &args.runs[..]) {
+        (Some(out), _) => out.clone(),
+        (None, [run]) => run.join(REPORT_FOLDER),
+        (None, _) => bail!("a report about several runs needs a folder of its own: give --out DIR"),
+    };
+    let page = report::write(&logs, &out)?;
+    print(&page.display().to_string())?;
+    let given_up = logs.iter().any(|log| !log.errors.is_empty());
+    Ok(if given_up { Exit::Failed } else { Exit::Complete })
+}

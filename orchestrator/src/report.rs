@@ -1,0 +1,182 @@
+//! Pages, tables and data files about runs, from their logs alone.
+//!
+//! Three steps that never merge: [`score`](crate::score) reckons, this room arranges ([`document`]: sections,
+//! tables, figures; `sections/`: what is in them, a file for each of the paper's tables), and one file for each form
+//! writes: `html.rs`, `markdown.rs`, `csv.rs`, `parquet.rs`. The paper's own figures are data
+//! ([`published`], `assets/published.toml`).
+//!
+//! The same logs give the same files, byte for byte.
+
+mod csv;
+mod data;
+mod document;
+mod frame;
+mod html;
+mod markdown;
+mod parquet;
+mod plot;
+mod published;
+mod sections;
+mod view;
+
+#[cfg(test)]
+mod testing;
+#[cfg(test)]
+mod tests;
+
+pub use document::{Block, Cell, Column, Document, Figure, Group, Missing, Row, Section, Table};
+pub use frame::{Frame, Series, Values};
+pub use plot::PlotError;
+pub use published::{Published, PublishedCondition, PublishedSpread};
+
+use std::fs::{self, File};
+use std::io::{self, BufWriter};
+use std::path::{Path, PathBuf};
+
+use crate::compare::run_name;
+use crate::log::RunLog;
+use crate::score::score;
+use view::View;
+
+/// Why a report could not be made.
+#[derive(Debug, thiserror::Error)]
+pub enum ReportError {
+    /// The system refused.
+    #[error("cannot write {}: {source}", path.display())]
+    Write {
+        /// What.
+        path: PathBuf,
+        /// What it said.
+        source: io::Error,
+    },
+    /// A figure could not be drawn.
+    #[error(transparent)]
+    Plot(#[from] PlotError),
+    /// A page could not be made of its template.
+    #[error("cannot make {page}: {source}; this is a mistake in the program, please report it")]
+    Template {
+        /// Which page.
+        page: &'static str,
+        /// What is wrong.
+        source: askama::Error,
+    },
+    /// The built-in figures of the paper cannot be read.
+    #[error("assets/published.toml: {0}")]
+    Published(#[from] toml::de::Error),
+}
+
+/// The report about `logs`, before it has a form.
+///
+/// # Errors
+/// When a figure cannot be drawn.
+pub fn document(logs: &[RunLog], published: &Published) -> Result<Document, ReportError> {
+    Ok(arrange(&views(logs, published))?)
+}
+
+fn views<'a>(logs: &'a [RunLog], published: &'a Published) -> Vec<View<'a>> {
+    let prefix = |place: usize| match logs {
+        [_] => String::new(),
+        _ => format!("run{place}-"),
+    };
+    let view = |(place, log)| View { log, scores: score(log), published, prefix: prefix(place) };
+    (1..).zip(logs).map(view).collect()
+}
+
+fn arrange(views: &[View<'_>]) -> Result<Document, PlotError> {
+    let mut sections = Vec::new();
+    let title = match views {
+        [view] => {
+            sections.extend(sections::sections(view, 2)?);
+            sections.push(sections::method());
+            sections.push(sections::provenance(view, 2));
+            format!("MemTransfer: {}", run_name(view.log))
+        }
+        _ => {
+            sections.extend(sections::runs(views));
+            for view in views {
+                let title = format!("Run {}", run_name(view.log));
+                sections.push(Section { id: view.id("s-run"), level: 2, title, blocks: Vec::new() });
+                sections.extend(sections::sections(view, 3)?);
+                sections.push(sections::provenance(view, 3));
+            }
+            sections.push(sections::method());
+            let names: Vec<String> = views.iter().map(|view| run_name(view.log)).collect();
+            format!("MemTransfer: {}", names.join(", "))
+        }
+    };
+    Ok(Document { title, sections })
+}
+
+/// Writes the report about `logs` into the folder `dir`, which is made if need be; files of an earlier report there
+/// are replaced. Returns the page to open.
+///
+/// | file | holds |
+/// |---|---|
+/// | `report.html` | everything, in one page |
+/// | `report.md`, `figures/` | the same as Markdown, with its figures |
+/// | `tables/` | each table as it is printed, as CSV |
+/// | `conditions.csv`, `conditions.parquet` | a row for each condition with every figure, in full |
+/// | `episodes.csv`, `episodes.parquet` | a row for each episode |
+///
+/// # Errors
+/// When the system refuses.
+pub fn write(logs: &[RunLog], dir: &Path) -> Result<PathBuf, ReportError> {
+    let published = Published::load()?;
+    let views = views(logs, &published);
+    let document = arrange(&views)?;
+    let template = |page| move |source| ReportError::Template { page, source };
+    let out = Folder { dir };
+    let page =
+        out.text("report.html", &html::render(&document).map_err(template("report.html"))?)?;
+    out.text("report.md", &markdown::render(&document).map_err(template("report.md"))?)?;
+    for figure in document.figures() {
+        out.text(&format!("figures/{}.svg", figure.id), &figure.svg)?;
+    }
+    for table in document.tables() {
+        out.stream(&format!("tables/{}.csv", table.id), |file| {
+            csv::write_table(table, file).map_err(io::Error::other)
+        })?;
+    }
+    for (name, frame) in
+        [("conditions", data::conditions(&views)), ("episodes", data::episodes(logs))]
+    {
+        out.stream(&format!("{name}.csv"), |file| {
+            csv::write_frame(&frame, file).map_err(io::Error::other)
+        })?;
+        out.stream(&format!("{name}.parquet"), |file| {
+            parquet::write_frame(&frame, file).map_err(io::Error::other)
+        })?;
+    }
+    Ok(page)
+}
+
+/// The folder that a report is written into.
+struct Folder<'a> {
+    dir: &'a Path,
+}
+
+impl Folder<'_> {
+    fn text(&self, name: &str, content: &str) -> Result<PathBuf, ReportError> {
+        self.stream(name, |file| io::Write::write_all(file, content.as_bytes()))
+    }
+
+    fn stream(
+        &self,
+        name: &str,
+        write: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>,
+    ) -> Result<PathBuf, ReportError> {
+        let path = self.dir.join(name);
+        let written = || {
+            if let Some(parent) = path.parent() {
+                fs::create_dir_all(parent)?;
+            }
+            let mut file = BufWriter::new(File::create(&path)?);
+            write(&mut file)?;
+            io::Write::flush(&mut file)
+        };
+        match written() {
+            Ok(()) => Ok(path),
+            Err(source) => Err(ReportError::Write { path, source }),
+        }
+    }
+}

@@ -1,0 +1,194 @@
+//! The flat tables of a report: a row for each episode, and a row for each condition with every figure.
+
+use std::collections::BTreeMap;
+
+use super::frame::{Builder, Frame};
+use super::view::View;
+use crate::compare::run_name;
+use crate::conditions::Condition;
+use crate::log::{EpisodeError, EpisodeRecord, EpisodeTimings, RunLog, Stages};
+use crate::plan::EpisodeKey;
+use crate::score::{ConditionScore, Derived, Failure, Spread, group_of};
+
+/// An episode of a run: finished, or given up.
+#[derive(Debug)]
+enum Episode<'a> {
+    Finished(&'a EpisodeRecord, Option<&'a EpisodeTimings>),
+    GivenUp(&'a EpisodeError),
+}
+
+impl<'a> Episode<'a> {
+    fn record(&self) -> Option<&'a EpisodeRecord> {
+        match self {
+            Self::Finished(record, _) => Some(record),
+            Self::GivenUp(_) => None,
+        }
+    }
+
+    fn key(&self) -> &'a str {
+        match self {
+            Self::Finished(record, _) => &record.key,
+            Self::GivenUp(error) => &error.key,
+        }
+    }
+
+    /// Which repetition of which case.
+    fn run_and_case(&self) -> Option<(u32, String)> {
+        match self {
+            Self::Finished(record, _) => Some((record.run, record.case.clone())),
+            Self::GivenUp(error) => EpisodeKey::read(&error.key).map(|key| (key.run, key.case)),
+        }
+    }
+
+    fn condition(&self) -> Option<Condition> {
+        match self {
+            Self::Finished(record, _) => Some(record.condition()),
+            Self::GivenUp(error) => Some(EpisodeKey::read(&error.key)?.condition),
+        }
+    }
+}
+
+/// Every episode of the runs. An episode that was given up has the ending `given-up`, its key, its condition, and
+/// no other figure.
+pub(super) fn episodes(logs: &[RunLog]) -> Frame {
+    let mut rows = Vec::new();
+    for log in logs {
+        let timings: BTreeMap<&str, &EpisodeTimings> =
+            log.timings.iter().map(|timings| (timings.key.as_str(), timings)).collect();
+        let name = run_name(log);
+        let finished = log
+            .episodes
+            .iter()
+            .map(|record| Episode::Finished(record, timings.get(record.key.as_str()).copied()));
+        let given_up = log.errors.iter().map(Episode::GivenUp);
+        rows.extend(finished.chain(given_up).map(|episode| (name.clone(), episode)));
+    }
+    fn of<'a>((_, episode): &(String, Episode<'a>)) -> Option<&'a EpisodeRecord> {
+        episode.record()
+    }
+    let mut frame = Builder::new(&rows);
+    frame.text("log", |(log, _)| Some(log.clone()));
+    frame.text("key", |(_, episode)| Some(episode.key().to_owned()));
+    add_condition(&mut frame, |(_, episode)| episode.condition());
+    frame.whole("run", |(_, episode)| Some(episode.run_and_case()?.0.into()));
+    frame.text("case", |(_, episode)| Some(episode.run_and_case()?.1));
+    frame.whole("task", |row| Some(of(row)?.task.into()));
+    frame.text("group", |row| Some(group_of(of(row)?.task).name().to_owned()));
+    frame.text("seed", |row| Some(of(row)?.seed.to_string()));
+    frame.text("ending", |row| {
+        Some(of(row).map_or("given-up".to_owned(), |record| record.ending.to_string()))
+    });
+    frame.flag("success", |row| Some(of(row).is_some_and(EpisodeRecord::is_success)));
+    frame.text("failure", |row| Some(Failure::of(of(row)?)?.name().to_owned()));
+    frame.whole("steps", |row| Some(of(row)?.steps.into()));
+    frame.whole("reference", |row| Some(of(row)?.reference.into()));
+    frame.whole("sub_goals_met", |row| Some(of(row)?.sub_goals.len() as i64));
+    frame.whole("sub_goals", |row| Some(of(row)?.required.into()));
+    frame.flag("tried_closed", |row| of(row)?.tried_closed);
+    frame.whole("blocked_moves", |row| Some(of(row)?.blocked_moves.len() as i64));
+    frame.text("start_pose", |row| Some(of(row)?.start_pose.to_string()));
+    frame.text("final_pose", |row| Some(of(row)?.final_pose.to_string()));
+    frame.text("actions", |row| Some(of(row)?.actions.clone()));
+    frame.whole("requests", |row| of(row)?.requests.map(i64::from));
+    frame.whole("images", |row| of(row)?.images.map(|images| images as i64));
+    frame.whole("prompt_tokens", |row| of(row)?.prompt_tokens.map(|tokens| tokens as i64));
+    frame.whole("completion_tokens", |row| of(row)?.completion_tokens.map(|tokens| tokens as i64));
+    frame.whole("unread", |row| Some(of(row)?.unread.total().into()));
+    frame.text("retrieved", |row| of(row)?.retrieved.clone());
+    frame.real("distance", |row| of(row)?.distance);
+    for (index, stage) in Stages::NAMES.into_iter().enumerate() {
+        frame.real(format!("{stage}_us"), |(_, episode)| match episode {
+            Episode::Finished(_, Some(timings)) => {
+                Some(timings.stages.values()[index] as f64 / 1000.0)
+            }
+            _ => None,
+        });
+    }
+    frame.finish()
+}
+
+/// Every condition of the runs, with every figure and what the paper prints.
+pub(super) fn conditions(views: &[View<'_>]) -> Frame {
+    let rows: Vec<(&View<'_>, &ConditionScore)> = views
+        .iter()
+        .flat_map(|view| view.scores.conditions.iter().map(move |score| (view, score)))
+        .collect();
+    let mut frame = Builder::new(&rows);
+    frame.text("log", |(view, _)| Some(run_name(view.log)));
+    frame.text("policy", |(view, _)| Some(view.log.manifest.settings.policy.to_string()));
+    frame.text("frames", |(view, _)| Some(view.log.manifest.settings.frames.to_string()));
+    frame.text("condition", |(_, score)| Some(score.condition.to_string()));
+    add_condition(&mut frame, |(_, score)| Some(score.condition));
+    frame.whole("episodes", |(_, score)| Some(score.episodes as i64));
+    frame.whole("given_up", |(_, score)| Some(score.errored as i64));
+    frame.whole("runs", |(_, score)| Some(score.runs as i64));
+    frame.whole("cases", |(_, score)| Some(score.cases as i64));
+    type OfSpread = fn(&ConditionScore) -> Option<Spread>;
+    let spreads: [(&str, OfSpread); 8] = [
+        ("sr", |score| Some(score.sr)),
+        ("spl", |score| Some(score.spl)),
+        ("follow", |score| score.blocked?.follow),
+        ("recovery", |score| score.blocked?.recovery),
+        ("images_per_request", |score| score.images_per_request),
+        ("tokens_per_100", |score| score.tokens_per_100),
+        ("unread", |score| score.unread),
+        ("from_other_tasks", |score| score.from_other_cases),
+    ];
+    for (name, spread) in spreads {
+        frame.real(name, |(_, score)| Some(spread(score)?.mean));
+        frame.real(format!("{name}_std"), |(_, score)| spread(score)?.std);
+        frame.whole(format!("{name}_runs"), |(_, score)| Some(spread(score)?.runs.into()));
+        if matches!(name, "sr" | "spl" | "follow" | "recovery") {
+            frame.real(format!("{name}_low"), |(_, score)| Some(spread(score)?.interval?.low));
+            frame.real(format!("{name}_high"), |(_, score)| Some(spread(score)?.interval?.high));
+        }
+    }
+    type OfDerived = fn(&ConditionScore) -> Option<Derived>;
+    let derived: [(&str, OfDerived); 2] = [
+        ("change", |score| score.blocked?.change),
+        ("retention", |score| score.blocked?.retention),
+    ];
+    for (name, derived) in derived {
+        frame.real(name, |(_, score)| Some(derived(score)?.value));
+        frame.real(format!("{name}_low"), |(_, score)| Some(derived(score)?.interval?.low));
+        frame.real(format!("{name}_high"), |(_, score)| Some(derived(score)?.interval?.high));
+    }
+    for group in warehouse::Group::ALL {
+        let of = move |score: &ConditionScore| {
+            score.groups.iter().find(|found| found.group == group).map(|found| found.sr)
+        };
+        let name = format!("sr_{}", group.name().replace([' ', '-'], "_"));
+        frame.real(name.clone(), |(_, score)| Some(of(score)?.mean));
+        frame.real(format!("{name}_std"), |(_, score)| of(score)?.std);
+    }
+    frame.real("mean_steps", |(_, score)| score.mean_steps);
+    for (index, kind) in Failure::ALL.iter().enumerate() {
+        let name = format!("failed_{}", kind.name().replace('-', "_"));
+        frame.whole(name, |(_, score)| Some(score.failures.iter().nth(index)?.1 as i64));
+    }
+    for stage in Stages::NAMES {
+        frame.real(format!("{stage}_us"), |(_, score)| score.stage_us.as_ref()?.stage(stage));
+    }
+    let published = |view: &View<'_>, score: &ConditionScore| {
+        view.published.of(&score.condition.to_string()).cloned()
+    };
+    frame.real("published_sr", |(view, score)| Some(published(view, score)?.sr?.mean));
+    frame.real("published_sr_std", |(view, score)| published(view, score)?.sr?.std);
+    frame.real("published_spl", |(view, score)| published(view, score)?.spl);
+    frame.real("published_tokens_per_100", |(view, score)| {
+        Some(published(view, score)?.mtok? * 1e6)
+    });
+    frame.text("published_source", |(view, score)| Some(published(view, score)?.source));
+    frame.finish()
+}
+
+/// The columns that say under which condition a row is.
+fn add_condition<T>(frame: &mut Builder<'_, T>, of: impl Fn(&T) -> Option<Condition>) {
+    frame.text("memory", |row| Some(of(row)?.memory.to_string()));
+    frame.text("start", |row| Some(of(row)?.start.to_string()));
+    frame.text("route", |row| Some(of(row)?.route.to_string()));
+    frame.text("demonstrations", |row| Some(of(row)?.demonstrations.to_string()));
+    frame.whole("window", |row| Some(of(row)?.variation.window.into()));
+    frame.text("segment", |row| Some(of(row)?.variation.segment.to_string()));
+    frame.text("hint", |row| Some(of(row)?.variation.hint.to_string()));
+}

@@ -1,0 +1,249 @@
+//! A report before it has a form: sections of text, tables and figures, for HTML, Markdown and CSV alike.
+//!
+//! A table has no empty cell because a [`Cell`] cannot be empty: where there is no figure it says why.
+
+/// A whole report.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Document {
+    /// What it is called.
+    pub title: String,
+    /// The sections, in order.
+    pub sections: Vec<Section>,
+}
+
+impl Document {
+    /// All tables, in order.
+    pub fn tables(&self) -> impl Iterator<Item = &Table> {
+        self.blocks().filter_map(|block| match block {
+            Block::Table(table) => Some(table),
+            _ => None,
+        })
+    }
+
+    /// All figures, in order.
+    pub fn figures(&self) -> impl Iterator<Item = &Figure> {
+        self.blocks().filter_map(|block| match block {
+            Block::Figure(figure) => Some(figure),
+            _ => None,
+        })
+    }
+
+    fn blocks(&self) -> impl Iterator<Item = &Block> {
+        self.sections.iter().flat_map(|section| &section.blocks)
+    }
+}
+
+/// A section.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Section {
+    /// Unique in the document; usable in a link.
+    pub id: String,
+    /// 2 for a section, 3 for one inside the section before it.
+    pub level: u8,
+    /// Its heading.
+    pub title: String,
+    /// What is in it.
+    pub blocks: Vec<Block>,
+}
+
+/// A part of a section.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Block {
+    /// A paragraph.
+    Text(String),
+    /// A paragraph that must not be missed.
+    Notice(String),
+    /// Terms and what they mean.
+    Terms(Vec<(String, String)>),
+    /// A table.
+    Table(Table),
+    /// A picture.
+    Figure(Figure),
+}
+
+/// A table.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Table {
+    /// Unique in the document; the name of its CSV file.
+    pub id: String,
+    /// What it shows, and what a reader must know about it.
+    pub caption: String,
+    /// What the columns of row labels are called: two where rows come in groups, else one.
+    pub stubs: Vec<String>,
+    /// The other columns.
+    pub columns: Vec<Column>,
+    /// The rows.
+    pub groups: Vec<Group>,
+}
+
+/// A column.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Column {
+    /// What it shares with its neighbours, or nothing.
+    pub over: String,
+    /// Its own name.
+    pub name: String,
+}
+
+/// Rows that belong together.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Group {
+    /// What they have in common; `None` in tables with one column of labels.
+    pub label: Option<String>,
+    /// The rows.
+    pub rows: Vec<Row>,
+}
+
+/// A row.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Row {
+    /// What it is about.
+    pub label: String,
+    /// Whether its figures are the paper's and not a run's.
+    pub published: bool,
+    /// One cell a column.
+    pub cells: Vec<Cell>,
+}
+
+/// A cell.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Cell {
+    /// A figure or a word.
+    Value(String),
+    /// A figure and what shows how sure it is.
+    Sure {
+        /// The figure.
+        figure: String,
+        /// Its interval.
+        interval: String,
+    },
+    /// No figure.
+    Missing(Missing),
+}
+
+/// Why there is no figure.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Missing {
+    /// The run has no episode of the condition.
+    NotRun,
+    /// The run did not measure it: why.
+    NotMeasured(&'static str),
+    /// The paper does not print it: why.
+    NotReported(&'static str),
+    /// It is not defined for what happened: why.
+    Undefined(&'static str),
+    /// There is no such thing there: why.
+    NotApplicable(&'static str),
+}
+
+impl Missing {
+    /// What stands in the cell.
+    pub const fn mark(&self) -> &'static str {
+        match self {
+            Self::NotRun => "not run",
+            Self::NotMeasured(_) => "n/m",
+            Self::NotReported(_) => "—",
+            Self::Undefined(_) => "undef.",
+            Self::NotApplicable(_) => "n/a",
+        }
+    }
+
+    /// What stands below the table.
+    pub fn reason(&self) -> Option<String> {
+        match self {
+            Self::NotRun => None,
+            Self::NotMeasured(why) => Some(format!("n/m, not measured: {why}")),
+            Self::NotReported(why) => Some(format!("—, not in the paper: {why}")),
+            Self::Undefined(why) => Some(format!("undef., undefined: {why}")),
+            Self::NotApplicable(why) => Some(format!("n/a, does not exist: {why}")),
+        }
+    }
+}
+
+impl Cell {
+    /// The cell as one line of text.
+    pub fn text(&self) -> String {
+        match self {
+            Self::Value(value) => value.clone(),
+            Self::Sure { figure, interval } => format!("{figure} {interval}"),
+            Self::Missing(missing) => missing.mark().to_owned(),
+        }
+    }
+}
+
+/// A picture.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Figure {
+    /// Unique in the document; the name of its SVG file.
+    pub id: String,
+    /// What it shows.
+    pub caption: String,
+    /// What it shows, for somebody who does not see it.
+    pub alt: String,
+    /// The picture, as an `svg` element.
+    pub svg: String,
+}
+
+impl Table {
+    /// The reasons for its missing figures, each once, in the order in which they come.
+    pub fn notes(&self) -> Vec<String> {
+        let mut notes = Vec::new();
+        for cell in self.cells() {
+            if let Some(reason) = cell.missing().and_then(Missing::reason)
+                && !notes.contains(&reason)
+            {
+                notes.push(reason);
+            }
+        }
+        notes
+    }
+
+    /// The place of the cell's reason among [`Table::notes`], from 1.
+    pub fn note_of(&self, cell: &Cell) -> Option<usize> {
+        let reason = cell.missing()?.reason()?;
+        Some(1 + self.notes().iter().position(|note| *note == reason)?)
+    }
+
+    /// All cells, row by row.
+    pub fn cells(&self) -> impl Iterator<Item = &Cell> {
+        self.groups.iter().flat_map(|group| &group.rows).flat_map(|row| &row.cells)
+    }
+
+    /// What the columns have in common with their neighbours: name and number of columns.
+    pub fn spans(&self) -> Vec<(&str, usize)> {
+        let mut spans: Vec<(&str, usize)> = Vec::new();
+        for column in &self.columns {
+            match spans.last_mut() {
+                Some((over, count)) if *over == column.over && !over.is_empty() => *count += 1,
+                _ => spans.push((&column.over, 1)),
+            }
+        }
+        spans
+    }
+
+    /// Whether any column shares something with its neighbours.
+    pub fn has_spans(&self) -> bool {
+        self.columns.iter().any(|column| !column.over.is_empty())
+    }
+}
+
+impl Cell {
+    fn missing(&self) -> Option<&Missing> {
+        match self {
+            Self::Missing(missing) => Some(missing),
+            Self::Value(_) | Self::Sure { .. } => None,
+        }
+    }
+}
+
+impl Column {
+    /// A column of its own.
+    pub fn new(name: impl Into<String>) -> Self {
+        Self { over: String::new(), name: name.into() }
+    }
+
+    /// A column under something that it shares with its neighbours.
+    pub fn under(over: impl Into<String>, name: impl Into<String>) -> Self {
+        Self { over: over.into(), name: name.into() }
+    }
+}

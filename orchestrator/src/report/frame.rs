@@ -1,0 +1,105 @@
+//! Flat tables of figures for other programs: a typed column for each figure, in full precision, with nothing where
+//! there is nothing.
+
+/// A table of values.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Frame {
+    /// Its columns, all of the same length.
+    pub columns: Vec<Series>,
+}
+
+/// A column.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Series {
+    /// Its name, unique in the frame: lower case with underscores.
+    pub name: String,
+    /// What is in it.
+    pub values: Values,
+}
+
+/// The values of a column; `None` where there is none.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Values {
+    /// Words.
+    Text(Vec<Option<String>>),
+    /// Counts.
+    Whole(Vec<Option<i64>>),
+    /// Measures.
+    Real(Vec<Option<f64>>),
+    /// Yes or no.
+    Flag(Vec<Option<bool>>),
+}
+
+impl Values {
+    /// How many.
+    pub fn len(&self) -> usize {
+        match self {
+            Self::Text(values) => values.len(),
+            Self::Whole(values) => values.len(),
+            Self::Real(values) => values.len(),
+            Self::Flag(values) => values.len(),
+        }
+    }
+
+    /// Whether there are none.
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// The value in `row` as text; nothing where there is none.
+    pub fn text(&self, row: usize) -> String {
+        fn shown<T: ToString>(values: &[Option<T>], row: usize) -> String {
+            values.get(row).and_then(Option::as_ref).map_or_else(String::new, T::to_string)
+        }
+        match self {
+            Self::Text(values) => shown(values, row),
+            Self::Whole(values) => shown(values, row),
+            Self::Real(values) => shown(values, row),
+            Self::Flag(values) => shown(values, row),
+        }
+    }
+}
+
+/// Makes a [`Frame`] of a list, column by column.
+#[derive(Debug)]
+pub(super) struct Builder<'a, T> {
+    rows: &'a [T],
+    columns: Vec<Series>,
+}
+
+impl<'a, T> Builder<'a, T> {
+    pub(super) fn new(rows: &'a [T]) -> Self {
+        Self { rows, columns: Vec::new() }
+    }
+
+    pub(super) fn text(&mut self, name: impl Into<String>, value: impl Fn(&T) -> Option<String>) {
+        let values = Values::Text(self.rows.iter().map(value).collect());
+        self.columns.push(Series { name: name.into(), values });
+    }
+
+    pub(super) fn whole(&mut self, name: impl Into<String>, value: impl Fn(&T) -> Option<i64>) {
+        let values = Values::Whole(self.rows.iter().map(value).collect());
+        self.columns.push(Series { name: name.into(), values });
+    }
+
+    pub(super) fn real(&mut self, name: impl Into<String>, value: impl Fn(&T) -> Option<f64>) {
+        let values = Values::Real(self.rows.iter().map(value).collect());
+        self.columns.push(Series { name: name.into(), values });
+    }
+
+    pub(super) fn flag(&mut self, name: impl Into<String>, value: impl Fn(&T) -> Option<bool>) {
+        let values = Values::Flag(self.rows.iter().map(value).collect());
+        self.columns.push(Series { name: name.into(), values });
+    }
+
+    pub(super) fn finish(self) -> Frame {
+        Frame { columns: self.columns }
+    }
+}
+
+impl Frame {
+    /// Rows.
+    pub fn rows(&self) -> usize {
+        self.columns.first().map_or(0, |column| column.values.len())
+    }
+}

@@ -1,0 +1,20 @@
+//! The report as one HTML page that needs nothing else: style and figures are in it, scripts there are none.
+
+use askama::Template;
+
+use super::document::{Block, Cell, Document};
+
+#[derive(Template)]
+#[template(path = "report.html")]
+struct Page<'a> {
+    document: &'a Document,
+    style: &'static str,
+}
+
+/// The page.
+///
+/// # Errors
+/// When the template refuses, which it does not.
+pub(super) fn render(document: &Document) -> askama::Result<String> {
+    Page { document, style: include_str!("../../templates/report.css") }.render()
+}

@@ -1,0 +1,70 @@
+//! Section Design Choices: the window, segments of images alone, the original-start hint.
+
+use shm_types::Representation;
+
+use crate::report::document::{Block, Group, Row, Table};
+use crate::report::plot::{Dots, PlotError, dots};
+use crate::report::sections::main_table::rate_rows;
+use crate::report::view::{OURS, THEIRS, View, name, our_rates, rate_columns, their_rates, title};
+
+const ORIGINAL: &str = "original/unchanged";
+
+pub(super) fn blocks(view: &View<'_>) -> Result<Vec<Block>, PlotError> {
+    let choices = choices();
+    let row = |(choice, name): &(String, String)| Row {
+        label: choice.clone(),
+        published: false,
+        cells: our_rates(view, name).into_iter().chain(their_rates(view, name)).collect(),
+    };
+    let group = |(heading, conditions): &(String, Vec<(String, String)>)| Group {
+        label: Some(heading.clone()),
+        rows: conditions.iter().map(row).collect(),
+    };
+    let table = Table {
+        id: view.id("design"),
+        caption: "Design choices, at the original start on the unchanged route with the original demonstration (the paper's section “Design Choices”)."
+            .to_owned(),
+        stubs: vec!["Representation".to_owned(), "Choice".to_owned()],
+        columns: rate_columns(&[OURS, THEIRS]),
+        groups: choices.iter().map(group).collect(),
+    };
+    let rows =
+        choices.iter().flat_map(|(heading, conditions)| rate_rows(view, heading, conditions));
+    let figure = dots(&Dots {
+        id: view.id("design-figure"),
+        caption: "Success rate by design choice. Filled: this run with its 95 % interval. Open: the paper, mean ± \
+                  standard deviation where it is printed."
+            .to_owned(),
+        axis: "Success rate, %",
+        range: (0.0, 100.0),
+        series: vec![OURS.to_owned(), THEIRS.to_owned()],
+        rows: rows.collect(),
+    })?;
+    Ok(vec![Block::Table(table), Block::Figure(figure)])
+}
+
+/// The conditions by heading, each with what is varied and its name.
+fn choices() -> Vec<(String, Vec<(String, String)>)> {
+    let of = |representation: Representation, choices: &[(&str, &str)]| {
+        let standard = name(representation, ORIGINAL, "original");
+        let named =
+            |(choice, part): &(&str, &str)| ((*choice).to_owned(), format!("{standard}{part}"));
+        (title(representation).to_owned(), choices.iter().map(named).collect())
+    };
+    let hint = [("hint on (standard)", ""), ("hint off", "/no-hint")];
+    vec![
+        of(
+            Representation::Working,
+            &[("window h = 0", "/h0"), ("window h = 6 (standard)", ""), ("window h = 20", "/h20")],
+        ),
+        of(Representation::FullContext, &hint),
+        of(
+            Representation::Episodic,
+            &[
+                ("actions and images, hint on (standard)", ""),
+                ("images alone", "/images"),
+                ("hint off", "/no-hint"),
+            ],
+        ),
+    ]
+}

@@ -1,0 +1,58 @@
+//! Table `tab:tasks`: success rate by task group, unchanged and blocked.
+
+use shm_types::Representation;
+use warehouse::Group;
+
+use crate::report::document::{Block, Cell, Column, Missing, Table};
+use crate::report::plot::PlotError;
+use crate::report::view::{View, name, pair_stubs};
+
+const HEADINGS: [(Group, &str); 4] = [
+    (Group::Basic, "Basic (T1–T2)"),
+    (Group::MultiObject, "Multi-object (T3–T6)"),
+    (Group::ReturnLoop, "Return loops (T7, T8, T10)"),
+    (Group::Revisit, "Revisit (T9)"),
+];
+
+pub(super) fn blocks(view: &View<'_>) -> Result<Vec<Block>, PlotError> {
+    let columns = HEADINGS.iter().flat_map(|(_, heading)| {
+        ["unchanged", "blocked"].map(|route| Column::under(*heading, route))
+    });
+    let names = |representation| {
+        ["new/unchanged", "new/blocked"].map(|rest| name(representation, rest, "4"))
+    };
+    let each = |representation, cell: &dyn Fn(Group, &str) -> Cell| {
+        let names = names(representation);
+        let both = |(group, _): &(Group, &str)| names.each_ref().map(|name| cell(*group, name));
+        HEADINGS.iter().flat_map(both).collect::<Vec<_>>()
+    };
+    let ours = |representation| {
+        each(representation, &|group, name| {
+            view.ours(name, |score| {
+                let found = score.groups.iter().find(|found| found.group == group);
+                let missing =
+                    Missing::NotMeasured("the run's selection of cases has none of this group");
+                found.map_or(Cell::Missing(missing), |found| {
+                    Cell::Value(format!("{:.0}", found.sr.mean))
+                })
+            })
+        })
+    };
+    let theirs = |representation| {
+        each(representation, &|group, name| {
+            view.theirs(name, |published| {
+                published.group(group.name()).map(|rate| format!("{rate:.0}"))
+            })
+        })
+    };
+    let table = Table {
+        id: view.id("groups"),
+        caption: "Success rate in percent by task group, mean over runs (the paper's table “Task completion across navigation requirements”). New start, four \
+                  demonstrations."
+            .to_owned(),
+        stubs: pair_stubs(),
+        columns: columns.collect(),
+        groups: view.pairs(Representation::ALL, ours, theirs),
+    };
+    Ok(vec![Block::Table(table)])
+}

@@ -1,0 +1,125 @@
+//! Table `tab:main`: six representations in the four settings of the three questions, with what they cost.
+
+use shm_types::Representation;
+
+use crate::report::document::{Block, Cell, Column, Missing, Table};
+use crate::report::plot::{Dot, DotRow, Dots, PlotError, dots};
+use crate::report::view::{
+    OURS, THEIRS, View, name, our_rates, pair_stubs, rate_columns, their_rates, title,
+};
+use crate::score::Spread;
+
+/// The four settings: heading, start and route, demonstrations.
+const SETTINGS: [(&str, &str, &str); 4] = [
+    ("Original start, 1 demo", "original/unchanged", "original"),
+    ("New start, 1 demo", "new/unchanged", "original"),
+    ("New start, 4 demos", "new/unchanged", "4"),
+    ("New start, blocked, 4 demos", "new/blocked", "4"),
+];
+
+pub(super) const NO_TOKENS: Missing =
+    Missing::NotMeasured("this run's policy counts no tokens (a scripted policy has none)");
+pub(super) const NO_REQUESTS: Missing =
+    Missing::NotMeasured("no policy was asked: the expert replays the reference");
+
+pub(super) fn blocks(view: &View<'_>) -> Result<Vec<Block>, PlotError> {
+    let mut columns =
+        vec![Column::new("Img"), Column::under("Mtok", "1 demo"), Column::under("Mtok", "4 demos")];
+    columns.extend(rate_columns(&SETTINGS.map(|(heading, _, _)| heading)));
+    let of = |representation, (_, rest, demonstrations): (&str, &str, &str)| {
+        name(representation, rest, demonstrations)
+    };
+    let ours = |representation| {
+        let [_, one, four, _] = SETTINGS.map(|setting| of(representation, setting));
+        let mut cells = vec![images(view, &one, &four), mega(view, &one), mega(view, &four)];
+        let settings = SETTINGS.map(|setting| of(representation, setting));
+        cells.extend(settings.iter().flat_map(|name| our_rates(view, name)));
+        cells
+    };
+    let theirs = |representation| {
+        let [original, one, four, _] = SETTINGS.map(|setting| of(representation, setting));
+        let mut cells = vec![view.theirs(&original, |p| p.img.map(|img| format!("{img:.0}")))];
+        let mega = |name: &String| view.theirs(name, |p| p.mtok.map(|mtok| format!("{mtok:.0}")));
+        cells.extend([&one, &four].map(mega));
+        let settings = SETTINGS.map(|setting| of(representation, setting));
+        cells.extend(settings.iter().flat_map(|name| their_rates(view, name)));
+        cells
+    };
+    let table = Table {
+        id: view.id("main"),
+        caption: "Memory performance across the three questions (the paper's table “Memory performance across the three RQs”). SR: success rate \
+                  in percent, mean ± standard deviation over runs, and its 95 % interval in brackets. SPL: \
+                  success weighted by path length, mean. Img: images per request; this run's is the mean over all \
+                  requests at the new start, where an episode's first steps have a shorter window, and the paper's the \
+                  number at full window. Mtok: million prompt and completion tokens per 100 new-start cases. Working \
+                  memory uses no demonstrations, so its new-start figures stand in both columns."
+            .to_owned(),
+        stubs: pair_stubs(),
+        columns,
+        groups: view.pairs(Representation::ALL, ours, theirs),
+    };
+    let settings = |representation| {
+        SETTINGS.map(|setting| (setting.0.to_owned(), of(representation, setting)))
+    };
+    let rows = Representation::ALL.iter().flat_map(|&representation| {
+        rate_rows(view, title(representation), &settings(representation))
+    });
+    let figure = dots(&Dots {
+        id: view.id("main-figure"),
+        caption: "Success rate in the four settings. Filled: this run with its 95 % interval. Open: the paper, \
+                  mean ± standard deviation."
+            .to_owned(),
+        axis: "Success rate, %",
+        range: (0.0, 100.0),
+        series: vec![OURS.to_owned(), THEIRS.to_owned()],
+        rows: rows.collect(),
+    })?;
+    Ok(vec![Block::Table(table), Block::Figure(figure)])
+}
+
+/// A row of a plot of success rates for each of the `conditions` (label, name), this run's and the paper's.
+pub(super) fn rate_rows(
+    view: &View<'_>,
+    heading: &str,
+    conditions: &[(String, String)],
+) -> Vec<DotRow> {
+    let row = |(index, (label, name)): (usize, &(String, String))| {
+        let ours = view.score(name).map(|score| dot(0, score.sr));
+        let published = view.published.of(name).and_then(|published| published.sr);
+        let theirs = published.map(|spread| Dot {
+            series: 1,
+            value: spread.mean,
+            range: spread.std.map(|std| (spread.mean - std, spread.mean + std)),
+        });
+        DotRow {
+            heading: (index == 0).then(|| heading.to_owned()),
+            label: label.clone(),
+            dots: ours.into_iter().chain(theirs).collect(),
+        }
+    };
+    conditions.iter().enumerate().map(row).collect()
+}
+
+/// A spread with its interval, or with its standard deviation where there is none.
+pub(super) fn dot(series: usize, spread: Spread) -> Dot {
+    let interval = spread.interval.map(|interval| (interval.low, interval.high));
+    let deviation = spread.std.map(|std| (spread.mean - std, spread.mean + std));
+    Dot { series, value: spread.mean, range: interval.or(deviation) }
+}
+
+fn images(view: &View<'_>, one: &str, four: &str) -> Cell {
+    let Some(score) = view.score(one).or_else(|| view.score(four)) else {
+        return Cell::Missing(Missing::NotRun);
+    };
+    score
+        .images_per_request
+        .map_or(Cell::Missing(NO_REQUESTS), |images| Cell::Value(format!("{:.1}", images.mean)))
+}
+
+/// Million tokens a hundred cases.
+pub(super) fn mega(view: &View<'_>, name: &str) -> Cell {
+    view.ours(name, |score| {
+        let tokens = score.tokens_per_100.map(|tokens| format!("{:.1}", tokens.mean / 1e6));
+        tokens.map_or(Cell::Missing(NO_TOKENS), Cell::Value)
+    })
+}

@@ -1,0 +1,79 @@
+//! Figure `fig:rq3` and its numbers: four demonstrations, of which two are replaced by other tasks' histories.
+
+use crate::report::document::{Block, Cell, Column, Missing, Table};
+use crate::report::plot::{Dots, PlotError, dots};
+use crate::report::sections::main_table::rate_rows;
+use crate::report::view::{
+    OURS, THEIRS, View, historical, name, pair_stubs, published_text, sure, sure_or, title,
+};
+
+const SETS: [(&str, &str); 3] =
+    [("4 relevant", "4"), ("2 of 4 irrelevant", "irrelevant"), ("2 of 4 confusable", "confusable")];
+
+const NO_RETRIEVAL: Missing = Missing::NotApplicable(
+    "only Episodic retrieves; the other representations supply the same at each step",
+);
+
+pub(super) fn blocks(view: &View<'_>) -> Result<Vec<Block>, PlotError> {
+    let names = |representation| SETS.map(|(_, set)| name(representation, "new/unchanged", set));
+    let rows = historical().into_iter().flat_map(|representation| {
+        let labelled: Vec<_> = SETS
+            .iter()
+            .zip(names(representation))
+            .map(|((label, _), name)| ((*label).to_owned(), name))
+            .collect();
+        rate_rows(view, title(representation), &labelled)
+    });
+    let figure = dots(&Dots {
+        id: view.id("mixed-figure"),
+        caption: "RQ3: success under mixed histories (the paper's figure “RQ3: Success under mixed histories”). New start, unchanged route, four \
+                  demonstrations; in the mixed sets two of them are replaced by other tasks' histories. Filled: this \
+                  run with its 95 % interval. Open: the paper, where it prints a number."
+            .to_owned(),
+        axis: "Success rate, %",
+        range: (0.0, 100.0),
+        series: vec![OURS.to_owned(), THEIRS.to_owned()],
+        rows: rows.collect(),
+    })?;
+    let retrieves = |representation: shm_types::Representation| {
+        representation.describe().trajectories == shm_types::representation::Trajectories::Segment
+    };
+    let mut columns = SETS.map(|(heading, _)| Column::under("SR %", heading)).to_vec();
+    columns.extend(
+        SETS[1..].iter().map(|(heading, _)| Column::under("From other tasks, %", *heading)),
+    );
+    let ours = |representation| {
+        let names = names(representation);
+        let mut cells: Vec<Cell> =
+            names.iter().map(|name| view.ours(name, |score| sure(score.sr, 1))).collect();
+        cells.extend(names[1..].iter().map(|name| match retrieves(representation) {
+            false => Cell::Missing(NO_RETRIEVAL),
+            true => view.ours(name, |score| {
+                let missing = Missing::NotMeasured("nothing was retrieved");
+                sure_or(score.from_other_cases, 1, missing)
+            }),
+        }));
+        cells
+    };
+    let theirs = |representation| {
+        let names = names(representation);
+        let mut cells: Vec<Cell> =
+            names.iter().map(|name| view.theirs(name, |p| p.sr.map(published_text))).collect();
+        cells.extend(names[1..].iter().map(|name| match retrieves(representation) {
+            false => Cell::Missing(NO_RETRIEVAL),
+            true => view.theirs(name, |p| p.from_others.map(published_text)),
+        }));
+        cells
+    };
+    let table = Table {
+        id: view.id("mixed"),
+        caption: "RQ3 in numbers: success rate by the composition of the four demonstrations, and the percentage of \
+                  retrievals that came from another task's history. Irrelevant histories share no pose with the test's \
+                  reference route; confusable ones share poses and go on differently from there."
+            .to_owned(),
+        stubs: pair_stubs(),
+        columns,
+        groups: view.pairs(&historical(), ours, theirs),
+    };
+    Ok(vec![Block::Figure(figure), Block::Table(table)])
+}

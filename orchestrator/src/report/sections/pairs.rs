@@ -1,0 +1,87 @@
+//! The comparisons that the paper's questions ask for, paired by case.
+
+use shm_types::Representation;
+
+use crate::compare::compare_conditions;
+use crate::report::document::{Block, Cell, Column, Group, Missing, Row, Table};
+use crate::report::plot::PlotError;
+use crate::report::view::{View, interval_text, name, signed, title};
+use crate::score::{Comparison, Difference};
+use crate::table::p_value;
+
+/// What is compared, then the first condition and the second: start and route, demonstrations.
+const COMPARED: [(&str, (&str, &str), (&str, &str)); 5] = [
+    (
+        "new − original start (1 demo)",
+        ("new/unchanged", "original"),
+        ("original/unchanged", "original"),
+    ),
+    ("4 − 1 demos (new start)", ("new/unchanged", "4"), ("new/unchanged", "original")),
+    ("blocked − unchanged (4 demos)", ("new/blocked", "4"), ("new/unchanged", "4")),
+    ("irrelevant − 4 relevant", ("new/unchanged", "irrelevant"), ("new/unchanged", "4")),
+    ("confusable − 4 relevant", ("new/unchanged", "confusable"), ("new/unchanged", "4")),
+];
+
+pub(super) fn blocks(view: &View<'_>) -> Result<Vec<Block>, PlotError> {
+    let group = |&representation: &Representation| {
+        let of = |(rest, demonstrations): (&str, &str)| name(representation, rest, demonstrations);
+        let mut rows: Vec<Row> = COMPARED
+            .iter()
+            .map(|&(label, a, b)| (label, of(a), of(b)))
+            // Working memory has no demonstrations, so some of these are the same condition twice.
+            .filter(|(_, a, b)| a != b)
+            .map(|(label, a, b)| row(view, label, &a, &b))
+            .collect();
+        if representation.uses_demonstrations() {
+            let baseline = name(Representation::Working, "new/unchanged", "none");
+            let label = "memory − working memory (new start, 4 demos)";
+            rows.push(row(view, label, &of(("new/unchanged", "4")), &baseline));
+        }
+        Group { label: Some(title(representation).to_owned()), rows }
+    };
+    let table = Table {
+        id: view.id("pairs"),
+        caption: "Differences on the same cases: first minus second. SR in percentage points, with 95 % bootstrap \
+                  intervals over cases and runs. Better, worse: cases that succeed more often, or less often, under the \
+                  first. p: exact two-sided sign test on these two counts (McNemar's exact test where each condition \
+                  has one run), not corrected for the number of rows."
+            .to_owned(),
+        stubs: vec!["Representation".to_owned(), "Comparison".to_owned()],
+        columns: columns(),
+        groups: Representation::ALL.iter().map(group).collect(),
+    };
+    Ok(vec![Block::Table(table)])
+}
+
+pub(super) fn columns() -> Vec<Column> {
+    ["Cases", "SR", "SPL", "Better", "Worse", "p"].map(Column::new).to_vec()
+}
+
+fn row(view: &View<'_>, label: &str, a: &str, b: &str) -> Row {
+    let compared = compare_conditions((view.log, a), (view.log, b));
+    let cells = match &compared {
+        Ok(compared) => cells(compared),
+        Err(_) => vec![Cell::Missing(Missing::NotRun); columns().len()],
+    };
+    Row { label: label.to_owned(), published: false, cells }
+}
+
+/// The cells of a comparison under [`columns`].
+pub(super) fn cells(compared: &Comparison) -> Vec<Cell> {
+    let Comparison { cases, sr, spl, more_under_a, more_under_b, p, .. } = compared;
+    let difference = |Difference { mean, interval }: &Difference, digits: usize| {
+        let figure = signed(*mean, digits);
+        match interval {
+            None => Cell::Value(figure),
+            Some(found) => Cell::Sure { figure, interval: interval_text(*found, digits) },
+        }
+    };
+    vec![
+        Cell::Value(cases.to_string()),
+        difference(sr, 1),
+        difference(spl, 3),
+        Cell::Value(more_under_a.to_string()),
+        Cell::Value(more_under_b.to_string()),
+        Cell::Value(p_value(*p)),
+    ]
+}

@@ -1,0 +1,58 @@
+//! Table `tab:transfer` (RQ1): the test stays at the original start, the demonstration's start changes.
+
+use crate::report::document::{Block, Table};
+use crate::report::plot::{Dots, PlotError, dots};
+use crate::report::sections::main_table::rate_rows;
+use crate::report::view::{
+    OURS, THEIRS, View, historical, name, our_rates, pair_stubs, rate_columns, their_rates, title,
+};
+
+const DEMONSTRATIONS: [(&str, &str); 4] = [
+    ("Original start", "original"),
+    ("Opposite heading", "opposite"),
+    ("Nearby start", "nearby"),
+    ("Distant start", "distant"),
+];
+
+pub(super) fn blocks(view: &View<'_>) -> Result<Vec<Block>, PlotError> {
+    let names = |representation| {
+        DEMONSTRATIONS.map(|(_, which)| name(representation, "original/unchanged", which))
+    };
+    let table = Table {
+        id: view.id("transfer"),
+        caption: "RQ1: changing the start of what is remembered (the paper's table “RQ1: Changing starting pose”). The test starts \
+                  at the original pose; the columns vary the one demonstration that memory is made of. Original-start \
+                  figures repeat the first table's."
+            .to_owned(),
+        stubs: pair_stubs(),
+        columns: rate_columns(&DEMONSTRATIONS.map(|(heading, _)| heading)),
+        groups: view.pairs(
+            &historical(),
+            |representation| {
+                names(representation).iter().flat_map(|name| our_rates(view, name)).collect()
+            },
+            |representation| {
+                names(representation).iter().flat_map(|name| their_rates(view, name)).collect()
+            },
+        ),
+    };
+    let rows = historical().into_iter().flat_map(|representation| {
+        let labelled: Vec<_> = DEMONSTRATIONS
+            .iter()
+            .zip(names(representation))
+            .map(|((label, _), name)| ((*label).to_owned(), name))
+            .collect();
+        rate_rows(view, title(representation), &labelled)
+    });
+    let figure = dots(&Dots {
+        id: view.id("transfer-figure"),
+        caption: "Success rate at the original start, by the demonstration that is remembered. Filled: this run with \
+                  its 95 % interval. Open: the paper, mean ± standard deviation."
+            .to_owned(),
+        axis: "Success rate, %",
+        range: (0.0, 100.0),
+        series: vec![OURS.to_owned(), THEIRS.to_owned()],
+        rows: rows.collect(),
+    })?;
+    Ok(vec![Block::Table(table), Block::Figure(figure)])
+}

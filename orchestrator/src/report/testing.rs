@@ -1,0 +1,176 @@
+//! A made-up run of the whole paper suite, as plausible as arithmetic on names can make it.
+
+use shm_types::{Action, Heading, Pose, Representation};
+
+use crate::conditions::{Condition, Demonstrations, Hint, Route, SegmentContent, Start, Variation};
+use crate::log::testing::{manifest, record, timings};
+use crate::log::{Ending, EpisodeRecord, RunLog, Unread};
+use crate::plan::{EpisodeKey, seed_of};
+use crate::witness::{Requirement, Visit};
+
+/// Every condition of the paper, each with its number of runs.
+pub(crate) fn paper_conditions() -> Vec<(Condition, u32)> {
+    let mut conditions = Vec::new();
+    let mut add = |start, route, demonstrations: &str, variation, runs| {
+        let demonstrations: Demonstrations = demonstrations.parse().unwrap();
+        for &memory in Representation::ALL {
+            let condition = Condition::new(memory, start, route, demonstrations, variation)
+                .or_else(|| Condition::new(memory, start, route, Demonstrations::NONE, variation));
+            let known = |condition: &Condition| {
+                conditions.iter().any(|(known, _): &(Condition, u32)| known == condition)
+            };
+            if let Some(condition) = condition.filter(|condition| !known(condition)) {
+                conditions.push((condition, runs));
+            }
+        }
+    };
+    let standard = Variation::STANDARD;
+    for demonstrations in ["original", "opposite", "nearby", "distant"] {
+        add(Start::Original, Route::Unchanged, demonstrations, standard, 3);
+    }
+    for demonstrations in ["original", "4", "irrelevant", "confusable"] {
+        add(Start::New, Route::Unchanged, demonstrations, standard, 3);
+    }
+    add(Start::New, Route::Blocked, "4", standard, 3);
+    let mut design = |memory, variation| {
+        let demonstrations = if memory == Representation::Working {
+            Demonstrations::NONE
+        } else {
+            Demonstrations::ORIGINAL
+        };
+        let condition =
+            Condition::new(memory, Start::Original, Route::Unchanged, demonstrations, variation);
+        conditions.push((condition.unwrap(), 5));
+    };
+    for window in [0, 20] {
+        design(Representation::Working, Variation { window, ..standard });
+    }
+    design(Representation::Episodic, Variation { segment: SegmentContent::Images, ..standard });
+    for memory in [Representation::FullContext, Representation::Episodic] {
+        design(memory, Variation { hint: Hint::Off, ..standard });
+    }
+    conditions
+}
+
+/// A run of `conditions` on ten cases of each of `tasks`.
+pub(crate) fn made_up(conditions: &[(Condition, u32)], tasks: &[u8]) -> RunLog {
+    let mut episodes = Vec::new();
+    for &(condition, runs) in conditions {
+        for run in 1..=runs {
+            for &task in tasks {
+                for number in 1..=10 {
+                    let case = format!("t{task:02}-{number:02}");
+                    episodes.push(episode(EpisodeKey { condition, run, case }, task));
+                }
+            }
+        }
+    }
+    episodes.sort_by(|a, b| a.key.cmp(&b.key));
+    let mut manifest = manifest();
+    manifest.episodes = episodes.len() as u32;
+    let mut log = RunLog {
+        dir: "runs/made-up".into(),
+        manifest,
+        timings: episodes.iter().map(timings).collect(),
+        episodes,
+        errors: Vec::new(),
+        sessions: Vec::new(),
+    };
+    for (timings, record) in log.timings.iter_mut().zip(&log.episodes) {
+        let stages = &mut timings.stages;
+        (stages.render, stages.decide) = (stages.render * 900, stages.decide * 2500);
+        if record.memory == Representation::Episodic {
+            (stages.embed, stages.search) = (stages.embed * 40_000, stages.search * 60);
+        }
+    }
+    log
+}
+
+/// One episode: how it goes follows from a hash of its key, what is likely from its condition.
+fn episode(key: EpisodeKey, task: u8) -> EpisodeRecord {
+    // The same chance for the same case under every condition, so that comparisons are paired.
+    let luck = hash(&key, |key| key.condition.memory = Representation::Working) % 60;
+    let chance = (luck + hash(&key, |_| {}) % 40) as i64;
+    let condition = key.condition;
+    let success = chance < likely(&condition) - if task == 9 { 20 } else { 0 };
+    let mut record = record(&key.case, success);
+    record.key = key.to_string();
+    (record.memory, record.start, record.route) =
+        (condition.memory, condition.start, condition.route);
+    record.demonstrations = condition.demonstrations;
+    let Variation { window, segment, hint } = condition.variation;
+    (record.window, record.segment, record.hint) = (window, segment, hint);
+    (record.run, record.task) = (key.run, task);
+    record.steps = if success { 20 + chance as u32 } else { 200 };
+    (record.reference, record.required) = (18, if task < 3 { 1 } else { 3 });
+    record.requests = Some(record.steps);
+    record.images =
+        Some(u64::from(record.steps) * u64::from(condition.memory.images(window, 6, 40)));
+    record.start_pose = Pose::new(8, 0, Heading::N);
+    record.sub_goals =
+        if success { vec![record.steps; record.required as usize] } else { Vec::new() };
+    record.actions = Action::Forward.letter().to_string().repeat(record.steps as usize);
+    let tried = condition.route == Route::Blocked && chance % 5 != 0;
+    record.tried_closed = (condition.route == Route::Blocked).then_some(tried);
+    if condition.memory == Representation::Episodic {
+        let other = condition.demonstrations.mixture().is_some();
+        record.retrieved = Some(if other { "o1 p2 t03-07:o4" } else { "o1 o2 o3" }.to_owned());
+        record.distance = Some(0.25);
+    }
+    if !success {
+        fail(&mut record, chance);
+    }
+    record
+}
+
+/// Makes the failure one of several kinds.
+fn fail(record: &mut EpisodeRecord, chance: i64) {
+    record.ending = Ending::OutOfSteps;
+    if record.tried_closed == Some(true) && chance % 3 == 0 {
+        record.tried_closed_at = Some(190);
+        return;
+    }
+    match chance % 4 {
+        0 => record.actions = "L".repeat(200),
+        1 => drop(record.first_seen.insert(Requirement::A, 12)),
+        2 if record.task >= 3 => {
+            let cell = record.start_pose.cell;
+            record.visits = vec![
+                Visit { step: 3, requirement: Requirement::B, cell },
+                Visit { step: 9, requirement: Requirement::A, cell },
+            ];
+            record.sub_goals = vec![9];
+        }
+        _ => record.unread = Unread { unreadable: chance as u32, empty: 0, refused: 1 },
+    }
+}
+
+fn likely(condition: &Condition) -> i64 {
+    use Representation::{Episodic, FullContext, Hybrid, Semantic, Summary, Working};
+    let original = condition.start == Start::Original;
+    let exact = original && condition.demonstrations == Demonstrations::ORIGINAL;
+    let base = match condition.memory {
+        Working => 25 + condition.variation.window as i64,
+        FullContext if exact => 97,
+        FullContext => 60,
+        Summary => 55,
+        Semantic => 32,
+        Hybrid => 52,
+        Episodic if exact => 120,
+        Episodic => 70,
+    };
+    let blocked = if condition.route == Route::Blocked { 24 } else { 0 };
+    let images = if condition.variation.segment == SegmentContent::Images { 60 } else { 0 };
+    let mixed = if condition.demonstrations.mixture().is_some() { 12 } else { 0 };
+    base - blocked - images - mixed
+}
+
+fn hash(key: &EpisodeKey, change: impl Fn(&mut EpisodeKey)) -> u64 {
+    let mut key = key.clone();
+    change(&mut key);
+    let conditions = [Demonstrations::NONE, key.condition.demonstrations];
+    key.condition.demonstrations =
+        conditions[usize::from(key.condition.memory != Representation::Working)];
+    (key.condition.start, key.condition.route) = (Start::New, Route::Unchanged);
+    seed_of(7, &key)
+}

@@ -1,0 +1,189 @@
+//! What a report of a made-up run says, and that it leaves nothing out.
+
+use super::testing::{made_up, paper_conditions};
+use super::*;
+use crate::conditions::{Condition, PolicyKind};
+
+fn published() -> Published {
+    Published::load().unwrap()
+}
+
+fn paper_log() -> RunLog {
+    made_up(&paper_conditions(), &[1, 2, 3, 4, 5, 6, 7, 8, 9, 10])
+}
+
+fn only(names: &[&str]) -> Vec<(Condition, u32)> {
+    names.iter().map(|name| (name.parse().unwrap(), 2)).collect()
+}
+
+/// Every cell with where it stands.
+fn cells(document: &Document) -> Vec<(String, &Cell)> {
+    let of = |table: &'_ Table| -> Vec<String> {
+        table
+            .groups
+            .iter()
+            .flat_map(|group| group.rows.iter().map(move |row| (group.label.clone(), row)))
+            .flat_map(|(group, row)| {
+                let columns = table.columns.iter();
+                columns.map(move |column| {
+                    let group = group.as_deref().unwrap_or("");
+                    format!("{}: {group} {}: {} {}", table.id, row.label, column.over, column.name)
+                })
+            })
+            .collect()
+    };
+    document.tables().flat_map(|table| of(table).into_iter().zip(table.cells())).collect()
+}
+
+#[test]
+fn the_paper_suite_fills_every_cell() {
+    let log = paper_log();
+    let published = published();
+    let document = document(std::slice::from_ref(&log), &published).unwrap();
+    let cells = cells(&document);
+    assert!(cells.len() > 800, "{}", cells.len());
+    for table in document.tables() {
+        for row in table.groups.iter().flat_map(|group| &group.rows) {
+            assert_eq!(row.cells.len(), table.columns.len(), "{}: {}", table.id, row.label);
+        }
+    }
+    for (place, cell) in cells {
+        assert!(!cell.text().trim().is_empty(), "{place} is empty");
+        assert_ne!(*cell, Cell::Missing(Missing::NotRun), "{place}: the whole suite was run");
+    }
+    for figure in document.figures() {
+        assert!(
+            !figure.svg.contains("no figure") && !figure.svg.contains("not run"),
+            "{}",
+            figure.id
+        );
+    }
+}
+
+#[test]
+fn what_was_not_run_says_so() {
+    let log = made_up(&only(&["working/new/unchanged/none"]), &[1]);
+    let document = document(&[log], &published()).unwrap();
+    let found = |place: &str| {
+        let cells = cells(&document);
+        let cell = cells.iter().find(|(at, _)| at == place);
+        cell.unwrap_or_else(|| panic!("no cell {place}")).1.text()
+    };
+    for place in [
+        "main: Episodic this run: New start, 1 demo SR %",
+        "blocked: Working memory this run:  Retention",
+        "transfer: Summary this run: Distant start SPL",
+        "mixed: Full-context this run: SR % 2 of 4 confusable",
+        "design: Working memory window h = 20: this run SR %",
+        "time:  Hybrid: Stage, µs render",
+        "pairs: Episodic 4 − 1 demos (new start):  p",
+    ] {
+        assert_eq!(found(place), "not run");
+    }
+    assert_eq!(found("main: Working memory this run: Mtok 1 demo"), "n/m");
+    assert_eq!(found("main: Hybrid paper: New start, 4 demos SR %"), "—");
+    assert_eq!(found("main: Episodic paper: New start, 4 demos SR %"), "66.0 ± 1.0");
+    assert!(cells(&document).iter().all(|(_, cell)| !cell.text().is_empty()));
+}
+
+#[test]
+fn every_published_condition_is_one_of_the_paper_suite() {
+    let conditions: Vec<String> =
+        paper_conditions().iter().map(|(condition, _)| condition.to_string()).collect();
+    for published in published().conditions {
+        let parsed: Condition = published.name.parse().unwrap();
+        assert_eq!(parsed.to_string(), published.name);
+        assert!(conditions.contains(&published.name), "{}", published.name);
+    }
+}
+
+#[test]
+fn the_page_says_who_made_the_figures_and_needs_nothing_else() {
+    let mut log = made_up(&only(&["working/new/unchanged/none"]), &[1]);
+    let page = |log: &RunLog| {
+        html::render(&document(std::slice::from_ref(log), &published()).unwrap()).unwrap()
+    };
+    let text = page(&log);
+    assert!(text.contains("no claim about any model"), "the stand-in is called one");
+    for foreign in ["<script", "http://", "https://", "src=", "@import", "url("] {
+        // The name of a namespace is no address that anybody fetches.
+        let text = text.replace("http://www.w3.org/2000/svg", "");
+        assert!(!text.contains(foreign), "{foreign}");
+    }
+    log.manifest.settings.policy = PolicyKind::Random;
+    log.manifest.settings.frames = crate::conditions::Frames::Blank;
+    let text = page(&log);
+    assert!(
+        !text.contains("stand-in") && text.contains("lower bound") && text.contains("Control:")
+    );
+}
+
+#[test]
+fn two_runs_stand_beside_each_other_and_are_paired() {
+    let conditions = only(&["working/new/unchanged/none", "episodic/new/unchanged/4"]);
+    let first = made_up(&conditions, &[1, 2]);
+    let mut second = made_up(&conditions[1..], &[1, 2]);
+    second.dir = "runs/other".into();
+    second.manifest.settings.policy = PolicyKind::Random;
+    let document = document(&[first, second], &published()).unwrap();
+    let table = document.tables().find(|table| table.id == "compare-run1-run2").unwrap();
+    let rows: Vec<_> = table.groups.iter().flat_map(|group| &group.rows).collect();
+    assert_eq!(rows.len(), 1, "they share one condition");
+    assert_eq!(rows[0].label, "episodic/new/unchanged/4");
+    // The same made-up episodes on both sides: no difference, no case better or worse, p = 1.
+    let cells: Vec<String> = rows[0].cells.iter().map(Cell::text).collect();
+    assert_eq!((cells[0].as_str(), cells[3].as_str(), cells[5].as_str()), ("20", "0", "1.000"));
+    let mut ids: Vec<&String> = document.tables().map(|table| &table.id).collect();
+    ids.extend(document.figures().map(|figure| &figure.id));
+    ids.extend(document.sections.iter().map(|section| &section.id));
+    let count = ids.len();
+    ids.sort();
+    ids.dedup();
+    assert_eq!(ids.len(), count, "every id is there once");
+}
+
+#[test]
+fn a_small_run_in_markdown() {
+    let names = [
+        "working/new/unchanged/none",
+        "working/new/blocked/none",
+        "episodic/original/unchanged/original",
+        "episodic/new/unchanged/4",
+        "episodic/new/blocked/4",
+    ];
+    let document = document(&[made_up(&only(&names), &[1, 9])], &published()).unwrap();
+    insta::assert_snapshot!(markdown::render(&document).unwrap());
+}
+
+#[test]
+fn a_report_is_a_folder_of_files_and_the_same_each_time() {
+    let log = made_up(&only(&["working/new/unchanged/none", "episodic/new/unchanged/4"]), &[1]);
+    let (first, second) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let page = write(std::slice::from_ref(&log), first.path()).unwrap();
+    assert_eq!(page, first.path().join("report.html"));
+    write(std::slice::from_ref(&log), second.path()).unwrap();
+    for name in [
+        "report.html",
+        "report.md",
+        "conditions.csv",
+        "conditions.parquet",
+        "episodes.csv",
+        "episodes.parquet",
+        "tables/main.csv",
+        "figures/mixed-figure.svg",
+    ] {
+        let content = |dir: &tempfile::TempDir| fs::read(dir.path().join(name)).unwrap();
+        assert!(!content(&first).is_empty(), "{name}");
+        assert_eq!(content(&first), content(&second), "{name}");
+    }
+    let episodes = fs::read_to_string(first.path().join("episodes.csv")).unwrap();
+    assert_eq!(episodes.lines().count(), 1 + log.episodes.len());
+}
+
+/// Writes the report of a made-up run for somebody to look at.
+#[test]
+#[ignore = "writes files to look at, into the folder that MEMTRANSFER_LOOK names"]
+fn look() {
+    let dir = std::env::var("MEMTRANSFER_LOOK").unwrap();
+    write(&[paper_log()], Path::new(&dir)).unwrap();
+}

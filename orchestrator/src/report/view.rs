@@ -1,0 +1,201 @@
+//! One run as the tables look at it: its scores by condition, beside what the paper prints; and how figures are
+//! written.
+
+use shm_types::Representation;
+
+use super::document::{Cell, Column, Group, Missing, Row};
+use super::published::{Published, PublishedCondition, PublishedSpread};
+use crate::conditions::Condition;
+use crate::log::RunLog;
+use crate::score::{ConditionScore, Interval, Scores, Spread};
+
+/// One run, scored.
+#[derive(Debug)]
+pub(super) struct View<'a> {
+    pub(super) log: &'a RunLog,
+    pub(super) scores: Scores,
+    pub(super) published: &'a Published,
+    /// What ids of tables and figures begin with; empty for a single run.
+    pub(super) prefix: String,
+}
+
+impl View<'_> {
+    /// An id of a table, figure or section.
+    pub(super) fn id(&self, name: &str) -> String {
+        format!("{}{name}", self.prefix)
+    }
+
+    /// What the run scored under the condition called `name`.
+    pub(super) fn score(&self, name: &str) -> Option<&ConditionScore> {
+        let condition: Condition = name.parse().ok()?;
+        self.scores.of(&condition)
+    }
+
+    /// A cell of this run: what `figure` says of the condition called `name`, or that it was not run.
+    pub(super) fn ours(&self, name: &str, figure: impl Fn(&ConditionScore) -> Cell) -> Cell {
+        self.score(name).map_or(Cell::Missing(Missing::NotRun), figure)
+    }
+
+    /// A cell of the paper: what `figure` says of the condition called `name`, or why there is nothing.
+    pub(super) fn theirs(
+        &self,
+        name: &str,
+        figure: impl Fn(&PublishedCondition) -> Option<String>,
+    ) -> Cell {
+        let published = self.published.of(name).and_then(figure);
+        published.map_or_else(|| unpublished(name), Cell::Value)
+    }
+
+    /// A row of this run and one of the paper for each representation; `names` gives the condition of each
+    /// column.
+    pub(super) fn pairs(
+        &self,
+        representations: &[Representation],
+        ours: impl Fn(Representation) -> Vec<Cell>,
+        theirs: impl Fn(Representation) -> Vec<Cell>,
+    ) -> Vec<Group> {
+        let group = |&representation: &Representation| Group {
+            label: Some(title(representation).to_owned()),
+            rows: vec![
+                Row { label: OURS.to_owned(), published: false, cells: ours(representation) },
+                Row { label: THEIRS.to_owned(), published: true, cells: theirs(representation) },
+            ],
+        };
+        representations.iter().map(group).collect()
+    }
+}
+
+/// The label of a row with a run's figures.
+pub(super) const OURS: &str = "this run";
+/// The label of a row with the paper's figures.
+pub(super) const THEIRS: &str = "paper";
+
+/// The labels of rows that come in pairs.
+pub(super) fn pair_stubs() -> Vec<String> {
+    vec!["Representation".to_owned(), "Source".to_owned()]
+}
+
+/// A representation as the paper's tables call it.
+pub(super) const fn title(representation: Representation) -> &'static str {
+    match representation {
+        Representation::Working => "Working memory",
+        Representation::FullContext => "Full-context",
+        Representation::Summary => "Summary",
+        Representation::Semantic => "Semantic",
+        Representation::Hybrid => "Hybrid",
+        Representation::Episodic => "Episodic",
+    }
+}
+
+/// All but the baseline.
+pub(super) fn historical() -> Vec<Representation> {
+    let uses = |representation: &Representation| representation.uses_demonstrations();
+    Representation::ALL.iter().copied().filter(uses).collect()
+}
+
+/// The condition's name: `rest` is `start/route`, and working memory has no demonstrations.
+pub(super) fn name(representation: Representation, rest: &str, demonstrations: &str) -> String {
+    let demonstrations = if representation.uses_demonstrations() { demonstrations } else { "none" };
+    format!("{}/{rest}/{demonstrations}", representation.name())
+}
+
+/// Why the paper prints no figure of the condition called `name`.
+fn unpublished(name: &str) -> Cell {
+    let has = |part: &str| name.split('/').any(|word| word == part);
+    Cell::Missing(Missing::NotReported(if has("hybrid") && (has("4") || has("blocked")) {
+        "Hybrid with four demonstrations was not evaluated (serving constraints, section Limitations)"
+    } else if has("irrelevant") || has("confusable") {
+        "success under mixed histories is printed as a figure without numbers, and retrieval is reported for \
+         Episodic only"
+    } else if has("no-hint") {
+        "of the run without the hint it says only that Full-context changed by two percentage points"
+    } else {
+        "this figure is not printed"
+    }))
+}
+
+/// `95.3 ± 0.6` with its interval below.
+pub(super) fn sure(spread: Spread, digits: usize) -> Cell {
+    let figure = spread_text(spread, digits);
+    match spread.interval {
+        Some(found) => Cell::Sure { figure, interval: interval_text(found, digits) },
+        None => Cell::Value(figure),
+    }
+}
+
+/// The same; a figure that there is not is missing for the reason given.
+pub(super) fn sure_or(spread: Option<Spread>, digits: usize, missing: Missing) -> Cell {
+    spread.map_or(Cell::Missing(missing), |spread| sure(spread, digits))
+}
+
+/// A plain figure, or why there is none.
+pub(super) fn plain_or(value: Option<f64>, digits: usize, missing: Missing) -> Cell {
+    value.map_or(Cell::Missing(missing), |value| Cell::Value(format!("{value:.digits$}")))
+}
+
+/// Mean and standard deviation over runs.
+pub(super) fn spread_text(spread: Spread, digits: usize) -> String {
+    match spread.std {
+        Some(std) => format!("{:.digits$} ± {std:.digits$}", spread.mean),
+        None => format!("{:.digits$}", spread.mean),
+    }
+}
+
+/// An interval in brackets.
+pub(super) fn interval_text(Interval { low, high }: Interval, digits: usize) -> String {
+    format!("[{low:.digits$}, {high:.digits$}]").replace('-', "−")
+}
+
+/// A published figure as the paper prints it.
+pub(super) fn published_text(spread: PublishedSpread) -> String {
+    match spread.std {
+        Some(std) => format!("{:.1} ± {std:.1}", spread.mean),
+        None => format!("{:.1}", spread.mean),
+    }
+}
+
+/// A typographic minus before negative numbers, a plus before others.
+pub(super) fn signed(value: f64, digits: usize) -> String {
+    // Rounded first, so that nothing is printed as -0.0.
+    let shown = format!("{:.digits$}", value.abs());
+    let is_zero = shown.chars().all(|c| matches!(c, '0' | '.'));
+    match (is_zero, value < 0.0) {
+        (true, _) => shown,
+        (false, true) => format!("−{shown}"),
+        (false, false) => format!("+{shown}"),
+    }
+}
+
+/// Columns of success rate and SPL for each of `settings`.
+pub(super) fn rate_columns(settings: &[&str]) -> Vec<Column> {
+    let both = |over: &&str| [Column::under(*over, "SR %"), Column::under(*over, "SPL")];
+    settings.iter().flat_map(both).collect()
+}
+
+/// The run's cells under those columns, of the condition called `name`.
+pub(super) fn our_rates(view: &View<'_>, name: &str) -> [Cell; 2] {
+    [
+        view.ours(name, |score| sure(score.sr, 1)),
+        view.ours(name, |score| Cell::Value(format!("{:.3}", score.spl.mean))),
+    ]
+}
+
+/// The paper's.
+pub(super) fn their_rates(view: &View<'_>, name: &str) -> [Cell; 2] {
+    [
+        view.theirs(name, |published| published.sr.map(published_text)),
+        view.theirs(name, |published| published.spl.map(|spl| format!("{spl:.3}"))),
+    ]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn signs_are_typographic_and_zero_has_none() {
+        for (value, shown) in [(-7.66, "−7.7"), (14.3, "+14.3"), (0.0, "0.0"), (-0.04, "0.0")] {
+            assert_eq!(signed(value, 1), shown);
+        }
+    }
+}
