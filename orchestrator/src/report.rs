@@ -95,7 +95,12 @@ fn arrange(views: &[View<'_>]) -> Result<Document, PlotError> {
             sections.extend(sections::runs(views));
             for view in views {
                 let title = format!("Run {}", run_name(view.log));
-                sections.push(Section { id: view.id("s-run"), level: 2, title, blocks: Vec::new() });
+                sections.push(Section {
+                    id: view.id("s-run"),
+                    level: 2,
+                    title,
+                    blocks: Vec::new(),
+                });
                 sections.extend(sections::sections(view, 3)?);
                 sections.push(sections::provenance(view, 3));
             }

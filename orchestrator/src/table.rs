@@ -5,9 +5,11 @@ use std::collections::BTreeMap;
 
 use comfy_table::{Cell, CellAlignment, LineStyle, Table, TableStyle};
 
-use crate::conditions::{Frames, PolicyKind};
+use crate::conditions::{Frames, PolicyKind, Variation};
 use crate::log::RunLog;
-use crate::score::{Comparison, Difference, Failure, Interval, Scores, Spread, StageTimes, score};
+use crate::score::{
+    Comparison, ConditionScore, Difference, Failure, Interval, Scores, Spread, StageTimes, score,
+};
 use crate::settings::Settings;
 use shm_types::Representation;
 
@@ -20,8 +22,8 @@ const LINES: TableStyle = TableStyle::new()
     .header_separator(LineStyle::none().fill('─').junction('─'))
     .bottom_border(LineStyle::none().fill('─').junction('─'));
 
-/// The stages that the table of time names; the others are the way between processes.
-const WORK: [&str; 5] = ["dynamics", "render", "embed", "search", "decide"];
+/// The stages that a table of time names; the others are the way between processes.
+pub(crate) const WORK: [&str; 5] = ["dynamics", "render", "embed", "search", "decide"];
 
 /// Everything that is printed at the end of a run, from its log alone.
 pub fn report(log: &RunLog) -> String {
@@ -44,26 +46,26 @@ pub fn report(log: &RunLog) -> String {
 }
 
 fn results(scores: &Scores) -> Table {
-    let header = [
-        "memory",
-        "start",
-        "route",
-        "demos",
-        "episodes",
-        "SR %",
-        "95 % CI",
-        "SPL",
-        "steps",
-        "images/req",
-    ];
-    let mut table = table(&header, 4);
+    let varies = |score: &ConditionScore| score.condition.variation != Variation::STANDARD;
+    let varied = scores.conditions.iter().any(varies);
+    let mut header = vec!["memory", "start", "route", "demos"];
+    header.extend(varied.then_some("varied"));
+    let words = header.len();
+    header.extend(["episodes", "SR %", "95 % CI", "SPL", "steps", "images/req"]);
+    let mut table = table(&header, words);
     for score in &scores.conditions {
         let condition = score.condition;
-        table.add_row([
+        let mut row = vec![
             condition.memory.to_string(),
             condition.start.to_string(),
             condition.route.to_string(),
             condition.demonstrations.to_string(),
+        ];
+        row.extend(varied.then(|| match condition.variation.to_string() {
+            standard if standard.is_empty() => ABSENT.to_owned(),
+            varied => varied.trim_start_matches('/').to_owned(),
+        }));
+        row.extend([
             score.episodes.to_string(),
             spread(Some(score.sr), 1),
             interval(score.sr.interval, 1),
@@ -71,6 +73,7 @@ fn results(scores: &Scores) -> Table {
             figure(score.mean_steps, 1),
             figure(score.images_per_request.map(|spread| spread.mean), 1),
         ]);
+        table.add_row(row);
     }
     table
 }
@@ -183,6 +186,7 @@ fn remarks(log: &RunLog, scores: &Scores) -> Vec<String> {
         ));
     }
     lines.push(format!("Run: {}", log.dir.display()));
+    lines.push(format!("More: memtransfer report {}", log.dir.display()));
     lines
 }
 

@@ -2,54 +2,18 @@
 
 use shm_types::{Action, Heading, Pose, Representation};
 
-use crate::conditions::{Condition, Demonstrations, Hint, Route, SegmentContent, Start, Variation};
+use crate::conditions::{Condition, Demonstrations, Route, SegmentContent, Start, Variation};
 use crate::log::testing::{manifest, record, timings};
 use crate::log::{Ending, EpisodeRecord, RunLog, Unread};
 use crate::plan::{EpisodeKey, seed_of};
+use crate::settings::{Layer, Origin, load_suite, resolve};
 use crate::witness::{Requirement, Visit};
 
-/// Every condition of the paper, each with its number of runs.
+/// Every condition of the shipped suite `paper`, each with its number of runs.
 pub(crate) fn paper_conditions() -> Vec<(Condition, u32)> {
-    let mut conditions = Vec::new();
-    let mut add = |start, route, demonstrations: &str, variation, runs| {
-        let demonstrations: Demonstrations = demonstrations.parse().unwrap();
-        for &memory in Representation::ALL {
-            let condition = Condition::new(memory, start, route, demonstrations, variation)
-                .or_else(|| Condition::new(memory, start, route, Demonstrations::NONE, variation));
-            let known = |condition: &Condition| {
-                conditions.iter().any(|(known, _): &(Condition, u32)| known == condition)
-            };
-            if let Some(condition) = condition.filter(|condition| !known(condition)) {
-                conditions.push((condition, runs));
-            }
-        }
-    };
-    let standard = Variation::STANDARD;
-    for demonstrations in ["original", "opposite", "nearby", "distant"] {
-        add(Start::Original, Route::Unchanged, demonstrations, standard, 3);
-    }
-    for demonstrations in ["original", "4", "irrelevant", "confusable"] {
-        add(Start::New, Route::Unchanged, demonstrations, standard, 3);
-    }
-    add(Start::New, Route::Blocked, "4", standard, 3);
-    let mut design = |memory, variation| {
-        let demonstrations = if memory == Representation::Working {
-            Demonstrations::NONE
-        } else {
-            Demonstrations::ORIGINAL
-        };
-        let condition =
-            Condition::new(memory, Start::Original, Route::Unchanged, demonstrations, variation);
-        conditions.push((condition.unwrap(), 5));
-    };
-    for window in [0, 20] {
-        design(Representation::Working, Variation { window, ..standard });
-    }
-    design(Representation::Episodic, Variation { segment: SegmentContent::Images, ..standard });
-    for memory in [Representation::FullContext, Representation::Episodic] {
-        design(memory, Variation { hint: Hint::Off, ..standard });
-    }
-    conditions
+    let suite = load_suite(&"paper".parse().unwrap(), None).unwrap();
+    let layers = [(Origin::Default, Layer::defaults()), (Origin::Suite, suite)];
+    resolve(layers).unwrap().settings.runs()
 }
 
 /// A run of `conditions` on ten cases of each of `tasks`.

@@ -185,5 +185,7 @@ fn a_report_is_a_folder_of_files_and_the_same_each_time() {
 #[ignore = "writes files to look at, into the folder that MEMTRANSFER_LOOK names"]
 fn look() {
     let dir = std::env::var("MEMTRANSFER_LOOK").unwrap();
-    write(&[paper_log()], Path::new(&dir)).unwrap();
+    let log = paper_log();
+    write(std::slice::from_ref(&log), Path::new(&dir)).unwrap();
+    println!("{}", crate::table::report(&log));
 }

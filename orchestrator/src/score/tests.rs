@@ -126,12 +126,6 @@ fn walked(
     in_run(run, record)
 }
 
-fn log(records: Vec<EpisodeRecord>) -> RunLog {
-    let mut log = log(records);
-    log.manifest.settings.groups[0].routes = Route::ALL.to_vec();
-    log
-}
-
 fn blocked_score(log: &RunLog, memory: Representation) -> BlockedScore {
     let blocked = |score: &&ConditionScore| {
         score.condition.memory == memory && score.condition.route == Route::Blocked

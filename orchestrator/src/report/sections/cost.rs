@@ -16,10 +16,10 @@ const SETTINGS: [(&str, &str, &str); 2] = [
 pub(super) fn blocks(view: &View<'_>) -> Result<Vec<Block>, PlotError> {
     let settings = &view.log.manifest.settings;
     let columns = SETTINGS.iter().flat_map(|(over, _, _)| {
-        ["Images/request", "Mtok/100 cases", "Unreadable %"].map(|name| Column::under(*over, name))
+        ["Images", "Mtok", "Unreadable %"].map(|name| Column::under(*over, name))
     });
     let mut columns: Vec<Column> = columns.collect();
-    columns.insert(0, Column::new("Images at full window"));
+    columns.insert(0, Column::new("Full window"));
     let names = |representation| {
         SETTINGS.map(|(_, rest, demonstrations)| name(representation, rest, demonstrations))
     };
@@ -50,10 +50,10 @@ pub(super) fn blocks(view: &View<'_>) -> Result<Vec<Block>, PlotError> {
     };
     let table = Table {
         id: view.id("cost"),
-        caption: "What a request held and what came back. Images at full window: the current view, the window and what \
-                  memory supplies; the mean over all requests is lower, because the window fills up during an \
-                  episode's first steps. Tokens: prompt and completion, millions per 100 cases. Unreadable: percentage \
-                  of answers in which no action could be read."
+        caption: "What a request held and what came back. Full window: most images of a request, which are the \
+                  current view, the window and what memory supplies. Images: the mean over all requests, which is lower \
+                  because the window fills up during an episode's first steps. Mtok: million prompt and completion \
+                  tokens per 100 cases. Unreadable: percentage of answers in which no action could be read."
             .to_owned(),
         stubs: pair_stubs(),
         columns,

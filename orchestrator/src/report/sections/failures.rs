@@ -67,7 +67,8 @@ fn table(view: &View<'_>) -> Table {
     let row = |score: &ConditionScore| {
         let counts = counts(score);
         let all: usize = counts.iter().sum();
-        let figures = [score.episodes, all].into_iter().chain(present.iter().map(|&kind| counts[kind]));
+        let figures =
+            [score.episodes, all].into_iter().chain(present.iter().map(|&kind| counts[kind]));
         Row {
             label: score.condition.to_string(),
             published: false,

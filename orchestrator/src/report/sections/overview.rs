@@ -15,10 +15,9 @@ fn notices(view: &View<'_>) -> Vec<String> {
     let mut notices = table::standing(settings);
     if settings.policy == PolicyKind::Grounded {
         notices.push(
-            "The stand-in reads plates, labels and memory from the same request that a model would get, by rules. So \
-             its figures show that every part of the harness works and that the conditions differ in the way they \
-             are meant to. The paper's figures beside them are a vision-language model's: closeness or distance \
-             between the two means nothing."
+            "The stand-in reads plates, labels and memory by rules, from the same request that a model would get. \
+             So its figures show whether every part of the harness works. The paper's figures beside them are a \
+             vision-language model's: closeness or distance between the two means nothing."
                 .to_owned(),
         );
     }

@@ -9,8 +9,11 @@ use crate::report::view::{View, interval_text, name, signed, title};
 use crate::score::{Comparison, Difference};
 use crate::table::p_value;
 
-/// What is compared, then the first condition and the second: start and route, demonstrations.
-const COMPARED: [(&str, (&str, &str), (&str, &str)); 5] = [
+/// A condition without its memory: start and route, demonstrations.
+type Setting = (&'static str, &'static str);
+
+/// What is compared, then the first setting and the second.
+const COMPARED: [(&str, Setting, Setting); 5] = [
     (
         "new − original start (1 demo)",
         ("new/unchanged", "original"),

@@ -38,20 +38,15 @@ pub(super) fn blocks(view: &View<'_>) -> Vec<Block> {
         ),
     ];
     if let Ok(Value::Object(settings)) = serde_json::to_value(&manifest.settings) {
-        let shown = |value: Value| match value {
-            Value::String(text) => text,
-            Value::Array(words) => words
-                .iter()
-                .map(|word| word.as_str().map_or_else(|| word.to_string(), str::to_owned))
-                .collect::<Vec<_>>()
-                .join(" "),
-            other => other.to_string(),
-        };
-        facts.extend(settings.into_iter().map(|(key, value)| {
-            let shown = shown(value);
-            let shown = if shown.is_empty() { "none".to_owned() } else { shown };
-            (format!("setting {key}"), Cell::Value(shown))
-        }));
+        for (key, value) in settings {
+            // A suite's groups one by one: each is a line of its own words.
+            match value {
+                Value::Array(groups) if key == "groups" => {
+                    facts.extend(groups.iter().map(group_fact))
+                }
+                value => facts.push((format!("setting {key}"), Cell::Value(words(&value)))),
+            }
+        }
     }
     let hash =
         |(name, hash): (&String, &String)| (format!("BLAKE3 of {name}"), Cell::Value(hash.clone()));
@@ -65,4 +60,26 @@ pub(super) fn blocks(view: &View<'_>) -> Vec<Block> {
     }
     let caption = "What the run depended on, from its manifest.";
     vec![Block::Table(facts_table(view.id("provenance"), caption, facts))]
+}
+
+fn group_fact(group: &Value) -> (String, Cell) {
+    let (mut name, mut said) = (String::new(), Vec::new());
+    for (key, value) in group.as_object().into_iter().flatten() {
+        match key.as_str() {
+            "name" => name = format!(" {}", words(value)),
+            key => said.push(format!("{key}: {}", words(value))),
+        }
+    }
+    (format!("setting group{name}"), Cell::Value(said.join("; ")))
+}
+
+/// A value of a setting as people write it.
+fn words(value: &Value) -> String {
+    match value {
+        Value::String(text) if text.is_empty() => "none".to_owned(),
+        Value::String(text) => text.clone(),
+        Value::Array(all) if all.is_empty() => "none".to_owned(),
+        Value::Array(all) => all.iter().map(words).collect::<Vec<_>>().join(" "),
+        other => other.to_string(),
+    }
 }

@@ -7,6 +7,7 @@ use crate::report::document::{Block, Cell, Column, Group, Missing, Row, Table};
 use crate::report::plot::{PlotError, Stack, StackRow, stack};
 use crate::report::view::{View, title};
 use crate::score::StageTimes;
+use crate::table::WORK;
 
 const NO_STAGE: Missing = Missing::NotApplicable("this memory or policy has no such stage");
 
@@ -44,15 +45,18 @@ pub(super) fn blocks(view: &View<'_>) -> Result<Vec<Block>, PlotError> {
     let bar = |&representation: &Representation| StackRow {
         label: title(representation).to_owned(),
         lengths: of(representation).map(|times| {
-            Stages::NAMES.map(|stage| times.stage(stage).unwrap_or(0.0) / 1000.0).to_vec()
+            let work = WORK.map(|stage| times.stage(stage).unwrap_or(0.0) / 1000.0);
+            let between = times.sum / 1000.0 - work.iter().sum::<f64>();
+            work.into_iter().chain([between]).collect()
         }),
     };
     let figure = stack(&Stack {
         id: view.id("time-figure"),
-        caption: "Mean time of a step by stage.".to_owned(),
+        caption: "Mean time of a step by stage. Between: the ways from process to process, and waiting there."
+            .to_owned(),
         axis: "Time of a step, ms",
         to: None,
-        parts: Stages::NAMES.map(str::to_owned).to_vec(),
+        parts: WORK.iter().copied().chain(["between"]).map(str::to_owned).collect(),
         rows: Representation::ALL.iter().map(bar).collect(),
     })?;
     Ok(vec![Block::Figure(figure), Block::Table(table)])
