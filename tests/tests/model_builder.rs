@@ -1,0 +1,151 @@
+//! Documents by a model, through real processes and sockets: a scripted server, `policy-proc ask`, the builder.
+
+#![expect(clippy::unwrap_used, reason = "a test that cannot go on fails")]
+
+use std::env;
+use std::fs;
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+use std::sync::mpsc;
+use std::time::{Duration, Instant};
+
+use memory_proc::documents::model::{Ask, ModelBuilder, Pipe, Settings};
+use memory_proc::documents::{Builder, Seen, Step, Transcript};
+use memtransfer_tests::{WATCHDOG, program};
+use policy_proc::chat::scripted::{Received, Server, Turn};
+use shm_types::message::DocumentKind;
+use shm_types::plate::{Landmark, Plate};
+use shm_types::{Action, Cell, Feedback, Heading, Pose};
+
+/// Set for the test binary that is started as a building process: where the server is.
+const BASE_URL: &str = "MEMTRANSFER_TEST_BASE_URL";
+
+/// And where it writes its document, named after its kind.
+const DOCUMENT: &str = "MEMTRANSFER_TEST_DOCUMENT";
+
+/// A walk north past a barrel, in column `x`.
+fn transcript(x: u8) -> Transcript {
+    let plate = Plate::new("barrels", "blue barrel");
+    let barrel = Landmark { standpoint: Cell::new(x, 9), face: Heading::W, plate };
+    let seen = std::sync::Arc::new(Seen { frame: [x; 16], landmarks: vec![barrel] });
+    let steps = (1..10).map(|y| Step {
+        pose: Pose::new(x, y, Heading::N),
+        feedback: if y == 1 { Feedback::Start } else { Feedback::Moved },
+        seen: seen.clone(),
+        completed: u32::from(y == 9),
+        action: (y < 9).then_some(Action::Forward),
+    });
+    Transcript { instruction: "Find a blue barrel.".to_owned(), steps: steps.collect() }
+}
+
+/// Not a test of its own: what a building process does, when this binary is started as one.
+#[test]
+fn building_process() {
+    let (Some(base_url), Some(document)) = (env::var_os(BASE_URL), env::var_os(DOCUMENT)) else {
+        return;
+    };
+    let document = Path::new(&document);
+    let ask = Ask {
+        program: program("policy-proc"),
+        base_url: base_url.into_string().ok(),
+        model: "m".to_owned(),
+        timeout_s: Some(WATCHDOG.as_secs() as u32),
+        max_retries: Some(0),
+    };
+    let settings = Settings { model: "m".to_owned(), context_chars: 4500, max_tokens: 100 };
+    let kinds = DocumentKind::TEXTS;
+    let kind = kinds.into_iter().find(|kind| document.ends_with(kind.word())).unwrap();
+    let transcripts: Vec<_> = (0..30).map(transcript).collect();
+    let steps = document.with_extension("steps");
+    let built = ModelBuilder::new(Pipe::new(ask), settings)
+        .build(kind, &transcripts, &steps, &mut |_, _| {})
+        .unwrap();
+    let account = serde_json::to_string(&built.account).unwrap();
+    fs::write(document, built.text + &account).unwrap();
+}
+
+fn start(server: &Server, document: &Path) -> Child {
+    Command::new(env::current_exe().unwrap())
+        .args(["--exact", "building_process"])
+        .env(BASE_URL, server.base_url())
+        .env(DOCUMENT, document)
+        .env_remove("OPENAI_API_KEY")
+        .current_dir(document.parent().unwrap())
+        .stdin(Stdio::null())
+        .stdout(Stdio::null())
+        .spawn()
+        .unwrap()
+}
+
+/// Builds in a process of its own, to the end; the document.
+fn build(server: &Server, document: &Path) -> String {
+    assert!(start(server, document).wait().unwrap().success());
+    fs::read_to_string(document).unwrap()
+}
+
+/// A model whose answer depends on what it is asked, and on nothing else.
+fn model(request: &Received) -> Turn {
+    let question = request.body.pointer("/messages/1/content").unwrap().as_str().unwrap();
+    let sum = question.bytes().fold(0_u32, |sum, byte| sum.wrapping_mul(31) + u32::from(byte));
+    Turn::says(&format!("# Text {sum}\nof {} lines", question.lines().count()))
+}
+
+fn is_running(word: &str) -> bool {
+    let Ok(processes) = fs::read_dir("/proc") else { return false };
+    processes.flatten().any(|process| {
+        let command = fs::read(process.path().join("cmdline")).unwrap_or_default();
+        String::from_utf8_lossy(&command).contains(word)
+    })
+}
+
+#[test]
+fn a_build_that_is_killed_goes_on_where_it_was() {
+    for kind in DocumentKind::TEXTS {
+        let folder = tempfile::tempdir().unwrap();
+        let whole = Server::start(model).unwrap();
+        let expected = build(&whole, &folder.path().join(kind.word()));
+        let questions: Vec<_> =
+            whole.received().iter().map(|request| request.body.clone()).collect();
+        assert!(questions.len() > 3, "{} questions", questions.len());
+        assert!(expected.contains("\"prompt_tokens\":"), "{expected}");
+
+        let folder = tempfile::tempdir().unwrap();
+        let document = folder.path().join(kind.word());
+        let (third, arrived) = mpsc::channel();
+        let mut count = 0;
+        let hanging = Server::start(move |request| {
+            count += 1;
+            if count < 3 {
+                return model(request);
+            }
+            third.send(()).unwrap();
+            Turn::Hang
+        })
+        .unwrap();
+        let mut process = start(&hanging, &document);
+        arrived.recv_timeout(WATCHDOG).unwrap();
+        process.kill().unwrap();
+        process.wait().unwrap();
+        let killed = Instant::now();
+        while is_running(&hanging.base_url()) {
+            assert!(
+                killed.elapsed() < WATCHDOG,
+                "policy-proc ask outlives the one that started it"
+            );
+            std::thread::sleep(Duration::from_millis(20));
+        }
+        assert!(!document.exists());
+
+        // Only what got no answer is asked once more.
+        let rest = Server::start(model).unwrap();
+        assert_eq!(build(&rest, &document), expected);
+        let asked = |server: &Server| server.received().into_iter().map(|request| request.body);
+        let all: Vec<_> = asked(&hanging).take(2).chain(asked(&rest)).collect();
+        assert_eq!(all, questions);
+
+        // Nobody has to be there for a document that is finished.
+        let nobody = Server::turns([]).unwrap();
+        assert_eq!(build(&nobody, &document), expected);
+        assert!(nobody.received().is_empty());
+    }
+}
