@@ -107,7 +107,7 @@ struct BuilderArguments {
     #[arg(long, value_name = "NAME", value_enum, default_value_t = BuilderName::Extractive)]
     builder: BuilderName,
     /// The model that a builder asks, by the name that its server knows it by
-    #[arg(long, value_name = "NAME", required_if_eq("builder", "model"))]
+    #[arg(long, value_name = "NAME")]
     model: Option<String>,
     /// Where the model's server is, up to /v1 [default: $OPENAI_BASE_URL; the key is $OPENAI_API_KEY]
     #[arg(long, value_name = "URL")]
@@ -132,6 +132,15 @@ enum BuilderName {
     Extractive,
     /// Asks a model behind an OpenAI-compatible endpoint.
     Model,
+}
+
+impl BuilderName {
+    const fn word(self) -> &'static str {
+        match self {
+            Self::Extractive => "extractive",
+            Self::Model => "model",
+        }
+    }
 }
 
 impl BuilderArguments {
@@ -251,16 +260,19 @@ fn run(verb: Verb) -> anyhow::Result<()> {
             by_anyone,
             builder,
         } => {
-            let builder = builder.builder()?;
             let in_cache = || {
                 let cache = cache.map_or_else(Cache::from_environment, |dir| Ok(Cache::at(dir)))?;
-                anyhow::Ok(cache.documents(builder.name()))
+                anyhow::Ok(cache.documents(builder.builder.word()))
+            };
+            let wanted_builder = || {
+                let builder = builder.builder()?;
+                anyhow::Ok((builder.name().to_owned(), builder.version()))
             };
             let question = Question {
                 folder: documents.map_or_else(in_cache, Ok)?,
                 wanted,
                 frame: FrameSize { width: frame_size, height: frame_size },
-                builder: (!by_anyone).then(|| (builder.name().to_owned(), builder.version())),
+                builder: if by_anyone { None } else { Some(wanted_builder()?) },
                 with_text: text,
             };
             let holdings = question.answer(&Sources::load(assets.as_deref())?)?;
