@@ -5,9 +5,11 @@
 
 mod clean;
 mod doctor;
+mod documents;
 mod generate;
 mod list;
 mod map;
+mod memory;
 mod render;
 mod report;
 mod run;
@@ -57,6 +59,8 @@ enum Verb {
     Map(map::MapArgs),
     /// Render what an agent sees as PNG
     Render(render::RenderArgs),
+    /// Build, list and show the documents that summary, semantic and hybrid memory supply
+    Memory(memory::MemoryArgs),
     /// Print a run's tables once more, from its log alone, or compare conditions and runs
     Score(score::ScoreArgs),
     /// Write a run's pages: the paper's tables, figures and data files, from its log alone
@@ -120,6 +124,7 @@ pub fn main() -> ExitCode {
         Verb::Validate(args) => validate::run(&args),
         Verb::Map(args) => map::run(&args),
         Verb::Render(args) => render::run(&args),
+        Verb::Memory(args) => memory::run(args),
         Verb::Score(args) => score::run(&args),
         Verb::Report(args) => report::run(&args),
         Verb::Clean(args) => clean::run(&args),

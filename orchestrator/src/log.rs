@@ -7,6 +7,7 @@
 //! | `timings.jsonl` | one line for each finished episode: everything that does | beside it |
 //! | `errors.jsonl` | episodes given up because of a fault that is not the model's | as they happen |
 //! | `sessions.jsonl` | starts, restarts and ends of the processes | as they happen |
+//! | `documents/` | the documents that memory supplied, as they were | before the first episode |
 //! | `logs/` | what the processes wrote on stderr | by them |
 //! | `report/` | pages and data files about it ([`report`](crate::report)) | when asked for |
 //!
@@ -19,7 +20,7 @@ mod record;
 
 pub use folder::{Opened, REPORT_FOLDER, RunFolder, RunLog};
 pub use journal::{Journal, read_journal};
-pub use manifest::{Difference, FORMAT, Manifest, commit_of};
+pub use manifest::{Difference, DocumentFacts, FORMAT, Manifest, commit_of};
 pub use record::{
     Ending, EpisodeError, EpisodeRecord, EpisodeTimings, SessionEvent, SessionRecord, Stages,
     Unread,

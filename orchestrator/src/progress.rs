@@ -5,6 +5,8 @@ use std::time::{Duration, Instant};
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 
+use crate::documents::Stage;
+
 /// How often a line is written where there is no terminal.
 const LINE_INTERVAL: Duration = Duration::from_secs(5);
 
@@ -28,6 +30,75 @@ enum Display {
     Nothing,
 }
 
+/// The display while documents are built, before a run or for their own sake.
+#[derive(Debug)]
+pub struct BuildProgress {
+    display: Display,
+    said: String,
+}
+
+impl BuildProgress {
+    /// A display that shows nothing yet, and never anything if `quiet`.
+    pub fn new(quiet: bool) -> Self {
+        Self { display: Display::new(quiet), said: String::new() }
+    }
+
+    /// Building is at `stage` now.
+    pub fn show(&mut self, stage: Stage) {
+        let (what, counts) = match stage {
+            Stage::Waiting => ("another build in the same folder has to end first", None),
+            Stage::Starting => ("starting simulator and memory", None),
+            Stage::Views(done, total) => ("looking at the demonstrations", Some((done, total))),
+            Stage::Writing(done, total) => ("writing documents", Some((done, total))),
+        };
+        let line = match counts {
+            Some((done, total)) => format!("{what}: {done}/{total}"),
+            None => what.to_owned(),
+        };
+        match &mut self.display {
+            Display::Bar(bar) => {
+                let (done, total) = counts.unwrap_or_default();
+                bar.set_length(total);
+                bar.set_position(done);
+                bar.set_message(line);
+            }
+            Display::Lines { last } => {
+                let is_new = self.said != what;
+                if is_new || last.is_none_or(|last| last.elapsed() >= LINE_INTERVAL) {
+                    eprintln!("{line}");
+                    *last = Some(Instant::now());
+                }
+            }
+            Display::Nothing => {}
+        }
+        what.clone_into(&mut self.said);
+    }
+
+    /// Takes the bar away.
+    pub fn close(self) {
+        if let Display::Bar(bar) = &self.display {
+            bar.finish_and_clear();
+        }
+    }
+}
+
+impl Display {
+    fn new(quiet: bool) -> Self {
+        if quiet {
+            return Self::Nothing;
+        }
+        if !std::io::stderr().is_terminal() {
+            return Self::Lines { last: None };
+        }
+        let target = ProgressDrawTarget::stderr_with_hz(DRAWS_PER_S);
+        let bar = ProgressBar::with_draw_target(Some(0), target);
+        if let Ok(style) = ProgressStyle::with_template("{bar:24} {msg}") {
+            bar.set_style(style);
+        }
+        Self::Bar(bar)
+    }
+}
+
 /// What has been done so far.
 #[derive(Debug, Clone, Copy, Default)]
 struct Tally {
@@ -47,18 +118,10 @@ impl Progress {
     /// The display of a run of `total` episodes of which `finished` are done, `successes` of them
     /// successfully.
     pub fn new(total: usize, finished: usize, successes: usize, quiet: bool) -> Self {
-        let display = if quiet {
-            Display::Nothing
-        } else if std::io::stderr().is_terminal() {
-            let target = ProgressDrawTarget::stderr_with_hz(DRAWS_PER_S);
-            let bar = ProgressBar::with_draw_target(Some(total as u64), target);
-            if let Ok(style) = ProgressStyle::with_template("{bar:24} {msg}") {
-                bar.set_style(style);
-            }
-            Display::Bar(bar)
-        } else {
-            Display::Lines { last: None }
-        };
+        let display = Display::new(quiet);
+        if let Display::Bar(bar) = &display {
+            bar.set_length(total as u64);
+        }
         let tally = Tally {
             total: total as u64,
             earlier: (finished as u64, successes as u64),

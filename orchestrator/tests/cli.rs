@@ -82,6 +82,12 @@ fn bad_input_gets_one_clear_message_and_exit_status_2() {
         ("score nowhere", "nowhere holds no run"),
         ("map t03-7", "did you mean `t03-07`?"),
         ("generate --count 0", "--count is 0"),
+        ("memory build --demos none", "a document needs demonstrations"),
+        ("memory build --demos orignal", "did you mean `original`?"),
+        ("memory build --kind sumary", "did you mean `summary`?"),
+        ("memory build --model m", "--model needs --builder model"),
+        ("memory build --builder model", "--model <NAME>"),
+        ("memory show summary", "<DEMOS>"),
     ] {
         let found = refused(dir.path(), arguments);
         assert!(found.contains(said), "{arguments}: {found}");

@@ -12,6 +12,7 @@ use shm_types::message::{Role, WIRE_VERSION};
 use shm_types::process::{check_shared_memory, shared_memory_space};
 use shm_types::{Attach, FrameSize, RunDir, Wait, registry};
 
+use super::documents::Documents;
 use super::{Exit, print};
 use crate::conditions::{Demonstrations, PolicyKind, Route, Start};
 use crate::frame_budget;
@@ -75,18 +76,30 @@ pub(super) fn run(args: RunArgs, matches: &ArgMatches) -> Result<Exit> {
     say_what_is_left_out(&settings);
     let world = World::load(settings.assets.as_deref())?;
     let episodes = episodes(&settings, &world)?;
-    let manifest = manifest(&settings, &world, episodes.len());
+    let mut manifest = manifest(&settings, &world, episodes.len());
     if args.dry_run {
         print(&dry_run(&settings, &manifest, &episodes, args.fresh)?)?;
         return Ok(Exit::Complete);
     }
 
     let signals = Signals::listen().context("cannot listen to signals")?;
+    let documents = Documents::of(&settings);
+    let supply = if args.fresh { None } else { documents.kept()? };
+    let supply = match supply {
+        Some(kept) => kept,
+        None => match documents.supply(&signals, args.quiet)? {
+            Some(supply) => supply,
+            None => return Ok(Exit::Signal(signals.received().unwrap_or_default())),
+        },
+    };
+    manifest.documents = supply.facts();
     let Opened { mut folder, finished, notes } =
         RunFolder::open(&settings.out, manifest, args.fresh)?;
     for note in notes {
         eprintln!("{note}");
     }
+    supply.copy_to(&RunFolder::documents_of(folder.dir()))?;
+    drop(supply);
     let missing: Vec<Episode> = episodes
         .into_iter()
         .filter(|episode| !folder.is_finished(&episode.key.to_string()))
@@ -182,6 +195,7 @@ fn manifest(settings: &Settings, world: &World, episodes: usize) -> Manifest {
         commit: program.as_deref().and_then(Path::parent).and_then(commit_of),
         settings: settings.clone(),
         hashes: world.hashes.clone(),
+        documents: BTreeMap::new(),
         episodes: episodes as u32,
         processes: BTreeMap::new(),
     }
@@ -231,11 +245,12 @@ fn dry_run(
     }
     Ok(format!(
         "{table}\n\n{missing} of {all} episodes of {} conditions would run with policy {}, into {}.\n\
-         At most {} requests with {images} images.",
+         At most {} requests with {images} images.{}",
         settings.conditions().len(),
         settings.policy,
         settings.out.display(),
-        requests(missing)
+        requests(missing),
+        Documents::of(settings).plan()
     ))
 }
 
@@ -329,6 +344,7 @@ fn launches(settings: &Settings) -> Result<Vec<Launch>> {
             ("--encoder", Some(settings.encoder.clone())),
             ("--encoder-file", path(&settings.encoder_file)),
             ("--encoder-threads", settings.encoder_threads.map(|n| n.to_string())),
+            ("--documents", Some(RunFolder::documents_of(&settings.out).display().to_string())),
         ];
         let mut memory = launch(Role::Memory, "memory-proc", &encoder)?;
         // Not by what is left to run: what memory says of itself stays the same when a run is resumed.

@@ -17,6 +17,7 @@ const EPISODES_FILE: &str = "episodes.jsonl";
 const TIMINGS_FILE: &str = "timings.jsonl";
 const ERRORS_FILE: &str = "errors.jsonl";
 const SESSIONS_FILE: &str = "sessions.jsonl";
+const DOCUMENTS_FOLDER: &str = "documents";
 const LOGS_FOLDER: &str = "logs";
 /// Where [`report`](crate::report) writes about a single run.
 pub const REPORT_FOLDER: &str = "report";
@@ -29,6 +30,7 @@ const CONTENTS: [&str; 8] = [
     TIMINGS_FILE,
     ERRORS_FILE,
     SESSIONS_FILE,
+    DOCUMENTS_FOLDER,
     LOGS_FOLDER,
     REPORT_FOLDER,
 ];
@@ -138,6 +140,16 @@ impl RunFolder {
     /// Which session this is, from 1.
     pub fn session(&self) -> u32 {
         self.session
+    }
+
+    /// Whether the run folder at `dir` has finished episodes.
+    pub fn has_episodes(dir: &Path) -> bool {
+        has_episodes(dir)
+    }
+
+    /// Where a run folder at `dir` keeps the documents that memory supplied.
+    pub fn documents_of(dir: &Path) -> PathBuf {
+        dir.join(DOCUMENTS_FOLDER)
     }
 
     /// Where the process called `role` writes what it says on stderr.

@@ -34,11 +34,27 @@ pub struct Manifest {
     pub settings: Settings,
     /// BLAKE3 hashes of layout, catalogue, cases, ... by name.
     pub hashes: BTreeMap<String, String>,
+    /// The documents that memory supplies, by name: `summary/4`.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub documents: BTreeMap<String, DocumentFacts>,
     /// Episodes of the whole run.
     pub episodes: u32,
     /// What each process said about itself when the run began: adapter, encoder and its hash, policy, ...
     /// Empty until then.
     pub processes: BTreeMap<String, BTreeMap<String, String>>,
+}
+
+/// A document that memory supplies.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct DocumentFacts {
+    /// SHA-256 of its text, as hexadecimal digits.
+    pub sha256: String,
+    /// Who wrote it.
+    pub builder: String,
+    /// Bytes of its text.
+    pub bytes: u64,
+    /// Words of its text.
+    pub words: u64,
 }
 
 /// Something that two manifests disagree about.
@@ -131,6 +147,9 @@ impl Manifest {
         identity.insert("version".to_owned(), self.version.clone().into());
         for (name, hash) in &self.hashes {
             identity.insert(format!("contents of {name}"), hash.clone().into());
+        }
+        for (name, document) in &self.documents {
+            identity.insert(format!("document {name}"), document.sha256.clone().into());
         }
         identity
     }

@@ -19,6 +19,7 @@ pub(crate) fn manifest() -> Manifest {
         commit: None,
         settings: resolve([(Origin::Default, Layer::defaults())]).unwrap().settings,
         hashes: BTreeMap::from([("layout".to_owned(), "00".to_owned())]),
+        documents: BTreeMap::new(),
         episodes: 4,
         processes: BTreeMap::new(),
     }
