@@ -90,8 +90,10 @@ pub enum Builder {
 pub struct Model {
     /// As the server calls it.
     pub name: String,
-    /// Where the server is.
+    /// Where the server is; `None`: where the environment says.
     pub base_url: Option<String>,
+    /// How it is asked: flags of `memory-proc build` with their values.
+    pub flags: Vec<(&'static str, String)>,
 }
 
 impl Builder {
@@ -100,11 +102,11 @@ impl Builder {
         match self {
             Self::Extractive => arguments.push("extractive".into()),
             Self::Anyone { of } => arguments.push(of.into()),
-            Self::Model(Model { name, base_url }) => {
+            Self::Model(Model { name, base_url, flags }) => {
                 arguments.extend(["model".into(), "--model".into(), name.into()]);
-                arguments.extend(
-                    base_url.iter().flat_map(|url| ["--base-url".into(), OsString::from(url)]),
-                );
+                let url = base_url.iter().map(|url| ("--base-url", url));
+                let flags = flags.iter().map(|(flag, value)| (*flag, value)).chain(url);
+                arguments.extend(flags.flat_map(|(flag, value)| [flag.into(), value.into()]));
             }
         }
         arguments

@@ -55,12 +55,6 @@ struct BuildArgs {
     /// Who writes them
     #[arg(long, value_name = "NAME", value_enum, default_value_t = BuilderName::Extractive)]
     builder: BuilderName,
-    /// The model, as the server calls it (with --builder model)
-    #[arg(long, value_name = "NAME", required_if_eq("builder", "model"))]
-    model: Option<String>,
-    /// Where the server is, up to /v1 (with --builder model) [default: $OPENAI_BASE_URL]
-    #[arg(long, value_name = "URL")]
-    base_url: Option<String>,
     /// Put them there [default: documents/<builder> in the cache folder]
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
@@ -72,6 +66,51 @@ struct BuildArgs {
     quiet: bool,
     #[command(flatten)]
     made_for: MadeFor,
+    #[command(flatten)]
+    asked: AskedArgs,
+}
+
+/// How a model is asked.
+#[derive(Debug, Args)]
+#[command(next_help_heading = "With --builder model")]
+struct AskedArgs {
+    /// The model, as the server calls it
+    #[arg(long, value_name = "NAME", required_if_eq("builder", "model"))]
+    model: Option<String>,
+    /// Where the server is, up to /v1 [default: $OPENAI_BASE_URL; the key is $OPENAI_API_KEY]
+    #[arg(long, value_name = "URL", requires = "model")]
+    base_url: Option<String>,
+    /// Most characters of what it is asked at once [default: 100000]
+    #[arg(long, value_name = "N", requires = "model")]
+    context_chars: Option<u32>,
+    /// Most tokens of an answer [default: 16000]
+    #[arg(long, value_name = "N", requires = "model")]
+    max_tokens: Option<u32>,
+    /// Longest that one attempt may take [default: 300]
+    #[arg(long, value_name = "SECONDS", requires = "model")]
+    timeout: Option<u32>,
+    /// How often it is asked again when the server fails [default: 5]
+    #[arg(long, value_name = "N", requires = "model")]
+    max_retries: Option<u32>,
+}
+
+impl AskedArgs {
+    fn builder(self, builder: BuilderName) -> Result<Builder> {
+        let Self { model, base_url, context_chars, max_tokens, timeout, max_retries } = self;
+        let name = match (builder, model) {
+            (BuilderName::Extractive, None) => return Ok(Builder::Extractive),
+            (BuilderName::Extractive, Some(_)) => bail!("--model needs --builder model"),
+            (BuilderName::Model, name) => name.context("--builder model needs --model NAME")?,
+        };
+        let flags = [
+            ("--context-chars", context_chars),
+            ("--max-tokens", max_tokens),
+            ("--timeout", timeout),
+            ("--max-retries", max_retries),
+        ];
+        let flags = flags.into_iter().filter_map(|(flag, n)| Some((flag, n?.to_string())));
+        Ok(Builder::Model(Model { name, base_url, flags: flags.collect() }))
+    }
 }
 
 #[derive(Debug, Args)]
@@ -158,14 +197,7 @@ pub(super) fn run(args: MemoryArgs) -> Result<Exit> {
 }
 
 fn build(args: BuildArgs) -> Result<Exit> {
-    let builder = match (args.builder, args.model) {
-        (BuilderName::Extractive, None) => Builder::Extractive,
-        (BuilderName::Extractive, Some(_)) => bail!("--model needs --builder model"),
-        (BuilderName::Model, name) => Builder::Model(Model {
-            name: name.context("--builder model needs --model NAME")?,
-            base_url: args.base_url,
-        }),
-    };
+    let builder = args.asked.builder(args.builder)?;
     let mut wanted = Vec::new();
     for &demonstrations in &args.demos {
         if demonstrations == Demonstrations::NONE {
