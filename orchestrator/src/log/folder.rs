@@ -23,7 +23,7 @@ const LOGS_FOLDER: &str = "logs";
 pub const REPORT_FOLDER: &str = "report";
 
 /// Everything a run folder holds. Nothing else in it is ever touched.
-const CONTENTS: [&str; 8] = [
+const CONTENTS: [&str; 9] = [
     MANIFEST_FILE,
     "manifest.json.new",
     EPISODES_FILE,
