@@ -6,7 +6,7 @@
 //! - [`transcript`]: a demonstration as a builder may see it;
 //! - [`Builder`]: makes a text of many of them;
 //! - [`Extractive`]: the builder that needs no model; [`model`]: the one that asks one;
-//! - [`file`]: a text with where it comes from, as it is kept; [`holdings`]: which of them there are;
+//! - [`file`](mod@file): a text with where it comes from, as it is kept; [`holdings`]: which of them there are;
 //! - [`build`](mod@build): everything together, in a run of the simulator and this process.
 //!
 //! A builder is handed transcripts and nothing else. A [`Transcript`] has no room for the map, the catalogue,

@@ -1,7 +1,7 @@
 //! What documents are made of: the selected demonstrations of all cases, walked in a world that is rendered.
 //!
 //! This is where map and catalogue are known, to replay a demonstration and to word its instruction. What goes
-//! on to a builder is a [`Transcript`](super::Transcript) of it.
+//! on to a builder is a [`Transcript`] of it.
 
 use std::collections::HashSet;
 use std::fs;
