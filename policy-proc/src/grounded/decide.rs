@@ -1,186 +1,359 @@
-//! Deciding one step: follow what memory offers, go to what is asked for and in sight, or explore.
+//! Deciding one step: follow what memory offers, go to what is asked for, or explore.
+//!
+//! One procedure for whatever is known and wherever it is known from.
+
+use std::sync::Arc;
 
 use shm_types::{Action, Cell, Pose};
 
+use super::Mind;
+use super::course::{self, Course, Plan, Source, leads_on, stride};
 use super::explore;
 use super::geometry::{after, move_towards, turn_towards};
 use super::history::History;
 use super::instruction::{Ending, Goal, Visit, Want};
-use super::percept::Percepts;
-use super::recognise;
+use super::percept::Percept;
+use super::scene::{Scene, Walk};
 use super::surroundings::Surroundings;
 use crate::Request;
 use shm_types::plate::Landmark;
 
-/// Farthest remembered pose that is walked to, in steps.
+/// Farthest part of a retrieved walk that is walked to, in steps.
 const FARTHEST_JOIN: u32 = 6;
 
+/// Steps beyond its own length for which a whole remembered walk is followed to the letter.
+const TRUST: usize = 40;
+
+/// Most cells that a round is made through of one kind.
+const MOST_STOPS: usize = 10;
+
+/// Steps between times in which what is in sight is gone to and times in which it is passed by.
+const RESTLESSNESS: u32 = 24;
+
 /// The action for `request`.
-pub(super) fn action(request: &Request<'_>, percepts: &mut Percepts) -> Action {
+pub(super) fn action(request: &Request<'_>, mind: &mut Mind) -> Action {
     let history = History::of(request);
-    if !percepts.of(&request.frame).sketch.has_texture() {
+    if !mind.percepts.of(&request.frame).sketch.has_texture() {
         // Nothing can be seen: walking on would be walking blind.
         return Action::TurnRight;
     }
-    let path = remembered_path(request, percepts);
-    if let Some(action) = path.first().and_then(|step| exactly_here(step, &history)) {
-        return action;
+    let scene = Scene::of(request, &history, mind);
+    let goal = Goal::parse(request.instruction);
+    let situation = Situation { request, history: &history, scene: &scene, goal: goal.as_ref() };
+    situation.decide(mind)
+}
+
+/// What is decided on.
+struct Situation<'a> {
+    request: &'a Request<'a>,
+    history: &'a History,
+    scene: &'a Scene,
+    goal: Option<&'a Goal<'a>>,
+}
+
+impl Situation<'_> {
+    fn decide(&self, mind: &mut Mind) -> Action {
+        self.retrieved_here()
+            .or_else(|| self.whole_walk_here(mind))
+            .or_else(|| self.single_goal())
+            .or_else(|| self.join_retrieved())
+            .or_else(|| self.join_whole_walk(mind))
+            .or_else(|| self.go_round(mind))
+            .or_else(|| self.seek())
+            .or_else(|| self.look_around(mind))
+            .unwrap_or_else(|| self.explore())
     }
-    let scene = Scene::of(request, &history, percepts);
-    join_path(&path, &history, &scene).or_else(|| seek(request, &history, &scene)).unwrap_or_else(
-        || explore::action(&history, &scene.surroundings, request.episode_seed, request.step),
-    )
-}
 
-/// A remembered pose and what the expert did in it.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-struct PathStep {
-    pose: Pose,
-    action: Option<Action>,
-}
-
-/// The expert's poses and actions from the remembered view on, in the world of here and now; empty when
-/// memory offers nothing or its view does not fit what is seen.
-fn remembered_path(request: &Request<'_>, percepts: &mut Percepts) -> Vec<PathStep> {
-    let Some([first, ..]) = request.segment.map(|segment| segment.steps) else {
-        return Vec::new();
-    };
-    let (remembered, current) = (percepts.of(&first.frame), percepts.of(&request.frame));
-    let mut pose = recognise::pose_of(&remembered, &current, request.pose);
-    let mut path = Vec::new();
-    for view in request.segment.map_or(&[][..], |segment| segment.steps) {
-        let Some(at) = pose else { break };
-        path.push(PathStep { pose: at, action: view.action });
-        pose = view.action.and_then(|action| after(at, action));
+    fn explore(&self) -> Action {
+        let Request { episode_seed, step, .. } = *self.request;
+        explore::action(self.history, &self.scene.ground, episode_seed, step)
     }
-    path
-}
 
-/// The expert's action when the agent is in the very pose, unless it failed here or leads in circles.
-fn exactly_here(step: &PathStep, history: &History) -> Option<Action> {
-    let action = step.action.filter(|_| step.pose == history.here)?;
-    leads_on(action, history).then_some(action)
-}
+    fn leads_on(&self, action: &Action) -> bool {
+        leads_on(*action, self.history, &self.scene.ground)
+    }
 
-/// Whether `action` did not fail here lately, and does not lead where the agent has been twice lately.
-fn leads_on(action: Action, history: &History) -> bool {
-    after(history.here, action).is_some_and(|pose| {
-        history.times_in(pose) < 2 && !history.blocked().any(|cell| cell == pose.cell)
-    })
-}
+    /// What the expert did in the retrieved view, where that is the pose the agent is in.
+    fn retrieved_here(&self) -> Option<Action> {
+        let begins_here =
+            |walk: &&Walk| walk.steps.first().map(|step| step.pose) == Some(self.history.here);
+        let walk = self.retrieved().find(begins_here)?;
+        let action =
+            walk.steps.first()?.action.or_else(|| self.turn_towards(walk.beyond.as_ref()?));
+        action.filter(|action| self.leads_on(action))
+    }
 
-/// The action that brings the agent onto the remembered path, or along it past what blocks the way.
-fn join_path(path: &[PathStep], history: &History, scene: &Scene) -> Option<Action> {
-    let here = history.here;
-    // The last view of a segment that ends a demonstration leads nowhere, but is where it ends.
-    let reach = |step: &PathStep| {
-        let turn = turn_towards(here.heading, step.pose.heading);
-        if step.pose.cell == here.cell {
-            let action = turn.or(step.action)?;
-            return Some((u32::from(turn.is_some()), action));
-        }
-        let (direction, length) = scene.surroundings.way_to(step.pose.cell)?;
-        Some((length + u32::from(turn.is_some()), move_towards(here.heading, direction)))
-    };
-    let (_, action) = path
-        .iter()
-        .rev()
-        .filter_map(reach)
-        .filter(|&(length, action)| length <= FARTHEST_JOIN && leads_on(action, history))
-        .min_by_key(|&(length, _)| length)?;
-    Some(action)
-}
-
-/// What the last frames showed, put together.
-struct Scene {
-    landmarks: Vec<Landmark>,
-    surroundings: Surroundings,
-}
-
-impl Scene {
-    fn of(request: &Request<'_>, history: &History, percepts: &mut Percepts) -> Self {
-        let past = request.window.iter().zip(&history.past);
-        let views = past.map(|(view, past)| (&view.frame, past.pose));
-        let mut landmarks = Vec::new();
-        for (frame, pose) in views.chain([(&request.frame, history.here)]) {
-            let percept = percepts.of(frame);
-            landmarks.extend(percept.sightings.iter().filter_map(|seen| seen.seen_from(pose)));
-        }
-        landmarks.sort_unstable();
-        landmarks.dedup();
-        let mut surroundings = Surroundings::new(history.here);
-        for landmark in &landmarks {
-            surroundings.mark_free(landmark.standpoint);
-            if let Some(rack) = landmark.standpoint.step(landmark.face) {
-                surroundings.mark_solid(rack);
+    /// The turn that brings `view` into sight. A move leaves much of a view in sight, so what shares nothing
+    /// with it was seen after a turn; which one, the known plates and the known floor tell.
+    fn turn_towards(&self, view: &Percept) -> Option<Action> {
+        let (here, scene) = (self.history.here, self.scene);
+        let known = |turn: &Action| {
+            let there = after(here, *turn)?;
+            if self.history.times_in(there) > 0 {
+                return None;
             }
-        }
-        history.stood_on().for_each(|cell| surroundings.mark_free(cell));
-        history.blocked().for_each(|cell| surroundings.mark_solid(cell));
-        Self { landmarks, surroundings }
-    }
-
-    /// Standpoints of what `want` asks for.
-    fn standpoints(&self, want: Want) -> impl Iterator<Item = Cell> + '_ {
-        let meets = move |landmark: &&Landmark| want.is_met_by(landmark.plate);
-        self.landmarks.iter().filter(meets).map(|landmark| landmark.standpoint)
-    }
-
-    /// The step, counted as in [`History::stood_on`] from `from`, at which a standpoint of `want` was stood on.
-    fn visit(&self, want: Want, history: &History, from: usize) -> Option<(usize, Cell)> {
-        let mut stood_on = history.stood_on().enumerate().skip(from);
-        stood_on.find(|(_, cell)| self.standpoints(want).any(|standpoint| standpoint == *cell))
-    }
-}
-
-/// A step towards the nearest thing in sight that is still asked for.
-fn seek(request: &Request<'_>, history: &History, scene: &Scene) -> Option<Action> {
-    let goal = Goal::parse(request.instruction)?;
-    let heading = history.here.heading;
-    let towards = |goals: Vec<Cell>| {
-        let ways = goals.into_iter().filter_map(|cell| {
-            let (direction, length) = scene.surroundings.way_to(cell)?;
-            Some((length, cell, direction))
-        });
-        ways.min_by_key(|&(length, cell, _)| (length, cell))
-            .map(|(.., direction)| move_towards(heading, direction))
-    };
-    still_asked_for(&goal, history, scene).into_iter().find_map(towards)
-}
-
-/// Cells to go to, in groups: any of the first group, or if it is empty or out of reach, of the next.
-fn still_asked_for(goal: &Goal, history: &History, scene: &Scene) -> Vec<Vec<Cell>> {
-    let all = |want| scene.standpoints(want).collect::<Vec<_>>();
-    let origin = || history.origin.into_iter().collect::<Vec<_>>();
-    let at_the_end = |first: Cell| match goal.ending {
-        Ending::There => Vec::new(),
-        Ending::Origin => vec![origin()],
-        Ending::FirstItem => vec![vec![first]],
-    };
-    match goal.visit {
-        Visit::One(want) => match scene.visit(want, history, 0) {
-            Some((_, cell)) => at_the_end(cell),
-            None => vec![all(want)],
-        },
-        Visit::Every(want) => {
-            let new = |cell: &Cell| !history.stood_on().any(|stood_on| stood_on == *cell);
-            vec![all(want).into_iter().filter(new).collect()]
-        }
-        Visit::Both(a, b) => [a, b]
+            let ahead = there.cell.step(there.heading);
+            let is_open = ahead.is_some_and(|cell| scene.ground.is_free(cell));
+            let seen = view.sightings.iter().filter_map(|sighting| sighting.seen_from(there));
+            let weigh = |landmark: Landmark| {
+                let place = |known: &&Landmark| {
+                    (known.standpoint, known.face) == (landmark.standpoint, landmark.face)
+                };
+                match scene.seen.iter().find(place) {
+                    Some(known) if *known == landmark => 2,
+                    Some(_) => -8,
+                    None => -i32::from(scene.ground.is_solid(landmark.standpoint)) * 8,
+                }
+            };
+            Some((seen.map(weigh).sum::<i32>(), is_open))
+        };
+        let turns = [Action::TurnAround, Action::TurnLeft, Action::TurnRight];
+        turns
             .into_iter()
-            .filter(|&want| scene.visit(want, history, 0).is_none())
-            .map(all)
-            .collect(),
-        // Without a first visit in the window there may have been one before: the second is worth a
-        // visit too, when there is nothing better to do.
-        Visit::InOrder(a, b) => match scene.visit(a, history, 0) {
-            None if scene.visit(b, history, 0).is_some() => vec![all(a)],
-            None => vec![all(a), all(b)],
-            Some((step, first)) => match scene.visit(b, history, step + 1) {
-                None => vec![all(b)],
-                Some(_) => at_the_end(first),
+            .filter_map(|turn| Some((known(&turn)?, turn)))
+            .max_by_key(|&(known, _)| known)
+            .map(|(_, turn)| turn)
+    }
+
+    fn retrieved(&self) -> impl Iterator<Item = &Walk> {
+        self.scene.walks.iter().filter(|walk| !walk.is_whole)
+    }
+
+    /// The step that brings the agent onto a retrieved walk, or along it past what blocks the way.
+    fn join_retrieved(&self) -> Option<Action> {
+        let here = self.history.here;
+        let steps = self.retrieved().flat_map(|walk| walk.steps.iter().rev());
+        // The last view of a segment that ends a demonstration leads nowhere, but is where it ends.
+        let ways = self.scene.ground.ways(&[]);
+        let reach = |step: &super::chart::PathStep| {
+            let turn = turn_towards(here.heading, step.pose.heading);
+            if step.pose.cell == here.cell {
+                let action = turn.or(step.action)?;
+                return Some((u32::from(turn.is_some()), action));
+            }
+            let way = ways.to(step.pose.cell)?;
+            Some((
+                way.length + u32::from(turn.is_some()),
+                move_towards(here.heading, way.direction),
+            ))
+        };
+        steps
+            .filter_map(reach)
+            .filter(|(length, action)| *length <= FARTHEST_JOIN && self.leads_on(action))
+            .min_by_key(|&(length, _)| length)
+            .map(|(_, action)| action)
+    }
+
+    /// Courses of whole walks, as long as they are trusted.
+    fn whole_walks(&self, mind: &mut Mind) -> Vec<Arc<Course>> {
+        let is_trusted =
+            |walk: &Walk| walk.is_whole && self.request.step as usize <= walk.steps.len() + TRUST;
+        let walks = self.scene.walks.iter().enumerate();
+        let courses = walks.filter(|(_, walk)| is_trusted(walk)).filter_map(|(at, walk)| {
+            let source = self.source(Plan::Walk(at));
+            mind.courses.of(source, || {
+                let course = Course::of_walk(&walk.steps, &self.remembered_stops());
+                let is_round = !self.is_single();
+                Some(if is_round {
+                    course.closed(|pose| self.lasting_ground(pose))
+                } else {
+                    course
+                })
+            })
+        });
+        courses.collect()
+    }
+
+    fn whole_walk_here(&self, mind: &mut Mind) -> Option<Action> {
+        let courses = self.whole_walks(mind);
+        let here = courses.iter().filter_map(|course| course.action_here(self.history));
+        let (_, action) =
+            here.filter(|(_, action)| self.leads_on(action)).max_by_key(|&(led, _)| led)?;
+        Some(action)
+    }
+
+    fn join_whole_walk(&self, mind: &mut Mind) -> Option<Action> {
+        let courses = self.whole_walks(mind);
+        let ways = self.scene.ground.ways(&[]);
+        let joins = courses
+            .iter()
+            .filter_map(|course| course.join(self.history, &self.scene.ground, &ways));
+        let (_, action) =
+            joins.filter(|(_, action)| self.leads_on(action)).min_by_key(|&(cost, _)| cost)?;
+        Some(action)
+    }
+
+    /// Whether one thing has to be reached, and nothing more.
+    fn is_single(&self) -> bool {
+        matches!(self.goal, Some(Goal { visit: Visit::One(_), ending: Ending::There }))
+    }
+
+    fn single_goal(&self) -> Option<Action> {
+        self.is_single().then(|| self.seek()).flatten()
+    }
+
+    fn wants(&self) -> Vec<(usize, Want<'_>)> {
+        self.goal.map(|goal| goal.wants()).unwrap_or_default().into_iter().enumerate().collect()
+    }
+
+    fn remembered_stops(&self) -> Vec<Cell> {
+        let of = |(nth, want)| self.scene.remembered_standpoints(nth, want);
+        self.wants().into_iter().flat_map(of).collect()
+    }
+
+    /// The ground around `pose` as far as it is lastingly known.
+    fn lasting_ground(&self, pose: Pose) -> Surroundings {
+        let mut ground = Surroundings::new(pose, self.scene.doubt);
+        self.scene.lay_lasting(&mut ground);
+        ground
+    }
+
+    fn source(&self, plan: Plan) -> Source {
+        let walks = self.scene.walks.iter().filter(|walk| walk.is_whole);
+        Source {
+            plan,
+            walks: walks.map(|walk| walk.name).collect(),
+            lore: self.scene.lore.serial,
+            instruction: self.request.instruction.to_owned(),
+            origin: self.origin(),
+            doubt: self.scene.doubt,
+        }
+    }
+
+    /// Where the episode began; where that is not known, where a remembered walk for the task began.
+    fn origin(&self) -> Option<Cell> {
+        let whole = self.scene.walks.iter().filter(|walk| walk.is_whole);
+        let begun = whole.filter_map(|walk| walk.steps.first()).map(|step| step.pose.cell).next();
+        self.scene.origin.or(begun)
+    }
+
+    /// On the round through everything wanted, if memory knows where it is.
+    fn go_round(&self, mind: &mut Mind) -> Option<Action> {
+        let goal = self.goal?;
+        let groups: Vec<Vec<Cell>> = self
+            .wants()
+            .into_iter()
+            .map(|(nth, want)| self.scene.remembered_standpoints(nth, want))
+            .collect();
+        if groups.iter().any(Vec::is_empty) {
+            return None;
+        }
+        let round = self.round(mind, Plan::Stops, |ground| {
+            let mut groups = groups;
+            groups.iter_mut().for_each(|group| group.truncate(MOST_STOPS));
+            let origin = self.origin().filter(|_| goal.ending == Ending::Origin);
+            match goal.visit {
+                Visit::Every(_) => {
+                    let mut cells = groups.concat();
+                    cells.extend(origin);
+                    Some(course::round_trip(cells, ground))
+                }
+                _ => {
+                    groups.extend(origin.map(|cell| vec![cell]));
+                    course::best_choice(&groups, ground)
+                }
+            }
+        })?;
+        self.walk_round(&round)
+    }
+
+    /// On a round through the regions in which what is wanted has been seen.
+    fn look_around(&self, mind: &mut Mind) -> Option<Action> {
+        let lore = Arc::clone(&self.scene.lore);
+        let regions = lore.regions.iter().flatten();
+        let round = self.round(mind, Plan::Regions, |ground| {
+            let cells = regions.flat_map(|region| {
+                let floor = || lore.floor.iter().copied().filter(|&cell| region.contains(cell));
+                [floor().min(), floor().max()].into_iter().flatten()
+            });
+            let mut cells: Vec<Cell> = cells.take(MOST_STOPS).collect();
+            cells.sort_unstable();
+            cells.dedup();
+            Some(course::round_trip(cells, ground))
+        })?;
+        self.walk_round(&round)
+    }
+
+    fn round(
+        &self,
+        mind: &mut Mind,
+        plan: Plan,
+        stops: impl FnOnce(&dyn Fn(Pose) -> Surroundings) -> Option<Vec<Cell>>,
+    ) -> Option<Arc<Course>> {
+        mind.courses.of(self.source(plan), || {
+            let ground = |pose| self.lasting_ground(pose);
+            Course::through(&stops(&ground)?, ground)
+        })
+    }
+
+    fn walk_round(&self, round: &Course) -> Option<Action> {
+        if let Some((_, action)) = round.action_here(self.history)
+            && self.leads_on(&action)
+        {
+            return Some(action);
+        }
+        let ways = self.scene.ground.ways(&[]);
+        let (_, action) = round.join(self.history, &self.scene.ground, &ways)?;
+        self.leads_on(&action).then_some(action)
+    }
+
+    /// A step towards the nearest known thing that is still asked for.
+    fn seek(&self) -> Option<Action> {
+        let goal = self.goal?;
+        let is_restless = self.request.step / RESTLESSNESS % 2 == 1;
+        if is_restless && matches!(goal.visit, Visit::Every(_) | Visit::InOrder(..)) {
+            return None;
+        }
+        let heading = self.history.here.heading;
+        let towards = |goals: Vec<Cell>| {
+            let ways = self.scene.ground.ways(&goals);
+            let nearest = goals.iter().filter_map(|&cell| Some((ways.to(cell)?.cost, cell))).min();
+            nearest.and_then(|(_, cell)| ways.to(cell)).map(|way| stride(heading, way))
+        };
+        self.still_asked_for(goal).into_iter().find_map(towards)
+    }
+
+    /// Cells to go to, in groups: any of the first group, or if it is empty or out of reach, of the next.
+    fn still_asked_for(&self, goal: &Goal<'_>) -> Vec<Vec<Cell>> {
+        let (history, scene) = (self.history, self.scene);
+        let origin = || scene.origin.into_iter().collect::<Vec<_>>();
+        let at_the_end = |first: Cell| match goal.ending {
+            Ending::There => Vec::new(),
+            Ending::Origin => vec![origin()],
+            Ending::FirstItem => vec![vec![first]],
+        };
+        let all = |nth, want| scene.standpoints(nth, want);
+        // The step, counted as in `History::stood_on`, at which a standpoint was stood on.
+        let visit = |nth, want, from| {
+            let standpoints = all(nth, want);
+            let mut stood_on = history.stood_on().enumerate().skip(from);
+            stood_on.find(|(_, cell)| standpoints.contains(cell))
+        };
+        match goal.visit {
+            Visit::One(want) => match visit(0, want, 0) {
+                Some((_, cell)) => at_the_end(cell),
+                None => vec![all(0, want)],
             },
-        },
+            Visit::Every(want) => {
+                let new = |cell: &Cell| !history.stood_on().any(|stood_on| stood_on == *cell);
+                vec![all(0, want).into_iter().filter(new).collect()]
+            }
+            Visit::Both(a, b) => [(0, a), (1, b)]
+                .into_iter()
+                .filter(|&(nth, want)| visit(nth, want, 0).is_none())
+                .map(|(nth, want)| all(nth, want))
+                .collect(),
+            // Without a first visit in the window there may have been one before: the second is worth a
+            // visit too, when there is nothing better to do.
+            Visit::InOrder(a, b) => match visit(0, a, 0) {
+                None if visit(1, b, 0).is_some() => vec![all(0, a)],
+                None => vec![all(0, a), all(1, b)],
+                Some((step, first)) => match visit(1, b, step + 1) {
+                    None => vec![all(1, b)],
+                    Some(_) => at_the_end(first),
+                },
+            },
+        }
     }
 }
 

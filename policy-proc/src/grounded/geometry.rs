@@ -2,6 +2,8 @@
 
 use shm_types::{Action, Heading, Pose};
 
+use super::chart::PathStep;
+
 /// The move that goes towards `direction` without turning.
 pub(super) fn move_towards(heading: Heading, direction: Heading) -> Action {
     match heading.quarters_to(direction) {
@@ -30,6 +32,26 @@ pub(super) fn after(pose: Pose, action: Action) -> Option<Pose> {
         None => pose.cell,
     };
     Some(Pose { cell, heading })
+}
+
+/// Adds to `steps` the poses and actions of a walk from `start` through `directions`, facing the way that is
+/// walked, and returns where it ends.
+pub(super) fn along(
+    start: Pose,
+    directions: impl IntoIterator<Item = Heading>,
+    steps: &mut Vec<PathStep>,
+) -> Pose {
+    let mut pose = start;
+    for direction in directions {
+        if let Some(turn) = turn_towards(pose.heading, direction) {
+            steps.push(PathStep { pose, action: Some(turn) });
+            pose.heading = direction;
+        }
+        let Some(cell) = pose.cell.step(direction) else { break };
+        steps.push(PathStep { pose, action: Some(Action::Forward) });
+        pose.cell = cell;
+    }
+    pose
 }
 
 #[cfg(test)]

@@ -19,7 +19,7 @@ pub(super) struct History {
     pub(super) past: Vec<PastPose>,
     pub(super) here: Pose,
     /// Where the episode began, if the window reaches back to that.
-    pub(super) origin: Option<Cell>,
+    pub(super) origin: Option<Pose>,
 }
 
 impl History {
@@ -33,7 +33,7 @@ impl History {
         past.reverse();
         let whole = past.len() == request.step as usize;
         let first = past.first().map_or(request.pose, |first| first.pose);
-        Self { past, here: request.pose, origin: whole.then_some(first.cell) }
+        Self { past, here: request.pose, origin: whole.then_some(first) }
     }
 
     /// Cells stood on, oldest first, the present one last.
@@ -121,7 +121,7 @@ mod tests {
             };
             let history = History::of(&request);
             prop_assert_eq!(history.past, past);
-            prop_assert_eq!(history.origin, Some(start.cell));
+            prop_assert_eq!(history.origin, Some(start));
             let later = Request { step: request.step + 1, ..request };
             prop_assert_eq!(History::of(&later).origin, None);
         }

@@ -2,36 +2,51 @@
 
 use shm_types::plate::{self, Plate};
 
-/// One kind of thing to stand in front of, as the plates spell it.
+/// One kind of thing to stand in front of.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Want {
-    /// An item of the type with this code.
-    Type([u8; 3]),
-    /// Any item of the category with this code.
-    Category([u8; 3]),
+pub(super) struct Want<'a> {
+    /// Of a type, or any of a category.
+    pub(super) rank: Rank,
+    /// As the instruction calls it.
+    pub(super) name: &'a str,
+    /// As the plates spell it.
+    pub(super) code: [u8; 3],
 }
 
-impl Want {
+/// What a name is the name of.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Rank {
+    /// Of a type: "blue barrel".
+    Type,
+    /// Of a category: "barrels".
+    Category,
+}
+
+impl<'a> Want<'a> {
+    fn new(rank: Rank, name: &'a str) -> Self {
+        Self { rank, name, code: plate::code(name) }
+    }
+
     /// Whether the item under `plate` is one of these.
     pub(super) fn is_met_by(self, plate: Plate) -> bool {
-        match self {
-            Self::Type(code) => plate.0[3..] == code,
-            Self::Category(code) => plate.0[..3] == code,
+        match self.rank {
+            Rank::Type => plate.0[3..] == self.code,
+            Rank::Category => plate.0[..3] == self.code,
         }
     }
 }
 
 /// In which way the things wanted are to be visited.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Visit {
+pub(super) enum Visit<'a> {
     /// One of it (tasks 1, 2, 7).
-    One(Want),
+    One(Want<'a>),
     /// All of it (tasks 3, 4, 8).
-    Every(Want),
+    Every(Want<'a>),
     /// One of each, either first (task 5).
-    Both(Want, Want),
+    Both(Want<'a>, Want<'a>),
     /// One of the first, then one of the second (tasks 6, 9, 10).
-    InOrder(Want, Want),
+    InOrder(Want<'a>, Want<'a>),
 }
 
 /// Where the walk ends.
@@ -47,16 +62,16 @@ pub(super) enum Ending {
 
 /// What an instruction asks for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct Goal {
+pub(super) struct Goal<'a> {
     /// What to visit.
-    pub(super) visit: Visit,
+    pub(super) visit: Visit<'a>,
     /// Where to end.
     pub(super) ending: Ending,
 }
 
-impl Goal {
+impl<'a> Goal<'a> {
     /// The goal that `instruction` states; `None` when it follows none of the ten templates.
-    pub(super) fn parse(instruction: &str) -> Option<Self> {
+    pub(super) fn parse(instruction: &'a str) -> Option<Self> {
         let text = instruction.strip_suffix('.')?;
         let (text, ending) = match text.strip_suffix("then return to the cell where you started") {
             Some(rest) => (rest.strip_suffix(", ")?, Ending::Origin),
@@ -71,11 +86,19 @@ impl Goal {
         }
         Some(Self { visit: visit(text)?, ending })
     }
+
+    /// The kinds of things to visit, in the order of the instruction.
+    pub(super) fn wants(&self) -> Vec<Want<'a>> {
+        match self.visit {
+            Visit::One(want) | Visit::Every(want) => vec![want],
+            Visit::Both(a, b) | Visit::InOrder(a, b) => vec![a, b],
+        }
+    }
 }
 
-fn visit(text: &str) -> Option<Visit> {
+fn visit(text: &str) -> Option<Visit<'_>> {
     if let Some(category) = text.strip_prefix("Find any item of the category ") {
-        return Some(Visit::One(Want::Category(plate::code(name(category)?))));
+        return Some(Visit::One(Want::new(Rank::Category, name(category)?)));
     }
     if let Some(one) = text.strip_prefix("Find ") {
         return Some(Visit::One(item(one)?));
@@ -84,7 +107,7 @@ fn visit(text: &str) -> Option<Visit> {
     if let Some(every) = text.strip_prefix("every ") {
         let every = every.strip_suffix(" in the warehouse")?;
         return Some(Visit::Every(match every.strip_prefix("item of the category ") {
-            Some(category) => Want::Category(plate::code(name(category)?)),
+            Some(category) => Want::new(Rank::Category, name(category)?),
             None => kind(name(every)?),
         }));
     }
@@ -97,7 +120,7 @@ fn visit(text: &str) -> Option<Visit> {
 }
 
 /// "a blue barrel", "an orange cone".
-fn item(text: &str) -> Option<Want> {
+fn item(text: &str) -> Option<Want<'_>> {
     let text = text.strip_prefix("a ").or_else(|| text.strip_prefix("an "))?;
     name(text).map(kind)
 }
@@ -107,8 +130,8 @@ fn name(text: &str) -> Option<&str> {
     (!text.is_empty() && !text.contains([',', '.'])).then_some(text)
 }
 
-fn kind(name: &str) -> Want {
-    Want::Type(plate::code(name))
+fn kind(name: &str) -> Want<'_> {
+    Want::new(Rank::Type, name)
 }
 
 #[cfg(test)]
@@ -132,22 +155,27 @@ mod tests {
             "Visit a blue barrel, then an orange cone, then return to the cell where you started.",
         ] {
             let goal = Goal::parse(instruction).expect(instruction);
-            writeln!(table, "{:?} -> {:?}", goal.visit, goal.ending).unwrap();
+            let wants = goal.wants();
+            let wants = wants.iter().map(|want| format!("{:?} {}", want.rank, want.name));
+            let order = format!("{:?}", goal.visit);
+            let order = order.split('(').next().unwrap();
+            let wants = wants.collect::<Vec<_>>().join(", ");
+            writeln!(table, "{order} of {wants} -> {:?}", goal.ending).unwrap();
         }
         writeln!(table, "a blue barrel is {:?}", plate::code("blue barrel")).unwrap();
         writeln!(table, "an orange cone is {:?}", plate::code("orange cone")).unwrap();
         writeln!(table, "barrels are {:?}", plate::code("barrels")).unwrap();
         insta::assert_snapshot!(table, @r"
-        One(Type([6, 1, 1])) -> There
-        One(Category([5, 5, 4])) -> There
-        Every(Type([6, 1, 1])) -> There
-        Every(Category([5, 5, 4])) -> There
-        Both(Type([6, 1, 1]), Type([1, 1, 0])) -> There
-        InOrder(Type([6, 1, 1]), Type([1, 1, 0])) -> There
-        One(Type([1, 1, 0])) -> Origin
-        Every(Type([1, 1, 0])) -> Origin
-        InOrder(Type([6, 1, 1]), Type([1, 1, 0])) -> FirstItem
-        InOrder(Type([6, 1, 1]), Type([1, 1, 0])) -> Origin
+        One of Type blue barrel -> There
+        One of Category barrels -> There
+        Every of Type blue barrel -> There
+        Every of Category barrels -> There
+        Both of Type blue barrel, Type orange cone -> There
+        InOrder of Type blue barrel, Type orange cone -> There
+        One of Type orange cone -> Origin
+        Every of Type orange cone -> Origin
+        InOrder of Type blue barrel, Type orange cone -> FirstItem
+        InOrder of Type blue barrel, Type orange cone -> Origin
         a blue barrel is [6, 1, 1]
         an orange cone is [1, 1, 0]
         barrels are [5, 5, 4]
@@ -176,9 +204,9 @@ mod tests {
     #[test]
     fn a_want_is_met_by_its_own_plates() {
         let plate = Plate::new("barrels", "blue barrel");
-        assert!(Want::Type(plate::code("blue barrel")).is_met_by(plate));
-        assert!(Want::Category(plate::code("barrels")).is_met_by(plate));
-        assert!(!Want::Type(plate::code("barrels")).is_met_by(plate));
-        assert!(!Want::Category(plate::code("cones")).is_met_by(plate));
+        assert!(Want::new(Rank::Type, "blue barrel").is_met_by(plate));
+        assert!(Want::new(Rank::Category, "barrels").is_met_by(plate));
+        assert!(!Want::new(Rank::Type, "barrels").is_met_by(plate));
+        assert!(!Want::new(Rank::Category, "cones").is_met_by(plate));
     }
 }

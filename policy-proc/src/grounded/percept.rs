@@ -8,6 +8,7 @@ use std::sync::Arc;
 
 use shm_types::message::FrameId;
 
+use super::barricade;
 use super::sketch::Sketch;
 use crate::FrameView;
 use shm_types::plate::{self, Sighting};
@@ -20,6 +21,8 @@ const MOST_KEPT: usize = 16_384;
 pub(super) struct Percept {
     pub(super) sightings: Vec<Sighting>,
     pub(super) sketch: Sketch,
+    /// Cells with a barricade, as (cells ahead, cells to the right).
+    pub(super) barricades: Vec<(i8, i8)>,
 }
 
 impl Percept {
@@ -27,7 +30,13 @@ impl Percept {
         Self {
             sightings: plate::read(frame.width, frame.height, frame.pixels),
             sketch: Sketch::of(frame),
+            barricades: barricade::read(frame),
         }
+    }
+
+    /// Whether both show something, and the same.
+    pub(super) fn is_like(&self, other: &Self) -> bool {
+        self.sightings == other.sightings && self.sketch.is_like(&other.sketch)
     }
 }
 

@@ -10,12 +10,11 @@ use super::percept::Percept;
 use shm_types::plate::{Landmark, Sighting};
 
 /// Plates that must agree.
-const LEAST_AGREEING: i32 = 3;
+pub(super) const LEAST_AGREEING: i32 = 3;
 
 /// Where `remembered` was taken, given that `current` is what is seen from `here`.
 pub(super) fn pose_of(remembered: &Percept, current: &Percept, here: Pose) -> Option<Pose> {
-    let alike = current.sketch.is_like(&remembered.sketch);
-    if alike && current.sightings == remembered.sightings {
+    if remembered.is_like(current) {
         return Some(here);
     }
     by_landmarks(&remembered.sightings, &current.sightings, here)
@@ -45,7 +44,7 @@ fn by_landmarks(remembered: &[Sighting], current: &[Sighting], here: Pose) -> Op
 }
 
 /// The pose from which `landmark` is seen as `sighting`.
-fn camera_of(sighting: Sighting, landmark: &Landmark) -> Option<Pose> {
+pub(super) fn camera_of(sighting: Sighting, landmark: &Landmark) -> Option<Pose> {
     let heading = landmark.face.turned(-sighting.face);
     let standpoint = Pose { cell: landmark.standpoint, heading };
     Some(Pose { cell: standpoint.cell_at(-sighting.ahead, -sighting.right)?, heading })
@@ -74,7 +73,7 @@ fn support(pose: Pose, remembered: &[Sighting], current: &[Landmark], here: Pose
 }
 
 /// Whether a plate would be read from `camera` unless something stands in between.
-fn is_easily_seen(landmark: &Landmark, camera: Pose) -> bool {
+pub(super) fn is_easily_seen(landmark: &Landmark, camera: Pose) -> bool {
     let (ahead, right) = camera.offset_of(landmark.standpoint);
     match camera.heading.quarters_to(landmark.face) {
         0 => (1..=5).contains(&ahead) && right.abs() <= ahead,

@@ -1,25 +1,89 @@
-//! What is known of the cells around the agent, from the last few steps alone, and ways through them.
+//! What is known of the floor around the agent, and ways over it.
+
+use std::collections::VecDeque;
 
 use shm_types::{Cell, Heading, Pose};
 
 /// Cells to each side of the agent that are looked at.
-const REACH: i16 = 15;
+const REACH: i16 = 31;
 
 /// Cells across: one word has a bit for each.
 const SIDE: usize = 2 * REACH as usize + 1;
 
-/// A square of cells around the agent, of which some are known to be solid. Whatever is not known to
-/// be solid may be walked on: that is found out by trying.
+/// What a step onto a cell costs of which nothing is known: as much as so many on known floor.
+const UNKNOWN: u32 = 8;
+
+/// More than any step costs.
+const DEAREST: usize = 32;
+
+/// A square of cells around the agent, of which some are known to be solid and some known to be floor.
+/// Whatever is not known to be solid may be walked on: that is found out by trying.
 #[derive(Debug, Clone)]
 pub(super) struct Surroundings {
     here: Pose,
-    solid: [u32; SIDE],
-    free: [u32; SIDE],
+    solid: [u64; SIDE],
+    free: [u64; SIDE],
+    doubt: Doubt,
+}
+
+/// Distrust of parts of the floor, of a kind that changes now and then. What has not led to the end for a
+/// long time may be blocked somewhere, which is forgotten once it has left the window; to prefer other ways
+/// for a while is then better than to try the same one again.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash)]
+pub(super) struct Doubt {
+    seed: u64,
+    period: u32,
+}
+
+impl Doubt {
+    /// The doubt of an episode's `step`: none at first, then another for each `patience` steps.
+    pub(super) fn at(step: u32, patience: u32, episode_seed: u64) -> Self {
+        Self { seed: episode_seed, period: step / patience.max(1) }
+    }
+
+    /// What is added to the cost of a step onto `cell`: the same for 4 x 4 cells.
+    fn of(self, cell: Cell) -> u32 {
+        if self.period == 0 {
+            return 0;
+        }
+        let block = u64::from(cell.x / 4) << 32 | u64::from(cell.y / 4) << 16;
+        let mut hash =
+            self.seed ^ (block | u64::from(self.period)).wrapping_mul(0x9e37_79b9_7f4a_7c15);
+        hash = (hash ^ (hash >> 31)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        if (hash >> 40).is_multiple_of(3) { 8 } else { 0 }
+    }
+}
+
+/// A way to somewhere.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Way {
+    /// The first move.
+    pub(super) direction: Heading,
+    /// Cells until the way bends or ends.
+    pub(super) straight: u32,
+    /// Steps.
+    pub(super) length: u32,
+    /// Steps, with those onto unknown and doubtful cells counted more than once.
+    pub(super) cost: u32,
+}
+
+/// The cheapest ways to everywhere from where the agent is.
+#[derive(Debug)]
+pub(super) struct Ways<'a> {
+    ground: &'a Surroundings,
+    reached: Box<[[Reached; SIDE]; SIDE]>,
+}
+
+#[derive(Debug, Clone, Copy, Default)]
+struct Reached {
+    cost: Option<u32>,
+    /// The direction of the last move on the way here.
+    by: Option<Heading>,
 }
 
 impl Surroundings {
-    pub(super) fn new(here: Pose) -> Self {
-        Self { here, solid: [0; SIDE], free: [0; SIDE] }
+    pub(super) fn new(here: Pose, doubt: Doubt) -> Self {
+        Self { here, solid: [0; SIDE], free: [0; SIDE], doubt }
     }
 
     /// Nobody can be on `cell`.
@@ -46,39 +110,46 @@ impl Surroundings {
         self.field(cell).is_some_and(|(x, y)| self.free[y] >> x & 1 == 1)
     }
 
-    /// The first move of a shortest way to `goal` and the way's length: `None` when there is no way, or
-    /// the agent is there. Of equal ways the one that starts forward is taken, then right, left, back.
-    pub(super) fn way_to(&self, goal: Cell) -> Option<(Heading, u32)> {
-        self.field(goal)?;
-        // Backwards from the goal, so that the agent's neighbours know their distances.
-        let mut distance = [[u32::MAX; SIDE]; SIDE];
-        let mut queue = std::collections::VecDeque::from([goal]);
-        let (x, y) = self.field(goal)?;
-        distance[y][x] = 0;
-        while let Some(cell) = queue.pop_front() {
-            let (x, y) = self.field(cell)?;
-            if cell == self.here.cell {
+    /// Ways to everywhere, or as far as the nearest of `goals` if there are any.
+    pub(super) fn ways(&self, goals: &[Cell]) -> Ways<'_> {
+        let mut ways = Ways { ground: self, reached: Box::new([[Reached::default(); SIDE]; SIDE]) };
+        let mut queue: [VecDeque<(Cell, u32)>; DEAREST] = Default::default();
+        let first = [0, 1, 3, 2].map(|quarters| self.here.heading.turned(quarters));
+        queue[0].push_back((self.here.cell, 0));
+        let mut waiting = 1;
+        ways.reach(self.here.cell, 0, None);
+        let mut at = 0;
+        while waiting > 0 {
+            let Some((cell, cost)) = queue[at as usize % DEAREST].pop_front() else {
+                at += 1;
+                continue;
+            };
+            waiting -= 1;
+            if ways.cost(cell) != Some(cost) {
+                continue;
+            }
+            if goals.contains(&cell) {
                 break;
             }
-            let next = distance[y][x] + 1;
-            for neighbour in Heading::ALL.into_iter().filter_map(|heading| cell.step(heading)) {
-                if let Some((x, y)) = self.field(neighbour)
-                    && !self.is_solid(neighbour)
-                    && distance[y][x] == u32::MAX
-                {
-                    distance[y][x] = next;
-                    queue.push_back(neighbour);
+            for heading in first {
+                let Some(next) = cell.step(heading).filter(|&next| !self.is_solid(next)) else {
+                    continue;
+                };
+                let step = if self.is_free(next) { 1 } else { UNKNOWN };
+                let cost = cost + step + self.doubt.of(next);
+                if ways.reach(next, cost, Some(heading)) {
+                    queue[cost as usize % DEAREST].push_back((next, cost));
+                    waiting += 1;
                 }
             }
         }
-        let of = |cell: Cell| self.field(cell).map_or(u32::MAX, |(x, y)| distance[y][x]);
-        let length = of(self.here.cell);
-        let first = [0, 1, 3, 2].map(|quarters| self.here.heading.turned(quarters));
-        let leads = |heading: &Heading| {
-            self.here.cell.step(*heading).is_some_and(|cell| of(cell).saturating_add(1) == length)
-        };
-        (length != u32::MAX && length != 0).then_some(())?;
-        first.into_iter().find(leads).map(|heading| (heading, length))
+        ways
+    }
+
+    /// The cheapest way to `goal`: `None` when there is none, or the agent is there.
+    #[cfg(test)]
+    pub(super) fn way_to(&self, goal: Cell) -> Option<Way> {
+        self.ways(&[goal]).to(goal)
     }
 
     /// Column and row in the square.
@@ -91,41 +162,110 @@ impl Surroundings {
     }
 }
 
+impl Ways<'_> {
+    /// Whether that is news.
+    fn reach(&mut self, cell: Cell, cost: u32, by: Option<Heading>) -> bool {
+        let Some((x, y)) = self.ground.field(cell) else { return false };
+        let reached = &mut self.reached[y][x];
+        let is_news = reached.cost.is_none_or(|known| cost < known);
+        if is_news {
+            *reached = Reached { cost: Some(cost), by };
+        }
+        is_news
+    }
+
+    /// What it costs to get to `cell`.
+    pub(super) fn cost(&self, cell: Cell) -> Option<u32> {
+        self.ground.field(cell).and_then(|(x, y)| self.reached[y][x].cost)
+    }
+
+    /// The cells of the way to `goal`, which is the last one; empty when there is none or the agent is there.
+    pub(super) fn cells_to(&self, goal: Cell) -> Vec<(Heading, Cell)> {
+        let by = |cell| self.ground.field(cell).and_then(|(x, y)| self.reached[y][x].by);
+        let mut cells = Vec::new();
+        let mut cell = goal;
+        while let Some(heading) = by(cell) {
+            cells.push((heading, cell));
+            let Some(before) = cell.step(heading.opposite()) else { break };
+            cell = before;
+        }
+        cells.reverse();
+        cells
+    }
+
+    /// The way to `goal`: `None` when there is none, or the agent is there. Of equal ways one is taken that
+    /// starts forward, else right, left, back.
+    pub(super) fn to(&self, goal: Cell) -> Option<Way> {
+        let cost = self.cost(goal)?;
+        let cells = self.cells_to(goal);
+        let &(direction, _) = cells.first()?;
+        let straight = cells.iter().take_while(|(heading, _)| *heading == direction).count();
+        Some(Way { direction, straight: straight as u32, length: cells.len() as u32, cost })
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    const HERE: Pose = Pose::new(20, 20, Heading::N);
+    const HERE: Pose = Pose::new(40, 40, Heading::N);
 
     fn with_solid(cells: &[(u8, u8)]) -> Surroundings {
-        let mut surroundings = Surroundings::new(HERE);
+        let mut surroundings = Surroundings::new(HERE, Doubt::default());
         cells.iter().for_each(|&(x, y)| surroundings.mark_solid(Cell::new(x, y)));
         surroundings
+    }
+
+    fn way(ground: &Surroundings, x: u8, y: u8) -> Option<(Heading, u32)> {
+        ground.way_to(Cell::new(x, y)).map(|way| (way.direction, way.length))
     }
 
     #[test]
     fn the_way_is_straight_where_nothing_is_known() {
         let empty = with_solid(&[]);
-        assert_eq!(empty.way_to(Cell::new(20, 24)), Some((Heading::N, 4)));
-        assert_eq!(empty.way_to(Cell::new(18, 19)), Some((Heading::W, 3)));
-        assert_eq!(empty.way_to(Cell::new(22, 21)), Some((Heading::N, 3)), "forward first");
-        assert_eq!(empty.way_to(HERE.cell), None);
-        assert_eq!(empty.way_to(Cell::new(20, 36)), None, "out of reach");
+        assert_eq!(way(&empty, 40, 44), Some((Heading::N, 4)));
+        assert_eq!(way(&empty, 38, 39), Some((Heading::W, 3)));
+        assert_eq!(way(&empty, 42, 41), Some((Heading::N, 3)), "forward first");
+        assert_eq!(way(&empty, 40, 40), None);
+        assert_eq!(way(&empty, 40, 72), None, "out of reach");
     }
 
     #[test]
     fn solid_cells_are_walked_around() {
-        let wall = with_solid(&[(19, 21), (20, 21), (21, 21), (21, 20)]);
-        assert_eq!(wall.way_to(Cell::new(20, 22)), Some((Heading::W, 6)));
-        let cell = with_solid(&[(20, 21), (21, 20), (20, 19), (19, 20)]);
-        assert_eq!(cell.way_to(Cell::new(20, 22)), None);
+        let wall = with_solid(&[(39, 41), (40, 41), (41, 41), (41, 40)]);
+        assert_eq!(way(&wall, 40, 42), Some((Heading::W, 6)));
+        let cell = with_solid(&[(40, 41), (41, 40), (40, 39), (39, 40)]);
+        assert_eq!(way(&cell, 40, 42), None);
+    }
+
+    #[test]
+    fn known_floor_is_worth_a_detour() {
+        let mut ground = with_solid(&[]);
+        for (x, y) in [(41, 40), (41, 41), (41, 42), (41, 43)] {
+            ground.mark_free(Cell::new(x, y));
+        }
+        let found = ground.way_to(Cell::new(40, 43)).unwrap();
+        assert_eq!((found.direction, found.straight), (Heading::E, 1));
+        assert_eq!((found.length, found.cost), (5, 4 + UNKNOWN));
+    }
+
+    #[test]
+    fn doubt_comes_with_time_and_changes_with_it() {
+        let cost = |period| {
+            let doubt = Doubt { seed: 5, period };
+            Surroundings::new(HERE, doubt).way_to(Cell::new(50, 60)).unwrap().cost
+        };
+        assert_eq!(cost(0), UNKNOWN * 30);
+        assert_eq!(Doubt::at(49, 50, 5), Doubt { seed: 5, period: 0 });
+        assert!((1..5).any(|period| cost(period) > cost(0)));
+        assert!((1..5).any(|period| cost(period) != cost(period + 1)));
     }
 
     #[test]
     fn the_grid_has_an_edge() {
-        let mut corner = Surroundings::new(Pose::new(0, 0, Heading::S));
+        let mut corner = Surroundings::new(Pose::new(0, 0, Heading::S), Doubt::default());
         corner.mark_solid(Cell::new(0, 1));
-        assert_eq!(corner.way_to(Cell::new(0, 2)), Some((Heading::E, 4)));
+        assert_eq!(way(&corner, 0, 2), Some((Heading::E, 4)));
         corner.mark_solid(Cell::new(200, 200));
         assert!(!corner.is_solid(Cell::new(200, 200)), "too far away to be kept");
     }

@@ -2,7 +2,7 @@
 
 use shm_types::plate::{self, Landmark, Plate};
 use warehouse::sight::sees;
-use warehouse::{Item, Warehouse};
+use warehouse::{Item, Variant, Warehouse};
 
 use crate::views::{Views, poses};
 
@@ -27,7 +27,7 @@ fn plates_are_read_where_they_hang_and_say_what_stands_there() {
         warehouse.items.iter().map(|item| (item, landmark(&warehouse, item))).collect();
     let (mut near, mut found) = (0, 0);
     for pose in poses(&warehouse).into_iter().step_by(EVERY) {
-        let picture = views.of(pose);
+        let picture = views.of(pose, &Variant::UNCHANGED);
         let frame = picture.frame();
         let read: Vec<_> = plate::read(frame.width, frame.height, frame.pixels)
             .into_iter()

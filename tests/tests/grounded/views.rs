@@ -1,10 +1,10 @@
-//! Views of the unchanged world, each rendered once.
+//! Views of the world, each rendered once as long as it is kept.
 
 use std::collections::HashMap;
 use std::sync::Arc;
 
 use policy_proc::FrameView;
-use shm_types::{Heading, Pose};
+use shm_types::{Cell, Heading, Pose};
 use sim_proc::renderer::{RenderSettings, Renderer, View};
 use warehouse::{Variant, Warehouse};
 
@@ -49,23 +49,34 @@ impl Picture {
 pub(crate) struct Views {
     renderer: Renderer,
     rendered: HashMap<Pose, Arc<Picture>>,
+    /// With barricades on these cells.
+    closed: Vec<Cell>,
+    rendered_closed: HashMap<Pose, Arc<Picture>>,
+    last_id: u64,
 }
 
 impl Views {
     pub(crate) fn new(warehouse: &Warehouse) -> Self {
         let renderer = Renderer::new(warehouse, RenderSettings::default()).unwrap();
-        Self { renderer, rendered: HashMap::new() }
+        let (rendered, rendered_closed) = Default::default();
+        Self { renderer, rendered, closed: Vec::new(), rendered_closed, last_id: 0 }
     }
 
-    pub(crate) fn of(&mut self, pose: Pose) -> Arc<Picture> {
-        let next_id = self.rendered.len() as u64 + 1;
+    pub(crate) fn of(&mut self, pose: Pose, variant: &Variant) -> Arc<Picture> {
+        // Views of one world at a time are kept beside those of the unchanged one: they are large.
+        if !variant.closed().is_empty() && self.closed != variant.closed() {
+            self.rendered_closed.clear();
+            self.closed = variant.closed().to_vec();
+        }
+        let is_changed = !variant.closed().is_empty();
+        let rendered = if is_changed { &mut self.rendered_closed } else { &mut self.rendered };
         let render = || {
-            let view = View { pose, variant: &Variant::UNCHANGED };
-            let image = self.renderer.render_image(view).unwrap();
+            let image = self.renderer.render_image(View { pose, variant }).unwrap();
             let (width, height) = image.dimensions();
-            Arc::new(Picture::new(next_id, width, height, image.into_raw()))
+            self.last_id += 1;
+            Arc::new(Picture::new(self.last_id, width, height, image.into_raw()))
         };
-        Arc::clone(self.rendered.entry(pose).or_insert_with(render))
+        Arc::clone(rendered.entry(pose).or_insert_with(render))
     }
 }
 

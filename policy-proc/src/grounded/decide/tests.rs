@@ -1,11 +1,13 @@
 use proptest::prelude::*;
+use shm_types::message::DocumentKind;
 use shm_types::{Feedback, Heading};
 
 use super::*;
 use shm_types::plate::painter::{Aisle, Picture};
 
+use crate::grounded::geometry::after;
 use crate::grounded::testing::view;
-use crate::{FrameView, PastView, Segment, SegmentView};
+use crate::{DocumentView, FrameView, PastView, Segment, SegmentView, Trajectory, TrajectoryView};
 
 /// A request in the making: pictures of the aisle from the poses that are told.
 struct Ask {
@@ -17,6 +19,10 @@ struct Ask {
     past: Vec<(Pose, Action, Feedback)>,
     /// What is remembered: where from, and what the expert did there.
     remembered: Vec<(Pose, Option<Action>)>,
+    /// A whole demonstration, all its views keyframes.
+    demonstration: Vec<(Pose, Option<Action>)>,
+    document: String,
+    hint: bool,
     blank: bool,
 }
 
@@ -24,11 +30,14 @@ impl Ask {
     fn at(pose: Pose) -> Self {
         Self {
             instruction: "Find a fork lift.".to_owned(),
-            step: 50,
+            step: 20,
             seed: 1,
             pose,
             past: Vec::new(),
             remembered: Vec::new(),
+            demonstration: Vec::new(),
+            document: String::new(),
+            hint: false,
             blank: false,
         }
     }
@@ -45,6 +54,14 @@ impl Ask {
         Self { remembered: remembered.to_vec(), ..self }
     }
 
+    fn told(self, document: &str) -> Self {
+        Self { document: document.to_owned(), ..self }
+    }
+
+    fn shown(self, demonstration: &[(Pose, Option<Action>)]) -> Self {
+        Self { demonstration: demonstration.to_vec(), ..self }
+    }
+
     /// The decision; the same whatever the frames' ids.
     fn action(&self) -> Action {
         let first = self.action_with_ids(1);
@@ -55,12 +72,14 @@ impl Ask {
     fn action_with_ids(&self, first_id: u64) -> Action {
         let aisle = Aisle::new();
         let poses = self.past.iter().map(|past| past.0);
-        let poses = poses.chain(self.remembered.iter().map(|view| view.0)).chain([self.pose]);
+        let poses = poses.chain(self.remembered.iter().map(|view| view.0));
+        let poses = poses.chain(self.demonstration.iter().map(|view| view.0)).chain([self.pose]);
         let pictures: Vec<_> = poses.map(|pose| aisle.picture(pose)).collect();
         let views: Vec<_> =
             (first_id..).zip(&pictures).map(|(id, picture)| view(picture, id)).collect();
         let (past, views) = views.split_at(self.past.len());
-        let (remembered, current) = views.split_at(self.remembered.len());
+        let (remembered, views) = views.split_at(self.remembered.len());
+        let (demonstration, current) = views.split_at(self.demonstration.len());
         let window: Vec<_> = past
             .iter()
             .zip(&self.past)
@@ -75,6 +94,14 @@ impl Ask {
             .zip(&self.remembered)
             .map(|(&frame, &(_, action))| SegmentView { frame, action })
             .collect();
+        let whole: Vec<_> = demonstration
+            .iter()
+            .zip(&self.demonstration)
+            .map(|(&frame, &(_, action))| TrajectoryView { frame: Some(frame), action })
+            .collect();
+        let trajectory = [Trajectory { steps: &whole }];
+        let document =
+            [DocumentView { id: first_id, kind: DocumentKind::Summary, text: &self.document }];
         let grey = [128; 64 * 64 * 4];
         let blank = FrameView { id: first_id + 500, width: 64, height: 64, pixels: &grey };
         let request = Request {
@@ -87,11 +114,11 @@ impl Ask {
             frame: if self.blank { blank } else { current[0] },
             window: &window,
             segment: (!steps.is_empty()).then_some(Segment { distance: 0.0, steps: &steps }),
-            documents: &[],
-            trajectories: &[],
-            starts_as_demonstrated: false,
+            documents: if self.document.is_empty() { &[] } else { &document },
+            trajectories: if whole.is_empty() { &[] } else { &trajectory },
+            starts_as_demonstrated: self.hint,
         };
-        action(&request, &mut Percepts::default())
+        action(&request, &mut Mind::default())
     }
 }
 
@@ -100,8 +127,20 @@ const HERE: Pose = Pose::new(10, 12, Heading::N);
 #[test]
 fn memory_that_fits_is_followed() {
     for expert in Action::ALL {
-        let ask = Ask::at(HERE).remembering(&[(HERE, Some(expert)), (HERE, None)]);
+        let there = after(HERE, expert).unwrap();
+        let ask = Ask::at(HERE).remembering(&[(HERE, Some(expert)), (there, None)]);
         assert_eq!(ask.action(), expert);
+    }
+}
+
+#[test]
+fn turns_between_images_alone_are_told_by_the_plates_they_show() {
+    for turn in [Action::TurnLeft, Action::TurnRight, Action::TurnAround] {
+        let came =
+            [10, 11].map(|y| (Pose::new(10, y, Heading::N), Action::Forward, Feedback::Moved));
+        let there = after(HERE, turn).unwrap();
+        let ask = Ask::at(HERE).after(&came).remembering(&[(HERE, None), (there, None)]);
+        assert_eq!(ask.action(), turn);
     }
 }
 
@@ -125,11 +164,11 @@ fn nothing_is_followed_and_nowhere_walked_when_nothing_is_seen() {
 fn a_remembered_path_is_joined_where_it_is_near() {
     let path = |heading| {
         let ahead = Pose { heading, ..Pose::new(11, 13, Heading::N) };
-        [(ahead, Some(Action::Forward)), (ahead, None)]
+        [(ahead, Some(Action::Forward)), (after(ahead, Action::Forward).unwrap(), None)]
     };
     assert_eq!(Ask::at(HERE).remembering(&path(Heading::N)).action(), Action::Forward);
     let beside = Pose::new(11, 12, Heading::N);
-    let path = [(beside, Some(Action::Forward)), (beside, None)];
+    let path = [(beside, Some(Action::Forward)), (Pose::new(11, 13, Heading::N), None)];
     let ask = Ask::at(HERE).remembering(&path);
     assert_eq!(ask.action(), Action::Right);
 }
@@ -176,6 +215,94 @@ fn orders_are_kept_as_far_as_the_window_tells() {
     assert_eq!(on_barrel_13(revisit).action(), Action::Right);
     let every = "Visit every item of the category barrels in the warehouse.";
     assert_eq!(on_barrel_13(every).action(), Action::Forward, "not the one stood on");
+}
+
+/// North along the aisle from (10, 11), then a look to the west.
+fn demonstration() -> Vec<(Pose, Option<Action>)> {
+    let ahead = (11..15).map(|y| (Pose::new(10, y, Heading::N), Some(Action::Forward)));
+    let end = Pose::new(10, 15, Heading::N);
+    let looks = [(end, Some(Action::TurnLeft)), (Pose { heading: Heading::W, ..end }, None)];
+    ahead.chain(looks).collect()
+}
+
+#[test]
+fn a_whole_demonstration_is_followed_where_it_is_recognised() {
+    for (pose, action) in demonstration() {
+        if let Some(action) = action {
+            assert_eq!(Ask::at(pose).shown(&demonstration()).action(), action, "at {pose}");
+        }
+    }
+    let elsewhere: Vec<_> = demonstration()
+        .into_iter()
+        .map(|(pose, action)| (Pose::new(11, 12, pose.heading.opposite()), action))
+        .collect();
+    assert_eq!(Ask::at(HERE).shown(&elsewhere).action(), Ask::at(HERE).action());
+}
+
+#[test]
+fn a_demonstration_recognised_nearby_is_joined() {
+    let ask = Ask::at(Pose::new(11, 12, Heading::N)).for_the("Visit a cones 11, then a cones 15.");
+    let joined = ask.shown(&demonstration()).action();
+    assert_eq!(joined, Action::Left);
+}
+
+#[test]
+fn the_hint_is_believed_unless_what_is_seen_speaks_against_it() {
+    // Only the last views are keyframes in effect: the first shows another place.
+    let start = Pose::new(10, 11, Heading::S);
+    let walk = [(start, Some(Action::TurnAround)), (Pose::new(10, 11, Heading::N), None)];
+    let at_start = |hint| Ask { hint, step: 0, ..Ask::at(start).shown(&walk) };
+    assert_eq!(at_start(true).action(), Action::TurnAround);
+    let elsewhere =
+        Ask { hint: true, step: 0, ..Ask::at(Pose::new(10, 16, Heading::N)).shown(&walk) };
+    let unaided =
+        Ask { hint: false, step: 0, ..Ask::at(Pose::new(10, 16, Heading::N)).shown(&walk) };
+    assert_eq!(elsewhere.action(), unaided.action());
+}
+
+#[test]
+fn what_a_document_tells_is_walked_to_over_what_it_calls_floor() {
+    let text =
+        "## Items\n- fork lift: stand at (10, 22) facing N\n## Passages\n- column 10: rows 10-30\n";
+    assert_eq!(Ask::at(HERE).told(text).action(), Action::Forward);
+    let south = text.replace("(10, 22)", "(10, 10)");
+    assert_eq!(Ask::at(HERE).told(&south).action(), Action::Backward, "too near for a turn");
+    let far = text.replace("(10, 22)", "(10, 4)");
+    assert_eq!(Ask::at(HERE).told(&far).action(), Action::TurnAround);
+    let around = "- fork lift: stand at (13, 12)\n- column 10: rows 10-15\nrow 15: columns 10-13\n\
+                  column 13: rows 12-15 are passages";
+    let around = format!("## Passages\n{around}");
+    assert_eq!(Ask::at(HERE).told(&around).action(), Action::Forward, "nothing but racks between");
+}
+
+#[test]
+fn a_way_told_is_left_where_it_is_blocked() {
+    let text =
+        "- fork lift: stand at (10, 22) facing N\n## Passages\n- columns 10-11: rows 10-30\n";
+    let hit = (HERE, Action::Forward, Feedback::Blocked);
+    assert_eq!(Ask::at(HERE).after(&[hit]).told(text).action(), Action::Right);
+}
+
+#[test]
+fn where_a_kind_stands_is_gone_to_and_looked_at() {
+    let text = "## Layout\n- corridor: columns 10-11, rows 4-30\n## Where\n- fork lifts: columns 9-12, rows 24-27; seen there: fork lift\n";
+    assert_eq!(Ask::at(HERE).told(text).action(), Action::Forward);
+    let turned = Ask::at(Pose { heading: Heading::S, ..HERE }).told(text);
+    assert_eq!(turned.action(), Action::TurnAround);
+}
+
+#[test]
+fn a_route_for_the_same_task_is_followed() {
+    let text = "- \"Visit a fork lift, then a truck.\" from (10, 11) facing N: north 3 to (10, 14), east 1 to (11, 14); reached fork lift at (11, 14).";
+    let on_it = |x, y, heading| {
+        Ask::at(Pose::new(x, y, heading))
+            .for_the("Visit a fork lift, then a truck.")
+            .told(text)
+            .action()
+    };
+    assert_eq!(on_it(10, 12, Heading::N), Action::Forward);
+    assert_eq!(on_it(10, 14, Heading::N), Action::TurnRight);
+    assert_eq!(on_it(10, 14, Heading::E), Action::Forward);
 }
 
 fn pose() -> impl Strategy<Value = Pose> {
@@ -239,7 +366,7 @@ proptest! {
                 trajectories: &[],
                 starts_as_demonstrated: false,
             };
-            action(&request, &mut Percepts::default());
+            action(&request, &mut Mind::default());
         }
     }
 }

@@ -1,0 +1,122 @@
+//! Barricades in a picture: three boards, striped red and white, one above the other.
+//!
+//! Where a barricade's boards would be drawn if one stood on a given cell is known from the camera alone, so
+//! each cell ahead is looked at in turn. Nothing else in the world is striped at these three heights; what is
+//! partly hidden is not seen.
+
+use shm_types::camera::{CAMERA_HEIGHT_M, focal_length_px};
+
+use crate::FrameView;
+
+/// Heights of the boards' middles above the floor, in metres, upwards.
+const BOARDS_M: [f32; 3] = [0.33, 0.73, 1.13];
+
+/// Heights between and above the boards, where there is none.
+const GAPS_M: [f32; 2] = [0.53, 0.93];
+
+/// How far the boards stand behind the cell's edge, in metres.
+const SETBACK_M: f32 = 0.10;
+
+/// Farthest cell ahead that is looked at.
+const FARTHEST: i8 = 6;
+
+/// Points that are looked at on each board.
+const POINTS: usize = 24;
+
+/// Cells with a barricade that faces the camera, as (cells ahead, cells to the right).
+pub(super) fn read(frame: &FrameView<'_>) -> Vec<(i8, i8)> {
+    let ahead = 1..=FARTHEST;
+    let cells = ahead.flat_map(|ahead| (-ahead..=ahead).map(move |right| (ahead, right)));
+    cells.filter(|&(ahead, right)| stands_on(frame, ahead, right)).collect()
+}
+
+fn stands_on(frame: &FrameView<'_>, ahead: i8, right: i8) -> bool {
+    // Of the nearest cell the lowest board is below the picture.
+    let boards = &BOARDS_M[usize::from(ahead == 1)..];
+    let gaps = &GAPS_M[usize::from(ahead == 1)..];
+    boards.iter().all(|&height| {
+        let (mut red, mut white) = (0, 0);
+        for colour in along(frame, ahead, right, height) {
+            red += usize::from(is_red(colour));
+            white += usize::from(is_white(colour));
+        }
+        3 * red >= POINTS && 4 * white >= POINTS
+    }) && gaps.iter().all(|&height| {
+        let red = along(frame, ahead, right, height).filter(|&colour| is_red(colour)).count();
+        6 * red < POINTS
+    })
+}
+
+/// The colours on a line across a cell's barricade.
+fn along<'a>(
+    frame: &'a FrameView<'_>,
+    ahead: i8,
+    right: i8,
+    height_m: f32,
+) -> impl Iterator<Item = [u8; 3]> + 'a {
+    let focal = focal_length_px(frame.width);
+    let scale = focal / (f32::from(ahead) - 0.5 + SETBACK_M);
+    let y = frame.height as f32 / 2.0 + scale * (CAMERA_HEIGHT_M - height_m);
+    (0..POINTS).map(move |i| {
+        let across = f32::from(right) - 0.5 + (i as f32 + 0.5) / POINTS as f32;
+        let x = frame.width as f32 / 2.0 + scale * across;
+        if x < 0.0 || y < 0.0 { [0; 3] } else { frame.rgb(x as u32, y as u32) }
+    })
+}
+
+fn is_red([red, green, blue]: [u8; 3]) -> bool {
+    red > 100 && green < 70 && blue < 70
+}
+
+fn is_white([red, green, blue]: [u8; 3]) -> bool {
+    red.min(green).min(blue) > 120
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::grounded::testing::view;
+    use shm_types::plate::painter::{Aisle, Picture};
+    use shm_types::{Heading, Pose};
+
+    /// A picture with a barricade on the cell, painted as the camera sees it.
+    fn with_barricade(ahead: i8, right: i8) -> Vec<u8> {
+        let side = 448_u32;
+        let mut pixels = Picture::background(side, 3).pixels().to_vec();
+        let focal = focal_length_px(side);
+        let scale = focal / (f32::from(ahead) - 0.5 + SETBACK_M);
+        for y in side / 2..side {
+            for x in 0..side {
+                let height = CAMERA_HEIGHT_M - (y as f32 + 0.5 - 224.0) / scale;
+                let across = (x as f32 + 0.5 - 224.0) / scale - f32::from(right);
+                let on_board = BOARDS_M.iter().any(|board| (height - board).abs() < 0.11);
+                if !on_board || across.abs() > 0.5 {
+                    continue;
+                }
+                let is_red = ((across + height + 8.0) / 0.125) as i32 % 2 == 0;
+                let at = 4 * (y * side + x) as usize;
+                let colour = if is_red { [214, 28, 30] } else { [246, 246, 244] };
+                pixels[at..at + 3].copy_from_slice(&colour);
+            }
+        }
+        pixels
+    }
+
+    #[test]
+    fn a_barricade_is_seen_where_it_stands() {
+        for (ahead, right) in [(1, 0), (2, -1), (3, 1), (5, 0)] {
+            let pixels = with_barricade(ahead, right);
+            let frame = FrameView { id: 1, width: 448, height: 448, pixels: &pixels };
+            assert_eq!(read(&frame), [(ahead, right)]);
+        }
+    }
+
+    #[test]
+    fn nothing_else_is_taken_for_one() {
+        let aisle = Aisle::new().picture(Pose::new(10, 12, Heading::N));
+        assert_eq!(read(&view(&aisle, 1)), []);
+        for pixels in [vec![128; 64 * 64 * 4], Vec::new()] {
+            assert_eq!(read(&FrameView { id: 1, width: 64, height: 64, pixels: &pixels }), []);
+        }
+    }
+}
