@@ -125,6 +125,6 @@ fn ask(arguments: AskArguments) -> anyhow::Result<()> {
     let client = Client::new(endpoint, Settings { model, timeout, max_retries });
     match pipe::run(&client, io::stdin().lock(), io::stdout().lock())? {
         0 => Ok(()),
-        failed => bail!("{failed} questions got no reply; their lines say why"),
+        failed => bail!("questions without a reply: {failed}; their lines say why"),
     }
 }

@@ -77,7 +77,7 @@ fn a_question_without_a_reply_is_an_error_line_and_the_rest_goes_on() {
     assert!(errors[1].contains("this line is no question"), "{errors:?}");
     assert_eq!(lines[2]["text"], "North.");
     let printed = String::from_utf8_lossy(&output.stderr).into_owned() + &errors.concat();
-    assert!(printed.contains("2 questions got no reply") && !printed.contains("very-secret"));
+    assert!(printed.contains("questions without a reply: 2") && !printed.contains("very-secret"));
 }
 
 #[test]

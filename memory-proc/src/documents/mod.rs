@@ -78,7 +78,7 @@ pub struct Account {
     /// Requests that were answered, those of earlier attempts that this one could use included.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub requests: Option<u64>,
-    /// Answers among them that were cut off at their bound, and used up to their last whole line.
+    /// Answers among them that were cut off at their bound, and used up to their last whole line or sentence.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub cut_off: Option<u64>,
     /// Tokens of all prompts.

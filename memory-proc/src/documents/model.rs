@@ -250,7 +250,7 @@ impl Work<'_> {
         self.account.add(&reply);
         if reply.outcome == Outcome::Length {
             tracing::warn!(
-                "an answer at the stage `{}` reached its {} tokens; its last line is left out",
+                "an answer at the stage `{}` reached its {} tokens; the end of it is left out",
                 stage.name(),
                 request.max_tokens
             );
@@ -267,19 +267,20 @@ fn usable(reply: Reply) -> Result<Reply, ChatError> {
         (Outcome::Text | Outcome::Length, Some(_)) => return Ok(reply),
         (Outcome::Text, None) => "the model's answer has no text in it".to_owned(),
         (Outcome::Length, None) => {
-            "the model's answer was cut off before its first line ended: let it have more tokens"
+            "the model's answer was cut off before its first sentence ended: let it have more tokens"
                 .to_owned()
         }
     };
     Err(ChatError::NoReply(format!("{problem}; start again, or ask another model")))
 }
 
-/// What a reply says: without a fence around it, and of one that was cut off its whole lines. `None` when nothing
-/// is left.
+/// What a reply says: without a fence around it, and of one that was cut off its whole lines, or, when it has but
+/// one, its whole sentences. `None` when nothing is left.
 fn text_of(reply: &Reply) -> Option<&str> {
     let mut text = reply.text.trim();
     if reply.outcome == Outcome::Length {
-        (text, _) = text.rsplit_once('\n')?;
+        let end = text.rfind('\n').or_else(|| Some(text.rfind(". ")? + 1))?;
+        text = &text[..end];
     }
     if let Some(inside) = text.strip_prefix("```") {
         // The rest of the first line names a language.

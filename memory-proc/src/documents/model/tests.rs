@@ -238,7 +238,7 @@ fn an_answer_that_is_none_fails_the_build_and_is_not_kept() {
         (Outcome::Empty, "", "answered with nothing"),
         (Outcome::Refusal, "No.", "refused to answer: \"No.\""),
         (Outcome::Text, "```\n```", "has no text in it"),
-        (Outcome::Length, "# Summ", "cut off before its first line ended"),
+        (Outcome::Length, "# Summ", "cut off before its first sentence ended"),
     ] {
         let (bench, settings) = (Bench::new(), room_for(Stage::Summary, 9, 60));
         let script = |_, _: &Request| Ok(Reply { outcome, ..says(text) });
@@ -256,6 +256,7 @@ fn what_models_wrap_around_an_answer_is_taken_off() {
         (Outcome::Text, "```markdown\n# A\nb\n```\n", Some("# A\nb")),
         (Outcome::Length, "```\n# A\nb\nhal", Some("# A\nb")),
         (Outcome::Length, "# A\nb\nhal", Some("# A\nb")),
+        (Outcome::Length, "A. B. hal", Some("A. B.")),
         (Outcome::Length, "half", None),
         (Outcome::Text, "```", None),
     ] {
