@@ -156,11 +156,17 @@ impl Drop for Running {
 
 #[cfg(test)]
 mod tests {
+    use std::sync::{Mutex, PoisonError};
+
     use super::super::chat::{Message, Speaker};
     use super::*;
 
+    /// A file that is being written cannot be started, and a child of another test may hold it open.
+    static ONE_AT_A_TIME: Mutex<()> = Mutex::new(());
+
     /// The outcome of two questions to a child that is a shell script.
     fn asked(script: &str) -> [Result<Reply, ChatError>; 2] {
+        let _alone = ONE_AT_A_TIME.lock().unwrap_or_else(PoisonError::into_inner);
         let folder = tempfile::tempdir().unwrap();
         let program = folder.path().join("policy-proc");
         std::fs::write(&program, format!("#!/bin/sh\n{script}\n")).unwrap();
