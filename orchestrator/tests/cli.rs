@@ -172,7 +172,7 @@ fn a_dry_run_counts_and_touches_nothing() {
     let output = memtransfer(dir.path(), "run --dry-run --limit 10 --runs 2");
     assert_eq!(output.status.code(), Some(0));
     let said = text(&output.stdout);
-    assert!(said.contains("80 of 80 episodes of 4 conditions would run"), "{said}");
+    assert!(said.contains("240 of 240 episodes of 12 conditions would run"), "{said}");
     for (arguments, counted) in [
         ("--suite paper", "17500 of 17500 episodes of 53 conditions"),
         ("--suite paper --policy expert", "300 of 300 episodes of 3 conditions"),

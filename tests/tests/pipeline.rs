@@ -9,10 +9,10 @@ use memtransfer_tests::{
 };
 use serde_json::Value;
 
-/// Cases of five task types that differ: single, exhaustive, unordered, return, revisit.
-const FEW_CASES: &str = "t01-01,t03-02,t05-03,t07-04,t09-05";
+/// Cases of three task types that differ: single, exhaustive, revisit.
+const FEW_CASES: &str = "t01-01,t03-02,t09-05";
 
-/// `memtransfer run` over a few cases, both memories and both starts.
+/// `memtransfer run` over a few cases, all memories and both starts.
 fn slice<'a>(out: &'a str, lanes: &'a str) -> Vec<&'a str> {
     let mut args = vec!["run", "--suite", "quick", "--policy", "grounded", "--cases", FEW_CASES];
     args.extend(["--lanes", lanes, "--out", out]);
@@ -23,7 +23,7 @@ fn slice<'a>(out: &'a str, lanes: &'a str) -> Vec<&'a str> {
 fn reference(bench: &Bench) -> Vec<String> {
     bench.run(&slice("reference", "1")).expect(0);
     let log = sorted_log(&bench.out("reference"));
-    assert_eq!(log.len(), 20);
+    assert_eq!(log.len(), 36);
     log
 }
 
@@ -74,7 +74,7 @@ fn mid_run(run: &Path) {
 #[test]
 fn the_expert_is_perfect_and_the_random_policy_is_not() {
     let bench = Bench::new();
-    let all = ["--memory", "working", "--starts", "original,new", "--routes", "unchanged,blocked"];
+    let all = ["--limit", "100", "--starts", "original,new", "--routes", "unchanged,blocked"];
     let expert = [&["run", "--policy", "expert", "--out", "expert"][..], &all[..]].concat();
     bench.run(&expert).expect(0);
     let walked = records(&bench.out("expert"));
