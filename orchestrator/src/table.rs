@@ -25,6 +25,9 @@ const LINES: TableStyle = TableStyle::new()
 /// The stages that a table of time names; the others are the way between processes.
 pub(crate) const WORK: [&str; 5] = ["dynamics", "render", "embed", "search", "decide"];
 
+/// With more conditions than these the table of results has gaps.
+const LONG: usize = 12;
+
 /// Everything that is printed at the end of a run, from its log alone.
 pub fn report(log: &RunLog) -> String {
     let scores = score(log);
@@ -53,8 +56,14 @@ fn results(scores: &Scores) -> Table {
     let words = header.len();
     header.extend(["episodes", "SR %", "95 % CI", "SPL", "steps", "images/req"]);
     let mut table = table(&header, words);
+    let mut last = None;
     for score in &scores.conditions {
         let condition = score.condition;
+        // A long table needs air between the memories.
+        if scores.conditions.len() > LONG && last.is_some_and(|last| last != condition.memory) {
+            table.add_row([""]);
+        }
+        last = Some(condition.memory);
         let mut row = vec![
             condition.memory.to_string(),
             condition.start.to_string(),
@@ -90,9 +99,7 @@ fn blocked(scores: &Scores) -> Option<Table> {
             score.condition.demonstrations.to_string(),
             spread(found.follow, 1),
             spread(found.recovery, 1),
-            found
-                .change
-                .map_or_else(|| ABSENT.to_owned(), |change| format!("{:+.1}", change.value)),
+            found.change.map_or_else(|| ABSENT.to_owned(), |change| difference(change.value, 1)),
             interval(found.change.and_then(|change| change.interval), 1),
             figure(found.retention.map(|retention| retention.value), 2),
         ]);
@@ -197,8 +204,7 @@ pub fn comparisons(compared: &[Comparison]) -> String {
     let mut table = table(&header, 2);
     for one in compared {
         let Comparison { a, b, cases, sr, spl, more_under_a, more_under_b, p } = one;
-        let signed =
-            |Difference { mean, .. }: &Difference, digits: usize| format!("{mean:+.digits$}");
+        let signed = |one: &Difference, digits: usize| difference(one.mean, digits);
         table.add_row([
             a.clone(),
             b.clone(),
@@ -217,6 +223,11 @@ pub fn comparisons(compared: &[Comparison]) -> String {
          cases paired.\nA better, B better: cases that succeed more often there; p: exact two-sided sign test on \
          these counts\n(McNemar's exact test where there is one run each), not corrected for the number of rows.\n"
     )
+}
+
+/// A difference with its sign; none where it is nothing.
+fn difference(value: f64, digits: usize) -> String {
+    if value == 0.0 { format!("{value:.digits$}") } else { format!("{value:+.digits$}") }
 }
 
 /// A p value as it is printed: never as zero.

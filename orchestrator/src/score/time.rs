@@ -6,6 +6,7 @@ use serde::Serialize;
 
 use crate::log::{EpisodeTimings, RunLog, Stages};
 use shm_types::Representation;
+use shm_types::representation::Trajectories;
 
 /// Where the time of a step went, in microseconds.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -55,11 +56,11 @@ impl StageTimes {
 }
 
 /// Whether a step under `memory` has the stage. Where no policy is `asked` (the expert) there is nothing to
-/// wait for after the view.
+/// wait for after the view; where no view is looked up, nothing is embedded and searched.
 pub(super) fn exists(stage: &str, memory: Representation, asked: bool) -> bool {
     match stage {
         "command" | "dynamics" | "render" => true,
-        "embed" | "search" => asked && memory.uses_demonstrations(),
+        "embed" | "search" => asked && memory.describe().trajectories == Trajectories::Segment,
         _ => asked,
     }
 }

@@ -16,10 +16,10 @@ pub(super) fn blocks(view: &View<'_>) -> Result<Vec<Block>, PlotError> {
         "SR %",
         "SPL",
         "Steps",
-        "Images/request",
-        "Mtok/100",
+        "Images",
+        "Mtok",
         "Unreadable %",
-        "From other tasks, %",
+        "Other tasks %",
     ];
     let row = |score: &ConditionScore| Row {
         label: score.condition.to_string(),
@@ -44,8 +44,9 @@ pub(super) fn blocks(view: &View<'_>) -> Result<Vec<Block>, PlotError> {
     let table = Table {
         id: view.id("conditions"),
         caption: "Every condition that was run, written memory/start/route/demonstrations and what departs from the \
-                  standard. SR and SPL: mean ± standard deviation over runs and 95 % interval; the rest: means. The \
-                  files conditions.csv and conditions.parquet hold every figure in full."
+                  standard. SR and SPL: mean ± standard deviation over runs and 95 % interval; the rest: means. Images: \
+                  a request. Mtok: million tokens per 100 cases. Other tasks: retrievals that came from another task's \
+                  history. The files conditions.csv and conditions.parquet hold every figure in full."
             .to_owned(),
         stubs: vec!["Condition".to_owned()],
         columns: columns.map(Column::new).to_vec(),
