@@ -199,15 +199,21 @@ fn remarks(log: &RunLog, scores: &Scores) -> Vec<String> {
 
 /// Paired comparisons, a row each, under the names of their two sides.
 pub fn comparisons(compared: &[Comparison]) -> String {
-    let header =
-        ["A", "B", "cases", "SR A-B", "95 % CI", "SPL A-B", "95 % CI", "A better", "B better", "p"];
-    let mut table = table(&header, 2);
+    // Two runs under the same conditions: the runs' names once, below.
+    let shared: Option<Vec<_>> = compared.iter().map(shared_condition).collect();
+    let mut header = if shared.is_some() { vec!["condition"] } else { vec!["A", "B"] };
+    let words = header.len();
+    let figures = ["SR A-B", "95 % CI", "SPL A-B", "95 % CI", "A better", "B better", "p"];
+    header.extend(["cases"].into_iter().chain(figures));
+    let mut table = table(&header, words);
     for one in compared {
         let Comparison { a, b, cases, sr, spl, more_under_a, more_under_b, p } = one;
         let signed = |one: &Difference, digits: usize| difference(one.mean, digits);
-        table.add_row([
-            a.clone(),
-            b.clone(),
+        let names = match shared_condition(one).filter(|_| shared.is_some()) {
+            Some((_, _, condition)) => vec![condition.to_owned()],
+            None => vec![a.clone(), b.clone()],
+        };
+        table.add_row(names.into_iter().chain([
             cases.to_string(),
             signed(sr, 1),
             interval(sr.interval, 1),
@@ -216,13 +222,23 @@ pub fn comparisons(compared: &[Comparison]) -> String {
             more_under_a.to_string(),
             more_under_b.to_string(),
             p_value(*p),
-        ]);
+        ]));
     }
+    let sides =
+        shared.and_then(|shared| shared.first().map(|(a, b, _)| format!("A: {a}, B: {b}.\n")));
     format!(
-        "{table}\n\nDifferences are means over the cases that both have (SR in percentage points); CI: bootstrap, \
+        "{table}\n\n{}Differences are means over the cases that both have (SR in percentage points); CI: bootstrap, \
          cases paired.\nA better, B better: cases that succeed more often there; p: exact two-sided sign test on \
-         these counts\n(McNemar's exact test where there is one run each), not corrected for the number of rows.\n"
+         these counts\n(McNemar's exact test where there is one run each), not corrected for the number of rows.\n",
+        sides.unwrap_or_default()
     )
+}
+
+/// The names of two runs and the condition that they are compared under, if it is one.
+fn shared_condition(compared: &Comparison) -> Option<(&str, &str, &str)> {
+    let (run_a, a) = compared.a.rsplit_once(": ")?;
+    let (run_b, b) = compared.b.rsplit_once(": ")?;
+    (a == b).then_some((run_a, run_b, a))
 }
 
 /// A difference with its sign; none where it is nothing.
@@ -272,6 +288,28 @@ mod tests {
     use crate::log::testing::{manifest, record, timings};
     use crate::plan::EpisodeKey;
     use shm_types::Representation;
+
+    #[test]
+    fn two_runs_are_named_once_and_two_conditions_in_each_row() {
+        let nothing = Difference { mean: 0.0, interval: None };
+        let of = |a: &str, b: &str| Comparison {
+            a: a.to_owned(),
+            b: b.to_owned(),
+            cases: 3,
+            sr: Difference { mean: -50.0, interval: Some(Interval { low: -90.0, high: 0.0 }) },
+            spl: nothing,
+            more_under_a: 0,
+            more_under_b: 9,
+            p: 0.0004,
+        };
+        let pair = "working/new/unchanged/none";
+        insta::assert_snapshot!(comparisons(&[of(&format!("r1: {pair}"), &format!("r2: {pair}"))]));
+        let text = comparisons(&[of("one", "two")]);
+        assert!(
+            text.contains(" one ") && text.contains(" two ") && !text.contains("A: "),
+            "{text}"
+        );
+    }
 
     #[test]
     fn a_report_says_what_ran_and_what_it_is_worth() {

@@ -4,6 +4,7 @@ use super::pairs::{cells, columns};
 use crate::compare::{compare_runs, run_name};
 use crate::report::document::{Block, Cell, Column, Group, Row, Section, Table};
 use crate::report::view::View;
+use crate::table;
 
 /// The sections about all of the runs together.
 pub(in crate::report) fn runs(views: &[View<'_>]) -> Vec<Section> {
@@ -18,14 +19,18 @@ pub(in crate::report) fn runs(views: &[View<'_>]) -> Vec<Section> {
         ];
         Row { label: run_name(view.log), published: false, cells: facts.map(Cell::Value).to_vec() }
     };
-    let table = Table {
+    let overview = Table {
         id: "runs".to_owned(),
         caption: "The runs of this report. Each has its own sections below.".to_owned(),
         stubs: vec!["Run".to_owned()],
         columns: ["Policy", "Suite", "Frames", "Conditions", "Episodes"].map(Column::new).to_vec(),
         groups: vec![Group { label: None, rows: views.iter().map(row).collect() }],
     };
-    let mut blocks = vec![Block::Table(table)];
+    let standing = views.iter().flat_map(|view| {
+        let lines = table::standing(&view.log.manifest.settings).into_iter();
+        lines.map(|line| Block::Notice(format!("{}: {line}", run_name(view.log))))
+    });
+    let mut blocks: Vec<Block> = standing.chain([Block::Table(overview)]).collect();
     for (later, second) in views.iter().enumerate() {
         for first in &views[..later] {
             blocks.push(compared(first, second));
