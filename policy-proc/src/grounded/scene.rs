@@ -17,7 +17,7 @@ use super::surroundings::{Doubt, Surroundings};
 use crate::Request;
 
 /// Steps after which ways that have not led to the end are doubted.
-const PATIENCE: u32 = 60;
+const PATIENCE: u32 = 45;
 
 /// A remembered walk in the world of here and now.
 #[derive(Debug, Clone)]
@@ -47,6 +47,8 @@ pub(super) struct Scene {
     /// Where the episode began, if that is known.
     pub(super) origin: Option<Cell>,
     pub(super) doubt: Doubt,
+    /// Where memory knows something wanted.
+    goals: Vec<Cell>,
 }
 
 impl Scene {
@@ -60,6 +62,7 @@ impl Scene {
             walks: Vec::new(),
             origin: history.origin.map(|pose| pose.cell),
             doubt: Doubt::at(request.step, PATIENCE, request.episode_seed),
+            goals: Vec::new(),
         };
         scene.ground = Surroundings::new(request.pose, scene.doubt);
         scene.recall_walks(request, history, &views, mind);
@@ -126,6 +129,8 @@ impl Scene {
         let wants = Goal::parse(instruction).map(|goal| goal.wants()).unwrap_or_default();
         let standpoints: Vec<Vec<Cell>> =
             wants.iter().enumerate().map(|(nth, &want)| self.standpoints(nth, want)).collect();
+        let remembered = |(nth, &want)| self.remembered_standpoints(nth, want);
+        self.goals = wants.iter().enumerate().flat_map(remembered).collect();
         for walk in &mut self.walks {
             let mut cells = walk.steps.iter().map(|step| step.pose.cell);
             let passed = |wanted: &&Vec<Cell>| cells.any(|cell| wanted.contains(&cell));
@@ -163,6 +168,7 @@ impl Scene {
             walk.steps.iter().for_each(|step| ground.mark_free(step.pose.cell));
         }
         lay_landmarks(&self.remembered, ground);
+        self.goals.iter().for_each(|&goal| ground.mark_approach(goal));
     }
 
     /// Standpoints of the `nth` thing wanted that memory knows, sorted.

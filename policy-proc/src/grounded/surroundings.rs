@@ -14,7 +14,10 @@ const SIDE: usize = 2 * REACH as usize + 1;
 const UNKNOWN: u32 = 8;
 
 /// More than any step costs.
-const DEAREST: usize = 32;
+const DEAREST: usize = 64;
+
+/// What a step onto a doubtful cell costs more.
+const DOUBTFUL: u32 = 24;
 
 /// A square of cells around the agent, of which some are known to be solid and some known to be floor.
 /// Whatever is not known to be solid may be walked on: that is found out by trying.
@@ -23,12 +26,14 @@ pub(super) struct Surroundings {
     here: Pose,
     solid: [u64; SIDE],
     free: [u64; SIDE],
+    doubtful: [u64; SIDE],
     doubt: Doubt,
 }
 
 /// Distrust of parts of the floor, of a kind that changes now and then. What has not led to the end for a
 /// long time may be blocked somewhere, which is forgotten once it has left the window; to prefer other ways
-/// for a while is then better than to try the same one again.
+/// for a while is then better than to try the same one again: first to come from another side
+/// ([`Surroundings::mark_approach`]), later to keep off parts of the floor drawn at random.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash)]
 pub(super) struct Doubt {
     seed: u64,
@@ -36,14 +41,14 @@ pub(super) struct Doubt {
 }
 
 impl Doubt {
-    /// The doubt of an episode's `step`: none at first, then another for each `patience` steps.
+    /// The doubt of an episode's `step`: none at first, then another after every `patience` steps.
     pub(super) fn at(step: u32, patience: u32, episode_seed: u64) -> Self {
         Self { seed: episode_seed, period: step / patience.max(1) }
     }
 
     /// What is added to the cost of a step onto `cell`: the same for 4 x 4 cells.
     fn of(self, cell: Cell) -> u32 {
-        if self.period == 0 {
+        if self.period < 3 {
             return 0;
         }
         let block = u64::from(cell.x / 4) << 32 | u64::from(cell.y / 4) << 16;
@@ -83,7 +88,7 @@ struct Reached {
 
 impl Surroundings {
     pub(super) fn new(here: Pose, doubt: Doubt) -> Self {
-        Self { here, solid: [0; SIDE], free: [0; SIDE], doubt }
+        Self { here, solid: [0; SIDE], free: [0; SIDE], doubtful: [0; SIDE], doubt }
     }
 
     /// Nobody can be on `cell`.
@@ -100,6 +105,25 @@ impl Surroundings {
         }
     }
 
+    /// In doubt, `goal` is not to be come to from two of its four sides, and later not from the other two.
+    pub(super) fn mark_approach(&mut self, goal: Cell) {
+        let sides: &[Heading] = match self.doubt.period {
+            1 => &[Heading::N, Heading::E],
+            2 => &[Heading::S, Heading::W],
+            _ => return,
+        };
+        for &heading in sides {
+            let goal = Pose { cell: goal, heading };
+            for (ahead, right) in
+                (1..=2).flat_map(|ahead| (-2..=2).map(move |right| (ahead, right)))
+            {
+                if let Some((x, y)) = goal.cell_at(ahead, right).and_then(|cell| self.field(cell)) {
+                    self.doubtful[y] |= 1 << x;
+                }
+            }
+        }
+    }
+
     /// Whether nobody can be on `cell`, as far as is known.
     pub(super) fn is_solid(&self, cell: Cell) -> bool {
         self.field(cell).is_some_and(|(x, y)| self.solid[y] >> x & 1 == 1)
@@ -113,7 +137,7 @@ impl Surroundings {
     /// Ways to everywhere, or as far as the nearest of `goals` if there are any.
     pub(super) fn ways(&self, goals: &[Cell]) -> Ways<'_> {
         let mut ways = Ways { ground: self, reached: Box::new([[Reached::default(); SIDE]; SIDE]) };
-        let mut queue: [VecDeque<(Cell, u32)>; DEAREST] = Default::default();
+        let mut queue: [VecDeque<(Cell, u32)>; DEAREST] = std::array::from_fn(|_| VecDeque::new());
         let first = [0, 1, 3, 2].map(|quarters| self.here.heading.turned(quarters));
         queue[0].push_back((self.here.cell, 0));
         let mut waiting = 1;
@@ -136,7 +160,7 @@ impl Surroundings {
                     continue;
                 };
                 let step = if self.is_free(next) { 1 } else { UNKNOWN };
-                let cost = cost + step + self.doubt.of(next);
+                let cost = cost + step + self.doubt_of(next);
                 if ways.reach(next, cost, Some(heading)) {
                     queue[cost as usize % DEAREST].push_back((next, cost));
                     waiting += 1;
@@ -150,6 +174,11 @@ impl Surroundings {
     #[cfg(test)]
     pub(super) fn way_to(&self, goal: Cell) -> Option<Way> {
         self.ways(&[goal]).to(goal)
+    }
+
+    fn doubt_of(&self, cell: Cell) -> u32 {
+        let is_doubtful = self.field(cell).is_some_and(|(x, y)| self.doubtful[y] >> x & 1 == 1);
+        self.doubt.of(cell) + if is_doubtful { DOUBTFUL } else { 0 }
     }
 
     /// Column and row in the square.
@@ -257,8 +286,23 @@ mod tests {
         };
         assert_eq!(cost(0), UNKNOWN * 30);
         assert_eq!(Doubt::at(49, 50, 5), Doubt { seed: 5, period: 0 });
-        assert!((1..5).any(|period| cost(period) > cost(0)));
-        assert!((1..5).any(|period| cost(period) != cost(period + 1)));
+        assert!((3..8).any(|period| cost(period) > cost(0)));
+        assert!((3..8).any(|period| cost(period) != cost(period + 1)));
+    }
+
+    #[test]
+    fn in_doubt_a_goal_is_come_to_from_another_side() {
+        let first = |period| {
+            let mut ground = Surroundings::new(HERE, Doubt { seed: 5, period });
+            let goal = Cell::new(40, 36);
+            for x in 38..=42 {
+                (34..=40).for_each(|y| ground.mark_free(Cell::new(x, y)));
+            }
+            ground.mark_approach(goal);
+            let ways = ground.ways(&[goal]);
+            ways.cells_to(goal).last().map(|&(heading, _)| heading)
+        };
+        assert_eq!([0, 1, 2].map(first), [Some(Heading::S), Some(Heading::E), Some(Heading::S)]);
     }
 
     #[test]
