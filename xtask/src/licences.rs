@@ -66,7 +66,26 @@ fn packages(workspace: &Workspace) -> anyhow::Result<Vec<Package>> {
     }
     let metadata: Metadata =
         serde_json::from_slice(&output.stdout).context("cannot read cargo metadata's answer")?;
-    Ok(metadata.packages)
+    let built = built_for(workspace, &platform)?;
+    let is_built = |package: &Package| {
+        let name = format!("{} v{}", package.name, package.version);
+        built.lines().any(|line| line.trim_end() == name || line.starts_with(&format!("{name} ")))
+    };
+    Ok(metadata.packages.into_iter().filter(is_built).collect())
+}
+
+/// The packages that are built for `platform`, a line each: `name v1.2.3`. `cargo metadata` also lists what a
+/// feature brings that only another platform turns on.
+fn built_for(workspace: &Workspace, platform: &str) -> anyhow::Result<String> {
+    let output = workspace
+        .cargo(&["tree", "--workspace", "--locked", "--target", platform])
+        .args(["--edges", "normal,build,dev", "--prefix", "none", "--format", "{p}"])
+        .output()
+        .context("cannot start cargo tree")?;
+    if !output.status.success() {
+        bail!("cargo tree failed: {}", String::from_utf8_lossy(&output.stderr));
+    }
+    String::from_utf8(output.stdout).context("cannot read cargo tree's answer")
 }
 
 /// Why a package may not be used, if it may not.
