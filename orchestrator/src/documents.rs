@@ -287,20 +287,23 @@ impl Library {
             let problem = || document.problem.clone().unwrap_or_default();
             match (document.state, &self.builder) {
                 (State::Broken, _) if !force => bail!("{}", problem()),
-                (_, Builder::Anyone { of }) => bail!(
-                    "document {} is {} in {} and cannot be built in passing{}: `memtransfer memory build \
-                     --builder {of} --kind {} --demos {}` builds it",
-                    document.name,
-                    document.state.word(),
-                    folder.display(),
-                    if document.state == State::Missing {
-                        String::new()
-                    } else {
-                        format!(" ({})", problem())
-                    },
-                    document.name.kind.word(),
-                    document.name.demonstrations,
-                ),
+                (_, Builder::Anyone { of }) => {
+                    let DocumentName { kind, demonstrations } = document.name;
+                    let why = match document.state {
+                        State::Missing => String::new(),
+                        _ => format!(" ({})", problem()),
+                    };
+                    let out = self.folder.iter().map(|dir| format!(" --out {}", dir.display()));
+                    bail!(
+                        "document {} is {} in {} and is not built in passing{why}. To build it:\n  \
+                         memtransfer memory build --builder {of} --kind {} --demos {demonstrations}{}",
+                        document.name,
+                        document.state.word(),
+                        folder.display(),
+                        kind.word(),
+                        out.collect::<String>(),
+                    )
+                }
                 _ => {}
             }
         }
