@@ -1,6 +1,6 @@
 //! Which conditions of which runs are compared, by the names that people write.
 //!
-//! The comparison itself is [`score::compare`]'s.
+//! The comparison itself is [`score::compare`](crate::score::compare)'s.
 
 use crate::log::RunLog;
 use crate::names::UnknownName;

@@ -1,9 +1,9 @@
 //! Pages, tables and data files about runs, from their logs alone.
 //!
-//! Three steps that never merge: [`score`](crate::score) reckons, this room arranges ([`document`]: sections,
+//! Three steps that never merge: [`score`](crate::score) reckons, this room arranges ([`Document`]: sections,
 //! tables, figures; `sections/`: what is in them, a file for each of the paper's tables), and one file for each form
 //! writes: `html.rs`, `markdown.rs`, `csv.rs`, `parquet.rs`. The paper's own figures are data
-//! ([`published`], `assets/published.toml`).
+//! ([`Published`], `assets/published.toml`).
 //!
 //! The same logs give the same files, byte for byte.
 
