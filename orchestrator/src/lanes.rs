@@ -25,6 +25,11 @@ use crate::log::{Ending, EpisodeRecord, Stages, Unread};
 use crate::plan::Episode;
 use crate::witness::Witness;
 
+mod fault;
+mod stages;
+
+pub use fault::Fault;
+
 /// What all episodes of a run have in common.
 #[derive(Debug, Clone, Copy)]
 pub struct Rules {
@@ -90,58 +95,6 @@ pub struct Owed {
     pub since_ns: u64,
     /// Messages about the lane's episode that could not be used: there may have been an answer among them.
     pub rubbish: u32,
-}
-
-/// Why a message cannot be used.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-pub enum Fault {
-    /// It names no lane.
-    #[error("the {} answered for lane {lane}, but there are {lanes}", role.word())]
-    NoSuchLane {
-        /// Who sent it.
-        role: Role,
-        /// The lane.
-        lane: u32,
-        /// How many there are.
-        lanes: usize,
-    },
-    /// It answers a question that was not asked.
-    #[error(
-        "the {} answered step {step} of lane {lane}, which is not the step it was asked for",
-        role.word()
-    )]
-    NotAsked {
-        /// Who sent it.
-        role: Role,
-        /// The lane.
-        lane: u32,
-        /// The step.
-        step: u32,
-    },
-    /// The simulator's world is not the orchestrator's.
-    #[error("the simulator reports {found} for step {step} of lane {lane}, expected {expected}")]
-    Disagrees {
-        /// The lane.
-        lane: u32,
-        /// The step.
-        step: u32,
-        /// What it said.
-        found: String,
-        /// What the dynamics say.
-        expected: String,
-    },
-    /// The answer itself is no answer. The episode is given up.
-    #[error("the {} sent no usable answer for step {step} of lane {lane}: {what}", role.word())]
-    Garbage {
-        /// Who sent it.
-        role: Role,
-        /// The lane.
-        lane: u32,
-        /// The step.
-        step: u32,
-        /// What is wrong with it.
-        what: String,
-    },
 }
 
 /// The lanes of a run and the episodes in them.
@@ -341,7 +294,7 @@ impl<'w> Lanes<'w> {
             Asked::Decision => return Err(walk.not_asked(Role::Sim, step)),
         };
         walk.agrees(observation, last)?;
-        walk.walked.stages += stages_observed(observation);
+        walk.walked.stages += stages::observed(observation);
         walk.rendered_ns = observation.rendered_ns;
         walk.since_ns = monotonic_ns();
         if last {
@@ -388,7 +341,7 @@ impl<'w> Lanes<'w> {
             format!("{case}{}{index}", which.letter())
         };
         walk.retrieved.push(word);
-        walk.walked.stages += stages_recalled(trace, walk.rendered_ns);
+        walk.walked.stages += stages::recalled(trace, walk.rendered_ns);
         walk.trace = Some(*trace);
         walk.since_ns = monotonic_ns();
         match walk.early.take() {
@@ -422,7 +375,7 @@ impl<'w> Lanes<'w> {
             Outcome::Acted => Ok(Action::try_from(decision.action).map_err(garbage)?),
             unread => Err(unread),
         };
-        walk.walked.stages += stages_decided(decision, &trace);
+        walk.walked.stages += stages::decided(decision, &trace);
         walk.decided_ns = decision.decided_ns;
         let record = &mut walk.walked.record;
         let told = |tokens: u32| (tokens != NOT_MEASURED).then_some(u64::from(tokens));
@@ -590,37 +543,4 @@ impl Walk {
 /// The cell that `action` tries to enter from `pose`, if it is a move.
 fn entered(pose: Pose, action: Action) -> Option<Cell> {
     pose.cell.step(pose.heading.turned(action.move_direction()?))
-}
-
-/// What the simulator's part of a step took.
-fn stages_observed(observation: &Observation) -> Stages {
-    let Observation { commanded_ns, woken_ns, stepped_ns, rendered_ns, .. } = *observation;
-    Stages {
-        command: woken_ns.saturating_sub(commanded_ns),
-        dynamics: stepped_ns.saturating_sub(woken_ns),
-        render: rendered_ns.saturating_sub(stepped_ns),
-        ..Stages::default()
-    }
-}
-
-/// What the memory's part of a step took.
-fn stages_recalled(trace: &RecallTrace, rendered_ns: u64) -> Stages {
-    let RecallTrace { received_ns, embedded_ns, searched_ns, .. } = *trace;
-    Stages {
-        observation: received_ns.saturating_sub(rendered_ns),
-        embed: embedded_ns.saturating_sub(received_ns),
-        search: searched_ns.saturating_sub(embedded_ns),
-        ..Stages::default()
-    }
-}
-
-/// What the policy's part of a step took.
-fn stages_decided(decision: &Decision, trace: &RecallTrace) -> Stages {
-    let Decision { received_ns, started_ns, decided_ns, .. } = *decision;
-    Stages {
-        recall: received_ns.saturating_sub(trace.searched_ns),
-        queue: started_ns.saturating_sub(received_ns),
-        decide: decided_ns.saturating_sub(started_ns),
-        ..Stages::default()
-    }
 }

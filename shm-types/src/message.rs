@@ -13,6 +13,10 @@ use iceoryx2::prelude::ZeroCopySend;
 
 use crate::pose::{Heading, Pose, UnknownCode};
 
+mod codes;
+
+pub use codes::{DocumentKind, Outcome, Role, SegmentContent, StepKind, ViewRequestKind};
+
 /// Changes whenever any message or the frame header changes; compared when a process attaches.
 pub const WIRE_VERSION: u32 = 2;
 
@@ -448,130 +452,6 @@ messages! {
         [Orchestrator] to [Sim Memory Policy], Few {
         /// Zero.
         reserved: u64,
-    }
-}
-
-/// Declares a closed set with `u8` codes that are positions in `ALL`.
-macro_rules! codes {
-    ($($(#[$doc:meta])* $name:ident, $what:literal {
-        $($(#[$variant_doc:meta])* $variant:ident = $code:literal,)*
-    })*) => {$(
-        $(#[$doc])*
-        #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
-        #[repr(u8)]
-        pub enum $name { $($(#[$variant_doc])* $variant = $code,)* }
-
-        impl $name {
-            /// Every member, in code order.
-            pub const ALL: &'static [Self] = &[$(Self::$variant),*];
-        }
-
-        impl TryFrom<u8> for $name {
-            type Error = UnknownCode;
-
-            fn try_from(code: u8) -> Result<Self, UnknownCode> {
-                match code {
-                    $($code => Ok(Self::$variant),)*
-                    _ => Err(UnknownCode::new(code, $what)),
-                }
-            }
-        }
-    )*};
-}
-
-codes! {
-    /// What a [`StepCommand`] asks for.
-    StepKind, "a step kind (0 reset, 1 act, 2 stay)" {
-        /// Put the agent at the start pose.
-        Reset = 0,
-        /// Take the action.
-        Act = 1,
-        /// Stay: the policy's answer could not be read.
-        Stay = 2,
-    }
-
-    /// What a [`ViewRequest`] asks for.
-    ViewRequestKind, "a view request kind (0 hold, 1 release)" {
-        /// Make the view resident and keep it.
-        Hold = 0,
-        /// It may be evicted again.
-        Release = 1,
-    }
-
-    /// How a decision came out (DESIGN section 5). Infrastructure failures are retried by the policy
-    /// and reported as [`Complaint`]s: they are never an outcome of the model.
-    Outcome, "an outcome (0 acted, 1 unreadable, 2 empty, 3 refused)" {
-        /// An action was chosen.
-        Acted = 0,
-        /// There was an answer, and no action could be read from it.
-        Unreadable = 1,
-        /// The answer was empty.
-        Empty = 2,
-        /// The model refused.
-        Refused = 3,
-    }
-
-    /// A process's part in a run.
-    #[derive(serde::Serialize, serde::Deserialize)]
-    #[serde(rename_all = "lowercase")]
-    Role, "a role (0 orchestrator, 1 sim, 2 memory, 3 policy)" {
-        /// Sequences the steps; the program `memtransfer`.
-        Orchestrator = 0,
-        /// Steps the world and renders.
-        Sim = 1,
-        /// Embeds and retrieves.
-        Memory = 2,
-        /// Decides.
-        Policy = 3,
-    }
-
-    /// What a retrieved segment holds (paper, Design Choices).
-    SegmentContent, "a segment content (0 actions, 1 images)" {
-        /// The expert's actions and the views they led to.
-        Actions = 0,
-        /// The views alone.
-        Images = 1,
-    }
-
-    /// What a [`Document`](crate::documents::Document) is.
-    #[derive(serde::Serialize, serde::Deserialize)]
-    #[serde(rename_all = "lowercase")]
-    DocumentKind, "a document kind (0 summary, 1 semantic, 2 trajectories)" {
-        /// Object locations, landmarks and routes: UTF-8 text.
-        Summary = 0,
-        /// General spatial and navigation knowledge: UTF-8 text.
-        Semantic = 1,
-        /// Demonstrations with their keyframes: [`TrajectoryStep`]s.
-        Trajectories = 2,
-    }
-}
-
-impl Role {
-    /// Everybody but the orchestrator.
-    pub const CREW: [Self; 3] = [Self::Sim, Self::Memory, Self::Policy];
-
-    /// The word used in logs, service names and messages.
-    pub const fn word(self) -> &'static str {
-        match self {
-            Self::Orchestrator => "orchestrator",
-            Self::Sim => "sim",
-            Self::Memory => "memory",
-            Self::Policy => "policy",
-        }
-    }
-}
-
-impl DocumentKind {
-    /// Those that are text, in the order in which they are supplied.
-    pub const TEXTS: [Self; 2] = [Self::Summary, Self::Semantic];
-
-    /// The word used in files, on the command line and in messages.
-    pub const fn word(self) -> &'static str {
-        match self {
-            Self::Summary => "summary",
-            Self::Semantic => "semantic",
-            Self::Trajectories => "trajectories",
-        }
     }
 }
 

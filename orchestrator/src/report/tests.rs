@@ -179,13 +179,3 @@ fn a_report_is_a_folder_of_files_and_the_same_each_time() {
     let episodes = fs::read_to_string(first.path().join("episodes.csv")).unwrap();
     assert_eq!(episodes.lines().count(), 1 + log.episodes.len());
 }
-
-/// Writes the report of a made-up run for somebody to look at.
-#[test]
-#[ignore = "writes files to look at, into the folder that MEMTRANSFER_LOOK names"]
-fn look() {
-    let dir = std::env::var("MEMTRANSFER_LOOK").unwrap();
-    let log = paper_log();
-    write(std::slice::from_ref(&log), Path::new(&dir)).unwrap();
-    println!("{}", crate::table::report(&log));
-}

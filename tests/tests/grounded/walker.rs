@@ -7,7 +7,9 @@ use policy_proc::grounded::Grounded;
 use policy_proc::{DocumentView, PastView, Policy, Request, Segment, Trajectory};
 use shm_types::message::DocumentKind;
 use shm_types::{Action, Feedback, Pose, Representation};
-use warehouse::{Case, CaseSet, MAX_STEPS, Progress, Start, Variant, Warehouse, step};
+use warehouse::{
+    Case, CaseSet, Demonstrations, MAX_STEPS, Progress, Start, Variant, Warehouse, step,
+};
 
 use crate::documents;
 use crate::supply;
@@ -75,19 +77,13 @@ impl Walker {
         }
     }
 
-    /// For every `every`th case whether it was solved, and in how many steps.
-    pub(crate) fn walk(&mut self, setup: Setup, every: usize) -> Vec<(String, Option<u32>)> {
-        let cases: Vec<Case> = self.cases.cases.iter().step_by(every).cloned().collect();
-        let walk = |case: &Case| (case.id.clone(), self.walk_case(case, setup));
-        cases.iter().map(walk).collect()
-    }
-
     /// Cases solved, of every `every`th.
     pub(crate) fn solved(&mut self, setup: Setup, every: usize) -> usize {
-        self.walk(setup, every).iter().filter(|(_, steps)| steps.is_some()).count()
+        let cases: Vec<Case> = self.cases.cases.iter().step_by(every).cloned().collect();
+        cases.iter().filter(|case| self.solves(case, setup)).count()
     }
 
-    fn walk_case(&mut self, case: &Case, setup: Setup) -> Option<u32> {
+    fn solves(&mut self, case: &Case, setup: Setup) -> bool {
         let starts = &Start::DEMONSTRATIONS[..setup.demonstrations];
         let remembers =
             matches!(setup.memory, Representation::Episodic | Representation::FullContext);
@@ -147,22 +143,21 @@ impl Walker {
             }
             progress.visit(pose.cell);
             if progress.is_complete() {
-                return Some(taken + 1);
+                return true;
             }
         }
-        None
+        false
     }
 
-    /// The document of `kind` made of the first `demonstrations` of every case, and its id.
+    /// The document of `kind` made of 1 or 4 `demonstrations` of every case, and its id.
     fn document(&mut self, kind: DocumentKind, demonstrations: usize) -> (u64, String) {
         let id = self.documents.len() as u64 + 1;
-        let Self { warehouse, cases, views, documents, .. } = self;
-        let starts = &Start::DEMONSTRATIONS[..demonstrations];
-        let mut write = || match kind {
-            DocumentKind::Semantic => documents::semantic(warehouse, cases, views, starts),
-            _ => documents::summary(warehouse, cases, views, starts),
+        let selection = match demonstrations {
+            1 => Demonstrations::ORIGINAL,
+            _ => Demonstrations::ALL,
         };
-        documents.entry((kind, demonstrations)).or_insert_with(|| (id, write())).clone()
+        let write = || (id, documents::document(kind, selection, &mut self.views));
+        self.documents.entry((kind, demonstrations)).or_insert_with(write).clone()
     }
 
     fn look(&mut self, pose: Pose, variant: &Variant, frames: Frames) -> Arc<Picture> {

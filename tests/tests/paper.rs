@@ -1,0 +1,80 @@
+//! The whole benchmark in small: every configuration of the paper over four cases, killed and resumed, and
+//! the report about it.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::fs;
+
+use memtransfer_tests::{
+    Bench, Ended, episodes, eventually, kill, processes_of, records, sorted_log,
+};
+
+/// A case of each group of tasks: basic, multi-object, return loop, revisit.
+const CASES: &str = "t01-01,t03-02,t07-01,t09-05";
+
+/// Those cases under all 53 configurations, once.
+const RUN: [&str; 10] =
+    ["run", "--suite", "paper", "--policy", "grounded", "--runs", "1", "--cases", CASES, "--out"];
+
+/// Images of a request at the defaults (SPEC section 5).
+const IMAGES: [(&str, u64); 6] = [
+    ("working", 7),
+    ("full-context", 47),
+    ("summary", 7),
+    ("semantic", 7),
+    ("hybrid", 7),
+    ("episodic", 14),
+];
+
+#[test]
+fn every_configuration_of_the_paper_runs_resumes_and_is_reported() {
+    let bench = Bench::new();
+    let run = [&RUN[..], &["paper"]].concat();
+    let out = bench.out("paper");
+
+    let child = bench.start(&run);
+    eventually("some configurations to be walked", || {
+        (episodes(&out).lines().count() >= 20).then_some(())
+    });
+    kill(child.id());
+    Ended::of(child);
+    eventually("the orphans to end", || {
+        processes_of(bench.registry.path()).is_empty().then_some(())
+    });
+    let killed = sorted_log(&out).len();
+    assert!((20..212).contains(&killed), "{killed} episodes: killed in the middle");
+    let resumed = bench.run(&run).expect(0);
+    assert!(resumed.stderr.contains("resuming"), "{}", resumed.stderr);
+
+    let records = records(&out);
+    let keys: BTreeSet<&str> =
+        records.iter().map(|record| record["key"].as_str().unwrap()).collect();
+    assert_eq!((records.len(), keys.len()), (212, 212), "every episode once");
+    let most: BTreeMap<&str, u64> = IMAGES.into_iter().collect();
+    for record in records.iter().filter(|record| record["window"].is_null()) {
+        let count = |field: &str| record[field].as_u64().unwrap();
+        let (images, requests) = (count("images"), count("requests"));
+        let most = most[record["memory"].as_str().unwrap()];
+        assert!(images <= most * requests, "{}: {images} in {requests} requests", record["key"]);
+    }
+
+    // The report: no cell is empty, and every configuration was run.
+    bench.run(&["report", "paper"]).expect(0);
+    let pages = out.join("report");
+    let page = fs::read_to_string(pages.join("report.html")).unwrap();
+    let text = fs::read_to_string(pages.join("report.md")).unwrap();
+    for page in [&page, &text] {
+        assert!(page.contains("a scripted stand-in"), "who made the results is said");
+    }
+    let mut cells = 0;
+    for row in text.lines().filter(|line| line.starts_with("| ")) {
+        for cell in row.trim_matches('|').split('|') {
+            assert!(!["", "not run"].contains(&cell.trim()), "an empty cell in {row}");
+            cells += 1;
+        }
+    }
+    assert!(cells > 500, "{cells} cells");
+    assert!(!page.contains("src=\"http"), "one page that needs nothing else");
+    for file in ["conditions.csv", "episodes.csv", "conditions.parquet", "episodes.parquet"] {
+        assert!(fs::metadata(pages.join(file)).unwrap().len() > 0, "{file}");
+    }
+}
