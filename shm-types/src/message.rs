@@ -235,7 +235,7 @@ messages! {
         /// Which demonstrations are remembered: bits 0 to 3 the case's own (original, opposite, nearby,
         /// distant), bit 4 its irrelevant histories, bit 5 its confusable ones.
         demonstrations: u32,
-        /// Code of the [`Representation`].
+        /// Code of the [`Representation`](crate::Representation).
         representation: u8,
         /// Window length h, at most [`MAX_WINDOW`].
         window: u8,
