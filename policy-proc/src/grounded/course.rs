@@ -257,8 +257,10 @@ pub(super) enum Plan {
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
 pub(super) struct Source {
     pub(super) plan: Plan,
-    /// Names of the whole walks that are known.
+    /// Names of the whole walks that are kept.
     pub(super) walks: Vec<(u64, Pose)>,
+    /// Names of all that were recognised: their plates are known, too.
+    pub(super) recognised: Vec<(u64, Pose)>,
     /// Names what documents say.
     pub(super) lore: u64,
     pub(super) instruction: String,

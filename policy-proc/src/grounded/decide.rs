@@ -213,6 +213,7 @@ impl Situation<'_> {
         Source {
             plan,
             walks: walks.map(|walk| walk.name).collect(),
+            recognised: self.scene.recognised.clone(),
             lore: self.scene.lore.serial,
             instruction: self.request.instruction.to_owned(),
             origin: self.origin(),

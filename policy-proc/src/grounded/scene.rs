@@ -44,6 +44,9 @@ pub(super) struct Scene {
     pub(super) lore: Arc<Lore>,
     pub(super) ground: Surroundings,
     pub(super) walks: Vec<Walk>,
+    /// Names of the whole walks that were recognised, those that were not kept included: what they show is
+    /// known all the same.
+    pub(super) recognised: Vec<(u64, Pose)>,
     /// Where the episode began, if that is known.
     pub(super) origin: Option<Cell>,
     pub(super) doubt: Doubt,
@@ -60,6 +63,7 @@ impl Scene {
             lore: mind.lores.of(request),
             ground: Surroundings::new(request.pose, Doubt::default()),
             walks: Vec::new(),
+            recognised: Vec::new(),
             origin: history.origin.map(|pose| pose.cell),
             doubt: Doubt::at(request.step, PATIENCE, request.episode_seed),
             goals: Vec::new(),
@@ -119,6 +123,9 @@ impl Scene {
         let steps = chart.steps.iter().map_while(place).collect();
         let (beyond, name) = (chart.beyond.clone(), (chart.serial, start));
         self.walks.push(Walk { steps, is_whole, passes: 0, beyond, name });
+        if is_whole {
+            self.recognised.push(name);
+        }
         let known = if is_whole { &mut self.remembered } else { &mut self.seen };
         let landmarks = chart.landmarks.iter();
         known.extend(landmarks.filter_map(|landmark| relocated_landmark(landmark, start)));

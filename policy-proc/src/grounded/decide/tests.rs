@@ -370,3 +370,49 @@ proptest! {
         }
     }
 }
+
+#[test]
+fn a_walk_that_is_not_kept_still_counts_in_what_courses_are_made_from() {
+    // Both walks are recognised; the first one alone passes what is wanted. What the second one shows is
+    // known all the same, so a course made with it is another than one made without.
+    let aisle = Aisle::new();
+    let here = Pose::new(11, 12, Heading::N);
+    let walk = |x| [Pose::new(x, 12, Heading::N), Pose::new(x, 13, Heading::N)];
+    let pictures = [walk(11), walk(10)].map(|walk| walk.map(|pose| aisle.picture(pose)));
+    let steps = [1, 3].map(|id| id..).into_iter().zip(&pictures).map(|(ids, pictures)| {
+        let frames = ids.zip(pictures).map(|(id, picture)| Some(view(picture, id)));
+        let actions = [Some(Action::Forward), None];
+        let step = |(frame, action)| TrajectoryView { frame, action };
+        frames.zip(actions).map(step).collect::<Vec<_>>()
+    });
+    let steps: Vec<_> = steps.collect();
+    let trajectories: Vec<_> = steps.iter().map(|steps| Trajectory { steps }).collect();
+    let request = Request {
+        lane: 0,
+        step: 20,
+        episode_seed: 1,
+        instruction: "Find a cones 13.",
+        pose: here,
+        feedback: Feedback::Moved,
+        frame: view(&pictures[0][0], 9),
+        window: &[],
+        segment: None,
+        documents: &[],
+        trajectories: &trajectories,
+        starts_as_demonstrated: false,
+    };
+    let source = |request: Request<'_>| {
+        let (history, mut mind) = (History::of(&request), Mind::default());
+        let scene = Scene::of(&request, &history, &mut mind);
+        assert_eq!((scene.walks.len(), scene.walks[0].passes), (1, 1));
+        let goal = Goal::parse(request.instruction);
+        let situation =
+            Situation { request: &request, history: &history, scene: &scene, goal: goal.as_ref() };
+        let source = situation.source(Plan::Walk(0));
+        (source.recognised.len(), source)
+    };
+    let (both, with) = source(request);
+    let (one, without) = source(Request { trajectories: &trajectories[..1], ..request });
+    assert_eq!((both, one), (2, 1));
+    assert_ne!(with, without);
+}
