@@ -57,6 +57,11 @@ fn every_configuration_of_the_paper_runs_resumes_and_is_reported() {
         assert!(images <= most * requests, "{}: {images} in {requests} requests", record["key"]);
     }
 
+    // Neither the kill nor the number of lanes made a difference.
+    let other = [&RUN[..], &["other", "--lanes", "3"]].concat();
+    bench.run(&other).expect(0);
+    assert!(sorted_log(&out) == sorted_log(&bench.out("other")), "the logs differ");
+
     // The report: no cell is empty, and every configuration was run.
     bench.run(&["report", "paper"]).expect(0);
     let pages = out.join("report");
