@@ -1,7 +1,7 @@
 //! The policy: turns an observation, a window and a recall into an action (DESIGN section 5).
 //!
 //! - [`request`]: what a policy is given, and what it answers. Nothing else reaches it.
-//! - [`sdk`]: the [`Policy`] trait and [`serve`], which puts an implementation on the wire.
+//! - [`sdk`]: the traits [`Policy`] and [`Decider`], and [`serve`], which puts an implementation on the wire.
 //! - [`chat`]: asking a model behind an OpenAI-compatible endpoint.
 //! - [`random`] and [`grounded`]: two policies that use nothing but the SDK.
 //!
@@ -15,7 +15,7 @@ pub mod request;
 pub mod sdk;
 
 pub use request::{
-    Answer, Decision, DocumentView, FrameView, PastView, Request, Segment, SegmentView, Tokens,
-    Trajectory, TrajectoryView,
+    Answer, Decision, DocumentView, FrameView, PastView, Request, Segment, SegmentView, Ticket,
+    Trajectory, TrajectoryView, Usage,
 };
-pub use sdk::{Policy, ServeError, serve};
+pub use sdk::{Answers, Decider, Policy, ServeError, serve};

@@ -10,7 +10,7 @@ use clap::{Args, Parser, Subcommand, ValueEnum};
 use policy_proc::chat::{Client, Endpoint, Settings, pipe};
 use policy_proc::grounded::Grounded;
 use policy_proc::random::Random;
-use policy_proc::{Policy, serve};
+use policy_proc::{Decider, serve};
 use shm_types::Attach;
 use shm_types::process::die_with_parent;
 use tracing_subscriber::EnvFilter;
@@ -108,7 +108,7 @@ fn main() -> ExitCode {
 fn take_part(attach_dir: &Path, policy: BuiltIn) -> anyhow::Result<()> {
     let run = Attach::read(attach_dir).context("cannot take part in the run")?;
     die_with_parent(run.orchestrator_pid).context("this process belongs to an orchestrator")?;
-    let mut policy: Box<dyn Policy> = match policy {
+    let mut policy: Box<dyn Decider> = match policy {
         BuiltIn::Random => Box::new(Random),
         BuiltIn::Grounded => Box::new(Grounded::default()),
     };

@@ -4,7 +4,7 @@
 //! be answered at any time, in any batch and any order, so a policy that wants its runs repeatable
 //! answers from the request alone.
 
-use shm_types::message::{DocumentId, DocumentKind, FrameId, Outcome};
+use shm_types::message::{DocumentId, DocumentKind, FrameId, NO_FRAME, Outcome};
 use shm_types::{Action, Feedback, Pose};
 
 /// A view: pixels in shared memory, which never change while the view can be named.
@@ -13,6 +13,8 @@ pub struct FrameView<'a> {
     /// Names the pixels. Good for caching what was seen in them, since it is never reused; which
     /// number it is means nothing.
     pub id: FrameId,
+    /// First 16 bytes of the BLAKE3 hash of the pixels: equal pixels, equal hash, whatever the run.
+    pub content_hash: [u8; 16],
     /// Pixels in a row.
     pub width: u32,
     /// Rows.
@@ -22,6 +24,10 @@ pub struct FrameView<'a> {
 }
 
 impl FrameView<'_> {
+    /// No picture.
+    pub(crate) const NONE: Self =
+        Self { id: NO_FRAME, content_hash: [0; 16], width: 0, height: 0, pixels: &[] };
+
     /// The red, green and blue of the pixel in column `x` and row `y`; black outside the picture.
     pub fn rgb(&self, x: u32, y: u32) -> [u8; 3] {
         if x >= self.width {
@@ -99,6 +105,17 @@ pub struct Trajectory<'a> {
     pub steps: &'a [TrajectoryView<'a>],
 }
 
+/// Names a request, for its answer.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub struct Ticket {
+    /// The lane the episode runs in.
+    pub lane: u32,
+    /// Steps taken so far.
+    pub step: u32,
+    /// The episode; never used again within a run.
+    pub episode: u64,
+}
+
 /// All that a policy may use to decide one step (SPEC section 1: `x_t`, `W_t` and `m_t`).
 #[derive(Debug, Clone, Copy)]
 pub struct Request<'a> {
@@ -106,8 +123,13 @@ pub struct Request<'a> {
     pub lane: u32,
     /// Steps taken so far.
     pub step: u32,
+    /// Names the episode: never used again within a run, and which number it is means nothing.
+    pub episode: u64,
     /// A policy that draws at random draws from this.
     pub episode_seed: u64,
+    /// Which repetition of the run this is, from 1. Equal requests of one repetition are the same request, and
+    /// may be given the same answer.
+    pub repeat: u32,
     /// What is asked for, in English.
     pub instruction: &'a str,
     /// Where the agent is.
@@ -130,6 +152,11 @@ pub struct Request<'a> {
 }
 
 impl Request<'_> {
+    /// What names the request in its answer.
+    pub const fn ticket(&self) -> Ticket {
+        Ticket { lane: self.lane, step: self.step, episode: self.episode }
+    }
+
     /// Images in the request: the current view, the window's, the segment's and the keyframes.
     pub fn images(&self) -> u32 {
         let retrieved = self.segment.map_or(0, |segment| segment.steps.len());
@@ -173,13 +200,27 @@ impl Answer {
     }
 }
 
-/// What a language model's server counted.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Tokens {
+/// What asking a language model took. `None`: nobody told.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Usage {
     /// Tokens of the prompt.
-    pub prompt: u32,
+    pub prompt_tokens: Option<u32>,
     /// Tokens of the answer.
-    pub completion: u32,
+    pub completion_tokens: Option<u32>,
+    /// Tokens of the prompt that the server had computed before and took from its own cache.
+    pub cached_tokens: Option<u32>,
+    /// Tokens of the prompt's images.
+    pub image_tokens: Option<u32>,
+    /// Tokens of the prompt that are injected memory, an estimate.
+    pub memory_tokens: Option<u32>,
+    /// Requests that were sent, failed ones included.
+    pub attempts: u32,
+    /// The reply is one that was kept from an earlier request: it cost nothing this time.
+    pub replayed: bool,
+    /// When the prompt was built, CLOCK_MONOTONIC.
+    pub prompted_ns: u64,
+    /// When the request was sent, the last time if several times; 0 where none was.
+    pub sent_ns: u64,
 }
 
 /// A policy's answer to one request.
@@ -189,13 +230,13 @@ pub struct Decision {
     pub answer: Answer,
     /// Images the policy was shown for it.
     pub images: u32,
-    /// Tokens it cost; `None` where nothing counts tokens.
-    pub tokens: Option<Tokens>,
+    /// What asking a model took; `None` where none was asked.
+    pub usage: Option<Usage>,
 }
 
 impl Decision {
-    /// `action`, after being shown every image of `request`, with no tokens to count.
+    /// `action`, after being shown every image of `request`, without asking a model.
     pub fn act(request: &Request<'_>, action: Action) -> Self {
-        Self { answer: Answer::Act(action), images: request.images(), tokens: None }
+        Self { answer: Answer::Act(action), images: request.images(), usage: None }
     }
 }

@@ -25,15 +25,22 @@
 //! # Ok::<(), policy_proc::ServeError>(())
 //! ```
 
+//!
+//! A policy that has to wait for its decisions, and should not make others wait meanwhile, is a
+//! [`Decider`] instead: it takes requests, and gives its [`Answers`] whenever it has them.
+
+mod answers;
 mod join;
 mod serve;
 mod shown;
 
+pub use answers::Answers;
 pub use serve::{ServeError, serve};
 
 use crate::{Decision, Request};
 
-/// Something that decides. The built-in policies are written against this and nothing else.
+/// Something that decides at once. The built-in policies without a model are written against this and
+/// nothing else.
 pub trait Policy {
     /// What the run's manifest calls it.
     fn name(&self) -> &str;
@@ -50,5 +57,57 @@ pub trait Policy {
     /// A new episode begins in `lane`: forget whatever was kept for it.
     fn reset(&mut self, lane: u32) {
         let _ = lane;
+    }
+}
+
+/// Something that decides in its own time. Every [`Policy`] is one.
+pub trait Decider {
+    /// As [`Policy::name`].
+    fn name(&self) -> &str;
+
+    /// As [`Policy::facts`].
+    fn facts(&self) -> Vec<(&'static str, String)> {
+        Vec::new()
+    }
+
+    /// Takes requests of different lanes, and returns without waiting. Each is answered once, now or later and
+    /// in any order, through `answers`; a lane has no further request until it is.
+    ///
+    /// # Errors
+    /// When the policy is broken and serving has to end.
+    fn take(&mut self, batch: &[Request<'_>], answers: &Answers) -> Result<(), ServeError>;
+
+    /// As [`Policy::reset`]. A request of the lane that was not answered yet is over.
+    fn reset(&mut self, lane: u32) {
+        let _ = lane;
+    }
+}
+
+impl<P: Policy + ?Sized> Decider for P {
+    fn name(&self) -> &str {
+        Policy::name(self)
+    }
+
+    fn facts(&self) -> Vec<(&'static str, String)> {
+        Policy::facts(self)
+    }
+
+    fn take(&mut self, batch: &[Request<'_>], answers: &Answers) -> Result<(), ServeError> {
+        let decisions = self.act(batch);
+        if decisions.len() != batch.len() {
+            return Err(ServeError::Answers {
+                policy: Policy::name(self).to_owned(),
+                requests: batch.len(),
+                answers: decisions.len(),
+            });
+        }
+        for (request, decision) in batch.iter().zip(decisions) {
+            answers.decide(request.ticket(), decision);
+        }
+        Ok(())
+    }
+
+    fn reset(&mut self, lane: u32) {
+        Policy::reset(self, lane);
     }
 }

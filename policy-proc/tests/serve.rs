@@ -9,11 +9,14 @@ use std::time::{Duration, Instant};
 
 use bytemuck::Zeroable;
 use policy_proc::random::Random;
-use policy_proc::{Answer, Decision, Policy, Request, ServeError, Tokens, serve};
+use policy_proc::{
+    Answer, Answers, Decider, Decision, Policy, Request, ServeError, Ticket, Usage, serve,
+};
 use shm_types::documents::Content;
 use shm_types::message::{
-    self, Complaint, Eviction, Farewell, FrameId, Hello, NO_ACTION, NO_FRAME, Observation, Outcome,
-    PolicyBrief, Recall, Role, Stop, TrajectoryStep, WirePose, read_text, write_text,
+    self, Complaint, ComplaintKind, Eviction, Farewell, FrameId, Hello, NO_ACTION, NO_FRAME,
+    Observation, Outcome, PolicyBrief, Recall, Role, Stop, TrajectoryStep, WirePose, read_text,
+    write_text,
 };
 use shm_types::{
     Action, Attach, Bell, Bus, DocumentPublisher, Feedback, FramePublisher, FrameSize, FrameStore,
@@ -47,7 +50,7 @@ struct Peers {
 
 impl Peers {
     /// A run of four lanes in which `policy` is serving.
-    fn new(policy: impl Policy + Send + 'static) -> Self {
+    fn new(policy: impl Decider + Send + 'static) -> Self {
         let base = tempfile::Builder::new().prefix("mt").tempdir_in("/tmp").unwrap();
         let run = RunDir::create(base.path()).unwrap();
         let frame = FrameSize { width: 64, height: 64 };
@@ -206,7 +209,12 @@ impl Policy for Witness {
             .map(|request| Decision {
                 answer: Answer::Refused,
                 images: request.images(),
-                tokens: Some(Tokens { prompt: 100 + request.lane, completion: 3 }),
+                usage: Some(Usage {
+                    prompt_tokens: Some(100 + request.lane),
+                    completion_tokens: Some(3),
+                    attempts: 1,
+                    ..Usage::default()
+                }),
             })
             .collect()
     }
@@ -260,6 +268,63 @@ fn documents_and_demonstrations_reach_the_policy_with_their_keyframes() {
     let complaint = within_patience(&peers.orchestrator, || peers.complaints.next().unwrap());
     let text = read_text(&complaint.text, complaint.text_len).unwrap();
     assert!(text.contains("was never published"), "{text}");
+    peers.stop().0.unwrap();
+}
+
+/// Hands its tickets and the way back to somebody else.
+struct Elsewhere(mpsc::Sender<(Ticket, Answers)>);
+
+impl Decider for Elsewhere {
+    fn name(&self) -> &str {
+        "elsewhere"
+    }
+
+    fn take(&mut self, batch: &[Request<'_>], answers: &Answers) -> Result<(), ServeError> {
+        batch.iter().for_each(|r| self.0.send((r.ticket(), answers.clone())).unwrap());
+        Ok(())
+    }
+}
+
+#[test]
+fn answers_may_come_later_in_any_order_from_any_thread_or_not_at_all() {
+    let (hand_over, taken) = mpsc::channel();
+    let mut peers = Peers::new(Elsewhere(hand_over));
+    let frame = peers.publish(10);
+    for lane in 0..4 {
+        peers.brief(lane, 50 + u64::from(lane), "Find a cone.");
+        peers.observations.send(&observation(lane, 50 + u64::from(lane), 0, frame)).unwrap();
+        peers.recalls.send(&recall(lane, 50 + u64::from(lane), 0)).unwrap();
+    }
+    peers.ring();
+    let taken: Vec<(Ticket, Answers)> =
+        (0..4).map(|_| taken.recv_timeout(PATIENCE).unwrap()).collect();
+    let decision = |action| Decision { answer: Answer::Act(action), images: 1, usage: None };
+    let say = |lane: usize, action| taken[lane].1.decide(taken[lane].0, decision(action));
+
+    say(3, Action::Right);
+    assert_eq!(peers.decisions(1)[0].lane, 3);
+    // Lane 2 begins another episode: what was taken for the one before is late.
+    peers.brief(2, 62, "Find a barrel.");
+    peers.ring();
+    let elsewhere = Ticket { lane: 77, ..taken[0].0 };
+    taken[0].1.decide(elsewhere, decision(Action::Left));
+    taken[1].1.fail(taken[1].0, "status 400: too many images");
+    let complaint = within_patience(&peers.orchestrator, || peers.complaints.next().unwrap());
+    let text = read_text(&complaint.text, complaint.text_len).unwrap();
+    assert_eq!(
+        (complaint.kind, complaint.lane, complaint.episode, text),
+        (ComplaintKind::Episode as u32, 1, 51, "status 400: too many images")
+    );
+    say(2, Action::Left);
+    say(3, Action::Left);
+    say(0, Action::Backward);
+    let answered = peers.decisions(1);
+    assert_eq!(answered.len(), 1, "late and repeated answers are dropped: {answered:?}");
+    assert_eq!((answered[0].lane, answered[0].action), (0, Action::Backward as u8));
+
+    taken[0].1.halt("the server is gone");
+    let complaint = within_patience(&peers.orchestrator, || peers.complaints.next().unwrap());
+    assert_eq!(complaint.kind, ComplaintKind::Run as u32);
     peers.stop().0.unwrap();
 }
 

@@ -63,6 +63,9 @@ pub struct Attach {
     pub wait: Wait,
     /// What observed frames show.
     pub frame_control: FrameControl,
+    /// Folder in which the policy keeps what it was given and what it answered, where that is asked for.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub prompts: Option<PathBuf>,
     /// The run's folder: where the file was read from. Not in the file, so that a folder can be mounted
     /// elsewhere.
     #[serde(skip)]
@@ -185,6 +188,7 @@ impl Attach {
             frame_capacity: DEFAULT_FRAMES,
             wait: Wait::default(),
             frame_control: FrameControl::default(),
+            prompts: None,
             root: run.path().to_owned(),
         }
     }
@@ -309,6 +313,7 @@ mod tests {
             frame_capacity: 100,
             wait: Wait { spin_us: 20 },
             frame_control: FrameControl::Swapped,
+            prompts: None,
             root: PathBuf::new(),
         }
     }

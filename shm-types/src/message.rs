@@ -15,10 +15,12 @@ use crate::pose::{Heading, Pose, UnknownCode};
 
 mod codes;
 
-pub use codes::{DocumentKind, Outcome, Role, SegmentContent, StepKind, ViewRequestKind};
+pub use codes::{
+    ComplaintKind, DocumentKind, Outcome, Role, SegmentContent, StepKind, ViewRequestKind,
+};
 
 /// Changes whenever any message or the frame header changes; compared when a process attaches.
-pub const WIRE_VERSION: u32 = 2;
+pub const WIRE_VERSION: u32 = 3;
 
 /// Most window entries a [`Recall`] carries.
 pub const MAX_WINDOW: usize = 32;
@@ -260,10 +262,12 @@ messages! {
         lane: u32,
         /// Bytes of `instruction` in use.
         instruction_len: u32,
+        /// Which repetition of the run this is, from 1: equal requests of one repetition are the same request.
+        repeat: u32,
         /// 1 when the policy is told that the demonstration started where this episode starts.
         starts_as_demonstrated: u8,
         /// Zero.
-        reserved: [u8; 7],
+        reserved: [u8; 3],
         /// The instruction, UTF-8.
         instruction: [u8; MAX_INSTRUCTION],
     }
@@ -369,8 +373,8 @@ messages! {
         waiting: u64,
     }
 
-    /// Policy to orchestrator: what to do.
-    Decision, "memtransfer.Decision", "decision", 64 bytes,
+    /// Policy to orchestrator: what to do. Counts that nobody told are [`NOT_MEASURED`].
+    Decision, "memtransfer.Decision", "decision", 112 bytes,
         [Policy] to [Orchestrator], Lanes {
         /// The episode's ticket.
         episode: u64,
@@ -378,24 +382,40 @@ messages! {
         received_ns: u64,
         /// When the policy began to decide.
         started_ns: u64,
+        /// When the prompt was built; 0 where none is.
+        prompted_ns: u64,
+        /// When the request went to a model's server, the last time if it went several times; 0 where none did.
+        sent_ns: u64,
         /// When it had decided.
         decided_ns: u64,
         /// The lane.
         lane: u32,
         /// The step it answers.
         step: u32,
-        /// Tokens of the prompt, or [`NOT_MEASURED`].
+        /// Tokens of the prompt.
         prompt_tokens: u32,
-        /// Tokens of the completion, or [`NOT_MEASURED`].
+        /// Tokens of the completion.
         completion_tokens: u32,
-        /// Images the policy was given.
+        /// Tokens of the prompt that the server had computed before and took from its own cache.
+        cached_tokens: u32,
+        /// Tokens of the prompt's images.
+        image_tokens: u32,
+        /// Tokens of the prompt that are injected memory, an estimate.
+        memory_tokens: u32,
+        /// Images that the request held.
+        images_asked: u32,
+        /// Images that the policy was shown: fewer where its budget is smaller.
         images: u32,
+        /// Requests to a model's server that this decision took, failed ones included.
+        attempts: u32,
         /// An [`Outcome`] code.
         outcome: u8,
         /// Code of the action when the outcome is [`Outcome::Acted`], otherwise [`NO_ACTION`].
         action: u8,
+        /// 1 when the reply was one that had been kept from an earlier request: it cost nothing this time.
+        replayed: u8,
         /// Zero.
-        reserved: [u8; 10],
+        reserved: [u8; 21],
     }
 
     /// Anyone to orchestrator, once, when ready to work.
@@ -413,19 +433,25 @@ messages! {
         facts: [u8; 496],
     }
 
-    /// Anyone to orchestrator: a message that could not be used, or a failure that ends the sender.
-    Complaint, "memtransfer.Complaint", "complaint", 256 bytes,
+    /// Anyone to orchestrator: what went wrong, and what follows from it ([`ComplaintKind`]).
+    Complaint, "memtransfer.Complaint", "complaint", 512 bytes,
         [Sim Memory Policy] to [Orchestrator], Few {
+        /// For a [`ComplaintKind::Episode`]: the episode's ticket. Otherwise 0.
+        episode: u64,
         /// Code of the sender's [`Role`].
         role: u32,
         /// Complaints the sender has made so far, this one included.
         count: u32,
+        /// Code of the [`ComplaintKind`].
+        kind: u32,
+        /// For a [`ComplaintKind::Episode`]: the episode's lane. Otherwise 0.
+        lane: u32,
         /// Bytes of `text` in use.
         text_len: u32,
         /// Zero.
         reserved: u32,
         /// What, which value, what was expected; UTF-8.
-        text: [u8; 240],
+        text: [u8; 480],
     }
 
     /// Anyone to orchestrator, once, after [`Stop`]: what the sender did with frames.
@@ -525,6 +551,7 @@ mod tests {
                 let _ = (Outcome::try_from(byte), Role::try_from(byte));
                 let _ = (Action::try_from(byte), Feedback::try_from(byte));
                 let _ = (DocumentKind::try_from(byte), SegmentContent::try_from(byte));
+                let _ = ComplaintKind::try_from(byte);
             }
             for pose in bytes.chunks_exact(4) {
                 let wire: WirePose = bytemuck::pod_read_unaligned(pose);

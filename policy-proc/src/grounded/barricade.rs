@@ -106,7 +106,8 @@ mod tests {
     fn a_barricade_is_seen_where_it_stands() {
         for (ahead, right) in [(1, 0), (2, -1), (3, 1), (5, 0)] {
             let pixels = with_barricade(ahead, right);
-            let frame = FrameView { id: 1, width: 448, height: 448, pixels: &pixels };
+            let frame =
+                FrameView { id: 1, width: 448, height: 448, pixels: &pixels, ..FrameView::NONE };
             assert_eq!(read(&frame), [(ahead, right)]);
         }
     }
@@ -116,7 +117,16 @@ mod tests {
         let aisle = Aisle::new().picture(Pose::new(10, 12, Heading::N));
         assert_eq!(read(&view(&aisle, 1)), []);
         for pixels in [vec![128; 64 * 64 * 4], Vec::new()] {
-            assert_eq!(read(&FrameView { id: 1, width: 64, height: 64, pixels: &pixels }), []);
+            assert_eq!(
+                read(&FrameView {
+                    id: 1,
+                    width: 64,
+                    height: 64,
+                    pixels: &pixels,
+                    ..FrameView::NONE
+                }),
+                []
+            );
         }
     }
 }

@@ -91,7 +91,7 @@ mod tests {
             start in pose(),
             walk in prop::collection::vec((0..7_u8, prop::bool::weighted(0.2)), 0..9),
         ) {
-            let frame = FrameView { id: 1, width: 0, height: 0, pixels: &[] };
+            let frame = FrameView { id: 1, width: 0, height: 0, pixels: &[], ..FrameView::NONE };
             let (mut at, mut window, mut past) = (start, Vec::new(), Vec::new());
             for (code, hindered) in walk {
                 let action = Action::try_from(code).unwrap();
@@ -108,6 +108,8 @@ mod tests {
             let request = Request {
                 lane: 0,
                 step: window.len() as u32,
+                episode: 1,
+                repeat: 1,
                 episode_seed: 0,
                 instruction: "",
                 pose: at,

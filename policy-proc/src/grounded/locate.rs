@@ -229,7 +229,13 @@ mod tests {
 
     #[test]
     fn blank_views_give_nothing_away() {
-        let grey = FrameView { id: 1, width: 64, height: 64, pixels: &[128; 64 * 64 * 4] };
+        let grey = FrameView {
+            id: 1,
+            width: 64,
+            height: 64,
+            pixels: &[128; 64 * 64 * 4],
+            ..FrameView::NONE
+        };
         let mut percepts = Percepts::default();
         let chart = Charts::default().of(&[(Some(grey), None)], &mut percepts);
         let seen = PlacedView { frame: 1, pose: START, percept: percepts.of(&grey) };

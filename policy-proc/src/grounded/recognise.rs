@@ -134,7 +134,13 @@ mod tests {
     #[test]
     fn blank_views_are_never_recognised() {
         let here = Pose::new(10, 12, Heading::N);
-        let blank = FrameView { id: 1, width: 64, height: 64, pixels: &[128; 64 * 64 * 4] };
+        let blank = FrameView {
+            id: 1,
+            width: 64,
+            height: 64,
+            pixels: &[128; 64 * 64 * 4],
+            ..FrameView::NONE
+        };
         let blank = Percept::of(&blank);
         assert_eq!(pose_of(&blank, &blank, here), None);
         assert_eq!(pose_of(&percept(here), &blank, here), None);

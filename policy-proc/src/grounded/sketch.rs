@@ -82,7 +82,13 @@ mod tests {
     use shm_types::plate::painter::Picture;
 
     fn grey(level: u8) -> Sketch {
-        Sketch::of(&FrameView { id: 1, width: 64, height: 64, pixels: &[level; 64 * 64 * 4] })
+        Sketch::of(&FrameView {
+            id: 1,
+            width: 64,
+            height: 64,
+            pixels: &[level; 64 * 64 * 4],
+            ..FrameView::NONE
+        })
     }
 
     #[test]
@@ -101,7 +107,13 @@ mod tests {
     #[test]
     fn fields_hold_the_mean_brightness() {
         assert!(grey(200).fields.iter().all(|&field| field == 200));
-        let broken = FrameView { id: 1, width: 64, height: 65, pixels: &[9; 64 * 64 * 4] };
+        let broken = FrameView {
+            id: 1,
+            width: 64,
+            height: 65,
+            pixels: &[9; 64 * 64 * 4],
+            ..FrameView::NONE
+        };
         assert!(!Sketch::of(&broken).has_texture);
     }
 }

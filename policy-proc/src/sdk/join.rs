@@ -10,6 +10,8 @@ use shm_types::message::{
 use shm_types::pose::UnknownCode;
 use shm_types::{Action, Feedback, Pose};
 
+use crate::Ticket;
+
 /// Why a message cannot be used.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub(super) enum BadMessage {
@@ -50,6 +52,7 @@ pub(super) struct Recalled {
 pub(super) struct Lane {
     pub(super) episode: u64,
     pub(super) seed: u64,
+    pub(super) repeat: u32,
     pub(super) instruction: String,
     pub(super) starts_as_demonstrated: bool,
     running: bool,
@@ -89,6 +92,7 @@ impl Join {
         *lane = Lane {
             episode: brief.episode,
             seed: brief.seed,
+            repeat: brief.repeat,
             instruction: instruction.to_owned(),
             starts_as_demonstrated: brief.starts_as_demonstrated != 0,
             running: true,
@@ -168,6 +172,12 @@ impl Join {
             }
         }
         ready
+    }
+
+    /// Whether `ticket` is of an episode that runs.
+    pub(super) fn is_running(&self, ticket: Ticket) -> bool {
+        let lane = self.lanes.get(ticket.lane as usize);
+        lane.is_some_and(|lane| lane.running && lane.episode == ticket.episode)
     }
 
     fn lane_mut(&mut self, message: &'static str, lane: u32) -> Result<&mut Lane, BadMessage> {

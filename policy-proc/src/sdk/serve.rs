@@ -1,24 +1,25 @@
 //! The serve loop: drain, join, decide, answer, ring once.
 
 use std::path::Path;
-use std::sync::Arc;
+use std::sync::{Arc, mpsc};
 use std::time::Duration;
 
 use bytemuck::Zeroable;
 use shm_types::message::{
     DocumentId, Farewell, FrameId, Hello, NO_ACTION, NOT_MEASURED, Observation, PolicyBrief,
-    Recall, Role, Stop, WIRE_VERSION, write_text,
+    Recall, Role, Stop,
 };
 use shm_types::process::monotonic_ns;
 use shm_types::{
-    Attach, Bell, Bus, BusError, Complaints, Document, DocumentError, DocumentStore, Frame,
-    FrameError, FrameStore, Receiver, Sender, message,
+    Attach, Bell, Bus, BusError, Complaints, Document, DocumentError, DocumentStore, FactsTooLong,
+    Frame, FrameError, FrameStore, Receiver, Sender, message,
 };
 
-use super::Policy;
+use super::Decider;
+use super::answers::{Answers, Said};
 use super::join::{Join, Ready};
 use super::shown::{Held, Shown};
-use crate::{Decision, Request};
+use crate::{Decision, Request, Ticket};
 
 /// How long the loop sleeps when nobody rings. Only a look around; nothing waits for it.
 const LONGEST_SLEEP: Duration = Duration::from_secs(1);
@@ -40,15 +41,8 @@ pub enum ServeError {
         answers: usize,
     },
     /// What the policy says about itself does not fit into a message.
-    #[error("the facts about policy {policy} take {bytes} bytes, and {most} fit: say less")]
-    Facts {
-        /// The policy.
-        policy: String,
-        /// Bytes of JSON.
-        bytes: usize,
-        /// Bytes there are.
-        most: usize,
-    },
+    #[error(transparent)]
+    Facts(#[from] FactsTooLong),
 }
 
 /// Lets `policy` decide in the run whose folder is `attach_dir`, until the orchestrator says stop.
@@ -57,39 +51,18 @@ pub enum ServeError {
 ///
 /// # Errors
 /// When the run cannot be joined, its transport fails, or the policy breaks its contract.
-pub fn serve(policy: &mut dyn Policy, attach_dir: &Path) -> Result<(), ServeError> {
+pub fn serve(policy: &mut (impl Decider + ?Sized), attach_dir: &Path) -> Result<(), ServeError> {
     let attach = Attach::read(attach_dir).map_err(BusError::from)?;
     let bus = Bus::join(attach, Role::Policy)?;
     // Receivers first: nobody sends before every process has said hello.
     let mut server = Server::new(&bus)?;
-    bus.sender()?.send(&hello(policy)?)?;
+    let facts = std::iter::once(("policy", policy.name().to_owned())).chain(policy.facts());
+    bus.sender()?.send(&Hello::new(Role::Policy, facts)?)?;
     server.orchestrator.ring()?;
     while !server.turn(policy)? {
         bus.doorbell().wait(LONGEST_SLEEP)?;
     }
     server.farewell(&bus)
-}
-
-fn hello(policy: &dyn Policy) -> Result<Hello, ServeError> {
-    let own = [("policy", policy.name().to_owned())];
-    let facts: serde_json::Map<_, _> = own
-        .into_iter()
-        .chain(policy.facts())
-        .map(|(name, value)| (name.to_owned(), value.into()))
-        .collect();
-    let facts = serde_json::Value::from(facts).to_string();
-    let mut hello = Hello {
-        wire_version: WIRE_VERSION,
-        role: Role::Policy as u32,
-        pid: std::process::id(),
-        ..Zeroable::zeroed()
-    };
-    hello.facts_len = write_text(&mut hello.facts, &facts);
-    if hello.facts_len as usize != facts.len() {
-        let (bytes, most) = (facts.len(), hello.facts.len());
-        return Err(ServeError::Facts { policy: policy.name().to_owned(), bytes, most });
-    }
-    Ok(hello)
 }
 
 struct Server {
@@ -103,10 +76,24 @@ struct Server {
     documents: DocumentStore,
     complaints: Complaints,
     join: Join,
+    answers: Answers,
+    said: mpsc::Receiver<Said>,
+    /// By lane: the request that the policy has not answered yet.
+    open: Vec<Option<Open>>,
+}
+
+/// A request that the policy has.
+struct Open {
+    ticket: Ticket,
+    images: u32,
+    received_ns: u64,
+    started_ns: u64,
 }
 
 impl Server {
     fn new(bus: &Bus) -> Result<Self, BusError> {
+        let (answers, said) = Answers::new(bus.bell(Role::Policy)?);
+        let lanes = bus.attach().lanes;
         Ok(Self {
             briefs: bus.receiver()?,
             observations: bus.receiver()?,
@@ -117,16 +104,20 @@ impl Server {
             frames: FrameStore::new(bus)?,
             documents: DocumentStore::new(bus)?,
             complaints: Complaints::new(bus)?,
-            join: Join::new(bus.attach().lanes),
+            join: Join::new(lanes),
+            answers,
+            said,
+            open: (0..lanes).map(|_| None).collect(),
         })
     }
 
-    /// Answers everything that waits; returns whether it is time to stop.
-    fn turn(&mut self, policy: &mut dyn Policy) -> Result<bool, ServeError> {
+    /// Passes on everything that waits, both ways; returns whether it is time to stop.
+    fn turn(&mut self, policy: &mut (impl Decider + ?Sized)) -> Result<bool, ServeError> {
         let complaints = self.complaints.count();
         self.take_messages(policy)?;
         let ready = self.join.take_ready();
-        let answered = self.answer(policy, &ready)?;
+        self.ask(policy, &ready)?;
+        let answered = self.pass_on()?;
         self.let_go_of_frames()?;
         if answered || self.complaints.count() != complaints {
             self.orchestrator.ring()?;
@@ -136,7 +127,7 @@ impl Server {
 
     /// Reads all queues. A message that refers to another one was sent after it: queues are therefore
     /// emptied effect first, and what was in them is looked at cause first.
-    fn take_messages(&mut self, policy: &mut dyn Policy) -> Result<(), ServeError> {
+    fn take_messages(&mut self, policy: &mut (impl Decider + ?Sized)) -> Result<(), ServeError> {
         let recalls = self.recalls.drain()?;
         let observations = self.observations.drain()?;
         let briefs = self.briefs.drain()?;
@@ -144,6 +135,7 @@ impl Server {
             match self.join.brief(brief) {
                 Ok(()) => {
                     self.documents.begin(brief.lane, brief.episode);
+                    self.open[brief.lane as usize] = None;
                     policy.reset(brief.lane);
                 }
                 Err(bad) => self.complaints.raise(bad),
@@ -158,9 +150,12 @@ impl Server {
         Ok(())
     }
 
-    /// Asks the policy about all steps at once and sends what it decides; returns whether anything was
-    /// sent.
-    fn answer(&mut self, policy: &mut dyn Policy, ready: &[Ready]) -> Result<bool, ServeError> {
+    /// Gives the policy all steps at once.
+    fn ask(
+        &mut self,
+        policy: &mut (impl Decider + ?Sized),
+        ready: &[Ready],
+    ) -> Result<(), ServeError> {
         let received_ns = monotonic_ns();
         // Holding on to the frames keeps their pixels where they are for as long as the requests live.
         let mut held = Vec::with_capacity(ready.len());
@@ -168,7 +163,7 @@ impl Server {
             held.extend(self.hold(step)?);
         }
         if held.is_empty() {
-            return Ok(false);
+            return Ok(());
         }
         let shown: Vec<Shown<'_>> = held.iter().map(Shown::new).collect();
         let trajectories: Vec<_> = shown.iter().map(Shown::trajectories).collect();
@@ -178,33 +173,45 @@ impl Server {
             .map(|(shown, trajectories)| shown.request(&self.join, trajectories))
             .collect();
         let started_ns = monotonic_ns();
-        let decisions = policy.act(&requests);
-        let decided_ns = monotonic_ns();
-        if decisions.len() != requests.len() {
-            return Err(ServeError::Answers {
-                policy: policy.name().to_owned(),
-                requests: requests.len(),
-                answers: decisions.len(),
-            });
+        for request in &requests {
+            let (ticket, images) = (request.ticket(), request.images());
+            let open = Open { ticket, images, received_ns, started_ns };
+            self.open[ticket.lane as usize] = Some(open);
         }
-        for (&Held { step, .. }, Decision { answer, images, tokens }) in held.iter().zip(decisions)
-        {
-            self.decisions.send(&message::Decision {
-                episode: self.join.lane(step.lane).episode,
-                received_ns,
-                started_ns,
-                decided_ns,
-                lane: step.lane,
-                step: step.observed.step,
-                prompt_tokens: tokens.map_or(NOT_MEASURED, |tokens| tokens.prompt),
-                completion_tokens: tokens.map_or(NOT_MEASURED, |tokens| tokens.completion),
-                images,
-                outcome: answer.outcome() as u8,
-                action: answer.action().map_or(NO_ACTION, |action| action as u8),
-                reserved: [0; 10],
-            })?;
+        policy.take(&requests, &self.answers)
+    }
+
+    /// Sends what the policy has said meanwhile; returns whether anything was sent.
+    fn pass_on(&mut self) -> Result<bool, ServeError> {
+        let mut sent = false;
+        while let Ok(said) = self.said.try_recv() {
+            sent |= match said {
+                Said::Decided(ticket, decision, decided_ns) => {
+                    let Some(open) = self.close(ticket) else { continue };
+                    self.decisions.send(&on_the_wire(&open, &decision, decided_ns))?;
+                    true
+                }
+                Said::Failed(ticket, why) => {
+                    if self.close(ticket).is_none() {
+                        continue;
+                    }
+                    self.complaints.end_episode(ticket.lane, ticket.episode, &why)?;
+                    true
+                }
+                Said::Halt(why) => {
+                    self.complaints.end_run(&why)?;
+                    true
+                }
+            };
         }
-        Ok(true)
+        Ok(sent)
+    }
+
+    /// The open request that `ticket` names, which is open no longer; `None` when its episode is over, or
+    /// it was answered before.
+    fn close(&mut self, ticket: Ticket) -> Option<Open> {
+        let open = self.open.get_mut(ticket.lane as usize)?;
+        open.take_if(|open| open.ticket == ticket && self.join.is_running(ticket))
     }
 
     /// Takes hold of the documents and frames that `step` shows. Without one of them the step cannot be
@@ -275,5 +282,33 @@ impl Server {
         })?;
         self.orchestrator.ring()?;
         Ok(())
+    }
+}
+
+fn on_the_wire(open: &Open, decision: &Decision, decided_ns: u64) -> message::Decision {
+    let &Open { ticket: Ticket { lane, step, episode }, images, received_ns, started_ns } = open;
+    let usage = decision.usage.unwrap_or_default();
+    let told = |count: Option<u32>| count.unwrap_or(NOT_MEASURED);
+    message::Decision {
+        episode,
+        received_ns,
+        started_ns,
+        prompted_ns: usage.prompted_ns,
+        sent_ns: usage.sent_ns,
+        decided_ns,
+        lane,
+        step,
+        prompt_tokens: told(usage.prompt_tokens),
+        completion_tokens: told(usage.completion_tokens),
+        cached_tokens: told(usage.cached_tokens),
+        image_tokens: told(usage.image_tokens),
+        memory_tokens: told(usage.memory_tokens),
+        images_asked: images,
+        images: decision.images,
+        attempts: usage.attempts,
+        outcome: decision.answer.outcome() as u8,
+        action: decision.answer.action().map_or(NO_ACTION, |action| action as u8),
+        replayed: usage.replayed.into(),
+        reserved: [0; 21],
     }
 }

@@ -60,11 +60,11 @@ impl<'a> Shown<'a> {
         let mut views = held.frames.iter().map(|frame| {
             let size = frame.size();
             let (width, height) = (size.width, size.height);
-            FrameView { id: frame.id(), width, height, pixels: frame.pixels() }
+            let (id, content_hash) = (frame.id(), frame.content_hash());
+            FrameView { id, content_hash, width, height, pixels: frame.pixels() }
         });
         // What is held was held in this very order.
-        let mut next =
-            || views.next().unwrap_or(FrameView { id: NO_FRAME, width: 0, height: 0, pixels: &[] });
+        let mut next = || views.next().unwrap_or(FrameView::NONE);
         let recalled = &held.step.recalled;
         let frame = next();
         let window = recalled.window.iter();
@@ -105,7 +105,9 @@ impl<'a> Shown<'a> {
         Request {
             lane: step.lane,
             step: step.observed.step,
+            episode: lane.episode,
             episode_seed: lane.seed,
+            repeat: lane.repeat,
             instruction: &lane.instruction,
             pose: step.observed.pose,
             feedback: step.observed.feedback,

@@ -62,6 +62,17 @@ codes! {
         Refused = 3,
     }
 
+    /// What follows from a [`Complaint`](super::Complaint).
+    ComplaintKind, "a complaint kind (0 message, 1 episode, 2 run)" {
+        /// A message could not be used; it was dropped, and nothing else follows.
+        Message = 0,
+        /// No decision will come for this episode's step: for a reason that is not the policy's, such as a
+        /// server that refuses the request. The episode ends without a result.
+        Episode = 1,
+        /// There is no point in going on with the run now, whatever the episode: a server that is gone.
+        Run = 2,
+    }
+
     /// A process's part in a run.
     #[derive(serde::Serialize, serde::Deserialize)]
     #[serde(rename_all = "lowercase")]

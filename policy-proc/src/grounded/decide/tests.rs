@@ -103,10 +103,18 @@ impl Ask {
         let document =
             [DocumentView { id: first_id, kind: DocumentKind::Summary, text: &self.document }];
         let grey = [128; 64 * 64 * 4];
-        let blank = FrameView { id: first_id + 500, width: 64, height: 64, pixels: &grey };
+        let blank = FrameView {
+            id: first_id + 500,
+            width: 64,
+            height: 64,
+            pixels: &grey,
+            ..FrameView::NONE
+        };
         let request = Request {
             lane: 0,
             step: self.step,
+            episode: 1,
+            repeat: 1,
             episode_seed: self.seed,
             instruction: &self.instruction,
             pose: self.pose,
@@ -344,7 +352,7 @@ proptest! {
         actions in prop::collection::vec(prop::option::of(any_action()), 1..8),
     ) {
         let texture = Picture::background(64, 3);
-        let noise = FrameView { id: 2, width: 32, height: 32, pixels: &pixels };
+        let noise = FrameView { id: 2, width: 32, height: 32, pixels: &pixels, ..FrameView::NONE };
         for frame in [view(&texture, 1), noise] {
             let window: Vec<_> = past
                 .iter()
@@ -355,6 +363,8 @@ proptest! {
             let request = Request {
                 lane: 0,
                 step: window.len() as u32,
+                episode: 1,
+                repeat: 1,
                 episode_seed: 7,
                 instruction: "Find a blue barrel, then return to the cell where you started.",
                 pose: Pose::new(x, y, Heading::ALL[heading]),
@@ -390,6 +400,8 @@ fn a_walk_that_is_not_kept_still_counts_in_what_courses_are_made_from() {
     let request = Request {
         lane: 0,
         step: 20,
+        episode: 1,
+        repeat: 1,
         episode_seed: 1,
         instruction: "Find a cones 13.",
         pose: here,

@@ -1,0 +1,64 @@
+//! The way back: what a policy says to its requests, from any thread and at any time.
+
+use std::sync::Arc;
+use std::sync::mpsc::{Receiver, Sender, channel};
+use std::thread::{self, ThreadId};
+
+use shm_types::Bell;
+use shm_types::process::monotonic_ns;
+
+use crate::{Decision, Ticket};
+
+/// What a policy says.
+#[derive(Debug)]
+pub(super) enum Said {
+    /// The answer to a request, and when it was there.
+    Decided(Ticket, Decision, u64),
+    /// There will be no answer to a request.
+    Failed(Ticket, String),
+    /// The run should stop.
+    Halt(String),
+}
+
+/// Takes a policy's answers. Clones go to whatever thread has something to say.
+#[derive(Debug, Clone)]
+pub struct Answers {
+    said: Sender<Said>,
+    /// Wakes the serving thread.
+    bell: Arc<Bell>,
+    serving: ThreadId,
+}
+
+impl Answers {
+    /// The way to the thread that calls this, which `bell` wakes, and its end there.
+    pub(super) fn new(bell: Bell) -> (Self, Receiver<Said>) {
+        let (said, heard) = channel();
+        (Self { said, bell: Arc::new(bell), serving: thread::current().id() }, heard)
+    }
+
+    /// Answers the request that `ticket` names. An answer that comes when its episode is over is dropped.
+    pub fn decide(&self, ticket: Ticket, decision: Decision) {
+        self.say(Said::Decided(ticket, decision, monotonic_ns()));
+    }
+
+    /// No answer can be had to the request that `ticket` names, for a reason that is not the policy's: its
+    /// episode ends without a result, and is not scored.
+    pub fn fail(&self, ticket: Ticket, why: impl Into<String>) {
+        self.say(Said::Failed(ticket, why.into()));
+    }
+
+    /// No answer can be had to any request now: the run should stop, to be gone on with later.
+    pub fn halt(&self, why: impl Into<String>) {
+        self.say(Said::Halt(why.into()));
+    }
+
+    fn say(&self, said: Said) {
+        // When serving has ended, nobody wants to know any more.
+        if self.said.send(said).is_err() || thread::current().id() == self.serving {
+            return;
+        }
+        if let Err(error) = self.bell.ring() {
+            tracing::warn!(%error, "the answer waits until somebody else wakes the process");
+        }
+    }
+}
