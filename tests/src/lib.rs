@@ -5,6 +5,8 @@
 
 #![expect(clippy::expect_used, clippy::missing_panics_doc, reason = "a test may panic")]
 
+pub mod needs;
+
 use std::collections::BTreeSet;
 use std::ffi::OsStr;
 use std::fs;

