@@ -39,10 +39,22 @@ named! {
     PolicyKind, "policy" {
         /// A scripted stand-in that looks at the pixels and at the recall it is given.
         Grounded = "grounded",
+        /// A model behind an OpenAI-compatible endpoint.
+        Openai = "openai",
+        /// A program of somebody else's, on the wire.
+        External = "external",
         /// Draws every action, seeded.
         Random = "random",
         /// Replays the reference trajectory: privileged, the upper bound of the scale.
         Expert = "expert",
+    }
+
+    /// How a model is sent what the agent sees.
+    ImageFormat, "image format" {
+        /// Without loss.
+        Png = "png",
+        /// Smaller, with a little loss.
+        Jpeg = "jpeg",
     }
 
     /// What the simulator shows where the agent looks: the controls that prove results come from pixels.
@@ -71,7 +83,7 @@ impl PolicyKind {
     /// Whether it decides in a process of its own, from observations and memory. The expert does not.
     pub const fn has_process(self) -> bool {
         match self {
-            Self::Grounded | Self::Random => true,
+            Self::Grounded | Self::Openai | Self::External | Self::Random => true,
             Self::Expert => false,
         }
     }

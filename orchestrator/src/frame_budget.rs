@@ -109,6 +109,7 @@ mod tests {
             frame_capacity: 1,
             wait: Wait::default(),
             frame_control: FrameControl::Rendered,
+            prompts: None,
             root: PathBuf::new(),
         }
     }

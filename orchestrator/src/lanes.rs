@@ -176,6 +176,7 @@ impl<'w> Lanes<'w> {
             episode: walk.ticket,
             seed: episode.seed,
             lane: lane as u32,
+            repeat: episode.key.run,
             starts_as_demonstrated: condition.is_hinted().into(),
             ..Zeroable::zeroed()
         };
@@ -385,6 +386,12 @@ impl<'w> Lanes<'w> {
         record.prompt_tokens = sum(record.prompt_tokens, told(decision.prompt_tokens));
         record.completion_tokens = sum(record.completion_tokens, told(decision.completion_tokens));
         Ok(self.advance(lane as usize, answer))
+    }
+
+    /// Empties the lane if `ticket` is walked in it, and hands the episode back.
+    pub fn give_up_ticket(&mut self, lane: u32, ticket: u64) -> Option<Episode> {
+        let walk = self.lanes.get_mut(lane as usize)?.take_if(|walk| walk.ticket == ticket)?;
+        Some(walk.walked.episode)
     }
 
     /// Empties the lane and hands its episode back, to be walked again.

@@ -17,8 +17,8 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, Result, bail};
 use bytemuck::Zeroable;
 use shm_types::message::{
-    Busy, Complaint, Decision, Farewell, Hello, MemoryBrief, Observation, PolicyBrief, RecallTrace,
-    Role, StepCommand, Stop, WIRE_VERSION, read_text,
+    Busy, Complaint, ComplaintKind, Decision, Farewell, Hello, MemoryBrief, Observation,
+    PolicyBrief, RecallTrace, Role, StepCommand, Stop, WIRE_VERSION, read_text,
 };
 use shm_types::process::monotonic_ns;
 use shm_types::{Attach, Bell, Bus, Receiver, Sender};
@@ -77,6 +77,8 @@ pub trait Observer {
 pub struct Ending {
     /// Whether it was asked to stop early.
     pub interrupted: bool,
+    /// Why a process said that there is no point in going on, if one did.
+    pub halted: Option<String>,
     /// Episodes that could not be finished, and why.
     pub unfinished: Vec<(Episode, String)>,
     /// What the last generation did with frames, by process.
@@ -114,11 +116,12 @@ pub fn walk(
         walks: BTreeMap::new(),
         unfinished: Vec::new(),
         finished: 0,
+        halted: None,
     };
     let mut farewells = BTreeMap::new();
     let mut failures = 0;
     let mut attach = attach.clone();
-    while !work.queue.is_empty() && !stop.load(Ordering::Relaxed) {
+    while !work.queue.is_empty() && work.halted.is_none() && !stop.load(Ordering::Relaxed) {
         observer.starting(attach.generation);
         let finished_before = work.finished;
         let outcome = Generation::start(&attach, crewing, stop, observer).and_then(|generation| {
@@ -150,6 +153,7 @@ pub fn walk(
     }
     Ok(Ending {
         interrupted: stop.load(Ordering::Relaxed) && !work.queue.is_empty(),
+        halted: work.halted,
         unfinished: work.unfinished,
         farewells,
     })
@@ -162,6 +166,8 @@ struct Work {
     walks: BTreeMap<EpisodeKey, u32>,
     unfinished: Vec<(Episode, String)>,
     finished: u64,
+    /// Why there is no point in going on now.
+    halted: Option<String>,
 }
 
 impl Work {
@@ -317,7 +323,7 @@ impl Generation {
         let mut looked_after = Instant::now();
         loop {
             self.fill(lanes, work)?;
-            if lanes.busy() == 0 || stop.load(Ordering::Relaxed) {
+            if lanes.busy() == 0 || work.halted.is_some() || stop.load(Ordering::Relaxed) {
                 return Ok(());
             }
             self.bus.doorbell().wait(TICK)?;
@@ -419,7 +425,7 @@ impl Generation {
         crewing: &Crewing,
         observer: &mut dyn Observer,
     ) -> Result<(), Failure> {
-        self.pass_on_complaints(observer)?;
+        self.hear_complaints(lanes, work, observer)?;
         if !self.inbox.busy.drain()?.is_empty() {
             self.memory_busy_ns = monotonic_ns();
         }
@@ -452,12 +458,30 @@ impl Generation {
         Err(Failure::Again(format!("{overdue} and is taken to hang")))
     }
 
-    fn pass_on_complaints(&mut self, observer: &mut dyn Observer) -> Result<(), Failure> {
+    /// Hears what went wrong in the processes, and draws the consequences.
+    fn hear_complaints(
+        &mut self,
+        lanes: &mut Lanes<'_>,
+        work: &mut Work,
+        observer: &mut dyn Observer,
+    ) -> Result<(), Failure> {
         for complaint in self.inbox.complaints.drain()? {
             let who = role(complaint.role).map_or("somebody", Role::word);
             let what =
                 read_text(&complaint.text, complaint.text_len).unwrap_or("something unreadable");
-            observer.trouble(&format!("{who}: {what}"));
+            let what = format!("{who}: {what}");
+            let kind = u8::try_from(complaint.kind).map(ComplaintKind::try_from);
+            match kind {
+                Ok(Ok(ComplaintKind::Episode)) => {
+                    let episode = lanes.give_up_ticket(complaint.lane, complaint.episode);
+                    // One that is over already is late.
+                    let Some(episode) = episode else { continue };
+                    observer.trouble(&format!("{}: {what}", episode.key));
+                    work.unfinished.push((episode, what));
+                }
+                Ok(Ok(ComplaintKind::Run)) => work.halted = Some(what),
+                _ => observer.trouble(&what),
+            }
         }
         Ok(())
     }

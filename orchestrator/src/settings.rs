@@ -13,6 +13,7 @@ mod documents;
 mod group;
 mod images;
 mod layer;
+mod model;
 mod resolve;
 mod suite;
 
@@ -21,6 +22,7 @@ pub use documents::{Documents, UnknownDocuments};
 pub use group::{GROUP_KEYS, Group};
 pub use images::{MAX_IMAGES, TooManyImages};
 pub use layer::Layer;
+pub use model::{Amount, MODEL_KEYS, ModelSettings, ResponseCache};
 pub use resolve::{Origin, Resolved, SettingsError, resolve};
 pub use suite::{SuiteError, SuiteName, load_suite, shipped_suites};
 
@@ -32,11 +34,13 @@ use crate::conditions::{Condition, Frames, PolicyKind};
 
 /// A run's settings, complete and checked. Every field is described where it is written: [`Layer`].
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case", deny_unknown_fields)]
+#[serde(rename_all = "kebab-case")]
 #[expect(missing_docs, reason = "each field is documented once, as a flag in `Layer`")]
 pub struct Settings {
     pub suite: SuiteName,
     pub policy: PolicyKind,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub policy_cmd: Option<String>,
     /// What is varied, one group at least.
     #[serde(rename = "group")]
     pub groups: Vec<Group>,
@@ -53,9 +57,14 @@ pub struct Settings {
     pub encoder: String,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub encoder_file: Option<PathBuf>,
+    /// What concerns a model that is asked over the network; for `--policy openai` alone.
+    #[serde(flatten, default, skip_serializing_if = "Option::is_none")]
+    pub model: Option<ModelSettings>,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub assets: Option<PathBuf>,
     pub out: PathBuf,
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub log_prompts: bool,
     pub lanes: u32,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub encoder_threads: Option<u32>,
@@ -89,6 +98,15 @@ pub const FREE_KEYS: &[&str] = &[
     "suite",
     "assets",
     "out",
+    "base-url",
+    "max-connections",
+    "max-retries",
+    "request-timeout",
+    "response-cache",
+    "prices",
+    "max-tokens-total",
+    "max-cost",
+    "log-prompts",
     "lanes",
     "encoder-threads",
     "frame-budget",

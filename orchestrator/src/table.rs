@@ -155,6 +155,14 @@ pub fn standing(settings: &Settings) -> Vec<String> {
                                  no claim about any model."
                 .to_owned()
         }
+        PolicyKind::Openai => {
+            let model = settings.model.as_ref().map_or("?", |model| model.model.as_str());
+            format!("Policy: {model}, asked through an OpenAI-compatible endpoint.")
+        }
+        PolicyKind::External => match &settings.policy_cmd {
+            Some(command) => format!("Policy: a program of its own, `{command}`."),
+            None => "Policy: a program of its own.".to_owned(),
+        },
         PolicyKind::Random => "Policy: random, the lower bound of the scale.".to_owned(),
         PolicyKind::Expert => {
             "Policy: expert, which replays the reference: the upper bound of the scale.".to_owned()

@@ -18,12 +18,12 @@ use crate::conditions::{Demonstrations, PolicyKind, Route, Start};
 use crate::frame_budget;
 use crate::lanes::{Lanes, Rules};
 use crate::log::{FORMAT, Manifest, Opened, RunFolder, RunLog, commit_of};
-use crate::pipeline::{self, Crewing};
+use crate::pipeline::{self, Crewing, Ending};
 use crate::plan::{Episode, plan};
 use crate::progress::Progress;
 use crate::session::Session;
 use crate::settings::{
-    Group, Layer, Origin, Resolved, Settings, load_suite, resolve, select_cases,
+    Group, Layer, ModelSettings, Origin, Resolved, Settings, load_suite, resolve, select_cases,
 };
 use crate::signals::{self, Signals};
 use crate::supervise::{Launch, sibling};
@@ -104,6 +104,7 @@ pub(super) fn run(args: RunArgs, matches: &ArgMatches) -> Result<Exit> {
         .into_iter()
         .filter(|episode| !folder.is_finished(&episode.key.to_string()))
         .collect();
+    let mut halted = None;
     if !missing.is_empty() {
         let successes = finished.iter().filter(|record| record.is_success()).count();
         let total = finished.len() + missing.len();
@@ -115,7 +116,7 @@ pub(super) fn run(args: RunArgs, matches: &ArgMatches) -> Result<Exit> {
             );
         }
         let progress = Progress::new(total, finished.len(), successes, args.quiet);
-        walk(&settings, &world, missing, &mut folder, progress, &signals)?;
+        halted = walk(&settings, &world, missing, &mut folder, progress, &signals)?;
     }
 
     if let Some(signal) = signals.received() {
@@ -132,6 +133,9 @@ pub(super) fn run(args: RunArgs, matches: &ArgMatches) -> Result<Exit> {
     }
     let log = RunLog::read(&settings.out)?;
     print(&table::report(&log))?;
+    if let Some(why) = halted {
+        eprintln!("stopped: {why}\nWhat is done is kept. To go on:\n  {}", same_command());
+    }
     let complete = log.episodes.len() >= log.manifest.episodes as usize;
     Ok(if complete { Exit::Complete } else { Exit::Failed })
 }
@@ -254,7 +258,8 @@ fn dry_run(
     ))
 }
 
-/// Walks the missing episodes, and writes down how that ended.
+/// Walks the missing episodes, and writes down how that ended. Returns why it stopped early, if a process said
+/// that it should.
 fn walk(
     settings: &Settings,
     world: &World,
@@ -262,7 +267,7 @@ fn walk(
     folder: &mut RunFolder,
     progress: Progress,
     signals: &Signals,
-) -> Result<()> {
+) -> Result<Option<String>> {
     let base = registry::default_base();
     for gone in registry::clean(&base)?.removed {
         progress.note(&format!("removed what a killed run left in {}", gone.display()));
@@ -288,15 +293,19 @@ fn walk(
     let reason = match (&outcome, signals.received()) {
         (Err(error), _) => format!("{error:#}"),
         (Ok(_), Some(signal)) => signals::name(signal).to_owned(),
+        (Ok(Ending { halted: Some(why), .. }), None) => why.clone(),
         (Ok(_), None) => "complete".to_owned(),
     };
     session.end(&outcome, &reason)?;
-    outcome.map(drop)
+    Ok(outcome?.halted)
 }
 
 /// What every process of the run is told.
 fn attach(settings: &Settings, world: &World, missing: &[Episode], run: &RunDir) -> Result<Attach> {
     let windows = missing.iter().map(|episode| episode.key.condition.variation.window);
+    // Absolute: a process of somebody else's may work elsewhere.
+    let prompts = settings.log_prompts.then(|| RunFolder::prompts_of(&settings.out));
+    let prompts = prompts.map(std::path::absolute).transpose()?;
     let mut attach = Attach {
         // The expert needs a world and nobody else.
         crew: if settings.policy.has_process() { Role::CREW.to_vec() } else { vec![Role::Sim] },
@@ -305,6 +314,7 @@ fn attach(settings: &Settings, world: &World, missing: &[Episode], run: &RunDir)
         frame: FrameSize { width: settings.frame_size, height: settings.frame_size },
         wait: Wait { spin_us: settings.spin_us },
         frame_control: settings.frames.control(),
+        prompts,
         ..Attach::new(run)
     };
     let World { warehouse, cases, .. } = world;
@@ -352,10 +362,26 @@ fn launches(settings: &Settings) -> Result<Vec<Launch>> {
             memory.args.push("--no-encoder".into());
         }
         launches.push(memory);
-        let policy = ("--policy", Some(settings.policy.to_string()));
-        launches.push(launch(Role::Policy, "policy-proc", &[policy])?);
+        let policy = [("--policy", Some(settings.policy.to_string()))];
+        let model = settings.model.as_ref().map(model_flags).unwrap_or_default();
+        launches.push(launch(Role::Policy, "policy-proc", &[&policy[..], &model[..]].concat())?);
     }
     Ok(launches)
+}
+
+/// What the policy process is told about the model.
+fn model_flags(model: &ModelSettings) -> Vec<(&'static str, Option<String>)> {
+    vec![
+        ("--model", Some(model.model.clone())),
+        ("--base-url", model.base_url.clone()),
+        ("--image-format", Some(model.image_format.to_string())),
+        ("--image-budget", Some(model.image_budget.to_string())),
+        ("--answer-tokens", Some(model.answer_tokens.to_string())),
+        ("--max-connections", Some(model.max_connections.to_string())),
+        ("--max-retries", Some(model.max_retries.to_string())),
+        ("--request-timeout", Some(model.request_timeout.to_string())),
+        ("--response-cache", Some(model.response_cache.to_string())),
+    ]
 }
 
 /// The command line that was given, to be given again: without `--fresh`, which would start over.

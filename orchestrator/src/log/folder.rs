@@ -18,6 +18,7 @@ const TIMINGS_FILE: &str = "timings.jsonl";
 const ERRORS_FILE: &str = "errors.jsonl";
 const SESSIONS_FILE: &str = "sessions.jsonl";
 const DOCUMENTS_FOLDER: &str = "documents";
+const PROMPTS_FOLDER: &str = "prompts";
 const LOGS_FOLDER: &str = "logs";
 /// Where [`report`](crate::report) writes about a single run.
 pub const REPORT_FOLDER: &str = "report";
@@ -150,6 +151,11 @@ impl RunFolder {
     /// Where a run folder at `dir` keeps the documents that memory supplied.
     pub fn documents_of(dir: &Path) -> PathBuf {
         dir.join(DOCUMENTS_FOLDER)
+    }
+
+    /// Where a run folder at `dir` keeps what the policy was given and what it answered.
+    pub fn prompts_of(dir: &Path) -> PathBuf {
+        dir.join(PROMPTS_FOLDER)
     }
 
     /// Where the process called `role` writes what it says on stderr.

@@ -7,9 +7,9 @@ use serde::de::Error as _;
 use serde::{Deserialize, Deserializer, Serialize};
 use shm_types::Representation;
 
-use super::{CaseSelector, Documents, SuiteName};
+use super::{Amount, CaseSelector, Documents, MAX_IMAGES, ResponseCache, SuiteName};
 use crate::conditions::{
-    Demonstrations, Frames, Hint, PolicyKind, Route, SegmentContent, Start, Variation,
+    Demonstrations, Frames, Hint, ImageFormat, PolicyKind, Route, SegmentContent, Start, Variation,
     representation,
 };
 
@@ -17,6 +17,8 @@ use crate::conditions::{
 const WHAT: &str = "What is run";
 /// Heading of the flags that decide what the agent perceives.
 const PERCEIVED: &str = "What the agent is given";
+/// Heading of the flags about a model that is asked over the network.
+const MODEL: &str = "The model (with --policy openai)";
 /// Heading of the flags that change no result.
 const HOW: &str = "How it is run (changes no result)";
 
@@ -31,10 +33,16 @@ pub struct Layer {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub suite: Option<SuiteName>,
 
-    /// Who decides: grounded (a scripted stand-in), random, or expert (replays the reference)
+    /// Who decides: grounded (a scripted stand-in), openai (a model behind an OpenAI-compatible endpoint),
+    /// external (a program of your own), random, or expert (replays the reference)
     #[arg(long, value_name = "NAME", env = "MEMTRANSFER_POLICY", help_heading = WHAT)]
     #[serde(skip_serializing_if = "Option::is_none")]
     pub policy: Option<PolicyKind>,
+
+    /// The command that starts your own policy, for example "python my_policy.py"; means --policy external
+    #[arg(long, value_name = "COMMAND", env = "MEMTRANSFER_POLICY_CMD", help_heading = WHAT)]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub policy_cmd: Option<String>,
 
     /// Memory representations: working, full-context, summary, semantic, hybrid, episodic
     #[arg(long, value_name = "LIST", value_delimiter = ',', value_parser = representation,
@@ -148,6 +156,69 @@ pub struct Layer {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub encoder_file: Option<PathBuf>,
 
+    /// The model, by the name that the server knows it by
+    #[arg(long, value_name = "NAME", env = "MEMTRANSFER_MODEL", help_heading = MODEL)]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub model: Option<String>,
+
+    /// Where the server is, up to /v1 [default: $OPENAI_BASE_URL, else $OPENAI_API_BASE]. The key, where one
+    /// is needed, is $OPENAI_API_KEY; all three may stand in a file .env
+    #[arg(long, value_name = "URL", env = "MEMTRANSFER_BASE_URL", help_heading = MODEL)]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub base_url: Option<String>,
+
+    /// How views are sent: png (without loss) or jpeg
+    #[arg(long, value_name = "FORMAT", env = "MEMTRANSFER_IMAGE_FORMAT", help_heading = MODEL)]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub image_format: Option<ImageFormat>,
+
+    /// Most images in a request; what is more is left out, said in the prompt and counted. 0 for a model
+    /// that takes text alone
+    #[arg(long, value_name = "N", env = "MEMTRANSFER_IMAGE_BUDGET", help_heading = MODEL)]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub image_budget: Option<u32>,
+
+    /// Most tokens of an answer
+    #[arg(long, value_name = "N", env = "MEMTRANSFER_ANSWER_TOKENS", help_heading = MODEL)]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub answer_tokens: Option<u32>,
+
+    /// Most requests under way at once; fewer while the server says that it is too much
+    #[arg(long, value_name = "N", env = "MEMTRANSFER_MAX_CONNECTIONS", help_heading = MODEL)]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub max_connections: Option<u32>,
+
+    /// How often a request is sent again that met status 429 or 5xx, no answer in time or no connection
+    #[arg(long, value_name = "N", env = "MEMTRANSFER_MAX_RETRIES", help_heading = MODEL)]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub max_retries: Option<u32>,
+
+    /// Seconds that one attempt may take
+    #[arg(long, value_name = "SECONDS", env = "MEMTRANSFER_REQUEST_TIMEOUT", help_heading = MODEL)]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub request_timeout: Option<u32>,
+
+    /// Whether answers are kept and a request that was answered before is not sent again: on, off, or the
+    /// folder to keep them in
+    #[arg(long, value_name = "on|off|DIR", env = "MEMTRANSFER_RESPONSE_CACHE", help_heading = MODEL)]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub response_cache: Option<ResponseCache>,
+
+    /// What tokens cost, by model (TOML; see docs/costs.md)
+    #[arg(long, value_name = "FILE", env = "MEMTRANSFER_PRICES", help_heading = MODEL)]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub prices: Option<PathBuf>,
+
+    /// Stop when the run has used N tokens, earlier sessions included; the same command with more goes on
+    #[arg(long, value_name = "N", env = "MEMTRANSFER_MAX_TOKENS_TOTAL", help_heading = MODEL)]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub max_tokens_total: Option<u64>,
+
+    /// Stop when the run has cost this much, in the currency of --prices, earlier sessions included
+    #[arg(long, value_name = "AMOUNT", env = "MEMTRANSFER_MAX_COST", help_heading = MODEL)]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub max_cost: Option<Amount>,
+
     /// Use the layout, catalogue, cases, suites and model manifest in DIR, not the built-in ones
     #[arg(long, value_name = "DIR", env = "MEMTRANSFER_ASSETS", help_heading = WHAT)]
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -157,6 +228,12 @@ pub struct Layer {
     #[arg(long, value_name = "DIR", env = "MEMTRANSFER_OUT", help_heading = HOW)]
     #[serde(skip_serializing_if = "Option::is_none")]
     pub out: Option<PathBuf>,
+
+    /// Keep what the policy was given and what it answered, step by step, in the run's folder, for
+    /// `memtransfer show`
+    #[arg(long, env = "MEMTRANSFER_LOG_PROMPTS", help_heading = HOW)]
+    #[serde(skip_serializing_if = "std::ops::Not::not", default)]
+    pub log_prompts: bool,
 
     /// Episodes that run at once
     #[arg(long, value_name = "N", env = "MEMTRANSFER_LANES", help_heading = HOW)]
@@ -215,6 +292,7 @@ impl Layer {
         Self {
             suite: Some(SuiteName::quick()),
             policy: Some(PolicyKind::Grounded),
+            policy_cmd: None,
             memory: Some(Representation::ALL.to_vec()),
             starts: Some(Start::ALL.to_vec()),
             routes: Some(vec![Route::Unchanged]),
@@ -234,7 +312,20 @@ impl Layer {
             frames: Some(Frames::Rendered),
             encoder: Some("dinov2-s14".to_owned()),
             encoder_file: None,
+            model: None,
+            base_url: None,
+            image_format: Some(ImageFormat::Png),
+            image_budget: Some(MAX_IMAGES),
+            answer_tokens: Some(30),
+            max_connections: Some(16),
+            max_retries: Some(5),
+            request_timeout: Some(120),
+            response_cache: Some(ResponseCache::On),
+            prices: None,
+            max_tokens_total: None,
+            max_cost: None,
             assets: None,
+            log_prompts: false,
             // Follows from suite and policy.
             out: None,
             lanes: Some(16),

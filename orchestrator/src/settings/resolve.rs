@@ -8,7 +8,7 @@ use serde_json::{Map, Value, json};
 use shm_types::Representation;
 use shm_types::message::{MAX_SEGMENT, MAX_WINDOW};
 
-use super::{GROUP_KEYS, Group, Layer, MAX_IMAGES, Settings, TooManyImages};
+use super::{GROUP_KEYS, Group, Layer, MAX_IMAGES, MODEL_KEYS, Settings, TooManyImages};
 use crate::conditions::{PolicyKind, Variation};
 
 /// Where a setting comes from, weakest first.
@@ -64,6 +64,21 @@ pub enum SettingsError {
         /// What would be accepted.
         expected: String,
     },
+    /// A flag that is for another policy.
+    #[error("--{key} is for --policy {only_for}, and the policy is {policy}")]
+    OtherPolicy {
+        /// The flag.
+        key: &'static str,
+        /// The policy it is for.
+        only_for: PolicyKind,
+        /// The policy there is.
+        policy: PolicyKind,
+    },
+    /// Nobody said which model.
+    #[error(
+        "--policy openai needs a model: say --model NAME, by the name that the server knows it by"
+    )]
+    NoModel,
     /// Nothing is left to run.
     #[error(
         "no condition is left: a blocked route needs the new start (add `new` to --starts), a memory of \
@@ -92,14 +107,12 @@ pub fn resolve(
         origins.extend(said.keys().map(|key| (key.clone(), origin)));
         merged.extend(said);
     }
+    let policy = choose_policy(&mut merged, &mut origins)?;
     if !merged.contains_key("out") {
-        let word = |key| merged.get(key).and_then(Value::as_str).unwrap_or_default();
-        let suite: super::SuiteName = serde_json::from_value(word("suite").into())?;
-        let out = PathBuf::from(format!("runs/{}-{}", suite.word(), word("policy")));
+        let out = PathBuf::from(format!("runs/{}", folder_name(&merged, policy)?));
         merged.insert("out".to_owned(), serde_json::to_value(out)?);
         origins.insert("out".to_owned(), Origin::Default);
     }
-    let policy = serde_json::from_value(merged.get("policy").cloned().unwrap_or_default())?;
     let said = match merged.remove("group") {
         Some(Value::Array(groups)) => groups,
         // Without groups there is one, of the top-level keys.
@@ -120,6 +133,50 @@ pub fn resolve(
     let settings: Settings = serde_json::from_value(Value::Object(merged))?;
     settings.check()?;
     Ok(Resolved { settings, origins, group_origins })
+}
+
+/// Which policy the layers come to. Takes away what is not for it; what somebody asked for and cannot have is an
+/// error.
+fn choose_policy(
+    merged: &mut Map<String, Value>,
+    origins: &mut Origins,
+) -> Result<PolicyKind, SettingsError> {
+    let asked_for = |origins: &Origins, key| origins.get(key) >= Some(&Origin::Environment);
+    if merged.contains_key("policy-cmd") && !asked_for(origins, "policy") {
+        merged.insert("policy".to_owned(), PolicyKind::External.name().into());
+        origins.insert("policy".to_owned(), origins["policy-cmd"]);
+    }
+    let policy = serde_json::from_value(merged.get("policy").cloned().unwrap_or_default())?;
+    let only_for = |key, only_for| SettingsError::OtherPolicy { key, only_for, policy };
+    if policy != PolicyKind::External && merged.contains_key("policy-cmd") {
+        return Err(only_for("policy-cmd", PolicyKind::External));
+    }
+    if policy == PolicyKind::Openai {
+        return if merged.contains_key("model") { Ok(policy) } else { Err(SettingsError::NoModel) };
+    }
+    for key in MODEL_KEYS {
+        // A variable may be there for other runs.
+        if origins.get(*key) == Some(&Origin::CommandLine) {
+            return Err(only_for(key, PolicyKind::Openai));
+        }
+        merged.remove(*key);
+        origins.remove(*key);
+    }
+    Ok(policy)
+}
+
+/// What a run's folder is called when nobody says it: suite and policy, and which model it asks.
+fn folder_name(merged: &Map<String, Value>, policy: PolicyKind) -> Result<String, SettingsError> {
+    let word = |key| merged.get(key).and_then(Value::as_str).unwrap_or_default();
+    let suite: super::SuiteName = serde_json::from_value(word("suite").into())?;
+    let plain = |c: char| if c.is_ascii_alphanumeric() || ".-_".contains(c) { c } else { '-' };
+    let who = match policy {
+        PolicyKind::Openai => {
+            format!("openai-{}", word("model").chars().map(plain).collect::<String>())
+        }
+        _ => policy.to_string(),
+    };
+    Ok(format!("{}-{who}", suite.word()))
 }
 
 /// Completes what a suite says of a group: a flag or variable replaces it, what is said at the top level holds
@@ -164,7 +221,7 @@ fn makes_no_difference(policy: PolicyKind) -> Vec<(&'static str, Value)> {
         ("hint", json!([hint])),
     ];
     match policy {
-        PolicyKind::Grounded => Vec::new(),
+        PolicyKind::Grounded | PolicyKind::Openai | PolicyKind::External => Vec::new(),
         PolicyKind::Random => given,
         // It does the same in every run.
         PolicyKind::Expert => given.into_iter().chain([("runs", json!(1))]).collect(),
@@ -184,12 +241,21 @@ impl Settings {
             ("--step-timeout", self.step_timeout, 1, 86_400),
             ("--start-timeout", self.start_timeout, 1, 86_400),
         ];
+        let model = self.model.iter().flat_map(|model| {
+            [
+                ("--image-budget", model.image_budget, 0, 1000),
+                ("--answer-tokens", model.answer_tokens, 1, 100_000),
+                ("--max-connections", model.max_connections, 1, 1024),
+                ("--max-retries", model.max_retries, 0, 100),
+                ("--request-timeout", model.request_timeout, 1, 86_400),
+            ]
+        });
         let varied = self.groups.iter().flat_map(|group: &Group| {
             let windows = group.window.iter();
             let windows = windows.map(|&window| ("--window", window, 0, MAX_WINDOW as u32));
             windows.chain([("--runs", group.runs, 1, 1000)])
         });
-        for (key, value, least, most) in numbers.into_iter().chain(varied) {
+        for (key, value, least, most) in numbers.into_iter().chain(model).chain(varied) {
             if !(least..=most).contains(&value) {
                 let expected = format!("{least} to {most}");
                 return Err(SettingsError::Value { key, value: value.to_string(), expected });
