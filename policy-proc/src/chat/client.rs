@@ -3,6 +3,7 @@
 use std::collections::hash_map::RandomState;
 use std::fmt;
 use std::hash::BuildHasher;
+use std::io;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::{Duration, SystemTime};
@@ -13,12 +14,16 @@ use ureq::http::header::{AUTHORIZATION, CONTENT_TYPE, DATE, LOCATION, RETRY_AFTE
 use ureq::tls::{RootCerts, TlsConfig, TlsProvider};
 
 use super::endpoint::Endpoint;
+use super::error::{ChatError, Failure, Passing};
 use super::message::{Dialect, Question};
 use super::reply::{self, Reply};
 use super::retry;
 
 /// Most bytes of an answer that are read.
 const LARGEST_ANSWER: u64 = 16 << 20;
+
+/// Most connections that are kept for the next request.
+const IDLE_CONNECTIONS: usize = 256;
 
 /// How a model is asked.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -31,81 +36,11 @@ pub struct Settings {
     pub max_retries: u32,
 }
 
-/// Why there is no reply. None of these is the model's doing.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-pub enum ChatError {
-    /// The server does not take this request, and will not later.
-    #[error("{endpoint} refused the request with status {status}: {message}; {advice}")]
-    Refused {
-        /// Who.
-        endpoint: String,
-        /// The HTTP status.
-        status: u16,
-        /// What the server says.
-        message: String,
-        /// What to do.
-        advice: &'static str,
-    },
-    /// What answers there is no chat endpoint.
-    #[error(
-        "{endpoint} is no chat endpoint: it answered with {what}; check the base URL, which usually ends in /v1"
-    )]
-    NotChat {
-        /// Who.
-        endpoint: String,
-        /// What came instead.
-        what: String,
-    },
-    /// It failed every time, for reasons that might have passed.
-    #[error("{endpoint} gave no reply (attempts: {attempts}); the last time: {last}")]
-    GaveUp {
-        /// Who.
-        endpoint: String,
-        /// How many times it was asked.
-        attempts: u32,
-        /// What was wrong the last time.
-        last: Passing,
-    },
-}
-
-/// A failure that may be over when the same is asked again.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-pub enum Passing {
-    /// A status that says so.
-    #[error("status {status}: {message}")]
-    Status {
-        /// The HTTP status.
-        status: u16,
-        /// What the server says.
-        message: String,
-    },
-    /// The server is busy for longer than anybody waits.
-    #[error("status {status}: {message}; it wants to be left alone for {} s: start again then", wish.as_secs())]
-    Busy {
-        /// The HTTP status.
-        status: u16,
-        /// What the server says.
-        message: String,
-        /// How long.
-        wish: Duration,
-    },
-    /// The answer was not there in time.
-    #[error("no answer within {} s; is the server running, and is --timeout long enough for it?", .0.as_secs_f64())]
-    Timeout(Duration),
-    /// There was no connection, or it broke.
-    #[error("the connection failed: {0}; is the server running?")]
-    Connection(String),
-    /// An answer came that cannot be read.
-    #[error("the answer cannot be used: {0}")]
-    Unreadable(String),
-}
-
-/// What one attempt came to, when not to a reply.
-enum Failure {
-    Passing(Passing, Option<Duration>),
-    Final(ChatError),
-    /// The server understands this dialect.
-    Dialect(Dialect),
+/// What a server says that takes part in the conversation.
+enum Heard {
+    Reply(Box<Reply>),
+    /// Not in this way, but in that one.
+    Understands(Dialect),
 }
 
 /// Asks one model of one endpoint. Threads may share it; each waits for its own answer.
@@ -155,12 +90,24 @@ impl Client {
             // A redirected POST would become a GET without the key.
             .max_redirects(0)
             .timeout_global(Some(settings.timeout))
+            .max_idle_connections(IDLE_CONNECTIONS)
+            .max_idle_connections_per_host(IDLE_CONNECTIONS)
             .user_agent(concat!("memtransfer/", env!("CARGO_PKG_VERSION")))
             .accept("application/json")
             .build()
             .new_agent();
         let dialect = AtomicU32::new(Dialect::default().0);
         Self { agent, endpoint, settings, dialect, sleep: Box::new(sleep) }
+    }
+
+    /// Who is asked, and how.
+    pub fn settings(&self) -> &Settings {
+        &self.settings
+    }
+
+    /// Where.
+    pub fn endpoint(&self) -> &Endpoint {
+        &self.endpoint
     }
 
     /// Asks, at temperature 0 and with reasoning off, and waits for the answer: at most
@@ -171,24 +118,14 @@ impl Client {
     pub fn ask(&self, question: &Question) -> Result<Reply, ChatError> {
         let mut attempts = 0;
         loop {
-            let dialect = Dialect(self.dialect.load(Ordering::Relaxed));
-            let (last, wish) = match self.attempt(dialect, question) {
+            let (last, wish) = match self.attempt(question) {
                 Ok(reply) => return Ok(reply),
                 Err(Failure::Final(error)) => return Err(error),
-                // Each bit is set once, so this ends; it is no retry of a request that failed.
-                Err(Failure::Dialect(understood)) => {
-                    self.dialect.fetch_or(understood.0, Ordering::Relaxed);
-                    continue;
-                }
                 Err(Failure::Passing(last, wish)) => (last, wish),
             };
             attempts += 1;
             if attempts > self.settings.max_retries || matches!(last, Passing::Busy { .. }) {
-                return Err(ChatError::GaveUp {
-                    endpoint: self.endpoint.to_string(),
-                    attempts,
-                    last,
-                });
+                return Err(self.gave_up(attempts, last));
             }
             let pause = retry::pause(attempts - 1, wish, jitter(attempts));
             tracing::warn!(
@@ -200,15 +137,38 @@ impl Client {
         }
     }
 
-    fn attempt(&self, dialect: Dialect, question: &Question) -> Result<Reply, Failure> {
-        let body = dialect.body(&self.settings.model, question).to_string();
+    /// The error of a question that was asked for the last time.
+    pub(super) fn gave_up(&self, attempts: u32, last: Passing) -> ChatError {
+        ChatError::GaveUp { endpoint: self.endpoint.to_string(), attempts, last }
+    }
+
+    /// Asks once, within the deadline. To be told that the server wants to be spoken to in another way is no
+    /// failed attempt: it is asked again at once, in that way.
+    pub(super) fn attempt(&self, question: &Question) -> Result<Reply, Failure> {
+        loop {
+            let dialect = Dialect(self.dialect.load(Ordering::Relaxed));
+            match self.send(dialect, question)? {
+                Heard::Reply(reply) => return Ok(*reply),
+                // Each bit is set once, so this ends.
+                Heard::Understands(dialect) => {
+                    self.dialect.fetch_or(dialect.0, Ordering::Relaxed);
+                }
+            }
+        }
+    }
+
+    fn send(&self, dialect: Dialect, question: &Question) -> Result<Heard, Failure> {
+        let body = serde_json::to_vec(&dialect.body(&self.settings.model, question));
+        let body = body.map_err(|error| Failure::Final(ChatError::Unsaid(error.to_string())))?;
         let mut request =
             self.agent.post(self.endpoint.completions()).header(CONTENT_TYPE, "application/json");
         if let Some(authorization) = self.endpoint.authorization() {
             request = request.header(AUTHORIZATION, authorization.clone());
         }
         let passing = |error| Failure::Passing(self.passing(error), None);
-        let mut response = request.send(body).map_err(passing)?;
+        let mut response = request.send(&body).map_err(passing)?;
+        // An answer may be long in coming.
+        drop(body);
         let answer = response
             .body_mut()
             .with_config()
@@ -216,8 +176,8 @@ impl Client {
             .read_to_vec()
             .map_err(passing)?;
         match response.status().as_u16() {
-            200..=299 => self.read(&response, &answer),
-            status => Err(self.refused(dialect, status, &response, &answer)),
+            200..=299 => self.read(&response, &answer).map(|reply| Heard::Reply(Box::new(reply))),
+            status => self.refused(dialect, status, &response, &answer).map(Heard::Understands),
         }
     }
 
@@ -233,28 +193,29 @@ impl Client {
         })
     }
 
+    /// What the server would understand, or why it does not answer.
     fn refused<T>(
         &self,
         dialect: Dialect,
         status: u16,
         response: &Response<T>,
         answer: &[u8],
-    ) -> Failure {
+    ) -> Result<Dialect, Failure> {
         if (300..=399).contains(&status) {
             let target = header(response, LOCATION).unwrap_or("nowhere");
-            return self.not_chat(format!("a redirection to {}", self.endpoint.masked(target)));
+            return Err(self.not_chat(format!("a redirection to {}", self.endpoint.masked(target))));
         }
         let message = self.endpoint.masked(&reply::error_message(answer));
         if retry::is_passing(status) {
             let wish = header(response, RETRY_AFTER).and_then(|retry_after| {
                 retry::wish(retry_after, header(response, DATE), SystemTime::now())
             });
-            return match wish {
+            return Err(match wish {
                 Some(wish) if wish > retry::LONGEST_WISH => {
                     Failure::Passing(Passing::Busy { status, message, wish }, None)
                 }
                 wish => Failure::Passing(Passing::Status { status, message }, wish),
-            };
+            });
         }
         if matches!(status, 400 | 422)
             && let Some((understood, fields)) = dialect.after(&String::from_utf8_lossy(answer))
@@ -264,25 +225,31 @@ impl Client {
                 self.endpoint,
                 fields.join(", ")
             );
-            return Failure::Dialect(understood);
+            return Ok(understood);
         }
-        Failure::Final(ChatError::Refused {
+        Err(Failure::Final(ChatError::Refused {
             endpoint: self.endpoint.to_string(),
             status,
             message,
             advice: self.advice(status),
-        })
+        }))
     }
 
     fn not_chat(&self, what: String) -> Failure {
         Failure::Final(ChatError::NotChat { endpoint: self.endpoint.to_string(), what })
     }
 
-    fn passing(&self, error: ureq::Error) -> Passing {
+    pub(super) fn passing(&self, error: ureq::Error) -> Passing {
         match error {
             ureq::Error::Timeout(_) => Passing::Timeout(self.settings.timeout),
             ureq::Error::BodyExceedsLimit(bytes) => {
                 Passing::Unreadable(format!("it has more than {bytes} bytes"))
+            }
+            ureq::Error::HostNotFound | ureq::Error::ConnectionFailed => {
+                Passing::Unreachable(error.to_string())
+            }
+            ureq::Error::Io(error) if never_connected(error.kind()) => {
+                Passing::Unreachable(error.to_string())
             }
             error => Passing::Connection(error.to_string()),
         }
@@ -305,8 +272,13 @@ fn header<T>(response: &Response<T>, name: ureq::http::HeaderName) -> Option<&st
     response.headers().get(name)?.to_str().ok()
 }
 
+fn never_connected(kind: io::ErrorKind) -> bool {
+    use io::ErrorKind::{ConnectionRefused, HostUnreachable, NetworkUnreachable};
+    matches!(kind, ConnectionRefused | HostUnreachable | NetworkUnreachable)
+}
+
 /// A number from 0 to 1 that differs from call to call. Nothing but the length of a pause depends on it.
-fn jitter(attempt: u32) -> f64 {
+pub(super) fn jitter(attempt: u32) -> f64 {
     RandomState::new().hash_one(attempt) as f64 / u64::MAX as f64
 }
 

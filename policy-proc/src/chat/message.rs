@@ -4,7 +4,10 @@
 //! reasoning off, so a request carries each of the ways that servers understand; most servers pass over a
 //! field that they do not know, and one that refuses it is asked without it ([`Dialect`]).
 
-use serde::{Deserialize, Serialize};
+use std::sync::Arc;
+
+use serde::ser::SerializeMap;
+use serde::{Deserialize, Serialize, Serializer};
 use serde_json::{Value, json};
 
 /// Who says something.
@@ -65,8 +68,23 @@ pub enum Part {
 /// Where an image is: in the URL itself (`data:image/png;base64,...`), or somewhere that the server can reach.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ImageUrl {
-    /// The URL.
-    pub url: String,
+    /// The URL. Questions that show the same image share it.
+    #[serde(with = "shared_text")]
+    pub url: Arc<str>,
+}
+
+mod shared_text {
+    use std::sync::Arc;
+
+    use serde::{Deserialize, Deserializer, Serializer};
+
+    pub(super) fn serialize<S: Serializer>(text: &str, to: S) -> Result<S::Ok, S::Error> {
+        to.serialize_str(text)
+    }
+
+    pub(super) fn deserialize<'de, D: Deserializer<'de>>(from: D) -> Result<Arc<str>, D::Error> {
+        String::deserialize(from).map(Arc::from)
+    }
 }
 
 /// A question to a model.
@@ -106,20 +124,38 @@ const NEWER_BOUND: u32 = 1 << 31;
 const BOUND: &str = "max_tokens";
 const NEWER_BOUND_NAME: &str = "max_completion_tokens";
 
-impl Dialect {
-    /// The body of a request.
-    pub(super) fn body(self, model: &str, question: &Question) -> Value {
-        let Question { messages, max_tokens } = question;
-        let mut body =
-            json!({"model": model, "messages": messages, "temperature": 0.0, "stream": false});
-        let bound = if self.0 & NEWER_BOUND == 0 { BOUND } else { NEWER_BOUND_NAME };
-        body[bound] = json!(max_tokens);
+/// The body of a request, which borrows what it says: images are copied once, into the bytes that are sent.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Body<'a> {
+    dialect: Dialect,
+    model: &'a str,
+    question: &'a Question,
+}
+
+impl Serialize for Body<'_> {
+    fn serialize<S: Serializer>(&self, to: S) -> Result<S::Ok, S::Error> {
+        let Self { dialect: Dialect(dialect), model, question: Question { messages, max_tokens } } =
+            self;
+        let mut body = to.serialize_map(None)?;
+        body.serialize_entry("model", model)?;
+        body.serialize_entry("temperature", &0.0)?;
+        body.serialize_entry("stream", &false)?;
+        let bound = if dialect & NEWER_BOUND == 0 { BOUND } else { NEWER_BOUND_NAME };
+        body.serialize_entry(bound, max_tokens)?;
         for (bit, (field, off)) in reasoning_off().into_iter().enumerate() {
-            if self.0 & (1 << bit) == 0 {
-                body[field] = off;
+            if dialect & (1 << bit) == 0 {
+                body.serialize_entry(field, &off)?;
             }
         }
-        body
+        body.serialize_entry("messages", messages)?;
+        body.end()
+    }
+}
+
+impl Dialect {
+    /// The body of a request.
+    pub(super) const fn body<'a>(self, model: &'a str, question: &'a Question) -> Body<'a> {
+        Body { dialect: self, model, question }
     }
 
     /// What a server understands that refused a request of this dialect with `message`; `None` when the
@@ -149,6 +185,10 @@ impl Dialect {
 mod tests {
     use super::*;
 
+    fn body(dialect: Dialect) -> Value {
+        serde_json::to_value(dialect.body("m", &question())).unwrap()
+    }
+
     fn question() -> Question {
         let image =
             Part::ImageUrl { image_url: ImageUrl { url: "data:image/png;base64,AA==".into() } };
@@ -164,7 +204,7 @@ mod tests {
 
     #[test]
     fn a_request_in_full() {
-        insta::assert_snapshot!(format!("{:#}", Dialect::default().body("m", &question())), @r#"
+        insta::assert_snapshot!(format!("{:#}", body(Dialect::default())), @r#"
         {
           "chat_template_kwargs": {
             "enable_thinking": false,
@@ -227,12 +267,12 @@ mod tests {
         ] {
             let (next, fields) = all.after(message).unwrap();
             assert_eq!(fields, changed);
-            let body = next.body("m", &question());
+            let body = body(next);
             assert!(changed.iter().all(|field| body.get(field).is_none()), "{body}");
             assert_eq!(next.after(message), None, "nothing is left out twice");
         }
         assert_eq!(all.after("This model's maximum context length is 8192 tokens"), None);
         let (newer, _) = all.after("use max_completion_tokens").unwrap();
-        assert_eq!(newer.body("m", &question())["max_completion_tokens"], 30);
+        assert_eq!(body(newer)["max_completion_tokens"], 30);
     }
 }

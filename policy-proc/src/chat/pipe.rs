@@ -50,7 +50,7 @@ pub enum Kind {
 
 impl From<Reply> for Answer {
     fn from(reply: Reply) -> Self {
-        let Reply { outcome, model, prompt_tokens, completion_tokens } = reply;
+        let Reply { outcome, model, prompt_tokens, completion_tokens, .. } = reply;
         let (outcome, text) = match outcome {
             Outcome::Text(text) => (Kind::Text, text),
             Outcome::Empty => (Kind::Empty, String::new()),

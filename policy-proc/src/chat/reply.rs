@@ -1,22 +1,34 @@
 //! What comes back: the model's text, or why there is none, and what it cost.
 
+use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
-/// What a model answered.
-#[derive(Debug, Clone, PartialEq, Eq)]
+/// What a model answered. A field is `None` when the server does not tell.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Reply {
     /// The answer itself.
     pub outcome: Outcome,
-    /// The model's name as the server reports it; `None` when it does not.
+    /// The model's name as the server reports it.
     pub model: Option<String>,
-    /// Tokens of the prompt as the server counted them; `None` when it did not.
+    /// Tokens of the prompt as the server counted them.
     pub prompt_tokens: Option<u64>,
-    /// Tokens of the answer, likewise.
+    /// Tokens of the answer, reasoning included.
     pub completion_tokens: Option<u64>,
+    /// Those of the prompt that the server had read before (its prefix cache).
+    pub cached_tokens: Option<u64>,
+    /// Those of the prompt that stand for images.
+    pub image_tokens: Option<u64>,
+    /// Why the answer ended, in the server's word.
+    pub finish_reason: Option<String>,
+    /// What the server calls the configuration that answered.
+    pub system_fingerprint: Option<String>,
+    /// Whether the model reasoned before it answered, although it was asked not to.
+    pub reasoned: bool,
 }
 
 /// The kinds of answers.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
 pub enum Outcome {
     /// A whole answer.
     Text(String),
@@ -38,23 +50,49 @@ pub(super) fn read(body: &[u8]) -> Result<Reply, String> {
     }
     let choice = body.pointer("/choices/0").ok_or("it has no choices")?;
     let message = choice.get("message").ok_or("its choice has no message")?;
-    let text = strip_reasoning(&text_of(message.get("content"))).to_owned();
+    let (reasoning, text) = apart(&text_of(message.get("content")));
+    let word = |field| body.pointer(field).and_then(Value::as_str).map(str::to_owned);
+    let count = |field| body.pointer(field).and_then(Value::as_u64);
+    let finish_reason = word("/choices/0/finish_reason");
     let refusal = message.get("refusal").and_then(Value::as_str);
-    let outcome = match (choice.get("finish_reason").and_then(Value::as_str), refusal) {
+    let outcome = match (finish_reason.as_deref(), refusal) {
         (_, Some(refusal)) => Outcome::Refusal(refusal.to_owned()),
         (Some("content_filter"), None) => Outcome::Refusal(text),
         (Some("length"), None) => Outcome::Length(text),
         _ if text.is_empty() => Outcome::Empty,
         _ => Outcome::Text(text),
     };
-    let tokens = |field| body.pointer(field).and_then(Value::as_u64);
+    let reasoned = reasoning
+        || ["reasoning_content", "reasoning"].iter().any(|field| {
+            message.get(*field).and_then(Value::as_str).is_some_and(|text| !text.trim().is_empty())
+        })
+        || count("/usage/completion_tokens_details/reasoning_tokens").is_some_and(|n| n > 0);
     Ok(Reply {
         outcome,
-        model: body.get("model").and_then(Value::as_str).map(str::to_owned),
-        prompt_tokens: tokens("/usage/prompt_tokens"),
-        completion_tokens: tokens("/usage/completion_tokens"),
+        model: word("/model"),
+        prompt_tokens: count("/usage/prompt_tokens"),
+        completion_tokens: count("/usage/completion_tokens"),
+        cached_tokens: CACHED_TOKENS.into_iter().find_map(count),
+        image_tokens: IMAGE_TOKENS.into_iter().find_map(count),
+        finish_reason,
+        system_fingerprint: word("/system_fingerprint"),
+        reasoned,
     })
 }
+
+/// Where servers tell how many tokens of the prompt they had read before: OpenAI, vLLM, SGLang; DeepSeek;
+/// llama.cpp.
+const CACHED_TOKENS: [&str; 3] = [
+    "/usage/prompt_tokens_details/cached_tokens",
+    "/usage/prompt_cache_hit_tokens",
+    "/timings/cache_n",
+];
+
+/// Where servers tell how many tokens of the prompt stand for images: hosted ones; vLLM.
+const IMAGE_TOKENS: [&str; 2] = [
+    "/usage/prompt_tokens_details/image_tokens",
+    "/usage/prompt_tokens_details/multimodal_tokens/image",
+];
 
 /// The text of a message's content, which some servers send in parts.
 fn text_of(content: Option<&Value>) -> String {
@@ -67,11 +105,13 @@ fn text_of(content: Option<&Value>) -> String {
     }
 }
 
-/// `text` without blanks around it and without the reasoning that some servers leave in front of an answer.
-fn strip_reasoning(text: &str) -> &str {
+/// Whether reasoning stands in front of an answer, where some servers leave it, and the answer without it and
+/// without blanks around it. Reasoning that was cut off leaves no answer.
+fn apart(text: &str) -> (bool, String) {
     let text = text.trim();
-    let reasoned = text.strip_prefix("<think>").and_then(|rest| rest.split_once("</think>"));
-    reasoned.map_or(text, |(_, answer)| answer.trim())
+    let Some(reasoning) = text.strip_prefix("<think>") else { return (false, text.to_owned()) };
+    let (reasoning, answer) = reasoning.split_once("</think>").unwrap_or((reasoning, ""));
+    (!reasoning.trim().is_empty(), answer.trim().to_owned())
 }
 
 /// Most characters of a server's message that are shown.
@@ -124,6 +164,10 @@ mod tests {
                 Text("North".into()),
             ),
             (r#"{"message":{"content":"<think>hm\n</think>\n\nNorth"}}"#, Text("North".into())),
+            (
+                r#"{"message":{"content":"<think>hm"},"finish_reason":"length"}"#,
+                Length(String::new()),
+            ),
             (r#"{"message":{"content":" \n"},"finish_reason":"stop"}"#, Empty),
             (r#"{"message":{"content":null,"tool_calls":[]}}"#, Empty),
             (
@@ -152,6 +196,48 @@ mod tests {
         ] {
             let reply = read(format!("{{{choices}{usage}}}").as_bytes()).unwrap();
             assert_eq!((reply.prompt_tokens, reply.completion_tokens), expected, "{usage}");
+        }
+    }
+
+    #[test]
+    fn tokens_of_several_servers() {
+        for (body, expected) in [
+            (
+                r#""usage":{"prompt_tokens_details":{"cached_tokens":64,"image_tokens":256}}"#,
+                (Some(64), Some(256)),
+            ),
+            (
+                r#""usage":{"prompt_tokens_details":{"cached_tokens":null,"multimodal_tokens":{"image":9}}}"#,
+                (None, Some(9)),
+            ),
+            (
+                r#""usage":{"prompt_tokens_details":null,"prompt_cache_hit_tokens":8}"#,
+                (Some(8), None),
+            ),
+            (r#""usage":{},"timings":{"cache_n":7,"prompt_n":3}"#, (Some(7), None)),
+        ] {
+            let body = format!(r#"{{"choices":[{{"message":{{"content":"a"}}}}],{body}}}"#);
+            let reply = read(body.as_bytes()).unwrap();
+            assert_eq!((reply.cached_tokens, reply.image_tokens), expected, "{body}");
+        }
+    }
+
+    #[test]
+    fn reasoning_is_noticed_wherever_it_stands() {
+        for (message, usage, expected) in [
+            (r#""content":"North""#, "{}", false),
+            (r#""content":"<think>\n</think>North""#, "{}", false),
+            (r#""content":"<think>hm</think>North""#, "{}", true),
+            (r#""content":"North","reasoning_content":"hm""#, "{}", true),
+            (r#""content":"North","reasoning":null"#, "{}", false),
+            (
+                r#""content":"North""#,
+                r#"{"completion_tokens_details":{"reasoning_tokens":3}}"#,
+                true,
+            ),
+        ] {
+            let body = format!(r#"{{"choices":[{{"message":{{{message}}}}}],"usage":{usage}}}"#);
+            assert_eq!(read(body.as_bytes()).unwrap().reasoned, expected, "{body}");
         }
     }
 

@@ -1,10 +1,11 @@
 //! A chat server that follows a script, for tests: real sockets, no model.
 
 use std::io::{self, BufRead, BufReader, Read, Write};
-use std::net::{SocketAddr, TcpListener, TcpStream};
+use std::net::{Shutdown, SocketAddr, TcpListener, TcpStream};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::{self, JoinHandle};
+use std::time::Duration;
 
 use serde_json::{Value, json};
 
@@ -33,6 +34,8 @@ pub enum Turn {
     },
     /// Promises this body and sends the first half of it.
     Half(String),
+    /// Sends this body a byte at a time, and never comes to its end.
+    Trickle(String),
     /// Says nothing, and keeps the connection.
     Hang,
     /// Closes the connection.
@@ -70,42 +73,59 @@ pub fn completion(text: &str) -> Value {
     })
 }
 
-/// A server on a port of its own, until it is dropped. It takes one request from each connection.
+/// A server on a port of its own, until it is dropped. Each connection has a thread of its own.
 #[derive(Debug)]
 pub struct Server {
     address: SocketAddr,
-    received: Arc<Mutex<Vec<Received>>>,
-    over: Arc<AtomicBool>,
+    log: Arc<Log>,
     thread: Option<JoinHandle<()>>,
 }
 
+#[derive(Debug, Default)]
+struct Log {
+    received: Mutex<Vec<Received>>,
+    connections: Mutex<Vec<TcpStream>>,
+    over: AtomicBool,
+}
+
 impl Server {
-    /// Starts a server that does about each request what `script` says.
+    /// Starts a server that does about each request what `script` says, which decides about one at a time.
     ///
     /// # Errors
     /// When there is no port to listen on.
-    pub fn start(mut script: impl FnMut(&Received) -> Turn + Send + 'static) -> io::Result<Self> {
+    pub fn start(script: impl FnMut(&Received) -> Turn + Send + 'static) -> io::Result<Self> {
+        let script = Mutex::new(script);
+        Self::concurrent(move |request| {
+            let mut script = script.lock().unwrap_or_else(PoisonError::into_inner);
+            script(request)
+        })
+    }
+
+    /// The same with a script that may decide about several requests at once, and so may wait.
+    ///
+    /// # Errors
+    /// When there is no port to listen on.
+    pub fn concurrent(
+        script: impl Fn(&Received) -> Turn + Send + Sync + 'static,
+    ) -> io::Result<Self> {
         let listener = TcpListener::bind("127.0.0.1:0")?;
         let address = listener.local_addr()?;
-        let (received, over) =
-            (Arc::<Mutex<Vec<Received>>>::default(), Arc::new(AtomicBool::new(false)));
-        let (log, ends) = (Arc::clone(&received), Arc::clone(&over));
+        let (log, script) = (Arc::<Log>::default(), Arc::new(script));
+        let accepting = Arc::clone(&log);
         let thread = thread::spawn(move || {
-            let mut hanging = Vec::new();
             for stream in listener.incoming() {
-                if ends.load(Ordering::SeqCst) {
+                if accepting.over.load(Ordering::SeqCst) {
                     break;
                 }
                 // A client that has gone is its own affair, and some scripts are about that.
                 let Ok(stream) = stream else { continue };
-                let Ok(request) = read(&stream) else { continue };
-                log.lock().unwrap_or_else(PoisonError::into_inner).push(request.clone());
-                if let Ok(Some(stream)) = answer(stream, script(&request)) {
-                    hanging.push(stream);
-                }
+                let Ok(shared) = stream.try_clone() else { continue };
+                accepting.connections.lock().unwrap_or_else(PoisonError::into_inner).push(shared);
+                let (log, script) = (Arc::clone(&accepting), Arc::clone(&script));
+                thread::spawn(move || converse(&stream, &log, &*script));
             }
         });
-        Ok(Self { address, received, over, thread: Some(thread) })
+        Ok(Self { address, log, thread: Some(thread) })
     }
 
     /// A server that takes one turn after the other, and closes connections when there are none left.
@@ -124,24 +144,48 @@ impl Server {
 
     /// The requests so far, in order.
     pub fn received(&self) -> Vec<Received> {
-        self.received.lock().unwrap_or_else(PoisonError::into_inner).clone()
+        self.log.received.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
+    /// How many connections there have been.
+    pub fn connections(&self) -> usize {
+        self.log.connections.lock().unwrap_or_else(PoisonError::into_inner).len()
     }
 }
 
 impl Drop for Server {
     fn drop(&mut self) {
-        self.over.store(true, Ordering::SeqCst);
+        self.log.over.store(true, Ordering::SeqCst);
         // Wakes the thread; that nobody listens any more means that it has ended already.
         drop(TcpStream::connect(self.address));
         if let Some(thread) = self.thread.take() {
-            // A script that panicked has failed its test by answering nothing.
             drop(thread.join());
+        }
+        let connections = self.log.connections.lock().unwrap_or_else(PoisonError::into_inner);
+        for connection in connections.iter() {
+            // One that the client has closed is closed.
+            drop(connection.shutdown(Shutdown::Both));
         }
     }
 }
 
-fn read(stream: &TcpStream) -> io::Result<Received> {
+/// Takes requests from a connection until either side has had enough. A script that panics has failed its test
+/// by answering nothing.
+fn converse(
+    stream: &TcpStream,
+    log: &Log,
+    script: &(dyn Fn(&Received) -> Turn + Send + Sync),
+) -> io::Result<()> {
+    stream.set_nodelay(true)?;
     let mut reader = BufReader::new(stream);
+    loop {
+        let request = read(&mut reader)?;
+        log.received.lock().unwrap_or_else(PoisonError::into_inner).push(request.clone());
+        answer(stream, script(&request))?;
+    }
+}
+
+fn read(reader: &mut impl BufRead) -> io::Result<Received> {
     let mut lines = Vec::new();
     loop {
         let mut line = String::new();
@@ -165,28 +209,46 @@ fn read(stream: &TcpStream) -> io::Result<Received> {
     Ok(Received { line: lines.concat(), headers, body })
 }
 
-/// Takes a turn; the stream when it is to hang.
-fn answer(mut stream: TcpStream, turn: Turn) -> io::Result<Option<TcpStream>> {
-    let (status, headers, body, sent) = match turn {
-        Turn::Hang => return Ok(Some(stream)),
-        Turn::Close => return Ok(None),
-        Turn::Half(body) => {
-            (200, vec!["Content-Type: application/json".to_owned()], body.clone(), body.len() / 2)
-        }
+/// Takes a turn; an error when the connection is to end with it.
+fn answer(mut stream: &TcpStream, turn: Turn) -> io::Result<()> {
+    let json = || vec!["Content-Type: application/json".to_owned()];
+    let over = || io::Error::from(io::ErrorKind::ConnectionAborted);
+    match turn {
         Turn::Answer { status, headers, body } => {
-            let sent = body.len();
-            (status, headers, body, sent)
+            stream.write_all((head(status, &headers, body.len()) + &body).as_bytes())
         }
-    };
-    write!(
-        stream,
-        "HTTP/1.1 {status} Status\r\nContent-Length: {}\r\nConnection: close\r\n",
-        body.len()
-    )?;
-    for header in headers {
-        write!(stream, "{header}\r\n")?;
+        Turn::Half(body) => {
+            let answer = head(200, &json(), body.len()) + &body[..body.len() / 2];
+            stream.write_all(answer.as_bytes())?;
+            stream.shutdown(Shutdown::Both)?;
+            Err(over())
+        }
+        Turn::Trickle(body) => {
+            stream.write_all(head(200, &json(), body.len() + 1).as_bytes())?;
+            for byte in body.into_bytes() {
+                stream.write_all(&[byte])?;
+                thread::sleep(TRICKLE);
+            }
+            gone(stream)
+        }
+        Turn::Hang => gone(stream),
+        Turn::Close => {
+            stream.shutdown(Shutdown::Both)?;
+            Err(over())
+        }
     }
-    stream.write_all(b"\r\n")?;
-    stream.write_all(&body.as_bytes()[..sent])?;
-    Ok(None)
+}
+
+/// How long a byte takes that trickles.
+const TRICKLE: Duration = Duration::from_millis(20);
+
+fn head(status: u16, headers: &[String], length: usize) -> String {
+    let headers: String = headers.iter().map(|header| format!("{header}\r\n")).collect();
+    format!("HTTP/1.1 {status} Status\r\nContent-Length: {length}\r\n{headers}\r\n")
+}
+
+/// Waits until the client has gone.
+fn gone(mut stream: &TcpStream) -> io::Result<()> {
+    while stream.read(&mut [0; 64])? > 0 {}
+    Err(io::ErrorKind::ConnectionAborted.into())
 }
