@@ -1,8 +1,8 @@
 //! Joining a run, and one typed queue for each kind of message.
 //!
 //! Each message type has a service of its own, with the senders and receivers that
-//! [`Message`] names. Queues are as long as the traffic on them can be ([`Traffic`]), so a full one is a
-//! bug and reported as [`BusError::Full`] at once: nothing overflows and nothing blocks.
+//! [`Message`] names. Queues are as long as the traffic on them can be
+//! ([`Traffic`](crate::message::Traffic)), so a full one is a bug and reported as [`BusError::Full`] at once: nothing overflows and nothing blocks.
 //!
 //! # Starting up
 //! A message reaches the receivers that exist when it is sent, and no later ones. Therefore: join,
@@ -42,7 +42,7 @@ use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
 
 use crate::attach::{Attach, AttachError, MAX_ROOT_BYTES};
 use crate::doorbell::{Bell, Doorbell};
-use crate::message::{Complaint, Farewell, Hello, Message, Role, Traffic};
+use crate::message::{Complaint, Farewell, Hello, Message, Role};
 use crate::registry;
 
 /// The kind of iceoryx2 service everything uses.
@@ -260,7 +260,7 @@ impl Bus {
             .max_subscribers(M::TO.len())
             .max_nodes(M::FROM.len() + M::TO.len())
             .subscriber_max_borrowed_samples(1)
-            .subscriber_max_buffer_size(queue_len(&self.attach, M::TRAFFIC))
+            .subscriber_max_buffer_size(M::TRAFFIC.queue_len(&self.attach))
             .open_or_create()
             .map_err(|e| BusError::open(format_args!("cannot open {}", M::SERVICE), e))
     }
@@ -271,15 +271,6 @@ impl Bus {
         name: &str,
     ) -> Result<iceoryx2::service::builder::Builder<Ipc>, BusError> {
         Ok(self.node.service_builder(&service_name(&self.attach, name)?))
-    }
-}
-
-/// Messages that can wait for one receiver.
-fn queue_len(attach: &Attach, traffic: Traffic) -> usize {
-    match traffic {
-        Traffic::Lanes => 2 * attach.lanes as usize + 16,
-        Traffic::Frames => 2 * attach.frame_chunks() as usize,
-        Traffic::Few => 256,
     }
 }
 

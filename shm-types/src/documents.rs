@@ -8,14 +8,15 @@
 use std::collections::HashMap;
 use std::sync::Arc;
 
-use bytemuck::{Pod, Zeroable};
 use iceoryx2::port::publisher::Publisher;
 use iceoryx2::port::subscriber::Subscriber;
 use iceoryx2::port::{BackpressureAction, LoanError};
 use iceoryx2::prelude::{AllocationStrategy, ZeroCopySend};
 use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
 
+use crate::attach::Attach;
 use crate::bus::{Bus, BusError, Ipc, delivered};
+use crate::layout::wire_struct;
 use crate::message::{DocumentId, DocumentKind, NO_ACTION, NO_DOCUMENT, Role, TrajectoryStep};
 use crate::pose::{Action, UnknownCode};
 
@@ -34,22 +35,19 @@ const RUN_DOCUMENTS: usize = 64;
 /// Bits of a document id below the generation.
 const ID_BITS: u32 = 40;
 
-/// What travels with a document's bytes.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Pod, Zeroable, ZeroCopySend)]
-#[repr(C)]
-#[type_name("memtransfer.DocumentHeader")]
-pub struct DocumentHeader {
-    /// The document's id.
-    pub id: DocumentId,
-    /// Ticket of the episode it belongs to; 0: for the whole run.
-    pub episode: u64,
-    /// That episode's lane.
-    pub lane: u32,
-    /// Code of the [`DocumentKind`].
-    pub kind: u32,
+wire_struct! {
+    /// What travels with a document's bytes.
+    DocumentHeader: Eq Default, "memtransfer.DocumentHeader", 24 bytes {
+        /// The document's id.
+        id: DocumentId,
+        /// Ticket of the episode it belongs to; 0: for the whole run.
+        episode: u64,
+        /// That episode's lane.
+        lane: u32,
+        /// Code of the [`DocumentKind`].
+        kind: u32,
+    }
 }
-
-const _: () = assert!(size_of::<DocumentHeader>() == 24 && size_of::<TrajectoryStep>() == 16);
 
 /// What a document says.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -145,6 +143,11 @@ pub enum DocumentError {
     Bus(#[from] BusError),
 }
 
+/// Documents that can wait for the policy.
+pub const fn queue_len(attach: &Attach) -> usize {
+    2 * attach.lanes as usize + RUN_DOCUMENTS
+}
+
 fn service(bus: &Bus) -> Result<PortFactory<Ipc, [u8], DocumentHeader>, BusError> {
     bus.builder(DOCUMENT_SERVICE)?
         .publish_subscribe::<[u8]>()
@@ -155,7 +158,7 @@ fn service(bus: &Bus) -> Result<PortFactory<Ipc, [u8], DocumentHeader>, BusError
         .max_subscribers(1)
         .max_nodes(2)
         .subscriber_max_borrowed_samples(1)
-        .subscriber_max_buffer_size(2 * bus.attach().lanes as usize + RUN_DOCUMENTS)
+        .subscriber_max_buffer_size(queue_len(bus.attach()))
         .open_or_create()
         .map_err(|e| BusError::open("cannot open the service of documents", e))
 }

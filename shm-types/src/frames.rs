@@ -30,6 +30,7 @@ use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
 
 use crate::attach::{FrameSize, MAX_LOANED_FRAMES, PAGE_BYTES};
 use crate::bus::{Bus, BusError, Ipc, Receiver, delivered};
+use crate::layout::{Field, Layout, Shaped, Struct, wire_struct};
 use crate::message::{Eviction, FrameId, NO_FRAME, Role};
 
 /// Last part of the name of the service that carries frames.
@@ -48,22 +49,38 @@ const ID_BITS: u32 = 40;
 #[type_name("memtransfer.Page")]
 pub struct Page(pub [u8; PAGE_BYTES]);
 
-/// What travels with the pixels.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Pod, Zeroable, ZeroCopySend)]
-#[repr(C)]
-#[type_name("memtransfer.FrameHeader")]
-pub struct FrameHeader {
-    /// The frame's id.
-    pub id: FrameId,
-    /// Pixels in a row.
-    pub width: u32,
-    /// Rows.
-    pub height: u32,
-    /// First 16 bytes of the BLAKE3 hash of the pixels.
-    pub content_hash: [u8; 16],
+wire_struct! {
+    /// What travels with the pixels.
+    FrameHeader: Eq Default, "memtransfer.FrameHeader", 32 bytes {
+        /// The frame's id.
+        id: FrameId,
+        /// Pixels in a row.
+        width: u32,
+        /// Rows.
+        height: u32,
+        /// First 16 bytes of the BLAKE3 hash of the pixels.
+        content_hash: [u8; 16],
+    }
 }
 
-const _: () = assert!(size_of::<FrameHeader>() == 32 && size_of::<Page>() == PAGE_BYTES);
+const _: () = assert!(size_of::<Page>() == PAGE_BYTES);
+
+impl Layout for Page {
+    const LAYOUT: Struct = Struct {
+        name: "Page",
+        type_name: "memtransfer.Page",
+        doc: "One page of a frame: pixels, RGBA with 8 bits each, rows top to bottom without gaps.",
+        bytes: PAGE_BYTES,
+        align: align_of::<Self>(),
+        fields: &[Field {
+            name: "pixels",
+            shape: <[u8; PAGE_BYTES]>::SHAPE,
+            offset: 0,
+            bytes: PAGE_BYTES,
+            doc: "Its part of the pixels; what is left of a frame's last page means nothing.",
+        }],
+    };
+}
 
 /// Why a frame cannot be loaned, published or looked up.
 #[derive(Debug, thiserror::Error)]

@@ -8,6 +8,7 @@
 //! - the shared memory: what a process needs to join a run ([`attach`]), its place in one ([`bus`]),
 //!   sleeping and waking ([`doorbell`]), views written once and held by all ([`frames`]), what memory
 //!   supplies that is longer than a message ([`documents`]), what could not be used ([`complaints`]);
+//! - what all of that looks like, byte by byte, for those who read it in another language ([`layout`]);
 //! - the machine: runs, living and dead ([`registry`]), clock, parent and room ([`process`]).
 //!
 //! iceoryx2 is used here and nowhere else. What is not here: the map, the tasks, anything that decides.
@@ -20,6 +21,7 @@ pub mod documents;
 pub mod doorbell;
 pub mod frames;
 mod hello;
+pub mod layout;
 pub mod message;
 pub mod plate;
 pub mod pose;

@@ -11,12 +11,15 @@
 use bytemuck::{Pod, Zeroable};
 use iceoryx2::prelude::ZeroCopySend;
 
+use crate::attach::Attach;
+use crate::layout::{Field, Layout, Shape, Shaped, Struct, wire_struct};
 use crate::pose::{Heading, Pose, UnknownCode};
 
 mod codes;
 
 pub use codes::{
-    ComplaintKind, DocumentKind, Outcome, Role, SegmentContent, StepKind, ViewRequestKind,
+    CODE_SETS, ComplaintKind, DocumentKind, Outcome, Role, SegmentContent, StepKind,
+    ViewRequestKind,
 };
 
 /// Changes whenever any message or the frame header changes; compared when a process attaches.
@@ -79,25 +82,60 @@ pub enum Traffic {
     Few,
 }
 
-/// Declares wire structs: layout, name, service, route and asserted size in one place.
-macro_rules! messages {
-    ($($(#[$doc:meta])* $name:ident, $type_name:literal, $service:literal, $size:literal bytes,
-        [$($from:ident)*] to [$($to:ident)*], $traffic:ident {
-        $($(#[$field_doc:meta])* $field:ident: $type:ty,)*
-    })*) => {$(
-        $(#[$doc])*
-        #[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable, ZeroCopySend)]
-        #[repr(C)]
-        #[type_name($type_name)]
-        pub struct $name { $($(#[$field_doc])* pub $field: $type,)* }
-        impl Message for $name {
-            const SERVICE: &'static str = $service;
-            const FROM: &'static [Role] = &[$(Role::$from),*];
-            const TO: &'static [Role] = &[$(Role::$to),*];
-            const TRAFFIC: Traffic = Traffic::$traffic;
+impl Traffic {
+    /// Messages that can wait for one receiver: what every peer has to make room for.
+    pub const fn queue_len(self, attach: &Attach) -> usize {
+        match self {
+            Self::Lanes => 2 * attach.lanes as usize + 16,
+            Self::Frames => 2 * attach.frame_chunks() as usize,
+            Self::Few => 256,
         }
-        const _: () = assert!(size_of::<$name>() == $size, "wire size changed: raise WIRE_VERSION");
-    )*};
+    }
+}
+
+/// A message's layout and its way through the run.
+#[derive(Debug, Clone, Copy)]
+pub struct Description {
+    /// Its layout.
+    pub layout: Struct,
+    /// As [`Message::SERVICE`].
+    pub service: &'static str,
+    /// As [`Message::FROM`].
+    pub from: &'static [Role],
+    /// As [`Message::TO`].
+    pub to: &'static [Role],
+    /// As [`Message::TRAFFIC`].
+    pub traffic: Traffic,
+}
+
+/// Declares messages: layout, name, service, route and asserted size in one place.
+macro_rules! messages {
+    ($($(#[doc = $doc:literal])* $name:ident, $type_name:literal, $service:literal, $size:literal bytes,
+        [$($from:ident)*] to [$($to:ident)*], $traffic:ident {
+        $($(#[doc = $field_doc:literal])* $field:ident: $type:ty,)*
+    })*) => {
+        $(
+            wire_struct! {
+                $(#[doc = $doc])*
+                $name, $type_name, $size bytes { $($(#[doc = $field_doc])* $field: $type,)* }
+            }
+            impl Message for $name {
+                const SERVICE: &'static str = $service;
+                const FROM: &'static [Role] = &[$(Role::$from),*];
+                const TO: &'static [Role] = &[$(Role::$to),*];
+                const TRAFFIC: Traffic = Traffic::$traffic;
+            }
+        )*
+
+        /// Every message, described.
+        pub const MESSAGES: &[Description] = &[$(Description {
+            layout: $name::LAYOUT,
+            service: $name::SERVICE,
+            from: $name::FROM,
+            to: $name::TO,
+            traffic: $name::TRAFFIC,
+        }),*];
+    };
 }
 
 /// A pose on the wire: column, row, heading code, and a zero.
@@ -105,6 +143,31 @@ macro_rules! messages {
 #[repr(C)]
 #[type_name("memtransfer.WirePose")]
 pub struct WirePose(pub [u8; 4]);
+
+impl Shaped for WirePose {
+    const SHAPE: Shape = Shape::Struct("WirePose");
+}
+
+impl Layout for WirePose {
+    const LAYOUT: Struct = {
+        const fn byte(offset: usize, name: &'static str, doc: &'static str) -> Field {
+            Field { name, shape: u8::SHAPE, offset, bytes: 1, doc }
+        }
+        Struct {
+            name: "WirePose",
+            type_name: "memtransfer.WirePose",
+            doc: "A pose: the cell stood on and the way faced.",
+            bytes: size_of::<Self>(),
+            align: align_of::<Self>(),
+            fields: &[
+                byte(0, "x", "Column, growing east."),
+                byte(1, "y", "Row, growing north."),
+                byte(2, "heading", "Code of the [`Heading`]."),
+                byte(3, "reserved", "Zero."),
+            ],
+        }
+    };
+}
 
 impl From<Pose> for WirePose {
     fn from(pose: Pose) -> Self {
@@ -120,50 +183,47 @@ impl TryFrom<WirePose> for Pose {
     }
 }
 
-/// One past step: the view it was taken from, what was done there, and what the world answered.
-#[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable, ZeroCopySend)]
-#[repr(C)]
-#[type_name("memtransfer.PastStep")]
-pub struct PastStep {
-    /// The view before the action.
-    pub frame: FrameId,
-    /// Code of the [`Action`](crate::Action) taken, or [`NO_ACTION`].
-    pub action: u8,
-    /// Code of the [`Feedback`](crate::Feedback) it got.
-    pub feedback: u8,
-    /// Zero.
-    pub reserved: [u8; 6],
+wire_struct! {
+    /// One past step: the view it was taken from, what was done there, and what the world answered.
+    PastStep, "memtransfer.PastStep", 16 bytes {
+        /// The view before the action.
+        frame: FrameId,
+        /// Code of the [`Action`](crate::Action) taken, or [`NO_ACTION`].
+        action: u8,
+        /// Code of the [`Feedback`](crate::Feedback) it got.
+        feedback: u8,
+        /// Zero.
+        reserved: [u8; 6],
+    }
 }
 
-/// One view of a retrieved segment and the expert's next action there.
-#[derive(Debug, Clone, Copy, PartialEq, Pod, Zeroable, ZeroCopySend)]
-#[repr(C)]
-#[type_name("memtransfer.SegmentStep")]
-pub struct SegmentStep {
-    /// The remembered view.
-    pub frame: FrameId,
-    /// Code of the [`Action`](crate::Action) the expert took there, or [`NO_ACTION`] for the last
-    /// view of the segment, and for every view of a segment of images alone.
-    pub action: u8,
-    /// Zero.
-    pub reserved: [u8; 7],
+wire_struct! {
+    /// One view of a retrieved segment and the expert's next action there.
+    SegmentStep, "memtransfer.SegmentStep", 16 bytes {
+        /// The remembered view.
+        frame: FrameId,
+        /// Code of the [`Action`](crate::Action) the expert took there, or [`NO_ACTION`] for the last
+        /// view of the segment, and for every view of a segment of images alone.
+        action: u8,
+        /// Zero.
+        reserved: [u8; 7],
+    }
 }
 
-/// One step of a demonstration in a [`DocumentKind::Trajectories`] document: what the expert did, and the
-/// view it had there if that is a keyframe.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Pod, Zeroable, ZeroCopySend)]
-#[repr(C)]
-#[type_name("memtransfer.TrajectoryStep")]
-pub struct TrajectoryStep {
-    /// The view before the action, or [`NO_FRAME`] where it was not kept.
-    pub frame: FrameId,
-    /// Code of the [`Action`](crate::Action) the expert took there, or [`NO_ACTION`] at the end of the
-    /// demonstration.
-    pub action: u8,
-    /// Which demonstration, from 0, in the order of the document.
-    pub trajectory: u8,
-    /// Zero.
-    pub reserved: [u8; 6],
+wire_struct! {
+    /// One step of a demonstration in a [`DocumentKind::Trajectories`] document: what the expert did, and the
+    /// view it had there if that is a keyframe.
+    TrajectoryStep: Eq, "memtransfer.TrajectoryStep", 16 bytes {
+        /// The view before the action, or [`NO_FRAME`] where it was not kept.
+        frame: FrameId,
+        /// Code of the [`Action`](crate::Action) the expert took there, or [`NO_ACTION`] at the end of the
+        /// demonstration.
+        action: u8,
+        /// Which demonstration, from 0, in the order of the document.
+        trajectory: u8,
+        /// Zero.
+        reserved: [u8; 6],
+    }
 }
 
 messages! {

@@ -5,6 +5,8 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::layout::coded_enum;
+
 /// A value from a message or a file that names no member of the set it should name.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{value} is not {expected}")]
@@ -72,18 +74,19 @@ impl std::fmt::Display for Cell {
     }
 }
 
-/// One of the four ways an agent can face.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
-#[repr(u8)]
-pub enum Heading {
-    /// North: `y` grows.
-    N = 0,
-    /// East: `x` grows.
-    E = 1,
-    /// South: `y` falls.
-    S = 2,
-    /// West: `x` falls.
-    W = 3,
+coded_enum! {
+    /// One of the four ways an agent can face.
+    Heading
+    #[derive(Serialize, Deserialize)] {
+        /// North: `y` grows.
+        N = 0,
+        /// East: `x` grows.
+        E = 1,
+        /// South: `y` falls.
+        S = 2,
+        /// West: `x` falls.
+        W = 3,
+    }
 }
 
 impl Heading {
@@ -255,24 +258,24 @@ impl From<Pose> for String {
     }
 }
 
-/// What an agent can do in one step: seven actions (SPEC section 2).
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
-#[repr(u8)]
-pub enum Action {
-    /// One cell along the heading.
-    Forward = 0,
-    /// One cell against the heading, still facing it.
-    Backward = 1,
-    /// One cell to the left, heading kept.
-    Left = 2,
-    /// One cell to the right, heading kept.
-    Right = 3,
-    /// A quarter turn anticlockwise in place.
-    TurnLeft = 4,
-    /// A quarter turn clockwise in place.
-    TurnRight = 5,
-    /// A half turn in place.
-    TurnAround = 6,
+coded_enum! {
+    /// What an agent can do in one step: seven actions (SPEC section 2).
+    Action {
+        /// One cell along the heading.
+        Forward = 0,
+        /// One cell against the heading, still facing it.
+        Backward = 1,
+        /// One cell to the left, heading kept.
+        Left = 2,
+        /// One cell to the right, heading kept.
+        Right = 3,
+        /// A quarter turn anticlockwise in place.
+        TurnLeft = 4,
+        /// A quarter turn clockwise in place.
+        TurnRight = 5,
+        /// A half turn in place.
+        TurnAround = 6,
+    }
 }
 
 impl Action {
@@ -349,20 +352,20 @@ impl TryFrom<u8> for Action {
     }
 }
 
-/// What the world says about the last action. It never says that a target was reached.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
-#[repr(u8)]
-pub enum Feedback {
-    /// The episode has just begun; there was no action.
-    Start = 0,
-    /// The move succeeded.
-    Moved = 1,
-    /// The turn was made (turns always succeed).
-    Turned = 2,
-    /// Something stood in the way: the agent stayed where it was, and the step counts.
-    Blocked = 3,
-    /// The policy's answer could not be read: the agent stayed where it was, and the step counts.
-    NotUnderstood = 4,
+coded_enum! {
+    /// What the world says about the last action. It never says that a target was reached.
+    Feedback {
+        /// The episode has just begun; there was no action.
+        Start = 0,
+        /// The move succeeded.
+        Moved = 1,
+        /// The turn was made (turns always succeed).
+        Turned = 2,
+        /// Something stood in the way: the agent stayed where it was, and the step counts.
+        Blocked = 3,
+        /// The policy's answer could not be read: the agent stayed where it was, and the step counts.
+        NotUnderstood = 4,
+    }
 }
 
 impl Feedback {

@@ -5,26 +5,28 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::layout::coded_enum;
 use crate::message::DocumentKind;
 use crate::pose::UnknownCode;
 
-/// A memory representation.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
-#[serde(try_from = "String", into = "String")]
-#[repr(u8)]
-pub enum Representation {
-    /// The window alone: no memory of demonstrations.
-    Working = 0,
-    /// Every action of the case's demonstrations, and keyframes.
-    FullContext = 1,
-    /// One document of object locations, landmarks and routes.
-    Summary = 2,
-    /// One document of general spatial and navigation knowledge.
-    Semantic = 3,
-    /// The summary and the semantic document.
-    Hybrid = 4,
-    /// The stored view nearest to the current one, and the expert's continuation.
-    Episodic = 5,
+coded_enum! {
+    /// A memory representation.
+    Representation
+    #[derive(Serialize, Deserialize)]
+    #[serde(try_from = "String", into = "String")] {
+        /// The window alone: no memory of demonstrations.
+        Working = 0,
+        /// Every action of the case's demonstrations, and keyframes.
+        FullContext = 1,
+        /// One document of object locations, landmarks and routes.
+        Summary = 2,
+        /// One document of general spatial and navigation knowledge.
+        Semantic = 3,
+        /// The summary and the semantic document.
+        Hybrid = 4,
+        /// The stored view nearest to the current one, and the expert's continuation.
+        Episodic = 5,
+    }
 }
 
 /// What a representation stores and supplies.

@@ -1,33 +1,39 @@
 //! The closed sets that messages carry as `u8` codes.
 
+use crate::layout::{CodeSet, Codes, coded_enum};
 use crate::pose::UnknownCode;
 
-/// Declares a closed set with `u8` codes that are positions in `ALL`.
+/// Declares closed sets with `u8` codes that are positions in `ALL`.
 macro_rules! codes {
-    ($($(#[$doc:meta])* $name:ident, $what:literal {
-        $($(#[$variant_doc:meta])* $variant:ident = $code:literal,)*
-    })*) => {$(
-        $(#[$doc])*
-        #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
-        #[repr(u8)]
-        pub enum $name { $($(#[$variant_doc])* $variant = $code,)* }
+    ($($(#[doc = $doc:literal])* $name:ident, $what:literal $(#[$attribute:meta])* {
+        $($(#[doc = $variant_doc:literal])* $variant:ident = $code:literal,)*
+    })*) => {
+        $(
+            coded_enum! {
+                $(#[doc = $doc])*
+                $name $(#[$attribute])* { $($(#[doc = $variant_doc])* $variant = $code,)* }
+            }
 
-        impl $name {
-            /// Every member, in code order.
-            pub const ALL: &'static [Self] = &[$(Self::$variant),*];
-        }
+            impl $name {
+                /// Every member, in code order.
+                pub const ALL: &'static [Self] = &[$(Self::$variant),*];
+            }
 
-        impl TryFrom<u8> for $name {
-            type Error = UnknownCode;
+            impl TryFrom<u8> for $name {
+                type Error = UnknownCode;
 
-            fn try_from(code: u8) -> Result<Self, UnknownCode> {
-                match code {
-                    $($code => Ok(Self::$variant),)*
-                    _ => Err(UnknownCode::new(code, $what)),
+                fn try_from(code: u8) -> Result<Self, UnknownCode> {
+                    match code {
+                        $($code => Ok(Self::$variant),)*
+                        _ => Err(UnknownCode::new(code, $what)),
+                    }
                 }
             }
-        }
-    )*};
+        )*
+
+        /// All sets of codes that are declared here, described.
+        pub const CODE_SETS: &[CodeSet] = &[$($name::CODES),*];
+    };
 }
 
 codes! {
@@ -74,9 +80,9 @@ codes! {
     }
 
     /// A process's part in a run.
+    Role, "a role (0 orchestrator, 1 sim, 2 memory, 3 policy)"
     #[derive(serde::Serialize, serde::Deserialize)]
-    #[serde(rename_all = "lowercase")]
-    Role, "a role (0 orchestrator, 1 sim, 2 memory, 3 policy)" {
+    #[serde(rename_all = "lowercase")] {
         /// Sequences the steps; the program `memtransfer`.
         Orchestrator = 0,
         /// Steps the world and renders.
@@ -96,9 +102,9 @@ codes! {
     }
 
     /// What a [`Document`](crate::documents::Document) is.
+    DocumentKind, "a document kind (0 summary, 1 semantic, 2 trajectories)"
     #[derive(serde::Serialize, serde::Deserialize)]
-    #[serde(rename_all = "lowercase")]
-    DocumentKind, "a document kind (0 summary, 1 semantic, 2 trajectories)" {
+    #[serde(rename_all = "lowercase")] {
         /// Object locations, landmarks and routes: UTF-8 text.
         Summary = 0,
         /// General spatial and navigation knowledge: UTF-8 text.

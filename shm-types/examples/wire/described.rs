@@ -1,0 +1,149 @@
+//! What there is to write about: every struct, code and constant of the wire, and what both outputs need to
+//! say of them.
+
+use shm_types::attach::{
+    ATTACH_FILE, MAX_FRAMES, MAX_LANES, MAX_LOANED_FRAMES, MAX_ROOT_BYTES, PAGE_BYTES,
+};
+use shm_types::documents::{DOCUMENT_SERVICE, DocumentHeader, MAX_DOCUMENT_BYTES};
+use shm_types::frames::{FRAME_SERVICE, FrameHeader, Page};
+use shm_types::layout::{CodeSet, Codes, Layout, Struct};
+use shm_types::message::{
+    CODE_SETS, Description, MAX_DOCUMENTS, MAX_INSTRUCTION, MAX_SEGMENT, MAX_WINDOW, MESSAGES,
+    NO_ACTION, NO_DOCUMENT, NO_FRAME, NOT_MEASURED, PastStep, Role, SegmentStep, Traffic,
+    TrajectoryStep, WIRE_VERSION, WirePose,
+};
+use shm_types::{Action, Feedback, Heading, Representation};
+
+/// Structs that are parts of messages and documents.
+pub(crate) const PARTS: [Struct; 4] =
+    [WirePose::LAYOUT, PastStep::LAYOUT, SegmentStep::LAYOUT, TrajectoryStep::LAYOUT];
+
+/// What travels on the services of frames and documents.
+pub(crate) const CARRIED: [Struct; 3] = [FrameHeader::LAYOUT, Page::LAYOUT, DocumentHeader::LAYOUT];
+
+/// Every closed set, those of the agent first.
+pub(crate) fn code_sets() -> Vec<CodeSet> {
+    let agent = [Action::CODES, Feedback::CODES, Heading::CODES, Representation::CODES];
+    agent.into_iter().chain(CODE_SETS.iter().copied()).collect()
+}
+
+/// What a member of a set is called where a policy reads or writes it, if it is.
+pub(crate) fn words(set: &CodeSet, code: u8) -> Option<&'static str> {
+    let position = usize::from(code);
+    match set.name {
+        "Action" => Action::ALL.get(position).map(|action| action.words()),
+        "Feedback" => Feedback::ALL.get(position).map(|feedback| feedback.words()),
+        "Heading" => Heading::ALL.get(position).map(|heading| heading.word()),
+        "Representation" => {
+            Representation::ALL.get(position).map(|representation| representation.name())
+        }
+        "Role" => Role::ALL.get(position).map(|role| role.word()),
+        _ => None,
+    }
+}
+
+/// A constant, as it is written in Python.
+pub(crate) struct Constant {
+    pub(crate) name: &'static str,
+    pub(crate) value: String,
+    pub(crate) doc: &'static str,
+}
+
+macro_rules! constants {
+    ($($name:ident: $doc:literal,)*) => {
+        vec![$(Constant { name: stringify!($name), value: format!("{:?}", $name), doc: $doc }),*]
+    };
+}
+
+/// The constants that a peer needs.
+pub(crate) fn constants() -> Vec<Constant> {
+    constants![
+        WIRE_VERSION: "Version of everything described here.",
+        NO_ACTION: "The action code that says: no action was taken.",
+        NOT_MEASURED: "A count that was not measured. Absent, never zero.",
+        NO_FRAME: "The frame id that names no frame.",
+        NO_DOCUMENT: "The document id that names no document.",
+        MAX_WINDOW: "Most window entries of a recall.",
+        MAX_SEGMENT: "Most entries of a recall's segment.",
+        MAX_DOCUMENTS: "Most documents that a recall names.",
+        MAX_INSTRUCTION: "Most bytes of an instruction.",
+        MAX_DOCUMENT_BYTES: "Most bytes of a document.",
+        MAX_LANES: "Most lanes of a run.",
+        MAX_FRAMES: "Most frames that a run keeps resident.",
+        MAX_LOANED_FRAMES: "Frames that the simulator fills at the same time.",
+        MAX_ROOT_BYTES: "Longest path of a run's folder, in bytes.",
+        PAGE_BYTES: "Bytes of a page; frames are whole pages, aligned to as much.",
+        FRAME_SERVICE: "Last part of the name of the service that carries frames.",
+        DOCUMENT_SERVICE: "Last part of the name of the service that carries documents.",
+        ATTACH_FILE: "The file in a run's folder that says how to join it.",
+    ]
+}
+
+/// Messages that a policy sends or receives, and those that it never meets.
+pub(crate) fn messages(of_a_policy: bool) -> impl Iterator<Item = &'static Description> {
+    MESSAGES.iter().filter(move |message| {
+        let ends = [message.from, message.to].concat();
+        ends.contains(&Role::Policy) == of_a_policy
+    })
+}
+
+/// The word for what bounds a queue.
+pub(crate) const fn traffic(traffic: Traffic) -> &'static str {
+    match traffic {
+        Traffic::Lanes => "lanes",
+        Traffic::Frames => "frames",
+        Traffic::Few => "few",
+    }
+}
+
+/// A doc comment as one paragraph of plain Markdown: links to items of the code become their names, and
+/// sections of documents that the reader does not have go.
+pub(crate) fn plain(doc: &str) -> String {
+    let mut rest = doc.split_whitespace().collect::<Vec<_>>().join(" ");
+    let mut text = String::new();
+    while let Some((before, link)) = rest.split_once('[') {
+        text.push_str(before);
+        let Some((name, after)) = link.split_once(']') else {
+            text.push('[');
+            rest = link.to_owned();
+            continue;
+        };
+        text.push_str(name);
+        let after = after
+            .strip_prefix('(')
+            .and_then(|target| target.split_once(')'))
+            .map_or(after, |(_, after)| after);
+        rest = after.to_owned();
+    }
+    text.push_str(&rest);
+    for aside in [" (SPEC section ", " (DESIGN section ", " (paper, "] {
+        if let Some((before, after)) = text.split_once(aside)
+            && let Some((_, after)) = after.split_once(')')
+        {
+            text = format!("{before}{after}");
+        }
+    }
+    text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn links_become_names() {
+        let doc = " Code of the [`Action`](crate::Action) taken,\n or [`NO_ACTION`] (nothing [else) so.\n";
+        assert_eq!(plain(doc), "Code of the `Action` taken, or `NO_ACTION` (nothing [else) so.");
+    }
+
+    #[test]
+    fn fields_follow_each_other_without_gaps() {
+        for layout in MESSAGES.iter().map(|m| m.layout).chain(PARTS).chain(CARRIED) {
+            let end = layout.fields.iter().fold(0, |at, field| {
+                assert_eq!(field.offset, at, "{}.{}", layout.name, field.name);
+                at + field.bytes
+            });
+            assert_eq!(end, layout.bytes, "{}", layout.name);
+        }
+    }
+}
