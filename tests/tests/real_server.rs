@@ -1,0 +1,92 @@
+//! Documents and a slice of a suite with a language model that a real server serves: llama.cpp's, which this
+//! project did not write. The model is small, knows text only and understands nothing of warehouses; what is
+//! tested is that it is asked, understood, counted, and asked once.
+
+#![expect(clippy::unwrap_used, reason = "a test that cannot go on fails")]
+
+use std::fs;
+use std::path::Path;
+
+use memtransfer_tests::Bench;
+use memtransfer_tests::llama::{LlamaServer, MODEL};
+use serde_json::Value;
+use warehouse::{CaseSet, History, Start, Warehouse};
+
+/// Tokens that a question and its answer may have.
+const CONTEXT: u32 = 4096;
+
+/// Small frames: little is seen in them, so little is told of them.
+const FRAME_SIZE: &str = "64";
+
+/// Writes the shipped assets with two short cases only to `folder`: documents are made of all cases.
+fn two_cases(folder: &Path) {
+    let shipped = Path::new(env!("CARGO_MANIFEST_DIR")).join("../assets");
+    fs::create_dir(folder).unwrap();
+    for file in ["layout.toml", "catalogue.toml", "models.toml", "published.toml"] {
+        fs::copy(shipped.join(file), folder.join(file)).unwrap();
+    }
+    let mut set = CaseSet::shipped();
+    set.cases.retain(|case| ["t01-03", "t02-03"].contains(&&*case.id));
+    for (index, case) in set.cases.iter_mut().enumerate() {
+        // The other case's are the only ones left.
+        let of_the_other =
+            [Start::Original, Start::Nearby].map(|start| History { case: 1 - index, start });
+        (case.irrelevant, case.confusable) = (of_the_other, of_the_other);
+    }
+    let text = set.to_toml(&Warehouse::shipped().catalogue);
+    fs::write(folder.join("cases.toml"), text).unwrap();
+}
+
+/// `memtransfer memory build` of both documents by the model behind `base_url`.
+fn build(base_url: &str) -> Vec<&str> {
+    let mut args = vec!["memory", "build", "--builder", "model", "--model", MODEL];
+    args.extend(["--base-url", base_url, "--max-tokens", "80", "--demos", "original"]);
+    args.extend(["--assets", "assets", "--frame-size", FRAME_SIZE]);
+    args.extend(["--out", "documents", "--quiet"]);
+    args
+}
+
+fn json(path: &Path) -> Value {
+    serde_json::from_str(&fs::read_to_string(path).unwrap()).unwrap()
+}
+
+#[test]
+fn documents_are_written_by_a_real_model() {
+    let bench = Bench::new();
+    two_cases(&bench.out("assets"));
+    let folder = bench.out("documents");
+
+    // A prompt that a server has no room for is no document, and nothing is left of it.
+    let server = LlamaServer::start(512, 1);
+    let ended = bench.run(&build(server.base_url())).expect(2);
+    for part in ["stage `summary`", "400", "exceeds the available context size"] {
+        assert!(ended.stderr.contains(part), "no {part:?} in:\n{}", ended.stderr);
+    }
+    assert!(!folder.join("summary-original.json").exists());
+    drop(server);
+
+    let server = LlamaServer::start(CONTEXT, 1);
+    bench.run(&build(server.base_url())).expect(0);
+    for (name, requests) in [("summary-original", 1), ("semantic-original", 3)] {
+        let document = json(&folder.join(name).with_extension("json"));
+        assert!(!document["text"].as_str().unwrap().trim().is_empty());
+        let account = &document["provenance"]["account"];
+        assert_eq!((&account["requests"], &account["model"]), (&requests.into(), &MODEL.into()));
+        let steps = fs::read_dir(folder.join(name).with_extension("steps")).unwrap();
+        let replies: Vec<Value> =
+            steps.map(|step| json(&step.unwrap().path())["reply"].take()).collect();
+        assert_eq!(replies.len(), requests, "{name}");
+        // The server counted every answer, and the document's account is their sum.
+        for tokens in ["prompt_tokens", "completion_tokens"] {
+            let counts: Vec<u64> =
+                replies.iter().map(|reply| reply[tokens].as_u64().unwrap()).collect();
+            assert!(counts.iter().all(|&count| count > 0), "{name}: {tokens}: {counts:?}");
+            assert_eq!(account[tokens], counts.iter().sum::<u64>(), "{name}: {account}");
+        }
+    }
+
+    // A finished document needs no server.
+    let base_url = server.base_url().to_owned();
+    drop(server);
+    bench.run(&build(&base_url)).expect(0);
+}
