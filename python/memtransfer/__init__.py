@@ -1,0 +1,77 @@
+"""Write a policy for MemTransfer in Python, and read the results of runs.
+
+    from memtransfer import Action, Policy, run
+
+    class Mine(Policy):
+        name = "mine"
+
+        def act(self, batch):
+            return [Action.FORWARD for request in batch]
+
+    run(Mine())
+
+`docs/python.md` of the project is the guide. `memtransfer.prompt` renders the harness's own prompt,
+`memtransfer.results` reads a run's folder.
+"""
+
+from memtransfer._frames import Frame
+from memtransfer._serve import run, serve
+from memtransfer._wire import Action, DocumentKind, Feedback, Heading, Outcome
+from memtransfer.errors import (
+    AttachError,
+    BusError,
+    FrameGone,
+    MemTransferError,
+    PolicyError,
+)
+from memtransfer.policy import Policy
+from memtransfer.request import (
+    Answer,
+    Decision,
+    DemonstrationStep,
+    Document,
+    Failed,
+    PastStep,
+    Pose,
+    RememberedStep,
+    Request,
+    Segment,
+    Trajectory,
+    Usage,
+)
+
+EMPTY = Outcome.EMPTY
+REFUSED = Outcome.REFUSED
+UNREADABLE = Outcome.UNREADABLE
+
+__all__ = [
+    "EMPTY",
+    "REFUSED",
+    "UNREADABLE",
+    "Action",
+    "Answer",
+    "AttachError",
+    "BusError",
+    "Decision",
+    "DemonstrationStep",
+    "Document",
+    "DocumentKind",
+    "Failed",
+    "Feedback",
+    "Frame",
+    "FrameGone",
+    "Heading",
+    "MemTransferError",
+    "Outcome",
+    "PastStep",
+    "Policy",
+    "PolicyError",
+    "Pose",
+    "RememberedStep",
+    "Request",
+    "Segment",
+    "Trajectory",
+    "Usage",
+    "run",
+    "serve",
+]
