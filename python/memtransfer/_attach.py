@@ -19,11 +19,6 @@ from memtransfer.errors import AttachError
 VARIABLE = "MEMTRANSFER_ATTACH"
 """Names the folder of the run to take part in."""
 
-FILE = "attach.json"
-
-MAX_LOANED_FRAMES = 32
-"""Frames that a renderer can fill at the same time."""
-
 HOW_TO = f"""\
 {VARIABLE} is not set, so this policy does not know which run to take part in. Either let the run start it:
   memtransfer run --policy-cmd "python my_policy.py"
@@ -62,17 +57,17 @@ class Attach:
     @property
     def spare_chunks(self) -> int:
         """Chunks that may hold evicted frames which a consumer has not let go of yet."""
-        return self.frame_capacity // 8 + self.lanes + 16
+        return self.frame_chunks - self.frame_capacity - _wire.MAX_LOANED_FRAMES
 
     @property
     def frame_chunks(self) -> int:
         """Chunks that the frame store owns, each of one frame."""
-        return self.frame_capacity + MAX_LOANED_FRAMES + self.spare_chunks
+        return _wire.frame_chunks(self.frame_capacity, self.lanes)
 
     def count(self, roles: tuple[_wire.Role, ...]) -> int:
         """How many of `roles` take part in the run."""
         orchestrator = _wire.Role.ORCHESTRATOR
-        return sum(role is orchestrator or role.name.lower() in self.crew for role in roles)
+        return sum(role is orchestrator or role.words in self.crew for role in roles)
 
 
 def folder_from_environment() -> Path:
@@ -85,13 +80,13 @@ def folder_from_environment() -> Path:
 
 def read(folder: Path) -> Attach:
     """Reads and checks `attach.json` in the run's folder."""
-    path = folder / FILE
+    path = folder / _wire.ATTACH_FILE
     try:
         root = folder.resolve(strict=True)
         values = json.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
         raise AttachError(
-            f"there is no run in {folder} ({FILE} is missing): it has ended, or {VARIABLE} names the "
+            f"there is no run in {folder} ({_wire.ATTACH_FILE} is missing): it has ended, or {VARIABLE} names the "
             "wrong folder"
         ) from None
     except (OSError, ValueError) as error:
@@ -120,7 +115,7 @@ class _Checked:
         if not isinstance(prefix, str) or not re.fullmatch(r"mt[A-Za-z0-9_]{0,14}", prefix):
             raise self.wrong("prefix", prefix, '"mt" and up to 14 letters, digits or underscores')
         crew = self.values.get("crew")
-        known = {role.name.lower() for role in _wire.Role}
+        known = {role.words for role in _wire.Role}
         if not isinstance(crew, list) or not known.issuperset(crew):
             raise self.wrong("crew", crew, f"names out of {sorted(known)}")
         if "policy" not in crew:
@@ -132,10 +127,10 @@ class _Checked:
             generation=self.whole(self.values, "generation", 0, (1 << 32) - 1),
             orchestrator_pid=self.whole(self.values, "orchestrator_pid", 1, (1 << 32) - 1),
             crew=frozenset(crew),
-            lanes=self.whole(self.values, "lanes", 1, 4096),
+            lanes=self.whole(self.values, "lanes", 1, _wire.MAX_LANES),
             width=self.whole(frame, "width", 64, 4096),
             height=self.whole(frame, "height", 1, 4096),
-            frame_capacity=self.whole(self.values, "frame_capacity", 1, 1 << 20),
+            frame_capacity=self.whole(self.values, "frame_capacity", 1, _wire.MAX_FRAMES),
             spin_us=self.whole(wait, "spin_us", 0, 1_000_000),
         )
         if attach.width % 64:

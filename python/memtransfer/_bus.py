@@ -22,9 +22,6 @@ from memtransfer.errors import AttachError, BusError
 RECEIVERS_PATIENCE_S = 60.0
 """How long the first message on a service waits for its receivers."""
 
-RUN_DOCUMENTS = 64
-"""Documents for the whole run that can wait beside those of episodes."""
-
 FAILURES: tuple[type[BaseException], ...] = tuple(
     value
     for name, value in vars(iox2).items()
@@ -57,26 +54,29 @@ class Bus:
         full = f"{self.attach.generation}/{name}"
         return self._node.service_builder(iox2.ServiceName.new(full))
 
-    def receiver(self, name: str) -> Receiver:
-        """The receiving end of the service `name`."""
+    def receiver(self, message: type[ctypes.Structure]) -> Receiver:
+        """The receiving end for messages of this type."""
+        name = _wire.SERVICES[message].name
         try:
-            return Receiver(self._service(name).subscriber_builder().create(), name)
+            subscriber = self.service(message).subscriber_builder().create()
         except FAILURES as error:
             raise BusError(f"cannot receive on {name}: {error}") from error
+        return Receiver(subscriber, name, ctypes.sizeof(message))
 
-    def sender(self, name: str) -> Sender:
-        """The sending end of the service `name`."""
+    def sender(self, message: type[ctypes.Structure]) -> Sender:
+        """The sending end for messages of this type."""
+        route = _wire.SERVICES[message]
         try:
-            return Sender(self._service(name), name, self.attach.count(_route(name)[1]))
+            return Sender(self.service(message), route.name, self.attach.count(route.receivers))
         except FAILURES as error:
-            raise BusError(f"cannot send on {name}: {error}") from error
+            raise BusError(f"cannot send on {route.name}: {error}") from error
 
     def frames(self) -> SliceReceiver:
         """The receiving end of the frame store: whole frames, as pages."""
         chunks = self.attach.frame_chunks
-        # Of `Page` ctypes knows the size alone; the alignment is asked for beside it.
+        # Before Python 3.13 ctypes knows the size of `Page` alone: its alignment is asked for beside it.
         builder = (
-            self.builder("frame")
+            self.builder(_wire.FRAME_SERVICE)
             .publish_subscribe(iox2.Slice[_wire.Page])
             .user_header(_wire.FrameHeader)
             .payload_alignment(iox2.Alignment.new(_wire.PAGE_BYTES))
@@ -86,11 +86,11 @@ class Bus:
     def documents(self) -> SliceReceiver:
         """The receiving end of documents, as bytes."""
         builder = (
-            self.builder("document")
+            self.builder(_wire.DOCUMENT_SERVICE)
             .publish_subscribe(iox2.Slice[ctypes.c_uint8])
             .user_header(_wire.DocumentHeader)
         )
-        buffer = 2 * self.attach.lanes + RUN_DOCUMENTS
+        buffer = _wire.document_queue_len(self.attach.lanes)
         return self._slices(builder, "document", 1, 2, borrowed=1, buffer=buffer)
 
     def _slices(
@@ -120,7 +120,7 @@ class Bus:
         try:
             return Bell(self._doorbell(of).notifier_builder().create())
         except FAILURES as error:
-            raise BusError(f"cannot reach the {of.name.lower()}'s doorbell: {error}") from error
+            raise BusError(f"cannot reach the {of.words}'s doorbell: {error}") from error
 
     def wait(self, timeout_ms: int) -> bool:
         """Waits until somebody rings, for about so long at most; whether anybody rang. Look through all
@@ -140,34 +140,29 @@ class Bus:
                 return False
             raise BusError(f"waiting at the doorbell: {error}") from error
 
-    def _service(self, name: str) -> Any:
-        senders, receivers = _route(name)
+    def service(self, message: type[ctypes.Structure]) -> Any:
+        """The service that messages of this type travel on."""
+        route, attach = _wire.SERVICES[message], self.attach
+        senders, receivers = len(route.senders), len(route.receivers)
         return (
-            self.builder(name)
-            .publish_subscribe(_wire.SERVICES[name].message)
+            self.builder(route.name)
+            .publish_subscribe(message)
             .enable_safe_overflow(False)
             .history_size(0)
-            .max_publishers(len(senders))
-            .max_subscribers(len(receivers))
-            .max_nodes(len(senders) + len(receivers))
+            .max_publishers(senders)
+            .max_subscribers(receivers)
+            .max_nodes(senders + receivers)
             .subscriber_max_borrowed_samples(1)
-            .subscriber_max_buffer_size(self._queue_len(name))
+            .subscriber_max_buffer_size(
+                _wire.queue_len(route.traffic, attach.frame_capacity, attach.lanes)
+            )
             .open_or_create()
         )
-
-    def _queue_len(self, name: str) -> int:
-        """Messages that can wait for one receiver."""
-        lengths = {
-            "lanes": 2 * self.attach.lanes + 16,
-            "frames": 2 * self.attach.frame_chunks,
-            "few": 256,
-        }
-        return lengths[_wire.SERVICES[name].traffic]
 
     def _doorbell(self, of: _wire.Role) -> Any:
         roles = len(_wire.Role)
         return (
-            self.builder(f"doorbell/{of.name.lower()}")
+            self.builder(f"doorbell/{of.words}")
             .event()
             .max_listeners(1)
             .max_notifiers(roles)
@@ -175,11 +170,6 @@ class Bus:
             .event_id_max_value(0)
             .open_or_create()
         )
-
-
-def _route(name: str) -> tuple[tuple[_wire.Role, ...], tuple[_wire.Role, ...]]:
-    service = _wire.SERVICES[name]
-    return service.senders, service.receivers
 
 
 def _hold(attach: Attach) -> int:
@@ -207,9 +197,9 @@ def _config(attach: Attach) -> Any:
 class Receiver:
     """The receiving end of a service of fixed messages."""
 
-    def __init__(self, subscriber: Any, name: str) -> None:
+    def __init__(self, subscriber: Any, name: str, size: int) -> None:
         self._receive = subscriber.receive
-        self._size = ctypes.sizeof(_wire.SERVICES[name].message)
+        self._size = size
         self._name = name
 
     def drain(self) -> list[bytes]:

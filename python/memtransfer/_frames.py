@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import gc
 import weakref
+from ctypes import string_at
 from typing import Any
 
 import numpy as np
@@ -24,8 +25,6 @@ from memtransfer._attach import Attach
 from memtransfer._bus import Bus
 from memtransfer._layout import layout
 from memtransfer.errors import FrameGone
-
-from ctypes import string_at
 
 _HEADER = layout(_wire.FrameHeader, "id", "width", "height", "content_hash")
 _HEADER_BYTES = _HEADER.size
@@ -119,7 +118,7 @@ class FrameStore:
 
     def __init__(self, bus: Bus) -> None:
         attach: Attach = bus.attach
-        self._evictions = bus.receiver("eviction")
+        self._evictions = bus.receiver(_wire.Eviction)
         self._receiver = bus.frames()
         self._shape = (attach.height, attach.width, 4)
         self._pages = attach.pages

@@ -10,7 +10,7 @@ import struct
 
 from memtransfer import _wire
 from memtransfer._documents import ACTIONS
-from memtransfer._layout import layout, repeated
+from memtransfer._layout import layout, place, repeated
 from memtransfer.request import Pose
 
 _BRIEF = layout(
@@ -37,9 +37,9 @@ _RECALL = layout(
     "documents_len",
     "documents",
 )
-_WINDOW_AT = _wire.Recall.window.offset
+_WINDOW_AT, _ = place(_wire.Recall, "window")
 _WINDOW = repeated(_wire.PastStep, _wire.MAX_WINDOW, "frame", "action", "feedback")
-_SEGMENT_AT = _wire.Recall.segment.offset
+_SEGMENT_AT, _ = place(_wire.Recall, "segment")
 _SEGMENT = repeated(_wire.SegmentStep, _wire.MAX_SEGMENT, "frame", "action")
 _IDS = [struct.Struct(f"<{count}Q") for count in range(_wire.MAX_DOCUMENTS + 1)]
 

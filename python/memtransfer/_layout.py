@@ -37,3 +37,9 @@ def repeated(message: type[ctypes.Structure], most: int, *names: str) -> list[st
     """For each count from 0 to `most`: takes the fields `names` out of so many messages in a row."""
     one = layout(message, *names).format.removeprefix("<")
     return [struct.Struct("<" + one * count) for count in range(most + 1)]
+
+
+def place(message: type[ctypes.Structure], name: str) -> tuple[int, int]:
+    """Where a field begins, and its bytes."""
+    field = getattr(message, name)
+    return field.offset, field.size

@@ -21,7 +21,7 @@ from memtransfer._bus import Bus
 from memtransfer._documents import DocumentStore, Published
 from memtransfer._frames import FrameStore
 from memtransfer._join import BadMessage, Join, Lane, Observed, Recalled
-from memtransfer._layout import layout
+from memtransfer._layout import layout, place
 from memtransfer._process import Orchestrator
 from memtransfer._served import ServedRequest
 from memtransfer.errors import AttachError, BusError, MemTransferError, PolicyError
@@ -66,8 +66,8 @@ _DECISION = layout(
     "action",
     "replayed",
 )
-_MOST_FACTS = _wire.Hello.facts.size
-_MOST_TEXT = _wire.Complaint.text.size
+_, _MOST_FACTS = place(_wire.Hello, "facts")
+_, _MOST_TEXT = place(_wire.Complaint, "text")
 _NONE = _wire.NOT_MEASURED
 
 
@@ -149,7 +149,7 @@ def _serve_generation(
             if later is not None:
                 return later
             time.sleep(0.05)
-        if not orchestrator.lives() or not (attach.root / _attach.FILE).exists():
+        if not orchestrator.lives() or not (attach.root / _wire.ATTACH_FILE).exists():
             return None
         raise
     finally:
@@ -172,7 +172,7 @@ class _Complaints:
     """What this process complains about: counted, logged, and told to the orchestrator."""
 
     def __init__(self, bus: Bus) -> None:
-        self._sender = bus.sender("complaint")
+        self._sender = bus.sender(_wire.Complaint)
         self.count = 0
 
     def raise_(self, what: object) -> None:
@@ -207,15 +207,15 @@ class _Server:
     def __init__(self, bus: Bus, policy: Policy) -> None:
         self._policy = policy
         self._name = policy.name or type(policy).__name__
-        self._hello = bus.sender("hello")
-        self._farewell = bus.sender("farewell")
+        self._hello = bus.sender(_wire.Hello)
+        self._farewell = bus.sender(_wire.Farewell)
         self._complaints = _Complaints(bus)
-        self._decisions = bus.sender("decision")
+        self._decisions = bus.sender(_wire.Decision)
         self._orchestrator = bus.bell(_wire.Role.ORCHESTRATOR)
-        self._briefs = bus.receiver("policy-brief")
-        self._observations = bus.receiver("observation")
-        self._recalls = bus.receiver("recall")
-        self._stops = bus.receiver("stop")
+        self._briefs = bus.receiver(_wire.PolicyBrief)
+        self._observations = bus.receiver(_wire.Observation)
+        self._recalls = bus.receiver(_wire.Recall)
+        self._stops = bus.receiver(_wire.Stop)
         self._frames = FrameStore(bus)
         self._documents = DocumentStore(bus)
         self._join = Join(bus.attach.lanes)

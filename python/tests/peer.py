@@ -84,11 +84,10 @@ class Peer:
         self.leave()
         attach = self.attach = _attach.read(self.root)
         bus = self.bus = Bus(attach, _wire.Role.ORCHESTRATOR)
-        self.inbox = {
-            name: bus.receiver(name) for name in ("decision", "hello", "complaint", "farewell")
-        }
-        names = ("policy-brief", "observation", "recall", "eviction", "stop")
-        self.senders = {name: Sender(bus._service(name), name, 1) for name in names}
+        heard = (_wire.Decision, _wire.Hello, _wire.Complaint, _wire.Farewell)
+        self.inbox = {message: bus.receiver(message) for message in heard}
+        said = (_wire.PolicyBrief, _wire.Observation, _wire.Recall, _wire.Eviction, _wire.Stop)
+        self.senders = {it: Sender(bus.service(it), it.__name__, 1) for it in said}
         self.bell = bus.bell(_wire.Role.POLICY)
         self.frames = self._publisher(
             bus.builder("frame")
@@ -160,9 +159,8 @@ class Peer:
         """Has `policy` serve in a thread."""
         return Serving(self, policy)
 
-    def send(self, name: str, **values: Any) -> None:
-        message = fill(_wire.SERVICES[name].message(), **values)
-        self.senders[name].send(bytes(message))
+    def send(self, message: ctypes.Structure) -> None:
+        self.senders[type(message)].send(bytes(message))
 
     def publish_frame(self, pixels: NDArray[np.uint8] | int) -> int:
         """A frame with `pixels`, or with every byte this number; its id."""
@@ -199,7 +197,7 @@ class Peer:
 
     def brief(self, lane: int = 0, episode: int = 1, **values: Any) -> None:
         values.setdefault("instruction", "Find a blue barrel.")
-        self.send("policy-brief", lane=lane, episode=episode, repeat=1, **values)
+        self.send(fill(_wire.PolicyBrief(), lane=lane, episode=episode, repeat=1, **values))
 
     def step(
         self,
@@ -215,13 +213,14 @@ class Peer:
     ) -> None:
         """Observation and recall of a step, and a ring."""
         self.send(
-            "observation",
-            lane=lane,
-            episode=episode,
-            step=step,
-            frame=frame,
-            pose=[*pose, 0],
-            feedback=feedback,
+            _wire.Observation(
+                lane=lane,
+                episode=episode,
+                step=step,
+                frame=frame,
+                pose=_wire.WirePose(*pose),
+                feedback=feedback,
+            )
         )
         recall = _wire.Recall()
         fill(recall, lane=lane, episode=episode, step=step, distance=0.25)
@@ -237,28 +236,27 @@ class Peer:
         for index, document in enumerate(documents):
             recall.documents[index] = document
             recall.documents_len = index + 1
-        self.senders["recall"].send(bytes(recall))
+        self.send(recall)
         self.bell.ring()
 
     def evict(self, *frames: int) -> None:
         for frame in frames:
-            self.send("eviction", frame=frame)
+            self.send(_wire.Eviction(frame))
         self.bell.ring()
 
     def stop(self) -> None:
-        self.send("stop")
+        self.send(_wire.Stop())
         self.bell.ring()
 
-    def await_(self, name: str, count: int = 1) -> list[Any]:
-        """The next `count` messages on a service, at least."""
+    def await_(self, message: type[ctypes.Structure], count: int = 1) -> list[Any]:
+        """The next messages of this type, `count` at least."""
         found: list[Any] = []
 
         def look() -> bool:
-            message = _wire.SERVICES[name].message
-            found.extend(message.from_buffer_copy(raw) for raw in self.inbox[name].drain())
+            found.extend(message.from_buffer_copy(raw) for raw in self.inbox[message].drain())
             return len(found) >= count
 
-        eventually(f"{count} x {name}", look)
+        eventually(f"{count} x {message.__name__}", look)
         return found
 
 
@@ -286,7 +284,7 @@ class Serving:
 
     def __enter__(self) -> Serving:
         self.thread.start()
-        (self.hello,) = self.peer.await_("hello")
+        (self.hello,) = self.peer.await_(_wire.Hello)
         return self
 
     def __exit__(self, kind: object, *_: object) -> None:
@@ -294,7 +292,7 @@ class Serving:
             return
         if self.error is None and self.thread.is_alive():
             self.peer.stop()
-            (self.farewell,) = self.peer.await_("farewell")
+            (self.farewell,) = self.peer.await_(_wire.Farewell)
         self.end()
 
     def end(self) -> None:

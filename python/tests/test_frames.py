@@ -10,6 +10,7 @@ import pytest
 from numpy.typing import NDArray
 from peer import Peer, eventually, text
 
+from memtransfer import _wire
 from memtransfer import Action, Answer, Frame, FrameGone, Policy, Request
 from memtransfer._wire import ComplaintKind
 
@@ -67,7 +68,7 @@ def test_pixels_are_shared_memory_and_nobody_writes_to_them() -> None:
     with Peer() as peer, peer.serve(Looks(look)) as serving:
         peer.brief()
         peer.step(peer.publish_frame(picture))
-        peer.await_("decision")
+        peer.await_(_wire.Decision)
         assert serving.error is None
         permissions, path = found["mapping"]  # type: ignore[misc]
         # The chunk of the simulator's segment, which this process maps without the right to write.
@@ -91,13 +92,13 @@ def test_what_is_kept_shows_what_it_showed_and_a_frame_that_is_gone_says_so() ->
         peer.brief()
         first = peer.publish_frame(17)
         peer.step(first)
-        peer.await_("decision")
+        peer.await_(_wire.Decision)
         peer.evict(first)
         # Far more frames than there are chunks: all but the kept one are used again and again.
         for step in range(1, 3 * peer.attach.frame_chunks):
             frame = peer.publish_frame(200)
             peer.step(frame, step=step)
-            peer.await_("decision")
+            peer.await_(_wire.Decision)
             peer.evict(frame)
         eventually("the last eviction", lambda: frames[-1].is_gone)
         assert (kept[0] == 17).all()
@@ -114,7 +115,7 @@ def test_a_request_that_is_kept_says_when_it_is_too_late() -> None:
         now, past = peer.publish_frame(1), peer.publish_frame(2)
         peer.brief()
         peer.step(now, window=[(past, 0, 1)])
-        peer.await_("decision")
+        peer.await_(_wire.Decision)
         peer.evict(now, past)
         eventually("the evictions", lambda: requests[0].frame.is_gone)
         with pytest.raises(FrameGone, match="before its window was looked at"):
@@ -130,9 +131,9 @@ def test_hoarding_is_said_before_the_simulator_has_no_memory_left() -> None:
         for step in range(most + 1):
             frame = peer.publish_frame(1)
             peer.step(frame, step=step)
-            peer.await_("decision")
+            peer.await_(_wire.Decision)
             peer.evict(frame)
-        (complaint,) = peer.await_("complaint")
+        (complaint,) = peer.await_(_wire.Complaint)
         assert complaint.kind == ComplaintKind.RUN
         said = text(complaint.text, complaint.text_len)
         assert f"still holds the pixels of {most + 1} frames" in said
@@ -152,10 +153,10 @@ def test_what_was_kept_and_let_go_is_no_hoard() -> None:
         for step in range(2 * peer.attach.spare_chunks):
             frame = peer.publish_frame(1)
             peer.step(frame, step=step)
-            peer.await_("decision")
+            peer.await_(_wire.Decision)
             peer.evict(frame)
         time.sleep(0.01)
-        assert peer.await_("complaint", 0) == []
+        assert peer.await_(_wire.Complaint, 0) == []
 
 
 def test_frames_that_are_not_what_the_run_agreed_on() -> None:
@@ -166,11 +167,11 @@ def test_frames_that_are_not_what_the_run_agreed_on() -> None:
         again = peer.publish_frame(2)
         assert again == good
         peer.step(good)
-        (complaint,) = peer.await_("complaint")
+        (complaint,) = peer.await_(_wire.Complaint)
         assert text(complaint.text, complaint.text_len) == (
             f"a frame arrived under id {good}, which names another"
         )
-        peer.await_("decision")
+        peer.await_(_wire.Decision)
 
 
 def test_a_frame_of_one_s_own() -> None:

@@ -11,9 +11,12 @@ from pathlib import Path
 import pytest
 from peer import WATCHDOG_S, Peer, eventually
 
+from memtransfer import _wire
+
 EXAMPLES = Path(__file__).parent.parent / "examples"
 
 RAISES = """
+from memtransfer import _wire
 from memtransfer import Policy, run
 class Raises(Policy):
     def act(self, batch):
@@ -82,18 +85,18 @@ def test_a_run_that_cannot_be_attached_to(change: dict[str, object], said: str) 
 def test_it_decides_until_it_is_told_to_stop() -> None:
     with Peer() as peer:
         process = random_policy(peer.root)
-        (hello,) = peer.await_("hello")
+        (hello,) = peer.await_(_wire.Hello)
         assert hello.pid == process.pid
         peer.brief(seed=4)
         frame = peer.publish_frame(1)
         actions = []
         for step in range(20):
             peer.step(frame, step=step)
-            (decision,) = peer.await_("decision")
+            (decision,) = peer.await_(_wire.Decision)
             actions.append(decision.action)
         assert len(set(actions)) > 3
         peer.stop()
-        peer.await_("farewell")
+        peer.await_(_wire.Farewell)
         assert ended(process) == (0, "")
 
 
@@ -101,7 +104,7 @@ def test_it_decides_until_it_is_told_to_stop() -> None:
 def test_a_signal_ends_it_quietly(number: signal.Signals) -> None:
     with Peer() as peer:
         process = random_policy(peer.root)
-        peer.await_("hello")
+        peer.await_(_wire.Hello)
         process.send_signal(number)
         assert ended(process) == (128 + number, "")
 
@@ -111,7 +114,7 @@ def test_it_ends_with_its_orchestrator() -> None:
     try:
         with Peer(orchestrator_pid=orchestrator.pid) as peer:
             process = random_policy(peer.root)
-            peer.await_("hello")
+            peer.await_(_wire.Hello)
             orchestrator.kill()
             orchestrator.wait()
             assert ended(process) == (0, "the run's orchestrator is gone\n")
@@ -147,7 +150,7 @@ def test_it_is_killed_with_the_process_that_started_it(tmp_path: Path) -> None:
                 "PYTHONPATH": str(EXAMPLES.parent),
             },
         )
-        (hello,) = peer.await_("hello")
+        (hello,) = peer.await_(_wire.Hello)
         peer.brief()
         peer.step(peer.publish_frame(1))
         starter.kill()
@@ -166,7 +169,7 @@ def test_it_is_killed_with_the_process_that_started_it(tmp_path: Path) -> None:
 def test_a_policy_that_breaks_its_contract_ends_with_a_message() -> None:
     with Peer() as peer:
         process = start("-c", RAISES, folder=peer.root)
-        peer.await_("hello")
+        peer.await_(_wire.Hello)
         peer.brief()
         peer.step(peer.publish_frame(1))
         status, said = ended(process)

@@ -9,6 +9,7 @@ from collections.abc import Callable, Sequence
 import pytest
 from peer import Peer, eventually, text
 
+from memtransfer import _wire
 from memtransfer import (
     EMPTY,
     Action,
@@ -61,7 +62,7 @@ def test_hello_decisions_and_farewell() -> None:
             peer.brief(lane=2, episode=7)
             frame = peer.publish_frame(1)
             peer.step(frame, lane=2, episode=7)
-            (decision,) = peer.await_("decision")
+            (decision,) = peer.await_(_wire.Decision)
             assert (decision.lane, decision.episode, decision.step) == (2, 7, 0)
             assert (decision.outcome, decision.action) == (Outcome.ACTED, Action.FORWARD)
             assert (decision.images_asked, decision.images, decision.attempts) == (1, 1, 0)
@@ -97,7 +98,7 @@ def test_a_request_holds_what_was_sent() -> None:
             segment=[(past[2], Action.RIGHT), (past[3], NO_ACTION)],
             documents=[11, 12],
         )
-        (decision,) = peer.await_("decision")
+        (decision,) = peer.await_(_wire.Decision)
         assert (decision.images_asked, decision.action) == (1 + 2 + 2 + 2, Action.LEFT)
     (request,) = seen
     assert (request.step, request.episode, request.episode_seed, request.repeat) == (2, 1, 99, 1)
@@ -132,7 +133,7 @@ def test_what_waits_is_one_batch_by_lane() -> None:
             for lane in (3, 0, 2):
                 peer.brief(lane=lane, episode=lane + 1)
                 peer.step(frame, lane=lane, episode=lane + 1)
-            peer.await_("decision", 3)
+            peer.await_(_wire.Decision, 3)
     assert sorted(entry for batch in policy.batches for entry in batch) == [(0, 0), (2, 0), (3, 0)]
     assert all(batch == sorted(batch) for batch in policy.batches)
 
@@ -152,7 +153,7 @@ def test_answers_arrive(answer: Answer, outcome: Outcome, action: int) -> None:
     with Peer() as peer, peer.serve(Does(lambda _: answer)):
         peer.brief()
         peer.step(peer.publish_frame(1))
-        (decision,) = peer.await_("decision")
+        (decision,) = peer.await_(_wire.Decision)
         assert (decision.outcome, decision.action) == (outcome, action)
 
 
@@ -161,7 +162,7 @@ def test_usage_arrives() -> None:
     with Peer() as peer, peer.serve(Does(lambda _: Decision(Action.LEFT, images=0, usage=usage))):
         peer.brief()
         peer.step(peer.publish_frame(1))
-        (decision,) = peer.await_("decision")
+        (decision,) = peer.await_(_wire.Decision)
         assert (decision.prompt_tokens, decision.completion_tokens) == (100, 3)
         assert (decision.cached_tokens, decision.image_tokens) == (NOT_MEASURED, 0)
         assert (decision.images_asked, decision.images) == (1, 0)
@@ -179,7 +180,7 @@ def test_a_failure_ends_its_episode_without_a_result() -> None:
     with Peer() as peer, peer.serve(Does(lambda _: Failed("the server is down"))):
         peer.brief(lane=1, episode=4)
         peer.step(peer.publish_frame(1), lane=1, episode=4)
-        (complaint,) = peer.await_("complaint")
+        (complaint,) = peer.await_(_wire.Complaint)
         assert complaint.kind == ComplaintKind.EPISODE
         assert (complaint.lane, complaint.episode) == (1, 4)
         assert text(complaint.text, complaint.text_len) == "the server is down"
@@ -197,9 +198,9 @@ def test_an_exception_costs_its_own_episode_and_no_other(capsys: pytest.CaptureF
             peer.brief(lane=lane, episode=lane + 1)
         for lane in range(3):
             peer.step(frame, lane=lane, episode=lane + 1)
-        decisions = peer.await_("decision", 2)
+        decisions = peer.await_(_wire.Decision, 2)
         assert [decision.lane for decision in decisions] == [0, 2]
-        (complaint,) = peer.await_("complaint")
+        (complaint,) = peer.await_(_wire.Complaint)
         assert (complaint.kind, complaint.lane, complaint.episode) == (ComplaintKind.EPISODE, 1, 2)
         said = text(complaint.text, complaint.text_len)
         assert said == "policy does raised RuntimeError: cannot do lane 1"
@@ -216,10 +217,10 @@ def test_a_policy_that_always_raises_stops_the_run(capsys: pytest.CaptureFixture
         for episode in range(1, 9):
             peer.brief(episode=episode)
             peer.step(frame, episode=episode)
-            complaints += peer.await_("complaint")
+            complaints += peer.await_(_wire.Complaint)
         eventually(
             "the run to be stopped",
-            lambda: complaints.extend(peer.await_("complaint", 0))
+            lambda: complaints.extend(peer.await_(_wire.Complaint, 0))
             or any(complaint.kind == ComplaintKind.RUN for complaint in complaints),
         )
         (halt,) = (complaint for complaint in complaints if complaint.kind == ComplaintKind.RUN)
@@ -250,7 +251,7 @@ def test_a_broken_contract_ends_serving(answers: list[Answer], said: str) -> Non
     with Peer() as peer:
         serving = peer.serve(Broken())
         serving.thread.start()
-        peer.await_("hello")
+        peer.await_(_wire.Hello)
         peer.brief()
         peer.step(peer.publish_frame(1))
         with pytest.raises(PolicyError, match=said):
@@ -265,7 +266,7 @@ def test_messages_that_cannot_be_used_are_complained_about() -> None:
         said = set()
 
         def complaints(count: int) -> None:
-            said.update(text(it.text, it.text_len) for it in peer.await_("complaint", count))
+            said.update(text(it.text, it.text_len) for it in peer.await_(_wire.Complaint, count))
 
         peer.step(frame, feedback=9)
         complaints(1)
@@ -284,7 +285,7 @@ def test_messages_that_cannot_be_used_are_complained_about() -> None:
             "recall for lane 9: the run has 2",
         }
         peer.step(frame, step=3)
-        (decision,) = peer.await_("decision")
+        (decision,) = peer.await_(_wire.Decision)
         assert decision.step == 3
     assert policy.batches == [[(0, 3)]]
 
@@ -294,14 +295,14 @@ def test_serving_goes_on_in_a_new_generation() -> None:
     with Peer() as peer, peer.serve(policy):
         peer.brief()
         peer.step(peer.publish_frame(1))
-        peer.await_("decision")
+        peer.await_(_wire.Decision)
         # As when a process of the run died: nobody says stop, everything is started anew.
         peer.write(generation=2)
         peer.join()
-        peer.await_("hello")
+        peer.await_(_wire.Hello)
         peer.brief(episode=2)
         peer.step(peer.publish_frame(1), episode=2)
-        (decision,) = peer.await_("decision")
+        (decision,) = peer.await_(_wire.Decision)
         assert decision.episode == 2
     assert policy.resets == [0, 0]
 
@@ -313,12 +314,12 @@ def test_late_and_early_messages() -> None:
         peer.brief(episode=5)
         peer.step(frame, episode=4)
         peer.step(frame, episode=5, step=1)
-        (decision,) = peer.await_("decision")
+        (decision,) = peer.await_(_wire.Decision)
         assert (decision.episode, decision.step) == (5, 1)
-        peer.send("observation", lane=0, episode=5, step=2, last=1)
+        peer.send(_wire.Observation(lane=0, episode=5, step=2, last=1))
         peer.step(frame, episode=5, step=2)
         peer.brief(episode=6)
         peer.step(frame, episode=6)
-        (decision,) = peer.await_("decision")
+        (decision,) = peer.await_(_wire.Decision)
         assert decision.episode == 6
     eventually("two batches", lambda: policy.batches == [[(0, 1)], [(0, 0)]])
