@@ -14,8 +14,9 @@
 `memtransfer.results` reads a run's folder.
 """
 
+from typing import TYPE_CHECKING, Any
+
 from memtransfer._frames import Frame
-from memtransfer._serve import run, serve
 from memtransfer._wire import Action, DocumentKind, Feedback, Heading, Outcome
 from memtransfer.errors import (
     AttachError,
@@ -39,6 +40,9 @@ from memtransfer.request import (
     Trajectory,
     Usage,
 )
+
+if TYPE_CHECKING:
+    from memtransfer._serve import run, serve
 
 EMPTY = Outcome.EMPTY
 REFUSED = Outcome.REFUSED
@@ -75,3 +79,12 @@ __all__ = [
     "run",
     "serve",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    """`run` and `serve` load the transport, which whoever only reads results does without."""
+    if name in ("run", "serve"):
+        from memtransfer import _serve
+
+        return getattr(_serve, name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

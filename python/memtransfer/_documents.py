@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from ctypes import string_at
 from itertools import groupby
+from typing import TYPE_CHECKING
 
 from memtransfer import _wire
-from memtransfer._bus import Bus
 from memtransfer._frames import Frame
 from memtransfer._layout import layout
 from memtransfer.request import DemonstrationStep, Document, Trajectory
+
+if TYPE_CHECKING:
+    from memtransfer._bus import Bus
 
 _HEADER = layout(_wire.DocumentHeader, "id", "episode", "lane", "kind")
 _STEP = layout(_wire.TrajectoryStep, "frame", "action", "trajectory")

@@ -13,18 +13,21 @@ comes to that.
 from __future__ import annotations
 
 import gc
+import hashlib
 import weakref
 from ctypes import string_at
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from memtransfer import _wire
 from memtransfer._attach import Attach
-from memtransfer._bus import Bus
 from memtransfer._layout import layout
 from memtransfer.errors import FrameGone
+
+if TYPE_CHECKING:
+    from memtransfer._bus import Bus
 
 _HEADER = layout(_wire.FrameHeader, "id", "width", "height", "content_hash")
 _HEADER_BYTES = _HEADER.size
@@ -73,13 +76,20 @@ class Frame:
         self._pixels: NDArray[np.uint8] | None = None
 
     @classmethod
-    def of(cls, pixels: NDArray[np.uint8], id: int = 1, content_hash: bytes = bytes(16)) -> Frame:
-        """A frame of one's own pixels (height x width x 4), to test a policy with."""
+    def of(
+        cls, pixels: NDArray[np.uint8], id: int = 1, content_hash: bytes | None = None
+    ) -> Frame:
+        """A frame of one's own pixels (height x width x 4), to test a policy with. Without a `content_hash`
+        it gets another one than the harness would give it, which is as good.
+        """
         height, width, channels = pixels.shape
         if channels != 4:
             raise ValueError(f"pixels have {channels} channels, and a frame has 4 (RGBA)")
+        own = np.array(pixels, dtype=np.uint8, order="C")
+        if content_hash is None:
+            content_hash = hashlib.blake2b(own.data, digest_size=16).digest()
         frame = cls(id, content_hash, width, height, None)
-        frame._pixels = np.ascontiguousarray(pixels, dtype=np.uint8).copy()
+        frame._pixels = own
         frame._pixels.setflags(write=False)
         return frame
 
