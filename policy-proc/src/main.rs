@@ -1,4 +1,7 @@
-//! The policy process: one of the built-in policies, put on the wire; or a pipe to a model.
+//! The policy process: one of the built-in policies, put on the wire; or a pipe to a model, and what there is to
+//! say about the model's server and about its replies that are kept.
+
+mod cli;
 
 use std::io::{self, IsTerminal};
 use std::path::{Path, PathBuf};
@@ -7,7 +10,7 @@ use std::time::Duration;
 
 use anyhow::{Context, bail};
 use clap::{Args, Parser, Subcommand, ValueEnum};
-use policy_proc::chat::{Client, Endpoint, Settings, pipe};
+use policy_proc::chat::{Client, Endpoint, ResponseCache, Settings, pipe};
 use policy_proc::grounded::Grounded;
 use policy_proc::random::Random;
 use policy_proc::{Decider, serve};
@@ -37,6 +40,10 @@ enum Verb {
     /// Ask a model behind an OpenAI-compatible endpoint: a line of JSON in, a line of JSON out.
     #[command(after_help = ASK_HELP)]
     Ask(AskArguments),
+    /// Find out what a model's server can do, and who it is
+    Probe(cli::probe::ProbeArguments),
+    /// List or remove the replies of models that are kept on disk
+    Cache(cli::cache::CacheArguments),
 }
 
 #[derive(Args)]
@@ -53,6 +60,9 @@ struct AskArguments {
     /// How often a request is sent again that met status 429 or 5xx, no answer in time or no connection
     #[arg(long, value_name = "N", default_value = "5")]
     max_retries: u32,
+    /// Look for replies there before asking, and keep them: on (responses in the cache folder), off, or a folder
+    #[arg(long, value_name = "on|off|DIR", default_value = "off")]
+    response_cache: String,
     /// End with this process, which started this one
     #[arg(long, value_name = "PID", hide = true)]
     parent: Option<u32>,
@@ -65,7 +75,8 @@ const ASK_HELP: &str = r#"Variables that are not set are looked for in the file 
 A question, one line on stdin:
   {"messages": [{"role": "user", "content": "Where is north?"}], "max_tokens": 30}
 Its answer, one line on stdout; a count that the server does not give is null:
-  {"text": "Up.", "outcome": "text", "model": "m", "prompt_tokens": 12, "completion_tokens": 2}
+  {"text": "Up.", "outcome": "text", "model": "m", "prompt_tokens": 12, "completion_tokens": 2,
+   "from_cache": false}
   outcome: text (whole), length (cut off at max_tokens), empty or refusal
 Or, when there is no reply:
   {"error": "what happened, and what to do"}
@@ -93,11 +104,13 @@ fn main() -> ExitCode {
         .with_writer(std::io::stderr)
         .init();
     let done = match Arguments::parse().verb {
-        Verb::Serve { attach, policy } => take_part(&attach, policy),
-        Verb::Ask(arguments) => ask(arguments),
+        Verb::Serve { attach, policy } => take_part(&attach, policy).map(|()| ExitCode::SUCCESS),
+        Verb::Ask(arguments) => ask(arguments).map(|()| ExitCode::SUCCESS),
+        Verb::Probe(arguments) => cli::probe::run(&arguments),
+        Verb::Cache(arguments) => cli::cache::run(&arguments).map(|()| ExitCode::SUCCESS),
     };
     match done {
-        Ok(()) => ExitCode::SUCCESS,
+        Ok(code) => code,
         Err(error) => {
             eprintln!("policy-proc: {error:#}");
             ExitCode::from(2)
@@ -116,14 +129,15 @@ fn take_part(attach_dir: &Path, policy: BuiltIn) -> anyhow::Result<()> {
 }
 
 fn ask(arguments: AskArguments) -> anyhow::Result<()> {
-    let AskArguments { base_url, model, timeout, max_retries, parent } = arguments;
+    let AskArguments { base_url, model, timeout, max_retries, response_cache, parent } = arguments;
     if let Some(parent) = parent {
         die_with_parent(parent).context("cannot answer another process")?;
     }
     let endpoint = Endpoint::from_environment(base_url.as_deref(), Path::new("."))?;
     let timeout = Duration::from_secs(timeout.into());
     let client = Client::new(endpoint, Settings { model, timeout, max_retries });
-    match pipe::run(&client, io::stdin().lock(), io::stdout().lock())? {
+    let cache = ResponseCache::from_setting(&response_cache)?;
+    match pipe::run(&client, cache.as_ref(), io::stdin().lock(), io::stdout().lock())? {
         0 => Ok(()),
         failed => bail!("questions without a reply: {failed}; their lines say why"),
     }

@@ -49,8 +49,8 @@ fn every_line_is_answered_in_order() {
     assert_eq!(
         lines(&output),
         [
-            json!({"text": "North.", "outcome": "text", "model": "scripted", "prompt_tokens": 10, "completion_tokens": 5}),
-            json!({"text": "So", "outcome": "length", "model": null, "prompt_tokens": null, "completion_tokens": null}),
+            json!({"text": "North.", "outcome": "text", "model": "scripted", "prompt_tokens": 10, "completion_tokens": 5, "from_cache": false}),
+            json!({"text": "So", "outcome": "length", "model": null, "prompt_tokens": null, "completion_tokens": null, "from_cache": false}),
         ]
     );
     assert_eq!(server.received()[0].body["model"], "m");

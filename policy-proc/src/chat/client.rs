@@ -10,7 +10,7 @@ use std::time::{Duration, SystemTime};
 
 use ureq::Agent;
 use ureq::http::Response;
-use ureq::http::header::{AUTHORIZATION, CONTENT_TYPE, DATE, LOCATION, RETRY_AFTER};
+use ureq::http::header::{AUTHORIZATION, CONTENT_TYPE, DATE, LOCATION, RETRY_AFTER, SERVER};
 use ureq::tls::{RootCerts, TlsConfig, TlsProvider};
 
 use super::endpoint::Endpoint;
@@ -41,6 +41,14 @@ enum Heard {
     Reply(Box<Reply>),
     /// Not in this way, but in that one.
     Understands(Dialect),
+}
+
+/// A page of the server's, without the key wherever it stood in it.
+pub(super) struct Page {
+    pub(super) status: u16,
+    /// What the server calls itself.
+    pub(super) server: Option<String>,
+    pub(super) body: String,
 }
 
 /// Asks one model of one endpoint. Threads may share it; each waits for its own answer.
@@ -175,10 +183,33 @@ impl Client {
             .limit(LARGEST_ANSWER)
             .read_to_vec()
             .map_err(passing)?;
+        // Nothing that is made of an answer can hold the key, should the server repeat it.
+        let answer = self.endpoint.masked(&String::from_utf8_lossy(&answer)).into_bytes();
         match response.status().as_u16() {
             200..=299 => self.read(&response, &answer).map(|reply| Heard::Reply(Box::new(reply))),
             status => self.refused(dialect, status, &response, &answer).map(Heard::Understands),
         }
+    }
+
+    /// Fetches a page of the server's, with the key and within `timeout`.
+    pub(super) fn get(&self, url: &str, timeout: Duration) -> Result<Page, Passing> {
+        let timeout = timeout.min(self.settings.timeout);
+        let mut request = self.agent.get(url);
+        if let Some(authorization) = self.endpoint.authorization() {
+            request = request.header(AUTHORIZATION, authorization.clone());
+        }
+        let request = request.config().timeout_global(Some(timeout)).build();
+        let passing = |error| match self.passing(error) {
+            Passing::Timeout(_) => Passing::Timeout(timeout),
+            other => other,
+        };
+        let mut response = request.call().map_err(passing)?;
+        let body = response.body_mut().with_config().limit(LARGEST_ANSWER).read_to_vec();
+        Ok(Page {
+            status: response.status().as_u16(),
+            server: header(&response, SERVER).map(|server| self.endpoint.masked(server)),
+            body: self.endpoint.masked(&String::from_utf8_lossy(&body.map_err(passing)?)),
+        })
     }
 
     fn read<T>(&self, response: &Response<T>, answer: &[u8]) -> Result<Reply, Failure> {

@@ -19,6 +19,9 @@ pub const KEY_VARIABLE: &str = "OPENAI_API_KEY";
 /// The file in the working folder that is read for variables that are not set.
 pub const ENV_FILE: &str = ".env";
 
+/// Where the interface takes questions.
+const COMPLETIONS: &str = "/chat/completions";
+
 /// A server that speaks the chat completions of OpenAI's interface.
 #[derive(Debug, Clone)]
 pub struct Endpoint {
@@ -65,7 +68,7 @@ impl Endpoint {
         let wrong = |problem| EndpointError::BaseUrl { problem };
         let base = base_url.trim().trim_end_matches('/');
         let completions: Uri =
-            format!("{base}/chat/completions").parse().map_err(|_| wrong("is no URL"))?;
+            format!("{base}{COMPLETIONS}").parse().map_err(|_| wrong("is no URL"))?;
         if !matches!(completions.scheme_str(), Some("http" | "https")) {
             return Err(wrong("does not begin with http:// or https://"));
         }
@@ -121,6 +124,22 @@ impl Endpoint {
     /// Where requests go.
     pub(super) fn completions(&self) -> &Uri {
         &self.completions
+    }
+
+    /// Another page of the interface, `path` beginning with a slash.
+    pub(super) fn page(&self, path: &str) -> String {
+        format!("{}{path}", self.base())
+    }
+
+    /// A page of the server itself, outside the interface.
+    pub(super) fn server_page(&self, path: &str) -> String {
+        let base = self.base();
+        format!("{}{path}", base.strip_suffix("/v1").unwrap_or(&base))
+    }
+
+    fn base(&self) -> String {
+        let completions = self.completions.to_string();
+        completions.strip_suffix(COMPLETIONS).unwrap_or(&completions).to_owned()
     }
 
     /// Whether the server is on this machine, by its name.
@@ -215,6 +234,19 @@ mod tests {
             ),
         ] {
             assert_eq!(resolve(flag, environment, env_file).unwrap().to_string(), expected);
+        }
+    }
+
+    #[test]
+    fn pages_beside_and_above() {
+        for (base_url, page, server_page) in [
+            ("http://a:1/v1/", "http://a:1/v1/models", "http://a:1/version"),
+            ("https://x/api/v1", "https://x/api/v1/models", "https://x/api/version"),
+            ("https://x/openai", "https://x/openai/models", "https://x/openai/version"),
+        ] {
+            let endpoint = Endpoint::new(base_url, None).unwrap();
+            assert_eq!(endpoint.page("/models"), page);
+            assert_eq!(endpoint.server_page("/version"), server_page);
         }
     }
 

@@ -6,6 +6,8 @@
 
 use std::sync::Arc;
 
+use base64::Engine;
+use base64::prelude::BASE64_STANDARD as BASE64;
 use serde::ser::SerializeMap;
 use serde::{Deserialize, Serialize, Serializer};
 use serde_json::{Value, json};
@@ -71,6 +73,13 @@ pub struct ImageUrl {
     /// The URL. Questions that show the same image share it.
     #[serde(with = "shared_text")]
     pub url: Arc<str>,
+}
+
+impl ImageUrl {
+    /// An image that stands in the URL itself.
+    pub fn of_bytes(media_type: &str, bytes: &[u8]) -> Self {
+        Self { url: format!("data:{media_type};base64,{}", BASE64.encode(bytes)).into() }
+    }
 }
 
 mod shared_text {

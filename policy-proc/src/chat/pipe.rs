@@ -6,7 +6,9 @@ use std::io::{self, BufRead, Write};
 
 use serde::{Deserialize, Serialize};
 
+use super::cache::{Key, ResponseCache};
 use super::client::Client;
+use super::error::ChatError;
 use super::message::Question;
 use super::reply::{Outcome, Reply};
 
@@ -26,6 +28,8 @@ pub enum Answer {
         prompt_tokens: Option<u64>,
         /// Tokens of the answer, likewise.
         completion_tokens: Option<u64>,
+        /// Whether the reply was known: what it cost was counted when it was new.
+        from_cache: bool,
     },
     /// There is no reply.
     Failed {
@@ -48,8 +52,8 @@ pub enum Kind {
     Length,
 }
 
-impl From<Reply> for Answer {
-    fn from(reply: Reply) -> Self {
+impl Answer {
+    fn of(reply: Reply, from_cache: bool) -> Self {
         let Reply { outcome, model, prompt_tokens, completion_tokens, .. } = reply;
         let (outcome, text) = match outcome {
             Outcome::Text(text) => (Kind::Text, text),
@@ -57,16 +61,22 @@ impl From<Reply> for Answer {
             Outcome::Refusal(text) => (Kind::Refusal, text),
             Outcome::Length(text) => (Kind::Length, text),
         };
-        Self::Replied { text, outcome, model, prompt_tokens, completion_tokens }
+        Self::Replied { text, outcome, model, prompt_tokens, completion_tokens, from_cache }
     }
 }
 
 /// Answers every line of `input` with a line on `output`, which is complete before the next line is read;
-/// a blank line is passed over. The number of questions that got no reply.
+/// a blank line is passed over. Replies are looked for in `cache` first, and kept there. The number of questions
+/// that got no reply.
 ///
 /// # Errors
 /// When a line cannot be read or written.
-pub fn run(client: &Client, input: impl BufRead, mut output: impl Write) -> io::Result<u64> {
+pub fn run(
+    client: &Client,
+    cache: Option<&ResponseCache>,
+    input: impl BufRead,
+    mut output: impl Write,
+) -> io::Result<u64> {
     let mut failed = 0;
     for line in input.lines() {
         let line = line?;
@@ -80,8 +90,8 @@ pub fn run(client: &Client, input: impl BufRead, mut output: impl Write) -> io::
                      \"content\": \"...\"}}], \"max_tokens\": 30}}"
                 ),
             },
-            Ok(question) => match client.ask(&question) {
-                Ok(reply) => reply.into(),
+            Ok(question) => match ask(client, cache, &question) {
+                Ok((reply, from_cache)) => Answer::of(reply, from_cache),
                 Err(error) => Answer::Failed { error: error.to_string() },
             },
         };
@@ -91,4 +101,24 @@ pub fn run(client: &Client, input: impl BufRead, mut output: impl Write) -> io::
         output.flush()?;
     }
     Ok(failed)
+}
+
+/// The reply to a question, and whether it was known.
+fn ask(
+    client: &Client,
+    cache: Option<&ResponseCache>,
+    question: &Question,
+) -> Result<(Reply, bool), ChatError> {
+    let model = &client.settings().model;
+    let place = cache.and_then(|cache| Some((cache, Key::of(model, question, 0)?)));
+    if let Some(reply) = place.as_ref().and_then(|(cache, key)| cache.get(key)) {
+        return Ok((reply, true));
+    }
+    let reply = client.ask(question)?;
+    if let Some((cache, key)) = place
+        && let Err(error) = cache.put(&key, model, &reply)
+    {
+        tracing::warn!("the reply cannot be kept in {}: {error}", cache.folder().display());
+    }
+    Ok((reply, false))
 }
