@@ -3,6 +3,7 @@
 //! stdout carries data, stderr progress and messages. The exit status is 0 when everything is complete, 1
 //! when something finished with failures, 2 when it could not be done, 128 + n when signal n ended it.
 
+mod cache;
 mod clean;
 mod doctor;
 mod documents;
@@ -67,6 +68,8 @@ enum Verb {
     Report(report::ReportArgs),
     /// Remove what killed runs left in shared memory and temporary folders
     Clean(clean::CleanArgs),
+    /// List or remove the replies of models that are kept on disk
+    Cache(cache::CacheArgs),
     /// Make a case file from a seed
     Generate(generate::GenerateArgs),
     /// Check what a run needs on this machine, and say what to do about what is missing
@@ -128,6 +131,7 @@ pub fn main() -> ExitCode {
         Verb::Score(args) => score::run(&args),
         Verb::Report(args) => report::run(&args),
         Verb::Clean(args) => clean::run(&args),
+        Verb::Cache(args) => cache::run(&args),
         Verb::Generate(args) => generate::run(&args),
         Verb::Doctor(args) => doctor::run(&args),
     };
