@@ -9,7 +9,7 @@
 //! Results leave through [`Observer`]; nothing here writes or prints.
 
 use std::collections::{BTreeMap, VecDeque};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
 use std::time::{Duration, Instant};
@@ -20,7 +20,7 @@ use shm_types::message::{
     Busy, Complaint, ComplaintKind, Decision, Farewell, Hello, MemoryBrief, Observation,
     PolicyBrief, RecallTrace, Role, StepCommand, Stop, WIRE_VERSION, read_text,
 };
-use shm_types::process::monotonic_ns;
+use shm_types::process::{Watch, monotonic_ns};
 use shm_types::{Attach, Bell, Bus, Receiver, Sender};
 
 use crate::lanes::{Fault, Lanes, Owed, Turn, Walked};
@@ -45,8 +45,10 @@ const SPOILT_WALKS: u32 = 3;
 /// How the processes are started and how long they may take.
 #[derive(Debug, Clone)]
 pub struct Crewing {
-    /// The processes; none has the arguments that say where to attach yet, they are appended.
+    /// The processes; none is told yet which run to attach to.
     pub launches: Vec<Launch>,
+    /// Whether somebody else starts the policy, and may take any time for it.
+    pub guest: bool,
     /// Folder of the processes' logs.
     pub logs: PathBuf,
     /// How long a process may take until it is ready.
@@ -62,6 +64,8 @@ pub type Facts = BTreeMap<String, String>;
 pub trait Observer {
     /// Processes are being started.
     fn starting(&mut self, generation: u32);
+    /// All are ready but the policy, which somebody else starts: it is to attach to the run in `folder`.
+    fn awaiting(&mut self, folder: &Path);
     /// All are ready; what each said about itself.
     fn ready(&mut self, facts: &BTreeMap<Role, Facts>) -> Result<()>;
     /// An episode is finished, at the `attempt`th time of walking it. An error ends the run.
@@ -104,6 +108,22 @@ impl<E: Into<anyhow::Error>> From<E> for Failure {
 /// # Errors
 /// When the processes cannot be started, fail again and again, or the observer does not want to go on.
 pub fn walk(
+    lanes: &mut Lanes<'_>,
+    episodes: impl IntoIterator<Item = Episode>,
+    attach: &Attach,
+    crewing: &Crewing,
+    stop: &AtomicBool,
+    observer: &mut dyn Observer,
+) -> Result<Ending> {
+    let ending = walk_generations(lanes, episodes, attach, crewing, stop, observer);
+    // Whoever attached without being started here, and was not told, sees by this that the run is over.
+    if let Err(error) = Attach::withdraw(&attach.root) {
+        tracing::warn!(%error, "the run's folder still looks like that of a run");
+    }
+    ending
+}
+
+fn walk_generations(
     lanes: &mut Lanes<'_>,
     episodes: impl IntoIterator<Item = Episode>,
     attach: &Attach,
@@ -193,6 +213,8 @@ impl Work {
 /// The fields are dropped in order: the processes are gone before the services they use.
 struct Generation {
     crew: Crew,
+    /// The policy's process, where somebody else started it.
+    guest: Option<Watch>,
     memory_briefs: Option<Sender<MemoryBrief>>,
     policy_briefs: Option<Sender<PolicyBrief>>,
     commands: Sender<StepCommand>,
@@ -243,15 +265,12 @@ impl Generation {
         let launches: Vec<Launch> = crewing
             .launches
             .iter()
-            .map(|launch| {
-                let mut launch = launch.clone();
-                launch.args.extend(["--attach".into(), attach.root.clone().into()]);
-                launch
-            })
+            .map(|launch| launch.clone().attached_to(&attach.root))
             .collect();
         let crew = Crew::start(&launches, &crewing.logs)?;
         let mut generation = Self {
             crew,
+            guest: None,
             memory_briefs,
             policy_briefs,
             commands,
@@ -282,6 +301,7 @@ impl Generation {
             if first { Failure::Final(anyhow::Error::msg(why)) } else { Failure::Again(why) }
         };
         let mut facts = BTreeMap::new();
+        let mut is_awaited = false;
         while facts.len() < self.bells.len() {
             if stop.load(Ordering::Relaxed) {
                 return Ok(None);
@@ -290,21 +310,40 @@ impl Generation {
             self.bus.doorbell().wait(TICK)?;
             for hello in self.inbox.hellos.drain()? {
                 let (role, said) = introduction(&hello)?;
+                if facts.contains_key(&role) || !self.bells.contains_key(&role) {
+                    return Err(failed(unexpected(role)));
+                }
+                if role == Role::Policy && crewing.guest {
+                    // Where it cannot be watched, it is taken to be gone when it owes an answer for too long.
+                    self.guest = Watch::over(hello.pid).ok();
+                }
                 facts.insert(role, said);
             }
             // A process that cannot start ends with its complaint as its last words: said once, here.
             if let Some(death) = self.crew.death() {
-                return Err(failed(death.to_string()));
+                let advice = death.command.as_deref().map(what_is_asked_of).unwrap_or_default();
+                return Err(failed(format!("{death}{advice}")));
             }
-            if Instant::now() > deadline {
-                let late = self.bells.keys().filter(|role| !facts.contains_key(role));
-                let late: Vec<&str> = late.map(|role| role.word()).collect();
+            let late = self.bells.keys().filter(|role| !facts.contains_key(role));
+            let late: Vec<&str> = late
+                .filter(|&&role| !(crewing.guest && role == Role::Policy))
+                .map(|role| role.word())
+                .collect();
+            if late.is_empty() && facts.len() < self.bells.len() && !is_awaited {
+                is_awaited = true;
+                observer.awaiting(&self.bus.attach().root);
+            }
+            if !late.is_empty() && Instant::now() > deadline {
+                let policy = crewing.launches.iter().find(|launch| launch.role == Role::Policy);
+                let command = policy.and_then(|launch| launch.command.as_deref());
+                let advice = command.filter(|_| late.contains(&Role::Policy.word()));
                 return Err(failed(format!(
                     "the {} process was not ready after {} s: see its log in {}, or allow more with \
-                     --start-timeout",
+                     --start-timeout{}",
                     late.join(" and the "),
                     crewing.start_deadline.as_secs(),
-                    crewing.logs.display()
+                    crewing.logs.display(),
+                    advice.map(what_is_asked_of).unwrap_or_default()
                 )));
             }
         }
@@ -429,8 +468,12 @@ impl Generation {
         if !self.inbox.busy.drain()?.is_empty() {
             self.memory_busy_ns = monotonic_ns();
         }
-        if let Some(death) = self.crew.death() {
-            return Err(Failure::Again(death.to_string()));
+        if let Some(death) = self.death() {
+            return Err(Failure::Again(death));
+        }
+        if let Some(hello) = self.inbox.hellos.drain()?.first() {
+            let (role, _) = introduction(hello)?;
+            return Err(Failure::Again(unexpected(role)));
         }
         let Some(Owed { role, lane, since_ns, rubbish }) = lanes.slowest(self.memory_busy_ns)
         else {
@@ -497,7 +540,15 @@ impl Generation {
     fn explain(&mut self, failure: Failure) -> Failure {
         let Failure::Again(_) = failure else { return failure };
         thread::sleep(TICK);
-        self.crew.death().map_or(failure, |death| Failure::Again(death.to_string()))
+        self.death().map_or(failure, Failure::Again)
+    }
+
+    /// Which process is gone, if one is, and how.
+    fn death(&mut self) -> Option<String> {
+        if self.guest.as_ref().is_some_and(Watch::has_ended) {
+            return Some("the policy that had attached is gone".to_owned());
+        }
+        Some(self.crew.death()?.to_string())
     }
 
     /// Asks the processes to finish and hears what they did with frames.
@@ -528,6 +579,24 @@ fn again(outcome: Result<(), shm_types::BusError>) -> Result<(), Failure> {
 
 fn role(code: u32) -> Result<Role, shm_types::pose::UnknownCode> {
     u8::try_from(code).unwrap_or(u8::MAX).try_into()
+}
+
+/// What to say of a hello that nobody waits for.
+fn unexpected(role: Role) -> String {
+    format!(
+        "a {0} said hello, and there is one already or none is wanted: one program attached twice, or as \
+         another's part",
+        role.word()
+    )
+}
+
+/// What somebody else's program has to do when it is started, and who can say what it does instead.
+fn what_is_asked_of(command: &str) -> String {
+    format!(
+        "\nA policy joins the run in the folder $MEMTRANSFER_ATTACH, says hello, and stays until it is told to \
+         stop (docs/external-policies.md). What this one does:\n  memtransfer conformance --policy-cmd {}",
+        shlex::try_quote(command).unwrap_or_default()
+    )
 }
 
 /// Who says hello, and what it tells about itself.

@@ -2,8 +2,10 @@
 //! happens goes to stderr.
 
 use std::collections::BTreeMap;
+use std::path::Path;
 
 use anyhow::Result;
+use shm_types::ATTACH_VARIABLE;
 use shm_types::message::{Farewell, Role};
 use shm_types::process::monotonic_ns;
 
@@ -88,6 +90,16 @@ impl Observer for Session<'_> {
         }
         self.generation = generation;
         self.progress.phase("starting the processes");
+    }
+
+    fn awaiting(&mut self, folder: &Path) {
+        if self.generation == 1 {
+            self.progress.note(&format!(
+                "start your policy with this, now or later:\n  {ATTACH_VARIABLE}={} your-program",
+                folder.display()
+            ));
+        }
+        self.progress.phase("waiting for a policy to attach");
     }
 
     fn ready(&mut self, facts: &BTreeMap<Role, Facts>) -> Result<()> {

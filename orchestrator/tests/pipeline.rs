@@ -3,6 +3,7 @@
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use std::collections::BTreeMap;
+use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
 use std::time::Duration;
@@ -178,6 +179,7 @@ impl Observer for Seen {
     fn starting(&mut self, generation: u32) {
         self.generations = generation;
     }
+    fn awaiting(&mut self, _folder: &Path) {}
     fn ready(&mut self, facts: &BTreeMap<Role, Facts>) -> Result<()> {
         assert_eq!(facts.len(), 3);
         assert!(facts.values().all(|facts| facts["kind"] == "scripted"));
@@ -219,9 +221,12 @@ fn run(spoil: fn(Decision) -> Decision) -> (Seen, Ending) {
         role: Role::Sim,
         program: "/bin/sh".into(),
         args: vec!["-c".into(), "exec sleep 300".into()],
+        command: Some("sleeper".to_owned()),
+        env: Vec::new(),
     };
     let crewing = Crewing {
         launches: vec![sleeper],
+        guest: false,
         logs: base.path().join("logs"),
         start_deadline: Duration::from_secs(60),
         answer_deadline: Duration::from_secs(2),

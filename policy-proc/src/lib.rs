@@ -18,4 +18,4 @@ pub use request::{
     Answer, Decision, DocumentView, FrameView, PastView, Request, Segment, SegmentView, Ticket,
     Trajectory, TrajectoryView, Usage,
 };
-pub use sdk::{Answers, Decider, Policy, ServeError, serve};
+pub use sdk::{Answers, Decider, Policy, ServeError, serve, serve_from_environment};

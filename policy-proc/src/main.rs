@@ -14,7 +14,7 @@ use policy_proc::chat::{Client, Endpoint, ResponseCache, Settings, pipe};
 use policy_proc::grounded::Grounded;
 use policy_proc::random::Random;
 use policy_proc::{Decider, serve};
-use shm_types::Attach;
+use shm_types::ATTACH_VARIABLE;
 use shm_types::process::die_with_parent;
 use tracing_subscriber::EnvFilter;
 
@@ -30,8 +30,8 @@ struct Arguments {
 enum Verb {
     /// Take part in a run until it stops.
     Serve {
-        /// The run's folder, which holds attach.json.
-        #[arg(long, value_name = "DIR")]
+        /// The run's folder, which holds attach.json
+        #[arg(long, value_name = "DIR", env = ATTACH_VARIABLE)]
         attach: PathBuf,
         /// Who decides.
         #[arg(long)]
@@ -119,8 +119,6 @@ fn main() -> ExitCode {
 }
 
 fn take_part(attach_dir: &Path, policy: BuiltIn) -> anyhow::Result<()> {
-    let run = Attach::read(attach_dir).context("cannot take part in the run")?;
-    die_with_parent(run.orchestrator_pid).context("this process belongs to an orchestrator")?;
     let mut policy: Box<dyn Decider> = match policy {
         BuiltIn::Random => Box::new(Random),
         BuiltIn::Grounded => Box::new(Grounded::default()),

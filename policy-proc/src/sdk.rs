@@ -1,11 +1,11 @@
 //! The policy SDK: the trait a policy implements, and the loop that puts it on the wire.
 //!
-//! A policy of one's own is a type with [`Policy`] and a `main` that calls [`serve`] with the folder of
-//! the run. Reading messages, joining what belongs together, holding frames, checking what came and
+//! A policy of one's own is a type with [`Policy`] and a `main` that calls [`serve_from_environment`].
+//! Reading messages, joining what belongs together, holding frames, checking what came and
 //! saying what could not be used is all done here.
 //!
 //! ```no_run
-//! use policy_proc::{Decision, Policy, Request, serve};
+//! use policy_proc::{Decision, Policy, Request, serve_from_environment};
 //! use shm_types::Action;
 //!
 //! struct AlwaysForward;
@@ -20,22 +20,21 @@
 //!     }
 //! }
 //!
-//! let run_folder = std::env::args_os().nth(1).expect("the run's folder");
-//! serve(&mut AlwaysForward, run_folder.as_ref())?;
+//! serve_from_environment(&mut AlwaysForward)?;
 //! # Ok::<(), policy_proc::ServeError>(())
 //! ```
-
 //!
 //! A policy that has to wait for its decisions, and should not make others wait meanwhile, is a
 //! [`Decider`] instead: it takes requests, and gives its [`Answers`] whenever it has them.
 
 mod answers;
+mod attend;
 mod join;
 mod serve;
 mod shown;
 
 pub use answers::Answers;
-pub use serve::{ServeError, serve};
+pub use attend::{ServeError, serve, serve_from_environment};
 
 use crate::{Decision, Request};
 

@@ -1,7 +1,8 @@
 //! What a process must know to join a run: `attach.json` in the run's folder.
 //!
-//! The orchestrator writes it once a generation, every other process reads it once at its start. All
-//! sizes of queues and of the frame store follow from it, so peers that read the same file agree on
+//! The orchestrator writes it once a generation and takes it away when the run is over; every other process
+//! reads it at its start. One that the orchestrator did not start looks at it again now and then: another
+//! generation is to be joined, and without the file there is nothing to join any more. All sizes of queues and of the frame store follow from it, so peers that read the same file agree on
 //! them without a word.
 
 use std::fs;
@@ -15,6 +16,9 @@ use crate::registry::RunDir;
 
 /// Name of the file in a run's folder.
 pub const ATTACH_FILE: &str = "attach.json";
+
+/// The environment variable that names the run's folder to a program that somebody brings.
+pub const ATTACH_VARIABLE: &str = "MEMTRANSFER_ATTACH";
 
 /// Bytes of one page of shared memory; frames are whole pages.
 pub const PAGE_BYTES: usize = 4096;
@@ -232,6 +236,20 @@ impl Attach {
             .map_err(|cause| AttachError::File { path: path.clone(), cause })
     }
 
+    /// Takes `attach.json` out of the run's folder `dir`: the run is over.
+    ///
+    /// # Errors
+    /// When it is there and cannot be removed.
+    pub fn withdraw(dir: &Path) -> Result<(), AttachError> {
+        let path = dir.join(ATTACH_FILE);
+        match fs::remove_file(&path) {
+            Err(cause) if cause.kind() != io::ErrorKind::NotFound => {
+                Err(AttachError::File { path, cause })
+            }
+            _ => Ok(()),
+        }
+    }
+
     /// How many of `roles` take part in the run.
     pub fn count(&self, roles: &[Role]) -> usize {
         let takes_part = |role: &&Role| **role == Role::Orchestrator || self.crew.contains(role);
@@ -337,6 +355,9 @@ mod tests {
         let root = dir.path().canonicalize().unwrap();
         assert_eq!(Attach::read(dir.path()).unwrap(), Attach { root, ..attach() });
         assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 1, "no draft is left");
+        Attach::withdraw(dir.path()).unwrap();
+        Attach::withdraw(dir.path()).unwrap();
+        assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 0);
     }
 
     #[test]

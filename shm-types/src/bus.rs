@@ -74,6 +74,15 @@ pub enum BusError {
         /// What the system said.
         cause: std::io::Error,
     },
+    /// Another living process has the role.
+    #[error(
+        "the run has a {} already: only one can take part, so end one of the two, or give this one a run of \
+         its own", role.word()
+    )]
+    Taken {
+        /// The role.
+        role: Role,
+    },
     /// Something could not be created or opened.
     #[error("{what}: {cause}")]
     Open {
@@ -238,7 +247,8 @@ impl Bus {
             .map_err(|e| BusError::open(format_args!("cannot receive on {}", M::SERVICE), e))?;
         let subscriber = Arc::new(subscriber);
         self.receivers.add(subscriber.clone());
-        Ok(Receiver { subscriber, siblings: self.receivers.clone() })
+        let most = M::TRAFFIC.queue_len(&self.attach) * M::FROM.len();
+        Ok(Receiver { subscriber, most, siblings: self.receivers.clone() })
     }
 
     fn allowed(
@@ -368,6 +378,8 @@ pub(crate) fn delivered(
 #[derive(Debug)]
 pub struct Receiver<M: Message> {
     subscriber: Arc<Subscriber<Ipc, M, ()>>,
+    /// Messages that can wait at once: a queue for each sender.
+    most: usize,
     siblings: Arc<Siblings>,
 }
 
@@ -384,12 +396,13 @@ impl<M: Message> Receiver<M> {
         Ok(sample.map(|sample| *sample))
     }
 
-    /// Every message that waits, in order.
+    /// Every message that waits, in order. No more than can wait at once, so a sender that never stops
+    /// cannot keep this process here.
     ///
     /// # Errors
     /// As [`Receiver::next`].
     pub fn drain(&self) -> Result<Vec<M>, BusError> {
-        std::iter::from_fn(|| self.next().transpose()).collect()
+        std::iter::from_fn(|| self.next().transpose()).take(self.most).collect()
     }
 }
 

@@ -19,7 +19,7 @@
 use std::time::{Duration, Instant};
 
 use iceoryx2::node::Node;
-use iceoryx2::port::listener::{Listener, ListenerWaitError};
+use iceoryx2::port::listener::{Listener, ListenerCreateError, ListenerWaitError};
 use iceoryx2::port::notifier::Notifier;
 use iceoryx2::service::port_factory::event::PortFactory;
 
@@ -39,8 +39,10 @@ pub struct Doorbell {
 
 impl Doorbell {
     pub(crate) fn new(node: &Node<Ipc>, attach: &Attach, role: Role) -> Result<Self, BusError> {
-        let listener = service(node, attach, role)?.listener_builder().create().map_err(|e| {
-            BusError::open(format_args!("cannot listen to the {}'s doorbell", role.word()), e)
+        let listener = service(node, attach, role)?.listener_builder().create();
+        let listener = listener.map_err(|error| match error {
+            ListenerCreateError::ExceedsMaxSupportedListeners => BusError::Taken { role },
+            e => BusError::open(format_args!("cannot listen to the {}'s doorbell", role.word()), e),
         })?;
         Ok(Self { listener, spin: Duration::from_micros(attach.wait.spin_us.into()) })
     }
@@ -112,7 +114,8 @@ fn service(node: &Node<Ipc>, attach: &Attach, of: Role) -> Result<PortFactory<Ip
         .event()
         .max_listeners(1)
         .max_notifiers(roles)
-        .max_nodes(roles)
+        // One more than there are roles: whoever comes to a role that is taken gets as far as being told so.
+        .max_nodes(roles + 1)
         .event_id_max_value(0)
         .open_or_create()
         .map_err(|e| BusError::open(format_args!("cannot open the {}'s doorbell", of.word()), e))

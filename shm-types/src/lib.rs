@@ -29,7 +29,7 @@ pub mod process;
 pub mod registry;
 pub mod representation;
 
-pub use attach::{Attach, AttachError, FrameControl, FrameSize, Wait};
+pub use attach::{ATTACH_VARIABLE, Attach, AttachError, FrameControl, FrameSize, Wait};
 pub use bus::{Bus, BusError, Receiver, Sender};
 pub use complaints::Complaints;
 pub use documents::{Document, DocumentError, DocumentPublisher, DocumentStore};

@@ -1,9 +1,11 @@
-//! What a process of a run asks of the system: the clock, its parent, room in shared memory.
+//! What a process of a run asks of the system: the clock, its parent, other processes, room in shared memory.
 
 use std::io;
+use std::os::fd::OwnedFd;
 use std::path::Path;
 
-use rustix::process::{Pid, Signal};
+use rustix::event::{PollFd, PollFlags, poll};
+use rustix::process::{Pid, PidfdFlags, Signal, pidfd_open};
 use rustix::time::{ClockId, clock_gettime};
 
 use crate::attach::Attach;
@@ -31,6 +33,36 @@ pub fn die_with_parent(parent: u32) -> io::Result<()> {
         return Err(io::Error::other(format!("process {parent}, which started this one, is gone")));
     }
     Ok(())
+}
+
+/// Whether `pid` is the process that started this one.
+pub fn is_parent(pid: u32) -> bool {
+    rustix::process::getppid().is_some_and(|parent| parent.as_raw_nonzero().get() as u32 == pid)
+}
+
+/// Watches a process that need not be a child of this one. The number may be given to somebody else when the
+/// process has ended; who watches it is not taken in by that.
+#[derive(Debug)]
+pub struct Watch {
+    process: OwnedFd,
+}
+
+impl Watch {
+    /// Watches process `pid`.
+    ///
+    /// # Errors
+    /// When there is no such process, or the system has no way to watch it.
+    pub fn over(pid: u32) -> io::Result<Self> {
+        let pid = i32::try_from(pid).ok().and_then(Pid::from_raw);
+        let pid = pid.ok_or_else(|| io::Error::from(rustix::io::Errno::SRCH))?;
+        Ok(Self { process: pidfd_open(pid, PidfdFlags::empty())? })
+    }
+
+    /// Whether the process has ended.
+    pub fn has_ended(&self) -> bool {
+        let mut ends = [PollFd::new(&self.process, PollFlags::IN)];
+        matches!(poll(&mut ends, Some(&Default::default())), Ok(ready) if ready > 0)
+    }
 }
 
 /// The run does not fit into shared memory.
@@ -89,6 +121,20 @@ mod tests {
     fn the_clock_runs() {
         let first = monotonic_ns();
         assert!(first > 0 && monotonic_ns() >= first);
+    }
+
+    #[test]
+    fn a_process_is_watched_until_it_ends() {
+        let mut child = std::process::Command::new("sleep").arg("60").spawn().unwrap();
+        let watch = Watch::over(child.id()).unwrap();
+        assert!(!watch.has_ended() && !is_parent(child.id()));
+        child.kill().unwrap();
+        // Not waited for yet: its number is still taken.
+        while !watch.has_ended() {
+            std::thread::yield_now();
+        }
+        child.wait().unwrap();
+        assert!(watch.has_ended() && Watch::over(child.id()).is_err());
     }
 
     #[test]

@@ -16,6 +16,7 @@ use std::process::{Child, Command, Output, Stdio};
 use std::sync::{Mutex, MutexGuard};
 use std::time::{Duration, Instant};
 
+use shm_types::ATTACH_VARIABLE;
 use tempfile::TempDir;
 
 /// Longest a single run of the program may take before it is taken to hang.
@@ -162,15 +163,39 @@ pub fn kill(pid: u32) {
     }
 }
 
-/// The processes that attached to a run below `registry`, by the argument that names it.
+/// Waiting for a process that was killed.
+pub trait Reaped {
+    /// Waits until it has ended.
+    fn reap(&mut self);
+}
+
+impl Reaped for Child {
+    fn reap(&mut self) {
+        self.wait().expect("it was killed");
+    }
+}
+
+/// The processes that attached to a run below `registry`, by an argument or a variable that names it.
 pub fn processes_of(registry: &Path) -> BTreeSet<u32> {
-    let marker = registry.as_os_str().as_encoded_bytes();
+    let path = registry.as_os_str().as_encoded_bytes();
+    let attached = [format!("{ATTACH_VARIABLE}=").as_bytes(), path].concat();
+    &processes_with(path) | &processes_where("environ", &attached)
+}
+
+/// The processes that have `marker` in their arguments.
+pub fn processes_with(marker: &[u8]) -> BTreeSet<u32> {
+    processes_where("cmdline", marker)
+}
+
+/// The processes whose `file` in /proc has `marker` in it. One that has ended, and that nobody waited for, has
+/// nothing.
+fn processes_where(file: &str, marker: &[u8]) -> BTreeSet<u32> {
     let mut found = BTreeSet::new();
     for entry in fs::read_dir("/proc").expect("/proc").flatten() {
         let pid = entry.file_name().to_str().and_then(|name| name.parse::<u32>().ok());
         let Some(pid) = pid else { continue };
-        let arguments = fs::read(entry.path().join("cmdline")).unwrap_or_default();
-        if arguments.windows(marker.len()).any(|window| window == marker) {
+        let text = fs::read(entry.path().join(file)).unwrap_or_default();
+        if text.windows(marker.len()).any(|window| window == marker) {
             found.insert(pid);
         }
     }

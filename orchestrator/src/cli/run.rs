@@ -26,7 +26,7 @@ use crate::settings::{
     Group, Layer, ModelSettings, Origin, Resolved, Settings, load_suite, resolve, select_cases,
 };
 use crate::signals::{self, Signals};
-use crate::supervise::{Launch, sibling};
+use crate::supervise::Launch;
 use crate::table;
 use crate::world::World;
 
@@ -276,6 +276,7 @@ fn walk(
     let attach = attach(settings, world, &missing, &run)?;
     let crewing = Crewing {
         launches: launches(settings)?,
+        guest: settings.policy == PolicyKind::External && settings.policy_cmd.is_none(),
         logs: folder.dir().join("logs"),
         start_deadline: Duration::from_secs(settings.start_timeout.into()),
         answer_deadline: Duration::from_secs(settings.step_timeout.into()),
@@ -343,7 +344,7 @@ fn launches(settings: &Settings) -> Result<Vec<Launch>> {
         for (flag, value) in arguments {
             args.extend(value.iter().flat_map(|value| [flag.into(), value.into()]));
         }
-        Ok::<_, anyhow::Error>(Launch { role, program: sibling(program)?, args })
+        Launch::sibling(role, program, args)
     };
     let path = |path: &Option<std::path::PathBuf>| path.as_ref().map(|p| p.display().to_string());
     let assets = ("--assets", path(&settings.assets));
@@ -362,11 +363,23 @@ fn launches(settings: &Settings) -> Result<Vec<Launch>> {
             memory.args.push("--no-encoder".into());
         }
         launches.push(memory);
-        let policy = [("--policy", Some(settings.policy.to_string()))];
-        let model = settings.model.as_ref().map(model_flags).unwrap_or_default();
-        launches.push(launch(Role::Policy, "policy-proc", &[&policy[..], &model[..]].concat())?);
+        launches.extend(policy_launch(settings)?);
     }
     Ok(launches)
+}
+
+/// The policy's process, unless somebody else starts it.
+fn policy_launch(settings: &Settings) -> Result<Option<Launch>> {
+    if settings.policy == PolicyKind::External {
+        let command = settings.policy_cmd.as_deref();
+        return command.map(|command| Launch::command(Role::Policy, command)).transpose();
+    }
+    let mut args = vec!["serve".into(), "--policy".into(), settings.policy.to_string().into()];
+    let model = settings.model.as_ref().map(model_flags).unwrap_or_default();
+    for (flag, value) in model {
+        args.extend(value.iter().flat_map(|value| [flag.into(), value.into()]));
+    }
+    Ok(Some(Launch::sibling(Role::Policy, "policy-proc", args)?))
 }
 
 /// What the policy process is told about the model.

@@ -11,7 +11,7 @@ use shm_types::process::check_shared_memory;
 use shm_types::{Attach, Bus, FrameSize, Receiver, RunDir, registry};
 
 use super::{DocumentName, Library, Stage, listed};
-use crate::supervise::{Crew, Launch, sibling};
+use crate::supervise::{Crew, Launch};
 
 /// Views that are rendered ahead of being read.
 const VIEWS_AHEAD: u32 = 64;
@@ -65,7 +65,7 @@ fn launches(
         if let Some(assets) = &library.assets {
             args.extend(["--assets".into(), assets.into()]);
         }
-        Ok::<_, anyhow::Error>(Launch { role, program: sibling(program)?, args })
+        Launch::sibling(role, program, args)
     };
     let sim = launch(Role::Sim, "sim-proc")?;
     let mut memory = launch(Role::Memory, "memory-proc")?;

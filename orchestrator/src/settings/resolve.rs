@@ -276,6 +276,14 @@ impl Settings {
                 expected: "a multiple of 64".to_owned(),
             });
         }
+        let words = self.policy_cmd.as_deref().map(|command| (command, shlex::split(command)));
+        if let Some((command, words)) = words
+            && words.is_none_or(|words| words.is_empty())
+        {
+            let expected = "a program and its arguments, every quote closed".to_owned();
+            let value = format!("{command:?}");
+            return Err(SettingsError::Value { key: "--policy-cmd", value, expected });
+        }
         if self.conditions().is_empty() {
             return Err(SettingsError::NoCondition);
         }

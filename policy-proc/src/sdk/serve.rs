@@ -1,8 +1,7 @@
-//! The serve loop: drain, join, decide, answer, ring once.
+//! The serve loop of one generation: drain, join, decide, answer, ring once.
 
-use std::path::Path;
 use std::sync::{Arc, mpsc};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use bytemuck::Zeroable;
 use shm_types::message::{
@@ -11,58 +10,52 @@ use shm_types::message::{
 };
 use shm_types::process::monotonic_ns;
 use shm_types::{
-    Attach, Bell, Bus, BusError, Complaints, Document, DocumentError, DocumentStore, FactsTooLong,
-    Frame, FrameError, FrameStore, Receiver, Sender, message,
+    Attach, Bell, Bus, BusError, Complaints, Document, DocumentError, DocumentStore, Frame,
+    FrameError, FrameStore, Receiver, Sender, message,
 };
 
 use super::Decider;
 use super::answers::{Answers, Said};
+use super::attend::{Run, ServeError};
 use super::join::{Join, Ready};
 use super::shown::{Held, Shown};
 use crate::{Decision, Request, Ticket};
 
-/// How long the loop sleeps when nobody rings. Only a look around; nothing waits for it.
-const LONGEST_SLEEP: Duration = Duration::from_secs(1);
+/// How long the loop sleeps when nobody rings, and how often it looks whether the run goes on.
+const LONGEST_SLEEP: Duration = Duration::from_millis(250);
 
-/// Why serving ended before it was told to.
-#[derive(Debug, thiserror::Error)]
-pub enum ServeError {
-    /// The run cannot be joined, or its transport failed.
-    #[error(transparent)]
-    Bus(#[from] BusError),
-    /// The policy broke its contract.
-    #[error("policy {policy} answered {answers} of {requests} requests: it must answer each once")]
-    Answers {
-        /// The policy.
-        policy: String,
-        /// Requests it was given.
-        requests: usize,
-        /// Decisions it returned.
-        answers: usize,
-    },
-    /// What the policy says about itself does not fit into a message.
-    #[error(transparent)]
-    Facts(#[from] FactsTooLong),
+/// How a generation ended for this process.
+pub(super) enum End {
+    /// It was told to stop.
+    Stopped,
+    /// Another one has followed.
+    Over(Attach),
 }
 
-/// Lets `policy` decide in the run whose folder is `attach_dir`, until the orchestrator says stop.
-///
-/// Messages that cannot be used are complained about and dropped.
-///
-/// # Errors
-/// When the run cannot be joined, its transport fails, or the policy breaks its contract.
-pub fn serve(policy: &mut (impl Decider + ?Sized), attach_dir: &Path) -> Result<(), ServeError> {
-    let attach = Attach::read(attach_dir).map_err(BusError::from)?;
-    let bus = Bus::join(attach, Role::Policy)?;
+/// Lets `policy` decide in one generation of `run`.
+pub(super) fn serve_generation(
+    policy: &mut (impl Decider + ?Sized),
+    attach: &Attach,
+    run: &Run,
+) -> Result<End, ServeError> {
+    let bus = Bus::join(attach.clone(), Role::Policy)?;
     // Receivers first: nobody sends before every process has said hello.
     let mut server = Server::new(&bus)?;
     let facts = std::iter::once(("policy", policy.name().to_owned())).chain(policy.facts());
     bus.sender()?.send(&Hello::new(Role::Policy, facts)?)?;
     server.orchestrator.ring()?;
+    let mut looked = Instant::now();
     while !server.turn(policy)? {
         bus.doorbell().wait(LONGEST_SLEEP)?;
+        if looked.elapsed() >= LONGEST_SLEEP {
+            if let Some(next) = run.next(attach)? {
+                return Ok(End::Over(next));
+            }
+            looked = Instant::now();
+        }
     }
-    server.farewell(&bus)
+    server.farewell(&bus)?;
+    Ok(End::Stopped)
 }
 
 struct Server {
