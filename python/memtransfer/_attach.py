@@ -125,7 +125,7 @@ class _Checked:
             root=root,
             prefix=prefix,
             generation=self.whole(self.values, "generation", 0, (1 << 32) - 1),
-            orchestrator_pid=self.whole(self.values, "orchestrator_pid", 1, (1 << 32) - 1),
+            orchestrator_pid=self.whole(self.values, "orchestrator_pid", 1, (1 << 31) - 1),
             crew=frozenset(crew),
             lanes=self.whole(self.values, "lanes", 1, _wire.MAX_LANES),
             width=self.whole(frame, "width", 64, 4096),

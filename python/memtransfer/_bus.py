@@ -46,6 +46,11 @@ class Bus:
             )
             # The bell before any receiver: a message that gets in finds a bell to ring.
             self._listener = self._doorbell(role).listener_builder().create()
+        except iox2.ListenerCreateError as error:
+            raise BusError(
+                f"the run has a {role.words} already: only one can take part, so end one of the two, or "
+                "give this one a run of its own"
+            ) from error
         except FAILURES as error:
             raise BusError(f"cannot join the run in {attach.root}: {error}") from error
 
@@ -56,12 +61,13 @@ class Bus:
 
     def receiver(self, message: type[ctypes.Structure]) -> Receiver:
         """The receiving end for messages of this type."""
-        name = _wire.SERVICES[message].name
+        route = _wire.SERVICES[message]
         try:
             subscriber = self.service(message).subscriber_builder().create()
         except FAILURES as error:
-            raise BusError(f"cannot receive on {name}: {error}") from error
-        return Receiver(subscriber, name, ctypes.sizeof(message))
+            raise BusError(f"cannot receive on {route.name}: {error}") from error
+        most = self._queue_len(route) * len(route.senders)
+        return Receiver(subscriber, route.name, ctypes.sizeof(message), most)
 
     def sender(self, message: type[ctypes.Structure]) -> Sender:
         """The sending end for messages of this type."""
@@ -127,12 +133,11 @@ class Bus:
         queues either way.
         """
         try:
-            spin_until = time.monotonic_ns() + 1000 * self.attach.spin_us
-            while True:
-                if self._listener.try_wait():
-                    return True
-                if time.monotonic_ns() >= spin_until:
-                    break
+            if self.attach.spin_us:
+                spin_until = time.monotonic_ns() + 1000 * self.attach.spin_us
+                while time.monotonic_ns() < spin_until:
+                    if self._listener.try_wait():
+                        return True
             return bool(self._listener.timed_wait(iox2.Duration.from_millis(timeout_ms)))
         except iox2.ListenerWaitError as error:
             if "Interrupt" in str(error):
@@ -142,7 +147,7 @@ class Bus:
 
     def service(self, message: type[ctypes.Structure]) -> Any:
         """The service that messages of this type travel on."""
-        route, attach = _wire.SERVICES[message], self.attach
+        route = _wire.SERVICES[message]
         senders, receivers = len(route.senders), len(route.receivers)
         return (
             self.builder(route.name)
@@ -153,11 +158,13 @@ class Bus:
             .max_subscribers(receivers)
             .max_nodes(senders + receivers)
             .subscriber_max_borrowed_samples(1)
-            .subscriber_max_buffer_size(
-                _wire.queue_len(route.traffic, attach.frame_capacity, attach.lanes)
-            )
+            .subscriber_max_buffer_size(self._queue_len(route))
             .open_or_create()
         )
+
+    def _queue_len(self, route: _wire.Service) -> int:
+        """Messages that can wait for one receiver from one sender."""
+        return _wire.queue_len(route.traffic, self.attach.frame_capacity, self.attach.lanes)
 
     def _doorbell(self, of: _wire.Role) -> Any:
         roles = len(_wire.Role)
@@ -166,7 +173,8 @@ class Bus:
             .event()
             .max_listeners(1)
             .max_notifiers(roles)
-            .max_nodes(roles)
+            # One more than there are roles: whoever comes to a role that is taken gets as far as being told so.
+            .max_nodes(roles + 1)
             .event_id_max_value(0)
             .open_or_create()
         )
@@ -197,21 +205,26 @@ def _config(attach: Attach) -> Any:
 class Receiver:
     """The receiving end of a service of fixed messages."""
 
-    def __init__(self, subscriber: Any, name: str, size: int) -> None:
+    def __init__(self, subscriber: Any, name: str, size: int, most: int) -> None:
         self._receive = subscriber.receive
         self._size = size
+        self._most = most
         self._name = name
 
     def drain(self) -> list[bytes]:
-        """Every message that waits, in order."""
-        messages = []
-        receive, size = self._receive, self._size
+        """Every message that waits, in order. No more than can wait at once, so a sender that never stops
+        cannot keep this process here.
+        """
+        messages: list[bytes] = []
+        receive, size, most = self._receive, self._size, self._most
         try:
             sample = receive()
             while sample is not None:
                 messages.append(string_at(sample.payload_ptr, size))
                 # Given back before the next is taken: a receiver may hold one.
                 sample = None
+                if len(messages) == most:
+                    break
                 sample = receive()
         except FAILURES as error:
             raise BusError(f"{self._name}: {error}") from error

@@ -22,6 +22,8 @@ class Orchestrator:
             self._file = os.pidfd_open(pid)
         except ProcessLookupError:
             raise AttachError(f"the run's orchestrator, process {pid}, is gone") from None
+        except OSError as error:
+            raise AttachError(f"cannot watch the run's orchestrator, process {pid}: {error}") from error
 
     def takes_this_process_along(self) -> None:
         """If it started this process: the system ends this one when it dies, whatever this one does."""

@@ -136,7 +136,7 @@ def _serve_generation(
                     log.warning("the run's orchestrator is gone")
                     return None
                 later = _next_generation(attach)
-                if later is not None:
+                if later is not None or _is_over(attach):
                     return later
         server.say_farewell()
         return None
@@ -144,13 +144,11 @@ def _serve_generation(
         # When a process of the run dies, all are started again, and this one has to join again.
         log.debug("%s", error)
         deadline = time.monotonic() + RESTART_PATIENCE_S
-        while orchestrator.lives() and time.monotonic() < deadline:
+        while time.monotonic() < deadline:
             later = _next_generation(attach)
-            if later is not None:
+            if later is not None or _is_over(attach) or not orchestrator.lives():
                 return later
             time.sleep(0.05)
-        if not orchestrator.lives() or not (attach.root / _wire.ATTACH_FILE).exists():
-            return None
         raise
     finally:
         if server is not None:
@@ -166,6 +164,11 @@ def _next_generation(attach: Attach) -> Attach | None:
     except AttachError:
         return None
     return later if later.generation > attach.generation else None
+
+
+def _is_over(attach: Attach) -> bool:
+    """Whether the run has ended: then there is nothing to attach to any more."""
+    return not (attach.root / _wire.ATTACH_FILE).exists()
 
 
 class _Complaints:

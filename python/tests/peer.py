@@ -86,6 +86,7 @@ class Peer:
         bus = self.bus = Bus(attach, _wire.Role.ORCHESTRATOR)
         heard = (_wire.Decision, _wire.Hello, _wire.Complaint, _wire.Farewell)
         self.inbox = {message: bus.receiver(message) for message in heard}
+        self.waiting: dict[type[ctypes.Structure], list[bytes]] = {}
         said = (_wire.PolicyBrief, _wire.Observation, _wire.Recall, _wire.Eviction, _wire.Stop)
         self.senders = {it: Sender(bus.service(it), it.__name__, 1) for it in said}
         self.bell = bus.bell(_wire.Role.POLICY)
@@ -250,14 +251,19 @@ class Peer:
 
     def await_(self, message: type[ctypes.Structure], count: int = 1) -> list[Any]:
         """The next messages of this type, `count` at least."""
-        found: list[Any] = []
+        found: list[bytes] = []
 
         def look() -> bool:
-            found.extend(message.from_buffer_copy(raw) for raw in self.inbox[message].drain())
+            found.extend(self.waiting.pop(message, []))
+            found.extend(self.inbox[message].drain())
             return len(found) >= count
 
         eventually(f"{count} x {message.__name__}", look)
-        return found
+        if message is _wire.Hello:
+            # What somebody sends and then ends is kept for receivers that have looked since it began.
+            for other, receiver in self.inbox.items():
+                self.waiting.setdefault(other, []).extend(receiver.drain())
+        return [message.from_buffer_copy(raw) for raw in found]
 
 
 def eventually(what: str, look: Callable[[], object]) -> None:

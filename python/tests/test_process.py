@@ -72,7 +72,7 @@ def test_without_a_run_it_says_how_to_get_one(tmp_path: Path) -> None:
         ({"frame": {"width": 70, "height": 1}}, "width is 70, but must be a multiple of 64"),
         ({"wait": None}, "wait is None, but must be an object"),
         ({"crew": ["sim"]}, "the run decides itself"),
-        ({"orchestrator_pid": 1 << 22 | 1}, "is gone"),
+        ({"orchestrator_pid": (1 << 31) - 1}, "orchestrator, process 2147483647"),
     ],
 )
 def test_a_run_that_cannot_be_attached_to(change: dict[str, object], said: str) -> None:
@@ -98,6 +98,24 @@ def test_it_decides_until_it_is_told_to_stop() -> None:
         peer.stop()
         peer.await_(_wire.Farewell)
         assert ended(process) == (0, "")
+
+
+def test_it_ends_when_the_run_is_over_and_nobody_said_stop() -> None:
+    with Peer() as peer:
+        process = random_policy(peer.root)
+        peer.await_(_wire.Hello)
+        (peer.root / "attach.json").unlink()
+        assert ended(process) == (0, "")
+
+
+def test_only_one_policy_can_take_part() -> None:
+    with Peer() as peer:
+        first = random_policy(peer.root)
+        peer.await_(_wire.Hello)
+        status, said = ended(random_policy(peer.root))
+        assert status == 2 and "the run has a policy already: only one can take part" in said
+        peer.stop()
+        assert ended(first) == (0, "")
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])

@@ -307,6 +307,16 @@ def test_serving_goes_on_in_a_new_generation() -> None:
     assert policy.resets == [0, 0]
 
 
+def test_spinning_finds_what_waits() -> None:
+    with Peer() as peer:
+        peer.write(wait={"spin_us": 200_000})
+        with peer.serve(Does()):
+            peer.brief()
+            for step in range(5):
+                peer.step(peer.publish_frame(1), step=step)
+                peer.await_(_wire.Decision)
+
+
 def test_late_and_early_messages() -> None:
     policy = Does()
     with Peer() as peer, peer.serve(policy):
