@@ -1,4 +1,4 @@
-//! Documents and a slice of a suite with a language model that a real server serves: llama.cpp's, which this
+//! Documents and a look at the endpoint with a language model that a real server serves: llama.cpp's, which this
 //! project did not write. The model is small, knows text only and understands nothing of warehouses; what is
 //! tested is that it is asked, understood, counted, and asked once.
 
@@ -7,8 +7,8 @@
 use std::fs;
 use std::path::Path;
 
-use memtransfer_tests::Bench;
 use memtransfer_tests::llama::{LlamaServer, MODEL};
+use memtransfer_tests::Bench;
 use serde_json::Value;
 use warehouse::{CaseSet, History, Start, Warehouse};
 
@@ -89,4 +89,32 @@ fn documents_are_written_by_a_real_model() {
     let base_url = server.base_url().to_owned();
     drop(server);
     bench.run(&build(&base_url)).expect(0);
+}
+
+#[test]
+fn doctor_finds_out_what_a_real_server_can_do() {
+    let bench = Bench::new();
+    let server = LlamaServer::start(CONTEXT, 2);
+    let mut args = vec!["doctor", "--policy", "openai", "--json"];
+    args.extend(["--model", MODEL, "--base-url", server.base_url()]);
+    // It sees no images, and that is missing for a run that sends some.
+    let findings: Value = serde_json::from_str(&bench.run(&args).expect(1).stdout).unwrap();
+    let of = |what: &str| {
+        let found = findings.as_array().unwrap().iter().find(|finding| finding["what"] == what);
+        found.unwrap_or_else(|| panic!("nothing about {what} in {findings:#}"))
+    };
+    for what in ["reachable", "model", "answers", "reasoning off", "temperature 0"] {
+        let finding = of(&format!("endpoint, {what}"));
+        assert_eq!(finding["ok"], true, "{finding}");
+    }
+    let images = of("endpoint, images");
+    assert_eq!(images["ok"], false);
+    let about = images["about"].as_str().unwrap();
+    assert!(about.contains("not supported") && about.contains("--image-budget 0"), "{about}");
+
+    let report = &of("endpoint")["data"];
+    assert_eq!(report["images_per_request"], 0);
+    assert_eq!(report["reported_model"], MODEL);
+    assert_eq!(report["fingerprint"]["server"], "llama.cpp");
+    assert_eq!(report["fingerprint"]["model"]["meta"]["n_params"], 134_515_008);
 }
