@@ -1,4 +1,4 @@
-//! Documents and a look at the endpoint with a language model that a real server serves: llama.cpp's, which this
+//! A language model that a real server serves, in place of a scripted one: llama.cpp's, which this
 //! project did not write. The model is small, knows text only and understands nothing of warehouses; what is
 //! tested is that it is asked, understood, counted, and asked once.
 
@@ -7,8 +7,8 @@
 use std::fs;
 use std::path::Path;
 
-use memtransfer_tests::llama::{LlamaServer, MODEL};
 use memtransfer_tests::Bench;
+use memtransfer_tests::llama::{LlamaServer, MODEL};
 use serde_json::Value;
 use warehouse::{CaseSet, History, Start, Warehouse};
 
