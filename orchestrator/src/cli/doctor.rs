@@ -194,6 +194,7 @@ fn endpoint(model: &str, base_url: Option<&str>) -> anyhow::Result<Vec<Finding>>
     }
     let report: Value = serde_json::from_slice(&output.stdout).context("cannot read the probe")?;
     let Probed { endpoint, model, findings } = Probed::deserialize(&report)?;
+    let fingerprint = report["fingerprint"].to_string();
     let whole = Finding {
         data: Some(report),
         ..Finding::of(ENDPOINT, Ok(format!("{model} at {endpoint}")))
@@ -205,7 +206,8 @@ fn endpoint(model: &str, base_url: Option<&str>) -> anyhow::Result<Vec<Finding>>
         about,
         data: None,
     });
-    Ok(std::iter::once(whole).chain(parts).collect())
+    let who = Finding::of("endpoint, fingerprint", Ok(fingerprint));
+    Ok(std::iter::once(whole).chain(parts).chain([who]).collect())
 }
 
 /// Some pose in the warehouse.

@@ -315,17 +315,18 @@ impl Probe<'_> {
         parts.push(Part::Text { text: text.to_owned() });
         let message = Message { role: Speaker::User, content: Content::Parts(parts) };
         let question = Question { messages: vec![message], max_tokens: ANSWER_TOKENS };
+        let refused = |message: String| Shown::Refused(message.trim_end_matches('.').to_owned());
         match self.client.attempt(&question) {
             Ok(reply) => Shown::Taken(reply),
-            Err(Failure::Final(ChatError::Refused { message, .. })) => Shown::Refused(message),
+            Err(Failure::Final(ChatError::Refused { message, .. })) => refused(message),
             // Some servers say so that they do not know what an image is.
             Err(Failure::Passing(Passing::Status { status: 500 | 501, message }, _)) => {
-                Shown::Refused(message)
+                refused(message)
             }
             Err(Failure::Final(error)) => Shown::Unknown(error.to_string()),
             Err(Failure::Passing(..)) => match self.client.ask(&question) {
                 Ok(reply) => Shown::Taken(reply),
-                Err(ChatError::Refused { message, .. }) => Shown::Refused(message),
+                Err(ChatError::Refused { message, .. }) => refused(message),
                 Err(error) => Shown::Unknown(error.to_string()),
             },
         }

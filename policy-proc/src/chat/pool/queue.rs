@@ -262,3 +262,6 @@ impl<T> Ord for Later<T> {
         self.due.cmp(&other.due)
     }
 }
+
+#[cfg(test)]
+mod tests;
