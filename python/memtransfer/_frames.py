@@ -137,7 +137,8 @@ class FrameStore:
         self.taken = 0
         """Frames that were ever taken hold of."""
         self._kept: list[weakref.ref[SharedPixels]] = []
-        self._most_kept = attach.spare_chunks // 2
+        self.most_kept = attach.spare_chunks // 2
+        """Evicted frames that may still be shown by something."""
 
     def take_waiting(self) -> list[str]:
         """Takes hold of the frames that wait; returns what was wrong with those that cannot be used."""
@@ -183,16 +184,17 @@ class FrameStore:
         """How many evicted frames something still shows, if they are so many that the simulator will run
         out of memory for new ones; otherwise 0.
         """
-        if len(self._kept) <= self._most_kept:
+        if len(self._kept) <= self.most_kept:
             return 0
-        gc.collect()
-        self._kept = [kept for kept in self._kept if kept() is not None]
-        return len(self._kept) if len(self._kept) > self._most_kept else 0
+        self._forget_what_is_gone()
+        if len(self._kept) > self.most_kept:
+            # Some may be held by nothing but each other.
+            gc.collect()
+            self._forget_what_is_gone()
+        return len(self._kept) if len(self._kept) > self.most_kept else 0
 
-    @property
-    def most_kept(self) -> int:
-        """Evicted frames that may still be shown by something."""
-        return self._most_kept
+    def _forget_what_is_gone(self) -> None:
+        self._kept = [kept for kept in self._kept if kept() is not None]
 
     def close(self) -> None:
         """Lets go of everything."""

@@ -1,0 +1,52 @@
+"""Looks where it goes: walks while the floor ahead is free, and turns where it is not.
+
+    memtransfer run --policy-cmd "python pixels_policy.py"
+
+All that it knows of the warehouse is what bare floor looks like. The pixels are shared memory itself; what
+numpy copies here is the small patch of each frame that is looked at.
+"""
+
+import random
+
+import numpy as np
+
+from memtransfer import Action, Policy, run
+
+# The floor of the next cell, as parts of the picture: the lowest tenth, in the middle.
+ROWS, COLUMNS = (0.90, 0.98), (0.43, 0.57)
+
+
+class Pixels(Policy):
+    name = "pixels-python"
+
+    def act(self, batch):
+        free = is_bare_floor(np.stack([patch(request.frame.pixels) for request in batch]))
+        return [decide(request, ahead) for request, ahead in zip(batch, free)]
+
+
+def patch(pixels):
+    height, width, _ = pixels.shape
+    rows = slice(int(ROWS[0] * height), int(ROWS[1] * height))
+    columns = slice(int(COLUMNS[0] * width), int(COLUMNS[1] * width))
+    return pixels[rows, columns, :3]
+
+
+def is_bare_floor(patches):
+    """For each patch whether it is an even, light grey."""
+    pixels = patches.reshape(len(patches), -1, 3).astype(np.float32)
+    mean, spread = pixels.mean(axis=1), pixels.std(axis=1).max(axis=1)
+    grey = np.ptp(mean, axis=1) < 8
+    light = (mean > 130).all(axis=1) & (mean < 170).all(axis=1)
+    return grey & light & (spread < 6)
+
+
+def decide(request, free):
+    # From the request alone, so that the same episode is the same walk.
+    rng = random.Random(request.episode_seed * 1000 + request.step)
+    if free and rng.random() < 0.8:
+        return Action.FORWARD
+    return rng.choice([Action.TURN_LEFT, Action.TURN_RIGHT])
+
+
+if __name__ == "__main__":
+    run(Pixels())
