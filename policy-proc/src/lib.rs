@@ -10,6 +10,7 @@
 
 pub mod chat;
 pub mod grounded;
+pub mod prompt;
 pub mod random;
 pub mod request;
 pub mod sdk;

@@ -1,0 +1,223 @@
+//! The template's file, as values: its texts by name, and how names in them are replaced.
+
+use std::sync::LazyLock;
+
+use serde::Deserialize;
+use sha2::{Digest, Sha256};
+use shm_types::{Action, Feedback, Heading};
+
+const FILE: &str = include_str!("../../prompt/v1.toml");
+
+/// The template's texts. `prompt/v1.toml` says what each is for.
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct Template {
+    pub(super) version: String,
+    pub(super) system: String,
+    pub(super) view_not_shown: String,
+    pub(super) memory: Memory,
+    pub(super) task: Task,
+    pub(super) window: Window,
+    pub(super) now: Now,
+    pub(super) view: View,
+    actions: Actions,
+    feedback: Feedbacks,
+    headings: Headings,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct Memory {
+    pub(super) begin: String,
+    pub(super) nothing: String,
+    pub(super) end: String,
+    pub(super) document: String,
+    pub(super) summary: String,
+    pub(super) semantic: String,
+    pub(super) demonstration_begin: String,
+    pub(super) demonstration_view: String,
+    pub(super) demonstration_actions: String,
+    pub(super) then: String,
+    pub(super) several: String,
+    pub(super) demonstration_end: String,
+    pub(super) hint: String,
+    pub(super) retrieved_begin: String,
+    pub(super) unknown_distance: String,
+    pub(super) retrieved_action: String,
+    pub(super) retrieved_view: String,
+    pub(super) retrieved_view_alone: String,
+    pub(super) retrieved_end: String,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct Task {
+    pub(super) text: String,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct Window {
+    pub(super) begin: String,
+    pub(super) nothing: String,
+    pub(super) view: String,
+    pub(super) step: String,
+    pub(super) no_action: String,
+    pub(super) end: String,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct Now {
+    pub(super) begin: String,
+    pub(super) end: String,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct View {
+    pub(super) after: String,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Actions {
+    forward: String,
+    backward: String,
+    left: String,
+    right: String,
+    turn_left: String,
+    turn_right: String,
+    turn_around: String,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Feedbacks {
+    start: String,
+    moved: String,
+    turned: String,
+    blocked: String,
+    not_understood: String,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields, rename_all = "UPPERCASE")]
+struct Headings {
+    n: String,
+    e: String,
+    s: String,
+    w: String,
+}
+
+impl Template {
+    pub(super) fn action(&self, action: Action) -> &str {
+        let words = &self.actions;
+        match action {
+            Action::Forward => &words.forward,
+            Action::Backward => &words.backward,
+            Action::Left => &words.left,
+            Action::Right => &words.right,
+            Action::TurnLeft => &words.turn_left,
+            Action::TurnRight => &words.turn_right,
+            Action::TurnAround => &words.turn_around,
+        }
+    }
+
+    pub(super) fn feedback(&self, feedback: Feedback) -> &str {
+        let words = &self.feedback;
+        match feedback {
+            Feedback::Start => &words.start,
+            Feedback::Moved => &words.moved,
+            Feedback::Turned => &words.turned,
+            Feedback::Blocked => &words.blocked,
+            Feedback::NotUnderstood => &words.not_understood,
+        }
+    }
+
+    pub(super) fn heading(&self, heading: Heading) -> &str {
+        let words = &self.headings;
+        match heading {
+            Heading::N => &words.n,
+            Heading::E => &words.e,
+            Heading::S => &words.s,
+            Heading::W => &words.w,
+        }
+    }
+}
+
+/// The template that this program was built with.
+pub(super) fn template() -> &'static Template {
+    static TEMPLATE: LazyLock<Template> = LazyLock::new(|| {
+        // The file is part of the program, and a test reads it: this is no input.
+        toml::from_str(FILE).expect("the template was read when the program was tested")
+    });
+    &TEMPLATE
+}
+
+pub(super) fn sha256() -> String {
+    Sha256::digest(FILE).iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+/// `text` with each `{name}` of `values` replaced. What a value holds is never looked at for names, and braces
+/// around anything else stay.
+pub(super) fn fill(text: &str, values: &[(&str, &str)]) -> String {
+    let mut filled = String::with_capacity(text.len());
+    let mut rest = text;
+    while let Some(at) = rest.find('{') {
+        let (before, from_brace) = rest.split_at(at);
+        filled.push_str(before);
+        let known = values.iter().find_map(|&(name, value)| {
+            let after = from_brace[1..].strip_prefix(name)?.strip_prefix('}')?;
+            Some((value, after))
+        });
+        match known {
+            Some((value, after)) => {
+                filled.push_str(value);
+                rest = after;
+            }
+            None => {
+                filled.push('{');
+                rest = &from_brace[1..];
+            }
+        }
+    }
+    filled.push_str(rest);
+    filled
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_file_says_what_the_rest_of_the_project_says() {
+        let template = template();
+        assert_eq!(template.version, "prompt/1");
+        for action in Action::ALL {
+            assert_eq!(template.action(action), action.words());
+            assert!(template.system.lines().any(|line| line == action.words()), "{action:?}");
+            assert!(template.now.end.contains(action.words()));
+        }
+        for feedback in Feedback::ALL {
+            assert_eq!(template.feedback(feedback), feedback.words());
+        }
+        for heading in Heading::ALL {
+            assert_eq!(template.heading(heading), heading.word());
+        }
+    }
+
+    #[test]
+    fn names_are_replaced_once_and_other_braces_stay() {
+        let values = [("a", "{b}"), ("b", "B")];
+        for (text, filled) in [
+            ("{a} and {b}", "{b} and B"),
+            ("{c} {a", "{c} {a"),
+            ("{{b}}", "{B}"),
+            ("é{a}é", "é{b}é"),
+            ("", ""),
+        ] {
+            assert_eq!(fill(text, &values), filled);
+        }
+    }
+}

@@ -1,0 +1,285 @@
+//! The prompt of each representation, and of odd cases, as golden files.
+//!
+//! A file in `tests/prompt/` holds a request in plain form and an image budget, and what comes of them: the
+//! messages with images by name, the section of each part of the user message, counts. docs/prompt.md says
+//! what the plain form is. `UPDATE_GOLDEN=1 cargo test -p policy-proc --test prompt` writes the outcomes
+//! anew; read the difference before you keep it, and raise the template's version.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use policy_proc::chat::{Content, Part};
+use policy_proc::prompt::{PartContent, Prompt, Section, image_name};
+use policy_proc::{
+    DocumentView, FrameView, PastView, Request, Segment, SegmentView, Trajectory, TrajectoryView,
+};
+use serde::{Deserialize, Serialize};
+use serde_json::{Value, json};
+use shm_types::message::DocumentKind;
+use shm_types::{Action, Feedback, Heading, Pose};
+
+/// A file.
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Case {
+    about: String,
+    image_budget: u32,
+    request: Plain,
+    #[serde(default)]
+    outcome: Value,
+}
+
+/// A request in plain form.
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Plain {
+    instruction: String,
+    pose: PlainPose,
+    feedback: String,
+    view: String,
+    window: Vec<PlainPast>,
+    documents: Vec<PlainDocument>,
+    trajectories: Vec<Vec<PlainStep>>,
+    segment: Option<PlainSegment>,
+    starts_as_demonstrated: bool,
+}
+
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct PlainPose {
+    column: u8,
+    row: u8,
+    heading: Heading,
+}
+
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct PlainPast {
+    view: String,
+    action: Option<String>,
+    feedback: String,
+}
+
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct PlainDocument {
+    kind: String,
+    text: String,
+}
+
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct PlainStep {
+    view: Option<String>,
+    action: Option<String>,
+}
+
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct PlainSegment {
+    /// `null` for one that is no number.
+    distance: Option<f32>,
+    steps: Vec<PlainStep>,
+}
+
+const ACTIONS: [&str; 7] =
+    ["forward", "backward", "left", "right", "turn_left", "turn_right", "turn_around"];
+const FEEDBACK: [&str; 5] = ["start", "moved", "turned", "blocked", "not_understood"];
+
+fn action(name: &Option<String>) -> Option<Action> {
+    let name = name.as_deref()?;
+    let code = ACTIONS.iter().position(|known| *known == name);
+    Some(Action::ALL[code.unwrap_or_else(|| panic!("{name} is no action"))])
+}
+
+fn feedback(name: &str) -> Feedback {
+    let code = FEEDBACK.iter().position(|known| *known == name);
+    Feedback::ALL[code.unwrap_or_else(|| panic!("{name} is no feedback"))]
+}
+
+/// A view that has nothing but its name.
+fn view(name: &str) -> FrameView<'static> {
+    let mut content_hash = [0; 16];
+    assert_eq!(name.len(), 32, "{name} is no hash");
+    for (index, byte) in content_hash.iter_mut().enumerate() {
+        *byte = u8::from_str_radix(&name[2 * index..2 * index + 2], 16).unwrap();
+    }
+    FrameView { id: 0, content_hash, width: 0, height: 0, pixels: &[] }
+}
+
+/// What comes of a request and a budget.
+fn outcome(plain: &Plain, image_budget: u32) -> (Value, String) {
+    let window = plain.window.iter();
+    let window: Vec<_> = window
+        .map(|past| PastView {
+            frame: view(&past.view),
+            action: action(&past.action),
+            feedback: feedback(&past.feedback),
+        })
+        .collect();
+    let documents: Vec<_> = plain
+        .documents
+        .iter()
+        .map(|document| DocumentView {
+            id: 0,
+            kind: match document.kind.as_str() {
+                "summary" => DocumentKind::Summary,
+                "semantic" => DocumentKind::Semantic,
+                other => panic!("{other} is no document kind"),
+            },
+            text: &document.text,
+        })
+        .collect();
+    let walks = plain.trajectories.iter().map(|steps| {
+        let steps = steps.iter().map(|step| TrajectoryView {
+            frame: step.view.as_deref().map(view),
+            action: action(&step.action),
+        });
+        steps.collect::<Vec<_>>()
+    });
+    let walks: Vec<_> = walks.collect();
+    let trajectories: Vec<_> = walks.iter().map(|steps| Trajectory { steps }).collect();
+    let segment: Option<Vec<_>> = plain.segment.as_ref().map(|segment| {
+        let steps = segment.steps.iter().map(|step| SegmentView {
+            frame: view(step.view.as_deref().unwrap()),
+            action: action(&step.action),
+        });
+        steps.collect()
+    });
+    let distance = plain.segment.as_ref().and_then(|segment| segment.distance).unwrap_or(f32::NAN);
+    let PlainPose { column, row, heading } = plain.pose;
+    let request = Request {
+        lane: 3,
+        step: 17,
+        episode: 99,
+        episode_seed: 4711,
+        repeat: 2,
+        instruction: &plain.instruction,
+        pose: Pose::new(column, row, heading),
+        feedback: feedback(&plain.feedback),
+        frame: view(&plain.view),
+        window: &window,
+        segment: segment.as_ref().map(|steps| Segment { distance, steps }),
+        documents: &documents,
+        trajectories: &trajectories,
+        starts_as_demonstrated: plain.starts_as_demonstrated,
+    };
+    let prompt = Prompt::new(&request, image_budget);
+    let sections: Vec<_> = prompt.parts.iter().map(|part| part.section.name()).collect();
+    let by_section = |count: &dyn Fn(Section) -> Value| -> Value {
+        Section::ALL
+            .into_iter()
+            .map(|section| (section.name().to_owned(), count(section)))
+            .collect()
+    };
+    let outcome = json!({
+        "messages": prompt.messages(image_name),
+        "sections": sections,
+        "images_asked": prompt.images_asked,
+        "images_sent": prompt.images_sent(),
+        "images": by_section(&|section| prompt.images(section).into()),
+        "characters": by_section(&|section| prompt.characters(section).into()),
+    });
+    (outcome, readable(&prompt))
+}
+
+/// The prompt as docs/prompt.md shows it.
+fn readable(prompt: &Prompt<'_>) -> String {
+    let parts = prompt.parts.iter().map(|part| match &part.content {
+        PartContent::Text(text) => text.clone(),
+        PartContent::View(view) => format!("[{}]", &image_name(view)[..14]),
+    });
+    let user: String = parts.collect();
+    format!("```text\n{}```\n\n```text\n{user}\n```\n", prompt.system)
+}
+
+fn files() -> Vec<PathBuf> {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/prompt");
+    let mut files: Vec<_> =
+        fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path()).collect();
+    files.sort();
+    assert!(files.len() >= 6);
+    files
+}
+
+fn read(path: &Path) -> Case {
+    let text = fs::read_to_string(path).unwrap();
+    serde_json::from_str(&text).unwrap_or_else(|error| panic!("{}: {error}", path.display()))
+}
+
+#[test]
+fn every_case_makes_the_prompt_in_its_file() {
+    let mut wrong = Vec::new();
+    for path in files() {
+        let mut case = read(&path);
+        let (outcome, readable) = outcome(&case.request, case.image_budget);
+        if case.outcome != outcome {
+            case.outcome = outcome;
+            if std::env::var_os("UPDATE_GOLDEN").is_some() {
+                let text = serde_json::to_string_pretty(&case).unwrap();
+                fs::write(&path, text + "\n").unwrap();
+            }
+            wrong.push(format!("{}:\n{readable}", path.display()));
+        }
+    }
+    assert!(wrong.is_empty(), "UPDATE_GOLDEN=1 keeps these prompts:\n{}", wrong.join("\n"));
+}
+
+#[test]
+fn the_system_message_and_what_memory_does_not_touch_are_the_same_for_all() {
+    let user = |messages: &Value| -> Vec<Value> {
+        match &messages[1]["content"] {
+            Value::Array(parts) => parts.clone(),
+            text => vec![text.clone()],
+        }
+    };
+    let name = |path: &Path| path.file_stem().unwrap().to_str().unwrap().to_owned();
+    let mut systems = Vec::new();
+    let mut rests = Vec::new();
+    for path in files() {
+        let outcome = read(&path).outcome;
+        systems.push(outcome["messages"][0].clone());
+        let sections = outcome["sections"].as_array().unwrap();
+        let after = sections.iter().take_while(|section| *section == "memory").count();
+        assert!(sections[after..].iter().all(|section| section != "memory"), "{}", path.display());
+        if ["working", "full-context", "summary", "semantic", "hybrid", "episodic"]
+            .contains(&name(&path).as_str())
+        {
+            rests.push(user(&outcome["messages"])[after..].to_vec());
+        }
+    }
+    systems.dedup();
+    assert_eq!(systems.len(), 1);
+    assert_eq!(rests.len(), 6);
+    rests.dedup();
+    assert_eq!(rests.len(), 1);
+}
+
+#[test]
+fn nothing_but_the_request_is_in_a_prompt() {
+    // Lane, step, seed, episode and repetition are told to nobody: 3, 17, 4711, 99 and 2 in `outcome`.
+    for path in files() {
+        let case = read(&path);
+        let known = serde_json::to_string(&case.request).unwrap();
+        let (outcome, _) = outcome(&case.request, case.image_budget);
+        let content = outcome["messages"][1]["content"].to_string();
+        for number in ["17", "4711", "99"] {
+            if !known.contains(number) {
+                assert!(!content.contains(number), "{number} in {}", path.display());
+            }
+        }
+    }
+}
+
+#[test]
+fn without_an_image_the_user_message_is_plain_text() {
+    let case = read(files().iter().find(|path| path.ends_with("text-only.json")).unwrap());
+    let content: Content =
+        serde_json::from_value(case.outcome["messages"][1]["content"].clone()).unwrap();
+    assert!(matches!(content, Content::Text(_)));
+    let case = read(files().iter().find(|path| path.ends_with("working.json")).unwrap());
+    let content: Content =
+        serde_json::from_value(case.outcome["messages"][1]["content"].clone()).unwrap();
+    let Content::Parts(parts) = content else { panic!("no parts") };
+    assert_eq!(parts.iter().filter(|part| matches!(part, Part::ImageUrl { .. })).count(), 7);
+}
