@@ -1,6 +1,7 @@
-//! Verbs of the program that are no part of a run.
+//! Flags and verbs of the program, one file for each.
 
 pub(crate) mod cache;
+pub(crate) mod openai;
 pub(crate) mod probe;
 
 use std::io::{self, Write};

@@ -3,6 +3,8 @@
 //! - [`request`]: what a policy is given, and what it answers. Nothing else reaches it.
 //! - [`sdk`]: the traits [`Policy`] and [`Decider`], and [`serve`], which puts an implementation on the wire.
 //! - [`chat`]: asking a model behind an OpenAI-compatible endpoint.
+//! - [`prompt`]: what a model is told about a request, and how its answer is read.
+//! - [`openai`]: the policy that asks a model.
 //! - [`random`] and [`grounded`]: two policies that use nothing but the SDK.
 //!
 //! What is not here: the map. This crate does not link the one that knows it, so a policy can only
@@ -10,6 +12,7 @@
 
 pub mod chat;
 pub mod grounded;
+pub mod openai;
 pub mod prompt;
 pub mod random;
 pub mod request;

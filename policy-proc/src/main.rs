@@ -36,6 +36,8 @@ enum Verb {
         /// Who decides.
         #[arg(long)]
         policy: BuiltIn,
+        #[command(flatten)]
+        model: cli::openai::ModelArguments,
     },
     /// Ask a model behind an OpenAI-compatible endpoint: a line of JSON in, a line of JSON out.
     #[command(after_help = ASK_HELP)]
@@ -93,6 +95,8 @@ enum BuiltIn {
     Random,
     /// A scripted stand-in for a model: reads label plates, follows what memory offers, explores.
     Grounded,
+    /// A vision-language model behind an OpenAI-compatible endpoint.
+    Openai,
 }
 
 fn main() -> ExitCode {
@@ -104,7 +108,9 @@ fn main() -> ExitCode {
         .with_writer(std::io::stderr)
         .init();
     let done = match Arguments::parse().verb {
-        Verb::Serve { attach, policy } => take_part(&attach, policy).map(|()| ExitCode::SUCCESS),
+        Verb::Serve { attach, policy, model } => {
+            take_part(&attach, policy, model).map(|()| ExitCode::SUCCESS)
+        }
         Verb::Ask(arguments) => ask(arguments).map(|()| ExitCode::SUCCESS),
         Verb::Probe(arguments) => cli::probe::run(&arguments),
         Verb::Cache(arguments) => cli::cache::run(&arguments).map(|()| ExitCode::SUCCESS),
@@ -118,10 +124,15 @@ fn main() -> ExitCode {
     }
 }
 
-fn take_part(attach_dir: &Path, policy: BuiltIn) -> anyhow::Result<()> {
+fn take_part(
+    attach_dir: &Path,
+    policy: BuiltIn,
+    model: cli::openai::ModelArguments,
+) -> anyhow::Result<()> {
     let mut policy: Box<dyn Decider> = match policy {
         BuiltIn::Random => Box::new(Random),
         BuiltIn::Grounded => Box::new(Grounded::default()),
+        BuiltIn::Openai => Box::new(cli::openai::policy(model)?),
     };
     serve(policy.as_mut(), attach_dir).context("the policy process cannot go on")
 }

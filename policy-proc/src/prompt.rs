@@ -100,9 +100,17 @@ impl<'a> Prompt<'a> {
         render::prompt(template::template(), request, image_budget)
     }
 
+    /// The views whose images are sent, in reading order; one that is shown twice comes twice.
+    pub fn views(&self) -> impl Iterator<Item = &FrameView<'a>> {
+        self.parts.iter().filter_map(|part| match &part.content {
+            PartContent::View(view) => Some(view),
+            PartContent::Text(_) => None,
+        })
+    }
+
     /// Images that are sent.
     pub fn images_sent(&self) -> u32 {
-        Section::ALL.into_iter().map(|section| self.images(section)).sum()
+        self.views().count() as u32
     }
 
     /// Images of `section` that are sent.

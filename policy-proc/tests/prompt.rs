@@ -5,6 +5,8 @@
 //! what the plain form is. `UPDATE_GOLDEN=1 cargo test -p policy-proc --test prompt` writes the outcomes
 //! anew; read the difference before you keep it, and raise the template's version.
 
+#![expect(clippy::unwrap_used, reason = "what fails here fails the test")]
+
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -223,6 +225,15 @@ fn every_case_makes_the_prompt_in_its_file() {
         }
     }
     assert!(wrong.is_empty(), "UPDATE_GOLDEN=1 keeps these prompts:\n{}", wrong.join("\n"));
+}
+
+#[test]
+fn the_example_in_the_docs_is_a_case() {
+    let page = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs/prompt.md");
+    let page = fs::read_to_string(page).unwrap();
+    let case = read(files().iter().find(|path| path.ends_with("episodic.json")).unwrap());
+    let (_, readable) = outcome(&case.request, case.image_budget);
+    assert!(page.contains(&readable), "docs/prompt.md should show:\n{readable}");
 }
 
 #[test]

@@ -1,0 +1,468 @@
+//! The `openai` policy between scripted peers on the bus and a scripted chat server, over real sockets.
+
+#![expect(clippy::unwrap_used, reason = "a test that cannot go on fails")]
+
+use std::any::Any;
+use std::sync::{Arc, Condvar, Mutex};
+use std::thread::{self, JoinHandle};
+use std::time::{Duration, Instant};
+
+use bytemuck::Zeroable;
+use policy_proc::chat::scripted::{Received, Server, Turn, completion};
+use policy_proc::chat::{Client, Endpoint, Pool, PoolSettings, ResponseCache, Settings};
+use policy_proc::openai::{self, ImageFormat, Openai};
+use policy_proc::{ServeError, serve};
+use serde_json::{Value, json};
+use shm_types::documents::Content;
+use shm_types::message::{
+    self, Complaint, ComplaintKind, FrameId, Hello, NOT_MEASURED, Observation, Outcome,
+    PolicyBrief, Recall, Role, Stop, WirePose, read_text, write_text,
+};
+use shm_types::{
+    Action, Attach, Bell, Bus, DocumentPublisher, Feedback, FramePublisher, FrameSize, FrameStore,
+    Heading, Pose, Receiver, RunDir, Sender,
+};
+use tempfile::TempDir;
+
+const LANES: u32 = 8;
+const PATIENCE: Duration = Duration::from_secs(60);
+
+/// A server and a run of eight lanes in which the policy asks it. Fields are dropped in order: the run before
+/// its folder.
+struct Bench {
+    orchestrator: Bus,
+    briefs: Sender<PolicyBrief>,
+    observations: Sender<Observation>,
+    recalls: Sender<Recall>,
+    stops: Sender<Stop>,
+    decisions: Receiver<message::Decision>,
+    complaints: Receiver<Complaint>,
+    policy: Bell,
+    frames: FramePublisher,
+    documents: DocumentPublisher,
+    /// Others who see the observations, and have to take them.
+    observers: [Receiver<Observation>; 2],
+    /// Receivers that must be there for anything to be delivered.
+    _others: Box<dyn Any>,
+    facts: String,
+    serving: JoinHandle<Result<(), ServeError>>,
+    server: Server,
+    _run: RunDir,
+    _base: TempDir,
+}
+
+/// How the policy is set up where a test does not say otherwise.
+fn settings() -> openai::Settings {
+    openai::Settings {
+        model: "m".to_owned(),
+        endpoint: String::new(),
+        image_format: ImageFormat::Png,
+        image_budget: 50,
+        answer_tokens: 30,
+    }
+}
+
+impl Bench {
+    fn new(server: Server, settings: openai::Settings) -> Self {
+        Self::with_cache(server, settings, None)
+    }
+
+    fn with_cache(
+        server: Server,
+        settings: openai::Settings,
+        cache: Option<ResponseCache>,
+    ) -> Self {
+        let endpoint = Endpoint::new(&server.base_url(), None).unwrap();
+        let settings = openai::Settings { endpoint: "http://here/v1".to_owned(), ..settings };
+        let asking = Settings { model: settings.model.clone(), timeout: PATIENCE, max_retries: 0 };
+        let connections = PoolSettings { max_connections: LANES, most_given_up: 3 };
+        let pool = Pool::new(Client::new(endpoint, asking), connections, cache);
+        let mut policy = Openai::new(pool, settings);
+
+        let base = tempfile::Builder::new().prefix("mt").tempdir_in("/tmp").unwrap();
+        let run = RunDir::create(base.path()).unwrap();
+        let frame = FrameSize { width: 64, height: 64 };
+        let attach = Attach { frame, frame_capacity: 64, lanes: LANES, ..Attach::new(&run) };
+        attach.write(run.path()).unwrap();
+        let bus = |role| Bus::join(attach.clone(), role).unwrap();
+        let (orchestrator, sim, memory) =
+            (bus(Role::Orchestrator), bus(Role::Sim), bus(Role::Memory));
+        let hellos = orchestrator.receiver::<Hello>().unwrap();
+        let (decisions, complaints) =
+            (orchestrator.receiver().unwrap(), orchestrator.receiver().unwrap());
+        let others = (
+            orchestrator.receiver::<message::Farewell>().unwrap(),
+            FrameStore::new(&memory).unwrap(),
+            memory.receiver::<Stop>().unwrap(),
+            sim.receiver::<Stop>().unwrap(),
+        );
+        let observers = [orchestrator.receiver().unwrap(), memory.receiver().unwrap()];
+        let path = run.path().to_owned();
+        let serving = thread::spawn(move || serve(&mut policy, &path));
+        let hello = within_patience(&orchestrator, || hellos.next().unwrap());
+        Self {
+            briefs: orchestrator.sender().unwrap(),
+            observations: sim.sender().unwrap(),
+            recalls: memory.sender().unwrap(),
+            stops: orchestrator.sender().unwrap(),
+            decisions,
+            complaints,
+            policy: orchestrator.bell(Role::Policy).unwrap(),
+            frames: FramePublisher::new(&sim).unwrap(),
+            documents: DocumentPublisher::new(&memory).unwrap(),
+            observers,
+            _others: Box::new((others, sim, memory)),
+            facts: read_text(&hello.facts, hello.facts_len).unwrap().to_owned(),
+            serving,
+            server,
+            _run: run,
+            _base: base,
+            orchestrator,
+        }
+    }
+
+    /// A frame of one grey.
+    fn publish(&mut self, grey: u8) -> FrameId {
+        let mut slot = self.frames.loan().unwrap();
+        slot.pixels_mut().fill(grey);
+        self.frames.publish(slot, [grey; 16]).unwrap()
+    }
+
+    /// An episode in `lane`, which is told to find an item that bears the lane's number.
+    fn begin(&self, lane: u32) {
+        let episode = episode(lane);
+        let mut brief = PolicyBrief { lane, episode, repeat: 1, ..Zeroable::zeroed() };
+        brief.instruction_len = write_text(&mut brief.instruction, &format!("Find item {lane}."));
+        self.briefs.send(&brief).unwrap();
+    }
+
+    /// Shows `lane` its step with `recall`.
+    fn step(&self, lane: u32, step: u32, frame: FrameId, recall: Recall) {
+        let pose = WirePose::from(Pose::new(3, 4, Heading::E));
+        let episode = episode(lane);
+        let (feedback, action) = (Feedback::Moved as u8, Action::Forward as u8);
+        let observation = Observation {
+            lane,
+            episode,
+            step,
+            frame,
+            pose,
+            feedback,
+            action,
+            ..Zeroable::zeroed()
+        };
+        self.observations.send(&observation).unwrap();
+        self.recalls.send(&Recall { lane, episode, step, ..recall }).unwrap();
+    }
+
+    fn ring(&self) {
+        self.policy.ring().unwrap();
+    }
+
+    fn decisions(&self, count: usize) -> Vec<message::Decision> {
+        let mut all = Vec::new();
+        within_patience(&self.orchestrator, || {
+            all.extend(self.decisions.drain().unwrap());
+            (all.len() >= count).then_some(())
+        });
+        for observer in &self.observers {
+            drop(observer.drain().unwrap());
+        }
+        all.sort_by_key(|decision: &message::Decision| decision.lane);
+        all
+    }
+
+    fn complaint(&self) -> (u32, u32, String) {
+        let complaint = within_patience(&self.orchestrator, || self.complaints.next().unwrap());
+        let text = read_text(&complaint.text, complaint.text_len).unwrap().to_owned();
+        (complaint.kind, complaint.lane, text)
+    }
+
+    fn stop(self) {
+        self.stops.send(&Stop::zeroed()).unwrap();
+        self.ring();
+        self.serving.join().unwrap().unwrap();
+    }
+}
+
+fn episode(lane: u32) -> u64 {
+    100 + u64::from(lane)
+}
+
+fn no_memory() -> Recall {
+    Recall { distance: f32::NAN, ..Zeroable::zeroed() }
+}
+
+/// What `look` finds, sooner or later.
+fn within_patience<T>(bus: &Bus, mut look: impl FnMut() -> Option<T>) -> T {
+    let deadline = Instant::now() + PATIENCE;
+    loop {
+        if let Some(found) = look() {
+            return found;
+        }
+        assert!(Instant::now() < deadline, "nothing came");
+        bus.doorbell().wait(Duration::from_millis(100)).unwrap();
+    }
+}
+
+/// The lane that a request is about.
+fn lane_of(request: &Received) -> u32 {
+    let body = request.body.to_string();
+    let (_, after) = body.split_once("Find item ").unwrap();
+    after[..1].parse().unwrap()
+}
+
+/// The URLs of a request's images.
+fn images_of(request: &Received) -> Vec<String> {
+    match &request.body["messages"][1]["content"] {
+        Value::Array(parts) => parts
+            .iter()
+            .filter_map(|part| Some(part.pointer("/image_url/url")?.as_str()?.to_owned()))
+            .collect(),
+        _ => Vec::new(),
+    }
+}
+
+#[test]
+fn requests_of_all_lanes_are_in_flight_at_once_and_answered_out_of_order() {
+    // Nobody gets an answer before all have asked; then they get theirs from the last lane to the first.
+    let turn = Arc::new((Mutex::new((0, LANES)), Condvar::new()));
+    let server = Server::concurrent(move |request| {
+        let lane = lane_of(request);
+        let (state, changed) = &*turn;
+        let mut state = state.lock().unwrap();
+        state.0 += 1;
+        changed.notify_all();
+        let late = |state: &mut (u32, u32)| state.0 < LANES || state.1 != lane + 1;
+        let (mut state, waited) = changed.wait_timeout_while(state, PATIENCE, late).unwrap();
+        assert!(!waited.timed_out(), "lane {lane} waits for the others");
+        state.1 = lane;
+        changed.notify_all();
+        Turn::says(Action::ALL[lane as usize % 7].words())
+    })
+    .unwrap();
+    let mut bench = Bench::new(server, settings());
+    let frame = bench.publish(9);
+    for lane in 0..LANES {
+        bench.begin(lane);
+        bench.step(lane, 0, frame, no_memory());
+    }
+    bench.ring();
+    let decisions = bench.decisions(LANES as usize);
+    for (decision, lane) in decisions.iter().zip(0..) {
+        assert_eq!((decision.lane, decision.episode), (lane, episode(lane)));
+        assert_eq!(decision.outcome, Outcome::Acted as u8);
+        assert_eq!(u32::from(decision.action), lane % 7);
+        assert_eq!((decision.images_asked, decision.images), (1, 1));
+        assert_eq!((decision.prompt_tokens, decision.completion_tokens), (10, 5));
+        assert_eq!((decision.memory_tokens, decision.image_tokens), (0, NOT_MEASURED));
+        assert_eq!((decision.attempts, decision.replayed), (1, 0));
+        assert!(decision.started_ns <= decision.prompted_ns);
+        assert!(decision.prompted_ns <= decision.sent_ns);
+        assert!(decision.sent_ns <= decision.decided_ns);
+    }
+    let received = bench.server.received();
+    assert_eq!(received.len(), LANES as usize);
+    for request in &received {
+        assert_eq!(request.body["model"], "m");
+        assert_eq!(
+            (&request.body["temperature"], &request.body["max_tokens"]),
+            (&json!(0.0), &json!(30))
+        );
+        let first = &received[0].body["messages"][0];
+        assert_eq!((&request.body["messages"][0], &first["role"]), (first, &json!("system")));
+    }
+    bench.stop();
+}
+
+#[test]
+fn what_is_no_action_is_told_apart() {
+    let server = Server::concurrent(|request| {
+        let length = |text| {
+            let mut body = completion(text);
+            body["choices"][0]["finish_reason"] = json!("length");
+            Turn::json(200, &body)
+        };
+        match lane_of(request) {
+            0 => Turn::says("turn left or right, who knows"),
+            1 => Turn::says(""),
+            2 => Turn::says("I'm sorry, but I can't assist with that."),
+            3 => length("I can see a warehouse with"),
+            4 => length("Turn left. I can see"),
+            5 => Turn::json(400, &json!({"error": {"message": "at most 1 image"}})),
+            _ => Turn::says("**Turn around!**"),
+        }
+    })
+    .unwrap();
+    let mut bench = Bench::new(server, settings());
+    let frame = bench.publish(9);
+    for lane in 0..7 {
+        bench.begin(lane);
+        bench.step(lane, 0, frame, no_memory());
+    }
+    bench.ring();
+    let outcomes: Vec<_> = bench.decisions(6).iter().map(|d| (d.lane, d.outcome)).collect();
+    let expected = [
+        (0, Outcome::Unreadable),
+        (1, Outcome::Empty),
+        (2, Outcome::Refused),
+        (3, Outcome::Unreadable),
+        (4, Outcome::Acted),
+        (6, Outcome::Acted),
+    ];
+    assert_eq!(outcomes, expected.map(|(lane, outcome)| (lane, outcome as u8)));
+    // A server that does not take the request is no fault of the model.
+    let (kind, lane, text) = bench.complaint();
+    assert_eq!((kind, lane), (ComplaintKind::Episode as u32, 5));
+    assert!(text.contains("status 400: at most 1 image"), "{text}");
+    bench.stop();
+}
+
+#[test]
+fn images_are_kept_to_the_budget() {
+    let server = Server::concurrent(|_| {
+        let mut body = completion("move forward");
+        body["usage"]["prompt_tokens"] = json!(2000);
+        Turn::json(200, &body)
+    })
+    .unwrap();
+    let budget =
+        openai::Settings { image_budget: 3, image_format: ImageFormat::Jpeg, ..settings() };
+    let mut bench = Bench::new(server, budget);
+    let frames = [10, 20, 30, 40].map(|grey| bench.publish(grey));
+    let mut recall = Recall { window_len: 2, segment_len: 2, distance: 0.5, ..no_memory() };
+    for (past, frame) in recall.window.iter_mut().zip([frames[0], frames[1]]) {
+        (past.frame, past.feedback) = (frame, Feedback::Moved as u8);
+    }
+    for (view, frame) in recall.segment.iter_mut().zip([frames[2], frames[0]]) {
+        view.frame = frame;
+    }
+    for lane in 0..2 {
+        bench.begin(lane);
+        bench.step(lane, 0, frames[3], recall);
+    }
+    bench.ring();
+    for decision in bench.decisions(2) {
+        assert_eq!((decision.images_asked, decision.images), (5, 3));
+        // All retrieved views are left out, so memory is a share of the text alone.
+        assert!((50..400).contains(&decision.memory_tokens), "{}", decision.memory_tokens);
+    }
+    let received = bench.server.received();
+    let [one, other] = [&received[0], &received[1]].map(images_of);
+    assert_eq!(one.len(), 3);
+    assert!(one.iter().all(|url| url.starts_with("data:image/jpeg;base64,")));
+    assert_eq!(one, other);
+    let body = received[0].body.to_string();
+    assert_eq!(body.matches("[view not shown]").count(), 2);
+    bench.stop();
+}
+
+#[test]
+fn without_images_a_model_gets_plain_text_and_memory_its_share() {
+    let server = Server::concurrent(|_| {
+        let mut body = completion("move forward");
+        body["usage"] = json!({
+            "prompt_tokens": 1000, "completion_tokens": 2,
+            "prompt_tokens_details": {"cached_tokens": 600},
+        });
+        Turn::json(200, &body)
+    })
+    .unwrap();
+    let mut bench = Bench::new(server, openai::Settings { image_budget: 0, ..settings() });
+    let frame = bench.publish(1);
+    // As much text as the rest of the prompt, and more.
+    let document = Content::Summary("- blue barrel: stand at (1, 2)\n".repeat(200));
+    let document = bench.documents.publish(None, &document).unwrap();
+    let mut recall = Recall { documents_len: 1, ..no_memory() };
+    recall.documents[0] = document;
+    bench.begin(3);
+    bench.step(3, 0, frame, recall);
+    bench.ring();
+    let decision = bench.decisions(1)[0];
+    assert_eq!((decision.images_asked, decision.images), (1, 0));
+    assert_eq!((decision.prompt_tokens, decision.cached_tokens), (1000, 600));
+    assert!((500..900).contains(&decision.memory_tokens), "{}", decision.memory_tokens);
+    let content = &bench.server.received()[0].body["messages"][1]["content"];
+    let text = content.as_str().unwrap();
+    assert!(text.starts_with("<memory>\n<document"), "{text}");
+    assert!(text.contains("You see:\n[view not shown]\n"), "{text}");
+    bench.stop();
+}
+
+#[test]
+fn one_request_that_hangs_holds_up_nobody() {
+    let server = Server::concurrent(|request| match lane_of(request) {
+        0 => Turn::Hang,
+        _ => Turn::says("turn right"),
+    })
+    .unwrap();
+    let mut bench = Bench::new(server, settings());
+    let frame = bench.publish(9);
+    (0..LANES).for_each(|lane| bench.begin(lane));
+    bench.step(0, 0, frame, no_memory());
+    for step in 0..5 {
+        (1..LANES).for_each(|lane| bench.step(lane, step, frame, no_memory()));
+        bench.ring();
+        let decisions = bench.decisions(LANES as usize - 1);
+        assert!(decisions.iter().all(|d| d.lane != 0 && d.step == step));
+    }
+    bench.stop();
+}
+
+#[test]
+fn a_reply_that_is_known_costs_nothing_and_each_repetition_has_its_own() {
+    let folder = tempfile::tempdir().unwrap();
+    let server = Server::concurrent(|_| Turn::says("turn right")).unwrap();
+    let cache = ResponseCache::at(folder.path());
+    let mut bench = Bench::with_cache(server, settings(), Some(cache));
+    let frame = bench.publish(9);
+    bench.begin(1);
+    for step in 0..2 {
+        bench.step(1, step, frame, no_memory());
+        bench.ring();
+        let decision = bench.decisions(1)[0];
+        let known = step == 1;
+        assert_eq!((decision.replayed == 1, decision.attempts), (known, u32::from(!known)));
+        assert_eq!(decision.sent_ns == 0, known);
+        assert_eq!(decision.action, Action::TurnRight as u8);
+    }
+    let mut brief = PolicyBrief { lane: 1, episode: 999, repeat: 2, ..Zeroable::zeroed() };
+    brief.instruction_len = write_text(&mut brief.instruction, "Find item 1.");
+    bench.briefs.send(&brief).unwrap();
+    let pose = WirePose::from(Pose::new(3, 4, Heading::E));
+    let feedback = Feedback::Moved as u8;
+    let observation =
+        Observation { lane: 1, episode: 999, frame, pose, feedback, ..Zeroable::zeroed() };
+    bench.observations.send(&observation).unwrap();
+    bench.recalls.send(&Recall { lane: 1, episode: 999, ..no_memory() }).unwrap();
+    bench.ring();
+    assert_eq!(bench.decisions(1)[0].replayed, 0);
+    assert_eq!(bench.server.received().len(), 2);
+    bench.stop();
+}
+
+#[test]
+fn a_server_that_is_gone_stops_the_run() {
+    let server = Server::concurrent(|_| Turn::json(401, &json!({"error": "no"}))).unwrap();
+    let mut bench = Bench::new(server, settings());
+    let frame = bench.publish(9);
+    bench.begin(0);
+    bench.step(0, 0, frame, no_memory());
+    bench.ring();
+    let (kind, _, text) = bench.complaint();
+    assert_eq!(kind, ComplaintKind::Run as u32, "{text}");
+    assert!(text.contains("401"), "{text}");
+    bench.stop();
+}
+
+#[test]
+fn the_manifest_learns_what_decides_results() {
+    let server = Server::turns([]).unwrap();
+    let jpeg = openai::Settings { image_format: ImageFormat::Jpeg, ..settings() };
+    let bench = Bench::new(server, jpeg);
+    let mut facts: Value = serde_json::from_str(&bench.facts).unwrap();
+    let hash = facts["prompt_sha256"].take();
+    assert_eq!(hash.as_str().unwrap().len(), 16);
+    insta::assert_snapshot!(facts, @r#"{"answer_tokens":"30","endpoint":"http://here/v1","image_budget":"50","image_format":"jpeg 90","model":"m","policy":"openai","prompt":"prompt/1","prompt_sha256":null,"reasoning":"off","temperature":"0"}"#);
+    bench.stop();
+}
