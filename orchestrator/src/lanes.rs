@@ -404,9 +404,9 @@ impl<'w> Lanes<'w> {
         self.lanes.iter_mut().filter_map(Option::take).map(|walk| walk.walked.episode).collect()
     }
 
-    /// The answer that has been owed for longest, if any is. Memory owes nothing from before
-    /// `memory_busy_ns`, when it was last known to be at work.
-    pub fn slowest(&self, memory_busy_ns: u64) -> Option<Owed> {
+    /// The answers that are owed, by lane. Memory owes nothing from before `memory_busy_ns`, when it was last known
+    /// to be at work.
+    pub fn owed(&self, memory_busy_ns: u64) -> Vec<Owed> {
         let owed = (0..).zip(&self.lanes).filter_map(|(lane, walk)| {
             let walk = walk.as_ref()?;
             let role = match (walk.asked, walk.trace) {
@@ -420,7 +420,7 @@ impl<'w> Lanes<'w> {
             };
             Some(Owed { role, lane, since_ns, rubbish: walk.walked.rubbish })
         });
-        owed.min_by_key(|owed| owed.since_ns)
+        owed.collect()
     }
 
     /// The walk that a message is about; `None` when the message is late.

@@ -4,11 +4,13 @@
 //! A *generation* is one set of processes and services. When any of them dies, hangs or disagrees, the
 //! whole generation goes: its services have names that no later one shares, so nothing stale can arrive.
 //! The next generation starts after a pause, and the episodes that were under way are walked again from
-//! their beginning; finished ones are in the log already.
+//! their beginning; finished ones are in the log already. A policy may be anybody's program: an episode that it
+//! leaves unanswered, or answers with what cannot be used, is walked again by itself, and one that it crashes on
+//! is looked for ([`work`]).
 //!
 //! Results leave through [`Observer`]; nothing here writes or prints.
 
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
@@ -24,8 +26,12 @@ use shm_types::process::{Watch, monotonic_ns};
 use shm_types::{Attach, Bell, Bus, Receiver, Sender};
 
 use crate::lanes::{Fault, Lanes, Owed, Turn, Walked};
-use crate::plan::{Episode, EpisodeKey};
+use crate::plan::Episode;
 use crate::supervise::{Crew, Launch};
+
+mod work;
+
+use work::{CULPRITS_IN_A_ROW, Work};
 
 /// How often the loop looks after processes, signals and deadlines when nobody rings.
 const TICK: Duration = Duration::from_millis(50);
@@ -35,12 +41,6 @@ const FAREWELL_PATIENCE: Duration = Duration::from_secs(5);
 
 /// Generations that may fail one after the other without an episode being finished in between.
 const FAILURES_IN_A_ROW: u32 = 4;
-
-/// How often an episode is walked before it is left unfinished, when others may be to blame for it.
-const WALKS: u32 = 12;
-
-/// How often an episode is walked before it is left unfinished, when its own answers could not be used.
-const SPOILT_WALKS: u32 = 3;
 
 /// How the processes are started and how long they may take.
 #[derive(Debug, Clone)]
@@ -55,6 +55,8 @@ pub struct Crewing {
     pub start_deadline: Duration,
     /// How long a process may owe an answer.
     pub answer_deadline: Duration,
+    /// How long the policy may owe a decision; as long as it likes where it sees to that itself.
+    pub decision_deadline: Option<Duration>,
 }
 
 /// What a process told about itself: adapter, encoder, policy, ...
@@ -93,6 +95,8 @@ pub struct Ending {
 enum Failure {
     /// The next generation may do better.
     Again(String),
+    /// The same, and the policy is to blame.
+    Policy(String),
     /// It would not.
     Final(anyhow::Error),
 }
@@ -131,81 +135,75 @@ fn walk_generations(
     stop: &AtomicBool,
     observer: &mut dyn Observer,
 ) -> Result<Ending> {
-    let mut work = Work {
-        queue: episodes.into_iter().collect(),
-        walks: BTreeMap::new(),
-        unfinished: Vec::new(),
-        finished: 0,
-        halted: None,
-    };
+    let mut work = Work::new(episodes);
+    let mut halted = None;
     let mut farewells = BTreeMap::new();
     let mut failures = 0;
     let mut attach = attach.clone();
-    while !work.queue.is_empty() && work.halted.is_none() && !stop.load(Ordering::Relaxed) {
+    while !work.is_done() && halted.is_none() && !stop.load(Ordering::Relaxed) {
         observer.starting(attach.generation);
-        let finished_before = work.finished;
+        let finished_before = work.count_finished();
         let outcome = Generation::start(&attach, crewing, stop, observer).and_then(|generation| {
             let Some(mut generation) = generation else { return Ok(BTreeMap::new()) };
             match generation.work_off(lanes, &mut work, crewing, stop, observer) {
-                Ok(()) => Ok(generation.finish()),
+                Ok(why) => {
+                    halted = why;
+                    Ok(generation.finish())
+                }
                 Err(failure) => Err(generation.explain(failure)),
             }
         });
-        for episode in lanes.abandon() {
-            work.again(episode, WALKS, "its processes failed again and again");
-        }
-        match outcome {
-            Ok(said) => farewells = said,
+        let under_way = lanes.abandon();
+        let why = match outcome {
+            Ok(said) => {
+                farewells = said;
+                // Whoever asked to stop knows what is left.
+                work.failed(under_way);
+                continue;
+            }
             Err(Failure::Final(error)) => return Err(error),
-            Err(Failure::Again(why)) => {
-                failures = if work.finished > finished_before { 1 } else { failures + 1 };
+            Err(Failure::Policy(why)) if !under_way.is_empty() => {
+                // However often: each time fewer episodes can be to blame.
+                if let Some(culprit) = work.failed_by_policy(under_way, &why) {
+                    observer.trouble(&format!("{culprit}: given up, the policy fails on it alone"));
+                }
+                if work.culprits_in_a_row() >= CULPRITS_IN_A_ROW {
+                    bail!(
+                        "{why}\nthe policy has failed on {CULPRITS_IN_A_ROW} different episodes, each \
+                         walked alone, and on others together: giving up. Finished episodes are kept; \
+                         the same command goes on from here"
+                    );
+                }
+                failures = 0;
+                why
+            }
+            Err(Failure::Again(why) | Failure::Policy(why)) => {
+                work.failed(under_way);
+                failures = if work.count_finished() > finished_before { 1 } else { failures + 1 };
                 if failures >= FAILURES_IN_A_ROW {
                     bail!(
                         "{why}\nthis was failure {failures} in a row without an episode finished: \
                          giving up. Finished episodes are kept; the same command goes on from here"
                     );
                 }
-                observer.trouble(&format!("{why}; starting again"));
-                attach.generation += 1;
-                thread::sleep(Duration::from_millis(100 << failures));
+                why
             }
+        };
+        if work.is_done() {
+            observer.trouble(&why);
+            break;
         }
+        let how = work.width().map(|width| format!(" with {width} at a time"));
+        observer.trouble(&format!("{why}; starting again{}", how.unwrap_or_default()));
+        attach.generation += 1;
+        thread::sleep(Duration::from_millis(100 << failures));
     }
     Ok(Ending {
-        interrupted: stop.load(Ordering::Relaxed) && !work.queue.is_empty(),
-        halted: work.halted,
-        unfinished: work.unfinished,
+        interrupted: stop.load(Ordering::Relaxed) && !work.is_done(),
+        halted,
+        unfinished: work.into_unfinished(),
         farewells,
     })
-}
-
-/// What is left to walk.
-struct Work {
-    queue: VecDeque<Episode>,
-    /// How often each episode was walked in vain.
-    walks: BTreeMap<EpisodeKey, u32>,
-    unfinished: Vec<(Episode, String)>,
-    finished: u64,
-    /// Why there is no point in going on now.
-    halted: Option<String>,
-}
-
-impl Work {
-    /// Which time of walking `episode` this is, from 1.
-    fn attempt(&self, episode: &Episode) -> u32 {
-        1 + self.walks.get(&episode.key).copied().unwrap_or(0)
-    }
-
-    /// Puts an episode that was not finished first in the queue, unless it was walked `most` times.
-    fn again(&mut self, episode: Episode, most: u32, why: &str) {
-        let walks = self.walks.entry(episode.key.clone()).or_default();
-        *walks += 1;
-        if *walks < most {
-            self.queue.push_front(episode);
-        } else {
-            self.unfinished.push((episode, why.to_owned()));
-        }
-    }
 }
 
 /// One set of processes and what connects them.
@@ -222,6 +220,8 @@ struct Generation {
     inbox: Inbox,
     /// When memory was last known to be at work.
     memory_busy_ns: u64,
+    /// When the policy last answered something that it had been asked.
+    decided_ns: u64,
     bells: BTreeMap<Role, Bell>,
     bus: Bus,
 }
@@ -277,6 +277,7 @@ impl Generation {
             stops,
             inbox,
             memory_busy_ns: 0,
+            decided_ns: 0,
             bells,
             bus,
         };
@@ -350,7 +351,8 @@ impl Generation {
         Ok(Some(facts))
     }
 
-    /// Walks what is queued until all is done or `stop` is set.
+    /// Walks what is queued until all is done or `stop` is set, or a process says that there is no point in
+    /// going on, and why.
     fn work_off(
         &mut self,
         lanes: &mut Lanes<'_>,
@@ -358,18 +360,21 @@ impl Generation {
         crewing: &Crewing,
         stop: &AtomicBool,
         observer: &mut dyn Observer,
-    ) -> Result<(), Failure> {
+    ) -> Result<Option<String>, Failure> {
         let mut looked_after = Instant::now();
         loop {
             self.fill(lanes, work)?;
-            if lanes.busy() == 0 || work.halted.is_some() || stop.load(Ordering::Relaxed) {
-                return Ok(());
+            if lanes.busy() == 0 || stop.load(Ordering::Relaxed) {
+                return Ok(None);
             }
             self.bus.doorbell().wait(TICK)?;
             let steps = self.take_in(lanes, work, observer)?;
             if looked_after.elapsed() >= TICK {
                 looked_after = Instant::now();
-                self.look_after(lanes, work, crewing, observer)?;
+                let halted = self.look_after(lanes, work, crewing, observer)?;
+                if halted.is_some() {
+                    return Ok(halted);
+                }
             }
             observer.progress(steps);
         }
@@ -379,14 +384,15 @@ impl Generation {
     fn fill(&mut self, lanes: &mut Lanes<'_>, work: &mut Work) -> Result<(), Failure> {
         let mut began = false;
         while let Some(lane) = lanes.free()
-            && let Some(episode) = work.queue.pop_front()
+            && let Some(episode) = work.next(lanes.busy())
         {
             let opening = lanes.begin(lane, episode);
             if let Some(briefs) = &self.memory_briefs {
                 again(briefs.send(&opening.memory))?;
             }
             if let Some(briefs) = &self.policy_briefs {
-                again(briefs.send(&opening.policy))?;
+                // It alone does not receive what only it is sent.
+                briefs.send(&opening.policy).map_err(|e| Failure::Policy(e.to_string()))?;
             }
             again(self.commands.send(&opening.command))?;
             began = true;
@@ -416,7 +422,11 @@ impl Generation {
             turns.push(lanes.recalled(trace));
         }
         for decision in &decisions {
-            turns.push(lanes.decided(decision));
+            let turn = lanes.decided(decision);
+            if turn.is_ok() {
+                self.decided_ns = monotonic_ns();
+            }
+            turns.push(turn);
         }
         let mut commands = Vec::new();
         let mut failure = None;
@@ -427,8 +437,8 @@ impl Generation {
                 Ok(Turn::Wait) => {}
                 Ok(Turn::Command(command)) => commands.push(command),
                 Ok(Turn::Finished(walked)) => {
-                    work.finished += 1;
                     let attempt = work.attempt(&walked.episode);
+                    work.finish(&walked.episode);
                     observer.finished(&walked, attempt)?;
                 }
                 Err(fault @ Fault::Disagrees { .. }) => {
@@ -439,7 +449,7 @@ impl Generation {
                     if let Fault::Garbage { lane, .. } = fault
                         && let Some(episode) = lanes.give_up(lane)
                     {
-                        work.again(episode, SPOILT_WALKS, &fault.to_string());
+                        work.spoilt(episode, &fault.to_string());
                     }
                 }
             }
@@ -456,49 +466,77 @@ impl Generation {
         Ok(commands.len() as u64)
     }
 
-    /// Are all alive, and does nobody owe an answer for too long?
+    /// Are all alive, and does nobody owe an answer for too long? Returns why there is no point in going on, if a
+    /// process says so.
     fn look_after(
         &mut self,
         lanes: &mut Lanes<'_>,
         work: &mut Work,
         crewing: &Crewing,
         observer: &mut dyn Observer,
-    ) -> Result<(), Failure> {
-        self.hear_complaints(lanes, work, observer)?;
+    ) -> Result<Option<String>, Failure> {
+        let halted = self.hear_complaints(lanes, work, observer)?;
+        if halted.is_some() {
+            return Ok(halted);
+        }
         if !self.inbox.busy.drain()?.is_empty() {
             self.memory_busy_ns = monotonic_ns();
         }
         if let Some(death) = self.death() {
-            return Err(Failure::Again(death));
+            return Err(death);
         }
         if let Some(hello) = self.inbox.hellos.drain()?.first() {
             let (role, _) = introduction(hello)?;
-            return Err(Failure::Again(unexpected(role)));
+            let why = unexpected(role);
+            return Err(match role {
+                Role::Policy => Failure::Policy(why),
+                _ => Failure::Again(why),
+            });
         }
-        let Some(Owed { role, lane, since_ns, rubbish }) = lanes.slowest(self.memory_busy_ns)
-        else {
-            return Ok(());
-        };
-        let owed = Duration::from_nanos(monotonic_ns().saturating_sub(since_ns));
-        if owed <= crewing.answer_deadline {
-            return Ok(());
-        }
-        let overdue = format!(
-            "the {} process has owed an answer for {} s (--step-timeout)",
-            role.word(),
-            owed.as_secs()
-        );
-        // A policy that did answer, but with something that could not be used, has spoilt this episode only.
-        if role == Role::Policy
-            && rubbish > 0
-            && let Some(episode) = lanes.give_up(lane)
-        {
-            let why = format!("{overdue}, after {rubbish} answers that could not be used");
+        self.call_in(lanes, work, crewing, observer)?;
+        Ok(None)
+    }
+
+    /// Deals with answers that are overdue.
+    fn call_in(
+        &mut self,
+        lanes: &mut Lanes<'_>,
+        work: &mut Work,
+        crewing: &Crewing,
+        observer: &mut dyn Observer,
+    ) -> Result<(), Failure> {
+        let now = monotonic_ns();
+        for Owed { role, lane, since_ns, rubbish } in lanes.owed(self.memory_busy_ns) {
+            let deadline = match role {
+                Role::Policy => crewing.decision_deadline,
+                _ => Some(crewing.answer_deadline),
+            };
+            let owed = Duration::from_nanos(now.saturating_sub(since_ns));
+            if deadline.is_none_or(|deadline| owed <= deadline) {
+                continue;
+            }
+            let overdue = format!(
+                "the {} process has owed an answer for {} s (--step-timeout)",
+                role.word(),
+                owed.as_secs()
+            );
+            if role != Role::Policy {
+                return Err(Failure::Again(format!("{overdue} and is taken to hang")));
+            }
+            // A policy that answered others meanwhile, or this one with something that could not be used, has
+            // spoilt this episode only. What it may still say to it is late.
+            if self.decided_ns <= since_ns && rubbish == 0 {
+                return Err(Failure::Policy(format!("{overdue} and is taken to hang")));
+            }
+            let Some(episode) = lanes.give_up(lane) else { continue };
+            let why = match rubbish {
+                0 => format!("{overdue}, and has answered others meanwhile"),
+                _ => format!("{overdue}, after {rubbish} answers that could not be used"),
+            };
             observer.trouble(&format!("{}: {why}", episode.key));
-            work.again(episode, SPOILT_WALKS, &why);
-            return Ok(());
+            work.spoilt(episode, &why);
         }
-        Err(Failure::Again(format!("{overdue} and is taken to hang")))
+        Ok(())
     }
 
     /// Hears what went wrong in the processes, and draws the consequences.
@@ -507,7 +545,8 @@ impl Generation {
         lanes: &mut Lanes<'_>,
         work: &mut Work,
         observer: &mut dyn Observer,
-    ) -> Result<(), Failure> {
+    ) -> Result<Option<String>, Failure> {
+        let mut halted = None;
         for complaint in self.inbox.complaints.drain()? {
             let who = role(complaint.role).map_or("somebody", Role::word);
             let what =
@@ -520,13 +559,13 @@ impl Generation {
                     // One that is over already is late.
                     let Some(episode) = episode else { continue };
                     observer.trouble(&format!("{}: {what}", episode.key));
-                    work.unfinished.push((episode, what));
+                    work.give_up(episode, what);
                 }
-                Ok(Ok(ComplaintKind::Run)) => work.halted = Some(what),
+                Ok(Ok(ComplaintKind::Run)) => halted = Some(what),
                 _ => observer.trouble(&what),
             }
         }
-        Ok(())
+        Ok(halted)
     }
 
     fn ring(&self, role: Role) -> Result<(), Failure> {
@@ -538,17 +577,19 @@ impl Generation {
 
     /// A process that died is the reason for whatever else went wrong.
     fn explain(&mut self, failure: Failure) -> Failure {
-        let Failure::Again(_) = failure else { return failure };
+        let (Failure::Again(_) | Failure::Policy(_)) = failure else { return failure };
         thread::sleep(TICK);
-        self.death().map_or(failure, Failure::Again)
+        self.death().unwrap_or(failure)
     }
 
     /// Which process is gone, if one is, and how.
-    fn death(&mut self) -> Option<String> {
+    fn death(&mut self) -> Option<Failure> {
         if self.guest.as_ref().is_some_and(Watch::has_ended) {
-            return Some("the policy that had attached is gone".to_owned());
+            return Some(Failure::Policy("the policy that had attached is gone".to_owned()));
         }
-        Some(self.crew.death()?.to_string())
+        let death = self.crew.death()?;
+        let why = death.to_string();
+        Some(if death.role == Role::Policy { Failure::Policy(why) } else { Failure::Again(why) })
     }
 
     /// Asks the processes to finish and hears what they did with frames.

@@ -298,7 +298,7 @@ fn answers_out_of_turn_are_faults_and_change_nothing() {
     assert!(matches!(lanes.observed(&observation), Err(Fault::NotAsked { role: Role::Sim, .. })));
     let ahead = Decision { step: 1, ..answer };
     assert!(matches!(lanes.decided(&ahead), Err(Fault::NotAsked { step: 1, .. })));
-    assert_eq!(lanes.slowest(0).map(|owed| (owed.lane, owed.role)), Some((1, Role::Sim)));
+    assert_eq!(lanes.owed(0).last().map(|owed| (owed.lane, owed.role)), Some((1, Role::Sim)));
     lanes.recalled(&trace(&observation)).unwrap();
     assert!(matches!(lanes.recalled(&trace(&observation)), Err(Fault::NotAsked { .. })));
     let ahead = Decision { step: 1, ..answer };
@@ -315,12 +315,10 @@ fn memory_that_is_known_to_be_at_work_owes_nothing_from_before() {
     let (warehouse, cases) = world();
     let (mut lanes, _, observation) = two_lanes(&warehouse, &cases);
     lanes.observed(&observation).unwrap();
-    let busy_ns = lanes.slowest(0).unwrap().since_ns + 1_000_000_000_000;
-    let still = lanes.slowest(busy_ns).unwrap();
-    assert_eq!((still.role, still.since_ns < busy_ns), (Role::Sim, true));
-    lanes.give_up(1);
-    let owed = lanes.slowest(busy_ns).unwrap();
-    assert_eq!((owed.role, owed.lane, owed.since_ns), (Role::Memory, 0, busy_ns));
+    let busy_ns = lanes.owed(0)[0].since_ns + 1_000_000_000_000;
+    let [memory, sim] = lanes.owed(busy_ns)[..] else { panic!("both lanes wait") };
+    assert_eq!((memory.role, memory.lane, memory.since_ns), (Role::Memory, 0, busy_ns));
+    assert_eq!((sim.role, sim.since_ns < busy_ns), (Role::Sim, true));
 }
 
 #[test]

@@ -230,6 +230,7 @@ fn run(spoil: fn(Decision) -> Decision) -> (Seen, Ending) {
         logs: base.path().join("logs"),
         start_deadline: Duration::from_secs(60),
         answer_deadline: Duration::from_secs(2),
+        decision_deadline: Some(Duration::from_secs(2)),
     };
     let mut seen = Seen::default();
     let over = AtomicBool::new(false);

@@ -163,18 +163,6 @@ pub fn kill(pid: u32) {
     }
 }
 
-/// Waiting for a process that was killed.
-pub trait Reaped {
-    /// Waits until it has ended.
-    fn reap(&mut self);
-}
-
-impl Reaped for Child {
-    fn reap(&mut self) {
-        self.wait().expect("it was killed");
-    }
-}
-
 /// The processes that attached to a run below `registry`, by an argument or a variable that names it.
 pub fn processes_of(registry: &Path) -> BTreeSet<u32> {
     let path = registry.as_os_str().as_encoded_bytes();

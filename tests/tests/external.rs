@@ -1,18 +1,19 @@
 //! A policy in a process of somebody else's: started by a command, or attached from outside.
 
+#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
+
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 
 use memtransfer_tests::{
-    Bench, Ended, Reaped, episodes, eventually, kill, process_of, processes_with, program,
-    sorted_log,
+    Bench, Ended, episodes, eventually, kill, process_of, processes_with, program, sorted_log,
 };
 
 /// `memtransfer run` over twelve episodes that take a moment, whoever decides.
 fn slice<'a>(out: &'a str, lanes: &'a str, policy: &[&'a str]) -> Vec<&'a str> {
     let mut args = vec!["run", "--suite", "quick", "--cases", "t01-01,t03-02,t09-05"];
-    args.extend(["--memory", "working,episodic", "--lanes", lanes, "--out", out]);
+    args.extend(["--memory", "working,full-context", "--lanes", lanes, "--out", out]);
     args.extend(policy);
     args
 }
@@ -65,7 +66,8 @@ fn a_command_that_is_no_policy_is_told_what_is_wrong() {
     };
     refused("python 'half", &["--policy-cmd is \"python 'half\", but must be a program"]);
     refused("./no-such-policy --x", &["cannot start the policy command `./no-such-policy --x`"]);
-    refused("/etc/hostname", &["is not executable", "chmod +x"]);
+    std::fs::write(bench.out("script"), "print('hello')").unwrap();
+    refused("./script", &["is not executable", "chmod +x"]);
     refused(
         "sh -c 'echo I cannot find my model >&2; exit 3'",
         &["ended with exit status 3", "I cannot find my model", "memtransfer conformance"],
@@ -116,7 +118,7 @@ fn a_policy_that_attaches_is_waited_for_and_may_come_again() {
     // The others are started anew, and the policy joins them by itself.
     kill(process_of(bench.registry.path(), "sim"));
     Ended::of(child).expect(0);
-    first.reap();
+    first.wait().unwrap();
     Ended::of(third).expect(0);
     assert_eq!(sorted_log(&bench.out("attached")), reference);
     assert_eq!(bench.leftovers(), Vec::<String>::new());
@@ -133,9 +135,48 @@ fn a_policy_that_attached_ends_when_the_orchestrator_is_gone() {
     let policy = attach(&run);
     mid_run(&bench.out("gone"));
     kill(child.id());
-    child.reap();
+    child.wait().unwrap();
     let policy = Ended::of(policy).expect(2);
     assert!(policy.stderr.contains("ended without saying so"), "{}", policy.stderr);
     bench.run(&["clean"]).expect(0);
+    assert_eq!(bench.leftovers(), Vec::<String>::new());
+}
+
+/// The instruction of a case.
+fn instruction(case: &str) -> String {
+    let (warehouse, cases) = (warehouse::Warehouse::shipped(), warehouse::CaseSet::shipped());
+    let case = cases.cases.iter().find(|other| other.id == case).unwrap();
+    case.task.instruction(&warehouse.catalogue)
+}
+
+/// Walks six short episodes, and returns the keys of those that were not finished.
+fn walk_with_a_victim(bench: &Bench, fault: &str, out: &str) -> (Ended, Vec<String>) {
+    let cases = "t01-01,t02-02,t03-02,t05-03,t07-04,t09-05";
+    let command = format!(
+        "{} {fault} '{}'",
+        program("misbehaving-policy").display(),
+        instruction("t03-02").replace('\'', r"'\''")
+    );
+    let mut args = vec!["run", "--suite", "quick", "--cases", cases, "--memory", "working"];
+    args.extend(["--starts", "original", "--max-steps", "20", "--step-timeout", "2"]);
+    args.extend(["--lanes", "6", "--out", out, "--policy-cmd", &command]);
+    let ended = bench.run(&args);
+    let errors = std::fs::read_to_string(bench.out(out).join("errors.jsonl")).unwrap_or_default();
+    (ended, errors.lines().map(str::to_owned).collect())
+}
+
+#[test]
+fn a_policy_that_cannot_stand_one_episode_loses_that_one_only() {
+    let bench = Bench::new();
+    for (fault, said) in
+        [("crash-on", "I cannot stand this one"), ("silent-on", "owed an answer for 2 s")]
+    {
+        let (ended, errors) = walk_with_a_victim(&bench, fault, fault);
+        let ended = ended.expect(1);
+        let [error] = &errors[..] else { panic!("{fault}: {errors:?}\n{}", ended.stderr) };
+        assert!(error.contains("t03-02") && error.contains(said), "{error}");
+        let finished = sorted_log(&bench.out(fault));
+        assert_eq!(finished.len(), 5, "{fault}: {}", ended.stderr);
+    }
     assert_eq!(bench.leftovers(), Vec::<String>::new());
 }

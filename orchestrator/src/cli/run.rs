@@ -274,12 +274,15 @@ fn walk(
     }
     let run = RunDir::create(&base)?;
     let attach = attach(settings, world, &missing, &run)?;
+    let deadline = Duration::from_secs(settings.step_timeout.into());
     let crewing = Crewing {
         launches: launches(settings)?,
         guest: settings.policy == PolicyKind::External && settings.policy_cmd.is_none(),
         logs: folder.dir().join("logs"),
         start_deadline: Duration::from_secs(settings.start_timeout.into()),
-        answer_deadline: Duration::from_secs(settings.step_timeout.into()),
+        answer_deadline: deadline,
+        // The client of a model has deadlines of its own, and always answers.
+        decision_deadline: (settings.policy != PolicyKind::Openai).then_some(deadline),
     };
     let rules = Rules {
         horizon: u8::try_from(settings.horizon).context("--horizon")?,

@@ -10,8 +10,9 @@ use std::path::{Path, PathBuf};
 use std::thread;
 use std::time::{Duration, Instant};
 
+use shm_types::message::Role;
 use shm_types::process::{Watch, die_with_parent, is_parent};
-use shm_types::{ATTACH_VARIABLE, Attach, AttachError, BusError, FactsTooLong};
+use shm_types::{ATTACH_VARIABLE, Attach, AttachError, Bus, BusError, FactsTooLong};
 
 use super::Decider;
 use super::serve::{End, serve_generation};
@@ -106,7 +107,8 @@ pub fn serve(policy: &mut (impl Decider + ?Sized), attach_dir: &Path) -> Result<
     })?;
     let run = Run::new(&attach)?;
     loop {
-        match serve_generation(policy, &attach, &run) {
+        let bus = Bus::join(attach.clone(), Role::Policy)?;
+        match serve_generation(policy, &bus, &run) {
             Ok(End::Stopped) => return Ok(()),
             Ok(End::Over(next)) => attach = next,
             // The generation has come apart: its services are gone. What follows is the run's to say.

@@ -1,6 +1,7 @@
 //! The serve loop of one generation: drain, join, decide, answer, ring once.
 
 use std::sync::{Arc, mpsc};
+use std::thread;
 use std::time::{Duration, Instant};
 
 use bytemuck::Zeroable;
@@ -24,6 +25,9 @@ use crate::{Decision, Request, Ticket};
 /// How long the loop sleeps when nobody rings, and how often it looks whether the run goes on.
 const LONGEST_SLEEP: Duration = Duration::from_millis(250);
 
+/// How often the orchestrator is looked for before it is there.
+const LOOK: Duration = Duration::from_millis(10);
+
 /// How a generation ended for this process.
 pub(super) enum End {
     /// It was told to stop.
@@ -32,29 +36,36 @@ pub(super) enum End {
     Over(Attach),
 }
 
-/// Lets `policy` decide in one generation of `run`.
+/// Lets `policy` decide in the generation of `run` that `bus` has joined.
 pub(super) fn serve_generation(
     policy: &mut (impl Decider + ?Sized),
-    attach: &Attach,
+    bus: &Bus,
     run: &Run,
 ) -> Result<End, ServeError> {
-    let bus = Bus::join(attach.clone(), Role::Policy)?;
     // Receivers first: nobody sends before every process has said hello.
-    let mut server = Server::new(&bus)?;
+    let mut server = Server::new(bus)?;
     let facts = std::iter::once(("policy", policy.name().to_owned())).chain(policy.facts());
-    bus.sender()?.send(&Hello::new(Role::Policy, facts)?)?;
+    let (hello, hellos) = (Hello::new(Role::Policy, facts)?, bus.sender()?);
+    // The orchestrator may be late, or on its way to the next generation already.
+    while !hellos.is_complete() {
+        if let Some(next) = run.next(bus.attach())? {
+            return Ok(End::Over(next));
+        }
+        thread::sleep(LOOK);
+    }
+    hellos.send(&hello)?;
     server.orchestrator.ring()?;
     let mut looked = Instant::now();
     while !server.turn(policy)? {
         bus.doorbell().wait(LONGEST_SLEEP)?;
         if looked.elapsed() >= LONGEST_SLEEP {
-            if let Some(next) = run.next(attach)? {
+            if let Some(next) = run.next(bus.attach())? {
                 return Ok(End::Over(next));
             }
             looked = Instant::now();
         }
     }
-    server.farewell(&bus)?;
+    server.farewell(bus)?;
     Ok(End::Stopped)
 }
 

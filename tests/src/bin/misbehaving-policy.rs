@@ -1,0 +1,168 @@
+//! A policy that does one thing wrong, for tests: its argument says which.
+//!
+//! `crash-on TEXT` and `silent-on TEXT` are well-behaved but for the episodes whose instruction is TEXT. The others
+//! are on the bus by themselves, without the policy SDK, which would not let them.
+
+#![expect(clippy::unwrap_used, reason = "a policy for tests may end by panicking")]
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::PathBuf;
+use std::time::Duration;
+
+use bytemuck::Zeroable;
+use policy_proc::{Answers, Decider, Request, ServeError, serve_from_environment};
+use shm_types::message::{Decision, Farewell, Hello, Observation, PolicyBrief, Recall, Role, Stop};
+use shm_types::process::Watch;
+use shm_types::{ATTACH_VARIABLE, Action, Attach, Bus, FrameStore};
+
+fn main() {
+    let mut arguments = std::env::args().skip(1);
+    let mode = arguments.next().unwrap();
+    match (mode.as_str(), arguments.next()) {
+        ("crash-on" | "silent-on", Some(victim)) => {
+            let outcome =
+                serve_from_environment(&mut Picky { crashes: mode == "crash-on", victim });
+            if let Err(error) = outcome {
+                eprintln!("misbehaving-policy: {error}");
+                std::process::exit(2);
+            }
+        }
+        (mode, _) => raw(mode),
+    }
+}
+
+/// Turns left, but for the victim.
+struct Picky {
+    crashes: bool,
+    victim: String,
+}
+
+impl Decider for Picky {
+    fn name(&self) -> &str {
+        "picky"
+    }
+
+    fn take(&mut self, batch: &[Request<'_>], answers: &Answers) -> Result<(), ServeError> {
+        for request in batch {
+            if request.instruction != self.victim {
+                let decision = policy_proc::Decision::act(request, Action::TurnLeft);
+                answers.decide(request.ticket(), decision);
+            } else if self.crashes && request.step == 3 {
+                eprintln!("I cannot stand this one");
+                std::process::abort();
+            } else if self.crashes {
+                let decision = policy_proc::Decision::act(request, Action::TurnLeft);
+                answers.decide(request.ticket(), decision);
+            }
+        }
+        Ok(())
+    }
+}
+
+/// What has come for a lane.
+#[derive(Default)]
+struct Lane {
+    episode: u64,
+    observed: Option<u32>,
+    recalled: Option<u32>,
+}
+
+/// On the bus without the SDK, turning left.
+fn raw(mode: &str) {
+    let folder = PathBuf::from(std::env::var_os(ATTACH_VARIABLE).unwrap());
+    let attach = if mode == "ignores-the-wire-version" {
+        let text = fs::read_to_string(folder.join("attach.json")).unwrap();
+        let attach: Attach = serde_json::from_str(&text).unwrap();
+        Attach { wire_version: shm_types::message::WIRE_VERSION, root: folder, ..attach }
+    } else {
+        Attach::read(&folder).unwrap()
+    };
+    let watch = Watch::over(attach.orchestrator_pid).unwrap();
+    let bus = Bus::join(attach, Role::Policy).unwrap();
+    let briefs = bus.receiver::<PolicyBrief>().unwrap();
+    let observations = bus.receiver::<Observation>().unwrap();
+    let recalls = bus.receiver::<Recall>().unwrap();
+    let stops = bus.receiver::<Stop>().unwrap();
+    let mut frames = FrameStore::new(&bus).unwrap();
+    let _documents = shm_types::DocumentStore::new(&bus).unwrap();
+    let decisions = bus.sender::<Decision>().unwrap();
+    let orchestrator = bus.bell(Role::Orchestrator).unwrap();
+    if mode != "no-hello" {
+        let hello = Hello::new(Role::Policy, [("policy", mode.to_owned())]).unwrap();
+        let hello = Hello { wire_version: hello.wire_version + u32::from(mode == "old"), ..hello };
+        bus.sender().unwrap().send(&hello).unwrap();
+        orchestrator.ring().unwrap();
+    }
+    let mut lanes: BTreeMap<u32, Lane> = BTreeMap::new();
+    let mut answered = 0;
+    loop {
+        let (recalls, observations) = (recalls.drain().unwrap(), observations.drain().unwrap());
+        for PolicyBrief { lane, episode, .. } in briefs.drain().unwrap() {
+            lanes.insert(lane, Lane { episode, ..Lane::default() });
+        }
+        let mut due = Vec::new();
+        for Observation { lane, episode, step, last, frame, .. } in observations {
+            let entry = lanes.entry(lane).or_default();
+            if last == 1 && mode != "decides-the-end" {
+                lanes.remove(&lane);
+            } else if mode == "takes-the-late" || entry.episode == episode {
+                let _ = frames.get(frame);
+                entry.observed = Some(step);
+                due.push((lane, episode, step));
+            }
+        }
+        for Recall { lane, episode, step, .. } in recalls {
+            let entry = lanes.entry(lane).or_default();
+            if mode == "takes-the-late" || entry.episode == episode {
+                entry.recalled = Some(step);
+                due.push((lane, episode, step));
+            }
+        }
+        due.dedup();
+        for (lane, episode, step) in due {
+            let Some(entry) = lanes.get_mut(&lane) else { continue };
+            let is_complete = entry.observed == Some(step) && entry.recalled == Some(step);
+            let is_due = is_complete || mode == "decides-early" || mode == "decides-the-end";
+            if !is_due {
+                continue;
+            }
+            (entry.observed, entry.recalled) = (None, None);
+            answered += 1;
+            let action = if mode == "draws" { answered % 7 } else { Action::TurnLeft as u32 } as u8;
+            let usual = Decision { episode, lane, step, action, ..Zeroable::zeroed() };
+            let said = match mode {
+                "silent" | "no-hello" => vec![],
+                "wrong-lane" => vec![Decision { lane: lane + 1, ..usual }],
+                "no-such-lane" => vec![Decision { lane: 4242, ..usual }],
+                "wrong-step" => vec![Decision { step: step + 1, ..usual }],
+                "garbage" => vec![Decision { outcome: 77, ..usual }],
+                "twice" => vec![usual; 2],
+                "flood" => vec![usual; 5000],
+                "crash" if answered == 20 => {
+                    eprintln!("I am no good at this");
+                    std::process::abort();
+                }
+                _ => vec![usual],
+            };
+            // A full queue is nobody else's business.
+            said.iter().for_each(|decision| drop(decisions.send(decision)));
+            orchestrator.ring().unwrap();
+        }
+        if mode != "keeps-frames" {
+            let _ = frames.apply_evictions();
+        }
+        if stops.next().unwrap().is_some() && mode != "ignores-stop" {
+            if mode != "no-farewell" {
+                let farewell = Farewell { role: Role::Policy as u32, ..Zeroable::zeroed() };
+                bus.sender().unwrap().send(&farewell).unwrap();
+                orchestrator.ring().unwrap();
+            }
+            return;
+        }
+        if watch.has_ended() && mode != "outlives" {
+            return;
+        }
+        bus.doorbell().wait(Duration::from_millis(200)).unwrap();
+    }
+}
