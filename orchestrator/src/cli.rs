@@ -5,6 +5,7 @@
 
 mod cache;
 mod clean;
+mod conformance;
 mod doctor;
 mod documents;
 mod generate;
@@ -66,6 +67,8 @@ enum Verb {
     Score(score::ScoreArgs),
     /// Write a run's pages: the paper's tables, figures and data files, from its log alone
     Report(report::ReportArgs),
+    /// Play hard situations to a policy of your own, and say what it does wrong
+    Conformance(conformance::ConformanceArgs),
     /// Remove what killed runs left in shared memory and temporary folders
     Clean(clean::CleanArgs),
     /// List or remove the replies of models that are kept on disk
@@ -130,6 +133,7 @@ pub fn main() -> ExitCode {
         Verb::Memory(args) => memory::run(args),
         Verb::Score(args) => score::run(&args),
         Verb::Report(args) => report::run(&args),
+        Verb::Conformance(args) => conformance::run(&args),
         Verb::Clean(args) => clean::run(&args),
         Verb::Cache(args) => cache::run(&args),
         Verb::Generate(args) => generate::run(&args),

@@ -4,7 +4,7 @@
 //!   [`world`] (warehouse and cases), [`plan`] (the episodes that follow).
 //! - What is done: [`lanes`] (episodes step by step, pure; [`witness`] notes what failures are sorted by),
 //!   [`pipeline`] (through four processes), [`supervise`] (the processes themselves).
-//! - What is made before: [`documents`].
+//! - What is made before: [`documents`]. What tests somebody else's policy: [`conformance`].
 //! - How much of shared memory it takes: [`frame_budget`].
 //! - What shows meanwhile: [`session`], [`progress`]; [`signals`] stop it.
 //! - What is kept: [`log`] (the run folder). From it alone are made: [`score`], [`compare`], [`table`] (a
@@ -14,6 +14,7 @@
 pub mod cli;
 pub mod compare;
 pub mod conditions;
+pub mod conformance;
 pub mod documents;
 pub mod frame_budget;
 pub mod lanes;

@@ -16,6 +16,7 @@ use std::process::{Child, Command, ExitStatus, Stdio};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result};
+use rustix::io::Errno;
 use rustix::process::{Pid, Signal, WaitId, WaitIdOptions, kill_process_group, waitid};
 use shm_types::ATTACH_VARIABLE;
 use shm_types::message::Role;
@@ -91,6 +92,9 @@ impl Launch {
             ),
             io::ErrorKind::PermissionDenied => format!(
                 "`{program}` is not executable: start it with its interpreter, or `chmod +x` it"
+            ),
+            _ if error.raw_os_error() == Some(Errno::NOEXEC.raw_os_error()) => format!(
+                "`{program}` is neither a program nor a script that names its interpreter in its first line"
             ),
             _ => format!("`{program}` does not start"),
         };

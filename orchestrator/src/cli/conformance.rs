@@ -1,0 +1,110 @@
+//! `memtransfer conformance`: what a policy of one's own does wrong.
+
+use std::time::Duration;
+
+use anyhow::{Context, Result};
+use clap::Args;
+use serde::Serialize;
+
+use super::{Exit, print, print_json};
+use crate::conformance::{Conformance, Finding, Verdict};
+use crate::signals::Signals;
+
+#[derive(Debug, Args)]
+#[command(after_help = "\
+The command is started as `memtransfer run --policy-cmd` starts it: with the folder of a run in
+MEMTRANSFER_ATTACH. Nothing is simulated; what the policy decides is not judged.
+
+Exit status: 0 nothing is wrong, 1 something is, 2 the command cannot be started.
+
+Examples:
+  memtransfer conformance --policy-cmd 'python my_policy.py'
+  memtransfer conformance --policy-cmd ./target/release/my-policy --strict --json")]
+pub(super) struct ConformanceArgs {
+    /// The command that starts your policy
+    #[arg(long, value_name = "COMMAND", env = "MEMTRANSFER_POLICY_CMD")]
+    policy_cmd: String,
+
+    /// Seconds that an answer may take, or the policy's end (10 at most)
+    #[arg(long, value_name = "SECONDS", default_value_t = 30, value_parser = clap::value_parser!(u32).range(1..))]
+    step_timeout: u32,
+
+    /// Seconds that the policy may take until it is ready
+    #[arg(long, value_name = "SECONDS", default_value_t = 300, value_parser = clap::value_parser!(u32).range(1..))]
+    start_timeout: u32,
+
+    /// Let warnings count as failures
+    #[arg(long)]
+    strict: bool,
+
+    /// Print JSON
+    #[arg(long)]
+    json: bool,
+}
+
+/// What `--json` prints.
+#[derive(Serialize)]
+struct Report<'a> {
+    policy_cmd: &'a str,
+    conforms: bool,
+    checks: &'a [Finding],
+}
+
+pub(super) fn run(args: &ConformanceArgs) -> Result<Exit> {
+    let signals = Signals::listen().context("cannot listen to signals")?;
+    let conformance = Conformance {
+        command: args.policy_cmd.clone(),
+        patience: Duration::from_secs(args.step_timeout.into()),
+        start_patience: Duration::from_secs(args.start_timeout.into()),
+        strict: args.strict,
+    };
+    let mut printed = Ok(());
+    let findings = conformance.check(signals.stop(), &mut |finding| {
+        if !args.json && printed.is_ok() {
+            printed = print(&line(finding));
+        }
+    });
+    if let Some(signal) = signals.received() {
+        return Ok(Exit::Signal(signal));
+    }
+    let findings = findings?;
+    printed?;
+    let count = |verdict| findings.iter().filter(|finding| finding.verdict == verdict).count();
+    let conforms = count(Verdict::Failed) == 0;
+    if args.json {
+        print_json(&Report { policy_cmd: &args.policy_cmd, conforms, checks: &findings })?;
+    } else {
+        let counts = [
+            (Verdict::Passed, "passed"),
+            (Verdict::Warning, "passed with a warning"),
+            (Verdict::Failed, "failed"),
+            (Verdict::Skipped, "not played"),
+        ];
+        let counts = counts.map(|(verdict, word)| (count(verdict), word));
+        let counts: Vec<String> = counts
+            .into_iter()
+            .filter(|(count, _)| *count > 0)
+            .map(|(count, word)| format!("{count} {word}"))
+            .collect();
+        print(&format!("\n{} checks: {}", findings.len(), counts.join(", ")))?;
+    }
+    Ok(if conforms { Exit::Complete } else { Exit::Failed })
+}
+
+/// A finding in a line, or in a paragraph where something is to be done.
+fn line(finding: &Finding) -> String {
+    let Finding { name, verdict, expected, happened, advice } = finding;
+    let (word, explains) = match verdict {
+        Verdict::Passed => ("ok  ", false),
+        Verdict::Warning => ("WARN", true),
+        Verdict::Failed => ("FAIL", true),
+        Verdict::Skipped => ("-   ", false),
+    };
+    if explains {
+        let happened = happened.replace('\n', "\n               ");
+        return format!(
+            "{word} {name}\n     expected  {expected}\n     happened  {happened}\n     to do     {advice}"
+        );
+    }
+    format!("{word} {name:<36} {happened}").trim_end().to_owned()
+}
