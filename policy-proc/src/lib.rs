@@ -23,3 +23,6 @@ pub use request::{
     Trajectory, TrajectoryView, Usage,
 };
 pub use sdk::{Answers, Decider, Policy, ServeError, serve, serve_from_environment};
+// The words that requests and decisions are made of: a policy needs no other crate.
+pub use shm_types::message::DocumentKind;
+pub use shm_types::{Action, Cell, Feedback, Heading, Pose};

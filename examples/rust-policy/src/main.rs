@@ -1,0 +1,61 @@
+//! A policy of your own in Rust. Build it, and let MemTransfer start it:
+//!
+//! ```sh
+//! cargo build --release
+//! memtransfer run --policy-cmd examples/rust-policy/target/release/rust-policy
+//! ```
+
+use policy_proc::{Action, Decision, Feedback, FrameView, Policy, Request, serve_from_environment};
+
+/// Does what memory shows, and otherwise walks towards the light.
+struct Wanderer;
+
+impl Policy for Wanderer {
+    fn name(&self) -> &str {
+        "wanderer"
+    }
+
+    // All requests that wait at this moment, each of another episode: a policy that asks a model can ask for
+    // all of them at once. One decision for each, in the same order.
+    fn act(&mut self, batch: &[Request<'_>]) -> Vec<Decision> {
+        batch.iter().map(|request| Decision::act(request, decide(request))).collect()
+    }
+}
+
+// From the request alone: the same request gets the same action, so that a run can be repeated.
+fn decide(request: &Request<'_>) -> Action {
+    // Episodic memory: the demonstrated view that is most like the current one, and what the expert did there.
+    let demonstrated = request.segment.and_then(|segment| segment.steps.first()?.action);
+    if let Some(action) = demonstrated {
+        return action;
+    }
+    // What the world said to the last action.
+    if request.feedback == Feedback::Blocked {
+        return Action::TurnLeft;
+    }
+    // What the agent sees: 8-bit RGB, rows from top to bottom.
+    let width = request.frame.width;
+    let [left, ahead, right] = [0, 1, 2].map(|third| brightness(request.frame, third * width / 3));
+    if ahead >= left.max(right) {
+        Action::Forward
+    } else if left > right {
+        Action::TurnLeft
+    } else {
+        Action::TurnRight
+    }
+}
+
+/// How bright the third of the view is that begins at column `from`. Every eighth pixel is enough.
+fn brightness(view: FrameView<'_>, from: u32) -> u32 {
+    let columns = (from..from + view.width / 3).step_by(8);
+    let pixels = columns.flat_map(|x| (0..view.height).step_by(8).map(move |y| view.rgb(x, y)));
+    pixels.flatten().map(u32::from).sum()
+}
+
+fn main() {
+    // Joins the run in $MEMTRANSFER_ATTACH and decides in it until it is over.
+    if let Err(error) = serve_from_environment(&mut Wanderer) {
+        eprintln!("rust-policy: {error}");
+        std::process::exit(2);
+    }
+}
