@@ -464,10 +464,10 @@ impl<'a> Stage<'a> {
                 ));
             }
             None => {
-                let asked =
-                    self.questions.iter().filter(|(t, _)| t.lane == lane && t.episode == episode);
-                let asked =
-                    asked.last().map(|(ticket, _)| format!("step {} was asked for", ticket.step));
+                let mut asked =
+                    self.questions.keys().filter(|t| t.lane == lane && t.episode == episode);
+                let asked = asked.next_back();
+                let asked = asked.map(|ticket| format!("step {} was asked for", ticket.step));
                 return wrong(format_args!(
                     "a decision for step {step} of lane {lane} under ticket {episode}, which nobody asked for: {}",
                     asked.unwrap_or_else(|| "no episode of that lane has the ticket".to_owned())

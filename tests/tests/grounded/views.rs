@@ -35,7 +35,13 @@ impl Picture {
     }
 
     pub(crate) fn frame(&self) -> FrameView<'_> {
-        FrameView { id: self.id, width: self.width, height: self.height, pixels: &self.pixels }
+        FrameView {
+            id: self.id,
+            content_hash: u128::from(self.id).to_le_bytes(),
+            width: self.width,
+            height: self.height,
+            pixels: &self.pixels,
+        }
     }
 
     /// How much two pictures differ: 0 for equal ones.

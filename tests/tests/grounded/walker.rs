@@ -121,6 +121,8 @@ impl Walker {
             let request = Request {
                 lane: 0,
                 step: taken,
+                episode: 1,
+                repeat: 1,
                 episode_seed: 20_260_101,
                 instruction: &instruction,
                 pose,
