@@ -122,9 +122,9 @@ fn the_example_in_rust_conforms_and_decides_in_a_run() {
     let policy = program("rust-policy");
     check_conforms(&bench, policy.to_str().unwrap());
 
-    let mut args =
-        vec!["run", "--suite", "quick", "--cases", "t01-01,t09-05", "--starts", "original"];
-    args.extend(["--max-steps", "30", "--out", "own", "--policy-cmd", policy.to_str().unwrap()]);
+    let mut args = vec!["run", "--cases", "t01-01,t09-05", "--starts", "original"];
+    args.extend(["--memory", "working,full-context", "--max-steps", "30", "--out", "own"]);
+    args.extend(["--policy-cmd", policy.to_str().unwrap()]);
     let ended = bench.run(&args).expect(0);
     assert!(ended.stdout.contains("Policy: a program of its own"), "{}", ended.stdout);
     assert_eq!(bench.leftovers(), Vec::<String>::new());
