@@ -8,7 +8,7 @@ use memtransfer_tests::{
 };
 
 fn package() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("../python").canonicalize().unwrap()
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../python").canonicalize().expect("the package")
 }
 
 /// Runs the tests' Python in the package's folder.
@@ -23,7 +23,7 @@ fn python(args: &[&str], variables: &[(&str, &str)]) -> Ended {
         .stdin(Stdio::null())
         .stdout(Stdio::piped())
         .stderr(Stdio::piped());
-    Ended::of(command.spawn().unwrap())
+    Ended::of(command.spawn().expect("it starts"))
 }
 
 #[test]
@@ -72,7 +72,7 @@ fn slice(bench: &Bench, out: &str, policy: &str, more: &[&str]) -> Command {
 }
 
 fn walk(mut command: Command) -> Ended {
-    Ended::of(command.spawn().unwrap()).expect(0)
+    Ended::of(command.spawn().expect("it starts")).expect(0)
 }
 
 #[test]

@@ -1,0 +1,71 @@
+"""Asks a vision-language model behind an OpenAI-compatible endpoint, with the harness's own prompt.
+
+    export OPENAI_BASE_URL=http://localhost:8000/v1 OPENAI_API_KEY=...
+    memtransfer run --policy-cmd "python endpoint_policy.py MODEL"
+
+It is the harness's `openai` policy in small, to start one's own from: another prompt, another model, a chain
+of calls. `--image-budget 0` is for models that take text alone. Needs `pip install openai`.
+"""
+
+import argparse
+import time
+from concurrent.futures import ThreadPoolExecutor
+
+from openai import OpenAI, OpenAIError
+
+from memtransfer import Action, Decision, Failed, Policy, Usage, run
+from memtransfer.prompt import IMAGE_BUDGET, SETTINGS, VERSION, read_answer, render
+
+
+class Endpoint(Policy):
+    name = "endpoint-python"
+
+    def __init__(self, model, image_budget):
+        self.model = model
+        self.image_budget = image_budget
+        # Reads OPENAI_BASE_URL and OPENAI_API_KEY, waits after 429 and tries again.
+        self.client = OpenAI(timeout=60, max_retries=4)
+        self.threads = ThreadPoolExecutor(max_workers=64)
+
+    def facts(self):
+        return {"model": self.model, "prompt": VERSION}
+
+    def act(self, batch):
+        # The requests of all lanes are in flight together.
+        return list(self.threads.map(self.ask, batch))
+
+    def ask(self, request):
+        prompt = render(request, self.image_budget)
+        messages = prompt.messages()
+        sent_ns = time.monotonic_ns()
+        try:
+            reply = self.client.chat.completions.create(
+                model=self.model, messages=messages, **SETTINGS
+            )
+        except OpenAIError as error:
+            # Not the model's mistake: the episode is not scored, and the same command walks it again.
+            return Failed(f"{type(error).__name__}: {error}")
+        used = reply.usage
+        usage = Usage(
+            prompt_tokens=used.prompt_tokens if used else None,
+            completion_tokens=used.completion_tokens if used else None,
+            sent_ns=sent_ns,
+        )
+        choice = reply.choices[0]
+        cut_off = choice.finish_reason == "length"
+        answer = read_answer(choice.message.content or "", cut_off)
+        if isinstance(answer, Action):
+            return Decision(answer, images=prompt.images_sent, usage=usage)
+        return Decision(None, answer, images=prompt.images_sent, usage=usage)
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("model", help="the name that the server knows it by")
+    parser.add_argument("--image-budget", type=int, default=IMAGE_BUDGET, metavar="N")
+    arguments = parser.parse_args()
+    run(Endpoint(arguments.model, arguments.image_budget))
+
+
+if __name__ == "__main__":
+    main()
