@@ -4,8 +4,9 @@
 //! are bounded by their bytes; the one that was not asked for the longest goes first. A view that comes back
 //! after that is encoded anew, to the same bytes.
 //!
-//! Encoding a view of 448 x 448 takes some milliseconds (docs/prompt.md), so the views of a batch that are new
-//! are encoded side by side on all cores while the serve loop waits: their pixels are only lent.
+//! Encoding a view of 448 x 448 takes some milliseconds (`how_long_a_view_takes` below prints how many), so the
+//! views of a batch that are new are encoded side by side on all cores while the serve loop waits: their pixels
+//! are only lent.
 
 use std::collections::{BTreeMap, HashMap, HashSet};
 use std::fmt;
@@ -267,7 +268,7 @@ mod tests {
         assert!(images.kept.is_empty());
     }
 
-    /// Prints what docs/prompt.md says about the cost of encoding; run it by hand.
+    /// Prints what encoding costs; run it by hand, on an idle machine.
     #[test]
     #[ignore = "prints figures"]
     fn how_long_a_view_takes() {
