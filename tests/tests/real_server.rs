@@ -7,8 +7,8 @@
 use std::fs;
 use std::path::Path;
 
-use memtransfer_tests::Bench;
 use memtransfer_tests::llama::{LlamaServer, MODEL};
+use memtransfer_tests::{Bench, records, sorted_log};
 use serde_json::Value;
 use warehouse::{CaseSet, History, Start, Warehouse};
 
@@ -117,4 +117,60 @@ fn doctor_finds_out_what_a_real_server_can_do() {
     assert_eq!(report["reported_model"], MODEL);
     assert_eq!(report["fingerprint"]["server"], "llama.cpp");
     assert_eq!(report["fingerprint"]["model"]["meta"]["n_params"], 134_515_008);
+}
+
+/// A slice of a suite, into the folder `out`: two cases, with and without a summary, three steps each. No
+/// images: the model takes none.
+fn slice<'a>(base_url: &'a str, out: &'a str) -> Vec<&'a str> {
+    let mut args = vec!["run", "--policy", "openai", "--model", MODEL, "--base-url", base_url];
+    args.extend(["--image-budget", "0", "--response-cache", "./responses"]);
+    args.extend(["--memory", "working,summary", "--starts", "new", "--demos", "original"]);
+    args.extend(["--documents", "./documents", "--assets", "assets", "--frame-size", FRAME_SIZE]);
+    args.extend(["--max-steps", "3", "--lanes", "2", "--out", out]);
+    args
+}
+
+#[test]
+fn a_slice_of_a_suite_is_walked_by_a_real_model() {
+    let bench = Bench::new();
+    two_cases(&bench.out("assets"));
+    let mut documents = vec!["memory", "build", "--kind", "summary", "--demos", "original"];
+    documents.extend(["--assets", "assets", "--frame-size", FRAME_SIZE, "--out", "documents"]);
+    bench.run(&documents).expect(0);
+
+    let server = LlamaServer::start(CONTEXT, 2);
+    bench.run(&slice(server.base_url(), "first")).expect(0);
+    let episodes = records(&bench.out("first"));
+    assert_eq!(episodes.len(), 4);
+    for episode in &episodes {
+        assert_eq!((&episode["requests"], &episode["images"]), (&3.into(), &0.into()));
+        for tokens in ["prompt_tokens", "completion_tokens"] {
+            assert!(episode[tokens].as_u64() >= Some(3), "{tokens} of {episode}");
+        }
+    }
+    // A summary is read by the model, and so it is counted.
+    let tokens = |memory: &str, which: &str| -> u64 {
+        let of_memory = episodes.iter().filter(|episode| episode["memory"] == memory);
+        of_memory.map(|episode| episode[which].as_u64().unwrap()).sum()
+    };
+    let read = |memory| tokens(memory, "prompt_tokens");
+    assert!(read("summary") > read("working") + 6 * 300);
+
+    // Both cases of a condition, a hundred cases, in millions.
+    bench.run(&["report", "first"]).expect(0);
+    let table = bench.out("first/report/tables/conditions.csv");
+    let table = fs::read_to_string(table).unwrap();
+    for memory in ["working", "summary"] {
+        let row = table.lines().find(|row| row.starts_with(memory)).unwrap();
+        let of_memory = tokens(memory, "prompt_tokens") + tokens(memory, "completion_tokens");
+        let millions = format!(",{:.2},", of_memory as f64 / 2.0 * 100.0 / 1e6);
+        assert!(row.contains(&millions), "{millions} in {row}");
+    }
+
+    // What was answered once is not asked again: nobody is there any more.
+    let base_url = server.base_url().to_owned();
+    drop(server);
+    bench.run(&slice(&base_url, "second")).expect(0);
+    assert_eq!(sorted_log(&bench.out("second")), sorted_log(&bench.out("first")));
+    assert!(bench.leftovers().is_empty(), "{:?}", bench.leftovers());
 }
