@@ -30,6 +30,7 @@
 mod answers;
 mod attend;
 mod join;
+mod prompt_log;
 mod serve;
 mod shown;
 

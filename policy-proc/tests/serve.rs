@@ -3,6 +3,8 @@
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on fails")]
 
 use std::any::Any;
+use std::fs;
+use std::path::PathBuf;
 use std::sync::mpsc;
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
@@ -18,6 +20,7 @@ use shm_types::message::{
     Observation, Outcome, PolicyBrief, Recall, Role, Stop, TrajectoryStep, WirePose, read_text,
     write_text,
 };
+use shm_types::prompts::{Entry, Exchange, Message, Part, entries_file, hex, session_folder};
 use shm_types::{
     Action, Attach, Bell, Bus, DocumentPublisher, Feedback, FramePublisher, FrameSize, FrameStore,
     Heading, Pose, Receiver, RunDir, Sender,
@@ -51,10 +54,15 @@ struct Peers {
 impl Peers {
     /// A run of four lanes in which `policy` is serving.
     fn new(policy: impl Decider + Send + 'static) -> Self {
+        Self::logging(policy, None)
+    }
+
+    /// The same, with prompts logged in a folder.
+    fn logging(policy: impl Decider + Send + 'static, prompts: Option<PathBuf>) -> Self {
         let base = tempfile::Builder::new().prefix("mt").tempdir_in("/tmp").unwrap();
         let run = RunDir::create(base.path()).unwrap();
         let frame = FrameSize { width: 64, height: 64 };
-        let attach = Attach { frame, frame_capacity: 32, lanes: 4, ..Attach::new(&run) };
+        let attach = Attach { frame, frame_capacity: 32, lanes: 4, prompts, ..Attach::new(&run) };
         attach.write(run.path()).unwrap();
         let bus = |role| Bus::join(attach.clone(), role).unwrap();
         let (orchestrator, sim, memory) =
@@ -326,6 +334,84 @@ fn answers_may_come_later_in_any_order_from_any_thread_or_not_at_all() {
     let complaint = within_patience(&peers.orchestrator, || peers.complaints.next().unwrap());
     assert_eq!(complaint.kind, ComplaintKind::Run as u32);
     peers.stop().0.unwrap();
+}
+
+#[test]
+fn prompts_are_logged_where_asked_for_and_a_log_that_cannot_be_kept_stops_the_run() {
+    let folder = tempfile::tempdir().unwrap();
+    let session = session_folder(folder.path(), 2);
+    let (hand_over, taken) = mpsc::channel();
+    let mut peers = Peers::logging(Elsewhere(hand_over), Some(session.clone()));
+    let frames = [peers.publish(10), peers.publish(40)];
+    let text = "a cone at (1, 2)".to_owned();
+    let summary = peers.documents.publish(None, &Content::Summary(text.clone())).unwrap();
+    let ask = |peers: &Peers, step: u32| {
+        let mut recall = Recall { window_len: step.min(1), ..recall(0, 9, step) };
+        recall.window[0].frame = frames[0];
+        (recall.documents[0], recall.documents_len) = (summary, 1);
+        peers.recalls.send(&recall).unwrap();
+        let seen = observation(0, 9, step, frames[step as usize % 2]);
+        peers.observations.send(&seen).unwrap();
+        peers.ring();
+    };
+    peers.brief(0, 9, "Find a cone.");
+    ask(&peers, 0);
+    let (ticket, answers) = taken.recv_timeout(PATIENCE).unwrap();
+    let say = |step, usage| {
+        let ticket = Ticket { step, ..ticket };
+        answers.record(ticket, || Exchange {
+            messages: vec![Message {
+                role: "user".to_owned(),
+                parts: vec![Part::Text("x".repeat(5000)), Part::Image(hex([10; 16]))],
+            }],
+            reply: Some("go on".to_owned()),
+            unread: None,
+        });
+        answers.decide(ticket, Decision { answer: Answer::Act(Action::Forward), images: 1, usage });
+    };
+    let usage = Usage { prompt_tokens: Some(7), attempts: 1, ..Usage::default() };
+    say(0, Some(usage));
+    peers.decisions(1);
+    ask(&peers, 1);
+    taken.recv_timeout(PATIENCE).unwrap();
+    say(1, None);
+    peers.decisions(1);
+
+    let lines = fs::read_to_string(entries_file(&session, 1)).unwrap();
+    let entries: Vec<Entry> =
+        lines.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+    let [first, second] = &entries[..] else { panic!("{lines}") };
+    assert_eq!((first.episode, first.step, second.step), (9, 0, 1));
+    assert_eq!(
+        (first.request.instruction.as_str(), &second.request.window[0].frame),
+        ("Find a cone.", &hex([10; 16]))
+    );
+    assert_eq!(first.usage.unwrap().prompt_tokens, Some(7));
+    assert_eq!(second.usage, None);
+    let answer = first.answer.as_ref().unwrap();
+    assert_eq!(
+        (answer.outcome.as_str(), answer.action.as_deref()),
+        ("acted", Some("move forward"))
+    );
+    let names = |sub: &str| fs::read_dir(folder.path().join(sub)).unwrap().count();
+    assert_eq!((names("images"), names("documents")), (2, 2), "everything once");
+    let stored = folder.path().join(format!("documents/{}.txt", first.request.documents[0].text));
+    assert_eq!(fs::read_to_string(stored).unwrap(), text);
+    let exchange = second.exchange.as_ref().unwrap();
+    assert!(matches!(&exchange.messages[0].parts[..], [Part::Stored(_), Part::Image(_)]));
+
+    // A view that cannot be kept: nothing is asked any more, and the run is told to stop.
+    fs::remove_dir_all(folder.path().join("images")).unwrap();
+    let unseen = peers.publish(70);
+    peers.recalls.send(&recall(0, 9, 2)).unwrap();
+    peers.observations.send(&observation(0, 9, 2, unseen)).unwrap();
+    peers.ring();
+    let complaint = within_patience(&peers.orchestrator, || peers.complaints.next().unwrap());
+    let text = read_text(&complaint.text, complaint.text_len).unwrap();
+    assert_eq!(complaint.kind, ComplaintKind::Run as u32);
+    assert!(text.starts_with("cannot keep the prompt log: "), "{text}");
+    peers.stop().0.unwrap();
+    assert!(taken.try_recv().is_err());
 }
 
 #[test]

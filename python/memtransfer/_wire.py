@@ -210,6 +210,16 @@ class Outcome(enum.IntEnum):
     #: The model refused.
     REFUSED = 3
 
+    @property
+    def words(self) -> str:
+        """The words for it."""
+        return {
+            0: "acted",
+            1: "unreadable",
+            2: "empty",
+            3: "refused",
+        }[self.value]
+
 
 class ComplaintKind(enum.IntEnum):
     """What follows from a Complaint."""

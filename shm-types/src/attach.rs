@@ -67,7 +67,8 @@ pub struct Attach {
     pub wait: Wait,
     /// What observed frames show.
     pub frame_control: FrameControl,
-    /// Folder in which the policy keeps what it was given and what it answered, where that is asked for.
+    /// Folder in which the policy keeps what it was given and what it answered in this session, where that is
+    /// asked for ([`prompts`](crate::prompts)); images and documents go beside it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub prompts: Option<PathBuf>,
     /// The run's folder: where the file was read from. Not in the file, so that a folder can be mounted

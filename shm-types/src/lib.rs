@@ -8,6 +8,7 @@
 //! - the shared memory: what a process needs to join a run ([`attach`]), its place in one ([`bus`]),
 //!   sleeping and waking ([`doorbell`]), views written once and held by all ([`frames`]), what memory
 //!   supplies that is longer than a message ([`documents`]), what could not be used ([`complaints`]);
+//! - what a policy keeps of its requests, for `memtransfer show` ([`prompts`]);
 //! - what all of that looks like, byte by byte, for those who read it in another language ([`layout`]);
 //! - the machine: runs, living and dead ([`registry`]), clock, parent and room ([`process`]).
 //!
@@ -26,6 +27,7 @@ pub mod message;
 pub mod plate;
 pub mod pose;
 pub mod process;
+pub mod prompts;
 pub mod registry;
 pub mod representation;
 

@@ -6,12 +6,15 @@ use std::thread::{self, ThreadId};
 
 use shm_types::Bell;
 use shm_types::process::monotonic_ns;
+use shm_types::prompts::Exchange;
 
 use crate::{Decision, Ticket};
 
 /// What a policy says.
 #[derive(Debug)]
 pub(super) enum Said {
+    /// What was said to a model about a request, and what it said.
+    Exchanged(Ticket, Box<Exchange>),
     /// The answer to a request, and when it was there.
     Decided(Ticket, Decision, u64),
     /// There will be no answer to a request.
@@ -27,13 +30,30 @@ pub struct Answers {
     /// Wakes the serving thread.
     bell: Arc<Bell>,
     serving: ThreadId,
+    /// Whether somebody wants to know what was said to a model.
+    logged: bool,
 }
 
 impl Answers {
-    /// The way to the thread that calls this, which `bell` wakes, and its end there.
-    pub(super) fn new(bell: Bell) -> (Self, Receiver<Said>) {
+    /// The way to the thread that calls this, which `bell` wakes, and its end there. `logged`: whether prompts
+    /// are.
+    pub(super) fn new(bell: Bell, logged: bool) -> (Self, Receiver<Said>) {
         let (said, heard) = channel();
-        (Self { said, bell: Arc::new(bell), serving: thread::current().id() }, heard)
+        (Self { said, bell: Arc::new(bell), serving: thread::current().id(), logged }, heard)
+    }
+
+    /// Whether prompts are logged, for who has to keep something to [`record`](Self::record).
+    pub fn logs_prompts(&self) -> bool {
+        self.logged
+    }
+
+    /// For the prompt log, before [`Self::decide`]: what was said to a model about the request that `ticket`
+    /// names, and what it said. `exchange` is called only where prompts are logged.
+    pub fn record(&self, ticket: Ticket, exchange: impl FnOnce() -> Exchange) {
+        if self.logged {
+            // Nobody need be woken for it: the decision follows.
+            let _ = self.said.send(Said::Exchanged(ticket, Box::new(exchange())));
+        }
     }
 
     /// Answers the request that `ticket` names. An answer that comes when its episode is over is dropped.

@@ -64,6 +64,9 @@ pub enum ServeError {
     /// What the policy says about itself does not fit into a message.
     #[error(transparent)]
     Facts(#[from] FactsTooLong),
+    /// The prompt log cannot be begun.
+    #[error("{0}")]
+    PromptLog(String),
     /// The orchestrator, which started this process, is gone.
     #[error(transparent)]
     Parent(#[from] io::Error),

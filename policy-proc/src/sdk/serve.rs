@@ -10,15 +10,17 @@ use shm_types::message::{
     Recall, Role, Stop,
 };
 use shm_types::process::monotonic_ns;
+use shm_types::prompts::{Answered, Asked, Entry, Exchange, Timing, Usage as LoggedUsage};
 use shm_types::{
-    Attach, Bell, Bus, BusError, Complaints, Document, DocumentError, DocumentStore, Frame,
-    FrameError, FrameStore, Receiver, Sender, message,
+    Attach, Bell, Bus, Complaints, Document, DocumentError, DocumentStore, Frame, FrameError,
+    FrameStore, Receiver, Sender, message,
 };
 
 use super::Decider;
 use super::answers::{Answers, Said};
 use super::attend::{Run, ServeError};
 use super::join::{Join, Ready};
+use super::prompt_log::{LogError, PromptLog};
 use super::shown::{Held, Shown};
 use crate::{Decision, Request, Ticket};
 
@@ -27,6 +29,12 @@ const LONGEST_SLEEP: Duration = Duration::from_millis(250);
 
 /// How often the orchestrator is looked for before it is there.
 const LOOK: Duration = Duration::from_millis(10);
+
+impl From<LogError> for ServeError {
+    fn from(error: LogError) -> Self {
+        Self::PromptLog(error.to_string())
+    }
+}
 
 /// How a generation ended for this process.
 pub(super) enum End {
@@ -84,6 +92,16 @@ struct Server {
     said: mpsc::Receiver<Said>,
     /// By lane: the request that the policy has not answered yet.
     open: Vec<Option<Open>>,
+    log: Log,
+}
+
+/// Whether prompts are logged.
+enum Log {
+    Off,
+    On(PromptLog),
+    /// It cannot be written to, and the run was asked to stop: nothing is asked or answered any more, so that
+    /// no step is without its entry.
+    Broken,
 }
 
 /// A request that the policy has.
@@ -92,11 +110,56 @@ struct Open {
     images: u32,
     received_ns: u64,
     started_ns: u64,
+    /// For the prompt log.
+    asked: Option<Box<Asked>>,
+    exchange: Option<Box<Exchange>>,
+}
+
+impl Open {
+    /// The request's entry in the prompt log.
+    fn entry(self, said: Result<(&Decision, u64), &str>) -> Option<Entry> {
+        let Self { ticket, images, received_ns, started_ns, asked, exchange } = self;
+        let Ticket { lane, step, episode } = ticket;
+        let decision = said.ok().map(|(decision, _)| decision);
+        let usage = decision.and_then(|decision| decision.usage);
+        let stamp = |stamp: fn(&crate::Usage) -> u64| usage.as_ref().map_or(0, stamp);
+        Some(Entry {
+            episode,
+            step,
+            lane,
+            request: *asked?,
+            exchange: exchange.map(|exchange| *exchange),
+            answer: decision.map(|decision| Answered {
+                outcome: decision.answer.outcome().word().to_owned(),
+                action: decision.answer.action().map(|action| action.words().to_owned()),
+                images_asked: images,
+                images: decision.images,
+            }),
+            failed: said.err().map(str::to_owned),
+            usage: usage.map(|usage| LoggedUsage {
+                prompt_tokens: usage.prompt_tokens,
+                completion_tokens: usage.completion_tokens,
+                cached_tokens: usage.cached_tokens,
+                image_tokens: usage.image_tokens,
+                memory_tokens: usage.memory_tokens,
+                attempts: usage.attempts,
+                replayed: usage.replayed,
+            }),
+            timing: Timing {
+                received_ns,
+                started_ns,
+                prompted_ns: stamp(|usage| usage.prompted_ns),
+                sent_ns: stamp(|usage| usage.sent_ns),
+                decided_ns: said.map_or_else(|_| monotonic_ns(), |(_, decided_ns)| decided_ns),
+            },
+        })
+    }
 }
 
 impl Server {
-    fn new(bus: &Bus) -> Result<Self, BusError> {
-        let (answers, said) = Answers::new(bus.bell(Role::Policy)?);
+    fn new(bus: &Bus) -> Result<Self, ServeError> {
+        let log = PromptLog::open(bus.attach())?.map_or(Log::Off, Log::On);
+        let (answers, said) = Answers::new(bus.bell(Role::Policy)?, matches!(log, Log::On(_)));
         let lanes = bus.attach().lanes;
         Ok(Self {
             briefs: bus.receiver()?,
@@ -112,6 +175,7 @@ impl Server {
             answers,
             said,
             open: (0..lanes).map(|_| None).collect(),
+            log,
         })
     }
 
@@ -166,7 +230,7 @@ impl Server {
         for step in ready {
             held.extend(self.hold(step)?);
         }
-        if held.is_empty() {
+        if held.is_empty() || matches!(self.log, Log::Broken) {
             return Ok(());
         }
         let shown: Vec<Shown<'_>> = held.iter().map(Shown::new).collect();
@@ -178,8 +242,20 @@ impl Server {
             .collect();
         let started_ns = monotonic_ns();
         for request in &requests {
+            let asked = match &mut self.log {
+                Log::On(log) => log.asked(request).map(|asked| Some(Box::new(asked))),
+                Log::Off | Log::Broken => Ok(None),
+            };
+            let asked = match asked {
+                Ok(asked) => asked,
+                Err(error) => {
+                    self.log = Log::Broken;
+                    self.complaints.end_run(&error.to_string())?;
+                    return Ok(());
+                }
+            };
             let (ticket, images) = (request.ticket(), request.images());
-            let open = Open { ticket, images, received_ns, started_ns };
+            let open = Open { ticket, images, received_ns, started_ns, asked, exchange: None };
             self.open[ticket.lane as usize] = Some(open);
         }
         policy.take(&requests, &self.answers)
@@ -190,16 +266,27 @@ impl Server {
         let mut sent = false;
         while let Ok(said) = self.said.try_recv() {
             sent |= match said {
+                Said::Exchanged(ticket, exchange) => {
+                    let open = self.open.get_mut(ticket.lane as usize).and_then(Option::as_mut);
+                    if let Some(open) = open.filter(|open| open.ticket == ticket) {
+                        open.exchange = Some(exchange);
+                    }
+                    false
+                }
                 Said::Decided(ticket, decision, decided_ns) => {
                     let Some(open) = self.close(ticket) else { continue };
-                    self.decisions.send(&on_the_wire(&open, &decision, decided_ns))?;
+                    let message = on_the_wire(&open, &decision, decided_ns);
+                    // Before the decision leaves: what is decided is in the log.
+                    if self.keep(open.entry(Ok((&decision, decided_ns))))? {
+                        self.decisions.send(&message)?;
+                    }
                     true
                 }
                 Said::Failed(ticket, why) => {
-                    if self.close(ticket).is_none() {
-                        continue;
+                    let Some(open) = self.close(ticket) else { continue };
+                    if self.keep(open.entry(Err(&why)))? {
+                        self.complaints.end_episode(ticket.lane, ticket.episode, &why)?;
                     }
-                    self.complaints.end_episode(ticket.lane, ticket.episode, &why)?;
                     true
                 }
                 Said::Halt(why) => {
@@ -209,6 +296,20 @@ impl Server {
             };
         }
         Ok(sent)
+    }
+
+    /// Puts an entry into the prompt log, where there is one. Returns whether things may go on: if the log cannot
+    /// be written to, the run is asked to stop, and what the entry tells of is not passed on.
+    fn keep(&mut self, entry: Option<Entry>) -> Result<bool, ServeError> {
+        let (Log::On(log), Some(entry)) = (&mut self.log, entry) else {
+            return Ok(!matches!(self.log, Log::Broken));
+        };
+        if let Err(error) = log.write(entry) {
+            self.log = Log::Broken;
+            self.complaints.end_run(&error.to_string())?;
+            return Ok(false);
+        }
+        Ok(true)
     }
 
     /// The open request that `ticket` names, which is open no longer; `None` when its episode is over, or
@@ -290,7 +391,8 @@ impl Server {
 }
 
 fn on_the_wire(open: &Open, decision: &Decision, decided_ns: u64) -> message::Decision {
-    let &Open { ticket: Ticket { lane, step, episode }, images, received_ns, started_ns } = open;
+    let &Open { ticket, images, received_ns, started_ns, .. } = open;
+    let Ticket { lane, step, episode } = ticket;
     let usage = decision.usage.unwrap_or_default();
     let told = |count: Option<u32>| count.unwrap_or(NOT_MEASURED);
     message::Decision {

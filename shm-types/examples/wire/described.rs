@@ -9,7 +9,7 @@ use shm_types::frames::{FRAME_SERVICE, FrameHeader, Page};
 use shm_types::layout::{CodeSet, Codes, Layout, Struct};
 use shm_types::message::{
     CODE_SETS, Description, MAX_DOCUMENTS, MAX_INSTRUCTION, MAX_SEGMENT, MAX_WINDOW, MESSAGES,
-    NO_ACTION, NO_DOCUMENT, NO_FRAME, NOT_MEASURED, PastStep, Role, SegmentStep, Traffic,
+    NO_ACTION, NO_DOCUMENT, NO_FRAME, NOT_MEASURED, Outcome, PastStep, Role, SegmentStep, Traffic,
     TrajectoryStep, WIRE_VERSION, WirePose,
 };
 use shm_types::{Action, Feedback, Heading, Representation};
@@ -37,6 +37,7 @@ pub(crate) fn words(set: &CodeSet, code: u8) -> Option<&'static str> {
         "Representation" => {
             Representation::ALL.get(position).map(|representation| representation.name())
         }
+        "Outcome" => Outcome::ALL.get(position).map(|outcome| outcome.word()),
         "Role" => Role::ALL.get(position).map(|role| role.word()),
         _ => None,
     }

@@ -129,6 +129,18 @@ impl Role {
     }
 }
 
+impl Outcome {
+    /// The word used in logs and messages.
+    pub const fn word(self) -> &'static str {
+        match self {
+            Self::Acted => "acted",
+            Self::Unreadable => "unreadable",
+            Self::Empty => "empty",
+            Self::Refused => "refused",
+        }
+    }
+}
+
 impl DocumentKind {
     /// Those that are text, in the order in which they are supplied.
     pub const TEXTS: [Self; 2] = [Self::Summary, Self::Semantic];
