@@ -16,6 +16,7 @@ mod render;
 mod report;
 mod run;
 mod score;
+mod show;
 mod validate;
 
 use std::io::{self, IsTerminal, Write};
@@ -67,6 +68,8 @@ enum Verb {
     Score(score::ScoreArgs),
     /// Write a run's pages: the paper's tables, figures and data files, from its log alone
     Report(report::ReportArgs),
+    /// Print what the policy was given at a step, and what it answered
+    Show(show::ShowArgs),
     /// Play hard situations to a policy of your own, and say what it does wrong
     Conformance(conformance::ConformanceArgs),
     /// Remove what killed runs left in shared memory and temporary folders
@@ -133,6 +136,7 @@ pub fn main() -> ExitCode {
         Verb::Memory(args) => memory::run(args),
         Verb::Score(args) => score::run(&args),
         Verb::Report(args) => report::run(&args),
+        Verb::Show(args) => show::run(&args),
         Verb::Conformance(args) => conformance::run(&args),
         Verb::Clean(args) => clean::run(&args),
         Verb::Cache(args) => cache::run(&args),

@@ -54,12 +54,23 @@ pub struct Walked {
     pub stages: Stages,
     /// The lane it was walked in.
     pub lane: u32,
+    /// Its ticket.
+    pub ticket: u64,
     /// When it began, CLOCK_MONOTONIC.
     pub started_ns: u64,
     /// When it was over.
     pub ended_ns: u64,
     /// Messages about it that could not be used.
     pub rubbish: u32,
+}
+
+/// A question to a model that was answered, and what it took.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Spent {
+    /// Key of the episode.
+    pub key: String,
+    /// The answer.
+    pub decision: Decision,
 }
 
 /// The messages that open an episode, in the order in which they must be sent.
@@ -105,6 +116,8 @@ pub struct Lanes<'w> {
     rules: Rules,
     lanes: Vec<Option<Walk>>,
     tickets: u64,
+    /// Since [`Lanes::take_spent`] was last called.
+    spent: Vec<Spent>,
 }
 
 /// One episode under way.
@@ -153,7 +166,7 @@ impl<'w> Lanes<'w> {
     /// `count` empty lanes.
     pub fn new(warehouse: &'w Warehouse, cases: &'w CaseSet, rules: Rules, count: usize) -> Self {
         let lanes = std::iter::repeat_with(|| None).take(count).collect();
-        Self { warehouse, cases, rules, lanes, tickets: 0 }
+        Self { warehouse, cases, rules, lanes, tickets: 0, spent: Vec::new() }
     }
 
     /// A lane that is free.
@@ -245,8 +258,10 @@ impl<'w> Lanes<'w> {
             final_pose: start,
             requests: asks.then_some(0),
             images: asks.then_some(0),
+            images_dropped: 0,
             prompt_tokens: asks.then_some(0),
             completion_tokens: asks.then_some(0),
+            memory_tokens: asks.then_some(0),
             unread: Unread::default(),
             retrieved: None,
             distance: None,
@@ -274,6 +289,7 @@ impl<'w> Lanes<'w> {
                 record,
                 stages: Stages::default(),
                 lane: lane as u32,
+                ticket: self.tickets,
                 started_ns: monotonic_ns(),
                 ended_ns: 0,
                 rubbish: 0,
@@ -383,9 +399,23 @@ impl<'w> Lanes<'w> {
         let sum = |sum: Option<u64>, more: Option<u64>| sum.zip(more).map(|(a, b)| a + b);
         record.requests = record.requests.map(|requests| requests + 1);
         record.images = sum(record.images, Some(u64::from(decision.images)));
+        record.images_dropped += u64::from(decision.images_asked.saturating_sub(decision.images));
         record.prompt_tokens = sum(record.prompt_tokens, told(decision.prompt_tokens));
         record.completion_tokens = sum(record.completion_tokens, told(decision.completion_tokens));
+        record.memory_tokens = sum(record.memory_tokens, told(decision.memory_tokens));
+        let asked_a_model = decision.attempts > 0
+            || decision.replayed != 0
+            || decision.prompt_tokens != NOT_MEASURED;
+        if asked_a_model {
+            let key = record.key.clone();
+            self.spent.push(Spent { key, decision: *decision });
+        }
         Ok(self.advance(lane as usize, answer))
+    }
+
+    /// What was spent on answers since the last call.
+    pub fn take_spent(&mut self) -> Vec<Spent> {
+        std::mem::take(&mut self.spent)
     }
 
     /// Empties the lane if `ticket` is walked in it, and hands the episode back.

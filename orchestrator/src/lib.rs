@@ -5,29 +5,35 @@
 //! - What is done: [`lanes`] (episodes step by step, pure; [`witness`] notes what failures are sorted by),
 //!   [`pipeline`] (through four processes), [`supervise`] (the processes themselves).
 //! - What is made before: [`documents`]. What tests somebody else's policy: [`conformance`].
-//! - How much of shared memory it takes: [`frame_budget`].
+//! - How much of shared memory it takes: [`frame_budget`]; of tokens and money: [`spending`], [`prices`],
+//!   [`estimate`] (before), [`budget`] (when to stop).
 //! - What shows meanwhile: [`session`], [`progress`]; [`signals`] stop it.
 //! - What is kept: [`log`] (the run folder). From it alone are made: [`score`], [`compare`], [`table`] (a
-//!   terminal), [`report`] (pages and data files).
+//!   terminal), [`report`] (pages and data files), [`shown`] (one step).
 //! - What people type: [`cli`], one file for each verb.
 
+pub mod budget;
 pub mod cli;
 pub mod compare;
 pub mod conditions;
 pub mod conformance;
 pub mod documents;
+pub mod estimate;
 pub mod frame_budget;
 pub mod lanes;
 pub mod log;
 pub mod names;
 pub mod pipeline;
 pub mod plan;
+pub mod prices;
 pub mod progress;
 pub mod report;
 pub mod score;
 pub mod session;
 pub mod settings;
+pub mod shown;
 pub mod signals;
+pub mod spending;
 pub mod supervise;
 pub mod table;
 pub mod witness;

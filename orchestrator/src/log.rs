@@ -5,9 +5,11 @@
 //! | `manifest.json` | settings, versions, hashes, what the processes said they are | first |
 //! | `episodes.jsonl` | one line for each finished episode; nothing in it depends on time or lanes | durably, when it ends |
 //! | `timings.jsonl` | one line for each finished episode: everything that does | beside it |
+//! | `requests.jsonl` | one line for each question to a model: tokens, attempts, latency | as they are answered |
 //! | `errors.jsonl` | episodes given up because of a fault that is not the model's | as they happen |
 //! | `sessions.jsonl` | starts, restarts and ends of the processes | as they happen |
 //! | `documents/` | the documents that memory supplied, as they were | before the first episode |
+//! | `prompts/` | what the policy was given and what it answered ([`shm_types::prompts`]), where asked for | by it |
 //! | `logs/` | what the processes wrote on stderr | by them |
 //! | `report/` | pages and data files about it ([`report`](crate::report)) | when asked for |
 //!
@@ -22,8 +24,8 @@ pub use folder::{Opened, REPORT_FOLDER, RunFolder, RunLog};
 pub use journal::{Journal, read_journal};
 pub use manifest::{Difference, DocumentFacts, FORMAT, Manifest, commit_of};
 pub use record::{
-    Ending, EpisodeError, EpisodeRecord, EpisodeTimings, SessionEvent, SessionRecord, Stages,
-    Unread,
+    AnswerKind, Ending, EpisodeError, EpisodeRecord, EpisodeTimings, RequestRecord, SessionEvent,
+    SessionRecord, Stages, Unread,
 };
 
 #[cfg(test)]

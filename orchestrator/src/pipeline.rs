@@ -25,7 +25,7 @@ use shm_types::message::{
 use shm_types::process::{Watch, monotonic_ns};
 use shm_types::{Attach, Bell, Bus, Receiver, Sender};
 
-use crate::lanes::{Fault, Lanes, Owed, Turn, Walked};
+use crate::lanes::{Fault, Lanes, Owed, Spent, Turn, Walked};
 use crate::plan::Episode;
 use crate::supervise::{Crew, Launch};
 
@@ -70,6 +70,9 @@ pub trait Observer {
     fn awaiting(&mut self, folder: &Path);
     /// All are ready; what each said about itself.
     fn ready(&mut self, facts: &BTreeMap<Role, Facts>) -> Result<()>;
+    /// A model answered. Says why there is no point in going on, if there is none: the run has spent all that it
+    /// may. An error ends the run.
+    fn spent(&mut self, spent: &Spent) -> Result<Option<String>>;
     /// An episode is finished, at the `attempt`th time of walking it. An error ends the run.
     fn finished(&mut self, walked: &Walked, attempt: u32) -> Result<()>;
     /// `steps` steps were taken since the last call. Called at least a few times a second.
@@ -83,7 +86,7 @@ pub trait Observer {
 pub struct Ending {
     /// Whether it was asked to stop early.
     pub interrupted: bool,
-    /// Why a process said that there is no point in going on, if one did.
+    /// Why there was no point in going on, if somebody said so: a process, or the observer.
     pub halted: Option<String>,
     /// Episodes that could not be finished, and why.
     pub unfinished: Vec<(Episode, String)>,
@@ -351,8 +354,8 @@ impl Generation {
         Ok(Some(facts))
     }
 
-    /// Walks what is queued until all is done or `stop` is set, or a process says that there is no point in
-    /// going on, and why.
+    /// Walks what is queued until all is done or `stop` is set, or a process or the observer says that there is
+    /// no point in going on, and why.
     fn work_off(
         &mut self,
         lanes: &mut Lanes<'_>,
@@ -368,7 +371,10 @@ impl Generation {
                 return Ok(None);
             }
             self.bus.doorbell().wait(TICK)?;
-            let steps = self.take_in(lanes, work, observer)?;
+            let (steps, spent) = self.take_in(lanes, work, observer)?;
+            if spent.is_some() {
+                return Ok(spent);
+            }
             if looked_after.elapsed() >= TICK {
                 looked_after = Instant::now();
                 let halted = self.look_after(lanes, work, crewing, observer)?;
@@ -401,7 +407,7 @@ impl Generation {
     }
 
     /// Takes in everything that waits, answers it, and rings the simulator once. Returns how many steps were
-    /// commanded.
+    /// commanded, and why there is no point in going on, if the observer says so.
     ///
     /// What a message refers to was sent before it. So the queues are emptied from the last answer of a
     /// step to the first, and worked on in the opposite order.
@@ -410,7 +416,7 @@ impl Generation {
         lanes: &mut Lanes<'_>,
         work: &mut Work,
         observer: &mut dyn Observer,
-    ) -> Result<u64, Failure> {
+    ) -> Result<(u64, Option<String>), Failure> {
         let decisions = self.inbox.decisions.drain()?;
         let traces = self.inbox.traces.drain()?;
         let observations = self.inbox.observations.drain()?;
@@ -427,6 +433,11 @@ impl Generation {
                 self.decided_ns = monotonic_ns();
             }
             turns.push(turn);
+        }
+        // What was spent is written down before what it was spent on.
+        let mut halted = None;
+        for spent in lanes.take_spent() {
+            halted = observer.spent(&spent)?.or(halted);
         }
         let mut commands = Vec::new();
         let mut failure = None;
@@ -463,7 +474,7 @@ impl Generation {
         if !commands.is_empty() {
             self.ring(Role::Sim)?;
         }
-        Ok(commands.len() as u64)
+        Ok((commands.len() as u64, halted))
     }
 
     /// Are all alive, and does nobody owe an answer for too long? Returns why there is no point in going on, if a

@@ -13,6 +13,7 @@
 //! | SR, SPL, SR by task group | `success.rs` |
 //! | follow F, recovery C, change Delta, retention R | `blocked.rs` |
 //! | images a request, tokens a hundred cases, unreadable answers, retrievals from other tasks | `cost.rs` |
+//! | tokens, latency and cost of questions to a model | `requests.rs` |
 //! | why episodes failed | `failure.rs` |
 //! | time of a step by stage, steps a second | `time.rs` |
 //! | 95 % intervals | `bootstrap.rs` |
@@ -24,6 +25,7 @@ mod compare;
 mod condition;
 mod cost;
 mod failure;
+mod requests;
 mod spread;
 mod success;
 mod time;
@@ -34,6 +36,7 @@ pub use bootstrap::{Interval, RESAMPLES, SEED, intervals};
 pub use compare::{Comparison, Difference, compare};
 pub use condition::ConditionScore;
 pub use failure::{Failure, Failures, LOOP_STEPS, LOOP_VISITS, NEW_CELLS};
+pub use requests::RequestScore;
 pub use spread::Spread;
 pub use success::{GroupScore, group_of};
 pub use time::StageTimes;
@@ -60,6 +63,9 @@ pub struct Scores {
     pub errored: usize,
     /// Steps of all finished episodes a second of running time.
     pub steps_per_s: Option<f64>,
+    /// What was asked of a model; absent when none was asked.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub requests: Option<RequestScore>,
 }
 
 impl Scores {
@@ -85,6 +91,7 @@ pub fn score(log: &RunLog) -> Scores {
         finished: log.episodes.len(),
         errored: log.errors.len(),
         steps_per_s: time::steps_per_s(&log.timings),
+        requests: RequestScore::of_run(log),
     }
 }
 

@@ -9,8 +9,9 @@ use shm_types::ATTACH_VARIABLE;
 use shm_types::message::{Farewell, Role};
 use shm_types::process::monotonic_ns;
 
-use crate::lanes::Walked;
-use crate::log::{EpisodeError, EpisodeTimings, RunFolder, SessionEvent};
+use crate::budget::Budget;
+use crate::lanes::{Spent, Walked};
+use crate::log::{EpisodeError, EpisodeTimings, RequestRecord, RunFolder, SessionEvent};
 use crate::pipeline::{Ending, Facts, Observer};
 use crate::progress::Progress;
 
@@ -22,6 +23,7 @@ const TROUBLES_SAID: u32 = 20;
 pub struct Session<'a> {
     folder: &'a mut RunFolder,
     progress: Progress,
+    budget: Budget,
     lanes: u32,
     frame_budget: u32,
     began_ns: u64,
@@ -32,16 +34,18 @@ pub struct Session<'a> {
 }
 
 impl<'a> Session<'a> {
-    /// A session that writes to `folder`, with so many lanes and frames.
+    /// A session that writes to `folder` and keeps to `budget`, with so many lanes and frames.
     pub fn new(
         folder: &'a mut RunFolder,
         progress: Progress,
+        budget: Budget,
         lanes: u32,
         frame_budget: u32,
     ) -> Self {
         Self {
             folder,
             progress,
+            budget,
             lanes,
             frame_budget,
             began_ns: monotonic_ns(),
@@ -123,10 +127,20 @@ impl Observer for Session<'_> {
         Ok(())
     }
 
+    fn spent(&mut self, spent: &Spent) -> Result<Option<String>> {
+        let session = self.folder.session();
+        let request = RequestRecord::of(spent.key.clone(), session, &spent.decision);
+        self.folder.asked(&request)?;
+        self.budget.add(&request);
+        Ok(self.budget.exceeded())
+    }
+
     fn finished(&mut self, walked: &Walked, attempt: u32) -> Result<()> {
         let timings = EpisodeTimings {
             key: walked.record.key.clone(),
             session: self.folder.session(),
+            generation: self.generation,
+            ticket: walked.ticket,
             attempt,
             lane: walked.lane,
             started_ns: walked.started_ns.saturating_sub(self.began_ns),

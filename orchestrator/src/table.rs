@@ -8,7 +8,8 @@ use comfy_table::{Cell, CellAlignment, LineStyle, Table, TableStyle};
 use crate::conditions::{Frames, PolicyKind, Variation};
 use crate::log::RunLog;
 use crate::score::{
-    Comparison, ConditionScore, Difference, Failure, Interval, Scores, Spread, StageTimes, score,
+    Comparison, ConditionScore, Difference, Failure, Interval, RequestScore, Scores, Spread,
+    StageTimes, score,
 };
 use crate::settings::Settings;
 use shm_types::Representation;
@@ -39,6 +40,7 @@ pub fn report(log: &RunLog) -> String {
     };
     add("Blocked routes: who ran into the barricade, and what blocking costs", blocked(&scores));
     add("Failed episodes by kind", failures(&scores));
+    add("Questions to the model, those of episodes walked again included", requests(log));
     add("Mean time of a step by stage, in microseconds", times(log));
     text.push('\n');
     for line in remarks(log, &scores) {
@@ -132,6 +134,52 @@ fn failures(scores: &Scores) -> Option<Table> {
         );
     }
     (!kinds.is_empty()).then_some(table)
+}
+
+/// A row for each memory, and one for the run; `None` when no model was asked.
+fn requests(log: &RunLog) -> Option<Table> {
+    let currency = log.manifest.prices.as_ref().map(|prices| prices.currency.as_str());
+    let cost = format!("cost {}", currency.unwrap_or_default());
+    let mut header =
+        vec!["memory", "requests", "kept", "retries", "tokens/req", "memory %", "cached %"];
+    header.extend([
+        "images left out",
+        "unreadable",
+        "empty",
+        "refused",
+        "p50 ms",
+        "p90 ms",
+        "Mtok",
+    ]);
+    header.extend(currency.map(|_| cost.trim_end()));
+    let mut table = table(&header, 1);
+    let mut add = |name: String, found: &RequestScore| {
+        let spent = &found.spent;
+        let mut row = vec![
+            name,
+            spent.requests.to_string(),
+            spent.replayed.to_string(),
+            spent.attempts.saturating_sub(spent.requests).to_string(),
+            figure(found.prompt_tokens_each, 0),
+            figure(found.memory_share, 1),
+            figure(found.cached_share, 1),
+            found.images_dropped.to_string(),
+            found.unread.unreadable.to_string(),
+            found.unread.empty.to_string(),
+            found.unread.refused.to_string(),
+            figure(found.latency_p50_ms, 0),
+            figure(found.latency_p90_ms, 0),
+            figure((spent.untold == 0).then(|| spent.tokens() as f64 / 1e6), 3),
+        ];
+        row.extend(
+            currency.map(|_| found.cost.map_or_else(|| ABSENT.to_owned(), |cost| cost.to_string())),
+        );
+        table.add_row(row);
+    };
+    let by_memory = RequestScore::by_memory(log);
+    by_memory.iter().for_each(|(memory, found)| add(memory.to_string(), found));
+    add("all".to_owned(), &RequestScore::of_run(log)?);
+    Some(table)
 }
 
 /// A row for each memory: start and route make no difference. `None` when nothing was timed.
@@ -333,6 +381,7 @@ mod tests {
             manifest: manifest(),
             timings: episodes.iter().map(timings).collect(),
             episodes,
+            requests: Vec::new(),
             errors: Vec::new(),
             sessions: Vec::new(),
         };

@@ -333,6 +333,28 @@ fn a_decision_may_overtake_the_account_of_its_recall() {
 }
 
 #[test]
+fn what_a_model_took_is_counted_once_and_other_answers_took_nothing() {
+    let (warehouse, cases) = world();
+    let (mut lanes, _, observation) = two_lanes(&warehouse, &cases);
+    let asked = Decision {
+        attempts: 2,
+        prompt_tokens: 900,
+        completion_tokens: 3,
+        memory_tokens: NOT_MEASURED,
+        images_asked: 5,
+        ..decision(&observation, Action::TurnLeft)
+    };
+    lanes.observed(&observation).unwrap();
+    lanes.decided(&asked).unwrap();
+    assert!(lanes.take_spent().is_empty(), "it is not an answer before memory's account");
+    lanes.recalled(&trace(&observation)).unwrap();
+    assert!(lanes.decided(&asked).is_err());
+    let spent = lanes.take_spent();
+    assert_eq!((spent.len(), spent[0].decision), (1, asked));
+    assert!(spent[0].key.ends_with("/run1/t01-01") && lanes.take_spent().is_empty());
+}
+
+#[test]
 fn garbage_costs_its_own_episode_and_no_other() {
     let (warehouse, cases) = world();
     let (mut lanes, _, observation) = two_lanes(&warehouse, &cases);

@@ -11,7 +11,7 @@ use std::time::Duration;
 use anyhow::Result;
 use bytemuck::Zeroable;
 use orchestrator::conditions::{Condition, Demonstrations, Route, Start, Variation};
-use orchestrator::lanes::{Lanes, Rules, Walked};
+use orchestrator::lanes::{Lanes, Rules, Spent, Walked};
 use orchestrator::pipeline::{Crewing, Ending, Facts, Observer, walk};
 use orchestrator::plan::plan;
 use orchestrator::supervise::Launch;
@@ -184,6 +184,9 @@ impl Observer for Seen {
         assert_eq!(facts.len(), 3);
         assert!(facts.values().all(|facts| facts["kind"] == "scripted"));
         Ok(())
+    }
+    fn spent(&mut self, _: &Spent) -> Result<Option<String>> {
+        Ok(None)
     }
     fn finished(&mut self, walked: &Walked, _attempt: u32) -> Result<()> {
         assert_eq!(walked.record.steps, MAX_STEPS);

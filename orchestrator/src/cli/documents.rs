@@ -1,5 +1,7 @@
 //! The documents of a run: which it needs, and having them before it begins.
 
+use std::collections::BTreeMap;
+
 use anyhow::Result;
 
 use crate::documents::{Builder, DocumentName, Library, State, Supply, needed};
@@ -74,6 +76,17 @@ impl Documents {
             eprintln!("built {} in {}", listed(built), folder.display());
         }
         Ok(supply)
+    }
+
+    /// Bytes of the texts of those that are there; nothing where that cannot be told.
+    pub(super) fn sizes(&self) -> BTreeMap<DocumentName, u64> {
+        if self.needed.is_empty() {
+            return BTreeMap::new();
+        }
+        // Why it cannot be told is said by `plan`.
+        let documents = self.library.ask(Some(&self.needed), false).map(|found| found.documents);
+        let documents = documents.unwrap_or_default().into_iter();
+        documents.filter_map(|document| Some((document.name, document.bytes?))).collect()
     }
 
     /// A line for a dry run, or nothing where no documents are needed.

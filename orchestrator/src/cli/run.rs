@@ -10,16 +10,20 @@ use clap::{ArgMatches, Args};
 use serde_json::{Map, Value};
 use shm_types::message::{Role, WIRE_VERSION};
 use shm_types::process::{check_shared_memory, shared_memory_space};
+use shm_types::prompts::session_folder;
 use shm_types::{Attach, FrameSize, RunDir, Wait, registry};
 
 use super::documents::Documents;
 use super::{Exit, print};
+use crate::budget::Budget;
 use crate::conditions::{Demonstrations, PolicyKind, Route, Start};
+use crate::estimate::{Basis, Estimate};
 use crate::frame_budget;
 use crate::lanes::{Lanes, Rules};
-use crate::log::{FORMAT, Manifest, Opened, RunFolder, RunLog, commit_of};
+use crate::log::{EpisodeRecord, FORMAT, Manifest, Opened, RunFolder, RunLog, commit_of};
 use crate::pipeline::{self, Crewing, Ending};
 use crate::plan::{Episode, plan};
+use crate::prices::ModelPrices;
 use crate::progress::Progress;
 use crate::session::Session;
 use crate::settings::{
@@ -77,8 +81,9 @@ pub(super) fn run(args: RunArgs, matches: &ArgMatches) -> Result<Exit> {
     let world = World::load(settings.assets.as_deref())?;
     let episodes = episodes(&settings, &world)?;
     let mut manifest = manifest(&settings, &world, episodes.len());
+    manifest.prices = prices(&settings)?;
     if args.dry_run {
-        print(&dry_run(&settings, &manifest, &episodes, args.fresh)?)?;
+        print(&dry_run(&settings, &world, &manifest, &episodes, args.fresh)?)?;
         return Ok(Exit::Complete);
     }
 
@@ -93,7 +98,7 @@ pub(super) fn run(args: RunArgs, matches: &ArgMatches) -> Result<Exit> {
         },
     };
     manifest.documents = supply.facts();
-    let Opened { mut folder, finished, notes } =
+    let Opened { mut folder, finished, requests, notes } =
         RunFolder::open(&settings.out, manifest, args.fresh)?;
     for note in notes {
         eprintln!("{note}");
@@ -104,8 +109,13 @@ pub(super) fn run(args: RunArgs, matches: &ArgMatches) -> Result<Exit> {
         .into_iter()
         .filter(|episode| !folder.is_finished(&episode.key.to_string()))
         .collect();
-    let mut halted = None;
-    if !missing.is_empty() {
+    let model = settings.model.as_ref();
+    if model.is_some_and(|model| model.max_cost.is_some()) && folder.manifest().prices.is_none() {
+        bail!("--max-cost needs prices: give --prices FILE (docs/costs.md says what is in it)");
+    }
+    let budget = Budget::new(model, folder.manifest().prices.as_ref(), &requests);
+    let mut halted = budget.exceeded().filter(|_| !missing.is_empty());
+    if !missing.is_empty() && halted.is_none() {
         let successes = finished.iter().filter(|record| record.is_success()).count();
         let total = finished.len() + missing.len();
         if !finished.is_empty() && !args.quiet {
@@ -116,7 +126,7 @@ pub(super) fn run(args: RunArgs, matches: &ArgMatches) -> Result<Exit> {
             );
         }
         let progress = Progress::new(total, finished.len(), successes, args.quiet);
-        halted = walk(&settings, &world, missing, &mut folder, progress, &signals)?;
+        halted = walk(&settings, &world, missing, &mut folder, (progress, budget), &signals)?;
     }
 
     if let Some(signal) = signals.received() {
@@ -190,6 +200,12 @@ fn episodes(settings: &Settings, world: &World) -> Result<Vec<Episode>> {
     Ok(episodes)
 }
 
+/// What the model's tokens cost, where that is said.
+fn prices(settings: &Settings) -> Result<Option<ModelPrices>> {
+    let Some(model) = &settings.model else { return Ok(None) };
+    model.prices.as_deref().map(|file| ModelPrices::read(file, &model.model)).transpose()
+}
+
 fn manifest(settings: &Settings, world: &World, episodes: usize) -> Manifest {
     let program = std::env::current_exe().ok();
     Manifest {
@@ -200,6 +216,7 @@ fn manifest(settings: &Settings, world: &World, episodes: usize) -> Manifest {
         settings: settings.clone(),
         hashes: world.hashes.clone(),
         documents: BTreeMap::new(),
+        prices: None,
         episodes: episodes as u32,
         processes: BTreeMap::new(),
     }
@@ -208,11 +225,12 @@ fn manifest(settings: &Settings, world: &World, episodes: usize) -> Manifest {
 /// What would run, touching nothing.
 fn dry_run(
     settings: &Settings,
+    world: &World,
     manifest: &Manifest,
     episodes: &[Episode],
     fresh: bool,
 ) -> Result<String> {
-    let mut done = Vec::new();
+    let mut done: Vec<EpisodeRecord> = Vec::new();
     if settings.out.join("manifest.json").exists() && !fresh {
         let log = RunLog::read(&settings.out)?;
         let differences = manifest.differences(&log.manifest);
@@ -220,7 +238,7 @@ fn dry_run(
             let dir = settings.out.clone();
             return Err(crate::log::LogError::OtherSettings { dir, differences }.into());
         }
-        done = log.episodes.into_iter().map(|record| record.key).collect();
+        done = log.episodes;
     }
     let header = ["condition", "runs", "episodes", "done", "requests", "images/req", "images"];
     let mut table = table::table(&header, 1);
@@ -229,10 +247,28 @@ fn dry_run(
     let requests = |episodes: u64| {
         if settings.policy.has_process() { episodes * u64::from(settings.max_steps) } else { 0 }
     };
+    let plan = Documents::of(settings);
+    let sizes = if settings.model.is_some() { plan.sizes() } else { BTreeMap::new() };
+    let basis = settings.model.as_ref().map(|model| Basis {
+        settings,
+        model,
+        world,
+        documents: &sizes,
+        done: &done,
+    });
+    let mut estimates = Vec::new();
     for (condition, runs) in settings.runs() {
         let of = || episodes.iter().filter(|episode| episode.key.condition == condition);
-        let is_done = |episode: &&Episode| done.binary_search(&episode.key.to_string()).is_ok();
-        let (planned, done) = (of().count() as u64, of().filter(is_done).count() as u64);
+        let is_done = |episode: &&Episode| {
+            let key = episode.key.to_string();
+            done.binary_search_by(|record| record.key.cmp(&key)).is_ok()
+        };
+        let (planned, done) =
+            (of().count() as u64, of().filter(|episode| is_done(episode)).count() as u64);
+        estimates.extend(basis.as_ref().map(|basis| {
+            let missing: Vec<&Episode> = of().filter(|episode| !is_done(episode)).collect();
+            (condition.to_string(), basis.estimate(&condition, &missing))
+        }));
         let requests = requests(planned - done);
         let each = u64::from(settings.images(&condition));
         (all, missing, images) =
@@ -249,13 +285,81 @@ fn dry_run(
     }
     Ok(format!(
         "{table}\n\n{missing} of {all} episodes of {} conditions would run with policy {}, into {}.\n\
-         At most {} requests with {images} images.{}",
+         At most {} requests with {images} images.{}{}",
         settings.conditions().len(),
         settings.policy,
         settings.out.display(),
         requests(missing),
-        Documents::of(settings).plan()
+        plan.plan(),
+        if estimates.is_empty() {
+            String::new()
+        } else {
+            estimate(&estimates, manifest.prices.as_ref())
+        }
     ))
+}
+
+/// What would be sent to a model, in words that leave no doubt that it is an estimate.
+fn estimate(estimates: &[(String, Estimate)], prices: Option<&ModelPrices>) -> String {
+    let absent = || "-".to_owned();
+    let mega = |tokens: u64| format!("{:.2}", tokens as f64 / 1e6);
+    let cost =
+        prices.map(|prices| [format!("at least, {}", prices.currency), "at most".to_owned()]);
+    let mut header =
+        vec!["condition", "requests", "at most", "images/req", "tokens/req", "Mtok", "at most"];
+    header.extend(cost.iter().flatten().map(String::as_str));
+    let mut table = table::table(&header, 1);
+    let (mut requests, mut tokens, mut costs) = ([0; 2], Some([0; 2]), Some([0; 2]));
+    let sum = |sum: Option<[u64; 2]>, more: Option<[u64; 2]>| {
+        let ([a, b], [c, d]) = (sum?, more?);
+        Some([a + c, b + d])
+    };
+    let shown = |tokens: Option<[u64; 2]>| match tokens {
+        Some(tokens) => tokens.map(mega).to_vec(),
+        None => vec![absent(), absent()],
+    };
+    let money = |cost: Option<[u64; 2]>| match cost {
+        Some(cost) => cost.map(|millionths| format!("{:.2}", millionths as f64 / 1e6)).to_vec(),
+        None => vec![absent(), absent()],
+    };
+    for (condition, one) in estimates {
+        let cost = prices.map(|prices| one.cost(prices).map(|cost| cost.map(|c| c.millionths)));
+        requests = [requests[0] + one.requests[0], requests[1] + one.requests[1]];
+        tokens = sum(tokens, one.tokens());
+        costs = sum(costs, cost.flatten());
+        let mut row = vec![condition.clone()];
+        row.extend(one.requests.map(|requests| requests.to_string()));
+        row.push(one.images_each.to_string());
+        row.push(one.prompt_each.map_or_else(absent, |tokens| tokens.to_string()));
+        row.extend(shown(one.tokens()));
+        row.extend(cost.into_iter().flat_map(money));
+        table.add_row(row);
+    }
+    let mut row = vec!["all".to_owned()];
+    row.extend(requests.map(|requests| requests.to_string()));
+    row.extend([absent(), absent()]);
+    row.extend(shown(tokens));
+    row.extend(prices.into_iter().flat_map(|_| money(costs)));
+    table.add_row(row);
+    let steps = estimates.iter().filter(|(_, one)| one.measured_steps).count();
+    let measured = estimates.iter().filter(|(_, one)| one.measured_tokens).count();
+    let all = estimates.len();
+    let mut text = format!(
+        "\n\nAn estimate of what would be sent to the model. Nothing has been sent.\n{table}\n\
+         Requests: at least as many as the expert's reference has steps, at most all steps of every episode; the mean of \
+         the\nepisodes that the folder has, for {steps} of {all} conditions. Tokens of a prompt: a full window, four \
+         characters of text a\ntoken, 256 tokens an image, documents as long as they are; as measured in this folder, for \
+         {measured} of {all} conditions.\nMtok: million tokens of prompts and answers, answers at their full length. \
+         A model may count otherwise."
+    );
+    if tokens.is_none() {
+        text += "\n-: a document is not built yet, so nobody knows how long the prompts are.";
+    }
+    text += match prices {
+        Some(_) => "\nMoney: without what the server's own cache would save.",
+        None => "\nMoney: not known; give --prices FILE (docs/costs.md).",
+    };
+    text
 }
 
 /// Walks the missing episodes, and writes down how that ended. Returns why it stopped early, if a process said
@@ -265,7 +369,7 @@ fn walk(
     world: &World,
     missing: Vec<Episode>,
     folder: &mut RunFolder,
-    progress: Progress,
+    (progress, budget): (Progress, Budget),
     signals: &Signals,
 ) -> Result<Option<String>> {
     let base = registry::default_base();
@@ -273,7 +377,7 @@ fn walk(
         progress.note(&format!("removed what a killed run left in {}", gone.display()));
     }
     let run = RunDir::create(&base)?;
-    let attach = attach(settings, world, &missing, &run)?;
+    let attach = attach(settings, world, &missing, &run, folder.session())?;
     let deadline = Duration::from_secs(settings.step_timeout.into());
     let crewing = Crewing {
         launches: launches(settings)?,
@@ -291,7 +395,7 @@ fn walk(
         expert: settings.policy == PolicyKind::Expert,
     };
     let mut lanes = Lanes::new(&world.warehouse, &world.cases, rules, attach.lanes as usize);
-    let mut session = Session::new(folder, progress, attach.lanes, attach.frame_capacity);
+    let mut session = Session::new(folder, progress, budget, attach.lanes, attach.frame_capacity);
     let outcome =
         pipeline::walk(&mut lanes, missing, &attach, &crewing, signals.stop(), &mut session);
     let reason = match (&outcome, signals.received()) {
@@ -305,10 +409,18 @@ fn walk(
 }
 
 /// What every process of the run is told.
-fn attach(settings: &Settings, world: &World, missing: &[Episode], run: &RunDir) -> Result<Attach> {
+fn attach(
+    settings: &Settings,
+    world: &World,
+    missing: &[Episode],
+    run: &RunDir,
+    session: u32,
+) -> Result<Attach> {
     let windows = missing.iter().map(|episode| episode.key.condition.variation.window);
     // Absolute: a process of somebody else's may work elsewhere.
-    let prompts = settings.log_prompts.then(|| RunFolder::prompts_of(&settings.out));
+    let prompts = settings
+        .log_prompts
+        .then(|| session_folder(&RunFolder::prompts_of(&settings.out), session));
     let prompts = prompts.map(std::path::absolute).transpose()?;
     let mut attach = Attach {
         // The expert needs a world and nobody else.

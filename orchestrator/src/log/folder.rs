@@ -9,12 +9,13 @@ use rustix::fs::FlockOperation;
 
 use super::manifest::MANIFEST_FILE;
 use super::{
-    EpisodeError, EpisodeRecord, EpisodeTimings, Journal, LogError, Manifest, SessionEvent,
-    SessionRecord, read_journal, system,
+    EpisodeError, EpisodeRecord, EpisodeTimings, Journal, LogError, Manifest, RequestRecord,
+    SessionEvent, SessionRecord, read_journal, system,
 };
 
 const EPISODES_FILE: &str = "episodes.jsonl";
 const TIMINGS_FILE: &str = "timings.jsonl";
+const REQUESTS_FILE: &str = "requests.jsonl";
 const ERRORS_FILE: &str = "errors.jsonl";
 const SESSIONS_FILE: &str = "sessions.jsonl";
 const DOCUMENTS_FOLDER: &str = "documents";
@@ -24,14 +25,16 @@ const LOGS_FOLDER: &str = "logs";
 pub const REPORT_FOLDER: &str = "report";
 
 /// Everything a run folder holds. Nothing else in it is ever touched.
-const CONTENTS: [&str; 9] = [
+const CONTENTS: [&str; 11] = [
     MANIFEST_FILE,
     "manifest.json.new",
     EPISODES_FILE,
     TIMINGS_FILE,
+    REQUESTS_FILE,
     ERRORS_FILE,
     SESSIONS_FILE,
     DOCUMENTS_FOLDER,
+    PROMPTS_FOLDER,
     LOGS_FOLDER,
     REPORT_FOLDER,
 ];
@@ -44,6 +47,7 @@ pub struct RunFolder {
     session: u32,
     episodes: Journal<EpisodeRecord>,
     timings: Journal<EpisodeTimings>,
+    requests: Journal<RequestRecord>,
     errors: Journal<EpisodeError>,
     sessions: Journal<SessionRecord>,
     finished: BTreeSet<String>,
@@ -58,6 +62,8 @@ pub struct Opened {
     pub folder: RunFolder,
     /// Episodes that are done.
     pub finished: Vec<EpisodeRecord>,
+    /// What was asked of a model so far.
+    pub requests: Vec<RequestRecord>,
     /// What a person should be told: what was removed or cut.
     pub notes: Vec<String>,
 }
@@ -75,7 +81,7 @@ impl RunFolder {
         let mut notes = Vec::new();
         let manifest = match existing(dir)? {
             // A run that never got anywhere, perhaps for want of a model, binds nobody.
-            Some(_) if !fresh && !has_episodes(dir) => {
+            Some(_) if !fresh && !has_episodes(dir) && !has_requests(dir) => {
                 remove_run(dir)?;
                 manifest
             }
@@ -94,7 +100,8 @@ impl RunFolder {
                     ));
                 }
                 // What is free to change is as this session has it.
-                Manifest { processes: there.processes, commit: there.commit, ..manifest }
+                let prices = manifest.prices.or(there.prices);
+                Manifest { processes: there.processes, commit: there.commit, prices, ..manifest }
             }
             Some(_) => {
                 notes.extend(remove_run(dir)?);
@@ -107,6 +114,7 @@ impl RunFolder {
         let mut open = Opening { dir, notes: &mut notes };
         let (episodes, finished) = open.journal::<EpisodeRecord>(EPISODES_FILE)?;
         let (timings, _) = open.journal(TIMINGS_FILE)?;
+        let (requests, asked) = open.journal(REQUESTS_FILE)?;
         let (errors, _) = open.journal(ERRORS_FILE)?;
         let (sessions, past) = open.journal::<SessionRecord>(SESSIONS_FILE)?;
         check_unique(&dir.join(EPISODES_FILE), &finished)?;
@@ -120,12 +128,13 @@ impl RunFolder {
             session: past.iter().map(|record| record.session).max().unwrap_or(0) + 1,
             episodes,
             timings,
+            requests,
             errors,
             sessions,
             finished: finished.iter().map(|record| record.key.clone()).collect(),
             _lock: lock,
         };
-        Ok(Opened { folder, finished, notes })
+        Ok(Opened { folder, finished, requests: asked, notes })
     }
 
     /// The folder.
@@ -176,6 +185,10 @@ impl RunFolder {
         if episodes.is_empty() {
             return Ok(());
         }
+        // What they cost before the episodes: no finished one is without.
+        if episodes.iter().any(|(record, _)| record.prompt_tokens.is_some_and(|sum| sum > 0)) {
+            self.requests.sync()?;
+        }
         for (record, _) in episodes {
             assert!(self.finished.insert(record.key.clone()), "{} was run twice", record.key);
             self.episodes.append(record)?;
@@ -183,6 +196,14 @@ impl RunFolder {
         self.episodes.sync()?;
         // Timings after the episodes: a crash in between loses a measurement and no result.
         episodes.iter().try_for_each(|(_, timings)| self.timings.append(timings))
+    }
+
+    /// Notes what a question to a model took.
+    ///
+    /// # Errors
+    /// When the system refuses.
+    pub fn asked(&mut self, request: &RequestRecord) -> Result<(), LogError> {
+        self.requests.append(request)
     }
 
     /// Notes an episode that was given up.
@@ -245,6 +266,9 @@ pub struct RunLog {
     pub episodes: Vec<EpisodeRecord>,
     /// Their timings, by key.
     pub timings: Vec<EpisodeTimings>,
+    /// What was asked of a model, in the order in which it was answered: for episodes that were walked in vain,
+    /// too.
+    pub requests: Vec<RequestRecord>,
     /// Episodes that were given up and not finished since, by key: the last error of each.
     pub errors: Vec<EpisodeError>,
     /// What happened to the processes.
@@ -266,6 +290,7 @@ impl RunLog {
         episodes.sort_by(|a, b| a.key.cmp(&b.key));
         let mut timings: Vec<EpisodeTimings> = read_journal(&dir.join(TIMINGS_FILE))?;
         timings.sort_by(|a, b| a.key.cmp(&b.key));
+        let requests = read_journal(&dir.join(REQUESTS_FILE))?;
         let finished: BTreeSet<&str> = episodes.iter().map(|record| record.key.as_str()).collect();
         let errors: Vec<EpisodeError> = read_journal(&dir.join(ERRORS_FILE))?;
         let mut last = BTreeMap::new();
@@ -276,7 +301,7 @@ impl RunLog {
         }
         let errors = last.into_values().collect();
         let sessions = read_journal(&dir.join(SESSIONS_FILE))?;
-        Ok(Self { dir: dir.to_owned(), manifest, episodes, timings, errors, sessions })
+        Ok(Self { dir: dir.to_owned(), manifest, episodes, timings, requests, errors, sessions })
     }
 }
 
@@ -332,6 +357,11 @@ fn has_episodes(dir: &Path) -> bool {
     fs::metadata(dir.join(EPISODES_FILE)).is_ok_and(|file| file.len() > 0)
 }
 
+/// Whether the run in `dir` has spent anything.
+fn has_requests(dir: &Path) -> bool {
+    fs::metadata(dir.join(REQUESTS_FILE)).is_ok_and(|file| file.len() > 0)
+}
+
 /// Removes the run in `dir` and says what that was.
 fn remove_run(dir: &Path) -> Result<Vec<String>, LogError> {
     let lines = |file: &str| {
@@ -368,7 +398,7 @@ fn check_unique(path: &Path, records: &[EpisodeRecord]) -> Result<(), LogError> 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::log::testing::{manifest, record, timings};
+    use crate::log::testing::{manifest, record, request, timings};
 
     fn keys(records: &[EpisodeRecord]) -> Vec<&str> {
         records.iter().map(|record| record.key.as_str()).collect()
@@ -394,7 +424,7 @@ mod tests {
         let text = fs::read(&path).unwrap();
         fs::write(&path, &text[..text.len() - 7]).unwrap();
 
-        let Opened { mut folder, finished, notes } = open(false);
+        let Opened { mut folder, finished, notes, .. } = open(false);
         assert_eq!(keys(&finished), [record("t01-01", true).key]);
         assert!(notes[0].starts_with("episodes.jsonl: cut "), "{notes:?}");
         assert_eq!(folder.session(), 2);
@@ -406,6 +436,29 @@ mod tests {
         let opened = open(true);
         assert!(opened.finished.is_empty());
         assert!(opened.notes[0].contains("(2 finished episodes)"), "{:?}", opened.notes);
+    }
+
+    #[test]
+    fn what_was_spent_is_known_after_a_kill_whether_or_not_an_episode_was_finished() {
+        let dir = tempfile::tempdir().unwrap();
+        let open = || RunFolder::open(dir.path(), manifest(), false).unwrap();
+        let mut folder = open().folder;
+        (0..3).for_each(|step| folder.asked(&request("a", step)).unwrap());
+        drop(folder);
+        // Killed in the middle of a line.
+        let path = dir.path().join(REQUESTS_FILE);
+        let text = fs::read(&path).unwrap();
+        fs::write(&path, &text[..text.len() - 7]).unwrap();
+
+        let Opened { mut folder, finished, requests, notes } = open();
+        assert_eq!((finished.len(), requests.len()), (0, 2));
+        assert!(notes[0].starts_with("requests.jsonl: cut "), "{notes:?}");
+        assert_eq!(requests, [request("a", 0), request("a", 1)]);
+        // The episode is walked again, and what it took before was spent all the same.
+        (0..3).for_each(|step| folder.asked(&request("a", step)).unwrap());
+        add(&mut folder, "t01-01");
+        drop(folder);
+        assert_eq!(RunLog::read(dir.path()).unwrap().requests.len(), 5);
     }
 
     #[test]

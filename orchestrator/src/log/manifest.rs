@@ -11,6 +11,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
 
 use super::{LogError, system};
+use crate::prices::ModelPrices;
 use crate::settings::{FREE_KEYS, Settings};
 
 /// Changes when a reader of the old files could not read the new ones.
@@ -37,6 +38,9 @@ pub struct Manifest {
     /// The documents that memory supplies, by name: `summary/4`.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub documents: BTreeMap<String, DocumentFacts>,
+    /// What the model's tokens cost, where that was said.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub prices: Option<ModelPrices>,
     /// Episodes of the whole run.
     pub episodes: u32,
     /// What each process said about itself when the run began: adapter, encoder and its hash, policy, ...

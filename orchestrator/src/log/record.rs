@@ -7,6 +7,7 @@
 use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
+use shm_types::message::{Decision, NOT_MEASURED, Outcome};
 use shm_types::{Pose, Representation};
 
 use crate::conditions::{
@@ -23,6 +24,31 @@ named! {
         Complete = "complete",
         /// T_max steps were taken and it is not.
         OutOfSteps = "out-of-steps",
+    }
+}
+
+named! {
+    /// How an answer came out, as on the wire.
+    AnswerKind, "outcome" {
+        /// An action was chosen.
+        Acted = "acted",
+        /// There was an answer, and no action in it.
+        Unreadable = "unreadable",
+        /// The answer was empty.
+        Empty = "empty",
+        /// The model refused.
+        Refused = "refused",
+    }
+}
+
+impl From<Outcome> for AnswerKind {
+    fn from(outcome: Outcome) -> Self {
+        match outcome {
+            Outcome::Acted => Self::Acted,
+            Outcome::Unreadable => Self::Unreadable,
+            Outcome::Empty => Self::Empty,
+            Outcome::Refused => Self::Refused,
+        }
     }
 }
 
@@ -97,12 +123,18 @@ pub struct EpisodeRecord {
     /// Images in all of them.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub images: Option<u64>,
+    /// Images that the policy was not shown, because they were more than its budget. Absent when there were none.
+    #[serde(skip_serializing_if = "is_none", default)]
+    pub images_dropped: u64,
     /// Tokens of all prompts. Absent when any was not measured.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub prompt_tokens: Option<u64>,
     /// Tokens of all completions. Absent when any was not measured.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub completion_tokens: Option<u64>,
+    /// Tokens of all prompts that are injected memory, an estimate. Absent when any was not told.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub memory_tokens: Option<u64>,
     /// Answers in which no action could be read, by kind.
     #[serde(skip_serializing_if = "Unread::is_none", default)]
     pub unread: Unread,
@@ -166,6 +198,12 @@ pub struct EpisodeTimings {
     pub key: String,
     /// The session it ended in, from 1.
     pub session: u32,
+    /// The generation of processes in that session. 0 in logs from before it was written down.
+    #[serde(default)]
+    pub generation: u32,
+    /// Its ticket in that session, by which [`prompts`](shm_types::prompts) name it. 0 likewise.
+    #[serde(default)]
+    pub ticket: u64,
     /// How often it was started, this time included.
     pub attempt: u32,
     /// The lane it ran in.
@@ -185,6 +223,77 @@ pub struct EpisodeTimings {
 
 fn is_zero(count: &u32) -> bool {
     *count == 0
+}
+
+fn is_none(count: &u64) -> bool {
+    *count == 0
+}
+
+/// One question to a model, of an episode that was finished or of one that was walked in vain. What it cost was
+/// spent either way, unless it was `replayed`. A count is absent where nobody told it.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RequestRecord {
+    /// The episode's key.
+    pub key: String,
+    /// Steps taken before.
+    pub step: u32,
+    /// The session, from 1.
+    pub session: u32,
+    /// How the answer came out.
+    pub outcome: AnswerKind,
+    /// Requests that were sent for it, failed ones included.
+    pub attempts: u32,
+    /// Whether the reply was one that had been kept from an earlier request: it cost nothing this time.
+    #[serde(skip_serializing_if = "std::ops::Not::not", default)]
+    pub replayed: bool,
+    /// Microseconds from the sending (of the last attempt) to the decision. Absent where nothing was sent.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub latency_us: Option<u64>,
+    /// Images that the request held.
+    pub images_asked: u32,
+    /// Images that the policy was shown.
+    pub images: u32,
+    /// Tokens of the prompt.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub prompt_tokens: Option<u32>,
+    /// Tokens of the answer.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub completion_tokens: Option<u32>,
+    /// Tokens of the prompt that the server took from its own cache.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub cached_tokens: Option<u32>,
+    /// Tokens of the prompt's images.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub image_tokens: Option<u32>,
+    /// Tokens of the prompt that are injected memory, an estimate.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub memory_tokens: Option<u32>,
+}
+
+impl RequestRecord {
+    /// What `decision` says it took, for the episode called `key` in `session`.
+    pub fn of(key: String, session: u32, decision: &Decision) -> Self {
+        let told = |count: u32| (count != NOT_MEASURED).then_some(count);
+        let latency_ns = decision.decided_ns.saturating_sub(decision.sent_ns);
+        Self {
+            key,
+            step: decision.step,
+            session,
+            // Decisions without an outcome do not come here.
+            outcome: Outcome::try_from(decision.outcome).unwrap_or(Outcome::Unreadable).into(),
+            attempts: decision.attempts,
+            replayed: decision.replayed != 0,
+            latency_us: (decision.sent_ns > 0).then_some(latency_ns / 1000),
+            images_asked: decision.images_asked,
+            images: decision.images,
+            prompt_tokens: told(decision.prompt_tokens),
+            completion_tokens: told(decision.completion_tokens),
+            cached_tokens: told(decision.cached_tokens),
+            image_tokens: told(decision.image_tokens),
+            memory_tokens: told(decision.memory_tokens),
+        }
+    }
 }
 
 /// Nanoseconds in each stage of a step, in the order of the stages: together the time from a command to the

@@ -5,7 +5,10 @@ use std::collections::BTreeMap;
 use shm_types::message::WIRE_VERSION;
 use shm_types::{Heading, Pose, Representation};
 
-use super::{Ending, EpisodeRecord, EpisodeTimings, FORMAT, Manifest, Stages, Unread};
+use super::{
+    AnswerKind, Ending, EpisodeRecord, EpisodeTimings, FORMAT, Manifest, RequestRecord, Stages,
+    Unread,
+};
 use crate::conditions::{Condition, Demonstrations, Route, Start, Variation};
 use crate::plan::EpisodeKey;
 use crate::settings::{Layer, Origin, resolve};
@@ -20,6 +23,7 @@ pub(crate) fn manifest() -> Manifest {
         settings: resolve([(Origin::Default, Layer::defaults())]).unwrap().settings,
         hashes: BTreeMap::from([("layout".to_owned(), "00".to_owned())]),
         documents: BTreeMap::new(),
+        prices: None,
         episodes: 4,
         processes: BTreeMap::new(),
     }
@@ -63,8 +67,10 @@ pub(crate) fn record(case: &str, success: bool) -> EpisodeRecord {
         final_pose: Pose::new(1, 12, Heading::N),
         requests: Some(steps),
         images: Some(u64::from(steps) * 14),
+        images_dropped: 0,
         prompt_tokens: None,
         completion_tokens: None,
+        memory_tokens: None,
         unread: Unread::default(),
         retrieved: None,
         distance: None,
@@ -77,6 +83,8 @@ pub(crate) fn timings(record: &EpisodeRecord) -> EpisodeTimings {
     EpisodeTimings {
         key: record.key.clone(),
         session: 1,
+        generation: 1,
+        ticket: 1,
         attempt: 1,
         lane: 0,
         started_ns: 0,
@@ -95,5 +103,25 @@ pub(crate) fn timings(record: &EpisodeRecord) -> EpisodeTimings {
             decide: each,
             decision: each,
         },
+    }
+}
+
+/// A question that was answered: 1000 tokens, 300 of them memory, 200 cached, and an answer of 3.
+pub(crate) fn request(key: &str, step: u32) -> RequestRecord {
+    RequestRecord {
+        key: key.to_owned(),
+        step,
+        session: 1,
+        outcome: AnswerKind::Acted,
+        attempts: 1,
+        replayed: false,
+        latency_us: Some(500_000),
+        images_asked: 7,
+        images: 7,
+        prompt_tokens: Some(1000),
+        completion_tokens: Some(3),
+        cached_tokens: Some(200),
+        image_tokens: Some(400),
+        memory_tokens: Some(300),
     }
 }

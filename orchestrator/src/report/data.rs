@@ -91,8 +91,10 @@ pub(super) fn episodes(logs: &[RunLog]) -> Frame {
     frame.text("actions", |row| Some(of(row)?.actions.clone()));
     frame.whole("requests", |row| of(row)?.requests.map(i64::from));
     frame.whole("images", |row| of(row)?.images.map(|images| images as i64));
+    frame.whole("images_dropped", |row| Some(of(row)?.images_dropped as i64));
     frame.whole("prompt_tokens", |row| of(row)?.prompt_tokens.map(|tokens| tokens as i64));
     frame.whole("completion_tokens", |row| of(row)?.completion_tokens.map(|tokens| tokens as i64));
+    frame.whole("memory_tokens", |row| of(row)?.memory_tokens.map(|tokens| tokens as i64));
     frame.whole("unread", |row| Some(of(row)?.unread.total().into()));
     frame.text("retrieved", |row| of(row)?.retrieved.clone());
     frame.real("distance", |row| of(row)?.distance);

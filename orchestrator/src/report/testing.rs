@@ -37,6 +37,7 @@ pub(crate) fn made_up(conditions: &[(Condition, u32)], tasks: &[u8]) -> RunLog {
         manifest,
         timings: episodes.iter().map(timings).collect(),
         episodes,
+        requests: Vec::new(),
         errors: Vec::new(),
         sessions: Vec::new(),
     };

@@ -13,6 +13,7 @@ fn log(records: Vec<EpisodeRecord>) -> RunLog {
         manifest: manifest(),
         timings: records.iter().map(timings).collect(),
         episodes: records,
+        requests: Vec::new(),
         errors: Vec::new(),
         sessions: Vec::new(),
     }

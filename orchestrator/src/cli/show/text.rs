@@ -1,0 +1,195 @@
+//! A step as people read it in a terminal.
+
+use std::fmt::Write;
+
+use shm_types::prompts::{Part, Seen, Usage};
+
+use crate::shown::{Prompt, Shown};
+
+/// Characters of a text that are shown; the page and the JSON have all.
+const MOST: usize = 2000;
+
+/// Hexadecimal digits by which an image is told from others.
+const DIGITS: usize = 8;
+
+/// The step.
+pub(super) fn render(shown: &Shown) -> String {
+    let mut text = format!("{}, step {} of {}\n\n", shown.key, shown.step, shown.steps);
+    let mut fact = |name: &str, value: &str| {
+        let _ = writeln!(text, "{name:<10} {value}");
+    };
+    if let Some(prompt) = &shown.prompt {
+        fact("Task", &prompt.entry.request.instruction);
+    }
+    fact("Pose", &format!("{} (column, row, heading)", shown.pose));
+    fact("Feedback", shown.feedback);
+    fact("Action", shown.action.unwrap_or("none that could be read: the agent stayed"));
+    if let Some(retrieved) = &shown.retrieved {
+        fact("Retrieved", &in_words(retrieved));
+    }
+    match &shown.prompt {
+        Some(prompt) => entry(&mut text, prompt),
+        None => text.push_str(
+            "\nThe run has no prompt log of this step. What the policy is shown and answers is kept with\n\
+             memtransfer run --log-prompts\n",
+        ),
+    }
+    text
+}
+
+/// Where a retrieved view is from.
+fn in_words(retrieved: &str) -> String {
+    let (case, view) = match retrieved.split_once(':') {
+        Some((case, view)) => (format!(" of {case}, another task"), view),
+        None => (String::new(), retrieved),
+    };
+    let (letter, step) = view.split_at(view.len().min(1));
+    let which = match letter {
+        "o" => "original",
+        "p" => "opposite",
+        "n" => "nearby",
+        "d" => "distant",
+        _ => return "nothing".to_owned(),
+    };
+    format!("view {step} of the demonstration `{which}`{case}")
+}
+
+fn entry(text: &mut String, prompt: &Prompt) {
+    let request = &prompt.entry.request;
+    let _ = writeln!(text, "{:<10} image {}", "View", short(&request.frame));
+    if request.starts_as_demonstrated {
+        let _ = writeln!(text, "{:<10} a demonstration started where this episode did", "Hint");
+    }
+    let _ = writeln!(text, "\nWindow, oldest first");
+    if request.window.is_empty() {
+        let _ = writeln!(text, "  empty");
+    }
+    for past in &request.window {
+        let action = past.action.as_deref().unwrap_or("not understood");
+        let _ = writeln!(text, "  image {}  {action:<14} {}", short(&past.frame), past.feedback);
+    }
+    let _ = writeln!(text, "\nMemory");
+    if let Some(segment) = &request.segment {
+        let _ = writeln!(text, "  retrieved, at distance {:.4}", segment.distance);
+        walk(text, &segment.steps);
+    }
+    for (number, steps) in (1..).zip(&prompt.demonstrations) {
+        let _ = writeln!(text, "  demonstration {number}");
+        walk(text, steps);
+    }
+    for document in &request.documents {
+        let content = prompt.texts.get(&document.text).map_or("", String::as_str);
+        let _ =
+            writeln!(text, "  {} document, {} characters", document.kind, content.chars().count());
+    }
+    if request.segment.is_none() && request.documents.is_empty() && prompt.demonstrations.is_empty()
+    {
+        let _ = writeln!(text, "  nothing");
+    }
+    if let Some(exchange) = &prompt.entry.exchange {
+        for message in &exchange.messages {
+            let _ = writeln!(text, "\nMessage of role {}", message.role);
+            for part in &message.parts {
+                match part {
+                    Part::Text(content) => indented(text, content),
+                    Part::Stored(hash) => {
+                        indented(text, prompt.texts.get(hash).map_or("", String::as_str));
+                    }
+                    Part::Image(hash) => {
+                        let _ = writeln!(text, "  [image {}]", short(hash));
+                    }
+                }
+            }
+        }
+        let _ = writeln!(text, "\nReply");
+        indented(text, exchange.reply.as_deref().unwrap_or("(none)"));
+        if let Some(why) = &exchange.unread {
+            let _ = writeln!(text, "  No action could be read in it: {why}");
+        }
+    }
+    text.push('\n');
+    for (name, value) in facts(prompt) {
+        let _ = writeln!(text, "{name:<10} {value}");
+    }
+}
+
+/// What came of the request and what it took.
+pub(super) fn facts(prompt: &Prompt) -> Vec<(&'static str, String)> {
+    let entry = &prompt.entry;
+    let mut facts = Vec::new();
+    if let Some(answer) = &entry.answer {
+        let action = answer.action.as_ref().map(|action| format!(": {action}"));
+        facts.push(("Outcome", format!("{}{}", answer.outcome, action.unwrap_or_default())));
+        let left_out = match answer.images_asked.saturating_sub(answer.images) {
+            0 => String::new(),
+            some => format!(", {some} left out"),
+        };
+        facts.push(("Images", format!("{} shown{left_out}", answer.images)));
+    }
+    if let Some(why) = &entry.failed {
+        facts.push(("Failed", why.clone()));
+    }
+    if let Some(usage) = &entry.usage {
+        facts.push(("Tokens", tokens(usage)));
+        let asked = match (usage.replayed, usage.attempts) {
+            (true, _) => "answered from the response cache".to_owned(),
+            (false, 1) => "1 attempt".to_owned(),
+            (false, attempts) => format!("{attempts} attempts"),
+        };
+        facts.push(("Asked", asked));
+    }
+    let timing = &entry.timing;
+    let ms = |from: u64, to: u64| format!("{:.1} ms", to.saturating_sub(from) as f64 / 1e6);
+    let mut times = format!("decided after {}", ms(timing.received_ns, timing.decided_ns));
+    if timing.prompted_ns > 0 {
+        times += &format!(", prompt built in {}", ms(timing.started_ns, timing.prompted_ns));
+    }
+    if timing.sent_ns > 0 {
+        times += &format!(", {} from sending to decision", ms(timing.sent_ns, timing.decided_ns));
+    }
+    facts.push(("Time", times));
+    facts
+}
+
+fn tokens(usage: &Usage) -> String {
+    let mut text = Vec::new();
+    let of_prompt: Vec<String> = [
+        ("cached", usage.cached_tokens),
+        ("images", usage.image_tokens),
+        ("memory, estimated", usage.memory_tokens),
+    ]
+    .into_iter()
+    .filter_map(|(what, count)| Some(format!("{what} {}", count?)))
+    .collect();
+    let parts =
+        if of_prompt.is_empty() { String::new() } else { format!(" ({})", of_prompt.join(", ")) };
+    text.extend(usage.prompt_tokens.map(|count| format!("prompt {count}{parts}")));
+    text.extend(usage.completion_tokens.map(|count| format!("answer {count}")));
+    if text.is_empty() { "not told".to_owned() } else { text.join(", ") }
+}
+
+fn walk(text: &mut String, steps: &[Seen]) {
+    for (index, seen) in steps.iter().enumerate() {
+        let view = seen
+            .frame
+            .as_deref()
+            .map_or_else(|| "-".to_owned(), |hash| format!("image {}", short(hash)));
+        let action = seen.action.as_deref().unwrap_or("");
+        let _ = writeln!(text, "    {index:>3}  {view:<16} {action}");
+    }
+}
+
+fn short(hash: &str) -> &str {
+    hash.get(..DIGITS).unwrap_or(hash)
+}
+
+fn indented(text: &mut String, content: &str) {
+    let shown: String = content.chars().take(MOST).collect();
+    for line in shown.trim_end().lines() {
+        let _ = writeln!(text, "  {line}");
+    }
+    let rest = content.chars().count().saturating_sub(MOST);
+    if rest > 0 {
+        let _ = writeln!(text, "  ... {rest} more characters (--html or --json have them)");
+    }
+}

@@ -1,0 +1,206 @@
+//! What a run with a model would send, before anything is sent: requests, images, tokens, money.
+//!
+//! An estimate, and pure. Nobody knows how many steps an episode takes, so there are two figures: at least as many
+//! as the reference, at most T_max. Where the run folder has finished episodes of a condition, their mean stands
+//! for both, and so do the tokens of their prompts. Otherwise a prompt is reckoned from the template's measured
+//! length, four characters a token, and 256 tokens an image (the paper's figure); a model's own count differs.
+
+use std::collections::BTreeMap;
+
+use shm_types::representation::Trajectories;
+
+use crate::conditions::Condition;
+use crate::documents::{DocumentName, needed};
+use crate::log::EpisodeRecord;
+use crate::plan::Episode;
+use crate::prices::ModelPrices;
+use crate::settings::{Amount, ModelSettings, Settings};
+use crate::spending::Spending;
+use crate::world::World;
+
+/// Characters of a prompt that are always there: rules, task, the current pose and feedback.
+const ALWAYS: u64 = 2420;
+/// Characters of a past step.
+const PAST_STEP: u64 = 88;
+/// Characters around a retrieved view.
+const RETRIEVED_VIEW: u64 = 79;
+/// Characters of an action of a whole demonstration, and around one of its views.
+const ACTION: u64 = 14;
+const KEYFRAME: u64 = 20;
+/// Characters of text that make a token.
+const TOKEN: u64 = 4;
+/// Tokens of an image of the default size (SPEC section 2).
+const IMAGE_TOKENS: u64 = 256;
+
+/// What the missing episodes of a condition would take.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Estimate {
+    /// Requests, at least and at most.
+    pub requests: [u64; 2],
+    /// Most images of a request.
+    pub images_each: u64,
+    /// Tokens of a prompt; `None` when a document that it holds is not there yet.
+    pub prompt_each: Option<u64>,
+    /// Most tokens of an answer.
+    pub answer_each: u64,
+    /// Whether steps are those of finished episodes.
+    pub measured_steps: bool,
+    /// Whether tokens are those of finished episodes.
+    pub measured_tokens: bool,
+}
+
+impl Estimate {
+    /// Tokens of prompts and answers, at least and at most.
+    pub fn tokens(&self) -> Option<[u64; 2]> {
+        let each = self.prompt_each? + self.answer_each;
+        Some(self.requests.map(|requests| requests * each))
+    }
+
+    /// What they would cost, at least and at most, if the server's own cache served nothing.
+    pub fn cost(&self, prices: &ModelPrices) -> Option<[Amount; 2]> {
+        let prompt_each = self.prompt_each?;
+        Some(self.requests.map(|requests| {
+            prices.cost(&Spending {
+                prompt_tokens: requests * prompt_each,
+                completion_tokens: requests * self.answer_each,
+                ..Spending::default()
+            })
+        }))
+    }
+}
+
+/// What an estimate is made from.
+#[derive(Debug)]
+pub struct Basis<'a> {
+    /// The run's settings.
+    pub settings: &'a Settings,
+    /// How the model is asked.
+    pub model: &'a ModelSettings,
+    /// The cases.
+    pub world: &'a World,
+    /// Bytes of the documents that are there.
+    pub documents: &'a BTreeMap<DocumentName, u64>,
+    /// Episodes that the run folder has.
+    pub done: &'a [EpisodeRecord],
+}
+
+impl Basis<'_> {
+    /// What `missing`, all of `condition`, would take.
+    pub fn estimate(&self, condition: &Condition, missing: &[&Episode]) -> Estimate {
+        let done = || self.done.iter().filter(|record| record.condition() == *condition);
+        let requests: u64 = done().filter_map(|record| record.requests).map(u64::from).sum();
+        let prompt = done().map(|record| record.prompt_tokens).sum::<Option<u64>>();
+        let measured = (requests > 0).then(|| {
+            let mean = requests as f64 / done().count() as f64;
+            [(mean * missing.len() as f64).round() as u64; 2]
+        });
+        let measured_each = prompt.filter(|_| requests > 0).map(|prompt| prompt / requests);
+        Estimate {
+            requests: measured.unwrap_or_else(|| self.bounds(condition, missing)),
+            images_each: self.images(condition),
+            prompt_each: measured_each.or_else(|| self.prompt(condition, missing)),
+            answer_each: u64::from(self.model.answer_tokens),
+            measured_steps: measured.is_some(),
+            measured_tokens: measured_each.is_some(),
+        }
+    }
+
+    fn bounds(&self, condition: &Condition, missing: &[&Episode]) -> [u64; 2] {
+        let World { warehouse, cases, .. } = self.world;
+        let max_steps = self.settings.max_steps;
+        let reference = |episode: &&Episode| {
+            let from = condition.start.reference(condition.route);
+            let length = cases.cases[episode.case_index].replay(warehouse, from).length;
+            u64::from(length.unwrap_or(max_steps).min(max_steps))
+        };
+        [missing.iter().map(reference).sum(), missing.len() as u64 * u64::from(max_steps)]
+    }
+
+    fn images(&self, condition: &Condition) -> u64 {
+        u64::from(self.settings.images(condition).min(self.model.image_budget))
+    }
+
+    /// Tokens of a prompt with a full window, on average over the cases.
+    fn prompt(&self, condition: &Condition, missing: &[&Episode]) -> Option<u64> {
+        let mut characters = ALWAYS + PAST_STEP * u64::from(condition.variation.window);
+        characters += match condition.memory.describe().trajectories {
+            Trajectories::Nothing => 0,
+            Trajectories::Segment => RETRIEVED_VIEW * u64::from(1 + self.settings.horizon),
+            Trajectories::Whole => {
+                let actions: u64 =
+                    missing.iter().map(|episode| self.demonstrated(condition, episode)).sum();
+                let mean = actions / (missing.len() as u64).max(1);
+                ACTION * mean + KEYFRAME * u64::from(self.settings.keyframes)
+            }
+        };
+        for name in needed([condition]) {
+            characters += self.documents.get(&name)?;
+        }
+        Some(characters / TOKEN + IMAGE_TOKENS * self.images(condition))
+    }
+
+    /// Actions of the demonstrations that an episode remembers.
+    fn demonstrated(&self, condition: &Condition, episode: &Episode) -> u64 {
+        let cases = &self.world.cases;
+        let histories = cases.histories(episode.case_index, condition.demonstrations);
+        let length = |history: &warehouse::History| {
+            cases.cases[history.case].trajectory(history.start).actions.len() as u64
+        };
+        histories.iter().map(length).sum()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::conditions::PolicyKind;
+    use crate::log::testing::record;
+    use crate::plan::plan;
+    use crate::settings::{Layer, Origin, resolve};
+
+    fn settings() -> Settings {
+        let said = Layer {
+            policy: Some(PolicyKind::Openai),
+            model: Some("m".to_owned()),
+            ..Layer::default()
+        };
+        let layers = [(Origin::Default, Layer::defaults()), (Origin::CommandLine, said)];
+        resolve(layers).unwrap().settings
+    }
+
+    #[test]
+    fn bounds_come_from_references_and_figures_from_what_was_walked() {
+        let (settings, world) = (settings(), World::load(None).unwrap());
+        let model = settings.model.as_ref().unwrap();
+        let condition: Condition = "episodic/original/unchanged/original".parse().unwrap();
+        let ids = world.case_ids();
+        let episodes = plan(&[(condition, 1)], &[0, 1], &ids, 1);
+        let missing: Vec<&Episode> = episodes.iter().collect();
+        let documents = BTreeMap::new();
+        let mut done = [record("t01-01", true)];
+        done[0].prompt_tokens = Some(12_000);
+        let basis =
+            |done| Basis { settings: &settings, model, world: &world, documents: &documents, done };
+        let found = basis(&[]).estimate(&condition, &missing);
+        // A demonstration may turn to the rack after its last step that counts.
+        let actions = |case: usize| world.cases.cases[case].original.actions.len() as u64;
+        let [least, most] = found.requests;
+        assert!(least.abs_diff(actions(0) + actions(1)) <= 2, "{least}");
+        assert_eq!(most, 400);
+        // (2420 + 6 x 88 + 7 x 79) / 4 and 14 images of 256.
+        assert_eq!((found.images_each, found.prompt_each), (14, Some(3501 / 4 + 14 * 256)));
+        assert_eq!(found.tokens().unwrap()[1], 400 * (875 + 3584 + 30));
+
+        let found = basis(&done).estimate(&condition, &missing);
+        assert_eq!((found.requests, found.prompt_each), ([20, 20], Some(1200)));
+        assert!(found.measured_steps && found.measured_tokens);
+
+        let summary: Condition = "summary/original/unchanged/original".parse().unwrap();
+        let found = basis(&[]).estimate(&summary, &missing);
+        assert_eq!(
+            (found.prompt_each, found.tokens()),
+            (None, None),
+            "nobody knows how long it is"
+        );
+    }
+}

@@ -1,0 +1,160 @@
+//! What questions to a model took: tokens, the memory's part of them, latency, money. From `requests.jsonl`, so
+//! with what was spent on episodes that were walked in vain.
+
+use std::collections::BTreeMap;
+
+use serde::Serialize;
+use shm_types::Representation;
+
+use crate::log::{AnswerKind, RequestRecord, RunLog, Unread};
+use crate::plan::EpisodeKey;
+use crate::settings::Amount;
+use crate::spending::Spending;
+
+/// What a set of questions took. A sum is absent when one of the questions that a server answered was not
+/// measured.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct RequestScore {
+    /// What was spent.
+    #[serde(flatten)]
+    pub spent: Spending,
+    /// Mean tokens of a prompt.
+    pub prompt_tokens_each: Option<f64>,
+    /// Percentage of the prompts' tokens that are injected memory, an estimate of the policy's.
+    pub memory_share: Option<f64>,
+    /// Percentage of the prompts' tokens that the server took from its own cache.
+    pub cached_share: Option<f64>,
+    /// Images that the requests held.
+    pub images_asked: u64,
+    /// Images that were left out, because they were more than the budget.
+    pub images_dropped: u64,
+    /// Answers in which no action could be read.
+    pub unread: Unread,
+    /// Milliseconds from sending to decision that half of the requests took at most.
+    pub latency_p50_ms: Option<f64>,
+    /// The same for nine of ten.
+    pub latency_p90_ms: Option<f64>,
+    /// What it cost. Absent without prices, or where tokens were not told.
+    pub cost: Option<Amount>,
+}
+
+impl RequestScore {
+    /// That of all questions of a run; `None` when no model was asked.
+    pub fn of_run(log: &RunLog) -> Option<Self> {
+        Self::of(log, &log.requests.iter().collect::<Vec<_>>())
+    }
+
+    /// That of each memory's.
+    pub fn by_memory(log: &RunLog) -> Vec<(Representation, Self)> {
+        let mut by_memory: BTreeMap<Representation, Vec<&RequestRecord>> = BTreeMap::new();
+        for request in &log.requests {
+            if let Some(key) = EpisodeKey::read(&request.key) {
+                by_memory.entry(key.condition.memory).or_default().push(request);
+            }
+        }
+        let of = |(memory, requests): (_, Vec<_>)| Some((memory, Self::of(log, &requests)?));
+        by_memory.into_iter().filter_map(of).collect()
+    }
+
+    fn of(log: &RunLog, requests: &[&RequestRecord]) -> Option<Self> {
+        if requests.is_empty() {
+            return None;
+        }
+        let spent = Spending::of(requests.iter().copied());
+        // Of the questions that a server answered.
+        let sum = |count: fn(&RequestRecord) -> Option<u32>| {
+            let sent = requests.iter().filter(|request| !request.replayed);
+            sent.map(|request| count(request).map(u64::from)).sum::<Option<u64>>()
+        };
+        let prompt = sum(|request| request.prompt_tokens).filter(|tokens| *tokens > 0);
+        let share = |part: Option<u64>| Some(100.0 * part? as f64 / prompt? as f64);
+        let mut unread = Unread::default();
+        for request in requests {
+            match request.outcome {
+                AnswerKind::Acted => {}
+                AnswerKind::Unreadable => unread.unreadable += 1,
+                AnswerKind::Empty => unread.empty += 1,
+                AnswerKind::Refused => unread.refused += 1,
+            }
+        }
+        let sent = requests.iter().filter(|request| !request.replayed);
+        let mut latencies: Vec<u64> = sent.filter_map(|request| request.latency_us).collect();
+        latencies.sort_unstable();
+        let images = |count: fn(&RequestRecord) -> u32| -> u64 {
+            requests.iter().map(|request| u64::from(count(request))).sum()
+        };
+        let prices = log.manifest.prices.as_ref().filter(|_| spent.untold == 0);
+        Some(Self {
+            prompt_tokens_each: prompt.map(|tokens| tokens as f64 / spent.requests as f64),
+            memory_share: share(sum(|request| request.memory_tokens)),
+            cached_share: share(sum(|request| request.cached_tokens)),
+            images_asked: images(|request| request.images_asked),
+            images_dropped: images(|request| request.images_asked.saturating_sub(request.images)),
+            unread,
+            latency_p50_ms: quantile(&latencies, 50).map(|us| us as f64 / 1000.0),
+            latency_p90_ms: quantile(&latencies, 90).map(|us| us as f64 / 1000.0),
+            cost: prices.map(|prices| prices.cost(&spent)),
+            spent,
+        })
+    }
+}
+
+/// The smallest of the `sorted` values that `percent` of a hundred are not above.
+fn quantile(sorted: &[u64], percent: usize) -> Option<u64> {
+    let rank = (sorted.len() * percent).div_ceil(100);
+    sorted.get(rank.max(1) - 1).copied()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::log::testing::{manifest, record, request};
+
+    #[test]
+    fn shares_latencies_and_costs_by_hand() {
+        let key = record("t01-01", true).key;
+        let of = |latency_us, cached| RequestRecord {
+            latency_us: Some(latency_us),
+            cached_tokens: Some(cached),
+            ..request(&key, 0)
+        };
+        let mut requests: Vec<_> = (1..=9).map(|n| of(n * 1000, 100)).collect();
+        requests.push(RequestRecord { outcome: AnswerKind::Empty, images: 5, ..of(90_000, 100) });
+        requests.push(RequestRecord { replayed: true, latency_us: None, ..request(&key, 0) });
+        let mut manifest = manifest();
+        manifest.prices = Some(crate::prices::ModelPrices {
+            currency: "EUR".to_owned(),
+            prompt: "1".parse().unwrap(),
+            cached_prompt: Some("0".parse().unwrap()),
+            completion: "10".parse().unwrap(),
+        });
+        let mut log = RunLog {
+            dir: "run".into(),
+            manifest,
+            episodes: Vec::new(),
+            timings: Vec::new(),
+            requests,
+            errors: Vec::new(),
+            sessions: Vec::new(),
+        };
+        let found = RequestScore::of_run(&log).unwrap();
+        assert_eq!((found.spent.requests, found.spent.replayed), (10, 1));
+        assert_eq!((found.prompt_tokens_each, found.memory_share), (Some(1000.0), Some(30.0)));
+        assert_eq!(found.cached_share, Some(10.0));
+        assert_eq!((found.latency_p50_ms, found.latency_p90_ms), (Some(5.0), Some(9.0)));
+        assert_eq!((found.unread.empty, found.unread.total(), found.images_dropped), (1, 1, 2));
+        // 10 x (900 x 1 + 3 x 10) millionths.
+        assert_eq!(found.cost.unwrap().to_string(), "0.0093");
+        assert_eq!(RequestScore::by_memory(&log), [(Representation::Episodic, found)]);
+
+        // A sum over some would look like one over all.
+        log.requests[3].cached_tokens = None;
+        let found = RequestScore::of_run(&log).unwrap();
+        assert_eq!((found.cached_share, found.memory_share), (None, Some(30.0)));
+        log.requests[3].prompt_tokens = None;
+        let found = RequestScore::of_run(&log).unwrap();
+        assert_eq!((found.memory_share, found.cost), (None, None));
+        log.requests.clear();
+        assert_eq!(RequestScore::of_run(&log), None);
+    }
+}
