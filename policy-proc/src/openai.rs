@@ -12,10 +12,11 @@ mod images;
 mod usage;
 
 use shm_types::process::monotonic_ns;
+use shm_types::prompts::{Exchange, Message, Part, hex};
 
 use crate::chat::{Asked, Job, Outcome, Pool, PoolError, Question, Reply};
 use crate::prompt::answer::{Unread, read_answer, read_cut_off};
-use crate::prompt::{self, Prompt};
+use crate::prompt::{self, PartContent, Prompt};
 use crate::{Answer, Answers, Decider, Decision, Request, ServeError, Ticket, Usage};
 use images::Images;
 use usage::Shares;
@@ -93,6 +94,8 @@ impl Decider for Openai {
                 images: prompt.images_sent(),
                 shares: Shares::of(request, &prompt),
                 prompted_ns: monotonic_ns(),
+                // For the prompt log; nothing is copied where there is none.
+                exchange: answers.logs_prompts().then(|| exchange(&prompt)),
                 answers: answers.clone(),
             };
             self.pool
@@ -109,20 +112,34 @@ struct Pending {
     images: u32,
     shares: Shares,
     prompted_ns: u64,
+    exchange: Option<Exchange>,
     answers: Answers,
 }
 
 impl Pending {
     fn finish(self, asked: Result<Asked, PoolError>) {
-        let Self { ticket, images, shares, prompted_ns, answers } = self;
+        let Self { ticket, images, shares, prompted_ns, exchange, answers } = self;
+        let record = |reply: Option<&Reply>, unread: Option<String>| {
+            if let Some(exchange) = exchange {
+                let reply = reply.map(said);
+                answers.record(ticket, || Exchange { reply, unread, ..exchange });
+            }
+        };
         let Asked { reply, attempts, from_cache, sent_ns, .. } = match asked {
             Ok(asked) => asked,
-            Err(PoolError::Failed(error)) => return answers.fail(ticket, error.to_string()),
+            Err(PoolError::Failed(error)) => {
+                record(None, None);
+                return answers.fail(ticket, error.to_string());
+            }
             Err(PoolError::Gone(why)) => return answers.halt(why),
         };
         let answer = match judge(&reply) {
-            Ok(action) => Answer::Act(action),
+            Ok(action) => {
+                record(Some(&reply), None);
+                Answer::Act(action)
+            }
             Err(why) => {
+                record(Some(&reply), Some(why.to_string()));
                 let Ticket { lane, step, .. } = ticket;
                 tracing::debug!(lane, step, %why, "the answer is none: {:?}", reply.outcome);
                 why.answer()
@@ -142,6 +159,30 @@ impl Pending {
             sent_ns: if from_cache { 0 } else { sent_ns },
         };
         answers.decide(ticket, Decision { answer, images, usage: Some(usage) });
+    }
+}
+
+/// What the prompt log has of a prompt.
+fn exchange(prompt: &Prompt<'_>) -> Exchange {
+    let user = prompt.parts.iter().map(|part| match &part.content {
+        PartContent::Text(text) => Part::Text(text.clone()),
+        PartContent::View(view) => Part::Image(hex(view.content_hash)),
+    });
+    let message = |role: &str, parts| Message { role: role.to_owned(), parts };
+    Exchange {
+        messages: vec![
+            message("system", vec![Part::Text(prompt.system.to_owned())]),
+            message("user", user.collect()),
+        ],
+        ..Exchange::default()
+    }
+}
+
+/// The text of a reply, as it came.
+fn said(reply: &Reply) -> String {
+    match &reply.outcome {
+        Outcome::Text(text) | Outcome::Length(text) | Outcome::Refusal(text) => text.clone(),
+        Outcome::Empty => String::new(),
     }
 }
 
