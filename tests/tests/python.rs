@@ -1,11 +1,14 @@
 //! The Python package: its own tests, its types, its installation, and its examples on the benchmark.
 
+use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
 use memtransfer_tests::{
     Bench, Ended, episodes, eventually, kill, needs, processes_with, records, sorted_log,
 };
+use policy_proc::chat::scripted::{Server, Turn};
+use policy_proc::prompt::answer::read_answer;
 
 fn package() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../python").canonicalize().expect("the package")
@@ -50,9 +53,117 @@ fn the_package_can_be_installed_from_the_checkout() {
     args.extend([place.to_str().unwrap(), "."]);
     python(&args, &[]).expect(0);
     assert!(place.join("memtransfer/py.typed").is_file());
+    assert!(place.join("memtransfer/_prompt.json").is_file());
     let look = "import memtransfer, pathlib; print(pathlib.Path(memtransfer.__file__).parent)";
     let ended = python(&["-P", "-c", look], &[("PYTHONPATH", place.to_str().unwrap())]).expect(0);
     assert_eq!(ended.stdout.trim(), place.join("memtransfer").to_str().unwrap());
+}
+
+/// What the harness's parser reads in `text`, in the words of the package.
+fn read(text: &str) -> String {
+    match read_answer(text) {
+        Ok(action) => action.words().replace("move ", "").replace(' ', "_"),
+        Err(why) => format!("{:?}", why.answer().outcome()).to_lowercase(),
+    }
+}
+
+/// Texts of words that matter to the parser, drawn from `seed`.
+fn drawn(mut seed: u64) -> String {
+    const WORDS: [&str; 64] = [
+        "turn",
+        "move",
+        "go",
+        "step",
+        "walk",
+        "take",
+        "make",
+        "rotate",
+        "strafe",
+        "head",
+        "left",
+        "right",
+        "forward",
+        "back",
+        "backward",
+        "around",
+        "straight",
+        "ahead",
+        "clockwise",
+        "counter",
+        "u",
+        "about",
+        "face",
+        "half",
+        "quarter",
+        "90",
+        "180",
+        "45",
+        "2",
+        "degrees",
+        "°",
+        "to",
+        "the",
+        "my",
+        "a",
+        "on",
+        "is",
+        "by",
+        "one",
+        "cell",
+        "and",
+        "or",
+        "then",
+        "not",
+        "don't",
+        "maybe",
+        "if",
+        "instead",
+        "rack",
+        "now",
+        "way",
+        "all",
+        "corner",
+        "action",
+        ":",
+        ",",
+        ".",
+        "?",
+        "\n",
+        "/",
+        "<think>",
+        "</think>",
+        "{\"action\":\"",
+        "\"}",
+    ];
+    let mut draw = || {
+        seed = seed.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        (seed >> 33) as usize
+    };
+    let length = 1 + draw() % 8;
+    (0..length).map(|_| WORDS[draw() % WORDS.len()]).collect::<Vec<_>>().join(" ")
+}
+
+#[test]
+fn the_package_reads_answers_as_the_harness_does() {
+    let bench = Bench::new();
+    let table = fs::read_to_string(package().join("tests/answers.json")).unwrap();
+    let table: Vec<(String, String)> = serde_json::from_str(&table).unwrap();
+    assert!(table.len() > 150);
+    for (text, expected) in &table {
+        assert_eq!(&read(text), expected, "{text:?}");
+    }
+    let drawn: Vec<(String, String)> =
+        (0..20_000).map(|seed| (drawn(seed), read(&drawn(seed)))).collect();
+    let actions = drawn.iter().filter(|(_, read)| read != "unreadable").count();
+    assert!(actions > 1000, "{actions} texts hold an action");
+    let path = bench.out("drawn.json");
+    fs::write(&path, serde_json::to_string(&drawn).unwrap()).unwrap();
+    let compare = "import json, sys; from memtransfer.prompt import read_answer; \
+        table = json.load(open(sys.argv[1])); \
+        wrong = [(text, there, here) for text, there in table \
+                 if (here := read_answer(text).name.lower()) != there]; \
+        sys.exit(str(wrong[:9]) if wrong else 0)";
+    python(&["-c", compare, path.to_str().unwrap()], &[]).expect(0);
 }
 
 /// The command that starts an example.
@@ -112,5 +223,30 @@ fn the_pixels_example_sees_where_it_goes() {
         blocked += record["blocked_moves"].as_array().map_or(0, Vec::len);
     }
     assert!(moves > 30 && blocked * 10 < moves, "{blocked} of {moves} moves were blocked");
+    assert_eq!(bench.leftovers(), Vec::<String>::new());
+}
+
+#[test]
+fn the_endpoint_example_asks_a_server() {
+    let bench = Bench::new();
+    let server = Server::start(|_| Turn::says("Action: turn left")).unwrap();
+    let policy = format!("{} scripted", example("endpoint_policy.py"));
+    let more = ["--memory", "working", "--max-steps", "5"];
+    let mut command = slice(&bench, "endpoint", &policy, &more);
+    command.env("OPENAI_BASE_URL", server.base_url()).env("OPENAI_API_KEY", "none");
+    walk(command);
+    let walked = records(&bench.out("endpoint"));
+    assert_eq!(walked.len(), 3);
+    for record in &walked {
+        assert_eq!(record["actions"], "LLLLL");
+        assert_eq!(
+            (&record["prompt_tokens"], &record["completion_tokens"]),
+            (&50.into(), &25.into())
+        );
+    }
+    let received = server.received();
+    assert_eq!(received.len(), 15);
+    let system = &received[0].body["messages"][0]["content"];
+    assert!(system.as_str().unwrap().contains("You control a robot in a warehouse."));
     assert_eq!(bench.leftovers(), Vec::<String>::new());
 }
