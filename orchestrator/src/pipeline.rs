@@ -6,7 +6,7 @@
 //! The next generation starts after a pause, and the episodes that were under way are walked again from
 //! their beginning; finished ones are in the log already. A policy may be anybody's program: an episode that it
 //! leaves unanswered, or answers with what cannot be used, is walked again by itself, and one that it crashes on
-//! is looked for ([`work`]).
+//! is looked for (`work.rs`).
 //!
 //! Results leave through [`Observer`]; nothing here writes or prints.
 

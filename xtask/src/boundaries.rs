@@ -20,7 +20,7 @@ const MAY_LINK: [(&str, &[&str]); 8] = [
     ("memory-proc", &["shm-types", "warehouse"]),
     ("policy-proc", &["shm-types"]),
     ("orchestrator", &["shm-types", "warehouse"]),
-    ("memtransfer-tests", &[]),
+    ("memtransfer-tests", &["memory-proc", "policy-proc", "shm-types", "warehouse"]),
     ("xtask", &[]),
 ];
 

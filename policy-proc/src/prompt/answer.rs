@@ -5,7 +5,7 @@
 //! [`Unread`] says why. The rules, which `docs/prompt.md` gives with examples:
 //!
 //! 1. Reasoning between `<think>` and `</think>` is no part of the answer.
-//! 2. A JSON object that has a field `action` (or another of [`marker`]'s words) means what this field says.
+//! 2. A JSON object that has a field `action` (or another of the words in `marker`) means what this field says.
 //!    Else a marker (`Action:`) rules out what stands before the first one.
 //! 3. In what is left, every phrase that names an action counts, in any of its forms (`phrase`), unless it is
 //!    denied, doubted, or part of a question. A word that could be part of a description ("on the left") does
