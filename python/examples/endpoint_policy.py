@@ -13,7 +13,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 from openai import OpenAI, OpenAIError
 
-from memtransfer import Action, Decision, Failed, Policy, Usage, run
+from memtransfer import Action, Decision, Exchange, Failed, Policy, Usage, run
 from memtransfer.prompt import IMAGE_BUDGET, SETTINGS, VERSION, read_answer, render
 
 
@@ -44,7 +44,7 @@ class Endpoint(Policy):
             )
         except OpenAIError as error:
             # Not the model's mistake: the episode is not scored, and the same command walks it again.
-            return Failed(f"{type(error).__name__}: {error}")
+            return Failed(f"{type(error).__name__}: {error}", exchange=Exchange(messages))
         used = reply.usage
         usage = Usage(
             prompt_tokens=used.prompt_tokens if used else None,
@@ -53,10 +53,13 @@ class Endpoint(Policy):
         )
         choice = reply.choices[0]
         cut_off = choice.finish_reason == "length"
-        answer = read_answer(choice.message.content or "", cut_off)
-        if isinstance(answer, Action):
-            return Decision(answer, images=prompt.images_sent, usage=usage)
-        return Decision(None, answer, images=prompt.images_sent, usage=usage)
+        text = choice.message.content or ""
+        answer = read_answer(text, cut_off)
+        read = isinstance(answer, Action)
+        # `--log-prompts` keeps it, for `memtransfer show`.
+        exchange = Exchange(messages, text, unread=None if read else answer.words)
+        rest = {"images": prompt.images_sent, "usage": usage, "exchange": exchange}
+        return Decision(answer, **rest) if read else Decision(None, answer, **rest)
 
 
 def main():

@@ -24,6 +24,7 @@ from memtransfer.errors import (
     FrameGone,
     MemTransferError,
     PolicyError,
+    PromptLogError,
 )
 from memtransfer.policy import Policy
 from memtransfer.request import (
@@ -31,6 +32,7 @@ from memtransfer.request import (
     Decision,
     DemonstrationStep,
     Document,
+    Exchange,
     Failed,
     PastStep,
     Pose,
@@ -60,6 +62,7 @@ __all__ = [
     "DemonstrationStep",
     "Document",
     "DocumentKind",
+    "Exchange",
     "Failed",
     "Feedback",
     "Frame",
@@ -71,6 +74,7 @@ __all__ = [
     "Policy",
     "PolicyError",
     "Pose",
+    "PromptLogError",
     "RememberedStep",
     "Request",
     "Segment",

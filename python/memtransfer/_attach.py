@@ -48,6 +48,8 @@ class Attach:
     """Frames that may be resident at once."""
     spin_us: int
     """Microseconds to look for work before sleeping."""
+    prompts: Path | None
+    """Folder of this session's prompt log, where one is asked for."""
 
     @property
     def pages(self) -> int:
@@ -132,10 +134,19 @@ class _Checked:
             height=self.whole(frame, "height", 1, 4096),
             frame_capacity=self.whole(self.values, "frame_capacity", 1, _wire.MAX_FRAMES),
             spin_us=self.whole(wait, "spin_us", 0, 1_000_000),
+            prompts=self.prompts(),
         )
         if attach.width % 64:
             raise self.wrong("width", attach.width, "a multiple of 64")
         return attach
+
+    def prompts(self) -> Path | None:
+        value = self.values.get("prompts")
+        if value is None:
+            return None
+        if not isinstance(value, str) or not os.path.isabs(value):
+            raise self.wrong("prompts", value, "an absolute path")
+        return Path(value)
 
     def group(self, name: str) -> dict[str, Any]:
         value = self.values.get(name)

@@ -23,8 +23,9 @@ from memtransfer._frames import FrameStore
 from memtransfer._join import BadMessage, Join, Lane, Observed, Recalled
 from memtransfer._layout import layout, place
 from memtransfer._process import Orchestrator
+from memtransfer._prompt_log import Json, PromptLog
 from memtransfer._served import ServedRequest
-from memtransfer.errors import AttachError, BusError, MemTransferError, PolicyError
+from memtransfer.errors import AttachError, BusError, MemTransferError, PolicyError, PromptLogError
 from memtransfer.policy import Policy
 from memtransfer.request import Answer, Decision, Failed, Usage
 
@@ -105,8 +106,8 @@ def serve(policy: Policy, folder: Path) -> None:
     """Lets `policy` decide in the run whose folder is `folder`, until the run ends. Goes on when the run
     starts its processes again.
 
-    Raises `AttachError` when the run cannot be taken part in, `BusError` when its transport fails, and
-    `PolicyError` when the policy breaks its contract.
+    Raises `AttachError` when the run cannot be taken part in, `BusError` when its transport fails,
+    `PromptLogError` when a prompt log cannot be begun, and `PolicyError` when the policy breaks its contract.
     """
     attach = _attach.read(folder)
     orchestrator = Orchestrator(attach.orchestrator_pid)
@@ -224,6 +225,7 @@ class _Server:
         self._join = Join(bus.attach.lanes)
         self._failures = 0
         self._halted = False
+        self._log = PromptLog.open(bus.attach)
 
     def say_hello(self) -> None:
         facts = {"policy": self._name, "sdk": "python", **self._policy.facts()}
@@ -248,6 +250,8 @@ class _Server:
 
     def close(self) -> None:
         self._frames.close()
+        if self._log is not None:
+            self._log.close()
 
     def turn(self) -> bool:
         """Answers everything that waits; returns whether it is time to stop."""
@@ -301,24 +305,67 @@ class _Server:
         if not requests:
             return False
         started_ns = time.monotonic_ns()
+        log = self._log
+        asked = None if log is None else self._asked(log, requests)
+        if log is not None and asked is None:
+            return True
         answers = self._decide(requests)
         decided_ns = time.monotonic_ns()
         send, pack = self._decisions.send, _DECISION.pack
         for request, answer in zip(requests, answers):
+            message: bytes | None = None
             if type(answer) is _wire.Action:
                 images = request._images
                 # fmt: off
-                send(pack(
+                message = pack(
                     request.episode, received_ns, started_ns, 0, 0, decided_ns, request.lane,
                     request.step, _NONE, _NONE, _NONE, _NONE, _NONE, images, images, 0, 0, answer, 0,
-                ))
+                )
                 # fmt: on
+            elif not isinstance(answer, Failed):
+                answer = self._in_full(answer)
+                message = _on_the_wire(request, answer, (received_ns, started_ns, decided_ns))
+            if log is not None and asked is not None:
+                # Before the answer leaves: what is decided is in the log.
+                times = (received_ns, started_ns, decided_ns)
+                if not self._keep(log, request, asked[request.lane], answer, times):
+                    return True
+            if message is not None:
+                send(message)
             elif isinstance(answer, Failed):
                 self._complaints.end_episode(request.lane, request.episode, answer.why)
-            else:
-                times = (received_ns, started_ns, decided_ns)
-                send(_on_the_wire(request, self._in_full(answer), times))
         return True
+
+    def _asked(self, log: PromptLog, requests: list[ServedRequest]) -> dict[int, Json] | None:
+        """What the prompt log says of each request, by lane; `None` when it cannot be kept."""
+        if log.broken:
+            return None
+        try:
+            return {request.lane: log.asked(request) for request in requests}
+        except PromptLogError as error:
+            self._break(log, error)
+            return None
+
+    def _keep(
+        self,
+        log: PromptLog,
+        request: ServedRequest,
+        asked: Json,
+        answer: _wire.Action | Decision | Failed,
+        times: tuple[int, int, int],
+    ) -> bool:
+        """Puts an answer into the prompt log. Returns whether things may go on."""
+        try:
+            log.write(request, asked, answer, times)
+        except PromptLogError as error:
+            self._break(log, error)
+            return False
+        return True
+
+    def _break(self, log: PromptLog, error: PromptLogError) -> None:
+        """The prompt log cannot be written: nothing more is asked or answered, and the run is to stop."""
+        log.broken = True
+        self._complaints.end_run(str(error))
 
     def _hold(
         self, lane: int, observed: Observed, recalled: Recalled

@@ -15,6 +15,10 @@ class BusError(MemTransferError):
     """The transport of a run failed: a peer is gone, or hangs."""
 
 
+class PromptLogError(MemTransferError):
+    """The prompt log that the run asks for cannot be written."""
+
+
 class FrameGone(MemTransferError):
     """A frame was looked at after the run let go of it.
 

@@ -4,8 +4,9 @@ yourself to test a policy without a run.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
 
 from memtransfer._frames import Frame
 from memtransfer._wire import Action, DocumentKind, Feedback, Heading, Outcome
@@ -150,6 +151,31 @@ class Usage:
 
 
 @dataclass(frozen=True, slots=True)
+class Exchange:
+    """For the prompt log: what was said to a model and what it said. Costs nothing where there is none."""
+
+    messages: Sequence[Mapping[str, Any]]
+    """The messages, as an OpenAI-compatible server takes them: `role`, and `content` that is a text or a list
+    of parts. Of an image that is in them only its name is written into the entry."""
+    reply: str | None = None
+    """The reply, as it came; `None` where none did."""
+    unread: str | None = None
+    """Why no action could be read in it; `None` where one could."""
+
+    def __post_init__(self) -> None:
+        for message in self.messages:
+            if not isinstance(message, Mapping):
+                raise TypeError(
+                    f"a message of an exchange is a {type(message).__name__}, but must be a mapping with "
+                    "role and content"
+                )
+        for name in ("reply", "unread"):
+            value = getattr(self, name)
+            if value is not None and not isinstance(value, str):
+                raise TypeError(f"{name} of an exchange is a {type(value).__name__}, but must be text")
+
+
+@dataclass(frozen=True, slots=True)
 class Decision:
     """An answer in full. An `Action`, or an `Outcome` without one, is short for it."""
 
@@ -161,6 +187,8 @@ class Decision:
     """Images the policy was shown for it; `None`: all that the request holds."""
     usage: Usage | None = None
     """What asking a model took; `None` where none was asked."""
+    exchange: Exchange | None = field(default=None, compare=False, repr=False)
+    """What was said to a model and what it said, for the prompt log; `None` where none was asked."""
 
     def __post_init__(self) -> None:
         if (self.action is None) == (self.outcome is Outcome.ACTED):
@@ -177,6 +205,8 @@ class Failed:
     """
 
     why: str
+    exchange: Exchange | None = field(default=None, compare=False, repr=False)
+    """What was said to a model, for the prompt log."""
 
 
 Answer = Action | Outcome | Decision | Failed | None

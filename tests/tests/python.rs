@@ -231,7 +231,7 @@ fn the_endpoint_example_asks_a_server() {
     let bench = Bench::new();
     let server = Server::start(|_| Turn::says("Action: turn left")).unwrap();
     let policy = format!("{} scripted", example("endpoint_policy.py"));
-    let more = ["--memory", "working", "--max-steps", "5"];
+    let more = ["--memory", "working", "--max-steps", "5", "--log-prompts"];
     let mut command = slice(&bench, "endpoint", &policy, &more);
     command.env("OPENAI_BASE_URL", server.base_url()).env("OPENAI_API_KEY", "none");
     walk(command);
@@ -248,5 +248,13 @@ fn the_endpoint_example_asks_a_server() {
     assert_eq!(received.len(), 15);
     let system = &received[0].body["messages"][0]["content"];
     assert!(system.as_str().unwrap().contains("You control a robot in a warehouse."));
+    // The package keeps prompt logs as the harness does.
+    let case = walked[0]["case"].as_str().unwrap();
+    let shown = bench.run(&["show", "endpoint", case, "2"]).expect(0).stdout;
+    for part in
+        ["Message of role user", "  [image ", "Reply\n  Action: turn left", "acted: turn left"]
+    {
+        assert!(shown.contains(part), "no {part:?} in {shown}");
+    }
     assert_eq!(bench.leftovers(), Vec::<String>::new());
 }
