@@ -195,6 +195,11 @@ fn times(log: &RunLog) -> Option<Table> {
     (table.row_count() > 0).then_some(table)
 }
 
+/// A rate as people read it: a slow one with a digit after the point.
+pub fn steps_per_second(rate: f64) -> String {
+    if rate < 10.0 { format!("{rate:.1}") } else { format!("{rate:.0}") }
+}
+
 /// What makes the difference between a result and a test of the harness.
 pub fn standing(settings: &Settings) -> Vec<String> {
     let mut lines = vec![match settings.policy {
@@ -232,7 +237,11 @@ fn remarks(log: &RunLog, scores: &Scores) -> Vec<String> {
         "SR: mean ± standard deviation over runs; CI: bootstrap over cases and runs.".to_owned(),
     );
     if let Some(rate) = scores.steps_per_s {
-        lines.push(format!("Speed: {rate:.0} steps/s with {} lanes.", settings.lanes));
+        lines.push(format!(
+            "Speed: {} steps/s with {} lanes.",
+            steps_per_second(rate),
+            settings.lanes
+        ));
     }
     let left = scores.planned.saturating_sub(scores.finished + scores.errored);
     if left > 0 {

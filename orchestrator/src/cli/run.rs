@@ -270,7 +270,8 @@ fn dry_run(
             (condition.to_string(), basis.estimate(&condition, &missing))
         }));
         let requests = requests(planned - done);
-        let each = u64::from(settings.images(&condition));
+        let budget = settings.model.as_ref().map_or(u32::MAX, |model| model.image_budget);
+        let each = u64::from(settings.images(&condition).min(budget));
         (all, missing, images) =
             (all + planned, missing + planned - done, images + requests * each);
         table.add_row([

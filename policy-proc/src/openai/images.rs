@@ -4,9 +4,8 @@
 //! are bounded by their bytes; the one that was not asked for the longest goes first. A view that comes back
 //! after that is encoded anew, to the same bytes.
 //!
-//! Encoding a view of 448 x 448 takes some milliseconds (`how_long_a_view_takes` below prints how many), so the
-//! views of a batch that are new are encoded side by side on all cores while the serve loop waits: their pixels
-//! are only lent.
+//! Encoding a view of 448 x 448 takes some milliseconds, so the views of a batch that are new are encoded side by
+//! side on all cores while the serve loop waits: their pixels are only lent.
 
 use std::collections::{BTreeMap, HashMap, HashSet};
 use std::fmt;
@@ -266,23 +265,5 @@ mod tests {
         let mut images = Images::new(ImageFormat::Jpeg);
         assert!(images.urls([short, FrameView::NONE].iter()).is_empty());
         assert!(images.kept.is_empty());
-    }
-
-    /// Prints what encoding costs; run it by hand, on an idle machine.
-    #[test]
-    #[ignore = "prints figures"]
-    fn how_long_a_view_takes() {
-        let picture = image::open(concat!(env!("CARGO_MANIFEST_DIR"), "/../docs/images/view.png"));
-        let picture = picture.unwrap().to_rgba8();
-        let (width, height) = picture.dimensions();
-        let view = FrameView { width, height, ..view(1, picture.as_raw()) };
-        for format in [ImageFormat::Png, ImageFormat::Jpeg] {
-            let started = std::time::Instant::now();
-            let mut bytes = 0;
-            for _ in 0..50 {
-                bytes = data_url(&view, format).unwrap().len();
-            }
-            println!("{format}: {:?} a view, {bytes} bytes of URL", started.elapsed() / 50);
-        }
     }
 }

@@ -51,7 +51,10 @@ pub(super) fn blocks(view: &View<'_>) -> Result<Vec<Block>, PlotError> {
     let cases = scores.conditions.iter().map(|score| score.cases).max().unwrap_or(0);
     let runs = scores.conditions.iter().map(|score| score.runs).max().unwrap_or(0);
     let speed = match scores.steps_per_s {
-        Some(rate) => Cell::Value(format!("{rate:.0} steps/s with {} lanes", settings.lanes)),
+        Some(rate) => {
+            let rate = table::steps_per_second(rate);
+            Cell::Value(format!("{rate} steps/s with {} lanes", settings.lanes))
+        }
         None => Cell::Missing(Missing::NotMeasured("the log holds no timings")),
     };
     let facts = [
