@@ -25,6 +25,11 @@ run(Raises())
 """
 
 
+def hears_interrupts() -> None:
+    # Whoever starts the tests in the background lets them ignore it, and what they start inherits that.
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
 def start(*arguments: str, folder: Path | None) -> subprocess.Popen[str]:
     variables = {name: value for name, value in os.environ.items() if name != "MEMTRANSFER_ATTACH"}
     if folder is not None:
@@ -37,6 +42,7 @@ def start(*arguments: str, folder: Path | None) -> subprocess.Popen[str]:
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
+        preexec_fn=hears_interrupts,
     )
 
 

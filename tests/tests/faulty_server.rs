@@ -1,0 +1,193 @@
+//! Runs with a model whose server fails in every way there is: nothing is lost, nothing is counted twice, and the
+//! log is that of a server that never failed.
+
+#![expect(clippy::unwrap_used, reason = "a test that cannot go on fails")]
+
+use std::collections::hash_map::DefaultHasher;
+use std::fs;
+use std::hash::{Hash, Hasher};
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering::SeqCst};
+
+use memtransfer_tests::{Bench, Ended, episodes, eventually, records, sorted_log};
+use policy_proc::chat::scripted::{Received, Server, Turn, completion};
+use serde_json::{Value, json};
+
+/// Lanes, and most requests under way.
+const LANES: u64 = 4;
+
+/// Cases times memories.
+const EPISODES: usize = 6;
+
+/// What the server says to a request, by the request alone: an action, and what it took.
+fn reply(request: &Received) -> Value {
+    let said = request.body["messages"].to_string();
+    let mut hasher = DefaultHasher::new();
+    said.hash(&mut hasher);
+    let action = ["move forward", "Turn left.", "{\"action\": \"turn right\"}", "no idea"]
+        [(hasher.finish() % 4) as usize];
+    let mut reply = completion(action);
+    let (prompt, answer) = (100 + said.len() as u64 % 1000, 1 + hasher.finish() % 9);
+    reply["usage"] = json!({"prompt_tokens": prompt, "completion_tokens": answer});
+    reply
+}
+
+/// Tokens and number of the replies that a server gave in full.
+#[derive(Default)]
+struct Given {
+    tokens: AtomicU64,
+    replies: AtomicU64,
+}
+
+impl Given {
+    fn answer(&self, request: &Received) -> Turn {
+        let reply = reply(request);
+        let tokens = |what: &str| reply["usage"][what].as_u64().unwrap();
+        self.tokens.fetch_add(tokens("prompt_tokens") + tokens("completion_tokens"), SeqCst);
+        self.replies.fetch_add(1, SeqCst);
+        Turn::json(200, &reply)
+    }
+}
+
+/// A server that never fails.
+fn sound() -> Server {
+    let given = Given::default();
+    Server::concurrent(move |request| given.answer(request)).unwrap()
+}
+
+/// A server that fails nearly every second time, each time in another way.
+fn faulty(given: Arc<Given>) -> Server {
+    let count = AtomicU64::new(0);
+    Server::concurrent(move |request| {
+        let error = json!({"error": {"message": "not now"}});
+        match count.fetch_add(1, SeqCst) % 21 {
+            0 => Turn::json(429, &error).with("Retry-After: 0"),
+            2 => Turn::json(500, &error),
+            4 => Turn::Half(reply(request).to_string()),
+            6 => Turn::json(200, &json!({"choices": []})),
+            8 => Turn::Close,
+            10 => Turn::json(503, &error).with("Retry-After: 0.1"),
+            12 => Turn::Answer { status: 502, headers: Vec::new(), body: "<html>".to_owned() },
+            14 => Turn::Hang,
+            16 => Turn::Trickle(reply(request).to_string()),
+            _ => given.answer(request),
+        }
+    })
+    .unwrap()
+}
+
+/// `memtransfer run` of a slice that a model decides, into the folder `out`.
+fn slice<'a>(base_url: &'a str, out: &'a str, cache: &'a str) -> Vec<&'a str> {
+    let mut args = vec!["run", "--policy", "openai", "--model", "m", "--base-url", base_url];
+    args.extend(["--cases", "t01-01,t03-02,t07-01", "--starts", "new", "--demos", "original"]);
+    args.extend(["--memory", "working,full-context", "--frame-size", "64", "--max-steps", "8"]);
+    args.extend(["--lanes", "4", "--max-connections", "4", "--max-retries", "12"]);
+    args.extend(["--request-timeout", "1", "--response-cache", cache, "--out", out]);
+    args
+}
+
+fn requests(run: &Path) -> Vec<Value> {
+    let text = fs::read_to_string(run.join("requests.jsonl")).unwrap();
+    // A line that a kill has torn is no line.
+    text.lines().filter_map(|line| serde_json::from_str(line).ok()).collect()
+}
+
+fn tokens(record: &Value) -> u64 {
+    let count = |what: &str| record[what].as_u64().unwrap();
+    count("prompt_tokens") + count("completion_tokens")
+}
+
+/// Kills a run in the middle and gives the same command again, with a server that fails all the time.
+fn survives(bench: &Bench, reference: &[String], out: &str, cache: &str) {
+    let given = Arc::<Given>::default();
+    let server = faulty(given.clone());
+    let base_url = server.base_url();
+    let args = slice(&base_url, out, cache);
+    let run = bench.out(out);
+    let mut child = bench.start(&args);
+    eventually("an episode to be finished", || (!episodes(&run).is_empty()).then_some(()));
+    memtransfer_tests::kill(child.id());
+    child.wait().unwrap();
+    bench.run(&args).expect(0);
+
+    assert_eq!(sorted_log(&run), reference, "{out}");
+    let asked = requests(&run);
+    let (kept, sent): (Vec<&Value>, Vec<&Value>) =
+        asked.iter().partition(|request| request["replayed"] == true);
+    // What was on its way when the run was killed is all that can be missing.
+    let (replies, counted) = (given.replies.load(SeqCst), sent.len() as u64);
+    assert!(counted <= replies && replies <= counted + LANES, "{counted} of {replies}");
+    let total: u64 = sent.iter().map(|request| tokens(request)).sum();
+    let most = given.tokens.load(SeqCst);
+    assert!(total <= most && most - total <= LANES * 1200, "{total} of {most}");
+    assert!(sent.iter().any(|request| request["attempts"].as_u64() > Some(1)), "it never failed");
+    assert_eq!(kept.is_empty(), cache == "off");
+    // Every step of every finished episode is among them.
+    let steps: u64 = records(&run).iter().map(|episode| episode["steps"].as_u64().unwrap()).sum();
+    assert!(asked.len() as u64 >= steps);
+}
+
+#[test]
+fn whatever_the_server_does_the_log_is_the_same_and_the_totals_are_right() {
+    let bench = Bench::new();
+    let server = sound();
+    bench.run(&slice(&server.base_url(), "reference", "off")).expect(0);
+    let reference = sorted_log(&bench.out("reference"));
+    assert_eq!(reference.len(), EPISODES);
+    let spent: u64 = records(&bench.out("reference")).iter().map(tokens).sum();
+    assert_eq!(spent, requests(&bench.out("reference")).iter().map(tokens).sum::<u64>());
+
+    survives(&bench, &reference, "again", "off");
+    survives(&bench, &reference, "kept", "./replies");
+    assert_eq!(bench.leftovers(), Vec::<String>::new());
+}
+
+#[test]
+fn a_server_that_takes_few_images_ends_episodes_with_its_words_and_a_budget_helps() {
+    let bench = Bench::new();
+    let server = Server::concurrent(|request| {
+        let images = request.body["messages"].to_string().matches("image_url").count() / 2;
+        match images {
+            0..=2 => Turn::json(200, &reply(request)),
+            _ => Turn::json(400, &json!({"error": {"message": "at most 2 images"}})),
+        }
+    })
+    .unwrap();
+    let base_url = server.base_url();
+    let ended: Ended = bench.run(&slice(&base_url, "refused", "off")).expect(1);
+    assert!(ended.stderr.contains("at most 2 images"), "{}", ended.stderr);
+    assert_eq!(records(&bench.out("refused")), Vec::<Value>::new(), "nothing is scored");
+    let errors = fs::read_to_string(bench.out("refused").join("errors.jsonl")).unwrap();
+    assert_eq!(errors.matches("at most 2 images").count(), EPISODES, "{errors}");
+
+    let mut args = slice(&base_url, "bounded", "off");
+    args.extend(["--image-budget", "2"]);
+    bench.run(&args).expect(0);
+    for episode in records(&bench.out("bounded")) {
+        let count = |what: &str| episode[what].as_u64().unwrap();
+        assert!(count("images") <= 2 * count("requests"), "{episode}");
+        assert!(count("images_dropped") > 0, "{episode}");
+    }
+}
+
+#[test]
+fn a_server_that_is_gone_stops_the_run_and_the_same_command_goes_on() {
+    let bench = Bench::new();
+    let server = sound();
+    let base_url = server.base_url();
+    let args = slice(&base_url, "run", "off");
+    let mut few: Vec<&str> = args.iter().map(|arg| if *arg == "12" { "1" } else { arg }).collect();
+    drop(server);
+    let ended = bench.run(&few).expect(1);
+    assert!(ended.stderr.contains("stopped: policy: "), "{}", ended.stderr);
+    assert!(ended.stderr.contains("doctor --policy openai"), "{}", ended.stderr);
+    assert!(records(&bench.out("run")).is_empty());
+
+    let server = sound();
+    let elsewhere = server.base_url();
+    few.iter_mut().filter(|arg| **arg == base_url).for_each(|arg| *arg = &elsewhere);
+    bench.run(&few).expect(0);
+    assert_eq!(records(&bench.out("run")).len(), EPISODES);
+    assert_eq!(bench.leftovers(), Vec::<String>::new());
+}
