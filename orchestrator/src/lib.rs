@@ -10,6 +10,7 @@
 //! - What shows meanwhile: [`session`], [`progress`]; [`signals`] stop it.
 //! - What is kept: [`log`] (the run folder). From it alone are made: [`score`], [`compare`], [`table`] (a
 //!   terminal), [`report`] (pages and data files), [`shown`] (one step).
+//! - What it runs on, and what that can do at best: [`machine`].
 //! - What people type: [`cli`], one file for each verb.
 
 pub mod budget;
@@ -22,6 +23,7 @@ pub mod estimate;
 pub mod frame_budget;
 pub mod lanes;
 pub mod log;
+pub mod machine;
 pub mod names;
 pub mod pipeline;
 pub mod plan;

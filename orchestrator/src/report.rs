@@ -26,7 +26,7 @@ mod tests;
 
 pub use document::{Block, Cell, Column, Document, Figure, Group, Missing, Row, Section, Table};
 pub use frame::{Frame, Series, Values};
-pub use plot::PlotError;
+pub use plot::{Curve, Curves, PlotError, curves};
 pub use published::{Published, PublishedCondition, PublishedSpread};
 
 use std::fs::{self, File};
@@ -71,6 +71,15 @@ pub enum ReportError {
 /// When a figure cannot be drawn.
 pub fn document(logs: &[RunLog], published: &Published) -> Result<Document, ReportError> {
     Ok(arrange(&views(logs, published))?)
+}
+
+/// `document` as one HTML page that needs nothing else.
+///
+/// # Errors
+/// When the template refuses, which it does not.
+pub fn page(document: &Document) -> Result<String, ReportError> {
+    let template = |source| ReportError::Template { page: "the page", source };
+    html::render(document).map_err(template)
 }
 
 fn views<'a>(logs: &'a [RunLog], published: &'a Published) -> Vec<View<'a>> {

@@ -8,6 +8,7 @@
 //! Exit status: 0 done, 1 a check or a test failed, 2 could not do it.
 
 mod apt;
+mod bench;
 mod boundaries;
 mod cache;
 mod check;
@@ -29,7 +30,7 @@ use std::process::ExitCode;
 use clap::{Parser, Subcommand};
 
 use crate::cache::Cache;
-use crate::pins::Pins;
+use crate::pins::{Pins, Purpose};
 use crate::workspace::Workspace;
 
 #[derive(Parser)]
@@ -66,6 +67,8 @@ enum Verb {
         #[arg(last = true)]
         test_arguments: Vec<String>,
     },
+    /// Set up with the peers' Python packages, build, measure beside them, write target/bench
+    Bench(bench::BenchArguments),
     /// Format, lints, docs and licences
     Check,
     /// What CI runs: `check`, then `test`
@@ -97,20 +100,26 @@ fn run(arguments: &Arguments) -> anyhow::Result<bool> {
 
     match &arguments.verb {
         Verb::Setup { tests } => {
-            setup::bring_missing(*tests, &pins, &cache, &workspace).map(|()| true)
+            let purpose = if *tests { Purpose::Tests } else { Purpose::Use };
+            setup::bring_missing(purpose, &pins, &cache, &workspace).map(|()| true)
         }
         Verb::Demo { run_flags } => {
-            setup::bring_missing(false, &pins, &cache, &workspace)?;
+            setup::bring_missing(Purpose::Use, &pins, &cache, &workspace)?;
             demo::run(&workspace, run_flags)
         }
         Verb::Test { test_arguments } => {
-            setup::bring_missing(true, &pins, &cache, &workspace)?;
+            setup::bring_missing(Purpose::Tests, &pins, &cache, &workspace)?;
             test::run(&workspace, test_arguments)
+        }
+        Verb::Bench(arguments) => {
+            let purpose = if arguments.no_peers { Purpose::Use } else { Purpose::Benches };
+            setup::bring_missing(purpose, &pins, &cache, &workspace)?;
+            bench::run(arguments, &pins, &cache, &workspace)
         }
         Verb::Check => check::run(&workspace),
         Verb::Ci => {
             let checked = check::run(&workspace)?;
-            setup::bring_missing(true, &pins, &cache, &workspace)?;
+            setup::bring_missing(Purpose::Tests, &pins, &cache, &workspace)?;
             Ok(test::run(&workspace, &[])? && checked)
         }
         Verb::VitB16Untrained => {

@@ -32,8 +32,21 @@ pub(crate) enum Wanted {
     Always,
     /// By a set-up for tests.
     ForTests,
+    /// By a set-up for benches.
+    ForBenches,
     /// Only when its own verb asks for it.
     OnDemand,
+}
+
+/// What a set-up is for.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+pub(crate) enum Purpose {
+    /// Running the program.
+    Use,
+    /// Running it and its tests.
+    Tests,
+    /// Running it and its benches.
+    Benches,
 }
 
 /// Something that the operating system's packages bring.
@@ -118,17 +131,26 @@ pub(crate) struct EnvironmentPin {
 }
 
 impl Wanted {
-    /// Whether it is brought by a set-up for tests (`tests`), or by one for everybody.
-    pub(crate) fn now(self, tests: bool) -> bool {
+    /// Whether it is brought by a set-up for `purpose`.
+    pub(crate) fn now(self, purpose: Purpose) -> bool {
         match self {
             Self::Always => true,
-            Self::ForTests => tests,
+            Self::ForTests => purpose == Purpose::Tests,
+            Self::ForBenches => purpose == Purpose::Benches,
             Self::OnDemand => false,
         }
     }
 }
 
 impl Pins {
+    /// The environment of this name.
+    pub(crate) fn environment(&self, name: &str) -> anyhow::Result<&EnvironmentPin> {
+        self.environment
+            .iter()
+            .find(|environment| environment.name == name)
+            .with_context(|| format!("xtask/setup.toml has no environment {name:?}"))
+    }
+
     /// The file of this name.
     pub(crate) fn file(&self, name: &str) -> anyhow::Result<&FilePin> {
         self.file

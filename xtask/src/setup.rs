@@ -9,14 +9,13 @@ use anyhow::bail;
 
 use crate::cache::Cache;
 use crate::files::{self, Found};
-use crate::pins::{EnvironmentPin, FilePin, Pins, SystemNeed};
+use crate::pins::{EnvironmentPin, FilePin, Pins, Purpose, SystemNeed};
 use crate::workspace::Workspace;
 use crate::{apt, environments};
 
-/// Looks at everything on the list, prints it, and brings what is missing; with `tests` also what
-/// only tests need.
+/// Looks at everything on the list, prints it, and brings what is missing for `purpose`.
 pub(crate) fn bring_missing(
-    tests: bool,
+    purpose: Purpose,
     pins: &Pins,
     cache: &Cache,
     workspace: &Workspace,
@@ -25,13 +24,13 @@ pub(crate) fn bring_missing(
     eprintln!("set-up: cache folder {}", cache.root().display());
     let needs: Vec<&SystemNeed> = pins.system.iter().filter(|need| !report_system(need)).collect();
     let mut missing_files: Vec<&FilePin> = Vec::new();
-    for file in pins.file.iter().filter(|file| file.wanted.now(tests)) {
+    for file in pins.file.iter().filter(|file| file.wanted.now(purpose)) {
         if !report_file(file, cache)? {
             missing_files.push(file);
         }
     }
     let mut missing_environments: Vec<&EnvironmentPin> = Vec::new();
-    for environment in pins.environment.iter().filter(|it| it.wanted.now(tests)) {
+    for environment in pins.environment.iter().filter(|it| it.wanted.now(purpose)) {
         if !report_environment(environment, cache, workspace)? {
             missing_environments.push(environment);
         }

@@ -4,9 +4,11 @@
 //! light or a dark grey, and a number that the legend explains. What is drawn in black takes the colour of the
 //! text around it in the page, so that it shows on a dark background, too.
 
+mod curves;
 mod dots;
 mod stack;
 
+pub use curves::{Curve, Curves, curves};
 pub(super) use dots::{Dot, DotRow, Dots, dots};
 pub(super) use stack::{Stack, StackRow, stack};
 

@@ -1,0 +1,172 @@
+//! What people type, and the loop over the benches.
+
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+use std::time::{Instant, SystemTime};
+
+use anyhow::{Context, Result, bail};
+use benches::results::{FILE, Outcome, Results};
+use benches::{BENCHES, Bench, Peers, Session, Size, compare, markdown, page, parts};
+use clap::{Parser, Subcommand};
+use orchestrator::log::commit_of;
+
+/// Measures this project beside others' programs, in the same rounds on the same machine.
+#[derive(Debug, Parser)]
+#[command(name = "memtransfer-bench", version, after_help = after_help())]
+struct Arguments {
+    /// Measure these benches alone
+    #[arg(long, value_name = "NAMES", value_delimiter = ',')]
+    only: Vec<String>,
+    /// How often each figure is measured; ours and the peer's in turns
+    #[arg(long, value_name = "N", default_value_t = 5)]
+    rounds: u32,
+    /// Earlier results (a bench.json) to set beside the new ones
+    #[arg(long, value_name = "FILE")]
+    compare: Option<PathBuf>,
+    /// Where bench.json, bench.html and bench.md are written
+    #[arg(long, value_name = "DIR", default_value = "target/bench")]
+    out: PathBuf,
+    /// Keep what that bench.json has of benches that are not measured now
+    #[arg(long)]
+    keep: bool,
+    /// A Python interpreter that has the peers' packages (benches/peers/requirements.txt); without it, ours are
+    /// measured alone
+    #[arg(long, value_name = "FILE")]
+    python: Option<PathBuf>,
+    /// As little as shows that the benches work; its figures mean nothing
+    #[arg(long)]
+    tiny: bool,
+    /// Put the results into this Markdown page, between its marks
+    #[arg(long, value_name = "FILE")]
+    page: Option<PathBuf>,
+    #[command(subcommand)]
+    verb: Option<Verb>,
+}
+
+#[derive(Debug, Subcommand)]
+enum Verb {
+    /// Plays a part in a bench
+    #[command(hide = true)]
+    Part { name: String, arguments: Vec<String> },
+}
+
+fn after_help() -> String {
+    let width = BENCHES.iter().map(|bench| bench.name.len()).max().unwrap_or_default();
+    let lines = BENCHES.iter().map(|bench| format!("  {:width$}  {}\n", bench.name, bench.about));
+    format!(
+        "Benches:\n{}\nThe table goes to stdout, progress to stderr. Exit status: 0 all benches ran, 1 one failed, 2 \
+         could not run.\n`cargo xtask bench` builds the programs and brings the peers first.",
+        lines.collect::<String>()
+    )
+}
+
+pub(super) fn main() -> ExitCode {
+    let arguments = Arguments::parse();
+    let done = match &arguments.verb {
+        Some(Verb::Part { name, arguments }) => parts::play(name, arguments).map(|()| true),
+        None => run(&arguments),
+    };
+    match done {
+        Ok(true) => ExitCode::SUCCESS,
+        Ok(false) => ExitCode::from(1),
+        Err(error) => {
+            eprintln!("memtransfer-bench: {error:#}");
+            ExitCode::from(2)
+        }
+    }
+}
+
+/// Measures, and keeps the results after every bench; whether all could be measured.
+fn run(arguments: &Arguments) -> Result<bool> {
+    let benches = chosen(&arguments.only)?;
+    let earlier = arguments.compare.as_deref().map(Results::read).transpose()?;
+    let peers = arguments.python.clone().map(Peers::new);
+    let program = std::env::current_exe().context("cannot find this program's own place")?;
+    let programs = program.parent().context("this program lies in no folder")?;
+    std::fs::create_dir_all(&arguments.out)
+        .with_context(|| format!("cannot make {}", arguments.out.display()))?;
+    let mut results = Results::here();
+    let kept = arguments.out.join(FILE);
+    if arguments.keep && kept.is_file() {
+        results.benches = Results::read(&kept)?.benches;
+    }
+    let size = if arguments.tiny { Size::Tiny } else { Size::Full };
+    for bench in benches {
+        let session = Session::new(bench.name, size, arguments.rounds, programs, peers.as_ref())?;
+        results.add(measure(bench, session));
+        write(&results, earlier.as_ref(), &arguments.out)?;
+    }
+    let table = markdown::render(&results);
+    print!("{table}");
+    if let Some(earlier) = &earlier {
+        if earlier.machine != results.machine {
+            println!(
+                "\nThe earlier results are of another machine: {}.",
+                earlier.machine.summary()
+            );
+        }
+        println!("\n{}", markdown::changes(&compare::compare(earlier, &results)));
+    }
+    if let Some(page) = &arguments.page {
+        markdown::insert(page, &results)?;
+    }
+    eprintln!("written to {}", arguments.out.display());
+    Ok(results.benches.iter().all(|outcome| outcome.error.is_none()))
+}
+
+fn chosen(only: &[String]) -> Result<Vec<&'static Bench>> {
+    if only.is_empty() {
+        return Ok(BENCHES.iter().collect());
+    }
+    if let Some(unknown) = only.iter().find(|name| BENCHES.iter().all(|bench| bench.name != **name))
+    {
+        let names: Vec<&str> = BENCHES.iter().map(|bench| bench.name).collect();
+        bail!("there is no bench {unknown:?}; there are {}", names.join(", "));
+    }
+    Ok(BENCHES.iter().filter(|bench| only.iter().any(|name| name == bench.name)).collect())
+}
+
+fn measure(bench: &Bench, mut session: Session<'_>) -> Outcome {
+    session.say(bench.about);
+    let (began, clock) = (httpdate::fmt_http_date(SystemTime::now()), Instant::now());
+    let figures = (bench.run)(&mut session);
+    let error = figures.as_ref().err().map(|error| format!("{error:#}"));
+    if let Some(error) = &error {
+        eprintln!("{}: failed: {error}", bench.name);
+    }
+    Outcome {
+        name: bench.name.to_owned(),
+        about: bench.about.to_owned(),
+        began,
+        commit: commit_of(Path::new(env!("CARGO_MANIFEST_DIR"))),
+        seconds: clock.elapsed().as_secs_f64(),
+        error,
+        figures: figures.unwrap_or_default().into_iter().map(Into::into).collect(),
+    }
+}
+
+fn write(results: &Results, earlier: Option<&Results>, out: &Path) -> Result<()> {
+    results.write(out)?;
+    let changes = earlier.map(|earlier| compare::compare(earlier, results));
+    let save = |name: &str, text: String| {
+        let path = out.join(name);
+        std::fs::write(&path, text).with_context(|| format!("cannot write {}", path.display()))
+    };
+    save("bench.md", markdown::render(results))?;
+    save("bench.html", page::render(results, changes.as_deref())?)
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::CommandFactory;
+
+    use super::*;
+
+    #[test]
+    fn the_command_line_is_well_formed_and_knows_its_benches() {
+        Arguments::command().debug_assert();
+        assert!(chosen(&["hop".to_owned()]).is_ok_and(|benches| benches.len() == 1));
+        let error = chosen(&["hops".to_owned()]).unwrap_err().to_string();
+        assert!(error.contains("hops") && error.contains("there are hop"), "{error}");
+    }
+}

@@ -1,0 +1,270 @@
+//! A message from one process to another and its answer, both looking without ever sleeping: through our wire types,
+//! and through iceoryx2's own interface as its own benchmark uses it. Beside them what the machine can do at best.
+
+use std::path::Path;
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, Result, bail, ensure};
+use bytemuck::Zeroable;
+use iceoryx2::config::Config;
+use iceoryx2::node::{Node, NodeBuilder};
+use iceoryx2::port::publisher::Publisher;
+use iceoryx2::port::subscriber::Subscriber;
+use iceoryx2::prelude::{FileName, PortFactory as _, SemanticString, SignalHandlingMode, ipc};
+use orchestrator::machine::floors::{Effort, measure};
+use shm_types::message::{Observation, Role, StepCommand};
+use shm_types::process::SHARED_MEMORY;
+use shm_types::{Attach, Bus, Receiver, RunDir, Sender};
+
+use crate::Bench;
+use crate::figure::{Better, Bound, Figure};
+use crate::parts::Part;
+use crate::session::Session;
+
+/// This bench.
+pub const BENCH: Bench = Bench {
+    name: "hop",
+    about: "a polled hop between two processes, and the machine's floors",
+    run,
+};
+
+/// Trips of which the mean is taken; the figure is the median of those means, so that being put off the core once does
+/// not show.
+const BATCH: u32 = 1000;
+
+/// How long an answer may take before the other process is taken to be gone.
+const PATIENCE: Duration = Duration::from_secs(20);
+
+fn run(session: &mut Session<'_>) -> Result<Vec<Figure>> {
+    let batches = session.size.pick(2, 300);
+    let (ours, theirs) =
+        session.in_turns(|session| wire(session, batches), |session| iceoryx2(session, batches))?;
+    let bytes = (size_of::<StepCommand>(), size_of::<Observation>());
+    let hop = Figure::new(
+        "hop.one-way",
+        "a polled hop through the wire types: half a round trip",
+        "ns",
+        Better::Lower,
+    )
+    .ours(ours)
+    .peer("iceoryx2", "0.10", theirs)
+    .target(Bound::Ratio(1.5), "within 1.5 x")
+    .parameter("bytes there", bytes.0)
+    .parameter("bytes back", bytes.1);
+    let mut figures = vec![hop];
+    figures.extend(floors(session));
+    Ok(figures)
+}
+
+/// The machine's floors, as figures.
+fn floors(session: &Session<'_>) -> Vec<Figure> {
+    let effort = session.size.pick(Effort::TINY, Effort::FULL);
+    let rounds: Vec<_> = (0..session.rounds()).map(|_| measure(effort)).collect();
+    let of = |value: fn(&orchestrator::machine::floors::Floors) -> f64| -> Vec<f64> {
+        rounds.iter().map(value).collect()
+    };
+    let floor = |id: &str, what: &str, unit: &str, better| {
+        Figure::new(format!("hop.floor.{id}"), format!("the machine's floor: {what}"), unit, better)
+    };
+    let mib = effort.bytes >> 20;
+    vec![
+        floor("cache-line", "a cache line from one core to another", "ns", Better::Lower)
+            .ours(of(|floors| floors.cache_line_ns)),
+        floor("frame-copy", "a memcpy of a frame of 448 x 448", "us", Better::Lower)
+            .ours(of(|floors| floors.frame_copy_ns / 1e3)),
+        floor("read-1", "reading memory with one thread", "GB/s", Better::Higher)
+            .ours(of(|floors| floors.read_one_thread / 1e9))
+            .parameter("MiB", mib),
+        floor("read-all", "reading memory with all cores", "GB/s", Better::Higher)
+            .ours(of(|floors| floors.read_all_cores / 1e9))
+            .parameter("MiB", mib),
+    ]
+}
+
+/// Half of the median time of a trip there and back, in nanoseconds. `trip` makes one.
+fn one_way(batches: u32, mut trip: impl FnMut() -> Result<()>) -> Result<f64> {
+    let mut means = Vec::new();
+    // The first batch is not counted: connections are made in it.
+    for batch in 0..=batches {
+        let began = Instant::now();
+        for _ in 0..BATCH {
+            trip()?;
+        }
+        if batch > 0 {
+            means.push(began.elapsed().as_nanos() as f64 / f64::from(BATCH) / 2.0);
+        }
+    }
+    means.sort_by(f64::total_cmp);
+    means.get(means.len() / 2).copied().context("no batch")
+}
+
+/// Looks until `look` finds something.
+fn poll<T>(mut look: impl FnMut() -> Result<Option<T>>) -> Result<T> {
+    let mut deadline = None;
+    loop {
+        // Time is looked at now and then only: it is not what is measured.
+        for _ in 0..1 << 16 {
+            if let Some(found) = look()? {
+                return Ok(found);
+            }
+        }
+        let deadline = *deadline.get_or_insert_with(|| Instant::now() + PATIENCE);
+        ensure!(Instant::now() < deadline, "no answer in {} s", PATIENCE.as_secs());
+    }
+}
+
+/// Through our wire types, with another process at the other end.
+fn wire(session: &Session<'_>, batches: u32) -> Result<f64> {
+    let run = RunDir::create(session.registry())?;
+    let attach = Attach { crew: vec![Role::Sim], ..Attach::new(&run) };
+    attach.write(run.path())?;
+    let bus = Bus::join(attach, Role::Orchestrator)?;
+    let answers: Receiver<Observation> = bus.receiver()?;
+    let commands: Sender<StepCommand> = bus.sender()?;
+    let other = Part::start(session, "wire-echo", &[run.path().display().to_string()])?;
+    let mut command = StepCommand::zeroed();
+    let found = one_way(batches, || {
+        command.episode += 1;
+        commands.send(&command)?;
+        let answer = poll(|| Ok(answers.next()?))?;
+        ensure!(answer.episode == command.episode, "an answer to another message");
+        Ok(())
+    })?;
+    commands.send(&StepCommand { last: 1, ..command })?;
+    other.finish()?;
+    Ok(found)
+}
+
+/// The other end of [`wire`].
+pub(crate) fn wire_echo(arguments: &[String]) -> Result<()> {
+    let [folder] = arguments else { bail!("which run?") };
+    let bus = Bus::join(Attach::read(Path::new(folder))?, Role::Sim)?;
+    let commands: Receiver<StepCommand> = bus.receiver()?;
+    let answers: Sender<Observation> = bus.sender()?;
+    let mut answer = Observation::zeroed();
+    loop {
+        let command = poll(|| Ok(commands.next()?))?;
+        if command.last == 1 {
+            return Ok(());
+        }
+        answer.episode = command.episode;
+        answers.send(&answer)?;
+    }
+}
+
+/// The ends of iceoryx2's own ping-pong: services as its benchmark makes them.
+struct Raw {
+    there: Publisher<ipc::Service, StepCommand, ()>,
+    back: Subscriber<ipc::Service, Observation, ()>,
+    _node: Node<ipc::Service>,
+}
+
+/// Removes what iceoryx2 leaves in shared memory under a prefix, once its nodes are gone: a file of some bytes for each.
+struct Cleaner<'a>(&'a str);
+
+impl Drop for Cleaner<'_> {
+    fn drop(&mut self) {
+        for entry in std::fs::read_dir(SHARED_MEMORY).into_iter().flatten().flatten() {
+            if entry.file_name().as_encoded_bytes().starts_with(self.0.as_bytes()) {
+                // Somebody else may have done so.
+                let _ = std::fs::remove_file(entry.path());
+            }
+        }
+    }
+}
+
+/// What iceoryx2 said.
+fn said(error: impl std::fmt::Debug) -> anyhow::Error {
+    anyhow::anyhow!("iceoryx2: {error:?}")
+}
+
+fn raw_node(prefix: &str, folder: &Path) -> Result<Node<ipc::Service>> {
+    let mut config = Config::default();
+    config.global.prefix = FileName::new(prefix.as_bytes()).map_err(said)?;
+    let root = folder.display().to_string();
+    let root = iceoryx2::prelude::Path::new(root.as_bytes()).map_err(said)?;
+    config.global.set_root_path(&root);
+    NodeBuilder::new()
+        .signal_handling_mode(SignalHandlingMode::Disabled)
+        .config(&config)
+        .create::<ipc::Service>()
+        .map_err(said)
+}
+
+/// Makes or opens a service for one publisher and one subscriber.
+macro_rules! raw_service {
+    ($node:expr, $name:literal, $message:ty) => {
+        $node
+            .service_builder(&$name.try_into()?)
+            .publish_subscribe::<$message>()
+            .max_publishers(1)
+            .max_subscribers(1)
+            .history_size(0)
+            .subscriber_max_buffer_size(1)
+            .enable_safe_overflow(true)
+            .open_or_create()
+            .map_err(said)?
+    };
+}
+
+/// Through iceoryx2 alone, with another process at the other end.
+fn iceoryx2(session: &Session<'_>, batches: u32) -> Result<f64> {
+    let prefix = format!("mtb{}_", std::process::id());
+    let _cleaner = Cleaner(&prefix);
+    let node = raw_node(&prefix, session.registry())?;
+    let (there, back) =
+        (raw_service!(node, "there", StepCommand), raw_service!(node, "back", Observation));
+    let raw = Raw {
+        back: back.subscriber_builder().create().map_err(said)?,
+        there: there.publisher_builder().create().map_err(said)?,
+        _node: node,
+    };
+    let folder = session.registry().display().to_string();
+    let mut other = Part::start(session, "iceoryx2-echo", &[prefix.clone(), folder])?;
+    // A message sent before the other end is there would be lost.
+    let deadline = Instant::now() + PATIENCE;
+    while there.dynamic_config().number_of_subscribers() == 0
+        || back.dynamic_config().number_of_publishers() == 0
+    {
+        other.check()?;
+        ensure!(Instant::now() < deadline, "the other process does not come");
+        std::thread::sleep(Duration::from_millis(1));
+    }
+    let mut command = StepCommand::zeroed();
+    let send = |command: StepCommand| -> Result<()> {
+        let sample = raw.there.loan_uninit().map_err(said)?;
+        let sent = sample.write_payload(command).send();
+        sent.map(drop).map_err(said)
+    };
+    let found = one_way(batches, || {
+        command.episode += 1;
+        send(command)?;
+        let answer = poll(|| raw.back.receive().map_err(said))?;
+        ensure!(answer.episode == command.episode, "an answer to another message");
+        Ok(())
+    })?;
+    send(StepCommand { last: 1, ..command })?;
+    other.finish()?;
+    Ok(found)
+}
+
+/// The other end of [`iceoryx2`].
+pub(crate) fn iceoryx2_echo(arguments: &[String]) -> Result<()> {
+    let [prefix, folder] = arguments else { bail!("which prefix, which folder?") };
+    let node = raw_node(prefix, Path::new(folder))?;
+    let (there, back) =
+        (raw_service!(node, "there", StepCommand), raw_service!(node, "back", Observation));
+    let commands = there.subscriber_builder().create().map_err(said)?;
+    let answers = back.publisher_builder().create().map_err(said)?;
+    let mut answer = Observation::zeroed();
+    loop {
+        let command = poll(|| commands.receive().map_err(said))?;
+        if command.last == 1 {
+            return Ok(());
+        }
+        answer.episode = command.episode;
+        drop(command);
+        let sample = answers.loan_uninit().map_err(said)?;
+        sample.write_payload(answer).send().map_err(said)?;
+    }
+}

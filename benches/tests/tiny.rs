@@ -1,0 +1,48 @@
+//! Every bench once, as small as it goes and without peers: it works, and its figures can be told apart.
+
+#![expect(clippy::unwrap_used, reason = "a test may panic")]
+
+use std::collections::BTreeSet;
+use std::path::Path;
+use std::sync::{Mutex, PoisonError};
+
+use benches::{BENCHES, Session, Size};
+
+/// One at a time: benches start processes.
+static MACHINE: Mutex<()> = Mutex::new(());
+
+fn tiny(name: &str) {
+    let _alone = MACHINE.lock().unwrap_or_else(PoisonError::into_inner);
+    let programs = Path::new(env!("CARGO_BIN_EXE_memtransfer-bench")).parent().unwrap();
+    let bench = BENCHES.iter().find(|bench| bench.name == name).unwrap();
+    let mut session = Session::new(bench.name, Size::Tiny, 1, programs, None).unwrap();
+    let figures = (bench.run)(&mut session).unwrap();
+    assert!(!figures.is_empty(), "{name} gives nothing");
+    let mut ids = BTreeSet::new();
+    for figure in &figures {
+        assert!(figure.id.starts_with(&format!("{name}.")), "{}: begins with its bench", figure.id);
+        assert!(ids.insert(&figure.id), "{}: twice", figure.id);
+        assert!(!figure.ours.is_empty(), "{}: no value", figure.id);
+        assert!(
+            figure.ours.iter().all(|value| value.is_finite()),
+            "{}: {:?}",
+            figure.id,
+            figure.ours
+        );
+    }
+}
+
+/// A test for each bench, and one that none is missing.
+macro_rules! tests {
+    ($($name:ident)*) => {
+        $(#[test] fn $name() { tiny(stringify!($name)); })*
+
+        #[test]
+        fn every_bench_is_here() {
+            let names: Vec<&str> = BENCHES.iter().map(|bench| bench.name).collect();
+            assert_eq!(names, [$(stringify!($name)),*]);
+        }
+    };
+}
+
+tests! { hop }

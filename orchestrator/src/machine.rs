@@ -1,0 +1,140 @@
+//! The machine: what it is ([`Machine`]), and what it can do at best ([`floors`]). Stands beside every figure about
+//! speed, in what `memtransfer profile` writes and in what the benches do.
+//!
+//! Here and not in `shm-types`, because no process needs it to take part in a run.
+
+pub mod floors;
+
+use std::fs;
+use std::path::Path;
+
+use serde::{Deserialize, Serialize};
+
+/// Instruction sets that make a difference here.
+const FLAGS: [&str; 11] = [
+    "avx2",
+    "fma",
+    "f16c",
+    "avx512f",
+    "avx512bw",
+    "avx512_vnni",
+    "avx512_bf16",
+    "avx512_fp16",
+    "amx_tile",
+    "amx_int8",
+    "amx_bf16",
+];
+
+/// What a machine is, as far as it decides how fast something runs.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+pub struct Machine {
+    /// The processor's name.
+    pub processor: String,
+    /// Cores that this process may use.
+    pub cores: u32,
+    /// Those of its instruction sets that make a difference here.
+    pub flags: Vec<String>,
+    /// Bytes of memory.
+    pub memory_bytes: u64,
+    /// Bytes of shared memory.
+    pub shared_memory_bytes: u64,
+    /// The kernel's version.
+    pub kernel: String,
+    /// Whether it is a virtual one, where its neighbours show in the figures.
+    pub is_virtual: bool,
+    /// Graphics processors of NVIDIA's, by name.
+    pub gpus: Vec<String>,
+}
+
+impl Machine {
+    /// This one. What the system does not tell is left empty.
+    pub fn here() -> Self {
+        let text = |path: &str| fs::read_to_string(path).unwrap_or_default();
+        let (processors, memory) = (text("/proc/cpuinfo"), text("/proc/meminfo"));
+        let has = field(&processors, "flags").unwrap_or_default();
+        let has = |flag: &str| has.split_whitespace().any(|word| word == flag);
+        let kib =
+            field(&memory, "MemTotal").and_then(|size| size.split(' ').next()?.parse::<u64>().ok());
+        Self {
+            processor: field(&processors, "model name").unwrap_or_default().to_owned(),
+            cores: std::thread::available_parallelism().map_or(1, |cores| cores.get() as u32),
+            flags: FLAGS.into_iter().filter(|flag| has(flag)).map(str::to_owned).collect(),
+            memory_bytes: kib.unwrap_or_default() << 10,
+            shared_memory_bytes: shm_types::process::shared_memory_space()
+                .map_or(0, |(_, all)| all),
+            kernel: text("/proc/sys/kernel/osrelease").trim().to_owned(),
+            is_virtual: has("hypervisor"),
+            gpus: gpus(Path::new("/proc/driver/nvidia/gpus")),
+        }
+    }
+
+    /// What it is, in a line.
+    pub fn summary(&self) -> String {
+        let gib = |bytes: u64| format!("{:.0} GiB", bytes as f64 / (1_u64 << 30) as f64);
+        let cores =
+            if self.cores == 1 { "1 core".to_owned() } else { format!("{} cores", self.cores) };
+        let gpus = if self.gpus.is_empty() { "no GPU".to_owned() } else { self.gpus.join(", ") };
+        format!(
+            "{}{}, {cores}, {} of memory, {} of shared memory, {gpus}, Linux {}; {}",
+            self.processor,
+            if self.is_virtual { " (virtual)" } else { "" },
+            gib(self.memory_bytes),
+            gib(self.shared_memory_bytes),
+            self.kernel,
+            self.flags.join(" ")
+        )
+    }
+}
+
+/// The value of the first line `name : value`.
+fn field<'a>(text: &'a str, name: &str) -> Option<&'a str> {
+    text.lines()
+        .filter_map(|line| line.split_once(':'))
+        .find(|(key, _)| key.trim() == name)
+        .map(|(_, value)| value.trim())
+}
+
+/// The names in NVIDIA's part of /proc: a folder for each.
+fn gpus(folder: &Path) -> Vec<String> {
+    let folders = fs::read_dir(folder).into_iter().flatten().flatten();
+    let mut names: Vec<String> = folders
+        .filter_map(|gpu| fs::read_to_string(gpu.path().join("information")).ok())
+        .filter_map(|text| field(&text, "Model").map(str::to_owned))
+        .collect();
+    names.sort();
+    names
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn fields_are_found_by_their_name() {
+        let text = "model name\t: A: b\nMemTotal:   12 kB\n";
+        assert_eq!(
+            (field(text, "model name"), field(text, "MemTotal")),
+            (Some("A: b"), Some("12 kB"))
+        );
+        assert_eq!(field(text, "model"), None);
+    }
+
+    #[test]
+    fn this_machine_says_what_it_is() {
+        let here = Machine::here();
+        assert!(here.cores > 0 && here.memory_bytes > 0 && !here.kernel.is_empty());
+        assert!(here.summary().contains(&here.kernel));
+        let text = serde_json::to_string(&here).unwrap();
+        assert_eq!(serde_json::from_str::<Machine>(&text).unwrap(), here);
+    }
+
+    #[test]
+    fn a_graphics_processor_is_called_what_its_driver_calls_it() {
+        let folder = tempfile::tempdir().unwrap();
+        fs::create_dir(folder.path().join("0000:01:00.0")).unwrap();
+        fs::write(folder.path().join("0000:01:00.0/information"), "Model: \t\t Some GPU\nIRQ: 1\n")
+            .unwrap();
+        assert_eq!(gpus(folder.path()), ["Some GPU"]);
+        assert_eq!(gpus(&folder.path().join("none")), [""; 0]);
+    }
+}
