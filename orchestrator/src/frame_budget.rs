@@ -61,8 +61,12 @@ pub fn demand(
             Trajectories::Segment => views(),
         }
     });
-    let every_view = 4 * warehouse.layout.free_cells().count() as u32;
-    Demand { least: live + remembered.max().unwrap_or(0), most: live + every_view }
+    Demand { least: live + remembered.max().unwrap_or(0), most: live + every_view(warehouse) }
+}
+
+/// Views of the unchanged warehouse.
+pub fn every_view(warehouse: &Warehouse) -> u32 {
+    4 * warehouse.layout.free_cells().count() as u32
 }
 
 /// The largest useful number of frames that fits into `free` bytes.

@@ -70,6 +70,8 @@ pub struct Settings {
     pub encoder_threads: Option<u32>,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub frame_budget: Option<u32>,
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub warm_views: bool,
     pub spin_us: u32,
     pub step_timeout: u32,
     pub start_timeout: u32,
@@ -110,6 +112,7 @@ pub const FREE_KEYS: &[&str] = &[
     "lanes",
     "encoder-threads",
     "frame-budget",
+    "warm-views",
     "spin-us",
     "step-timeout",
     "start-timeout",

@@ -26,6 +26,7 @@ use iceoryx2::port::{BackpressureAction, LoanError};
 use iceoryx2::prelude::{PayloadHeader, ZeroCopySend};
 use iceoryx2::sample::Sample;
 use iceoryx2::sample_mut::SampleMut;
+use iceoryx2::service::port_factory::PortFactory as _;
 use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
 
 use crate::attach::{FrameSize, MAX_LOANED_FRAMES, PAGE_BYTES};
@@ -146,6 +147,7 @@ fn service(bus: &Bus) -> Result<PortFactory<Ipc, [Page], FrameHeader>, BusError>
 #[derive(Debug)]
 pub struct FramePublisher {
     publisher: Publisher<Ipc, [Page], FrameHeader>,
+    service: PortFactory<Ipc, [Page], FrameHeader>,
     size: FrameSize,
     chunks: u32,
     generation: u32,
@@ -164,7 +166,8 @@ impl FramePublisher {
             return Err(BusError::WrongRole { service: FRAME_SERVICE, role, verb: "send" });
         }
         let chunks = attach.frame_chunks();
-        let publisher = service(bus)?
+        let service = service(bus)?;
+        let publisher = service
             .publisher_builder()
             .initial_max_slice_len(attach.frame.pages())
             .max_loaned_samples(MAX_LOANED_FRAMES as usize)
@@ -174,12 +177,18 @@ impl FramePublisher {
             .map_err(|e| BusError::open("cannot reserve the frame store", e))?;
         Ok(Self {
             publisher,
+            service,
             size: attach.frame,
             chunks,
             generation: attach.generation,
             published: 0,
             consumers: attach.count(&FRAME_CONSUMERS),
         })
+    }
+
+    /// Whether every consumer is there. Publish nothing before: what a consumer has missed it never gets.
+    pub fn is_complete(&self) -> bool {
+        self.service.dynamic_config().number_of_subscribers() >= self.consumers
     }
 
     /// A slot to fill. Its bytes are what an earlier frame left there, or zero. At most

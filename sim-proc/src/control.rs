@@ -44,12 +44,15 @@ impl Control {
     }
 }
 
+/// Every pose that an agent can have on an open floor.
+pub fn every_pose(layout: &Layout) -> impl Iterator<Item = Pose> + '_ {
+    layout.free_cells().flat_map(|cell| Heading::ALL.map(|heading| Pose { cell, heading }))
+}
+
 /// One cycle through every pose, in an order that has nothing to do with where poses lie: so no pose
 /// follows itself.
 fn successors(layout: &Layout) -> HashMap<Pose, Pose> {
-    let cells = layout.free_cells();
-    let poses = cells.flat_map(|cell| Heading::ALL.map(|heading| Pose { cell, heading }));
-    let mut order: Vec<(u64, Pose)> = (0..).map(scatter).zip(poses).collect();
+    let mut order: Vec<(u64, Pose)> = (0..).map(scatter).zip(every_pose(layout)).collect();
     order.sort_unstable();
     let next = order.iter().cycle().skip(1);
     order.iter().zip(next).map(|(&(_, pose), &(_, next))| (pose, next)).collect()
@@ -72,8 +75,7 @@ mod tests {
     use super::*;
 
     fn poses(layout: &Layout) -> Vec<Pose> {
-        let cells = layout.free_cells();
-        cells.flat_map(|cell| Heading::ALL.map(|heading| Pose { cell, heading })).collect()
+        every_pose(layout).collect()
     }
 
     #[test]

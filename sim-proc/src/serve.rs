@@ -24,11 +24,20 @@ use shm_types::{
 };
 use warehouse::{CaseSet, Warehouse};
 
-use crate::control::Control;
+use crate::control::{Control, every_pose};
 use crate::painter::{Painter, Painting};
 use crate::renderer::RenderError;
 use crate::views::{NotHeld, Overfull, ViewKey, Views};
 use crate::world::{BadCommand, Stepped, World};
+
+/// What is drawn before anybody asks for it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Ahead {
+    /// Nothing: a view is drawn when somebody first sees it.
+    Nothing,
+    /// Every view of the unchanged world, before the simulator says hello.
+    EveryView,
+}
 
 /// Views drawn between two looks at the queues.
 const VIEWS_A_TURN: usize = 8;
@@ -38,6 +47,9 @@ const LONGEST_SLEEP: Duration = Duration::from_secs(1);
 
 /// How long consumers get to let go of evicted frames when no chunk is free.
 const CHUNK_PATIENCE: Duration = Duration::from_secs(30);
+
+/// How often it is looked whether the consumers of frames are there.
+const CONSUMERS_LOOK: Duration = Duration::from_millis(1);
 
 /// The pixel of a blank frame, RGBA.
 const GREY: [u8; 4] = [128, 128, 128, 255];
@@ -60,6 +72,17 @@ pub enum ServeError {
     /// The renderer says too much about itself.
     #[error(transparent)]
     Facts(#[from] FactsTooLong),
+    /// Views that are to be drawn ahead do not fit.
+    #[error(
+        "--warm-views needs room for {needed} frames and the frame store has room for {capacity}: raise \
+         --frame-budget or leave --warm-views out"
+    )]
+    NoRoomAhead {
+        /// Views of the unchanged world.
+        needed: usize,
+        /// Views that may be resident.
+        capacity: usize,
+    },
 }
 
 /// A view request that cannot be used.
@@ -74,21 +97,23 @@ enum BadRequest {
 }
 
 /// Serves the run that `bus` has joined until the orchestrator says stop. `open` makes the renderer; the
-/// simulator's queues exist before that, so peers may start to send meanwhile.
+/// simulator's queues exist before that, so peers may start to send meanwhile. What is drawn `ahead` changes
+/// when things happen and nothing else.
 ///
 /// # Errors
-/// When the transport or the renderer fails, or more views are in use at once than fit. The orchestrator is
-/// told before.
+/// When the transport or the renderer fails, or more views are in use at once, or to be drawn ahead, than
+/// fit. The orchestrator is told before.
 pub fn serve<P: Painter>(
     bus: &Bus,
     warehouse: &Warehouse,
     cases: &CaseSet,
+    ahead: Ahead,
     open: impl FnOnce() -> Result<P, RenderError>,
 ) -> Result<(), ServeError> {
     let mut simulator = Simulator::new(bus, warehouse, cases)?;
     let outcome = open()
         .map_err(ServeError::from)
-        .and_then(|mut painter| simulator.serve_until_stop(&mut painter));
+        .and_then(|mut painter| simulator.serve_until_stop(&mut painter, ahead));
     if let Err(error) = &outcome {
         simulator.complaints.raise(error);
         simulator.ring()?;
@@ -154,7 +179,14 @@ impl<'a> Simulator<'a> {
         })
     }
 
-    fn serve_until_stop(&mut self, painter: &mut impl Painter) -> Result<(), ServeError> {
+    fn serve_until_stop(
+        &mut self,
+        painter: &mut impl Painter,
+        ahead: Ahead,
+    ) -> Result<(), ServeError> {
+        if ahead == Ahead::EveryView {
+            self.draw_every_view(painter)?;
+        }
         self.bus.sender()?.send(&Hello::new(Role::Sim, painter.facts())?)?;
         self.ring()?;
         while self.stops.next()?.is_none() {
@@ -171,6 +203,30 @@ impl<'a> Simulator<'a> {
             ..Zeroable::zeroed()
         })?;
         Ok(self.ring()?)
+    }
+
+    /// Draws every view of the unchanged world. All are resident afterwards, and none is pinned.
+    fn draw_every_view(&mut self, painter: &mut impl Painter) -> Result<(), ServeError> {
+        let poses = every_pose(self.world.layout());
+        let views: Vec<ViewKey> = poses.map(|pose| ViewKey::World { variant: 0, pose }).collect();
+        let (needed, capacity) = (views.len(), self.views.capacity());
+        if needed > capacity {
+            return Err(ServeError::NoRoomAhead { needed, capacity });
+        }
+        while !self.frames.is_complete() {
+            thread::sleep(CONSUMERS_LOOK);
+        }
+        tracing::info!(views = needed, "drawing every view");
+        views.iter().for_each(|&view| self.views.hold(view));
+        while self.draw(painter)? > 0 {}
+        for view in views {
+            if let Some(frame) = self.views.frame(view)
+                && let Err(error) = self.views.release(frame)
+            {
+                self.complaints.raise(error);
+            }
+        }
+        Ok(())
     }
 
     /// One turn; returns how many views it drew. After 0, nothing is left to do.

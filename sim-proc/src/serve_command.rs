@@ -10,7 +10,7 @@ use warehouse::case_file::CASES_FILE;
 use warehouse::{CaseSet, Warehouse};
 
 use crate::renderer::{RenderSettings, Renderer};
-use crate::serve::serve;
+use crate::serve::{Ahead, serve};
 
 /// What `sim-proc serve` is told.
 #[derive(Debug, clap::Args)]
@@ -26,6 +26,10 @@ pub struct ServeArgs {
     /// Render on the first Vulkan adapter whose name contains this, instead of the best one.
     #[arg(long, value_name = "NAME")]
     adapter: Option<String>,
+
+    /// Draw every view of the unchanged world before taking part.
+    #[arg(long)]
+    warm_views: bool,
 }
 
 /// Takes part in the run until it stops.
@@ -52,6 +56,7 @@ pub fn run(args: ServeArgs) -> Result<()> {
         ..RenderSettings::default()
     };
     let bus = Bus::join(attach, Role::Sim).context("cannot take part in the run")?;
-    serve(&bus, &warehouse, &cases, || Renderer::new(&warehouse, settings))
+    let ahead = if args.warm_views { Ahead::EveryView } else { Ahead::Nothing };
+    serve(&bus, &warehouse, &cases, ahead, || Renderer::new(&warehouse, settings))
         .context("the simulator cannot go on")
 }

@@ -103,6 +103,11 @@ impl Views {
         }
     }
 
+    /// Views that may be resident.
+    pub fn capacity(&self) -> usize {
+        self.capacity
+    }
+
     /// `lane` looks at `view` now.
     pub fn show(&mut self, lane: usize, view: ViewKey) {
         self.pin(view).shown += 1;

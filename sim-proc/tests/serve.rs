@@ -21,7 +21,7 @@ use sim_proc::painter::{Painter, Painting};
 use sim_proc::renderer::{
     Destination, RenderError, RenderJob, RenderSettings, Renderer, View as Look,
 };
-use sim_proc::serve::{ServeError, serve};
+use sim_proc::serve::{Ahead, ServeError, serve};
 use tempfile::TempDir;
 use warehouse::{CaseSet, Variant, Warehouse, step};
 
@@ -102,7 +102,7 @@ impl Drop for Peers {
 
 /// Peers around a simulator with a [`Scribe`].
 fn peers(change: impl FnOnce(&mut Attach)) -> Peers {
-    let mut peers = peers_around(change, |_| Ok(Scribe));
+    let mut peers = peers_around(change, Ahead::Nothing, |_| Ok(Scribe));
     let hello = peers.wait(|peers| peers.hellos.next().unwrap());
     assert_eq!(hello.facts().unwrap(), BTreeMap::from([("adapter".into(), "a scribe".into())]));
     peers
@@ -110,6 +110,7 @@ fn peers(change: impl FnOnce(&mut Attach)) -> Peers {
 
 fn peers_around<P: Painter>(
     change: impl FnOnce(&mut Attach),
+    ahead: Ahead,
     open: impl FnOnce(FrameSize) -> Result<P, RenderError> + Send + 'static,
 ) -> Peers {
     let base = tempfile::Builder::new().prefix("mt").tempdir_in("/tmp").unwrap();
@@ -132,7 +133,7 @@ fn peers_around<P: Painter>(
     let simulator = thread::spawn(move || {
         let frame = attach.frame;
         let bus = Bus::join(attach, Role::Sim)?;
-        serve(&bus, &Warehouse::shipped(), &CaseSet::shipped(), || open(frame))
+        serve(&bus, &Warehouse::shipped(), &CaseSet::shipped(), ahead, || open(frame))
     });
     Peers {
         commands: orchestrator.sender().unwrap(),
@@ -476,6 +477,36 @@ fn a_store_that_is_too_small_is_named_before_the_end() {
     assert!(matches!(error, ServeError::Overfull(_)));
 }
 
+#[test]
+fn what_is_drawn_ahead_is_not_drawn_again() {
+    let mut peers =
+        peers_around(|attach| attach.frame_capacity = 1500, Ahead::EveryView, |_| Ok(Scribe));
+    peers.wait(|peers| peers.hellos.next().unwrap());
+    let poses = peers.poses();
+    for (episode, &pose) in poses.iter().enumerate().step_by(7) {
+        let seen = peers.ask(&reset(0, episode as u64, 0, pose));
+        assert_eq!(seen.rendered_ns, seen.stepped_ns, "{pose} was there");
+        assert_eq!(peers.picture(seen.frame), scribble(&Variant::UNCHANGED, pose));
+    }
+    let farewell = peers.stop();
+    assert_eq!((farewell.frames_rendered, farewell.frames_evicted), (poses.len() as u64, 0));
+}
+
+#[test]
+fn a_store_without_room_for_every_view_is_named() {
+    let mut peers = peers_around(|_| {}, Ahead::EveryView, |_| Ok(Scribe));
+    let views = peers.poses().len();
+    assert_eq!(
+        peers.complaint(),
+        format!(
+            "--warm-views needs room for {views} frames and the frame store has room for 64: raise \
+             --frame-budget or leave --warm-views out"
+        )
+    );
+    let error = peers.simulator.take().unwrap().join().unwrap().unwrap_err();
+    assert!(matches!(error, ServeError::NoRoomAhead { .. }));
+}
+
 /// The frames in shared memory are the renderer's own, byte for byte, and the device wrote them there.
 #[test]
 fn the_renderer_draws_into_the_frame_store() {
@@ -489,6 +520,7 @@ fn the_renderer_draws_into_the_frame_store() {
         |attach| {
             (attach.frame, attach.frame_capacity, attach.lanes, attach.window) = (size, 6, 1, 2)
         },
+        Ahead::Nothing,
         move |frame| Renderer::new(&Warehouse::shipped(), settings(frame)),
     );
     let hello = peers.wait(|peers| peers.hellos.next().unwrap());

@@ -379,6 +379,10 @@ fn walk(
     }
     let run = RunDir::create(&base)?;
     let attach = attach(settings, world, &missing, &run, folder.session())?;
+    if settings.warm_views {
+        let views = frame_budget::every_view(&world.warehouse);
+        progress.note(&format!("drawing {views} views before the first step"));
+    }
     let deadline = Duration::from_secs(settings.step_timeout.into());
     let crewing = Crewing {
         launches: launches(settings)?,
@@ -449,6 +453,14 @@ fn attach(
         ),
         Some(frames) => frames,
     };
+    let every_view = frame_budget::every_view(warehouse);
+    if settings.warm_views && attach.frame_capacity < every_view {
+        bail!(
+            "--warm-views needs room for {every_view} frames and there is room for {}: raise --frame-budget, \
+             make shared memory larger (in Docker with --shm-size), or leave --warm-views out",
+            attach.frame_capacity
+        );
+    }
     check_shared_memory(&attach)?;
     Ok(attach)
 }
@@ -464,7 +476,11 @@ fn launches(settings: &Settings) -> Result<Vec<Launch>> {
     };
     let path = |path: &Option<std::path::PathBuf>| path.as_ref().map(|p| p.display().to_string());
     let assets = ("--assets", path(&settings.assets));
-    let mut launches = vec![launch(Role::Sim, "sim-proc", std::slice::from_ref(&assets))?];
+    let mut sim = launch(Role::Sim, "sim-proc", std::slice::from_ref(&assets))?;
+    if settings.warm_views {
+        sim.args.push("--warm-views".into());
+    }
+    let mut launches = vec![sim];
     if settings.policy.has_process() {
         let encoder = [
             assets,

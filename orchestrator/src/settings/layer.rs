@@ -250,6 +250,12 @@ pub struct Layer {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub frame_budget: Option<u32>,
 
+    /// Draw every view of the unchanged warehouse before the first step, so that hardly any is drawn in
+    /// the run; for measuring
+    #[arg(long, env = "MEMTRANSFER_WARM_VIEWS", help_heading = HOW)]
+    #[serde(skip_serializing_if = "std::ops::Not::not", default)]
+    pub warm_views: bool,
+
     /// Microseconds that a process looks for work before it sleeps; 0 unless cores are free
     #[arg(long, value_name = "MICROSECONDS", env = "MEMTRANSFER_SPIN_US", help_heading = HOW)]
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -331,6 +337,7 @@ impl Layer {
             lanes: Some(16),
             encoder_threads: None,
             frame_budget: None,
+            warm_views: false,
             spin_us: Some(0),
             step_timeout: Some(120),
             start_timeout: Some(300),
