@@ -167,6 +167,6 @@ mod tests {
         Arguments::command().debug_assert();
         assert!(chosen(&["hop".to_owned()]).is_ok_and(|benches| benches.len() == 1));
         let error = chosen(&["hops".to_owned()]).unwrap_err().to_string();
-        assert!(error.contains("hops") && error.contains("there are hop"), "{error}");
+        assert!(error.contains("hops") && error.contains("there are hop, "), "{error}");
     }
 }

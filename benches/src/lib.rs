@@ -3,7 +3,8 @@
 //!
 //! - What is measured: one module a [`Bench`]. A bench knows its peer and nothing of how results are shown.
 //! - What it is given: [`session`] (size, rounds, scratch folder, programs), [`peers`] (Python programs of others),
-//!   [`parts`] (processes that play a part in a bench).
+//!   [`parts`] (processes that play a part in a bench), [`runs`] (of `memtransfer`), [`bare`] (a chain of processes
+//!   that do nothing).
 //! - What it gives: [`figure`]; kept as [`results`] with the [`machine`](orchestrator::machine) they were made on.
 //! - What is made of results: [`compare`] (with an earlier file), [`table`] (the table of docs/performance.md),
 //!   [`markdown`] and [`page`].
@@ -11,6 +12,7 @@
 //! Every bench also runs [`Size::Tiny`](session::Size) under `cargo test -p benches`, so that it cannot rot; no test
 //! asserts a time.
 
+pub mod bare;
 pub mod compare;
 pub mod figure;
 pub mod markdown;
@@ -18,9 +20,13 @@ pub mod page;
 pub mod parts;
 pub mod peers;
 pub mod results;
+pub mod runs;
 pub mod session;
 pub mod table;
 
+pub mod chain;
+pub mod curves;
+pub mod growth;
 pub mod hop;
 
 pub use figure::{Better, Figure};
@@ -39,4 +45,4 @@ pub struct Bench {
 }
 
 /// Every bench, in the order in which they run.
-pub const BENCHES: &[Bench] = &[hop::BENCH];
+pub const BENCHES: &[Bench] = &[hop::BENCH, chain::BENCH, growth::BENCH, curves::BENCH];

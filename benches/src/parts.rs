@@ -11,8 +11,13 @@ use crate::session::Session;
 type Play = fn(&[String]) -> Result<()>;
 
 /// Every part.
-const PARTS: &[(&str, Play)] =
-    &[("wire-echo", crate::hop::wire_echo), ("iceoryx2-echo", crate::hop::iceoryx2_echo)];
+const PARTS: &[(&str, Play)] = &[
+    ("wire-echo", crate::hop::wire_echo),
+    ("iceoryx2-echo", crate::hop::iceoryx2_echo),
+    ("bare-sim", crate::bare::sim),
+    ("bare-memory", crate::bare::memory),
+    ("bare-policy", crate::bare::policy),
+];
 
 /// Plays the part called `name`; returns when it is over.
 ///

@@ -45,4 +45,4 @@ macro_rules! tests {
     };
 }
 
-tests! { hop }
+tests! { hop chain growth curves }

@@ -1,0 +1,228 @@
+//! How things grow: steps a second against lanes, the making of cases against their number, a report against
+//! episodes. Beside each the exponent that fits, and the one that it should have.
+
+use std::fs;
+use std::path::Path;
+use std::time::Instant;
+
+use anyhow::{Context, Result};
+
+use crate::Bench;
+use crate::chain::WARM;
+use crate::figure::{Better, Bound, Figure};
+use crate::runs::{Walk, ended_well, steady_rate};
+use crate::session::Session;
+
+/// This bench.
+pub const BENCH: Bench =
+    Bench { name: "curves", about: "how speed and time grow with lanes, cases and episodes", run };
+
+/// Points at the right end of a curve that its exponent is fitted to: further left, what is there anyhow (a start, a
+/// first page) shows more than what grows.
+const FITTED: usize = 3;
+
+/// A curve to be measured.
+struct Curve {
+    id: &'static str,
+    plot: &'static str,
+    axis: &'static str,
+    unit: &'static str,
+    better: Better,
+    /// The exponent that it must not exceed, for times; rates have none.
+    expected: Option<f64>,
+    xs: &'static [u32],
+    tiny: &'static [u32],
+    /// Measures one point.
+    at: fn(&Session<'_>, u32) -> Result<f64>,
+}
+
+const CURVES: [Curve; 3] = [
+    Curve {
+        id: "lanes",
+        plot: "Steps a second against lanes (policy `random`, warm views)",
+        axis: "lanes",
+        unit: "steps/s",
+        better: Better::Higher,
+        expected: None,
+        xs: &[1, 2, 4, 8, 16, 32, 64, 128, 256],
+        tiny: &[1, 2],
+        at: lanes,
+    },
+    Curve {
+        id: "generate",
+        plot: "Making cases: `memtransfer generate` against their number",
+        axis: "cases",
+        unit: "s",
+        better: Better::Lower,
+        expected: Some(1.0),
+        xs: &[100, 200, 400, 800, 1600],
+        tiny: &[100, 120],
+        at: generate,
+    },
+    Curve {
+        id: "report",
+        plot: "A report: `memtransfer report` against episodes",
+        axis: "episodes",
+        unit: "s",
+        better: Better::Lower,
+        expected: Some(1.0),
+        xs: &[500, 1000, 2000, 4000, 8000],
+        tiny: &[10, 20],
+        at: report,
+    },
+];
+
+/// By how much an exponent may miss: what a logarithm and the noise add.
+const SLACK: f64 = 0.15;
+
+fn run(session: &mut Session<'_>) -> Result<Vec<Figure>> {
+    walked(session)?;
+    let rounds = session.rounds().min(3);
+    let mut figures = Vec::new();
+    for curve in &CURVES {
+        session.say(curve.plot);
+        let xs = session.size.pick(curve.tiny, curve.xs);
+        let mut values = vec![Vec::new(); xs.len()];
+        for _ in 0..rounds {
+            for (values, &x) in values.iter_mut().zip(xs) {
+                values.push((curve.at)(session, x)?);
+            }
+        }
+        let exponents: Vec<f64> = (0..rounds as usize)
+            .filter_map(|round| {
+                let points =
+                    xs.iter().zip(&values).map(|(&x, values)| (f64::from(x), values[round]));
+                exponent(&points.collect::<Vec<_>>())
+            })
+            .collect();
+        let last = xs.len().min(FITTED);
+        let fitted = format!("{} to {}", xs[xs.len() - last], xs[xs.len() - 1]);
+        let mut fit = Figure::new(
+            format!("curves.{}.exponent", curve.id),
+            format!("{}: the exponent", curve.plot),
+            "",
+            curve.better,
+        )
+        .ours(exponents)
+        .parameter(curve.axis, fitted);
+        if let Some(expected) = curve.expected {
+            fit = fit.target(
+                Bound::Value(expected + SLACK),
+                format!("grows as its size ({expected}, at most {})", expected + SLACK),
+            );
+        }
+        figures.push(fit);
+        figures.extend(xs.iter().zip(values).map(|(&x, values)| {
+            Figure::new(
+                format!("curves.{}.{x}", curve.id),
+                format!("{}: {x} {}", curve.plot, curve.axis),
+                curve.unit,
+                curve.better,
+            )
+            .ours(values)
+            .point(curve.plot, "ours", curve.axis, f64::from(x))
+        }));
+    }
+    Ok(figures)
+}
+
+/// The exponent that fits the right end of a curve.
+fn exponent(points: &[(f64, f64)]) -> Option<f64> {
+    let end = &points[points.len().saturating_sub(FITTED)..];
+    let logs: Vec<(f64, f64)> = end.iter().map(|(x, y)| (x.ln(), y.ln())).collect();
+    fitted_slope(&logs)
+}
+
+/// The slope of the line that fits best; `None` where all points lie above each other.
+pub(crate) fn fitted_slope(points: &[(f64, f64)]) -> Option<f64> {
+    let n = points.len() as f64;
+    let mean_x = points.iter().map(|(x, _)| x).sum::<f64>() / n;
+    let mean_y = points.iter().map(|(_, y)| y).sum::<f64>() / n;
+    let across: f64 = points.iter().map(|(x, _)| (x - mean_x).powi(2)).sum();
+    let along: f64 = points.iter().map(|(x, y)| (x - mean_x) * (y - mean_y)).sum();
+    (across > 0.0).then(|| along / across)
+}
+
+fn lanes(session: &Session<'_>, lanes: u32) -> Result<f64> {
+    // So long that every number of lanes is at it for a second or more.
+    let runs = session.size.pick(1, 4 + lanes.min(50));
+    let mut flags = [&WARM[..], &["--policy", "random"]].concat();
+    flags.extend(
+        session.size.pick(&["--limit", "6", "--max-steps", "6", "--frame-size", "64"][..], &[]),
+    );
+    steady_rate(&Walk::new(lanes, runs, &flags).make(session, "lanes")?)
+}
+
+fn generate(session: &Session<'_>, cases: u32) -> Result<f64> {
+    let mut command = session.memtransfer()?;
+    command.args(["generate", "--out", "cases.toml", "--count", &cases.to_string()]);
+    timed(session, &mut command)
+}
+
+/// The run that [`report`] takes its episodes from.
+const WALKED: &str = "walked";
+
+/// Walks as many episodes as the longest report is about. The expert needs no other process than the simulator.
+fn walked(session: &Session<'_>) -> Result<()> {
+    let few = ["--limit", "10", "--frame-size", "64"];
+    let flags = ["--suite", "quick", "--policy", "expert", "--cases", "all", "--max-steps", "8"];
+    let size = session.size.pick(&few[..], &["--frame-size", "64"]);
+    // A hundred cases from two starts with six memories, or ten of them; each so often.
+    let runs = session.size.pick(1, 8);
+    Walk::new(32, runs, &[&flags[..], size].concat()).make(session, WALKED)?;
+    Ok(())
+}
+
+fn report(session: &Session<'_>, episodes: u32) -> Result<f64> {
+    let (whole, part) = (session.scratch().join(WALKED), session.scratch().join("part"));
+    fs::create_dir_all(&part).context("cannot make a folder")?;
+    for file in ["manifest.json", "sessions.jsonl"] {
+        copy(&whole, &part, file, None)?;
+    }
+    for file in ["episodes.jsonl", "timings.jsonl"] {
+        copy(&whole, &part, file, Some(episodes as usize))?;
+    }
+    timed(session, session.memtransfer()?.args(["report", "part"]))
+}
+
+/// Copies a file, or its first lines.
+fn copy(from: &Path, to: &Path, file: &str, lines: Option<usize>) -> Result<()> {
+    let path = from.join(file);
+    let text =
+        fs::read_to_string(&path).with_context(|| format!("cannot read {}", path.display()))?;
+    let lines = text.lines().take(lines.unwrap_or(usize::MAX));
+    let text: String = lines.flat_map(|line| [line, "\n"]).collect();
+    fs::write(to.join(file), text).with_context(|| format!("cannot write {}", to.display()))
+}
+
+/// Seconds that a command takes.
+fn timed(session: &Session<'_>, command: &mut std::process::Command) -> Result<f64> {
+    command.stdout(std::process::Stdio::null());
+    let began = Instant::now();
+    ended_well(command, &session.scratch().join("timed.log"))?;
+    Ok(began.elapsed().as_secs_f64())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn exponents_are_those_of_the_right_end() {
+        let points: Vec<(f64, f64)> = [1.0_f64, 10.0, 100.0, 1000.0, 10_000.0]
+            .iter()
+            .map(|x| (*x, 50.0 + x.powi(2)))
+            .collect();
+        let found = exponent(&points).unwrap();
+        assert!((found - 2.0).abs() < 0.01, "{found}");
+        assert_eq!(exponent(&[]), None);
+        assert_eq!(exponent(&[(1.0, 1.0)]), None);
+    }
+
+    #[test]
+    fn sizes_grow_and_are_enough_for_a_fit() {
+        for Curve { xs, tiny, .. } in &CURVES {
+            assert!(xs.is_sorted() && xs.len() > FITTED && tiny.len() > 1);
+        }
+    }
+}

@@ -1,0 +1,154 @@
+//! Runs of `memtransfer` as benches need them, and how fast they went in their steady state.
+
+use std::fs::File;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+
+use anyhow::{Context, Result, bail};
+use serde::Deserialize;
+use serde::de::DeserializeOwned;
+
+use crate::session::Session;
+
+/// A run to be made.
+#[derive(Debug, Clone)]
+pub struct Walk {
+    /// Flags of `memtransfer run` beside those below.
+    pub flags: Vec<String>,
+    /// Episodes at once.
+    pub lanes: u32,
+    /// Repetitions of every case: how long it is.
+    pub runs: u32,
+    /// Variables that the processes get.
+    pub env: Vec<(String, String)>,
+}
+
+impl Walk {
+    /// A run with these flags.
+    pub fn new(lanes: u32, runs: u32, flags: &[&str]) -> Self {
+        let flags = flags.iter().map(|flag| (*flag).to_owned()).collect();
+        Self {
+            flags,
+            lanes,
+            runs,
+            env: vec![("MEMTRANSFER_WARM_VIEWS".to_owned(), "true".to_owned())],
+        }
+    }
+
+    /// The command that makes it, with its folder called `out` in the session's scratch folder.
+    ///
+    /// # Errors
+    /// When `memtransfer` is not built.
+    pub fn command(&self, session: &Session<'_>, out: &str) -> Result<(Command, PathBuf)> {
+        let folder = session.scratch().join(out);
+        let mut command = session.memtransfer()?;
+        command
+            .args(["run", "--quiet", "--fresh", "--lanes", &self.lanes.to_string()])
+            .args(["--runs", &self.runs.to_string(), "--out", out])
+            .args(&self.flags)
+            .envs(self.env.iter().map(|(name, value)| (name, value)))
+            .stdout(Stdio::null());
+        Ok((command, folder))
+    }
+
+    /// Makes it, and returns its folder.
+    ///
+    /// # Errors
+    /// When it cannot be made or fails; the message has what it said.
+    pub fn make(&self, session: &Session<'_>, out: &str) -> Result<PathBuf> {
+        let (mut command, folder) = self.command(session, out)?;
+        ended_well(&mut command, &session.scratch().join("run.log"))?;
+        Ok(folder)
+    }
+}
+
+/// Runs a command to its end, its standard error into the file `log`.
+///
+/// # Errors
+/// When it does not start or fails; the message has the last lines of what it said.
+pub fn ended_well(command: &mut Command, log: &Path) -> Result<()> {
+    let file = File::create(log).with_context(|| format!("cannot make {}", log.display()))?;
+    let status = command.stderr(file).status().context("cannot start memtransfer")?;
+    if !status.success() {
+        let said = std::fs::read_to_string(log).unwrap_or_default();
+        let lines: Vec<&str> = said.lines().collect();
+        bail!(
+            "{command:?} failed ({status}):\n{}",
+            lines[lines.len().saturating_sub(12)..].join("\n")
+        );
+    }
+    Ok(())
+}
+
+/// One line of `timings.jsonl`, as far as it matters here.
+#[derive(Debug, Clone, Copy, Deserialize)]
+struct Timing {
+    started_ns: u64,
+    ended_ns: u64,
+    steps: u32,
+}
+
+/// Steps a second of the run in `folder` in its steady state: without its start, in which views may be drawn for the
+/// first time, and without its end, in which lanes fall idle.
+///
+/// # Errors
+/// When the folder cannot be read, or the run is too short to have a steady state.
+pub fn steady_rate(folder: &Path) -> Result<f64> {
+    rate(&lines::<Timing>(&folder.join("timings.jsonl"))?)
+        .with_context(|| format!("{} is too short to have a steady state", folder.display()))
+}
+
+/// Every line of a journal.
+fn lines<T: DeserializeOwned>(path: &Path) -> Result<Vec<T>> {
+    let text =
+        std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
+    let line =
+        |line| serde_json::from_str(line).with_context(|| format!("{}: {line}", path.display()));
+    text.lines().map(line).collect()
+}
+
+/// From the time when a quarter of the episodes had been started to the time when the last one was. An episode's steps
+/// count as spread evenly over its time.
+fn rate(timings: &[Timing]) -> Option<f64> {
+    let mut starts: Vec<u64> = timings.iter().map(|timing| timing.started_ns).collect();
+    starts.sort_unstable();
+    let (from, to) = (*starts.get(starts.len() / 4)?, *starts.last()?);
+    if from >= to {
+        return None;
+    }
+    let steps: f64 = timings
+        .iter()
+        .map(|timing| {
+            let inside = timing.ended_ns.min(to).saturating_sub(timing.started_ns.max(from));
+            let all = timing.ended_ns.saturating_sub(timing.started_ns).max(1);
+            f64::from(timing.steps) * inside as f64 / all as f64
+        })
+        .sum();
+    Some(steps / ((to - from) as f64 / 1e9))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_rate_is_that_of_the_steady_part() {
+        // Two lanes, ten steps a second each, after a first second in which nothing moved.
+        let episode = |started_s: u64, lane_offset: u64| Timing {
+            started_ns: (started_s * 10 + lane_offset) * 100_000_000,
+            ended_ns: (started_s * 10 + 10 + lane_offset) * 100_000_000,
+            steps: 10,
+        };
+        let mut timings: Vec<Timing> =
+            (1..20).flat_map(|s| [episode(s, 0), episode(s, 5)]).collect();
+        timings.push(Timing { started_ns: 0, ended_ns: 1_000_000_000, steps: 1 });
+        let rate = rate(&timings).unwrap();
+        assert!((rate - 20.0).abs() < 0.5, "{rate}");
+    }
+
+    #[test]
+    fn a_run_of_one_episode_has_none() {
+        assert_eq!(rate(&[]), None);
+        assert_eq!(rate(&[Timing { started_ns: 5, ended_ns: 9, steps: 4 }]), None);
+    }
+}
