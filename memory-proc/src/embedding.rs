@@ -37,20 +37,34 @@ impl Embedding {
 /// rounding. The order of the sum is fixed (16 partial sums, then pairwise), so it is the same on every
 /// machine, and the compiler turns it into vector code.
 pub fn distance(a: &[f32], b: &[f32]) -> f32 {
-    const LANES: usize = 16;
     debug_assert_eq!(a.len(), b.len());
     let mut sums = [0.0_f32; LANES];
     let ((a, a_rest), (b, b_rest)) = (a.as_chunks::<LANES>(), b.as_chunks::<LANES>());
     for (a, b) in a.iter().zip(b) {
-        for lane in 0..LANES {
-            let difference = a[lane] - b[lane];
-            sums[lane] += difference * difference;
-        }
+        add_squares(&mut sums, a, b);
     }
     for ((sum, a), b) in sums.iter_mut().zip(a_rest).zip(b_rest) {
         let difference = a - b;
         *sum += difference * difference;
     }
+    half_total(sums)
+}
+
+/// Partial sums of a distance.
+pub(crate) const LANES: usize = 16;
+
+/// Adds the squares of the differences to the partial sums.
+#[inline(always)]
+pub(crate) fn add_squares(sums: &mut [f32; LANES], a: &[f32; LANES], b: &[f32; LANES]) {
+    for lane in 0..LANES {
+        let difference = a[lane] - b[lane];
+        sums[lane] += difference * difference;
+    }
+}
+
+/// Half the sum of the partial sums, added pairwise.
+#[inline(always)]
+pub(crate) fn half_total(mut sums: [f32; LANES]) -> f32 {
     let mut width = LANES / 2;
     while width > 0 {
         for lane in 0..width {

@@ -14,7 +14,7 @@
 //! Records are not synced to the device: a power cut loses recent ones or leaves rubbish, which the checksums
 //! find.
 
-use std::collections::HashMap;
+use std::collections::{BTreeMap, HashMap};
 use std::fs::{File, OpenOptions};
 use std::io::{self, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
@@ -115,6 +115,30 @@ impl EmbeddingCache {
             CacheError { what: "write", path, source }
         })
     }
+}
+
+/// All embeddings of `dimension` that one encoder's file in `folder` holds, in the order of their content: of the
+/// encoder that has most. None when there is no such file, or none that can be read.
+pub fn stored(folder: &Path, dimension: usize) -> Vec<Embedding> {
+    let files = std::fs::read_dir(folder).into_iter().flatten().flatten();
+    let mut paths: Vec<PathBuf> = files.map(|file| file.path()).collect();
+    paths.retain(|path| path.extension().is_some_and(|extension| extension == "embeddings"));
+    paths.sort();
+    let mut most = Vec::new();
+    for path in paths {
+        let Ok(bytes) = std::fs::read(path) else { continue };
+        let Some((header, records)) = bytes.split_at_checked(HEADER_BYTES) else { continue };
+        if &header[..8] != MAGIC || header[40..] != (dimension as u32).to_le_bytes() {
+            continue;
+        }
+        let size = CONTENT_BYTES + 4 * dimension + CHECKSUM_BYTES;
+        let known: BTreeMap<ContentHash, Embedding> =
+            records.chunks_exact(size).filter_map(decode).collect();
+        if known.len() > most.len() {
+            most = known.into_values().collect();
+        }
+    }
+    most
 }
 
 #[derive(Debug)]
@@ -312,6 +336,23 @@ mod tests {
             cache.insert([4; 16], embedding(4)).unwrap();
             assert_holds(&open(folder.path()).0, [4]);
         }
+    }
+
+    #[test]
+    fn what_is_stored_is_read_from_the_file_that_has_most_of_the_dimension() {
+        let (folder, path) = filled(3);
+        let (mut other, _) = EmbeddingCache::open(folder.path(), &[8; 32], DIMENSION).unwrap();
+        other.insert([9; 16], embedding(9)).unwrap();
+        let (mut wide, _) = EmbeddingCache::open(folder.path(), &[9; 32], 2).unwrap();
+        for seed in 0..9 {
+            wide.insert([seed; 16], Embedding::normalised(&[1.0, 2.0]).unwrap()).unwrap();
+        }
+        assert_eq!(stored(folder.path(), DIMENSION), [0, 1, 2].map(embedding));
+        let file = OpenOptions::new().write(true).open(&path).unwrap();
+        file.set_len((HEADER_BYTES + 2 * RECORD - 1) as u64).unwrap();
+        assert_eq!(stored(folder.path(), DIMENSION).len(), 1);
+        assert!(stored(folder.path(), 3).is_empty());
+        assert!(stored(&folder.path().join("none"), DIMENSION).is_empty());
     }
 
     #[test]

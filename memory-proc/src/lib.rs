@@ -8,7 +8,7 @@
 //! - [`representation`]: what is stored and what a step is supplied with, made of [`demonstrations`];
 //! - [`index`]: the nearest view; [`embedding`] and [`embedding_cache`]: vectors, and keeping them;
 //! - [`encoder`] makes them; [`manifest`] and [`paths`] say which there are and where their files lie;
-//! - [`embed_command`] shows what an encoder makes of pictures.
+//! - [`embed_command`] shows what an encoder makes of pictures, [`profile`] how long a search takes.
 //!
 //! What is not here: stepping and rendering (sim-proc), deciding (policy-proc), scoring (orchestrator).
 
@@ -24,6 +24,7 @@ pub mod index;
 pub mod library;
 pub mod manifest;
 pub mod paths;
+pub mod profile;
 pub mod representation;
 pub mod serve;
 mod views;

@@ -1,7 +1,7 @@
 //! The memory process: takes part in a run, or shows what an encoder makes of pictures.
 
 use std::io::IsTerminal;
-use std::num::NonZeroUsize;
+use std::num::{NonZeroU32, NonZeroUsize};
 use std::path::PathBuf;
 use std::process::ExitCode;
 
@@ -15,6 +15,7 @@ use memory_proc::documents::{Builder, Extractive};
 use memory_proc::embed_command;
 use memory_proc::manifest::Manifest;
 use memory_proc::paths::Cache;
+use memory_proc::profile::{self, Vectors};
 use memory_proc::serve::{EncoderSettings, Settings, serve};
 use shm_types::FrameSize;
 use shm_types::message::DocumentKind;
@@ -55,6 +56,46 @@ enum Verb {
         repeat: NonZeroUsize,
         #[command(flatten)]
         encoder: EncoderArguments,
+    },
+    /// Measure how long a search of a memory takes, against its size. Prints a JSON object a line.
+    ///
+    /// A memory's vectors are the embeddings that the cache folder holds, then seeded neighbours of them. Where
+    /// it holds none, they are neighbours of seeded directions.
+    Profile {
+        #[command(flatten)]
+        vectors: VectorArguments,
+        /// Sizes of the memory
+        #[arg(
+            long,
+            value_name = "LIST",
+            value_delimiter = ',',
+            default_value = "1,10,100,1000,10000"
+        )]
+        entries: Vec<NonZeroU32>,
+        /// Kind of search
+        #[arg(long, value_name = "NAME", value_enum, default_value_t = SearchName::Exact)]
+        search: SearchName,
+        /// Most queries of a measurement
+        #[arg(long, default_value = "10000", value_name = "N")]
+        queries: NonZeroUsize,
+        /// Longest that a measurement takes
+        #[arg(long, default_value = "3", value_name = "SECONDS")]
+        seconds: f64,
+        /// Most threads of a search [default: the processor's cores]
+        #[arg(long, value_name = "N")]
+        threads: Option<NonZeroUsize>,
+    },
+    /// Write the vectors that `profile` measures with to stdout, for other programs to be compared: the memory's,
+    /// then the queries', as little-endian numbers of 32 bits.
+    Vectors {
+        #[command(flatten)]
+        vectors: VectorArguments,
+        /// Size of the memory
+        #[arg(long, value_name = "N")]
+        entries: NonZeroU32,
+        /// How many queries
+        #[arg(long, default_value = "0", value_name = "N")]
+        queries: usize,
     },
     /// Write documents from demonstrations. Started by `memtransfer memory build`.
     Build {
@@ -99,6 +140,36 @@ enum Verb {
         #[command(flatten)]
         builder: BuilderArguments,
     },
+}
+
+#[derive(Args)]
+struct VectorArguments {
+    /// Numbers of a vector
+    #[arg(long, default_value = "384", value_name = "N")]
+    dimension: NonZeroU32,
+    /// Decides all vectors that are no embeddings
+    #[arg(long, default_value = "1", value_name = "N")]
+    seed: u64,
+    /// The cache folder [default: $MEMTRANSFER_CACHE, else memtransfer in the user's cache folder]
+    #[arg(long, value_name = "DIR")]
+    cache: Option<PathBuf>,
+}
+
+impl VectorArguments {
+    fn vectors(self) -> anyhow::Result<Vectors> {
+        let cache = self.cache.map_or_else(Cache::from_environment, |dir| Ok(Cache::at(dir)))?;
+        Ok(Vectors::of_cache(&cache, self.dimension.get() as usize, self.seed))
+    }
+}
+
+#[derive(Clone, Copy, clap::ValueEnum)]
+enum SearchName {
+    /// The nearest, always.
+    Exact,
+    /// Mostly the nearest.
+    Approximate,
+    /// One after the other.
+    Both,
 }
 
 #[derive(Args)]
@@ -245,6 +316,22 @@ fn run(verb: Verb) -> anyhow::Result<()> {
                 Some(folder) => Manifest::load(folder)?,
             };
             embed_command::run(&files, repeat, &manifest, &encoder.settings()?)
+        }
+        Verb::Profile { vectors, entries, search, queries, seconds, threads } => {
+            let cores = || std::thread::available_parallelism().unwrap_or(NonZeroUsize::MIN);
+            let settings = profile::Settings {
+                entries: entries.into_iter().map(NonZeroU32::get).collect(),
+                exact: !matches!(search, SearchName::Approximate),
+                approximate: !matches!(search, SearchName::Exact),
+                queries: queries.get(),
+                seconds,
+                threads: threads.unwrap_or_else(cores),
+            };
+            profile::run(&settings, &vectors.vectors()?, &mut std::io::stdout().lock())
+        }
+        Verb::Vectors { vectors, entries, queries } => {
+            let mut out = std::io::BufWriter::with_capacity(1 << 20, std::io::stdout().lock());
+            profile::write(&vectors.vectors()?, entries.get(), queries, &mut out)
         }
         Verb::Build { attach, assets, documents, wanted, builder } => {
             let settings = build::Settings { attach, assets, documents, wanted };
