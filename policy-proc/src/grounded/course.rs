@@ -48,14 +48,13 @@ impl Course {
             return self;
         };
         let (last, ground, mut course) = (self.last_stop, ground(end.pose), self);
-        let ways = ground.ways(&[first.pose.cell]);
+        let mut ways = ground.ways();
         if end.action.is_some() || ways.cost(first.pose.cell).is_none() {
             return course;
         }
         course.steps.pop();
-        let back = ways.cells_to(first.pose.cell);
-        let directions = back.into_iter().map(|(heading, _)| heading);
-        let pose = along(end.pose, directions, &mut course.steps);
+        let back = ways.moves_to(first.pose.cell);
+        let pose = along(end.pose, back, &mut course.steps);
         match turn_towards(pose.heading, first.pose.heading) {
             Some(turn) => course.steps.push(PathStep { pose, action: Some(turn) }),
             // A walk that ends where it begins: its end is its start.
@@ -78,9 +77,9 @@ impl Course {
             let goal = stops[(at + 1) % stops.len()];
             let heading = directions.last().copied().unwrap_or(Heading::N);
             let ground = ground(Pose { cell: stop, heading });
-            let ways = ground.ways(&[goal]);
+            let mut ways = ground.ways();
             ways.cost(goal)?;
-            directions.extend(ways.cells_to(goal).into_iter().map(|(heading, _)| heading));
+            directions.extend(ways.moves_to(goal));
             legs.push(directions.len());
         }
         let start = Pose { cell: stops[0], heading: *directions.last()? };
@@ -124,17 +123,31 @@ impl Course {
         &self,
         history: &History,
         ground: &Surroundings,
-        ways: &Ways<'_>,
+        ways: &mut Ways,
     ) -> Option<(u32, Action)> {
         let here = history.here;
         let clear = |at: usize| (0..CLEAR).all(|ahead| !self.is_solid(at + ahead, ground));
-        let cost = |(at, step): (usize, &PathStep)| {
+        // What comes after the way to a step.
+        let then = |(at, step): (usize, &PathStep)| {
             let turn = turn_towards(here.heading, step.pose.heading).is_some();
-            Some((ways.cost(step.pose.cell)? + u32::from(turn) + self.left(at), at))
+            step.action.map(|_| (u32::from(turn) + self.left(at), at, step.pose.cell))
         };
-        let joints =
-            self.steps.iter().enumerate().filter(|&(at, step)| step.action.is_some() && clear(at));
-        let (cost, at) = joints.filter_map(cost).min()?;
+        let joints = || self.steps.iter().enumerate().filter_map(then);
+        let least = |&(then, at, cell): &(u32, usize, Cell)| (then + here.cell.distance(cell), at);
+        // What looks best is looked at first: that spares looking far for others.
+        let promising = joints().filter(|&(_, at, _)| clear(at)).min_by_key(least);
+        let mut best: Option<(u32, usize)> = None;
+        for joint in promising.into_iter().chain(joints()) {
+            let (then, at, cell) = joint;
+            if best.is_some_and(|best| best <= least(&joint)) || !clear(at) {
+                continue;
+            }
+            let dearest = best.map_or(u32::MAX, |(cost, _)| cost - then);
+            if let Some(cost) = ways.cost_within(cell, dearest) {
+                best = best.into_iter().chain([(cost + then, at)]).min();
+            }
+        }
+        let (cost, at) = best?;
         let step = self.steps[at];
         let action = if step.pose.cell == here.cell {
             turn_towards(here.heading, step.pose.heading).or(step.action)?
@@ -231,14 +244,14 @@ pub(super) fn round_trip(mut cells: Vec<Cell>, ground: &dyn Fn(Pose) -> Surround
 
 /// What it costs to get from cell to cell.
 struct Distances<'a> {
-    known: HashMap<Cell, Surroundings>,
+    known: HashMap<Cell, Ways>,
     ground: &'a dyn Fn(Pose) -> Surroundings,
 }
 
 impl Distances<'_> {
     fn of(&mut self, from: Cell, to: Cell) -> Option<u32> {
         let pose = Pose { cell: from, heading: Heading::N };
-        self.known.entry(from).or_insert_with(|| (self.ground)(pose)).ways(&[to]).cost(to)
+        self.known.entry(from).or_insert_with(|| (self.ground)(pose).ways()).cost(to)
     }
 }
 

@@ -2,6 +2,7 @@
 //!
 //! One procedure for whatever is known and wherever it is known from.
 
+use std::cell::RefCell;
 use std::sync::Arc;
 
 use shm_types::{Action, Cell, Pose};
@@ -14,7 +15,7 @@ use super::history::History;
 use super::instruction::{Ending, Goal, Visit, Want};
 use super::percept::Percept;
 use super::scene::{Scene, Walk};
-use super::surroundings::Surroundings;
+use super::surroundings::{Surroundings, Ways};
 use crate::Request;
 use shm_types::plate::Landmark;
 
@@ -39,8 +40,7 @@ pub(super) fn action(request: &Request<'_>, mind: &mut Mind) -> Action {
     }
     let scene = Scene::of(request, &history, mind);
     let goal = Goal::parse(request.instruction);
-    let situation = Situation { request, history: &history, scene: &scene, goal: goal.as_ref() };
-    situation.decide(mind)
+    Situation::new(request, &history, &scene, goal.as_ref()).decide(mind)
 }
 
 /// What is decided on.
@@ -49,9 +49,20 @@ struct Situation<'a> {
     history: &'a History,
     scene: &'a Scene,
     goal: Option<&'a Goal<'a>>,
+    /// Ways over the scene's ground: one search, which each question takes as much further as it needs.
+    ways: RefCell<Ways>,
 }
 
-impl Situation<'_> {
+impl<'a> Situation<'a> {
+    fn new(
+        request: &'a Request<'a>,
+        history: &'a History,
+        scene: &'a Scene,
+        goal: Option<&'a Goal<'a>>,
+    ) -> Self {
+        Self { request, history, scene, goal, ways: RefCell::new(scene.ground.ways()) }
+    }
+
     fn decide(&self, mind: &mut Mind) -> Action {
         self.retrieved_here()
             .or_else(|| self.whole_walk_here(mind))
@@ -124,12 +135,15 @@ impl Situation<'_> {
         let here = self.history.here;
         let steps = self.retrieved().flat_map(|walk| walk.steps.iter().rev());
         // The last view of a segment that ends a demonstration leads nowhere, but is where it ends.
-        let ways = self.scene.ground.ways(&[]);
+        let mut ways = self.ways.borrow_mut();
         let reach = |step: &super::chart::PathStep| {
             let turn = turn_towards(here.heading, step.pose.heading);
             if step.pose.cell == here.cell {
                 let action = turn.or(step.action)?;
                 return Some((u32::from(turn.is_some()), action));
+            }
+            if step.pose.cell.distance(here.cell) > FARTHEST_JOIN {
+                return None;
             }
             let way = ways.to(step.pose.cell)?;
             Some((
@@ -174,10 +188,10 @@ impl Situation<'_> {
 
     fn join_whole_walk(&self, mind: &mut Mind) -> Option<Action> {
         let courses = self.whole_walks(mind);
-        let ways = self.scene.ground.ways(&[]);
+        let mut ways = self.ways.borrow_mut();
         let joins = courses
             .iter()
-            .filter_map(|course| course.join(self.history, &self.scene.ground, &ways));
+            .filter_map(|course| course.join(self.history, &self.scene.ground, &mut ways));
         let (_, action) =
             joins.filter(|(_, action)| self.leads_on(action)).min_by_key(|&(cost, _)| cost)?;
         Some(action)
@@ -293,8 +307,8 @@ impl Situation<'_> {
         {
             return Some(action);
         }
-        let ways = self.scene.ground.ways(&[]);
-        let (_, action) = round.join(self.history, &self.scene.ground, &ways)?;
+        let mut ways = self.ways.borrow_mut();
+        let (_, action) = round.join(self.history, &self.scene.ground, &mut ways)?;
         self.leads_on(&action).then_some(action)
     }
 
@@ -305,11 +319,20 @@ impl Situation<'_> {
         if is_restless && matches!(goal.visit, Visit::Every(_) | Visit::InOrder(..)) {
             return None;
         }
-        let heading = self.history.here.heading;
+        let here = self.history.here;
+        let mut ways = self.ways.borrow_mut();
         let towards = |goals: Vec<Cell>| {
-            let ways = self.scene.ground.ways(&goals);
-            let nearest = goals.iter().filter_map(|&cell| Some((ways.to(cell)?.cost, cell))).min();
-            nearest.and_then(|(_, cell)| ways.to(cell)).map(|way| stride(heading, way))
+            if goals.contains(&here.cell) {
+                return None;
+            }
+            let mut nearest: Option<(u32, Cell)> = None;
+            for goal in goals {
+                let dearest = nearest.map_or(u32::MAX, |(cost, _)| cost);
+                let found = ways.cost_within(goal, dearest).map(|cost| (cost, goal));
+                nearest = nearest.into_iter().chain(found).min();
+            }
+            let (_, goal) = nearest?;
+            ways.to(goal).map(|way| stride(here.heading, way))
         };
         self.still_asked_for(goal).into_iter().find_map(towards)
     }

@@ -1,23 +1,26 @@
 //! What is known of the floor around the agent, and ways over it.
 
-use std::collections::VecDeque;
-
 use shm_types::{Cell, Heading, Pose};
 
 /// Cells to each side of the agent that are looked at.
 const REACH: i16 = 31;
 
-/// Cells across: one word has a bit for each.
+/// Cells across: one word has a bit for each, and one bit that is none's.
 const SIDE: usize = 2 * REACH as usize + 1;
 
 /// What a step onto a cell costs of which nothing is known: as much as so many on known floor.
 const UNKNOWN: u32 = 8;
 
 /// More than any step costs.
-const DEAREST: usize = 64;
+const DEAREST: u32 = u64::BITS;
 
 /// What a step onto a doubtful cell costs more.
 const DOUBTFUL: u32 = 24;
+
+/// What a step onto a cell in a part of the floor that is kept off costs more.
+const KEPT_OFF: u32 = 8;
+
+const _: () = assert!(UNKNOWN + DOUBTFUL + KEPT_OFF < DEAREST);
 
 /// A square of cells around the agent, of which some are known to be solid and some known to be floor.
 /// Whatever is not known to be solid may be walked on: that is found out by trying.
@@ -55,7 +58,7 @@ impl Doubt {
         let mut hash =
             self.seed ^ (block | u64::from(self.period)).wrapping_mul(0x9e37_79b9_7f4a_7c15);
         hash = (hash ^ (hash >> 31)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        if (hash >> 40).is_multiple_of(3) { 8 } else { 0 }
+        if (hash >> 40).is_multiple_of(3) { KEPT_OFF } else { 0 }
     }
 }
 
@@ -72,19 +75,40 @@ pub(super) struct Way {
     pub(super) cost: u32,
 }
 
-/// The cheapest ways to everywhere from where the agent is.
+/// A row of the square in [`Ways`], which has a column and two rows about it that are closed: whoever looks at
+/// a cell's neighbours need not look whether there are any.
+const ROW: usize = SIDE + 1;
+
+/// Rows of it.
+const ROWS: usize = SIDE + 2;
+
+/// Where the agent is in it.
+const START: usize = ROW * (REACH as usize + 1) + REACH as usize;
+
+/// The cheapest ways to everywhere from where the agent is, found as far as they were asked for.
+///
+/// Dijkstra's search with a queue for every cost, in each of which it is first come, first served. It goes no
+/// farther than it must for an answer, and on from there for the next. Of a cell that was reached at no more
+/// than the cost that is being served, neither the cost nor the way changes any more.
 #[derive(Debug)]
-pub(super) struct Ways<'a> {
-    ground: &'a Surroundings,
-    reached: Box<[[Reached; SIDE]; SIDE]>,
+pub(super) struct Ways {
+    ground: Surroundings,
+    /// A bit for each cell that can be stepped on, in rows of the square.
+    open: [u64; ROWS],
+    /// By cell: its cost so far times four, and the direction of the last move on the way to it.
+    reached: Vec<u32>,
+    /// Cells in queues, each with what comes after it in its own.
+    waiting: Vec<(u16, u16)>,
+    /// First and last of each queue in `waiting`; meaningless where the queue is empty.
+    ends: [(u16, u16); DEAREST as usize],
+    /// A bit for each queue that is not empty.
+    busy: u64,
+    /// The cost that is being served.
+    at: u32,
 }
 
-#[derive(Debug, Clone, Copy, Default)]
-struct Reached {
-    cost: Option<u32>,
-    /// The direction of the last move on the way here.
-    by: Option<Heading>,
-}
+/// What no cell's cost and last direction come to.
+const NOT_REACHED: u32 = u32::MAX;
 
 impl Surroundings {
     pub(super) fn new(here: Pose, doubt: Doubt) -> Self {
@@ -134,51 +158,24 @@ impl Surroundings {
         self.field(cell).is_some_and(|(x, y)| self.free[y] >> x & 1 == 1)
     }
 
-    /// Ways to everywhere, or as far as the nearest of `goals` if there are any.
-    pub(super) fn ways(&self, goals: &[Cell]) -> Ways<'_> {
-        let mut ways = Ways { ground: self, reached: Box::new([[Reached::default(); SIDE]; SIDE]) };
-        let mut queue: [VecDeque<(Cell, u32)>; DEAREST] = std::array::from_fn(|_| VecDeque::new());
-        let first = [0, 1, 3, 2].map(|quarters| self.here.heading.turned(quarters));
-        queue[0].push_back((self.here.cell, 0));
-        let mut waiting = 1;
-        ways.reach(self.here.cell, 0, None);
-        let mut at = 0;
-        while waiting > 0 {
-            let Some((cell, cost)) = queue[at as usize % DEAREST].pop_front() else {
-                at += 1;
-                continue;
-            };
-            waiting -= 1;
-            if ways.cost(cell) != Some(cost) {
-                continue;
-            }
-            if goals.contains(&cell) {
-                break;
-            }
-            for heading in first {
-                let Some(next) = cell.step(heading).filter(|&next| !self.is_solid(next)) else {
-                    continue;
-                };
-                let step = if self.is_free(next) { 1 } else { UNKNOWN };
-                let cost = cost + step + self.doubt_of(next);
-                if ways.reach(next, cost, Some(heading)) {
-                    queue[cost as usize % DEAREST].push_back((next, cost));
-                    waiting += 1;
-                }
-            }
-        }
-        ways
+    /// Ways to everywhere.
+    pub(super) fn ways(&self) -> Ways {
+        Ways::over(self.clone())
     }
 
     /// The cheapest way to `goal`: `None` when there is none, or the agent is there.
     #[cfg(test)]
     pub(super) fn way_to(&self, goal: Cell) -> Option<Way> {
-        self.ways(&[goal]).to(goal)
+        self.ways().to(goal)
     }
 
-    fn doubt_of(&self, cell: Cell) -> u32 {
-        let is_doubtful = self.field(cell).is_some_and(|(x, y)| self.doubtful[y] >> x & 1 == 1);
-        self.doubt.of(cell) + if is_doubtful { DOUBTFUL } else { 0 }
+    /// What a step onto the cell in column `x` and row `y` of the square costs.
+    fn cost_of(&self, x: usize, y: usize) -> u32 {
+        let step = if self.free[y] >> x & 1 == 1 { 1 } else { UNKNOWN };
+        let doubtful = if self.doubtful[y] >> x & 1 == 1 { DOUBTFUL } else { 0 };
+        let in_grid = |from: u8, field: usize| (i16::from(from) + field as i16 - REACH) as u8;
+        let cell = Cell::new(in_grid(self.here.cell.x, x), in_grid(self.here.cell.y, y));
+        step + doubtful + self.doubt.of(cell)
     }
 
     /// Column and row in the square.
@@ -191,45 +188,145 @@ impl Surroundings {
     }
 }
 
-impl Ways<'_> {
-    /// Whether that is news.
-    fn reach(&mut self, cell: Cell, cost: u32, by: Option<Heading>) -> bool {
-        let Some((x, y)) = self.ground.field(cell) else { return false };
-        let reached = &mut self.reached[y][x];
-        let is_news = reached.cost.is_none_or(|known| cost < known);
-        if is_news {
-            *reached = Reached { cost: Some(cost), by };
+impl Ways {
+    fn over(ground: Surroundings) -> Self {
+        // Beyond the grid's edges there is nothing to step on.
+        let here = ground.here.cell;
+        let inside = |from: u8| {
+            let first = (REACH - i16::from(from)).max(0) as usize;
+            let last = (i16::from(u8::MAX) - i16::from(from) + REACH).min(SIDE as i16 - 1) as usize;
+            first..=last
+        };
+        let columns = inside(here.x).fold(0, |columns, x| columns | 1 << x);
+        let mut open = [0; ROWS];
+        for y in inside(here.y) {
+            open[y + 1] = columns & !ground.solid[y];
         }
-        is_news
+        let (waiting, ends) = (Vec::new(), [(0, 0); DEAREST as usize]);
+        Self { ground, open, reached: Vec::new(), waiting, ends, busy: 0, at: 0 }
+    }
+
+    /// The cell's place in the square; `None` outside it, and where nobody can ever be.
+    fn place(&self, cell: Cell) -> Option<usize> {
+        let (x, y) = self.ground.field(cell)?;
+        let at = ROW * (y + 1) + x;
+        (at == START || self.open[y + 1] >> x & 1 == 1).then_some(at)
+    }
+
+    /// Searches until the way to the cell in `place` is found, or nothing can be found any more at `dearest`
+    /// or less. What the way there costs.
+    fn find(&mut self, place: usize, dearest: u32) -> Option<u32> {
+        if self.reached.is_empty() {
+            self.reached = vec![NOT_REACHED; ROW * ROWS];
+            self.waiting.reserve(256);
+            self.reached[START] = 0;
+            self.wait(START, 0);
+        }
+        // Clockwise from ahead: of equal ways the one is found that starts forward, else right, left, back.
+        let first = [0, 1, 3, 2].map(|quarters| self.ground.here.heading.turned(quarters));
+        let moves = first.map(|heading| {
+            let (east, north) = heading.vector();
+            (heading, isize::from(north) * ROW as isize + isize::from(east))
+        });
+        while self.reached[place] >> 2 > self.at {
+            if self.busy == 0 {
+                break;
+            }
+            let idle = self.busy.rotate_right(self.at % DEAREST).trailing_zeros();
+            if self.at + idle > dearest {
+                return None;
+            }
+            self.at += idle;
+            self.serve(moves);
+        }
+        let cost = self.reached[place] >> 2;
+        (cost <= self.at).then_some(cost)
+    }
+
+    /// Goes on from the first cell that waits at the cost that is being served.
+    fn serve(&mut self, moves: [(Heading, isize); 4]) {
+        let queue = self.at % DEAREST;
+        let (head, tail) = self.ends[queue as usize];
+        let (cell, next) = self.waiting[usize::from(head)];
+        self.ends[queue as usize].0 = next;
+        if head == tail {
+            self.busy &= !(1 << queue);
+        }
+        let cell = usize::from(cell);
+        if self.reached[cell] >> 2 != self.at {
+            return;
+        }
+        for (heading, offset) in moves {
+            let next = cell.wrapping_add_signed(offset);
+            let (y, x) = (next / ROW, next % ROW);
+            if self.open[y] >> x & 1 == 0 {
+                continue;
+            }
+            let cost = self.at + self.ground.cost_of(x, y - 1);
+            if cost < self.reached[next] >> 2 {
+                self.reached[next] = cost << 2 | heading as u32;
+                self.wait(next, cost);
+            }
+        }
+    }
+
+    fn wait(&mut self, cell: usize, cost: u32) {
+        let queue = cost % DEAREST;
+        let at = self.waiting.len() as u16;
+        self.waiting.push((cell as u16, 0));
+        let (head, tail) = &mut self.ends[queue as usize];
+        if self.busy >> queue & 1 == 1 {
+            self.waiting[usize::from(*tail)].1 = at;
+        } else {
+            *head = at;
+        }
+        *tail = at;
+        self.busy |= 1 << queue;
     }
 
     /// What it costs to get to `cell`.
-    pub(super) fn cost(&self, cell: Cell) -> Option<u32> {
-        self.ground.field(cell).and_then(|(x, y)| self.reached[y][x].cost)
+    pub(super) fn cost(&mut self, cell: Cell) -> Option<u32> {
+        self.cost_within(cell, u32::MAX)
     }
 
-    /// The cells of the way to `goal`, which is the last one; empty when there is none or the agent is there.
-    pub(super) fn cells_to(&self, goal: Cell) -> Vec<(Heading, Cell)> {
-        let by = |cell| self.ground.field(cell).and_then(|(x, y)| self.reached[y][x].by);
-        let mut cells = Vec::new();
-        let mut cell = goal;
-        while let Some(heading) = by(cell) {
-            cells.push((heading, cell));
-            let Some(before) = cell.step(heading.opposite()) else { break };
-            cell = before;
-        }
-        cells.reverse();
-        cells
+    /// What it costs to get to `cell`, if that is no more than `dearest`.
+    pub(super) fn cost_within(&mut self, cell: Cell, dearest: u32) -> Option<u32> {
+        let place = self.place(cell)?;
+        self.find(place, dearest).filter(|&cost| cost <= dearest)
+    }
+
+    /// The moves to `goal`, the last one first; none when there is no way or the agent is there.
+    fn back_from(&mut self, goal: Cell) -> impl Iterator<Item = Heading> {
+        let place = self.place(goal).filter(|&place| self.find(place, u32::MAX).is_some());
+        let mut place = place.unwrap_or(START);
+        std::iter::from_fn(move || {
+            let heading = Heading::ALL[(self.reached.get(place)? & 3) as usize];
+            let (east, north) = heading.vector();
+            let offset = isize::from(north) * ROW as isize + isize::from(east);
+            let is_move = place != START;
+            place = place.wrapping_add_signed(-offset);
+            is_move.then_some(heading)
+        })
+    }
+
+    /// The moves of the way to `goal`; none when there is no way or the agent is there.
+    pub(super) fn moves_to(&mut self, goal: Cell) -> Vec<Heading> {
+        let mut moves: Vec<Heading> = self.back_from(goal).collect();
+        moves.reverse();
+        moves
     }
 
     /// The way to `goal`: `None` when there is none, or the agent is there. Of equal ways one is taken that
     /// starts forward, else right, left, back.
-    pub(super) fn to(&self, goal: Cell) -> Option<Way> {
+    pub(super) fn to(&mut self, goal: Cell) -> Option<Way> {
         let cost = self.cost(goal)?;
-        let cells = self.cells_to(goal);
-        let &(direction, _) = cells.first()?;
-        let straight = cells.iter().take_while(|(heading, _)| *heading == direction).count();
-        Some(Way { direction, straight: straight as u32, length: cells.len() as u32, cost })
+        let (mut length, mut straight, mut direction) = (0, 0, None);
+        for heading in self.back_from(goal) {
+            length += 1;
+            straight = if direction == Some(heading) { straight + 1 } else { 1 };
+            direction = Some(heading);
+        }
+        Some(Way { direction: direction?, straight, length, cost })
     }
 }
 
@@ -299,8 +396,7 @@ mod tests {
                 (34..=40).for_each(|y| ground.mark_free(Cell::new(x, y)));
             }
             ground.mark_approach(goal);
-            let ways = ground.ways(&[goal]);
-            ways.cells_to(goal).last().map(|&(heading, _)| heading)
+            ground.ways().moves_to(goal).last().copied()
         };
         assert_eq!([0, 1, 2].map(first), [Some(Heading::S), Some(Heading::E), Some(Heading::S)]);
     }

@@ -33,7 +33,7 @@ fn follow(course: &Course, mut here: Pose, steps: usize) -> Vec<Cell> {
         let history = walked(here, &past);
         let ground = hall(here);
         let action = course.action_here(&history).map(|(_, action)| action);
-        let join = || course.join(&history, &ground, &ground.ways(&[])).map(|(_, action)| action);
+        let join = || course.join(&history, &ground, &mut ground.ways()).map(|(_, action)| action);
         let action = action.or_else(join).unwrap();
         past.push((here, action));
         here = after(here, action).unwrap();
@@ -113,7 +113,7 @@ fn a_walk_is_joined_before_what_is_wanted_unless_that_is_far() {
     let join = |x, y| {
         let here = Pose::new(x, y, Heading::N);
         let ground = hall(here);
-        course.join(&walked(here, &[]), &ground, &ground.ways(&[])).unwrap().1
+        course.join(&walked(here, &[]), &ground, &mut ground.ways()).unwrap().1
     };
     assert_eq!(join(21, 21), Action::Left);
     assert_eq!(join(20, 20), Action::Forward, "on it");
@@ -125,7 +125,7 @@ fn what_is_closed_is_joined_beyond() {
     let here = Pose::new(20, 21, Heading::N);
     let mut ground = hall(here);
     ground.mark_solid(Cell::new(20, 22));
-    let (_, action) = course.join(&walked(here, &[]), &ground, &ground.ways(&[])).unwrap();
+    let (_, action) = course.join(&walked(here, &[]), &ground, &mut ground.ways()).unwrap();
     assert_eq!(action, Action::Right, "around");
     assert!(!leads_on(Action::Forward, &walked(here, &[]), &ground));
 }

@@ -418,8 +418,7 @@ fn a_walk_that_is_not_kept_still_counts_in_what_courses_are_made_from() {
         let scene = Scene::of(&request, &history, &mut mind);
         assert_eq!((scene.walks.len(), scene.walks[0].passes), (1, 1));
         let goal = Goal::parse(request.instruction);
-        let situation =
-            Situation { request: &request, history: &history, scene: &scene, goal: goal.as_ref() };
+        let situation = Situation::new(&request, &history, &scene, goal.as_ref());
         let source = situation.source(Plan::Walk(0));
         (source.recognised.len(), source)
     };
