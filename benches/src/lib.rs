@@ -28,6 +28,7 @@ pub mod chain;
 pub mod curves;
 pub mod growth;
 pub mod hop;
+pub mod suite;
 
 pub use figure::{Better, Figure};
 pub use peers::{Peer, Peers};
@@ -45,4 +46,5 @@ pub struct Bench {
 }
 
 /// Every bench, in the order in which they run.
-pub const BENCHES: &[Bench] = &[hop::BENCH, chain::BENCH, growth::BENCH, curves::BENCH];
+pub const BENCHES: &[Bench] =
+    &[hop::BENCH, chain::BENCH, growth::BENCH, curves::BENCH, suite::BENCH];

@@ -45,4 +45,4 @@ macro_rules! tests {
     };
 }
 
-tests! { hop chain growth curves }
+tests! { hop chain growth curves suite }

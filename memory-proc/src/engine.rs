@@ -189,6 +189,11 @@ impl<P: Clone> Engine<P> {
         self.urgent.len() + self.background.len() + self.in_flight.len()
     }
 
+    /// How many demonstration views are held, and how many may be.
+    pub fn views_held(&self) -> (usize, usize) {
+        (self.views.len(), self.views.room())
+    }
+
     fn start_embedding(&mut self, content: ContentHash) -> bool {
         self.embeddings.get(&content).is_none() && self.in_flight.insert(content)
     }

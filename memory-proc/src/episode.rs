@@ -202,11 +202,11 @@ impl Episode {
         let distance = retrieved.as_ref().map_or(f32::NAN, |retrieved| retrieved.distance);
 
         let (episode, lane, step) = (self.ticket, self.lane, now.step);
-        let sent_ns = clock();
+        let assembled_ns = clock();
         let recall = Recall {
             episode,
             received_ns,
-            sent_ns,
+            sent_ns: 0,
             lane,
             step,
             distance,
@@ -226,7 +226,8 @@ impl Episode {
             received_ns,
             embedded_ns,
             searched_ns,
-            sent_ns,
+            assembled_ns,
+            sent_ns: 0,
             lane,
             step,
             case,

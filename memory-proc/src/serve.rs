@@ -7,18 +7,18 @@ use std::fmt::Display;
 use std::num::NonZeroUsize;
 use std::path::PathBuf;
 use std::sync::Arc;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use anyhow::Context;
 use bytemuck::Zeroable;
 use shm_types::message::{
-    Busy, Farewell, FrameId, Hello, MemoryBrief, Observation, Recall, RecallTrace, Role, Stop,
+    Farewell, FrameId, Hello, MemoryBrief, Observation, Pulse, Recall, RecallTrace, Role, Stop,
     View, ViewRequest,
 };
 use shm_types::process::{die_with_parent, monotonic_ns};
 use shm_types::{
     Attach, Bell, Bus, BusError, Complaints, DocumentPublisher, Frame, FrameError, FrameStore,
-    Pose, Receiver, Representation, Sender,
+    Pose, Pulses, Receiver, Representation, Sender, Spans,
 };
 use warehouse::case_file::CASES_FILE;
 use warehouse::{CaseSet, Warehouse};
@@ -33,9 +33,6 @@ use crate::paths::Cache;
 
 /// How long the loop sleeps when nobody rings. Only a look around; nothing waits for it.
 const LONGEST_SLEEP: Duration = Duration::from_secs(1);
-
-/// How often the orchestrator is told that images wait.
-const BUSY_INTERVAL: Duration = Duration::from_secs(1);
 
 /// How long to stay after saying why one cannot go on. Before an orchestrator has received this process's
 /// hello, what was sent is lost with its sender unless the orchestrator looks in time.
@@ -123,7 +120,7 @@ struct Ports {
     recalls: Sender<Recall>,
     traces: Sender<RecallTrace>,
     requests: Sender<ViewRequest>,
-    busy: Sender<Busy>,
+    pulses: Pulses,
     sim: Bell,
     policy: Bell,
     orchestrator: Bell,
@@ -140,7 +137,7 @@ impl Ports {
             recalls: bus.sender()?,
             traces: bus.sender()?,
             requests: bus.sender()?,
-            busy: bus.sender()?,
+            pulses: Pulses::new(bus)?,
             sim: bus.bell(Role::Sim)?,
             policy: bus.bell(Role::Policy)?,
             orchestrator: bus.bell(Role::Orchestrator)?,
@@ -157,8 +154,7 @@ struct Server<'a> {
     encoder: Option<Encoder>,
     /// Images embedded so far.
     embedded: u64,
-    /// When the orchestrator was last told that images wait, and how many were embedded then.
-    told_busy: (Instant, u64),
+    spans: Spans,
 }
 
 impl<'a> Server<'a> {
@@ -195,16 +191,18 @@ impl<'a> Server<'a> {
         let attach = bus.attach();
         let room = room_for_views(attach);
         let engine = Engine::new(warehouse, cases, attach.lanes, room, embeddings);
+        let spans = Spans::open(attach, Role::Memory).context("cannot keep spans of the work")?;
         let facts = encoder.as_ref().map_or_else(Vec::new, |encoder| facts(encoder.facts()));
         bus.sender()?.send(&Hello::new(Role::Memory, facts)?)?;
         ports.orchestrator.ring()?;
-        let told_busy = (Instant::now(), 0);
-        Ok(Self { bus, ports, complaints, engine, library, encoder, embedded: 0, told_busy })
+        Ok(Self { bus, ports, complaints, engine, library, encoder, embedded: 0, spans })
     }
 
     fn run(mut self) -> anyhow::Result<()> {
-        while !self.turn()? {
-            self.bus.doorbell().wait(LONGEST_SLEEP)?;
+        while self.ports.stops.next()?.is_none() {
+            if !self.turn()? {
+                self.bus.doorbell().wait(LONGEST_SLEEP)?;
+            }
         }
         self.bus.sender()?.send(&Farewell {
             role: Role::Memory as u32,
@@ -217,12 +215,12 @@ impl<'a> Server<'a> {
         Ok(self.ports.orchestrator.ring()?)
     }
 
-    /// Does everything there is to do now; says whether it is time to stop.
+    /// Does what there is to do now; says whether there may be more.
     fn turn(&mut self) -> anyhow::Result<bool> {
         let complaints = self.complaints.count();
-        self.take_messages()?;
+        let more = self.take_messages()?;
         self.take_embeddings()?;
-        let answered = self.answer()?;
+        self.answer()?;
         let requests = self.engine.take_view_requests();
         for request in &requests {
             self.ports.requests.send(request)?;
@@ -231,18 +229,21 @@ impl<'a> Server<'a> {
             self.ports.sim.ring()?;
         }
         self.feed_the_encoder()?;
-        let told = self.tell_when_busy()?;
-        if answered || told || self.complaints.count() != complaints {
+        let told = self.beat();
+        if told || self.complaints.count() != complaints {
             self.ports.orchestrator.ring()?;
         }
         self.let_go_of_frames()?;
-        Ok(self.ports.stops.next()?.is_some())
+        Ok(more)
     }
 
-    /// Reads all queues. A message that refers to another one was sent after it: queues are therefore
-    /// emptied effect first, and what was in them is looked at cause first.
-    fn take_messages(&mut self) -> anyhow::Result<()> {
-        let observations = self.ports.observations.drain()?;
+    /// Reads all queues, of observations as many as belong into a turn; returns whether there may be more. A
+    /// message that refers to another one was sent after it: queues are therefore emptied effect first, and what
+    /// was in them is looked at cause first.
+    fn take_messages(&mut self) -> anyhow::Result<bool> {
+        let most = self.bus.attach().steps_in_a_turn();
+        let observations = self.ports.observations.drain_some(most)?;
+        let more = observations.len() == most;
         let received_ns = monotonic_ns();
         let views = self.ports.views.drain()?;
         for brief in self.ports.briefs.drain()? {
@@ -276,7 +277,7 @@ impl<'a> Server<'a> {
                 }
             }
         }
-        Ok(())
+        Ok(more)
     }
 
     /// Whether this process was started with what a brief's memory needs.
@@ -317,7 +318,9 @@ impl<'a> Server<'a> {
 
     fn take_embeddings(&mut self) -> anyhow::Result<()> {
         let mut poll = || self.encoder.as_mut().and_then(Encoder::poll);
-        while let Some(Embedded { content, embedding }) = poll() {
+        while let Some(Embedded { content, embedding, worker, span_ns }) = poll() {
+            let track = format_args!("encoder {worker}").to_string();
+            self.spans.add(span_ns.start, span_ns.end, &track, "embed", 1);
             if let Err(error) = self.engine.embedded(content, embedding?) {
                 self.complaints.raise(format_args!("{error}; this run goes on without it"));
             }
@@ -326,29 +329,35 @@ impl<'a> Server<'a> {
         Ok(())
     }
 
-    fn tell_when_busy(&mut self) -> anyhow::Result<bool> {
-        let (waiting, embedded) = (self.engine.waiting() as u64, self.embedded);
-        let (when, before) = self.told_busy;
-        // An encoder that hangs is not at work.
-        let is_news = waiting > 0 && embedded > before && when.elapsed() >= BUSY_INTERVAL;
-        if is_news {
-            self.told_busy = (Instant::now(), embedded);
-            self.ports.busy.send(&Busy { embedded, waiting })?;
-        }
-        Ok(is_news)
+    /// Tells the orchestrator that images wait, among other things.
+    fn beat(&mut self) -> bool {
+        let (engine, done) = (&self.engine, self.embedded);
+        let (held, room) = engine.views_held();
+        self.ports.pulses.beat(|| Pulse {
+            done,
+            waiting: engine.waiting() as u64,
+            held: held as u64,
+            room: room as u64,
+            ..Zeroable::zeroed()
+        })
     }
 
-    fn answer(&mut self) -> anyhow::Result<bool> {
-        let answers = self.engine.answers(monotonic_ns, &mut self.library)?;
-        for (recall, trace) in &answers {
+    fn answer(&mut self) -> anyhow::Result<()> {
+        let began = self.spans.begin();
+        let mut answers = self.engine.answers(monotonic_ns, &mut self.library)?;
+        for (recall, trace) in &mut answers {
+            recall.sent_ns = monotonic_ns();
+            trace.sent_ns = recall.sent_ns;
             // The recall sets the policy going; its decision should not overtake the account of it.
             self.ports.traces.send(trace)?;
             self.ports.recalls.send(recall)?;
         }
         if !answers.is_empty() {
+            // The orchestrator reads the accounts when the policy wakes it.
             self.ports.policy.ring()?;
         }
-        Ok(!answers.is_empty())
+        self.spans.end(began, "memory", "recall", answers.len());
+        Ok(())
     }
 
     fn feed_the_encoder(&mut self) -> anyhow::Result<()> {

@@ -62,6 +62,11 @@ impl<P> HeldViews<P> {
         self.room
     }
 
+    /// How many are held.
+    pub(crate) fn len(&self) -> usize {
+        self.views.len()
+    }
+
     /// Holds all of `poses`, each of which is named once, or none of them. Says whether there was room.
     /// `embedded`: their embeddings are needed, too.
     pub(crate) fn try_hold(&mut self, poses: &[Pose], embedded: bool) -> bool {

@@ -14,7 +14,7 @@ use memory_proc::documents::{Account, DocumentFile, Provenance};
 use memory_proc::paths::Cache;
 use shm_types::documents::Content;
 use shm_types::message::{
-    Busy, Complaint, DocumentId, DocumentKind, Farewell, FrameId, Hello, MAX_SEGMENT, MAX_WINDOW,
+    Complaint, DocumentId, DocumentKind, Farewell, FrameId, Hello, MAX_SEGMENT, MAX_WINDOW,
     MemoryBrief, NO_ACTION, NO_FRAME, NOT_MEASURED, Observation, Recall, RecallTrace, Role,
     SegmentContent, Stop, View, ViewRequest, ViewRequestKind, read_text,
 };
@@ -60,7 +60,6 @@ struct Stage {
 struct Idle {
     _observations: [Receiver<Observation>; 2],
     _stops: [Receiver<Stop>; 2],
-    _busy: Receiver<Busy>,
     _frames: FrameStore,
 }
 
@@ -90,7 +89,6 @@ impl Stage {
             .map(|role| Bus::join(attach.clone(), role).unwrap());
         let idle = Idle {
             _observations: [&orchestrator, &policy].map(|bus| bus.receiver().unwrap()),
-            _busy: orchestrator.receiver().unwrap(),
             _stops: [&sim, &policy].map(|bus| bus.receiver().unwrap()),
             _frames: FrameStore::new(&policy).unwrap(),
         };

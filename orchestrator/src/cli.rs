@@ -17,6 +17,7 @@ mod report;
 mod run;
 mod score;
 mod show;
+mod top;
 mod validate;
 
 use std::io::{self, IsTerminal, Write};
@@ -45,6 +46,7 @@ Examples:
   memtransfer report runs/quick-grounded   pages, tables and data files of it
   memtransfer ls cases                     what there is to walk
   memtransfer map t03-07 --out map.svg     one case from above
+  memtransfer top                          what the run that is going on is at
   memtransfer doctor                       what is missing on this machine
 
 Exit status: 0 complete, 1 finished with failures, 2 could not run, 128 + n ended by signal n.
@@ -54,6 +56,8 @@ Every flag of `run` can be given as a MEMTRANSFER_* variable, or as a key of a s
 enum Verb {
     /// Run a suite: start the processes, walk the episodes, print the table
     Run(Box<run::RunArgs>),
+    /// Show what a running run is at: rates, queues, lanes, the frame store, latencies
+    Top(top::TopArgs),
     /// List cases, tasks, items, suites or runs
     Ls(list::ListArgs),
     /// Check every constraint on warehouse and cases by replay
@@ -129,6 +133,7 @@ pub fn main() -> ExitCode {
             let matches = matches.subcommand_matches("run").unwrap_or(&matches);
             run::run(*args, matches)
         }
+        Verb::Top(args) => top::run(&args),
         Verb::Ls(args) => list::run(&args),
         Verb::Validate(args) => validate::run(&args),
         Verb::Map(args) => map::run(&args),

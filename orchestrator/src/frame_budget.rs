@@ -114,6 +114,7 @@ mod tests {
             wait: Wait::default(),
             frame_control: FrameControl::Rendered,
             prompts: None,
+            spans: None,
             root: PathBuf::new(),
         }
     }

@@ -10,15 +10,15 @@
 //! episode of the lane is late, and dropped without harm.
 
 use std::collections::BTreeMap;
+use std::fmt::Write as _;
 
 use bytemuck::Zeroable;
 use shm_types::message::{
     Decision, FrameId, MemoryBrief, NO_ACTION, NO_FRAME, NOT_MEASURED, Observation, Outcome,
     PolicyBrief, RecallTrace, Role, StepCommand, StepKind, WirePose, write_text,
 };
-use shm_types::process::monotonic_ns;
 use shm_types::{Action, Cell, Feedback, Pose};
-use warehouse::{CaseSet, Progress, Variant, Warehouse, step};
+use warehouse::{Case, CaseSet, Progress, Start, Variant, Warehouse, step};
 
 use crate::conditions::Route;
 use crate::log::{Ending, EpisodeRecord, Stages, Unread};
@@ -26,9 +26,10 @@ use crate::plan::Episode;
 use crate::witness::Witness;
 
 mod fault;
-mod stages;
+mod stamps;
 
 pub use fault::Fault;
+pub use stamps::Stamps;
 
 /// What all episodes of a run have in common.
 #[derive(Debug, Clone, Copy)]
@@ -116,8 +117,11 @@ pub struct Lanes<'w> {
     rules: Rules,
     lanes: Vec<Option<Walk>>,
     tickets: u64,
+    now_ns: u64,
     /// Since [`Lanes::take_spent`] was last called.
     spent: Vec<Spent>,
+    /// Since [`Lanes::take_stepped`] was last called.
+    stepped: Vec<Stamps>,
 }
 
 /// One episode under way.
@@ -137,16 +141,14 @@ struct Walk {
     asked: Asked,
     /// When the open question was asked.
     since_ns: u64,
-    /// When the current step's view was there.
-    rendered_ns: u64,
+    /// Of the current step.
+    stamps: Stamps,
     /// What the memory said of the current step, once it has.
     trace: Option<RecallTrace>,
-    /// A decision on the current step that came before the memory's account of it.
+    /// The decision on the current step, while what it follows from has not arrived here.
     early: Option<Decision>,
-    /// When the current step's decision was made.
-    decided_ns: u64,
-    /// One word a request, see [`EpisodeRecord::retrieved`].
-    retrieved: Vec<String>,
+    /// As [`EpisodeRecord::retrieved`].
+    retrieved: String,
     distances: Vec<f64>,
     walked: Walked,
 }
@@ -166,7 +168,19 @@ impl<'w> Lanes<'w> {
     /// `count` empty lanes.
     pub fn new(warehouse: &'w Warehouse, cases: &'w CaseSet, rules: Rules, count: usize) -> Self {
         let lanes = std::iter::repeat_with(|| None).take(count).collect();
-        Self { warehouse, cases, rules, lanes, tickets: 0, spent: Vec::new() }
+        let (spent, stepped) = (Vec::new(), Vec::new());
+        Self { warehouse, cases, rules, lanes, tickets: 0, now_ns: 0, spent, stepped }
+    }
+
+    /// What time it is, CLOCK_MONOTONIC: until the next call, everything happens now. To read the clock costs as
+    /// much as much of what is done here.
+    pub fn set_time(&mut self, now_ns: u64) {
+        self.now_ns = now_ns;
+    }
+
+    /// The time that was set last.
+    pub fn time(&self) -> u64 {
+        self.now_ns
     }
 
     /// A lane that is free.
@@ -211,7 +225,10 @@ impl<'w> Lanes<'w> {
                 ..Zeroable::zeroed()
             },
             policy,
-            command: StepCommand { start: walk.pose.into(), ..walk.command(lane, StepKind::Reset) },
+            command: StepCommand {
+                start: walk.pose.into(),
+                ..walk.command(lane, StepKind::Reset, self.now_ns)
+            },
         };
         self.lanes[lane] = Some(walk);
         opening
@@ -278,11 +295,10 @@ impl<'w> Lanes<'w> {
             last_action: NO_ACTION,
             asked: Asked::Observation,
             since_ns: 0,
-            rendered_ns: 0,
+            stamps: Stamps::none(self.tickets, lane as u32, condition.memory),
             trace: None,
             early: None,
-            decided_ns: 0,
-            retrieved: Vec::new(),
+            retrieved: String::new(),
             distances: Vec::new(),
             walked: Walked {
                 episode,
@@ -290,7 +306,7 @@ impl<'w> Lanes<'w> {
                 stages: Stages::default(),
                 lane: lane as u32,
                 ticket: self.tickets,
-                started_ns: monotonic_ns(),
+                started_ns: self.now_ns,
                 ended_ns: 0,
                 rubbish: 0,
             },
@@ -303,7 +319,7 @@ impl<'w> Lanes<'w> {
     /// When it cannot be used; [`Fault::Disagrees`] means that the simulator is broken.
     pub fn observed(&mut self, observation: &Observation) -> Result<Turn, Fault> {
         let &Observation { lane, step, episode, .. } = observation;
-        let expert = self.rules.expert;
+        let (expert, now_ns) = (self.rules.expert, self.now_ns);
         let Some(walk) = self.walk(Role::Sim, lane, episode)? else { return Ok(Turn::Wait) };
         let last = match walk.asked {
             Asked::Observation => false,
@@ -311,16 +327,14 @@ impl<'w> Lanes<'w> {
             Asked::Decision => return Err(walk.not_asked(Role::Sim, step)),
         };
         walk.agrees(observation, last)?;
-        walk.walked.stages += stages::observed(observation);
-        walk.rendered_ns = observation.rendered_ns;
-        walk.since_ns = monotonic_ns();
+        walk.stamps.observed(observation);
+        walk.since_ns = now_ns;
         if last {
             return Ok(self.close(lane as usize));
         }
-        (walk.trace, walk.early) = (None, None);
         walk.asked = Asked::Decision;
         if !expert {
-            return Ok(Turn::Wait);
+            return self.settle(lane);
         }
         let next = walk.reference.get(walk.walked.record.steps as usize).copied();
         let action = next.ok_or_else(|| {
@@ -330,41 +344,32 @@ impl<'w> Lanes<'w> {
         Ok(self.advance(lane as usize, Ok(action)))
     }
 
-    /// Takes the memory's account of a recall. It travels beside the recall itself, so the decision that
-    /// follows from that may be here already.
+    /// Takes the memory's account of a recall.
     ///
     /// # Errors
     /// When it cannot be used. After [`Fault::Garbage`] the episode cannot go on: [`Lanes::give_up`].
     pub fn recalled(&mut self, trace: &RecallTrace) -> Result<Turn, Fault> {
-        let &RecallTrace { lane, step, episode, demonstration, index, .. } = trace;
-        let cases = &self.cases.cases;
+        let &RecallTrace { lane, step, episode, demonstration, .. } = trace;
+        let (cases, now_ns) = (&self.cases.cases, self.now_ns);
         let Some(walk) = self.walk(Role::Memory, lane, episode)? else { return Ok(Turn::Wait) };
-        let asked = walk.asked == Asked::Decision && walk.trace.is_none();
-        if !asked || step != walk.walked.record.steps {
+        if !walk.is_awaited(step) || walk.trace.is_some() {
             return Err(walk.not_asked(Role::Memory, step));
         }
-        let word = if trace.case == NOT_MEASURED {
-            "-".to_owned()
-        } else {
-            let source = cases.get(trace.case as usize);
-            let which = warehouse::Start::DEMONSTRATIONS.get(usize::from(demonstration));
-            let (Some(source), Some(which)) = (source, which) else {
-                let what = format!("case {}, demonstration {demonstration}", trace.case);
-                return Err(Fault::Garbage { role: Role::Memory, lane, step, what });
-            };
-            walk.distances.push(f64::from(trace.distance));
-            let own = trace.case as usize == walk.walked.episode.case_index;
-            let case = if own { String::new() } else { format!("{}:", source.id) };
-            format!("{case}{}{index}", which.letter())
+        let source = match trace.case {
+            NOT_MEASURED => None,
+            case => {
+                let which = Start::DEMONSTRATIONS.get(usize::from(demonstration));
+                let Some(source) = cases.get(case as usize).zip(which) else {
+                    let what = format!("case {case}, demonstration {demonstration}");
+                    return Err(Fault::Garbage { role: Role::Memory, lane, step, what });
+                };
+                Some(source)
+            }
         };
-        walk.retrieved.push(word);
-        walk.walked.stages += stages::recalled(trace, walk.rendered_ns);
+        walk.retrieved_from(source, trace);
         walk.trace = Some(*trace);
-        walk.since_ns = monotonic_ns();
-        match walk.early.take() {
-            Some(decision) => self.decided(&decision),
-            None => Ok(Turn::Wait),
-        }
+        walk.since_ns = now_ns;
+        self.settle(lane)
     }
 
     /// Takes the policy's answer.
@@ -374,26 +379,28 @@ impl<'w> Lanes<'w> {
     pub fn decided(&mut self, decision: &Decision) -> Result<Turn, Fault> {
         let &Decision { lane, step, episode, .. } = decision;
         let Some(walk) = self.walk(Role::Policy, lane, episode)? else { return Ok(Turn::Wait) };
-        if walk.asked != Asked::Decision || step != walk.walked.record.steps {
+        if !walk.is_awaited(step) || walk.early.is_some() {
             return Err(walk.not_asked(Role::Policy, step));
         }
-        let Some(trace) = walk.trace else {
-            if walk.early.is_some() {
-                return Err(walk.not_asked(Role::Policy, step));
-            }
-            walk.early = Some(*decision);
+        read_answer(decision)?;
+        walk.early = Some(*decision);
+        self.settle(lane)
+    }
+
+    /// Draws the consequence of a decision once all that it follows from is here: a message is delivered to one
+    /// receiver after the other, so one that answers it may arrive first.
+    fn settle(&mut self, lane: u32) -> Result<Turn, Fault> {
+        let Some(walk) = self.lanes.get_mut(lane as usize).and_then(Option::as_mut) else {
             return Ok(Turn::Wait);
         };
-        let garbage = |error: shm_types::pose::UnknownCode| {
-            let what = error.to_string();
-            Fault::Garbage { role: Role::Policy, lane, step, what }
+        let (Asked::Decision, Some(trace), Some(decision)) = (walk.asked, walk.trace, walk.early)
+        else {
+            return Ok(Turn::Wait);
         };
-        let answer = match Outcome::try_from(decision.outcome).map_err(garbage)? {
-            Outcome::Acted => Ok(Action::try_from(decision.action).map_err(garbage)?),
-            unread => Err(unread),
-        };
-        walk.walked.stages += stages::decided(decision, &trace);
-        walk.decided_ns = decision.decided_ns;
+        (walk.trace, walk.early) = (None, None);
+        let answer = read_answer(&decision)?;
+        walk.stamps.recalled(&trace);
+        walk.stamps.decided(&decision);
         let record = &mut walk.walked.record;
         let told = |tokens: u32| (tokens != NOT_MEASURED).then_some(u64::from(tokens));
         let sum = |sum: Option<u64>, more: Option<u64>| sum.zip(more).map(|(a, b)| a + b);
@@ -408,14 +415,24 @@ impl<'w> Lanes<'w> {
             || decision.prompt_tokens != NOT_MEASURED;
         if asked_a_model {
             let key = record.key.clone();
-            self.spent.push(Spent { key, decision: *decision });
+            self.spent.push(Spent { key, decision });
         }
         Ok(self.advance(lane as usize, answer))
+    }
+
+    /// Whether a decision is here without what it follows from, which is on its way.
+    pub fn is_half_told(&self) -> bool {
+        self.lanes.iter().flatten().any(|walk| walk.early.is_some())
     }
 
     /// What was spent on answers since the last call.
     pub fn take_spent(&mut self) -> Vec<Spent> {
         std::mem::take(&mut self.spent)
+    }
+
+    /// The steps that were taken since the last call.
+    pub fn take_stepped(&mut self) -> std::vec::Drain<'_, Stamps> {
+        self.stepped.drain(..)
     }
 
     /// Empties the lane if `ticket` is walked in it, and hands the episode back.
@@ -508,20 +525,24 @@ impl<'w> Lanes<'w> {
             walk.witness.looks(layout, record.steps, walk.pose);
             Asked::Observation
         };
-        Turn::Command(walk.command(lane, kind))
+        let command = walk.command(lane, kind, self.now_ns);
+        walk.stamps.logged_ns = command.sent_ns;
+        walk.walked.stages += walk.stamps.stages();
+        self.stepped.push(walk.stamps);
+        Turn::Command(command)
     }
 
     /// Takes the finished walk out of its lane.
     fn close(&mut self, lane: usize) -> Turn {
         let Some(walk) = self.lanes[lane].take() else { return Turn::Wait };
         let Walk { mut walked, witness, retrieved, distances, .. } = walk;
-        walked.ended_ns = monotonic_ns();
+        walked.ended_ns = self.now_ns;
         walked.record.visits = witness.visits;
         walked.record.first_seen = witness.first_seen;
         if !distances.is_empty() {
             let mean = distances.iter().sum::<f64>() / distances.len() as f64;
             walked.record.distance = Some((mean * 1e6).round() / 1e6);
-            walked.record.retrieved = Some(retrieved.join(" "));
+            walked.record.retrieved = Some(retrieved);
         }
         Turn::Finished(Box::new(walked))
     }
@@ -529,11 +550,8 @@ impl<'w> Lanes<'w> {
 
 impl Walk {
     /// The command that makes the simulator do what was predicted.
-    fn command(&mut self, lane: usize, kind: StepKind) -> StepCommand {
-        self.since_ns = monotonic_ns();
-        if self.decided_ns > 0 {
-            self.walked.stages.decision += self.since_ns.saturating_sub(self.decided_ns);
-        }
+    fn command(&mut self, lane: usize, kind: StepKind, now_ns: u64) -> StepCommand {
+        self.since_ns = now_ns;
         StepCommand {
             episode: self.ticket,
             sent_ns: self.since_ns,
@@ -545,6 +563,27 @@ impl Walk {
             last: u8::from(self.asked == Asked::LastObservation),
             ..Zeroable::zeroed()
         }
+    }
+
+    /// Adds a word about where the current step's segment is from, if one was retrieved.
+    fn retrieved_from(&mut self, source: Option<(&Case, &Start)>, trace: &RecallTrace) {
+        if !self.retrieved.is_empty() {
+            self.retrieved.push(' ');
+        }
+        let Some((case, start)) = source else { return self.retrieved.push('-') };
+        self.distances.push(f64::from(trace.distance));
+        if trace.case as usize != self.walked.episode.case_index {
+            self.retrieved.push_str(&case.id);
+            self.retrieved.push(':');
+        }
+        self.retrieved.push(start.letter());
+        // Writing to a string cannot fail.
+        let _ = write!(self.retrieved, "{}", trace.index);
+    }
+
+    /// Whether an answer about `step` is, or will be, owed.
+    fn is_awaited(&self, step: u32) -> bool {
+        self.asked != Asked::LastObservation && step == self.walked.record.steps
     }
 
     fn not_asked(&mut self, role: Role, step: u32) -> Fault {
@@ -575,6 +614,19 @@ impl Walk {
         );
         Err(Fault::Disagrees { lane, step, found, expected })
     }
+}
+
+/// What was decided: an action, or that an answer could not be read.
+fn read_answer(decision: &Decision) -> Result<Result<Action, Outcome>, Fault> {
+    let &Decision { lane, step, outcome, action, .. } = decision;
+    let garbage = |error: shm_types::pose::UnknownCode| {
+        let what = error.to_string();
+        Fault::Garbage { role: Role::Policy, lane, step, what }
+    };
+    Ok(match Outcome::try_from(outcome).map_err(garbage)? {
+        Outcome::Acted => Ok(Action::try_from(action).map_err(garbage)?),
+        unread => Err(unread),
+    })
 }
 
 /// The cell that `action` tries to enter from `pose`, if it is a move.

@@ -7,7 +7,8 @@
 //! - What is made before: [`documents`]. What tests somebody else's policy: [`conformance`].
 //! - How much of shared memory it takes: [`frame_budget`]; of tokens and money: [`spending`], [`prices`],
 //!   [`estimate`] (before), [`budget`] (when to stop).
-//! - What shows meanwhile: [`session`], [`progress`]; [`signals`] stop it.
+//! - What shows meanwhile: [`session`], [`progress`]; [`status`] for others to look at; [`signals`] stop it.
+//! - Where the time went: [`latency`] (percentiles of stages), [`trace`] (for Perfetto).
 //! - What is kept: [`log`] (the run folder). From it alone are made: [`score`], [`compare`], [`table`] (a
 //!   terminal), [`report`] (pages and data files), [`shown`] (one step).
 //! - What it runs on, and what that can do at best: [`machine`].
@@ -22,6 +23,7 @@ pub mod documents;
 pub mod estimate;
 pub mod frame_budget;
 pub mod lanes;
+pub mod latency;
 pub mod log;
 pub mod machine;
 pub mod names;
@@ -36,7 +38,9 @@ pub mod settings;
 pub mod shown;
 pub mod signals;
 pub mod spending;
+pub mod status;
 pub mod supervise;
 pub mod table;
+pub mod trace;
 pub mod witness;
 pub mod world;

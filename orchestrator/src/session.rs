@@ -6,14 +6,17 @@ use std::path::Path;
 
 use anyhow::Result;
 use shm_types::ATTACH_VARIABLE;
-use shm_types::message::{Farewell, Role};
+use shm_types::message::{Farewell, Pulse, Role};
 use shm_types::process::monotonic_ns;
 
 use crate::budget::Budget;
-use crate::lanes::{Spent, Walked};
+use crate::lanes::{Owed, Spent, Stamps, Walked};
+use crate::latency::Latency;
 use crate::log::{EpisodeError, EpisodeTimings, RequestRecord, RunFolder, SessionEvent};
 use crate::pipeline::{Ending, Facts, Observer};
 use crate::progress::Progress;
+use crate::status::StatusFile;
+use crate::trace::Trace;
 
 /// Troubles that are said one by one; a process that talks rubbish does so often.
 const TROUBLES_SAID: u32 = 20;
@@ -31,18 +34,30 @@ pub struct Session<'a> {
     troubles: u32,
     last_trouble: String,
     finished: u32,
+    /// Episodes of the run that are done.
+    done: u64,
+    latency: Latency,
+    status: StatusFile,
+    trace: Option<Trace>,
 }
 
 impl<'a> Session<'a> {
-    /// A session that writes to `folder` and keeps to `budget`, with so many lanes and frames.
+    /// A session that writes to `folder`, and to `trace`, and keeps to `budget`, with so many lanes and frames.
     pub fn new(
         folder: &'a mut RunFolder,
         progress: Progress,
         budget: Budget,
         lanes: u32,
         frame_budget: u32,
+        trace: Option<Trace>,
     ) -> Self {
+        let episodes = u64::from(folder.manifest().episodes);
+        let status = StatusFile::new(folder.dir(), lanes, episodes);
         Self {
+            done: folder.count_finished(),
+            latency: Latency::default(),
+            status,
+            trace,
             folder,
             progress,
             budget,
@@ -78,7 +93,12 @@ impl<'a> Session<'a> {
             let more = self.troubles - TROUBLES_SAID;
             self.progress.note(&format!("{more} more such messages were not shown"));
         }
+        self.folder.measured(&self.latency)?;
         self.progress.close();
+        if let Some(trace) = self.trace {
+            let path = trace.finish()?;
+            eprintln!("trace: {} (open it with https://ui.perfetto.dev)", path.display());
+        }
         let (finished, reason) = (self.finished, reason.to_owned());
         Ok(self.folder.note(SessionEvent::Ended { finished, errors, reason, farewells })?)
     }
@@ -151,8 +171,24 @@ impl Observer for Session<'_> {
         };
         self.folder.finish(&[(walked.record.clone(), timings)])?;
         self.finished += 1;
+        self.done += 1;
         self.progress.finished(walked.record.is_success());
         Ok(())
+    }
+
+    fn stepped(&mut self, stamps: &Stamps) -> Result<()> {
+        self.latency.record(stamps);
+        self.status.stepped(stamps);
+        self.trace.as_mut().map_or(Ok(()), |trace| trace.step(stamps))
+    }
+
+    fn pulse(&mut self, role: Role, pulse: &Pulse) {
+        self.status.pulse(role, pulse);
+    }
+
+    fn waiting(&mut self, owed: &[Owed]) {
+        self.status.waiting(owed);
+        self.status.tick(self.done);
     }
 
     fn progress(&mut self, steps: u64) {

@@ -293,7 +293,8 @@ fn answers_out_of_turn_are_faults_and_change_nothing() {
     let (warehouse, cases) = world();
     let (mut lanes, opening, observation) = two_lanes(&warehouse, &cases);
     let answer = decision(&observation, Action::Forward);
-    assert!(matches!(lanes.decided(&answer), Err(Fault::NotAsked { role: Role::Policy, .. })));
+    let ahead = Decision { step: 1, ..answer };
+    assert!(matches!(lanes.decided(&ahead), Err(Fault::NotAsked { role: Role::Policy, .. })));
     assert!(matches!(lanes.observed(&observation), Ok(Turn::Wait)));
     assert!(matches!(lanes.observed(&observation), Err(Fault::NotAsked { role: Role::Sim, .. })));
     let ahead = Decision { step: 1, ..answer };
@@ -322,14 +323,18 @@ fn memory_that_is_known_to_be_at_work_owes_nothing_from_before() {
 }
 
 #[test]
-fn a_decision_may_overtake_the_account_of_its_recall() {
+fn an_answer_may_overtake_what_it_answers() {
     let (warehouse, cases) = world();
     let (mut lanes, _, observation) = two_lanes(&warehouse, &cases);
-    let answer = decision(&observation, Action::Forward);
-    lanes.observed(&observation).unwrap();
+    let (answer, trace) = (decision(&observation, Action::Forward), trace(&observation));
     assert!(matches!(lanes.decided(&answer), Ok(Turn::Wait)));
+    assert!(lanes.is_half_told());
     assert!(matches!(lanes.decided(&answer), Err(Fault::NotAsked { .. })), "one answer a step");
-    assert!(matches!(lanes.recalled(&trace(&observation)), Ok(Turn::Command(_))));
+    assert!(matches!(lanes.recalled(&trace), Ok(Turn::Wait)));
+    assert!(matches!(lanes.observed(&observation), Ok(Turn::Command(_))));
+    assert!(!lanes.is_half_told());
+    let [stamps] = lanes.take_stepped().collect::<Vec<_>>()[..] else { panic!("one step") };
+    assert_eq!((stamps.lane, stamps.step), (0, 0));
 }
 
 #[test]

@@ -188,8 +188,13 @@ class Join:
             if observed is not None and recalled is not None and observed.step == recalled.step:
                 lane.observed = lane.recalled = None
                 ready.append((number, lane, observed, recalled))
-        self._touched.clear()
+        self._touched = {number for number in self._touched if self.lanes[number].recalled}
         return ready
+
+    @property
+    def is_half(self) -> bool:
+        """Whether a recall is here whose observation is not. That is on its way, and rings no bell."""
+        return bool(self._touched)
 
     def _number(self, message: str, lane: int) -> int:
         if lane >= len(self.lanes):

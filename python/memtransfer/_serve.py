@@ -32,6 +32,9 @@ from memtransfer.request import Answer, Decision, Failed, Usage
 LONGEST_SLEEP_MS = 500
 """How long the loop sleeps when nobody rings. Then it looks whether the run goes on at all."""
 
+A_MOMENT_MS = 1
+"""How long to wait for a message that is on its way and rings no bell."""
+
 RESTART_PATIENCE_S = 30.0
 """How long a run whose transport failed may take to start its processes again."""
 
@@ -132,7 +135,7 @@ def _serve_generation(
         server = _Server(bus, policy)
         server.say_hello()
         while not server.turn():
-            if not bus.wait(LONGEST_SLEEP_MS):
+            if not bus.wait(server.sleep_ms()):
                 if not orchestrator.lives():
                     log.warning("the run's orchestrator is gone")
                     return None
@@ -252,6 +255,10 @@ class _Server:
         self._frames.close()
         if self._log is not None:
             self._log.close()
+
+    def sleep_ms(self) -> int:
+        """How long to sleep when nobody rings."""
+        return A_MOMENT_MS if self._join.is_half else LONGEST_SLEEP_MS
 
     def turn(self) -> bool:
         """Answers everything that waits; returns whether it is time to stop."""

@@ -12,7 +12,7 @@ import enum
 from typing import NamedTuple
 
 #: Version of everything described here.
-WIRE_VERSION = 3
+WIRE_VERSION = 4
 
 #: The action code that says: no action was taken.
 NO_ACTION = 255
@@ -750,6 +750,8 @@ class RecallTrace(ctypes.Structure):
     embedded_ns: int
     #: When the nearest view was found.
     searched_ns: int
+    #: When the recall was put together.
+    assembled_ns: int
     #: When the recall was sent.
     sent_ns: int
     #: The lane.
@@ -772,6 +774,7 @@ class RecallTrace(ctypes.Structure):
         ("received_ns", ctypes.c_uint64),
         ("embedded_ns", ctypes.c_uint64),
         ("searched_ns", ctypes.c_uint64),
+        ("assembled_ns", ctypes.c_uint64),
         ("sent_ns", ctypes.c_uint64),
         ("lane", ctypes.c_uint32),
         ("step", ctypes.c_uint32),
@@ -788,26 +791,38 @@ class RecallTrace(ctypes.Structure):
         return "memtransfer.RecallTrace"
 
 
-class Busy(ctypes.Structure):
-    """Memory to orchestrator, about once a second while images wait to be embedded: it is at work,
-    however long an answer takes. Where nothing is cached, the views of many lanes'
-    demonstrations do take long.
+class Pulse(ctypes.Structure):
+    """Anyone to orchestrator, about once a second while it changes: what the sender is at. Memory
+    is at work as long as done grows, however long an answer takes: where nothing is cached, the
+    views of many lanes' demonstrations do take long.
     """
 
-    #: Images embedded since the sender started.
-    embedded: int
-    #: Images known to wait.
+    #: Code of the sender's Role.
+    role: int
+    #: Zero.
+    reserved: int
+    #: Work done since the sender started: views drawn, images embedded, requests answered.
+    done: int
+    #: Work that is known to wait: views to draw, images to embed, requests to answer.
     waiting: int
+    #: Frames that are resident (simulator), held for memories (memory) or held (policy).
+    held: int
+    #: How many there may be; 0 where nothing bounds it.
+    room: int
 
     _fields_ = [
-        ("embedded", ctypes.c_uint64),
+        ("role", ctypes.c_uint32),
+        ("reserved", ctypes.c_uint32),
+        ("done", ctypes.c_uint64),
         ("waiting", ctypes.c_uint64),
+        ("held", ctypes.c_uint64),
+        ("room", ctypes.c_uint64),
     ]
 
     @staticmethod
     def type_name() -> str:
         """The name that iceoryx2 knows it by."""
-        return "memtransfer.Busy"
+        return "memtransfer.Pulse"
 
 
 class Decision(ctypes.Structure):
@@ -1069,9 +1084,9 @@ SERVICES: dict[type[ctypes.Structure], Service] = {
         (Role.ORCHESTRATOR,),
         "lanes",
     ),
-    Busy: Service(
-        "busy",
-        (Role.MEMORY,),
+    Pulse: Service(
+        "pulse",
+        (Role.SIM, Role.MEMORY, Role.POLICY,),
         (Role.ORCHESTRATOR,),
         "few",
     ),
@@ -1293,27 +1308,32 @@ _LAYOUTS: dict[type[ctypes.Structure], tuple[int, dict[str, int]]] = {
         },
     ),
     RecallTrace: (
-        64,
+        72,
         {
             "episode": 0,
             "received_ns": 8,
             "embedded_ns": 16,
             "searched_ns": 24,
-            "sent_ns": 32,
-            "lane": 40,
-            "step": 44,
-            "case": 48,
-            "demonstration": 52,
-            "index": 54,
-            "distance": 56,
-            "reserved": 60,
+            "assembled_ns": 32,
+            "sent_ns": 40,
+            "lane": 48,
+            "step": 52,
+            "case": 56,
+            "demonstration": 60,
+            "index": 62,
+            "distance": 64,
+            "reserved": 68,
         },
     ),
-    Busy: (
-        16,
+    Pulse: (
+        40,
         {
-            "embedded": 0,
-            "waiting": 8,
+            "role": 0,
+            "reserved": 4,
+            "done": 8,
+            "waiting": 16,
+            "held": 24,
+            "room": 32,
         },
     ),
     Decision: (

@@ -71,6 +71,9 @@ pub struct Attach {
     /// asked for ([`prompts`](crate::prompts)); images and documents go beside it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub prompts: Option<PathBuf>,
+    /// Folder in which each process keeps [spans](crate::spans) of its work, where that is asked for.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub spans: Option<PathBuf>,
     /// The run's folder: where the file was read from. Not in the file, so that a folder can be mounted
     /// elsewhere.
     #[serde(skip)]
@@ -177,7 +180,16 @@ pub enum AttachError {
     },
 }
 
+/// Most messages that a process works on before it rings the next one.
+const MOST_IN_A_TURN: u32 = 16;
+
 impl Attach {
+    /// Steps that a process takes up before it rings the next process, and looks again: a quarter of the lanes.
+    /// With all of them at once the processes would take turns; so they work at the same time.
+    pub fn steps_in_a_turn(&self) -> usize {
+        self.lanes.div_ceil(4).min(MOST_IN_A_TURN) as usize
+    }
+
     /// The first generation of `run`, with this process as its orchestrator, one lane and every other
     /// setting at its default.
     pub fn new(run: &RunDir) -> Self {
@@ -194,6 +206,7 @@ impl Attach {
             wait: Wait::default(),
             frame_control: FrameControl::default(),
             prompts: None,
+            spans: None,
             root: run.path().to_owned(),
         }
     }
@@ -333,6 +346,7 @@ mod tests {
             wait: Wait { spin_us: 20 },
             frame_control: FrameControl::Swapped,
             prompts: None,
+            spans: None,
             root: PathBuf::new(),
         }
     }

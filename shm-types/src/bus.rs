@@ -402,7 +402,24 @@ impl<M: Message> Receiver<M> {
     /// # Errors
     /// As [`Receiver::next`].
     pub fn drain(&self) -> Result<Vec<M>, BusError> {
-        std::iter::from_fn(|| self.next().transpose()).take(self.most).collect()
+        self.drain_some(self.most)
+    }
+
+    /// The same, of the first `most` messages that wait.
+    ///
+    /// # Errors
+    /// As [`Receiver::next`].
+    pub fn drain_some(&self, most: usize) -> Result<Vec<M>, BusError> {
+        std::iter::from_fn(|| self.next().transpose()).take(most.min(self.most)).collect()
+    }
+
+    /// Has `look` look at the next message where it lies, if one waits. For large messages.
+    ///
+    /// # Errors
+    /// As [`Receiver::next`].
+    pub fn next_with<R>(&self, look: impl FnOnce(&M) -> R) -> Result<Option<R>, BusError> {
+        let sample = self.subscriber.receive().map_err(|e| BusError::transport(M::SERVICE, e))?;
+        Ok(sample.map(|sample| look(&sample)))
     }
 }
 

@@ -15,7 +15,6 @@
 //! A frame is published before any message that names it, and evicted after every message that does has
 //! been answered. So a consumer that meets an unknown id finds the frame waiting in its queue.
 
-use std::collections::HashMap;
 use std::collections::hash_map::Entry;
 use std::sync::Arc;
 
@@ -28,6 +27,7 @@ use iceoryx2::sample::Sample;
 use iceoryx2::sample_mut::SampleMut;
 use iceoryx2::service::port_factory::PortFactory as _;
 use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
+use rustc_hash::FxHashMap;
 
 use crate::attach::{FrameSize, MAX_LOANED_FRAMES, PAGE_BYTES};
 use crate::bus::{Bus, BusError, Ipc, Receiver, delivered};
@@ -303,7 +303,7 @@ pub struct FrameStore {
     subscriber: Subscriber<Ipc, [Page], FrameHeader>,
     evictions: Receiver<Eviction>,
     size: FrameSize,
-    frames: HashMap<FrameId, Arc<Frame>>,
+    frames: FxHashMap<FrameId, Arc<Frame>>,
     taken: u64,
 }
 
@@ -323,7 +323,7 @@ impl FrameStore {
             .create()
             .map_err(|e| BusError::open("cannot receive frames", e))?;
         let size = bus.attach().frame;
-        Ok(Self { subscriber, evictions, size, frames: HashMap::new(), taken: 0 })
+        Ok(Self { subscriber, evictions, size, frames: FxHashMap::default(), taken: 0 })
     }
 
     /// The frame that `id` names: `None` when there is none, because it was evicted or never published.

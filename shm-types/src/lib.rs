@@ -28,8 +28,10 @@ pub mod plate;
 pub mod pose;
 pub mod process;
 pub mod prompts;
+pub mod pulses;
 pub mod registry;
 pub mod representation;
+pub mod spans;
 
 pub use attach::{ATTACH_VARIABLE, Attach, AttachError, FrameControl, FrameSize, Wait};
 pub use bus::{Bus, BusError, Receiver, Sender};
@@ -39,5 +41,7 @@ pub use doorbell::{Bell, Doorbell};
 pub use frames::{Frame, FrameError, FramePublisher, FrameSlot, FrameStore};
 pub use hello::FactsTooLong;
 pub use pose::{Action, Cell, Feedback, Heading, Pose};
+pub use pulses::Pulses;
 pub use registry::RunDir;
 pub use representation::Representation;
+pub use spans::Spans;

@@ -23,7 +23,7 @@ pub use codes::{
 };
 
 /// Changes whenever any message or the frame header changes; compared when a process attaches.
-pub const WIRE_VERSION: u32 = 3;
+pub const WIRE_VERSION: u32 = 4;
 
 /// Most window entries a [`Recall`] carries.
 pub const MAX_WINDOW: usize = 32;
@@ -394,7 +394,7 @@ messages! {
     }
 
     /// Memory to orchestrator, with every recall: where it came from and what it cost.
-    RecallTrace, "memtransfer.RecallTrace", "recall-trace", 64 bytes,
+    RecallTrace, "memtransfer.RecallTrace", "recall-trace", 72 bytes,
         [Memory] to [Orchestrator], Lanes {
         /// The episode's ticket.
         episode: u64,
@@ -405,6 +405,8 @@ messages! {
         embedded_ns: u64,
         /// When the nearest view was found.
         searched_ns: u64,
+        /// When the recall was put together.
+        assembled_ns: u64,
         /// When the recall was sent.
         sent_ns: u64,
         /// The lane.
@@ -423,14 +425,23 @@ messages! {
         reserved: u32,
     }
 
-    /// Memory to orchestrator, about once a second while images wait to be embedded: it is at work, however
-    /// long an answer takes. Where nothing is cached, the views of many lanes' demonstrations do take long.
-    Busy, "memtransfer.Busy", "busy", 16 bytes,
-        [Memory] to [Orchestrator], Few {
-        /// Images embedded since the sender started.
-        embedded: u64,
-        /// Images known to wait.
+    /// Anyone to orchestrator, about once a second while it changes: what the sender is at. Memory is at work as
+    /// long as `done` grows, however long an answer takes: where nothing is cached, the views of many lanes'
+    /// demonstrations do take long.
+    Pulse, "memtransfer.Pulse", "pulse", 40 bytes,
+        [Sim Memory Policy] to [Orchestrator], Few {
+        /// Code of the sender's [`Role`].
+        role: u32,
+        /// Zero.
+        reserved: u32,
+        /// Work done since the sender started: views drawn, images embedded, requests answered.
+        done: u64,
+        /// Work that is known to wait: views to draw, images to embed, requests to answer.
         waiting: u64,
+        /// Frames that are resident (simulator), held for memories (memory) or held (policy).
+        held: u64,
+        /// How many there may be; 0 where nothing bounds it.
+        room: u64,
     }
 
     /// Policy to orchestrator: what to do. Counts that nobody told are [`NOT_MEASURED`].
@@ -572,7 +583,7 @@ mod tests {
     macro_rules! every_message {
         ($check:ident $(, $argument:expr)*) => {
             every_message!(@ $check, ($($argument),*), StepCommand Observation MemoryBrief PolicyBrief
-                ViewRequest View Eviction Recall RecallTrace Busy Decision Hello Complaint Farewell Stop)
+                ViewRequest View Eviction Recall RecallTrace Pulse Decision Hello Complaint Farewell Stop)
         };
         (@ $check:ident, $arguments:tt, $($message:ident)*) => {$($check::<$message>$arguments;)*};
     }

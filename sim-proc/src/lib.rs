@@ -8,6 +8,7 @@
 
 pub mod contact_sheet;
 pub mod control;
+mod neighbours;
 pub mod painter;
 pub mod render_command;
 pub mod renderer;

@@ -1,7 +1,7 @@
 //! The simulator in a run: commands and view requests in, frames and observations out.
 //!
 //! A turn takes everything that waits, applies it, evicts what has to go, answers whatever is resident,
-//! rings once, and draws the next few missing views. Turns follow each other without a pause until nothing
+//! rings those once who have something to do now ([`neighbours`](crate::neighbours)), and draws the next few missing views. Turns follow each other without a pause until nothing
 //! is missing, so a lane whose view is resident never waits for another lane's drawing, and what lanes wait
 //! for is drawn before what memory asked for.
 //!
@@ -13,18 +13,19 @@ use std::time::{Duration, Instant};
 
 use bytemuck::Zeroable;
 use shm_types::message::{
-    Eviction, Farewell, Hello, NO_ACTION, NO_FRAME, Observation, Role, StepCommand, StepKind, Stop,
-    View, ViewRequest, ViewRequestKind, WirePose,
+    Eviction, Farewell, Hello, NO_ACTION, NO_FRAME, Observation, Pulse, Role, StepCommand,
+    StepKind, Stop, View, ViewRequest, ViewRequestKind, WirePose,
 };
 use shm_types::pose::UnknownCode;
 use shm_types::process::monotonic_ns;
 use shm_types::{
-    Bell, Bus, BusError, Complaints, FactsTooLong, FrameError, FramePublisher, FrameSlot, Pose,
-    Receiver, Sender,
+    Bus, BusError, Complaints, FactsTooLong, FrameError, FramePublisher, FrameSlot, Pose, Pulses,
+    Receiver, Sender, Spans,
 };
 use warehouse::{CaseSet, Warehouse};
 
 use crate::control::{Control, every_pose};
+use crate::neighbours::Neighbours;
 use crate::painter::{Painter, Painting};
 use crate::renderer::RenderError;
 use crate::views::{NotHeld, Overfull, ViewKey, Views};
@@ -69,6 +70,9 @@ pub enum ServeError {
     /// The renderer failed.
     #[error(transparent)]
     Render(#[from] RenderError),
+    /// Spans cannot be kept.
+    #[error("cannot keep spans of the work: {0}")]
+    Spans(#[from] std::io::Error),
     /// The renderer says too much about itself.
     #[error(transparent)]
     Facts(#[from] FactsTooLong),
@@ -116,7 +120,7 @@ pub fn serve<P: Painter>(
         .and_then(|mut painter| simulator.serve_until_stop(&mut painter, ahead));
     if let Err(error) = &outcome {
         simulator.complaints.raise(error);
-        simulator.ring()?;
+        simulator.neighbours.ring_all()?;
     }
     outcome
 }
@@ -142,10 +146,11 @@ struct Simulator<'a> {
     observations: Sender<Observation>,
     resident: Sender<View>,
     evictions: Sender<Eviction>,
-    /// To memory, policy and orchestrator.
-    bells: Vec<Bell>,
+    neighbours: Neighbours,
     frames: FramePublisher,
     complaints: Complaints,
+    pulses: Pulses,
+    spans: Spans,
     world: World,
     control: Control,
     views: Views,
@@ -155,10 +160,9 @@ struct Simulator<'a> {
 }
 
 impl<'a> Simulator<'a> {
-    fn new(bus: &'a Bus, warehouse: &Warehouse, cases: &CaseSet) -> Result<Self, BusError> {
+    fn new(bus: &'a Bus, warehouse: &Warehouse, cases: &CaseSet) -> Result<Self, ServeError> {
         let attach = bus.attach();
         let (lanes, window) = (attach.lanes as usize, attach.window as usize);
-        let neighbours = [Role::Memory, Role::Policy, Role::Orchestrator];
         Ok(Self {
             bus,
             commands: bus.receiver()?,
@@ -167,9 +171,11 @@ impl<'a> Simulator<'a> {
             observations: bus.sender()?,
             resident: bus.sender()?,
             evictions: bus.sender()?,
-            bells: neighbours.map(|role| bus.bell(role)).into_iter().collect::<Result<_, _>>()?,
+            neighbours: Neighbours::new(bus)?,
             frames: FramePublisher::new(bus)?,
             complaints: Complaints::new(bus)?,
+            pulses: Pulses::new(bus)?,
+            spans: Spans::open(attach, Role::Sim)?,
             world: World::new(warehouse, cases, lanes),
             control: Control::new(attach.frame_control, &warehouse.layout),
             views: Views::new(attach.frame_capacity as usize, lanes, window),
@@ -188,9 +194,9 @@ impl<'a> Simulator<'a> {
             self.draw_every_view(painter)?;
         }
         self.bus.sender()?.send(&Hello::new(Role::Sim, painter.facts())?)?;
-        self.ring()?;
+        self.neighbours.ring_all()?;
         while self.stops.next()?.is_none() {
-            if self.turn(painter)? == 0 {
+            if !self.turn(painter)? {
                 self.bus.doorbell().wait(LONGEST_SLEEP)?;
             }
         }
@@ -202,7 +208,7 @@ impl<'a> Simulator<'a> {
             complaints: self.complaints.count().into(),
             ..Zeroable::zeroed()
         })?;
-        Ok(self.ring()?)
+        Ok(self.neighbours.ring_all()?)
     }
 
     /// Draws every view of the unchanged world. All are resident afterwards, and none is pinned.
@@ -229,22 +235,29 @@ impl<'a> Simulator<'a> {
         Ok(())
     }
 
-    /// One turn; returns how many views it drew. After 0, nothing is left to do.
-    fn turn(&mut self, painter: &mut impl Painter) -> Result<usize, ServeError> {
+    /// One turn; returns whether there may be more to do.
+    fn turn(&mut self, painter: &mut impl Painter) -> Result<bool, ServeError> {
         let complaints = self.complaints.count();
         self.take_requests()?;
-        self.take_commands(painter)?;
-        let evicted = self.evict()?;
-        let answered = self.answer()?;
-        if evicted + answered > 0 || self.complaints.count() != complaints {
-            self.ring()?;
+        let more = self.take_commands(painter)?;
+        self.evict()?;
+        self.answer()?;
+        if self.beat() || self.complaints.count() != complaints {
+            self.neighbours.orchestrator.wake();
         }
-        self.draw(painter)
+        self.neighbours.ring()?;
+        Ok(self.draw(painter)? > 0 || more)
     }
 
-    /// Wakes the neighbours.
-    fn ring(&self) -> Result<(), BusError> {
-        self.bells.iter().try_for_each(Bell::ring)
+    fn beat(&mut self) -> bool {
+        let (views, done) = (&self.views, self.frames_rendered);
+        self.pulses.beat(|| Pulse {
+            done,
+            waiting: views.missing() as u64,
+            held: views.resident() as u64,
+            room: views.capacity() as u64,
+            ..Zeroable::zeroed()
+        })
     }
 
     fn take_requests(&mut self) -> Result<(), BusError> {
@@ -272,14 +285,20 @@ impl<'a> Simulator<'a> {
         Ok(())
     }
 
-    fn take_commands(&mut self, painter: &mut impl Painter) -> Result<(), BusError> {
+    /// Takes up as many commands as belong into a turn; returns whether there may be more.
+    fn take_commands(&mut self, painter: &mut impl Painter) -> Result<bool, BusError> {
         let woken_ns = monotonic_ns();
-        while let Some(command) = self.commands.next()? {
+        let most = self.bus.attach().steps_in_a_turn();
+        let mut taken = 0;
+        while taken < most
+            && let Some(command) = self.commands.next()?
+        {
             if let Err(bad) = self.take_command(&command, woken_ns, painter) {
                 self.complaints.raise(bad);
             }
+            taken += 1;
         }
-        Ok(())
+        Ok(taken == most)
     }
 
     fn take_command(
@@ -333,25 +352,29 @@ impl<'a> Simulator<'a> {
         ViewKey::World { variant: if shows { self.world.first_alike(variant) } else { 0 }, pose }
     }
 
-    /// Evicts what has to go; returns how many.
-    fn evict(&mut self) -> Result<usize, ServeError> {
+    /// Evicts what has to go.
+    fn evict(&mut self) -> Result<(), ServeError> {
         let frames = self.views.make_room()?;
         for &frame in &frames {
             self.evictions.send(&Eviction { frame })?;
         }
         self.frames_evicted += frames.len() as u64;
-        Ok(frames.len())
+        if !frames.is_empty() {
+            self.neighbours.memory.wake();
+            self.neighbours.policy.wake();
+        }
+        Ok(())
     }
 
-    /// Sends the answers whose views are resident; returns how many.
-    fn answer(&mut self) -> Result<usize, BusError> {
-        let before = self.pending.len();
+    /// Sends the answers whose views are resident.
+    fn answer(&mut self) -> Result<(), BusError> {
         for Pending { view, answer } in std::mem::take(&mut self.pending) {
             let frame = view.map_or(Some(NO_FRAME), |view| self.views.frame(view));
             match (frame, answer) {
                 (None, answer) => self.pending.push(Pending { view, answer }),
                 (Some(frame), Answer::View(pose)) => {
                     self.resident.send(&View { frame, pose, reserved: 0 })?;
+                    self.neighbours.memory.wake();
                 }
                 (Some(frame), Answer::Observation(observation)) => {
                     let sent_ns = monotonic_ns();
@@ -361,15 +384,17 @@ impl<'a> Simulator<'a> {
                     };
                     let observation = Observation { frame, rendered_ns, sent_ns, ..observation };
                     self.observations.send(&observation)?;
+                    self.neighbours.observed(observation.last != 0);
                 }
             }
         }
-        Ok(before - self.pending.len())
+        Ok(())
     }
 
     /// Draws the next missing views and makes them resident; returns how many.
     fn draw(&mut self, painter: &mut impl Painter) -> Result<usize, ServeError> {
         let views = self.views.take_missing(VIEWS_A_TURN);
+        let began = self.spans.begin();
         let mut slots: Vec<FrameSlot> =
             views.iter().map(|_| self.loan()).collect::<Result<_, _>>()?;
         let mut paintings = Vec::with_capacity(views.len());
@@ -395,6 +420,7 @@ impl<'a> Simulator<'a> {
             self.views.fill(view, frame);
             self.frames_rendered += 1;
         }
+        self.spans.end(began, "renderer", "draw", views.len());
         Ok(views.len())
     }
 

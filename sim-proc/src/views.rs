@@ -5,8 +5,9 @@
 //! long as there is room and go in the order in which they were let go of. Everything here is bookkeeping:
 //! nothing draws, sends or waits.
 
-use std::collections::{BTreeMap, HashMap, VecDeque};
+use std::collections::{BTreeMap, VecDeque};
 
+use rustc_hash::FxHashMap;
 use shm_types::Pose;
 use shm_types::message::FrameId;
 
@@ -74,8 +75,8 @@ pub struct Views {
     capacity: usize,
     /// Views that a lane keeps.
     kept: usize,
-    entries: HashMap<ViewKey, Entry>,
-    keys: HashMap<FrameId, ViewKey>,
+    entries: FxHashMap<ViewKey, Entry>,
+    keys: FxHashMap<FrameId, ViewKey>,
     /// Resident and not pinned, by when they were let go of.
     idle: BTreeMap<u64, ViewKey>,
     clock: u64,
@@ -93,19 +94,14 @@ impl Views {
         Self {
             capacity,
             kept: window + 2,
-            entries: HashMap::new(),
-            keys: HashMap::new(),
+            entries: FxHashMap::default(),
+            keys: FxHashMap::default(),
             idle: BTreeMap::new(),
             clock: 0,
             lanes: vec![VecDeque::new(); lanes],
             urgent: VecDeque::new(),
             later: VecDeque::new(),
         }
-    }
-
-    /// Views that may be resident.
-    pub fn capacity(&self) -> usize {
-        self.capacity
     }
 
     /// `lane` looks at `view` now.
@@ -156,6 +152,21 @@ impl Views {
             Picture::Resident(frame) => Some(frame),
             Picture::Missing | Picture::Drawing => None,
         }
+    }
+
+    /// Views that are resident.
+    pub fn resident(&self) -> usize {
+        self.keys.len()
+    }
+
+    /// Views that are needed and not resident yet.
+    pub fn missing(&self) -> usize {
+        self.entries.len() - self.keys.len()
+    }
+
+    /// Views that may be resident.
+    pub fn capacity(&self) -> usize {
+        self.capacity
     }
 
     /// Takes up to `most` views that are to be drawn, those first that lanes wait for. Each must be

@@ -12,7 +12,7 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, Result, bail};
 use bytemuck::Zeroable;
 use shm_types::message::{
-    Busy, DocumentKind, Farewell, Hello, NO_FRAME, Role, Stop, View, ViewRequest, ViewRequestKind,
+    DocumentKind, Farewell, Hello, NO_FRAME, Pulse, Role, Stop, View, ViewRequest, ViewRequestKind,
 };
 use shm_types::process::die_with_parent;
 use shm_types::{
@@ -28,7 +28,7 @@ use super::{Builder, Built, DocumentFile, Provenance};
 const LONGEST_SLEEP: Duration = Duration::from_secs(1);
 
 /// How often the orchestrator is told how far this is.
-const BUSY_INTERVAL: Duration = Duration::from_millis(250);
+const PULSE_INTERVAL: Duration = Duration::from_millis(250);
 
 /// How long to stay after saying why one cannot go on, so that it is heard.
 const LAST_WORDS: Duration = Duration::from_millis(500);
@@ -52,7 +52,7 @@ pub struct Settings {
 /// Builds what `settings` want with `builder`, as part of the run whose folder is `settings.attach`, and
 /// stays until the orchestrator says stop.
 ///
-/// The orchestrator is told of progress by [`Busy`]: first of views, until none waits, then of the parts of
+/// The orchestrator is told of progress by [`Pulse`]: first of views, until none waits, then of the parts of
 /// one document after the other. The [`Farewell`] says that all are written.
 ///
 /// # Errors
@@ -95,7 +95,7 @@ struct Scribe<'a> {
     stops: Receiver<Stop>,
     frames: FrameStore,
     requests: Sender<ViewRequest>,
-    busy: Sender<Busy>,
+    pulses: Sender<Pulse>,
     sim: Bell,
     orchestrator: Bell,
     /// When the orchestrator was last told how far this is.
@@ -110,7 +110,7 @@ impl<'a> Scribe<'a> {
             stops: bus.receiver()?,
             frames: FrameStore::new(bus)?,
             requests: bus.sender()?,
-            busy: bus.sender()?,
+            pulses: bus.sender()?,
             sim: bus.bell(Role::Sim)?,
             orchestrator: bus.bell(Role::Orchestrator)?,
             told: None,
@@ -198,12 +198,16 @@ impl<'a> Scribe<'a> {
 
     /// Tells the orchestrator how far this is, if it has not been told for a while or is to know at once.
     fn tell(&mut self, done: usize, total: usize, at_once: bool) -> Result<()> {
-        if !at_once && self.told.is_some_and(|when| when.elapsed() < BUSY_INTERVAL) {
+        if !at_once && self.told.is_some_and(|when| when.elapsed() < PULSE_INTERVAL) {
             return Ok(());
         }
         self.told = Some(Instant::now());
-        let (embedded, waiting) = (done as u64, total.saturating_sub(done) as u64);
-        self.busy.send(&Busy { embedded, waiting })?;
+        self.pulses.send(&Pulse {
+            role: Role::Memory as u32,
+            done: done as u64,
+            waiting: total.saturating_sub(done) as u64,
+            ..Zeroable::zeroed()
+        })?;
         Ok(self.orchestrator.ring()?)
     }
 

@@ -8,10 +8,12 @@
 
 use std::collections::BTreeMap;
 use std::num::NonZeroUsize;
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::thread::JoinHandle;
 
 use crossbeam::channel::{Receiver, Sender, bounded, unbounded};
+use shm_types::process::monotonic_ns;
 
 use crate::embedding::{ContentHash, Embedding};
 
@@ -111,6 +113,10 @@ pub struct Embedded {
     pub content: ContentHash,
     /// Its embedding, or why there is none.
     pub embedding: Result<Embedding, EncoderError>,
+    /// Which worker made it, from 0.
+    pub worker: usize,
+    /// From when to when, CLOCK_MONOTONIC.
+    pub span_ns: Range<u64>,
 }
 
 /// Something with pixels that a worker can look at.
@@ -161,10 +167,10 @@ impl Encoder {
         let (jobs, queue) = bounded(threads * (1 + WAITING_PER_WORKER));
         let (done, results) = unbounded();
         let model = &file.model;
-        let workers = sessions.into_iter().map(|session| {
+        let workers = sessions.into_iter().enumerate().map(|(worker, session)| {
             let preprocessor = Preprocessor::new(model.input_size, model.mean, model.std);
             let (queue, done, wake) = (queue.clone(), done.clone(), wake.clone());
-            std::thread::spawn(move || work(session, preprocessor, &queue, &done, wake))
+            std::thread::spawn(move || work(worker, session, preprocessor, &queue, &done, wake))
         });
         let build = runtime.build();
         Ok(Self {
@@ -235,13 +241,13 @@ impl Encoder {
         let mut embeddings = BTreeMap::new();
         for (position, picture) in (0_u128..).zip(pictures) {
             if !self.has_room() {
-                let Embedded { content, embedding } = self.wait()?;
+                let Embedded { content, embedding, .. } = self.wait()?;
                 embeddings.insert(u128::from_be_bytes(content), embedding?);
             }
             self.submit(position.to_be_bytes(), picture)?;
         }
         while self.in_flight > 0 {
-            let Embedded { content, embedding } = self.wait()?;
+            let Embedded { content, embedding, .. } = self.wait()?;
             embeddings.insert(u128::from_be_bytes(content), embedding?);
         }
         Ok(embeddings.into_values().collect())
@@ -265,6 +271,7 @@ impl Drop for Encoder {
 }
 
 fn work(
+    worker: usize,
     mut session: Session,
     mut preprocessor: Preprocessor,
     queue: &Receiver<Job>,
@@ -272,9 +279,11 @@ fn work(
     wake: impl Fn(),
 ) {
     for Job { content, picture } in queue {
+        let start = monotonic_ns();
         let embedding = preprocessor.tensor(picture.image()).and_then(|t| session.embed(&t));
         drop(picture);
-        if done.send(Embedded { content, embedding }).is_err() {
+        let span_ns = start..monotonic_ns();
+        if done.send(Embedded { content, embedding, worker, span_ns }).is_err() {
             break;
         }
         wake();

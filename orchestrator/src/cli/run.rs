@@ -1,7 +1,7 @@
 //! `memtransfer run`: settings, plan, run folder, processes, table, in this order.
 
 use std::collections::BTreeMap;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
@@ -32,6 +32,7 @@ use crate::settings::{
 use crate::signals::{self, Signals};
 use crate::supervise::Launch;
 use crate::table;
+use crate::trace::Trace;
 use crate::world::World;
 
 #[derive(Debug, Args)]
@@ -60,6 +61,10 @@ pub(super) struct RunArgs {
     /// Show no progress, only what goes wrong
     #[arg(long)]
     quiet: bool,
+
+    /// Write a trace of every process and step, to be opened with Perfetto (https://ui.perfetto.dev)
+    #[arg(long, value_name = "FILE")]
+    trace: Option<PathBuf>,
 
     /// Print the resolved settings, each with where it comes from, and stop
     #[arg(long)]
@@ -126,7 +131,9 @@ pub(super) fn run(args: RunArgs, matches: &ArgMatches) -> Result<Exit> {
             );
         }
         let progress = Progress::new(total, finished.len(), successes, args.quiet);
-        halted = walk(&settings, &world, missing, &mut folder, (progress, budget), &signals)?;
+        let trace = args.trace.as_deref().map(Trace::create).transpose()?;
+        let shown = (progress, budget, trace);
+        halted = walk(&settings, &world, missing, &mut folder, shown, &signals)?;
     }
 
     if let Some(signal) = signals.received() {
@@ -370,7 +377,7 @@ fn walk(
     world: &World,
     missing: Vec<Episode>,
     folder: &mut RunFolder,
-    (progress, budget): (Progress, Budget),
+    (progress, budget, trace): (Progress, Budget, Option<Trace>),
     signals: &Signals,
 ) -> Result<Option<String>> {
     let base = registry::default_base();
@@ -378,7 +385,8 @@ fn walk(
         progress.note(&format!("removed what a killed run left in {}", gone.display()));
     }
     let run = RunDir::create(&base)?;
-    let attach = attach(settings, world, &missing, &run, folder.session())?;
+    let mut attach = attach(settings, world, &missing, &run, folder.session())?;
+    attach.spans = trace.as_ref().map(|trace| trace.spans().to_owned());
     if settings.warm_views {
         let views = frame_budget::every_view(&world.warehouse);
         progress.note(&format!("drawing {views} views before the first step"));
@@ -400,7 +408,8 @@ fn walk(
         expert: settings.policy == PolicyKind::Expert,
     };
     let mut lanes = Lanes::new(&world.warehouse, &world.cases, rules, attach.lanes as usize);
-    let mut session = Session::new(folder, progress, budget, attach.lanes, attach.frame_capacity);
+    let mut session =
+        Session::new(folder, progress, budget, attach.lanes, attach.frame_capacity, trace);
     let outcome =
         pipeline::walk(&mut lanes, missing, &attach, &crewing, signals.stop(), &mut session);
     let reason = match (&outcome, signals.received()) {

@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Result, bail};
 use bytemuck::Zeroable;
-use shm_types::message::{Busy, Complaint, Farewell, Hello, Role, Stop, read_text};
+use shm_types::message::{Complaint, Farewell, Hello, Pulse, Role, Stop, read_text};
 use shm_types::process::check_shared_memory;
 use shm_types::{Attach, Bus, FrameSize, Receiver, RunDir, registry};
 
@@ -78,7 +78,7 @@ fn launches(
 /// Everything that arrives.
 struct Inbox {
     hellos: Receiver<Hello>,
-    busy: Receiver<Busy>,
+    pulses: Receiver<Pulse>,
     complaints: Receiver<Complaint>,
     farewells: Receiver<Farewell>,
 }
@@ -87,7 +87,7 @@ impl Inbox {
     fn new(bus: &Bus) -> Result<Self> {
         Ok(Self {
             hellos: bus.receiver()?,
-            busy: bus.receiver()?,
+            pulses: bus.receiver()?,
             complaints: bus.receiver()?,
             farewells: bus.receiver()?,
         })
@@ -112,8 +112,10 @@ impl Building<'_> {
                 return Ok(false);
             }
             self.inbox.hellos.drain()?;
-            for busy in self.inbox.busy.drain()? {
-                self.tell(busy, tell);
+            for pulse in self.inbox.pulses.drain()? {
+                if pulse.role == Role::Memory as u32 {
+                    self.tell(pulse, tell);
+                }
             }
             for said in self.inbox.complaints.drain()? {
                 complaint = read_text(&said.text, said.text_len).ok().map(str::to_owned);
@@ -131,8 +133,8 @@ impl Building<'_> {
     }
 
     /// Views are counted until none waits, then parts of documents.
-    fn tell(&mut self, busy: Busy, tell: &mut dyn FnMut(Stage)) {
-        let (done, total) = (busy.embedded, busy.embedded + busy.waiting);
+    fn tell(&mut self, pulse: Pulse, tell: &mut dyn FnMut(Stage)) {
+        let (done, total) = (pulse.done, pulse.done.saturating_add(pulse.waiting));
         let all_seen = match self.told {
             Some(Stage::Writing(..)) => true,
             Some(Stage::Views(done, total)) => done == total,

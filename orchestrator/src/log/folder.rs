@@ -12,12 +12,15 @@ use super::{
     EpisodeError, EpisodeRecord, EpisodeTimings, Journal, LogError, Manifest, RequestRecord,
     SessionEvent, SessionRecord, read_journal, system,
 };
+use crate::latency::{Latency, LatencyRecord};
+use crate::status::STATUS_FILE;
 
 const EPISODES_FILE: &str = "episodes.jsonl";
 const TIMINGS_FILE: &str = "timings.jsonl";
 const REQUESTS_FILE: &str = "requests.jsonl";
 const ERRORS_FILE: &str = "errors.jsonl";
 const SESSIONS_FILE: &str = "sessions.jsonl";
+const LATENCY_FILE: &str = "latency.jsonl";
 const DOCUMENTS_FOLDER: &str = "documents";
 const PROMPTS_FOLDER: &str = "prompts";
 const LOGS_FOLDER: &str = "logs";
@@ -25,7 +28,7 @@ const LOGS_FOLDER: &str = "logs";
 pub const REPORT_FOLDER: &str = "report";
 
 /// Everything a run folder holds. Nothing else in it is ever touched.
-const CONTENTS: [&str; 11] = [
+const CONTENTS: [&str; 14] = [
     MANIFEST_FILE,
     "manifest.json.new",
     EPISODES_FILE,
@@ -33,6 +36,9 @@ const CONTENTS: [&str; 11] = [
     REQUESTS_FILE,
     ERRORS_FILE,
     SESSIONS_FILE,
+    LATENCY_FILE,
+    STATUS_FILE,
+    "status.json.new",
     DOCUMENTS_FOLDER,
     PROMPTS_FOLDER,
     LOGS_FOLDER,
@@ -50,6 +56,7 @@ pub struct RunFolder {
     requests: Journal<RequestRecord>,
     errors: Journal<EpisodeError>,
     sessions: Journal<SessionRecord>,
+    latency: Journal<LatencyRecord>,
     finished: BTreeSet<String>,
     /// Last, so that everything else is closed when the lock goes.
     _lock: File,
@@ -117,6 +124,7 @@ impl RunFolder {
         let (requests, asked) = open.journal(REQUESTS_FILE)?;
         let (errors, _) = open.journal(ERRORS_FILE)?;
         let (sessions, past) = open.journal::<SessionRecord>(SESSIONS_FILE)?;
+        let (latency, _) = open.journal(LATENCY_FILE)?;
         check_unique(&dir.join(EPISODES_FILE), &finished)?;
         let logs = dir.join(LOGS_FOLDER);
         fs::create_dir_all(&logs).map_err(system("make", &logs))?;
@@ -131,6 +139,7 @@ impl RunFolder {
             requests,
             errors,
             sessions,
+            latency,
             finished: finished.iter().map(|record| record.key.clone()).collect(),
             _lock: lock,
         };
@@ -177,7 +186,13 @@ impl RunFolder {
         self.finished.contains(key)
     }
 
-    /// Puts finished episodes into the log; returns when they are on the disk.
+    /// Episodes that are in the log.
+    pub fn count_finished(&self) -> u64 {
+        self.finished.len() as u64
+    }
+
+    /// Puts finished episodes into the log: no kill of a process can undo that. What they cost is on the disk
+    /// when this returns, and so are they then; without a cost they are there some milliseconds later.
     ///
     /// # Errors
     /// When the system refuses.
@@ -186,14 +201,20 @@ impl RunFolder {
             return Ok(());
         }
         // What they cost before the episodes: no finished one is without.
-        if episodes.iter().any(|(record, _)| record.prompt_tokens.is_some_and(|sum| sum > 0)) {
+        let cost =
+            episodes.iter().any(|(record, _)| record.prompt_tokens.is_some_and(|sum| sum > 0));
+        if cost {
             self.requests.sync()?;
         }
         for (record, _) in episodes {
             assert!(self.finished.insert(record.key.clone()), "{} was run twice", record.key);
             self.episodes.append(record)?;
         }
-        self.episodes.sync()?;
+        if cost {
+            self.episodes.sync()?;
+        } else {
+            self.episodes.sync_soon()?;
+        }
         // Timings after the episodes: a crash in between loses a measurement and no result.
         episodes.iter().try_for_each(|(_, timings)| self.timings.append(timings))
     }
@@ -224,6 +245,14 @@ impl RunFolder {
         let unix_s = now.map_or(0, |since| since.as_secs());
         self.sessions.append(&SessionRecord { session: self.session, unix_s, event })?;
         self.sessions.sync()
+    }
+
+    /// Keeps how long the stages of this session's steps took.
+    ///
+    /// # Errors
+    /// When the system refuses.
+    pub fn measured(&mut self, latency: &Latency) -> Result<(), LogError> {
+        latency.records(self.session).try_for_each(|record| self.latency.append(&record))
     }
 
     /// Puts what the processes said about themselves into the manifest, the first time; later says how

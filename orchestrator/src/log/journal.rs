@@ -1,10 +1,12 @@
 //! An append-only file of JSON lines that survives being killed while it is written.
 
 use std::fs::{File, OpenOptions};
-use std::io::Write;
+use std::io::{self, Write};
 use std::marker::PhantomData;
 use std::path::{Path, PathBuf};
+use std::thread::{self, JoinHandle};
 
+use crossbeam::channel::{Receiver, Sender, bounded};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
@@ -15,6 +17,7 @@ use super::{LogError, system};
 pub struct Journal<T> {
     path: PathBuf,
     file: File,
+    flusher: Option<Flusher>,
     entries: PhantomData<fn(&T)>,
 }
 
@@ -34,7 +37,11 @@ impl<T: Serialize + DeserializeOwned> Journal<T> {
         if torn > 0 {
             file.set_len(whole.len() as u64).map_err(system("cut the torn end of", path))?;
         }
-        Ok((Self { path: path.to_owned(), file, entries: PhantomData }, entries, torn))
+        Ok((
+            Self { path: path.to_owned(), file, flusher: None, entries: PhantomData },
+            entries,
+            torn,
+        ))
     }
 
     /// Adds a line. Nothing is promised about a crash of the machine before [`Journal::sync`].
@@ -58,6 +65,70 @@ impl<T: Serialize + DeserializeOwned> Journal<T> {
     /// When the system refuses.
     pub fn sync(&mut self) -> Result<(), LogError> {
         self.file.sync_data().map_err(system("flush", &self.path))
+    }
+
+    /// Has everything added so far put on the disk, and does not wait for it: a thread of the journal's own
+    /// flushes again and again as long as there is something new, and once more when the journal is dropped.
+    /// What was added survives any kill of this process at once, and a crash of the machine some milliseconds
+    /// later.
+    ///
+    /// # Errors
+    /// When the system refused an earlier flush, or another thread.
+    pub fn sync_soon(&mut self) -> Result<(), LogError> {
+        let flusher = match self.flusher.take() {
+            Some(flusher) => flusher,
+            None => Flusher::start(&self.file).map_err(system("flush", &self.path))?,
+        };
+        self.flusher.insert(flusher).ask().map_err(system("flush", &self.path))
+    }
+}
+
+/// A thread that flushes a file whenever it is asked to.
+#[derive(Debug)]
+struct Flusher {
+    /// Holds one request at most: whatever is added before it is taken is flushed with it.
+    requests: Option<Sender<()>>,
+    failure: Receiver<io::Error>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Flusher {
+    fn start(file: &File) -> io::Result<Self> {
+        let file = file.try_clone()?;
+        let (requests, asked) = bounded(1);
+        let (failed, failure) = bounded(1);
+        let flush = move || {
+            for () in asked {
+                if let Err(error) = file.sync_data() {
+                    // There is room: it is the first failure, and the last.
+                    let _ = failed.send(error);
+                    return;
+                }
+            }
+        };
+        let thread = thread::Builder::new().name("log-flusher".to_owned()).spawn(flush)?;
+        Ok(Self { requests: Some(requests), failure, thread: Some(thread) })
+    }
+
+    fn ask(&self) -> io::Result<()> {
+        if let Ok(error) = self.failure.try_recv() {
+            return Err(error);
+        }
+        if let Some(requests) = &self.requests {
+            // Full: what was added is flushed with the request that waits.
+            let _ = requests.try_send(());
+        }
+        Ok(())
+    }
+}
+
+impl Drop for Flusher {
+    fn drop(&mut self) {
+        self.requests = None;
+        if let Some(thread) = self.thread.take() {
+            // It does not panic; and if it did, it has said so.
+            let _ = thread.join();
+        }
     }
 }
 
@@ -113,6 +184,7 @@ mod tests {
         let (mut journal, found, torn) = Journal::<Entry>::open(&path).unwrap();
         assert_eq!((found, torn), (vec![], 0));
         entries(4).iter().for_each(|entry| journal.append(entry).unwrap());
+        journal.sync_soon().unwrap();
         journal.sync().unwrap();
         let text = std::fs::read(&path).unwrap();
 

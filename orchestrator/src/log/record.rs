@@ -308,12 +308,18 @@ pub struct Stages {
     pub dynamics: u64,
     /// Until the view was there.
     pub render: u64,
-    /// Until memory took the observation up.
+    /// Until the observation was published.
+    #[serde(default)]
+    pub publish: u64,
+    /// Until memory took it up.
     pub observation: u64,
     /// Until the view's embedding was there.
     pub embed: u64,
     /// Until the nearest remembered view was found.
     pub search: u64,
+    /// Until the recall was put together.
+    #[serde(default)]
+    pub assemble: u64,
     /// Until the policy had observation and recall.
     pub recall: u64,
     /// Until it began to decide.
@@ -326,13 +332,15 @@ pub struct Stages {
 
 impl Stages {
     /// The names, in order.
-    pub const NAMES: [&'static str; 10] = [
+    pub const NAMES: [&'static str; 12] = [
         "command",
         "dynamics",
         "render",
+        "publish",
         "observation",
         "embed",
         "search",
+        "assemble",
         "recall",
         "queue",
         "decide",
@@ -340,10 +348,23 @@ impl Stages {
     ];
 
     /// The values, in the order of [`Stages::NAMES`].
-    pub const fn values(&self) -> [u64; 10] {
-        let Self { command, dynamics, render, observation, embed, .. } = *self;
-        let Self { search, recall, queue, decide, decision, .. } = *self;
-        [command, dynamics, render, observation, embed, search, recall, queue, decide, decision]
+    pub const fn values(&self) -> [u64; 12] {
+        let Self { command, dynamics, render, publish, observation, embed, .. } = *self;
+        let Self { search, assemble, recall, queue, decide, decision, .. } = *self;
+        [
+            command,
+            dynamics,
+            render,
+            publish,
+            observation,
+            embed,
+            search,
+            assemble,
+            recall,
+            queue,
+            decide,
+            decision,
+        ]
     }
 }
 
@@ -352,9 +373,11 @@ impl std::ops::AddAssign for Stages {
         self.command += other.command;
         self.dynamics += other.dynamics;
         self.render += other.render;
+        self.publish += other.publish;
         self.observation += other.observation;
         self.embed += other.embed;
         self.search += other.search;
+        self.assemble += other.assemble;
         self.recall += other.recall;
         self.queue += other.queue;
         self.decide += other.decide;

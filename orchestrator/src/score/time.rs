@@ -59,7 +59,7 @@ impl StageTimes {
 /// wait for after the view; where no view is looked up, nothing is embedded and searched.
 pub(super) fn exists(stage: &str, memory: Representation, asked: bool) -> bool {
     match stage {
-        "command" | "dynamics" | "render" => true,
+        "command" | "dynamics" | "render" | "publish" => true,
         "embed" | "search" => asked && memory.describe().trajectories == Trajectories::Segment,
         _ => asked,
     }

@@ -51,6 +51,9 @@ pub enum ServeError {
     /// The run ended, and nobody said that it would.
     #[error("the run in {} ended without saying so", .0.display())]
     Abandoned(PathBuf),
+    /// Spans cannot be kept.
+    #[error("cannot keep spans of the work: {0}")]
+    Spans(std::io::Error),
     /// The policy broke its contract.
     #[error("policy {policy} answered {answers} of {requests} requests: it must answer each once")]
     Answers {

@@ -12,6 +12,9 @@ use shm_types::{Action, Feedback, Pose};
 
 use crate::Ticket;
 
+/// What a recall is called in complaints.
+const RECALL: &str = "recall";
+
 /// Why a message cannot be used.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub(super) enum BadMessage {
@@ -37,6 +40,8 @@ pub(super) struct Observed {
 /// What a recall says.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub(super) struct Recalled {
+    lane: u32,
+    episode: u64,
     pub(super) step: u32,
     /// View, action and feedback of the last steps.
     pub(super) window: Vec<(FrameId, Option<Action>, Feedback)>,
@@ -45,6 +50,36 @@ pub(super) struct Recalled {
     pub(super) distance: f32,
     /// What is supplied beside them, in order.
     pub(super) documents: Vec<DocumentId>,
+}
+
+impl Recalled {
+    /// Reads a message, which is large and should not be copied.
+    pub(super) fn read(message: &Recall) -> Result<Self, BadMessage> {
+        let &Recall { lane, step, episode, distance, .. } = message;
+        let count = |what, count: u32, most: usize| {
+            let fits = usize::try_from(count).ok().filter(|&count| count <= most);
+            fits.ok_or(BadMessage::Count { lane, step, what, count, most })
+        };
+        let window = &message.window[..count("past steps", message.window_len, MAX_WINDOW)?];
+        let segment =
+            &message.segment[..count("remembered views", message.segment_len, MAX_SEGMENT)?];
+        let documents =
+            &message.documents[..count("documents", message.documents_len, MAX_DOCUMENTS)?];
+        let past = |past: &PastStep| {
+            Ok((past.frame, action(past.action)?, Feedback::try_from(past.feedback)?))
+        };
+        let remembered = |view: &SegmentStep| Ok((view.frame, action(view.action)?));
+        let bad = bad_value(RECALL, lane, step);
+        Ok(Self {
+            lane,
+            episode,
+            step,
+            window: window.iter().map(past).collect::<Result<_, _>>().map_err(&bad)?,
+            segment: segment.iter().map(remembered).collect::<Result<_, _>>().map_err(&bad)?,
+            distance,
+            documents: documents.to_vec(),
+        })
+    }
 }
 
 /// The running episode of a lane, and what has come for its current step.
@@ -128,34 +163,11 @@ impl Join {
     }
 
     /// What memory gives for a step. Late ones are dropped.
-    pub(super) fn recall(&mut self, message: &Recall) -> Result<(), BadMessage> {
-        const MESSAGE: &str = "recall";
-        let &Recall { lane: number, step, .. } = message;
-        let lane = self.lane_mut(MESSAGE, number)?;
-        if !lane.running || lane.episode != message.episode {
-            return Ok(());
+    pub(super) fn recall(&mut self, recalled: Recalled) -> Result<(), BadMessage> {
+        let lane = self.lane_mut(RECALL, recalled.lane)?;
+        if lane.running && lane.episode == recalled.episode {
+            lane.recalled = Some(recalled);
         }
-        let count = |what, count: u32, most: usize| {
-            let fits = usize::try_from(count).ok().filter(|&count| count <= most);
-            fits.ok_or(BadMessage::Count { lane: number, step, what, count, most })
-        };
-        let window = &message.window[..count("past steps", message.window_len, MAX_WINDOW)?];
-        let segment =
-            &message.segment[..count("remembered views", message.segment_len, MAX_SEGMENT)?];
-        let documents =
-            &message.documents[..count("documents", message.documents_len, MAX_DOCUMENTS)?];
-        let past = |past: &PastStep| {
-            Ok((past.frame, action(past.action)?, Feedback::try_from(past.feedback)?))
-        };
-        let remembered = |view: &SegmentStep| Ok((view.frame, action(view.action)?));
-        let bad = bad_value(MESSAGE, number, step);
-        lane.recalled = Some(Recalled {
-            step,
-            window: window.iter().map(past).collect::<Result<_, _>>().map_err(&bad)?,
-            segment: segment.iter().map(remembered).collect::<Result<_, _>>().map_err(&bad)?,
-            distance: message.distance,
-            documents: documents.to_vec(),
-        });
         Ok(())
     }
 
@@ -172,6 +184,12 @@ impl Join {
             }
         }
         ready
+    }
+
+    /// Whether a recall is here whose observation is not: that is being delivered to one receiver after the other,
+    /// and its sender wakes nobody but the memory.
+    pub(super) fn is_half(&self) -> bool {
+        self.lanes.iter().any(|lane| lane.recalled.is_some())
     }
 
     /// Whether `ticket` is of an episode that runs.
@@ -215,6 +233,10 @@ mod tests {
         Recall { lane, episode, step, ..Zeroable::zeroed() }
     }
 
+    fn recalled(join: &mut Join, message: &Recall) -> Result<(), BadMessage> {
+        join.recall(Recalled::read(message)?)
+    }
+
     /// Two lanes; the second one walks episode 5.
     fn join() -> Join {
         let mut join = Join::new(2);
@@ -231,10 +253,10 @@ mod tests {
         let mut join = join();
         join.observation(&observation(1, 5, 0)).unwrap();
         assert_eq!(ready(&mut join), []);
-        join.recall(&recall(1, 5, 0)).unwrap();
+        recalled(&mut join, &recall(1, 5, 0)).unwrap();
         assert_eq!(ready(&mut join), [(1, 0)]);
         assert_eq!(ready(&mut join), [], "it is taken once");
-        join.recall(&recall(1, 5, 1)).unwrap();
+        recalled(&mut join, &recall(1, 5, 1)).unwrap();
         join.observation(&observation(1, 5, 1)).unwrap();
         assert_eq!(ready(&mut join), [(1, 1)]);
         assert_eq!(join.lane(1).instruction, "Find a blue barrel.");
@@ -244,13 +266,13 @@ mod tests {
     fn what_belongs_to_another_step_or_episode_never_joins() {
         let mut join = join();
         join.observation(&observation(1, 5, 3)).unwrap();
-        join.recall(&recall(1, 5, 2)).unwrap();
-        join.recall(&recall(1, 4, 3)).unwrap();
+        recalled(&mut join, &recall(1, 5, 2)).unwrap();
+        recalled(&mut join, &recall(1, 4, 3)).unwrap();
         join.observation(&observation(0, 0, 0)).unwrap();
-        join.recall(&recall(0, 0, 0)).unwrap();
+        recalled(&mut join, &recall(0, 0, 0)).unwrap();
         assert_eq!(ready(&mut join), []);
         join.brief(&brief(1, 6)).unwrap();
-        join.recall(&recall(1, 6, 3)).unwrap();
+        recalled(&mut join, &recall(1, 6, 3)).unwrap();
         assert_eq!(ready(&mut join), [], "a new episode starts with nothing");
     }
 
@@ -260,7 +282,7 @@ mod tests {
         let last = Observation { last: 1, frame: NO_FRAME, ..observation(1, 5, 9) };
         join.observation(&last).unwrap();
         join.observation(&observation(1, 5, 9)).unwrap();
-        join.recall(&recall(1, 5, 9)).unwrap();
+        recalled(&mut join, &recall(1, 5, 9)).unwrap();
         assert_eq!(ready(&mut join), []);
     }
 
@@ -281,11 +303,11 @@ mod tests {
             join.observation(&bad_pose),
             join.observation(&Observation { feedback: 8, ..observation(1, 5, 2) }),
             join.observation(&Observation { frame: NO_FRAME, ..observation(1, 5, 2) }),
-            join.recall(&Recall { window_len: 33, ..recall(1, 5, 2) }),
-            join.recall(&Recall { segment_len: 1 << 31, ..recall(1, 5, 2) }),
-            join.recall(&bad_action),
-            join.recall(&bad_feedback),
-            join.recall(&recall(u32::MAX, 5, 2)),
+            recalled(&mut join, &Recall { window_len: 33, ..recall(1, 5, 2) }),
+            recalled(&mut join, &Recall { segment_len: 1 << 31, ..recall(1, 5, 2) }),
+            recalled(&mut join, &bad_action),
+            recalled(&mut join, &bad_feedback),
+            recalled(&mut join, &recall(u32::MAX, 5, 2)),
         ];
         let texts: Vec<_> = errors.into_iter().map(|e| e.unwrap_err().to_string()).collect();
         insta::assert_snapshot!(texts.join("\n"), @r"

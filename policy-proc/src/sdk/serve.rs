@@ -6,26 +6,29 @@ use std::time::{Duration, Instant};
 
 use bytemuck::Zeroable;
 use shm_types::message::{
-    DocumentId, Farewell, FrameId, Hello, NO_ACTION, NOT_MEASURED, Observation, PolicyBrief,
+    DocumentId, Farewell, FrameId, Hello, NO_ACTION, NOT_MEASURED, Observation, PolicyBrief, Pulse,
     Recall, Role, Stop,
 };
 use shm_types::process::monotonic_ns;
 use shm_types::prompts::{Answered, Asked, Entry, Exchange, Timing, Usage as LoggedUsage};
 use shm_types::{
     Attach, Bell, Bus, Complaints, Document, DocumentError, DocumentStore, Frame, FrameError,
-    FrameStore, Receiver, Sender, message,
+    FrameStore, Pulses, Receiver, Sender, Spans, message,
 };
 
 use super::Decider;
 use super::answers::{Answers, Said};
 use super::attend::{Run, ServeError};
-use super::join::{Join, Ready};
+use super::join::{Join, Ready, Recalled};
 use super::prompt_log::{LogError, PromptLog};
 use super::shown::{Held, Shown};
 use crate::{Decision, Request, Ticket};
 
 /// How long the loop sleeps when nobody rings, and how often it looks whether the run goes on.
 const LONGEST_SLEEP: Duration = Duration::from_millis(250);
+
+/// How long to wait for a message that is on its way and rings no bell.
+const MOMENT: Duration = Duration::from_millis(1);
 
 /// How often the orchestrator is looked for before it is there.
 const LOOK: Duration = Duration::from_millis(10);
@@ -65,7 +68,7 @@ pub(super) fn serve_generation(
     server.orchestrator.ring()?;
     let mut looked = Instant::now();
     while !server.turn(policy)? {
-        bus.doorbell().wait(LONGEST_SLEEP)?;
+        bus.doorbell().wait(if server.join.is_half() { MOMENT } else { LONGEST_SLEEP })?;
         if looked.elapsed() >= LONGEST_SLEEP {
             if let Some(next) = run.next(bus.attach())? {
                 return Ok(End::Over(next));
@@ -87,11 +90,15 @@ struct Server {
     frames: FrameStore,
     documents: DocumentStore,
     complaints: Complaints,
+    pulses: Pulses,
+    spans: Spans,
     join: Join,
     answers: Answers,
     said: mpsc::Receiver<Said>,
     /// By lane: the request that the policy has not answered yet.
     open: Vec<Option<Open>>,
+    /// Requests answered so far.
+    answered: u64,
     log: Log,
 }
 
@@ -171,10 +178,13 @@ impl Server {
             frames: FrameStore::new(bus)?,
             documents: DocumentStore::new(bus)?,
             complaints: Complaints::new(bus)?,
+            pulses: Pulses::new(bus)?,
+            spans: Spans::open(bus.attach(), Role::Policy).map_err(ServeError::Spans)?,
             join: Join::new(lanes),
             answers,
             said,
             open: (0..lanes).map(|_| None).collect(),
+            answered: 0,
             log,
         })
     }
@@ -187,16 +197,32 @@ impl Server {
         self.ask(policy, &ready)?;
         let answered = self.pass_on()?;
         self.let_go_of_frames()?;
-        if answered || self.complaints.count() != complaints {
+        let beat = self.beat();
+        if answered || beat || self.complaints.count() != complaints {
             self.orchestrator.ring()?;
         }
         Ok(self.stops.next()?.is_some())
     }
 
+    fn beat(&mut self) -> bool {
+        let (answered, open, frames) = (self.answered, &self.open, &self.frames);
+        self.pulses.beat(|| Pulse {
+            done: answered,
+            waiting: open.iter().flatten().count() as u64,
+            held: frames.held() as u64,
+            ..Zeroable::zeroed()
+        })
+    }
+
     /// Reads all queues. A message that refers to another one was sent after it: queues are therefore
     /// emptied effect first, and what was in them is looked at cause first.
     fn take_messages(&mut self, policy: &mut (impl Decider + ?Sized)) -> Result<(), ServeError> {
-        let recalls = self.recalls.drain()?;
+        let mut recalls = Vec::new();
+        while recalls.len() < self.open.len()
+            && let Some(recalled) = self.recalls.next_with(Recalled::read)?
+        {
+            recalls.push(recalled);
+        }
         let observations = self.observations.drain()?;
         let briefs = self.briefs.drain()?;
         for brief in &briefs {
@@ -209,11 +235,11 @@ impl Server {
                 Err(bad) => self.complaints.raise(bad),
             }
         }
-        let observed = observations.iter().map(|message| self.join.observation(message)).collect();
-        let recalled = recalls.iter().map(|message| self.join.recall(message)).collect();
-        for outcomes in [observed, recalled] {
-            let outcomes: Vec<Result<(), _>> = outcomes;
-            outcomes.into_iter().filter_map(Result::err).for_each(|bad| self.complaints.raise(bad));
+        for outcome in observations.iter().map(|message| self.join.observation(message)) {
+            outcome.unwrap_or_else(|bad| self.complaints.raise(bad));
+        }
+        for outcome in recalls.into_iter().map(|recalled| self.join.recall(recalled?)) {
+            outcome.unwrap_or_else(|bad| self.complaints.raise(bad));
         }
         Ok(())
     }
@@ -258,7 +284,10 @@ impl Server {
             let open = Open { ticket, images, received_ns, started_ns, asked, exchange: None };
             self.open[ticket.lane as usize] = Some(open);
         }
-        policy.take(&requests, &self.answers)
+        let began = self.spans.begin();
+        policy.take(&requests, &self.answers)?;
+        self.spans.end(began, "policy", "decide", requests.len());
+        Ok(())
     }
 
     /// Sends what the policy has said meanwhile; returns whether anything was sent.
@@ -279,6 +308,7 @@ impl Server {
                     // Before the decision leaves: what is decided is in the log.
                     if self.keep(open.entry(Ok((&decision, decided_ns))))? {
                         self.decisions.send(&message)?;
+                        self.answered += 1;
                     }
                     true
                 }

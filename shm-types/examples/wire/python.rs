@@ -206,6 +206,7 @@ fn example(frame_capacity: u32, lanes: u32) -> Attach {
         wait: Wait::default(),
         frame_control: FrameControl::default(),
         prompts: None,
+        spans: None,
         root: std::path::PathBuf::new(),
     }
 }

@@ -1,0 +1,91 @@
+//! The paper's whole suite with the stand-in, from the command to the table: with nothing embedded and no document
+//! written before, and again with both kept.
+
+use std::os::unix::fs::symlink;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use anyhow::{Context, Result};
+
+use crate::Bench;
+use crate::figure::{Better, Bound, Figure};
+use crate::runs::ended_well;
+use crate::session::{Session, Size};
+
+/// This bench.
+pub const BENCH: Bench =
+    Bench { name: "suite", about: "the paper's whole suite with the stand-in, cold and warm", run };
+
+/// What a run adds to the cache folder; everything else in it is what set-up brought.
+const MADE_BY_RUNS: [&str; 3] = ["embeddings", "documents", "replies"];
+
+/// Lanes of the suite's runs.
+const LANES: &str = "64";
+
+fn run(session: &mut Session<'_>) -> Result<Vec<Figure>> {
+    let cache = session.scratch().join("cache");
+    furnish(&cache)?;
+    session.say("cold");
+    let cold = walk(session, &cache, "cold")?;
+    let mut warm = Vec::new();
+    // Minutes each.
+    for round in 1..=session.rounds().min(3) {
+        session.say(format_args!("warm, round {round}"));
+        warm.push(walk(session, &cache, "warm")?);
+    }
+    let figure = |id: &str, what: &str, seconds: Vec<f64>, target: (f64, &str)| {
+        Figure::new(id, what, "s", Better::Lower)
+            .ours(seconds)
+            .target(Bound::Value(target.0), target.1)
+            .parameter("lanes", LANES)
+    };
+    Ok(vec![
+        figure(
+            "suite.warm",
+            "the paper suite with `grounded`, embeddings and documents kept",
+            warm,
+            (60.0, "1 minute"),
+        ),
+        figure(
+            "suite.cold",
+            "the paper suite with `grounded`, nothing kept",
+            vec![cold],
+            (480.0, "under 8 minutes"),
+        ),
+    ])
+}
+
+/// Walks the suite and returns how many seconds that took, everything included.
+fn walk(session: &Session<'_>, cache: &Path, out: &str) -> Result<f64> {
+    let mut command = session.memtransfer()?;
+    command.env("MEMTRANSFER_CACHE", cache);
+    command.args(["run", "--quiet", "--fresh", "--policy", "grounded", "--lanes", LANES]);
+    command.args(["--out", out]);
+    command.args(match session.size {
+        Size::Full => &["--suite", "paper"][..],
+        Size::Tiny => &["--limit", "2", "--max-steps", "4", "--memory", "working"][..],
+    });
+    let log = session.scratch().join("run.log");
+    let began = Instant::now();
+    ended_well(command.stdout(std::process::Stdio::null()), &log)?;
+    Ok(began.elapsed().as_secs_f64())
+}
+
+/// A cache folder with what set-up brought, and nothing that a run has made.
+fn furnish(folder: &Path) -> Result<()> {
+    std::fs::create_dir(folder).with_context(|| format!("cannot make {}", folder.display()))?;
+    let Some(there) = cache_folder() else { return Ok(()) };
+    let Ok(entries) = there.read_dir() else { return Ok(()) };
+    for entry in entries {
+        let entry = entry?;
+        if !MADE_BY_RUNS.iter().any(|made| entry.file_name() == *made) {
+            symlink(entry.path(), folder.join(entry.file_name()))?;
+        }
+    }
+    Ok(())
+}
+
+fn cache_folder() -> Option<PathBuf> {
+    let cache = memory_proc::paths::Cache::from_environment().ok()?;
+    Some(cache.root().to_owned())
+}

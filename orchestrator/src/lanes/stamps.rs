@@ -1,0 +1,134 @@
+//! When each stage of a step was over, by what its messages say.
+
+use shm_types::Representation;
+use shm_types::message::{Decision, Observation, RecallTrace};
+
+use crate::log::Stages;
+
+/// The way of one step through the processes: CLOCK_MONOTONIC nanoseconds, one scale over all of them. A stage
+/// that a step did not go through has 0, and so has everything behind the observation where nobody decides but
+/// the expert.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Stamps {
+    /// The episode's ticket.
+    pub ticket: u64,
+    /// The lane.
+    pub lane: u32,
+    /// Steps taken before.
+    pub step: u32,
+    /// The episode's memory.
+    pub memory: Representation,
+    /// The orchestrator sent the command.
+    pub commanded_ns: u64,
+    /// The simulator took it up.
+    pub woken_ns: u64,
+    /// The dynamics were applied.
+    pub stepped_ns: u64,
+    /// The view was there.
+    pub rendered_ns: u64,
+    /// The observation was published.
+    pub published_ns: u64,
+    /// Memory took it up.
+    pub received_ns: u64,
+    /// The embeddings that were needed were there.
+    pub embedded_ns: u64,
+    /// The nearest view was found.
+    pub searched_ns: u64,
+    /// The recall was put together.
+    pub assembled_ns: u64,
+    /// The recall was sent.
+    pub recalled_ns: u64,
+    /// The policy had observation and recall.
+    pub joined_ns: u64,
+    /// It began to decide.
+    pub started_ns: u64,
+    /// The prompt was built; 0 where none is.
+    pub prompted_ns: u64,
+    /// The request went to a model's server; 0 where none did.
+    pub requested_ns: u64,
+    /// It had decided.
+    pub decided_ns: u64,
+    /// The orchestrator had accounted for the step.
+    pub logged_ns: u64,
+}
+
+impl Stamps {
+    /// Of a step that nobody has begun.
+    pub(crate) const fn none(ticket: u64, lane: u32, memory: Representation) -> Self {
+        Self {
+            ticket,
+            lane,
+            step: 0,
+            memory,
+            commanded_ns: 0,
+            woken_ns: 0,
+            stepped_ns: 0,
+            rendered_ns: 0,
+            published_ns: 0,
+            received_ns: 0,
+            embedded_ns: 0,
+            searched_ns: 0,
+            assembled_ns: 0,
+            recalled_ns: 0,
+            joined_ns: 0,
+            started_ns: 0,
+            prompted_ns: 0,
+            requested_ns: 0,
+            decided_ns: 0,
+            logged_ns: 0,
+        }
+    }
+
+    /// Takes over what the simulator stamped, for a step that begins with it.
+    pub(super) const fn observed(&mut self, observation: &Observation) {
+        let Observation { step, commanded_ns, woken_ns, stepped_ns, rendered_ns, sent_ns, .. } =
+            *observation;
+        *self = Self {
+            step,
+            commanded_ns,
+            woken_ns,
+            stepped_ns,
+            rendered_ns,
+            published_ns: sent_ns,
+            ..Self::none(self.ticket, self.lane, self.memory)
+        };
+    }
+
+    /// Takes over what memory stamped.
+    pub(super) const fn recalled(&mut self, trace: &RecallTrace) {
+        self.received_ns = trace.received_ns;
+        self.embedded_ns = trace.embedded_ns;
+        self.searched_ns = trace.searched_ns;
+        self.assembled_ns = trace.assembled_ns;
+        self.recalled_ns = trace.sent_ns;
+    }
+
+    /// Takes over what the policy stamped.
+    pub(super) const fn decided(&mut self, decision: &Decision) {
+        self.joined_ns = decision.received_ns;
+        self.started_ns = decision.started_ns;
+        self.prompted_ns = decision.prompted_ns;
+        self.requested_ns = decision.sent_ns;
+        self.decided_ns = decision.decided_ns;
+    }
+
+    /// How long each stage took. What a step did not go through took no time.
+    pub fn stages(&self) -> Stages {
+        // Other processes may stamp what they like.
+        let from = |from: u64, until: u64| if from == 0 { 0 } else { until.saturating_sub(from) };
+        Stages {
+            command: from(self.commanded_ns, self.woken_ns),
+            dynamics: from(self.woken_ns, self.stepped_ns),
+            render: from(self.stepped_ns, self.rendered_ns),
+            publish: from(self.rendered_ns, self.published_ns),
+            observation: from(self.published_ns, self.received_ns),
+            embed: from(self.received_ns, self.embedded_ns),
+            search: from(self.embedded_ns, self.searched_ns),
+            assemble: from(self.searched_ns, self.assembled_ns),
+            recall: from(self.assembled_ns, self.joined_ns),
+            queue: from(self.joined_ns, self.started_ns),
+            decide: from(self.started_ns, self.decided_ns),
+            decision: from(self.decided_ns, self.logged_ns),
+        }
+    }
+}
