@@ -13,6 +13,7 @@ use memory_proc::documents::model::{self, Ask, ModelBuilder, Pipe};
 use memory_proc::documents::sources::Sources;
 use memory_proc::documents::{Builder, Extractive};
 use memory_proc::embed_command;
+use memory_proc::index::Effort;
 use memory_proc::manifest::Manifest;
 use memory_proc::paths::Cache;
 use memory_proc::profile::{self, Vectors};
@@ -75,6 +76,15 @@ enum Verb {
         /// Kind of search
         #[arg(long, value_name = "NAME", value_enum, default_value_t = SearchName::Exact)]
         search: SearchName,
+        /// Neighbours of a node of the graph that the approximate search walks
+        #[arg(long, default_value_t = Effort::default().connectivity, value_name = "N")]
+        connectivity: usize,
+        /// Nodes that are kept in sight while the graph is built
+        #[arg(long, default_value_t = Effort::default().building, value_name = "N")]
+        building: usize,
+        /// Nodes that are kept in sight while the graph is walked: one measurement each
+        #[arg(long, default_value = "64", value_name = "LIST", value_delimiter = ',')]
+        searching: Vec<usize>,
         /// Most queries of a measurement
         #[arg(long, default_value = "10000", value_name = "N")]
         queries: NonZeroUsize,
@@ -317,12 +327,24 @@ fn run(verb: Verb) -> anyhow::Result<()> {
             };
             embed_command::run(&files, repeat, &manifest, &encoder.settings()?)
         }
-        Verb::Profile { vectors, entries, search, queries, seconds, threads } => {
+        Verb::Profile {
+            vectors,
+            entries,
+            search,
+            connectivity,
+            building,
+            searching,
+            queries,
+            seconds,
+            threads,
+        } => {
             let cores = || std::thread::available_parallelism().unwrap_or(NonZeroUsize::MIN);
             let settings = profile::Settings {
                 entries: entries.into_iter().map(NonZeroU32::get).collect(),
                 exact: !matches!(search, SearchName::Approximate),
                 approximate: !matches!(search, SearchName::Exact),
+                effort: Effort { connectivity, building, ..Effort::default() },
+                searching,
                 queries: queries.get(),
                 seconds,
                 threads: threads.unwrap_or_else(cores),

@@ -33,6 +33,9 @@ const MOST: f64 = 127.0;
 /// The centre is the mean of at most so many rows. Any point will do.
 const SAMPLED: usize = 4096;
 
+/// Bytes behind the codes of a record.
+pub(super) const RECORD_TAIL: usize = 8;
+
 /// A cache line of codes.
 #[derive(Clone, Copy, Pod, Zeroable)]
 #[repr(C, align(64))]
@@ -120,7 +123,7 @@ pub(super) struct Code {
 impl Codes {
     /// Codes of all `rows`, made by `threads` threads.
     pub(super) fn of(level: Level, rows: &Rows, threads: usize) -> Self {
-        let stride = rows.dimension().div_ceil(CODES);
+        let stride = rows.dimension().div_ceil(CODES).max(1);
         let groups = rows.len().div_ceil(GROUP);
         let centre = centre(rows);
         let mut codes = Self {
@@ -196,6 +199,31 @@ impl Codes {
         Coded { lines, scale, bias: BIAS * sum, half, loss }
     }
 
+    /// Bytes of a [record](Self::record).
+    pub(super) fn record_bytes(&self) -> usize {
+        self.stride * CODES + RECORD_TAIL
+    }
+
+    /// A row's codes plus 128, then its scale and half squared length.
+    pub(super) fn record(&self, row: usize, record: &mut Vec<u8>) {
+        record.clear();
+        record.extend_from_slice(bytemuck::cast_slice(
+            &self.lines[row * self.stride..][..self.stride],
+        ));
+        record.extend(self.scales[row].to_ne_bytes());
+        record.extend(self.halves[row].to_ne_bytes());
+    }
+
+    /// The same of a query.
+    pub(super) fn query_record(&self, vector: &[f32]) -> Vec<u8> {
+        let mut record = vec![BIAS as u8; self.record_bytes()];
+        let (codes, tail) = record.split_at_mut(self.stride * CODES);
+        let Code { scale, half, .. } = kernel::code(self.level, vector, &self.centre, codes);
+        tail[..4].copy_from_slice(&scale.to_ne_bytes());
+        tail[4..].copy_from_slice(&(half as f32).to_ne_bytes());
+        record
+    }
+
     /// What decides whether a row could be as near to `query` as `limit`, a distance as
     /// [`crate::embedding::distance`] computes it: it cannot be unless
     ///
@@ -250,7 +278,7 @@ fn pack(
     scales: &mut [f32],
     halves: &mut [f32],
 ) -> (f64, f64) {
-    let stride = centre.len().div_ceil(CODES);
+    let stride = centre.len().div_ceil(CODES).max(1);
     let mut most = (0.0_f64, 0.0_f64);
     let slots = lines.chunks_exact_mut(stride).zip(scales).zip(halves);
     for (row, ((lines, scale), half)) in (first..rows.len()).zip(slots) {

@@ -75,6 +75,24 @@ pub(super) fn measured(level: Level, rows: &Rows, query: &[f32], wanted: usize) 
     best
 }
 
+/// Measures some rows.
+pub(super) fn measured_among(
+    level: Level,
+    rows: &Rows,
+    among: impl Iterator<Item = usize>,
+    query: &[f32],
+    wanted: usize,
+) -> Best {
+    let query: Vec<Line> = pad(query).collect();
+    let mut best = Best::new(wanted);
+    for row in among {
+        let mut distance = [0.0];
+        kernel::distances(level, &query, rows.row(row), &mut distance);
+        best.offer(distance[0], row as u32);
+    }
+    best
+}
+
 /// A search of many rows for at most [`PANEL`] queries at once.
 struct Sifting<'a> {
     level: Level,

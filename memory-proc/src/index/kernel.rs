@@ -181,6 +181,38 @@ fn products_portable(group: Group<'_>, query: &Coded, products: &mut [i32; GROUP
     }
 }
 
+/// Has a graph of records ([`codes::Codes::record`]) measure half the squared distance of what their codes stand
+/// for.
+pub(super) fn measure_records(level: Level, graph: &mut usearch::Index) {
+    let bytes = graph.dimensions();
+    let metric = move |a: *const u8, b: *const u8| {
+        // SAFETY: a graph calls its metric with two of its vectors, or one and a query, and all of them have as many
+        // bytes as it has dimensions.
+        let (a, b) =
+            unsafe { (std::slice::from_raw_parts(a, bytes), std::slice::from_raw_parts(b, bytes)) };
+        let ((a, a_tail), (b, b_tail)) =
+            (a.split_at(bytes - codes::RECORD_TAIL), b.split_at(bytes - codes::RECORD_TAIL));
+        let product = match level.0 {
+            #[cfg(target_arch = "x86_64")]
+            // SAFETY: a level is only handed out by `Level::all`, where the processor has it.
+            Kind::Avx512 | Kind::Amx => unsafe { x86::product_avx512(a, b) },
+            _ => product_portable(a, b),
+        };
+        let number = |tail: &[u8], at: usize| {
+            f32::from_ne_bytes([tail[at], tail[at + 1], tail[at + 2], tail[at + 3]])
+        };
+        let halves = number(a_tail, 4) + number(b_tail, 4);
+        halves - number(a_tail, 0) * number(b_tail, 0) * product as f32
+    };
+    graph.change_metric::<u8>(Box::new(metric));
+}
+
+/// The product of two records' codes.
+fn product_portable(a: &[u8], b: &[u8]) -> i32 {
+    let products = a.iter().zip(b).map(|(&a, &b)| (i32::from(a) - 128) * (i32::from(b) - 128));
+    products.fold(0, i32::wrapping_add)
+}
+
 /// Asks for large pages under memory that is reserved and not yet written: a scan of many gigabytes then spends
 /// no time on looking up addresses.
 pub(super) fn prefer_large_pages<T>(reserved: &mut Vec<T>) {
@@ -306,6 +338,24 @@ mod x86 {
             // SAFETY: 16 whole numbers are 64 bytes; this store asks for no alignment.
             unsafe { _mm512_storeu_si512(products.as_mut_ptr().cast(), total) };
         }
+    }
+
+    /// As [`super::product_portable`], of a multiple of 64 codes.
+    #[target_feature(enable = "avx512f,avx512bw,avx512vnni")]
+    pub(super) fn product_avx512(a: &[u8], b: &[u8]) -> i32 {
+        let bias = _mm512_set1_epi8(i8::MIN);
+        let (mut product, mut excess) = (_mm512_setzero_si512(), _mm512_setzero_si512());
+        for (a, b) in a.as_chunks::<64>().0.iter().zip(b.as_chunks::<64>().0) {
+            // SAFETY: both are 64 bytes; these loads ask for no alignment.
+            let (a, b) = unsafe {
+                (_mm512_loadu_si512(a.as_ptr().cast()), _mm512_loadu_si512(b.as_ptr().cast()))
+            };
+            // One side keeps its bias, which comes to 128 times the other side's codes.
+            let signed = _mm512_xor_si512(b, bias);
+            product = _mm512_dpbusd_epi32(product, a, signed);
+            excess = _mm512_dpbusd_epi32(excess, bias, signed);
+        }
+        _mm512_reduce_add_epi32(_mm512_sub_epi32(product, excess))
     }
 
     /// The sum of each of 16 vectors, in their order.

@@ -4,6 +4,7 @@
 //! task stage, then elapsed steps (SPEC section 5), then the first demonstration, then the earliest step.
 //! Views of equal content have equal embeddings, hence equal distances to the last bit: those are the ties.
 
+mod approximate;
 mod codes;
 mod exact;
 mod kernel;
@@ -14,6 +15,7 @@ use std::collections::HashMap;
 use std::num::NonZeroUsize;
 use std::sync::OnceLock;
 
+pub use self::approximate::{Approximate, Effort, GraphError};
 use self::codes::Codes;
 use self::exact::Best;
 use self::kernel::Level;
@@ -53,7 +55,7 @@ pub struct Nearest {
 
 /// Views from which on a single question is answered by codes first. Below, coding them costs more than it saves
 /// in an episode.
-const CODED_FROM: usize = 4096;
+const CODED_FROM: usize = 1000;
 
 /// Bytes of codes from which on all cores take part in a search.
 const SHARED_FROM: usize = 8 << 20;

@@ -15,7 +15,7 @@ use serde::Serialize;
 
 pub use self::vectors::Vectors;
 use crate::embedding::Embedding;
-use crate::index::{Builder, Entry, Index, Query};
+use crate::index::{Approximate, Builder, Effort, Entry, Index, Nearest, Query};
 
 /// Queries at once, of the two measurements of each size.
 const BATCHES: [usize; 2] = [1, 64];
@@ -32,6 +32,10 @@ pub struct Settings {
     pub exact: bool,
     /// Whether to measure the approximate one.
     pub approximate: bool,
+    /// How the graph of the approximate search is built.
+    pub effort: Effort,
+    /// Nodes that are kept in sight while it is walked: one measurement each.
+    pub searching: Vec<usize>,
     /// Most queries of a measurement.
     pub queries: usize,
     /// Longest that a measurement takes, in seconds.
@@ -51,6 +55,8 @@ pub struct Line {
     pub real: u32,
     /// `exact` or `approximate`.
     pub search: &'static str,
+    /// Nodes of a graph that were kept in sight; absent where there is no graph.
+    pub searching: Option<usize>,
     /// Queries asked at once.
     pub batch: usize,
     /// Threads of the search.
@@ -93,39 +99,113 @@ pub struct Latency {
 /// # Errors
 /// When a memory does not fit into the machine's, or nothing can be written.
 pub fn run(settings: &Settings, vectors: &Vectors, out: &mut impl Write) -> anyhow::Result<()> {
-    if settings.approximate {
-        bail!("there is no approximate search yet");
-    }
     for &entries in &settings.entries {
         fits(entries, vectors.dimension())?;
         let begun = Instant::now();
         let index = fill(entries, vectors, settings.threads).with_threads(settings.threads);
         tracing::info!(entries, seconds = begun.elapsed().as_secs_f64(), "filled");
-        let begun = Instant::now();
-        index.prepare();
-        let build_s = begun.elapsed().as_secs_f64();
         let wanted = settings.queries.min(QUERIES);
         let queries: Vec<Embedding> =
             (0..wanted).map(|number| vectors.query(number, entries)).collect();
-        for batch in BATCHES {
-            let mut taken = Taken::new(batch);
-            taken.measure(settings, &queries, |queries| {
-                std::hint::black_box(index.nearest_of_many(queries, 1));
-            })?;
-            let scanned = index.scanned_bytes(batch) as f64;
-            let line = taken.line(Line {
-                bytes_per_s: Some(scanned * taken.batches_per_s()),
-                threads: index.threads(batch),
-                build_s,
-                bytes: index.bytes(),
-                ..Line::of(entries, vectors)
-            });
-            serde_json::to_writer(&mut *out, &line)?;
-            writeln!(out)?;
-            out.flush()?;
+        let size = Size { settings, vectors, entries, index: &index, queries: &queries };
+        if settings.exact {
+            size.exact(out)?;
+        }
+        if settings.approximate {
+            size.approximate(out)?;
         }
     }
     Ok(())
+}
+
+/// What is measured of a memory of one size.
+struct Size<'a> {
+    settings: &'a Settings,
+    vectors: &'a Vectors,
+    entries: u32,
+    index: &'a Index,
+    queries: &'a [Embedding],
+}
+
+impl Size<'_> {
+    fn exact(&self, out: &mut impl Write) -> anyhow::Result<()> {
+        let begun = Instant::now();
+        self.index.prepare();
+        let build_s = begun.elapsed().as_secs_f64();
+        for batch in BATCHES {
+            let taken = Taken::of(batch, self.settings, self.queries, |queries| {
+                std::hint::black_box(self.index.nearest_of_many(queries, 1));
+                Ok(())
+            })?;
+            let scanned = self.index.scanned_bytes(batch) as f64;
+            let line = taken.line(Line {
+                bytes_per_s: Some(scanned * taken.batches_per_s()),
+                threads: self.index.threads(batch),
+                build_s,
+                bytes: self.index.bytes(),
+                ..Line::of(self.entries, self.vectors)
+            });
+            print(&line, out)?;
+        }
+        Ok(())
+    }
+
+    fn approximate(&self, out: &mut impl Write) -> anyhow::Result<()> {
+        let threads = self.settings.threads;
+        let begun = Instant::now();
+        let mut graph = Approximate::new(self.index, self.settings.effort, threads)?;
+        let build_s = begun.elapsed().as_secs_f64();
+        for &searching in &self.settings.searching {
+            graph.set_searching(searching);
+            let (recall_at_1, recall_at_10) = self.recall(&graph)?;
+            for batch in BATCHES {
+                let taken = Taken::of(batch, self.settings, self.queries, |queries| {
+                    std::hint::black_box(graph.nearest_of_many(queries, 1)?);
+                    Ok(())
+                })?;
+                let line = taken.line(Line {
+                    search: "approximate",
+                    searching: Some(searching),
+                    threads: if batch == 1 { 1 } else { threads.get() },
+                    build_s,
+                    bytes: self.index.bytes() + graph.bytes(),
+                    recall_at_1,
+                    recall_at_10,
+                    ..Line::of(self.entries, self.vectors)
+                });
+                print(&line, out)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// The shares of the nearest view and of the ten nearest views that a graph finds, over some queries.
+    fn recall(&self, graph: &Approximate<'_>) -> anyhow::Result<(f64, f64)> {
+        let queries: Vec<Query<'_>> = self.queries.iter().take(RECALLED).map(query).collect();
+        let exact = self.index.nearest_of_many(&queries, 10);
+        let (ones, tens) =
+            (graph.nearest_of_many(&queries, 1)?, graph.nearest_of_many(&queries, 10)?);
+        let found = |mostly: &[Vec<Nearest>], wanted: usize| {
+            let both = exact.iter().zip(mostly);
+            let share = |(exact, mostly): (&Vec<Nearest>, &Vec<Nearest>)| {
+                let exact = &exact[..exact.len().min(wanted)];
+                let found = exact.iter().filter(|near| mostly.contains(near)).count();
+                found as f64 / exact.len().max(1) as f64
+            };
+            both.map(share).sum::<f64>() / queries.len().max(1) as f64
+        };
+        Ok((found(&ones, 1), found(&tens, 10)))
+    }
+}
+
+fn print(line: &Line, out: &mut impl Write) -> anyhow::Result<()> {
+    serde_json::to_writer(&mut *out, line)?;
+    writeln!(out)?;
+    out.flush().context("cannot write")
+}
+
+fn query(embedding: &Embedding) -> Query<'_> {
+    Query { embedding, stage: 0, elapsed: 0 }
 }
 
 /// Writes the vectors of a memory of `entries` and of some queries, as little-endian numbers.
@@ -152,6 +232,9 @@ pub fn write(
 
 /// Different queries of a measurement; after these it begins again.
 const QUERIES: usize = 4096;
+
+/// Queries over which recall is taken.
+const RECALLED: usize = 1000;
 
 /// Checks that a memory has room before the system finds that it has none.
 fn fits(entries: u32, dimension: usize) -> anyhow::Result<()> {
@@ -213,43 +296,38 @@ struct Taken {
 }
 
 impl Taken {
-    fn new(batch: usize) -> Self {
-        let mut times =
-            Histogram::new(3).unwrap_or_else(|_| unreachable!("three digits are allowed"));
-        times.auto(true);
-        Self { batch, times, sum: Duration::ZERO }
-    }
-
     /// Asks batches of queries until there were enough.
-    fn measure(
-        &mut self,
+    fn of(
+        batch: usize,
         settings: &Settings,
         queries: &[Embedding],
-        mut ask: impl FnMut(&[Query<'_>]),
-    ) -> anyhow::Result<()> {
-        let query = |embedding| Query { embedding, stage: 0, elapsed: 0 };
+        mut ask: impl FnMut(&[Query<'_>]) -> anyhow::Result<()>,
+    ) -> anyhow::Result<Self> {
+        let mut times = Histogram::new(3).context("a histogram")?;
+        times.auto(true);
+        let mut taken = Self { batch, times, sum: Duration::ZERO };
         let queries: Vec<Query<'_>> =
-            queries.iter().cycle().take(queries.len().max(self.batch)).map(query).collect();
-        let batches = queries.chunks_exact(self.batch);
+            queries.iter().cycle().take(queries.len().max(batch)).map(query).collect();
+        let batches = queries.chunks_exact(batch);
         let warm = Instant::now();
         for batch in batches.clone().take(100) {
-            ask(batch);
+            ask(batch)?;
             if warm.elapsed().as_secs_f64() > settings.seconds / 10.0 {
                 break;
             }
         }
-        let most = settings.queries.div_ceil(self.batch);
+        let most = settings.queries.div_ceil(batch);
         for batch in batches.cycle().take(most) {
             let begun = Instant::now();
-            ask(batch);
+            ask(batch)?;
             let took = begun.elapsed();
-            self.times.record(took.as_nanos() as u64).context("a time beyond measure")?;
-            self.sum += took;
-            if self.sum.as_secs_f64() > settings.seconds {
+            taken.times.record(took.as_nanos() as u64).context("a time beyond measure")?;
+            taken.sum += took;
+            if taken.sum.as_secs_f64() > settings.seconds {
                 break;
             }
         }
-        Ok(())
+        Ok(taken)
     }
 
     fn batches_per_s(&self) -> f64 {
@@ -282,6 +360,7 @@ impl Line {
             dimension: vectors.dimension(),
             real: vectors.real(entries),
             search: "exact",
+            searching: None,
             batch: 0,
             threads: 1,
             build_s: 0.0,
