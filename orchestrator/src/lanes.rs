@@ -382,7 +382,7 @@ impl<'w> Lanes<'w> {
         if !walk.is_awaited(step) || walk.early.is_some() {
             return Err(walk.not_asked(Role::Policy, step));
         }
-        read_answer(decision)?;
+        read_answer(decision).map(drop)?;
         walk.early = Some(*decision);
         self.settle(lane)
     }

@@ -77,7 +77,9 @@ fn running(dir: &Path) -> Result<(PathBuf, Status)> {
             dir.read_dir().with_context(|| format!("cannot look into {}", dir.display()))?
         {
             let run = entry?.path();
-            if let Some(status) = Status::read(&run)? {
+            if run.is_dir()
+                && let Some(status) = Status::read(&run)?
+            {
                 found.push((run, status));
             }
         }
@@ -156,6 +158,7 @@ mod tests {
     #[test]
     fn no_run_is_an_error_that_says_what_to_do() {
         let dir = tempfile::tempdir().unwrap();
+        std::fs::write(dir.path().join("notes"), "no run").unwrap();
         let error = running(dir.path()).unwrap_err().to_string();
         assert!(error.contains("no run is going on") && error.contains("memtransfer run"));
         assert!(running(&dir.path().join("none")).is_err());
