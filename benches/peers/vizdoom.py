@@ -1,0 +1,60 @@
+"""ViZDoom: how many views a second it renders, without a window, into arrays.
+
+    {"do": "start", "resolution": "RES_512X384"}    ->    {"version": ..., "pixels": ...}
+    {"do": "time", "views": 200}                    ->    {"seconds": ..., "views": ...}
+
+The agent turns and walks through the rooms of its scenario "my way home"; every step is one tick of the game, and
+its picture is taken as an array of RGB.
+"""
+
+import os
+import sys
+import tempfile
+import time
+
+# This file is called as the package is.
+sys.path = [entry for entry in sys.path if os.path.abspath(entry or ".") != os.path.dirname(os.path.abspath(__file__))]
+import vizdoom  # noqa: E402
+
+sys.path.insert(0, os.path.dirname(os.path.abspath(__file__)))
+from _serve import serve  # noqa: E402
+
+GAME = vizdoom.DoomGame()
+
+# It writes its settings to a file, which is not to lie wherever this was started.
+SCRATCH = tempfile.TemporaryDirectory(prefix="vizdoom-")
+
+
+def start(resolution):
+    GAME.load_config(os.path.join(vizdoom.scenarios_path, "my_way_home.cfg"))
+    GAME.set_doom_config_path(os.path.join(SCRATCH.name, "vizdoom.ini"))
+    GAME.set_window_visible(False)
+    GAME.set_mode(vizdoom.Mode.PLAYER)
+    GAME.set_screen_format(vizdoom.ScreenFormat.RGB24)
+    GAME.set_screen_resolution(getattr(vizdoom.ScreenResolution, resolution))
+    GAME.set_render_hud(False)
+    GAME.set_seed(1)
+    GAME.init()
+    GAME.new_episode()
+    return {
+        "version": vizdoom.__version__,
+        "pixels": GAME.get_screen_width() * GAME.get_screen_height(),
+    }
+
+
+def timed(views):
+    count, pictures = len(GAME.get_available_buttons()), 0
+    began = time.perf_counter()
+    for view in range(views):
+        if GAME.is_episode_finished():
+            GAME.new_episode()
+        # To the left, or ahead.
+        pressed = [1 if button == (0 if view % 3 else count - 1) else 0 for button in range(count)]
+        GAME.make_action(pressed)
+        state = GAME.get_state()
+        if state is not None:
+            pictures += state.screen_buffer is not None
+    return {"seconds": time.perf_counter() - began, "views": pictures}
+
+
+serve(start=start, time=timed)
