@@ -24,10 +24,12 @@ pub mod runs;
 pub mod session;
 pub mod table;
 
+pub mod approximate;
 pub mod chain;
 pub mod curves;
 pub mod growth;
 pub mod hop;
+pub mod search;
 pub mod suite;
 
 pub use figure::{Better, Figure};
@@ -46,5 +48,12 @@ pub struct Bench {
 }
 
 /// Every bench, in the order in which they run.
-pub const BENCHES: &[Bench] =
-    &[hop::BENCH, chain::BENCH, growth::BENCH, curves::BENCH, suite::BENCH];
+pub const BENCHES: &[Bench] = &[
+    hop::BENCH,
+    chain::BENCH,
+    search::BENCH,
+    approximate::BENCH,
+    growth::BENCH,
+    curves::BENCH,
+    suite::BENCH,
+];

@@ -45,4 +45,4 @@ macro_rules! tests {
     };
 }
 
-tests! { hop chain growth curves suite }
+tests! { hop chain search approximate growth curves suite }

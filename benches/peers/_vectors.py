@@ -1,0 +1,50 @@
+"""The vectors that ours are measured with: a program writes them, a memory's and then the queries'."""
+
+import subprocess
+import time
+
+import numpy
+
+
+def read(command, entries, dimension, queries):
+    """Gives the memory's vectors in blocks, and at last the queries, as arrays of rows."""
+    with subprocess.Popen(command, stdout=subprocess.PIPE, bufsize=1 << 20) as program:
+        for count in [*blocks(entries), queries]:
+            wanted = count * dimension * 4
+            data = program.stdout.read(wanted)
+            if len(data) != wanted:
+                raise RuntimeError(f"{command[0]} ended early")
+            yield numpy.frombuffer(data, dtype=numpy.float32).reshape(count, dimension)
+
+
+def blocks(entries, size=65536):
+    """The sizes of the blocks of so many entries."""
+    return [min(size, entries - first) for first in range(0, entries, size)]
+
+
+def median_seconds(ask, queries, batch, seconds):
+    """The median of how long `ask` takes for a batch of queries, asked for so many seconds, once at least."""
+    batches = [queries[i : i + batch] for i in range(0, len(queries) - batch + 1, batch)]
+    begun = time.perf_counter()
+    ask(batches[0])
+    first = time.perf_counter() - begun
+    times = [first] if first > seconds else []
+    end = time.perf_counter() + seconds - first
+    while time.perf_counter() < end or not times:
+        batch = batches[len(times) % len(batches)]
+        begun = time.perf_counter()
+        ask(batch)
+        times.append(time.perf_counter() - begun)
+    return sorted(times)[len(times) // 2]
+
+
+def nearest(vectors, queries, count):
+    """The numbers of the nearest vectors of every query, by looking at all."""
+    best = numpy.argpartition(-(queries @ vectors.T), count, axis=1)
+    return best[:, :count]
+
+
+def recall(found, truth):
+    """The share of what was to be found that was found."""
+    hits = [len(set(a) & set(b)) for a, b in zip(found.tolist(), truth.tolist())]
+    return sum(hits) / truth.size

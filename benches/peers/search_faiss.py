@@ -1,0 +1,55 @@
+"""FAISS: its flat index, and its HNSW graph."""
+
+import faiss
+import numpy
+
+from _serve import serve
+from _vectors import median_seconds, nearest, read, recall
+
+state = {}
+
+
+def load(command, entries, dimension, queries, threads, graph=None):
+    """Fills an index with what `command` writes; with `graph`, an HNSW graph of that many neighbours."""
+    faiss.omp_set_num_threads(threads)
+    if graph is None:
+        index = faiss.IndexFlatIP(dimension)
+    else:
+        index = faiss.IndexHNSWFlat(dimension, graph["connectivity"], faiss.METRIC_INNER_PRODUCT)
+        index.hnsw.efConstruction = graph["building"]
+    *blocks, state["queries"] = keep(read(command, entries, dimension, queries), index, graph)
+    if graph is not None:
+        vectors = numpy.concatenate(blocks)
+        index.add(vectors)
+        state["truth"] = nearest(vectors, state["queries"], 10)
+    state["index"] = index
+    return {"entries": index.ntotal, "version": faiss.__version__}
+
+
+def keep(blocks, index, graph):
+    """Adds blocks at once where no graph needs them all, so that they are not held twice."""
+    held = None
+    for block in blocks:
+        if held is not None:
+            if graph is None:
+                index.add(held)
+            else:
+                yield held
+        held = block
+    yield held
+
+
+def time(batch, seconds):
+    """How long a batch takes."""
+    index, queries = state["index"], state["queries"]
+    return {"seconds": median_seconds(lambda q: index.search(q, 1), queries, batch, seconds)}
+
+
+def walk(searching, batch, seconds):
+    """How long a batch takes with so many nodes kept in sight, and what is found."""
+    state["index"].hnsw.efSearch = searching
+    _, found = state["index"].search(state["queries"], 10)
+    return {"recall_at_10": recall(found, state["truth"]), **time(batch, seconds)}
+
+
+serve(load=load, time=time, walk=walk)

@@ -1,0 +1,255 @@
+//! Exact search against FAISS's flat index, and against the memory's bandwidth.
+//!
+//! Both sides are given the same vectors: `memory-proc vectors` writes to the peer what `memory-proc profile` measures
+//! with. The largest memory fits into the machine once: there, each side's process ends before the other's begins.
+
+use std::process::{Command, Stdio};
+
+use anyhow::{Context, Result, ensure};
+use orchestrator::machine::floors::{Effort, measure};
+use serde::Deserialize;
+use serde_json::{Value, json};
+
+use crate::Bench;
+use crate::figure::{Better, Bound, Figure};
+use crate::peers::{Peer, Peers};
+use crate::session::Session;
+
+/// This bench.
+pub const BENCH: Bench = Bench {
+    name: "search",
+    about: "exact search against FAISS flat and the memory's bandwidth",
+    run,
+};
+
+/// Queries at once, of the second figure of each size.
+pub(crate) const BATCH: usize = 64;
+
+/// Queries that the peer is given; it asks them over and over.
+pub(crate) const QUERIES: usize = 1024;
+
+/// Entries and dimension of the memories.
+const SIZES: &[(u32, u32)] = &[
+    (1_000, 384),
+    (10_000, 384),
+    (100_000, 384),
+    (1_000_000, 384),
+    (10_000_000, 384),
+    (1_000_000, 768),
+    (5_000_000, 768),
+];
+
+/// Bytes of vectors from which on two memories are not in the machine at once, and rounds are few.
+const HUGE: u64 = 6 << 30;
+
+/// Most rounds of such a memory: filling it takes minutes.
+const HUGE_ROUNDS: u32 = 2;
+
+/// Bytes of codes from which on a search is as fast as the memory is.
+const BEYOND_CACHES: u64 = 300 << 20;
+
+/// What `memory-proc profile` prints, as far as it is used here.
+#[derive(Debug, Deserialize)]
+pub(crate) struct Line {
+    pub(crate) batch: usize,
+    pub(crate) searching: Option<usize>,
+    pub(crate) real: u32,
+    pub(crate) latency_ns: Latency,
+    pub(crate) bytes_per_s: Option<f64>,
+    pub(crate) recall_at_10: f64,
+}
+
+#[derive(Debug, Deserialize)]
+pub(crate) struct Latency {
+    pub(crate) p50: u64,
+}
+
+impl Line {
+    /// The median of how long a batch took.
+    pub(crate) fn seconds(&self) -> f64 {
+        self.latency_ns.p50 as f64 / 1e9
+    }
+}
+
+/// What `memory-proc profile` measures of one memory.
+pub(crate) fn profile(
+    session: &Session<'_>,
+    (entries, dimension): (u32, u32),
+    flags: &[&str],
+) -> Result<Vec<Line>> {
+    let mut command = Command::new(session.program("memory-proc")?);
+    command
+        .args(["profile", "--entries", &entries.to_string()])
+        .args(["--dimension", &dimension.to_string()])
+        .args(flags)
+        .stdin(Stdio::null());
+    let output = command.output().context("cannot start memory-proc")?;
+    let said = String::from_utf8_lossy(&output.stderr);
+    ensure!(output.status.success(), "memory-proc profile: {said}");
+    let lines = String::from_utf8(output.stdout)?;
+    lines.lines().map(|line| Ok(serde_json::from_str(line)?)).collect()
+}
+
+/// What a peer is asked to load, besides what its script wants to know.
+pub(crate) fn load(session: &Session<'_>, (entries, dimension): (u32, u32)) -> Result<Value> {
+    let program = session.program("memory-proc")?.display().to_string();
+    let (count, length, queries) =
+        (entries.to_string(), dimension.to_string(), QUERIES.to_string());
+    Ok(json!({
+        "do": "load",
+        "command": [program, "vectors", "--entries", count, "--dimension", length, "--queries", queries],
+        "entries": entries,
+        "dimension": dimension,
+        "queries": QUERIES,
+        "threads": threads(),
+    }))
+}
+
+/// Threads of both sides.
+pub(crate) fn threads() -> usize {
+    std::thread::available_parallelism().map_or(1, usize::from)
+}
+
+/// What was measured of one memory, a value a round.
+#[derive(Default)]
+struct Rounds {
+    one: Vec<f64>,
+    batch: Vec<f64>,
+    read: Vec<f64>,
+    bandwidth: Vec<f64>,
+    peer_one: Vec<f64>,
+    peer_batch: Vec<f64>,
+    version: String,
+    real: u32,
+}
+
+fn run(session: &mut Session<'_>) -> Result<Vec<Figure>> {
+    let mut figures = Vec::new();
+    for &size in session.size.pick(&[(300, 32)][..], SIZES) {
+        let (entries, dimension) = size;
+        let bytes = u64::from(entries) * u64::from(dimension) * 4;
+        if bytes / 4 * 6 > free_memory() {
+            session
+                .say(format_args!("{entries} of {dimension}: the machine has too little memory"));
+            continue;
+        }
+        let rounds = measured(session, size, bytes)?;
+        figures.extend(figures_of(size, rounds));
+    }
+    Ok(figures)
+}
+
+fn measured(session: &Session<'_>, size: (u32, u32), bytes: u64) -> Result<Rounds> {
+    let huge = bytes > HUGE;
+    let mut rounds = Rounds::default();
+    let mut kept = None;
+    let count = if huge { session.rounds().min(HUGE_ROUNDS) } else { session.rounds() };
+    for round in 1..=count {
+        session.say(format_args!("{} of {}, round {round}", size.0, size.1));
+        let seconds = session.size.pick("0.05", "2");
+        let lines = profile(session, size, &["--seconds", seconds])?;
+        for line in lines {
+            rounds.real = line.real;
+            if line.batch == BATCH {
+                rounds.batch.push(line.seconds());
+            } else {
+                rounds.one.push(line.seconds());
+                rounds.read.extend(line.bytes_per_s.filter(|_| bytes / 4 >= BEYOND_CACHES));
+            }
+        }
+        if bytes / 4 >= BEYOND_CACHES {
+            rounds.bandwidth.push(measure(Effort::FULL).read_all_cores);
+        }
+        let Some(peers) = session.peers else { continue };
+        let mut peer = match kept.take() {
+            Some(peer) => peer,
+            None => loaded(session, peers, size, &mut rounds)?,
+        };
+        let mut time = |batch: usize| {
+            let seconds = session.size.pick(0.05, 2.0);
+            peer.ask_number(&json!({"do": "time", "batch": batch, "seconds": seconds}), "seconds")
+        };
+        rounds.peer_one.push(time(1)?);
+        rounds.peer_batch.push(time(BATCH)?);
+        kept = Some(peer).filter(|_| !huge);
+    }
+    Ok(rounds)
+}
+
+fn loaded(
+    session: &Session<'_>,
+    peers: &Peers,
+    size: (u32, u32),
+    rounds: &mut Rounds,
+) -> Result<Peer> {
+    let mut peer = Peer::start(peers, "search_faiss.py", session.scratch())?;
+    let answer = peer.ask(&load(session, size)?)?;
+    rounds.version = answer["version"].as_str().unwrap_or_default().to_owned();
+    Ok(peer)
+}
+
+fn figures_of((entries, dimension): (u32, u32), rounds: Rounds) -> Vec<Figure> {
+    let Rounds { one, batch, read, bandwidth, peer_one, peer_batch, version, real } = rounds;
+    let micros = |seconds: Vec<f64>| seconds.into_iter().map(|s| s * 1e6).collect::<Vec<_>>();
+    let rates =
+        |seconds: Vec<f64>| seconds.into_iter().map(|s| BATCH as f64 / s).collect::<Vec<_>>();
+    let named = |figure: Figure| {
+        figure
+            .parameter("entries", entries)
+            .parameter("dimension", dimension)
+            .parameter("of them embeddings", real)
+            .parameter("most threads", threads())
+    };
+    let id = |what: &str| format!("search.{entries}x{dimension}.{what}");
+    let mut single = Figure::new(
+        id("one"),
+        format!("one exact query of {entries} vectors of {dimension}"),
+        "us",
+        Better::Lower,
+    )
+    .ours(micros(one))
+    .target(Bound::Ratio(1.0), "at or above FAISS")
+    .point(
+        "exact search",
+        format!("one query, dimension {dimension}"),
+        "vectors",
+        f64::from(entries),
+    );
+    let mut many = Figure::new(
+        id("batch"),
+        format!("exact queries, {BATCH} at once, of {entries} vectors of {dimension}"),
+        "queries/s",
+        Better::Higher,
+    )
+    .ours(rates(batch))
+    .target(Bound::Ratio(5.0), "five times FAISS");
+    if !peer_one.is_empty() {
+        single = single.peer("FAISS flat", version.clone(), micros(peer_one));
+        many = many.peer("FAISS flat", version, rates(peer_batch));
+    }
+    let mut figures = vec![named(single), named(many)];
+    if !read.is_empty() {
+        let giga = |rates: Vec<f64>| rates.into_iter().map(|rate| rate / 1e9).collect::<Vec<_>>();
+        let figure = Figure::new(
+            id("read"),
+            format!("memory read by one exact query of {entries} vectors of {dimension}"),
+            "GB/s",
+            Better::Higher,
+        )
+        .ours(giga(read))
+        .peer("a plain read loop", "", giga(bandwidth))
+        .target(Bound::Ratio(0.8), "80 % of the bandwidth")
+        .note("what is read are codes, a quarter of the vectors' size");
+        figures.push(named(figure));
+    }
+    figures
+}
+
+/// Bytes of memory that are free; very many where the system does not say.
+fn free_memory() -> u64 {
+    let read = std::fs::read_to_string("/proc/meminfo").unwrap_or_default();
+    let line = read.lines().find_map(|line| line.strip_prefix("MemAvailable:"));
+    let kibibytes: Option<u64> =
+        line.and_then(|line| line.trim().strip_suffix("kB")?.trim().parse().ok());
+    kibibytes.map_or(u64::MAX, |kibibytes| kibibytes * 1024)
+}
