@@ -25,7 +25,8 @@ pub const BENCH: Bench = Bench {
 const LANES: u32 = 64;
 
 /// Flags of every run here.
-pub(crate) const WARM: [&str; 6] = ["--suite", "quick", "--memory", "working", "--starts", "new"];
+pub(crate) const WARM: [&str; 7] =
+    ["--suite", "quick", "--warm-views", "--memory", "working", "--starts", "new"];
 
 /// What is walked with many lanes: id, what it is, repetitions of its cases, target in steps a second.
 const CROWDS: [(&str, &str, u32, f64); 3] = [

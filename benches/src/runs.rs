@@ -27,12 +27,7 @@ impl Walk {
     /// A run with these flags.
     pub fn new(lanes: u32, runs: u32, flags: &[&str]) -> Self {
         let flags = flags.iter().map(|flag| (*flag).to_owned()).collect();
-        Self {
-            flags,
-            lanes,
-            runs,
-            env: vec![("MEMTRANSFER_WARM_VIEWS".to_owned(), "true".to_owned())],
-        }
+        Self { flags, lanes, runs, env: Vec::new() }
     }
 
     /// The command that makes it, with its folder called `out` in the session's scratch folder.

@@ -12,6 +12,7 @@ mod generate;
 mod list;
 mod map;
 mod memory;
+mod profile;
 mod render;
 mod report;
 mod run;
@@ -47,6 +48,7 @@ Examples:
   memtransfer ls cases                     what there is to walk
   memtransfer map t03-07 --out map.svg     one case from above
   memtransfer top                          what the run that is going on is at
+  memtransfer profile                      how long an access to memory takes
   memtransfer doctor                       what is missing on this machine
 
 Exit status: 0 complete, 1 finished with failures, 2 could not run, 128 + n ended by signal n.
@@ -74,6 +76,8 @@ enum Verb {
     Report(report::ReportArgs),
     /// Print what the policy was given at a step, and what it answered
     Show(show::ShowArgs),
+    /// Measure how long an access to memory takes, taken apart
+    Profile(profile::ProfileArgs),
     /// Play hard situations to a policy of your own, and say what it does wrong
     Conformance(conformance::ConformanceArgs),
     /// Remove what killed runs left in shared memory and temporary folders
@@ -142,6 +146,7 @@ pub fn main() -> ExitCode {
         Verb::Score(args) => score::run(&args),
         Verb::Report(args) => report::run(&args),
         Verb::Show(args) => show::run(&args),
+        Verb::Profile(args) => profile::run(&args),
         Verb::Conformance(args) => conformance::run(&args),
         Verb::Clean(args) => clean::run(&args),
         Verb::Cache(args) => cache::run(&args),

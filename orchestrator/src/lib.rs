@@ -12,6 +12,7 @@
 //! - What is kept: [`log`] (the run folder). From it alone are made: [`score`], [`compare`], [`table`] (a
 //!   terminal), [`report`] (pages and data files), [`shown`] (one step).
 //! - What it runs on, and what that can do at best: [`machine`].
+//! - How long an access to memory takes: [`profile`].
 //! - What people type: [`cli`], one file for each verb.
 
 pub mod budget;
@@ -30,6 +31,7 @@ pub mod names;
 pub mod pipeline;
 pub mod plan;
 pub mod prices;
+pub mod profile;
 pub mod progress;
 pub mod report;
 pub mod score;

@@ -391,22 +391,7 @@ fn walk(
         let views = frame_budget::every_view(&world.warehouse);
         progress.note(&format!("drawing {views} views before the first step"));
     }
-    let deadline = Duration::from_secs(settings.step_timeout.into());
-    let crewing = Crewing {
-        launches: launches(settings)?,
-        guest: settings.policy == PolicyKind::External && settings.policy_cmd.is_none(),
-        logs: folder.dir().join("logs"),
-        start_deadline: Duration::from_secs(settings.start_timeout.into()),
-        answer_deadline: deadline,
-        // The client of a model has deadlines of its own, and always answers.
-        decision_deadline: (settings.policy != PolicyKind::Openai).then_some(deadline),
-    };
-    let rules = Rules {
-        horizon: u8::try_from(settings.horizon).context("--horizon")?,
-        keyframes: u8::try_from(settings.keyframes).context("--keyframes")?,
-        max_steps: settings.max_steps,
-        expert: settings.policy == PolicyKind::Expert,
-    };
+    let (crewing, rules) = (crewing(settings, folder.dir().join("logs"))?, rules(settings)?);
     let mut lanes = Lanes::new(&world.warehouse, &world.cases, rules, attach.lanes as usize);
     let mut session =
         Session::new(folder, progress, budget, attach.lanes, attach.frame_capacity, trace);
@@ -422,8 +407,32 @@ fn walk(
     Ok(outcome?.halted)
 }
 
+/// How the processes are started, with their logs in the folder `logs`, and how long they may take.
+pub(super) fn crewing(settings: &Settings, logs: PathBuf) -> Result<Crewing> {
+    let deadline = Duration::from_secs(settings.step_timeout.into());
+    Ok(Crewing {
+        launches: launches(settings)?,
+        guest: settings.policy == PolicyKind::External && settings.policy_cmd.is_none(),
+        logs,
+        start_deadline: Duration::from_secs(settings.start_timeout.into()),
+        answer_deadline: deadline,
+        // The client of a model has deadlines of its own, and always answers.
+        decision_deadline: (settings.policy != PolicyKind::Openai).then_some(deadline),
+    })
+}
+
+/// What all episodes have in common.
+pub(super) fn rules(settings: &Settings) -> Result<Rules> {
+    Ok(Rules {
+        horizon: u8::try_from(settings.horizon).context("--horizon")?,
+        keyframes: u8::try_from(settings.keyframes).context("--keyframes")?,
+        max_steps: settings.max_steps,
+        expert: settings.policy == PolicyKind::Expert,
+    })
+}
+
 /// What every process of the run is told.
-fn attach(
+pub(super) fn attach(
     settings: &Settings,
     world: &World,
     missing: &[Episode],

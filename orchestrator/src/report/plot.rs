@@ -10,7 +10,7 @@ mod stack;
 
 pub use curves::{Curve, Curves, curves};
 pub(super) use dots::{Dot, DotRow, Dots, dots};
-pub(super) use stack::{Stack, StackRow, stack};
+pub(crate) use stack::{Stack, StackRow, stack};
 
 use plotters::backend::SVGBackend;
 use plotters::coord::Shift;

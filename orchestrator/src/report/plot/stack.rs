@@ -8,24 +8,24 @@ use crate::report::document::Figure;
 
 /// What is to be drawn.
 #[derive(Debug)]
-pub(in crate::report) struct Stack {
-    pub(in crate::report) id: String,
-    pub(in crate::report) caption: String,
+pub(crate) struct Stack {
+    pub(crate) id: String,
+    pub(crate) caption: String,
     /// What the axis is called, with its unit.
-    pub(in crate::report) axis: &'static str,
+    pub(crate) axis: &'static str,
     /// The end of the axis; what the longest bar needs when `None`.
-    pub(in crate::report) to: Option<f64>,
+    pub(crate) to: Option<f64>,
     /// The parts' names, in order.
-    pub(in crate::report) parts: Vec<String>,
-    pub(in crate::report) rows: Vec<StackRow>,
+    pub(crate) parts: Vec<String>,
+    pub(crate) rows: Vec<StackRow>,
 }
 
 /// A bar.
 #[derive(Debug)]
-pub(in crate::report) struct StackRow {
-    pub(in crate::report) label: String,
+pub(crate) struct StackRow {
+    pub(crate) label: String,
     /// A length for each part; `None` when there is no bar.
-    pub(in crate::report) lengths: Option<Vec<f64>>,
+    pub(crate) lengths: Option<Vec<f64>>,
 }
 
 const ROW: i32 = 28;
@@ -38,7 +38,7 @@ const DARK: RGBColor = RGBColor(0x59, 0x59, 0x59);
 ///
 /// # Errors
 /// When the library refuses, which for SVG in memory it does not.
-pub(in crate::report) fn stack(plot: &Stack) -> Result<Figure, PlotError> {
+pub(crate) fn stack(plot: &Stack) -> Result<Figure, PlotError> {
     let lengths = || plot.rows.iter().filter_map(|row| row.lengths.as_deref());
     let present: Vec<usize> = (0..plot.parts.len())
         .filter(|&part| lengths().any(|lengths| lengths.get(part).is_some_and(|l| *l > 0.0)))

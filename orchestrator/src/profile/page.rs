@@ -1,0 +1,391 @@
+//! A profile as one page: floors, accesses by representation, polling, lanes, sizes.
+
+use std::collections::BTreeSet;
+
+use anyhow::Result;
+use shm_types::Representation;
+
+use super::recorder::{Latency, Part, StepKind, Times};
+use super::{Mode, Profile, Walk};
+use crate::report::{
+    Block, Cell, Column, Curve, Curves, Document, Figure, Group, Row, Section, Stack, StackRow,
+    Table, curves, stack,
+};
+
+/// The page, before it has a form.
+pub(super) fn document(profile: &Profile) -> Result<Document> {
+    let mut sections = vec![about(profile), floors(profile)];
+    sections.push(representations(profile)?);
+    sections.extend(waiting(profile));
+    sections.extend(lanes(profile)?);
+    sections.extend(sizes(profile)?);
+    Ok(Document { title: "MemTransfer: access to memory".to_owned(), sections })
+}
+
+fn about(profile: &Profile) -> Section {
+    let mut blocks = vec![
+        Block::Text(
+            "An access begins when the simulator has published an observation, and is over when the policy has the \
+             recall that answers it. It is taken apart into the way there and back (wire), getting the embeddings that \
+             the answer needs (embedding), finding the nearest remembered view (search), and putting the recall \
+             together (assembly). Every step is stamped on one clock."
+                .to_owned(),
+        ),
+        Block::Terms(vec![
+            ("machine".to_owned(), profile.machine.summary()),
+            ("program".to_owned(), {
+                let commit = profile.commit.as_deref().unwrap_or("unknown");
+                format!("memtransfer {}, commit {commit}", profile.version)
+            }),
+            ("encoder".to_owned(), profile.encoder.clone()),
+            (
+                "cold".to_owned(),
+                "nothing is cached: every view is drawn and embedded for the first time".to_owned(),
+            ),
+            (
+                "warm".to_owned(),
+                "the views were drawn before the first step, their embeddings are in the cache folder".to_owned(),
+            ),
+            (
+                "first, later".to_owned(),
+                "the first step of an episode, which waits until its memory is built, and all others".to_owned(),
+            ),
+        ]),
+    ];
+    blocks.extend(
+        profile.problems.iter().map(|problem| Block::Notice(format!("Not measured: {problem}"))),
+    );
+    section("s-about", "What was measured", blocks)
+}
+
+fn floors(profile: &Profile) -> Section {
+    let floors = &profile.floors;
+    let gb = |bytes: f64| format!("{:.1} GB/s", bytes / 1e9);
+    let rows = vec![
+        ("a cache line from one core to another".to_owned(), vec![ns(floors.cache_line_ns)]),
+        ("a memcpy of a frame of 448 x 448 pixels".to_owned(), vec![ns(floors.frame_copy_ns)]),
+        ("reading memory with one thread".to_owned(), vec![gb(floors.read_one_thread)]),
+        ("reading memory with all cores".to_owned(), vec![gb(floors.read_all_cores)]),
+    ];
+    let caption = "What this machine can do at best, measured in the same session.";
+    let table = table("t-floors", caption, &["floor"], &["figure"], rows);
+    section("s-floors", "The machine's floors", vec![Block::Table(table)])
+}
+
+/// The walk in one lane, blocking.
+fn plain(profile: &Profile, mode: Mode) -> Option<&Walk> {
+    profile.walks.iter().find(|walk| walk.mode == mode && walk.lanes == 1 && walk.spin_us == 0)
+}
+
+fn representations(profile: &Profile) -> Result<Section> {
+    let mut blocks = Vec::new();
+    for mode in [Mode::Warm, Mode::Cold] {
+        let Some(walk) = plain(profile, mode) else { continue };
+        blocks.push(Block::Figure(stacked(walk)?));
+        blocks.push(Block::Table(distribution(walk)));
+    }
+    Ok(section("s-representations", "By representation", blocks))
+}
+
+/// The parts of later steps, stacked.
+fn stacked(walk: &Walk) -> Result<Figure> {
+    let parts = [Part::Wire, Part::Embedding, Part::Search, Part::Assembly];
+    // Cold, the few steps that wait for an embedding are what counts; warm, a median is not moved by chance.
+    let (called, at): (_, fn(&Times) -> f64) = match walk.mode {
+        Mode::Cold => ("means", |times| times.mean),
+        Mode::Warm => ("medians", |times| times.p50 as f64),
+    };
+    let rows = Representation::ALL.iter().map(|&representation| {
+        let length = |part| find(walk, representation, StepKind::Later, part).map(|t| at(t) / 1e3);
+        StackRow {
+            label: representation.name().to_owned(),
+            lengths: parts.iter().map(|part| length(*part)).collect(),
+        }
+    });
+    let plot = Stack {
+        id: format!("f-split-{}", walk.mode),
+        caption: format!(
+            "An access by representation, {}, later steps: the {called} of its parts.",
+            walk.name()
+        ),
+        axis: "microseconds",
+        to: None,
+        parts: parts.iter().map(Part::to_string).collect(),
+        rows: rows.collect(),
+    };
+    Ok(stack(&plot)?)
+}
+
+fn distribution(walk: &Walk) -> Table {
+    let groups = Representation::ALL.iter().filter_map(|&representation| {
+        let of = |latency: &&Latency| latency.representation == representation;
+        let rows: Vec<Row> = walk
+            .latencies
+            .iter()
+            .filter(of)
+            .map(|latency| Row {
+                label: format!("{} {}", latency.step, latency.part),
+                published: false,
+                cells: cells(&latency.times),
+            })
+            .collect();
+        let label = Some(representation.name().to_owned());
+        (!rows.is_empty()).then_some(Group { label, rows })
+    });
+    Table {
+        id: format!("t-split-{}", walk.mode),
+        caption: format!(
+            "Accesses by representation, {}: {} episodes, {} steps.",
+            walk.name(),
+            walk.episodes,
+            walk.steps
+        ),
+        stubs: vec!["Representation".to_owned(), "Steps and part".to_owned()],
+        columns: TIMES.iter().map(|name| Column::new(*name)).collect(),
+        groups: groups.collect(),
+    }
+}
+
+/// Blocking beside polling.
+fn waiting(profile: &Profile) -> Option<Section> {
+    let walks: Vec<&Walk> =
+        profile.walks.iter().filter(|walk| walk.mode == Mode::Warm && walk.lanes == 1).collect();
+    if walks.len() < 2 {
+        return None;
+    }
+    let groups = walks.iter().map(|walk| {
+        let row = |&representation: &Representation| {
+            let total = find(walk, representation, StepKind::Later, Part::Total)?;
+            let label = representation.name().to_owned();
+            Some(Row { label, published: false, cells: cells(total) })
+        };
+        Group {
+            label: Some(walk.name()),
+            rows: Representation::ALL.iter().filter_map(row).collect(),
+        }
+    });
+    let table = Table {
+        id: "t-waiting".to_owned(),
+        caption: "Whole accesses of later steps: processes that sleep at once, and processes that first look for work. \
+                  Where there are more processes than cores, those that look keep others from working."
+            .to_owned(),
+        stubs: vec!["Waiting".to_owned(), "Representation".to_owned()],
+        columns: TIMES.iter().map(|name| Column::new(*name)).collect(),
+        groups: groups.collect(),
+    };
+    Some(section("s-waiting", "Blocking and polling", vec![Block::Table(table)]))
+}
+
+fn lanes(profile: &Profile) -> Result<Option<Section>> {
+    let walks: Vec<&Walk> =
+        profile.walks.iter().filter(|walk| walk.mode == Mode::Warm && walk.spin_us == 0).collect();
+    if walks.len() < 2 {
+        return Ok(None);
+    }
+    let plot = |id: &str, what: &str, at: fn(&Times) -> u64| {
+        let curve = |&representation: &Representation| {
+            let point = |walk: &&Walk| {
+                let total = find(walk, representation, StepKind::Later, Part::Total)?;
+                Some((f64::from(walk.lanes), at(total) as f64 / 1e3))
+            };
+            let points: Vec<(f64, f64)> = walks.iter().filter_map(point).collect();
+            let name = representation.name().to_owned();
+            (!points.is_empty()).then_some(Curve { name, is_bound: false, points })
+        };
+        curves(&Curves {
+            id: id.to_owned(),
+            caption: format!(
+                "{what} of whole accesses against lanes; warm, blocking, later steps."
+            ),
+            across: "lanes".to_owned(),
+            up: "microseconds".to_owned(),
+            curves: Representation::ALL.iter().filter_map(curve).collect(),
+        })
+    };
+    let rows = walks.iter().map(|walk| {
+        let rate = walk.steps as f64 / walk.seconds.max(f64::MIN_POSITIVE);
+        let cells = vec![walk.steps.to_string(), format!("{rate:.0}")];
+        (walk.lanes.to_string(), cells)
+    });
+    let caption =
+        "What these episodes came to: first command to last decision, with the first steps.";
+    Ok(Some(section(
+        "s-lanes",
+        "Against lanes",
+        vec![
+            Block::Text(
+                "With many lanes a step waits for others, in the queues and for the cores: its latency grows while \
+                 the steps of a second do, too."
+                    .to_owned(),
+            ),
+            Block::Figure(plot("f-lanes-p50", "The median", |times| times.p50)?),
+            Block::Figure(plot("f-lanes-p99", "The 99th percentile", |times| times.p99)?),
+            Block::Table(table("t-lanes", caption, &["Lanes"], &["steps", "steps/s"], rows.collect())),
+        ],
+    )))
+}
+
+fn sizes(profile: &Profile) -> Result<Option<Section>> {
+    if profile.searches.is_empty() {
+        return Ok(None);
+    }
+    let kinds: BTreeSet<(u32, &str)> =
+        profile.searches.iter().map(|search| (search.batch, search.search.as_str())).collect();
+    let mut shown: Vec<Curve> = kinds
+        .into_iter()
+        .map(|(batch, kind)| Curve {
+            name: if batch == 1 { kind.to_owned() } else { format!("{kind}, {batch} at once") },
+            is_bound: false,
+            points: profile
+                .searches
+                .iter()
+                .filter(|search| search.batch == batch && search.search == kind)
+                .map(|search| (f64::from(search.entries), search.latency_ns.p50 as f64 / 1e3))
+                .collect(),
+        })
+        .collect();
+    let exact =
+        profile.searches.iter().filter(|search| search.search == "exact" && search.batch == 1);
+    shown.push(Curve {
+        name: "reading all numbers once, at the floor".to_owned(),
+        is_bound: true,
+        points: exact
+            .map(|search| {
+                let bytes = f64::from(search.entries) * f64::from(search.dimension) * 4.0;
+                (f64::from(search.entries), bytes / profile.floors.read_all_cores * 1e6)
+            })
+            .collect(),
+    });
+    let figure = curves(&Curves {
+        id: "f-sizes".to_owned(),
+        caption: "The median time of a search against the entries of the memory.".to_owned(),
+        across: "entries".to_owned(),
+        up: "microseconds".to_owned(),
+        curves: shown,
+    })?;
+    let rows = profile.searches.iter().map(|search| {
+        let times = &search.latency_ns;
+        let mut cells =
+            vec![search.batch.to_string(), search.threads.to_string(), search.real.to_string()];
+        cells.extend(
+            [times.p50, times.p90, times.p99, times.p999, times.max].map(|time| ns(time as f64)),
+        );
+        cells.push(format!("{:.0}", search.queries_per_s));
+        cells.push(
+            search
+                .bytes_per_s
+                .map_or_else(|| "n/a".to_owned(), |rate| format!("{:.1}", rate / 1e9)),
+        );
+        cells.push(format!("{:.1}", search.bytes as f64 / f64::from(1 << 20)));
+        cells.push(format!("{:.2}", search.build_s));
+        cells
+            .extend([search.recall_at_1, search.recall_at_10].map(|recall| format!("{recall:.4}")));
+        (format!("{} {}", search.search, search.entries), cells)
+    });
+    let columns = [
+        "at once",
+        "threads",
+        "real",
+        "p50",
+        "p90",
+        "p99",
+        "p99.9",
+        "max",
+        "queries/s",
+        "GB/s read",
+        "MiB",
+        "build s",
+        "recall@1",
+        "recall@10",
+    ];
+    let caption = "Searches by themselves: real embeddings first, then seeded neighbours of them. A run searches exactly; \
+                   recall says what an approximate search would find of that. GB/s: what is read from end to end.";
+    let table = table("t-sizes", caption, &["Search and entries"], &columns, rows.collect());
+    Ok(Some(section(
+        "s-sizes",
+        "Against the size of the memory",
+        vec![Block::Figure(figure), Block::Table(table)],
+    )))
+}
+
+/// The columns of a distribution.
+const TIMES: [&str; 7] = ["count", "mean", "p50", "p90", "p99", "p99.9", "max"];
+
+fn cells(times: &Times) -> Vec<Cell> {
+    let shown =
+        [times.p50, times.p90, times.p99, times.p999, times.max].map(|time| ns(time as f64));
+    let first = [times.count.to_string(), ns(times.mean)];
+    first.into_iter().chain(shown).map(Cell::Value).collect()
+}
+
+/// How long a part of the accesses to a representation took, if there were any.
+pub(super) fn find(
+    walk: &Walk,
+    representation: Representation,
+    step: StepKind,
+    part: Part,
+) -> Option<&Times> {
+    let is = |found: &&Latency| {
+        found.representation == representation && found.step == step && found.part == part
+    };
+    walk.latencies.iter().find(is).map(|found| &found.times)
+}
+
+/// A time in the unit that suits it.
+pub(super) fn ns(time: f64) -> String {
+    match time {
+        time if time >= 1e9 => format!("{:.2} s", time / 1e9),
+        time if time >= 1e6 => format!("{:.2} ms", time / 1e6),
+        time if time >= 1e3 => format!("{:.1} us", time / 1e3),
+        time => format!("{time:.0} ns"),
+    }
+}
+
+fn section(id: &str, title: &str, blocks: Vec<Block>) -> Section {
+    Section { id: id.to_owned(), level: 2, title: title.to_owned(), blocks }
+}
+
+fn table(
+    id: &str,
+    caption: &str,
+    stubs: &[&str],
+    columns: &[&str],
+    rows: Vec<(String, Vec<String>)>,
+) -> Table {
+    let row = |(label, cells): (String, Vec<String>)| Row {
+        label,
+        published: false,
+        cells: cells.into_iter().map(Cell::Value).collect(),
+    };
+    Table {
+        id: id.to_owned(),
+        caption: caption.to_owned(),
+        stubs: stubs.iter().map(|stub| (*stub).to_owned()).collect(),
+        columns: columns.iter().map(|name| Column::new(*name)).collect(),
+        groups: vec![Group { label: None, rows: rows.into_iter().map(row).collect() }],
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn times_have_the_unit_that_suits_them() {
+        for (time, text) in
+            [(250.0, "250 ns"), (62_000.0, "62.0 us"), (4.5e6, "4.50 ms"), (2e9, "2.00 s")]
+        {
+            assert_eq!(ns(time), text);
+        }
+    }
+
+    #[test]
+    fn a_profile_of_little_has_a_page_too() {
+        let mut little = crate::profile::tests::profile();
+        little.walks.truncate(1);
+        little.searches.clear();
+        let page = document(&little).unwrap();
+        let ids: Vec<&str> = page.sections.iter().map(|section| section.id.as_str()).collect();
+        assert_eq!(ids, ["s-about", "s-floors", "s-representations"]);
+    }
+}
