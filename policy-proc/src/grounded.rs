@@ -20,6 +20,7 @@ mod explore;
 mod geometry;
 mod history;
 mod instruction;
+mod lasting;
 mod locate;
 mod lore;
 mod percept;
@@ -33,6 +34,7 @@ mod testing;
 use crate::{Decision, Policy, Request};
 use chart::Charts;
 use course::Courses;
+use lasting::Lastings;
 use locate::Locator;
 use lore::Lores;
 use percept::Percepts;
@@ -51,6 +53,7 @@ struct Mind {
     charts: Charts,
     locator: Locator,
     lores: Lores,
+    lastings: Lastings,
     courses: Courses,
 }
 

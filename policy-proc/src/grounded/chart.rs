@@ -4,17 +4,16 @@
 //! Memory supplies views and actions, never a pose. The actions say how the poses lie to one another, so one
 //! view that is recognised gives away the whole walk ([`locate`](super::locate)).
 
-use std::collections::HashMap;
-use std::hash::{DefaultHasher, Hash, Hasher};
+use std::hash::{Hash, Hasher};
 use std::sync::Arc;
 
+use rustc_hash::{FxHashMap, FxHasher};
 use shm_types::message::FrameId;
 use shm_types::plate::Landmark;
 use shm_types::{Action, Heading, Pose};
 
 use super::geometry::after;
-use super::locate::PlacedView;
-use super::percept::{Percept, Percepts};
+use super::percept::{Percept, Percepts, PlacedView};
 use super::recognise;
 use crate::FrameView;
 
@@ -74,7 +73,7 @@ impl Chart {
     }
 
     /// Whether its first view may be the oldest of `views`: as far as it has one, they are the same.
-    pub(super) fn begins_with(&self, views: &[PlacedView]) -> bool {
+    pub(super) fn begins_with(&self, views: &[Arc<PlacedView>]) -> bool {
         match (self.views.first(), views.first()) {
             (Some((0, view)), Some(oldest)) => view.is_like(&oldest.percept),
             _ => true,
@@ -94,21 +93,26 @@ type Named = (FrameId, Option<Action>);
 /// Charts by what they are made of, which names frames and therefore never changes.
 #[derive(Debug, Default)]
 pub(super) struct Charts {
-    kept: HashMap<u64, (Vec<Named>, Arc<Chart>)>,
+    kept: FxHashMap<u64, (Vec<Named>, Arc<Chart>)>,
     made: u64,
 }
 
 impl Charts {
     /// The chart of the walk that is `supplied`.
-    pub(super) fn of(&mut self, supplied: &[Supplied<'_>], percepts: &mut Percepts) -> Arc<Chart> {
+    pub(super) fn of<'a>(
+        &mut self,
+        supplied: impl Iterator<Item = Supplied<'a>> + Clone,
+        percepts: &mut Percepts,
+    ) -> Arc<Chart> {
         const NO_FRAME: FrameId = FrameId::MAX;
         let named =
-            |(frame, action): &Supplied<'_>| (frame.map_or(NO_FRAME, |frame| frame.id), *action);
-        let mut hasher = DefaultHasher::new();
-        supplied.iter().for_each(|step| named(step).hash(&mut hasher));
+            |(frame, action): Supplied<'_>| (frame.map_or(NO_FRAME, |frame| frame.id), action);
+        let names = supplied.clone().map(named);
+        let mut hasher = FxHasher::default();
+        names.clone().for_each(|name| name.hash(&mut hasher));
         let hash = hasher.finish();
-        if let Some((names, chart)) = self.kept.get(&hash)
-            && names.iter().copied().eq(supplied.iter().map(named))
+        if let Some((known, chart)) = self.kept.get(&hash)
+            && known.iter().copied().eq(names.clone())
         {
             return Arc::clone(chart);
         }
@@ -116,8 +120,9 @@ impl Charts {
             self.kept.clear();
         }
         self.made += 1;
-        let chart = Arc::new(Chart::of(self.made, supplied, percepts));
-        self.kept.insert(hash, (supplied.iter().map(named).collect(), Arc::clone(&chart)));
+        let supplied: Vec<Supplied<'_>> = supplied.collect();
+        let chart = Arc::new(Chart::of(self.made, &supplied, percepts));
+        self.kept.insert(hash, (names.collect(), Arc::clone(&chart)));
         chart
     }
 }
@@ -140,7 +145,7 @@ mod tests {
             (None, Some(Action::Forward)),
             (Some(view(&pictures[1], 2)), None),
         ];
-        let chart = Charts::default().of(&supplied, &mut Percepts::default());
+        let chart = Charts::default().of(supplied.iter().copied(), &mut Percepts::default());
         let poses: Vec<_> = chart.steps.iter().map(|step| step.pose).collect();
         assert_eq!(poses, [0, 1, 2].map(|y| Pose::new(128, 128 + y, Heading::N)));
         let moved = |landmark: &Landmark| {
@@ -158,7 +163,7 @@ mod tests {
         let pictures = pictures(&[poses[0], poses[1], poses[2], turned]);
         let supplied: Vec<_> =
             (1..).zip(&pictures).map(|(id, picture)| (Some(view(picture, id)), None)).collect();
-        let chart = Charts::default().of(&supplied, &mut Percepts::default());
+        let chart = Charts::default().of(supplied.iter().copied(), &mut Percepts::default());
         let actions: Vec<_> = chart.steps.iter().map(|step| step.action).collect();
         assert_eq!(actions, [Some(Action::Forward), Some(Action::Right), None]);
     }
@@ -169,7 +174,7 @@ mod tests {
         let mut charts = Charts::default();
         let mut serial = |id, action| {
             let supplied = [(Some(view(&pictures[0], id)), Some(action)), (None, None)];
-            charts.of(&supplied, &mut Percepts::default()).serial
+            charts.of(supplied.iter().copied(), &mut Percepts::default()).serial
         };
         let first = serial(1, Action::Forward);
         assert_eq!(serial(1, Action::Forward), first);

@@ -4,9 +4,9 @@
 //! on the same closed way has visited everything after one round, wherever on it the round began. So the way
 //! depends on nothing but what is lastingly known, and it is walked in one direction, facing ahead.
 
-use std::collections::HashMap;
 use std::sync::Arc;
 
+use rustc_hash::FxHashMap;
 use shm_types::{Action, Cell, Heading, Pose};
 
 use super::chart::PathStep;
@@ -189,7 +189,7 @@ pub(super) fn best_choice(
     ground: &dyn Fn(Pose) -> Surroundings,
 ) -> Option<Vec<Cell>> {
     let (first, rest) = groups.split_first()?;
-    let mut distances = Distances { known: HashMap::new(), ground };
+    let mut distances = Distances { known: FxHashMap::default(), ground };
     let mut best: Option<(u32, Vec<Cell>)> = None;
     for &start in first {
         let mut ends: Vec<(u32, Vec<Cell>)> = vec![(0, vec![start])];
@@ -218,7 +218,7 @@ pub(super) fn best_choice(
 /// `cells` in the order of a short round that begins with the first: nearest next, then as long as reversing
 /// a stretch makes it shorter, that.
 pub(super) fn round_trip(mut cells: Vec<Cell>, ground: &dyn Fn(Pose) -> Surroundings) -> Vec<Cell> {
-    let mut distances = Distances { known: HashMap::new(), ground };
+    let mut distances = Distances { known: FxHashMap::default(), ground };
     let mut cost = |a, b| distances.of(a, b).unwrap_or(10_000);
     for at in 1..cells.len() {
         let from = cells[at - 1];
@@ -244,7 +244,7 @@ pub(super) fn round_trip(mut cells: Vec<Cell>, ground: &dyn Fn(Pose) -> Surround
 
 /// What it costs to get from cell to cell.
 struct Distances<'a> {
-    known: HashMap<Cell, Ways>,
+    known: FxHashMap<Cell, Ways>,
     ground: &'a dyn Fn(Pose) -> Surroundings,
 }
 
@@ -258,8 +258,8 @@ impl Distances<'_> {
 /// What kind of course.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub(super) enum Plan {
-    /// Along a remembered walk, by its position among those known.
-    Walk(usize),
+    /// Along a whole walk, by its position among those known.
+    Walk(u16),
     /// Through the standpoints of what is wanted.
     Stops,
     /// Through the regions in which what is wanted has been seen.
@@ -270,13 +270,10 @@ pub(super) enum Plan {
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
 pub(super) struct Source {
     pub(super) plan: Plan,
-    /// Names of the whole walks that are kept.
-    pub(super) walks: Vec<(u64, Pose)>,
-    /// Names of all that were recognised: their plates are known, too.
-    pub(super) recognised: Vec<(u64, Pose)>,
-    /// Names what documents say.
-    pub(super) lore: u64,
-    pub(super) instruction: String,
+    /// Names what is lastingly known for the instruction.
+    pub(super) lasting: u64,
+    /// Positions of the whole walks that are kept.
+    pub(super) kept: Vec<u16>,
     pub(super) origin: Option<Cell>,
     pub(super) doubt: Doubt,
 }
@@ -284,7 +281,7 @@ pub(super) struct Source {
 /// Courses by what they are made from.
 #[derive(Debug, Default)]
 pub(super) struct Courses {
-    kept: HashMap<Source, Option<Arc<Course>>>,
+    kept: FxHashMap<Source, Option<Arc<Course>>>,
 }
 
 impl Courses {

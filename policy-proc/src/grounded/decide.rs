@@ -12,9 +12,10 @@ use super::course::{self, Course, Plan, Source, leads_on, stride};
 use super::explore;
 use super::geometry::{after, move_towards, turn_towards};
 use super::history::History;
-use super::instruction::{Ending, Goal, Visit, Want};
+use super::instruction::{Ending, Goal, Visit};
+use super::lasting::WholeWalk;
 use super::percept::Percept;
-use super::scene::{Scene, Walk};
+use super::scene::Scene;
 use super::surroundings::{Surroundings, Ways};
 use crate::Request;
 use shm_types::plate::Landmark;
@@ -38,8 +39,8 @@ pub(super) fn action(request: &Request<'_>, mind: &mut Mind) -> Action {
         // Nothing can be seen: walking on would be walking blind.
         return Action::TurnRight;
     }
-    let scene = Scene::of(request, &history, mind);
     let goal = Goal::parse(request.instruction);
+    let scene = Scene::of(request, &history, goal.as_ref(), mind);
     Situation::new(request, &history, &scene, goal.as_ref()).decide(mind)
 }
 
@@ -64,11 +65,12 @@ impl<'a> Situation<'a> {
     }
 
     fn decide(&self, mind: &mut Mind) -> Action {
+        let walks = self.whole_walks(mind);
         self.retrieved_here()
-            .or_else(|| self.whole_walk_here(mind))
+            .or_else(|| self.whole_walk_here(&walks))
             .or_else(|| self.single_goal())
             .or_else(|| self.join_retrieved())
-            .or_else(|| self.join_whole_walk(mind))
+            .or_else(|| self.join_whole_walk(&walks))
             .or_else(|| self.go_round(mind))
             .or_else(|| self.seek())
             .or_else(|| self.look_around(mind))
@@ -86,11 +88,9 @@ impl<'a> Situation<'a> {
 
     /// What the expert did in the retrieved view, where that is the pose the agent is in.
     fn retrieved_here(&self) -> Option<Action> {
-        let begins_here =
-            |walk: &&Walk| walk.steps.first().map(|step| step.pose) == Some(self.history.here);
-        let walk = self.retrieved().find(begins_here)?;
-        let action =
-            walk.steps.first()?.action.or_else(|| self.turn_towards(walk.beyond.as_ref()?));
+        let walk = self.scene.retrieved.as_ref()?;
+        let first = walk.steps.first().filter(|step| step.pose == self.history.here)?;
+        let action = first.action.or_else(|| self.turn_towards(walk.beyond.as_ref()?));
         action.filter(|action| self.leads_on(action))
     }
 
@@ -110,7 +110,7 @@ impl<'a> Situation<'a> {
                 let place = |known: &&Landmark| {
                     (known.standpoint, known.face) == (landmark.standpoint, landmark.face)
                 };
-                match scene.seen.iter().find(place) {
+                match scene.seen.iter().filter(place).min() {
                     Some(known) if *known == landmark => 2,
                     Some(_) => -8,
                     None => -i32::from(scene.ground.is_solid(landmark.standpoint)) * 8,
@@ -126,14 +126,10 @@ impl<'a> Situation<'a> {
             .map(|(_, turn)| turn)
     }
 
-    fn retrieved(&self) -> impl Iterator<Item = &Walk> {
-        self.scene.walks.iter().filter(|walk| !walk.is_whole)
-    }
-
     /// The step that brings the agent onto a retrieved walk, or along it past what blocks the way.
     fn join_retrieved(&self) -> Option<Action> {
         let here = self.history.here;
-        let steps = self.retrieved().flat_map(|walk| walk.steps.iter().rev());
+        let steps = self.scene.retrieved.as_ref()?.steps.iter().rev();
         // The last view of a segment that ends a demonstration leads nowhere, but is where it ends.
         let mut ways = self.ways.borrow_mut();
         let reach = |step: &super::chart::PathStep| {
@@ -160,13 +156,11 @@ impl<'a> Situation<'a> {
 
     /// Courses of whole walks, as long as they are trusted.
     fn whole_walks(&self, mind: &mut Mind) -> Vec<Arc<Course>> {
-        let is_trusted =
-            |walk: &Walk| walk.is_whole && self.request.step as usize <= walk.steps.len() + TRUST;
-        let walks = self.scene.walks.iter().enumerate();
-        let courses = walks.filter(|(_, walk)| is_trusted(walk)).filter_map(|(at, walk)| {
-            let source = self.source(Plan::Walk(at));
-            mind.courses.of(source, || {
-                let course = Course::of_walk(&walk.steps, &self.remembered_stops());
+        let is_trusted = |walk: &WholeWalk| self.request.step as usize <= walk.steps.len() + TRUST;
+        let walks = self.scene.whole_walks().filter(|(_, walk)| is_trusted(walk));
+        let courses = walks.filter_map(|(at, walk)| {
+            mind.courses.of(self.source(Plan::Walk(at)), || {
+                let course = Course::of_walk(&walk.steps, &self.scene.lasting.standpoints.concat());
                 let is_round = !self.is_single();
                 Some(if is_round {
                     course.closed(|pose| self.lasting_ground(pose))
@@ -178,16 +172,14 @@ impl<'a> Situation<'a> {
         courses.collect()
     }
 
-    fn whole_walk_here(&self, mind: &mut Mind) -> Option<Action> {
-        let courses = self.whole_walks(mind);
+    fn whole_walk_here(&self, courses: &[Arc<Course>]) -> Option<Action> {
         let here = courses.iter().filter_map(|course| course.action_here(self.history));
         let (_, action) =
             here.filter(|(_, action)| self.leads_on(action)).max_by_key(|&(led, _)| led)?;
         Some(action)
     }
 
-    fn join_whole_walk(&self, mind: &mut Mind) -> Option<Action> {
-        let courses = self.whole_walks(mind);
+    fn join_whole_walk(&self, courses: &[Arc<Course>]) -> Option<Action> {
         let mut ways = self.ways.borrow_mut();
         let joins = courses
             .iter()
@@ -206,55 +198,35 @@ impl<'a> Situation<'a> {
         self.is_single().then(|| self.seek()).flatten()
     }
 
-    fn wants(&self) -> Vec<(usize, Want<'_>)> {
-        self.goal.map(|goal| goal.wants()).unwrap_or_default().into_iter().enumerate().collect()
-    }
-
-    fn remembered_stops(&self) -> Vec<Cell> {
-        let of = |(nth, want)| self.scene.remembered_standpoints(nth, want);
-        self.wants().into_iter().flat_map(of).collect()
-    }
-
     /// The ground around `pose` as far as it is lastingly known.
     fn lasting_ground(&self, pose: Pose) -> Surroundings {
         let mut ground = Surroundings::new(pose, self.scene.doubt);
-        self.scene.lay_lasting(&mut ground);
+        self.scene.lasting.lay(&self.scene.kept, &mut ground);
         ground
     }
 
     fn source(&self, plan: Plan) -> Source {
-        let walks = self.scene.walks.iter().filter(|walk| walk.is_whole);
-        Source {
-            plan,
-            walks: walks.map(|walk| walk.name).collect(),
-            recognised: self.scene.recognised.clone(),
-            lore: self.scene.lore.serial,
-            instruction: self.request.instruction.to_owned(),
-            origin: self.origin(),
-            doubt: self.scene.doubt,
-        }
+        let Scene { lasting, kept, doubt, .. } = self.scene;
+        let origin = self.origin();
+        Source { plan, lasting: lasting.serial, kept: kept.clone(), origin, doubt: *doubt }
     }
 
     /// Where the episode began; where that is not known, where a remembered walk for the task began.
     fn origin(&self) -> Option<Cell> {
-        let whole = self.scene.walks.iter().filter(|walk| walk.is_whole);
-        let begun = whole.filter_map(|walk| walk.steps.first()).map(|step| step.pose.cell).next();
-        self.scene.origin.or(begun)
+        let mut whole = self.scene.whole_walks();
+        let begun = || whole.find_map(|(_, walk)| walk.steps.first()).map(|step| step.pose.cell);
+        self.scene.origin.or_else(begun)
     }
 
     /// On the round through everything wanted, if memory knows where it is.
     fn go_round(&self, mind: &mut Mind) -> Option<Action> {
         let goal = self.goal?;
-        let groups: Vec<Vec<Cell>> = self
-            .wants()
-            .into_iter()
-            .map(|(nth, want)| self.scene.remembered_standpoints(nth, want))
-            .collect();
+        let groups = &self.scene.lasting.standpoints;
         if groups.iter().any(Vec::is_empty) {
             return None;
         }
         let round = self.round(mind, Plan::Stops, |ground| {
-            let mut groups = groups;
+            let mut groups = groups.clone();
             groups.iter_mut().for_each(|group| group.truncate(MOST_STOPS));
             let origin = self.origin().filter(|_| goal.ending == Ending::Origin);
             match goal.visit {
@@ -274,7 +246,7 @@ impl<'a> Situation<'a> {
 
     /// On a round through the regions in which what is wanted has been seen.
     fn look_around(&self, mind: &mut Mind) -> Option<Action> {
-        let lore = Arc::clone(&self.scene.lore);
+        let lore = &self.scene.lasting.lore;
         let regions = lore.regions.iter().flatten();
         let round = self.round(mind, Plan::Regions, |ground| {
             let cells = regions.flat_map(|region| {

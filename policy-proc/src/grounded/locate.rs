@@ -5,15 +5,15 @@
 //! pose says where the walk must have begun, and the beginning that most speaks for and nothing against is
 //! believed. What one view says of one chart never changes and is worked out once.
 
-use std::collections::HashMap;
 use std::sync::Arc;
 
+use rustc_hash::FxHashMap;
 use shm_types::Pose;
 use shm_types::message::FrameId;
 use shm_types::plate::Landmark;
 
 use super::chart::{Chart, START};
-use super::percept::Percept;
+use super::percept::{Percept, PlacedView};
 use super::recognise::{LEAST_AGREEING, camera_of, is_easily_seen};
 
 /// Pairs of chart and view that are kept.
@@ -21,14 +21,6 @@ const MOST_KEPT: usize = 65_536;
 
 /// Poses that are considered for one view.
 const MOST_FITS: usize = 8;
-
-/// A view with the pose it was taken from.
-#[derive(Debug, Clone)]
-pub(super) struct PlacedView {
-    pub(super) frame: FrameId,
-    pub(super) pose: Pose,
-    pub(super) percept: Arc<Percept>,
-}
 
 /// From where in a chart a view may have been taken.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -45,13 +37,13 @@ struct Fit {
 /// What views say of charts.
 #[derive(Debug, Default)]
 pub(super) struct Locator {
-    kept: HashMap<(u64, FrameId), Arc<[Fit]>>,
+    kept: FxHashMap<(u64, FrameId), Arc<[Fit]>>,
 }
 
 impl Locator {
     /// The pose in the world in which the walk of `chart` began, judged by `views`; `None` when they do
     /// not tell.
-    pub(super) fn start_of(&mut self, chart: &Chart, views: &[PlacedView]) -> Option<Pose> {
+    pub(super) fn start_of(&mut self, chart: &Chart, views: &[Arc<PlacedView>]) -> Option<Pose> {
         let mut beginnings: Vec<Beginning> = Vec::new();
         for view in views.iter().rev() {
             for fit in self.fits(chart, view).iter() {
@@ -71,10 +63,24 @@ impl Locator {
             beginnings.iter_mut().filter_map(|known| Some((known.score()?, known.start))).collect();
         scored.sort_unstable_by_key(|&(score, start)| (std::cmp::Reverse(score), start));
         let mut believed =
-            scored.into_iter().filter(|&(_, start)| !is_refuted(chart, start, views));
+            scored.into_iter().filter(|&(_, start)| !self.is_refuted(chart, start, views));
         let (best, start) = believed.next()?;
         let second = believed.next().map_or(0, |(score, _)| score);
         (best > second).then_some(start)
+    }
+
+    /// Whether some plate seen hangs where the chart, begun in `start`, has another one.
+    fn is_refuted(&mut self, chart: &Chart, start: Pose, views: &[Arc<PlacedView>]) -> bool {
+        views.iter().any(|view| {
+            let Some(camera) = relocated(view.pose, start, START) else { return true };
+            // What fits from there has been looked at, and nothing contradicts it.
+            if self.fits(chart, view).iter().any(|fit| fit.camera == camera) {
+                return false;
+            }
+            let seen = view.percept.sightings.iter();
+            let mut seen = seen.filter_map(|sighting| sighting.seen_from(camera));
+            seen.any(|landmark| contradicts(chart, &landmark))
+        })
     }
 
     fn fits(&mut self, chart: &Chart, view: &PlacedView) -> Arc<[Fit]> {
@@ -119,15 +125,6 @@ pub(super) fn relocated_landmark(landmark: &Landmark, start: Pose) -> Option<Lan
     let facing = Pose { cell: landmark.standpoint, heading: landmark.face };
     let Pose { cell, heading } = relocated(facing, START, start)?;
     Some(Landmark { standpoint: cell, face: heading, plate: landmark.plate })
-}
-
-/// Whether some plate seen hangs where the chart, begun in `start`, has another one.
-fn is_refuted(chart: &Chart, start: Pose, views: &[PlacedView]) -> bool {
-    views.iter().any(|view| {
-        let Some(camera) = relocated(view.pose, start, START) else { return true };
-        let seen = view.percept.sightings.iter().filter_map(|sighting| sighting.seen_from(camera));
-        seen.into_iter().any(|landmark| contradicts(chart, &landmark))
-    })
 }
 
 fn contradicts(chart: &Chart, landmark: &Landmark) -> bool {
@@ -202,9 +199,9 @@ mod tests {
             })
             .collect();
         let mut percepts = Percepts::default();
-        let chart = Charts::default().of(&supplied, &mut percepts);
+        let chart = Charts::default().of(supplied.iter().copied(), &mut percepts);
         let picture = aisle.picture(here);
-        let seen = PlacedView { frame: 99, pose: here, percept: percepts.of(&view(&picture, 99)) };
+        let seen = percepts.placed(&view(&picture, 99), here);
         Locator::default().start_of(&chart, &[seen])
     }
 
@@ -237,8 +234,8 @@ mod tests {
             ..FrameView::NONE
         };
         let mut percepts = Percepts::default();
-        let chart = Charts::default().of(&[(Some(grey), None)], &mut percepts);
-        let seen = PlacedView { frame: 1, pose: START, percept: percepts.of(&grey) };
+        let chart = Charts::default().of([(Some(grey), None)].into_iter(), &mut percepts);
+        let seen = percepts.placed(&grey, START);
         assert_eq!(Locator::default().start_of(&chart, &[seen]), None);
     }
 

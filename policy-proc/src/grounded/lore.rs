@@ -2,9 +2,9 @@
 //!
 //! A document never changes, so it is taken apart once, and asked once for each instruction.
 
-use std::collections::HashMap;
 use std::sync::Arc;
 
+use rustc_hash::FxHashMap;
 use shm_types::message::DocumentId;
 use shm_types::{Cell, Heading};
 
@@ -80,8 +80,8 @@ fn walk(route: &Route) -> Option<Vec<PathStep>> {
 /// Lores and what they are made from.
 #[derive(Debug, Default)]
 pub(super) struct Lores {
-    atlases: HashMap<DocumentId, Arc<Atlas>>,
-    kept: HashMap<Vec<DocumentId>, HashMap<String, Arc<Lore>>>,
+    atlases: FxHashMap<DocumentId, Arc<Atlas>>,
+    kept: FxHashMap<Vec<DocumentId>, FxHashMap<String, Arc<Lore>>>,
     made: u64,
     nothing: Arc<Lore>,
 }

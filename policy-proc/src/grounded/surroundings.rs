@@ -33,6 +33,51 @@ pub(super) struct Surroundings {
     doubt: Doubt,
 }
 
+/// Marks all over the grid, to be laid on surroundings at once.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub(super) struct Marks {
+    /// The first row with a mark, and from it on a bit for each cell, from the west edge on.
+    first: usize,
+    rows: Vec<[u64; 4]>,
+}
+
+impl Marks {
+    /// A mark on each of `cells`.
+    pub(super) fn on(cells: impl Iterator<Item = Cell> + Clone) -> Self {
+        let ends = cells.clone().map(|cell| usize::from(cell.y));
+        let (Some(first), Some(last)) = (ends.clone().min(), ends.max()) else {
+            return Self::default();
+        };
+        let mut rows = vec![[0; 4]; last - first + 1];
+        for cell in cells {
+            rows[usize::from(cell.y) - first][usize::from(cell.x / 64)] |= 1 << (cell.x % 64);
+        }
+        Self { first, rows }
+    }
+
+    /// Lays them on the square around `here`.
+    fn lay(&self, here: Cell, square: &mut [u64; SIDE]) {
+        let south = i16::from(here.y) - REACH;
+        let west = i16::from(here.x) - REACH;
+        let (word, shift) = (west.div_euclid(64), west.rem_euclid(64) as u32);
+        for (y, row) in (self.first as i16 - south..).zip(&self.rows) {
+            let Some(field) = usize::try_from(y).ok().and_then(|y| square.get_mut(y)) else {
+                continue;
+            };
+            let part = |word: i16| usize::try_from(word).ok().and_then(|word| row.get(word));
+            let low = part(word).map_or(0, |&bits| bits >> shift);
+            let high = part(word + 1).map_or(0, |&bits| bits.checked_shl(64 - shift).unwrap_or(0));
+            *field |= (low | high) & INSIDE;
+        }
+    }
+}
+
+/// The bits of a row that have a cell.
+const INSIDE: u64 = u64::MAX >> (u64::BITS as usize - SIDE);
+
+/// The period of doubt from which on the doubtful parts of the floor are drawn.
+const DRAWN: u32 = 3;
+
 /// Distrust of parts of the floor, of a kind that changes now and then. What has not led to the end for a
 /// long time may be blocked somewhere, which is forgotten once it has left the window; to prefer other ways
 /// for a while is then better than to try the same one again: first to come from another side
@@ -46,12 +91,14 @@ pub(super) struct Doubt {
 impl Doubt {
     /// The doubt of an episode's `step`: none at first, then another after every `patience` steps.
     pub(super) fn at(step: u32, patience: u32, episode_seed: u64) -> Self {
-        Self { seed: episode_seed, period: step / patience.max(1) }
+        let period = step / patience.max(1);
+        // Before there is anything to draw, all episodes doubt alike.
+        Self { seed: if period < DRAWN { 0 } else { episode_seed }, period }
     }
 
     /// What is added to the cost of a step onto `cell`: the same for 4 x 4 cells.
     fn of(self, cell: Cell) -> u32 {
-        if self.period < 3 {
+        if self.period < DRAWN {
             return 0;
         }
         let block = u64::from(cell.x / 4) << 32 | u64::from(cell.y / 4) << 16;
@@ -127,6 +174,16 @@ impl Surroundings {
         if let Some((x, y)) = self.field(cell) {
             self.free[y] |= 1 << x;
         }
+    }
+
+    /// Nobody can be on the cells that are marked.
+    pub(super) fn lay_solid(&mut self, marks: &Marks) {
+        marks.lay(self.here.cell, &mut self.solid);
+    }
+
+    /// Somebody can be on the cells that are marked.
+    pub(super) fn lay_free(&mut self, marks: &Marks) {
+        marks.lay(self.here.cell, &mut self.free);
     }
 
     /// In doubt, `goal` is not to be come to from two of its four sides, and later not from the other two.
@@ -332,6 +389,8 @@ impl Ways {
 
 #[cfg(test)]
 mod tests {
+    use proptest::prelude::*;
+
     use super::*;
 
     const HERE: Pose = Pose::new(40, 40, Heading::N);
@@ -382,7 +441,8 @@ mod tests {
             Surroundings::new(HERE, doubt).way_to(Cell::new(50, 60)).unwrap().cost
         };
         assert_eq!(cost(0), UNKNOWN * 30);
-        assert_eq!(Doubt::at(49, 50, 5), Doubt { seed: 5, period: 0 });
+        assert_eq!(Doubt::at(49, 50, 5), Doubt::at(0, 50, 6), "nothing is drawn yet");
+        assert_eq!(Doubt::at(150, 50, 5), Doubt { seed: 5, period: 3 });
         assert!((3..8).any(|period| cost(period) > cost(0)));
         assert!((3..8).any(|period| cost(period) != cost(period + 1)));
     }
@@ -399,6 +459,21 @@ mod tests {
             ground.ways().moves_to(goal).last().copied()
         };
         assert_eq!([0, 1, 2].map(first), [Some(Heading::S), Some(Heading::E), Some(Heading::S)]);
+    }
+
+    proptest! {
+        #[test]
+        fn marks_are_laid_where_they_are(
+            here in any::<(u8, u8)>(),
+            cells in prop::collection::vec(any::<(u8, u8)>(), 0..40),
+        ) {
+            let cells = cells.iter().map(|&(x, y)| Cell::new(x, y));
+            let mut one_by_one = Surroundings::new(Pose::new(here.0, here.1, Heading::N), Doubt::default());
+            let mut at_once = one_by_one.clone();
+            cells.clone().for_each(|cell| one_by_one.mark_free(cell));
+            at_once.lay_free(&Marks::on(cells));
+            prop_assert_eq!(at_once.free, one_by_one.free);
+        }
     }
 
     #[test]

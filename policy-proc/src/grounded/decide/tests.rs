@@ -413,14 +413,13 @@ fn a_walk_that_is_not_kept_still_counts_in_what_courses_are_made_from() {
         trajectories: &trajectories,
         starts_as_demonstrated: false,
     };
-    let source = |request: Request<'_>| {
-        let (history, mut mind) = (History::of(&request), Mind::default());
-        let scene = Scene::of(&request, &history, &mut mind);
-        assert_eq!((scene.walks.len(), scene.walks[0].passes), (1, 1));
-        let goal = Goal::parse(request.instruction);
+    let mut mind = Mind::default();
+    let mut source = |request: Request<'_>| {
+        let (history, goal) = (History::of(&request), Goal::parse(request.instruction));
+        let scene = Scene::of(&request, &history, goal.as_ref(), &mut mind);
+        assert_eq!(scene.kept, [0]);
         let situation = Situation::new(&request, &history, &scene, goal.as_ref());
-        let source = situation.source(Plan::Walk(0));
-        (source.recognised.len(), source)
+        (scene.lasting.walks.len(), situation.source(Plan::Walk(0)))
     };
     let (both, with) = source(request);
     let (one, without) = source(Request { trajectories: &trajectories[..1], ..request });
