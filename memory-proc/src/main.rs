@@ -14,7 +14,7 @@ use memory_proc::documents::sources::Sources;
 use memory_proc::documents::{Builder, Extractive};
 use memory_proc::embed_command;
 use memory_proc::index::Effort;
-use memory_proc::manifest::Manifest;
+use memory_proc::manifest::{Manifest, Precision};
 use memory_proc::paths::Cache;
 use memory_proc::profile::{self, Vectors};
 use memory_proc::serve::{EncoderSettings, Settings, serve};
@@ -272,9 +272,21 @@ struct EncoderArguments {
     /// cores, at most 8]
     #[arg(long, value_name = "N")]
     encoder_threads: Option<NonZeroUsize>,
+    /// What the encoder computes with: f32 or bf16x3 [default: the model's own in the manifest, where this
+    /// machine can, else f32]
+    #[arg(long, value_name = "PRECISION", value_parser = precision)]
+    encoder_precision: Option<Precision>,
     /// The cache folder [default: $MEMTRANSFER_CACHE, else memtransfer in the user's cache folder]
     #[arg(long, value_name = "DIR")]
     cache: Option<PathBuf>,
+}
+
+/// Reads `bf16x3`.
+fn precision(text: &str) -> Result<Precision, String> {
+    let known = Precision::ALL.into_iter().find(|known| known.word() == text);
+    known.ok_or_else(|| {
+        format!("a precision is {}", Precision::ALL.map(Precision::word).join(" or "))
+    })
 }
 
 /// Most threads that are taken without being asked for: every session has its own copy of the weights.
@@ -289,6 +301,7 @@ impl EncoderArguments {
             name: self.encoder,
             file: self.encoder_file,
             threads: self.encoder_threads.unwrap_or_else(cores),
+            precision: self.encoder_precision,
             cache: self
                 .cache
                 .map_or_else(Cache::from_environment, |folder| Ok(Cache::at(folder)))?,

@@ -71,6 +71,31 @@ impl Pooling {
     }
 }
 
+/// The numbers that an encoder computes with.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Precision {
+    /// 32 bits: on any processor.
+    #[default]
+    F32,
+    /// 32 bits, but for products with constant matrices: there every number is taken apart into two of 16 bits, 16 bits
+    /// of significand together, and sums have 32 bits. Where the processor has a tile unit.
+    Bf16x3,
+}
+
+impl Precision {
+    /// All of them, the exact one first.
+    pub const ALL: [Self; 2] = [Self::F32, Self::Bf16x3];
+
+    /// The word used in the manifest and on the command line.
+    pub const fn word(self) -> &'static str {
+        match self {
+            Self::F32 => "f32",
+            Self::Bf16x3 => "bf16x3",
+        }
+    }
+}
+
 /// One encoder, as the manifest describes it.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -99,6 +124,10 @@ pub struct Model {
     pub pooling: Pooling,
     /// Length of the embedding.
     pub dimension: usize,
+    /// The lowest precision that is known to leave what is retrieved as it is; runs at it unless told otherwise,
+    /// where the machine can.
+    #[serde(default)]
+    pub precision: Precision,
     /// Where the weights come from.
     pub source: String,
     /// The weights' licence.
@@ -235,7 +264,9 @@ mod tests {
         let manifest = Manifest::shipped().unwrap();
         let default = manifest.model(&manifest.default).unwrap();
         assert!(default.trained && default.file.is_some() && default.sha256.is_some());
-        assert!(manifest.model("vit-b16").unwrap().file.is_none());
+        assert_eq!(default.precision, Precision::Bf16x3);
+        let users = manifest.model("vit-b16").unwrap();
+        assert!(users.file.is_none() && users.precision == Precision::F32);
         assert!(!manifest.model("vit-b16-untrained").unwrap().trained);
     }
 
@@ -257,6 +288,7 @@ mod tests {
             ("std = [0.229,", "std = [0.0,", "std holds 0; each must be above 0"),
             ("mean = [0.485,", "mean = [nan,", "mean holds NaN"),
             ("pooling = \"cls\"", "pooling = \"max\"", "unknown variant `max`"),
+            ("precision = \"bf16x3\"", "precision = \"int8\"", "unknown variant `int8`"),
             ("trained = true", "traind = true", "unknown field `traind`"),
             ("file = \"dinov2", "file = \"../dinov2", "without a folder"),
             ("sha256 = \"e", "sha256 = \"E", "64 lower-case hexadecimal digits"),

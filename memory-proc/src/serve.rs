@@ -24,11 +24,11 @@ use warehouse::case_file::CASES_FILE;
 use warehouse::{CaseSet, Warehouse};
 
 use crate::embedding_cache::{EmbeddingCache, Found};
-use crate::encoder::{Embedded, Encoder, EncoderFacts, Image, ModelFile, Picture};
+use crate::encoder::{Embedded, Encoder, EncoderFacts, Image, ModelFile, Open, Picture, Prepared};
 use crate::engine::Engine;
 use crate::episode::{Unusable, unusable};
 use crate::library::Library;
-use crate::manifest::Manifest;
+use crate::manifest::{Manifest, Precision};
 use crate::paths::Cache;
 
 /// How long the loop sleeps when nobody rings. Only a look around; nothing waits for it.
@@ -60,23 +60,21 @@ pub struct EncoderSettings {
     pub file: Option<PathBuf>,
     /// Worker threads.
     pub threads: NonZeroUsize,
+    /// What it computes with; `None`: the model's own precision, where the machine can.
+    pub precision: Option<Precision>,
     /// Where the things that setup fetched lie, and where embeddings are kept.
     pub cache: Cache,
 }
 
 impl EncoderSettings {
-    /// Starts the encoder. `wake` is called on a worker's thread whenever a result is there.
+    /// The encoder, ready to start.
     ///
     /// # Errors
     /// When there is no such encoder, or something it needs is missing or broken.
-    pub fn start(
-        &self,
-        manifest: &Manifest,
-        wake: impl Fn() + Clone + Send + 'static,
-    ) -> anyhow::Result<Encoder> {
+    pub fn prepare(&self, manifest: &Manifest) -> anyhow::Result<Prepared> {
         let model = manifest.model(self.name.as_ref().unwrap_or(&manifest.default))?;
         let file = ModelFile::read(model, self.file.as_deref(), &self.cache)?;
-        Ok(Encoder::start(&file, &self.cache.runtime(), self.threads, wake)?)
+        Ok(Prepared::new(file, &self.cache.runtime(), self.threads, self.precision)?)
     }
 }
 
@@ -179,12 +177,15 @@ impl<'a> Server<'a> {
             Some(chosen) => {
                 let manifest = assets.map_or_else(Manifest::shipped, Manifest::load)?;
                 let own_bell = Arc::new(bus.bell(Role::Memory)?);
-                let encoder = chosen.start(&manifest, move || {
+                let encoder = chosen.prepare(&manifest)?;
+                let embeddings = open_cache(&chosen.cache, encoder.facts(), complaints);
+                // Where embeddings are known, they may be all there will be.
+                let open = if embeddings.is_empty() { Open::AtOnce } else { Open::WhenNeeded };
+                let encoder = encoder.start(open, move || {
                     if let Err(error) = own_bell.ring() {
                         tracing::debug!(%error, "an encoder worker cannot wake the loop");
                     }
-                })?;
-                let embeddings = open_cache(&chosen.cache, encoder.facts(), complaints);
+                });
                 (Some(encoder), embeddings)
             }
         };
@@ -421,6 +422,7 @@ fn facts(facts: &EncoderFacts) -> Vec<(&'static str, String)> {
         ("encoder_trained", facts.trained.to_string()),
         ("encoder_threads", facts.threads.to_string()),
         ("encoder_provider", facts.provider.to_owned()),
+        ("encoder_precision", facts.precision.word().to_owned()),
         ("onnxruntime", facts.runtime.clone()),
     ]
 }

@@ -8,8 +8,8 @@ use std::process::Command;
 use std::sync::Arc;
 
 use memory_proc::embedding::{Embedding, distance};
-use memory_proc::encoder::{Encoder, EncoderError, Image, ModelFile, Picture};
-use memory_proc::manifest::{Manifest, Model};
+use memory_proc::encoder::{Encoder, EncoderError, Image, ModelFile, Open, Picture, Prepared};
+use memory_proc::manifest::{Manifest, Model, Precision};
 use memory_proc::paths::Cache;
 
 const SIDE: u32 = 256;
@@ -59,14 +59,31 @@ fn default_model() -> Model {
     manifest.model(&manifest.default).unwrap().clone()
 }
 
-fn start(file: &ModelFile, threads: usize) -> Result<Encoder, EncoderError> {
-    Encoder::start(file, &cache().runtime(), NonZeroUsize::new(threads).unwrap(), || {})
+fn start(
+    file: ModelFile,
+    threads: usize,
+    precision: Option<Precision>,
+) -> Result<Encoder, EncoderError> {
+    let threads = NonZeroUsize::new(threads).unwrap();
+    let prepared = Prepared::new(file, &cache().runtime(), threads, precision)?;
+    Ok(prepared.start(Open::WhenNeeded, || {}))
+}
+
+/// The default encoder at a precision, or else at what this machine runs it at.
+fn encoder_at(threads: usize, precision: Option<Precision>) -> Encoder {
+    let file = ModelFile::read(&default_model(), None, &cache());
+    file.and_then(|file| start(file, threads, precision)).unwrap_or_else(|error| panic!("{error}"))
 }
 
 /// The default encoder.
 fn encoder(threads: usize) -> Encoder {
-    let file = ModelFile::read(&default_model(), None, &cache());
-    file.and_then(|file| start(&file, threads)).unwrap_or_else(|error| panic!("{error}"))
+    encoder_at(threads, None)
+}
+
+/// What an encoder of this file answers when it is given a picture, if that is no embedding.
+fn refusal(file: ModelFile, precision: Option<Precision>) -> Option<String> {
+    let mut encoder = start(file, 1, precision).unwrap();
+    encoder.embed_all([scene(0)]).err().map(|error| error.to_string())
 }
 
 fn bits(embedding: &Embedding) -> Vec<u32> {
@@ -87,15 +104,22 @@ fn likeness_is_nearness() {
     assert!(facts.trained && facts.model == "dinov2-s14" && embedded[0].as_slice().len() == 384);
 }
 
+/// At what the machine runs the encoder at, and at 32 bits, which it can always do.
 #[test]
 fn an_embedding_does_not_depend_on_what_else_is_embedded() {
+    for precision in [None, Some(Precision::F32)] {
+        does_not_depend_on_what_else_is_embedded(precision);
+    }
+}
+
+fn does_not_depend_on_what_else_is_embedded(precision: Option<Precision>) {
     let pictures: Vec<Drawn> = (0..4).map(|i| scene(9 * i)).chain([noise(1), noise(2)]).collect();
-    let mut alone = encoder(1);
+    let mut alone = encoder_at(1, precision);
     let mut expected = Vec::new();
     for picture in &pictures {
         expected.push(bits(&alone.embed_all([picture.clone()]).unwrap()[0]));
     }
-    let mut together = encoder(3);
+    let mut together = encoder_at(3, precision);
     for (batch, offset) in [(2, 5), (3, 1), (7, 2), (16, 4)] {
         let order: Vec<usize> = (0..batch).map(|i| (5 * i + offset) % pictures.len()).collect();
         let batch = order.iter().map(|&index| pictures[index].clone());
@@ -103,6 +127,21 @@ fn an_embedding_does_not_depend_on_what_else_is_embedded() {
             assert!(bits(&embedding) == expected[index], "picture {index} in {order:?}");
         }
     }
+}
+
+/// Where the machine runs it at 32 bits anyhow, both are the same.
+#[test]
+fn fewer_bits_are_another_encoder_with_nearly_the_same_embeddings() {
+    let pictures = [scene(0), scene(30), noise(1)];
+    let (mut own, mut exact) = (encoder(1), encoder_at(1, Some(Precision::F32)));
+    let (nearly, exactly) =
+        (own.embed_all(pictures.clone()).unwrap(), exact.embed_all(pictures).unwrap());
+    for (a, b) in nearly.iter().zip(&exactly) {
+        assert!(distance(a.as_slice(), b.as_slice()) < 1e-6);
+    }
+    let (own, exact) = (own.facts(), exact.facts());
+    assert_eq!((exact.precision, exact.provider), (Precision::F32, "CPU"));
+    assert_eq!(own.fingerprint == exact.fingerprint, own.precision == exact.precision);
 }
 
 #[test]
@@ -141,8 +180,7 @@ fn what_is_missing_names_the_command_that_brings_it() {
     assert!(said(users, Some(&path), &nowhere).starts_with("cannot read the model file "));
 
     let file = ModelFile::read(&model, None, &cache()).unwrap_or_else(|error| panic!("{error}"));
-    let one = NonZeroUsize::MIN;
-    let Err(error) = Encoder::start(&file, &nowhere.runtime(), one, || {}) else {
+    let Err(error) = Prepared::new(file, &nowhere.runtime(), NonZeroUsize::MIN, None) else {
         panic!("there is no runtime")
     };
     assert_eq!(
@@ -169,13 +207,16 @@ fn a_model_that_is_not_what_the_manifest_says_is_refused_and_told_apart() {
     let error = ModelFile::read(&model, Some(&truncated), &cache()).unwrap_err().to_string();
     assert!(error.contains("its SHA-256 is") && error.contains("give the right file"), "{error}");
 
-    let refused = |model: &Model, path: Option<&PathBuf>| {
+    let refused = |model: &Model, path: Option<&PathBuf>, precision| {
         let unpinned = Model { sha256: None, ..model.clone() };
         let file = ModelFile::read(&unpinned, path.map(PathBuf::as_path), &cache()).unwrap();
-        start(&file, 1).err().unwrap_or_else(|| panic!("{path:?} was accepted")).to_string()
+        refusal(file, precision).unwrap_or_else(|| panic!("{path:?} was accepted"))
     };
-    for path in [&truncated, &garbage, &empty] {
-        let error = refused(&model, Some(path));
+    let either = [None, Some(Precision::F32)];
+    for (path, precision) in
+        [&truncated, &garbage, &empty].into_iter().flat_map(|path| either.map(|p| (path, p)))
+    {
+        let error = refused(&model, Some(path), precision);
         let expected = format!("ONNX Runtime refuses the model file {}", path.display());
         assert!(error.starts_with(&expected), "{error}");
     }
@@ -191,7 +232,7 @@ fn a_model_that_is_not_what_the_manifest_says_is_refused_and_told_apart() {
         (Model { dimension: 768, ..model.clone() }, "not float [1, -1, 768] or [1, 768]"),
         (Model { input_size: 256, ..model.clone() }, "not float [1, 3, 256, 256]"),
     ] {
-        let error = refused(&wrong, None);
+        let error = refused(&wrong, None, None);
         assert!(error.contains(expected) && error.contains("models.toml"), "{error}");
     }
 }
@@ -234,7 +275,8 @@ fn the_untrained_vit_b16_is_written_and_runs_under_its_name() {
     let manifest = Manifest::shipped().unwrap();
     let model = manifest.model("vit-b16-untrained").unwrap();
     let file = ModelFile::read(model, Some(&path), &cache()).unwrap();
-    let mut encoder = start(&file, 1).unwrap();
+    let mut encoder = start(file, 1, None).unwrap();
+    assert_eq!(encoder.facts().precision, Precision::F32);
     let embedded = encoder.embed_all([scene(0), scene(0), noise(1)]).unwrap();
     assert_eq!(embedded[0], embedded[1]);
     assert!(distance(embedded[0].as_slice(), embedded[2].as_slice()) > 0.0);
@@ -244,6 +286,5 @@ fn the_untrained_vit_b16_is_written_and_runs_under_its_name() {
     // The same file under the name of a ViT-B/16 that a user gives: it fits, and is not taken for trained.
     let users = manifest.model("vit-b16").unwrap();
     let file = ModelFile::read(users, Some(&path), &cache()).unwrap();
-    let error = start(&file, 1).err().map(|error| error.to_string());
-    assert!(error.unwrap_or_default().contains("untrained"));
+    assert!(refusal(file, None).unwrap_or_default().contains("untrained"));
 }

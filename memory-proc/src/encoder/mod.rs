@@ -4,25 +4,35 @@
 //! picture's bytes, wherever they lie, and every picture is a call of its own: so an embedding has the
 //! same bits whatever else is in flight. Results come back in any order, named by content.
 //!
+//! What can be told without a session (is everything there, what will it run on) is told by [`Prepared`];
+//! opening sessions takes longer, and is left to the workers.
+//!
 //! The encoder knows nothing of frames, lanes or caches.
 
 use std::collections::BTreeMap;
 use std::num::NonZeroUsize;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::thread::JoinHandle;
 
 use crossbeam::channel::{Receiver, Sender, bounded, unbounded};
 use shm_types::process::monotonic_ns;
 
 use crate::embedding::{ContentHash, Embedding};
+use crate::manifest::Precision;
 
+mod amx;
+mod onnx;
+mod precision;
 mod preprocess;
+mod product;
 mod session;
 
 pub use preprocess::Image;
 pub use session::ModelFile;
 
+use precision::Products;
 use preprocess::Preprocessor;
 use session::{Runtime, Session};
 
@@ -55,6 +65,12 @@ pub enum EncoderError {
         "ONNX Runtime at {path} cannot be used ({message}); delete it and run `cargo xtask setup`"
     )]
     Runtime { path: PathBuf, message: String },
+    /// The precision that was asked for by name cannot be had.
+    #[error(
+        "the encoder cannot run at {precision} here: no processor with amx_tile and amx_bf16 that programs may use; \
+         f32 runs anywhere"
+    )]
+    Precision { precision: &'static str },
     /// ONNX Runtime cannot make anything of the file.
     #[error("ONNX Runtime refuses the model file {path}: {message}")]
     Rejected { path: PathBuf, message: String },
@@ -97,12 +113,13 @@ pub struct EncoderFacts {
     pub runtime: String,
     /// Its execution provider.
     pub provider: &'static str,
+    /// What it computes with.
+    pub precision: Precision,
     /// Worker threads, each with a session of one thread.
     pub threads: usize,
     /// Length of an embedding.
     pub dimension: usize,
-    /// Equal for encoders whose embeddings may be mixed: it covers model, preprocessing, runtime and the
-    /// processor's vector instructions.
+    /// Equal for encoders whose embeddings may be mixed: it covers model, preprocessing, runtime, precision and the processor's vector instructions.
     pub fingerprint: [u8; 32],
 }
 
@@ -130,6 +147,100 @@ struct Job {
     picture: Box<dyn Picture>,
 }
 
+/// When workers open their sessions.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Open {
+    /// As soon as they run: there will be work.
+    AtOnce,
+    /// When the first picture comes to them: there may be none.
+    WhenNeeded,
+}
+
+/// An encoder that is known to have what it needs and has not been started.
+pub struct Prepared {
+    file: Arc<ModelFile>,
+    runtime: Runtime,
+    products: Products,
+    facts: EncoderFacts,
+}
+
+impl Prepared {
+    /// Loads ONNX Runtime from `runtime` for an encoder of `threads` workers at the precision that was `asked` for,
+    /// or else the model's own as far as this machine can.
+    ///
+    /// # Errors
+    /// When the runtime cannot be used, or this machine cannot do what was asked for.
+    pub fn new(
+        file: ModelFile,
+        runtime: &Path,
+        threads: NonZeroUsize,
+        asked: Option<Precision>,
+    ) -> Result<Self, EncoderError> {
+        let products = Products::choose(&file.model, asked)?;
+        let runtime = Runtime::load(runtime)?;
+        let (model, build) = (&file.model, runtime.build());
+        let facts = EncoderFacts {
+            model: model.label(),
+            sha256: file.sha256.clone(),
+            trained: model.trained,
+            provider: "CPU",
+            precision: products.precision(),
+            threads: threads.get(),
+            dimension: model.dimension,
+            fingerprint: fingerprint(&file, &build, products),
+            runtime: build,
+        };
+        Ok(Self { file: Arc::new(file), runtime, products, facts })
+    }
+
+    /// What it is.
+    pub fn facts(&self) -> &EncoderFacts {
+        &self.facts
+    }
+
+    /// Starts the workers. `wake` is called, on a worker's thread, whenever a result can be fetched with
+    /// [`Encoder::poll`]. A model that cannot be opened is what becomes of every picture.
+    pub fn start(self, open: Open, wake: impl Fn() + Clone + Send + 'static) -> Encoder {
+        let Self { file, runtime, products, facts } = self;
+        let threads = facts.threads;
+        let (jobs, queue) = bounded(threads * (1 + WAITING_PER_WORKER));
+        let (done, results) = unbounded();
+        let work_of = |worker: usize| {
+            let (file, wake) = (file.clone(), wake.clone());
+            let (queue, done) = (queue.clone(), done.clone());
+            move || {
+                let first: Option<Job> = match open {
+                    Open::AtOnce => None,
+                    Open::WhenNeeded => match queue.recv() {
+                        Ok(job) => Some(job),
+                        Err(_) => return,
+                    },
+                };
+                let (size, mean, std) = (file.model.input_size, file.model.mean, file.model.std);
+                let mut preprocessor = Preprocessor::new(size, mean, std);
+                let mut session = Session::new(runtime, products, &file);
+                // The model's bytes are not needed any more, and may be many.
+                drop(file);
+                for Job { content, picture } in first.into_iter().chain(&queue) {
+                    let start = monotonic_ns();
+                    let embed = |session: &mut Session| {
+                        session.embed(&preprocessor.tensor(picture.image())?)
+                    };
+                    let embedding = session.as_mut().map_err(|error| error.clone()).and_then(embed);
+                    drop(picture);
+                    let span_ns = start..monotonic_ns();
+                    if done.send(Embedded { content, embedding, worker, span_ns }).is_err() {
+                        break;
+                    }
+                    wake();
+                }
+            }
+        };
+        let workers = (0..threads).map(|worker| std::thread::spawn(work_of(worker))).collect();
+        Encoder { facts, jobs: Some(jobs), results, workers, in_flight: 0 }
+    }
+}
+
 /// A pool of workers that embed images. Dropping it lets them finish what they are at.
 pub struct Encoder {
     facts: EncoderFacts,
@@ -143,54 +254,6 @@ pub struct Encoder {
 const WAITING_PER_WORKER: usize = 1;
 
 impl Encoder {
-    /// Loads ONNX Runtime from `runtime` and starts `threads` workers. `wake` is called, on a worker's
-    /// thread, whenever a result can be fetched with [`Self::poll`].
-    ///
-    /// # Errors
-    /// When the runtime or the model cannot be used.
-    pub fn start(
-        file: &ModelFile,
-        runtime: &Path,
-        threads: NonZeroUsize,
-        wake: impl Fn() + Clone + Send + 'static,
-    ) -> Result<Self, EncoderError> {
-        let runtime = Runtime::load(runtime)?;
-        let threads = threads.get();
-        let sessions = std::thread::scope(|scope| {
-            let open = || Session::new(&runtime, file);
-            let opening: Vec<_> = (0..threads).map(|_| scope.spawn(open)).collect();
-            let joined = opening.into_iter().map(|thread| {
-                thread.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))
-            });
-            joined.collect::<Result<Vec<_>, _>>()
-        })?;
-        let (jobs, queue) = bounded(threads * (1 + WAITING_PER_WORKER));
-        let (done, results) = unbounded();
-        let model = &file.model;
-        let workers = sessions.into_iter().enumerate().map(|(worker, session)| {
-            let preprocessor = Preprocessor::new(model.input_size, model.mean, model.std);
-            let (queue, done, wake) = (queue.clone(), done.clone(), wake.clone());
-            std::thread::spawn(move || work(worker, session, preprocessor, &queue, &done, wake))
-        });
-        let build = runtime.build();
-        Ok(Self {
-            jobs: Some(jobs),
-            results,
-            workers: workers.collect(),
-            in_flight: 0,
-            facts: EncoderFacts {
-                model: model.label(),
-                sha256: file.sha256.clone(),
-                trained: model.trained,
-                provider: "CPU",
-                threads,
-                dimension: model.dimension,
-                fingerprint: fingerprint(file, &build),
-                runtime: build,
-            },
-        })
-    }
-
     /// What it is.
     pub fn facts(&self) -> &EncoderFacts {
         &self.facts
@@ -270,28 +333,8 @@ impl Drop for Encoder {
     }
 }
 
-fn work(
-    worker: usize,
-    mut session: Session,
-    mut preprocessor: Preprocessor,
-    queue: &Receiver<Job>,
-    done: &Sender<Embedded>,
-    wake: impl Fn(),
-) {
-    for Job { content, picture } in queue {
-        let start = monotonic_ns();
-        let embedding = preprocessor.tensor(picture.image()).and_then(|t| session.embed(&t));
-        drop(picture);
-        let span_ns = start..monotonic_ns();
-        if done.send(Embedded { content, embedding, worker, span_ns }).is_err() {
-            break;
-        }
-        wake();
-    }
-}
-
 /// Everything that an embedding's bits depend on, beside the image.
-fn fingerprint(file: &ModelFile, runtime: &str) -> [u8; 32] {
+fn fingerprint(file: &ModelFile, runtime: &str, products: Products) -> [u8; 32] {
     let model = &file.model;
     let text = format!(
         "{} {} {} {:?} {:?} {} {} {} | preprocessing {} | onnxruntime {runtime} | {}",
@@ -304,25 +347,7 @@ fn fingerprint(file: &ModelFile, runtime: &str) -> [u8; 32] {
         model.pooling.word(),
         model.dimension,
         preprocess::VERSION,
-        vector_instructions(),
+        products.fingerprint(),
     );
     *blake3::hash(text.as_bytes()).as_bytes()
-}
-
-/// The instruction set that decides which kernels ONNX Runtime picks, and with them the last bits.
-fn vector_instructions() -> &'static str {
-    #[cfg(target_arch = "x86_64")]
-    {
-        if std::is_x86_feature_detected!("avx512f") {
-            "x86-64 avx512"
-        } else if std::is_x86_feature_detected!("avx2") {
-            "x86-64 avx2"
-        } else {
-            "x86-64"
-        }
-    }
-    #[cfg(not(target_arch = "x86_64"))]
-    {
-        std::env::consts::ARCH
-    }
 }

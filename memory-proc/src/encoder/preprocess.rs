@@ -8,7 +8,7 @@
 use super::EncoderError;
 
 /// Changes whenever the same bytes would give another tensor; part of the embedding cache's key.
-pub(super) const VERSION: u32 = 1;
+pub(super) const VERSION: u32 = 2;
 
 /// RGBA bytes, rows from top to bottom without gaps. Alpha is ignored.
 #[derive(Debug, Clone, Copy)]
@@ -38,8 +38,8 @@ pub(super) struct Preprocessor {
     offset: [f32; 3],
     /// Filters for the last input size seen: all frames of a run have one size.
     filters: Option<Filters>,
-    /// All rows after the horizontal pass, `height x size` of RGB.
-    narrowed: Vec<f32>,
+    /// A row of the result before it is brought to its width.
+    row: Vec<f32>,
 }
 
 impl Preprocessor {
@@ -47,7 +47,7 @@ impl Preprocessor {
     pub(super) fn new(size: u32, mean: [f32; 3], std: [f32; 3]) -> Self {
         let scale = std.map(|std| 1.0 / (255.0 * std));
         let offset = [0, 1, 2].map(|c| -mean[c] / std[c]);
-        Self { size: size as usize, scale, offset, filters: None, narrowed: Vec::new() }
+        Self { size: size as usize, scale, offset, filters: None, row: Vec::new() }
     }
 
     /// The input tensor of an image: three planes of `size x size`, red, green, blue.
@@ -62,47 +62,36 @@ impl Preprocessor {
         let size = (image.width, image.height);
         self.filters.take_if(|filters| filters.size != size);
         let filters = self.filters.get_or_insert_with(|| Filters::new(size, self.size));
-        narrow(image, &filters.columns, &mut self.narrowed);
+        let source = image.rgba.chunks_exact(4 * image.width as usize);
 
-        let stride = 3 * self.size;
-        let mut tensor = vec![0.0; stride * self.size];
-        let mut row = vec![0.0_f32; stride];
+        let plane = self.size * self.size;
+        let mut tensor = vec![0.0; 3 * plane];
         for y in 0..self.size {
-            row.fill(0.0);
+            // Rows first, all of their bytes alike: that runs along the memory, and leaves half of the rows.
+            self.row.clear();
+            self.row.resize(4 * image.width as usize, 0.0);
             let (first, weights) = filters.rows.taps(y);
-            for (source, &weight) in
-                self.narrowed[first * stride..].chunks_exact(stride).zip(weights)
-            {
-                for (sum, value) in row.iter_mut().zip(source) {
-                    *sum += weight * value;
+            for (source, &weight) in source.clone().skip(first).zip(weights) {
+                for (sum, &value) in self.row.iter_mut().zip(source) {
+                    *sum += weight * f32::from(value);
                 }
             }
-            for (channel, plane) in tensor.chunks_exact_mut(self.size * self.size).enumerate() {
-                let target = &mut plane[y * self.size..][..self.size];
-                for (target, rgb) in target.iter_mut().zip(row.as_chunks::<3>().0) {
-                    *target = rgb[channel] * self.scale[channel] + self.offset[channel];
+            let pixels = self.row.as_chunks::<4>().0;
+            for x in 0..self.size {
+                let (first, weights) = filters.columns.taps(x);
+                let mut rgba = [0.0_f32; 4];
+                for (pixel, &weight) in pixels[first..].iter().zip(weights) {
+                    for channel in 0..4 {
+                        rgba[channel] += weight * pixel[channel];
+                    }
+                }
+                for channel in 0..3 {
+                    tensor[channel * plane + y * self.size + x] =
+                        rgba[channel] * self.scale[channel] + self.offset[channel];
                 }
             }
         }
         Ok(tensor)
-    }
-}
-
-/// Brings every row to the filter's width, as RGB floats from 0 to 255.
-fn narrow(image: Image<'_>, columns: &Filter, narrowed: &mut Vec<f32>) {
-    narrowed.clear();
-    for row in image.rgba.chunks_exact(4 * image.width as usize) {
-        let pixels = row.as_chunks::<4>().0;
-        for x in 0..columns.len() {
-            let (first, weights) = columns.taps(x);
-            let mut rgb = [0.0_f32; 3];
-            for (pixel, &weight) in pixels[first..].iter().zip(weights) {
-                for channel in 0..3 {
-                    rgb[channel] += weight * f32::from(pixel[channel]);
-                }
-            }
-            narrowed.extend_from_slice(&rgb);
-        }
     }
 }
 
@@ -146,10 +135,6 @@ impl Filter {
             taps.push((first, begin..weights.len()));
         }
         Self { taps, weights }
-    }
-
-    fn len(&self) -> usize {
-        self.taps.len()
     }
 
     fn taps(&self, position: usize) -> (usize, &[f32]) {

@@ -1,8 +1,8 @@
 //! ONNX Runtime: the one file that speaks to `ort`.
 //!
 //! A model file is read once, its SHA-256 compared with the manifest's, and every session is made from
-//! those same bytes. A session has one thread and takes one image a call, so what comes out for an image
-//! cannot depend on what else is being embedded.
+//! those same bytes. A session computes with one thread and takes one image a call, so what comes out for an
+//! image cannot depend on what else is being embedded.
 
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
@@ -15,6 +15,9 @@ use ort::value::{Outlet, TensorElementType, TensorRef};
 use sha2::{Digest, Sha256};
 
 use super::EncoderError;
+use super::onnx::Malformed;
+use super::precision::Products;
+use super::product;
 use crate::embedding::Embedding;
 use crate::manifest::{Model, Pooling};
 use crate::paths::Cache;
@@ -63,6 +66,7 @@ impl ModelFile {
 }
 
 /// The loaded ONNX Runtime. There is one in a process, and it stays.
+#[derive(Clone, Copy)]
 pub(super) struct Runtime(&'static Environment);
 
 impl Runtime {
@@ -101,13 +105,25 @@ pub(super) struct Session {
 }
 
 impl Session {
-    pub(super) fn new(runtime: &Runtime, file: &ModelFile) -> Result<Self, EncoderError> {
+    pub(super) fn new(
+        runtime: Runtime,
+        products: Products,
+        file: &ModelFile,
+    ) -> Result<Self, EncoderError> {
         let rejected = |error: ort::Error| EncoderError::Rejected {
             path: file.path.clone(),
             message: error.message().to_owned(),
         };
-        let mut builder = builder(runtime.0).map_err(rejected)?;
-        let session = builder.commit_from_memory(&file.bytes).map_err(rejected)?;
+        let mut builder = builder(runtime.0, products).map_err(rejected)?;
+        let session = match products {
+            Products::Own => builder.commit_from_memory(&file.bytes),
+            // What is no model ONNX Runtime has words for.
+            Products::Tiles(_) => match product::redirected(&file.bytes) {
+                Ok(bytes) => builder.commit_from_memory(&bytes),
+                Err(Malformed) => builder.commit_from_memory(&file.bytes),
+            },
+        };
+        let session = session.map_err(rejected)?;
         let model = &file.model;
         let says_untrained = |session: &OrtSession| {
             session.metadata().ok()?.custom("memtransfer.trained").map(|trained| trained == "false")
@@ -145,11 +161,14 @@ impl Session {
     }
 }
 
-fn builder(environment: &Environment) -> Result<SessionBuilder, ort::Error> {
+fn builder(environment: &Environment, products: Products) -> Result<SessionBuilder, ort::Error> {
     fn plain(result: BuilderResult) -> Result<SessionBuilder, ort::Error> {
         result.map_err(|error| ort::Error::new(error.message()))
     }
-    let builder = OrtSession::builder(environment)?;
+    let mut builder = OrtSession::builder(environment)?;
+    if let Products::Tiles(unit) = products {
+        builder = plain(builder.with_operators(product::domain(unit)?))?;
+    }
     let builder = plain(builder.with_intra_threads(1))?;
     let builder = plain(builder.with_deterministic_compute(true))?;
     plain(builder.with_optimization_level(GraphOptimizationLevel::All))
