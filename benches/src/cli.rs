@@ -6,7 +6,7 @@ use std::time::{Instant, SystemTime};
 
 use anyhow::{Context, Result, bail};
 use benches::results::{FILE, Outcome, Results};
-use benches::{BENCHES, Bench, Peers, Session, Size, compare, markdown, page, parts};
+use benches::{BENCHES, Bench, Peers, Session, Size, compare, markdown, page, parts, timeline};
 use clap::{Parser, Subcommand};
 use orchestrator::log::commit_of;
 
@@ -45,6 +45,20 @@ struct Arguments {
 
 #[derive(Debug, Subcommand)]
 enum Verb {
+    /// Draws what each process worked on, from a trace (`memtransfer run --trace`)
+    Timeline {
+        /// The trace
+        trace: PathBuf,
+        /// The picture (SVG)
+        #[arg(long, value_name = "FILE", default_value = "timeline.svg")]
+        to: PathBuf,
+        /// Where it begins, in milliseconds of the run
+        #[arg(long, value_name = "MS", default_value_t = 0.0)]
+        from_ms: f64,
+        /// How much of it, in milliseconds
+        #[arg(long, value_name = "MS", default_value_t = 1000.0)]
+        for_ms: f64,
+    },
     /// Plays a part in a bench
     #[command(hide = true)]
     Part { name: String, arguments: Vec<String> },
@@ -64,6 +78,14 @@ pub(super) fn main() -> ExitCode {
     let arguments = Arguments::parse();
     let done = match &arguments.verb {
         Some(Verb::Part { name, arguments }) => parts::play(name, arguments).map(|()| true),
+        Some(Verb::Timeline { trace, to, from_ms, for_ms }) => {
+            timeline::draw(trace, *from_ms, *for_ms).and_then(|svg| {
+                std::fs::write(to, svg)
+                    .with_context(|| format!("cannot write {}", to.display()))?;
+                eprintln!("written to {}", to.display());
+                Ok(true)
+            })
+        }
         None => run(&arguments),
     };
     match done {

@@ -7,7 +7,7 @@
 //!   that do nothing).
 //! - What it gives: [`figure`]; kept as [`results`] with the [`machine`](orchestrator::machine) they were made on.
 //! - What is made of results: [`compare`] (with an earlier file), [`table`] (the table of docs/performance.md),
-//!   [`markdown`] and [`page`].
+//!   [`markdown`] and [`page`]. Of a trace: [`timeline`].
 //!
 //! Every bench also runs [`Size::Tiny`](session::Size) under `cargo test -p benches`, so that it cannot rot; no test
 //! asserts a time.
@@ -23,6 +23,7 @@ pub mod results;
 pub mod runs;
 pub mod session;
 pub mod table;
+pub mod timeline;
 
 pub mod approximate;
 pub mod chain;

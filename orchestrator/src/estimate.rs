@@ -153,6 +153,18 @@ impl Basis<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn lengths_are_those_of_the_prompt_that_is_sent() {
+        let template = include_str!("../../policy-proc/prompt/v1.toml");
+        assert!(
+            template.contains("\nversion = \"prompt/1\"\n"),
+            "the template is another one: measure the constants above anew"
+        );
+        let system = template.split("\"\"\"").nth(1).unwrap();
+        let system = system.chars().count() as u64;
+        assert!((ALWAYS / 2..ALWAYS * 2).contains(&system), "{system} characters of rules alone");
+    }
     use crate::conditions::PolicyKind;
     use crate::log::testing::record;
     use crate::plan::plan;

@@ -18,7 +18,7 @@ use shm_types::spans::Span;
 use crate::lanes::Stamps;
 
 /// Tracks of lanes begin here, those of work before.
-const FIRST_LANE: u32 = 100;
+pub const FIRST_LANE: u32 = 100;
 
 /// A trace that is being written.
 #[derive(Debug)]
