@@ -1,9 +1,15 @@
 //! The simulator's binary: `serve` takes part in a run, `render` draws pictures for people.
 
+#![expect(
+    unsafe_code,
+    reason = "a driver is told by the environment how many threads it may start"
+)]
+
 use std::io::IsTerminal;
 use std::process::ExitCode;
 
 use clap::Parser;
+use sim_proc::painters::DRIVER_THREADS;
 use sim_proc::render_command::{self, RenderArgs};
 use sim_proc::serve_command::{self, ServeArgs};
 use tracing_subscriber::EnvFilter;
@@ -25,6 +31,10 @@ enum Command {
 }
 
 fn main() -> ExitCode {
+    if std::env::var_os(DRIVER_THREADS).is_none() {
+        // SAFETY: the program has started no thread yet, so nobody reads the environment meanwhile.
+        unsafe { std::env::set_var(DRIVER_THREADS, "0") };
+    }
     let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new("warn"));
     let colours = std::io::stderr().is_terminal();
     tracing_subscriber::fmt()

@@ -3,7 +3,7 @@
 use shm_types::{FrameSlot, Pose};
 use warehouse::Variant;
 
-use crate::renderer::{Destination, FramePath, RenderError, RenderJob, Renderer, View};
+use crate::renderer::RenderError;
 
 /// A view and the slot it goes into.
 #[derive(Debug)]
@@ -34,34 +34,4 @@ pub trait Painter {
 
     /// Bytes of pixels that the program itself has copied so far.
     fn pixel_bytes_copied(&self) -> u64;
-}
-
-impl Painter for Renderer {
-    fn paint(&mut self, paintings: &mut [Painting<'_>]) -> Result<(), RenderError> {
-        let mut jobs: Vec<RenderJob<'_>> = paintings
-            .iter_mut()
-            .map(|painting| RenderJob {
-                view: View { pose: painting.pose, variant: painting.variant },
-                destination: Destination::Slot(bytemuck::cast_slice_mut(painting.slot.pages_mut())),
-            })
-            .collect();
-        self.render(&mut jobs)
-    }
-
-    fn may_show_barricade(&mut self, variant: &Variant, pose: Pose) -> bool {
-        Self::may_show_barricade(self, View { pose, variant })
-    }
-
-    fn facts(&self) -> Vec<(&'static str, String)> {
-        let report = self.report();
-        let path = match report.frame_path {
-            FramePath::Direct => "direct".to_owned(),
-            FramePath::Copied { reason } => format!("copied: {reason}"),
-        };
-        vec![("adapter", report.adapter), ("frame path", path)]
-    }
-
-    fn pixel_bytes_copied(&self) -> u64 {
-        self.report().bytes_copied
-    }
 }

@@ -216,6 +216,11 @@ impl Renderer {
         }
     }
 
+    /// Whether it is the processor that draws.
+    pub fn is_on_processor(&self) -> bool {
+        self.gpu.adapter.device_type == wgpu::DeviceType::Cpu
+    }
+
     /// Draws every job and returns when all destinations hold their pixels.
     ///
     /// # Errors
