@@ -1,9 +1,9 @@
 //! The simulator in a run: commands and view requests in, frames and observations out.
 //!
 //! A turn takes everything that waits, applies it, evicts what has to go, answers whatever is resident,
-//! rings those once who have something to do now ([`neighbours`](crate::neighbours)), and draws the next few missing views. Turns follow each other without a pause until nothing
-//! is missing, so a lane whose view is resident never waits for another lane's drawing, and what lanes wait
-//! for is drawn before what memory asked for.
+//! rings those once who have something to do now (`neighbours`), and draws the next few missing views. Turns
+//! follow each other without a pause until nothing is missing, so a lane whose view is resident never waits
+//! for another lane's drawing, and what lanes wait for is drawn before what memory asked for.
 //!
 //! A message that cannot be used is complained about and dropped; the lane or view it was about gets no
 //! answer.

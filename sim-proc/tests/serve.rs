@@ -18,6 +18,7 @@ use shm_types::{
     Receiver, RunDir, Sender,
 };
 use sim_proc::painter::{Painter, Painting};
+use sim_proc::painters::Painters;
 use sim_proc::renderer::{
     Destination, RenderError, RenderJob, RenderSettings, Renderer, View as Look,
 };
@@ -521,7 +522,7 @@ fn the_renderer_draws_into_the_frame_store() {
             (attach.frame, attach.frame_capacity, attach.lanes, attach.window) = (size, 6, 1, 2)
         },
         Ahead::Nothing,
-        move |frame| Renderer::new(&Warehouse::shipped(), settings(frame)),
+        move |frame| Painters::open(&Warehouse::shipped(), &settings(frame)),
     );
     let hello = peers.wait(|peers| peers.hellos.next().unwrap());
     let facts = hello.facts().unwrap();
