@@ -72,7 +72,7 @@ def test_without_a_run_it_says_how_to_get_one(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        ({"wire_version": 99}, "the run speaks wire version 99 and this package 3: install"),
+        ({"wire_version": 99}, "the run speaks wire version 99 and this package 4: install"),
         ({"lanes": 0}, "lanes is 0, but must be 1 to 4096"),
         ({"prefix": "mt/../"}, "prefix is 'mt/../', but must be"),
         ({"frame": {"width": 70, "height": 1}}, "width is 70, but must be a multiple of 64"),

@@ -56,7 +56,7 @@ def test_hello_decisions_and_farewell() -> None:
     with Peer(lanes=3) as peer:
         with peer.serve(policy) as serving:
             hello = serving.hello
-            assert (hello.wire_version, hello.role) == (3, Role.POLICY)
+            assert (hello.wire_version, hello.role) == (4, Role.POLICY)
             facts = json.loads(text(hello.facts, hello.facts_len))
             assert facts == {"policy": "does", "sdk": "python", "model": "none"}
             peer.brief(lane=2, episode=7)
