@@ -49,8 +49,8 @@ score. Close other programs: on two cores every one of them shows.
 Writes into --out: profile.html (one page with plots), profile.json and profile.csv.
 
 Examples:
-  memtransfer profile                                 under three minutes on two cores
-  memtransfer profile --quick                         about half a minute, to see whether it works
+  memtransfer profile                                 some minutes on two cores
+  memtransfer profile --quick                         a short one, to see whether it works
   memtransfer profile --full                          up to 64 lanes and ten million entries
   memtransfer profile --memory episodic --lanes 1,2,4,8 --entries 1000,100000")]
 pub(super) struct ProfileArgs {
