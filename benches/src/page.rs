@@ -1,9 +1,7 @@
 //! Results as one HTML page: the table, every bench's figures, curves.
 
 use anyhow::Result;
-use orchestrator::report::{
-    Block, Cell, Column, Curve, Curves, Document, Group, Row, Section, Table, curves, page,
-};
+use orchestrator::report::{Block, Curve, Curves, Document, Section, Table, curves, page};
 
 use crate::compare::Change;
 use crate::figure::shown;
@@ -33,8 +31,13 @@ fn overview(results: &Results) -> Section {
     let caption = "Targets and what was measured: medians over rounds, the range in brackets; ours and the peer's \
                    in turns.";
     let rows = table::rows(results).into_iter().map(|[label, cells @ ..]| (label, cells.to_vec()));
-    blocks.push(Block::Table(plain("t-targets", caption, &table::HEADER, rows.collect())));
-    section("s-targets", "Targets", blocks)
+    blocks.push(Block::Table(Table::of_text(
+        "t-targets",
+        caption,
+        table::HEADER.split_at(1),
+        rows,
+    )));
+    Section::new("s-targets", "Targets", blocks)
 }
 
 fn compared(changes: &[Change]) -> Section {
@@ -51,8 +54,8 @@ fn compared(changes: &[Change]) -> Section {
         ];
         (change.id.clone(), cells)
     });
-    let table = plain("t-changes", caption, &header, rows.collect());
-    section("s-changes", "Since the earlier file", vec![Block::Table(table)])
+    let table = Table::of_text("t-changes", caption, header.split_at(1), rows);
+    Section::new("s-changes", "Since the earlier file", vec![Block::Table(table)])
 }
 
 fn bench(outcome: &Outcome) -> Result<Section> {
@@ -82,11 +85,16 @@ fn bench(outcome: &Outcome) -> Result<Section> {
         (figure.what.clone(), cells)
     });
     let id = format!("t-{}", outcome.name);
-    blocks.push(Block::Table(plain(&id, &outcome.about, &header, rows.collect())));
+    blocks.push(Block::Table(Table::of_text(
+        id.as_str(),
+        outcome.about.as_str(),
+        header.split_at(1),
+        rows,
+    )));
     for plot in plots(outcome) {
         blocks.push(Block::Figure(curves(&plot)?));
     }
-    Ok(section(&format!("s-{}", outcome.name), &outcome.name, blocks))
+    Ok(Section::new(format!("s-{}", outcome.name), outcome.name.as_str(), blocks))
 }
 
 /// The curves that a bench's figures are points of, and those of its peers.
@@ -121,24 +129,4 @@ fn plots(outcome: &Outcome) -> Vec<Curves> {
         }
     }
     plots
-}
-
-fn section(id: &str, title: &str, blocks: Vec<Block>) -> Section {
-    Section { id: id.to_owned(), level: 2, title: title.to_owned(), blocks }
-}
-
-/// A table of text: a label and cells a row.
-fn plain(id: &str, caption: &str, header: &[&str], rows: Vec<(String, Vec<String>)>) -> Table {
-    let row = |(label, cells): (String, Vec<String>)| Row {
-        label,
-        published: false,
-        cells: cells.into_iter().map(Cell::Value).collect(),
-    };
-    Table {
-        id: id.to_owned(),
-        caption: caption.to_owned(),
-        stubs: vec![header[0].to_owned()],
-        columns: header[1..].iter().map(|name| Column::new(*name)).collect(),
-        groups: vec![Group { label: None, rows: rows.into_iter().map(row).collect() }],
-    }
 }

@@ -1,8 +1,9 @@
 //! The table of docs/performance.md: what should be how fast, and what was measured of it.
 //!
 //! A row takes every figure with a target that its bench gave and whose id begins as the row says; without one it says
-//! that it was not measured.
+//! that it was not measured, or that there is no bench for it.
 
+use crate::BENCHES;
 use crate::figure::{Summary, shown};
 use crate::results::{Measured, Results};
 
@@ -100,7 +101,9 @@ pub fn rows(results: &Results) -> Vec<[String; 8]> {
     let mut rows = Vec::new();
     for wanted in WANTED {
         let bench = wanted.prefix.split('.').next().unwrap_or_default();
-        let command = format!("`cargo xtask bench --only {bench}`");
+        let exists = BENCHES.iter().any(|known| known.name == bench);
+        let command =
+            if exists { format!("`cargo xtask bench --only {bench}`") } else { "–".to_owned() };
         let first = rows.len();
         let outcome = results.of(bench);
         let figures = outcome.map_or(&[][..], |outcome| &outcome.figures);
@@ -113,7 +116,8 @@ pub fn rows(results: &Results) -> Vec<[String; 8]> {
         if rows.len() == first {
             let why = match outcome.and_then(|outcome| outcome.error.as_ref()) {
                 Some(_) => "the bench failed",
-                None => "not measured yet",
+                None if exists => "not measured yet",
+                None => "no bench yet",
             };
             let [what, against, target] =
                 [wanted.what, wanted.against, wanted.target].map(str::to_owned);
@@ -205,6 +209,8 @@ mod tests {
             ]
         );
         assert_eq!(rows[1][3], "not measured yet");
+        // A command that nobody can run is not given.
+        assert!(rows.iter().all(|row| (row[3] == "no bench yet") == (row[7] == "–")));
         let failed: Vec<_> = rows.iter().filter(|row| row[3] == "the bench failed").collect();
         assert_eq!((failed.len(), failed[0][7].as_str()), (1, "`cargo xtask bench --only growth`"));
     }

@@ -320,7 +320,7 @@ impl<'a> Server<'a> {
     fn take_embeddings(&mut self) -> anyhow::Result<()> {
         let mut poll = || self.encoder.as_mut().and_then(Encoder::poll);
         while let Some(Embedded { content, embedding, worker, span_ns }) = poll() {
-            let track = format_args!("encoder {worker}").to_string();
+            let track = format!("encoder {worker}");
             self.spans.add(span_ns.start, span_ns.end, &track, "embed", 1);
             if let Err(error) = self.engine.embedded(content, embedding?) {
                 self.complaints.raise(format_args!("{error}; this run goes on without it"));

@@ -67,18 +67,13 @@ pub trait Observer {
     /// An episode is finished, at the `attempt`th time of walking it. An error ends the run.
     fn finished(&mut self, walked: &Walked, attempt: u32) -> Result<()>;
     /// A step was taken. An error ends the run.
-    fn stepped(&mut self, stamps: &Stamps) -> Result<()> {
-        let _ = stamps;
+    fn stepped(&mut self, _stamps: &Stamps) -> Result<()> {
         Ok(())
     }
     /// A process told what it is at, as it does about once a second.
-    fn pulse(&mut self, role: Role, pulse: &Pulse) {
-        let _ = (role, pulse);
-    }
+    fn pulse(&mut self, _role: Role, _pulse: &Pulse) {}
     /// The answers that are owed now. Called some times a second.
-    fn waiting(&mut self, owed: &[Owed]) {
-        let _ = owed;
-    }
+    fn waiting(&mut self, _owed: &[Owed]) {}
     /// `steps` steps were taken since the last call. Called at least a few times a second.
     fn progress(&mut self, steps: u64);
     /// Something went wrong and was dealt with.

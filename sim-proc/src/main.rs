@@ -31,10 +31,6 @@ enum Command {
 }
 
 fn main() -> ExitCode {
-    if std::env::var_os(DRIVER_THREADS).is_none() {
-        // SAFETY: the program has started no thread yet, so nobody reads the environment meanwhile.
-        unsafe { std::env::set_var(DRIVER_THREADS, "0") };
-    }
     let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new("warn"));
     let colours = std::io::stderr().is_terminal();
     tracing_subscriber::fmt()
@@ -43,7 +39,13 @@ fn main() -> ExitCode {
         .with_writer(std::io::stderr)
         .init();
     let done = match Cli::parse().command {
-        Command::Serve(args) => serve_command::run(args),
+        Command::Serve(args) => {
+            if std::env::var_os(DRIVER_THREADS).is_none() {
+                // SAFETY: the program has started no thread yet, so nobody reads the environment meanwhile.
+                unsafe { std::env::set_var(DRIVER_THREADS, "0") };
+            }
+            serve_command::run(args)
+        }
         Command::Render(args) => render_command::run(&args),
     };
     match done {

@@ -377,12 +377,7 @@ impl<'a> Simulator<'a> {
                     self.neighbours.memory.wake();
                 }
                 (Some(frame), Answer::Observation(observation)) => {
-                    let sent_ns = monotonic_ns();
-                    let rendered_ns = match observation.rendered_ns {
-                        0 => sent_ns,
-                        at_once => at_once,
-                    };
-                    let observation = Observation { frame, rendered_ns, sent_ns, ..observation };
+                    let observation = Observation { frame, sent_ns: monotonic_ns(), ..observation };
                     self.observations.send(&observation)?;
                     self.neighbours.observed(observation.last != 0);
                 }
@@ -413,6 +408,7 @@ impl<'a> Simulator<'a> {
         if !paintings.is_empty() {
             painter.paint(&mut paintings)?;
         }
+        self.stamp_drawn(&views);
         for (&view, slot) in views.iter().zip(slots) {
             let mut content_hash = [0; 16];
             content_hash.copy_from_slice(&blake3::hash(slot.pixels()).as_bytes()[..16]);
@@ -422,6 +418,18 @@ impl<'a> Simulator<'a> {
         }
         self.spans.end(began, "renderer", "draw", views.len());
         Ok(views.len())
+    }
+
+    /// Stamps the observations that waited for `views`: their pixels are there.
+    fn stamp_drawn(&mut self, views: &[ViewKey]) {
+        let drawn_ns = monotonic_ns();
+        for Pending { view, answer } in &mut self.pending {
+            if let Answer::Observation(Observation { rendered_ns: rendered @ 0, .. }) = answer
+                && view.is_some_and(|view| views.contains(&view))
+            {
+                *rendered = drawn_ns;
+            }
+        }
     }
 
     /// A slot; waits for a while if consumers have not let go of what was evicted.

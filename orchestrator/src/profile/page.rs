@@ -55,7 +55,7 @@ fn about(profile: &Profile) -> Section {
     blocks.extend(
         profile.problems.iter().map(|problem| Block::Notice(format!("Not measured: {problem}"))),
     );
-    section("s-about", "What was measured", blocks)
+    Section::new("s-about", "What was measured", blocks)
 }
 
 fn floors(profile: &Profile) -> Section {
@@ -68,8 +68,8 @@ fn floors(profile: &Profile) -> Section {
         ("reading memory with all cores".to_owned(), vec![gb(floors.read_all_cores)]),
     ];
     let caption = "What this machine can do at best, measured in the same session.";
-    let table = table("t-floors", caption, &["floor"], &["figure"], rows);
-    section("s-floors", "The machine's floors", vec![Block::Table(table)])
+    let table = Table::of_text("t-floors", caption, (&["floor"], &["figure"]), rows);
+    Section::new("s-floors", "The machine's floors", vec![Block::Table(table)])
 }
 
 /// The walk in one lane, blocking.
@@ -84,7 +84,7 @@ fn representations(profile: &Profile) -> Result<Section> {
         blocks.push(Block::Figure(stacked(walk)?));
         blocks.push(Block::Table(distribution(walk)));
     }
-    Ok(section("s-representations", "By representation", blocks))
+    Ok(Section::new("s-representations", "By representation", blocks))
 }
 
 /// The parts of later steps, stacked.
@@ -173,7 +173,7 @@ fn waiting(profile: &Profile) -> Option<Section> {
         columns: TIMES.iter().map(|name| Column::new(*name)).collect(),
         groups: groups.collect(),
     };
-    Some(section("s-waiting", "Blocking and polling", vec![Block::Table(table)]))
+    Some(Section::new("s-waiting", "Blocking and polling", vec![Block::Table(table)]))
 }
 
 fn lanes(profile: &Profile) -> Result<Option<Section>> {
@@ -209,7 +209,7 @@ fn lanes(profile: &Profile) -> Result<Option<Section>> {
     });
     let caption =
         "What these episodes came to: first command to last decision, with the first steps.";
-    Ok(Some(section(
+    Ok(Some(Section::new(
         "s-lanes",
         "Against lanes",
         vec![
@@ -220,7 +220,7 @@ fn lanes(profile: &Profile) -> Result<Option<Section>> {
             ),
             Block::Figure(plot("f-lanes-p50", "The median", |times| times.p50)?),
             Block::Figure(plot("f-lanes-p99", "The 99th percentile", |times| times.p99)?),
-            Block::Table(table("t-lanes", caption, &["Lanes"], &["steps", "steps/s"], rows.collect())),
+            Block::Table(Table::of_text("t-lanes", caption, (&["Lanes"], &["steps", "steps/s"]), rows)),
         ],
     )))
 }
@@ -300,8 +300,8 @@ fn sizes(profile: &Profile) -> Result<Option<Section>> {
     ];
     let caption = "Searches by themselves: real embeddings first, then seeded neighbours of them. A run searches exactly; \
                    recall says what an approximate search would find of that. GB/s: what is read from end to end.";
-    let table = table("t-sizes", caption, &["Search and entries"], &columns, rows.collect());
-    Ok(Some(section(
+    let table = Table::of_text("t-sizes", caption, (&["Search and entries"], &columns), rows);
+    Ok(Some(Section::new(
         "s-sizes",
         "Against the size of the memory",
         vec![Block::Figure(figure), Block::Table(table)],
@@ -338,31 +338,6 @@ pub(super) fn ns(time: f64) -> String {
         time if time >= 1e6 => format!("{:.2} ms", time / 1e6),
         time if time >= 1e3 => format!("{:.1} us", time / 1e3),
         time => format!("{time:.0} ns"),
-    }
-}
-
-fn section(id: &str, title: &str, blocks: Vec<Block>) -> Section {
-    Section { id: id.to_owned(), level: 2, title: title.to_owned(), blocks }
-}
-
-fn table(
-    id: &str,
-    caption: &str,
-    stubs: &[&str],
-    columns: &[&str],
-    rows: Vec<(String, Vec<String>)>,
-) -> Table {
-    let row = |(label, cells): (String, Vec<String>)| Row {
-        label,
-        published: false,
-        cells: cells.into_iter().map(Cell::Value).collect(),
-    };
-    Table {
-        id: id.to_owned(),
-        caption: caption.to_owned(),
-        stubs: stubs.iter().map(|stub| (*stub).to_owned()).collect(),
-        columns: columns.iter().map(|name| Column::new(*name)).collect(),
-        groups: vec![Group { label: None, rows: rows.into_iter().map(row).collect() }],
     }
 }
 

@@ -46,6 +46,13 @@ pub struct Section {
     pub blocks: Vec<Block>,
 }
 
+impl Section {
+    /// One that is inside no other.
+    pub fn new(id: impl Into<String>, title: impl Into<String>, blocks: Vec<Block>) -> Self {
+        Self { id: id.into(), level: 2, title: title.into(), blocks }
+    }
+}
+
 /// A part of a section.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Block {
@@ -185,6 +192,28 @@ pub struct Figure {
 }
 
 impl Table {
+    /// One of text alone, in one group: what its label columns and the others are called, and for each row a label and
+    /// its cells.
+    pub fn of_text(
+        id: impl Into<String>,
+        caption: impl Into<String>,
+        (stubs, columns): (&[&str], &[&str]),
+        rows: impl IntoIterator<Item = (String, Vec<String>)>,
+    ) -> Self {
+        let row = |(label, cells): (String, Vec<String>)| Row {
+            label,
+            published: false,
+            cells: cells.into_iter().map(Cell::Value).collect(),
+        };
+        Self {
+            id: id.into(),
+            caption: caption.into(),
+            stubs: stubs.iter().map(|stub| (*stub).to_owned()).collect(),
+            columns: columns.iter().map(|name| Column::new(*name)).collect(),
+            groups: vec![Group { label: None, rows: rows.into_iter().map(row).collect() }],
+        }
+    }
+
     /// The reasons for its missing figures, each once, in the order in which they come.
     pub fn notes(&self) -> Vec<String> {
         let mut notes = Vec::new();
