@@ -160,7 +160,7 @@ fn peers_around<P: Painter>(
 }
 
 impl Peers {
-    /// Looks, and sleeps until there is something to see.
+    /// Looks, and sleeps a moment until there is something to see: not everything rings at the orchestrator.
     fn wait<T>(&mut self, look: impl Fn(&mut Self) -> Option<T>) -> T {
         loop {
             let over = self.simulator.as_ref().is_none_or(JoinHandle::is_finished);
@@ -168,7 +168,7 @@ impl Peers {
                 return seen;
             }
             assert!(!over, "the simulator ended before this came");
-            self.orchestrator.doorbell().wait(Duration::from_millis(100)).unwrap();
+            self.orchestrator.doorbell().wait(Duration::from_millis(1)).unwrap();
         }
     }
 
