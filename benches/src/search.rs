@@ -7,6 +7,7 @@ use std::process::{Command, Stdio};
 
 use anyhow::{Context, Result, ensure};
 use orchestrator::machine::floors::{Effort, measure};
+use orchestrator::machine::memory_available;
 use serde::Deserialize;
 use serde_json::{Value, json};
 
@@ -128,7 +129,7 @@ fn run(session: &mut Session<'_>) -> Result<Vec<Figure>> {
     for &size in session.size.pick(&[(300, 32)][..], SIZES) {
         let (entries, dimension) = size;
         let bytes = u64::from(entries) * u64::from(dimension) * 4;
-        if bytes / 4 * 6 > free_memory() {
+        if bytes / 4 * 6 > memory_available() {
             session
                 .say(format_args!("{entries} of {dimension}: the machine has too little memory"));
             continue;
@@ -243,13 +244,4 @@ fn figures_of((entries, dimension): (u32, u32), rounds: Rounds) -> Vec<Figure> {
         figures.push(named(figure));
     }
     figures
-}
-
-/// Bytes of memory that are free; very many where the system does not say.
-fn free_memory() -> u64 {
-    let read = std::fs::read_to_string("/proc/meminfo").unwrap_or_default();
-    let line = read.lines().find_map(|line| line.strip_prefix("MemAvailable:"));
-    let kibibytes: Option<u64> =
-        line.and_then(|line| line.trim().strip_suffix("kB")?.trim().parse().ok());
-    kibibytes.map_or(u64::MAX, |kibibytes| kibibytes * 1024)
 }

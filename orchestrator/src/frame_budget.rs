@@ -1,15 +1,19 @@
-//! How many frames may be resident: as many as are useful, as far as shared memory has room.
+//! How many frames may be resident: as many as are useful, as far as shared memory and the machine have room.
 
 use std::collections::{BTreeMap, BTreeSet};
 
 use shm_types::representation::Trajectories;
-use shm_types::{Attach, Pose};
+use shm_types::{Attach, Cell, Pose};
 use warehouse::{CaseSet, History, Warehouse};
 
+use crate::conditions::Route;
 use crate::plan::Episode;
 
 /// Free shared memory that is left to others.
 const HEADROOM_BYTES: u64 = 64 << 20;
+
+/// Share of the memory that programs can still have which frames may take beyond the least.
+const SHARE_OF_MEMORY: f64 = 0.5;
 
 /// What a run can use.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -17,7 +21,7 @@ pub struct Demand {
     /// Frames without which it cannot run: the views that live lanes refer to, and what the memory of one
     /// episode holds of its demonstrations.
     pub least: u32,
-    /// Frames beyond which more are of no use: in addition every view of the unchanged warehouse.
+    /// Frames beyond which more are of no use: in addition every view of every world that is walked.
     pub most: u32,
 }
 
@@ -61,7 +65,12 @@ pub fn demand(
             Trajectories::Segment => views(),
         }
     });
-    Demand { least: live + remembered.max().unwrap_or(0), most: live + every_view(warehouse) }
+    let remembered = remembered.max().unwrap_or(0);
+    let blocked = episodes.iter().filter(|e| e.key.condition.route == Route::Blocked);
+    let barricades: BTreeSet<&[Cell]> =
+        blocked.map(|episode| &*cases.cases[episode.case_index].barricade).collect();
+    let worlds = 1 + barricades.len() as u32;
+    Demand { least: live + remembered, most: live + worlds * every_view(warehouse) }
 }
 
 /// Views of the unchanged warehouse.
@@ -69,11 +78,12 @@ pub fn every_view(warehouse: &Warehouse) -> u32 {
     4 * warehouse.layout.free_cells().count() as u32
 }
 
-/// The largest useful number of frames that fits into `free` bytes.
+/// The largest useful number of frames that fits into `free` bytes of shared memory and, beyond the least, into its
+/// share of the `available` bytes of memory.
 ///
 /// # Errors
 /// When the least does not fit.
-pub fn choose(attach: &Attach, demand: Demand, free: u64) -> Result<u32, NoRoom> {
+pub fn choose(attach: &Attach, demand: Demand, free: u64, available: u64) -> Result<u32, NoRoom> {
     let needed = |frames| Attach { frame_capacity: frames, ..attach.clone() }.shared_memory_bytes();
     let room = free.saturating_sub(HEADROOM_BYTES);
     let Demand { least, most } = demand;
@@ -81,6 +91,7 @@ pub fn choose(attach: &Attach, demand: Demand, free: u64) -> Result<u32, NoRoom>
         let (needed, free) = ((needed(least) + HEADROOM_BYTES).div_ceil(1 << 20), free >> 20);
         return Err(NoRoom { least, needed, free });
     }
+    let room = room.min((SHARE_OF_MEMORY * available as f64) as u64);
     // `fits` holds throughout; what is above `too_many` does not fit or is of no use.
     let (mut fits, mut too_many) = (least, most.max(least) + 1);
     while fits + 1 < too_many {
@@ -125,10 +136,12 @@ mod tests {
         let bytes = |frames| Attach { frame_capacity: frames, ..attach() }.shared_memory_bytes();
         for frames in [100, 101, 500, 999, 1000] {
             let free = bytes(frames) + HEADROOM_BYTES;
-            assert_eq!(choose(&attach(), demand, free), Ok(frames));
+            assert_eq!(choose(&attach(), demand, free, u64::MAX), Ok(frames));
+            assert_eq!(choose(&attach(), demand, u64::MAX, 2 * bytes(frames)), Ok(frames));
         }
-        assert_eq!(choose(&attach(), demand, u64::MAX), Ok(1000));
-        let error = choose(&attach(), demand, 64 << 20).unwrap_err().to_string();
+        assert_eq!(choose(&attach(), demand, u64::MAX, u64::MAX), Ok(1000));
+        assert_eq!(choose(&attach(), demand, u64::MAX, 0), Ok(100), "the least it must have");
+        let error = choose(&attach(), demand, 64 << 20, u64::MAX).unwrap_err().to_string();
         assert!(error.starts_with("the run needs room for 100 frames, that is"), "{error}");
     }
 
@@ -136,18 +149,22 @@ mod tests {
     fn what_an_episode_s_memory_holds_counts() {
         let (warehouse, cases) = (Warehouse::shipped(), CaseSet::shipped());
         let needed = |conditions: &[&str]| {
+            let is_blocked = conditions.iter().any(|written| written.contains("blocked"));
             let conditions: Vec<_> =
                 conditions.iter().map(|written| (written.parse().unwrap(), 1)).collect();
             let ids: Vec<&str> = cases.cases.iter().map(|case| case.id.as_str()).collect();
             let episodes = plan(&conditions, &[0, 60], &ids, 1);
             let Demand { least, most } = demand(&attach(), &warehouse, &cases, &episodes, 40);
-            assert_eq!(most, 32 + 4 * warehouse.layout.free_cells().count() as u32);
+            // The two cases close different passages.
+            let worlds = if is_blocked { 3 } else { 1 };
+            assert_eq!(most, 32 + worlds * every_view(&warehouse));
             least - 32
         };
         let views = |set| needed(&[&format!("episodic/new/unchanged/{set}")]);
         assert_eq!(needed(&[]), 0);
         assert_eq!(needed(&["working/new/unchanged/none", "hybrid/new/unchanged/4"]), 0);
         assert_eq!(needed(&["full-context/new/unchanged/4"]), 40);
+        assert_eq!(needed(&["full-context/new/blocked/4"]), 40);
         assert!(views("original") > 10 && views("original") < views("4"));
         assert!(views("4") > 40 && views("confusable") > views("original"));
         let all = ["episodic/new/unchanged/4", "full-context/new/unchanged/4"];

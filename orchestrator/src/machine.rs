@@ -53,13 +53,11 @@ impl Machine {
         let (processors, memory) = (text("/proc/cpuinfo"), text("/proc/meminfo"));
         let has = field(&processors, "flags").unwrap_or_default();
         let has = |flag: &str| has.split_whitespace().any(|word| word == flag);
-        let kib =
-            field(&memory, "MemTotal").and_then(|size| size.split(' ').next()?.parse::<u64>().ok());
         Self {
             processor: field(&processors, "model name").unwrap_or_default().to_owned(),
             cores: std::thread::available_parallelism().map_or(1, |cores| cores.get() as u32),
             flags: FLAGS.into_iter().filter(|flag| has(flag)).map(str::to_owned).collect(),
-            memory_bytes: kib.unwrap_or_default() << 10,
+            memory_bytes: kibibytes(&memory, "MemTotal").unwrap_or_default(),
             shared_memory_bytes: shm_types::process::shared_memory_space()
                 .map_or(0, |(_, all)| all),
             kernel: text("/proc/sys/kernel/osrelease").trim().to_owned(),
@@ -84,6 +82,18 @@ impl Machine {
             self.flags.join(" ")
         )
     }
+}
+
+/// Bytes of memory that programs can still have; very many where the system does not say.
+pub fn memory_available() -> u64 {
+    let memory = fs::read_to_string("/proc/meminfo").unwrap_or_default();
+    kibibytes(&memory, "MemAvailable").unwrap_or(u64::MAX)
+}
+
+/// Bytes that a line of /proc/meminfo tells in KiB.
+fn kibibytes(memory: &str, name: &str) -> Option<u64> {
+    let kib: u64 = field(memory, name)?.split(' ').next()?.parse().ok()?;
+    kib.checked_mul(1024)
 }
 
 /// The value of the first line `name : value`.
@@ -117,6 +127,8 @@ mod tests {
             (Some("A: b"), Some("12 kB"))
         );
         assert_eq!(field(text, "model"), None);
+        assert_eq!(kibibytes(text, "MemTotal"), Some(12 << 10));
+        assert_eq!(kibibytes(text, "model name"), None);
     }
 
     #[test]

@@ -9,9 +9,9 @@ use std::io::IsTerminal;
 use std::process::ExitCode;
 
 use clap::Parser;
-use sim_proc::painters::DRIVER_THREADS;
 use sim_proc::render_command::{self, RenderArgs};
 use sim_proc::serve_command::{self, ServeArgs};
+use sim_proc::studio::DRIVER_THREADS;
 use tracing_subscriber::EnvFilter;
 
 /// The simulator of MemTransfer: steps the world and renders what the agent sees.

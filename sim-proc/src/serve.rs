@@ -1,13 +1,15 @@
 //! The simulator in a run: commands and view requests in, frames and observations out.
 //!
-//! A turn takes everything that waits, applies it, evicts what has to go, answers whatever is resident,
-//! rings those once who have something to do now (`neighbours`), and draws the next few missing views. Turns
-//! follow each other without a pause until nothing is missing, so a lane whose view is resident never waits
-//! for another lane's drawing, and what lanes wait for is drawn before what memory asked for.
+//! A turn takes everything that waits, applies it, evicts what has to go, publishes what has been drawn, answers
+//! whatever is resident, rings those once who have something to do now (`neighbours`), and has the next few
+//! missing views drawn. Painters draw on threads of their own (`easels`) and ring this process's doorbell, so a
+//! lane whose view is resident never waits for another lane's drawing; what lanes wait for is drawn before what
+//! memory asked for.
 //!
 //! A message that cannot be used is complained about and dropped; the lane or view it was about gets no
 //! answer.
 
+use std::sync::Arc;
 use std::thread;
 use std::time::{Duration, Instant};
 
@@ -25,8 +27,9 @@ use shm_types::{
 use warehouse::{CaseSet, Warehouse};
 
 use crate::control::{Control, every_pose};
+use crate::easels::{Batch, Drawn, Easels, Order};
 use crate::neighbours::Neighbours;
-use crate::painter::{Painter, Painting};
+use crate::painter::{MayShowBarricade, Studio};
 use crate::renderer::RenderError;
 use crate::views::{NotHeld, Overfull, ViewKey, Views};
 use crate::world::{BadCommand, Stepped, World};
@@ -40,9 +43,6 @@ pub enum Ahead {
     EveryView,
 }
 
-/// Views drawn between two looks at the queues.
-const VIEWS_A_TURN: usize = 8;
-
 /// How long the loop sleeps when nobody rings. Only a look around; nothing waits for it.
 const LONGEST_SLEEP: Duration = Duration::from_secs(1);
 
@@ -51,9 +51,6 @@ const CHUNK_PATIENCE: Duration = Duration::from_secs(30);
 
 /// How often it is looked whether the consumers of frames are there.
 const CONSUMERS_LOOK: Duration = Duration::from_millis(1);
-
-/// The pixel of a blank frame, RGBA.
-const GREY: [u8; 4] = [128, 128, 128, 255];
 
 /// Why the simulator ended before it was told to.
 #[derive(Debug, thiserror::Error)]
@@ -107,17 +104,17 @@ enum BadRequest {
 /// # Errors
 /// When the transport or the renderer fails, or more views are in use at once, or to be drawn ahead, than
 /// fit. The orchestrator is told before.
-pub fn serve<P: Painter>(
+pub fn serve(
     bus: &Bus,
     warehouse: &Warehouse,
     cases: &CaseSet,
     ahead: Ahead,
-    open: impl FnOnce() -> Result<P, RenderError>,
+    open: impl FnOnce() -> Result<Studio, RenderError>,
 ) -> Result<(), ServeError> {
     let mut simulator = Simulator::new(bus, warehouse, cases)?;
     let outcome = open()
         .map_err(ServeError::from)
-        .and_then(|mut painter| simulator.serve_until_stop(&mut painter, ahead));
+        .and_then(|studio| simulator.serve_until_stop(studio, ahead));
     if let Err(error) = &outcome {
         simulator.complaints.raise(error);
         simulator.neighbours.ring_all()?;
@@ -157,6 +154,13 @@ struct Simulator<'a> {
     pending: Vec<Pending>,
     frames_rendered: u64,
     frames_evicted: u64,
+    pixel_bytes_copied: u64,
+}
+
+/// Who draws, and where barricades may show.
+struct Drawing {
+    easels: Easels,
+    may_show_barricade: MayShowBarricade,
 }
 
 impl<'a> Simulator<'a> {
@@ -182,21 +186,29 @@ impl<'a> Simulator<'a> {
             pending: Vec::new(),
             frames_rendered: 0,
             frames_evicted: 0,
+            pixel_bytes_copied: 0,
         })
     }
 
     fn serve_until_stop(
         &mut self,
-        painter: &mut impl Painter,
+        Studio { painters, at_once, may_show_barricade, facts }: Studio,
         ahead: Ahead,
     ) -> Result<(), ServeError> {
+        let own_bell = Arc::new(self.bus.bell(Role::Sim)?);
+        let easels = Easels::new(painters, at_once, move || {
+            if let Err(error) = own_bell.ring() {
+                tracing::debug!(%error, "a painter cannot wake the loop");
+            }
+        });
+        let mut drawing = Drawing { easels, may_show_barricade };
         if ahead == Ahead::EveryView {
-            self.draw_every_view(painter)?;
+            self.draw_every_view(&mut drawing.easels)?;
         }
-        self.bus.sender()?.send(&Hello::new(Role::Sim, painter.facts())?)?;
+        self.bus.sender()?.send(&Hello::new(Role::Sim, facts)?)?;
         self.neighbours.ring_all()?;
         while self.stops.next()?.is_none() {
-            if !self.turn(painter)? {
+            if !self.turn(&mut drawing)? {
                 self.bus.doorbell().wait(LONGEST_SLEEP)?;
             }
         }
@@ -204,7 +216,7 @@ impl<'a> Simulator<'a> {
             role: Role::Sim as u32,
             frames_rendered: self.frames_rendered,
             frames_evicted: self.frames_evicted,
-            pixel_bytes_copied: painter.pixel_bytes_copied(),
+            pixel_bytes_copied: self.pixel_bytes_copied,
             complaints: self.complaints.count().into(),
             ..Zeroable::zeroed()
         })?;
@@ -212,7 +224,7 @@ impl<'a> Simulator<'a> {
     }
 
     /// Draws every view of the unchanged world. All are resident afterwards, and none is pinned.
-    fn draw_every_view(&mut self, painter: &mut impl Painter) -> Result<(), ServeError> {
+    fn draw_every_view(&mut self, easels: &mut Easels) -> Result<(), ServeError> {
         let poses = every_pose(self.world.layout());
         let views: Vec<ViewKey> = poses.map(|pose| ViewKey::World { variant: 0, pose }).collect();
         let (needed, capacity) = (views.len(), self.views.capacity());
@@ -224,7 +236,11 @@ impl<'a> Simulator<'a> {
         }
         tracing::info!(views = needed, "drawing every view");
         views.iter().for_each(|&view| self.views.hold(view));
-        while self.draw(painter)? > 0 {}
+        while self.views.missing() > 0 {
+            self.have_drawn(easels)?;
+            self.bus.doorbell().wait(LONGEST_SLEEP)?;
+            self.publish_drawn(easels)?;
+        }
         for view in views {
             if let Some(frame) = self.views.frame(view)
                 && let Err(error) = self.views.release(frame)
@@ -236,17 +252,19 @@ impl<'a> Simulator<'a> {
     }
 
     /// One turn; returns whether there may be more to do.
-    fn turn(&mut self, painter: &mut impl Painter) -> Result<bool, ServeError> {
+    fn turn(&mut self, drawing: &mut Drawing) -> Result<bool, ServeError> {
         let complaints = self.complaints.count();
         self.take_requests()?;
-        let more = self.take_commands(painter)?;
+        let more = self.take_commands(drawing)?;
         self.evict()?;
+        self.publish_drawn(&mut drawing.easels)?;
         self.answer()?;
         if self.beat() || self.complaints.count() != complaints {
             self.neighbours.orchestrator.wake();
         }
         self.neighbours.ring()?;
-        Ok(self.draw(painter)? > 0 || more)
+        self.have_drawn(&mut drawing.easels)?;
+        Ok(more)
     }
 
     fn beat(&mut self) -> bool {
@@ -286,14 +304,14 @@ impl<'a> Simulator<'a> {
     }
 
     /// Takes up as many commands as belong into a turn; returns whether there may be more.
-    fn take_commands(&mut self, painter: &mut impl Painter) -> Result<bool, BusError> {
+    fn take_commands(&mut self, drawing: &mut Drawing) -> Result<bool, BusError> {
         let woken_ns = monotonic_ns();
         let most = self.bus.attach().steps_in_a_turn();
         let mut taken = 0;
         while taken < most
             && let Some(command) = self.commands.next()?
         {
-            if let Err(bad) = self.take_command(&command, woken_ns, painter) {
+            if let Err(bad) = self.take_command(&command, woken_ns, drawing) {
                 self.complaints.raise(bad);
             }
             taken += 1;
@@ -305,7 +323,7 @@ impl<'a> Simulator<'a> {
         &mut self,
         command: &StepCommand,
         woken_ns: u64,
-        painter: &mut impl Painter,
+        drawing: &mut Drawing,
     ) -> Result<(), BadCommand> {
         let Stepped { lane, variant, pose, feedback, begins, ends } = self.world.apply(command)?;
         let stepped_ns = monotonic_ns();
@@ -318,7 +336,7 @@ impl<'a> Simulator<'a> {
         }
         let view = (!ends).then(|| {
             let shown = self.control.shown(variant, self.world.variant(variant), pose);
-            let view = self.as_drawn(shown, painter);
+            let view = self.as_drawn(shown, drawing);
             self.views.show(lane, view);
             view
         });
@@ -346,9 +364,9 @@ impl<'a> Simulator<'a> {
 
     /// The view that does for `view`, too: variants that close the same passage look alike, and where no
     /// barricade is in sight the world looks unchanged.
-    fn as_drawn(&self, view: ViewKey, painter: &mut impl Painter) -> ViewKey {
+    fn as_drawn(&self, view: ViewKey, drawing: &mut Drawing) -> ViewKey {
         let ViewKey::World { variant, pose } = view else { return view };
-        let shows = painter.may_show_barricade(self.world.variant(variant), pose);
+        let shows = (drawing.may_show_barricade)(self.world.variant(variant), pose);
         ViewKey::World { variant: if shows { self.world.first_alike(variant) } else { 0 }, pose }
     }
 
@@ -386,50 +404,48 @@ impl<'a> Simulator<'a> {
         Ok(())
     }
 
-    /// Draws the next missing views and makes them resident; returns how many.
-    fn draw(&mut self, painter: &mut impl Painter) -> Result<usize, ServeError> {
-        let views = self.views.take_missing(VIEWS_A_TURN);
-        let began = self.spans.begin();
-        let mut slots: Vec<FrameSlot> =
-            views.iter().map(|_| self.loan()).collect::<Result<_, _>>()?;
-        let mut paintings = Vec::with_capacity(views.len());
-        for (&view, slot) in views.iter().zip(&mut slots) {
-            match view {
+    /// Has the next missing views drawn, as many as painters take on.
+    fn have_drawn(&mut self, easels: &mut Easels) -> Result<(), ServeError> {
+        for view in self.views.take_missing(easels.room()) {
+            let look = match view {
                 ViewKey::World { variant, pose } => {
-                    let variant = self.world.variant(variant);
-                    paintings.push(Painting { variant, pose, slot });
+                    Some((self.world.variant(variant).clone(), pose))
                 }
-                ViewKey::Blank => slot
-                    .pixels_mut()
-                    .chunks_exact_mut(GREY.len())
-                    .for_each(|pixel| pixel.copy_from_slice(&GREY)),
-            }
+                ViewKey::Blank => None,
+            };
+            easels.give(Order { view, look, slot: self.loan()? })?;
         }
-        if !paintings.is_empty() {
-            painter.paint(&mut paintings)?;
-        }
-        self.stamp_drawn(&views);
-        for (&view, slot) in views.iter().zip(slots) {
-            let mut content_hash = [0; 16];
-            content_hash.copy_from_slice(&blake3::hash(slot.pixels()).as_bytes()[..16]);
-            let frame = self.frames.publish(slot, content_hash)?;
-            self.views.fill(view, frame);
-            self.frames_rendered += 1;
-        }
-        self.spans.end(began, "renderer", "draw", views.len());
-        Ok(views.len())
+        Ok(())
     }
 
-    /// Stamps the observations that waited for `views`: their pixels are there.
-    fn stamp_drawn(&mut self, views: &[ViewKey]) {
-        let drawn_ns = monotonic_ns();
-        for Pending { view, answer } in &mut self.pending {
-            if let Answer::Observation(Observation { rendered_ns: rendered @ 0, .. }) = answer
-                && view.is_some_and(|view| views.contains(&view))
-            {
-                *rendered = drawn_ns;
+    /// Publishes what painters have finished.
+    fn publish_drawn(&mut self, easels: &mut Easels) -> Result<(), ServeError> {
+        while let Some(Batch { painter, span_ns, copied, drawn }) = easels.take()? {
+            let track = format!("renderer {painter}");
+            self.spans.add(span_ns.start, span_ns.end, &track, "draw", drawn.len());
+            self.pixel_bytes_copied += copied;
+            for drawn in drawn {
+                self.publish(drawn, span_ns.end)?;
             }
         }
+        Ok(())
+    }
+
+    /// Publishes a view that was drawn at the time `drawn_ns`. It is resident then.
+    fn publish(&mut self, drawn: Drawn, drawn_ns: u64) -> Result<(), FrameError> {
+        let Drawn { view, slot, content_hash } = drawn;
+        let frame = self.frames.publish(slot, content_hash)?;
+        self.views.fill(view, frame);
+        self.frames_rendered += 1;
+        for Pending { view: awaited, answer } in &mut self.pending {
+            if *awaited == Some(view)
+                && let Answer::Observation(observation) = answer
+            {
+                // It may have been drawn before the agent came there.
+                observation.rendered_ns = drawn_ns.max(observation.stepped_ns);
+            }
+        }
+        Ok(())
     }
 
     /// A slot; waits for a while if consumers have not let go of what was evicted.

@@ -9,7 +9,7 @@ use shm_types::{Attach, Bus};
 use warehouse::case_file::CASES_FILE;
 use warehouse::{CaseSet, Warehouse};
 
-use crate::painters::Painters;
+use crate::painter::Studio;
 use crate::renderer::RenderSettings;
 use crate::serve::{Ahead, serve};
 
@@ -58,6 +58,6 @@ pub fn run(args: ServeArgs) -> Result<()> {
     };
     let bus = Bus::join(attach, Role::Sim).context("cannot take part in the run")?;
     let ahead = if args.warm_views { Ahead::EveryView } else { Ahead::Nothing };
-    serve(&bus, &warehouse, &cases, ahead, || Painters::open(&warehouse, &settings))
+    serve(&bus, &warehouse, &cases, ahead, || Studio::open(&warehouse, &settings))
         .context("the simulator cannot go on")
 }

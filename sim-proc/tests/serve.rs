@@ -17,8 +17,7 @@ use shm_types::{
     Action, Attach, Bell, Bus, Feedback, FrameControl, FrameSize, FrameStore, Heading, Pose,
     Receiver, RunDir, Sender,
 };
-use sim_proc::painter::{Painter, Painting};
-use sim_proc::painters::Painters;
+use sim_proc::painter::{Painter, Painting, Studio};
 use sim_proc::renderer::{
     Destination, RenderError, RenderJob, RenderSettings, Renderer, View as Look,
 };
@@ -44,24 +43,23 @@ fn is_near(variant: &Variant, pose: Pose) -> bool {
 }
 
 impl Painter for Scribe {
-    fn paint(&mut self, paintings: &mut [Painting<'_>]) -> Result<(), RenderError> {
-        for Painting { variant, pose, slot } in paintings {
+    fn paint(&mut self, paintings: &mut [Painting<'_>]) -> Result<u64, RenderError> {
+        for Painting { variant, pose, slot } in &mut *paintings {
             let text = scribble(variant, *pose);
             slot.pixels_mut().chunks_exact_mut(4).for_each(|pixel| pixel.copy_from_slice(&text));
         }
-        Ok(())
+        // As if it had copied a byte for each.
+        Ok(paintings.len() as u64)
     }
+}
 
-    fn may_show_barricade(&mut self, variant: &Variant, pose: Pose) -> bool {
-        is_near(variant, pose)
-    }
-
-    fn facts(&self) -> Vec<(&'static str, String)> {
-        vec![("adapter", "a scribe".to_owned())]
-    }
-
-    fn pixel_bytes_copied(&self) -> u64 {
-        5
+/// Two scribes.
+fn scribes() -> Studio {
+    Studio {
+        painters: vec![Box::new(Scribe), Box::new(Scribe)],
+        at_once: 3,
+        may_show_barricade: Box::new(is_near),
+        facts: vec![("adapter", "a scribe".to_owned())],
     }
 }
 
@@ -101,18 +99,18 @@ impl Drop for Peers {
     }
 }
 
-/// Peers around a simulator with a [`Scribe`].
+/// Peers around a simulator with [`scribes`].
 fn peers(change: impl FnOnce(&mut Attach)) -> Peers {
-    let mut peers = peers_around(change, Ahead::Nothing, |_| Ok(Scribe));
+    let mut peers = peers_around(change, Ahead::Nothing, |_| Ok(scribes()));
     let hello = peers.wait(|peers| peers.hellos.next().unwrap());
     assert_eq!(hello.facts().unwrap(), BTreeMap::from([("adapter".into(), "a scribe".into())]));
     peers
 }
 
-fn peers_around<P: Painter>(
+fn peers_around(
     change: impl FnOnce(&mut Attach),
     ahead: Ahead,
-    open: impl FnOnce(FrameSize) -> Result<P, RenderError> + Send + 'static,
+    open: impl FnOnce(FrameSize) -> Result<Studio, RenderError> + Send + 'static,
 ) -> Peers {
     let base = tempfile::Builder::new().prefix("mt").tempdir_in("/tmp").unwrap();
     let run = RunDir::create(base.path()).unwrap();
@@ -294,7 +292,7 @@ fn episodes_run_by_the_dynamics_and_show_what_is_there() {
     }
     let farewell = peers.stop();
     assert_eq!(farewell.frames_rendered, shown.len() as u64 + 1);
-    assert_eq!((farewell.complaints, farewell.pixel_bytes_copied), (0, 5));
+    assert_eq!((farewell.complaints, farewell.pixel_bytes_copied), (0, farewell.frames_rendered));
 }
 
 #[test]
@@ -478,10 +476,32 @@ fn a_store_that_is_too_small_is_named_before_the_end() {
     assert!(matches!(error, ServeError::Overfull(_)));
 }
 
+/// Gives up at the first painting.
+struct Quitter;
+
+impl Painter for Quitter {
+    fn paint(&mut self, _paintings: &mut [Painting<'_>]) -> Result<u64, RenderError> {
+        panic!("this painter gives up, as a test wants it to");
+    }
+}
+
+#[test]
+fn a_painter_that_is_gone_ends_the_run() {
+    let studio = || Studio { painters: vec![Box::new(Quitter), Box::new(Quitter)], ..scribes() };
+    let mut peers = peers_around(|_| {}, Ahead::Nothing, move |_| Ok(studio()));
+    peers.commands.send(&reset(0, 1, 0, peers.poses()[0])).unwrap();
+    assert_eq!(
+        peers.complaint(),
+        "a thread that draws has ended; what it said before is the reason"
+    );
+    let error = peers.simulator.take().unwrap().join().unwrap().unwrap_err();
+    assert!(matches!(error, ServeError::Render(RenderError::PaintersGone)));
+}
+
 #[test]
 fn what_is_drawn_ahead_is_not_drawn_again() {
     let mut peers =
-        peers_around(|attach| attach.frame_capacity = 1500, Ahead::EveryView, |_| Ok(Scribe));
+        peers_around(|attach| attach.frame_capacity = 1500, Ahead::EveryView, |_| Ok(scribes()));
     peers.wait(|peers| peers.hellos.next().unwrap());
     let poses = peers.poses();
     for (episode, &pose) in poses.iter().enumerate().step_by(7) {
@@ -495,7 +515,7 @@ fn what_is_drawn_ahead_is_not_drawn_again() {
 
 #[test]
 fn a_store_without_room_for_every_view_is_named() {
-    let mut peers = peers_around(|_| {}, Ahead::EveryView, |_| Ok(Scribe));
+    let mut peers = peers_around(|_| {}, Ahead::EveryView, |_| Ok(scribes()));
     let views = peers.poses().len();
     assert_eq!(
         peers.complaint(),
@@ -522,7 +542,7 @@ fn the_renderer_draws_into_the_frame_store() {
             (attach.frame, attach.frame_capacity, attach.lanes, attach.window) = (size, 6, 1, 2)
         },
         Ahead::Nothing,
-        move |frame| Painters::open(&Warehouse::shipped(), &settings(frame)),
+        move |frame| Studio::open(&Warehouse::shipped(), &settings(frame)),
     );
     let hello = peers.wait(|peers| peers.hellos.next().unwrap());
     let facts = hello.facts().unwrap();

@@ -21,6 +21,7 @@ use crate::estimate::{Basis, Estimate};
 use crate::frame_budget;
 use crate::lanes::{Lanes, Rules};
 use crate::log::{EpisodeRecord, FORMAT, Manifest, Opened, RunFolder, RunLog, commit_of};
+use crate::machine::memory_available;
 use crate::pipeline::{self, Crewing, Ending};
 use crate::plan::{Episode, plan};
 use crate::prices::ModelPrices;
@@ -462,7 +463,7 @@ pub(super) fn attach(
         None => {
             let (free, _) =
                 shared_memory_space().context("cannot tell how much shared memory is free")?;
-            frame_budget::choose(&attach, demand, free)?
+            frame_budget::choose(&attach, demand, free, memory_available())?
         }
         Some(frames) if frames < demand.least => bail!(
             "--frame-budget is {frames}, but {} lanes and the demonstrations need at least {}",

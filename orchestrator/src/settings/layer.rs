@@ -245,7 +245,8 @@ pub struct Layer {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub encoder_threads: Option<u32>,
 
-    /// Frames that may be resident in shared memory; as many as are useful and fit, unless given
+    /// Frames that may be resident in shared memory; as many as are useful and fit (in at most half of the
+    /// memory that is free), unless given
     #[arg(long, value_name = "FRAMES", env = "MEMTRANSFER_FRAME_BUDGET", help_heading = HOW)]
     #[serde(skip_serializing_if = "Option::is_none")]
     pub frame_budget: Option<u32>,

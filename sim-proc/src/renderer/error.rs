@@ -51,6 +51,9 @@ pub enum RenderError {
     /// The device stopped answering.
     #[error("the render device failed: {0}; start again, and if it repeats update the driver")]
     Device(String),
+    /// A thread that draws has ended by itself.
+    #[error("a thread that draws has ended; what it said before is the reason")]
+    PaintersGone,
     /// The frames a device writes are not the frames it should write.
     #[error("the adapter {adapter:?} failed its self-test: {reason}; try another driver")]
     SelfTest {

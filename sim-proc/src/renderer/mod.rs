@@ -8,6 +8,7 @@ mod camera;
 mod device;
 mod error;
 mod light;
+mod lookout;
 mod mesh;
 mod output;
 mod pipelines;
@@ -23,8 +24,6 @@ mod shader_tests;
 #[cfg(test)]
 mod tests;
 
-use std::collections::HashMap;
-
 use shm_types::Pose;
 use warehouse::{Layout, Variant, Warehouse};
 
@@ -32,12 +31,13 @@ use camera::Camera;
 use device::Gpu;
 use output::{Outputs, Sink};
 use pipelines::{Pipelines, ViewSlots};
-use scene::{Scene, barricade_sides};
+use scene::Scene;
 use target::Target;
 use vertex::ViewUniform;
-use visibility::{DrawList, Sight, Triangles};
+use visibility::{DrawList, Triangles};
 
 pub use error::RenderError;
+pub use lookout::Lookout;
 pub use output::Destination;
 pub use showcase::{Exhibit, exhibits, write};
 
@@ -147,13 +147,10 @@ pub struct Renderer {
     outputs: Outputs,
     pipelines: Pipelines,
     slots: ViewSlots,
-    scene: Scene,
-    layout: Layout,
+    lookout: Lookout,
     settings: RenderSettings,
     /// What shows where nothing is drawn, which happens only outside the hall.
     background: wgpu::Color,
-    /// What can be seen from each pose that has been asked about.
-    sights: HashMap<Pose, Sight>,
 }
 
 impl Renderer {
@@ -167,11 +164,24 @@ impl Renderer {
         Self::of_scene(scene, warehouse.layout.clone(), settings)
     }
 
+    /// Another one of the same scene, with a device of its own.
+    ///
+    /// # Errors
+    /// As [`Renderer::new`].
+    pub fn beside(&self) -> Result<Self, RenderError> {
+        Self::with_lookout(self.lookout.clone(), self.settings.clone())
+    }
+
     fn of_scene(
         scene: Scene,
         layout: Layout,
         settings: RenderSettings,
     ) -> Result<Self, RenderError> {
+        let size = (settings.width_px, settings.height_px);
+        Self::with_lookout(Lookout::new(scene, layout, size), settings)
+    }
+
+    fn with_lookout(lookout: Lookout, settings: RenderSettings) -> Result<Self, RenderError> {
         let (width_px, height_px) = (settings.width_px, settings.height_px);
         let side = 64..=MAX_SIDE_PX;
         if !side.contains(&width_px)
@@ -184,7 +194,7 @@ impl Renderer {
         let samples = settings.samples.count();
         let target = Target::new(&gpu, width_px, height_px, samples);
         let outputs = Outputs::new(&gpu, &target, settings.force_copy);
-        let pipelines = Pipelines::new(&gpu, &scene, samples);
+        let pipelines = Pipelines::new(&gpu, lookout.scene(), samples);
         let slots = ViewSlots::new(&gpu, &pipelines, VIEWS_IN_FLIGHT);
         let [r, g, b] = FOG_RGB.map(f64::from);
         Ok(Self {
@@ -193,11 +203,9 @@ impl Renderer {
             outputs,
             pipelines,
             slots,
-            scene,
-            layout,
+            lookout,
             settings,
             background: wgpu::Color { r, g, b, a: 1.0 },
-            sights: HashMap::new(),
         })
     }
 
@@ -255,17 +263,9 @@ impl Renderer {
         Ok(image)
     }
 
-    /// Whether a barricade may be in sight. Where none is, the view is that of the unchanged world, byte for
-    /// byte: barricades cast no shadow, and what is hidden is drawn over nothing.
-    pub fn may_show_barricade(&mut self, View { pose, variant }: View<'_>) -> bool {
-        if variant.closed().is_empty() {
-            return false;
-        }
-        let camera = Camera::new(pose, self.settings.width_px, self.settings.height_px);
-        let scene = &self.scene;
-        let sight = self.sights.entry(pose).or_insert_with(|| Sight::new(scene, &camera));
-        let sides = barricade_sides(&self.layout, variant);
-        sides.into_iter().any(|side| sight.may_show(&scene.barricade_at(side), &camera))
+    /// What can be seen from where, to be asked elsewhere.
+    pub fn lookout(&self) -> Lookout {
+        self.lookout.clone()
     }
 
     /// Forgets every slot that was written so far. To be called when the memory behind slots is
@@ -279,10 +279,8 @@ impl Renderer {
         self.slots.clear();
         for job in &*jobs {
             let View { pose, variant } = job.view;
-            let camera = Camera::new(pose, self.settings.width_px, self.settings.height_px);
-            let barricades = barricade_sides(&self.layout, variant);
-            let scene = &self.scene;
-            let sight = self.sights.entry(pose).or_insert_with(|| Sight::new(scene, &camera));
+            let barricades = self.lookout.barricades(variant);
+            let (scene, camera, sight) = self.lookout.look(pose);
             let list = DrawList::new(scene, &camera, &sight.objects, Triangles::Facing);
             self.slots.push(scene, &uniform(&camera), &list, &barricades);
         }

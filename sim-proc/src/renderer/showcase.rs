@@ -52,10 +52,11 @@ pub fn exhibits(
                 stand.at[1] + distance * f32::from(back_y),
             ];
             let camera = Camera::at(at, stand.viewer, width_px, height_px);
-            let visible = Sight::new(&renderer.scene, &camera).objects;
-            let list = DrawList::new(&renderer.scene, &camera, &visible, Triangles::Facing);
+            let visible = Sight::new(renderer.lookout.scene(), &camera).objects;
+            let list =
+                DrawList::new(renderer.lookout.scene(), &camera, &visible, Triangles::Facing);
             renderer.slots.clear();
-            renderer.slots.push(&renderer.scene, &uniform(&camera), &list, &[]);
+            renderer.slots.push(renderer.lookout.scene(), &uniform(&camera), &list, &[]);
             let mut picture = RgbaImage::new(width_px, height_px);
             renderer.draw(vec![&mut Destination::Memory(&mut picture)])?;
             pictures.push(picture);

@@ -6,6 +6,7 @@ use shm_types::camera::{CAMERA_HEIGHT_M, focal_length_px};
 use shm_types::plate::{self, Plate};
 use warehouse::CaseSet;
 
+use super::visibility::Sight;
 use super::*;
 
 const SIDE_PX: u32 = 448;
@@ -29,9 +30,9 @@ fn drawn_with(
     objects: &[u32],
     triangles: Triangles,
 ) -> image::RgbaImage {
-    let list = DrawList::new(&renderer.scene, camera, objects, triangles);
+    let list = DrawList::new(renderer.lookout.scene(), camera, objects, triangles);
     renderer.slots.clear();
-    renderer.slots.push(&renderer.scene, &uniform(camera), &list, &[]);
+    renderer.slots.push(renderer.lookout.scene(), &uniform(camera), &list, &[]);
     let mut image = image::RgbaImage::new(SIDE_PX, SIDE_PX);
     renderer.draw(vec![&mut Destination::Memory(&mut image)]).unwrap();
     image
@@ -60,9 +61,9 @@ fn culling_loses_nothing_and_the_hall_has_no_holes() {
     let step = std::env::var("POSE_STEP").map_or(29, |step| step.parse().unwrap());
     for pose in poses(&warehouse).into_iter().step_by(step) {
         let camera = Camera::new(pose, SIDE_PX, SIDE_PX);
-        let all = visibility::nearest_first(&renderer.scene, &camera, |_| true);
+        let all = visibility::nearest_first(renderer.lookout.scene(), &camera, |_| true);
         let backwards: Vec<u32> = all.iter().rev().copied().collect();
-        let culled = Sight::new(&renderer.scene, &camera).objects;
+        let culled = Sight::new(renderer.lookout.scene(), &camera).objects;
         assert!(culled.len() < all.len() / 2, "{pose}: culling left out too little");
         let culled = drawn_with(&mut renderer, &camera, &culled, Triangles::Facing);
         let whole = drawn_with(&mut renderer, &camera, &all, Triangles::All);
@@ -202,7 +203,10 @@ fn nobody_overlooks_a_barricade() {
                     continue;
                 };
                 let pose = Pose { cell: stand, heading };
-                assert!(renderer.may_show_barricade(View { pose, variant: &closed }), "{pose}");
+                assert!(
+                    renderer.lookout.may_show_barricade(View { pose, variant: &closed }),
+                    "{pose}"
+                );
                 let image = renderer.render_image(View { pose, variant: &closed }).unwrap();
                 let is_red = |p: &&image::Rgba<u8>| p[0] > 120 && p[1] < 60 && p[2] < 60;
                 let middle = image::imageops::crop_imm(&image, 112, 150, 224, 200).to_image();
@@ -232,7 +236,7 @@ fn a_barricade_that_is_hidden_changes_no_byte() {
     for (number, variant) in barricades.iter().enumerate() {
         for pose in poses(&warehouse).into_iter().filter(|pose| !variant.is_closed(pose.cell)) {
             views += 1;
-            if !renderer.may_show_barricade(View { pose, variant }) {
+            if !renderer.lookout.may_show_barricade(View { pose, variant }) {
                 let is_ahead = variant.closed().iter().any(|&cell| is_ahead(pose, cell));
                 if is_ahead { &mut ahead } else { &mut elsewhere }.push((number, pose));
             }

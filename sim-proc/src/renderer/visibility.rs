@@ -33,6 +33,7 @@ const EDGE_ON: f32 = 0.005;
 const JOINT_M: f32 = 0.002;
 
 /// What a camera sees between the panels.
+#[derive(Clone)]
 pub(super) struct Sight {
     /// The objects of the scene that it may see, by index, nearest first.
     pub(super) objects: Vec<u32>,
@@ -185,6 +186,7 @@ impl Span {
 }
 
 /// How far one sees in each column, as a reciprocal: 0 is without end.
+#[derive(Clone)]
 struct Columns(Vec<f32>);
 
 impl Columns {
