@@ -14,6 +14,7 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use bytemuck::Zeroable;
+use rustc_hash::FxHashMap;
 use shm_types::message::{
     Eviction, Farewell, Hello, NO_ACTION, NO_FRAME, Observation, Pulse, Role, StepCommand,
     StepKind, Stop, View, ViewRequest, ViewRequestKind, WirePose,
@@ -157,10 +158,12 @@ struct Simulator<'a> {
     pixel_bytes_copied: u64,
 }
 
-/// Who draws, and where barricades may show.
+/// Who draws, and what is worth drawing.
 struct Drawing {
     easels: Easels,
     may_show_barricade: MayShowBarricade,
+    /// The view that does for each that has been asked about.
+    drawn_as: FxHashMap<ViewKey, ViewKey>,
 }
 
 impl<'a> Simulator<'a> {
@@ -201,7 +204,7 @@ impl<'a> Simulator<'a> {
                 tracing::debug!(%error, "a painter cannot wake the loop");
             }
         });
-        let mut drawing = Drawing { easels, may_show_barricade };
+        let mut drawing = Drawing { easels, may_show_barricade, drawn_as: FxHashMap::default() };
         if ahead == Ahead::EveryView {
             self.draw_every_view(&mut drawing.easels)?;
         }
@@ -366,8 +369,14 @@ impl<'a> Simulator<'a> {
     /// barricade is in sight the world looks unchanged.
     fn as_drawn(&self, view: ViewKey, drawing: &mut Drawing) -> ViewKey {
         let ViewKey::World { variant, pose } = view else { return view };
-        let shows = (drawing.may_show_barricade)(self.world.variant(variant), pose);
-        ViewKey::World { variant: if shows { self.world.first_alike(variant) } else { 0 }, pose }
+        let Drawing { may_show_barricade, drawn_as, .. } = drawing;
+        *drawn_as.entry(view).or_insert_with(|| {
+            let shows = may_show_barricade(self.world.variant(variant), pose);
+            ViewKey::World {
+                variant: if shows { self.world.first_alike(variant) } else { 0 },
+                pose,
+            }
+        })
     }
 
     /// Evicts what has to go.

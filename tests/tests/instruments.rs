@@ -1,0 +1,65 @@
+//! What a run tells about its own speed: while it runs, and afterwards.
+
+use std::collections::BTreeSet;
+use std::fs;
+
+use memtransfer_tests::{Bench, Ended, eventually, records};
+use serde_json::Value;
+
+fn json(text: &str) -> Value {
+    serde_json::from_str(text).unwrap_or_else(|error| panic!("{error}: {text}"))
+}
+
+/// The values of `key` in these objects.
+fn values<'a>(objects: impl IntoIterator<Item = &'a Value>, key: &str) -> BTreeSet<&'a str> {
+    objects.into_iter().filter_map(|object| object[key].as_str()).collect()
+}
+
+#[test]
+fn a_run_is_watched_traced_and_timed() {
+    let bench = Bench::new();
+    let args = ["run", "--policy", "grounded", "--memory", "working,episodic", "--limit", "10"];
+    let more = ["--lanes", "4", "--out", "seen", "--trace", "trace.json"];
+    let child = bench.start(&[&args[..], &more].concat());
+    // Each process tells what it is at about once a second.
+    let told = |seen: &Value| seen["processes"].as_object().map_or(0, serde_json::Map::len);
+    let status = eventually("every process to be seen", || {
+        let seen = bench.run(&["top", "seen", "--once", "--json"]);
+        (seen.status == Some(0)).then(|| json(&seen.stdout)).filter(|seen| told(seen) == 3)
+    });
+    assert_eq!((&status["lanes"], &status["episodes"][0]), (&json("4"), &json("40")));
+    assert!(status["steps"].as_u64() > Some(0), "{status}");
+    let shown = bench.run(&["top", "seen", "--once"]);
+    Ended::of(child).expect(0);
+    assert!(shown.status != Some(0) || shown.stdout.contains("frame"), "{}", shown.stdout);
+    let over = bench.run(&["top", "seen"]).expect(2).stderr;
+    assert!(over.contains("seen"), "{over}");
+
+    let steps: u64 = records(&bench.out("seen")).iter().map(|r| r["steps"].as_u64().unwrap()).sum();
+    let trace = json(&fs::read_to_string(bench.out("trace.json")).unwrap());
+    let events = trace["traceEvents"].as_array().unwrap();
+    let of = |phase: &'static str| events.iter().filter(move |event| event["ph"] == phase);
+    assert!(
+        of("X").all(|slice| slice["ts"].as_f64() >= Some(0.0) && slice["dur"].as_f64() > Some(0.0))
+    );
+    let slices = values(of("X"), "name");
+    for name in ["step", "draw", "render", "recall", "search", "decide"] {
+        assert!(slices.contains(name), "{name} is not in {slices:?}");
+    }
+    let taken = of("X").filter(|slice| slice["name"] == "step").count() as u64;
+    assert_eq!(taken, steps);
+    let tracks = values(
+        of("M").map(|track| &track["args"]).filter(|track| track["name"].is_string()),
+        "name",
+    );
+    for name in ["orchestrator", "sim", "memory", "policy", "lane 3", "renderer 0"] {
+        assert!(tracks.contains(name), "{name} is not in {tracks:?}");
+    }
+
+    let latency = fs::read_to_string(bench.out("seen").join("latency.jsonl")).unwrap();
+    let lines: Vec<Value> = latency.lines().map(json).collect();
+    assert_eq!(values(&lines, "memory"), BTreeSet::from(["working", "episodic"]));
+    let whole = lines.iter().filter(|line| line["stage"] == "step");
+    assert_eq!(whole.map(|line| line["count"].as_u64().unwrap()).sum::<u64>(), taken);
+    assert_eq!(bench.leftovers(), Vec::<String>::new());
+}
