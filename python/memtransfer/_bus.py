@@ -22,6 +22,10 @@ from memtransfer.errors import AttachError, BusError
 RECEIVERS_PATIENCE_S = 60.0
 """How long the first message on a service waits for its receivers."""
 
+GONE_SENDERS = 16
+"""Senders that may be gone and have left messages in the same receiver. Every look at a queue goes over a place for
+each, so a large number makes every look slow."""
+
 FAILURES: tuple[type[BaseException], ...] = tuple(
     value
     for name, value in vars(iox2).items()
@@ -198,7 +202,7 @@ def _config(attach: Attach) -> Any:
     config = iox2.config.default()
     config.global_cfg.prefix = iox2.FileName.new(attach.prefix)
     config.global_cfg.root_path = iox2.Path.new(str(attach.root))
-    config.defaults.publish_subscribe.subscriber_expired_connection_buffer = attach.frame_chunks
+    config.defaults.publish_subscribe.subscriber_expired_connection_buffer = GONE_SENDERS
     return config
 
 

@@ -12,7 +12,9 @@
 //! # Leaving
 //! What was sent outlives the sending [`Bus`] only for receivers that are connected: that have looked at
 //! their queue since the sender was first made. So that last words always arrive, a process makes the
-//! senders for them when it joins, and whoever receives its [`Hello`] connects all its own receivers.
+//! senders for them when it joins, and whoever receives its [`Hello`] connects all its own receivers. A
+//! receiver keeps what 16 senders left that are gone: more than can be in a generation, whose processes join
+//! once each.
 //!
 //! All of this is thread-safe; a process normally keeps it on one thread and hands
 //! [`Frame`](crate::frames::Frame)s to others.
@@ -50,6 +52,10 @@ pub(crate) type Ipc = ipc_threadsafe::Service;
 
 /// How long the first send on a service waits for its receivers.
 const RECEIVERS_PATIENCE: Duration = Duration::from_secs(60);
+
+/// Senders that may be gone and have left messages in the same receiver. Every look at a queue goes over a place
+/// for each, so a large number makes every look slow. Four times as many as a generation has processes.
+const GONE_SENDERS: usize = 4 * Role::ALL.len();
 
 /// Why the bus cannot be used.
 #[derive(Debug, thiserror::Error)]
@@ -293,9 +299,8 @@ pub(crate) fn service_name(attach: &Attach, name: &str) -> Result<ServiceName, B
 /// The run's own iceoryx2 settings; nothing is read from anywhere.
 pub(crate) fn config(attach: &Attach) -> Result<Config, BusError> {
     let mut config = raw_config(&attach.prefix, &attach.root)?;
-    // One consumer can hold every chunk; the default of 128 would earn a warning.
-    config.defaults.publish_subscribe.subscriber_expired_connection_buffer =
-        attach.frame_chunks() as usize;
+    // For frames, iceoryx2 takes as many as a consumer can hold instead, and says so where warnings are asked for.
+    config.defaults.publish_subscribe.subscriber_expired_connection_buffer = GONE_SENDERS;
     Ok(config)
 }
 

@@ -103,6 +103,23 @@ fn a_message_outlives_its_sender_where_somebody_has_looked() {
 }
 
 #[test]
+fn messages_of_many_senders_that_came_and_went_all_arrive() {
+    let Run { attach, .. } = &run();
+    let orchestrator = bus(attach, Role::Orchestrator);
+    let hellos = orchestrator.receiver::<Hello>().unwrap();
+    let decisions = orchestrator.receiver::<Decision>().unwrap();
+    let sent: Vec<_> = (0..16).map(decision).collect();
+    for message in &sent {
+        let policy = bus(attach, Role::Policy);
+        let sender = policy.sender::<Decision>().unwrap();
+        policy.sender::<Hello>().unwrap().send(&Zeroable::zeroed()).unwrap();
+        assert!(hellos.next().unwrap().is_some());
+        sender.send(message).unwrap();
+    }
+    assert_eq!(decisions.drain().unwrap(), sent);
+}
+
+#[test]
 fn a_full_queue_is_an_error_and_not_a_wait() {
     let Run { attach, .. } = &run();
     let (orchestrator, sim) = (bus(attach, Role::Orchestrator), bus(attach, Role::Sim));
