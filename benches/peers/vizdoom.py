@@ -1,6 +1,6 @@
 """ViZDoom: how many views a second it renders, without a window, into arrays.
 
-    {"do": "start", "resolution": "RES_512X384"}    ->    {"version": ..., "pixels": ...}
+    {"do": "start", "width": 512, "height": 384}    ->    {"version": ..., "pixels": ...}
     {"do": "time", "views": 200}                    ->    {"seconds": ..., "views": ...}
 
 The agent turns and walks through the rooms of its scenario "my way home"; every step is one tick of the game, and
@@ -25,13 +25,13 @@ GAME = vizdoom.DoomGame()
 SCRATCH = tempfile.TemporaryDirectory(prefix="vizdoom-")
 
 
-def start(resolution):
+def start(width, height):
     GAME.load_config(os.path.join(vizdoom.scenarios_path, "my_way_home.cfg"))
     GAME.set_doom_config_path(os.path.join(SCRATCH.name, "vizdoom.ini"))
     GAME.set_window_visible(False)
     GAME.set_mode(vizdoom.Mode.PLAYER)
     GAME.set_screen_format(vizdoom.ScreenFormat.RGB24)
-    GAME.set_screen_resolution(getattr(vizdoom.ScreenResolution, resolution))
+    GAME.set_screen_resolution(getattr(vizdoom.ScreenResolution, f"RES_{width}X{height}"))
     GAME.set_render_hud(False)
     GAME.set_seed(1)
     GAME.init()

@@ -28,8 +28,10 @@ pub mod timeline;
 pub mod approximate;
 pub mod chain;
 pub mod curves;
+pub mod embed;
 pub mod growth;
 pub mod hop;
+pub mod render;
 pub mod search;
 pub mod suite;
 
@@ -52,6 +54,8 @@ pub struct Bench {
 pub const BENCHES: &[Bench] = &[
     hop::BENCH,
     chain::BENCH,
+    render::BENCH,
+    embed::BENCH,
     search::BENCH,
     approximate::BENCH,
     growth::BENCH,

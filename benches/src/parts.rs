@@ -17,6 +17,7 @@ const PARTS: &[(&str, Play)] = &[
     ("bare-sim", crate::bare::sim),
     ("bare-memory", crate::bare::memory),
     ("bare-policy", crate::bare::policy),
+    ("draw", crate::render::draw),
 ];
 
 /// Plays the part called `name`; returns when it is over.
@@ -32,6 +33,37 @@ pub fn play(name: &str, arguments: &[String]) -> Result<()> {
     play(arguments)
 }
 
+/// Plays the part called `name` to its end in a process of its own, which has these variables too, and returns what
+/// it printed.
+///
+/// # Errors
+/// When the program is not built or does not start, or the part fails.
+pub fn printed(
+    session: &Session<'_>,
+    name: &str,
+    arguments: &[String],
+    variables: &[(&str, &str)],
+) -> Result<String> {
+    let output = command(session, name, arguments)?
+        .envs(variables.iter().copied())
+        .output()
+        .with_context(|| format!("cannot start the part {name}"))?;
+    if !output.status.success() {
+        let said = String::from_utf8_lossy(&output.stderr);
+        bail!("the part {name} failed ({}):\n{said}", output.status);
+    }
+    Ok(String::from_utf8(output.stdout)?)
+}
+
+fn command(session: &Session<'_>, name: &str, arguments: &[String]) -> Result<Command> {
+    let mut command = Command::new(session.program("memtransfer-bench")?);
+    command
+        .args(["part", name, &std::process::id().to_string()])
+        .args(arguments)
+        .stdin(Stdio::null());
+    Ok(command)
+}
+
 /// A part that is being played. Dropping it ends it.
 #[derive(Debug)]
 pub struct Part {
@@ -45,14 +77,10 @@ impl Part {
     /// # Errors
     /// When the program is not built or does not start.
     pub fn start(session: &Session<'_>, name: &'static str, arguments: &[String]) -> Result<Self> {
-        let program = session.program("memtransfer-bench")?;
-        let child = Command::new(&program)
-            .args(["part", name, &std::process::id().to_string()])
-            .args(arguments)
-            .stdin(Stdio::null())
+        let child = command(session, name, arguments)?
             .stdout(Stdio::null())
             .spawn()
-            .with_context(|| format!("cannot start {}", program.display()))?;
+            .with_context(|| format!("cannot start the part {name}"))?;
         Ok(Self { name, child })
     }
 

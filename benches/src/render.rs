@@ -1,0 +1,310 @@
+//! Views that are drawn for the first time, beside MiniWorld and ViZDoom; and what a view costs that was drawn before,
+//! beside a memcpy of a frame.
+//!
+//! Ours are all views of the unchanged warehouse, each once, drawn as a run draws them: where the processor draws, by a
+//! renderer for each core, of a driver that keeps to one thread; otherwise by one. They go into pages of memory, as
+//! the peers' go into arrays: hashing and publishing are not measured. A peer draws with one process and with one for
+//! each core, and is taken at the better of both. What is done once, for the first view, is not timed on either side.
+
+use std::hint::black_box;
+use std::panic::resume_unwind;
+use std::sync::{Mutex, PoisonError};
+use std::thread;
+use std::time::Instant;
+
+use anyhow::{Context, Result, bail, ensure};
+use orchestrator::machine::floors::frame_copy_ns;
+use serde::{Deserialize, Serialize};
+use serde_json::json;
+use shm_types::Pose;
+use shm_types::attach::{DEFAULT_WINDOW, FrameSize, PAGE_BYTES};
+use sim_proc::control::every_pose;
+use sim_proc::renderer::{Destination, RenderJob, RenderSettings, Renderer, Samples, View};
+use sim_proc::views::{ViewKey, Views};
+use warehouse::{Variant, Warehouse};
+
+use crate::Bench;
+use crate::figure::{Better, Bound, Figure, Summary};
+use crate::parts;
+use crate::peers::{Peer, Peers};
+use crate::search::threads;
+use crate::session::Session;
+
+/// This bench.
+pub const BENCH: Bench = Bench {
+    name: "render",
+    about: "views drawn for the first time beside MiniWorld and ViZDoom, and again beside a memcpy of a frame",
+    run,
+};
+
+/// The variable by which lavapipe, Mesa's driver that draws on the processor, is told how many threads to start.
+const DRIVER_THREADS: &str = "LP_NUM_THREADS";
+
+/// Views that a renderer is given at once.
+const VIEWS_AT_ONCE: usize = 8;
+
+/// Lanes that look at views drawn before.
+const LANES: usize = 64;
+
+static UNCHANGED: Variant = Variant::UNCHANGED;
+
+/// A figure of views drawn for the first time, and the peer beside it.
+struct Cold {
+    id: &'static str,
+    what: &'static str,
+    samples: Samples,
+    target: (f64, &'static str),
+    peer: &'static str,
+    script: &'static str,
+    /// The peer's pictures: width and height.
+    size_px: (u32, u32),
+    /// Pictures that each process of the peer draws a round.
+    views: u32,
+}
+
+const COLD: [Cold; 2] = [
+    Cold {
+        id: "render.1-sample",
+        what: "views drawn for the first time, without anti-aliasing",
+        samples: Samples::One,
+        target: (1.0, "faster than ViZDoom"),
+        peer: "ViZDoom",
+        script: "vizdoom.py",
+        // Of the sizes it offers the nearest to ours in pixels: 2 % fewer.
+        size_px: (512, 384),
+        views: 2000,
+    },
+    Cold {
+        id: "render.4-samples",
+        what: "views drawn for the first time, with 4x MSAA",
+        samples: Samples::Four,
+        target: (5.0, "five times MiniWorld"),
+        peer: "MiniWorld",
+        script: "miniworld.py",
+        size_px: (FrameSize::DEFAULT.width, FrameSize::DEFAULT.height),
+        views: 300,
+    },
+];
+
+fn run(session: &mut Session<'_>) -> Result<Vec<Figure>> {
+    let mut figures = Vec::new();
+    for cold in &COLD {
+        figures.push(measured(session, cold)?);
+    }
+    figures.push(repeated(session)?);
+    Ok(figures)
+}
+
+fn measured(session: &Session<'_>, cold: &Cold) -> Result<Figure> {
+    let mut rival = match session.peers {
+        Some(peers) => Some(Rival::start(session, peers, cold)?),
+        None => None,
+    };
+    let mut drawn = Vec::new();
+    for round in 1..=session.rounds() {
+        session.say(format_args!("{}, round {round}", cold.id));
+        drawn.push(ours(session, cold.samples)?);
+        if let Some(rival) = &mut rival {
+            rival.measure(cold.views)?;
+        }
+    }
+    let Drawn { adapter, renderers, views, .. } = drawn.first().context("no round")?;
+    let rates: Vec<f64> = drawn.iter().map(|drawn| drawn.views_per_second).collect();
+    let FrameSize { width, height } = FrameSize::DEFAULT;
+    let figure = Figure::new(cold.id, cold.what, "views/s", Better::Higher)
+        .ours(rates)
+        .target(Bound::Ratio(cold.target.0), cold.target.1)
+        .parameter("size", format_args!("{width} x {height}"))
+        .parameter("views", views)
+        .parameter("adapter", adapter)
+        .parameter("renderers", renderers);
+    Ok(match rival {
+        Some(rival) => rival.beside(figure, cold),
+        None => figure,
+    })
+}
+
+/// As many processes of a peer as there are cores, and how fast they drew, a value a round.
+struct Rival {
+    processes: Vec<Peer>,
+    version: String,
+    alone: Vec<f64>,
+    together: Vec<f64>,
+}
+
+impl Rival {
+    fn start(session: &Session<'_>, peers: &Peers, cold: &Cold) -> Result<Self> {
+        let (mut processes, mut version) = (Vec::new(), String::new());
+        let (width, height) = cold.size_px;
+        for number in 1..=threads() {
+            let logs = session.scratch().join(format!("{}-{number}", cold.peer));
+            std::fs::create_dir(&logs)
+                .with_context(|| format!("cannot make {}", logs.display()))?;
+            let mut peer = Peer::start(peers, cold.script, &logs)?;
+            let request = json!({"do": "start", "width": width, "height": height});
+            peer.ask(&request)?["version"].as_str().unwrap_or_default().clone_into(&mut version);
+            processes.push(peer);
+        }
+        Ok(Self { processes, version, alone: Vec::new(), together: Vec::new() })
+    }
+
+    fn measure(&mut self, views: u32) -> Result<()> {
+        self.alone.push(rate(&mut self.processes[..1], views)?);
+        self.together.push(rate(&mut self.processes, views)?);
+        Ok(())
+    }
+
+    /// The figure with this peer at its best.
+    fn beside(self, figure: Figure, cold: &Cold) -> Figure {
+        let median = |rates: &[f64]| Summary::of(rates).map(|summary| summary.median);
+        let (processes, rates) = if median(&self.alone) >= median(&self.together) {
+            (1, self.alone)
+        } else {
+            (self.processes.len(), self.together)
+        };
+        let (width, height) = cold.size_px;
+        figure
+            .peer(cold.peer, self.version, rates)
+            .parameter("peer's size", format_args!("{width} x {height}"))
+            .parameter("peer's processes", processes)
+    }
+}
+
+/// Pictures a second that these processes draw at the same time, each of them this many.
+fn rate(processes: &mut [Peer], views: u32) -> Result<f64> {
+    let request = json!({"do": "time", "views": views});
+    let began = Instant::now();
+    let drawn: f64 = thread::scope(|scope| {
+        let asked: Vec<_> = processes
+            .iter_mut()
+            .map(|peer| scope.spawn(|| peer.ask_number(&request, "views")))
+            .collect();
+        let answers =
+            asked.into_iter().map(|asked| asked.join().unwrap_or_else(|p| resume_unwind(p)));
+        answers.sum::<Result<f64>>()
+    })?;
+    Ok(drawn / began.elapsed().as_secs_f64())
+}
+
+/// What the part that draws came to.
+#[derive(Serialize, Deserialize)]
+struct Drawn {
+    views_per_second: f64,
+    views: usize,
+    renderers: usize,
+    adapter: String,
+}
+
+/// Ours, in a process of its own: a driver reads its variable once, and has seen no view yet.
+fn ours(session: &Session<'_>, samples: Samples) -> Result<Drawn> {
+    let arguments = [samples.count().to_string(), session.size.pick(8, usize::MAX).to_string()];
+    let printed = parts::printed(session, "draw", &arguments, &[(DRIVER_THREADS, "0")])?;
+    serde_json::from_str(&printed).with_context(|| format!("the part draw printed {printed:?}"))
+}
+
+/// A renderer and the memory that it draws into, which must outlive it.
+struct Easel {
+    renderer: Renderer,
+    memory: Vec<u8>,
+}
+
+impl Easel {
+    fn new(warehouse: &Warehouse, settings: RenderSettings) -> Result<Self> {
+        let renderer = Renderer::new(warehouse, settings)?;
+        let slot = renderer.frame_bytes().next_multiple_of(PAGE_BYTES);
+        Ok(Self { renderer, memory: vec![0; slot * VIEWS_AT_ONCE + PAGE_BYTES] })
+    }
+
+    fn draw(&mut self, poses: &[Pose]) -> Result<()> {
+        let slot = self.renderer.frame_bytes().next_multiple_of(PAGE_BYTES);
+        let first = self.memory.as_ptr().align_offset(PAGE_BYTES);
+        let slots = self.memory[first..].chunks_exact_mut(slot);
+        let job = |(&pose, slot)| RenderJob {
+            view: View { pose, variant: &UNCHANGED },
+            destination: Destination::Slot(slot),
+        };
+        let mut jobs: Vec<RenderJob<'_>> = poses.iter().zip(slots).map(job).collect();
+        Ok(self.renderer.render(&mut jobs)?)
+    }
+}
+
+/// The part of [`ours`]: draws so many views, and prints how fast.
+pub(crate) fn draw(arguments: &[String]) -> Result<()> {
+    let [samples, most] = arguments else { bail!("how many samples, and how many views?") };
+    let samples = if samples == "1" { Samples::One } else { Samples::Four };
+    let warehouse = Warehouse::shipped();
+    let settings = RenderSettings { samples, ..RenderSettings::default() };
+    let mut easels = vec![Easel::new(&warehouse, settings.clone())?];
+    if easels[0].renderer.is_on_processor() {
+        for _ in 1..threads() {
+            easels.push(Easel::new(&warehouse, settings.clone())?);
+        }
+    }
+    let poses: Vec<Pose> = every_pose(&warehouse.layout).collect();
+    let (first, rest) = poses.split_at(easels.len());
+    let rest = &rest[..rest.len().min(most.parse()?)];
+    for (easel, pose) in easels.iter_mut().zip(first.chunks(1)) {
+        easel.draw(pose)?;
+    }
+    let batches = Mutex::new(rest.chunks(VIEWS_AT_ONCE));
+    let next = || batches.lock().unwrap_or_else(PoisonError::into_inner).next();
+    let work = |easel: &mut Easel| -> Result<()> {
+        while let Some(poses) = next() {
+            easel.draw(poses)?;
+        }
+        Ok(())
+    };
+    let began = Instant::now();
+    thread::scope(|scope| {
+        let drawing: Vec<_> = easels.iter_mut().map(|easel| scope.spawn(|| work(easel))).collect();
+        drawing.into_iter().try_for_each(|drawn| drawn.join().unwrap_or_else(|p| resume_unwind(p)))
+    })?;
+    let drawn = Drawn {
+        views_per_second: rest.len() as f64 / began.elapsed().as_secs_f64(),
+        views: rest.len(),
+        renderers: easels.len(),
+        adapter: easels[0].renderer.report().adapter,
+    };
+    println!("{}", serde_json::to_string(&drawn)?);
+    Ok(())
+}
+
+/// A step to a view that is in the frame store, as the simulator keeps account of it.
+fn repeated(session: &mut Session<'_>) -> Result<Figure> {
+    let layout = Warehouse::shipped().layout;
+    let keys: Vec<ViewKey> =
+        every_pose(&layout).map(|pose| ViewKey::World { variant: 0, pose }).collect();
+    let mut views = Views::new(keys.len(), LANES, DEFAULT_WINDOW as usize);
+    for (frame, &view) in (1..).zip(&keys) {
+        views.hold(view);
+        views.take_missing(1);
+        views.fill(view, frame);
+        views.release(frame)?;
+    }
+    let (steps, copies) = (session.size.pick(1000, 2_000_000), session.size.pick(3, 500));
+    let (ours, copy) = session
+        .in_turns(|_| look_up_ns(&mut views, &keys, steps), |_| Ok(frame_copy_ns(copies)))?;
+    ensure!(views.missing() == 0, "a view that is there was to be drawn");
+    let what = "a step's view that was drawn before: shown, looked up, and room made";
+    Ok(Figure::new("render.repeated", what, "ns", Better::Lower)
+        .ours(ours)
+        .peer("a memcpy of the frame", "", copy)
+        .target(Bound::Ratio(1.0), "no pixel work at all")
+        .parameter("lanes", LANES)
+        .parameter("views", keys.len())
+        .note("account is kept of views, and their pixels are not touched"))
+}
+
+/// Mean nanoseconds of a step: lanes in turns, each step to a view far from the last.
+fn look_up_ns(views: &mut Views, keys: &[ViewKey], steps: usize) -> Result<f64> {
+    /// A prime, so that every view comes up.
+    const STRIDE: usize = 367;
+    let began = Instant::now();
+    for step in 0..steps {
+        let view = keys[step * STRIDE % keys.len()];
+        views.show(step % LANES, view);
+        ensure!(views.make_room()?.is_empty(), "a view had to go");
+        black_box(views.frame(view).context("a view is not there")?);
+    }
+    Ok(began.elapsed().as_nanos() as f64 / steps as f64)
+}
