@@ -206,6 +206,7 @@ fn retrieval(libraries: &[Vec<usize>], nearly: &[Embedding], exactly: &[Embeddin
     let what = "questions whose nearest demonstration view is the one that f32 finds";
     Figure::new("embed.same-top-1", what, "%", Better::Higher)
         .ours([share])
+        .peer("the same encoder at f32", "", [100.0])
         .target(Bound::Value(100.0), "unchanged")
         .parameter("questions", questions)
         .parameter("views", exactly.len())

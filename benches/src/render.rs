@@ -15,7 +15,7 @@ use std::time::Instant;
 use anyhow::{Context, Result, bail, ensure};
 use orchestrator::machine::floors::frame_copy_ns;
 use serde::{Deserialize, Serialize};
-use serde_json::json;
+use serde_json::{Value, json};
 use shm_types::Pose;
 use shm_types::attach::{DEFAULT_WINDOW, FrameSize, PAGE_BYTES};
 use sim_proc::control::every_pose;
@@ -127,25 +127,25 @@ fn measured(session: &Session<'_>, cold: &Cold) -> Result<Figure> {
 /// As many processes of a peer as there are cores, and how fast they drew, a value a round.
 struct Rival {
     processes: Vec<Peer>,
-    version: String,
+    /// What they said of themselves.
+    said: Value,
     alone: Vec<f64>,
     together: Vec<f64>,
 }
 
 impl Rival {
     fn start(session: &Session<'_>, peers: &Peers, cold: &Cold) -> Result<Self> {
-        let (mut processes, mut version) = (Vec::new(), String::new());
+        let (mut processes, mut said) = (Vec::new(), Value::Null);
         let (width, height) = cold.size_px;
         for number in 1..=threads() {
             let logs = session.scratch().join(format!("{}-{number}", cold.peer));
             std::fs::create_dir(&logs)
                 .with_context(|| format!("cannot make {}", logs.display()))?;
             let mut peer = Peer::start(peers, cold.script, &logs)?;
-            let request = json!({"do": "start", "width": width, "height": height});
-            peer.ask(&request)?["version"].as_str().unwrap_or_default().clone_into(&mut version);
+            said = peer.ask(&json!({"do": "start", "width": width, "height": height}))?;
             processes.push(peer);
         }
-        Ok(Self { processes, version, alone: Vec::new(), together: Vec::new() })
+        Ok(Self { processes, said, alone: Vec::new(), together: Vec::new() })
     }
 
     fn measure(&mut self, views: u32) -> Result<()> {
@@ -163,10 +163,14 @@ impl Rival {
             (self.processes.len(), self.together)
         };
         let (width, height) = cold.size_px;
-        figure
-            .peer(cold.peer, self.version, rates)
+        let figure = figure
+            .peer(cold.peer, self.said["version"].as_str().unwrap_or_default(), rates)
             .parameter("peer's size", format_args!("{width} x {height}"))
-            .parameter("peer's processes", processes)
+            .parameter("peer's processes", processes);
+        match self.said["samples"].as_u64() {
+            Some(samples) => figure.parameter("peer's samples", samples),
+            None => figure,
+        }
     }
 }
 
