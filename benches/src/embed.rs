@@ -41,7 +41,7 @@ const IMAGES: usize = 128;
 
 /// A frame's pixels.
 #[derive(Clone)]
-struct Frame(Arc<[u8]>);
+pub(crate) struct Frame(Arc<[u8]>);
 
 impl Picture for Frame {
     fn image(&self) -> Image<'_> {
@@ -124,7 +124,7 @@ fn default_model() -> Result<ModelFile> {
 }
 
 /// The default encoder, with a worker for each core; its sessions are open.
-fn open(precision: Option<Precision>) -> Result<Encoder> {
+pub(crate) fn open(precision: Option<Precision>) -> Result<Encoder> {
     let threads = NonZeroUsize::new(threads()).context("no thread")?;
     let runtime = Cache::from_environment()?.runtime();
     let prepared = Prepared::new(default_model()?, &runtime, threads, precision)?;
@@ -136,14 +136,14 @@ fn open(precision: Option<Precision>) -> Result<Encoder> {
 }
 
 /// Images a second when all of these are embedded.
-fn rate(encoder: &mut Encoder, frames: &[Frame]) -> Result<f64> {
+pub(crate) fn rate(encoder: &mut Encoder, frames: &[Frame]) -> Result<f64> {
     let began = Instant::now();
     encoder.embed_all(frames.iter().cloned())?;
     Ok(frames.len() as f64 / began.elapsed().as_secs_f64())
 }
 
 /// Views of the unchanged world, as a run sees them.
-fn drawn(warehouse: &Warehouse, poses: &[Pose]) -> Result<Vec<Frame>> {
+pub(crate) fn drawn(warehouse: &Warehouse, poses: &[Pose]) -> Result<Vec<Frame>> {
     let mut renderer = Renderer::new(warehouse, RenderSettings::default())?;
     let unchanged = Variant::UNCHANGED;
     let mut draw = |&pose: &Pose| {

@@ -1,5 +1,5 @@
-//! Whether a long run grows: the memory of every process and the shared memory, while ten thousand short episodes are
-//! walked.
+//! Whether a long run grows: the memory of every process and the shared memory, while thirty thousand short episodes are
+//! walked. Every view is drawn before, or shared memory would fill for as long as new ones are seen.
 
 use std::collections::BTreeMap;
 use std::fs::{self, File};
@@ -21,7 +21,7 @@ use crate::session::{Session, Size};
 /// This bench.
 pub const BENCH: Bench = Bench {
     name: "growth",
-    about: "memory of all processes and shared memory, while 10,000 episodes are walked",
+    about: "memory of all processes and shared memory, while 30,000 episodes are walked",
     run,
 };
 
@@ -92,14 +92,20 @@ fn walk(session: &Session<'_>) -> Result<Vec<Sample>> {
         Size::Tiny => {
             &["--memory", "working", "--limit", "10", "--max-steps", "4", "--frame-size", "64"]
         }
-        Size::Full => {
-            &["--memory", "working,full-context,episodic", "--max-steps", "8", "--cases", "all"]
-        }
+        Size::Full => &[
+            "--memory",
+            "working,full-context,episodic",
+            "--max-steps",
+            "8",
+            "--cases",
+            "all",
+            "--warm-views",
+        ],
     };
-    // Fifty cases from two starts with three memories, each so often: a little more than ten thousand.
+    // Fifty cases from two starts with three memories, each so often: a little more than thirty thousand.
     let walk = Walk::new(
         session.size.pick(4, 32),
-        session.size.pick(10, 34),
+        session.size.pick(10, 102),
         &[&policy[..], size].concat(),
     );
     let (mut command, folder) = walk.command(session, "growth")?;

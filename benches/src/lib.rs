@@ -31,6 +31,7 @@ pub mod curves;
 pub mod embed;
 pub mod growth;
 pub mod hop;
+pub mod overlap;
 pub mod render;
 pub mod search;
 pub mod suite;
@@ -56,6 +57,7 @@ pub const BENCHES: &[Bench] = &[
     chain::BENCH,
     render::BENCH,
     embed::BENCH,
+    overlap::BENCH,
     search::BENCH,
     approximate::BENCH,
     growth::BENCH,

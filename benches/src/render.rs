@@ -20,6 +20,7 @@ use shm_types::Pose;
 use shm_types::attach::{DEFAULT_WINDOW, FrameSize, PAGE_BYTES};
 use sim_proc::control::every_pose;
 use sim_proc::renderer::{Destination, RenderJob, RenderSettings, Renderer, Samples, View};
+use sim_proc::studio::DRIVER_THREADS;
 use sim_proc::views::{ViewKey, Views};
 use warehouse::{Variant, Warehouse};
 
@@ -36,9 +37,6 @@ pub const BENCH: Bench = Bench {
     about: "views drawn for the first time beside MiniWorld and ViZDoom, and again beside a memcpy of a frame",
     run,
 };
-
-/// The variable by which lavapipe, Mesa's driver that draws on the processor, is told how many threads to start.
-const DRIVER_THREADS: &str = "LP_NUM_THREADS";
 
 /// Views that a renderer is given at once.
 const VIEWS_AT_ONCE: usize = 8;
@@ -192,15 +190,15 @@ fn rate(processes: &mut [Peer], views: u32) -> Result<f64> {
 
 /// What the part that draws came to.
 #[derive(Serialize, Deserialize)]
-struct Drawn {
-    views_per_second: f64,
+pub(crate) struct Drawn {
+    pub(crate) views_per_second: f64,
     views: usize,
     renderers: usize,
     adapter: String,
 }
 
 /// Ours, in a process of its own: a driver reads its variable once, and has seen no view yet.
-fn ours(session: &Session<'_>, samples: Samples) -> Result<Drawn> {
+pub(crate) fn ours(session: &Session<'_>, samples: Samples) -> Result<Drawn> {
     let arguments = [samples.count().to_string(), session.size.pick(8, usize::MAX).to_string()];
     let printed = parts::printed(session, "draw", &arguments, &[(DRIVER_THREADS, "0")])?;
     serde_json::from_str(&printed).with_context(|| format!("the part draw printed {printed:?}"))

@@ -1,14 +1,19 @@
 //! Runs of `memtransfer` as benches need them, and how fast they went in their steady state.
 
 use std::fs::File;
+use std::os::unix::fs::symlink;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
 use anyhow::{Context, Result, bail};
+use memory_proc::paths::Cache;
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
 
 use crate::session::Session;
+
+/// What a run adds to the cache folder; everything else in it is what set-up brought.
+const MADE_BY_RUNS: [&str; 3] = ["embeddings", "documents", "replies"];
 
 /// A run to be made.
 #[derive(Debug, Clone)]
@@ -75,11 +80,28 @@ pub fn ended_well(command: &mut Command, log: &Path) -> Result<()> {
     Ok(())
 }
 
+/// Makes a cache folder with what set-up brought, and nothing that a run has made.
+///
+/// # Errors
+/// When there is one already, or it cannot be made.
+pub fn furnish(folder: &Path) -> Result<()> {
+    std::fs::create_dir(folder).with_context(|| format!("cannot make {}", folder.display()))?;
+    let there = Cache::from_environment()?;
+    let Ok(entries) = there.root().read_dir() else { return Ok(()) };
+    for entry in entries {
+        let entry = entry?;
+        if !MADE_BY_RUNS.iter().any(|made| entry.file_name() == *made) {
+            symlink(entry.path(), folder.join(entry.file_name()))?;
+        }
+    }
+    Ok(())
+}
+
 /// One line of `timings.jsonl`, as far as it matters here.
 #[derive(Debug, Clone, Copy, Deserialize)]
-struct Timing {
-    started_ns: u64,
-    ended_ns: u64,
+pub(crate) struct Timing {
+    pub(crate) started_ns: u64,
+    pub(crate) ended_ns: u64,
     steps: u32,
 }
 
@@ -94,7 +116,7 @@ pub fn steady_rate(folder: &Path) -> Result<f64> {
 }
 
 /// Every line of a journal.
-fn lines<T: DeserializeOwned>(path: &Path) -> Result<Vec<T>> {
+pub(crate) fn lines<T: DeserializeOwned>(path: &Path) -> Result<Vec<T>> {
     let text =
         std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
     let line =

@@ -1,23 +1,19 @@
 //! The paper's whole suite with the stand-in, from the command to the table: with nothing embedded and no document
 //! written before, and again with both kept.
 
-use std::os::unix::fs::symlink;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::time::Instant;
 
-use anyhow::{Context, Result};
+use anyhow::Result;
 
 use crate::Bench;
 use crate::figure::{Better, Bound, Figure};
-use crate::runs::ended_well;
+use crate::runs::{ended_well, furnish};
 use crate::session::{Session, Size};
 
 /// This bench.
 pub const BENCH: Bench =
     Bench { name: "suite", about: "the paper's whole suite with the stand-in, cold and warm", run };
-
-/// What a run adds to the cache folder; everything else in it is what set-up brought.
-const MADE_BY_RUNS: [&str; 3] = ["embeddings", "documents", "replies"];
 
 /// Lanes of the suite's runs.
 const LANES: &str = "64";
@@ -69,23 +65,4 @@ fn walk(session: &Session<'_>, cache: &Path, out: &str) -> Result<f64> {
     let began = Instant::now();
     ended_well(command.stdout(std::process::Stdio::null()), &log)?;
     Ok(began.elapsed().as_secs_f64())
-}
-
-/// A cache folder with what set-up brought, and nothing that a run has made.
-fn furnish(folder: &Path) -> Result<()> {
-    std::fs::create_dir(folder).with_context(|| format!("cannot make {}", folder.display()))?;
-    let Some(there) = cache_folder() else { return Ok(()) };
-    let Ok(entries) = there.read_dir() else { return Ok(()) };
-    for entry in entries {
-        let entry = entry?;
-        if !MADE_BY_RUNS.iter().any(|made| entry.file_name() == *made) {
-            symlink(entry.path(), folder.join(entry.file_name()))?;
-        }
-    }
-    Ok(())
-}
-
-fn cache_folder() -> Option<PathBuf> {
-    let cache = memory_proc::paths::Cache::from_environment().ok()?;
-    Some(cache.root().to_owned())
 }

@@ -45,4 +45,4 @@ macro_rules! tests {
     };
 }
 
-tests! { hop chain render embed search approximate growth curves suite }
+tests! { hop chain render embed overlap search approximate growth curves suite }

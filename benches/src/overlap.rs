@@ -1,0 +1,149 @@
+//! A cold run, in which nothing was ever drawn or embedded: views are rendered, embedded and decided on at the same
+//! time. How near is that to the slowest of the three alone?
+//!
+//! Alone means with the whole machine for itself. Where several of them need the same cores, none can hide behind
+//! another: then the least that a run can take is what they take one after the other. Both bounds are given.
+
+use std::fs;
+use std::path::Path;
+use std::process::Stdio;
+use std::time::Instant;
+
+use anyhow::{Context, Result, ensure};
+use memory_proc::embedding_cache::stored;
+use serde_json::Value;
+use sim_proc::control::every_pose;
+use sim_proc::renderer::Samples;
+use warehouse::Warehouse;
+
+use crate::Bench;
+use crate::embed;
+use crate::figure::{Better, Bound, Figure};
+use crate::render;
+use crate::runs::{Timing, ended_well, furnish, lines};
+use crate::search::threads;
+use crate::session::Session;
+
+/// This bench.
+pub const BENCH: Bench = Bench {
+    name: "overlap",
+    about: "a cold run, beside rendering, embedding and deciding each alone",
+    run,
+};
+
+/// What Linux counts processor time in towards programs.
+const TICKS_PER_SECOND: f64 = 100.0;
+
+/// What was measured, a value a round; times in seconds.
+#[derive(Default)]
+struct Rounds {
+    cold: Vec<f64>,
+    busy: Vec<f64>,
+    rendering: Vec<f64>,
+    embedding: Vec<f64>,
+    deciding: Vec<f64>,
+}
+
+fn run(session: &mut Session<'_>) -> Result<Vec<Figure>> {
+    let warehouse = Warehouse::shipped();
+    let poses: Vec<_> =
+        every_pose(&warehouse.layout).step_by(7).take(session.size.pick(2, 128)).collect();
+    let frames = embed::drawn(&warehouse, &poses)?;
+    let mut encoder = embed::open(None)?;
+    let dimension = encoder.facts().dimension;
+    let (mut rounds, mut views) = (Rounds::default(), (0, 0));
+    for round in 1..=session.rounds() {
+        session.say(format_args!("round {round}"));
+        let cache = session.scratch().join(format!("cache-{round}"));
+        furnish(&cache)?;
+        let cold = walk(session, &cache, &[])?;
+        views = (cold.rendered, stored(&cache.join("embeddings"), dimension).len());
+        ensure!(views.0 > 0 && views.1 > 0, "{views:?} views were drawn and embedded");
+        // The same again, with the embeddings kept and the views drawn before the first step: what is left is to
+        // step, to look up, to decide and to log.
+        let again = walk(session, &cache, &["--warm-views"])?;
+        let drawing = render::ours(session, Samples::Four)?;
+        rounds.rendering.push(views.0 as f64 / drawing.views_per_second);
+        rounds.embedding.push(views.1 as f64 / embed::rate(&mut encoder, &frames)?);
+        rounds.deciding.push(again.seconds);
+        rounds.busy.push(100.0 * cold.busy);
+        rounds.cold.push(cold.seconds);
+    }
+    Ok(figures(&rounds, views))
+}
+
+fn figures(rounds: &Rounds, (drawn, embedded): (usize, usize)) -> Vec<Figure> {
+    let Rounds { cold, busy, rendering, embedding, deciding } = rounds;
+    let stages = |round: usize| [rendering[round], embedding[round], deciding[round]];
+    let share = |of: fn([f64; 3]) -> f64| -> Vec<f64> {
+        cold.iter().enumerate().map(|(n, cold)| 100.0 * of(stages(n)) / cold).collect()
+    };
+    let figure = |id: &str, what: &str, unit: &str, values: &[f64]| {
+        let better = if unit == "%" { Better::Higher } else { Better::Lower };
+        Figure::new(format!("overlap.{id}"), what, unit, better)
+            .ours(values)
+            .parameter("views drawn", drawn)
+            .parameter("embedded", embedded)
+            .parameter("cores", threads())
+    };
+    let slowest = share(|stages| stages.into_iter().fold(0.0, f64::max));
+    let sum = share(|stages| stages.into_iter().sum());
+    vec![
+        figure("share", "the slowest stage alone, of what a cold run takes", "%", &slowest)
+            .target(Bound::Value(90.0), "overlap of 90 %"),
+        figure(
+            "work",
+            "all stages alone, one after the other, of what a cold run takes",
+            "%",
+            &sum,
+        )
+        .note("where every stage needs all cores, 100 is what can be reached"),
+        figure("busy", "how much of the cores' time a cold run uses", "%", busy),
+        figure("cold", "a cold run, from its first step to its last", "s", cold),
+        figure("rendering", "rendering as many views alone", "s", rendering),
+        figure("embedding", "embedding as many views alone", "s", embedding),
+        figure("deciding", "the same run, its views drawn and embedded before", "s", deciding),
+    ]
+}
+
+/// What a run came to.
+struct Walked {
+    /// From its first step to its last.
+    seconds: f64,
+    /// Share of the cores' time, from its start to its end, in which they worked for it.
+    busy: f64,
+    /// Views that it has drawn.
+    rendered: usize,
+}
+
+/// Walks cases with episodic memory, with `cache` as the cache folder.
+fn walk(session: &Session<'_>, cache: &Path, flags: &[&str]) -> Result<Walked> {
+    let mut command = session.memtransfer()?;
+    command.env("MEMTRANSFER_CACHE", cache).args(["run", "--fresh", "--quiet", "--out", "run"]);
+    command.args(["--policy", "grounded", "--memory", "episodic", "--starts", "new"]);
+    command.args(["--routes", "unchanged", "--demos", "4", "--lanes", "32"]);
+    command.args(["--limit", session.size.pick("1", "50")]).args(flags);
+    let (before, began) = (work_of_children()?, Instant::now());
+    ended_well(command.stdout(Stdio::null()), &session.scratch().join("run.log"))?;
+    let wall = began.elapsed().as_secs_f64();
+    let busy = (work_of_children()? - before) / (wall * threads() as f64);
+    let folder = session.scratch().join("run");
+    let timings: Vec<Timing> = lines(&folder.join("timings.jsonl"))?;
+    let first = timings.iter().map(|timing| timing.started_ns).min();
+    let last = timings.iter().map(|timing| timing.ended_ns).max();
+    let (first, last) = first.zip(last).context("no episode was walked")?;
+    let sessions: Vec<Value> = lines(&folder.join("sessions.jsonl"))?;
+    let rendered = sessions
+        .iter()
+        .find_map(|event| event["farewells"]["sim"]["frames_rendered"].as_u64())
+        .context("the simulator said nothing of what it has drawn")?;
+    Ok(Walked { seconds: (last - first) as f64 / 1e9, busy, rendered: rendered as usize })
+}
+
+/// Seconds of processor time of all processes that this one has started and that have ended, and of theirs.
+fn work_of_children() -> Result<f64> {
+    let text = fs::read_to_string("/proc/self/stat").context("cannot read /proc/self/stat")?;
+    let fields = text.rsplit_once(") ").map(|(_, fields)| fields.split(' ').skip(13).take(2));
+    let ticks = fields.context("/proc/self/stat is not as it should be")?.map(str::parse::<f64>);
+    Ok(ticks.sum::<Result<f64, _>>()? / TICKS_PER_SECOND)
+}
