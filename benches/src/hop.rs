@@ -30,13 +30,13 @@ pub const BENCH: Bench = Bench {
 
 /// Trips of which the mean is taken; the figure is the median of those means, so that being put off the core once does
 /// not show.
-const BATCH: u32 = 1000;
+const BATCH: u32 = 100;
 
 /// How long an answer may take before the other process is taken to be gone.
 const PATIENCE: Duration = Duration::from_secs(20);
 
 fn run(session: &mut Session<'_>) -> Result<Vec<Figure>> {
-    let batches = session.size.pick(2, 300);
+    let batches = session.size.pick(2, 3000);
     let (ours, theirs) =
         session.in_turns(|session| wire(session, batches), |session| iceoryx2(session, batches))?;
     let bytes = (size_of::<StepCommand>(), size_of::<Observation>());
