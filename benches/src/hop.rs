@@ -11,10 +11,12 @@ use iceoryx2::node::{Node, NodeBuilder};
 use iceoryx2::port::publisher::Publisher;
 use iceoryx2::port::subscriber::Subscriber;
 use iceoryx2::prelude::{FileName, PortFactory as _, SemanticString, SignalHandlingMode, ipc};
+use orchestrator::lanes::Stamps;
+use orchestrator::latency::Latency;
 use orchestrator::machine::floors::{Effort, measure};
 use shm_types::message::{Observation, Role, StepCommand};
-use shm_types::process::SHARED_MEMORY;
-use shm_types::{Attach, Bus, Receiver, RunDir, Sender};
+use shm_types::process::{SHARED_MEMORY, monotonic_ns};
+use shm_types::{Attach, Bus, Receiver, Representation, RunDir, Sender};
 
 use crate::Bench;
 use crate::figure::{Better, Bound, Figure};
@@ -51,9 +53,44 @@ fn run(session: &mut Session<'_>) -> Result<Vec<Figure>> {
     .target(Bound::Ratio(1.5), "within 1.5 x")
     .parameter("bytes there", bytes.0)
     .parameter("bytes back", bytes.1);
-    let mut figures = vec![hop];
+    let mut figures = vec![hop, stamping(session)];
     figures.extend(floors(session));
     Ok(figures)
+}
+
+/// What the profiler takes of a step, in all processes together: its stamps, and their way into histograms.
+fn stamping(session: &Session<'_>) -> Figure {
+    let steps = session.size.pick(1_000, 1_000_000);
+    let mut latency = Latency::default();
+    let mut round = || {
+        let began = Instant::now();
+        for step in 0..steps {
+            let stamps = Stamps {
+                step,
+                commanded_ns: monotonic_ns(),
+                woken_ns: monotonic_ns(),
+                stepped_ns: monotonic_ns(),
+                rendered_ns: monotonic_ns(),
+                published_ns: monotonic_ns(),
+                received_ns: monotonic_ns(),
+                embedded_ns: monotonic_ns(),
+                searched_ns: monotonic_ns(),
+                assembled_ns: monotonic_ns(),
+                recalled_ns: monotonic_ns(),
+                joined_ns: monotonic_ns(),
+                started_ns: monotonic_ns(),
+                decided_ns: monotonic_ns(),
+                logged_ns: monotonic_ns(),
+                ..Stamps::none(1, 0, Representation::Episodic)
+            };
+            latency.record(&stamps);
+        }
+        began.elapsed().as_nanos() as f64 / f64::from(steps)
+    };
+    let what = "what stamping a step takes: 14 looks at the clock, 13 histograms";
+    Figure::new("hop.stamping", what, "ns", Better::Lower)
+        .ours((0..session.rounds()).map(|_| round()).collect::<Vec<_>>())
+        .note("of all processes together; a run looks at the clock less often, once for a batch where it can")
 }
 
 /// The machine's floors, as figures.

@@ -6,14 +6,14 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
 use anyhow::{Context, Result, bail};
-use memory_proc::paths::Cache;
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
+use shm_types::cache_folder;
 
 use crate::session::Session;
 
 /// What a run adds to the cache folder; everything else in it is what set-up brought.
-const MADE_BY_RUNS: [&str; 3] = ["embeddings", "documents", "replies"];
+const MADE_BY_RUNS: [&str; 3] = ["embeddings", "documents", "responses"];
 
 /// A run to be made.
 #[derive(Debug, Clone)]
@@ -86,8 +86,7 @@ pub fn ended_well(command: &mut Command, log: &Path) -> Result<()> {
 /// When there is one already, or it cannot be made.
 pub fn furnish(folder: &Path) -> Result<()> {
     std::fs::create_dir(folder).with_context(|| format!("cannot make {}", folder.display()))?;
-    let there = Cache::from_environment()?;
-    let Ok(entries) = there.root().read_dir() else { return Ok(()) };
+    let Ok(entries) = std::path::absolute(cache_folder()?)?.read_dir() else { return Ok(()) };
     for entry in entries {
         let entry = entry?;
         if !MADE_BY_RUNS.iter().any(|made| entry.file_name() == *made) {

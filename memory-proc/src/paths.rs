@@ -5,12 +5,7 @@
 
 use std::path::{Path, PathBuf};
 
-/// The environment names no folder in which a cache could lie.
-#[derive(Debug, thiserror::Error)]
-#[error(
-    "no cache folder: none of MEMTRANSFER_CACHE, XDG_CACHE_HOME and HOME is set; pass --cache DIR"
-)]
-pub struct NoCacheFolder;
+use shm_types::{NoCacheFolder, cache_folder};
 
 /// The cache folder.
 #[derive(Debug, Clone)]
@@ -24,19 +19,12 @@ impl Cache {
         Self { root: folder.into() }
     }
 
-    /// The cache that the environment names: `$MEMTRANSFER_CACHE`, else `$XDG_CACHE_HOME/memtransfer`,
-    /// else `~/.cache/memtransfer`.
+    /// The cache that the environment names ([`cache_folder`]).
     ///
     /// # Errors
-    /// When none of the three variables is set.
+    /// When it names none.
     pub fn from_environment() -> Result<Self, NoCacheFolder> {
-        let set =
-            |name| std::env::var_os(name).filter(|value| !value.is_empty()).map(PathBuf::from);
-        set("MEMTRANSFER_CACHE")
-            .or_else(|| Some(set("XDG_CACHE_HOME")?.join("memtransfer")))
-            .or_else(|| Some(set("HOME")?.join(".cache").join("memtransfer")))
-            .map(Self::at)
-            .ok_or(NoCacheFolder)
+        cache_folder().map(Self::at)
     }
 
     /// The folder itself.

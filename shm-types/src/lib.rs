@@ -10,12 +10,14 @@
 //!   supplies that is longer than a message ([`documents`]), what could not be used ([`complaints`]);
 //! - what a policy keeps of its requests, for `memtransfer show` ([`prompts`]);
 //! - what all of that looks like, byte by byte, for those who read it in another language ([`layout`]);
-//! - the machine: runs, living and dead ([`registry`]), clock, parent and room ([`process`]).
+//! - the machine: runs, living and dead ([`registry`]), clock, parent and room ([`process`]), the cache folder
+//!   ([`cache_folder`]).
 //!
 //! iceoryx2 is used here and nowhere else. What is not here: the map, the tasks, anything that decides.
 
 pub mod attach;
 pub mod bus;
+mod cache;
 pub mod camera;
 pub mod complaints;
 pub mod documents;
@@ -35,6 +37,7 @@ pub mod spans;
 
 pub use attach::{ATTACH_VARIABLE, Attach, AttachError, FrameControl, FrameSize, Wait};
 pub use bus::{Bus, BusError, Receiver, Sender};
+pub use cache::{NoCacheFolder, cache_folder};
 pub use complaints::Complaints;
 pub use documents::{Document, DocumentError, DocumentPublisher, DocumentStore};
 pub use doorbell::{Bell, Doorbell};

@@ -7,7 +7,7 @@ use std::time::{SystemTime, UNIX_EPOCH};
 use anyhow::{Context, Result, ensure};
 use clap::Args;
 use shm_types::message::Role;
-use shm_types::{Representation, RunDir, registry};
+use shm_types::{Representation, RunDir, cache_folder, registry};
 
 use super::documents::Documents;
 use super::run::{attach, crewing, rules};
@@ -249,12 +249,11 @@ impl Scratch {
         let cache = scratch.cache();
         fs::create_dir_all(&cache).with_context(|| format!("cannot make {}", cache.display()))?;
         // What set-up brought is used where it lies; what is embedded is not.
-        if let Some(whole) = cache_folder() {
-            for part in ["models", "onnxruntime"] {
-                let (from, to) = (whole.join(part), cache.join(part));
-                std::os::unix::fs::symlink(&from, &to)
-                    .with_context(|| format!("cannot link {}", to.display()))?;
-            }
+        let whole = std::path::absolute(cache_folder()?)?;
+        for part in ["models", "onnxruntime"] {
+            let (from, to) = (whole.join(part), cache.join(part));
+            std::os::unix::fs::symlink(&from, &to)
+                .with_context(|| format!("cannot link {}", to.display()))?;
         }
         Ok(scratch)
     }
@@ -348,14 +347,4 @@ impl Drop for Scratch {
             tracing::warn!(%error, "{} could not be removed", self.folder.display());
         }
     }
-}
-
-/// The cache folder that set-up fills and the processes use: `$MEMTRANSFER_CACHE`, else
-/// `$XDG_CACHE_HOME/memtransfer`, else `~/.cache/memtransfer`.
-fn cache_folder() -> Option<PathBuf> {
-    let set = |name| std::env::var_os(name).filter(|value| !value.is_empty()).map(PathBuf::from);
-    let folder = set("MEMTRANSFER_CACHE")
-        .or_else(|| Some(set("XDG_CACHE_HOME")?.join("memtransfer")))
-        .or_else(|| Some(set("HOME")?.join(".cache").join("memtransfer")))?;
-    std::path::absolute(folder).ok()
 }

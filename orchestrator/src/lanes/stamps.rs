@@ -54,7 +54,7 @@ pub struct Stamps {
 
 impl Stamps {
     /// Of a step that nobody has begun.
-    pub(crate) const fn none(ticket: u64, lane: u32, memory: Representation) -> Self {
+    pub const fn none(ticket: u64, lane: u32, memory: Representation) -> Self {
         Self {
             ticket,
             lane,

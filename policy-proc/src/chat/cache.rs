@@ -18,6 +18,7 @@ use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
 use serde::{Deserialize, Serialize};
+use shm_types::{NoCacheFolder, cache_folder};
 
 use super::message::{Content, Dialect, Part, Question};
 use super::reply::Reply;
@@ -39,13 +40,6 @@ pub struct ResponseCache {
 /// The name of a question and of which repetition of it.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Key(String);
-
-/// No folder is named in which replies could lie.
-#[derive(Debug, thiserror::Error)]
-#[error(
-    "no cache folder: none of MEMTRANSFER_CACHE, XDG_CACHE_HOME and HOME is set; set one, or name a folder for replies"
-)]
-pub struct NoCacheFolder;
 
 /// A file of an entry.
 #[derive(Debug, Serialize, Deserialize)]
@@ -94,19 +88,12 @@ impl ResponseCache {
         Self { folder: folder.into() }
     }
 
-    /// The folder `responses` in the cache that the environment names: `$MEMTRANSFER_CACHE`, else
-    /// `$XDG_CACHE_HOME/memtransfer`, else `~/.cache/memtransfer`.
+    /// The folder `responses` in the cache that the environment names ([`cache_folder`]).
     ///
     /// # Errors
-    /// When none of the three variables is set.
+    /// When it names none.
     pub fn from_environment() -> Result<Self, NoCacheFolder> {
-        let set =
-            |name| std::env::var_os(name).filter(|value| !value.is_empty()).map(PathBuf::from);
-        set("MEMTRANSFER_CACHE")
-            .or_else(|| Some(set("XDG_CACHE_HOME")?.join("memtransfer")))
-            .or_else(|| Some(set("HOME")?.join(".cache").join("memtransfer")))
-            .map(|cache| Self::at(cache.join("responses")))
-            .ok_or(NoCacheFolder)
+        Ok(Self::at(cache_folder()?.join("responses")))
     }
 
     /// What the setting `response-cache` means: `on`, `off`, or a folder.

@@ -25,7 +25,7 @@ mod retry;
 pub mod scripted;
 mod secret;
 
-pub use cache::{Amount, Held, Listing, NoCacheFolder, Pruned, ResponseCache};
+pub use cache::{Amount, Held, Listing, Pruned, ResponseCache};
 pub use client::{Client, Settings};
 pub use endpoint::{BASE_URL_VARIABLES, ENV_FILE, Endpoint, EndpointError, KEY_VARIABLE};
 pub use error::{ChatError, Passing};

@@ -1,0 +1,49 @@
+//! The folder outside the repository that set-up fills, and in which processes keep what runs can use again.
+
+use std::ffi::OsString;
+use std::path::PathBuf;
+
+/// The environment names no folder in which a cache could lie.
+#[derive(Debug, thiserror::Error)]
+#[error(
+    "no cache folder: none of MEMTRANSFER_CACHE, XDG_CACHE_HOME and HOME is set; set MEMTRANSFER_CACHE to a folder"
+)]
+pub struct NoCacheFolder;
+
+/// The folder that the environment names: `$MEMTRANSFER_CACHE`, else `$XDG_CACHE_HOME/memtransfer`, else
+/// `~/.cache/memtransfer`. It need not exist.
+///
+/// # Errors
+/// When none of the three variables is set.
+pub fn cache_folder() -> Result<PathBuf, NoCacheFolder> {
+    folder(|name| std::env::var_os(name))
+}
+
+fn folder(variable: impl Fn(&str) -> Option<OsString>) -> Result<PathBuf, NoCacheFolder> {
+    let set = |name| variable(name).filter(|value| !value.is_empty()).map(PathBuf::from);
+    set("MEMTRANSFER_CACHE")
+        .or_else(|| Some(set("XDG_CACHE_HOME")?.join("memtransfer")))
+        .or_else(|| Some(set("HOME")?.join(".cache").join("memtransfer")))
+        .ok_or(NoCacheFolder)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_first_variable_that_says_something_decides() {
+        let all = [("MEMTRANSFER_CACHE", "/a"), ("XDG_CACHE_HOME", "/b"), ("HOME", "/c")];
+        let named = |set: &[(&str, &str)]| {
+            folder(|name| set.iter().find(|(set, _)| *set == name).map(|(_, value)| value.into()))
+        };
+        assert_eq!(named(&all).unwrap(), PathBuf::from("/a"));
+        assert_eq!(named(&all[1..]).unwrap(), PathBuf::from("/b/memtransfer"));
+        assert_eq!(named(&all[2..]).unwrap(), PathBuf::from("/c/.cache/memtransfer"));
+        assert_eq!(
+            named(&[("MEMTRANSFER_CACHE", ""), all[1]]).unwrap(),
+            PathBuf::from("/b/memtransfer")
+        );
+        assert!(named(&[]).is_err());
+    }
+}
