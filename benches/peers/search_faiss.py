@@ -14,6 +14,9 @@ def load(command, entries, dimension, queries, threads, graph=None):
     faiss.omp_set_num_threads(threads)
     if graph is None:
         index = faiss.IndexFlatIP(dimension)
+        # Room for all, or the largest memories are held twice while it grows.
+        index.codes.resize(4 * dimension * entries)
+        index.codes.resize(0)
     else:
         index = faiss.IndexHNSWFlat(dimension, graph["connectivity"], faiss.METRIC_INNER_PRODUCT)
         index.hnsw.efConstruction = graph["building"]
