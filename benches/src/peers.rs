@@ -7,10 +7,12 @@
 
 use std::fs::{self, File};
 use std::io::{BufRead, BufReader, Write};
+use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
 use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
 
 use anyhow::{Context, Result, bail};
+use rustix::process::{Pid, Signal, kill_process_group};
 use serde_json::Value;
 
 /// Where peers are found.
@@ -56,6 +58,8 @@ impl Peer {
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())
             .stderr(errors)
+            // What it starts ends with it.
+            .process_group(0)
             .spawn()
             .with_context(|| format!("cannot start {}", peers.python.display()))?;
         let requests = child.stdin.take().context("the peer has no input")?;
@@ -109,7 +113,7 @@ impl Peer {
 impl Drop for Peer {
     fn drop(&mut self) {
         // It may have ended by itself.
-        let _ = self.child.kill();
+        let _ = kill_process_group(Pid::from_child(&self.child), Signal::KILL);
         let _ = self.child.wait();
     }
 }

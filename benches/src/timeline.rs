@@ -100,7 +100,7 @@ fn paint(
     {
         let area = SVGBackend::with_string(&mut svg, (WIDTH, height as u32)).into_drawing_area();
         area.fill(&WHITE)?;
-        let across = f64::from(WIDTH as i32 - LEFT - 20);
+        let across = f64::from(WIDTH as i32 - LEFT - 30);
         let x = |ms: f64| LEFT + ((ms - from) / (until - from) * across) as i32;
         let words = |size| ("sans-serif", size).into_font().color(&BLACK);
         for ((place, ((pid, _, name), pieces)), top) in
