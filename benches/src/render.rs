@@ -1,10 +1,10 @@
 //! Views that are drawn for the first time, beside MiniWorld and ViZDoom; and what a view costs that was drawn before,
 //! beside a memcpy of a frame.
 //!
-//! Ours are all views of the unchanged warehouse, each once, drawn as a run draws them: where the processor draws, by a
-//! renderer for each core, of a driver that keeps to one thread; otherwise by one. They go into pages of memory, as
-//! the peers' go into arrays: hashing and publishing are not measured. A peer draws with one process and with one for
-//! each core, and is taken at the better of both. What is done once, for the first view, is not timed on either side.
+//! Ours are all views of the unchanged warehouse, each once, drawn by the renderers that a run has ([`renderers`]), of a
+//! driver that keeps to one thread. They go into pages of memory, as the peers' go into arrays: hashing and publishing
+//! are not measured. A peer draws with one process and with one for each core, and is taken at the better of both. What
+//! is done once, for the first view, is not timed on either side.
 
 use std::hint::black_box;
 use std::panic::resume_unwind;
@@ -20,7 +20,7 @@ use shm_types::Pose;
 use shm_types::attach::{DEFAULT_WINDOW, FrameSize, PAGE_BYTES};
 use sim_proc::control::every_pose;
 use sim_proc::renderer::{Destination, RenderJob, RenderSettings, Renderer, Samples, View};
-use sim_proc::studio::DRIVER_THREADS;
+use sim_proc::studio::{DRIVER_THREADS, renderers};
 use sim_proc::views::{ViewKey, Views};
 use warehouse::{Variant, Warehouse};
 
@@ -211,10 +211,9 @@ struct Easel {
 }
 
 impl Easel {
-    fn new(warehouse: &Warehouse, settings: RenderSettings) -> Result<Self> {
-        let renderer = Renderer::new(warehouse, settings)?;
+    fn new(renderer: Renderer) -> Self {
         let slot = renderer.frame_bytes().next_multiple_of(PAGE_BYTES);
-        Ok(Self { renderer, memory: vec![0; slot * VIEWS_AT_ONCE + PAGE_BYTES] })
+        Self { renderer, memory: vec![0; slot * VIEWS_AT_ONCE + PAGE_BYTES] }
     }
 
     fn draw(&mut self, poses: &[Pose]) -> Result<()> {
@@ -236,12 +235,8 @@ pub(crate) fn draw(arguments: &[String]) -> Result<()> {
     let samples = if samples == "1" { Samples::One } else { Samples::Four };
     let warehouse = Warehouse::shipped();
     let settings = RenderSettings { samples, ..RenderSettings::default() };
-    let mut easels = vec![Easel::new(&warehouse, settings.clone())?];
-    if easels[0].renderer.is_on_processor() {
-        for _ in 1..threads() {
-            easels.push(Easel::new(&warehouse, settings.clone())?);
-        }
-    }
+    let renderers = renderers(&warehouse, settings)?;
+    let mut easels: Vec<Easel> = renderers.into_iter().map(Easel::new).collect();
     let poses: Vec<Pose> = every_pose(&warehouse.layout).collect();
     let (first, rest) = poses.split_at(easels.len());
     let rest = &rest[..rest.len().min(most.parse()?)];

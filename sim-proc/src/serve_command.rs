@@ -58,6 +58,6 @@ pub fn run(args: ServeArgs) -> Result<()> {
     };
     let bus = Bus::join(attach, Role::Sim).context("cannot take part in the run")?;
     let ahead = if args.warm_views { Ahead::EveryView } else { Ahead::Nothing };
-    serve(&bus, &warehouse, &cases, ahead, || Studio::open(&warehouse, &settings))
+    serve(&bus, &warehouse, &cases, ahead, || Studio::open(&warehouse, settings))
         .context("the simulator cannot go on")
 }

@@ -38,42 +38,57 @@ impl Painter for Renderer {
     }
 }
 
+/// Opens renderers that draw at the same time: as many as there are cores, up to eight, where the driver draws on
+/// the processor and keeps to one thread, otherwise one.
+///
+/// # Errors
+/// As [`Renderer::new`].
+pub fn renderers(
+    warehouse: &Warehouse,
+    settings: RenderSettings,
+) -> Result<Vec<Renderer>, RenderError> {
+    let first = Renderer::new(warehouse, settings)?;
+    let keeps_to_one = std::env::var_os(DRIVER_THREADS).is_some_and(|threads| threads == "0");
+    let wanted = if first.is_on_processor() && keeps_to_one {
+        thread::available_parallelism().map_or(1, |cores| cores.get().min(MOST))
+    } else {
+        1
+    };
+    let mut renderers = vec![first];
+    for _ in 1..wanted {
+        renderers.push(renderers[0].beside()?);
+    }
+    Ok(renderers)
+}
+
 impl Studio {
-    /// Opens as many renderers as there are cores where the driver draws on the processor and keeps to one
-    /// thread, otherwise one.
+    /// Puts [`renderers`] to work.
     ///
     /// # Errors
     /// As [`Renderer::new`].
-    pub fn open(warehouse: &Warehouse, settings: &RenderSettings) -> Result<Self, RenderError> {
-        let first = Renderer::new(warehouse, settings.clone())?;
-        let keeps_to_one = std::env::var_os(DRIVER_THREADS).is_some_and(|threads| threads == "0");
-        let (wanted, at_once) = match first.is_on_processor() {
-            true if keeps_to_one => {
-                (thread::available_parallelism().map_or(1, |cores| cores.get().min(MOST)), 1)
-            }
-            true => (1, 1),
-            false => (1, VIEWS_ON_A_CARD),
-        };
+    pub fn open(warehouse: &Warehouse, settings: RenderSettings) -> Result<Self, RenderError> {
+        let renderers = renderers(warehouse, settings)?;
+        let first = &renderers[0];
+        let at_once = if first.is_on_processor() { 1 } else { VIEWS_ON_A_CARD };
         let report = first.report();
         let path = match report.frame_path {
             FramePath::Direct => "direct".to_owned(),
             FramePath::Copied { reason } => format!("copied: {reason}"),
         };
         let mut lookout = first.lookout();
-        let others: Vec<Renderer> =
-            (1..wanted).map(|_| first.beside()).collect::<Result<_, _>>()?;
-        let painters = std::iter::once(first).chain(others);
+        let facts = vec![
+            ("adapter", report.adapter),
+            ("frame path", path),
+            ("renderers", renderers.len().to_string()),
+        ];
+        let painter = |renderer| Box::new(renderer) as Box<dyn Painter>;
         Ok(Self {
-            painters: painters.map(|renderer| Box::new(renderer) as Box<dyn Painter>).collect(),
+            painters: renderers.into_iter().map(painter).collect(),
             at_once,
             may_show_barricade: Box::new(move |variant, pose| {
                 lookout.may_show_barricade(View { pose, variant })
             }),
-            facts: vec![
-                ("adapter", report.adapter),
-                ("frame path", path),
-                ("renderers", wanted.to_string()),
-            ],
+            facts,
         })
     }
 }

@@ -542,7 +542,7 @@ fn the_renderer_draws_into_the_frame_store() {
             (attach.frame, attach.frame_capacity, attach.lanes, attach.window) = (size, 6, 1, 2)
         },
         Ahead::Nothing,
-        move |frame| Studio::open(&Warehouse::shipped(), &settings(frame)),
+        move |frame| Studio::open(&Warehouse::shipped(), settings(frame)),
     );
     let hello = peers.wait(|peers| peers.hellos.next().unwrap());
     let facts = hello.facts().unwrap();
