@@ -4,7 +4,7 @@
 #![expect(clippy::unwrap_used, reason = "test helpers fail loudly")]
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::sync::mpsc::{Sender as Alive, channel};
+use std::sync::mpsc::{Receiver as Told, Sender as Alive, channel};
 use std::thread::{self, JoinHandle};
 use std::time::Duration;
 
@@ -496,6 +496,47 @@ fn a_painter_that_is_gone_ends_the_run() {
     );
     let error = peers.simulator.take().unwrap().join().unwrap().unwrap_err();
     assert!(matches!(error, ServeError::Render(RenderError::PaintersGone)));
+}
+
+/// A scribe that is told each time to go on.
+struct Hesitant(Told<()>);
+
+impl Painter for Hesitant {
+    fn paint(&mut self, paintings: &mut [Painting<'_>]) -> Result<u64, RenderError> {
+        // A test that has failed tells nobody anything, and lets go.
+        let _ = self.0.recv();
+        Scribe.paint(paintings)
+    }
+}
+
+#[test]
+fn nobody_waits_for_what_another_wants_to_see() {
+    // The one who tells is dropped before the peers.
+    let (mut peers, go_on) = {
+        let (go_on, told) = channel();
+        let painters: Vec<Box<dyn Painter>> = vec![Box::new(Hesitant(told))];
+        let open = move |_| Ok(Studio { painters, ..scribes() });
+        (peers_around(|_| {}, Ahead::Nothing, open), go_on)
+    };
+    let poses = peers.poses();
+    let (here, elsewhere) = (poses[0], poses[50]);
+    go_on.send(()).unwrap();
+    let resident = peers.ask(&reset(0, 1, 0, here)).frame;
+
+    peers.commands.send(&reset(1, 2, 0, elsewhere)).unwrap();
+    for episode in 3..13 {
+        let seen = peers.ask(&reset(0, episode, 0, here));
+        assert_eq!((seen.lane, seen.episode, seen.frame), (0, episode, resident));
+        assert_eq!(seen.rendered_ns, seen.stepped_ns, "the view was there");
+    }
+    assert_eq!(peers.observations[0].next().unwrap(), None, "lane 1's view is not drawn yet");
+
+    go_on.send(()).unwrap();
+    let seen = peers.observe(1)[0];
+    assert_eq!((seen.lane, seen.episode, seen.pose), (1, 2, elsewhere.into()));
+    assert!(seen.stepped_ns < seen.rendered_ns);
+    assert_eq!(peers.picture(seen.frame), scribble(&Variant::UNCHANGED, elsewhere));
+    assert_eq!(peers.stop().frames_rendered, 2);
 }
 
 #[test]
