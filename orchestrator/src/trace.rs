@@ -3,7 +3,8 @@
 //!
 //! Chrome's JSON trace format. Each process is one there; its tracks are what it worked on (from the
 //! [spans](shm_types::spans) that it kept) and, for each lane, the stages of the steps (from their
-//! [stamps](Stamps)). Work shows what overlaps; a stage is as long as the step was in it, waiting included.
+//! [stamps](Stamps)). Work shows what overlaps; a stage is as long as the step was in it, waiting included. Slices of
+//! one track never overlap: Perfetto drops one that begins within another and ends after it.
 
 use std::fs::{self, File};
 use std::io::{BufRead, BufReader, BufWriter, Write};
