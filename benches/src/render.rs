@@ -20,7 +20,7 @@ use shm_types::Pose;
 use shm_types::attach::{DEFAULT_WINDOW, FrameSize, PAGE_BYTES};
 use sim_proc::control::every_pose;
 use sim_proc::renderer::{Destination, RenderJob, RenderSettings, Renderer, Samples, View};
-use sim_proc::studio::{DRIVER_THREADS, renderers};
+use sim_proc::studio::renderers;
 use sim_proc::views::{ViewKey, Views};
 use warehouse::{Variant, Warehouse};
 
@@ -197,10 +197,10 @@ pub(crate) struct Drawn {
     adapter: String,
 }
 
-/// Ours, in a process of its own: a driver reads its variable once, and has seen no view yet.
+/// Ours, in a process of its own, which has seen no view yet.
 pub(crate) fn ours(session: &Session<'_>, samples: Samples) -> Result<Drawn> {
     let arguments = [samples.count().to_string(), session.size.pick(8, usize::MAX).to_string()];
-    let printed = parts::printed(session, "draw", &arguments, &[(DRIVER_THREADS, "0")])?;
+    let printed = parts::printed(session, "draw", &arguments, &[])?;
     serde_json::from_str(&printed).with_context(|| format!("the part draw printed {printed:?}"))
 }
 

@@ -1,6 +1,6 @@
 //! Prints how many views a second the renderer draws, over every pose of the warehouse.
 //!
-//!     cargo run --release -p sim-proc --example frame_rate -- [rounds] [samples]
+//!     cargo run --release -p sim-proc --example frame_rate -- [rounds] [samples] [adapter]
 //!
 //! Slots are page-aligned memory of this process; publishing them is not measured.
 
@@ -24,13 +24,15 @@ fn main() -> Result<()> {
         .flat_map(|cell| Heading::ALL.map(|heading| Pose { cell, heading }))
         .collect();
     let only: Option<u32> = std::env::args().nth(2).map(|text| text.parse()).transpose()?;
+    let adapter = std::env::args().nth(3);
     for samples in [Samples::One, Samples::Four] {
         if only.is_some_and(|only| only != samples.count()) {
             continue;
         }
         for batch in [1, 8] {
             let begun = Instant::now();
-            let settings = RenderSettings { samples, ..RenderSettings::default() };
+            let settings =
+                RenderSettings { samples, adapter: adapter.clone(), ..RenderSettings::default() };
             let mut renderer = Renderer::new(&warehouse, settings)?;
             let start = begun.elapsed();
             let mut times = Vec::new();

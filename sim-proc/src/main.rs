@@ -1,17 +1,11 @@
 //! The simulator's binary: `serve` takes part in a run, `render` draws pictures for people.
 
-#![expect(
-    unsafe_code,
-    reason = "a driver is told by the environment how many threads it may start"
-)]
-
 use std::io::IsTerminal;
 use std::process::ExitCode;
 
 use clap::Parser;
 use sim_proc::render_command::{self, RenderArgs};
 use sim_proc::serve_command::{self, ServeArgs};
-use sim_proc::studio::DRIVER_THREADS;
 use tracing_subscriber::EnvFilter;
 
 /// The simulator of MemTransfer: steps the world and renders what the agent sees.
@@ -39,13 +33,7 @@ fn main() -> ExitCode {
         .with_writer(std::io::stderr)
         .init();
     let done = match Cli::parse().command {
-        Command::Serve(args) => {
-            if std::env::var_os(DRIVER_THREADS).is_none() {
-                // SAFETY: the program has started no thread yet, so nobody reads the environment meanwhile.
-                unsafe { std::env::set_var(DRIVER_THREADS, "0") };
-            }
-            serve_command::run(args)
-        }
+        Command::Serve(args) => serve_command::run(args),
         Command::Render(args) => render_command::run(&args),
     };
     match done {

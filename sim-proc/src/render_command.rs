@@ -31,6 +31,11 @@ pub struct RenderArgs {
     #[arg(long)]
     no_anti_aliasing: bool,
 
+    /// Draw on the first Vulkan adapter whose name contains this, or on the "processor"; otherwise on a graphics card,
+    /// and on the processor where there is none.
+    #[arg(long, value_name = "NAME")]
+    adapter: Option<String>,
+
     /// The folder with layout.toml, catalogue.toml and cases.toml, instead of what is compiled in.
     #[arg(long, value_name = "DIR")]
     assets: Option<PathBuf>,
@@ -68,7 +73,7 @@ fn parse_start(text: &str) -> Result<Start, String> {
 /// Draws what `args` ask for and prints the path of every file written.
 ///
 /// # Errors
-/// Assets that cannot be read, a pose or case that does not exist, no Vulkan driver, a file that cannot
+/// Assets that cannot be read, a pose or case that does not exist, an adapter that is not there, a file that cannot
 /// be written.
 pub fn run(args: &RenderArgs) -> Result<()> {
     let warehouse = match &args.assets {
@@ -79,6 +84,7 @@ pub fn run(args: &RenderArgs) -> Result<()> {
         width_px: args.size.0,
         height_px: args.size.1,
         samples: if args.no_anti_aliasing { Samples::One } else { Samples::Four },
+        adapter: args.adapter.clone(),
         ..RenderSettings::default()
     };
     let out = |default: &str| args.out.clone().unwrap_or_else(|| default.into());

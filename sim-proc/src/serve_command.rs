@@ -24,7 +24,8 @@ pub struct ServeArgs {
     #[arg(long, value_name = "DIR")]
     assets: Option<PathBuf>,
 
-    /// Render on the first Vulkan adapter whose name contains this, instead of the best one.
+    /// Draw on the first Vulkan adapter whose name contains this, or on the "processor"; otherwise on a graphics card,
+    /// and on the processor where there is none.
     #[arg(long, value_name = "NAME")]
     adapter: Option<String>,
 
@@ -36,8 +37,8 @@ pub struct ServeArgs {
 /// Takes part in the run until it stops.
 ///
 /// # Errors
-/// A run that cannot be joined or does not fit into shared memory, assets that cannot be read, no Vulkan
-/// driver; later, a broken transport, a failed device, or more views in use than fit.
+/// A run that cannot be joined or does not fit into shared memory, assets that cannot be read, an adapter that is not
+/// there; later, a broken transport, a failed device, or more views in use than fit.
 pub fn run(args: ServeArgs) -> Result<()> {
     let attach = Attach::read(&args.attach).context("cannot take part in the run")?;
     die_with_parent(attach.orchestrator_pid).context("this process belongs to an orchestrator")?;

@@ -1,9 +1,5 @@
-//! Renderers as painters: one, or as many as there are cores.
-//!
-//! A driver that draws on the processor draws a view on several threads, and waits for all of them several times
-//! a view. Told to keep to one thread (`LP_NUM_THREADS=0`, which Mesa's lavapipe reads) it does not wait; two of
-//! them, each with views of its own, get more out of two cores than one with two threads does. A graphics card is
-//! shared by nobody.
+//! Renderers as painters: as many as there are cores where the processor draws, each on a thread of its own with views
+//! of its own; one where a graphics card does.
 
 use std::thread;
 
@@ -13,9 +9,6 @@ use crate::painter::{Painter, Painting, Studio};
 use crate::renderer::{
     Destination, FramePath, RenderError, RenderJob, RenderSettings, Renderer, View,
 };
-
-/// The environment variable by which lavapipe is told how many threads it may start.
-pub const DRIVER_THREADS: &str = "LP_NUM_THREADS";
 
 /// Renderers on the processor, at most.
 const MOST: usize = 8;
@@ -38,8 +31,8 @@ impl Painter for Renderer {
     }
 }
 
-/// Opens renderers that draw at the same time: as many as there are cores, up to eight, where the driver draws on
-/// the processor and keeps to one thread, otherwise one.
+/// Opens renderers that draw at the same time: as many as there are cores, up to eight, where the processor draws,
+/// otherwise one.
 ///
 /// # Errors
 /// As [`Renderer::new`].
@@ -47,16 +40,12 @@ pub fn renderers(
     warehouse: &Warehouse,
     settings: RenderSettings,
 ) -> Result<Vec<Renderer>, RenderError> {
-    let first = Renderer::new(warehouse, settings)?;
-    let keeps_to_one = std::env::var_os(DRIVER_THREADS).is_some_and(|threads| threads == "0");
-    let wanted = if first.is_on_processor() && keeps_to_one {
-        thread::available_parallelism().map_or(1, |cores| cores.get().min(MOST))
-    } else {
-        1
-    };
-    let mut renderers = vec![first];
-    for _ in 1..wanted {
-        renderers.push(renderers[0].beside()?);
+    let mut renderers = vec![Renderer::new(warehouse, settings)?];
+    if renderers[0].keeps_to_its_thread() {
+        let cores = thread::available_parallelism().map_or(1, |cores| cores.get().min(MOST));
+        for _ in 1..cores {
+            renderers.push(renderers[0].beside()?);
+        }
     }
     Ok(renderers)
 }
@@ -69,7 +58,7 @@ impl Studio {
     pub fn open(warehouse: &Warehouse, settings: RenderSettings) -> Result<Self, RenderError> {
         let renderers = renderers(warehouse, settings)?;
         let first = &renderers[0];
-        let at_once = if first.is_on_processor() { 1 } else { VIEWS_ON_A_CARD };
+        let at_once = if first.keeps_to_its_thread() { 1 } else { VIEWS_ON_A_CARD };
         let report = first.report();
         let path = match report.frame_path {
             FramePath::Direct => "direct".to_owned(),

@@ -7,7 +7,7 @@ use shm_types::camera::{CAMERA_HEIGHT_M, FIELD_OF_VIEW_DEG};
 use shm_types::{Heading, Pose};
 
 /// Nothing nearer to the camera than this is drawn, in metres.
-const NEAR_M: f32 = 0.05;
+pub(super) const NEAR_M: f32 = 0.05;
 
 /// A camera in the world.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -19,28 +19,27 @@ pub(super) struct Gpu {
 }
 
 impl Gpu {
-    /// Opens the best adapter: a graphics card before the software driver, or the first whose name
-    /// contains `wanted` (case-insensitive).
-    pub(super) fn open(wanted: Option<&str>) -> Result<Self, RenderError> {
-        let mut descriptor = wgpu::InstanceDescriptor::new_without_display_handle();
-        descriptor.backends = wgpu::Backends::VULKAN;
-        let instance = wgpu::Instance::new(descriptor);
-        let mut adapters = pollster::block_on(instance.enumerate_adapters(wgpu::Backends::VULKAN));
-        adapters.sort_by_key(|adapter| preference(adapter.get_info().device_type));
+    /// Opens the best graphics card, if there is one.
+    pub(super) fn open_graphics_card() -> Result<Option<Self>, RenderError> {
+        let best = adapters().into_iter().next();
+        let card = best.filter(|adapter| is_graphics_card(adapter.get_info().device_type));
+        card.map(|adapter| open_adapter(&adapter)).transpose()
+    }
+
+    /// Opens the first adapter whose name contains `wanted` (case-insensitive), the best ones first.
+    pub(super) fn open(wanted: &str) -> Result<Self, RenderError> {
+        let adapters = adapters();
         if adapters.is_empty() {
-            return Err(RenderError::NoVulkan);
+            return Err(RenderError::NoVulkan { wanted: wanted.to_owned() });
         }
         let names: Vec<String> = adapters.iter().map(|a| a.get_info().name).collect();
-        let chosen = match wanted {
-            None => 0,
-            Some(text) => names
-                .iter()
-                .position(|name| name.to_lowercase().contains(&text.to_lowercase()))
-                .ok_or_else(|| RenderError::NoSuchAdapter {
-                    wanted: text.to_owned(),
-                    found: names.join(", "),
-                })?,
-        };
+        let chosen = names
+            .iter()
+            .position(|name| name.to_lowercase().contains(&wanted.to_lowercase()))
+            .ok_or_else(|| RenderError::NoSuchAdapter {
+                wanted: wanted.to_owned(),
+                found: names.join(", "),
+            })?;
         open_adapter(&adapters[chosen])
     }
 
@@ -49,6 +48,21 @@ impl Gpu {
         let waited = self.device.poll(wgpu::PollType::wait_indefinitely());
         waited.map(|_| ()).map_err(|error| RenderError::Device(error.to_string()))
     }
+}
+
+/// Every Vulkan adapter, the best first.
+fn adapters() -> Vec<wgpu::Adapter> {
+    let mut descriptor = wgpu::InstanceDescriptor::new_without_display_handle();
+    descriptor.backends = wgpu::Backends::VULKAN;
+    let instance = wgpu::Instance::new(descriptor);
+    let mut adapters = pollster::block_on(instance.enumerate_adapters(wgpu::Backends::VULKAN));
+    adapters.sort_by_key(|adapter| preference(adapter.get_info().device_type));
+    adapters
+}
+
+fn is_graphics_card(kind: wgpu::DeviceType) -> bool {
+    use wgpu::DeviceType::{DiscreteGpu, IntegratedGpu, VirtualGpu};
+    matches!(kind, DiscreteGpu | IntegratedGpu | VirtualGpu)
 }
 
 fn preference(kind: wgpu::DeviceType) -> u8 {

@@ -3,14 +3,17 @@
 /// Why the renderer could not start or could not render.
 #[derive(Debug, thiserror::Error)]
 pub enum RenderError {
-    /// No Vulkan driver answered.
+    /// No Vulkan driver answered, and an adapter of one was asked for.
     #[error(
-        "no Vulkan driver found, so nothing can be rendered; `cargo xtask setup` installs the \
-         software driver (Mesa's lavapipe) or prints the line that does"
+        "no Vulkan driver found, and so no adapter {wanted:?}; leave it out, or say \"processor\", to draw \
+         without one"
     )]
-    NoVulkan,
+    NoVulkan {
+        /// The text that was asked for.
+        wanted: String,
+    },
     /// Vulkan is there, but not the adapter that was asked for.
-    #[error("no Vulkan adapter's name contains {wanted:?}; there are: {found}")]
+    #[error("no Vulkan adapter's name contains {wanted:?}; there are: {found}, and \"processor\", which needs none")]
     NoSuchAdapter {
         /// The text that was asked for.
         wanted: String,

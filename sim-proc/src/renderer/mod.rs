@@ -1,10 +1,12 @@
 //! Poses in, pixels out: the only place that knows wgpu.
 //!
-//! A [`Renderer`] holds the warehouse as static meshes with baked light. A batch of [`RenderJob`]s is
-//! drawn in one submission, each view straight into its destination where the driver allows it
-//! (`output`). A view's bytes depend on its pose and variant alone, never on its batch.
+//! A [`Renderer`] holds the warehouse as static meshes with baked light, and draws with one of two hands: a graphics
+//! card's (`card`), or the processor's own (`raster`) where there is none. Both get the same lists of what to draw and
+//! put the pixels straight into their destinations. A view's bytes depend on its pose and variant alone, never on its
+//! batch.
 
 mod camera;
+mod card;
 mod device;
 mod error;
 mod light;
@@ -12,6 +14,7 @@ mod lookout;
 mod mesh;
 mod output;
 mod pipelines;
+mod raster;
 mod scene;
 mod showcase;
 mod target;
@@ -28,12 +31,11 @@ use shm_types::Pose;
 use warehouse::{Layout, Variant, Warehouse};
 
 use camera::Camera;
+use card::Card;
 use device::Gpu;
-use output::{Outputs, Sink};
-use pipelines::{Pipelines, ViewSlots};
+use raster::Raster;
 use scene::Scene;
-use target::Target;
-use vertex::ViewUniform;
+use vertex::Placement;
 use visibility::{DrawList, Triangles};
 
 pub use error::RenderError;
@@ -47,8 +49,8 @@ const MAX_SIDE_PX: u32 = 4096;
 /// Widths must be a multiple of this, so that rows of pixels follow each other without gaps.
 const WIDTH_STEP_PX: u32 = 64;
 
-/// Views that go to the device in one submission; a larger batch takes several.
-const VIEWS_IN_FLIGHT: usize = 16;
+/// The name of the adapter that is no Vulkan adapter: the processor.
+pub const PROCESSOR: &str = "processor";
 
 /// The colour of distance, and its share for each metre.
 const FOG_RGB: [f32; 3] = [0.80, 0.825, 0.845];
@@ -65,7 +67,8 @@ pub struct RenderSettings {
     pub samples: Samples,
     /// Whether slots are written by a copy even where the device could write them itself.
     pub force_copy: bool,
-    /// Take the first adapter whose name contains this text, instead of the best one.
+    /// Draw on the first Vulkan adapter whose name contains this text, or on the [`PROCESSOR`]; otherwise on a graphics
+    /// card, and on the processor where there is none.
     pub adapter: Option<String>,
 }
 
@@ -140,21 +143,67 @@ pub struct RenderJob<'a> {
     pub destination: Destination<'a>,
 }
 
+/// What a hand needs to know to draw a view.
+struct Picture {
+    camera: Camera,
+    list: DrawList,
+    barricades: Vec<Placement>,
+}
+
+/// Who draws.
+enum Hand {
+    Card(Box<Card>),
+    Raster(Box<Raster>),
+}
+
+impl Hand {
+    fn new(scene: &Scene, settings: &RenderSettings) -> Result<Self, RenderError> {
+        let gpu = match settings.adapter.as_deref() {
+            Some(PROCESSOR) => None,
+            Some(name) => Some(Gpu::open(name)?),
+            None => Gpu::open_graphics_card()?,
+        };
+        Ok(match gpu {
+            Some(gpu) => Self::Card(Box::new(Card::new(gpu, scene, settings))),
+            None => Self::Raster(Box::new(Raster::new(scene, settings))),
+        })
+    }
+
+    /// Draws pictures, one into each destination, and returns when these hold their pixels.
+    fn draw(
+        &mut self,
+        scene: &Scene,
+        pictures: &[Picture],
+        background: [f32; 3],
+        destinations: &mut [&mut Destination<'_>],
+        frame_bytes: usize,
+    ) -> Result<(), RenderError> {
+        match self {
+            Self::Card(card) => card.draw(scene, pictures, background, destinations),
+            Self::Raster(raster) => {
+                let [r, g, b] = background.map(|channel| (channel * 255.0).round() as u8);
+                let background = u32::from_le_bytes([r, g, b, 255]);
+                for (picture, destination) in pictures.iter().zip(destinations) {
+                    let pixels = &mut destination.bytes()[..frame_bytes];
+                    raster.draw(scene, picture, background, pixels);
+                }
+                Ok(())
+            }
+        }
+    }
+}
+
 /// Draws views of one warehouse.
 pub struct Renderer {
-    gpu: Gpu,
-    target: Target,
-    outputs: Outputs,
-    pipelines: Pipelines,
-    slots: ViewSlots,
+    hand: Hand,
     lookout: Lookout,
     settings: RenderSettings,
     /// What shows where nothing is drawn, which happens only outside the hall.
-    background: wgpu::Color,
+    background: [f32; 3],
 }
 
 impl Renderer {
-    /// Opens a device and uploads the scene of `warehouse`.
+    /// Builds the scene of `warehouse`, and opens a device if that is to draw it.
     ///
     /// # Errors
     /// No Vulkan driver, no adapter of the wanted name, a device that cannot be opened, or a frame size
@@ -164,7 +213,7 @@ impl Renderer {
         Self::of_scene(scene, warehouse.layout.clone(), settings)
     }
 
-    /// Another one of the same scene, with a device of its own.
+    /// Another one of the same scene, with a hand of its own.
     ///
     /// # Errors
     /// As [`Renderer::new`].
@@ -190,43 +239,30 @@ impl Renderer {
         {
             return Err(RenderError::FrameSize { width_px, height_px, limit_px: MAX_SIDE_PX });
         }
-        let gpu = Gpu::open(settings.adapter.as_deref())?;
-        let samples = settings.samples.count();
-        let target = Target::new(&gpu, width_px, height_px, samples);
-        let outputs = Outputs::new(&gpu, &target, settings.force_copy);
-        let pipelines = Pipelines::new(&gpu, lookout.scene(), samples);
-        let slots = ViewSlots::new(&gpu, &pipelines, VIEWS_IN_FLIGHT);
-        let [r, g, b] = FOG_RGB.map(f64::from);
-        Ok(Self {
-            gpu,
-            target,
-            outputs,
-            pipelines,
-            slots,
-            lookout,
-            settings,
-            background: wgpu::Color { r, g, b, a: 1.0 },
-        })
+        let hand = Hand::new(lookout.scene(), &settings)?;
+        Ok(Self { hand, lookout, settings, background: FOG_RGB })
     }
 
     /// Bytes of one frame.
     pub fn frame_bytes(&self) -> usize {
-        self.target.frame_bytes() as usize
+        output::frame_bytes(self.settings.width_px, self.settings.height_px) as usize
     }
 
     /// What the renderer runs on and what it has copied.
     pub fn report(&self) -> RenderReport {
-        let info = &self.gpu.adapter;
-        RenderReport {
-            adapter: format!("{} ({})", info.name, info.driver_info),
-            frame_path: self.outputs.path().clone(),
-            bytes_copied: self.outputs.bytes_copied(),
+        match &self.hand {
+            Hand::Card(card) => card.report(),
+            Hand::Raster(_) => RenderReport {
+                adapter: PROCESSOR.to_owned(),
+                frame_path: FramePath::Direct,
+                bytes_copied: 0,
+            },
         }
     }
 
-    /// Whether it is the processor that draws.
-    pub fn is_on_processor(&self) -> bool {
-        self.gpu.adapter.device_type == wgpu::DeviceType::Cpu
+    /// Whether it draws on the thread that asks it to, so that another one beside it draws as fast.
+    pub fn keeps_to_its_thread(&self) -> bool {
+        matches!(self.hand, Hand::Raster(_))
     }
 
     /// Draws every job and returns when all destinations hold their pixels.
@@ -246,10 +282,9 @@ impl Renderer {
                 return Err(RenderError::DestinationSize { pose, expected, actual });
             }
         }
-        for jobs in batch.chunks_mut(VIEWS_IN_FLIGHT) {
-            self.submit(jobs)?;
-        }
-        Ok(())
+        let pictures: Vec<Picture> = batch.iter().map(|job| self.picture(job.view)).collect();
+        let mut destinations: Vec<_> = batch.iter_mut().map(|job| &mut job.destination).collect();
+        self.draw(&pictures, &mut destinations)
     }
 
     /// Draws one view into a new image.
@@ -257,10 +292,8 @@ impl Renderer {
     /// # Errors
     /// As [`Self::render`].
     pub fn render_image(&mut self, view: View<'_>) -> Result<image::RgbaImage, RenderError> {
-        let mut image = image::RgbaImage::new(self.settings.width_px, self.settings.height_px);
-        let destination = Destination::Memory(&mut image);
-        self.render(&mut [RenderJob { view, destination }])?;
-        Ok(image)
+        let picture = self.picture(view);
+        self.draw_image(picture)
     }
 
     /// What can be seen from where, to be asked elsewhere.
@@ -272,46 +305,31 @@ impl Renderer {
     /// unmapped, that is when a publisher is dropped, before frames go to another: a driver may tie an
     /// address to the pages that were behind it first.
     pub fn forget_imports(&mut self) {
-        self.outputs.forget_imports();
-    }
-
-    fn submit(&mut self, jobs: &mut [RenderJob<'_>]) -> Result<(), RenderError> {
-        self.slots.clear();
-        for job in &*jobs {
-            let View { pose, variant } = job.view;
-            let barricades = self.lookout.barricades(variant);
-            let (scene, camera, sight) = self.lookout.look(pose);
-            let list = DrawList::new(scene, &camera, &sight.objects, Triangles::Facing);
-            self.slots.push(scene, &uniform(&camera), &list, &barricades);
+        if let Hand::Card(card) = &mut self.hand {
+            card.forget_imports();
         }
-        self.draw(jobs.iter_mut().map(|job| &mut job.destination).collect())
     }
 
-    /// Draws the views that have been put into the slots, one into each destination.
-    fn draw(&mut self, destinations: Vec<&mut Destination<'_>>) -> Result<(), RenderError> {
-        self.slots.upload(&self.gpu);
-        let mut encoder = self.gpu.device.create_command_encoder(&Default::default());
-        let mut frames = Vec::with_capacity(destinations.len());
-        for (place, destination) in destinations.into_iter().enumerate() {
-            let mut pass = self.target.begin(&mut encoder, self.background);
-            self.slots.draw(&mut pass, &self.pipelines, place);
-            drop(pass);
-            let sink =
-                self.outputs.record(&self.gpu, &mut encoder, &self.target, place, destination);
-            frames.push((sink, destination));
-        }
-        let direct = frames.iter().any(|(sink, _)| matches!(sink, Sink::Imported));
-        let barrier = direct.then(|| output::host_read_barrier(&self.gpu));
-        self.gpu.queue.submit([encoder.finish()].into_iter().chain(barrier));
-        self.gpu.wait()?;
-        self.outputs.finish(&self.gpu, frames)
+    fn picture(&mut self, View { pose, variant }: View<'_>) -> Picture {
+        let barricades = self.lookout.barricades(variant);
+        let (scene, camera, sight) = self.lookout.look(pose);
+        let list = DrawList::new(scene, &camera, &sight.objects, Triangles::Facing);
+        Picture { camera, list, barricades }
     }
-}
 
-fn uniform(camera: &Camera) -> ViewUniform {
-    ViewUniform {
-        clip_from_world: camera.clip_from_world().into(),
-        fog_rgb: FOG_RGB,
-        fog_per_m: FOG_PER_M,
+    fn draw_image(&mut self, picture: Picture) -> Result<image::RgbaImage, RenderError> {
+        let mut image = image::RgbaImage::new(self.settings.width_px, self.settings.height_px);
+        self.draw(&[picture], &mut [&mut Destination::Memory(&mut image)])?;
+        Ok(image)
+    }
+
+    /// Draws pictures, one into each destination.
+    fn draw(
+        &mut self,
+        pictures: &[Picture],
+        destinations: &mut [&mut Destination<'_>],
+    ) -> Result<(), RenderError> {
+        let (scene, bytes) = (self.lookout.scene(), self.frame_bytes());
+        self.hand.draw(scene, pictures, self.background, destinations, bytes)
     }
 }

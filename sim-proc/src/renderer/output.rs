@@ -46,7 +46,7 @@ impl Destination<'_> {
         self.len() == 0
     }
 
-    fn bytes(&mut self) -> &mut [u8] {
+    pub(super) fn bytes(&mut self) -> &mut [u8] {
         match self {
             Self::Slot(bytes) | Self::Memory(bytes) => bytes,
         }

@@ -7,7 +7,7 @@ use super::camera::Camera;
 use super::scene::showcase;
 use super::text::{Lettering, coverage};
 use super::visibility::{DrawList, Sight, Triangles};
-use super::{Destination, RenderError, RenderSettings, Renderer, uniform};
+use super::{Picture, RenderError, RenderSettings, Renderer};
 
 /// Writes `text` on one line into the rectangle of `size` pixels whose top left corner is at `place`, as
 /// large as fits, in the renderer's own lettering.
@@ -52,14 +52,11 @@ pub fn exhibits(
                 stand.at[1] + distance * f32::from(back_y),
             ];
             let camera = Camera::at(at, stand.viewer, width_px, height_px);
-            let visible = Sight::new(renderer.lookout.scene(), &camera).objects;
-            let list =
-                DrawList::new(renderer.lookout.scene(), &camera, &visible, Triangles::Facing);
-            renderer.slots.clear();
-            renderer.slots.push(renderer.lookout.scene(), &uniform(&camera), &list, &[]);
-            let mut picture = RgbaImage::new(width_px, height_px);
-            renderer.draw(vec![&mut Destination::Memory(&mut picture)])?;
-            pictures.push(picture);
+            let scene = renderer.lookout.scene();
+            let visible = Sight::new(scene, &camera).objects;
+            let list = DrawList::new(scene, &camera, &visible, Triangles::Facing);
+            let picture = Picture { camera, list, barricades: Vec::new() };
+            pictures.push(renderer.draw_image(picture)?);
         }
         exhibits.push(Exhibit { name: kind.name.clone(), pictures });
     }

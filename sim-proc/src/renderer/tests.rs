@@ -1,4 +1,4 @@
-//! What must hold for every picture: nothing visible is left out, neither the way out nor the batch
+//! What must hold for every picture, whoever draws it: nothing visible is left out, neither the way out nor the batch
 //! changes a byte, label plates keep their colours, a barricade is seen.
 
 use shm_types::Heading;
@@ -18,6 +18,17 @@ fn renderer(warehouse: &Warehouse, settings: RenderSettings) -> Renderer {
     }
 }
 
+/// Every hand there is on this machine, with these settings: the processor's, and that of the best Vulkan adapter.
+fn hands(settings: &RenderSettings) -> [RenderSettings; 2] {
+    // Every name contains nothing.
+    [PROCESSOR, ""].map(|name| RenderSettings { adapter: Some(name.to_owned()), ..settings.clone() })
+}
+
+/// A renderer with each hand.
+fn both(warehouse: &Warehouse) -> [Renderer; 2] {
+    hands(&RenderSettings::default()).map(|settings| renderer(warehouse, settings))
+}
+
 fn poses(warehouse: &Warehouse) -> Vec<Pose> {
     let cells = warehouse.layout.free_cells();
     cells.flat_map(|cell| Heading::ALL.map(|heading| Pose { cell, heading })).collect()
@@ -31,11 +42,7 @@ fn drawn_with(
     triangles: Triangles,
 ) -> image::RgbaImage {
     let list = DrawList::new(renderer.lookout.scene(), camera, objects, triangles);
-    renderer.slots.clear();
-    renderer.slots.push(renderer.lookout.scene(), &uniform(camera), &list, &[]);
-    let mut image = image::RgbaImage::new(SIDE_PX, SIDE_PX);
-    renderer.draw(vec![&mut Destination::Memory(&mut image)]).unwrap();
-    image
+    renderer.draw_image(Picture { camera: *camera, list, barricades: Vec::new() }).unwrap()
 }
 
 /// How many pixels differ. With DIFF_DIR set, the places are shown in a picture there.
@@ -56,37 +63,45 @@ fn differing(pose: Pose, a: &image::RgbaImage, b: &image::RgbaImage) -> usize {
 #[test]
 fn culling_loses_nothing_and_the_hall_has_no_holes() {
     let warehouse = Warehouse::shipped();
-    let mut renderer = renderer(&warehouse, RenderSettings::default());
-    let mut wrong = Vec::new();
     let step = std::env::var("POSE_STEP").map_or(29, |step| step.parse().unwrap());
-    for pose in poses(&warehouse).into_iter().step_by(step) {
+    for mut renderer in both(&warehouse) {
+        let wrong = losses(&warehouse, &mut renderer, step);
+        let drawn = renderer.report().adapter;
+        assert!(wrong.is_empty(), "views that {drawn} draws wrong:\n{}", wrong.join("\n"));
+    }
+}
+
+/// What is wrong with every pose number `step`.
+fn losses(warehouse: &Warehouse, renderer: &mut Renderer, step: usize) -> Vec<String> {
+    let mut wrong = Vec::new();
+    for pose in poses(warehouse).into_iter().step_by(step) {
         let camera = Camera::new(pose, SIDE_PX, SIDE_PX);
         let all = visibility::nearest_first(renderer.lookout.scene(), &camera, |_| true);
         let backwards: Vec<u32> = all.iter().rev().copied().collect();
         let culled = Sight::new(renderer.lookout.scene(), &camera).objects;
         assert!(culled.len() < all.len() / 2, "{pose}: culling left out too little");
-        let culled = drawn_with(&mut renderer, &camera, &culled, Triangles::Facing);
-        let whole = drawn_with(&mut renderer, &camera, &all, Triangles::All);
+        let culled = drawn_with(renderer, &camera, &culled, Triangles::Facing);
+        let whole = drawn_with(renderer, &camera, &all, Triangles::All);
         let lost = differing(pose, &culled, &whole);
         if lost > 0 {
             wrong.push(format!("{pose}: {lost} pixels lost"));
         }
         // Surfaces in one plane would show here; single pixels are edges that meet.
-        let whole_backwards = drawn_with(&mut renderer, &camera, &backwards, Triangles::All);
+        let whole_backwards = drawn_with(renderer, &camera, &backwards, Triangles::All);
         let fighting = differing(pose, &whole, &whole_backwards);
         if fighting > 12 {
             wrong.push(format!("{pose}: {fighting} pixels depend on the order of drawing"));
         }
         // A hole in the hall would show the background; a few samples at distant corners do.
-        let background = std::mem::replace(&mut renderer.background, wgpu::Color::BLACK);
-        let holes = drawn_with(&mut renderer, &camera, &all, Triangles::All);
+        let background = std::mem::replace(&mut renderer.background, [0.0; 3]);
+        let holes = drawn_with(renderer, &camera, &all, Triangles::All);
         renderer.background = background;
         let holes = differing(pose, &whole, &holes);
         if holes > 4 {
             wrong.push(format!("{pose}: {holes} pixels show nothing"));
         }
     }
-    assert!(wrong.is_empty(), "views that are wrong:\n{}", wrong.join("\n"));
+    wrong
 }
 
 /// Whole pages for `frames` frames, in memory that may be imported.
@@ -113,8 +128,9 @@ impl Pages {
 fn neither_the_way_out_nor_the_batch_changes_a_byte() {
     let warehouse = Warehouse::shipped();
     let settings = RenderSettings { width_px: 192, height_px: 128, ..RenderSettings::default() };
-    let mut direct = renderer(&warehouse, settings.clone());
-    let mut copied = renderer(&warehouse, RenderSettings { force_copy: true, ..settings });
+    let [_, card] = hands(&settings);
+    let mut direct = renderer(&warehouse, card.clone());
+    let mut copied = renderer(&warehouse, RenderSettings { force_copy: true, ..card });
     assert!(matches!(copied.report().frame_path, FramePath::Copied { .. }));
     let open = Variant::UNCHANGED;
     let blocked = Variant::closing(CaseSet::shipped().cases[0].barricade.iter().copied());
@@ -154,7 +170,12 @@ fn neither_the_way_out_nor_the_batch_changes_a_byte() {
 #[test]
 fn a_plate_in_front_shows_its_exact_colours() {
     let warehouse = Warehouse::shipped();
-    let mut renderer = renderer(&warehouse, RenderSettings::default());
+    for mut renderer in both(&warehouse) {
+        check_plates(&warehouse, &mut renderer);
+    }
+}
+
+fn check_plates(warehouse: &Warehouse, renderer: &mut Renderer) {
     for item in warehouse.items.iter().step_by(5) {
         let kind = &warehouse.catalogue.types[item.item_type];
         let category = &warehouse.catalogue.categories[kind.category];
@@ -189,9 +210,10 @@ fn a_plate_in_front_shows_its_exact_colours() {
 #[test]
 fn nobody_overlooks_a_barricade() {
     let warehouse = Warehouse::shipped();
-    let mut renderer = renderer(&warehouse, RenderSettings::default());
     let mut seen = 0;
-    for case in CaseSet::shipped().cases.iter().step_by(9) {
+    let mut both = both(&warehouse);
+    for (number, case) in CaseSet::shipped().cases.iter().step_by(9).enumerate() {
+        let renderer = &mut both[number % 2];
         let closed = Variant::closing(case.barricade.iter().copied());
         for &cell in closed.closed() {
             for heading in Heading::ALL {
@@ -224,7 +246,7 @@ fn nobody_overlooks_a_barricade() {
 #[test]
 fn a_barricade_that_is_hidden_changes_no_byte() {
     let warehouse = Warehouse::shipped();
-    let mut renderer = renderer(&warehouse, RenderSettings::default());
+    let mut both = both(&warehouse);
     let mut barricades: Vec<Variant> = Vec::new();
     for case in CaseSet::shipped().cases {
         let variant = Variant::closing(case.barricade);
@@ -236,7 +258,7 @@ fn a_barricade_that_is_hidden_changes_no_byte() {
     for (number, variant) in barricades.iter().enumerate() {
         for pose in poses(&warehouse).into_iter().filter(|pose| !variant.is_closed(pose.cell)) {
             views += 1;
-            if !renderer.lookout.may_show_barricade(View { pose, variant }) {
+            if !both[0].lookout.may_show_barricade(View { pose, variant }) {
                 let is_ahead = variant.closed().iter().any(|&cell| is_ahead(pose, cell));
                 if is_ahead { &mut ahead } else { &mut elsewhere }.push((number, pose));
             }
@@ -249,11 +271,13 @@ fn a_barricade_that_is_hidden_changes_no_byte() {
         let step = std::env::var("POSE_STEP").map_or(step, |step| step.parse().unwrap());
         for (number, pose) in hidden.into_iter().step_by(step) {
             let variant = &barricades[number];
-            let blocked = renderer.render_image(View { pose, variant }).unwrap();
-            let open = View { pose, variant: &Variant::UNCHANGED };
-            let open = renderer.render_image(open).unwrap();
-            let differing = differing(pose, &open, &blocked);
-            assert_eq!(differing, 0, "{pose} with {:?} closed", variant.closed());
+            for renderer in &mut both {
+                let blocked = renderer.render_image(View { pose, variant }).unwrap();
+                let open = View { pose, variant: &Variant::UNCHANGED };
+                let open = renderer.render_image(open).unwrap();
+                let differing = differing(pose, &open, &blocked);
+                assert_eq!(differing, 0, "{pose} with {:?} closed", variant.closed());
+            }
         }
     }
 }

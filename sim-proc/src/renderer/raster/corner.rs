@@ -1,0 +1,296 @@
+//! From the corners of a mesh to places in the picture, sixteen at a time.
+
+use fearless_simd::{Select, Simd, SimdBase, SimdFloat, f32x16, i32x16};
+
+use super::canvas::{Lanes, PIXELS};
+use crate::renderer::camera::{Camera, NEAR_M};
+use crate::renderer::vertex::Placement;
+use crate::renderer::{FOG_PER_M, FOG_RGB};
+
+/// Triangles are cut off this far outside of the picture, so that numbers stay small.
+const GUARD: f32 = 2.0;
+
+/// Bits below a pixel, for pictures of up to 1024 pixels a side; fewer for larger ones.
+const SUBPIXEL_BITS: u32 = 8;
+
+/// The bit, in [`Corner::beyond`], of corners whose triangles have to be cut.
+pub(super) const TO_CUT: i32 = 1 << 5;
+
+/// A corner as the camera sees it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[repr(C, align(16))]
+pub(super) struct Corner {
+    /// 1, and the values that are interpolated in the world.
+    pub(super) values: [f32; 4],
+    /// Clip space: x and y over `ahead` are the place in the picture, -1 to 1.
+    pub(super) x: f32,
+    pub(super) y: f32,
+    /// Metres along the optical axis.
+    pub(super) ahead: f32,
+    pub(super) nearness: f32,
+    /// Where it lies in the picture: steps of the grid from the top left corner, and the nearest whole ones.
+    pub(super) fine: [f32; 2],
+    pub(super) at: [i32; 2],
+    /// How it lies outside of the picture, a bit for each: to the right, to the left, above, below, behind, and so far
+    /// beyond that its triangles have to be cut.
+    pub(super) beyond: i32,
+}
+
+impl Corner {
+    const NOWHERE: Self = Self {
+        values: [0.0; 4],
+        x: 0.0,
+        y: 0.0,
+        ahead: 0.0,
+        nearness: 0.0,
+        fine: [0.0; 2],
+        at: [0; 2],
+        beyond: 0,
+    };
+}
+
+/// The places in a picture that are told apart.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Grid {
+    /// A pixel is 2 to this many steps.
+    pub(super) bits: u32,
+    /// Half the picture in steps, across and down.
+    half: [f32; 2],
+}
+
+impl Grid {
+    pub(super) fn new(width_px: u32, height_px: u32) -> Self {
+        let larger = width_px.max(height_px).div_ceil(1024).next_power_of_two().trailing_zeros();
+        let bits = SUBPIXEL_BITS - larger.min(4);
+        let half = [width_px, height_px].map(|side| 0.5 * (side << bits) as f32);
+        Self { bits, half }
+    }
+}
+
+/// How a mesh is looked at: by which camera, and where it stands.
+pub(super) struct Look<'a> {
+    grid: &'a Grid,
+    /// Column by column.
+    clip_from_world: [[f32; 4]; 4],
+    placement: Placement,
+}
+
+impl<'a> Look<'a> {
+    /// Of `camera` at meshes that stand where they say.
+    pub(super) fn new(grid: &'a Grid, camera: &Camera) -> Self {
+        let clip_from_world = camera.clip_from_world().into();
+        Self { grid, clip_from_world, placement: Placement::IDENTITY }
+    }
+
+    /// At a mesh that stands elsewhere.
+    pub(super) fn at(&self, placement: Placement) -> Self {
+        Self { placement, ..*self }
+    }
+
+    /// Places sixteen corners. As in the shaders.
+    #[inline(always)]
+    fn place<V: Simd>(&self, simd: V, sixteen: &Sixteen, corners: &mut [Corner; PIXELS]) {
+        let mut components = [f32x16::splat(simd, 0.0); COMPONENTS];
+        for i in 0..COMPONENTS {
+            components[i] = f32x16::load_array_ref(simd, &sixteen.0[i]);
+        }
+        let [x, y, z, takes_fog, values @ ..] = components;
+        let Placement { at, turn } = self.placement;
+        let east = x * turn[0] - y * turn[1] + at[0];
+        let north = x * turn[1] + y * turn[0] + at[1];
+        let m = &self.clip_from_world;
+        let x = east * m[0][0] + north * m[1][0] + z * m[2][0] + m[3][0];
+        let y = east * m[0][1] + north * m[1][1] + z * m[2][1] + m[3][1];
+        let ahead = east * m[0][3] + north * m[1][3] + z * m[2][3] + m[3][3];
+        let nearness = f32x16::splat(simd, 1.0) / ahead;
+        let [half_width, half_height] = self.grid.half;
+        let right = x * nearness * half_width + half_width;
+        let down = y * nearness * -half_height + half_height;
+
+        let guard = ahead * GUARD;
+        let is_kept = ahead.simd_ge(NEAR_M) & x.abs().simd_le(guard) & y.abs().simd_le(guard);
+        let outside = [
+            x.simd_gt(ahead),
+            x.simd_lt(-ahead),
+            y.simd_gt(ahead),
+            y.simd_lt(-ahead),
+            ahead.simd_lt(NEAR_M),
+            !is_kept,
+        ];
+        let mut beyond = i32x16::splat(simd, 0);
+        for (bit, outside) in outside.into_iter().enumerate() {
+            beyond |= outside.select(i32x16::splat(simd, 1 << bit), i32x16::splat(simd, 0));
+        }
+
+        let fog = (ahead * FOG_PER_M).max(0.0).min(1.0) * takes_fog;
+        let mut shaded = [[0.0; PIXELS]; 3];
+        for i in 0..3 {
+            let value = values[i];
+            shaded[i] = (value + (-value + FOG_RGB[i] * 255.0) * fog).to_array();
+        }
+        let (x, y) = (x.to_array(), y.to_array());
+        let (ahead, nearness) = (ahead.to_array(), nearness.to_array());
+        // Where a corner that is not kept lies in the picture, nobody asks.
+        let whole_right = (right + 0.5).floor().to_int::<i32x16<V>>().to_array();
+        let whole_down = (down + 0.5).floor().to_int::<i32x16<V>>().to_array();
+        let (right, down) = (right.to_array(), down.to_array());
+        let beyond = beyond.to_array();
+        for lane in 0..PIXELS {
+            corners[lane] = Corner {
+                values: [1.0, shaded[0][lane], shaded[1][lane], shaded[2][lane]],
+                x: x[lane],
+                y: y[lane],
+                ahead: ahead[lane],
+                nearness: nearness[lane],
+                fine: [right[lane], down[lane]],
+                at: [whole_right[lane], whole_down[lane]],
+                beyond: beyond[lane],
+            };
+        }
+    }
+}
+
+/// x, y, z in metres, how much of the fog it takes, and three values.
+const COMPONENTS: usize = 7;
+
+/// Sixteen corners of a mesh, component by component.
+#[derive(Clone, Copy)]
+#[repr(C, align(64))]
+struct Sixteen([Lanes<f32>; COMPONENTS]);
+
+/// The corners of a mesh, and those of them that were asked for as a camera sees them.
+pub(super) struct Corners {
+    mesh: Vec<Sixteen>,
+    placed: Vec<[Corner; PIXELS]>,
+    /// At which look each sixteen were placed.
+    stamps: Vec<u32>,
+    now: u32,
+}
+
+impl Corners {
+    /// Corners with their positions, how much of the fog they take, and their values.
+    pub(super) fn new(corners: impl Iterator<Item = ([f32; 3], f32, [f32; 3])>) -> Self {
+        let mut mesh = Vec::new();
+        for (number, ([x, y, z], fog, [a, b, c])) in corners.enumerate() {
+            if number % PIXELS == 0 {
+                mesh.push(Sixteen([[0.0; PIXELS]; COMPONENTS]));
+            }
+            if let Some(Sixteen(components)) = mesh.last_mut() {
+                for (component, value) in components.iter_mut().zip([x, y, z, fog, a, b, c]) {
+                    component[number % PIXELS] = value;
+                }
+            }
+        }
+        let placed = vec![[Corner::NOWHERE; PIXELS]; mesh.len()];
+        let stamps = vec![0; mesh.len()];
+        Self { mesh, placed, stamps, now: 0 }
+    }
+
+    /// Forgets the last look.
+    pub(super) fn look_again(&mut self) {
+        self.now = self.now.wrapping_add(1);
+        if self.now == 0 {
+            self.stamps.fill(0);
+            self.now = 1;
+        }
+    }
+
+    /// A triangle's corners.
+    #[inline(always)]
+    pub(super) fn triangle<V: Simd>(
+        &mut self,
+        simd: V,
+        look: &Look<'_>,
+        indices: &[u32],
+    ) -> [Corner; 3] {
+        let mut triangle = [Corner::NOWHERE; 3];
+        for (corner, &index) in triangle.iter_mut().zip(indices) {
+            let (sixteen, lane) = (index as usize / PIXELS, index as usize % PIXELS);
+            if self.stamps[sixteen] != self.now {
+                self.stamps[sixteen] = self.now;
+                look.place(simd, &self.mesh[sixteen], &mut self.placed[sixteen]);
+            }
+            *corner = self.placed[sixteen][lane];
+        }
+        triangle
+    }
+}
+
+const PLANES: usize = 5;
+
+/// How far inside of each plane that triangles are cut at.
+fn planes(corner: &Corner) -> [f32; PLANES] {
+    let Corner { x, y, ahead, .. } = *corner;
+    let guard = GUARD * ahead;
+    [ahead - NEAR_M, guard - x, guard + x, guard - y, guard + y]
+}
+
+/// What is left of a triangle that was cut; every plane adds a corner at most.
+pub(super) struct Polygon {
+    corners: [Corner; 3 + PLANES],
+    len: usize,
+}
+
+impl Polygon {
+    /// Cuts a triangle at every plane.
+    #[inline(never)]
+    pub(super) fn inside(corners: &[Corner; 3], grid: &Grid) -> Self {
+        let mut polygon = Self { corners: [Corner::NOWHERE; 3 + PLANES], len: 3 };
+        polygon.corners[..3].copy_from_slice(corners);
+        for plane in 0..PLANES {
+            polygon.cut(plane);
+        }
+        let [half_width, half_height] = grid.half;
+        for corner in &mut polygon.corners[..polygon.len] {
+            let nearness = 1.0 / corner.ahead;
+            let right = corner.x * nearness * half_width + half_width;
+            let down = corner.y * nearness * -half_height + half_height;
+            corner.nearness = nearness;
+            corner.fine = [right, down];
+            corner.at = [(right + 0.5).floor() as i32, (down + 0.5).floor() as i32];
+        }
+        polygon
+    }
+
+    pub(super) fn corners(&self) -> &[Corner] {
+        &self.corners[..self.len]
+    }
+
+    /// Leaves what is inside of plane number `plane`.
+    fn cut(&mut self, plane: usize) {
+        let before = self.corners;
+        let len = std::mem::take(&mut self.len);
+        for i in 0..len {
+            let (this, next) = (before[i], before[(i + 1) % len]);
+            let (here, there) = (planes(&this)[plane], planes(&next)[plane]);
+            if here >= 0.0 {
+                self.push(this);
+            }
+            // From the inside out, whichever way round, so that neighbours are cut at the same place.
+            if here >= 0.0 && there < 0.0 {
+                self.push(between(&this, &next, here / (here - there)));
+            } else if here < 0.0 && there >= 0.0 {
+                self.push(between(&next, &this, there / (there - here)));
+            }
+        }
+    }
+
+    fn push(&mut self, corner: Corner) {
+        if let Some(place) = self.corners.get_mut(self.len) {
+            *place = corner;
+            self.len += 1;
+        }
+    }
+}
+
+/// The corner at a share of the way; its place in the picture is not known yet.
+fn between(from: &Corner, to: &Corner, share: f32) -> Corner {
+    let mix = |a: f32, b: f32| a + (b - a) * share;
+    Corner {
+        values: std::array::from_fn(|i| mix(from.values[i], to.values[i])),
+        x: mix(from.x, to.x),
+        y: mix(from.y, to.y),
+        ahead: mix(from.ahead, to.ahead),
+        ..*from
+    }
+}

@@ -1,0 +1,249 @@
+//! The three ways of colouring pixels, as in the shaders beside this folder: lit, label plate, text.
+
+use fearless_simd::{Bytes, Select, Simd, SimdBase, SimdFloat, SimdInt, f32x16, i32x16, u32x16};
+use shm_types::plate;
+
+use super::canvas::PIXELS;
+use super::triangle::Triangle;
+use crate::renderer::text::Atlas;
+
+/// Colours the pixels of a block.
+pub(super) trait Shader {
+    /// RGBA, red lowest, for the pixels of the block whose first pixel has its middle at `at`, and this nearness there.
+    fn colours<V: Simd, const M: usize>(
+        &self,
+        simd: V,
+        triangle: &Triangle<V, M>,
+        at: [f64; 2],
+        nearness: f32,
+    ) -> u32x16<V>;
+}
+
+const OPAQUE: u32 = 0xff00_0000;
+
+/// Added to a float of 0 to 255, it leaves the nearest whole number in the lowest byte, and nothing in the
+/// two above it.
+const TO_WHOLE: f32 = 8_388_608.0;
+
+#[inline(always)]
+fn packed<V: Simd>(simd: V, [r, g, b]: [f32x16<V>; 3]) -> u32x16<V> {
+    u32x16::splat(simd, OPAQUE) | whole(r) | (whole(g) << 8) | (whole(b) << 16)
+}
+
+#[inline(always)]
+fn whole<V: Simd>(channel: f32x16<V>) -> u32x16<V> {
+    (channel + TO_WHOLE).bitcast::<u32x16<V>>()
+}
+
+/// The first `N` values of a triangle's corners, at each pixel of a block.
+#[inline(always)]
+fn values<V: Simd, const M: usize, const N: usize>(
+    simd: V,
+    triangle: &Triangle<V, M>,
+    at: [f64; 2],
+    nearness: f32,
+) -> [f32x16<V>; N] {
+    let start = triangle.plane.values(at).to_array();
+    let distance = f32x16::splat(simd, 1.0) / (triangle.slopes[0] + nearness);
+    let mut values = [distance; N];
+    for i in 0..N {
+        let value = (triangle.slopes[1 + i] + start[1 + i]) * distance;
+        // A pixel whose middle lies beside the triangle has no other values than its corners.
+        values[i] = value.max(triangle.least[1 + i]).min(triangle.most[1 + i]);
+    }
+    values
+}
+
+/// A lit surface. A corner's values are its colour in bytes.
+pub(super) struct Lit;
+
+impl Shader for Lit {
+    #[inline(always)]
+    fn colours<V: Simd, const M: usize>(
+        &self,
+        simd: V,
+        triangle: &Triangle<V, M>,
+        at: [f64; 2],
+        nearness: f32,
+    ) -> u32x16<V> {
+        packed(simd, values(simd, triangle, at, nearness))
+    }
+}
+
+/// A label plate: exact colours, decided at the middle of a pixel. A corner's values are its place on it.
+pub(super) struct Plate {
+    pub(super) code: u32,
+}
+
+impl Shader for Plate {
+    #[inline(always)]
+    fn colours<V: Simd, const M: usize>(
+        &self,
+        simd: V,
+        triangle: &Triangle<V, M>,
+        at: [f64; 2],
+        nearness: f32,
+    ) -> u32x16<V> {
+        let share = plate::FRAME_M / plate::SIZE_M;
+        let [x, y] = values(simd, triangle, at, nearness);
+        let x = (x - share) / (1.0 - 2.0 * share);
+        let y = (y - share) / (1.0 - 2.0 * share);
+        let inside = x.simd_ge(0.0) & x.simd_lt(1.0) & y.simd_ge(0.0) & y.simd_lt(1.0);
+        let bands = plate::BANDS as u32;
+        let row = (y.max(0.0).min(1.0) * plate::BANDS as f32).to_int::<u32x16<V>>();
+        let place = inside.select(row.min(bands - 1), u32x16::splat(simd, bands));
+        let bits = u32x16::splat(simd, self.code) >> (place * 3);
+        // Bit 0 becomes the lowest byte, and so on.
+        let spread = (bits & 1) | ((bits & 2) << 7) | ((bits & 4) << 14);
+        (spread * 0xff) | OPAQUE
+    }
+}
+
+/// The lettering, four texels to a word: one, its neighbour to the right, and the two below.
+pub(super) struct Lettering {
+    size: [f32; 2],
+    levels: Vec<Vec<u32>>,
+}
+
+impl Lettering {
+    pub(super) fn new(atlas: &Atlas) -> Self {
+        let level = |(level, texels): (usize, &Vec<u8>)| {
+            let [width, height] = [atlas.width >> level, atlas.height >> level].map(|n| n as usize);
+            let texel = |x: usize, y: usize| {
+                u32::from(texels[y.min(height - 1) * width + x.min(width - 1)])
+            };
+            let quad = |at: usize| {
+                let (x, y) = (at % width, at / width);
+                texel(x, y)
+                    | texel(x + 1, y) << 8
+                    | texel(x, y + 1) << 16
+                    | texel(x + 1, y + 1) << 24
+            };
+            (0..width * height).map(quad).collect()
+        };
+        Self {
+            size: [atlas.width as f32, atlas.height as f32],
+            levels: atlas.levels.iter().enumerate().map(level).collect(),
+        }
+    }
+}
+
+/// Ink on paper. A corner's values are its place in the atlas.
+pub(super) struct Text<'a> {
+    pub(super) lettering: &'a Lettering,
+    pub(super) ink: [u8; 4],
+    pub(super) paper: [u8; 4],
+}
+
+/// As in `text.wgsl`.
+const TAPS: f32 = 3.0;
+
+impl Text<'_> {
+    /// The lettering between its four nearest texels; 0 to 255.
+    #[inline(always)]
+    fn coverage<V: Simd>(&self, simd: V, level: usize, [u, v]: [f32x16<V>; 2]) -> f32x16<V> {
+        let texels = &self.lettering.levels[level];
+        let scale = 1.0 / (1_u32 << level) as f32;
+        let [width, height] = [self.lettering.size[0] * scale, self.lettering.size[1] * scale];
+        let x = (u * width - 0.5).max(0.0).min(width - 1.0);
+        let y = (v * height - 0.5).max(0.0).min(height - 1.0);
+        let (left, top) = (x.to_int::<i32x16<V>>(), y.to_int::<i32x16<V>>());
+        let places = (top * (width as i32) + left).to_array();
+        let mut quads = [0; PIXELS];
+        for lane in 0..PIXELS {
+            quads[lane] = texels.get(places[lane] as usize).copied().unwrap_or(0);
+        }
+        let quads = u32x16::load_array(simd, quads);
+        let right = x - left.to_float::<f32x16<V>>();
+        let down = y - top.to_float::<f32x16<V>>();
+        let (a, b) = (texel(quads), texel(quads >> 8));
+        let (c, d) = (texel(quads >> 16), texel(quads >> 24));
+        let upper = a + (b - a) * right;
+        let lower = c + (d - c) * right;
+        upper + (lower - upper) * down
+    }
+}
+
+/// The texel in the lowest byte.
+#[inline(always)]
+fn texel<V: Simd>(quads: u32x16<V>) -> f32x16<V> {
+    (quads & 0xff).to_float::<f32x16<V>>()
+}
+
+/// The level of detail, of `levels`, whose texels are nearest in size to `texels` of the finest.
+fn level(texels: f32, levels: usize) -> usize {
+    // Level n has texels of 2^n; half way to the next, in powers of two, is 2^(n + 1/2).
+    let squared = texels * texels;
+    let finer = (0..levels - 1).take_while(|&n| squared >= (2_u32 << (2 * n)) as f32);
+    finer.count()
+}
+
+/// How a triangle's first two values change a pixel, to the right and downwards, at one place.
+#[inline(always)]
+fn changes<V: Simd, const M: usize>(triangle: &Triangle<V, M>, at: [f64; 2]) -> [[f32; 2]; 2] {
+    let plane = &triangle.plane;
+    let distance = 1.0 / plane.nearness(at);
+    let values = plane.values(at) * distance;
+    let right = ((plane.right - values * plane.right.to_array()[0]) * distance).to_array();
+    let down = ((plane.down - values * plane.down.to_array()[0]) * distance).to_array();
+    [[right[1], right[2]], [down[1], down[2]]]
+}
+
+impl Shader for Text<'_> {
+    #[inline(always)]
+    fn colours<V: Simd, const M: usize>(
+        &self,
+        simd: V,
+        triangle: &Triangle<V, M>,
+        at: [f64; 2],
+        nearness: f32,
+    ) -> u32x16<V> {
+        let [u, v] = values(simd, triangle, at, nearness);
+        // One level of detail for the block, as it is in its middle.
+        let changes = changes(triangle, [at[0] + 1.5, at[1] + 1.5]);
+        let size = self.lettering.size;
+        let mut lengths = [0.0; 2];
+        for i in 0..2 {
+            let (x, y) = (changes[i][0] * size[0], changes[i][1] * size[1]);
+            lengths[i] = (x * x + y * y).sqrt();
+        }
+        let stretch = changes[usize::from(lengths[0] <= lengths[1])];
+        let [du, dv] = [stretch[0] / TAPS, stretch[1] / TAPS];
+        let longest = lengths[0].max(lengths[1]);
+        let shortest = lengths[0].min(lengths[1]);
+        let level = level(shortest.max(longest / TAPS), self.lettering.levels.len());
+        let coverage = self.coverage(simd, level, [u - du, v - dv])
+            + self.coverage(simd, level, [u, v])
+            + self.coverage(simd, level, [u + du, v + dv]);
+        let coverage = coverage / (TAPS * 255.0);
+        let mut channels = [coverage; 3];
+        for i in 0..3 {
+            let (ink, paper) = (f32::from(self.ink[i]), f32::from(self.paper[i]));
+            channels[i] = coverage * (ink - paper) + paper;
+        }
+        packed(simd, channels)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use fearless_simd::{Level, dispatch};
+
+    use super::*;
+
+    #[test]
+    fn levels_change_half_way() {
+        let at = |texels| level(texels, 6);
+        assert_eq!([0.3, 1.0, 1.41, 1.42, 2.0, 2.82, 2.83].map(at), [0, 0, 0, 1, 1, 1, 2]);
+        assert_eq!((at(1e9), at(f32::NAN)), (5, 0));
+    }
+
+    #[test]
+    fn colours_are_rounded_to_the_nearest_byte() {
+        let rgba = dispatch!(Level::new(), simd => {
+            let channel = |value: f32| f32x16::splat(simd, value);
+            packed(simd, [channel(0.0), channel(254.6), channel(10.4)]).to_array()
+        });
+        assert_eq!(rgba, [0xff0a_ff00; PIXELS]);
+    }
+}
