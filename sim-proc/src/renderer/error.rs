@@ -13,7 +13,9 @@ pub enum RenderError {
         wanted: String,
     },
     /// Vulkan is there, but not the adapter that was asked for.
-    #[error("no Vulkan adapter's name contains {wanted:?}; there are: {found}, and \"processor\", which needs none")]
+    #[error(
+        "no Vulkan adapter's name contains {wanted:?}; there are: {found}, and \"processor\", which needs none"
+    )]
     NoSuchAdapter {
         /// The text that was asked for.
         wanted: String,

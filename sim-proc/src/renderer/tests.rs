@@ -21,7 +21,8 @@ fn renderer(warehouse: &Warehouse, settings: RenderSettings) -> Renderer {
 /// Every hand there is on this machine, with these settings: the processor's, and that of the best Vulkan adapter.
 fn hands(settings: &RenderSettings) -> [RenderSettings; 2] {
     // Every name contains nothing.
-    [PROCESSOR, ""].map(|name| RenderSettings { adapter: Some(name.to_owned()), ..settings.clone() })
+    [PROCESSOR, ""]
+        .map(|name| RenderSettings { adapter: Some(name.to_owned()), ..settings.clone() })
 }
 
 /// A renderer with each hand.

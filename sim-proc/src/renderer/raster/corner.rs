@@ -91,8 +91,8 @@ impl<'a> Look<'a> {
     #[inline(always)]
     fn place<V: Simd>(&self, simd: V, sixteen: &Sixteen, corners: &mut [Corner; PIXELS]) {
         let mut components = [f32x16::splat(simd, 0.0); COMPONENTS];
-        for i in 0..COMPONENTS {
-            components[i] = f32x16::load_array_ref(simd, &sixteen.0[i]);
+        for (component, lanes) in components.iter_mut().zip(&sixteen.0) {
+            *component = f32x16::load_array_ref(simd, lanes);
         }
         let [x, y, z, takes_fog, values @ ..] = components;
         let Placement { at, turn } = self.placement;

@@ -217,9 +217,10 @@ impl Shader for Text<'_> {
             + self.coverage(simd, level, [u + du, v + dv]);
         let coverage = coverage / (TAPS * 255.0);
         let mut channels = [coverage; 3];
-        for i in 0..3 {
-            let (ink, paper) = (f32::from(self.ink[i]), f32::from(self.paper[i]));
-            channels[i] = coverage * (ink - paper) + paper;
+        for (channel, (ink, paper)) in channels.iter_mut().zip(self.ink.into_iter().zip(self.paper))
+        {
+            let (ink, paper) = (f32::from(ink), f32::from(paper));
+            *channel = coverage * (ink - paper) + paper;
         }
         packed(simd, channels)
     }

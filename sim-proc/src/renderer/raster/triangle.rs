@@ -4,7 +4,9 @@
 //! edge that two triangles share belongs to one of them, whatever they are, so no gap opens between them and
 //! no sample is drawn twice.
 
-use fearless_simd::{Bytes, Select, Simd, SimdBase, SimdMask, f32x4, f32x16, f64x4, i32x16, mask32x16, u32x16, u64x4};
+use fearless_simd::{
+    Bytes, Select, Simd, SimdBase, SimdMask, f32x4, f32x16, f64x4, i32x16, mask32x16, u32x16, u64x4,
+};
 
 use super::canvas::{Block, Canvas, Lanes, SIDE};
 use super::corner::{Corner, Grid, Polygon, TO_CUT};
@@ -119,6 +121,12 @@ fn edge_lanes<V: Simd>(simd: V, right: i32, down: i32, bits: u32) -> i32x16<V> {
     const LINE: Lanes<i32> = [0, 0, 0, 0, 1, 1, 1, 1, 2, 2, 2, 2, 3, 3, 3, 3];
     i32x16::load_array(simd, COLUMN) * (right << bits)
         + i32x16::load_array(simd, LINE) * (down << bits)
+}
+
+/// A whole number of at most 32 bits.
+#[inline(always)]
+fn to_whole(value: f64) -> u32 {
+    (value + TO_BITS).to_bits() as u32
 }
 
 /// The greater of two that are numbers.
@@ -271,19 +279,17 @@ fn fill<V: Simd, const M: usize, H: Shader>(
     }
     let (x, y) = (edges.x.to_array(), edges.y.to_array());
     let mut depths = [0.0; M];
+    for (depth, [dx, dy]) in depths.iter_mut().zip(samples::<M>()) {
+        *depth = (rights[0] * (dx - 8) as f32 + downs[0] * (dy - 8) as f32) / 16.0;
+    }
     let mut offsets = [[0; M]; 3];
     let mut lanes = [i32x16::splat(simd, 0); 3];
-    for s in 0..M {
-        let [dx, dy] = samples::<M>()[s];
-        depths[s] = (rights[0] * (dx - 8) as f32 + downs[0] * (dy - 8) as f32) / 16.0;
-    }
     for i in 0..3 {
         let (right, down) = (x[i] as i32, y[i] as i32);
         lanes[i] = edge_lanes(simd, right, down, bits);
-        for s in 0..M {
-            let [dx, dy] = samples::<M>()[s];
+        for (offset, [dx, dy]) in offsets[i].iter_mut().zip(samples::<M>()) {
             let (dx, dy) = (dx << (bits - 4), dy << (bits - 4));
-            offsets[i][s] = right.wrapping_mul(dx).wrapping_add(down.wrapping_mul(dy));
+            *offset = right.wrapping_mul(dx).wrapping_add(down.wrapping_mul(dy));
         }
     }
     let triangle = Triangle {
@@ -310,10 +316,10 @@ fn fill<V: Simd, const M: usize, H: Shader>(
             continue;
         }
         // A crossing within a block leaves it.
-        let (begin, end) = (low.ceil() as i32 as usize, high as i32 as usize);
+        let (begin, end) = (to_whole(low.ceil()) as usize, to_whole(high.floor()) as usize + 1);
         let place = row as usize * canvas.columns;
         let y = (row as usize * SIDE) as f64 + 0.5;
-        for number in begin..=end {
+        for number in begin..end {
             let at = [(number * SIDE) as f64 + 0.5, y];
             let nearness = triangle.plane.nearness(at);
             let limit = if nearness + nearer < nearest { nearness + nearer } else { nearest };
