@@ -51,7 +51,7 @@ struct Arguments {
 enum Verb {
     /// Bring what is missing: system packages, ONNX Runtime, the default encoder
     Setup {
-        /// Also what only tests need: Python packages and a small language model
+        /// Also what only tests need: a Vulkan driver, Python packages and a small language model
         #[arg(long)]
         tests: bool,
     },

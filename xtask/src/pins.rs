@@ -58,6 +58,8 @@ pub(crate) struct SystemNeed {
     pub(crate) probe: Probe,
     /// Debian's names.
     pub(crate) packages: Vec<String>,
+    #[serde(default)]
+    pub(crate) wanted: Wanted,
 }
 
 /// How to see that a [`SystemNeed`] is met without asking a package manager.
@@ -211,6 +213,20 @@ mod tests {
             message.contains("plan9-mips") && message.contains("xtask/setup.toml"),
             "{message}"
         );
+    }
+
+    #[test]
+    fn only_tests_want_vulkan() {
+        let pins = shipped();
+        let wanted = |purpose| -> Vec<&str> {
+            let needs = pins.system.iter().filter(|need| need.wanted.now(purpose));
+            needs.map(|need| need.name.as_str()).collect()
+        };
+        for purpose in [Purpose::Use, Purpose::Benches] {
+            assert_eq!(wanted(purpose), ["Python 3 with pip"], "{purpose:?}");
+        }
+        let of_tests = ["Python 3 with pip", "Vulkan loader", "Vulkan driver"];
+        assert_eq!(wanted(Purpose::Tests), of_tests);
     }
 
     #[test]

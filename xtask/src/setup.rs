@@ -22,7 +22,8 @@ pub(crate) fn bring_missing(
 ) -> anyhow::Result<()> {
     let locked = cache.lock()?;
     eprintln!("set-up: cache folder {}", cache.root().display());
-    let needs: Vec<&SystemNeed> = pins.system.iter().filter(|need| !report_system(need)).collect();
+    let needs = pins.system.iter().filter(|need| need.wanted.now(purpose));
+    let needs: Vec<&SystemNeed> = needs.filter(|need| !report_system(need)).collect();
     let mut missing_files: Vec<&FilePin> = Vec::new();
     for file in pins.file.iter().filter(|file| file.wanted.now(purpose)) {
         if !report_file(file, cache)? {

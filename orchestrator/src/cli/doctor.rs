@@ -103,14 +103,14 @@ enum ProbedMark {
 }
 
 pub(super) fn run(args: &DoctorArgs) -> anyhow::Result<Exit> {
-    // One picture is rendered and then embedded: what works here works in a run.
+    // One picture is drawn and then embedded: what works here works in a run.
     let scratch = Scratch::new()?;
     let picture = scratch.0.join("view.png");
     let mut findings = vec![
         Finding::of("warehouse and cases", world(&args.world)),
         Finding::of("programs", programs()),
         Finding::of("shared memory", shared_memory()),
-        Finding::of("Vulkan", vulkan(&args.world, &picture)),
+        Finding::of("drawing", drawing(&args.world, &picture)),
         Finding::of("ONNX Runtime and encoder", encoder(&args.world, &picture)),
         Finding::of("leftovers of killed runs", leftovers()),
     ];
@@ -156,15 +156,15 @@ fn shared_memory() -> anyhow::Result<String> {
     Ok(format!("{SHARED_MEMORY} has room for a default run ({mib} MiB at most)"))
 }
 
-fn vulkan(world: &WorldArgs, picture: &Path) -> anyhow::Result<String> {
+fn drawing(world: &WorldArgs, picture: &Path) -> anyhow::Result<String> {
     let mut command = Command::new(sibling("sim-proc")?);
     command.args(["render", "--pose", &a_pose(world)?, "--out"]).arg(picture);
     succeed(with_assets(command, world))?;
-    Ok("a view was rendered".to_owned())
+    Ok("a view was drawn".to_owned())
 }
 
 fn encoder(world: &WorldArgs, picture: &Path) -> anyhow::Result<String> {
-    ensure!(picture.exists(), "not tried, because no view could be rendered");
+    ensure!(picture.exists(), "not tried, because no view could be drawn");
     let mut command = Command::new(sibling("memory-proc")?);
     command.arg("embed").arg(picture);
     succeed(with_assets(command, world))?;
