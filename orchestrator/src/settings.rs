@@ -70,6 +70,8 @@ pub struct Settings {
     pub encoder_threads: Option<u32>,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub frame_budget: Option<u32>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub adapter: Option<String>,
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub warm_views: bool,
     pub spin_us: u32,

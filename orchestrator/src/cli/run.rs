@@ -495,7 +495,8 @@ fn launches(settings: &Settings) -> Result<Vec<Launch>> {
     };
     let path = |path: &Option<std::path::PathBuf>| path.as_ref().map(|p| p.display().to_string());
     let assets = ("--assets", path(&settings.assets));
-    let mut sim = launch(Role::Sim, "sim-proc", std::slice::from_ref(&assets))?;
+    let renderer = [assets.clone(), ("--adapter", settings.adapter.clone())];
+    let mut sim = launch(Role::Sim, "sim-proc", &renderer)?;
     if settings.warm_views {
         sim.args.push("--warm-views".into());
     }

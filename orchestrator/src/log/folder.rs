@@ -504,11 +504,13 @@ mod tests {
         let mut other = manifest();
         other.settings.seed = 8;
         other.settings.lanes += 1;
+        other.settings.adapter = Some("processor".to_owned());
         other.hashes.insert("layout".into(), "ff".into());
         let error = open(other).unwrap_err().to_string();
         let error = error.replace(&dir.path().display().to_string(), "DIR");
         insta::assert_snapshot!(error, @r#"
         DIR holds a run with other settings:
+          adapter: not set there, "processor" now
           contents of layout: "00" there, "ff" now
           seed: 1 there, 8 now
         Use the same settings to go on with it, --fresh to start over, or another --out

@@ -19,8 +19,8 @@ const WHAT: &str = "What is run";
 const PERCEIVED: &str = "What the agent is given";
 /// Heading of the flags about a model that is asked over the network.
 const MODEL: &str = "The model (with --policy openai)";
-/// Heading of the flags that change no result.
-const HOW: &str = "How it is run (changes no result)";
+/// Heading of the flags that change no result; of another adapter the pixels may differ a little.
+const HOW: &str = "How it is run (changes no result, only --adapter may)";
 
 /// What one source of settings says. `None`: nothing.
 ///
@@ -251,6 +251,12 @@ pub struct Layer {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub frame_budget: Option<u32>,
 
+    /// Draw on the first Vulkan adapter whose name contains this, or on the "processor", whose pixels are the
+    /// same on every machine; on a graphics card, or the processor where there is none, unless given
+    #[arg(long, value_name = "NAME", env = "MEMTRANSFER_ADAPTER", help_heading = HOW)]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub adapter: Option<String>,
+
     /// Draw every view of the unchanged warehouse before the first step, so that hardly any is drawn in
     /// the run; for measuring
     #[arg(long, env = "MEMTRANSFER_WARM_VIEWS", help_heading = HOW)]
@@ -338,6 +344,7 @@ impl Layer {
             lanes: Some(16),
             encoder_threads: None,
             frame_budget: None,
+            adapter: None,
             warm_views: false,
             spin_us: Some(0),
             step_timeout: Some(120),
