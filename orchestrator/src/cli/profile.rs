@@ -32,24 +32,27 @@ const SCRATCH: &str = "scratch";
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
-An access begins when the simulator has published an observation, and is over when the policy has the recall
-that answers it. It is taken apart into wire (the way there and back), embedding, search and assembly.
+An access begins when the simulator has published an observation, and is over when the policy
+has the recall that answers it. It is taken apart into wire (the way there and back), embedding,
+search and assembly.
 
 What is measured:
   floors      a cache line between two cores, a memcpy of a frame, the bandwidth of memory
-  cold        every representation in one lane, with nothing cached: each view is drawn and embedded anew
-  warm        the same episodes' views known; sleeping at once (blocking), and looking for work first (polling)
+  cold        every representation in one lane, with nothing cached: each view is drawn and
+              embedded anew
+  warm        the same episodes' views known; sleeping at once (blocking), and looking for work
+              first (polling)
   lanes       warm, with several episodes at once
-  sizes       the search by itself, exact and approximate with its recall, in memories of real embeddings and
-              seeded neighbours of them
+  sizes       the search by itself, exact and approximate with its recall, in memories of real
+              embeddings and seeded neighbours of them
 
-The episodes are walked by the policy `random` through the processes that a run starts. Nothing of it is a
-score. Close other programs: on two cores every one of them shows.
+The episodes are walked by the policy `random` through the processes that a run starts. Nothing of
+it is a score. Close other programs: on two cores every one of them shows.
 
 Writes into --out: profile.html (one page with plots), profile.json and profile.csv.
 
 Examples:
-  memtransfer profile                                 some minutes on two cores
+  memtransfer profile                                 about a minute on two cores
   memtransfer profile --quick                         a short one, to see whether it works
   memtransfer profile --full                          up to 64 lanes and ten million entries
   memtransfer profile --memory episodic --lanes 1,2,4,8 --entries 1000,100000")]

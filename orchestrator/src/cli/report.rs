@@ -12,8 +12,8 @@ use crate::report;
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Reads the runs' folders and nothing else. Writes report.html (one page that needs nothing else),
-report.md with its figures, every table as CSV, and conditions and episodes as CSV and Parquet; prints
-where the page is. Exit status 1 when episodes were given up.
+report.md with its figures, every table as CSV, and conditions and episodes as CSV and Parquet;
+prints where the page is. Exit status 1 when episodes were given up.
 
 Examples:
   memtransfer report runs/paper-grounded

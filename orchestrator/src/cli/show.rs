@@ -21,7 +21,7 @@ others the log knows poses, actions and what was retrieved.
 
 Examples:
   memtransfer show runs/quick-grounded t01-01 0 --condition episodic,new
-  memtransfer show runs/quick-grounded t01-01 12 --condition episodic/new/unchanged/original --html step.html
+  memtransfer show runs/quick-grounded t01-01 12 --condition episodic,new --html step.html
   memtransfer show runs/quick-grounded t01-01 12 --condition working,new --images views/")]
 pub(super) struct ShowArgs {
     /// The run's folder
