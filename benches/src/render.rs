@@ -1,10 +1,10 @@
 //! Views that are drawn for the first time, beside MiniWorld and ViZDoom; and what a view costs that was drawn before,
 //! beside a memcpy of a frame.
 //!
-//! Ours are all views of the unchanged warehouse, each once, drawn by the renderers that a run has ([`renderers`]), of a
-//! driver that keeps to one thread. They go into pages of memory, as the peers' go into arrays: hashing and publishing
-//! are not measured. A peer draws with one process and with one for each core, and is taken at the better of both. What
-//! is done once, for the first view, is not timed on either side.
+//! Ours are all views of the unchanged warehouse, each once, drawn by the renderers that a run has ([`renderers`]). They
+//! go into pages of memory, as the peers' go into arrays: hashing and publishing are not measured. A peer draws with one
+//! process and with one for each core, and is taken at the better of both. What is done once, for the first view, is not
+//! timed on either side.
 
 use std::hint::black_box;
 use std::panic::resume_unwind;

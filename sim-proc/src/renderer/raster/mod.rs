@@ -88,13 +88,11 @@ impl Raster {
         match canvas {
             AnyCanvas::One(canvas) => {
                 canvas.clear(background);
-                dispatch!(*level, simd => layers.draw(simd, scene, picture, canvas));
-                dispatch!(*level, simd => canvas.resolve(simd, pixels));
+                dispatch!(*level, simd => layers.draw(simd, scene, picture, canvas, pixels));
             }
             AnyCanvas::Four(canvas) => {
                 canvas.clear(background);
-                dispatch!(*level, simd => layers.draw(simd, scene, picture, canvas));
-                dispatch!(*level, simd => canvas.resolve(simd, pixels));
+                dispatch!(*level, simd => layers.draw(simd, scene, picture, canvas, pixels));
             }
         }
     }
@@ -108,12 +106,12 @@ impl Layers {
         scene: &Scene,
         picture: &Picture,
         canvas: &mut Canvas<M>,
+        pixels: &mut [u8],
     ) {
         let Self { grid, solid, plate, text, lettering } = self;
         let look = Look::new(grid, &picture.camera);
-        for corners in [&mut *solid, &mut *plate, &mut *text] {
-            corners.look_again();
-        }
+        plate.look_again();
+        text.look_again();
         // As on a graphics card: what hangs in front comes first, so that little is drawn over.
         for indices in picture.list.plate.chunks_exact(3) {
             let shader = Plate { code: scene.plate.vertices[indices[0] as usize].code };
@@ -140,5 +138,6 @@ impl Layers {
                 triangle::draw(simd, canvas, grid, &corners, &Lit);
             }
         }
+        canvas.resolve(simd, pixels);
     }
 }

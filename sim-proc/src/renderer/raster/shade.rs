@@ -4,19 +4,13 @@ use fearless_simd::{Bytes, Select, Simd, SimdBase, SimdFloat, SimdInt, f32x16, i
 use shm_types::plate;
 
 use super::canvas::PIXELS;
-use super::triangle::Triangle;
+use super::triangle::{Part, Triangle};
 use crate::renderer::text::Atlas;
 
 /// Colours the pixels of a block.
 pub(super) trait Shader {
-    /// RGBA, red lowest, for the pixels of the block whose first pixel has its middle at `at`, and this nearness there.
-    fn colours<V: Simd, const M: usize>(
-        &self,
-        simd: V,
-        triangle: &Triangle<V, M>,
-        at: [f64; 2],
-        nearness: f32,
-    ) -> u32x16<V>;
+    /// RGBA, red lowest, for each pixel of the block.
+    fn colours<V: Simd, const M: usize>(&self, part: &Part<'_, V, M>) -> u32x16<V>;
 }
 
 const OPAQUE: u32 = 0xff00_0000;
@@ -37,12 +31,8 @@ fn whole<V: Simd>(channel: f32x16<V>) -> u32x16<V> {
 
 /// The first `N` values of a triangle's corners, at each pixel of a block.
 #[inline(always)]
-fn values<V: Simd, const M: usize, const N: usize>(
-    simd: V,
-    triangle: &Triangle<V, M>,
-    at: [f64; 2],
-    nearness: f32,
-) -> [f32x16<V>; N] {
+fn values<V: Simd, const M: usize, const N: usize>(part: &Part<'_, V, M>) -> [f32x16<V>; N] {
+    let &Part { simd, triangle, at, nearness, .. } = part;
     let start = triangle.plane.values(at).to_array();
     let distance = f32x16::splat(simd, 1.0) / (triangle.slopes[0] + nearness);
     let mut values = [distance; N];
@@ -59,14 +49,8 @@ pub(super) struct Lit;
 
 impl Shader for Lit {
     #[inline(always)]
-    fn colours<V: Simd, const M: usize>(
-        &self,
-        simd: V,
-        triangle: &Triangle<V, M>,
-        at: [f64; 2],
-        nearness: f32,
-    ) -> u32x16<V> {
-        packed(simd, values(simd, triangle, at, nearness))
+    fn colours<V: Simd, const M: usize>(&self, part: &Part<'_, V, M>) -> u32x16<V> {
+        packed(part.simd, values(part))
     }
 }
 
@@ -77,15 +61,10 @@ pub(super) struct Plate {
 
 impl Shader for Plate {
     #[inline(always)]
-    fn colours<V: Simd, const M: usize>(
-        &self,
-        simd: V,
-        triangle: &Triangle<V, M>,
-        at: [f64; 2],
-        nearness: f32,
-    ) -> u32x16<V> {
+    fn colours<V: Simd, const M: usize>(&self, part: &Part<'_, V, M>) -> u32x16<V> {
         let share = plate::FRAME_M / plate::SIZE_M;
-        let [x, y] = values(simd, triangle, at, nearness);
+        let simd = part.simd;
+        let [x, y] = values(part);
         let x = (x - share) / (1.0 - 2.0 * share);
         let y = (y - share) / (1.0 - 2.0 * share);
         let inside = x.simd_ge(0.0) & x.simd_lt(1.0) & y.simd_ge(0.0) & y.simd_lt(1.0);
@@ -191,14 +170,9 @@ fn changes<V: Simd, const M: usize>(triangle: &Triangle<V, M>, at: [f64; 2]) -> 
 
 impl Shader for Text<'_> {
     #[inline(always)]
-    fn colours<V: Simd, const M: usize>(
-        &self,
-        simd: V,
-        triangle: &Triangle<V, M>,
-        at: [f64; 2],
-        nearness: f32,
-    ) -> u32x16<V> {
-        let [u, v] = values(simd, triangle, at, nearness);
+    fn colours<V: Simd, const M: usize>(&self, part: &Part<'_, V, M>) -> u32x16<V> {
+        let &Part { simd, triangle, at, .. } = part;
+        let [u, v] = values(part);
         // One level of detail for the block, as it is in its middle.
         let changes = changes(triangle, [at[0] + 1.5, at[1] + 1.5]);
         let size = self.lettering.size;

@@ -331,29 +331,28 @@ fn fill<V: Simd, const M: usize, H: Shader>(
             let here = here.min(-edges.fall) + TO_BITS;
             let inside = here.bitcast::<u64x4<V>>().to_array();
             let inside = [inside[0] as i32, inside[1] as i32, inside[2] as i32];
-            let part = Part { simd, triangle: &triangle, shader, at, nearness, inside };
+            let part = Part { simd, triangle: &triangle, at, nearness, inside };
             let (block, farthest) = canvas.block(place + number);
-            part.draw(block, farthest);
+            part.draw(shader, block, farthest);
         }
     }
 }
 
 /// The part of a triangle that lies in one block.
-struct Part<'a, V: Simd, H, const M: usize> {
-    simd: V,
-    triangle: &'a Triangle<V, M>,
-    shader: &'a H,
+pub(super) struct Part<'a, V: Simd, const M: usize> {
+    pub(super) simd: V,
+    pub(super) triangle: &'a Triangle<V, M>,
     /// The middle of the block's first pixel, in pixels, and the nearness there.
-    at: [f64; 2],
-    nearness: f32,
+    pub(super) at: [f64; 2],
+    pub(super) nearness: f32,
     /// The edges at the block's corner.
     inside: [i32; 3],
 }
 
-impl<V: Simd, H: Shader, const M: usize> Part<'_, V, H, M> {
+impl<V: Simd, const M: usize> Part<'_, V, M> {
     /// Draws it where it is nearer than what is there.
     #[inline(always)]
-    fn draw(&self, block: &mut Block<M>, farthest: &mut f32) {
+    fn draw(&self, shader: &impl Shader, block: &mut Block<M>, farthest: &mut f32) {
         let simd = self.simd;
         let mut shows = [mask32x16::splat(simd, false); M];
         let mut depths = [f32x16::splat(simd, 0.0); M];
@@ -367,7 +366,7 @@ impl<V: Simd, H: Shader, const M: usize> Part<'_, V, H, M> {
         if !any.any_true() {
             return;
         }
-        let colours = self.shader.colours(simd, self.triangle, self.at, self.nearness);
+        let colours = shader.colours(self);
         let mut least = f32x16::splat(simd, f32::INFINITY);
         for s in 0..M {
             let before = f32x16::load_array_ref(simd, &block.depth[s]);
