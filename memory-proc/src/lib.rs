@@ -15,12 +15,12 @@
 pub mod demonstrations;
 pub mod documents;
 pub mod embed_command;
-pub mod embedding;
+pub use search::embedding;
 pub mod embedding_cache;
 pub mod encoder;
 pub mod engine;
 pub mod episode;
-pub mod index;
+pub use search as index;
 pub mod library;
 pub mod manifest;
 pub mod paths;

@@ -168,7 +168,14 @@ struct VectorArguments {
 impl VectorArguments {
     fn vectors(self) -> anyhow::Result<Vectors> {
         let cache = self.cache.map_or_else(Cache::from_environment, |dir| Ok(Cache::at(dir)))?;
-        Ok(Vectors::of_cache(&cache, self.dimension.get() as usize, self.seed))
+        Ok(Vectors::new(
+            memory_proc::embedding_cache::stored(
+                &cache.embeddings(),
+                self.dimension.get() as usize,
+            ),
+            self.dimension.get() as usize,
+            self.seed,
+        ))
     }
 }
 

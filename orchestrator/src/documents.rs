@@ -24,7 +24,7 @@ use warehouse::Demonstrations;
 use crate::conditions::Condition;
 use crate::log::DocumentFacts;
 use crate::names::UnknownName;
-use crate::supervise::sibling;
+use supervise::sibling;
 
 /// Held while documents are built in a folder.
 const LOCK_FILE: &str = "lock";

@@ -17,32 +17,21 @@
 
 pub mod budget;
 pub mod cli;
-pub mod compare;
-pub mod conditions;
-pub mod conformance;
 pub mod documents;
 pub mod estimate;
 pub mod frame_budget;
 pub mod lanes;
-pub mod latency;
-pub mod log;
 pub mod machine;
-pub mod names;
 pub mod pipeline;
-pub mod plan;
-pub mod prices;
 pub mod profile;
 pub mod progress;
-pub mod report;
-pub mod score;
 pub mod session;
-pub mod settings;
-pub mod shown;
 pub mod signals;
-pub mod spending;
 pub mod status;
-pub mod supervise;
-pub mod table;
 pub mod trace;
-pub mod witness;
 pub mod world;
+
+pub use results::{
+    compare, conditions, latency, log, names, plan, prices, report, score, settings, shown,
+    spending, table, witness,
+};

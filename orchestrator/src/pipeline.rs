@@ -22,7 +22,7 @@ use shm_types::message::{Farewell, Pulse, Role};
 
 use crate::lanes::{Lanes, Owed, Spent, Stamps, Walked};
 use crate::plan::Episode;
-use crate::supervise::Launch;
+use supervise::Launch;
 
 mod generation;
 mod work;

@@ -13,22 +13,13 @@
 //! What is not here: the map. This crate does not link the one that knows it, so a policy can only
 //! have seen what its requests showed.
 
-#[cfg(feature = "model")]
-pub mod chat;
 pub mod grounded;
 #[cfg(feature = "model")]
 pub mod openai;
 #[cfg(feature = "model")]
 pub mod prompt;
 pub mod random;
-pub mod request;
-pub mod sdk;
+#[cfg(feature = "model")]
+pub use llm as chat;
 
-pub use request::{
-    Answer, Decision, DocumentView, FrameView, PastView, Request, Segment, SegmentView, Ticket,
-    Trajectory, TrajectoryView, Usage,
-};
-pub use sdk::{Answers, Decider, Policy, ServeError, serve, serve_from_environment};
-// The words that requests and decisions are made of: a policy needs no other crate.
-pub use shm_types::message::DocumentKind;
-pub use shm_types::{Action, Cell, Feedback, Heading, Pose};
+pub use peer::*;

@@ -18,7 +18,7 @@ use crate::attach::Attach;
 use crate::bus::{Bus, BusError, Ipc, delivered};
 use crate::layout::wire_struct;
 use crate::message::{DocumentId, DocumentKind, NO_ACTION, NO_DOCUMENT, Role, TrajectoryStep};
-use crate::pose::{Action, UnknownCode};
+use domain::{Action, UnknownCode};
 
 /// Last part of the name of the service that carries documents.
 pub const DOCUMENT_SERVICE: &str = "document";

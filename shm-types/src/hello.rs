@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use bytemuck::Zeroable;
 
 use crate::message::{Hello, Role, WIRE_VERSION, read_text, write_text};
-use crate::pose::UnknownCode;
+use domain::UnknownCode;
 
 /// What a process says about itself does not fit into a message.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]

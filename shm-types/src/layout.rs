@@ -73,34 +73,6 @@ impl<T: Shaped, const N: usize> Shaped for [T; N] {
     const SHAPE: Shape = Shape::Array(&T::SHAPE, N);
 }
 
-/// A closed set of codes, with its description.
-pub trait Codes {
-    /// The description.
-    const CODES: CodeSet;
-}
-
-/// What a set of codes is.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct CodeSet {
-    /// Its name in Rust.
-    pub name: &'static str,
-    /// What it is; Markdown, one line of source a line.
-    pub doc: &'static str,
-    /// Its members, in code order.
-    pub members: &'static [Member],
-}
-
-/// A member of a [`CodeSet`].
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Member {
-    /// Its name in Rust.
-    pub name: &'static str,
-    /// Its code on the wire.
-    pub code: u8,
-    /// What it means; Markdown, one line of source a line.
-    pub doc: &'static str,
-}
-
 /// Declares a wire struct and describes it; its size is asserted.
 macro_rules! wire_struct {
     ($(#[doc = $doc:literal])* $name:ident $(: $($derive:ident)+)?, $type_name:literal, $size:literal bytes {
@@ -138,29 +110,4 @@ macro_rules! wire_struct {
     };
 }
 
-/// Declares an enum whose members have `u8` codes, and describes it.
-macro_rules! coded_enum {
-    ($(#[doc = $doc:literal])* $name:ident $(#[$attribute:meta])* {
-        $($(#[doc = $member_doc:literal])* $member:ident = $code:literal,)*
-    }) => {
-        $(#[doc = $doc])*
-        #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
-        $(#[$attribute])*
-        #[repr(u8)]
-        pub enum $name { $($(#[doc = $member_doc])* $member = $code,)* }
-
-        impl $crate::layout::Codes for $name {
-            const CODES: $crate::layout::CodeSet = $crate::layout::CodeSet {
-                name: stringify!($name),
-                doc: concat!($($doc, "\n",)*),
-                members: &[$($crate::layout::Member {
-                    name: stringify!($member),
-                    code: $code,
-                    doc: concat!($($member_doc, "\n",)*),
-                },)*],
-            };
-        }
-    };
-}
-
-pub(crate) use {coded_enum, wire_struct};
+pub(crate) use wire_struct;

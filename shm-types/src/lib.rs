@@ -17,8 +17,6 @@
 
 pub mod attach;
 pub mod bus;
-mod cache;
-pub mod camera;
 pub mod complaints;
 pub mod documents;
 pub mod doorbell;
@@ -26,25 +24,22 @@ pub mod frames;
 mod hello;
 pub mod layout;
 pub mod message;
-pub mod plate;
-pub mod pose;
 pub mod process;
-pub mod prompts;
 pub mod pulses;
 pub mod registry;
-pub mod representation;
 pub mod spans;
 
 pub use attach::{ATTACH_VARIABLE, Attach, AttachError, FrameControl, FrameSize, Wait};
 pub use bus::{Bus, BusError, Receiver, Sender};
-pub use cache::{NoCacheFolder, cache_folder};
 pub use complaints::Complaints;
 pub use documents::{Document, DocumentError, DocumentPublisher, DocumentStore};
+pub use domain::{
+    Action, Cell, Feedback, Heading, NoCacheFolder, Pose, Representation, cache_folder, camera,
+    pose, prompt_log as prompts, representation,
+};
 pub use doorbell::{Bell, Doorbell};
 pub use frames::{Frame, FrameError, FramePublisher, FrameSlot, FrameStore};
 pub use hello::FactsTooLong;
-pub use pose::{Action, Cell, Feedback, Heading, Pose};
 pub use pulses::Pulses;
 pub use registry::RunDir;
-pub use representation::Representation;
 pub use spans::Spans;

@@ -13,7 +13,7 @@ use iceoryx2::prelude::ZeroCopySend;
 
 use crate::attach::Attach;
 use crate::layout::{Field, Layout, Shape, Shaped, Struct, wire_struct};
-use crate::pose::{Heading, Pose, UnknownCode};
+use domain::{Heading, Pose, UnknownCode};
 
 mod codes;
 

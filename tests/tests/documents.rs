@@ -8,8 +8,8 @@ use std::fs;
 use std::path::Path;
 
 use memtransfer_tests::Bench;
+use plates::Plate;
 use serde_json::Value;
-use shm_types::plate::Plate;
 use shm_types::{Cell, Pose};
 use warehouse::sight::sees;
 use warehouse::{CaseSet, Demonstrations, Task, Warehouse};

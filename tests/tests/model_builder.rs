@@ -12,9 +12,9 @@ use std::time::{Duration, Instant};
 use memory_proc::documents::model::{Ask, ModelBuilder, Pipe, Settings};
 use memory_proc::documents::{Builder, Seen, Step, Transcript};
 use memtransfer_tests::{WATCHDOG, program};
+use plates::{Landmark, Plate};
 use policy_proc::chat::scripted::{Received, Server, Turn};
 use shm_types::message::DocumentKind;
-use shm_types::plate::{Landmark, Plate};
 use shm_types::{Action, Cell, Feedback, Heading, Pose};
 
 /// Set for the test binary that is started as a building process: where the server is.

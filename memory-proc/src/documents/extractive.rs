@@ -9,8 +9,8 @@ mod summary;
 use std::path::Path;
 
 use anyhow::bail;
+use plates::Plate;
 use shm_types::message::DocumentKind;
-use shm_types::plate::Plate;
 
 use super::{Account, Builder, Built, Transcript};
 

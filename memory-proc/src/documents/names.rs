@@ -5,7 +5,7 @@
 
 use std::collections::BTreeSet;
 
-use shm_types::plate::Plate;
+use plates::Plate;
 
 /// What stands in front of a type's name.
 const DETERMINERS: [&str; 4] = [" a ", " an ", " every ", " same "];

@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use shm_types::plate::{Landmark, Plate};
+use plates::{Landmark, Plate};
 use shm_types::{Cell, Heading, Pose};
 
 use super::transcript::Step;

@@ -6,8 +6,8 @@
 
 use std::sync::Arc;
 
+use plates::Landmark;
 use sha2::{Digest, Sha256};
-use shm_types::plate::Landmark;
 use shm_types::{Action, Feedback, Pose};
 
 use crate::embedding::ContentHash;

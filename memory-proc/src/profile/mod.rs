@@ -3,8 +3,6 @@
 //! Every line that is printed is one measurement: a kind of search, a size, and so many queries asked at once.
 //! Nothing is compared with anything here, and nothing is asserted.
 
-mod vectors;
-
 use std::io::Write;
 use std::num::NonZeroUsize;
 use std::time::{Duration, Instant};
@@ -13,9 +11,9 @@ use anyhow::{Context, bail};
 use hdrhistogram::Histogram;
 use serde::Serialize;
 
-pub use self::vectors::Vectors;
 use crate::embedding::Embedding;
 use crate::index::{Approximate, Builder, Effort, Entry, Index, Nearest, Query};
+pub use search::vectors::Vectors;
 
 /// Queries at once, of the two measurements of each size.
 const BATCHES: [usize; 2] = [1, 64];

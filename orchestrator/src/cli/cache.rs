@@ -7,7 +7,7 @@ use anyhow::Context;
 use clap::Args;
 
 use super::Exit;
-use crate::supervise::sibling;
+use supervise::sibling;
 
 #[derive(Debug, Args)]
 #[command(disable_help_flag = true)]

@@ -7,8 +7,8 @@ use clap::Args;
 use serde::Serialize;
 
 use super::{Exit, print, print_json};
-use crate::conformance::{Conformance, Finding, Verdict};
 use crate::signals::Signals;
+use conformance::{Conformance, Finding, Verdict};
 
 #[derive(Debug, Args)]
 #[command(after_help = "\

@@ -13,7 +13,7 @@ use shm_types::process::{SHARED_MEMORY, check_shared_memory};
 use shm_types::{Attach, RunDir, registry};
 
 use super::{Exit, WorldArgs, print, print_json};
-use crate::supervise::sibling;
+use supervise::sibling;
 
 /// What is found out about a model's server stands under this name.
 const ENDPOINT: &str = "endpoint";

@@ -31,10 +31,10 @@ use crate::settings::{
     Group, Layer, ModelSettings, Origin, Resolved, Settings, load_suite, resolve, select_cases,
 };
 use crate::signals::{self, Signals};
-use crate::supervise::Launch;
 use crate::table;
 use crate::trace::Trace;
 use crate::world::World;
+use supervise::Launch;
 
 #[derive(Debug, Args)]
 #[command(after_help = "\

@@ -11,7 +11,7 @@ use shm_types::process::check_shared_memory;
 use shm_types::{Attach, Bus, FrameSize, Receiver, RunDir, registry};
 
 use super::{DocumentName, Library, Stage, listed};
-use crate::supervise::{Crew, Launch};
+use supervise::{Crew, Launch};
 
 /// Views that are rendered ahead of being read.
 const VIEWS_AHEAD: u32 = 64;

@@ -17,7 +17,7 @@ use shm_types::{Attach, Bell, Bus, Receiver, Sender};
 use super::work::Work;
 use super::{Crewing, Facts, Failure, Observer};
 use crate::lanes::{Fault, Lanes, Owed, Turn};
-use crate::supervise::{Crew, Launch};
+use supervise::{Crew, Launch};
 
 /// How often the loop looks after processes, signals and deadlines when nobody rings.
 const TICK: Duration = Duration::from_millis(50);

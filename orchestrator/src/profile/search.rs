@@ -7,7 +7,7 @@ use std::process::{Command, Stdio};
 use anyhow::{Context, Result, bail};
 use serde::{Deserialize, Serialize};
 
-use crate::supervise::sibling;
+use supervise::sibling;
 
 /// One measurement, as the memory process tells it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

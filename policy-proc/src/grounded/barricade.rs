@@ -76,7 +76,7 @@ fn is_white([red, green, blue]: [u8; 3]) -> bool {
 mod tests {
     use super::*;
     use crate::grounded::testing::view;
-    use shm_types::plate::painter::{Aisle, Picture};
+    use plates::painter::{Aisle, Picture};
     use shm_types::{Heading, Pose};
 
     /// A picture with a barricade on the cell, painted as the camera sees it.

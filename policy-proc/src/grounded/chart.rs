@@ -7,9 +7,9 @@
 use std::hash::{Hash, Hasher};
 use std::sync::Arc;
 
+use plates::Landmark;
 use rustc_hash::{FxHashMap, FxHasher};
 use shm_types::message::FrameId;
-use shm_types::plate::Landmark;
 use shm_types::{Action, Heading, Pose};
 
 use super::geometry::after;
@@ -131,7 +131,7 @@ impl Charts {
 mod tests {
     use super::*;
     use crate::grounded::testing::view;
-    use shm_types::plate::painter::{Aisle, Picture};
+    use plates::painter::{Aisle, Picture};
 
     fn pictures(poses: &[Pose]) -> Vec<Picture> {
         poses.iter().map(|&pose| Aisle::new().picture(pose)).collect()

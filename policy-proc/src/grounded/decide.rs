@@ -18,7 +18,7 @@ use super::percept::Percept;
 use super::scene::Scene;
 use super::surroundings::{Surroundings, Ways};
 use crate::Request;
-use shm_types::plate::Landmark;
+use plates::Landmark;
 
 /// Farthest part of a retrieved walk that is walked to, in steps.
 const FARTHEST_JOIN: u32 = 6;

@@ -1,6 +1,6 @@
 //! What an instruction asks for: the ten task templates (SPEC section 3), read back from English.
 
-use shm_types::plate::{self, Plate};
+use plates::{self, Plate};
 
 /// One kind of thing to stand in front of.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -3,8 +3,8 @@
 
 use std::sync::Arc;
 
+use plates::Landmark;
 use rustc_hash::FxHashMap;
-use shm_types::plate::Landmark;
 use shm_types::{Cell, Pose};
 
 use super::chart::{Chart, PathStep};

@@ -7,10 +7,10 @@
 
 use std::sync::Arc;
 
+use plates::Landmark;
 use rustc_hash::FxHashMap;
 use shm_types::Pose;
 use shm_types::message::FrameId;
-use shm_types::plate::Landmark;
 
 use super::chart::{Chart, START};
 use super::percept::{Percept, PlacedView};
@@ -185,7 +185,7 @@ mod tests {
     use crate::grounded::chart::{Charts, Supplied};
     use crate::grounded::percept::Percepts;
     use crate::grounded::testing::view;
-    use shm_types::plate::painter::{Aisle, Picture};
+    use plates::painter::{Aisle, Picture};
     use shm_types::{Action, Heading};
 
     fn located(walk: Pose, keyframes: &[usize], here: Pose) -> Option<Pose> {

@@ -15,7 +15,7 @@ use super::lasting::rack;
 use super::sketch::Sketch;
 use super::surroundings::Marks;
 use crate::FrameView;
-use shm_types::plate::{self, Landmark, Sighting};
+use plates::{self, Landmark, Sighting};
 
 /// Frames whose percepts are kept; about a kilobyte each.
 const MOST_KEPT: usize = 16_384;

@@ -7,7 +7,7 @@
 use shm_types::Pose;
 
 use super::percept::Percept;
-use shm_types::plate::{Landmark, Sighting};
+use plates::{Landmark, Sighting};
 
 /// Plates that must agree.
 pub(super) const LEAST_AGREEING: i32 = 3;
@@ -90,7 +90,7 @@ mod tests {
     use super::*;
     use crate::FrameView;
     use crate::grounded::testing::view;
-    use shm_types::plate::painter::{Aisle, Picture};
+    use plates::painter::{Aisle, Picture};
 
     fn percept(pose: Pose) -> Percept {
         Percept::of(&view(&Aisle::new().picture(pose), 1))

@@ -3,7 +3,7 @@
 
 use std::sync::Arc;
 
-use shm_types::plate::Landmark;
+use plates::Landmark;
 use shm_types::{Cell, Pose};
 
 use super::Mind;

@@ -79,7 +79,7 @@ fn brightness(pixel: &[u8]) -> u32 {
 mod tests {
     use super::*;
     use crate::grounded::testing::view;
-    use shm_types::plate::painter::Picture;
+    use plates::painter::Picture;
 
     fn grey(level: u8) -> Sketch {
         Sketch::of(&FrameView {

@@ -1,6 +1,6 @@
 //! What tests of the grounded policy share.
 
-use shm_types::plate::painter::Picture;
+use plates::painter::Picture;
 
 use crate::FrameView;
 

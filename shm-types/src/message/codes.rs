@@ -1,42 +1,9 @@
 //! The closed sets that messages carry as `u8` codes.
 
-use crate::layout::{CodeSet, Codes, coded_enum};
-use crate::pose::UnknownCode;
+use domain::code_sets;
+pub use domain::{DocumentKind, Outcome, SegmentContent};
 
-/// Declares closed sets with `u8` codes that are positions in `ALL`.
-macro_rules! codes {
-    ($($(#[doc = $doc:literal])* $name:ident, $what:literal $(#[$attribute:meta])* {
-        $($(#[doc = $variant_doc:literal])* $variant:ident = $code:literal,)*
-    })*) => {
-        $(
-            coded_enum! {
-                $(#[doc = $doc])*
-                $name $(#[$attribute])* { $($(#[doc = $variant_doc])* $variant = $code,)* }
-            }
-
-            impl $name {
-                /// Every member, in code order.
-                pub const ALL: &'static [Self] = &[$(Self::$variant),*];
-            }
-
-            impl TryFrom<u8> for $name {
-                type Error = UnknownCode;
-
-                fn try_from(code: u8) -> Result<Self, UnknownCode> {
-                    match code {
-                        $($code => Ok(Self::$variant),)*
-                        _ => Err(UnknownCode::new(code, $what)),
-                    }
-                }
-            }
-        )*
-
-        /// All sets of codes that are declared here, described.
-        pub const CODE_SETS: &[CodeSet] = &[$($name::CODES),*];
-    };
-}
-
-codes! {
+code_sets! {
     /// What a [`StepCommand`](super::StepCommand) asks for.
     StepKind, "a step kind (0 reset, 1 act, 2 stay)" {
         /// Put the agent at the start pose.
@@ -53,19 +20,6 @@ codes! {
         Hold = 0,
         /// It may be evicted again.
         Release = 1,
-    }
-
-    /// How a decision came out (DESIGN section 5). Infrastructure failures are retried by the policy
-    /// and reported as [`Complaint`](super::Complaint)s: they are never an outcome of the model.
-    Outcome, "an outcome (0 acted, 1 unreadable, 2 empty, 3 refused)" {
-        /// An action was chosen.
-        Acted = 0,
-        /// There was an answer, and no action could be read from it.
-        Unreadable = 1,
-        /// The answer was empty.
-        Empty = 2,
-        /// The model refused.
-        Refused = 3,
     }
 
     /// What follows from a [`Complaint`](super::Complaint).
@@ -92,26 +46,6 @@ codes! {
         /// Decides.
         Policy = 3,
     }
-
-    /// What a retrieved segment holds (paper, Design Choices).
-    SegmentContent, "a segment content (0 actions, 1 images)" {
-        /// The expert's actions and the views they led to.
-        Actions = 0,
-        /// The views alone.
-        Images = 1,
-    }
-
-    /// What a [`Document`](crate::documents::Document) is.
-    DocumentKind, "a document kind (0 summary, 1 semantic, 2 trajectories)"
-    #[derive(serde::Serialize, serde::Deserialize)]
-    #[serde(rename_all = "lowercase")] {
-        /// Object locations, landmarks and routes: UTF-8 text.
-        Summary = 0,
-        /// General spatial and navigation knowledge: UTF-8 text.
-        Semantic = 1,
-        /// Demonstrations with their keyframes: [`TrajectoryStep`](super::TrajectoryStep)s.
-        Trajectories = 2,
-    }
 }
 
 impl Role {
@@ -125,32 +59,6 @@ impl Role {
             Self::Sim => "sim",
             Self::Memory => "memory",
             Self::Policy => "policy",
-        }
-    }
-}
-
-impl Outcome {
-    /// The word used in logs and messages.
-    pub const fn word(self) -> &'static str {
-        match self {
-            Self::Acted => "acted",
-            Self::Unreadable => "unreadable",
-            Self::Empty => "empty",
-            Self::Refused => "refused",
-        }
-    }
-}
-
-impl DocumentKind {
-    /// Those that are text, in the order in which they are supplied.
-    pub const TEXTS: [Self; 2] = [Self::Summary, Self::Semantic];
-
-    /// The word used in files, on the command line and in messages.
-    pub const fn word(self) -> &'static str {
-        match self {
-            Self::Summary => "summary",
-            Self::Semantic => "semantic",
-            Self::Trajectories => "trajectories",
         }
     }
 }

@@ -3,7 +3,7 @@
 use std::ops::Range;
 
 use bytemuck::cast_slice;
-use shm_types::plate;
+use plates;
 use wgpu::util::DeviceExt;
 
 use super::device::Gpu;

@@ -1,9 +1,9 @@
 //! What must hold for every picture, whoever draws it: nothing visible is left out, neither the way out nor the batch
 //! changes a byte, label plates keep their colours, a barricade is seen.
 
+use plates::{self, Plate};
 use shm_types::Heading;
 use shm_types::camera::{CAMERA_HEIGHT_M, focal_length_px};
-use shm_types::plate::{self, Plate};
 use warehouse::CaseSet;
 
 use super::visibility::Sight;

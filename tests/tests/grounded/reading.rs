@@ -1,6 +1,6 @@
 //! Plates in rendered views, read by the policy and looked up in the catalogue.
 
-use shm_types::plate::{self, Landmark, Plate};
+use plates::{self, Landmark, Plate};
 use warehouse::sight::sees;
 use warehouse::{Item, Variant, Warehouse};
 

@@ -4,8 +4,8 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 
+use plates::Plate;
 use shm_types::Cell;
-use shm_types::plate::Plate;
 
 use super::super::floor::{Floor, Stretch};
 use super::super::names::{Label, Names};

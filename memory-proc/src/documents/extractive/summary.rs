@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::fmt;
 
-use shm_types::plate::Plate;
+use plates::Plate;
 use shm_types::{Cell, Heading, Pose};
 
 use super::super::floor::{Floor, Stretch};

@@ -2,9 +2,9 @@ use std::collections::BTreeSet;
 use std::path::Path;
 use std::sync::Arc;
 
+use plates;
+use plates::painter::Aisle;
 use proptest::prelude::*;
-use shm_types::plate;
-use shm_types::plate::painter::Aisle;
 use shm_types::{Action, Cell, Feedback, Pose};
 use warehouse::{CaseSet, Demonstrations, Start, Warehouse};
 

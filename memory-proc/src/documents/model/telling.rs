@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 use std::fmt::Write;
 
-use shm_types::plate::{Landmark, Plate};
+use plates::{Landmark, Plate};
 use shm_types::{Action, Feedback};
 
 use crate::documents::Transcript;

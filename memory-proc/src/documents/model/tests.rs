@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use shm_types::plate::{Landmark, Plate};
+use plates::{Landmark, Plate};
 use shm_types::{Action, Cell, Feedback, Heading, Pose};
 use tempfile::TempDir;
 

@@ -3,7 +3,7 @@ use shm_types::message::DocumentKind;
 use shm_types::{Feedback, Heading};
 
 use super::*;
-use shm_types::plate::painter::{Aisle, Picture};
+use plates::painter::{Aisle, Picture};
 
 use crate::grounded::geometry::after;
 use crate::grounded::testing::view;

@@ -3,7 +3,7 @@
 //! A face is drawn in its own frame: x to the right of somebody who looks at it, y into the rack, z
 //! up, with the origin on the floor in the middle of the face. It is 1 m wide.
 
-use shm_types::plate;
+use plates;
 
 use super::builder::{Builder, Detail, Material, Mesh, Side};
 

@@ -1,7 +1,7 @@
 //! The three ways of colouring pixels, as in the shaders beside this folder: lit, label plate, text.
 
 use fearless_simd::{Bytes, Select, Simd, SimdBase, SimdFloat, SimdInt, f32x16, i32x16, u32x16};
-use shm_types::plate;
+use plates;
 
 use super::canvas::PIXELS;
 use super::triangle::{Part, Triangle};

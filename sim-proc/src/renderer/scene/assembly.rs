@@ -3,7 +3,7 @@
 use std::ops::Range;
 
 use nalgebra::{Isometry3, Point3};
-use shm_types::plate::{self, Plate};
+use plates::{self, Plate};
 
 use super::{Layer, Object, Scene, Screen};
 use crate::renderer::light::{Light, baked};

@@ -1,7 +1,7 @@
 //! Which rack faces are bays, how the bays meet, and what stands in them.
 
 use nalgebra::{Isometry3, Point3};
-use shm_types::plate::Plate;
+use plates::Plate;
 use shm_types::{Cell, Heading};
 use warehouse::{Axis, Catalogue, Layout, Square, Warehouse};
 

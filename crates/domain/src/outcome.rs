@@ -1,0 +1,64 @@
+//! Closed sets that the wire, the log and the report share.
+
+use crate::code_sets;
+
+code_sets! {
+    /// How a decision came out (DESIGN section 5). Infrastructure failures are retried by the policy
+    /// and reported as [`Complaint`](super::Complaint)s: they are never an outcome of the model.
+    Outcome, "an outcome (0 acted, 1 unreadable, 2 empty, 3 refused)" {
+        /// An action was chosen.
+        Acted = 0,
+        /// There was an answer, and no action could be read from it.
+        Unreadable = 1,
+        /// The answer was empty.
+        Empty = 2,
+        /// The model refused.
+        Refused = 3,
+    }
+
+    /// What a retrieved segment holds (paper, Design Choices).
+    SegmentContent, "a segment content (0 actions, 1 images)" {
+        /// The expert's actions and the views they led to.
+        Actions = 0,
+        /// The views alone.
+        Images = 1,
+    }
+
+    /// What a [`Document`](crate::documents::Document) is.
+    DocumentKind, "a document kind (0 summary, 1 semantic, 2 trajectories)"
+    #[derive(serde::Serialize, serde::Deserialize)]
+    #[serde(rename_all = "lowercase")] {
+        /// Object locations, landmarks and routes: UTF-8 text.
+        Summary = 0,
+        /// General spatial and navigation knowledge: UTF-8 text.
+        Semantic = 1,
+        /// Demonstrations with their keyframes: [`TrajectoryStep`](super::TrajectoryStep)s.
+        Trajectories = 2,
+    }
+}
+
+impl Outcome {
+    /// The word used in logs and messages.
+    pub const fn word(self) -> &'static str {
+        match self {
+            Self::Acted => "acted",
+            Self::Unreadable => "unreadable",
+            Self::Empty => "empty",
+            Self::Refused => "refused",
+        }
+    }
+}
+
+impl DocumentKind {
+    /// Those that are text, in the order in which they are supplied.
+    pub const TEXTS: [Self; 2] = [Self::Summary, Self::Semantic];
+
+    /// The word used in files, on the command line and in messages.
+    pub const fn word(self) -> &'static str {
+        match self {
+            Self::Summary => "summary",
+            Self::Semantic => "semantic",
+            Self::Trajectories => "trajectories",
+        }
+    }
+}

@@ -1,0 +1,227 @@
+//! The memory representations (SPEC section 5): their names, codes, and what each gives a policy.
+//!
+//! To add one: a variant with its row in [`Representation::describe`] here, and a file in the memory process,
+//! to which the compiler leads. Everything else (flags, suites, tables) follows from these.
+
+use serde::{Deserialize, Serialize};
+
+use crate::coded_enum;
+use crate::outcome::DocumentKind;
+use crate::pose::UnknownCode;
+
+coded_enum! {
+    /// A memory representation.
+    Representation
+    #[derive(Serialize, Deserialize)]
+    #[serde(try_from = "String", into = "String")] {
+        /// The window alone: no memory of demonstrations.
+        Working = 0,
+        /// Every action of the case's demonstrations, and keyframes.
+        FullContext = 1,
+        /// One document of object locations, landmarks and routes.
+        Summary = 2,
+        /// One document of general spatial and navigation knowledge.
+        Semantic = 3,
+        /// The summary and the semantic document.
+        Hybrid = 4,
+        /// The stored view nearest to the current one, and the expert's continuation.
+        Episodic = 5,
+    }
+}
+
+/// What a representation stores and supplies.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Description {
+    /// The word on the command line, in files and in tables.
+    pub name: &'static str,
+    /// What is stored.
+    pub stores: &'static str,
+    /// What is supplied at each step, beside the window.
+    pub supplies: &'static str,
+    /// How it draws on demonstrations.
+    pub source: Source,
+    /// The text documents it supplies, in order.
+    pub documents: &'static [DocumentKind],
+    /// What it supplies of demonstrations as such.
+    pub trajectories: Trajectories,
+}
+
+/// Which demonstrations a representation is made of.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Source {
+    /// None.
+    Nothing,
+    /// The selected ones of the episode's own case.
+    Case,
+    /// The selected ones of all cases, consolidated.
+    AllCases,
+}
+
+/// Which parts of demonstrations a representation supplies as they were, actions and views.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Trajectories {
+    /// None.
+    Nothing,
+    /// All actions, and as many keyframes as the budget allows.
+    Whole,
+    /// A retrieved view and as many steps from there as the horizon allows.
+    Segment,
+}
+
+impl Representation {
+    /// Every one, in the order of the tables; the position is the code.
+    pub const ALL: &'static [Self] = &[
+        Self::Working,
+        Self::FullContext,
+        Self::Summary,
+        Self::Semantic,
+        Self::Hybrid,
+        Self::Episodic,
+    ];
+
+    /// What it stores and supplies.
+    pub const fn describe(self) -> Description {
+        const NOTHING: Description = Description {
+            name: "working",
+            stores: "the last h steps",
+            supplies: "the window",
+            source: Source::Nothing,
+            documents: &[],
+            trajectories: Trajectories::Nothing,
+        };
+        match self {
+            Self::Working => NOTHING,
+            Self::FullContext => Description {
+                name: "full-context",
+                stores: "all actions and the keyframes of the case's demonstrations",
+                supplies: "all of it",
+                source: Source::Case,
+                trajectories: Trajectories::Whole,
+                ..NOTHING
+            },
+            Self::Summary => Description {
+                name: "summary",
+                stores: "one document of object locations, landmarks and routes",
+                supplies: "the whole document",
+                source: Source::AllCases,
+                documents: &[DocumentKind::Summary],
+                ..NOTHING
+            },
+            Self::Semantic => Description {
+                name: "semantic",
+                stores: "one document of general spatial and navigation knowledge",
+                supplies: "the whole document",
+                source: Source::AllCases,
+                documents: &[DocumentKind::Semantic],
+                ..NOTHING
+            },
+            Self::Hybrid => Description {
+                name: "hybrid",
+                stores: "the summary and the semantic document",
+                supplies: "both documents",
+                source: Source::AllCases,
+                documents: &[DocumentKind::Summary, DocumentKind::Semantic],
+                ..NOTHING
+            },
+            Self::Episodic => Description {
+                name: "episodic",
+                stores: "every demonstration frame's embedding, with its trajectory",
+                supplies: "the stored view nearest to the current one, and the expert's continuation",
+                source: Source::Case,
+                trajectories: Trajectories::Segment,
+                ..NOTHING
+            },
+        }
+    }
+
+    /// The word on the command line, in files and in tables.
+    pub const fn name(self) -> &'static str {
+        self.describe().name
+    }
+
+    /// Whether demonstrations make a difference to it.
+    pub const fn uses_demonstrations(self) -> bool {
+        !matches!(self.describe().source, Source::Nothing)
+    }
+
+    /// Whether it is searched by the current view, so that views have to be embedded.
+    pub const fn matches_views(self) -> bool {
+        matches!(self.describe().trajectories, Trajectories::Segment)
+    }
+
+    /// Most images of a request: the current view, the window's `window`, and what is remembered with
+    /// `horizon` actions after a retrieved view or a budget of `keyframes`.
+    pub const fn images(self, window: u32, horizon: u32, keyframes: u32) -> u32 {
+        let remembered = match self.describe().trajectories {
+            Trajectories::Nothing => 0,
+            Trajectories::Whole => keyframes,
+            Trajectories::Segment => 1 + horizon,
+        };
+        1 + window + remembered
+    }
+}
+
+impl std::fmt::Display for Representation {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.pad(self.name())
+    }
+}
+
+impl TryFrom<u8> for Representation {
+    type Error = UnknownCode;
+
+    fn try_from(code: u8) -> Result<Self, UnknownCode> {
+        let found = Self::ALL.get(usize::from(code)).copied();
+        found.ok_or_else(|| UnknownCode::new(code, "a representation (0 to 5)"))
+    }
+}
+
+/// A word that names no representation.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("no representation is called {0:?}")]
+pub struct UnknownRepresentation(pub String);
+
+impl std::str::FromStr for Representation {
+    type Err = UnknownRepresentation;
+
+    fn from_str(text: &str) -> Result<Self, UnknownRepresentation> {
+        let found = Self::ALL.iter().find(|representation| representation.name() == text);
+        found.copied().ok_or_else(|| UnknownRepresentation(text.to_owned()))
+    }
+}
+
+impl TryFrom<String> for Representation {
+    type Error = UnknownRepresentation;
+
+    fn try_from(text: String) -> Result<Self, UnknownRepresentation> {
+        text.parse()
+    }
+}
+
+impl From<Representation> for String {
+    fn from(representation: Representation) -> Self {
+        representation.name().to_owned()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_and_codes_are_each_other_s_inverse() {
+        for (code, &representation) in Representation::ALL.iter().enumerate() {
+            assert_eq!(Representation::try_from(code as u8), Ok(representation));
+            assert_eq!(representation.name().parse(), Ok(representation));
+        }
+        assert!(
+            Representation::try_from(6).is_err() && "eidetic".parse::<Representation>().is_err()
+        );
+    }
+
+    #[test]
+    fn images_of_a_request_are_those_of_the_paper() {
+        let images: Vec<u32> = Representation::ALL.iter().map(|r| r.images(6, 6, 40)).collect();
+        assert_eq!(images, [7, 47, 7, 7, 7, 14]);
+    }
+}

@@ -1,0 +1,515 @@
+//! Checks a warehouse and its cases against every constraint of SPEC sections 2 to 4 and 6, by replay.
+//!
+//! One line for each constraint: how often it was checked and what violates it. Nothing here trusts how
+//! the cases came about; only the last constraint asks the generator, whether it gives them again.
+
+mod histories;
+
+use std::fmt;
+
+use plates::Plate;
+use serde::Serialize;
+use shm_types::Cell;
+
+use crate::case::{Case, CaseSet, Replay, Start};
+use crate::constraints::{
+    Edge, MAX_DETOUR_PERCENT, does_its_task, edges, enters, faces_targets, is_distant,
+    is_near_optimal, is_nearby, is_of_similar_length, is_opposite, shares_at_least_half,
+    shares_at_most_half, target_in_view, target_on,
+};
+use crate::dynamics::{MAX_STEPS, Variant};
+use crate::layout::{Axis, Layout, Square};
+use crate::plan::{Planner, Prices};
+use crate::world::{Item, Warehouse};
+
+pub use histories::{Figures, Spread};
+
+/// How many violations of a constraint a printed report spells out.
+const SPELLED_OUT: usize = 3;
+
+// The constraints below spell these figures out.
+const _: () = assert!(MAX_STEPS == 200 && MAX_DETOUR_PERCENT == 150);
+
+/// What validation found, constraint by constraint.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct Report {
+    /// One for each constraint.
+    pub lines: Vec<Line>,
+    /// What there is of each kind of histories of other tasks.
+    pub mixtures: Vec<Figures>,
+}
+
+/// What validation found about one constraint.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct Line {
+    /// The constraint, as a statement that should be true.
+    pub constraint: &'static str,
+    /// How often it was checked.
+    pub checked: usize,
+    /// Where it does not hold, and how.
+    pub violations: Vec<String>,
+}
+
+impl Report {
+    /// Violations of all constraints together.
+    pub fn violations(&self) -> usize {
+        self.lines.iter().map(|line| line.violations.len()).sum()
+    }
+
+    /// Whether every constraint was checked at least once and none is violated.
+    pub fn is_clean(&self) -> bool {
+        self.violations() == 0 && self.lines.iter().all(|line| line.checked > 0)
+    }
+
+    fn push(
+        &mut self,
+        constraint: &'static str,
+        results: impl IntoIterator<Item = Result<(), String>>,
+    ) {
+        let mut line = Line { constraint, checked: 0, violations: Vec::new() };
+        for result in results {
+            line.checked += 1;
+            line.violations.extend(result.err());
+        }
+        self.lines.push(line);
+    }
+}
+
+impl fmt::Display for Report {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        for Line { constraint, checked, violations } in &self.lines {
+            let verdict = if violations.is_empty() && *checked > 0 { "ok  " } else { "FAIL" };
+            writeln!(
+                f,
+                "{verdict} {checked:>5} checked {:>4} off  {constraint}",
+                violations.len()
+            )?;
+            for violation in violations.iter().take(SPELLED_OUT) {
+                writeln!(f, "           {violation}")?;
+            }
+            if violations.len() > SPELLED_OUT {
+                writeln!(f, "           and {} more", violations.len() - SPELLED_OUT)?;
+            }
+        }
+        self.mixtures.iter().try_for_each(|figures| writeln!(f, "{figures}"))
+    }
+}
+
+/// Checks everything, regeneration from the seed included.
+pub fn validate(warehouse: &Warehouse, cases: &CaseSet) -> Report {
+    let mut report = check(warehouse, cases);
+    regeneration(&mut report, warehouse, cases);
+    report
+}
+
+/// Everything but regeneration.
+pub(crate) fn check(warehouse: &Warehouse, cases: &CaseSet) -> Report {
+    let mut report = Report { lines: Vec::new(), mixtures: Vec::new() };
+    floor(&mut report, &warehouse.layout);
+    items(&mut report, warehouse);
+    set(&mut report, cases);
+    let replayed: Vec<Replayed<'_>> =
+        cases.cases.iter().map(|case| Replayed::new(warehouse, case)).collect();
+    trajectories(&mut report, warehouse, &replayed);
+    demonstrations(&mut report, &warehouse.layout, &replayed);
+    tests(&mut report, &warehouse.layout, &replayed);
+    histories::check(&mut report, warehouse, cases);
+    report
+}
+
+/// `Ok` when `holds`, otherwise the violation.
+fn ensure(holds: bool, violation: impl FnOnce() -> String) -> Result<(), String> {
+    if holds { Ok(()) } else { Err(violation()) }
+}
+
+fn equal<T: PartialEq + fmt::Debug>(what: &str, found: T, expected: T) -> Result<(), String> {
+    ensure(found == expected, || format!("{what}: {found:?} instead of {expected:?}"))
+}
+
+fn floor(report: &mut Report, layout: &Layout) {
+    let size = (layout.width(), layout.height());
+    report.push("the floor is 16 x 30 cells", [equal("columns and rows", size, (16, 30))]);
+
+    let racks = islands(layout.cells().filter(|&c| layout.square(c) == Square::Rack).collect(), 1);
+    let is_end = |rack: &&Vec<Cell>| rack.iter().any(|c| c.y == 0 || c.y + 1 == layout.height());
+    let ends = racks.iter().filter(is_end).count();
+    report.push(
+        "six rack blocks stand between two end racks",
+        [equal("end racks", ends, 2), equal("rack blocks", racks.len() - ends, 6)],
+    );
+
+    let running = |axis| layout.aisles().iter().filter(|aisle| aisle.runs == axis).count();
+    report.push(
+        "six corridors run north-south and three aisles east-west",
+        [
+            equal("north-south", running(Axis::NorthSouth), 6),
+            equal("east-west", running(Axis::EastWest), 3),
+        ],
+    );
+
+    let parts = islands(layout.free_cells().collect(), 1).len();
+    report.push("all free cells are connected", [equal("separate parts", parts, 1)]);
+
+    let passages = layout.passages();
+    report.push(
+        "every two aisles stay connected when any one passage is closed",
+        passages.iter().map(|closed| {
+            let open = layout.free_cells().filter(|cell| !closed.contains(cell)).collect();
+            let touches = |part: &Vec<Cell>, aisle| {
+                part.iter().any(|&cell| layout.aisle_index(cell) == Some(aisle))
+            };
+            let joins_all =
+                |part: &Vec<Cell>| (0..layout.aisles().len()).all(|aisle| touches(part, aisle));
+            ensure(islands(open, 1).iter().any(joins_all), || {
+                format!("closing {} separates two aisles", list(closed))
+            })
+        }),
+    );
+}
+
+fn items(report: &mut Report, warehouse: &Warehouse) {
+    let Warehouse { layout, catalogue, items } = warehouse;
+    let at_least = |what: &str, found: usize, least: usize| {
+        ensure(found >= least, || format!("{found} {what}; at least {least} are needed"))
+    };
+    report.push(
+        "there are at least 8 categories, 24 types and 150 items",
+        [
+            at_least("categories", catalogue.categories.len(), 8),
+            at_least("types", catalogue.types.len(), 24),
+            at_least("items", items.len(), 150),
+        ],
+    );
+
+    report.push(
+        "every item stands on a rack face before a free standpoint of its own",
+        items.iter().enumerate().map(|(index, item)| {
+            let alone = items.iter().filter(|i| i.standpoint == item.standpoint).count() == 1;
+            let faces = item.rack.step(item.face) == Some(item.standpoint);
+            let stands = layout.square(item.rack) == Square::Rack && faces;
+            ensure(
+                usize::from(item.id) == index && alone && stands && layout.is_free(item.standpoint),
+                || format!("item {index}: {item:?}"),
+            )
+        }),
+    );
+
+    report.push(
+        "items of a category stand in neighbouring bays",
+        catalogue.categories.iter().enumerate().map(|(index, category)| {
+            let cells = warehouse.items_in(index).map(|item| item.standpoint).collect();
+            // Two cells apart is round the corner of a block.
+            equal(&format!("groups of {}", category.name), islands(cells, 2).len(), 1)
+        }),
+    );
+
+    let plate = |index: usize| {
+        let item_type = &catalogue.types[index];
+        Plate::new(&catalogue.categories[item_type.category].name, &item_type.name)
+    };
+    report.push(
+        "plates tell every two types and every two categories apart",
+        (0..catalogue.types.len()).flat_map(|b| (0..b).map(move |a| (a, b))).map(|(a, b)| {
+            let (one, other) = (&catalogue.types[a], &catalogue.types[b]);
+            let (plate_a, plate_b) = (plate(a), plate(b));
+            let same_category = plate_a.0[..3] == plate_b.0[..3];
+            ensure(
+                plate_a.0[3..] != plate_b.0[3..]
+                    && same_category == (one.category == other.category),
+                || format!("{} and {}", one.name, other.name),
+            )
+        }),
+    );
+}
+
+/// The set as a whole.
+fn set(report: &mut Report, CaseSet { cases, .. }: &CaseSet) {
+    report.push(
+        "all ten types have the same number of cases, or the first of them one more",
+        (1..=10_u8).map(|number| {
+            let found = cases.iter().filter(|case| case.task.number() == number).count();
+            let due = (cases.len() + 10 - usize::from(number)) / 10;
+            equal(&format!("cases of type {number}"), found, due)
+        }),
+    );
+
+    let sorted = cases.iter().enumerate().map(|(index, case)| {
+        let before = index.checked_sub(1).map(|before| &cases[before]);
+        ensure(before.is_none_or(|before| before.id < case.id), || {
+            format!("{} comes after {}", case.id, before.map_or("", |before| &before.id))
+        })
+    });
+    report.push("case ids differ and are sorted", sorted);
+
+    let distinct = cases.iter().enumerate().map(|(index, case)| {
+        let same =
+            |other: &&Case| other.task == case.task && other.original.start == case.original.start;
+        match cases[..index].iter().find(same) {
+            Some(other) => Err(format!("{} repeats {}", case.id, other.id)),
+            None => Ok(()),
+        }
+    });
+    report.push("no two cases share task and start", distinct);
+}
+
+/// A case with its six trajectories acted out.
+struct Replayed<'a> {
+    case: &'a Case,
+    targets: Vec<&'a Item>,
+    replays: Vec<(Start, Replay)>,
+}
+
+impl<'a> Replayed<'a> {
+    fn new(warehouse: &'a Warehouse, case: &'a Case) -> Self {
+        let replays =
+            Start::ALL.into_iter().map(|start| (start, case.replay(warehouse, start))).collect();
+        Self { case, targets: case.task.targets(warehouse), replays }
+    }
+
+    fn replay(&self, start: Start) -> &Replay {
+        &self.replays[start as usize].1
+    }
+
+    fn edges(&self, start: Start) -> Vec<Edge> {
+        edges(&self.replay(start).poses)
+    }
+
+    fn start(&self, start: Start) -> shm_types::Pose {
+        self.case.trajectory(start).start
+    }
+
+    /// Names the case, and one of its trajectories, before a violation.
+    fn at(&self, start: Start, violation: impl fmt::Display) -> String {
+        format!("{} {}: {violation}", self.case.id, start.name())
+    }
+}
+
+/// What holds of all six trajectories of a case.
+fn trajectories(report: &mut Report, warehouse: &Warehouse, cases: &[Replayed<'_>]) {
+    let all =
+        || cases.iter().flat_map(|c| c.replays.iter().map(move |(s, replay)| (c, *s, replay)));
+
+    report.push(
+        "every trajectory replays without a blocked step and does its task within 200 steps",
+        all().map(|(c, start, replay)| {
+            does_its_task(replay).map(drop).map_err(|problem| c.at(start, problem))
+        }),
+    );
+    report.push(
+        "every trajectory looks at each target when it reaches it",
+        all().map(|(c, start, replay)| {
+            faces_targets(warehouse, &c.case.task, replay).map_err(|problem| c.at(start, problem))
+        }),
+    );
+    let unchanged = Planner::new(warehouse, Variant::UNCHANGED, Prices::STEPS);
+    report.push(
+        "every trajectory takes at most 150 % of the fewest steps that do its task",
+        all().map(|(c, start, replay)| {
+            let (from, task) = (c.start(start), &c.case.task);
+            let fewest = match start {
+                Start::Blocked => {
+                    Planner::new(warehouse, c.case.variant(start), Prices::STEPS).cost(from, task)
+                }
+                _ => unchanged.cost(from, task),
+            };
+            let near = replay.length.zip(fewest).is_some_and(|(l, f)| is_near_optimal(l, f));
+            ensure(near, || {
+                let (taken, fewest) = (shown(replay.length), shown(fewest));
+                c.at(start, format!("{taken} steps where {fewest} are enough"))
+            })
+        }),
+    );
+    report.push(
+        "no trajectory starts in front of a target",
+        all().map(|(c, start, _)| match target_on(&[c.start(start).cell], &c.targets) {
+            Some(item) => Err(c.at(start, format!("starts in front of item {}", item.id))),
+            None => Ok(()),
+        }),
+    );
+}
+
+/// The demonstrations other than the original, and what they share with it.
+fn demonstrations(report: &mut Report, layout: &Layout, cases: &[Replayed<'_>]) {
+    let starts = |c: &Replayed<'_>, start| (c.start(Start::Original), c.start(start));
+    let shown = |c: &Replayed<'_>, start| {
+        let (original, other) = starts(c, start);
+        c.at(start, format!("starts at {other}, the original at {original}"))
+    };
+    report.push(
+        "original: no target in the first view",
+        cases.iter().map(|c| unseen(layout, c, Start::Original)),
+    );
+    report.push(
+        "opposite: the original's cell, heading turned around",
+        cases.iter().map(|c| {
+            let (original, opposite) = starts(c, Start::Opposite);
+            ensure(is_opposite(original, opposite), || shown(c, Start::Opposite))
+        }),
+    );
+    report.push(
+        "nearby: 2 to 4 cells along the same aisle, same heading",
+        cases.iter().map(|c| {
+            let (original, nearby) = starts(c, Start::Nearby);
+            ensure(is_nearby(layout, original, nearby), || shown(c, Start::Nearby))
+        }),
+    );
+    report.push(
+        "nearby: at least half of the original's edges are shared",
+        cases.iter().map(|c| {
+            let (original, nearby) = (c.edges(Start::Original), c.edges(Start::Nearby));
+            ensure(shares_at_least_half(&original, &nearby), || {
+                c.at(Start::Nearby, "shares less than half")
+            })
+        }),
+    );
+    report.push(
+        "distant: at least 6 cells away in another aisle, heading turned by 90 degrees",
+        cases.iter().map(|c| {
+            let (original, distant) = starts(c, Start::Distant);
+            ensure(is_distant(layout, original, distant), || shown(c, Start::Distant))
+        }),
+    );
+    report.push(
+        "distant: at most half of the original's edges are shared",
+        cases.iter().map(|c| {
+            let (original, distant) = (c.edges(Start::Original), c.edges(Start::Distant));
+            ensure(shares_at_most_half(&original, &distant), || {
+                c.at(Start::Distant, "shares more than half")
+            })
+        }),
+    );
+}
+
+/// The test start and its blocked variant.
+fn tests(report: &mut Report, layout: &Layout, cases: &[Replayed<'_>]) {
+    report.push(
+        "test: starts at another pose than the four demonstrations",
+        cases.iter().map(|c| {
+            let test = c.start(Start::Test);
+            let same = Start::DEMONSTRATIONS.into_iter().find(|&start| c.start(start) == test);
+            ensure(same.is_none(), || {
+                c.at(Start::Test, format!("starts like {}", same.map_or("", Start::name)))
+            })
+        }),
+    );
+    report.push(
+        "test: no target in the first view",
+        cases.iter().map(|c| unseen(layout, c, Start::Test)),
+    );
+    report.push(
+        "test: 75 to 135 % as long as the original demonstration",
+        cases.iter().map(|c| {
+            let lengths = (c.replay(Start::Original).length, c.replay(Start::Test).length);
+            let similar = lengths.0.zip(lengths.1).is_some_and(|(o, t)| is_of_similar_length(o, t));
+            ensure(similar, || {
+                c.at(
+                    Start::Test,
+                    format!("{} steps, the original {}", shown(lengths.1), shown(lengths.0)),
+                )
+            })
+        }),
+    );
+    report.push(
+        "blocked: starts where the test starts",
+        cases.iter().map(|c| {
+            equal(&c.at(Start::Blocked, "start"), c.start(Start::Blocked), c.start(Start::Test))
+        }),
+    );
+    let passages = layout.passages();
+    report.push(
+        "blocked: a passage is closed across its full width",
+        cases.iter().map(|c| {
+            let closed = &c.case.barricade;
+            ensure(passages.contains(closed), || {
+                c.at(Start::Blocked, format!("{} is no passage", list(closed)))
+            })
+        }),
+    );
+    report.push(
+        "blocked: the test reference and at least one demonstration use that passage",
+        cases.iter().map(|c| {
+            let used = |start| enters(&c.replay(start).poses, &c.case.barricade);
+            ensure(used(Start::Test) && Start::DEMONSTRATIONS.into_iter().any(used), || {
+                c.at(Start::Blocked, format!("{} is not used by both", list(&c.case.barricade)))
+            })
+        }),
+    );
+    report.push(
+        "blocked: neither the start nor a target's standpoint is closed",
+        cases.iter().map(|c| {
+            let closed = &c.case.barricade;
+            let start = c.start(Start::Blocked).cell;
+            ensure(!closed.contains(&start) && target_on(closed, &c.targets).is_none(), || {
+                c.at(Start::Blocked, format!("{} closes one", list(closed)))
+            })
+        }),
+    );
+    report.push(
+        "blocked: another route leads to every target",
+        cases.iter().map(|c| {
+            let reached = layout.reachable(c.start(Start::Blocked).cell, &c.case.barricade);
+            let cut_off =
+                c.targets.iter().find(|item| reached.binary_search(&item.standpoint).is_err());
+            ensure(cut_off.is_none(), || {
+                c.at(
+                    Start::Blocked,
+                    format!("item {} is cut off", cut_off.map_or(0, |item| item.id)),
+                )
+            })
+        }),
+    );
+}
+
+fn unseen(layout: &Layout, c: &Replayed<'_>, start: Start) -> Result<(), String> {
+    match target_in_view(layout, c.start(start), &c.targets) {
+        Some(item) => {
+            Err(c.at(start, format!("item {} is in view from {}", item.id, c.start(start))))
+        }
+        None => Ok(()),
+    }
+}
+
+fn regeneration(report: &mut Report, warehouse: &Warehouse, cases: &CaseSet) {
+    let count = cases.cases.len();
+    let results = match CaseSet::generate(warehouse, cases.seed, count) {
+        Ok(again) => cases
+            .cases
+            .iter()
+            .zip(again.cases)
+            .map(|(case, again)| {
+                ensure(*case == again, || {
+                    format!("{} differs from what seed {} gives", case.id, cases.seed)
+                })
+            })
+            .collect(),
+        Err(error) => vec![Err(error.to_string())],
+    };
+    report.push("the cases are regenerated from their seed, bit for bit", results);
+}
+
+/// The groups of `cells` in which neighbours are at most `reach` apart.
+fn islands(cells: Vec<Cell>, reach: u32) -> Vec<Vec<Cell>> {
+    let mut rest = cells;
+    let mut islands = Vec::new();
+    while let Some(first) = rest.pop() {
+        let mut island = vec![first];
+        let mut next = 0;
+        while let Some(&cell) = island.get(next) {
+            next += 1;
+            island.extend(rest.extract_if(.., |other| cell.distance(*other) <= reach));
+        }
+        islands.push(island);
+    }
+    islands
+}
+
+fn list(cells: &[Cell]) -> String {
+    cells.iter().map(Cell::to_string).collect::<Vec<_>>().join(" ")
+}
+
+fn shown(steps: Option<u32>) -> String {
+    steps.map_or_else(|| "no".into(), |steps| steps.to_string())
+}
+
+#[cfg(test)]
+mod tests;
