@@ -26,10 +26,9 @@ use crate::plan::Episode;
 use crate::witness::Witness;
 
 mod fault;
-mod stamps;
 
 pub use fault::Fault;
-pub use stamps::Stamps;
+pub use results::stamps::Stamps;
 
 /// What all episodes of a run have in common.
 #[derive(Debug, Clone, Copy)]

@@ -17,8 +17,7 @@ use crate::latency::{Latency, Summary};
 /// Time between two writings.
 const INTERVAL: Duration = Duration::from_millis(500);
 
-/// Name of the file in a run's folder.
-pub const STATUS_FILE: &str = "status.json";
+pub use results::log::STATUS_FILE;
 
 /// What a running run is at.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]

@@ -14,12 +14,12 @@ use orchestrator::conditions::{Condition, Demonstrations, Route, Start, Variatio
 use orchestrator::lanes::{Lanes, Rules, Spent, Walked};
 use orchestrator::pipeline::{Crewing, Ending, Facts, Observer, walk};
 use orchestrator::plan::plan;
-use orchestrator::supervise::Launch;
 use shm_types::message::{
     Decision, Farewell, Hello, MemoryBrief, NOT_MEASURED, Observation, PolicyBrief, Recall,
     RecallTrace, Role, StepCommand, StepKind, Stop, WIRE_VERSION, write_text,
 };
 use shm_types::{Action, Attach, Bell, Bus, Feedback, FrameSize, Pose, Representation, RunDir};
+use supervise::Launch;
 use warehouse::{CaseSet, Variant, Warehouse, step};
 
 const TICK: Duration = Duration::from_millis(20);

@@ -175,14 +175,25 @@ impl Run {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::random::Random;
+
+    struct Stay;
+
+    impl crate::Policy for Stay {
+        fn name(&self) -> &str {
+            "stay"
+        }
+
+        fn act(&mut self, _: &[crate::Request<'_>]) -> Vec<crate::Decision> {
+            Vec::new()
+        }
+    }
 
     #[test]
     fn without_a_run_it_says_what_to_do() {
-        let said = serve_named(&mut Random, None).unwrap_err().to_string();
+        let said = serve_named(&mut Stay, None).unwrap_err().to_string();
         assert!(said.starts_with("MEMTRANSFER_ATTACH is not set"), "{said}");
-        assert_eq!(serve_named(&mut Random, Some("".as_ref())).unwrap_err().to_string(), said);
-        let said = serve_named(&mut Random, Some("/nowhere".as_ref())).unwrap_err().to_string();
+        assert_eq!(serve_named(&mut Stay, Some("".as_ref())).unwrap_err().to_string(), said);
+        let said = serve_named(&mut Stay, Some("/nowhere".as_ref())).unwrap_err().to_string();
         assert_eq!(said, "/nowhere is not the folder of a run, or that run is over");
     }
 }

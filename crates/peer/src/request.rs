@@ -25,7 +25,7 @@ pub struct FrameView<'a> {
 
 impl FrameView<'_> {
     /// No picture.
-    pub(crate) const NONE: Self =
+    pub const NONE: Self =
         Self { id: NO_FRAME, content_hash: [0; 16], width: 0, height: 0, pixels: &[] };
 
     /// The red, green and blue of the pixel in column `x` and row `y`; black outside the picture.

@@ -6,7 +6,7 @@
 mod variation;
 
 pub use variation::{Hint, SegmentContent, Variation};
-pub(crate) use variation::{is_default, is_standard_window, standard_window};
+pub use variation::{is_default, is_standard_window, standard_window};
 
 use std::fmt;
 use std::str::FromStr;

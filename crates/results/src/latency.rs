@@ -6,8 +6,8 @@ use hdrhistogram::Histogram;
 use serde::{Deserialize, Serialize};
 use shm_types::Representation;
 
-use crate::lanes::Stamps;
 use crate::log::Stages;
+use crate::stamps::Stamps;
 
 /// The longest time that is told from longer ones, in nanoseconds: an hour.
 const LONGEST_NS: u64 = 3_600_000_000_000;

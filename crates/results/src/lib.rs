@@ -14,5 +14,6 @@ pub mod score;
 pub mod settings;
 pub mod shown;
 pub mod spending;
+pub mod stamps;
 pub mod table;
 pub mod witness;

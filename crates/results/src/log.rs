@@ -20,7 +20,7 @@ mod journal;
 mod manifest;
 mod record;
 
-pub use folder::{Opened, REPORT_FOLDER, RunFolder, RunLog};
+pub use folder::{Opened, REPORT_FOLDER, RunFolder, RunLog, STATUS_FILE};
 pub use journal::{Journal, read_journal};
 pub use manifest::{Difference, DocumentFacts, FORMAT, Manifest, commit_of};
 pub use record::{
@@ -28,8 +28,8 @@ pub use record::{
     SessionRecord, Stages, Unread,
 };
 
-#[cfg(test)]
-pub(crate) mod testing;
+#[cfg(any(test, feature = "testing"))]
+pub mod testing;
 
 use std::io;
 use std::path::{Path, PathBuf};

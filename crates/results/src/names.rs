@@ -57,6 +57,7 @@ pub fn nearest<'a, T: AsRef<str>>(given: &str, known: &'a [T]) -> Option<&'a str
 }
 
 /// Declares a closed set of named things: `Display`, `FromStr` and serde all use the name.
+#[macro_export]
 macro_rules! named {
     ($($(#[$doc:meta])* $name:ident, $what:literal {
         $($(#[$variant_doc:meta])* $variant:ident = $word:literal,)*
@@ -111,7 +112,7 @@ macro_rules! named {
     )*};
 }
 
-pub(crate) use named;
+pub use named;
 
 #[cfg(test)]
 mod tests {

@@ -27,7 +27,7 @@ mod tests;
 pub use document::{Block, Cell, Column, Document, Figure, Group, Missing, Row, Section, Table};
 pub use frame::{Frame, Series, Values};
 pub use plot::{Curve, Curves, PlotError, curves};
-pub(crate) use plot::{Stack, StackRow, stack};
+pub use plot::{Stack, StackRow, stack};
 pub use published::{Published, PublishedCondition, PublishedSpread};
 
 use std::fs::{self, File};

@@ -24,7 +24,7 @@ const LINES: TableStyle = TableStyle::new()
     .bottom_border(LineStyle::none().fill('─').junction('─'));
 
 /// The stages that a table of time names; the others are the way between processes.
-pub(crate) const WORK: [&str; 5] = ["dynamics", "render", "embed", "search", "decide"];
+pub const WORK: [&str; 5] = ["dynamics", "render", "embed", "search", "decide"];
 
 /// With more conditions than these the table of results has gaps.
 const LONG: usize = 12;
@@ -312,12 +312,12 @@ fn difference(value: f64, digits: usize) -> String {
 }
 
 /// A p value as it is printed: never as zero.
-pub(crate) fn p_value(p: f64) -> String {
+pub fn p_value(p: f64) -> String {
     if p < 0.001 { "<0.001".to_owned() } else { format!("{p:.3}") }
 }
 
 /// A table whose columns from `numbers` on are aligned to the right.
-pub(crate) fn table(header: &[&str], numbers: usize) -> Table {
+pub fn table(header: &[&str], numbers: usize) -> Table {
     let mut table = Table::new();
     table.load_style(LINES);
     table.set_header(header.iter().map(Cell::new));

@@ -295,7 +295,8 @@ fn ones(mut bits: u64) -> impl Iterator<Item = usize> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{Embedding, distance};
+    use crate::Embedding;
+    use crate::embedding::distance;
     use proptest::prelude::*;
 
     /// Every row measured by itself, in order of distance; those as far as the last that is wanted.

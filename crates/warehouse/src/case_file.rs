@@ -22,7 +22,7 @@ use crate::world::Warehouse;
 /// The file's name in an assets folder.
 pub const CASES_FILE: &str = "cases.toml";
 
-const SHIPPED_CASES: &str = include_str!("../../assets/cases.toml");
+const SHIPPED_CASES: &str = include_str!("../../../assets/cases.toml");
 
 /// Most cases of a set.
 const MAX_CASES: usize = 100_000;

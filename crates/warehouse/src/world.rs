@@ -10,8 +10,8 @@ use crate::layout::{Layout, Square};
 
 const LAYOUT_FILE: &str = "layout.toml";
 const CATALOGUE_FILE: &str = "catalogue.toml";
-const SHIPPED_LAYOUT: &str = include_str!("../../assets/layout.toml");
-const SHIPPED_CATALOGUE: &str = include_str!("../../assets/catalogue.toml");
+const SHIPPED_LAYOUT: &str = include_str!("../../../assets/layout.toml");
+const SHIPPED_CATALOGUE: &str = include_str!("../../../assets/catalogue.toml");
 
 /// Most items of one category: planning searches all orders of visiting them.
 const MAX_CATEGORY: usize = 16;

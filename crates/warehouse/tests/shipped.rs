@@ -12,7 +12,7 @@ fn the_shipped_cases_are_what_their_seed_gives() {
     let warehouse = Warehouse::shipped();
     let generated = CaseSet::generate(&warehouse, SHIPPED_SEED, SHIPPED_COUNT).unwrap();
     let text = generated.to_toml(&warehouse.catalogue);
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../assets/cases.toml");
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../assets/cases.toml");
     if std::env::var_os(REGENERATE).is_some() {
         std::fs::write(&path, &text).unwrap();
     }

@@ -16,7 +16,7 @@ use shm_types::message::{
 };
 use shm_types::process::die_with_parent;
 use shm_types::{
-    Attach, Bell, Bus, Complaints, Frame, FrameError, FrameStore, Pose, Receiver, Sender, plate,
+    Attach, Bell, Bus, Complaints, Frame, FrameError, FrameStore, Pose, Receiver, Sender,
 };
 use warehouse::Demonstrations;
 
@@ -243,7 +243,7 @@ impl<'a> Scribe<'a> {
 /// The plates in a frame that was taken from `pose`.
 fn read(frame: &Frame, pose: Pose) -> Seen {
     let size = frame.size();
-    let sightings = plate::read(size.width, size.height, frame.pixels());
+    let sightings = plates::read(size.width, size.height, frame.pixels());
     let landmarks = sightings.into_iter().filter_map(|sighting| sighting.seen_from(pose));
     Seen { frame: frame.content_hash(), landmarks: landmarks.collect() }
 }

@@ -24,7 +24,7 @@ pub(super) enum Rank {
 
 impl<'a> Want<'a> {
     fn new(rank: Rank, name: &'a str) -> Self {
-        Self { rank, name, code: plate::code(name) }
+        Self { rank, name, code: plates::code(name) }
     }
 
     /// Whether the item under `plate` is one of these.
@@ -162,9 +162,9 @@ mod tests {
             let wants = wants.collect::<Vec<_>>().join(", ");
             writeln!(table, "{order} of {wants} -> {:?}", goal.ending).unwrap();
         }
-        writeln!(table, "a blue barrel is {:?}", plate::code("blue barrel")).unwrap();
-        writeln!(table, "an orange cone is {:?}", plate::code("orange cone")).unwrap();
-        writeln!(table, "barrels are {:?}", plate::code("barrels")).unwrap();
+        writeln!(table, "a blue barrel is {:?}", plates::code("blue barrel")).unwrap();
+        writeln!(table, "an orange cone is {:?}", plates::code("orange cone")).unwrap();
+        writeln!(table, "barrels are {:?}", plates::code("barrels")).unwrap();
         insta::assert_snapshot!(table, @r"
         One of Type blue barrel -> There
         One of Category barrels -> There

@@ -32,7 +32,7 @@ pub(super) struct Percept {
 impl Percept {
     pub(super) fn of(frame: &FrameView<'_>) -> Self {
         Self {
-            sightings: plate::read(frame.width, frame.height, frame.pixels),
+            sightings: plates::read(frame.width, frame.height, frame.pixels),
             sketch: Sketch::of(frame),
             barricades: barricade::read(frame),
         }

@@ -1,12 +1,13 @@
 //! What there is to write about: every struct, code and constant of the wire, and what both outputs need to
 //! say of them.
 
+use domain::codes::{CodeSet, Codes};
 use shm_types::attach::{
     ATTACH_FILE, MAX_FRAMES, MAX_LANES, MAX_LOANED_FRAMES, MAX_ROOT_BYTES, PAGE_BYTES,
 };
 use shm_types::documents::{DOCUMENT_SERVICE, DocumentHeader, MAX_DOCUMENT_BYTES};
 use shm_types::frames::{FRAME_SERVICE, FrameHeader, Page};
-use shm_types::layout::{CodeSet, Codes, Layout, Struct};
+use shm_types::layout::{Layout, Struct};
 use shm_types::message::{
     CODE_SETS, Description, MAX_DOCUMENTS, MAX_INSTRUCTION, MAX_SEGMENT, MAX_WINDOW, MESSAGES,
     NO_ACTION, NO_DOCUMENT, NO_FRAME, NOT_MEASURED, Outcome, PastStep, Role, SegmentStep, Traffic,

@@ -2,8 +2,9 @@
 
 use std::fmt::Write;
 
+use domain::codes::CodeSet;
 use shm_types::attach::{FrameSize, Wait};
-use shm_types::layout::{CodeSet, Shape, Struct};
+use shm_types::layout::{Shape, Struct};
 use shm_types::message::{Description, MESSAGES, Role, Traffic};
 use shm_types::{Attach, FrameControl};
 

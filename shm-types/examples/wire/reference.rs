@@ -2,8 +2,9 @@
 
 use std::fmt::Write;
 
+use domain::codes::CodeSet;
 use shm_types::attach::PAGE_BYTES;
-use shm_types::layout::{CodeSet, Shape, Struct};
+use shm_types::layout::{Shape, Struct};
 use shm_types::message::{Description, MESSAGES, Role, WIRE_VERSION};
 
 use crate::COMMAND;

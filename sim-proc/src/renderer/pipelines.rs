@@ -57,8 +57,8 @@ impl Pipelines {
         });
         let (lettering_layout, lettering) = lettering(gpu, &scene.atlas);
         let plate_constants = [
-            ("FRAME_SHARE", f64::from(plate::FRAME_M / plate::SIZE_M)),
-            ("BANDS", plate::BANDS as f64),
+            ("FRAME_SHARE", f64::from(plates::FRAME_M / plates::SIZE_M)),
+            ("BANDS", plates::BANDS as f64),
         ];
         let one = [Some(&view_layout)];
         let two = [Some(&view_layout), Some(&lettering_layout)];

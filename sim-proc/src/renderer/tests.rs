@@ -183,27 +183,27 @@ fn check_plates(warehouse: &Warehouse, renderer: &mut Renderer) {
         let bands = Plate::new(&category.name, &kind.name).0;
         let pose = Pose { cell: item.standpoint, heading: item.viewing_heading() };
         let image = renderer.render_image(View { pose, variant: &Variant::UNCHANGED }).unwrap();
-        let scale = focal_length_px(SIDE_PX) / (0.5 - plate::FACE_OFFSET_M);
+        let scale = focal_length_px(SIDE_PX) / (0.5 - plates::FACE_OFFSET_M);
         let rgb = |right: f32, up: f32| {
             let centre = SIDE_PX as f32 / 2.0;
             let (x, y) = (centre + right * scale, centre - (up - CAMERA_HEIGHT_M) * scale);
             let [r, g, b, _] = image.get_pixel(x as u32, y as u32).0;
             [r, g, b]
         };
-        let inner = plate::SIZE_M - 2.0 * plate::FRAME_M;
-        let top = plate::CENTRE_HEIGHT_M + inner / 2.0;
+        let inner = plates::SIZE_M - 2.0 * plates::FRAME_M;
+        let top = plates::CENTRE_HEIGHT_M + inner / 2.0;
         for (row, band) in bands.into_iter().enumerate() {
-            let expected = plate::BAND_RGB[usize::from(band)];
+            let expected = plates::BAND_RGB[usize::from(band)];
             for across in [-0.45, 0.0, 0.45] {
                 for down in [0.1, 0.5, 0.9] {
-                    let up = top - (row as f32 + down) * inner / plate::BANDS as f32;
+                    let up = top - (row as f32 + down) * inner / plates::BANDS as f32;
                     assert_eq!(rgb(across * inner, up), expected, "{pose}: band {row}");
                 }
             }
         }
         for side in [-1.0, 1.0] {
-            let middle = side * (inner + plate::FRAME_M) / 2.0;
-            assert_eq!(rgb(middle, plate::CENTRE_HEIGHT_M), plate::FRAME_RGB, "{pose}: frame");
+            let middle = side * (inner + plates::FRAME_M) / 2.0;
+            assert_eq!(rgb(middle, plates::CENTRE_HEIGHT_M), plates::FRAME_RGB, "{pose}: frame");
         }
     }
 }

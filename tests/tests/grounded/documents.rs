@@ -6,8 +6,8 @@ use std::sync::Arc;
 
 use memory_proc::documents::sources::Sources;
 use memory_proc::documents::{Builder, Extractive, Seen};
+use shm_types::Pose;
 use shm_types::message::DocumentKind;
-use shm_types::{Pose, plate};
 use warehouse::{Demonstrations, Variant};
 
 use crate::views::Views;
@@ -22,7 +22,7 @@ pub(crate) fn document(
     let mut look = |pose: Pose| {
         let picture = views.of(pose, &Variant::UNCHANGED);
         let frame = picture.frame();
-        let sightings = plate::read(frame.width, frame.height, frame.pixels);
+        let sightings = plates::read(frame.width, frame.height, frame.pixels);
         let landmarks = sightings.into_iter().filter_map(|sighting| sighting.seen_from(pose));
         Arc::new(Seen { frame: [0; 16], landmarks: landmarks.collect() })
     };

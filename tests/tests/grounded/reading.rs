@@ -29,7 +29,7 @@ fn plates_are_read_where_they_hang_and_say_what_stands_there() {
     for pose in poses(&warehouse).into_iter().step_by(EVERY) {
         let picture = views.of(pose, &Variant::UNCHANGED);
         let frame = picture.frame();
-        let read: Vec<_> = plate::read(frame.width, frame.height, frame.pixels)
+        let read: Vec<_> = plates::read(frame.width, frame.height, frame.pixels)
             .into_iter()
             .map(|sighting| sighting.seen_from(pose).expect("a plate off the grid"))
             .collect();

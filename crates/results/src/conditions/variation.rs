@@ -77,15 +77,15 @@ impl Default for Hint {
 }
 
 /// For the log, which leaves out what is standard.
-pub(crate) fn standard_window() -> u32 {
+pub fn standard_window() -> u32 {
     Variation::STANDARD.window
 }
 
-pub(crate) fn is_standard_window(window: &u32) -> bool {
+pub fn is_standard_window(window: &u32) -> bool {
     *window == standard_window()
 }
 
-pub(crate) fn is_default<T: Default + PartialEq>(value: &T) -> bool {
+pub fn is_default<T: Default + PartialEq>(value: &T) -> bool {
     *value == T::default()
 }
 
@@ -109,7 +109,7 @@ impl fmt::Display for Variation {
 impl Variation {
     /// Reads one of the parts that [`Display`](fmt::Display) writes, without its slash. `false` when it is
     /// none.
-    pub(super) fn read(&mut self, part: &str) -> bool {
+    pub fn read(&mut self, part: &str) -> bool {
         let window = part.strip_prefix('h').and_then(|digits| digits.parse().ok());
         match (window, part) {
             (Some(window), _) if window <= MAX_WINDOW as u32 => self.window = window,

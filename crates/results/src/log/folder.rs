@@ -13,7 +13,9 @@ use super::{
     SessionEvent, SessionRecord, read_journal, system,
 };
 use crate::latency::{Latency, LatencyRecord};
-use crate::status::STATUS_FILE;
+
+/// Name of the file in a run's folder.
+pub const STATUS_FILE: &str = "status.json";
 
 const EPISODES_FILE: &str = "episodes.jsonl";
 const TIMINGS_FILE: &str = "timings.jsonl";

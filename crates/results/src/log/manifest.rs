@@ -18,7 +18,7 @@ use crate::settings::{FREE_KEYS, Settings};
 pub const FORMAT: u32 = 2;
 
 /// Name of the file in a run folder.
-pub(super) const MANIFEST_FILE: &str = "manifest.json";
+pub const MANIFEST_FILE: &str = "manifest.json";
 
 /// What a run is.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]

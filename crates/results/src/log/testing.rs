@@ -14,7 +14,7 @@ use crate::plan::EpisodeKey;
 use crate::settings::{Layer, Origin, resolve};
 
 /// The manifest of a run with every setting at its default.
-pub(crate) fn manifest() -> Manifest {
+pub fn manifest() -> Manifest {
     Manifest {
         format: FORMAT,
         version: "1.2.3".to_owned(),
@@ -30,7 +30,7 @@ pub(crate) fn manifest() -> Manifest {
 }
 
 /// The record of `case` under episodic memory: a success is 10 steps for a reference of 8, a failure 200.
-pub(crate) fn record(case: &str, success: bool) -> EpisodeRecord {
+pub fn record(case: &str, success: bool) -> EpisodeRecord {
     let condition = Condition {
         memory: Representation::Episodic,
         start: Start::Original,
@@ -78,7 +78,7 @@ pub(crate) fn record(case: &str, success: bool) -> EpisodeRecord {
 }
 
 /// Timings that go with `record`: every step spends 1 us in each stage.
-pub(crate) fn timings(record: &EpisodeRecord) -> EpisodeTimings {
+pub fn timings(record: &EpisodeRecord) -> EpisodeTimings {
     let each = u64::from(record.steps) * 1000;
     EpisodeTimings {
         key: record.key.clone(),
@@ -109,7 +109,7 @@ pub(crate) fn timings(record: &EpisodeRecord) -> EpisodeTimings {
 }
 
 /// A question that was answered: 1000 tokens, 300 of them memory, 200 cached, and an answer of 3.
-pub(crate) fn request(key: &str, step: u32) -> RequestRecord {
+pub fn request(key: &str, step: u32) -> RequestRecord {
     RequestRecord {
         key: key.to_owned(),
         step,

@@ -50,7 +50,7 @@ impl<'a> Episode<'a> {
 
 /// Every episode of the runs. An episode that was given up has the ending `given-up`, its key, its condition, and
 /// no other figure.
-pub(super) fn episodes(logs: &[RunLog]) -> Frame {
+pub fn episodes(logs: &[RunLog]) -> Frame {
     let mut rows = Vec::new();
     for log in logs {
         let timings: BTreeMap<&str, &EpisodeTimings> =
@@ -110,7 +110,7 @@ pub(super) fn episodes(logs: &[RunLog]) -> Frame {
 }
 
 /// Every condition of the runs, with every figure and what the paper prints.
-pub(super) fn conditions(views: &[View<'_>]) -> Frame {
+pub fn conditions(views: &[View<'_>]) -> Frame {
     let rows: Vec<(&View<'_>, &ConditionScore)> = views
         .iter()
         .flat_map(|view| view.scores.conditions.iter().map(move |score| (view, score)))

@@ -9,8 +9,8 @@ mod dots;
 mod stack;
 
 pub use curves::{Curve, Curves, curves};
-pub(super) use dots::{Dot, DotRow, Dots, dots};
-pub(crate) use stack::{Stack, StackRow, stack};
+pub use dots::{Dot, DotRow, Dots, dots};
+pub use stack::{Stack, StackRow, stack};
 
 use plotters::backend::SVGBackend;
 use plotters::coord::Shift;

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use serde::Deserialize;
 
-const PUBLISHED: &str = include_str!("../../../assets/published.toml");
+const PUBLISHED: &str = include_str!("../../../../assets/published.toml");
 
 /// What the paper prints.
 #[derive(Debug, Clone, PartialEq, Deserialize)]

@@ -10,14 +10,14 @@ use crate::settings::{Layer, Origin, load_suite, resolve};
 use crate::witness::{Requirement, Visit};
 
 /// Every condition of the shipped suite `paper`, each with its number of runs.
-pub(crate) fn paper_conditions() -> Vec<(Condition, u32)> {
+pub fn paper_conditions() -> Vec<(Condition, u32)> {
     let suite = load_suite(&"paper".parse().unwrap(), None).unwrap();
     let layers = [(Origin::Default, Layer::defaults()), (Origin::Suite, suite)];
     resolve(layers).unwrap().settings.runs()
 }
 
 /// A run of `conditions` on ten cases of each of `tasks`.
-pub(crate) fn made_up(conditions: &[(Condition, u32)], tasks: &[u8]) -> RunLog {
+pub fn made_up(conditions: &[(Condition, u32)], tasks: &[u8]) -> RunLog {
     let mut episodes = Vec::new();
     for &(condition, runs) in conditions {
         for run in 1..=runs {

@@ -63,7 +63,7 @@ impl Group {
 
 /// The conditions of all groups, each once, with how often it is run: where groups share a condition, the
 /// larger number.
-pub(super) fn union(groups: &[Group]) -> Vec<(Condition, u32)> {
+pub fn union(groups: &[Group]) -> Vec<(Condition, u32)> {
     let mut union: Vec<(Condition, u32)> = Vec::new();
     for group in groups {
         for condition in group.conditions() {

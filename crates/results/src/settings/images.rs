@@ -28,7 +28,7 @@ impl Settings {
     ///
     /// # Errors
     /// For the first condition whose requests might not.
-    pub(super) fn check_images(&self) -> Result<(), TooManyImages> {
+    pub fn check_images(&self) -> Result<(), TooManyImages> {
         let unbounded = if self.model.is_some() { Vec::new() } else { self.conditions() };
         for condition in unbounded {
             let (images, window) = (self.images(&condition), condition.variation.window);

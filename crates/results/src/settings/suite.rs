@@ -12,7 +12,7 @@ use crate::names::{UnknownName, nearest};
 /// The shipped suites, in the order in which they are listed.
 macro_rules! shipped {
     ($($name:literal)*) => {
-        &[$(($name, include_str!(concat!("../../../assets/suites/", $name, ".toml")))),*]
+        &[$(($name, include_str!(concat!("../../../../assets/suites/", $name, ".toml")))),*]
     };
 }
 

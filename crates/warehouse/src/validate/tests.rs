@@ -271,7 +271,7 @@ fn a_corrupted_item_breaks_the_line_about_it() {
 
 #[test]
 fn a_corrupted_floor_breaks_the_line_about_it() {
-    let text = include_str!("../../../assets/layout.toml");
+    let text = include_str!("../../../../assets/layout.toml");
     let first = text.lines().position(|line| line.starts_with("plan")).unwrap() + 1;
     // The text with some rows, counted from the south, replaced or left out.
     let change = |rows: &[(usize, Option<&'static str>)]| {

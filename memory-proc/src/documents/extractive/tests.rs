@@ -15,7 +15,7 @@ use crate::documents::{Seen, Step};
 /// What is read in the painted aisle's picture from `pose`.
 fn look(pose: Pose) -> Arc<Seen> {
     let picture = Aisle::new().picture(pose);
-    let read = plate::read(picture.width(), picture.width(), picture.pixels());
+    let read = plates::read(picture.width(), picture.width(), picture.pixels());
     let landmarks = read.into_iter().filter_map(|sighting| sighting.seen_from(pose)).collect();
     let mut frame = [0; 16];
     frame[..3].copy_from_slice(&[pose.cell.x, pose.cell.y, pose.heading as u8]);

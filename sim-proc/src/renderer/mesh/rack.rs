@@ -278,9 +278,9 @@ fn upright(b: &mut Builder, x0: f32, x1: f32, y: f32, z0: f32, z1: f32) {
 
 /// The two rods and the board that carry a label plate.
 fn plate_holder(b: &mut Builder) {
-    let half = plate::SIZE_M / 2.0 - 0.002;
-    let (front, back) = (-plate::FACE_OFFSET_M + 0.001, -0.008);
-    let (low, high) = (plate::CENTRE_HEIGHT_M - half, plate::CENTRE_HEIGHT_M + half);
+    let half = plates::SIZE_M / 2.0 - 0.002;
+    let (front, back) = (-plates::FACE_OFFSET_M + 0.001, -0.008);
+    let (low, high) = (plates::CENTRE_HEIGHT_M - half, plates::CENTRE_HEIGHT_M + half);
     b.material(Material::dull([72, 76, 82]));
     b.block_without([-half, front, low], [half, back, high], &[Side::Front]);
     for x in [-0.12, 0.12] {

@@ -62,14 +62,14 @@ pub(super) struct Plate {
 impl Shader for Plate {
     #[inline(always)]
     fn colours<V: Simd, const M: usize>(&self, part: &Part<'_, V, M>) -> u32x16<V> {
-        let share = plate::FRAME_M / plate::SIZE_M;
+        let share = plates::FRAME_M / plates::SIZE_M;
         let simd = part.simd;
         let [x, y] = values(part);
         let x = (x - share) / (1.0 - 2.0 * share);
         let y = (y - share) / (1.0 - 2.0 * share);
         let inside = x.simd_ge(0.0) & x.simd_lt(1.0) & y.simd_ge(0.0) & y.simd_lt(1.0);
-        let bands = plate::BANDS as u32;
-        let row = (y.max(0.0).min(1.0) * plate::BANDS as f32).to_int::<u32x16<V>>();
+        let bands = plates::BANDS as u32;
+        let row = (y.max(0.0).min(1.0) * plates::BANDS as f32).to_int::<u32x16<V>>();
         let place = inside.select(row.min(bands - 1), u32x16::splat(simd, bands));
         let bits = u32x16::splat(simd, self.code) >> (place * 3);
         // Bit 0 becomes the lowest byte, and so on.

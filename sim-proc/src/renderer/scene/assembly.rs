@@ -101,13 +101,13 @@ impl Assembly {
     }
 
     pub(super) fn plate(&mut self, world_from_face: &Isometry3<f32>, plate: Plate) {
-        let (half, centre) = (plate::SIZE_M / 2.0, plate::CENTRE_HEIGHT_M);
+        let (half, centre) = (plates::SIZE_M / 2.0, plates::CENTRE_HEIGHT_M);
         let rect = [-half, centre - half, half, centre + half];
         let code = plate_code(plate);
         let first = self.plate.vertices.len() as u32;
         let across = [[0.0, 1.0], [1.0, 1.0], [1.0, 0.0], [0.0, 0.0]];
         for (position, across) in
-            Self::panel(world_from_face, rect, plate::FACE_OFFSET_M).into_iter().zip(across)
+            Self::panel(world_from_face, rect, plates::FACE_OFFSET_M).into_iter().zip(across)
         {
             self.plate.vertices.push(PlateVertex { position, across, code });
         }
@@ -182,8 +182,8 @@ fn plate_code(plate: Plate) -> u32 {
         let [r, g, b] = rgb.map(|channel| u32::from(channel == 255));
         r | g << 1 | b << 2
     };
-    let bands = plate.0.map(|band| plate::BAND_RGB[usize::from(band)]);
-    let all = bands.into_iter().chain([plate::FRAME_RGB]);
+    let bands = plate.0.map(|band| plates::BAND_RGB[usize::from(band)]);
+    let all = bands.into_iter().chain([plates::FRAME_RGB]);
     all.enumerate().map(|(place, rgb)| bits(rgb) << (3 * place)).sum()
 }
 

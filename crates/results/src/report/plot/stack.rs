@@ -8,24 +8,24 @@ use crate::report::document::Figure;
 
 /// What is to be drawn.
 #[derive(Debug)]
-pub(crate) struct Stack {
-    pub(crate) id: String,
-    pub(crate) caption: String,
+pub struct Stack {
+    pub id: String,
+    pub caption: String,
     /// What the axis is called, with its unit.
-    pub(crate) axis: &'static str,
+    pub axis: &'static str,
     /// The end of the axis; what the longest bar needs when `None`.
-    pub(crate) to: Option<f64>,
+    pub to: Option<f64>,
     /// The parts' names, in order.
-    pub(crate) parts: Vec<String>,
-    pub(crate) rows: Vec<StackRow>,
+    pub parts: Vec<String>,
+    pub rows: Vec<StackRow>,
 }
 
 /// A bar.
 #[derive(Debug)]
-pub(crate) struct StackRow {
-    pub(crate) label: String,
+pub struct StackRow {
+    pub label: String,
     /// A length for each part; `None` when there is no bar.
-    pub(crate) lengths: Option<Vec<f64>>,
+    pub lengths: Option<Vec<f64>>,
 }
 
 const ROW: i32 = 28;
@@ -38,7 +38,7 @@ const DARK: RGBColor = RGBColor(0x59, 0x59, 0x59);
 ///
 /// # Errors
 /// When the library refuses, which for SVG in memory it does not.
-pub(crate) fn stack(plot: &Stack) -> Result<Figure, PlotError> {
+pub fn stack(plot: &Stack) -> Result<Figure, PlotError> {
     let lengths = || plot.rows.iter().filter_map(|row| row.lengths.as_deref());
     let present: Vec<usize> = (0..plot.parts.len())
         .filter(|&part| lengths().any(|lengths| lengths.get(part).is_some_and(|l| *l > 0.0)))

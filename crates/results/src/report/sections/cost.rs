@@ -14,7 +14,7 @@ const SETTINGS: [(&str, &str, &str); 2] = [
     ("New start, 4 demos", "new/unchanged", "4"),
 ];
 
-pub(super) fn blocks(view: &View<'_>) -> Result<Vec<Block>, PlotError> {
+pub fn blocks(view: &View<'_>) -> Result<Vec<Block>, PlotError> {
     let settings = &view.log.manifest.settings;
     let columns = SETTINGS.iter().flat_map(|(over, _, _)| {
         ["Images", "Mtok", "Unreadable %"].map(|name| Column::under(*over, name))

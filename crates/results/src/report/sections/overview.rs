@@ -45,7 +45,7 @@ fn notices(view: &View<'_>) -> Vec<String> {
     notices
 }
 
-pub(super) fn blocks(view: &View<'_>) -> Result<Vec<Block>, PlotError> {
+pub fn blocks(view: &View<'_>) -> Result<Vec<Block>, PlotError> {
     let mut blocks: Vec<Block> = notices(view).into_iter().map(Block::Notice).collect();
     let (settings, scores) = (&view.log.manifest.settings, &view.scores);
     let cases = scores.conditions.iter().map(|score| score.cases).max().unwrap_or(0);
@@ -84,7 +84,7 @@ pub(super) fn blocks(view: &View<'_>) -> Result<Vec<Block>, PlotError> {
 }
 
 /// A table of facts, one a row.
-pub(super) fn facts_table(
+pub fn facts_table(
     id: String,
     caption: &str,
     facts: impl IntoIterator<Item = (impl Into<String>, Cell)>,
