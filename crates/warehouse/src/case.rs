@@ -1,6 +1,6 @@
 //! A case: one task with its six reference trajectories and the barricade of its blocked variant.
 
-use shm_types::{Action, Cell, Feedback, Pose};
+use domain::{Action, Cell, Feedback, Pose};
 
 use crate::dynamics::{Variant, step};
 use crate::mixed::Mixture;
@@ -207,7 +207,7 @@ impl CaseSet {
 
 #[cfg(test)]
 mod tests {
-    use shm_types::Heading;
+    use domain::Heading;
 
     use super::*;
     use crate::testing::{BLUE_BARREL, RED_BARREL, cells, tiny};

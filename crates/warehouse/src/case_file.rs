@@ -8,8 +8,8 @@ use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::path::Path;
 
+use domain::{Action, Cell, Pose};
 use serde::Deserialize;
-use shm_types::{Action, Cell, Pose};
 
 use crate::asset::{AssetError, Problem, invalid, read, toml};
 use crate::case::{Case, CaseSet, History, Start, Trajectory};
@@ -275,8 +275,7 @@ fn unknown<'n>(
 
 fn parse_trajectory(text: &str, warehouse: &Warehouse) -> Result<Trajectory, Problem> {
     let (pose, letters) = text.split_once(' ').unwrap_or((text, ""));
-    let start: Pose =
-        pose.parse().map_err(|error: shm_types::pose::UnknownCode| error.to_string())?;
+    let start: Pose = pose.parse().map_err(|error: domain::pose::UnknownCode| error.to_string())?;
     if !warehouse.layout.is_free(start.cell) {
         return Err(format!("starts on {}, which is no free cell", start.cell));
     }
@@ -355,7 +354,7 @@ confusable = ["t06-01 original", "t06-01 opposite"]
             case.task.instruction(&warehouse.catalogue),
             "Visit a blue barrel, then a red barrel."
         );
-        assert_eq!(case.original.start, Pose::new(2, 1, shm_types::Heading::N));
+        assert_eq!(case.original.start, Pose::new(2, 1, domain::Heading::N));
         assert_eq!(case.original.actions, [Action::Forward, Action::TurnRight, Action::Forward]);
         let text = cases.to_toml(&warehouse.catalogue);
         assert_eq!(CaseSet::parse(&text, &warehouse).unwrap(), cases);

@@ -3,7 +3,7 @@
 //! The generator looks for cases that satisfy them and the validator counts those that do
 //! not; both use these words.
 
-use shm_types::{Cell, Feedback, Pose};
+use domain::{Cell, Feedback, Pose};
 
 use crate::case::Replay;
 use crate::dynamics::MAX_STEPS;
@@ -155,7 +155,7 @@ pub(crate) fn is_near_optimal(length: u32, fewest: u32) -> bool {
 
 #[cfg(test)]
 mod tests {
-    use shm_types::Heading::{E, N, S, W};
+    use domain::Heading::{E, N, S, W};
 
     use super::*;
     use crate::testing::cells;

@@ -1,6 +1,6 @@
 //! One step of the world: pose + action + variant -> pose + feedback. The only place that decides it.
 
-use shm_types::{Action, Cell, Feedback, Pose};
+use domain::{Action, Cell, Feedback, Pose};
 
 use crate::layout::Layout;
 
@@ -53,7 +53,7 @@ pub fn step(layout: &Layout, variant: &Variant, pose: Pose, action: Action) -> (
 
 #[cfg(test)]
 mod tests {
-    use shm_types::Heading::{E, N, S, W};
+    use domain::Heading::{E, N, S, W};
 
     use super::*;
     use crate::testing::{cells, tiny};

@@ -4,7 +4,7 @@
 //! Each case draws from a stream of its own, so the first cases of a larger set are those of a smaller one.
 //! Whatever is tried is tried in an order that the seed alone decides.
 
-use shm_types::{Cell, Heading, Pose};
+use domain::{Cell, Heading, Pose};
 
 use crate::case::{Case, CaseSet, History, Replay, Start, Trajectory};
 use crate::constraints::{

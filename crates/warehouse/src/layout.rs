@@ -2,8 +2,8 @@
 //!
 //! What stands on the racks is [`catalogue`](crate::catalogue)'s business.
 
+use domain::{Cell, Heading};
 use serde::Deserialize;
-use shm_types::{Cell, Heading};
 
 use crate::asset::{Problem, toml};
 

@@ -7,7 +7,7 @@ mod glyph;
 mod legend;
 mod routes;
 
-use shm_types::{Cell, Heading};
+use domain::{Cell, Heading};
 
 use crate::case::Case;
 use crate::layout::{Axis, Layout, Square};

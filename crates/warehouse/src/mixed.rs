@@ -17,7 +17,7 @@
 use std::cmp::Reverse;
 use std::collections::BTreeMap;
 
-use shm_types::{Action, Pose};
+use domain::{Action, Pose};
 
 use crate::case::{Case, CaseSet, History, Start};
 use crate::draw::Draw;
@@ -224,7 +224,7 @@ fn first_two(mut ranked: impl Iterator<Item = History> + Clone) -> Option<[Histo
 
 #[cfg(test)]
 mod tests {
-    use shm_types::Heading;
+    use domain::Heading;
 
     use super::*;
     use crate::case::Trajectory;

@@ -19,7 +19,7 @@ use std::cell::{OnceCell, RefCell};
 use std::collections::BTreeMap;
 use std::rc::Rc;
 
-use shm_types::{Cell, Pose};
+use domain::{Cell, Pose};
 
 use crate::case::Trajectory;
 use crate::dynamics::{Variant, step};

@@ -3,7 +3,7 @@
 //! It sees cells only. Standing on an item's standpoint reaches the item, whatever the heading, and the
 //! cell an episode begins on counts like any other.
 
-use shm_types::Cell;
+use domain::Cell;
 
 use crate::task::{Phase, Task};
 use crate::world::Warehouse;

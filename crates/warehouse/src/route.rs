@@ -5,7 +5,7 @@
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
 
-use shm_types::{Action, Cell, Heading, Pose};
+use domain::{Action, Cell, Heading, Pose};
 
 use crate::dynamics::{Variant, step};
 use crate::world::Warehouse;

@@ -6,7 +6,7 @@
 //! serves the constraint that a first view must not show the target. Racks hide all that stands behind
 //! them, and items are seen through their own face only; barricades hide nothing.
 
-use shm_types::{Cell, Heading, Pose};
+use domain::{Cell, Heading, Pose};
 
 use crate::layout::Layout;
 use crate::world::Item;
@@ -92,7 +92,7 @@ mod tests {
     use crate::layout::Square;
     use crate::testing::tiny;
     use crate::world::Warehouse;
-    use shm_types::Heading::{E, N, S, W};
+    use domain::Heading::{E, N, S, W};
 
     #[test]
     fn an_item_is_seen_from_before_it_within_the_frustum_and_past_no_rack() {

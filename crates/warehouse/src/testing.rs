@@ -1,6 +1,6 @@
 //! A warehouse small enough to search by brute force, for tests.
 
-use shm_types::Cell;
+use domain::Cell;
 
 use crate::task::Task;
 use crate::world::Warehouse;

@@ -7,9 +7,9 @@ mod histories;
 
 use std::fmt;
 
+use domain::Cell;
 use plates::Plate;
 use serde::Serialize;
-use shm_types::Cell;
 
 use crate::case::{Case, CaseSet, Replay, Start};
 use crate::constraints::{
@@ -274,7 +274,7 @@ impl<'a> Replayed<'a> {
         edges(&self.replay(start).poses)
     }
 
-    fn start(&self, start: Start) -> shm_types::Pose {
+    fn start(&self, start: Start) -> domain::Pose {
         self.case.trajectory(start).start
     }
 

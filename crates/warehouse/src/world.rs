@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use shm_types::{Cell, Heading};
+use domain::{Cell, Heading};
 
 use crate::asset::{AssetError, Problem, invalid, read};
 use crate::catalogue::{self, Catalogue, Stock, StockCell};

@@ -1,6 +1,6 @@
 //! The six routes of a case, side by side where they run together, and the barricade.
 
-use shm_types::{Cell, Heading, Pose};
+use domain::{Cell, Heading, Pose};
 
 use super::canvas::Canvas;
 use super::{CELL, INK, Map, PAPER, Point, direction};

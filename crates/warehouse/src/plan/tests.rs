@@ -3,8 +3,8 @@
 use std::cmp::Reverse;
 use std::collections::{BinaryHeap, HashMap};
 
+use domain::{Action, Heading};
 use proptest::prelude::*;
-use shm_types::{Action, Heading};
 
 use super::*;
 use crate::progress::Progress;
@@ -117,7 +117,7 @@ fn every_plan_round_a_barricade_is_the_cheapest_and_none_passes_it() {
             let Some(plan) = expert.plan(start, &task) else { continue };
             let replay = plan.replay(&warehouse, &task, &variant);
             assert!(replay.poses.iter().all(|pose| !closed.contains(&pose.cell)));
-            assert!(!replay.feedback.contains(&shm_types::Feedback::Blocked));
+            assert!(!replay.feedback.contains(&domain::Feedback::Blocked));
         }
     }
     // The two halves are cut off from each other, and no blue barrel but those of its half is reached.

@@ -1,6 +1,6 @@
 //! Whatever single thing is wrong, the line of the constraint it breaks says so.
 
-use shm_types::{Action, Heading, Pose};
+use domain::{Action, Heading, Pose};
 
 use super::*;
 use crate::catalogue::Shape;
