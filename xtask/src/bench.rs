@@ -44,7 +44,7 @@ pub(crate) fn run(
     cache: &Cache,
     workspace: &Workspace,
 ) -> anyhow::Result<bool> {
-    if !workspace.build_programs()? {
+    if !workspace.build_programs(&["benches"])? {
         return Ok(false);
     }
     let program = workspace.program("memtransfer-bench")?;

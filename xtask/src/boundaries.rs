@@ -1,8 +1,6 @@
-//! Which of the workspace's crates each of them may link: the table "Who knows what" of ARCHITECTURE.md,
-//! checked against the manifests.
+//! Which crate may link what: the rules of ARCHITECTURE.md, checked against the resolved dependencies.
 //!
-//! Leaves out what tests link: they may look at anything. Only our own crates count, since no crate from
-//! elsewhere can depend on one of them.
+//! Leaves out what tests and build scripts link: they may look at anything.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -11,32 +9,46 @@ use serde::Deserialize;
 
 use crate::workspace::Workspace;
 
-/// Each crate, and those that it may link, itself or through others. That policy-proc does not link the
-/// warehouse is what keeps the map from a policy.
-const MAY_LINK: [(&str, &[&str]); 9] = [
-    ("shm-types", &[]),
-    ("warehouse", &["shm-types"]),
-    ("sim-proc", &["shm-types", "warehouse"]),
-    ("memory-proc", &["shm-types", "warehouse"]),
-    ("policy-proc", &["shm-types"]),
-    ("orchestrator", &["shm-types", "warehouse"]),
-    ("memtransfer-tests", &["memory-proc", "policy-proc", "shm-types", "warehouse"]),
-    // It measures them all, and iceoryx2 itself beside shm-types: outside shm-types, nobody else uses it.
+/// Crates that must not link another, directly or through others.
+const MUST_NOT_LINK: &[(&[&str], &[&str], &str)] = &[
     (
-        "benches",
-        &["memory-proc", "orchestrator", "policy-proc", "shm-types", "sim-proc", "warehouse"],
+        &["domain", "peer", "plates", "policy-proc"],
+        &["warehouse"],
+        "a policy sees its requests and nothing else, so what it is built from must not know the map",
     ),
-    ("xtask", &[]),
+    (
+        &["domain", "results", "search", "warehouse"],
+        &["iceoryx2"],
+        "a run folder can be read, and the world computed, without shared memory",
+    ),
+    (
+        &["memory-proc", "policy-proc", "sim-proc"],
+        &["memory-proc", "orchestrator", "policy-proc", "results", "sim-proc"],
+        "processes share the wire, not each other's code",
+    ),
 ];
 
-/// Checks every crate of the workspace; prints what is linked and may not be.
+/// Packages from elsewhere, and the only crates that may name them in their dependencies.
+const ONLY_IN: &[(&str, &[&str])] = &[
+    ("iceoryx2", &["benches", "shm-types"]),
+    ("ort", &["memory-proc"]),
+    ("pyo3", &["memtransfer-python"]),
+    ("ureq", &["llm"]),
+    ("usearch", &["search"]),
+    ("wgpu", &["sim-proc"]),
+];
+
+/// Checks every crate of the workspace and prints what breaks a rule.
 pub(crate) fn are_kept(workspace: &Workspace) -> anyhow::Result<bool> {
-    let objections = objections(&packages(workspace)?);
+    let objections = objections(&links(workspace)?);
     for objection in &objections {
         eprintln!("{objection}");
     }
     Ok(objections.is_empty())
 }
+
+/// What each package links directly, by name.
+type Links = BTreeMap<String, BTreeSet<String>>;
 
 #[derive(Deserialize)]
 struct Metadata {
@@ -52,12 +64,13 @@ struct Package {
 #[derive(Deserialize)]
 struct Dependency {
     name: String,
-    /// `None` is linked; others are "dev" and "build".
+    /// `None` for what is linked; "dev" and "build" otherwise.
     kind: Option<String>,
 }
 
-/// The crates of the workspace.
-fn packages(workspace: &Workspace) -> anyhow::Result<Vec<Package>> {
+/// The workspace's crates with what their manifests name. A package from elsewhere cannot depend on one of ours, so
+/// following ours is enough.
+fn links(workspace: &Workspace) -> anyhow::Result<Links> {
     let output = workspace
         .cargo(&["metadata", "--format-version", "1", "--no-deps"])
         .output()
@@ -66,70 +79,91 @@ fn packages(workspace: &Workspace) -> anyhow::Result<Vec<Package>> {
         bail!("cargo metadata failed: {}", String::from_utf8_lossy(&output.stderr));
     }
     let metadata: Metadata =
-        serde_json::from_slice(&output.stdout).context("cannot read cargo metadata's answer")?;
-    Ok(metadata.packages)
+        serde_json::from_slice(&output.stdout).context("cannot read cargo metadata's output")?;
+    let linked = |package: Package| {
+        let names = package.dependencies.into_iter().filter(|it| it.kind.is_none());
+        (package.name, names.map(|dependency| dependency.name).collect())
+    };
+    Ok(metadata.packages.into_iter().map(linked).collect())
 }
 
-/// What is wrong, in words.
-fn objections(packages: &[Package]) -> Vec<String> {
-    let ours: BTreeSet<&str> = packages.iter().map(|package| package.name.as_str()).collect();
-    let direct = |package: &Package| -> Vec<String> {
-        let linked = package.dependencies.iter().filter(|d| d.kind.as_deref() != Some("dev"));
-        let names = linked.map(|dependency| dependency.name.clone());
-        names.filter(|name| ours.contains(name.as_str())).collect()
-    };
-    let links: BTreeMap<&str, Vec<String>> =
-        packages.iter().map(|package| (package.name.as_str(), direct(package))).collect();
+/// Every broken rule, as a sentence.
+fn objections(links: &Links) -> Vec<String> {
     let mut objections = Vec::new();
-    for name in ours {
-        let Some((_, allowed)) = MAY_LINK.iter().find(|(crate_name, _)| *crate_name == name) else {
-            objections.push(format!("{name}: say in xtask/src/boundaries.rs what it may link"));
-            continue;
-        };
-        let mut linked = BTreeSet::new();
-        let mut open = vec![name];
-        while let Some(next) = open.pop() {
-            for dependency in links.get(next).into_iter().flatten() {
-                if linked.insert(dependency.as_str()) {
-                    open.push(dependency);
-                }
+    for &(crates, forbidden, reason) in MUST_NOT_LINK {
+        for &name in crates {
+            let reached = reached_from(name, links);
+            for other in
+                forbidden.iter().filter(|other| **other != name && reached.contains(*other))
+            {
+                objections.push(format!("{name} links {other} and must not: {reason}"));
             }
         }
-        let wrong = linked.into_iter().filter(|dependency| !allowed.contains(dependency));
-        objections
-            .extend(wrong.map(|dependency| format!("{name} links {dependency} and must not")));
+    }
+    for &(package, allowed) in ONLY_IN {
+        for (name, _) in links.iter().filter(|(_, direct)| direct.contains(package)) {
+            if !allowed.contains(&name.as_str()) {
+                objections.push(format!(
+                    "{name} depends on {package}, which only {} may use",
+                    allowed.join(" and ")
+                ));
+            }
+        }
     }
     objections
+}
+
+/// What `name` links, directly or through other crates of the workspace.
+fn reached_from<'a>(name: &str, links: &'a Links) -> BTreeSet<&'a str> {
+    let mut reached = BTreeSet::new();
+    let mut open: Vec<&str> = vec![name];
+    while let Some(next) = open.pop() {
+        for dependency in links.get(next).into_iter().flatten() {
+            if reached.insert(dependency.as_str()) {
+                open.push(dependency);
+            }
+        }
+    }
+    reached
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    fn package(name: &str, links: &[&str], dev: &[&str]) -> Package {
-        let of = |kind: Option<&str>| {
-            let kind = kind.map(str::to_owned);
-            move |name: &&str| Dependency { name: (*name).to_owned(), kind: kind.clone() }
-        };
-        let linked = links.iter().map(of(None));
-        let dependencies = linked.chain(dev.iter().map(of(Some("dev")))).collect();
-        Package { name: name.to_owned(), dependencies }
+    fn links_of(crates: &[(&str, &[&str])]) -> Links {
+        let owned = |names: &[&str]| names.iter().map(|&name| name.to_owned()).collect();
+        crates.iter().map(|(name, direct)| ((*name).to_owned(), owned(direct))).collect()
     }
 
     #[test]
-    fn what_may_not_be_linked_is_found_also_through_others() {
-        let whole = |policy: Package, types: Package| {
-            objections(&[types, package("warehouse", &["shm-types", "serde"], &[]), policy])
+    fn a_forbidden_link_is_found_also_through_others() {
+        let check = |crates: &[(&str, &[&str])], expected: &[&str]| {
+            let found = objections(&links_of(crates));
+            assert_eq!(found.len(), expected.len(), "{found:?}");
+            for (found, expected) in found.iter().zip(expected) {
+                assert!(found.starts_with(expected), "{found}");
+            }
         };
-        let plain = || package("shm-types", &["serde"], &[]);
-        let good = package("policy-proc", &["shm-types", "serde"], &["warehouse"]);
-        assert_eq!(whole(good, plain()), [""; 0]);
-        let direct = package("policy-proc", &["shm-types", "warehouse"], &[]);
-        assert_eq!(whole(direct, plain()), ["policy-proc links warehouse and must not"]);
-        let around = package("shm-types", &["warehouse"], &[]);
-        let found = whole(package("policy-proc", &["shm-types"], &[]), around).join("; ");
-        assert!(found.contains("policy-proc links warehouse and must not"), "{found}");
-        let new = package("referee", &[], &[]);
-        assert!(objections(&[new])[0].starts_with("referee: say in xtask/src/boundaries.rs"));
+        check(&[("policy-proc", &["peer", "serde"]), ("peer", &["domain"])], &[]);
+        check(&[("policy-proc", &["warehouse"])], &["policy-proc links warehouse and must not"]);
+        check(
+            &[("policy-proc", &["helper"]), ("helper", &["warehouse"])],
+            &["policy-proc links warehouse and must not"],
+        );
+        check(
+            &[("results", &["shm-types"]), ("shm-types", &["iceoryx2"])],
+            &["results links iceoryx2"],
+        );
+        check(&[("orchestrator", &["ureq"])], &["orchestrator depends on ureq, which only llm"]);
+    }
+
+    #[test]
+    fn the_rules_name_crates_that_exist() {
+        let manifest = include_str!("../../Cargo.toml");
+        let ours = MUST_NOT_LINK.iter().flat_map(|(crates, _, _)| *crates);
+        for name in ours {
+            assert!(manifest.contains(&format!("{name} = {{ path =")), "{name}");
+        }
     }
 }

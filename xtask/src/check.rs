@@ -3,7 +3,7 @@
 use std::process::{Command, Stdio};
 
 use crate::workspace::{Workspace, succeeds};
-use crate::{boundaries, licences};
+use crate::{boundaries, citations, licences};
 
 /// Runs all checks, also after one has failed; whether all passed.
 pub(crate) fn run(workspace: &Workspace) -> anyhow::Result<bool> {
@@ -16,6 +16,7 @@ pub(crate) fn run(workspace: &Workspace) -> anyhow::Result<bool> {
     };
 
     check("who links whom", boundaries::are_kept(workspace)?);
+    check("citations", citations::resolve(workspace)?);
     check("format", succeeds(&mut workspace.cargo(&["fmt", "--all", "--check"]))?);
     check("lints", succeeds(&mut lints(workspace))?);
     check("docs", succeeds(&mut docs(workspace))?);

@@ -9,7 +9,7 @@ use crate::workspace::Workspace;
 /// Builds the programs, then becomes `memtransfer run`: its progress, its signals and its exit
 /// status are the demo's.
 pub(crate) fn run(workspace: &Workspace, run_flags: &[String]) -> anyhow::Result<bool> {
-    if !workspace.build_programs()? {
+    if !workspace.build_programs(&[])? {
         return Ok(false);
     }
     let memtransfer = workspace.program("memtransfer")?;

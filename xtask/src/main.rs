@@ -12,6 +12,7 @@ mod bench;
 mod boundaries;
 mod cache;
 mod check;
+mod citations;
 mod demo;
 mod environments;
 mod files;

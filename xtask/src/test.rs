@@ -12,7 +12,7 @@ use crate::workspace::Workspace;
 
 /// Runs the tests; whether all passed.
 pub(crate) fn run(workspace: &Workspace, test_arguments: &[String]) -> anyhow::Result<bool> {
-    if !workspace.build_programs()? {
+    if !workspace.build_programs(&["memtransfer-tests"])? {
         return Ok(false);
     }
     eprintln!("testing");

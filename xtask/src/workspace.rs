@@ -1,4 +1,4 @@
-//! The workspace: where it is, how cargo is called in it, where its programs are built.
+//! The workspace: its root, cargo commands in it, and the programs built from it.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -7,20 +7,22 @@ use anyhow::Context;
 
 use crate::cache::{self, Cache};
 
-/// The repository's root, and the cache that its programs are to use.
+/// The crates whose programs a run needs.
+const PROGRAMS: [&str; 4] = ["orchestrator", "sim-proc", "memory-proc", "policy-proc"];
+
+/// The repository's root, and the cache folder that its programs use.
 pub(crate) struct Workspace {
     root: PathBuf,
     cache: PathBuf,
 }
 
 impl Workspace {
-    /// Finds the root: the folder above xtask's own.
+    /// Finds the root: the parent of xtask's folder.
     pub(crate) fn locate(cache: &Cache) -> anyhow::Result<Self> {
         let xtask = std::env::var_os("CARGO_MANIFEST_DIR")
             .unwrap_or_else(|| env!("CARGO_MANIFEST_DIR").into());
-        let root = Path::new(&xtask)
-            .parent()
-            .context("xtask has no folder above it; run `cargo xtask`")?;
+        let root =
+            Path::new(&xtask).parent().context("xtask has no parent folder; run `cargo xtask`")?;
         Ok(Self { root: root.to_owned(), cache: cache.root().to_owned() })
     }
 
@@ -36,33 +38,30 @@ impl Workspace {
         )
     }
 
-    /// Any program at the root, told which cache folder to use.
+    /// Any program, run at the root with the cache folder in its environment.
     pub(crate) fn at_root(&self, program: &Path, arguments: &[&str]) -> Command {
         let mut command = Command::new(program);
         command.args(arguments).current_dir(&self.root).env(cache::VARIABLE, &self.cache);
         command
     }
 
-    /// Builds every program but xtask, which is running, in the one profile that everything shares.
-    pub(crate) fn build_programs(&self) -> anyhow::Result<bool> {
+    /// Builds `memtransfer`, the processes that it starts, and the programs of the crates `also`.
+    pub(crate) fn build_programs(&self, also: &[&str]) -> anyhow::Result<bool> {
         eprintln!("building the programs");
-        succeeds(&mut self.cargo(&[
-            "build",
-            "--release",
-            "--workspace",
-            "--exclude",
-            "xtask",
-            "--bins",
-        ]))
+        let mut command = self.cargo(&["build", "--release", "--bins"]);
+        for package in PROGRAMS.iter().chain(also) {
+            command.args(["--package", package]);
+        }
+        succeeds(&mut command)
     }
 
-    /// A program that [`Self::build_programs`] built: they all lie beside xtask itself.
+    /// The path of a program that [`Self::build_programs`] built: the folder of xtask itself.
     pub(crate) fn program(&self, name: &str) -> anyhow::Result<PathBuf> {
-        Ok(std::env::current_exe().context("cannot find xtask's own place")?.with_file_name(name))
+        Ok(std::env::current_exe().context("cannot find the path of xtask")?.with_file_name(name))
     }
 }
 
-/// Runs a command with this process's own streams; whether it succeeded.
+/// Runs a command with this process's streams. Returns whether it succeeded.
 pub(crate) fn succeeds(command: &mut Command) -> anyhow::Result<bool> {
     let program = command.get_program().to_string_lossy().into_owned();
     Ok(command.status().with_context(|| format!("cannot start {program}"))?.success())

