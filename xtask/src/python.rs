@@ -5,6 +5,8 @@ use std::process::{Command, Stdio};
 
 use anyhow::{Context, bail};
 
+use crate::pins::WheelPin;
+
 /// `-m MODULE --version`'s first line, when it works.
 pub(crate) fn module_version(module: &str) -> Option<String> {
     let output = python().args(["-m", module, "--version"]).output().ok()?;
@@ -23,30 +25,29 @@ pub(crate) fn kind() -> anyhow::Result<String> {
     Ok(String::from_utf8_lossy(&output.stdout).trim().to_owned())
 }
 
-/// Downloads the one wheel of `package` (`name==version`) into `folder`.
-pub(crate) fn download(package: &str, flags: &[String], folder: &Path) -> anyhow::Result<()> {
+/// Has pip download exactly `wheel` into `folder` and verify its hash. pip's temporary files go to `tmp`.
+pub(crate) fn download(wheel: &WheelPin, folder: &Path, tmp: &Path) -> anyhow::Result<()> {
+    let requirement = tmp.join("requirement.txt");
+    let line = format!("{} --hash=sha256:{}\n", wheel.package, wheel.sha256);
+    std::fs::write(&requirement, line)
+        .with_context(|| format!("cannot write {}", requirement.display()))?;
     let status = python()
-        .args([
-            "-m",
-            "pip",
-            "download",
-            "--no-deps",
-            "--only-binary",
-            ":all:",
-            "--no-cache-dir",
-            "--no-input",
-        ])
-        .args(["--disable-pip-version-check", "--quiet", "--retries", "2", "--dest"])
+        .args(["-m", "pip", "download", "--require-hashes", "--no-deps"])
+        .args(["--only-binary", ":all:", "--no-cache-dir", "--no-input"])
+        .args(["--disable-pip-version-check", "--quiet", "--retries", "2"])
+        .args(&wheel.pip)
+        .arg("--dest")
         .arg(folder)
-        .args(flags)
-        .arg(package)
-        // What pip leaves when it is killed goes where set-up cleans up.
-        .env("TMPDIR", folder)
+        .arg("--find-links")
+        .arg(folder)
+        .arg("--requirement")
+        .arg(&requirement)
+        .env("TMPDIR", tmp)
         .stdout(Stdio::null())
         .status()
         .context("cannot start python3")?;
     if !status.success() {
-        bail!("pip could not download {package} ({status}); its own words are above");
+        bail!("pip could not download {} ({status}); its messages are above", wheel.package);
     }
     Ok(())
 }
@@ -62,7 +63,7 @@ pub(crate) fn run_script(script: &Path, arguments: &[&std::ffi::OsStr]) -> anyho
         .status()
         .context("cannot start python3")?;
     if !status.success() {
-        bail!("{} failed ({status}); its own words are above", script.display());
+        bail!("{} failed ({status}); its messages are above", script.display());
     }
     Ok(())
 }
