@@ -27,14 +27,15 @@ const PATIENCE: Duration = Duration::from_secs(20);
 /// When a part fails or hangs.
 pub fn steps_per_second(session: &Session<'_>, lanes: u32, length: Duration) -> Result<f64> {
     let run = RunDir::create(session.registry())?;
-    let attach = Attach { lanes, ..Attach::new(&run) };
+    let attach = Attach { lanes, ..run.attach() };
     attach.write(run.path())?;
     let bus = Bus::join(attach, Role::Orchestrator)?;
     let observations = bus.receiver::<Observation>()?;
     let traces = bus.receiver::<RecallTrace>()?;
     let decisions = bus.receiver::<Decision>()?;
     let (commands, stops) = (bus.sender::<StepCommand>()?, bus.sender::<Stop>()?);
-    let bells = [bus.bell(Role::Sim)?, bus.bell(Role::Memory)?, bus.bell(Role::Policy)?];
+    let notifiers =
+        [bus.notifier(Role::Sim)?, bus.notifier(Role::Memory)?, bus.notifier(Role::Policy)?];
     let folder = run.path().display().to_string();
     let mut parts = Vec::new();
     for name in ["bare-sim", "bare-memory", "bare-policy"] {
@@ -43,13 +44,13 @@ pub fn steps_per_second(session: &Session<'_>, lanes: u32, length: Duration) -> 
     for lane in 0..lanes {
         commands.send(&StepCommand { lane, ..StepCommand::zeroed() })?;
     }
-    bells[0].ring()?;
+    notifiers[0].notify()?;
     let (mut steps, mut last_came) = (0_u64, Instant::now());
     // A first part is not counted: connections are made in it, and every process has to be awake.
     let warm_until = Instant::now() + length / 4;
     let mut began = None;
     let rate = loop {
-        bus.doorbell().wait(LONGEST_SLEEP)?;
+        bus.listener().wait(LONGEST_SLEEP)?;
         let decided = decisions.drain()?;
         traces.drain()?;
         observations.drain()?;
@@ -64,7 +65,7 @@ pub fn steps_per_second(session: &Session<'_>, lanes: u32, length: Duration) -> 
             let (episode, lane, step) = (decision.episode, decision.lane, decision.step + 1);
             commands.send(&StepCommand { episode, lane, step, ..StepCommand::zeroed() })?;
         }
-        bells[0].ring()?;
+        notifiers[0].notify()?;
         steps += decided.len() as u64;
         match began {
             None if now >= warm_until => {
@@ -81,13 +82,13 @@ pub fn steps_per_second(session: &Session<'_>, lanes: u32, length: Duration) -> 
     let (mut under_way, deadline) = (lanes as usize, Instant::now() + PATIENCE);
     while under_way > 0 {
         ensure!(Instant::now() < deadline, "{under_way} decisions never came");
-        bus.doorbell().wait(LONGEST_SLEEP)?;
+        bus.listener().wait(LONGEST_SLEEP)?;
         under_way = under_way.saturating_sub(decisions.drain()?.len());
         traces.drain()?;
         observations.drain()?;
     }
     stops.send(&Stop::zeroed())?;
-    bells.iter().try_for_each(shm_types::Bell::ring)?;
+    notifiers.iter().try_for_each(shm_types::Notifier::notify)?;
     parts.into_iter().try_for_each(Part::finish)?;
     Ok(rate)
 }
@@ -102,16 +103,16 @@ fn join(arguments: &[String], role: Role) -> Result<Bus> {
 pub(crate) fn sim(arguments: &[String]) -> Result<()> {
     let bus = join(arguments, Role::Sim)?;
     let (stops, commands) = (bus.receiver::<Stop>()?, bus.receiver::<StepCommand>()?);
-    let (observations, next) = (bus.sender::<Observation>()?, bus.bell(Role::Memory)?);
+    let (observations, next) = (bus.sender::<Observation>()?, bus.notifier(Role::Memory)?);
     while stops.next()?.is_none() {
-        bus.doorbell().wait(LONGEST_SLEEP)?;
+        bus.listener().wait(LONGEST_SLEEP)?;
         let waiting = commands.drain()?;
         for StepCommand { episode, lane, step, .. } in &waiting {
             let (episode, lane, step) = (*episode, *lane, *step);
             observations.send(&Observation { episode, lane, step, ..Observation::zeroed() })?;
         }
         if !waiting.is_empty() {
-            next.ring()?;
+            next.notify()?;
         }
     }
     Ok(())
@@ -122,9 +123,9 @@ pub(crate) fn memory(arguments: &[String]) -> Result<()> {
     let bus = join(arguments, Role::Memory)?;
     let (stops, observations) = (bus.receiver::<Stop>()?, bus.receiver::<Observation>()?);
     let (recalls, traces) = (bus.sender::<Recall>()?, bus.sender::<RecallTrace>()?);
-    let next = bus.bell(Role::Policy)?;
+    let next = bus.notifier(Role::Policy)?;
     while stops.next()?.is_none() {
-        bus.doorbell().wait(LONGEST_SLEEP)?;
+        bus.listener().wait(LONGEST_SLEEP)?;
         let waiting = observations.drain()?;
         for Observation { episode, lane, step, .. } in &waiting {
             let (episode, lane, step) = (*episode, *lane, *step);
@@ -132,7 +133,7 @@ pub(crate) fn memory(arguments: &[String]) -> Result<()> {
             recalls.send(&Recall { episode, lane, step, ..Recall::zeroed() })?;
         }
         if !waiting.is_empty() {
-            next.ring()?;
+            next.notify()?;
         }
     }
     Ok(())
@@ -143,9 +144,9 @@ pub(crate) fn policy(arguments: &[String]) -> Result<()> {
     let bus = join(arguments, Role::Policy)?;
     let (stops, observations) = (bus.receiver::<Stop>()?, bus.receiver::<Observation>()?);
     let (recalls, decisions) = (bus.receiver::<Recall>()?, bus.sender::<Decision>()?);
-    let next = bus.bell(Role::Orchestrator)?;
+    let next = bus.notifier(Role::Orchestrator)?;
     while stops.next()?.is_none() {
-        bus.doorbell().wait(LONGEST_SLEEP)?;
+        bus.listener().wait(LONGEST_SLEEP)?;
         let waiting = recalls.drain()?;
         observations.drain()?;
         for Recall { episode, lane, step, .. } in &waiting {
@@ -153,7 +154,7 @@ pub(crate) fn policy(arguments: &[String]) -> Result<()> {
             decisions.send(&Decision { episode, lane, step, ..Decision::zeroed() })?;
         }
         if !waiting.is_empty() {
-            next.ring()?;
+            next.notify()?;
         }
     }
     Ok(())

@@ -11,13 +11,13 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use anyhow::{Context, Result};
+use domain::Pose;
 use memory_proc::demonstrations::selected;
 use memory_proc::embedding::{Embedding, distance};
 use memory_proc::encoder::{Encoder, EncoderFacts, Image, ModelFile, Open, Picture, Prepared};
 use memory_proc::manifest::{Manifest, Precision};
 use memory_proc::paths::Cache;
 use serde_json::json;
-use shm_types::Pose;
 use shm_types::attach::FrameSize;
 use sim_proc::control::every_pose;
 use sim_proc::renderer::{Destination, RenderJob, RenderSettings, Renderer, View};

@@ -128,7 +128,7 @@ fn walk(session: &Session<'_>) -> Result<Vec<Sample>> {
 fn look(session: &Session<'_>, child: &mut Child, journal: &Path) -> Result<Vec<Sample>> {
     let mut samples = Vec::new();
     let (mut file, mut episodes) = (None, 0);
-    let mut crew = BTreeMap::new();
+    let mut children = BTreeMap::new();
     loop {
         if child.try_wait().context("cannot look after memtransfer")?.is_some() {
             return Ok(samples);
@@ -142,12 +142,14 @@ fn look(session: &Session<'_>, child: &mut Child, journal: &Path) -> Result<Vec<
                 .with_context(|| format!("cannot read {}", journal.display()))?;
             episodes += new.iter().filter(|byte| **byte == b'\n').count() as u64;
         }
-        if crew.len() < PLACES.len() - 1 {
-            crew = processes(child.id());
+        if children.len() < PLACES.len() - 1 {
+            children = processes(child.id());
         }
-        if episodes > 0 && crew.len() == PLACES.len() - 1 {
-            let mut bytes: BTreeMap<_, _> =
-                crew.iter().filter_map(|(name, pid)| Some((*name, private_bytes(*pid)?))).collect();
+        if episodes > 0 && children.len() == PLACES.len() - 1 {
+            let mut bytes: BTreeMap<_, _> = children
+                .iter()
+                .filter_map(|(name, pid)| Some((*name, private_bytes(*pid)?)))
+                .collect();
             bytes.insert("shared-memory", shared_bytes(session.registry())?);
             // At its end processes go one after the other.
             if bytes.len() == PLACES.len() {

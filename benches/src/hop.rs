@@ -6,6 +6,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, bail, ensure};
 use bytemuck::Zeroable;
+use domain::Representation;
 use iceoryx2::config::Config;
 use iceoryx2::node::{Node, NodeBuilder};
 use iceoryx2::port::publisher::Publisher;
@@ -16,7 +17,7 @@ use orchestrator::latency::Latency;
 use orchestrator::machine::floors::{Effort, measure};
 use shm_types::message::{Observation, Role, StepCommand};
 use shm_types::process::{SHARED_MEMORY, monotonic_ns};
-use shm_types::{Attach, Bus, Receiver, Representation, RunDir, Sender};
+use shm_types::{Attach, Bus, Receiver, RunDir, Sender};
 
 use crate::Bench;
 use crate::figure::{Better, Bound, Figure};
@@ -153,7 +154,7 @@ fn poll<T>(mut look: impl FnMut() -> Result<Option<T>>) -> Result<T> {
 /// Through our wire types, with another process at the other end.
 fn wire(session: &Session<'_>, batches: u32) -> Result<f64> {
     let run = RunDir::create(session.registry())?;
-    let attach = Attach { crew: vec![Role::Sim], ..Attach::new(&run) };
+    let attach = Attach { participants: vec![Role::Sim], ..run.attach() };
     attach.write(run.path())?;
     let bus = Bus::join(attach, Role::Orchestrator)?;
     let answers: Receiver<Observation> = bus.receiver()?;

@@ -13,10 +13,10 @@ use std::thread;
 use std::time::Instant;
 
 use anyhow::{Context, Result, bail, ensure};
+use domain::Pose;
 use orchestrator::machine::floors::frame_copy_ns;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
-use shm_types::Pose;
 use shm_types::attach::{DEFAULT_WINDOW, FrameSize, PAGE_BYTES};
 use sim_proc::control::every_pose;
 use sim_proc::renderer::{Destination, RenderJob, RenderSettings, Renderer, Samples, View};

@@ -6,9 +6,9 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
 use anyhow::{Context, Result, bail};
+use domain::cache_folder;
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
-use shm_types::cache_folder;
 
 use crate::session::Session;
 

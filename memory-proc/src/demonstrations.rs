@@ -6,7 +6,7 @@
 //! Memories are made of these and of nothing else. Only [`Start::DEMONSTRATIONS`] are acted out: the two test
 //! references are never memory, whatever a set of cases says.
 
-use shm_types::{Action, Pose};
+use domain::{Action, Pose};
 use warehouse::{CaseSet, Demonstrations, History, Start, Warehouse};
 
 /// One demonstration, acted out.

@@ -10,8 +10,10 @@
 
 use std::collections::{BTreeSet, HashSet, VecDeque};
 
-use shm_types::Pose;
-use shm_types::message::{FrameId, MemoryBrief, Observation, Recall, RecallTrace, ViewRequest};
+use domain::Pose;
+use shm_types::message::{
+    FrameId, MemoryEpisodeConfig, Observation, Recall, RecallTrace, ViewRequest,
+};
 use warehouse::{CaseSet, Warehouse};
 
 use crate::embedding::{ContentHash, Embedding};
@@ -73,24 +75,24 @@ impl<P: Clone> Engine<P> {
     ///
     /// # Errors
     /// When the brief asks for what cannot be.
-    pub fn brief(&mut self, brief: &MemoryBrief) -> Result<(), Unusable> {
-        let episode = Episode::announced(brief, &self.warehouse, &self.cases)?;
+    pub fn config(&mut self, config: &MemoryEpisodeConfig) -> Result<(), Unusable> {
+        let episode = Episode::announced(config, &self.warehouse, &self.cases)?;
         let (needed, room) = (episode.blueprint.poses().len(), self.views.room());
         if needed > room {
             return Err(unusable!(
                 "brief of episode {}: its memory needs {needed} views and there is room for {room}: raise \
                  --frame-budget or lower --lanes",
-                brief.episode
+                config.episode
             ));
         }
         let lanes = self.lanes.len();
-        let lane = self.lanes.get_mut(brief.lane as usize).ok_or_else(|| {
-            unusable!("brief of episode {}: lane {} of {lanes}", brief.episode, brief.lane)
+        let lane = self.lanes.get_mut(config.lane as usize).ok_or_else(|| {
+            unusable!("brief of episode {}: lane {} of {lanes}", config.episode, config.lane)
         })?;
         if let Some(dropped) = lane.next.replace(episode) {
             self.close(dropped);
         }
-        self.admission.push_back((brief.lane, brief.episode));
+        self.admission.push_back((config.lane, config.episode));
         self.admit();
         Ok(())
     }

@@ -1,12 +1,12 @@
 //! A running episode as memory knows it: what was seen and done, how far the task is, what is open.
 
 use anyhow::Context;
+use domain::{Action, Feedback, Pose, Representation, SegmentContent};
 use shm_types::message::{
-    FrameId, MAX_WINDOW, MemoryBrief, NO_ACTION, NOT_MEASURED, Observation, PastStep, Recall,
-    RecallTrace, SegmentStep,
+    FrameId, MAX_WINDOW, MemoryEpisodeConfig, NO_ACTION, NOT_MEASURED, Observation, PastStep,
+    Recall, RecallTrace, SegmentStep,
 };
-use shm_types::message::{MAX_DOCUMENTS, MAX_SEGMENT, NO_DOCUMENT, NO_FRAME, SegmentContent};
-use shm_types::{Action, Feedback, Pose, Representation};
+use shm_types::message::{MAX_DOCUMENTS, MAX_SEGMENT, NO_DOCUMENT, NO_FRAME};
 use warehouse::{CaseSet, Demonstrations, Progress, Warehouse};
 
 use crate::demonstrations;
@@ -61,50 +61,50 @@ struct Now {
 impl Episode {
     /// The episode that a brief announces.
     pub(crate) fn announced(
-        brief: &MemoryBrief,
+        config: &MemoryEpisodeConfig,
         warehouse: &Warehouse,
         cases: &CaseSet,
     ) -> Result<Self, Unusable> {
-        let MemoryBrief { case, demonstrations, window, horizon, .. } = *brief;
-        let representation = Representation::try_from(brief.representation)
-            .map_err(|error| unusable!("brief of episode {}: {error}", brief.episode))?;
+        let MemoryEpisodeConfig { case, demonstrations, window, horizon, .. } = *config;
+        let representation = Representation::try_from(config.representation)
+            .map_err(|error| unusable!("brief of episode {}: {error}", config.episode))?;
         if usize::from(window) > MAX_WINDOW || usize::from(horizon) >= MAX_SEGMENT {
             let most = MAX_SEGMENT - 1;
             return Err(unusable!(
                 "brief of episode {}: a window of {window} and a horizon of {horizon}, but at most \
                  {MAX_WINDOW} and {most} fit into a recall",
-                brief.episode
+                config.episode
             ));
         }
-        let segment = SegmentContent::try_from(brief.segment)
-            .map_err(|error| unusable!("brief of episode {}: {error}", brief.episode))?;
+        let segment = SegmentContent::try_from(config.segment)
+            .map_err(|error| unusable!("brief of episode {}: {error}", config.episode))?;
         let chosen = demonstrations::selected(warehouse, cases, case, demonstrations)
             .zip(Demonstrations::from_bits(demonstrations));
         let (chosen, set) = chosen.ok_or_else(|| {
             unusable!(
                 "brief of episode {}: case {case} with demonstrations {demonstrations:#b}, but there \
                  are {} cases, and no such set for them (are both sides given the same assets?)",
-                brief.episode,
+                config.episode,
                 cases.cases.len()
             )
         })?;
         if chosen.is_empty() && representation.uses_demonstrations() {
-            let episode = brief.episode;
+            let episode = config.episode;
             return Err(unusable!(
                 "brief of episode {episode}: {representation} memory of no demonstrations"
             ));
         }
         let ingredients = Ingredients {
-            episode: (brief.lane, brief.episode),
+            episode: (config.lane, config.episode),
             set,
             demonstrations: chosen,
             horizon: horizon.into(),
             segment,
-            keyframes: brief.keyframes.into(),
+            keyframes: config.keyframes.into(),
         };
         Ok(Self {
-            ticket: brief.episode,
-            lane: brief.lane,
+            ticket: config.episode,
+            lane: config.lane,
             representation,
             blueprint: blueprint(representation, ingredients),
             admitted: false,

@@ -8,9 +8,10 @@ use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 use anyhow::Context;
+use domain::DocumentKind;
 use shm_types::DocumentPublisher;
 use shm_types::documents::Content;
-use shm_types::message::{DocumentId, DocumentKind};
+use shm_types::message::DocumentId;
 use warehouse::Demonstrations;
 
 use crate::documents::DocumentFile;

@@ -7,6 +7,7 @@ use std::process::ExitCode;
 
 use anyhow::Context;
 use clap::{Args, Parser, Subcommand};
+use domain::DocumentKind;
 use memory_proc::documents::build::{self, Wanted};
 use memory_proc::documents::holdings::Question;
 use memory_proc::documents::model::{self, Ask, ModelBuilder, Pipe};
@@ -19,7 +20,6 @@ use memory_proc::paths::Cache;
 use memory_proc::profile::{self, Vectors};
 use memory_proc::serve::{EncoderSettings, Settings, serve};
 use shm_types::FrameSize;
-use shm_types::message::DocumentKind;
 use tracing_subscriber::EnvFilter;
 
 /// The memory of MemTransfer: embeds frames, builds the representations, retrieves.

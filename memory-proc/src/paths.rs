@@ -5,7 +5,7 @@
 
 use std::path::{Path, PathBuf};
 
-use shm_types::{NoCacheFolder, cache_folder};
+use domain::{NoCacheFolder, cache_folder};
 
 /// The cache folder.
 #[derive(Debug, Clone)]

@@ -11,14 +11,15 @@ use std::time::Duration;
 
 use anyhow::Context;
 use bytemuck::Zeroable;
+use domain::{Pose, Representation};
 use shm_types::message::{
-    Farewell, FrameId, Hello, MemoryBrief, Observation, Pulse, Recall, RecallTrace, Role, Stop,
-    View, ViewRequest,
+    FrameId, Handshake, Heartbeat, MemoryEpisodeConfig, Observation, Recall, RecallTrace, Role,
+    ShutdownReport, Stop, View, ViewRequest,
 };
 use shm_types::process::{die_with_parent, monotonic_ns};
 use shm_types::{
-    Attach, Bell, Bus, BusError, Complaints, DocumentPublisher, Frame, FrameError, FrameStore,
-    Pose, Pulses, Receiver, Representation, Sender, Spans,
+    Attach, Bus, BusError, DocumentPublisher, ErrorReporter, Frame, FrameError, FrameStore,
+    Heartbeats, Notifier, Receiver, Sender, Spans,
 };
 use warehouse::case_file::CASES_FILE;
 use warehouse::{CaseSet, Warehouse};
@@ -89,13 +90,13 @@ pub fn serve(settings: &Settings) -> anyhow::Result<()> {
     let attach = Attach::read(&settings.attach).context("cannot take part in the run")?;
     die_with_parent(attach.orchestrator_pid).context("this process belongs to an orchestrator")?;
     let bus = Bus::join(attach, Role::Memory)?;
-    let mut complaints = Complaints::new(&bus)?;
+    let mut reporter = ErrorReporter::new(&bus)?;
     // Receivers first: what is sent while the encoder starts waits in their queues.
     let ports = Ports::new(&bus)?;
-    let served = Server::start(settings, &bus, ports, &mut complaints).and_then(Server::run);
+    let served = Server::start(settings, &bus, ports, &mut reporter).and_then(Server::run);
     if let Err(error) = &served {
-        complaints.raise(format_args!("the memory process cannot go on: {error:#}"));
-        bus.bell(Role::Orchestrator)?.ring()?;
+        reporter.report(format_args!("the memory process cannot go on: {error:#}"));
+        bus.notifier(Role::Orchestrator)?.notify()?;
         std::thread::sleep(LAST_WORDS);
     }
     served
@@ -110,7 +111,7 @@ impl Picture for Arc<Frame> {
 
 /// The process's ends of the bus.
 struct Ports {
-    briefs: Receiver<MemoryBrief>,
+    configs: Receiver<MemoryEpisodeConfig>,
     observations: Receiver<Observation>,
     views: Receiver<View>,
     stops: Receiver<Stop>,
@@ -118,16 +119,16 @@ struct Ports {
     recalls: Sender<Recall>,
     traces: Sender<RecallTrace>,
     requests: Sender<ViewRequest>,
-    pulses: Pulses,
-    sim: Bell,
-    policy: Bell,
-    orchestrator: Bell,
+    heartbeats: Heartbeats,
+    sim: Notifier,
+    policy: Notifier,
+    orchestrator: Notifier,
 }
 
 impl Ports {
     fn new(bus: &Bus) -> Result<Self, BusError> {
         Ok(Self {
-            briefs: bus.receiver()?,
+            configs: bus.receiver()?,
             observations: bus.receiver()?,
             views: bus.receiver()?,
             stops: bus.receiver()?,
@@ -135,10 +136,10 @@ impl Ports {
             recalls: bus.sender()?,
             traces: bus.sender()?,
             requests: bus.sender()?,
-            pulses: Pulses::new(bus)?,
-            sim: bus.bell(Role::Sim)?,
-            policy: bus.bell(Role::Policy)?,
-            orchestrator: bus.bell(Role::Orchestrator)?,
+            heartbeats: Heartbeats::new(bus)?,
+            sim: bus.notifier(Role::Sim)?,
+            policy: bus.notifier(Role::Policy)?,
+            orchestrator: bus.notifier(Role::Orchestrator)?,
         })
     }
 }
@@ -146,7 +147,7 @@ impl Ports {
 struct Server<'a> {
     bus: &'a Bus,
     ports: Ports,
-    complaints: &'a mut Complaints,
+    reporter: &'a mut ErrorReporter,
     engine: Engine<Arc<Frame>>,
     library: Library,
     encoder: Option<Encoder>,
@@ -160,7 +161,7 @@ impl<'a> Server<'a> {
         settings: &Settings,
         bus: &'a Bus,
         ports: Ports,
-        complaints: &'a mut Complaints,
+        reporter: &'a mut ErrorReporter,
     ) -> anyhow::Result<Self> {
         let library = Library::new(settings.documents.clone(), DocumentPublisher::new(bus)?);
         let assets = settings.assets.as_deref();
@@ -176,13 +177,13 @@ impl<'a> Server<'a> {
             None => (None, EmbeddingCache::in_memory()),
             Some(chosen) => {
                 let manifest = assets.map_or_else(Manifest::shipped, Manifest::load)?;
-                let own_bell = Arc::new(bus.bell(Role::Memory)?);
+                let own_notifier = Arc::new(bus.notifier(Role::Memory)?);
                 let encoder = chosen.prepare(&manifest)?;
-                let embeddings = open_cache(&chosen.cache, encoder.facts(), complaints);
+                let embeddings = open_cache(&chosen.cache, encoder.facts(), reporter);
                 // Where embeddings are known, they may be all there will be.
                 let open = if embeddings.is_empty() { Open::AtOnce } else { Open::WhenNeeded };
                 let encoder = encoder.start(open, move || {
-                    if let Err(error) = own_bell.ring() {
+                    if let Err(error) = own_notifier.notify() {
                         tracing::debug!(%error, "an encoder worker cannot wake the loop");
                     }
                 });
@@ -194,31 +195,31 @@ impl<'a> Server<'a> {
         let engine = Engine::new(warehouse, cases, attach.lanes, room, embeddings);
         let spans = Spans::open(attach, Role::Memory).context("cannot keep spans of the work")?;
         let facts = encoder.as_ref().map_or_else(Vec::new, |encoder| facts(encoder.facts()));
-        bus.sender()?.send(&Hello::new(Role::Memory, facts)?)?;
-        ports.orchestrator.ring()?;
-        Ok(Self { bus, ports, complaints, engine, library, encoder, embedded: 0, spans })
+        bus.sender()?.send(&Handshake::new(Role::Memory, facts)?)?;
+        ports.orchestrator.notify()?;
+        Ok(Self { bus, ports, reporter, engine, library, encoder, embedded: 0, spans })
     }
 
     fn run(mut self) -> anyhow::Result<()> {
         while self.ports.stops.next()?.is_none() {
             if !self.turn()? {
-                self.bus.doorbell().wait(LONGEST_SLEEP)?;
+                self.bus.listener().wait(LONGEST_SLEEP)?;
             }
         }
-        self.bus.sender()?.send(&Farewell {
+        self.bus.sender()?.send(&ShutdownReport {
             role: Role::Memory as u32,
-            frames_held: self.ports.frames.taken(),
+            frames_received: self.ports.frames.taken(),
             // Workers read pixels where the renderer wrote them; what leaves this process are ids.
             pixel_bytes_copied: 0,
-            complaints: self.complaints.count().into(),
+            error_reports: self.reporter.count().into(),
             ..Zeroable::zeroed()
         })?;
-        Ok(self.ports.orchestrator.ring()?)
+        Ok(self.ports.orchestrator.notify()?)
     }
 
     /// Does what there is to do now; says whether there may be more.
     fn turn(&mut self) -> anyhow::Result<bool> {
-        let complaints = self.complaints.count();
+        let error_reports = self.reporter.count();
         let more = self.take_messages()?;
         self.take_embeddings()?;
         self.answer()?;
@@ -227,12 +228,12 @@ impl<'a> Server<'a> {
             self.ports.requests.send(request)?;
         }
         if !requests.is_empty() {
-            self.ports.sim.ring()?;
+            self.ports.sim.notify()?;
         }
         self.feed_the_encoder()?;
         let told = self.beat();
-        if told || self.complaints.count() != complaints {
-            self.ports.orchestrator.ring()?;
+        if told || self.reporter.count() != error_reports {
+            self.ports.orchestrator.notify()?;
         }
         self.let_go_of_frames()?;
         Ok(more)
@@ -242,18 +243,18 @@ impl<'a> Server<'a> {
     /// message that refers to another one was sent after it: queues are therefore emptied effect first, and what
     /// was in them is looked at cause first.
     fn take_messages(&mut self) -> anyhow::Result<bool> {
-        let most = self.bus.attach().steps_in_a_turn();
+        let most = self.bus.attach().batch_len();
         let observations = self.ports.observations.drain_some(most)?;
         let more = observations.len() == most;
         let received_ns = monotonic_ns();
         let views = self.ports.views.drain()?;
-        for brief in self.ports.briefs.drain()? {
-            let outcome = self.can_serve(&brief).and_then(|()| self.engine.brief(&brief));
+        for config in self.ports.configs.drain()? {
+            let outcome = self.can_serve(&config).and_then(|()| self.engine.config(&config));
             self.complain(outcome);
         }
         for View { frame, pose, .. } in views {
             match Pose::try_from(pose) {
-                Err(error) => self.complaints.raise(format_args!("view as frame {frame}: {error}")),
+                Err(error) => self.reporter.report(format_args!("view as frame {frame}: {error}")),
                 Ok(pose) => {
                     if let Some(picture) =
                         self.find_frame(frame, &format_args!("view of {pose}"))?
@@ -268,7 +269,7 @@ impl<'a> Server<'a> {
         for seen in observations {
             let Observation { episode, lane, step, .. } = seen;
             match self.engine.observe(&seen, received_ns) {
-                Err(unusable) => self.complaints.raise(unusable),
+                Err(unusable) => self.reporter.report(unusable),
                 Ok(None) => {}
                 Ok(Some(frame)) => {
                     let what = format_args!("observation of episode {episode}, step {step}");
@@ -282,12 +283,12 @@ impl<'a> Server<'a> {
     }
 
     /// Whether this process was started with what a brief's memory needs.
-    fn can_serve(&self, brief: &MemoryBrief) -> Result<(), Unusable> {
-        match Representation::try_from(brief.representation) {
+    fn can_serve(&self, config: &MemoryEpisodeConfig) -> Result<(), Unusable> {
+        match Representation::try_from(config.representation) {
             Ok(asked) if asked.matches_views() && self.encoder.is_none() => Err(unusable!(
                 "brief of episode {}: {asked} memory compares views, and this process was started with \
                  --no-encoder",
-                brief.episode
+                config.episode
             )),
             // What is none is the engine's to refuse.
             Ok(_) | Err(_) => Ok(()),
@@ -304,7 +305,7 @@ impl<'a> Server<'a> {
             match self.ports.frames.get(id) {
                 Ok(Some(frame)) => return Ok(Some(frame.clone())),
                 Ok(None) => {
-                    self.complaints.raise(format_args!(
+                    self.reporter.report(format_args!(
                         "{message}: frame {id} is not in the store, so it was evicted too early or never \
                          published"
                     ));
@@ -312,7 +313,7 @@ impl<'a> Server<'a> {
                 }
                 Err(FrameError::Bus(error)) => return Err(error),
                 // The store has dropped what it could not use: go on after it.
-                Err(bad) => self.complaints.raise(bad),
+                Err(bad) => self.reporter.report(bad),
             }
         }
     }
@@ -323,7 +324,7 @@ impl<'a> Server<'a> {
             let track = format!("encoder {worker}");
             self.spans.add(span_ns.start, span_ns.end, &track, "embed", 1);
             if let Err(error) = self.engine.embedded(content, embedding?) {
-                self.complaints.raise(format_args!("{error}; this run goes on without it"));
+                self.reporter.report(format_args!("{error}; this run goes on without it"));
             }
             self.embedded += 1;
         }
@@ -334,7 +335,7 @@ impl<'a> Server<'a> {
     fn beat(&mut self) -> bool {
         let (engine, done) = (&self.engine, self.embedded);
         let (held, room) = engine.views_held();
-        self.ports.pulses.beat(|| Pulse {
+        self.ports.heartbeats.beat(|| Heartbeat {
             done,
             waiting: engine.waiting() as u64,
             held: held as u64,
@@ -355,7 +356,7 @@ impl<'a> Server<'a> {
         }
         if !answers.is_empty() {
             // The orchestrator reads the accounts when the policy wakes it.
-            self.ports.policy.ring()?;
+            self.ports.policy.notify()?;
         }
         self.spans.end(began, "memory", "recall", answers.len());
         Ok(())
@@ -376,14 +377,14 @@ impl<'a> Server<'a> {
             match self.ports.frames.apply_evictions() {
                 Ok(_) => return Ok(()),
                 Err(FrameError::Bus(error)) => return Err(error),
-                Err(bad) => self.complaints.raise(bad),
+                Err(bad) => self.reporter.report(bad),
             }
         }
     }
 
     fn complain(&mut self, outcome: Result<(), Unusable>) {
         if let Err(unusable) = outcome {
-            self.complaints.raise(unusable);
+            self.reporter.report(unusable);
         }
     }
 }
@@ -395,7 +396,7 @@ fn room_for_views(attach: &Attach) -> usize {
     u64::from(attach.frame_capacity).saturating_sub(pinned) as usize
 }
 
-fn open_cache(cache: &Cache, facts: &EncoderFacts, complaints: &mut Complaints) -> EmbeddingCache {
+fn open_cache(cache: &Cache, facts: &EncoderFacts, reporter: &mut ErrorReporter) -> EmbeddingCache {
     let folder = cache.embeddings();
     match EmbeddingCache::open(&folder, &facts.fingerprint, facts.dimension) {
         Ok((cache, found)) => {
@@ -408,7 +409,7 @@ fn open_cache(cache: &Cache, facts: &EncoderFacts, complaints: &mut Complaints) 
             cache
         }
         Err(error) => {
-            complaints.raise(format_args!("{error}; this run goes on without it"));
+            reporter.report(format_args!("{error}; this run goes on without it"));
             EmbeddingCache::in_memory()
         }
     }

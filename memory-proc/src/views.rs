@@ -7,7 +7,7 @@
 use std::collections::HashMap;
 use std::collections::hash_map::Entry;
 
-use shm_types::Pose;
+use domain::Pose;
 use shm_types::message::{FrameId, NO_FRAME, ViewRequest, ViewRequestKind};
 
 use crate::embedding::ContentHash;
@@ -83,7 +83,7 @@ impl<P> HeldViews<P> {
                 }
                 Entry::Vacant(entry) => {
                     entry.insert(Held { users: 1, embedded, resident: None });
-                    self.requests.push(request(ViewRequestKind::Hold, NO_FRAME, pose));
+                    self.requests.push(request(ViewRequestKind::Pin, NO_FRAME, pose));
                 }
             }
         }
@@ -135,9 +135,9 @@ fn request(kind: ViewRequestKind, frame: FrameId, pose: Pose) -> ViewRequest {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use shm_types::Heading;
+    use domain::Heading;
 
-    const HOLD: u8 = ViewRequestKind::Hold as u8;
+    const HOLD: u8 = ViewRequestKind::Pin as u8;
     const RELEASE: u8 = ViewRequestKind::Release as u8;
 
     fn poses(cells: impl IntoIterator<Item = u8>) -> Vec<Pose> {

@@ -10,17 +10,17 @@ use std::process::{Child, Command, ExitStatus};
 use std::time::{Duration, Instant};
 
 use bytemuck::Zeroable;
+use domain::{DocumentKind, Pose, Representation, SegmentContent};
 use memory_proc::documents::{Account, DocumentFile, Provenance};
 use memory_proc::paths::Cache;
 use shm_types::documents::Content;
 use shm_types::message::{
-    Complaint, DocumentId, DocumentKind, Farewell, FrameId, Hello, MAX_SEGMENT, MAX_WINDOW,
-    MemoryBrief, NO_ACTION, NO_FRAME, NOT_MEASURED, Observation, Recall, RecallTrace, Role,
-    SegmentContent, Stop, View, ViewRequest, ViewRequestKind, read_text,
+    DocumentId, ErrorReport, FrameId, Handshake, MAX_SEGMENT, MAX_WINDOW, MemoryEpisodeConfig,
+    NO_ACTION, NO_FRAME, NOT_MEASURED, Observation, Recall, RecallTrace, Role, ShutdownReport,
+    Stop, View, ViewRequest, ViewRequestKind, read_text,
 };
 use shm_types::{
-    Attach, Bus, DocumentStore, FramePublisher, FrameSize, FrameStore, Pose, Receiver,
-    Representation, RunDir, Sender,
+    Attach, Bus, DocumentStore, FramePublisher, FrameSize, FrameStore, Receiver, RunDir, Sender,
 };
 use tempfile::TempDir;
 use warehouse::{Case, CaseSet, Demonstrations, Replay, Start, Warehouse};
@@ -33,16 +33,16 @@ const ORIGINAL: u32 = 0b0001;
 /// All parts but memory's, and the child that plays it. Dropped in order: the child first.
 struct Stage {
     memory: Kill,
-    briefs: Sender<MemoryBrief>,
+    configs: Sender<MemoryEpisodeConfig>,
     stop: Sender<Stop>,
     observations: Sender<Observation>,
     views: Sender<View>,
     requests: Receiver<ViewRequest>,
     recalls: Receiver<Recall>,
     traces: Receiver<RecallTrace>,
-    hellos: Receiver<Hello>,
-    complaints: Receiver<Complaint>,
-    farewells: Receiver<Farewell>,
+    handshakes: Receiver<Handshake>,
+    error_reports: Receiver<ErrorReport>,
+    shutdown_reports: Receiver<ShutdownReport>,
     publisher: FramePublisher,
     documents: DocumentStore,
     /// Pose that each frame shows.
@@ -83,7 +83,7 @@ impl Stage {
         let base = tempfile::Builder::new().prefix("mt").tempdir_in("/tmp").unwrap();
         let run = RunDir::create(base.path()).unwrap();
         let frame = FrameSize { width: 64, height: 64 };
-        let attach = Attach { frame, frame_capacity: 400, lanes: 2, ..Attach::new(&run) };
+        let attach = Attach { frame, frame_capacity: 400, lanes: 2, ..run.attach() };
         attach.write(run.path()).unwrap();
         let [orchestrator, sim, policy] = [Role::Orchestrator, Role::Sim, Role::Policy]
             .map(|role| Bus::join(attach.clone(), role).unwrap());
@@ -93,9 +93,9 @@ impl Stage {
             _frames: FrameStore::new(&policy).unwrap(),
         };
         // Memory starts last: what it says at once must find its receivers.
-        let hellos = orchestrator.receiver().unwrap();
-        let complaints = orchestrator.receiver().unwrap();
-        let farewells = orchestrator.receiver().unwrap();
+        let handshakes = orchestrator.receiver().unwrap();
+        let error_reports = orchestrator.receiver().unwrap();
+        let shutdown_reports = orchestrator.receiver().unwrap();
         let documents = DocumentStore::new(&policy).unwrap();
         let memory = Command::new(env!("CARGO_BIN_EXE_memory-proc"))
             .arg("serve")
@@ -106,16 +106,16 @@ impl Stage {
             .unwrap();
         Self {
             memory: Kill(memory),
-            briefs: orchestrator.sender().unwrap(),
+            configs: orchestrator.sender().unwrap(),
             stop: orchestrator.sender().unwrap(),
             observations: sim.sender().unwrap(),
             views: sim.sender().unwrap(),
             requests: sim.receiver().unwrap(),
             recalls: policy.receiver().unwrap(),
             traces: orchestrator.receiver().unwrap(),
-            hellos,
-            complaints,
-            farewells,
+            handshakes,
+            error_reports,
+            shutdown_reports,
             publisher: FramePublisher::new(&sim).unwrap(),
             documents,
             shown: HashMap::new(),
@@ -134,10 +134,10 @@ impl Stage {
         let deadline = Instant::now() + LONG;
         loop {
             for request in self.requests.drain().unwrap() {
-                if request.kind == ViewRequestKind::Hold as u8 {
+                if request.kind == ViewRequestKind::Pin as u8 {
                     let frame = self.publish(Pose::try_from(request.pose).unwrap());
                     self.views.send(&View { frame, pose: request.pose, reserved: 0 }).unwrap();
-                    self.sim.bell(Role::Memory).unwrap().ring().unwrap();
+                    self.sim.notifier(Role::Memory).unwrap().notify().unwrap();
                 } else {
                     assert_eq!(Pose::try_from(request.pose), Ok(self.shown[&request.frame]));
                     self.released += 1;
@@ -152,7 +152,7 @@ impl Stage {
                 ended.is_none() && Instant::now() < deadline,
                 "memory does not answer: {ended:?}"
             );
-            self.sim.doorbell().wait(Duration::from_millis(2)).unwrap();
+            self.sim.listener().wait(Duration::from_millis(2)).unwrap();
         }
     }
 
@@ -171,15 +171,15 @@ impl Stage {
     }
 
     /// The facts of memory's hello.
-    fn hello(&mut self) -> BTreeMap<String, String> {
-        let hello = self.until(|stage| {
+    fn handshake(&mut self) -> BTreeMap<String, String> {
+        let handshake = self.until(|stage| {
             // A process that cannot start says why instead.
-            if let Some(complaint) = stage.complaints.next().unwrap() {
-                panic!("{}", read_text(&complaint.text, complaint.text_len).unwrap());
+            if let Some(error_report) = stage.error_reports.next().unwrap() {
+                panic!("{}", read_text(&error_report.text, error_report.text_len).unwrap());
             }
-            stage.hellos.next().unwrap()
+            stage.handshakes.next().unwrap()
         });
-        hello.facts().unwrap()
+        handshake.facts().unwrap()
     }
 
     /// What a recall names, in order, and for whom: an episode, or 0 for the run.
@@ -192,15 +192,15 @@ impl Stage {
         ids.iter().map(&mut named).collect()
     }
 
-    fn brief(&self, brief: MemoryBrief) {
-        self.briefs.send(&brief).unwrap();
-        self.orchestrator.bell(Role::Memory).unwrap().ring().unwrap();
+    fn config(&self, config: MemoryEpisodeConfig) {
+        self.configs.send(&config).unwrap();
+        self.orchestrator.notifier(Role::Memory).unwrap().notify().unwrap();
     }
 
     fn observe(&mut self, seen: Observation) -> FrameId {
         let frame = if seen.last == 1 { 0 } else { self.publish(seen.pose.try_into().unwrap()) };
         self.observations.send(&Observation { frame, ..seen }).unwrap();
-        self.sim.bell(Role::Memory).unwrap().ring().unwrap();
+        self.sim.notifier(Role::Memory).unwrap().notify().unwrap();
         frame
     }
 
@@ -217,9 +217,9 @@ impl Stage {
         (recall, trace)
     }
 
-    fn complaint(&mut self) -> String {
-        let complaint = self.until(|stage| stage.complaints.next().unwrap());
-        read_text(&complaint.text, complaint.text_len).unwrap().to_owned()
+    fn error_report(&mut self) -> String {
+        let error_report = self.until(|stage| stage.error_reports.next().unwrap());
+        read_text(&error_report.text, error_report.text_len).unwrap().to_owned()
     }
 
     fn exit(&mut self) -> ExitStatus {
@@ -260,7 +260,7 @@ fn fresh_cache() -> TempDir {
 fn it_remembers_complains_and_says_farewell() {
     let cache = fresh_cache();
     let mut stage = Stage::new(cache.path());
-    let facts = stage.hello();
+    let facts = stage.handshake();
     assert_eq!((&*facts["encoder"], &*facts["encoder_trained"]), ("dinov2-s14", "true"));
     assert!(facts["encoder_sha256"].len() == 64 && !facts["onnxruntime"].is_empty());
 
@@ -269,7 +269,7 @@ fn it_remembers_complains_and_says_farewell() {
     let length = |case: &Case| case.original.actions.len();
     let index = (0..cases.len()).min_by_key(|&index| length(&cases[index])).unwrap();
     let (case, replay) = (&cases[index], cases[index].replay(&warehouse, Start::Original));
-    let brief = MemoryBrief {
+    let config = MemoryEpisodeConfig {
         episode: 11,
         lane: 0,
         case: index as u32,
@@ -281,12 +281,12 @@ fn it_remembers_complains_and_says_farewell() {
         segment: SegmentContent::Actions as u8,
         reserved: [0; 7],
     };
-    stage.brief(brief);
-    stage.brief(MemoryBrief {
+    stage.config(config);
+    stage.config(MemoryEpisodeConfig {
         episode: 12,
         lane: 1,
         representation: Representation::Working as u8,
-        ..brief
+        ..config
     });
     let seen = |step| observation(&replay, case, Start::Original, step);
     let mut frames = Vec::new();
@@ -313,12 +313,12 @@ fn it_remembers_complains_and_says_farewell() {
     assert!(recall.distance.is_nan() && trace.distance.is_nan());
 
     stage.observe(Observation { episode: 99, ..seen(0) });
-    assert_eq!(stage.complaint(), "observation of unknown episode 99 in lane 0");
-    stage.brief(MemoryBrief { episode: 13, case: 4000, ..brief });
-    assert!(stage.complaint().starts_with("brief of episode 13: case 4000"));
+    assert_eq!(stage.error_report(), "observation of unknown episode 99 in lane 0");
+    stage.config(MemoryEpisodeConfig { episode: 13, case: 4000, ..config });
+    assert!(stage.error_report().starts_with("brief of episode 13: case 4000"));
     stage.observations.send(&Observation { episode: 11, frame: 1 << 50, ..seen(4) }).unwrap();
-    stage.sim.bell(Role::Memory).unwrap().ring().unwrap();
-    assert!(stage.complaint().contains("is not in the store"));
+    stage.sim.notifier(Role::Memory).unwrap().notify().unwrap();
+    assert!(stage.error_report().contains("is not in the store"));
 
     stage.observe(Observation { episode: 11, last: 1, ..seen(4) });
     let mut views = replay.poses.clone();
@@ -327,12 +327,12 @@ fn it_remembers_complains_and_says_farewell() {
     stage.until(|stage| (stage.released == views.len()).then_some(()));
 
     stage.stop.send(&Stop { reserved: 0 }).unwrap();
-    stage.orchestrator.bell(Role::Memory).unwrap().ring().unwrap();
+    stage.orchestrator.notifier(Role::Memory).unwrap().notify().unwrap();
     assert!(stage.exit().success());
-    let farewell = stage.farewells.next().unwrap().unwrap();
-    assert_eq!((farewell.role, farewell.complaints), (Role::Memory as u32, 3));
-    assert_eq!(farewell.pixel_bytes_copied, 0);
-    assert_eq!(farewell.frames_held, stage.shown.len() as u64);
+    let shutdown_report = stage.shutdown_reports.next().unwrap().unwrap();
+    assert_eq!((shutdown_report.role, shutdown_report.error_reports), (Role::Memory as u32, 3));
+    assert_eq!(shutdown_report.pixel_bytes_copied, 0);
+    assert_eq!(shutdown_report.frames_received, stage.shown.len() as u64);
 
     // What was embedded is on disk: each distinct view once.
     let files: Vec<_> = std::fs::read_dir(cache.path().join("embeddings")).unwrap().collect();
@@ -344,7 +344,7 @@ fn it_remembers_complains_and_says_farewell() {
 fn without_a_model_it_says_which_command_brings_it() {
     let empty = tempfile::tempdir().unwrap();
     let mut stage = Stage::new(empty.path());
-    let said = stage.complaint();
+    let said = stage.error_report();
     assert_eq!(stage.exit().code(), Some(2));
     assert!(
         said.starts_with("the memory process cannot go on: the encoder dinov2-s14 needs "),
@@ -353,13 +353,13 @@ fn without_a_model_it_says_which_command_brings_it() {
 }
 
 /// The standard settings.
-fn brief(
+fn config(
     representation: Representation,
     lane: u32,
     episode: u64,
     set: Demonstrations,
-) -> MemoryBrief {
-    MemoryBrief {
+) -> MemoryEpisodeConfig {
+    MemoryEpisodeConfig {
         episode,
         lane,
         case: 0,
@@ -399,7 +399,7 @@ fn without_an_encoder_all_but_episodic_memory_is_served() {
     }
     let mut stage =
         Stage::with(&["--no-encoder".as_ref(), "--documents".as_ref(), folder.path().as_os_str()]);
-    assert_eq!(stage.hello(), BTreeMap::new());
+    assert_eq!(stage.handshake(), BTreeMap::new());
 
     let (warehouse, cases) = (Warehouse::shipped(), CaseSet::shipped().cases);
     let replay = cases[0].replay(&warehouse, Start::Original);
@@ -414,7 +414,7 @@ fn without_an_encoder_all_but_episodic_memory_is_served() {
         (4, Representation::Hybrid, vec![&summary, &semantic]),
         (5, Representation::Summary, vec![&summary]),
     ] {
-        stage.brief(brief(representation, 0, episode, original));
+        stage.config(config(representation, 0, episode, original));
         for step in 0..2 {
             stage.observe(Observation { episode, ..seen(step) });
             let (recall, trace) = stage.recall();
@@ -429,7 +429,7 @@ fn without_an_encoder_all_but_episodic_memory_is_served() {
 
     // Two lanes, each with trajectories of its own.
     for (lane, episode, set) in [(0, 6, original), (1, 7, Demonstrations::ALL)] {
-        stage.brief(brief(Representation::FullContext, lane, episode, set));
+        stage.config(config(Representation::FullContext, lane, episode, set));
         stage.observe(Observation { episode, lane, ..seen(0) });
         let (recall, _) = stage.recall();
         let named = stage.named(&recall);
@@ -456,11 +456,11 @@ fn without_an_encoder_all_but_episodic_memory_is_served() {
         assert_eq!(keyframes, steps.len().min(40));
     }
 
-    stage.brief(brief(Representation::Episodic, 0, 8, original));
-    let said = stage.complaint();
+    stage.config(config(Representation::Episodic, 0, 8, original));
+    let said = stage.error_report();
     assert!(said.starts_with("brief of episode 8: episodic memory compares views"), "{said}");
     stage.stop.send(&Stop { reserved: 0 }).unwrap();
-    stage.orchestrator.bell(Role::Memory).unwrap().ring().unwrap();
+    stage.orchestrator.notifier(Role::Memory).unwrap().notify().unwrap();
     assert!(stage.exit().success());
 }
 
@@ -479,10 +479,10 @@ fn without_its_document_a_memory_ends_the_run_and_says_what_makes_it() {
         (&[], "was started without --documents DIR"),
     ] {
         let mut stage = Stage::with(&[&["--no-encoder".as_ref()], arguments].concat());
-        stage.hello();
-        stage.brief(brief(Representation::Summary, 0, 1, Demonstrations::ALL));
+        stage.handshake();
+        stage.config(config(Representation::Summary, 0, 1, Demonstrations::ALL));
         stage.observe(Observation { episode: 1, ..seen });
-        let said = stage.complaint();
+        let said = stage.error_report();
         assert!(said.starts_with("the memory process cannot go on: summary memory: "), "{said}");
         assert!(said.contains(expected), "{said}");
         assert_eq!(stage.exit().code(), Some(2));

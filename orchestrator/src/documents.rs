@@ -16,9 +16,9 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
+use domain::DocumentKind;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
-use shm_types::message::DocumentKind;
 use warehouse::Demonstrations;
 
 use crate::conditions::Condition;
@@ -389,7 +389,7 @@ fn lock(folder: &Path, stop: &AtomicBool, tell: &mut dyn FnMut(Stage)) -> Result
 
 #[cfg(test)]
 mod tests {
-    use shm_types::Representation;
+    use domain::Representation;
 
     use super::*;
     use crate::conditions::{Route, Start, Variation};

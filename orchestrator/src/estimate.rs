@@ -7,7 +7,7 @@
 
 use std::collections::BTreeMap;
 
-use shm_types::representation::Trajectories;
+use domain::representation::Trajectories;
 
 use crate::conditions::Condition;
 use crate::documents::{DocumentName, needed};

@@ -2,8 +2,8 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use shm_types::representation::Trajectories;
-use shm_types::{Attach, Cell, Pose};
+use domain::{Cell, Pose, representation::Trajectories};
+use shm_types::Attach;
 use warehouse::{CaseSet, History, Warehouse};
 
 use crate::conditions::Route;
@@ -117,7 +117,7 @@ mod tests {
             prefix: "mt0_".to_owned(),
             generation: 1,
             orchestrator_pid: 1,
-            crew: Role::CREW.to_vec(),
+            participants: Role::CHILDREN.to_vec(),
             lanes: 4,
             window: 6,
             frame: FrameSize::DEFAULT,

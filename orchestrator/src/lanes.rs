@@ -13,11 +13,11 @@ use std::collections::BTreeMap;
 use std::fmt::Write as _;
 
 use bytemuck::Zeroable;
+use domain::{Action, Cell, Feedback, Outcome, Pose};
 use shm_types::message::{
-    Decision, FrameId, MemoryBrief, NO_ACTION, NO_FRAME, NOT_MEASURED, Observation, Outcome,
-    PolicyBrief, RecallTrace, Role, StepCommand, StepKind, WirePose, write_text,
+    Decision, FrameId, MemoryEpisodeConfig, NO_ACTION, NO_FRAME, NOT_MEASURED, Observation,
+    PolicyEpisodeConfig, RecallTrace, Role, StepCommand, StepKind, WirePose, write_text,
 };
-use shm_types::{Action, Cell, Feedback, Pose};
 use warehouse::{Case, CaseSet, Progress, Start, Variant, Warehouse, step};
 
 use crate::conditions::Route;
@@ -77,9 +77,9 @@ pub struct Spent {
 #[derive(Debug)]
 pub struct Opening {
     /// For the memory.
-    pub memory: MemoryBrief,
+    pub memory: MemoryEpisodeConfig,
     /// For the policy.
-    pub policy: PolicyBrief,
+    pub policy: PolicyEpisodeConfig,
     /// For the simulator.
     pub command: StepCommand,
 }
@@ -198,7 +198,7 @@ impl<'w> Lanes<'w> {
         let mut walk = self.set_out(lane, episode);
         let episode = &walk.walked.episode;
         let condition = episode.key.condition;
-        let mut policy = PolicyBrief {
+        let mut policy = PolicyEpisodeConfig {
             episode: walk.ticket,
             seed: episode.seed,
             lane: lane as u32,
@@ -210,7 +210,7 @@ impl<'w> Lanes<'w> {
         let instruction = task.instruction(&self.warehouse.catalogue);
         policy.instruction_len = write_text(&mut policy.instruction, &instruction);
         let opening = Opening {
-            memory: MemoryBrief {
+            memory: MemoryEpisodeConfig {
                 episode: walk.ticket,
                 lane: lane as u32,
                 case: episode.case_index as u32,
@@ -618,7 +618,7 @@ impl Walk {
 /// What was decided: an action, or that an answer could not be read.
 fn read_answer(decision: &Decision) -> Result<Result<Action, Outcome>, Fault> {
     let &Decision { lane, step, outcome, action, .. } = decision;
-    let garbage = |error: shm_types::pose::UnknownCode| {
+    let garbage = |error: domain::pose::UnknownCode| {
         let what = error.to_string();
         Fault::Garbage { role: Role::Policy, lane, step, what }
     };

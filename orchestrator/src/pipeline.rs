@@ -18,7 +18,7 @@ use std::time::Duration;
 
 use anyhow::{Result, bail};
 use shm_types::Attach;
-use shm_types::message::{Farewell, Pulse, Role};
+use shm_types::message::{Heartbeat, Role, ShutdownReport};
 
 use crate::lanes::{Lanes, Owed, Spent, Stamps, Walked};
 use crate::plan::Episode;
@@ -71,7 +71,7 @@ pub trait Observer {
         Ok(())
     }
     /// A process told what it is at, as it does about once a second.
-    fn pulse(&mut self, _role: Role, _pulse: &Pulse) {}
+    fn heartbeat(&mut self, _role: Role, _heartbeat: &Heartbeat) {}
     /// The answers that are owed now. Called some times a second.
     fn waiting(&mut self, _owed: &[Owed]) {}
     /// `steps` steps were taken since the last call. Called at least a few times a second.
@@ -90,7 +90,7 @@ pub struct Ending {
     /// Episodes that could not be finished, and why.
     pub unfinished: Vec<(Episode, String)>,
     /// What the last generation did with frames, by process.
-    pub farewells: BTreeMap<Role, Farewell>,
+    pub shutdown_reports: BTreeMap<Role, ShutdownReport>,
 }
 
 /// Why a generation ended before its work was done.
@@ -139,7 +139,7 @@ fn walk_generations(
 ) -> Result<Ending> {
     let mut work = Work::new(episodes);
     let mut halted = None;
-    let mut farewells = BTreeMap::new();
+    let mut shutdown_reports = BTreeMap::new();
     let mut failures = 0;
     let mut attach = attach.clone();
     while !work.is_done() && halted.is_none() && !stop.load(Ordering::Relaxed) {
@@ -158,7 +158,7 @@ fn walk_generations(
         let under_way = lanes.abandon();
         let why = match outcome {
             Ok(said) => {
-                farewells = said;
+                shutdown_reports = said;
                 // Whoever asked to stop knows what is left.
                 work.failed(under_way);
                 continue;
@@ -204,6 +204,6 @@ fn walk_generations(
         interrupted: stop.load(Ordering::Relaxed) && !work.is_done(),
         halted,
         unfinished: work.into_unfinished(),
-        farewells,
+        shutdown_reports,
     })
 }

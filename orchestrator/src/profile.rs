@@ -184,7 +184,7 @@ impl Profile {
 
 #[cfg(test)]
 pub(crate) mod tests {
-    use shm_types::Representation;
+    use domain::Representation;
 
     use super::recorder::{Part, StepKind, Times};
     use super::*;

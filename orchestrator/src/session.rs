@@ -6,7 +6,7 @@ use std::path::Path;
 
 use anyhow::Result;
 use shm_types::ATTACH_VARIABLE;
-use shm_types::message::{Farewell, Pulse, Role};
+use shm_types::message::{Heartbeat, Role, ShutdownReport};
 use shm_types::process::monotonic_ns;
 
 use crate::budget::Budget;
@@ -78,7 +78,7 @@ impl<'a> Session<'a> {
     pub fn end(mut self, outcome: &Result<Ending>, reason: &str) -> Result<()> {
         let session = self.folder.session();
         let mut errors = 0;
-        let mut farewells = BTreeMap::new();
+        let mut shutdown_reports = BTreeMap::new();
         if let Ok(ending) = outcome {
             for (episode, why) in &ending.unfinished {
                 let (key, error) = (episode.key.to_string(), why.clone());
@@ -86,8 +86,11 @@ impl<'a> Session<'a> {
                 self.progress.errored();
                 errors += 1;
             }
-            farewells =
-                ending.farewells.iter().map(|(role, said)| said_about(*role, said)).collect();
+            shutdown_reports = ending
+                .shutdown_reports
+                .iter()
+                .map(|(role, said)| said_about(*role, said))
+                .collect();
         }
         if self.troubles > TROUBLES_SAID {
             let more = self.troubles - TROUBLES_SAID;
@@ -100,7 +103,7 @@ impl<'a> Session<'a> {
             eprintln!("trace: {} (open it with https://ui.perfetto.dev)", path.display());
         }
         let (finished, reason) = (self.finished, reason.to_owned());
-        Ok(self.folder.note(SessionEvent::Ended { finished, errors, reason, farewells })?)
+        Ok(self.folder.note(SessionEvent::Ended { finished, errors, reason, shutdown_reports })?)
     }
 }
 
@@ -182,8 +185,8 @@ impl Observer for Session<'_> {
         self.trace.as_mut().map_or(Ok(()), |trace| trace.step(stamps))
     }
 
-    fn pulse(&mut self, role: Role, pulse: &Pulse) {
-        self.status.pulse(role, pulse);
+    fn heartbeat(&mut self, role: Role, heartbeat: &Heartbeat) {
+        self.status.heartbeat(role, heartbeat);
     }
 
     fn waiting(&mut self, owed: &[Owed]) {
@@ -205,13 +208,13 @@ impl Observer for Session<'_> {
     }
 }
 
-fn said_about(role: Role, said: &Farewell) -> (String, BTreeMap<String, u64>) {
+fn said_about(role: Role, said: &ShutdownReport) -> (String, BTreeMap<String, u64>) {
     let counts = [
         ("frames_rendered", said.frames_rendered),
         ("frames_evicted", said.frames_evicted),
-        ("frames_held", said.frames_held),
+        ("frames_held", said.frames_received),
         ("pixel_bytes_copied", said.pixel_bytes_copied),
-        ("complaints", said.complaints),
+        ("complaints", said.error_reports),
     ];
     let counts = counts.into_iter().map(|(what, count)| (what.to_owned(), count));
     (role.word().to_owned(), counts.collect())

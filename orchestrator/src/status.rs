@@ -7,9 +7,9 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result};
+use domain::Representation;
 use serde::{Deserialize, Serialize};
-use shm_types::Representation;
-use shm_types::message::{Pulse, Role};
+use shm_types::message::{Heartbeat, Role};
 
 use crate::lanes::{Owed, Stamps};
 use crate::latency::{Latency, Summary};
@@ -45,15 +45,15 @@ pub struct Status {
 /// What a process told.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub struct Process {
-    /// As [`Pulse::done`]: views drawn, images embedded, requests answered.
+    /// As [`Heartbeat::done`]: views drawn, images embedded, requests answered.
     pub done: u64,
     /// The same, a second.
     pub done_per_s: f64,
-    /// As [`Pulse::waiting`].
+    /// As [`Heartbeat::waiting`].
     pub waiting: u64,
-    /// As [`Pulse::held`]: frames.
+    /// As [`Heartbeat::held`]: frames.
     pub held: u64,
-    /// As [`Pulse::room`].
+    /// As [`Heartbeat::room`].
     pub room: u64,
 }
 
@@ -97,7 +97,7 @@ pub struct StatusFile {
     path: PathBuf,
     status: Status,
     latency: Latency,
-    pulses: BTreeMap<Role, (Instant, Pulse)>,
+    heartbeats: BTreeMap<Role, (Instant, Heartbeat)>,
     began: Instant,
     written: (Instant, u64),
 }
@@ -111,7 +111,7 @@ impl StatusFile {
             path: run.join(STATUS_FILE),
             status: Status { pid, lanes, episodes: (episodes, 0), ..Status::default() },
             latency: Latency::default(),
-            pulses: BTreeMap::new(),
+            heartbeats: BTreeMap::new(),
             began: now,
             written: (now, 0),
         }
@@ -124,10 +124,10 @@ impl StatusFile {
     }
 
     /// A process told what it is at.
-    pub fn pulse(&mut self, role: Role, pulse: &Pulse) {
+    pub fn heartbeat(&mut self, role: Role, heartbeat: &Heartbeat) {
         let now = Instant::now();
-        let Pulse { done, waiting, held, room, .. } = *pulse;
-        let before = self.pulses.insert(role, (now, *pulse));
+        let Heartbeat { done, waiting, held, room, .. } = *heartbeat;
+        let before = self.heartbeats.insert(role, (now, *heartbeat));
         let done_per_s = before.map_or(0.0, |(when, before)| {
             done.saturating_sub(before.done) as f64 / (now - when).as_secs_f64().max(1e-3)
         });
@@ -192,8 +192,8 @@ mod tests {
         file.written.0 -= INTERVAL;
         file.stepped(&Stamps::none(1, 0, Representation::Working));
         file.waiting(&[Owed { role: Role::Sim, lane: 3, since_ns: 0, rubbish: 0 }]);
-        let pulse = Pulse { held: 7, room: 9, ..bytemuck::Zeroable::zeroed() };
-        file.pulse(Role::Sim, &pulse);
+        let heartbeat = Heartbeat { held: 7, room: 9, ..bytemuck::Zeroable::zeroed() };
+        file.heartbeat(Role::Sim, &heartbeat);
         file.tick(40);
         let status = Status::read(run.path()).unwrap().unwrap();
         assert_eq!((status.episodes, status.steps, status.lanes), ((100, 40), 1, 8));

@@ -185,7 +185,7 @@ fn role_of(path: &Path) -> Option<Role> {
 
 #[cfg(test)]
 mod tests {
-    use shm_types::Representation;
+    use domain::Representation;
     use shm_types::spans::spans_file;
 
     use super::*;

@@ -2,15 +2,15 @@
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use bytemuck::Zeroable;
+use domain::{Action, Feedback, Outcome, Pose, Representation};
 use orchestrator::conditions::{Condition, Demonstrations, Route, Start, Variation};
 use orchestrator::lanes::{Fault, Lanes, Opening, Rules, Turn, Walked};
 use orchestrator::log::Ending;
 use orchestrator::plan::{Episode, EpisodeKey};
 use shm_types::message::{
-    Decision, MemoryBrief, NOT_MEASURED, Observation, Outcome, RecallTrace, Role, StepCommand,
+    Decision, MemoryEpisodeConfig, NOT_MEASURED, Observation, RecallTrace, Role, StepCommand,
     StepKind,
 };
-use shm_types::{Action, Feedback, Pose, Representation};
 use warehouse::{CaseSet, History, Mixture, Variant, Warehouse, step};
 
 const RULES: Rules = Rules { horizon: 6, keyframes: 40, max_steps: 200, expert: false };
@@ -113,7 +113,7 @@ fn walk_remembering(
     let mut lanes = Lanes::new(&warehouse, &cases, rules, 1);
     let opening = lanes.begin(0, episode);
     let mut sim =
-        Sim { warehouse: &warehouse, cases: &cases, pose: Pose::new(0, 0, shm_types::Heading::N) };
+        Sim { warehouse: &warehouse, cases: &cases, pose: Pose::new(0, 0, domain::Heading::N) };
     let mut command = opening.command;
     loop {
         let observation = sim.observe(&command);
@@ -240,8 +240,9 @@ fn what_an_episode_is_given_follows_from_its_own_condition() {
         let key = EpisodeKey { condition, run: 1, case };
         let opening = lanes.begin(0, Episode { key, case_index: 3, seed: 7 });
         lanes.give_up(0);
-        let MemoryBrief { representation, demonstrations, window, horizon, .. } = opening.memory;
-        let MemoryBrief { keyframes, segment, case, .. } = opening.memory;
+        let MemoryEpisodeConfig { representation, demonstrations, window, horizon, .. } =
+            opening.memory;
+        let MemoryEpisodeConfig { keyframes, segment, case, .. } = opening.memory;
         assert_eq!((case, horizon, keyframes), (3, 6, 40));
         let hinted = opening.policy.starts_as_demonstrated;
         let representation = Representation::try_from(representation).unwrap();
@@ -283,7 +284,7 @@ fn two_lanes<'w>(
     let mut lanes = Lanes::new(warehouse, cases, RULES, 2);
     let opening = lanes.begin(0, episode(cases, 0, Start::Original, Route::Unchanged));
     lanes.begin(1, episode(cases, 1, Start::Original, Route::Unchanged));
-    let mut sim = Sim { warehouse, cases, pose: Pose::new(0, 0, shm_types::Heading::N) };
+    let mut sim = Sim { warehouse, cases, pose: Pose::new(0, 0, domain::Heading::N) };
     let observation = sim.observe(&opening.command);
     (lanes, opening, observation)
 }

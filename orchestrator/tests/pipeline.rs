@@ -10,15 +10,17 @@ use std::time::Duration;
 
 use anyhow::Result;
 use bytemuck::Zeroable;
+use domain::{Action, Feedback, Pose, Representation};
 use orchestrator::conditions::{Condition, Demonstrations, Route, Start, Variation};
 use orchestrator::lanes::{Lanes, Rules, Spent, Walked};
 use orchestrator::pipeline::{Crewing, Ending, Facts, Observer, walk};
 use orchestrator::plan::plan;
 use shm_types::message::{
-    Decision, Farewell, Hello, MemoryBrief, NOT_MEASURED, Observation, PolicyBrief, Recall,
-    RecallTrace, Role, StepCommand, StepKind, Stop, WIRE_VERSION, write_text,
+    Decision, Handshake, MemoryEpisodeConfig, NOT_MEASURED, Observation, PolicyEpisodeConfig,
+    Recall, RecallTrace, Role, ShutdownReport, StepCommand, StepKind, Stop, WIRE_VERSION,
+    write_text,
 };
-use shm_types::{Action, Attach, Bell, Bus, Feedback, FrameSize, Pose, Representation, RunDir};
+use shm_types::{Attach, Bus, FrameSize, Notifier, RunDir};
 use supervise::Launch;
 use warehouse::{CaseSet, Variant, Warehouse, step};
 
@@ -28,16 +30,16 @@ const MAX_STEPS: u32 = 10;
 /// The case whose episode the policy spoils.
 const VICTIM: usize = 2;
 
-fn hello(role: Role) -> Hello {
-    let mut hello = Hello {
+fn handshake(role: Role) -> Handshake {
+    let mut handshake = Handshake {
         wire_version: WIRE_VERSION,
         role: role as u32,
         pid: std::process::id(),
         facts_len: 0,
         facts: [0; 496],
     };
-    hello.facts_len = write_text(&mut hello.facts, "{\"kind\": \"scripted\"}");
-    hello
+    handshake.facts_len = write_text(&mut handshake.facts, "{\"kind\": \"scripted\"}");
+    handshake
 }
 
 /// A run as a peer sees it.
@@ -54,21 +56,22 @@ fn peer(run: &Run<'_>, role: Role, mut turn: impl FnMut(&Bus, &dyn Fn(Role))) {
     let bus = Bus::join(attach.clone(), role).unwrap();
     let stops = bus.receiver::<Stop>().unwrap();
     let others = Role::ALL.iter().filter(|other| **other != role);
-    let bells: BTreeMap<Role, Bell> = others.map(|&of| (of, bus.bell(of).unwrap())).collect();
-    let ring = |of: Role| bells[&of].ring().unwrap();
+    let notifiers: BTreeMap<Role, Notifier> =
+        others.map(|&of| (of, bus.notifier(of).unwrap())).collect();
+    let ring = |of: Role| notifiers[&of].notify().unwrap();
     // Receivers have to be there before anybody is told so.
     turn(&bus, &ring);
-    bus.sender().unwrap().send(&hello(role)).unwrap();
+    bus.sender().unwrap().send(&handshake(role)).unwrap();
     ring(Role::Orchestrator);
     while stops.next().unwrap().is_none() {
         if over.load(Ordering::Relaxed) {
             return;
         }
-        bus.doorbell().wait(TICK).unwrap();
+        bus.listener().wait(TICK).unwrap();
         turn(&bus, &ring);
     }
-    let farewell = Farewell { role: role as u32, ..Zeroable::zeroed() };
-    bus.sender().unwrap().send(&farewell).unwrap();
+    let shutdown_report = ShutdownReport { role: role as u32, ..Zeroable::zeroed() };
+    bus.sender().unwrap().send(&shutdown_report).unwrap();
     ring(Role::Orchestrator);
 }
 
@@ -114,10 +117,10 @@ fn sim(run: &Run<'_>) {
 fn memory(run: &Run<'_>) {
     let mut ports = None;
     peer(run, Role::Memory, |bus, ring| {
-        let (briefs, observations) = ports.get_or_insert_with(|| {
-            (bus.receiver::<MemoryBrief>().unwrap(), bus.receiver::<Observation>().unwrap())
+        let (configs, observations) = ports.get_or_insert_with(|| {
+            (bus.receiver::<MemoryEpisodeConfig>().unwrap(), bus.receiver::<Observation>().unwrap())
         });
-        briefs.drain().unwrap();
+        configs.drain().unwrap();
         for Observation { episode, lane, step, last, .. } in observations.drain().unwrap() {
             if last == 1 {
                 continue;
@@ -140,19 +143,19 @@ fn policy(run: &Run<'_>, spoil: fn(Decision) -> Decision) {
     let mut ports = None;
     let mut victims = Vec::new();
     peer(run, Role::Policy, |bus, ring| {
-        let (briefs, observations, recalls) = ports.get_or_insert_with(|| {
+        let (configs, observations, recalls) = ports.get_or_insert_with(|| {
             let observations = bus.receiver::<Observation>().unwrap();
             (
-                bus.receiver::<PolicyBrief>().unwrap(),
+                bus.receiver::<PolicyEpisodeConfig>().unwrap(),
                 observations,
                 bus.receiver::<Recall>().unwrap(),
             )
         });
         let recalls = recalls.drain().unwrap();
         observations.drain().unwrap();
-        for brief in briefs.drain().unwrap() {
-            if brief.instruction.starts_with(instruction.as_bytes()) {
-                victims.push(brief.episode);
+        for config in configs.drain().unwrap() {
+            if config.instruction.starts_with(instruction.as_bytes()) {
+                victims.push(config.episode);
             }
         }
         for Recall { episode, lane, step, .. } in recalls {
@@ -206,7 +209,7 @@ fn run(spoil: fn(Decision) -> Decision) -> (Seen, Ending) {
     let base = tempfile::Builder::new().prefix("mt").tempdir_in("/tmp").unwrap();
     let dir = RunDir::create(base.path()).unwrap();
     let frame = FrameSize { width: 64, height: 64 };
-    let attach = Attach { frame, lanes: LANES, frame_capacity: 32, ..Attach::new(&dir) };
+    let attach = Attach { frame, lanes: LANES, frame_capacity: 32, ..dir.attach() };
     let (warehouse, cases) = (Warehouse::shipped(), CaseSet::shipped());
     let ids: Vec<&str> = cases.cases.iter().map(|case| case.id.as_str()).collect();
     let condition = Condition {
@@ -266,7 +269,7 @@ fn peers_that_behave_finish_everything() {
     assert_eq!(seen.finished, [0, 1, 2, 3, 4, 5, 6, 7]);
     assert_eq!((seen.troubles, seen.steps), (vec![], 8 * u64::from(MAX_STEPS)));
     assert!(ending.unfinished.is_empty() && !ending.interrupted);
-    assert_eq!(ending.farewells.len(), 3);
+    assert_eq!(ending.shutdown_reports.len(), 3);
 }
 
 #[test]

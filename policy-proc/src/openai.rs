@@ -11,13 +11,13 @@
 mod images;
 mod usage;
 
+use domain::prompt_log::{Exchange, Message, Part, hex};
 use shm_types::process::monotonic_ns;
-use shm_types::prompts::{Exchange, Message, Part, hex};
 
 use crate::chat::{Asked, Job, Outcome, Pool, PoolError, Question, Reply};
 use crate::prompt::answer::{Unread, read_answer, read_cut_off};
 use crate::prompt::{self, PartContent, Prompt};
-use crate::{Answer, Answers, Decider, Decision, Request, ServeError, Ticket, Usage};
+use crate::{Answer, Answers, Decider, Decision, Request, RequestId, ServeError, Usage};
 use images::Images;
 use usage::Shares;
 
@@ -81,7 +81,7 @@ impl Decider for Openai {
         let prompts: Vec<_> = batch.iter().map(|request| Prompt::new(request, budget)).collect();
         let urls = self.images.urls(prompts.iter().flat_map(Prompt::views));
         for (request, prompt) in batch.iter().zip(prompts) {
-            let ticket = request.ticket();
+            let ticket = request.id();
             if let Some(view) = prompt.views().find(|view| !urls.contains_key(&view.content_hash)) {
                 answers.fail(ticket, format!("{view:?} cannot be encoded as an image"));
                 continue;
@@ -107,7 +107,7 @@ impl Decider for Openai {
 
 /// A request that the pool has.
 struct Pending {
-    ticket: Ticket,
+    ticket: RequestId,
     /// Images that are sent.
     images: u32,
     shares: Shares,
@@ -140,7 +140,7 @@ impl Pending {
             }
             Err(why) => {
                 record(Some(&reply), Some(why.to_string()));
-                let Ticket { lane, step, .. } = ticket;
+                let RequestId { lane, step, .. } = ticket;
                 tracing::debug!(lane, step, %why, "the answer is none: {:?}", reply.outcome);
                 why.answer()
             }
@@ -190,7 +190,7 @@ fn said(reply: &Reply) -> String {
 ///
 /// # Errors
 /// When it names none; the error says why.
-pub fn judge(reply: &Reply) -> Result<shm_types::Action, Unread> {
+pub fn judge(reply: &Reply) -> Result<domain::Action, Unread> {
     match &reply.outcome {
         Outcome::Text(text) => read_answer(text),
         Outcome::Length(text) => read_cut_off(text),

@@ -1,8 +1,8 @@
 //! The random policy: the lower end of the scale.
 
+use domain::Action;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
-use shm_types::Action;
 
 use crate::{Decision, Policy, Request};
 

@@ -8,6 +8,7 @@ use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
 use bytemuck::Zeroable;
+use domain::{Action, Feedback, Heading, Outcome, Pose};
 use policy_proc::chat::scripted::{Received, Server, Turn, completion};
 use policy_proc::chat::{Client, Endpoint, Pool, PoolSettings, ResponseCache, Settings};
 use policy_proc::openai::{self, ImageFormat, Openai};
@@ -15,12 +16,12 @@ use policy_proc::{ServeError, serve};
 use serde_json::{Value, json};
 use shm_types::documents::Content;
 use shm_types::message::{
-    self, Complaint, ComplaintKind, FrameId, Hello, NOT_MEASURED, Observation, Outcome,
-    PolicyBrief, Recall, Role, Stop, WirePose, read_text, write_text,
+    self, ErrorReport, ErrorReportKind, FrameId, Handshake, NOT_MEASURED, Observation,
+    PolicyEpisodeConfig, Recall, Role, Stop, WirePose, read_text, write_text,
 };
 use shm_types::{
-    Action, Attach, Bell, Bus, DocumentPublisher, Feedback, FramePublisher, FrameSize, FrameStore,
-    Heading, Pose, Receiver, RunDir, Sender,
+    Attach, Bus, DocumentPublisher, FramePublisher, FrameSize, FrameStore, Notifier, Receiver,
+    RunDir, Sender,
 };
 use tempfile::TempDir;
 
@@ -31,13 +32,13 @@ const PATIENCE: Duration = Duration::from_secs(60);
 /// its folder.
 struct Bench {
     orchestrator: Bus,
-    briefs: Sender<PolicyBrief>,
+    configs: Sender<PolicyEpisodeConfig>,
     observations: Sender<Observation>,
     recalls: Sender<Recall>,
     stops: Sender<Stop>,
     decisions: Receiver<message::Decision>,
-    complaints: Receiver<Complaint>,
-    policy: Bell,
+    error_reports: Receiver<ErrorReport>,
+    policy: Notifier,
     frames: FramePublisher,
     documents: DocumentPublisher,
     /// Others who see the observations, and have to take them.
@@ -82,16 +83,16 @@ impl Bench {
         let base = tempfile::Builder::new().prefix("mt").tempdir_in("/tmp").unwrap();
         let run = RunDir::create(base.path()).unwrap();
         let frame = FrameSize { width: 64, height: 64 };
-        let attach = Attach { frame, frame_capacity: 64, lanes: LANES, ..Attach::new(&run) };
+        let attach = Attach { frame, frame_capacity: 64, lanes: LANES, ..run.attach() };
         attach.write(run.path()).unwrap();
         let bus = |role| Bus::join(attach.clone(), role).unwrap();
         let (orchestrator, sim, memory) =
             (bus(Role::Orchestrator), bus(Role::Sim), bus(Role::Memory));
-        let hellos = orchestrator.receiver::<Hello>().unwrap();
-        let (decisions, complaints) =
+        let handshakes = orchestrator.receiver::<Handshake>().unwrap();
+        let (decisions, error_reports) =
             (orchestrator.receiver().unwrap(), orchestrator.receiver().unwrap());
         let others = (
-            orchestrator.receiver::<message::Farewell>().unwrap(),
+            orchestrator.receiver::<message::ShutdownReport>().unwrap(),
             FrameStore::new(&memory).unwrap(),
             memory.receiver::<Stop>().unwrap(),
             sim.receiver::<Stop>().unwrap(),
@@ -99,20 +100,20 @@ impl Bench {
         let observers = [orchestrator.receiver().unwrap(), memory.receiver().unwrap()];
         let path = run.path().to_owned();
         let serving = thread::spawn(move || serve(&mut policy, &path));
-        let hello = within_patience(&orchestrator, || hellos.next().unwrap());
+        let handshake = within_patience(&orchestrator, || handshakes.next().unwrap());
         Self {
-            briefs: orchestrator.sender().unwrap(),
+            configs: orchestrator.sender().unwrap(),
             observations: sim.sender().unwrap(),
             recalls: memory.sender().unwrap(),
             stops: orchestrator.sender().unwrap(),
             decisions,
-            complaints,
-            policy: orchestrator.bell(Role::Policy).unwrap(),
+            error_reports,
+            policy: orchestrator.notifier(Role::Policy).unwrap(),
             frames: FramePublisher::new(&sim).unwrap(),
             documents: DocumentPublisher::new(&memory).unwrap(),
             observers,
             _others: Box::new((others, sim, memory)),
-            facts: read_text(&hello.facts, hello.facts_len).unwrap().to_owned(),
+            facts: read_text(&handshake.facts, handshake.facts_len).unwrap().to_owned(),
             serving,
             server,
             _run: run,
@@ -131,9 +132,9 @@ impl Bench {
     /// An episode in `lane`, which is told to find an item that bears the lane's number.
     fn begin(&self, lane: u32) {
         let episode = episode(lane);
-        let mut brief = PolicyBrief { lane, episode, repeat: 1, ..Zeroable::zeroed() };
-        brief.instruction_len = write_text(&mut brief.instruction, &format!("Find item {lane}."));
-        self.briefs.send(&brief).unwrap();
+        let mut config = PolicyEpisodeConfig { lane, episode, repeat: 1, ..Zeroable::zeroed() };
+        config.instruction_len = write_text(&mut config.instruction, &format!("Find item {lane}."));
+        self.configs.send(&config).unwrap();
     }
 
     /// Shows `lane` its step with `recall`.
@@ -155,8 +156,8 @@ impl Bench {
         self.recalls.send(&Recall { lane, episode, step, ..recall }).unwrap();
     }
 
-    fn ring(&self) {
-        self.policy.ring().unwrap();
+    fn notify(&self) {
+        self.policy.notify().unwrap();
     }
 
     fn decisions(&self, count: usize) -> Vec<message::Decision> {
@@ -172,15 +173,16 @@ impl Bench {
         all
     }
 
-    fn complaint(&self) -> (u32, u32, String) {
-        let complaint = within_patience(&self.orchestrator, || self.complaints.next().unwrap());
-        let text = read_text(&complaint.text, complaint.text_len).unwrap().to_owned();
-        (complaint.kind, complaint.lane, text)
+    fn error_report(&self) -> (u32, u32, String) {
+        let error_report =
+            within_patience(&self.orchestrator, || self.error_reports.next().unwrap());
+        let text = read_text(&error_report.text, error_report.text_len).unwrap().to_owned();
+        (error_report.kind, error_report.lane, text)
     }
 
     fn stop(self) {
         self.stops.send(&Stop::zeroed()).unwrap();
-        self.ring();
+        self.notify();
         self.serving.join().unwrap().unwrap();
     }
 }
@@ -201,7 +203,7 @@ fn within_patience<T>(bus: &Bus, mut look: impl FnMut() -> Option<T>) -> T {
             return found;
         }
         assert!(Instant::now() < deadline, "nothing came");
-        bus.doorbell().wait(Duration::from_millis(100)).unwrap();
+        bus.listener().wait(Duration::from_millis(100)).unwrap();
     }
 }
 
@@ -247,7 +249,7 @@ fn requests_of_all_lanes_are_in_flight_at_once_and_answered_out_of_order() {
         bench.begin(lane);
         bench.step(lane, 0, frame, no_memory());
     }
-    bench.ring();
+    bench.notify();
     let decisions = bench.decisions(LANES as usize);
     for (decision, lane) in decisions.iter().zip(0..) {
         assert_eq!((decision.lane, decision.episode), (lane, episode(lane)));
@@ -300,7 +302,7 @@ fn what_is_no_action_is_told_apart() {
         bench.begin(lane);
         bench.step(lane, 0, frame, no_memory());
     }
-    bench.ring();
+    bench.notify();
     let outcomes: Vec<_> = bench.decisions(6).iter().map(|d| (d.lane, d.outcome)).collect();
     let expected = [
         (0, Outcome::Unreadable),
@@ -312,8 +314,8 @@ fn what_is_no_action_is_told_apart() {
     ];
     assert_eq!(outcomes, expected.map(|(lane, outcome)| (lane, outcome as u8)));
     // A server that does not take the request is no fault of the model.
-    let (kind, lane, text) = bench.complaint();
-    assert_eq!((kind, lane), (ComplaintKind::Episode as u32, 5));
+    let (kind, lane, text) = bench.error_report();
+    assert_eq!((kind, lane), (ErrorReportKind::Episode as u32, 5));
     assert!(text.contains("status 400: at most 1 image"), "{text}");
     bench.stop();
 }
@@ -341,7 +343,7 @@ fn images_are_kept_to_the_budget() {
         bench.begin(lane);
         bench.step(lane, 0, frames[3], recall);
     }
-    bench.ring();
+    bench.notify();
     for decision in bench.decisions(2) {
         assert_eq!((decision.images_asked, decision.images), (5, 3));
         // All retrieved views are left out, so memory is a share of the text alone.
@@ -377,7 +379,7 @@ fn without_images_a_model_gets_plain_text_and_memory_its_share() {
     recall.documents[0] = document;
     bench.begin(3);
     bench.step(3, 0, frame, recall);
-    bench.ring();
+    bench.notify();
     let decision = bench.decisions(1)[0];
     assert_eq!((decision.images_asked, decision.images), (1, 0));
     assert_eq!((decision.prompt_tokens, decision.cached_tokens), (1000, 600));
@@ -402,7 +404,7 @@ fn one_request_that_hangs_holds_up_nobody() {
     bench.step(0, 0, frame, no_memory());
     for step in 0..5 {
         (1..LANES).for_each(|lane| bench.step(lane, step, frame, no_memory()));
-        bench.ring();
+        bench.notify();
         let decisions = bench.decisions(LANES as usize - 1);
         assert!(decisions.iter().all(|d| d.lane != 0 && d.step == step));
     }
@@ -419,23 +421,23 @@ fn a_reply_that_is_known_costs_nothing_and_each_repetition_has_its_own() {
     bench.begin(1);
     for step in 0..2 {
         bench.step(1, step, frame, no_memory());
-        bench.ring();
+        bench.notify();
         let decision = bench.decisions(1)[0];
         let known = step == 1;
         assert_eq!((decision.replayed == 1, decision.attempts), (known, u32::from(!known)));
         assert_eq!(decision.sent_ns == 0, known);
         assert_eq!(decision.action, Action::TurnRight as u8);
     }
-    let mut brief = PolicyBrief { lane: 1, episode: 999, repeat: 2, ..Zeroable::zeroed() };
-    brief.instruction_len = write_text(&mut brief.instruction, "Find item 1.");
-    bench.briefs.send(&brief).unwrap();
+    let mut config = PolicyEpisodeConfig { lane: 1, episode: 999, repeat: 2, ..Zeroable::zeroed() };
+    config.instruction_len = write_text(&mut config.instruction, "Find item 1.");
+    bench.configs.send(&config).unwrap();
     let pose = WirePose::from(Pose::new(3, 4, Heading::E));
     let feedback = Feedback::Moved as u8;
     let observation =
         Observation { lane: 1, episode: 999, frame, pose, feedback, ..Zeroable::zeroed() };
     bench.observations.send(&observation).unwrap();
     bench.recalls.send(&Recall { lane: 1, episode: 999, ..no_memory() }).unwrap();
-    bench.ring();
+    bench.notify();
     assert_eq!(bench.decisions(1)[0].replayed, 0);
     assert_eq!(bench.server.received().len(), 2);
     bench.stop();
@@ -448,9 +450,9 @@ fn a_server_that_is_gone_stops_the_run() {
     let frame = bench.publish(9);
     bench.begin(0);
     bench.step(0, 0, frame, no_memory());
-    bench.ring();
-    let (kind, _, text) = bench.complaint();
-    assert_eq!(kind, ComplaintKind::Run as u32, "{text}");
+    bench.notify();
+    let (kind, _, text) = bench.error_report();
+    assert_eq!(kind, ErrorReportKind::Run as u32, "{text}");
     assert!(text.contains("401"), "{text}");
     bench.stop();
 }

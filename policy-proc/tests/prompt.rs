@@ -10,6 +10,7 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
+use domain::{Action, DocumentKind, Feedback, Heading, Pose};
 use policy_proc::chat::{Content, Part};
 use policy_proc::prompt::{PartContent, Prompt, Section, image_name};
 use policy_proc::{
@@ -17,8 +18,6 @@ use policy_proc::{
 };
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
-use shm_types::message::DocumentKind;
-use shm_types::{Action, Feedback, Heading, Pose};
 
 /// A file.
 #[derive(Serialize, Deserialize)]

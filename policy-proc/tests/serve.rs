@@ -10,20 +10,23 @@ use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
 use bytemuck::Zeroable;
+use domain::{
+    Action, Feedback, Heading, Outcome, Pose,
+    prompt_log::{Entry, Exchange, Message, Part, entries_file, hex, session_folder},
+};
 use policy_proc::random::Random;
 use policy_proc::{
-    Answer, Answers, Decider, Decision, Policy, Request, ServeError, Ticket, Usage, serve,
+    Answer, Answers, Decider, Decision, Policy, Request, RequestId, ServeError, Usage, serve,
 };
 use shm_types::documents::Content;
 use shm_types::message::{
-    self, Complaint, ComplaintKind, Eviction, Farewell, FrameId, Hello, NO_ACTION, NO_FRAME,
-    Observation, Outcome, PolicyBrief, Recall, Role, Stop, TrajectoryStep, WirePose, read_text,
-    write_text,
+    self, ErrorReport, ErrorReportKind, Eviction, FrameId, Handshake, NO_ACTION, NO_FRAME,
+    Observation, PolicyEpisodeConfig, Recall, Role, ShutdownReport, Stop, TrajectoryStep, WirePose,
+    read_text, write_text,
 };
-use shm_types::prompts::{Entry, Exchange, Message, Part, entries_file, hex, session_folder};
 use shm_types::{
-    Action, Attach, Bell, Bus, DocumentPublisher, Feedback, FramePublisher, FrameSize, FrameStore,
-    Heading, Pose, Receiver, RunDir, Sender,
+    Attach, Bus, DocumentPublisher, FramePublisher, FrameSize, FrameStore, Notifier, Receiver,
+    RunDir, Sender,
 };
 use tempfile::TempDir;
 
@@ -32,20 +35,20 @@ const PATIENCE: Duration = Duration::from_secs(60);
 /// Everybody but the policy. Fields are dropped in order: the run before its folder.
 struct Peers {
     orchestrator: Bus,
-    briefs: Sender<PolicyBrief>,
+    configs: Sender<PolicyEpisodeConfig>,
     observations: Sender<Observation>,
     recalls: Sender<Recall>,
     evictions: Sender<Eviction>,
     stops: Sender<Stop>,
     decisions: Receiver<message::Decision>,
-    complaints: Receiver<Complaint>,
-    farewells: Receiver<Farewell>,
-    policy: Bell,
+    error_reports: Receiver<ErrorReport>,
+    shutdown_reports: Receiver<ShutdownReport>,
+    policy: Notifier,
     frames: FramePublisher,
     documents: DocumentPublisher,
     /// Receivers that must be there for anything to be delivered.
     _others: Box<dyn Any>,
-    hello: Hello,
+    handshake: Handshake,
     serving: JoinHandle<Result<(), ServeError>>,
     _run: RunDir,
     _base: TempDir,
@@ -62,13 +65,13 @@ impl Peers {
         let base = tempfile::Builder::new().prefix("mt").tempdir_in("/tmp").unwrap();
         let run = RunDir::create(base.path()).unwrap();
         let frame = FrameSize { width: 64, height: 64 };
-        let attach = Attach { frame, frame_capacity: 32, lanes: 4, prompts, ..Attach::new(&run) };
+        let attach = Attach { frame, frame_capacity: 32, lanes: 4, prompts, ..run.attach() };
         attach.write(run.path()).unwrap();
         let bus = |role| Bus::join(attach.clone(), role).unwrap();
         let (orchestrator, sim, memory) =
             (bus(Role::Orchestrator), bus(Role::Sim), bus(Role::Memory));
-        let hellos = orchestrator.receiver::<Hello>().unwrap();
-        let (decisions, complaints, farewells) = (
+        let handshakes = orchestrator.receiver::<Handshake>().unwrap();
+        let (decisions, error_reports, shutdown_reports) = (
             orchestrator.receiver().unwrap(),
             orchestrator.receiver().unwrap(),
             orchestrator.receiver().unwrap(),
@@ -83,21 +86,21 @@ impl Peers {
         let path = run.path().to_owned();
         let mut policy = policy;
         let serving = thread::spawn(move || serve(&mut policy, &path));
-        let hello = within_patience(&orchestrator, || hellos.next().unwrap());
+        let handshake = within_patience(&orchestrator, || handshakes.next().unwrap());
         Self {
-            briefs: orchestrator.sender().unwrap(),
+            configs: orchestrator.sender().unwrap(),
             observations: sim.sender().unwrap(),
             recalls: memory.sender().unwrap(),
             evictions: sim.sender().unwrap(),
             stops: orchestrator.sender().unwrap(),
             decisions,
-            complaints,
-            farewells,
-            policy: orchestrator.bell(Role::Policy).unwrap(),
+            error_reports,
+            shutdown_reports,
+            policy: orchestrator.notifier(Role::Policy).unwrap(),
             frames: FramePublisher::new(&sim).unwrap(),
             documents: DocumentPublisher::new(&memory).unwrap(),
             _others: Box::new((others, sim, memory)),
-            hello,
+            handshake,
             serving,
             _run: run,
             _base: base,
@@ -112,14 +115,15 @@ impl Peers {
         self.frames.publish(slot, [grey; 16]).unwrap()
     }
 
-    fn brief(&self, lane: u32, episode: u64, instruction: &str) {
-        let mut brief = PolicyBrief { lane, episode, seed: u64::from(lane), ..Zeroable::zeroed() };
-        brief.instruction_len = write_text(&mut brief.instruction, instruction);
-        self.briefs.send(&brief).unwrap();
+    fn config(&self, lane: u32, episode: u64, instruction: &str) {
+        let mut config =
+            PolicyEpisodeConfig { lane, episode, seed: u64::from(lane), ..Zeroable::zeroed() };
+        config.instruction_len = write_text(&mut config.instruction, instruction);
+        self.configs.send(&config).unwrap();
     }
 
-    fn ring(&self) {
-        self.policy.ring().unwrap();
+    fn notify(&self) {
+        self.policy.notify().unwrap();
     }
 
     fn decisions(&self, count: usize) -> Vec<message::Decision> {
@@ -132,11 +136,12 @@ impl Peers {
     }
 
     /// Stops the policy; returns how serving ended and what it said at the end.
-    fn stop(self) -> (Result<(), ServeError>, Farewell) {
+    fn stop(self) -> (Result<(), ServeError>, ShutdownReport) {
         self.stops.send(&Stop::zeroed()).unwrap();
-        self.ring();
-        let farewell = within_patience(&self.orchestrator, || self.farewells.next().unwrap());
-        (self.serving.join().unwrap(), farewell)
+        self.notify();
+        let shutdown_report =
+            within_patience(&self.orchestrator, || self.shutdown_reports.next().unwrap());
+        (self.serving.join().unwrap(), shutdown_report)
     }
 }
 
@@ -148,7 +153,7 @@ fn within_patience<T>(bus: &Bus, mut look: impl FnMut() -> Option<T>) -> T {
             return found;
         }
         assert!(Instant::now() < deadline, "nothing came");
-        bus.doorbell().wait(Duration::from_millis(100)).unwrap();
+        bus.listener().wait(Duration::from_millis(100)).unwrap();
     }
 }
 
@@ -238,9 +243,10 @@ fn documents_and_demonstrations_reach_the_policy_with_their_keyframes() {
     let mut peers = Peers::new(Witness(say));
     let frame = peers.publish(10);
     let keyframe = peers.publish(40);
-    let mut brief = PolicyBrief { episode: 9, starts_as_demonstrated: 1, ..Zeroable::zeroed() };
-    brief.instruction_len = write_text(&mut brief.instruction, "Find a cone.");
-    peers.briefs.send(&brief).unwrap();
+    let mut config =
+        PolicyEpisodeConfig { episode: 9, starts_as_demonstrated: 1, ..Zeroable::zeroed() };
+    config.instruction_len = write_text(&mut config.instruction, "Find a cone.");
+    peers.configs.send(&config).unwrap();
     let step =
         |trajectory, frame, action| TrajectoryStep { frame, action, trajectory, reserved: [0; 6] };
     let walks = vec![
@@ -256,7 +262,7 @@ fn documents_and_demonstrations_reach_the_policy_with_their_keyframes() {
     recall.documents_len = 2;
     peers.recalls.send(&recall).unwrap();
     peers.observations.send(&observation(0, 9, 0, frame)).unwrap();
-    peers.ring();
+    peers.notify();
 
     let decision = peers.decisions(1)[0];
     assert_eq!(decision.images, 3, "the current view and two keyframes");
@@ -272,15 +278,15 @@ fn documents_and_demonstrations_reach_the_policy_with_their_keyframes() {
     recall.step = 1;
     peers.recalls.send(&recall).unwrap();
     peers.observations.send(&observation(0, 9, 1, frame)).unwrap();
-    peers.ring();
-    let complaint = within_patience(&peers.orchestrator, || peers.complaints.next().unwrap());
-    let text = read_text(&complaint.text, complaint.text_len).unwrap();
+    peers.notify();
+    let error_report = within_patience(&peers.orchestrator, || peers.error_reports.next().unwrap());
+    let text = read_text(&error_report.text, error_report.text_len).unwrap();
     assert!(text.contains("was never published"), "{text}");
     peers.stop().0.unwrap();
 }
 
 /// Hands its tickets and the way back to somebody else.
-struct Elsewhere(mpsc::Sender<(Ticket, Answers)>);
+struct Elsewhere(mpsc::Sender<(RequestId, Answers)>);
 
 impl Decider for Elsewhere {
     fn name(&self) -> &str {
@@ -288,7 +294,7 @@ impl Decider for Elsewhere {
     }
 
     fn take(&mut self, batch: &[Request<'_>], answers: &Answers) -> Result<(), ServeError> {
-        batch.iter().for_each(|r| self.0.send((r.ticket(), answers.clone())).unwrap());
+        batch.iter().for_each(|r| self.0.send((r.id(), answers.clone())).unwrap());
         Ok(())
     }
 }
@@ -299,12 +305,12 @@ fn answers_may_come_later_in_any_order_from_any_thread_or_not_at_all() {
     let mut peers = Peers::new(Elsewhere(hand_over));
     let frame = peers.publish(10);
     for lane in 0..4 {
-        peers.brief(lane, 50 + u64::from(lane), "Find a cone.");
+        peers.config(lane, 50 + u64::from(lane), "Find a cone.");
         peers.observations.send(&observation(lane, 50 + u64::from(lane), 0, frame)).unwrap();
         peers.recalls.send(&recall(lane, 50 + u64::from(lane), 0)).unwrap();
     }
-    peers.ring();
-    let taken: Vec<(Ticket, Answers)> =
+    peers.notify();
+    let taken: Vec<(RequestId, Answers)> =
         (0..4).map(|_| taken.recv_timeout(PATIENCE).unwrap()).collect();
     let decision = |action| Decision { answer: Answer::Act(action), images: 1, usage: None };
     let say = |lane: usize, action| taken[lane].1.decide(taken[lane].0, decision(action));
@@ -312,16 +318,16 @@ fn answers_may_come_later_in_any_order_from_any_thread_or_not_at_all() {
     say(3, Action::Right);
     assert_eq!(peers.decisions(1)[0].lane, 3);
     // Lane 2 begins another episode: what was taken for the one before is late.
-    peers.brief(2, 62, "Find a barrel.");
-    peers.ring();
-    let elsewhere = Ticket { lane: 77, ..taken[0].0 };
+    peers.config(2, 62, "Find a barrel.");
+    peers.notify();
+    let elsewhere = RequestId { lane: 77, ..taken[0].0 };
     taken[0].1.decide(elsewhere, decision(Action::Left));
     taken[1].1.fail(taken[1].0, "status 400: too many images");
-    let complaint = within_patience(&peers.orchestrator, || peers.complaints.next().unwrap());
-    let text = read_text(&complaint.text, complaint.text_len).unwrap();
+    let error_report = within_patience(&peers.orchestrator, || peers.error_reports.next().unwrap());
+    let text = read_text(&error_report.text, error_report.text_len).unwrap();
     assert_eq!(
-        (complaint.kind, complaint.lane, complaint.episode, text),
-        (ComplaintKind::Episode as u32, 1, 51, "status 400: too many images")
+        (error_report.kind, error_report.lane, error_report.episode, text),
+        (ErrorReportKind::Episode as u32, 1, 51, "status 400: too many images")
     );
     say(2, Action::Left);
     say(3, Action::Left);
@@ -331,8 +337,8 @@ fn answers_may_come_later_in_any_order_from_any_thread_or_not_at_all() {
     assert_eq!((answered[0].lane, answered[0].action), (0, Action::Backward as u8));
 
     taken[0].1.halt("the server is gone");
-    let complaint = within_patience(&peers.orchestrator, || peers.complaints.next().unwrap());
-    assert_eq!(complaint.kind, ComplaintKind::Run as u32);
+    let error_report = within_patience(&peers.orchestrator, || peers.error_reports.next().unwrap());
+    assert_eq!(error_report.kind, ErrorReportKind::Run as u32);
     peers.stop().0.unwrap();
 }
 
@@ -352,13 +358,13 @@ fn prompts_are_logged_where_asked_for_and_a_log_that_cannot_be_kept_stops_the_ru
         peers.recalls.send(&recall).unwrap();
         let seen = observation(0, 9, step, frames[step as usize % 2]);
         peers.observations.send(&seen).unwrap();
-        peers.ring();
+        peers.notify();
     };
-    peers.brief(0, 9, "Find a cone.");
+    peers.config(0, 9, "Find a cone.");
     ask(&peers, 0);
     let (ticket, answers) = taken.recv_timeout(PATIENCE).unwrap();
     let say = |step, usage| {
-        let ticket = Ticket { step, ..ticket };
+        let ticket = RequestId { step, ..ticket };
         answers.record(ticket, || Exchange {
             messages: vec![Message {
                 role: "user".to_owned(),
@@ -405,10 +411,10 @@ fn prompts_are_logged_where_asked_for_and_a_log_that_cannot_be_kept_stops_the_ru
     let unseen = peers.publish(70);
     peers.recalls.send(&recall(0, 9, 2)).unwrap();
     peers.observations.send(&observation(0, 9, 2, unseen)).unwrap();
-    peers.ring();
-    let complaint = within_patience(&peers.orchestrator, || peers.complaints.next().unwrap());
-    let text = read_text(&complaint.text, complaint.text_len).unwrap();
-    assert_eq!(complaint.kind, ComplaintKind::Run as u32);
+    peers.notify();
+    let error_report = within_patience(&peers.orchestrator, || peers.error_reports.next().unwrap());
+    let text = read_text(&error_report.text, error_report.text_len).unwrap();
+    assert_eq!(error_report.kind, ErrorReportKind::Run as u32);
     assert!(text.starts_with("cannot keep the prompt log: "), "{text}");
     peers.stop().0.unwrap();
     assert!(taken.try_recv().is_err());
@@ -418,12 +424,12 @@ fn prompts_are_logged_where_asked_for_and_a_log_that_cannot_be_kept_stops_the_ru
 fn a_policy_sees_its_requests_and_nothing_else() {
     let (say, heard) = mpsc::channel();
     let mut peers = Peers::new(Witness(say));
-    let facts = read_text(&peers.hello.facts, peers.hello.facts_len).unwrap();
+    let facts = read_text(&peers.handshake.facts, peers.handshake.facts_len).unwrap();
     assert_eq!(facts, r#"{"policy":"witness","sees":"all"}"#);
 
     let greys = [10, 20, 30].map(|grey| peers.publish(grey));
-    peers.brief(2, 71, "Find a blue barrel.");
-    peers.brief(0, 72, "Find a red barrel.");
+    peers.config(2, 71, "Find a blue barrel.");
+    peers.config(0, 72, "Find a red barrel.");
     let mut full = Recall { window_len: 2, segment_len: 2, distance: 0.25, ..recall(2, 71, 2) };
     full.window[0].frame = greys[1];
     full.window[0].action = NO_ACTION;
@@ -439,7 +445,7 @@ fn a_policy_sees_its_requests_and_nothing_else() {
     peers.observations.send(&observation(2, 71, 2, greys[0])).unwrap();
     peers.observations.send(&observation(0, 72, 0, greys[2])).unwrap();
     peers.recalls.send(&recall(0, 72, 0)).unwrap();
-    peers.ring();
+    peers.notify();
 
     let mut decisions = peers.decisions(2);
     decisions.sort_by_key(|decision| decision.lane);
@@ -462,13 +468,13 @@ fn a_policy_sees_its_requests_and_nothing_else() {
     let mut gone = Recall { window_len: 1, ..recall(2, 71, 3) };
     gone.window[0].frame = greys[2];
     peers.recalls.send(&gone).unwrap();
-    peers.ring();
+    peers.notify();
     assert_eq!(peers.decisions(1)[0].step, 3);
 
-    let (served, farewell) = peers.stop();
+    let (served, shutdown_report) = peers.stop();
     served.unwrap();
-    assert_eq!((farewell.role, farewell.complaints), (Role::Policy as u32, 0));
-    assert_eq!((farewell.frames_held, farewell.pixel_bytes_copied), (3, 0));
+    assert_eq!((shutdown_report.role, shutdown_report.error_reports), (Role::Policy as u32, 0));
+    assert_eq!((shutdown_report.frames_received, shutdown_report.pixel_bytes_copied), (3, 0));
     let mut heard: Vec<_> = heard.iter().collect();
     heard.sort();
     insta::assert_snapshot!(heard.join("\n"), @r#"
@@ -484,8 +490,8 @@ fn a_policy_sees_its_requests_and_nothing_else() {
 fn rubbish_is_complained_about_and_the_rest_is_answered() {
     let mut peers = Peers::new(Random);
     let frame = peers.publish(1);
-    peers.brief(1, 5, "Find a blue barrel.");
-    peers.brief(9, 6, "Find a blue barrel.");
+    peers.config(1, 5, "Find a blue barrel.");
+    peers.config(9, 6, "Find a blue barrel.");
     let mut bad_pose = observation(1, 5, 0, frame);
     bad_pose.pose.0[2] = 200;
     peers.observations.send(&bad_pose).unwrap();
@@ -494,10 +500,10 @@ fn rubbish_is_complained_about_and_the_rest_is_answered() {
     no_such_frame.window[0].frame = 12_345;
     peers.observations.send(&observation(1, 5, 1, frame)).unwrap();
     peers.recalls.send(&no_such_frame).unwrap();
-    peers.ring();
+    peers.notify();
     let mut texts = Vec::new();
     within_patience(&peers.orchestrator, || {
-        texts.extend(peers.complaints.drain().unwrap());
+        texts.extend(peers.error_reports.drain().unwrap());
         (texts.len() >= 4).then_some(())
     });
     let texts: Vec<_> =
@@ -511,13 +517,13 @@ fn rubbish_is_complained_about_and_the_rest_is_answered() {
 
     peers.observations.send(&observation(1, 5, 2, frame)).unwrap();
     peers.recalls.send(&recall(1, 5, 2)).unwrap();
-    peers.ring();
+    peers.notify();
     let decisions = peers.decisions(1);
     assert_eq!((decisions.len(), decisions[0].step), (1, 2));
     assert!(Action::try_from(decisions[0].action).is_ok());
-    let (served, farewell) = peers.stop();
+    let (served, shutdown_report) = peers.stop();
     served.unwrap();
-    assert_eq!(farewell.complaints, 4);
+    assert_eq!(shutdown_report.error_reports, 4);
 }
 
 /// Answers nothing.
@@ -537,10 +543,10 @@ impl Policy for Mute {
 fn a_policy_that_does_not_answer_ends_the_process() {
     let mut peers = Peers::new(Mute);
     let frame = peers.publish(1);
-    peers.brief(0, 1, "Find a blue barrel.");
+    peers.config(0, 1, "Find a blue barrel.");
     peers.observations.send(&observation(0, 1, 0, frame)).unwrap();
     peers.recalls.send(&recall(0, 1, 0)).unwrap();
-    peers.ring();
+    peers.notify();
     let error = peers.serving.join().unwrap().unwrap_err();
     assert_eq!(error.to_string(), "policy mute answered 0 of 1 requests: it must answer each once");
 }

@@ -1,88 +1,85 @@
 //! What a process must know to join a run: `attach.json` in the run's folder.
 //!
-//! The orchestrator writes it once a generation and takes it away when the run is over; every other process
-//! reads it at its start. One that the orchestrator did not start looks at it again now and then: another
-//! generation is to be joined, and without the file there is nothing to join any more. All sizes of queues and of the frame store follow from it, so peers that read the same file agree on
-//! them without a word.
+//! The orchestrator writes the file for each generation and removes it when the run is over; every other process
+//! reads it when it starts. A process that the orchestrator did not start reads it again from time to time, to
+//! join the next generation or to end with the run. The sizes of all queues and of the frame store follow from
+//! this file, so processes that read it agree on them.
 
+use std::ffi::OsStr;
 use std::fs;
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
-use crate::message::{Role, WIRE_VERSION};
-use crate::registry::RunDir;
+use crate::message::{MAX_WINDOW, Role, Traffic, WIRE_VERSION};
 
 /// Name of the file in a run's folder.
 pub const ATTACH_FILE: &str = "attach.json";
 
-/// The environment variable that names the run's folder to a program that somebody brings.
+/// The environment variable that names the run's folder to an external program.
 pub const ATTACH_VARIABLE: &str = "MEMTRANSFER_ATTACH";
 
-/// Bytes of one page of shared memory; frames are whole pages.
+/// Bytes of a page of shared memory; a frame is a whole number of pages.
 pub const PAGE_BYTES: usize = 4096;
 
 /// Most lanes a run can have.
 pub const MAX_LANES: u32 = 4096;
 
-/// Most frames a run can keep resident.
+/// Most frames that a run can keep resident.
 pub const MAX_FRAMES: u32 = 1 << 20;
 
-/// Frames that may be resident unless somebody says otherwise: room for every view of the unchanged world.
+/// Default of [`Attach::frame_capacity`]: every view of the unchanged world fits.
 pub const DEFAULT_FRAMES: u32 = 1536;
 
-/// Window length h unless somebody says otherwise (SPEC section 5).
+/// Default window length h (specification, section 5).
 pub const DEFAULT_WINDOW: u32 = 6;
 
-/// Frames a renderer can fill at the same time.
+/// Frames that renderers can fill at the same time.
 pub const MAX_LOANED_FRAMES: u32 = 32;
 
-/// Longest path of a run's folder, in bytes: socket names below it have to fit into 108.
+/// Longest path of a run's folder, in bytes: names of sockets in it must fit into 108.
 pub const MAX_ROOT_BYTES: usize = 48;
 
-/// Everything a process needs to join a run.
+/// Everything a process needs to join a run. A reader ignores fields that it does not know.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
 pub struct Attach {
-    /// [`WIRE_VERSION`] of the writer.
+    /// [`WIRE_VERSION`] of the program that wrote the file.
     pub wire_version: u32,
-    /// Starts the name of everything the run has in shared memory.
+    /// The names of everything that the run has in shared memory start with this.
     pub prefix: String,
-    /// Grows by one whenever the processes are started anew; part of every service's name.
+    /// Grows by one whenever the processes are restarted; part of every service's name.
     pub generation: u32,
     /// Process id of the orchestrator.
     pub orchestrator_pid: u32,
-    /// The processes that take part beside the orchestrator. Messages wait for these and no others.
-    pub crew: Vec<Role>,
-    /// Episodes that run at once.
+    /// The roles that take part beside the orchestrator. Senders wait for the receivers of these roles.
+    pub participants: Vec<Role>,
+    /// Episodes that run at the same time.
     pub lanes: u32,
-    /// Longest window h that any lane uses.
+    /// Longest window h of any lane.
     pub window: u32,
     /// Size of every frame.
     pub frame: FrameSize,
-    /// Frames that may be resident at once (`--frame-budget`).
+    /// Frames that may be resident at the same time (`--frame-budget`).
     pub frame_capacity: u32,
     /// How a process waits for work.
     pub wait: Wait,
     /// What observed frames show.
     pub frame_control: FrameControl,
-    /// Folder in which the policy keeps what it was given and what it answered in this session, where that is
-    /// asked for ([`prompts`](crate::prompts)); images and documents go beside it.
+    /// Folder into which the policy writes its [prompt log](domain::prompt_log); absent without `--log-prompts`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub prompts: Option<PathBuf>,
-    /// Folder in which each process keeps [spans](crate::spans) of its work, where that is asked for.
+    /// Folder into which each process writes its [spans](crate::spans); absent without `--trace`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub spans: Option<PathBuf>,
-    /// The run's folder: where the file was read from. Not in the file, so that a folder can be mounted
-    /// elsewhere.
+    /// The run's folder, which the file was read from. Not in the file, so that the folder can be mounted under
+    /// another path.
     #[serde(skip)]
     pub root: PathBuf,
 }
 
 /// Width and height of a frame in pixels.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
 pub struct FrameSize {
     /// Pixels in a row: a multiple of 64, so that a row is a multiple of 256 bytes.
     pub width: u32,
@@ -99,32 +96,31 @@ impl FrameSize {
         self.width as usize * self.height as usize * 4
     }
 
-    /// Whole pages that hold them.
+    /// Pages that hold them.
     pub const fn pages(self) -> usize {
         self.bytes().div_ceil(PAGE_BYTES)
     }
 }
 
-/// How a process waits for its doorbell.
+/// How a process waits for events.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
 pub struct Wait {
-    /// Microseconds to look for work before sleeping. 0 sleeps at once, which is best unless every
-    /// process has a core of its own.
+    /// Microseconds to poll before sleeping. 0 sleeps at once, which is best unless every process has a core of its
+    /// own.
     pub spin_us: u32,
 }
 
-/// What observed frames show. The controls show that results come from pixels; views that memory asks
-/// for are true under each of them.
+/// What observed frames show. Controls other than [`Rendered`](Self::Rendered) test that results come from pixels;
+/// views that memory requests are always rendered.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum FrameControl {
-    /// What the agent sees.
+    /// The agent's view.
     #[default]
     Rendered,
     /// A uniform grey.
     Blank,
-    /// What an agent would see from another pose.
+    /// The view from another pose.
     Swapped,
 }
 
@@ -147,58 +143,58 @@ pub enum AttachError {
     File {
         /// The file.
         path: PathBuf,
-        /// What the system said.
+        /// The operating system's error.
         cause: io::Error,
     },
-    /// It is not the JSON that it should be.
+    /// The file is not the expected JSON.
     #[error("{}: {cause}", path.display())]
     Json {
         /// The file.
         path: PathBuf,
-        /// What is wrong with it.
+        /// The parser's error.
         cause: serde_json::Error,
     },
-    /// The writer speaks another version of the wire.
+    /// The file was written for another wire version.
     #[error(
-        "the run speaks wire version {theirs} and this program {ours}: use programs of the same build"
+        "the run uses wire version {theirs} and this program {ours}: use programs of the same version"
     )]
     WireVersion {
-        /// The writer's.
+        /// The version of the file.
         theirs: u32,
-        /// This program's.
+        /// The version of this program.
         ours: u32,
     },
-    /// A value that cannot be.
+    /// A field has an invalid value.
     #[error("{field} is {value}, but must be {expected}")]
     Value {
         /// The field.
         field: &'static str,
         /// Its value.
         value: String,
-        /// What would be accepted.
+        /// The accepted values.
         expected: String,
     },
 }
 
-/// Most messages that a process works on before it rings the next one.
-const MOST_IN_A_TURN: u32 = 16;
+/// Most steps in a batch.
+const MAX_BATCH: u32 = 16;
 
 impl Attach {
-    /// Steps that a process takes up before it rings the next process, and looks again: a quarter of the lanes.
-    /// With all of them at once the processes would take turns; so they work at the same time.
-    pub fn steps_in_a_turn(&self) -> usize {
-        self.lanes.div_ceil(4).min(MOST_IN_A_TURN) as usize
+    /// Steps that a process works on before it notifies the next process: a quarter of the lanes. With batches of
+    /// all lanes the processes would take turns instead of working at the same time.
+    pub fn batch_len(&self) -> usize {
+        self.lanes.div_ceil(4).min(MAX_BATCH) as usize
     }
 
-    /// The first generation of `run`, with this process as its orchestrator, one lane and every other
+    /// The first generation of the run in `folder`, with this process as its orchestrator, one lane and every other
     /// setting at its default.
-    pub fn new(run: &RunDir) -> Self {
+    pub fn new(folder: &Path) -> Self {
         Self {
             wire_version: WIRE_VERSION,
-            prefix: run.prefix(),
+            prefix: prefix(folder),
             generation: 1,
             orchestrator_pid: std::process::id(),
-            crew: Role::CREW.to_vec(),
+            participants: Role::CHILDREN.to_vec(),
             lanes: 1,
             window: DEFAULT_WINDOW,
             frame: FrameSize::DEFAULT,
@@ -207,21 +203,21 @@ impl Attach {
             frame_control: FrameControl::default(),
             prompts: None,
             spans: None,
-            root: run.path().to_owned(),
+            root: folder.to_owned(),
         }
     }
 
     /// Reads and checks `attach.json` in the run's folder `dir`.
     ///
     /// # Errors
-    /// When the file is missing or not the JSON expected, has unknown fields, was written by a program
-    /// that speaks another wire version, or holds a value that cannot be.
+    /// When the file is missing or not the expected JSON, was written for another wire version, or holds an invalid
+    /// value.
     pub fn read(dir: &Path) -> Result<Self, AttachError> {
         let path = dir.join(ATTACH_FILE);
         let file_error = |cause| AttachError::File { path: path.clone(), cause };
         let text = fs::read_to_string(&path).map_err(file_error)?;
         let json_error = |cause| AttachError::Json { path: path.clone(), cause };
-        // The version comes first: a file of another version may well have other fields.
+        // First the version: a file of another version may have other fields.
         let value: serde_json::Value = serde_json::from_str(&text).map_err(json_error)?;
         let theirs = value.get("wire_version").and_then(serde_json::Value::as_u64);
         if let Some(theirs) = theirs.filter(|&theirs| theirs != u64::from(WIRE_VERSION)) {
@@ -234,10 +230,10 @@ impl Attach {
         Ok(attach)
     }
 
-    /// Checks, and writes `attach.json` into the run's folder `dir`, all of it or nothing.
+    /// Checks the values and writes `attach.json` into the run's folder `dir`, atomically.
     ///
     /// # Errors
-    /// When a value cannot be, or the file cannot be written.
+    /// When a value is invalid, or the file cannot be written.
     pub fn write(&self, dir: &Path) -> Result<(), AttachError> {
         self.check()?;
         let path = dir.join(ATTACH_FILE);
@@ -250,10 +246,10 @@ impl Attach {
             .map_err(|cause| AttachError::File { path: path.clone(), cause })
     }
 
-    /// Takes `attach.json` out of the run's folder `dir`: the run is over.
+    /// Removes `attach.json` from the run's folder `dir`: the run is over.
     ///
     /// # Errors
-    /// When it is there and cannot be removed.
+    /// When the file exists and cannot be removed.
     pub fn withdraw(dir: &Path) -> Result<(), AttachError> {
         let path = dir.join(ATTACH_FILE);
         match fs::remove_file(&path) {
@@ -264,16 +260,17 @@ impl Attach {
         }
     }
 
-    /// How many of `roles` take part in the run.
+    /// The number of `roles` that take part in the run.
     pub fn count(&self, roles: &[Role]) -> usize {
-        let takes_part = |role: &&Role| **role == Role::Orchestrator || self.crew.contains(role);
+        let takes_part =
+            |role: &&Role| **role == Role::Orchestrator || self.participants.contains(role);
         roles.iter().filter(takes_part).count()
     }
 
-    /// Whether every value can be.
+    /// Checks every value.
     ///
     /// # Errors
-    /// For the first one that cannot.
+    /// For the first invalid one.
     pub fn check(&self) -> Result<(), AttachError> {
         let value = |field, value: &dyn ToString, expected: String| {
             Err(AttachError::Value { field, value: value.to_string(), expected })
@@ -292,7 +289,7 @@ impl Attach {
         if !(1..=MAX_LANES).contains(&self.lanes) {
             return value("lanes", &self.lanes, format!("1 to {MAX_LANES}"));
         }
-        let most = crate::message::MAX_WINDOW as u32;
+        let most = MAX_WINDOW as u32;
         if self.window > most {
             return value("window", &self.window, format!("0 to {most}"));
         }
@@ -312,20 +309,34 @@ impl Attach {
         Ok(())
     }
 
-    /// Chunks the frame store owns, each of one frame: what may be resident, what a renderer fills, and
-    /// what is evicted while a consumer has not let go of it yet. Shared memory never holds more.
+    /// Chunks of the frame store, one frame each: frames that are resident, that renderers fill, and that are evicted
+    /// but still pinned by a consumer. Shared memory never holds more.
     pub const fn frame_chunks(&self) -> u32 {
         let lag = self.frame_capacity / 8 + self.lanes + 16;
         self.frame_capacity + MAX_LOANED_FRAMES + lag
     }
 
-    /// Most bytes of shared memory the run can come to use: every chunk of the frame store, a page of
-    /// headers each, and an allowance for messages.
+    /// Messages of a service that can wait for one receiver: the queue length that all processes must agree on.
+    pub const fn queue_len(&self, traffic: Traffic) -> usize {
+        match traffic {
+            Traffic::Lanes => 2 * self.lanes as usize + 16,
+            Traffic::Frames => 2 * self.frame_chunks() as usize,
+            Traffic::Few => 256,
+        }
+    }
+
+    /// Most bytes of shared memory that the run can use: every chunk of the frame store with a page of headers each,
+    /// and an allowance for messages.
     pub const fn shared_memory_bytes(&self) -> u64 {
         let chunk = (self.frame.pages() + 1) * PAGE_BYTES;
         let messages = (16 << 20) + self.lanes as u64 * (64 << 10);
         self.frame_chunks() as u64 * chunk as u64 + messages
     }
+}
+
+/// What the names in shared memory of the run in `folder` start with.
+pub(crate) fn prefix(folder: &Path) -> String {
+    format!("mt{}_", folder.file_name().map(OsStr::to_string_lossy).unwrap_or_default())
 }
 
 #[cfg(test)]
@@ -338,7 +349,7 @@ mod tests {
             prefix: "mt0_".to_owned(),
             generation: 3,
             orchestrator_pid: 17,
-            crew: vec![Role::Sim],
+            participants: vec![Role::Sim],
             lanes: 8,
             window: 6,
             frame: FrameSize::DEFAULT,
@@ -352,7 +363,7 @@ mod tests {
     }
 
     /// What reading a file with `from` replaced by `to` says.
-    fn complaint(from: &str, to: &str) -> String {
+    fn error_report(from: &str, to: &str) -> String {
         let dir = tempfile::tempdir().unwrap();
         attach().write(dir.path()).unwrap();
         let path = dir.path().join(ATTACH_FILE);
@@ -364,7 +375,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_written_is_read() {
+    fn a_written_file_is_read_back() {
         let dir = tempfile::tempdir().unwrap();
         attach().write(dir.path()).unwrap();
         let root = dir.path().canonicalize().unwrap();
@@ -376,7 +387,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_is_refused_and_named() {
+    fn invalid_values_are_refused_and_named() {
         for (from, to, said) in [
             ("\"lanes\": 8", "\"lanes\": 0", "lanes is 0, but must be 1 to 4096"),
             ("\"window\": 6", "\"window\": 33", "window is 33, but must be 0 to 32"),
@@ -384,23 +395,36 @@ mod tests {
             ("mt0_", "mt/../", "prefix is mt/../, but must be \"mt\" and up to 14"),
             ("100", "0", "frame_capacity is 0, but must be 1 to"),
             ("\"spin_us\": 20", "\"spin_us\": 2000000", "wait.spin_us is 2000000"),
-            ("\"lanes\"", "\"lance\"", "FILE: unknown field `lance`"),
+            ("\"lanes\"", "\"lance\"", "FILE: missing field `lanes`"),
             ("swapped", "swopped", "FILE: unknown variant `swopped`"),
             ("\"lanes\": 8", "\"lanes\": -8", "FILE: invalid value"),
             ("\"mt0_\"", "5", "FILE: invalid type"),
             ("\"mt0_\"", "", "FILE: expected value"),
         ] {
-            let error = complaint(from, to);
+            let error = error_report(from, to);
             assert!(error.starts_with(said) || error.contains(said), "{error}");
         }
+    }
+
+    #[test]
+    fn unknown_fields_are_ignored() {
+        let dir = tempfile::tempdir().unwrap();
+        let traced = Attach { spans: Some("spans".into()), ..attach() };
+        traced.write(dir.path()).unwrap();
+        let path = dir.path().join(ATTACH_FILE);
+        let text = fs::read_to_string(&path).unwrap();
+        let text = text.replace("\"lanes\"", "\"future\": {\"a\": [1]}, \"lanes\"");
+        fs::write(&path, text.replace("\"width\"", "\"depth\": 1, \"width\"")).unwrap();
+        let root = dir.path().canonicalize().unwrap();
+        assert_eq!(Attach::read(dir.path()).unwrap(), Attach { root, ..traced });
     }
 
     #[test]
     fn another_wire_version_is_named_before_anything_else() {
         let from = format!("\"wire_version\": {WIRE_VERSION}");
         let to = "\"wire_version\": 99, \"news\": true";
-        let ours = format!("the run speaks wire version 99 and this program {WIRE_VERSION}");
-        assert!(complaint(&from, to).starts_with(&ours));
+        let ours = format!("the run uses wire version 99 and this program {WIRE_VERSION}");
+        assert!(error_report(&from, to).starts_with(&ours));
     }
 
     #[test]

@@ -15,10 +15,11 @@ use iceoryx2::prelude::{AllocationStrategy, ZeroCopySend};
 use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
 
 use crate::attach::Attach;
-use crate::bus::{Bus, BusError, Ipc, delivered};
+use crate::bus::Bus;
 use crate::layout::wire_struct;
-use crate::message::{DocumentId, DocumentKind, NO_ACTION, NO_DOCUMENT, Role, TrajectoryStep};
-use domain::{Action, UnknownCode};
+use crate::message::{DocumentId, NO_ACTION, NO_DOCUMENT, Role, TrajectoryStep};
+use crate::transport::{BusError, Ipc, delivered};
+use domain::{Action, DocumentKind, UnknownCode};
 
 /// Last part of the name of the service that carries documents.
 pub const DOCUMENT_SERVICE: &str = "document";
@@ -40,7 +41,7 @@ wire_struct! {
     DocumentHeader: Eq Default, "memtransfer.DocumentHeader", 24 bytes {
         /// The document's id.
         id: DocumentId,
-        /// Ticket of the episode it belongs to; 0: for the whole run.
+        /// RequestId of the episode it belongs to; 0: for the whole run.
         episode: u64,
         /// That episode's lane.
         lane: u32,
@@ -113,7 +114,7 @@ impl Content {
 pub struct Document {
     /// Its id.
     pub id: DocumentId,
-    /// Ticket of the episode it belongs to; 0: for the whole run.
+    /// RequestId of the episode it belongs to; 0: for the whole run.
     pub episode: u64,
     /// That episode's lane.
     pub lane: u32,

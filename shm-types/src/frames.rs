@@ -30,9 +30,10 @@ use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
 use rustc_hash::FxHashMap;
 
 use crate::attach::{FrameSize, MAX_LOANED_FRAMES, PAGE_BYTES};
-use crate::bus::{Bus, BusError, Ipc, Receiver, delivered};
+use crate::bus::{Bus, Receiver};
 use crate::layout::{Field, Layout, Shaped, Struct, wire_struct};
 use crate::message::{Eviction, FrameId, NO_FRAME, Role};
+use crate::transport::{BusError, Ipc, delivered};
 
 /// Last part of the name of the service that carries frames.
 pub const FRAME_SERVICE: &str = "frame";

@@ -1,34 +1,31 @@
-//! The messages: fixed width, no padding, no pointers, safe to receive from anybody.
+//! The messages: fixed size, no padding, no pointers.
 //!
-//! A message is `Pod`: every bit pattern is a value, so receiving one can never be undefined behaviour.
-//! Whether it *means* something is checked where it is read, through the `TryFrom` of its codes
-//! ([`WirePose`], [`Action`](crate::Action), [`StepKind`], ...).
+//! A message is `Pod`: every bit pattern is a value, so receiving one is never undefined behaviour. The receiver
+//! checks what the values mean, through the `TryFrom` of their codes ([`WirePose`], [`Action`](domain::Action),
+//! [`StepKind`], ...).
 //!
-//! One lane has at most one message outstanding on any service. `episode` is a ticket that the
-//! orchestrator never hands out twice in a run, so an answer that arrives late is recognised and
-//! dropped. All `*_ns` fields are CLOCK_MONOTONIC nanoseconds, one scale over all processes.
+//! A lane has at most one message outstanding on any service. The orchestrator never uses an episode id twice in a
+//! run, so a late answer is recognised and dropped. All `*_ns` fields are CLOCK_MONOTONIC nanoseconds, which all
+//! processes of a machine share.
 
 use bytemuck::{Pod, Zeroable};
 use iceoryx2::prelude::ZeroCopySend;
 
-use crate::attach::Attach;
-use crate::layout::{Field, Layout, Shape, Shaped, Struct, wire_struct};
 use domain::{Heading, Pose, UnknownCode};
+
+use crate::layout::{Field, Layout, Shape, Shaped, Struct, wire_struct};
 
 mod codes;
 
-pub use codes::{
-    CODE_SETS, ComplaintKind, DocumentKind, Outcome, Role, SegmentContent, StepKind,
-    ViewRequestKind,
-};
+pub use codes::{CODE_SETS, ErrorReportKind, Role, StepKind, ViewRequestKind};
 
-/// Changes whenever any message or the frame header changes; compared when a process attaches.
-pub const WIRE_VERSION: u32 = 4;
+/// Version of everything that `docs/wire.md` describes; compared when a process attaches.
+pub const WIRE_VERSION: u32 = 5;
 
-/// Most window entries a [`Recall`] carries.
+/// Longest window of past steps.
 pub const MAX_WINDOW: usize = 32;
 
-/// Most entries of a retrieved segment a [`Recall`] carries: the matched view and what follows.
+/// Most entries of a retrieved segment: the matched view and the views after it.
 pub const MAX_SEGMENT: usize = 32;
 
 /// Most documents a [`Recall`] names.
@@ -37,66 +34,66 @@ pub const MAX_DOCUMENTS: usize = 4;
 /// Most bytes of an instruction.
 pub const MAX_INSTRUCTION: usize = 232;
 
-/// The `action` code that says: no action was taken.
+/// The `action` code for "no action".
 pub const NO_ACTION: u8 = u8::MAX;
 
-/// A count that was not measured. Absent, never zero.
+/// The count for "not measured".
 pub const NOT_MEASURED: u32 = u32::MAX;
 
-/// Names a frame in the frame store. Never reused within a run; 0 names none.
+/// Identifies a frame in the frame store. Never reused within a run; 0 is no frame.
 pub type FrameId = u64;
 
-/// The frame id that names no frame.
+/// The frame id for "no frame".
 pub const NO_FRAME: FrameId = 0;
 
-/// Names a [`Document`](crate::documents::Document). Never reused within a run; 0 names none.
+/// Identifies a [`Document`](crate::documents::Document). Never reused within a run; 0 is no document.
 pub type DocumentId = u64;
 
-/// The document id that names no document.
+/// The document id for "no document".
 pub const NO_DOCUMENT: DocumentId = 0;
 
-/// A type that travels on its own service.
-///
-/// # Safety of the wire
-/// Implemented by the macro `messages!` only, which also asserts size and padding through `Pod`.
+/// Identifies an episode. Grows, and is never reused within a run.
+pub type EpisodeId = u64;
+
+/// Identifies a step of an episode: what an answer belongs to.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub struct RequestId {
+    /// The lane that the episode runs in.
+    pub lane: u32,
+    /// The episode.
+    pub episode: EpisodeId,
+    /// Steps taken so far.
+    pub step: u32,
+}
+
+/// A message type, which has a service of its own. Implemented by the macro `messages!` only.
 pub trait Message: ZeroCopySend + Pod + core::fmt::Debug {
-    /// Last part of the service's name; the run and generation come before it.
+    /// Last part of the service's name, after the generation.
     const SERVICE: &'static str;
-    /// Who sends it.
+    /// The roles that send it.
     const FROM: &'static [Role];
-    /// Who receives it: each of them gets every one.
+    /// The roles that receive it: each receives every message.
     const TO: &'static [Role];
-    /// How many can wait for one receiver at the same time.
+    /// How many can wait for a receiver.
     const TRAFFIC: Traffic;
 }
 
-/// What bounds the number of messages that wait for a receiver, and so how long its queue must be.
+/// What bounds the number of waiting messages, and so the length of the queue
+/// ([`Attach::queue_len`](crate::Attach::queue_len)).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Traffic {
-    /// A lane has at most two waiting: the last of one episode and the first of the next.
+    /// Two for each lane: the last of one episode and the first of the next.
     Lanes,
-    /// Every frame of the store has at most two waiting: a request and a release, or a view and an
-    /// eviction.
+    /// Two for each frame of the store: a request and a release, or a view and an eviction.
     Frames,
-    /// A few a run.
+    /// A few per run.
     Few,
 }
 
-impl Traffic {
-    /// Messages that can wait for one receiver: what every peer has to make room for.
-    pub const fn queue_len(self, attach: &Attach) -> usize {
-        match self {
-            Self::Lanes => 2 * attach.lanes as usize + 16,
-            Self::Frames => 2 * attach.frame_chunks() as usize,
-            Self::Few => 256,
-        }
-    }
-}
-
-/// A message's layout and its way through the run.
+/// A message's layout and route.
 #[derive(Debug, Clone, Copy)]
 pub struct Description {
-    /// Its layout.
+    /// The layout.
     pub layout: Struct,
     /// As [`Message::SERVICE`].
     pub service: &'static str,
@@ -108,7 +105,7 @@ pub struct Description {
     pub traffic: Traffic,
 }
 
-/// Declares messages: layout, name, service, route and asserted size in one place.
+/// Declares messages: layout, name, service, route and size.
 macro_rules! messages {
     ($($(#[doc = $doc:literal])* $name:ident, $type_name:literal, $service:literal, $size:literal bytes,
         [$($from:ident)*] to [$($to:ident)*], $traffic:ident {
@@ -127,7 +124,7 @@ macro_rules! messages {
             }
         )*
 
-        /// Every message, described.
+        /// All messages.
         pub const MESSAGES: &[Description] = &[$(Description {
             layout: $name::LAYOUT,
             service: $name::SERVICE,
@@ -156,7 +153,7 @@ impl Layout for WirePose {
         Struct {
             name: "WirePose",
             type_name: "memtransfer.WirePose",
-            doc: "A pose: the cell stood on and the way faced.",
+            doc: "A pose: a cell and a heading.",
             bytes: size_of::<Self>(),
             align: align_of::<Self>(),
             fields: &[
@@ -184,13 +181,13 @@ impl TryFrom<WirePose> for Pose {
 }
 
 wire_struct! {
-    /// One past step: the view it was taken from, what was done there, and what the world answered.
+    /// One past step: the view, the action taken there, and the feedback to it.
     PastStep, "memtransfer.PastStep", 16 bytes {
         /// The view before the action.
         frame: FrameId,
-        /// Code of the [`Action`](crate::Action) taken, or [`NO_ACTION`].
+        /// Code of the [`Action`](domain::Action) taken, or [`NO_ACTION`].
         action: u8,
-        /// Code of the [`Feedback`](crate::Feedback) it got.
+        /// Code of the [`Feedback`](domain::Feedback) it got.
         feedback: u8,
         /// Zero.
         reserved: [u8; 6],
@@ -198,11 +195,11 @@ wire_struct! {
 }
 
 wire_struct! {
-    /// One view of a retrieved segment and the expert's next action there.
+    /// One view of a retrieved segment, and the expert's action there.
     SegmentStep, "memtransfer.SegmentStep", 16 bytes {
         /// The remembered view.
         frame: FrameId,
-        /// Code of the [`Action`](crate::Action) the expert took there, or [`NO_ACTION`] for the last
+        /// Code of the [`Action`](domain::Action) the expert took there, or [`NO_ACTION`] for the last
         /// view of the segment, and for every view of a segment of images alone.
         action: u8,
         /// Zero.
@@ -211,12 +208,12 @@ wire_struct! {
 }
 
 wire_struct! {
-    /// One step of a demonstration in a [`DocumentKind::Trajectories`] document: what the expert did, and the
-    /// view it had there if that is a keyframe.
+    /// One step of a demonstration in a [`DocumentKind::Trajectories`](domain::DocumentKind) document: the expert's
+    /// action, and its view if that is a keyframe.
     TrajectoryStep: Eq, "memtransfer.TrajectoryStep", 16 bytes {
-        /// The view before the action, or [`NO_FRAME`] where it was not kept.
+        /// The view before the action, or [`NO_FRAME`] if it is not a keyframe.
         frame: FrameId,
-        /// Code of the [`Action`](crate::Action) the expert took there, or [`NO_ACTION`] at the end of the
+        /// Code of the [`Action`](domain::Action) the expert took there, or [`NO_ACTION`] at the end of the
         /// demonstration.
         action: u8,
         /// Which demonstration, from 0, in the order of the document.
@@ -227,45 +224,45 @@ wire_struct! {
 }
 
 messages! {
-    /// Orchestrator to simulator: put a lane's agent somewhere, or let it act.
+    /// Orchestrator to simulator: reset a lane, or act in it.
     StepCommand, "memtransfer.StepCommand", "command", 40 bytes,
         [Orchestrator] to [Sim], Lanes {
-        /// The episode's ticket.
+        /// The episode.
         episode: u64,
         /// When the orchestrator sent it.
         sent_ns: u64,
         /// The lane.
         lane: u32,
-        /// Steps taken once this command is done: 0 for a reset.
+        /// Steps taken after this command: 0 for a reset.
         step: u32,
-        /// World variant: 0 is unchanged, `1 + case index` has that case's passage closed.
+        /// World variant: 0 is the unchanged world; in `1 + case index` that case's passage is closed.
         variant: u32,
-        /// For a reset: where the agent starts. Otherwise ignored.
+        /// For a reset: the start pose. Otherwise ignored.
         start: WirePose,
         /// A [`StepKind`] code.
         kind: u8,
-        /// For an act: the [`Action`](crate::Action) code. Otherwise [`NO_ACTION`].
+        /// For an act: the [`Action`](domain::Action) code. Otherwise [`NO_ACTION`].
         action: u8,
-        /// 1 when the episode ends with this step: nothing is rendered, nobody decides any more.
+        /// 1 when the episode ends with this step: nothing is rendered and no decision follows.
         last: u8,
         /// Zero.
         reserved: [u8; 5],
     }
 
-    /// Simulator to memory, policy and orchestrator: what is true after a step.
+    /// Simulator to memory, policy and orchestrator: the state after a step.
     Observation, "memtransfer.Observation", "observation", 72 bytes,
         [Sim] to [Memory Policy Orchestrator], Lanes {
-        /// The episode's ticket.
+        /// The episode.
         episode: u64,
-        /// The agent's view; [`NO_FRAME`] when `last` is 1.
+        /// The agent's view; [`NO_FRAME`] if `last` is 1.
         frame: FrameId,
-        /// When the command was sent.
+        /// When the orchestrator sent the command.
         commanded_ns: u64,
-        /// When the simulator took the command up.
+        /// When the simulator received the command.
         woken_ns: u64,
         /// When the dynamics were applied.
         stepped_ns: u64,
-        /// When the view was there (at once, if it was rendered before).
+        /// When the view was resident: at once if it had been rendered before.
         rendered_ns: u64,
         /// When this message was sent.
         sent_ns: u64,
@@ -273,31 +270,31 @@ messages! {
         lane: u32,
         /// Steps taken so far.
         step: u32,
-        /// Where the agent is.
+        /// The agent's pose.
         pose: WirePose,
-        /// Code of the [`Feedback`](crate::Feedback) to the last action.
+        /// Code of the [`Feedback`](domain::Feedback) to the last action.
         feedback: u8,
         /// Code of the last action, or [`NO_ACTION`].
         action: u8,
-        /// 1 when the episode is over: forget the lane.
+        /// 1 when the episode is over.
         last: u8,
         /// Zero.
         reserved: u8,
     }
 
-    /// Orchestrator to memory, before a reset: whose memory the lane's next episode is given.
-    MemoryBrief, "memtransfer.MemoryBrief", "memory-brief", 32 bytes,
+    /// Orchestrator to memory, before a reset: the memory of the lane's next episode.
+    MemoryEpisodeConfig, "memtransfer.MemoryEpisodeConfig", "memory-config", 32 bytes,
         [Orchestrator] to [Memory], Lanes {
-        /// The episode's ticket.
+        /// The episode.
         episode: u64,
         /// The lane.
         lane: u32,
         /// Index of the case.
         case: u32,
-        /// Which demonstrations are remembered: bits 0 to 3 the case's own (original, opposite, nearby,
-        /// distant), bit 4 its irrelevant histories, bit 5 its confusable ones.
+        /// The demonstrations in memory: bits 0 to 3 the case's own (original, opposite, nearby, distant), bit 4 its
+        /// irrelevant histories, bit 5 its confusable ones.
         demonstrations: u32,
-        /// Code of the [`Representation`](crate::Representation).
+        /// Code of the [`Representation`](domain::Representation).
         representation: u8,
         /// Window length h, at most [`MAX_WINDOW`].
         window: u8,
@@ -311,20 +308,20 @@ messages! {
         reserved: [u8; 7],
     }
 
-    /// Orchestrator to policy, before a reset: what the lane's next episode asks for.
-    PolicyBrief, "memtransfer.PolicyBrief", "policy-brief", 264 bytes,
+    /// Orchestrator to policy, before a reset: the lane's next episode.
+    PolicyEpisodeConfig, "memtransfer.PolicyEpisodeConfig", "policy-config", 264 bytes,
         [Orchestrator] to [Policy], Lanes {
-        /// The episode's ticket.
+        /// The episode.
         episode: u64,
-        /// A policy that draws at random draws from this.
+        /// Seed for random choices of the policy.
         seed: u64,
         /// The lane.
         lane: u32,
         /// Bytes of `instruction` in use.
         instruction_len: u32,
-        /// Which repetition of the run this is, from 1: equal requests of one repetition are the same request.
+        /// The repetition of the run, from 1: equal requests of one repetition are the same request.
         repeat: u32,
-        /// 1 when the policy is told that the demonstration started where this episode starts.
+        /// 1 when the prompt says that a demonstration started in this episode's start pose.
         starts_as_demonstrated: u8,
         /// Zero.
         reserved: [u8; 3],
@@ -332,12 +329,12 @@ messages! {
         instruction: [u8; MAX_INSTRUCTION],
     }
 
-    /// Memory to simulator: make a view of the unchanged world resident, or let it go.
+    /// Memory to simulator: pin or release a view of the unchanged world.
     ViewRequest, "memtransfer.ViewRequest", "view-request", 16 bytes,
         [Memory] to [Sim], Frames {
-        /// For a release: the frame. For a request: [`NO_FRAME`].
+        /// For a release: the frame. To pin: [`NO_FRAME`].
         frame: FrameId,
-        /// For a request: the view's pose.
+        /// To pin: the view's pose.
         pose: WirePose,
         /// A [`ViewRequestKind`] code.
         kind: u8,
@@ -345,30 +342,30 @@ messages! {
         reserved: [u8; 3],
     }
 
-    /// Simulator to memory: the requested view is resident and stays until it is released.
+    /// Simulator to memory: the requested view is resident and pinned until it is released.
     View, "memtransfer.View", "view", 16 bytes,
         [Sim] to [Memory], Frames {
         /// The view's frame.
         frame: FrameId,
-        /// The pose that was asked for.
+        /// The requested pose.
         pose: WirePose,
         /// Zero.
         reserved: u32,
     }
 
-    /// Simulator to whoever holds frames: let this one go. No live lane or memory refers to it.
+    /// Simulator to memory and policy: drop this frame. No running episode and no memory refers to it.
     Eviction, "memtransfer.Eviction", "eviction", 8 bytes,
         [Sim] to [Memory Policy], Frames {
         /// The frame.
         frame: FrameId,
     }
 
-    /// Memory to policy: the window, and what was remembered for this step.
+    /// Memory to policy: what memory supplies for a step.
     Recall, "memtransfer.Recall", "recall", 1104 bytes,
         [Memory] to [Policy], Lanes {
-        /// The episode's ticket.
+        /// The episode.
         episode: u64,
-        /// When the observation was taken up.
+        /// When memory received the observation.
         received_ns: u64,
         /// When this message was sent.
         sent_ns: u64,
@@ -384,24 +381,23 @@ messages! {
         segment_len: u32,
         /// Entries of `documents` in use.
         documents_len: u32,
-        /// What is supplied beside window and segment, in order. A document is published before the first
-        /// recall that names it.
+        /// Documents, in order. A document is published before the first recall that names it.
         documents: [DocumentId; MAX_DOCUMENTS],
         /// The last steps before the current one, oldest first.
         window: [PastStep; MAX_WINDOW],
-        /// The matched view, then the views that the expert's actions led to.
+        /// The matched view, then the views after each of the expert's actions.
         segment: [SegmentStep; MAX_SEGMENT],
     }
 
-    /// Memory to orchestrator, with every recall: where it came from and what it cost.
+    /// Memory to orchestrator, with every recall: what was matched, and when.
     RecallTrace, "memtransfer.RecallTrace", "recall-trace", 72 bytes,
         [Memory] to [Orchestrator], Lanes {
-        /// The episode's ticket.
+        /// The episode.
         episode: u64,
-        /// When the observation was taken up.
+        /// When memory received the observation.
         received_ns: u64,
-        /// When the embeddings that the answer needs were there: the current view's and, in an episode's
-        /// first steps, those of the demonstrations.
+        /// When the embeddings that the answer needs were complete: the current view's and, in an episode's first
+        /// steps, those of the demonstrations.
         embedded_ns: u64,
         /// When the nearest view was found.
         searched_ns: u64,
@@ -413,11 +409,11 @@ messages! {
         lane: u32,
         /// The step.
         step: u32,
-        /// Case whose demonstration was matched, or [`NOT_MEASURED`] without a retrieval.
+        /// The case whose demonstration was matched; [`NOT_MEASURED`] without a retrieval.
         case: u32,
-        /// Which of its demonstrations (0 original, 1 opposite, 2 nearby, 3 distant).
+        /// The matched demonstration (0 original, 1 opposite, 2 nearby, 3 distant).
         demonstration: u16,
-        /// Step of the matched view in it.
+        /// The step of the matched view in it.
         index: u16,
         /// Cosine distance of the match; NaN without one.
         distance: f32,
@@ -425,39 +421,38 @@ messages! {
         reserved: u32,
     }
 
-    /// Anyone to orchestrator, about once a second while it changes: what the sender is at. Memory is at work as
-    /// long as `done` grows, however long an answer takes: where nothing is cached, the views of many lanes'
-    /// demonstrations do take long.
-    Pulse, "memtransfer.Pulse", "pulse", 40 bytes,
+    /// Simulator, memory and policy to orchestrator: progress, about once a second if it has changed. The orchestrator
+    /// waits for memory as long as its `done` grows: without cached embeddings, an answer can take minutes.
+    Heartbeat, "memtransfer.Heartbeat", "heartbeat", 40 bytes,
         [Sim Memory Policy] to [Orchestrator], Few {
         /// Code of the sender's [`Role`].
         role: u32,
         /// Zero.
         reserved: u32,
-        /// Work done since the sender started: views drawn, images embedded, requests answered.
+        /// Work done since the sender started: views rendered, images embedded, requests answered.
         done: u64,
-        /// Work that is known to wait: views to draw, images to embed, requests to answer.
+        /// Work that waits: views to render, images to embed, requests to answer.
         waiting: u64,
-        /// Frames that are resident (simulator), held for memories (memory) or held (policy).
+        /// Frames that are resident (simulator), pinned by memories (memory) or in the store (policy).
         held: u64,
-        /// How many there may be; 0 where nothing bounds it.
+        /// Limit of `held`; 0 if there is none.
         room: u64,
     }
 
-    /// Policy to orchestrator: what to do. Counts that nobody told are [`NOT_MEASURED`].
+    /// Policy to orchestrator: the answer to a step. Counts that are not known are [`NOT_MEASURED`].
     Decision, "memtransfer.Decision", "decision", 112 bytes,
         [Policy] to [Orchestrator], Lanes {
-        /// The episode's ticket.
+        /// The episode.
         episode: u64,
-        /// When observation and recall were both there.
+        /// When observation and recall had both been received.
         received_ns: u64,
-        /// When the policy began to decide.
+        /// When the policy was called.
         started_ns: u64,
-        /// When the prompt was built; 0 where none is.
+        /// When the prompt was built; 0 without one.
         prompted_ns: u64,
-        /// When the request went to a model's server, the last time if it went several times; 0 where none did.
+        /// When the last request was sent to a model's server; 0 without one.
         sent_ns: u64,
-        /// When it had decided.
+        /// When the policy had decided.
         decided_ns: u64,
         /// The lane.
         lane: u32,
@@ -467,32 +462,32 @@ messages! {
         prompt_tokens: u32,
         /// Tokens of the completion.
         completion_tokens: u32,
-        /// Tokens of the prompt that the server had computed before and took from its own cache.
+        /// Tokens of the prompt that the server took from its cache.
         cached_tokens: u32,
         /// Tokens of the prompt's images.
         image_tokens: u32,
-        /// Tokens of the prompt that are injected memory, an estimate.
+        /// Tokens of the prompt that are memory; an estimate.
         memory_tokens: u32,
         /// Images that the request held.
         images_asked: u32,
-        /// Images that the policy was shown: fewer where its budget is smaller.
+        /// Images that the policy used: fewer if its budget is smaller. At most `images_asked`.
         images: u32,
-        /// Requests to a model's server that this decision took, failed ones included.
+        /// Requests sent to a model's server for this decision, including failed ones.
         attempts: u32,
         /// An [`Outcome`] code.
         outcome: u8,
         /// Code of the action when the outcome is [`Outcome::Acted`], otherwise [`NO_ACTION`].
         action: u8,
-        /// 1 when the reply was one that had been kept from an earlier request: it cost nothing this time.
+        /// 1 when the reply came from the response cache.
         replayed: u8,
         /// Zero.
         reserved: [u8; 21],
     }
 
-    /// Anyone to orchestrator, once, when ready to work.
-    Hello, "memtransfer.Hello", "hello", 512 bytes,
+    /// Simulator, memory and policy to orchestrator, once, when ready.
+    Handshake, "memtransfer.Handshake", "handshake", 512 bytes,
         [Sim Memory Policy] to [Orchestrator], Few {
-        /// [`WIRE_VERSION`] the sender was built with.
+        /// [`WIRE_VERSION`] of the sender.
         wire_version: u32,
         /// Code of its [`Role`].
         role: u32,
@@ -504,29 +499,29 @@ messages! {
         facts: [u8; 496],
     }
 
-    /// Anyone to orchestrator: what went wrong, and what follows from it ([`ComplaintKind`]).
-    Complaint, "memtransfer.Complaint", "complaint", 512 bytes,
+    /// Simulator, memory and policy to orchestrator: an error, and what follows from it ([`ErrorReportKind`]).
+    ErrorReport, "memtransfer.ErrorReport", "error-report", 512 bytes,
         [Sim Memory Policy] to [Orchestrator], Few {
-        /// For a [`ComplaintKind::Episode`]: the episode's ticket. Otherwise 0.
+        /// For [`ErrorReportKind::Episode`]: the episode. Otherwise 0.
         episode: u64,
         /// Code of the sender's [`Role`].
         role: u32,
-        /// Complaints the sender has made so far, this one included.
+        /// ErrorX.
         count: u32,
-        /// Code of the [`ComplaintKind`].
+        /// Code of the [`ErrorReportKind`].
         kind: u32,
-        /// For a [`ComplaintKind::Episode`]: the episode's lane. Otherwise 0.
+        /// For [`ErrorReportKind::Episode`]: the episode's lane. Otherwise 0.
         lane: u32,
         /// Bytes of `text` in use.
         text_len: u32,
         /// Zero.
         reserved: u32,
-        /// What, which value, what was expected; UTF-8.
+        /// What is wrong, the value, and what was expected; UTF-8.
         text: [u8; 480],
     }
 
-    /// Anyone to orchestrator, once, after [`Stop`]: what the sender did with frames.
-    Farewell, "memtransfer.Farewell", "farewell", 48 bytes,
+    /// Simulator, memory and policy to orchestrator, once, after [`Stop`]: totals of the process.
+    ShutdownReport, "memtransfer.ShutdownReport", "shutdown-report", 48 bytes,
         [Sim Memory Policy] to [Orchestrator], Few {
         /// Code of the sender's [`Role`].
         role: u32,
@@ -536,15 +531,15 @@ messages! {
         frames_rendered: u64,
         /// Frames evicted from the store (simulator only).
         frames_evicted: u64,
-        /// Frames that this process took hold of (memory and policy).
-        frames_held: u64,
-        /// Bytes of pixels that the sender's own code copied on their way to another process.
+        /// Frames received (memory and policy).
+        frames_received: u64,
+        /// Bytes of pixels that the sender copied for another process.
         pixel_bytes_copied: u64,
-        /// Messages that could not be used.
-        complaints: u64,
+        /// Error reports sent.
+        error_reports: u64,
     }
 
-    /// Orchestrator to everyone: finish, send a [`Farewell`], exit.
+    /// Orchestrator to all: send a [`ShutdownReport`] and exit.
     Stop, "memtransfer.Stop", "stop", 8 bytes,
         [Orchestrator] to [Sim Memory Policy], Few {
         /// Zero.
@@ -577,13 +572,13 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
-    use crate::{Action, Feedback};
+    use domain::{Action, DocumentKind, Feedback, Outcome, SegmentContent};
 
     /// Calls `$check::<M>($arguments)` for every message `M`.
     macro_rules! every_message {
         ($check:ident $(, $argument:expr)*) => {
-            every_message!(@ $check, ($($argument),*), StepCommand Observation MemoryBrief PolicyBrief
-                ViewRequest View Eviction Recall RecallTrace Pulse Decision Hello Complaint Farewell Stop)
+            every_message!(@ $check, ($($argument),*), StepCommand Observation MemoryEpisodeConfig PolicyEpisodeConfig
+                ViewRequest View Eviction Recall RecallTrace Heartbeat Decision Handshake ErrorReport ShutdownReport Stop)
         };
         (@ $check:ident, $arguments:tt, $($message:ident)*) => {$($check::<$message>$arguments;)*};
     }
@@ -622,7 +617,7 @@ mod tests {
                 let _ = (Outcome::try_from(byte), Role::try_from(byte));
                 let _ = (Action::try_from(byte), Feedback::try_from(byte));
                 let _ = (DocumentKind::try_from(byte), SegmentContent::try_from(byte));
-                let _ = ComplaintKind::try_from(byte);
+                let _ = ErrorReportKind::try_from(byte);
             }
             for pose in bytes.chunks_exact(4) {
                 let wire: WirePose = bytemuck::pod_read_unaligned(pose);
@@ -630,8 +625,8 @@ mod tests {
                     prop_assert_eq!(&WirePose::from(pose).0[..3], &wire.0[..3]);
                 }
             }
-            let hello: Hello = bytemuck::pod_read_unaligned(&bytes[..size_of::<Hello>()]);
-            let _ = read_text(&hello.facts, hello.facts_len);
+            let handshake: Handshake = bytemuck::pod_read_unaligned(&bytes[..size_of::<Handshake>()]);
+            let _ = read_text(&handshake.facts, handshake.facts_len);
             for len in 0..=u32::from(u8::MAX) {
                 if let Ok(text) = read_text(&bytes[..240], len) {
                     let mut buffer = [0; 240];

@@ -1,4 +1,4 @@
-//! What a process of a run asks of the system: the clock, its parent, other processes, room in shared memory.
+//! The operating system: the clock, parent and other processes, free shared memory.
 
 use std::io;
 use std::os::fd::OwnedFd;
@@ -8,9 +8,7 @@ use rustix::event::{PollFd, PollFlags, poll};
 use rustix::process::{Pid, PidfdFlags, Signal, pidfd_open};
 use rustix::time::{ClockId, clock_gettime};
 
-use crate::attach::Attach;
-
-/// Where shared memory lives.
+/// The file system of shared memory.
 pub const SHARED_MEMORY: &str = "/dev/shm";
 
 /// Nanoseconds of CLOCK_MONOTONIC: one scale over all processes of the machine, never 0.
@@ -19,18 +17,19 @@ pub fn monotonic_ns() -> u64 {
     (now.tv_sec as u64).wrapping_mul(1_000_000_000).wrapping_add(now.tv_nsec as u64)
 }
 
-/// Makes the system end this process when the one that started it dies. `parent` is the starter's id,
-/// against the case that it died before this call.
+/// Makes the kernel kill this process when its parent `parent` ends.
 ///
-/// The system watches the *thread* that started this process: start children from a thread that lives on.
+/// The kernel watches the *thread* that started this process: start children from a thread that outlives them.
 ///
 /// # Errors
-/// When the parent is somebody else, so has died already, or the system refuses.
+/// When the parent is another process, because `parent` ended before this call, or the system refuses.
 pub fn die_with_parent(parent: u32) -> io::Result<()> {
     rustix::process::set_parent_process_death_signal(Some(Signal::KILL))?;
     let now = rustix::process::getppid().map(Pid::as_raw_nonzero);
     if now.is_none_or(|now| now.get() as u32 != parent) {
-        return Err(io::Error::other(format!("process {parent}, which started this one, is gone")));
+        return Err(io::Error::other(format!(
+            "process {parent}, which started this one, has ended"
+        )));
     }
     Ok(())
 }
@@ -40,19 +39,18 @@ pub fn is_parent(pid: u32) -> bool {
     rustix::process::getppid().is_some_and(|parent| parent.as_raw_nonzero().get() as u32 == pid)
 }
 
-/// Watches a process that need not be a child of this one. The number may be given to somebody else when the
-/// process has ended; who watches it is not taken in by that.
+/// Watches a process that need not be a child of this one. Reuse of its process id does not confuse it.
 #[derive(Debug)]
-pub struct Watch {
+pub struct ProcessWatch {
     process: OwnedFd,
 }
 
-impl Watch {
+impl ProcessWatch {
     /// Watches process `pid`.
     ///
     /// # Errors
-    /// When there is no such process, or the system has no way to watch it.
-    pub fn over(pid: u32) -> io::Result<Self> {
+    /// When there is no such process, or the system cannot watch it.
+    pub fn new(pid: u32) -> io::Result<Self> {
         let pid = i32::try_from(pid).ok().and_then(Pid::from_raw);
         let pid = pid.ok_or_else(|| io::Error::from(rustix::io::Errno::SRCH))?;
         Ok(Self { process: pidfd_open(pid, PidfdFlags::empty())? })
@@ -68,44 +66,44 @@ impl Watch {
 /// The run does not fit into shared memory.
 #[derive(Debug, thiserror::Error)]
 pub enum SharedMemoryError {
-    /// Not enough room.
+    /// Too little is free.
     #[error(
-        "the run can need {needed} MiB of shared memory and {SHARED_MEMORY} has {free} MiB free (of \
-         {total}): lower --frame-budget, or make it larger (in Docker with --shm-size)"
+        "the run can use {needed} MiB of shared memory, and {SHARED_MEMORY} has {free} MiB free of {total}: \
+         lower --frame-budget, or enlarge {SHARED_MEMORY} (in Docker: --shm-size)"
     )]
     TooSmall {
         /// MiB needed.
         needed: u64,
         /// MiB free.
         free: u64,
-        /// MiB there are.
+        /// MiB in total.
         total: u64,
     },
-    /// The system does not say.
-    #[error("cannot tell how much room {SHARED_MEMORY} has: {0}")]
+    /// The system does not report how much is free.
+    #[error("cannot read the free space of {SHARED_MEMORY}: {0}")]
     Unknown(io::Error),
 }
 
-/// Checks that shared memory has room for what `attach` can come to use, since writing past its end
-/// kills a process without a word.
+/// Checks that `needed` bytes of shared memory are free: writing past the end of shared memory kills a process with
+/// SIGBUS.
 ///
 /// # Errors
-/// When there is too little, or the system does not say how much there is.
-pub fn check_shared_memory(attach: &Attach) -> Result<(), SharedMemoryError> {
+/// When too little is free, or the system does not report it.
+pub fn check_shared_memory(needed: u64) -> Result<(), SharedMemoryError> {
     let (free, total) = shared_memory_space().map_err(SharedMemoryError::Unknown)?;
-    room(attach.shared_memory_bytes(), free, total)
+    check_space(needed, free, total)
 }
 
-/// Bytes of shared memory that are free, and that there are in all.
+/// Bytes of shared memory: free, and in total.
 ///
 /// # Errors
-/// When the system does not say.
+/// When the system does not report them.
 pub fn shared_memory_space() -> io::Result<(u64, u64)> {
     let space = rustix::fs::statvfs(Path::new(SHARED_MEMORY))?;
     Ok((space.f_bavail * space.f_frsize, space.f_blocks * space.f_frsize))
 }
 
-fn room(needed: u64, free: u64, total: u64) -> Result<(), SharedMemoryError> {
+fn check_space(needed: u64, free: u64, total: u64) -> Result<(), SharedMemoryError> {
     if needed <= free {
         return Ok(());
     }
@@ -126,7 +124,7 @@ mod tests {
     #[test]
     fn a_process_is_watched_until_it_ends() {
         let mut child = std::process::Command::new("sleep").arg("60").spawn().unwrap();
-        let watch = Watch::over(child.id()).unwrap();
+        let watch = ProcessWatch::new(child.id()).unwrap();
         assert!(!watch.has_ended() && !is_parent(child.id()));
         child.kill().unwrap();
         // Not waited for yet: its number is still taken.
@@ -134,17 +132,17 @@ mod tests {
             std::thread::yield_now();
         }
         child.wait().unwrap();
-        assert!(watch.has_ended() && Watch::over(child.id()).is_err());
+        assert!(watch.has_ended() && ProcessWatch::new(child.id()).is_err());
     }
 
     #[test]
     fn too_little_room_names_what_to_do() {
-        let error = room(100 << 20, 64 << 20, 64 << 20).unwrap_err().to_string();
+        let error = check_space(100 << 20, 64 << 20, 64 << 20).unwrap_err().to_string();
         assert_eq!(
             error,
-            "the run can need 100 MiB of shared memory and /dev/shm has 64 MiB free (of 64): \
-             lower --frame-budget, or make it larger (in Docker with --shm-size)"
+            "the run can use 100 MiB of shared memory, and /dev/shm has 64 MiB free of 64: lower --frame-budget, or \
+             enlarge /dev/shm (in Docker: --shm-size)"
         );
-        assert!(room(1, 1, 1).is_ok());
+        assert!(check_space(1, 1, 1).is_ok());
     }
 }

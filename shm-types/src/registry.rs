@@ -1,10 +1,9 @@
-//! The runs of this user: one folder each, and how to tell a living run from what a dead one left.
+//! The runs of this user: one folder each, and how to tell a living run from the remains of a dead one.
 //!
-//! A run's folder holds `attach.json`, iceoryx2's files and sockets, and a file `lock`. Every process of the
-//! run keeps a shared lock on that file; the kernel takes it away with the process, however that ends. So
-//! whoever can lock it exclusively knows that the run is dead, and may remove what the run has in shared
-//! memory (everything that starts with its prefix) and its folder. Peers in other languages that do not lock
-//! are seen as iceoryx2 nodes.
+//! A run's folder holds `attach.json`, iceoryx2's files and sockets, and a file `lock`. Every process of the run
+//! keeps a shared lock on that file, which the kernel releases when the process ends in any way. A process that can
+//! lock the file exclusively knows that the run is dead, and may remove the run's shared memory (all names with its
+//! prefix) and its folder. Processes in other languages that do not lock the file are found as iceoryx2 nodes.
 
 use std::ffi::OsStr;
 use std::fs::{self, DirBuilder, File, TryLockError};
@@ -18,24 +17,24 @@ use std::time::{Duration, Instant};
 use iceoryx2::node::{Node, NodeState};
 use iceoryx2::prelude::{CallbackProgression, Config};
 
-use crate::attach::MAX_ROOT_BYTES;
-use crate::bus::{Ipc, raw_config};
+use crate::attach::{Attach, MAX_ROOT_BYTES, prefix};
 use crate::process::SHARED_MEMORY;
+use crate::transport::{Ipc, run_config};
 
 /// The file that every process of a run keeps locked.
 const LOCK_FILE: &str = "lock";
 
-/// How long a run's last processes get to end before it is left to a later [`clean`]. (A process that is
-/// just being started holds its parent's locks for a moment, too.)
-const EXIT_PATIENCE: Duration = Duration::from_secs(1);
+/// How long [`RunDir`]'s drop waits for the run's last processes before it leaves the run to a later [`clean`]. (A
+/// process that is being started holds its parent's locks for a moment.)
+const EXIT_TIMEOUT: Duration = Duration::from_secs(1);
 
-/// How long to wait for another cleaner of the same node.
-const CLEANER_PATIENCE: Duration = Duration::from_secs(5);
+/// How long to wait for another process that cleans the same node.
+const CLEANER_TIMEOUT: Duration = Duration::from_secs(5);
 
-/// Why a run's folder cannot be made or removed.
+/// Why a run's folder cannot be created or removed.
 #[derive(Debug, thiserror::Error)]
 pub enum RegistryError {
-    /// The system refused.
+    /// An operation failed.
     #[error("{doing} {}: {cause}", path.display())]
     System {
         /// What was tried.
@@ -45,7 +44,7 @@ pub enum RegistryError {
         /// What it said.
         cause: io::Error,
     },
-    /// The folder of all runs belongs to somebody else, or others may write to it.
+    /// The folder of all runs belongs to another user, or other users may write to it.
     #[error("{} is not a folder that only you can write to: remove it or choose another", path.display())]
     NotOurs {
         /// The folder.
@@ -77,8 +76,8 @@ pub fn default_base() -> PathBuf {
     )
 }
 
-/// A run's folder, held by the process that made it. Dropping it removes the run, unless a process of it
-/// still lives.
+/// A run's folder, owned by the process that created it. Dropping it removes the run, unless a process of the run is
+/// still alive.
 #[derive(Debug)]
 pub struct RunDir {
     path: PathBuf,
@@ -86,16 +85,16 @@ pub struct RunDir {
 }
 
 impl RunDir {
-    /// Makes the folder of a new run below `base`, which is made too if it is missing.
+    /// Creates the folder of a new run below `base`, and `base` itself if it is missing.
     ///
     /// # Errors
-    /// When `base` is not this user's own, too long a path, or the system refuses.
+    /// When `base` belongs to another user, its path is too long, or the system refuses.
     pub fn create(base: &Path) -> Result<Self, RegistryError> {
         let _base_lock = lock_base(base)?;
         loop {
             let name = format!("{:08x}", RandomState::new().build_hasher().finish() as u32);
             let path = base.join(&name);
-            if !names_with_prefix(&prefix(&name))?.is_empty() {
+            if !names_with_prefix(&prefix(&path))?.is_empty() {
                 continue;
             }
             match DirBuilder::new().mode(0o700).create(&path) {
@@ -110,14 +109,19 @@ impl RunDir {
         }
     }
 
+    /// The run's first generation, with default settings.
+    pub fn attach(&self) -> Attach {
+        Attach::new(&self.path)
+    }
+
     /// The folder.
     pub fn path(&self) -> &Path {
         &self.path
     }
 
-    /// What the names of the run's shared memory start with.
+    /// The prefix of the names that the run has in shared memory.
     pub fn prefix(&self) -> String {
-        prefix(&self.name())
+        prefix(&self.path)
     }
 
     /// The run's name: the folder's last part.
@@ -127,7 +131,7 @@ impl RunDir {
 
     fn remove(&self) -> Result<bool, RegistryError> {
         let _base_lock = self.path.parent().map(lock_base).transpose()?;
-        let deadline = Instant::now() + EXIT_PATIENCE;
+        let deadline = Instant::now() + EXIT_TIMEOUT;
         loop {
             match self.lock.try_lock() {
                 Ok(()) => return remove_if_dead(&self.path),
@@ -148,7 +152,7 @@ impl Drop for RunDir {
         match self.remove() {
             Ok(true) => {}
             Ok(false) => tracing::warn!(
-                "a process of run {} still lives; `memtransfer clean` removes the run when it is gone",
+                "a process of run {} is still alive; when it has ended, `memtransfer clean` removes the run",
                 self.name()
             ),
             Err(error) => tracing::warn!(%error, "run {} could not be removed", self.name()),
@@ -156,42 +160,41 @@ impl Drop for RunDir {
     }
 }
 
-/// What [`clean`] found.
+/// The result of [`clean`].
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Cleaned {
-    /// Folders of dead runs, now gone.
+    /// Folders of dead runs, which were removed.
     pub removed: Vec<PathBuf>,
-    /// Folders of runs that live, untouched.
+    /// Folders of living runs, which were not touched.
     pub alive: Vec<PathBuf>,
 }
 
-/// A run as [`list`] finds it.
+/// A run found by [`list`].
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Run {
     /// Its folder.
     pub path: PathBuf,
-    /// Whether a process of it lives.
+    /// Whether a process of it is alive.
     pub alive: bool,
 }
 
-/// Every run below `base`, by name.
+/// All runs below `base`, by name.
 ///
 /// # Errors
-/// When `base` is not this user's own or the system refuses.
+/// When `base` belongs to another user or the system refuses.
 pub fn list(base: &Path) -> Result<Vec<Run>, RegistryError> {
     if !base.exists() {
         return Ok(Vec::new());
     }
     let _base_lock = lock_base(base)?;
-    let dead = |path: &Path| Ok(hold_dead(path)?.is_some() && !has_living_node(path));
+    let dead = |path: &Path| Ok(lock_dead(path)?.is_some() && !has_living_node(path));
     run_folders(base)?.into_iter().map(|path| Ok(Run { alive: !dead(&path)?, path })).collect()
 }
 
-/// Removes what dead runs below `base` left: shared memory, sockets, folders. Touches nothing of a run
-/// that lives.
+/// Removes what dead runs below `base` left: shared memory, sockets, folders. Does not touch living runs.
 ///
 /// # Errors
-/// When `base` is not this user's own or the system refuses; what was removed before stays removed.
+/// When `base` belongs to another user or the system refuses; what was removed before stays removed.
 pub fn clean(base: &Path) -> Result<Cleaned, RegistryError> {
     let mut cleaned = Cleaned::default();
     if !base.exists() {
@@ -199,7 +202,7 @@ pub fn clean(base: &Path) -> Result<Cleaned, RegistryError> {
     }
     let _base_lock = lock_base(base)?;
     for path in run_folders(base)? {
-        let dead = match hold_dead(&path)? {
+        let dead = match lock_dead(&path)? {
             Some(_lock) => remove_if_dead(&path)?,
             None => false,
         };
@@ -208,20 +211,16 @@ pub fn clean(base: &Path) -> Result<Cleaned, RegistryError> {
     Ok(cleaned)
 }
 
-/// Takes part in the run in `root` until the file is dropped: nobody cleans it away meanwhile.
-pub(crate) fn hold(root: &Path) -> io::Result<File> {
+/// Locks the run in `root` until the returned file is dropped: no cleaner removes it in the meantime.
+pub(crate) fn lock_shared(root: &Path) -> io::Result<File> {
     let lock = File::open(root.join(LOCK_FILE))?;
-    // Never waits long: only a cleaner locks exclusively, and only for a moment or for good.
+    // Does not wait long: only a cleaner locks exclusively, for a moment or until it has removed the run.
     lock.lock_shared()?;
-    // A cleaner that came first has removed the file that is now locked.
+    // If a cleaner was first, the locked file no longer has a name.
     fs::metadata(root.join(LOCK_FILE)).map(|_| lock)
 }
 
-fn prefix(name: &str) -> String {
-    format!("mt{name}_")
-}
-
-/// Makes and checks the folder of all runs, and locks it: runs are made and cleaned one at a time.
+/// Creates, checks and locks the folder of all runs: runs are created and cleaned one at a time.
 fn lock_base(base: &Path) -> Result<File, RegistryError> {
     if base.as_os_str().len() > MAX_ROOT_BYTES - RUN_NAME_BYTES {
         return Err(RegistryError::TooLong { path: base.to_owned() });
@@ -240,7 +239,7 @@ fn lock_base(base: &Path) -> Result<File, RegistryError> {
     Ok(lock)
 }
 
-/// The folders below `base` that are named as runs are.
+/// The folders below `base` whose names are those of runs.
 fn run_folders(base: &Path) -> Result<Vec<PathBuf>, RegistryError> {
     let is_run = |name: &str| {
         name.len() == 8 && name.bytes().all(|b| b.is_ascii_hexdigit() && !b.is_ascii_uppercase())
@@ -258,10 +257,10 @@ fn run_folders(base: &Path) -> Result<Vec<PathBuf>, RegistryError> {
     Ok(folders)
 }
 
-/// The run's lock, held exclusively, if no process holds it.
-fn hold_dead(run: &Path) -> Result<Option<File>, RegistryError> {
+/// The run's lock, taken exclusively; `None` while a process of the run is alive.
+fn lock_dead(run: &Path) -> Result<Option<File>, RegistryError> {
     let file = run.join(LOCK_FILE);
-    // A run that died before it had a lock file gets one: runs are made under the lock of the base.
+    // Creates the file for a run that died before it had one: runs are created under the lock of the base.
     let lock = File::options().create(true).append(true).open(&file);
     let lock = lock.map_err(system("cannot open", &file))?;
     match lock.try_lock() {
@@ -271,15 +270,14 @@ fn hold_dead(run: &Path) -> Result<Option<File>, RegistryError> {
     }
 }
 
-/// The iceoryx2 settings of the run in `path`.
-fn run_config(path: &Path) -> Option<Config> {
-    let name = path.file_name()?.to_str()?;
-    raw_config(&prefix(name), path).ok()
+/// The iceoryx2 configuration of the run in `path`.
+fn config(path: &Path) -> Option<Config> {
+    run_config(&prefix(path), path).ok()
 }
 
 fn has_living_node(run: &Path) -> bool {
     let mut alive = false;
-    let Some(config) = run_config(run) else { return false };
+    let Some(config) = config(run) else { return false };
     let outcome = Node::<Ipc>::list(&config, |node| {
         alive |= matches!(node, NodeState::Alive(_));
         CallbackProgression::Continue
@@ -290,15 +288,13 @@ fn has_living_node(run: &Path) -> bool {
     alive
 }
 
-/// Removes a run that nobody holds; `false` when a peer that does not lock still lives. The caller has the
-/// run's lock.
+/// Removes a run; the caller has its lock. Returns `false` when a process that does not lock is still alive.
 fn remove_if_dead(run: &Path) -> Result<bool, RegistryError> {
     if has_living_node(run) {
         return Ok(false);
     }
-    let Some(name) = run.file_name().and_then(OsStr::to_str) else { return Ok(false) };
     remove_dead_nodes(run);
-    for name in names_with_prefix(&prefix(name))? {
+    for name in names_with_prefix(&prefix(run))? {
         let path = Path::new(SHARED_MEMORY).join(name);
         match fs::remove_file(&path) {
             Err(e) if e.kind() == io::ErrorKind::NotFound => {}
@@ -309,12 +305,12 @@ fn remove_if_dead(run: &Path) -> Result<bool, RegistryError> {
     Ok(true)
 }
 
-/// iceoryx2's own way first: it knows what belongs to a node. What it leaves goes by name.
+/// Removes dead nodes through iceoryx2, which knows their resources. The caller removes the rest by name.
 fn remove_dead_nodes(run: &Path) {
-    let Some(config) = run_config(run) else { return };
+    let Some(config) = config(run) else { return };
     let outcome = Node::<Ipc>::list(&config, |node| {
         if let NodeState::Dead(node) = node
-            && let Err(error) = node.blocking_remove_stale_resources(CLEANER_PATIENCE)
+            && let Err(error) = node.blocking_remove_stale_resources(CLEANER_TIMEOUT)
         {
             tracing::debug!(?error, "a dead node is removed by name");
         }

@@ -7,7 +7,7 @@
 use std::time::{Duration, Instant};
 
 use anyhow::Result;
-use shm_types::{Heading, Pose};
+use domain::{Heading, Pose};
 use sim_proc::renderer::{Destination, RenderJob, RenderSettings, Renderer, Samples, View};
 use warehouse::{Variant, Warehouse};
 

@@ -2,7 +2,8 @@
 
 use std::collections::HashMap;
 
-use shm_types::{FrameControl, Heading, Pose};
+use domain::{Heading, Pose};
+use shm_types::FrameControl;
 use warehouse::{Layout, Variant};
 
 use crate::views::ViewKey;

@@ -4,8 +4,9 @@ use std::ops::Range;
 use std::thread::{self, JoinHandle};
 
 use crossbeam::channel::{Receiver, Sender, unbounded};
+use domain::Pose;
+use shm_types::FrameSlot;
 use shm_types::process::monotonic_ns;
-use shm_types::{FrameSlot, Pose};
 use warehouse::Variant;
 
 use crate::painter::{Painter, Painting};

@@ -5,7 +5,7 @@
 //! episode is the orchestrator's to answer at once, and every observation where it decides itself.
 
 use shm_types::message::Role;
-use shm_types::{Bell, Bus, BusError};
+use shm_types::{Bus, BusError, Notifier};
 
 /// The simulator's neighbours.
 #[derive(Debug)]
@@ -20,7 +20,7 @@ pub(crate) struct Neighbours {
 /// A neighbour, and whether it is to be woken.
 #[derive(Debug)]
 pub(crate) struct Neighbour {
-    bell: Bell,
+    notifier: Notifier,
     is_due: bool,
 }
 
@@ -31,12 +31,12 @@ impl Neighbours {
     /// When a doorbell cannot be reached.
     pub(crate) fn new(bus: &Bus) -> Result<Self, BusError> {
         let neighbour =
-            |role| Ok::<_, BusError>(Neighbour { bell: bus.bell(role)?, is_due: false });
+            |role| Ok::<_, BusError>(Neighbour { notifier: bus.notifier(role)?, is_due: false });
         Ok(Self {
             memory: neighbour(Role::Memory)?,
             policy: neighbour(Role::Policy)?,
             orchestrator: neighbour(Role::Orchestrator)?,
-            has_policy: bus.attach().crew.contains(&Role::Policy),
+            has_policy: bus.attach().participants.contains(&Role::Policy),
         })
     }
 
@@ -52,11 +52,11 @@ impl Neighbours {
     ///
     /// # Errors
     /// When the transport fails.
-    pub(crate) fn ring(&mut self) -> Result<(), BusError> {
+    pub(crate) fn notify(&mut self) -> Result<(), BusError> {
         let Self { memory, policy, orchestrator, .. } = self;
         for neighbour in [memory, policy, orchestrator] {
             if std::mem::take(&mut neighbour.is_due) {
-                neighbour.bell.ring()?;
+                neighbour.notifier.notify()?;
             }
         }
         Ok(())
@@ -69,7 +69,7 @@ impl Neighbours {
     pub(crate) fn ring_all(&mut self) -> Result<(), BusError> {
         let Self { memory, policy, orchestrator, .. } = self;
         [memory, policy, orchestrator].into_iter().for_each(Neighbour::wake);
-        self.ring()
+        self.notify()
     }
 }
 

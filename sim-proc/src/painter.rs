@@ -1,6 +1,7 @@
 //! What the serve loop asks of whoever draws.
 
-use shm_types::{FrameSlot, Pose};
+use domain::Pose;
+use shm_types::FrameSlot;
 use warehouse::Variant;
 
 use crate::renderer::RenderError;

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
-use shm_types::Pose;
+use domain::Pose;
 use warehouse::{CaseSet, Start, Variant, Warehouse};
 
 use crate::contact_sheet::contact_sheet;

@@ -14,15 +14,15 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use bytemuck::Zeroable;
+use domain::{Pose, pose::UnknownCode};
 use rustc_hash::FxHashMap;
 use shm_types::message::{
-    Eviction, Farewell, Hello, NO_ACTION, NO_FRAME, Observation, Pulse, Role, StepCommand,
-    StepKind, Stop, View, ViewRequest, ViewRequestKind, WirePose,
+    Eviction, Handshake, Heartbeat, NO_ACTION, NO_FRAME, Observation, Role, ShutdownReport,
+    StepCommand, StepKind, Stop, View, ViewRequest, ViewRequestKind, WirePose,
 };
-use shm_types::pose::UnknownCode;
 use shm_types::process::monotonic_ns;
 use shm_types::{
-    Bus, BusError, Complaints, FactsTooLong, FrameError, FramePublisher, FrameSlot, Pose, Pulses,
+    Bus, BusError, ErrorReporter, FactsTooLong, FrameError, FramePublisher, FrameSlot, Heartbeats,
     Receiver, Sender, Spans,
 };
 use warehouse::{CaseSet, Warehouse};
@@ -117,7 +117,7 @@ pub fn serve(
         .map_err(ServeError::from)
         .and_then(|studio| simulator.serve_until_stop(studio, ahead));
     if let Err(error) = &outcome {
-        simulator.complaints.raise(error);
+        simulator.reporter.report(error);
         simulator.neighbours.ring_all()?;
     }
     outcome
@@ -146,8 +146,8 @@ struct Simulator<'a> {
     evictions: Sender<Eviction>,
     neighbours: Neighbours,
     frames: FramePublisher,
-    complaints: Complaints,
-    pulses: Pulses,
+    reporter: ErrorReporter,
+    heartbeats: Heartbeats,
     spans: Spans,
     world: World,
     control: Control,
@@ -180,8 +180,8 @@ impl<'a> Simulator<'a> {
             evictions: bus.sender()?,
             neighbours: Neighbours::new(bus)?,
             frames: FramePublisher::new(bus)?,
-            complaints: Complaints::new(bus)?,
-            pulses: Pulses::new(bus)?,
+            reporter: ErrorReporter::new(bus)?,
+            heartbeats: Heartbeats::new(bus)?,
             spans: Spans::open(attach, Role::Sim)?,
             world: World::new(warehouse, cases, lanes),
             control: Control::new(attach.frame_control, &warehouse.layout),
@@ -198,9 +198,9 @@ impl<'a> Simulator<'a> {
         Studio { painters, at_once, may_show_barricade, facts }: Studio,
         ahead: Ahead,
     ) -> Result<(), ServeError> {
-        let own_bell = Arc::new(self.bus.bell(Role::Sim)?);
+        let own_notifier = Arc::new(self.bus.notifier(Role::Sim)?);
         let easels = Easels::new(painters, at_once, move || {
-            if let Err(error) = own_bell.ring() {
+            if let Err(error) = own_notifier.notify() {
                 tracing::debug!(%error, "a painter cannot wake the loop");
             }
         });
@@ -208,19 +208,19 @@ impl<'a> Simulator<'a> {
         if ahead == Ahead::EveryView {
             self.draw_every_view(&mut drawing.easels)?;
         }
-        self.bus.sender()?.send(&Hello::new(Role::Sim, facts)?)?;
+        self.bus.sender()?.send(&Handshake::new(Role::Sim, facts)?)?;
         self.neighbours.ring_all()?;
         while self.stops.next()?.is_none() {
             if !self.turn(&mut drawing)? {
-                self.bus.doorbell().wait(LONGEST_SLEEP)?;
+                self.bus.listener().wait(LONGEST_SLEEP)?;
             }
         }
-        self.bus.sender()?.send(&Farewell {
+        self.bus.sender()?.send(&ShutdownReport {
             role: Role::Sim as u32,
             frames_rendered: self.frames_rendered,
             frames_evicted: self.frames_evicted,
             pixel_bytes_copied: self.pixel_bytes_copied,
-            complaints: self.complaints.count().into(),
+            error_reports: self.reporter.count().into(),
             ..Zeroable::zeroed()
         })?;
         Ok(self.neighbours.ring_all()?)
@@ -241,14 +241,14 @@ impl<'a> Simulator<'a> {
         views.iter().for_each(|&view| self.views.hold(view));
         while self.views.missing() > 0 {
             self.have_drawn(easels)?;
-            self.bus.doorbell().wait(LONGEST_SLEEP)?;
+            self.bus.listener().wait(LONGEST_SLEEP)?;
             self.publish_drawn(easels)?;
         }
         for view in views {
             if let Some(frame) = self.views.frame(view)
                 && let Err(error) = self.views.release(frame)
             {
-                self.complaints.raise(error);
+                self.reporter.report(error);
             }
         }
         Ok(())
@@ -256,23 +256,23 @@ impl<'a> Simulator<'a> {
 
     /// One turn; returns whether there may be more to do.
     fn turn(&mut self, drawing: &mut Drawing) -> Result<bool, ServeError> {
-        let complaints = self.complaints.count();
+        let error_reports = self.reporter.count();
         self.take_requests()?;
         let more = self.take_commands(drawing)?;
         self.evict()?;
         self.publish_drawn(&mut drawing.easels)?;
         self.answer()?;
-        if self.beat() || self.complaints.count() != complaints {
+        if self.beat() || self.reporter.count() != error_reports {
             self.neighbours.orchestrator.wake();
         }
-        self.neighbours.ring()?;
+        self.neighbours.notify()?;
         self.have_drawn(&mut drawing.easels)?;
         Ok(more)
     }
 
     fn beat(&mut self) -> bool {
         let (views, done) = (&self.views, self.frames_rendered);
-        self.pulses.beat(|| Pulse {
+        self.heartbeats.beat(|| Heartbeat {
             done,
             waiting: views.missing() as u64,
             held: views.resident() as u64,
@@ -284,7 +284,7 @@ impl<'a> Simulator<'a> {
     fn take_requests(&mut self) -> Result<(), BusError> {
         while let Some(request) = self.requests.next()? {
             if let Err(bad) = self.take_request(&request) {
-                self.complaints.raise(bad);
+                self.reporter.report(bad);
             }
         }
         Ok(())
@@ -292,7 +292,7 @@ impl<'a> Simulator<'a> {
 
     fn take_request(&mut self, request: &ViewRequest) -> Result<(), BadRequest> {
         match ViewRequestKind::try_from(request.kind)? {
-            ViewRequestKind::Hold => {
+            ViewRequestKind::Pin => {
                 let pose = Pose::try_from(request.pose)?;
                 if !self.world.layout().is_free(pose.cell) {
                     return Err(BadRequest::Pose(pose));
@@ -309,13 +309,13 @@ impl<'a> Simulator<'a> {
     /// Takes up as many commands as belong into a turn; returns whether there may be more.
     fn take_commands(&mut self, drawing: &mut Drawing) -> Result<bool, BusError> {
         let woken_ns = monotonic_ns();
-        let most = self.bus.attach().steps_in_a_turn();
+        let most = self.bus.attach().batch_len();
         let mut taken = 0;
         while taken < most
             && let Some(command) = self.commands.next()?
         {
             if let Err(bad) = self.take_command(&command, woken_ns, drawing) {
-                self.complaints.raise(bad);
+                self.reporter.report(bad);
             }
             taken += 1;
         }

@@ -42,7 +42,7 @@ pub struct ServeArgs {
 pub fn run(args: ServeArgs) -> Result<()> {
     let attach = Attach::read(&args.attach).context("cannot take part in the run")?;
     die_with_parent(attach.orchestrator_pid).context("this process belongs to an orchestrator")?;
-    check_shared_memory(&attach)?;
+    check_shared_memory(attach.shared_memory_bytes())?;
     let (warehouse, cases) = match &args.assets {
         None => (Warehouse::shipped(), CaseSet::shipped()),
         Some(folder) => {

@@ -7,8 +7,8 @@
 
 use std::collections::{BTreeMap, VecDeque};
 
+use domain::Pose;
 use rustc_hash::FxHashMap;
-use shm_types::Pose;
 use shm_types::message::FrameId;
 
 /// What a frame shows.
@@ -254,8 +254,8 @@ impl Views {
 mod tests {
     use std::collections::BTreeSet;
 
+    use domain::Heading;
     use proptest::prelude::*;
-    use shm_types::Heading;
 
     use super::*;
 

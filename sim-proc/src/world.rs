@@ -2,9 +2,8 @@
 
 use std::collections::HashMap;
 
+use domain::{Action, Feedback, Pose, pose::UnknownCode};
 use shm_types::message::{StepCommand, StepKind};
-use shm_types::pose::UnknownCode;
-use shm_types::{Action, Feedback, Pose};
 use warehouse::{CaseSet, Layout, Variant, Warehouse, step};
 
 /// A command that cannot be carried out.
@@ -200,8 +199,8 @@ fn place(lane: Option<Lane>) -> Place {
 #[cfg(test)]
 mod tests {
     use bytemuck::Zeroable;
+    use domain::Heading;
     use proptest::prelude::*;
-    use shm_types::Heading;
     use shm_types::message::{NO_ACTION, WirePose};
 
     use super::*;

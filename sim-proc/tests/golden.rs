@@ -49,16 +49,16 @@ fn views_look_as_they_did() {
 }
 
 /// The first pose, by cell and heading, that looks at a closed cell from two cells away.
-fn standing_before(warehouse: &Warehouse, closed: &Variant) -> (shm_types::Pose, shm_types::Cell) {
+fn standing_before(warehouse: &Warehouse, closed: &Variant) -> (domain::Pose, domain::Cell) {
     for &cell in closed.closed() {
-        for heading in shm_types::Heading::ALL {
+        for heading in domain::Heading::ALL {
             let back = heading.opposite();
             let free = |cell| warehouse.layout.free_neighbour(cell, back);
             let Some(before) = free(cell).filter(|&before| !closed.is_closed(before)) else {
                 continue;
             };
             if let Some(stand) = free(before) {
-                return (shm_types::Pose { cell: stand, heading }, cell);
+                return (domain::Pose { cell: stand, heading }, cell);
             }
         }
     }

@@ -9,13 +9,13 @@ use std::thread::{self, JoinHandle};
 use std::time::Duration;
 
 use bytemuck::Zeroable;
+use domain::{Action, Feedback, Heading, Pose};
 use shm_types::message::{
-    Complaint, Farewell, FrameId, Hello, NO_ACTION, NO_FRAME, Observation, Role, StepCommand,
-    StepKind, Stop, View, ViewRequest, ViewRequestKind, WirePose, read_text,
+    ErrorReport, FrameId, Handshake, NO_ACTION, NO_FRAME, Observation, Role, ShutdownReport,
+    StepCommand, StepKind, Stop, View, ViewRequest, ViewRequestKind, WirePose, read_text,
 };
 use shm_types::{
-    Action, Attach, Bell, Bus, Feedback, FrameControl, FrameSize, FrameStore, Heading, Pose,
-    Receiver, RunDir, Sender,
+    Attach, Bus, FrameControl, FrameSize, FrameStore, Notifier, Receiver, RunDir, Sender,
 };
 use sim_proc::painter::{Painter, Painting, Studio};
 use sim_proc::renderer::{
@@ -68,10 +68,10 @@ struct Peers {
     commands: Sender<StepCommand>,
     stops: Sender<Stop>,
     requests: Sender<ViewRequest>,
-    bell: Bell,
-    hellos: Receiver<Hello>,
-    complaints: Receiver<Complaint>,
-    farewells: Receiver<Farewell>,
+    notifier: Notifier,
+    handshakes: Receiver<Handshake>,
+    error_reports: Receiver<ErrorReport>,
+    shutdown_reports: Receiver<ShutdownReport>,
     views: Receiver<View>,
     /// Of orchestrator, memory and policy.
     observations: [Receiver<Observation>; 3],
@@ -93,7 +93,7 @@ impl Drop for Peers {
         if let Some(simulator) = self.simulator.take() {
             // A test has failed. The simulator must not outlive its run.
             let _ = self.stops.send(&Stop { reserved: 0 });
-            let _ = self.bell.ring();
+            let _ = self.notifier.notify();
             let _ = simulator.join();
         }
     }
@@ -102,8 +102,8 @@ impl Drop for Peers {
 /// Peers around a simulator with [`scribes`].
 fn peers(change: impl FnOnce(&mut Attach)) -> Peers {
     let mut peers = peers_around(change, Ahead::Nothing, |_| Ok(scribes()));
-    let hello = peers.wait(|peers| peers.hellos.next().unwrap());
-    assert_eq!(hello.facts().unwrap(), BTreeMap::from([("adapter".into(), "a scribe".into())]));
+    let handshake = peers.wait(|peers| peers.handshakes.next().unwrap());
+    assert_eq!(handshake.facts().unwrap(), BTreeMap::from([("adapter".into(), "a scribe".into())]));
     peers
 }
 
@@ -115,7 +115,7 @@ fn peers_around(
     let base = tempfile::Builder::new().prefix("mt").tempdir_in("/tmp").unwrap();
     let run = RunDir::create(base.path()).unwrap();
     let frame = FrameSize { width: 64, height: 32 };
-    let mut attach = Attach { frame, frame_capacity: 64, lanes: 4, ..Attach::new(&run) };
+    let mut attach = Attach { frame, frame_capacity: 64, lanes: 4, ..run.attach() };
     change(&mut attach);
     let [orchestrator, memory, policy] = [Role::Orchestrator, Role::Memory, Role::Policy]
         .map(|role| Bus::join(attach.clone(), role).unwrap());
@@ -138,10 +138,10 @@ fn peers_around(
         commands: orchestrator.sender().unwrap(),
         stops: orchestrator.sender().unwrap(),
         requests: memory.sender().unwrap(),
-        bell: orchestrator.bell(Role::Sim).unwrap(),
-        hellos: orchestrator.receiver().unwrap(),
-        complaints: orchestrator.receiver().unwrap(),
-        farewells: orchestrator.receiver().unwrap(),
+        notifier: orchestrator.notifier(Role::Sim).unwrap(),
+        handshakes: orchestrator.receiver().unwrap(),
+        error_reports: orchestrator.receiver().unwrap(),
+        shutdown_reports: orchestrator.receiver().unwrap(),
         views: memory.receiver().unwrap(),
         observations: [&orchestrator, &memory, &policy].map(|bus| bus.receiver().unwrap()),
         stores: [&memory, &policy].map(|bus| FrameStore::new(bus).unwrap()),
@@ -166,13 +166,13 @@ impl Peers {
                 return seen;
             }
             assert!(!over, "the simulator ended before this came");
-            self.orchestrator.doorbell().wait(Duration::from_millis(1)).unwrap();
+            self.orchestrator.listener().wait(Duration::from_millis(1)).unwrap();
         }
     }
 
     /// Rings, waits for `count` observations; all three receivers must get the same.
     fn observe(&mut self, count: usize) -> Vec<Observation> {
-        self.bell.ring().unwrap();
+        self.notifier.notify().unwrap();
         let mut seen = Vec::new();
         while seen.len() < count {
             let observation = self.wait(|peers| peers.observations[0].next().unwrap());
@@ -195,10 +195,10 @@ impl Peers {
         self.observe(1)[0]
     }
 
-    fn complaint(&mut self) -> String {
-        self.bell.ring().unwrap();
-        let complaint = self.wait(|peers| peers.complaints.next().unwrap());
-        read_text(&complaint.text, complaint.text_len).unwrap().to_owned()
+    fn error_report(&mut self) -> String {
+        self.notifier.notify().unwrap();
+        let error_report = self.wait(|peers| peers.error_reports.next().unwrap());
+        read_text(&error_report.text, error_report.text_len).unwrap().to_owned()
     }
 
     /// What the frame shows, as both consumers see it.
@@ -215,7 +215,7 @@ impl Peers {
     }
 
     fn hold(&mut self, pose: Pose) -> ViewRequest {
-        let (kind, frame) = (ViewRequestKind::Hold as u8, NO_FRAME);
+        let (kind, frame) = (ViewRequestKind::Pin as u8, NO_FRAME);
         let request = ViewRequest { frame, pose: pose.into(), kind, reserved: [0; 3] };
         self.requests.send(&request).unwrap();
         request
@@ -226,12 +226,12 @@ impl Peers {
         self.requests.send(&ViewRequest { frame, kind, ..Zeroable::zeroed() }).unwrap();
     }
 
-    fn stop(mut self) -> Farewell {
+    fn stop(mut self) -> ShutdownReport {
         self.stops.send(&Stop { reserved: 0 }).unwrap();
-        self.bell.ring().unwrap();
-        let farewell = self.wait(|peers| peers.farewells.next().unwrap());
+        self.notifier.notify().unwrap();
+        let shutdown_report = self.wait(|peers| peers.shutdown_reports.next().unwrap());
         self.simulator.take().unwrap().join().unwrap().unwrap();
-        farewell
+        shutdown_report
     }
 
     /// The poses of the shipped floor.
@@ -290,9 +290,12 @@ fn episodes_run_by_the_dynamics_and_show_what_is_there() {
         let over = peers.ask(&command);
         assert_eq!((over.last, over.frame, over.lane), (1, NO_FRAME, lane));
     }
-    let farewell = peers.stop();
-    assert_eq!(farewell.frames_rendered, shown.len() as u64 + 1);
-    assert_eq!((farewell.complaints, farewell.pixel_bytes_copied), (0, farewell.frames_rendered));
+    let shutdown_report = peers.stop();
+    assert_eq!(shutdown_report.frames_rendered, shown.len() as u64 + 1);
+    assert_eq!(
+        (shutdown_report.error_reports, shutdown_report.pixel_bytes_copied),
+        (0, shutdown_report.frames_rendered)
+    );
 }
 
 #[test]
@@ -328,8 +331,8 @@ fn lanes_share_a_frame_wherever_their_worlds_look_alike() {
         }
         looks.extend(frames);
     }
-    let farewell = peers.stop();
-    assert_eq!(farewell.frames_rendered, looks.len() as u64);
+    let shutdown_report = peers.stop();
+    assert_eq!(shutdown_report.frames_rendered, looks.len() as u64);
     assert!(looks.len() > poses.len() && looks.len() < 2 * poses.len());
 }
 
@@ -341,7 +344,7 @@ fn memory_gets_the_views_it_asks_for_until_it_lets_go() {
     for &pose in &held {
         peers.hold(pose);
     }
-    peers.bell.ring().unwrap();
+    peers.notifier.notify().unwrap();
     let mut frames = BTreeMap::new();
     while frames.len() < held.len() {
         let view = peers.wait(|peers| peers.views.next().unwrap());
@@ -363,7 +366,7 @@ fn memory_gets_the_views_it_asks_for_until_it_lets_go() {
     let (&pose, &frame) = frames.first_key_value().unwrap();
     assert_eq!(peers.ask(&reset(1, 2, 0, pose)).frame, frame);
     peers.hold(pose);
-    peers.bell.ring().unwrap();
+    peers.notifier.notify().unwrap();
     assert_eq!(peers.wait(|peers| peers.views.next().unwrap()).frame, frame);
     peers.release(frame);
     for &frame in frames.values() {
@@ -371,11 +374,11 @@ fn memory_gets_the_views_it_asks_for_until_it_lets_go() {
     }
     peers.release(frame);
     assert_eq!(
-        peers.complaint(),
+        peers.error_report(),
         format!("view request: frame {frame} is released, but it is not held")
     );
-    let farewell = peers.stop();
-    assert_eq!(farewell.complaints, 1);
+    let shutdown_report = peers.stop();
+    assert_eq!(shutdown_report.error_reports, 1);
 }
 
 #[test]
@@ -403,9 +406,9 @@ fn a_walk_longer_than_the_store_evicts_and_memory_stays_bounded() {
             assert_eq!(peers.picture(frame), scribble(&Variant::UNCHANGED, pose));
         }
     }
-    let farewell = peers.stop();
-    assert!(farewell.frames_evicted > 100);
-    assert!(farewell.frames_rendered - farewell.frames_evicted <= 6);
+    let shutdown_report = peers.stop();
+    assert!(shutdown_report.frames_evicted > 100);
+    assert!(shutdown_report.frames_rendered - shutdown_report.frames_evicted <= 6);
 }
 
 #[test]
@@ -422,7 +425,7 @@ fn controls_change_what_lanes_see_and_not_what_memory_gets() {
             assert_eq!(picture == [128, 128, 128, 255], control == FrameControl::Blank);
             shown.insert(seen.frame);
             peers.hold(pose);
-            peers.bell.ring().unwrap();
+            peers.notifier.notify().unwrap();
             let view = peers.wait(|peers| peers.views.next().unwrap());
             assert_eq!(peers.picture(view.frame), scribble(&Variant::UNCHANGED, pose));
         }
@@ -444,8 +447,8 @@ fn rubbish_is_counted_and_the_run_goes_on() {
         (act(0, 1, 1, Action::Forward), "the lane is in no episode"),
     ] {
         peers.commands.send(&command).unwrap();
-        let complaint = peers.complaint();
-        assert!(complaint.contains(said), "{complaint}");
+        let error_report = peers.error_report();
+        assert!(error_report.contains(said), "{complaint}");
     }
     for (request, said) in [
         (ViewRequest { kind: 9, ..Zeroable::zeroed() }, "9 is not a view request kind"),
@@ -453,11 +456,11 @@ fn rubbish_is_counted_and_the_run_goes_on() {
         (ViewRequest { frame: 5, kind: 1, ..Zeroable::zeroed() }, "frame 5 is released"),
     ] {
         peers.requests.send(&request).unwrap();
-        let complaint = peers.complaint();
-        assert!(complaint.contains(said), "{complaint}");
+        let error_report = peers.error_report();
+        assert!(error_report.contains(said), "{complaint}");
     }
     assert_eq!(peers.ask(&reset(0, 1, 0, pose)).feedback, Feedback::Start as u8);
-    assert_eq!(peers.stop().complaints, 8);
+    assert_eq!(peers.stop().error_reports, 8);
 }
 
 #[test]
@@ -467,9 +470,9 @@ fn a_store_that_is_too_small_is_named_before_the_end() {
     for (lane, &pose) in poses[..4].iter().enumerate() {
         peers.commands.send(&reset(lane as u32, 1, 0, pose)).unwrap();
     }
-    let complaint = peers.complaint();
+    let error_report = peers.error_report();
     assert_eq!(
-        complaint,
+        error_report,
         "4 views are in use at once and the frame store has room for 3: raise --frame-budget or lower --lanes"
     );
     let error = peers.simulator.take().unwrap().join().unwrap().unwrap_err();
@@ -491,7 +494,7 @@ fn a_painter_that_is_gone_ends_the_run() {
     let mut peers = peers_around(|_| {}, Ahead::Nothing, move |_| Ok(studio()));
     peers.commands.send(&reset(0, 1, 0, peers.poses()[0])).unwrap();
     assert_eq!(
-        peers.complaint(),
+        peers.error_report(),
         "a thread that draws has ended; what it said before is the reason"
     );
     let error = peers.simulator.take().unwrap().join().unwrap().unwrap_err();
@@ -543,15 +546,18 @@ fn nobody_waits_for_what_another_wants_to_see() {
 fn what_is_drawn_ahead_is_not_drawn_again() {
     let mut peers =
         peers_around(|attach| attach.frame_capacity = 1500, Ahead::EveryView, |_| Ok(scribes()));
-    peers.wait(|peers| peers.hellos.next().unwrap());
+    peers.wait(|peers| peers.handshakes.next().unwrap());
     let poses = peers.poses();
     for (episode, &pose) in poses.iter().enumerate().step_by(7) {
         let seen = peers.ask(&reset(0, episode as u64, 0, pose));
         assert_eq!(seen.rendered_ns, seen.stepped_ns, "{pose} was there");
         assert_eq!(peers.picture(seen.frame), scribble(&Variant::UNCHANGED, pose));
     }
-    let farewell = peers.stop();
-    assert_eq!((farewell.frames_rendered, farewell.frames_evicted), (poses.len() as u64, 0));
+    let shutdown_report = peers.stop();
+    assert_eq!(
+        (shutdown_report.frames_rendered, shutdown_report.frames_evicted),
+        (poses.len() as u64, 0)
+    );
 }
 
 #[test]
@@ -559,7 +565,7 @@ fn a_store_without_room_for_every_view_is_named() {
     let mut peers = peers_around(|_| {}, Ahead::EveryView, |_| Ok(scribes()));
     let views = peers.poses().len();
     assert_eq!(
-        peers.complaint(),
+        peers.error_report(),
         format!(
             "--warm-views needs room for {views} frames and the frame store has room for 64: raise \
              --frame-budget or leave --warm-views out"
@@ -585,8 +591,8 @@ fn the_renderer_draws_into_the_frame_store() {
         Ahead::Nothing,
         move |frame| Studio::open(&Warehouse::shipped(), settings(frame)),
     );
-    let hello = peers.wait(|peers| peers.hellos.next().unwrap());
-    let facts = hello.facts().unwrap();
+    let handshake = peers.wait(|peers| peers.handshakes.next().unwrap());
+    let facts = handshake.facts().unwrap();
     let mut expected = vec![0; size.bytes()];
     let mut renderer = Renderer::new(&peers.warehouse, settings(size)).unwrap();
     let case = peers.cases.cases[0].clone();
@@ -603,7 +609,7 @@ fn the_renderer_draws_into_the_frame_store() {
         }
         command = act(0, 1, step, action);
     }
-    let Farewell { frames_rendered, frames_evicted, pixel_bytes_copied, .. } = peers.stop();
+    let ShutdownReport { frames_rendered, frames_evicted, pixel_bytes_copied, .. } = peers.stop();
     assert!(frames_rendered > 6 && frames_evicted >= frames_rendered - 6);
     let copied = if facts["frame path"] == "direct" { 0 } else { frames_rendered };
     assert_eq!(pixel_bytes_copied, copied * size.bytes() as u64, "{facts:?}");

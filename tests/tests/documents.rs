@@ -7,10 +7,10 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::Path;
 
+use domain::{Cell, Pose};
 use memtransfer_tests::Bench;
 use plates::Plate;
 use serde_json::Value;
-use shm_types::{Cell, Pose};
 use warehouse::sight::sees;
 use warehouse::{CaseSet, Demonstrations, Task, Warehouse};
 

@@ -9,13 +9,12 @@ use std::process::{Child, Command, Stdio};
 use std::sync::mpsc;
 use std::time::{Duration, Instant};
 
+use domain::{Action, Cell, DocumentKind, Feedback, Heading, Pose};
 use memory_proc::documents::model::{Ask, ModelBuilder, Pipe, Settings};
 use memory_proc::documents::{Builder, Seen, Step, Transcript};
 use memtransfer_tests::{WATCHDOG, program};
 use plates::{Landmark, Plate};
 use policy_proc::chat::scripted::{Received, Server, Turn};
-use shm_types::message::DocumentKind;
-use shm_types::{Action, Cell, Feedback, Heading, Pose};
 
 /// Set for the test binary that is started as a building process: where the server is.
 const BASE_URL: &str = "MEMTRANSFER_TEST_BASE_URL";

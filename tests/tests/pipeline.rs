@@ -173,7 +173,7 @@ fn no_pixel_crosses_a_process_boundary_by_copy() {
     let frames = told("sim", "frames_rendered");
     assert!(frames > 100, "{frames} frames");
     for role in ["memory", "policy"] {
-        assert_eq!(told(role, "frames_held"), frames, "every frame reached {role}");
+        assert_eq!(told(role, "frames_received"), frames, "every frame reached {role}");
         assert_eq!(told(role, "pixel_bytes_copied"), 0, "{role}");
     }
     let all_pixels = frames * 448 * 448 * 4;

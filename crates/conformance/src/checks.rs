@@ -5,18 +5,19 @@ use std::process::{Command, Stdio};
 use std::time::Duration;
 
 use anyhow::Context;
+use domain::Action;
+use shm_types::ATTACH_VARIABLE;
 use shm_types::attach::ATTACH_FILE;
 use shm_types::documents::Content;
 use shm_types::message::{
     MAX_INSTRUCTION, MAX_SEGMENT, MAX_WINDOW, NO_ACTION, NO_FRAME, TrajectoryStep, WIRE_VERSION,
 };
-use shm_types::{ATTACH_VARIABLE, Action};
 
 use super::stage::{
-    Scene, Stage, Step, Ticket, Trouble, last, observation, recall, wait_for_death, wrong,
+    RequestId, Scene, Stage, Step, Trouble, last, observation, recall, wait_for_death, wrong,
 };
 use super::{Kit, LANES};
-use supervise::Crew;
+use supervise::Children;
 
 /// What an ordinary question asks for.
 const INSTRUCTION: &str = "Find a blue barrel.";
@@ -193,7 +194,7 @@ fn an_episode(kit: &mut Kit<'_>) -> Step<String> {
     }
     stage.expect_none(ticket);
     stage.observe(&last(ticket))?;
-    stage.ring()?;
+    stage.notify()?;
     clear_away(stage)
 }
 
@@ -205,7 +206,7 @@ fn many_lanes(kit: &mut Kit<'_>) -> Step<String> {
         let frame = frames[lane as usize % frames.len()];
         stage.ask(ticket, &Scene { frame, window: frames.clone(), ..Scene::default() })?;
     }
-    stage.ring()?;
+    stage.notify()?;
     stage.wait()?;
     clear_away(stage)
 }
@@ -216,7 +217,7 @@ fn interleaved(kit: &mut Kit<'_>) -> Step<String> {
     let mut tickets = Vec::new();
     for lane in [7, 60, 2, 31, 0, 63, 12, 40, 5] {
         let ticket = stage.begin(lane, lane.into(), INSTRUCTION)?;
-        tickets.push(Ticket { step: lane % 4, ..ticket });
+        tickets.push(RequestId { step: lane % 4, ..ticket });
     }
     for (at, ticket) in tickets.iter().enumerate() {
         stage.expect(*ticket);
@@ -226,14 +227,14 @@ fn interleaved(kit: &mut Kit<'_>) -> Step<String> {
             stage.recall(&recall(*ticket, &scene))?;
         }
     }
-    stage.ring()?;
+    stage.notify()?;
     for (at, ticket) in tickets.iter().enumerate().rev() {
         if at % 2 == 0 {
             stage.recall(&recall(*ticket, &scene))?;
         } else {
             stage.observe(&observation(*ticket, scene.frame))?;
         }
-        stage.ring()?;
+        stage.notify()?;
     }
     stage.wait()?;
     clear_away(stage)
@@ -247,19 +248,19 @@ fn new_episode(kit: &mut Kit<'_>) -> Step<String> {
     stage.ask(old, &scene)?;
     let new = stage.begin(9, 2, "Find a red cone.")?;
     stage.ask(new, &scene)?;
-    stage.ring()?;
+    stage.notify()?;
     stage.wait()?;
     // Over when only half of the question was there.
     let half = stage.begin(9, 3, INSTRUCTION)?;
     stage.expect_none(half);
     stage.observe(&observation(half, scene.frame))?;
-    stage.ring()?;
+    stage.notify()?;
     let new = stage.begin(9, 4, INSTRUCTION)?;
     stage.expect(new);
     stage.recall(&recall(new, &scene))?;
-    stage.ring()?;
+    stage.notify()?;
     stage.observe(&observation(new, scene.frame))?;
-    stage.ring()?;
+    stage.notify()?;
     stage.wait()?;
     clear_away(stage)
 }
@@ -272,7 +273,7 @@ fn late_messages(kit: &mut Kit<'_>) -> Step<String> {
     stage.expect_none(old);
     stage.recall(&recall(old, &scene))?;
     stage.observe(&observation(old, scene.frame))?;
-    stage.ring()?;
+    stage.notify()?;
     stage.settle()?;
     stage.ask_and_wait(new, &scene)?;
     clear_away(stage)
@@ -283,15 +284,15 @@ fn slow_messages(kit: &mut Kit<'_>) -> Step<String> {
     let scene = plain(stage, 6)?;
     let ticket = stage.begin(4, 1, INSTRUCTION)?;
     stage.expect_none(ticket);
-    stage.ring()?;
+    stage.notify()?;
     let pause = Duration::from_millis(300);
     stage.listen_for(pause)?;
     stage.observe(&observation(ticket, scene.frame))?;
-    stage.ring()?;
+    stage.notify()?;
     stage.listen_for(pause)?;
     stage.expect(ticket);
     stage.recall(&recall(ticket, &scene))?;
-    stage.ring()?;
+    stage.notify()?;
     stage.wait()?;
     clear_away(stage)
 }
@@ -416,14 +417,14 @@ fn garbage(kit: &mut Kit<'_>) -> Step<String> {
         }
         stage.recall(&recalled)?;
         stage.observe(&observed)?;
-        stage.ring()?;
+        stage.notify()?;
         // Its neighbour is answered all the same.
         let other = stage.begin(lane + 20, 1, INSTRUCTION)?;
         if let Err(Trouble::Wrong(why)) = stage.ask_and_wait(other, &scene) {
             return wrong(format_args!("after {what}: {why}"));
         }
         stage.listen_for(Duration::from_millis(40))?;
-        if stage.complaints().is_empty() {
+        if stage.error_reports().is_empty() {
             ignored.push(what);
         }
         // And so is the lane itself, in its next episode.
@@ -445,7 +446,7 @@ fn the_same_again(kit: &mut Kit<'_>) -> Step<String> {
         let segment = stage.views(15..18)?;
         let scene = Scene { frame, window, segment, ..Scene::default() };
         let ticket = stage.begin(13 + round, 5, INSTRUCTION)?;
-        let ticket = Ticket { step: 3, ..ticket };
+        let ticket = RequestId { step: 3, ..ticket };
         for lane in 30..30 + 3 * round {
             let other = stage.begin(lane, lane.into(), "Find a red cone.")?;
             stage.ask(other, &scene)?;
@@ -472,7 +473,7 @@ fn started_again(kit: &mut Kit<'_>) -> Step<String> {
     let scene = plain(stage, 19)?;
     let ticket = stage.begin(0, 1, INSTRUCTION)?;
     stage.ask(ticket, &scene)?;
-    stage.ring()?;
+    stage.notify()?;
     kit.kill_stage();
     let stage = kit.stage()?;
     let scene = plain(stage, 20)?;
@@ -507,16 +508,16 @@ fn another_wire_version(kit: &mut Kit<'_>) -> Step<String> {
     let text = text.replace(&from, "\"wire_version\": 999");
     fs::write(&file, text).context("cannot write attach.json")?;
     let launch = kit.terms.launch.clone().attached_to(run.path());
-    let mut crew = Crew::start(&[launch], &run.path().join("logs"))?;
-    let death = wait_for_death(&mut crew, kit.terms)?;
+    let mut children = Children::start(&[launch], &run.path().join("logs"))?;
+    let death = wait_for_death(&mut children, kit.terms)?;
     if death.status.success() {
         return wrong("it ended with exit status 0, as if all were well");
     }
-    if death.last_words.is_empty() {
+    if death.log_tail.is_empty() {
         return wrong(format_args!(
             "it ended {}: nobody can tell what is wrong with ${ATTACH_VARIABLE}",
             death.how()
         ));
     }
-    Ok(format!("it said: {}", death.last_words.lines().last().unwrap_or_default()))
+    Ok(format!("it said: {}", death.log_tail.lines().last().unwrap_or_default()))
 }

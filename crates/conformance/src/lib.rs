@@ -134,7 +134,7 @@ impl<'a> Kit<'a> {
     fn new(terms: &'a Terms<'a>) -> Result<Self> {
         let run = RunDir::create(&registry::default_base())?;
         let attach = described(&run);
-        shm_types::process::check_shared_memory(&attach)?;
+        shm_types::process::check_shared_memory(attach.shared_memory_bytes())?;
         Ok(Self { terms, stage: None, attach, run })
     }
 
@@ -177,11 +177,11 @@ impl<'a> Kit<'a> {
 /// What a policy is told of `run`. Nobody but the policy has to be waited for: the others are here.
 fn described(run: &RunDir) -> Attach {
     Attach {
-        crew: vec![Role::Policy],
+        participants: vec![Role::Policy],
         lanes: LANES,
         window: MAX_WINDOW as u32,
         frame: FRAME,
         frame_capacity: FRAMES,
-        ..Attach::new(run)
+        ..run.attach()
     }
 }

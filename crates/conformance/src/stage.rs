@@ -10,19 +10,20 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use bytemuck::Zeroable;
+use domain::{Action, Feedback, Heading, Outcome, Pose};
 use shm_types::documents::Content;
 use shm_types::message::{
-    Complaint, ComplaintKind, Decision, DocumentId, Eviction, Farewell, FrameId, Hello, NO_ACTION,
-    NO_FRAME, Observation, Outcome, PastStep, PolicyBrief, Recall, Role, SegmentStep, Stop,
-    WIRE_VERSION, WirePose, read_text, write_text,
+    Decision, DocumentId, ErrorReport, ErrorReportKind, Eviction, FrameId, Handshake, NO_ACTION,
+    NO_FRAME, Observation, PastStep, PolicyEpisodeConfig, Recall, Role, SegmentStep,
+    ShutdownReport, Stop, WIRE_VERSION, WirePose, read_text, write_text,
 };
 use shm_types::process::monotonic_ns;
 use shm_types::{
-    Action, Attach, Bell, Bus, BusError, DocumentPublisher, Feedback, FrameError, FramePublisher,
-    Heading, Pose, Receiver, Sender,
+    Attach, Bus, BusError, DocumentPublisher, FrameError, FramePublisher, Notifier, Receiver,
+    Sender,
 };
 
-use supervise::{Crew, Death, Launch};
+use supervise::{ChildExit, Children, Launch};
 
 /// How often deadlines, signals and the policy's process are looked at when nobody rings.
 const TICK: Duration = Duration::from_millis(20);
@@ -66,13 +67,13 @@ impl From<anyhow::Error> for Trouble {
 
 /// Names a question.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub(super) struct Ticket {
+pub(super) struct RequestId {
     pub(super) lane: u32,
     pub(super) episode: u64,
     pub(super) step: u32,
 }
 
-impl Ticket {
+impl RequestId {
     pub(super) fn next(self) -> Self {
         Self { step: self.step + 1, ..self }
     }
@@ -124,9 +125,9 @@ impl Terms<'_> {
 
 /// One generation, with the policy in it. The fields are dropped in order: the policy is gone before the services.
 pub(super) struct Stage<'a> {
-    crew: Crew,
+    children: Children,
     terms: &'a Terms<'a>,
-    briefs: Sender<PolicyBrief>,
+    configs: Sender<PolicyEpisodeConfig>,
     observations: Sender<Observation>,
     recalls: Sender<Recall>,
     evictions: Sender<Eviction>,
@@ -134,17 +135,17 @@ pub(super) struct Stage<'a> {
     /// What the simulator sends is for the orchestrator, too.
     seen: Receiver<Observation>,
     decisions: Receiver<Decision>,
-    complaints: Receiver<Complaint>,
-    hellos: Receiver<Hello>,
-    farewells: Receiver<Farewell>,
+    error_reports: Receiver<ErrorReport>,
+    handshakes: Receiver<Handshake>,
+    shutdown_reports: Receiver<ShutdownReport>,
     frames: FramePublisher,
     documents: DocumentPublisher,
-    policy: Bell,
+    policy: Notifier,
     orchestrator: Bus,
     _others: [Bus; 2],
-    questions: BTreeMap<Ticket, Standing>,
-    answers: BTreeMap<Ticket, Decision>,
-    complained: Vec<String>,
+    questions: BTreeMap<RequestId, Standing>,
+    answers: BTreeMap<RequestId, Decision>,
+    reported: Vec<String>,
     resident: Vec<FrameId>,
     episodes: u64,
     /// Its own name for itself, and how long it took to be ready.
@@ -158,7 +159,7 @@ impl<'a> Stage<'a> {
         let bus = |role| Bus::join(attach.clone(), role).map_err(anyhow::Error::from);
         let (orchestrator, sim, memory) =
             (bus(Role::Orchestrator)?, bus(Role::Sim)?, bus(Role::Memory)?);
-        let (seen, decisions, complaints, hellos, farewells) = (
+        let (seen, decisions, error_reports, handshakes, shutdown_reports) = (
             orchestrator.receiver()?,
             orchestrator.receiver()?,
             orchestrator.receiver()?,
@@ -168,26 +169,26 @@ impl<'a> Stage<'a> {
         let (frames, documents) = (FramePublisher::new(&sim)?, DocumentPublisher::new(&memory)?);
         let launch = terms.launch.clone().attached_to(&attach.root);
         let mut stage = Self {
-            crew: Crew::start(&[launch], &attach.root.join("logs"))?,
+            children: Children::start(&[launch], &attach.root.join("logs"))?,
             terms,
-            briefs: orchestrator.sender()?,
+            configs: orchestrator.sender()?,
             observations: sim.sender()?,
             recalls: memory.sender()?,
             evictions: sim.sender()?,
             stops: orchestrator.sender()?,
             seen,
             decisions,
-            complaints,
-            hellos,
-            farewells,
+            error_reports,
+            handshakes,
+            shutdown_reports,
             frames,
             documents,
-            policy: orchestrator.bell(Role::Policy)?,
+            policy: orchestrator.notifier(Role::Policy)?,
             orchestrator,
             _others: [sim, memory],
             questions: BTreeMap::new(),
             answers: BTreeMap::new(),
-            complained: Vec::new(),
+            reported: Vec::new(),
             resident: Vec::new(),
             // Tickets are never used twice, in whichever generation.
             episodes: u64::from(attach.generation) << 32,
@@ -199,30 +200,30 @@ impl<'a> Stage<'a> {
 
     fn wait_for_hello(&mut self) -> Step<()> {
         let (began, patience) = (Instant::now(), self.terms.start_patience);
-        let hello = loop {
-            if let Some(hello) = self.hellos.next()? {
-                break hello;
+        let handshake = loop {
+            if let Some(handshake) = self.handshakes.next()? {
+                break handshake;
             }
             self.look_after()?;
             if began.elapsed() > patience {
                 return wrong(format_args!("no hello within {} s", patience.as_secs()));
             }
-            self.orchestrator.doorbell().wait(TICK)?;
+            self.orchestrator.listener().wait(TICK)?;
         };
-        if hello.wire_version != WIRE_VERSION {
+        if handshake.wire_version != WIRE_VERSION {
             return wrong(format_args!(
                 "it says hello with wire version {}, and the run's is {WIRE_VERSION}",
-                hello.wire_version
+                handshake.wire_version
             ));
         }
-        if hello.role != Role::Policy as u32 {
+        if handshake.role != Role::Policy as u32 {
             return wrong(format_args!(
                 "it says hello as role {}, and a policy is role {}",
-                hello.role,
+                handshake.role,
                 Role::Policy as u32
             ));
         }
-        let facts = hello.facts().map_err(|error| {
+        let facts = handshake.facts().map_err(|error| {
             Trouble::Wrong(format!("its hello has no facts that can be read: {error}"))
         })?;
         let name = facts.get("policy").map_or("without a name", String::as_str);
@@ -232,13 +233,13 @@ impl<'a> Stage<'a> {
     }
 
     /// Whether the policy's process is there. Otherwise how it ended.
-    pub(super) fn death(&mut self) -> Option<Death> {
-        self.crew.death()
+    pub(super) fn death(&mut self) -> Option<ChildExit> {
+        self.children.exited()
     }
 
     fn look_after(&mut self) -> Step<()> {
         self.terms.go_on()?;
-        match self.crew.death() {
+        match self.children.exited() {
             None => Ok(()),
             Some(death) => wrong(format_args!("its process ended {}", death.how())),
         }
@@ -258,7 +259,7 @@ impl<'a> Stage<'a> {
                     ));
                 }
                 Err(FrameError::NoChunk { .. }) => {
-                    self.ring()?;
+                    self.notify()?;
                     self.look_after()?;
                     thread::sleep(TICK);
                 }
@@ -287,17 +288,21 @@ impl<'a> Stage<'a> {
         for frame in std::mem::take(&mut self.resident) {
             self.evictions.send(&Eviction { frame })?;
         }
-        self.ring()
+        self.notify()
     }
 
     /// Publishes a document, for one episode or for the whole run.
-    pub(super) fn document(&mut self, of: Option<Ticket>, content: &Content) -> Step<DocumentId> {
+    pub(super) fn document(
+        &mut self,
+        of: Option<RequestId>,
+        content: &Content,
+    ) -> Step<DocumentId> {
         let of = of.map(|ticket| (ticket.lane, ticket.episode));
         self.documents.publish(of, content).map_err(|error| Trouble::Wrong(error.to_string()))
     }
 
     /// A new episode begins in `lane`: whatever was open there is over.
-    pub(super) fn begin(&mut self, lane: u32, seed: u64, instruction: &str) -> Step<Ticket> {
+    pub(super) fn begin(&mut self, lane: u32, seed: u64, instruction: &str) -> Step<RequestId> {
         for (ticket, standing) in &mut self.questions {
             if ticket.lane == lane && *standing == Standing::Open {
                 *standing = Standing::Over;
@@ -305,34 +310,35 @@ impl<'a> Stage<'a> {
         }
         self.episodes += 1;
         let episode = self.episodes;
-        let mut brief = PolicyBrief { episode, seed, lane, repeat: 1, ..Zeroable::zeroed() };
-        brief.instruction_len = write_text(&mut brief.instruction, instruction);
-        self.briefs.send(&brief)?;
-        Ok(Ticket { lane, episode, step: 0 })
+        let mut config =
+            PolicyEpisodeConfig { episode, seed, lane, repeat: 1, ..Zeroable::zeroed() };
+        config.instruction_len = write_text(&mut config.instruction, instruction);
+        self.configs.send(&config)?;
+        Ok(RequestId { lane, episode, step: 0 })
     }
 
     /// Asks a question: recall, then observation. Rings nobody.
-    pub(super) fn ask(&mut self, ticket: Ticket, scene: &Scene) -> Step<()> {
+    pub(super) fn ask(&mut self, ticket: RequestId, scene: &Scene) -> Step<()> {
         self.questions.insert(ticket, Standing::Open);
         self.recall(&recall(ticket, scene))?;
         self.observe(&observation(ticket, scene.frame))
     }
 
     /// Asks one question and waits for its answer.
-    pub(super) fn ask_and_wait(&mut self, ticket: Ticket, scene: &Scene) -> Step<Decision> {
+    pub(super) fn ask_and_wait(&mut self, ticket: RequestId, scene: &Scene) -> Step<Decision> {
         self.ask(ticket, scene)?;
-        self.ring()?;
+        self.notify()?;
         self.wait()?;
         self.answers.get(&ticket).copied().map_or_else(|| wrong("no answer"), Ok)
     }
 
     /// From now on `ticket` is a question that waits for its answer.
-    pub(super) fn expect(&mut self, ticket: Ticket) {
+    pub(super) fn expect(&mut self, ticket: RequestId) {
         self.questions.insert(ticket, Standing::Open);
     }
 
     /// From now on `ticket` is a question that cannot be answered.
-    pub(super) fn expect_none(&mut self, ticket: Ticket) {
+    pub(super) fn expect_none(&mut self, ticket: RequestId) {
         self.questions.insert(ticket, Standing::Impossible);
     }
 
@@ -345,8 +351,8 @@ impl<'a> Stage<'a> {
         Ok(self.observations.send(message)?)
     }
 
-    pub(super) fn ring(&self) -> Step<()> {
-        Ok(self.policy.ring()?)
+    pub(super) fn notify(&self) -> Step<()> {
+        Ok(self.policy.notify()?)
     }
 
     /// Waits until every open question is answered.
@@ -354,7 +360,7 @@ impl<'a> Stage<'a> {
         let deadline = Instant::now() + self.terms.patience;
         loop {
             self.listen()?;
-            let open: Vec<&Ticket> = self
+            let open: Vec<&RequestId> = self
                 .questions
                 .iter()
                 .filter_map(|(ticket, standing)| (*standing == Standing::Open).then_some(ticket))
@@ -363,8 +369,8 @@ impl<'a> Stage<'a> {
                 return Ok(());
             }
             if Instant::now() > deadline {
-                let complained = self.complained.first();
-                let complained = complained.map(|what| format!("; it complained: {what}"));
+                let reported = self.reported.first();
+                let reported = reported.map(|what| format!("; it complained: {what}"));
                 let some: Vec<String> = open
                     .iter()
                     .take(3)
@@ -379,18 +385,18 @@ impl<'a> Stage<'a> {
                         String::new()
                     },
                     self.terms.patience.as_secs(),
-                    complained.unwrap_or_default()
+                    reported.unwrap_or_default()
                 ));
             }
             self.look_after()?;
-            self.orchestrator.doorbell().wait(TICK)?;
+            self.orchestrator.listener().wait(TICK)?;
         }
     }
 
     /// Listens a little longer: nothing may come that nobody asked for, and no complaint about what was right.
     pub(super) fn settle(&mut self) -> Step<()> {
         self.listen_for(SETTLING)?;
-        match self.complained.first() {
+        match self.reported.first() {
             None => Ok(()),
             Some(what) => wrong(format_args!("it complained of what was right: {what}")),
         }
@@ -400,7 +406,7 @@ impl<'a> Stage<'a> {
     pub(super) fn listen_for(&mut self, time: Duration) -> Step<()> {
         let until = Instant::now() + time;
         while Instant::now() < until {
-            self.orchestrator.doorbell().wait(TICK)?;
+            self.orchestrator.listener().wait(TICK)?;
             self.listen()?;
             self.look_after()?;
         }
@@ -408,12 +414,12 @@ impl<'a> Stage<'a> {
     }
 
     /// What it complained of since it was asked last.
-    pub(super) fn complaints(&mut self) -> Vec<String> {
-        std::mem::take(&mut self.complained)
+    pub(super) fn error_reports(&mut self) -> Vec<String> {
+        std::mem::take(&mut self.reported)
     }
 
     /// Its answer to `ticket`, once it was there.
-    pub(super) fn answer(&self, ticket: Ticket) -> Option<Decision> {
+    pub(super) fn answer(&self, ticket: RequestId) -> Option<Decision> {
         self.answers.get(&ticket).copied()
     }
 
@@ -422,20 +428,26 @@ impl<'a> Stage<'a> {
         for decision in self.decisions.drain()? {
             self.take(decision)?;
         }
-        for complaint in self.complaints.drain()? {
-            let text = read_text(&complaint.text, complaint.text_len).unwrap_or("(not UTF-8)");
-            match u8::try_from(complaint.kind).map(ComplaintKind::try_from) {
-                Ok(Ok(ComplaintKind::Message)) => self.complained.push(text.to_owned()),
-                Ok(Ok(ComplaintKind::Episode)) => {
+        for error_report in self.error_reports.drain()? {
+            let text =
+                read_text(&error_report.text, error_report.text_len).unwrap_or("(not UTF-8)");
+            match u8::try_from(error_report.kind).map(ErrorReportKind::try_from) {
+                Ok(Ok(ErrorReportKind::Message)) => self.reported.push(text.to_owned()),
+                Ok(Ok(ErrorReportKind::Episode)) => {
                     return wrong(format_args!(
                         "it gave up the episode of lane {}: {text}",
-                        complaint.lane
+                        error_report.lane
                     ));
                 }
-                Ok(Ok(ComplaintKind::Run)) => {
+                Ok(Ok(ErrorReportKind::Run)) => {
                     return wrong(format_args!("it stopped the run: {text}"));
                 }
-                _ => return wrong(format_args!("a complaint of kind {}: {text}", complaint.kind)),
+                _ => {
+                    return wrong(format_args!(
+                        "a complaint of kind {}: {text}",
+                        error_report.kind
+                    ));
+                }
             }
         }
         Ok(())
@@ -451,7 +463,7 @@ impl<'a> Stage<'a> {
                 lanes - 1
             ));
         }
-        let ticket = Ticket { lane, episode, step };
+        let ticket = RequestId { lane, episode, step };
         match self.questions.get(&ticket) {
             Some(Standing::Open) => {}
             Some(Standing::Over) => return Ok(()),
@@ -493,16 +505,16 @@ impl<'a> Stage<'a> {
     pub(super) fn stop(mut self) -> Step<()> {
         let patience = self.terms.end_patience;
         self.stops.send(&Stop::zeroed())?;
-        self.ring()?;
+        self.notify()?;
         let deadline = Instant::now() + patience;
-        let (mut farewell, mut death) = (None, None);
-        while (farewell.is_none() || death.is_none()) && Instant::now() < deadline {
-            self.orchestrator.doorbell().wait(TICK)?;
-            farewell = farewell.or(self.farewells.next()?);
-            death = death.or_else(|| self.crew.death());
+        let (mut shutdown_report, mut death) = (None, None);
+        while (shutdown_report.is_none() || death.is_none()) && Instant::now() < deadline {
+            self.orchestrator.listener().wait(TICK)?;
+            shutdown_report = shutdown_report.or(self.shutdown_reports.next()?);
+            death = death.or_else(|| self.children.exited());
             self.terms.go_on()?;
         }
-        match (farewell, death) {
+        match (shutdown_report, death) {
             (Some(_), Some(death)) if death.status.success() => Ok(()),
             (_, Some(death)) if !death.status.success() => {
                 wrong(format_args!("its process ended {}", death.how()))
@@ -520,17 +532,17 @@ impl<'a> Stage<'a> {
     }
 
     /// Waits until its process has ended by itself.
-    pub(super) fn wait_for_end(&mut self) -> Step<Death> {
-        wait_for_death(&mut self.crew, self.terms)
+    pub(super) fn wait_for_end(&mut self) -> Step<ChildExit> {
+        wait_for_death(&mut self.children, self.terms)
     }
 }
 
 /// Waits until the process of `crew` has ended by itself.
-pub(super) fn wait_for_death(crew: &mut Crew, terms: &Terms<'_>) -> Step<Death> {
+pub(super) fn wait_for_death(children: &mut Children, terms: &Terms<'_>) -> Step<ChildExit> {
     let patience = terms.end_patience;
     let deadline = Instant::now() + patience;
     loop {
-        if let Some(death) = crew.death() {
+        if let Some(death) = children.exited() {
             return Ok(death);
         }
         terms.go_on()?;
@@ -542,8 +554,8 @@ pub(super) fn wait_for_death(crew: &mut Crew, terms: &Terms<'_>) -> Step<Death> 
 }
 
 /// What is true after a step, as the simulator says it.
-pub(super) fn observation(ticket: Ticket, frame: FrameId) -> Observation {
-    let Ticket { lane, episode, step } = ticket;
+pub(super) fn observation(ticket: RequestId, frame: FrameId) -> Observation {
+    let RequestId { lane, episode, step } = ticket;
     let (feedback, action) = match step {
         0 => (Feedback::Start, NO_ACTION),
         _ => (Feedback::Moved, Action::Forward as u8),
@@ -567,13 +579,13 @@ pub(super) fn observation(ticket: Ticket, frame: FrameId) -> Observation {
 }
 
 /// The end of an episode.
-pub(super) fn last(ticket: Ticket) -> Observation {
+pub(super) fn last(ticket: RequestId) -> Observation {
     Observation { last: 1, ..observation(ticket, NO_FRAME) }
 }
 
 /// What memory supplies for a step.
-pub(super) fn recall(ticket: Ticket, scene: &Scene) -> Recall {
-    let Ticket { lane, episode, step } = ticket;
+pub(super) fn recall(ticket: RequestId, scene: &Scene) -> Recall {
+    let RequestId { lane, episode, step } = ticket;
     let now = monotonic_ns();
     let distance = if scene.segment.is_empty() { f32::NAN } else { 0.125 };
     let mut recall = Recall {

@@ -4,7 +4,7 @@ use crate::code_sets;
 
 code_sets! {
     /// How a decision came out (DESIGN section 5). Infrastructure failures are retried by the policy
-    /// and reported as [`Complaint`](super::Complaint)s: they are never an outcome of the model.
+    /// and reported as [`ErrorReport`](super::ErrorReport)s: they are never an outcome of the model.
     Outcome, "an outcome (0 acted, 1 unreadable, 2 empty, 3 refused)" {
         /// An action was chosen.
         Acted = 0,

@@ -18,6 +18,7 @@ pub struct UnknownCode {
 }
 
 impl UnknownCode {
+    /// `value`, where `expected` would have been accepted.
     pub fn new(value: impl ToString, expected: &'static str) -> Self {
         Self { value: value.to_string(), expected }
     }

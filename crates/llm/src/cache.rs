@@ -17,8 +17,8 @@ use std::io;
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
+use domain::{NoCacheFolder, cache_folder};
 use serde::{Deserialize, Serialize};
-use shm_types::{NoCacheFolder, cache_folder};
 
 use super::message::{Content, Dialect, Part, Question};
 use super::reply::Reply;

@@ -4,21 +4,21 @@ use std::sync::Arc;
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::thread::{self, ThreadId};
 
-use shm_types::Bell;
+use domain::prompt_log::Exchange;
+use shm_types::Notifier;
 use shm_types::process::monotonic_ns;
-use shm_types::prompts::Exchange;
 
-use crate::{Decision, Ticket};
+use crate::{Decision, RequestId};
 
 /// What a policy says.
 #[derive(Debug)]
 pub(super) enum Said {
     /// What was said to a model about a request, and what it said.
-    Exchanged(Ticket, Box<Exchange>),
+    Exchanged(RequestId, Box<Exchange>),
     /// The answer to a request, and when it was there.
-    Decided(Ticket, Decision, u64),
+    Decided(RequestId, Decision, u64),
     /// There will be no answer to a request.
-    Failed(Ticket, String),
+    Failed(RequestId, String),
     /// The run should stop.
     Halt(String),
 }
@@ -28,7 +28,7 @@ pub(super) enum Said {
 pub struct Answers {
     said: Sender<Said>,
     /// Wakes the serving thread.
-    bell: Arc<Bell>,
+    notifier: Arc<Notifier>,
     serving: ThreadId,
     /// Whether somebody wants to know what was said to a model.
     logged: bool,
@@ -37,9 +37,12 @@ pub struct Answers {
 impl Answers {
     /// The way to the thread that calls this, which `bell` wakes, and its end there. `logged`: whether prompts
     /// are.
-    pub(super) fn new(bell: Bell, logged: bool) -> (Self, Receiver<Said>) {
+    pub(super) fn new(notifier: Notifier, logged: bool) -> (Self, Receiver<Said>) {
         let (said, heard) = channel();
-        (Self { said, bell: Arc::new(bell), serving: thread::current().id(), logged }, heard)
+        (
+            Self { said, notifier: Arc::new(notifier), serving: thread::current().id(), logged },
+            heard,
+        )
     }
 
     /// Whether prompts are logged, for who has to keep something to [`record`](Self::record).
@@ -49,7 +52,7 @@ impl Answers {
 
     /// For the prompt log, before [`Self::decide`]: what was said to a model about the request that `ticket`
     /// names, and what it said. `exchange` is called only where prompts are logged.
-    pub fn record(&self, ticket: Ticket, exchange: impl FnOnce() -> Exchange) {
+    pub fn record(&self, ticket: RequestId, exchange: impl FnOnce() -> Exchange) {
         if self.logged {
             // Nobody need be woken for it: the decision follows.
             let _ = self.said.send(Said::Exchanged(ticket, Box::new(exchange())));
@@ -57,13 +60,13 @@ impl Answers {
     }
 
     /// Answers the request that `ticket` names. An answer that comes when its episode is over is dropped.
-    pub fn decide(&self, ticket: Ticket, decision: Decision) {
+    pub fn decide(&self, ticket: RequestId, decision: Decision) {
         self.say(Said::Decided(ticket, decision, monotonic_ns()));
     }
 
     /// No answer can be had to the request that `ticket` names, for a reason that is not the policy's: its
     /// episode ends without a result, and is not scored.
-    pub fn fail(&self, ticket: Ticket, why: impl Into<String>) {
+    pub fn fail(&self, ticket: RequestId, why: impl Into<String>) {
         self.say(Said::Failed(ticket, why.into()));
     }
 
@@ -77,7 +80,7 @@ impl Answers {
         if self.said.send(said).is_err() || thread::current().id() == self.serving {
             return;
         }
-        if let Err(error) = self.bell.ring() {
+        if let Err(error) = self.notifier.notify() {
             tracing::warn!(%error, "the answer waits until somebody else wakes the process");
         }
     }

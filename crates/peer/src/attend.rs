@@ -11,7 +11,7 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use shm_types::message::Role;
-use shm_types::process::{Watch, die_with_parent, is_parent};
+use shm_types::process::{ProcessWatch, die_with_parent, is_parent};
 use shm_types::{ATTACH_VARIABLE, Attach, AttachError, Bus, BusError, FactsTooLong};
 
 use super::Decider;
@@ -126,7 +126,7 @@ pub fn serve(policy: &mut (impl Decider + ?Sized), attach_dir: &Path) -> Result<
 
 /// The run, looked at from outside its messages.
 pub(super) struct Run {
-    orchestrator: Watch,
+    orchestrator: ProcessWatch,
     folder: PathBuf,
 }
 
@@ -136,7 +136,8 @@ impl Run {
         if is_parent(pid) {
             die_with_parent(pid)?;
         }
-        let orchestrator = Watch::over(pid).map_err(|_| ServeError::NoOrchestrator { pid })?;
+        let orchestrator =
+            ProcessWatch::new(pid).map_err(|_| ServeError::NoOrchestrator { pid })?;
         Ok(Self { orchestrator, folder: attach.root.clone() })
     }
 

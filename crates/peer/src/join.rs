@@ -3,14 +3,13 @@
 //! Pure: messages in, complete steps out. Messages are input from other processes, so each is checked
 //! here, and a bad one is an error that names the value and leaves everything as it was.
 
+use domain::{Action, Feedback, Pose, pose::UnknownCode};
 use shm_types::message::{
     DocumentId, FrameId, MAX_DOCUMENTS, MAX_SEGMENT, MAX_WINDOW, NO_ACTION, NO_FRAME, Observation,
-    PastStep, PolicyBrief, Recall, SegmentStep, read_text,
+    PastStep, PolicyEpisodeConfig, Recall, SegmentStep, read_text,
 };
-use shm_types::pose::UnknownCode;
-use shm_types::{Action, Feedback, Pose};
 
-use crate::Ticket;
+use crate::RequestId;
 
 /// What a recall is called in complaints.
 const RECALL: &str = "recall";
@@ -119,17 +118,17 @@ impl Join {
     }
 
     /// A new episode for a lane; whatever the lane had is dropped.
-    pub(super) fn brief(&mut self, brief: &PolicyBrief) -> Result<(), BadMessage> {
+    pub(super) fn config(&mut self, config: &PolicyEpisodeConfig) -> Result<(), BadMessage> {
         const MESSAGE: &str = "policy brief";
-        let lane = self.lane_mut(MESSAGE, brief.lane)?;
-        let instruction = read_text(&brief.instruction, brief.instruction_len)
-            .map_err(bad_value(MESSAGE, brief.lane, 0))?;
+        let lane = self.lane_mut(MESSAGE, config.lane)?;
+        let instruction = read_text(&config.instruction, config.instruction_len)
+            .map_err(bad_value(MESSAGE, config.lane, 0))?;
         *lane = Lane {
-            episode: brief.episode,
-            seed: brief.seed,
-            repeat: brief.repeat,
+            episode: config.episode,
+            seed: config.seed,
+            repeat: config.repeat,
             instruction: instruction.to_owned(),
-            starts_as_demonstrated: brief.starts_as_demonstrated != 0,
+            starts_as_demonstrated: config.starts_as_demonstrated != 0,
             running: true,
             observed: None,
             recalled: None,
@@ -193,7 +192,7 @@ impl Join {
     }
 
     /// Whether `ticket` is of an episode that runs.
-    pub(super) fn is_running(&self, ticket: Ticket) -> bool {
+    pub(super) fn is_running(&self, ticket: RequestId) -> bool {
         let lane = self.lanes.get(ticket.lane as usize);
         lane.is_some_and(|lane| lane.running && lane.episode == ticket.episode)
     }
@@ -219,10 +218,10 @@ mod tests {
 
     use super::*;
 
-    fn brief(lane: u32, episode: u64) -> PolicyBrief {
-        let mut brief = PolicyBrief { lane, episode, ..Zeroable::zeroed() };
-        brief.instruction_len = write_text(&mut brief.instruction, "Find a blue barrel.");
-        brief
+    fn config(lane: u32, episode: u64) -> PolicyEpisodeConfig {
+        let mut config = PolicyEpisodeConfig { lane, episode, ..Zeroable::zeroed() };
+        config.instruction_len = write_text(&mut config.instruction, "Find a blue barrel.");
+        config
     }
 
     fn observation(lane: u32, episode: u64, step: u32) -> Observation {
@@ -240,7 +239,7 @@ mod tests {
     /// Two lanes; the second one walks episode 5.
     fn join() -> Join {
         let mut join = Join::new(2);
-        join.brief(&brief(1, 5)).unwrap();
+        join.config(&config(1, 5)).unwrap();
         join
     }
 
@@ -271,7 +270,7 @@ mod tests {
         join.observation(&observation(0, 0, 0)).unwrap();
         recalled(&mut join, &recall(0, 0, 0)).unwrap();
         assert_eq!(ready(&mut join), []);
-        join.brief(&brief(1, 6)).unwrap();
+        join.config(&config(1, 6)).unwrap();
         recalled(&mut join, &recall(1, 6, 3)).unwrap();
         assert_eq!(ready(&mut join), [], "a new episode starts with nothing");
     }
@@ -289,7 +288,7 @@ mod tests {
     #[test]
     fn bad_messages_say_what_is_wrong_and_change_nothing() {
         let mut join = join();
-        let mut no_text = brief(1, 6);
+        let mut no_text = config(1, 6);
         no_text.instruction_len = 4000;
         let mut bad_pose = observation(1, 5, 2);
         bad_pose.pose.0[2] = 9;
@@ -298,8 +297,8 @@ mod tests {
         let mut bad_feedback = Recall { window_len: 1, ..recall(1, 5, 2) };
         bad_feedback.window[0].feedback = 5;
         let errors = [
-            join.brief(&brief(2, 6)),
-            join.brief(&no_text),
+            join.config(&config(2, 6)),
+            join.config(&no_text),
             join.observation(&bad_pose),
             join.observation(&Observation { feedback: 8, ..observation(1, 5, 2) }),
             join.observation(&Observation { frame: NO_FRAME, ..observation(1, 5, 2) }),

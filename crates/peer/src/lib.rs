@@ -39,7 +39,7 @@ pub use answers::Answers;
 pub use attend::{ServeError, serve, serve_from_environment};
 
 pub use request::{
-    Answer, Decision, DocumentView, FrameView, PastView, Request, Segment, SegmentView, Ticket,
+    Answer, Decision, DocumentView, FrameView, PastView, Request, RequestId, Segment, SegmentView,
     Trajectory, TrajectoryView, Usage,
 };
 // The words that requests and decisions are made of: a policy needs no other crate.
@@ -108,7 +108,7 @@ impl<P: Policy + ?Sized> Decider for P {
             });
         }
         for (request, decision) in batch.iter().zip(decisions) {
-            answers.decide(request.ticket(), decision);
+            answers.decide(request.id(), decision);
         }
         Ok(())
     }

@@ -1,4 +1,4 @@
-//! Writes the prompt log ([`shm_types::prompts`]): requests and answers, views and long texts once.
+//! Writes the prompt log ([`domain::prompt_log`]): requests and answers, views and long texts once.
 //!
 //! Nothing here decides what happens when the disk is full: the serve loop does.
 
@@ -7,14 +7,14 @@ use std::fs::{self, File, OpenOptions};
 use std::io::{self, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
+use domain::prompt_log::{
+    Asked, Entry, Hash, Part, Past, Retrieved, Seen, Supplied, entries_file, hex, image_file,
+    text_file, trajectories_file,
+};
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use image::{ExtendedColorType, ImageEncoder};
 use serde::Serialize;
 use shm_types::Attach;
-use shm_types::prompts::{
-    Asked, Entry, Hash, Part, Past, Retrieved, Seen, Supplied, entries_file, hex, image_file,
-    text_file, trajectories_file,
-};
 
 use crate::{FrameView, Request};
 
@@ -119,7 +119,7 @@ impl PromptLog {
 
     fn seen<'a>(
         &mut self,
-        steps: impl Iterator<Item = (Option<FrameView<'a>>, Option<shm_types::Action>)>,
+        steps: impl Iterator<Item = (Option<FrameView<'a>>, Option<domain::Action>)>,
     ) -> Result<Vec<Seen>, LogError> {
         let mut seen = Vec::new();
         for (frame, action) in steps {

@@ -4,8 +4,8 @@
 //! be answered at any time, in any batch and any order, so a policy that wants its runs repeatable
 //! answers from the request alone.
 
-use shm_types::message::{DocumentId, DocumentKind, FrameId, NO_FRAME, Outcome};
-use shm_types::{Action, Feedback, Pose};
+use domain::{Action, DocumentKind, Feedback, Outcome, Pose};
+use shm_types::message::{DocumentId, FrameId, NO_FRAME};
 
 /// A view: pixels in shared memory, which never change while the view can be named.
 #[derive(Clone, Copy)]
@@ -107,7 +107,7 @@ pub struct Trajectory<'a> {
 
 /// Names a request, for its answer.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-pub struct Ticket {
+pub struct RequestId {
     /// The lane the episode runs in.
     pub lane: u32,
     /// Steps taken so far.
@@ -153,8 +153,8 @@ pub struct Request<'a> {
 
 impl Request<'_> {
     /// What names the request in its answer.
-    pub const fn ticket(&self) -> Ticket {
-        Ticket { lane: self.lane, step: self.step, episode: self.episode }
+    pub const fn id(&self) -> RequestId {
+        RequestId { lane: self.lane, step: self.step, episode: self.episode }
     }
 
     /// Images in the request: the current view, the window's, the segment's and the keyframes.

@@ -5,15 +5,15 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use bytemuck::Zeroable;
+use domain::prompt_log::{Answered, Asked, Entry, Exchange, Timing, Usage as LoggedUsage};
 use shm_types::message::{
-    DocumentId, Farewell, FrameId, Hello, NO_ACTION, NOT_MEASURED, Observation, PolicyBrief, Pulse,
-    Recall, Role, Stop,
+    DocumentId, FrameId, Handshake, Heartbeat, NO_ACTION, NOT_MEASURED, Observation,
+    PolicyEpisodeConfig, Recall, Role, ShutdownReport, Stop,
 };
 use shm_types::process::monotonic_ns;
-use shm_types::prompts::{Answered, Asked, Entry, Exchange, Timing, Usage as LoggedUsage};
 use shm_types::{
-    Attach, Bell, Bus, Complaints, Document, DocumentError, DocumentStore, Frame, FrameError,
-    FrameStore, Pulses, Receiver, Sender, Spans, message,
+    Attach, Bus, Document, DocumentError, DocumentStore, ErrorReporter, Frame, FrameError,
+    FrameStore, Heartbeats, Notifier, Receiver, Sender, Spans, message,
 };
 
 use super::Decider;
@@ -22,7 +22,7 @@ use super::attend::{Run, ServeError};
 use super::join::{Join, Ready, Recalled};
 use super::prompt_log::{LogError, PromptLog};
 use super::shown::{Held, Shown};
-use crate::{Decision, Request, Ticket};
+use crate::{Decision, Request, RequestId};
 
 /// How long the loop sleeps when nobody rings, and how often it looks whether the run goes on.
 const LONGEST_SLEEP: Duration = Duration::from_millis(250);
@@ -56,19 +56,19 @@ pub(super) fn serve_generation(
     // Receivers first: nobody sends before every process has said hello.
     let mut server = Server::new(bus)?;
     let facts = std::iter::once(("policy", policy.name().to_owned())).chain(policy.facts());
-    let (hello, hellos) = (Hello::new(Role::Policy, facts)?, bus.sender()?);
+    let (handshake, handshakes) = (Handshake::new(Role::Policy, facts)?, bus.sender()?);
     // The orchestrator may be late, or on its way to the next generation already.
-    while !hellos.is_complete() {
+    while !handshakes.is_complete() {
         if let Some(next) = run.next(bus.attach())? {
             return Ok(End::Over(next));
         }
         thread::sleep(LOOK);
     }
-    hellos.send(&hello)?;
-    server.orchestrator.ring()?;
+    handshakes.send(&handshake)?;
+    server.orchestrator.notify()?;
     let mut looked = Instant::now();
     while !server.turn(policy)? {
-        bus.doorbell().wait(if server.join.is_half() { MOMENT } else { LONGEST_SLEEP })?;
+        bus.listener().wait(if server.join.is_half() { MOMENT } else { LONGEST_SLEEP })?;
         if looked.elapsed() >= LONGEST_SLEEP {
             if let Some(next) = run.next(bus.attach())? {
                 return Ok(End::Over(next));
@@ -76,21 +76,21 @@ pub(super) fn serve_generation(
             looked = Instant::now();
         }
     }
-    server.farewell(bus)?;
+    server.shutdown_report(bus)?;
     Ok(End::Stopped)
 }
 
 struct Server {
-    briefs: Receiver<PolicyBrief>,
+    configs: Receiver<PolicyEpisodeConfig>,
     observations: Receiver<Observation>,
     recalls: Receiver<Recall>,
     stops: Receiver<Stop>,
     decisions: Sender<message::Decision>,
-    orchestrator: Bell,
+    orchestrator: Notifier,
     frames: FrameStore,
     documents: DocumentStore,
-    complaints: Complaints,
-    pulses: Pulses,
+    reporter: ErrorReporter,
+    heartbeats: Heartbeats,
     spans: Spans,
     join: Join,
     answers: Answers,
@@ -113,7 +113,7 @@ enum Log {
 
 /// A request that the policy has.
 struct Open {
-    ticket: Ticket,
+    ticket: RequestId,
     images: u32,
     received_ns: u64,
     started_ns: u64,
@@ -126,7 +126,7 @@ impl Open {
     /// The request's entry in the prompt log.
     fn entry(self, said: Result<(&Decision, u64), &str>) -> Option<Entry> {
         let Self { ticket, images, received_ns, started_ns, asked, exchange } = self;
-        let Ticket { lane, step, episode } = ticket;
+        let RequestId { lane, step, episode } = ticket;
         let decision = said.ok().map(|(decision, _)| decision);
         let usage = decision.and_then(|decision| decision.usage);
         let stamp = |stamp: fn(&crate::Usage) -> u64| usage.as_ref().map_or(0, stamp);
@@ -166,19 +166,19 @@ impl Open {
 impl Server {
     fn new(bus: &Bus) -> Result<Self, ServeError> {
         let log = PromptLog::open(bus.attach())?.map_or(Log::Off, Log::On);
-        let (answers, said) = Answers::new(bus.bell(Role::Policy)?, matches!(log, Log::On(_)));
+        let (answers, said) = Answers::new(bus.notifier(Role::Policy)?, matches!(log, Log::On(_)));
         let lanes = bus.attach().lanes;
         Ok(Self {
-            briefs: bus.receiver()?,
+            configs: bus.receiver()?,
             observations: bus.receiver()?,
             recalls: bus.receiver()?,
             stops: bus.receiver()?,
             decisions: bus.sender()?,
-            orchestrator: bus.bell(Role::Orchestrator)?,
+            orchestrator: bus.notifier(Role::Orchestrator)?,
             frames: FrameStore::new(bus)?,
             documents: DocumentStore::new(bus)?,
-            complaints: Complaints::new(bus)?,
-            pulses: Pulses::new(bus)?,
+            reporter: ErrorReporter::new(bus)?,
+            heartbeats: Heartbeats::new(bus)?,
             spans: Spans::open(bus.attach(), Role::Policy).map_err(ServeError::Spans)?,
             join: Join::new(lanes),
             answers,
@@ -191,22 +191,22 @@ impl Server {
 
     /// Passes on everything that waits, both ways; returns whether it is time to stop.
     fn turn(&mut self, policy: &mut (impl Decider + ?Sized)) -> Result<bool, ServeError> {
-        let complaints = self.complaints.count();
+        let error_reports = self.reporter.count();
         self.take_messages(policy)?;
         let ready = self.join.take_ready();
         self.ask(policy, &ready)?;
         let answered = self.pass_on()?;
         self.let_go_of_frames()?;
         let beat = self.beat();
-        if answered || beat || self.complaints.count() != complaints {
-            self.orchestrator.ring()?;
+        if answered || beat || self.reporter.count() != error_reports {
+            self.orchestrator.notify()?;
         }
         Ok(self.stops.next()?.is_some())
     }
 
     fn beat(&mut self) -> bool {
         let (answered, open, frames) = (self.answered, &self.open, &self.frames);
-        self.pulses.beat(|| Pulse {
+        self.heartbeats.beat(|| Heartbeat {
             done: answered,
             waiting: open.iter().flatten().count() as u64,
             held: frames.held() as u64,
@@ -224,22 +224,22 @@ impl Server {
             recalls.push(recalled);
         }
         let observations = self.observations.drain()?;
-        let briefs = self.briefs.drain()?;
-        for brief in &briefs {
-            match self.join.brief(brief) {
+        let configs = self.configs.drain()?;
+        for config in &configs {
+            match self.join.config(config) {
                 Ok(()) => {
-                    self.documents.begin(brief.lane, brief.episode);
-                    self.open[brief.lane as usize] = None;
-                    policy.reset(brief.lane);
+                    self.documents.begin(config.lane, config.episode);
+                    self.open[config.lane as usize] = None;
+                    policy.reset(config.lane);
                 }
-                Err(bad) => self.complaints.raise(bad),
+                Err(bad) => self.reporter.report(bad),
             }
         }
         for outcome in observations.iter().map(|message| self.join.observation(message)) {
-            outcome.unwrap_or_else(|bad| self.complaints.raise(bad));
+            outcome.unwrap_or_else(|bad| self.reporter.report(bad));
         }
         for outcome in recalls.into_iter().map(|recalled| self.join.recall(recalled?)) {
-            outcome.unwrap_or_else(|bad| self.complaints.raise(bad));
+            outcome.unwrap_or_else(|bad| self.reporter.report(bad));
         }
         Ok(())
     }
@@ -276,11 +276,11 @@ impl Server {
                 Ok(asked) => asked,
                 Err(error) => {
                     self.log = Log::Broken;
-                    self.complaints.end_run(&error.to_string())?;
+                    self.reporter.stop_run(&error.to_string())?;
                     return Ok(());
                 }
             };
-            let (ticket, images) = (request.ticket(), request.images());
+            let (ticket, images) = (request.id(), request.images());
             let open = Open { ticket, images, received_ns, started_ns, asked, exchange: None };
             self.open[ticket.lane as usize] = Some(open);
         }
@@ -315,12 +315,12 @@ impl Server {
                 Said::Failed(ticket, why) => {
                     let Some(open) = self.close(ticket) else { continue };
                     if self.keep(open.entry(Err(&why)))? {
-                        self.complaints.end_episode(ticket.lane, ticket.episode, &why)?;
+                        self.reporter.fail_episode(ticket.lane, ticket.episode, &why)?;
                     }
                     true
                 }
                 Said::Halt(why) => {
-                    self.complaints.end_run(&why)?;
+                    self.reporter.stop_run(&why)?;
                     true
                 }
             };
@@ -336,7 +336,7 @@ impl Server {
         };
         if let Err(error) = log.write(entry) {
             self.log = Log::Broken;
-            self.complaints.end_run(&error.to_string())?;
+            self.reporter.stop_run(&error.to_string())?;
             return Ok(false);
         }
         Ok(true)
@@ -344,7 +344,7 @@ impl Server {
 
     /// The open request that `ticket` names, which is open no longer; `None` when its episode is over, or
     /// it was answered before.
-    fn close(&mut self, ticket: Ticket) -> Option<Open> {
+    fn close(&mut self, ticket: RequestId) -> Option<Open> {
         let open = self.open.get_mut(ticket.lane as usize)?;
         open.take_if(|open| open.ticket == ticket && self.join.is_running(ticket))
     }
@@ -356,7 +356,7 @@ impl Server {
         let mut held = Held { step, documents: Vec::new(), frames: Vec::new() };
         for &id in &step.recalled.documents {
             let Some(document) = self.document(id)? else {
-                self.complaints.raise(format_args!(
+                self.reporter.report(format_args!(
                     "lane {lane}, step {number}: document {id} was never published"
                 ));
                 return Ok(None);
@@ -365,7 +365,7 @@ impl Server {
         }
         for id in held.frame_ids() {
             let Some(frame) = self.frame(id)? else {
-                self.complaints.raise(format_args!(
+                self.reporter.report(format_args!(
                     "lane {lane}, step {number}: frame {id} is not in the store, so it was evicted too \
                      early or never published"
                 ));
@@ -382,7 +382,7 @@ impl Server {
                 Ok(document) => return Ok(document.cloned()),
                 Err(DocumentError::Bus(error)) => return Err(error.into()),
                 // The store has dropped what it could not use: go on after it.
-                Err(bad) => self.complaints.raise(bad),
+                Err(bad) => self.reporter.report(bad),
             }
         }
     }
@@ -393,7 +393,7 @@ impl Server {
                 Ok(frame) => return Ok(frame.cloned()),
                 Err(FrameError::Bus(error)) => return Err(error.into()),
                 // The store has dropped what it could not use: go on after it.
-                Err(bad) => self.complaints.raise(bad),
+                Err(bad) => self.reporter.report(bad),
             }
         }
     }
@@ -403,26 +403,26 @@ impl Server {
             match self.frames.apply_evictions() {
                 Ok(_) => return Ok(()),
                 Err(FrameError::Bus(error)) => return Err(error.into()),
-                Err(bad) => self.complaints.raise(bad),
+                Err(bad) => self.reporter.report(bad),
             }
         }
     }
 
-    fn farewell(&self, bus: &Bus) -> Result<(), ServeError> {
-        bus.sender()?.send(&Farewell {
+    fn shutdown_report(&self, bus: &Bus) -> Result<(), ServeError> {
+        bus.sender()?.send(&ShutdownReport {
             role: Role::Policy as u32,
-            frames_held: self.frames.taken(),
-            complaints: self.complaints.count().into(),
+            frames_received: self.frames.taken(),
+            error_reports: self.reporter.count().into(),
             ..Zeroable::zeroed()
         })?;
-        self.orchestrator.ring()?;
+        self.orchestrator.notify()?;
         Ok(())
     }
 }
 
 fn on_the_wire(open: &Open, decision: &Decision, decided_ns: u64) -> message::Decision {
     let &Open { ticket, images, received_ns, started_ns, .. } = open;
-    let Ticket { lane, step, episode } = ticket;
+    let RequestId { lane, step, episode } = ticket;
     let usage = decision.usage.unwrap_or_default();
     let told = |count: Option<u32>| count.unwrap_or(NOT_MEASURED);
     message::Decision {

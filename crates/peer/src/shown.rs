@@ -3,9 +3,10 @@
 
 use std::sync::Arc;
 
+use domain::{Action, DocumentKind};
+use shm_types::Frame;
 use shm_types::documents::{Content, Document};
-use shm_types::message::{DocumentKind, FrameId, NO_FRAME, TrajectoryStep};
-use shm_types::{Action, Frame};
+use shm_types::message::{FrameId, NO_FRAME, TrajectoryStep};
 
 use super::join::{Join, Ready};
 use crate::{

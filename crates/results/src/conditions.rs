@@ -11,9 +11,9 @@ pub use variation::{is_default, is_standard_window, standard_window};
 use std::fmt;
 use std::str::FromStr;
 
+use domain::{Representation, representation::Trajectories};
 use serde::{Deserialize, Serialize};
-use shm_types::representation::Trajectories;
-use shm_types::{FrameControl, Representation};
+use shm_types::FrameControl;
 pub use warehouse::{Demonstrations, UnknownDemonstrations};
 
 use crate::names::{UnknownName, named};

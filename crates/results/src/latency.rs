@@ -2,9 +2,9 @@
 //!
 //! To record a step allocates nothing, but the first time that a memory has one.
 
+use domain::Representation;
 use hdrhistogram::Histogram;
 use serde::{Deserialize, Serialize};
-use shm_types::Representation;
 
 use crate::log::Stages;
 use crate::stamps::Stamps;

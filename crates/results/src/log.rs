@@ -9,7 +9,7 @@
 //! | `errors.jsonl` | episodes given up because of a fault that is not the model's | as they happen |
 //! | `sessions.jsonl` | starts, restarts and ends of the processes | as they happen |
 //! | `documents/` | the documents that memory supplied, as they were | before the first episode |
-//! | `prompts/` | what the policy was given and what it answered ([`shm_types::prompts`]), where asked for | by it |
+//! | `prompts/` | what the policy was given and what it answered ([`domain::prompt_log`]), where asked for | by it |
 //! | `logs/` | what the processes wrote on stderr | by them |
 //! | `report/` | pages and data files about it ([`report`](crate::report)) | when asked for |
 //!

@@ -9,12 +9,14 @@ use std::io::{BufRead, BufReader};
 use std::path::PathBuf;
 
 use anyhow::{Context, Result, bail};
-use serde::Serialize;
-use shm_types::prompts::{
-    Entry, Hash, Part, Seen, entries_file, image_file, line_start, session_folder, text_file,
-    trajectories_file,
+use domain::{
+    Action, Feedback, Pose,
+    prompt_log::{
+        Entry, Hash, Part, Seen, entries_file, image_file, line_start, session_folder, text_file,
+        trajectories_file,
+    },
 };
-use shm_types::{Action, Feedback, Pose};
+use serde::Serialize;
 
 use crate::log::{EpisodeRecord, EpisodeTimings, RunFolder, RunLog};
 
@@ -171,7 +173,7 @@ fn prompt(log: &RunLog, timings: &EpisodeTimings, step: u32) -> Result<Option<Pr
 mod tests {
     use super::*;
     use crate::log::testing::record;
-    use shm_types::Heading;
+    use domain::Heading;
 
     #[test]
     fn where_the_agent_was_follows_from_the_log() {

@@ -1,6 +1,6 @@
 //! When each stage of a step was over, by what its messages say.
 
-use shm_types::Representation;
+use domain::Representation;
 use shm_types::message::{Decision, Observation, RecallTrace};
 
 use crate::log::Stages;

@@ -12,7 +12,7 @@ use crate::score::{
     StageTimes, score,
 };
 use crate::settings::Settings;
-use shm_types::Representation;
+use domain::Representation;
 
 /// What stands where nothing was measured, or nothing is defined.
 const ABSENT: &str = "-";
@@ -352,7 +352,7 @@ mod tests {
     use crate::conditions::Demonstrations;
     use crate::log::testing::{manifest, record, timings};
     use crate::plan::EpisodeKey;
-    use shm_types::Representation;
+    use domain::Representation;
 
     #[test]
     fn two_runs_are_named_once_and_two_conditions_in_each_row() {

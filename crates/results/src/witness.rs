@@ -8,8 +8,8 @@ use std::collections::BTreeMap;
 use std::fmt;
 use std::str::FromStr;
 
+use domain::{Cell, Pose};
 use serde::{Deserialize, Serialize};
-use shm_types::{Cell, Pose};
 use warehouse::layout::Layout;
 use warehouse::sight::sees;
 use warehouse::{Item, Task, Warehouse};

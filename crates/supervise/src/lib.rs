@@ -1,11 +1,10 @@
-//! The processes of a run: started, watched, and never left behind.
+//! Child processes of a run: started, watched, stopped.
 //!
-//! Each is a sibling of the running program, or a command that somebody gave. It has a process group of its
-//! own, so that Ctrl-C reaches the orchestrator alone and it decides what happens; when a process is over, its
-//! whole group is killed, so nothing stays that it had started itself. They end with the orchestrator whatever
-//! ends it: the system kills them when the thread that started them dies (see
-//! `shm_types::process::die_with_parent`, which a program of somebody else's gets from the policy SDK). What
-//! they print goes to a file each, whose last lines stand in the message when one fails.
+//! A child is a program beside the running one, or an external command. Each has a process group of its own, so that
+//! Ctrl-C reaches the orchestrator alone; when a child has ended, its whole group is killed, including everything that
+//! it started. Children end with the orchestrator: the kernel kills them when the thread that started them ends (see
+//! `shm_types::process::die_with_parent`; external policies get that from the SDK). The output of a child goes to a log
+//! file, whose last lines are part of the message when it fails.
 
 use std::ffi::OsString;
 use std::fs::{self, File};
@@ -21,25 +20,24 @@ use rustix::process::{Pid, Signal, WaitId, WaitIdOptions, kill_process_group, wa
 use shm_types::ATTACH_VARIABLE;
 use shm_types::message::Role;
 
-/// Lines of a dead process's log that are shown.
-const LAST_LINES: usize = 12;
+/// Lines of the log shown when a child has ended.
+const TAIL_LINES: usize = 12;
 
-/// Set for whatever renders: one of Mesa's layers otherwise prints errors about a desktop session where
-/// there is none.
+/// A variable for programs that render: without a desktop session, one of Mesa's Vulkan layers otherwise prints errors.
 pub const QUIET_DRIVER: (&str, &str) = ("NODEVICE_SELECT", "1");
 
 /// A process to start.
 #[derive(Debug, Clone)]
 pub struct Launch {
-    /// Its part in the run.
+    /// Its role in the run.
     pub role: Role,
-    /// What to start.
+    /// The program.
     pub program: PathBuf,
-    /// With which arguments.
+    /// Its arguments.
     pub args: Vec<OsString>,
-    /// The command line as somebody gave it, where the process is not one of the project's own.
+    /// The command line as the user gave it, if the program is external.
     pub command: Option<String>,
-    /// What its environment has beside this process's.
+    /// Additional environment variables.
     pub env: Vec<(OsString, OsString)>,
 }
 
@@ -47,19 +45,19 @@ impl Launch {
     /// The program `name` beside the running one, as `role`.
     ///
     /// # Errors
-    /// When it is not there.
+    /// When there is no such file.
     pub fn sibling(role: Role, name: &str, args: Vec<OsString>) -> Result<Self> {
         let env = vec![(QUIET_DRIVER.0.into(), QUIET_DRIVER.1.into())];
         Ok(Self { role, program: sibling(name)?, args, command: None, env })
     }
 
-    /// A command line as somebody gave it, split into words as a shell does, but run by none.
+    /// An external command line, split into words as a shell does. No shell runs it.
     ///
     /// # Errors
-    /// When a quote is not closed, or there is no word.
+    /// When a quote is not closed, or the command is empty.
     pub fn command(role: Role, command: &str) -> Result<Self> {
         let words = shlex::split(command).with_context(|| {
-            format!("a quote is not closed, or a last \\ ends nothing: {command}")
+            format!("an unclosed quote, or a backslash at the end, in the command: {command}")
         })?;
         let mut words = words.into_iter();
         let program = words.next().context("the command is empty")?.into();
@@ -67,7 +65,7 @@ impl Launch {
         Ok(Self { role, program, args, command: Some(command.to_owned()), env: Vec::new() })
     }
 
-    /// The same, told which run to join: one of the project's own by an argument, any other by its environment.
+    /// Tells the process which run to join: the project's own programs by an argument, external ones by a variable.
     pub fn attached_to(mut self, run: &Path) -> Self {
         match self.command {
             None => self.args.extend(["--attach".into(), run.into()]),
@@ -76,7 +74,7 @@ impl Launch {
         self
     }
 
-    /// Why it did not start, and what to do.
+    /// Why the process did not start, and what to do.
     fn not_started(&self, error: &io::Error) -> String {
         let Some(command) = &self.command else {
             return format!(
@@ -87,14 +85,13 @@ impl Launch {
         let program = self.program.display();
         let advice = match error.kind() {
             io::ErrorKind::NotFound => format!(
-                "there is no program `{program}`, neither in $PATH nor, if that is a path, as seen from the \
-                 working folder"
+                "there is no program `{program}` in $PATH or, if it is a path, relative to the working folder"
             ),
-            io::ErrorKind::PermissionDenied => format!(
-                "`{program}` is not executable: start it with its interpreter, or `chmod +x` it"
-            ),
+            io::ErrorKind::PermissionDenied => {
+                format!("`{program}` is not executable: start its interpreter, or `chmod +x` it")
+            }
             _ if error.raw_os_error() == Some(Errno::NOEXEC.raw_os_error()) => format!(
-                "`{program}` is neither a program nor a script that names its interpreter in its first line"
+                "`{program}` is neither a program nor a script whose first line names its interpreter"
             ),
             _ => format!("`{program}` does not start"),
         };
@@ -102,123 +99,122 @@ impl Launch {
     }
 }
 
-/// A process that ended although nobody asked it to.
+/// The end of a child that was not asked to end.
 #[derive(Debug)]
-pub struct Death {
-    /// Its part.
+pub struct ChildExit {
+    /// Its role.
     pub role: Role,
-    /// How it ended.
+    /// Its exit status.
     pub status: ExitStatus,
     /// The last lines of its log.
-    pub last_words: String,
-    /// Its log.
+    pub log_tail: String,
+    /// Its log file.
     pub log: PathBuf,
-    /// The command line that somebody gave for it.
+    /// The command line, if the program is external.
     pub command: Option<String>,
 }
 
-impl Death {
-    /// How it ended, and its last words.
+impl ChildExit {
+    /// The exit status in words, and the last lines of the log.
     pub fn how(&self) -> String {
-        match self.last_words.as_str() {
-            "" => format!("{} without a word", self.manner()),
-            words => format!("{}; its last words:\n{words}", self.manner()),
+        match self.log_tail.as_str() {
+            "" => format!("{} and printed nothing", self.status_in_words()),
+            tail => format!("{}; the last lines of its log:\n{tail}", self.status_in_words()),
         }
     }
 
-    fn manner(&self) -> String {
+    fn status_in_words(&self) -> String {
         match (self.status.code(), self.status.signal()) {
             (Some(code), _) => format!("with exit status {code}"),
             (None, Some(signal)) => format!("on signal {signal}"),
-            (None, None) => "in an unknown way".to_owned(),
+            (None, None) => "with an unknown status".to_owned(),
         }
     }
 }
 
-impl std::fmt::Display for Death {
+impl std::fmt::Display for ChildExit {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         write!(f, "the {} process ", self.role.word())?;
         if let Some(command) = &self.command {
             write!(f, "(`{command}`) ")?;
         }
-        write!(f, "ended {}", self.manner())?;
-        if self.last_words.is_empty() {
-            return write!(f, " without a word ({})", self.log.display());
+        write!(f, "ended {}", self.status_in_words())?;
+        if self.log_tail.is_empty() {
+            return write!(f, " and printed nothing ({})", self.log.display());
         }
-        write!(f, "; its last words ({}):\n{}", self.log.display(), self.last_words)
+        write!(f, "; the last lines of {}:\n{}", self.log.display(), self.log_tail)
     }
 }
 
-/// The processes of one generation. Dropping it kills those that are left.
+/// The child processes of one generation. Dropping it kills those that still run.
 #[derive(Debug)]
-pub struct Crew {
-    members: Vec<Member>,
+pub struct Children {
+    processes: Vec<Process>,
 }
 
 #[derive(Debug)]
-struct Member {
+struct Process {
     role: Role,
     command: Option<String>,
     child: Child,
-    /// How it ended, once it was waited for. Its number may be somebody else's from then on.
-    ended: Option<ExitStatus>,
+    /// Its status, once it was waited for. From then on its process id may be another process's.
+    status: Option<ExitStatus>,
     log: PathBuf,
-    /// Where this process's part of the log begins.
+    /// Where the output of this process begins in the log.
     log_start: u64,
 }
 
-impl Crew {
-    /// Starts every process of `launches`, with its log in `logs`.
+impl Children {
+    /// Starts all processes of `launches`, with their logs in `logs`.
     ///
     /// # Errors
-    /// When one cannot be started or its log cannot be opened; those that were started are killed.
+    /// When one cannot be started or its log cannot be opened; the others are killed.
     pub fn start(launches: &[Launch], logs: &Path) -> Result<Self> {
-        fs::create_dir_all(logs).with_context(|| format!("cannot make {}", logs.display()))?;
-        let mut crew = Self { members: Vec::new() };
+        fs::create_dir_all(logs).with_context(|| format!("cannot create {}", logs.display()))?;
+        let mut children = Self { processes: Vec::new() };
         for launch in launches {
-            crew.members.push(Member::start(launch, logs)?);
+            children.processes.push(Process::start(launch, logs)?);
         }
-        Ok(crew)
+        Ok(children)
     }
 
-    /// A process that is dead, if one is. The policy's death explains that of others, which send to it; none
-    /// explains the policy's.
-    pub fn death(&mut self) -> Option<Death> {
-        let mut deaths: Vec<Death> = self.members.iter_mut().filter_map(Member::death).collect();
-        let at = deaths.iter().position(|death| death.role == Role::Policy).unwrap_or(0);
-        (!deaths.is_empty()).then(|| deaths.swap_remove(at))
+    /// A child that has ended, if any. The policy comes first: when it ends, the processes that send to it fail, too.
+    pub fn exited(&mut self) -> Option<ChildExit> {
+        let mut exits: Vec<ChildExit> =
+            self.processes.iter_mut().filter_map(Process::exit).collect();
+        let first = exits.iter().position(|exit| exit.role == Role::Policy).unwrap_or(0);
+        (!exits.is_empty()).then(|| exits.swap_remove(first))
     }
 
-    /// Waits until all have ended by themselves, at most for `patience`, and kills the rest.
-    pub fn disband(self, patience: Duration) {
-        let deadline = Instant::now() + patience;
-        while Instant::now() < deadline && self.members.iter().any(Member::is_alive) {
+    /// Waits at most `timeout` for all children to end, and kills the others.
+    pub fn wait_or_kill(self, timeout: Duration) {
+        let deadline = Instant::now() + timeout;
+        while Instant::now() < deadline && self.processes.iter().any(Process::is_alive) {
             std::thread::sleep(Duration::from_millis(2));
         }
     }
 }
 
-impl Drop for Crew {
+impl Drop for Children {
     fn drop(&mut self) {
-        for member in self.members.iter_mut().filter(|member| member.ended.is_none()) {
-            tracing::debug!(role = member.role.word(), "its group is killed");
-            // Before it is waited for: until then, nobody else can have the group's number. There may be nobody
-            // left in it.
-            let _ = kill_process_group(member.group(), Signal::KILL);
-            if let Err(error) = member.child.wait() {
-                tracing::warn!(role = member.role.word(), %error, "cannot wait for the process");
+        for process in self.processes.iter_mut().filter(|process| process.status.is_none()) {
+            tracing::debug!(role = process.role.word(), "killing its process group");
+            // Before the wait: until then no other group can have this id. The group may be empty.
+            let _ = kill_process_group(process.group(), Signal::KILL);
+            if let Err(error) = process.child.wait() {
+                tracing::warn!(role = process.role.word(), %error, "cannot wait for the process");
             }
         }
     }
 }
 
-impl Member {
+impl Process {
     fn start(launch: &Launch, logs: &Path) -> Result<Self> {
         let Launch { role, program, args, command, env } = launch;
         let log = logs.join(format!("{}.log", role.word()));
         let file = File::options().create(true).append(true).open(&log);
         let file = file.with_context(|| format!("cannot open {}", log.display()))?;
-        let log_start = file.metadata().map_or(0, |facts| facts.len());
+        let log_start = file.metadata().map_or(0, |metadata| metadata.len());
         let output = file.try_clone().with_context(|| format!("cannot open {}", log.display()))?;
         let child = Command::new(program)
             .args(args)
@@ -232,62 +228,62 @@ impl Member {
             let why = launch.not_started(&error);
             anyhow::Error::from(error).context(why)
         })?;
-        Ok(Self { role: *role, command: command.clone(), child, ended: None, log, log_start })
+        Ok(Self { role: *role, command: command.clone(), child, status: None, log, log_start })
     }
 
-    /// Its process group: the one it leads.
+    /// Its process group, which it leads.
     fn group(&self) -> Pid {
         Pid::from_child(&self.child)
     }
 
-    /// Whether it runs. Does not wait for one that has ended: [`Member::group`] stays its own.
+    /// Whether it runs. Does not reap it, so that its process id stays its own.
     fn is_alive(&self) -> bool {
-        if self.ended.is_some() {
+        if self.status.is_some() {
             return false;
         }
-        let look = WaitIdOptions::EXITED | WaitIdOptions::NOHANG | WaitIdOptions::NOWAIT;
-        matches!(waitid(WaitId::Pid(self.group()), look), Ok(None))
+        let options = WaitIdOptions::EXITED | WaitIdOptions::NOHANG | WaitIdOptions::NOWAIT;
+        matches!(waitid(WaitId::Pid(self.group()), options), Ok(None))
     }
 
-    fn death(&mut self) -> Option<Death> {
+    fn exit(&mut self) -> Option<ChildExit> {
         if self.is_alive() {
             return None;
         }
-        let status = match self.ended {
+        let status = match self.status {
             Some(status) => status,
             None => {
-                // What it had started is of no use without it.
+                // Also the processes that it started.
                 let _ = kill_process_group(self.group(), Signal::KILL);
                 let status = self.child.wait().inspect_err(|error| {
-                    tracing::warn!(role = self.role.word(), %error, "cannot ask for the process");
+                    tracing::warn!(role = self.role.word(), %error, "cannot wait for the process");
                 });
-                *self.ended.insert(status.ok()?)
+                *self.status.insert(status.ok()?)
             }
         };
-        let last_words = last_words(&self.log, self.log_start, self.role).unwrap_or_default();
+        let log_tail = log_tail(&self.log, self.log_start, self.role).unwrap_or_default();
         let (log, command) = (self.log.clone(), self.command.clone());
-        Some(Death { role: self.role, status, last_words, log, command })
+        Some(ChildExit { role: self.role, status, log_tail, log, command })
     }
 }
 
-/// What a process said last in `log`, from byte `start` on: the message it ended with if it did so by
-/// itself, as `sim-proc: ...`, otherwise the last lines.
-fn last_words(log: &Path, start: u64, role: Role) -> io::Result<String> {
+/// The end of `log`, of which the process wrote from byte `start` on: from its final error message (`sim-proc: ...`) if
+/// there is one, otherwise the last lines.
+fn log_tail(log: &Path, start: u64, role: Role) -> io::Result<String> {
     let bytes = fs::read(log)?;
     let text = String::from_utf8_lossy(bytes.get(start as usize..).unwrap_or_default());
     let lines: Vec<&str> = text.lines().collect();
-    let farewell = format!("{}-proc: ", role.word());
-    let from = lines.iter().rposition(|line| line.starts_with(&farewell));
-    let from = from.unwrap_or(lines.len().saturating_sub(LAST_LINES));
+    let message = format!("{}-proc: ", role.word());
+    let from = lines.iter().rposition(|line| line.starts_with(&message));
+    let from = from.unwrap_or(lines.len().saturating_sub(TAIL_LINES));
     Ok(lines[from..].join("\n"))
 }
 
 /// The program `name` beside the running one.
 ///
 /// # Errors
-/// When it is not there.
+/// When there is no such file.
 pub fn sibling(name: &str) -> Result<PathBuf> {
-    let here = std::env::current_exe().context("cannot tell where this program lies")?;
+    let here = std::env::current_exe().context("cannot find the path of the running program")?;
     let sibling = here.with_file_name(name);
     anyhow::ensure!(
         sibling.is_file(),

@@ -11,12 +11,13 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, bail};
 use bytemuck::Zeroable;
+use domain::{DocumentKind, Pose};
 use shm_types::message::{
-    DocumentKind, Farewell, Hello, NO_FRAME, Pulse, Role, Stop, View, ViewRequest, ViewRequestKind,
+    Handshake, Heartbeat, NO_FRAME, Role, ShutdownReport, Stop, View, ViewRequest, ViewRequestKind,
 };
 use shm_types::process::die_with_parent;
 use shm_types::{
-    Attach, Bell, Bus, Complaints, Frame, FrameError, FrameStore, Pose, Receiver, Sender,
+    Attach, Bus, ErrorReporter, Frame, FrameError, FrameStore, Notifier, Receiver, Sender,
 };
 use warehouse::Demonstrations;
 
@@ -52,8 +53,8 @@ pub struct Settings {
 /// Builds what `settings` want with `builder`, as part of the run whose folder is `settings.attach`, and
 /// stays until the orchestrator says stop.
 ///
-/// The orchestrator is told of progress by [`Pulse`]: first of views, until none waits, then of the parts of
-/// one document after the other. The [`Farewell`] says that all are written.
+/// The orchestrator is told of progress by [`Heartbeat`]: first of views, until none waits, then of the parts of
+/// one document after the other. The [`ShutdownReport`] says that all are written.
 ///
 /// # Errors
 /// When the run cannot be joined, its transport or the simulator fails, the assets cannot be used, or a
@@ -62,14 +63,14 @@ pub fn build(settings: &Settings, builder: &mut dyn Builder) -> Result<()> {
     let attach = Attach::read(&settings.attach).context("cannot take part in the run")?;
     die_with_parent(attach.orchestrator_pid).context("this process belongs to an orchestrator")?;
     let bus = Bus::join(attach, Role::Memory)?;
-    let mut complaints = Complaints::new(&bus)?;
+    let mut reporter = ErrorReporter::new(&bus)?;
     let done = Scribe::new(&bus).and_then(|mut scribe| {
         let sources = Sources::load(settings.assets.as_deref())?;
-        bus.sender()?.send(&Hello::new(
+        bus.sender()?.send(&Handshake::new(
             Role::Memory,
             [("builder", builder.name().to_owned()), ("builder_version", builder.version())],
         )?)?;
-        scribe.orchestrator.ring()?;
+        scribe.orchestrator.notify()?;
         let selections: BTreeSet<Demonstrations> =
             settings.wanted.iter().map(|&(_, selection)| selection).collect();
         let poses: BTreeSet<Pose> =
@@ -78,11 +79,11 @@ pub fn build(settings: &Settings, builder: &mut dyn Builder) -> Result<()> {
         for &wanted in &settings.wanted {
             scribe.write(wanted, &sources, &seen, &settings.documents, builder)?;
         }
-        scribe.farewell()
+        scribe.shutdown_report()
     });
     if let Err(error) = &done {
-        complaints.raise(format_args!("the documents cannot be built: {error:#}"));
-        bus.bell(Role::Orchestrator)?.ring()?;
+        reporter.report(format_args!("the documents cannot be built: {error:#}"));
+        bus.notifier(Role::Orchestrator)?.notify()?;
         std::thread::sleep(LAST_WORDS);
     }
     done
@@ -95,9 +96,9 @@ struct Scribe<'a> {
     stops: Receiver<Stop>,
     frames: FrameStore,
     requests: Sender<ViewRequest>,
-    pulses: Sender<Pulse>,
-    sim: Bell,
-    orchestrator: Bell,
+    heartbeats: Sender<Heartbeat>,
+    sim: Notifier,
+    orchestrator: Notifier,
     /// When the orchestrator was last told how far this is.
     told: Option<Instant>,
 }
@@ -110,9 +111,9 @@ impl<'a> Scribe<'a> {
             stops: bus.receiver()?,
             frames: FrameStore::new(bus)?,
             requests: bus.sender()?,
-            pulses: bus.sender()?,
-            sim: bus.bell(Role::Sim)?,
-            orchestrator: bus.bell(Role::Orchestrator)?,
+            heartbeats: bus.sender()?,
+            sim: bus.notifier(Role::Sim)?,
+            orchestrator: bus.notifier(Role::Orchestrator)?,
             told: None,
         })
     }
@@ -130,15 +131,15 @@ impl<'a> Scribe<'a> {
         let mut asked = 0;
         loop {
             for &pose in waiting.by_ref().take(room - asked) {
-                self.request(ViewRequestKind::Hold, NO_FRAME, pose)?;
+                self.request(ViewRequestKind::Pin, NO_FRAME, pose)?;
                 asked += 1;
             }
-            self.sim.ring()?;
+            self.sim.notify()?;
             self.tell(seen.len(), poses.len(), false)?;
             if asked == 0 {
                 break;
             }
-            self.bus.doorbell().wait(LONGEST_SLEEP)?;
+            self.bus.listener().wait(LONGEST_SLEEP)?;
             for View { frame: id, pose, .. } in self.views.drain()? {
                 let pose = Pose::try_from(pose).context("a view of no pose")?;
                 let Some(frame) = self.frames.get(id)?.cloned() else {
@@ -202,13 +203,13 @@ impl<'a> Scribe<'a> {
             return Ok(());
         }
         self.told = Some(Instant::now());
-        self.pulses.send(&Pulse {
+        self.heartbeats.send(&Heartbeat {
             role: Role::Memory as u32,
             done: done as u64,
             waiting: total.saturating_sub(done) as u64,
             ..Zeroable::zeroed()
         })?;
-        Ok(self.orchestrator.ring()?)
+        Ok(self.orchestrator.notify()?)
     }
 
     fn let_go_of_frames(&mut self) -> Result<()> {
@@ -223,17 +224,17 @@ impl<'a> Scribe<'a> {
     }
 
     /// Everything is written: says so, and waits to be told to stop.
-    fn farewell(mut self) -> Result<()> {
-        self.bus.sender()?.send(&Farewell {
+    fn shutdown_report(mut self) -> Result<()> {
+        self.bus.sender()?.send(&ShutdownReport {
             role: Role::Memory as u32,
-            frames_held: self.frames.taken(),
+            frames_received: self.frames.taken(),
             // Plates are read where the renderer wrote them.
             pixel_bytes_copied: 0,
             ..Zeroable::zeroed()
         })?;
-        self.orchestrator.ring()?;
+        self.orchestrator.notify()?;
         while self.stops.next()?.is_none() {
-            self.bus.doorbell().wait(LONGEST_SLEEP)?;
+            self.bus.listener().wait(LONGEST_SLEEP)?;
             self.let_go_of_frames()?;
         }
         Ok(())

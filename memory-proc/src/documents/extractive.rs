@@ -9,8 +9,8 @@ mod summary;
 use std::path::Path;
 
 use anyhow::bail;
+use domain::DocumentKind;
 use plates::Plate;
-use shm_types::message::DocumentKind;
 
 use super::{Account, Builder, Built, Transcript};
 

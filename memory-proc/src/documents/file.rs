@@ -4,10 +4,10 @@ use std::fs::{self, File};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
+use domain::DocumentKind;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 use shm_types::documents::{Content, MAX_DOCUMENT_BYTES};
-use shm_types::message::DocumentKind;
 use warehouse::Demonstrations;
 
 use super::Account;

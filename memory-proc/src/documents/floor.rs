@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use shm_types::Cell;
+use domain::Cell;
 
 /// How often cells were walked on.
 #[derive(Debug, Clone, Default)]

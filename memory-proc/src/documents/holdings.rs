@@ -6,9 +6,9 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
+use domain::DocumentKind;
 use serde::Serialize;
 use shm_types::FrameSize;
-use shm_types::message::DocumentKind;
 use warehouse::Demonstrations;
 
 use super::build::Wanted;

@@ -25,8 +25,8 @@ pub mod transcript;
 
 use std::path::Path;
 
+use domain::DocumentKind;
 use serde::{Deserialize, Serialize};
-use shm_types::message::DocumentKind;
 
 pub use extractive::Extractive;
 pub use file::{DocumentError, DocumentFile, Provenance};

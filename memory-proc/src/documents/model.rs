@@ -17,7 +17,7 @@ mod telling;
 use std::path::Path;
 
 use anyhow::{Context, bail, ensure};
-use shm_types::message::DocumentKind;
+use domain::DocumentKind;
 
 pub use chat::{Chat, ChatError, Message, Outcome, Reply, Request, Speaker};
 pub use pipe::{Ask, Pipe};

@@ -9,8 +9,9 @@ use std::path::Path;
 use std::sync::Arc;
 
 use anyhow::{Context, Result};
+use domain::Pose;
 use sha2::{Digest, Sha256};
-use shm_types::{FrameSize, Pose};
+use shm_types::FrameSize;
 use warehouse::case_file::CASES_FILE;
 use warehouse::{CaseSet, Demonstrations, History, Warehouse};
 

@@ -2,8 +2,8 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use domain::{Cell, Heading, Pose};
 use plates::{Landmark, Plate};
-use shm_types::{Cell, Heading, Pose};
 
 use super::transcript::Step;
 use crate::embedding::ContentHash;
@@ -58,7 +58,7 @@ impl Survey {
 mod tests {
     use std::sync::Arc;
 
-    use shm_types::Feedback;
+    use domain::Feedback;
 
     use super::super::transcript::Seen;
     use super::*;

@@ -6,9 +6,9 @@
 
 use std::sync::Arc;
 
+use domain::{Action, Feedback, Pose};
 use plates::Landmark;
 use sha2::{Digest, Sha256};
-use shm_types::{Action, Feedback, Pose};
 
 use crate::embedding::ContentHash;
 
@@ -79,7 +79,7 @@ pub(super) fn hex(bytes: &[u8]) -> String {
 
 #[cfg(test)]
 mod tests {
-    use shm_types::Heading;
+    use domain::Heading;
 
     use super::*;
 

@@ -1,9 +1,11 @@
 //! The engine against a scripted simulator, orchestrator and encoder, in every order of events.
 
+use domain::{
+    Feedback, Heading, Representation,
+    Representation::{Episodic, FullContext, Working},
+};
 use proptest::prelude::*;
-use shm_types::Representation::{Episodic, FullContext, Working};
 use shm_types::message::{NO_ACTION, NO_FRAME};
-use shm_types::{Feedback, Heading, Representation};
 use warehouse::{Demonstrations, Start};
 
 use self::rig::{Answer, Rig, Script, content, walks};
@@ -70,7 +72,7 @@ fn demonstrations(rig: &Rig, case: usize) -> usize {
 fn views_that_were_held_for_their_pixels_are_embedded_when_somebody_compares() {
     let mut rig = Rig::new(2, 1000);
     let whole = rig.script(0, 1, 5, Start::Original, FullContext);
-    rig.engine.brief(&whole.brief).unwrap();
+    rig.engine.config(&whole.config).unwrap();
     rig.observe(whole.observations[0]).unwrap();
     while rig.work(0) {}
     assert_eq!(rig.collect(), [0]);
@@ -90,8 +92,8 @@ fn a_lane_that_waits_holds_up_nobody() {
     let mut rig = Rig::new(2, 1000);
     let slow = rig.script(0, 1, 0, Start::Original, Episodic);
     let quick = rig.script(1, 2, 1, Start::Original, Working);
-    rig.engine.brief(&slow.brief).unwrap();
-    rig.engine.brief(&quick.brief).unwrap();
+    rig.engine.config(&slow.config).unwrap();
+    rig.engine.config(&quick.config).unwrap();
     rig.observe(slow.observations[0]).unwrap();
     for (step, seen) in quick.observations.iter().enumerate() {
         rig.observe(*seen).unwrap();
@@ -117,8 +119,9 @@ fn lanes_whose_views_do_not_fit_together_take_turns() {
     assert_eq!(rig.answers.len(), first.poses.len() + second.poses.len() - 2);
 
     let mut rig = Rig::new(2, room - 1);
-    let briefs = [first.brief, second.brief];
-    let error = briefs.iter().find_map(|brief| rig.engine.brief(brief).err()).unwrap().to_string();
+    let configs = [first.config, second.config];
+    let error =
+        configs.iter().find_map(|config| rig.engine.config(config).err()).unwrap().to_string();
     assert!(error.contains("raise --frame-budget"), "{error}");
 }
 
@@ -127,7 +130,7 @@ fn an_episode_that_never_ran_is_forgotten() {
     let mut rig = Rig::new(1, 1000);
     for ticket in 1..4 {
         let script = rig.script(0, ticket, ticket as u32, Start::Original, Episodic);
-        rig.engine.brief(&script.brief).unwrap();
+        rig.engine.config(&script.config).unwrap();
         rig.work(0);
     }
     let last = rig.script(0, 4, 2, Start::Original, Episodic);
@@ -140,28 +143,31 @@ fn an_episode_that_never_ran_is_forgotten() {
 fn what_cannot_be_used_is_refused_and_named() {
     let mut rig = Rig::new(2, 1000);
     let script = rig.script(0, 1, 0, Start::Original, Episodic);
-    let brief = script.brief;
+    let config = script.config;
     for (bad, expected) in [
-        (MemoryBrief { lane: 2, ..brief }, "lane 2 of 2"),
+        (MemoryEpisodeConfig { lane: 2, ..config }, "lane 2 of 2"),
         (
-            MemoryBrief { case: 100, ..brief },
+            MemoryEpisodeConfig { case: 100, ..config },
             "case 100 with demonstrations 0b1111, but there are 100 cases",
         ),
-        (MemoryBrief { demonstrations: 16, ..brief }, "demonstrations 0b10000"),
-        (MemoryBrief { demonstrations: 0, ..brief }, "episodic memory of no demonstrations"),
+        (MemoryEpisodeConfig { demonstrations: 16, ..config }, "demonstrations 0b10000"),
         (
-            MemoryBrief { demonstrations: 0, representation: 2, ..brief },
+            MemoryEpisodeConfig { demonstrations: 0, ..config },
+            "episodic memory of no demonstrations",
+        ),
+        (
+            MemoryEpisodeConfig { demonstrations: 0, representation: 2, ..config },
             "summary memory of no demonstrations",
         ),
-        (MemoryBrief { segment: 2, ..brief }, "2 is not a segment content"),
-        (MemoryBrief { representation: 9, ..brief }, "9 is not a representation"),
-        (MemoryBrief { window: 33, ..brief }, "a window of 33"),
-        (MemoryBrief { horizon: 32, ..brief }, "a horizon of 32"),
+        (MemoryEpisodeConfig { segment: 2, ..config }, "2 is not a segment content"),
+        (MemoryEpisodeConfig { representation: 9, ..config }, "9 is not a representation"),
+        (MemoryEpisodeConfig { window: 33, ..config }, "a window of 33"),
+        (MemoryEpisodeConfig { horizon: 32, ..config }, "a horizon of 32"),
     ] {
-        let error = rig.engine.brief(&bad).unwrap_err().to_string();
+        let error = rig.engine.config(&bad).unwrap_err().to_string();
         assert!(error.starts_with("brief of episode 1: ") && error.contains(expected), "{error}");
     }
-    rig.engine.brief(&brief).unwrap();
+    rig.engine.config(&config).unwrap();
     let first = script.observations[0];
     let refuse = |rig: &mut Rig, bad: Observation, expected: &str| {
         let error = rig.engine.observe(&bad, 1).unwrap_err().to_string();
@@ -214,8 +220,8 @@ proptest! {
             (0..).zip(&episodes).map(|(ticket, &(case, start, memory, set, segment, keyframes))| {
                 let (lane, memory) = (ticket as u32 % lanes, Representation::ALL[memory]);
                 let mut script = rig.script(lane, ticket, case, Start::ALL[start], memory);
-                script.brief.demonstrations = SETS[set].bits();
-                (script.brief.segment, script.brief.keyframes) = (segment, keyframes);
+                script.config.demonstrations = SETS[set].bits();
+                (script.config.segment, script.config.keyframes) = (segment, keyframes);
                 script
             }).collect()
         };
@@ -242,7 +248,7 @@ proptest! {
         for (is_brief, episode, lane, small, bytes, demonstrations) in messages {
             let [a, b, c, d, e, f, g] = bytes.map(|byte| if byte < 128 { byte % 8 } else { byte });
             if is_brief {
-                let _ = rig.engine.brief(&MemoryBrief {
+                let _ = rig.engine.config(&MemoryEpisodeConfig {
                     episode,
                     lane,
                     case: small * 40,
@@ -277,7 +283,7 @@ proptest! {
         }
         for (lane, ticket) in [(0, 90), (1, 91)] {
             let script = rig.script(lane, ticket, 3, Start::Original, Working);
-            rig.engine.brief(&script.brief).unwrap();
+            rig.engine.config(&script.config).unwrap();
             rig.observe(script.observations[0]).unwrap();
         }
         while rig.work(0) {}

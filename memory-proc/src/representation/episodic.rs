@@ -7,8 +7,8 @@
 //! from is nothing that retrieval knows.
 
 use anyhow::bail;
-use shm_types::message::{FrameId, NO_ACTION, SegmentContent, SegmentStep};
-use shm_types::{Action, Pose};
+use domain::{Action, Pose, SegmentContent};
+use shm_types::message::{FrameId, NO_ACTION, SegmentStep};
 
 use super::{Blueprint, Documents, Ingredients, Memory, Retrieved, Situation, Supply, Views};
 use crate::demonstrations::Demonstration;
@@ -119,7 +119,7 @@ mod tests {
     use super::super::{View, Views};
     use super::*;
     use crate::embedding::Embedding;
-    use shm_types::Heading;
+    use domain::Heading;
 
     /// Every cell looks different: frame and content are its row, the embedding is an angle.
     fn view(pose: Pose) -> View {

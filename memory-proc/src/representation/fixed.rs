@@ -1,6 +1,7 @@
 //! What memories without a choice share: the same documents at every step.
 
-use shm_types::message::{DocumentId, DocumentKind};
+use domain::DocumentKind;
+use shm_types::message::DocumentId;
 use warehouse::Demonstrations;
 
 use super::{Documents, Memory, Situation, Supply};
@@ -28,7 +29,7 @@ pub(super) fn consolidated(
 
 #[cfg(test)]
 mod tests {
-    use shm_types::Representation;
+    use domain::Representation;
     use shm_types::documents::Content;
 
     use super::super::testing::{Shelf, ingredients};

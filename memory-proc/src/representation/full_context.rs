@@ -17,9 +17,9 @@
 //! out, whatever the budget.
 
 use anyhow::Context;
+use domain::{Action, Pose};
 use shm_types::documents::Content;
 use shm_types::message::{NO_ACTION, NO_FRAME, TrajectoryStep};
-use shm_types::{Action, Pose};
 
 use super::{Blueprint, Documents, Ingredients, Memory, Views, fixed};
 use crate::demonstrations::Demonstration;

@@ -1,6 +1,6 @@
 //! Hybrid memory: the summary, then the semantic document, both supplied whole at every step.
 
-use shm_types::message::DocumentKind;
+use domain::DocumentKind;
 use warehouse::Demonstrations;
 
 use super::{Blueprint, Documents, Memory, Views, fixed};

@@ -14,9 +14,9 @@
 use std::collections::BTreeMap;
 
 use anyhow::Context;
+use domain::{DocumentKind, Pose, Representation, SegmentContent};
 use shm_types::documents::Content;
-use shm_types::message::{DocumentId, DocumentKind, FrameId, SegmentContent, SegmentStep};
-use shm_types::{Pose, Representation};
+use shm_types::message::{DocumentId, FrameId, SegmentStep};
 use warehouse::Demonstrations;
 
 use crate::demonstrations::Demonstration;

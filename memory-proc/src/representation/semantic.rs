@@ -1,6 +1,6 @@
 //! Semantic memory: one document of general spatial and navigation knowledge, supplied whole at every step.
 
-use shm_types::message::DocumentKind;
+use domain::DocumentKind;
 use warehouse::Demonstrations;
 
 use super::{Blueprint, Documents, Memory, Views, fixed};

@@ -1,6 +1,6 @@
 //! Summary memory: one document of object locations, landmarks and routes, supplied whole at every step.
 
-use shm_types::message::DocumentKind;
+use domain::DocumentKind;
 use warehouse::Demonstrations;
 
 use super::{Blueprint, Documents, Memory, Views, fixed};

@@ -1,9 +1,9 @@
 //! Small demonstrations and a shelf of documents, for the tests of representations and of the engine.
 
 use anyhow::bail;
+use domain::{Action, DocumentKind, Heading, Pose, SegmentContent};
 use shm_types::documents::Content;
-use shm_types::message::{DocumentId, DocumentKind, SegmentContent};
-use shm_types::{Action, Heading, Pose};
+use shm_types::message::DocumentId;
 use warehouse::Demonstrations;
 
 use super::{Documents, Ingredients};

@@ -150,8 +150,8 @@ fn programs() -> anyhow::Result<String> {
 
 fn shared_memory() -> anyhow::Result<String> {
     let run = RunDir::create(&registry::default_base())?;
-    let attach = Attach::new(&run);
-    check_shared_memory(&attach)?;
+    let attach = run.attach();
+    check_shared_memory(attach.shared_memory_bytes())?;
     let mib = attach.shared_memory_bytes() >> 20;
     Ok(format!("{SHARED_MEMORY} has room for a default run ({mib} MiB at most)"))
 }

@@ -4,10 +4,10 @@ use std::path::PathBuf;
 
 use anyhow::{Context, Result, bail};
 use clap::{Args, Subcommand, ValueEnum};
+use domain::DocumentKind;
 use indicatif::HumanBytes;
 use serde_json::Value;
 use shm_types::FrameSize;
-use shm_types::message::DocumentKind;
 use warehouse::Demonstrations;
 
 use super::{Exit, print, print_json};

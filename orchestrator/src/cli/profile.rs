@@ -6,8 +6,9 @@ use std::time::{SystemTime, UNIX_EPOCH};
 
 use anyhow::{Context, Result, ensure};
 use clap::Args;
+use domain::{Representation, cache_folder};
 use shm_types::message::Role;
-use shm_types::{Representation, RunDir, cache_folder, registry};
+use shm_types::{RunDir, registry};
 
 use super::documents::Documents;
 use super::run::{attach, crewing, rules};

@@ -7,10 +7,10 @@ use std::time::Duration;
 use anyhow::{Context, Result, bail};
 use clap::parser::ValueSource;
 use clap::{ArgMatches, Args};
+use domain::prompt_log::session_folder;
 use serde_json::{Map, Value};
 use shm_types::message::{Role, WIRE_VERSION};
 use shm_types::process::{check_shared_memory, shared_memory_space};
-use shm_types::prompts::session_folder;
 use shm_types::{Attach, FrameSize, RunDir, Wait, registry};
 
 use super::documents::Documents;
@@ -448,14 +448,18 @@ pub(super) fn attach(
     let prompts = prompts.map(std::path::absolute).transpose()?;
     let mut attach = Attach {
         // The expert needs a world and nobody else.
-        crew: if settings.policy.has_process() { Role::CREW.to_vec() } else { vec![Role::Sim] },
+        participants: if settings.policy.has_process() {
+            Role::CHILDREN.to_vec()
+        } else {
+            vec![Role::Sim]
+        },
         lanes: settings.lanes.min(missing.len() as u32),
         window: windows.max().unwrap_or(0),
         frame: FrameSize { width: settings.frame_size, height: settings.frame_size },
         wait: Wait { spin_us: settings.spin_us },
         frame_control: settings.frames.control(),
         prompts,
-        ..Attach::new(run)
+        ..run.attach()
     };
     let World { warehouse, cases, .. } = world;
     let demand = frame_budget::demand(&attach, warehouse, cases, missing, settings.keyframes);
@@ -480,7 +484,7 @@ pub(super) fn attach(
             attach.frame_capacity
         );
     }
-    check_shared_memory(&attach)?;
+    check_shared_memory(attach.shared_memory_bytes())?;
     Ok(attach)
 }
 

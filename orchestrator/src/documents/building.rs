@@ -6,12 +6,14 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Result, bail};
 use bytemuck::Zeroable;
-use shm_types::message::{Complaint, Farewell, Hello, Pulse, Role, Stop, read_text};
+use shm_types::message::{
+    ErrorReport, Handshake, Heartbeat, Role, ShutdownReport, Stop, read_text,
+};
 use shm_types::process::check_shared_memory;
 use shm_types::{Attach, Bus, FrameSize, Receiver, RunDir, registry};
 
 use super::{DocumentName, Library, Stage, listed};
-use supervise::{Crew, Launch};
+use supervise::{Children, Launch};
 
 /// Views that are rendered ahead of being read.
 const VIEWS_AHEAD: u32 = 64;
@@ -37,20 +39,21 @@ pub(super) fn build(
     registry::clean(&base)?;
     let run = RunDir::create(&base)?;
     let mut attach = Attach {
-        crew: vec![Role::Sim, Role::Memory],
+        participants: vec![Role::Sim, Role::Memory],
         window: 0,
         frame: FrameSize { width: library.frame_size, height: library.frame_size },
-        ..Attach::new(&run)
+        ..run.attach()
     };
     // An idle lane may pin two views.
     attach.frame_capacity = VIEWS_AHEAD + 2 * attach.lanes;
-    check_shared_memory(&attach)?;
+    check_shared_memory(attach.shared_memory_bytes())?;
     attach.write(&attach.root)?;
     let bus = Bus::join(attach, Role::Orchestrator)?;
     let inbox = Inbox::new(&bus)?;
     tell(Stage::Starting);
-    let crew = Crew::start(&launches(library, folder, names, run.path())?, &folder.join("logs"))?;
-    Building { crew, inbox, bus: &bus, told: None }.see_through(stop, tell)
+    let children =
+        Children::start(&launches(library, folder, names, run.path())?, &folder.join("logs"))?;
+    Building { children, inbox, bus: &bus, told: None }.see_through(stop, tell)
 }
 
 fn launches(
@@ -77,26 +80,26 @@ fn launches(
 
 /// Everything that arrives.
 struct Inbox {
-    hellos: Receiver<Hello>,
-    pulses: Receiver<Pulse>,
-    complaints: Receiver<Complaint>,
-    farewells: Receiver<Farewell>,
+    handshakes: Receiver<Handshake>,
+    heartbeats: Receiver<Heartbeat>,
+    error_reports: Receiver<ErrorReport>,
+    shutdown_reports: Receiver<ShutdownReport>,
 }
 
 impl Inbox {
     fn new(bus: &Bus) -> Result<Self> {
         Ok(Self {
-            hellos: bus.receiver()?,
-            pulses: bus.receiver()?,
-            complaints: bus.receiver()?,
-            farewells: bus.receiver()?,
+            handshakes: bus.receiver()?,
+            heartbeats: bus.receiver()?,
+            error_reports: bus.receiver()?,
+            shutdown_reports: bus.receiver()?,
         })
     }
 }
 
 /// The fields are dropped in order: the processes are gone before the services they use.
 struct Building<'a> {
-    crew: Crew,
+    children: Children,
     inbox: Inbox,
     bus: &'a Bus,
     /// Stage that was told last: views come first.
@@ -105,36 +108,39 @@ struct Building<'a> {
 
 impl Building<'_> {
     fn see_through(mut self, stop: &AtomicBool, tell: &mut dyn FnMut(Stage)) -> Result<bool> {
-        let mut complaint = None;
+        let mut error_report = None;
         loop {
-            self.bus.doorbell().wait(TICK)?;
+            self.bus.listener().wait(TICK)?;
             if stop.load(Ordering::Relaxed) {
                 return Ok(false);
             }
-            self.inbox.hellos.drain()?;
-            for pulse in self.inbox.pulses.drain()? {
-                if pulse.role == Role::Memory as u32 {
-                    self.tell(pulse, tell);
+            self.inbox.handshakes.drain()?;
+            for heartbeat in self.inbox.heartbeats.drain()? {
+                if heartbeat.role == Role::Memory as u32 {
+                    self.tell(heartbeat, tell);
                 }
             }
-            for said in self.inbox.complaints.drain()? {
-                complaint = read_text(&said.text, said.text_len).ok().map(str::to_owned);
+            for said in self.inbox.error_reports.drain()? {
+                error_report = read_text(&said.text, said.text_len).ok().map(str::to_owned);
             }
-            let farewells = self.inbox.farewells.drain()?;
-            if farewells.iter().any(|farewell| farewell.role == Role::Memory as u32) {
+            let shutdown_reports = self.inbox.shutdown_reports.drain()?;
+            if shutdown_reports
+                .iter()
+                .any(|shutdown_report| shutdown_report.role == Role::Memory as u32)
+            {
                 self.finish()?;
                 return Ok(true);
             }
-            if let Some(death) = self.crew.death() {
-                let complaint = complaint.map(|said| format!("{said}; ")).unwrap_or_default();
+            if let Some(death) = self.children.exited() {
+                let error_report = error_report.map(|said| format!("{said}; ")).unwrap_or_default();
                 bail!("{complaint}{death}");
             }
         }
     }
 
     /// Views are counted until none waits, then parts of documents.
-    fn tell(&mut self, pulse: Pulse, tell: &mut dyn FnMut(Stage)) {
-        let (done, total) = (pulse.done, pulse.done.saturating_add(pulse.waiting));
+    fn tell(&mut self, heartbeat: Heartbeat, tell: &mut dyn FnMut(Stage)) {
+        let (done, total) = (heartbeat.done, heartbeat.done.saturating_add(heartbeat.waiting));
         let all_seen = match self.told {
             Some(Stage::Writing(..)) => true,
             Some(Stage::Views(done, total)) => done == total,
@@ -148,14 +154,14 @@ impl Building<'_> {
     fn finish(self) -> Result<()> {
         self.bus.sender()?.send(&Stop::zeroed())?;
         for role in [Role::Sim, Role::Memory] {
-            self.bus.bell(role)?.ring()?;
+            self.bus.notifier(role)?.notify()?;
         }
         // Nobody is asked for an account; that they end is enough.
         let deadline = Instant::now() + FAREWELL_PATIENCE;
-        while Instant::now() < deadline && self.inbox.farewells.drain()?.is_empty() {
-            self.bus.doorbell().wait(TICK)?;
+        while Instant::now() < deadline && self.inbox.shutdown_reports.drain()?.is_empty() {
+            self.bus.listener().wait(TICK)?;
         }
-        self.crew.disband(FAREWELL_PATIENCE);
+        self.children.wait_or_kill(FAREWELL_PATIENCE);
         Ok(())
     }
 }

@@ -8,16 +8,17 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, Result};
 use bytemuck::Zeroable;
 use shm_types::message::{
-    Complaint, ComplaintKind, Decision, Farewell, Hello, MemoryBrief, Observation, PolicyBrief,
-    Pulse, RecallTrace, Role, StepCommand, Stop, WIRE_VERSION, read_text,
+    Decision, ErrorReport, ErrorReportKind, Handshake, Heartbeat, MemoryEpisodeConfig, Observation,
+    PolicyEpisodeConfig, RecallTrace, Role, ShutdownReport, StepCommand, Stop, WIRE_VERSION,
+    read_text,
 };
-use shm_types::process::{Watch, monotonic_ns};
-use shm_types::{Attach, Bell, Bus, Receiver, Sender};
+use shm_types::process::{ProcessWatch, monotonic_ns};
+use shm_types::{Attach, Bus, Notifier, Receiver, Sender};
 
 use super::work::Work;
 use super::{Crewing, Facts, Failure, Observer};
 use crate::lanes::{Fault, Lanes, Owed, Turn};
-use supervise::{Crew, Launch};
+use supervise::{Children, Launch};
 
 /// How often the loop looks after processes, signals and deadlines when nobody rings.
 const TICK: Duration = Duration::from_millis(50);
@@ -32,11 +33,11 @@ const FAREWELL_PATIENCE: Duration = Duration::from_secs(5);
 ///
 /// The fields are dropped in order: the processes are gone before the services they use.
 pub(super) struct Generation {
-    crew: Crew,
+    children: Children,
     /// The policy's process, where somebody else started it.
-    guest: Option<Watch>,
-    memory_briefs: Option<Sender<MemoryBrief>>,
-    policy_briefs: Option<Sender<PolicyBrief>>,
+    guest: Option<ProcessWatch>,
+    memory_configs: Option<Sender<MemoryEpisodeConfig>>,
+    policy_configs: Option<Sender<PolicyEpisodeConfig>>,
     commands: Sender<StepCommand>,
     stops: Sender<Stop>,
     inbox: Inbox,
@@ -45,7 +46,7 @@ pub(super) struct Generation {
     memory_busy_ns: u64,
     /// When the policy last answered something that it had been asked.
     decided_ns: u64,
-    bells: BTreeMap<Role, Bell>,
+    notifiers: BTreeMap<Role, Notifier>,
     bus: Bus,
 }
 
@@ -53,11 +54,11 @@ pub(super) struct Generation {
 struct Inbox {
     observations: Receiver<Observation>,
     traces: Receiver<RecallTrace>,
-    pulses: Receiver<Pulse>,
+    heartbeats: Receiver<Heartbeat>,
     decisions: Receiver<Decision>,
-    hellos: Receiver<Hello>,
-    complaints: Receiver<Complaint>,
-    farewells: Receiver<Farewell>,
+    handshakes: Receiver<Handshake>,
+    error_reports: Receiver<ErrorReport>,
+    shutdown_reports: Receiver<ShutdownReport>,
 }
 
 impl Generation {
@@ -73,36 +74,36 @@ impl Generation {
         let inbox = Inbox {
             observations: bus.receiver()?,
             traces: bus.receiver()?,
-            pulses: bus.receiver()?,
+            heartbeats: bus.receiver()?,
             decisions: bus.receiver()?,
-            hellos: bus.receiver()?,
-            complaints: bus.receiver()?,
-            farewells: bus.receiver()?,
+            handshakes: bus.receiver()?,
+            error_reports: bus.receiver()?,
+            shutdown_reports: bus.receiver()?,
         };
-        let takes_part = |role| attach.crew.contains(&role);
-        let memory_briefs = takes_part(Role::Memory).then(|| bus.sender()).transpose()?;
-        let policy_briefs = takes_part(Role::Policy).then(|| bus.sender()).transpose()?;
-        let bells = attach.crew.iter().map(|&role| Ok((role, bus.bell(role)?)));
-        let bells = bells.collect::<Result<_, shm_types::BusError>>()?;
+        let takes_part = |role| attach.participants.contains(&role);
+        let memory_configs = takes_part(Role::Memory).then(|| bus.sender()).transpose()?;
+        let policy_configs = takes_part(Role::Policy).then(|| bus.sender()).transpose()?;
+        let notifiers = attach.participants.iter().map(|&role| Ok((role, bus.notifier(role)?)));
+        let notifiers = notifiers.collect::<Result<_, shm_types::BusError>>()?;
         let (commands, stops) = (bus.sender()?, bus.sender()?);
         let launches: Vec<Launch> = crewing
             .launches
             .iter()
             .map(|launch| launch.clone().attached_to(&attach.root))
             .collect();
-        let crew = Crew::start(&launches, &crewing.logs)?;
+        let children = Children::start(&launches, &crewing.logs)?;
         let mut generation = Self {
-            crew,
+            children,
             guest: None,
-            memory_briefs,
-            policy_briefs,
+            memory_configs,
+            policy_configs,
             commands,
             stops,
             inbox,
             embedded: 0,
             memory_busy_ns: 0,
             decided_ns: 0,
-            bells,
+            notifiers,
             bus,
         };
         let Some(facts) = generation.wait_until_ready(crewing, stop, observer)? else {
@@ -112,7 +113,7 @@ impl Generation {
         Ok(Some(generation))
     }
 
-    /// Waits for every process's [`Hello`]. What fails before it was ever ready would fail again; in later
+    /// Waits for every process's [`Handshake`]. What fails before it was ever ready would fail again; in later
     /// generations it has been ready once.
     fn wait_until_ready(
         &mut self,
@@ -127,34 +128,34 @@ impl Generation {
         };
         let mut facts = BTreeMap::new();
         let mut is_awaited = false;
-        while facts.len() < self.bells.len() {
+        while facts.len() < self.notifiers.len() {
             if stop.load(Ordering::Relaxed) {
                 return Ok(None);
             }
             observer.progress(0);
-            self.bus.doorbell().wait(TICK)?;
-            for hello in self.inbox.hellos.drain()? {
-                let (role, said) = introduction(&hello)?;
-                if facts.contains_key(&role) || !self.bells.contains_key(&role) {
+            self.bus.listener().wait(TICK)?;
+            for handshake in self.inbox.handshakes.drain()? {
+                let (role, said) = introduction(&handshake)?;
+                if facts.contains_key(&role) || !self.notifiers.contains_key(&role) {
                     return Err(failed(unexpected(role)));
                 }
                 if role == Role::Policy && crewing.guest {
                     // Where it cannot be watched, it is taken to be gone when it owes an answer for too long.
-                    self.guest = Watch::over(hello.pid).ok();
+                    self.guest = ProcessWatch::new(handshake.pid).ok();
                 }
                 facts.insert(role, said);
             }
             // A process that cannot start ends with its complaint as its last words: said once, here.
-            if let Some(death) = self.crew.death() {
+            if let Some(death) = self.children.exited() {
                 let advice = death.command.as_deref().map(what_is_asked_of).unwrap_or_default();
                 return Err(failed(format!("{death}{advice}")));
             }
-            let late = self.bells.keys().filter(|role| !facts.contains_key(role));
+            let late = self.notifiers.keys().filter(|role| !facts.contains_key(role));
             let late: Vec<&str> = late
                 .filter(|&&role| !(crewing.guest && role == Role::Policy))
                 .map(|role| role.word())
                 .collect();
-            if late.is_empty() && facts.len() < self.bells.len() && !is_awaited {
+            if late.is_empty() && facts.len() < self.notifiers.len() && !is_awaited {
                 is_awaited = true;
                 observer.awaiting(&self.bus.attach().root);
             }
@@ -193,7 +194,7 @@ impl Generation {
                 return Ok(None);
             }
             if !more {
-                self.bus.doorbell().wait(if lanes.is_half_told() { MOMENT } else { TICK })?;
+                self.bus.listener().wait(if lanes.is_half_told() { MOMENT } else { TICK })?;
             }
             let (steps, spent);
             (steps, spent, more) = self.take_in(lanes, work, observer)?;
@@ -219,17 +220,17 @@ impl Generation {
         {
             lanes.set_time(monotonic_ns());
             let opening = lanes.begin(lane, episode);
-            if let Some(briefs) = &self.memory_briefs {
-                again(briefs.send(&opening.memory))?;
+            if let Some(configs) = &self.memory_configs {
+                again(configs.send(&opening.memory))?;
             }
-            if let Some(briefs) = &self.policy_briefs {
+            if let Some(configs) = &self.policy_configs {
                 // It alone does not receive what only it is sent.
-                briefs.send(&opening.policy).map_err(|e| Failure::Policy(e.to_string()))?;
+                configs.send(&opening.policy).map_err(|e| Failure::Policy(e.to_string()))?;
             }
             again(self.commands.send(&opening.command))?;
             began = true;
         }
-        if began { self.ring(Role::Sim) } else { Ok(()) }
+        if began { self.notify(Role::Sim) } else { Ok(()) }
     }
 
     /// Takes in what waits, of decisions as many as belong into a turn, answers it, and rings the simulator once.
@@ -244,7 +245,7 @@ impl Generation {
         work: &mut Work,
         observer: &mut dyn Observer,
     ) -> Result<(u64, Option<String>, bool), Failure> {
-        let most = self.bus.attach().steps_in_a_turn();
+        let most = self.bus.attach().batch_len();
         let decisions = self.inbox.decisions.drain_some(most)?;
         let more = decisions.len() == most;
         let traces = self.inbox.traces.drain()?;
@@ -305,7 +306,7 @@ impl Generation {
             again(self.commands.send(command))?;
         }
         if !commands.is_empty() {
-            self.ring(Role::Sim)?;
+            self.notify(Role::Sim)?;
         }
         Ok((commands.len() as u64, halted, more))
     }
@@ -323,20 +324,20 @@ impl Generation {
         if halted.is_some() {
             return Ok(halted);
         }
-        for pulse in self.inbox.pulses.drain()? {
-            let Ok(role) = role(pulse.role) else { continue };
+        for heartbeat in self.inbox.heartbeats.drain()? {
+            let Ok(role) = role(heartbeat.role) else { continue };
             // An encoder that hangs is not at work.
-            if role == Role::Memory && pulse.done > self.embedded {
-                self.embedded = pulse.done;
+            if role == Role::Memory && heartbeat.done > self.embedded {
+                self.embedded = heartbeat.done;
                 self.memory_busy_ns = monotonic_ns();
             }
-            observer.pulse(role, &pulse);
+            observer.heartbeat(role, &heartbeat);
         }
         if let Some(death) = self.death() {
             return Err(death);
         }
-        if let Some(hello) = self.inbox.hellos.drain()?.first() {
-            let (role, _) = introduction(hello)?;
+        if let Some(handshake) = self.inbox.handshakes.drain()?.first() {
+            let (role, _) = introduction(handshake)?;
             let why = unexpected(role);
             return Err(match role {
                 Role::Policy => Failure::Policy(why),
@@ -399,30 +400,30 @@ impl Generation {
         observer: &mut dyn Observer,
     ) -> Result<Option<String>, Failure> {
         let mut halted = None;
-        for complaint in self.inbox.complaints.drain()? {
-            let who = role(complaint.role).map_or("somebody", Role::word);
-            let what =
-                read_text(&complaint.text, complaint.text_len).unwrap_or("something unreadable");
+        for error_report in self.inbox.error_reports.drain()? {
+            let who = role(error_report.role).map_or("somebody", Role::word);
+            let what = read_text(&error_report.text, error_report.text_len)
+                .unwrap_or("something unreadable");
             let what = format!("{who}: {what}");
-            let kind = u8::try_from(complaint.kind).map(ComplaintKind::try_from);
+            let kind = u8::try_from(error_report.kind).map(ErrorReportKind::try_from);
             match kind {
-                Ok(Ok(ComplaintKind::Episode)) => {
-                    let episode = lanes.give_up_ticket(complaint.lane, complaint.episode);
+                Ok(Ok(ErrorReportKind::Episode)) => {
+                    let episode = lanes.give_up_ticket(error_report.lane, error_report.episode);
                     // One that is over already is late.
                     let Some(episode) = episode else { continue };
                     observer.trouble(&format!("{}: {what}", episode.key));
                     work.give_up(episode, what);
                 }
-                Ok(Ok(ComplaintKind::Run)) => halted = Some(what),
+                Ok(Ok(ErrorReportKind::Run)) => halted = Some(what),
                 _ => observer.trouble(&what),
             }
         }
         Ok(halted)
     }
 
-    fn ring(&self, role: Role) -> Result<(), Failure> {
-        match self.bells.get(&role) {
-            Some(bell) => again(bell.ring()),
+    fn notify(&self, role: Role) -> Result<(), Failure> {
+        match self.notifiers.get(&role) {
+            Some(notifier) => again(notifier.notify()),
             None => Ok(()),
         }
     }
@@ -436,31 +437,34 @@ impl Generation {
 
     /// Which process is gone, if one is, and how.
     fn death(&mut self) -> Option<Failure> {
-        if self.guest.as_ref().is_some_and(Watch::has_ended) {
+        if self.guest.as_ref().is_some_and(ProcessWatch::has_ended) {
             return Some(Failure::Policy("the policy that had attached is gone".to_owned()));
         }
-        let death = self.crew.death()?;
+        let death = self.children.exited()?;
         let why = death.to_string();
         Some(if death.role == Role::Policy { Failure::Policy(why) } else { Failure::Again(why) })
     }
 
     /// Asks the processes to finish and hears what they did with frames.
-    pub(super) fn finish(self) -> BTreeMap<Role, Farewell> {
+    pub(super) fn finish(self) -> BTreeMap<Role, ShutdownReport> {
         let mut said = BTreeMap::new();
         let asked = self.stops.send(&Stop::zeroed()).map_err(anyhow::Error::from).and_then(|()| {
-            self.bells.values().try_for_each(|bell| bell.ring().map_err(anyhow::Error::from))
+            self.notifiers
+                .values()
+                .try_for_each(|notifier| notifier.notify().map_err(anyhow::Error::from))
         });
         if let Err(error) = asked {
             tracing::warn!(%error, "the processes could not be asked to finish");
             return said;
         }
         let deadline = Instant::now() + FAREWELL_PATIENCE;
-        while said.len() < self.bells.len() && Instant::now() < deadline {
-            let heard = self.bus.doorbell().wait(TICK).and_then(|_| self.inbox.farewells.drain());
-            let Ok(farewells) = heard else { break };
-            said.extend(farewells.iter().filter_map(|f| Some((role(f.role).ok()?, *f))));
+        while said.len() < self.notifiers.len() && Instant::now() < deadline {
+            let heard =
+                self.bus.listener().wait(TICK).and_then(|_| self.inbox.shutdown_reports.drain());
+            let Ok(shutdown_reports) = heard else { break };
+            said.extend(shutdown_reports.iter().filter_map(|f| Some((role(f.role).ok()?, *f))));
         }
-        self.crew.disband(FAREWELL_PATIENCE);
+        self.children.wait_or_kill(FAREWELL_PATIENCE);
         said
     }
 }
@@ -470,7 +474,7 @@ fn again(outcome: Result<(), shm_types::BusError>) -> Result<(), Failure> {
     outcome.map_err(|error| Failure::Again(error.to_string()))
 }
 
-fn role(code: u32) -> Result<Role, shm_types::pose::UnknownCode> {
+fn role(code: u32) -> Result<Role, domain::pose::UnknownCode> {
     u8::try_from(code).unwrap_or(u8::MAX).try_into()
 }
 
@@ -493,17 +497,17 @@ fn what_is_asked_of(command: &str) -> String {
 }
 
 /// Who says hello, and what it tells about itself.
-fn introduction(hello: &Hello) -> Result<(Role, Facts), Failure> {
-    let role = role(hello.role)?;
-    if hello.wire_version != WIRE_VERSION {
+fn introduction(handshake: &Handshake) -> Result<(Role, Facts), Failure> {
+    let role = role(handshake.role)?;
+    if handshake.wire_version != WIRE_VERSION {
         return Err(Failure::Final(anyhow::anyhow!(
             "the {} process speaks wire version {} and this program {WIRE_VERSION}: use programs of \
              the same build",
             role.word(),
-            hello.wire_version
+            handshake.wire_version
         )));
     }
-    let facts = read_text(&hello.facts, hello.facts_len)?;
+    let facts = read_text(&handshake.facts, handshake.facts_len)?;
     let facts = serde_json::from_str(facts)
         .with_context(|| format!("the {} process introduced itself with {facts:?}", role.word()))?;
     Ok((role, facts))

@@ -182,7 +182,7 @@ impl Work {
 
 #[cfg(test)]
 mod tests {
-    use shm_types::Representation;
+    use domain::Representation;
 
     use super::*;
     use crate::conditions::{Condition, Demonstrations, Route, Start, Variation};

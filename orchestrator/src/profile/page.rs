@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 
 use anyhow::Result;
-use shm_types::Representation;
+use domain::Representation;
 
 use super::recorder::{Latency, Part, StepKind, Times};
 use super::{Mode, Profile, Walk};

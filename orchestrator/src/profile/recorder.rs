@@ -6,9 +6,9 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use anyhow::Result;
+use domain::Representation;
 use hdrhistogram::Histogram;
 use serde::{Deserialize, Serialize};
-use shm_types::Representation;
 use shm_types::message::Role;
 
 use crate::lanes::{Spent, Stamps, Walked};

@@ -1,6 +1,6 @@
 //! A profile in a terminal.
 
-use shm_types::Representation;
+use domain::Representation;
 
 use super::page::{find, ns};
 use super::recorder::{Part, StepKind};

@@ -4,7 +4,7 @@
 //! each cell ahead is looked at in turn. Nothing else in the world is striped at these three heights; what is
 //! partly hidden is not seen.
 
-use shm_types::camera::{CAMERA_HEIGHT_M, focal_length_px};
+use domain::camera::{CAMERA_HEIGHT_M, focal_length_px};
 
 use crate::FrameView;
 
@@ -76,8 +76,8 @@ fn is_white([red, green, blue]: [u8; 3]) -> bool {
 mod tests {
     use super::*;
     use crate::grounded::testing::view;
+    use domain::{Heading, Pose};
     use plates::painter::{Aisle, Picture};
-    use shm_types::{Heading, Pose};
 
     /// A picture with a barricade on the cell, painted as the camera sees it.
     fn with_barricade(ahead: i8, right: i8) -> Vec<u8> {

@@ -7,10 +7,10 @@
 use std::hash::{Hash, Hasher};
 use std::sync::Arc;
 
+use domain::{Action, Heading, Pose};
 use plates::Landmark;
 use rustc_hash::{FxHashMap, FxHasher};
 use shm_types::message::FrameId;
-use shm_types::{Action, Heading, Pose};
 
 use super::geometry::after;
 use super::percept::{Percept, Percepts, PlacedView};
@@ -150,7 +150,7 @@ mod tests {
         assert_eq!(poses, [0, 1, 2].map(|y| Pose::new(128, 128 + y, Heading::N)));
         let moved = |landmark: &Landmark| {
             let cell = landmark.standpoint;
-            let standpoint = shm_types::Cell::new(cell.x - 118, cell.y - 116);
+            let standpoint = domain::Cell::new(cell.x - 118, cell.y - 116);
             Aisle::new().landmarks.contains(&Landmark { standpoint, ..*landmark })
         };
         assert!(chart.landmarks.len() > 8 && chart.landmarks.iter().all(moved));

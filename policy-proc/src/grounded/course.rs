@@ -6,8 +6,8 @@
 
 use std::sync::Arc;
 
+use domain::{Action, Cell, Heading, Pose};
 use rustc_hash::FxHashMap;
-use shm_types::{Action, Cell, Heading, Pose};
 
 use super::chart::PathStep;
 use super::geometry::{after, along, move_towards, turn_towards};

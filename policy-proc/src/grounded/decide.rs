@@ -5,7 +5,7 @@
 use std::cell::RefCell;
 use std::sync::Arc;
 
-use shm_types::{Action, Cell, Pose};
+use domain::{Action, Cell, Pose};
 
 use super::Mind;
 use super::course::{self, Course, Plan, Source, leads_on, stride};

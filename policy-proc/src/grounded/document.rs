@@ -6,7 +6,7 @@
 
 mod line;
 
-use shm_types::{Cell, Heading};
+use domain::{Cell, Heading};
 
 use super::instruction::{Rank, Want};
 pub(super) use line::Rect;

@@ -1,8 +1,8 @@
 //! Where to go when nothing seen or remembered says where.
 
+use domain::{Action, Cell, Heading};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
-use shm_types::{Action, Cell, Heading};
 
 use super::geometry::turn_towards;
 use super::history::History;

@@ -1,6 +1,6 @@
 //! Moves and turns: which leads where.
 
-use shm_types::{Action, Heading, Pose};
+use domain::{Action, Heading, Pose};
 
 use super::chart::PathStep;
 

@@ -1,6 +1,6 @@
 //! Where the agent was in the last steps, worked out backwards from where it is.
 
-use shm_types::{Action, Cell, Feedback, Pose};
+use domain::{Action, Cell, Feedback, Pose};
 
 use super::geometry::after;
 use crate::Request;

@@ -3,9 +3,9 @@
 
 use std::sync::Arc;
 
+use domain::{Cell, Pose};
 use plates::Landmark;
 use rustc_hash::FxHashMap;
-use shm_types::{Cell, Pose};
 
 use super::chart::{Chart, PathStep};
 use super::instruction::{Goal, Want};

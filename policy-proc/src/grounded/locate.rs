@@ -7,9 +7,9 @@
 
 use std::sync::Arc;
 
+use domain::Pose;
 use plates::Landmark;
 use rustc_hash::FxHashMap;
-use shm_types::Pose;
 use shm_types::message::FrameId;
 
 use super::chart::{Chart, START};
@@ -185,8 +185,8 @@ mod tests {
     use crate::grounded::chart::{Charts, Supplied};
     use crate::grounded::percept::Percepts;
     use crate::grounded::testing::view;
+    use domain::{Action, Heading};
     use plates::painter::{Aisle, Picture};
-    use shm_types::{Action, Heading};
 
     fn located(walk: Pose, keyframes: &[usize], here: Pose) -> Option<Pose> {
         let aisle = Aisle::new();

@@ -4,9 +4,9 @@
 
 use std::sync::Arc;
 
+use domain::{Cell, Heading};
 use rustc_hash::FxHashMap;
 use shm_types::message::DocumentId;
-use shm_types::{Cell, Heading};
 
 use super::chart::PathStep;
 use super::document::{Atlas, Rect, Route, straight};
@@ -69,7 +69,7 @@ fn walk(route: &Route) -> Option<Vec<PathStep>> {
     let (&first, rest) = cells.split_first()?;
     let ahead = rest.first().and_then(|&next| straight(first, next));
     let facing = route.facing.or(ahead).unwrap_or(Heading::N);
-    let start = shm_types::Pose { cell: first, heading: facing };
+    let start = domain::Pose { cell: first, heading: facing };
     let legs = cells.windows(2).filter_map(|leg| straight(leg[0], leg[1]));
     let mut steps = Vec::new();
     let end = along(start, legs, &mut steps);

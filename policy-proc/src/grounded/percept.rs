@@ -5,8 +5,8 @@
 
 use std::sync::Arc;
 
+use domain::Pose;
 use rustc_hash::FxHashMap;
-use shm_types::Pose;
 
 use shm_types::message::FrameId;
 

@@ -4,7 +4,7 @@
 //! away: each says where the remembered camera must have stood for the plate to be where it is, and when
 //! several agree and none objects, it is believed.
 
-use shm_types::Pose;
+use domain::Pose;
 
 use super::percept::Percept;
 use plates::{Landmark, Sighting};
@@ -85,7 +85,7 @@ pub(super) fn is_easily_seen(landmark: &Landmark, camera: Pose) -> bool {
 
 #[cfg(test)]
 mod tests {
-    use shm_types::Heading;
+    use domain::Heading;
 
     use super::*;
     use crate::FrameView;

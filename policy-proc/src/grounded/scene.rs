@@ -3,8 +3,8 @@
 
 use std::sync::Arc;
 
+use domain::{Cell, Pose};
 use plates::Landmark;
-use shm_types::{Cell, Pose};
 
 use super::Mind;
 use super::chart::{Chart, PathStep};

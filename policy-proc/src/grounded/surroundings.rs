@@ -1,6 +1,6 @@
 //! What is known of the floor around the agent, and ways over it.
 
-use shm_types::{Cell, Heading, Pose};
+use domain::{Cell, Heading, Pose};
 
 /// Cells to each side of the agent that are looked at.
 const REACH: i16 = 31;

@@ -20,7 +20,7 @@ mod words;
 
 use std::fmt;
 
-use shm_types::Action;
+use domain::Action;
 
 use crate::Answer;
 use clauses::{Sentence, sentences};

@@ -1,7 +1,6 @@
 //! A request as the template words it.
 
-use shm_types::Action;
-use shm_types::message::DocumentKind;
+use domain::{Action, DocumentKind};
 
 use super::budget::{Counts, Plan};
 use super::template::{Template, fill};

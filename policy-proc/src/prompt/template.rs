@@ -2,9 +2,9 @@
 
 use std::sync::LazyLock;
 
+use domain::{Action, Feedback, Heading};
 use serde::Deserialize;
 use sha2::{Digest, Sha256};
-use shm_types::{Action, Feedback, Heading};
 
 const FILE: &str = include_str!("../../prompt/v1.toml");
 

@@ -1,7 +1,10 @@
 //! What there is to write about: every struct, code and constant of the wire, and what both outputs need to
 //! say of them.
 
-use domain::codes::{CodeSet, Codes};
+use domain::{
+    Action, Feedback, Heading, Outcome, Representation,
+    codes::{CodeSet, Codes},
+};
 use shm_types::attach::{
     ATTACH_FILE, MAX_FRAMES, MAX_LANES, MAX_LOANED_FRAMES, MAX_ROOT_BYTES, PAGE_BYTES,
 };
@@ -10,10 +13,9 @@ use shm_types::frames::{FRAME_SERVICE, FrameHeader, Page};
 use shm_types::layout::{Layout, Struct};
 use shm_types::message::{
     CODE_SETS, Description, MAX_DOCUMENTS, MAX_INSTRUCTION, MAX_SEGMENT, MAX_WINDOW, MESSAGES,
-    NO_ACTION, NO_DOCUMENT, NO_FRAME, NOT_MEASURED, Outcome, PastStep, Role, SegmentStep, Traffic,
+    NO_ACTION, NO_DOCUMENT, NO_FRAME, NOT_MEASURED, PastStep, Role, SegmentStep, Traffic,
     TrajectoryStep, WIRE_VERSION, WirePose,
 };
-use shm_types::{Action, Feedback, Heading, Representation};
 
 /// Structs that are parts of messages and documents.
 pub(crate) const PARTS: [Struct; 4] =

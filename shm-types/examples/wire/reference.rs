@@ -143,11 +143,8 @@ mod tests {
     fn every_field_of_the_attach_file_is_explained() {
         let folder = tempfile::tempdir().unwrap();
         let run = RunDir::create(folder.path()).unwrap();
-        let attach = Attach {
-            prompts: Some("/prompts".into()),
-            frame: FrameSize::DEFAULT,
-            ..Attach::new(&run)
-        };
+        let attach =
+            Attach { prompts: Some("/prompts".into()), frame: FrameSize::DEFAULT, ..run.attach() };
         let json = serde_json::to_value(&attach).unwrap();
         for (name, value) in json.as_object().unwrap() {
             let inner = value.as_object().into_iter().flatten();

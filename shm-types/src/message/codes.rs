@@ -1,56 +1,55 @@
 //! The closed sets that messages carry as `u8` codes.
 
 use domain::code_sets;
-pub use domain::{DocumentKind, Outcome, SegmentContent};
 
 code_sets! {
-    /// What a [`StepCommand`](super::StepCommand) asks for.
+    /// The kind of a [`StepCommand`](super::StepCommand).
     StepKind, "a step kind (0 reset, 1 act, 2 stay)" {
         /// Put the agent at the start pose.
         Reset = 0,
         /// Take the action.
         Act = 1,
-        /// Stay: the policy's answer could not be read.
+        /// Do not move: the policy's answer could not be read.
         Stay = 2,
     }
 
-    /// What a [`ViewRequest`](super::ViewRequest) asks for.
-    ViewRequestKind, "a view request kind (0 hold, 1 release)" {
+    /// The kind of a [`ViewRequest`](super::ViewRequest).
+    ViewRequestKind, "a view request kind (0 pin, 1 release)" {
         /// Make the view resident and keep it.
-        Hold = 0,
-        /// It may be evicted again.
+        Pin = 0,
+        /// The view may be evicted again.
         Release = 1,
     }
 
-    /// What follows from a [`Complaint`](super::Complaint).
-    ComplaintKind, "a complaint kind (0 message, 1 episode, 2 run)" {
-        /// A message could not be used; it was dropped, and nothing else follows.
+    /// What follows from an [`ErrorReport`](super::ErrorReport).
+    ErrorReportKind, "an error report kind (0 message, 1 episode, 2 run)" {
+        /// Nothing else: a message could not be used and was dropped.
         Message = 0,
-        /// No decision will come for this episode's step: for a reason that is not the policy's, such as a
-        /// server that refuses the request. The episode ends without a result.
+        /// The episode ends without a result: there is no decision, for a reason that is not the model's, such as a
+        /// server that refuses the request.
         Episode = 1,
-        /// There is no point in going on with the run now, whatever the episode: a server that is gone.
+        /// The run stops: no episode can go on, for example because the server is down.
         Run = 2,
     }
 
-    /// A process's part in a run.
+    /// The role of a process in a run.
     Role, "a role (0 orchestrator, 1 sim, 2 memory, 3 policy)"
     #[derive(serde::Serialize, serde::Deserialize)]
     #[serde(rename_all = "lowercase")] {
-        /// Sequences the steps; the program `memtransfer`.
+        /// Schedules the steps; the program `memtransfer`.
         Orchestrator = 0,
         /// Steps the world and renders.
         Sim = 1,
-        /// Embeds and retrieves.
+        /// Embeds views and retrieves from memory.
         Memory = 2,
-        /// Decides.
+        /// Decides on actions.
         Policy = 3,
     }
 }
 
 impl Role {
-    /// Everybody but the orchestrator.
-    pub const CREW: [Self; 3] = [Self::Sim, Self::Memory, Self::Policy];
+    /// All roles but the orchestrator.
+    pub const CHILDREN: [Self; 3] = [Self::Sim, Self::Memory, Self::Policy];
 
     /// The word used in logs, service names and messages.
     pub const fn word(self) -> &'static str {

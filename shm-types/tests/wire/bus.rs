@@ -6,9 +6,9 @@ use std::time::Duration;
 use bytemuck::Zeroable;
 use shm_types::attach::Wait;
 use shm_types::message::{
-    Complaint, Decision, Farewell, Hello, Observation, Role, StepCommand, read_text,
+    Decision, ErrorReport, Handshake, Observation, Role, ShutdownReport, StepCommand, read_text,
 };
-use shm_types::{Attach, BusError, Complaints};
+use shm_types::{Attach, BusError, ErrorReporter};
 
 use crate::common::{LONG, Run, bus, run};
 
@@ -26,17 +26,17 @@ fn a_message_reaches_its_receiver_and_rings() {
     let (orchestrator, sim) = (bus(attach, Role::Orchestrator), bus(attach, Role::Sim));
     let commands = sim.receiver::<StepCommand>().unwrap();
     let sender = orchestrator.sender::<StepCommand>().unwrap();
-    let bell = orchestrator.bell(Role::Sim).unwrap();
+    let notifier = orchestrator.notifier(Role::Sim).unwrap();
     for lane in 0..16 {
         sender.send(&command(lane)).unwrap();
     }
-    bell.ring().unwrap();
-    assert!(sim.doorbell().wait(LONG).unwrap());
+    notifier.notify().unwrap();
+    assert!(sim.listener().wait(LONG).unwrap());
     let lanes: Vec<u32> = commands.drain().unwrap().iter().map(|c| c.lane).collect();
     assert_eq!(lanes, Vec::from_iter(0..16));
     assert_eq!(commands.next().unwrap(), None);
-    assert!(!sim.doorbell().wait(Duration::ZERO).unwrap(), "one ring, taken once");
-    assert!(!sim.doorbell().wait(Duration::from_micros(10)).unwrap());
+    assert!(!sim.listener().wait(Duration::ZERO).unwrap(), "one ring, taken once");
+    assert!(!sim.listener().wait(Duration::from_micros(10)).unwrap());
 }
 
 #[test]
@@ -61,7 +61,7 @@ fn the_first_send_waits_for_a_receiver_that_starts_later() {
             let policy = bus(attach, Role::Policy);
             let decisions = policy.sender::<Decision>().unwrap();
             decisions.send(&decision(1)).unwrap();
-            assert!(policy.doorbell().wait(LONG).unwrap());
+            assert!(policy.listener().wait(LONG).unwrap());
         });
         thread::sleep(Duration::from_millis(20));
         let orchestrator = bus(attach, Role::Orchestrator);
@@ -69,23 +69,25 @@ fn the_first_send_waits_for_a_receiver_that_starts_later() {
         while decisions.next().unwrap().is_none() {
             thread::yield_now();
         }
-        orchestrator.bell(Role::Policy).unwrap().ring().unwrap();
+        orchestrator.notifier(Role::Policy).unwrap().notify().unwrap();
     });
 }
 
 #[test]
-fn first_and_last_words_arrive_from_a_sender_that_nobody_kept() {
+fn first_and_log_tail_arrive_from_a_sender_that_nobody_kept() {
     let Run { attach, .. } = &run();
     let orchestrator = bus(attach, Role::Orchestrator);
-    let (hellos, farewells) =
-        (orchestrator.receiver::<Hello>().unwrap(), orchestrator.receiver::<Farewell>().unwrap());
+    let (handshakes, shutdown_reports) = (
+        orchestrator.receiver::<Handshake>().unwrap(),
+        orchestrator.receiver::<ShutdownReport>().unwrap(),
+    );
     let policy = bus(attach, Role::Policy);
-    policy.sender::<Hello>().unwrap().send(&Zeroable::zeroed()).unwrap();
-    assert!(hellos.next().unwrap().is_some());
-    policy.sender::<Farewell>().unwrap().send(&Zeroable::zeroed()).unwrap();
-    policy.sender::<Farewell>().unwrap().send(&Zeroable::zeroed()).unwrap();
+    policy.sender::<Handshake>().unwrap().send(&Zeroable::zeroed()).unwrap();
+    assert!(handshakes.next().unwrap().is_some());
+    policy.sender::<ShutdownReport>().unwrap().send(&Zeroable::zeroed()).unwrap();
+    policy.sender::<ShutdownReport>().unwrap().send(&Zeroable::zeroed()).unwrap();
     drop(policy);
-    assert_eq!(farewells.drain().unwrap().len(), 2);
+    assert_eq!(shutdown_reports.drain().unwrap().len(), 2);
 }
 
 #[test]
@@ -106,14 +108,14 @@ fn a_message_outlives_its_sender_where_somebody_has_looked() {
 fn messages_of_many_senders_that_came_and_went_all_arrive() {
     let Run { attach, .. } = &run();
     let orchestrator = bus(attach, Role::Orchestrator);
-    let hellos = orchestrator.receiver::<Hello>().unwrap();
+    let handshakes = orchestrator.receiver::<Handshake>().unwrap();
     let decisions = orchestrator.receiver::<Decision>().unwrap();
     let sent: Vec<_> = (0..16).map(decision).collect();
     for message in &sent {
         let policy = bus(attach, Role::Policy);
         let sender = policy.sender::<Decision>().unwrap();
-        policy.sender::<Hello>().unwrap().send(&Zeroable::zeroed()).unwrap();
-        assert!(hellos.next().unwrap().is_some());
+        policy.sender::<Handshake>().unwrap().send(&Zeroable::zeroed()).unwrap();
+        assert!(handshakes.next().unwrap().is_some());
         sender.send(message).unwrap();
     }
     assert_eq!(decisions.drain().unwrap(), sent);
@@ -157,12 +159,12 @@ fn runs_and_generations_never_meet() {
     let sims = [&one.attach, &next, &other.attach].map(|attach| bus(attach, Role::Sim));
     let receivers = sims.each_ref().map(|sim| sim.receiver::<StepCommand>().unwrap());
     sender.send(&command(3)).unwrap();
-    senders.bell(Role::Sim).unwrap().ring().unwrap();
+    senders.notifier(Role::Sim).unwrap().notify().unwrap();
     assert!(receivers[0].next().unwrap().is_some());
-    assert!(sims[0].doorbell().wait(Duration::ZERO).unwrap());
+    assert!(sims[0].listener().wait(Duration::ZERO).unwrap());
     for (sim, receiver) in sims.iter().zip(&receivers).skip(1) {
         assert_eq!(receiver.next().unwrap(), None);
-        assert!(!sim.doorbell().wait(Duration::ZERO).unwrap());
+        assert!(!sim.listener().wait(Duration::ZERO).unwrap());
     }
 }
 
@@ -177,27 +179,27 @@ fn ping_pong(spin_us: u32) {
             let sim = bus(attach, Role::Sim);
             let commands = sim.receiver::<StepCommand>().unwrap();
             let observations = sim.sender::<Observation>().unwrap();
-            let bell = sim.bell(Role::Orchestrator).unwrap();
+            let notifier = sim.notifier(Role::Orchestrator).unwrap();
             let mut seen = 0;
             while seen < ROUNDS {
                 for StepCommand { step, .. } in commands.drain().unwrap() {
                     observations.send(&Observation { step, ..Zeroable::zeroed() }).unwrap();
                     seen += 1;
                 }
-                bell.ring().unwrap();
+                notifier.notify().unwrap();
                 if seen < ROUNDS {
-                    sim.doorbell().wait(4 * LONG).unwrap();
+                    sim.listener().wait(4 * LONG).unwrap();
                 }
             }
             // Stay until everything has arrived.
-            sim.doorbell().wait(LONG).unwrap();
+            sim.listener().wait(LONG).unwrap();
         });
         let orchestrator = bus(attach, Role::Orchestrator);
         let observations = orchestrator.receiver::<Observation>().unwrap();
         let idle = [Role::Memory, Role::Policy].map(|role| bus(attach, role));
         let idle = idle.each_ref().map(|bus| bus.receiver::<Observation>().unwrap());
         let commands = orchestrator.sender::<StepCommand>().unwrap();
-        let bell = orchestrator.bell(Role::Sim).unwrap();
+        let notifier = orchestrator.notifier(Role::Sim).unwrap();
         let (mut sent, mut seen) = (0, 0);
         while seen < ROUNDS {
             // One to four messages in flight, and a ring for each batch.
@@ -205,15 +207,15 @@ fn ping_pong(spin_us: u32) {
                 commands.send(&StepCommand { step: sent, ..Zeroable::zeroed() }).unwrap();
                 sent += 1;
             }
-            bell.ring().unwrap();
-            orchestrator.doorbell().wait(4 * LONG).unwrap();
+            notifier.notify().unwrap();
+            orchestrator.listener().wait(4 * LONG).unwrap();
             for Observation { step, .. } in observations.drain().unwrap() {
                 assert_eq!(step, seen);
                 seen += 1;
             }
             idle.iter().for_each(|receiver| drop(receiver.drain().unwrap()));
         }
-        bell.ring().unwrap();
+        notifier.notify().unwrap();
     });
 }
 
@@ -231,13 +233,13 @@ fn no_ring_is_lost_to_one_who_spins_first() {
 fn complaints_are_counted_told_and_never_in_the_way() {
     let Run { attach, .. } = &run();
     let (orchestrator, sim) = (bus(attach, Role::Orchestrator), bus(attach, Role::Sim));
-    let mut complaints = Complaints::new(&sim).unwrap();
-    complaints.raise("nobody listens yet");
-    let receiver = orchestrator.receiver::<Complaint>().unwrap();
+    let mut reporter = ErrorReporter::new(&sim).unwrap();
+    reporter.report("nobody listens yet");
+    let receiver = orchestrator.receiver::<ErrorReport>().unwrap();
     for lane in 0..1000 {
-        complaints.raise(format_args!("lane {lane} is not below 4"));
+        reporter.report(format_args!("lane {lane} is not below 4"));
     }
-    assert_eq!(complaints.count(), 1001);
+    assert_eq!(reporter.count(), 1001);
     let first = receiver.next().unwrap().unwrap();
     assert_eq!(read_text(&first.text, first.text_len), Ok("lane 0 is not below 4"));
     assert_eq!((first.role, first.count), (Role::Sim as u32, 2));

@@ -31,7 +31,7 @@ pub(crate) fn run() -> Run {
 /// Four lanes, 32 small frames.
 pub(crate) fn attach(dir: &RunDir) -> Attach {
     let frame = FrameSize { width: 64, height: 64 };
-    Attach { frame, frame_capacity: 32, lanes: 4, ..Attach::new(dir) }
+    Attach { frame, frame_capacity: 32, lanes: 4, ..dir.attach() }
 }
 
 /// A place in `attach`'s run.

@@ -1,8 +1,9 @@
 //! Documents: published once, kept as long as they can be named.
 
+use domain::Action;
 use shm_types::documents::{Content, MAX_DOCUMENT_BYTES};
 use shm_types::message::{NO_ACTION, Role, TrajectoryStep};
-use shm_types::{Action, DocumentError, DocumentPublisher, DocumentStore};
+use shm_types::{DocumentError, DocumentPublisher, DocumentStore};
 
 use crate::common::{Run, bus, run};
 

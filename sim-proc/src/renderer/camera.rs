@@ -2,9 +2,11 @@
 //!
 //! Three spaces: world (x east, y north, z up), camera (x right, y up, z ahead) and clip.
 
+use domain::{
+    Heading, Pose,
+    camera::{CAMERA_HEIGHT_M, FIELD_OF_VIEW_DEG},
+};
 use nalgebra::{Matrix4, Point3, Vector3};
-use shm_types::camera::{CAMERA_HEIGHT_M, FIELD_OF_VIEW_DEG};
-use shm_types::{Heading, Pose};
 
 /// Nothing nearer to the camera than this is drawn, in metres.
 pub(super) const NEAR_M: f32 = 0.05;

@@ -3,7 +3,7 @@
 use std::collections::HashMap;
 use std::sync::Arc;
 
-use shm_types::Pose;
+use domain::Pose;
 use warehouse::{Layout, Variant};
 
 use super::View;

@@ -27,7 +27,7 @@ mod shader_tests;
 #[cfg(test)]
 mod tests;
 
-use shm_types::Pose;
+use domain::Pose;
 use warehouse::{Layout, Variant, Warehouse};
 
 use camera::Camera;

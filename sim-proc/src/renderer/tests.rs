@@ -1,9 +1,11 @@
 //! What must hold for every picture, whoever draws it: nothing visible is left out, neither the way out nor the batch
 //! changes a byte, label plates keep their colours, a barricade is seen.
 
+use domain::{
+    Heading,
+    camera::{CAMERA_HEIGHT_M, focal_length_px},
+};
 use plates::{self, Plate};
-use shm_types::Heading;
-use shm_types::camera::{CAMERA_HEIGHT_M, focal_length_px};
 use warehouse::CaseSet;
 
 use super::visibility::Sight;
@@ -284,7 +286,7 @@ fn a_barricade_that_is_hidden_changes_no_byte() {
 }
 
 /// Whether the middle of `cell` lies in the field of view, on an empty floor.
-fn is_ahead(pose: Pose, cell: shm_types::Cell) -> bool {
+fn is_ahead(pose: Pose, cell: domain::Cell) -> bool {
     let camera = Camera::new(pose, SIDE_PX, SIDE_PX);
     let (x, y) = cell.centre();
     let to = nalgebra::Vector3::new(x - camera.position.x, y - camera.position.y, 0.0);

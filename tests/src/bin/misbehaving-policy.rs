@@ -11,10 +11,13 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use bytemuck::Zeroable;
+use domain::Action;
 use policy_proc::{Answers, Decider, Request, ServeError, serve_from_environment};
-use shm_types::message::{Decision, Farewell, Hello, Observation, PolicyBrief, Recall, Role, Stop};
-use shm_types::process::Watch;
-use shm_types::{ATTACH_VARIABLE, Action, Attach, Bus, FrameStore};
+use shm_types::message::{
+    Decision, Handshake, Observation, PolicyEpisodeConfig, Recall, Role, ShutdownReport, Stop,
+};
+use shm_types::process::ProcessWatch;
+use shm_types::{ATTACH_VARIABLE, Attach, Bus, FrameStore};
 
 fn main() {
     let mut arguments = std::env::args().skip(1);
@@ -47,13 +50,13 @@ impl Decider for Picky {
         for request in batch {
             if request.instruction != self.victim {
                 let decision = policy_proc::Decision::act(request, Action::TurnLeft);
-                answers.decide(request.ticket(), decision);
+                answers.decide(request.id(), decision);
             } else if self.crashes && request.step == 3 {
                 eprintln!("I cannot stand this one");
                 std::process::abort();
             } else if self.crashes {
                 let decision = policy_proc::Decision::act(request, Action::TurnLeft);
-                answers.decide(request.ticket(), decision);
+                answers.decide(request.id(), decision);
             }
         }
         Ok(())
@@ -78,27 +81,30 @@ fn raw(mode: &str) {
     } else {
         Attach::read(&folder).unwrap()
     };
-    let watch = Watch::over(attach.orchestrator_pid).unwrap();
+    let watch = ProcessWatch::new(attach.orchestrator_pid).unwrap();
     let bus = Bus::join(attach, Role::Policy).unwrap();
-    let briefs = bus.receiver::<PolicyBrief>().unwrap();
+    let configs = bus.receiver::<PolicyEpisodeConfig>().unwrap();
     let observations = bus.receiver::<Observation>().unwrap();
     let recalls = bus.receiver::<Recall>().unwrap();
     let stops = bus.receiver::<Stop>().unwrap();
     let mut frames = FrameStore::new(&bus).unwrap();
     let _documents = shm_types::DocumentStore::new(&bus).unwrap();
     let decisions = bus.sender::<Decision>().unwrap();
-    let orchestrator = bus.bell(Role::Orchestrator).unwrap();
+    let orchestrator = bus.notifier(Role::Orchestrator).unwrap();
     if mode != "no-hello" {
-        let hello = Hello::new(Role::Policy, [("policy", mode.to_owned())]).unwrap();
-        let hello = Hello { wire_version: hello.wire_version + u32::from(mode == "old"), ..hello };
-        bus.sender().unwrap().send(&hello).unwrap();
-        orchestrator.ring().unwrap();
+        let handshake = Handshake::new(Role::Policy, [("policy", mode.to_owned())]).unwrap();
+        let handshake = Handshake {
+            wire_version: handshake.wire_version + u32::from(mode == "old"),
+            ..handshake
+        };
+        bus.sender().unwrap().send(&handshake).unwrap();
+        orchestrator.notify().unwrap();
     }
     let mut lanes: BTreeMap<u32, Lane> = BTreeMap::new();
     let mut answered = 0;
     loop {
         let (recalls, observations) = (recalls.drain().unwrap(), observations.drain().unwrap());
-        for PolicyBrief { lane, episode, .. } in briefs.drain().unwrap() {
+        for PolicyEpisodeConfig { lane, episode, .. } in configs.drain().unwrap() {
             lanes.insert(lane, Lane { episode, ..Lane::default() });
         }
         let mut due = Vec::new();
@@ -147,22 +153,23 @@ fn raw(mode: &str) {
             };
             // A full queue is nobody else's business.
             said.iter().for_each(|decision| drop(decisions.send(decision)));
-            orchestrator.ring().unwrap();
+            orchestrator.notify().unwrap();
         }
         if mode != "keeps-frames" {
             let _ = frames.apply_evictions();
         }
         if stops.next().unwrap().is_some() && mode != "ignores-stop" {
             if mode != "no-farewell" {
-                let farewell = Farewell { role: Role::Policy as u32, ..Zeroable::zeroed() };
-                bus.sender().unwrap().send(&farewell).unwrap();
-                orchestrator.ring().unwrap();
+                let shutdown_report =
+                    ShutdownReport { role: Role::Policy as u32, ..Zeroable::zeroed() };
+                bus.sender().unwrap().send(&shutdown_report).unwrap();
+                orchestrator.notify().unwrap();
             }
             return;
         }
         if watch.has_ended() && mode != "outlives" {
             return;
         }
-        bus.doorbell().wait(Duration::from_millis(200)).unwrap();
+        bus.listener().wait(Duration::from_millis(200)).unwrap();
     }
 }

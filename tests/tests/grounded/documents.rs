@@ -4,10 +4,9 @@ use std::collections::HashMap;
 use std::path::Path;
 use std::sync::Arc;
 
+use domain::{DocumentKind, Pose};
 use memory_proc::documents::sources::Sources;
 use memory_proc::documents::{Builder, Extractive, Seen};
-use shm_types::Pose;
-use shm_types::message::DocumentKind;
 use warehouse::{Demonstrations, Variant};
 
 use crate::views::Views;

@@ -2,8 +2,8 @@
 
 use std::sync::Arc;
 
+use domain::Action;
 use policy_proc::{SegmentView, TrajectoryView};
-use shm_types::Action;
 use warehouse::{Case, Start, Variant, Warehouse};
 
 use crate::views::{Picture, Views};

@@ -3,8 +3,8 @@
 use std::collections::HashMap;
 use std::sync::Arc;
 
+use domain::{Cell, Heading, Pose};
 use policy_proc::FrameView;
-use shm_types::{Cell, Heading, Pose};
 use sim_proc::renderer::{RenderSettings, Renderer, View};
 use warehouse::{Variant, Warehouse};
 

@@ -3,10 +3,9 @@
 use std::collections::{HashMap, VecDeque};
 use std::sync::Arc;
 
+use domain::{Action, DocumentKind, Feedback, Pose, Representation};
 use policy_proc::grounded::Grounded;
 use policy_proc::{DocumentView, PastView, Policy, Request, Segment, Trajectory};
-use shm_types::message::DocumentKind;
-use shm_types::{Action, Feedback, Pose, Representation};
 use warehouse::{
     Case, CaseSet, Demonstrations, MAX_STEPS, Progress, Start, Variant, Warehouse, step,
 };

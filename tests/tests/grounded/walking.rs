@@ -1,6 +1,6 @@
 //! Cases walked with each representation, and under controls.
 
-use shm_types::Representation;
+use domain::Representation;
 use warehouse::Start;
 
 use crate::walker::{Frames, Setup, Walker};

@@ -56,10 +56,10 @@ impl Default for Variation {
 
 impl SegmentContent {
     /// The word for it on the wire.
-    pub const fn content(self) -> message::SegmentContent {
+    pub const fn content(self) -> domain::SegmentContent {
         match self {
-            Self::Actions => message::SegmentContent::Actions,
-            Self::Images => message::SegmentContent::Images,
+            Self::Actions => domain::SegmentContent::Actions,
+            Self::Images => domain::SegmentContent::Images,
         }
     }
 }

@@ -6,9 +6,9 @@
 
 use std::collections::BTreeMap;
 
+use domain::{Outcome, Pose, Representation};
 use serde::{Deserialize, Serialize};
-use shm_types::message::{Decision, NOT_MEASURED, Outcome};
-use shm_types::{Pose, Representation};
+use shm_types::message::{Decision, NOT_MEASURED};
 
 use crate::conditions::{
     Condition, Demonstrations, Hint, Route, SegmentContent, Start, Variation, is_default,
@@ -201,7 +201,7 @@ pub struct EpisodeTimings {
     /// The generation of processes in that session. 0 in logs from before it was written down.
     #[serde(default)]
     pub generation: u32,
-    /// Its ticket in that session, by which [`prompts`](shm_types::prompts) name it. 0 likewise.
+    /// Its ticket in that session, by which [`prompts`](domain::prompt_log) name it. 0 likewise.
     #[serde(default)]
     pub ticket: u64,
     /// How often it was started, this time included.

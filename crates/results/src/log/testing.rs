@@ -2,8 +2,8 @@
 
 use std::collections::BTreeMap;
 
+use domain::{Heading, Pose, Representation};
 use shm_types::message::WIRE_VERSION;
-use shm_types::{Heading, Pose, Representation};
 
 use super::{
     AnswerKind, Ending, EpisodeRecord, EpisodeTimings, FORMAT, Manifest, RequestRecord, Stages,

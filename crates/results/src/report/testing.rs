@@ -1,6 +1,6 @@
 //! A made-up run of the whole paper suite, as plausible as arithmetic on names can make it.
 
-use shm_types::{Action, Heading, Pose, Representation};
+use domain::{Action, Heading, Pose, Representation};
 
 use crate::conditions::{Condition, Demonstrations, Route, SegmentContent, Start, Variation};
 use crate::log::testing::{manifest, record, timings};

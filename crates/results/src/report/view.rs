@@ -1,7 +1,7 @@
 //! One run as the tables look at it: its scores by condition, beside what the paper prints; and how figures are
 //! written.
 
-use shm_types::Representation;
+use domain::Representation;
 
 use super::document::{Cell, Column, Group, Missing, Row};
 use super::published::{Published, PublishedCondition, PublishedSpread};

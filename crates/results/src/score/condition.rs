@@ -14,7 +14,7 @@ use super::time::{StageTimes, exists};
 use super::trial::{Trial, Trials};
 use crate::conditions::{Condition, Demonstrations, Route};
 use crate::log::EpisodeTimings;
-use shm_types::Representation;
+use domain::Representation;
 
 /// The scores of one condition. What was not measured, or is not defined, is `None`, never zero.
 #[derive(Debug, Clone, PartialEq, Serialize)]

@@ -6,8 +6,8 @@
 
 use std::collections::BTreeSet;
 
+use domain::{Action, Pose};
 use serde::Serialize;
-use shm_types::{Action, Pose};
 
 use crate::log::EpisodeRecord;
 use crate::names::named;
@@ -191,7 +191,7 @@ impl Failures {
 mod tests {
     use std::collections::BTreeMap;
 
-    use shm_types::{Cell, Heading};
+    use domain::{Cell, Heading};
 
     use super::*;
     use crate::log::Unread;

@@ -3,8 +3,8 @@
 
 use std::collections::BTreeMap;
 
+use domain::Representation;
 use serde::Serialize;
-use shm_types::Representation;
 
 use crate::log::{AnswerKind, RequestRecord, RunLog, Unread};
 use crate::plan::EpisodeKey;

@@ -5,7 +5,7 @@ use crate::conditions::{Demonstrations, Route, Start};
 use crate::log::testing::{manifest, record, timings};
 use crate::log::{EpisodeError, EpisodeRecord, Stages, Unread};
 use crate::plan::EpisodeKey;
-use shm_types::Representation;
+use domain::Representation;
 
 fn log(records: Vec<EpisodeRecord>) -> RunLog {
     RunLog {

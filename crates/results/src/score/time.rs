@@ -5,8 +5,7 @@ use std::collections::BTreeMap;
 use serde::Serialize;
 
 use crate::log::{EpisodeTimings, RunLog, Stages};
-use shm_types::Representation;
-use shm_types::representation::Trajectories;
+use domain::{Representation, representation::Trajectories};
 
 /// Where the time of a step went, in microseconds.
 #[derive(Debug, Clone, PartialEq, Serialize)]

@@ -1,7 +1,7 @@
 //! Groups: the parts of a suite, each a product of what it varies.
 
+use domain::Representation;
 use serde::{Deserialize, Serialize};
-use shm_types::Representation;
 
 use crate::conditions::{Condition, Demonstrations, Hint, Route, SegmentContent, Start, Variation};
 

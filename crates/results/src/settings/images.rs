@@ -1,6 +1,6 @@
 //! Whether a request can hold the images that settings ask for (SPEC section 5).
 
-use shm_types::representation::Trajectories;
+use domain::representation::Trajectories;
 
 use super::Settings;
 use crate::conditions::Condition;

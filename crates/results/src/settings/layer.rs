@@ -3,9 +3,9 @@
 use std::path::PathBuf;
 
 use clap::{Args, CommandFactory, Parser};
+use domain::Representation;
 use serde::de::Error as _;
 use serde::{Deserialize, Deserializer, Serialize};
-use shm_types::Representation;
 
 use super::{Amount, CaseSelector, Documents, MAX_IMAGES, ResponseCache, SuiteName};
 use crate::conditions::{

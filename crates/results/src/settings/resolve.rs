@@ -4,8 +4,8 @@ use std::collections::BTreeMap;
 use std::fmt;
 use std::path::PathBuf;
 
+use domain::Representation;
 use serde_json::{Map, Value, json};
-use shm_types::Representation;
 use shm_types::message::{MAX_SEGMENT, MAX_WINDOW};
 
 use super::{GROUP_KEYS, Group, Layer, MAX_IMAGES, MODEL_KEYS, Settings, TooManyImages};

@@ -4,8 +4,8 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 
+use domain::Cell;
 use plates::Plate;
-use shm_types::Cell;
 
 use super::super::floor::{Floor, Stretch};
 use super::super::names::{Label, Names};

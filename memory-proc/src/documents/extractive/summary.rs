@@ -3,8 +3,8 @@
 use std::collections::BTreeMap;
 use std::fmt;
 
+use domain::{Cell, Heading, Pose};
 use plates::Plate;
-use shm_types::{Cell, Heading, Pose};
 
 use super::super::floor::{Floor, Stretch};
 use super::super::names::{Label, Names};

@@ -2,10 +2,10 @@ use std::collections::BTreeSet;
 use std::path::Path;
 use std::sync::Arc;
 
+use domain::{Action, Cell, Feedback, Pose};
 use plates;
 use plates::painter::Aisle;
 use proptest::prelude::*;
-use shm_types::{Action, Cell, Feedback, Pose};
 use warehouse::{CaseSet, Demonstrations, Start, Warehouse};
 
 use super::*;
@@ -193,7 +193,7 @@ proptest! {
             .iter()
             .zip(starts)
             .map(|(letters, (x, y, heading))| {
-                let start = Pose::new(x, y, shm_types::Heading::ALL[heading]);
+                let start = Pose::new(x, y, domain::Heading::ALL[heading]);
                 walk("Find a barrels 12.", &start.to_string(), letters)
             })
             .collect();

@@ -3,8 +3,8 @@
 use std::collections::BTreeSet;
 use std::fmt::Write;
 
+use domain::{Action, Feedback};
 use plates::{Landmark, Plate};
-use shm_types::{Action, Feedback};
 
 use crate::documents::Transcript;
 use crate::documents::names::Names;
@@ -55,7 +55,7 @@ pub(super) fn tell(number: usize, transcript: &Transcript) -> String {
     text
 }
 
-fn place(pose: shm_types::Pose) -> String {
+fn place(pose: domain::Pose) -> String {
     format!("{} facing {}", pose.cell, pose.heading)
 }
 

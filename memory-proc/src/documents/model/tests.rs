@@ -2,8 +2,8 @@
 
 use std::sync::Arc;
 
+use domain::{Action, Cell, Feedback, Heading, Pose};
 use plates::{Landmark, Plate};
-use shm_types::{Action, Cell, Feedback, Heading, Pose};
 use tempfile::TempDir;
 
 use super::super::{Seen, Step};

@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use shm_types::Representation;
+use domain::Representation;
 use shm_types::documents::Content;
 use shm_types::message::{NO_ACTION, NO_FRAME, ViewRequestKind};
 use warehouse::{CaseSet, Demonstrations, History, Start};
@@ -23,7 +23,7 @@ pub(super) fn embedding(content: ContentHash) -> Embedding {
 /// An episode that walks one of its case's trajectories in the unchanged world.
 #[derive(Debug, Clone)]
 pub(super) struct Script {
-    pub(super) brief: MemoryBrief,
+    pub(super) config: MemoryEpisodeConfig,
     pub(super) poses: Vec<Pose>,
     pub(super) observations: Vec<Observation>,
 }
@@ -117,7 +117,7 @@ impl Rig {
             ..bytemuck::Zeroable::zeroed()
         };
         Script {
-            brief: MemoryBrief {
+            config: MemoryEpisodeConfig {
                 episode: ticket,
                 lane,
                 case: case_index,
@@ -152,7 +152,7 @@ impl Rig {
     /// One event of those that are due, by `choice`. Says whether there was any.
     pub(super) fn work(&mut self, choice: usize) -> bool {
         for request in self.engine.take_view_requests() {
-            if request.kind == ViewRequestKind::Hold as u8 {
+            if request.kind == ViewRequestKind::Pin as u8 {
                 self.holds += 1;
                 let pose = Pose::try_from(request.pose).unwrap();
                 self.asked.insert(pose);
@@ -235,7 +235,7 @@ impl Rig {
     /// order that `choices` say.
     pub(super) fn play(&mut self, episodes: &[Script], choices: impl Iterator<Item = usize>) {
         let mut lanes: BTreeMap<u32, VecDeque<&Script>> = BTreeMap::new();
-        episodes.iter().for_each(|e| lanes.entry(e.brief.lane).or_default().push_back(e));
+        episodes.iter().for_each(|e| lanes.entry(e.config.lane).or_default().push_back(e));
         // Lane -> observations still to come; absent while an answer is due.
         let mut turns: BTreeMap<u32, VecDeque<Observation>> =
             lanes.keys().map(|&lane| (lane, VecDeque::new())).collect();
@@ -249,7 +249,7 @@ impl Rig {
                     let Some(script) = lanes.get_mut(&lane).and_then(VecDeque::pop_front) else {
                         continue;
                     };
-                    self.engine.brief(&script.brief).unwrap();
+                    self.engine.config(&script.config).unwrap();
                     coming = script.observations.iter().copied().collect();
                 }
                 let seen = coming.pop_front().unwrap();
@@ -269,7 +269,7 @@ impl Rig {
 impl Script {
     /// The same with another set of demonstrations.
     pub(super) fn remembering(mut self, set: Demonstrations) -> Self {
-        self.brief.demonstrations = set.bits();
+        self.config.demonstrations = set.bits();
         self
     }
 }

@@ -2,9 +2,12 @@
 
 use std::collections::BTreeSet;
 
-use shm_types::Representation::{Episodic, FullContext, Hybrid, Semantic, Summary, Working};
-use shm_types::message::{NO_ACTION, SegmentContent};
-use shm_types::{Pose, Representation};
+use domain::{
+    Pose, Representation,
+    Representation::{Episodic, FullContext, Hybrid, Semantic, Summary, Working},
+    SegmentContent,
+};
+use shm_types::message::NO_ACTION;
 use warehouse::{Demonstrations, Start};
 
 use super::SETS;
@@ -109,7 +112,7 @@ fn a_segment_of_images_alone_names_the_same_views_without_actions() {
     let mut answers = Vec::new();
     for segment in [SegmentContent::Actions, SegmentContent::Images] {
         let mut script = rig.script(0, 1, 12, Start::Original, Episodic);
-        script.brief.segment = segment as u8;
+        script.config.segment = segment as u8;
         rig.play(&[script], std::iter::empty());
         answers.push(std::mem::take(&mut rig.answers));
     }

@@ -1,7 +1,7 @@
 //! The rule of keyframes, on small walks by hand and on any walks by property.
 
+use domain::Heading;
 use proptest::prelude::*;
-use shm_types::Heading;
 
 use super::super::testing::{Shelf, ingredients, walk};
 use super::super::{Situation, View};

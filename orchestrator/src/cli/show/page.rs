@@ -7,7 +7,7 @@ use anyhow::{Context, Result};
 use askama::Template;
 use base64::Engine;
 use base64::prelude::BASE64_STANDARD;
-use shm_types::prompts::{Part, Seen};
+use domain::prompt_log::{Part, Seen};
 
 use super::text;
 use crate::shown::{Prompt, Shown};

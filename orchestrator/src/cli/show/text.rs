@@ -2,7 +2,7 @@
 
 use std::fmt::Write;
 
-use shm_types::prompts::{Part, Seen, Usage};
+use domain::prompt_log::{Part, Seen, Usage};
 
 use crate::shown::{Prompt, Shown};
 

@@ -1,4 +1,4 @@
-use shm_types::Feedback;
+use domain::Feedback;
 
 use super::super::history::PastPose;
 use super::*;

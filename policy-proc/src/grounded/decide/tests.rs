@@ -1,6 +1,5 @@
+use domain::{DocumentKind, Feedback, Heading};
 use proptest::prelude::*;
-use shm_types::message::DocumentKind;
-use shm_types::{Feedback, Heading};
 
 use super::*;
 use plates::painter::{Aisle, Picture};

@@ -1,6 +1,6 @@
 //! One line of a document, taken apart: cells, stretches of columns and rows, and label plates.
 
-use shm_types::Cell;
+use domain::Cell;
 
 /// Most rectangles read in one line.
 const MOST_RECTS: usize = 64;

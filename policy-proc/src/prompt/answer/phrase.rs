@@ -1,6 +1,6 @@
 //! The phrases of a text that name actions, in all the forms that models write them in.
 
-use shm_types::Action;
+use domain::Action;
 
 use super::Unread;
 use super::clauses::{COLON, Sentence};

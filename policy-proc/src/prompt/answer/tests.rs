@@ -1,5 +1,5 @@
+use domain::Action::{self, Backward, Forward, Left, Right, TurnAround, TurnLeft, TurnRight};
 use proptest::prelude::*;
-use shm_types::Action::{self, Backward, Forward, Left, Right, TurnAround, TurnLeft, TurnRight};
 
 use super::*;
 

@@ -3,7 +3,7 @@
 //! Signs and barricades are drawn in the frame of somebody who faces them, everything else in world
 //! space: x east, y north, z up, in metres.
 
-use shm_types::{Cell, Heading};
+use domain::{Cell, Heading};
 use warehouse::{Layout, Square};
 
 use super::builder::{Builder, Detail, Material, Mesh, Side};

@@ -3,7 +3,7 @@
 //! Drawn in the frame of somebody who faces the wall: x to the right, y into the wall, z up, so what
 //! stands out from the wall has a negative y.
 
-use shm_types::Heading;
+use domain::Heading;
 
 use super::builder::{Builder, Detail, Material, Mesh, Side};
 

@@ -1,8 +1,8 @@
 //! The processor's pictures: a card's but for rounding, and the same bytes with vectors of every width.
 
+use domain::{Heading, Pose};
 use fearless_simd::Level;
 use image::RgbaImage;
-use shm_types::{Heading, Pose};
 use warehouse::{CaseSet, Variant, Warehouse};
 
 use super::super::{Hand, PROCESSOR, Renderer, View};

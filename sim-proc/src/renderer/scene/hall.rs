@@ -1,7 +1,7 @@
 //! Where floor, walls, roof, lamps and signs are.
 
+use domain::{Cell, Heading};
 use nalgebra::Isometry3;
-use shm_types::{Cell, Heading};
 use warehouse::{Axis, Layout, Square};
 
 use super::assembly::{Assembly, Writing};

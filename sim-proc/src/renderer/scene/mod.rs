@@ -10,8 +10,8 @@ mod showcase;
 
 use std::ops::Range;
 
+use domain::{Cell, Heading};
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
-use shm_types::{Cell, Heading};
 use warehouse::{Layout, Variant, Warehouse};
 
 use super::text::Atlas;

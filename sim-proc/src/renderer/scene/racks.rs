@@ -1,8 +1,8 @@
 //! Which rack faces are bays, how the bays meet, and what stands in them.
 
+use domain::{Cell, Heading};
 use nalgebra::{Isometry3, Point3};
 use plates::Plate;
-use shm_types::{Cell, Heading};
 use warehouse::{Axis, Catalogue, Layout, Square, Warehouse};
 
 use super::assembly::{Assembly, Writing};

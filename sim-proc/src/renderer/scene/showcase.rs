@@ -1,7 +1,7 @@
 //! The catalogue as a scene: every type in a bay of its own, far apart on an empty floor.
 
+use domain::Heading;
 use nalgebra::Isometry3;
-use shm_types::Heading;
 use warehouse::Catalogue;
 
 use super::assembly::Assembly;

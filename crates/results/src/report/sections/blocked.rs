@@ -1,6 +1,6 @@
 //! Table `tab:rq2`: what a blocked route does to each representation.
 
-use shm_types::Representation;
+use domain::Representation;
 
 use crate::report::document::{Block, Cell, Column, Missing, Table};
 use crate::report::plot::PlotError;

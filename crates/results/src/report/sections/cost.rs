@@ -1,6 +1,6 @@
 //! What the policy was given and what it answered, for each representation.
 
-use shm_types::Representation;
+use domain::Representation;
 
 use super::main_table::{NO_REQUESTS, mega};
 use crate::conditions::Variation;

@@ -1,6 +1,6 @@
 //! Section Design Choices: the window, segments of images alone, the original-start hint.
 
-use shm_types::Representation;
+use domain::Representation;
 
 use crate::report::document::{Block, Group, Row, Table};
 use crate::report::plot::{Dots, PlotError, dots};

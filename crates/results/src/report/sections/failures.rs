@@ -1,6 +1,6 @@
 //! Failures by kind.
 
-use shm_types::Representation;
+use domain::Representation;
 
 use crate::report::document::{Block, Cell, Column, Group, Missing, Row, Table};
 use crate::report::plot::{PlotError, Stack, StackRow, stack};

@@ -1,6 +1,6 @@
 //! Table `tab:tasks`: success rate by task group, unchanged and blocked.
 
-use shm_types::Representation;
+use domain::Representation;
 use warehouse::Group;
 
 use crate::report::document::{Block, Cell, Column, Missing, Table};

@@ -1,6 +1,6 @@
 //! Table `tab:main`: six representations in the four settings of the three questions, with what they cost.
 
-use shm_types::Representation;
+use domain::Representation;
 
 use crate::report::document::{Block, Cell, Column, Missing, Table};
 use crate::report::plot::{Dot, DotRow, Dots, PlotError, dots};

@@ -35,8 +35,8 @@ pub fn blocks(view: &View<'_>) -> Result<Vec<Block>, PlotError> {
         series: vec![OURS.to_owned(), THEIRS.to_owned()],
         rows: rows.collect(),
     })?;
-    let retrieves = |representation: shm_types::Representation| {
-        representation.describe().trajectories == shm_types::representation::Trajectories::Segment
+    let retrieves = |representation: domain::Representation| {
+        representation.describe().trajectories == domain::representation::Trajectories::Segment
     };
     let mut columns = SETS.map(|(heading, _)| Column::under("SR %", heading)).to_vec();
     columns.extend(

@@ -1,7 +1,6 @@
 //! What the run was, and what a reader must know before looking at its figures.
 
-use shm_types::Representation;
-use shm_types::representation::Description;
+use domain::{Representation, representation::Description};
 
 use crate::conditions::{Frames, PolicyKind};
 use crate::report::document::{Block, Cell, Column, Group, Missing, Row, Table};

@@ -1,6 +1,6 @@
 //! The comparisons that the paper's questions ask for, paired by case.
 
-use shm_types::Representation;
+use domain::Representation;
 
 use crate::compare::compare_conditions;
 use crate::report::document::{Block, Cell, Column, Group, Missing, Row, Table};

@@ -1,6 +1,6 @@
 //! Where the time of a step went.
 
-use shm_types::Representation;
+use domain::Representation;
 
 use crate::log::Stages;
 use crate::report::document::{Block, Cell, Column, Group, Missing, Row, Table};

@@ -1,0 +1,73 @@
+//! Reporting errors to the orchestrator.
+
+use bytemuck::Zeroable;
+
+use crate::bus::{Bus, BusError, Sender};
+use crate::message::{ErrorReport, ErrorReportKind, Role, write_text};
+
+/// Reports errors to the orchestrator; counts and logs them.
+#[derive(Debug)]
+pub struct ErrorReporter {
+    sender: Sender<ErrorReport>,
+    role: Role,
+    count: u32,
+}
+
+impl ErrorReporter {
+    /// For the process that joined `bus`.
+    ///
+    /// # Errors
+    /// When the service cannot be opened.
+    pub fn new(bus: &Bus) -> Result<Self, BusError> {
+        Ok(Self { sender: bus.sender()?, role: bus.role(), count: 0 })
+    }
+
+    /// Reports a message that could not be used: what, the value, and what was expected. Notify the orchestrator
+    /// afterwards.
+    ///
+    /// Never fails and never waits: a report that cannot be delivered is still counted and logged.
+    pub fn report(&mut self, what: impl std::fmt::Display) {
+        let error_report = self.new_report(ErrorReportKind::Message, &what.to_string());
+        if let Err(error) = self.sender.send_now(&error_report) {
+            tracing::debug!(%error, "the error report was not delivered");
+        }
+    }
+
+    /// Reports that the running step of `episode` in `lane` gets no answer, and why: the episode ends without a
+    /// result. Notify the orchestrator afterwards.
+    ///
+    /// # Errors
+    /// When the report cannot be delivered.
+    pub fn fail_episode(&mut self, lane: u32, episode: u64, why: &str) -> Result<(), BusError> {
+        let error_report =
+            ErrorReport { lane, episode, ..self.new_report(ErrorReportKind::Episode, why) };
+        self.sender.send(&error_report)
+    }
+
+    /// Reports that no episode can go on, and why: the run stops. Notify the orchestrator afterwards.
+    ///
+    /// # Errors
+    /// When the report cannot be delivered.
+    pub fn stop_run(&mut self, why: &str) -> Result<(), BusError> {
+        let error_report = self.new_report(ErrorReportKind::Run, why);
+        self.sender.send(&error_report)
+    }
+
+    /// The number of reports so far.
+    pub fn count(&self) -> u32 {
+        self.count
+    }
+
+    fn new_report(&mut self, kind: ErrorReportKind, what: &str) -> ErrorReport {
+        self.count = self.count.saturating_add(1);
+        tracing::warn!(role = self.role.word(), count = self.count, "{what}");
+        let mut error_report = ErrorReport {
+            role: self.role as u32,
+            count: self.count,
+            kind: kind as u32,
+            ..Zeroable::zeroed()
+        };
+        error_report.text_len = write_text(&mut error_report.text, what);
+        error_report
+    }
+}

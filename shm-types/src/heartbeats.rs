@@ -1,0 +1,49 @@
+//! Reporting progress to the orchestrator, about once a second.
+
+use std::time::{Duration, Instant};
+
+use bytemuck::Zeroable;
+
+use crate::bus::{Bus, BusError, Sender};
+use crate::message::{Heartbeat, Role};
+
+/// Least time between two heartbeats.
+const INTERVAL: Duration = Duration::from_secs(1);
+
+/// Sends the heartbeats of a process.
+#[derive(Debug)]
+pub struct Heartbeats {
+    sender: Sender<Heartbeat>,
+    role: Role,
+    last: Heartbeat,
+    sent: Instant,
+}
+
+impl Heartbeats {
+    /// For the process that joined `bus`.
+    ///
+    /// # Errors
+    /// When the service cannot be opened.
+    pub fn new(bus: &Bus) -> Result<Self, BusError> {
+        let (sender, role) = (bus.sender()?, bus.role());
+        Ok(Self { sender, role, last: Zeroable::zeroed(), sent: Instant::now() })
+    }
+
+    /// Sends `heartbeat` (the role is filled in) if the last one was sent a second ago and it has changed since.
+    /// Returns whether it was sent; notify the orchestrator then. Call it in every iteration of the serve loop.
+    ///
+    /// Never fails and never waits: a heartbeat may be lost.
+    pub fn beat(&mut self, heartbeat: impl FnOnce() -> Heartbeat) -> bool {
+        if self.sent.elapsed() < INTERVAL {
+            return false;
+        }
+        self.sent = Instant::now();
+        let heartbeat = Heartbeat { role: self.role as u32, ..heartbeat() };
+        let has_changed = heartbeat != self.last;
+        if has_changed && let Err(error) = self.sender.send_now(&heartbeat) {
+            tracing::debug!(%error, "the heartbeat was not delivered");
+        }
+        self.last = heartbeat;
+        has_changed
+    }
+}

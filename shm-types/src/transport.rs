@@ -1,0 +1,149 @@
+//! What every use of iceoryx2 shares: the service type, a run's configuration, service names, errors.
+
+use std::fmt::Display;
+use std::path::Path;
+
+use iceoryx2::config::Config;
+use iceoryx2::port::SendError;
+use iceoryx2::prelude::{FileName, SemanticString, ServiceName, ipc_threadsafe};
+
+use crate::attach::{Attach, AttachError, MAX_ROOT_BYTES};
+use crate::message::Role;
+
+/// The iceoryx2 service type of every service.
+pub(crate) type Ipc = ipc_threadsafe::Service;
+
+/// Disconnected senders whose messages one receiver keeps: four times the processes of a generation. Every
+/// receive call scans a slot for each, so a larger number makes receiving slower.
+const EXPIRED_CONNECTIONS: usize = 4 * Role::ALL.len();
+
+/// Why the bus cannot be used.
+#[derive(Debug, thiserror::Error)]
+pub enum BusError {
+    /// The run cannot be attached to.
+    #[error(transparent)]
+    Attach(#[from] AttachError),
+    /// The path of the run's folder is too long for socket names.
+    #[error(
+        "the path of the run's folder {path} has {} bytes, but socket names leave room for {MAX_ROOT_BYTES}: \
+         choose a shorter folder", path.len()
+    )]
+    PathTooLong {
+        /// The folder.
+        path: String,
+    },
+    /// The lock file of the run's folder cannot be locked.
+    #[error("cannot join the run in {path}: {cause}")]
+    Membership {
+        /// The folder.
+        path: String,
+        /// The operating system's error.
+        cause: std::io::Error,
+    },
+    /// Another living process has the role.
+    #[error(
+        "the run already has a {} process, and there can be only one: end the other one, or start this one in \
+         another run", role.word()
+    )]
+    Taken {
+        /// The role.
+        role: Role,
+    },
+    /// A node, service or port cannot be created or opened.
+    #[error("{what}: {cause}")]
+    Open {
+        /// What was tried.
+        what: String,
+        /// iceoryx2's error.
+        cause: String,
+    },
+    /// The role may not send or receive on the service.
+    #[error("the {} process may not {verb} on {service}", role.word())]
+    WrongRole {
+        /// The service.
+        service: &'static str,
+        /// The process's role.
+        role: Role,
+        /// "send" or "receive".
+        verb: &'static str,
+    },
+    /// A receiver's queue is full. Queues hold everything that the protocol can put into them, so either the
+    /// receiver hangs or one of the two processes has a bug.
+    #[error("{service}: the queue of a receiver is full; it hangs or breaks the protocol")]
+    Full {
+        /// The service.
+        service: &'static str,
+    },
+    /// The message reached fewer receivers than take part in the run.
+    #[error(
+        "{service}: delivered to {found} of {expected} receivers; the others have ended or never connected"
+    )]
+    Deserted {
+        /// The service.
+        service: &'static str,
+        /// Receivers that take part in the run.
+        expected: usize,
+        /// Receivers that got the message.
+        found: usize,
+    },
+    /// Sending, receiving or waiting failed.
+    #[error("{what}: {cause}")]
+    Transport {
+        /// What was tried.
+        what: &'static str,
+        /// iceoryx2's error.
+        cause: String,
+    },
+}
+
+impl BusError {
+    pub(crate) fn open(what: impl Display, cause: impl Display) -> Self {
+        Self::Open { what: what.to_string(), cause: cause.to_string() }
+    }
+
+    pub(crate) fn transport(what: &'static str, cause: impl Display) -> Self {
+        Self::Transport { what, cause: cause.to_string() }
+    }
+}
+
+/// The name of service `name` in the generation of `attach`.
+pub(crate) fn service_name(attach: &Attach, name: &str) -> Result<ServiceName, BusError> {
+    let full = format!("{}/{name}", attach.generation);
+    ServiceName::new(&full).map_err(|e| BusError::open(format_args!("service name {full}"), e))
+}
+
+/// The iceoryx2 configuration of the run of `attach`. Nothing is read from files or the environment.
+pub(crate) fn config(attach: &Attach) -> Result<Config, BusError> {
+    let mut config = run_config(&attach.prefix, &attach.root)?;
+    config.defaults.publish_subscribe.subscriber_expired_connection_buffer = EXPIRED_CONNECTIONS;
+    Ok(config)
+}
+
+/// A configuration that names a run: its prefix in shared memory and its folder.
+pub(crate) fn run_config(prefix: &str, root: &Path) -> Result<Config, BusError> {
+    let path = root.display().to_string();
+    if path.len() > MAX_ROOT_BYTES {
+        return Err(BusError::PathTooLong { path });
+    }
+    let mut config = Config::default();
+    config.global.prefix = FileName::new(prefix.as_bytes())
+        .map_err(|e| BusError::open(format_args!("prefix {prefix}"), e))?;
+    let root = iceoryx2::prelude::Path::new(path.as_bytes())
+        .map_err(|e| BusError::open(format_args!("folder {path}"), e))?;
+    config.global.set_root_path(&root);
+    Ok(config)
+}
+
+/// Checks that a message reached all `expected` receivers.
+pub(crate) fn delivered(
+    service: &'static str,
+    expected: usize,
+    outcome: Result<usize, SendError>,
+) -> Result<(), BusError> {
+    match outcome {
+        Ok(found) if found < expected => Err(BusError::Deserted { service, expected, found }),
+        Ok(_) => Ok(()),
+        Err(SendError::UnableToDeliver) => Err(BusError::Full { service }),
+        Err(e) => Err(BusError::transport(service, e)),
+    }
+}
