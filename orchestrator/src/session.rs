@@ -103,7 +103,12 @@ impl<'a> Session<'a> {
             eprintln!("trace: {} (open it with https://ui.perfetto.dev)", path.display());
         }
         let (finished, reason) = (self.finished, reason.to_owned());
-        Ok(self.folder.note(SessionEvent::Ended { finished, errors, reason, shutdown_reports })?)
+        Ok(self.folder.note(SessionEvent::Ended {
+            finished,
+            errors,
+            reason,
+            farewells: shutdown_reports,
+        })?)
     }
 }
 

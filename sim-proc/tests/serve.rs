@@ -448,7 +448,7 @@ fn rubbish_is_counted_and_the_run_goes_on() {
     ] {
         peers.commands.send(&command).unwrap();
         let error_report = peers.error_report();
-        assert!(error_report.contains(said), "{complaint}");
+        assert!(error_report.contains(said), "{error_report}");
     }
     for (request, said) in [
         (ViewRequest { kind: 9, ..Zeroable::zeroed() }, "9 is not a view request kind"),
@@ -457,7 +457,7 @@ fn rubbish_is_counted_and_the_run_goes_on() {
     ] {
         peers.requests.send(&request).unwrap();
         let error_report = peers.error_report();
-        assert!(error_report.contains(said), "{complaint}");
+        assert!(error_report.contains(said), "{error_report}");
     }
     assert_eq!(peers.ask(&reset(0, 1, 0, pose)).feedback, Feedback::Start as u8);
     assert_eq!(peers.stop().error_reports, 8);

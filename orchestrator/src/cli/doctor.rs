@@ -10,7 +10,7 @@ use clap::{Args, ValueEnum};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use shm_types::process::{SHARED_MEMORY, check_shared_memory};
-use shm_types::{Attach, RunDir, registry};
+use shm_types::{RunDir, registry};
 
 use super::{Exit, WorldArgs, print, print_json};
 use supervise::sibling;

@@ -133,7 +133,7 @@ impl Building<'_> {
             }
             if let Some(death) = self.children.exited() {
                 let error_report = error_report.map(|said| format!("{said}; ")).unwrap_or_default();
-                bail!("{complaint}{death}");
+                bail!("{error_report}{death}");
             }
         }
     }

@@ -6,7 +6,7 @@
 use std::fmt;
 
 use serde::{Deserialize, Serialize};
-use shm_types::message::{self, MAX_WINDOW};
+use shm_types::message::MAX_WINDOW;
 
 use crate::names::named;
 
