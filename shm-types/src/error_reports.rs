@@ -53,6 +53,15 @@ impl ErrorReporter {
         self.sender.send(&error_report)
     }
 
+    /// Reports that decisions wait for `reason`, such as a server that does not answer, or for nothing any longer if it
+    /// is empty. Not an error: neither counted nor logged. Notify the orchestrator afterwards.
+    ///
+    /// # Errors
+    /// When the report cannot be delivered.
+    pub fn waiting(&self, reason: &str) -> Result<(), BusError> {
+        self.sender.send(&self.filled_in(ErrorReportKind::Waiting, reason))
+    }
+
     /// The number of reports so far.
     pub fn count(&self) -> u32 {
         self.count
@@ -61,13 +70,17 @@ impl ErrorReporter {
     fn new_report(&mut self, kind: ErrorReportKind, what: &str) -> ErrorReport {
         self.count = self.count.saturating_add(1);
         tracing::warn!(role = self.role.word(), count = self.count, "{what}");
+        self.filled_in(kind, what)
+    }
+
+    fn filled_in(&self, kind: ErrorReportKind, text: &str) -> ErrorReport {
         let mut error_report = ErrorReport {
             role: self.role as u32,
             count: self.count,
             kind: kind as u32,
             ..Zeroable::zeroed()
         };
-        error_report.text_len = write_text(&mut error_report.text, what);
+        error_report.text_len = write_text(&mut error_report.text, text);
         error_report
     }
 }

@@ -433,6 +433,7 @@ impl<'a> Stage<'a> {
                 read_text(&error_report.text, error_report.text_len).unwrap_or("(not UTF-8)");
             match u8::try_from(error_report.kind).map(ErrorReportKind::try_from) {
                 Ok(Ok(ErrorReportKind::Message)) => self.reported.push(text.to_owned()),
+                Ok(Ok(ErrorReportKind::Waiting)) => {}
                 Ok(Ok(ErrorReportKind::Episode)) => {
                     return wrong(format_args!(
                         "it gave up the episode of lane {}: {text}",

@@ -22,7 +22,7 @@ code_sets! {
     }
 
     /// What follows from an [`ErrorReport`](super::ErrorReport).
-    ErrorReportKind, "an error report kind (0 message, 1 episode, 2 run)" {
+    ErrorReportKind, "an error report kind (0 message, 1 episode, 2 run, 3 waiting)" {
         /// Nothing else: a message could not be used and was dropped.
         Message = 0,
         /// The episode ends without a result: there is no decision, for a reason that is not the model's, such as a
@@ -30,6 +30,9 @@ code_sets! {
         Episode = 1,
         /// The run stops: no episode can go on, for example because the server is down.
         Run = 2,
+        /// Not an error yet: decisions wait for something outside of the run, such as a model's server that does not
+        /// answer. The text says for what; it is empty when the wait is over.
+        Waiting = 3,
     }
 
     /// The role of a process in a run.
