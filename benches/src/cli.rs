@@ -8,7 +8,7 @@ use anyhow::{Context, Result, bail};
 use benches::results::{FILE, Outcome, Results};
 use benches::{BENCHES, Bench, Peers, Session, Size, compare, markdown, page, parts, timeline};
 use clap::{Parser, Subcommand};
-use orchestrator::log::commit_of;
+use orchestrator::commit::commit_of;
 
 /// Measures this project beside others' programs, in the same rounds on the same machine.
 #[derive(Debug, Parser)]

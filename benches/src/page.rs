@@ -1,7 +1,7 @@
 //! Results as one HTML page: the table, every bench's figures, curves.
 
 use anyhow::Result;
-use orchestrator::report::{Block, Curve, Curves, Document, Section, Table, curves, page};
+use results::report::{Block, Curve, Curves, Document, Section, Table, curves, page};
 
 use crate::compare::Change;
 use crate::figure::shown;

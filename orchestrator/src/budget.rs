@@ -2,15 +2,16 @@
 //!
 //! What earlier sessions spent counts, also on episodes that were walked again.
 
-use crate::log::RequestRecord;
-use crate::prices::ModelPrices;
-use crate::settings::{Amount, ModelSettings};
-use crate::spending::Spending;
+use results::cost::Amount;
+use results::cost::ModelPrices;
+use results::log::RequestRecord;
+use results::settings::ModelSettings;
+use results::usage::UsageTotals;
 
 /// What a run has spent, and may.
 #[derive(Debug, Clone, Default)]
 pub struct Budget {
-    spent: Spending,
+    spent: UsageTotals,
     max_tokens: Option<u64>,
     max_cost: Option<(Amount, ModelPrices)>,
 }
@@ -25,7 +26,7 @@ impl Budget {
     ) -> Self {
         let max_cost = model.and_then(|model| model.max_cost).zip(prices.cloned());
         let max_tokens = model.and_then(|model| model.max_tokens_total);
-        Self { spent: Spending::of(past), max_tokens, max_cost }
+        Self { spent: UsageTotals::of(past), max_tokens, max_cost }
     }
 
     /// Counts a request.
@@ -36,7 +37,7 @@ impl Budget {
     /// Why nothing more may be spent, if that is so.
     pub fn exceeded(&self) -> Option<String> {
         let Self { spent, max_tokens, max_cost } = self;
-        if spent.untold > 0 && (max_tokens.is_some() || max_cost.is_some()) {
+        if spent.unknown > 0 && (max_tokens.is_some() || max_cost.is_some()) {
             return Some(
                 "the server does not tell how many tokens its answers took, so --max-tokens-total and --max-cost \
                  cannot be kept to: run without them"
@@ -65,7 +66,7 @@ impl Budget {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::log::testing::request;
+    use results::log::testing::request;
 
     fn budget(max_tokens: Option<u64>, max_cost: Option<&str>, past: &[RequestRecord]) -> Budget {
         let amount = |text: &str| text.parse::<Amount>().unwrap();
@@ -76,7 +77,7 @@ mod tests {
             completion: amount("10"),
         };
         let max_cost = max_cost.map(|most| (amount(most), prices));
-        Budget { spent: Spending::of(past), max_tokens, max_cost }
+        Budget { spent: UsageTotals::of(past), max_tokens, max_cost }
     }
 
     #[test]

@@ -21,9 +21,9 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use warehouse::Demonstrations;
 
-use crate::conditions::Condition;
-use crate::log::DocumentFacts;
-use crate::names::UnknownName;
+use results::conditions::Condition;
+use results::log::DocumentFacts;
+use results::names::UnknownName;
 use supervise::sibling;
 
 /// Held while documents are built in a folder.
@@ -392,7 +392,7 @@ mod tests {
     use domain::Representation;
 
     use super::*;
-    use crate::conditions::{Route, Start, Variation};
+    use results::conditions::{Route, Start, Variation};
 
     #[test]
     fn each_condition_s_documents_are_needed_once() {

@@ -9,14 +9,15 @@ use std::collections::BTreeMap;
 
 use domain::representation::Trajectories;
 
-use crate::conditions::Condition;
 use crate::documents::{DocumentName, needed};
-use crate::log::EpisodeRecord;
 use crate::plan::Episode;
-use crate::prices::ModelPrices;
-use crate::settings::{Amount, ModelSettings, Settings};
-use crate::spending::Spending;
 use crate::world::World;
+use results::conditions::Condition;
+use results::cost::Amount;
+use results::cost::ModelPrices;
+use results::log::EpisodeRecord;
+use results::settings::{ModelSettings, RunSettings};
+use results::usage::UsageTotals;
 
 /// Characters of a prompt that are always there: rules, task, the current pose and feedback.
 const ALWAYS: u64 = 2420;
@@ -60,10 +61,10 @@ impl Estimate {
     pub fn cost(&self, prices: &ModelPrices) -> Option<[Amount; 2]> {
         let prompt_each = self.prompt_each?;
         Some(self.requests.map(|requests| {
-            prices.cost(&Spending {
+            prices.cost(&UsageTotals {
                 prompt_tokens: requests * prompt_each,
                 completion_tokens: requests * self.answer_each,
-                ..Spending::default()
+                ..UsageTotals::default()
             })
         }))
     }
@@ -73,7 +74,7 @@ impl Estimate {
 #[derive(Debug)]
 pub struct Basis<'a> {
     /// The run's settings.
-    pub settings: &'a Settings,
+    pub settings: &'a RunSettings,
     /// How the model is asked.
     pub model: &'a ModelSettings,
     /// The cases.
@@ -165,12 +166,12 @@ mod tests {
         let system = system.chars().count() as u64;
         assert!((ALWAYS / 2..ALWAYS * 2).contains(&system), "{system} characters of rules alone");
     }
-    use crate::conditions::PolicyKind;
-    use crate::log::testing::record;
     use crate::plan::plan;
     use crate::settings::{Layer, Origin, resolve};
+    use results::conditions::PolicyKind;
+    use results::log::testing::record;
 
-    fn settings() -> Settings {
+    fn settings() -> RunSettings {
         let said = Layer {
             policy: Some(PolicyKind::Openai),
             model: Some("m".to_owned()),

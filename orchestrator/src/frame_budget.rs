@@ -6,8 +6,8 @@ use domain::{Cell, Pose, representation::Trajectories};
 use shm_types::Attach;
 use warehouse::{CaseSet, History, Warehouse};
 
-use crate::conditions::Route;
 use crate::plan::Episode;
+use results::conditions::Route;
 
 /// Free shared memory that is left to others.
 const HEADROOM_BYTES: u64 = 64 << 20;

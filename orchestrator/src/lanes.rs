@@ -20,15 +20,17 @@ use shm_types::message::{
 };
 use warehouse::{Case, CaseSet, Progress, Start, Variant, Warehouse, step};
 
-use crate::conditions::Route;
-use crate::log::{Ending, EpisodeRecord, Stages, Unread};
+use crate::event_recorder::EventRecorder;
 use crate::plan::Episode;
-use crate::witness::Witness;
+use results::conditions::Route;
+use results::log::{Ending, EpisodeRecord, Stages, Unread};
 
 mod fault;
 
 pub use fault::Fault;
-pub use results::stamps::Stamps;
+mod stamps;
+
+pub use stamps::Stamps;
 
 /// What all episodes of a run have in common.
 #[derive(Debug, Clone, Copy)]
@@ -132,7 +134,7 @@ struct Walk {
     /// The reference's actions, for the expert.
     reference: Vec<Action>,
     progress: Progress,
-    witness: Witness,
+    events: EventRecorder,
     /// Where the agent will be, and be told, when the open command is done.
     pose: Pose,
     feedback: Feedback,
@@ -220,7 +222,7 @@ impl<'w> Lanes<'w> {
                 window: condition.variation.window as u8,
                 horizon: self.rules.horizon,
                 keyframes: self.rules.keyframes,
-                segment: condition.variation.segment.content() as u8,
+                segment: condition.variation.segment.code() as u8,
                 ..Zeroable::zeroed()
             },
             policy,
@@ -241,9 +243,9 @@ impl<'w> Lanes<'w> {
         let trajectory = case.trajectory(from);
         let start = trajectory.start;
         let progress = Progress::new(self.warehouse, &case.task, start.cell);
-        let mut witness = Witness::new(self.warehouse, &case.task);
-        witness.stands(0, start);
-        witness.looks(&self.warehouse.layout, 0, start);
+        let mut events = EventRecorder::new(self.warehouse, &case.task);
+        events.stands(0, start);
+        events.looks(&self.warehouse.layout, 0, start);
         let blocked = condition.route == Route::Blocked;
         let asks = !self.rules.expert;
         let record = EpisodeRecord {
@@ -288,7 +290,7 @@ impl<'w> Lanes<'w> {
             variant: case.variant(from),
             reference: trajectory.actions.clone(),
             progress,
-            witness,
+            events,
             pose: start,
             feedback: Feedback::Start,
             last_action: NO_ACTION,
@@ -511,7 +513,7 @@ impl<'w> Lanes<'w> {
         if walk.feedback == Feedback::Blocked {
             record.blocked_moves.push(record.steps);
         }
-        walk.witness.stands(record.steps, walk.pose);
+        walk.events.stands(record.steps, walk.pose);
         let met = walk.progress.visit(walk.pose.cell);
         record.sub_goals.extend((0..met).map(|_| record.steps));
         if walk.progress.is_complete() {
@@ -521,7 +523,7 @@ impl<'w> Lanes<'w> {
         walk.asked = if over {
             Asked::LastObservation
         } else {
-            walk.witness.looks(layout, record.steps, walk.pose);
+            walk.events.looks(layout, record.steps, walk.pose);
             Asked::Observation
         };
         let command = walk.command(lane, kind, self.now_ns);
@@ -534,10 +536,10 @@ impl<'w> Lanes<'w> {
     /// Takes the finished walk out of its lane.
     fn close(&mut self, lane: usize) -> Turn {
         let Some(walk) = self.lanes[lane].take() else { return Turn::Wait };
-        let Walk { mut walked, witness, retrieved, distances, .. } = walk;
+        let Walk { mut walked, events, retrieved, distances, .. } = walk;
         walked.ended_ns = self.now_ns;
-        walked.record.visits = witness.visits;
-        walked.record.first_seen = witness.first_seen;
+        walked.record.visits = events.visits;
+        walked.record.first_seen = events.first_seen;
         if !distances.is_empty() {
             let mean = distances.iter().sum::<f64>() / distances.len() as f64;
             walked.record.distance = Some((mean * 1e6).round() / 1e6);

@@ -20,8 +20,8 @@ use serde::{Deserialize, Serialize};
 
 use crate::machine::Machine;
 use crate::machine::floors::Floors;
-use crate::names::named;
 use recorder::Latency;
+use results::names::named;
 use search::Search;
 
 /// The version of the format.
@@ -109,7 +109,7 @@ impl Profile {
         };
         save("profile.json", serde_json::to_vec_pretty(self)?)?;
         save("profile.csv", self.csv()?)?;
-        save("profile.html", crate::report::page(&page::document(self)?)?.into_bytes())
+        save("profile.html", results::report::page(&page::document(self)?)?.into_bytes())
     }
 
     /// A line for each latency, walked and searched.

@@ -5,18 +5,19 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use anyhow::Result;
+use domain::Outcome;
 use shm_types::ATTACH_VARIABLE;
-use shm_types::message::{Heartbeat, Role, ShutdownReport};
+use shm_types::message::{Decision, Heartbeat, NOT_MEASURED, Role, ShutdownReport};
 use shm_types::process::monotonic_ns;
 
 use crate::budget::Budget;
 use crate::lanes::{Owed, Spent, Stamps, Walked};
 use crate::latency::Latency;
-use crate::log::{EpisodeError, EpisodeTimings, RequestRecord, RunFolder, SessionEvent};
 use crate::pipeline::{Ending, Facts, Observer};
 use crate::progress::Progress;
 use crate::status::StatusFile;
 use crate::trace::Trace;
+use results::log::{EpisodeError, EpisodeTimings, RequestRecord, RunFolder, SessionEvent};
 
 /// Troubles that are said one by one; a process that talks rubbish does so often.
 const TROUBLES_SAID: u32 = 20;
@@ -96,7 +97,8 @@ impl<'a> Session<'a> {
             let more = self.troubles - TROUBLES_SAID;
             self.progress.note(&format!("{more} more such messages were not shown"));
         }
-        self.folder.measured(&self.latency)?;
+        let session = self.folder.session();
+        self.latency.records(session).try_for_each(|record| self.folder.measured(&record))?;
         self.progress.close();
         if let Some(trace) = self.trace {
             let path = trace.finish()?;
@@ -157,7 +159,7 @@ impl Observer for Session<'_> {
 
     fn spent(&mut self, spent: &Spent) -> Result<Option<String>> {
         let session = self.folder.session();
-        let request = RequestRecord::of(spent.key.clone(), session, &spent.decision);
+        let request = request_record(spent.key.clone(), session, &spent.decision);
         self.folder.asked(&request)?;
         self.budget.add(&request);
         Ok(self.budget.exceeded())
@@ -223,4 +225,27 @@ fn said_about(role: Role, said: &ShutdownReport) -> (String, BTreeMap<String, u6
     ];
     let counts = counts.into_iter().map(|(what, count)| (what.to_owned(), count));
     (role.word().to_owned(), counts.collect())
+}
+
+/// The record of the request that `decision` reports.
+fn request_record(key: String, session: u32, decision: &Decision) -> RequestRecord {
+    let measured = |count: u32| (count != NOT_MEASURED).then_some(count);
+    let latency_ns = decision.decided_ns.saturating_sub(decision.sent_ns);
+    RequestRecord {
+        key,
+        step: decision.step,
+        session,
+        // Decisions with an invalid outcome are dropped before.
+        outcome: Outcome::try_from(decision.outcome).unwrap_or(Outcome::Unreadable),
+        attempts: decision.attempts,
+        replayed: decision.replayed != 0,
+        latency_us: (decision.sent_ns > 0).then_some(latency_ns / 1000),
+        images_asked: decision.images_asked,
+        images: decision.images,
+        prompt_tokens: measured(decision.prompt_tokens),
+        completion_tokens: measured(decision.completion_tokens),
+        cached_tokens: measured(decision.cached_tokens),
+        image_tokens: measured(decision.image_tokens),
+        memory_tokens: measured(decision.memory_tokens),
+    }
 }

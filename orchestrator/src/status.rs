@@ -12,7 +12,8 @@ use serde::{Deserialize, Serialize};
 use shm_types::message::{Heartbeat, Role};
 
 use crate::lanes::{Owed, Stamps};
-use crate::latency::{Latency, Summary};
+use crate::latency::Latency;
+use results::latency::LatencySummary;
 
 /// Time between two writings.
 const INTERVAL: Duration = Duration::from_millis(500);
@@ -66,7 +67,7 @@ pub struct Stage {
     pub stage: String,
     /// The times.
     #[serde(flatten)]
-    pub summary: Summary,
+    pub summary: LatencySummary,
 }
 
 impl Status {
@@ -198,7 +199,7 @@ mod tests {
         let status = Status::read(run.path()).unwrap().unwrap();
         assert_eq!((status.episodes, status.steps, status.lanes), ((100, 40), 1, 8));
         assert_eq!((status.waiting["sim"], status.processes["sim"].held), (1, 7));
-        assert_eq!(status.stages.len(), crate::log::Stages::NAMES.len() + 1);
+        assert_eq!(status.stages.len(), results::log::Stages::NAMES.len() + 1);
 
         let dead = Status { pid: u32::MAX, ..status };
         fs::write(run.path().join(STATUS_FILE), serde_json::to_string(&dead).unwrap()).unwrap();

@@ -3,10 +3,11 @@
 
 use bytemuck::Zeroable;
 use domain::{Action, Feedback, Outcome, Pose, Representation};
-use orchestrator::conditions::{Condition, Demonstrations, Route, Start, Variation};
 use orchestrator::lanes::{Fault, Lanes, Opening, Rules, Turn, Walked};
-use orchestrator::log::Ending;
-use orchestrator::plan::{Episode, EpisodeKey};
+use orchestrator::plan::Episode;
+use results::conditions::{Condition, Demonstrations, Route, Start, Variation};
+use results::key::EpisodeKey;
+use results::log::Ending;
 use shm_types::message::{
     Decision, MemoryEpisodeConfig, NOT_MEASURED, Observation, RecallTrace, Role, StepCommand,
     StepKind,

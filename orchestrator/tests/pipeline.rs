@@ -11,10 +11,10 @@ use std::time::Duration;
 use anyhow::Result;
 use bytemuck::Zeroable;
 use domain::{Action, Feedback, Pose, Representation};
-use orchestrator::conditions::{Condition, Demonstrations, Route, Start, Variation};
 use orchestrator::lanes::{Lanes, Rules, Spent, Walked};
 use orchestrator::pipeline::{Crewing, Ending, Facts, Observer, walk};
 use orchestrator::plan::plan;
+use results::conditions::{Condition, Demonstrations, Route, Start, Variation};
 use shm_types::message::{
     Decision, Handshake, MemoryEpisodeConfig, NOT_MEASURED, Observation, PolicyEpisodeConfig,
     Recall, RecallTrace, Role, ShutdownReport, StepCommand, StepKind, Stop, WIRE_VERSION,

@@ -5,15 +5,15 @@
 
 mod variation;
 
-pub use variation::{Hint, SegmentContent, Variation};
-pub use variation::{is_default, is_standard_window, standard_window};
+pub use variation::{Hint, MAX_WINDOW, SegmentContent, Variation};
+pub(crate) use variation::{is_default, is_standard_window, standard_window};
 
 use std::fmt;
 use std::str::FromStr;
 
-use domain::{Representation, representation::Trajectories};
+use domain::Representation;
+use domain::representation::Trajectories;
 use serde::{Deserialize, Serialize};
-use shm_types::FrameControl;
 pub use warehouse::{Demonstrations, UnknownDemonstrations};
 
 use crate::names::{UnknownName, named};
@@ -85,17 +85,6 @@ impl PolicyKind {
         match self {
             Self::Grounded | Self::Openai | Self::External | Self::Random => true,
             Self::Expert => false,
-        }
-    }
-}
-
-impl Frames {
-    /// The word for it on the wire.
-    pub const fn control(self) -> FrameControl {
-        match self {
-            Self::Rendered => FrameControl::Rendered,
-            Self::Blank => FrameControl::Blank,
-            Self::Swapped => FrameControl::Swapped,
         }
     }
 }

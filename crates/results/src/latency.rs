@@ -1,185 +1,37 @@
-//! How long the stages of steps took, as histograms: percentiles say what means hide.
-//!
-//! To record a step allocates nothing, but the first time that a memory has one.
+//! The lines of `latency.jsonl`: percentiles of each stage of a step.
 
 use domain::Representation;
-use hdrhistogram::Histogram;
 use serde::{Deserialize, Serialize};
 
-use crate::log::Stages;
-use crate::stamps::Stamps;
-
-/// The longest time that is told from longer ones, in nanoseconds: an hour.
-const LONGEST_NS: u64 = 3_600_000_000_000;
-
-/// Significant decimal digits that are kept: to one per cent.
-const DIGITS: u8 = 2;
-
-const STAGES: usize = Stages::NAMES.len();
-
-/// Histograms of every stage, and of whole steps, by memory.
-#[derive(Debug, Default)]
-pub struct Latency {
-    memories: Vec<(Representation, Memory)>,
-}
-
-/// One memory's.
-#[derive(Debug)]
-struct Memory {
-    stages: [Histogram<u64>; STAGES],
-    step: Histogram<u64>,
-}
-
-/// One histogram, summed up. Times are microseconds.
+/// Summary of a latency histogram. Times are in microseconds, accurate to one percent.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Summary {
-    /// How many.
+pub struct LatencySummary {
+    /// Number of samples.
     pub count: u64,
     /// Mean.
     pub mean_us: f64,
     /// Median.
     pub p50_us: f64,
-    /// Nine out of ten take no longer.
+    /// 90th percentile.
     pub p90_us: f64,
-    /// 99 out of a hundred take no longer.
+    /// 99th percentile.
     pub p99_us: f64,
-    /// 999 out of a thousand take no longer.
+    /// 99.9th percentile.
     pub p999_us: f64,
-    /// The longest.
+    /// Maximum.
     pub max_us: f64,
 }
 
-/// A line of `latency.jsonl`: one stage of all steps that a session took under one memory.
+/// One stage of all steps that a session took with one memory.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct LatencyRecord {
     /// The session, from 1.
     pub session: u32,
     /// The memory.
     pub memory: Representation,
-    /// The stage, or `step` for all of them together.
+    /// The stage's name, or `step` for the sum of all stages.
     pub stage: String,
-    /// The times.
+    /// The distribution.
     #[serde(flatten)]
-    pub summary: Summary,
-}
-
-impl Latency {
-    /// Adds a step.
-    pub fn record(&mut self, stamps: &Stamps) {
-        let memory = self.of(stamps.memory);
-        let values = stamps.stages().values();
-        let mut sum = 0;
-        for (histogram, value) in memory.stages.iter_mut().zip(values) {
-            histogram.saturating_record(value);
-            sum += value;
-        }
-        memory.step.saturating_record(sum);
-    }
-
-    /// Whether nothing was recorded.
-    pub fn is_empty(&self) -> bool {
-        self.memories.is_empty()
-    }
-
-    /// Forgets everything, and keeps the room for it.
-    pub fn clear(&mut self) {
-        for (_, memory) in &mut self.memories {
-            memory.stages.iter_mut().chain([&mut memory.step]).for_each(Histogram::reset);
-        }
-    }
-
-    /// Every stage of every memory, and `step` for all stages together, in order.
-    pub fn summaries(&self) -> impl Iterator<Item = (Representation, &'static str, Summary)> + '_ {
-        self.memories.iter().filter(|(_, memory)| !memory.step.is_empty()).flat_map(
-            |(representation, memory)| {
-                let stages = Stages::NAMES.into_iter().zip(&memory.stages);
-                stages
-                    .chain([("step", &memory.step)])
-                    .map(|(stage, histogram)| (*representation, stage, Summary::of(histogram)))
-            },
-        )
-    }
-
-    /// The lines of `latency.jsonl` for `session`.
-    pub fn records(&self, session: u32) -> impl Iterator<Item = LatencyRecord> + '_ {
-        self.summaries().map(move |(memory, stage, summary)| LatencyRecord {
-            session,
-            memory,
-            stage: stage.to_owned(),
-            summary,
-        })
-    }
-
-    fn of(&mut self, representation: Representation) -> &mut Memory {
-        let at = self.memories.iter().position(|(known, _)| *known == representation);
-        let at = at.unwrap_or_else(|| {
-            self.memories.push((representation, Memory::new()));
-            self.memories.len() - 1
-        });
-        &mut self.memories[at].1
-    }
-}
-
-impl Memory {
-    fn new() -> Self {
-        Self { stages: std::array::from_fn(|_| histogram()), step: histogram() }
-    }
-}
-
-/// An empty histogram of times in nanoseconds.
-pub fn histogram() -> Histogram<u64> {
-    match Histogram::new_with_bounds(1, LONGEST_NS, DIGITS) {
-        Ok(histogram) => histogram,
-        Err(impossible) => unreachable!("the bounds are constants that it takes: {impossible}"),
-    }
-}
-
-impl Summary {
-    /// Of a histogram of nanoseconds.
-    pub fn of(histogram: &Histogram<u64>) -> Self {
-        let us = |ns: u64| ns as f64 / 1000.0;
-        let quantile = |q| us(histogram.value_at_quantile(q));
-        Self {
-            count: histogram.len(),
-            mean_us: histogram.mean() / 1000.0,
-            p50_us: quantile(0.5),
-            p90_us: quantile(0.9),
-            p99_us: quantile(0.99),
-            p999_us: quantile(0.999),
-            max_us: us(histogram.max()),
-        }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn percentiles_are_by_memory_and_stage_and_known_to_one_per_cent() {
-        let mut latency = Latency::default();
-        assert!(latency.is_empty());
-        for n in 1..=1000 {
-            let mut stamps = Stamps::none(1, 0, Representation::Episodic);
-            (stamps.commanded_ns, stamps.woken_ns) = (1, 1 + n * 1000);
-            latency.record(&stamps);
-        }
-        let of = |latency: &Latency, name: &str| {
-            let mut all = latency.summaries();
-            all.find(|&(memory, stage, _)| (memory, stage) == (Representation::Episodic, name))
-                .map(|(_, _, summary)| summary)
-        };
-        let command = of(&latency, "command").unwrap();
-        assert_eq!(command.count, 1000);
-        for (found, expected) in
-            [(command.p50_us, 500.0), (command.p99_us, 990.0), (command.max_us, 1000.0)]
-        {
-            assert!((found / expected - 1.0_f64).abs() < 0.01, "{found} for {expected}");
-        }
-        assert_eq!(of(&latency, "step").unwrap(), command);
-        assert_eq!(of(&latency, "embed").unwrap().max_us, 0.0);
-        assert_eq!(latency.records(3).count(), STAGES + 1);
-        latency.clear();
-        assert_eq!(latency.summaries().count(), 0);
-    }
+    pub summary: LatencySummary,
 }

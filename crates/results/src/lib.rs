@@ -1,19 +1,20 @@
-//! What a run was asked and what it did: settings, conditions, records, scores, statistics, tables, report.
+//! Runs as data: settings, records, scores, statistics, tables, report.
 //!
-//! Reads a run folder anywhere. Links no iceoryx2.
+//! Everything about a finished run follows from its folder: read it with [`log::RunLog::read`], score it with
+//! [`score::score`], print it with [`table::report`], write pages and data files with [`report::write`]. This works
+//! on any machine; the crate starts nothing and links no iceoryx2.
 
 pub mod compare;
 pub mod conditions;
+pub mod cost;
+pub mod events;
+pub mod key;
 pub mod latency;
 pub mod log;
 pub mod names;
-pub mod plan;
-pub mod prices;
 pub mod report;
 pub mod score;
 pub mod settings;
-pub mod shown;
-pub mod spending;
-pub mod stamps;
+pub mod step_view;
 pub mod table;
-pub mod witness;
+pub mod usage;

@@ -22,9 +22,9 @@ mod record;
 
 pub use folder::{Opened, REPORT_FOLDER, RunFolder, RunLog, STATUS_FILE};
 pub use journal::{Journal, read_journal};
-pub use manifest::{Difference, DocumentFacts, FORMAT, Manifest, commit_of};
+pub use manifest::{Difference, DocumentFacts, FORMAT, Manifest};
 pub use record::{
-    AnswerKind, Ending, EpisodeError, EpisodeRecord, EpisodeTimings, RequestRecord, SessionEvent,
+    Ending, EpisodeError, EpisodeRecord, EpisodeTimings, RequestRecord, SessionEvent,
     SessionRecord, Stages, Unread,
 };
 

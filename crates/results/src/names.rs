@@ -96,8 +96,17 @@ macro_rules! named {
             }
         }
 
+        $crate::serde_as_text!($name);
+    )*};
+}
+
+/// Lets serde read and write a type as the text of its `FromStr` and `Display`, given
+/// `#[serde(try_from = "String", into = "String")]`.
+#[macro_export]
+macro_rules! serde_as_text {
+    ($name:ty) => {
         impl TryFrom<String> for $name {
-            type Error = $crate::names::UnknownName;
+            type Error = <$name as std::str::FromStr>::Err;
 
             fn try_from(text: String) -> Result<Self, Self::Error> {
                 text.parse()
@@ -105,14 +114,14 @@ macro_rules! named {
         }
 
         impl From<$name> for String {
-            fn from(member: $name) -> Self {
-                member.name().to_owned()
+            fn from(value: $name) -> Self {
+                value.to_string()
             }
         }
-    )*};
+    };
 }
 
-pub use named;
+pub use {named, serde_as_text};
 
 #[cfg(test)]
 mod tests {

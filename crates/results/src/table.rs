@@ -11,7 +11,7 @@ use crate::score::{
     Comparison, ConditionScore, Difference, Failure, Interval, RequestScore, Scores, Spread,
     StageTimes, score,
 };
-use crate::settings::Settings;
+use crate::settings::RunSettings;
 use domain::Representation;
 
 /// What stands where nothing was measured, or nothing is defined.
@@ -169,7 +169,7 @@ fn requests(log: &RunLog) -> Option<Table> {
             found.unread.refused.to_string(),
             figure(found.latency_p50_ms, 0),
             figure(found.latency_p90_ms, 0),
-            figure((spent.untold == 0).then(|| spent.tokens() as f64 / 1e6), 3),
+            figure((spent.unknown == 0).then(|| spent.tokens() as f64 / 1e6), 3),
         ];
         row.extend(
             currency.map(|_| found.cost.map_or_else(|| ABSENT.to_owned(), |cost| cost.to_string())),
@@ -201,7 +201,7 @@ pub fn steps_per_second(rate: f64) -> String {
 }
 
 /// What makes the difference between a result and a test of the harness.
-pub fn standing(settings: &Settings) -> Vec<String> {
+pub fn standing(settings: &RunSettings) -> Vec<String> {
     let mut lines = vec![match settings.policy {
         PolicyKind::Grounded => {
             "Policy: grounded, a scripted stand-in. It tests the harness; its numbers are \
@@ -350,8 +350,8 @@ fn interval(interval: Option<Interval>, digits: usize) -> String {
 mod tests {
     use super::*;
     use crate::conditions::Demonstrations;
+    use crate::key::EpisodeKey;
     use crate::log::testing::{manifest, record, timings};
-    use crate::plan::EpisodeKey;
     use domain::Representation;
 
     #[test]

@@ -5,10 +5,10 @@ use std::collections::BTreeMap;
 use anyhow::Result;
 
 use crate::documents::{Builder, DocumentName, Library, State, Supply, needed};
-use crate::log::RunFolder;
 use crate::progress::BuildProgress;
-use crate::settings::{self, Settings};
 use crate::signals::Signals;
+use results::log::RunFolder;
+use results::settings::{DocumentSource, RunSettings};
 
 /// The documents that a run needs, and where they come from.
 #[derive(Debug)]
@@ -22,11 +22,11 @@ pub(super) struct Documents {
 
 impl Documents {
     /// Those of a run with `settings`.
-    pub(super) fn of(settings: &Settings) -> Self {
+    pub(super) fn of(settings: &RunSettings) -> Self {
         let (folder, builder) = match &settings.documents {
-            settings::Documents::Extractive => (None, Builder::Extractive),
-            settings::Documents::Model => (None, Builder::Anyone { of: "model" }),
-            settings::Documents::Folder(path) => {
+            DocumentSource::Extractive => (None, Builder::Extractive),
+            DocumentSource::Model => (None, Builder::Anyone { of: "model" }),
+            DocumentSource::Folder(path) => {
                 (Some(path.clone()), Builder::Anyone { of: "extractive" })
             }
         };

@@ -8,11 +8,11 @@ use serde_json::{Value, json};
 use warehouse::{Mixture, Overlap, Start, Task};
 
 use super::{Exit, WorldArgs, print, print_json};
-use crate::log::RunLog;
-use crate::score::score;
 use crate::settings::{Layer, Origin, load_suite, resolve, select_cases, shipped_suites};
-use crate::table::table;
 use crate::world::World;
+use results::log::RunLog;
+use results::score::score;
+use results::table::table;
 
 #[derive(Debug, Args)]
 #[command(after_help = "\

@@ -7,7 +7,7 @@ use clap::Args;
 use warehouse::map;
 
 use super::{Exit, WorldArgs, print};
-use crate::names::UnknownName;
+use results::names::UnknownName;
 
 #[derive(Debug, Args)]
 #[command(after_help = "\

@@ -14,7 +14,7 @@ use super::{Exit, print, print_json};
 use crate::documents::{Builder, DocumentName, Holding, Library, Model, kind};
 use crate::progress::BuildProgress;
 use crate::signals::Signals;
-use crate::table::table;
+use results::table::table;
 
 #[derive(Debug, Args)]
 #[command(after_help = "\

@@ -13,20 +13,20 @@ use shm_types::{RunDir, registry};
 use super::documents::Documents;
 use super::run::{attach, crewing, rules};
 use super::{Exit, print};
-use crate::conditions::{PolicyKind, Start, representation};
+use crate::commit::commit_of;
 use crate::lanes::Lanes;
-use crate::log::{RunFolder, commit_of};
 use crate::machine::{Machine, floors};
 use crate::pipeline;
 use crate::plan::plan;
 use crate::profile::recorder::Recorder;
 use crate::profile::summary::summary;
 use crate::profile::{Mode, Profile, SCHEMA, Walk, search};
-use crate::settings::{
-    Documents as DocumentSource, Layer, Origin, Settings, resolve, select_cases,
-};
+use crate::settings::{Layer, Origin, resolve, select_cases};
 use crate::signals::Signals;
 use crate::world::World;
+use results::conditions::{PolicyKind, Start, representation};
+use results::log::RunFolder;
+use results::settings::{DocumentSource, RunSettings};
 
 /// The folder with what a profile needs while it is made.
 const SCRATCH: &str = "scratch";
@@ -267,7 +267,7 @@ impl Scratch {
     }
 
     /// The settings of a walk.
-    fn settings(&self, args: &ProfileArgs, extent: &Extent, how: How) -> Result<Settings> {
+    fn settings(&self, args: &ProfileArgs, extent: &Extent, how: How) -> Result<RunSettings> {
         let memory =
             if args.memory.is_empty() { Representation::ALL.to_vec() } else { args.memory.clone() };
         let layer = Layer {
@@ -291,7 +291,7 @@ impl Scratch {
     /// Walks episodes; `None` when a signal asked to stop. Beside what was measured, what went wrong.
     fn walk(
         &self,
-        settings: &Settings,
+        settings: &RunSettings,
         world: &World,
         how: How,
         signals: &Signals,

@@ -6,8 +6,8 @@ use anyhow::bail;
 use clap::Args;
 
 use super::{Exit, print};
-use crate::log::{REPORT_FOLDER, RunLog};
-use crate::report;
+use results::log::{REPORT_FOLDER, RunLog};
+use results::report;
 
 #[derive(Debug, Args)]
 #[command(after_help = "\

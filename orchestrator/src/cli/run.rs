@@ -11,29 +11,28 @@ use domain::prompt_log::session_folder;
 use serde_json::{Map, Value};
 use shm_types::message::{Role, WIRE_VERSION};
 use shm_types::process::{check_shared_memory, shared_memory_space};
-use shm_types::{Attach, FrameSize, RunDir, Wait, registry};
+use shm_types::{Attach, FrameControl, FrameSize, RunDir, Wait, registry};
 
 use super::documents::Documents;
 use super::{Exit, print};
 use crate::budget::Budget;
-use crate::conditions::{Demonstrations, PolicyKind, Route, Start};
 use crate::estimate::{Basis, Estimate};
 use crate::frame_budget;
 use crate::lanes::{Lanes, Rules};
-use crate::log::{EpisodeRecord, FORMAT, Manifest, Opened, RunFolder, RunLog, commit_of};
 use crate::machine::memory_available;
 use crate::pipeline::{self, Crewing, Ending};
 use crate::plan::{Episode, plan};
-use crate::prices::ModelPrices;
 use crate::progress::Progress;
 use crate::session::Session;
-use crate::settings::{
-    Group, Layer, ModelSettings, Origin, Resolved, Settings, load_suite, resolve, select_cases,
-};
+use crate::settings::{Layer, Origin, Resolved, load_suite, resolve, select_cases};
 use crate::signals::{self, Signals};
-use crate::table;
 use crate::trace::Trace;
 use crate::world::World;
+use results::conditions::{Demonstrations, Frames, PolicyKind, Route, Start};
+use results::cost::ModelPrices;
+use results::log::{EpisodeRecord, FORMAT, Manifest, Opened, RunFolder, RunLog};
+use results::settings::{Group, ModelSettings, RunSettings};
+use results::table;
 use supervise::Launch;
 
 #[derive(Debug, Args)]
@@ -179,7 +178,7 @@ fn settings(said: Layer, matches: &ArgMatches) -> Result<Resolved> {
 }
 
 /// A combination that was asked for and does not exist should not go without a word.
-fn say_what_is_left_out(settings: &Settings) {
+fn say_what_is_left_out(settings: &RunSettings) {
     let groups = &settings.groups;
     let both = |group: &Group| {
         group.routes.contains(&Route::Blocked) && group.starts.contains(&Start::Original)
@@ -198,7 +197,7 @@ fn say_what_is_left_out(settings: &Settings) {
     }
 }
 
-fn episodes(settings: &Settings, world: &World) -> Result<Vec<Episode>> {
+fn episodes(settings: &RunSettings, world: &World) -> Result<Vec<Episode>> {
     let ids = world.case_ids();
     let cases = select_cases(&ids, &settings.cases, settings.limit)?;
     let episodes = plan(&settings.runs(), &cases, &ids, settings.seed);
@@ -209,18 +208,18 @@ fn episodes(settings: &Settings, world: &World) -> Result<Vec<Episode>> {
 }
 
 /// What the model's tokens cost, where that is said.
-fn prices(settings: &Settings) -> Result<Option<ModelPrices>> {
+fn prices(settings: &RunSettings) -> Result<Option<ModelPrices>> {
     let Some(model) = &settings.model else { return Ok(None) };
     model.prices.as_deref().map(|file| ModelPrices::read(file, &model.model)).transpose()
 }
 
-fn manifest(settings: &Settings, world: &World, episodes: usize) -> Manifest {
+fn manifest(settings: &RunSettings, world: &World, episodes: usize) -> Manifest {
     let program = std::env::current_exe().ok();
     Manifest {
         format: FORMAT,
         version: env!("CARGO_PKG_VERSION").to_owned(),
         wire_version: WIRE_VERSION,
-        commit: program.as_deref().and_then(Path::parent).and_then(commit_of),
+        commit: program.as_deref().and_then(Path::parent).and_then(crate::commit::commit_of),
         settings: settings.clone(),
         hashes: world.hashes.clone(),
         documents: BTreeMap::new(),
@@ -232,7 +231,7 @@ fn manifest(settings: &Settings, world: &World, episodes: usize) -> Manifest {
 
 /// What would run, touching nothing.
 fn dry_run(
-    settings: &Settings,
+    settings: &RunSettings,
     world: &World,
     manifest: &Manifest,
     episodes: &[Episode],
@@ -244,7 +243,7 @@ fn dry_run(
         let differences = manifest.differences(&log.manifest);
         if !differences.is_empty() && !log.episodes.is_empty() {
             let dir = settings.out.clone();
-            return Err(crate::log::LogError::OtherSettings { dir, differences }.into());
+            return Err(results::log::LogError::OtherSettings { dir, differences }.into());
         }
         done = log.episodes;
     }
@@ -374,7 +373,7 @@ fn estimate(estimates: &[(String, Estimate)], prices: Option<&ModelPrices>) -> S
 /// Walks the missing episodes, and writes down how that ended. Returns why it stopped early, if a process said
 /// that it should.
 fn walk(
-    settings: &Settings,
+    settings: &RunSettings,
     world: &World,
     missing: Vec<Episode>,
     folder: &mut RunFolder,
@@ -409,7 +408,7 @@ fn walk(
 }
 
 /// How the processes are started, with their logs in the folder `logs`, and how long they may take.
-pub(super) fn crewing(settings: &Settings, logs: PathBuf) -> Result<Crewing> {
+pub(super) fn crewing(settings: &RunSettings, logs: PathBuf) -> Result<Crewing> {
     let deadline = Duration::from_secs(settings.step_timeout.into());
     Ok(Crewing {
         launches: launches(settings)?,
@@ -423,7 +422,7 @@ pub(super) fn crewing(settings: &Settings, logs: PathBuf) -> Result<Crewing> {
 }
 
 /// What all episodes have in common.
-pub(super) fn rules(settings: &Settings) -> Result<Rules> {
+pub(super) fn rules(settings: &RunSettings) -> Result<Rules> {
     Ok(Rules {
         horizon: u8::try_from(settings.horizon).context("--horizon")?,
         keyframes: u8::try_from(settings.keyframes).context("--keyframes")?,
@@ -434,7 +433,7 @@ pub(super) fn rules(settings: &Settings) -> Result<Rules> {
 
 /// What every process of the run is told.
 pub(super) fn attach(
-    settings: &Settings,
+    settings: &RunSettings,
     world: &World,
     missing: &[Episode],
     run: &RunDir,
@@ -457,7 +456,7 @@ pub(super) fn attach(
         window: windows.max().unwrap_or(0),
         frame: FrameSize { width: settings.frame_size, height: settings.frame_size },
         wait: Wait { spin_us: settings.spin_us },
-        frame_control: settings.frames.control(),
+        frame_control: frame_control(settings.frames),
         prompts,
         ..run.attach()
     };
@@ -488,8 +487,17 @@ pub(super) fn attach(
     Ok(attach)
 }
 
+/// The control that the simulator applies to frames.
+const fn frame_control(frames: Frames) -> FrameControl {
+    match frames {
+        Frames::Rendered => FrameControl::Rendered,
+        Frames::Blank => FrameControl::Blank,
+        Frames::Swapped => FrameControl::Swapped,
+    }
+}
+
 /// The processes that a run starts.
-fn launches(settings: &Settings) -> Result<Vec<Launch>> {
+fn launches(settings: &RunSettings) -> Result<Vec<Launch>> {
     let launch = |role, program, arguments: &[(&str, Option<String>)]| {
         let mut args = vec!["serve".into()];
         for (flag, value) in arguments {
@@ -525,7 +533,7 @@ fn launches(settings: &Settings) -> Result<Vec<Launch>> {
 }
 
 /// The policy's process, unless somebody else starts it.
-fn policy_launch(settings: &Settings) -> Result<Option<Launch>> {
+fn policy_launch(settings: &RunSettings) -> Result<Option<Launch>> {
     if settings.policy == PolicyKind::External {
         let command = settings.policy_cmd.as_deref();
         return command.map(|command| Launch::command(Role::Policy, command)).transpose();

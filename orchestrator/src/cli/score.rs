@@ -6,10 +6,10 @@ use clap::Args;
 use serde::Serialize;
 
 use super::{Exit, print, print_json};
-use crate::compare::{compare_conditions, compare_runs};
-use crate::log::RunLog;
-use crate::score::Comparison;
-use crate::{score, table};
+use results::compare::{compare_conditions, compare_runs};
+use results::log::RunLog;
+use results::score::Comparison;
+use results::{score, table};
 
 #[derive(Debug, Args)]
 #[command(after_help = "\

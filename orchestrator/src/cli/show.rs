@@ -10,9 +10,9 @@ use anyhow::{Context, Result, bail};
 use clap::Args;
 
 use super::{Exit, print, print_json};
-use crate::log::{EpisodeRecord, RunLog};
-use crate::names::UnknownName;
-use crate::shown::{Prompt, look_up};
+use results::log::{EpisodeRecord, RunLog};
+use results::names::UnknownName;
+use results::step_view::{Prompt, look_up};
 
 #[derive(Debug, Args)]
 #[command(after_help = "\

@@ -12,7 +12,7 @@ use shm_types::message::Role;
 
 use super::{Exit, print, print_json};
 use crate::status::Status;
-use crate::table::table;
+use results::table::table;
 
 /// How often the screen is drawn anew.
 const INTERVAL: Duration = Duration::from_millis(500);

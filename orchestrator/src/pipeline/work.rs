@@ -9,7 +9,8 @@
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
-use crate::plan::{Episode, EpisodeKey};
+use crate::plan::Episode;
+use results::key::EpisodeKey;
 
 /// How often an episode is walked before it is left unfinished, when others may be to blame for it.
 const WALKS: u32 = 12;
@@ -185,7 +186,7 @@ mod tests {
     use domain::Representation;
 
     use super::*;
-    use crate::conditions::{Condition, Demonstrations, Route, Start, Variation};
+    use results::conditions::{Condition, Demonstrations, Route, Start, Variation};
 
     const LANES: usize = 16;
 

@@ -7,7 +7,7 @@ use domain::Representation;
 
 use super::recorder::{Latency, Part, StepKind, Times};
 use super::{Mode, Profile, Walk};
-use crate::report::{
+use results::report::{
     Block, Cell, Column, Curve, Curves, Document, Figure, Group, Row, Section, Stack, StackRow,
     Table, curves, stack,
 };

@@ -12,8 +12,8 @@ use serde::{Deserialize, Serialize};
 use shm_types::message::Role;
 
 use crate::lanes::{Spent, Stamps, Walked};
-use crate::names::named;
 use crate::pipeline::{Facts, Observer};
+use results::names::named;
 
 /// Longest time that is told apart: an hour.
 const LONGEST_NS: u64 = 3_600_000_000_000;

@@ -5,7 +5,7 @@ use domain::Representation;
 use super::page::{find, ns};
 use super::recorder::{Part, StepKind};
 use super::{Mode, Profile};
-use crate::table::table;
+use results::table::table;
 
 /// The tables: accesses by representation, searches by size, and the floors in a line.
 pub fn summary(profile: &Profile) -> String {

@@ -6,7 +6,6 @@
 use std::fmt;
 
 use serde::{Deserialize, Serialize};
-use shm_types::message::MAX_WINDOW;
 
 use crate::names::named;
 
@@ -43,6 +42,9 @@ pub struct Variation {
     pub hint: Hint,
 }
 
+/// The longest window that a condition may have.
+pub const MAX_WINDOW: u32 = 32;
+
 impl Variation {
     /// The paper's standard: h = 6, actions with their views, the hint where it is true.
     pub const STANDARD: Self = Self { window: 6, segment: SegmentContent::Actions, hint: Hint::On };
@@ -55,8 +57,8 @@ impl Default for Variation {
 }
 
 impl SegmentContent {
-    /// The word for it on the wire.
-    pub const fn content(self) -> domain::SegmentContent {
+    /// The code for it on the wire.
+    pub const fn code(self) -> domain::SegmentContent {
         match self {
             Self::Actions => domain::SegmentContent::Actions,
             Self::Images => domain::SegmentContent::Images,
@@ -76,16 +78,16 @@ impl Default for Hint {
     }
 }
 
-/// For the log, which leaves out what is standard.
-pub fn standard_window() -> u32 {
+// For records, which leave out values that are standard.
+pub(crate) fn standard_window() -> u32 {
     Variation::STANDARD.window
 }
 
-pub fn is_standard_window(window: &u32) -> bool {
+pub(crate) fn is_standard_window(window: &u32) -> bool {
     *window == standard_window()
 }
 
-pub fn is_default<T: Default + PartialEq>(value: &T) -> bool {
+pub(crate) fn is_default<T: Default + PartialEq>(value: &T) -> bool {
     *value == T::default()
 }
 
@@ -109,10 +111,10 @@ impl fmt::Display for Variation {
 impl Variation {
     /// Reads one of the parts that [`Display`](fmt::Display) writes, without its slash. `false` when it is
     /// none.
-    pub fn read(&mut self, part: &str) -> bool {
+    pub(super) fn read(&mut self, part: &str) -> bool {
         let window = part.strip_prefix('h').and_then(|digits| digits.parse().ok());
         match (window, part) {
-            (Some(window), _) if window <= MAX_WINDOW as u32 => self.window = window,
+            (Some(window), _) if window <= MAX_WINDOW => self.window = window,
             (_, "images") => self.segment = SegmentContent::Images,
             (_, "no-hint") => self.hint = Hint::Off,
             _ => return false,

@@ -12,7 +12,7 @@ use super::{
     EpisodeError, EpisodeRecord, EpisodeTimings, Journal, LogError, Manifest, RequestRecord,
     SessionEvent, SessionRecord, read_journal, system,
 };
-use crate::latency::{Latency, LatencyRecord};
+use crate::latency::LatencyRecord;
 
 /// Name of the file in a run's folder.
 pub const STATUS_FILE: &str = "status.json";
@@ -249,12 +249,12 @@ impl RunFolder {
         self.sessions.sync()
     }
 
-    /// Keeps how long the stages of this session's steps took.
+    /// Adds a line about the latency of a stage.
     ///
     /// # Errors
     /// When the system refuses.
-    pub fn measured(&mut self, latency: &Latency) -> Result<(), LogError> {
-        latency.records(self.session).try_for_each(|record| self.latency.append(&record))
+    pub fn measured(&mut self, record: &LatencyRecord) -> Result<(), LogError> {
+        self.latency.append(record)
     }
 
     /// Puts what the processes said about themselves into the manifest, the first time; later says how

@@ -5,20 +5,19 @@ use std::fmt;
 use std::fs;
 use std::io::Write;
 use std::path::Path;
-use std::process::{Command, Stdio};
 
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
 
 use super::{LogError, system};
-use crate::prices::ModelPrices;
-use crate::settings::{FREE_KEYS, Settings};
+use crate::cost::ModelPrices;
+use crate::settings::{FREE_KEYS, RunSettings};
 
 /// Changes when a reader of the old files could not read the new ones.
 pub const FORMAT: u32 = 2;
 
 /// Name of the file in a run folder.
-pub const MANIFEST_FILE: &str = "manifest.json";
+pub(super) const MANIFEST_FILE: &str = "manifest.json";
 
 /// What a run is.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -32,7 +31,7 @@ pub struct Manifest {
     /// Commit of the checkout that the program lies in, if it lies in one; `+` when that has changes.
     pub commit: Option<String>,
     /// The settings, resolved.
-    pub settings: Settings,
+    pub settings: RunSettings,
     /// BLAKE3 hashes of layout, catalogue, cases, ... by name.
     pub hashes: BTreeMap<String, String>,
     /// The documents that memory supplies, by name: `summary/4`.
@@ -157,18 +156,4 @@ impl Manifest {
         }
         identity
     }
-}
-
-/// The commit of the checkout that `path` lies in, with a `+` when the checkout has changes; `None` outside
-/// of one, or without git.
-pub fn commit_of(path: &Path) -> Option<String> {
-    let git = |arguments: &[&str]| {
-        let output =
-            Command::new("git").arg("-C").arg(path).args(arguments).stderr(Stdio::null()).output();
-        let output = output.ok().filter(|output| output.status.success())?;
-        String::from_utf8(output.stdout).ok()
-    };
-    let commit = git(&["rev-parse", "HEAD"])?;
-    let changed = !git(&["status", "--porcelain", "--untracked-files=no"])?.is_empty();
-    Some(format!("{}{}", commit.trim(), if changed { "+" } else { "" }))
 }

@@ -8,14 +8,13 @@ use std::collections::BTreeMap;
 
 use domain::{Outcome, Pose, Representation};
 use serde::{Deserialize, Serialize};
-use shm_types::message::{Decision, NOT_MEASURED};
 
 use crate::conditions::{
     Condition, Demonstrations, Hint, Route, SegmentContent, Start, Variation, is_default,
     is_standard_window, standard_window,
 };
+use crate::events::{Requirement, Visit};
 use crate::names::named;
-use crate::witness::{Requirement, Visit};
 
 named! {
     /// How an episode ended.
@@ -27,36 +26,11 @@ named! {
     }
 }
 
-named! {
-    /// How an answer came out, as on the wire.
-    AnswerKind, "outcome" {
-        /// An action was chosen.
-        Acted = "acted",
-        /// There was an answer, and no action in it.
-        Unreadable = "unreadable",
-        /// The answer was empty.
-        Empty = "empty",
-        /// The model refused.
-        Refused = "refused",
-    }
-}
-
-impl From<Outcome> for AnswerKind {
-    fn from(outcome: Outcome) -> Self {
-        match outcome {
-            Outcome::Acted => Self::Acted,
-            Outcome::Unreadable => Self::Unreadable,
-            Outcome::Empty => Self::Empty,
-            Outcome::Refused => Self::Refused,
-        }
-    }
-}
-
 /// One finished episode.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct EpisodeRecord {
-    /// The [`EpisodeKey`](crate::plan::EpisodeKey) as it is written: unique in the log.
+    /// The [`EpisodeKey`](crate::key::EpisodeKey) as it is written: unique in the log.
     pub key: String,
     /// Which memory.
     pub memory: Representation,
@@ -241,7 +215,8 @@ pub struct RequestRecord {
     /// The session, from 1.
     pub session: u32,
     /// How the answer came out.
-    pub outcome: AnswerKind,
+    #[serde(with = "outcome_word")]
+    pub outcome: Outcome,
     /// Requests that were sent for it, failed ones included.
     pub attempts: u32,
     /// Whether the reply was one that had been kept from an earlier request: it cost nothing this time.
@@ -271,28 +246,20 @@ pub struct RequestRecord {
     pub memory_tokens: Option<u32>,
 }
 
-impl RequestRecord {
-    /// What `decision` says it took, for the episode called `key` in `session`.
-    pub fn of(key: String, session: u32, decision: &Decision) -> Self {
-        let told = |count: u32| (count != NOT_MEASURED).then_some(count);
-        let latency_ns = decision.decided_ns.saturating_sub(decision.sent_ns);
-        Self {
-            key,
-            step: decision.step,
-            session,
-            // Decisions without an outcome do not come here.
-            outcome: Outcome::try_from(decision.outcome).unwrap_or(Outcome::Unreadable).into(),
-            attempts: decision.attempts,
-            replayed: decision.replayed != 0,
-            latency_us: (decision.sent_ns > 0).then_some(latency_ns / 1000),
-            images_asked: decision.images_asked,
-            images: decision.images,
-            prompt_tokens: told(decision.prompt_tokens),
-            completion_tokens: told(decision.completion_tokens),
-            cached_tokens: told(decision.cached_tokens),
-            image_tokens: told(decision.image_tokens),
-            memory_tokens: told(decision.memory_tokens),
-        }
+/// Writes an [`Outcome`] as its word.
+mod outcome_word {
+    use domain::Outcome;
+    use serde::de::{Deserialize, Deserializer, Error};
+    use serde::ser::Serializer;
+
+    pub(super) fn serialize<S: Serializer>(outcome: &Outcome, to: S) -> Result<S::Ok, S::Error> {
+        to.serialize_str(outcome.word())
+    }
+
+    pub(super) fn deserialize<'de, D: Deserializer<'de>>(from: D) -> Result<Outcome, D::Error> {
+        let word = String::deserialize(from)?;
+        let outcome = Outcome::ALL.iter().find(|outcome| outcome.word() == word);
+        outcome.copied().ok_or_else(|| D::Error::custom(format!("unknown outcome `{word}`")))
     }
 }
 

@@ -2,30 +2,71 @@
 
 use std::collections::BTreeMap;
 
-use domain::{Heading, Pose, Representation};
-use shm_types::message::WIRE_VERSION;
+use domain::{Heading, Outcome, Pose, Representation};
 
 use super::{
-    AnswerKind, Ending, EpisodeRecord, EpisodeTimings, FORMAT, Manifest, RequestRecord, Stages,
-    Unread,
+    Ending, EpisodeRecord, EpisodeTimings, FORMAT, Manifest, RequestRecord, Stages, Unread,
 };
-use crate::conditions::{Condition, Demonstrations, Route, Start, Variation};
-use crate::plan::EpisodeKey;
-use crate::settings::{Layer, Origin, resolve};
+use crate::conditions::{Condition, Demonstrations, Frames, PolicyKind, Route, Start, Variation};
+use crate::key::EpisodeKey;
+use crate::settings::{CaseSelector, DocumentSource, Group, RunSettings, SuiteName};
 
 /// The manifest of a run with every setting at its default.
 pub fn manifest() -> Manifest {
     Manifest {
         format: FORMAT,
         version: "1.2.3".to_owned(),
-        wire_version: WIRE_VERSION,
+        wire_version: 4,
         commit: None,
-        settings: resolve([(Origin::Default, Layer::defaults())]).unwrap().settings,
+        settings: settings(),
         hashes: BTreeMap::from([("layout".to_owned(), "00".to_owned())]),
         documents: BTreeMap::new(),
         prices: None,
         episodes: 4,
         processes: BTreeMap::new(),
+    }
+}
+
+/// The settings of the quick suite's shape with every value at its default.
+pub fn settings() -> RunSettings {
+    RunSettings {
+        suite: SuiteName::quick(),
+        policy: PolicyKind::Grounded,
+        policy_cmd: None,
+        groups: vec![Group {
+            name: None,
+            memory: Representation::ALL.to_vec(),
+            starts: Start::ALL.to_vec(),
+            routes: vec![Route::Unchanged],
+            demos: vec![Demonstrations::ORIGINAL],
+            window: vec![Variation::STANDARD.window],
+            segment: vec![Variation::STANDARD.segment],
+            hint: vec![Variation::STANDARD.hint],
+            runs: 1,
+        }],
+        cases: vec![CaseSelector::All],
+        limit: None,
+        seed: 1,
+        max_steps: 200,
+        horizon: 6,
+        keyframes: 40,
+        documents: DocumentSource::Extractive,
+        frame_size: 448,
+        frames: Frames::Rendered,
+        encoder: "dinov2-s14".to_owned(),
+        encoder_file: None,
+        model: None,
+        assets: None,
+        out: "runs/quick-grounded".into(),
+        log_prompts: false,
+        lanes: 16,
+        encoder_threads: None,
+        frame_budget: None,
+        adapter: None,
+        warm_views: false,
+        spin_us: 0,
+        step_timeout: 120,
+        start_timeout: 300,
     }
 }
 
@@ -114,7 +155,7 @@ pub fn request(key: &str, step: u32) -> RequestRecord {
         key: key.to_owned(),
         step,
         session: 1,
-        outcome: AnswerKind::Acted,
+        outcome: Outcome::Acted,
         attempts: 1,
         replayed: false,
         latency_us: Some(500_000),

@@ -9,7 +9,7 @@ use super::frame::Frame;
 ///
 /// # Errors
 /// When `out` refuses.
-pub fn write_table(table: &Table, out: impl Write) -> csv::Result<()> {
+pub(super) fn write_table(table: &Table, out: impl Write) -> csv::Result<()> {
     let mut writer = csv::Writer::from_writer(out);
     let columns = table.columns.iter().map(|column| match column.over.as_str() {
         "" => column.name.clone(),
@@ -30,7 +30,7 @@ pub fn write_table(table: &Table, out: impl Write) -> csv::Result<()> {
 ///
 /// # Errors
 /// When `out` refuses.
-pub fn write_frame(frame: &Frame, out: impl Write) -> csv::Result<()> {
+pub(super) fn write_frame(frame: &Frame, out: impl Write) -> csv::Result<()> {
     let mut writer = csv::Writer::from_writer(out);
     writer.write_record(frame.columns.iter().map(|column| &column.name))?;
     for row in 0..frame.rows() {

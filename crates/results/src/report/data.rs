@@ -6,8 +6,8 @@ use super::frame::{Builder, Frame};
 use super::view::View;
 use crate::compare::run_name;
 use crate::conditions::Condition;
+use crate::key::EpisodeKey;
 use crate::log::{EpisodeError, EpisodeRecord, EpisodeTimings, RunLog, Stages};
-use crate::plan::EpisodeKey;
 use crate::score::{ConditionScore, Derived, Failure, Spread, group_of};
 
 /// An episode of a run: finished, or given up.
@@ -50,7 +50,7 @@ impl<'a> Episode<'a> {
 
 /// Every episode of the runs. An episode that was given up has the ending `given-up`, its key, its condition, and
 /// no other figure.
-pub fn episodes(logs: &[RunLog]) -> Frame {
+pub(super) fn episodes(logs: &[RunLog]) -> Frame {
     let mut rows = Vec::new();
     for log in logs {
         let timings: BTreeMap<&str, &EpisodeTimings> =
@@ -110,7 +110,7 @@ pub fn episodes(logs: &[RunLog]) -> Frame {
 }
 
 /// Every condition of the runs, with every figure and what the paper prints.
-pub fn conditions(views: &[View<'_>]) -> Frame {
+pub(super) fn conditions(views: &[View<'_>]) -> Frame {
     let rows: Vec<(&View<'_>, &ConditionScore)> = views
         .iter()
         .flat_map(|view| view.scores.conditions.iter().map(move |score| (view, score)))

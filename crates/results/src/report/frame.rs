@@ -62,37 +62,37 @@ impl Values {
 
 /// Makes a [`Frame`] of a list, column by column.
 #[derive(Debug)]
-pub struct Builder<'a, T> {
+pub(super) struct Builder<'a, T> {
     rows: &'a [T],
     columns: Vec<Series>,
 }
 
 impl<'a, T> Builder<'a, T> {
-    pub fn new(rows: &'a [T]) -> Self {
+    pub(super) fn new(rows: &'a [T]) -> Self {
         Self { rows, columns: Vec::new() }
     }
 
-    pub fn text(&mut self, name: impl Into<String>, value: impl Fn(&T) -> Option<String>) {
+    pub(super) fn text(&mut self, name: impl Into<String>, value: impl Fn(&T) -> Option<String>) {
         let values = Values::Text(self.rows.iter().map(value).collect());
         self.columns.push(Series { name: name.into(), values });
     }
 
-    pub fn whole(&mut self, name: impl Into<String>, value: impl Fn(&T) -> Option<i64>) {
+    pub(super) fn whole(&mut self, name: impl Into<String>, value: impl Fn(&T) -> Option<i64>) {
         let values = Values::Whole(self.rows.iter().map(value).collect());
         self.columns.push(Series { name: name.into(), values });
     }
 
-    pub fn real(&mut self, name: impl Into<String>, value: impl Fn(&T) -> Option<f64>) {
+    pub(super) fn real(&mut self, name: impl Into<String>, value: impl Fn(&T) -> Option<f64>) {
         let values = Values::Real(self.rows.iter().map(value).collect());
         self.columns.push(Series { name: name.into(), values });
     }
 
-    pub fn flag(&mut self, name: impl Into<String>, value: impl Fn(&T) -> Option<bool>) {
+    pub(super) fn flag(&mut self, name: impl Into<String>, value: impl Fn(&T) -> Option<bool>) {
         let values = Values::Flag(self.rows.iter().map(value).collect());
         self.columns.push(Series { name: name.into(), values });
     }
 
-    pub fn finish(self) -> Frame {
+    pub(super) fn finish(self) -> Frame {
         Frame { columns: self.columns }
     }
 }

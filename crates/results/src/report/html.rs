@@ -15,6 +15,6 @@ struct Page<'a> {
 ///
 /// # Errors
 /// When the template refuses, which it does not.
-pub fn render(document: &Document) -> askama::Result<String> {
+pub(super) fn render(document: &Document) -> askama::Result<String> {
     Page { document, style: include_str!("../../templates/report.css") }.render()
 }

@@ -14,7 +14,7 @@ struct Markdown<'a> {
 ///
 /// # Errors
 /// When the template refuses, which it does not.
-pub fn render(document: &Document) -> askama::Result<String> {
+pub(super) fn render(document: &Document) -> askama::Result<String> {
     let text = Markdown { document }.render()?;
     // A template leaves empty lines where its instructions stood.
     let mut lines: Vec<&str> = Vec::new();

@@ -16,7 +16,7 @@ use super::frame::{Frame, Values};
 ///
 /// # Errors
 /// When `out` refuses.
-pub fn write_frame(frame: &Frame, out: impl Write + Send) -> Result<()> {
+pub(super) fn write_frame(frame: &Frame, out: impl Write + Send) -> Result<()> {
     let fields: Result<Vec<TypePtr>> =
         frame.columns.iter().map(|column| field(&column.name, &column.values)).collect();
     let schema = Type::group_type_builder("memtransfer").with_fields(fields?).build()?;

@@ -9,7 +9,7 @@ mod dots;
 mod stack;
 
 pub use curves::{Curve, Curves, curves};
-pub use dots::{Dot, DotRow, Dots, dots};
+pub(super) use dots::{Dot, DotRow, Dots, dots};
 pub use stack::{Stack, StackRow, stack};
 
 use plotters::backend::SVGBackend;

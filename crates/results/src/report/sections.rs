@@ -17,8 +17,8 @@ mod runs;
 mod time;
 mod transfer;
 
-pub use method::method;
-pub use runs::runs;
+pub(super) use method::method;
+pub(super) use runs::runs;
 
 use super::document::{Block, Section};
 use super::plot::PlotError;
@@ -46,7 +46,7 @@ const PARTS: [Part; 12] = [
 ///
 /// # Errors
 /// When a figure cannot be drawn.
-pub fn sections(view: &View<'_>, level: u8) -> Result<Vec<Section>, PlotError> {
+pub(super) fn sections(view: &View<'_>, level: u8) -> Result<Vec<Section>, PlotError> {
     let section = |&(id, title, blocks): &Part| {
         let blocks = blocks(view)?;
         Ok(Section { id: view.id(&format!("s-{id}")), level, title: title.to_owned(), blocks })
@@ -55,7 +55,7 @@ pub fn sections(view: &View<'_>, level: u8) -> Result<Vec<Section>, PlotError> {
 }
 
 /// Where the run's figures come from.
-pub fn provenance(view: &View<'_>, level: u8) -> Section {
+pub(super) fn provenance(view: &View<'_>, level: u8) -> Section {
     Section {
         id: view.id("s-provenance"),
         level,

@@ -3,21 +3,32 @@
 use domain::{Action, Heading, Pose, Representation};
 
 use crate::conditions::{Condition, Demonstrations, Route, SegmentContent, Start, Variation};
-use crate::log::testing::{manifest, record, timings};
+use crate::events::{Requirement, Visit};
+use crate::key::EpisodeKey;
+use crate::log::testing::{manifest, record, settings, timings};
 use crate::log::{Ending, EpisodeRecord, RunLog, Unread};
-use crate::plan::{EpisodeKey, seed_of};
-use crate::settings::{Layer, Origin, load_suite, resolve};
-use crate::witness::{Requirement, Visit};
+use crate::settings::{Group, RunSettings};
 
 /// Every condition of the shipped suite `paper`, each with its number of runs.
-pub fn paper_conditions() -> Vec<(Condition, u32)> {
-    let suite = load_suite(&"paper".parse().unwrap(), None).unwrap();
-    let layers = [(Origin::Default, Layer::defaults()), (Origin::Suite, suite)];
-    resolve(layers).unwrap().settings.runs()
+pub(crate) fn paper_conditions() -> Vec<(Condition, u32)> {
+    let suite: toml::Table = include_str!("../../../../assets/suites/paper.toml").parse().unwrap();
+    let default = toml::Value::try_from(settings().groups.remove(0)).unwrap();
+    let group = |group: &toml::Value| -> Group {
+        let mut table = default.as_table().unwrap().clone();
+        let group = group.as_table().unwrap();
+        for (key, value) in suite.iter().chain(group) {
+            if key == "name" || table.contains_key(key) {
+                table.insert(key.clone(), value.clone());
+            }
+        }
+        table.try_into().unwrap()
+    };
+    let groups = suite["group"].as_array().unwrap().iter().map(group).collect();
+    RunSettings { groups, ..settings() }.runs()
 }
 
 /// A run of `conditions` on ten cases of each of `tasks`.
-pub fn made_up(conditions: &[(Condition, u32)], tasks: &[u8]) -> RunLog {
+pub(crate) fn made_up(conditions: &[(Condition, u32)], tasks: &[u8]) -> RunLog {
     let mut episodes = Vec::new();
     for &(condition, runs) in conditions {
         for run in 1..=runs {
@@ -137,5 +148,6 @@ fn hash(key: &EpisodeKey, change: impl Fn(&mut EpisodeKey)) -> u64 {
     key.condition.demonstrations =
         conditions[usize::from(key.condition.memory != Representation::Working)];
     (key.condition.start, key.condition.route) = (Start::New, Route::Unchanged);
-    seed_of(7, &key)
+    let hash = blake3::hash(key.to_string().as_bytes());
+    u64::from_le_bytes(*hash.as_bytes().first_chunk().unwrap())
 }

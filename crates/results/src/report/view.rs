@@ -11,33 +11,33 @@ use crate::score::{ConditionScore, Interval, Scores, Spread};
 
 /// One run, scored.
 #[derive(Debug)]
-pub struct View<'a> {
-    pub log: &'a RunLog,
-    pub scores: Scores,
-    pub published: &'a Published,
+pub(super) struct View<'a> {
+    pub(super) log: &'a RunLog,
+    pub(super) scores: Scores,
+    pub(super) published: &'a Published,
     /// What ids of tables and figures begin with; empty for a single run.
-    pub prefix: String,
+    pub(super) prefix: String,
 }
 
 impl View<'_> {
     /// An id of a table, figure or section.
-    pub fn id(&self, name: &str) -> String {
+    pub(super) fn id(&self, name: &str) -> String {
         format!("{}{name}", self.prefix)
     }
 
     /// What the run scored under the condition called `name`.
-    pub fn score(&self, name: &str) -> Option<&ConditionScore> {
+    pub(super) fn score(&self, name: &str) -> Option<&ConditionScore> {
         let condition: Condition = name.parse().ok()?;
         self.scores.of(&condition)
     }
 
     /// A cell of this run: what `figure` says of the condition called `name`, or that it was not run.
-    pub fn ours(&self, name: &str, figure: impl Fn(&ConditionScore) -> Cell) -> Cell {
+    pub(super) fn ours(&self, name: &str, figure: impl Fn(&ConditionScore) -> Cell) -> Cell {
         self.score(name).map_or(Cell::Missing(Missing::NotRun), figure)
     }
 
     /// A cell of the paper: what `figure` says of the condition called `name`, or why there is nothing.
-    pub fn theirs(
+    pub(super) fn theirs(
         &self,
         name: &str,
         figure: impl Fn(&PublishedCondition) -> Option<String>,
@@ -48,7 +48,7 @@ impl View<'_> {
 
     /// A row of this run and one of the paper for each representation; `names` gives the condition of each
     /// column.
-    pub fn pairs(
+    pub(super) fn pairs(
         &self,
         representations: &[Representation],
         ours: impl Fn(Representation) -> Vec<Cell>,
@@ -66,17 +66,17 @@ impl View<'_> {
 }
 
 /// The label of a row with a run's figures.
-pub const OURS: &str = "this run";
+pub(super) const OURS: &str = "this run";
 /// The label of a row with the paper's figures.
-pub const THEIRS: &str = "paper";
+pub(super) const THEIRS: &str = "paper";
 
 /// The labels of rows that come in pairs.
-pub fn pair_stubs() -> Vec<String> {
+pub(super) fn pair_stubs() -> Vec<String> {
     vec!["Representation".to_owned(), "Source".to_owned()]
 }
 
 /// A representation as the paper's tables call it.
-pub const fn title(representation: Representation) -> &'static str {
+pub(super) const fn title(representation: Representation) -> &'static str {
     match representation {
         Representation::Working => "Working memory",
         Representation::FullContext => "Full-context",
@@ -88,13 +88,13 @@ pub const fn title(representation: Representation) -> &'static str {
 }
 
 /// All but the baseline.
-pub fn historical() -> Vec<Representation> {
+pub(super) fn historical() -> Vec<Representation> {
     let uses = |representation: &Representation| representation.uses_demonstrations();
     Representation::ALL.iter().copied().filter(uses).collect()
 }
 
 /// The condition's name: `rest` is `start/route`, and working memory has no demonstrations.
-pub fn name(representation: Representation, rest: &str, demonstrations: &str) -> String {
+pub(super) fn name(representation: Representation, rest: &str, demonstrations: &str) -> String {
     let demonstrations = if representation.uses_demonstrations() { demonstrations } else { "none" };
     format!("{}/{rest}/{demonstrations}", representation.name())
 }
@@ -115,7 +115,7 @@ fn unpublished(name: &str) -> Cell {
 }
 
 /// `95.3 ± 0.6` with its interval below.
-pub fn sure(spread: Spread, digits: usize) -> Cell {
+pub(super) fn sure(spread: Spread, digits: usize) -> Cell {
     let figure = spread_text(spread, digits);
     match spread.interval {
         Some(found) => Cell::Sure { figure, interval: interval_text(found, digits) },
@@ -124,17 +124,17 @@ pub fn sure(spread: Spread, digits: usize) -> Cell {
 }
 
 /// The same; a figure that there is not is missing for the reason given.
-pub fn sure_or(spread: Option<Spread>, digits: usize, missing: Missing) -> Cell {
+pub(super) fn sure_or(spread: Option<Spread>, digits: usize, missing: Missing) -> Cell {
     spread.map_or(Cell::Missing(missing), |spread| sure(spread, digits))
 }
 
 /// A plain figure, or why there is none.
-pub fn plain_or(value: Option<f64>, digits: usize, missing: Missing) -> Cell {
+pub(super) fn plain_or(value: Option<f64>, digits: usize, missing: Missing) -> Cell {
     value.map_or(Cell::Missing(missing), |value| Cell::Value(format!("{value:.digits$}")))
 }
 
 /// Mean and standard deviation over runs.
-pub fn spread_text(spread: Spread, digits: usize) -> String {
+pub(super) fn spread_text(spread: Spread, digits: usize) -> String {
     match spread.std {
         Some(std) => format!("{:.digits$} ± {std:.digits$}", spread.mean),
         None => format!("{:.digits$}", spread.mean),
@@ -142,12 +142,12 @@ pub fn spread_text(spread: Spread, digits: usize) -> String {
 }
 
 /// An interval in brackets.
-pub fn interval_text(Interval { low, high }: Interval, digits: usize) -> String {
+pub(super) fn interval_text(Interval { low, high }: Interval, digits: usize) -> String {
     format!("[{low:.digits$}, {high:.digits$}]").replace('-', "−")
 }
 
 /// A published figure as the paper prints it.
-pub fn published_text(spread: PublishedSpread) -> String {
+pub(super) fn published_text(spread: PublishedSpread) -> String {
     match spread.std {
         Some(std) => format!("{:.1} ± {std:.1}", spread.mean),
         None => format!("{:.1}", spread.mean),
@@ -155,7 +155,7 @@ pub fn published_text(spread: PublishedSpread) -> String {
 }
 
 /// A typographic minus before negative numbers, a plus before others.
-pub fn signed(value: f64, digits: usize) -> String {
+pub(super) fn signed(value: f64, digits: usize) -> String {
     // Rounded first, so that nothing is printed as -0.0.
     let shown = format!("{:.digits$}", value.abs());
     let is_zero = shown.chars().all(|c| matches!(c, '0' | '.'));
@@ -167,13 +167,13 @@ pub fn signed(value: f64, digits: usize) -> String {
 }
 
 /// Columns of success rate and SPL for each of `settings`.
-pub fn rate_columns(settings: &[&str]) -> Vec<Column> {
+pub(super) fn rate_columns(settings: &[&str]) -> Vec<Column> {
     let both = |over: &&str| [Column::under(*over, "SR %"), Column::under(*over, "SPL")];
     settings.iter().flat_map(both).collect()
 }
 
 /// The run's cells under those columns, of the condition called `name`.
-pub fn our_rates(view: &View<'_>, name: &str) -> [Cell; 2] {
+pub(super) fn our_rates(view: &View<'_>, name: &str) -> [Cell; 2] {
     [
         view.ours(name, |score| sure(score.sr, 1)),
         view.ours(name, |score| Cell::Value(format!("{:.3}", score.spl.mean))),
@@ -181,7 +181,7 @@ pub fn our_rates(view: &View<'_>, name: &str) -> [Cell; 2] {
 }
 
 /// The paper's.
-pub fn their_rates(view: &View<'_>, name: &str) -> [Cell; 2] {
+pub(super) fn their_rates(view: &View<'_>, name: &str) -> [Cell; 2] {
     [
         view.theirs(name, |published| published.sr.map(published_text)),
         view.theirs(name, |published| published.spl.map(|spl| format!("{spl:.3}"))),

@@ -31,35 +31,35 @@ pub struct Derived {
 
 /// `F = 100 / N * sum b_i` of one run: how many tried to enter a newly closed cell. `N` are the episodes that
 /// finished, since of one that was given up b_i is not known.
-pub fn follow(trials: &[&Trial<'_>]) -> Option<f64> {
+pub(super) fn follow(trials: &[&Trial<'_>]) -> Option<f64> {
     percentage(trials.iter().filter_map(|trial| trial.tried_closed()))
 }
 
 /// `C = 100 * sum b_i s_i / sum b_i` of one run: how many of those succeeded all the same. Undefined, not
 /// zero, when no b_i is 1.
-pub fn recovery(trials: &[&Trial<'_>]) -> Option<f64> {
+pub(super) fn recovery(trials: &[&Trial<'_>]) -> Option<f64> {
     let tried = trials.iter().filter(|trial| trial.tried_closed() == Some(true));
     percentage(tried.map(|trial| trial.is_success()))
 }
 
 /// `Delta_r = (S_{r,blocked} - S_{r,unchanged}) - (S_{w,blocked} - S_{w,unchanged})`, where S are mean success
 /// rates and w is working memory: negative when blocking costs more than it costs the baseline.
-pub fn change(blocked: f64, unchanged: f64, baseline: [f64; 2]) -> f64 {
+pub(super) fn change(blocked: f64, unchanged: f64, baseline: [f64; 2]) -> f64 {
     let [baseline_blocked, baseline_unchanged] = baseline;
     (blocked - unchanged) - (baseline_blocked - baseline_unchanged)
 }
 
 /// `R_r = S_{r,blocked} / S_{r,unchanged}`: the part of the success rate that is left. Undefined when there
 /// was none.
-pub fn retention(blocked: f64, unchanged: f64) -> Option<f64> {
+pub(super) fn retention(blocked: f64, unchanged: f64) -> Option<f64> {
     (unchanged > 0.0).then(|| blocked / unchanged)
 }
 
 /// The four sets of episodes that [`change`] and [`retention`] need.
 #[derive(Debug, Clone, Copy)]
-pub struct Quartet<'t, 'a> {
-    pub blocked: &'t Trials<'a>,
-    pub unchanged: &'t Trials<'a>,
+pub(super) struct Quartet<'t, 'a> {
+    pub(super) blocked: &'t Trials<'a>,
+    pub(super) unchanged: &'t Trials<'a>,
     /// Working memory: blocked, unchanged. `None` when it was not run.
-    pub baseline: Option<[&'t Trials<'a>; 2]>,
+    pub(super) baseline: Option<[&'t Trials<'a>; 2]>,
 }

@@ -56,9 +56,9 @@ pub struct ConditionScore {
 
 /// What the intervals need of an episode.
 #[derive(Debug, Clone, Copy)]
-pub struct Outcome {
-    pub success: bool,
-    pub path_weight: f64,
+pub(super) struct Outcome {
+    pub(super) success: bool,
+    pub(super) path_weight: f64,
     tried_closed: Option<bool>,
 }
 
@@ -73,7 +73,7 @@ impl From<&Trial<'_>> for Outcome {
 }
 
 /// The repetitions of each case under each of the `arms`, of the cases that all arms have.
-pub fn paired<'a>(arms: &[&Trials<'a>]) -> BTreeMap<&'a str, Vec<Vec<Outcome>>> {
+pub(super) fn paired<'a>(arms: &[&Trials<'a>]) -> BTreeMap<&'a str, Vec<Vec<Outcome>>> {
     let by_case: Vec<_> = arms.iter().map(|trials| trials.cases()).collect();
     let Some(first) = by_case.first() else { return BTreeMap::new() };
     let repetitions = |case: &str| {
@@ -85,17 +85,17 @@ pub fn paired<'a>(arms: &[&Trials<'a>]) -> BTreeMap<&'a str, Vec<Vec<Outcome>>> 
     first.keys().filter_map(|case| Some((*case, repetitions(case)?))).collect()
 }
 
-pub fn rate(outcomes: &[Outcome]) -> Option<f64> {
+pub(super) fn rate(outcomes: &[Outcome]) -> Option<f64> {
     percentage(outcomes.iter().map(|outcome| outcome.success))
 }
 
-pub fn weight(outcomes: &[Outcome]) -> Option<f64> {
+pub(super) fn weight(outcomes: &[Outcome]) -> Option<f64> {
     mean(outcomes.iter().map(|outcome| outcome.path_weight))
 }
 
 /// The scores of `condition` from its `trials`; `None` when there are none. What takes other conditions to
 /// compute is added by [`relate`].
-pub fn score_condition(
+pub(super) fn score_condition(
     condition: Condition,
     trials: &Trials<'_>,
     timings: &BTreeMap<&str, &EpisodeTimings>,
@@ -157,7 +157,7 @@ fn stage_us(
 }
 
 /// Change and retention of each blocked condition, from its own unchanged route and working memory's two.
-pub fn relate(scores: &mut [ConditionScore], trials: &BTreeMap<Condition, Trials<'_>>) {
+pub(super) fn relate(scores: &mut [ConditionScore], trials: &BTreeMap<Condition, Trials<'_>>) {
     let rates: BTreeMap<Condition, f64> =
         scores.iter().map(|score| (score.condition, score.sr.mean)).collect();
     for score in scores {

@@ -9,9 +9,9 @@ use std::collections::BTreeSet;
 use domain::{Action, Pose};
 use serde::Serialize;
 
+use crate::events::Requirement;
 use crate::log::EpisodeRecord;
 use crate::names::named;
-use crate::witness::Requirement;
 
 named! {
     /// Why an episode failed: the first of these that applies, in this order.
@@ -194,9 +194,9 @@ mod tests {
     use domain::{Cell, Heading};
 
     use super::*;
+    use crate::events::Visit;
     use crate::log::Unread;
     use crate::log::testing::record;
-    use crate::witness::Visit;
 
     /// A failure of `task` that wanders without coming by twice: north up column 3, and so on.
     fn failed(task: u8, required: u32, met: &[u32]) -> EpisodeRecord {

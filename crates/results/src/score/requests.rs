@@ -3,13 +3,13 @@
 
 use std::collections::BTreeMap;
 
-use domain::Representation;
+use domain::{Outcome, Representation};
 use serde::Serialize;
 
-use crate::log::{AnswerKind, RequestRecord, RunLog, Unread};
-use crate::plan::EpisodeKey;
-use crate::settings::Amount;
-use crate::spending::Spending;
+use crate::cost::Amount;
+use crate::key::EpisodeKey;
+use crate::log::{RequestRecord, RunLog, Unread};
+use crate::usage::UsageTotals;
 
 /// What a set of questions took. A sum is absent when one of the questions that a server answered was not
 /// measured.
@@ -17,7 +17,7 @@ use crate::spending::Spending;
 pub struct RequestScore {
     /// What was spent.
     #[serde(flatten)]
-    pub spent: Spending,
+    pub spent: UsageTotals,
     /// Mean tokens of a prompt.
     pub prompt_tokens_each: Option<f64>,
     /// Percentage of the prompts' tokens that are injected memory, an estimate of the policy's.
@@ -60,7 +60,7 @@ impl RequestScore {
         if requests.is_empty() {
             return None;
         }
-        let spent = Spending::of(requests.iter().copied());
+        let spent = UsageTotals::of(requests.iter().copied());
         // Of the questions that a server answered.
         let sum = |count: fn(&RequestRecord) -> Option<u32>| {
             let sent = requests.iter().filter(|request| !request.replayed);
@@ -71,10 +71,10 @@ impl RequestScore {
         let mut unread = Unread::default();
         for request in requests {
             match request.outcome {
-                AnswerKind::Acted => {}
-                AnswerKind::Unreadable => unread.unreadable += 1,
-                AnswerKind::Empty => unread.empty += 1,
-                AnswerKind::Refused => unread.refused += 1,
+                Outcome::Acted => {}
+                Outcome::Unreadable => unread.unreadable += 1,
+                Outcome::Empty => unread.empty += 1,
+                Outcome::Refused => unread.refused += 1,
             }
         }
         let sent = requests.iter().filter(|request| !request.replayed);
@@ -83,7 +83,7 @@ impl RequestScore {
         let images = |count: fn(&RequestRecord) -> u32| -> u64 {
             requests.iter().map(|request| u64::from(count(request))).sum()
         };
-        let prices = log.manifest.prices.as_ref().filter(|_| spent.untold == 0);
+        let prices = log.manifest.prices.as_ref().filter(|_| spent.unknown == 0);
         Some(Self {
             prompt_tokens_each: prompt.map(|tokens| tokens as f64 / spent.requests as f64),
             memory_share: share(sum(|request| request.memory_tokens)),
@@ -119,10 +119,10 @@ mod tests {
             ..request(&key, 0)
         };
         let mut requests: Vec<_> = (1..=9).map(|n| of(n * 1000, 100)).collect();
-        requests.push(RequestRecord { outcome: AnswerKind::Empty, images: 5, ..of(90_000, 100) });
+        requests.push(RequestRecord { outcome: Outcome::Empty, images: 5, ..of(90_000, 100) });
         requests.push(RequestRecord { replayed: true, latency_us: None, ..request(&key, 0) });
         let mut manifest = manifest();
-        manifest.prices = Some(crate::prices::ModelPrices {
+        manifest.prices = Some(crate::cost::ModelPrices {
             currency: "EUR".to_owned(),
             prompt: "1".parse().unwrap(),
             cached_prompt: Some("0".parse().unwrap()),

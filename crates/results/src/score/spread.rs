@@ -28,19 +28,19 @@ impl Spread {
     }
 
     /// The same with an interval.
-    pub fn within(self, interval: Option<Interval>) -> Self {
+    pub(super) fn within(self, interval: Option<Interval>) -> Self {
         Self { interval, ..self }
     }
 }
 
 /// The mean; `None` of no values.
-pub fn mean(values: impl Iterator<Item = f64>) -> Option<f64> {
+pub(super) fn mean(values: impl Iterator<Item = f64>) -> Option<f64> {
     let (sum, count) = values.fold((0.0, 0_u32), |(sum, count), value| (sum + value, count + 1));
     (count > 0).then(|| sum / f64::from(count))
 }
 
 /// How many of a hundred are true; `None` of no values.
-pub fn percentage(values: impl Iterator<Item = bool>) -> Option<f64> {
+pub(super) fn percentage(values: impl Iterator<Item = bool>) -> Option<f64> {
     mean(values.map(|value| if value { 100.0 } else { 0.0 }))
 }
 

@@ -8,13 +8,13 @@ use super::spread::{Spread, mean, percentage};
 use super::trial::{Trial, Trials};
 
 /// `SR = 100 / N * sum s_i`, in percent, of the `N` episodes of one run.
-pub fn success_rate(trials: &[&Trial<'_>]) -> Option<f64> {
+pub(super) fn success_rate(trials: &[&Trial<'_>]) -> Option<f64> {
     percentage(trials.iter().map(|trial| trial.is_success()))
 }
 
 /// `SPL = 1 / N * sum s_i * l_i / max(p_i, l_i)`, from 0 to 1, of the `N` episodes of one run. `p_i` are the
 /// steps taken, `l_i` the length of the reference from the episode's start on its route; a failure adds 0.
-pub fn path_weighted(trials: &[&Trial<'_>]) -> Option<f64> {
+pub(super) fn path_weighted(trials: &[&Trial<'_>]) -> Option<f64> {
     mean(trials.iter().map(|trial| trial.path_weight()))
 }
 
@@ -33,7 +33,7 @@ fn by_name<S: serde::Serializer>(group: &Group, serializer: S) -> Result<S::Ok, 
 }
 
 /// The groups that have an episode.
-pub fn groups(trials: &Trials<'_>) -> Vec<GroupScore> {
+pub(super) fn groups(trials: &Trials<'_>) -> Vec<GroupScore> {
     let rate = |group: Group| {
         trials.over_runs(|run| {
             let of = |trial: &&&Trial<'_>| trial.task.map(group_of) == Some(group);

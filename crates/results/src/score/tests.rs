@@ -2,9 +2,9 @@
 
 use super::*;
 use crate::conditions::{Demonstrations, Route, Start};
+use crate::key::EpisodeKey;
 use crate::log::testing::{manifest, record, timings};
 use crate::log::{EpisodeError, EpisodeRecord, Stages, Unread};
-use crate::plan::EpisodeKey;
 use domain::Representation;
 
 fn log(records: Vec<EpisodeRecord>) -> RunLog {

@@ -5,7 +5,8 @@ use std::collections::BTreeMap;
 use serde::Serialize;
 
 use crate::log::{EpisodeTimings, RunLog, Stages};
-use domain::{Representation, representation::Trajectories};
+use domain::Representation;
+use domain::representation::Trajectories;
 
 /// Where the time of a step went, in microseconds.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -56,7 +57,7 @@ impl StageTimes {
 
 /// Whether a step under `memory` has the stage. Where no policy is `asked` (the expert) there is nothing to
 /// wait for after the view; where no view is looked up, nothing is embedded and searched.
-pub fn exists(stage: &str, memory: Representation, asked: bool) -> bool {
+pub(super) fn exists(stage: &str, memory: Representation, asked: bool) -> bool {
     match stage {
         "command" | "dynamics" | "render" | "publish" => true,
         "embed" | "search" => asked && memory.describe().trajectories == Trajectories::Segment,
@@ -65,7 +66,7 @@ pub fn exists(stage: &str, memory: Representation, asked: bool) -> bool {
 }
 
 /// Steps over running time, which is for each session from its first episode's start to its last one's end.
-pub fn steps_per_s(timings: &[EpisodeTimings]) -> Option<f64> {
+pub(super) fn steps_per_s(timings: &[EpisodeTimings]) -> Option<f64> {
     let mut sessions: BTreeMap<u32, (u64, u64)> = BTreeMap::new();
     for timings in timings {
         let (start, end) = sessions.entry(timings.session).or_insert((u64::MAX, 0));

@@ -7,8 +7,8 @@ use std::collections::BTreeMap;
 
 use super::spread::Spread;
 use crate::conditions::Condition;
+use crate::key::EpisodeKey;
 use crate::log::{EpisodeRecord, RunLog};
-use crate::plan::EpisodeKey;
 
 /// One episode as the formulas see it.
 #[derive(Debug, Clone, Copy)]

@@ -6,12 +6,12 @@ use std::str::FromStr;
 
 use serde::{Deserialize, Serialize};
 
-use crate::names::UnknownName;
+use crate::names::{UnknownName, serde_as_text};
 
 /// Where documents come from. Written `extractive`, `model`, or as a path, which has a slash.
 #[derive(Debug, Clone, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
-pub enum Documents {
+pub enum DocumentSource {
     /// The deterministic builder that needs no model.
     Extractive,
     /// The builder that asks a chat endpoint.
@@ -25,7 +25,7 @@ pub enum Documents {
 #[error("{0}; a folder is named by its path, for example ./documents")]
 pub struct UnknownDocuments(UnknownName);
 
-impl FromStr for Documents {
+impl FromStr for DocumentSource {
     type Err = UnknownDocuments;
 
     fn from_str(text: &str) -> Result<Self, UnknownDocuments> {
@@ -41,7 +41,7 @@ impl FromStr for Documents {
     }
 }
 
-impl fmt::Display for Documents {
+impl fmt::Display for DocumentSource {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Extractive => f.pad("extractive"),
@@ -51,19 +51,7 @@ impl fmt::Display for Documents {
     }
 }
 
-impl TryFrom<String> for Documents {
-    type Error = UnknownDocuments;
-
-    fn try_from(text: String) -> Result<Self, UnknownDocuments> {
-        text.parse()
-    }
-}
-
-impl From<Documents> for String {
-    fn from(documents: Documents) -> Self {
-        documents.to_string()
-    }
-}
+serde_as_text!(DocumentSource);
 
 #[cfg(test)]
 mod tests {
@@ -72,13 +60,13 @@ mod tests {
     #[test]
     fn documents_are_written_as_they_are_read() {
         for (text, expected) in [
-            ("extractive", Documents::Extractive),
-            ("model", Documents::Model),
-            ("./mine", Documents::Folder("./mine".into())),
+            ("extractive", DocumentSource::Extractive),
+            ("model", DocumentSource::Model),
+            ("./mine", DocumentSource::Folder("./mine".into())),
         ] {
             assert_eq!(text.parse().as_ref(), Ok(&expected));
             assert_eq!(expected.to_string(), text);
         }
-        insta::assert_snapshot!("modle".parse::<Documents>().unwrap_err(), @"unknown builder of documents `modle`: did you mean `model`? (known: extractive, model); a folder is named by its path, for example ./documents");
+        insta::assert_snapshot!("modle".parse::<DocumentSource>().unwrap_err(), @"unknown builder of documents `modle`: did you mean `model`? (known: extractive, model); a folder is named by its path, for example ./documents");
     }
 }

@@ -1,17 +1,17 @@
-//! Groups: the parts of a suite, each a product of what it varies.
+//! Groups of conditions: each is the product of the lists of one part of a suite.
 
 use domain::Representation;
 use serde::{Deserialize, Serialize};
 
 use crate::conditions::{Condition, Demonstrations, Hint, Route, SegmentContent, Start, Variation};
 
-/// A part of a run: every combination of what it lists. Every field is described where it is written:
-/// [`Layer`](super::Layer).
+/// A part of a run: every combination of the values it lists. `memtransfer run --help` describes each field under
+/// the same name.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
-#[expect(missing_docs, reason = "each field is documented once, as a flag in `Layer`")]
+#[expect(missing_docs, reason = "each field is documented once, as a flag of `memtransfer run`")]
 pub struct Group {
-    /// What a suite file calls it; `None` for the one group of a suite that names none.
+    /// Its name in the suite file; `None` for the only group of a suite without named groups.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub name: Option<String>,
     pub memory: Vec<Representation>,
@@ -24,12 +24,8 @@ pub struct Group {
     pub runs: u32,
 }
 
-/// The keys that a `[[group]]` can have beside its name.
-pub const GROUP_KEYS: &[&str] =
-    &["memory", "starts", "routes", "demos", "window", "segment", "hint", "runs"];
-
 impl Group {
-    /// Its conditions, each once, in the order of the lists.
+    /// The conditions of the group, each once, in the order of the lists.
     pub fn conditions(&self) -> Vec<Condition> {
         let mut conditions = Vec::new();
         for &memory in &self.memory {
@@ -61,9 +57,8 @@ impl Group {
     }
 }
 
-/// The conditions of all groups, each once, with how often it is run: where groups share a condition, the
-/// larger number.
-pub fn union(groups: &[Group]) -> Vec<(Condition, u32)> {
+/// The conditions of all groups, each once, with its repetitions: the largest number of the groups that have it.
+pub(super) fn union(groups: &[Group]) -> Vec<(Condition, u32)> {
     let mut union: Vec<(Condition, u32)> = Vec::new();
     for group in groups {
         for condition in group.conditions() {

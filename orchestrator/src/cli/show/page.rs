@@ -10,7 +10,7 @@ use base64::prelude::BASE64_STANDARD;
 use domain::prompt_log::{Part, Seen};
 
 use super::text;
-use crate::shown::{Prompt, Shown};
+use results::step_view::{Prompt, Shown};
 
 #[derive(Template)]
 #[template(path = "show.html")]

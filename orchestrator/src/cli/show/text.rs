@@ -4,7 +4,7 @@ use std::fmt::Write;
 
 use domain::prompt_log::{Part, Seen, Usage};
 
-use crate::shown::{Prompt, Shown};
+use results::step_view::{Prompt, Shown};
 
 /// Characters of a text that are shown; the page and the JSON have all.
 const MOST: usize = 2000;

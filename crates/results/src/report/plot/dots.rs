@@ -10,34 +10,34 @@ use crate::report::document::Figure;
 
 /// What is to be drawn.
 #[derive(Debug)]
-pub struct Dots {
-    pub id: String,
-    pub caption: String,
+pub(in crate::report) struct Dots {
+    pub(in crate::report) id: String,
+    pub(in crate::report) caption: String,
     /// What the axis is called, with its unit.
-    pub axis: &'static str,
-    pub range: (f64, f64),
+    pub(in crate::report) axis: &'static str,
+    pub(in crate::report) range: (f64, f64),
     /// The sources, by number.
-    pub series: Vec<String>,
-    pub rows: Vec<DotRow>,
+    pub(in crate::report) series: Vec<String>,
+    pub(in crate::report) rows: Vec<DotRow>,
 }
 
 /// A row.
 #[derive(Debug)]
-pub struct DotRow {
+pub(in crate::report) struct DotRow {
     /// What this row and those after it have in common; begins a block.
-    pub heading: Option<String>,
-    pub label: String,
-    pub dots: Vec<Dot>,
+    pub(in crate::report) heading: Option<String>,
+    pub(in crate::report) label: String,
+    pub(in crate::report) dots: Vec<Dot>,
 }
 
 /// A figure.
 #[derive(Debug, Clone, Copy)]
-pub struct Dot {
+pub(in crate::report) struct Dot {
     /// Whose.
-    pub series: usize,
-    pub value: f64,
+    pub(in crate::report) series: usize,
+    pub(in crate::report) value: f64,
     /// Its error bar.
-    pub range: Option<(f64, f64)>,
+    pub(in crate::report) range: Option<(f64, f64)>,
 }
 
 const ROW: i32 = 24;
@@ -48,7 +48,7 @@ const LEGEND: i32 = 34;
 ///
 /// # Errors
 /// When the library refuses, which for SVG in memory it does not.
-pub fn dots(plot: &Dots) -> Result<Figure, PlotError> {
+pub(in crate::report) fn dots(plot: &Dots) -> Result<Figure, PlotError> {
     let headings = plot.rows.iter().filter(|row| row.heading.is_some()).count() as i32;
     let bottom = LEGEND + headings * HEADING + plot.rows.len() as i32 * ROW + 4;
     let axis = Axis { from: plot.range.0, to: plot.range.1 };

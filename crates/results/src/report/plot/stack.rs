@@ -9,7 +9,9 @@ use crate::report::document::Figure;
 /// What is to be drawn.
 #[derive(Debug)]
 pub struct Stack {
+    /// The figure's id.
     pub id: String,
+    /// Its caption.
     pub caption: String,
     /// What the axis is called, with its unit.
     pub axis: &'static str,
@@ -17,12 +19,14 @@ pub struct Stack {
     pub to: Option<f64>,
     /// The parts' names, in order.
     pub parts: Vec<String>,
+    /// The bars.
     pub rows: Vec<StackRow>,
 }
 
 /// A bar.
 #[derive(Debug)]
 pub struct StackRow {
+    /// Its label.
     pub label: String,
     /// A length for each part; `None` when there is no bar.
     pub lengths: Option<Vec<f64>>,

@@ -15,7 +15,7 @@ const NOTHING_TO_RETAIN: Missing =
 const NOBODY_TRIED: Missing =
     Missing::Undefined("no episode tried to enter a closed cell, so none could recover");
 
-pub fn blocks(view: &View<'_>) -> Result<Vec<Block>, PlotError> {
+pub(super) fn blocks(view: &View<'_>) -> Result<Vec<Block>, PlotError> {
     let blocked = |representation| name(representation, "new/blocked", "4");
     let unchanged = |representation| name(representation, "new/unchanged", "4");
     let ours = |representation| {

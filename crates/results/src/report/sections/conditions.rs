@@ -9,7 +9,7 @@ use crate::score::ConditionScore;
 const NO_RETRIEVAL: Missing = Missing::NotApplicable("nothing is retrieved under this condition");
 const NONE_FINISHED: Missing = Missing::NotMeasured("no episode finished");
 
-pub fn blocks(view: &View<'_>) -> Result<Vec<Block>, PlotError> {
+pub(super) fn blocks(view: &View<'_>) -> Result<Vec<Block>, PlotError> {
     let columns = [
         "Episodes",
         "Runs",

@@ -14,7 +14,7 @@ const SETTINGS: [(&str, &str, &str); 2] = [
     ("New start, 4 demos", "new/unchanged", "4"),
 ];
 
-pub fn blocks(view: &View<'_>) -> Result<Vec<Block>, PlotError> {
+pub(super) fn blocks(view: &View<'_>) -> Result<Vec<Block>, PlotError> {
     let settings = &view.log.manifest.settings;
     let columns = SETTINGS.iter().flat_map(|(over, _, _)| {
         ["Images", "Mtok", "Unreadable %"].map(|name| Column::under(*over, name))
@@ -79,7 +79,7 @@ fn requests(view: &View<'_>) -> Option<Table> {
         let count = |count: u64| Cell::Value(count.to_string());
         let answers = |kind: u32| Cell::Value(kind.to_string());
         let spent = &found.spent;
-        let tokens = (spent.untold == 0).then(|| spent.tokens() as f64 / 1e6);
+        let tokens = (spent.unknown == 0).then(|| spent.tokens() as f64 / 1e6);
         let mut cells = vec![
             count(spent.requests),
             count(spent.replayed),

@@ -9,7 +9,7 @@ use crate::report::view::{OURS, THEIRS, View, name, our_rates, rate_columns, the
 
 const ORIGINAL: &str = "original/unchanged";
 
-pub fn blocks(view: &View<'_>) -> Result<Vec<Block>, PlotError> {
+pub(super) fn blocks(view: &View<'_>) -> Result<Vec<Block>, PlotError> {
     let choices = choices();
     let row = |(choice, name): &(String, String)| Row {
         label: choice.clone(),

@@ -15,7 +15,7 @@ const SETTINGS: [(&str, &str, &str); 4] = [
     ("blocked, 4 demos", "new/blocked", "4"),
 ];
 
-pub fn blocks(view: &View<'_>) -> Result<Vec<Block>, PlotError> {
+pub(super) fn blocks(view: &View<'_>) -> Result<Vec<Block>, PlotError> {
     let text = "Each failed episode is of one kind: the first rule that applies, in the order of the columns. First \
                 comes how an episode went wrong, then what was missing. Kinds of which there is none have no column.";
     let terms = Failure::ALL.iter().map(|kind| (kind.name().to_owned(), kind.meaning().to_owned()));

@@ -14,7 +14,7 @@ const HEADINGS: [(Group, &str); 4] = [
     (Group::Revisit, "Revisit (T9)"),
 ];
 
-pub fn blocks(view: &View<'_>) -> Result<Vec<Block>, PlotError> {
+pub(super) fn blocks(view: &View<'_>) -> Result<Vec<Block>, PlotError> {
     let columns = HEADINGS.iter().flat_map(|(_, heading)| {
         ["unchanged", "blocked"].map(|route| Column::under(*heading, route))
     });

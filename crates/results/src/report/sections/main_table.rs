@@ -17,12 +17,12 @@ const SETTINGS: [(&str, &str, &str); 4] = [
     ("New start, blocked, 4 demos", "new/blocked", "4"),
 ];
 
-pub const NO_TOKENS: Missing =
+pub(super) const NO_TOKENS: Missing =
     Missing::NotMeasured("this run's policy counts no tokens (a scripted policy has none)");
-pub const NO_REQUESTS: Missing =
+pub(super) const NO_REQUESTS: Missing =
     Missing::NotMeasured("no policy was asked: the expert replays the reference");
 
-pub fn blocks(view: &View<'_>) -> Result<Vec<Block>, PlotError> {
+pub(super) fn blocks(view: &View<'_>) -> Result<Vec<Block>, PlotError> {
     let mut columns =
         vec![Column::new("Img"), Column::under("Mtok", "1 demo"), Column::under("Mtok", "4 demos")];
     columns.extend(rate_columns(&SETTINGS.map(|(heading, _, _)| heading)));
@@ -78,7 +78,11 @@ pub fn blocks(view: &View<'_>) -> Result<Vec<Block>, PlotError> {
 }
 
 /// A row of a plot of success rates for each of the `conditions` (label, name), this run's and the paper's.
-pub fn rate_rows(view: &View<'_>, heading: &str, conditions: &[(String, String)]) -> Vec<DotRow> {
+pub(super) fn rate_rows(
+    view: &View<'_>,
+    heading: &str,
+    conditions: &[(String, String)],
+) -> Vec<DotRow> {
     let row = |(index, (label, name)): (usize, &(String, String))| {
         let ours = view.score(name).map(|score| dot(0, score.sr));
         let published = view.published.of(name).and_then(|published| published.sr);
@@ -97,7 +101,7 @@ pub fn rate_rows(view: &View<'_>, heading: &str, conditions: &[(String, String)]
 }
 
 /// A spread with its interval, or with its standard deviation where there is none.
-pub fn dot(series: usize, spread: Spread) -> Dot {
+pub(super) fn dot(series: usize, spread: Spread) -> Dot {
     let interval = spread.interval.map(|interval| (interval.low, interval.high));
     let deviation = spread.std.map(|std| (spread.mean - std, spread.mean + std));
     Dot { series, value: spread.mean, range: interval.or(deviation) }
@@ -113,7 +117,7 @@ fn images(view: &View<'_>, one: &str, four: &str) -> Cell {
 }
 
 /// Million tokens a hundred cases.
-pub fn mega(view: &View<'_>, name: &str) -> Cell {
+pub(super) fn mega(view: &View<'_>, name: &str) -> Cell {
     view.ours(name, |score| {
         let tokens = score.tokens_per_100.map(|tokens| format!("{:.1}", tokens.mean / 1e6));
         tokens.map_or(Cell::Missing(NO_TOKENS), Cell::Value)

@@ -4,7 +4,7 @@ use crate::report::document::{Block, Section};
 use crate::score::{RESAMPLES, SEED};
 
 /// The section with the definitions.
-pub fn method() -> Section {
+pub(in crate::report) fn method() -> Section {
     let term = |term: &str, meaning: &str| (term.to_owned(), meaning.to_owned());
     let terms = vec![
         term(

@@ -14,7 +14,7 @@ const NO_RETRIEVAL: Missing = Missing::NotApplicable(
     "only Episodic retrieves; the other representations supply the same at each step",
 );
 
-pub fn blocks(view: &View<'_>) -> Result<Vec<Block>, PlotError> {
+pub(super) fn blocks(view: &View<'_>) -> Result<Vec<Block>, PlotError> {
     let names = |representation| SETS.map(|(_, set)| name(representation, "new/unchanged", set));
     let rows = historical().into_iter().flat_map(|representation| {
         let labelled: Vec<_> = SETS

@@ -1,6 +1,7 @@
 //! What the run was, and what a reader must know before looking at its figures.
 
-use domain::{Representation, representation::Description};
+use domain::Representation;
+use domain::representation::Description;
 
 use crate::conditions::{Frames, PolicyKind};
 use crate::report::document::{Block, Cell, Column, Group, Missing, Row, Table};
@@ -44,7 +45,7 @@ fn notices(view: &View<'_>) -> Vec<String> {
     notices
 }
 
-pub fn blocks(view: &View<'_>) -> Result<Vec<Block>, PlotError> {
+pub(super) fn blocks(view: &View<'_>) -> Result<Vec<Block>, PlotError> {
     let mut blocks: Vec<Block> = notices(view).into_iter().map(Block::Notice).collect();
     let (settings, scores) = (&view.log.manifest.settings, &view.scores);
     let cases = scores.conditions.iter().map(|score| score.cases).max().unwrap_or(0);
@@ -83,7 +84,7 @@ pub fn blocks(view: &View<'_>) -> Result<Vec<Block>, PlotError> {
 }
 
 /// A table of facts, one a row.
-pub fn facts_table(
+pub(super) fn facts_table(
     id: String,
     caption: &str,
     facts: impl IntoIterator<Item = (impl Into<String>, Cell)>,

@@ -25,7 +25,7 @@ const COMPARED: [(&str, Setting, Setting); 5] = [
     ("confusable − 4 relevant", ("new/unchanged", "confusable"), ("new/unchanged", "4")),
 ];
 
-pub fn blocks(view: &View<'_>) -> Result<Vec<Block>, PlotError> {
+pub(super) fn blocks(view: &View<'_>) -> Result<Vec<Block>, PlotError> {
     let group = |&representation: &Representation| {
         let of = |(rest, demonstrations): (&str, &str)| name(representation, rest, demonstrations);
         let mut rows: Vec<Row> = COMPARED
@@ -56,7 +56,7 @@ pub fn blocks(view: &View<'_>) -> Result<Vec<Block>, PlotError> {
     Ok(vec![Block::Table(table)])
 }
 
-pub fn columns() -> Vec<Column> {
+pub(super) fn columns() -> Vec<Column> {
     ["Cases", "SR", "SPL", "Better", "Worse", "p"].map(Column::new).to_vec()
 }
 
@@ -70,7 +70,7 @@ fn row(view: &View<'_>, label: &str, a: &str, b: &str) -> Row {
 }
 
 /// The cells of a comparison under [`columns`].
-pub fn cells(compared: &Comparison) -> Vec<Cell> {
+pub(super) fn cells(compared: &Comparison) -> Vec<Cell> {
     let Comparison { cases, sr, spl, more_under_a, more_under_b, p, .. } = compared;
     let difference = |Difference { mean, interval }: &Difference, digits: usize| {
         let figure = signed(*mean, digits);

@@ -7,7 +7,7 @@ use crate::log::SessionEvent;
 use crate::report::document::{Block, Cell, Missing};
 use crate::report::view::View;
 
-pub fn blocks(view: &View<'_>) -> Vec<Block> {
+pub(super) fn blocks(view: &View<'_>) -> Vec<Block> {
     let (log, manifest) = (view.log, &view.log.manifest);
     let failures = log
         .sessions

@@ -7,7 +7,7 @@ use crate::report::view::View;
 use crate::table;
 
 /// The sections about all of the runs together.
-pub fn runs(views: &[View<'_>]) -> Vec<Section> {
+pub(in crate::report) fn runs(views: &[View<'_>]) -> Vec<Section> {
     let row = |view: &View<'_>| {
         let settings = &view.log.manifest.settings;
         let facts = [

@@ -11,7 +11,7 @@ use crate::table::WORK;
 
 const NO_STAGE: Missing = Missing::NotApplicable("this memory or policy has no such stage");
 
-pub fn blocks(view: &View<'_>) -> Result<Vec<Block>, PlotError> {
+pub(super) fn blocks(view: &View<'_>) -> Result<Vec<Block>, PlotError> {
     let times = StageTimes::by_memory(view.log);
     let of = |representation: Representation| {
         times.iter().find(|(memory, _)| *memory == representation).map(|(_, times)| times)

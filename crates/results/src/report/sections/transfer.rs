@@ -14,7 +14,7 @@ const DEMONSTRATIONS: [(&str, &str); 4] = [
     ("Distant start", "distant"),
 ];
 
-pub fn blocks(view: &View<'_>) -> Result<Vec<Block>, PlotError> {
+pub(super) fn blocks(view: &View<'_>) -> Result<Vec<Block>, PlotError> {
     let names = |representation| {
         DEMONSTRATIONS.map(|(_, which)| name(representation, "original/unchanged", which))
     };

@@ -9,13 +9,11 @@ use std::io::{BufRead, BufReader};
 use std::path::PathBuf;
 
 use anyhow::{Context, Result, bail};
-use domain::{
-    Action, Feedback, Pose,
-    prompt_log::{
-        Entry, Hash, Part, Seen, entries_file, image_file, line_start, session_folder, text_file,
-        trajectories_file,
-    },
+use domain::prompt_log::{
+    Entry, Hash, Part, Seen, entries_file, image_file, line_start, session_folder, text_file,
+    trajectories_file,
 };
+use domain::{Action, Feedback, Pose};
 use serde::Serialize;
 
 use crate::log::{EpisodeRecord, EpisodeTimings, RunFolder, RunLog};

@@ -1,30 +1,30 @@
-//! What questions to a model came to: requests, tokens. Pure sums over the run folder's `requests.jsonl`.
+//! Requests and tokens of a set of requests to a model.
 
 use serde::Serialize;
 
 use crate::log::RequestRecord;
 
-/// What was spent on requests. Answers that had been kept from earlier cost nothing and are only counted.
+/// Sums over requests. Answers from the response cache cost nothing and are only counted.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
-pub struct Spending {
-    /// Questions that a server answered.
+pub struct UsageTotals {
+    /// Requests that the server answered.
     pub requests: u64,
-    /// Requests that were sent for them, failed ones included.
+    /// Attempts made for them, failed ones included.
     pub attempts: u64,
-    /// Questions that were answered from the response cache.
+    /// Requests answered from the response cache.
     pub replayed: u64,
-    /// Questions whose tokens nobody told: they are not in the sums.
-    pub untold: u64,
-    /// Tokens of prompts.
+    /// Answered requests whose token counts are unknown; they are not in the sums.
+    pub unknown: u64,
+    /// Prompt tokens.
     pub prompt_tokens: u64,
-    /// Those of them that the server took from its own cache, as far as it told.
+    /// Prompt tokens that the server took from its own cache, where it reports them.
     pub cached_tokens: u64,
-    /// Tokens of answers.
+    /// Completion tokens.
     pub completion_tokens: u64,
 }
 
-impl Spending {
-    /// What `requests` came to.
+impl UsageTotals {
+    /// Sums up `requests`.
     pub fn of<'a>(requests: impl IntoIterator<Item = &'a RequestRecord>) -> Self {
         let mut sum = Self::default();
         requests.into_iter().for_each(|request| sum.add(request));
@@ -41,7 +41,7 @@ impl Spending {
         self.attempts += u64::from(request.attempts);
         let (Some(prompt), Some(completion)) = (request.prompt_tokens, request.completion_tokens)
         else {
-            self.untold += 1;
+            self.unknown += 1;
             return;
         };
         self.prompt_tokens += u64::from(prompt);
@@ -49,7 +49,7 @@ impl Spending {
         self.cached_tokens += u64::from(request.cached_tokens.unwrap_or(0));
     }
 
-    /// Tokens of prompts and answers.
+    /// Prompt and completion tokens together.
     pub const fn tokens(&self) -> u64 {
         self.prompt_tokens + self.completion_tokens
     }
@@ -61,12 +61,12 @@ mod tests {
     use crate::log::testing::request;
 
     #[test]
-    fn what_was_kept_costs_nothing_and_what_was_not_told_is_counted() {
+    fn cached_answers_cost_nothing_and_unknown_counts_are_counted() {
         let replayed = RequestRecord { replayed: true, attempts: 0, ..request("a", 0) };
-        let untold = RequestRecord { completion_tokens: None, ..request("a", 1) };
+        let unknown = RequestRecord { completion_tokens: None, ..request("a", 1) };
         let retried = RequestRecord { attempts: 3, cached_tokens: None, ..request("a", 2) };
-        let sum = Spending::of(&[request("a", 0), replayed, untold, retried]);
-        assert_eq!((sum.requests, sum.attempts, sum.replayed, sum.untold), (3, 5, 1, 1));
+        let sum = UsageTotals::of(&[request("a", 0), replayed, unknown, retried]);
+        assert_eq!((sum.requests, sum.attempts, sum.replayed, sum.unknown), (3, 5, 1, 1));
         assert_eq!((sum.prompt_tokens, sum.cached_tokens, sum.completion_tokens), (2000, 200, 6));
         assert_eq!(sum.tokens(), 2006);
     }

@@ -1,11 +1,10 @@
 //! Which episodes a run consists of: conditions x runs x cases, each with a stable key and its own seed.
 //!
-//! Pure: the same settings and cases give the same list on every machine. What of it is done already is
-//! the [`log`](crate::log)'s business.
+//! Pure: the same settings and cases give the same list on every machine. Which of them are finished is in the
+//! run folder ([`results::log`]).
 
-use std::fmt;
-
-use crate::conditions::Condition;
+use results::conditions::Condition;
+use results::key::EpisodeKey;
 
 /// One episode of a run.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -16,35 +15,6 @@ pub struct Episode {
     pub case_index: usize,
     /// What a policy that draws at random draws from.
     pub seed: u64,
-}
-
-/// Names an episode: `memory/start/route/demonstrations/run/case`, for example
-/// `episodic/new/unchanged/4/run2/t03-07`.
-#[derive(Debug, Clone, PartialEq, Eq, Hash, PartialOrd, Ord)]
-pub struct EpisodeKey {
-    /// What it is run under.
-    pub condition: Condition,
-    /// Which repetition, from 1.
-    pub run: u32,
-    /// The case's id.
-    pub case: String,
-}
-
-impl fmt::Display for EpisodeKey {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { condition, run, case } = self;
-        write!(f, "{condition}/run{run}/{case}")
-    }
-}
-
-impl EpisodeKey {
-    /// The key that was written as `text`; `None` when it is none.
-    pub fn read(text: &str) -> Option<Self> {
-        let (rest, case) = text.rsplit_once('/')?;
-        let (condition, run) = rest.rsplit_once("/run")?;
-        let (condition, run) = (condition.parse().ok()?, run.parse().ok()?);
-        Some(Self { condition, run, case: case.to_owned() })
-    }
 }
 
 /// The episodes of a run, in the order in which they are started.
@@ -116,10 +86,6 @@ mod tests {
         working/original/unchanged/none/run1/c
         ");
         assert_eq!((keys.len(), keys.iter().filter(|key| key.contains("/run2/")).count()), (14, 6));
-        for episode in &episodes {
-            assert_eq!(EpisodeKey::read(&episode.key.to_string()).as_ref(), Some(&episode.key));
-        }
-        assert_eq!(EpisodeKey::read("episodic/new/unchanged/4/t03-07"), None);
         let (mut unique, mut seeds) = (keys, episodes.iter().map(|e| e.seed).collect::<Vec<_>>());
         unique.sort();
         unique.dedup();

@@ -3,7 +3,7 @@
 use domain::Representation;
 use shm_types::message::{Decision, Observation, RecallTrace};
 
-use crate::log::Stages;
+use results::log::Stages;
 
 /// The way of one step through the processes: CLOCK_MONOTONIC nanoseconds, one scale over all of them. A stage
 /// that a step did not go through has 0, and so has everything behind the observation where nobody decides but
@@ -80,7 +80,7 @@ impl Stamps {
     }
 
     /// Takes over what the simulator stamped, for a step that begins with it.
-    pub const fn observed(&mut self, observation: &Observation) {
+    pub(super) const fn observed(&mut self, observation: &Observation) {
         let Observation { step, commanded_ns, woken_ns, stepped_ns, rendered_ns, sent_ns, .. } =
             *observation;
         *self = Self {
@@ -95,7 +95,7 @@ impl Stamps {
     }
 
     /// Takes over what memory stamped.
-    pub const fn recalled(&mut self, trace: &RecallTrace) {
+    pub(super) const fn recalled(&mut self, trace: &RecallTrace) {
         self.received_ns = trace.received_ns;
         self.embedded_ns = trace.embedded_ns;
         self.searched_ns = trace.searched_ns;
@@ -104,7 +104,7 @@ impl Stamps {
     }
 
     /// Takes over what the policy stamped.
-    pub const fn decided(&mut self, decision: &Decision) {
+    pub(super) const fn decided(&mut self, decision: &Decision) {
         self.joined_ns = decision.received_ns;
         self.started_ns = decision.started_ns;
         self.prompted_ns = decision.prompted_ns;

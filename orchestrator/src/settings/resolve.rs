@@ -5,11 +5,13 @@ use std::fmt;
 use std::path::PathBuf;
 
 use domain::Representation;
+use results::conditions::{PolicyKind, Variation};
+use results::settings::{Group, RunSettings, SuiteName};
 use serde_json::{Map, Value, json};
 use shm_types::message::{MAX_SEGMENT, MAX_WINDOW};
 
-use super::{GROUP_KEYS, Group, Layer, MAX_IMAGES, MODEL_KEYS, Settings, TooManyImages};
-use crate::conditions::{PolicyKind, Variation};
+use super::images::check_images;
+use super::{GROUP_KEYS, Layer, MAX_IMAGES, MODEL_KEYS, TooManyImages};
 
 /// Where a setting comes from, weakest first.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
@@ -42,7 +44,7 @@ impl fmt::Display for Origin {
 #[derive(Debug, Clone)]
 pub struct Resolved {
     /// The settings.
-    pub settings: Settings,
+    pub settings: RunSettings,
     /// Of the keys that are not a group's.
     origins: Origins,
     /// Of each group's keys.
@@ -130,8 +132,8 @@ pub fn resolve(
         groups.push(Value::Object(group));
     }
     merged.insert("group".to_owned(), Value::Array(groups));
-    let settings: Settings = serde_json::from_value(Value::Object(merged))?;
-    settings.check()?;
+    let settings: RunSettings = serde_json::from_value(Value::Object(merged))?;
+    check(&settings)?;
     Ok(Resolved { settings, origins, group_origins })
 }
 
@@ -168,7 +170,7 @@ fn choose_policy(
 /// What a run's folder is called when nobody says it: suite and policy, and which model it asks.
 fn folder_name(merged: &Map<String, Value>, policy: PolicyKind) -> Result<String, SettingsError> {
     let word = |key| merged.get(key).and_then(Value::as_str).unwrap_or_default();
-    let suite: super::SuiteName = serde_json::from_value(word("suite").into())?;
+    let suite: SuiteName = serde_json::from_value(word("suite").into())?;
     let plain = |c: char| if c.is_ascii_alphanumeric() || ".-_".contains(c) { c } else { '-' };
     let who = match policy {
         PolicyKind::Openai => {
@@ -228,67 +230,65 @@ fn makes_no_difference(policy: PolicyKind) -> Vec<(&'static str, Value)> {
     }
 }
 
-impl Settings {
-    /// Whether every value can be.
-    fn check(&self) -> Result<(), SettingsError> {
-        let numbers = [
-            ("--max-steps", self.max_steps, 1, 10_000),
-            ("--horizon", self.horizon, 0, MAX_SEGMENT as u32 - 1),
-            ("--keyframes", self.keyframes, 1, MAX_IMAGES),
-            ("--frame-size", self.frame_size, 64, 4096),
-            ("--lanes", self.lanes, 1, 1024),
-            ("--spin-us", self.spin_us, 0, 1_000_000),
-            ("--step-timeout", self.step_timeout, 1, 86_400),
-            ("--start-timeout", self.start_timeout, 1, 86_400),
-        ];
-        let model = self.model.iter().flat_map(|model| {
-            [
-                ("--image-budget", model.image_budget, 0, 1000),
-                ("--answer-tokens", model.answer_tokens, 1, 100_000),
-                ("--max-connections", model.max_connections, 1, 1024),
-                ("--max-retries", model.max_retries, 0, 100),
-                ("--request-timeout", model.request_timeout, 1, 86_400),
-            ]
-        });
-        let varied = self.groups.iter().flat_map(|group: &Group| {
-            let windows = group.window.iter();
-            let windows = windows.map(|&window| ("--window", window, 0, MAX_WINDOW as u32));
-            windows.chain([("--runs", group.runs, 1, 1000)])
-        });
-        for (key, value, least, most) in numbers.into_iter().chain(model).chain(varied) {
-            if !(least..=most).contains(&value) {
-                let expected = format!("{least} to {most}");
-                return Err(SettingsError::Value { key, value: value.to_string(), expected });
-            }
+/// Whether every value can be.
+fn check(settings: &RunSettings) -> Result<(), SettingsError> {
+    let numbers = [
+        ("--max-steps", settings.max_steps, 1, 10_000),
+        ("--horizon", settings.horizon, 0, MAX_SEGMENT as u32 - 1),
+        ("--keyframes", settings.keyframes, 1, MAX_IMAGES),
+        ("--frame-size", settings.frame_size, 64, 4096),
+        ("--lanes", settings.lanes, 1, 1024),
+        ("--spin-us", settings.spin_us, 0, 1_000_000),
+        ("--step-timeout", settings.step_timeout, 1, 86_400),
+        ("--start-timeout", settings.start_timeout, 1, 86_400),
+    ];
+    let model = settings.model.iter().flat_map(|model| {
+        [
+            ("--image-budget", model.image_budget, 0, 1000),
+            ("--answer-tokens", model.answer_tokens, 1, 100_000),
+            ("--max-connections", model.max_connections, 1, 1024),
+            ("--max-retries", model.max_retries, 0, 100),
+            ("--request-timeout", model.request_timeout, 1, 86_400),
+        ]
+    });
+    let varied = settings.groups.iter().flat_map(|group: &Group| {
+        let windows = group.window.iter();
+        let windows = windows.map(|&window| ("--window", window, 0, MAX_WINDOW as u32));
+        windows.chain([("--runs", group.runs, 1, 1000)])
+    });
+    for (key, value, least, most) in numbers.into_iter().chain(model).chain(varied) {
+        if !(least..=most).contains(&value) {
+            let expected = format!("{least} to {most}");
+            return Err(SettingsError::Value { key, value: value.to_string(), expected });
         }
-        for (key, value) in
-            [("--encoder-threads", self.encoder_threads), ("--frame-budget", self.frame_budget)]
-        {
-            if value == Some(0) {
-                let expected = "at least 1".to_owned();
-                return Err(SettingsError::Value { key, value: "0".to_owned(), expected });
-            }
-        }
-        if !self.frame_size.is_multiple_of(64) {
-            return Err(SettingsError::Value {
-                key: "--frame-size",
-                value: self.frame_size.to_string(),
-                expected: "a multiple of 64".to_owned(),
-            });
-        }
-        let words = self.policy_cmd.as_deref().map(|command| (command, shlex::split(command)));
-        if let Some((command, words)) = words
-            && words.is_none_or(|words| words.is_empty())
-        {
-            let expected = "a program and its arguments, every quote closed".to_owned();
-            let value = format!("{command:?}");
-            return Err(SettingsError::Value { key: "--policy-cmd", value, expected });
-        }
-        if self.conditions().is_empty() {
-            return Err(SettingsError::NoCondition);
-        }
-        Ok(self.check_images()?)
     }
+    for (key, value) in
+        [("--encoder-threads", settings.encoder_threads), ("--frame-budget", settings.frame_budget)]
+    {
+        if value == Some(0) {
+            let expected = "at least 1".to_owned();
+            return Err(SettingsError::Value { key, value: "0".to_owned(), expected });
+        }
+    }
+    if !settings.frame_size.is_multiple_of(64) {
+        return Err(SettingsError::Value {
+            key: "--frame-size",
+            value: settings.frame_size.to_string(),
+            expected: "a multiple of 64".to_owned(),
+        });
+    }
+    let words = settings.policy_cmd.as_deref().map(|command| (command, shlex::split(command)));
+    if let Some((command, words)) = words
+        && words.is_none_or(|words| words.is_empty())
+    {
+        let expected = "a program and its arguments, every quote closed".to_owned();
+        let value = format!("{command:?}");
+        return Err(SettingsError::Value { key: "--policy-cmd", value, expected });
+    }
+    if settings.conditions().is_empty() {
+        return Err(SettingsError::NoCondition);
+    }
+    Ok(check_images(settings)?)
 }
 
 impl Resolved {
@@ -347,8 +347,8 @@ fn write_line(f: &mut fmt::Formatter<'_>, key: &str, value: &Value, origin: Orig
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::conditions::{Route, Start};
-    use crate::settings::{SuiteName, load_suite};
+    use crate::settings::load_suite;
+    use results::conditions::{Route, Start};
 
     fn lanes(n: u32) -> Layer {
         Layer { lanes: Some(n), ..Layer::default() }

@@ -1,11 +1,12 @@
 use super::*;
-use crate::conditions::Condition;
-use crate::settings::{Origin, Settings, resolve};
+use crate::settings::{Origin, resolve};
+use results::conditions::Condition;
+use results::settings::RunSettings;
 
 #[test]
 fn shipped_suites_can_be_read() {
     for (name, _) in shipped_suites() {
-        load_suite(&SuiteName((*name).to_owned()), None).unwrap();
+        load_suite(&name.parse().unwrap(), None).unwrap();
     }
 }
 
@@ -29,7 +30,7 @@ fn what_is_wrong_with_a_suite_is_said_with_its_file() {
     }
     // A suite cannot name a suite.
     assert!(error("suite = \"quick\"").contains("unknown key `suite`"));
-    let error = load_suite(&SuiteName("quik".to_owned()), None).unwrap_err();
+    let error = load_suite(&"quik".parse().unwrap(), None).unwrap_err();
     insta::assert_snapshot!(error, @"unknown suite `quik`: did you mean `quick`? (known: quick, rq1, rq2, rq3, design, paper); a file is named by its path, for example ./my-suite.toml");
 }
 
@@ -42,15 +43,15 @@ fn a_folder_of_assets_can_bring_its_own_suites() {
     assert_eq!(layer, Layer { runs: Some(7), ..Layer::default() });
 }
 
-fn shipped(name: &str) -> Settings {
-    let suite = load_suite(&SuiteName(name.to_owned()), None).unwrap();
+fn shipped(name: &str) -> RunSettings {
+    let suite = load_suite(&name.parse().unwrap(), None).unwrap();
     let layers = [(Origin::Default, Layer::defaults()), (Origin::Suite, suite)];
     resolve(layers).unwrap().settings
 }
 
 /// The conditions of all `settings`, each once, with the largest number of runs, sorted.
-fn union<'a>(settings: impl IntoIterator<Item = &'a Settings>) -> Vec<(Condition, u32)> {
-    let mut conditions: Vec<_> = settings.into_iter().flat_map(Settings::runs).collect();
+fn union<'a>(settings: impl IntoIterator<Item = &'a RunSettings>) -> Vec<(Condition, u32)> {
+    let mut conditions: Vec<_> = settings.into_iter().flat_map(RunSettings::runs).collect();
     conditions.sort_by_key(|&(condition, runs)| (condition, std::cmp::Reverse(runs)));
     conditions.dedup_by_key(|(condition, _)| *condition);
     conditions
@@ -61,13 +62,13 @@ fn the_paper_is_all_its_questions() {
     let paper = shipped("paper");
     let parts = ["rq1", "rq2", "rq3", "design"].map(shipped);
     assert_eq!(union([&paper]), union(&parts));
-    let quick = Settings { limit: None, ..shipped("quick") };
+    let quick = RunSettings { limit: None, ..shipped("quick") };
     let all = paper.conditions();
     assert!(quick.conditions().iter().all(|condition| all.contains(condition)));
     for part in parts.into_iter().chain([quick]) {
         let (suite, groups) = (paper.suite.clone(), paper.groups.clone());
         let out = paper.out.clone();
-        assert_eq!(Settings { suite, groups, out, ..part }, paper, "they differ in groups only");
+        assert_eq!(RunSettings { suite, groups, out, ..part }, paper, "they differ in groups only");
     }
 }
 

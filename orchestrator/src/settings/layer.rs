@@ -4,14 +4,16 @@ use std::path::PathBuf;
 
 use clap::{Args, CommandFactory, Parser};
 use domain::Representation;
-use serde::de::Error as _;
-use serde::{Deserialize, Deserializer, Serialize};
-
-use super::{Amount, CaseSelector, Documents, MAX_IMAGES, ResponseCache, SuiteName};
-use crate::conditions::{
+use results::conditions::{
     Demonstrations, Frames, Hint, ImageFormat, PolicyKind, Route, SegmentContent, Start, Variation,
     representation,
 };
+use results::cost::Amount;
+use results::settings::{CaseSelector, DocumentSource, ResponseCache, SuiteName};
+use serde::de::Error as _;
+use serde::{Deserialize, Deserializer, Serialize};
+
+use super::MAX_IMAGES;
 
 /// Heading of the flags that decide what is run.
 const WHAT: &str = "What is run";
@@ -134,7 +136,7 @@ pub struct Layer {
     #[arg(long, value_name = "BUILDER|DIR", env = "MEMTRANSFER_DOCUMENTS",
           help_heading = PERCEIVED)]
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub documents: Option<Documents>,
+    pub documents: Option<DocumentSource>,
 
     /// Width and height of a frame, a multiple of 64
     #[arg(long, value_name = "PIXELS", env = "MEMTRANSFER_FRAME_SIZE", help_heading = PERCEIVED)]
@@ -320,7 +322,7 @@ impl Layer {
             segment: Some(vec![Variation::STANDARD.segment]),
             keyframes: Some(40),
             hint: Some(vec![Variation::STANDARD.hint]),
-            documents: Some(Documents::Extractive),
+            documents: Some(DocumentSource::Extractive),
             frame_size: Some(448),
             frames: Some(Frames::Rendered),
             encoder: Some("dinov2-s14".to_owned()),
