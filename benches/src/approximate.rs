@@ -1,45 +1,43 @@
-//! Approximate search against FAISS's HNSW and usearch from Python, each at the least effort at which it finds what is
-//! asked for.
+//! Approximate search against FAISS's HNSW and usearch from Python, at equal recall.
 //!
-//! Every side has the same vectors, the same neighbours a node and the same effort in building. How many nodes are kept in
-//! sight while the graph is walked is raised until the recall is reached, since what that number is worth is
-//! not the same to all. A graph of ten million would take hours to build on two cores: the sizes end where a round
-//! takes minutes.
+//! Every side has the same vectors, the same neighbours per node and the same construction effort. The search effort (ef)
+//! is raised until the recall is reached, because equal effort does not mean equal recall. A graph of ten million vectors
+//! would take hours to build on two cores, so the sizes end where a round takes minutes.
 
 use anyhow::{Context, Result};
 use serde_json::json;
 
 use crate::Bench;
+use crate::baselines::Baseline;
 use crate::figure::{Better, Bound, Figure};
-use crate::peers::Peer;
 use crate::search::{BATCH, Line, load, profile, threads};
 use crate::session::Session;
 
-/// This bench.
+/// The bench.
 pub const BENCH: Bench = Bench {
     name: "approximate",
     about: "approximate search against FAISS HNSW and usearch at the same recall",
     run,
 };
 
-/// Entries and dimension of the memories.
+/// Entries and dimension of each memory.
 const SIZES: &[(u32, u32)] = &[(10_000, 384), (100_000, 384)];
 
-/// The recall at ten that is asked for.
+/// Required recall at 10.
 const RECALL: f64 = 0.9;
 
-/// Nodes kept in sight, from the least on.
+/// Search efforts (ef), ascending.
 const SEARCHING: [usize; 6] = [16, 32, 64, 128, 256, 512];
 
-/// Neighbours of a node, and nodes kept in sight while building: of all sides.
+/// Neighbours per node (M) and construction effort (ef_construction) of every side.
 const CONNECTIVITY: usize = 16;
 const BUILDING: usize = 128;
 
-/// The peers: script, name.
-const PEERS: [(&str, &str); 2] =
+/// Baselines: script and name.
+const BASELINES: [(&str, &str); 2] =
     [("search_faiss.py", "FAISS HNSW"), ("search_usearch.py", "usearch from Python")];
 
-/// What one side came to in one round.
+/// Result of one side in one round.
 #[derive(Debug, Clone, Copy)]
 struct Found {
     one: f64,
@@ -52,36 +50,36 @@ fn run(session: &mut Session<'_>) -> Result<Vec<Figure>> {
     let mut figures = Vec::new();
     for &size in session.size.pick(&[(300, 32)][..], SIZES) {
         let (mut exact, mut ours) = (Vec::new(), Vec::new());
-        let mut peers: Vec<(Option<Peer>, String, Vec<Found>)> =
-            PEERS.iter().map(|_| (None, String::new(), Vec::new())).collect();
+        let mut baselines: Vec<(Option<Baseline>, String, Vec<Found>)> =
+            BASELINES.iter().map(|_| (None, String::new(), Vec::new())).collect();
         for round in 1..=session.rounds() {
             session.say(format_args!("{} of {}, round {round}", size.0, size.1));
             let (found, exactly) = our_round(session, size)?;
             ours.push(found);
             exact.push(exactly);
-            let Some(python) = session.peers else { continue };
-            for ((peer, version, rounds), (script, _)) in peers.iter_mut().zip(PEERS) {
-                let peer = match peer {
-                    Some(peer) => peer,
+            let Some(python) = session.baselines else { continue };
+            for ((baseline, version, rounds), (script, _)) in baselines.iter_mut().zip(BASELINES) {
+                let baseline = match baseline {
+                    Some(baseline) => baseline,
                     None => {
-                        let mut started = Peer::start(python, script, session.scratch())?;
+                        let mut started = Baseline::start(python, script, session.scratch())?;
                         let mut request = load(session, size)?;
                         request["graph"] =
                             json!({"connectivity": CONNECTIVITY, "building": BUILDING});
                         let answer = started.ask(&request)?;
                         *version = answer["version"].as_str().unwrap_or_default().to_owned();
-                        peer.insert(started)
+                        baseline.insert(started)
                     }
                 };
-                rounds.push(their_round(session, peer)?);
+                rounds.push(their_round(session, baseline)?);
             }
         }
-        figures.extend(figures_of(size, &exact, &ours, &peers));
+        figures.extend(figures_of(size, &exact, &ours, &baselines));
     }
     Ok(figures)
 }
 
-/// Ours at the least effort that reaches the recall, and the median of an exact search of the same memory.
+/// Measures ours at the least effort that reaches the recall, and the median of an exact search of the same memory.
 fn our_round(session: &Session<'_>, size: (u32, u32)) -> Result<(Found, f64)> {
     let searching = SEARCHING.map(|n| n.to_string()).join(",");
     let (connectivity, building) = (CONNECTIVITY.to_string(), BUILDING.to_string());
@@ -115,25 +113,25 @@ fn our_round(session: &Session<'_>, size: (u32, u32)) -> Result<(Found, f64)> {
     Ok((found, exact))
 }
 
-/// A peer at the least effort that reaches the recall.
-fn their_round(session: &Session<'_>, peer: &mut Peer) -> Result<Found> {
-    let mut walk = |searching: usize, batch: usize, seconds: f64| -> Result<(f64, f64)> {
+/// Measures a baseline at the least effort that reaches the recall.
+fn their_round(session: &Session<'_>, baseline: &mut Baseline) -> Result<Found> {
+    let mut query = |searching: usize, batch: usize, seconds: f64| -> Result<(f64, f64)> {
         let request =
-            json!({"do": "walk", "searching": searching, "batch": batch, "seconds": seconds});
-        let answer = peer.ask(&request)?;
+            json!({"do": "query", "searching": searching, "batch": batch, "seconds": seconds});
+        let answer = baseline.ask(&request)?;
         let number = |key: &str| answer[key].as_f64().context("a number is missing");
         Ok((number("recall_at_10")?, number("seconds")?))
     };
     let mut searching = SEARCHING[0];
     for tried in SEARCHING {
         searching = tried;
-        if walk(tried, 1, 0.0)?.0 >= RECALL {
+        if query(tried, 1, 0.0)?.0 >= RECALL {
             break;
         }
     }
     let seconds = session.size.pick(0.02, 1.0);
-    let (recall, one) = walk(searching, 1, seconds)?;
-    let (_, batch) = walk(searching, BATCH, seconds)?;
+    let (recall, one) = query(searching, 1, seconds)?;
+    let (_, batch) = query(searching, BATCH, seconds)?;
     Ok(Found { one, batch, recall, searching })
 }
 
@@ -141,7 +139,7 @@ fn figures_of(
     (entries, dimension): (u32, u32),
     exact: &[f64],
     ours: &[Found],
-    peers: &[(Option<Peer>, String, Vec<Found>)],
+    baselines: &[(Option<Baseline>, String, Vec<Found>)],
 ) -> Vec<Figure> {
     let of = |rounds: &[Found], value: fn(&Found) -> f64| -> Vec<f64> {
         rounds.iter().map(value).collect()
@@ -172,9 +170,9 @@ fn figures_of(
             Better::Lower,
         )
         .ours(of(ours, micros))
-        .peer("ours, exact", "", exact.iter().map(|s| s * 1e6).collect::<Vec<_>>()),
+        .baseline("ours, exact", "", exact.iter().map(|s| s * 1e6).collect::<Vec<_>>()),
     )];
-    for ((_, version, rounds), (script, name)) in peers.iter().zip(PEERS) {
+    for ((_, version, rounds), (script, name)) in baselines.iter().zip(BASELINES) {
         if rounds.is_empty() {
             continue;
         }
@@ -183,9 +181,9 @@ fn figures_of(
             named(
                 Figure::new(id(&format!("{what}.{short}")), text, unit, better)
                     .ours(of(ours, value))
-                    .peer(name, version.clone(), of(rounds, value))
+                    .baseline(name, version.clone(), of(rounds, value))
                     .target(Bound::Ratio(1.0), "same recall, no slower")
-                    .parameter("peer found", last(rounds)),
+                    .parameter("baseline found", last(rounds)),
             )
         };
         let text = format!("one approximate query of {entries} vectors of {dimension}");

@@ -1,7 +1,7 @@
-//! A step through all four processes, beside the [bare chain](crate::bare) of the same messages.
+//! A step through all four processes, beside the [bare chain](crate::bare_chain) of the same messages.
 //!
-//! Views are drawn before the first step (`--warm-views`) and memory is `working`, so nothing is rendered and nothing
-//! embedded: what is measured is the way of a step through the processes.
+//! Views are rendered before the first step (`--warm-views`) and memory is `working`, so nothing is rendered or embedded
+//! while the clock runs.
 
 use std::path::Path;
 use std::time::Duration;
@@ -9,27 +9,27 @@ use std::time::Duration;
 use anyhow::Result;
 
 use crate::Bench;
-use crate::bare;
+use crate::bare_chain;
 use crate::figure::{Better, Bound, Figure};
-use crate::runs::{Walk, steady_rate};
+use crate::runs::{BenchRun, steady_rate};
 use crate::session::Session;
 
-/// This bench.
+/// The bench.
 pub const BENCH: Bench = Bench {
     name: "chain",
     about: "steps through all four processes, beside a bare chain of the same messages",
     run,
 };
 
-/// Lanes of a full house.
+/// Lanes of the throughput figures.
 const LANES: u32 = 64;
 
-/// Flags of every run here.
+/// Flags of every run of this bench.
 pub(crate) const WARM: [&str; 7] =
     ["--suite", "quick", "--warm-views", "--memory", "working", "--starts", "new"];
 
-/// What is walked with many lanes: id, what it is, repetitions of its cases, target in steps a second.
-const CROWDS: [(&str, &str, u32, f64); 3] = [
+/// Runs with many lanes: id, description, repetitions of the cases, target in steps per second.
+const MANY_LANES: [(&str, &str, u32, f64); 3] = [
     ("random", "policy `random`", 24, 200_000.0),
     ("grounded", "policy `grounded`", 12, 80_000.0),
     ("python", "a Python policy that returns at once", 6, 30_000.0),
@@ -38,22 +38,22 @@ const CROWDS: [(&str, &str, u32, f64); 3] = [
 fn run(session: &mut Session<'_>) -> Result<Vec<Figure>> {
     let length = Duration::from_millis(session.size.pick(50, 2000));
     let lanes = session.size.pick(4, LANES);
-    // Fifty cases of up to 200 steps, each so often.
+    // Fifty cases of up to 200 steps, repeated.
     let alone =
-        Walk::new(1, session.size.pick(1, 3), &[&WARM[..], &["--policy", "random"]].concat());
+        BenchRun::new(1, session.size.pick(1, 3), &[&WARM[..], &["--policy", "random"]].concat());
     let (mut one, mut bare_one) = (Vec::new(), Vec::new());
-    let (mut many, mut bare_many) = (vec![Vec::new(); CROWDS.len()], Vec::new());
+    let (mut many, mut bare_many) = (vec![Vec::new(); MANY_LANES.len()], Vec::new());
     for round in 1..=session.rounds() {
         session.say(format_args!("round {round}: one lane"));
-        one.push(1e6 / steady_rate(&small(session, alone.clone()).make(session, "one")?)?);
-        bare_one.push(1e6 / bare::steps_per_second(session, 1, length)?);
+        one.push(1e6 / steady_rate(&shrunk(session, alone.clone()).make(session, "one")?)?);
+        bare_one.push(1e6 / bare_chain::steps_per_second(session, 1, length)?);
         session.say(format_args!("round {round}: {lanes} lanes"));
-        bare_many.push(bare::steps_per_second(session, lanes, length)?);
-        for (rates, (id, _, runs, _)) in many.iter_mut().zip(CROWDS) {
-            let Some(walk) = crowd(session, id, lanes, session.size.pick(1, runs)) else {
+        bare_many.push(bare_chain::steps_per_second(session, lanes, length)?);
+        for (rates, (id, _, runs, _)) in many.iter_mut().zip(MANY_LANES) {
+            let Some(bench_run) = many_lanes(session, id, lanes, session.size.pick(1, runs)) else {
                 continue;
             };
-            rates.push(steady_rate(&small(session, walk).make(session, id)?)?);
+            rates.push(steady_rate(&shrunk(session, bench_run).make(session, id)?)?);
         }
     }
     let mut figures = vec![
@@ -64,11 +64,11 @@ fn run(session: &mut Session<'_>) -> Result<Vec<Figure>> {
             Better::Lower,
         )
         .ours(one)
-        .peer("the bare chain", "", bare_one)
+        .baseline("the bare chain", "", bare_one)
         .target(Bound::Ratio(1.5), "within 1.5 x")
         .parameter("lanes", 1),
     ];
-    for (rates, (id, what, _, target)) in many.into_iter().zip(CROWDS) {
+    for (rates, (id, what, _, target)) in many.into_iter().zip(MANY_LANES) {
         if rates.is_empty() {
             continue;
         }
@@ -80,7 +80,7 @@ fn run(session: &mut Session<'_>) -> Result<Vec<Figure>> {
                 Better::Higher,
             )
             .ours(rates)
-            .peer("the bare chain", "", bare_many.clone())
+            .baseline("the bare chain", "", bare_many.clone())
             .target(Bound::Value(target), format!("{} steps/s", crate::figure::shown(target)))
             .parameter("lanes", lanes),
         );
@@ -88,23 +88,24 @@ fn run(session: &mut Session<'_>) -> Result<Vec<Figure>> {
     Ok(figures)
 }
 
-/// The run of many lanes called `id`; `None` where it needs a Python that is not there.
-fn crowd(session: &Session<'_>, id: &str, lanes: u32, runs: u32) -> Option<Walk> {
+/// The run `id` with many lanes; `None` when it needs a Python environment that was not given.
+fn many_lanes(session: &Session<'_>, id: &str, lanes: u32, runs: u32) -> Option<BenchRun> {
     if id != "python" {
-        return Some(Walk::new(lanes, runs, &[&WARM[..], &["--policy", id]].concat()));
+        return Some(BenchRun::new(lanes, runs, &[&WARM[..], &["--policy", id]].concat()));
     }
     let package = Path::new(env!("CARGO_MANIFEST_DIR")).join("../python");
     let script = package.join("examples/return_at_once.py");
-    let python = session.peers?.python.display().to_string();
+    let python = session.baselines?.python.display().to_string();
     let command = format!("'{python}' -s '{}'", script.display());
-    let mut walk = Walk::new(lanes, runs, &[&WARM[..], &["--policy-cmd", &command]].concat());
-    walk.env.push(("PYTHONPATH".to_owned(), package.display().to_string()));
-    Some(walk)
+    let mut bench_run =
+        BenchRun::new(lanes, runs, &[&WARM[..], &["--policy-cmd", &command]].concat());
+    bench_run.env.push(("PYTHONPATH".to_owned(), package.display().to_string()));
+    Some(bench_run)
 }
 
-/// The same, small where the session is.
-fn small(session: &Session<'_>, mut walk: Walk) -> Walk {
+/// Shrinks the run in a tiny session.
+fn shrunk(session: &Session<'_>, mut bench_run: BenchRun) -> BenchRun {
     let few = ["--limit", "6", "--max-steps", "6", "--frame-size", "64"];
-    walk.flags.extend(session.size.pick(&few[..], &[]).iter().map(|flag| (*flag).to_owned()));
-    walk
+    bench_run.flags.extend(session.size.pick(&few[..], &[]).iter().map(|flag| (*flag).to_owned()));
+    bench_run
 }

@@ -1,42 +1,42 @@
-//! What people type, and the loop over the benches.
+//! Command line of `memtransfer-bench`, and the loop over the benches.
 
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::{Instant, SystemTime};
 
 use anyhow::{Context, Result, bail};
-use benches::results::{FILE, Outcome, Results};
-use benches::{BENCHES, Bench, Peers, Session, Size, compare, markdown, page, parts, timeline};
+use benches::results::{BenchOutcome, FILE, Results};
+use benches::{BENCHES, Baselines, Bench, Session, Size, compare, markdown, processes, timeline};
 use clap::{Parser, Subcommand};
 use orchestrator::commit::commit_of;
 
-/// Measures this project beside others' programs, in the same rounds on the same machine.
+/// Measures this project beside other programs, alternating on the same machine.
 #[derive(Debug, Parser)]
 #[command(name = "memtransfer-bench", version, after_help = after_help())]
 struct Arguments {
-    /// Measure these benches alone
+    /// Measure only these benches, separated by commas
     #[arg(long, value_name = "NAMES", value_delimiter = ',')]
     only: Vec<String>,
-    /// How often each figure is measured; ours and the peer's in turns
+    /// Rounds; each measures this project and the baseline
     #[arg(long, value_name = "N", default_value_t = 5)]
     rounds: u32,
-    /// Earlier results (a bench.json) to set beside the new ones
+    /// Compare with earlier results (a bench.json)
     #[arg(long, value_name = "FILE")]
     compare: Option<PathBuf>,
-    /// Where bench.json, bench.html and bench.md are written
+    /// Folder for bench.json and bench.md
     #[arg(long, value_name = "DIR", default_value = "target/bench")]
     out: PathBuf,
-    /// Keep what that bench.json has of benches that are not measured now
+    /// Keep the results in bench.json of benches that are not measured now
     #[arg(long)]
     keep: bool,
-    /// A Python interpreter that has the peers' packages (benches/peers/requirements.txt); without it, ours are
-    /// measured alone
+    /// Python interpreter with the baselines' packages (benches/baselines/requirements.txt); without it, only this
+    /// project is measured
     #[arg(long, value_name = "FILE")]
     python: Option<PathBuf>,
-    /// As little as shows that the benches work; its figures mean nothing
+    /// Only show that the benches work; the figures mean nothing
     #[arg(long)]
     tiny: bool,
-    /// Put the results into this Markdown page, between its marks
+    /// Insert the results into this Markdown page, between its markers
     #[arg(long, value_name = "FILE")]
     page: Option<PathBuf>,
     #[command(subcommand)]
@@ -45,23 +45,23 @@ struct Arguments {
 
 #[derive(Debug, Subcommand)]
 enum Verb {
-    /// Draws what each process worked on, from a trace (`memtransfer run --trace`)
+    /// Draw what each process worked on, from a trace (`memtransfer run --trace`)
     Timeline {
         /// The trace
         trace: PathBuf,
-        /// The picture (SVG)
+        /// Output file (SVG)
         #[arg(long, value_name = "FILE", default_value = "timeline.svg")]
         to: PathBuf,
-        /// Where it begins, in milliseconds of the run
+        /// Start, in milliseconds of the run
         #[arg(long, value_name = "MS", default_value_t = 0.0)]
         from_ms: f64,
-        /// How much of it, in milliseconds
+        /// Duration, in milliseconds
         #[arg(long, value_name = "MS", default_value_t = 1000.0)]
         for_ms: f64,
     },
-    /// Plays a part in a bench
+    /// Run a helper process of a bench
     #[command(hide = true)]
-    Part { name: String, arguments: Vec<String> },
+    Process { name: String, arguments: Vec<String> },
 }
 
 fn after_help() -> String {
@@ -69,7 +69,7 @@ fn after_help() -> String {
     let lines = BENCHES.iter().map(|bench| format!("  {:width$}  {}\n", bench.name, bench.about));
     format!(
         "Benches:\n{}\nThe table goes to stdout, progress to stderr. Exit status: 0 all benches ran, 1 one failed, 2 \
-         could not run.\n`cargo xtask bench` builds the programs and brings the peers first.",
+         could not run.\n`cargo xtask bench` builds the programs and installs the baselines first.",
         lines.collect::<String>()
     )
 }
@@ -77,7 +77,7 @@ fn after_help() -> String {
 pub(super) fn main() -> ExitCode {
     let arguments = Arguments::parse();
     let done = match &arguments.verb {
-        Some(Verb::Part { name, arguments }) => parts::play(name, arguments).map(|()| true),
+        Some(Verb::Process { name, arguments }) => processes::run(name, arguments).map(|()| true),
         Some(Verb::Timeline { trace, to, from_ms, for_ms }) => {
             timeline::draw(trace, *from_ms, *for_ms).and_then(|svg| {
                 std::fs::write(to, svg)
@@ -98,15 +98,15 @@ pub(super) fn main() -> ExitCode {
     }
 }
 
-/// Measures, and keeps the results after every bench; whether all could be measured.
+/// Measures and writes the results after every bench. Returns whether every bench succeeded.
 fn run(arguments: &Arguments) -> Result<bool> {
     let benches = chosen(&arguments.only)?;
     let earlier = arguments.compare.as_deref().map(Results::read).transpose()?;
-    let peers = arguments.python.clone().map(Peers::new);
-    let program = std::env::current_exe().context("cannot find this program's own place")?;
-    let programs = program.parent().context("this program lies in no folder")?;
+    let baselines = arguments.python.clone().map(Baselines::new);
+    let program = std::env::current_exe().context("cannot find the path of this program")?;
+    let programs = program.parent().context("this program has no parent folder")?;
     std::fs::create_dir_all(&arguments.out)
-        .with_context(|| format!("cannot make {}", arguments.out.display()))?;
+        .with_context(|| format!("cannot create {}", arguments.out.display()))?;
     let mut results = Results::here();
     let kept = arguments.out.join(FILE);
     if arguments.keep && kept.is_file() {
@@ -114,7 +114,8 @@ fn run(arguments: &Arguments) -> Result<bool> {
     }
     let size = if arguments.tiny { Size::Tiny } else { Size::Full };
     for bench in benches {
-        let session = Session::new(bench.name, size, arguments.rounds, programs, peers.as_ref())?;
+        let session =
+            Session::new(bench.name, size, arguments.rounds, programs, baselines.as_ref())?;
         results.add(measure(bench, session));
         write(&results, earlier.as_ref(), &arguments.out)?;
     }
@@ -123,7 +124,7 @@ fn run(arguments: &Arguments) -> Result<bool> {
     if let Some(earlier) = &earlier {
         if earlier.machine != results.machine {
             println!(
-                "\nThe earlier results are of another machine: {}.",
+                "\nThe earlier results are from another machine: {}.",
                 earlier.machine.summary()
             );
         }
@@ -148,7 +149,7 @@ fn chosen(only: &[String]) -> Result<Vec<&'static Bench>> {
     Ok(BENCHES.iter().filter(|bench| only.iter().any(|name| name == bench.name)).collect())
 }
 
-fn measure(bench: &Bench, mut session: Session<'_>) -> Outcome {
+fn measure(bench: &Bench, mut session: Session<'_>) -> BenchOutcome {
     session.say(bench.about);
     let (began, clock) = (httpdate::fmt_http_date(SystemTime::now()), Instant::now());
     let figures = (bench.run)(&mut session);
@@ -156,7 +157,7 @@ fn measure(bench: &Bench, mut session: Session<'_>) -> Outcome {
     if let Some(error) = &error {
         eprintln!("{}: failed: {error}", bench.name);
     }
-    Outcome {
+    BenchOutcome {
         name: bench.name.to_owned(),
         about: bench.about.to_owned(),
         began,
@@ -169,13 +170,12 @@ fn measure(bench: &Bench, mut session: Session<'_>) -> Outcome {
 
 fn write(results: &Results, earlier: Option<&Results>, out: &Path) -> Result<()> {
     results.write(out)?;
-    let changes = earlier.map(|earlier| compare::compare(earlier, results));
-    let save = |name: &str, text: String| {
-        let path = out.join(name);
-        std::fs::write(&path, text).with_context(|| format!("cannot write {}", path.display()))
-    };
-    save("bench.md", markdown::render(results))?;
-    save("bench.html", page::render(results, changes.as_deref())?)
+    let mut text = markdown::render(results);
+    if let Some(earlier) = earlier {
+        text += &format!("\n{}", markdown::changes(&compare::compare(earlier, results)));
+    }
+    let path = out.join("bench.md");
+    std::fs::write(&path, text).with_context(|| format!("cannot write {}", path.display()))
 }
 
 #[cfg(test)]

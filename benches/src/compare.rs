@@ -1,33 +1,33 @@
-//! Results beside earlier ones: by ratio, and a change is called one only where it shows above the noise.
+//! Comparison with earlier results: ratios, and a verdict that is only given where it exceeds the noise.
 
 use crate::figure::{Better, Summary};
 use crate::results::Results;
 
-/// Rounds that both sides need before their ranges mean something.
+/// Rounds needed on both sides for a verdict.
 const ENOUGH_ROUNDS: usize = 3;
 
-/// A figure, then and now.
+/// A figure before and now.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Change {
     /// The figure's id.
     pub id: String,
-    /// What it is.
+    /// Description.
     pub what: String,
-    /// In what.
+    /// Unit.
     pub unit: String,
-    /// What it was.
+    /// Earlier value.
     pub before: Summary,
-    /// What it is.
+    /// Present value.
     pub now: Summary,
-    /// Now divided by before, of the medians.
+    /// Ratio of the medians, now to before.
     pub ratio: f64,
-    /// The same of the peer: what the machine did meanwhile.
-    pub peer_ratio: Option<f64>,
-    /// What can be said.
+    /// The same ratio of the baseline, which shows changes of the machine.
+    pub baseline_ratio: Option<f64>,
+    /// Conclusion.
     pub verdict: Verdict,
 }
 
-/// What a comparison comes to.
+/// Conclusion of a comparison.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Verdict {
     /// Every round is better than every round before.
@@ -35,34 +35,34 @@ pub enum Verdict {
     /// Every round is worse than every round before.
     Worse,
     /// The ranges overlap.
-    NotToldApart,
-    /// Too few rounds to say.
+    Indistinguishable,
+    /// Too few rounds.
     TooFewRounds,
 }
 
 impl Verdict {
-    /// In words.
+    /// The verdict in words.
     pub const fn words(self) -> &'static str {
         match self {
             Self::Better => "better",
             Self::Worse => "WORSE",
-            Self::NotToldApart => "not told apart",
-            Self::TooFewRounds => "too few rounds to say",
+            Self::Indistinguishable => "indistinguishable",
+            Self::TooFewRounds => "too few rounds",
         }
     }
 }
 
-/// Every figure that both have, in the order of `now`.
+/// Compares every figure that both have, in the order of `now`.
 pub fn compare(before: &Results, now: &Results) -> Vec<Change> {
     let change = |new: &crate::results::Measured| {
         let old = before.figures().find(|old| {
-            // Measured otherwise, it is another figure.
+            // With other parameters it is another figure.
             old.figure.id == new.figure.id
                 && old.figure.unit == new.figure.unit
                 && old.figure.parameters == new.figure.parameters
         })?;
         let (was, is) = (old.summary?, new.summary?);
-        let peers = old.peer_summary.zip(new.peer_summary);
+        let baselines = old.baseline_summary.zip(new.baseline_summary);
         let rounds = old.figure.ours.len().min(new.figure.ours.len());
         Some(Change {
             id: new.figure.id.clone(),
@@ -71,7 +71,7 @@ pub fn compare(before: &Results, now: &Results) -> Vec<Change> {
             before: was,
             now: is,
             ratio: is.median / was.median,
-            peer_ratio: peers.map(|(was, is)| is.median / was.median),
+            baseline_ratio: baselines.map(|(was, is)| is.median / was.median),
             verdict: verdict(was, is, new.figure.better, rounds),
         })
     };
@@ -84,7 +84,7 @@ fn verdict(before: Summary, now: Summary, better: Better, rounds: usize) -> Verd
     }
     let (higher, lower) = (now.min > before.max, now.max < before.min);
     match better {
-        _ if !higher && !lower => Verdict::NotToldApart,
+        _ if !higher && !lower => Verdict::Indistinguishable,
         Better::Higher if higher => Verdict::Better,
         Better::Lower if lower => Verdict::Better,
         Better::Higher | Better::Lower => Verdict::Worse,
@@ -95,15 +95,15 @@ fn verdict(before: Summary, now: Summary, better: Better, rounds: usize) -> Verd
 mod tests {
     use super::*;
     use crate::figure::Figure;
-    use crate::results::Outcome;
+    use crate::results::BenchOutcome;
 
     fn results(better: Better, ours: &[f64], bytes: u32) -> Results {
         let figure = Figure::new("f", "f", "us", better)
             .ours(ours)
-            .peer("peer", "1", [2.0, 2.0, 2.0])
+            .baseline("baseline", "1", [2.0, 2.0, 2.0])
             .parameter("bytes", bytes);
         let mut results = Results::here();
-        results.add(Outcome {
+        results.add(BenchOutcome {
             name: "b".to_owned(),
             about: String::new(),
             began: String::new(),
@@ -116,7 +116,7 @@ mod tests {
     }
 
     #[test]
-    fn a_change_shows_only_where_no_round_of_one_is_among_those_of_the_other() {
+    fn a_verdict_requires_disjoint_ranges() {
         let verdict = |better, before: &[f64], now: &[f64]| {
             let changes = compare(&results(better, before, 1), &results(better, now, 1));
             changes.first().map(|change| change.verdict)
@@ -125,15 +125,15 @@ mod tests {
         assert_eq!(verdict(Better::Higher, &low, &high), Some(Verdict::Better));
         assert_eq!(verdict(Better::Lower, &low, &high), Some(Verdict::Worse));
         assert_eq!(verdict(Better::Lower, &high, &low), Some(Verdict::Better));
-        assert_eq!(verdict(Better::Lower, &low, &mixed), Some(Verdict::NotToldApart));
+        assert_eq!(verdict(Better::Lower, &low, &mixed), Some(Verdict::Indistinguishable));
         assert_eq!(verdict(Better::Lower, &low[..2], &high), Some(Verdict::TooFewRounds));
     }
 
     #[test]
-    fn what_was_measured_otherwise_is_not_compared() {
+    fn figures_with_other_parameters_are_not_compared() {
         let of = |bytes| results(Better::Lower, &[1.0, 1.0, 1.0], bytes);
         assert_eq!(compare(&of(1), &of(2)), []);
         let same = compare(&of(1), &of(1));
-        assert_eq!((same[0].ratio, same[0].peer_ratio), (1.0, Some(1.0)));
+        assert_eq!((same[0].ratio, same[0].baseline_ratio), (1.0, Some(1.0)));
     }
 }

@@ -1,5 +1,5 @@
-//! How things grow: steps a second against lanes, the making of cases against their number, a report against
-//! episodes. Beside each the exponent that fits, and the one that it should have.
+//! Scaling: steps per second against lanes, case generation against the number of cases, a report against episodes; each
+//! with its fitted and its expected exponent.
 
 use std::fs;
 use std::path::Path;
@@ -10,25 +10,24 @@ use anyhow::{Context, Result};
 use crate::Bench;
 use crate::chain::WARM;
 use crate::figure::{Better, Bound, Figure};
-use crate::runs::{Walk, ended_well, steady_rate};
+use crate::runs::{BenchRun, ended_well, steady_rate};
 use crate::session::Session;
 
-/// This bench.
+/// The bench.
 pub const BENCH: Bench =
     Bench { name: "curves", about: "how speed and time grow with lanes, cases and episodes", run };
 
-/// Points at the right end of a curve that its exponent is fitted to: further left, what is there anyhow (a start, a
-/// first page) shows more than what grows.
+/// Points at the right end of a curve that its exponent is fitted to; constant costs dominate further left.
 const FITTED: usize = 3;
 
-/// A curve to be measured.
+/// A curve to measure.
 struct Curve {
     id: &'static str,
     plot: &'static str,
     axis: &'static str,
     unit: &'static str,
     better: Better,
-    /// The exponent that it must not exceed, for times; rates have none.
+    /// Largest allowed exponent of a duration; rates have none.
     expected: Option<f64>,
     xs: &'static [u32],
     tiny: &'static [u32],
@@ -72,7 +71,7 @@ const CURVES: [Curve; 3] = [
     },
 ];
 
-/// By how much an exponent may miss: what a logarithm and the noise add.
+/// Tolerance of an exponent, for a logarithmic factor and noise.
 const SLACK: f64 = 0.15;
 
 fn run(session: &mut Session<'_>) -> Result<Vec<Figure>> {
@@ -120,20 +119,19 @@ fn run(session: &mut Session<'_>) -> Result<Vec<Figure>> {
                 curve.better,
             )
             .ours(values)
-            .point(curve.plot, "ours", curve.axis, f64::from(x))
         }));
     }
     Ok(figures)
 }
 
-/// The exponent that fits the right end of a curve.
+/// Fits the exponent to the right end of a curve.
 fn exponent(points: &[(f64, f64)]) -> Option<f64> {
     let end = &points[points.len().saturating_sub(FITTED)..];
     let logs: Vec<(f64, f64)> = end.iter().map(|(x, y)| (x.ln(), y.ln())).collect();
     fitted_slope(&logs)
 }
 
-/// The slope of the line that fits best; `None` where all points lie above each other.
+/// Slope of the least-squares line; `None` when all points have the same x.
 pub(crate) fn fitted_slope(points: &[(f64, f64)]) -> Option<f64> {
     let n = points.len() as f64;
     let mean_x = points.iter().map(|(x, _)| x).sum::<f64>() / n;
@@ -144,13 +142,13 @@ pub(crate) fn fitted_slope(points: &[(f64, f64)]) -> Option<f64> {
 }
 
 fn lanes(session: &Session<'_>, lanes: u32) -> Result<f64> {
-    // So long that every number of lanes is at it for a second or more.
+    // Long enough for a second or more with any number of lanes.
     let runs = session.size.pick(1, 4 + lanes.min(50));
     let mut flags = [&WARM[..], &["--policy", "random"]].concat();
     flags.extend(
         session.size.pick(&["--limit", "6", "--max-steps", "6", "--frame-size", "64"][..], &[]),
     );
-    steady_rate(&Walk::new(lanes, runs, &flags).make(session, "lanes")?)
+    steady_rate(&BenchRun::new(lanes, runs, &flags).make(session, "lanes")?)
 }
 
 fn generate(session: &Session<'_>, cases: u32) -> Result<f64> {
@@ -159,17 +157,17 @@ fn generate(session: &Session<'_>, cases: u32) -> Result<f64> {
     timed(session, &mut command)
 }
 
-/// The run that [`report`] takes its episodes from.
+/// The run that provides the episodes of [`report`].
 const WALKED: &str = "walked";
 
-/// Walks as many episodes as the longest report is about. The expert needs no other process than the simulator.
+/// Executes as many episodes as the longest report has. The expert needs only the simulator.
 fn walked(session: &Session<'_>) -> Result<()> {
     let few = ["--limit", "10", "--frame-size", "64"];
     let flags = ["--suite", "quick", "--policy", "expert", "--cases", "all", "--max-steps", "8"];
     let size = session.size.pick(&few[..], &["--frame-size", "64"]);
-    // A hundred cases from two starts with six memories, or ten of them; each so often.
+    // A hundred cases (or ten), two starts, six memories, repeated.
     let runs = session.size.pick(1, 8);
-    Walk::new(32, runs, &[&flags[..], size].concat()).make(session, WALKED)?;
+    BenchRun::new(32, runs, &[&flags[..], size].concat()).make(session, WALKED)?;
     Ok(())
 }
 
@@ -195,7 +193,7 @@ fn copy(from: &Path, to: &Path, file: &str, lines: Option<usize>) -> Result<()> 
     fs::write(to.join(file), text).with_context(|| format!("cannot write {}", to.display()))
 }
 
-/// Seconds that a command takes.
+/// Duration of a command in seconds.
 fn timed(session: &Session<'_>, command: &mut std::process::Command) -> Result<f64> {
     command.stdout(std::process::Stdio::null());
     let began = Instant::now();

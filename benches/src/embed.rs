@@ -1,7 +1,7 @@
 //! Embedding views, cold: how many a second, beside ONNX Runtime from Python with the same model on as many threads; and
 //! whether the precision that makes it fast leaves what is retrieved as it is.
 //!
-//! Ours is everything from a frame's bytes to an embedding; the peer is given tensors that are ready. Retrieval is
+//! Ours is everything from a frame's bytes to an embedding; the baseline is given tensors that are ready. Retrieval is
 //! compared over everything that can be asked in the unchanged world: from every pose, the nearest of each case's
 //! demonstration views, of all of its demonstrations together and of each alone.
 
@@ -24,12 +24,12 @@ use sim_proc::renderer::{Destination, RenderJob, RenderSettings, Renderer, View}
 use warehouse::{CaseSet, Demonstrations, Variant, Warehouse};
 
 use crate::Bench;
+use crate::baselines::Baseline;
 use crate::figure::{Better, Bound, Figure};
-use crate::peers::Peer;
 use crate::search::threads;
 use crate::session::Session;
 
-/// This bench.
+/// The bench.
 pub const BENCH: Bench = Bench {
     name: "embed",
     about: "embedding views beside ONNX Runtime from Python, and whether what is retrieved stays as it is",
@@ -65,27 +65,27 @@ fn run(session: &mut Session<'_>) -> Result<Vec<Figure>> {
 
     let (mut own, mut exact) = (open(None)?, open(Some(Precision::F32))?);
     let (mut fast, mut slow, mut theirs) = (Vec::new(), Vec::new(), Vec::new());
-    let mut peer = match session.peers {
-        Some(peers) => Some(Peer::start(peers, "onnx_runtime.py", session.scratch())?),
+    let mut baseline = match session.baselines {
+        Some(baselines) => Some(Baseline::start(baselines, "onnx_runtime.py", session.scratch())?),
         None => None,
     };
-    let opened = match &mut peer {
-        Some(peer) => {
+    let opened = match &mut baseline {
+        Some(baseline) => {
             let model = default_model()?.path;
-            peer.ask(&json!({"do": "open", "model": model, "threads": threads()}))?
+            baseline.ask(&json!({"do": "open", "model": model, "threads": threads()}))?
         }
         None => json!({}),
     };
     for round in 1..=session.rounds() {
         session.say(format_args!("round {round}"));
         fast.push(rate(&mut own, &some)?);
-        if let Some(peer) = &mut peer {
+        if let Some(baseline) = &mut baseline {
             let request = json!({"do": "time", "images": IMAGES});
-            theirs.push(peer.ask_number(&request, "images_per_second")?);
+            theirs.push(baseline.ask_number(&request, "images_per_second")?);
         }
         slow.push(rate(&mut exact, &some)?);
     }
-    drop(peer);
+    drop(baseline);
 
     let rates = |id: &str, what: &str, values: Vec<f64>, facts: &EncoderFacts| {
         let figure = Figure::new(id, what, "images/s", Better::Higher)
@@ -93,14 +93,14 @@ fn run(session: &mut Session<'_>) -> Result<Vec<Figure>> {
             .parameter("encoder", &facts.model)
             .parameter("precision", facts.precision.word())
             .parameter("threads", facts.threads)
-            .note("ours from a frame's bytes on; the peer is given tensors that are ready");
+            .note("ours from a frame's bytes on; the baseline is given tensors that are ready");
         let said = |key: &str| opened[key].as_str().unwrap_or_default();
         if theirs.is_empty() {
             return figure;
         }
         figure
-            .peer("ONNX Runtime from Python", said("version"), theirs.clone())
-            .parameter("peer's setting", said("setting"))
+            .baseline("ONNX Runtime from Python", said("version"), theirs.clone())
+            .parameter("baseline's setting", said("setting"))
     };
     let mut figures = vec![
         rates("embed.cold", "embedding, cold", fast, own.facts()).target(Bound::Ratio(2.0), "2 x"),
@@ -206,7 +206,7 @@ fn retrieval(libraries: &[Vec<usize>], nearly: &[Embedding], exactly: &[Embeddin
     let what = "questions whose nearest demonstration view is the one that f32 finds";
     Figure::new("embed.same-top-1", what, "%", Better::Higher)
         .ours([share])
-        .peer("the same encoder at f32", "", [100.0])
+        .baseline("the same encoder at f32", "", [100.0])
         .target(Bound::Value(100.0), "unchanged")
         .parameter("questions", questions)
         .parameter("views", exactly.len())

@@ -1,94 +1,78 @@
-//! What a bench gives: a figure with one value a round, and beside it the peer's.
+//! Figures: one value per round, with the baseline's value of the same round.
 
 use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
-/// Which way is good.
+/// Direction of improvement.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Better {
-    /// More is better.
+    /// Larger is better.
     Higher,
-    /// Less is better.
+    /// Smaller is better.
     Lower,
 }
 
-/// Something that was measured, once a round.
+/// A measured quantity.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Figure {
-    /// Unique over all benches, and the same from run to run: figures are compared by it.
+    /// Unique over all benches and stable between runs; figures are compared by it.
     pub id: String,
-    /// What was measured, for a reader.
+    /// Description.
     pub what: String,
-    /// In what: `us`, `steps/s`.
+    /// Unit: `us`, `steps/s`.
     pub unit: String,
-    /// Which way is good.
+    /// Direction of improvement.
     pub better: Better,
-    /// Ours, a value a round.
+    /// Our values, one per round.
     pub ours: Vec<f64>,
-    /// The peer's.
+    /// The baseline's values.
     #[serde(skip_serializing_if = "Option::is_none", default)]
-    pub peer: Option<PeerFigure>,
-    /// What it should come to.
+    pub baseline: Option<BaselineFigure>,
+    /// Target.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub target: Option<Target>,
-    /// What decides the figure: sizes, threads, versions.
+    /// Parameters of the measurement: sizes, threads, versions.
     #[serde(skip_serializing_if = "BTreeMap::is_empty", default)]
     pub parameters: BTreeMap<String, String>,
-    /// What a reader must know about it.
+    /// A remark for the reader.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub note: Option<String>,
-    /// Its place on a plot, where it is one point of a curve.
-    #[serde(skip_serializing_if = "Option::is_none", default)]
-    pub point: Option<Point>,
 }
 
-/// What a peer came to, in the same rounds.
+/// Values of a baseline in the same rounds.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct PeerFigure {
-    /// Its name.
+pub struct BaselineFigure {
+    /// Name.
     pub name: String,
-    /// Its version.
+    /// Version.
     pub version: String,
-    /// A value a round: the round of the value in the same place of `ours`.
+    /// One value per round, in the order of `ours`.
     pub values: Vec<f64>,
 }
 
-/// What a figure should come to.
+/// A target of a figure.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Target {
     /// The bound.
     pub bound: Bound,
-    /// As the table says it.
+    /// Text in the table.
     pub text: String,
 }
 
-/// A bound, in the direction in which the figure is good.
+/// A bound in the direction of improvement.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Bound {
-    /// Of ours divided by the peer's.
+    /// On ours divided by the baseline's.
     Ratio(f64),
-    /// Of ours.
+    /// On ours.
     Value(f64),
 }
 
-/// A place on a plot: both axes are logarithmic.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Point {
-    /// The plot.
-    pub plot: String,
-    /// The line on it.
-    pub line: String,
-    /// What the horizontal axis is, with its unit.
-    pub axis: String,
-    /// Where on it.
-    pub x: f64,
-}
-
 impl Figure {
-    /// A figure without values yet.
+    /// Creates a figure without values.
     pub fn new(
         id: impl Into<String>,
         what: impl Into<String>,
@@ -101,86 +85,72 @@ impl Figure {
             unit: unit.into(),
             better,
             ours: Vec::new(),
-            peer: None,
+            baseline: None,
             target: None,
             parameters: BTreeMap::new(),
             note: None,
-            point: None,
         }
     }
 
-    /// With our values, one a round.
+    /// Sets our values, one per round.
     #[must_use]
     pub fn ours(mut self, values: impl Into<Vec<f64>>) -> Self {
         self.ours = values.into();
         self
     }
 
-    /// With the values of a peer in the same rounds.
+    /// Sets the values of a baseline in the same rounds.
     #[must_use]
-    pub fn peer(
+    pub fn baseline(
         mut self,
         name: impl Into<String>,
         version: impl Into<String>,
         values: impl Into<Vec<f64>>,
     ) -> Self {
         let (name, version, values) = (name.into(), version.into(), values.into());
-        self.peer = Some(PeerFigure { name, version, values });
+        self.baseline = Some(BaselineFigure { name, version, values });
         self
     }
 
-    /// With a target.
+    /// Sets the target.
     #[must_use]
     pub fn target(mut self, bound: Bound, text: impl Into<String>) -> Self {
         self.target = Some(Target { bound, text: text.into() });
         self
     }
 
-    /// With a parameter.
+    /// Adds a parameter.
     #[must_use]
     pub fn parameter(mut self, name: impl Into<String>, value: impl ToString) -> Self {
         self.parameters.insert(name.into(), value.to_string());
         self
     }
 
-    /// With a note.
+    /// Sets the note.
     #[must_use]
     pub fn note(mut self, note: impl Into<String>) -> Self {
         self.note = Some(note.into());
         self
     }
 
-    /// As a point of a curve.
-    #[must_use]
-    pub fn point(
-        mut self,
-        plot: impl Into<String>,
-        line: impl Into<String>,
-        axis: impl Into<String>,
-        x: f64,
-    ) -> Self {
-        self.point = Some(Point { plot: plot.into(), line: line.into(), axis: axis.into(), x });
-        self
-    }
-
-    /// What our rounds came to.
+    /// Summary of our rounds.
     pub fn summary(&self) -> Option<Summary> {
         Summary::of(&self.ours)
     }
 
-    /// What the peer's came to.
-    pub fn peer_summary(&self) -> Option<Summary> {
-        self.peer.as_ref().and_then(|peer| Summary::of(&peer.values))
+    /// Summary of the baseline's rounds.
+    pub fn baseline_summary(&self) -> Option<Summary> {
+        self.baseline.as_ref().and_then(|baseline| Summary::of(&baseline.values))
     }
 
-    /// Ours divided by the peer's, round by round, summed up.
+    /// Summary of ours divided by the baseline's, per round.
     pub fn ratio(&self) -> Option<Summary> {
-        let peer = self.peer.as_ref()?;
-        let both = self.ours.iter().zip(&peer.values);
+        let baseline = self.baseline.as_ref()?;
+        let both = self.ours.iter().zip(&baseline.values);
         Summary::of(&both.map(|(ours, theirs)| ours / theirs).collect::<Vec<_>>())
     }
 
-    /// Whether the target is met by the median; `None` where there is none, or nothing to judge it by.
+    /// Whether the median meets the target; `None` without a target or without the values it needs.
     pub fn meets_target(&self) -> Option<bool> {
         let (found, bound) = match self.target.as_ref()?.bound {
             Bound::Ratio(bound) => (self.ratio()?.median, bound),
@@ -193,19 +163,19 @@ impl Figure {
     }
 }
 
-/// What the rounds of a figure came to.
+/// Summary of a figure's rounds.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Summary {
-    /// The middle value; the mean of the two middle ones of an even number.
+    /// Median.
     pub median: f64,
-    /// The smallest.
+    /// Smallest value.
     pub min: f64,
-    /// The largest.
+    /// Largest value.
     pub max: f64,
 }
 
 impl Summary {
-    /// Of `values`; `None` when there are none, or one is not a number.
+    /// Summarises `values`; `None` when there are none or one is not finite.
     pub fn of(values: &[f64]) -> Option<Self> {
         if values.is_empty() || !values.iter().all(|value| value.is_finite()) {
             return None;
@@ -222,7 +192,7 @@ impl Summary {
     }
 }
 
-/// A number with as many digits as mean something, and thousands set apart.
+/// Formats a number with significant digits and thousands separators.
 pub fn shown(value: f64) -> String {
     let digits = match value.abs() {
         size if size >= 100.0 || size == 0.0 => 0,
@@ -260,7 +230,7 @@ mod tests {
         let figure = |better| {
             Figure::new("f", "f", "us", better)
                 .ours([10.0, 30.0, 20.0])
-                .peer("peer", "1", [10.0, 10.0, 10.0])
+                .baseline("baseline", "1", [10.0, 10.0, 10.0])
                 .target(Bound::Ratio(2.0), "within 2 x")
         };
         assert_eq!(figure(Better::Lower).ratio().map(|ratio| ratio.median), Some(2.0));

@@ -1,5 +1,5 @@
-//! Whether a long run grows: the memory of every process and the shared memory, while thirty thousand short episodes are
-//! walked. Every view is drawn before, or shared memory would fill for as long as new ones are seen.
+//! Memory growth over a long run: private memory of every process and shared memory during thirty thousand short
+//! episodes. Every view is rendered beforehand, because shared memory fills as long as new views appear.
 
 use std::collections::BTreeMap;
 use std::fs::{self, File};
@@ -15,26 +15,26 @@ use shm_types::process::SHARED_MEMORY;
 
 use crate::Bench;
 use crate::figure::{Better, Bound, Figure};
-use crate::runs::Walk;
+use crate::runs::BenchRun;
 use crate::session::{Session, Size};
 
-/// This bench.
+/// The bench.
 pub const BENCH: Bench = Bench {
     name: "growth",
-    about: "memory of all processes and shared memory, while 30,000 episodes are walked",
+    about: "memory of all processes and shared memory, during 30,000 episodes",
     run,
 };
 
-/// How often it is looked.
+/// Sampling interval.
 const PACE: Duration = Duration::from_millis(50);
 
-/// Part of the episodes before which nothing counts: caches fill, views are drawn.
+/// Share of the episodes that count as warm-up, while caches fill.
 const WARM_UP: f64 = 0.4;
 
-/// Bytes an episode below which nothing grows: a megabyte over the whole run.
+/// Growth in bytes per episode that counts as none: a megabyte over the whole run.
 const NOTHING: f64 = 100.0;
 
-/// What is looked at. Private memory of each process; what they share is counted once, where it lies.
+/// What is sampled: private memory of each process, and shared memory once.
 const PLACES: [(&str, &str); 5] = [
     ("memtransfer", "private memory of the orchestrator"),
     ("sim-proc", "private memory of the simulator"),
@@ -47,10 +47,10 @@ fn run(session: &mut Session<'_>) -> Result<Vec<Figure>> {
     let (slopes, episodes) = {
         let mut slopes: BTreeMap<&str, Vec<f64>> = BTreeMap::new();
         let mut episodes = 0;
-        // Long, and without a peer to be measured beside: twice is enough to see a trend from chance.
+        // A long bench without a baseline; two rounds tell a trend from chance.
         for round in 1..=session.rounds().min(2) {
             session.say(format_args!("round {round}"));
-            let samples = walk(session)?;
+            let samples = execute(session)?;
             episodes = samples.last().map_or(0, |sample| sample.episodes);
             for (place, _) in PLACES {
                 slopes.entry(place).or_default().push(slope(&samples, |sample| {
@@ -77,16 +77,16 @@ fn run(session: &mut Session<'_>) -> Result<Vec<Figure>> {
     Ok(figures)
 }
 
-/// What was seen at a moment.
+/// A sample.
 #[derive(Debug, Clone)]
 struct Sample {
-    /// Episodes finished.
+    /// Finished episodes.
     episodes: u64,
-    /// By place.
+    /// Bytes by place.
     bytes: BTreeMap<&'static str, u64>,
 }
 
-fn walk(session: &Session<'_>) -> Result<Vec<Sample>> {
+fn execute(session: &Session<'_>) -> Result<Vec<Sample>> {
     let policy = ["--suite", "quick", "--policy", "random", "--starts", "original,new"];
     let size: &[&str] = match session.size {
         Size::Tiny => {
@@ -102,30 +102,34 @@ fn walk(session: &Session<'_>) -> Result<Vec<Sample>> {
             "--warm-views",
         ],
     };
-    // Fifty cases from two starts with three memories, each so often: a little more than thirty thousand.
-    let walk = Walk::new(
+    // Fifty cases, two starts, three memories, repeated: a little more than thirty thousand episodes.
+    let bench_run = BenchRun::new(
         session.size.pick(4, 32),
         session.size.pick(10, 102),
         &[&policy[..], size].concat(),
     );
-    let (mut command, folder) = walk.command(session, "growth")?;
+    let (mut command, folder) = bench_run.command(session, "growth")?;
     let log = session.scratch().join("growth.log");
     let mut child =
         command.stderr(File::create(&log)?).spawn().context("cannot start memtransfer")?;
-    let looked = look(session, &mut child, &folder.join("episodes.jsonl"));
-    if looked.is_err() {
-        // It may be over already.
+    let samples = sample_until_the_end(session, &mut child, &folder.join("episodes.jsonl"));
+    if samples.is_err() {
+        // Fails when it has already ended, which is fine.
         let _ = child.kill();
     }
     let status = child.wait().context("cannot wait for memtransfer")?;
     if !status.success() {
         bail!("memtransfer failed ({status}):\n{}", fs::read_to_string(&log).unwrap_or_default());
     }
-    looked
+    samples
 }
 
-/// Looks until the run is over.
-fn look(session: &Session<'_>, child: &mut Child, journal: &Path) -> Result<Vec<Sample>> {
+/// Samples until the run ends.
+fn sample_until_the_end(
+    session: &Session<'_>,
+    child: &mut Child,
+    journal: &Path,
+) -> Result<Vec<Sample>> {
     let mut samples = Vec::new();
     let (mut file, mut episodes) = (None, 0);
     let mut children = BTreeMap::new();
@@ -151,7 +155,7 @@ fn look(session: &Session<'_>, child: &mut Child, journal: &Path) -> Result<Vec<
                 .filter_map(|(name, pid)| Some((*name, private_bytes(*pid)?)))
                 .collect();
             bytes.insert("shared-memory", shared_bytes(session.registry())?);
-            // At its end processes go one after the other.
+            // Processes end one after another.
             if bytes.len() == PLACES.len() {
                 samples.push(Sample { episodes, bytes });
             }
@@ -160,7 +164,7 @@ fn look(session: &Session<'_>, child: &mut Child, journal: &Path) -> Result<Vec<
     }
 }
 
-/// The processes of a run by name: the program itself and its children.
+/// Process ids of a run by name: the program and its children.
 fn processes(memtransfer: u32) -> BTreeMap<&'static str, u32> {
     let mut found = BTreeMap::from([(PLACES[0].0, memtransfer)]);
     for entry in fs::read_dir("/proc").into_iter().flatten().flatten() {
@@ -181,14 +185,14 @@ fn processes(memtransfer: u32) -> BTreeMap<&'static str, u32> {
     found
 }
 
-/// Bytes of memory that are the process's own; `None` when it is gone.
+/// Private memory of a process in bytes; `None` when it has ended.
 fn private_bytes(pid: u32) -> Option<u64> {
     let status = fs::read_to_string(format!("/proc/{pid}/status")).ok()?;
     let line = status.lines().find_map(|line| line.strip_prefix("RssAnon:"))?;
     Some(line.trim().strip_suffix(" kB")?.parse::<u64>().ok()? << 10)
 }
 
-/// Bytes of shared memory of the runs registered in `registry`.
+/// Shared memory in bytes of the runs registered in `registry`.
 fn shared_bytes(registry: &Path) -> Result<u64> {
     let runs: Vec<String> = fs::read_dir(registry)
         .with_context(|| format!("cannot list {}", registry.display()))?
@@ -200,17 +204,17 @@ fn shared_bytes(registry: &Path) -> Result<u64> {
         let name = entry.file_name();
         runs.iter().any(|run| name.as_encoded_bytes().starts_with(run.as_bytes()))
     });
-    // What is written, not what is reserved; a file may go while it is looked at.
+    // Allocated blocks rather than reserved size; a file may disappear meanwhile.
     Ok(ours.filter_map(|entry| Some(entry.metadata().ok()?.blocks() * 512)).sum())
 }
 
-/// Bytes an episode: the slope of the line that fits best, after the warm-up.
+/// Bytes per episode: the slope of a least-squares line after the warm-up.
 fn slope(samples: &[Sample], bytes: impl Fn(&Sample) -> u64) -> Result<f64> {
-    let last = samples.last().context("the run was over before it was looked at")?.episodes;
+    let last = samples.last().context("the run ended before it was sampled")?.episodes;
     let after = |sample: &&Sample| sample.episodes as f64 >= WARM_UP * last as f64;
     let points: Vec<(f64, f64)> =
         samples.iter().filter(after).map(|s| (s.episodes as f64, bytes(s) as f64)).collect();
-    ensure!(points.len() >= 2, "the run was looked at {} times after its warm-up", points.len());
+    ensure!(points.len() >= 2, "only {} samples after the warm-up", points.len());
     Ok(crate::curves::fitted_slope(&points).unwrap_or_default())
 }
 
@@ -219,7 +223,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_grows_while_it_warms_up_does_not_count() {
+    fn growth_during_the_warm_up_does_not_count() {
         let sample =
             |episodes: u64, bytes| Sample { episodes, bytes: BTreeMap::from([("x", bytes)]) };
         let of = |sample: &Sample| sample.bytes["x"];

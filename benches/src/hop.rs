@@ -1,5 +1,5 @@
-//! A message from one process to another and its answer, both looking without ever sleeping: through our wire types,
-//! and through iceoryx2's own interface as its own benchmark uses it. Beside them what the machine can do at best.
+//! A polled round trip between two processes: through our wire types, and through iceoryx2's interface as iceoryx2's
+//! benchmark uses it. Also the machine's own limits.
 
 use std::path::Path;
 use std::time::{Duration, Instant};
@@ -21,21 +21,20 @@ use shm_types::{Attach, Bus, Receiver, RunDir, Sender};
 
 use crate::Bench;
 use crate::figure::{Better, Bound, Figure};
-use crate::parts::Part;
+use crate::processes::BenchProcess;
 use crate::session::Session;
 
-/// This bench.
+/// The bench.
 pub const BENCH: Bench = Bench {
     name: "hop",
     about: "a polled hop between two processes, and the machine's floors",
     run,
 };
 
-/// Trips of which the mean is taken; the figure is the median of those means, so that being put off the core once does
-/// not show.
+/// Round trips in a batch. The figure is the median of batch means, so that a preemption does not show.
 const BATCH: u32 = 100;
 
-/// How long an answer may take before the other process is taken to be gone.
+/// Longest wait for an answer before the other process counts as gone.
 const PATIENCE: Duration = Duration::from_secs(20);
 
 fn run(session: &mut Session<'_>) -> Result<Vec<Figure>> {
@@ -50,7 +49,7 @@ fn run(session: &mut Session<'_>) -> Result<Vec<Figure>> {
         Better::Lower,
     )
     .ours(ours)
-    .peer("iceoryx2", "0.10", theirs)
+    .baseline("iceoryx2", "0.10", theirs)
     .target(Bound::Ratio(1.5), "within 1.5 x")
     .parameter("bytes there", bytes.0)
     .parameter("bytes back", bytes.1);
@@ -59,7 +58,7 @@ fn run(session: &mut Session<'_>) -> Result<Vec<Figure>> {
     Ok(figures)
 }
 
-/// What the profiler takes of a step, in all processes together: its stamps, and their way into histograms.
+/// Cost of profiling a step, in all processes together: time stamps and histograms.
 fn stamping(session: &Session<'_>) -> Figure {
     let steps = session.size.pick(1_000, 1_000_000);
     let mut latency = Latency::default();
@@ -88,13 +87,13 @@ fn stamping(session: &Session<'_>) -> Figure {
         }
         began.elapsed().as_nanos() as f64 / f64::from(steps)
     };
-    let what = "what stamping a step takes: 14 looks at the clock, 13 histograms";
+    let what = "profiling a step: 14 time stamps, 13 histograms";
     Figure::new("hop.stamping", what, "ns", Better::Lower)
         .ours((0..session.rounds()).map(|_| round()).collect::<Vec<_>>())
-        .note("of all processes together; a run looks at the clock less often, once for a batch where it can")
+        .note("all processes together; a run reads the clock once per batch where it can")
 }
 
-/// The machine's floors, as figures.
+/// The machine's limits, as figures.
 fn floors(session: &Session<'_>) -> Vec<Figure> {
     let effort = session.size.pick(Effort::TINY, Effort::FULL);
     let rounds: Vec<_> = (0..session.rounds()).map(|_| measure(effort)).collect();
@@ -119,10 +118,10 @@ fn floors(session: &Session<'_>) -> Vec<Figure> {
     ]
 }
 
-/// Half of the median time of a trip there and back, in nanoseconds. `trip` makes one.
+/// Half of the median round-trip time, in nanoseconds. `trip` makes one round trip.
 fn one_way(batches: u32, mut trip: impl FnMut() -> Result<()>) -> Result<f64> {
     let mut means = Vec::new();
-    // The first batch is not counted: connections are made in it.
+    // The first batch is a warm-up: connections are made in it.
     for batch in 0..=batches {
         let began = Instant::now();
         for _ in 0..BATCH {
@@ -136,11 +135,11 @@ fn one_way(batches: u32, mut trip: impl FnMut() -> Result<()>) -> Result<f64> {
     means.get(means.len() / 2).copied().context("no batch")
 }
 
-/// Looks until `look` finds something.
+/// Calls `look` until it returns something.
 fn poll<T>(mut look: impl FnMut() -> Result<Option<T>>) -> Result<T> {
     let mut deadline = None;
     loop {
-        // Time is looked at now and then only: it is not what is measured.
+        // The clock is read rarely, because reading it is not what is measured.
         for _ in 0..1 << 16 {
             if let Some(found) = look()? {
                 return Ok(found);
@@ -151,7 +150,7 @@ fn poll<T>(mut look: impl FnMut() -> Result<Option<T>>) -> Result<T> {
     }
 }
 
-/// Through our wire types, with another process at the other end.
+/// Round trips through our wire types with another process.
 fn wire(session: &Session<'_>, batches: u32) -> Result<f64> {
     let run = RunDir::create(session.registry())?;
     let attach = Attach { participants: vec![Role::Sim], ..run.attach() };
@@ -159,7 +158,7 @@ fn wire(session: &Session<'_>, batches: u32) -> Result<f64> {
     let bus = Bus::join(attach, Role::Orchestrator)?;
     let answers: Receiver<Observation> = bus.receiver()?;
     let commands: Sender<StepCommand> = bus.sender()?;
-    let other = Part::start(session, "wire-echo", &[run.path().display().to_string()])?;
+    let other = BenchProcess::start(session, "wire-echo", &[run.path().display().to_string()])?;
     let mut command = StepCommand::zeroed();
     let found = one_way(batches, || {
         command.episode += 1;
@@ -175,7 +174,7 @@ fn wire(session: &Session<'_>, batches: u32) -> Result<f64> {
 
 /// The other end of [`wire`].
 pub(crate) fn wire_echo(arguments: &[String]) -> Result<()> {
-    let [folder] = arguments else { bail!("which run?") };
+    let [folder] = arguments else { bail!("the run folder is missing") };
     let bus = Bus::join(Attach::read(Path::new(folder))?, Role::Sim)?;
     let commands: Receiver<StepCommand> = bus.receiver()?;
     let answers: Sender<Observation> = bus.sender()?;
@@ -190,46 +189,46 @@ pub(crate) fn wire_echo(arguments: &[String]) -> Result<()> {
     }
 }
 
-/// The ends of iceoryx2's own ping-pong: services as its benchmark makes them.
+/// The ports of iceoryx2's ping-pong: services as its benchmark creates them.
 struct Raw {
     there: Publisher<ipc::Service, StepCommand, ()>,
     back: Subscriber<ipc::Service, Observation, ()>,
     _node: Node<ipc::Service>,
 }
 
-/// Removes what iceoryx2 leaves in shared memory under a prefix, once its nodes are gone: a file of some bytes for each.
+/// Removes the small files that iceoryx2 leaves in shared memory under a prefix after its nodes are gone.
 struct Cleaner<'a>(&'a str);
 
 impl Drop for Cleaner<'_> {
     fn drop(&mut self) {
         for entry in std::fs::read_dir(SHARED_MEMORY).into_iter().flatten().flatten() {
             if entry.file_name().as_encoded_bytes().starts_with(self.0.as_bytes()) {
-                // Somebody else may have done so.
+                // Another process may have removed it.
                 let _ = std::fs::remove_file(entry.path());
             }
         }
     }
 }
 
-/// What iceoryx2 said.
-fn said(error: impl std::fmt::Debug) -> anyhow::Error {
+/// Converts an error of iceoryx2.
+fn iceoryx2_error(error: impl std::fmt::Debug) -> anyhow::Error {
     anyhow::anyhow!("iceoryx2: {error:?}")
 }
 
 fn raw_node(prefix: &str, folder: &Path) -> Result<Node<ipc::Service>> {
     let mut config = Config::default();
-    config.global.prefix = FileName::new(prefix.as_bytes()).map_err(said)?;
+    config.global.prefix = FileName::new(prefix.as_bytes()).map_err(iceoryx2_error)?;
     let root = folder.display().to_string();
-    let root = iceoryx2::prelude::Path::new(root.as_bytes()).map_err(said)?;
+    let root = iceoryx2::prelude::Path::new(root.as_bytes()).map_err(iceoryx2_error)?;
     config.global.set_root_path(&root);
     NodeBuilder::new()
         .signal_handling_mode(SignalHandlingMode::Disabled)
         .config(&config)
         .create::<ipc::Service>()
-        .map_err(said)
+        .map_err(iceoryx2_error)
 }
 
-/// Makes or opens a service for one publisher and one subscriber.
+/// Creates or opens a service with one publisher and one subscriber.
 macro_rules! raw_service {
     ($node:expr, $name:literal, $message:ty) => {
         $node
@@ -241,11 +240,11 @@ macro_rules! raw_service {
             .subscriber_max_buffer_size(1)
             .enable_safe_overflow(true)
             .open_or_create()
-            .map_err(said)?
+            .map_err(iceoryx2_error)?
     };
 }
 
-/// Through iceoryx2 alone, with another process at the other end.
+/// Round trips through iceoryx2 alone with another process.
 fn iceoryx2(session: &Session<'_>, batches: u32) -> Result<f64> {
     let prefix = format!("mtb{}_", std::process::id());
     let _cleaner = Cleaner(&prefix);
@@ -253,31 +252,31 @@ fn iceoryx2(session: &Session<'_>, batches: u32) -> Result<f64> {
     let (there, back) =
         (raw_service!(node, "there", StepCommand), raw_service!(node, "back", Observation));
     let raw = Raw {
-        back: back.subscriber_builder().create().map_err(said)?,
-        there: there.publisher_builder().create().map_err(said)?,
+        back: back.subscriber_builder().create().map_err(iceoryx2_error)?,
+        there: there.publisher_builder().create().map_err(iceoryx2_error)?,
         _node: node,
     };
     let folder = session.registry().display().to_string();
-    let mut other = Part::start(session, "iceoryx2-echo", &[prefix.clone(), folder])?;
-    // A message sent before the other end is there would be lost.
+    let mut other = BenchProcess::start(session, "iceoryx2-echo", &[prefix.clone(), folder])?;
+    // A message sent before the other end is connected would be lost.
     let deadline = Instant::now() + PATIENCE;
     while there.dynamic_config().number_of_subscribers() == 0
         || back.dynamic_config().number_of_publishers() == 0
     {
         other.check()?;
-        ensure!(Instant::now() < deadline, "the other process does not come");
+        ensure!(Instant::now() < deadline, "the other process did not connect");
         std::thread::sleep(Duration::from_millis(1));
     }
     let mut command = StepCommand::zeroed();
     let send = |command: StepCommand| -> Result<()> {
-        let sample = raw.there.loan_uninit().map_err(said)?;
+        let sample = raw.there.loan_uninit().map_err(iceoryx2_error)?;
         let sent = sample.write_payload(command).send();
-        sent.map(drop).map_err(said)
+        sent.map(drop).map_err(iceoryx2_error)
     };
     let found = one_way(batches, || {
         command.episode += 1;
         send(command)?;
-        let answer = poll(|| raw.back.receive().map_err(said))?;
+        let answer = poll(|| raw.back.receive().map_err(iceoryx2_error))?;
         ensure!(answer.episode == command.episode, "an answer to another message");
         Ok(())
     })?;
@@ -288,21 +287,21 @@ fn iceoryx2(session: &Session<'_>, batches: u32) -> Result<f64> {
 
 /// The other end of [`iceoryx2`].
 pub(crate) fn iceoryx2_echo(arguments: &[String]) -> Result<()> {
-    let [prefix, folder] = arguments else { bail!("which prefix, which folder?") };
+    let [prefix, folder] = arguments else { bail!("prefix and folder are missing") };
     let node = raw_node(prefix, Path::new(folder))?;
     let (there, back) =
         (raw_service!(node, "there", StepCommand), raw_service!(node, "back", Observation));
-    let commands = there.subscriber_builder().create().map_err(said)?;
-    let answers = back.publisher_builder().create().map_err(said)?;
+    let commands = there.subscriber_builder().create().map_err(iceoryx2_error)?;
+    let answers = back.publisher_builder().create().map_err(iceoryx2_error)?;
     let mut answer = Observation::zeroed();
     loop {
-        let command = poll(|| commands.receive().map_err(said))?;
+        let command = poll(|| commands.receive().map_err(iceoryx2_error))?;
         if command.last == 1 {
             return Ok(());
         }
         answer.episode = command.episode;
         drop(command);
-        let sample = answers.loan_uninit().map_err(said)?;
-        sample.write_payload(answer).send().map_err(said)?;
+        let sample = answers.loan_uninit().map_err(iceoryx2_error)?;
+        sample.write_payload(answer).send().map_err(iceoryx2_error)?;
     }
 }

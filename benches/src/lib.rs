@@ -1,24 +1,21 @@
-//! Side-by-side measurements: what this project does, beside what somebody else's program does, in the same rounds
-//! on the same machine.
+//! Measurements of this project beside other programs, the baselines, alternating on one machine.
 //!
-//! - What is measured: one module a [`Bench`]. A bench knows its peer and nothing of how results are shown.
-//! - What it is given: [`session`] (size, rounds, scratch folder, programs), [`peers`] (Python programs of others),
-//!   [`parts`] (processes that play a part in a bench), [`runs`] (of `memtransfer`), [`bare`] (a chain of processes
-//!   that do nothing).
-//! - What it gives: [`figure`]; kept as [`results`] with the [`machine`](orchestrator::machine) they were made on.
-//! - What is made of results: [`compare`] (with an earlier file), [`table`] (the table of docs/performance.md),
-//!   [`markdown`] and [`page`]. Of a trace: [`timeline`].
+//! - Each bench is a module with a [`Bench`]. It knows its baseline and nothing of how results are presented.
+//! - A bench uses [`session`] (size, rounds, scratch folder, programs), [`baselines`] (Python programs),
+//!   [`processes`] (helper processes), [`runs`] (of `memtransfer`) and [`bare_chain`] (processes that only pass
+//!   messages).
+//! - It returns [`figure`]s, which are stored as [`results`] with the [`machine`](orchestrator::machine).
+//! - Results are compared with earlier ones ([`compare`]) and rendered ([`table`], [`markdown`]). [`timeline`] draws a
+//!   trace.
 //!
-//! Every bench also runs [`Size::Tiny`](session::Size) under `cargo test -p benches`, so that it cannot rot; no test
-//! asserts a time.
+//! Every bench also runs at [`Size::Tiny`](session::Size) under `cargo test -p benches`. No test asserts a time.
 
-pub mod bare;
+pub mod bare_chain;
+pub mod baselines;
 pub mod compare;
 pub mod figure;
 pub mod markdown;
-pub mod page;
-pub mod parts;
-pub mod peers;
+pub mod processes;
 pub mod results;
 pub mod runs;
 pub mod session;
@@ -36,22 +33,22 @@ pub mod render;
 pub mod search;
 pub mod suite;
 
+pub use baselines::{Baseline, Baselines};
 pub use figure::{Better, Figure};
-pub use peers::{Peer, Peers};
 pub use session::{Session, Size};
 
-/// Something that can be measured.
+/// One group of measurements.
 #[derive(Debug, Clone, Copy)]
 pub struct Bench {
-    /// Its name on the command line; unique.
+    /// Unique name on the command line.
     pub name: &'static str,
-    /// What it measures, in a line.
+    /// What it measures, in one line.
     pub about: &'static str,
-    /// Measures it.
+    /// Runs the measurement.
     pub run: fn(&mut Session<'_>) -> anyhow::Result<Vec<Figure>>,
 }
 
-/// Every bench, in the order in which they run.
+/// Every bench, in execution order.
 pub const BENCHES: &[Bench] = &[
     hop::BENCH,
     chain::BENCH,

@@ -1,5 +1,4 @@
-//! Results as Markdown: the table of docs/performance.md, which is put into that page by command, and what else was
-//! measured.
+//! Results as Markdown: the section of docs/performance.md that `--page` replaces.
 
 use std::fs;
 use std::path::Path;
@@ -11,10 +10,10 @@ use crate::figure::shown;
 use crate::results::{Results, write_whole};
 use crate::table::{self, spread, with_unit};
 
-/// What stands before and after the part of a page that [`insert`] writes.
-const MARKS: [&str; 2] = ["<!-- what `memtransfer-bench --page` writes -->", "<!-- end -->"];
+/// Markers around the section of a page that [`insert`] replaces.
+const MARKERS: [&str; 2] = ["<!-- written by memtransfer-bench --page -->", "<!-- end -->"];
 
-/// The page: machine, table, every figure, failures.
+/// Renders machine, table, every figure, and failures.
 pub fn render(results: &Results) -> String {
     let mut text = String::new();
     for outcome in &results.benches {
@@ -42,12 +41,12 @@ pub fn render(results: &Results) -> String {
     if !distinct.is_empty() {
         text += &format!("Measured at {}.\n", distinct.join("; "));
     }
-    text += "Medians over rounds, the range in brackets; ours and the peer's in turns on one machine.\n\n";
+    text += "Medians over rounds with the range in parentheses; ours and the baseline alternate on one machine.\n\n";
     text += &rows(&table::HEADER, &table::rows(results));
     for outcome in &results.benches {
         text += &format!("\n### `{}`: {}\n\n", outcome.name, outcome.about);
         if outcome.figures.is_empty() {
-            text += "No figure.\n";
+            text += "No figures.\n";
             continue;
         }
         let lines: Vec<[String; 5]> = outcome
@@ -65,12 +64,12 @@ pub fn render(results: &Results) -> String {
                     .chain((!parameters.is_empty()).then(|| parameters.join(", ")))
                     .chain(figure.note.clone())
                     .collect();
-                let peer = figure.peer.as_ref().zip(measured.peer_summary);
+                let baseline = figure.baseline.as_ref().zip(measured.baseline_summary);
                 [
                     about.join("; "),
                     measured.summary.map_or_else(none, |s| with_unit(s, &figure.unit)),
-                    peer.map_or_else(none, |(peer, s)| {
-                        let name = format!("{} {}", peer.name, peer.version);
+                    baseline.map_or_else(none, |(baseline, s)| {
+                        let name = format!("{} {}", baseline.name, baseline.version);
                         format!("{}: {}", name.trim(), with_unit(s, &figure.unit))
                     }),
                     measured.ratio.map_or_else(none, spread),
@@ -78,12 +77,12 @@ pub fn render(results: &Results) -> String {
                 ]
             })
             .collect();
-        text += &rows(&["what", "ours", "peer", "ours / peer", "id"], &lines);
+        text += &rows(&["what", "ours", "baseline", "ours / baseline", "id"], &lines);
     }
     text
 }
 
-/// Changes since earlier results.
+/// Renders changes since earlier results.
 pub fn changes(changes: &[Change]) -> String {
     let lines: Vec<[String; 6]> = changes
         .iter()
@@ -93,37 +92,37 @@ pub fn changes(changes: &[Change]) -> String {
                 with_unit(change.before, &change.unit),
                 with_unit(change.now, &change.unit),
                 shown(change.ratio),
-                change.peer_ratio.map_or_else(|| "–".to_owned(), shown),
+                change.baseline_ratio.map_or_else(|| "–".to_owned(), shown),
                 change.verdict.words().to_owned(),
             ]
         })
         .collect();
-    rows(&["figure", "before", "now", "now / before", "the peer's", "verdict"], &lines)
+    rows(&["figure", "before", "now", "now / before", "the baseline's", "verdict"], &lines)
 }
 
-/// Replaces what stands between the marks of the page in `path`.
+/// Replaces the section between the markers of the page in `path`.
 ///
 /// # Errors
-/// When the page cannot be read or written, or has no marks.
+/// When the page cannot be read or written, or has no markers.
 pub fn insert(path: &Path, results: &Results) -> Result<()> {
     let page =
         fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
     let parts = page
-        .split_once(MARKS[0])
-        .and_then(|(before, rest)| rest.split_once(MARKS[1]).map(|(_, after)| (before, after)));
+        .split_once(MARKERS[0])
+        .and_then(|(before, rest)| rest.split_once(MARKERS[1]).map(|(_, after)| (before, after)));
     let Some((before, after)) = parts else {
-        bail!("{} has no line {:?} with {:?} after it", path.display(), MARKS[0], MARKS[1]);
+        bail!("{} has no line {:?} with {:?} after it", path.display(), MARKERS[0], MARKERS[1]);
     };
-    let text = format!("{before}{}\n\n{}\n{}{after}", MARKS[0], render(results), MARKS[1]);
+    let text = format!("{before}{}\n\n{}\n{}{after}", MARKERS[0], render(results), MARKERS[1]);
     write_whole(path, &text)
 }
 
-/// The day of a date as in HTTP.
+/// Day of an HTTP date.
 fn day(date: &str) -> String {
     date.split_whitespace().skip(1).take(3).collect::<Vec<_>>().join(" ")
 }
 
-/// A Markdown table.
+/// Renders a table.
 fn rows<const N: usize>(header: &[&str; N], rows: &[[String; N]]) -> String {
     let line = |cells: Vec<String>| format!("| {} |\n", cells.join(" | "));
     let cells = |row: &[String; N]| row.iter().map(|cell| cell.replace('|', "\\|")).collect();
@@ -140,11 +139,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_page_keeps_what_is_around_the_marks() {
+    fn text_outside_the_markers_is_kept() {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("page.md");
-        fs::write(&path, format!("Before.\n{}\nwritten before\n{}\nAfter.\n", MARKS[0], MARKS[1]))
-            .unwrap();
+        fs::write(
+            &path,
+            format!("Before.\n{}\nwritten before\n{}\nAfter.\n", MARKERS[0], MARKERS[1]),
+        )
+        .unwrap();
         insert(&path, &Results::here()).unwrap();
         insert(&path, &Results::here()).unwrap();
         let text = fs::read_to_string(&path).unwrap();

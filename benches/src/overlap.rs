@@ -1,8 +1,8 @@
-//! A cold run, in which nothing was ever drawn or embedded: views are rendered, embedded and decided on at the same
-//! time. How near is that to the slowest of the three alone?
+//! Overlap of rendering, embedding and deciding in a cold run, in which nothing is resident or cached. How close is the
+//! run to its slowest stage alone?
 //!
-//! Alone means with the whole machine for itself. Where several of them need the same cores, none can hide behind
-//! another: then the least that a run can take is what they take one after the other. Both bounds are given.
+//! Alone means with the whole machine. Stages that need the same cores cannot overlap, and then a run takes at least the
+//! sum of its stages. Both bounds are reported.
 
 use std::fs;
 use std::path::Path;
@@ -24,17 +24,17 @@ use crate::runs::{Timing, ended_well, furnish, lines};
 use crate::search::threads;
 use crate::session::Session;
 
-/// This bench.
+/// The bench.
 pub const BENCH: Bench = Bench {
     name: "overlap",
     about: "a cold run, beside rendering, embedding and deciding each alone",
     run,
 };
 
-/// What Linux counts processor time in towards programs.
+/// Clock ticks per second in /proc.
 const TICKS_PER_SECOND: f64 = 100.0;
 
-/// What was measured, a value a round; times in seconds.
+/// Measurements, one value per round, in seconds.
 #[derive(Default)]
 struct Rounds {
     cold: Vec<f64>,
@@ -56,12 +56,11 @@ fn run(session: &mut Session<'_>) -> Result<Vec<Figure>> {
         session.say(format_args!("round {round}"));
         let cache = session.scratch().join(format!("cache-{round}"));
         furnish(&cache)?;
-        let cold = walk(session, &cache, &[])?;
+        let cold = execute(session, &cache, &[])?;
         views = (cold.rendered, stored(&cache.join("embeddings"), dimension).len());
         ensure!(views.0 > 0 && views.1 > 0, "{views:?} views were drawn and embedded");
-        // The same again, with the embeddings kept and the views drawn before the first step: what is left is to
-        // step, to look up, to decide and to log.
-        let again = walk(session, &cache, &["--warm-views"])?;
+        // The same with cached embeddings and resident views: stepping, lookup, deciding and logging remain.
+        let again = execute(session, &cache, &["--warm-views"])?;
         let drawing = render::ours(session, Samples::Four)?;
         rounds.rendering.push(views.0 as f64 / drawing.views_per_second);
         rounds.embedding.push(views.1 as f64 / embed::rate(&mut encoder, &frames)?);
@@ -106,18 +105,18 @@ fn figures(rounds: &Rounds, (drawn, embedded): (usize, usize)) -> Vec<Figure> {
     ]
 }
 
-/// What a run came to.
-struct Walked {
-    /// From its first step to its last.
+/// Measurements of a run.
+struct RunMeasurement {
+    /// Seconds from its first step to its last.
     seconds: f64,
-    /// Share of the cores' time, from its start to its end, in which they worked for it.
+    /// Share of the cores' time that the run used, from start to end.
     busy: f64,
-    /// Views that it has drawn.
+    /// Rendered views.
     rendered: usize,
 }
 
-/// Walks cases with episodic memory, with `cache` as the cache folder.
-fn walk(session: &Session<'_>, cache: &Path, flags: &[&str]) -> Result<Walked> {
+/// Runs cases with episodic memory and `cache` as the cache folder.
+fn execute(session: &Session<'_>, cache: &Path, flags: &[&str]) -> Result<RunMeasurement> {
     let mut command = session.memtransfer()?;
     command.env("MEMTRANSFER_CACHE", cache).args(["run", "--fresh", "--quiet", "--out", "run"]);
     command.args(["--policy", "grounded", "--memory", "episodic", "--starts", "new"]);
@@ -131,16 +130,16 @@ fn walk(session: &Session<'_>, cache: &Path, flags: &[&str]) -> Result<Walked> {
     let timings: Vec<Timing> = lines(&folder.join("timings.jsonl"))?;
     let first = timings.iter().map(|timing| timing.started_ns).min();
     let last = timings.iter().map(|timing| timing.ended_ns).max();
-    let (first, last) = first.zip(last).context("no episode was walked")?;
+    let (first, last) = first.zip(last).context("no episode was executed")?;
     let sessions: Vec<Value> = lines(&folder.join("sessions.jsonl"))?;
     let rendered = sessions
         .iter()
         .find_map(|event| event["farewells"]["sim"]["frames_rendered"].as_u64())
         .context("the simulator said nothing of what it has drawn")?;
-    Ok(Walked { seconds: (last - first) as f64 / 1e9, busy, rendered: rendered as usize })
+    Ok(RunMeasurement { seconds: (last - first) as f64 / 1e9, busy, rendered: rendered as usize })
 }
 
-/// Seconds of processor time of all processes that this one has started and that have ended, and of theirs.
+/// CPU seconds of all ended child processes and their children.
 fn work_of_children() -> Result<f64> {
     let text = fs::read_to_string("/proc/self/stat").context("cannot read /proc/self/stat")?;
     let fields = text.rsplit_once(") ").map(|(_, fields)| fields.split(' ').skip(13).take(2));

@@ -1,10 +1,9 @@
-//! Views that are drawn for the first time, beside MiniWorld and ViZDoom; and what a view costs that was drawn before,
+//! Rendering views for the first time, beside MiniWorld and ViZDoom, and the cost of a view that is already resident,
 //! beside a memcpy of a frame.
 //!
-//! Ours are all views of the unchanged warehouse, each once, drawn by the renderers that a run has ([`renderers`]). They
-//! go into pages of memory, as the peers' go into arrays: hashing and publishing are not measured. A peer draws with one
-//! process and with one for each core, and is taken at the better of both. What is done once, for the first view, is not
-//! timed on either side.
+//! Ours renders every view of the unchanged warehouse once with the renderers of a run ([`renderers`]) into plain memory,
+//! as the baselines render into arrays; hashing and publishing are not measured. A baseline runs with one process and with
+//! one per core, and the better figure counts. Work done once for the first view is not timed on either side.
 
 use std::hint::black_box;
 use std::panic::resume_unwind;
@@ -25,38 +24,38 @@ use sim_proc::views::{ViewKey, Views};
 use warehouse::{Variant, Warehouse};
 
 use crate::Bench;
+use crate::baselines::{Baseline, Baselines};
 use crate::figure::{Better, Bound, Figure, Summary};
-use crate::parts;
-use crate::peers::{Peer, Peers};
+use crate::processes;
 use crate::search::threads;
 use crate::session::Session;
 
-/// This bench.
+/// The bench.
 pub const BENCH: Bench = Bench {
     name: "render",
     about: "views drawn for the first time beside MiniWorld and ViZDoom, and again beside a memcpy of a frame",
     run,
 };
 
-/// Views that a renderer is given at once.
+/// Views in a renderer's batch.
 const VIEWS_AT_ONCE: usize = 8;
 
-/// Lanes that look at views drawn before.
+/// Lanes of the resident-view figure.
 const LANES: usize = 64;
 
 static UNCHANGED: Variant = Variant::UNCHANGED;
 
-/// A figure of views drawn for the first time, and the peer beside it.
+/// A figure of cold rendering and its baseline.
 struct Cold {
     id: &'static str,
     what: &'static str,
     samples: Samples,
     target: (f64, &'static str),
-    peer: &'static str,
+    baseline: &'static str,
     script: &'static str,
-    /// The peer's pictures: width and height.
+    /// Width and height of the baseline's images.
     size_px: (u32, u32),
-    /// Pictures that each process of the peer draws a round.
+    /// Images per round of each baseline process.
     views: u32,
 }
 
@@ -66,9 +65,9 @@ const COLD: [Cold; 2] = [
         what: "views drawn for the first time, without anti-aliasing",
         samples: Samples::One,
         target: (1.0, "faster than ViZDoom"),
-        peer: "ViZDoom",
+        baseline: "ViZDoom",
         script: "vizdoom.py",
-        // Of the sizes it offers the nearest to ours in pixels: 2 % fewer.
+        // The size it offers that is nearest to ours: 2 % fewer pixels.
         size_px: (512, 384),
         views: 2000,
     },
@@ -77,7 +76,7 @@ const COLD: [Cold; 2] = [
         what: "views drawn for the first time, with 4x MSAA",
         samples: Samples::Four,
         target: (5.0, "five times MiniWorld"),
-        peer: "MiniWorld",
+        baseline: "MiniWorld",
         script: "miniworld.py",
         size_px: (FrameSize::DEFAULT.width, FrameSize::DEFAULT.height),
         views: 300,
@@ -94,8 +93,8 @@ fn run(session: &mut Session<'_>) -> Result<Vec<Figure>> {
 }
 
 fn measured(session: &Session<'_>, cold: &Cold) -> Result<Figure> {
-    let mut rival = match session.peers {
-        Some(peers) => Some(Rival::start(session, peers, cold)?),
+    let mut rival = match session.baselines {
+        Some(baselines) => Some(Rival::start(session, baselines, cold)?),
         None => None,
     };
     let mut drawn = Vec::new();
@@ -122,26 +121,26 @@ fn measured(session: &Session<'_>, cold: &Cold) -> Result<Figure> {
     })
 }
 
-/// As many processes of a peer as there are cores, and how fast they drew, a value a round.
+/// One baseline process per core, with rates per round.
 struct Rival {
-    processes: Vec<Peer>,
-    /// What they said of themselves.
+    processes: Vec<Baseline>,
+    /// What they reported about themselves.
     said: Value,
     alone: Vec<f64>,
     together: Vec<f64>,
 }
 
 impl Rival {
-    fn start(session: &Session<'_>, peers: &Peers, cold: &Cold) -> Result<Self> {
+    fn start(session: &Session<'_>, baselines: &Baselines, cold: &Cold) -> Result<Self> {
         let (mut processes, mut said) = (Vec::new(), Value::Null);
         let (width, height) = cold.size_px;
         for number in 1..=threads() {
-            let logs = session.scratch().join(format!("{}-{number}", cold.peer));
+            let logs = session.scratch().join(format!("{}-{number}", cold.baseline));
             std::fs::create_dir(&logs)
                 .with_context(|| format!("cannot make {}", logs.display()))?;
-            let mut peer = Peer::start(peers, cold.script, &logs)?;
-            said = peer.ask(&json!({"do": "start", "width": width, "height": height}))?;
-            processes.push(peer);
+            let mut baseline = Baseline::start(baselines, cold.script, &logs)?;
+            said = baseline.ask(&json!({"do": "start", "width": width, "height": height}))?;
+            processes.push(baseline);
         }
         Ok(Self { processes, said, alone: Vec::new(), together: Vec::new() })
     }
@@ -152,7 +151,7 @@ impl Rival {
         Ok(())
     }
 
-    /// The figure with this peer at its best.
+    /// The figure with the best rate of this baseline.
     fn beside(self, figure: Figure, cold: &Cold) -> Figure {
         let median = |rates: &[f64]| Summary::of(rates).map(|summary| summary.median);
         let (processes, rates) = if median(&self.alone) >= median(&self.together) {
@@ -162,24 +161,24 @@ impl Rival {
         };
         let (width, height) = cold.size_px;
         let figure = figure
-            .peer(cold.peer, self.said["version"].as_str().unwrap_or_default(), rates)
-            .parameter("peer's size", format_args!("{width} x {height}"))
-            .parameter("peer's processes", processes);
+            .baseline(cold.baseline, self.said["version"].as_str().unwrap_or_default(), rates)
+            .parameter("baseline's size", format_args!("{width} x {height}"))
+            .parameter("baseline's processes", processes);
         match self.said["samples"].as_u64() {
-            Some(samples) => figure.parameter("peer's samples", samples),
+            Some(samples) => figure.parameter("baseline's samples", samples),
             None => figure,
         }
     }
 }
 
-/// Pictures a second that these processes draw at the same time, each of them this many.
-fn rate(processes: &mut [Peer], views: u32) -> Result<f64> {
+/// Images per second of these processes together, each rendering `count`.
+fn rate(processes: &mut [Baseline], views: u32) -> Result<f64> {
     let request = json!({"do": "time", "views": views});
     let began = Instant::now();
     let drawn: f64 = thread::scope(|scope| {
         let asked: Vec<_> = processes
             .iter_mut()
-            .map(|peer| scope.spawn(|| peer.ask_number(&request, "views")))
+            .map(|baseline| scope.spawn(|| baseline.ask_number(&request, "views")))
             .collect();
         let answers =
             asked.into_iter().map(|asked| asked.join().unwrap_or_else(|p| resume_unwind(p)));
@@ -188,7 +187,7 @@ fn rate(processes: &mut [Peer], views: u32) -> Result<f64> {
     Ok(drawn / began.elapsed().as_secs_f64())
 }
 
-/// What the part that draws came to.
+/// Result of the render process.
 #[derive(Serialize, Deserialize)]
 pub(crate) struct Drawn {
     pub(crate) views_per_second: f64,
@@ -197,14 +196,14 @@ pub(crate) struct Drawn {
     adapter: String,
 }
 
-/// Ours, in a process of its own, which has seen no view yet.
+/// Measures ours in a new process without any resident view.
 pub(crate) fn ours(session: &Session<'_>, samples: Samples) -> Result<Drawn> {
     let arguments = [samples.count().to_string(), session.size.pick(8, usize::MAX).to_string()];
-    let printed = parts::printed(session, "draw", &arguments, &[])?;
+    let printed = processes::output_of(session, "render", &arguments, &[])?;
     serde_json::from_str(&printed).with_context(|| format!("the part draw printed {printed:?}"))
 }
 
-/// A renderer and the memory that it draws into, which must outlive it.
+/// A renderer and the memory it renders into, which must outlive it.
 struct Easel {
     renderer: Renderer,
     memory: Vec<u8>,
@@ -229,8 +228,8 @@ impl Easel {
     }
 }
 
-/// The part of [`ours`]: draws so many views, and prints how fast.
-pub(crate) fn draw(arguments: &[String]) -> Result<()> {
+/// The helper process of [`ours`]: renders views and prints the rate.
+pub(crate) fn render_process(arguments: &[String]) -> Result<()> {
     let [samples, most] = arguments else { bail!("how many samples, and how many views?") };
     let samples = if samples == "1" { Samples::One } else { Samples::Four };
     let warehouse = Warehouse::shipped();
@@ -266,7 +265,7 @@ pub(crate) fn draw(arguments: &[String]) -> Result<()> {
     Ok(())
 }
 
-/// A step to a view that is in the frame store, as the simulator keeps account of it.
+/// A step to a resident view: the simulator's bookkeeping alone.
 fn repeated(session: &mut Session<'_>) -> Result<Figure> {
     let layout = Warehouse::shipped().layout;
     let keys: Vec<ViewKey> =
@@ -285,16 +284,16 @@ fn repeated(session: &mut Session<'_>) -> Result<Figure> {
     let what = "a step's view that was drawn before: shown, looked up, and room made";
     Ok(Figure::new("render.repeated", what, "ns", Better::Lower)
         .ours(ours)
-        .peer("a memcpy of the frame", "", copy)
+        .baseline("a memcpy of the frame", "", copy)
         .target(Bound::Ratio(1.0), "no pixel work at all")
         .parameter("lanes", LANES)
         .parameter("views", keys.len())
         .note("account is kept of views, and their pixels are not touched"))
 }
 
-/// Mean nanoseconds of a step: lanes in turns, each step to a view far from the last.
+/// Mean duration of a step in nanoseconds: lanes take turns, each step far from the last view.
 fn look_up_ns(views: &mut Views, keys: &[ViewKey], steps: usize) -> Result<f64> {
-    /// A prime, so that every view comes up.
+    /// A prime, so that every view is visited.
     const STRIDE: usize = 367;
     let began = Instant::now();
     for step in 0..steps {

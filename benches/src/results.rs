@@ -1,4 +1,4 @@
-//! Results as they are kept: `bench.json`, a format that later versions read for comparison.
+//! Stored results: `bench.json`, which later versions read for comparison.
 
 use std::fs;
 use std::path::Path;
@@ -9,13 +9,13 @@ use serde::{Deserialize, Serialize};
 
 use crate::figure::{Figure, Summary};
 
-/// The version of the format.
+/// Version of the format.
 pub const SCHEMA: u32 = 1;
 
-/// The file's name.
+/// File name.
 pub const FILE: &str = "bench.json";
 
-/// What was measured, where, and when.
+/// Results of all benches on one machine.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Results {
     /// [`SCHEMA`] of the writer.
@@ -23,44 +23,44 @@ pub struct Results {
     /// The machine.
     pub machine: Machine,
     /// Each bench that ran, in order.
-    pub benches: Vec<Outcome>,
+    pub benches: Vec<BenchOutcome>,
 }
 
-/// What came of a bench.
+/// Result of one bench.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Outcome {
-    /// Its name.
+pub struct BenchOutcome {
+    /// Name of the bench.
     pub name: String,
     /// What it measures.
     pub about: String,
-    /// When it began, as in HTTP.
+    /// Start time, as an HTTP date.
     pub began: String,
-    /// The commit that was measured; with a `+` where files had been changed since.
+    /// Measured commit, followed by `+` if files had been changed since.
     pub commit: Option<String>,
-    /// Seconds that it took.
+    /// Duration in seconds.
     pub seconds: f64,
-    /// Why it failed, if it did.
+    /// Why it failed.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub error: Option<String>,
     /// Its figures.
     pub figures: Vec<Measured>,
 }
 
-/// A figure, and what its rounds came to.
+/// A figure with its summaries.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Measured {
     /// The figure.
     #[serde(flatten)]
     pub figure: Figure,
-    /// Our rounds.
+    /// Summary of our rounds.
     pub summary: Option<Summary>,
-    /// The peer's.
+    /// Summary of the baseline's rounds.
     #[serde(skip_serializing_if = "Option::is_none", default)]
-    pub peer_summary: Option<Summary>,
-    /// Ours divided by the peer's, round by round.
+    pub baseline_summary: Option<Summary>,
+    /// Ours divided by the baseline's, per round.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub ratio: Option<Summary>,
-    /// Whether the target is met by the median.
+    /// Whether the median meets the target.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub meets_target: Option<bool>,
 }
@@ -69,7 +69,7 @@ impl From<Figure> for Measured {
     fn from(figure: Figure) -> Self {
         Self {
             summary: figure.summary(),
-            peer_summary: figure.peer_summary(),
+            baseline_summary: figure.baseline_summary(),
             ratio: figure.ratio(),
             meets_target: figure.meets_target(),
             figure,
@@ -78,21 +78,21 @@ impl From<Figure> for Measured {
 }
 
 impl Results {
-    /// Nothing yet, on this machine.
+    /// No results yet, on this machine.
     pub fn here() -> Self {
         Self { schema: SCHEMA, machine: Machine::here(), benches: Vec::new() }
     }
 
-    /// Adds what came of a bench; replaces what came of it before.
-    pub fn add(&mut self, outcome: Outcome) {
+    /// Adds the result of a bench, replacing an earlier one of the same bench.
+    pub fn add(&mut self, outcome: BenchOutcome) {
         match self.benches.iter_mut().find(|known| known.name == outcome.name) {
             Some(known) => *known = outcome,
             None => self.benches.push(outcome),
         }
     }
 
-    /// What came of the bench called `name`.
-    pub fn of(&self, name: &str) -> Option<&Outcome> {
+    /// Result of the bench `name`.
+    pub fn of(&self, name: &str) -> Option<&BenchOutcome> {
         self.benches.iter().find(|outcome| outcome.name == name)
     }
 
@@ -101,38 +101,38 @@ impl Results {
         self.benches.iter().flat_map(|outcome| &outcome.figures)
     }
 
-    /// Reads them.
+    /// Reads results from a file.
     ///
     /// # Errors
-    /// When the file cannot be read, or is of another version.
+    /// When the file cannot be read or has another version.
     pub fn read(path: &Path) -> Result<Self> {
         let text =
             fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
         let value: serde_json::Value = serde_json::from_str(&text)
-            .with_context(|| format!("{} is no JSON", path.display()))?;
+            .with_context(|| format!("{} is not JSON", path.display()))?;
         match value.get("schema").and_then(serde_json::Value::as_u64) {
             Some(schema) if schema == u64::from(SCHEMA) => {}
             Some(schema) => bail!(
-                "{} has version {schema} of the format and this program reads {SCHEMA}: measure anew",
+                "{} has version {schema} of the format and this program reads {SCHEMA}; measure again",
                 path.display()
             ),
-            None => bail!("{} holds no results of benches", path.display()),
+            None => bail!("{} does not hold bench results", path.display()),
         }
-        serde_json::from_value(value)
-            .with_context(|| format!("{} cannot be understood", path.display()))
+        serde_json::from_value(value).with_context(|| format!("{} is not valid", path.display()))
     }
 
-    /// Writes them into the folder `dir`, all of them or nothing.
+    /// Writes the results into the folder `dir`, atomically.
     ///
     /// # Errors
     /// When the system refuses.
     pub fn write(&self, dir: &Path) -> Result<()> {
-        let text = serde_json::to_string_pretty(self).context("results cannot be written")? + "\n";
+        let text =
+            serde_json::to_string_pretty(self).context("cannot serialise the results")? + "\n";
         write_whole(&dir.join(FILE), &text)
     }
 }
 
-/// Writes a file at once: what was there stays until all of it is there.
+/// Replaces a file atomically.
 pub(crate) fn write_whole(path: &Path, text: &str) -> Result<()> {
     let draft = path.with_extension("new");
     fs::write(&draft, text)
@@ -146,16 +146,15 @@ mod tests {
     use crate::figure::{Better, Bound};
 
     #[test]
-    fn what_is_written_is_read_and_other_files_are_refused() {
+    fn results_round_trip_and_other_files_are_refused() {
         let dir = tempfile::tempdir().unwrap();
         let figure = Figure::new("hop", "a hop", "ns", Better::Lower)
             .ours([250.0, 260.0])
-            .peer("iceoryx2", "0.10", [240.0, 250.0])
+            .baseline("iceoryx2", "0.10", [240.0, 250.0])
             .target(Bound::Ratio(1.5), "within 1.5 x")
-            .parameter("bytes", 40)
-            .point("p", "l", "bytes", 40.0);
+            .parameter("bytes", 40);
         let mut results = Results::here();
-        let outcome = |figures| Outcome {
+        let outcome = |figures| BenchOutcome {
             name: "hop".to_owned(),
             about: "hops".to_owned(),
             began: "now".to_owned(),
@@ -175,9 +174,9 @@ mod tests {
         let text = fs::read_to_string(&path).unwrap();
         for (broken, said) in [
             (text.replace("\"schema\": 1", "\"schema\": 2"), "has version 2"),
-            ("{}".to_owned(), "holds no results"),
-            ("x".to_owned(), "is no JSON"),
-            (text.replace("\"lower\"", "\"below\""), "cannot be understood"),
+            ("{}".to_owned(), "does not hold bench results"),
+            ("x".to_owned(), "is not JSON"),
+            (text.replace("\"lower\"", "\"below\""), "is not valid"),
         ] {
             fs::write(&path, broken).unwrap();
             let error = Results::read(&path).unwrap_err().to_string();

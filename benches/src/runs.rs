@@ -1,4 +1,4 @@
-//! Runs of `memtransfer` as benches need them, and how fast they went in their steady state.
+//! Runs of `memtransfer`, and their speed in steady state.
 
 use std::fs::File;
 use std::os::unix::fs::symlink;
@@ -12,30 +12,30 @@ use serde::de::DeserializeOwned;
 
 use crate::session::Session;
 
-/// What a run adds to the cache folder; everything else in it is what set-up brought.
+/// Folders that a run adds to the cache folder; everything else comes from set-up.
 const MADE_BY_RUNS: [&str; 3] = ["embeddings", "documents", "responses"];
 
-/// A run to be made.
+/// A run to execute.
 #[derive(Debug, Clone)]
-pub struct Walk {
-    /// Flags of `memtransfer run` beside those below.
+pub struct BenchRun {
+    /// Further flags of `memtransfer run`.
     pub flags: Vec<String>,
-    /// Episodes at once.
+    /// Number of lanes.
     pub lanes: u32,
-    /// Repetitions of every case: how long it is.
+    /// Repetitions of every case.
     pub runs: u32,
-    /// Variables that the processes get.
+    /// Environment variables of the processes.
     pub env: Vec<(String, String)>,
 }
 
-impl Walk {
+impl BenchRun {
     /// A run with these flags.
     pub fn new(lanes: u32, runs: u32, flags: &[&str]) -> Self {
         let flags = flags.iter().map(|flag| (*flag).to_owned()).collect();
         Self { flags, lanes, runs, env: Vec::new() }
     }
 
-    /// The command that makes it, with its folder called `out` in the session's scratch folder.
+    /// The command, with `out` in the session's scratch folder as the run folder.
     ///
     /// # Errors
     /// When `memtransfer` is not built.
@@ -51,10 +51,10 @@ impl Walk {
         Ok((command, folder))
     }
 
-    /// Makes it, and returns its folder.
+    /// Executes the run and returns its folder.
     ///
     /// # Errors
-    /// When it cannot be made or fails; the message has what it said.
+    /// When it cannot be started or fails; the message quotes its output.
     pub fn make(&self, session: &Session<'_>, out: &str) -> Result<PathBuf> {
         let (mut command, folder) = self.command(session, out)?;
         ended_well(&mut command, &session.scratch().join("run.log"))?;
@@ -62,10 +62,10 @@ impl Walk {
     }
 }
 
-/// Runs a command to its end, its standard error into the file `log`.
+/// Runs a command to its end with its standard error in the file `log`.
 ///
 /// # Errors
-/// When it does not start or fails; the message has the last lines of what it said.
+/// When it does not start or fails; the message quotes the end of the log.
 pub fn ended_well(command: &mut Command, log: &Path) -> Result<()> {
     let file = File::create(log).with_context(|| format!("cannot make {}", log.display()))?;
     let status = command.stderr(file).status().context("cannot start memtransfer")?;
@@ -80,10 +80,10 @@ pub fn ended_well(command: &mut Command, log: &Path) -> Result<()> {
     Ok(())
 }
 
-/// Makes a cache folder with what set-up brought, and nothing that a run has made.
+/// Creates a cache folder with the files of set-up and none of earlier runs.
 ///
 /// # Errors
-/// When there is one already, or it cannot be made.
+/// When it exists or cannot be created.
 pub fn furnish(folder: &Path) -> Result<()> {
     std::fs::create_dir(folder).with_context(|| format!("cannot make {}", folder.display()))?;
     let Ok(entries) = std::path::absolute(cache_folder()?)?.read_dir() else { return Ok(()) };
@@ -96,7 +96,7 @@ pub fn furnish(folder: &Path) -> Result<()> {
     Ok(())
 }
 
-/// One line of `timings.jsonl`, as far as it matters here.
+/// A line of `timings.jsonl`, reduced to what is used here.
 #[derive(Debug, Clone, Copy, Deserialize)]
 pub(crate) struct Timing {
     pub(crate) started_ns: u64,
@@ -104,8 +104,8 @@ pub(crate) struct Timing {
     steps: u32,
 }
 
-/// Steps a second of the run in `folder` in its steady state: without its start, in which views may be drawn for the
-/// first time, and without its end, in which lanes fall idle.
+/// Steps per second of the run in `folder` in its steady state: without its start, when views may be rendered for the
+/// first time, and without its end, when lanes become idle.
 ///
 /// # Errors
 /// When the folder cannot be read, or the run is too short to have a steady state.
@@ -114,7 +114,7 @@ pub fn steady_rate(folder: &Path) -> Result<f64> {
         .with_context(|| format!("{} is too short to have a steady state", folder.display()))
 }
 
-/// Every line of a journal.
+/// Parses every line of a JSON Lines file.
 pub(crate) fn lines<T: DeserializeOwned>(path: &Path) -> Result<Vec<T>> {
     let text =
         std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
@@ -123,8 +123,8 @@ pub(crate) fn lines<T: DeserializeOwned>(path: &Path) -> Result<Vec<T>> {
     text.lines().map(line).collect()
 }
 
-/// From the time when a quarter of the episodes had been started to the time when the last one was. An episode's steps
-/// count as spread evenly over its time.
+/// The rate between the start of the episode at the first quartile and the start of the last one. The steps of an
+/// episode count as spread evenly over its duration.
 fn rate(timings: &[Timing]) -> Option<f64> {
     let mut starts: Vec<u64> = timings.iter().map(|timing| timing.started_ns).collect();
     starts.sort_unstable();
@@ -149,7 +149,7 @@ mod tests {
 
     #[test]
     fn the_rate_is_that_of_the_steady_part() {
-        // Two lanes, ten steps a second each, after a first second in which nothing moved.
+        // Two lanes of ten steps per second each, after an idle first second.
         let episode = |started_s: u64, lane_offset: u64| Timing {
             started_ns: (started_s * 10 + lane_offset) * 100_000_000,
             ended_ns: (started_s * 10 + 10 + lane_offset) * 100_000_000,

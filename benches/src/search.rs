@@ -1,7 +1,7 @@
 //! Exact search against FAISS's flat index, and against the memory's bandwidth.
 //!
-//! Both sides are given the same vectors: `memory-proc vectors` writes to the peer what `memory-proc profile` measures
-//! with. The largest memory fits into the machine once: there, each side's process ends before the other's begins.
+//! Both sides use the same vectors: `memory-proc vectors` writes those that `memory-proc profile` measures with. The
+//! largest memory fits the machine only once, so there the process of one side ends before that of the other starts.
 
 use std::process::{Command, Stdio};
 
@@ -12,24 +12,24 @@ use serde::Deserialize;
 use serde_json::{Value, json};
 
 use crate::Bench;
+use crate::baselines::{Baseline, Baselines};
 use crate::figure::{Better, Bound, Figure};
-use crate::peers::{Peer, Peers};
 use crate::session::Session;
 
-/// This bench.
+/// The bench.
 pub const BENCH: Bench = Bench {
     name: "search",
     about: "exact search against FAISS flat and the memory's bandwidth",
     run,
 };
 
-/// Queries at once, of the second figure of each size.
+/// Queries in a batch.
 pub(crate) const BATCH: usize = 64;
 
-/// Queries that the peer is given; it asks them over and over.
+/// Queries given to the baseline, which repeats them.
 pub(crate) const QUERIES: usize = 1024;
 
-/// Entries and dimension of the memories.
+/// Entries and dimension of each memory.
 const SIZES: &[(u32, u32)] = &[
     (1_000, 384),
     (10_000, 384),
@@ -40,16 +40,16 @@ const SIZES: &[(u32, u32)] = &[
     (5_000_000, 768),
 ];
 
-/// Bytes of vectors from which on two memories are not in the machine at once, and rounds are few.
+/// Bytes of vectors above which only one memory is loaded at a time and rounds are limited.
 const HUGE: u64 = 6 << 30;
 
-/// Most rounds of such a memory: filling it takes minutes.
+/// Rounds of such a memory, whose filling takes minutes.
 const HUGE_ROUNDS: u32 = 2;
 
-/// Bytes of codes from which on a search is as fast as the memory is.
+/// Bytes of quantized codes above which a search is bound by memory bandwidth.
 const BEYOND_CACHES: u64 = 300 << 20;
 
-/// What `memory-proc profile` prints, as far as it is used here.
+/// Output of `memory-proc profile`, reduced to what is used here.
 #[derive(Debug, Deserialize)]
 pub(crate) struct Line {
     pub(crate) batch: usize,
@@ -66,13 +66,13 @@ pub(crate) struct Latency {
 }
 
 impl Line {
-    /// The median of how long a batch took.
+    /// Median duration of a batch.
     pub(crate) fn seconds(&self) -> f64 {
         self.latency_ns.p50 as f64 / 1e9
     }
 }
 
-/// What `memory-proc profile` measures of one memory.
+/// Measurement of one memory by `memory-proc profile`.
 pub(crate) fn profile(
     session: &Session<'_>,
     (entries, dimension): (u32, u32),
@@ -91,7 +91,7 @@ pub(crate) fn profile(
     lines.lines().map(|line| Ok(serde_json::from_str(line)?)).collect()
 }
 
-/// What a peer is asked to load, besides what its script wants to know.
+/// The request that makes a baseline load a memory.
 pub(crate) fn load(session: &Session<'_>, (entries, dimension): (u32, u32)) -> Result<Value> {
     let program = session.program("memory-proc")?.display().to_string();
     let (count, length, queries) =
@@ -106,20 +106,20 @@ pub(crate) fn load(session: &Session<'_>, (entries, dimension): (u32, u32)) -> R
     }))
 }
 
-/// Threads of both sides.
+/// Threads of either side.
 pub(crate) fn threads() -> usize {
     std::thread::available_parallelism().map_or(1, usize::from)
 }
 
-/// What was measured of one memory, a value a round.
+/// Measurements of one memory, one value per round.
 #[derive(Default)]
 struct Rounds {
     one: Vec<f64>,
     batch: Vec<f64>,
     read: Vec<f64>,
     bandwidth: Vec<f64>,
-    peer_one: Vec<f64>,
-    peer_batch: Vec<f64>,
+    baseline_one: Vec<f64>,
+    baseline_batch: Vec<f64>,
     version: String,
     real: u32,
 }
@@ -161,36 +161,38 @@ fn measured(session: &Session<'_>, size: (u32, u32), bytes: u64) -> Result<Round
         if bytes / 4 >= BEYOND_CACHES {
             rounds.bandwidth.push(measure(Effort::FULL).read_all_cores);
         }
-        let Some(peers) = session.peers else { continue };
-        let mut peer = match kept.take() {
-            Some(peer) => peer,
-            None => loaded(session, peers, size, &mut rounds)?,
+        let Some(baselines) = session.baselines else { continue };
+        let mut baseline = match kept.take() {
+            Some(baseline) => baseline,
+            None => loaded(session, baselines, size, &mut rounds)?,
         };
         let mut time = |batch: usize| {
             let seconds = session.size.pick(0.05, 2.0);
-            peer.ask_number(&json!({"do": "time", "batch": batch, "seconds": seconds}), "seconds")
+            baseline
+                .ask_number(&json!({"do": "time", "batch": batch, "seconds": seconds}), "seconds")
         };
-        rounds.peer_one.push(time(1)?);
-        rounds.peer_batch.push(time(BATCH)?);
-        kept = Some(peer).filter(|_| !huge);
+        rounds.baseline_one.push(time(1)?);
+        rounds.baseline_batch.push(time(BATCH)?);
+        kept = Some(baseline).filter(|_| !huge);
     }
     Ok(rounds)
 }
 
 fn loaded(
     session: &Session<'_>,
-    peers: &Peers,
+    baselines: &Baselines,
     size: (u32, u32),
     rounds: &mut Rounds,
-) -> Result<Peer> {
-    let mut peer = Peer::start(peers, "search_faiss.py", session.scratch())?;
-    let answer = peer.ask(&load(session, size)?)?;
+) -> Result<Baseline> {
+    let mut baseline = Baseline::start(baselines, "search_faiss.py", session.scratch())?;
+    let answer = baseline.ask(&load(session, size)?)?;
     rounds.version = answer["version"].as_str().unwrap_or_default().to_owned();
-    Ok(peer)
+    Ok(baseline)
 }
 
 fn figures_of((entries, dimension): (u32, u32), rounds: Rounds) -> Vec<Figure> {
-    let Rounds { one, batch, read, bandwidth, peer_one, peer_batch, version, real } = rounds;
+    let Rounds { one, batch, read, bandwidth, baseline_one, baseline_batch, version, real } =
+        rounds;
     let micros = |seconds: Vec<f64>| seconds.into_iter().map(|s| s * 1e6).collect::<Vec<_>>();
     let rates =
         |seconds: Vec<f64>| seconds.into_iter().map(|s| BATCH as f64 / s).collect::<Vec<_>>();
@@ -209,13 +211,7 @@ fn figures_of((entries, dimension): (u32, u32), rounds: Rounds) -> Vec<Figure> {
         Better::Lower,
     )
     .ours(micros(one))
-    .target(Bound::Ratio(1.0), "at or above FAISS")
-    .point(
-        "exact search",
-        format!("one query, dimension {dimension}"),
-        "vectors",
-        f64::from(entries),
-    );
+    .target(Bound::Ratio(1.0), "at or above FAISS");
     let mut many = Figure::new(
         id("batch"),
         format!("exact queries, {BATCH} at once, of {entries} vectors of {dimension}"),
@@ -224,9 +220,9 @@ fn figures_of((entries, dimension): (u32, u32), rounds: Rounds) -> Vec<Figure> {
     )
     .ours(rates(batch))
     .target(Bound::Ratio(5.0), "five times FAISS");
-    if !peer_one.is_empty() {
-        single = single.peer("FAISS flat", version.clone(), micros(peer_one));
-        many = many.peer("FAISS flat", version, rates(peer_batch));
+    if !baseline_one.is_empty() {
+        single = single.baseline("FAISS flat", version.clone(), micros(baseline_one));
+        many = many.baseline("FAISS flat", version, rates(baseline_batch));
     }
     let mut figures = vec![named(single), named(many)];
     if !read.is_empty() {
@@ -238,7 +234,7 @@ fn figures_of((entries, dimension): (u32, u32), rounds: Rounds) -> Vec<Figure> {
             Better::Higher,
         )
         .ours(giga(read))
-        .peer("a plain read loop", "", giga(bandwidth))
+        .baseline("a plain read loop", "", giga(bandwidth))
         .target(Bound::Ratio(0.8), "80 % of the bandwidth")
         .note("what is read are codes, a quarter of the vectors' size");
         figures.push(named(figure));

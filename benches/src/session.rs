@@ -1,4 +1,4 @@
-//! What a bench is given while it runs.
+//! The environment of a running bench: size, rounds, scratch folder, programs.
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
@@ -6,19 +6,19 @@ use std::process::{Command, Stdio};
 use anyhow::{Context, Result, bail};
 use tempfile::TempDir;
 
-use crate::peers::Peers;
+use crate::baselines::Baselines;
 
 /// How much a bench measures.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Size {
-    /// As little as shows that it works: a few seconds, and figures that mean nothing.
+    /// Enough to show that the bench works, in a few seconds. The figures mean nothing.
     Tiny,
-    /// As much as a figure needs.
+    /// Enough for a meaningful figure.
     Full,
 }
 
 impl Size {
-    /// One of two values.
+    /// Returns the value for this size.
     pub const fn pick<T: Copy>(self, tiny: T, full: T) -> T {
         match self {
             Self::Tiny => tiny,
@@ -27,19 +27,19 @@ impl Size {
     }
 }
 
-/// One bench's run.
+/// The environment of one bench.
 #[derive(Debug)]
 pub struct Session<'a> {
-    /// How much is measured.
+    /// How much to measure.
     pub size: Size,
-    /// The peers' Python; without it, a bench measures ours alone.
-    pub peers: Option<&'a Peers>,
+    /// The Python environment of the baselines; without it a bench measures only this project.
+    pub baselines: Option<&'a Baselines>,
     /// The folder of the built programs.
     pub programs: &'a Path,
     rounds: u32,
     bench: &'static str,
     scratch: TempDir,
-    /// Where the runs of `memtransfer` are registered: short, since sockets lie below it.
+    /// Registry folder of the runs of `memtransfer`. Its path is short because sockets are created below it.
     registry: TempDir,
 }
 
@@ -47,44 +47,44 @@ impl<'a> Session<'a> {
     /// A session for the bench called `bench`.
     ///
     /// # Errors
-    /// When no scratch folder can be made.
+    /// When a scratch folder cannot be created.
     pub fn new(
         bench: &'static str,
         size: Size,
         rounds: u32,
         programs: &'a Path,
-        peers: Option<&'a Peers>,
+        baselines: Option<&'a Baselines>,
     ) -> Result<Self> {
         let scratch = tempfile::Builder::new().prefix("memtransfer-bench-").tempdir();
         let registry = tempfile::Builder::new().prefix("mtb").tempdir_in("/tmp");
-        let scratch = scratch.context("cannot make a scratch folder")?;
-        let registry = registry.context("cannot make a folder for runs")?;
-        Ok(Self { size, peers, programs, rounds: rounds.max(1), bench, scratch, registry })
+        let scratch = scratch.context("cannot create a scratch folder")?;
+        let registry = registry.context("cannot create a registry folder for runs")?;
+        Ok(Self { size, baselines, programs, rounds: rounds.max(1), bench, scratch, registry })
     }
 
-    /// How often everything is measured, at least once.
+    /// Number of rounds, at least one.
     pub fn rounds(&self) -> u32 {
         self.size.pick(1, self.rounds)
     }
 
-    /// Says on stderr what is being done.
+    /// Prints progress on stderr.
     pub fn say(&self, what: impl std::fmt::Display) {
         if self.size == Size::Full {
             eprintln!("{}: {what}", self.bench);
         }
     }
 
-    /// A folder that is gone after the bench.
+    /// A folder that is removed after the bench.
     pub fn scratch(&self) -> &Path {
         self.scratch.path()
     }
 
-    /// Where runs are registered.
+    /// Registry folder of the runs.
     pub fn registry(&self) -> &Path {
         self.registry.path()
     }
 
-    /// The built program `name`.
+    /// Path of the built program `name`.
     ///
     /// # Errors
     /// When it is not built.
@@ -92,22 +92,21 @@ impl<'a> Session<'a> {
         let program = self.programs.join(name);
         if !program.is_file() {
             bail!(
-                "{} is not built: `cargo xtask bench` builds all programs first, by hand \
-                 `cargo build --release --workspace --bins` does",
+                "{} is not built; run `cargo xtask bench`, which builds all programs first",
                 program.display()
             );
         }
         Ok(program)
     }
 
-    /// `memtransfer`, to be started in the scratch folder, with this session's runs apart from all others and no
-    /// setting from the environment.
+    /// A command for `memtransfer` in the scratch folder, with a registry of its own and no settings from the
+    /// environment.
     ///
     /// # Errors
     /// When it is not built.
     pub fn memtransfer(&self) -> Result<Command> {
         let mut command = Command::new(self.program("memtransfer")?);
-        // The cache folder is the machine's, not a setting of a run.
+        // The cache folder belongs to the machine, not to the run.
         let settings = std::env::vars_os().map(|(name, _)| name).filter(|name| {
             let name = name.to_string_lossy();
             name.starts_with("MEMTRANSFER_") && name != "MEMTRANSFER_CACHE"
@@ -122,10 +121,11 @@ impl<'a> Session<'a> {
         Ok(command)
     }
 
-    /// Measures ours and the peer's in turns, so that both see the same machine: a value each, every round.
+    /// Measures this project and the baseline alternately, one value each per round, so that both see the same
+    /// machine.
     ///
     /// # Errors
-    /// The first error of either.
+    /// The first error of either measurement.
     pub fn in_turns(
         &mut self,
         mut ours: impl FnMut(&mut Self) -> Result<f64>,

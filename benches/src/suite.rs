@@ -1,5 +1,5 @@
-//! The paper's whole suite with the stand-in, from the command to the table: with nothing embedded and no document
-//! written before, and again with both kept.
+//! The whole paper suite with the scripted stand-in, from the command to the table: with empty caches, and again with
+//! cached embeddings and documents.
 
 use std::path::Path;
 use std::time::Instant;
@@ -11,7 +11,7 @@ use crate::figure::{Better, Bound, Figure};
 use crate::runs::{ended_well, furnish};
 use crate::session::{Session, Size};
 
-/// This bench.
+/// The bench.
 pub const BENCH: Bench =
     Bench { name: "suite", about: "the paper's whole suite with the stand-in, cold and warm", run };
 
@@ -22,12 +22,12 @@ fn run(session: &mut Session<'_>) -> Result<Vec<Figure>> {
     let cache = session.scratch().join("cache");
     furnish(&cache)?;
     session.say("cold");
-    let cold = walk(session, &cache, "cold")?;
+    let cold = execute(session, &cache, "cold")?;
     let mut warm = Vec::new();
-    // Minutes each.
+    // A round takes minutes.
     for round in 1..=session.rounds().min(3) {
         session.say(format_args!("warm, round {round}"));
-        warm.push(walk(session, &cache, "warm")?);
+        warm.push(execute(session, &cache, "warm")?);
     }
     let figure = |id: &str, what: &str, seconds: Vec<f64>, target: (f64, &str)| {
         Figure::new(id, what, "s", Better::Lower)
@@ -51,8 +51,8 @@ fn run(session: &mut Session<'_>) -> Result<Vec<Figure>> {
     ])
 }
 
-/// Walks the suite and returns how many seconds that took, everything included.
-fn walk(session: &Session<'_>, cache: &Path, out: &str) -> Result<f64> {
+/// Runs the suite and returns its duration in seconds.
+fn execute(session: &Session<'_>, cache: &Path, out: &str) -> Result<f64> {
     let mut command = session.memtransfer()?;
     command.env("MEMTRANSFER_CACHE", cache);
     command.args(["run", "--quiet", "--fresh", "--policy", "grounded", "--lanes", LANES]);

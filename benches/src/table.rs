@@ -1,19 +1,19 @@
-//! The table of docs/performance.md: what should be how fast, and what was measured of it.
+//! The table of targets in docs/performance.md.
 //!
-//! A row takes every figure with a target that its bench gave and whose id begins as the row says; without one it says
-//! that it was not measured, or that there is no bench for it.
+//! A row shows every figure with a target whose id starts with the row's prefix. Without one it says that nothing was
+//! measured.
 
 use crate::BENCHES;
 use crate::figure::{Summary, shown};
 use crate::results::{Measured, Results};
 
-/// A row, before anything is measured.
+/// A target.
 #[derive(Debug, Clone, Copy)]
 struct Wanted {
     what: &'static str,
     against: &'static str,
     target: &'static str,
-    /// What its figures' ids begin with; the first part is the bench.
+    /// Prefix of the ids of its figures; its first component names the bench.
     prefix: &'static str,
 }
 
@@ -98,11 +98,11 @@ const WANTED: &[Wanted] = &[
     },
 ];
 
-/// What the columns are called.
+/// Column titles.
 pub const HEADER: [&str; 8] =
-    ["what", "against", "target", "ours", "peer", "ours / peer", "target met", "command"];
+    ["what", "against", "target", "ours", "baseline", "ours / baseline", "target met", "command"];
 
-/// The rows, as text: one for each figure with a target, and one for each line of the table without any.
+/// The rows as text: one for each figure with a target, and one for each target without a figure.
 pub fn rows(results: &Results) -> Vec<[String; 8]> {
     let mut rows = Vec::new();
     for wanted in WANTED {
@@ -138,16 +138,16 @@ fn row(wanted: &Wanted, measured: &Measured, command: &str) -> [String; 8] {
     let figure = &measured.figure;
     let none = || "–".to_owned();
     let target = figure.target.as_ref().map_or_else(none, |target| target.text.clone());
-    let against = figure.peer.as_ref().map_or_else(
+    let against = figure.baseline.as_ref().map_or_else(
         || wanted.against.to_owned(),
-        |peer| format!("{} {}", peer.name, peer.version).trim().to_owned(),
+        |baseline| format!("{} {}", baseline.name, baseline.version).trim().to_owned(),
     );
     [
         figure.what.clone(),
         against,
         target,
         measured.summary.map_or_else(none, |summary| with_unit(summary, &figure.unit)),
-        measured.peer_summary.map_or_else(none, |summary| with_unit(summary, &figure.unit)),
+        measured.baseline_summary.map_or_else(none, |summary| with_unit(summary, &figure.unit)),
         measured.ratio.map_or_else(none, spread),
         match measured.meets_target {
             Some(true) => "yes".to_owned(),
@@ -158,17 +158,17 @@ fn row(wanted: &Wanted, measured: &Measured, command: &str) -> [String; 8] {
     ]
 }
 
-/// A median with its unit, and its range.
+/// Formats a median with its unit and range.
 pub fn with_unit(summary: Summary, unit: &str) -> String {
     format!("{} {unit} {}", shown(summary.median), range(summary)).trim_end().to_owned()
 }
 
-/// A median and its range.
+/// Formats a median and its range.
 pub fn spread(summary: Summary) -> String {
     format!("{} {}", shown(summary.median), range(summary)).trim().to_owned()
 }
 
-/// The range, unless it is a point.
+/// Formats the range, unless it is a single value.
 fn range(Summary { min, max, .. }: Summary) -> String {
     if min == max { String::new() } else { format!("({} to {})", shown(min), shown(max)) }
 }
@@ -177,12 +177,12 @@ fn range(Summary { min, max, .. }: Summary) -> String {
 mod tests {
     use super::*;
     use crate::figure::{Better, Bound, Figure};
-    use crate::results::Outcome;
+    use crate::results::BenchOutcome;
 
     #[test]
     fn a_row_has_its_figures_or_says_that_there_are_none() {
         let mut results = Results::here();
-        let outcome = |name: &str, error: Option<&str>, figures: Vec<Figure>| Outcome {
+        let outcome = |name: &str, error: Option<&str>, figures: Vec<Figure>| BenchOutcome {
             name: name.to_owned(),
             about: String::new(),
             began: String::new(),
@@ -193,7 +193,7 @@ mod tests {
         };
         let hop = Figure::new("hop.round-trip", "a round trip", "ns", Better::Lower)
             .ours([500.0, 510.0, 490.0])
-            .peer("iceoryx2", "0.10", [400.0, 400.0, 400.0])
+            .baseline("iceoryx2", "0.10", [400.0, 400.0, 400.0])
             .target(Bound::Ratio(1.5), "within 1.5 x");
         let floor = Figure::new("hop.floor", "no target", "ns", Better::Lower).ours([1.0]);
         results.add(outcome("hop", None, vec![hop, floor]));
@@ -215,7 +215,7 @@ mod tests {
             ]
         );
         assert_eq!(rows[1][3], "not measured yet");
-        // A command that nobody can run is not given.
+        // Every command names a bench that exists.
         assert!(rows.iter().all(|row| (row[3] == "no bench yet") == (row[7] == "–")));
         let failed: Vec<_> = rows.iter().filter(|row| row[3] == "the bench failed").collect();
         assert_eq!((failed.len(), failed[0][7].as_str()), (1, "`cargo xtask bench --only growth`"));

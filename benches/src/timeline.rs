@@ -1,4 +1,4 @@
-//! A picture of a trace (`memtransfer run --trace`): what each process worked on, one row a track, over some time.
+//! Draws a trace (`memtransfer run --trace`) as SVG: one row per track.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -10,13 +10,13 @@ use plotters::style::text_anchor::{HPos, Pos, VPos};
 use serde::Deserialize;
 use serde_json::Value;
 
-/// Width of the picture, where rows begin in it, and how high a row is.
+/// Width of the image, left edge of the rows, and height of a row, in pixels.
 const WIDTH: u32 = 1000;
 const LEFT: i32 = 170;
 const ROW: i32 = 34;
 const AXIS: i32 = 40;
 
-/// One colour a process, told apart in grey as well.
+/// One colour per process, distinguishable in grey.
 const COLOURS: [RGBColor; 4] = [
     RGBColor(0x44, 0x44, 0x44),
     RGBColor(0x1f, 0x77, 0xb4),
@@ -24,7 +24,7 @@ const COLOURS: [RGBColor; 4] = [
     RGBColor(0x2c, 0xa0, 0x2c),
 ];
 
-/// A trace, as far as it is drawn.
+/// A trace, reduced to what is drawn.
 #[derive(Debug, Deserialize)]
 struct Trace {
     #[serde(rename = "traceEvents")]
@@ -45,13 +45,13 @@ struct Event {
     args: Value,
 }
 
-/// A piece of work: from, until, in milliseconds.
+/// Start and end of a slice, in milliseconds.
 type Piece = (f64, f64);
 
-/// Draws what was worked on from `from_ms` on for `for_ms` of the trace in the file `trace`, as SVG.
+/// Draws `for_ms` milliseconds of the file `trace`, starting at `from_ms`.
 ///
 /// # Errors
-/// When the file cannot be read, is no trace, or shows no work in that time.
+/// When the file cannot be read, is not a trace, or has no slice in that time.
 pub fn draw(trace: &Path, from_ms: f64, for_ms: f64) -> Result<String> {
     let text = std::fs::read_to_string(trace)
         .with_context(|| format!("cannot read {}", trace.display()))?;
@@ -66,7 +66,7 @@ pub fn draw(trace: &Path, from_ms: f64, for_ms: f64) -> Result<String> {
     paint(&rows, (from_ms, from_ms + for_ms)).map_err(|error| anyhow!("cannot draw: {error}"))
 }
 
-/// The work in a time, by process and track, with their names.
+/// Slices of that time by process and track, with their names.
 fn rows(trace: &Trace, (from, until): (f64, f64)) -> BTreeMap<(u32, u32, String), Vec<Piece>> {
     let named = |what: &str, pid: u32, tid: Option<u32>| {
         let is_it = |event: &&Event| {
@@ -115,7 +115,7 @@ fn paint(
             area.draw(&Text::new(name.as_str(), at, words(15).pos(right)))?;
             let colour = COLOURS[(*pid as usize).saturating_sub(1) % COLOURS.len()];
             for &(start, end) in pieces {
-                // What is too short to see is a line.
+                // A slice too short to see is a line.
                 let end = x(end).max(x(start) + 1);
                 let corners = [(x(start), top + 6), (end, top + ROW - 6)];
                 area.draw(&Rectangle::new(corners, colour.filled()))?;

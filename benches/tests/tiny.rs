@@ -1,4 +1,4 @@
-//! Every bench once, as small as it goes and without peers: it works, and its figures can be told apart.
+//! Every bench once, as small as it goes and without baselines: it works, and its figures can be told apart.
 
 #![expect(clippy::unwrap_used, reason = "a test may panic")]
 

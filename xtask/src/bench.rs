@@ -1,4 +1,4 @@
-//! `bench`: the peers' packages, the programs, then the benches themselves.
+//! `bench`: the baselines' packages, the programs, then the benches themselves.
 
 use std::ffi::OsString;
 use std::os::unix::process::CommandExt;
@@ -11,8 +11,8 @@ use crate::cache::Cache;
 use crate::pins::Pins;
 use crate::workspace::Workspace;
 
-/// The environment that has the peers' packages, by its name in the list.
-const PEERS: &str = "Python of the benches";
+/// The environment that has the baselines' packages, by its name in the list.
+const BASELINES: &str = "Python of the benches";
 
 /// What `memtransfer-bench` is told.
 #[derive(Args)]
@@ -29,9 +29,9 @@ pub(crate) struct BenchArguments {
     /// Keep earlier results of benches that are not measured now
     #[arg(long)]
     keep: bool,
-    /// Bring no peers, and measure ours alone
+    /// Bring no baselines, and measure ours alone
     #[arg(long)]
-    pub(crate) no_peers: bool,
+    pub(crate) no_baselines: bool,
     /// Further flags for `memtransfer-bench`, for example `-- --page docs/performance.md`
     #[arg(last = true)]
     flags: Vec<OsString>,
@@ -51,8 +51,8 @@ pub(crate) fn run(
     let target = program.parent().and_then(|folder| folder.parent());
     let out = target.context("the programs lie in no folder")?.join("bench");
     let mut flags: Vec<OsString> = vec!["--out".into(), out.into()];
-    if !arguments.no_peers {
-        let place = cache.root().join(&pins.environment(PEERS)?.place);
+    if !arguments.no_baselines {
+        let place = cache.root().join(&pins.environment(BASELINES)?.place);
         flags.extend(["--python".into(), place.join("bin/python").into()]);
     }
     if let Some(only) = &arguments.only {
@@ -81,8 +81,8 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_list_has_the_peers() {
+    fn the_list_has_the_baselines() {
         let pins = Pins::load(&Path::new(env!("CARGO_MANIFEST_DIR")).join("setup.toml")).unwrap();
-        assert!(pins.environment(PEERS).is_ok());
+        assert!(pins.environment(BASELINES).is_ok());
     }
 }

@@ -68,7 +68,7 @@ enum Verb {
         #[arg(last = true)]
         test_arguments: Vec<String>,
     },
-    /// Set up with the peers' Python packages, build, measure beside them, write target/bench
+    /// Set up with the baselines' Python packages, build, measure beside them, write target/bench
     Bench(bench::BenchArguments),
     /// Format, lints, docs and licences
     Check,
@@ -113,7 +113,7 @@ fn run(arguments: &Arguments) -> anyhow::Result<bool> {
             test::run(&workspace, test_arguments)
         }
         Verb::Bench(arguments) => {
-            let purpose = if arguments.no_peers { Purpose::Use } else { Purpose::Benches };
+            let purpose = if arguments.no_baselines { Purpose::Use } else { Purpose::Benches };
             setup::bring_missing(purpose, &pins, &cache, &workspace)?;
             bench::run(arguments, &pins, &cache, &workspace)
         }

@@ -1,8 +1,8 @@
-//! The bare chain: four processes that pass the messages of a step round and do nothing else. What the run's own
-//! processes take beyond it is theirs.
+//! The bare chain: four processes that pass the messages of a step and do nothing else. It is the lower bound of what a
+//! step through the real processes can cost.
 //!
-//! Messages, queues, doorbells and their order are those of a run: whoever wakes drains its queues, answers all of it,
-//! and rings its neighbour once. The orchestrator is the process that measures.
+//! Messages, queues, notifications and their order are those of a run: a process that wakes drains its queues, answers
+//! everything, and notifies its neighbour once. The measuring process plays the orchestrator.
 
 use std::path::Path;
 use std::time::{Duration, Instant};
@@ -12,19 +12,19 @@ use bytemuck::Zeroable;
 use shm_types::message::{Decision, Observation, Recall, RecallTrace, Role, StepCommand, Stop};
 use shm_types::{Attach, Bus, RunDir};
 
-use crate::parts::Part;
+use crate::processes::BenchProcess;
 use crate::session::Session;
 
-/// How long a part sleeps at most before it looks by itself.
+/// Longest wait for a notification.
 const LONGEST_SLEEP: Duration = Duration::from_millis(50);
 
-/// How long nothing may come before the chain counts as broken.
+/// Longest time without a message before the chain counts as broken.
 const PATIENCE: Duration = Duration::from_secs(20);
 
-/// Steps a second through a bare chain with so many lanes, over `length` in its steady state.
+/// Steps per second through a bare chain of `lanes`, over `length` in its steady state.
 ///
 /// # Errors
-/// When a part fails or hangs.
+/// When a process fails or hangs.
 pub fn steps_per_second(session: &Session<'_>, lanes: u32, length: Duration) -> Result<f64> {
     let run = RunDir::create(session.registry())?;
     let attach = Attach { lanes, ..run.attach() };
@@ -37,16 +37,16 @@ pub fn steps_per_second(session: &Session<'_>, lanes: u32, length: Duration) -> 
     let notifiers =
         [bus.notifier(Role::Sim)?, bus.notifier(Role::Memory)?, bus.notifier(Role::Policy)?];
     let folder = run.path().display().to_string();
-    let mut parts = Vec::new();
+    let mut processes = Vec::new();
     for name in ["bare-sim", "bare-memory", "bare-policy"] {
-        parts.push(Part::start(session, name, std::slice::from_ref(&folder))?);
+        processes.push(BenchProcess::start(session, name, std::slice::from_ref(&folder))?);
     }
     for lane in 0..lanes {
         commands.send(&StepCommand { lane, ..StepCommand::zeroed() })?;
     }
     notifiers[0].notify()?;
-    let (mut steps, mut last_came) = (0_u64, Instant::now());
-    // A first part is not counted: connections are made in it, and every process has to be awake.
+    let (mut steps, mut last_received) = (0_u64, Instant::now());
+    // The warm-up is not counted: connections are made, and every process has to be awake.
     let warm_until = Instant::now() + length / 4;
     let mut began = None;
     let rate = loop {
@@ -56,11 +56,11 @@ pub fn steps_per_second(session: &Session<'_>, lanes: u32, length: Duration) -> 
         observations.drain()?;
         let now = Instant::now();
         if decided.is_empty() {
-            ensure!(now - last_came < PATIENCE, "nothing came for {} s", PATIENCE.as_secs());
-            parts.iter_mut().try_for_each(Part::check)?;
+            ensure!(now - last_received < PATIENCE, "no message for {} s", PATIENCE.as_secs());
+            processes.iter_mut().try_for_each(BenchProcess::check)?;
             continue;
         }
-        last_came = now;
+        last_received = now;
         for decision in &decided {
             let (episode, lane, step) = (decision.episode, decision.lane, decision.step + 1);
             commands.send(&StepCommand { episode, lane, step, ..StepCommand::zeroed() })?;
@@ -78,28 +78,28 @@ pub fn steps_per_second(session: &Session<'_>, lanes: u32, length: Duration) -> 
             _ => {}
         }
     };
-    // Nobody may leave while something is on its way to him.
-    let (mut under_way, deadline) = (lanes as usize, Instant::now() + PATIENCE);
-    while under_way > 0 {
-        ensure!(Instant::now() < deadline, "{under_way} decisions never came");
+    // Receive what is in flight before anything stops.
+    let (mut in_flight, deadline) = (lanes as usize, Instant::now() + PATIENCE);
+    while in_flight > 0 {
+        ensure!(Instant::now() < deadline, "{in_flight} decisions did not arrive");
         bus.listener().wait(LONGEST_SLEEP)?;
-        under_way = under_way.saturating_sub(decisions.drain()?.len());
+        in_flight = in_flight.saturating_sub(decisions.drain()?.len());
         traces.drain()?;
         observations.drain()?;
     }
     stops.send(&Stop::zeroed())?;
     notifiers.iter().try_for_each(shm_types::Notifier::notify)?;
-    parts.into_iter().try_for_each(Part::finish)?;
+    processes.into_iter().try_for_each(BenchProcess::finish)?;
     Ok(rate)
 }
 
-/// Joins the run that a part is told of.
+/// Joins the run named in the arguments.
 fn join(arguments: &[String], role: Role) -> Result<Bus> {
-    let [folder] = arguments else { bail!("which run?") };
+    let [folder] = arguments else { bail!("the run folder is missing") };
     Ok(Bus::join(Attach::read(Path::new(folder))?, role)?)
 }
 
-/// The part of the simulator: a command is answered with an observation.
+/// Plays the simulator: answers a command with an observation.
 pub(crate) fn sim(arguments: &[String]) -> Result<()> {
     let bus = join(arguments, Role::Sim)?;
     let (stops, commands) = (bus.receiver::<Stop>()?, bus.receiver::<StepCommand>()?);
@@ -118,7 +118,7 @@ pub(crate) fn sim(arguments: &[String]) -> Result<()> {
     Ok(())
 }
 
-/// The part of memory: an observation is answered with a recall and its trace.
+/// Plays memory: answers an observation with a recall and its trace.
 pub(crate) fn memory(arguments: &[String]) -> Result<()> {
     let bus = join(arguments, Role::Memory)?;
     let (stops, observations) = (bus.receiver::<Stop>()?, bus.receiver::<Observation>()?);
@@ -139,7 +139,7 @@ pub(crate) fn memory(arguments: &[String]) -> Result<()> {
     Ok(())
 }
 
-/// The part of the policy: a recall is answered with a decision. What it refers to was observed before.
+/// Plays the policy: answers a recall with a decision.
 pub(crate) fn policy(arguments: &[String]) -> Result<()> {
     let bus = join(arguments, Role::Policy)?;
     let (stops, observations) = (bus.receiver::<Stop>()?, bus.receiver::<Observation>()?);

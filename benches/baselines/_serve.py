@@ -1,10 +1,10 @@
-"""What every peer here is: a loop over requests, a JSON object a line, each answered with one.
+"""What every baseline here is: a loop over requests, a JSON object a line, each answered with one.
 
 A request names what is to be done under "do"; the rest are arguments by name:
 
     {"do": "time", "threads": 2}    ->    {"seconds": 0.25}
 
-What a peer's package prints must not get among the answers, so standard output is turned to standard error, and
+What a baseline's package prints must not get among the answers, so standard output is turned to standard error, and
 answers go out through a copy that was made before.
 """
 
