@@ -1,60 +1,42 @@
-//! The grounded policy: a scripted stand-in for a model, so that everything runs offline.
+//! The grounded policy: a scripted stand-in for a model that needs no network and no key.
 //!
-//! It looks at the pixels of the frames it is given and at nothing a model would not get. It reads label
-//! plates ([`plate`](shm_types::plate)), sees barricades and compares pictures. Whatever memory supplies becomes
-//! part of one picture of the world (`scene`): walks that were recognised (`chart`, `locate`), places,
-//! floor and routes that a document tells (`document`, `lore`), and what the last views show. One procedure
-//! (`decide`) uses it, wherever it is from: follow a walk, go round past everything that is known to be
-//! wanted, walk to what is in sight, look where things of the kind were seen, or explore. It keeps nothing of an
-//! episode: what it knows of earlier steps it works out anew from the window each time, and beyond the window
-//! from where it is on a fixed way (`course`).
+//! It uses what a model would be given and nothing else. At each step it
+//! - perceives: reads plates and barricades from the frames (`perception`, `barricade`);
+//! - remembers: locates the demonstrations that memory supplies by the views they share with the window
+//!   (`demonstration`), and parses documents (`document`); together that is its `knowledge`;
+//! - maps: marks free and occupied cells around the agent (`local_map`);
+//! - plans: follows a demonstration where it is on one, else goes to what the instruction asks for, on a fixed
+//!   `tour` if everything is known, else explores (`plan`).
 //!
-//! It is a stand-in: its results say that the machinery works, not how well a model would do.
+//! It keeps no state of an episode: its `beliefs` are derived from each request anew. Its results show that
+//! the harness works; they say nothing about any model. It ignores the hint of the original start.
 
 mod barricade;
-mod chart;
-mod course;
-mod decide;
+mod beliefs;
+mod cache;
+mod demonstration;
 mod document;
-mod explore;
 mod geometry;
-mod history;
 mod instruction;
-mod lasting;
-mod locate;
-mod lore;
-mod percept;
-mod recognise;
-mod scene;
-mod sketch;
-mod surroundings;
+mod knowledge;
+mod local_map;
+mod perception;
+mod plan;
+mod recent;
 #[cfg(test)]
 mod testing;
+#[cfg(test)]
+mod tests;
+mod tour;
 
-use crate::{Decision, Policy, Request};
-use chart::Charts;
-use course::Courses;
-use lasting::Lastings;
-use locate::Locator;
-use lore::Lores;
-use percept::Percepts;
+use beliefs::{Beliefs, Caches};
+use instruction::Goal;
+use peer::{Decision, Policy, Request};
 
-/// The grounded policy. All it keeps is what it worked out from frames and documents, which never change.
+/// The grounded policy. Its only state are caches of what frames and documents say.
 #[derive(Debug, Default)]
 pub struct Grounded {
-    mind: Mind,
-}
-
-/// What was worked out, by what it was worked out from; each is bounded. To forget any of it costs time and
-/// changes no answer.
-#[derive(Debug, Default)]
-struct Mind {
-    percepts: Percepts,
-    charts: Charts,
-    locator: Locator,
-    lores: Lores,
-    lastings: Lastings,
-    courses: Courses,
+    caches: Caches,
 }
 
 impl Policy for Grounded {
@@ -67,8 +49,11 @@ impl Policy for Grounded {
     }
 
     fn act(&mut self, batch: &[Request<'_>]) -> Vec<Decision> {
-        let mind = &mut self.mind;
-        let decide = |request| Decision::act(request, decide::action(request, mind));
+        let decide = |request: &Request<'_>| {
+            let goal = Goal::parse(request.instruction);
+            let beliefs = Beliefs::new(request, goal.as_ref(), &mut self.caches);
+            Decision::act(request, plan::next_action(request, goal.as_ref(), &beliefs))
+        };
         batch.iter().map(decide).collect()
     }
 }

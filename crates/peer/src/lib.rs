@@ -44,6 +44,7 @@ pub use request::{
 };
 // The words that requests and decisions are made of: a policy needs no other crate.
 pub use domain::{Action, Cell, DocumentKind, Feedback, Heading, Pose};
+pub use shm_types::message::{DocumentId, FrameId};
 
 /// Something that decides at once. The built-in policies without a model are written against this and
 /// nothing else.

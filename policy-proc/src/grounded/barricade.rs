@@ -1,26 +1,26 @@
-//! Barricades in a picture: three boards, striped red and white, one above the other.
+//! Finds barricades in images: three boards with red and white stripes, one above the other.
 //!
-//! Where a barricade's boards would be drawn if one stood on a given cell is known from the camera alone, so
-//! each cell ahead is looked at in turn. Nothing else in the world is striped at these three heights; what is
-//! partly hidden is not seen.
+//! The camera alone determines where the boards of a barricade on a given cell would appear, so the reader
+//! tests each cell ahead. Nothing else in the world has stripes at these three heights. A barricade that is
+//! partly hidden is not found.
 
 use domain::camera::{CAMERA_HEIGHT_M, focal_length_px};
 
-use crate::FrameView;
+use peer::FrameView;
 
-/// Heights of the boards' middles above the floor, in metres, upwards.
+/// Heights of the boards' centres above the floor, in metres.
 const BOARDS_M: [f32; 3] = [0.33, 0.73, 1.13];
 
-/// Heights between and above the boards, where there is none.
+/// Heights between the boards, in metres.
 const GAPS_M: [f32; 2] = [0.53, 0.93];
 
-/// How far the boards stand behind the cell's edge, in metres.
+/// Distance of the boards from the near edge of the cell, in metres.
 const SETBACK_M: f32 = 0.10;
 
-/// Farthest cell ahead that is looked at.
+/// The farthest row of cells that is tested.
 const FARTHEST: i8 = 6;
 
-/// Points that are looked at on each board.
+/// Points sampled on each board.
 const POINTS: usize = 24;
 
 /// Cells with a barricade that faces the camera, as (cells ahead, cells to the right).
@@ -31,24 +31,24 @@ pub(super) fn read(frame: &FrameView<'_>) -> Vec<(i8, i8)> {
 }
 
 fn stands_on(frame: &FrameView<'_>, ahead: i8, right: i8) -> bool {
-    // Of the nearest cell the lowest board is below the picture.
+    // The lowest board in the nearest cell is below the image.
     let boards = &BOARDS_M[usize::from(ahead == 1)..];
     let gaps = &GAPS_M[usize::from(ahead == 1)..];
     boards.iter().all(|&height| {
         let (mut red, mut white) = (0, 0);
-        for colour in along(frame, ahead, right, height) {
+        for colour in line_across(frame, ahead, right, height) {
             red += usize::from(is_red(colour));
             white += usize::from(is_white(colour));
         }
         3 * red >= POINTS && 4 * white >= POINTS
     }) && gaps.iter().all(|&height| {
-        let red = along(frame, ahead, right, height).filter(|&colour| is_red(colour)).count();
+        let red = line_across(frame, ahead, right, height).filter(|&colour| is_red(colour)).count();
         6 * red < POINTS
     })
 }
 
-/// The colours on a line across a cell's barricade.
-fn along<'a>(
+/// The colours along a horizontal line across the barricade's front.
+fn line_across<'a>(
     frame: &'a FrameView<'_>,
     ahead: i8,
     right: i8,
@@ -75,11 +75,10 @@ fn is_white([red, green, blue]: [u8; 3]) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::grounded::testing::view;
     use domain::{Heading, Pose};
     use plates::painter::{Aisle, Picture};
 
-    /// A picture with a barricade on the cell, painted as the camera sees it.
+    /// An image with a barricade on the cell, as the camera sees it.
     fn with_barricade(ahead: i8, right: i8) -> Vec<u8> {
         let side = 448_u32;
         let mut pixels = Picture::background(side, 3).pixels().to_vec();
@@ -102,31 +101,23 @@ mod tests {
         pixels
     }
 
+    fn frame_of(side: u32, pixels: &[u8]) -> FrameView<'_> {
+        FrameView { id: 1, content_hash: [0; 16], width: side, height: side, pixels }
+    }
+
     #[test]
-    fn a_barricade_is_seen_where_it_stands() {
+    fn barricades_are_found_where_they_stand() {
         for (ahead, right) in [(1, 0), (2, -1), (3, 1), (5, 0)] {
             let pixels = with_barricade(ahead, right);
-            let frame =
-                FrameView { id: 1, width: 448, height: 448, pixels: &pixels, ..FrameView::NONE };
-            assert_eq!(read(&frame), [(ahead, right)]);
+            assert_eq!(read(&frame_of(448, &pixels)), [(ahead, right)]);
         }
     }
 
     #[test]
-    fn nothing_else_is_taken_for_one() {
+    fn other_images_have_none() {
         let aisle = Aisle::new().picture(Pose::new(10, 12, Heading::N));
-        assert_eq!(read(&view(&aisle, 1)), []);
-        for pixels in [vec![128; 64 * 64 * 4], Vec::new()] {
-            assert_eq!(
-                read(&FrameView {
-                    id: 1,
-                    width: 64,
-                    height: 64,
-                    pixels: &pixels,
-                    ..FrameView::NONE
-                }),
-                []
-            );
+        for (side, pixels) in [(448, aisle.pixels()), (64, &[128; 64 * 64 * 4]), (64, &[])] {
+            assert_eq!(read(&frame_of(side, pixels)), []);
         }
     }
 }

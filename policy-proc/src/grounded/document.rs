@@ -1,194 +1,332 @@
-//! What a document says: where things stand, what is floor, and routes that were walked.
+//! Documents: where items stand, which cells are floor, and routes that were demonstrated.
 //!
-//! Read line by line and without trust. A line counts for what can be found in it: cells written `(column,
-//! row)`, stretches of columns and rows, label plates, names. The extractive builder's lines are read
-//! exactly; of a model's free text, whatever line names a thing and gives a cell is a hint where to stand.
+//! Parses the grammar of `docs/documents.md` line by line and skips what does not follow it. A line of a
+//! model's free text that names an item and gives a cell counts as a place to stand.
 
-mod line;
+use domain::{Cell, Heading, Pose};
 
-use domain::{Cell, Heading};
+use super::geometry::{PathStep, path_along};
+use super::instruction::{Rank, Target};
 
-use super::instruction::{Rank, Want};
-pub(super) use line::Rect;
-use line::Spelled;
-
-/// Largest rectangle that is taken for floor, in cells.
+/// The largest rectangle that counts as floor, in cells.
 const LARGEST_PASSAGE: usize = 1024;
 
-/// A document, taken apart.
+/// The longest route that is used, in cells.
+const LONGEST_ROUTE: u32 = 400;
+
+/// The columns and rows of a rectangle of cells, both ends included.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Rect {
+    columns: (u8, u8),
+    rows: (u8, u8),
+}
+
+impl Rect {
+    pub(super) fn cells(self) -> impl Iterator<Item = Cell> {
+        let Self { columns, rows } = self;
+        (columns.0..=columns.1).flat_map(move |x| (rows.0..=rows.1).map(move |y| Cell::new(x, y)))
+    }
+}
+
+/// A parsed document.
 #[derive(Debug, Default)]
-pub(super) struct Atlas {
+pub(super) struct Document {
     places: Vec<Place>,
-    /// Stretches of floor.
-    pub(super) passages: Vec<Rect>,
+    passages: Vec<Rect>,
     routes: Vec<Route>,
 }
 
-/// A line that says where something is.
+/// A line that says where items of some kind are.
 #[derive(Debug)]
 struct Place {
-    /// The line, in lower case.
+    /// In lower case.
     text: String,
-    plates: Vec<Spelled>,
-    /// Cells to stand on.
-    cells: Vec<Cell>,
-    /// Where to look.
+    standpoints: Vec<Cell>,
     regions: Vec<Rect>,
 }
 
-/// A route that was walked for an instruction.
+/// A demonstrated route.
 #[derive(Debug)]
-pub(super) struct Route {
+struct Route {
     /// In lower case.
     instruction: String,
-    /// The way faced at its start.
-    pub(super) facing: Option<Heading>,
-    /// Its start and where it bends, up to its end.
-    pub(super) corners: Vec<Cell>,
+    facing: Option<Heading>,
+    /// Its start, the cells where it bends, and its end.
+    corners: Vec<Cell>,
 }
 
-impl Atlas {
-    /// What `text` says.
+impl Document {
     pub(super) fn parse(text: &str) -> Self {
-        let mut atlas = Self::default();
+        let mut document = Self::default();
         let mut is_about_floor = false;
-        for line in text.lines() {
-            let line = line.to_lowercase();
+        for line in text.lines().map(str::to_lowercase) {
             if line.starts_with('#') {
-                is_about_floor = speaks_of_floor(&line);
-                continue;
+                is_about_floor = mentions_floor(&line);
+            } else if !document.parse_route(&line) {
+                let (standpoints, regions) = (cells(&line), rects(&line));
+                if standpoints.is_empty() && (is_about_floor || mentions_floor(&line)) {
+                    document.passages.extend(regions);
+                } else if !(standpoints.is_empty() && regions.is_empty()) {
+                    document.places.push(Place { text: line, standpoints, regions });
+                }
             }
-            atlas.read(line, is_about_floor);
         }
-        atlas
-    }
-
-    fn read(&mut self, line: String, is_about_floor: bool) {
-        if let Some(route) = self.read_route(&line) {
-            self.routes.push(route);
-            return;
-        }
-        let cells = line::cells(&line);
-        let rects = line::rects(&line);
-        if cells.is_empty() && rects.is_empty() {
-            return;
-        }
-        if cells.is_empty() && (is_about_floor || speaks_of_floor(&line)) {
-            let is_passage = |rect: &Rect| rect.cells().count() <= LARGEST_PASSAGE;
-            self.passages.extend(rects.into_iter().filter(is_passage));
-            return;
-        }
-        let is_told = line.contains("stand at ");
-        let told = cells.into_iter().filter(|&(word, _)| !is_told || word == "at");
-        let cells = told.map(|(_, cell)| cell).collect();
-        self.places.push(Place { plates: line::plates(&line), cells, regions: rects, text: line });
+        document
     }
 
     /// `"Find a blue barrel." from (14, 11) facing S: south 3 to (14, 8); reached blue barrel at (14, 8).`
-    fn read_route(&mut self, line: &str) -> Option<Route> {
-        let (_, quoted) = line.split_once('"')?;
-        let (instruction, walk) = quoted.split_once('"')?;
-        let walk = walk.trim_start().strip_prefix("from ")?;
-        for reached in walk.split("reached ").skip(1) {
-            let Some(&(_, cell)) = line::cells(reached).first() else { continue };
-            let text = reached.split('(').next().unwrap_or_default().to_owned();
-            let plates = line::plates(&text);
-            self.places.push(Place { text, plates, cells: vec![cell], regions: Vec::new() });
+    fn parse_route(&mut self, line: &str) -> bool {
+        let quoted = line.split_once('"').and_then(|(_, rest)| rest.split_once('"'));
+        let Some((instruction, route)) = quoted else { return false };
+        let Some(route) = route.trim_start().strip_prefix("from ") else { return false };
+        for text in route.split("reached ").skip(1) {
+            let standpoints = cells(text).into_iter().take(1).collect();
+            let text = text.split('(').next().unwrap_or_default().to_owned();
+            self.places.push(Place { text, standpoints, regions: Vec::new() });
         }
-        let facing = walk.split("facing ").nth(1).and_then(|word| {
-            let is_first =
-                |heading: &Heading| word.starts_with(heading.letter().to_ascii_lowercase());
-            Heading::ALL.into_iter().find(is_first)
+        let facing = route.split_once("facing ").and_then(|(_, rest)| {
+            let letter = rest.chars().next()?.to_ascii_uppercase();
+            Heading::ALL.into_iter().find(|heading| heading.letter() == letter)
         });
-        let mut corners: Vec<Cell> = line::cells(walk).into_iter().map(|(_, cell)| cell).collect();
+        let mut corners = cells(route);
         corners.dedup();
-        (!corners.is_empty()).then(|| Route {
-            instruction: instruction.to_owned(),
-            facing,
-            corners,
-        })
+        self.routes.push(Route { instruction: instruction.to_owned(), facing, corners });
+        true
     }
 
-    /// Cells to stand on to reach what is wanted.
-    pub(super) fn standpoints<'a>(&'a self, want: Want<'a>) -> impl Iterator<Item = Cell> + 'a {
-        self.about(want).flat_map(|place| place.cells.iter().copied())
+    /// Cells from which items of the target kind can be reached.
+    pub(super) fn standpoints(&self, target: Target<'_>) -> impl Iterator<Item = Cell> {
+        self.about(target).flat_map(|place| place.standpoints.iter().copied())
     }
 
-    /// Where to look for what is wanted.
-    pub(super) fn regions<'a>(&'a self, want: Want<'a>) -> impl Iterator<Item = Rect> + 'a {
-        self.about(want).flat_map(|place| place.regions.iter().copied())
+    /// Where items of the target kind were seen.
+    pub(super) fn regions(&self, target: Target<'_>) -> impl Iterator<Item = Rect> {
+        self.about(target).flat_map(|place| place.regions.iter().copied())
     }
 
-    /// Routes that were walked for `instruction`.
-    pub(super) fn routes(&self, instruction: &str) -> impl Iterator<Item = &Route> {
-        let instruction = instruction.to_lowercase();
-        self.routes.iter().filter(move |route| route.instruction == instruction)
-    }
-
-    /// Cells that somebody walked over.
-    pub(super) fn walked(&self) -> impl Iterator<Item = Cell> {
-        self.routes.iter().flat_map(Route::cells)
-    }
-
-    fn about<'a>(&'a self, want: Want<'a>) -> impl Iterator<Item = &'a Place> {
-        let name = want.name.to_lowercase();
-        self.places.iter().filter(move |place| place.is_about(want, &name))
-    }
-}
-
-impl Place {
-    /// Plates decide where they are told, names elsewhere.
-    fn is_about(&self, want: Want<'_>, name: &str) -> bool {
-        let spells = |plate: &Spelled| match want.rank {
-            Rank::Type => plate.item_type.map(|code| code == want.code),
-            Rank::Category => Some(plate.category == want.code),
+    /// Lines that give a plate or the name of the target kind.
+    fn about(&self, target: Target<'_>) -> impl Iterator<Item = &Place> {
+        let name = target.name.to_lowercase();
+        let code: String = target.code.iter().map(u8::to_string).collect();
+        let plate = match target.rank {
+            Rank::Type => format!("-{code}]"),
+            Rank::Category => format!("[plate {code}"),
         };
-        let mut spelled = self.plates.iter().filter_map(spells).peekable();
-        match spelled.peek() {
-            Some(_) => spelled.any(|is_it| is_it),
-            None => names(&self.text, name),
-        }
+        let places = self.places.iter();
+        places.filter(move |place| place.text.contains(&plate) || place.text.contains(&name))
+    }
+
+    /// Cells that can be walked on.
+    pub(super) fn floor(&self) -> impl Iterator<Item = Cell> {
+        let passages = self.passages.iter().flat_map(|rect| rect.cells());
+        let routes = self.routes.iter().filter_map(Route::path).flatten();
+        passages.chain(routes.map(|step| step.pose.cell))
+    }
+
+    /// Routes that were demonstrated for exactly this instruction.
+    pub(super) fn routes(&self, instruction: &str) -> impl Iterator<Item = Vec<PathStep>> {
+        let instruction = instruction.to_lowercase();
+        self.routes
+            .iter()
+            .filter(move |route| route.instruction == instruction)
+            .filter_map(Route::path)
     }
 }
 
 impl Route {
-    /// The cells from corner to corner, as far as they lie in straight lines.
-    pub(super) fn cells(&self) -> Vec<Cell> {
-        let mut cells: Vec<Cell> = self.corners.first().copied().into_iter().collect();
+    /// The poses and actions of the route, facing ahead; `None` if it is empty or bends elsewhere than at its
+    /// corners.
+    fn path(&self) -> Option<Vec<PathStep>> {
+        let mut directions = Vec::new();
         for leg in self.corners.windows(2) {
             let (from, to) = (leg[0], leg[1]);
-            let Some(heading) = straight(from, to) else { break };
-            let steps = std::iter::successors(from.step(heading), |cell| cell.step(heading));
-            cells.extend(steps.take(from.distance(to) as usize));
+            let heading = match (to.x.cmp(&from.x) as i8, to.y.cmp(&from.y) as i8) {
+                (0, 1) => Heading::N,
+                (1, 0) => Heading::E,
+                (0, -1) => Heading::S,
+                (-1, 0) => Heading::W,
+                _ => return None,
+            };
+            let length = from.distance(to).min(LONGEST_ROUTE);
+            directions.extend((0..length).map(|_| heading));
         }
-        cells
+        let heading = self.facing.or(directions.first().copied()).unwrap_or(Heading::N);
+        Some(path_along(Pose { cell: *self.corners.first()?, heading }, directions))
     }
 }
 
-/// The heading that leads straight from one cell to another.
-pub(super) fn straight(from: Cell, to: Cell) -> Option<Heading> {
-    match (to.x.cmp(&from.x) as i8, to.y.cmp(&from.y) as i8) {
-        (0, 1) => Some(Heading::N),
-        (1, 0) => Some(Heading::E),
-        (0, -1) => Some(Heading::S),
-        (-1, 0) => Some(Heading::W),
-        _ => None,
-    }
-}
-
-fn speaks_of_floor(text: &str) -> bool {
+fn mentions_floor(text: &str) -> bool {
     ["passage", "corridor", "aisle", "layout", "walkable"].iter().any(|word| text.contains(word))
 }
 
-/// Whether `text` has `name` as words of its own, or a plural of it.
-fn names(text: &str, name: &str) -> bool {
-    let begins = |at: usize| !text[..at].ends_with(char::is_alphanumeric);
-    let ends = |at: usize| {
-        let after = &text[at + name.len()..];
-        !after.strip_prefix('s').unwrap_or(after).starts_with(char::is_alphanumeric)
+/// Cells written as `(column, row)`.
+fn cells(line: &str) -> Vec<Cell> {
+    let cell = |text: &str| {
+        let (x, y) = text.split_once(')')?.0.split_once(',')?;
+        Some(Cell::new(x.trim().parse().ok()?, y.trim().parse().ok()?))
     };
-    !name.is_empty() && text.match_indices(name).any(|(at, _)| begins(at) && ends(at))
+    line.split('(').skip(1).filter_map(cell).collect()
+}
+
+/// Rectangles written as columns with rows, in either order: `column 3: rows 1-14, 17-28`,
+/// `row 15 (columns 0-15)`, `columns 2-5, rows 6-9`.
+fn rects(line: &str) -> Vec<Rect> {
+    // Stretches of columns and stretches of rows, alternating.
+    let mut runs: Vec<(char, Vec<(u8, u8)>)> = Vec::new();
+    let mut is_list = false;
+    for word in line.split(|c: char| !c.is_ascii_alphanumeric() && c != '-') {
+        match (word, stretch(word)) {
+            ("" | "-" | "and", _) => {}
+            ("column" | "columns" | "row" | "rows", _) => {
+                let axis = if word.starts_with('c') { 'x' } else { 'y' };
+                if runs.last().is_none_or(|(last, _)| *last != axis) {
+                    runs.push((axis, Vec::new()));
+                }
+                is_list = true;
+            }
+            (_, Some(stretch)) if is_list => {
+                runs.last_mut().into_iter().for_each(|(_, run)| run.push(stretch));
+            }
+            _ => is_list = false,
+        }
+    }
+    let mut rects = Vec::new();
+    for pair in runs.chunks_exact(2) {
+        for &first in &pair[0].1 {
+            rects.extend(pair[1].1.iter().map(|&second| match pair[0].0 {
+                'x' => Rect { columns: first, rows: second },
+                _ => Rect { columns: second, rows: first },
+            }));
+        }
+    }
+    rects.retain(|rect| rect.cells().count() <= LARGEST_PASSAGE);
+    rects
+}
+
+/// `7` or `3-14`.
+fn stretch(word: &str) -> Option<(u8, u8)> {
+    let (from, to) = word.split_once('-').unwrap_or((word, word));
+    let (from, to) = (from.parse().ok()?, to.parse().ok()?);
+    Some((u8::min(from, to), u8::max(from, to)))
 }
 
 #[cfg(test)]
-mod tests;
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::grounded::instruction::Goal;
+
+    const SUMMARY: &str = r#"# Summary of the demonstrations
+Positions are (column, row): columns grow east, rows grow north.
+
+## Items
+- blue barrel [plate 061-611]: stand at (3, 7) facing E; stand at (3, 9) facing E
+- barrels item [plate 554-113]: stand at (12, 4) facing W
+- item [plate 222-113]: stand at (12, 5) facing W
+
+## Passages
+- column 3: rows 1-14
+- row 15: columns 0-15
+
+## Routes
+- "Find a blue barrel." from (14, 11) facing S: south 3 to (14, 8), west 5 to (9, 8); reached blue barrel at (9, 8).
+"#;
+
+    const SEMANTIC: &str = "# Knowledge of the warehouse
+## Layout
+- North-south corridors: column 3 (rows 1-14), column 6 (rows 1-14)
+- East-west aisles: row 0 (columns 0-15), row 15 (columns 0-15)
+## Where kinds of items stand
+- barrels [plate 554]: columns 2-5, rows 6-9; seen there: blue barrel, red barrel
+## Navigation
+- To change corridors use an east-west aisle: rows 0, 15, 29.
+";
+
+    fn standpoints(text: &str, instruction: &str) -> Vec<(u8, u8)> {
+        let goal = Goal::parse(instruction).unwrap();
+        let cells: Vec<Cell> = Document::parse(text).standpoints(goal.targets[0]).collect();
+        cells.into_iter().map(|cell| (cell.x, cell.y)).collect()
+    }
+
+    #[test]
+    fn items_are_found_by_plate_and_by_what_routes_reached() {
+        // Plates spell "blue barrel" as 611 and "barrels" as 554.
+        assert_eq!(standpoints(SUMMARY, "Find a blue barrel."), [(3, 7), (3, 9), (9, 8)]);
+        let category = "Find any item of the category barrels.";
+        assert_eq!(standpoints(SUMMARY, category), [(12, 4)]);
+        assert_eq!(standpoints(SUMMARY, "Find a red barrel."), []);
+    }
+
+    #[test]
+    fn passages_and_routes_are_floor() {
+        let document = Document::parse(SUMMARY);
+        let route = document.routes("Find a blue barrel.").next().unwrap();
+        assert_eq!(route[0].pose, Pose::new(14, 11, Heading::S));
+        assert_eq!(route.last().unwrap().pose.cell, Cell::new(9, 8));
+        assert_eq!(route.len(), 3 + 1 + 5 + 1, "moves, a turn, the end");
+        assert_eq!(document.routes("Find a red barrel.").count(), 0);
+        assert_eq!(document.floor().count(), 14 + 16 + route.len());
+    }
+
+    #[test]
+    fn regions_say_where_kinds_of_items_were_seen() {
+        let document = Document::parse(SEMANTIC);
+        assert_eq!(document.passages.len(), 4);
+        let regions = |instruction: &str| {
+            let goal = Goal::parse(instruction).unwrap();
+            document.regions(goal.targets[0]).collect::<Vec<_>>()
+        };
+        let region = Rect { columns: (2, 5), rows: (6, 9) };
+        assert_eq!(regions("Find any item of the category barrels."), [region]);
+        assert_eq!(regions("Find a red barrel."), [region]);
+        assert_eq!(regions("Find a green cone."), []);
+    }
+
+    #[test]
+    fn in_free_text_a_line_with_a_name_and_a_cell_is_a_place() {
+        let text = "I saw two Blue Barrels, at (3, 7) and (3, 9).\n\
+                    A blue cone: (1, 1). Cones stand at (9, 9).";
+        assert_eq!(standpoints(text, "Find a blue barrel."), [(3, 7), (3, 9)]);
+    }
+
+    #[test]
+    fn rectangles_may_give_columns_or_rows_first() {
+        let rect = |a, b, c, d| Rect { columns: (a, b), rows: (c, d) };
+        for (line, expected) in [
+            ("- column 3: rows 1-14", vec![rect(3, 3, 1, 14)]),
+            ("- row 15: columns 0-15", vec![rect(0, 15, 15, 15)]),
+            ("- column 3: rows 1-14, 17-28", vec![rect(3, 3, 1, 14), rect(3, 3, 17, 28)]),
+            (
+                "- corridors: column 3 (rows 1-14), column 6 (rows 2-13)",
+                vec![rect(3, 3, 1, 14), rect(6, 6, 2, 13)],
+            ),
+            ("barrels [plate 061]: columns 2-5, rows 6-9; seen", vec![rect(2, 5, 6, 9)]),
+            ("change corridors in an aisle: rows 0, 15, 29.", vec![]),
+            ("columns 2-5 hold 12 things; rows 999", vec![]),
+        ] {
+            assert_eq!(rects(line), expected, "{line}");
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn any_text_is_parsed(text: String, template in 0..6_usize) {
+            let templates = [
+                "{}",
+                "- blue barrel: stand at ({}, {})",
+                "- \"{}\" from ({}, 3) facing {}: reached {} at (3, {})",
+                "## Layout {}\ncolumn {}: rows {}-{}",
+                "plate {}-{}",
+                "(1, 2) {} (255, 256) columns 0-255 rows 0-255 {}",
+            ];
+            let text = templates[template].replace("{}", &text);
+            let document = Document::parse(&text);
+            let instruction = "Visit a blue barrel and an orange cone, in any order.";
+            for target in Goal::parse(instruction).unwrap().targets {
+                let _ = (document.standpoints(target).count(), document.regions(target).count());
+            }
+            let _ = (document.floor().count(), document.routes(&text).count());
+        }
+    }
+}

@@ -1,30 +1,15 @@
-//! Moves and turns: which leads where.
+//! Moves and turns on the grid.
 
 use domain::{Action, Heading, Pose};
 
-use super::chart::PathStep;
-
-/// The move that goes towards `direction` without turning.
-pub(super) fn move_towards(heading: Heading, direction: Heading) -> Action {
-    match heading.quarters_to(direction) {
-        0 => Action::Forward,
-        1 => Action::Right,
-        2 => Action::Backward,
-        _ => Action::Left,
-    }
+/// A pose on a path and the action taken there; `None` where the path ends or the action is unknown.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub(super) struct PathStep {
+    pub(super) pose: Pose,
+    pub(super) action: Option<Action>,
 }
 
-/// The turn that makes the agent face `direction`; `None` when it does.
-pub(super) fn turn_towards(heading: Heading, direction: Heading) -> Option<Action> {
-    match heading.quarters_to(direction) {
-        0 => None,
-        1 => Some(Action::TurnRight),
-        2 => Some(Action::TurnAround),
-        _ => Some(Action::TurnLeft),
-    }
-}
-
-/// The pose that `action` leads to from `pose` if nothing is in the way; `None` off the grid.
+/// The pose that `action` leads to if nothing is in the way; `None` off the grid.
 pub(super) fn after(pose: Pose, action: Action) -> Option<Pose> {
     let heading = pose.heading.turned(action.turn_quarters().unwrap_or(0));
     let cell = match action.move_direction() {
@@ -34,24 +19,50 @@ pub(super) fn after(pose: Pose, action: Action) -> Option<Pose> {
     Some(Pose { cell, heading })
 }
 
-/// Adds to `steps` the poses and actions of a walk from `start` through `directions`, facing the way that is
-/// walked, and returns where it ends.
-pub(super) fn along(
+/// The move towards `direction` that keeps the heading.
+pub(super) fn move_towards(heading: Heading, direction: Heading) -> Action {
+    match heading.quarters_to(direction) {
+        0 => Action::Forward,
+        1 => Action::Right,
+        2 => Action::Backward,
+        _ => Action::Left,
+    }
+}
+
+/// The turn after which the agent faces `direction`; `None` if it does already.
+pub(super) fn turn_towards(heading: Heading, direction: Heading) -> Option<Action> {
+    match heading.quarters_to(direction) {
+        0 => None,
+        1 => Some(Action::TurnRight),
+        2 => Some(Action::TurnAround),
+        _ => Some(Action::TurnLeft),
+    }
+}
+
+/// Maps `pose` by the shift and rotation that map `from` to `to`; `None` off the grid.
+pub(super) fn relocated(pose: Pose, from: Pose, to: Pose) -> Option<Pose> {
+    let (ahead, right) = from.offset_of(pose.cell);
+    let cell = to.cell_at(ahead.try_into().ok()?, right.try_into().ok()?)?;
+    Some(Pose { cell, heading: to.heading.turned(from.heading.quarters_to(pose.heading)) })
+}
+
+/// The path from `start` that moves in `directions`, always facing ahead. The last step has no action.
+pub(super) fn path_along(
     start: Pose,
     directions: impl IntoIterator<Item = Heading>,
-    steps: &mut Vec<PathStep>,
-) -> Pose {
-    let mut pose = start;
+) -> Vec<PathStep> {
+    let (mut pose, mut path) = (start, Vec::new());
     for direction in directions {
         if let Some(turn) = turn_towards(pose.heading, direction) {
-            steps.push(PathStep { pose, action: Some(turn) });
+            path.push(PathStep { pose, action: Some(turn) });
             pose.heading = direction;
         }
         let Some(cell) = pose.cell.step(direction) else { break };
-        steps.push(PathStep { pose, action: Some(Action::Forward) });
+        path.push(PathStep { pose, action: Some(Action::Forward) });
         pose.cell = cell;
     }
-    pose
+    path.push(PathStep { pose, action: None });
+    path
 }
 
 #[cfg(test)]
@@ -59,7 +70,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn moves_and_turns_go_where_they_should() {
+    fn moves_and_turns_lead_in_the_requested_direction() {
         for heading in Heading::ALL {
             for direction in Heading::ALL {
                 let start = Pose::new(9, 9, heading);
@@ -73,5 +84,13 @@ mod tests {
                 assert_eq!(faces, Pose { heading: direction, ..start });
             }
         }
+    }
+
+    #[test]
+    fn relocation_shifts_and_rotates() {
+        let (from, to) = (Pose::new(128, 128, Heading::N), Pose::new(20, 20, Heading::E));
+        let two_north = Pose::new(128, 130, Heading::W);
+        assert_eq!(relocated(two_north, from, to), Some(Pose::new(22, 20, Heading::N)));
+        assert_eq!(relocated(two_north, from, Pose::new(255, 20, Heading::E)), None);
     }
 }

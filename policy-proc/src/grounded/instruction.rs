@@ -1,34 +1,40 @@
-//! What an instruction asks for: the ten task templates (SPEC section 3), read back from English.
+//! Parses instructions: the ten task templates of the specification, section 3.
 
-use plates::{self, Plate};
+use plates::Plate;
 
-/// One kind of thing to stand in front of.
+/// A kind of item that the instruction names.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct Want<'a> {
-    /// Of a type, or any of a category.
+pub(super) struct Target<'a> {
     pub(super) rank: Rank,
-    /// As the instruction calls it.
     pub(super) name: &'a str,
-    /// As the plates spell it.
+    /// The digits with which plates spell the name.
     pub(super) code: [u8; 3],
 }
 
-/// What a name is the name of.
+/// What a target's name refers to.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Rank {
-    /// Of a type: "blue barrel".
+    /// "blue barrel"
     Type,
-    /// Of a category: "barrels".
+    /// "barrels"
     Category,
 }
 
-impl<'a> Want<'a> {
-    fn new(rank: Rank, name: &'a str) -> Self {
-        Self { rank, name, code: plates::code(name) }
+impl<'a> Target<'a> {
+    /// A target with this name, which must be a name on its own: no punctuation of the sentence around it.
+    fn new(rank: Rank, name: &'a str) -> Option<Self> {
+        let is_name = !name.is_empty() && !name.contains([',', '.']);
+        is_name.then(|| Self { rank, name, code: plates::code(name) })
     }
 
-    /// Whether the item under `plate` is one of these.
-    pub(super) fn is_met_by(self, plate: Plate) -> bool {
+    /// "a blue barrel", "an orange cone"
+    fn with_article(text: &'a str) -> Option<Self> {
+        let name = text.strip_prefix("a ").or_else(|| text.strip_prefix("an "))?;
+        Self::new(Rank::Type, name)
+    }
+
+    /// Whether the item labelled with `plate` is of this kind.
+    pub(super) fn matches(self, plate: Plate) -> bool {
         match self.rank {
             Rank::Type => plate.0[3..] == self.code,
             Rank::Category => plate.0[..3] == self.code,
@@ -36,102 +42,81 @@ impl<'a> Want<'a> {
     }
 }
 
-/// In which way the things wanted are to be visited.
+/// Which items of the target kinds have to be visited.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Visit<'a> {
-    /// One of it (tasks 1, 2, 7).
-    One(Want<'a>),
-    /// All of it (tasks 3, 4, 8).
-    Every(Want<'a>),
-    /// One of each, either first (task 5).
-    Both(Want<'a>, Want<'a>),
-    /// One of the first, then one of the second (tasks 6, 9, 10).
-    InOrder(Want<'a>, Want<'a>),
+pub(super) enum Visit {
+    /// One item of the only kind (tasks 1, 2, 7).
+    One,
+    /// All items of the only kind (tasks 3, 4, 8).
+    Every,
+    /// One item of each of two kinds, in any order (task 5).
+    AnyOrder,
+    /// One item of the first kind, then one of the second (tasks 6, 9, 10).
+    InOrder,
 }
 
-/// Where the walk ends.
+/// Where the episode has to end.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Ending {
-    /// At the last thing visited.
-    There,
-    /// On the cell the episode began on (tasks 7, 8, 10).
+    /// At the last item visited.
+    LastItem,
+    /// At the cell where the episode started (tasks 7, 8, 10).
     Origin,
-    /// In front of the item visited first (task 9).
+    /// At the item visited first (task 9).
     FirstItem,
 }
 
-/// What an instruction asks for.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+/// A parsed instruction.
+#[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) struct Goal<'a> {
-    /// What to visit.
-    pub(super) visit: Visit<'a>,
-    /// Where to end.
+    pub(super) visit: Visit,
+    /// One or two kinds of items, in the order of the instruction.
+    pub(super) targets: Vec<Target<'a>>,
     pub(super) ending: Ending,
 }
 
 impl<'a> Goal<'a> {
-    /// The goal that `instruction` states; `None` when it follows none of the ten templates.
+    /// Parses `instruction`; `None` if it follows none of the ten templates.
     pub(super) fn parse(instruction: &'a str) -> Option<Self> {
         let text = instruction.strip_suffix('.')?;
-        let (text, ending) = match text.strip_suffix("then return to the cell where you started") {
-            Some(rest) => (rest.strip_suffix(", ")?, Ending::Origin),
-            None => (text, Ending::There),
-        };
-        if let Some((rest, again)) = text.split_once(", then go back to the same ") {
+        if let Some((rest, same)) = text.split_once(", then go back to the same ") {
             let (first, second) = rest.strip_prefix("Find ")?.split_once(", then visit ")?;
-            let visit = Visit::InOrder(item(first)?, item(second)?);
-            let same = item(first)? == name(again).map(kind)?;
-            return (same && ending == Ending::There)
-                .then_some(Self { visit, ending: Ending::FirstItem });
+            let targets = vec![Target::with_article(first)?, Target::with_article(second)?];
+            let ending = Ending::FirstItem;
+            return (targets[0].name == same).then_some(Self {
+                visit: Visit::InOrder,
+                targets,
+                ending,
+            });
         }
-        Some(Self { visit: visit(text)?, ending })
-    }
-
-    /// The kinds of things to visit, in the order of the instruction.
-    pub(super) fn wants(&self) -> Vec<Want<'a>> {
-        match self.visit {
-            Visit::One(want) | Visit::Every(want) => vec![want],
-            Visit::Both(a, b) | Visit::InOrder(a, b) => vec![a, b],
-        }
+        let returns = text.strip_suffix(", then return to the cell where you started");
+        let ending = if returns.is_some() { Ending::Origin } else { Ending::LastItem };
+        let (visit, targets) = parse_visit(returns.unwrap_or(text))?;
+        Some(Self { visit, targets, ending })
     }
 }
 
-fn visit(text: &str) -> Option<Visit<'_>> {
+fn parse_visit(text: &str) -> Option<(Visit, Vec<Target<'_>>)> {
     if let Some(category) = text.strip_prefix("Find any item of the category ") {
-        return Some(Visit::One(Want::new(Rank::Category, name(category)?)));
+        return Some((Visit::One, vec![Target::new(Rank::Category, category)?]));
     }
-    if let Some(one) = text.strip_prefix("Find ") {
-        return Some(Visit::One(item(one)?));
+    if let Some(item) = text.strip_prefix("Find ") {
+        return Some((Visit::One, vec![Target::with_article(item)?]));
     }
     let text = text.strip_prefix("Visit ")?;
-    if let Some(every) = text.strip_prefix("every ") {
-        let every = every.strip_suffix(" in the warehouse")?;
-        return Some(Visit::Every(match every.strip_prefix("item of the category ") {
-            Some(category) => Want::new(Rank::Category, name(category)?),
-            None => kind(name(every)?),
-        }));
+    if let Some(kind) = text.strip_prefix("every ") {
+        let kind = kind.strip_suffix(" in the warehouse")?;
+        let target = match kind.strip_prefix("item of the category ") {
+            Some(category) => Target::new(Rank::Category, category)?,
+            None => Target::new(Rank::Type, kind)?,
+        };
+        return Some((Visit::Every, vec![target]));
     }
-    if let Some(pair) = text.strip_suffix(", in any order") {
-        let (first, second) = pair.split_once(" and ")?;
-        return Some(Visit::Both(item(first)?, item(second)?));
-    }
-    let (first, second) = text.split_once(", then ")?;
-    Some(Visit::InOrder(item(first)?, item(second)?))
-}
-
-/// "a blue barrel", "an orange cone".
-fn item(text: &str) -> Option<Want<'_>> {
-    let text = text.strip_prefix("a ").or_else(|| text.strip_prefix("an "))?;
-    name(text).map(kind)
-}
-
-/// A name stands alone: nothing in it could belong to the sentence around it.
-fn name(text: &str) -> Option<&str> {
-    (!text.is_empty() && !text.contains([',', '.'])).then_some(text)
-}
-
-fn kind(name: &str) -> Want<'_> {
-    Want::new(Rank::Type, name)
+    let (visit, (first, second)) = match text.strip_suffix(", in any order") {
+        Some(pair) => (Visit::AnyOrder, pair.split_once(" and ")?),
+        None => (Visit::InOrder, text.split_once(", then ")?),
+    };
+    Some((visit, vec![Target::with_article(first)?, Target::with_article(second)?]))
 }
 
 #[cfg(test)]
@@ -140,7 +125,7 @@ mod tests {
     use std::fmt::Write;
 
     #[test]
-    fn all_ten_templates_are_read() {
+    fn all_ten_templates_are_parsed() {
         let mut table = String::new();
         for instruction in [
             "Find a blue barrel.",
@@ -155,35 +140,27 @@ mod tests {
             "Visit a blue barrel, then an orange cone, then return to the cell where you started.",
         ] {
             let goal = Goal::parse(instruction).expect(instruction);
-            let wants = goal.wants();
-            let wants = wants.iter().map(|want| format!("{:?} {}", want.rank, want.name));
-            let order = format!("{:?}", goal.visit);
-            let order = order.split('(').next().unwrap();
-            let wants = wants.collect::<Vec<_>>().join(", ");
-            writeln!(table, "{order} of {wants} -> {:?}", goal.ending).unwrap();
+            let targets = goal.targets.iter();
+            let targets = targets.map(|target| format!("{:?} {}", target.rank, target.name));
+            let targets = targets.collect::<Vec<_>>().join(", ");
+            writeln!(table, "{:?}: {targets} -> {:?}", goal.visit, goal.ending).unwrap();
         }
-        writeln!(table, "a blue barrel is {:?}", plates::code("blue barrel")).unwrap();
-        writeln!(table, "an orange cone is {:?}", plates::code("orange cone")).unwrap();
-        writeln!(table, "barrels are {:?}", plates::code("barrels")).unwrap();
         insta::assert_snapshot!(table, @r"
-        One of Type blue barrel -> There
-        One of Category barrels -> There
-        Every of Type blue barrel -> There
-        Every of Category barrels -> There
-        Both of Type blue barrel, Type orange cone -> There
-        InOrder of Type blue barrel, Type orange cone -> There
-        One of Type orange cone -> Origin
-        Every of Type orange cone -> Origin
-        InOrder of Type blue barrel, Type orange cone -> FirstItem
-        InOrder of Type blue barrel, Type orange cone -> Origin
-        a blue barrel is [6, 1, 1]
-        an orange cone is [1, 1, 0]
-        barrels are [5, 5, 4]
+        One: Type blue barrel -> LastItem
+        One: Category barrels -> LastItem
+        Every: Type blue barrel -> LastItem
+        Every: Category barrels -> LastItem
+        AnyOrder: Type blue barrel, Type orange cone -> LastItem
+        InOrder: Type blue barrel, Type orange cone -> LastItem
+        One: Type orange cone -> Origin
+        Every: Type orange cone -> Origin
+        InOrder: Type blue barrel, Type orange cone -> FirstItem
+        InOrder: Type blue barrel, Type orange cone -> Origin
         ");
     }
 
     #[test]
-    fn anything_else_is_no_goal() {
+    fn other_sentences_are_rejected() {
         for instruction in [
             "",
             "Find a blue barrel",
@@ -202,11 +179,10 @@ mod tests {
     }
 
     #[test]
-    fn a_want_is_met_by_its_own_plates() {
+    fn targets_match_their_own_plates_only() {
         let plate = Plate::new("barrels", "blue barrel");
-        assert!(Want::new(Rank::Type, "blue barrel").is_met_by(plate));
-        assert!(Want::new(Rank::Category, "barrels").is_met_by(plate));
-        assert!(!Want::new(Rank::Type, "barrels").is_met_by(plate));
-        assert!(!Want::new(Rank::Category, "cones").is_met_by(plate));
+        let matches = |rank, name| Target::new(rank, name).unwrap().matches(plate);
+        assert!(matches(Rank::Type, "blue barrel") && matches(Rank::Category, "barrels"));
+        assert!(!matches(Rank::Type, "barrels") && !matches(Rank::Category, "cones"));
     }
 }

@@ -1,11 +1,24 @@
-//! What tests of the grounded policy share.
+//! What the tests of this module share.
 
+use peer::FrameView;
 use plates::painter::Picture;
 
-use crate::FrameView;
-
 /// A painted picture as a frame.
-pub(super) fn view(picture: &Picture, id: u64) -> FrameView<'_> {
+pub(super) fn frame(picture: &Picture, id: u64) -> FrameView<'_> {
     let side = picture.width();
-    FrameView { id, width: side, height: side, pixels: picture.pixels(), ..FrameView::NONE }
+    let content_hash = content_hash(picture.pixels());
+    FrameView { id, content_hash, width: side, height: side, pixels: picture.pixels() }
+}
+
+/// A frame without any texture.
+pub(super) fn blank_frame(id: u64) -> FrameView<'static> {
+    let pixels = &[128; 64 * 64 * 4];
+    FrameView { id, content_hash: content_hash(pixels), width: 64, height: 64, pixels }
+}
+
+/// The hash that the simulator gives a frame.
+pub(super) fn content_hash(pixels: &[u8]) -> [u8; 16] {
+    let mut hash = [0; 16];
+    hash.copy_from_slice(&blake3::hash(pixels).as_bytes()[..16]);
+    hash
 }

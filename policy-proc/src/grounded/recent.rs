@@ -1,58 +1,54 @@
-//! Where the agent was in the last steps, worked out backwards from where it is.
+//! The poses of the last steps, reconstructed from the current pose and the window.
 
 use domain::{Action, Cell, Feedback, Pose};
 
 use super::geometry::after;
-use crate::Request;
+use peer::Request;
 
-/// One past step, with the pose it was taken from.
+/// One past step, with the pose in which the action was taken.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct PastPose {
+pub(super) struct PastStep {
     pub(super) pose: Pose,
     pub(super) action: Option<Action>,
     pub(super) feedback: Feedback,
 }
 
-/// The last steps, oldest first, and where they led.
+/// The last steps, oldest first, and the current pose.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(super) struct History {
-    pub(super) past: Vec<PastPose>,
+pub(super) struct Recent {
+    pub(super) past: Vec<PastStep>,
     pub(super) here: Pose,
-    /// Where the episode began, if the window reaches back to that.
+    /// The pose in which the episode started, if the window reaches back to it.
     pub(super) origin: Option<Pose>,
 }
 
-impl History {
+impl Recent {
     pub(super) fn of(request: &Request<'_>) -> Self {
         let mut pose = request.pose;
         let mut past = Vec::with_capacity(request.window.len());
         for step in request.window.iter().rev() {
             pose = before(pose, step.action, step.feedback);
-            past.push(PastPose { pose, action: step.action, feedback: step.feedback });
+            past.push(PastStep { pose, action: step.action, feedback: step.feedback });
         }
         past.reverse();
-        let whole = past.len() == request.step as usize;
-        let first = past.first().map_or(request.pose, |first| first.pose);
-        Self { past, here: request.pose, origin: whole.then_some(first) }
+        let is_complete = past.len() == request.step as usize;
+        Self { past, here: request.pose, origin: is_complete.then_some(pose) }
     }
 
-    /// Cells stood on, oldest first, the present one last.
-    pub(super) fn stood_on(&self) -> impl DoubleEndedIterator<Item = Cell> + '_ {
-        self.past.iter().map(|past| past.pose).chain([self.here]).map(|pose| pose.cell)
+    /// The cells occupied so far, oldest first, ending with the current one.
+    pub(super) fn cells(&self) -> impl DoubleEndedIterator<Item = Cell> + '_ {
+        self.past.iter().map(|past| past.pose.cell).chain([self.here.cell])
     }
 
-    /// How often the agent was in `pose`, not counting now.
+    /// How many past steps started in `pose`.
     pub(super) fn times_in(&self, pose: Pose) -> usize {
         self.past.iter().filter(|past| past.pose == pose).count()
     }
 
     /// Cells that a move failed to enter.
-    pub(super) fn blocked(&self) -> impl Iterator<Item = Cell> + '_ {
-        self.past
-            .iter()
-            .filter(|past| past.feedback == Feedback::Blocked)
-            .filter_map(|past| past.action.and_then(|action| after(past.pose, action)))
-            .map(|pose| pose.cell)
+    pub(super) fn blocked_cells(&self) -> impl Iterator<Item = Cell> + '_ {
+        let blocked = self.past.iter().filter(|past| past.feedback == Feedback::Blocked);
+        blocked.filter_map(|past| Some(after(past.pose, past.action?)?.cell))
     }
 }
 
@@ -78,7 +74,7 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
-    use crate::{FrameView, PastView};
+    use peer::{FrameView, PastView};
 
     fn pose() -> impl Strategy<Value = Pose> {
         (1..250_u8, 1..250_u8, 0..4_u8)
@@ -87,21 +83,21 @@ mod tests {
 
     proptest! {
         #[test]
-        fn walking_back_ends_where_the_walk_began(
+        fn past_poses_are_reconstructed(
             start in pose(),
             walk in prop::collection::vec((0..7_u8, prop::bool::weighted(0.2)), 0..9),
         ) {
-            let frame = FrameView { id: 1, width: 0, height: 0, pixels: &[], ..FrameView::NONE };
+            let frame = FrameView::NONE;
             let (mut at, mut window, mut past) = (start, Vec::new(), Vec::new());
-            for (code, hindered) in walk {
+            for (code, blocked) in walk {
                 let action = Action::try_from(code).unwrap();
                 let to = after(at, action);
                 let feedback = match (action.move_direction(), to) {
                     (None, _) => Feedback::Turned,
-                    (Some(_), Some(_)) if !hindered => Feedback::Moved,
+                    (Some(_), Some(_)) if !blocked => Feedback::Moved,
                     _ => Feedback::Blocked,
                 };
-                past.push(PastPose { pose: at, action: Some(action), feedback });
+                past.push(PastStep { pose: at, action: Some(action), feedback });
                 window.push(PastView { frame, action: Some(action), feedback });
                 at = if feedback == Feedback::Blocked { at } else { to.unwrap() };
             }
@@ -121,11 +117,11 @@ mod tests {
                 trajectories: &[],
                 starts_as_demonstrated: false,
             };
-            let history = History::of(&request);
-            prop_assert_eq!(history.past, past);
-            prop_assert_eq!(history.origin, Some(start));
+            let recent = Recent::of(&request);
+            prop_assert_eq!(recent.past, past);
+            prop_assert_eq!(recent.origin, Some(start));
             let later = Request { step: request.step + 1, ..request };
-            prop_assert_eq!(History::of(&later).origin, None);
+            prop_assert_eq!(Recent::of(&later).origin, None);
         }
     }
 }

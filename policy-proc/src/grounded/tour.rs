@@ -1,0 +1,141 @@
+//! A fixed path past everything that is wanted.
+//!
+//! A window of a few steps cannot tell which items were visited before it. A path that is always followed in
+//! the same direction can: the place on it says what was passed already.
+
+use domain::{Action, Cell, Heading, Pose};
+
+use super::geometry::{PathStep, after, move_towards, path_along, turn_towards};
+use super::local_map::{LocalMap, Routes};
+use super::recent::{PastStep, Recent};
+
+/// Steps of a tour that have to be passable where it is joined.
+const CLEAR_AHEAD: usize = 8;
+
+/// The length of a straight stretch that is worth the turn to face it.
+const LONG_STRETCH: usize = 3;
+
+/// Poses and actions, in order. A loop leads from its last step back to its first.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(super) struct Tour {
+    steps: Vec<PathStep>,
+    is_loop: bool,
+    /// The steps at which the first and the last goal are reached.
+    first_goal: usize,
+    last_goal: usize,
+}
+
+impl Tour {
+    /// The tour along a demonstrated path. It reaches the last goal at its end.
+    pub(super) fn along(steps: Vec<PathStep>, goals: &[Cell]) -> Self {
+        let last_goal = steps.len().saturating_sub(1);
+        let first_goal = steps.iter().position(|step| goals.contains(&step.pose.cell));
+        Self { steps, is_loop: false, first_goal: first_goal.unwrap_or(last_goal), last_goal }
+    }
+
+    /// The shortest loop that visits one new cell of each stage in turn, from each the nearest of the next
+    /// stage; `None` for fewer than two stages, and when one cannot be reached.
+    pub(super) fn through(stages: &[Vec<Cell>], map: &LocalMap) -> Option<Self> {
+        let (first, rest) = stages.split_first().filter(|(_, rest)| !rest.is_empty())?;
+        let loops = first.iter().filter_map(|&start| Self::loop_from(start, rest, map));
+        loops.min_by_key(Self::len)
+    }
+
+    fn loop_from(start: Cell, stages: &[Vec<Cell>], map: &LocalMap) -> Option<Self> {
+        let (mut visited, mut moves, mut before_last) = (vec![start], Vec::new(), 0);
+        let mut pose = Pose { cell: start, heading: Heading::N };
+        for stage in stages.iter().chain([&vec![start]]) {
+            let is_last = visited.len() > stages.len();
+            let goals = stage.iter().filter(|&cell| is_last || !visited.contains(cell));
+            let routes = map.routes(pose, &goals.copied().collect::<Vec<_>>());
+            before_last = moves.len();
+            moves.extend(routes.moves_to(routes.nearest?));
+            pose = Pose { cell: routes.nearest?, heading: *moves.last()? };
+            visited.push(pose.cell);
+        }
+        let mut steps = path_along(pose, moves);
+        steps.pop();
+        let is_move = |step: &PathStep| step.action == Some(Action::Forward);
+        let moves = steps.iter().enumerate().filter(|(_, step)| is_move(step));
+        let last_goal = moves.map(|(at, _)| at).nth(before_last).unwrap_or(0);
+        Some(Self { steps, is_loop: true, first_goal: 0, last_goal })
+    }
+
+    pub(super) fn len(&self) -> usize {
+        self.steps.len()
+    }
+
+    pub(super) fn cells(&self) -> impl Iterator<Item = Cell> + '_ {
+        self.steps.iter().map(|step| step.pose.cell)
+    }
+
+    /// The action of the tour in the current pose, and how many of the last steps followed the tour up to it.
+    /// Where the tour passes the pose more than once, the last steps decide, then the order of the tour.
+    pub(super) fn action_here(&self, recent: &Recent) -> Option<(usize, Action)> {
+        let here = self.steps.iter().enumerate().filter(|(_, step)| step.pose == recent.here);
+        let actions = here.filter_map(|(at, step)| Some((at, step.action?)));
+        let followed = actions.map(|(at, action)| (self.followed_to(at, recent), at, action));
+        let best = followed.max_by_key(|&(followed, at, _)| (followed, std::cmp::Reverse(at)));
+        best.map(|(followed, _, action)| (followed, action))
+    }
+
+    /// How many of the last steps were those of the tour before step `at`.
+    fn followed_to(&self, at: usize, recent: &Recent) -> usize {
+        let before = self.steps[..at].iter().rev();
+        let wrapped = self.steps[at..].iter().rev().filter(|_| self.is_loop);
+        let is_same = |(past, step): &(&PastStep, &PathStep)| {
+            past.pose == step.pose && past.action == step.action
+        };
+        recent.past.iter().rev().zip(before.chain(wrapped)).take_while(is_same).count()
+    }
+
+    /// The action that leads onto the tour where that makes the whole path past all goals shortest, and the
+    /// cost of that path. The way there costs `limit` at most.
+    pub(super) fn join(
+        &self,
+        recent: &Recent,
+        map: &LocalMap,
+        routes: &Routes,
+        limit: u32,
+    ) -> Option<(u32, Action)> {
+        let here = recent.here;
+        let is_clear = |at: usize| {
+            let ahead = self.steps[at..].iter().chain(self.steps.iter().filter(|_| self.is_loop));
+            !ahead.take(CLEAR_AHEAD).any(|step| map.is_occupied(step.pose.cell))
+        };
+        let cost = |(at, step): (usize, &PathStep)| {
+            step.action?;
+            let way = routes.cost(step.pose.cell)? + u32::from(step.pose.heading != here.heading);
+            (way <= limit).then(|| (way + self.remaining(at), at))
+        };
+        let costs = self.steps.iter().enumerate().filter_map(cost);
+        let (cost, at) = costs.filter(|&(_, at)| is_clear(at)).min()?;
+        let PathStep { pose, action } = self.steps[at];
+        let on_the_spot = turn_towards(here.heading, pose.heading).or(action);
+        Some((cost, stride(here.heading, &routes.moves_to(pose.cell)).or(on_the_spot)?))
+    }
+
+    /// Steps from step `at` until all goals are passed: after the first goal, another round is needed.
+    fn remaining(&self, at: usize) -> u32 {
+        let round = if at <= self.first_goal { 0 } else { self.steps.len() };
+        (round + self.last_goal).saturating_sub(at) as u32
+    }
+}
+
+/// The first action of a route: a turn if the route leads straight on for long, so that the agent sees what
+/// lies ahead, else a move; `None` where the route is empty.
+pub(super) fn stride(heading: Heading, moves: &[Heading]) -> Option<Action> {
+    let direction = *moves.first()?;
+    let straight = moves.iter().take_while(|&&heading| heading == direction).count();
+    let turn = turn_towards(heading, direction).filter(|_| straight >= LONG_STRETCH);
+    Some(turn.unwrap_or_else(|| move_towards(heading, direction)))
+}
+
+/// Whether `action` leads somewhere useful: not into an occupied cell, and not to a pose that occurs twice in
+/// the last steps already.
+pub(super) fn makes_progress(action: Action, recent: &Recent, map: &LocalMap) -> bool {
+    after(recent.here, action).is_some_and(|pose| {
+        let stays = pose.cell == recent.here.cell;
+        recent.times_in(pose) < 2 && (stays || !map.is_occupied(pose.cell))
+    })
+}
