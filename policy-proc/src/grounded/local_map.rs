@@ -11,7 +11,7 @@ const SIDE: u8 = 64;
 const UNKNOWN_COST: u32 = 8;
 
 /// How many cells a route may leave the area that anything is known about.
-const MARGIN: u8 = 4;
+const MARGIN: u32 = 4;
 
 /// A square of cells around the agent. A cell is free, occupied or unknown; unknown cells may be tried.
 #[derive(Debug, Clone)]
@@ -20,8 +20,6 @@ pub(super) struct LocalMap {
     corner: (i16, i16),
     free: [u64; SIDE as usize],
     occupied: [u64; SIDE as usize],
-    /// The columns and rows that anything is known about: west, east, south, north.
-    known: [u8; 4],
 }
 
 impl LocalMap {
@@ -32,7 +30,6 @@ impl LocalMap {
             corner: (i16::from(centre.x) - half, i16::from(centre.y) - half),
             free: [0; SIDE as usize],
             occupied: [0; SIDE as usize],
-            known: [SIDE / 2, SIDE / 2, SIDE / 2, SIDE / 2],
         };
         map.mark_free(centre);
         map
@@ -41,14 +38,12 @@ impl LocalMap {
     pub(super) fn mark_free(&mut self, cell: Cell) {
         if let Some((x, y)) = self.place(cell) {
             self.free[usize::from(y)] |= 1 << x;
-            self.extend(x, y);
         }
     }
 
     pub(super) fn mark_occupied(&mut self, cell: Cell) {
         if let Some((x, y)) = self.place(cell) {
             self.occupied[usize::from(y)] |= 1 << x;
-            self.extend(x, y);
         }
     }
 
@@ -60,9 +55,23 @@ impl LocalMap {
         self.place(cell).is_some_and(|(x, y)| self.occupied[usize::from(y)] >> x & 1 == 1)
     }
 
-    fn extend(&mut self, x: u8, y: u8) {
-        let [west, east, south, north] = self.known;
-        self.known = [west.min(x), east.max(x), south.min(y), north.max(y)];
+    /// The cells that routes may enter: not occupied, and in the area that anything is known about or at most
+    /// `MARGIN` cells outside it.
+    fn open_cells(&self) -> [u64; SIDE as usize] {
+        let known = |y: usize| self.free[y] | self.occupied[y];
+        let rows = (0..self.free.len()).filter(|&y| known(y) != 0);
+        let (south, north) = (rows.clone().min().unwrap_or(0), rows.clone().max().unwrap_or(0));
+        let columns = rows.fold(0, |columns, y| columns | known(y));
+        let west = columns.trailing_zeros().min(u64::BITS - 1).saturating_sub(MARGIN);
+        let beyond_east = columns.leading_zeros().min(u64::BITS - 1).saturating_sub(MARGIN);
+        let columns = u64::MAX << west & u64::MAX >> beyond_east;
+        let mut open = [0; SIDE as usize];
+        for y in south.saturating_sub(MARGIN as usize)..=north + MARGIN as usize {
+            if let Some(row) = open.get_mut(y) {
+                *row = columns & !self.occupied[y];
+            }
+        }
+        open
     }
 
     /// Column and row on the map.
@@ -85,6 +94,7 @@ impl LocalMap {
             reached: vec![None; usize::from(SIDE) * usize::from(SIDE)],
             nearest: None,
         };
+        let open = self.open_cells();
         let mut queues = [VecDeque::new(), VecDeque::new()];
         if let Some((x, y)) = self.place(start.cell) {
             routes.reached[index(x, y)] = Some((0, start.heading));
@@ -99,26 +109,21 @@ impl LocalMap {
                 break;
             }
             for direction in directions {
-                let Some((next, place)) = self.neighbour(cell, direction) else { continue };
-                let is_unknown = !self.is_free(next);
+                let Some(next) = cell.step(direction) else { continue };
+                let Some((x, y)) = self.place(next) else { continue };
+                if open[usize::from(y)] >> x & 1 == 0 {
+                    continue;
+                }
+                let is_unknown = self.free[usize::from(y)] >> x & 1 == 0;
                 let cost = cost + if is_unknown { UNKNOWN_COST } else { 1 };
-                if routes.reached[place].is_none_or(|(known, _)| cost < known) {
-                    routes.reached[place] = Some((cost, direction));
+                let reached = &mut routes.reached[index(x, y)];
+                if reached.is_none_or(|(known, _)| cost < known) {
+                    *reached = Some((cost, direction));
                     queues[usize::from(is_unknown)].push_back((cost, next));
                 }
             }
         }
         routes
-    }
-
-    /// The cell next to `cell` and its index, if it may be entered.
-    fn neighbour(&self, cell: Cell, direction: Heading) -> Option<(Cell, usize)> {
-        let next = cell.step(direction)?;
-        let (x, y) = self.place(next)?;
-        let [west, east, south, north] = self.known;
-        let is_near = (west.saturating_sub(MARGIN)..=east + MARGIN).contains(&x)
-            && (south.saturating_sub(MARGIN)..=north + MARGIN).contains(&y);
-        (is_near && !self.is_occupied(next)).then_some((next, index(x, y)))
     }
 }
 
