@@ -218,7 +218,7 @@ mod tests {
     #[test]
     fn known_floor_is_worth_a_detour() {
         let mut map = with_occupied(&[]);
-        [(41, 40), (41, 41), (41, 42), (41, 43)].map(|(x, y)| map.mark_free(Cell::new(x, y)));
+        (40..=43).for_each(|y| map.mark_free(Cell::new(41, y)));
         let goal = Cell::new(40, 43);
         let routes = map.routes(HERE, &[]);
         assert_eq!(routes.cost(goal), Some(4 + UNKNOWN_COST));
