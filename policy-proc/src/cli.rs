@@ -1,4 +1,4 @@
-//! Flags and verbs of the program, one file for each.
+//! The flags and verbs of the program, one file each.
 
 pub(crate) mod cache;
 pub(crate) mod openai;
@@ -6,7 +6,7 @@ pub(crate) mod probe;
 
 use std::io::{self, Write};
 
-/// Writes data to stdout, line end included.
+/// Writes a text and a line end to standard output.
 fn print(text: &str) -> anyhow::Result<()> {
     let mut stdout = io::stdout().lock();
     writeln!(stdout, "{}", text.trim_end())?;

@@ -1,25 +1,14 @@
-//! The policy: turns an observation, a window and a recall into an action (DESIGN section 5).
+//! The built-in policies: an observation, a window and a recall in, an action out.
 //!
-//! - [`request`]: what a policy is given, and what it answers. Nothing else reaches it.
-//! - [`sdk`]: the traits [`Policy`] and [`Decider`], and [`serve`], which puts an implementation on the wire.
-//! - `chat`: asking a model behind an OpenAI-compatible endpoint.
-//! - `prompt`: what a model is told about a request, and how its answer is read.
-//! - `openai`: the policy that asks a model.
-//! - [`random`] and [`grounded`]: two policies that use nothing but the SDK.
+//! - [`openai`]: asks a vision-language model. The `prompt` crate words the request, the `llm` crate sends it;
+//! - [`grounded`]: a scripted stand-in that reads label plates and needs no model;
+//! - [`random`]: the lower bound.
 //!
-//! `chat`, `prompt`, `openai` and the program are behind the feature `model`, which is on unless somebody says
-//! `default-features = false`.
-//!
-//! What is not here: the map. This crate does not link the one that knows it, so a policy can only
-//! have seen what its requests showed.
+//! All are written against the `peer` SDK. This crate does not link `warehouse`: what a policy knows about the world, it
+//! has seen in its requests.
 
 pub mod grounded;
-#[cfg(feature = "model")]
 pub mod openai;
-#[cfg(feature = "model")]
-pub mod prompt;
 pub mod random;
-#[cfg(feature = "model")]
-pub use llm as chat;
 
 pub use peer::*;

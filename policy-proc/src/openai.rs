@@ -1,56 +1,66 @@
 //! The `openai` policy: a vision-language model behind an OpenAI-compatible endpoint.
 //!
-//! Each request becomes a prompt ([`crate::prompt`]) with its images encoded (`images`), and goes to the pool
-//! ([`crate::chat`]), which asks when there is room and calls back when there is a reply. What the model wrote
-//! is read, what it cost is written down (`usage`), and that is the decision. Nothing is kept from one request
-//! to the next but encoded images.
+//! Each request becomes a prompt with encoded images ([`images`]) and goes to the chat client, which calls back with the
+//! reply. The action is read from the reply, its cost is recorded ([`usage`]), and that is the decision. Nothing is kept
+//! between requests but encoded images and the token counts of the running episodes.
 //!
-//! A reply is the model's doing, whatever it says. That there is none never is: a request that fails for good
-//! ends its episode without a result, and a server that is gone stops the run.
+//! Any reply is the model's doing. A missing one never is: a request that fails for good ends its episode without a result,
+//! and a server that is gone stops the run.
 
 mod images;
+pub mod largest;
 mod usage;
 
+use std::collections::HashMap;
+use std::sync::{Arc, Mutex, PoisonError};
+
 use domain::prompt_log::{Exchange, Message, Part, hex};
+use llm::{
+    AskError, ChatAnswer, ChatClient, ChatMessage, ChatReply, ChatRequest, ChatRole, ContentPart,
+    ImageUrl, MessageContent, ReplyContent,
+};
+use peer::{Answer, Answers, Decider, Decision, FrameView, Request, ServeError, RequestId, Usage};
+use prompt::image::ImageFormat;
+use prompt::{PartContent, Prompt, Unread, read_answer};
 use shm_types::process::monotonic_ns;
 
-use crate::chat::{Asked, Job, Outcome, Pool, PoolError, Question, Reply};
-use crate::prompt::answer::{Unread, read_answer, read_cut_off};
-use crate::prompt::{self, PartContent, Prompt};
-use crate::{Answer, Answers, Decider, Decision, Request, RequestId, ServeError, Usage};
-use images::Images;
-use usage::Shares;
+use images::EncodedViews;
+use usage::{PromptSize, TokenFit};
 
-pub use images::{ImageFormat, JPEG_QUALITY, UnknownFormat};
-
-/// What decides how a model is asked, beside its server.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Settings {
-    /// The model, by the name that the server knows it by.
-    pub model: String,
-    /// Where it is asked, for the manifest. Without a key.
-    pub endpoint: String,
+/// What decides a model's answers, beside the server.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct OpenaiSettings {
     /// How images are encoded.
     pub image_format: ImageFormat,
-    /// Most images of a prompt; 0 for a model that reads text alone.
+    /// Most images of a prompt; 0 for a model without vision.
     pub image_budget: u32,
     /// Most tokens of an answer.
     pub answer_tokens: u32,
 }
 
-/// Asks a model what to do. What it is asked, and how its answers are read: docs/prompt.md.
+/// Asks a model for an action. docs/prompt.md describes the prompt and how answers are read.
 #[derive(Debug)]
 pub struct Openai {
-    pool: Pool,
-    settings: Settings,
-    images: Images,
+    client: ChatClient,
+    settings: OpenaiSettings,
+    images: EncodedViews,
+    token_fits: TokenFits,
 }
 
+/// The token fit of each lane's episode.
+type TokenFits = Arc<Mutex<HashMap<u32, (u64, TokenFit)>>>;
+
 impl Openai {
-    /// A policy that asks through `pool`.
-    pub fn new(pool: Pool, settings: Settings) -> Self {
-        let images = Images::new(settings.image_format);
-        Self { pool, settings, images }
+    /// A policy that asks through `client`.
+    pub fn new(client: ChatClient, settings: OpenaiSettings) -> Self {
+        let images = EncodedViews::new(settings.image_format);
+        Self { client, settings, images, token_fits: TokenFits::default() }
+    }
+}
+
+impl Drop for Openai {
+    fn drop(&mut self) {
+        self.client.stop("the policy has ended");
     }
 }
 
@@ -60,17 +70,17 @@ impl Decider for Openai {
     }
 
     fn facts(&self) -> Vec<(&'static str, String)> {
-        let Settings { model, endpoint, image_format, image_budget, answer_tokens } =
-            &self.settings;
+        let OpenaiSettings { image_format, image_budget, answer_tokens } = &self.settings;
         vec![
-            ("model", model.clone()),
-            ("endpoint", endpoint.clone()),
+            ("model", self.client.settings().model.clone()),
+            ("endpoint", self.client.endpoint().to_string()),
             ("prompt", prompt::version().to_owned()),
-            // There is little room for facts, and so many digits tell any two templates apart.
-            ("prompt_sha256", prompt::template_sha256()[..16].to_owned()),
+            // There is little room for facts, and 16 digits tell any two templates apart.
+            ("prompt_hash", prompt::template_hash()[..16].to_owned()),
             ("image_format", image_format.described()),
             ("image_budget", image_budget.to_string()),
             ("answer_tokens", answer_tokens.to_string()),
+            ("answers", "restricted to the actions where the server can".to_owned()),
             ("temperature", "0".to_owned()),
             ("reasoning", "off".to_owned()),
         ]
@@ -81,88 +91,125 @@ impl Decider for Openai {
         let prompts: Vec<_> = batch.iter().map(|request| Prompt::new(request, budget)).collect();
         let urls = self.images.urls(prompts.iter().flat_map(Prompt::views));
         for (request, prompt) in batch.iter().zip(prompts) {
-            let ticket = request.id();
+            let id = request.id();
             if let Some(view) = prompt.views().find(|view| !urls.contains_key(&view.content_hash)) {
-                answers.fail(ticket, format!("{view:?} cannot be encoded as an image"));
+                answers.fail(id, format!("{view:?} cannot be encoded as an image"));
                 continue;
             }
-            let messages = prompt.messages(|view| urls[&view.content_hash].clone());
-            let question =
-                Question { messages: messages.into(), max_tokens: self.settings.answer_tokens };
             let pending = Pending {
-                ticket,
+                id,
                 images: prompt.images_sent(),
-                shares: Shares::of(request, &prompt),
+                size: PromptSize::of(request, &prompt),
+                token_fits: Arc::clone(&self.token_fits),
                 prompted_ns: monotonic_ns(),
-                // For the prompt log; nothing is copied where there is none.
                 exchange: answers.logs_prompts().then(|| exchange(&prompt)),
                 answers: answers.clone(),
             };
-            self.pool
-                .submit(Job { question, repeat: request.repeat }, |asked| pending.finish(asked));
+            let chat = chat_request(&prompt, self.settings.answer_tokens, |view| {
+                Arc::clone(&urls[&view.content_hash])
+            });
+            self.client.submit(chat, request.repeat, |answered| pending.finish(answered));
         }
         Ok(())
     }
 }
 
-/// A request that the pool has.
+/// The chat request for a prompt, with `url` as the address of each image.
+fn chat_request<'a>(
+    prompt: &Prompt<'a>,
+    max_tokens: u32,
+    url: impl Fn(&FrameView<'a>) -> Arc<str>,
+) -> ChatRequest {
+    let parts = prompt.parts.iter().map(|part| match &part.content {
+        PartContent::Text(text) => ContentPart::Text { text: text.clone() },
+        PartContent::View(view) => ContentPart::ImageUrl { image_url: ImageUrl { url: url(view) } },
+    });
+    let content = if prompt.images_sent() == 0 {
+        // Servers of models without vision may accept nothing but plain text.
+        let text = |part| match part {
+            ContentPart::Text { text } => text,
+            ContentPart::ImageUrl { .. } => String::new(),
+        };
+        MessageContent::Text(parts.map(text).collect())
+    } else {
+        MessageContent::Parts(parts.collect())
+    };
+    ChatRequest {
+        messages: vec![
+            ChatMessage::text(ChatRole::System, prompt.system),
+            ChatMessage { role: ChatRole::User, content },
+        ],
+        max_tokens,
+        choices: prompt::answer_choices().to_vec(),
+    }
+}
+
+/// A request that waits for its reply.
 struct Pending {
-    ticket: RequestId,
+    id: RequestId,
     /// Images that are sent.
     images: u32,
-    shares: Shares,
+    size: PromptSize,
+    token_fits: TokenFits,
     prompted_ns: u64,
+    /// For the prompt log, where there is one.
     exchange: Option<Exchange>,
     answers: Answers,
 }
 
 impl Pending {
-    fn finish(self, asked: Result<Asked, PoolError>) {
-        let Self { ticket, images, shares, prompted_ns, exchange, answers } = self;
-        let record = |reply: Option<&Reply>, unread: Option<String>| {
-            if let Some(exchange) = exchange {
-                let reply = reply.map(said);
-                answers.record(ticket, || Exchange { reply, unread, ..exchange });
+    fn finish(mut self, answered: Result<ChatAnswer, AskError>) {
+        let id = self.id;
+        let answered = match answered {
+            Ok(answered) => answered,
+            Err(AskError::Failed(error)) => {
+                self.record(None, None);
+                return self.answers.fail(id, error.to_string());
             }
+            Err(AskError::Stopped(why)) => return self.answers.halt(why),
         };
-        let Asked { reply, attempts, from_cache, sent_ns, .. } = match asked {
-            Ok(asked) => asked,
-            Err(PoolError::Failed(error)) => {
-                record(None, None);
-                return answers.fail(ticket, error.to_string());
-            }
-            Err(PoolError::Gone(why)) => return answers.halt(why),
-        };
-        let answer = match judge(&reply) {
-            Ok(action) => {
-                record(Some(&reply), None);
-                Answer::Act(action)
-            }
-            Err(why) => {
-                record(Some(&reply), Some(why.to_string()));
-                let RequestId { lane, step, .. } = ticket;
-                tracing::debug!(lane, step, %why, "the answer is none: {:?}", reply.outcome);
-                why.answer()
-            }
-        };
-        let told = |count: Option<u64>| count.map(|count| count.try_into().unwrap_or(u32::MAX - 1));
-        let (prompt_tokens, image_tokens) = (told(reply.prompt_tokens), told(reply.image_tokens));
-        let usage = Usage {
+        let read = read_reply(&answered.reply);
+        self.record(Some(&answered.reply), read.err());
+        let answer = read.map_or_else(Answer::from, Answer::Act);
+        let usage = Some(self.usage(&answered));
+        self.answers.decide(id, Decision { answer, images: self.images, usage });
+    }
+
+    fn record(&mut self, reply: Option<&ChatReply>, unread: Option<Unread>) {
+        if let Some(exchange) = self.exchange.take() {
+            let reply = reply.map(|reply| reply.text().to_owned());
+            let unread = unread.map(|unread| unread.to_string());
+            self.answers.record(self.id, || Exchange { reply, unread, ..exchange });
+        }
+    }
+
+    fn usage(&self, answered: &ChatAnswer) -> Usage {
+        // The highest value on the wire means that the count is unknown.
+        let count =
+            |count: Option<u64>| count.map(|count| count.try_into().unwrap_or(u32::MAX - 1));
+        let ChatAnswer { reply, attempts, from_cache, sent_ns, .. } = answered;
+        let (prompt_tokens, image_tokens) = (count(reply.prompt_tokens), count(reply.image_tokens));
+        let mut fits = self.token_fits.lock().unwrap_or_else(PoisonError::into_inner);
+        let RequestId { lane, episode, .. } = self.id;
+        let (fitted, fit) = fits.entry(lane).or_default();
+        if *fitted != episode {
+            (*fitted, *fit) = (episode, TokenFit::default());
+        }
+        Usage {
             prompt_tokens,
-            completion_tokens: told(reply.completion_tokens),
-            cached_tokens: told(reply.cached_tokens),
+            completion_tokens: count(reply.completion_tokens),
+            cached_tokens: count(reply.cached_tokens),
             image_tokens,
-            memory_tokens: shares.memory_tokens(prompt_tokens, image_tokens),
-            attempts,
-            replayed: from_cache,
-            prompted_ns,
-            sent_ns: if from_cache { 0 } else { sent_ns },
-        };
-        answers.decide(ticket, Decision { answer, images, usage: Some(usage) });
+            memory_tokens: fit.memory_tokens(self.size, prompt_tokens, image_tokens),
+            attempts: *attempts,
+            replayed: *from_cache,
+            prompted_ns: self.prompted_ns,
+            sent_ns: if *from_cache { 0 } else { *sent_ns },
+        }
     }
 }
 
-/// What the prompt log has of a prompt.
+/// A prompt as the prompt log stores it.
 fn exchange(prompt: &Prompt<'_>) -> Exchange {
     let user = prompt.parts.iter().map(|part| match &part.content {
         PartContent::Text(text) => Part::Text(text.clone()),
@@ -178,23 +225,11 @@ fn exchange(prompt: &Prompt<'_>) -> Exchange {
     }
 }
 
-/// The text of a reply, as it came.
-fn said(reply: &Reply) -> String {
-    match &reply.outcome {
-        Outcome::Text(text) | Outcome::Length(text) | Outcome::Refusal(text) => text.clone(),
-        Outcome::Empty => String::new(),
-    }
-}
-
 /// The action that a reply names.
-///
-/// # Errors
-/// When it names none; the error says why.
-pub fn judge(reply: &Reply) -> Result<domain::Action, Unread> {
-    match &reply.outcome {
-        Outcome::Text(text) => read_answer(text),
-        Outcome::Length(text) => read_cut_off(text),
-        Outcome::Empty => Err(Unread::Empty),
-        Outcome::Refusal(_) => Err(Unread::Refused),
+fn read_reply(reply: &ChatReply) -> Result<domain::Action, Unread> {
+    match &reply.content {
+        ReplyContent::Text(text) | ReplyContent::Length(text) => read_answer(text),
+        ReplyContent::Empty => Err(Unread::Empty),
+        ReplyContent::Refusal(_) => Err(Unread::Refused),
     }
 }

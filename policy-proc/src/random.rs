@@ -1,13 +1,12 @@
-//! The random policy: the lower end of the scale.
+//! The random policy: the lower bound.
 
 use domain::Action;
+use peer::{Decision, Policy, Request};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 
-use crate::{Decision, Policy, Request};
-
-/// Draws one of the seven actions, all alike, from the episode's seed and the step alone: the same
-/// episode is the same walk whatever else runs beside it.
+/// Draws one of the seven actions with equal probability from the episode's seed and the step alone, so an episode does not
+/// depend on other episodes.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Random;
 
@@ -27,7 +26,7 @@ impl Policy for Random {
 fn draw(episode_seed: u64, step: u32) -> Action {
     let mut rng = ChaCha8Rng::seed_from_u64(episode_seed);
     rng.set_stream(u64::from(step));
-    // 2^64 is so much larger than 7 that the remainder's bias is out of reach of any run.
+    // The bias of the remainder is 7 / 2^64.
     Action::ALL[(rng.next_u64() % Action::ALL.len() as u64) as usize]
 }
 
@@ -36,17 +35,17 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_walk_is_its_seed_and_uses_every_action_about_equally_often() {
-        let walk = |seed| (0..7000).map(move |step| draw(seed, step));
-        assert!(walk(1).eq(walk(1)));
-        assert!(walk(1).ne(walk(2)));
+    fn actions_depend_on_the_seed_and_are_equally_frequent() {
+        let actions = |seed| (0..7000).map(move |step| draw(seed, step));
+        assert!(actions(1).eq(actions(1)));
+        assert!(actions(1).ne(actions(2)));
         let mut counts = [0; 7];
-        walk(3).for_each(|action| counts[action as usize] += 1);
+        actions(3).for_each(|action| counts[action as usize] += 1);
         assert!(counts.iter().all(|count| (850..1150).contains(count)), "{counts:?}");
     }
 
     #[test]
-    fn the_first_steps_never_change_between_versions() {
+    fn the_first_actions_of_a_seed_are_stable() {
         let letters: String = (0..24).map(|step| draw(20_260_101, step).letter()).collect();
         insta::assert_snapshot!(letters, @"fblLRlbrlbbfUUrLlRrbllbR");
     }

@@ -1,13 +1,11 @@
-//! Replies on disk: what was asked once need not be asked again.
+//! Replies on disk, so that a request is paid for once.
 //!
-//! A reply is found by everything that decides it: model, messages with the bytes of their images, every
-//! parameter of the request, and which repetition of the question it is ([`Key`]). Who served it is not part
-//! of that: the same model behind another address would say the same, and where it would not, `off` or another
-//! folder is the setting to use.
+//! A reply is found by everything that decides it: the model, the messages with the bytes of their images, every
+//! parameter of the request, and the number of the repetition ([`CacheKey`]). The server's address is not part of the
+//! key: the same model behind another address would give the same reply. Where it does not, use another folder.
 //!
-//! Only replies are kept, never failures. An entry is a file, whole from the moment that it has its name, so
-//! processes may share a folder: two that write one entry write the same question's reply, and the last stays.
-//! One that cannot be read is as good as missing; the next reply takes its place.
+//! Failures are never stored. An entry is a file that appears whole, so processes may share a folder: two that write the
+//! same entry write replies to the same request. An entry that cannot be read counts as missing and is replaced.
 
 mod upkeep;
 
@@ -20,15 +18,15 @@ use std::time::SystemTime;
 use domain::{NoCacheFolder, cache_folder};
 use serde::{Deserialize, Serialize};
 
-use super::message::{Content, Dialect, Part, Question};
-use super::reply::Reply;
+use crate::reply::ChatReply;
+use crate::request::{ChatRequest, Dialect};
 
-pub use upkeep::{Amount, Held, Listing, Pruned};
+pub use upkeep::{CacheListing, CacheSize, ModelReplies, Pruned};
 
-/// The form of an entry, and of what its key is made from. Another form is another folder.
+/// The version of entries and keys. Another version is another folder.
 const FORM: &str = "replies-1";
 
-/// How entry files end.
+/// The extension of entry files.
 const EXTENSION: &str = "json";
 
 /// A folder of replies. Processes and threads may share it.
@@ -37,45 +35,38 @@ pub struct ResponseCache {
     folder: PathBuf,
 }
 
-/// The name of a question and of which repetition of it.
+/// The hash of a request and its repetition.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Key(String);
+pub(crate) struct CacheKey(String);
 
-/// A file of an entry.
+/// The content of an entry file.
 #[derive(Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-struct Entry {
-    /// The key again, so that a file under a wrong name is noticed.
+struct StoredReply {
+    /// The key, so that a file under a wrong name is noticed.
     key: String,
     /// When it was stored, in seconds since 1970.
     stored: u64,
     /// The model that was asked for.
     model: String,
-    reply: Reply,
+    reply: ChatReply,
 }
 
-impl Key {
-    /// The key of a question to `model`. `None` when an image is somewhere else than in the question: what is
-    /// there may change.
-    pub fn of(model: &str, question: &Question, repeat: u32) -> Option<Self> {
-        let is_here = |part: &Part| match part {
-            Part::Text { .. } => true,
-            Part::ImageUrl { image_url } => image_url.url.starts_with("data:"),
-        };
-        let all_here = question.messages.iter().all(|message| match &message.content {
-            Content::Text(_) => true,
-            Content::Parts(parts) => parts.iter().all(is_here),
-        });
+impl CacheKey {
+    /// The key of repetition `repeat` of a request to `model`. `None` when the request refers to an image outside itself,
+    /// which may change.
+    pub(crate) fn of(model: &str, request: &ChatRequest, repeat: u32) -> Option<Self> {
         let mut hasher = blake3::Hasher::new();
         hasher.update(FORM.as_bytes()).update(&repeat.to_le_bytes());
-        // The body as it is before any server has objected to a field: with every parameter, on one line.
-        let body = Dialect::default().body(model, question);
+        // The body with every optional field, whatever the server at hand refuses.
+        let body = Dialect::default().body(model, request);
         let written = serde_json::to_writer(&mut hasher, &body).is_ok();
-        (all_here && written).then(|| Self(hasher.finalize().to_hex().to_string()))
+        (request.is_self_contained() && written)
+            .then(|| Self(hasher.finalize().to_hex().to_string()))
     }
 }
 
-impl fmt::Display for Key {
+impl fmt::Display for CacheKey {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self(key) = self;
         f.write_str(key)
@@ -88,15 +79,15 @@ impl ResponseCache {
         Self { folder: folder.into() }
     }
 
-    /// The folder `responses` in the cache that the environment names ([`cache_folder`]).
+    /// The folder `responses` in the [`cache_folder`].
     ///
     /// # Errors
-    /// When it names none.
+    /// When the environment names no cache folder.
     pub fn from_environment() -> Result<Self, NoCacheFolder> {
         Ok(Self::at(cache_folder()?.join("responses")))
     }
 
-    /// What the setting `response-cache` means: `on`, `off`, or a folder.
+    /// The cache that the setting `response-cache` means: `on`, `off`, or a folder.
     ///
     /// # Errors
     /// When it is `on` and the environment names no cache folder.
@@ -108,40 +99,37 @@ impl ResponseCache {
         }
     }
 
-    /// Where the replies are.
+    /// The folder.
     pub fn folder(&self) -> &Path {
         &self.folder
     }
 
-    /// The reply that is known. One that cannot be read is none, and is complained about.
-    pub fn get(&self, key: &Key) -> Option<Reply> {
+    /// The stored reply. One that cannot be read is logged and counts as missing.
+    pub(crate) fn get(&self, key: &CacheKey) -> Option<ChatReply> {
         let path = self.path(key);
         let problem = match fs::read(&path) {
             Err(error) if error.kind() == io::ErrorKind::NotFound => return None,
             Err(error) => error.to_string(),
-            Ok(text) => match serde_json::from_slice::<Entry>(&text) {
+            Ok(text) => match serde_json::from_slice::<StoredReply>(&text) {
                 Err(error) => error.to_string(),
-                Ok(entry) if entry.key != key.to_string() => "it is another one's".to_owned(),
-                Ok(entry) => return Some(entry.reply),
+                Ok(stored) if stored.key != key.to_string() => "it has another key".to_owned(),
+                Ok(stored) => return Some(stored.reply),
             },
         };
-        tracing::warn!(
-            "the stored reply {} cannot be used: {problem}; it is asked anew",
-            path.display()
-        );
+        tracing::warn!("the stored reply {} is not used: {problem}", path.display());
         None
     }
 
-    /// Keeps a reply of `model`, in one step.
+    /// Stores a reply of `model`.
     ///
     /// # Errors
     /// When the folder cannot be written.
-    pub fn put(&self, key: &Key, model: &str, reply: &Reply) -> io::Result<()> {
+    pub(crate) fn put(&self, key: &CacheKey, model: &str, reply: &ChatReply) -> io::Result<()> {
         let path = self.path(key);
         let folder = path.parent().unwrap_or(&self.folder);
         fs::create_dir_all(folder)?;
         let since_1970 = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH);
-        let entry = Entry {
+        let entry = StoredReply {
             key: key.to_string(),
             stored: since_1970.map_or(0, |since| since.as_secs()),
             model: model.to_owned(),
@@ -153,8 +141,8 @@ impl ResponseCache {
         Ok(())
     }
 
-    /// A folder for every 256th of the keys, so that none grows large.
-    fn path(&self, Key(key): &Key) -> PathBuf {
+    /// The file of a key, in one of 256 folders.
+    fn path(&self, CacheKey(key): &CacheKey) -> PathBuf {
         let shard = key.get(..2).unwrap_or_default();
         self.folder.join(FORM).join(shard).join(key).with_extension(EXTENSION)
     }
@@ -162,20 +150,20 @@ impl ResponseCache {
 
 #[cfg(test)]
 mod tests {
-    use super::super::message::{ImageUrl, Message, Speaker};
-    use super::super::reply::Outcome;
     use super::*;
+    use crate::reply::ReplyContent;
+    use crate::request::{ChatMessage, ChatRole, ContentPart, ImageUrl, MessageContent};
 
-    fn question(text: &str, image: &str) -> Question {
-        let image = Part::ImageUrl { image_url: ImageUrl { url: image.into() } };
-        let parts = vec![Part::Text { text: text.into() }, image];
-        let message = Message { role: Speaker::User, content: Content::Parts(parts) };
-        Question { messages: vec![message], max_tokens: 30 }
+    fn request(text: &str, image: &str) -> ChatRequest {
+        let image = ContentPart::ImageUrl { image_url: ImageUrl { url: image.into() } };
+        let parts = vec![ContentPart::Text { text: text.into() }, image];
+        let message = ChatMessage { role: ChatRole::User, content: MessageContent::Parts(parts) };
+        ChatRequest { messages: vec![message], max_tokens: 30, choices: Vec::new() }
     }
 
-    fn reply(text: &str) -> Reply {
-        Reply {
-            outcome: Outcome::Text(text.to_owned()),
+    fn reply(text: &str) -> ChatReply {
+        ChatReply {
+            content: ReplyContent::Text(text.to_owned()),
             model: Some("m-1".into()),
             prompt_tokens: Some(10),
             completion_tokens: None,
@@ -190,44 +178,45 @@ mod tests {
     const IMAGE: &str = "data:image/png;base64,AA==";
 
     #[test]
-    fn whatever_decides_a_reply_is_in_its_key() {
-        let key =
-            |model: &str, question: &Question, repeat| Key::of(model, question, repeat).unwrap();
-        let original = key("m", &question("Where?", IMAGE), 0);
-        assert_eq!(key("m", &question("Where?", IMAGE), 0), original);
-        let longer = Question { max_tokens: 31, ..question("Where?", IMAGE) };
-        let mut spoken = question("Where?", IMAGE);
-        spoken.messages[0].role = Speaker::System;
-        let mut twice = question("Where?", IMAGE);
-        twice.messages.push(Message::text(Speaker::Assistant, "North."));
+    fn everything_that_decides_a_reply_is_in_its_key() {
+        let key = |model: &str, request: &ChatRequest, repeat| {
+            CacheKey::of(model, request, repeat).unwrap()
+        };
+        let original = key("m", &request("Where?", IMAGE), 0);
+        assert_eq!(key("m", &request("Where?", IMAGE), 0), original);
+        let longer = ChatRequest { max_tokens: 31, ..request("Where?", IMAGE) };
+        let mut spoken = request("Where?", IMAGE);
+        spoken.messages[0].role = ChatRole::System;
+        let mut twice = request("Where?", IMAGE);
+        twice.messages.push(ChatMessage::text(ChatRole::Assistant, "North."));
         for other in [
-            key("m", &question("Where?", "data:image/png;base64,AB=="), 0),
-            key("m", &question("Where", IMAGE), 0),
-            key("n", &question("Where?", IMAGE), 0),
-            key("m", &question("Where?", IMAGE), 1),
+            key("m", &request("Where?", "data:image/png;base64,AB=="), 0),
+            key("m", &request("Where", IMAGE), 0),
+            key("n", &request("Where?", IMAGE), 0),
+            key("m", &request("Where?", IMAGE), 1),
             key("m", &longer, 0),
             key("m", &spoken, 0),
             key("m", &twice, 0),
         ] {
             assert_ne!(other, original);
         }
-        let elsewhere = question("Where?", "http://a/view.png");
-        assert_eq!(Key::of("m", &elsewhere, 0), None);
+        let elsewhere = request("Where?", "http://a/view.png");
+        assert_eq!(CacheKey::of("m", &elsewhere, 0), None);
     }
 
-    /// A change of this value makes every stored reply one that nobody finds: [`FORM`] should change with it.
+    /// If this value changes, no stored reply is found any more: change [`FORM`] too.
     #[test]
-    fn the_key_of_a_known_question() {
-        let key = Key::of("m", &question("Where?", IMAGE), 0).unwrap();
+    fn the_key_of_a_known_request() {
+        let key = CacheKey::of("m", &request("Where?", IMAGE), 0).unwrap();
         insta::assert_snapshot!(key, @"a50e4dceaa29a1e8b98c4a5bd6055b2593a9db392328467e4683d5c10ab3d3eb");
     }
 
     #[test]
-    fn what_was_stored_is_found_and_what_is_broken_is_replaced() {
+    fn stored_replies_are_found_and_broken_ones_replaced() {
         let folder = tempfile::tempdir().unwrap();
         let cache = ResponseCache::at(folder.path().join("responses"));
-        let key = Key::of("m", &question("Where?", IMAGE), 0).unwrap();
-        let other = Key::of("m", &question("Where?", IMAGE), 1).unwrap();
+        let key = CacheKey::of("m", &request("Where?", IMAGE), 0).unwrap();
+        let other = CacheKey::of("m", &request("Where?", IMAGE), 1).unwrap();
         assert_eq!(cache.get(&key), None);
         cache.put(&key, "m", &reply("North.")).unwrap();
         assert_eq!(cache.get(&key), Some(reply("North.")));
@@ -242,14 +231,14 @@ mod tests {
         }
         fs::create_dir_all(cache.path(&other).parent().unwrap()).unwrap();
         fs::write(cache.path(&other), &whole).unwrap();
-        assert_eq!(cache.get(&other), None, "it is another one's");
+        assert_eq!(cache.get(&other), None, "it has another key");
     }
 
     #[test]
     fn many_write_and_read_at_once() {
         let folder = tempfile::tempdir().unwrap();
         let keys: Vec<_> =
-            (0..5).map(|n| Key::of("m", &question("?", IMAGE), n).unwrap()).collect();
+            (0..5).map(|n| CacheKey::of("m", &request("?", IMAGE), n).unwrap()).collect();
         std::thread::scope(|scope| {
             for _ in 0..8 {
                 let (folder, keys) = (folder.path(), &keys);

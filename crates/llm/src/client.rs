@@ -1,316 +1,308 @@
-//! The client: asks an endpoint a question, patiently.
+//! The client: many requests to one model of one endpoint, each on a thread that waits for its own reply.
 
-use std::collections::hash_map::RandomState;
 use std::fmt;
-use std::hash::BuildHasher;
-use std::io;
-use std::sync::Arc;
-use std::sync::atomic::{AtomicU32, Ordering};
-use std::time::{Duration, SystemTime};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, OnceLock, PoisonError, mpsc};
+use std::thread;
+use std::time::{Duration, Instant};
 
-use ureq::Agent;
-use ureq::http::Response;
-use ureq::http::header::{AUTHORIZATION, CONTENT_TYPE, DATE, LOCATION, RETRY_AFTER, SERVER};
-use ureq::tls::{RootCerts, TlsConfig, TlsProvider};
+use rustix::time::{ClockId, clock_gettime};
 
-use super::endpoint::Endpoint;
-use super::error::{ChatError, Failure, Passing};
-use super::message::{Dialect, Question};
-use super::reply::{self, Reply};
-use super::retry;
-
-/// Most bytes of an answer that are read.
-const LARGEST_ANSWER: u64 = 16 << 20;
-
-/// Most connections that are kept for the next request.
-const IDLE_CONNECTIONS: usize = 256;
+use crate::cache::{CacheKey, ResponseCache};
+use crate::endpoint::Endpoint;
+use crate::error::{AskError, AttemptError};
+use crate::http::{HttpClient, jitter};
+use crate::reply::ChatReply;
+use crate::request::ChatRequest;
+use crate::server::{Attempts, Next, ServerState};
 
 /// How a model is asked.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Settings {
+pub struct ChatSettings {
     /// The model, by the name that the server knows it by.
     pub model: String,
-    /// Longest that one attempt may take, from looking up the host to the last byte of the answer.
-    pub timeout: Duration,
-    /// How many times a request that failed for a passing reason is sent again.
+    /// The time of one attempt, from the look-up of the host to the last byte of the answer. Attempts on a server that
+    /// answers more slowly get more, up to eight times this.
+    pub request_timeout: Duration,
+    /// How many times a request is sent again after a transient failure.
     pub max_retries: u32,
+    /// Most requests in flight, at least 1. Fewer while the server cannot keep up.
+    pub max_connections: u32,
+    /// How long to wait for a server that has answered before and is gone.
+    pub server_patience: Duration,
 }
 
-/// What a server says that takes part in the conversation.
-enum Heard {
-    Reply(Box<Reply>),
-    /// Not in this way, but in that one.
-    Understands(Dialect),
-}
-
-/// A page of the server's, without the key wherever it stood in it.
-pub(super) struct Page {
-    pub(super) status: u16,
-    /// What the server calls itself.
-    pub(super) server: Option<String>,
-    pub(super) body: String,
-}
-
-/// Asks one model of one endpoint. Threads may share it; each waits for its own answer.
-pub struct Client {
-    agent: Agent,
-    endpoint: Endpoint,
-    settings: Settings,
-    /// The bits of the dialect that the server understands, as far as is known.
-    dialect: AtomicU32,
-    sleep: Box<dyn Fn(Duration) + Send + Sync>,
-}
-
-impl fmt::Debug for Client {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("Client")
-            .field("endpoint", &self.endpoint)
-            .field("settings", &self.settings)
-            .finish_non_exhaustive()
-    }
-}
-
-impl Client {
-    /// A client that has not connected yet.
-    pub fn new(endpoint: Endpoint, settings: Settings) -> Self {
-        Self::sleeping_with(endpoint, settings, std::thread::sleep)
-    }
-
-    /// A client that passes its pauses with `sleep`.
-    fn sleeping_with(
-        endpoint: Endpoint,
-        settings: Settings,
-        sleep: impl Fn(Duration) + Send + Sync + 'static,
-    ) -> Self {
-        let tls = TlsConfig::builder()
-            .provider(TlsProvider::Rustls)
-            .root_certs(RootCerts::PlatformVerifier)
-            .unversioned_rustls_crypto_provider(Arc::new(rustls::crypto::ring::default_provider()))
-            .build();
-        let mut config = Agent::config_builder();
-        if endpoint.is_here() {
-            // A proxy from the environment is somewhere else, and would look for the server there.
-            config = config.proxy(None);
+impl ChatSettings {
+    /// The defaults, for `model`.
+    pub fn new(model: impl Into<String>) -> Self {
+        Self {
+            model: model.into(),
+            request_timeout: Duration::from_secs(120),
+            max_retries: 5,
+            max_connections: 16,
+            server_patience: Duration::from_secs(600),
         }
-        let agent = config
-            .tls_config(tls)
-            .http_status_as_error(false)
-            // A redirected POST would become a GET without the key.
-            .max_redirects(0)
-            .timeout_global(Some(settings.timeout))
-            .max_idle_connections(IDLE_CONNECTIONS)
-            .max_idle_connections_per_host(IDLE_CONNECTIONS)
-            .user_agent(concat!("memtransfer/", env!("CARGO_PKG_VERSION")))
-            .accept("application/json")
-            .build()
-            .new_agent();
-        let dialect = AtomicU32::new(Dialect::default().0);
-        Self { agent, endpoint, settings, dialect, sleep: Box::new(sleep) }
+    }
+}
+
+/// A reply, and how it was obtained.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct ChatAnswer {
+    /// The reply.
+    pub reply: ChatReply,
+    /// Attempts made; 0 when the reply came from the cache.
+    pub attempts: u32,
+    /// Whether the reply came from the cache: its tokens were counted when it was new.
+    pub from_cache: bool,
+    /// When the successful attempt began, in nanoseconds of CLOCK_MONOTONIC.
+    pub sent_ns: u64,
+    /// When the reply was complete, on the same clock.
+    pub answered_ns: u64,
+}
+
+/// Receives a text while the client waits for its server, and `None` when the server answers again.
+type WaitingListener = Box<dyn Fn(Option<&str>) + Send + Sync>;
+
+/// Asks one model of one endpoint. Clones share connections, cache and what is known about the server.
+#[derive(Clone)]
+pub struct ChatClient {
+    shared: Arc<Shared>,
+}
+
+struct Shared {
+    http: HttpClient,
+    cache: Option<ResponseCache>,
+    /// A reply could not be stored, and a warning was logged.
+    unwritable: AtomicBool,
+    requests: AtomicU64,
+    state: Mutex<ServerState>,
+    changed: Condvar,
+    listener: OnceLock<WaitingListener>,
+    /// The listener was told that the server is waited for.
+    told: AtomicBool,
+}
+
+impl fmt::Debug for ChatClient {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("ChatClient").field("http", &self.shared.http).finish_non_exhaustive()
+    }
+}
+
+impl ChatClient {
+    /// A client without connections yet, which looks up replies in `cache` and stores them there.
+    pub fn new(endpoint: Endpoint, settings: ChatSettings, cache: Option<ResponseCache>) -> Self {
+        let state = Mutex::new(ServerState::new(endpoint.to_string(), &settings));
+        let shared = Shared {
+            http: HttpClient::new(endpoint, settings),
+            cache,
+            unwritable: AtomicBool::new(false),
+            requests: AtomicU64::new(0),
+            state,
+            changed: Condvar::new(),
+            listener: OnceLock::new(),
+            told: AtomicBool::new(false),
+        };
+        Self { shared: Arc::new(shared) }
     }
 
-    /// Who is asked, and how.
-    pub fn settings(&self) -> &Settings {
-        &self.settings
+    /// Calls `listener` while the client waits for a server that is gone, every few seconds with a text for the user,
+    /// and once with `None` when the server answers again. Only the first listener is called.
+    pub fn on_waiting(&self, listener: impl Fn(Option<&str>) + Send + Sync + 'static) {
+        // A second listener is documented to be ignored.
+        drop(self.shared.listener.set(Box::new(listener)));
     }
 
-    /// Where.
+    /// The settings.
+    pub fn settings(&self) -> &ChatSettings {
+        self.shared.http.settings()
+    }
+
+    /// The address of the server.
     pub fn endpoint(&self) -> &Endpoint {
-        &self.endpoint
+        self.shared.http.endpoint()
     }
 
-    /// Asks, at temperature 0 and with reasoning off, and waits for the answer: at most
-    /// `(max_retries + 1) * timeout` and the pauses between.
+    /// Single attempts, without retries.
+    pub(crate) fn http(&self) -> &HttpClient {
+        &self.shared.http
+    }
+
+    /// The reply to a request, from the cache or from the server. Blocks until there is one. `repeat` tells repetitions
+    /// of the same request apart: each has a reply of its own.
     ///
     /// # Errors
-    /// When the server refuses the request, or fails for as long as anybody asks.
-    pub fn ask(&self, question: &Question) -> Result<Reply, ChatError> {
-        let mut attempts = 0;
-        loop {
-            let (last, wish) = match self.attempt(question) {
-                Ok(reply) => return Ok(reply),
-                Err(Failure::Final(error)) => return Err(error),
-                Err(Failure::Passing(last, wish)) => (last, wish),
-            };
-            attempts += 1;
-            if attempts > self.settings.max_retries || matches!(last, Passing::Busy { .. }) {
-                return Err(self.gave_up(attempts, last));
-            }
-            let pause = retry::pause(attempts - 1, wish, jitter(attempts));
-            tracing::warn!(
-                "attempt {attempts} of {}: {last}; again in {:.1} s",
-                self.settings.max_retries + 1,
-                pause.as_secs_f64()
-            );
-            (self.sleep)(pause);
-        }
+    /// When the server refuses the request, every attempt fails, or no request can succeed.
+    pub fn ask(&self, request: &ChatRequest, repeat: u32) -> Result<ChatAnswer, AskError> {
+        self.shared.ask(request, repeat)
     }
 
-    /// The error of a question that was asked for the last time.
-    pub(super) fn gave_up(&self, attempts: u32, last: Passing) -> ChatError {
-        ChatError::GaveUp { endpoint: self.endpoint.to_string(), attempts, last }
-    }
-
-    /// Asks once, within the deadline. To be told that the server wants to be spoken to in another way is no
-    /// failed attempt: it is asked again at once, in that way.
-    pub(super) fn attempt(&self, question: &Question) -> Result<Reply, Failure> {
-        loop {
-            let dialect = Dialect(self.dialect.load(Ordering::Relaxed));
-            match self.send(dialect, question)? {
-                Heard::Reply(reply) => return Ok(*reply),
-                // Each bit is set once, so this ends.
-                Heard::Understands(dialect) => {
-                    self.dialect.fetch_or(dialect.0, Ordering::Relaxed);
-                }
-            }
-        }
-    }
-
-    fn send(&self, dialect: Dialect, question: &Question) -> Result<Heard, Failure> {
-        let body = serde_json::to_vec(&dialect.body(&self.settings.model, question));
-        let body = body.map_err(|error| Failure::Final(ChatError::Unsaid(error.to_string())))?;
-        let mut request =
-            self.agent.post(self.endpoint.completions()).header(CONTENT_TYPE, "application/json");
-        if let Some(authorization) = self.endpoint.authorization() {
-            request = request.header(AUTHORIZATION, authorization.clone());
-        }
-        let passing = |error| Failure::Passing(self.passing(error), None);
-        let mut response = request.send(&body).map_err(passing)?;
-        // An answer may be long in coming.
-        drop(body);
-        let answer = response
-            .body_mut()
-            .with_config()
-            .limit(LARGEST_ANSWER)
-            .read_to_vec()
-            .map_err(passing)?;
-        // Nothing that is made of an answer can hold the key, should the server repeat it.
-        let answer = self.endpoint.masked(&String::from_utf8_lossy(&answer)).into_bytes();
-        match response.status().as_u16() {
-            200..=299 => self.read(&response, &answer).map(|reply| Heard::Reply(Box::new(reply))),
-            status => self.refused(dialect, status, &response, &answer).map(Heard::Understands),
-        }
-    }
-
-    /// Fetches a page of the server's, with the key and within `timeout`.
-    pub(super) fn get(&self, url: &str, timeout: Duration) -> Result<Page, Passing> {
-        let timeout = timeout.min(self.settings.timeout);
-        let mut request = self.agent.get(url);
-        if let Some(authorization) = self.endpoint.authorization() {
-            request = request.header(AUTHORIZATION, authorization.clone());
-        }
-        let request = request.config().timeout_global(Some(timeout)).build();
-        let passing = |error| match self.passing(error) {
-            Passing::Timeout(_) => Passing::Timeout(timeout),
-            other => other,
-        };
-        let mut response = request.call().map_err(passing)?;
-        let body = response.body_mut().with_config().limit(LARGEST_ANSWER).read_to_vec();
-        Ok(Page {
-            status: response.status().as_u16(),
-            server: header(&response, SERVER).map(|server| self.endpoint.masked(server)),
-            body: self.endpoint.masked(&String::from_utf8_lossy(&body.map_err(passing)?)),
-        })
-    }
-
-    fn read<T>(&self, response: &Response<T>, answer: &[u8]) -> Result<Reply, Failure> {
-        let media_type = header(response, CONTENT_TYPE).unwrap_or_default();
-        // One that is missing is not held against a server whose answer can be read.
-        if !media_type.is_empty() && !media_type.to_ascii_lowercase().contains("json") {
-            let media_type = media_type.split(';').next().unwrap_or_default();
-            return Err(self.not_chat(format!("{}, not JSON", self.endpoint.masked(media_type))));
-        }
-        reply::read(answer).map_err(|problem| {
-            Failure::Passing(Passing::Unreadable(self.endpoint.masked(&problem)), None)
-        })
-    }
-
-    /// What the server would understand, or why it does not answer.
-    fn refused<T>(
+    /// [`ask`](Self::ask) on a thread of its own, which calls `done` exactly once.
+    pub fn submit(
         &self,
-        dialect: Dialect,
-        status: u16,
-        response: &Response<T>,
-        answer: &[u8],
-    ) -> Result<Dialect, Failure> {
-        if (300..=399).contains(&status) {
-            let target = header(response, LOCATION).unwrap_or("nowhere");
-            return Err(self.not_chat(format!("a redirection to {}", self.endpoint.masked(target))));
+        request: ChatRequest,
+        repeat: u32,
+        done: impl FnOnce(Result<ChatAnswer, AskError>) + Send + 'static,
+    ) {
+        // The thread gets its work through a channel, so that `done` is still here when it cannot be started.
+        let (give, take) = mpsc::sync_channel::<Box<dyn FnOnce() + Send>>(1);
+        let thread = thread::Builder::new().name("chat".to_owned());
+        let started = thread.spawn(move || {
+            if let Ok(work) = take.recv() {
+                work();
+            }
+        });
+        match started {
+            Ok(_) => {
+                let client = self.clone();
+                // The thread has not ended: it waits for this.
+                drop(give.send(Box::new(move || done(client.ask(&request, repeat)))));
+            }
+            Err(error) => done(Err(AskError::Stopped(format!(
+                "cannot start a thread for a request: {error}; run fewer --lanes"
+            )))),
         }
-        let message = self.endpoint.masked(&reply::error_message(answer));
-        if retry::is_passing(status) {
-            let wish = header(response, RETRY_AFTER).and_then(|retry_after| {
-                retry::wish(retry_after, header(response, DATE), SystemTime::now())
+    }
+
+    /// Ends every request that waits, and those in flight when their attempt ends.
+    pub fn stop(&self, why: &str) {
+        self.shared.lock().stop(why.to_owned());
+        self.shared.changed.notify_all();
+    }
+}
+
+impl Shared {
+    fn lock(&self) -> MutexGuard<'_, ServerState> {
+        // Nothing that runs under the lock leaves the state half changed.
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn ask(&self, request: &ChatRequest, repeat: u32) -> Result<ChatAnswer, AskError> {
+        let model = &self.http.settings().model;
+        let key = self.cache.as_ref().and_then(|_| CacheKey::of(model, request, repeat));
+        let stored = self.cache.as_ref().zip(key.as_ref());
+        if let Some(reply) = stored.and_then(|(cache, key)| cache.get(key)) {
+            let now = monotonic_ns();
+            return Ok(ChatAnswer {
+                reply,
+                attempts: 0,
+                from_cache: true,
+                sent_ns: now,
+                answered_ns: now,
             });
-            return Err(match wish {
-                Some(wish) if wish > retry::LONGEST_WISH => {
-                    Failure::Passing(Passing::Busy { status, message, wish }, None)
+        }
+        let number = self.requests.fetch_add(1, Ordering::Relaxed);
+        let mut attempts = Attempts::new(number, Instant::now());
+        loop {
+            let deadline = self.wait_for_turn(&mut attempts)?;
+            let (sent, sent_ns) = (Instant::now(), monotonic_ns());
+            match self.http.attempt(request, deadline) {
+                Ok(reply) => {
+                    let answered_ns = monotonic_ns();
+                    self.lock().replied(sent.elapsed());
+                    self.changed.notify_all();
+                    self.report(None);
+                    self.store(key.as_ref(), &reply);
+                    let attempts = attempts.made;
+                    return Ok(ChatAnswer {
+                        reply,
+                        attempts,
+                        from_cache: false,
+                        sent_ns,
+                        answered_ns,
+                    });
                 }
-                wish => Failure::Passing(Passing::Status { status, message }, wish),
-            });
+                Err(failure) => self.failed(&mut attempts, failure, sent)?,
+            }
         }
-        if matches!(status, 400 | 422)
-            && let Some((understood, fields)) = dialect.after(&String::from_utf8_lossy(answer))
+    }
+
+    /// Waits until the request may be sent; returns the attempt's deadline.
+    fn wait_for_turn(&self, attempts: &mut Attempts) -> Result<Duration, AskError> {
+        let mut state = self.lock();
+        state.enqueue(attempts);
+        loop {
+            let now = Instant::now();
+            match state.start(attempts, now)? {
+                Ok(deadline) => {
+                    drop(state);
+                    // There may be room for another one.
+                    self.changed.notify_all();
+                    return Ok(deadline);
+                }
+                Err(until) => state = self.wait(state, until.map(|until| until - now)),
+            }
+        }
+    }
+
+    fn wait<'a>(
+        &self,
+        state: MutexGuard<'a, ServerState>,
+        timeout: Option<Duration>,
+    ) -> MutexGuard<'a, ServerState> {
+        match timeout {
+            None => self.changed.wait(state).unwrap_or_else(PoisonError::into_inner),
+            Some(timeout) => {
+                let waited = self.changed.wait_timeout(state, timeout);
+                waited.unwrap_or_else(PoisonError::into_inner).0
+            }
+        }
+    }
+
+    /// Notes a failed attempt; an error when there is no other one.
+    fn failed(
+        &self,
+        attempts: &mut Attempts,
+        failure: AttemptError,
+        sent: Instant,
+    ) -> Result<(), AskError> {
+        let (made, now) = (attempts.made, Instant::now());
+        let mut state = self.lock();
+        let next = state.failed(attempts, failure.clone(), (sent, now), jitter(made));
+        let waiting = state.waiting_for_server(now, &failure);
+        drop(state);
+        // The pause and the limit may have changed for all of them.
+        self.changed.notify_all();
+        self.report(waiting.as_deref());
+        match next {
+            Next::End(error) => Err(error),
+            Next::Retry(pause) => {
+                if let AttemptError::Transient(reason, _) = failure {
+                    let seconds = pause.as_secs_f64();
+                    tracing::warn!("attempt {made}: {reason}; again in {seconds:.1} s");
+                }
+                Ok(())
+            }
+        }
+    }
+
+    /// Tells the listener that the server is waited for, or, once, that it answers again.
+    fn report(&self, waiting: Option<&str>) {
+        let before = self.told.swap(waiting.is_some(), Ordering::Relaxed);
+        if let Some(listener) = self.listener.get()
+            && (before || waiting.is_some())
         {
+            listener(waiting);
+        }
+    }
+
+    /// Stores a reply. A failure costs nothing but another request some day, so it is logged once.
+    fn store(&self, key: Option<&CacheKey>, reply: &ChatReply) {
+        let Some((cache, key)) = self.cache.as_ref().zip(key) else { return };
+        let Err(error) = cache.put(key, &self.http.settings().model, reply) else { return };
+        if !self.unwritable.swap(true, Ordering::Relaxed) {
+            let folder = cache.folder().display();
             tracing::warn!(
-                "{} refuses {}, which is left out or said in another way from now on: {message}",
-                self.endpoint,
-                fields.join(", ")
+                "replies cannot be stored in {folder}: {error}; the run goes on without"
             );
-            return Ok(understood);
-        }
-        Err(Failure::Final(ChatError::Refused {
-            endpoint: self.endpoint.to_string(),
-            status,
-            message,
-            advice: self.advice(status),
-        }))
-    }
-
-    fn not_chat(&self, what: String) -> Failure {
-        Failure::Final(ChatError::NotChat { endpoint: self.endpoint.to_string(), what })
-    }
-
-    pub(super) fn passing(&self, error: ureq::Error) -> Passing {
-        match error {
-            ureq::Error::Timeout(_) => Passing::Timeout(self.settings.timeout),
-            ureq::Error::BodyExceedsLimit(bytes) => {
-                Passing::Unreadable(format!("it has more than {bytes} bytes"))
-            }
-            ureq::Error::HostNotFound | ureq::Error::ConnectionFailed => {
-                Passing::Unreachable(error.to_string())
-            }
-            ureq::Error::Io(error) if never_connected(error.kind()) => {
-                Passing::Unreachable(error.to_string())
-            }
-            error => Passing::Connection(error.to_string()),
-        }
-    }
-
-    fn advice(&self, status: u16) -> &'static str {
-        match status {
-            401 | 403 if self.endpoint.authorization().is_none() => {
-                "set OPENAI_API_KEY in the environment or in a .env file"
-            }
-            401 | 403 => "check OPENAI_API_KEY",
-            404 => "check the model's name and the base URL, which usually ends in /v1",
-            413 => "ask for less at once",
-            _ => "see whether the server knows the model and takes requests of this length",
         }
     }
 }
 
-fn header<T>(response: &Response<T>, name: ureq::http::HeaderName) -> Option<&str> {
-    response.headers().get(name)?.to_str().ok()
-}
-
-fn never_connected(kind: io::ErrorKind) -> bool {
-    use io::ErrorKind::{ConnectionRefused, HostUnreachable, NetworkUnreachable};
-    matches!(kind, ConnectionRefused | HostUnreachable | NetworkUnreachable)
-}
-
-/// A number from 0 to 1 that differs from call to call. Nothing but the length of a pause depends on it.
-pub(super) fn jitter(attempt: u32) -> f64 {
-    RandomState::new().hash_one(attempt) as f64 / u64::MAX as f64
+/// Nanoseconds of CLOCK_MONOTONIC, which all processes of a run share.
+fn monotonic_ns() -> u64 {
+    let now = clock_gettime(ClockId::Monotonic);
+    let seconds = u64::try_from(now.tv_sec).unwrap_or_default();
+    seconds * 1_000_000_000 + u64::try_from(now.tv_nsec).unwrap_or_default()
 }
 
 #[cfg(test)]

@@ -1,4 +1,4 @@
-//! Where a model is asked, and with which key: from a flag, the environment or a `.env` file.
+//! The address of a chat server and its key: from a flag, the environment or a `.env` file.
 
 use std::fmt;
 use std::io;
@@ -8,37 +8,37 @@ use std::path::{Path, PathBuf};
 use ureq::http::Uri;
 use ureq::http::header::HeaderValue;
 
-use super::secret::Secret;
+use crate::api_key::ApiKey;
 
-/// Variables that hold the base URL, the first that is set wins.
+/// Variables that hold the base URL; the first one set wins.
 pub const BASE_URL_VARIABLES: [&str; 2] = ["OPENAI_BASE_URL", "OPENAI_API_BASE"];
 
 /// The variable that holds the key.
 pub const KEY_VARIABLE: &str = "OPENAI_API_KEY";
 
-/// The file in the working folder that is read for variables that are not set.
+/// The file in the working folder that supplies variables missing from the environment.
 pub const ENV_FILE: &str = ".env";
 
-/// Where the interface takes questions.
+/// The path of chat completions below the base URL.
 const COMPLETIONS: &str = "/chat/completions";
 
-/// A server that speaks the chat completions of OpenAI's interface.
+/// The address of a server with OpenAI's chat completions interface.
 #[derive(Debug, Clone)]
 pub struct Endpoint {
     completions: Uri,
     authorization: Option<HeaderValue>,
-    key: Option<Secret>,
+    key: Option<ApiKey>,
 }
 
-/// Why there is no endpoint to ask.
+/// Why no endpoint can be used.
 #[derive(Debug, thiserror::Error)]
 pub enum EndpointError {
-    /// Nobody said where.
+    /// No base URL is given.
     #[error(
         "no chat endpoint is given: pass --base-url or set OPENAI_BASE_URL, for example to http://localhost:8000/v1"
     )]
     NoBaseUrl,
-    /// The base URL cannot be used. The text leaves out what could be a password.
+    /// The base URL cannot be used. It is not repeated, since it may hold a password.
     #[error(
         "the base URL {problem}: it should look like http://localhost:8000/v1 or https://api.openai.com/v1"
     )]
@@ -46,10 +46,10 @@ pub enum EndpointError {
         /// What is wrong with it.
         problem: &'static str,
     },
-    /// The key cannot be sent.
+    /// The key cannot be sent in a header.
     #[error("OPENAI_API_KEY holds a character that a header cannot carry: set it again")]
     Key,
-    /// The `.env` file cannot be read. A line of it is never shown: it could be the key's.
+    /// The `.env` file cannot be read. Its lines are never shown: one may hold the key.
     #[error("cannot read {}: {problem}", path.display())]
     EnvFile {
         /// The file.
@@ -60,11 +60,12 @@ pub enum EndpointError {
 }
 
 impl Endpoint {
-    /// The endpoint at `base_url`, which usually ends in `/v1`; a slash after it does no harm.
+    /// The endpoint at `base_url`, which usually ends in `/v1`; a trailing slash is ignored.
     ///
     /// # Errors
-    /// When the URL is not absolute, not HTTP, or holds what belongs elsewhere; when `key` cannot be sent.
-    pub fn new(base_url: &str, key: Option<Secret>) -> Result<Self, EndpointError> {
+    /// When the URL is not absolute, is not HTTP, or holds credentials, a query or a fragment; when `key` cannot be
+    /// sent in a header.
+    pub fn new(base_url: &str, key: Option<ApiKey>) -> Result<Self, EndpointError> {
         let wrong = |problem| EndpointError::BaseUrl { problem };
         let base = base_url.trim().trim_end_matches('/');
         let completions: Uri =
@@ -91,11 +92,11 @@ impl Endpoint {
         Ok(Self { completions, authorization, key })
     }
 
-    /// The endpoint at `base_url`, else where the environment says, else where `.env` in `folder` says; the
-    /// key comes from the same places. A variable that is set but blank counts as not set.
+    /// The endpoint at `base_url`, else at the URL in the environment, else at the URL in `folder/.env`; the key is
+    /// looked up in the same order. A blank variable counts as not set.
     ///
     /// # Errors
-    /// When none of them names a base URL, or what they say cannot be used.
+    /// When none of them names a base URL, or a value cannot be used.
     pub fn from_environment(base_url: Option<&str>, folder: &Path) -> Result<Self, EndpointError> {
         Self::resolve(base_url, |name| std::env::var(name).ok(), &folder.join(ENV_FILE))
     }
@@ -117,22 +118,22 @@ impl Endpoint {
             .map(str::to_owned)
             .or_else(|| BASE_URL_VARIABLES.into_iter().find_map(variable))
             .ok_or(EndpointError::NoBaseUrl)?;
-        let key = variable(KEY_VARIABLE).as_deref().and_then(Secret::new);
+        let key = variable(KEY_VARIABLE).as_deref().and_then(ApiKey::new);
         Self::new(&base_url, key)
     }
 
-    /// Where requests go.
-    pub(super) fn completions(&self) -> &Uri {
+    /// The URL of chat completions.
+    pub(crate) fn completions(&self) -> &Uri {
         &self.completions
     }
 
-    /// Another page of the interface, `path` beginning with a slash.
-    pub(super) fn page(&self, path: &str) -> String {
+    /// Another page of the interface; `path` begins with a slash.
+    pub(crate) fn page(&self, path: &str) -> String {
         format!("{}{path}", self.base())
     }
 
-    /// A page of the server itself, outside the interface.
-    pub(super) fn server_page(&self, path: &str) -> String {
+    /// A page of the server outside `/v1`.
+    pub(crate) fn server_page(&self, path: &str) -> String {
         let base = self.base();
         format!("{}{path}", base.strip_suffix("/v1").unwrap_or(&base))
     }
@@ -142,20 +143,20 @@ impl Endpoint {
         completions.strip_suffix(COMPLETIONS).unwrap_or(&completions).to_owned()
     }
 
-    /// Whether the server is on this machine, by its name.
-    pub(super) fn is_here(&self) -> bool {
+    /// Whether the host name or address is this machine's.
+    pub(crate) fn is_local(&self) -> bool {
         let host = self.completions.host().unwrap_or_default();
         let address = host.trim_matches(['[', ']']).parse::<IpAddr>();
         host == "localhost" || address.is_ok_and(|address| address.is_loopback())
     }
 
-    /// The header that proves who asks.
-    pub(super) fn authorization(&self) -> Option<&HeaderValue> {
+    /// The header that carries the key.
+    pub(crate) fn authorization(&self) -> Option<&HeaderValue> {
         self.authorization.as_ref()
     }
 
-    /// `text` from the server, without the key.
-    pub(super) fn masked(&self, text: &str) -> String {
+    /// `text` from the server with the key masked.
+    pub(crate) fn masked(&self, text: &str) -> String {
         match &self.key {
             None => text.to_owned(),
             Some(key) => key.masked_in(text),
@@ -169,7 +170,7 @@ impl fmt::Display for Endpoint {
     }
 }
 
-/// The variables of a `.env` file; none when there is no file.
+/// The variables of a `.env` file; none when the file does not exist.
 fn read_env_file(path: &Path) -> Result<Vec<(String, String)>, EndpointError> {
     let failed = |problem: String| EndpointError::EnvFile { path: path.to_owned(), problem };
     let lines = match dotenvy::from_path_iter(path) {
@@ -191,7 +192,7 @@ fn read_env_file(path: &Path) -> Result<Vec<(String, String)>, EndpointError> {
         .collect()
 }
 
-const NOT_A_VARIABLE: &str = "a line of it is not NAME=value";
+const NOT_A_VARIABLE: &str = "one of its lines is not NAME=value";
 
 #[cfg(test)]
 mod tests {
@@ -251,7 +252,7 @@ mod tests {
     }
 
     #[test]
-    fn the_key_reaches_the_header_and_nothing_that_is_printed() {
+    fn the_key_is_in_the_header_and_never_printed() {
         let endpoint =
             resolve(Some("http://a/v1"), &[], &format!("OPENAI_API_KEY=\"{KEY}\"\n")).unwrap();
         assert_eq!(endpoint.authorization().unwrap(), &format!("Bearer {KEY}"));
@@ -260,7 +261,7 @@ mod tests {
     }
 
     #[test]
-    fn which_servers_are_here() {
+    fn which_servers_are_local() {
         for (base_url, here) in [
             ("http://localhost:8000/v1", true),
             ("http://127.0.0.1/v1", true),
@@ -268,12 +269,12 @@ mod tests {
             ("https://api.openai.com/v1", false),
             ("http://10.0.0.1:8000/v1", false),
         ] {
-            assert_eq!(Endpoint::new(base_url, None).unwrap().is_here(), here, "{base_url}");
+            assert_eq!(Endpoint::new(base_url, None).unwrap().is_local(), here, "{base_url}");
         }
     }
 
     #[test]
-    fn what_is_wrong_is_said_without_showing_a_secret() {
+    fn errors_show_no_secret() {
         for (base_url, environment, env_file, expected) in [
             (None, ("", ""), "", "no chat endpoint is given"),
             (Some("localhost:8000/v1"), ("", ""), "", "is no URL"),

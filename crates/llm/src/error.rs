@@ -1,87 +1,98 @@
-//! Why there is no reply: failures that may pass, and those that will not.
+//! Why a request got no reply. None of it is the model's doing.
 
 use std::time::Duration;
 
-/// Why there is no reply. None of these is the model's doing.
+/// Why [`ChatClient::ask`](crate::ChatClient::ask) returned no reply.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-pub enum ChatError {
-    /// The server does not take this request, and will not later.
+pub enum AskError {
+    /// This request failed; others may succeed.
+    #[error(transparent)]
+    Failed(RequestError),
+    /// No request can succeed now. The text says what happened and what to do.
+    #[error("{0}")]
+    Stopped(String),
+}
+
+/// Why one request failed for good.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum RequestError {
+    /// The server refused the request with a status that another attempt would not change.
     #[error("{endpoint} refused the request with status {status}: {message}; {advice}")]
     Refused {
-        /// Who.
+        /// The address.
         endpoint: String,
         /// The HTTP status.
         status: u16,
-        /// What the server says.
+        /// The server's message.
         message: String,
         /// What to do.
-        advice: &'static str,
+        advice: String,
     },
-    /// What answers there is no chat endpoint.
+    /// The address answers, but not as a chat endpoint does.
     #[error(
         "{endpoint} is no chat endpoint: it answered with {what}; check the base URL, which usually ends in /v1"
     )]
     NotChat {
-        /// Who.
+        /// The address.
         endpoint: String,
-        /// What came instead.
+        /// What came instead of a reply.
         what: String,
     },
-    /// The question has no form in which it could be sent.
-    #[error("the question cannot be written as JSON: {0}")]
-    Unsaid(String),
-    /// It failed every time, for reasons that might have passed.
+    /// The request cannot be written as JSON.
+    #[error("the request cannot be written as JSON: {0}")]
+    Unserializable(String),
+    /// Every attempt failed for a reason that might have passed.
     #[error("{endpoint} gave no reply (attempts: {attempts}); the last time: {last}")]
     GaveUp {
-        /// Who.
+        /// The address.
         endpoint: String,
-        /// How many times it was asked.
+        /// Attempts made.
         attempts: u32,
-        /// What was wrong the last time.
-        last: Passing,
+        /// Why the last one failed.
+        last: Transient,
     },
 }
 
-/// A failure that may be over when the same is asked again.
+/// A failure of one attempt that another attempt may not meet.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-pub enum Passing {
-    /// A status that says so.
+pub enum Transient {
+    /// Status 429 or 5xx.
     #[error("status {status}: {message}")]
     Status {
         /// The HTTP status.
         status: u16,
-        /// What the server says.
+        /// The server's message.
         message: String,
     },
-    /// The server is busy for longer than anybody waits.
-    #[error("status {status}: {message}; it wants to be left alone for {} s: start again then", wish.as_secs())]
+    /// The server asks for a longer pause than ten minutes.
+    #[error("status {status}: {message}; it asks for a pause of {} s: start again then", retry_after.as_secs())]
     Busy {
         /// The HTTP status.
         status: u16,
-        /// What the server says.
+        /// The server's message.
         message: String,
-        /// How long.
-        wish: Duration,
+        /// The pause that it asks for.
+        retry_after: Duration,
     },
-    /// The answer was not there in time.
-    #[error("no answer within {} s; is the server running, and is --timeout long enough for it?", .0.as_secs_f64())]
+    /// No answer before the attempt's deadline.
+    #[error("no answer within {:.3} s: the server is slow or hangs; a longer --request-timeout gives it more time", .0.as_secs_f64())]
     Timeout(Duration),
-    /// There was no connection at all.
+    /// No connection could be opened.
     #[error("there is no connection: {0}; is the server running?")]
     Unreachable(String),
     /// The connection broke.
     #[error("the connection failed: {0}; is the server running?")]
     Connection(String),
-    /// An answer came that cannot be read.
+    /// The answer cannot be read.
     #[error("the answer cannot be used: {0}")]
     Unreadable(String),
 }
 
-/// What one attempt came to, when not to a reply.
+/// How one attempt failed.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(super) enum Failure {
-    /// Asked again, the same may do better; not before the server's wish, where it has one.
-    Passing(Passing, Option<Duration>),
-    /// It will not.
-    Final(ChatError),
+pub(crate) enum AttemptError {
+    /// Another attempt may succeed, after the pause that the server asks for.
+    Transient(Transient, Option<Duration>),
+    /// No other attempt can.
+    Final(RequestError),
 }

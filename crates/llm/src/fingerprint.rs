@@ -1,7 +1,7 @@
-//! What can be known about whoever serves a model, since it moves scores: the software, its version, which
-//! file it loaded, how long a prompt may be. Data for a manifest, not for a decision.
+//! What a server tells about itself: software, version, model file, context length. It explains differences between
+//! scores; nothing is decided on it.
 //!
-//! Only fields that are known to be harmless are taken over: some servers list their own keys on these pages.
+//! Only fields known to be harmless are copied, since some servers list their own keys on these pages.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -9,18 +9,18 @@ use std::time::Duration;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
-use super::client::Client;
-use super::error::Passing;
-use super::reply;
+use crate::error::Transient;
+use crate::http::HttpClient;
+use crate::reply;
 
-/// Longest that a page of the server's may take.
-const PATIENCE: Duration = Duration::from_secs(10);
+/// Time limit for one page.
+const PAGE_TIMEOUT: Duration = Duration::from_secs(10);
 
-/// Fields of the list of models: the interface's own; vLLM; hosted ones; llama.cpp.
+/// Fields of the list of models: OpenAI's; vLLM's; those of hosted servers; llama.cpp's.
 const MODEL_FIELDS: [&str; 6] =
     ["id", "owned_by", "root", "max_model_len", "context_length", "meta"];
 
-/// Pages of the server's own, and what is taken from them.
+/// Pages outside the interface, and the fields copied from them.
 const PAGES: [(&str, &[&str]); 6] = [
     // vLLM.
     ("/version", &["/version"]),
@@ -48,47 +48,42 @@ const PAGES: [(&str, &[&str]); 6] = [
     ("/api/version", &["/version"]),
 ];
 
-/// Longer texts, such as a chat template, are named by their hash.
+/// Longer texts, such as a chat template, are replaced by their hash.
 const LONGEST_TEXT: usize = 200;
 
-/// Who serves a model.
+/// The server of a model.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Fingerprint {
-    /// What the server calls itself in its answers' headers.
+    /// The `Server` header.
     pub server: Option<String>,
-    /// What the list of models says about the one that is asked; `None` when it is not in it.
+    /// The model's entry in the list of models.
     pub model: Option<Value>,
-    /// What the server's own pages say, by page and field; empty when nobody asked for them.
+    /// Facts from the server's own pages, by page and field.
     pub pages: BTreeMap<String, Value>,
 }
 
-/// The list of models.
+/// The server's answer to the question for its models.
 #[derive(Debug, Clone, PartialEq)]
-pub(super) enum Models {
+pub(crate) enum ModelList {
     /// Their names.
     Listed(Vec<String>),
-    /// The server does not want to say: the status, and its message.
+    /// The server refuses: status and message.
     Refused(u16, String),
-    /// Something else came.
+    /// The answer is no list.
     Unreadable,
 }
 
-/// The cheap part: one request, for the list of models. What cannot be had is left out.
-pub fn of(client: &Client) -> Fingerprint {
-    models(client).map_or_else(|_| Fingerprint::default(), |(fingerprint, _)| fingerprint)
-}
-
-/// The same, and what the list of models says.
-pub(super) fn models(client: &Client) -> Result<(Fingerprint, Models), Passing> {
-    let page = client.get(&client.endpoint().page("/models"), PATIENCE)?;
+/// The fingerprint without the server's own pages, and the list of models.
+pub(crate) fn models(client: &HttpClient) -> Result<(Fingerprint, ModelList), Transient> {
+    let page = client.get(&client.endpoint().page("/models"), PAGE_TIMEOUT)?;
     let mut fingerprint = Fingerprint { server: page.server, ..Fingerprint::default() };
     if page.status != 200 {
         let message = reply::error_message(page.body.as_bytes());
-        return Ok((fingerprint, Models::Refused(page.status, message)));
+        return Ok((fingerprint, ModelList::Refused(page.status, message)));
     }
     let list: Value = serde_json::from_str(&page.body).unwrap_or_default();
     let Some(models) = list["data"].as_array() else {
-        return Ok((fingerprint, Models::Unreadable));
+        return Ok((fingerprint, ModelList::Unreadable));
     };
     let name = |model: &Value| model["id"].as_str().map(str::to_owned);
     let asked = models.iter().find(|model| model["id"] == client.settings().model);
@@ -96,13 +91,15 @@ pub(super) fn models(client: &Client) -> Result<(Fingerprint, Models), Passing> 
         let fields = MODEL_FIELDS.iter().filter(|field| !model[**field].is_null());
         fields.map(|field| ((*field).to_owned(), model[*field].clone())).collect()
     });
-    Ok((fingerprint, Models::Listed(models.iter().filter_map(name).collect())))
+    Ok((fingerprint, ModelList::Listed(models.iter().filter_map(name).collect())))
 }
 
-/// Adds what the server's own pages say, of which it has some or none.
-pub(super) fn read_pages(client: &Client, fingerprint: &mut Fingerprint) {
+/// Adds the facts from the server's own pages, as far as it has them.
+pub(crate) fn read_pages(client: &HttpClient, fingerprint: &mut Fingerprint) {
     for (path, fields) in PAGES {
-        let Ok(page) = client.get(&client.endpoint().server_page(path), PATIENCE) else { continue };
+        let Ok(page) = client.get(&client.endpoint().server_page(path), PAGE_TIMEOUT) else {
+            continue;
+        };
         let Ok(facts) = serde_json::from_str::<Value>(&page.body) else { continue };
         for field in fields.iter().filter(|_| page.status == 200) {
             if let Some(value) = facts.pointer(field).filter(|value| !value.is_null()) {
@@ -123,22 +120,19 @@ fn shortened(value: &Value) -> Value {
 
 #[cfg(test)]
 mod tests {
-    use super::super::client::Settings;
-    use super::super::endpoint::Endpoint;
-    use super::super::scripted::{Server, Turn};
-    use super::super::secret::Secret;
     use super::*;
+    use crate::scripted::{Server, Turn};
+    use crate::{ApiKey, ChatSettings, Endpoint};
 
     const KEY: &str = "sk-very-secret";
 
-    fn client(server: &Server) -> Client {
-        let endpoint = Endpoint::new(&server.base_url(), Secret::new(KEY)).unwrap();
-        let timeout = Duration::from_secs(60);
-        Client::new(endpoint, Settings { model: "m".into(), timeout, max_retries: 0 })
+    fn client(server: &Server) -> HttpClient {
+        let endpoint = Endpoint::new(&server.base_url(), ApiKey::new(KEY)).unwrap();
+        HttpClient::new(endpoint, ChatSettings::new("m"))
     }
 
     #[test]
-    fn what_servers_tell_about_themselves() {
+    fn facts_are_copied_and_secrets_are_not() {
         let server = Server::start(|request| match &*request.line {
             "GET /v1/models HTTP/1.1" => Turn::json(
                 200,
@@ -160,8 +154,7 @@ mod tests {
         .unwrap();
         let client = client(&server);
         let (mut fingerprint, models) = models(&client).unwrap();
-        assert_eq!(models, Models::Listed(vec!["l".into(), "m".into()]));
-        assert_eq!(of(&client), fingerprint);
+        assert_eq!(models, ModelList::Listed(vec!["l".into(), "m".into()]));
         read_pages(&client, &mut fingerprint);
         let written = serde_json::to_string_pretty(&fingerprint).unwrap();
         insta::assert_snapshot!(written, @r#"
@@ -184,16 +177,16 @@ mod tests {
     }
 
     #[test]
-    fn a_server_without_such_pages_is_none_the_worse() {
+    fn a_server_without_these_pages_has_an_empty_fingerprint() {
         for (turn, expected) in [
             (
                 Turn::json(404, &json!({"detail": "Not Found"})),
-                Models::Refused(404, "Not Found".into()),
+                ModelList::Refused(404, "Not Found".into()),
             ),
-            (Turn::json(200, &json!([])), Models::Unreadable),
+            (Turn::json(200, &json!([])), ModelList::Unreadable),
             (
                 Turn::Answer { status: 200, headers: vec![], body: "<html>".into() },
-                Models::Unreadable,
+                ModelList::Unreadable,
             ),
         ] {
             let server = Server::start(move |_| turn.clone()).unwrap();
@@ -206,6 +199,6 @@ mod tests {
         let gone = Server::turns([]).unwrap();
         let client = client(&gone);
         drop(gone);
-        assert_eq!(of(&client), Fingerprint::default());
+        assert!(matches!(models(&client), Err(Transient::Unreachable(_))));
     }
 }

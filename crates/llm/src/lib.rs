@@ -1,36 +1,33 @@
-//! Asking a model: the project's only HTTP.
+//! A client for chat completions of the OpenAI interface, and the project's only HTTP.
 //!
-//! - [`Endpoint`]: where, and with which key ([`Secret`]);
-//! - [`Question`]: messages of text, or of text and images; [`Reply`]: what came back and what it cost;
-//! - [`Client`]: asks, with a deadline for each attempt, and again when a failure may pass;
-//! - [`Pool`]: the same for many questions at once, which share what is learnt about the server;
+//! - [`Endpoint`]: the address of a server and the key for it ([`ApiKey`]), from flags, environment or `.env`;
+//! - [`ChatRequest`] and [`ChatReply`]: messages of text and images; an answer and the tokens it took;
+//! - [`ChatClient`]: sends requests, many at once, with retries, a deadline for each attempt and a cache. What one
+//!   request learns about the server holds for all ([`server`]);
 //! - [`ResponseCache`]: replies on disk;
-//! - [`probe`]: what a server can do, and [`fingerprint`]: who it is;
-//! - [`pipe`]: the same for other processes, as lines of JSON (`policy-proc ask`).
+//! - [`probe`] and [`fingerprint`]: what a server can do, and what it tells about itself.
 //!
-//! What is not here: what a question says. Whoever asks words it.
+//! The wording of requests is left to the crates that link this one.
 
+mod api_key;
 mod cache;
 mod client;
 mod endpoint;
 mod error;
 pub mod fingerprint;
-mod message;
-pub mod pipe;
-mod pool;
+mod http;
 pub mod probe;
 mod reply;
-mod retry;
+mod request;
 #[cfg(any(test, feature = "scripted-server"))]
 pub mod scripted;
-mod secret;
+mod server;
 
-pub use cache::{Amount, Held, Listing, Pruned, ResponseCache};
-pub use client::{Client, Settings};
+pub use api_key::ApiKey;
+pub use cache::{CacheListing, CacheSize, ModelReplies, Pruned, ResponseCache};
+pub use client::{ChatAnswer, ChatClient, ChatSettings};
 pub use endpoint::{BASE_URL_VARIABLES, ENV_FILE, Endpoint, EndpointError, KEY_VARIABLE};
-pub use error::{ChatError, Passing};
+pub use error::{AskError, RequestError, Transient};
 pub use fingerprint::Fingerprint;
-pub use message::{Content, ImageUrl, Message, Part, Question, Speaker};
-pub use pool::{Asked, Job, Pool, PoolError, PoolSettings};
-pub use reply::{Outcome, Reply};
-pub use secret::Secret;
+pub use reply::{ChatReply, ReplyContent};
+pub use request::{ChatMessage, ChatRequest, ChatRole, ContentPart, ImageUrl, MessageContent};

@@ -1,54 +1,52 @@
-//! What a server can do, found out by asking it: whether a run with it makes sense, before the run.
+//! What a server can do, found out by asking it before a run: whether it knows the model, sees images, takes a request
+//! of the run's size and in what time.
 //!
-//! Nothing here is a benchmark: the pictures are coloured squares and the questions are trivial.
-
-mod picture;
+//! This is no benchmark: apart from the request of the run's size, the questions are trivial.
 
 use std::thread;
 use std::time::{Duration, Instant};
 
 use serde::Serialize;
 
-use super::client::Client;
-use super::error::{ChatError, Failure, Passing};
-use super::fingerprint::{self, Fingerprint, Models};
-use super::message::{Content, Message, Part, Question, Speaker};
-use super::reply::{Outcome, Reply};
-use picture::Colour;
+use crate::client::ChatClient;
+use crate::error::{AskError, AttemptError, RequestError, Transient};
+use crate::fingerprint::{self, Fingerprint, ModelList};
+use crate::reply::{ChatReply, ReplyContent};
+use crate::request::{ChatMessage, ChatRequest, ChatRole, ContentPart, ImageUrl, MessageContent};
 
-/// Most images that one request of a run shows (SPEC section 5).
-const MOST_IMAGES: u32 = 50;
-
-/// Most tokens of an answer, as in a run.
+/// Most tokens of a short answer, as in a run.
 const ANSWER_TOKENS: u32 = 30;
 
 /// Most tokens of an answer whose time is taken.
 const TIMED_TOKENS: u32 = 64;
 
-/// How a thing is.
+/// Edge of the coloured squares, in pixels: above the patch size of every model known.
+const SQUARE: u32 = 56;
+
+/// How good a finding is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "lowercase")]
-pub enum Mark {
+pub enum ProbeMark {
     /// As a run needs it.
     Ok,
-    /// A run works, and its results may be worth less than they look.
+    /// A run works, but its results may be worth less than they look.
     Doubtful,
-    /// A run makes no sense before something is done about it.
+    /// A run makes no sense until this is solved.
     Bad,
 }
 
-/// One thing that was tried.
+/// The outcome of one check.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
-pub struct Finding {
-    /// What.
+pub struct ProbeFinding {
+    /// What was checked.
     pub what: &'static str,
-    /// How it is.
-    pub mark: Mark,
-    /// What was seen, and what to do where it is not as it should be.
+    /// How good it is.
+    pub mark: ProbeMark,
+    /// What was seen, and what to do about it.
     pub about: String,
 }
 
-/// How fast answers came.
+/// The speed of answers of up to 64 tokens.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Speed {
     /// Seconds for one request alone.
@@ -63,44 +61,63 @@ pub struct Speed {
     pub together_tokens: Option<u64>,
 }
 
-/// All that was found out.
+/// A request of the run's size that was accepted.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Report {
-    /// Where requests went.
+pub struct RunSized {
+    /// Its images.
+    pub images: u32,
+    /// Seconds until the reply.
+    pub seconds: f64,
+    /// Tokens of its prompt, where the server counts them.
+    pub prompt_tokens: Option<u64>,
+}
+
+/// Everything that was found out.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct ProbeReport {
+    /// The address.
     pub endpoint: String,
     /// The model that was asked for.
     pub model: String,
-    /// In the order in which it was tried; what makes no sense after a failure was not.
-    pub findings: Vec<Finding>,
-    /// Most images that a request may show, up to the 50 that a run can need; `None` when that is not known.
-    pub images_per_request: Option<u32>,
-    /// How fast it is.
+    /// In the order of the checks. Checks that make no sense after a failure are left out.
+    pub findings: Vec<ProbeFinding>,
+    /// The largest request of a run that the server accepts; `None` when none was accepted.
+    pub run_sized: Option<RunSized>,
+    /// The speed of short answers.
     pub speed: Option<Speed>,
-    /// Who serves.
+    /// The server.
     pub fingerprint: Fingerprint,
-    /// The model by the name that its answers bear.
+    /// The model's name in the server's answers.
     pub reported_model: Option<String>,
-    /// What the server calls the configuration that answered.
+    /// The server's name for the configuration that answered.
     pub system_fingerprint: Option<String>,
 }
 
-impl Report {
-    /// The worst of its marks.
-    pub fn worst(&self) -> Mark {
-        self.findings.iter().map(|finding| finding.mark).max().unwrap_or(Mark::Ok)
+impl ProbeReport {
+    /// The worst mark.
+    pub fn worst(&self) -> ProbeMark {
+        self.findings.iter().map(|finding| finding.mark).max().unwrap_or(ProbeMark::Ok)
     }
 }
 
-/// Finds out what the server can do, with `together` requests at once where several are sent. Takes some thirty
-/// short requests.
-pub fn run(client: &Client, together: u32) -> Report {
+/// The largest request of a run: its number of images, and the request with fewer of them.
+pub struct RunRequest<'a> {
+    /// Its images.
+    pub images: u32,
+    /// The request with at most so many images.
+    pub with: &'a dyn Fn(u32) -> ChatRequest,
+}
+
+/// Checks what the server can do, with `together` requests at once where several are sent. `run` is the largest request
+/// of the run to come.
+pub fn run(client: &ChatClient, together: u32, run: &RunRequest<'_>) -> ProbeReport {
     let mut probe = Probe {
         client,
-        report: Report {
+        report: ProbeReport {
             endpoint: client.endpoint().to_string(),
             model: client.settings().model.clone(),
             findings: Vec::new(),
-            images_per_request: None,
+            run_sized: None,
             speed: None,
             fingerprint: Fingerprint::default(),
             reported_model: None,
@@ -108,42 +125,72 @@ pub fn run(client: &Client, together: u32) -> Report {
         },
     };
     if probe.reach() && probe.answer() {
-        probe.images();
+        probe.constraint();
+        if run.images == 0 || probe.images() {
+            probe.run_sized(run);
+        }
         probe.temperature();
         probe.speed(together.max(1));
-        fingerprint::read_pages(client, &mut probe.report.fingerprint);
+        fingerprint::read_pages(client.http(), &mut probe.report.fingerprint);
     }
     probe.report
 }
 
 struct Probe<'a> {
-    client: &'a Client,
-    report: Report,
+    client: &'a ChatClient,
+    report: ProbeReport,
 }
 
-/// What a server does about a number of images.
-enum Shown {
-    Taken(Reply),
+/// The server's reaction to a request that it may refuse.
+enum Reaction {
+    Accepted(Box<ChatReply>),
     Refused(String),
-    Unknown(String),
+    Failed(String),
 }
 
 impl Probe<'_> {
-    fn found(&mut self, what: &'static str, mark: Mark, about: impl Into<String>) {
-        self.report.findings.push(Finding { what, mark, about: about.into() });
+    fn found(&mut self, what: &'static str, mark: ProbeMark, about: impl Into<String>) {
+        self.report.findings.push(ProbeFinding { what, mark, about: about.into() });
     }
 
-    /// Whether somebody is there, and knows the model.
+    fn ask(&self, request: &ChatRequest) -> Result<ChatReply, AskError> {
+        self.client.ask(request, 0).map(|answered| answered.reply)
+    }
+
+    /// Sends a request that the server may refuse: once, and with retries if the first attempt fails otherwise.
+    fn try_once(&self, request: &ChatRequest) -> Reaction {
+        let refused = |message: String| Reaction::Refused(message.trim_end_matches('.').to_owned());
+        let timeout = self.client.settings().request_timeout;
+        match self.client.http().attempt(request, timeout) {
+            Ok(reply) => Reaction::Accepted(Box::new(reply)),
+            Err(AttemptError::Final(RequestError::Refused { message, .. })) => refused(message),
+            // Some servers answer so when they cannot handle images.
+            Err(AttemptError::Transient(Transient::Status { status: 500 | 501, message }, _)) => {
+                refused(message)
+            }
+            Err(AttemptError::Transient(reason @ Transient::Timeout(_), _)) => {
+                Reaction::Failed(reason.to_string())
+            }
+            Err(AttemptError::Final(error)) => Reaction::Failed(error.to_string()),
+            Err(AttemptError::Transient(..)) => match self.ask(request) {
+                Ok(reply) => Reaction::Accepted(Box::new(reply)),
+                Err(AskError::Failed(RequestError::Refused { message, .. })) => refused(message),
+                Err(error) => Reaction::Failed(error.to_string()),
+            },
+        }
+    }
+
+    /// Whether a server is there, and knows the model.
     fn reach(&mut self) -> bool {
         let start = Instant::now();
-        let (fingerprint, models) = match fingerprint::models(self.client) {
+        let (fingerprint, models) = match fingerprint::models(self.client.http()) {
             Ok(found) => found,
             Err(problem) => {
-                let endpoint = &self.report.endpoint;
                 let about = format!(
-                    "nobody answers for {endpoint}: {problem} Start the server, or correct --base-url."
+                    "no answer from {}: {problem} Start the server, or correct --base-url.",
+                    self.report.endpoint
                 );
-                self.found("reachable", Mark::Bad, about);
+                self.found("reachable", ProbeMark::Bad, about);
                 return false;
             }
         };
@@ -151,241 +198,264 @@ impl Probe<'_> {
         let server = fingerprint.server.clone().unwrap_or_else(|| "no name".to_owned());
         self.report.fingerprint = fingerprint;
         let about = format!("the list of models came after {elapsed:.2} s (server: {server})");
-        self.found("reachable", Mark::Ok, about);
+        self.found("reachable", ProbeMark::Ok, about);
         let model = &self.report.model;
         let (mark, about) = match models {
-            Models::Listed(names) if names.contains(model) => {
-                (Mark::Ok, format!("{model} is in the server's list of {}", names.len()))
+            ModelList::Listed(names) if names.contains(model) => {
+                (ProbeMark::Ok, format!("{model} is in the server's list of {}", names.len()))
             }
-            Models::Listed(names) => (
-                Mark::Doubtful,
+            ModelList::Listed(names) => (
+                ProbeMark::Doubtful,
                 format!(
-                    "{model} is not in the server's list; it has {}. Some servers answer all the same; if \
-                     this one does not, pass one of these with --model.",
-                    listing(&names)
+                    "{model} is not in the server's list ({}). If requests fail, pass one of these with --model.",
+                    abbreviated(&names)
                 ),
             ),
-            Models::Refused(401 | 403, message) => (
-                Mark::Doubtful,
+            ModelList::Refused(401 | 403, message) => (
+                ProbeMark::Doubtful,
                 format!(
-                    "the server does not show its list: {message}. Set OPENAI_API_KEY, or check it."
+                    "the server does not show its list: {message}. Set or check OPENAI_API_KEY."
                 ),
             ),
-            Models::Refused(status, message) => (
-                Mark::Ok,
-                format!("the server has no list to look in (status {status}: {message})"),
-            ),
-            Models::Unreadable => (Mark::Ok, "the server has no list to look in".to_owned()),
+            ModelList::Refused(status, message) => {
+                (ProbeMark::Ok, format!("the server has no list (status {status}: {message})"))
+            }
+            ModelList::Unreadable => (ProbeMark::Ok, "the server has no list".to_owned()),
         };
         self.found("model", mark, about);
         true
     }
 
-    /// Whether it answers as a run needs it: at all, without reasoning, within a few tokens.
+    /// Whether the model answers: at all, without reasoning, within a few tokens.
     fn answer(&mut self) -> bool {
-        let question = text("What is 17 + 25? Answer with the number only.", ANSWER_TOKENS);
-        let reply = match self.client.ask(&question) {
+        let question =
+            ChatRequest::text("What is 17 + 25? Answer with the number only.", ANSWER_TOKENS);
+        let reply = match self.ask(&question) {
             Ok(reply) => reply,
             Err(error) => {
-                self.found("answers", Mark::Bad, error.to_string());
+                self.found("answers", ProbeMark::Bad, error.to_string());
                 return false;
             }
         };
-        let Reply { outcome, reasoned, completion_tokens, .. } = reply;
-        self.report.reported_model = reply.model;
-        self.report.system_fingerprint = reply.system_fingerprint;
-        let tokens = completion_tokens.map_or_else(String::new, |n| format!(" in {n} tokens"));
-        let (mark, about) = match &outcome {
-            Outcome::Text(text) => (Mark::Ok, format!("{:?}{tokens} to 17 + 25", short(text))),
-            Outcome::Length(text) => (
-                Mark::Doubtful,
-                format!("more than {ANSWER_TOKENS} tokens to 17 + 25: {:?}", short(text)),
+        let tokens =
+            reply.completion_tokens.map_or_else(String::new, |n| format!(" in {n} tokens"));
+        let text = short(reply.text());
+        let (mark, about) = match &reply.content {
+            ReplyContent::Text(_) => (ProbeMark::Ok, format!("{text:?}{tokens} to 17 + 25")),
+            ReplyContent::Length(_) => (
+                ProbeMark::Doubtful,
+                format!("more than {ANSWER_TOKENS} tokens to 17 + 25: {text:?}"),
             ),
-            Outcome::Refusal(text) => {
-                (Mark::Bad, format!("it refuses to say what 17 + 25 is: {:?}", short(text)))
+            ReplyContent::Refusal(_) => {
+                (ProbeMark::Bad, format!("the model refuses to say what 17 + 25 is: {text:?}"))
             }
-            Outcome::Empty => (
-                Mark::Bad,
-                format!("nothing{tokens} to 17 + 25: see which chat template the server uses."),
+            ReplyContent::Empty => (
+                ProbeMark::Bad,
+                format!("nothing{tokens} to 17 + 25: check the server's chat template."),
             ),
         };
         self.found("answers", mark, about);
-        let (mark, about) = if reasoned {
+        let (mark, about) = if reply.reasoned {
             (
-                Mark::Bad,
-                "the model reasons although every request asks it not to, and has few tokens for its answer: \
-                 turn reasoning off at the server, or serve a variant that does not reason."
+                ProbeMark::Bad,
+                "the model reasons although every request turns reasoning off, and has few tokens for its answer: turn \
+                 reasoning off at the server, or serve a variant that does not reason."
                     .to_owned(),
             )
         } else {
-            (Mark::Ok, "the answer came without reasoning".to_owned())
+            (ProbeMark::Ok, "the answer came without reasoning".to_owned())
         };
         self.found("reasoning off", mark, about);
+        self.report.reported_model = reply.model;
+        self.report.system_fingerprint = reply.system_fingerprint;
         true
     }
 
-    /// Whether it takes images and sees them, and how many at once.
-    fn images(&mut self) {
-        let mut seen = Vec::new();
-        let mut one = None;
-        for colour in [Colour::Red, Colour::Blue] {
-            let reply = match self.show(colour, 1) {
-                Shown::Taken(reply) => reply,
-                Shown::Refused(message) => {
-                    self.report.images_per_request = Some(0);
+    /// Whether the server keeps an answer to a list of choices.
+    fn constraint(&mut self) {
+        const CHOICES: [&str; 2] = ["harbour", "meadow"];
+        let question = ChatRequest {
+            choices: CHOICES.to_vec(),
+            ..ChatRequest::text("What is 17 + 25? Answer with the number only.", ANSWER_TOKENS)
+        };
+        let (mark, about) = match self.ask(&question) {
+            Ok(reply) if CHOICES.iter().any(|choice| reply.text().contains(choice)) => {
+                (ProbeMark::Ok, "the server restricts answers to the actions")
+            }
+            Ok(_) => (
+                ProbeMark::Ok,
+                "the server does not restrict answers: the first action in the model's text is taken",
+            ),
+            Err(_) => (ProbeMark::Doubtful, "the server fails when answers are restricted"),
+        };
+        self.found("restricted answers", mark, about);
+    }
+
+    /// Whether the model sees images; `false` when the server takes none.
+    fn images(&mut self) -> bool {
+        let mut right = true;
+        let mut story = Vec::new();
+        for (colour, rgba) in [("red", [230, 20, 20, 255]), ("blue", [20, 20, 230, 255])] {
+            let reply = match self.try_once(&square(rgba)) {
+                Reaction::Accepted(reply) => reply,
+                Reaction::Refused(message) => {
                     let about = format!(
-                        "the server takes none: {message}. Serve a model that sees (for llama.cpp with its \
-                         --mmproj file), or run with --image-budget 0."
+                        "the server takes none: {message}. Serve a model that sees (for llama.cpp with its --mmproj \
+                         file), or run with --image-budget 0."
                     );
-                    return self.found("images", Mark::Bad, about);
+                    self.found("images", ProbeMark::Bad, about);
+                    return false;
                 }
-                Shown::Unknown(problem) => {
-                    let about = format!("could not be found out: {problem}");
-                    return self.found("images", Mark::Bad, about);
+                Reaction::Failed(problem) => {
+                    self.found("images", ProbeMark::Bad, format!("not known: {problem}"));
+                    return false;
                 }
             };
-            let said = said(&reply.outcome).to_owned();
-            seen.push((said.to_lowercase().contains(colour.word()), colour, said));
-            one = Some(reply);
+            right &= reply.text().to_lowercase().contains(colour);
+            story.push(format!("{:?} to a {colour} square", short(reply.text())));
         }
-        let story: Vec<String> = seen
-            .iter()
-            .map(|(_, colour, said)| format!("{:?} to a {} square", short(said), colour.word()))
-            .collect();
         let story = story.join(", ");
-        if seen.iter().all(|(right, ..)| *right) {
-            self.found("images", Mark::Ok, story);
+        if right {
+            self.found("images", ProbeMark::Ok, story);
         } else {
             let about = format!("{story}: the model may be too small, or not see what it is sent.");
-            self.found("images", Mark::Doubtful, about);
+            self.found("images", ProbeMark::Doubtful, about);
         }
-        self.count(one.and_then(|reply| reply.prompt_tokens));
+        true
     }
 
-    /// How many images a request may show. `one` is what a request with one cost.
-    fn count(&mut self, one: Option<u64>) {
-        const WHAT: &str = "images per request";
-        let (mut taken, mut refused, mut message) = (1, MOST_IMAGES + 1, String::new());
-        let mut most = None;
-        while refused - taken > 1 {
-            // Most servers that take many take all.
-            let number = if refused > MOST_IMAGES { MOST_IMAGES } else { taken.midpoint(refused) };
-            match self.show(Colour::Red, number) {
-                Shown::Taken(reply) => (taken, most) = (number, reply.prompt_tokens),
-                Shown::Refused(why) => (refused, message) = (number, why),
-                Shown::Unknown(problem) => {
+    /// Whether the server takes the largest request of the run, and in what time; if not, with how many images.
+    fn run_sized(&mut self, run: &RunRequest<'_>) {
+        const WHAT: &str = "request of the run's size";
+        let (mut accepted, mut refused) = (None::<RunSized>, None::<(u32, String)>);
+        let mut images = run.images;
+        loop {
+            let start = Instant::now();
+            match self.try_once(&(run.with)(images)) {
+                Reaction::Accepted(reply) => {
+                    let seconds = start.elapsed().as_secs_f64();
+                    accepted =
+                        Some(RunSized { images, seconds, prompt_tokens: reply.prompt_tokens });
+                }
+                Reaction::Refused(message) => refused = Some((images, message)),
+                Reaction::Failed(problem) => {
                     let about = format!(
-                        "at least {taken}; with {number} it could not be found out: {problem} Run with \
-                         --image-budget {taken}, or give the server more room or time."
+                        "with {images} images: {problem}. Run with a longer --request-timeout or a smaller \
+                         --image-budget."
                     );
-                    return self.found(WHAT, Mark::Doubtful, about);
+                    return self.found(WHAT, ProbeMark::Bad, about);
                 }
             }
+            images = match (&accepted, &refused) {
+                (_, None) | (None, Some((0, _))) => break,
+                (Some(accepted), Some((refused, _))) if refused - accepted.images <= 1 => break,
+                (Some(accepted), Some((refused, _))) => accepted.images.midpoint(*refused),
+                (None, Some((refused, _))) => refused / 2,
+            };
         }
-        self.report.images_per_request = Some(taken);
-        // Whatever an image costs, it is a token or more.
-        let dropped = one.zip(most).is_some_and(|(one, most)| most < one + u64::from(taken) - 1);
-        let (mark, about) = if dropped {
-            let about = format!(
-                "{taken} are accepted, but the server counts hardly more tokens than for one: it may drop some \
-                 without a word. Look at its settings before you trust a run."
-            );
-            (Mark::Doubtful, about)
-        } else if taken == MOST_IMAGES {
-            (Mark::Ok, format!("{taken} at least, which is what a run can need"))
-        } else {
-            let about = format!(
-                "{taken}; {refused} are refused: {message}. Raise the server's bound (vLLM: \
-                 --limit-mm-per-prompt '{{\"image\": {MOST_IMAGES}}}') or its context, or run with \
-                 --image-budget {taken}."
-            );
-            (Mark::Doubtful, about)
-        };
+        if let Some(RunSized { images: 1.., prompt_tokens: Some(tokens), .. }) = accepted
+            && let Reaction::Accepted(reply) = self.try_once(&(run.with)(0))
+            && reply.prompt_tokens.is_some_and(|without| tokens <= without)
+        {
+            let about = "images are accepted, but add no tokens to the prompt: the server may drop them. Check its settings.";
+            return self.found(WHAT, ProbeMark::Bad, about);
+        }
+        let (mark, about) =
+            judge(run.images, accepted.as_ref(), refused, self.client.settings().request_timeout);
         self.found(WHAT, mark, about);
+        self.report.run_sized = accepted;
     }
 
-    /// Shows `number` squares, once: a refusal is an answer here. A server that fails otherwise is asked again.
-    fn show(&self, colour: Colour, number: u32) -> Shown {
-        let image = match colour.picture() {
-            Ok(image_url) => Part::ImageUrl { image_url },
-            Err(problem) => return Shown::Unknown(problem),
-        };
-        let mut parts = vec![image; number as usize];
-        let text = "What colour is the square? Answer with one word.";
-        parts.push(Part::Text { text: text.to_owned() });
-        let message = Message { role: Speaker::User, content: Content::Parts(parts) };
-        let question = Question { messages: vec![message], max_tokens: ANSWER_TOKENS };
-        let refused = |message: String| Shown::Refused(message.trim_end_matches('.').to_owned());
-        match self.client.attempt(&question) {
-            Ok(reply) => Shown::Taken(reply),
-            Err(Failure::Final(ChatError::Refused { message, .. })) => refused(message),
-            // Some servers say so that they do not know what an image is.
-            Err(Failure::Passing(Passing::Status { status: 500 | 501, message }, _)) => {
-                refused(message)
-            }
-            Err(Failure::Final(error)) => Shown::Unknown(error.to_string()),
-            Err(Failure::Passing(..)) => match self.client.ask(&question) {
-                Ok(reply) => Shown::Taken(reply),
-                Err(ChatError::Refused { message, .. }) => refused(message),
-                Err(error) => Shown::Unknown(error.to_string()),
-            },
-        }
-    }
-
-    /// Whether the same question has the same answer.
+    /// Whether the same question gets the same answer.
     fn temperature(&mut self) {
-        let question = text("Name ten animals, with commas between them.", ANSWER_TOKENS);
-        let [first, second] = [0, 1].map(|_| self.client.ask(&question));
-        let (mark, about) = match (first, second) {
-            (Ok(first), Ok(second)) if first.outcome == second.outcome => {
-                (Mark::Ok, "the same question had the same answer twice".to_owned())
+        let question =
+            ChatRequest::text("Name ten animals, with commas between them.", ANSWER_TOKENS);
+        let (mark, about) = match [0, 1].map(|_| self.ask(&question)) {
+            [Ok(first), Ok(second)] if first.content == second.content => {
+                (ProbeMark::Ok, "the same question had the same answer twice".to_owned())
             }
-            (Ok(first), Ok(second)) => (
-                Mark::Doubtful,
+            [Ok(first), Ok(second)] => (
+                ProbeMark::Doubtful,
                 format!(
-                    "the same question had two answers, {:?} and {:?}: a run will not repeat exactly. Ask for \
-                     several repetitions (--runs), or see whether the server can be made deterministic.",
-                    short(said(&first.outcome)),
-                    short(said(&second.outcome)),
+                    "the same question had two answers, {:?} and {:?}: a run will not repeat exactly. Ask for several \
+                     repetitions (--runs), or make the server deterministic.",
+                    short(first.text()),
+                    short(second.text()),
                 ),
             ),
-            (Err(error), _) | (_, Err(error)) => (Mark::Bad, error.to_string()),
+            [Err(error), _] | [_, Err(error)] => (ProbeMark::Bad, error.to_string()),
         };
         self.found("temperature 0", mark, about);
     }
 
-    /// How fast it is, alone and with `together` requests at once.
+    /// The speed of short answers, alone and with `together` requests at once.
     fn speed(&mut self, together: u32) {
         const WHAT: &str = "speed";
         let start = Instant::now();
-        let alone = match self.client.ask(&counting(0)) {
+        let alone_tokens = match self.ask(&counting(0)) {
             Ok(reply) => reply.completion_tokens,
-            Err(error) => return self.found(WHAT, Mark::Bad, error.to_string()),
+            Err(error) => return self.found(WHAT, ProbeMark::Bad, error.to_string()),
         };
         let alone_s = start.elapsed().as_secs_f64();
         let (start, client) = (Instant::now(), self.client);
-        let replies = thread::scope(|scope| {
-            let asking: Vec<_> = (1..=together)
-                .map(|number| scope.spawn(move || client.ask(&counting(number))))
+        let replies: Result<Vec<_>, AskError> = thread::scope(|scope| {
+            let threads: Vec<_> = (1..=together)
+                .map(|number| scope.spawn(move || client.ask(&counting(number), 0)))
                 .collect();
-            let replies = asking.into_iter().map(|asking| asking.join().ok());
-            replies.collect::<Option<Result<Vec<_>, _>>>()
+            let joined = threads.into_iter().filter_map(|thread| thread.join().ok());
+            joined.collect()
         });
         let together_s = start.elapsed().as_secs_f64();
         let replies = match replies {
-            Some(Ok(replies)) => replies,
-            Some(Err(error)) => {
+            Ok(replies) => replies,
+            Err(error) => {
                 let about = format!(
-                    "{together} requests at once are too many for it: {error}. Run with fewer --max-connections."
+                    "{together} requests at once are too many: {error}. Run with fewer --max-connections."
                 );
-                return self.found(WHAT, Mark::Doubtful, about);
+                return self.found(WHAT, ProbeMark::Doubtful, about);
             }
-            None => return self.found(WHAT, Mark::Bad, "the requests could not be sent"),
         };
-        let together_tokens = replies.iter().map(|reply| reply.completion_tokens).sum();
-        let speed = Speed { alone_s, alone_tokens: alone, together, together_s, together_tokens };
-        self.found(WHAT, Mark::Ok, speed.to_string());
+        let together_tokens = replies.iter().map(|answered| answered.reply.completion_tokens).sum();
+        let speed = Speed { alone_s, alone_tokens, together, together_s, together_tokens };
+        self.found(WHAT, ProbeMark::Ok, speed.to_string());
         self.report.speed = Some(speed);
+    }
+}
+
+/// The finding about a request of the run's size with `images` images.
+fn judge(
+    images: u32,
+    accepted: Option<&RunSized>,
+    refused: Option<(u32, String)>,
+    timeout: Duration,
+) -> (ProbeMark, String) {
+    let Some(RunSized { images: taken, seconds, prompt_tokens }) = accepted else {
+        let (_, message) = refused.unwrap_or_default();
+        let about = format!(
+            "refused even without images: {message}. The prompt is longer than the server's context: raise it."
+        );
+        return (ProbeMark::Bad, about);
+    };
+    let tokens =
+        prompt_tokens.map_or_else(String::new, |tokens| format!(", {tokens} prompt tokens"));
+    let took = format!("{taken} images took {seconds:.1} s{tokens}");
+    match refused {
+        Some((refused, message)) => {
+            let about = format!(
+                "{refused} images are refused: {message}. {took}. Raise the server's context or its bound on images \
+                 (vLLM: --limit-mm-per-prompt '{{\"image\": {images}}}'), or run with --image-budget {taken}."
+            );
+            (ProbeMark::Bad, about)
+        }
+        None if *seconds * 4.0 > timeout.as_secs_f64() => {
+            let about = format!(
+                "{took} alone, with {} s for a request: several at once may take longer. Run with fewer \
+                 --max-connections or a longer --request-timeout.",
+                timeout.as_secs()
+            );
+            (ProbeMark::Doubtful, about)
+        }
+        None => (ProbeMark::Ok, took),
     }
 }
 
@@ -403,23 +473,24 @@ impl std::fmt::Display for Speed {
     }
 }
 
-fn text(text: &str, max_tokens: u32) -> Question {
-    Question { messages: vec![Message::text(Speaker::User, text)], max_tokens }
+/// The question for the colour of a square.
+fn square(rgba: [u8; 4]) -> ChatRequest {
+    let image = png_file::RgbaImage::filled(SQUARE, SQUARE, rgba);
+    let png = png_file::encode(SQUARE, SQUARE, png_file::Channels::Rgba, image.as_bytes());
+    let image_url = ImageUrl::of_bytes("image/png", &png.unwrap_or_default());
+    let text = "What colour is the square? Answer with one word.".to_owned();
+    let parts = vec![ContentPart::ImageUrl { image_url }, ContentPart::Text { text }];
+    let message = ChatMessage { role: ChatRole::User, content: MessageContent::Parts(parts) };
+    ChatRequest { messages: vec![message], max_tokens: ANSWER_TOKENS, choices: Vec::new() }
 }
 
-/// Something to say for a while; each number begins in its own way, so that no prefix is known.
-fn counting(number: u32) -> Question {
-    text(&format!("{number}: count upwards from here in words, as far as you can."), TIMED_TOKENS)
+/// A request for a long answer. The number at its beginning keeps it out of the server's prefix cache.
+fn counting(number: u32) -> ChatRequest {
+    let text = format!("{number}: count upwards from here in words, as far as you can.");
+    ChatRequest::text(text, TIMED_TOKENS)
 }
 
-fn said(outcome: &Outcome) -> &str {
-    match outcome {
-        Outcome::Text(text) | Outcome::Length(text) | Outcome::Refusal(text) => text,
-        Outcome::Empty => "",
-    }
-}
-
-/// The beginning of a model's words.
+/// The beginning of a text.
 fn short(text: &str) -> String {
     const MOST: usize = 60;
     let mut begun: String = text.chars().take(MOST).collect();
@@ -429,18 +500,15 @@ fn short(text: &str) -> String {
     begun
 }
 
-/// The first few of the server's models.
-fn listing(names: &[String]) -> String {
+/// The first names of a list.
+fn abbreviated(names: &[String]) -> String {
     const MOST: usize = 5;
     match names.len() {
-        0 => "none".to_owned(),
+        0 => "empty".to_owned(),
         n if n > MOST => format!("{} and {} more", names[..MOST].join(", "), n - MOST),
         _ => names.join(", "),
     }
 }
-
-/// The patience of a probe: a request more than one in a run, and not so long.
-pub const TIMEOUT: Duration = Duration::from_secs(60);
 
 #[cfg(test)]
 mod tests;

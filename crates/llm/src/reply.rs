@@ -1,74 +1,87 @@
-//! What comes back: the model's text, or why there is none, and what it cost.
+//! What a server sends back: the model's answer and the tokens it took.
 
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
-/// What a model answered. A field is `None` when the server does not tell.
+/// A model's answer. Fields are `None` where the server does not report them.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Reply {
+pub struct ChatReply {
     /// The answer itself.
-    pub outcome: Outcome,
+    #[serde(rename = "outcome")]
+    pub content: ReplyContent,
     /// The model's name as the server reports it.
     pub model: Option<String>,
     /// Tokens of the prompt as the server counted them.
     pub prompt_tokens: Option<u64>,
     /// Tokens of the answer, reasoning included.
     pub completion_tokens: Option<u64>,
-    /// Those of the prompt that the server had read before (its prefix cache).
+    /// Tokens of the prompt that came from the server's prefix cache.
     pub cached_tokens: Option<u64>,
-    /// Those of the prompt that stand for images.
+    /// Tokens of the prompt that stand for images.
     pub image_tokens: Option<u64>,
-    /// Why the answer ended, in the server's word.
+    /// Why the answer ended, in the server's terms.
     pub finish_reason: Option<String>,
-    /// What the server calls the configuration that answered.
+    /// The server's name for the configuration that answered.
     pub system_fingerprint: Option<String>,
-    /// Whether the model reasoned before it answered, although it was asked not to.
+    /// Whether the model reasoned before it answered, although reasoning was turned off.
     pub reasoned: bool,
 }
 
-/// The kinds of answers.
+/// The kinds of answer.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
-pub enum Outcome {
-    /// A whole answer.
+pub enum ReplyContent {
+    /// A complete answer.
     Text(String),
-    /// Nothing, or blanks.
+    /// Nothing, or white space.
     Empty,
-    /// The model or the server's filter refused to answer: what was said about it, maybe nothing.
+    /// The model or the server's filter refused to answer. The explanation may be empty.
     Refusal(String),
-    /// An answer that reached the bound on its tokens: what there is of it.
+    /// An answer that was cut off at the bound on its tokens.
     Length(String),
 }
 
-/// Reads the body of a server's good answer; the error says what it lacks.
-pub(super) fn read(body: &[u8]) -> Result<Reply, String> {
+impl ChatReply {
+    /// The answer's text; empty for an empty answer.
+    pub fn text(&self) -> &str {
+        match &self.content {
+            ReplyContent::Text(text) | ReplyContent::Length(text) | ReplyContent::Refusal(text) => {
+                text
+            }
+            ReplyContent::Empty => "",
+        }
+    }
+}
+
+/// Reads the body of a response with status 2xx; the error says what is wrong with it.
+pub(crate) fn read(body: &[u8]) -> Result<ChatReply, String> {
     let body: Value =
         serde_json::from_slice(body).map_err(|error| format!("it is not JSON: {error}"))?;
-    // Some servers that pass requests on report another's failure with status 200.
+    // Some proxies report a failure behind them with status 200.
     if let Some(error) = body.get("error").filter(|error| !error.is_null()) {
         return Err(format!("it is an error: {}", message_of(error)));
     }
     let choice = body.pointer("/choices/0").ok_or("it has no choices")?;
     let message = choice.get("message").ok_or("its choice has no message")?;
-    let (reasoning, text) = apart(&text_of(message.get("content")));
+    let (reasoning, text) = split_reasoning(&text_of(message.get("content")));
     let word = |field| body.pointer(field).and_then(Value::as_str).map(str::to_owned);
     let count = |field| body.pointer(field).and_then(Value::as_u64);
     let finish_reason = word("/choices/0/finish_reason");
     let refusal = message.get("refusal").and_then(Value::as_str);
-    let outcome = match (finish_reason.as_deref(), refusal) {
-        (_, Some(refusal)) => Outcome::Refusal(refusal.to_owned()),
-        (Some("content_filter"), None) => Outcome::Refusal(text),
-        (Some("length"), None) => Outcome::Length(text),
-        _ if text.is_empty() => Outcome::Empty,
-        _ => Outcome::Text(text),
+    let content = match (finish_reason.as_deref(), refusal) {
+        (_, Some(refusal)) => ReplyContent::Refusal(refusal.to_owned()),
+        (Some("content_filter"), None) => ReplyContent::Refusal(text),
+        (Some("length"), None) => ReplyContent::Length(text),
+        _ if text.is_empty() => ReplyContent::Empty,
+        _ => ReplyContent::Text(text),
     };
     let reasoned = reasoning
         || ["reasoning_content", "reasoning"].iter().any(|field| {
             message.get(*field).and_then(Value::as_str).is_some_and(|text| !text.trim().is_empty())
         })
         || count("/usage/completion_tokens_details/reasoning_tokens").is_some_and(|n| n > 0);
-    Ok(Reply {
-        outcome,
+    Ok(ChatReply {
+        content,
         model: word("/model"),
         prompt_tokens: count("/usage/prompt_tokens"),
         completion_tokens: count("/usage/completion_tokens"),
@@ -80,21 +93,20 @@ pub(super) fn read(body: &[u8]) -> Result<Reply, String> {
     })
 }
 
-/// Where servers tell how many tokens of the prompt they had read before: OpenAI, vLLM, SGLang; DeepSeek;
-/// llama.cpp.
+/// Where servers report cached tokens: OpenAI, vLLM, SGLang; DeepSeek; llama.cpp.
 const CACHED_TOKENS: [&str; 3] = [
     "/usage/prompt_tokens_details/cached_tokens",
     "/usage/prompt_cache_hit_tokens",
     "/timings/cache_n",
 ];
 
-/// Where servers tell how many tokens of the prompt stand for images: hosted ones; vLLM.
+/// Where servers report image tokens: hosted ones; vLLM.
 const IMAGE_TOKENS: [&str; 2] = [
     "/usage/prompt_tokens_details/image_tokens",
     "/usage/prompt_tokens_details/multimodal_tokens/image",
 ];
 
-/// The text of a message's content, which some servers send in parts.
+/// The text of a message's content, which may come in parts.
 fn text_of(content: Option<&Value>) -> String {
     match content {
         Some(Value::String(text)) => text.clone(),
@@ -105,20 +117,20 @@ fn text_of(content: Option<&Value>) -> String {
     }
 }
 
-/// Whether reasoning stands in front of an answer, where some servers leave it, and the answer without it and
-/// without blanks around it. Reasoning that was cut off leaves no answer.
-fn apart(text: &str) -> (bool, String) {
+/// Whether the answer begins with reasoning, and the answer without it and without surrounding white space. Reasoning
+/// that was cut off leaves an empty answer.
+fn split_reasoning(text: &str) -> (bool, String) {
     let text = text.trim();
     let Some(reasoning) = text.strip_prefix("<think>") else { return (false, text.to_owned()) };
     let (reasoning, answer) = reasoning.split_once("</think>").unwrap_or((reasoning, ""));
     (!reasoning.trim().is_empty(), answer.trim().to_owned())
 }
 
-/// Most characters of a server's message that are shown.
+/// Characters of a server's message that are shown.
 const MESSAGE_CHARS: usize = 400;
 
-/// What a server says about an error, from the body of its answer.
-pub(super) fn error_message(body: &[u8]) -> String {
+/// The message in the body of an error response, on one line.
+pub(crate) fn error_message(body: &[u8]) -> String {
     let text = String::from_utf8_lossy(body);
     let value: Option<Value> = serde_json::from_str(&text).ok();
     let message = value.as_ref().map_or_else(|| text.into_owned(), message_of);
@@ -150,13 +162,13 @@ fn message_of(value: &Value) -> String {
 mod tests {
     use super::*;
 
-    fn outcome(choice: &str) -> Outcome {
-        read(format!("{{\"choices\":[{choice}]}}").as_bytes()).unwrap().outcome
+    fn content(choice: &str) -> ReplyContent {
+        read(format!("{{\"choices\":[{choice}]}}").as_bytes()).unwrap().content
     }
 
     #[test]
     fn every_kind_of_answer() {
-        use Outcome::{Empty, Length, Refusal, Text};
+        use ReplyContent::{Empty, Length, Refusal, Text};
         for (choice, expected) in [
             (r#"{"message":{"content":" North. "},"finish_reason":"stop"}"#, Text("North.".into())),
             (
@@ -180,12 +192,12 @@ mod tests {
             ),
             (r#"{"message":{"content":"Nor"},"finish_reason":"length"}"#, Length("Nor".into())),
         ] {
-            assert_eq!(outcome(choice), expected, "{choice}");
+            assert_eq!(content(choice), expected, "{choice}");
         }
     }
 
     #[test]
-    fn what_was_not_counted_is_absent() {
+    fn counts_the_server_does_not_report_are_absent() {
         let choices = r#""choices":[{"message":{"content":"a"}}]"#;
         for (usage, expected) in [
             ("", (None, None)),
@@ -200,7 +212,7 @@ mod tests {
     }
 
     #[test]
-    fn tokens_of_several_servers() {
+    fn token_counts_of_several_servers() {
         for (body, expected) in [
             (
                 r#""usage":{"prompt_tokens_details":{"cached_tokens":64,"image_tokens":256}}"#,
@@ -223,7 +235,7 @@ mod tests {
     }
 
     #[test]
-    fn reasoning_is_noticed_wherever_it_stands() {
+    fn reasoning_is_noticed_in_every_form() {
         for (message, usage, expected) in [
             (r#""content":"North""#, "{}", false),
             (r#""content":"<think>\n</think>North""#, "{}", false),
@@ -242,7 +254,7 @@ mod tests {
     }
 
     #[test]
-    fn an_answer_that_is_none_says_what_it_lacks() {
+    fn an_unusable_body_says_what_is_wrong() {
         for (body, expected) in [
             ("{\"choices\":[", "it is not JSON"),
             ("{\"choices\":[]}", "it has no choices"),

@@ -9,21 +9,21 @@ use std::time::Duration;
 
 use serde_json::{Value, json};
 
-/// A request as the server saw it.
+/// A request as the server received it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Received {
     /// Method and path.
     pub line: String,
-    /// Header lines as they came.
+    /// The header lines.
     pub headers: Vec<String>,
     /// The body.
     pub body: Value,
 }
 
-/// What the server does about a request.
+/// How the server reacts to a request.
 #[derive(Debug, Clone)]
 pub enum Turn {
-    /// Answers.
+    /// Sends a response.
     Answer {
         /// The HTTP status.
         status: u16,
@@ -32,29 +32,29 @@ pub enum Turn {
         /// The body.
         body: String,
     },
-    /// Promises this body and sends the first half of it.
+    /// Announces this body and sends the first half of it.
     Half(String),
-    /// Sends this body a byte at a time, and never comes to its end.
+    /// Sends this body a byte at a time, and announces one byte more.
     Trickle(String),
-    /// Says nothing, and keeps the connection.
+    /// Sends nothing and keeps the connection open.
     Hang,
     /// Closes the connection.
     Close,
 }
 
 impl Turn {
-    /// An answer in JSON.
+    /// A JSON response.
     pub fn json(status: u16, body: &Value) -> Self {
         let headers = vec!["Content-Type: application/json".to_owned()];
         Self::Answer { status, headers, body: body.to_string() }
     }
 
-    /// A model called `scripted` that says `text`: 10 tokens of prompt, 5 of answer.
+    /// A reply of the model `scripted`: 10 prompt tokens, 5 completion tokens.
     pub fn says(text: &str) -> Self {
         Self::json(200, &completion(text))
     }
 
-    /// The same with a further header line.
+    /// The response with another header line.
     #[must_use]
     pub fn with(mut self, header: &str) -> Self {
         if let Self::Answer { headers, .. } = &mut self {
@@ -64,7 +64,7 @@ impl Turn {
     }
 }
 
-/// A completion in full.
+/// A complete response body.
 pub fn completion(text: &str) -> Value {
     json!({
         "id": "1", "object": "chat.completion", "model": "scripted",
@@ -73,7 +73,7 @@ pub fn completion(text: &str) -> Value {
     })
 }
 
-/// A server on a port of its own, until it is dropped. Each connection has a thread of its own.
+/// A server on a free port, until it is dropped. Each connection has a thread.
 #[derive(Debug)]
 pub struct Server {
     address: SocketAddr,
@@ -89,10 +89,10 @@ struct Log {
 }
 
 impl Server {
-    /// Starts a server that does about each request what `script` says, which decides about one at a time.
+    /// Starts a server that calls `script` for each request, one at a time.
     ///
     /// # Errors
-    /// When there is no port to listen on.
+    /// When no port is free.
     pub fn start(script: impl FnMut(&Received) -> Turn + Send + 'static) -> io::Result<Self> {
         let script = Mutex::new(script);
         Self::concurrent(move |request| {
@@ -101,10 +101,10 @@ impl Server {
         })
     }
 
-    /// The same with a script that may decide about several requests at once, and so may wait.
+    /// Starts a server that calls `script` for several requests at once, so the script may block.
     ///
     /// # Errors
-    /// When there is no port to listen on.
+    /// When no port is free.
     pub fn concurrent(
         script: impl Fn(&Received) -> Turn + Send + Sync + 'static,
     ) -> io::Result<Self> {
@@ -117,37 +117,37 @@ impl Server {
                 if accepting.over.load(Ordering::SeqCst) {
                     break;
                 }
-                // A client that has gone is its own affair, and some scripts are about that.
+                // A client may have closed the connection; some scripts are about that.
                 let Ok(stream) = stream else { continue };
                 let Ok(shared) = stream.try_clone() else { continue };
                 accepting.connections.lock().unwrap_or_else(PoisonError::into_inner).push(shared);
                 let (log, script) = (Arc::clone(&accepting), Arc::clone(&script));
-                thread::spawn(move || converse(&stream, &log, &*script));
+                thread::spawn(move || serve(&stream, &log, &*script));
             }
         });
         Ok(Self { address, log, thread: Some(thread) })
     }
 
-    /// A server that takes one turn after the other, and closes connections when there are none left.
+    /// Starts a server that takes these turns in order, then closes connections.
     ///
     /// # Errors
-    /// When there is no port to listen on.
+    /// When no port is free.
     pub fn turns(turns: impl IntoIterator<Item = Turn>) -> io::Result<Self> {
         let mut turns = turns.into_iter().collect::<Vec<_>>().into_iter();
         Self::start(move |_| turns.next().unwrap_or(Turn::Close))
     }
 
-    /// What to pass as the base URL.
+    /// The base URL.
     pub fn base_url(&self) -> String {
         format!("http://{}/v1", self.address)
     }
 
-    /// The requests so far, in order.
+    /// The requests so far.
     pub fn received(&self) -> Vec<Received> {
         self.log.received.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
-    /// How many connections there have been.
+    /// Number of connections so far.
     pub fn connections(&self) -> usize {
         self.log.connections.lock().unwrap_or_else(PoisonError::into_inner).len()
     }
@@ -156,22 +156,21 @@ impl Server {
 impl Drop for Server {
     fn drop(&mut self) {
         self.log.over.store(true, Ordering::SeqCst);
-        // Wakes the thread; that nobody listens any more means that it has ended already.
+        // Wakes the accepting thread; an error means that it has ended.
         drop(TcpStream::connect(self.address));
         if let Some(thread) = self.thread.take() {
             drop(thread.join());
         }
         let connections = self.log.connections.lock().unwrap_or_else(PoisonError::into_inner);
         for connection in connections.iter() {
-            // One that the client has closed is closed.
+            // An error means that the client has closed it.
             drop(connection.shutdown(Shutdown::Both));
         }
     }
 }
 
-/// Takes requests from a connection until either side has had enough. A script that panics has failed its test
-/// by answering nothing.
-fn converse(
+/// Serves a connection until either side closes it. A script that panics answers nothing, and so fails its test.
+fn serve(
     stream: &TcpStream,
     log: &Log,
     script: &(dyn Fn(&Received) -> Turn + Send + Sync),
@@ -209,7 +208,7 @@ fn read(reader: &mut impl BufRead) -> io::Result<Received> {
     Ok(Received { line: lines.concat(), headers, body })
 }
 
-/// Takes a turn; an error when the connection is to end with it.
+/// Takes a turn; returns an error to end the connection.
 fn answer(mut stream: &TcpStream, turn: Turn) -> io::Result<()> {
     let json = || vec!["Content-Type: application/json".to_owned()];
     let over = || io::Error::from(io::ErrorKind::ConnectionAborted);
@@ -229,9 +228,9 @@ fn answer(mut stream: &TcpStream, turn: Turn) -> io::Result<()> {
                 stream.write_all(&[byte])?;
                 thread::sleep(TRICKLE);
             }
-            gone(stream)
+            await_close(stream)
         }
-        Turn::Hang => gone(stream),
+        Turn::Hang => await_close(stream),
         Turn::Close => {
             stream.shutdown(Shutdown::Both)?;
             Err(over())
@@ -239,7 +238,7 @@ fn answer(mut stream: &TcpStream, turn: Turn) -> io::Result<()> {
     }
 }
 
-/// How long a byte takes that trickles.
+/// The pause between trickled bytes.
 const TRICKLE: Duration = Duration::from_millis(20);
 
 fn head(status: u16, headers: &[String], length: usize) -> String {
@@ -247,8 +246,8 @@ fn head(status: u16, headers: &[String], length: usize) -> String {
     format!("HTTP/1.1 {status} Status\r\nContent-Length: {length}\r\n{headers}\r\n")
 }
 
-/// Waits until the client has gone.
-fn gone(mut stream: &TcpStream) -> io::Result<()> {
+/// Waits until the client closes the connection.
+fn await_close(mut stream: &TcpStream) -> io::Result<()> {
     while stream.read(&mut [0; 64])? > 0 {}
     Err(io::ErrorKind::ConnectionAborted.into())
 }

@@ -1,11 +1,11 @@
-//! `policy-proc cache`: the replies on disk. `memtransfer cache` starts it.
+//! `policy-proc cache`: the stored replies. `memtransfer cache` starts it.
 
 use std::path::PathBuf;
 use std::time::{Duration, SystemTime};
 
 use anyhow::Context;
 use clap::{Args, Subcommand};
-use policy_proc::chat::{Amount, Held, Listing, Pruned, ResponseCache};
+use llm::{CacheListing, CacheSize, ModelReplies, Pruned, ResponseCache};
 use serde::Serialize;
 
 use super::print;
@@ -30,19 +30,19 @@ pub(crate) struct CacheArguments {
 
 #[derive(Subcommand)]
 enum Verb {
-    /// What is kept, by model
+    /// List the stored replies by model
     Ls,
-    /// Remove what is old, or the oldest until the rest is small enough
+    /// Remove old replies, or the oldest until the rest is small enough
     #[command(group = clap::ArgGroup::new("what").required(true).multiple(true))]
     Prune {
-        /// Remove what was stored longer ago: a number with s, m, h, d or w
+        /// Remove replies older than this: a number with s, m, h, d or w
         #[arg(long, value_name = "AGE", value_parser = age, group = "what")]
         older_than: Option<Duration>,
-        /// Keep so many bytes at most: a number, with K, M or G for 1024, 1024² or 1024³ of them
+        /// Keep at most this many bytes: a number, with K, M or G for KiB, MiB or GiB
         #[arg(long, value_name = "SIZE", value_parser = size, group = "what")]
         max_bytes: Option<u64>,
     },
-    /// Remove everything that is kept
+    /// Remove all stored replies
     Clear,
 }
 
@@ -56,40 +56,41 @@ pub(crate) fn run(arguments: &CacheArguments) -> anyhow::Result<()> {
     match verb {
         Verb::Ls => {
             let listing = cache.list().with_context(context)?;
-            tell(&listing, *json, listed)
+            show(&listing, *json, list)
         }
         Verb::Prune { older_than, max_bytes } => {
             let pruned = cache.prune(*older_than, *max_bytes, SystemTime::now());
-            tell(&pruned.with_context(context)?, *json, |Pruned { removed, left }| {
-                format!("removed {}; left {}", amount(removed), amount(left))
+            show(&pruned.with_context(context)?, *json, |Pruned { removed, left }| {
+                format!("removed {}; left {}", describe(removed), describe(left))
             })
         }
         Verb::Clear => {
             let removed = cache.clear().with_context(context)?;
-            tell(&removed, *json, |removed| format!("removed {}", amount(removed)))
+            show(&removed, *json, |removed| format!("removed {}", describe(removed)))
         }
     }
 }
 
-fn tell<T: Serialize>(value: &T, json: bool, plain: impl Fn(&T) -> String) -> anyhow::Result<()> {
+fn show<T: Serialize>(value: &T, json: bool, plain: impl Fn(&T) -> String) -> anyhow::Result<()> {
     print(&if json { serde_json::to_string_pretty(value)? } else { plain(value) })
 }
 
-fn listed(listing: &Listing) -> String {
-    let Listing { folder, entries, bytes, broken, models } = listing;
-    let all = amount(&Amount { entries: *entries, bytes: *bytes });
+fn list(listing: &CacheListing) -> String {
+    let CacheListing { folder, entries, bytes, broken, models } = listing;
+    let all = describe(&CacheSize { entries: *entries, bytes: *bytes });
     let mut lines = format!("{}: {all}\n", folder.display());
-    for Held { model, entries, bytes, oldest, newest } in models {
-        let held = amount(&Amount { entries: *entries, bytes: *bytes });
-        lines += &format!("  {model}: {held}, from {} to {}\n", day(*oldest), day(*newest));
+    for ModelReplies { model, entries, bytes, oldest, newest } in models {
+        let size = describe(&CacheSize { entries: *entries, bytes: *bytes });
+        lines += &format!("  {model}: {size}, from {} to {}\n", day(*oldest), day(*newest));
     }
     if *broken > 0 {
-        lines += &format!("  cannot be read: {broken}; each is asked anew when it is wanted\n");
+        lines +=
+            &format!("  cannot be read: {broken}; these requests are sent again when needed\n");
     }
     lines
 }
 
-fn amount(Amount { entries, bytes }: &Amount) -> String {
+fn describe(CacheSize { entries, bytes }: &CacheSize) -> String {
     let noun = if *entries == 1 { "reply" } else { "replies" };
     format!("{entries} {noun} ({})", human(*bytes))
 }
@@ -102,9 +103,9 @@ fn human(bytes: u64) -> String {
     }
 }
 
-/// The day of a moment in seconds since 1970, in UTC.
+/// The date of a time in seconds since 1970, in UTC.
 fn day(seconds: u64) -> String {
-    /// The last second of the year 9999, after which there are no such dates.
+    /// The last second of the year 9999: later dates have another form.
     const LAST: u64 = 253_402_300_799;
     // An HTTP date reads `Sun, 06 Nov 1994 08:49:37 GMT`.
     let moment = SystemTime::UNIX_EPOCH + Duration::from_secs(seconds.min(LAST));
@@ -127,8 +128,8 @@ fn size(text: &str) -> Result<u64, String> {
 }
 
 fn scaled(number: &str, unit: u64) -> Result<u64, String> {
-    let number: u64 = number.parse().map_err(|_| format!("{number:?} is no whole number"))?;
-    number.checked_mul(unit).ok_or_else(|| format!("{number} of them is too much"))
+    let number: u64 = number.parse().map_err(|_| format!("{number:?} is not a whole number"))?;
+    number.checked_mul(unit).ok_or_else(|| format!("{number} is too large"))
 }
 
 #[cfg(test)]
@@ -152,11 +153,11 @@ mod tests {
     }
 
     #[test]
-    fn what_people_read() {
+    fn sizes_and_dates_in_words() {
         assert_eq!(human(1023), "1023 B");
         assert_eq!(human(1536), "1.5 KiB");
         assert_eq!(day(784_111_777), "06 Nov 1994");
         assert_eq!(day(u64::MAX), "31 Dec 9999");
-        assert_eq!(amount(&Amount { entries: 1, bytes: 7 }), "1 reply (7 B)");
+        assert_eq!(describe(&CacheSize { entries: 1, bytes: 7 }), "1 reply (7 B)");
     }
 }

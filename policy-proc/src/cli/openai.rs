@@ -5,39 +5,42 @@ use std::time::Duration;
 
 use anyhow::Context;
 use clap::Args;
-use policy_proc::chat::{Client, Endpoint, Pool, PoolSettings, ResponseCache, Settings};
-use policy_proc::openai::{self, ImageFormat, Openai};
+use llm::{ChatClient, ChatSettings, Endpoint, ResponseCache};
+use policy_proc::openai::{Openai, OpenaiSettings};
+use prompt::image::ImageFormat;
 
-/// How `--policy openai` asks its model.
+/// The flags of `--policy openai`.
 #[derive(Args)]
 #[command(next_help_heading = "With --policy openai")]
 pub(crate) struct ModelArguments {
     /// The model, by the name that the server knows it by
     #[arg(long, value_name = "NAME", required_if_eq("policy", "openai"))]
     model: Option<String>,
-    /// Where the server is, up to /v1 [default: $OPENAI_BASE_URL, else $OPENAI_API_BASE, also from .env]
+    /// The server, up to /v1 [default: $OPENAI_BASE_URL, else $OPENAI_API_BASE, also from .env]
     #[arg(long, value_name = "URL")]
     base_url: Option<String>,
-    /// How images are sent: png, or jpeg (smaller, with loss)
+    /// Image encoding: png, or jpeg (smaller, with loss)
     #[arg(long, value_name = "FORMAT", default_value_t = ImageFormat::Png)]
     image_format: ImageFormat,
-    /// Most images of a prompt; 0 for a model that reads text alone
-    #[arg(long, value_name = "N", default_value = "50")]
+    /// Most images of a prompt; 0 for a model without vision
+    #[arg(long, value_name = "N", default_value_t = prompt::IMAGE_BUDGET)]
     image_budget: u32,
     /// Most tokens of an answer
-    #[arg(long, value_name = "N", default_value = "30", value_parser = clap::value_parser!(u32).range(1..))]
+    #[arg(long, value_name = "N", default_value_t = prompt::ANSWER_TOKENS, value_parser = clap::value_parser!(u32).range(1..))]
     answer_tokens: u32,
     /// Most requests in flight
     #[arg(long, value_name = "N", default_value = "16", value_parser = clap::value_parser!(u32).range(1..))]
     max_connections: u32,
-    /// How often a request is sent again that failed for a reason that may pass
+    /// How often a request is sent again after a transient failure
     #[arg(long, value_name = "N", default_value = "5")]
     max_retries: u32,
-    /// Longest that one attempt may take, in seconds
+    /// Time limit of an attempt in seconds; a server that answers slowly gets up to eight times this
     #[arg(long, value_name = "SECONDS", default_value = "120", value_parser = clap::value_parser!(u32).range(1..))]
     request_timeout: u32,
-    /// Where replies are kept, so that the same request need not be sent twice: on (the cache folder), off, or
-    /// a folder
+    /// How long to wait for a server that was there and is gone; 0: as long as the retries last
+    #[arg(long, value_name = "SECONDS", default_value = "600")]
+    server_patience: u32,
+    /// Store replies and reuse them for the same request: on (in the cache folder), off, or a folder
     #[arg(long, value_name = "on|off|DIR", default_value = "on")]
     response_cache: String,
 }
@@ -45,32 +48,23 @@ pub(crate) struct ModelArguments {
 /// The policy that asks a model.
 ///
 /// # Errors
-/// When no server or no place for replies is known.
+/// When no server or no cache folder is known.
 pub(crate) fn policy(arguments: ModelArguments) -> anyhow::Result<Openai> {
-    let ModelArguments {
-        model,
-        base_url,
-        image_format,
-        image_budget,
-        answer_tokens,
-        max_connections,
-        max_retries,
-        request_timeout,
-        response_cache,
-    } = arguments;
-    let model = model.context("--policy openai needs --model")?;
-    let endpoint = Endpoint::from_environment(base_url.as_deref(), Path::new("."))?;
-    let settings = openai::Settings {
-        model: model.clone(),
-        endpoint: endpoint.to_string(),
-        image_format,
-        image_budget,
-        answer_tokens,
+    let model = arguments.model.context("--policy openai needs --model")?;
+    let endpoint = Endpoint::from_environment(arguments.base_url.as_deref(), Path::new("."))?;
+    let cache = ResponseCache::from_setting(&arguments.response_cache)
+        .context("pass --response-cache off, or a folder")?;
+    let settings = OpenaiSettings {
+        image_format: arguments.image_format,
+        image_budget: arguments.image_budget,
+        answer_tokens: arguments.answer_tokens,
     };
-    let cache = ResponseCache::from_setting(&response_cache)
-        .context("say --response-cache off, or a folder")?;
-    let timeout = Duration::from_secs(request_timeout.into());
-    let client = Client::new(endpoint, Settings { model, timeout, max_retries });
-    let pool_settings = PoolSettings { max_connections, ..PoolSettings::default() };
-    Ok(Openai::new(Pool::new(client, pool_settings, cache), settings))
+    let chat = ChatSettings {
+        model,
+        request_timeout: Duration::from_secs(arguments.request_timeout.into()),
+        max_retries: arguments.max_retries,
+        max_connections: arguments.max_connections,
+        server_patience: Duration::from_secs(arguments.server_patience.into()),
+    };
+    Ok(Openai::new(ChatClient::new(endpoint, chat, cache), settings))
 }

@@ -5,26 +5,46 @@ use std::process::ExitCode;
 use std::time::Duration;
 
 use clap::Args;
-use policy_proc::chat::probe::{self, Finding, Mark, Report};
-use policy_proc::chat::{Client, Endpoint, Settings};
+use llm::probe::{self, ProbeFinding, ProbeMark, ProbeReport, RunRequest};
+use llm::{ChatClient, ChatSettings, Endpoint};
+use policy_proc::openai::largest::LargestRequest;
+use prompt::image::ImageFormat;
 
 use super::print;
 
 #[derive(Args)]
 #[command(after_help = "\
-Sends some thirty short requests. The key comes from $OPENAI_API_KEY or .env, and is never printed.
+Sends some twenty requests, one or more of them of a run's size. The key comes from $OPENAI_API_KEY or .env.
 Exit status 0 when a run makes sense, 1 when something stands against it, 2 when nothing could be asked.")]
 pub(crate) struct ProbeArguments {
-    /// Where the server is, up to /v1 [default: $OPENAI_BASE_URL, else $OPENAI_API_BASE]
+    /// The server, up to /v1 [default: $OPENAI_BASE_URL, else $OPENAI_API_BASE, also from .env]
     #[arg(long, value_name = "URL")]
     base_url: Option<String>,
     /// The model, by the name that the server knows it by
     #[arg(long, value_name = "NAME")]
     model: String,
-    /// Longest that one request may take, in seconds
-    #[arg(long, value_name = "SECONDS", default_value = "60", value_parser = clap::value_parser!(u32).range(1..))]
-    timeout: u32,
-    /// How many requests are sent at once where several are
+    /// Edge of a view of the run, in pixels
+    #[arg(long, value_name = "PIXELS", default_value = "448", value_parser = clap::value_parser!(u32).range(8..=4096))]
+    frame_size: u32,
+    /// Image encoding of the run: png or jpeg
+    #[arg(long, value_name = "FORMAT", default_value_t = ImageFormat::Png)]
+    image_format: ImageFormat,
+    /// Keyframes of the run's demonstrations in full-context memory
+    #[arg(long, value_name = "N", default_value = "40")]
+    keyframes: u32,
+    /// Past steps in a prompt of the run
+    #[arg(long, value_name = "N", default_value = "6")]
+    window: u32,
+    /// Most images of a prompt of the run
+    #[arg(long, value_name = "N", default_value_t = prompt::IMAGE_BUDGET)]
+    image_budget: u32,
+    /// Characters of documents in a prompt of the run
+    #[arg(long, value_name = "N", default_value = "0")]
+    document_chars: u32,
+    /// Time limit of an attempt, in seconds
+    #[arg(long, value_name = "SECONDS", default_value = "120", value_parser = clap::value_parser!(u32).range(1..))]
+    request_timeout: u32,
+    /// How many requests are sent at once to take the speed
     #[arg(long, value_name = "N", default_value = "8", value_parser = clap::value_parser!(u32).range(1..=1000))]
     together: u32,
     /// Print JSON
@@ -32,26 +52,40 @@ pub(crate) struct ProbeArguments {
     json: bool,
 }
 
-/// How often a request is sent again that failed for a passing reason.
+/// Retries of a request of the probe.
 const MAX_RETRIES: u32 = 2;
 
 pub(crate) fn run(arguments: &ProbeArguments) -> anyhow::Result<ExitCode> {
-    let ProbeArguments { base_url, model, timeout, together, json } = arguments;
-    let endpoint = Endpoint::from_environment(base_url.as_deref(), Path::new("."))?;
-    let timeout = Duration::from_secs((*timeout).into());
-    let settings = Settings { model: model.clone(), timeout, max_retries: MAX_RETRIES };
-    let report = probe::run(&Client::new(endpoint, settings), *together);
-    print(&if *json { serde_json::to_string_pretty(&report)? } else { plain(&report)? })?;
-    Ok(ExitCode::from(u8::from(report.worst() == Mark::Bad)))
+    let endpoint = Endpoint::from_environment(arguments.base_url.as_deref(), Path::new("."))?;
+    let settings = ChatSettings {
+        request_timeout: Duration::from_secs(arguments.request_timeout.into()),
+        max_retries: MAX_RETRIES,
+        max_connections: arguments.together,
+        server_patience: Duration::ZERO,
+        ..ChatSettings::new(&*arguments.model)
+    };
+    let client = ChatClient::new(endpoint, settings, None);
+    let largest = LargestRequest {
+        frame_size: arguments.frame_size,
+        image_format: arguments.image_format,
+        keyframes: arguments.keyframes,
+        window: arguments.window,
+        document_chars: arguments.document_chars,
+    };
+    let images = largest.images().min(arguments.image_budget);
+    let with = |budget| largest.chat_request(budget);
+    let report = probe::run(&client, arguments.together, &RunRequest { images, with: &with });
+    print(&if arguments.json { serde_json::to_string_pretty(&report)? } else { plain(&report)? })?;
+    Ok(ExitCode::from(u8::from(report.worst() == ProbeMark::Bad)))
 }
 
-fn plain(report: &Report) -> anyhow::Result<String> {
+fn plain(report: &ProbeReport) -> anyhow::Result<String> {
     let mut lines = format!("{} at {}\n", report.model, report.endpoint);
-    for Finding { what, mark, about } in &report.findings {
+    for ProbeFinding { what, mark, about } in &report.findings {
         let mark = match mark {
-            Mark::Ok => "ok      ",
-            Mark::Doubtful => "doubtful",
-            Mark::Bad => "NOT YET ",
+            ProbeMark::Ok => "ok      ",
+            ProbeMark::Doubtful => "doubtful",
+            ProbeMark::Bad => "NOT YET ",
         };
         lines += &format!("{mark} {what}: {about}\n");
     }

@@ -1,4 +1,4 @@
-//! What lies in a cache, and taking some of it or all of it away.
+//! Listing and removing the replies of a cache.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -8,110 +8,111 @@ use std::time::{Duration, SystemTime};
 
 use serde::Serialize;
 
-use super::{EXTENSION, Entry, FORM, ResponseCache};
+use super::{EXTENSION, FORM, ResponseCache, StoredReply};
 
-/// How a file begins that does not have its name yet.
+/// The prefix of files that are being written.
 pub(super) const UNFINISHED: &str = ".unfinished-";
 
-/// No process takes that long to write a reply: whoever began an older file has died.
+/// The age at which an unfinished file was left behind by a process that died.
 const ABANDONED_AFTER: Duration = Duration::from_secs(3600);
 
-/// What lies in a cache.
+/// The content of a cache.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
-pub struct Listing {
-    /// Where.
+pub struct CacheListing {
+    /// The folder.
     pub folder: PathBuf,
-    /// How many replies.
+    /// Number of replies.
     pub entries: u64,
-    /// How large they are together.
+    /// Their size in bytes.
     pub bytes: u64,
-    /// Those of them that cannot be read.
+    /// Replies that cannot be read.
     pub broken: u64,
-    /// The others, by the model that was asked.
-    pub models: Vec<Held>,
+    /// The others, by model.
+    pub models: Vec<ModelReplies>,
 }
 
 /// The replies of one model.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
-pub struct Held {
-    /// Its name.
+pub struct ModelReplies {
+    /// The model.
     pub model: String,
-    /// How many replies.
+    /// Number of replies.
     pub entries: u64,
-    /// How large they are together.
+    /// Their size in bytes.
     pub bytes: u64,
     /// When the oldest was stored, in seconds since 1970.
     pub oldest: u64,
-    /// And the newest.
+    /// When the newest was stored, in seconds since 1970.
     pub newest: u64,
 }
 
-/// Some replies.
+/// A number of replies and their size.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize)]
-pub struct Amount {
+pub struct CacheSize {
     /// How many.
     pub entries: u64,
-    /// How large they are together.
+    /// Their size in bytes.
     pub bytes: u64,
 }
 
-/// What was taken away, and what is left.
+/// The outcome of pruning.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 pub struct Pruned {
-    /// Taken away.
-    pub removed: Amount,
-    /// Left.
-    pub left: Amount,
+    /// Removed replies.
+    pub removed: CacheSize,
+    /// Replies left.
+    pub left: CacheSize,
 }
 
-struct Found {
+struct EntryFile {
     path: PathBuf,
     bytes: u64,
     modified: SystemTime,
 }
 
-impl Amount {
-    fn add(&mut self, found: &Found) {
+impl CacheSize {
+    fn add(&mut self, file: &EntryFile) {
         self.entries += 1;
-        self.bytes += found.bytes;
+        self.bytes += file.bytes;
     }
 }
 
 impl ResponseCache {
-    /// What lies in it.
+    /// The content of the cache.
     ///
     /// # Errors
-    /// When its folder is there and cannot be read.
-    pub fn list(&self) -> io::Result<Listing> {
-        let mut models = BTreeMap::<String, Held>::new();
-        let (mut all, mut broken) = (Amount::default(), 0);
-        for found in self.entries()? {
-            let text = match fs::read(&found.path) {
+    /// When its folder exists and cannot be read.
+    pub fn list(&self) -> io::Result<CacheListing> {
+        let mut models = BTreeMap::<String, ModelReplies>::new();
+        let (mut all, mut broken) = (CacheSize::default(), 0);
+        for file in self.entries()? {
+            let text = match fs::read(&file.path) {
                 Err(error) if error.kind() == io::ErrorKind::NotFound => continue,
                 text => text.unwrap_or_default(),
             };
-            all.add(&found);
-            let Ok(Entry { stored, model, .. }) = serde_json::from_slice(&text) else {
+            all.add(&file);
+            let Ok(StoredReply { stored, model, .. }) = serde_json::from_slice(&text) else {
                 broken += 1;
                 continue;
             };
-            let held = models.entry(model.clone()).or_insert(Held {
+            let replies = models.entry(model.clone()).or_insert(ModelReplies {
                 model,
                 entries: 0,
                 bytes: 0,
                 oldest: stored,
                 newest: stored,
             });
-            held.entries += 1;
-            held.bytes += found.bytes;
-            (held.oldest, held.newest) = (held.oldest.min(stored), held.newest.max(stored));
+            replies.entries += 1;
+            replies.bytes += file.bytes;
+            (replies.oldest, replies.newest) =
+                (replies.oldest.min(stored), replies.newest.max(stored));
         }
-        let Amount { entries, bytes } = all;
+        let CacheSize { entries, bytes } = all;
         let models = models.into_values().collect();
-        Ok(Listing { folder: self.folder.clone(), entries, bytes, broken, models })
+        Ok(CacheListing { folder: self.folder.clone(), entries, bytes, broken, models })
     }
 
-    /// Takes away what is older than `older_than`, then the oldest until `max_bytes` are left at most.
+    /// Removes replies older than `older_than`, then the oldest until at most `max_bytes` are left.
     ///
     /// # Errors
     /// When a folder cannot be read, or a file cannot be removed.
@@ -123,47 +124,47 @@ impl ResponseCache {
     ) -> io::Result<Pruned> {
         let mut entries = self.entries()?;
         entries.sort_by(|a, b| (a.modified, &a.path).cmp(&(b.modified, &b.path)));
-        let (mut removed, mut left) = (Amount::default(), Amount::default());
-        entries.iter().for_each(|found| left.add(found));
-        for found in entries {
-            // What comes from the future is new.
-            let age = now.duration_since(found.modified).unwrap_or_default();
+        let (mut removed, mut left) = (CacheSize::default(), CacheSize::default());
+        entries.iter().for_each(|file| left.add(file));
+        for file in entries {
+            // A modification time in the future counts as new.
+            let age = now.duration_since(file.modified).unwrap_or_default();
             let old = older_than.is_some_and(|most| age > most);
             if !old && max_bytes.is_none_or(|most| left.bytes <= most) {
                 break;
             }
-            remove(&found.path)?;
-            removed.add(&found);
+            remove(&file.path)?;
+            removed.add(&file);
             left.entries -= 1;
-            left.bytes -= found.bytes;
+            left.bytes -= file.bytes;
         }
         Ok(Pruned { removed, left })
     }
 
-    /// Takes everything away that it wrote, and nothing else.
+    /// Removes every reply, and no other files.
     ///
     /// # Errors
     /// As [`Self::prune`].
-    pub fn clear(&self) -> io::Result<Amount> {
-        let mut removed = Amount::default();
-        for found in self.entries()? {
-            remove(&found.path)?;
-            removed.add(&found);
+    pub fn clear(&self) -> io::Result<CacheSize> {
+        let mut removed = CacheSize::default();
+        for file in self.entries()? {
+            remove(&file.path)?;
+            removed.add(&file);
         }
         for folder in folders(&self.folder.join(FORM))? {
-            // One in which somebody writes at this moment stays.
+            // A folder that another process writes to is not empty, and stays.
             drop(fs::remove_dir(folder));
         }
         Ok(removed)
     }
 
-    /// The files of all entries. Those that were begun and abandoned are removed on the way.
-    fn entries(&self) -> io::Result<Vec<Found>> {
+    /// The files of all entries. Abandoned unfinished files are removed.
+    fn entries(&self) -> io::Result<Vec<EntryFile>> {
         let mut entries = Vec::new();
         for folder in folders(&self.folder.join(FORM))? {
             for file in fs::read_dir(folder)? {
                 let path = file?.path();
-                // Another process may have removed it in between.
+                // Another process may have removed it.
                 let Ok(facts) = fs::metadata(&path) else { continue };
                 let modified = facts.modified()?;
                 let unfinished = path.file_name().and_then(|name| name.to_str());
@@ -172,7 +173,7 @@ impl ResponseCache {
                         remove(&path)?;
                     }
                 } else if path.extension().is_some_and(|extension| extension == EXTENSION) {
-                    entries.push(Found { path, bytes: facts.len(), modified });
+                    entries.push(EntryFile { path, bytes: facts.len(), modified });
                 }
             }
         }
@@ -180,7 +181,7 @@ impl ResponseCache {
     }
 }
 
-/// The folders in a folder; none when it is not there.
+/// The subfolders of a folder; none when it does not exist.
 fn folders(folder: &Path) -> io::Result<Vec<PathBuf>> {
     let inside = match fs::read_dir(folder) {
         Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(Vec::new()),
@@ -201,10 +202,9 @@ fn remove(path: &Path) -> io::Result<()> {
 mod tests {
     use std::fs::File;
 
-    use super::super::super::message::{Message, Question, Speaker};
-    use super::super::super::reply::{self};
-    use super::super::Key;
+    use super::super::CacheKey;
     use super::*;
+    use crate::{ChatRequest, reply};
 
     const DAY: Duration = Duration::from_secs(86_400);
 
@@ -212,11 +212,10 @@ mod tests {
     fn cache(folder: &Path, now: SystemTime) -> ResponseCache {
         let cache = ResponseCache::at(folder);
         let body = br#"{"choices":[{"message":{"content":"North."}}]}"#;
-        let question =
-            Question { messages: vec![Message::text(Speaker::User, "?")], max_tokens: 9 };
+        let request = ChatRequest::text("?", 9);
         for days in 0..4 {
             let model = if days == 3 { "older" } else { "newer" };
-            let key = Key::of(model, &question, days).unwrap();
+            let key = CacheKey::of(model, &request, days).unwrap();
             cache.put(&key, model, &reply::read(body).unwrap()).unwrap();
             let file = File::options().write(true).open(cache.path(&key)).unwrap();
             file.set_modified(now - DAY * days).unwrap();
@@ -225,7 +224,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_old_or_too_much_goes_the_oldest_first() {
+    fn old_replies_go_first() {
         let now = SystemTime::now();
         for (older_than, max_bytes, expected) in [
             (None, None, 4),
@@ -248,20 +247,21 @@ mod tests {
     }
 
     #[test]
-    fn a_listing_tells_models_apart_and_counts_what_is_broken() {
+    fn a_listing_groups_by_model_and_counts_broken_entries() {
         let folder = tempfile::tempdir().unwrap();
         let cache = cache(folder.path(), SystemTime::now());
         let broken = cache.folder.join(FORM).join("aa");
         fs::create_dir_all(&broken).unwrap();
         fs::write(broken.join("aa.json"), "{").unwrap();
-        let Listing { entries, broken, models, .. } = cache.list().unwrap();
+        let CacheListing { entries, broken, models, .. } = cache.list().unwrap();
         assert_eq!((entries, broken), (5, 1));
-        let models: Vec<_> = models.iter().map(|held| (&*held.model, held.entries)).collect();
+        let models: Vec<_> =
+            models.iter().map(|replies| (&*replies.model, replies.entries)).collect();
         assert_eq!(models, [("newer", 3), ("older", 1)]);
     }
 
     #[test]
-    fn clearing_leaves_what_is_not_the_caches() {
+    fn clearing_leaves_other_files() {
         let folder = tempfile::tempdir().unwrap();
         let cache = cache(folder.path(), SystemTime::now());
         fs::write(folder.path().join("notes.json"), "mine").unwrap();

@@ -1,258 +1,438 @@
-//! The client against a scripted server, over real sockets.
+//! The client against a scripted server, over real sockets. Nothing here asserts how long anything takes at most; what
+//! could hang has a watchdog.
 
+use std::collections::BTreeSet;
 use std::sync::Mutex;
+use std::sync::atomic::AtomicUsize;
+use std::sync::mpsc::{Receiver, Sender, channel};
 
 use serde_json::json;
 
-use super::super::message::{Message, Speaker};
-use super::super::reply::Outcome;
-use super::super::scripted::{Server, Turn, completion};
-use super::super::secret::Secret;
 use super::*;
+use crate::ApiKey;
+use crate::error::{RequestError, Transient};
+use crate::reply::ReplyContent;
+use crate::request::Dialect;
+use crate::scripted::{Received, Server, Turn, completion};
 
 const KEY: &str = "sk-very-secret";
 
-/// Long enough for any server that means to answer.
-const PATIENCE: Duration = Duration::from_secs(60);
+/// Longer than any of these tests should take.
+const WATCHDOG: Duration = Duration::from_secs(60);
 
-fn question() -> Question {
-    Question { messages: vec![Message::text(Speaker::User, "Where?")], max_tokens: 30 }
-}
-
-/// The outcome of a question to a server that takes `turns`, what it received, and the pauses made.
-struct Asked {
-    result: Result<Reply, ChatError>,
-    received: Vec<super::super::scripted::Received>,
-    pauses: Vec<Duration>,
-}
-
-impl Asked {
-    fn text(&self) -> &str {
-        match &self.result {
-            Ok(Reply { outcome: Outcome::Text(text), .. }) => text,
-            other => panic!("{other:?}"),
-        }
-    }
-
-    /// The error as people see it, which never holds the key.
-    fn error(&self) -> String {
-        let error = self.result.as_ref().unwrap_err();
-        assert!(!format!("{error:?}").contains(KEY), "the key is out");
-        error.to_string()
-    }
-}
-
-fn client(server: &Server, timeout: Duration) -> (Client, Arc<Mutex<Vec<Duration>>>) {
-    let endpoint = Endpoint::new(&server.base_url(), Secret::new(KEY)).unwrap();
-    let settings = Settings { model: "m".to_owned(), timeout, max_retries: 2 };
-    let pauses = Arc::<Mutex<Vec<Duration>>>::default();
-    let log = Arc::clone(&pauses);
-    let client =
-        Client::sleeping_with(endpoint, settings, move |pause| log.lock().unwrap().push(pause));
-    (client, pauses)
-}
-
-fn ask_within(timeout: Duration, turns: impl IntoIterator<Item = Turn>) -> Asked {
-    let server = Server::turns(turns).unwrap();
-    let (client, pauses) = client(&server, timeout);
-    let result = client.ask(&question());
-    let pauses = pauses.lock().unwrap().clone();
-    // Where the server listens differs from test to test.
-    let here = server.base_url();
-    let result = result.map_err(|error| match error {
-        ChatError::Refused { status, message, advice, .. } => {
-            ChatError::Refused { endpoint: "E".into(), status, message, advice }
-        }
-        ChatError::NotChat { what, .. } => {
-            ChatError::NotChat { endpoint: "E".into(), what: what.replace(&here, "E") }
-        }
-        ChatError::GaveUp { attempts, last, .. } => {
-            ChatError::GaveUp { endpoint: "E".into(), attempts, last }
-        }
-        ChatError::Unsaid(_) => error,
-    });
-    Asked { result, received: server.received(), pauses }
-}
-
-fn ask(turns: impl IntoIterator<Item = Turn>) -> Asked {
-    ask_within(PATIENCE, turns)
+fn text(request: &Received) -> &str {
+    request.body.pointer("/messages/0/content").and_then(|text| text.as_str()).unwrap_or_default()
 }
 
 fn fails(status: u16, message: &str) -> Turn {
     Turn::json(status, &json!({"error": {"message": message}}))
 }
 
-#[test]
-fn an_answer() {
-    let asked = ask([Turn::says("North.")]);
-    let reply = asked.result.as_ref().unwrap();
-    assert_eq!(asked.text(), "North.");
-    assert_eq!(reply.model.as_deref(), Some("scripted"));
-    assert_eq!((reply.prompt_tokens, reply.completion_tokens), (Some(10), Some(5)));
-    let [request] = &asked.received[..] else { panic!("one request") };
-    assert_eq!(request.line, "POST /v1/chat/completions HTTP/1.1");
-    let body = serde_json::to_value(Dialect::default().body("m", &question())).unwrap();
-    assert_eq!(request.body, body);
-    let authorization = format!("authorization: bearer {KEY}");
-    assert!(request.headers.iter().any(|header| header.to_lowercase() == authorization));
+fn settings(max_connections: u32, max_retries: u32) -> ChatSettings {
+    ChatSettings {
+        max_connections,
+        max_retries,
+        server_patience: Duration::ZERO,
+        ..ChatSettings::new("m")
+    }
+}
+
+/// A client, and the results of its requests in the order in which they ended.
+struct Bench {
+    client: ChatClient,
+    done: Receiver<(String, Result<ChatAnswer, AskError>)>,
+    tell: Sender<(String, Result<ChatAnswer, AskError>)>,
+}
+
+impl Bench {
+    fn new(base_url: &str, settings: ChatSettings) -> Self {
+        Self::with_cache(base_url, settings, None)
+    }
+
+    fn with_cache(base_url: &str, settings: ChatSettings, cache: Option<ResponseCache>) -> Self {
+        let endpoint = Endpoint::new(base_url, ApiKey::new(KEY)).unwrap();
+        let (tell, done) = channel();
+        Self { client: ChatClient::new(endpoint, settings, cache), done, tell }
+    }
+
+    fn submit(&self, text: &str) {
+        self.submit_repeat(text, 0);
+    }
+
+    fn submit_repeat(&self, text: &str, repeat: u32) {
+        let (tell, name) = (self.tell.clone(), text.to_owned());
+        let request = ChatRequest::text(text, 30);
+        self.client.submit(request, repeat, move |result| drop(tell.send((name, result))));
+    }
+
+    fn next(&self) -> (String, Result<ChatAnswer, AskError>) {
+        let (name, result) = self.done.recv_timeout(WATCHDOG).expect("the client hangs");
+        assert!(!format!("{result:?}").contains(KEY), "the key is out");
+        (name, result)
+    }
+
+    fn answer(&self) -> (String, ChatAnswer) {
+        let (name, result) = self.next();
+        (name, result.unwrap())
+    }
+
+    fn error(&self) -> AskError {
+        self.next().1.unwrap_err()
+    }
 }
 
 #[test]
-fn what_passes_is_asked_again() {
-    let wrong_date = "Retry-After: Sun, 06 Nov 1994 08:49:37 GMT";
+fn forty_requests_at_once_get_their_own_replies() {
+    let together = std::sync::Barrier::new(40);
+    let server = Server::concurrent(move |request| {
+        // No reply before all forty are here.
+        together.wait();
+        Turn::says(&format!("re: {}", text(request)))
+    })
+    .unwrap();
+    let bench = Bench::new(&server.base_url(), settings(40, 0));
+    let names: BTreeSet<String> = (0..40).map(|i| format!("lane {i}")).collect();
+    names.iter().for_each(|name| bench.submit(name));
+    let mut answered = BTreeSet::new();
+    for _ in 0..40 {
+        let (name, answer) = bench.answer();
+        assert_eq!(answer.reply.content, ReplyContent::Text(format!("re: {name}")));
+        assert!(answer.sent_ns > 0 && answer.answered_ns >= answer.sent_ns);
+        assert_eq!((answer.attempts, answer.from_cache), (1, false));
+        answered.insert(name);
+    }
+    assert_eq!(answered, names);
+}
+
+#[test]
+fn a_request_carries_key_and_body() {
+    let server = Server::turns([Turn::says("North.")]).unwrap();
+    let bench = Bench::new(&server.base_url(), settings(1, 0));
+    let request = ChatRequest { choices: vec!["go"], ..ChatRequest::text("Where?", 30) };
+    let reply = bench.client.ask(&request, 0).unwrap().reply;
+    assert_eq!((reply.text(), reply.model.as_deref()), ("North.", Some("scripted")));
+    assert_eq!((reply.prompt_tokens, reply.completion_tokens), (Some(10), Some(5)));
+    let [received] = &server.received()[..] else { panic!("one request") };
+    assert_eq!(received.line, "POST /v1/chat/completions HTTP/1.1");
+    let body = serde_json::to_value(Dialect::default().body("m", &request)).unwrap();
+    assert_eq!(received.body, body);
+    let authorization = format!("authorization: bearer {KEY}");
+    assert!(received.headers.iter().any(|header| header.to_lowercase() == authorization));
+    assert!(!format!("{:?}", bench.client).contains(KEY));
+}
+
+#[test]
+fn transient_failures_are_retried() {
+    let past = "Retry-After: Sun, 06 Nov 1994 08:49:37 GMT";
     for turn in [
-        fails(429, "slow down").with("Retry-After: 0"),
-        fails(429, "slow down").with(wrong_date),
+        fails(429, "slow down").with(past),
         fails(500, "oh"),
-        fails(503, "loading the model"),
         Turn::Close,
         Turn::Half(completion("North.").to_string()),
         Turn::json(200, &json!({"error": {"message": "upstream died"}})),
         Turn::Answer { status: 200, headers: vec![], body: "{\"choices\": [".to_owned() },
     ] {
-        let asked = ask([turn.clone(), Turn::says("North.")]);
-        assert_eq!(asked.text(), "North.", "{turn:?}");
-        assert_eq!(asked.pauses.len(), 1, "{turn:?}");
-        let [first, second] = &asked.received[..] else { panic!("two requests") };
-        assert_eq!(first.body, second.body);
+        let server = Server::turns([turn.clone(), Turn::says("North.")]).unwrap();
+        let bench = Bench::new(&server.base_url(), settings(4, 2));
+        bench.submit("a");
+        let (_, answer) = bench.answer();
+        assert_eq!(answer.reply.text(), "North.", "{turn:?}");
+        assert_eq!((answer.attempts, server.received().len()), (2, 2), "{turn:?}");
+        assert_eq!(server.received()[0].body, server.received()[1].body);
     }
 }
 
 #[test]
-fn a_server_that_hangs_is_left_at_the_deadline_and_asked_again() {
-    let asked = ask_within(Duration::from_secs(1), [Turn::Hang, Turn::says("North.")]);
-    assert_eq!(asked.text(), "North.");
-    assert_eq!(asked.received.len(), 2);
+fn requests_that_hang_or_trickle_delay_no_others() {
+    let server = Server::concurrent(|request| match text(request) {
+        "hang" => Turn::Hang,
+        "trickle" => Turn::Trickle(completion("never").to_string().repeat(99)),
+        _ => Turn::says("North."),
+    })
+    .unwrap();
+    let timeout = Duration::from_secs(2);
+    let bench =
+        Bench::new(&server.base_url(), ChatSettings { request_timeout: timeout, ..settings(3, 0) });
+    for name in ["hang", "trickle", "a", "b", "c", "d"] {
+        bench.submit(name);
+    }
+    for _ in 0..4 {
+        assert_eq!(bench.answer().0.len(), 1);
+    }
+    for _ in 0..2 {
+        let error = bench.error();
+        let AskError::Failed(RequestError::GaveUp { last: Transient::Timeout(_), .. }) = error
+        else {
+            panic!("{error:?}")
+        };
+        assert!(error.to_string().contains("--request-timeout"), "{error}");
+    }
+}
+
+/// Defect 16: a server that takes 100 ms a request, one after the other, and is asked by eight at once with a deadline of
+/// 300 ms. It computes all the time, and every request gets its reply.
+#[test]
+fn a_slow_server_answers_every_request() {
+    let server = Server::start(|_| {
+        thread::sleep(Duration::from_millis(100));
+        Turn::says("North.")
+    })
+    .unwrap();
+    let timeout = Duration::from_millis(300);
+    let bench =
+        Bench::new(&server.base_url(), ChatSettings { request_timeout: timeout, ..settings(8, 5) });
+    (0..16).for_each(|i| bench.submit(&format!("lane {i}")));
+    for _ in 0..16 {
+        bench.answer();
+    }
 }
 
 #[test]
-fn the_pause_is_the_one_the_server_asks_for() {
-    let date = "Date: Sun, 06 Nov 1994 08:49:37 GMT";
-    let later = "Retry-After: Sun, 06 Nov 1994 08:50:07 GMT";
-    let asked = ask([
-        fails(429, "slow down").with("Retry-After: 7"),
-        fails(503, "slow down").with(date).with(later),
-        Turn::says("North."),
-    ]);
-    let seconds: Vec<u64> = asked.pauses.iter().map(Duration::as_secs).collect();
-    assert_eq!(seconds, [7, 30]);
+fn status_429_reduces_requests_in_flight() {
+    // Takes two at once and refuses the others.
+    let (now, refused) = (AtomicUsize::new(0), Arc::new(AtomicUsize::new(0)));
+    let counter = Arc::clone(&refused);
+    let server = Server::concurrent(move |_| {
+        let turn = if now.fetch_add(1, Ordering::SeqCst) < 2 {
+            thread::sleep(Duration::from_millis(30));
+            Turn::says("North.")
+        } else {
+            counter.fetch_add(1, Ordering::SeqCst);
+            fails(429, "slow down").with("Retry-After: 0")
+        };
+        now.fetch_sub(1, Ordering::SeqCst);
+        turn
+    })
+    .unwrap();
+    let bench = Bench::new(&server.base_url(), settings(16, 9));
+    (0..40).for_each(|i| bench.submit(&format!("lane {i}")));
+    let attempts: u32 = (0..40).map(|_| bench.answer().1.attempts).sum();
+    assert_eq!(attempts as usize, 40 + refused.load(Ordering::SeqCst));
+    assert!(refused.load(Ordering::SeqCst) > 0);
 }
 
 #[test]
-fn what_does_not_pass_is_given_up() {
-    let asked = ask(vec![fails(500, "oh"); 9]);
-    assert_eq!(asked.received.len(), 3);
-    insta::assert_snapshot!(asked.error(), @"E gave no reply (attempts: 3); the last time: status 500: oh");
-
-    let asked = ask([fails(429, "quota").with("Retry-After: 86400")]);
-    assert_eq!(asked.received.len(), 1);
-    insta::assert_snapshot!(asked.error(), @"E gave no reply (attempts: 1); the last time: status 429: quota; it wants to be left alone for 86400 s: start again then");
-
-    let asked = ask_within(Duration::from_millis(300), vec![Turn::Hang; 9]);
-    insta::assert_snapshot!(asked.error(), @"E gave no reply (attempts: 3); the last time: no answer within 0.3 s; is the server running, and is --timeout long enough for it?");
-
-    let asked = ask(vec![Turn::Half(completion("North.").to_string()); 9]);
-    insta::assert_snapshot!(asked.error(), @"E gave no reply (attempts: 3); the last time: the connection failed: io: Peer disconnected; is the server running?");
+fn a_retry_after_delays_every_request() {
+    let arrived = Arc::new(Mutex::new(Vec::new()));
+    let log = Arc::clone(&arrived);
+    let server = Server::start(move |_| {
+        let mut arrived = log.lock().unwrap();
+        arrived.push(Instant::now());
+        match arrived.len() {
+            1 => fails(429, "slow down").with("Retry-After: 1"),
+            _ => Turn::says("North."),
+        }
+    })
+    .unwrap();
+    let bench = Bench::new(&server.base_url(), settings(1, 3));
+    ["a", "b", "c"].into_iter().for_each(|name| bench.submit(name));
+    for _ in 0..3 {
+        bench.answer();
+    }
+    let arrived = arrived.lock().unwrap();
+    assert!(arrived[1].duration_since(arrived[0]) >= Duration::from_secs(1), "{arrived:?}");
 }
 
 #[test]
-fn nobody_listens() {
-    let server = Server::turns([]).unwrap();
-    let (client, pauses) = client(&server, PATIENCE);
-    drop(server);
-    let error = client.ask(&question()).unwrap_err();
-    assert!(error.to_string().contains("there is no connection"), "{error}");
-    assert_eq!(pauses.lock().unwrap().len(), 2);
+fn a_refusal_concerns_one_request_and_is_not_retried() {
+    let message = "At most 8 image(s) may be provided in one request.";
+    let server = Server::start(move |request| match text(request) {
+        "too many" => fails(400, message),
+        _ => Turn::says("North."),
+    })
+    .unwrap();
+    let bench = Bench::new(&server.base_url(), settings(2, 5));
+    bench.submit("too many");
+    let AskError::Failed(error) = bench.error() else { panic!("one request, not all") };
+    assert!(error.to_string().contains(message), "{error}");
+    assert_eq!(server.received().len(), 1);
+    bench.submit("fine");
+    bench.answer();
 }
 
 #[test]
-fn a_refusal_is_final_and_says_what_to_do() {
+fn errors_that_concern_every_request_stop_the_client() {
+    let html = |status, header: &str| Turn::Answer {
+        status,
+        headers: vec![header.to_owned()],
+        body: "<html>".to_owned(),
+    };
     for (turn, expected) in [
-        (
-            fails(400, "This model's maximum context length is 8192 tokens"),
-            "E refused the request with status 400: This model's maximum context length is 8192 tokens; see \
-             whether the server knows the model and takes requests of this length",
-        ),
-        (
-            fails(401, "Incorrect API key provided: sk-very-secret"),
-            "E refused the request with status 401: Incorrect API key provided: [key]; check OPENAI_API_KEY",
-        ),
-        (
-            fails(404, "no such model"),
-            "E refused the request with status 404: no such model; check the model's name and the base URL, \
-             which usually ends in /v1",
-        ),
-        (
-            Turn::Answer {
-                status: 200,
-                headers: vec!["Content-Type: text/html; charset=utf-8".into()],
-                body: "<html>".into(),
-            },
-            "E is no chat endpoint: it answered with text/html, not JSON; check the base URL, which usually \
-             ends in /v1",
-        ),
-        (
-            Turn::Answer {
-                status: 308,
-                headers: vec!["Location: https://x/v1/".into()],
-                body: String::new(),
-            },
-            "E is no chat endpoint: it answered with a redirection to https://x/v1/; check the base URL, which \
-             usually ends in /v1",
-        ),
+        (fails(401, "who is sk-very-secret?"), "status 401: who is [key]?; check OPENAI_API_KEY"),
+        (fails(404, "no such model"), "check the model's name and the base URL"),
+        (fails(429, "quota").with("Retry-After: 86400"), "a pause of 86400 s"),
+        (html(200, "Content-Type: text/html; charset=utf-8"), "text/html, not JSON"),
+        (html(308, "Location: https://x/v1/"), "a redirection to https://x/v1/"),
     ] {
-        let asked = ask([turn]);
-        assert_eq!(asked.error(), expected);
-        assert_eq!(asked.received.len(), 1);
+        let server = Server::start(move |_| turn.clone()).unwrap();
+        let bench = Bench::new(&server.base_url(), settings(2, 5));
+        bench.submit("a");
+        let AskError::Stopped(why) = bench.error() else { panic!("all of them") };
+        assert!(why.starts_with("the server refuses every request: "), "{why}");
+        assert!(why.contains(expected), "{why}");
+        bench.submit("b");
+        assert_eq!(bench.error(), AskError::Stopped(why));
+        assert_eq!(server.received().len(), 1);
     }
 }
 
+/// Defect 17: a context that is too short for every request ends the run after a few of them.
 #[test]
-fn a_field_that_the_server_refuses_is_left_out_from_then_on() {
+fn a_400_to_every_request_stops_the_client_and_names_the_image_budget() {
+    let server = Server::start(|_| fails(400, "maximum context length is 8192 tokens")).unwrap();
+    let bench = Bench::new(&server.base_url(), settings(1, 5));
+    let image = crate::ImageUrl::of_bytes("image/png", b"x");
+    let parts = vec![crate::ContentPart::ImageUrl { image_url: image }];
+    let content = crate::MessageContent::Parts(parts);
+    let message = crate::ChatMessage { role: crate::ChatRole::User, content };
+    let request = ChatRequest { messages: vec![message], max_tokens: 30, choices: Vec::new() };
+    let errors: Vec<_> = (0..6).map(|_| bench.client.ask(&request, 0).unwrap_err()).collect();
+    assert!(matches!(errors[0], AskError::Failed(_)));
+    let AskError::Stopped(why) = &errors[5] else { panic!("{errors:?}") };
+    assert!(why.contains("the request has 1 images: lower --image-budget"), "{why}");
+    assert_eq!(server.received().len(), 5);
+}
+
+#[test]
+fn a_refused_field_is_left_out_from_then_on() {
     let server = Server::start(|request| {
-        match ["chat_template_kwargs", "thinking"]
-            .iter()
-            .find(|field| request.body.get(**field).is_some())
-        {
+        let fields = ["chat_template_kwargs", "thinking"];
+        match fields.iter().find(|field| request.body.get(**field).is_some()) {
             Some(field) => fails(400, &format!("Unknown parameter: '{field}'.")),
             None => Turn::says("North."),
         }
     })
     .unwrap();
-    let (client, pauses) = client(&server, PATIENCE);
+    let bench = Bench::new(&server.base_url(), settings(1, 0));
     for requests in [3, 4] {
-        client.ask(&question()).unwrap();
+        assert_eq!(bench.client.ask(&ChatRequest::text("?", 9), 0).unwrap().attempts, 1);
         assert_eq!(server.received().len(), requests);
     }
-    assert!(pauses.lock().unwrap().is_empty());
     assert!(server.received()[3].body.get("reasoning_effort").is_some());
 }
 
 #[test]
-fn threads_share_a_client() {
-    let server = Server::start(|request| {
-        let text = request.body.pointer("/messages/0/content").and_then(|text| text.as_str());
-        Turn::says(text.unwrap_or_default())
-    })
-    .unwrap();
-    let (client, _) = client(&server, PATIENCE);
-    std::thread::scope(|scope| {
-        for number in 0..4 {
-            let client = &client;
-            scope.spawn(move || {
-                let text = format!("number {number}");
-                let message = Message::text(Speaker::User, text.clone());
-                let reply =
-                    client.ask(&Question { messages: vec![message], max_tokens: 9 }).unwrap();
-                assert_eq!(reply.outcome, Outcome::Text(text));
-            });
-        }
-    });
+fn a_server_that_is_not_there_stops_the_client() {
+    let server = Server::turns([]).unwrap();
+    let base_url = server.base_url();
+    drop(server);
+    let bench = Bench::new(&base_url, settings(4, 1));
+    bench.submit("a");
+    let AskError::Stopped(why) = bench.error() else { panic!("no server") };
+    insta::assert_snapshot!(
+        why.replace(&base_url, "E"),
+        @"the server is gone (no answer in 2 attempts): E/chat/completions gave no reply (attempts: 2); the last time: there is no connection: Connection refused (os error 111); is the server running?; check it with `memtransfer doctor --policy openai`, and start the same command again when it is back"
+    );
+    bench.submit("b");
+    assert_eq!(bench.error(), AskError::Stopped(why));
+}
+
+/// Defect 17: a model server takes minutes to start again; `--max-retries` covers seconds.
+#[test]
+fn a_server_that_restarts_is_waited_for_and_the_listener_is_told() {
+    let mut turns = vec![Turn::says("North.")];
+    turns.extend(vec![fails(503, "loading the model"); 3]);
+    turns.push(Turn::says("South."));
+    let server = Server::turns(turns).unwrap();
+    let patient = ChatSettings { server_patience: WATCHDOG, ..settings(2, 0) };
+    let bench = Bench::new(&server.base_url(), patient);
+    let told = Arc::new(Mutex::new(Vec::new()));
+    let log = Arc::clone(&told);
+    bench.client.on_waiting(move |text| log.lock().unwrap().push(text.map(str::to_owned)));
+    for expected in ["North.", "South."] {
+        bench.submit("a");
+        assert_eq!(bench.answer().1.reply.text(), expected);
+    }
+    let told = told.lock().unwrap();
+    let [first, .., last] = &told[..] else { panic!("{told:?}") };
+    assert!(
+        first.as_deref().unwrap().contains("loading the model); waiting up to 60 s"),
+        "{told:?}"
+    );
+    assert_eq!((told.len(), last), (4, &None));
 }
 
 #[test]
-fn a_client_that_is_printed_keeps_its_key() {
-    let server = Server::turns([]).unwrap();
-    let (client, _) = client(&server, PATIENCE);
-    assert!(!format!("{client:?}").contains(KEY));
+fn stopping_ends_waiting_requests_at_once_and_the_others_after_their_attempt() {
+    let server = Server::concurrent(|_| Turn::Hang).unwrap();
+    let timeout = Duration::from_secs(2);
+    let bench =
+        Bench::new(&server.base_url(), ChatSettings { request_timeout: timeout, ..settings(1, 9) });
+    bench.submit("in flight");
+    while server.received().is_empty() {
+        thread::sleep(Duration::from_millis(1));
+    }
+    bench.submit("waiting");
+    bench.client.stop("the run has ended");
+    for expected in ["waiting", "in flight"] {
+        let (name, result) = bench.next();
+        assert_eq!(
+            (name.as_str(), result),
+            (expected, Err(AskError::Stopped("the run has ended".into())))
+        );
+    }
+}
+
+#[test]
+fn stored_replies_need_no_connection_and_failures_are_never_stored() {
+    let folder = tempfile::tempdir().unwrap();
+    let cache = || Some(ResponseCache::at(folder.path()));
+    let server = Server::turns([
+        fails(400, "too long"),
+        Turn::says("North."),
+        Turn::json(200, &json!({"error": {"message": "upstream died"}})),
+        Turn::says("South."),
+    ])
+    .unwrap();
+    let base_url = server.base_url();
+    let bench = Bench::with_cache(&base_url, settings(1, 1), cache());
+    bench.submit("a");
+    assert!(matches!(bench.error(), AskError::Failed(_)));
+    for (name, attempts, from_cache) in [("a", 1, false), ("a", 0, true), ("b", 2, false)] {
+        bench.submit(name);
+        let (_, answer) = bench.answer();
+        assert_eq!((answer.attempts, answer.from_cache), (attempts, from_cache), "{name}");
+    }
+    drop(server);
+    let bench = Bench::with_cache(&base_url, settings(1, 0), cache());
+    for (name, expected) in [("a", "North."), ("b", "South.")] {
+        bench.submit(name);
+        let (_, answer) = bench.answer();
+        assert_eq!(answer.reply.text(), expected);
+        assert_eq!(answer.reply.prompt_tokens, Some(10), "as counted when it was new");
+        assert!(answer.from_cache);
+    }
+    bench.submit_repeat("a", 1);
+    assert!(matches!(bench.error(), AskError::Stopped(_)), "another repetition is another request");
+}
+
+#[test]
+fn stored_replies_come_while_every_connection_hangs() {
+    let folder = tempfile::tempdir().unwrap();
+    let cache = ResponseCache::at(folder.path());
+    let server = Server::concurrent(|request| match text(request) {
+        "hang" => Turn::Hang,
+        _ => Turn::says("North."),
+    })
+    .unwrap();
+    let bench = Bench::with_cache(&server.base_url(), settings(2, 0), Some(cache));
+    bench.submit("a");
+    bench.answer();
+    ["hang", "hang", "hang"].into_iter().for_each(|name| bench.submit(name));
+    bench.submit("a");
+    assert!(bench.answer().1.from_cache);
+}
+
+#[test]
+fn a_cache_that_cannot_be_written_costs_no_reply() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("file");
+    std::fs::write(&file, "").unwrap();
+    let server = Server::start(|_| Turn::says("North.")).unwrap();
+    let bench =
+        Bench::with_cache(&server.base_url(), settings(2, 0), Some(ResponseCache::at(file)));
+    ["a", "b"].into_iter().for_each(|name| bench.submit(name));
+    for _ in 0..2 {
+        assert!(!bench.answer().1.from_cache);
+    }
 }

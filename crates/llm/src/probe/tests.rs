@@ -1,14 +1,15 @@
-//! What is found out about servers of several kinds, over real sockets.
+//! Probing servers of several kinds, over real sockets.
 
 use serde_json::{Value, json};
 
-use super::super::client::Settings;
-use super::super::endpoint::Endpoint;
-use super::super::scripted::{Received, Server, Turn, completion};
-use super::super::secret::Secret;
 use super::*;
+use crate::scripted::{Received, Server, Turn, completion};
+use crate::{ApiKey, ChatSettings, Endpoint};
 
 const KEY: &str = "sk-very-secret";
+
+/// Images of the run's largest request.
+const IMAGES: u32 = 47;
 
 fn images(request: &Received) -> Vec<&str> {
     let parts = request.body.pointer("/messages/0/content").and_then(Value::as_array);
@@ -33,66 +34,95 @@ fn seeing(request: &Received, most: usize) -> Turn {
     if images.len() > most {
         return refused(&format!("At most {most} image(s) may be provided in one request."));
     }
-    let red = Colour::Red.picture().unwrap();
+    let red = &square([230, 20, 20, 255]).messages[0];
+    let red = serde_json::to_value(red).unwrap();
     let mut body = completion(match images.first() {
-        Some(image) if *image == &*red.url => "Red.",
+        Some(image) if Some(*image) == red["content"][0]["image_url"]["url"].as_str() => "Red.",
         Some(_) => "It is blue.",
+        None if request.body.get("grammar").is_some() => "meadow",
         None => "42",
     });
     body["usage"]["prompt_tokens"] = json!(20 + 64 * images.len());
     Turn::json(200, &body)
 }
 
-fn probe(server: &Server) -> Report {
-    let endpoint = Endpoint::new(&server.base_url(), Secret::new(KEY)).unwrap();
-    let settings = Settings { model: "m".into(), timeout: TIMEOUT, max_retries: 0 };
-    let report = run(&Client::new(endpoint, settings), 4);
+/// A request with `images` images and the text of a run.
+fn run_request(images: u32) -> ChatRequest {
+    let mut request = square([0; 4]);
+    let MessageContent::Parts(parts) = &mut request.messages[0].content else { panic!("parts") };
+    let image = parts.remove(0);
+    parts.extend(vec![image; images as usize]);
+    request
+}
+
+fn probe(server: &Server) -> ProbeReport {
+    probe_at(&server.base_url())
+}
+
+fn probe_at(base_url: &str) -> ProbeReport {
+    let endpoint = Endpoint::new(base_url, ApiKey::new(KEY)).unwrap();
+    let settings = ChatSettings { max_retries: 0, ..ChatSettings::new("m") };
+    let client = ChatClient::new(endpoint, settings, None);
+    let report = run(&client, 4, &RunRequest { images: IMAGES, with: &run_request });
     let written = serde_json::to_string(&report).unwrap();
     assert!(!written.contains(KEY), "{written}");
     report
 }
 
-/// What was found, without what differs from time to time.
-fn story(report: &Report) -> String {
-    let lines = report.findings.iter().map(|Finding { what, mark, about }| {
-        let timed = matches!(*what, "reachable" | "speed") && *mark == Mark::Ok;
+/// The findings, without what differs from time to time.
+fn story(report: &ProbeReport) -> String {
+    let lines = report.findings.iter().map(|ProbeFinding { what, mark, about }| {
+        let timed = matches!(*what, "reachable" | "speed") && *mark == ProbeMark::Ok;
         format!("{mark:?} {what}: {}\n", if timed { "..." } else { about })
     });
     lines.collect::<String>().replace(&report.endpoint, "E")
 }
 
 #[test]
-fn a_server_that_does_all_a_run_needs() {
+fn a_server_with_everything_a_run_needs() {
     let server = Server::start(|request| seeing(request, usize::MAX)).unwrap();
     let report = probe(&server);
-    insta::assert_snapshot!(story(&report), @r#"
-    Ok reachable: ...
-    Ok model: m is in the server's list of 1
-    Ok answers: "42" in 5 tokens to 17 + 25
-    Ok reasoning off: the answer came without reasoning
-    Ok images: "Red." to a red square, "It is blue." to a blue square
-    Ok images per request: 50 at least, which is what a run can need
-    Ok temperature 0: the same question had the same answer twice
-    Ok speed: ...
-    "#);
-    assert_eq!((report.worst(), report.images_per_request), (Mark::Ok, Some(50)));
+    insta::assert_snapshot!(
+        story(&report).replace("took 0.0 s", "took T").replace("took 0.1 s", "took T")
+    );
+    assert_eq!(report.worst(), ProbeMark::Ok);
+    let sized = report.run_sized.unwrap();
+    assert_eq!((sized.images, sized.prompt_tokens), (IMAGES, Some(20 + 64 * 47)));
     let speed = report.speed.unwrap();
     assert_eq!((speed.alone_tokens, speed.together, speed.together_tokens), (Some(5), 4, Some(20)));
 }
 
+/// Defect 18: a server that refuses the run's largest request is not called good.
 #[test]
-fn the_bound_on_images_is_found_whatever_it_is() {
-    for most in [1, 2, 8, 31, 49] {
+fn the_number_of_images_accepted_is_found() {
+    for most in [1, 2, 8, 31, 46] {
         let server = Server::start(move |request| seeing(request, most)).unwrap();
         let report = probe(&server);
-        assert_eq!(report.images_per_request, Some(most as u32));
-        assert_eq!(report.worst(), Mark::Doubtful);
+        assert_eq!(report.run_sized.as_ref().map(|sized| sized.images), Some(most as u32));
+        assert_eq!(report.worst(), ProbeMark::Bad);
         let told = format!(
-            "{most}; {} are refused: At most {most} image(s) may be provided in one request.",
+            "{} images are refused: At most {most} image(s) may be provided in one request.",
             most + 1
         );
-        assert!(story(&report).contains(&told), "{}", story(&report));
+        let story = story(&report);
+        assert!(
+            story.contains(&told) && story.contains(&format!("--image-budget {most}")),
+            "{story}"
+        );
     }
+}
+
+#[test]
+fn a_context_that_is_too_short_is_found_with_the_runs_prompt() {
+    // Squares are small enough for it; the run's prompt is not.
+    let server = Server::start(|request| match request.body.to_string().len() {
+        size if size > 1500 => refused("maximum context length is 8192 tokens"),
+        _ => seeing(request, usize::MAX),
+    })
+    .unwrap();
+    let report = probe(&server);
+    assert_eq!(report.worst(), ProbeMark::Bad);
+    assert!(story(&report).contains("Bad request of the run's size: "), "{}", story(&report));
 }
 
 #[test]
@@ -104,14 +134,14 @@ fn a_model_that_does_not_see() {
         })
         .unwrap();
         let report = probe(&server);
-        assert_eq!((report.worst(), report.images_per_request), (Mark::Bad, Some(0)));
+        assert_eq!((report.worst(), &report.run_sized), (ProbeMark::Bad, &None));
         let told = "Bad images: the server takes none: image input is not supported. Serve a model that sees";
         assert!(story(&report).contains(told), "{}", story(&report));
     }
 }
 
 #[test]
-fn a_server_that_has_peculiarities() {
+fn a_server_with_peculiarities() {
     let mut asked = 0;
     let server = Server::start(move |request| {
         asked += 1;
@@ -123,34 +153,23 @@ fn a_server_that_has_peculiarities() {
         Turn::json(200, &body)
     })
     .unwrap();
-    let report = probe(&server);
-    insta::assert_snapshot!(story(&report), @r#"
-    Ok reachable: ...
-    Doubtful model: m is not in the server's list; it has n, o. Some servers answer all the same; if this one does not, pass one of these with --model.
-    Ok answers: "Answer 2." in 5 tokens to 17 + 25
-    Bad reasoning off: the model reasons although every request asks it not to, and has few tokens for its answer: turn reasoning off at the server, or serve a variant that does not reason.
-    Doubtful images: "Answer 3." to a red square, "Answer 4." to a blue square: the model may be too small, or not see what it is sent.
-    Doubtful images per request: 50 are accepted, but the server counts hardly more tokens than for one: it may drop some without a word. Look at its settings before you trust a run.
-    Doubtful temperature 0: the same question had two answers, "Answer 6." and "Answer 7.": a run will not repeat exactly. Ask for several repetitions (--runs), or see whether the server can be made deterministic.
-    Ok speed: ...
-    "#);
+    insta::assert_snapshot!(story(&probe(&server)));
 }
 
 #[test]
-fn what_cannot_be_asked() {
+fn a_server_that_cannot_be_asked() {
     let turn = Turn::json(401, &json!({"error": {"message": "wrong key sk-very-secret"}}));
     let server = Server::start(move |_| turn.clone()).unwrap();
     insta::assert_snapshot!(story(&probe(&server)), @r#"
     Ok reachable: ...
-    Doubtful model: the server does not show its list: wrong key [key]. Set OPENAI_API_KEY, or check it.
-    Bad answers: E refused the request with status 401: wrong key [key]; check OPENAI_API_KEY
+    Doubtful model: the server does not show its list: wrong key [key]. Set or check OPENAI_API_KEY.
+    Bad answers: the server refuses every request: E refused the request with status 401: wrong key [key]; check OPENAI_API_KEY
     "#);
 
     let server = Server::turns([]).unwrap();
-    let endpoint = Endpoint::new(&server.base_url(), None).unwrap();
+    let base_url = server.base_url();
     drop(server);
-    let settings = Settings { model: "m".into(), timeout: TIMEOUT, max_retries: 0 };
-    let report = run(&Client::new(endpoint, settings), 4);
-    assert_eq!(report.worst(), Mark::Bad);
-    insta::assert_snapshot!(story(&report), @"Bad reachable: nobody answers for E: there is no connection: Connection refused (os error 111); is the server running? Start the server, or correct --base-url.");
+    let report = probe_at(&base_url);
+    assert_eq!(report.worst(), ProbeMark::Bad);
+    insta::assert_snapshot!(story(&report), @"Bad reachable: no answer from E: there is no connection: Connection refused (os error 111); is the server running? Start the server, or correct --base-url.");
 }

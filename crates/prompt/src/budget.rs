@@ -1,6 +1,6 @@
 //! Which images of a request are sent when there are more than the budget allows.
 
-/// How many images a request has of each kind, beside the current view.
+/// The images of a request by kind, apart from the current view.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Counts {
     /// Keyframes of all demonstrations together.
@@ -21,8 +21,8 @@ pub(super) struct Plan {
 }
 
 impl Plan {
-    /// Leaves out what does not fit into `budget`: keyframes first, then retrieved views, the window's, and
-    /// the current view last.
+    /// Leaves out images beyond `budget`: keyframes first, then retrieved views, those of the window, and the current view
+    /// last.
     pub(super) fn new(counts: Counts, budget: u32) -> Self {
         let mut room = budget;
         let mut take = |wanted: u32| {
@@ -30,7 +30,7 @@ impl Plan {
             room -= taken;
             taken
         };
-        // Room is given in the opposite order to that of leaving out.
+        // Room is given in the reverse order.
         let now = take(1) == 1;
         let window = take(counts.window);
         let retrieved = take(counts.retrieved);
@@ -38,7 +38,7 @@ impl Plan {
         Self { counts, sent: Counts { keyframes, retrieved, window }, now }
     }
 
-    /// Whether keyframe `index` is sent: the middle ones of as many equal stretches as there is room for.
+    /// Whether keyframe `index` is sent: the middle one of each of as many equal stretches as there is room for.
     pub(super) fn keyframe(&self, index: u32) -> bool {
         let (of, sent) = (u64::from(self.counts.keyframes), u64::from(self.sent.keyframes));
         // Stretch s has its middle at floor((2 s + 1) of / (2 sent)); `index` lies in stretch index * sent / of.
@@ -48,12 +48,12 @@ impl Plan {
             .any(|s| s < sent && (2 * s + 1) * of / (2 * sent) == u64::from(index))
     }
 
-    /// Whether retrieved view `index` is sent: the first ones.
+    /// Whether retrieved view `index` is sent: the first ones are.
     pub(super) fn retrieved(&self, index: u32) -> bool {
         index < self.sent.retrieved
     }
 
-    /// Whether the window's view `index` is sent: the latest ones.
+    /// Whether view `index` of the window is sent: the latest ones are.
     pub(super) fn window(&self, index: u32) -> bool {
         index >= self.counts.window - self.sent.window
     }

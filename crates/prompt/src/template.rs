@@ -1,14 +1,13 @@
-//! The template's file, as values: its texts by name, and how names in them are replaced.
+//! The template's file as a struct, and the replacement of names in its texts.
 
 use std::sync::LazyLock;
 
 use domain::{Action, Feedback, Heading};
 use serde::Deserialize;
-use sha2::{Digest, Sha256};
 
-const FILE: &str = include_str!("../../prompt/v1.toml");
+pub(super) const FILE: &str = include_str!("../v1.toml");
 
-/// The template's texts. `prompt/v1.toml` says what each is for.
+/// The template's texts. `v1.toml` says what each is for.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Template {
@@ -149,18 +148,13 @@ impl Template {
 /// The template that this program was built with.
 pub(super) fn template() -> &'static Template {
     static TEMPLATE: LazyLock<Template> = LazyLock::new(|| {
-        // The file is part of the program, and a test reads it: this is no input.
-        toml::from_str(FILE).expect("the template was read when the program was tested")
+        // The file is compiled in, and a test parses it.
+        toml::from_str(FILE).expect("the template parses")
     });
     &TEMPLATE
 }
 
-pub(super) fn sha256() -> String {
-    Sha256::digest(FILE).iter().map(|byte| format!("{byte:02x}")).collect()
-}
-
-/// `text` with each `{name}` of `values` replaced. What a value holds is never looked at for names, and braces
-/// around anything else stay.
+/// `text` with each `{name}` of `values` replaced. Names inside values are not replaced, and other braces stay.
 pub(super) fn fill(text: &str, values: &[(&str, &str)]) -> String {
     let mut filled = String::with_capacity(text.len());
     let mut rest = text;
@@ -191,7 +185,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_file_says_what_the_rest_of_the_project_says() {
+    fn the_words_of_the_file_are_those_of_the_project() {
         let template = template();
         assert_eq!(template.version, "prompt/1");
         for action in Action::ALL {

@@ -1,11 +1,11 @@
-//! A request as the template words it.
+//! Renders a request in the words of the template.
 
 use domain::{Action, DocumentKind};
+use peer::{DocumentView, FrameView, Request, Segment, Trajectory};
 
 use super::budget::{Counts, Plan};
 use super::template::{Template, fill};
 use super::{PartContent, Prompt, PromptPart, Section};
-use crate::{DocumentView, FrameView, Request, Segment, Trajectory};
 
 /// The prompt for `request` in the words of `template`.
 pub(super) fn prompt<'a>(
@@ -98,7 +98,7 @@ impl<'a> Writer<'a> {
         let texts = &self.template.memory;
         let name = match kind {
             DocumentKind::Summary => &texts.summary,
-            // The SDK supplies texts of these two kinds and no others.
+            // The SDK supplies documents of these two kinds only.
             DocumentKind::Semantic | DocumentKind::Trajectories => &texts.semantic,
         };
         self.fill(&texts.document, &[("name", name), ("text", text)]);
@@ -122,7 +122,7 @@ impl<'a> Writer<'a> {
         self.actions(&mut actions);
     }
 
-    /// Writes `actions` down, if there are any, and forgets them.
+    /// Writes `actions`, if there are any, and clears them.
     fn actions(&mut self, actions: &mut Vec<Action>) {
         if actions.is_empty() {
             return;
@@ -145,7 +145,7 @@ impl<'a> Writer<'a> {
         let template = self.template;
         let texts = &template.memory;
         let distance = match segment.distance {
-            // Rounding can put the same view a hair below 0.
+            // Rounding can make the distance of equal views slightly negative.
             distance if distance.is_finite() => format!("{:.3}", distance.max(0.0)),
             _ => texts.unknown_distance.clone(),
         };

@@ -1,0 +1,229 @@
+//! The action in a model's answer.
+//!
+//! Where the server can restrict answers to the seven actions, an answer is one of them. Otherwise models write around it,
+//! and the first action in the text counts:
+//!
+//! 1. Reasoning up to `</think>` is skipped, and so is everything before the first `action:` or `answer:`, also as a key
+//!    of JSON.
+//! 2. An action is a verb and a direction ("move forward", "rotate to the left", "strafe right"), or a direction that
+//!    leaves no choice ("forward", "u-turn"). "Left" alone and "go left" could be a move or a turn, and count as nothing.
+//! 3. An action right after a negation ("do not turn left") does not count.
+
+use domain::Action;
+use peer::Answer;
+
+/// Why no action was read.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+pub enum Unread {
+    /// The answer has no text.
+    #[error("the answer is empty")]
+    Empty,
+    /// The model refused, and named no action.
+    #[error("the model refused")]
+    Refused,
+    /// No action is named.
+    #[error("the answer names no action")]
+    NoAction,
+}
+
+impl From<Unread> for Answer {
+    fn from(unread: Unread) -> Self {
+        match unread {
+            Unread::Empty => Self::Empty,
+            Unread::Refused => Self::Refused,
+            Unread::NoAction => Self::Unreadable,
+        }
+    }
+}
+
+/// Words that deny the action after them.
+const NEGATIONS: [&str; 8] =
+    ["not", "dont", "cannot", "cant", "never", "avoid", "without", "instead"];
+
+/// Words between a verb and its direction.
+const FILLERS: [&str; 10] =
+    ["to", "the", "my", "your", "one", "1", "cell", "step", "90", "degrees"];
+
+/// Phrases of refusals.
+const REFUSALS: [&str; 7] =
+    ["sorry", "cant assist", "cannot assist", "cant help", "cannot help", "as an ai", "i refuse"];
+
+/// Reads the first action in `text`.
+///
+/// # Errors
+/// When there is none.
+pub fn read_answer(text: &str) -> Result<Action, Unread> {
+    let tokens = tokens(without_reasoning(text));
+    let words: Vec<&str> = tokens.iter().map(String::as_str).collect();
+    if words.iter().all(|word| is_boundary(word)) {
+        return Err(Unread::Empty);
+    }
+    let marker = words.windows(2).position(|two| matches!(two, ["action" | "answer", ":"]));
+    let announced = marker.and_then(|at| first_action(&words[at + 2..]));
+    announced.or_else(|| first_action(&words)).ok_or_else(|| {
+        let text = words.join(" ");
+        let refused = REFUSALS.iter().any(|phrase| text.contains(phrase));
+        if refused { Unread::Refused } else { Unread::NoAction }
+    })
+}
+
+/// The text after `</think>`, or before a `<think>` that never ends.
+fn without_reasoning(text: &str) -> &str {
+    let text = match text.rsplit_once("</think>") {
+        Some((before, after)) if after.trim().is_empty() => before,
+        Some((_, after)) => after,
+        None => text,
+    };
+    text.split_once("<think>").map_or(text, |(before, _)| before)
+}
+
+/// The words of a text in lower case, with camelCase and snake_case split and apostrophes left out. Colons and `=` become
+/// `:`, other punctuation that ends a clause `.`.
+fn tokens(text: &str) -> Vec<String> {
+    let mut tokens = vec![String::new()];
+    let mut after_lower = false;
+    for c in text.chars() {
+        let boundary = match c {
+            ':' | '=' => ":",
+            '.' | ',' | ';' | '!' | '?' | '\n' | '{' | '}' => ".",
+            _ => "",
+        };
+        let in_word = c.is_alphanumeric() && !(c.is_uppercase() && after_lower);
+        if !boundary.is_empty() {
+            tokens.extend([boundary.to_owned(), String::new()]);
+        } else if !in_word && !matches!(c, '\'' | '’') {
+            tokens.push(String::new());
+        }
+        if let Some(word) = tokens.last_mut()
+            && c.is_alphanumeric()
+        {
+            word.extend(c.to_lowercase());
+        }
+        after_lower = c.is_lowercase();
+    }
+    tokens.retain(|token| !token.is_empty());
+    tokens
+}
+
+fn is_boundary(token: &str) -> bool {
+    matches!(token, ":" | ".")
+}
+
+fn first_action(words: &[&str]) -> Option<Action> {
+    (0..words.len()).find_map(|at| {
+        let before = words[..at].iter().rev().take_while(|word| !is_boundary(word)).take(2);
+        let denied = before.into_iter().any(|word| NEGATIONS.contains(word));
+        action_at(&words[at..]).filter(|_| !denied)
+    })
+}
+
+/// The action that begins with the first of `words`.
+fn action_at(words: &[&str]) -> Option<Action> {
+    let (&first, rest) = words.split_first()?;
+    let next = *rest.iter().find(|word| !FILLERS.contains(word)).unwrap_or(&".");
+    match (first, next) {
+        ("forward" | "forwards" | "ahead", _) => Some(Action::Forward),
+        ("backward" | "backwards", _) => Some(Action::Backward),
+        ("uturn", _) | ("u", "turn") => Some(Action::TurnAround),
+        (verb, "left") if is_turn(verb) => Some(Action::TurnLeft),
+        (verb, "right") if is_turn(verb) => Some(Action::TurnRight),
+        (verb, "around" | "back" | "180") if is_turn(verb) => Some(Action::TurnAround),
+        ("left", "turn") => Some(Action::TurnLeft),
+        ("right", "turn") => Some(Action::TurnRight),
+        (verb, "left") if is_move(verb) => Some(Action::Left),
+        (verb, "right") if is_move(verb) => Some(Action::Right),
+        (verb, "back") if is_move(verb) || is_walk(verb) => Some(Action::Backward),
+        (verb, "straight") if is_move(verb) || is_walk(verb) => Some(Action::Forward),
+        _ => None,
+    }
+}
+
+/// Whether a word is a form of one of `verbs`, which are given without endings.
+fn is_form_of(word: &str, verbs: &[&str]) -> bool {
+    verbs.iter().any(|verb| {
+        word.strip_prefix(verb)
+            .is_some_and(|ending| matches!(ending, "" | "s" | "e" | "es" | "ing"))
+    })
+}
+
+fn is_turn(word: &str) -> bool {
+    is_form_of(word, &["turn", "rotat", "pivot", "spin", "spinn"])
+}
+
+/// Verbs that keep the heading.
+fn is_move(word: &str) -> bool {
+    is_form_of(word, &["mov", "step", "stepp", "straf", "sidestep", "sidestepp", "shift", "slid"])
+}
+
+/// Verbs that say nothing about the heading.
+fn is_walk(word: &str) -> bool {
+    is_form_of(word, &["go", "walk", "continu", "proceed", "head"])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::Unread::{Empty, NoAction, Refused};
+    use super::*;
+
+    #[test]
+    fn every_action_is_read_in_every_form() {
+        for action in Action::ALL {
+            let words = action.words();
+            let (first, second) = words.split_once(' ').unwrap();
+            let title = second[..1].to_uppercase() + &second[1..];
+            for text in [
+                words.to_owned(),
+                words.to_uppercase(),
+                format!("{first}{title}"),
+                format!("**{first}_{second}!**\n"),
+                format!("I'll {first} {second} now, since the rack on my left is empty."),
+                format!("Next action: {first}s {second}"),
+                format!("{{\"thought\": \"turn left or move right\", \"action\": \"{words}\"}}"),
+                format!("{{\"nextAction\": \"{first}_{second}\"}}"),
+                format!("<think>turn left? no, turn right</think>\n{words}"),
+                format!("{words}</think>"),
+                format!("I cannot go there. Do not turn left, {words}."),
+                format!("The path ahead? Blocked. Answer = {words}"),
+            ] {
+                assert_eq!(read_answer(&text), Ok(action), "{text:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn the_first_action_counts() {
+        for (text, expected) in [
+            ("move one step forward, then turn left", Ok(Action::Forward)),
+            ("Rotating to the left by 90 degrees", Ok(Action::TurnLeft)),
+            ("make a right turn", Ok(Action::TurnRight)),
+            ("Rotate 180 degrees", Ok(Action::TurnAround)),
+            ("strafing right", Ok(Action::Right)),
+            ("go back", Ok(Action::Backward)),
+            ("Backward.", Ok(Action::Backward)),
+            ("go straight", Ok(Action::Forward)),
+            ("turn left instead of moving forward", Ok(Action::TurnLeft)),
+            ("Don't move forward. Turn around", Ok(Action::TurnAround)),
+            ("turn left\n\nThe barrel is on the le", Ok(Action::TurnLeft)),
+            ("left", Err(NoAction)),
+            ("go left", Err(NoAction)),
+            ("The barrel is on the left.", Err(NoAction)),
+            ("never move forward", Err(NoAction)),
+            ("north", Err(NoAction)),
+            ("{\"action\": null}", Err(NoAction)),
+            ("I'm sorry, but I can't assist with that.", Err(Refused)),
+            ("I'm sorry, I turn left", Ok(Action::TurnLeft)),
+            ("", Err(Empty)),
+            (" \n...", Err(Empty)),
+            ("<think>turn left", Err(Empty)),
+        ] {
+            assert_eq!(read_answer(text), expected, "{text:?}");
+        }
+    }
+
+    proptest::proptest! {
+        #[test]
+        fn no_text_makes_it_panic(text in proptest::prelude::any::<String>()) {
+            drop(read_answer(&text));
+        }
+    }
+}

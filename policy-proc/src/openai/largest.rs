@@ -1,0 +1,108 @@
+//! The largest request of a run, with invented content: what a server has to accept before a run makes sense.
+
+use domain::{Action, DocumentKind, Feedback, Heading, Pose};
+use llm::ChatRequest;
+use peer::{DocumentView, FrameView, PastView, Request, Trajectory, TrajectoryView};
+use prompt::Prompt;
+use prompt::image::{ImageFormat, data_url};
+
+/// Steps between two keyframes of a demonstration, about what the demonstrations of the benchmark have.
+const KEYFRAME_DISTANCE: u32 = 2;
+
+/// A line of an invented document.
+const DOCUMENT_LINE: &str =
+    "- blue barrel: stand at (12, 7) facing N; from (3, 1) go (3, 7), (12, 7)\n";
+
+/// The size of the largest request of a run: full-context memory, a full window, and documents.
+#[derive(Debug, Clone, Copy)]
+pub struct LargestRequest {
+    /// Edge of a view, in pixels.
+    pub frame_size: u32,
+    /// Encoding of the images.
+    pub image_format: ImageFormat,
+    /// Keyframes of the demonstrations.
+    pub keyframes: u32,
+    /// Past steps.
+    pub window: u32,
+    /// Characters of documents.
+    pub document_chars: u32,
+}
+
+impl LargestRequest {
+    /// Its images.
+    pub const fn images(&self) -> u32 {
+        1 + self.window + self.keyframes
+    }
+
+    /// The chat request, with at most `image_budget` images.
+    pub fn chat_request(&self, image_budget: u32) -> ChatRequest {
+        let pixels = pixels(self.frame_size);
+        let (width, height) = (self.frame_size, self.frame_size);
+        let frame = FrameView { pixels: &pixels, width, height, ..FrameView::NONE };
+        let past = PastView { frame, action: Some(Action::Forward), feedback: Feedback::Moved };
+        let window = vec![past; self.window as usize];
+        let steps: Vec<_> = (0..self.keyframes * KEYFRAME_DISTANCE)
+            .map(|step| TrajectoryView {
+                frame: (step % KEYFRAME_DISTANCE == 0).then_some(frame),
+                action: Some(Action::ALL[step as usize % Action::ALL.len()]),
+            })
+            .collect();
+        let text: String =
+            DOCUMENT_LINE.chars().cycle().take(self.document_chars as usize).collect();
+        let document = DocumentView { id: 0, kind: DocumentKind::Summary, text: &text };
+        let request = Request {
+            lane: 0,
+            step: 0,
+            episode: 0,
+            episode_seed: 0,
+            repeat: 0,
+            instruction: "Find a blue barrel, then return to the cell where you started.",
+            pose: Pose::new(3, 12, Heading::N),
+            feedback: Feedback::Moved,
+            frame,
+            window: &window,
+            segment: None,
+            documents: if self.document_chars == 0 { &[] } else { &[document] },
+            trajectories: &[Trajectory { steps: &steps }],
+            starts_as_demonstrated: true,
+        };
+        // A square view can be encoded.
+        let url = data_url(&frame, self.image_format).unwrap_or_default().into();
+        super::chat_request(&Prompt::new(&request, image_budget), prompt::ANSWER_TOKENS, |_| {
+            std::sync::Arc::clone(&url)
+        })
+    }
+}
+
+/// A square view with as much detail as a rendered one: stripes that grow brighter.
+fn pixels(edge: u32) -> Vec<u8> {
+    let cells = (0..edge).flat_map(|row| (0..edge).map(move |column| (row, column)));
+    let shade = |value: u32| (value % 256) as u8;
+    cells
+        .flat_map(|(row, column)| {
+            [shade(row + column / 8), shade(column ^ row), shade(column), 255]
+        })
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn it_has_the_images_and_documents_of_a_run() {
+        let largest = LargestRequest {
+            frame_size: 64,
+            image_format: ImageFormat::Png,
+            keyframes: 40,
+            window: 6,
+            document_chars: 5000,
+        };
+        assert_eq!(largest.images(), 47);
+        assert_eq!(largest.chat_request(50).images(), 47);
+        let request = largest.chat_request(10);
+        assert_eq!(request.images(), 10);
+        let text = format!("{request:?}");
+        assert!(text.contains("blue barrel") && text.contains("data:image/png;base64,"));
+    }
+}
