@@ -11,7 +11,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering::SeqCst};
 
 use memtransfer_tests::{Bench, Ended, episodes, eventually, records, sorted_log};
-use policy_proc::chat::scripted::{Received, Server, Turn, completion};
+use llm::scripted::{Received, Server, Turn, completion};
 use serde_json::{Value, json};
 
 /// Lanes, and most requests under way.

@@ -14,7 +14,7 @@ use memory_proc::documents::model::{Ask, ModelBuilder, Pipe, Settings};
 use memory_proc::documents::{Builder, Seen, Step, Transcript};
 use memtransfer_tests::{WATCHDOG, program};
 use plates::{Landmark, Plate};
-use policy_proc::chat::scripted::{Received, Server, Turn};
+use llm::scripted::{Received, Server, Turn};
 
 /// Set for the test binary that is started as a building process: where the server is.
 const BASE_URL: &str = "MEMTRANSFER_TEST_BASE_URL";

@@ -7,8 +7,8 @@ use std::process::{Command, Stdio};
 use memtransfer_tests::{
     Bench, Ended, episodes, eventually, kill, needs, processes_with, records, sorted_log,
 };
-use policy_proc::chat::scripted::{Server, Turn};
-use policy_proc::prompt::answer::read_answer;
+use llm::scripted::{Server, Turn};
+use prompt::read_answer;
 
 fn package() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../python").canonicalize().expect("the package")
@@ -63,7 +63,7 @@ fn the_package_can_be_installed_from_the_checkout() {
 fn read(text: &str) -> String {
     match read_answer(text) {
         Ok(action) => action.words().replace("move ", "").replace(' ', "_"),
-        Err(why) => format!("{:?}", why.answer().outcome()).to_lowercase(),
+        Err(why) => format!("{:?}", peer::Answer::from(why).outcome()).to_lowercase(),
     }
 }
 

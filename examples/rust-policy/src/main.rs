@@ -5,7 +5,7 @@
 //! memtransfer run --policy-cmd examples/rust-policy/target/release/rust-policy
 //! ```
 
-use policy_proc::{Action, Decision, Feedback, FrameView, Policy, Request, serve_from_environment};
+use peer::{Action, Decision, Feedback, FrameView, Policy, Request, serve_from_environment};
 
 /// Does what memory shows, and otherwise walks towards the light.
 struct Wanderer;

@@ -12,7 +12,7 @@ use std::time::Duration;
 
 use bytemuck::Zeroable;
 use domain::Action;
-use policy_proc::{Answers, Decider, Request, ServeError, serve_from_environment};
+use peer::{Answers, Decider, Request, ServeError, serve_from_environment};
 use shm_types::message::{
     Decision, Handshake, Observation, PolicyEpisodeConfig, Recall, Role, ShutdownReport, Stop,
 };
@@ -49,13 +49,13 @@ impl Decider for Picky {
     fn take(&mut self, batch: &[Request<'_>], answers: &Answers) -> Result<(), ServeError> {
         for request in batch {
             if request.instruction != self.victim {
-                let decision = policy_proc::Decision::act(request, Action::TurnLeft);
+                let decision = peer::Decision::act(request, Action::TurnLeft);
                 answers.decide(request.id(), decision);
             } else if self.crashes && request.step == 3 {
                 eprintln!("I cannot stand this one");
                 std::process::abort();
             } else if self.crashes {
-                let decision = policy_proc::Decision::act(request, Action::TurnLeft);
+                let decision = peer::Decision::act(request, Action::TurnLeft);
                 answers.decide(request.id(), decision);
             }
         }
