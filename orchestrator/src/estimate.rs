@@ -1,13 +1,14 @@
-//! What a run with a model would send, before anything is sent: requests, images, tokens, money.
+//! An estimate of what a run with a model would send: requests, images, tokens, money.
 //!
-//! An estimate, and pure. Nobody knows how many steps an episode takes, so there are two figures: at least as many
-//! as the reference, at most T_max. Where the run folder has finished episodes of a condition, their mean stands
-//! for both, and so do the tokens of their prompts. Otherwise a prompt is reckoned from the template's measured
-//! length, four characters a token, and 256 tokens an image (the paper's figure); a model's own count differs.
+//! The number of steps of an episode is not known in advance, so there are two figures: at least as many as the reference,
+//! at most T_max. Where the run folder has finished episodes of a condition, their mean replaces both, and the tokens of
+//! their prompts are used. Otherwise a prompt is estimated from the template's length, the characters to a token of
+//! [`prompt::tokens`], and 256 tokens an image (the paper's figure).
 
 use std::collections::BTreeMap;
 
 use domain::representation::Trajectories;
+use prompt::tokens;
 
 use crate::documents::{DocumentName, needed};
 use crate::plan::Episode;
@@ -28,8 +29,6 @@ const RETRIEVED_VIEW: u64 = 79;
 /// Characters of an action of a whole demonstration, and around one of its views.
 const ACTION: u64 = 14;
 const KEYFRAME: u64 = 20;
-/// Characters of text that make a token.
-const TOKEN: u64 = 4;
 /// Tokens of an image of the default size (SPEC section 2).
 const IMAGE_TOKENS: u64 = 256;
 
@@ -134,10 +133,11 @@ impl Basis<'_> {
                 ACTION * mean + KEYFRAME * u64::from(self.settings.keyframes)
             }
         };
+        let mut documents = 0;
         for name in needed([condition]) {
-            characters += self.documents.get(&name)?;
+            documents += self.documents.get(&name)?;
         }
-        Some(characters / TOKEN + IMAGE_TOKENS * self.images(condition))
+        Some(tokens::of_text(characters, documents) + IMAGE_TOKENS * self.images(condition))
     }
 
     /// Actions of the demonstrations that an episode remembers.
@@ -156,11 +156,11 @@ mod tests {
     use super::*;
 
     #[test]
-    fn lengths_are_those_of_the_prompt_that_is_sent() {
-        let template = include_str!("../../policy-proc/prompt/v1.toml");
+    fn lengths_are_those_of_the_template() {
+        let template = prompt::template_text();
         assert!(
             template.contains("\nversion = \"prompt/1\"\n"),
-            "the template is another one: measure the constants above anew"
+            "the template has changed: measure the constants above again"
         );
         let system = template.split("\"\"\"").nth(1).unwrap();
         let system = system.chars().count() as u64;
@@ -182,7 +182,7 @@ mod tests {
     }
 
     #[test]
-    fn bounds_come_from_references_and_figures_from_what_was_walked() {
+    fn bounds_come_from_references_and_figures_from_finished_episodes() {
         let (settings, world) = (settings(), World::load(None).unwrap());
         let model = settings.model.as_ref().unwrap();
         let condition: Condition = "episodic/original/unchanged/original".parse().unwrap();
@@ -200,9 +200,9 @@ mod tests {
         let [least, most] = found.requests;
         assert!(least.abs_diff(actions(0) + actions(1)) <= 2, "{least}");
         assert_eq!(most, 400);
-        // (2420 + 6 x 88 + 7 x 79) / 4 and 14 images of 256.
-        assert_eq!((found.images_each, found.prompt_each), (14, Some(3501 / 4 + 14 * 256)));
-        assert_eq!(found.tokens().unwrap()[1], 400 * (875 + 3584 + 30));
+        // (2420 + 6 x 88 + 7 x 79) / 4, rounded up, and 14 images of 256.
+        assert_eq!((found.images_each, found.prompt_each), (14, Some(876 + 14 * 256)));
+        assert_eq!(found.tokens().unwrap()[1], 400 * (876 + 3584 + 30));
 
         let found = basis(&done).estimate(&condition, &missing);
         assert_eq!((found.requests, found.prompt_each), ([20, 20], Some(1200)));
@@ -213,7 +213,14 @@ mod tests {
         assert_eq!(
             (found.prompt_each, found.tokens()),
             (None, None),
-            "nobody knows how long it is"
+            "the length of the document is not known"
         );
+        // Defect 19: a summary of 42,136 characters has 18,700 tokens.
+        let documents = BTreeMap::from([(needed([&summary])[0], 42_136)]);
+        let basis =
+            Basis { settings: &settings, model, world: &world, documents: &documents, done: &[] };
+        let prompt_each = basis.estimate(&summary, &missing).prompt_each.unwrap();
+        let others = (2420 + 6 * 88) / 4 + 7 * 256;
+        assert!((18_000..19_000).contains(&(prompt_each - others)), "{prompt_each}");
     }
 }

@@ -19,7 +19,7 @@ use llm::{
     AskError, ChatAnswer, ChatClient, ChatMessage, ChatReply, ChatRequest, ChatRole, ContentPart,
     ImageUrl, MessageContent, ReplyContent,
 };
-use peer::{Answer, Answers, Decider, Decision, FrameView, Request, ServeError, RequestId, Usage};
+use peer::{Answer, Answers, Decider, Decision, FrameView, Request, RequestId, ServeError, Usage};
 use prompt::image::ImageFormat;
 use prompt::{PartContent, Prompt, Unread, read_answer};
 use shm_types::process::monotonic_ns;
@@ -45,6 +45,8 @@ pub struct Openai {
     settings: OpenaiSettings,
     images: EncodedViews,
     token_fits: TokenFits,
+    /// Where to report that the server is waited for: that of the latest batch.
+    answers: Arc<Mutex<Option<Answers>>>,
 }
 
 /// The token fit of each lane's episode.
@@ -54,7 +56,14 @@ impl Openai {
     /// A policy that asks through `client`.
     pub fn new(client: ChatClient, settings: OpenaiSettings) -> Self {
         let images = EncodedViews::new(settings.image_format);
-        Self { client, settings, images, token_fits: TokenFits::default() }
+        let answers = Arc::<Mutex<Option<Answers>>>::default();
+        let latest = Arc::clone(&answers);
+        client.on_waiting(move |reason| {
+            if let Some(answers) = &*latest.lock().unwrap_or_else(PoisonError::into_inner) {
+                answers.waiting(reason.unwrap_or_default());
+            }
+        });
+        Self { client, settings, images, token_fits: TokenFits::default(), answers }
     }
 }
 
@@ -87,6 +96,7 @@ impl Decider for Openai {
     }
 
     fn take(&mut self, batch: &[Request<'_>], answers: &Answers) -> Result<(), ServeError> {
+        *self.answers.lock().unwrap_or_else(PoisonError::into_inner) = Some(answers.clone());
         let budget = self.settings.image_budget;
         let prompts: Vec<_> = batch.iter().map(|request| Prompt::new(request, budget)).collect();
         let urls = self.images.urls(prompts.iter().flat_map(Prompt::views));

@@ -21,6 +21,8 @@ pub(super) enum Said {
     Failed(RequestId, String),
     /// The run should stop.
     Halt(String),
+    /// Decisions wait for this, or for nothing any longer if it is empty.
+    Waiting(String),
 }
 
 /// Takes a policy's answers. Clones go to whatever thread has something to say.
@@ -73,6 +75,12 @@ impl Answers {
     /// No answer can be had to any request now: the run should stop, to be gone on with later.
     pub fn halt(&self, why: impl Into<String>) {
         self.say(Said::Halt(why.into()));
+    }
+
+    /// Reports that decisions wait for `reason`, such as a server that does not answer; an empty one ends the wait. The
+    /// orchestrator shows it.
+    pub fn waiting(&self, reason: impl Into<String>) {
+        self.say(Said::Waiting(reason.into()));
     }
 
     fn say(&self, said: Said) {

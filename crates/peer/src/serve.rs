@@ -323,6 +323,10 @@ impl Server {
                     self.reporter.stop_run(&why)?;
                     true
                 }
+                Said::Waiting(reason) => {
+                    self.reporter.waiting(&reason)?;
+                    true
+                }
             };
         }
         Ok(sent)
