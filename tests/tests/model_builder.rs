@@ -10,11 +10,11 @@ use std::sync::mpsc;
 use std::time::{Duration, Instant};
 
 use domain::{Action, Cell, DocumentKind, Feedback, Heading, Pose};
+use llm::scripted::{Received, Server, Turn};
 use memory_proc::documents::model::{Ask, ModelBuilder, Pipe, Settings};
 use memory_proc::documents::{Builder, Seen, Step, Transcript};
 use memtransfer_tests::{WATCHDOG, program};
 use plates::{Landmark, Plate};
-use llm::scripted::{Received, Server, Turn};
 
 /// Set for the test binary that is started as a building process: where the server is.
 const BASE_URL: &str = "MEMTRANSFER_TEST_BASE_URL";

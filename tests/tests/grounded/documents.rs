@@ -1,4 +1,4 @@
-//! Documents as the extractive builder writes them, from views rendered here.
+//! Documents of the extractive builder, from views rendered here.
 
 use std::collections::HashMap;
 use std::path::Path;
@@ -11,7 +11,7 @@ use warehouse::{Demonstrations, Variant};
 
 use crate::views::Views;
 
-/// The document of `kind` made of `demonstrations` of every case.
+/// The document of `kind`, built from `demonstrations` of all cases.
 pub(crate) fn document(
     kind: DocumentKind,
     demonstrations: Demonstrations,
@@ -19,8 +19,8 @@ pub(crate) fn document(
 ) -> String {
     let sources = Sources::load(None).unwrap();
     let mut look = |pose: Pose| {
-        let picture = views.of(pose, &Variant::UNCHANGED);
-        let frame = picture.frame();
+        let image = views.of(pose, &Variant::UNCHANGED);
+        let frame = image.frame();
         let sightings = plates::read(frame.width, frame.height, frame.pixels);
         let landmarks = sightings.into_iter().filter_map(|sighting| sighting.seen_from(pose));
         Arc::new(Seen { frame: [0; 16], landmarks: landmarks.collect() })
