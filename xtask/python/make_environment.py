@@ -4,7 +4,7 @@
 
 Every package is a wheel whose SHA-256 is in REQUIREMENTS; pip refuses any other. A wheel that lies in
 the folder WHEELS is not downloaded. Needs Python's standard library and pip; Debian's `python3-venv` is
-not needed, because the environment brings the pip that REQUIREMENTS names.
+not needed, because the environment contains the pip that REQUIREMENTS names.
 
 OUTPUT can be moved once it is finished. So nothing in it names its place: there are no `activate`
 scripts, and programs of packages are run as `OUTPUT/bin/python -m NAME`.

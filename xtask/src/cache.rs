@@ -1,8 +1,7 @@
-//! The cache folder: where set-up puts what the program looks for.
+//! The cache folder, where set-up installs the files that the programs need.
 //!
-//! `$MEMTRANSFER_CACHE`, else `$XDG_CACHE_HOME/memtransfer`, else `~/.cache/memtransfer`. In it,
-//! `tmp/` holds what is being made and `wheels/` what was downloaded and found right; everything
-//! else is whole and checked, because it came by a rename.
+//! `$MEMTRANSFER_CACHE`, else `$XDG_CACHE_HOME/memtransfer`, else `~/.cache/memtransfer`. `tmp/` holds unfinished files
+//! and `wheels/` downloads; everything else is complete and verified, because it was moved into place.
 
 use std::ffi::OsString;
 use std::fs::{self, File, TryLockError};
@@ -11,16 +10,16 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
 
-/// The variable that names the folder; the program reads the same one.
+/// The environment variable that names the folder, also for the programs.
 pub(crate) const VARIABLE: &str = "MEMTRANSFER_CACHE";
 
-/// The cache folder's place; it need not exist yet.
+/// The path of the cache folder, which need not exist.
 pub(crate) struct Cache {
     root: PathBuf,
 }
 
 impl Cache {
-    /// Finds the folder's place from the environment.
+    /// Determines the path from the environment.
     pub(crate) fn locate() -> anyhow::Result<Self> {
         let root = root_from(|name| std::env::var_os(name).filter(|value| !value.is_empty()))?;
         let root = std::path::absolute(&root)
@@ -32,8 +31,7 @@ impl Cache {
         &self.root
     }
 
-    /// The cache for this process alone, until the value is dropped; `tmp/` is emptied of what an
-    /// interrupted set-up left.
+    /// Locks the cache until the value is dropped, and empties `tmp/` of the remains of an interrupted set-up.
     pub(crate) fn lock(&self) -> anyhow::Result<LockedCache<'_>> {
         let open = || -> io::Result<File> {
             fs::create_dir_all(&self.root)?;
@@ -61,43 +59,42 @@ impl Cache {
     }
 }
 
-/// The cache folder while this process alone changes it.
+/// The cache folder, locked by this process.
 pub(crate) struct LockedCache<'a> {
     cache: &'a Cache,
     _lock: File,
 }
 
 impl LockedCache<'_> {
-    /// The final place of something, given relative to the folder.
+    /// The absolute path of a path relative to the folder.
     pub(crate) fn place(&self, relative: &Path) -> PathBuf {
         self.cache.root.join(relative)
     }
 
-    /// A folder for what is being made; emptied when a set-up begins.
+    /// The folder for unfinished files, emptied when a set-up starts.
     pub(crate) fn tmp(&self) -> anyhow::Result<PathBuf> {
         self.folder("tmp")
     }
 
-    /// Wheels that were downloaded and whose sum was right. A wheel put here by hand saves its
-    /// download.
+    /// The folder for downloaded wheels. A wheel placed here by hand is not downloaded.
     pub(crate) fn wheels(&self) -> anyhow::Result<PathBuf> {
         self.folder("wheels")
     }
 
-    /// Moves a finished file to its final place, in one step.
+    /// Moves a finished file into place atomically.
     pub(crate) fn finish(&self, from: &Path, to: &Path) -> anyhow::Result<()> {
         let rename = || -> io::Result<()> {
             if let Some(parent) = to.parent() {
                 fs::create_dir_all(parent)?;
             }
-            // A name must not outlive its bytes when the machine loses power.
+            // After a power failure the name must not exist without its bytes.
             File::open(from)?.sync_all()?;
             fs::rename(from, to)
         };
         rename().with_context(|| format!("cannot move {} to {}", from.display(), to.display()))
     }
 
-    /// Removes what is being made, and `wheels/` when nothing is left in it.
+    /// Empties `tmp/` and removes `wheels/` when it is empty.
     pub(crate) fn tidy(&self) -> anyhow::Result<()> {
         self.empty_tmp()?;
         match fs::remove_dir(self.cache.root.join("wheels")) {
@@ -107,7 +104,7 @@ impl LockedCache<'_> {
                     io::ErrorKind::NotFound | io::ErrorKind::DirectoryNotEmpty
                 ) =>
             {
-                Err(error).context("cannot remove the empty folder of wheels")
+                Err(error).context("cannot remove the empty wheels folder")
             }
             _ => Ok(()),
         }
@@ -138,7 +135,7 @@ fn root_from(variable: impl Fn(&str) -> Option<OsString>) -> anyhow::Result<Path
     } else if let Some(home) = variable("HOME") {
         Ok(Path::new(&home).join(".cache/memtransfer"))
     } else {
-        bail!("no place for the cache folder: set {VARIABLE}, XDG_CACHE_HOME or HOME")
+        bail!("cannot determine the cache folder: set {VARIABLE}, XDG_CACHE_HOME or HOME")
     }
 }
 

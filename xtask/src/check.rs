@@ -1,11 +1,11 @@
-//! `check`: everything that can be wrong without running a test.
+//! `check`: every check that runs no test.
 
 use std::process::{Command, Stdio};
 
 use crate::workspace::{Workspace, succeeds};
 use crate::{boundaries, citations, licences};
 
-/// Runs all checks, also after one has failed; whether all passed.
+/// Runs all checks, also after one has failed. Returns whether all passed.
 pub(crate) fn run(workspace: &Workspace) -> anyhow::Result<bool> {
     let mut failed = Vec::new();
     let mut check = |name: &'static str, passed: bool| {
@@ -73,8 +73,7 @@ fn cargo_deny_is_there(workspace: &Workspace) -> bool {
         .is_ok_and(|status| status.success())
 }
 
-/// The check against known vulnerabilities, where their database was fetched before; CI has no
-/// network to fetch it.
+/// The check for known vulnerabilities, if their database has been fetched; CI cannot fetch it.
 fn advisories(workspace: &Workspace) -> Option<Command> {
     let home = std::env::var_os("CARGO_HOME").map(Into::into).or_else(|| {
         let home = std::env::home_dir()?;

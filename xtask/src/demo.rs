@@ -1,4 +1,4 @@
-//! `demo`: the main job, from nothing to its table.
+//! `demo`: builds the programs and runs the quick suite.
 
 use std::os::unix::process::CommandExt;
 
@@ -6,8 +6,7 @@ use anyhow::Context;
 
 use crate::workspace::Workspace;
 
-/// Builds the programs, then becomes `memtransfer run`: its progress, its signals and its exit
-/// status are the demo's.
+/// Builds the programs, then replaces this process with `memtransfer run`.
 pub(crate) fn run(workspace: &Workspace, run_flags: &[String]) -> anyhow::Result<bool> {
     if !workspace.build_programs(&[])? {
         return Ok(false);
@@ -16,7 +15,7 @@ pub(crate) fn run(workspace: &Workspace, run_flags: &[String]) -> anyhow::Result
     let mut arguments = vec!["run", "--suite", "quick", "--policy", "grounded"];
     arguments.extend(run_flags.iter().map(String::as_str));
     eprintln!("memtransfer {}", arguments.join(" "));
-    // `exec` returns only when it failed.
+    // `exec` returns only on failure.
     Err(workspace.at_root(&memtransfer, &arguments).exec())
         .with_context(|| format!("cannot start {}", memtransfer.display()))
 }

@@ -1,8 +1,7 @@
-//! Folders of Python packages in the cache folder: an interpreter, and exactly the packages of one
-//! list.
+//! Python environments in the cache folder: an interpreter and exactly the packages of one requirements file.
 //!
-//! Such a folder is never changed. It says in a note what it was made from: the sum of the list, and
-//! the Python. When the note does not say what would be written now, the folder is made anew.
+//! An environment is never modified. A note in it records the hash of the requirements and the Python version; when the
+//! note is out of date, the environment is created again.
 
 use std::ffi::OsStr;
 use std::fs;
@@ -16,10 +15,10 @@ use crate::python;
 use crate::sha256::Sum;
 use crate::workspace::Workspace;
 
-/// The note's name in the folder.
+/// File name of the note.
 const NOTE: &str = "made-from.txt";
 
-/// Looks at an environment's place.
+/// Inspects an environment.
 pub(crate) fn look(
     environment: &EnvironmentPin,
     cache: &Cache,
@@ -29,9 +28,9 @@ pub(crate) fn look(
     if !folder.exists() {
         return Ok(Found::Nothing);
     }
-    // The interpreter is a link to the machine's, which may be gone.
+    // The interpreter is a link to the system's, which may have been removed.
     let whole = folder.join("bin/python").is_file();
-    // Whatever keeps the note from being read, it does not say what it should.
+    // An unreadable note counts as out of date.
     let note = fs::read_to_string(folder.join(NOTE)).unwrap_or_default();
     Ok(if whole && note == made_from(environment, workspace)? {
         Found::Right
@@ -40,8 +39,8 @@ pub(crate) fn look(
     })
 }
 
-/// Makes the environment and moves it into place.
-pub(crate) fn bring(
+/// Creates the environment and moves it into place.
+pub(crate) fn install(
     environment: &EnvironmentPin,
     cache: &LockedCache<'_>,
     workspace: &Workspace,
@@ -72,7 +71,7 @@ pub(crate) fn bring(
     cache.finish(&made, &place)
 }
 
-/// What the environment would be made from now.
+/// Contents of an up-to-date note.
 fn made_from(environment: &EnvironmentPin, workspace: &Workspace) -> anyhow::Result<String> {
     let requirements = Sum::of_file(&workspace.root().join(&environment.requirements))?;
     Ok(format!("{requirements}\n{}\n", python::kind()?))

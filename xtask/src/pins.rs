@@ -1,4 +1,4 @@
-//! `setup.toml`, as typed values: the one list of what set-up may bring.
+//! `setup.toml` as typed values: everything that set-up may install.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -8,22 +8,22 @@ use serde::Deserialize;
 
 use crate::sha256::Sum;
 
-/// The whole list.
+/// The file.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct Pins {
-    /// What the operating system has to have, in the order in which it is needed.
+    /// System packages, in installation order.
     #[serde(default)]
     pub(crate) system: Vec<SystemNeed>,
-    /// Files that the program looks for in the cache folder.
+    /// Files in the cache folder.
     #[serde(default)]
     pub(crate) file: Vec<FilePin>,
-    /// Folders of Python packages in the cache folder.
+    /// Python environments in the cache folder.
     #[serde(default)]
     pub(crate) environment: Vec<EnvironmentPin>,
 }
 
-/// When something is brought.
+/// When something is installed.
 #[derive(Deserialize, Default, Clone, Copy, PartialEq, Eq, Debug)]
 #[serde(rename_all = "kebab-case")]
 pub(crate) enum Wanted {
@@ -34,11 +34,11 @@ pub(crate) enum Wanted {
     ForTests,
     /// By a set-up for benches.
     ForBenches,
-    /// Only when its own verb asks for it.
+    /// Only by a verb of its own.
     OnDemand,
 }
 
-/// What a set-up is for.
+/// Purpose of a set-up.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub(crate) enum Purpose {
     /// Running the program.
@@ -49,20 +49,20 @@ pub(crate) enum Purpose {
     Benches,
 }
 
-/// Something that the operating system's packages bring.
+/// A system requirement.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct SystemNeed {
     pub(crate) name: String,
     pub(crate) why: String,
     pub(crate) probe: Probe,
-    /// Debian's names.
+    /// Debian package names.
     pub(crate) packages: Vec<String>,
     #[serde(default)]
     pub(crate) wanted: Wanted,
 }
 
-/// How to see that a [`SystemNeed`] is met without asking a package manager.
+/// How to detect that a [`SystemNeed`] is met without a package manager.
 #[derive(Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub(crate) enum Probe {
@@ -88,21 +88,21 @@ pub(crate) struct FilePin {
     pub(crate) arguments: Vec<String>,
     #[serde(default)]
     pub(crate) wanted: Wanted,
-    /// By `linux-x86_64` and the like, or `any`.
+    /// By platform (`linux-x86_64`), or `any`.
     platform: BTreeMap<String, PlatformPin>,
 }
 
-/// What a [`FilePin`] is on one platform.
+/// A [`FilePin`] on one platform.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct PlatformPin {
-    /// Of the finished file.
+    /// Hash of the finished file.
     pub(crate) sha256: Sum,
-    /// What it is made from; absent when the script needs nothing.
+    /// The wheel it is made from; absent when the script needs none.
     pub(crate) wheel: Option<WheelPin>,
 }
 
-/// One wheel, and no other.
+/// One particular wheel.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct WheelPin {
@@ -111,12 +111,12 @@ pub(crate) struct WheelPin {
     /// The wheel's file name.
     pub(crate) file: String,
     pub(crate) sha256: Sum,
-    /// Flags that make pip choose this wheel on any Python.
+    /// Flags with which pip selects this wheel on any Python version.
     #[serde(default)]
     pub(crate) pip: Vec<String>,
 }
 
-/// Python packages with an interpreter of their own, made by a script.
+/// A Python environment, created by a script.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct EnvironmentPin {
@@ -126,14 +126,14 @@ pub(crate) struct EnvironmentPin {
     pub(crate) place: PathBuf,
     /// Relative to the workspace; called as `python3 SCRIPT OUTPUT REQUIREMENTS WHEELS`.
     pub(crate) script: PathBuf,
-    /// Versions and sums of all packages, as pip reads them; relative to the workspace.
+    /// Requirements file with versions and hashes; relative to the workspace.
     pub(crate) requirements: PathBuf,
     #[serde(default)]
     pub(crate) wanted: Wanted,
 }
 
 impl Wanted {
-    /// Whether it is brought by a set-up for `purpose`.
+    /// Whether a set-up for `purpose` installs it.
     pub(crate) fn now(self, purpose: Purpose) -> bool {
         match self {
             Self::Always => true,
@@ -161,7 +161,7 @@ impl Pins {
             .with_context(|| format!("xtask/setup.toml has no file {name:?}"))
     }
 
-    /// Reads the list; an unknown key is an error.
+    /// Reads the file; an unknown key is an error.
     pub(crate) fn load(path: &Path) -> anyhow::Result<Self> {
         let text = std::fs::read_to_string(path)
             .with_context(|| format!("cannot read {}", path.display()))?;

@@ -1,5 +1,4 @@
-//! Whether the machine already has what a [`SystemNeed`](crate::pins::SystemNeed) asks for, seen
-//! from its files.
+//! Detects whether the machine already meets a [`SystemNeed`](crate::pins::SystemNeed).
 
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
@@ -10,7 +9,7 @@ use crate::pins::Probe;
 use crate::python;
 
 impl Probe {
-    /// Where it was found, for a person to read; `None` when it is missing.
+    /// Where it was found, for display; `None` when it is missing.
     pub(crate) fn look(&self) -> Option<String> {
         match self {
             Self::PythonModule(module) => python::module_version(module),
@@ -22,8 +21,8 @@ impl Probe {
     }
 }
 
-/// Where the dynamic linker would find a library: its own variable first, then the folders of
-/// Debian, Fedora and Arch.
+/// Where the dynamic linker would find a library: its environment variable first, then the folders of Debian, Fedora and
+/// Arch.
 fn find_library(name: &str) -> Option<PathBuf> {
     let arch = std::env::consts::ARCH;
     let listed = std::env::var_os("LD_LIBRARY_PATH").unwrap_or_default();
@@ -49,8 +48,7 @@ fn find_vulkan_driver(folders: &[PathBuf]) -> Option<PathBuf> {
         Some(list) => std::env::split_paths(&list).collect(),
         None => folders.iter().flat_map(|folder| json_files(folder)).collect::<Vec<_>>(),
     };
-    // lavapipe first, then by name: what is printed does not depend on the order of a folder's
-    // entries.
+    // lavapipe first, then by name, so that the output does not depend on directory order.
     manifests.sort_by_key(|path| (!path.to_string_lossy().contains("lvp"), path.clone()));
     manifests.into_iter().find(|path| driver_library(path).is_some())
 }

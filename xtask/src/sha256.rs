@@ -1,4 +1,4 @@
-//! A SHA-256 sum as a value: read from the pin list, taken of files, compared, printed.
+//! SHA-256 hashes of files.
 
 use std::fmt;
 use std::fs::File;
@@ -9,13 +9,13 @@ use anyhow::Context;
 use serde::Deserialize;
 use sha2::{Digest, Sha256};
 
-/// 32 bytes, written as 64 lower-case hexadecimal digits.
+/// A SHA-256 hash, written as 64 lower-case hexadecimal digits.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Deserialize)]
 #[serde(try_from = "String")]
 pub(crate) struct Sum([u8; 32]);
 
 impl Sum {
-    /// The sum of a file's bytes.
+    /// Hashes a file.
     pub(crate) fn of_file(path: &Path) -> anyhow::Result<Self> {
         let read = || -> std::io::Result<Self> {
             let mut file = File::open(path)?;

@@ -1,7 +1,6 @@
-//! `test`: builds the programs, runs every test, and closes with one line of totals.
+//! `test`: builds the programs, runs every test, and prints a line of totals.
 //!
-//! Cargo runs one test binary after another, so tests that start several processes are alone as
-//! long as they are in one binary that runs them one by one; that binary sees to it itself.
+//! Cargo runs test binaries one after another. Tests that start several processes are serial within their binary.
 
 use std::io::{BufRead, BufReader, Write};
 use std::process::Stdio;
@@ -10,7 +9,7 @@ use anyhow::Context;
 
 use crate::workspace::Workspace;
 
-/// Runs the tests; whether all passed.
+/// Runs the tests. Returns whether all passed.
 pub(crate) fn run(workspace: &Workspace, test_arguments: &[String]) -> anyhow::Result<bool> {
     if !workspace.build_programs(&["memtransfer-tests"])? {
         return Ok(false);
@@ -39,7 +38,7 @@ pub(crate) fn run(workspace: &Workspace, test_arguments: &[String]) -> anyhow::R
         writeln!(stdout, "failed: {name}")?;
     }
     if !passed && summary.failed == 0 {
-        writeln!(stdout, "the tests could not all be built and run; the reason is above")?;
+        writeln!(stdout, "the tests could not be built or run; the reason is above")?;
     }
     writeln!(
         stdout,
@@ -49,7 +48,7 @@ pub(crate) fn run(workspace: &Workspace, test_arguments: &[String]) -> anyhow::R
     Ok(passed)
 }
 
-/// Totals over all test binaries, read from what they print.
+/// Totals over all test binaries, parsed from their output.
 #[derive(Default, PartialEq, Eq, Debug)]
 struct Summary {
     passed: u64,
@@ -59,11 +58,10 @@ struct Summary {
 }
 
 impl Summary {
-    /// Takes in one line: `test result: ok. 3 passed; 0 failed; 1 ignored; ...` or `test NAME ...
-    /// FAILED`.
+    /// Parses a line: `test result: ok. 3 passed; 0 failed; 1 ignored; ...` or `test NAME ... FAILED`.
     fn add(&mut self, line: &str) {
         if let Some(result) = line.strip_prefix("test result: ") {
-            // The outcome's word ends in a full stop, the counts are between semicolons.
+            // The result ends in a full stop; semicolons separate the counts.
             let counts = result.split_once(". ").map_or("", |(_, counts)| counts);
             for (number, what) in counts.split("; ").filter_map(|part| part.split_once(' ')) {
                 let Ok(number) = number.parse::<u64>() else { continue };

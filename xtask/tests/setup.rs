@@ -188,7 +188,7 @@ impl Machine {
 }
 
 #[test]
-fn it_brings_what_is_missing_once() {
+fn missing_files_are_installed_once() {
     let machine = Machine::bare().with_library();
     let said = machine.expect(0);
     assert!(said.contains("missing  thing"), "{said}");
