@@ -49,7 +49,7 @@ fn run(session: &mut Session<'_>) -> Result<Vec<Figure>> {
     let poses: Vec<_> =
         every_pose(&warehouse.layout).step_by(7).take(session.size.pick(2, 128)).collect();
     let frames = embed::drawn(&warehouse, &poses)?;
-    let mut encoder = embed::open(None)?;
+    let mut encoder = embed::open()?;
     let dimension = encoder.facts().dimension;
     let (mut rounds, mut views) = (Rounds::default(), (0, 0));
     for round in 1..=session.rounds() {

@@ -1,22 +1,22 @@
-//! Demonstrations: what the expert saw, did and had achieved, step by step (SPEC section 4).
+//! Demonstrations: the expert's views, actions and progress, step by step (specification, section 4).
 //!
-//! A demonstration is stored as actions and replayed here by the warehouse's own dynamics. Its frames are
-//! named by pose: demonstrations are walked in the unchanged world, where a pose has one view.
+//! A demonstration is stored as actions and replayed here with the warehouse's dynamics. Its views are named by pose,
+//! because demonstrations take place in the unchanged world, where a pose has one view.
 //!
-//! Memories are made of these and of nothing else. Only [`Start::DEMONSTRATIONS`] are acted out: the two test
-//! references are never memory, whatever a set of cases says.
+//! Memories are built from demonstrations only. Only [`Start::DEMONSTRATIONS`] are replayed: the two test references
+//! never get into a memory, whatever a set of cases contains.
 
 use domain::{Action, Pose};
 use warehouse::{CaseSet, Demonstrations, History, Start, Warehouse};
 
-/// One demonstration, acted out.
+/// A replayed demonstration.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Demonstration {
-    /// Index of the case it belongs to.
+    /// Its case's index.
     pub case: u32,
-    /// Which of that case's demonstrations: 0 original, 1 opposite, 2 nearby, 3 distant.
+    /// Its number in that case: 0 original, 1 opposite, 2 nearby, 3 distant.
     pub number: u16,
-    /// Where the expert was after `t` steps.
+    /// The expert's pose after `t` steps.
     pub poses: Vec<Pose>,
     /// Sub-goals completed after `t` steps.
     pub stages: Vec<u32>,
@@ -24,9 +24,9 @@ pub struct Demonstration {
     pub actions: Vec<Action>,
 }
 
-/// What the bits of `selection` ([`Demonstrations::bits`]) come to for the case at `index`: its own, and in
-/// a mixed set those of other cases, each acted out as a walk of its own case's task. `None` when there
-/// is no such case or no such set, or one of them is a test reference.
+/// Replays the demonstrations of a set, given as [`Demonstrations::bits`], for the case at `index`. A mixed set includes
+/// demonstrations of other cases, each with its own case's task. `None` when there is no such case or set, or one of the
+/// demonstrations is a test reference.
 pub fn selected(
     warehouse: &Warehouse,
     cases: &CaseSet,
@@ -35,7 +35,7 @@ pub fn selected(
 ) -> Option<Vec<Demonstration>> {
     cases.cases.get(index as usize)?;
     let selection = Demonstrations::from_bits(selection)?;
-    let acted = |History { case, start }| {
+    let replayed = |History { case, start }| {
         let of = cases.cases.get(case).filter(|_| Start::DEMONSTRATIONS.contains(&start))?;
         let replay = of.replay(warehouse, start);
         Some(Demonstration {
@@ -46,7 +46,7 @@ pub fn selected(
             actions: of.trajectory(start).actions.clone(),
         })
     };
-    cases.histories(index as usize, selection).into_iter().map(acted).collect()
+    cases.histories(index as usize, selection).into_iter().map(replayed).collect()
 }
 
 #[cfg(test)]
@@ -64,19 +64,25 @@ mod tests {
             for index in 0..cases.cases.len() {
                 let chosen = selected(&warehouse, &cases, index as u32, set.bits()).unwrap();
                 assert_eq!(chosen.len(), 4);
-                for (walk, start) in chosen.iter().zip([Start::Original, Start::Opposite]) {
-                    assert_eq!((walk.case, walk.number), (index as u32, start as u16));
+                for (demonstration, start) in chosen.iter().zip([Start::Original, Start::Opposite])
+                {
+                    assert_eq!(
+                        (demonstration.case, demonstration.number),
+                        (index as u32, start as u16)
+                    );
                 }
-                for (walk, history) in chosen[2..].iter().zip(cases.cases[index].mixed(mixture)) {
+                for (demonstration, history) in
+                    chosen[2..].iter().zip(cases.cases[index].mixed(mixture))
+                {
                     let of = &cases.cases[history.case];
                     assert_eq!(
-                        (walk.case, walk.number),
+                        (demonstration.case, demonstration.number),
                         (history.case as u32, history.start as u16)
                     );
                     let replay = of.replay(&warehouse, history.start);
-                    assert!(replay.length.is_some() && walk.stages == replay.stages);
-                    assert_eq!(walk.poses, replay.poses);
-                    assert_eq!(walk.actions, of.trajectory(history.start).actions);
+                    assert!(replay.length.is_some() && demonstration.stages == replay.stages);
+                    assert_eq!(demonstration.poses, replay.poses);
+                    assert_eq!(demonstration.actions, of.trajectory(history.start).actions);
                 }
             }
         }

@@ -1,4 +1,4 @@
-//! `memory-proc embed`: what an encoder makes of pictures, for people who try one out.
+//! `memory-proc embed`: embeds images and prints their distances, to try an encoder.
 
 use std::num::NonZeroUsize;
 use std::path::PathBuf;
@@ -7,49 +7,42 @@ use std::time::Instant;
 
 use anyhow::Context;
 
-use crate::embedding::distance;
-use crate::encoder::{Image, Open, Picture};
+use png_file::RgbaImage;
+use search::distance;
+
+use crate::encoder::{Image, ImageSource, Open};
 use crate::manifest::Manifest;
 use crate::serve::EncoderSettings;
 
-/// A picture that was read from a file.
-#[derive(Debug)]
-struct PngFile(image::RgbaImage);
-
-impl Picture for Arc<PngFile> {
+impl ImageSource for Arc<RgbaImage> {
     fn image(&self) -> Image<'_> {
-        let PngFile(picture) = &**self;
-        Image { width: picture.width(), height: picture.height(), rgba: picture.as_raw() }
+        Image { width: self.width(), height: self.height(), rgba: self.as_bytes() }
     }
 }
 
-/// Embeds PNG files, all of them `repeat` times, and prints a JSON object: the encoder, the files, the cosine
-/// distance of each to each, and how many images a second it took.
+/// Embeds PNG files `repeat` times, and prints a JSON object: the encoder, the files, their pairwise cosine distances and
+/// the images embedded a second.
 ///
 /// # Errors
-/// When a file is no PNG, or the encoder cannot be used.
+/// When a file is not a PNG image, or the encoder cannot be used.
 pub fn run(
     files: &[PathBuf],
     repeat: NonZeroUsize,
     manifest: &Manifest,
     settings: &EncoderSettings,
 ) -> anyhow::Result<()> {
-    let read = |file: &PathBuf| {
-        let picture =
-            image::open(file).with_context(|| format!("cannot read {}", file.display()))?;
-        Ok(Arc::new(PngFile(picture.into_rgba8())))
-    };
-    let pictures = files.iter().map(read).collect::<anyhow::Result<Vec<_>>>()?;
-    let mut encoder = settings.prepare(manifest)?.start(Open::AtOnce, || {});
-    // How long sessions take to open is no matter of images a second.
-    encoder.embed_all(pictures.iter().take(1).cloned())?;
+    let read = |file: &PathBuf| anyhow::Ok(Arc::new(RgbaImage::read(file).context("cannot read")?));
+    let images = files.iter().map(read).collect::<anyhow::Result<Vec<_>>>()?;
+    let mut encoder = settings.prepare(manifest)?.start(Open::Eagerly, || {});
+    // Opening sessions does not count.
+    encoder.embed_all(images.iter().take(1).cloned())?;
     let begun = Instant::now();
     let mut embeddings = Vec::new();
     for _ in 0..repeat.get() {
-        embeddings = encoder.embed_all(pictures.iter().cloned())?;
+        embeddings = encoder.embed_all(images.iter().cloned())?;
     }
-    let images = pictures.len() * repeat.get();
-    let rate = images as f64 / begun.elapsed().as_secs_f64();
+    let count = images.len() * repeat.get();
+    let rate = count as f64 / begun.elapsed().as_secs_f64();
     let distances: Vec<Vec<f32>> = embeddings
         .iter()
         .map(|a| embeddings.iter().map(|b| distance(a.as_slice(), b.as_slice())).collect())
@@ -60,8 +53,7 @@ pub fn run(
         "trained": facts.trained,
         "sha256": facts.sha256,
         "onnxruntime": facts.runtime,
-        "provider": facts.provider,
-        "precision": facts.precision.word(),
+        "provider": facts.provider.word(),
         "threads": facts.threads,
         "dimension": facts.dimension,
         "images_per_second": (rate * 10.0).round() / 10.0,

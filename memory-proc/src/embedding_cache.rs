@@ -1,58 +1,57 @@
-//! Embeddings kept by image content, in memory and in a file.
+//! Embeddings kept by image content: in memory, and in a database file for later runs.
 //!
-//! One file holds the embeddings of one [encoder fingerprint](crate::encoder::EncoderFacts), which is in
-//! its name and in its header, so embeddings of another model, preprocessing or runtime are never read by
-//! mistake. After the header come records of one size: content hash, vector, checksum.
+//! Each [encoder fingerprint](crate::encoder::EncoderFacts::fingerprint) has a file of its own, so embeddings of
+//! another model, preprocessing, runtime or execution provider are never mixed. Several processes may read and write a
+//! file at the same time. A file that is damaged is set aside under another name and started anew: its images are
+//! embedded again.
 //!
-//! The file is only ever appended to, under a lock that other processes respect, and it is a cache: what is
-//! wrong in it costs a computation and nothing else.
-//! - A torn write (killed process, full disk) leaves a tail shorter than a record: ignored when reading,
-//!   cut off before the next append.
-//! - A record whose checksum is wrong is skipped; its image is embedded and appended anew.
-//! - A header that is not the expected one: the file is started anew.
-//!
-//! Records are not synced to the device: a power cut loses recent ones or leaves rubbish, which the checksums
-//! find.
+//! New embeddings are written in batches. A process that is killed loses those of the last second.
 
-use std::collections::{BTreeMap, HashMap};
-use std::fs::{File, OpenOptions};
-use std::io::{self, Read, Seek, SeekFrom, Write};
+use std::collections::HashMap;
 use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
 
-use crate::embedding::{ContentHash, Embedding};
+use redb::{
+    ConcurrencyMode, Database, DatabaseError, ReadableDatabase, ReadableTable, StorageError,
+    TableDefinition, TableError,
+};
+use search::{ContentHash, Embedding};
 
-const MAGIC: &[u8; 8] = b"MTembed1";
-const HEADER_BYTES: usize = MAGIC.len() + 32 + 4;
-const CONTENT_BYTES: usize = size_of::<ContentHash>();
-const CHECKSUM_BYTES: usize = 8;
+/// Content hash to the embedding's numbers, little-endian.
+const EMBEDDINGS: TableDefinition<'_, &[u8; 16], &[u8]> = TableDefinition::new("embeddings");
 
-/// The file cannot be used; embeddings are kept in memory all the same.
+/// File name extension of a database.
+const EXTENSION: &str = "redb";
+
+/// A batch is written when it has this many embeddings, or when this much time has passed since the last.
+const BATCH: usize = 32;
+const BATCH_INTERVAL: Duration = Duration::from_secs(1);
+
+/// Memory that the database uses for pages; what is read stays in memory anyway.
+const PAGE_CACHE_BYTES: usize = 4 << 20;
+
+/// The database cannot be used. Embeddings are kept in memory all the same.
 #[derive(Debug, thiserror::Error)]
-#[error("cannot {what} the embedding cache {path}: {source}")]
+#[error("cannot {action} the embedding cache {path}: {cause}")]
 pub struct CacheError {
-    what: &'static str,
+    action: &'static str,
     path: PathBuf,
-    source: io::Error,
-}
-
-/// What was found in a cache's file.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub struct Found {
-    /// Embeddings read.
-    pub embeddings: usize,
-    /// Records skipped because their checksum is wrong.
-    pub damaged: usize,
-    /// Bytes of an unfinished record at the end.
-    pub torn_bytes: usize,
-    /// Whether the file had another header and was started anew.
-    pub restarted: bool,
+    cause: Box<redb::Error>,
 }
 
 /// Embeddings by image content.
 #[derive(Debug)]
 pub struct EmbeddingCache {
     known: HashMap<ContentHash, Embedding>,
-    file: Option<RecordFile>,
+    file: Option<CacheFile>,
+}
+
+#[derive(Debug)]
+struct CacheFile {
+    database: Database,
+    path: PathBuf,
+    pending: Vec<(ContentHash, Embedding)>,
+    last_written: Instant,
 }
 
 impl EmbeddingCache {
@@ -61,28 +60,40 @@ impl EmbeddingCache {
         Self { known: HashMap::new(), file: None }
     }
 
-    /// Reads the file for `fingerprint` in `folder`, or begins it.
+    /// Opens the file for `fingerprint` in `folder` and reads it; creates it if it is missing.
     ///
     /// # Errors
-    /// When the folder or the file cannot be created, locked or read.
+    /// When the folder or the file cannot be created or read.
     pub fn open(
         folder: &Path,
         fingerprint: &[u8; 32],
         dimension: usize,
-    ) -> Result<(Self, Found), CacheError> {
-        let name: String = fingerprint[..8].iter().map(|byte| format!("{byte:02x}")).collect();
-        let path = folder.join(format!("{name}.embeddings"));
-        let failed = |what| {
+    ) -> Result<Self, CacheError> {
+        let name: String = fingerprint.iter().map(|byte| format!("{byte:02x}")).collect();
+        let path = folder.join(name).with_extension(EXTENSION);
+        let failed = |action| {
             let path = path.clone();
-            move |source| CacheError { what, path, source }
+            move |cause: redb::Error| CacheError { action, path, cause: cause.into() }
         };
-        std::fs::create_dir_all(folder).map_err(failed("create"))?;
-        let mut options = OpenOptions::new();
-        let file = options.read(true).write(true).create(true).truncate(false).open(&path);
-        let file = file.map_err(failed("open"))?;
-        let mut file = RecordFile { file, path: path.clone(), dimension };
-        let (known, found) = file.load(fingerprint).map_err(failed("read"))?;
-        Ok((Self { known, file: Some(file) }, found))
+        std::fs::create_dir_all(folder).map_err(|error| failed("create")(error.into()))?;
+        let database = match open_database(&path) {
+            Err(error) if is_damage(&error) => {
+                let aside = path.with_extension("damaged");
+                tracing::warn!(
+                    "the embedding cache {} is damaged ({error}): moved to {}, starting anew",
+                    path.display(),
+                    aside.display()
+                );
+                std::fs::rename(&path, &aside)
+                    .map_err(|error| failed("set aside")(error.into()))?;
+                open_database(&path)
+            }
+            opened => opened,
+        };
+        let database = database.map_err(|error| failed("open")(error.into()))?;
+        let known = read(&database, dimension).map_err(failed("read"))?.into_iter().collect();
+        let file = CacheFile { database, path, pending: Vec::new(), last_written: Instant::now() };
+        Ok(Self { known, file: Some(file) })
     }
 
     /// The embedding of an image, if it is known.
@@ -90,156 +101,144 @@ impl EmbeddingCache {
         self.known.get(content)
     }
 
-    /// How many are known.
+    /// Number of known embeddings.
     pub fn len(&self) -> usize {
         self.known.len()
     }
 
-    /// Whether none is known.
+    /// Whether no embedding is known.
     pub fn is_empty(&self) -> bool {
         self.known.is_empty()
     }
 
-    /// Keeps an embedding.
+    /// Adds an embedding, and writes the current batch if it is due.
     ///
     /// # Errors
-    /// When it cannot be written. It is kept in memory all the same, and the file is not tried again.
+    /// When the batch cannot be written. The embeddings stay in memory, and the file is not used again.
     pub fn insert(&mut self, content: ContentHash, embedding: Embedding) -> Result<(), CacheError> {
-        let written = match &mut self.file {
-            Some(file) if !self.known.contains_key(&content) => file.append(&content, &embedding),
-            _ => Ok(()),
-        };
-        self.known.insert(content, embedding);
-        written.map_err(|source| {
-            let path = self.file.take().map(|file| file.path).unwrap_or_default();
-            CacheError { what: "write", path, source }
+        let is_new = self.known.insert(content, embedding.clone()).is_none();
+        if let Some(file) = self.file.as_mut().filter(|_| is_new) {
+            file.pending.push((content, embedding));
+            if file.pending.len() >= BATCH || file.last_written.elapsed() >= BATCH_INTERVAL {
+                return self.flush();
+            }
+        }
+        Ok(())
+    }
+
+    /// Writes the current batch.
+    ///
+    /// # Errors
+    /// As [`Self::insert`].
+    pub fn flush(&mut self) -> Result<(), CacheError> {
+        let Some(file) = &mut self.file else { return Ok(()) };
+        let written = file.write();
+        written.map_err(|cause| {
+            let path = self.file.take().map(|file| file.path.clone()).unwrap_or_default();
+            CacheError { action: "write", path, cause: cause.into() }
         })
     }
 }
 
-/// All embeddings of `dimension` that one encoder's file in `folder` holds, in the order of their content: of the
-/// encoder that has most. None when there is no such file, or none that can be read.
+impl CacheFile {
+    fn write(&mut self) -> Result<(), redb::Error> {
+        self.last_written = Instant::now();
+        if self.pending.is_empty() {
+            return Ok(());
+        }
+        let transaction = self.database.begin_write()?;
+        {
+            let mut table = transaction.open_table(EMBEDDINGS)?;
+            for (content, embedding) in &self.pending {
+                let numbers = embedding.as_slice().iter();
+                let bytes: Vec<u8> = numbers.flat_map(|number| number.to_le_bytes()).collect();
+                table.insert(content, &*bytes)?;
+            }
+        }
+        transaction.commit()?;
+        self.pending.clear();
+        Ok(())
+    }
+}
+
+impl Drop for EmbeddingCache {
+    fn drop(&mut self) {
+        if let Err(error) = self.flush() {
+            tracing::warn!("{error}; its last embeddings are computed again in the next run");
+        }
+    }
+}
+
+/// The embeddings of `dimension` in the file in `folder` that has most of them, in the order of their content. A file
+/// that cannot be read is skipped with a warning.
 pub fn stored(folder: &Path, dimension: usize) -> Vec<Embedding> {
     let files = std::fs::read_dir(folder).into_iter().flatten().flatten();
     let mut paths: Vec<PathBuf> = files.map(|file| file.path()).collect();
-    paths.retain(|path| path.extension().is_some_and(|extension| extension == "embeddings"));
+    paths.retain(|path| path.extension().is_some_and(|extension| extension == EXTENSION));
     paths.sort();
     let mut most = Vec::new();
     for path in paths {
-        let Ok(bytes) = std::fs::read(path) else { continue };
-        let Some((header, records)) = bytes.split_at_checked(HEADER_BYTES) else { continue };
-        if &header[..8] != MAGIC || header[40..] != (dimension as u32).to_le_bytes() {
-            continue;
-        }
-        let size = CONTENT_BYTES + 4 * dimension + CHECKSUM_BYTES;
-        let known: BTreeMap<ContentHash, Embedding> =
-            records.chunks_exact(size).filter_map(decode).collect();
-        if known.len() > most.len() {
-            most = known.into_values().collect();
-        }
-    }
-    most
-}
-
-#[derive(Debug)]
-struct RecordFile {
-    file: File,
-    path: PathBuf,
-    dimension: usize,
-}
-
-type Known = HashMap<ContentHash, Embedding>;
-
-impl RecordFile {
-    fn record_bytes(&self) -> usize {
-        CONTENT_BYTES + 4 * self.dimension + CHECKSUM_BYTES
-    }
-
-    /// Reads everything; writes the header of a file that has none, or another.
-    fn load(&mut self, fingerprint: &[u8; 32]) -> io::Result<(Known, Found)> {
-        let mut header = [0; HEADER_BYTES];
-        header[..8].copy_from_slice(MAGIC);
-        header[8..40].copy_from_slice(fingerprint);
-        header[40..].copy_from_slice(&(self.dimension as u32).to_le_bytes());
-
-        let lock = Lock::take(&self.file)?;
-        let mut bytes = Vec::new();
-        (&self.file).read_to_end(&mut bytes)?;
-        if bytes.get(..HEADER_BYTES) != Some(&header[..]) {
-            self.file.set_len(0)?;
-            (&self.file).rewind()?;
-            (&self.file).write_all(&header)?;
-            let found = Found { restarted: !bytes.is_empty(), ..Found::default() };
-            return Ok((Known::new(), found));
-        }
-        drop(lock);
-
-        let mut records = bytes[HEADER_BYTES..].chunks_exact(self.record_bytes());
-        let (mut known, mut found) = (Known::new(), Found::default());
-        for record in &mut records {
-            match decode(record) {
-                Some((content, embedding)) => _ = known.insert(content, embedding),
-                None => found.damaged += 1,
+        let opened = open_database(&path).map_err(redb::Error::from);
+        match opened.and_then(|database| read(&database, dimension)) {
+            Ok(found) if found.len() > most.len() => most = found,
+            Ok(_) => {}
+            Err(error) => {
+                tracing::warn!("cannot read the embedding cache {}: {error}", path.display())
             }
         }
-        found.embeddings = known.len();
-        found.torn_bytes = records.remainder().len();
-        Ok((known, found))
     }
+    most.into_iter().map(|(_, embedding)| embedding).collect()
+}
 
-    /// Adds a record behind the last whole one, in one write.
-    fn append(&mut self, content: &ContentHash, embedding: &Embedding) -> io::Result<()> {
-        let record = encode(content, embedding);
-        let _lock = Lock::take(&self.file)?;
-        let end = (&self.file).seek(SeekFrom::End(0))?;
-        let records = end.saturating_sub(HEADER_BYTES as u64);
-        let torn = records % self.record_bytes() as u64;
-        if torn > 0 {
-            self.file.set_len(end - torn)?;
-            (&self.file).seek(SeekFrom::Start(end - torn))?;
+/// Opens a database for this and other processes at once, after checking every page of it.
+fn open_database(path: &Path) -> Result<Database, DatabaseError> {
+    let mut builder = Database::builder();
+    builder
+        .set_concurrency_mode(ConcurrencyMode::MultiWriter)
+        .set_check_integrity_on_open(true)
+        .set_cache_size(PAGE_CACHE_BYTES);
+    builder.create(path)
+}
+
+/// Whether a file is not a database, or not any more.
+fn is_damage(error: &DatabaseError) -> bool {
+    match error {
+        DatabaseError::Storage(StorageError::Corrupted(_)) | DatabaseError::UpgradeRequired(_) => {
+            true
         }
-        (&self.file).write_all(&record)
+        DatabaseError::Storage(StorageError::Io(error)) => {
+            matches!(
+                error.kind(),
+                std::io::ErrorKind::InvalidData | std::io::ErrorKind::UnexpectedEof
+            )
+        }
+        _ => false,
     }
 }
 
-/// The file's lock, while it lives.
-struct Lock<'a>(&'a File);
-
-impl<'a> Lock<'a> {
-    fn take(file: &'a File) -> io::Result<Self> {
-        file.lock()?;
-        Ok(Self(file))
+/// All embeddings of `dimension`, in the order of their content.
+fn read(
+    database: &Database,
+    dimension: usize,
+) -> Result<Vec<(ContentHash, Embedding)>, redb::Error> {
+    let transaction = database.begin_read()?;
+    let table = match transaction.open_table(EMBEDDINGS) {
+        Err(TableError::TableDoesNotExist(_)) => return Ok(Vec::new()),
+        table => table?,
+    };
+    let mut found = Vec::new();
+    for entry in table.iter()? {
+        let (content, bytes) = entry?;
+        let numbers =
+            bytes.value().as_chunks::<4>().0.iter().map(|bytes| f32::from_le_bytes(*bytes));
+        let numbers: Vec<f32> = numbers.collect();
+        if numbers.len() == dimension
+            && let Some(embedding) = Embedding::restored(numbers)
+        {
+            found.push((*content.value(), embedding));
+        }
     }
-}
-
-impl Drop for Lock<'_> {
-    fn drop(&mut self) {
-        // The lock ends with the file at the latest.
-        let _ = self.0.unlock();
-    }
-}
-
-fn encode(content: &ContentHash, embedding: &Embedding) -> Vec<u8> {
-    let mut record = content.to_vec();
-    record.extend(embedding.as_slice().iter().flat_map(|value| value.to_le_bytes()));
-    record.extend(checksum(&record));
-    record
-}
-
-fn decode(record: &[u8]) -> Option<(ContentHash, Embedding)> {
-    let (body, sum) = record.split_at_checked(record.len().checked_sub(CHECKSUM_BYTES)?)?;
-    if checksum(body) != sum {
-        return None;
-    }
-    let (content, vector) = body.split_first_chunk::<CONTENT_BYTES>()?;
-    let values = vector.as_chunks::<4>().0.iter().map(|bytes| f32::from_le_bytes(*bytes)).collect();
-    Some((*content, Embedding::restored(values)?))
-}
-
-fn checksum(body: &[u8]) -> [u8; CHECKSUM_BYTES] {
-    let mut sum = [0; CHECKSUM_BYTES];
-    sum.copy_from_slice(&blake3::hash(body).as_bytes()[..CHECKSUM_BYTES]);
-    sum
+    Ok(found)
 }
 
 #[cfg(test)]
@@ -247,27 +246,25 @@ mod tests {
     use super::*;
 
     const DIMENSION: usize = 5;
-    const RECORD: usize = CONTENT_BYTES + 4 * DIMENSION + CHECKSUM_BYTES;
-    const PRINT: [u8; 32] = [7; 32];
+    const FINGERPRINT: [u8; 32] = [7; 32];
 
     fn embedding(seed: u8) -> Embedding {
         let raw: Vec<f32> = (0..DIMENSION).map(|i| f32::from(seed) + i as f32 + 1.0).collect();
         Embedding::normalised(&raw).unwrap()
     }
 
-    fn open(folder: &Path) -> (EmbeddingCache, Found) {
-        EmbeddingCache::open(folder, &PRINT, DIMENSION).unwrap()
+    fn open(folder: &Path) -> EmbeddingCache {
+        EmbeddingCache::open(folder, &FINGERPRINT, DIMENSION).unwrap()
     }
 
     /// A folder whose cache holds the embeddings of `0..count`, and the path of its file.
     fn filled(count: u8) -> (tempfile::TempDir, PathBuf) {
         let folder = tempfile::tempdir().unwrap();
-        let (mut cache, found) = open(folder.path());
-        assert_eq!(found, Found::default());
+        let mut cache = open(folder.path());
         for seed in 0..count {
             cache.insert([seed; 16], embedding(seed)).unwrap();
         }
-        let path = cache.file.unwrap().path;
+        let path = cache.file.as_ref().unwrap().path.clone();
         (folder, path)
     }
 
@@ -280,115 +277,109 @@ mod tests {
     }
 
     #[test]
-    fn what_was_kept_is_found_again_bit_for_bit() {
-        let (folder, path) = filled(9);
-        let (cache, found) = open(folder.path());
-        assert_eq!(found, Found { embeddings: 9, ..Found::default() });
-        assert_holds(&cache, 0..9);
-        let length = std::fs::metadata(path).unwrap().len() as usize;
-        assert_eq!(length, HEADER_BYTES + 9 * RECORD);
+    fn embeddings_are_restored_bit_for_bit() {
+        let (folder, _) = filled(90);
+        assert_holds(&open(folder.path()), 0..90);
     }
 
     #[test]
-    fn a_torn_write_at_any_byte_costs_that_record_only() {
-        for cut in 1..RECORD {
-            let (folder, path) = filled(3);
-            let file = OpenOptions::new().write(true).open(&path).unwrap();
-            file.set_len((HEADER_BYTES + 3 * RECORD - cut) as u64).unwrap();
-            let (mut cache, found) = open(folder.path());
-            let torn_bytes = RECORD - cut;
-            assert_eq!(found, Found { embeddings: 2, torn_bytes, ..Found::default() });
-            cache.insert([5; 16], embedding(5)).unwrap();
-            let (cache, found) = open(folder.path());
-            assert_eq!(found, Found { embeddings: 3, ..Found::default() });
-            assert_holds(&cache, [0, 1, 5]);
+    fn a_batch_is_readable_by_others_while_the_file_is_open() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut cache = open(folder.path());
+        for seed in 0..BATCH as u8 {
+            cache.insert([seed; 16], embedding(seed)).unwrap();
         }
+        assert_holds(&open(folder.path()), 0..BATCH as u8);
     }
 
     #[test]
-    fn a_flipped_bit_anywhere_costs_that_record_only() {
-        for byte in HEADER_BYTES + RECORD..HEADER_BYTES + 2 * RECORD {
+    fn another_encoder_has_another_file() {
+        let (folder, _) = filled(3);
+        let other = EmbeddingCache::open(folder.path(), &[8; 32], DIMENSION).unwrap();
+        assert!(other.is_empty());
+        assert_holds(&open(folder.path()), 0..3);
+    }
+
+    #[test]
+    fn a_damaged_file_is_set_aside_and_started_anew() {
+        let whole = {
+            let (_folder, path) = filled(40);
+            std::fs::read(path).unwrap()
+        };
+        let flipped = |byte: usize| {
+            let mut bytes = whole.clone();
+            bytes[byte] ^= 0x10;
+            bytes
+        };
+        let place = whole.windows(16).position(|window| window == [9; 16]).unwrap();
+        for damaged in
+            [b"no database".to_vec(), whole[..whole.len() / 2].to_vec(), flipped(place + 20)]
+        {
             let (folder, path) = filled(3);
-            let mut bytes = std::fs::read(&path).unwrap();
-            bytes[byte] ^= 1 << (byte % 8);
-            std::fs::write(&path, bytes).unwrap();
-            let (mut cache, found) = open(folder.path());
-            assert_eq!(found, Found { embeddings: 2, damaged: 1, ..Found::default() });
-            assert_holds(&cache, [0, 2]);
-            cache.insert([1; 16], embedding(1)).unwrap();
-            assert_holds(&open(folder.path()).0, 0..3);
-        }
-    }
-
-    #[test]
-    fn another_encoder_has_another_file_and_a_foreign_header_is_not_believed() {
-        let (folder, path) = filled(3);
-        let (other, found) = EmbeddingCache::open(folder.path(), &[8; 32], DIMENSION).unwrap();
-        assert!(other.is_empty() && found == Found::default());
-        assert_holds(&open(folder.path()).0, 0..3);
-
-        for byte in 0..HEADER_BYTES {
-            let mut bytes = std::fs::read(&path).unwrap();
-            bytes[byte] ^= 1;
-            std::fs::write(&path, bytes).unwrap();
-            let (mut cache, found) = open(folder.path());
-            assert_eq!(found, Found { restarted: true, ..Found::default() }, "byte {byte}");
+            std::fs::write(&path, damaged).unwrap();
+            let mut cache = open(folder.path());
+            assert!(cache.is_empty());
+            assert!(path.with_extension("damaged").is_file());
             cache.insert([4; 16], embedding(4)).unwrap();
-            assert_holds(&open(folder.path()).0, [4]);
+            drop(cache);
+            assert_holds(&open(folder.path()), [4]);
         }
     }
 
     #[test]
-    fn what_is_stored_is_read_from_the_file_that_has_most_of_the_dimension() {
-        let (folder, path) = filled(3);
-        let (mut other, _) = EmbeddingCache::open(folder.path(), &[8; 32], DIMENSION).unwrap();
+    fn stored_embeddings_come_from_the_file_that_has_most_of_the_dimension() {
+        let (folder, _) = filled(3);
+        let mut other = EmbeddingCache::open(folder.path(), &[8; 32], DIMENSION).unwrap();
         other.insert([9; 16], embedding(9)).unwrap();
-        let (mut wide, _) = EmbeddingCache::open(folder.path(), &[9; 32], 2).unwrap();
+        let mut wide = EmbeddingCache::open(folder.path(), &[9; 32], 2).unwrap();
         for seed in 0..9 {
             wide.insert([seed; 16], Embedding::normalised(&[1.0, 2.0]).unwrap()).unwrap();
         }
+        drop((other, wide));
         assert_eq!(stored(folder.path(), DIMENSION), [0, 1, 2].map(embedding));
-        let file = OpenOptions::new().write(true).open(&path).unwrap();
-        file.set_len((HEADER_BYTES + 2 * RECORD - 1) as u64).unwrap();
-        assert_eq!(stored(folder.path(), DIMENSION).len(), 1);
         assert!(stored(folder.path(), 3).is_empty());
         assert!(stored(&folder.path().join("none"), DIMENSION).is_empty());
     }
 
+    /// A writer for the test below, in a process of its own: file locks do not tell threads apart.
     #[test]
-    fn many_writers_at_once_lose_nothing() {
-        let folder = tempfile::tempdir().unwrap();
-        // An open file of its own is what the lock tells apart, so threads stand for processes.
-        std::thread::scope(|scope| {
-            for writer in 0..4_u8 {
-                let folder = folder.path();
-                scope.spawn(move || {
-                    let (mut cache, _) = open(folder);
-                    for seed in (0..200).filter(|seed| seed % 4 == writer) {
-                        cache.insert([seed; 16], embedding(seed)).unwrap();
-                    }
-                });
-            }
-        });
-        let (cache, found) = open(folder.path());
-        assert_eq!(found, Found { embeddings: 200, ..Found::default() });
-        assert_holds(&cache, 0..200);
+    fn writer_process() {
+        let Ok(word) = std::env::var("EMBEDDING_CACHE_WRITER") else { return };
+        let (writer, folder) = word.split_once(' ').unwrap();
+        let writer: u8 = writer.parse().unwrap();
+        let mut cache = open(Path::new(folder));
+        for seed in (0..200).filter(|seed| seed % 4 == writer) {
+            cache.insert([seed; 16], embedding(seed)).unwrap();
+            cache.flush().unwrap();
+        }
     }
 
     #[test]
-    fn without_a_place_to_write_there_is_an_error_and_memory_still_works() {
+    fn processes_that_write_at_once_lose_nothing() {
+        let folder = tempfile::tempdir().unwrap();
+        let writers: Vec<_> = (0..4)
+            .map(|writer| {
+                std::process::Command::new(std::env::current_exe().unwrap())
+                    .args(["--exact", "embedding_cache::tests::writer_process"])
+                    .env("EMBEDDING_CACHE_WRITER", format!("{writer} {}", folder.path().display()))
+                    .stdout(std::process::Stdio::null())
+                    .spawn()
+                    .unwrap()
+            })
+            .collect();
+        for mut writer in writers {
+            assert!(writer.wait().unwrap().success());
+        }
+        assert_holds(&open(folder.path()), 0..200);
+    }
+
+    #[test]
+    fn without_a_folder_there_is_an_error() {
         let folder = tempfile::tempdir().unwrap();
         let blocked = folder.path().join("file");
         std::fs::write(&blocked, "").unwrap();
-        let error = EmbeddingCache::open(&blocked, &PRINT, DIMENSION).unwrap_err().to_string();
+        let error =
+            EmbeddingCache::open(&blocked, &FINGERPRINT, DIMENSION).unwrap_err().to_string();
         assert!(error.contains("cannot create the embedding cache"), "{error}");
-
-        let (mut cache, _) = open(folder.path());
-        // A file opened for reading only fails every append.
-        let file = cache.file.as_mut().unwrap();
-        file.file = File::open(&file.path).unwrap();
-        assert!(cache.insert([1; 16], embedding(1)).is_err());
-        cache.insert([2; 16], embedding(2)).unwrap();
-        assert_holds(&cache, [1, 2]);
     }
 }

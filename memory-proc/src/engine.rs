@@ -1,12 +1,11 @@
-//! All lanes of a run: who waits for what, and who can be answered.
+//! All lanes of a run: which of them can be answered, and what the others wait for.
 //!
-//! The engine is told of messages and finished embeddings, in whatever order they come, and says what is to be
-//! sent and what is to be embedded next. It never waits: a lane whose views or embeddings are not there
-//! yet stays open while others are answered. What it answers depends on the messages alone, not on
-//! their timing or on other lanes.
+//! The engine takes messages and finished embeddings in any order and returns what to send and what to embed next. It
+//! never waits: a lane whose views or embeddings are missing stays pending while others are answered. Its answers depend
+//! on the messages only, not on their timing or on other lanes.
 //!
-//! It does no input or output but the embedding cache's file; [`crate::serve`] connects it to the bus, to the
-//! encoder and to the documents.
+//! Its only input and output is the embedding cache's file; [`crate::serve`] connects it to the bus, the encoder and the
+//! documents.
 
 use std::collections::{BTreeSet, HashSet, VecDeque};
 
@@ -16,25 +15,25 @@ use shm_types::message::{
 };
 use warehouse::{CaseSet, Warehouse};
 
-use crate::embedding::{ContentHash, Embedding};
 use crate::embedding_cache::{CacheError, EmbeddingCache};
-use crate::episode::{Episode, Question, Unusable, unusable};
-use crate::representation::{Documents, View};
-use crate::views::{Arrival, HeldViews, Resident};
+use crate::episode::{Episode, PendingObservation, Unusable, unusable};
+use crate::representation::{DocumentSupplier, StoredView};
+use crate::views::{Arrival, PinnedView, PinnedViews};
+use search::{ContentHash, Embedding};
 
-/// The lanes of a run. `P` is what gives a frame's pixels; the engine only hands it on.
-pub struct Engine<P> {
+/// The lanes of a run. `I` is a source of a frame's pixels, which the engine passes on to the encoder.
+pub struct Engine<I> {
     warehouse: Warehouse,
     cases: CaseSet,
     lanes: Vec<Lane>,
-    /// Lanes with an open question.
-    open: BTreeSet<u32>,
-    views: HeldViews<P>,
-    /// Episodes whose views are still to be asked for, by lane and ticket, first come first served.
+    /// Lanes with a pending observation.
+    pending: BTreeSet<u32>,
+    views: PinnedViews<I>,
+    /// Episodes whose views have not been requested, by lane and number, in order of arrival.
     admission: VecDeque<(u32, u64)>,
     embeddings: EmbeddingCache,
-    /// Current views to embed: somebody waits for each.
-    urgent: VecDeque<(ContentHash, P)>,
+    /// Current views to embed, which observations wait for.
+    urgent: VecDeque<(ContentHash, I)>,
     /// Poses of demonstration views to embed.
     background: VecDeque<Pose>,
     in_flight: HashSet<ContentHash>,
@@ -44,12 +43,12 @@ pub struct Engine<P> {
 struct Lane {
     /// The episode whose steps are observed.
     running: Option<Episode>,
-    /// The one that was announced and has not begun.
+    /// The announced episode that has not begun.
     next: Option<Episode>,
 }
 
-impl<P: Clone> Engine<P> {
-    /// For `lanes` lanes, with room for `views` demonstration views.
+impl<I: Clone> Engine<I> {
+    /// An engine for `lanes` lanes, with room for `views` demonstration views.
     pub fn new(
         warehouse: Warehouse,
         cases: CaseSet,
@@ -61,8 +60,8 @@ impl<P: Clone> Engine<P> {
             warehouse,
             cases,
             lanes: (0..lanes).map(|_| Lane::default()).collect(),
-            open: BTreeSet::new(),
-            views: HeldViews::new(views),
+            pending: BTreeSet::new(),
+            views: PinnedViews::new(views),
             admission: VecDeque::new(),
             embeddings,
             urgent: VecDeque::new(),
@@ -71,23 +70,23 @@ impl<P: Clone> Engine<P> {
         }
     }
 
-    /// An episode is announced: its views are asked for.
+    /// Takes an announced episode, and requests its views.
     ///
     /// # Errors
-    /// When the brief asks for what cannot be.
+    /// When a value in the message is invalid, or its views do not fit.
     pub fn config(&mut self, config: &MemoryEpisodeConfig) -> Result<(), Unusable> {
         let episode = Episode::announced(config, &self.warehouse, &self.cases)?;
-        let (needed, room) = (episode.blueprint.poses().len(), self.views.room());
+        let (needed, room) = (episode.builder.poses().len(), self.views.room());
         if needed > room {
             return Err(unusable!(
-                "brief of episode {}: its memory needs {needed} views and there is room for {room}: raise \
+                "config of episode {}: its memory needs {needed} views and there is room for {room}: raise \
                  --frame-budget or lower --lanes",
                 config.episode
             ));
         }
         let lanes = self.lanes.len();
         let lane = self.lanes.get_mut(config.lane as usize).ok_or_else(|| {
-            unusable!("brief of episode {}: lane {} of {lanes}", config.episode, config.lane)
+            unusable!("config of episode {}: lane {} of {lanes}", config.episode, config.lane)
         })?;
         if let Some(dropped) = lane.next.replace(episode) {
             self.close(dropped);
@@ -97,11 +96,11 @@ impl<P: Clone> Engine<P> {
         Ok(())
     }
 
-    /// A step was observed. Returns the frame that [`Self::show`] is then to be told of, when the lane's
-    /// memory looks at the current view.
+    /// Takes an observation. Returns its frame if the lane's memory uses the current view, which then has to be passed to
+    /// [`Self::current_view`].
     ///
     /// # Errors
-    /// When the observation does not continue an episode, or says what cannot be.
+    /// When the observation does not continue an episode, or a value in it is invalid.
     pub fn observe(
         &mut self,
         seen: &Observation,
@@ -110,89 +109,89 @@ impl<P: Clone> Engine<P> {
         let unknown =
             || unusable!("observation of unknown episode {} in lane {}", seen.episode, seen.lane);
         let lane = self.lanes.get_mut(seen.lane as usize).ok_or_else(unknown)?;
-        if let Some(next) = lane.next.take_if(|next| next.ticket == seen.episode)
+        if let Some(next) = lane.next.take_if(|next| next.id == seen.episode)
             && let Some(abandoned) = lane.running.replace(next)
         {
             self.close(abandoned);
         }
         let running = &mut self.lanes[seen.lane as usize].running;
         if seen.last == 1 {
-            let done = running.take_if(|running| running.ticket == seen.episode);
+            let done = running.take_if(|running| running.id == seen.episode);
             self.close(done.ok_or_else(unknown)?);
             return Ok(None);
         }
-        let running = running.as_mut().filter(|running| running.ticket == seen.episode);
+        let running = running.as_mut().filter(|running| running.id == seen.episode);
         let running = running.ok_or_else(unknown)?;
         running.observe(seen, &self.warehouse, &self.cases)?;
-        running.question = Some(Question { received_ns, content: None });
+        running.pending = Some(PendingObservation { received_ns, content: None });
         if running.representation.matches_views() {
             return Ok(Some(seen.frame));
         }
-        self.open.insert(seen.lane);
+        self.pending.insert(seen.lane);
         Ok(None)
     }
 
-    /// What the current view of a lane is, as [`Self::observe`] asked.
-    pub fn show(&mut self, lane: u32, content: ContentHash, picture: P) {
+    /// Takes the current view of a lane.
+    pub fn current_view(&mut self, lane: u32, content: ContentHash, image: I) {
         let running = self.lanes.get_mut(lane as usize).and_then(|lane| lane.running.as_mut());
-        let Some(question) = running.and_then(|running| running.question.as_mut()) else { return };
-        question.content = Some(content);
-        self.open.insert(lane);
+        let Some(pending) = running.and_then(|running| running.pending.as_mut()) else { return };
+        pending.content = Some(content);
+        self.pending.insert(lane);
         if self.embeddings.get(&content).is_none() && !self.in_flight.contains(&content) {
-            self.urgent.push_back((content, picture));
+            self.urgent.push_back((content, image));
         }
     }
 
-    /// A view that was asked for is resident.
+    /// Takes a requested view, which is in the frame store now.
     ///
     /// # Errors
-    /// When nobody had asked for it.
+    /// When it was not requested.
     pub fn view(
         &mut self,
         pose: Pose,
         frame: FrameId,
         content: ContentHash,
-        picture: P,
+        image: I,
     ) -> Result<(), Unusable> {
-        match self.views.arrived(pose, Resident { frame, content, picture }) {
+        match self.views.arrived(pose, PinnedView { frame, content, image }) {
             Arrival::Needed { embedded: true } if self.embeddings.get(&content).is_none() => {
                 self.background.push_back(pose);
             }
             Arrival::Needed { .. } => {}
-            // Its room is free again.
+            // That leaves room for another.
             Arrival::Dismissed => self.admit(),
             Arrival::Unexpected => {
-                return Err(unusable!("view of {pose} as frame {frame}, which nobody waits for"));
+                return Err(unusable!("view of {pose} as frame {frame}, which was not requested"));
             }
         }
         Ok(())
     }
 
-    /// The next picture to embed: current views first.
-    pub fn next_picture(&mut self) -> Option<(ContentHash, P)> {
-        while let Some((content, picture)) = self.urgent.pop_front() {
+    /// The next image to embed: current views first.
+    pub fn next_image(&mut self) -> Option<(ContentHash, I)> {
+        while let Some((content, image)) = self.urgent.pop_front() {
             if self.start_embedding(content) {
-                return Some((content, picture));
+                return Some((content, image));
             }
         }
         while let Some(pose) = self.background.pop_front() {
-            let view = self.views.resident(pose).map(|view| (view.content, view.picture.clone()));
-            if let Some((content, picture)) = view
+            let view = self.views.get(pose).map(|view| (view.content, view.image.clone()));
+            if let Some((content, image)) = view
                 && self.start_embedding(content)
             {
-                return Some((content, picture));
+                return Some((content, image));
             }
         }
         None
     }
 
-    /// How many pictures are known to wait for their embeddings, those in work included.
+    /// Number of images that wait for their embeddings, including those in progress.
     pub fn waiting(&self) -> usize {
         self.urgent.len() + self.background.len() + self.in_flight.len()
     }
 
-    /// How many demonstration views are held, and how many may be.
-    pub fn views_held(&self) -> (usize, usize) {
+    /// Number of demonstration views that are pinned, and that may be.
+    pub fn pinned_views(&self) -> (usize, usize) {
         (self.views.len(), self.views.room())
     }
 
@@ -200,11 +199,11 @@ impl<P: Clone> Engine<P> {
         self.embeddings.get(&content).is_none() && self.in_flight.insert(content)
     }
 
-    /// A picture from [`Self::next_picture`] is embedded.
+    /// Takes the embedding of an image from [`Self::next_image`].
     ///
     /// # Errors
-    /// When the cache's file cannot be written; nothing but the next run's speed depends on that.
-    pub fn embedded(
+    /// When the cache's file cannot be written. Only the next run's speed depends on that.
+    pub fn add_embedding(
         &mut self,
         content: ContentHash,
         embedding: Embedding,
@@ -213,61 +212,68 @@ impl<P: Clone> Engine<P> {
         self.embeddings.insert(content, embedding)
     }
 
-    /// Answers every lane that can be answered, in the order of lanes. What they name of `documents` is
-    /// published by then.
+    /// Writes new embeddings to the cache's file.
     ///
     /// # Errors
-    /// When a document that a memory supplies cannot be had.
+    /// As [`Self::add_embedding`].
+    pub fn flush_embeddings(&mut self) -> Result<(), CacheError> {
+        self.embeddings.flush()
+    }
+
+    /// Answers every lane that can be answered, in the order of lanes. The documents that answers name have been published.
+    ///
+    /// # Errors
+    /// When a document is missing or cannot be published.
     pub fn answers(
         &mut self,
         clock: impl Fn() -> u64,
-        documents: &mut dyn Documents,
+        documents: &mut dyn DocumentSupplier,
     ) -> anyhow::Result<Vec<(Recall, RecallTrace)>> {
         let mut answers = Vec::new();
-        for lane in std::mem::take(&mut self.open) {
+        for lane in std::mem::take(&mut self.pending) {
             let Self { lanes, views, embeddings, .. } = self;
             // The episode may have ended without an answer.
             let Some(episode) = &mut lanes[lane as usize].running else { continue };
-            let Some(Question { content, .. }) = episode.question else { continue };
+            let Some(PendingObservation { content, .. }) = episode.pending else { continue };
             let embedding = content.and_then(|content| embeddings.get(&content));
             let compares = episode.representation.matches_views();
             let view = |pose| {
-                let Resident { frame, content, .. } = views.resident(pose)?;
+                let PinnedView { frame, content, .. } = views.get(pose)?;
                 let embedding = embeddings.get(content).filter(|_| compares).cloned();
                 let is_ready = embedding.is_some() || !compares;
-                is_ready.then_some(View { frame: *frame, content: *content, embedding })
+                is_ready.then_some(StoredView { frame: *frame, content: *content, embedding })
             };
             let is_seen = embedding.is_some() || content.is_none();
             if is_seen && episode.admitted && episode.is_built(view, documents)? {
                 answers.extend(episode.answer(embedding, &clock));
             } else {
-                self.open.insert(lane);
+                self.pending.insert(lane);
             }
         }
         Ok(answers)
     }
 
-    /// What is to be asked of the simulator since the last call.
+    /// The view requests that have arisen since the last call.
     pub fn take_view_requests(&mut self) -> Vec<ViewRequest> {
         self.views.take_requests()
     }
 
-    /// Asks for the views of episodes in the order of their briefs, as far as there is room.
+    /// Requests the views of announced episodes, in order, as long as there is room.
     fn admit(&mut self) {
-        while let Some(&(lane, ticket)) = self.admission.front() {
+        while let Some(&(lane, id)) = self.admission.front() {
             let lane = &mut self.lanes[lane as usize];
             let mut episodes = [&mut lane.running, &mut lane.next].into_iter().flatten();
-            if let Some(episode) = episodes.find(|episode| episode.ticket == ticket) {
+            if let Some(episode) = episodes.find(|episode| episode.id == id) {
                 let (poses, embedded) =
-                    (episode.blueprint.poses(), episode.representation.matches_views());
-                if !self.views.try_hold(poses, embedded) {
+                    (episode.builder.poses(), episode.representation.matches_views());
+                if !self.views.try_pin(poses, embedded) {
                     return;
                 }
                 episode.admitted = true;
                 if embedded {
-                    // Those that are there, and were of no interest to the encoder so far.
+                    // Views that are there already and have not been embedded for other lanes.
                     for &pose in poses {
-                        if let Some(view) = self.views.resident(pose)
+                        if let Some(view) = self.views.get(pose)
                             && self.embeddings.get(&view.content).is_none()
                         {
                             self.background.push_back(pose);
@@ -279,10 +285,10 @@ impl<P: Clone> Engine<P> {
         }
     }
 
-    /// Forgets an episode that is in no lane any more.
+    /// Drops an episode that has left its lane.
     fn close(&mut self, episode: Episode) {
         if episode.admitted {
-            self.views.release(episode.blueprint.poses());
+            self.views.release(episode.builder.poses());
             self.admit();
         }
     }

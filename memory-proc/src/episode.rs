@@ -1,7 +1,8 @@
-//! A running episode as memory knows it: what was seen and done, how far the task is, what is open.
+//! A running episode: its memory, its progress and its pending observation.
 
 use anyhow::Context;
-use domain::{Action, Feedback, Pose, Representation, SegmentContent};
+use domain::SegmentContent;
+use domain::{Action, Feedback, Pose, Representation};
 use shm_types::message::{
     FrameId, MAX_WINDOW, MemoryEpisodeConfig, NO_ACTION, NOT_MEASURED, Observation, PastStep,
     Recall, RecallTrace, SegmentStep,
@@ -10,13 +11,14 @@ use shm_types::message::{MAX_DOCUMENTS, MAX_SEGMENT, NO_DOCUMENT, NO_FRAME};
 use warehouse::{CaseSet, Demonstrations, Progress, Warehouse};
 
 use crate::demonstrations;
-use crate::embedding::{ContentHash, Embedding};
-use crate::representation::working::Window;
 use crate::representation::{
-    Blueprint, Documents, Ingredients, Memory, Retrieved, Situation, Supply, View, Views, blueprint,
+    DocumentSupplier, Memory, MemoryBuilder, MemorySpec, RecallQuery, Recalled, RetrievedSegment,
+    StoredView, StoredViews, memory_builder,
 };
+use crate::window::Window;
+use search::{ContentHash, Embedding};
 
-/// A message that cannot be used: what, which value, what was expected.
+/// A message that cannot be used. The text names the value and what was expected.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{0}")]
 pub struct Unusable(pub(crate) String);
@@ -27,39 +29,39 @@ macro_rules! unusable {
 }
 pub(crate) use unusable;
 
-/// An observation that waits for its recall.
+/// An observation whose recall has not been sent.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Question {
+pub(crate) struct PendingObservation {
     pub(crate) received_ns: u64,
-    /// The current view; `None` when the memory does not look at it.
+    /// The current view; `None` if the memory does not use it.
     pub(crate) content: Option<ContentHash>,
 }
 
 pub(crate) struct Episode {
-    pub(crate) ticket: u64,
+    pub(crate) id: u64,
     pub(crate) lane: u32,
     pub(crate) representation: Representation,
-    pub(crate) blueprint: Box<dyn Blueprint>,
-    /// Whether its views are held.
+    pub(crate) builder: Box<dyn MemoryBuilder>,
+    /// Whether its views are pinned.
     pub(crate) admitted: bool,
-    /// Views of the blueprint, from the first, that are there; none any more once the memory is built.
-    views: Views,
+    /// The leading views of the builder that are ready; empty once the memory is built.
+    views: StoredViews,
     memory: Option<Box<dyn Memory>>,
     case: u32,
     window: Window,
-    /// From the first observation on.
-    now: Option<Now>,
-    pub(crate) question: Option<Question>,
+    /// The current step, from the first observation on.
+    current: Option<CurrentStep>,
+    pub(crate) pending: Option<PendingObservation>,
 }
 
-struct Now {
+struct CurrentStep {
     step: u32,
     frame: FrameId,
     progress: Progress,
 }
 
 impl Episode {
-    /// The episode that a brief announces.
+    /// The episode that a message announces.
     pub(crate) fn announced(
         config: &MemoryEpisodeConfig,
         warehouse: &Warehouse,
@@ -67,23 +69,23 @@ impl Episode {
     ) -> Result<Self, Unusable> {
         let MemoryEpisodeConfig { case, demonstrations, window, horizon, .. } = *config;
         let representation = Representation::try_from(config.representation)
-            .map_err(|error| unusable!("brief of episode {}: {error}", config.episode))?;
+            .map_err(|error| unusable!("config of episode {}: {error}", config.episode))?;
         if usize::from(window) > MAX_WINDOW || usize::from(horizon) >= MAX_SEGMENT {
             let most = MAX_SEGMENT - 1;
             return Err(unusable!(
-                "brief of episode {}: a window of {window} and a horizon of {horizon}, but at most \
+                "config of episode {}: a window of {window} and a horizon of {horizon}, but at most \
                  {MAX_WINDOW} and {most} fit into a recall",
                 config.episode
             ));
         }
         let segment = SegmentContent::try_from(config.segment)
-            .map_err(|error| unusable!("brief of episode {}: {error}", config.episode))?;
+            .map_err(|error| unusable!("config of episode {}: {error}", config.episode))?;
         let chosen = demonstrations::selected(warehouse, cases, case, demonstrations)
             .zip(Demonstrations::from_bits(demonstrations));
         let (chosen, set) = chosen.ok_or_else(|| {
             unusable!(
-                "brief of episode {}: case {case} with demonstrations {demonstrations:#b}, but there \
-                 are {} cases, and no such set for them (are both sides given the same assets?)",
+                "config of episode {}: case {case} with demonstrations {demonstrations:#b}, but there \
+                 are {} cases, and no such set for them; are both processes started with the same assets?",
                 config.episode,
                 cases.cases.len()
             )
@@ -91,10 +93,10 @@ impl Episode {
         if chosen.is_empty() && representation.uses_demonstrations() {
             let episode = config.episode;
             return Err(unusable!(
-                "brief of episode {episode}: {representation} memory of no demonstrations"
+                "config of episode {episode}: {representation} memory of no demonstrations"
             ));
         }
-        let ingredients = Ingredients {
+        let spec = MemorySpec {
             episode: (config.lane, config.episode),
             set,
             demonstrations: chosen,
@@ -103,21 +105,21 @@ impl Episode {
             keyframes: config.keyframes.into(),
         };
         Ok(Self {
-            ticket: config.episode,
+            id: config.episode,
             lane: config.lane,
             representation,
-            blueprint: blueprint(representation, ingredients),
+            builder: memory_builder(representation, spec),
             admitted: false,
-            views: Views::default(),
+            views: StoredViews::default(),
             memory: None,
             case,
             window: Window::new(window.into()),
-            now: None,
-            question: None,
+            current: None,
+            pending: None,
         })
     }
 
-    /// Takes up the next observation.
+    /// Checks and takes the next observation.
     pub(crate) fn observe(
         &mut self,
         seen: &Observation,
@@ -135,12 +137,12 @@ impl Episode {
         if frame == NO_FRAME {
             return Err(broken("it names no frame".into()));
         }
-        let expected = self.now.as_ref().map_or(0, |now| now.step + 1);
+        let expected = self.current.as_ref().map_or(0, |now| now.step + 1);
         if step != expected {
-            return Err(broken(format!("step {expected} was to come")));
+            return Err(broken(format!("expected step {expected}")));
         }
         let task = &cases.cases[self.case as usize].task;
-        let now = self.now.get_or_insert_with(|| Now {
+        let now = self.current.get_or_insert_with(|| CurrentStep {
             step,
             frame,
             progress: Progress::new(warehouse, task, pose.cell),
@@ -154,40 +156,40 @@ impl Episode {
         Ok(())
     }
 
-    /// Builds the memory if it is not built yet and all its views are there; says whether it is built.
+    /// Builds the memory if all its views are ready. Returns whether it is built.
     ///
     /// # Errors
-    /// When a document that the memory supplies cannot be had.
+    /// When a document is missing or cannot be published.
     pub(crate) fn is_built(
         &mut self,
-        view: impl Fn(Pose) -> Option<View>,
-        documents: &mut dyn Documents,
+        view: impl Fn(Pose) -> Option<StoredView>,
+        documents: &mut dyn DocumentSupplier,
     ) -> anyhow::Result<bool> {
         if self.memory.is_none() {
-            let poses = self.blueprint.poses();
+            let poses = self.builder.poses();
             for &pose in &poses[self.views.len()..] {
                 let Some(view) = view(pose) else { return Ok(false) };
                 self.views.insert(pose, view);
             }
             let views = std::mem::take(&mut self.views);
-            let memory = self.blueprint.build(&views, documents);
+            let memory = self.builder.build(&views, documents);
             let memory = memory.with_context(|| format!("{} memory", self.representation));
             self.memory = Some(memory?);
         }
         Ok(true)
     }
 
-    /// Answers the open question. The memory is built, and `embedding` is that of the question's content.
+    /// Answers the pending observation. The memory must be built; `embedding` is that of the current view.
     pub(crate) fn answer(
         &mut self,
         embedding: Option<&Embedding>,
         clock: impl Fn() -> u64,
     ) -> Option<(Recall, RecallTrace)> {
-        let (memory, now) = (self.memory.as_ref()?, self.now.as_ref()?);
-        let Question { received_ns, .. } = self.question.take()?;
+        let (memory, now) = (self.memory.as_ref()?, self.current.as_ref()?);
+        let PendingObservation { received_ns, .. } = self.pending.take()?;
         let embedded_ns = clock();
-        let situation = Situation { embedding, stage: now.progress.stage(), elapsed: now.step };
-        let Supply { segment: retrieved, documents: named } = memory.access(&situation);
+        let query = RecallQuery { embedding, stage: now.progress.stage(), elapsed: now.step };
+        let Recalled { segment: retrieved, documents: named } = memory.recall(&query);
         let searched_ns = clock();
 
         let mut window = [bytemuck::Zeroable::zeroed(); MAX_WINDOW];
@@ -201,7 +203,7 @@ impl Episode {
         documents[..named.len()].copy_from_slice(&named);
         let distance = retrieved.as_ref().map_or(f32::NAN, |retrieved| retrieved.distance);
 
-        let (episode, lane, step) = (self.ticket, self.lane, now.step);
+        let (episode, lane, step) = (self.id, self.lane, now.step);
         let assembled_ns = clock();
         let recall = Recall {
             episode,
@@ -218,7 +220,7 @@ impl Episode {
             segment,
         };
         let (case, demonstration, index) = match retrieved {
-            Some(Retrieved { case, demonstration, step, .. }) => (case, demonstration, step),
+            Some(RetrievedSegment { case, demonstration, step, .. }) => (case, demonstration, step),
             None => (NOT_MEASURED, u16::MAX, u16::MAX),
         };
         let trace = RecallTrace {

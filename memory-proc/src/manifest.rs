@@ -1,13 +1,12 @@
-//! The manifest of encoders, `assets/models.toml`: what a model file must be to be run.
+//! The manifest of encoders, `assets/models.toml`, read and checked.
 //!
-//! A manifest is input like any other: everything in it is checked here, so that the encoder can rely
-//! on it. The model files themselves are opened in [`crate::encoder`].
+//! Model files themselves are opened by [`crate::encoder`].
 
 use std::path::{Path, PathBuf};
 
 use serde::Deserialize;
 
-/// Name of the manifest's file in an assets folder.
+/// The manifest's file name in an assets folder.
 pub const FILE: &str = "models.toml";
 
 const SHIPPED: &str = include_str!("../../assets/models.toml");
@@ -20,33 +19,33 @@ pub enum ManifestError {
     Read {
         /// The file.
         path: PathBuf,
-        /// What the system said.
+        /// The cause.
         source: std::io::Error,
     },
-    /// The file is not the TOML it should be.
-    #[error("the model manifest {path} is not as it should be: {message}")]
+    /// The file is not valid TOML, or has unknown keys.
+    #[error("cannot use the model manifest {path}: {message}")]
     Parse {
         /// The file.
         path: PathBuf,
-        /// What and where.
+        /// The problem and its place.
         message: String,
     },
-    /// A value makes no sense.
+    /// A value is out of range.
     #[error("the model manifest {path}, model `{model}`: {what}")]
     Invalid {
         /// The file.
         path: PathBuf,
         /// The model.
         model: String,
-        /// Which value, and what was expected.
+        /// The value, and what is allowed.
         what: String,
     },
-    /// There is no such model.
-    #[error("there is no encoder `{name}` in the model manifest; it has {known}")]
+    /// No model has this name.
+    #[error("unknown encoder `{name}`; the model manifest has {known}")]
     Unknown {
-        /// What was asked for.
+        /// The requested name.
         name: String,
-        /// What there is.
+        /// The names in the manifest.
         known: String,
     },
 }
@@ -62,7 +61,7 @@ pub enum Pooling {
 }
 
 impl Pooling {
-    /// The word used in the manifest.
+    /// The name in the manifest.
     pub const fn word(self) -> &'static str {
         match self {
             Self::Cls => "cls",
@@ -71,44 +70,19 @@ impl Pooling {
     }
 }
 
-/// The numbers that an encoder computes with.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Precision {
-    /// 32 bits: on any processor.
-    #[default]
-    F32,
-    /// 32 bits, but for products with constant matrices: there every number is taken apart into two of 16 bits, 16 bits
-    /// of significand together, and sums have 32 bits. Where the processor has a tile unit.
-    Bf16x3,
-}
-
-impl Precision {
-    /// All of them, the exact one first.
-    pub const ALL: [Self; 2] = [Self::F32, Self::Bf16x3];
-
-    /// The word used in the manifest and on the command line.
-    pub const fn word(self) -> &'static str {
-        match self {
-            Self::F32 => "f32",
-            Self::Bf16x3 => "bf16x3",
-        }
-    }
-}
-
-/// One encoder, as the manifest describes it.
+/// An encoder's entry in the manifest.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Model {
-    /// What `--encoder` takes.
+    /// The name that `--encoder` takes.
     pub name: String,
-    /// File name in the cache's `models` folder; `None`: the user gives the file.
+    /// File name in the cache's `models` folder; `None`: the user provides the file.
     pub file: Option<String>,
-    /// SHA-256 of the file, 64 lower-case hexadecimal digits; `None`: not known beforehand.
+    /// SHA-256 of the file, 64 lower-case hexadecimal digits; `None`: not checked.
     pub sha256: Option<String>,
-    /// The command that puts the file there; goes with `file`.
+    /// The command that fetches `file`.
     pub brought_by: Option<String>,
-    /// Whether its weights learned anything.
+    /// Whether the weights are trained.
     pub trained: bool,
     /// Name of the input tensor, (1, 3, `input_size`, `input_size`).
     pub input: String,
@@ -116,7 +90,7 @@ pub struct Model {
     pub input_size: u32,
     /// Subtracted from each channel's value from 0 to 1.
     pub mean: [f32; 3],
-    /// What the difference is then divided by.
+    /// Divides the difference.
     pub std: [f32; 3],
     /// Name of the output tensor, (1, tokens, `dimension`) or (1, `dimension`).
     pub output: String,
@@ -124,10 +98,6 @@ pub struct Model {
     pub pooling: Pooling,
     /// Length of the embedding.
     pub dimension: usize,
-    /// The lowest precision that is known to leave what is retrieved as it is; runs at it unless told otherwise,
-    /// where the machine can.
-    #[serde(default)]
-    pub precision: Precision,
     /// Where the weights come from.
     pub source: String,
     /// The weights' licence.
@@ -135,13 +105,13 @@ pub struct Model {
 }
 
 impl Model {
-    /// The name as it is shown: an untrained model says so.
+    /// The displayed name, which marks an untrained model.
     pub fn label(&self) -> String {
         let untrained = !self.trained && !self.name.contains("untrained");
         format!("{}{}", self.name, if untrained { " (untrained)" } else { "" })
     }
 
-    /// What is wrong with its values, if anything.
+    /// The first value that is out of range, if any.
     fn fault(&self) -> Option<String> {
         let is_hex = |b: u8| b.is_ascii_digit() || (b'a'..=b'f').contains(&b);
         if self.name.is_empty() || self.input.is_empty() || self.output.is_empty() {
@@ -165,7 +135,7 @@ impl Model {
             return Some(format!("dimension = {} must be from 1 to 65536", self.dimension));
         }
         if let Some(mean) = self.mean.iter().find(|m| !m.is_finite()) {
-            return Some(format!("mean holds {mean}, which is no number to subtract"));
+            return Some(format!("mean holds {mean}, which is not finite"));
         }
         if let Some(std) = self.std.iter().find(|s| !s.is_finite() || **s <= 0.0) {
             return Some(format!("std holds {std}; each must be above 0"));
@@ -174,22 +144,22 @@ impl Model {
     }
 }
 
-/// The encoders there are.
+/// All encoders.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Manifest {
-    /// Name of the encoder that runs when none is asked for.
+    /// The name of the default encoder.
     pub default: String,
-    /// All of them.
+    /// Their entries.
     #[serde(rename = "model", default)]
     pub models: Vec<Model>,
 }
 
 impl Manifest {
-    /// The manifest the program was built with.
+    /// The built-in manifest.
     ///
     /// # Errors
-    /// Never, unless the program was built from a broken manifest (a test holds this).
+    /// Never: a test parses the built-in manifest.
     pub fn shipped() -> Result<Self, ManifestError> {
         Self::parse(SHIPPED, Path::new("assets/models.toml"))
     }
@@ -197,7 +167,7 @@ impl Manifest {
     /// The manifest in the folder `assets`, or the shipped one when that folder has none.
     ///
     /// # Errors
-    /// When the file is there and cannot be read or used.
+    /// When the file exists and cannot be read or used.
     pub fn load(assets: &Path) -> Result<Self, ManifestError> {
         let path = assets.join(FILE);
         match std::fs::read_to_string(&path) {
@@ -207,10 +177,10 @@ impl Manifest {
         }
     }
 
-    /// Reads a manifest; `path` is only for messages.
+    /// Parses a manifest. Errors name `path`.
     ///
     /// # Errors
-    /// When the text is not a manifest or holds a value that makes no sense.
+    /// When the text is not a manifest, or a value is out of range.
     pub fn parse(text: &str, path: &Path) -> Result<Self, ManifestError> {
         let parsed: Self = toml::from_str(text).map_err(|error| ManifestError::Parse {
             path: path.into(),
@@ -264,9 +234,7 @@ mod tests {
         let manifest = Manifest::shipped().unwrap();
         let default = manifest.model(&manifest.default).unwrap();
         assert!(default.trained && default.file.is_some() && default.sha256.is_some());
-        assert_eq!(default.precision, Precision::Bf16x3);
-        let users = manifest.model("vit-b16").unwrap();
-        assert!(users.file.is_none() && users.precision == Precision::F32);
+        assert!(manifest.model("vit-b16").unwrap().file.is_none());
         assert!(!manifest.model("vit-b16-untrained").unwrap().trained);
     }
 
@@ -288,7 +256,6 @@ mod tests {
             ("std = [0.229,", "std = [0.0,", "std holds 0; each must be above 0"),
             ("mean = [0.485,", "mean = [nan,", "mean holds NaN"),
             ("pooling = \"cls\"", "pooling = \"max\"", "unknown variant `max`"),
-            ("precision = \"bf16x3\"", "precision = \"int8\"", "unknown variant `int8`"),
             ("trained = true", "traind = true", "unknown field `traind`"),
             ("file = \"dinov2", "file = \"../dinov2", "without a folder"),
             ("sha256 = \"e", "sha256 = \"E", "64 lower-case hexadecimal digits"),
@@ -300,6 +267,6 @@ mod tests {
             assert!(error.contains("models.toml") && error.contains(expected), "{to}: {error}");
         }
         let error = Manifest::shipped().unwrap().model("vit").unwrap_err().to_string();
-        assert!(error.contains("no encoder `vit`") && error.contains("`vit-b16`"), "{error}");
+        assert!(error.contains("unknown encoder `vit`") && error.contains("`vit-b16`"), "{error}");
     }
 }

@@ -1,7 +1,7 @@
-//! Where the things that setup fetches lie: one cache folder outside the repository.
+//! Paths in the cache folder.
 //!
-//! `cargo xtask setup` fills it and this crate only reads it, except for the embeddings and documents, which
-//! are written here. Nothing is ever downloaded by this crate.
+//! `cargo xtask setup` fetches models and the runtime into it. This crate downloads nothing; it writes embeddings and
+//! documents there.
 
 use std::path::{Path, PathBuf};
 
@@ -19,7 +19,7 @@ impl Cache {
         Self { root: folder.into() }
     }
 
-    /// The cache that the environment names ([`cache_folder`]).
+    /// The cache folder that the environment names ([`cache_folder`]).
     ///
     /// # Errors
     /// When it names none.
@@ -32,22 +32,17 @@ impl Cache {
         &self.root
     }
 
-    /// Where setup puts the model file called `file`.
+    /// The model file called `file`.
     pub fn model(&self, file: &str) -> PathBuf {
         self.root.join("models").join(file)
     }
 
-    /// Where setup puts ONNX Runtime.
+    /// ONNX Runtime's library.
     pub fn runtime(&self) -> PathBuf {
         self.root.join("onnxruntime").join("libonnxruntime.so")
     }
 
-    /// The folder of the documents that the builder called `builder` made.
-    pub fn documents(&self, builder: &str) -> PathBuf {
-        self.root.join("documents").join(builder)
-    }
-
-    /// The folder of embedding files.
+    /// The folder of embedding caches.
     pub fn embeddings(&self) -> PathBuf {
         self.root.join("embeddings")
     }

@@ -1,7 +1,7 @@
-//! Taking part in a run: drain every queue, embed, answer whom one can, ring each neighbour once.
+//! The memory process in a run: drains its queues, has images embedded, answers what it can, notifies each neighbour once.
 //!
-//! The loop never waits for an embedding. Workers ring this process's own doorbell when they have one, so a
-//! finished embedding wakes the loop like a message does.
+//! The loop never waits for an embedding. A worker notifies this process's own listener when it has one, so that a
+//! finished embedding wakes the loop as a message does.
 
 use std::fmt::Display;
 use std::num::NonZeroUsize;
@@ -24,92 +24,94 @@ use shm_types::{
 use warehouse::case_file::CASES_FILE;
 use warehouse::{CaseSet, Warehouse};
 
-use crate::embedding_cache::{EmbeddingCache, Found};
-use crate::encoder::{Embedded, Encoder, EncoderFacts, Image, ModelFile, Open, Picture, Prepared};
+use crate::embedding_cache::EmbeddingCache;
+use crate::encoder::{
+    Embedded, Encoder, EncoderFacts, Image, ImageSource, ModelFile, Open, PreparedEncoder, Provider,
+};
 use crate::engine::Engine;
 use crate::episode::{Unusable, unusable};
-use crate::library::Library;
-use crate::manifest::{Manifest, Precision};
+use crate::manifest::Manifest;
 use crate::paths::Cache;
+use crate::run_documents::RunDocuments;
 
-/// How long the loop sleeps when nobody rings. Only a look around; nothing waits for it.
+/// The longest wait for an event. Nothing depends on it; it bounds the time until a lost event is noticed.
 const LONGEST_SLEEP: Duration = Duration::from_secs(1);
 
-/// How long to stay after saying why one cannot go on. Before an orchestrator has received this process's
-/// hello, what was sent is lost with its sender unless the orchestrator looks in time.
+/// How long to stay after reporting an error, so that the report is received.
 const LAST_WORDS: Duration = Duration::from_millis(500);
 
-/// What a memory process is started with.
+/// How the memory process is started.
 #[derive(Debug, Clone)]
-pub struct Settings {
+pub struct ServeSettings {
     /// The run's folder, which holds `attach.json`.
     pub attach: PathBuf,
-    /// Folder of layout, catalogue, cases and model manifest; `None`: those that are built in.
+    /// Folder of layout, catalogue, cases and model manifest; `None`: the built-in ones.
     pub assets: Option<PathBuf>,
-    /// Folder of the documents that memories supply; `None`: no memory of the run supplies any.
+    /// The run's documents; `None`: no memory of the run supplies any.
     pub documents: Option<PathBuf>,
-    /// Which encoder, and how it runs; `None`: no memory of the run compares views.
+    /// The encoder; `None`: no memory of the run matches views.
     pub encoder: Option<EncoderSettings>,
 }
 
-/// Which encoder runs, and how.
+/// How the encoder runs.
 #[derive(Debug, Clone)]
 pub struct EncoderSettings {
-    /// Name in the manifest; `None`: the manifest's default.
+    /// Its name in the manifest; `None`: the manifest's default.
     pub name: Option<String>,
-    /// The model's file; `None`: where setup put it.
+    /// The model's file; `None`: the one that setup fetched.
     pub file: Option<PathBuf>,
     /// Worker threads.
     pub threads: NonZeroUsize,
-    /// What it computes with; `None`: the model's own precision, where the machine can.
-    pub precision: Option<Precision>,
-    /// Where the things that setup fetched lie, and where embeddings are kept.
+    /// The hardware that it runs on.
+    pub provider: Provider,
+    /// The cache folder, with the models, the runtime and known embeddings.
     pub cache: Cache,
 }
 
 impl EncoderSettings {
-    /// The encoder, ready to start.
+    /// Loads the model file and the runtime.
     ///
     /// # Errors
-    /// When there is no such encoder, or something it needs is missing or broken.
-    pub fn prepare(&self, manifest: &Manifest) -> anyhow::Result<Prepared> {
+    /// When there is no such encoder, or something that it needs is missing or broken.
+    pub fn prepare(&self, manifest: &Manifest) -> anyhow::Result<PreparedEncoder> {
         let model = manifest.model(self.name.as_ref().unwrap_or(&manifest.default))?;
         let file = ModelFile::read(model, self.file.as_deref(), &self.cache)?;
-        Ok(Prepared::new(file, &self.cache.runtime(), self.threads, self.precision)?)
+        Ok(PreparedEncoder::new(file, &self.cache.runtime(), self.threads, self.provider)?)
     }
 }
 
-/// Remembers for the run whose folder is `settings.attach`, until the orchestrator says stop.
+/// Serves the run whose folder is `settings.attach` until the orchestrator stops it.
 ///
-/// Messages that cannot be used are complained about and dropped.
+/// Messages that cannot be used are reported and dropped.
 ///
 /// # Errors
-/// When the run cannot be joined, its transport fails, the assets or the encoder cannot be used, or a document
-/// that a memory supplies cannot be had. Once the run is joined, the orchestrator is told why.
-pub fn serve(settings: &Settings) -> anyhow::Result<()> {
-    let attach = Attach::read(&settings.attach).context("cannot take part in the run")?;
-    die_with_parent(attach.orchestrator_pid).context("this process belongs to an orchestrator")?;
+/// When the run cannot be joined, its transport fails, the assets or the encoder cannot be used, or a document is
+/// missing. Errors after joining are reported to the orchestrator as well.
+pub fn serve(settings: &ServeSettings) -> anyhow::Result<()> {
+    let attach = Attach::read(&settings.attach).context("cannot join the run")?;
+    die_with_parent(attach.orchestrator_pid)
+        .context("this process is started by an orchestrator")?;
     let bus = Bus::join(attach, Role::Memory)?;
     let mut reporter = ErrorReporter::new(&bus)?;
-    // Receivers first: what is sent while the encoder starts waits in their queues.
+    // Receivers first: messages sent while the encoder starts wait in their queues.
     let ports = Ports::new(&bus)?;
     let served = Server::start(settings, &bus, ports, &mut reporter).and_then(Server::run);
     if let Err(error) = &served {
-        reporter.report(format_args!("the memory process cannot go on: {error:#}"));
+        reporter.report(format_args!("the memory process failed: {error:#}"));
         bus.notifier(Role::Orchestrator)?.notify()?;
         std::thread::sleep(LAST_WORDS);
     }
     served
 }
 
-impl Picture for Arc<Frame> {
+impl ImageSource for Arc<Frame> {
     fn image(&self) -> Image<'_> {
         let size = self.size();
         Image { width: size.width, height: size.height, rgba: self.pixels() }
     }
 }
 
-/// The process's ends of the bus.
+/// Senders, receivers and notifiers of this process.
 struct Ports {
     configs: Receiver<MemoryEpisodeConfig>,
     observations: Receiver<Observation>,
@@ -149,21 +151,21 @@ struct Server<'a> {
     ports: Ports,
     reporter: &'a mut ErrorReporter,
     engine: Engine<Arc<Frame>>,
-    library: Library,
+    documents: RunDocuments,
     encoder: Option<Encoder>,
-    /// Images embedded so far.
+    /// Number of images embedded so far.
     embedded: u64,
     spans: Spans,
 }
 
 impl<'a> Server<'a> {
     fn start(
-        settings: &Settings,
+        settings: &ServeSettings,
         bus: &'a Bus,
         ports: Ports,
         reporter: &'a mut ErrorReporter,
     ) -> anyhow::Result<Self> {
-        let library = Library::new(settings.documents.clone(), DocumentPublisher::new(bus)?);
+        let documents = RunDocuments::new(settings.documents.clone(), DocumentPublisher::new(bus)?);
         let assets = settings.assets.as_deref();
         let (warehouse, cases) = match assets {
             None => (Warehouse::shipped(), CaseSet::shipped()),
@@ -180,8 +182,8 @@ impl<'a> Server<'a> {
                 let own_notifier = Arc::new(bus.notifier(Role::Memory)?);
                 let encoder = chosen.prepare(&manifest)?;
                 let embeddings = open_cache(&chosen.cache, encoder.facts(), reporter);
-                // Where embeddings are known, they may be all there will be.
-                let open = if embeddings.is_empty() { Open::AtOnce } else { Open::WhenNeeded };
+                // Known embeddings may be all that the run needs.
+                let open = if embeddings.is_empty() { Open::Eagerly } else { Open::OnDemand };
                 let encoder = encoder.start(open, move || {
                     if let Err(error) = own_notifier.notify() {
                         tracing::debug!(%error, "an encoder worker cannot wake the loop");
@@ -193,23 +195,24 @@ impl<'a> Server<'a> {
         let attach = bus.attach();
         let room = room_for_views(attach);
         let engine = Engine::new(warehouse, cases, attach.lanes, room, embeddings);
-        let spans = Spans::open(attach, Role::Memory).context("cannot keep spans of the work")?;
+        let spans = Spans::open(attach, Role::Memory).context("cannot record spans")?;
         let facts = encoder.as_ref().map_or_else(Vec::new, |encoder| facts(encoder.facts()));
         bus.sender()?.send(&Handshake::new(Role::Memory, facts)?)?;
         ports.orchestrator.notify()?;
-        Ok(Self { bus, ports, reporter, engine, library, encoder, embedded: 0, spans })
+        Ok(Self { bus, ports, reporter, engine, documents, encoder, embedded: 0, spans })
     }
 
     fn run(mut self) -> anyhow::Result<()> {
         while self.ports.stops.next()?.is_none() {
             if !self.turn()? {
+                self.flush_embeddings();
                 self.bus.listener().wait(LONGEST_SLEEP)?;
             }
         }
         self.bus.sender()?.send(&ShutdownReport {
             role: Role::Memory as u32,
             frames_received: self.ports.frames.taken(),
-            // Workers read pixels where the renderer wrote them; what leaves this process are ids.
+            // Workers read pixels in shared memory; this process sends frame ids only.
             pixel_bytes_copied: 0,
             error_reports: self.reporter.count().into(),
             ..Zeroable::zeroed()
@@ -217,7 +220,7 @@ impl<'a> Server<'a> {
         Ok(self.ports.orchestrator.notify()?)
     }
 
-    /// Does what there is to do now; says whether there may be more.
+    /// Handles everything that has arrived; returns whether more may have.
     fn turn(&mut self) -> anyhow::Result<bool> {
         let error_reports = self.reporter.count();
         let more = self.take_messages()?;
@@ -230,18 +233,18 @@ impl<'a> Server<'a> {
         if !requests.is_empty() {
             self.ports.sim.notify()?;
         }
-        self.feed_the_encoder()?;
+        self.submit_images()?;
         let told = self.beat();
         if told || self.reporter.count() != error_reports {
             self.ports.orchestrator.notify()?;
         }
-        self.let_go_of_frames()?;
+        self.release_frames()?;
         Ok(more)
     }
 
-    /// Reads all queues, of observations as many as belong into a turn; returns whether there may be more. A
-    /// message that refers to another one was sent after it: queues are therefore emptied effect first, and what
-    /// was in them is looked at cause first.
+    /// Reads all queues, observations up to the number of a turn; returns whether more may have arrived. A message is sent
+    /// after those that it refers to. Queues are therefore drained in the order effect, cause, and handled in the order
+    /// cause, effect.
     fn take_messages(&mut self) -> anyhow::Result<bool> {
         let most = self.bus.attach().batch_len();
         let observations = self.ports.observations.drain_some(most)?;
@@ -274,7 +277,7 @@ impl<'a> Server<'a> {
                 Ok(Some(frame)) => {
                     let what = format_args!("observation of episode {episode}, step {step}");
                     if let Some(picture) = self.find_frame(frame, &what)? {
-                        self.engine.show(lane, picture.content_hash(), picture);
+                        self.engine.current_view(lane, picture.content_hash(), picture);
                     }
                 }
             }
@@ -282,20 +285,20 @@ impl<'a> Server<'a> {
         Ok(more)
     }
 
-    /// Whether this process was started with what a brief's memory needs.
+    /// Checks that this process was started with what an episode's memory needs.
     fn can_serve(&self, config: &MemoryEpisodeConfig) -> Result<(), Unusable> {
         match Representation::try_from(config.representation) {
             Ok(asked) if asked.matches_views() && self.encoder.is_none() => Err(unusable!(
-                "brief of episode {}: {asked} memory compares views, and this process was started with \
+                "config of episode {}: {asked} memory matches views, and memory-proc was started with \
                  --no-encoder",
                 config.episode
             )),
-            // What is none is the engine's to refuse.
+            // The engine refuses unknown representations.
             Ok(_) | Err(_) => Ok(()),
         }
     }
 
-    /// The frame that a message names. What cannot be found or used is complained about.
+    /// The frame that a message names. A missing or broken frame is reported.
     fn find_frame(
         &mut self,
         id: FrameId,
@@ -306,13 +309,13 @@ impl<'a> Server<'a> {
                 Ok(Some(frame)) => return Ok(Some(frame.clone())),
                 Ok(None) => {
                     self.reporter.report(format_args!(
-                        "{message}: frame {id} is not in the store, so it was evicted too early or never \
+                        "{message}: frame {id} is not in the store: it was evicted too early or never \
                          published"
                     ));
                     return Ok(None);
                 }
                 Err(FrameError::Bus(error)) => return Err(error),
-                // The store has dropped what it could not use: go on after it.
+                // The store has dropped the frame that it could not use.
                 Err(bad) => self.reporter.report(bad),
             }
         }
@@ -323,18 +326,27 @@ impl<'a> Server<'a> {
         while let Some(Embedded { content, embedding, worker, span_ns }) = poll() {
             let track = format!("encoder {worker}");
             self.spans.add(span_ns.start, span_ns.end, &track, "embed", 1);
-            if let Err(error) = self.engine.embedded(content, embedding?) {
-                self.reporter.report(format_args!("{error}; this run goes on without it"));
+            if let Err(error) = self.engine.add_embedding(content, embedding?) {
+                self.reporter.report(format_args!("{error}; the run continues without it"));
             }
             self.embedded += 1;
         }
         Ok(())
     }
 
-    /// Tells the orchestrator that images wait, among other things.
+    /// Writes new embeddings to disk once no image is being embedded.
+    fn flush_embeddings(&mut self) {
+        if self.engine.waiting() == 0
+            && let Err(error) = self.engine.flush_embeddings()
+        {
+            self.reporter.report(format_args!("{error}; the run continues without it"));
+        }
+    }
+
+    /// Reports progress to the orchestrator about once a second.
     fn beat(&mut self) -> bool {
         let (engine, done) = (&self.engine, self.embedded);
-        let (held, room) = engine.views_held();
+        let (held, room) = engine.pinned_views();
         self.ports.heartbeats.beat(|| Heartbeat {
             done,
             waiting: engine.waiting() as u64,
@@ -346,33 +358,33 @@ impl<'a> Server<'a> {
 
     fn answer(&mut self) -> anyhow::Result<()> {
         let began = self.spans.begin();
-        let mut answers = self.engine.answers(monotonic_ns, &mut self.library)?;
+        let mut answers = self.engine.answers(monotonic_ns, &mut self.documents)?;
         for (recall, trace) in &mut answers {
             recall.sent_ns = monotonic_ns();
             trace.sent_ns = recall.sent_ns;
-            // The recall sets the policy going; its decision should not overtake the account of it.
+            // The trace is sent before the recall, so that the policy's decision does not overtake it.
             self.ports.traces.send(trace)?;
             self.ports.recalls.send(recall)?;
         }
         if !answers.is_empty() {
-            // The orchestrator reads the accounts when the policy wakes it.
+            // The orchestrator reads the traces when the policy notifies it.
             self.ports.policy.notify()?;
         }
         self.spans.end(began, "memory", "recall", answers.len());
         Ok(())
     }
 
-    fn feed_the_encoder(&mut self) -> anyhow::Result<()> {
+    fn submit_images(&mut self) -> anyhow::Result<()> {
         let Some(encoder) = &mut self.encoder else { return Ok(()) };
         while encoder.has_room()
-            && let Some((content, frame)) = self.engine.next_picture()
+            && let Some((content, frame)) = self.engine.next_image()
         {
             encoder.submit(content, frame)?;
         }
         Ok(())
     }
 
-    fn let_go_of_frames(&mut self) -> Result<(), BusError> {
+    fn release_frames(&mut self) -> Result<(), BusError> {
         loop {
             match self.ports.frames.apply_evictions() {
                 Ok(_) => return Ok(()),
@@ -389,8 +401,8 @@ impl<'a> Server<'a> {
     }
 }
 
-/// Demonstration views that may be held: the frame store's room less what running episodes pin, the
-/// current view, the one before it and the window of each lane.
+/// The number of demonstration views that fit into the frame store beside what running episodes pin: each lane's window,
+/// its current view and the one before.
 fn room_for_views(attach: &Attach) -> usize {
     let pinned = u64::from(attach.lanes) * (u64::from(attach.window) + 2);
     u64::from(attach.frame_capacity).saturating_sub(pinned) as usize
@@ -399,31 +411,25 @@ fn room_for_views(attach: &Attach) -> usize {
 fn open_cache(cache: &Cache, facts: &EncoderFacts, reporter: &mut ErrorReporter) -> EmbeddingCache {
     let folder = cache.embeddings();
     match EmbeddingCache::open(&folder, &facts.fingerprint, facts.dimension) {
-        Ok((cache, found)) => {
-            let Found { embeddings, damaged, torn_bytes, restarted } = found;
-            tracing::debug!(embeddings, "embedding cache read");
-            if damaged > 0 || torn_bytes > 0 || restarted {
-                let folder = folder.display();
-                tracing::warn!(damaged, torn_bytes, restarted, %folder, "embedding cache was damaged");
-            }
+        Ok(cache) => {
+            tracing::debug!(embeddings = cache.len(), "embedding cache read");
             cache
         }
         Err(error) => {
-            reporter.report(format_args!("{error}; this run goes on without it"));
+            reporter.report(format_args!("{error}; the run continues without it"));
             EmbeddingCache::in_memory()
         }
     }
 }
 
-/// What the orchestrator is told of the encoder. A run without one says nothing of it.
+/// The facts about the encoder for the run's manifest.
 fn facts(facts: &EncoderFacts) -> Vec<(&'static str, String)> {
     vec![
         ("encoder", facts.model.clone()),
         ("encoder_sha256", facts.sha256.clone()),
         ("encoder_trained", facts.trained.to_string()),
         ("encoder_threads", facts.threads.to_string()),
-        ("encoder_provider", facts.provider.to_owned()),
-        ("encoder_precision", facts.precision.word().to_owned()),
+        ("encoder_provider", facts.provider.word().to_owned()),
         ("onnxruntime", facts.runtime.clone()),
     ]
 }

@@ -1,4 +1,4 @@
-//! The real encoder: needs what `cargo xtask setup` fetches, and says so when it is missing.
+//! The default encoder. Needs the files that `cargo xtask setup` fetches.
 
 #![expect(clippy::unwrap_used, reason = "test helpers fail loudly")]
 
@@ -7,23 +7,25 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::Arc;
 
-use memory_proc::embedding::{Embedding, distance};
-use memory_proc::encoder::{Encoder, EncoderError, Image, ModelFile, Open, Picture, Prepared};
-use memory_proc::manifest::{Manifest, Model, Precision};
+use memory_proc::encoder::{
+    Encoder, EncoderError, Image, ImageSource, ModelFile, Open, PreparedEncoder, Provider,
+};
+use memory_proc::manifest::{Manifest, Model};
 use memory_proc::paths::Cache;
+use search::{Embedding, distance};
 
 const SIDE: u32 = 256;
 
 #[derive(Clone)]
 struct Drawn(Arc<Vec<u8>>);
 
-impl Picture for Drawn {
+impl ImageSource for Drawn {
     fn image(&self) -> Image<'_> {
         Image { width: SIDE, height: SIDE, rgba: &self.0 }
     }
 }
 
-/// A picture from a function of column and row.
+/// An image from a function of column and row.
 fn draw(pixel: impl Fn(u32, u32) -> [u8; 3]) -> Drawn {
     let at = |i: u32| pixel(i % SIDE, i / SIDE);
     Drawn(Arc::new((0..SIDE * SIDE).flat_map(|i| [at(i)[0], at(i)[1], at(i)[2], 255]).collect()))
@@ -59,30 +61,21 @@ fn default_model() -> Model {
     manifest.model(&manifest.default).unwrap().clone()
 }
 
-fn start(
-    file: ModelFile,
-    threads: usize,
-    precision: Option<Precision>,
-) -> Result<Encoder, EncoderError> {
+fn start(file: ModelFile, threads: usize) -> Result<Encoder, EncoderError> {
     let threads = NonZeroUsize::new(threads).unwrap();
-    let prepared = Prepared::new(file, &cache().runtime(), threads, precision)?;
-    Ok(prepared.start(Open::WhenNeeded, || {}))
-}
-
-/// The default encoder at a precision, or else at what this machine runs it at.
-fn encoder_at(threads: usize, precision: Option<Precision>) -> Encoder {
-    let file = ModelFile::read(&default_model(), None, &cache());
-    file.and_then(|file| start(file, threads, precision)).unwrap_or_else(|error| panic!("{error}"))
+    let prepared = PreparedEncoder::new(file, &cache().runtime(), threads, Provider::Cpu)?;
+    Ok(prepared.start(Open::OnDemand, || {}))
 }
 
 /// The default encoder.
 fn encoder(threads: usize) -> Encoder {
-    encoder_at(threads, None)
+    let file = ModelFile::read(&default_model(), None, &cache());
+    file.and_then(|file| start(file, threads)).unwrap_or_else(|error| panic!("{error}"))
 }
 
-/// What an encoder of this file answers when it is given a picture, if that is no embedding.
-fn refusal(file: ModelFile, precision: Option<Precision>) -> Option<String> {
-    let mut encoder = start(file, 1, precision).unwrap();
+/// The error of an encoder of this file for an image, if there is one.
+fn refusal(file: ModelFile) -> Option<String> {
+    let mut encoder = start(file, 1).unwrap();
     encoder.embed_all([scene(0)]).err().map(|error| error.to_string())
 }
 
@@ -91,10 +84,10 @@ fn bits(embedding: &Embedding) -> Vec<u32> {
 }
 
 #[test]
-fn likeness_is_nearness() {
+fn similar_images_have_near_embeddings() {
     let mut encoder = encoder(2);
-    let pictures = [scene(0), scene(4), scene(60), noise(1), noise(2)];
-    let embedded = encoder.embed_all(pictures).unwrap();
+    let images = [scene(0), scene(4), scene(60), noise(1), noise(2)];
+    let embedded = encoder.embed_all(images).unwrap();
     let apart = |a: usize, b: usize| distance(embedded[a].as_slice(), embedded[b].as_slice());
     for (near, far) in [((0, 1), (0, 3)), ((0, 2), (0, 3)), ((1, 2), (1, 4)), ((3, 4), (3, 0))] {
         let (d, e) = (apart(near.0, near.1), apart(far.0, far.1));
@@ -104,50 +97,45 @@ fn likeness_is_nearness() {
     assert!(facts.trained && facts.model == "dinov2-s14" && embedded[0].as_slice().len() == 384);
 }
 
-/// At what the machine runs the encoder at, and at 32 bits, which it can always do.
 #[test]
-fn an_embedding_does_not_depend_on_what_else_is_embedded() {
-    for precision in [None, Some(Precision::F32)] {
-        does_not_depend_on_what_else_is_embedded(precision);
-    }
-}
-
-fn does_not_depend_on_what_else_is_embedded(precision: Option<Precision>) {
-    let pictures: Vec<Drawn> = (0..4).map(|i| scene(9 * i)).chain([noise(1), noise(2)]).collect();
-    let mut alone = encoder_at(1, precision);
+fn an_embedding_does_not_depend_on_other_images() {
+    let images: Vec<Drawn> = (0..4).map(|i| scene(9 * i)).chain([noise(1), noise(2)]).collect();
+    let mut alone = encoder(1);
     let mut expected = Vec::new();
-    for picture in &pictures {
+    for picture in &images {
         expected.push(bits(&alone.embed_all([picture.clone()]).unwrap()[0]));
     }
-    let mut together = encoder_at(3, precision);
+    let mut together = encoder(3);
     for (batch, offset) in [(2, 5), (3, 1), (7, 2), (16, 4)] {
-        let order: Vec<usize> = (0..batch).map(|i| (5 * i + offset) % pictures.len()).collect();
-        let batch = order.iter().map(|&index| pictures[index].clone());
+        let order: Vec<usize> = (0..batch).map(|i| (5 * i + offset) % images.len()).collect();
+        let batch = order.iter().map(|&index| images[index].clone());
         for (&index, embedding) in order.iter().zip(together.embed_all(batch).unwrap()) {
-            assert!(bits(&embedding) == expected[index], "picture {index} in {order:?}");
+            assert!(bits(&embedding) == expected[index], "image {index} in {order:?}");
         }
     }
 }
 
-/// Where the machine runs it at 32 bits anyhow, both are the same.
+/// Setup fetches a runtime for the processor.
 #[test]
-fn fewer_bits_are_another_encoder_with_nearly_the_same_embeddings() {
-    let pictures = [scene(0), scene(30), noise(1)];
-    let (mut own, mut exact) = (encoder(1), encoder_at(1, Some(Precision::F32)));
-    let (nearly, exactly) =
-        (own.embed_all(pictures.clone()).unwrap(), exact.embed_all(pictures).unwrap());
-    for (a, b) in nearly.iter().zip(&exactly) {
-        assert!(distance(a.as_slice(), b.as_slice()) < 1e-6);
-    }
-    let (own, exact) = (own.facts(), exact.facts());
-    assert_eq!((exact.precision, exact.provider), (Precision::F32, "CPU"));
-    assert_eq!(own.fingerprint == exact.fingerprint, own.precision == exact.precision);
+fn a_provider_that_the_runtime_lacks_is_refused_with_those_that_it_has() {
+    let file = ModelFile::read(&default_model(), None, &cache()).unwrap();
+    let (runtime, one) = (cache().runtime(), NonZeroUsize::MIN);
+    let Err(error) = PreparedEncoder::new(file, &runtime, one, Provider::Cuda) else {
+        panic!("the runtime has CUDA")
+    };
+    let error = error.to_string();
+    let expected = format!(
+        "ONNX Runtime at {} has no execution provider `cuda`; it offers cpu",
+        runtime.display()
+    );
+    assert!(error.starts_with(&expected) && error.contains("--provider"), "{error}");
+    assert_eq!(encoder(1).facts().provider, Provider::Cpu);
 }
 
 #[test]
-fn a_broken_picture_is_an_error_and_the_encoder_goes_on() {
+fn a_broken_image_is_an_error_and_the_encoder_continues() {
     struct Short;
-    impl Picture for Short {
+    impl ImageSource for Short {
         fn image(&self) -> Image<'_> {
             Image { width: 9, height: 9, rgba: &[0; 9] }
         }
@@ -159,7 +147,7 @@ fn a_broken_picture_is_an_error_and_the_encoder_goes_on() {
 }
 
 #[test]
-fn what_is_missing_names_the_command_that_brings_it() {
+fn errors_about_missing_files_name_the_command_that_fetches_them() {
     let empty = tempfile::tempdir().unwrap();
     let nowhere = Cache::at(empty.path());
     let manifest = Manifest::shipped().unwrap();
@@ -180,7 +168,9 @@ fn what_is_missing_names_the_command_that_brings_it() {
     assert!(said(users, Some(&path), &nowhere).starts_with("cannot read the model file "));
 
     let file = ModelFile::read(&model, None, &cache()).unwrap_or_else(|error| panic!("{error}"));
-    let Err(error) = Prepared::new(file, &nowhere.runtime(), NonZeroUsize::MIN, None) else {
+    let Err(error) =
+        PreparedEncoder::new(file, &nowhere.runtime(), NonZeroUsize::MIN, Provider::Cpu)
+    else {
         panic!("there is no runtime")
     };
     assert_eq!(
@@ -190,7 +180,7 @@ fn what_is_missing_names_the_command_that_brings_it() {
 }
 
 #[test]
-fn a_model_that_is_not_what_the_manifest_says_is_refused_and_told_apart() {
+fn a_model_that_does_not_match_the_manifest_is_refused_with_a_reason() {
     let folder = tempfile::tempdir().unwrap();
     let model = default_model();
     let whole = std::fs::read(cache().model("dinov2-s14.onnx"))
@@ -207,17 +197,14 @@ fn a_model_that_is_not_what_the_manifest_says_is_refused_and_told_apart() {
     let error = ModelFile::read(&model, Some(&truncated), &cache()).unwrap_err().to_string();
     assert!(error.contains("its SHA-256 is") && error.contains("give the right file"), "{error}");
 
-    let refused = |model: &Model, path: Option<&PathBuf>, precision| {
+    let refused = |model: &Model, path: Option<&PathBuf>| {
         let unpinned = Model { sha256: None, ..model.clone() };
         let file = ModelFile::read(&unpinned, path.map(PathBuf::as_path), &cache()).unwrap();
-        refusal(file, precision).unwrap_or_else(|| panic!("{path:?} was accepted"))
+        refusal(file).unwrap_or_else(|| panic!("{path:?} was accepted"))
     };
-    let either = [None, Some(Precision::F32)];
-    for (path, precision) in
-        [&truncated, &garbage, &empty].into_iter().flat_map(|path| either.map(|p| (path, p)))
-    {
-        let error = refused(&model, Some(path), precision);
-        let expected = format!("ONNX Runtime refuses the model file {}", path.display());
+    for path in [&truncated, &garbage, &empty] {
+        let error = refused(&model, Some(path));
+        let expected = format!("ONNX Runtime rejects the model file {}", path.display());
         assert!(error.starts_with(&expected), "{error}");
     }
     for (wrong, expected) in [
@@ -232,7 +219,7 @@ fn a_model_that_is_not_what_the_manifest_says_is_refused_and_told_apart() {
         (Model { dimension: 768, ..model.clone() }, "not float [1, -1, 768] or [1, 768]"),
         (Model { input_size: 256, ..model.clone() }, "not float [1, 3, 256, 256]"),
     ] {
-        let error = refused(&wrong, None, None);
+        let error = refused(&wrong, None);
         assert!(error.contains(expected) && error.contains("models.toml"), "{error}");
     }
 }
@@ -249,7 +236,7 @@ fn a_library_that_is_not_onnx_runtime_is_refused() {
     std::os::unix::fs::symlink(cache().model("dinov2-s14.onnx"), &model).unwrap();
     std::fs::write(&runtime, "no library").unwrap();
     let picture = folder.path().join("view.png");
-    image::RgbaImage::new(8, 8).save(&picture).unwrap();
+    png_file::RgbaImage::filled(8, 8, [0; 4]).write(&picture).unwrap();
     let embed = |picture: &Path| {
         let mut command = Command::new(env!("CARGO_BIN_EXE_memory-proc"));
         let output = command.arg("embed").arg(picture).arg("--cache").arg(folder.path()).output();
@@ -264,7 +251,7 @@ fn a_library_that_is_not_onnx_runtime_is_refused() {
     assert!(error.contains("cannot read ") && error.contains("none.png"), "{error}");
 }
 
-/// The script's file is the one that the manifest pins, and it runs at the true size of a ViT-B/16.
+/// The script writes the file that the manifest describes, of a ViT-B/16's size.
 #[test]
 fn the_untrained_vit_b16_is_written_and_runs_under_its_name() {
     let folder = tempfile::tempdir().unwrap();
@@ -275,16 +262,15 @@ fn the_untrained_vit_b16_is_written_and_runs_under_its_name() {
     let manifest = Manifest::shipped().unwrap();
     let model = manifest.model("vit-b16-untrained").unwrap();
     let file = ModelFile::read(model, Some(&path), &cache()).unwrap();
-    let mut encoder = start(file, 1, None).unwrap();
-    assert_eq!(encoder.facts().precision, Precision::F32);
+    let mut encoder = start(file, 1).unwrap();
     let embedded = encoder.embed_all([scene(0), scene(0), noise(1)]).unwrap();
     assert_eq!(embedded[0], embedded[1]);
     assert!(distance(embedded[0].as_slice(), embedded[2].as_slice()) > 0.0);
     let facts = encoder.facts();
     assert!(!facts.trained && facts.model.contains("untrained") && facts.dimension == 768);
 
-    // The same file under the name of a ViT-B/16 that a user gives: it fits, and is not taken for trained.
+    // The same file under the name of a trained model has the right shape and is refused.
     let users = manifest.model("vit-b16").unwrap();
     let file = ModelFile::read(users, Some(&path), &cache()).unwrap();
-    assert!(refusal(file, None).unwrap_or_default().contains("untrained"));
+    assert!(refusal(file).unwrap_or_default().contains("untrained"));
 }

@@ -1,5 +1,4 @@
-//! The real process in a run whose other roles are played by this test. Needs what `cargo xtask setup`
-//! fetches, and says so when it is missing.
+//! The memory process in a run whose other roles are scripted. Needs the files that `cargo xtask setup` fetches.
 
 #![expect(clippy::unwrap_used, reason = "test helpers fail loudly")]
 
@@ -10,8 +9,10 @@ use std::process::{Child, Command, ExitStatus};
 use std::time::{Duration, Instant};
 
 use bytemuck::Zeroable;
-use domain::{DocumentKind, Pose, Representation, SegmentContent};
-use memory_proc::documents::{Account, DocumentFile, Provenance};
+use documents::{BuildAccount, DocumentFile, DocumentFolder, Provenance};
+use domain::{DocumentKind, SegmentContent};
+use domain::{Pose, Representation};
+use memory_proc::embedding_cache::stored;
 use memory_proc::paths::Cache;
 use shm_types::documents::Content;
 use shm_types::message::{
@@ -25,13 +26,13 @@ use shm_types::{
 use tempfile::TempDir;
 use warehouse::{Case, CaseSet, Demonstrations, Replay, Start, Warehouse};
 
-/// Longer than anything here takes; a wait that lasts this long hangs.
+/// A wait that takes this long hangs.
 const LONG: Duration = Duration::from_secs(120);
 
 const ORIGINAL: u32 = 0b0001;
 
-/// All parts but memory's, and the child that plays it. Dropped in order: the child first.
-struct Stage {
+/// The scripted roles and the memory process. Fields are dropped in order: the child first.
+struct Bench {
     memory: Kill,
     configs: Sender<MemoryEpisodeConfig>,
     stop: Sender<Stop>,
@@ -45,7 +46,7 @@ struct Stage {
     shutdown_reports: Receiver<ShutdownReport>,
     publisher: FramePublisher,
     documents: DocumentStore,
-    /// Pose that each frame shows.
+    /// The pose of each frame.
     shown: HashMap<FrameId, Pose>,
     released: usize,
     _idle: Idle,
@@ -56,7 +57,7 @@ struct Stage {
     _base: TempDir,
 }
 
-/// Receivers that nobody looks into: a send fails when one of its receivers is missing.
+/// Unused receivers: a send fails if one of its receivers is missing.
 struct Idle {
     _observations: [Receiver<Observation>; 2],
     _stops: [Receiver<Stop>; 2],
@@ -72,13 +73,13 @@ impl Drop for Kill {
     }
 }
 
-impl Stage {
-    /// With memory's encoder and its cache folder.
+impl Bench {
+    /// Memory with an encoder and this cache folder.
     fn new(cache: &Path) -> Self {
         Self::with(&["--cache".as_ref(), cache.as_os_str()])
     }
 
-    /// With further arguments of memory's.
+    /// Memory with these arguments.
     fn with(arguments: &[&OsStr]) -> Self {
         let base = tempfile::Builder::new().prefix("mt").tempdir_in("/tmp").unwrap();
         let run = RunDir::create(base.path()).unwrap();
@@ -92,7 +93,7 @@ impl Stage {
             _stops: [&sim, &policy].map(|bus| bus.receiver().unwrap()),
             _frames: FrameStore::new(&policy).unwrap(),
         };
-        // Memory starts last: what it says at once must find its receivers.
+        // Memory starts last, so that its first messages find their receivers.
         let handshakes = orchestrator.receiver().unwrap();
         let error_reports = orchestrator.receiver().unwrap();
         let shutdown_reports = orchestrator.receiver().unwrap();
@@ -129,7 +130,7 @@ impl Stage {
         }
     }
 
-    /// Plays the simulator's part until `next` gives something.
+    /// Serves view requests until `next` returns something.
     fn until<T>(&mut self, mut next: impl FnMut(&mut Self) -> Option<T>) -> T {
         let deadline = Instant::now() + LONG;
         loop {
@@ -143,7 +144,7 @@ impl Stage {
                     self.released += 1;
                 }
             }
-            // Asked before looking: what was said before the end is found.
+            // Checked first, so that messages sent before the process ended are found.
             let ended = self.memory.0.try_wait().unwrap();
             if let Some(found) = next(self) {
                 return found;
@@ -156,7 +157,7 @@ impl Stage {
         }
     }
 
-    /// A frame that shows `pose`: stripes that no other pose has.
+    /// Publishes a frame for `pose`, with stripes that no other pose has.
     fn publish(&mut self, pose: Pose) -> FrameId {
         let mut slot = self.publisher.loan().unwrap();
         let seed = *blake3::hash(pose.to_string().as_bytes()).as_bytes();
@@ -170,19 +171,19 @@ impl Stage {
         id
     }
 
-    /// The facts of memory's hello.
+    /// The facts in memory's handshake.
     fn handshake(&mut self) -> BTreeMap<String, String> {
-        let handshake = self.until(|stage| {
-            // A process that cannot start says why instead.
-            if let Some(error_report) = stage.error_reports.next().unwrap() {
+        let handshake = self.until(|bench| {
+            // A process that cannot start reports an error instead.
+            if let Some(error_report) = bench.error_reports.next().unwrap() {
                 panic!("{}", read_text(&error_report.text, error_report.text_len).unwrap());
             }
-            stage.handshakes.next().unwrap()
+            bench.handshakes.next().unwrap()
         });
         handshake.facts().unwrap()
     }
 
-    /// What a recall names, in order, and for whom: an episode, or 0 for the run.
+    /// The documents that a recall names, in order, and their episodes; 0 stands for the run.
     fn named(&mut self, recall: &Recall) -> Vec<(DocumentId, u64, Content)> {
         let ids = &recall.documents[..recall.documents_len as usize];
         let mut named = |&id: &DocumentId| {
@@ -205,8 +206,8 @@ impl Stage {
     }
 
     fn recall(&mut self) -> (Recall, RecallTrace) {
-        let recall = self.until(|stage| stage.recalls.next().unwrap());
-        let trace = self.until(|stage| stage.traces.next().unwrap());
+        let recall = self.until(|bench| bench.recalls.next().unwrap());
+        let trace = self.until(|bench| bench.traces.next().unwrap());
         assert_eq!(
             (recall.episode, recall.lane, recall.step),
             (trace.episode, trace.lane, trace.step)
@@ -218,7 +219,7 @@ impl Stage {
     }
 
     fn error_report(&mut self) -> String {
-        let error_report = self.until(|stage| stage.error_reports.next().unwrap());
+        let error_report = self.until(|bench| bench.error_reports.next().unwrap());
         read_text(&error_report.text, error_report.text_len).unwrap().to_owned()
     }
 
@@ -234,7 +235,7 @@ impl Stage {
     }
 }
 
-/// What a case's demonstration from `start` shows at `step`.
+/// The observation at `step` of a case's trajectory from `start`.
 fn observation(replay: &Replay, case: &Case, start: Start, step: usize) -> Observation {
     let actions = &case.trajectory(start).actions;
     Observation {
@@ -246,7 +247,7 @@ fn observation(replay: &Replay, case: &Case, start: Start, step: usize) -> Obser
     }
 }
 
-/// A cache folder of its own with what setup fetched, and no embeddings.
+/// A cache folder with the files that setup fetched, and no embeddings.
 fn fresh_cache() -> TempDir {
     let folder = tempfile::tempdir().unwrap();
     let setup = Cache::from_environment().unwrap();
@@ -257,10 +258,10 @@ fn fresh_cache() -> TempDir {
 }
 
 #[test]
-fn it_remembers_complains_and_says_farewell() {
+fn a_run_is_answered_with_reports_of_unusable_messages() {
     let cache = fresh_cache();
-    let mut stage = Stage::new(cache.path());
-    let facts = stage.handshake();
+    let mut bench = Bench::new(cache.path());
+    let facts = bench.handshake();
     assert_eq!((&*facts["encoder"], &*facts["encoder_trained"]), ("dinov2-s14", "true"));
     assert!(facts["encoder_sha256"].len() == 64 && !facts["onnxruntime"].is_empty());
 
@@ -281,8 +282,8 @@ fn it_remembers_complains_and_says_farewell() {
         segment: SegmentContent::Actions as u8,
         reserved: [0; 7],
     };
-    stage.config(config);
-    stage.config(MemoryEpisodeConfig {
+    bench.config(config);
+    bench.config(MemoryEpisodeConfig {
         episode: 12,
         lane: 1,
         representation: Representation::Working as u8,
@@ -291,13 +292,13 @@ fn it_remembers_complains_and_says_farewell() {
     let seen = |step| observation(&replay, case, Start::Original, step);
     let mut frames = Vec::new();
     for step in 0..4 {
-        frames.push(stage.observe(Observation { episode: 11, ..seen(step) }));
-        let (recall, trace) = stage.recall();
+        frames.push(bench.observe(Observation { episode: 11, ..seen(step) }));
+        let (recall, trace) = bench.recall();
         assert_eq!((recall.episode, recall.step, recall.distance), (11, step as u32, 0.0));
         assert_eq!((trace.case, trace.demonstration), (index as u32, 0));
         let matched = usize::from(trace.index);
         let segment = &recall.segment[..recall.segment_len as usize];
-        let shown: Vec<Pose> = segment.iter().map(|entry| stage.shown[&entry.frame]).collect();
+        let shown: Vec<Pose> = segment.iter().map(|entry| bench.shown[&entry.frame]).collect();
         let until = (matched + 3).min(length(case));
         assert_eq!(shown, replay.poses[matched..=until]);
         assert_eq!(shown[0], replay.poses[step]);
@@ -307,49 +308,44 @@ fn it_remembers_complains_and_says_farewell() {
         assert!(recall.window_len as usize <= MAX_WINDOW && segment.len() <= MAX_SEGMENT);
     }
 
-    stage.observe(Observation { episode: 12, lane: 1, ..seen(0) });
-    let (recall, trace) = stage.recall();
+    bench.observe(Observation { episode: 12, lane: 1, ..seen(0) });
+    let (recall, trace) = bench.recall();
     assert_eq!((recall.lane, recall.segment_len, trace.case), (1, 0, NOT_MEASURED));
     assert!(recall.distance.is_nan() && trace.distance.is_nan());
 
-    stage.observe(Observation { episode: 99, ..seen(0) });
-    assert_eq!(stage.error_report(), "observation of unknown episode 99 in lane 0");
-    stage.config(MemoryEpisodeConfig { episode: 13, case: 4000, ..config });
-    assert!(stage.error_report().starts_with("brief of episode 13: case 4000"));
-    stage.observations.send(&Observation { episode: 11, frame: 1 << 50, ..seen(4) }).unwrap();
-    stage.sim.notifier(Role::Memory).unwrap().notify().unwrap();
-    assert!(stage.error_report().contains("is not in the store"));
+    bench.observe(Observation { episode: 99, ..seen(0) });
+    assert_eq!(bench.error_report(), "observation of unknown episode 99 in lane 0");
+    bench.config(MemoryEpisodeConfig { episode: 13, case: 4000, ..config });
+    assert!(bench.error_report().starts_with("config of episode 13: case 4000"));
+    bench.observations.send(&Observation { episode: 11, frame: 1 << 50, ..seen(4) }).unwrap();
+    bench.sim.notifier(Role::Memory).unwrap().notify().unwrap();
+    assert!(bench.error_report().contains("is not in the store"));
 
-    stage.observe(Observation { episode: 11, last: 1, ..seen(4) });
+    bench.observe(Observation { episode: 11, last: 1, ..seen(4) });
     let mut views = replay.poses.clone();
     views.sort_unstable();
     views.dedup();
-    stage.until(|stage| (stage.released == views.len()).then_some(()));
+    bench.until(|bench| (bench.released == views.len()).then_some(()));
 
-    stage.stop.send(&Stop { reserved: 0 }).unwrap();
-    stage.orchestrator.notifier(Role::Memory).unwrap().notify().unwrap();
-    assert!(stage.exit().success());
-    let shutdown_report = stage.shutdown_reports.next().unwrap().unwrap();
+    bench.stop.send(&Stop { reserved: 0 }).unwrap();
+    bench.orchestrator.notifier(Role::Memory).unwrap().notify().unwrap();
+    assert!(bench.exit().success());
+    let shutdown_report = bench.shutdown_reports.next().unwrap().unwrap();
     assert_eq!((shutdown_report.role, shutdown_report.error_reports), (Role::Memory as u32, 3));
     assert_eq!(shutdown_report.pixel_bytes_copied, 0);
-    assert_eq!(shutdown_report.frames_received, stage.shown.len() as u64);
+    assert_eq!(shutdown_report.frames_received, bench.shown.len() as u64);
 
-    // What was embedded is on disk: each distinct view once.
-    let files: Vec<_> = std::fs::read_dir(cache.path().join("embeddings")).unwrap().collect();
-    let length = files[0].as_ref().unwrap().metadata().unwrap().len() as usize;
-    assert_eq!((files.len(), length), (1, 44 + views.len() * (16 + 4 * 384 + 8)));
+    // Embeddings are on disk: each distinct view once.
+    assert_eq!(stored(&cache.path().join("embeddings"), 384).len(), views.len());
 }
 
 #[test]
-fn without_a_model_it_says_which_command_brings_it() {
+fn a_missing_model_is_reported_with_the_command_that_fetches_it() {
     let empty = tempfile::tempdir().unwrap();
-    let mut stage = Stage::new(empty.path());
-    let said = stage.error_report();
-    assert_eq!(stage.exit().code(), Some(2));
-    assert!(
-        said.starts_with("the memory process cannot go on: the encoder dinov2-s14 needs "),
-        "{said}"
-    );
+    let mut bench = Bench::new(empty.path());
+    let said = bench.error_report();
+    assert_eq!(bench.exit().code(), Some(2));
+    assert!(said.starts_with("the memory process failed: the encoder dinov2-s14 needs "), "{said}");
 }
 
 /// The standard settings.
@@ -373,8 +369,8 @@ fn config(
     }
 }
 
-/// A document of `set`, made by nobody.
-fn document(kind: DocumentKind, set: Demonstrations) -> DocumentFile {
+/// Writes a run's copy of a document into `folder`.
+fn write_document(folder: &Path, kind: DocumentKind, set: Demonstrations) {
     let provenance = Provenance {
         kind,
         demonstrations: set,
@@ -385,21 +381,22 @@ fn document(kind: DocumentKind, set: Demonstrations) -> DocumentFile {
         text_sha256: String::new(),
         trajectories: 100,
         views: 1,
-        account: Account::default(),
+        account: BuildAccount::default(),
     };
-    DocumentFile::new(provenance, format!("# {} of {set}", kind.word()))
+    let path = DocumentFolder::new(folder).run_copy(provenance.name());
+    DocumentFile::new(provenance, format!("# {} of {set}", kind.word())).save(&path).unwrap();
 }
 
 #[test]
-fn without_an_encoder_all_but_episodic_memory_is_served() {
+fn without_an_encoder_every_memory_but_episodic_is_served() {
     let folder = tempfile::tempdir().unwrap();
     let original = Demonstrations::ORIGINAL;
     for kind in [DocumentKind::Summary, DocumentKind::Semantic] {
-        document(kind, original).save(folder.path()).unwrap();
+        write_document(folder.path(), kind, original);
     }
-    let mut stage =
-        Stage::with(&["--no-encoder".as_ref(), "--documents".as_ref(), folder.path().as_os_str()]);
-    assert_eq!(stage.handshake(), BTreeMap::new());
+    let mut bench =
+        Bench::with(&["--no-encoder".as_ref(), "--documents".as_ref(), folder.path().as_os_str()]);
+    assert_eq!(bench.handshake(), BTreeMap::new());
 
     let (warehouse, cases) = (Warehouse::shipped(), CaseSet::shipped().cases);
     let replay = cases[0].replay(&warehouse, Start::Original);
@@ -414,12 +411,12 @@ fn without_an_encoder_all_but_episodic_memory_is_served() {
         (4, Representation::Hybrid, vec![&summary, &semantic]),
         (5, Representation::Summary, vec![&summary]),
     ] {
-        stage.config(config(representation, 0, episode, original));
+        bench.config(config(representation, 0, episode, original));
         for step in 0..2 {
-            stage.observe(Observation { episode, ..seen(step) });
-            let (recall, trace) = stage.recall();
+            bench.observe(Observation { episode, ..seen(step) });
+            let (recall, trace) = bench.recall();
             assert_eq!((recall.segment_len, trace.case), (0, NOT_MEASURED));
-            let named = stage.named(&recall);
+            let named = bench.named(&recall);
             assert!(named.iter().all(|(_, owner, _)| *owner == 0), "for the whole run");
             assert_eq!(named.iter().map(|named| &named.2).collect::<Vec<_>>(), texts);
             ids.extend(named.into_iter().map(|named| named.0));
@@ -427,12 +424,12 @@ fn without_an_encoder_all_but_episodic_memory_is_served() {
     }
     assert_eq!(ids.len(), 2, "each is published once");
 
-    // Two lanes, each with trajectories of its own.
+    // Two lanes, with different trajectories.
     for (lane, episode, set) in [(0, 6, original), (1, 7, Demonstrations::ALL)] {
-        stage.config(config(Representation::FullContext, lane, episode, set));
-        stage.observe(Observation { episode, lane, ..seen(0) });
-        let (recall, _) = stage.recall();
-        let named = stage.named(&recall);
+        bench.config(config(Representation::FullContext, lane, episode, set));
+        bench.observe(Observation { episode, lane, ..seen(0) });
+        let (recall, _) = bench.recall();
+        let named = bench.named(&recall);
         let [(_, owner, Content::Trajectories(steps))] = &named[..] else {
             panic!("{named:?} for {set}")
         };
@@ -446,7 +443,7 @@ fn without_an_encoder_all_but_episodic_memory_is_served() {
             let actions: Vec<u8> = actions.chain([NO_ACTION]).collect();
             assert_eq!(these.iter().map(|step| step.action).collect::<Vec<_>>(), actions);
             for (step, pose) in these.iter().zip(&walk.poses) {
-                assert!(step.frame == NO_FRAME || stage.shown[&step.frame] == *pose);
+                assert!(step.frame == NO_FRAME || bench.shown[&step.frame] == *pose);
             }
             assert!(these[0].frame != NO_FRAME && these[these.len() - 1].frame != NO_FRAME);
             rest = others;
@@ -456,35 +453,35 @@ fn without_an_encoder_all_but_episodic_memory_is_served() {
         assert_eq!(keyframes, steps.len().min(40));
     }
 
-    stage.config(config(Representation::Episodic, 0, 8, original));
-    let said = stage.error_report();
-    assert!(said.starts_with("brief of episode 8: episodic memory compares views"), "{said}");
-    stage.stop.send(&Stop { reserved: 0 }).unwrap();
-    stage.orchestrator.notifier(Role::Memory).unwrap().notify().unwrap();
-    assert!(stage.exit().success());
+    bench.config(config(Representation::Episodic, 0, 8, original));
+    let said = bench.error_report();
+    assert!(said.starts_with("config of episode 8: episodic memory compares views"), "{said}");
+    bench.stop.send(&Stop { reserved: 0 }).unwrap();
+    bench.orchestrator.notifier(Role::Memory).unwrap().notify().unwrap();
+    assert!(bench.exit().success());
 }
 
-/// A memory of nothing would be measured as if it were the representation: the run ends instead.
+/// An empty memory would be measured as if it were the representation, so the run ends.
 #[test]
-fn without_its_document_a_memory_ends_the_run_and_says_what_makes_it() {
+fn a_missing_document_ends_the_run_and_is_reported_with_the_command_that_builds_it() {
     let (warehouse, cases) = (Warehouse::shipped(), CaseSet::shipped().cases);
     let replay = cases[0].replay(&warehouse, Start::Original);
     let seen = observation(&replay, &cases[0], Start::Original, 0);
     let folder = tempfile::tempdir().unwrap();
-    // The other set's document is no replacement.
-    document(DocumentKind::Summary, Demonstrations::ORIGINAL).save(folder.path()).unwrap();
+    // The document of another set does not count.
+    write_document(folder.path(), DocumentKind::Summary, Demonstrations::ORIGINAL);
     let documents = ["--documents".as_ref(), folder.path().as_os_str()];
     for (arguments, expected) in [
         (&documents[..], "`memtransfer memory build --kind summary --demos 4`"),
-        (&[], "was started without --documents DIR"),
+        (&[], "memory-proc was started without --documents DIR"),
     ] {
-        let mut stage = Stage::with(&[&["--no-encoder".as_ref()], arguments].concat());
-        stage.handshake();
-        stage.config(config(Representation::Summary, 0, 1, Demonstrations::ALL));
-        stage.observe(Observation { episode: 1, ..seen });
-        let said = stage.error_report();
-        assert!(said.starts_with("the memory process cannot go on: summary memory: "), "{said}");
+        let mut bench = Bench::with(&[&["--no-encoder".as_ref()], arguments].concat());
+        bench.handshake();
+        bench.config(config(Representation::Summary, 0, 1, Demonstrations::ALL));
+        bench.observe(Observation { episode: 1, ..seen });
+        let said = bench.error_report();
+        assert!(said.starts_with("the memory process failed: summary memory: "), "{said}");
         assert!(said.contains(expected), "{said}");
-        assert_eq!(stage.exit().code(), Some(2));
+        assert_eq!(bench.exit().code(), Some(2));
     }
 }

@@ -1,61 +1,31 @@
-//! The documents of summary, semantic and hybrid memory: which there are, and having them built before a run.
+//! The documents that a run needs, and having missing ones built before it begins.
 //!
-//! What a document is and whether it is out of date the memory process knows; here it is asked
-//! (`memory-proc documents`) and, where something is missing, started together with the simulator to build it
-//! (`memory-proc build`). One build at a time goes on in a folder.
+//! The crate `documents` knows what a document is, where it lies and whether it fits. Here missing documents are built by
+//! a simulator and a memory process ([`building`]). One build at a time runs in a folder; others wait for it.
 
 mod building;
 
 use std::collections::BTreeMap;
 use std::ffi::OsString;
-use std::fmt;
 use std::fs::{self, File, TryLockError};
 use std::path::{Path, PathBuf};
-use std::process::Command;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
-use domain::DocumentKind;
-use serde::{Deserialize, Serialize};
-use serde_json::Value;
-use warehouse::Demonstrations;
-
+use documents::{
+    DocumentFolder, DocumentName, DocumentSelection, DocumentState, ModelRecipe, Recipe, Sources,
+    StoredDocument,
+};
+use domain::cache_folder;
 use results::conditions::Condition;
 use results::log::DocumentFacts;
-use results::names::UnknownName;
-use supervise::sibling;
 
-/// Held while documents are built in a folder.
+/// Locked while documents are built in a folder.
 const LOCK_FILE: &str = "lock";
 
-/// How often a folder is tried that somebody else builds in.
+/// How often a lock is tried that another process holds.
 const LOCK_INTERVAL: Duration = Duration::from_millis(200);
-
-/// Names a document: its kind, and the demonstrations of every case that it is made of. Written `summary/4`.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
-pub struct DocumentName {
-    /// What it tells.
-    pub kind: DocumentKind,
-    /// Of what.
-    pub demonstrations: Demonstrations,
-}
-
-impl fmt::Display for DocumentName {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}/{}", self.kind.word(), self.demonstrations)
-    }
-}
-
-/// The kind of document that a word names.
-///
-/// # Errors
-/// When it names none.
-pub fn kind(word: &str) -> Result<DocumentKind, UnknownName> {
-    let words = DocumentKind::TEXTS.map(DocumentKind::word);
-    let found = DocumentKind::TEXTS.into_iter().find(|kind| kind.word() == word);
-    found.ok_or_else(|| UnknownName::new("kind of document", word, words))
-}
 
 /// The documents that `conditions` supply, each once.
 pub fn needed<'a>(conditions: impl IntoIterator<Item = &'a Condition>) -> Vec<DocumentName> {
@@ -71,316 +41,246 @@ pub fn needed<'a>(conditions: impl IntoIterator<Item = &'a Condition>) -> Vec<Do
     names
 }
 
-/// Who builds documents.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub enum Builder {
-    /// The deterministic one, which needs no model.
-    Extractive,
-    /// A model behind a chat endpoint.
-    Model(Model),
-    /// Somebody did: documents are taken as they are, whoever built them.
-    Anyone {
-        /// The builder in whose folder they lie, unless a folder is given.
-        of: &'static str,
-    },
-}
-
-/// Which model, and where.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Model {
-    /// As the server calls it.
-    pub name: String,
-    /// Where the server is; `None`: where the environment says.
-    pub base_url: Option<String>,
-    /// How it is asked: flags of `memory-proc build` with their values.
-    pub flags: Vec<(&'static str, String)>,
-}
-
-impl Builder {
-    fn arguments(&self) -> Vec<OsString> {
-        let mut arguments: Vec<OsString> = vec!["--builder".into()];
-        match self {
-            Self::Extractive => arguments.push("extractive".into()),
-            Self::Anyone { of } => arguments.push(of.into()),
-            Self::Model(Model { name, base_url, flags }) => {
-                arguments.extend(["model".into(), "--model".into(), name.into()]);
-                let url = base_url.iter().map(|url| ("--base-url", url));
-                let flags = flags.iter().map(|(flag, value)| (*flag, value)).chain(url);
-                arguments.extend(flags.flat_map(|(flag, value)| [flag.into(), value.into()]));
-            }
-        }
-        arguments
-    }
-}
-
-/// Documents in one folder, made for one world.
+/// Where documents come from, and for which world.
 #[derive(Debug, Clone)]
-pub struct Library {
-    /// Where they lie; `None`: where the memory process keeps those of the builder.
+pub struct DocumentRequest {
+    /// Their folder; `None`: `documents` in the cache folder.
     pub folder: Option<PathBuf>,
-    /// Folder of layout, catalogue and cases; `None`: those that are built in.
+    /// Folder of layout, catalogue and cases; `None`: the built-in ones.
     pub assets: Option<PathBuf>,
-    /// Width and height of the frames that they are made of.
+    /// Width and height of the frames that they are made from.
     pub frame_size: u32,
-    /// Who builds them.
-    pub builder: Builder,
+    /// Which documents are acceptable. Missing ones are built if this is a recipe.
+    pub selection: DocumentSelection,
+    /// How a model is asked.
+    pub server: ModelServer,
 }
 
-/// What a folder holds, as the memory process says.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Holdings {
-    /// The folder.
-    pub folder: PathBuf,
-    /// Its documents.
-    pub documents: Vec<Holding>,
+/// How a model is asked for documents. None of it changes what it is asked.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct ModelServer {
+    /// Its address; `None`: the one in the environment.
+    pub base_url: Option<String>,
+    /// The longest time of an attempt, in seconds.
+    pub timeout: Option<u32>,
+    /// How often a request is repeated.
+    pub max_retries: Option<u32>,
 }
 
-/// One document.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Holding {
-    /// Its name.
-    #[serde(flatten)]
-    pub name: DocumentName,
-    /// Where it is, or would be.
-    pub file: PathBuf,
-    /// Whether it can be used.
-    pub state: State,
-    /// Why not, when it cannot.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub problem: Option<String>,
-    /// Where it comes from, when it could be read.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub provenance: Option<BTreeMap<String, Value>>,
-    /// Bytes of its text.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub bytes: Option<u64>,
-    /// Words of its text.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub words: Option<u64>,
-    /// Its text, when asked for.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub text: Option<String>,
-}
-
-/// Whether a document can be used.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum State {
-    /// It is what would be built.
-    Current,
-    /// There is none.
-    Missing,
-    /// It is made of other demonstrations or frames, or by another builder.
-    Outdated,
-    /// Its file is not what it should be.
-    Broken,
-}
-
-impl State {
-    /// The word in tables.
-    pub const fn word(self) -> &'static str {
-        match self {
-            Self::Current => "current",
-            Self::Missing => "missing",
-            Self::Outdated => "outdated",
-            Self::Broken => "broken",
-        }
-    }
-}
-
-impl Holding {
-    /// What a manifest says of it; `None` when it could not be read.
-    pub fn facts(&self) -> Option<DocumentFacts> {
-        Some(DocumentFacts {
-            sha256: self.said("text_sha256")?,
-            builder: self.said("builder")?,
-            bytes: self.bytes?,
-            words: self.words?,
-        })
-    }
-
-    /// A word of its provenance.
-    pub fn said(&self, key: &str) -> Option<String> {
-        Some(self.provenance.as_ref()?.get(key)?.as_str()?.to_owned())
-    }
-}
-
-/// Documents that are there. Nobody builds others in their folder as long as this is held.
+/// Documents that are ready. No other process builds in their folder while this value exists.
 #[derive(Debug)]
-pub struct Supply {
-    /// Their folder.
-    pub folder: PathBuf,
-    /// What each is.
-    pub documents: Vec<Holding>,
-    /// Those of them that were built just now.
+pub struct ReadyDocuments {
+    /// The documents.
+    pub documents: Vec<StoredDocument>,
+    /// Those of them that were built now.
     pub built: Vec<DocumentName>,
-    /// Held while somebody could build in the folder.
     _lock: Option<File>,
 }
 
-/// How far building is.
+/// Progress of a build.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Stage {
-    /// Somebody else builds in the folder.
+pub enum BuildStage {
+    /// Another process builds in the folder.
     Waiting,
-    /// The processes are being started.
+    /// The processes start.
     Starting,
-    /// Views of demonstrations are rendered and read: done, of all.
+    /// Views are rendered and read: done, of all.
     Views(u64, u64),
-    /// The documents are written: parts done, of all of the document at hand.
+    /// A document is written: parts done, of all.
     Writing(u64, u64),
 }
 
-impl Library {
-    /// What is there of `wanted`, or all there is; with the texts if `text`.
+impl DocumentRequest {
+    /// The folder of the documents.
     ///
     /// # Errors
-    /// When the memory process cannot be asked.
-    pub fn ask(&self, wanted: Option<&[DocumentName]>, text: bool) -> Result<Holdings> {
-        let program = sibling("memory-proc")?;
-        let mut command = Command::new(&program);
-        command.arg("documents").args(self.builder.arguments());
-        command.arg("--frame-size").arg(self.frame_size.to_string());
-        if let Builder::Anyone { .. } = self.builder {
-            command.arg("--by-anyone");
-        }
-        if let Some(folder) = &self.folder {
-            command.arg("--documents").arg(folder);
-        }
-        if let Some(assets) = &self.assets {
-            command.arg("--assets").arg(assets);
-        }
-        if let Some(wanted) = wanted {
-            command.arg("--wanted").arg(listed(wanted));
-        }
-        if text {
-            command.arg("--text");
-        }
-        let output = command.output();
-        let output = output.with_context(|| format!("cannot start {}", program.display()))?;
-        if !output.status.success() {
-            let said = String::from_utf8_lossy(&output.stderr);
-            bail!("{}", said.trim().trim_start_matches("memory-proc: "));
-        }
-        serde_json::from_slice(&output.stdout)
-            .with_context(|| format!("{} said nothing that can be used", program.display()))
+    /// When none is given and the environment names no cache folder.
+    pub fn folder(&self) -> Result<DocumentFolder> {
+        let path = match &self.folder {
+            Some(path) => path.clone(),
+            None => cache_folder()?.join("documents"),
+        };
+        Ok(DocumentFolder::new(path))
     }
 
-    /// Has those of `wanted` built that are missing or out of date, and all of them if `force`. `None` when
-    /// asked to stop meanwhile.
+    /// The wanted documents, as they are in the folder.
     ///
     /// # Errors
-    /// When a document is broken, or missing and nobody is named who could build it; when building fails.
+    /// When the folder or the assets cannot be read.
+    pub fn find(&self, wanted: &[DocumentName]) -> Result<Vec<StoredDocument>> {
+        let (folder, sources) = (self.folder()?, Sources::load(self.assets.as_deref())?);
+        let find =
+            |&name: &DocumentName| folder.find(name, &self.selection, &sources, self.frame());
+        let found: std::io::Result<_> = wanted.iter().map(find).collect();
+        found.with_context(|| format!("cannot list {}", folder.path().display()))
+    }
+
+    /// All documents in the folder.
+    ///
+    /// # Errors
+    /// When the folder or the assets cannot be read.
+    pub fn list(&self) -> Result<Vec<StoredDocument>> {
+        let (folder, sources) = (self.folder()?, Sources::load(self.assets.as_deref())?);
+        let listed = folder.list(&sources, self.frame());
+        listed.with_context(|| format!("cannot list {}", folder.path().display()))
+    }
+
+    /// Has the wanted documents built that are missing, or all of them if `force`. `None` when stopped.
+    ///
+    /// # Errors
+    /// When a document is broken, or missing without a recipe for it; when building fails.
     pub fn ensure(
         &self,
         wanted: &[DocumentName],
         force: bool,
         stop: &AtomicBool,
-        tell: &mut dyn FnMut(Stage),
-    ) -> Result<Option<Supply>> {
-        let folder = self.ask(Some(wanted), false)?.folder;
-        let Some(lock) = lock(&folder, stop, tell)? else { return Ok(None) };
-        let holdings = self.ask(Some(wanted), false)?;
-        let missing: Vec<&Holding> =
-            holdings.documents.iter().filter(|d| force || d.state != State::Current).collect();
-        for document in &missing {
-            let problem = || document.problem.clone().unwrap_or_default();
-            match (document.state, &self.builder) {
-                (State::Broken, _) if !force => bail!("{}", problem()),
-                (_, Builder::Anyone { of }) => {
-                    let DocumentName { kind, demonstrations } = document.name;
-                    let why = match document.state {
-                        State::Missing => String::new(),
-                        _ => format!(" ({})", problem()),
-                    };
-                    let out = self.folder.iter().map(|dir| format!(" --out {}", dir.display()));
-                    bail!(
-                        "document {} is {} in {} and is not built in passing{why}. To build it:\n  \
-                         memtransfer memory build --builder {of} --kind {} --demos {demonstrations}{}",
-                        document.name,
-                        document.state.word(),
-                        folder.display(),
-                        kind.word(),
-                        out.collect::<String>(),
-                    )
-                }
-                _ => {}
-            }
+        report: &mut dyn FnMut(BuildStage),
+    ) -> Result<Option<ReadyDocuments>> {
+        let folder = self.folder()?;
+        let Some(lock) = lock(folder.path(), stop, report)? else { return Ok(None) };
+        let documents = self.find(wanted)?;
+        let missing: Vec<&StoredDocument> = documents
+            .iter()
+            .filter(|document| force || document.state != DocumentState::Current)
+            .collect();
+        let names: Vec<DocumentName> = missing.iter().map(|document| document.name).collect();
+        if names.is_empty() {
+            return Ok(Some(ReadyDocuments { documents, built: names, _lock: Some(lock) }));
         }
-        let missing: Vec<DocumentName> = missing.iter().map(|document| document.name).collect();
-        if missing.is_empty() {
-            let documents = holdings.documents;
-            return Ok(Some(Supply { folder, documents, built: missing, _lock: Some(lock) }));
+        if let Some(broken) =
+            missing.iter().find(|document| document.state == DocumentState::Broken && !force)
+        {
+            bail!("{}", broken.problem.clone().unwrap_or_default());
         }
-        if !building::build(self, &folder, &missing, stop, tell)? {
+        let DocumentSelection::Recipe(recipe) = &self.selection else {
+            bail!("{}", self.how_to_build(missing[0], &folder));
+        };
+        if !building::build(self, recipe, &folder, &names, stop, report)? {
             return Ok(None);
         }
-        let documents = self.ask(Some(wanted), false)?.documents;
-        if let Some(bad) = documents.iter().find(|document| document.state != State::Current) {
+        let documents = self.find(wanted)?;
+        if let Some(bad) =
+            documents.iter().find(|document| document.state != DocumentState::Current)
+        {
             let problem = bad.problem.clone().unwrap_or_default();
             bail!("document {} was built and is {}: {problem}", bad.name, bad.state.word());
         }
-        Ok(Some(Supply { folder, documents, built: missing, _lock: Some(lock) }))
+        Ok(Some(ReadyDocuments { documents, built: names, _lock: Some(lock) }))
+    }
+
+    /// The message for a document that a run does not build by itself.
+    fn how_to_build(&self, document: &StoredDocument, folder: &DocumentFolder) -> String {
+        let DocumentName { kind, demonstrations } = document.name;
+        let builder = match &self.selection {
+            DocumentSelection::Model(model) => {
+                format!("model --model {}", model.as_deref().unwrap_or("NAME"))
+            }
+            DocumentSelection::Any | DocumentSelection::Recipe(_) => "extractive".to_owned(),
+        };
+        let why = match document.state {
+            DocumentState::Missing => String::new(),
+            _ => format!(" ({})", document.problem.clone().unwrap_or_default()),
+        };
+        let out = self.folder.iter().map(|path| format!(" --out {}", path.display()));
+        format!(
+            "document {} is {} in {}{why}, and a run builds extractive documents only. To build it:\n  \
+             memtransfer memory build --builder {builder} --kind {} --demos {demonstrations}{}",
+            document.name,
+            document.state.word(),
+            folder.path().display(),
+            kind.word(),
+            out.collect::<String>(),
+        )
+    }
+
+    fn frame(&self) -> [u32; 2] {
+        [self.frame_size; 2]
+    }
+
+    /// The flags of `memory-proc build` for a recipe.
+    fn builder_flags(&self, recipe: &Recipe) -> Vec<OsString> {
+        let mut flags: Vec<OsString> = vec!["--builder".into(), recipe.builder().into()];
+        if let Recipe::Model(ModelRecipe { model, context_chars, max_tokens }) = recipe {
+            let ModelServer { base_url, timeout, max_retries } = &self.server;
+            let values = [
+                ("--model", Some(model.clone())),
+                ("--context-chars", Some(context_chars.to_string())),
+                ("--max-tokens", Some(max_tokens.to_string())),
+                ("--base-url", base_url.clone()),
+                ("--timeout", timeout.map(|seconds| seconds.to_string())),
+                ("--max-retries", max_retries.map(|retries| retries.to_string())),
+            ];
+            for (flag, value) in values {
+                if let Some(value) = value {
+                    flags.extend([flag.into(), value.into()]);
+                }
+            }
+        }
+        flags
     }
 }
 
-impl Supply {
-    /// No documents.
-    pub fn nothing() -> Self {
-        Self { folder: PathBuf::new(), documents: Vec::new(), built: Vec::new(), _lock: None }
+impl ReadyDocuments {
+    /// Documents in a folder in which no process builds.
+    pub fn unlocked(documents: Vec<StoredDocument>) -> Self {
+        Self { documents, built: Vec::new(), _lock: None }
     }
 
-    /// Documents that lie where nobody builds.
-    pub fn kept(holdings: Holdings) -> Self {
-        let Holdings { folder, documents } = holdings;
-        Self { folder, documents, built: Vec::new(), _lock: None }
-    }
-
-    /// What a manifest says of them, by name.
+    /// What the manifest says about them, by name.
     pub fn facts(&self) -> BTreeMap<String, DocumentFacts> {
-        let facts = |document: &Holding| Some((document.name.to_string(), document.facts()?));
-        self.documents.iter().filter_map(facts).collect()
+        facts(&self.documents)
     }
 
-    /// Puts a copy of each into `folder`, unless they lie there: what was supplied stays with the run.
+    /// Copies the documents into a run's folder, unless they are there: a run keeps what it supplied.
     ///
     /// # Errors
-    /// When the system refuses.
+    /// When a file cannot be written.
     pub fn copy_to(&self, folder: &Path) -> Result<()> {
-        if self.folder == folder || self.documents.is_empty() {
-            return Ok(());
-        }
-        let cannot = |path: &Path| format!("cannot write {}", path.display());
-        fs::create_dir_all(folder).with_context(|| cannot(folder))?;
-        for document in &self.documents {
-            let Some(name) = document.file.file_name() else { continue };
-            let (path, draft) = (folder.join(name), folder.join("draft.new"));
-            fs::copy(&document.file, &draft)
-                .and_then(|_| fs::rename(&draft, &path))
-                .with_context(|| cannot(&path))?;
+        let folder = DocumentFolder::new(folder);
+        for stored in &self.documents {
+            let Some(document) = &stored.document else { continue };
+            let path = folder.run_copy(stored.name);
+            if path != stored.file {
+                document.save(&path)?;
+            }
         }
         Ok(())
     }
 }
 
-/// Names as the memory process reads them.
-fn listed(names: &[DocumentName]) -> String {
-    names.iter().map(DocumentName::to_string).collect::<Vec<_>>().join(",")
+/// What the manifest says about documents, by name. Those that are not readable are left out.
+pub fn facts(documents: &[StoredDocument]) -> BTreeMap<String, DocumentFacts> {
+    let facts = |stored: &StoredDocument| {
+        let document = stored.document.as_ref()?;
+        let facts = DocumentFacts {
+            sha256: document.provenance.text_sha256.clone(),
+            builder: document.provenance.builder.clone(),
+            address: stored.address.clone(),
+            bytes: document.text.len() as u64,
+            words: document.words(),
+        };
+        Some((stored.name.to_string(), facts))
+    };
+    documents.iter().filter_map(facts).collect()
 }
 
-/// Locks `folder`, which is made if it is missing, against other builds. `None` when asked to stop meanwhile.
-fn lock(folder: &Path, stop: &AtomicBool, tell: &mut dyn FnMut(Stage)) -> Result<Option<File>> {
+/// Locks a folder, which is created if it is missing, against other builds. `None` when stopped.
+fn lock(
+    folder: &Path,
+    stop: &AtomicBool,
+    report: &mut dyn FnMut(BuildStage),
+) -> Result<Option<File>> {
     let path = folder.join(LOCK_FILE);
-    let cannot = || format!("cannot lock {}", path.display());
-    fs::create_dir_all(folder).with_context(|| format!("cannot make {}", folder.display()))?;
-    let file = File::options().create(true).append(true).open(&path).with_context(cannot)?;
+    let failed = || format!("cannot lock {}", path.display());
+    fs::create_dir_all(folder).with_context(|| format!("cannot create {}", folder.display()))?;
+    let file = File::options().create(true).append(true).open(&path).with_context(failed)?;
     loop {
         match file.try_lock() {
             Ok(()) => return Ok(Some(file)),
-            Err(TryLockError::Error(error)) => return Err(error).with_context(cannot),
+            Err(TryLockError::Error(error)) => return Err(error).with_context(failed),
             Err(TryLockError::WouldBlock) if stop.load(Ordering::Relaxed) => return Ok(None),
             Err(TryLockError::WouldBlock) => {
-                tell(Stage::Waiting);
+                report(BuildStage::Waiting);
                 std::thread::sleep(LOCK_INTERVAL);
             }
         }
@@ -390,9 +290,10 @@ fn lock(folder: &Path, stop: &AtomicBool, tell: &mut dyn FnMut(Stage)) -> Result
 #[cfg(test)]
 mod tests {
     use domain::Representation;
+    use results::conditions::{Route, Start, Variation};
+    use warehouse::Demonstrations;
 
     use super::*;
-    use results::conditions::{Route, Start, Variation};
 
     #[test]
     fn each_condition_s_documents_are_needed_once() {
@@ -416,43 +317,35 @@ mod tests {
     }
 
     #[test]
-    fn what_the_memory_process_says_is_understood() {
-        let json = r#"{
-            "folder": "/d",
-            "documents": [
-                {"kind": "summary", "demonstrations": "4", "file": "/d/summary-4.json", "state": "missing",
-                 "problem": "there is none"},
-                {"kind": "semantic", "demonstrations": "original", "file": "/d/semantic-original.json",
-                 "state": "current", "provenance": {"builder": "extractive", "text_sha256": "ab", "views": 9},
-                 "bytes": 20, "words": 4}
-            ]
-        }"#;
-        let holdings: Holdings = serde_json::from_str(json).unwrap();
-        assert_eq!(holdings.documents[0].state, State::Missing);
-        let facts = Supply::kept(holdings).facts();
-        let expected = DocumentFacts {
-            sha256: "ab".to_owned(),
-            builder: "extractive".to_owned(),
-            bytes: 20,
-            words: 4,
+    fn a_run_does_not_build_a_model_s_documents_and_says_how() {
+        let folder = tempfile::tempdir().unwrap();
+        let request = DocumentRequest {
+            folder: Some(folder.path().to_owned()),
+            assets: None,
+            frame_size: 448,
+            selection: DocumentSelection::Model(Some("m".into())),
+            server: ModelServer::default(),
         };
-        assert_eq!(facts, BTreeMap::from([("semantic/original".to_owned(), expected)]));
+        let wanted = ["summary/4".parse().unwrap()];
+        let error = request.ensure(&wanted, false, &AtomicBool::new(false), &mut |_| ());
+        let error = error.unwrap_err().to_string();
+        assert!(error.contains("--builder model --model m --kind summary --demos 4"), "{error}");
     }
 
     #[test]
-    fn a_folder_is_built_in_by_one_at_a_time() {
+    fn one_process_at_a_time_builds_in_a_folder() {
         let folder = tempfile::tempdir().unwrap();
         let stop = AtomicBool::new(false);
         let mut stages = Vec::new();
         let first = lock(folder.path(), &stop, &mut |stage| stages.push(stage)).unwrap();
         assert!(first.is_some() && stages.is_empty());
-        // The second one is asked to stop as soon as it waits.
-        let mut said = |stage| {
+        // The second one is stopped as soon as it waits.
+        let mut report = |stage| {
             stop.store(true, Ordering::Relaxed);
             stages.push(stage);
         };
-        assert!(lock(folder.path(), &stop, &mut said).unwrap().is_none());
-        assert_eq!(stages, [Stage::Waiting]);
+        assert!(lock(folder.path(), &stop, &mut report).unwrap().is_none());
+        assert_eq!(stages, [BuildStage::Waiting]);
         drop(first);
         assert!(lock(folder.path(), &stop, &mut |_| ()).unwrap().is_some());
     }

@@ -7,10 +7,11 @@
 
 use std::collections::BTreeMap;
 
+use documents::DocumentName;
 use domain::representation::Trajectories;
 use prompt::tokens;
 
-use crate::documents::{DocumentName, needed};
+use crate::documents::needed;
 use crate::plan::Episode;
 use crate::world::World;
 use results::conditions::Condition;

@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 
-use crate::documents::Stage;
+use crate::documents::BuildStage;
 
 /// How often a line is written where there is no terminal.
 const LINE_INTERVAL: Duration = Duration::from_secs(5);
@@ -44,12 +44,14 @@ impl BuildProgress {
     }
 
     /// Building is at `stage` now.
-    pub fn show(&mut self, stage: Stage) {
+    pub fn show(&mut self, stage: BuildStage) {
         let (what, counts) = match stage {
-            Stage::Waiting => ("another build in the same folder has to end first", None),
-            Stage::Starting => ("starting simulator and memory", None),
-            Stage::Views(done, total) => ("looking at the demonstrations", Some((done, total))),
-            Stage::Writing(done, total) => ("writing documents", Some((done, total))),
+            BuildStage::Waiting => ("another build in the same folder has to end first", None),
+            BuildStage::Starting => ("starting simulator and memory", None),
+            BuildStage::Views(done, total) => {
+                ("looking at the demonstrations", Some((done, total)))
+            }
+            BuildStage::Writing(done, total) => ("writing documents", Some((done, total))),
         };
         let line = match counts {
             Some((done, total)) => format!("{what}: {done}/{total}"),

@@ -5,7 +5,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use domain::{Cell, Pose};
 use memtransfer_tests::Bench;
@@ -79,8 +79,14 @@ impl Truth {
     }
 }
 
+/// The document whose file name is `name` and an address.
 fn document(folder: &Path, name: &str) -> (Value, String) {
-    let json = fs::read_to_string(folder.join(name)).unwrap();
+    let files = fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path());
+    let is_it = |path: &PathBuf| {
+        let file = path.file_name().unwrap().to_string_lossy();
+        file.starts_with(&format!("{name}-")) && file.ends_with(".json")
+    };
+    let json = fs::read_to_string(files.into_iter().find(is_it).unwrap()).unwrap();
     let value: Value = serde_json::from_str(&json).unwrap();
     (value["provenance"].clone(), value["text"].as_str().unwrap().to_owned())
 }
@@ -137,12 +143,12 @@ fn documents_tell_what_their_demonstrations_show_and_nothing_else() {
     let (bench, truth) = (Bench::new(), Truth::new());
     let build = ["memory", "build", "--demos", "original,4", "--out", "documents"];
     let built = bench.run(&build).expect(0);
-    assert!(built.stderr.contains("4 built, 0 up to date"), "{}", built.stderr);
+    assert!(built.stderr.contains("4 built, 0 current"), "{}", built.stderr);
     assert_eq!(bench.leftovers(), Vec::<String>::new());
     let folder = bench.out("documents");
 
     for selection in [Demonstrations::ORIGINAL, Demonstrations::ALL] {
-        let (provenance, summary) = document(&folder, &format!("summary-{selection}.json"));
+        let (provenance, summary) = document(&folder, &format!("summary-{selection}"));
         let poses = truth.poses(selection);
         assert_eq!(provenance["views"].as_u64(), Some(poses.len() as u64));
         assert_eq!(provenance["trajectories"].as_u64(), Some(100 * selection.own().count() as u64));
@@ -190,7 +196,7 @@ fn documents_tell_what_their_demonstrations_show_and_nothing_else() {
             .collect();
         assert!(routes.iter().all(|route| starts.iter().any(|start| route.contains(start))));
 
-        let (_, semantic) = document(&folder, &format!("semantic-{selection}.json"));
+        let (_, semantic) = document(&folder, &format!("semantic-{selection}"));
         assert!(!semantic.contains("stand at") && !semantic.contains("Find "), "{semantic}");
         for category in &truth.warehouse.catalogue.categories {
             let of = |line: &&&str| line.starts_with(&format!("- {} [plate ", category.name));
@@ -201,12 +207,12 @@ fn documents_tell_what_their_demonstrations_show_and_nothing_else() {
     }
 
     let again = bench.run(&build).expect(0);
-    assert!(again.stderr.contains("0 built, 4 up to date"), "{}", again.stderr);
+    assert!(again.stderr.contains("0 built, 4 current"), "{}", again.stderr);
     let listed = bench.run(&["memory", "ls", "--documents", "documents", "--json"]).expect(0);
     let listed: Vec<Value> = serde_json::from_str(&listed.stdout).unwrap();
     assert!(listed.len() == 4 && listed.iter().all(|document| document["state"] == "current"));
     let show = ["memory", "show", "summary", "4", "--documents", "documents"];
-    assert_eq!(bench.run(&show).expect(0).stdout, document(&folder, "summary-4.json").1);
+    assert_eq!(bench.run(&show).expect(0).stdout, document(&folder, "summary-4").1);
 
     supplied_in_a_run(&bench, &folder);
 }
@@ -223,7 +229,7 @@ fn supplied_in_a_run(bench: &Bench, folder: &Path) {
     };
     let manifest = read("manifest.json");
     for kind in ["summary", "semantic"] {
-        let (provenance, text) = document(folder, &format!("{kind}-original.json"));
+        let (provenance, text) = document(folder, &format!("{kind}-original"));
         let facts = &manifest["documents"][&format!("{kind}/original")];
         assert_eq!(facts["sha256"], provenance["text_sha256"]);
         assert_eq!(
@@ -235,6 +241,8 @@ fn supplied_in_a_run(bench: &Bench, folder: &Path) {
     // What the run was supplied with is its own; a document that was changed there is not supplied.
     fs::remove_dir_all(folder).unwrap();
     bench.run(&args).expect(0);
+    // A dry run of the finished run has the same settings and documents.
+    bench.run(&[&args[..], &["--dry-run"]].concat()).expect(0);
     let own = bench.out("out").join("documents/summary-original.json");
     let changed = fs::read_to_string(&own).unwrap().replacen("Items", "Itens", 1);
     fs::write(&own, changed).unwrap();

@@ -1,4 +1,4 @@
-//! Documents by a model, through real processes and sockets: a scripted server, `policy-proc ask`, the builder.
+//! Documents written by a model, with real processes and sockets: a scripted server and the builder.
 
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on fails")]
 
@@ -7,13 +7,15 @@ use std::fs;
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::sync::mpsc;
-use std::time::{Duration, Instant};
 
-use domain::{Action, Cell, DocumentKind, Feedback, Heading, Pose};
+use documents::ModelRecipe;
+use domain::DocumentKind;
+use domain::{Action, Cell, Feedback, Heading, Pose};
 use llm::scripted::{Received, Server, Turn};
-use memory_proc::documents::model::{Ask, ModelBuilder, Pipe, Settings};
-use memory_proc::documents::{Builder, Seen, Step, Transcript};
-use memtransfer_tests::{WATCHDOG, program};
+use llm::{ChatClient, ChatSettings, Endpoint};
+use memory_proc::builders::model::{ModelBuilder, ask_through};
+use memory_proc::builders::{DocumentBuilder, Seen, Step, Transcript};
+use memtransfer_tests::WATCHDOG;
 use plates::{Landmark, Plate};
 
 /// Set for the test binary that is started as a building process: where the server is.
@@ -44,19 +46,20 @@ fn building_process() {
         return;
     };
     let document = Path::new(&document);
-    let ask = Ask {
-        program: program("policy-proc"),
-        base_url: base_url.into_string().ok(),
-        model: "m".to_owned(),
-        timeout_s: Some(WATCHDOG.as_secs() as u32),
-        max_retries: Some(0),
+    let endpoint = Endpoint::new(base_url.to_str().unwrap(), None).unwrap();
+    let settings = ChatSettings {
+        request_timeout: WATCHDOG,
+        max_retries: 0,
+        max_connections: 1,
+        ..ChatSettings::new("m")
     };
-    let settings = Settings { model: "m".to_owned(), context_chars: 4500, max_tokens: 100 };
+    let client = ChatClient::new(endpoint, settings, None);
+    let recipe = ModelRecipe { model: "m".to_owned(), context_chars: 4500, max_tokens: 100 };
     let kinds = DocumentKind::TEXTS;
     let kind = kinds.into_iter().find(|kind| document.ends_with(kind.word())).unwrap();
     let transcripts: Vec<_> = (0..30).map(transcript).collect();
     let steps = document.with_extension("steps");
-    let built = ModelBuilder::new(Pipe::new(ask), settings)
+    let built = ModelBuilder::new(ask_through(client), recipe)
         .build(kind, &transcripts, &steps, &mut |_, _| {})
         .unwrap();
     let account = serde_json::to_string(&built.account).unwrap();
@@ -89,14 +92,6 @@ fn model(request: &Received) -> Turn {
     Turn::says(&format!("# Text {sum}\nof {} lines", question.lines().count()))
 }
 
-fn is_running(word: &str) -> bool {
-    let Ok(processes) = fs::read_dir("/proc") else { return false };
-    processes.flatten().any(|process| {
-        let command = fs::read(process.path().join("cmdline")).unwrap_or_default();
-        String::from_utf8_lossy(&command).contains(word)
-    })
-}
-
 #[test]
 fn a_build_that_is_killed_goes_on_where_it_was() {
     for kind in DocumentKind::TEXTS {
@@ -125,14 +120,6 @@ fn a_build_that_is_killed_goes_on_where_it_was() {
         arrived.recv_timeout(WATCHDOG).unwrap();
         process.kill().unwrap();
         process.wait().unwrap();
-        let killed = Instant::now();
-        while is_running(&hanging.base_url()) {
-            assert!(
-                killed.elapsed() < WATCHDOG,
-                "policy-proc ask outlives the one that started it"
-            );
-            std::thread::sleep(Duration::from_millis(20));
-        }
         assert!(!document.exists());
 
         // Only what got no answer is asked once more.

@@ -1,40 +1,39 @@
-//! The nearest rows, mostly: a graph of neighbours that is walked towards the query, by the library usearch.
+//! Approximate search through a graph of neighbours (HNSW), with the library usearch.
 //!
-//! The graph's nodes hold codes, a quarter of the vectors in size; what the walk ends at is measured in full, so
-//! distances and the order of ties are those of the exact search, and only what the walk did not come by is
-//! missing. A run never uses this: which nodes a walk comes by depends on the order in which threads
-//! added them.
+//! The nodes hold quantized vectors, and the views that a search visits last are measured exactly. Distances and the
+//! order of ties are therefore those of the exact search; what may be missing are views that the search did not
+//! visit. Runs use exact search only, because the graph depends on the order in which threads insert nodes.
 
 use std::num::NonZeroUsize;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use usearch::{IndexOptions, MetricKind, ScalarKind};
 
-use super::codes::Codes;
-use super::exact::{Best, measured_among};
-use super::kernel::{self, Level};
-use super::{Index, Nearest, Query};
+use crate::exact;
+use crate::index::{Index, Neighbour, Query};
+use crate::kernels::Level;
+use crate::quantized::{QuantizedMatrix, record_distance};
 
-/// What a graph costs, and what it is worth.
+/// How a graph is built and searched.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Effort {
-    /// Neighbours of a node.
+pub struct GraphOptions {
+    /// Neighbours of a node (`M`).
     pub connectivity: usize,
-    /// Nodes that are kept in sight while a node is added.
+    /// Candidates considered while a node is inserted (`efConstruction`).
     pub building: usize,
-    /// Nodes that are kept in sight while a query is answered: more find more, and take longer.
+    /// Candidates considered by a query (`efSearch`): more find more, and take longer.
     pub searching: usize,
 }
 
-impl Default for Effort {
+impl Default for GraphOptions {
     fn default() -> Self {
         Self { connectivity: 16, building: 128, searching: 64 }
     }
 }
 
-/// The graph could not be built or walked.
+/// The graph could not be built or searched.
 #[derive(Debug, thiserror::Error)]
-#[error("the graph of an approximate search: {0}")]
+#[error("approximate search failed: {0}")]
 pub struct GraphError(String);
 
 fn failed(error: impl std::fmt::Display) -> GraphError {
@@ -42,66 +41,66 @@ fn failed(error: impl std::fmt::Display) -> GraphError {
 }
 
 /// An index with a graph.
-pub struct Approximate<'a> {
+pub struct ApproximateIndex<'a> {
     index: &'a Index,
-    codes: &'a Codes,
+    quantized: &'a QuantizedMatrix,
     graph: usearch::Index,
     threads: usize,
 }
 
-impl<'a> Approximate<'a> {
-    /// Builds the graph of an index, by all of its threads.
+impl<'a> ApproximateIndex<'a> {
+    /// Builds the graph of an index.
     ///
     /// # Errors
     /// When the library fails, for want of memory for example.
     pub fn new(
         index: &'a Index,
-        effort: Effort,
+        options: GraphOptions,
         threads: NonZeroUsize,
     ) -> Result<Self, GraphError> {
-        let codes = index.codes();
+        let quantized = index.quantized();
         let mut graph = usearch::Index::new(&IndexOptions {
-            dimensions: codes.record_bytes(),
-            // Replaced by ours.
+            dimensions: quantized.record_bytes(),
+            // Replaced below.
             metric: MetricKind::L2sq,
             quantization: ScalarKind::U8,
-            connectivity: effort.connectivity,
-            expansion_add: effort.building,
-            expansion_search: effort.searching,
+            connectivity: options.connectivity,
+            expansion_add: options.building,
+            expansion_search: options.searching,
             multi: false,
         })
         .map_err(failed)?;
-        kernel::measure_records(Level::best(), &mut graph);
-        let rows = index.rows.len();
+        measure_records(&mut graph);
+        let rows = index.rows().len();
         graph.reserve_capacity_and_threads(rows, threads.get()).map_err(failed)?;
         let next = AtomicUsize::new(0);
-        let add = || -> Result<(), GraphError> {
+        let insert = || -> Result<(), GraphError> {
             let mut record = Vec::new();
             loop {
                 let row = next.fetch_add(1, Ordering::Relaxed);
                 if row >= rows {
                     return Ok(());
                 }
-                codes.record(row, &mut record);
+                quantized.record(row, &mut record);
                 graph.add(row as u64, &record).map_err(failed)?;
             }
         };
-        in_threads(threads.get(), add).into_iter().collect::<Result<(), _>>()?;
-        Ok(Self { index, codes, graph, threads: threads.get() })
+        crate::on_threads(threads.get(), insert).into_iter().collect::<Result<(), _>>()?;
+        Ok(Self { index, quantized, graph, threads: threads.get() })
     }
 
-    /// For each query, views that are mostly the `wanted` nearest, nearest first.
+    /// About the `wanted` nearest views of each query, nearest first.
     ///
     /// # Errors
     /// When the library fails.
     ///
     /// # Panics
-    /// When a query's embedding is of another dimension.
+    /// When a query's embedding has another dimension.
     pub fn nearest_of_many(
         &self,
         queries: &[Query<'_>],
         wanted: usize,
-    ) -> Result<Vec<Vec<Nearest>>, GraphError> {
+    ) -> Result<Vec<Vec<Neighbour>>, GraphError> {
         let threads = if queries.len() < 2 { 1 } else { self.threads };
         let next = AtomicUsize::new(0);
         let answer = || {
@@ -112,76 +111,77 @@ impl<'a> Approximate<'a> {
                 answers.push((number, self.nearest(query, wanted)?));
             }
         };
-        let parts: Result<Vec<_>, GraphError> = in_threads(threads, answer).into_iter().collect();
+        let parts: Result<Vec<_>, GraphError> =
+            crate::on_threads(threads, answer).into_iter().collect();
         let mut answers: Vec<_> = parts?.into_iter().flatten().collect();
         answers.sort_unstable_by_key(|answer| answer.0);
         Ok(answers.into_iter().map(|answer| answer.1).collect())
     }
 
-    fn nearest(&self, query: &Query<'_>, wanted: usize) -> Result<Vec<Nearest>, GraphError> {
+    fn nearest(&self, query: &Query<'_>, wanted: usize) -> Result<Vec<Neighbour>, GraphError> {
         let vector = query.embedding.as_slice();
-        let rows = &self.index.rows;
+        let rows = self.index.rows();
         if rows.len() == 0 || wanted == 0 {
             return Ok(Vec::new());
         }
         assert_eq!(vector.len(), rows.dimension(), "another encoder's query");
-        // All that is in sight at the end is measured: codes mistake the order of near ones.
-        let sight = self.graph.expansion_search().max(wanted);
-        let found = self.graph.search(&self.codes.query_record(vector), sight);
-        let found = found.map_err(failed)?;
-        let found = found.keys.into_iter().map(|key| key as usize);
-        let best: Best = measured_among(Level::best(), rows, found, vector, wanted);
-        Ok(self.index.in_order(best, query, wanted))
+        // All candidates are measured: quantized vectors confuse the order of near ones.
+        let candidates = self.graph.expansion_search().max(wanted);
+        let found = self.graph.search(&self.quantized.query_record(vector), candidates);
+        let found = found.map_err(failed)?.keys.into_iter().map(|key| key as usize);
+        let nearest = exact::scan_some(Level::best(), rows, found, vector, wanted);
+        Ok(self.index.in_order(nearest, query, wanted))
     }
 
-    /// Bytes that the graph takes, without the index.
+    /// Size of the graph in memory, without the index.
     pub fn bytes(&self) -> usize {
         self.graph.memory_usage()
     }
 
-    /// How many nodes are kept in sight while a query is answered.
+    /// Sets how many candidates a query considers.
     pub fn set_searching(&mut self, searching: usize) {
         self.graph.change_expansion_search(searching);
     }
 }
 
-/// What each of so many threads comes to, this one among them.
-fn in_threads<T: Send>(threads: usize, work: impl Fn() -> T + Sync) -> Vec<T> {
-    std::thread::scope(|scope| {
-        let others: Vec<_> = (1..threads).map(|_| scope.spawn(&work)).collect();
-        let mut all = vec![work()];
-        all.extend(others.into_iter().map(|thread| match thread.join() {
-            Ok(part) => part,
-            Err(panic) => std::panic::resume_unwind(panic),
-        }));
-        all
-    })
+/// Makes a graph of records measure the distance of the quantized vectors.
+#[expect(unsafe_code, reason = "the library hands over two raw pointers")]
+fn measure_records(graph: &mut usearch::Index) {
+    let (bytes, level) = (graph.dimensions(), Level::best());
+    let metric = move |a: *const u8, b: *const u8| {
+        // SAFETY: a graph calls its metric with two of its vectors, or one and a query; each has as many bytes as
+        // the graph has dimensions.
+        let (a, b) =
+            unsafe { (std::slice::from_raw_parts(a, bytes), std::slice::from_raw_parts(b, bytes)) };
+        record_distance(level, a, b)
+    };
+    graph.change_metric::<u8>(Box::new(metric));
 }
 
 #[cfg(test)]
 mod tests {
-    use super::super::{Builder, Entry};
     use super::*;
-    use crate::vectors::Vectors;
+    use crate::synthetic::SyntheticVectors;
+    use crate::{IndexBuilder, ViewEntry};
 
     #[test]
     fn most_of_what_an_exact_search_finds_is_found_and_measured_alike() {
-        let vectors = Vectors::new(Vec::new(), 70, 5);
-        let mut builder = Builder::default();
+        let vectors = SyntheticVectors::new(Vec::new(), 70, 5);
+        let mut builder = IndexBuilder::default();
         for number in 0..3000_u16 {
-            let entry = Entry { demonstration: 0, step: number, stage: 0 };
+            let entry = ViewEntry { demonstration: 0, step: number, stage: 0 };
             builder.add_distinct(entry, vectors.entry(u32::from(number)).as_slice());
         }
         let index = builder.build();
         let two = NonZeroUsize::new(2).unwrap();
-        let graph = Approximate::new(&index, Effort::default(), two).unwrap();
+        let graph = ApproximateIndex::new(&index, GraphOptions::default(), two).unwrap();
         assert!(graph.bytes() > 3000 * 70);
         let embeddings: Vec<_> = (0..200).map(|number| vectors.query(number, 3000)).collect();
         let query = |embedding| Query { embedding, stage: 0, elapsed: 0 };
         let queries: Vec<Query<'_>> = embeddings.iter().map(query).collect();
         let exact = index.nearest_of_many(&queries, 10);
         let mostly = graph.nearest_of_many(&queries, 10).unwrap();
-        let found = |(exact, mostly): (&Vec<Nearest>, &Vec<Nearest>)| {
+        let found = |(exact, mostly): (&Vec<Neighbour>, &Vec<Neighbour>)| {
             assert!(mostly.is_sorted_by(|a, b| a.distance <= b.distance));
             exact.iter().filter(|near| mostly.contains(near)).count()
         };
@@ -192,9 +192,10 @@ mod tests {
 
     #[test]
     fn nothing_is_found_among_nothing() {
-        let index = Builder::default().build();
-        let graph = Approximate::new(&index, Effort::default(), NonZeroUsize::MIN).unwrap();
-        let vectors = Vectors::new(Vec::new(), 3, 5);
+        let index = IndexBuilder::default().build();
+        let graph =
+            ApproximateIndex::new(&index, GraphOptions::default(), NonZeroUsize::MIN).unwrap();
+        let vectors = SyntheticVectors::new(Vec::new(), 3, 5);
         let embedding = vectors.entry(0);
         let query = Query { embedding: &embedding, stage: 0, elapsed: 0 };
         assert_eq!(graph.nearest_of_many(&[query], 3).unwrap(), [vec![]]);

@@ -1,16 +1,16 @@
-//! What an encoder makes of an image: a direction, and how far two of them are apart.
+//! Embeddings, and the distance between two of them.
 
 use std::sync::Arc;
 
-/// An image's content: the first 16 bytes of BLAKE3 over its RGBA bytes, as the frame store computes it.
+/// Identifies an image's content: the first 16 bytes of BLAKE3 over its RGBA bytes.
 pub type ContentHash = [u8; 16];
 
-/// A vector of length 1, cheap to hand around.
+/// An encoder's vector for an image, scaled to length 1. Cheap to clone.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Embedding(Arc<[f32]>);
 
 impl Embedding {
-    /// Scales `raw` to length 1. `None` when it has no direction: all zeros, or not finite.
+    /// Scales `raw` to length 1. `None` when it is all zeros or not finite.
     pub fn normalised(raw: &[f32]) -> Option<Self> {
         let squared: f64 = raw.iter().map(|&x| f64::from(x) * f64::from(x)).sum();
         let length = squared.sqrt();
@@ -18,7 +18,7 @@ impl Embedding {
         (length.is_finite() && length > 0.0).then(|| Self(scaled()))
     }
 
-    /// Takes a vector that [`Self::normalised`] made earlier, bit for bit. `None` when it cannot be one.
+    /// Restores a vector that [`Self::normalised`] returned, bit for bit. `None` when its length is not 1.
     pub fn restored(values: Vec<f32>) -> Option<Self> {
         let squared: f64 = values.iter().map(|&x| f64::from(x) * f64::from(x)).sum();
         ((squared - 1.0).abs() < 1e-4).then(|| Self(values.into()))
@@ -30,12 +30,11 @@ impl Embedding {
     }
 }
 
-/// The cosine distance, 1 - cos, of two vectors of length 1 and of equal dimension: 0 to 2.
+/// The cosine distance, 1 - cos, of two vectors of length 1 and equal dimension: 0 to 2.
 ///
-/// Computed as half the squared length of their difference, which is the same quantity for unit
-/// vectors but exactly 0 for equal ones and precise for nearly equal ones, where `1 - a.b` would drown in
-/// rounding. The order of the sum is fixed (16 partial sums, then pairwise), so it is the same on every
-/// machine, and the compiler turns it into vector code.
+/// Computed as half the squared length of the difference. For unit vectors that is the same quantity, but exactly 0
+/// for equal vectors and precise for nearly equal ones, where `1 - a.b` loses its digits to rounding. The order of the
+/// sum is fixed (16 partial sums, added pairwise), so every machine computes the same bits.
 pub fn distance(a: &[f32], b: &[f32]) -> f32 {
     debug_assert_eq!(a.len(), b.len());
     let mut sums = [0.0_f32; LANES];
@@ -50,10 +49,10 @@ pub fn distance(a: &[f32], b: &[f32]) -> f32 {
     half_total(sums)
 }
 
-/// Partial sums of a distance.
+/// The number of partial sums.
 pub(crate) const LANES: usize = 16;
 
-/// Adds the squares of the differences to the partial sums.
+/// Adds squared differences to the partial sums.
 #[inline(always)]
 pub(crate) fn add_squares(sums: &mut [f32; LANES], a: &[f32; LANES], b: &[f32; LANES]) {
     for lane in 0..LANES {
@@ -62,7 +61,7 @@ pub(crate) fn add_squares(sums: &mut [f32; LANES], a: &[f32; LANES], b: &[f32; L
     }
 }
 
-/// Half the sum of the partial sums, added pairwise.
+/// Half of the partial sums' sum, added pairwise.
 #[inline(always)]
 pub(crate) fn half_total(mut sums: [f32; LANES]) -> f32 {
     let mut width = LANES / 2;

@@ -1,41 +1,37 @@
-//! The nearest rows, exactly.
+//! Exact nearest rows.
 //!
-//! Few rows are measured one by one. Many are sifted first, by codes of a quarter of the size
-//! ([`super::codes`]), and only those that could be among the nearest are measured: the answer is the same, the
-//! memory that is read is not. Where the memory to be read takes longer than waking a thread does, all of the
-//! processor's cores take part, which changes nothing about the answer either.
+//! Few rows are measured one by one. Many rows are compared by their quantized vectors first ([`crate::quantized`]),
+//! which reads a quarter of the memory; only rows that the lower bound does not rule out are measured. The
+//! answer is the same, on one thread or several.
 
 use std::sync::atomic::{AtomicU32, AtomicUsize, Ordering};
 
-use super::codes::{Coded, Codes, GROUP, PANEL, Panel};
-use super::kernel::{self, Level};
-use super::rows::{Line, Rows, pad};
+use crate::kernels::{self, BLOCK_ROWS, Level};
+use crate::matrix::{FloatLine, Matrix, padded};
+use crate::quantized::{QuantizedMatrix, QuantizedQuery};
 
-/// Rows that are measured before their distances are looked at.
-const BLOCK: usize = 128;
+/// Rows that are measured before their distances are compared.
+const ROWS_TOGETHER: usize = 128;
 
-/// Groups that a thread takes at once.
-const TAKEN: usize = 64;
+/// Blocks that a thread takes at a time.
+const BLOCKS_TOGETHER: usize = 64;
 
-/// Groups that are looked at beforehand, so that the first rows of the scan do not all seem near.
-const SAMPLED: usize = 16;
+/// Blocks that are sampled before the scan for a first limit.
+const SAMPLED_BLOCKS: usize = 16;
 
-/// Queries from which on products of whole tiles pay.
-const TILED_FROM: usize = 4;
-
-/// The rows at most as far as the last of those that are wanted: in order of distance, equal ones together.
+/// The nearest rows found so far, in order of distance. Rows as far as the last wanted one are all kept.
 #[derive(Debug, Clone)]
-pub(super) struct Best {
+pub(crate) struct NearestRows {
     wanted: usize,
     found: Vec<(f32, u32)>,
 }
 
-impl Best {
-    pub(super) fn new(wanted: usize) -> Self {
+impl NearestRows {
+    pub(crate) fn new(wanted: usize) -> Self {
         Self { wanted, found: Vec::new() }
     }
 
-    /// Distance beyond which a row is of no interest.
+    /// The greatest distance of a row that still belongs here.
     fn limit(&self) -> f32 {
         self.wanted.checked_sub(1).map_or(f32::NEG_INFINITY, |last| {
             self.found.get(last).map_or(f32::INFINITY, |found| found.0)
@@ -53,242 +49,198 @@ impl Best {
         self.found.truncate(kept);
     }
 
-    /// What was found.
-    pub(super) fn into_rows(self) -> Vec<(f32, u32)> {
+    /// Pairs of distance and row.
+    pub(crate) fn into_rows(self) -> Vec<(f32, u32)> {
         self.found
     }
 }
 
 /// Measures all rows.
-pub(super) fn measured(level: Level, rows: &Rows, query: &[f32], wanted: usize) -> Best {
-    let query: Vec<Line> = pad(query).collect();
-    let mut best = Best::new(wanted);
-    let mut distances = [0.0; BLOCK];
-    for first in (0..rows.len()).step_by(BLOCK) {
-        let end = rows.len().min(first + BLOCK);
+pub(crate) fn scan(level: Level, rows: &Matrix, query: &[f32], wanted: usize) -> NearestRows {
+    let query: Vec<FloatLine> = padded(query).collect();
+    let mut nearest = NearestRows::new(wanted);
+    let mut distances = [0.0; ROWS_TOGETHER];
+    for first in (0..rows.len()).step_by(ROWS_TOGETHER) {
+        let end = rows.len().min(first + ROWS_TOGETHER);
         let distances = &mut distances[..end - first];
-        kernel::distances(level, &query, rows.lines(first..end), distances);
+        kernels::distances(level, &query, rows.lines(first..end), distances);
         for (row, &distance) in (first as u32..).zip(&*distances) {
-            best.offer(distance, row);
+            nearest.offer(distance, row);
         }
     }
-    best
+    nearest
 }
 
-/// Measures some rows.
-pub(super) fn measured_among(
+/// Measures the given rows only.
+pub(crate) fn scan_some(
     level: Level,
-    rows: &Rows,
-    among: impl Iterator<Item = usize>,
+    rows: &Matrix,
+    some: impl Iterator<Item = usize>,
     query: &[f32],
     wanted: usize,
-) -> Best {
-    let query: Vec<Line> = pad(query).collect();
-    let mut best = Best::new(wanted);
-    for row in among {
+) -> NearestRows {
+    let query: Vec<FloatLine> = padded(query).collect();
+    let mut nearest = NearestRows::new(wanted);
+    for row in some {
         let mut distance = [0.0];
-        kernel::distances(level, &query, rows.row(row), &mut distance);
-        best.offer(distance[0], row as u32);
+        kernels::distances(level, &query, rows.row(row), &mut distance);
+        nearest.offer(distance[0], row as u32);
     }
-    best
+    nearest
 }
 
-/// A search of many rows for at most [`PANEL`] queries at once.
-struct Sifting<'a> {
+/// Finds the nearest rows of several queries in one pass over the quantized rows, on `threads` threads.
+pub(crate) fn scan_quantized(
     level: Level,
-    rows: &'a Rows,
-    codes: &'a Codes,
-    wanted: usize,
-    queries: Vec<Asked>,
-    /// All queries' codes, where whole tiles are multiplied.
-    panel: Option<Panel>,
-    /// For each query, a distance that its answer does not exceed, as bits: of numbers that are not negative
-    /// these have the same order.
-    limits: Vec<AtomicU32>,
-}
-
-struct Asked {
-    lines: Vec<Line>,
-    coded: Coded,
-}
-
-/// Sifts all rows by their codes, for any number of queries, by `threads` threads.
-pub(super) fn sifted(
-    level: Level,
-    rows: &Rows,
-    codes: &Codes,
+    rows: &Matrix,
+    quantized: &QuantizedMatrix,
     queries: &[&[f32]],
     wanted: usize,
     threads: usize,
-) -> Vec<Best> {
-    let panels = queries.chunks(PANEL);
-    panels
-        .flat_map(|queries| Sifting::new(level, rows, codes, queries, wanted).run(threads))
-        .collect()
+) -> Vec<NearestRows> {
+    if wanted == 0 {
+        return vec![NearestRows::new(0); queries.len()];
+    }
+    let pending = |query: &&[f32]| PendingQuery {
+        lines: padded(query).collect(),
+        quantized: quantized.query(query),
+        limit: AtomicU32::new(f32::INFINITY.to_bits()),
+    };
+    let queries = queries.iter().map(pending).collect();
+    let scan = QuantizedScan { level, rows, quantized, wanted, queries };
+    scan.sample();
+    scan.run(threads)
 }
 
-impl<'a> Sifting<'a> {
-    fn new(
-        level: Level,
-        rows: &'a Rows,
-        codes: &'a Codes,
-        queries: &[&[f32]],
-        wanted: usize,
-    ) -> Self {
-        let ask = |query: &&[f32]| Asked { lines: pad(query).collect(), coded: codes.query(query) };
-        let queries: Vec<Asked> = queries.iter().map(ask).collect();
-        let tiled = level.has_tiles() && queries.len() >= TILED_FROM;
-        let panel = tiled.then(|| Panel::of(queries.iter().map(|asked| &asked.coded)));
-        let limit = || AtomicU32::new(f32::INFINITY.to_bits());
-        let limits = std::iter::repeat_with(limit).take(queries.len()).collect();
-        Self { level, rows, codes, wanted, queries, panel, limits }
-    }
+/// A pass over the quantized rows.
+struct QuantizedScan<'a> {
+    level: Level,
+    rows: &'a Matrix,
+    quantized: &'a QuantizedMatrix,
+    wanted: usize,
+    queries: Vec<PendingQuery>,
+}
 
-    fn run(&self, threads: usize) -> Vec<Best> {
-        if self.wanted == 0 {
-            return vec![Best::new(0); self.queries.len()];
-        }
-        self.sample();
-        let next = AtomicUsize::new(0);
-        if threads <= 1 {
-            return self.work(&next);
-        }
-        let parts = std::thread::scope(|scope| {
-            let work = || self.work(&next);
-            let others: Vec<_> = (1..threads).map(|_| scope.spawn(work)).collect();
-            let mut parts = vec![self.work(&next)];
-            parts.extend(others.into_iter().map(|thread| match thread.join() {
-                Ok(part) => part,
-                Err(panic) => std::panic::resume_unwind(panic),
-            }));
-            parts
-        });
-        let mut all = vec![Best::new(self.wanted); self.queries.len()];
+struct PendingQuery {
+    lines: Vec<FloatLine>,
+    quantized: QuantizedQuery,
+    /// A distance that the answer does not exceed, shared by all threads. Bits of non-negative floats have the
+    /// floats' order.
+    limit: AtomicU32,
+}
+
+impl PendingQuery {
+    fn limit(&self) -> f32 {
+        f32::from_bits(self.limit.load(Ordering::Relaxed))
+    }
+}
+
+impl QuantizedScan<'_> {
+    fn run(&self, threads: usize) -> Vec<NearestRows> {
+        let next_block = AtomicUsize::new(0);
+        let mut parts = crate::on_threads(threads, || self.scan_blocks(&next_block)).into_iter();
+        let mut all = parts.next().unwrap_or_default();
         for part in parts {
-            for (best, part) in all.iter_mut().zip(part) {
-                part.found.into_iter().for_each(|(distance, row)| best.offer(distance, row));
+            for (nearest, part) in all.iter_mut().zip(part) {
+                part.found.into_iter().for_each(|(distance, row)| nearest.offer(distance, row));
             }
         }
         all
     }
 
-    /// Takes groups until none is left.
-    fn work(&self, next: &AtomicUsize) -> Vec<Best> {
-        let mut best = vec![Best::new(self.wanted); self.queries.len()];
-        let mut bars = [f32::NEG_INFINITY; PANEL];
-        let mut limits = [f32::NEG_INFINITY; PANEL];
+    /// Takes blocks until none is left.
+    fn scan_blocks(&self, next_block: &AtomicUsize) -> Vec<NearestRows> {
+        let mut nearest = vec![NearestRows::new(self.wanted); self.queries.len()];
+        // Limit and threshold of each query.
+        let mut thresholds = vec![(f32::NAN, f32::NAN); self.queries.len()];
         loop {
-            let first = next.fetch_add(TAKEN, Ordering::Relaxed);
-            if first >= self.codes.groups() {
-                return best;
+            let first = next_block.fetch_add(BLOCKS_TOGETHER, Ordering::Relaxed);
+            if first >= self.quantized.blocks() {
+                return nearest;
             }
-            for group in first..self.codes.groups().min(first + TAKEN) {
-                for (at, asked) in self.queries.iter().enumerate() {
-                    let limit = self.limit(at);
-                    if limit != limits[at] {
-                        limits[at] = limit;
-                        bars[at] = self.codes.bar(&asked.coded, limit);
+            for block in first..self.quantized.blocks().min(first + BLOCKS_TOGETHER) {
+                for (at, query) in self.queries.iter().enumerate() {
+                    let limit = query.limit();
+                    if limit != thresholds[at].0 {
+                        thresholds[at] = (limit, self.quantized.threshold(&query.quantized, limit));
                     }
+                    self.scan_block(block, query, thresholds[at].1, &mut nearest[at]);
                 }
-                self.group(group, &bars, &mut best);
             }
         }
     }
 
-    /// Sifts a group for all queries, and measures what is left.
-    fn group(&self, group: usize, bars: &[f32; PANEL], best: &mut [Best]) {
-        let (codes, first) = (self.codes.group(group), group * GROUP);
-        if let Some(panel) = &self.panel {
-            let mut passing = [0; GROUP];
-            kernel::sift_panel(self.level, codes, panel, bars, &mut passing);
-            for (row, passing) in passing.into_iter().enumerate() {
-                ones(passing).for_each(|query| self.measure(query, first + row, best));
-            }
-        } else {
-            for (query, asked) in self.queries.iter().enumerate() {
-                let passing = kernel::sift(self.level, codes, &asked.coded, bars[query]);
-                ones(passing).for_each(|row| self.measure(query, first + row, best));
+    /// Measures the candidates of a block.
+    fn scan_block(
+        &self,
+        block: usize,
+        query: &PendingQuery,
+        threshold: f32,
+        nearest: &mut NearestRows,
+    ) {
+        let rows = self.quantized.block(block);
+        for place in bits(rows.candidates(self.level, &query.quantized, threshold)) {
+            let row = block * BLOCK_ROWS + place;
+            let distance = self.distance(query, row);
+            if distance <= query.limit() {
+                nearest.offer(distance, row as u32);
+                query.limit.fetch_min(nearest.limit().to_bits(), Ordering::Relaxed);
             }
         }
     }
 
-    fn measure(&self, query: usize, row: usize, best: &mut [Best]) {
-        let distance = self.distance(query, row);
-        let best = &mut best[query];
-        if distance <= self.limit(query) {
-            best.offer(distance, row as u32);
-            self.limits[query].fetch_min(best.limit().to_bits(), Ordering::Relaxed);
-        }
-    }
-
-    fn distance(&self, query: usize, row: usize) -> f32 {
+    fn distance(&self, query: &PendingQuery, row: usize) -> f32 {
         let mut distance = [0.0];
-        let query = &self.queries[query].lines;
-        kernel::distances(self.level, query, self.rows.row(row), &mut distance);
+        kernels::distances(self.level, &query.lines, self.rows.row(row), &mut distance);
         distance[0]
     }
 
-    fn limit(&self, query: usize) -> f32 {
-        f32::from_bits(self.limits[query].load(Ordering::Relaxed))
-    }
-
-    /// Looks at some groups, and measures what seems nearest in them, as many rows as are wanted: the last of
-    /// those is a first limit.
+    /// Sets a first limit for each query: measures as many rows as are wanted, those that seem nearest in a sample of
+    /// blocks, and takes the farthest of them.
     fn sample(&self) {
-        let groups = self.codes.groups();
-        let sampled = SAMPLED.max(self.wanted);
-        if groups < self.wanted {
+        let blocks = self.quantized.blocks();
+        if blocks < self.wanted {
             return;
         }
-        let step = groups.div_ceil(sampled);
-        let sample: Vec<usize> = (0..groups).step_by(step).collect();
-        let mut best = vec![Best::new(self.wanted); self.queries.len()];
-        for part in 0..self.wanted {
-            let groups = sample.iter().skip(part).step_by(self.wanted);
-            let mut nearest = [(f32::NEG_INFINITY, 0); PANEL];
-            for &group in groups {
-                self.nearest_by_codes(group, &mut nearest);
-            }
-            for (query, best) in best.iter_mut().enumerate() {
-                let (near, row) = nearest[query];
-                if near > f32::NEG_INFINITY {
-                    best.offer(self.distance(query, row), row as u32);
+        let step = blocks.div_ceil(SAMPLED_BLOCKS.max(self.wanted));
+        let sample: Vec<usize> = (0..blocks).step_by(step).collect();
+        for query in &self.queries {
+            let mut nearest = NearestRows::new(self.wanted);
+            for part in 0..self.wanted {
+                let blocks = sample.iter().skip(part).step_by(self.wanted);
+                if let Some(row) = self.seemingly_nearest(blocks.copied(), query) {
+                    nearest.offer(self.distance(query, row), row as u32);
                 }
             }
-        }
-        for (limit, best) in self.limits.iter().zip(best) {
-            limit.store(best.limit().to_bits(), Ordering::Relaxed);
+            query.limit.store(nearest.limit().to_bits(), Ordering::Relaxed);
         }
     }
 
-    /// For each query, the row of the group that seems nearest by its code, if it seems nearer than what is
-    /// already there.
-    fn nearest_by_codes(&self, group: usize, nearest: &mut [(f32, usize); PANEL]) {
-        let (codes, first) = (self.codes.group(group), group * GROUP);
-        if let Some(panel) = &self.panel {
-            kernel::nearest_of_panel(self.level, codes, panel, first, nearest);
-            return;
-        }
-        for (asked, nearest) in self.queries.iter().zip(nearest) {
-            let mut products = [0; GROUP];
-            kernel::products(self.level, codes, &asked.coded, &mut products);
-            let rows = products.into_iter().zip(codes.scales).zip(codes.halves);
-            for (row, ((product, &scale), &half)) in (first..).zip(rows) {
-                let near = product as f32 * scale * asked.coded.scale - half;
-                if near > nearest.0 {
-                    *nearest = (near, row);
+    /// The row of some blocks whose quantized vector is nearest.
+    fn seemingly_nearest(
+        &self,
+        blocks: impl Iterator<Item = usize>,
+        query: &PendingQuery,
+    ) -> Option<usize> {
+        let mut nearest = (f32::NEG_INFINITY, None);
+        for block in blocks {
+            let estimates = self.quantized.block(block).estimates(self.level, &query.quantized);
+            for (row, estimate) in (block * BLOCK_ROWS..).zip(estimates) {
+                if estimate > nearest.0 {
+                    nearest = (estimate, Some(row));
                 }
             }
         }
+        nearest.1
     }
 }
 
-/// The places of the ones in a number.
-fn ones(mut bits: u64) -> impl Iterator<Item = usize> {
+/// The positions of the ones in a number.
+fn bits(mut number: u64) -> impl Iterator<Item = usize> {
     std::iter::from_fn(move || {
-        let place = bits.trailing_zeros() as usize;
-        bits &= bits.wrapping_sub(1);
-        (place < 64).then_some(place)
+        let position = number.trailing_zeros() as usize;
+        number &= number.wrapping_sub(1);
+        (position < 64).then_some(position)
     })
 }
 
@@ -310,7 +262,7 @@ mod tests {
         all.into_iter().filter(|found| found.0 <= last).collect()
     }
 
-    fn bits(best: Best) -> Vec<(u32, u32)> {
+    fn sorted_bits(best: NearestRows) -> Vec<(u32, u32)> {
         let rows = best.into_rows().into_iter();
         let mut rows: Vec<(u32, u32)> = rows.map(|(far, row)| (far.to_bits(), row)).collect();
         rows.sort_unstable();
@@ -349,53 +301,48 @@ mod tests {
         ) {
             // Queries that are rows, too: distance zero.
             let queries: Vec<Embedding> = free.into_iter().chain(rows.iter().take(70).cloned()).collect();
-            let mut store = Rows::default();
+            let mut store = Matrix::default();
             rows.iter().for_each(|row| store.push(row.as_slice()));
             let expected: Vec<_> =
                 queries.iter().map(|query| naive(&rows, query, wanted)).collect();
             for level in Level::all() {
                 for (query, expected) in queries.iter().zip(&expected) {
-                    let best = measured(level, &store, query.as_slice(), wanted);
-                    prop_assert_eq!(&bits(best), expected, "{:?} measured", level);
+                    let best = scan(level, &store, query.as_slice(), wanted);
+                    prop_assert_eq!(&sorted_bits(best), expected, "{:?}, original vectors", level);
                 }
                 if rows.is_empty() {
                     continue;
                 }
-                let codes = Codes::of(level, &store, threads);
+                let codes = QuantizedMatrix::new(level, &store, threads);
                 for many in [1, queries.len()] {
                     let asked: Vec<&[f32]> =
                         queries.iter().take(many).map(Embedding::as_slice).collect();
-                    let best = sifted(level, &store, &codes, &asked, wanted, threads);
-                    let found: Vec<_> = best.into_iter().map(bits).collect();
-                    prop_assert_eq!(&found[..], &expected[..many], "{:?} sifted", level);
+                    let best = scan_quantized(level, &store, &codes, &asked, wanted, threads);
+                    let found: Vec<_> = best.into_iter().map(sorted_bits).collect();
+                    prop_assert_eq!(&found[..], &expected[..many], "{:?}, quantized vectors", level);
                 }
             }
         }
 
         #[test]
-        fn products_of_codes_are_the_same_at_every_level(
-            rows in rows(70), query in embedding(70)
-        ) {
+        fn estimates_are_the_same_at_every_level(rows in rows(70), query in embedding(70)) {
             prop_assume!(!rows.is_empty());
-            let mut store = Rows::default();
+            let mut store = Matrix::default();
             rows.iter().for_each(|row| store.push(row.as_slice()));
-            let of = |level: Level| {
-                let codes = Codes::of(level, &store, 1);
-                let coded = codes.query(query.as_slice());
-                let products = |group| {
-                    let mut products = [0; GROUP];
-                    kernel::products(level, codes.group(group), &coded, &mut products);
-                    products
-                };
-                (0..codes.groups()).map(products).collect::<Vec<_>>()
+            let estimates = |level: Level| {
+                let quantized = QuantizedMatrix::new(level, &store, 1);
+                let query = quantized.query(query.as_slice());
+                let blocks = (0..quantized.blocks()).map(|block| quantized.block(block));
+                let all = blocks.flat_map(|block| block.estimates(level, &query));
+                all.take(store.len()).map(f32::to_bits).collect::<Vec<_>>()
             };
-            let all: Vec<_> = Level::all().into_iter().map(of).collect();
+            let all: Vec<_> = Level::all().into_iter().map(estimates).collect();
             prop_assert!(all.windows(2).all(|pair| pair[0] == pair[1]));
         }
     }
 
     #[test]
-    fn codes_leave_little_to_measure() {
+    fn the_lower_bound_rules_out_most_rows() {
         // Directions drawn evenly: no two are alike, and none is much nearer than the others.
         let mut state = 1_u64;
         let mut draw = || {
@@ -406,16 +353,17 @@ mod tests {
             let raw: Vec<f32> = (0..384).map(|_| draw()).collect();
             Embedding::normalised(&raw).unwrap()
         };
-        let mut store = Rows::default();
+        let mut store = Matrix::default();
         (0..4096).for_each(|_| store.push(random().as_slice()));
         let level = Level::best();
-        let codes = Codes::of(level, &store, 1);
+        let quantized = QuantizedMatrix::new(level, &store, 1);
         let query = random();
-        let nearest = measured(level, &store, query.as_slice(), 1).limit();
-        let coded = codes.query(query.as_slice());
-        let bar = codes.bar(&coded, nearest);
-        let passing = |group| kernel::sift(level, codes.group(group), &coded, bar).count_ones();
-        let passing: u32 = (0..codes.groups()).map(passing).sum();
-        assert!((1..200).contains(&passing), "{passing} of 4096");
+        let nearest = scan(level, &store, query.as_slice(), 1).limit();
+        let query = quantized.query(query.as_slice());
+        let threshold = quantized.threshold(&query, nearest);
+        let candidates =
+            |block| quantized.block(block).candidates(level, &query, threshold).count_ones();
+        let candidates: u32 = (0..quantized.blocks()).map(candidates).sum();
+        assert!((1..200).contains(&candidates), "{candidates} of 4096");
     }
 }

@@ -1,13 +1,12 @@
-//! From a frame's bytes to an encoder's input tensor.
+//! Converts an image's bytes to an encoder's input tensor.
 //!
-//! Bilinear with antialiasing: a triangle filter as wide as the reduction, which is what image
-//! libraries call "bilinear" when they shrink. Values stay floats between the two passes. The whole
-//! image is used: one that is not square is squeezed. Plain loops in a fixed order, so equal bytes
-//! give equal tensors on every machine.
+//! Images are resized bilinearly with antialiasing: a triangle filter as wide as the reduction, as image libraries do
+//! when they shrink. Values stay floats between the two passes. The whole image is used; one that is not square is
+//! squeezed. Sums have a fixed order, so equal bytes give equal tensors on every machine.
 
 use super::EncoderError;
 
-/// Changes whenever the same bytes would give another tensor; part of the embedding cache's key.
+/// Changes whenever the same bytes would give another tensor. Part of the encoder's fingerprint.
 pub(super) const VERSION: u32 = 2;
 
 /// RGBA bytes, rows from top to bottom without gaps. Alpha is ignored.
@@ -22,7 +21,7 @@ pub struct Image<'a> {
 }
 
 impl Image<'_> {
-    /// Whether there are pixels, and as many as the size says.
+    /// Whether the number of bytes fits the size, and is not zero.
     fn is_sound(&self) -> bool {
         let bytes = 4 * u64::from(self.width) * u64::from(self.height);
         bytes > 0 && bytes == self.rgba.len() as u64
@@ -36,14 +35,14 @@ pub(super) struct Preprocessor {
     /// Normalised value = byte * scale + offset, per channel.
     scale: [f32; 3],
     offset: [f32; 3],
-    /// Filters for the last input size seen: all frames of a run have one size.
+    /// Filters for the last image's size: all frames of a run have the same.
     filters: Option<Filters>,
-    /// A row of the result before it is brought to its width.
+    /// A row of the result before it is resized to its width.
     row: Vec<f32>,
 }
 
 impl Preprocessor {
-    /// For a square input of `size` pixels and channels normalised as `(value / 255 - mean) / std`.
+    /// A preprocessor for a square input of `size` pixels, with channels normalised as `(value / 255 - mean) / std`.
     pub(super) fn new(size: u32, mean: [f32; 3], std: [f32; 3]) -> Self {
         let scale = std.map(|std| 1.0 / (255.0 * std));
         let offset = [0, 1, 2].map(|c| -mean[c] / std[c]);
@@ -67,7 +66,7 @@ impl Preprocessor {
         let plane = self.size * self.size;
         let mut tensor = vec![0.0; 3 * plane];
         for y in 0..self.size {
-            // Rows first, all of their bytes alike: that runs along the memory, and leaves half of the rows.
+            // Rows first: that reads memory in order, and leaves fewer rows to resize.
             self.row.clear();
             self.row.resize(4 * image.width as usize, 0.0);
             let (first, weights) = filters.rows.taps(y);
@@ -95,7 +94,7 @@ impl Preprocessor {
     }
 }
 
-/// How images of one size are brought to the square.
+/// Filters for images of one size.
 #[derive(Debug)]
 struct Filters {
     size: (u32, u32),
@@ -110,7 +109,7 @@ impl Filters {
     }
 }
 
-/// For every position along an axis of the result: which source positions it is made of.
+/// The source positions and weights of every position along an axis of the result.
 #[derive(Debug)]
 struct Filter {
     /// First source position and range in `weights`, per position.

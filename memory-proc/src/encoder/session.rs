@@ -1,8 +1,7 @@
-//! ONNX Runtime: the one file that speaks to `ort`.
+//! ONNX Runtime sessions.
 //!
-//! A model file is read once, its SHA-256 compared with the manifest's, and every session is made from
-//! those same bytes. A session computes with one thread and takes one image a call, so what comes out for an
-//! image cannot depend on what else is being embedded.
+//! A model file is read once, its SHA-256 compared with the manifest's, and every session is created from those bytes.
+//! A session computes on one thread and takes one image a call, so an embedding cannot depend on other images.
 
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
@@ -14,28 +13,25 @@ use ort::session::{HasSelectedOutputs, OutputSelector, RunOptions};
 use ort::value::{Outlet, TensorElementType, TensorRef};
 use sha2::{Digest, Sha256};
 
-use super::EncoderError;
-use super::onnx::Malformed;
-use super::precision::Products;
-use super::product;
-use crate::embedding::Embedding;
+use super::{EncoderError, Provider};
 use crate::manifest::{Model, Pooling};
 use crate::paths::Cache;
+use search::Embedding;
 
-/// A model file's bytes, checked against its manifest entry.
+/// A model file, checked against its manifest entry.
 #[derive(Debug)]
 pub struct ModelFile {
-    /// What the manifest says about it.
+    /// Its manifest entry.
     pub model: Model,
-    /// Where it was read.
+    /// Its path.
     pub path: PathBuf,
-    /// SHA-256 of the bytes, in hexadecimal.
+    /// SHA-256 of its bytes, in hexadecimal.
     pub sha256: String,
     bytes: Vec<u8>,
 }
 
 impl ModelFile {
-    /// Reads a model's file: `given`, or else the one that setup put into the cache.
+    /// Reads a model's file: `given`, else the one that setup put into the cache folder.
     ///
     /// # Errors
     /// When there is no such file, or its SHA-256 is not the manifest's.
@@ -65,14 +61,18 @@ impl ModelFile {
     }
 }
 
-/// The loaded ONNX Runtime. There is one in a process, and it stays.
+/// The loaded ONNX Runtime. A process loads one, and keeps it.
 #[derive(Clone, Copy)]
-pub(super) struct Runtime(&'static Environment);
+pub(super) struct Runtime {
+    environment: &'static Environment,
+    /// The library.
+    pub(super) path: &'static Path,
+}
 
 impl Runtime {
     /// Loads the library at `path`, unless this process has loaded one already.
     pub(super) fn load(path: &Path) -> Result<Self, EncoderError> {
-        static ENVIRONMENT: OnceLock<Result<Environment, String>> = OnceLock::new();
+        static ENVIRONMENT: OnceLock<(PathBuf, Result<Environment, String>)> = OnceLock::new();
         if !path.is_file() {
             return Err(EncoderError::RuntimeMissing { path: path.into() });
         }
@@ -81,15 +81,15 @@ impl Runtime {
             let builder = builder.with_name("memtransfer").with_telemetry(false);
             builder.build().map_err(|error| error.to_string())
         };
-        match ENVIRONMENT.get_or_init(load) {
-            Ok(environment) => Ok(Self(environment)),
-            Err(message) => {
-                Err(EncoderError::Runtime { path: path.into(), message: message.clone() })
+        match ENVIRONMENT.get_or_init(|| (path.to_owned(), load())) {
+            (path, Ok(environment)) => Ok(Self { environment, path }),
+            (path, Err(message)) => {
+                Err(EncoderError::Runtime { path: path.clone(), message: message.clone() })
             }
         }
     }
 
-    /// Which build the library is: its commit, or its whole description where that cannot be told.
+    /// The library's build: its commit, or its whole description where that names no commit.
     pub(super) fn build(&self) -> String {
         let info = ort::info();
         let commit = info.split([' ', ',']).find_map(|word| word.strip_prefix("git-commit-id="));
@@ -97,7 +97,7 @@ impl Runtime {
     }
 }
 
-/// One model, ready to run on the thread that calls it.
+/// An open model, which runs on the calling thread.
 pub(super) struct Session {
     session: OrtSession,
     outputs: RunOptions<HasSelectedOutputs>,
@@ -107,23 +107,15 @@ pub(super) struct Session {
 impl Session {
     pub(super) fn new(
         runtime: Runtime,
-        products: Products,
+        provider: Provider,
         file: &ModelFile,
     ) -> Result<Self, EncoderError> {
         let rejected = |error: ort::Error| EncoderError::Rejected {
             path: file.path.clone(),
             message: error.message().to_owned(),
         };
-        let mut builder = builder(runtime.0, products).map_err(rejected)?;
-        let session = match products {
-            Products::Own => builder.commit_from_memory(&file.bytes),
-            // What is no model ONNX Runtime has words for.
-            Products::Tiles(_) => match product::redirected(&file.bytes) {
-                Ok(bytes) => builder.commit_from_memory(&bytes),
-                Err(Malformed) => builder.commit_from_memory(&file.bytes),
-            },
-        };
-        let session = session.map_err(rejected)?;
+        let mut builder = builder(runtime.environment, provider).map_err(rejected)?;
+        let session = builder.commit_from_memory(&file.bytes).map_err(rejected)?;
         let model = &file.model;
         let says_untrained = |session: &OrtSession| {
             session.metadata().ok()?.custom("memtransfer.trained").map(|trained| trained == "false")
@@ -156,19 +148,17 @@ impl Session {
             message: format!("{} holds {} numbers, too few", model.output, tokens.len()),
         })?;
         Embedding::normalised(&pooled).ok_or_else(|| EncoderError::Run {
-            message: format!("{} holds zeros or what is no number", model.output),
+            message: format!("{} holds only zeros, or a value that is not finite", model.output),
         })
     }
 }
 
-fn builder(environment: &Environment, products: Products) -> Result<SessionBuilder, ort::Error> {
+fn builder(environment: &Environment, provider: Provider) -> Result<SessionBuilder, ort::Error> {
     fn plain(result: BuilderResult) -> Result<SessionBuilder, ort::Error> {
         result.map_err(|error| ort::Error::new(error.message()))
     }
-    let mut builder = OrtSession::builder(environment)?;
-    if let Products::Tiles(unit) = products {
-        builder = plain(builder.with_operators(product::domain(unit)?))?;
-    }
+    let builder = OrtSession::builder(environment)?;
+    let builder = plain(builder.with_execution_providers([provider.dispatch()]))?;
     let builder = plain(builder.with_intra_threads(1))?;
     let builder = plain(builder.with_deterministic_compute(true))?;
     plain(builder.with_optimization_level(GraphOptimizationLevel::All))
@@ -189,7 +179,7 @@ fn outlet<'a>(
     })
 }
 
-/// Whether a tensor is of floats and of one of the `expected` shapes; -1 stands for any length.
+/// Checks that a tensor holds floats and has one of the `expected` shapes; -1 stands for any length.
 fn check(
     file: &ModelFile,
     name: &str,
@@ -216,7 +206,7 @@ fn check(
     })
 }
 
-/// One vector from the output tensor: a single vector as it is, tokens by the model's pooling.
+/// Reduces the output tensor to one vector: a single vector is kept as it is, tokens are pooled.
 fn pool(model: &Model, tokens: &[f32]) -> Option<Vec<f32>> {
     let (first, others) = tokens.split_at_checked(model.dimension)?;
     let count = others.len() / model.dimension;

@@ -1,14 +1,12 @@
 //! The engine against a scripted simulator, orchestrator and encoder, in every order of events.
 
-use domain::{
-    Feedback, Heading, Representation,
-    Representation::{Episodic, FullContext, Working},
-};
+use domain::Representation::{Episodic, FullContext, Working};
+use domain::{Feedback, Heading, Representation};
 use proptest::prelude::*;
 use shm_types::message::{NO_ACTION, NO_FRAME};
 use warehouse::{Demonstrations, Start};
 
-use self::rig::{Answer, Rig, Script, content, walks};
+use self::rig::{Answer, Rig, Script, content, replay_set};
 use super::*;
 
 mod rig;
@@ -46,17 +44,17 @@ fn on_a_demonstrated_route_the_segment_is_the_experts_continuation() {
 }
 
 #[test]
-fn every_view_is_held_once_embedded_once_and_let_go() {
+fn every_view_is_pinned_once_embedded_once_and_released() {
     let mut rig = Rig::new(3, 1000);
     let scripts: Vec<Script> =
         (0..3).map(|lane| rig.script(lane, lane.into(), 5, Start::Nearby, Episodic)).collect();
     let demonstrations = demonstrations(&rig, 5);
     rig.play(&scripts, [0; 6].into_iter());
     assert_eq!((rig.holds, rig.releases), (demonstrations, demonstrations));
-    assert_eq!(rig.embedded, demonstrations, "the walk shows nothing that was not demonstrated");
-    assert!(rig.engine.open.is_empty() && rig.engine.admission.is_empty());
+    assert_eq!(rig.embedded, demonstrations, "the test route shows only demonstrated views");
+    assert!(rig.engine.pending.is_empty() && rig.engine.admission.is_empty());
 
-    // Another episode of the same case holds its views anew and embeds nothing.
+    // Another episode of the same case pins its views again and embeds nothing.
     let again = rig.script(1, 9, 5, Start::Opposite, Episodic);
     rig.play(&[again], std::iter::empty());
     assert_eq!((rig.holds, rig.embedded), (2 * demonstrations, demonstrations));
@@ -64,12 +62,14 @@ fn every_view_is_held_once_embedded_once_and_let_go() {
 
 /// Distinct views of a case's four demonstrations.
 fn demonstrations(rig: &Rig, case: usize) -> usize {
-    let poses = walks(rig, case, Demonstrations::ALL).into_iter().flat_map(|walk| walk.poses);
+    let poses = replay_set(rig, case, Demonstrations::ALL)
+        .into_iter()
+        .flat_map(|demonstration| demonstration.poses);
     poses.collect::<HashSet<_>>().len()
 }
 
 #[test]
-fn views_that_were_held_for_their_pixels_are_embedded_when_somebody_compares() {
+fn views_pinned_for_their_pixels_are_embedded_when_a_memory_matches_views() {
     let mut rig = Rig::new(2, 1000);
     let whole = rig.script(0, 1, 5, Start::Original, FullContext);
     rig.engine.config(&whole.config).unwrap();
@@ -88,7 +88,7 @@ fn views_that_were_held_for_their_pixels_are_embedded_when_somebody_compares() {
 }
 
 #[test]
-fn a_lane_that_waits_holds_up_nobody() {
+fn a_waiting_lane_does_not_delay_others() {
     let mut rig = Rig::new(2, 1000);
     let slow = rig.script(0, 1, 0, Start::Original, Episodic);
     let quick = rig.script(1, 2, 1, Start::Original, Working);
@@ -126,10 +126,10 @@ fn lanes_whose_views_do_not_fit_together_take_turns() {
 }
 
 #[test]
-fn an_episode_that_never_ran_is_forgotten() {
+fn an_episode_that_never_began_is_dropped() {
     let mut rig = Rig::new(1, 1000);
-    for ticket in 1..4 {
-        let script = rig.script(0, ticket, ticket as u32, Start::Original, Episodic);
+    for id in 1..4 {
+        let script = rig.script(0, id, id as u32, Start::Original, Episodic);
         rig.engine.config(&script.config).unwrap();
         rig.work(0);
     }
@@ -140,7 +140,7 @@ fn an_episode_that_never_ran_is_forgotten() {
 }
 
 #[test]
-fn what_cannot_be_used_is_refused_and_named() {
+fn unusable_messages_are_refused_with_a_reason() {
     let mut rig = Rig::new(2, 1000);
     let script = rig.script(0, 1, 0, Start::Original, Episodic);
     let config = script.config;
@@ -165,7 +165,7 @@ fn what_cannot_be_used_is_refused_and_named() {
         (MemoryEpisodeConfig { horizon: 32, ..config }, "a horizon of 32"),
     ] {
         let error = rig.engine.config(&bad).unwrap_err().to_string();
-        assert!(error.starts_with("brief of episode 1: ") && error.contains(expected), "{error}");
+        assert!(error.starts_with("config of episode 1: ") && error.contains(expected), "{error}");
     }
     rig.engine.config(&config).unwrap();
     let first = script.observations[0];
@@ -187,11 +187,11 @@ fn what_cannot_be_used_is_refused_and_named() {
     );
     let unexpected =
         rig.engine.view(Pose::new(0, 0, Heading::N), 9, [0; 16], Pose::new(0, 0, Heading::N));
-    assert!(unexpected.unwrap_err().to_string().contains("which nobody waits for"));
+    assert!(unexpected.unwrap_err().to_string().contains("which was not requested"));
     assert_eq!(Feedback::Start as u8, first.feedback);
     rig.play(&[], std::iter::repeat_n(1, 4000));
     rig.observe(script.observations[0]).unwrap();
-    refuse(&mut rig, Observation { frame: 1, ..script.observations[2] }, "step 1 was to come");
+    refuse(&mut rig, Observation { frame: 1, ..script.observations[2] }, "expected step 1");
     assert_eq!(rig.collect(), [0]);
 }
 
@@ -206,7 +206,7 @@ const SETS: [Demonstrations; 4] = [
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(48))]
 
-    /// Rule 1 of the design: what is answered depends on the episode alone, not on lanes or timing.
+    /// An answer depends on its episode only, not on lanes or timing.
     #[test]
     fn no_order_of_events_changes_an_answer(
         episodes in prop::collection::vec(
@@ -217,9 +217,9 @@ proptest! {
         room in 300..2000_usize,
     ) {
         let scripts = |rig: &Rig, lanes: u32| -> Vec<Script> {
-            (0..).zip(&episodes).map(|(ticket, &(case, start, memory, set, segment, keyframes))| {
-                let (lane, memory) = (ticket as u32 % lanes, Representation::ALL[memory]);
-                let mut script = rig.script(lane, ticket, case, Start::ALL[start], memory);
+            (0..).zip(&episodes).map(|(id, &(case, start, memory, set, segment, keyframes))| {
+                let (lane, memory) = (id as u32 % lanes, Representation::ALL[memory]);
+                let mut script = rig.script(lane, id, case, Start::ALL[start], memory);
                 script.config.demonstrations = SETS[set].bits();
                 (script.config.segment, script.config.keyframes) = (segment, keyframes);
                 script
@@ -237,7 +237,7 @@ proptest! {
         prop_assert_eq!(together.answers.len(), steps);
     }
 
-    /// Whatever arrives is taken up or refused, and what was held is let go again.
+    /// Any message is accepted or refused, and every pinned view is released.
     #[test]
     fn no_message_panics(
         messages in prop::collection::vec(
@@ -245,9 +245,9 @@ proptest! {
         ),
     ) {
         let mut rig = Rig::new(2, 400);
-        for (is_brief, episode, lane, small, bytes, demonstrations) in messages {
+        for (is_config, episode, lane, small, bytes, demonstrations) in messages {
             let [a, b, c, d, e, f, g] = bytes.map(|byte| if byte < 128 { byte % 8 } else { byte });
-            if is_brief {
+            if is_config {
                 let _ = rig.engine.config(&MemoryEpisodeConfig {
                     episode,
                     lane,
@@ -275,14 +275,14 @@ proptest! {
                 };
                 if let Ok(Some(_)) = rig.engine.observe(&seen, 1) {
                     let pose = Pose::try_from(pose).unwrap();
-                    rig.engine.show(lane, content(pose), pose);
+                    rig.engine.current_view(lane, content(pose), pose);
                 }
             }
             rig.work(usize::from(a));
-            let _ = rig.engine.answers(|| 5, &mut rig.shelf);
+            let _ = rig.engine.answers(|| 5, &mut rig.documents);
         }
-        for (lane, ticket) in [(0, 90), (1, 91)] {
-            let script = rig.script(lane, ticket, 3, Start::Original, Working);
+        for (lane, id) in [(0, 90), (1, 91)] {
+            let script = rig.script(lane, id, 3, Start::Original, Working);
             rig.engine.config(&script.config).unwrap();
             rig.observe(script.observations[0]).unwrap();
         }

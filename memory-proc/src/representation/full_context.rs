@@ -1,85 +1,87 @@
-//! Full-context memory: every action of the demonstrations, and keyframes of what the expert saw, all of it
-//! supplied at every step (SPEC section 5).
+//! Full-context memory: every action of the demonstrations and keyframes of the expert's views, supplied at every step (specification, section 5).
 //!
-//! Which views are keyframes, exactly:
+//! Keyframes are chosen by these rules:
 //!
-//! 1. *The budget is shared fairly.* The demonstrations take one frame each in turn, in their order, until
-//!    the budget is spent; one that has no more frames is passed over. So shares differ by one at most, what
-//!    a short demonstration leaves goes to the others, and where the demonstrations have as many frames as
-//!    the budget, all of it is used. With fewer frames than that, every frame is a keyframe.
-//! 2. *A share goes to a demonstration's moments in this order:* the start, the end, the completions of
-//!    sub-goals, the moments before turns (the view in which the expert decides to turn), all others. A step
-//!    that is several of these is the first of them, and takes one frame.
-//! 3. *Moments of one kind that do not all fit are sampled evenly:* of `m` moments in their order `k` are
-//!    kept, the middle ones of `k` equal stretches, numbers `floor((2i + 1) m / 2k)` from 0.
+//! 1. *The budget is shared fairly.* The demonstrations take one frame each in turn until the budget is spent. A
+//!    demonstration without frames left is skipped. Shares of long demonstrations therefore differ by one at most, and
+//!    with fewer frames than the budget every frame is a keyframe.
+//! 2. *A demonstration's share is filled in this order:* the start, the end, completions of sub-goals, moments before
+//!    turns (the view in which the expert decides to turn), all others. A step of several kinds counts as the first.
+//! 3. *Moments of one kind that do not all fit are sampled evenly:* of `m` moments, `k` are kept, with the numbers
+//!    `floor((2i + 1) m / 2k)` from 0.
 //!
-//! A frame is a step, not a view: a place that the expert saw twice may be shown twice. Actions are never left
-//! out, whatever the budget.
+//! A keyframe is a step, not a view: a view that the expert saw twice may appear twice. Actions are always complete.
 
 use anyhow::Context;
 use domain::{Action, Pose};
 use shm_types::documents::Content;
 use shm_types::message::{NO_ACTION, NO_FRAME, TrajectoryStep};
 
-use super::{Blueprint, Documents, Ingredients, Memory, Views, fixed};
+use super::{DocumentSupplier, Memory, MemoryBuilder, MemorySpec, StoredViews, consolidated};
 use crate::demonstrations::Demonstration;
 
-/// Demonstrations, and which of their steps are keyframes.
+/// Builds the document of a case's demonstrations.
 #[derive(Debug)]
 pub(super) struct FullContext {
     episode: (u32, u64),
-    /// Each with its keyframes: the steps, ascending.
-    walks: Vec<(Demonstration, Vec<usize>)>,
+    /// Each with the steps of its keyframes, ascending.
+    demonstrations: Vec<(Demonstration, Vec<usize>)>,
     poses: Vec<Pose>,
 }
 
 impl FullContext {
-    pub(super) fn new(ingredients: Ingredients) -> Self {
-        let Ingredients { episode, demonstrations, keyframes: budget, .. } = ingredients;
-        let lengths: Vec<usize> = demonstrations.iter().map(|walk| walk.poses.len()).collect();
+    pub(super) fn new(spec: MemorySpec) -> Self {
+        let MemorySpec { episode, demonstrations, keyframes: budget, .. } = spec;
+        let lengths: Vec<usize> =
+            demonstrations.iter().map(|demonstration| demonstration.poses.len()).collect();
         let shares = shares(&lengths, budget);
-        let chosen = |(walk, share)| {
-            let keyframes = keyframes(&walk, share);
-            (walk, keyframes)
+        let choose = |(demonstration, share)| {
+            let keyframes = keyframes(&demonstration, share);
+            (demonstration, keyframes)
         };
-        let walks: Vec<_> = demonstrations.into_iter().zip(shares).map(chosen).collect();
-        let shown = walks.iter().flat_map(|(walk, steps)| steps.iter().map(|&t| walk.poses[t]));
+        let chosen: Vec<_> = demonstrations.into_iter().zip(shares).map(choose).collect();
+        let shown = chosen
+            .iter()
+            .flat_map(|(demonstration, steps)| steps.iter().map(|&t| demonstration.poses[t]));
         let mut poses: Vec<Pose> = shown.collect();
         poses.sort_unstable();
         poses.dedup();
-        Self { episode, walks, poses }
+        Self { episode, demonstrations: chosen, poses }
     }
 }
 
-impl Blueprint for FullContext {
+impl MemoryBuilder for FullContext {
     fn poses(&self) -> &[Pose] {
         &self.poses
     }
 
     fn build(
         &self,
-        views: &Views,
-        documents: &mut dyn Documents,
+        views: &StoredViews,
+        documents: &mut dyn DocumentSupplier,
     ) -> anyhow::Result<Box<dyn Memory>> {
         let mut steps = Vec::new();
-        for (number, (walk, keyframes)) in self.walks.iter().enumerate() {
+        for (number, (demonstration, keyframes)) in self.demonstrations.iter().enumerate() {
             let trajectory = u8::try_from(number).context("more than 256 demonstrations")?;
-            for (step, &pose) in walk.poses.iter().enumerate() {
+            for (step, &pose) in demonstration.poses.iter().enumerate() {
                 let is_keyframe = keyframes.binary_search(&step).is_ok();
                 steps.push(TrajectoryStep {
                     frame: if is_keyframe { views.of(pose)?.frame } else { NO_FRAME },
-                    action: walk.actions.get(step).map_or(NO_ACTION, |&action| action as u8),
+                    action: demonstration
+                        .actions
+                        .get(step)
+                        .map_or(NO_ACTION, |&action| action as u8),
                     trajectory,
                     reserved: [0; 6],
                 });
             }
         }
         let id = documents.publish(self.episode, &Content::Trajectories(steps))?;
-        Ok(Box::new(fixed::Fixed(vec![id])))
+        Ok(Box::new(consolidated::SameDocuments(vec![id])))
     }
 }
 
-/// How many of `budget` frames each demonstration gets, of as many as it has.
+/// Distributes `budget` frames over demonstrations with these many frames.
 fn shares(lengths: &[usize], budget: usize) -> Vec<usize> {
     let mut shares = vec![0; lengths.len()];
     let mut left = budget.min(lengths.iter().sum());
@@ -94,7 +96,7 @@ fn shares(lengths: &[usize], budget: usize) -> Vec<usize> {
     shares
 }
 
-/// What a step of a demonstration is, most important first.
+/// The kinds of step, most important first.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Moment {
     Start,
@@ -107,24 +109,25 @@ enum Moment {
 impl Moment {
     const ALL: [Self; 5] = [Self::Start, Self::End, Self::SubGoal, Self::BeforeTurn, Self::Other];
 
-    fn of(walk: &Demonstration, step: usize) -> Self {
+    fn of(demonstration: &Demonstration, step: usize) -> Self {
         const TURNS: [Action; 3] = [Action::TurnLeft, Action::TurnRight, Action::TurnAround];
         match step {
             0 => Self::Start,
-            _ if step + 1 == walk.poses.len() => Self::End,
-            _ if walk.stages[step] > walk.stages[step - 1] => Self::SubGoal,
-            _ if TURNS.contains(&walk.actions[step]) => Self::BeforeTurn,
+            _ if step + 1 == demonstration.poses.len() => Self::End,
+            _ if demonstration.stages[step] > demonstration.stages[step - 1] => Self::SubGoal,
+            _ if TURNS.contains(&demonstration.actions[step]) => Self::BeforeTurn,
             _ => Self::Other,
         }
     }
 }
 
-/// The steps, ascending, whose views are kept when `share` of them are.
-fn keyframes(walk: &Demonstration, share: usize) -> Vec<usize> {
+/// The steps of `share` keyframes, ascending.
+fn keyframes(demonstration: &Demonstration, share: usize) -> Vec<usize> {
     let mut chosen = Vec::with_capacity(share);
     for moment in Moment::ALL {
-        let steps = 0..walk.poses.len();
-        let members: Vec<usize> = steps.filter(|&step| Moment::of(walk, step) == moment).collect();
+        let steps = 0..demonstration.poses.len();
+        let members: Vec<usize> =
+            steps.filter(|&step| Moment::of(demonstration, step) == moment).collect();
         let places = members.len().min(share - chosen.len());
         chosen.extend((0..places).map(|i| members[(2 * i + 1) * members.len() / (2 * places)]));
     }

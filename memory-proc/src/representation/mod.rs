@@ -1,98 +1,92 @@
-//! Memory representations (SPEC section 5): what is stored, and what a step is supplied with.
+//! Memory representations (specification, section 5): what is stored, and what a step is supplied with.
 //!
-//! Equations (1) and (2) of the paper: a [`Blueprint`] is what is known before any view is there, from it
-//! and the views `M_r = B_r(D_r)` is built once ([`Blueprint::build`]), and each step is supplied with
-//! `m_{r,t} = A_r(M_r, x_t)` ([`Memory::access`]). Every representation is in addition to the
-//! [`Window`](working::Window). What each of them stores and supplies, in words, is
-//! [`Representation::describe`].
+//! Equations (1) and (2) of the paper: a [`MemoryBuilder`] is what is known before any view is rendered. From it and the
+//! views a [`Memory`] `M_r = B_r(D_r)` is built once, and at each step it recalls `m_{r,t} = A_r(M_r, x_t)`, in addition
+//! to the window of the last steps. [`Representation::describe`] says in words what each representation stores and
+//! supplies.
 //!
-//! One representation a file. To add one: its file, with a blueprint and a memory, and the line in
-//! [`blueprint`] that names it, to which the compiler leads from a new [`Representation`].
+//! To add one: a file with a builder and a memory, and its line in [`memory_builder`], which the compiler asks for.
 //!
-//! Not here: where views, embeddings and documents come from, and when they are there.
+//! What is not here: where views, embeddings and documents come from, and when they are ready.
 
 use std::collections::BTreeMap;
 
 use anyhow::Context;
 use domain::{DocumentKind, Pose, Representation, SegmentContent};
+use search::{ContentHash, Embedding};
 use shm_types::documents::Content;
 use shm_types::message::{DocumentId, FrameId, SegmentStep};
 use warehouse::Demonstrations;
 
 use crate::demonstrations::Demonstration;
-use crate::embedding::{ContentHash, Embedding};
 
+mod consolidated;
 mod episodic;
-mod fixed;
 mod full_context;
-mod hybrid;
-mod semantic;
-mod summary;
 #[cfg(test)]
 pub(crate) mod testing;
-pub mod working;
 
-/// How `representation` makes its memory of `ingredients`.
-pub fn blueprint(representation: Representation, ingredients: Ingredients) -> Box<dyn Blueprint> {
+/// The builder of a memory.
+pub fn memory_builder(representation: Representation, spec: MemorySpec) -> Box<dyn MemoryBuilder> {
     match representation {
-        Representation::Working => Box::new(working::Working),
-        Representation::FullContext => Box::new(full_context::FullContext::new(ingredients)),
-        Representation::Summary => Box::new(summary::Summary(ingredients.set)),
-        Representation::Semantic => Box::new(semantic::Semantic(ingredients.set)),
-        Representation::Hybrid => Box::new(hybrid::Hybrid(ingredients.set)),
-        Representation::Episodic => Box::new(episodic::Episodic::new(ingredients)),
+        Representation::FullContext => Box::new(full_context::FullContext::new(spec)),
+        Representation::Episodic => Box::new(episodic::Episodic::new(spec)),
+        Representation::Working
+        | Representation::Summary
+        | Representation::Semantic
+        | Representation::Hybrid => Box::new(consolidated::Consolidated {
+            kinds: representation.describe().documents,
+            set: spec.set,
+        }),
     }
 }
 
-/// What an episode's memory is to be made of.
+/// What an episode's memory is built from, and how.
 #[derive(Debug, Clone)]
-pub struct Ingredients {
-    /// The episode: lane and ticket.
+pub struct MemorySpec {
+    /// The episode: lane and number.
     pub episode: (u32, u64),
-    /// Which demonstrations are remembered.
+    /// The set of demonstrations.
     pub set: Demonstrations,
-    /// What that comes to for the episode's case, acted out.
+    /// The demonstrations of that set for the episode's case.
     pub demonstrations: Vec<Demonstration>,
-    /// H_epi: the expert actions that a retrieved segment follows.
+    /// H_epi: expert actions in a retrieved segment.
     pub horizon: usize,
-    /// What a retrieved segment holds.
+    /// What a retrieved segment contains.
     pub segment: SegmentContent,
-    /// Most keyframes that all demonstrations together keep.
+    /// Keyframes of all demonstrations together, at most.
     pub keyframes: usize,
 }
 
 /// A memory before it is built.
-pub trait Blueprint {
-    /// The poses, in order and each once, whose views must be resident before the memory can be built.
-    /// They stay so until the episode ends. Those of a representation that
-    /// [matches views](Representation::matches_views) are embedded, too.
+pub trait MemoryBuilder {
+    /// The poses, each once, whose views must be in the frame store before the memory can be built. They stay there until
+    /// the episode ends, and are embedded if the representation [matches views](Representation::matches_views).
     fn poses(&self) -> &[Pose] {
         &[]
     }
 
-    /// Builds the memory of the views of [`Self::poses`]. What it supplies as documents is published here:
-    /// before the first recall that names it.
+    /// Builds the memory from the views of [`Self::poses`], and publishes the documents that it will supply.
     ///
     /// # Errors
-    /// When a document cannot be had or published; the run cannot go on then.
+    /// When a document is missing or cannot be published; the run cannot continue then.
     fn build(
         &self,
-        views: &Views,
-        documents: &mut dyn Documents,
+        views: &StoredViews,
+        documents: &mut dyn DocumentSupplier,
     ) -> anyhow::Result<Box<dyn Memory>>;
 }
 
-/// A memory that was built: fixed from then on.
+/// A memory, which no longer changes.
 pub trait Memory {
-    /// What is supplied at a step, beside the window.
-    fn access(&self, now: &Situation<'_>) -> Supply;
+    /// What a step is supplied with, in addition to the window.
+    fn recall(&self, query: &RecallQuery<'_>) -> Recalled;
 }
 
-/// The current step, as far as a memory may look at it.
+/// The current step, as far as a memory may use it.
 #[derive(Debug, Clone, Copy)]
-pub struct Situation<'a> {
-    /// The current view's embedding; there whenever the representation
-    /// [matches views](Representation::matches_views).
+pub struct RecallQuery<'a> {
+    /// The current view's embedding, if the representation [matches views](Representation::matches_views).
     pub embedding: Option<&'a Embedding>,
     /// Sub-goals completed so far.
     pub stage: u32,
@@ -100,85 +94,84 @@ pub struct Situation<'a> {
     pub elapsed: u32,
 }
 
-/// What a step is supplied with, beside the window.
+/// What a step is supplied with, in addition to the window.
 #[derive(Debug, Clone, PartialEq, Default)]
-pub struct Supply {
-    /// A piece of a demonstration.
-    pub segment: Option<Retrieved>,
+pub struct Recalled {
+    /// A segment of a demonstration.
+    pub segment: Option<RetrievedSegment>,
     /// Published documents, in order; at most [`MAX_DOCUMENTS`](shm_types::message::MAX_DOCUMENTS).
     pub documents: Vec<DocumentId>,
 }
 
-/// A piece of a demonstration, and where it comes from.
+/// A segment of a demonstration, and its origin.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Retrieved {
-    /// The matched view, then the views that the expert's actions led to. Each step holds the action
-    /// that the expert took *at* that view; the last one holds none, and none does in a segment of images
-    /// alone. At most [`MAX_SEGMENT`](shm_types::message::MAX_SEGMENT) steps.
+pub struct RetrievedSegment {
+    /// The matched view, then the views that the expert's actions led to. Each step holds the action that the expert took
+    /// *at* that view. The last step holds none, and a segment of images alone holds none at all. At most
+    /// [`MAX_SEGMENT`](shm_types::message::MAX_SEGMENT) steps.
     pub segment: Vec<SegmentStep>,
-    /// Index of the case that the demonstration belongs to.
+    /// The demonstration's case.
     pub case: u32,
-    /// Which of that case's demonstrations.
+    /// The demonstration's number in that case.
     pub demonstration: u16,
-    /// Step of the matched view in it.
+    /// The matched view's step in it.
     pub step: u16,
-    /// Cosine distance of the matched view to the current one.
+    /// Cosine distance of the matched view from the current one.
     pub distance: f32,
 }
 
-/// A remembered view that is resident.
+/// A remembered view in the frame store.
 #[derive(Debug, Clone)]
-pub struct View {
+pub struct StoredView {
     /// Its frame.
     pub frame: FrameId,
     /// Its content.
     pub content: ContentHash,
-    /// Its embedding, where the representation matches views.
+    /// Its embedding, if the representation matches views.
     pub embedding: Option<Embedding>,
 }
 
-/// The views that a blueprint needs, by pose.
+/// The views of a memory, by pose.
 #[derive(Debug, Clone, Default)]
-pub struct Views(BTreeMap<Pose, View>);
+pub struct StoredViews(BTreeMap<Pose, StoredView>);
 
-impl Views {
-    /// How many are there.
+impl StoredViews {
+    /// Number of views.
     pub fn len(&self) -> usize {
         self.0.len()
     }
 
-    /// Whether none is there.
+    /// Whether there are no views.
     pub fn is_empty(&self) -> bool {
         self.0.is_empty()
     }
 
-    /// The view from `pose` is there.
-    pub fn insert(&mut self, pose: Pose, view: View) {
+    /// Adds the view from `pose`.
+    pub fn insert(&mut self, pose: Pose, view: StoredView) {
         self.0.insert(pose, view);
     }
 
     /// The view from `pose`.
     ///
     /// # Errors
-    /// When it was not asked for.
-    pub fn of(&self, pose: Pose) -> anyhow::Result<&View> {
-        self.0.get(&pose).with_context(|| format!("a memory uses the view of {pose} unasked"))
+    /// When [`MemoryBuilder::poses`] does not name the pose.
+    pub fn of(&self, pose: Pose) -> anyhow::Result<&StoredView> {
+        self.0.get(&pose).with_context(|| format!("the memory did not request the view of {pose}"))
     }
 }
 
-/// Where the documents that a memory supplies come from and go to.
-pub trait Documents {
-    /// Publishes a document that belongs to one episode (lane and ticket), and goes with it.
+/// Publishes the documents that memories supply.
+pub trait DocumentSupplier {
+    /// Publishes a document for one episode (lane and number).
     ///
     /// # Errors
     /// When it cannot be published.
     fn publish(&mut self, episode: (u32, u64), content: &Content) -> anyhow::Result<DocumentId>;
 
-    /// The document of one kind that was consolidated over the demonstrations `set` of all cases, published
-    /// for the whole run.
+    /// Publishes the document of one kind over the demonstrations `set` of all cases, for the whole run.
     ///
     /// # Errors
-    /// When there is none, it cannot be used or not be published.
+    /// When it is missing, not usable, or cannot be published.
     fn consolidated(
         &mut self,
         kind: DocumentKind,

@@ -1,16 +1,17 @@
-//! Small demonstrations and a shelf of documents, for the tests of representations and of the engine.
+//! Small demonstrations and a documents of documents, for the tests of representations and of the engine.
 
 use anyhow::bail;
-use domain::{Action, DocumentKind, Heading, Pose, SegmentContent};
+use domain::{Action, Heading, Pose};
+use domain::{DocumentKind, SegmentContent};
 use shm_types::documents::Content;
 use shm_types::message::DocumentId;
 use warehouse::Demonstrations;
 
-use super::{Documents, Ingredients};
+use super::{DocumentSupplier, MemorySpec};
 use crate::demonstrations::Demonstration;
 
-/// A straight walk of case 8 north from (3, `from`) of `steps` steps; sub-goal 1 is completed at step 2.
-pub(crate) fn walk(number: u16, from: u8, steps: u8) -> Demonstration {
+/// A demonstration of case 8: north from (3, `from`) for `steps` steps; sub-goal 1 is completed at step 2.
+pub(crate) fn demonstration(number: u16, from: u8, steps: u8) -> Demonstration {
     Demonstration {
         case: 8,
         number,
@@ -21,8 +22,8 @@ pub(crate) fn walk(number: u16, from: u8, steps: u8) -> Demonstration {
 }
 
 /// The standard settings.
-pub(crate) fn ingredients(demonstrations: Vec<Demonstration>) -> Ingredients {
-    Ingredients {
+pub(crate) fn spec(demonstrations: Vec<Demonstration>) -> MemorySpec {
+    MemorySpec {
         episode: (1, 7),
         set: Demonstrations::ORIGINAL,
         demonstrations,
@@ -32,16 +33,16 @@ pub(crate) fn ingredients(demonstrations: Vec<Demonstration>) -> Ingredients {
     }
 }
 
-/// Keeps what is published; document `i + 1` is entry `i`, with the episode it belongs to. The document of a
-/// kind and a set says which it is.
+/// Stores what is published: document `i + 1` is entry `i`, with the episode it belongs to. The text of a consolidated
+/// document names its kind and set.
 #[derive(Debug, Default)]
-pub(crate) struct Shelf {
+pub(crate) struct TestDocuments {
     pub(crate) published: Vec<(Option<(u32, u64)>, Content)>,
-    /// There are no documents for the whole run.
-    pub(crate) is_bare: bool,
+    /// Whether consolidated documents are missing.
+    pub(crate) is_empty: bool,
 }
 
-impl Shelf {
+impl TestDocuments {
     fn add(&mut self, episode: Option<(u32, u64)>, content: Content) -> DocumentId {
         self.published.push((episode, content));
         self.published.len() as DocumentId
@@ -52,7 +53,7 @@ impl Shelf {
     }
 }
 
-impl Documents for Shelf {
+impl DocumentSupplier for TestDocuments {
     fn publish(&mut self, episode: (u32, u64), content: &Content) -> anyhow::Result<DocumentId> {
         Ok(self.add(Some(episode), content.clone()))
     }
@@ -63,7 +64,7 @@ impl Documents for Shelf {
         set: Demonstrations,
     ) -> anyhow::Result<DocumentId> {
         let content = match kind {
-            _ if self.is_bare => bail!("there is no {kind:?} of {set}"),
+            _ if self.is_empty => bail!("there is no {kind:?} of {set}"),
             DocumentKind::Summary => Content::Summary(format!("summary of {set}")),
             DocumentKind::Semantic => Content::Semantic(format!("knowledge of {set}")),
             DocumentKind::Trajectories => bail!("trajectories are never consolidated"),

@@ -3,125 +3,136 @@
 use std::collections::BTreeMap;
 
 use anyhow::Result;
+use documents::{
+    DocumentFolder, DocumentName, DocumentSelection, DocumentState, Recipe, StoredDocument,
+};
+use results::log::{DocumentFacts, RunFolder};
+use results::settings::{DocumentSource, RunSettings};
 
-use crate::documents::{Builder, DocumentName, Library, State, Supply, needed};
+use crate::documents::{DocumentRequest, ModelServer, ReadyDocuments, facts, needed};
 use crate::progress::BuildProgress;
 use crate::signals::Signals;
-use results::log::RunFolder;
-use results::settings::{DocumentSource, RunSettings};
 
 /// The documents that a run needs, and where they come from.
 #[derive(Debug)]
-pub(super) struct Documents {
+pub(super) struct RunDocuments {
     needed: Vec<DocumentName>,
-    library: Library,
-    /// The run's own copies, once it has episodes.
-    own: Library,
-    has_episodes: bool,
+    request: DocumentRequest,
+    /// The run's own copies; none before it has episodes.
+    own: Option<DocumentFolder>,
 }
 
-impl Documents {
-    /// Those of a run with `settings`.
-    pub(super) fn of(settings: &RunSettings) -> Self {
-        let (folder, builder) = match &settings.documents {
-            DocumentSource::Extractive => (None, Builder::Extractive),
-            DocumentSource::Model => (None, Builder::Anyone { of: "model" }),
-            DocumentSource::Folder(path) => {
-                (Some(path.clone()), Builder::Anyone { of: "extractive" })
+impl RunDocuments {
+    /// The documents of a run with `settings`, which begins anew if `fresh`.
+    pub(super) fn of(settings: &RunSettings, fresh: bool) -> Self {
+        let (folder, selection) = match &settings.documents {
+            DocumentSource::Extractive => {
+                (None, DocumentSelection::Recipe(Recipe::Extractive))
             }
+            DocumentSource::Model(name) => (None, DocumentSelection::Model(name.clone())),
+            DocumentSource::Folder(path) => (Some(path.clone()), DocumentSelection::Any),
         };
-        let library = |folder, builder| Library {
+        let request = DocumentRequest {
             folder,
             assets: settings.assets.clone(),
             frame_size: settings.frame_size,
-            builder,
+            selection,
+            server: ModelServer::default(),
         };
-        let remembers = settings.policy.has_process();
-        let conditions = settings.conditions();
-        let own = RunFolder::documents_of(&settings.out);
+        let uses_memory = settings.policy.has_process();
+        let own = (!fresh && RunFolder::has_episodes(&settings.out))
+            .then(|| DocumentFolder::new(RunFolder::documents_of(&settings.out)));
         Self {
-            needed: if remembers { needed(&conditions) } else { Vec::new() },
-            library: library(folder, builder),
-            own: library(Some(own), Builder::Anyone { of: "extractive" }),
-            has_episodes: RunFolder::has_episodes(&settings.out),
+            needed: if uses_memory { needed(&settings.conditions()) } else { Vec::new() },
+            request,
+            own,
         }
     }
 
-    /// What a run that goes on was supplied with so far, if that is all it needs.
-    pub(super) fn kept(&self) -> Result<Option<Supply>> {
-        if self.needed.is_empty() {
-            return Ok(Some(Supply::nothing()));
-        }
-        if !self.has_episodes {
-            return Ok(None);
-        }
-        let holdings = self.own.ask(Some(&self.needed), false)?;
-        let all = holdings.documents.iter().all(|document| document.state == State::Current);
-        Ok(all.then(|| Supply::kept(holdings)))
-    }
-
-    /// The documents, built where they are missing or out of date. `None` when a signal asked to stop.
-    pub(super) fn supply(&self, signals: &Signals, quiet: bool) -> Result<Option<Supply>> {
-        if self.needed.is_empty() {
-            return Ok(Some(Supply::nothing()));
+    /// The documents: the run's own copies, and the others from their request, built if they are missing. `None` when a
+    /// signal asked to stop.
+    pub(super) fn supply(&self, signals: &Signals, quiet: bool) -> Result<Option<ReadyDocuments>> {
+        let mut documents = self.own_copies();
+        let others: Vec<DocumentName> = self.without(&documents);
+        if others.is_empty() {
+            return Ok(Some(ReadyDocuments::unlocked(documents)));
         }
         let mut progress = BuildProgress::new(quiet);
-        let supply =
-            self.library.ensure(&self.needed, false, signals.stop(), &mut |s| progress.show(s));
+        let ready =
+            self.request.ensure(&others, false, signals.stop(), &mut |stage| progress.show(stage));
         progress.close();
-        let supply = supply?;
-        if let Some(Supply { built, folder, .. }) = &supply
-            && !(built.is_empty() || quiet)
-        {
-            eprintln!("built {} in {}", listed(built), folder.display());
+        let Some(mut ready) = ready? else { return Ok(None) };
+        if !(ready.built.is_empty() || quiet) {
+            eprintln!(
+                "built {} in {}",
+                listed(&ready.built),
+                self.request.folder()?.path().display()
+            );
         }
-        Ok(supply)
+        documents.append(&mut ready.documents);
+        ready.documents = documents;
+        Ok(Some(ready))
     }
 
-    /// Bytes of the texts of those that are there; nothing where that cannot be told.
+    /// What the manifest would say now: about the run's own copies, and about the others that can be used.
+    pub(super) fn facts_now(&self) -> BTreeMap<String, DocumentFacts> {
+        facts(&self.usable())
+    }
+
+    /// Sizes of the texts that are ready, in bytes.
     pub(super) fn sizes(&self) -> BTreeMap<DocumentName, u64> {
-        if self.needed.is_empty() {
-            return BTreeMap::new();
-        }
-        // Why it cannot be told is said by `plan`.
-        let documents = self.library.ask(Some(&self.needed), false).map(|found| found.documents);
-        let documents = documents.unwrap_or_default().into_iter();
-        documents.filter_map(|document| Some((document.name, document.bytes?))).collect()
+        let usable = self.usable().into_iter();
+        usable
+            .filter_map(|stored| Some((stored.name, stored.document?.text.len() as u64)))
+            .collect()
     }
 
-    /// A line for a dry run, or nothing where no documents are needed.
+    /// A line for a dry run; empty if no documents are needed.
     pub(super) fn plan(&self) -> String {
         if self.needed.is_empty() {
             return String::new();
         }
-        let holdings = match self.library.ask(Some(&self.needed), false) {
-            Ok(holdings) => holdings,
-            Err(error) => {
-                return format!(
-                    "\nDocuments: {}; which are there cannot be told: {error:#}",
-                    listed(&self.needed)
-                );
-            }
-        };
-        let (current, others): (Vec<_>, Vec<_>) =
-            holdings.documents.iter().partition(|document| document.state == State::Current);
-        let names = |documents: Vec<&crate::documents::Holding>| {
-            listed(&documents.iter().map(|document| document.name).collect::<Vec<_>>())
-        };
-        let mut plan = format!("\nDocuments of {}:", holdings.folder.display());
-        if !current.is_empty() {
-            plan.push_str(&format!(" {} there;", names(current)));
+        let usable = self.usable();
+        let names: Vec<DocumentName> = usable.iter().map(|stored| stored.name).collect();
+        let missing = self.without(&usable);
+        let mut parts = Vec::new();
+        if !names.is_empty() {
+            parts.push(format!("{} ready", listed(&names)));
         }
-        if !others.is_empty() {
-            let verb = match self.library.builder {
-                Builder::Extractive => "to be built",
-                Builder::Model(_) | Builder::Anyone { .. } => "missing or out of date",
+        if !missing.is_empty() {
+            let state = match self.request.selection {
+                DocumentSelection::Recipe(_) => "to be built",
+                DocumentSelection::Model(_) | DocumentSelection::Any => "missing",
             };
-            plan.push_str(&format!(" {} {verb};", names(others)));
+            parts.push(format!("{} {state}", listed(&missing)));
         }
-        plan.pop();
-        plan.push('.');
-        plan
+        format!("\nDocuments: {}.", parts.join("; "))
+    }
+
+    /// The run's own copies of needed documents.
+    fn own_copies(&self) -> Vec<StoredDocument> {
+        let Some(own) = &self.own else { return Vec::new() };
+        let load = |&name: &DocumentName| {
+            let document = own.load_run_copy(name).ok()?;
+            Some(StoredDocument::current(own.run_copy(name), document))
+        };
+        self.needed.iter().filter_map(load).collect()
+    }
+
+    /// The run's own copies, and the other documents that can be used as they are. A request that cannot be read has none:
+    /// [`Self::supply`] reports why.
+    fn usable(&self) -> Vec<StoredDocument> {
+        let mut documents = self.own_copies();
+        let others = self.request.find(&self.without(&documents)).unwrap_or_default().into_iter();
+        documents.extend(others.filter(|stored| stored.state == DocumentState::Current));
+        documents
+    }
+
+    /// The needed documents that are not among `documents`.
+    fn without(&self, documents: &[StoredDocument]) -> Vec<DocumentName> {
+        let is_missing =
+            |name: &&DocumentName| documents.iter().all(|stored| stored.name != **name);
+        self.needed.iter().filter(is_missing).copied().collect()
     }
 }
 

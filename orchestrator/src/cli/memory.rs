@@ -4,14 +4,17 @@ use std::path::PathBuf;
 
 use anyhow::{Context, Result, bail};
 use clap::{Args, Subcommand, ValueEnum};
+use documents::{
+    DocumentFile, DocumentName, DocumentSelection, DocumentState, ModelRecipe, Recipe,
+    StoredDocument, kind,
+};
 use domain::DocumentKind;
-use indicatif::HumanBytes;
-use serde_json::Value;
+use serde_json::json;
 use shm_types::FrameSize;
 use warehouse::Demonstrations;
 
 use super::{Exit, print, print_json};
-use crate::documents::{Builder, DocumentName, Holding, Library, Model, kind};
+use crate::documents::{DocumentRequest, ModelServer};
 use crate::progress::BuildProgress;
 use crate::signals::Signals;
 use results::table::table;
@@ -19,11 +22,11 @@ use results::table::table;
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Documents are built from the selected demonstrations of all cases, by reading their frames. `run`
-builds what it needs by itself; building beforehand is for looking at them, and for those that a
-model writes.
+builds the extractive documents that it needs; build them here to read them, or to have a model
+write them. A document is never replaced by one of another model, frame size or world.
 
 Examples:
-  memtransfer memory build                        both kinds, from one and from four demonstrations
+  memtransfer memory build                        both kinds, of one and of four demonstrations
   memtransfer memory build --kind summary --demos irrelevant,confusable
   memtransfer memory build --builder model --base-url http://localhost:8000/v1 --model NAME
   memtransfer memory ls
@@ -35,11 +38,11 @@ pub(super) struct MemoryArgs {
 
 #[derive(Debug, Subcommand)]
 enum Verb {
-    /// Build documents that are missing or out of date
+    /// Build documents that are missing
     Build(BuildArgs),
-    /// List the documents there are, and whether they are what would be built
+    /// List documents, and whether they fit the current frame size and assets
     Ls(LsArgs),
-    /// Print a document, and on stderr where it comes from
+    /// Print a document, and its provenance to stderr
     Show(ShowArgs),
 }
 
@@ -48,74 +51,74 @@ struct BuildArgs {
     /// The demonstrations of every case they are made of, as in `run --demos`
     #[arg(long, value_name = "LIST", value_delimiter = ',', default_value = "original,4")]
     demos: Vec<Demonstrations>,
-    /// What they tell: summary (items, passages, routes), semantic (general knowledge)
+    /// The kinds: summary (items, passages, routes), semantic (general knowledge)
     #[arg(long, value_name = "LIST", value_delimiter = ',', default_value = "summary,semantic",
           value_parser = kind)]
     kind: Vec<DocumentKind>,
-    /// Who writes them
+    /// What builds them
     #[arg(long, value_name = "NAME", value_enum, default_value_t = BuilderName::Extractive)]
     builder: BuilderName,
-    /// Put them there [default: documents/<builder> in the cache folder]
+    /// The folder to put them into [default: documents in the cache folder]
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
-    /// Build them even if they are up to date or broken
+    /// Build them again even if they are current or broken
     #[arg(long)]
     force: bool,
-    /// Show no progress, only what goes wrong
+    /// Print only errors
     #[arg(long)]
     quiet: bool,
     #[command(flatten)]
     made_for: MadeFor,
     #[command(flatten)]
-    asked: AskedArgs,
+    model: ModelArgs,
 }
 
 /// How a model is asked.
 #[derive(Debug, Args)]
 #[command(next_help_heading = "With --builder model")]
-struct AskedArgs {
-    /// The model, as the server calls it
+struct ModelArgs {
+    /// The model, as its server calls it
     #[arg(long, value_name = "NAME", required_if_eq("builder", "model"))]
     model: Option<String>,
-    /// Where the server is, up to /v1 [default: $OPENAI_BASE_URL; the key is $OPENAI_API_KEY]
+    /// The server, up to /v1 [default: $OPENAI_BASE_URL; the key is $OPENAI_API_KEY]
     #[arg(long, value_name = "URL", requires = "model")]
     base_url: Option<String>,
-    /// Most characters of what it is asked at once [default: 100000]
+    /// The greatest number of characters in a prompt [default: 100000]
     #[arg(long, value_name = "N", requires = "model")]
     context_chars: Option<u32>,
-    /// Most tokens of an answer [default: 16000]
+    /// The greatest number of tokens in an answer [default: 16000]
     #[arg(long, value_name = "N", requires = "model")]
     max_tokens: Option<u32>,
-    /// Longest that one attempt may take [default: 300]
+    /// The longest time of one attempt [default: 300]
     #[arg(long, value_name = "SECONDS", requires = "model")]
     timeout: Option<u32>,
-    /// How often it is asked again when the server fails [default: 5]
+    /// How often a request is repeated when the server fails [default: 5]
     #[arg(long, value_name = "N", requires = "model")]
     max_retries: Option<u32>,
 }
 
-impl AskedArgs {
-    fn builder(self, builder: BuilderName) -> Result<Builder> {
+impl ModelArgs {
+    fn recipe(self, builder: BuilderName) -> Result<(Recipe, ModelServer)> {
         let Self { model, base_url, context_chars, max_tokens, timeout, max_retries } = self;
-        let name = match (builder, model) {
-            (BuilderName::Extractive, None) => return Ok(Builder::Extractive),
+        let model = match (builder, model) {
+            (BuilderName::Extractive, None) => {
+                return Ok((Recipe::Extractive, ModelServer::default()));
+            }
             (BuilderName::Extractive, Some(_)) => bail!("--model needs --builder model"),
             (BuilderName::Model, name) => name.context("--builder model needs --model NAME")?,
         };
-        let flags = [
-            ("--context-chars", context_chars),
-            ("--max-tokens", max_tokens),
-            ("--timeout", timeout),
-            ("--max-retries", max_retries),
-        ];
-        let flags = flags.into_iter().filter_map(|(flag, n)| Some((flag, n?.to_string())));
-        Ok(Builder::Model(Model { name, base_url, flags: flags.collect() }))
+        let recipe = ModelRecipe {
+            model,
+            context_chars: context_chars.map_or(ModelRecipe::CONTEXT_CHARS, |n| n as usize),
+            max_tokens: max_tokens.unwrap_or(ModelRecipe::MAX_TOKENS),
+        };
+        Ok((Recipe::Model(recipe), ModelServer { base_url, timeout, max_retries }))
     }
 }
 
 #[derive(Debug, Args)]
 struct LsArgs {
-    /// Those there [default: documents/<builder> in the cache folder, for every builder]
+    /// Their folder [default: documents in the cache folder]
     #[arg(long, value_name = "DIR")]
     documents: Option<PathBuf>,
     /// Print JSON
@@ -133,10 +136,13 @@ struct ShowArgs {
     /// Its demonstrations: original, 4, irrelevant, ...
     #[arg(value_name = "DEMOS")]
     demos: Demonstrations,
-    /// Who wrote it
-    #[arg(long, value_name = "NAME", value_enum, default_value_t = BuilderName::Extractive)]
-    builder: BuilderName,
-    /// The folder it lies in [default: documents/<builder> in the cache folder]
+    /// What built it [default: extractive, or model with --model]
+    #[arg(long, value_name = "NAME", value_enum)]
+    builder: Option<BuilderName>,
+    /// The model that wrote it
+    #[arg(long, value_name = "NAME")]
+    model: Option<String>,
+    /// Its folder [default: documents in the cache folder]
     #[arg(long, value_name = "DIR")]
     documents: Option<PathBuf>,
     /// Print text, provenance and state as JSON
@@ -146,7 +152,7 @@ struct ShowArgs {
     made_for: MadeFor,
 }
 
-/// What documents are made for: others are out of date.
+/// The world and frame size that documents are made for.
 #[derive(Debug, Args)]
 struct MadeFor {
     /// Use the layout, catalogue and cases in DIR instead of the built-in ones
@@ -167,24 +173,10 @@ enum BuilderName {
     Model,
 }
 
-impl BuilderName {
-    const fn word(self) -> &'static str {
-        match self {
-            Self::Extractive => "extractive",
-            Self::Model => "model",
-        }
-    }
-
-    /// To look at its documents, whichever version or model made them.
-    const fn anyone(self) -> Builder {
-        Builder::Anyone { of: self.word() }
-    }
-}
-
 impl MadeFor {
-    fn library(self, folder: Option<PathBuf>, builder: Builder) -> Library {
+    fn request(self, folder: Option<PathBuf>, selection: DocumentSelection) -> DocumentRequest {
         let Self { assets, frame_size } = self;
-        Library { folder, assets, frame_size, builder }
+        DocumentRequest { folder, assets, frame_size, selection, server: ModelServer::default() }
     }
 }
 
@@ -197,104 +189,125 @@ pub(super) fn run(args: MemoryArgs) -> Result<Exit> {
 }
 
 fn build(args: BuildArgs) -> Result<Exit> {
-    let builder = args.asked.builder(args.builder)?;
+    let (recipe, server) = args.model.recipe(args.builder)?;
     let mut wanted = Vec::new();
     for &demonstrations in &args.demos {
         if demonstrations == Demonstrations::NONE {
             bail!("--demos none: a document needs demonstrations");
         }
-        let names = args.kind.iter().map(|&kind| DocumentName { kind, demonstrations });
-        wanted.extend(names);
+        wanted.extend(args.kind.iter().map(|&kind| DocumentName { kind, demonstrations }));
     }
     wanted.sort_unstable();
     wanted.dedup();
     let signals = Signals::listen().context("cannot listen to signals")?;
-    let library = args.made_for.library(args.out, builder);
+    let request = args.made_for.request(args.out, DocumentSelection::Recipe(recipe));
+    let request = DocumentRequest { server, ..request };
     let mut progress = BuildProgress::new(args.quiet);
-    let supply =
-        library.ensure(&wanted, args.force, signals.stop(), &mut |stage| progress.show(stage));
+    let ready =
+        request.ensure(&wanted, args.force, signals.stop(), &mut |stage| progress.show(stage));
     progress.close();
-    let Some(supply) = supply? else {
+    let Some(ready) = ready? else {
+        eprintln!("stopped; give the same command again to continue");
         return Ok(Exit::Signal(signals.received().unwrap_or_default()));
     };
-    print(&overview(&supply.documents))?;
+    print(&overview(&ready.documents))?;
     if !args.quiet {
-        let (all, built) = (supply.documents.len(), supply.built.len());
-        eprintln!("{built} built, {} up to date, in {}", all - built, supply.folder.display());
+        let (all, built) = (ready.documents.len(), ready.built.len());
+        let folder = request.folder()?;
+        eprintln!("{built} built, {} current, in {}", all - built, folder.path().display());
     }
     Ok(Exit::Complete)
 }
 
 fn ls(args: LsArgs) -> Result<Exit> {
-    let MadeFor { assets, frame_size } = args.made_for;
-    let builders: &[BuilderName] = match args.documents {
-        // Whose they are is said in them.
-        Some(_) => &[BuilderName::Extractive],
-        None => BuilderName::value_variants(),
-    };
-    let mut documents = Vec::new();
-    for builder in builders {
-        let made_for = MadeFor { assets: assets.clone(), frame_size };
-        let library = made_for.library(args.documents.clone(), builder.anyone());
-        documents.extend(library.ask(None, false)?.documents);
-    }
+    let request = args.made_for.request(args.documents, DocumentSelection::Any);
+    let documents = request.list()?;
     if args.json {
         print_json(&documents)?;
-    } else {
-        print(&overview(&documents))?;
-        if documents.is_empty() {
-            eprintln!("no documents yet: `memtransfer memory build` makes them");
-        }
+        return Ok(Exit::Complete);
+    }
+    print(&overview(&documents))?;
+    let folder = request.folder()?;
+    match documents.len() {
+        0 => eprintln!(
+            "no documents in {}: `memtransfer memory build` makes them",
+            folder.path().display()
+        ),
+        _ => eprintln!("in {}", folder.path().display()),
     }
     Ok(Exit::Complete)
 }
 
 fn show(args: ShowArgs) -> Result<Exit> {
-    let ShowArgs { kind, demos: demonstrations, builder, documents, json, made_for } = args;
-    let library = made_for.library(documents, builder.anyone());
-    let name = DocumentName { kind, demonstrations };
-    let mut found = library.ask(Some(&[name]), true)?.documents;
-    let Some(Holding { text: Some(text), .. }) = found.first() else {
-        let problem = found.pop().and_then(|document| document.problem);
-        bail!("{}", problem.unwrap_or_else(|| format!("there is no document {name}")));
+    let selection = match (args.builder, args.model) {
+        (Some(BuilderName::Extractive), Some(_)) => bail!("--model needs --builder model"),
+        (Some(BuilderName::Model), model) | (None, model @ Some(_)) => {
+            DocumentSelection::Model(model)
+        }
+        (Some(BuilderName::Extractive), None) => DocumentSelection::Recipe(Recipe::Extractive),
+        // Whatever a given folder holds.
+        (None, None) if args.documents.is_some() => DocumentSelection::Any,
+        (None, None) => DocumentSelection::Recipe(Recipe::Extractive),
     };
-    if json {
-        print_json(&found[0])?;
+    let request = args.made_for.request(args.documents, selection);
+    let name = DocumentName { kind: args.kind, demonstrations: args.demos };
+    let Some(stored) = request.find(&[name])?.pop() else { bail!("there is no document {name}") };
+    let Some(DocumentFile { provenance, text, .. }) = &stored.document else {
+        bail!("{}", stored.problem.unwrap_or_else(|| format!("there is no document {name}")));
+    };
+    if args.json {
+        let mut document = serde_json::to_value(&stored)?;
+        document["text"] = json!(text);
+        print_json(&document)?;
         return Ok(Exit::Complete);
     }
-    for (key, value) in found[0].provenance.iter().flatten() {
-        match value {
-            Value::String(word) => eprintln!("{key}: {word}"),
-            other => eprintln!("{key}: {other}"),
+    eprintln!("file: {}", stored.file.display());
+    eprintln!("address: {}", stored.address.as_deref().unwrap_or("-"));
+    if let serde_json::Value::Object(facts) = serde_json::to_value(provenance)? {
+        for (key, value) in facts {
+            match value {
+                serde_json::Value::String(word) => eprintln!("{key}: {word}"),
+                other => eprintln!("{key}: {other}"),
+            }
         }
     }
-    eprintln!("state: {}\n", found[0].problem.as_deref().unwrap_or("current"));
+    eprintln!("state: {}\n", stored.problem.as_deref().unwrap_or(DocumentState::Current.word()));
     print(text)?;
     Ok(Exit::Complete)
 }
 
-fn overview(documents: &[Holding]) -> String {
-    let header =
-        ["document", "builder", "state", "size", "words", "demonstrations", "views", "file"];
-    let mut table = table(&header, 3);
-    for document in documents {
-        let count = |value: Option<u64>| value.map_or("-".to_owned(), |n| n.to_string());
-        let number = |key: &str| {
-            count(document.provenance.as_ref().and_then(|facts| facts.get(key)?.as_u64()))
-        };
-        let account = document.provenance.as_ref().and_then(|facts| facts.get("account"));
-        let model = account.and_then(|account| account.get("model")).and_then(Value::as_str);
-        let builder = document.said("builder").unwrap_or("-".to_owned());
+/// A table of documents, at most 100 columns wide.
+fn overview(documents: &[StoredDocument]) -> String {
+    let header = ["document", "address", "builder", "state", "size", "words", "made"];
+    let mut table = table(&header, 4);
+    for stored in documents {
+        let document = stored.document.as_ref();
+        let made = |cell: fn(&DocumentFile) -> String| document.map_or("-".to_owned(), cell);
         table.add_row([
-            document.name.to_string(),
-            model.map_or(builder.clone(), |model| format!("{builder} {model}")),
-            document.state.word().to_owned(),
-            document.bytes.map_or("-".to_owned(), |bytes| HumanBytes(bytes).to_string()),
-            count(document.words),
-            number("trajectories"),
-            number("views"),
-            document.file.display().to_string(),
+            stored.name.to_string(),
+            stored.address.clone().unwrap_or("-".to_owned()),
+            made(|file| match model_of(file) {
+                Some(model) => format!("model {model}"),
+                None => file.provenance.builder.clone(),
+            }),
+            stored.state.word().to_owned(),
+            made(|file| format!("{:.1} KiB", file.text.len() as f64 / 1024.0)),
+            made(|file| file.words().to_string()),
+            made(|file| {
+                let made = &file.provenance;
+                format!("of {} demonstrations, {} views", made.trajectories, made.views)
+            }),
         ]);
     }
     table.to_string()
+}
+
+/// The name of the model that wrote a document.
+fn model_of(file: &DocumentFile) -> Option<String> {
+    if file.provenance.builder != "model" {
+        return None;
+    }
+    let version = file.provenance.builder_version.split(", ");
+    let named = version.into_iter().find_map(|part| part.strip_prefix("model "));
+    named.map(str::to_owned).or_else(|| file.provenance.account.model.clone())
 }

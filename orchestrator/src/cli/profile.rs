@@ -10,7 +10,7 @@ use domain::{Representation, cache_folder};
 use shm_types::message::Role;
 use shm_types::{RunDir, registry};
 
-use super::documents::Documents;
+use super::documents::RunDocuments;
 use super::run::{attach, crewing, rules};
 use super::{Exit, print};
 use crate::commit::commit_of;
@@ -311,7 +311,7 @@ impl Scratch {
         };
         let purpose = if how.unseen { " (views become known)" } else { "" };
         args.say(format_args!("{}: {} episodes{purpose}", walk.name(), episodes.len()));
-        let Some(supply) = Documents::of(settings).supply(signals, args.quiet)? else {
+        let Some(supply) = RunDocuments::of(settings, true).supply(signals, args.quiet)? else {
             return Ok(None);
         };
         supply.copy_to(&RunFolder::documents_of(&settings.out))?;

@@ -13,7 +13,7 @@ use shm_types::message::{Role, WIRE_VERSION};
 use shm_types::process::{check_shared_memory, shared_memory_space};
 use shm_types::{Attach, FrameControl, FrameSize, RunDir, Wait, registry};
 
-use super::documents::Documents;
+use super::documents::RunDocuments;
 use super::{Exit, print};
 use crate::budget::Budget;
 use crate::estimate::{Basis, Estimate};
@@ -87,20 +87,16 @@ pub(super) fn run(args: RunArgs, matches: &ArgMatches) -> Result<Exit> {
     let episodes = episodes(&settings, &world)?;
     let mut manifest = manifest(&settings, &world, episodes.len());
     manifest.prices = prices(&settings)?;
+    let documents = RunDocuments::of(&settings, args.fresh);
     if args.dry_run {
+        manifest.documents = documents.facts_now();
         print(&dry_run(&settings, &world, &manifest, &episodes, args.fresh)?)?;
         return Ok(Exit::Complete);
     }
 
     let signals = Signals::listen().context("cannot listen to signals")?;
-    let documents = Documents::of(&settings);
-    let supply = if args.fresh { None } else { documents.kept()? };
-    let supply = match supply {
-        Some(kept) => kept,
-        None => match documents.supply(&signals, args.quiet)? {
-            Some(supply) => supply,
-            None => return Ok(Exit::Signal(signals.received().unwrap_or_default())),
-        },
+    let Some(supply) = documents.supply(&signals, args.quiet)? else {
+        return Ok(Exit::Signal(signals.received().unwrap_or_default()));
     };
     manifest.documents = supply.facts();
     let Opened { mut folder, finished, requests, notes } =
@@ -254,7 +250,7 @@ fn dry_run(
     let requests = |episodes: u64| {
         if settings.policy.has_process() { episodes * u64::from(settings.max_steps) } else { 0 }
     };
-    let plan = Documents::of(settings);
+    let plan = RunDocuments::of(settings, fresh);
     let sizes = if settings.model.is_some() { plan.sizes() } else { BTreeMap::new() };
     let basis = settings.model.as_ref().map(|model| Basis {
         settings,

@@ -1,4 +1,4 @@
-//! A run of simulator and memory alone, in which documents are built.
+//! Builds documents: starts a simulator and a memory process and follows their progress.
 
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -12,28 +12,31 @@ use shm_types::message::{
 use shm_types::process::check_shared_memory;
 use shm_types::{Attach, Bus, FrameSize, Receiver, RunDir, registry};
 
-use super::{DocumentName, Library, Stage, listed};
+use documents::{DocumentFolder, DocumentName, Recipe};
+
+use super::{BuildStage, DocumentRequest};
 use supervise::{Children, Launch};
 
-/// Views that are rendered ahead of being read.
+/// Views that are rendered before they are read.
 const VIEWS_AHEAD: u32 = 64;
 
-/// How often the loop looks after processes and signals when nobody rings.
+/// How often processes and signals are checked.
 const TICK: Duration = Duration::from_millis(50);
 
-/// How long processes may take to finish once they are told to.
-const FAREWELL_PATIENCE: Duration = Duration::from_secs(5);
+/// How long processes may take to end after the stop message.
+const SHUTDOWN_TIMEOUT: Duration = Duration::from_secs(5);
 
-/// Has `names` built in `folder`. Says whether that was done, and not broken off by `stop`.
+/// Builds documents in `folder`. Returns false when stopped.
 ///
 /// # Errors
 /// When the processes cannot be started, or one of them fails.
 pub(super) fn build(
-    library: &Library,
-    folder: &Path,
+    request: &DocumentRequest,
+    recipe: &Recipe,
+    folder: &DocumentFolder,
     names: &[DocumentName],
     stop: &AtomicBool,
-    tell: &mut dyn FnMut(Stage),
+    report: &mut dyn FnMut(BuildStage),
 ) -> Result<bool> {
     let base = registry::default_base();
     registry::clean(&base)?;
@@ -41,7 +44,7 @@ pub(super) fn build(
     let mut attach = Attach {
         participants: vec![Role::Sim, Role::Memory],
         window: 0,
-        frame: FrameSize { width: library.frame_size, height: library.frame_size },
+        frame: FrameSize { width: request.frame_size, height: request.frame_size },
         ..run.attach()
     };
     // An idle lane may pin two views.
@@ -50,14 +53,15 @@ pub(super) fn build(
     attach.write(&attach.root)?;
     let bus = Bus::join(attach, Role::Orchestrator)?;
     let inbox = Inbox::new(&bus)?;
-    tell(Stage::Starting);
-    let children =
-        Children::start(&launches(library, folder, names, run.path())?, &folder.join("logs"))?;
-    Building { children, inbox, bus: &bus, told: None }.see_through(stop, tell)
+    report(BuildStage::Starting);
+    let launches = launches(request, recipe, folder.path(), names, run.path())?;
+    let children = Children::start(&launches, &folder.path().join("logs"))?;
+    Build { children, inbox, bus: &bus, last_report: None }.run(stop, report)
 }
 
 fn launches(
-    library: &Library,
+    request: &DocumentRequest,
+    recipe: &Recipe,
     folder: &Path,
     names: &[DocumentName],
     root: &Path,
@@ -65,7 +69,7 @@ fn launches(
     let launch = |role, program| {
         let verb = if role == Role::Sim { "serve" } else { "build" };
         let mut args = vec![verb.into(), "--attach".into(), root.into()];
-        if let Some(assets) = &library.assets {
+        if let Some(assets) = &request.assets {
             args.extend(["--assets".into(), assets.into()]);
         }
         Launch::sibling(role, program, args)
@@ -73,12 +77,13 @@ fn launches(
     let sim = launch(Role::Sim, "sim-proc")?;
     let mut memory = launch(Role::Memory, "memory-proc")?;
     memory.args.extend(["--documents".into(), folder.into()]);
-    memory.args.extend(["--wanted".into(), listed(names).into()]);
-    memory.args.extend(library.builder.arguments());
+    let names: Vec<String> = names.iter().map(DocumentName::to_string).collect();
+    memory.args.extend(["--wanted".into(), names.join(",").into()]);
+    memory.args.extend(request.builder_flags(recipe));
     Ok(vec![sim, memory])
 }
 
-/// Everything that arrives.
+/// The messages of a build.
 struct Inbox {
     handshakes: Receiver<Handshake>,
     heartbeats: Receiver<Heartbeat>,
@@ -97,17 +102,17 @@ impl Inbox {
     }
 }
 
-/// The fields are dropped in order: the processes are gone before the services they use.
-struct Building<'a> {
+/// A build that is running. Fields are dropped in order: processes end before the services that they use.
+struct Build<'a> {
     children: Children,
     inbox: Inbox,
     bus: &'a Bus,
-    /// Stage that was told last: views come first.
-    told: Option<Stage>,
+    /// The last reported stage.
+    last_report: Option<BuildStage>,
 }
 
-impl Building<'_> {
-    fn see_through(mut self, stop: &AtomicBool, tell: &mut dyn FnMut(Stage)) -> Result<bool> {
+impl Build<'_> {
+    fn run(mut self, stop: &AtomicBool, report: &mut dyn FnMut(BuildStage)) -> Result<bool> {
         let mut error_report = None;
         loop {
             self.bus.listener().wait(TICK)?;
@@ -117,7 +122,7 @@ impl Building<'_> {
             self.inbox.handshakes.drain()?;
             for heartbeat in self.inbox.heartbeats.drain()? {
                 if heartbeat.role == Role::Memory as u32 {
-                    self.tell(heartbeat, tell);
+                    self.report(heartbeat, report);
                 }
             }
             for said in self.inbox.error_reports.drain()? {
@@ -138,17 +143,21 @@ impl Building<'_> {
         }
     }
 
-    /// Views are counted until none waits, then parts of documents.
-    fn tell(&mut self, heartbeat: Heartbeat, tell: &mut dyn FnMut(Stage)) {
+    /// Reports progress: of views until all are read, then of parts of documents.
+    fn report(&mut self, heartbeat: Heartbeat, report: &mut dyn FnMut(BuildStage)) {
         let (done, total) = (heartbeat.done, heartbeat.done.saturating_add(heartbeat.waiting));
-        let all_seen = match self.told {
-            Some(Stage::Writing(..)) => true,
-            Some(Stage::Views(done, total)) => done == total,
+        let all_seen = match self.last_report {
+            Some(BuildStage::Writing(..)) => true,
+            Some(BuildStage::Views(done, total)) => done == total,
             _ => false,
         };
-        let stage = if all_seen { Stage::Writing(done, total) } else { Stage::Views(done, total) };
-        self.told = Some(stage);
-        tell(stage);
+        let stage = if all_seen {
+            BuildStage::Writing(done, total)
+        } else {
+            BuildStage::Views(done, total)
+        };
+        self.last_report = Some(stage);
+        report(stage);
     }
 
     fn finish(self) -> Result<()> {
@@ -156,12 +165,11 @@ impl Building<'_> {
         for role in [Role::Sim, Role::Memory] {
             self.bus.notifier(role)?.notify()?;
         }
-        // Nobody is asked for an account; that they end is enough.
-        let deadline = Instant::now() + FAREWELL_PATIENCE;
+        let deadline = Instant::now() + SHUTDOWN_TIMEOUT;
         while Instant::now() < deadline && self.inbox.shutdown_reports.drain()?.is_empty() {
             self.bus.listener().wait(TICK)?;
         }
-        self.children.wait_or_kill(FAREWELL_PATIENCE);
+        self.children.wait_or_kill(SHUTDOWN_TIMEOUT);
         Ok(())
     }
 }

@@ -1,13 +1,14 @@
-//! The grounded policy on rendered views, in one process: the plates it reads compared with the catalogue, and
-//! cases run with each memory representation and under controls.
+//! The grounded policy on rendered views, without processes: what it reads in them compared with the
+//! truth of the warehouse, and cases walked with each memory representation and under controls.
 //!
-//! Pixel differences replace the encoder here.
+//! A pixel difference stands in for the encoder here, and small documents written from the same views for
+//! the builders' ones: what is tested is the policy.
 
 #![expect(clippy::unwrap_used, reason = "test helpers fail loudly")]
 
 mod documents;
-mod episodes;
-mod plates_read;
-mod recall;
-mod runner;
+mod reading;
+mod supply;
 mod views;
+mod walker;
+mod walking;

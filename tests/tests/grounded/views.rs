@@ -1,7 +1,6 @@
-//! Rendered views of the world.
+//! Views of the world, each rendered once as long as it is kept.
 
 use std::collections::HashMap;
-use std::hash::{DefaultHasher, Hash, Hasher};
 use std::sync::Arc;
 
 use domain::{Cell, Heading, Pose};
@@ -9,21 +8,20 @@ use policy_proc::FrameView;
 use sim_proc::renderer::{RenderSettings, Renderer, View};
 use warehouse::{Variant, Warehouse};
 
-/// Fields along each side of the coarse grid by which views are compared.
+/// Fields across and down of the small picture that views are compared by.
 const SIDE: usize = 28;
 
-/// A rendered view.
-pub(crate) struct Image {
+/// One view.
+pub(crate) struct Picture {
     id: u64,
     width: u32,
     height: u32,
-    content_hash: [u8; 16],
     pixels: Vec<u8>,
-    /// The sum of each channel over the fields of the coarse grid.
+    /// Sum of each channel over the fields of a coarse grid.
     fields: Vec<u32>,
 }
 
-impl Image {
+impl Picture {
     pub(crate) fn new(id: u64, width: u32, height: u32, pixels: Vec<u8>) -> Self {
         let mut fields = vec![0; SIDE * SIDE * 3];
         for (i, pixel) in pixels.chunks_exact(4).enumerate() {
@@ -33,36 +31,33 @@ impl Image {
                 fields[3 * field + channel] += u32::from(pixel[channel]);
             }
         }
-        let mut hasher = DefaultHasher::new();
-        pixels.hash(&mut hasher);
-        let content_hash = u128::from(hasher.finish()).to_le_bytes();
-        Self { id, width, height, content_hash, pixels, fields }
+        Self { id, width, height, pixels, fields }
     }
 
     pub(crate) fn frame(&self) -> FrameView<'_> {
         FrameView {
             id: self.id,
-            content_hash: self.content_hash,
+            content_hash: u128::from(self.id).to_le_bytes(),
             width: self.width,
             height: self.height,
             pixels: &self.pixels,
         }
     }
 
-    /// How much two images differ: 0 if they are equal.
+    /// How much two pictures differ: 0 for equal ones.
     pub(crate) fn distance(&self, other: &Self) -> u64 {
         let fields = self.fields.iter().zip(&other.fields);
         fields.map(|(&a, &b)| u64::from(a.abs_diff(b))).sum()
     }
 }
 
-/// A cache of rendered views.
+/// The views that were asked for so far.
 pub(crate) struct Views {
     renderer: Renderer,
-    rendered: HashMap<Pose, Arc<Image>>,
-    /// The closed cells of `rendered_closed`.
+    rendered: HashMap<Pose, Arc<Picture>>,
+    /// With barricades on these cells.
     closed: Vec<Cell>,
-    rendered_closed: HashMap<Pose, Arc<Image>>,
+    rendered_closed: HashMap<Pose, Arc<Picture>>,
     last_id: u64,
 }
 
@@ -73,8 +68,8 @@ impl Views {
         Self { renderer, rendered, closed: Vec::new(), rendered_closed, last_id: 0 }
     }
 
-    pub(crate) fn of(&mut self, pose: Pose, variant: &Variant) -> Arc<Image> {
-        // Views are large: besides the unchanged world's, only those of one other variant are kept.
+    pub(crate) fn of(&mut self, pose: Pose, variant: &Variant) -> Arc<Picture> {
+        // Views of one world at a time are kept beside those of the unchanged one: they are large.
         if !variant.closed().is_empty() && self.closed != variant.closed() {
             self.rendered_closed.clear();
             self.closed = variant.closed().to_vec();
@@ -85,13 +80,13 @@ impl Views {
             let image = self.renderer.render_image(View { pose, variant }).unwrap();
             let (width, height) = image.dimensions();
             self.last_id += 1;
-            Arc::new(Image::new(self.last_id, width, height, image.into_raw()))
+            Arc::new(Picture::new(self.last_id, width, height, image.into_raw()))
         };
         Arc::clone(rendered.entry(pose).or_insert_with(render))
     }
 }
 
-/// All poses, in a fixed order.
+/// Every pose there is, in a fixed order.
 pub(crate) fn poses(warehouse: &Warehouse) -> Vec<Pose> {
     let cells = warehouse.layout.free_cells();
     cells.flat_map(|cell| Heading::ALL.map(|heading| Pose { cell, heading })).collect()

@@ -52,8 +52,11 @@ pub struct Manifest {
 pub struct DocumentFacts {
     /// SHA-256 of its text, as hexadecimal digits.
     pub sha256: String,
-    /// Who wrote it.
+    /// What built it.
     pub builder: String,
+    /// Hash of everything that it depends on; absent in the manifests of earlier versions.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub address: Option<String>,
     /// Bytes of its text.
     pub bytes: u64,
     /// Words of its text.

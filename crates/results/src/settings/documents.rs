@@ -8,14 +8,14 @@ use serde::{Deserialize, Serialize};
 
 use crate::names::{UnknownName, serde_as_text};
 
-/// Where documents come from. Written `extractive`, `model`, or as a path, which has a slash.
+/// Where documents come from. Written `extractive`, `model`, `model:NAME`, or as a path, which has a slash.
 #[derive(Debug, Clone, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 pub enum DocumentSource {
     /// The deterministic builder that needs no model.
     Extractive,
-    /// The builder that asks a chat endpoint.
-    Model,
+    /// Documents that a model has written: the one named, or any.
+    Model(Option<String>),
     /// A folder that holds them.
     Folder(PathBuf),
 }
@@ -31,7 +31,10 @@ impl FromStr for DocumentSource {
     fn from_str(text: &str) -> Result<Self, UnknownDocuments> {
         match text {
             "extractive" => Ok(Self::Extractive),
-            "model" => Ok(Self::Model),
+            "model" => Ok(Self::Model(None)),
+            named if named.len() > "model:".len() && named.starts_with("model:") => {
+                Ok(Self::Model(Some(named["model:".len()..].to_owned())))
+            }
             path if path.contains('/') => Ok(Self::Folder(path.into())),
             word => {
                 let known = ["extractive", "model"];
@@ -45,7 +48,8 @@ impl fmt::Display for DocumentSource {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Extractive => f.pad("extractive"),
-            Self::Model => f.pad("model"),
+            Self::Model(None) => f.pad("model"),
+            Self::Model(Some(name)) => f.pad(&format!("model:{name}")),
             Self::Folder(path) => f.pad(&path.display().to_string()),
         }
     }
@@ -61,7 +65,8 @@ mod tests {
     fn documents_are_written_as_they_are_read() {
         for (text, expected) in [
             ("extractive", DocumentSource::Extractive),
-            ("model", DocumentSource::Model),
+            ("model", DocumentSource::Model(None)),
+            ("model:org/name", DocumentSource::Model(Some("org/name".into()))),
             ("./mine", DocumentSource::Folder("./mine".into())),
         ] {
             assert_eq!(text.parse().as_ref(), Ok(&expected));

@@ -1,4 +1,4 @@
-//! A scripted simulator, orchestrator, encoder and shelf of documents around one engine.
+//! A scripted simulator, orchestrator, encoder and documents around one engine.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -8,9 +8,9 @@ use shm_types::message::{NO_ACTION, NO_FRAME, ViewRequestKind};
 use warehouse::{CaseSet, Demonstrations, History, Start};
 
 use super::super::*;
-use crate::representation::testing::Shelf;
+use crate::representation::testing::TestDocuments;
 
-/// Stands for a renderer and an encoder: every pose has its own content and direction.
+/// Stands in for renderer and encoder: every pose has its own content and embedding.
 pub(super) fn content(pose: Pose) -> ContentHash {
     *blake3::hash(pose.to_string().as_bytes()).as_bytes().first_chunk().unwrap()
 }
@@ -20,7 +20,7 @@ pub(super) fn embedding(content: ContentHash) -> Embedding {
     Embedding::normalised(&raw).unwrap()
 }
 
-/// An episode that walks one of its case's trajectories in the unchanged world.
+/// An episode that follows one of its case's trajectories in the unchanged world.
 #[derive(Debug, Clone)]
 pub(super) struct Script {
     pub(super) config: MemoryEpisodeConfig,
@@ -28,12 +28,12 @@ pub(super) struct Script {
     pub(super) observations: Vec<Observation>,
 }
 
-/// What was answered, with poses in place of frames and texts in place of documents.
+/// An answer, with poses in place of frames and texts in place of documents.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Answer {
-    /// View and action.
+    /// Views and actions.
     pub(super) window: Vec<(Pose, u8)>,
-    /// View and action.
+    /// Views and actions.
     pub(super) segment: Vec<(Pose, u8)>,
     /// The distance's bits.
     pub(super) distance: u32,
@@ -62,8 +62,8 @@ pub(super) struct Rig {
     pub(super) releases: usize,
     pub(super) embedded: usize,
     pub(super) answers: BTreeMap<(u64, u32), Answer>,
-    pub(super) shelf: Shelf,
-    /// Poses whose views were asked for.
+    pub(super) documents: TestDocuments,
+    /// Poses whose views were requested.
     pub(super) asked: BTreeSet<Pose>,
     /// Frames that the simulator may have evicted.
     pub(super) gone: BTreeSet<FrameId>,
@@ -82,17 +82,17 @@ impl Rig {
             releases: 0,
             embedded: 0,
             answers: BTreeMap::new(),
-            shelf: Shelf::default(),
+            documents: TestDocuments::default(),
             asked: BTreeSet::new(),
             gone: BTreeSet::new(),
         }
     }
 
-    /// Episode `ticket` with the case's own four demonstrations and the standard settings.
+    /// Episode `id` with the case's own four demonstrations and the standard settings.
     pub(super) fn script(
         &self,
         lane: u32,
-        ticket: u64,
+        id: u64,
         case: u32,
         start: Start,
         representation: Representation,
@@ -106,7 +106,7 @@ impl Rig {
         let actions = &case.trajectory(start).actions;
         let last = replay.poses.len() - 1;
         let observation = |step: usize| Observation {
-            episode: ticket,
+            episode: id,
             frame: NO_FRAME,
             step: step as u32,
             lane,
@@ -118,7 +118,7 @@ impl Rig {
         };
         Script {
             config: MemoryEpisodeConfig {
-                episode: ticket,
+                episode: id,
                 lane,
                 case: case_index,
                 demonstrations: Demonstrations::ALL.bits(),
@@ -144,12 +144,12 @@ impl Rig {
         seen.frame = if seen.last == 1 { NO_FRAME } else { self.frame(pose) };
         if let Some(frame) = self.engine.observe(&seen, 1)? {
             assert_eq!(frame, seen.frame);
-            self.engine.show(seen.lane, content(pose), pose);
+            self.engine.current_view(seen.lane, content(pose), pose);
         }
         Ok(())
     }
 
-    /// One event of those that are due, by `choice`. Says whether there was any.
+    /// Processes one of the pending events, chosen by `choice`. Returns whether there was one.
     pub(super) fn work(&mut self, choice: usize) -> bool {
         for request in self.engine.take_view_requests() {
             if request.kind == ViewRequestKind::Pin as u8 {
@@ -167,7 +167,7 @@ impl Rig {
             }
         }
         while self.embedding.len() < 3 {
-            let Some((next, pose)) = self.engine.next_picture() else { break };
+            let Some((next, pose)) = self.engine.next_image() else { break };
             assert_eq!(next, content(pose));
             self.embedding.push(next);
         }
@@ -179,7 +179,7 @@ impl Rig {
         if choice < self.embedding.len() {
             let content = self.embedding.remove(choice);
             self.embedded += 1;
-            self.engine.embedded(content, embedding(content)).unwrap();
+            self.engine.add_embedding(content, embedding(content)).unwrap();
         } else if let Some(pose) = self.arriving.pop_front() {
             let frame = self.frame(pose);
             self.engine.view(pose, frame, content(pose), pose).unwrap();
@@ -187,10 +187,10 @@ impl Rig {
         true
     }
 
-    /// Collects what can be answered now; says whose lanes were answered.
+    /// Collects the answers that are possible now; returns their lanes.
     pub(super) fn collect(&mut self) -> Vec<u32> {
         let mut lanes = Vec::new();
-        for (recall, trace) in self.engine.answers(|| 5, &mut self.shelf).unwrap() {
+        for (recall, trace) in self.engine.answers(|| 5, &mut self.documents).unwrap() {
             let window = &recall.window[..recall.window_len as usize];
             let segment = &recall.segment[..recall.segment_len as usize];
             let pose = |frame: FrameId| self.frames[frame as usize - 1];
@@ -200,7 +200,7 @@ impl Rig {
             };
             let (mut texts, mut trajectories) = (Vec::new(), Vec::new());
             for &id in &recall.documents[..recall.documents_len as usize] {
-                let (episode, content) = &self.shelf.published[id as usize - 1];
+                let (episode, content) = &self.documents.published[id as usize - 1];
                 match content {
                     Content::Summary(text) | Content::Semantic(text) => {
                         assert_eq!(*episode, None, "a text is for the whole run");
@@ -231,8 +231,7 @@ impl Rig {
         lanes
     }
 
-    /// Runs episodes lane by lane to their ends, each lane's steps in order and everything else in the
-    /// order that `choices` say.
+    /// Runs episodes to their ends: the steps of a lane in order, everything else in the order of `choices`.
     pub(super) fn play(&mut self, episodes: &[Script], choices: impl Iterator<Item = usize>) {
         let mut lanes: BTreeMap<u32, VecDeque<&Script>> = BTreeMap::new();
         episodes.iter().for_each(|e| lanes.entry(e.config.lane).or_default().push_back(e));
@@ -274,23 +273,27 @@ impl Script {
     }
 }
 
-/// A demonstration, as far as a policy may be shown of it, and whose it is.
-pub(super) struct Walk {
+/// A replayed demonstration and its origin.
+pub(super) struct ReplayedDemonstration {
     pub(super) of: History,
     pub(super) poses: Vec<Pose>,
     /// Their codes, and [`NO_ACTION`] at the end.
     pub(super) actions: Vec<u8>,
 }
 
-/// What a set of demonstrations comes to for a case.
-pub(super) fn walks(rig: &Rig, case: usize, set: Demonstrations) -> Vec<Walk> {
+/// Replays a set of demonstrations for a case.
+pub(super) fn replay_set(
+    rig: &Rig,
+    case: usize,
+    set: Demonstrations,
+) -> Vec<ReplayedDemonstration> {
     let cases = &rig.engine.cases;
-    let walk = |of: History| {
+    let demonstration = |of: History| {
         let case = &cases.cases[of.case];
         let actions = case.trajectory(of.start).actions.iter();
         let poses = case.replay(&rig.engine.warehouse, of.start).poses;
         let actions = actions.map(|&action| action as u8).chain([NO_ACTION]).collect();
-        Walk { of, poses, actions }
+        ReplayedDemonstration { of, poses, actions }
     };
-    cases.histories(case, set).into_iter().map(walk).collect()
+    cases.histories(case, set).into_iter().map(demonstration).collect()
 }

@@ -1,13 +1,13 @@
-//! The rule of keyframes, on small walks by hand and on any walks by property.
+//! The choice of keyframes: examples by hand, and properties.
 
 use domain::Heading;
 use proptest::prelude::*;
 
-use super::super::testing::{Shelf, ingredients, walk};
-use super::super::{Situation, View};
+use super::super::testing::{TestDocuments, demonstration, spec};
+use super::super::{RecallQuery, StoredView};
 use super::*;
 
-/// A walk that takes `actions`, completing a sub-goal at each of `goals`; pose `t` is unlike any other.
+/// A demonstration that takes `actions`, completing a sub-goal at each of `goals`; pose `t` is unlike any other.
 fn acted(actions: &str, goals: &[usize]) -> Demonstration {
     let actions: Vec<Action> = actions.chars().filter_map(Action::from_letter).collect();
     let steps = 0..=actions.len();
@@ -23,7 +23,7 @@ fn acted(actions: &str, goals: &[usize]) -> Demonstration {
 #[test]
 fn a_share_goes_to_start_end_sub_goals_turns_and_then_evenly() {
     // Steps 0 to 15: sub-goals at 5 and 15, turns at 3, 6 and 12.
-    let walk = acted("fffRffLfffffUff", &[5, 15]);
+    let demonstration = acted("fffRffLfffffUff", &[5, 15]);
     for (share, expected) in [
         (0, vec![]),
         (1, vec![0]),
@@ -37,13 +37,17 @@ fn a_share_goes_to_start_end_sub_goals_turns_and_then_evenly() {
         (16, (0..16).collect()),
         (40, (0..16).collect()),
     ] {
-        assert_eq!(keyframes(&walk, share), expected, "a share of {share}");
+        assert_eq!(keyframes(&demonstration, share), expected, "a share of {share}");
     }
-    assert_eq!(keyframes(&acted("", &[0]), 40), [0], "a walk of one frame is its start");
+    assert_eq!(
+        keyframes(&acted("", &[0]), 40),
+        [0],
+        "a demonstration of one frame consists of its start"
+    );
 }
 
 #[test]
-fn the_budget_is_shared_fairly_and_what_one_leaves_the_others_take() {
+fn the_budget_is_shared_fairly() {
     for (lengths, budget, expected) in [
         (vec![], 40, vec![]),
         (vec![90], 40, vec![40]),
@@ -60,20 +64,20 @@ fn the_budget_is_shared_fairly_and_what_one_leaves_the_others_take() {
 }
 
 /// The published steps, and the document they are in.
-fn steps(walks: &[Demonstration], keyframes: usize) -> (Vec<TrajectoryStep>, usize) {
-    let blueprint = FullContext::new(Ingredients { keyframes, ..ingredients(walks.to_vec()) });
-    assert!(blueprint.poses().is_sorted_by(|a, b| a < b));
-    let mut views = Views::default();
-    for &pose in blueprint.poses() {
+fn steps(demonstrations: &[Demonstration], keyframes: usize) -> (Vec<TrajectoryStep>, usize) {
+    let builder = FullContext::new(MemorySpec { keyframes, ..spec(demonstrations.to_vec()) });
+    assert!(builder.poses().is_sorted_by(|a, b| a < b));
+    let mut views = StoredViews::default();
+    for &pose in builder.poses() {
         let frame = frame(pose);
-        views.insert(pose, View { frame, content: [0; 16], embedding: None });
+        views.insert(pose, StoredView { frame, content: [0; 16], embedding: None });
     }
-    let mut shelf = Shelf::default();
-    let memory = blueprint.build(&views, &mut shelf).unwrap();
-    let supply = memory.access(&Situation { embedding: None, stage: 0, elapsed: 3 });
+    let mut documents = TestDocuments::default();
+    let memory = builder.build(&views, &mut documents).unwrap();
+    let supply = memory.recall(&RecallQuery { embedding: None, stage: 0, elapsed: 3 });
     assert_eq!((supply.segment, supply.documents.as_slice()), (None, &[1][..]));
-    assert_eq!(shelf.published.len(), 1);
-    let Some((Some((1, 7)), Content::Trajectories(steps))) = shelf.published.pop() else {
+    assert_eq!(documents.published.len(), 1);
+    let Some((Some((1, 7)), Content::Trajectories(steps))) = documents.published.pop() else {
         panic!("a document of trajectories for the episode")
     };
     (steps, views.len())
@@ -84,62 +88,62 @@ fn frame(pose: Pose) -> u64 {
 }
 
 #[test]
-fn a_place_seen_twice_is_held_once_and_may_be_shown_twice() {
-    let (steps, views) = steps(&[walk(0, 5, 9), walk(3, 7, 4)], 40);
+fn a_view_seen_twice_is_pinned_once_and_may_be_shown_twice() {
+    let (steps, views) = steps(&[demonstration(0, 5, 9), demonstration(3, 7, 4)], 40);
     assert_eq!((steps.len(), views), (15, 10));
     assert!(steps.iter().all(|step| step.frame != NO_FRAME));
 }
 
 proptest! {
     #[test]
-    fn the_rule_holds_for_any_walks(
-        walks in prop::collection::vec(
+    fn the_rule_holds_for_any_demonstrations(
+        demonstrations in prop::collection::vec(
             ("[fblrLRU]{0,120}", prop::collection::btree_set(0..121_usize, 0..9)), 0..6
         ),
         budget in 0..60_usize,
     ) {
-        let walks: Vec<Demonstration> = walks
+        let demonstrations: Vec<Demonstration> = demonstrations
             .iter()
             .map(|(actions, goals)| acted(actions, &goals.iter().copied().collect::<Vec<_>>()))
             .collect();
-        let (steps, _) = steps(&walks, budget);
-        let all: usize = walks.iter().map(|walk| walk.poses.len()).sum();
+        let (steps, _) = steps(&demonstrations, budget);
+        let all: usize = demonstrations.iter().map(|demonstration| demonstration.poses.len()).sum();
         let shown = steps.iter().filter(|step| step.frame != NO_FRAME).count();
         prop_assert_eq!(shown, budget.min(all), "the whole budget, and never more");
         let chosen = steps.chunk_by(|a, b| a.trajectory == b.trajectory).collect::<Vec<_>>();
-        prop_assert_eq!(chosen.len(), walks.len());
+        prop_assert_eq!(chosen.len(), demonstrations.len());
         let shares: Vec<usize> = chosen
             .iter()
             .map(|steps| steps.iter().filter(|step| step.frame != NO_FRAME).count())
             .collect();
-        for (number, (steps, walk)) in chosen.iter().zip(&walks).enumerate() {
+        for (number, (steps, demonstration)) in chosen.iter().zip(&demonstrations).enumerate() {
             prop_assert_eq!(usize::from(steps[0].trajectory), number);
             // Every action, in order, and none after the end.
-            let actions: Vec<u8> = walk.actions.iter().map(|&action| action as u8).collect();
+            let actions: Vec<u8> = demonstration.actions.iter().map(|&action| action as u8).collect();
             let (last, before) = steps.split_last().unwrap();
             prop_assert_eq!(before.iter().map(|step| step.action).collect::<Vec<_>>(), actions);
             prop_assert_eq!(last.action, NO_ACTION);
-            for (step, &pose) in steps.iter().zip(&walk.poses) {
+            for (step, &pose) in steps.iter().zip(&demonstration.poses) {
                 prop_assert!(step.frame == NO_FRAME || step.frame == frame(pose));
             }
-            if budget >= 2 * walks.len() {
+            if budget >= 2 * demonstrations.len() {
                 prop_assert!(steps[0].frame != NO_FRAME && last.frame != NO_FRAME);
             }
-            // Nothing is kept while something more important is left out.
+            // A moment is kept only if all more important moments are.
             let moments = |kept: bool| {
                 let these = steps.iter().enumerate();
                 these
                     .filter(move |(_, step)| (step.frame != NO_FRAME) == kept)
-                    .map(|(at, _)| Moment::of(walk, at) as u8)
+                    .map(|(at, _)| Moment::of(demonstration, at) as u8)
             };
             if let (Some(least), Some(most)) = (moments(true).max(), moments(false).min()) {
                 prop_assert!(least <= most);
             }
-            // A smaller share is all a walk has; shares differ by one otherwise, the earlier ones larger.
+            // A smaller share is the whole demonstration. Other shares differ by one at most; earlier ones are larger.
             for (other, theirs) in shares.iter().enumerate() {
                 let mine = shares[number];
                 let fair = theirs + usize::from(number < other);
-                prop_assert!(mine <= fair || *theirs == walks[other].poses.len());
+                prop_assert!(mine <= fair || *theirs == demonstrations[other].poses.len());
             }
         }
     }

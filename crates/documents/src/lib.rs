@@ -1,0 +1,43 @@
+//! Documents: texts that are built from the demonstrations of all cases before a run, and supplied by summary, semantic
+//! and hybrid memory.
+//!
+//! A document is addressed by everything that it depends on: its [name](DocumentName), the [recipe](Recipe) that it was
+//! built with (builder, model, prompts, limits) and its [sources](Sources) (demonstrations, layout, catalogue, frame
+//! size, version of this program). Documents with different addresses lie side by side in a [folder](DocumentFolder);
+//! building one never replaces another.
+//!
+//! What is not here: how a text is written (memory-proc), and when documents are built (orchestrator).
+
+mod file;
+mod folder;
+mod name;
+mod recipe;
+mod sources;
+
+pub use file::{BuildAccount, DocumentError, DocumentFile, MAX_TEXT_BYTES, Provenance};
+pub use folder::{DocumentFolder, DocumentSelection, DocumentState, StoredDocument};
+pub use name::{DocumentName, UnknownDocument, kind};
+pub use recipe::{EXTRACTIVE_VERSION, ModelRecipe, PROMPT_VERSION, Recipe};
+pub use sources::Sources;
+
+use sha2::{Digest, Sha256};
+
+/// The SHA-256 of a text, in hexadecimal digits.
+fn sha256_of(text: &str) -> String {
+    hex(&Sha256::digest(text))
+}
+
+/// The hexadecimal digits of `bytes`.
+pub fn hex(bytes: &[u8]) -> String {
+    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+/// The SHA-256 of several parts, each preceded by its length, in hexadecimal digits.
+fn sha256_of_parts<'a>(parts: impl IntoIterator<Item = &'a str>) -> String {
+    let mut hasher = Sha256::new();
+    for part in parts {
+        hasher.update((part.len() as u64).to_le_bytes());
+        hasher.update(part);
+    }
+    hex(&hasher.finalize())
+}

@@ -1,0 +1,298 @@
+//! The builder with a scripted model.
+
+use std::sync::Arc;
+
+use domain::{Action, Cell, Feedback, Heading, Pose};
+use plates::{Landmark, Plate};
+use tempfile::TempDir;
+
+use super::super::{Seen, Step};
+use super::*;
+
+pub(super) fn reply(content: ReplyContent) -> ChatReply {
+    ChatReply {
+        content,
+        model: Some("scripted-1".into()),
+        prompt_tokens: Some(100),
+        completion_tokens: Some(10),
+        cached_tokens: None,
+        image_tokens: None,
+        finish_reason: None,
+        system_fingerprint: None,
+        reasoned: false,
+    }
+}
+
+fn says(text: impl Into<String>) -> ChatReply {
+    reply(ReplyContent::Text(text.into()))
+}
+
+/// A demonstration: past a barrel, to a cone behind a turn.
+fn transcript(instruction: &str) -> Transcript {
+    let barrel = Landmark {
+        standpoint: Cell::new(3, 5),
+        face: Heading::W,
+        plate: Plate::new("barrels", "blue barrel"),
+    };
+    let cone = Landmark { plate: Plate::new("cones", "orange cone"), ..barrel };
+    let (none, one, both) = (vec![], vec![barrel], vec![barrel, cone]);
+    let step = |y, heading, feedback, landmarks: &Vec<_>, completed, action| Step {
+        pose: Pose::new(3, y, heading),
+        feedback,
+        seen: Arc::new(Seen { frame: [0; 16], landmarks: landmarks.clone() }),
+        completed,
+        action,
+    };
+    use Heading::{N, W};
+    let forward = Some(Action::Forward);
+    Transcript {
+        instruction: instruction.into(),
+        steps: vec![
+            step(2, N, Feedback::Start, &one, 0, forward),
+            step(3, N, Feedback::Moved, &one, 0, forward),
+            step(4, N, Feedback::Moved, &none, 0, forward),
+            step(4, N, Feedback::Blocked, &none, 0, forward),
+            step(5, N, Feedback::Moved, &none, 1, Some(Action::TurnLeft)),
+            step(5, W, Feedback::Turned, &both, 1, None),
+        ],
+    }
+}
+
+fn transcripts(count: usize) -> Vec<Transcript> {
+    (0..count).map(|_| transcript("Find a blue barrel.")).collect()
+}
+
+/// A recipe whose prompts of `stage` have room for `count` demonstrations beside `other` characters.
+fn room_for(stage: Stage, count: usize, other: usize) -> ModelRecipe {
+    let words = stage.prompt(0, &[("limit", "2000")]).chars();
+    let one = chars(&narration::narrate(1, &transcripts(1)[0])) + 20;
+    let context_chars = words + count * one + other;
+    ModelRecipe { model: "m".into(), context_chars, max_tokens: 1000 }
+}
+
+struct Bench {
+    folder: TempDir,
+}
+
+impl Bench {
+    fn new() -> Self {
+        Self { folder: tempfile::tempdir().unwrap() }
+    }
+
+    /// Builds; the result, and the prompts that were sent.
+    fn build(
+        &self,
+        kind: DocumentKind,
+        count: usize,
+        recipe: &ModelRecipe,
+        mut script: impl FnMut(usize, &Prompt) -> anyhow::Result<ChatReply>,
+    ) -> (anyhow::Result<BuiltText>, Vec<Prompt>) {
+        let mut asked = Vec::new();
+        let ask = |prompt: &Prompt, _: &mut dyn FnMut()| {
+            asked.push(prompt.clone());
+            script(asked.len(), prompt)
+        };
+        let steps = self.folder.path().join("summary-4.steps");
+        let mut builder = ModelBuilder::new(ask, recipe.clone());
+        let mut seen = Vec::new();
+        let mut progress = |done, of| seen.push((done, of));
+        let built = builder.build(kind, &transcripts(count), &steps, &mut progress);
+        assert!(seen.is_sorted(), "{seen:?}");
+        if built.is_ok() {
+            assert!(seen.last().is_some_and(|(done, of)| done == of), "{seen:?}");
+        }
+        drop(builder);
+        (built, asked)
+    }
+
+    fn steps(&self) -> Vec<String> {
+        let folder = self.folder.path().join("summary-4.steps");
+        let entries = std::fs::read_dir(folder).unwrap();
+        let mut names: Vec<_> =
+            entries.map(|entry| entry.unwrap().file_name().into_string().unwrap()).collect();
+        names.sort();
+        names
+    }
+}
+
+#[test]
+fn a_demonstration_in_words() {
+    insta::assert_snapshot!(narration::narrate(7, &transcript("Find a blue barrel.")), @r#"
+    ## Demonstration 7
+    Task: "Find a blue barrel."
+    - start: at (3, 2) facing N
+    - sees blue barrel [plate 554-611]: stand at (3, 5) facing W
+    - move forward 3: at (3, 4) facing N
+    - the way is blocked
+    - move forward: at (3, 5) facing N
+    - sub-goal 1 of the task is completed
+    - turn left: at (3, 5) facing W
+    - sees item [plate 316-110]: stand at (3, 5) facing W
+    "#);
+}
+
+#[test]
+fn a_summary_goes_on_from_the_one_before() {
+    let recipe = room_for(Stage::Summary, 2, 60);
+    let script = |number, _: &Prompt| Ok(says(format!("# Summary {number}")));
+    let (built, asked) = Bench::new().build(DocumentKind::Summary, 5, &recipe, script);
+    let built = built.unwrap();
+    assert_eq!(built.text, "# Summary 3\n");
+    assert_eq!(
+        built.account,
+        BuildAccount {
+            model: Some("scripted-1".into()),
+            prompt_version: Some(PROMPT_VERSION),
+            requests: Some(3),
+            cut_off: Some(0),
+            prompt_tokens: Some(300),
+            completion_tokens: Some(30),
+        }
+    );
+    let numbers = |prompt: &Prompt| {
+        (1..=5).filter(|n| prompt.user.contains(&format!("## Demonstration {n}\n"))).collect()
+    };
+    let shown: Vec<Vec<u32>> = asked.iter().map(numbers).collect();
+    assert_eq!(shown, [vec![1, 2], vec![3, 4], vec![5]]);
+    assert!(asked[0].user.contains("(There is none yet.)"));
+    assert!(asked[1].user.contains("# Summary 1\n") && !asked[2].user.contains("Summary 1"));
+    let longest = asked.iter().map(Prompt::chars);
+    assert!(longest.max().is_some_and(|chars| chars <= recipe.context_chars));
+}
+
+#[test]
+fn knowledge_is_extracted_consolidated_and_refined() {
+    // Notes that fit twice into a prompt, so that four sets of them take two rounds.
+    let recipe = room_for(Stage::Extract, 1, 0);
+    let consolidate = room_for(Stage::Consolidate, 0, 0).context_chars;
+    let notes = "n".repeat((recipe.context_chars - consolidate) / 2 - 20);
+    let bench = Bench::new();
+    let (built, asked) = bench.build(DocumentKind::Semantic, 4, &recipe, |number, _| {
+        Ok(says(if number == 8 { "# Knowledge".to_owned() } else { notes.clone() }))
+    });
+    let built = built.unwrap();
+    assert_eq!((&*built.text, built.account.requests), ("# Knowledge\n", Some(8)));
+    assert_eq!(asked.len(), 8);
+    assert_eq!(
+        bench.steps(),
+        [
+            "001-extract.json",
+            "002-extract.json",
+            "003-extract.json",
+            "004-extract.json",
+            "005-consolidate.json",
+            "006-consolidate.json",
+            "007-consolidate.json",
+            "008-refine.json",
+        ]
+    );
+    assert!(asked[4].user.contains("## Notes 2\n") && !asked[4].user.contains("## Notes 3"));
+}
+
+#[test]
+fn a_build_that_was_stopped_goes_on_and_a_finished_one_asks_nothing() {
+    for kind in [DocumentKind::Summary, DocumentKind::Semantic] {
+        let recipe = room_for(Stage::Summary, 1, 60);
+        let fails_at = |number, _: &Prompt| match number {
+            3 => bail!("the server is gone"),
+            _ => Ok(says(format!("# Text {number}"))),
+        };
+        let bench = Bench::new();
+        let (built, asked) = bench.build(kind, 4, &recipe, fails_at);
+        let error = format!("{:#}", built.unwrap_err());
+        assert!(error.contains("the server is gone"), "{error}");
+        assert_eq!((asked.len(), bench.steps().len()), (3, 2));
+
+        let (built, rest) =
+            bench.build(kind, 4, &recipe, |n, _| Ok(says(format!("# Text {}", n + 2))));
+        let whole = Bench::new().build(kind, 4, &recipe, |n, _| Ok(says(format!("# Text {n}"))));
+        assert_eq!(built.as_ref().unwrap(), &whole.0.unwrap());
+        assert_eq!([&asked[..2], &rest].concat(), whole.1, "nothing is asked twice");
+
+        let unreachable = |_, _: &Prompt| -> anyhow::Result<ChatReply> { panic!("asked") };
+        let (again, _) = bench.build(kind, 4, &recipe, unreachable);
+        assert_eq!(again.unwrap(), built.unwrap());
+    }
+}
+
+#[test]
+fn what_was_not_counted_is_absent() {
+    let recipe = room_for(Stage::Summary, 1, 60);
+    let script = |number, _: &Prompt| {
+        let prompt_tokens = (number != 2).then_some(7);
+        Ok(ChatReply { model: None, prompt_tokens, ..says("# Summary") })
+    };
+    let (built, _) = Bench::new().build(DocumentKind::Summary, 3, &recipe, script);
+    let BuildAccount { model, prompt_tokens, completion_tokens, .. } = built.unwrap().account;
+    assert_eq!((model, prompt_tokens, completion_tokens), (None, None, Some(30)));
+}
+
+#[test]
+fn an_answer_that_is_none_fails_the_build_and_is_not_kept() {
+    for (content, expected) in [
+        (ReplyContent::Empty, "answer is empty"),
+        (ReplyContent::Refusal("No.".into()), "refused to answer: \"No.\""),
+        (ReplyContent::Text("```\n```".into()), "has no text in it"),
+        (ReplyContent::Length("# Summ".into()), "cut off before its first sentence ended"),
+    ] {
+        let (bench, recipe) = (Bench::new(), room_for(Stage::Summary, 9, 60));
+        let script = |_, _: &Prompt| Ok(reply(content.clone()));
+        let (built, _) = bench.build(DocumentKind::Summary, 1, &recipe, script);
+        let error = format!("{:#}", built.unwrap_err());
+        assert!(error.contains(expected), "{error}");
+        assert!(bench.steps().is_empty());
+    }
+}
+
+#[test]
+fn what_models_wrap_around_an_answer_is_taken_off() {
+    for (content, text, expected) in [
+        (ReplyContent::Text as fn(String) -> _, " # A\nb\n", Some("# A\nb")),
+        (ReplyContent::Text, "```markdown\n# A\nb\n```\n", Some("# A\nb")),
+        (ReplyContent::Length, "```\n# A\nb\nhal", Some("# A\nb")),
+        (ReplyContent::Length, "# A\nb\nhal", Some("# A\nb")),
+        (ReplyContent::Length, "A. B. hal", Some("A. B.")),
+        (ReplyContent::Length, "half", None),
+        (ReplyContent::Text, "```", None),
+    ] {
+        assert_eq!(text_of(&reply(content(text.into()))), expected, "{text:?}");
+    }
+}
+
+#[test]
+fn an_answer_that_was_cut_off_is_counted() {
+    let recipe = room_for(Stage::Summary, 9, 60);
+    let script = |_, _: &Prompt| Ok(reply(ReplyContent::Length("# A\nb\nhal".into())));
+    let built = Bench::new().build(DocumentKind::Summary, 1, &recipe, script).0.unwrap();
+    assert_eq!((&*built.text, built.account.cut_off), ("# A\nb\n", Some(1)));
+}
+
+#[test]
+fn what_does_not_fit_is_said_before_anybody_is_asked() {
+    let long = "n".repeat(4000);
+    for (kind, stage, told, asked_before, expected) in [
+        (DocumentKind::Summary, Stage::Summary, 0, 0, "demonstration 1 has"),
+        (DocumentKind::Summary, Stage::Summary, 1, 1, "beside a summary of 4000"),
+        (DocumentKind::Semantic, Stage::Extract, 0, 0, "for the stage `extract`"),
+        (DocumentKind::Semantic, Stage::Extract, 1, 3, "for the stage `consolidate`"),
+    ] {
+        let recipe = room_for(stage, told, 30);
+        let (built, asked) = Bench::new().build(kind, 3, &recipe, |_, _| Ok(says(&long)));
+        let error = format!("{:#}", built.unwrap_err());
+        assert!(error.contains(expected), "{error}");
+        assert_eq!(asked.len(), asked_before);
+    }
+}
+
+#[test]
+fn a_document_is_not_made_of_nothing_and_not_without_bounds() {
+    for kind in [DocumentKind::Summary, DocumentKind::Semantic] {
+        let recipe = room_for(Stage::Summary, 1, 60);
+        let (built, _) = Bench::new().build(kind, 0, &recipe, |_, _| Ok(says("# A")));
+        assert!(format!("{:#}", built.unwrap_err()).contains("there are no demonstrations"));
+    }
+    let recipe = ModelRecipe { context_chars: 100_000, ..room_for(Stage::Summary, 1, 60) };
+    let long = "n".repeat(MAX_DOCUMENT_BYTES + 1);
+    let (built, _) = Bench::new().build(DocumentKind::Summary, 1, &recipe, |_, _| Ok(says(&long)));
+    assert!(format!("{:#}", built.unwrap_err()).contains("at most 262144 fit"));
+}

@@ -1,0 +1,335 @@
+//! `memory-proc profile`: how long a search takes, by the size of the memory.
+//!
+//! Prints one measurement a line: a kind of search, a size and a number of queries in one call.
+
+use std::io::Write;
+use std::num::NonZeroUsize;
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, bail};
+use hdrhistogram::Histogram;
+use search::synthetic::SyntheticVectors;
+use search::{
+    ApproximateIndex, Embedding, GraphOptions, Index, IndexBuilder, Neighbour, Query, ViewEntry,
+};
+use serde::Serialize;
+
+/// Queries in one call, for the two measurements of each size.
+const BATCHES: [usize; 2] = [1, 64];
+
+/// Different queries of a measurement, which are repeated.
+const QUERIES: usize = 4096;
+
+/// Queries that recall is measured with.
+const RECALL_QUERIES: usize = 1000;
+
+/// Vectors generated together while a memory is filled.
+const FILL_CHUNK: usize = 16_384;
+
+/// What to measure.
+#[derive(Debug, Clone)]
+pub struct ProfileSettings {
+    /// Sizes of the memory.
+    pub entries: Vec<u32>,
+    /// Whether to measure the exact search.
+    pub exact: bool,
+    /// Whether to measure the approximate search.
+    pub approximate: bool,
+    /// How the graph of the approximate search is built.
+    pub graph: GraphOptions,
+    /// Candidates that the approximate search considers; one measurement each.
+    pub searching: Vec<usize>,
+    /// The greatest number of queries in a measurement.
+    pub queries: usize,
+    /// The longest time of a measurement, in seconds.
+    pub seconds: f64,
+    /// The greatest number of threads of a search.
+    pub threads: NonZeroUsize,
+}
+
+/// A measurement.
+#[derive(Debug, Clone, Serialize)]
+pub struct SearchMeasurement {
+    /// Size of the memory.
+    pub entries: u32,
+    /// Numbers in a vector.
+    pub dimension: usize,
+    /// Entries that are embeddings of images.
+    pub real: u32,
+    /// `exact` or `approximate`.
+    pub search: &'static str,
+    /// Candidates considered in the graph; absent for exact search.
+    pub searching: Option<usize>,
+    /// Queries in one call.
+    pub batch: usize,
+    /// Threads of the search.
+    pub threads: usize,
+    /// Seconds that preparing the search took, without generating the vectors.
+    pub build_s: f64,
+    /// Size of the memory in bytes.
+    pub bytes: usize,
+    /// Number of queries.
+    pub queries: usize,
+    /// Time of a call.
+    pub latency_ns: SearchLatency,
+    /// Queries answered in a second.
+    pub queries_per_s: f64,
+    /// Bytes read in a second; absent for approximate search.
+    pub bytes_per_s: Option<f64>,
+    /// Share of queries whose nearest entry was found.
+    pub recall_at_1: f64,
+    /// Share of the queries' ten nearest entries that were found.
+    pub recall_at_10: f64,
+}
+
+/// Percentiles, in nanoseconds.
+#[derive(Debug, Clone, Copy, Default, Serialize)]
+pub struct SearchLatency {
+    /// The median.
+    pub p50: u64,
+    /// The 90th percentile.
+    pub p90: u64,
+    /// The 99th percentile.
+    pub p99: u64,
+    /// The 99.9th percentile.
+    pub p999: u64,
+    /// The maximum.
+    pub max: u64,
+}
+
+/// Measures, and writes each measurement as a line of JSON as soon as it is finished.
+///
+/// # Errors
+/// When a memory does not fit into this machine's, or a line cannot be written.
+pub fn run(
+    settings: &ProfileSettings,
+    vectors: &SyntheticVectors,
+    out: &mut impl Write,
+) -> anyhow::Result<()> {
+    for &entries in &settings.entries {
+        check_memory(entries, vectors.dimension())?;
+        let index = fill(entries, vectors, settings.threads).with_threads(settings.threads);
+        let count = settings.queries.min(QUERIES);
+        let queries: Vec<Embedding> =
+            (0..count).map(|number| vectors.query(number, entries)).collect();
+        let bench = SearchBench { settings, vectors, entries, index: &index, queries: &queries };
+        if settings.exact {
+            bench.exact(out)?;
+        }
+        if settings.approximate {
+            bench.approximate(out)?;
+        }
+    }
+    Ok(())
+}
+
+/// A memory of one size, with queries for it.
+struct SearchBench<'a> {
+    settings: &'a ProfileSettings,
+    vectors: &'a SyntheticVectors,
+    entries: u32,
+    index: &'a Index,
+    queries: &'a [Embedding],
+}
+
+impl SearchBench<'_> {
+    fn exact(&self, out: &mut impl Write) -> anyhow::Result<()> {
+        let begun = Instant::now();
+        self.index.prepare();
+        let build_s = begun.elapsed().as_secs_f64();
+        for batch in BATCHES {
+            let mut measured = self.measure(batch, |queries| {
+                std::hint::black_box(self.index.nearest_of_many(queries, 1));
+                Ok(())
+            })?;
+            let calls_per_s = measured.queries_per_s / batch as f64;
+            measured.bytes_per_s = Some(self.index.scanned_bytes(batch) as f64 * calls_per_s);
+            measured.threads = self.index.threads(batch);
+            (measured.build_s, measured.bytes) = (build_s, self.index.bytes());
+            print(&measured, out)?;
+        }
+        Ok(())
+    }
+
+    fn approximate(&self, out: &mut impl Write) -> anyhow::Result<()> {
+        let threads = self.settings.threads;
+        let begun = Instant::now();
+        let mut graph = ApproximateIndex::new(self.index, self.settings.graph, threads)?;
+        let build_s = begun.elapsed().as_secs_f64();
+        for &searching in &self.settings.searching {
+            graph.set_searching(searching);
+            let (recall_at_1, recall_at_10) = self.recall(&graph)?;
+            for batch in BATCHES {
+                let measured = self.measure(batch, |queries| {
+                    std::hint::black_box(graph.nearest_of_many(queries, 1)?);
+                    Ok(())
+                })?;
+                let measured = SearchMeasurement {
+                    search: "approximate",
+                    searching: Some(searching),
+                    threads: if batch == 1 { 1 } else { threads.get() },
+                    build_s,
+                    bytes: self.index.bytes() + graph.bytes(),
+                    recall_at_1,
+                    recall_at_10,
+                    ..measured
+                };
+                print(&measured, out)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Measures calls of `batch` queries each. What the caller knows better has a default.
+    fn measure(
+        &self,
+        batch: usize,
+        mut search: impl FnMut(&[Query<'_>]) -> anyhow::Result<()>,
+    ) -> anyhow::Result<SearchMeasurement> {
+        let count = self.queries.len().max(batch);
+        let queries: Vec<Query<'_>> = self.queries.iter().cycle().take(count).map(query).collect();
+        let batches = queries.chunks_exact(batch);
+        let warm_up = Instant::now();
+        for batch in batches.clone().take(100) {
+            search(batch)?;
+            if warm_up.elapsed().as_secs_f64() > self.settings.seconds / 10.0 {
+                break;
+            }
+        }
+        let mut times = Histogram::<u64>::new(3).context("cannot make a histogram")?;
+        times.auto(true);
+        let mut sum = Duration::ZERO;
+        for batch in batches.cycle().take(self.settings.queries.div_ceil(batch)) {
+            let begun = Instant::now();
+            search(batch)?;
+            let time = begun.elapsed();
+            times.record(time.as_nanos() as u64).context("a search took too long to count")?;
+            sum += time;
+            if sum.as_secs_f64() > self.settings.seconds {
+                break;
+            }
+        }
+        let queries = times.len() as usize * batch;
+        let at = |quantile| times.value_at_quantile(quantile);
+        Ok(SearchMeasurement {
+            entries: self.entries,
+            dimension: self.vectors.dimension(),
+            real: self.vectors.real(self.entries),
+            search: "exact",
+            searching: None,
+            batch,
+            threads: 1,
+            build_s: 0.0,
+            bytes: 0,
+            queries,
+            latency_ns: SearchLatency {
+                p50: at(0.5),
+                p90: at(0.9),
+                p99: at(0.99),
+                p999: at(0.999),
+                max: times.max(),
+            },
+            queries_per_s: queries as f64 / sum.as_secs_f64().max(f64::MIN_POSITIVE),
+            bytes_per_s: None,
+            recall_at_1: 1.0,
+            recall_at_10: 1.0,
+        })
+    }
+
+    /// The shares of the nearest view and of the ten nearest views that a graph finds.
+    fn recall(&self, graph: &ApproximateIndex<'_>) -> anyhow::Result<(f64, f64)> {
+        let queries: Vec<Query<'_>> = self.queries.iter().take(RECALL_QUERIES).map(query).collect();
+        let exact = self.index.nearest_of_many(&queries, 10);
+        let share = |wanted: usize| -> anyhow::Result<f64> {
+            let approximate = graph.nearest_of_many(&queries, wanted)?;
+            let found = |(exact, approximate): (&Vec<Neighbour>, &Vec<Neighbour>)| {
+                let exact = &exact[..exact.len().min(wanted)];
+                let found = exact.iter().filter(|neighbour| approximate.contains(neighbour));
+                found.count() as f64 / exact.len().max(1) as f64
+            };
+            let sum: f64 = exact.iter().zip(&approximate).map(found).sum();
+            Ok(sum / queries.len().max(1) as f64)
+        };
+        Ok((share(1)?, share(10)?))
+    }
+}
+
+fn print(measured: &SearchMeasurement, out: &mut impl Write) -> anyhow::Result<()> {
+    serde_json::to_writer(&mut *out, measured)?;
+    writeln!(out)?;
+    out.flush().context("cannot write to standard output")
+}
+
+fn query(embedding: &Embedding) -> Query<'_> {
+    Query { embedding, stage: 0, elapsed: 0 }
+}
+
+/// Writes the vectors of a memory of `entries`, then those of some queries, as little-endian numbers.
+///
+/// # Errors
+/// When they cannot be written.
+pub fn write_vectors(
+    vectors: &SyntheticVectors,
+    entries: u32,
+    queries: usize,
+    out: &mut impl Write,
+) -> anyhow::Result<()> {
+    let entry_vectors = (0..entries).map(|number| vectors.entry(number));
+    let query_vectors = (0..queries).map(|number| vectors.query(number, entries));
+    for vector in entry_vectors.chain(query_vectors) {
+        for number in vector.as_slice() {
+            out.write_all(&number.to_le_bytes()).context("cannot write to standard output")?;
+        }
+    }
+    out.flush().context("cannot write to standard output")
+}
+
+/// Checks that a memory fits before it is filled.
+fn check_memory(entries: u32, dimension: usize) -> anyhow::Result<()> {
+    // Beside the numbers: codes, a scale and a half norm, an index of the row, and an entry, twice while it is built.
+    let each = dimension.next_multiple_of(16) * 4 + dimension.next_multiple_of(8) + 8 + 4 + 2 * 12;
+    let needed = entries as usize * each;
+    let meminfo = std::fs::read_to_string("/proc/meminfo").unwrap_or_default();
+    let line = meminfo.lines().find_map(|line| line.strip_prefix("MemAvailable:"));
+    let available = line.and_then(|line| line.trim().strip_suffix("kB")?.trim().parse().ok());
+    let Some(available) = available.map(|kib: usize| kib * 1024) else { return Ok(()) };
+    if needed > available / 20 * 19 {
+        let gib = |bytes: usize| bytes as f64 / f64::from(1 << 30);
+        bail!(
+            "a memory of {entries} vectors of {dimension} numbers needs {:.1} GiB, and {:.1} GiB are available: pass \
+             fewer --entries",
+            gib(needed),
+            gib(available)
+        );
+    }
+    Ok(())
+}
+
+/// A memory of `entries`, whose vectors are generated on several threads.
+fn fill(entries: u32, vectors: &SyntheticVectors, threads: NonZeroUsize) -> Index {
+    let mut builder = IndexBuilder::with_capacity(vectors.dimension(), entries as usize);
+    for first in (0..entries).step_by(FILL_CHUNK) {
+        let numbers: Vec<u32> = (first..entries.min(first + FILL_CHUNK as u32)).collect();
+        let share = numbers.len().div_ceil(threads.get());
+        let generated = std::thread::scope(|scope| {
+            let generate = |numbers: &[u32]| -> Vec<Embedding> {
+                numbers.iter().map(|&number| vectors.entry(number)).collect()
+            };
+            let threads: Vec<_> = numbers
+                .chunks(share)
+                .map(|numbers| scope.spawn(move || generate(numbers)))
+                .collect();
+            let join = |thread: std::thread::ScopedJoinHandle<'_, _>| match thread.join() {
+                Ok(generated) => generated,
+                Err(panic) => std::panic::resume_unwind(panic),
+            };
+            threads.into_iter().flat_map(join).collect::<Vec<_>>()
+        });
+        for (number, embedding) in numbers.into_iter().zip(generated) {
+            let entry =
+                ViewEntry { demonstration: (number >> 16) as u16, step: number as u16, stage: 0 };
+            builder.add_distinct(entry, embedding.as_slice());
+        }
+    }
+    builder.build()
+}

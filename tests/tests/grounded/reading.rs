@@ -1,0 +1,54 @@
+//! Plates in rendered views, read by the policy and looked up in the catalogue.
+
+use plates::{self, Landmark, Plate};
+use warehouse::sight::sees;
+use warehouse::{Item, Variant, Warehouse};
+
+use crate::views::{Views, poses};
+
+/// Every how many poses one is looked at: not a divisor of the headings, so all of them come up.
+const EVERY: usize = 7;
+
+/// Farthest standpoint, in cells ahead, whose plate has to be read.
+const NEAR: u8 = 5;
+
+fn landmark(warehouse: &Warehouse, item: &Item) -> Landmark {
+    let category = &warehouse.catalogue.categories[warehouse.category_of(item)];
+    let item_type = &warehouse.catalogue.types[item.item_type];
+    let plate = Plate::new(&category.name, &item_type.name);
+    Landmark { standpoint: item.standpoint, face: item.viewing_heading(), plate }
+}
+
+#[test]
+fn plates_are_read_where_they_hang_and_say_what_stands_there() {
+    let warehouse = Warehouse::shipped();
+    let mut views = Views::new(&warehouse);
+    let items: Vec<_> =
+        warehouse.items.iter().map(|item| (item, landmark(&warehouse, item))).collect();
+    let (mut near, mut found) = (0, 0);
+    for pose in poses(&warehouse).into_iter().step_by(EVERY) {
+        let picture = views.of(pose, &Variant::UNCHANGED);
+        let frame = picture.frame();
+        let read: Vec<_> = plates::read(frame.width, frame.height, frame.pixels)
+            .into_iter()
+            .map(|sighting| sighting.seen_from(pose).expect("a plate off the grid"))
+            .collect();
+        for landmark in &read {
+            let is_true = items.iter().any(|(_, truth)| truth == landmark);
+            assert!(is_true, "from {pose}: {landmark:?} is not there");
+        }
+        for (item, landmark) in &items {
+            let ahead = match pose.heading.vector() {
+                (0, _) => item.standpoint.y.abs_diff(pose.cell.y),
+                _ => item.standpoint.x.abs_diff(pose.cell.x),
+            };
+            if ahead <= NEAR && sees(&warehouse.layout, pose, item) {
+                near += 1;
+                found += usize::from(read.contains(landmark));
+            }
+        }
+    }
+    // What `sees` counts as seen may be a sliver beside a rack.
+    assert!(near > 400, "only {near} plates to read");
+    assert!(100 * found >= 95 * near, "{found} of {near} plates were read");
+}

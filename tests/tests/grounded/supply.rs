@@ -1,0 +1,98 @@
+//! What memory supplies: demonstrations with their views, keyframes, the nearest view.
+
+use std::sync::Arc;
+
+use domain::Action;
+use policy_proc::{SegmentView, TrajectoryView};
+use warehouse::{Case, Start, Variant, Warehouse};
+
+use crate::views::{Picture, Views};
+
+/// Actions after a retrieved view, and keyframes of all demonstrations together (SPEC section 5).
+const HORIZON: usize = 6;
+const KEYFRAMES: usize = 40;
+
+/// A demonstration's view, what the expert did there, and how far it had got.
+pub(crate) struct Remembered {
+    picture: Arc<Picture>,
+    action: Option<Action>,
+    stage: u32,
+    is_keyframe: bool,
+}
+
+/// A demonstration, step by step.
+pub(crate) type Demonstration = Vec<Remembered>;
+
+/// The demonstrations of `case` from `starts`.
+pub(crate) fn demonstrations(
+    warehouse: &Warehouse,
+    views: &mut Views,
+    case: &Case,
+    starts: &[Start],
+) -> Vec<Demonstration> {
+    let remember = |&start: &Start| {
+        let replay = case.replay(warehouse, start);
+        let actions = &case.trajectory(start).actions;
+        let keyframes = keyframes(actions, &replay.goal_steps, KEYFRAMES / starts.len());
+        let steps = replay.poses.iter().zip(&replay.stages).enumerate();
+        let step = |(at, (&pose, &stage))| Remembered {
+            picture: views.of(pose, &Variant::UNCHANGED),
+            action: actions.get(at).copied(),
+            stage,
+            is_keyframe: keyframes.contains(&at),
+        };
+        steps.map(step).collect()
+    };
+    starts.iter().map(remember).collect()
+}
+
+/// Start, sub-goal completions, end, moments before turns, then evenly sampled.
+fn keyframes(actions: &[Action], goal_steps: &[u32], budget: usize) -> Vec<usize> {
+    let mut keyframes = vec![0];
+    keyframes.extend(goal_steps.iter().map(|&step| step as usize));
+    keyframes.push(actions.len());
+    let is_turn = |&at: &usize| actions[at].turn_quarters().is_some();
+    keyframes.extend((0..actions.len()).filter(is_turn));
+    keyframes.truncate(budget);
+    let left = budget.saturating_sub(keyframes.len());
+    keyframes.extend((1..=left).map(|i| i * actions.len() / (left + 1)));
+    keyframes
+}
+
+/// A demonstration as full-context memory supplies it.
+pub(crate) fn trajectory(demonstration: &Demonstration) -> Vec<TrajectoryView<'_>> {
+    let view = |step: &'_ Remembered| step.is_keyframe;
+    let steps = demonstration.iter();
+    steps
+        .map(|step| TrajectoryView {
+            frame: view(step).then(|| step.picture.frame()),
+            action: step.action,
+        })
+        .collect()
+}
+
+/// The nearest remembered view and what follows it; ties by task stage, then by elapsed steps.
+pub(crate) fn retrieve<'a>(
+    memory: &'a [Demonstration],
+    picture: &Picture,
+    stage: u32,
+    taken: u32,
+    with_actions: bool,
+) -> Option<(f32, Vec<SegmentView<'a>>)> {
+    let views = memory.iter().flat_map(|demonstration| demonstration.iter().enumerate());
+    let nearest = |(at, view): &(usize, &Remembered)| {
+        let elapsed = (*at as u32).abs_diff(taken);
+        (picture.distance(&view.picture), stage.abs_diff(view.stage), elapsed)
+    };
+    let least = views.map(|view| nearest(&view)).min()?;
+    let (from, at) = memory.iter().find_map(|demonstration| {
+        let mut steps = demonstration.iter().enumerate();
+        steps.find(|step| nearest(step) == least).map(|(at, _)| (demonstration, at))
+    })?;
+    let end = (at + HORIZON).min(from.len() - 1);
+    let view = |i: usize| SegmentView {
+        frame: from[i].picture.frame(),
+        action: from[i].action.filter(|_| i < end && with_actions),
+    };
+    Some((if least.0 == 0 { 0.0 } else { 1.0 }, (at..=end).map(view).collect()))
+}
