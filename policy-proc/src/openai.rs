@@ -89,7 +89,7 @@ impl Decider for Openai {
             ("image_format", image_format.described()),
             ("image_budget", image_budget.to_string()),
             ("answer_tokens", answer_tokens.to_string()),
-            ("answers", "restricted to the actions where the server can".to_owned()),
+            ("answers", "restricted".to_owned()),
             ("temperature", "0".to_owned()),
             ("reasoning", "off".to_owned()),
         ]

@@ -1,21 +1,19 @@
-//! `policy-proc probe` and `policy-proc cache` as another process sees them, and several processes that share
-//! what is kept.
+//! `policy-proc probe` and `policy-proc cache` as a user runs them.
 
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on fails")]
 
-use std::io::Write;
-use std::path::Path;
 use std::process::{Child, Command, Output, Stdio};
 
-use policy_proc::chat::scripted::{Server, Turn};
+use llm::scripted::{Server, Turn, completion};
+use llm::{ChatClient, ChatRequest, ChatSettings, Endpoint, ResponseCache};
 use serde_json::{Value, json};
 
 const KEY: &str = "sk-very-secret";
 
-/// `policy-proc ARGUMENTS` without anything from the environment of the test but the key.
+/// `policy-proc ARGUMENTS`, with the key as its only setting from the environment.
 fn policy_proc(arguments: &[&str]) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_policy-proc"));
-    command.args(arguments).stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped());
+    command.args(arguments).stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
     for variable in ["OPENAI_BASE_URL", "OPENAI_API_BASE", "MEMTRANSFER_CACHE", "XDG_CACHE_HOME"] {
         command.env_remove(variable);
     }
@@ -23,7 +21,7 @@ fn policy_proc(arguments: &[&str]) -> Command {
     command
 }
 
-/// Its output, with the key in none of it.
+/// The output, which must not contain the key.
 fn ended(child: Child) -> Output {
     let output = child.wait_with_output().unwrap();
     let printed = [&output.stdout[..], &output.stderr[..]].concat();
@@ -44,46 +42,16 @@ fn value(output: &Output) -> Value {
     serde_json::from_slice(&output.stdout).unwrap()
 }
 
-/// Asks `questions` in a process of its own.
-fn ask(server: &Server, folder: &Path, questions: &[String]) -> Child {
-    let mut command = policy_proc(&["ask", "--model", "m", "--base-url", &server.base_url()]);
-    command.arg("--response-cache").arg(folder);
-    let mut child = command.spawn().unwrap();
-    let mut stdin = child.stdin.take().unwrap();
-    for question in questions {
-        let message = json!({"role": "user", "content": question});
-        writeln!(stdin, "{}", json!({"messages": [message], "max_tokens": 9})).unwrap();
-    }
-    child
-}
-
-fn replies(child: Child) -> Vec<Value> {
-    stdout(&ended(child)).lines().map(|line| serde_json::from_str(line).unwrap()).collect()
-}
-
 #[test]
-fn processes_share_what_is_kept_and_it_can_be_listed_and_removed() {
+fn stored_replies_can_be_listed_and_removed() {
     let folder = tempfile::tempdir().unwrap();
-    let server = Server::start(|request| {
-        let text = request.body.pointer("/messages/0/content").unwrap().as_str().unwrap();
-        Turn::says(&format!("re: {text}"))
-    })
-    .unwrap();
-    let questions: Vec<String> = (0..20).map(|i| format!("Question {i}?")).collect();
-    let children: Vec<_> = (0..3).map(|_| ask(&server, folder.path(), &questions)).collect();
-    for child in children {
-        let replies = replies(child);
-        assert_eq!(replies.len(), 20);
-        for (question, reply) in questions.iter().zip(replies) {
-            assert_eq!(reply["text"], format!("re: {question}"));
-        }
+    let server = Server::start(|_| Turn::says("North.")).unwrap();
+    let endpoint = Endpoint::new(&server.base_url(), None).unwrap();
+    let cache = ResponseCache::at(folder.path());
+    let client = ChatClient::new(endpoint, ChatSettings::new("m"), Some(cache));
+    for i in 0..20 {
+        client.ask(&ChatRequest::text(format!("Question {i}?"), 9), 0).unwrap();
     }
-    let asked = server.received().len();
-    assert!((20..=60).contains(&asked));
-    let known = replies(ask(&server, folder.path(), &questions));
-    assert!(known.iter().all(|reply| reply["from_cache"] == true));
-    assert_eq!(server.received().len(), asked, "nothing is asked that is known");
-
     let here = folder.path().to_str().unwrap();
     let listing = value(&run(&["cache", "ls", "--json", "--response-cache", here]));
     assert_eq!((&listing["entries"], &listing["broken"]), (&json!(20), &json!(0)));
@@ -113,7 +81,7 @@ fn the_folder_is_in_the_cache_that_the_environment_names() {
 }
 
 #[test]
-fn a_probe_ends_with_a_status_and_tells_nobody_the_key() {
+fn a_probe_ends_with_a_status_and_hides_the_key() {
     let server = Server::start(|request| match &*request.line {
         "GET /v1/models HTTP/1.1" => Turn::json(200, &json!({"data": [{"id": "m"}]})),
         "GET /version HTTP/1.1" => Turn::json(200, &json!({"version": format!("0.11 {KEY}")})),
@@ -125,7 +93,8 @@ fn a_probe_ends_with_a_status_and_tells_nobody_the_key() {
     })
     .unwrap();
     let base_url = server.base_url();
-    let arguments = ["probe", "--model", "m", "--base-url", &base_url, "--together", "2"];
+    let arguments =
+        ["probe", "--model", "m", "--base-url", &base_url, "--together", "2", "--frame-size", "64"];
     let output = run(&arguments);
     assert_eq!(output.status.code(), Some(1), "{output:?}");
     let plain = stdout(&output);
@@ -135,9 +104,37 @@ fn a_probe_ends_with_a_status_and_tells_nobody_the_key() {
     let output = run(&[&arguments[..], &["--json"]].concat());
     assert_eq!(output.status.code(), Some(1));
     let report: Value = serde_json::from_slice(&output.stdout).unwrap();
-    assert_eq!(report["images_per_request"], 0);
+    assert_eq!(report["run_sized"], Value::Null);
     assert_eq!(report["fingerprint"]["pages"]["/version/version"], "0.11 [key]");
     assert_eq!(report["speed"]["together_tokens"], 10);
+}
+
+/// Defect 18: the probe sends the run's own prompt with its images, and says with how many it is refused.
+#[test]
+fn a_probe_sends_a_request_of_the_runs_size() {
+    let server = Server::start(|request| {
+        if request.line.starts_with("GET") {
+            return Turn::json(200, &json!({"data": [{"id": "m"}]}));
+        }
+        let body = request.body.to_string();
+        if !body.contains("You control a robot") {
+            return Turn::says(if body.contains("square") { "red or blue" } else { "42" });
+        }
+        let images = body.matches("data:image/png;base64,").count();
+        let mut reply = completion("move forward");
+        reply["usage"]["prompt_tokens"] = json!(1000 + 64 * images);
+        match images {
+            0..=12 => Turn::json(200, &reply),
+            _ => Turn::json(400, &json!({"error": {"message": "context length is 8192 tokens"}})),
+        }
+    })
+    .unwrap();
+    let base_url = server.base_url();
+    let output = run(&["probe", "--model", "m", "--base-url", &base_url, "--frame-size", "64"]);
+    assert_eq!(output.status.code(), Some(1), "{output:?}");
+    let plain = stdout(&output);
+    let expected = "NOT YET  request of the run's size: 13 images are refused: context length is 8192 tokens. 12 images took";
+    assert!(plain.contains(expected) && plain.contains("--image-budget 12"), "{plain}");
 }
 
 #[test]

@@ -9,10 +9,11 @@ use std::time::{Duration, Instant};
 
 use bytemuck::Zeroable;
 use domain::{Action, Feedback, Heading, Outcome, Pose};
-use policy_proc::chat::scripted::{Received, Server, Turn, completion};
-use policy_proc::chat::{Client, Endpoint, Pool, PoolSettings, ResponseCache, Settings};
-use policy_proc::openai::{self, ImageFormat, Openai};
-use policy_proc::{ServeError, serve};
+use llm::scripted::{Received, Server, Turn, completion};
+use llm::{ChatClient, ChatSettings, Endpoint, ResponseCache};
+use peer::{ServeError, serve};
+use policy_proc::openai::{Openai, OpenaiSettings};
+use prompt::image::ImageFormat;
 use serde_json::{Value, json};
 use shm_types::documents::Content;
 use shm_types::message::{
@@ -28,8 +29,7 @@ use tempfile::TempDir;
 const LANES: u32 = 8;
 const PATIENCE: Duration = Duration::from_secs(60);
 
-/// A server and a run of eight lanes in which the policy asks it. Fields are dropped in order: the run before
-/// its folder.
+/// A server, and a run of eight lanes whose policy asks it. Fields are dropped in order: the run before its folder.
 struct Bench {
     orchestrator: Bus,
     configs: Sender<PolicyEpisodeConfig>,
@@ -41,9 +41,9 @@ struct Bench {
     policy: Notifier,
     frames: FramePublisher,
     documents: DocumentPublisher,
-    /// Others who see the observations, and have to take them.
+    /// Other receivers of observations, which have to drain them.
     observers: [Receiver<Observation>; 2],
-    /// Receivers that must be there for anything to be delivered.
+    /// Receivers without which nothing is delivered.
     _others: Box<dyn Any>,
     facts: String,
     serving: JoinHandle<Result<(), ServeError>>,
@@ -52,33 +52,28 @@ struct Bench {
     _base: TempDir,
 }
 
-/// How the policy is set up where a test does not say otherwise.
-fn settings() -> openai::Settings {
-    openai::Settings {
-        model: "m".to_owned(),
-        endpoint: String::new(),
-        image_format: ImageFormat::Png,
-        image_budget: 50,
-        answer_tokens: 30,
+/// The settings of most tests.
+fn settings() -> OpenaiSettings {
+    OpenaiSettings { image_format: ImageFormat::Png, image_budget: 50, answer_tokens: 30 }
+}
+
+fn chat_settings() -> ChatSettings {
+    ChatSettings {
+        request_timeout: PATIENCE,
+        max_retries: 0,
+        max_connections: LANES,
+        ..ChatSettings::new("m")
     }
 }
 
 impl Bench {
-    fn new(server: Server, settings: openai::Settings) -> Self {
+    fn new(server: Server, settings: OpenaiSettings) -> Self {
         Self::with_cache(server, settings, None)
     }
 
-    fn with_cache(
-        server: Server,
-        settings: openai::Settings,
-        cache: Option<ResponseCache>,
-    ) -> Self {
+    fn with_cache(server: Server, settings: OpenaiSettings, cache: Option<ResponseCache>) -> Self {
         let endpoint = Endpoint::new(&server.base_url(), None).unwrap();
-        let settings = openai::Settings { endpoint: "http://here/v1".to_owned(), ..settings };
-        let asking = Settings { model: settings.model.clone(), timeout: PATIENCE, max_retries: 0 };
-        let connections = PoolSettings { max_connections: LANES, most_given_up: 3 };
-        let pool = Pool::new(Client::new(endpoint, asking), connections, cache);
-        let mut policy = Openai::new(pool, settings);
+        let mut policy = Openai::new(ChatClient::new(endpoint, chat_settings(), cache), settings);
 
         let base = tempfile::Builder::new().prefix("mt").tempdir_in("/tmp").unwrap();
         let run = RunDir::create(base.path()).unwrap();
@@ -129,7 +124,7 @@ impl Bench {
         self.frames.publish(slot, [grey; 16]).unwrap()
     }
 
-    /// An episode in `lane`, which is told to find an item that bears the lane's number.
+    /// An episode in `lane`; the instruction contains the lane's number.
     fn begin(&self, lane: u32) {
         let episode = episode(lane);
         let mut config = PolicyEpisodeConfig { lane, episode, repeat: 1, ..Zeroable::zeroed() };
@@ -137,7 +132,7 @@ impl Bench {
         self.configs.send(&config).unwrap();
     }
 
-    /// Shows `lane` its step with `recall`.
+    /// Sends a step of `lane` with `recall`.
     fn step(&self, lane: u32, step: u32, frame: FrameId, recall: Recall) {
         let pose = WirePose::from(Pose::new(3, 4, Heading::E));
         let episode = episode(lane);
@@ -195,7 +190,7 @@ fn no_memory() -> Recall {
     Recall { distance: f32::NAN, ..Zeroable::zeroed() }
 }
 
-/// What `look` finds, sooner or later.
+/// What `look` finds before the watchdog ends.
 fn within_patience<T>(bus: &Bus, mut look: impl FnMut() -> Option<T>) -> T {
     let deadline = Instant::now() + PATIENCE;
     loop {
@@ -226,8 +221,8 @@ fn images_of(request: &Received) -> Vec<String> {
 }
 
 #[test]
-fn requests_of_all_lanes_are_in_flight_at_once_and_answered_out_of_order() {
-    // Nobody gets an answer before all have asked; then they get theirs from the last lane to the first.
+fn requests_of_all_lanes_are_in_flight_at_once() {
+    // No answer before all lanes have asked; then from the last lane to the first.
     let turn = Arc::new((Mutex::new((0, LANES)), Condvar::new()));
     let server = Server::concurrent(move |request| {
         let lane = lane_of(request);
@@ -278,7 +273,7 @@ fn requests_of_all_lanes_are_in_flight_at_once_and_answered_out_of_order() {
 }
 
 #[test]
-fn what_is_no_action_is_told_apart() {
+fn answers_without_an_action_have_different_outcomes() {
     let server = Server::concurrent(|request| {
         let length = |text| {
             let mut body = completion(text);
@@ -286,7 +281,7 @@ fn what_is_no_action_is_told_apart() {
             Turn::json(200, &body)
         };
         match lane_of(request) {
-            0 => Turn::says("turn left or right, who knows"),
+            0 => Turn::says("left or right, who knows"),
             1 => Turn::says(""),
             2 => Turn::says("I'm sorry, but I can't assist with that."),
             3 => length("I can see a warehouse with"),
@@ -313,7 +308,7 @@ fn what_is_no_action_is_told_apart() {
         (6, Outcome::Acted),
     ];
     assert_eq!(outcomes, expected.map(|(lane, outcome)| (lane, outcome as u8)));
-    // A server that does not take the request is no fault of the model.
+    // A refused request is no fault of the model.
     let (kind, lane, text) = bench.error_report();
     assert_eq!((kind, lane), (ErrorReportKind::Episode as u32, 5));
     assert!(text.contains("status 400: at most 1 image"), "{text}");
@@ -328,8 +323,7 @@ fn images_are_kept_to_the_budget() {
         Turn::json(200, &body)
     })
     .unwrap();
-    let budget =
-        openai::Settings { image_budget: 3, image_format: ImageFormat::Jpeg, ..settings() };
+    let budget = OpenaiSettings { image_budget: 3, image_format: ImageFormat::Jpeg, ..settings() };
     let mut bench = Bench::new(server, budget);
     let frames = [10, 20, 30, 40].map(|grey| bench.publish(grey));
     let mut recall = Recall { window_len: 2, segment_len: 2, distance: 0.5, ..no_memory() };
@@ -370,7 +364,7 @@ fn without_images_a_model_gets_plain_text_and_memory_its_share() {
         Turn::json(200, &body)
     })
     .unwrap();
-    let mut bench = Bench::new(server, openai::Settings { image_budget: 0, ..settings() });
+    let mut bench = Bench::new(server, OpenaiSettings { image_budget: 0, ..settings() });
     let frame = bench.publish(1);
     // As much text as the rest of the prompt, and more.
     let document = Content::Summary("- blue barrel: stand at (1, 2)\n".repeat(200));
@@ -392,7 +386,7 @@ fn without_images_a_model_gets_plain_text_and_memory_its_share() {
 }
 
 #[test]
-fn one_request_that_hangs_holds_up_nobody() {
+fn a_request_that_hangs_delays_no_other_lane() {
     let server = Server::concurrent(|request| match lane_of(request) {
         0 => Turn::Hang,
         _ => Turn::says("turn right"),
@@ -412,7 +406,7 @@ fn one_request_that_hangs_holds_up_nobody() {
 }
 
 #[test]
-fn a_reply_that_is_known_costs_nothing_and_each_repetition_has_its_own() {
+fn a_stored_reply_costs_nothing_and_each_repetition_has_its_own() {
     let folder = tempfile::tempdir().unwrap();
     let server = Server::concurrent(|_| Turn::says("turn right")).unwrap();
     let cache = ResponseCache::at(folder.path());
@@ -444,7 +438,7 @@ fn a_reply_that_is_known_costs_nothing_and_each_repetition_has_its_own() {
 }
 
 #[test]
-fn a_server_that_is_gone_stops_the_run() {
+fn a_server_that_refuses_the_key_stops_the_run() {
     let server = Server::concurrent(|_| Turn::json(401, &json!({"error": "no"}))).unwrap();
     let mut bench = Bench::new(server, settings());
     let frame = bench.publish(9);
@@ -457,14 +451,37 @@ fn a_server_that_is_gone_stops_the_run() {
     bench.stop();
 }
 
+/// Defect 17: while the server is gone, the orchestrator is told so, and the decision comes when it is back.
 #[test]
-fn the_manifest_learns_what_decides_results() {
+fn a_run_is_told_that_it_waits_for_the_server() {
+    let unavailable = Turn::json(503, &json!({"error": "loading the model"}));
+    let says = || Turn::says("turn right");
+    let server = Server::turns([says(), unavailable.clone(), unavailable, says()]).unwrap();
+    let mut bench = Bench::new(server, settings());
+    let frame = bench.publish(9);
+    bench.begin(0);
+    for step in 0..2 {
+        bench.step(0, step, frame, no_memory());
+        bench.notify();
+        assert_eq!(bench.decisions(1)[0].action, Action::TurnRight as u8);
+    }
+    let reports = [(); 3].map(|()| bench.error_report());
+    assert!(reports.iter().all(|(kind, ..)| *kind == ErrorReportKind::Waiting as u32));
+    assert!(reports[0].2.contains("loading the model); waiting up to 600 s"), "{reports:?}");
+    assert_eq!(reports[2].2, "");
+    bench.stop();
+}
+
+#[test]
+fn facts_for_the_manifest_are_what_decides_results() {
     let server = Server::turns([]).unwrap();
-    let jpeg = openai::Settings { image_format: ImageFormat::Jpeg, ..settings() };
+    let jpeg = OpenaiSettings { image_format: ImageFormat::Jpeg, ..settings() };
     let bench = Bench::new(server, jpeg);
     let mut facts: Value = serde_json::from_str(&bench.facts).unwrap();
-    let hash = facts["prompt_sha256"].take();
+    let hash = facts["prompt_hash"].take();
+    let endpoint = facts["endpoint"].take();
+    assert!(endpoint.as_str().unwrap().ends_with("/v1/chat/completions"));
     assert_eq!(hash.as_str().unwrap().len(), 16);
-    insta::assert_snapshot!(facts, @r#"{"answer_tokens":"30","endpoint":"http://here/v1","image_budget":"50","image_format":"jpeg 90","model":"m","policy":"openai","prompt":"prompt/1","prompt_sha256":null,"reasoning":"off","temperature":"0"}"#);
+    insta::assert_snapshot!(facts, @r#"{"answer_tokens":"30","answers":"restricted","endpoint":null,"image_budget":"50","image_format":"jpeg 90","model":"m","policy":"openai","prompt":"prompt/1","prompt_hash":null,"reasoning":"off","temperature":"0"}"#);
     bench.stop();
 }

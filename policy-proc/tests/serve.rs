@@ -14,10 +14,10 @@ use domain::{
     Action, Feedback, Heading, Outcome, Pose,
     prompt_log::{Entry, Exchange, Message, Part, entries_file, hex, session_folder},
 };
-use policy_proc::random::Random;
-use policy_proc::{
+use peer::{
     Answer, Answers, Decider, Decision, Policy, Request, RequestId, ServeError, Usage, serve,
 };
+use policy_proc::random::Random;
 use shm_types::documents::Content;
 use shm_types::message::{
     self, ErrorReport, ErrorReportKind, Eviction, FrameId, Handshake, NO_ACTION, NO_FRAME,
@@ -180,7 +180,7 @@ impl Policy for Witness {
     }
 
     fn act(&mut self, batch: &[Request<'_>]) -> Vec<Decision> {
-        let grey = |frame: policy_proc::FrameView<'_>| {
+        let grey = |frame: peer::FrameView<'_>| {
             assert!(frame.pixels.iter().all(|&byte| byte == frame.pixels[0]));
             assert_eq!(frame.pixels.len(), 64 * 64 * 4);
             frame.pixels[0]

@@ -88,7 +88,6 @@ impl ImageUrl {
     }
 }
 
-#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde decides on the signature")]
 fn as_str<S: Serializer>(text: &Arc<str>, to: S) -> Result<S::Ok, S::Error> {
     to.serialize_str(text)
 }

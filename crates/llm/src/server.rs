@@ -149,13 +149,13 @@ pub(crate) struct Attempts {
     /// Attempts that count as retries.
     counted: u32,
     /// Replies that the client had when this request last failed.
-    replies: u64,
+    replies: Option<u64>,
     due: Instant,
 }
 
 impl Attempts {
     pub(crate) const fn new(number: u64, now: Instant) -> Self {
-        Self { number, made: 0, counted: 0, replies: 0, due: now }
+        Self { number, made: 0, counted: 0, replies: None, due: now }
     }
 }
 
@@ -196,7 +196,7 @@ pub(crate) struct ServerState {
     failures: u32,
     /// Whether no connection was opened in any of them.
     unreachable: bool,
-    /// Requests given up since the last reply.
+    /// Requests given up since the last sign of life.
     given_up: u32,
     outage: Option<Outage>,
     stopped: Option<String>,
@@ -269,6 +269,7 @@ impl ServerState {
         self.answered = true;
         self.failures = 0;
         self.unreachable = true;
+        self.given_up = 0;
         self.outage = None;
     }
 
@@ -278,7 +279,6 @@ impl ServerState {
         self.alive();
         self.in_flight -= 1;
         self.replies += 1;
-        self.given_up = 0;
     }
 
     /// What to tell the user while the server is waited for.
@@ -306,59 +306,92 @@ impl ServerState {
             AttemptError::Transient(reason, asked) => (reason, asked),
         };
         if let Transient::Busy { .. } = reason {
-            let error = self.gave_up(attempts, reason);
+            let error = self.exhausted(attempts, reason);
             return Next::End(self.stop(format!("the server refuses every request: {error}")));
         }
-        let throttled = matches!(reason, Transient::Status { status: TOO_MANY_REQUESTS, .. });
-        match &reason {
-            _ if throttled => {
-                self.load.exceeded(sent, now);
-                self.alive();
-            }
-            Transient::Timeout(_) => self.load.timed_out(sent, now),
-            _ => {}
-        }
-        if !throttled {
-            self.failures += 1;
-            self.unreachable &= matches!(reason, Transient::Unreachable(_));
-        }
-        self.answered |= matches!(reason, Transient::Status { .. } | Transient::Unreadable(_));
-        if let Some(asked) = asked {
-            self.quiet_until = self.quiet_until.max(Some(now + asked));
-        }
-        if is_outage(&reason) && self.answered && !self.patience.is_zero() {
+        self.note(&reason, asked, (sent, now));
+        let before = attempts.replies.replace(self.replies);
+        if self.is_outage(&reason) {
             let Outage { since, failures } =
                 self.outage.unwrap_or(Outage { since: now, failures: 0 });
             self.outage = Some(Outage { since, failures: failures + 1 });
             let waited = now.duration_since(since);
             if waited >= self.patience {
-                let error = self.gave_up(attempts, reason);
+                let error = self.exhausted(attempts, reason);
                 return Next::End(self.gone(&error, &format!("for {} s", waited.as_secs())));
             }
-            return self.retry(attempts, now, pause(failures, LONGEST_OUTAGE_PAUSE, asked, jitter));
+            // A request that fails whenever the server is back may be what brings it down.
+            attempts.counted += u32::from(before.is_some_and(|before| self.replies > before));
+            if attempts.counted <= self.max_retries {
+                let pause = pause(failures, LONGEST_OUTAGE_PAUSE, asked, jitter);
+                return self.retry(attempts, now, pause);
+            }
+        } else {
+            self.outage = None;
+            // Waiting while others are served is no failure of this request.
+            let others_are_served = is_throttled(&reason) && self.replies > before.unwrap_or(0);
+            attempts.counted += u32::from(!others_are_served);
+            if attempts.counted <= self.max_retries {
+                let pause = pause(attempts.made.saturating_sub(1), LONGEST_PAUSE, asked, jitter);
+                return self.retry(attempts, now, pause);
+            }
         }
-        // Waiting while others are served is no failure of this request.
-        let others_are_served = throttled && self.replies > attempts.replies;
-        attempts.replies = self.replies;
-        attempts.counted += u32::from(!others_are_served);
-        if attempts.counted <= self.max_retries {
-            let pause = pause(attempts.made.saturating_sub(1), LONGEST_PAUSE, asked, jitter);
-            return self.retry(attempts, now, pause);
-        }
+        Next::End(self.give_up(attempts, reason))
+    }
+
+    /// The end of a request whose attempts have all failed, and of the client where too many requests have.
+    fn give_up(&mut self, attempts: &Attempts, reason: Transient) -> AskError {
+        let throttled = is_throttled(&reason);
         let slow = matches!(reason, Transient::Timeout(_));
-        let error = self.gave_up(attempts, reason);
+        let error = self.exhausted(attempts, reason);
         self.given_up += u32::from(!throttled);
-        if throttled || (self.given_up < MOST_GIVEN_UP && !self.unreachable) {
-            return Next::End(self.end(error));
+        let unreachable = self.unreachable && self.failures > self.max_retries;
+        if throttled || (self.given_up < MOST_GIVEN_UP && !unreachable) {
+            return self.end(error);
         }
         let failures = format!("in {} attempts", self.failures);
         if slow {
-            return Next::End(self.stop(format!(
+            return self.stop(format!(
                 "the server is too slow ({failures}, no answer in time): {error}; start the same command again with a \
                  longer --request-timeout, fewer --max-connections or a smaller --image-budget"
-            )));
+            ));
         }
-        Next::End(self.gone(&error, &failures))
+        self.gone(&error, &failures)
+    }
+
+    /// Records what a transient failure says about the server.
+    fn note(
+        &mut self,
+        reason: &Transient,
+        asked: Option<Duration>,
+        (sent, now): (Instant, Instant),
+    ) {
+        if is_throttled(reason) {
+            self.load.exceeded(sent, now);
+            self.alive();
+        } else {
+            self.failures += 1;
+            self.unreachable &= matches!(reason, Transient::Unreachable(_));
+            self.answered |= matches!(reason, Transient::Status { .. } | Transient::Unreadable(_));
+        }
+        if matches!(reason, Transient::Timeout(_)) && self.outage.is_none() {
+            self.load.timed_out(sent, now);
+        }
+        if let Some(asked) = asked {
+            self.quiet_until = self.quiet_until.max(Some(now + asked));
+        }
+    }
+
+    /// Whether the server, or the way to it, is down and to be waited for. A server that starts again may accept
+    /// connections before it answers.
+    fn is_outage(&self, reason: &Transient) -> bool {
+        let down = match reason {
+            Transient::Unreachable(_) | Transient::Connection(_) => true,
+            Transient::Status { status, .. } => (502..=504).contains(status),
+            Transient::Timeout(_) => self.outage.is_some(),
+            Transient::Busy { .. } | Transient::Unreadable(_) => false,
+        };
+        down && self.answered && !self.patience.is_zero()
     }
 
     fn retry(&self, attempts: &mut Attempts, now: Instant, pause: Duration) -> Next {
@@ -388,7 +421,7 @@ impl ServerState {
         self.stopped.clone().map_or(AskError::Failed(error), AskError::Stopped)
     }
 
-    fn gave_up(&self, attempts: &Attempts, last: Transient) -> RequestError {
+    fn exhausted(&self, attempts: &Attempts, last: Transient) -> RequestError {
         RequestError::GaveUp { endpoint: self.endpoint.clone(), attempts: attempts.made, last }
     }
 
@@ -400,14 +433,8 @@ impl ServerState {
     }
 }
 
-/// Whether a failure means that the server or the way to it is down, rather than that it fails at one request.
-const fn is_outage(reason: &Transient) -> bool {
-    matches!(
-        reason,
-        Transient::Unreachable(_)
-            | Transient::Connection(_)
-            | Transient::Status { status: 502..=504, .. }
-    )
+const fn is_throttled(reason: &Transient) -> bool {
+    matches!(reason, Transient::Status { status: TOO_MANY_REQUESTS, .. })
 }
 
 /// Whether every other request would meet the same error. A server that has replied knows the model and is a chat

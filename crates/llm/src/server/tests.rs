@@ -235,6 +235,7 @@ fn only_time_outs_and_429_shrink_the_load() {
             story.start(request);
         }
         let sent = story.now;
+        story.now += seconds(1);
         for request in &mut requests {
             story.fail(request, failure.clone(), sent);
         }
@@ -288,6 +289,28 @@ fn a_server_that_was_there_is_waited_for() {
         let AskError::Stopped(why) = story.until_end(&failure) else { panic!("{failure:?}") };
         assert!(why.starts_with("the server is gone (no answer for 60"), "{why}");
     }
+}
+
+#[test]
+fn a_request_that_brings_the_server_down_is_given_up() {
+    let mut story = Story::new(4, 2, 600);
+    story.reply(seconds(1));
+    let mut poison = story.request();
+    let mut restarts = 0;
+    let error = loop {
+        story.now += seconds(5);
+        story.start(&mut poison);
+        let sent = story.now;
+        match story.fail(&mut poison, unreachable(), sent) {
+            Next::Retry(_) => restarts += 1,
+            Next::End(error) => break error,
+        }
+        // The server starts again and answers another request.
+        story.state.in_flight += 1;
+        story.state.replied(seconds(1));
+    };
+    assert!(matches!(error, AskError::Failed(_)), "{error}");
+    assert_eq!(restarts, 3);
 }
 
 #[test]
