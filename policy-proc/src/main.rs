@@ -17,13 +17,13 @@ use tracing_subscriber::EnvFilter;
 /// Decides what the agents do. Started by `memtransfer run`.
 #[derive(Parser)]
 #[command(version)]
-struct Arguments {
+struct PolicyProcArguments {
     #[command(subcommand)]
-    verb: Verb,
+    verb: PolicyProcVerb,
 }
 
 #[derive(Subcommand)]
-enum Verb {
+enum PolicyProcVerb {
     /// Take part in a run until it stops
     Serve {
         /// The run's folder, which contains attach.json
@@ -31,7 +31,7 @@ enum Verb {
         attach: PathBuf,
         /// The policy
         #[arg(long)]
-        policy: BuiltIn,
+        policy: BuiltInPolicy,
         #[command(flatten)]
         model: Box<cli::openai::ModelArguments>,
     },
@@ -42,7 +42,7 @@ enum Verb {
 }
 
 #[derive(Clone, Copy, ValueEnum)]
-enum BuiltIn {
+enum BuiltInPolicy {
     /// Draws an action from the episode's seed and the step
     Random,
     /// A scripted stand-in for a model: reads label plates, follows the memory, explores
@@ -58,12 +58,12 @@ fn main() -> ExitCode {
         .with_ansi(std::io::stderr().is_terminal())
         .with_writer(std::io::stderr)
         .init();
-    let done = match Arguments::parse().verb {
-        Verb::Serve { attach, policy, model } => {
+    let done = match PolicyProcArguments::parse().verb {
+        PolicyProcVerb::Serve { attach, policy, model } => {
             take_part(&attach, policy, *model).map(|()| ExitCode::SUCCESS)
         }
-        Verb::Probe(arguments) => cli::probe::run(&arguments),
-        Verb::Cache(arguments) => cli::cache::run(&arguments).map(|()| ExitCode::SUCCESS),
+        PolicyProcVerb::Probe(arguments) => cli::probe::run(&arguments),
+        PolicyProcVerb::Cache(arguments) => cli::cache::run(&arguments).map(|()| ExitCode::SUCCESS),
     };
     done.unwrap_or_else(|error| {
         eprintln!("policy-proc: {error:#}");
@@ -73,13 +73,13 @@ fn main() -> ExitCode {
 
 fn take_part(
     attach_dir: &Path,
-    policy: BuiltIn,
+    policy: BuiltInPolicy,
     model: cli::openai::ModelArguments,
 ) -> anyhow::Result<()> {
     let mut policy: Box<dyn Decider> = match policy {
-        BuiltIn::Random => Box::new(Random),
-        BuiltIn::Grounded => Box::new(Grounded::default()),
-        BuiltIn::Openai => Box::new(cli::openai::policy(model)?),
+        BuiltInPolicy::Random => Box::new(Random),
+        BuiltInPolicy::Grounded => Box::new(Grounded::default()),
+        BuiltInPolicy::Openai => Box::new(cli::openai::policy(model)?),
     };
     serve(policy.as_mut(), attach_dir).context("the policy process cannot go on")
 }

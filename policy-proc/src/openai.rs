@@ -21,7 +21,7 @@ use llm::{
 };
 use peer::{Answer, Answers, Decider, Decision, FrameView, Request, RequestId, ServeError, Usage};
 use prompt::image::ImageFormat;
-use prompt::{PartContent, Prompt, Unread, read_answer};
+use prompt::{PartContent, Prompt, UnreadAnswer, read_answer};
 use shm_types::process::monotonic_ns;
 
 use images::EncodedViews;
@@ -106,7 +106,7 @@ impl Decider for Openai {
                 answers.fail(id, format!("{view:?} cannot be encoded as an image"));
                 continue;
             }
-            let pending = Pending {
+            let pending = PendingRequest {
                 id,
                 images: prompt.images_sent(),
                 size: PromptSize::of(request, &prompt),
@@ -155,7 +155,7 @@ fn chat_request<'a>(
 }
 
 /// A request that waits for its reply.
-struct Pending {
+struct PendingRequest {
     id: RequestId,
     /// Images that are sent.
     images: u32,
@@ -167,7 +167,7 @@ struct Pending {
     answers: Answers,
 }
 
-impl Pending {
+impl PendingRequest {
     fn finish(mut self, answered: Result<ChatAnswer, AskError>) {
         let id = self.id;
         let answered = match answered {
@@ -180,12 +180,12 @@ impl Pending {
         };
         let read = read_reply(&answered.reply);
         self.record(Some(&answered.reply), read.err());
-        let answer = read.map_or_else(Answer::from, Answer::Act);
+        let answer = read.map_or_else(UnreadAnswer::answer, Answer::Act);
         let usage = Some(self.usage(&answered));
         self.answers.decide(id, Decision { answer, images: self.images, usage });
     }
 
-    fn record(&mut self, reply: Option<&ChatReply>, unread: Option<Unread>) {
+    fn record(&mut self, reply: Option<&ChatReply>, unread: Option<UnreadAnswer>) {
         if let Some(exchange) = self.exchange.take() {
             let reply = reply.map(|reply| reply.text().to_owned());
             let unread = unread.map(|unread| unread.to_string());
@@ -236,10 +236,10 @@ fn exchange(prompt: &Prompt<'_>) -> Exchange {
 }
 
 /// The action that a reply names.
-fn read_reply(reply: &ChatReply) -> Result<domain::Action, Unread> {
+fn read_reply(reply: &ChatReply) -> Result<domain::Action, UnreadAnswer> {
     match &reply.content {
         ReplyContent::Text(text) | ReplyContent::Length(text) => read_answer(text),
-        ReplyContent::Empty => Err(Unread::Empty),
-        ReplyContent::Refusal(_) => Err(Unread::Refused),
+        ReplyContent::Empty => Err(UnreadAnswer::Empty),
+        ReplyContent::Refusal(_) => Err(UnreadAnswer::Refused),
     }
 }

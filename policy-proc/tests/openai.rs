@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 use bytemuck::Zeroable;
 use domain::{Action, Feedback, Heading, Outcome, Pose};
 use llm::scripted::{Received, Server, Turn, completion};
-use llm::{ChatClient, ChatSettings, Endpoint, ResponseCache};
+use llm::{ChatClient, ChatSettings, Endpoint, ReplyCache};
 use peer::{ServeError, serve};
 use policy_proc::openai::{Openai, OpenaiSettings};
 use prompt::image::ImageFormat;
@@ -71,7 +71,7 @@ impl Bench {
         Self::with_cache(server, settings, None)
     }
 
-    fn with_cache(server: Server, settings: OpenaiSettings, cache: Option<ResponseCache>) -> Self {
+    fn with_cache(server: Server, settings: OpenaiSettings, cache: Option<ReplyCache>) -> Self {
         let endpoint = Endpoint::new(&server.base_url(), None).unwrap();
         let mut policy = Openai::new(ChatClient::new(endpoint, chat_settings(), cache), settings);
 
@@ -409,7 +409,7 @@ fn a_request_that_hangs_delays_no_other_lane() {
 fn a_stored_reply_costs_nothing_and_each_repetition_has_its_own() {
     let folder = tempfile::tempdir().unwrap();
     let server = Server::concurrent(|_| Turn::says("turn right")).unwrap();
-    let cache = ResponseCache::at(folder.path());
+    let cache = ReplyCache::at(folder.path());
     let mut bench = Bench::with_cache(server, settings(), Some(cache));
     let frame = bench.publish(9);
     bench.begin(1);

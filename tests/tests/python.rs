@@ -63,7 +63,7 @@ fn the_package_can_be_installed_from_the_checkout() {
 fn read(text: &str) -> String {
     match read_answer(text) {
         Ok(action) => action.words().replace("move ", "").replace(' ', "_"),
-        Err(why) => format!("{:?}", peer::Answer::from(why).outcome()).to_lowercase(),
+        Err(why) => format!("{:?}", why.answer().outcome()).to_lowercase(),
     }
 }
 

@@ -31,7 +31,7 @@ const EXTENSION: &str = "json";
 
 /// A folder of replies. Processes and threads may share it.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct ResponseCache {
+pub struct ReplyCache {
     folder: PathBuf,
 }
 
@@ -73,7 +73,7 @@ impl fmt::Display for CacheKey {
     }
 }
 
-impl ResponseCache {
+impl ReplyCache {
     /// The replies in `folder`, which need not exist yet.
     pub fn at(folder: impl Into<PathBuf>) -> Self {
         Self { folder: folder.into() }
@@ -214,7 +214,7 @@ mod tests {
     #[test]
     fn stored_replies_are_found_and_broken_ones_replaced() {
         let folder = tempfile::tempdir().unwrap();
-        let cache = ResponseCache::at(folder.path().join("responses"));
+        let cache = ReplyCache::at(folder.path().join("responses"));
         let key = CacheKey::of("m", &request("Where?", IMAGE), 0).unwrap();
         let other = CacheKey::of("m", &request("Where?", IMAGE), 1).unwrap();
         assert_eq!(cache.get(&key), None);
@@ -243,7 +243,7 @@ mod tests {
             for _ in 0..8 {
                 let (folder, keys) = (folder.path(), &keys);
                 scope.spawn(move || {
-                    let cache = ResponseCache::at(folder);
+                    let cache = ReplyCache::at(folder);
                     for round in 0..20 {
                         let key = &keys[round % keys.len()];
                         if let Some(known) = cache.get(key) {
@@ -255,12 +255,12 @@ mod tests {
                 });
             }
         });
-        assert_eq!(ResponseCache::at(folder.path()).list().unwrap().entries, 5);
+        assert_eq!(ReplyCache::at(folder.path()).list().unwrap().entries, 5);
     }
 
     #[test]
     fn the_setting() {
-        assert_eq!(ResponseCache::from_setting("off").unwrap(), None);
-        assert_eq!(ResponseCache::from_setting("d").unwrap(), Some(ResponseCache::at("d")));
+        assert_eq!(ReplyCache::from_setting("off").unwrap(), None);
+        assert_eq!(ReplyCache::from_setting("d").unwrap(), Some(ReplyCache::at("d")));
     }
 }

@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 
 use rustix::time::{ClockId, clock_gettime};
 
-use crate::cache::{CacheKey, ResponseCache};
+use crate::cache::{CacheKey, ReplyCache};
 use crate::endpoint::Endpoint;
 use crate::error::{AskError, AttemptError};
 use crate::http::{HttpClient, jitter};
@@ -71,7 +71,7 @@ pub struct ChatClient {
 
 struct Shared {
     http: HttpClient,
-    cache: Option<ResponseCache>,
+    cache: Option<ReplyCache>,
     /// A reply could not be stored, and a warning was logged.
     unwritable: AtomicBool,
     requests: AtomicU64,
@@ -90,7 +90,7 @@ impl fmt::Debug for ChatClient {
 
 impl ChatClient {
     /// A client without connections yet, which looks up replies in `cache` and stores them there.
-    pub fn new(endpoint: Endpoint, settings: ChatSettings, cache: Option<ResponseCache>) -> Self {
+    pub fn new(endpoint: Endpoint, settings: ChatSettings, cache: Option<ReplyCache>) -> Self {
         let state = Mutex::new(ServerState::new(endpoint.to_string(), &settings));
         let shared = Shared {
             http: HttpClient::new(endpoint, settings),

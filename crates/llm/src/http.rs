@@ -27,14 +27,14 @@ const LARGEST_ANSWER: u64 = 16 << 20;
 const IDLE_CONNECTIONS: usize = 256;
 
 /// The outcome of sending a request in one dialect.
-enum Sent {
+enum SendOutcome {
     Reply(Box<ChatReply>),
     /// The server refuses optional fields; this dialect leaves them out.
     OtherDialect(Dialect),
 }
 
 /// A page of the server, with the key masked.
-pub(crate) struct Page {
+pub(crate) struct ServerPage {
     pub(crate) status: u16,
     /// The `Server` header.
     pub(crate) server: Option<String>,
@@ -103,9 +103,9 @@ impl HttpClient {
         loop {
             let dialect = Dialect(self.dialect.load(Ordering::Relaxed));
             match self.send(dialect, request, deadline)? {
-                Sent::Reply(reply) => return Ok(*reply),
+                SendOutcome::Reply(reply) => return Ok(*reply),
                 // Each bit is set once, so this ends.
-                Sent::OtherDialect(dialect) => {
+                SendOutcome::OtherDialect(dialect) => {
                     self.dialect.fetch_or(dialect.0, Ordering::Relaxed);
                 }
             }
@@ -117,7 +117,7 @@ impl HttpClient {
         dialect: Dialect,
         request: &ChatRequest,
         deadline: Duration,
-    ) -> Result<Sent, AttemptError> {
+    ) -> Result<SendOutcome, AttemptError> {
         let body = serde_json::to_vec(&dialect.body(&self.settings.model, request));
         let body = body.map_err(|error| {
             AttemptError::Final(RequestError::Unserializable(error.to_string()))
@@ -134,13 +134,15 @@ impl HttpClient {
         // Masked before anything is made of it, since a server may repeat the key.
         let answer = self.endpoint.masked(&String::from_utf8_lossy(&answer.map_err(transient)?));
         match response.status().as_u16() {
-            200..=299 => self.read(&response, &answer).map(|reply| Sent::Reply(Box::new(reply))),
+            200..=299 => {
+                self.read(&response, &answer).map(|reply| SendOutcome::Reply(Box::new(reply)))
+            }
             status => match dialect.after(request, &answer).filter(|_| matches!(status, 400 | 422))
             {
                 Some((other, fields)) => {
                     let fields = fields.join(", ");
                     tracing::warn!("{} refuses {fields}: not sent again", self.endpoint);
-                    Ok(Sent::OtherDialect(other))
+                    Ok(SendOutcome::OtherDialect(other))
                 }
                 None => Err(self.refused(request, status, &response, &answer)),
             },
@@ -148,7 +150,7 @@ impl HttpClient {
     }
 
     /// Fetches a page of the server, with the key, within `timeout`.
-    pub(crate) fn get(&self, url: &str, timeout: Duration) -> Result<Page, Transient> {
+    pub(crate) fn get(&self, url: &str, timeout: Duration) -> Result<ServerPage, Transient> {
         let mut get = self.agent.get(url);
         if let Some(authorization) = self.endpoint.authorization() {
             get = get.header(AUTHORIZATION, authorization.clone());
@@ -157,7 +159,7 @@ impl HttpClient {
         let failed = |error| transient(error, timeout);
         let mut response = get.call().map_err(failed)?;
         let body = response.body_mut().with_config().limit(LARGEST_ANSWER).read_to_vec();
-        Ok(Page {
+        Ok(ServerPage {
             status: response.status().as_u16(),
             server: header(&response, SERVER).map(|server| self.endpoint.masked(server)),
             body: self.endpoint.masked(&String::from_utf8_lossy(&body.map_err(failed)?)),

@@ -4,7 +4,7 @@
 //! - [`ChatRequest`] and [`ChatReply`]: messages of text and images; an answer and the tokens it took;
 //! - [`ChatClient`]: sends requests, many at once, with retries, a deadline for each attempt and a cache. What one
 //!   request learns about the server holds for all ([`server`]);
-//! - [`ResponseCache`]: replies on disk;
+//! - [`ReplyCache`]: replies on disk;
 //! - [`probe`] and [`fingerprint`]: what a server can do, and what it tells about itself.
 //!
 //! The wording of requests is left to the crates that link this one.
@@ -24,7 +24,7 @@ pub mod scripted;
 mod server;
 
 pub use api_key::ApiKey;
-pub use cache::{CacheListing, CacheSize, ModelReplies, Pruned, ResponseCache};
+pub use cache::{CacheListing, CacheSize, ModelReplies, Pruned, ReplyCache};
 pub use client::{ChatAnswer, ChatClient, ChatSettings};
 pub use endpoint::{BASE_URL_VARIABLES, ENV_FILE, Endpoint, EndpointError, KEY_VARIABLE};
 pub use error::{AskError, RequestError, Transient};

@@ -46,21 +46,6 @@ pub struct ProbeFinding {
     pub about: String,
 }
 
-/// The speed of answers of up to 64 tokens.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Speed {
-    /// Seconds for one request alone.
-    pub alone_s: f64,
-    /// Tokens of its answer, where the server counts them.
-    pub alone_tokens: Option<u64>,
-    /// How many requests were then sent at once.
-    pub together: u32,
-    /// Seconds until the last of them was answered.
-    pub together_s: f64,
-    /// Tokens of all their answers.
-    pub together_tokens: Option<u64>,
-}
-
 /// A request of the run's size that was accepted.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct RunSized {
@@ -83,8 +68,6 @@ pub struct ProbeReport {
     pub findings: Vec<ProbeFinding>,
     /// The largest request of a run that the server accepts; `None` when none was accepted.
     pub run_sized: Option<RunSized>,
-    /// The speed of short answers.
-    pub speed: Option<Speed>,
     /// The server.
     pub fingerprint: Fingerprint,
     /// The model's name in the server's answers.
@@ -111,14 +94,13 @@ pub struct RunRequest<'a> {
 /// Checks what the server can do, with `together` requests at once where several are sent. `run` is the largest request
 /// of the run to come.
 pub fn run(client: &ChatClient, together: u32, run: &RunRequest<'_>) -> ProbeReport {
-    let mut probe = Probe {
+    let mut probe = ServerProbe {
         client,
         report: ProbeReport {
             endpoint: client.endpoint().to_string(),
             model: client.settings().model.clone(),
             findings: Vec::new(),
             run_sized: None,
-            speed: None,
             fingerprint: Fingerprint::default(),
             reported_model: None,
             system_fingerprint: None,
@@ -136,19 +118,19 @@ pub fn run(client: &ChatClient, together: u32, run: &RunRequest<'_>) -> ProbeRep
     probe.report
 }
 
-struct Probe<'a> {
+struct ServerProbe<'a> {
     client: &'a ChatClient,
     report: ProbeReport,
 }
 
 /// The server's reaction to a request that it may refuse.
-enum Reaction {
+enum TrialOutcome {
     Accepted(Box<ChatReply>),
     Refused(String),
     Failed(String),
 }
 
-impl Probe<'_> {
+impl ServerProbe<'_> {
     fn found(&mut self, what: &'static str, mark: ProbeMark, about: impl Into<String>) {
         self.report.findings.push(ProbeFinding { what, mark, about: about.into() });
     }
@@ -158,24 +140,25 @@ impl Probe<'_> {
     }
 
     /// Sends a request that the server may refuse: once, and with retries if the first attempt fails otherwise.
-    fn try_once(&self, request: &ChatRequest) -> Reaction {
-        let refused = |message: String| Reaction::Refused(message.trim_end_matches('.').to_owned());
+    fn try_once(&self, request: &ChatRequest) -> TrialOutcome {
+        let refused =
+            |message: String| TrialOutcome::Refused(message.trim_end_matches('.').to_owned());
         let timeout = self.client.settings().request_timeout;
         match self.client.http().attempt(request, timeout) {
-            Ok(reply) => Reaction::Accepted(Box::new(reply)),
+            Ok(reply) => TrialOutcome::Accepted(Box::new(reply)),
             Err(AttemptError::Final(RequestError::Refused { message, .. })) => refused(message),
             // Some servers answer so when they cannot handle images.
             Err(AttemptError::Transient(Transient::Status { status: 500 | 501, message }, _)) => {
                 refused(message)
             }
             Err(AttemptError::Transient(reason @ Transient::Timeout(_), _)) => {
-                Reaction::Failed(reason.to_string())
+                TrialOutcome::Failed(reason.to_string())
             }
-            Err(AttemptError::Final(error)) => Reaction::Failed(error.to_string()),
+            Err(AttemptError::Final(error)) => TrialOutcome::Failed(error.to_string()),
             Err(AttemptError::Transient(..)) => match self.ask(request) {
-                Ok(reply) => Reaction::Accepted(Box::new(reply)),
+                Ok(reply) => TrialOutcome::Accepted(Box::new(reply)),
                 Err(AskError::Failed(RequestError::Refused { message, .. })) => refused(message),
-                Err(error) => Reaction::Failed(error.to_string()),
+                Err(error) => TrialOutcome::Failed(error.to_string()),
             },
         }
     }
@@ -297,8 +280,8 @@ impl Probe<'_> {
         let mut story = Vec::new();
         for (colour, rgba) in [("red", [230, 20, 20, 255]), ("blue", [20, 20, 230, 255])] {
             let reply = match self.try_once(&square(rgba)) {
-                Reaction::Accepted(reply) => reply,
-                Reaction::Refused(message) => {
+                TrialOutcome::Accepted(reply) => reply,
+                TrialOutcome::Refused(message) => {
                     let about = format!(
                         "the server takes none: {message}. Serve a model that sees (for llama.cpp with its --mmproj \
                          file), or run with --image-budget 0."
@@ -306,7 +289,7 @@ impl Probe<'_> {
                     self.found("images", ProbeMark::Bad, about);
                     return false;
                 }
-                Reaction::Failed(problem) => {
+                TrialOutcome::Failed(problem) => {
                     self.found("images", ProbeMark::Bad, format!("not known: {problem}"));
                     return false;
                 }
@@ -332,13 +315,13 @@ impl Probe<'_> {
         loop {
             let start = Instant::now();
             match self.try_once(&(run.with)(images)) {
-                Reaction::Accepted(reply) => {
+                TrialOutcome::Accepted(reply) => {
                     let seconds = start.elapsed().as_secs_f64();
                     accepted =
                         Some(RunSized { images, seconds, prompt_tokens: reply.prompt_tokens });
                 }
-                Reaction::Refused(message) => refused = Some((images, message)),
-                Reaction::Failed(problem) => {
+                TrialOutcome::Refused(message) => refused = Some((images, message)),
+                TrialOutcome::Failed(problem) => {
                     let about = format!(
                         "with {images} images: {problem}. Run with a longer --request-timeout or a smaller \
                          --image-budget."
@@ -354,7 +337,7 @@ impl Probe<'_> {
             };
         }
         if let Some(RunSized { images: 1.., prompt_tokens: Some(tokens), .. }) = accepted
-            && let Reaction::Accepted(reply) = self.try_once(&(run.with)(0))
+            && let TrialOutcome::Accepted(reply) = self.try_once(&(run.with)(0))
             && reply.prompt_tokens.is_some_and(|without| tokens <= without)
         {
             let about = "images are accepted, but add no tokens to the prompt: the server may drop them. Check its settings.";
@@ -392,33 +375,31 @@ impl Probe<'_> {
     fn speed(&mut self, together: u32) {
         const WHAT: &str = "speed";
         let start = Instant::now();
-        let alone_tokens = match self.ask(&counting(0)) {
-            Ok(reply) => reply.completion_tokens,
+        let alone = match self.ask(&counting(0)) {
+            Ok(reply) => timed(start, reply.completion_tokens),
             Err(error) => return self.found(WHAT, ProbeMark::Bad, error.to_string()),
         };
-        let alone_s = start.elapsed().as_secs_f64();
         let (start, client) = (Instant::now(), self.client);
-        let replies: Result<Vec<_>, AskError> = thread::scope(|scope| {
+        let tokens: Result<Option<u64>, AskError> = thread::scope(|scope| {
             let threads: Vec<_> = (1..=together)
                 .map(|number| scope.spawn(move || client.ask(&counting(number), 0)))
                 .collect();
-            let joined = threads.into_iter().filter_map(|thread| thread.join().ok());
-            joined.collect()
+            let answers = threads.into_iter().filter_map(|thread| thread.join().ok());
+            let tokens = answers.map(|answer| answer.map(|answer| answer.reply.completion_tokens));
+            tokens.collect::<Result<Vec<_>, _>>().map(|tokens| tokens.into_iter().sum())
         });
-        let together_s = start.elapsed().as_secs_f64();
-        let replies = match replies {
-            Ok(replies) => replies,
+        match tokens {
+            Ok(tokens) => {
+                let about = format!("alone {alone}; {together} at once {}", timed(start, tokens));
+                self.found(WHAT, ProbeMark::Ok, about);
+            }
             Err(error) => {
                 let about = format!(
                     "{together} requests at once are too many: {error}. Run with fewer --max-connections."
                 );
-                return self.found(WHAT, ProbeMark::Doubtful, about);
+                self.found(WHAT, ProbeMark::Doubtful, about);
             }
-        };
-        let together_tokens = replies.iter().map(|answered| answered.reply.completion_tokens).sum();
-        let speed = Speed { alone_s, alone_tokens, together, together_s, together_tokens };
-        self.found(WHAT, ProbeMark::Ok, speed.to_string());
-        self.report.speed = Some(speed);
+        }
     }
 }
 
@@ -459,18 +440,14 @@ fn judge(
     }
 }
 
-impl std::fmt::Display for Speed {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        let Self { alone_s, alone_tokens, together, together_s, together_tokens } = self;
-        let rate = |tokens: &Option<u64>, seconds: &f64| match tokens {
-            Some(tokens) if *seconds > 0.0 => {
-                format!(" for {tokens} tokens ({:.0} a second)", *tokens as f64 / seconds)
-            }
-            _ => String::new(),
-        };
-        write!(f, "alone {alone_s:.2} s{}", rate(alone_tokens, alone_s))?;
-        write!(f, "; {together} at once {together_s:.2} s{}", rate(together_tokens, together_s))
-    }
+/// The time since `start`, and the rate of `tokens` where the server counts them.
+fn timed(start: Instant, tokens: Option<u64>) -> String {
+    let seconds = start.elapsed().as_secs_f64();
+    let rate = tokens.map(|tokens| {
+        let rate = tokens as f64 / seconds.max(f64::EPSILON);
+        format!(" for {tokens} tokens ({rate:.0} a second)")
+    });
+    format!("{seconds:.2} s{}", rate.unwrap_or_default())
 }
 
 /// The question for the colour of a square.

@@ -77,12 +77,12 @@ pub fn completion(text: &str) -> Value {
 #[derive(Debug)]
 pub struct Server {
     address: SocketAddr,
-    log: Arc<Log>,
+    log: Arc<ServerLog>,
     thread: Option<JoinHandle<()>>,
 }
 
 #[derive(Debug, Default)]
-struct Log {
+struct ServerLog {
     received: Mutex<Vec<Received>>,
     connections: Mutex<Vec<TcpStream>>,
     over: AtomicBool,
@@ -110,7 +110,7 @@ impl Server {
     ) -> io::Result<Self> {
         let listener = TcpListener::bind("127.0.0.1:0")?;
         let address = listener.local_addr()?;
-        let (log, script) = (Arc::<Log>::default(), Arc::new(script));
+        let (log, script) = (Arc::<ServerLog>::default(), Arc::new(script));
         let accepting = Arc::clone(&log);
         let thread = thread::spawn(move || {
             for stream in listener.incoming() {
@@ -172,7 +172,7 @@ impl Drop for Server {
 /// Serves a connection until either side closes it. A script that panics answers nothing, and so fails its test.
 fn serve(
     stream: &TcpStream,
-    log: &Log,
+    log: &ServerLog,
     script: &(dyn Fn(&Received) -> Turn + Send + Sync),
 ) -> io::Result<()> {
     stream.set_nodelay(true)?;

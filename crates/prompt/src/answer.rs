@@ -14,7 +14,7 @@ use peer::Answer;
 
 /// Why no action was read.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
-pub enum Unread {
+pub enum UnreadAnswer {
     /// The answer has no text.
     #[error("the answer is empty")]
     Empty,
@@ -26,12 +26,13 @@ pub enum Unread {
     NoAction,
 }
 
-impl From<Unread> for Answer {
-    fn from(unread: Unread) -> Self {
-        match unread {
-            Unread::Empty => Self::Empty,
-            Unread::Refused => Self::Refused,
-            Unread::NoAction => Self::Unreadable,
+impl UnreadAnswer {
+    /// The policy's answer to the request.
+    pub const fn answer(self) -> Answer {
+        match self {
+            Self::Empty => Answer::Empty,
+            Self::Refused => Answer::Refused,
+            Self::NoAction => Answer::Unreadable,
         }
     }
 }
@@ -52,18 +53,18 @@ const REFUSALS: [&str; 7] =
 ///
 /// # Errors
 /// When there is none.
-pub fn read_answer(text: &str) -> Result<Action, Unread> {
+pub fn read_answer(text: &str) -> Result<Action, UnreadAnswer> {
     let tokens = tokens(without_reasoning(text));
     let words: Vec<&str> = tokens.iter().map(String::as_str).collect();
     if words.iter().all(|word| is_boundary(word)) {
-        return Err(Unread::Empty);
+        return Err(UnreadAnswer::Empty);
     }
     let marker = words.windows(2).position(|two| matches!(two, ["action" | "answer", ":"]));
     let announced = marker.and_then(|at| first_action(&words[at + 2..]));
     announced.or_else(|| first_action(&words)).ok_or_else(|| {
         let text = words.join(" ");
         let refused = REFUSALS.iter().any(|phrase| text.contains(phrase));
-        if refused { Unread::Refused } else { Unread::NoAction }
+        if refused { UnreadAnswer::Refused } else { UnreadAnswer::NoAction }
     })
 }
 
@@ -162,7 +163,7 @@ fn is_walk(word: &str) -> bool {
 
 #[cfg(test)]
 mod tests {
-    use super::Unread::{Empty, NoAction, Refused};
+    use super::UnreadAnswer::{Empty, NoAction, Refused};
     use super::*;
 
     #[test]

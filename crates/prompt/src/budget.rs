@@ -2,7 +2,7 @@
 
 /// The images of a request by kind, apart from the current view.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct Counts {
+pub(super) struct ImageCounts {
     /// Keyframes of all demonstrations together.
     pub(super) keyframes: u32,
     /// Retrieved views.
@@ -13,17 +13,17 @@ pub(super) struct Counts {
 
 /// Which images are sent.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct Plan {
-    counts: Counts,
-    sent: Counts,
+pub(super) struct ImagePlan {
+    counts: ImageCounts,
+    sent: ImageCounts,
     /// Whether the current view is sent.
     pub(super) now: bool,
 }
 
-impl Plan {
+impl ImagePlan {
     /// Leaves out images beyond `budget`: keyframes first, then retrieved views, those of the window, and the current view
     /// last.
-    pub(super) fn new(counts: Counts, budget: u32) -> Self {
+    pub(super) fn new(counts: ImageCounts, budget: u32) -> Self {
         let mut room = budget;
         let mut take = |wanted: u32| {
             let taken = wanted.min(room);
@@ -35,7 +35,7 @@ impl Plan {
         let window = take(counts.window);
         let retrieved = take(counts.retrieved);
         let keyframes = take(counts.keyframes);
-        Self { counts, sent: Counts { keyframes, retrieved, window }, now }
+        Self { counts, sent: ImageCounts { keyframes, retrieved, window }, now }
     }
 
     /// Whether keyframe `index` is sent: the middle one of each of as many equal stretches as there is room for.
@@ -64,7 +64,7 @@ mod tests {
     use super::*;
 
     fn shown(keyframes: u32, retrieved: u32, window: u32, budget: u32) -> String {
-        let plan = Plan::new(Counts { keyframes, retrieved, window }, budget);
+        let plan = ImagePlan::new(ImageCounts { keyframes, retrieved, window }, budget);
         let letters = |count, sent: &dyn Fn(u32) -> bool| -> String {
             (0..count).map(|index| if sent(index) { 'x' } else { '.' }).collect()
         };

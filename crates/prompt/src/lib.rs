@@ -23,7 +23,7 @@ use domain::Action;
 use peer::{FrameView, Request};
 use serde_json::{Value, json};
 
-pub use answer::{Unread, read_answer};
+pub use answer::{UnreadAnswer, read_answer};
 
 /// Version of the template, as its file states it: `prompt/1`.
 pub fn version() -> &'static str {
@@ -63,7 +63,7 @@ pub const IMAGE_BUDGET: u32 = 50;
 
 /// A section of a prompt.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-pub enum Section {
+pub enum PromptSection {
     /// The system message: how the world and the actions work, and how to answer.
     Rules,
     /// What memory supplies. Representations differ here and nowhere else.
@@ -76,7 +76,7 @@ pub enum Section {
     Now,
 }
 
-impl Section {
+impl PromptSection {
     /// All sections, in the order of a prompt.
     pub const ALL: [Self; 5] = [Self::Rules, Self::Memory, Self::Task, Self::Window, Self::Now];
 
@@ -105,7 +105,7 @@ pub enum PartContent<'a> {
 #[derive(Debug, Clone)]
 pub struct PromptPart<'a> {
     /// The section that it belongs to.
-    pub section: Section,
+    pub section: PromptSection,
     /// Its content.
     pub content: PartContent<'a>,
 }
@@ -144,7 +144,7 @@ impl<'a> Prompt<'a> {
     }
 
     /// Number of images of `section` that are sent.
-    pub fn images(&self, section: Section) -> u32 {
+    pub fn images(&self, section: PromptSection) -> u32 {
         let views = self
             .parts
             .iter()
@@ -153,14 +153,14 @@ impl<'a> Prompt<'a> {
     }
 
     /// Characters (Unicode scalar values) of text in `section`.
-    pub fn characters(&self, section: Section) -> usize {
+    pub fn characters(&self, section: PromptSection) -> usize {
         let texts = self.parts.iter().filter(|part| part.section == section);
         let characters = texts.map(|part| match &part.content {
             PartContent::Text(text) => text.chars().count(),
             PartContent::View(_) => 0,
         });
         let parts: usize = characters.sum();
-        if section == Section::Rules { parts + self.system.chars().count() } else { parts }
+        if section == PromptSection::Rules { parts + self.system.chars().count() } else { parts }
     }
 
     /// The two messages of a chat request, with `url` as the address of each image. Without an image the user message is

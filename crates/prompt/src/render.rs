@@ -3,9 +3,9 @@
 use domain::{Action, DocumentKind};
 use peer::{DocumentView, FrameView, Request, Segment, Trajectory};
 
-use super::budget::{Counts, Plan};
+use super::budget::{ImageCounts, ImagePlan};
 use super::template::{Template, fill};
-use super::{PartContent, Prompt, PromptPart, Section};
+use super::{PartContent, Prompt, PromptPart, PromptSection};
 
 /// The prompt for `request` in the words of `template`.
 pub(super) fn prompt<'a>(
@@ -13,27 +13,27 @@ pub(super) fn prompt<'a>(
     request: &Request<'a>,
     image_budget: u32,
 ) -> Prompt<'a> {
-    let mut writer = Writer { template, section: Section::Memory, parts: Vec::new() };
-    let plan = Plan::new(counts(request), image_budget);
+    let mut writer = Writer { template, section: PromptSection::Memory, parts: Vec::new() };
+    let plan = ImagePlan::new(counts(request), image_budget);
     writer.memory(request, &plan);
-    writer.section = Section::Task;
+    writer.section = PromptSection::Task;
     writer.fill(&template.task.text, &[("instruction", request.instruction)]);
-    writer.section = Section::Window;
+    writer.section = PromptSection::Window;
     writer.window(request, &plan);
-    writer.section = Section::Now;
+    writer.section = PromptSection::Now;
     writer.now(request, &plan);
     Prompt { system: &template.system, parts: writer.parts, images_asked: request.images() }
 }
 
-fn counts(request: &Request<'_>) -> Counts {
+fn counts(request: &Request<'_>) -> ImageCounts {
     let retrieved = request.segment.map_or(0, |segment| segment.steps.len() as u32);
     let window = request.window.len() as u32;
-    Counts { keyframes: request.images() - retrieved - window - 1, retrieved, window }
+    ImageCounts { keyframes: request.images() - retrieved - window - 1, retrieved, window }
 }
 
 struct Writer<'a> {
     template: &'static Template,
-    section: Section,
+    section: PromptSection,
     parts: Vec<PromptPart<'a>>,
 }
 
@@ -67,7 +67,7 @@ impl<'a> Writer<'a> {
         self.parts.push(PromptPart { section: self.section, content });
     }
 
-    fn memory(&mut self, request: &Request<'a>, plan: &Plan) {
+    fn memory(&mut self, request: &Request<'a>, plan: &ImagePlan) {
         let texts = &self.template.memory;
         let Request { documents, trajectories, segment, .. } = *request;
         self.text(&texts.begin);
@@ -105,7 +105,7 @@ impl<'a> Writer<'a> {
     }
 
     /// The views of a demonstration, and between two of them the actions that led from one to the other.
-    fn demonstration(&mut self, trajectory: &Trajectory<'a>, keyframe: &mut u32, plan: &Plan) {
+    fn demonstration(&mut self, trajectory: &Trajectory<'a>, keyframe: &mut u32, plan: &ImagePlan) {
         let mut actions = Vec::new();
         let mut taken: usize = 0;
         for step in trajectory.steps {
@@ -141,7 +141,7 @@ impl<'a> Writer<'a> {
         actions.clear();
     }
 
-    fn retrieved(&mut self, segment: &Segment<'a>, plan: &Plan) {
+    fn retrieved(&mut self, segment: &Segment<'a>, plan: &ImagePlan) {
         let template = self.template;
         let texts = &template.memory;
         let distance = match segment.distance {
@@ -167,7 +167,7 @@ impl<'a> Writer<'a> {
         self.text(&texts.retrieved_end);
     }
 
-    fn window(&mut self, request: &Request<'a>, plan: &Plan) {
+    fn window(&mut self, request: &Request<'a>, plan: &ImagePlan) {
         let template = self.template;
         let texts = &template.window;
         self.text(&texts.begin);
@@ -186,7 +186,7 @@ impl<'a> Writer<'a> {
         self.text(&texts.end);
     }
 
-    fn now(&mut self, request: &Request<'a>, plan: &Plan) {
+    fn now(&mut self, request: &Request<'a>, plan: &ImagePlan) {
         let texts = &self.template.now;
         let cell = request.pose.cell;
         let (column, row) = (cell.x.to_string(), cell.y.to_string());

@@ -7,6 +7,19 @@ use serde::Deserialize;
 
 pub(super) const FILE: &str = include_str!("../v1.toml");
 
+/// Defines structs of texts, which have to be in the file and are the only ones there.
+macro_rules! texts {
+    ($($name:ident { $($field:ident),* $(,)? })*) => {
+        $(
+            #[derive(Debug, Deserialize)]
+            #[serde(deny_unknown_fields)]
+            pub(super) struct $name {
+                $(pub(super) $field: String,)*
+            }
+        )*
+    };
+}
+
 /// The template's texts. `v1.toml` says what each is for.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -14,95 +27,33 @@ pub(super) struct Template {
     pub(super) version: String,
     pub(super) system: String,
     pub(super) view_not_shown: String,
-    pub(super) memory: Memory,
-    pub(super) task: Task,
-    pub(super) window: Window,
-    pub(super) now: Now,
-    pub(super) view: View,
-    actions: Actions,
-    feedback: Feedbacks,
-    headings: Headings,
+    pub(super) memory: MemoryTexts,
+    pub(super) task: TaskTexts,
+    pub(super) window: WindowTexts,
+    pub(super) now: NowTexts,
+    pub(super) view: ViewTexts,
+    actions: ActionTexts,
+    feedback: FeedbackTexts,
+    headings: HeadingTexts,
 }
 
-#[derive(Debug, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub(super) struct Memory {
-    pub(super) begin: String,
-    pub(super) nothing: String,
-    pub(super) end: String,
-    pub(super) document: String,
-    pub(super) summary: String,
-    pub(super) semantic: String,
-    pub(super) demonstration_begin: String,
-    pub(super) demonstration_view: String,
-    pub(super) demonstration_actions: String,
-    pub(super) then: String,
-    pub(super) several: String,
-    pub(super) demonstration_end: String,
-    pub(super) hint: String,
-    pub(super) retrieved_begin: String,
-    pub(super) unknown_distance: String,
-    pub(super) retrieved_action: String,
-    pub(super) retrieved_view: String,
-    pub(super) retrieved_view_alone: String,
-    pub(super) retrieved_end: String,
-}
-
-#[derive(Debug, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub(super) struct Task {
-    pub(super) text: String,
-}
-
-#[derive(Debug, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub(super) struct Window {
-    pub(super) begin: String,
-    pub(super) nothing: String,
-    pub(super) view: String,
-    pub(super) step: String,
-    pub(super) no_action: String,
-    pub(super) end: String,
-}
-
-#[derive(Debug, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub(super) struct Now {
-    pub(super) begin: String,
-    pub(super) end: String,
-}
-
-#[derive(Debug, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub(super) struct View {
-    pub(super) after: String,
-}
-
-#[derive(Debug, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct Actions {
-    forward: String,
-    backward: String,
-    left: String,
-    right: String,
-    turn_left: String,
-    turn_right: String,
-    turn_around: String,
-}
-
-#[derive(Debug, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct Feedbacks {
-    start: String,
-    moved: String,
-    turned: String,
-    blocked: String,
-    not_understood: String,
+texts! {
+    MemoryTexts {
+        begin, nothing, end, document, summary, semantic, demonstration_begin, demonstration_view,
+        demonstration_actions, then, several, demonstration_end, hint, retrieved_begin,
+        unknown_distance, retrieved_action, retrieved_view, retrieved_view_alone, retrieved_end,
+    }
+    TaskTexts { text }
+    WindowTexts { begin, nothing, view, step, no_action, end }
+    NowTexts { begin, end }
+    ViewTexts { after }
+    ActionTexts { forward, backward, left, right, turn_left, turn_right, turn_around }
+    FeedbackTexts { start, moved, turned, blocked, not_understood }
 }
 
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields, rename_all = "UPPERCASE")]
-struct Headings {
+struct HeadingTexts {
     n: String,
     e: String,
     s: String,

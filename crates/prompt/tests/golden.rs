@@ -14,17 +14,17 @@ use domain::{Action, DocumentKind, Feedback, Heading, Pose};
 use peer::{
     DocumentView, FrameView, PastView, Request, Segment, SegmentView, Trajectory, TrajectoryView,
 };
-use prompt::{PartContent, Prompt, Section, image_name};
+use prompt::{PartContent, Prompt, PromptSection, image_name};
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
 /// A golden file.
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-struct Case {
+struct GoldenCase {
     about: String,
     image_budget: u32,
-    request: Plain,
+    request: PlainRequest,
     #[serde(default)]
     outcome: Value,
 }
@@ -32,7 +32,7 @@ struct Case {
 /// A request in plain form.
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-struct Plain {
+struct PlainRequest {
     instruction: String,
     pose: PlainPose,
     feedback: String,
@@ -108,7 +108,7 @@ fn view(name: &str) -> FrameView<'static> {
 }
 
 /// The outcome of a request and a budget, and the prompt as a text.
-fn outcome(plain: &Plain, image_budget: u32) -> (Value, String) {
+fn outcome(plain: &PlainRequest, image_budget: u32) -> (Value, String) {
     let window = plain.window.iter();
     let window: Vec<_> = window
         .map(|past| PastView {
@@ -166,8 +166,8 @@ fn outcome(plain: &Plain, image_budget: u32) -> (Value, String) {
     };
     let prompt = Prompt::new(&request, image_budget);
     let sections: Vec<_> = prompt.parts.iter().map(|part| part.section.name()).collect();
-    let by_section = |count: &dyn Fn(Section) -> Value| -> Value {
-        Section::ALL
+    let by_section = |count: &dyn Fn(PromptSection) -> Value| -> Value {
+        PromptSection::ALL
             .into_iter()
             .map(|section| (section.name().to_owned(), count(section)))
             .collect()
@@ -202,7 +202,7 @@ fn files() -> Vec<PathBuf> {
     files
 }
 
-fn read(path: &Path) -> Case {
+fn read(path: &Path) -> GoldenCase {
     let text = fs::read_to_string(path).unwrap();
     serde_json::from_str(&text).unwrap_or_else(|error| panic!("{}: {error}", path.display()))
 }

@@ -5,7 +5,7 @@ use std::time::{Duration, SystemTime};
 
 use anyhow::Context;
 use clap::{Args, Subcommand};
-use llm::{CacheListing, CacheSize, ModelReplies, Pruned, ResponseCache};
+use llm::{CacheListing, CacheSize, ModelReplies, Pruned, ReplyCache};
 use serde::Serialize;
 
 use super::print;
@@ -19,7 +19,7 @@ Examples:
   memtransfer cache clear")]
 pub(crate) struct CacheArguments {
     #[command(subcommand)]
-    verb: Verb,
+    verb: CacheVerb,
     /// The folder of replies [default: responses in the cache folder]
     #[arg(long, value_name = "DIR", global = true)]
     response_cache: Option<PathBuf>,
@@ -29,7 +29,7 @@ pub(crate) struct CacheArguments {
 }
 
 #[derive(Subcommand)]
-enum Verb {
+enum CacheVerb {
     /// List the stored replies by model
     Ls,
     /// Remove old replies, or the oldest until the rest is small enough
@@ -49,22 +49,22 @@ enum Verb {
 pub(crate) fn run(arguments: &CacheArguments) -> anyhow::Result<()> {
     let CacheArguments { verb, response_cache, json } = arguments;
     let cache = match response_cache {
-        Some(folder) => ResponseCache::at(folder),
-        None => ResponseCache::from_environment()?,
+        Some(folder) => ReplyCache::at(folder),
+        None => ReplyCache::from_environment()?,
     };
     let context = || format!("the replies in {}", cache.folder().display());
     match verb {
-        Verb::Ls => {
+        CacheVerb::Ls => {
             let listing = cache.list().with_context(context)?;
             show(&listing, *json, list)
         }
-        Verb::Prune { older_than, max_bytes } => {
+        CacheVerb::Prune { older_than, max_bytes } => {
             let pruned = cache.prune(*older_than, *max_bytes, SystemTime::now());
             show(&pruned.with_context(context)?, *json, |Pruned { removed, left }| {
                 format!("removed {}; left {}", describe(removed), describe(left))
             })
         }
-        Verb::Clear => {
+        CacheVerb::Clear => {
             let removed = cache.clear().with_context(context)?;
             show(&removed, *json, |removed| format!("removed {}", describe(removed)))
         }

@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use anyhow::Context;
 use clap::Args;
-use llm::{ChatClient, ChatSettings, Endpoint, ResponseCache};
+use llm::{ChatClient, ChatSettings, Endpoint, ReplyCache};
 use policy_proc::openai::{Openai, OpenaiSettings};
 use prompt::image::ImageFormat;
 
@@ -52,7 +52,7 @@ pub(crate) struct ModelArguments {
 pub(crate) fn policy(arguments: ModelArguments) -> anyhow::Result<Openai> {
     let model = arguments.model.context("--policy openai needs --model")?;
     let endpoint = Endpoint::from_environment(arguments.base_url.as_deref(), Path::new("."))?;
-    let cache = ResponseCache::from_setting(&arguments.response_cache)
+    let cache = ReplyCache::from_setting(&arguments.response_cache)
         .context("pass --response-cache off, or a folder")?;
     let settings = OpenaiSettings {
         image_format: arguments.image_format,

@@ -7,7 +7,7 @@
 //! reports image tokens, those are used.
 
 use peer::Request;
-use prompt::{Prompt, Section, tokens};
+use prompt::{Prompt, PromptSection, tokens};
 
 /// What a prompt consists of, and how much of it is memory. Text is in tokens as [`tokens::of_text`] expects them.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -22,8 +22,8 @@ impl PromptSize {
     pub(super) fn of(request: &Request<'_>, prompt: &Prompt<'_>) -> Self {
         let documents = request.documents.iter().map(|document| document.text.chars().count());
         let documents: usize = documents.sum();
-        let memory = prompt.characters(Section::Memory);
-        let all: usize = Section::ALL.iter().map(|section| prompt.characters(*section)).sum();
+        let memory = prompt.characters(PromptSection::Memory);
+        let all: usize = PromptSection::ALL.iter().map(|section| prompt.characters(*section)).sum();
         let text = |characters: usize| {
             tokens::of_text((characters - documents) as u64, documents as u64) as f64
         };
@@ -33,7 +33,7 @@ impl PromptSize {
             || request.segment.is_some();
         Self {
             images: prompt.images_sent().into(),
-            memory_images: prompt.images(Section::Memory).into(),
+            memory_images: prompt.images(PromptSection::Memory).into(),
             text: text(all),
             memory_text: if has_memory { text(memory) } else { 0.0 },
         }

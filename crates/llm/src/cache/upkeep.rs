@@ -8,7 +8,7 @@ use std::time::{Duration, SystemTime};
 
 use serde::Serialize;
 
-use super::{EXTENSION, FORM, ResponseCache, StoredReply};
+use super::{EXTENSION, FORM, ReplyCache, StoredReply};
 
 /// The prefix of files that are being written.
 pub(super) const UNFINISHED: &str = ".unfinished-";
@@ -77,7 +77,7 @@ impl CacheSize {
     }
 }
 
-impl ResponseCache {
+impl ReplyCache {
     /// The content of the cache.
     ///
     /// # Errors
@@ -209,8 +209,8 @@ mod tests {
     const DAY: Duration = Duration::from_secs(86_400);
 
     /// A cache of four replies of two models, from 0 to 3 days old.
-    fn cache(folder: &Path, now: SystemTime) -> ResponseCache {
-        let cache = ResponseCache::at(folder);
+    fn cache(folder: &Path, now: SystemTime) -> ReplyCache {
+        let cache = ReplyCache::at(folder);
         let body = br#"{"choices":[{"message":{"content":"North."}}]}"#;
         let request = ChatRequest::text("?", 9);
         for days in 0..4 {
@@ -268,6 +268,6 @@ mod tests {
         assert_eq!(cache.clear().unwrap().entries, 4);
         assert_eq!(cache.list().unwrap().entries, 0);
         assert!(folder.path().join("notes.json").exists());
-        assert_eq!(ResponseCache::at("/nowhere").list().unwrap().entries, 0);
+        assert_eq!(ReplyCache::at("/nowhere").list().unwrap().entries, 0);
     }
 }

@@ -49,7 +49,7 @@ impl Bench {
         Self::with_cache(base_url, settings, None)
     }
 
-    fn with_cache(base_url: &str, settings: ChatSettings, cache: Option<ResponseCache>) -> Self {
+    fn with_cache(base_url: &str, settings: ChatSettings, cache: Option<ReplyCache>) -> Self {
         let endpoint = Endpoint::new(base_url, ApiKey::new(KEY)).unwrap();
         let (tell, done) = channel();
         Self { client: ChatClient::new(endpoint, settings, cache), done, tell }
@@ -376,7 +376,7 @@ fn stopping_ends_waiting_requests_at_once_and_the_others_after_their_attempt() {
 #[test]
 fn stored_replies_need_no_connection_and_failures_are_never_stored() {
     let folder = tempfile::tempdir().unwrap();
-    let cache = || Some(ResponseCache::at(folder.path()));
+    let cache = || Some(ReplyCache::at(folder.path()));
     let server = Server::turns([
         fails(400, "too long"),
         Turn::says("North."),
@@ -409,7 +409,7 @@ fn stored_replies_need_no_connection_and_failures_are_never_stored() {
 #[test]
 fn stored_replies_come_while_every_connection_hangs() {
     let folder = tempfile::tempdir().unwrap();
-    let cache = ResponseCache::at(folder.path());
+    let cache = ReplyCache::at(folder.path());
     let server = Server::concurrent(|request| match text(request) {
         "hang" => Turn::Hang,
         _ => Turn::says("North."),
@@ -429,8 +429,7 @@ fn a_cache_that_cannot_be_written_costs_no_reply() {
     let file = folder.path().join("file");
     std::fs::write(&file, "").unwrap();
     let server = Server::start(|_| Turn::says("North.")).unwrap();
-    let bench =
-        Bench::with_cache(&server.base_url(), settings(2, 0), Some(ResponseCache::at(file)));
+    let bench = Bench::with_cache(&server.base_url(), settings(2, 0), Some(ReplyCache::at(file)));
     ["a", "b"].into_iter().for_each(|name| bench.submit(name));
     for _ in 0..2 {
         assert!(!bench.answer().1.from_cache);

@@ -354,7 +354,7 @@ fn a_server_that_refuses_every_request_stops_the_client() {
 }
 
 #[derive(Debug, Clone, Copy)]
-enum Event {
+enum ServerEvent {
     Reply,
     Status(u16),
     Timeout,
@@ -362,13 +362,13 @@ enum Event {
     Refused(u16),
 }
 
-fn event() -> impl Strategy<Value = Event> {
+fn event() -> impl Strategy<Value = ServerEvent> {
     prop_oneof![
-        4 => Just(Event::Reply),
-        3 => prop::sample::select(vec![429, 500, 503]).prop_map(Event::Status),
-        1 => Just(Event::Timeout),
-        1 => Just(Event::Unreachable),
-        1 => prop::sample::select(vec![400, 401, 404]).prop_map(Event::Refused),
+        4 => Just(ServerEvent::Reply),
+        3 => prop::sample::select(vec![429, 500, 503]).prop_map(ServerEvent::Status),
+        1 => Just(ServerEvent::Timeout),
+        1 => Just(ServerEvent::Unreachable),
+        1 => prop::sample::select(vec![400, 401, 404]).prop_map(ServerEvent::Refused),
     ]
 }
 
@@ -413,15 +413,15 @@ proptest! {
             story.now += seconds(1);
             let (mut attempts, sent) = in_flight.swap_remove(which % in_flight.len());
             let failure = match event {
-                Event::Reply => {
+                ServerEvent::Reply => {
                     story.state.replied(story.now - sent);
                     ended += 1;
                     continue;
                 }
-                Event::Status(number) => status(number),
-                Event::Timeout => timeout(),
-                Event::Unreachable => unreachable(),
-                Event::Refused(number) => refused(number),
+                ServerEvent::Status(number) => status(number),
+                ServerEvent::Timeout => timeout(),
+                ServerEvent::Unreachable => unreachable(),
+                ServerEvent::Refused(number) => refused(number),
             };
             match story.fail(&mut attempts, failure, sent) {
                 Next::Retry(_) => waiting.push(attempts),
