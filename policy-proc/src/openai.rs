@@ -1,7 +1,7 @@
 //! The `openai` policy: a vision-language model behind an OpenAI-compatible endpoint.
 //!
-//! Each request becomes a prompt with encoded images ([`images`]) and goes to the chat client, which calls back with the
-//! reply. The action is read from the reply, its cost is recorded ([`usage`]), and that is the decision. Nothing is kept
+//! Each request becomes a prompt with encoded images (`images`) and goes to the chat client, which calls back with the
+//! reply. The action is read from the reply, its cost is recorded (`usage`), and that is the decision. Nothing is kept
 //! between requests but encoded images and the token counts of the running episodes.
 //!
 //! Any reply is the model's doing. A missing one never is: a request that fails for good ends its episode without a result,

@@ -3,7 +3,7 @@
 //! - [`Endpoint`]: the address of a server and the key for it ([`ApiKey`]), from flags, environment or `.env`;
 //! - [`ChatRequest`] and [`ChatReply`]: messages of text and images; an answer and the tokens it took;
 //! - [`ChatClient`]: sends requests, many at once, with retries, a deadline for each attempt and a cache. What one
-//!   request learns about the server holds for all ([`server`]);
+//!   request learns about the server holds for all;
 //! - [`ReplyCache`]: replies on disk;
 //! - [`probe`] and [`fingerprint`]: what a server can do, and what it tells about itself.
 //!
