@@ -1,6 +1,5 @@
 //! The memory process.
 
-use std::io::IsTerminal;
 use std::num::{NonZeroU32, NonZeroUsize};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -20,7 +19,6 @@ use memory_proc::search_profile::{self, ProfileSettings};
 use memory_proc::serve::{EncoderSettings, ServeSettings, serve};
 use search::GraphOptions;
 use search::synthetic::SyntheticVectors;
-use tracing_subscriber::EnvFilter;
 
 /// The memory of MemTransfer: embeds frames, builds the representations, retrieves.
 #[derive(Parser)]
@@ -257,19 +255,7 @@ fn cache_at(folder: Option<PathBuf>) -> anyhow::Result<Cache> {
 }
 
 fn main() -> ExitCode {
-    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new("warn"));
-    tracing_subscriber::fmt()
-        .with_env_filter(filter)
-        .with_ansi(std::io::stderr().is_terminal())
-        .with_writer(std::io::stderr)
-        .init();
-    match run(Arguments::parse().verb) {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(error) => {
-            eprintln!("memory-proc: {error:#}");
-            ExitCode::from(2)
-        }
-    }
+    program::run("memory-proc", || run(Arguments::parse().verb).map(|()| ExitCode::SUCCESS))
 }
 
 fn run(verb: Verb) -> anyhow::Result<()> {

@@ -21,12 +21,11 @@ mod show;
 mod top;
 mod validate;
 
-use std::io::{self, IsTerminal, Write};
+use std::io::{self, Write};
 use std::path::PathBuf;
 use std::process::ExitCode;
 
 use clap::{Args, CommandFactory, FromArgMatches, Parser, Subcommand};
-use tracing_subscriber::EnvFilter;
 
 use crate::world::World;
 
@@ -119,13 +118,7 @@ impl From<Exit> for ExitCode {
 
 /// The whole program: reads the command line, does what the verb says, tells how it ended.
 pub fn main() -> ExitCode {
-    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new("warn"));
-    let colours = io::stderr().is_terminal();
-    tracing_subscriber::fmt()
-        .with_env_filter(filter)
-        .with_ansi(colours)
-        .with_writer(io::stderr)
-        .init();
+    program::log_to_stderr();
     let matches = Cli::command().get_matches();
     let verb = match Cli::from_arg_matches(&matches) {
         Ok(cli) => cli.verb,

@@ -2,7 +2,6 @@
 
 mod cli;
 
-use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
@@ -12,7 +11,6 @@ use peer::{Decider, serve};
 use policy_proc::grounded::Grounded;
 use policy_proc::random::Random;
 use shm_types::ATTACH_VARIABLE;
-use tracing_subscriber::EnvFilter;
 
 /// Decides what the agents do. Started by `memtransfer run`.
 #[derive(Parser)]
@@ -52,22 +50,12 @@ enum BuiltInPolicy {
 }
 
 fn main() -> ExitCode {
-    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new("warn"));
-    tracing_subscriber::fmt()
-        .with_env_filter(filter)
-        .with_ansi(std::io::stderr().is_terminal())
-        .with_writer(std::io::stderr)
-        .init();
-    let done = match PolicyProcArguments::parse().verb {
+    program::run("policy-proc", || match PolicyProcArguments::parse().verb {
         PolicyProcVerb::Serve { attach, policy, model } => {
             take_part(&attach, policy, *model).map(|()| ExitCode::SUCCESS)
         }
         PolicyProcVerb::Probe(arguments) => cli::probe::run(&arguments),
         PolicyProcVerb::Cache(arguments) => cli::cache::run(&arguments).map(|()| ExitCode::SUCCESS),
-    };
-    done.unwrap_or_else(|error| {
-        eprintln!("policy-proc: {error:#}");
-        ExitCode::from(2)
     })
 }
 

@@ -10,8 +10,8 @@ use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering::SeqCst};
 
-use memtransfer_tests::{Bench, Ended, episodes, eventually, records, sorted_log};
 use llm::scripted::{Received, Server, Turn, completion};
+use memtransfer_tests::{Bench, Ended, episodes, eventually, records, sorted_log};
 use serde_json::{Value, json};
 
 /// Lanes, and most requests under way.

@@ -4,10 +4,10 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
+use llm::scripted::{Server, Turn};
 use memtransfer_tests::{
     Bench, Ended, episodes, eventually, kill, needs, processes_with, records, sorted_log,
 };
-use llm::scripted::{Server, Turn};
 use prompt::read_answer;
 
 fn package() -> PathBuf {

@@ -26,9 +26,7 @@ impl RunDocuments {
     /// The documents of a run with `settings`, which begins anew if `fresh`.
     pub(super) fn of(settings: &RunSettings, fresh: bool) -> Self {
         let (folder, selection) = match &settings.documents {
-            DocumentSource::Extractive => {
-                (None, DocumentSelection::Recipe(Recipe::Extractive))
-            }
+            DocumentSource::Extractive => (None, DocumentSelection::Recipe(Recipe::Extractive)),
             DocumentSource::Model(name) => (None, DocumentSelection::Model(name.clone())),
             DocumentSource::Folder(path) => (Some(path.clone()), DocumentSelection::Any),
         };

@@ -1,0 +1,39 @@
+//! What every program's main function does: logging to stderr, the message of a fatal error, the exit status.
+
+use std::io::{self, IsTerminal};
+use std::process::ExitCode;
+
+use tracing_subscriber::filter::{LevelFilter, Targets};
+use tracing_subscriber::layer::SubscriberExt;
+use tracing_subscriber::util::SubscriberInitExt;
+
+/// The environment variable that sets log levels: `debug`, or `warn,memory_proc=debug`.
+const LEVELS_VARIABLE: &str = "RUST_LOG";
+
+/// Sends log messages to stderr, warnings and errors unless `RUST_LOG` says otherwise. An invalid `RUST_LOG` is reported
+/// and ignored.
+pub fn log_to_stderr() {
+    let default = Targets::new().with_default(LevelFilter::WARN);
+    let levels = match std::env::var(LEVELS_VARIABLE) {
+        Ok(text) if !text.is_empty() => text.parse().unwrap_or_else(|error| {
+            eprintln!(
+                "{LEVELS_VARIABLE}={text} is not valid ({error}); logging warnings and errors"
+            );
+            default
+        }),
+        _ => default,
+    };
+    let format = tracing_subscriber::fmt::layer()
+        .with_ansi(io::stderr().is_terminal())
+        .with_writer(io::stderr);
+    tracing_subscriber::registry().with(format).with(levels).init();
+}
+
+/// Runs the main function of the program `name` with logging to stderr. An error is printed and becomes exit status 2.
+pub fn run(name: &str, main: impl FnOnce() -> anyhow::Result<ExitCode>) -> ExitCode {
+    log_to_stderr();
+    main().unwrap_or_else(|error| {
+        eprintln!("{name}: {error:#}");
+        ExitCode::from(2)
+    })
+}
