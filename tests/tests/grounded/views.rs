@@ -1,6 +1,7 @@
-//! Views of the world, each rendered once as long as it is kept.
+//! Rendered views of the world.
 
 use std::collections::HashMap;
+use std::hash::{DefaultHasher, Hash, Hasher};
 use std::sync::Arc;
 
 use domain::{Cell, Heading, Pose};
@@ -8,20 +9,21 @@ use policy_proc::FrameView;
 use sim_proc::renderer::{RenderSettings, Renderer, View};
 use warehouse::{Variant, Warehouse};
 
-/// Fields across and down of the small picture that views are compared by.
+/// Fields along each side of the coarse grid by which views are compared.
 const SIDE: usize = 28;
 
-/// One view.
-pub(crate) struct Picture {
+/// A rendered view.
+pub(crate) struct Image {
     id: u64,
     width: u32,
     height: u32,
+    content_hash: [u8; 16],
     pixels: Vec<u8>,
-    /// Sum of each channel over the fields of a coarse grid.
+    /// The sum of each channel over the fields of the coarse grid.
     fields: Vec<u32>,
 }
 
-impl Picture {
+impl Image {
     pub(crate) fn new(id: u64, width: u32, height: u32, pixels: Vec<u8>) -> Self {
         let mut fields = vec![0; SIDE * SIDE * 3];
         for (i, pixel) in pixels.chunks_exact(4).enumerate() {
@@ -31,33 +33,36 @@ impl Picture {
                 fields[3 * field + channel] += u32::from(pixel[channel]);
             }
         }
-        Self { id, width, height, pixels, fields }
+        let mut hasher = DefaultHasher::new();
+        pixels.hash(&mut hasher);
+        let content_hash = u128::from(hasher.finish()).to_le_bytes();
+        Self { id, width, height, content_hash, pixels, fields }
     }
 
     pub(crate) fn frame(&self) -> FrameView<'_> {
         FrameView {
             id: self.id,
-            content_hash: u128::from(self.id).to_le_bytes(),
+            content_hash: self.content_hash,
             width: self.width,
             height: self.height,
             pixels: &self.pixels,
         }
     }
 
-    /// How much two pictures differ: 0 for equal ones.
+    /// How much two images differ: 0 if they are equal.
     pub(crate) fn distance(&self, other: &Self) -> u64 {
         let fields = self.fields.iter().zip(&other.fields);
         fields.map(|(&a, &b)| u64::from(a.abs_diff(b))).sum()
     }
 }
 
-/// The views that were asked for so far.
+/// A cache of rendered views.
 pub(crate) struct Views {
     renderer: Renderer,
-    rendered: HashMap<Pose, Arc<Picture>>,
-    /// With barricades on these cells.
+    rendered: HashMap<Pose, Arc<Image>>,
+    /// The closed cells of `rendered_closed`.
     closed: Vec<Cell>,
-    rendered_closed: HashMap<Pose, Arc<Picture>>,
+    rendered_closed: HashMap<Pose, Arc<Image>>,
     last_id: u64,
 }
 
@@ -68,8 +73,8 @@ impl Views {
         Self { renderer, rendered, closed: Vec::new(), rendered_closed, last_id: 0 }
     }
 
-    pub(crate) fn of(&mut self, pose: Pose, variant: &Variant) -> Arc<Picture> {
-        // Views of one world at a time are kept beside those of the unchanged one: they are large.
+    pub(crate) fn of(&mut self, pose: Pose, variant: &Variant) -> Arc<Image> {
+        // Views are large: besides the unchanged world's, only those of one other variant are kept.
         if !variant.closed().is_empty() && self.closed != variant.closed() {
             self.rendered_closed.clear();
             self.closed = variant.closed().to_vec();
@@ -80,13 +85,13 @@ impl Views {
             let image = self.renderer.render_image(View { pose, variant }).unwrap();
             let (width, height) = image.dimensions();
             self.last_id += 1;
-            Arc::new(Picture::new(self.last_id, width, height, image.into_raw()))
+            Arc::new(Image::new(self.last_id, width, height, image.into_raw()))
         };
         Arc::clone(rendered.entry(pose).or_insert_with(render))
     }
 }
 
-/// Every pose there is, in a fixed order.
+/// All poses, in a fixed order.
 pub(crate) fn poses(warehouse: &Warehouse) -> Vec<Pose> {
     let cells = warehouse.layout.free_cells();
     cells.flat_map(|cell| Heading::ALL.map(|heading| Pose { cell, heading })).collect()

@@ -1,4 +1,4 @@
-//! Walks cases with the grounded policy, in one process, and counts what is solved.
+//! Runs cases with the grounded policy in one process and counts successes.
 
 use std::collections::{HashMap, VecDeque};
 use std::sync::Arc;
@@ -11,10 +11,10 @@ use warehouse::{
 };
 
 use crate::documents;
-use crate::supply;
-use crate::views::{Picture, Views, poses};
+use crate::recall;
+use crate::views::{Image, Views, poses};
 
-/// What is shown to the policy.
+/// The frames that the policy gets.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) enum Frames {
     Rendered,
@@ -22,21 +22,21 @@ pub(crate) enum Frames {
     Swapped,
 }
 
-/// How cases are walked.
+/// The condition under which cases are run.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Setup {
+pub(crate) struct Condition {
     pub(crate) memory: Representation,
     pub(crate) start: Start,
     /// 1 or 4.
     pub(crate) demonstrations: usize,
     pub(crate) window: usize,
     pub(crate) frames: Frames,
-    /// Episodic segments with actions, not with images alone.
+    /// Whether episodic segments have actions, not images alone.
     pub(crate) actions: bool,
     pub(crate) hint: bool,
 }
 
-impl Setup {
+impl Condition {
     pub(crate) fn of(memory: Representation) -> Self {
         Self {
             memory,
@@ -50,17 +50,17 @@ impl Setup {
     }
 }
 
-pub(crate) struct Walker {
+pub(crate) struct Runner {
     warehouse: Warehouse,
     cases: CaseSet,
     views: Views,
     poses: Vec<Pose>,
-    blank: Arc<Picture>,
+    blank: Arc<Image>,
     documents: HashMap<(DocumentKind, usize), (u64, String)>,
     policy: Grounded,
 }
 
-impl Walker {
+impl Runner {
     pub(crate) fn new() -> Self {
         let warehouse = Warehouse::shipped();
         let mut poses = poses(&warehouse);
@@ -69,52 +69,54 @@ impl Walker {
             cases: CaseSet::shipped(),
             views: Views::new(&warehouse),
             poses,
-            blank: Arc::new(Picture::new(u64::MAX - 1, 448, 448, vec![128; 448 * 448 * 4])),
+            blank: Arc::new(Image::new(u64::MAX - 1, 448, 448, vec![128; 448 * 448 * 4])),
             documents: HashMap::new(),
             policy: Grounded::default(),
             warehouse,
         }
     }
 
-    /// Cases solved, of every `every`th.
-    pub(crate) fn solved(&mut self, setup: Setup, every: usize) -> usize {
+    /// The number of successes among every `every`th case.
+    pub(crate) fn successes(&mut self, condition: Condition, every: usize) -> usize {
         let cases: Vec<Case> = self.cases.cases.iter().step_by(every).cloned().collect();
-        cases.iter().filter(|case| self.solves(case, setup)).count()
+        cases.iter().filter(|case| self.succeeds(case, condition)).count()
     }
 
-    fn solves(&mut self, case: &Case, setup: Setup) -> bool {
-        let starts = &Start::DEMONSTRATIONS[..setup.demonstrations];
-        let remembers =
-            matches!(setup.memory, Representation::Episodic | Representation::FullContext);
-        let memory = if remembers {
-            supply::demonstrations(&self.warehouse, &mut self.views, case, starts)
+    fn succeeds(&mut self, case: &Case, condition: Condition) -> bool {
+        let starts = &Start::DEMONSTRATIONS[..condition.demonstrations];
+        let uses_demonstrations =
+            matches!(condition.memory, Representation::Episodic | Representation::FullContext);
+        let memory = if uses_demonstrations {
+            recall::demonstrations(&self.warehouse, &mut self.views, case, starts)
         } else {
             Vec::new()
         };
-        let kinds = setup.memory.describe().documents;
-        let texts: Vec<_> =
-            kinds.iter().map(|&kind| (kind, self.document(kind, setup.demonstrations))).collect();
+        let kinds = condition.memory.describe().documents;
+        let texts: Vec<_> = kinds
+            .iter()
+            .map(|&kind| (kind, self.document(kind, condition.demonstrations)))
+            .collect();
         let documents: Vec<_> = texts
             .iter()
             .map(|(kind, (id, text))| DocumentView { id: *id, kind: *kind, text })
             .collect();
         let instruction = case.task.instruction(&self.warehouse.catalogue);
-        let variant = case.variant(setup.start);
-        let mut pose = case.trajectory(setup.start).start;
+        let variant = case.variant(condition.start);
+        let mut pose = case.trajectory(condition.start).start;
         let mut feedback = Feedback::Start;
         let mut progress = Progress::new(&self.warehouse, &case.task, pose.cell);
-        let mut window: VecDeque<(Arc<Picture>, Action, Feedback)> = VecDeque::new();
-        let views: Vec<_> = match setup.memory {
-            Representation::FullContext => memory.iter().map(supply::trajectory).collect(),
+        let mut window: VecDeque<(Arc<Image>, Action, Feedback)> = VecDeque::new();
+        let views: Vec<_> = match condition.memory {
+            Representation::FullContext => memory.iter().map(recall::trajectory).collect(),
             _ => Vec::new(),
         };
         let trajectories: Vec<_> = views.iter().map(|steps| Trajectory { steps }).collect();
         for taken in 0..MAX_STEPS {
-            let picture = self.look(pose, &variant, setup.frames);
+            let image = self.look(pose, &variant, condition.frames);
             let past: Vec<_> = window.iter().map(|past| past_view(past)).collect();
-            let segment = is_episodic(setup)
+            let segment = is_episodic(condition)
                 .then(|| {
-                    supply::retrieve(&memory, &picture, progress.stage(), taken, setup.actions)
+                    recall::retrieve(&memory, &image, progress.stage(), taken, condition.actions)
                 })
                 .flatten();
             let request = Request {
@@ -126,20 +128,20 @@ impl Walker {
                 instruction: &instruction,
                 pose,
                 feedback,
-                frame: picture.frame(),
+                frame: image.frame(),
                 window: &past,
                 segment: segment
                     .as_ref()
                     .map(|(distance, steps)| Segment { distance: *distance, steps }),
                 documents: &documents,
                 trajectories: &trajectories,
-                starts_as_demonstrated: setup.hint,
+                starts_as_demonstrated: condition.hint,
             };
             let answer = self.policy.act(&[request])[0].answer;
             let action = answer.action().expect("the grounded policy always acts");
             (pose, feedback) = step(&self.warehouse.layout, &variant, pose, action);
-            window.push_back((picture, action, feedback));
-            if window.len() > setup.window {
+            window.push_back((image, action, feedback));
+            if window.len() > condition.window {
                 window.pop_front();
             }
             progress.visit(pose.cell);
@@ -150,18 +152,18 @@ impl Walker {
         false
     }
 
-    /// The document of `kind` made of 1 or 4 `demonstrations` of every case, and its id.
+    /// The document of `kind` built from 1 or 4 `demonstrations` of all cases, and its id.
     fn document(&mut self, kind: DocumentKind, demonstrations: usize) -> (u64, String) {
         let id = self.documents.len() as u64 + 1;
         let selection = match demonstrations {
             1 => Demonstrations::ORIGINAL,
             _ => Demonstrations::ALL,
         };
-        let write = || (id, documents::document(kind, selection, &mut self.views));
-        self.documents.entry((kind, demonstrations)).or_insert_with(write).clone()
+        let build = || (id, documents::document(kind, selection, &mut self.views));
+        self.documents.entry((kind, demonstrations)).or_insert_with(build).clone()
     }
 
-    fn look(&mut self, pose: Pose, variant: &Variant, frames: Frames) -> Arc<Picture> {
+    fn look(&mut self, pose: Pose, variant: &Variant, frames: Frames) -> Arc<Image> {
         match frames {
             Frames::Rendered => self.views.of(pose, variant),
             Frames::Blank => Arc::clone(&self.blank),
@@ -174,10 +176,10 @@ impl Walker {
     }
 }
 
-fn is_episodic(setup: Setup) -> bool {
-    setup.memory == Representation::Episodic
+fn is_episodic(condition: Condition) -> bool {
+    condition.memory == Representation::Episodic
 }
 
-fn past_view((picture, action, feedback): &(Arc<Picture>, Action, Feedback)) -> PastView<'_> {
-    PastView { frame: picture.frame(), action: Some(*action), feedback: *feedback }
+fn past_view((image, action, feedback): &(Arc<Image>, Action, Feedback)) -> PastView<'_> {
+    PastView { frame: image.frame(), action: Some(*action), feedback: *feedback }
 }

@@ -1,4 +1,4 @@
-//! Plates in rendered views, read by the policy and looked up in the catalogue.
+//! Plates that are read from rendered views, compared with the catalogue.
 
 use plates::{self, Landmark, Plate};
 use warehouse::sight::sees;
@@ -6,10 +6,10 @@ use warehouse::{Item, Variant, Warehouse};
 
 use crate::views::{Views, poses};
 
-/// Every how many poses one is looked at: not a divisor of the headings, so all of them come up.
+/// One pose of so many is tested. Coprime to the number of headings, so that all headings occur.
 const EVERY: usize = 7;
 
-/// Farthest standpoint, in cells ahead, whose plate has to be read.
+/// The farthest standpoint, in cells ahead, whose plate has to be read.
 const NEAR: u8 = 5;
 
 fn landmark(warehouse: &Warehouse, item: &Item) -> Landmark {
@@ -20,15 +20,15 @@ fn landmark(warehouse: &Warehouse, item: &Item) -> Landmark {
 }
 
 #[test]
-fn plates_are_read_where_they_hang_and_say_what_stands_there() {
+fn plates_in_rendered_views_agree_with_the_catalogue() {
     let warehouse = Warehouse::shipped();
     let mut views = Views::new(&warehouse);
     let items: Vec<_> =
         warehouse.items.iter().map(|item| (item, landmark(&warehouse, item))).collect();
     let (mut near, mut found) = (0, 0);
     for pose in poses(&warehouse).into_iter().step_by(EVERY) {
-        let picture = views.of(pose, &Variant::UNCHANGED);
-        let frame = picture.frame();
+        let image = views.of(pose, &Variant::UNCHANGED);
+        let frame = image.frame();
         let read: Vec<_> = plates::read(frame.width, frame.height, frame.pixels)
             .into_iter()
             .map(|sighting| sighting.seen_from(pose).expect("a plate off the grid"))
@@ -48,7 +48,7 @@ fn plates_are_read_where_they_hang_and_say_what_stands_there() {
             }
         }
     }
-    // What `sees` counts as seen may be a sliver beside a rack.
+    // `sees` also counts items of which only a sliver is visible beside a rack.
     assert!(near > 400, "only {near} plates to read");
     assert!(100 * found >= 95 * near, "{found} of {near} plates were read");
 }

@@ -1,4 +1,4 @@
-//! What memory supplies: demonstrations with their views, keyframes, the nearest view.
+//! What memory supplies: demonstrations with keyframes, and the segment after the nearest view.
 
 use std::sync::Arc;
 
@@ -6,22 +6,22 @@ use domain::Action;
 use policy_proc::{SegmentView, TrajectoryView};
 use warehouse::{Case, Start, Variant, Warehouse};
 
-use crate::views::{Picture, Views};
+use crate::views::{Image, Views};
 
-/// Actions after a retrieved view, and keyframes of all demonstrations together (SPEC section 5).
+/// Actions after a retrieved view, and keyframes of all demonstrations together (specification, section 5).
 const HORIZON: usize = 6;
 const KEYFRAMES: usize = 40;
 
-/// A demonstration's view, what the expert did there, and how far it had got.
-pub(crate) struct Remembered {
-    picture: Arc<Picture>,
+/// One step of a demonstration: the view, the expert's action, and the sub-goals completed.
+pub(crate) struct DemonstrationStep {
+    image: Arc<Image>,
     action: Option<Action>,
     stage: u32,
     is_keyframe: bool,
 }
 
-/// A demonstration, step by step.
-pub(crate) type Demonstration = Vec<Remembered>;
+/// A demonstration from start to end.
+pub(crate) type Demonstration = Vec<DemonstrationStep>;
 
 /// The demonstrations of `case` from `starts`.
 pub(crate) fn demonstrations(
@@ -30,20 +30,20 @@ pub(crate) fn demonstrations(
     case: &Case,
     starts: &[Start],
 ) -> Vec<Demonstration> {
-    let remember = |&start: &Start| {
+    let record = |&start: &Start| {
         let replay = case.replay(warehouse, start);
         let actions = &case.trajectory(start).actions;
         let keyframes = keyframes(actions, &replay.goal_steps, KEYFRAMES / starts.len());
         let steps = replay.poses.iter().zip(&replay.stages).enumerate();
-        let step = |(at, (&pose, &stage))| Remembered {
-            picture: views.of(pose, &Variant::UNCHANGED),
+        let step = |(at, (&pose, &stage))| DemonstrationStep {
+            image: views.of(pose, &Variant::UNCHANGED),
             action: actions.get(at).copied(),
             stage,
             is_keyframe: keyframes.contains(&at),
         };
         steps.map(step).collect()
     };
-    starts.iter().map(remember).collect()
+    starts.iter().map(record).collect()
 }
 
 /// Start, sub-goal completions, end, moments before turns, then evenly sampled.
@@ -61,28 +61,28 @@ fn keyframes(actions: &[Action], goal_steps: &[u32], budget: usize) -> Vec<usize
 
 /// A demonstration as full-context memory supplies it.
 pub(crate) fn trajectory(demonstration: &Demonstration) -> Vec<TrajectoryView<'_>> {
-    let view = |step: &'_ Remembered| step.is_keyframe;
+    let view = |step: &'_ DemonstrationStep| step.is_keyframe;
     let steps = demonstration.iter();
     steps
         .map(|step| TrajectoryView {
-            frame: view(step).then(|| step.picture.frame()),
+            frame: view(step).then(|| step.image.frame()),
             action: step.action,
         })
         .collect()
 }
 
-/// The nearest remembered view and what follows it; ties by task stage, then by elapsed steps.
+/// The nearest demonstrated view and the steps after it; ties by task stage, then by elapsed steps.
 pub(crate) fn retrieve<'a>(
     memory: &'a [Demonstration],
-    picture: &Picture,
+    image: &Image,
     stage: u32,
     taken: u32,
     with_actions: bool,
 ) -> Option<(f32, Vec<SegmentView<'a>>)> {
     let views = memory.iter().flat_map(|demonstration| demonstration.iter().enumerate());
-    let nearest = |(at, view): &(usize, &Remembered)| {
+    let nearest = |(at, view): &(usize, &DemonstrationStep)| {
         let elapsed = (*at as u32).abs_diff(taken);
-        (picture.distance(&view.picture), stage.abs_diff(view.stage), elapsed)
+        (image.distance(&view.image), stage.abs_diff(view.stage), elapsed)
     };
     let least = views.map(|view| nearest(&view)).min()?;
     let (from, at) = memory.iter().find_map(|demonstration| {
@@ -91,7 +91,7 @@ pub(crate) fn retrieve<'a>(
     })?;
     let end = (at + HORIZON).min(from.len() - 1);
     let view = |i: usize| SegmentView {
-        frame: from[i].picture.frame(),
+        frame: from[i].image.frame(),
         action: from[i].action.filter(|_| i < end && with_actions),
     };
     Some((if least.0 == 0 { 0.0 } else { 1.0 }, (at..=end).map(view).collect()))

@@ -1,0 +1,203 @@
+"""A policy on plain iceoryx2, without the package `memtransfer`. Everything it does is in docs/wire.md.
+
+It follows the expert's action in the retrieved view. Without one it walks ahead, and turns where its last move was
+blocked or where it sees nothing.
+"""
+
+import ctypes
+import fcntl
+import json
+import os
+import time
+from pathlib import Path
+
+import iceoryx2 as iox2
+
+WIRE_VERSION = 5
+ROLES = ("orchestrator", "sim", "memory", "policy")
+POLICY = ROLES.index("policy")
+FORWARD, TURN_LEFT, NO_ACTION = 0, 4, 255
+BLOCKED, ACTED = 3, 0
+NOT_MEASURED = 2**32 - 1
+PAGE_BYTES = 4096
+U8, U32, U64, F32 = ctypes.c_uint8, ctypes.c_uint32, ctypes.c_uint64, ctypes.c_float
+
+
+def struct(name, size, fields):
+    """The structure of this name; `fields` are written as in the page's tables."""
+    types = {"u8": U8, "u32": U32, "u64": U64, "f32": F32}
+    members = []
+    for field in fields.split(","):
+        member, kind = field.strip().split(": ")
+        kind, _, count = kind.partition(" x ")
+        kind = types.get(kind) or globals()[kind]
+        members.append((member, kind * int(count) if count else kind))
+    body = {"_fields_": members, "type_name": staticmethod(lambda: f"memtransfer.{name}")}
+    made = type(name, (ctypes.Structure,), body)
+    assert ctypes.sizeof(made) == size, f"{name} has {ctypes.sizeof(made)} bytes instead of {size}"
+    return made
+
+
+WirePose = struct("WirePose", 4, "x: u8, y: u8, heading: u8, reserved: u8")
+PastStep = struct("PastStep", 16, "frame: u64, action: u8, feedback: u8, reserved: u8 x 6")
+SegmentStep = struct("SegmentStep", 16, "frame: u64, action: u8, reserved: u8 x 7")
+FrameHeader = struct("FrameHeader", 32, "id: u64, width: u32, height: u32, content_hash: u8 x 16")
+Page = struct("Page", PAGE_BYTES, "pixels: u8 x 4096")
+DocumentHeader = struct("DocumentHeader", 24, "id: u64, episode: u64, lane: u32, kind: u32")
+Eviction = struct("Eviction", 8, "frame: u64")
+Stop = struct("Stop", 8, "reserved: u64")
+Handshake = struct("Handshake", 512, "wire_version: u32, role: u32, pid: u32, facts_len: u32, facts: u8 x 496")
+ShutdownReport = struct("ShutdownReport", 48, """role: u32, reserved: u32, frames_rendered: u64,
+    frames_evicted: u64, frames_received: u64, pixel_bytes_copied: u64, error_reports: u64""")
+PolicyEpisodeConfig = struct("PolicyEpisodeConfig", 264, """episode: u64, seed: u64, lane: u32, instruction_len: u32,
+    repeat: u32, starts_as_demonstrated: u8, reserved: u8 x 3, instruction: u8 x 232""")
+Observation = struct("Observation", 72, """episode: u64, frame: u64, commanded_ns: u64, woken_ns: u64,
+    stepped_ns: u64, rendered_ns: u64, sent_ns: u64, lane: u32, step: u32, pose: WirePose, feedback: u8, action: u8,
+    last: u8, reserved: u8""")
+Recall = struct("Recall", 1104, """episode: u64, received_ns: u64, sent_ns: u64, lane: u32, step: u32, distance: f32,
+    window_len: u32, segment_len: u32, documents_len: u32, documents: u64 x 4, window: PastStep x 32,
+    segment: SegmentStep x 32""")
+Decision = struct("Decision", 112, """episode: u64, received_ns: u64, started_ns: u64, prompted_ns: u64, sent_ns: u64,
+    decided_ns: u64, lane: u32, step: u32, prompt_tokens: u32, completion_tokens: u32, cached_tokens: u32,
+    image_tokens: u32, memory_tokens: u32, images_asked: u32, images: u32, attempts: u32, outcome: u8, action: u8,
+    replayed: u8, reserved: u8 x 21""")
+
+
+class Run:
+    """The policy's place in a run."""
+
+    def __init__(self, folder):
+        attach = json.loads((folder / "attach.json").read_text())
+        if attach["wire_version"] != WIRE_VERSION:
+            raise SystemExit(f"this run speaks wire version {attach['wire_version']}, not {WIRE_VERSION}")
+        self.lock = os.open(folder / "lock", os.O_RDONLY)
+        fcntl.flock(self.lock, fcntl.LOCK_SH)
+        config = iox2.config.default()
+        config.global_cfg.prefix = iox2.FileName.new(attach["prefix"])
+        config.global_cfg.root_path = iox2.Path.new(str(folder))
+        config.defaults.publish_subscribe.subscriber_expired_connection_buffer = 16
+        self.node = iox2.NodeBuilder.new().config(config).create(iox2.ServiceType.Ipc)
+        self.generation = attach["generation"]
+        lanes, capacity = attach["lanes"], attach["frame_capacity"]
+        chunks = capacity + 32 + capacity // 8 + lanes + 16
+        self.queues = {"lanes": 2 * lanes + 16, "frames": 2 * chunks, "few": 256}
+
+        self.listener = self.events("policy").listener_builder().create()
+        self.orchestrator = self.events("orchestrator").notifier_builder().create()
+        self.handshake = self.service("handshake", Handshake, 3, 1, "few")
+        self.decisions = publisher(self.service("decision", Decision, 1, 1, "lanes"))
+        self.shutdown_reports = publisher(self.service("shutdown-report", ShutdownReport, 3, 1, "few"))
+        subscribe = lambda *service: self.service(*service).subscriber_builder().create()
+        self.configs = subscribe("policy-config", PolicyEpisodeConfig, 1, 1, "lanes")
+        self.observations = subscribe("observation", Observation, 1, 3, "lanes")
+        self.recalls = subscribe("recall", Recall, 1, 1, "lanes")
+        self.stops = subscribe("stop", Stop, 1, 3, "few")
+        self.evictions = subscribe("eviction", Eviction, 1, 2, "frames")
+        frames = self.builder("frame").publish_subscribe(iox2.Slice[Page]).user_header(FrameHeader)
+        frames = frames.payload_alignment(iox2.Alignment.new(PAGE_BYTES))
+        self.frames = create(frames, 1, 2, chunks, chunks).subscriber_builder().create()
+        documents = self.builder("document").publish_subscribe(iox2.Slice[U8]).user_header(DocumentHeader)
+        self.documents = create(documents, 1, 1, 1, 2 * lanes + 64).subscriber_builder().create()
+
+    def builder(self, name):
+        return self.node.service_builder(iox2.ServiceName.new(f"{self.generation}/{name}"))
+
+    def service(self, name, message, senders, receivers, queue):
+        return create(self.builder(name).publish_subscribe(message), senders, receivers, 1, self.queues[queue])
+
+    def events(self, role):
+        events = self.builder(f"doorbell/{role}").event().max_listeners(1).max_notifiers(4).max_nodes(5)
+        return events.event_id_max_value(0).open_or_create()
+
+    def shake_hands(self):
+        facts = json.dumps({"policy": "wire-witness"}).encode()
+        while self.handshake.dynamic_config.number_of_subscribers == 0:
+            time.sleep(0.001)
+        self.handshakes = publisher(self.handshake)
+        send(self.handshakes, Handshake(WIRE_VERSION, POLICY, os.getpid(), len(facts), (U8 * 496)(*facts)))
+        self.orchestrator.notify()
+
+    def serve(self):
+        configs, observations, recalls, frames, received = {}, {}, {}, {}, 0
+        while True:
+            # Effects before causes: what a message refers to was sent before it.
+            stops, evictions = drain(self.stops, Stop), drain(self.evictions, Eviction)
+            recalls.update((recall.lane, recall) for recall in drain(self.recalls, Recall))
+            observations.update((seen.lane, seen) for seen in drain(self.observations, Observation))
+            configs.update((config.lane, config) for config in drain(self.configs, PolicyEpisodeConfig))
+            while (sample := self.frames.receive()) is not None:
+                frames[FrameHeader.from_address(sample.user_header_ptr).id] = sample
+                received += 1
+            while self.documents.receive() is not None:
+                pass  # this policy reads none
+            answered = 0
+            for lane, observation in list(observations.items()):
+                step = (observation.episode, observation.step)
+                config, recall = configs.get(lane), recalls.get(lane)
+                if observation.last:
+                    del observations[lane]
+                elif config and recall and config.episode == recall.episode and (recall.episode, recall.step) == step:
+                    self.answer(observation, recall, frames[observation.frame])
+                    del observations[lane], recalls[lane]
+                    answered += 1
+            for eviction in evictions:
+                frames.pop(eviction.frame, None)
+            if stops:
+                send(self.shutdown_reports, ShutdownReport(role=POLICY, frames_received=received))
+            if stops or answered:
+                self.orchestrator.notify()
+            if stops:
+                return
+            # A recall may arrive shortly before its observation.
+            self.listener.timed_wait(iox2.Duration.from_millis(1 if recalls else 1000))
+
+    def answer(self, observation, recall, frame):
+        started = time.monotonic_ns()
+        action = self.decide(observation, recall, frame)
+        unknown = ("prompt_tokens", "completion_tokens", "cached_tokens", "image_tokens", "memory_tokens")
+        send(self.decisions, Decision(
+            episode=observation.episode, lane=observation.lane, step=observation.step, received_ns=started,
+            started_ns=started, decided_ns=time.monotonic_ns(), images_asked=1, images=1, outcome=ACTED,
+            action=action, **dict.fromkeys(unknown, NOT_MEASURED)))
+
+    def decide(self, observation, recall, frame):
+        if recall.segment_len and recall.segment[0].action != NO_ACTION:
+            return recall.segment[0].action
+        # The pixels are shared memory: only the row on the horizon is copied.
+        header = FrameHeader.from_address(frame.user_header_ptr)
+        start = 4 * header.width * (header.height // 2)
+        horizon = ctypes.string_at(frame.payload_ptr + start, 4 * header.width)
+        is_blank = horizon == horizon[:4] * header.width
+        return TURN_LEFT if is_blank or observation.feedback == BLOCKED else FORWARD
+
+
+def create(builder, senders, receivers, borrowed, buffer):
+    return (builder.enable_safe_overflow(False).history_size(0).max_publishers(senders).max_subscribers(receivers)
+            .max_nodes(senders + receivers).subscriber_max_borrowed_samples(borrowed)
+            .subscriber_max_buffer_size(buffer).open_or_create())
+
+
+def publisher(service):
+    discard = iox2.BackpressureStrategy.DiscardData
+    return service.publisher_builder().max_loaned_samples(1).backpressure_strategy(discard).create()
+
+
+def send(publisher, message):
+    loan = publisher.loan_uninit()
+    ctypes.memmove(loan.payload_ptr, ctypes.byref(message), ctypes.sizeof(message))
+    if loan.assume_init().send() == 0:
+        raise SystemExit("the orchestrator's queue is full, or the orchestrator is gone")
+
+
+def drain(subscriber, message):
+    messages = []
+    while (sample := subscriber.receive()) is not None:
+        messages.append(message.from_buffer_copy(ctypes.string_at(sample.payload_ptr, ctypes.sizeof(message))))
+        sample = None  # a subscriber may borrow one sample of a message at a time
+    return messages
+
+
+if __name__ == "__main__":
+    run = Run(Path(os.environ["MEMTRANSFER_ATTACH"]))
+    run.shake_hands()
+    run.serve()
