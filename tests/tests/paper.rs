@@ -1,5 +1,4 @@
-//! The whole benchmark in small: every configuration of the paper over four cases, killed and resumed, and
-//! the report about it.
+//! The whole benchmark on four cases: every condition of the paper, killed and resumed, and its report.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -11,11 +10,11 @@ use memtransfer_tests::{
 /// A case of each group of tasks: basic, multi-object, return loop, revisit.
 const CASES: &str = "t01-01,t03-02,t07-01,t09-05";
 
-/// Those cases under all 53 configurations, once.
+/// Those cases under all 53 conditions, once.
 const RUN: [&str; 10] =
     ["run", "--suite", "paper", "--policy", "grounded", "--runs", "1", "--cases", CASES, "--out"];
 
-/// Images of a request at the defaults (SPEC section 5).
+/// Images per request at the default settings (specification, section 5).
 const IMAGES: [(&str, u64); 6] = [
     ("working", 7),
     ("full-context", 47),
@@ -26,13 +25,13 @@ const IMAGES: [(&str, u64); 6] = [
 ];
 
 #[test]
-fn every_configuration_of_the_paper_runs_resumes_and_is_reported() {
+fn every_condition_of_the_paper_runs_resumes_and_is_reported() {
     let bench = Bench::new();
     let run = [&RUN[..], &["paper"]].concat();
     let out = bench.out("paper");
 
     let child = bench.start(&run);
-    eventually("some configurations to be walked", || {
+    eventually("some episodes to be finished", || {
         (episodes(&out).lines().count() >= 20).then_some(())
     });
     kill(child.id());
@@ -41,14 +40,14 @@ fn every_configuration_of_the_paper_runs_resumes_and_is_reported() {
         processes_of(bench.registry.path()).is_empty().then_some(())
     });
     let killed = sorted_log(&out).len();
-    assert!((20..212).contains(&killed), "{killed} episodes: killed in the middle");
+    assert!((20..212).contains(&killed), "{killed} episodes before the kill");
     let resumed = bench.run(&run).expect(0);
     assert!(resumed.stderr.contains("resuming"), "{}", resumed.stderr);
 
     let records = records(&out);
     let keys: BTreeSet<&str> =
         records.iter().map(|record| record["key"].as_str().unwrap()).collect();
-    assert_eq!((records.len(), keys.len()), (212, 212), "every episode once");
+    assert_eq!((records.len(), keys.len()), (212, 212), "every episode is logged once");
     let most: BTreeMap<&str, u64> = IMAGES.into_iter().collect();
     for record in records.iter().filter(|record| record["window"].is_null()) {
         let count = |field: &str| record[field].as_u64().unwrap();
@@ -57,18 +56,18 @@ fn every_configuration_of_the_paper_runs_resumes_and_is_reported() {
         assert!(images <= most * requests, "{}: {images} in {requests} requests", record["key"]);
     }
 
-    // Neither the kill nor the number of lanes made a difference.
+    // The log depends neither on the kill nor on the number of lanes.
     let other = [&RUN[..], &["other", "--lanes", "3"]].concat();
     bench.run(&other).expect(0);
     assert!(sorted_log(&out) == sorted_log(&bench.out("other")), "the logs differ");
 
-    // The report: no cell is empty, and every configuration was run.
+    // No cell of the report is empty, and every condition was run.
     bench.run(&["report", "paper"]).expect(0);
     let pages = out.join("report");
     let page = fs::read_to_string(pages.join("report.html")).unwrap();
     let text = fs::read_to_string(pages.join("report.md")).unwrap();
     for page in [&page, &text] {
-        assert!(page.contains("a scripted stand-in"), "who made the results is said");
+        assert!(page.contains("a scripted stand-in"), "the stand-in is named");
     }
     let mut cells = 0;
     for row in text.lines().filter(|line| line.starts_with("| ")) {
@@ -78,7 +77,7 @@ fn every_configuration_of_the_paper_runs_resumes_and_is_reported() {
         }
     }
     assert!(cells > 500, "{cells} cells");
-    assert!(!page.contains("src=\"http"), "one page that needs nothing else");
+    assert!(!page.contains("src=\"http"), "the page loads something");
     for file in ["conditions.csv", "episodes.csv", "conditions.parquet", "episodes.parquet"] {
         assert!(fs::metadata(pages.join(file)).unwrap().len() > 0, "{file}");
     }
