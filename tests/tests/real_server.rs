@@ -118,13 +118,15 @@ fn doctor_finds_out_what_a_real_server_can_do() {
         let finding = of(&format!("endpoint, {what}"));
         assert_eq!(finding["ok"], true, "{finding}");
     }
+    let restricted = of("endpoint, restricted answers")["about"].as_str().unwrap().to_owned();
+    assert!(restricted.contains("the server restricts answers"), "{restricted}");
     let images = of("endpoint, images");
     assert_eq!(images["ok"], false);
     let about = images["about"].as_str().unwrap();
     assert!(about.contains("not supported") && about.contains("--image-budget 0"), "{about}");
 
     let report = &of("endpoint")["data"];
-    assert_eq!(report["images_per_request"], 0);
+    assert_eq!(report["run_sized"], Value::Null);
     assert_eq!(report["reported_model"], MODEL);
     assert_eq!(report["fingerprint"]["server"], "llama.cpp");
     assert_eq!(report["fingerprint"]["model"]["meta"]["n_params"], 134_515_008);

@@ -430,8 +430,8 @@ fn judge(
         }
         None if *seconds * 4.0 > timeout.as_secs_f64() => {
             let about = format!(
-                "{took} alone, with {} s for a request: several at once may take longer. Run with fewer \
-                 --max-connections or a longer --request-timeout.",
+                "{took}. A request has {} s, and several at once take longer: run with fewer --max-connections or a \
+                 longer --request-timeout.",
                 timeout.as_secs()
             );
             (ProbeMark::Doubtful, about)
