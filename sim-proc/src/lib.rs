@@ -1,20 +1,18 @@
-//! The simulator: steps the world and renders what the agent sees into shared memory.
+//! The simulator: steps the world and renders what agents see into shared memory.
 //!
-//! - [`serve`]: its part in a run. [`world`] carries out commands, [`control`] chooses the view that is
-//!   shown, [`views`] keeps account of what is resident; all three are pure.
-//! - [`renderer`]: poses in, pixels out, the only place that knows wgpu; [`painter`] is what the serve loop
-//!   asks of it, [`studio`] how many there are, `easels` their threads.
-//! - [`contact_sheet`]: the whole catalogue on one picture. [`render_command`] and [`serve_command`]: the verbs of the program.
+//! - [`serve`]: the simulator's part in a run. [`lanes`] executes commands, [`view_control`] chooses the view to show,
+//!   [`view_cache`] keeps track of resident views; all three are pure.
+//! - [`render_pool`]: worker threads that render beside the serve loop; [`render_workers`] opens them.
+//! - [`renderer`]: poses in, pixels out, with two backends.
+//! - [`serve_command`] and [`render_command`]: the command line.
 
-pub mod contact_sheet;
-pub mod control;
-mod easels;
-mod neighbours;
-pub mod painter;
+pub mod lanes;
 pub mod render_command;
+pub mod render_pool;
+pub mod render_workers;
 pub mod renderer;
 pub mod serve;
 pub mod serve_command;
-pub mod studio;
-pub mod views;
-pub mod world;
+pub mod view_cache;
+pub mod view_control;
+mod wakeups;

@@ -1,15 +1,35 @@
-//! `sim-proc render`: the warehouse in PNG files, for people.
+//! `sim-proc render`: writes views of the warehouse to PNG files.
 
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
 use domain::Pose;
+use png_file::RgbaImage;
 use warehouse::{CaseSet, Start, Variant, Warehouse};
 
-use crate::contact_sheet::contact_sheet;
-use crate::renderer::{FramePath, RenderSettings, Renderer, Samples, View};
+use crate::renderer::{Backend, RenderSettings, Renderer, Samples, View, contact_sheet};
 
-/// What `sim-proc render` is told: what to draw, how, and where to.
+/// The flags that choose a backend.
+#[derive(Debug, clap::Args)]
+pub(crate) struct BackendArgs {
+    /// Render on the CPU, whose pixels are the same on every machine, or on a Vulkan device (wgpu); without this, on a
+    /// graphics card if there is one and otherwise on the CPU.
+    #[arg(long, value_name = "cpu|wgpu")]
+    backend: Option<Backend>,
+
+    /// Render on the best Vulkan adapter whose name contains this.
+    #[arg(long, value_name = "NAME")]
+    adapter: Option<String>,
+}
+
+impl BackendArgs {
+    /// `settings` with this backend and adapter.
+    pub(crate) fn apply(&self, settings: RenderSettings) -> RenderSettings {
+        RenderSettings { backend: self.backend, adapter: self.adapter.clone(), ..settings }
+    }
+}
+
+/// Arguments of `sim-proc render`.
 #[derive(Debug, clap::Args)]
 pub struct RenderArgs {
     #[command(flatten)]
@@ -19,22 +39,20 @@ pub struct RenderArgs {
     #[arg(long, value_name = "NAME", default_value = "original", requires = "case", value_parser = parse_start)]
     trajectory: Start,
 
-    /// The PNG file, or for a trajectory the folder of its numbered PNG files; made if missing.
+    /// The PNG file, or for a trajectory the folder of its numbered PNG files, which is created if missing.
     #[arg(long, value_name = "PATH")]
     out: Option<PathBuf>,
 
-    /// Width and height of a picture in pixels; the width is a multiple of 64.
+    /// Width and height of an image in pixels; the width is a multiple of 64.
     #[arg(long, value_name = "WxH", default_value = "448x448", value_parser = parse_size)]
     size: (u32, u32),
 
-    /// Draw without anti-aliasing.
+    /// Render without anti-aliasing.
     #[arg(long)]
     no_anti_aliasing: bool,
 
-    /// Draw on the first Vulkan adapter whose name contains this, or on the "processor"; otherwise on a graphics card,
-    /// and on the processor where there is none.
-    #[arg(long, value_name = "NAME")]
-    adapter: Option<String>,
+    #[command(flatten)]
+    backend: BackendArgs,
 
     /// The folder with layout.toml, catalogue.toml and cases.toml, instead of what is compiled in.
     #[arg(long, value_name = "DIR")]
@@ -52,7 +70,7 @@ struct Subject {
     #[arg(long, value_name = "ID")]
     case: Option<String>,
 
-    /// A contact sheet of the whole catalogue, from 1, 2.5 and 4 metres.
+    /// A contact sheet of the whole catalogue, seen from 1, 2.5 and 4 metres.
     #[arg(long)]
     catalogue: bool,
 }
@@ -70,27 +88,27 @@ fn parse_start(text: &str) -> Result<Start, String> {
         .ok_or_else(|| format!("expected one of {}", names.join(", ")))
 }
 
-/// Draws what `args` ask for and prints the path of every file written.
+/// Renders what `args` select and prints the path of every file written.
 ///
 /// # Errors
-/// Assets that cannot be read, a pose or case that does not exist, an adapter that is not there, a file that cannot
-/// be written.
+/// Assets that cannot be read, a pose or case or adapter that does not exist, a file that cannot be written.
 pub fn run(args: &RenderArgs) -> Result<()> {
     let warehouse = match &args.assets {
         Some(folder) => Warehouse::load(folder)?,
         None => Warehouse::shipped(),
     };
-    let settings = RenderSettings {
+    let settings = args.backend.apply(RenderSettings {
         width_px: args.size.0,
         height_px: args.size.1,
         samples: if args.no_anti_aliasing { Samples::One } else { Samples::Four },
-        adapter: args.adapter.clone(),
         ..RenderSettings::default()
-    };
+    });
     let out = |default: &str| args.out.clone().unwrap_or_else(|| default.into());
     if let Some(pose) = args.subject.pose {
         if !warehouse.layout.is_free(pose.cell) {
-            bail!("the cell of pose {pose} is no free floor; `memtransfer map` shows which is");
+            bail!(
+                "the cell of pose {pose} is not free floor; `memtransfer map` shows the floor plan"
+            );
         }
         let mut renderer = renderer(&warehouse, settings)?;
         let image = renderer.render_image(View { pose, variant: &Variant::UNCHANGED })?;
@@ -108,13 +126,7 @@ pub fn run(args: &RenderArgs) -> Result<()> {
 
 fn renderer(warehouse: &Warehouse, settings: RenderSettings) -> Result<Renderer> {
     let renderer = Renderer::new(warehouse, settings)?;
-    let report = renderer.report();
-    match &report.frame_path {
-        FramePath::Direct => tracing::info!(adapter = report.adapter, "slots are written directly"),
-        FramePath::Copied { reason } => {
-            tracing::info!(adapter = report.adapter, reason, "slots are written by a copy");
-        }
-    }
+    tracing::info!(report = ?renderer.report(), "renderer opened");
     Ok(renderer)
 }
 
@@ -130,10 +142,10 @@ fn trajectory(
         None => CaseSet::shipped(),
     };
     let Some(case) = cases.case(id) else {
-        bail!("there is no case {id:?}; `memtransfer ls cases` lists them");
+        bail!("there is no case {id:?}; `memtransfer ls cases` lists the cases");
     };
     std::fs::create_dir_all(folder)
-        .with_context(|| format!("cannot make the folder {}", folder.display()))?;
+        .with_context(|| format!("cannot create the folder {}", folder.display()))?;
     let mut renderer = renderer(warehouse, settings)?;
     let variant = case.variant(args.trajectory);
     for (step, pose) in case.replay(warehouse, args.trajectory).poses.into_iter().enumerate() {
@@ -143,8 +155,8 @@ fn trajectory(
     Ok(())
 }
 
-fn save(image: &image::RgbaImage, path: &Path) -> Result<()> {
-    image.save(path).with_context(|| format!("cannot write {}", path.display()))?;
+fn save(image: &RgbaImage, path: &Path) -> Result<()> {
+    image.write(path).context("cannot write the image")?;
     println!("{}", path.display());
     Ok(())
 }

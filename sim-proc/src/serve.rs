@@ -1,20 +1,18 @@
 //! The simulator in a run: commands and view requests in, frames and observations out.
 //!
-//! A turn takes everything that waits, applies it, evicts what has to go, publishes what has been drawn, answers
-//! whatever is resident, rings those once who have something to do now (`neighbours`), and has the next few
-//! missing views drawn. Painters draw on threads of their own (`easels`) and ring this process's doorbell, so a
-//! lane whose view is resident never waits for another lane's drawing; what lanes wait for is drawn before what
-//! memory asked for.
+//! Each turn of the loop applies all waiting messages, evicts views, publishes rendered ones, sends the answers whose
+//! views are resident, wakes each process that has work at most once (`wakeups`), and hands missing views to the render
+//! workers (`render_pool`). Workers wake this process when they are done, so a lane whose view is resident never waits for
+//! another lane's rendering. Views that lanes wait for are rendered before views that memory has requested.
 //!
-//! A message that cannot be used is complained about and dropped; the lane or view it was about gets no
-//! answer.
+//! An invalid message is reported and dropped; the lane or view that it refers to gets no answer.
 
 use std::sync::Arc;
 use std::thread;
 use std::time::{Duration, Instant};
 
 use bytemuck::Zeroable;
-use domain::{Pose, pose::UnknownCode};
+use domain::UnknownCode;
 use rustc_hash::FxHashMap;
 use shm_types::message::{
     Eviction, Handshake, Heartbeat, NO_ACTION, NO_FRAME, Observation, Role, ShutdownReport,
@@ -27,33 +25,25 @@ use shm_types::{
 };
 use warehouse::{CaseSet, Warehouse};
 
-use crate::control::{Control, every_pose};
-use crate::easels::{Batch, Drawn, Easels, Order};
-use crate::neighbours::Neighbours;
-use crate::painter::{MayShowBarricade, Studio};
+use crate::lanes::{BadCommand, Lanes, Stepped};
+use crate::render_pool::{
+    MayShowBarricade, RenderPool, RenderRequest, RenderSetup, RenderedBatch, RenderedView,
+};
 use crate::renderer::RenderError;
-use crate::views::{NotHeld, Overfull, ViewKey, Views};
-use crate::world::{BadCommand, Stepped, World};
+use crate::view_cache::{CacheFull, NotPinned, ViewCache, ViewKey};
+use crate::view_control::{ViewControl, every_pose};
+use crate::wakeups::Wakeups;
 
-/// What is drawn before anybody asks for it.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Ahead {
-    /// Nothing: a view is drawn when somebody first sees it.
-    Nothing,
-    /// Every view of the unchanged world, before the simulator says hello.
-    EveryView,
-}
-
-/// How long the loop sleeps when nobody rings. Only a look around; nothing waits for it.
+/// The longest sleep of the loop. Nothing relies on waking this often.
 const LONGEST_SLEEP: Duration = Duration::from_secs(1);
 
-/// How long consumers get to let go of evicted frames when no chunk is free.
-const CHUNK_PATIENCE: Duration = Duration::from_secs(30);
+/// How long consumers may take to release evicted frames when no slot is free.
+const SLOT_TIMEOUT: Duration = Duration::from_secs(30);
 
-/// How often it is looked whether the consumers of frames are there.
-const CONSUMERS_LOOK: Duration = Duration::from_millis(1);
+/// How often to check whether the consumers of frames have connected.
+const CONSUMER_POLL: Duration = Duration::from_millis(1);
 
-/// Why the simulator ended before it was told to.
+/// Why the simulator failed.
 #[derive(Debug, thiserror::Error)]
 pub enum ServeError {
     /// The transport failed.
@@ -64,22 +54,22 @@ pub enum ServeError {
     Frame(#[from] FrameError),
     /// More views are in use than fit.
     #[error(transparent)]
-    Overfull(#[from] Overfull),
-    /// The renderer failed.
+    CacheFull(#[from] CacheFull),
+    /// Rendering failed.
     #[error(transparent)]
     Render(#[from] RenderError),
-    /// Spans cannot be kept.
-    #[error("cannot keep spans of the work: {0}")]
+    /// Spans cannot be written.
+    #[error("cannot write spans for the trace: {0}")]
     Spans(#[from] std::io::Error),
-    /// The renderer says too much about itself.
+    /// The facts for the manifest do not fit into their message.
     #[error(transparent)]
     Facts(#[from] FactsTooLong),
-    /// Views that are to be drawn ahead do not fit.
+    /// The views of `--warm-views` do not fit.
     #[error(
         "--warm-views needs room for {needed} frames and the frame store has room for {capacity}: raise \
          --frame-budget or leave --warm-views out"
     )]
-    NoRoomAhead {
+    NoRoomForWarmViews {
         /// Views of the unchanged world.
         needed: usize,
         /// Views that may be resident.
@@ -87,43 +77,43 @@ pub enum ServeError {
     },
 }
 
-/// A view request that cannot be used.
+/// An invalid view request.
 #[derive(Debug, thiserror::Error)]
 enum BadRequest {
     #[error("view request: {0}")]
     Code(#[from] UnknownCode),
-    #[error("view request: nobody can stand at {0}")]
+    #[error("view request: an agent cannot stand at {0}")]
     Pose(Pose),
     #[error("view request: {0}")]
-    Release(#[from] NotHeld),
+    Release(#[from] NotPinned),
 }
 
-/// Serves the run that `bus` has joined until the orchestrator says stop. `open` makes the renderer; the
-/// simulator's queues exist before that, so peers may start to send meanwhile. What is drawn `ahead` changes
-/// when things happen and nothing else.
+/// Serves the run that `bus` has joined until the orchestrator stops it. `open` opens the renderers after the simulator's
+/// queues exist, so other processes may send meanwhile. With `warm_views`, every view of the unchanged world is rendered
+/// before the handshake; this changes when things happen and nothing else.
 ///
 /// # Errors
-/// When the transport or the renderer fails, or more views are in use at once, or to be drawn ahead, than
-/// fit. The orchestrator is told before.
+/// When the transport or the renderer fails, or more views are in use at once than fit. The orchestrator gets the error
+/// first.
 pub fn serve(
     bus: &Bus,
     warehouse: &Warehouse,
     cases: &CaseSet,
-    ahead: Ahead,
-    open: impl FnOnce() -> Result<Studio, RenderError>,
+    warm_views: bool,
+    open: impl FnOnce() -> Result<RenderSetup, RenderError>,
 ) -> Result<(), ServeError> {
     let mut simulator = Simulator::new(bus, warehouse, cases)?;
     let outcome = open()
         .map_err(ServeError::from)
-        .and_then(|studio| simulator.serve_until_stop(studio, ahead));
+        .and_then(|setup| simulator.serve_until_stop(setup, warm_views));
     if let Err(error) = &outcome {
         simulator.reporter.report(error);
-        simulator.neighbours.ring_all()?;
+        simulator.wakeups.send_to_all()?;
     }
     outcome
 }
 
-/// An answer, and the view it waits for.
+/// An answer and the view that it waits for.
 #[derive(Debug)]
 struct Pending {
     view: Option<ViewKey>,
@@ -144,26 +134,26 @@ struct Simulator<'a> {
     observations: Sender<Observation>,
     resident: Sender<View>,
     evictions: Sender<Eviction>,
-    neighbours: Neighbours,
+    wakeups: Wakeups,
     frames: FramePublisher,
     reporter: ErrorReporter,
     heartbeats: Heartbeats,
     spans: Spans,
-    world: World,
-    control: Control,
-    views: Views,
+    lanes: Lanes,
+    control: ViewControl,
+    views: ViewCache,
     pending: Vec<Pending>,
     frames_rendered: u64,
     frames_evicted: u64,
     pixel_bytes_copied: u64,
 }
 
-/// Who draws, and what is worth drawing.
-struct Drawing {
-    easels: Easels,
+/// The render workers, and which views need to be rendered.
+struct Rendering {
+    pool: RenderPool,
     may_show_barricade: MayShowBarricade,
-    /// The view that does for each that has been asked about.
-    drawn_as: FxHashMap<ViewKey, ViewKey>,
+    /// For every view asked for so far, the view with the same pixels that stands for it.
+    same_as: FxHashMap<ViewKey, ViewKey>,
 }
 
 impl<'a> Simulator<'a> {
@@ -178,14 +168,14 @@ impl<'a> Simulator<'a> {
             observations: bus.sender()?,
             resident: bus.sender()?,
             evictions: bus.sender()?,
-            neighbours: Neighbours::new(bus)?,
+            wakeups: Wakeups::new(bus)?,
             frames: FramePublisher::new(bus)?,
             reporter: ErrorReporter::new(bus)?,
             heartbeats: Heartbeats::new(bus)?,
             spans: Spans::open(attach, Role::Sim)?,
-            world: World::new(warehouse, cases, lanes),
-            control: Control::new(attach.frame_control, &warehouse.layout),
-            views: Views::new(attach.frame_capacity as usize, lanes, window),
+            lanes: Lanes::new(warehouse, cases, lanes),
+            control: ViewControl::new(attach.frame_control, &warehouse.layout),
+            views: ViewCache::new(attach.frame_capacity as usize, lanes, window),
             pending: Vec::new(),
             frames_rendered: 0,
             frames_evicted: 0,
@@ -195,23 +185,23 @@ impl<'a> Simulator<'a> {
 
     fn serve_until_stop(
         &mut self,
-        Studio { painters, at_once, may_show_barricade, facts }: Studio,
-        ahead: Ahead,
+        RenderSetup { workers, batch_views, may_show_barricade, facts }: RenderSetup,
+        warm_views: bool,
     ) -> Result<(), ServeError> {
-        let own_notifier = Arc::new(self.bus.notifier(Role::Sim)?);
-        let easels = Easels::new(painters, at_once, move || {
-            if let Err(error) = own_notifier.notify() {
-                tracing::debug!(%error, "a painter cannot wake the loop");
+        let notifier = Arc::new(self.bus.notifier(Role::Sim)?);
+        let pool = RenderPool::new(workers, batch_views, move || {
+            if let Err(error) = notifier.notify() {
+                tracing::debug!(%error, "a render worker cannot wake the serve loop");
             }
         });
-        let mut drawing = Drawing { easels, may_show_barricade, drawn_as: FxHashMap::default() };
-        if ahead == Ahead::EveryView {
-            self.draw_every_view(&mut drawing.easels)?;
+        let mut rendering = Rendering { pool, may_show_barricade, same_as: FxHashMap::default() };
+        if warm_views {
+            self.render_every_view(&mut rendering.pool)?;
         }
         self.bus.sender()?.send(&Handshake::new(Role::Sim, facts)?)?;
-        self.neighbours.ring_all()?;
+        self.wakeups.send_to_all()?;
         while self.stops.next()?.is_none() {
-            if !self.turn(&mut drawing)? {
+            if !self.turn(&mut rendering)? {
                 self.bus.listener().wait(LONGEST_SLEEP)?;
             }
         }
@@ -223,26 +213,26 @@ impl<'a> Simulator<'a> {
             error_reports: self.reporter.count().into(),
             ..Zeroable::zeroed()
         })?;
-        Ok(self.neighbours.ring_all()?)
+        Ok(self.wakeups.send_to_all()?)
     }
 
-    /// Draws every view of the unchanged world. All are resident afterwards, and none is pinned.
-    fn draw_every_view(&mut self, easels: &mut Easels) -> Result<(), ServeError> {
-        let poses = every_pose(self.world.layout());
+    /// Renders every view of the unchanged world. All are resident afterwards, and none is pinned.
+    fn render_every_view(&mut self, pool: &mut RenderPool) -> Result<(), ServeError> {
+        let poses = every_pose(self.lanes.layout());
         let views: Vec<ViewKey> = poses.map(|pose| ViewKey::World { variant: 0, pose }).collect();
         let (needed, capacity) = (views.len(), self.views.capacity());
         if needed > capacity {
-            return Err(ServeError::NoRoomAhead { needed, capacity });
+            return Err(ServeError::NoRoomForWarmViews { needed, capacity });
         }
         while !self.frames.is_complete() {
-            thread::sleep(CONSUMERS_LOOK);
+            thread::sleep(CONSUMER_POLL);
         }
-        tracing::info!(views = needed, "drawing every view");
-        views.iter().for_each(|&view| self.views.hold(view));
+        tracing::info!(views = needed, "rendering every view");
+        views.iter().for_each(|&view| self.views.pin_for_memory(view));
         while self.views.missing() > 0 {
-            self.have_drawn(easels)?;
+            self.request_missing(pool)?;
             self.bus.listener().wait(LONGEST_SLEEP)?;
-            self.publish_drawn(easels)?;
+            self.publish_rendered(pool)?;
         }
         for view in views {
             if let Some(frame) = self.views.frame(view)
@@ -254,19 +244,19 @@ impl<'a> Simulator<'a> {
         Ok(())
     }
 
-    /// One turn; returns whether there may be more to do.
-    fn turn(&mut self, drawing: &mut Drawing) -> Result<bool, ServeError> {
-        let error_reports = self.reporter.count();
+    /// One turn of the loop. Returns whether more commands may be waiting.
+    fn turn(&mut self, rendering: &mut Rendering) -> Result<bool, ServeError> {
+        let reported = self.reporter.count();
         self.take_requests()?;
-        let more = self.take_commands(drawing)?;
+        let more = self.take_commands(rendering)?;
         self.evict()?;
-        self.publish_drawn(&mut drawing.easels)?;
+        self.publish_rendered(&mut rendering.pool)?;
         self.answer()?;
-        if self.beat() || self.reporter.count() != error_reports {
-            self.neighbours.orchestrator.wake();
+        if self.beat() || self.reporter.count() != reported {
+            self.wakeups.add(Role::Orchestrator);
         }
-        self.neighbours.notify()?;
-        self.have_drawn(&mut drawing.easels)?;
+        self.wakeups.send()?;
+        self.request_missing(&mut rendering.pool)?;
         Ok(more)
     }
 
@@ -294,11 +284,11 @@ impl<'a> Simulator<'a> {
         match ViewRequestKind::try_from(request.kind)? {
             ViewRequestKind::Pin => {
                 let pose = Pose::try_from(request.pose)?;
-                if !self.world.layout().is_free(pose.cell) {
+                if !self.lanes.layout().is_free(pose.cell) {
                     return Err(BadRequest::Pose(pose));
                 }
                 let view = ViewKey::World { variant: 0, pose };
-                self.views.hold(view);
+                self.views.pin_for_memory(view);
                 self.pending.push(Pending { view: Some(view), answer: Answer::View(pose.into()) });
             }
             ViewRequestKind::Release => self.views.release(request.frame)?,
@@ -306,15 +296,15 @@ impl<'a> Simulator<'a> {
         Ok(())
     }
 
-    /// Takes up as many commands as belong into a turn; returns whether there may be more.
-    fn take_commands(&mut self, drawing: &mut Drawing) -> Result<bool, BusError> {
+    /// Executes at most as many commands as a turn may take. Returns whether more may be waiting.
+    fn take_commands(&mut self, rendering: &mut Rendering) -> Result<bool, BusError> {
         let woken_ns = monotonic_ns();
         let most = self.bus.attach().batch_len();
         let mut taken = 0;
         while taken < most
             && let Some(command) = self.commands.next()?
         {
-            if let Err(bad) = self.take_command(&command, woken_ns, drawing) {
+            if let Err(bad) = self.take_command(&command, woken_ns, rendering) {
                 self.reporter.report(bad);
             }
             taken += 1;
@@ -326,24 +316,24 @@ impl<'a> Simulator<'a> {
         &mut self,
         command: &StepCommand,
         woken_ns: u64,
-        drawing: &mut Drawing,
+        rendering: &mut Rendering,
     ) -> Result<(), BadCommand> {
-        let Stepped { lane, variant, pose, feedback, begins, ends } = self.world.apply(command)?;
+        let Stepped { lane, variant, pose, feedback, begins, ends } = self.lanes.apply(command)?;
         let stepped_ns = monotonic_ns();
         if begins || ends {
-            self.views.forget(lane);
-            // Nobody waits for what an abandoned episode was about to see.
+            self.views.clear_lane(lane);
+            // Drop observations of an abandoned episode.
             self.pending.retain(|Pending { answer, .. }| {
                 !matches!(answer, Answer::Observation(waiting) if waiting.lane == command.lane)
             });
         }
         let view = (!ends).then(|| {
-            let shown = self.control.shown(variant, self.world.variant(variant), pose);
-            let view = self.as_drawn(shown, drawing);
+            let view = self.control.view(variant, self.lanes.variant(variant), pose);
+            let view = self.with_same_pixels(view, rendering);
             self.views.show(lane, view);
             view
         });
-        let is_there = view.is_none_or(|view| self.views.frame(view).is_some());
+        let is_resident = view.is_none_or(|view| self.views.frame(view).is_some());
         let acted = command.kind == StepKind::Act as u8;
         let observation = Observation {
             episode: command.episode,
@@ -351,7 +341,7 @@ impl<'a> Simulator<'a> {
             commanded_ns: command.sent_ns,
             woken_ns,
             stepped_ns,
-            rendered_ns: if is_there { stepped_ns } else { 0 },
+            rendered_ns: if is_resident { stepped_ns } else { 0 },
             sent_ns: 0,
             lane: command.lane,
             step: command.step,
@@ -365,21 +355,18 @@ impl<'a> Simulator<'a> {
         Ok(())
     }
 
-    /// The view that does for `view`, too: variants that close the same passage look alike, and where no
-    /// barricade is in sight the world looks unchanged.
-    fn as_drawn(&self, view: ViewKey, drawing: &mut Drawing) -> ViewKey {
+    /// The view that stands for `view`: variants that close the same passage look the same, and where no barricade is
+    /// visible the world looks unchanged.
+    fn with_same_pixels(&self, view: ViewKey, rendering: &mut Rendering) -> ViewKey {
         let ViewKey::World { variant, pose } = view else { return view };
-        let Drawing { may_show_barricade, drawn_as, .. } = drawing;
-        *drawn_as.entry(view).or_insert_with(|| {
-            let shows = may_show_barricade(self.world.variant(variant), pose);
-            ViewKey::World {
-                variant: if shows { self.world.first_alike(variant) } else { 0 },
-                pose,
-            }
+        let Rendering { may_show_barricade, same_as, .. } = rendering;
+        *same_as.entry(view).or_insert_with(|| {
+            let shows = may_show_barricade(self.lanes.variant(variant), pose);
+            ViewKey::World { variant: if shows { self.lanes.first_same(variant) } else { 0 }, pose }
         })
     }
 
-    /// Evicts what has to go.
+    /// Evicts views to make room.
     fn evict(&mut self) -> Result<(), ServeError> {
         let frames = self.views.make_room()?;
         for &frame in &frames {
@@ -387,8 +374,8 @@ impl<'a> Simulator<'a> {
         }
         self.frames_evicted += frames.len() as u64;
         if !frames.is_empty() {
-            self.neighbours.memory.wake();
-            self.neighbours.policy.wake();
+            self.wakeups.add(Role::Memory);
+            self.wakeups.add(Role::Policy);
         }
         Ok(())
     }
@@ -401,65 +388,65 @@ impl<'a> Simulator<'a> {
                 (None, answer) => self.pending.push(Pending { view, answer }),
                 (Some(frame), Answer::View(pose)) => {
                     self.resident.send(&View { frame, pose, reserved: 0 })?;
-                    self.neighbours.memory.wake();
+                    self.wakeups.add(Role::Memory);
                 }
                 (Some(frame), Answer::Observation(observation)) => {
                     let observation = Observation { frame, sent_ns: monotonic_ns(), ..observation };
                     self.observations.send(&observation)?;
-                    self.neighbours.observed(observation.last != 0);
+                    self.wakeups.add_for_observation(observation.last != 0);
                 }
             }
         }
         Ok(())
     }
 
-    /// Has the next missing views drawn, as many as painters take on.
-    fn have_drawn(&mut self, easels: &mut Easels) -> Result<(), ServeError> {
-        for view in self.views.take_missing(easels.room()) {
-            let look = match view {
+    /// Sends the next missing views to the render workers, as many as they accept.
+    fn request_missing(&mut self, pool: &mut RenderPool) -> Result<(), ServeError> {
+        for view in self.views.take_missing(pool.room()) {
+            let world = match view {
                 ViewKey::World { variant, pose } => {
-                    Some((self.world.variant(variant).clone(), pose))
+                    Some((self.lanes.variant(variant).clone(), pose))
                 }
                 ViewKey::Blank => None,
             };
-            easels.give(Order { view, look, slot: self.loan()? })?;
+            pool.send(RenderRequest { view, world, slot: self.loan()? })?;
         }
         Ok(())
     }
 
-    /// Publishes what painters have finished.
-    fn publish_drawn(&mut self, easels: &mut Easels) -> Result<(), ServeError> {
-        while let Some(Batch { painter, span_ns, copied, drawn }) = easels.take()? {
-            let track = format!("renderer {painter}");
-            self.spans.add(span_ns.start, span_ns.end, &track, "draw", drawn.len());
-            self.pixel_bytes_copied += copied;
-            for drawn in drawn {
-                self.publish(drawn, span_ns.end)?;
+    /// Publishes the views that workers have rendered.
+    fn publish_rendered(&mut self, pool: &mut RenderPool) -> Result<(), ServeError> {
+        while let Some(RenderedBatch { worker, span_ns, bytes_copied, views }) = pool.take()? {
+            let track = format!("renderer {worker}");
+            self.spans.add(span_ns.start, span_ns.end, &track, "draw", views.len());
+            self.pixel_bytes_copied += bytes_copied;
+            for view in views {
+                self.publish(view, span_ns.end)?;
             }
         }
         Ok(())
     }
 
-    /// Publishes a view that was drawn at the time `drawn_ns`. It is resident then.
-    fn publish(&mut self, drawn: Drawn, drawn_ns: u64) -> Result<(), FrameError> {
-        let Drawn { view, slot, content_hash } = drawn;
+    /// Publishes a view that was completed at `rendered_ns` and makes it resident.
+    fn publish(&mut self, rendered: RenderedView, rendered_ns: u64) -> Result<(), FrameError> {
+        let RenderedView { view, slot, content_hash } = rendered;
         let frame = self.frames.publish(slot, content_hash)?;
-        self.views.fill(view, frame);
+        self.views.insert(view, frame);
         self.frames_rendered += 1;
         for Pending { view: awaited, answer } in &mut self.pending {
             if *awaited == Some(view)
                 && let Answer::Observation(observation) = answer
             {
-                // It may have been drawn before the agent came there.
-                observation.rendered_ns = drawn_ns.max(observation.stepped_ns);
+                // The view may have been rendered before the agent arrived.
+                observation.rendered_ns = rendered_ns.max(observation.stepped_ns);
             }
         }
         Ok(())
     }
 
-    /// A slot; waits for a while if consumers have not let go of what was evicted.
+    /// Loans a slot. If none is free, waits for consumers to release evicted frames.
     fn loan(&self) -> Result<FrameSlot, FrameError> {
-        let deadline = Instant::now() + CHUNK_PATIENCE;
+        let deadline = Instant::now() + SLOT_TIMEOUT;
         loop {
             match self.frames.loan() {
                 Err(FrameError::NoChunk { .. }) if Instant::now() < deadline => {

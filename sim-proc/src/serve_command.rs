@@ -9,11 +9,12 @@ use shm_types::{Attach, Bus};
 use warehouse::case_file::CASES_FILE;
 use warehouse::{CaseSet, Warehouse};
 
-use crate::painter::Studio;
+use crate::render_command::BackendArgs;
+use crate::render_pool::RenderSetup;
 use crate::renderer::RenderSettings;
-use crate::serve::{Ahead, serve};
+use crate::serve::serve;
 
-/// What `sim-proc serve` is told.
+/// Arguments of `sim-proc serve`.
 #[derive(Debug, clap::Args)]
 pub struct ServeArgs {
     /// The run's folder, which holds attach.json.
@@ -24,23 +25,21 @@ pub struct ServeArgs {
     #[arg(long, value_name = "DIR")]
     assets: Option<PathBuf>,
 
-    /// Draw on the first Vulkan adapter whose name contains this, or on the "processor"; otherwise on a graphics card,
-    /// and on the processor where there is none.
-    #[arg(long, value_name = "NAME")]
-    adapter: Option<String>,
+    #[command(flatten)]
+    backend: BackendArgs,
 
-    /// Draw every view of the unchanged world before taking part.
+    /// Render every view of the unchanged world before the first step.
     #[arg(long)]
     warm_views: bool,
 }
 
-/// Takes part in the run until it stops.
+/// Serves the run until it stops.
 ///
 /// # Errors
-/// A run that cannot be joined or does not fit into shared memory, assets that cannot be read, an adapter that is not
-/// there; later, a broken transport, a failed device, or more views in use than fit.
+/// A run that cannot be joined or does not fit into shared memory, assets that cannot be read, an adapter that does not
+/// exist; later a broken transport, a failed device, or more views in use than fit.
 pub fn run(args: ServeArgs) -> Result<()> {
-    let attach = Attach::read(&args.attach).context("cannot take part in the run")?;
+    let attach = Attach::read(&args.attach).context("cannot join the run")?;
     die_with_parent(attach.orchestrator_pid).context("this process belongs to an orchestrator")?;
     check_shared_memory(attach.shared_memory_bytes())?;
     let (warehouse, cases) = match &args.assets {
@@ -51,14 +50,12 @@ pub fn run(args: ServeArgs) -> Result<()> {
             (warehouse, cases)
         }
     };
-    let settings = RenderSettings {
+    let settings = args.backend.apply(RenderSettings {
         width_px: attach.frame.width,
         height_px: attach.frame.height,
-        adapter: args.adapter,
         ..RenderSettings::default()
-    };
-    let bus = Bus::join(attach, Role::Sim).context("cannot take part in the run")?;
-    let ahead = if args.warm_views { Ahead::EveryView } else { Ahead::Nothing };
-    serve(&bus, &warehouse, &cases, ahead, || Studio::open(&warehouse, settings))
-        .context("the simulator cannot go on")
+    });
+    let bus = Bus::join(attach, Role::Sim).context("cannot join the run")?;
+    serve(&bus, &warehouse, &cases, args.warm_views, || RenderSetup::open(&warehouse, settings))
+        .context("the simulator failed")
 }

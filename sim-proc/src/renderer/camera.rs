@@ -1,24 +1,20 @@
-//! From a pose to a picture: the camera of SPEC section 2, as matrices.
+//! The agent's camera (specification, section 2) as matrices.
 //!
 //! Three spaces: world (x east, y north, z up), camera (x right, y up, z ahead) and clip.
 
-use domain::{
-    Heading, Pose,
-    camera::{CAMERA_HEIGHT_M, FIELD_OF_VIEW_DEG},
-};
+use domain::camera::{CAMERA_HEIGHT_M, FIELD_OF_VIEW_DEG};
+use domain::{Heading, Pose};
 use nalgebra::{Matrix4, Point3, Vector3};
-
-/// Nothing nearer to the camera than this is drawn, in metres.
-pub(super) const NEAR_M: f32 = 0.05;
+use raster::NEAR_M;
 
 /// A camera in the world.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Camera {
     pub(super) position: Point3<f32>,
-    /// Unit vectors: to the right of the image, and along the optical axis. Both are level.
+    /// Unit vectors to the right of the image and along the optical axis. Both are horizontal.
     pub(super) right: Vector3<f32>,
     pub(super) ahead: Vector3<f32>,
-    /// Tangents of half the horizontal and half the vertical field of view.
+    /// Tangents of half the horizontal and of half the vertical field of view.
     pub(super) half_extent: [f32; 2],
 }
 
@@ -30,7 +26,7 @@ impl Camera {
             let (x, y) = heading.vector();
             Vector3::new(f32::from(x), f32::from(y), 0.0)
         };
-        // tan(45 degrees) is not exactly 1 in floating point; a pixel's place should be.
+        // tan(45 degrees) is not exactly 1 in floating point, but pixels should lie exactly.
         let across = if FIELD_OF_VIEW_DEG == 90.0 {
             1.0
         } else {
@@ -44,14 +40,14 @@ impl Camera {
         }
     }
 
-    /// A level camera at the agent's height, (x, y) on the floor plan, with the agent's field of view.
+    /// A camera like the agent's at any place (x, y) of the floor plan.
     pub(super) fn at([x, y]: [f32; 2], heading: Heading, width_px: u32, height_px: u32) -> Self {
         let mut camera = Self::new(Pose::new(0, 0, heading), width_px, height_px);
         (camera.position.x, camera.position.y) = (x, y);
         camera
     }
 
-    /// Rigid: moves the world in front of the camera.
+    /// The rigid transform from world to camera space.
     pub(super) fn camera_from_world(&self) -> Matrix4<f32> {
         let rows = [self.right, Vector3::z(), self.ahead];
         let mut matrix = Matrix4::identity();
@@ -62,7 +58,7 @@ impl Camera {
         matrix
     }
 
-    /// Perspective with reversed depth: 1 at the near plane, 0 infinitely far away.
+    /// The perspective projection with reversed depth: 1 at the near plane, 0 infinitely far away.
     pub(super) fn clip_from_camera(&self) -> Matrix4<f32> {
         let [across, up] = self.half_extent;
         Matrix4::new(
@@ -85,7 +81,7 @@ impl Camera {
         )
     }
 
-    /// Both in one.
+    /// The transform from world to clip space.
     pub(super) fn clip_from_world(&self) -> Matrix4<f32> {
         self.clip_from_camera() * self.camera_from_world()
     }
@@ -95,7 +91,7 @@ impl Camera {
 mod tests {
     use super::*;
 
-    /// The pixel, from the top left corner of a 448 x 448 image, that shows a point of the world.
+    /// The position, from the top left corner of a 448 x 448 image, of a point in the world.
     fn pixel(pose: &str, world: [f32; 3]) -> (f32, f32) {
         let camera = Camera::new(pose.parse().unwrap(), 448, 448);
         let clip = camera.clip_from_world() * Point3::from(world).to_homogeneous();
@@ -103,7 +99,7 @@ mod tests {
     }
 
     #[test]
-    fn points_land_where_the_shared_camera_says() {
+    fn points_project_to_the_specified_pixels() {
         // 2 m ahead, 1 m to the right and 0.5 m up: focal * right / ahead from the centre.
         for (pose, world) in [
             ("3,12,N", [4.5, 14.5, 1.7]),
@@ -117,7 +113,7 @@ mod tests {
     }
 
     #[test]
-    fn near_is_one_and_far_is_zero() {
+    fn depth_falls_from_one_to_zero() {
         let camera = Camera::new(Pose::new(0, 0, Heading::N), 448, 448);
         let depth = |ahead: f32| {
             let clip = camera.clip_from_camera() * nalgebra::Vector4::new(0.0, 0.0, ahead, 1.0);

@@ -1,49 +1,51 @@
-//! What can go wrong between a pose and its pixels.
+//! Why rendering fails.
 
 /// Why the renderer could not start or could not render.
 #[derive(Debug, thiserror::Error)]
 pub enum RenderError {
-    /// No Vulkan driver answered, and an adapter of one was asked for.
+    /// There is no Vulkan driver, and one is needed.
+    #[error("no Vulkan driver found; --backend cpu renders without one")]
+    NoVulkan,
+    /// An adapter was given for the CPU backend.
     #[error(
-        "no Vulkan driver found, and so no adapter {wanted:?}; leave it out, or say \"processor\", to draw \
-         without one"
+        "--adapter {adapter:?} names a Vulkan adapter, which --backend cpu does not use: leave one of them out"
     )]
-    NoVulkan {
-        /// The text that was asked for.
-        wanted: String,
+    AdapterForCpu {
+        /// The adapter that was given.
+        adapter: String,
     },
-    /// Vulkan is there, but not the adapter that was asked for.
+    /// No adapter has the given name.
     #[error(
-        "no Vulkan adapter's name contains {wanted:?}; there are: {found}, and \"processor\", which needs none"
+        "no Vulkan adapter's name contains {wanted:?}; there are: {found}; --backend cpu renders without one"
     )]
     NoSuchAdapter {
-        /// The text that was asked for.
+        /// The given part of a name.
         wanted: String,
-        /// The names of the adapters that exist.
+        /// The names of all adapters.
         found: String,
     },
-    /// The adapter refused to give a device.
-    #[error("the Vulkan adapter {adapter:?} gave no device: {reason}")]
+    /// The device of an adapter cannot be opened.
+    #[error("cannot open the Vulkan adapter {adapter:?}: {reason}")]
     NoDevice {
         /// The adapter's name.
         adapter: String,
-        /// The driver's words.
+        /// The driver's message.
         reason: String,
     },
-    /// The image size cannot be rendered.
+    /// The frame size cannot be rendered.
     #[error(
         "frames of {width_px} x {height_px} cannot be rendered: the width must be a multiple of 64 \
          and both sides between 64 and {limit_px}"
     )]
     FrameSize {
-        /// The width asked for, in pixels.
+        /// The given width, in pixels.
         width_px: u32,
-        /// The height asked for, in pixels.
+        /// The given height, in pixels.
         height_px: u32,
-        /// The longest side that is accepted, in pixels.
+        /// The longest accepted side, in pixels.
         limit_px: u32,
     },
-    /// A destination does not have the size of a frame.
+    /// A destination has the wrong size.
     #[error("a frame takes {expected} bytes, but the destination of view {pose} has {actual}")]
     DestinationSize {
         /// The view's pose, as text.
@@ -53,18 +55,10 @@ pub enum RenderError {
         /// Bytes of the destination.
         actual: usize,
     },
-    /// The device stopped answering.
-    #[error("the render device failed: {0}; start again, and if it repeats update the driver")]
+    /// The device failed.
+    #[error("the render device failed: {0}; start again, and if that fails too, update the driver")]
     Device(String),
-    /// A thread that draws has ended by itself.
-    #[error("a thread that draws has ended; what it said before is the reason")]
-    PaintersGone,
-    /// The frames a device writes are not the frames it should write.
-    #[error("the adapter {adapter:?} failed its self-test: {reason}; try another driver")]
-    SelfTest {
-        /// The adapter's name.
-        adapter: String,
-        /// What differed.
-        reason: String,
-    },
+    /// A render worker has panicked.
+    #[error("a render worker has ended; its own message on standard error says why")]
+    WorkerEnded,
 }

@@ -1,27 +1,26 @@
-//! Light, baked: what colour a corner of a mesh has once lamps and shade are accounted for.
+//! Bakes light into vertex colours.
 //!
-//! Nothing in the warehouse moves, so light is worked out once for every vertex and the shaders only
-//! add distance. There are two lights. In a bay it comes from the lamps over the aisle, in front of the
-//! face, above and a little to the left, whichever way the face looks: an item looks the same wherever
-//! it stands. In the hall it is the sky of lamps, and each wall has its own brightness.
+//! Nothing in the warehouse moves, so light is computed once per vertex and shaders only add fog. There are two lights. In
+//! a bay, light comes from in front of the face, above and slightly from the left, whatever the direction of the face: an
+//! item looks the same wherever it stands. In the hall, light comes from above, and each wall has its own brightness.
 
 use nalgebra::Vector3;
 
 use super::mesh::builder::Vertex;
 use super::mesh::rack::{BAY_DEPTH_M, SHELF_TOP_M};
 
-/// Which light a mesh stands in.
+/// The light that a mesh stands in.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Light {
-    /// In a bay; positions are in the frame of its face.
+    /// In a bay. Positions are in the frame of its face.
     Bay,
     /// As [`Light::Bay`], for an item that stands on the shelf.
     Shelf,
-    /// In the hall; positions are in the world.
+    /// In the hall. Positions are in the world.
     Hall,
 }
 
-/// The baked colour: sRGB, and in alpha how much fog the vertex takes.
+/// The baked colour: sRGB, and in alpha the share of fog that the vertex takes.
 pub(super) fn baked(vertex: &Vertex, light: Light) -> [u8; 4] {
     let material = vertex.material;
     if material.glows {
@@ -49,12 +48,12 @@ pub(super) fn baked(vertex: &Vertex, light: Light) -> [u8; 4] {
     [r, g, b, 255]
 }
 
-/// Light from everywhere: most from above, some back from the floor.
+/// Ambient light: more from above than from below.
 fn ambient(normal: Vector3<f32>) -> f32 {
     0.42 + 0.16 * normal.z
 }
 
-/// How much of the light reaches a place: less deep in a bay, near the floor and close to a shelf.
+/// The share of light that reaches a place: less deep in a bay, near the floor and close to a shelf.
 fn openness(vertex: &Vertex, light: Light) -> f32 {
     let (p, n) = (vertex.position, vertex.normal);
     match light {

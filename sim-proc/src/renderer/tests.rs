@@ -1,10 +1,8 @@
 //! What must hold for every picture, whoever draws it: nothing visible is left out, neither the way out nor the batch
 //! changes a byte, label plates keep their colours, a barricade is seen.
 
-use domain::{
-    Heading,
-    camera::{CAMERA_HEIGHT_M, focal_length_px},
-};
+use domain::Heading;
+use domain::camera::{CAMERA_HEIGHT_M, focal_length_px};
 use plates::{self, Plate};
 use warehouse::CaseSet;
 

@@ -1,55 +1,46 @@
-//! Lettering: every text of the scene drawn once into an atlas of coverage values.
+//! Draws every text of the scene once, into an atlas of coverage values.
 //!
-//! The font is Ubuntu Light out of `epaint_default_fonts`; a stroke of its weight vanishes at a few
-//! metres, so letters are thickened after they are drawn.
+//! The font is Ubuntu Light from `epaint_default_fonts`. Strokes of its weight vanish at a few metres, so letters are
+//! thickened after they are drawn.
 
 use std::collections::BTreeMap;
 
 use ab_glyph::{Font, FontRef, PxScale, ScaleFont, point};
+use raster::Atlas;
 
-/// Width of the atlas in texels; it grows in height.
+/// Width of the atlas in texels. Its height grows with the texts.
 const ATLAS_WIDTH: u32 = 2048;
 
-/// Levels of detail, the full picture included.
+/// Levels of detail, the finest included.
 pub(super) const MIP_LEVELS: u32 = 6;
 
-/// Empty texels around every text, so that coarse levels of detail do not mix neighbours.
+/// Empty texels around every text, so that coarse levels do not mix neighbours.
 const MARGIN: u32 = 8;
 
-/// A text's rectangle in the atlas, as shares of the atlas: left, top, right, bottom.
-pub(super) type AtlasRect = [f32; 4];
-
-/// A text with the panel it is meant for.
+/// A text and the panel it is fitted into.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
-pub(super) struct Lettering {
-    /// What is written, on one line.
+pub(super) struct PanelText {
+    /// One line of text.
     pub(super) text: String,
-    /// Size of the panel's picture in texels; the text is fitted into it.
+    /// Width and height of the panel, in texels.
     pub(super) size: [u32; 2],
 }
 
-/// The texts asked for so far and their places.
+/// The texts requested so far and their positions in the atlas.
 #[derive(Default)]
-pub(super) struct AtlasPlan {
-    places: BTreeMap<Lettering, [u32; 2]>,
+pub(super) struct AtlasBuilder {
+    places: BTreeMap<PanelText, [u32; 2]>,
     cursor: [u32; 2],
     row_height: u32,
 }
 
-/// Finished coverage values, one byte a texel, for every level of detail.
-pub(super) struct Atlas {
-    pub(super) width: u32,
-    pub(super) height: u32,
-    pub(super) levels: Vec<Vec<u8>>,
-}
-
-impl AtlasPlan {
-    /// The place, in texels, of `lettering`'s top left corner.
-    fn place(&mut self, lettering: Lettering) -> [u32; 2] {
-        if let Some(&place) = self.places.get(&lettering) {
+impl AtlasBuilder {
+    /// The position, in texels, of the text's top left corner.
+    fn place(&mut self, text: PanelText) -> [u32; 2] {
+        if let Some(&place) = self.places.get(&text) {
             return place;
         }
-        let [width, height] = lettering.size.map(|side| side + 2 * MARGIN);
+        let [width, height] = text.size.map(|side| side + 2 * MARGIN);
         if self.cursor[0] + width > ATLAS_WIDTH {
             self.cursor = [0, self.cursor[1] + self.row_height];
             self.row_height = 0;
@@ -57,24 +48,24 @@ impl AtlasPlan {
         let place = self.cursor.map(|c| c + MARGIN);
         self.cursor[0] += width;
         self.row_height = self.row_height.max(height);
-        self.places.insert(lettering, place);
+        self.places.insert(text, place);
         place
     }
 
-    /// The rectangle, in texels, that shows `lettering`: left, top, right, bottom.
-    pub(super) fn rect(&mut self, lettering: Lettering) -> [u32; 4] {
-        let [width, height] = lettering.size;
-        let [left, top] = self.place(lettering);
+    /// The rectangle, in texels, that shows the text: left, top, right, bottom.
+    pub(super) fn rect(&mut self, text: PanelText) -> [u32; 4] {
+        let [width, height] = text.size;
+        let [left, top] = self.place(text);
         [left, top, left + width, top + height]
     }
 
-    /// Draws everything that was asked for.
+    /// Draws all requested texts.
     pub(super) fn draw(&self) -> Atlas {
         let height = (self.cursor[1] + self.row_height).next_power_of_two().max(64);
         let mut base = vec![0; (ATLAS_WIDTH * height) as usize];
-        for (lettering, &[left, top]) in &self.places {
-            let width = lettering.size[0] as usize;
-            for (y, row) in coverage(lettering).chunks_exact(width).enumerate() {
+        for (text, &[left, top]) in &self.places {
+            let width = text.size[0] as usize;
+            for (y, row) in coverage(text).chunks_exact(width).enumerate() {
                 let at = (top as usize + y) * ATLAS_WIDTH as usize + left as usize;
                 base[at..at + width].copy_from_slice(row);
             }
@@ -88,35 +79,26 @@ impl AtlasPlan {
     }
 }
 
-impl Atlas {
-    /// A rectangle of texels as shares of the atlas.
-    pub(super) fn share(&self, [left, top, right, bottom]: [u32; 4]) -> AtlasRect {
-        let (w, h) = (self.width as f32, self.height as f32);
-        [left as f32 / w, top as f32 / h, right as f32 / w, bottom as f32 / h]
-    }
-}
-
-/// One text as coverage values, row by row: as large as its panel allows, centred, with thickened
-/// strokes.
-pub(super) fn coverage(lettering: &Lettering) -> Vec<u8> {
+/// The coverage values of a text, row by row: as large as its panel allows, centred, with thickened strokes.
+pub(super) fn coverage(text: &PanelText) -> Vec<u8> {
     let Ok(font) = FontRef::try_from_slice(epaint_default_fonts::UBUNTU_LIGHT) else {
-        unreachable!("the font that is compiled in can be read");
+        unreachable!("the font is compiled in and valid");
     };
-    let [width, height] = lettering.size.map(|side| side as f32);
+    let [width, height] = text.size.map(|side| side as f32);
     // Upper-case letters take about 0.69 of the scale; descenders need some of what is below.
     let scale_y = height * 0.94;
-    let natural = text_width(&font, &lettering.text, PxScale { x: scale_y, y: scale_y });
+    let natural = text_width(&font, &text.text, PxScale { x: scale_y, y: scale_y });
     let stroke = (scale_y * 0.028).max(0.8);
     let scale_x = scale_y * ((width * 0.94 - 2.0 * stroke) / natural).min(1.06);
     let scale = PxScale { x: scale_x, y: scale_y };
     let baseline = height * 0.755;
-    let start = (width - text_width(&font, &lettering.text, scale)) / 2.0;
+    let start = (width - text_width(&font, &text.text, scale)) / 2.0;
 
-    let (w, h) = (lettering.size[0] as usize, lettering.size[1] as usize);
-    let mut picture = vec![0.0_f32; w * h];
+    let (w, h) = (text.size[0] as usize, text.size[1] as usize);
+    let mut image = vec![0.0_f32; w * h];
     let scaled = font.as_scaled(scale);
     let mut x = start;
-    for character in lettering.text.chars() {
+    for character in text.text.chars() {
         let glyph = font.glyph_id(character).with_scale_and_position(scale, point(x, baseline));
         x += scaled.h_advance(glyph.id);
         let Some(outline) = font.outline_glyph(glyph) else { continue };
@@ -125,12 +107,12 @@ pub(super) fn coverage(lettering: &Lettering) -> Vec<u8> {
             let (px, py) =
                 (bounds.min.x as i64 + i64::from(px), bounds.min.y as i64 + i64::from(py));
             if (0..w as i64).contains(&px) && (0..h as i64).contains(&py) {
-                let texel = &mut picture[py as usize * w + px as usize];
+                let texel = &mut image[py as usize * w + px as usize];
                 *texel = texel.max(coverage);
             }
         });
     }
-    let thick = thickened(&picture, w, stroke);
+    let thick = thickened(&image, w, stroke);
     thick.into_iter().map(|value| (value.min(1.0) * 255.0).round() as u8).collect()
 }
 
@@ -139,11 +121,11 @@ fn text_width(font: &FontRef<'_>, text: &str, scale: PxScale) -> f32 {
     text.chars().map(|character| scaled.h_advance(font.glyph_id(character))).sum()
 }
 
-/// Every texel takes the strongest coverage within `radius`, weaker towards the rim.
-fn thickened(picture: &[f32], width: usize, radius: f32) -> Vec<f32> {
-    let height = picture.len() / width;
+/// Gives every texel the strongest coverage within `radius`, weighted less towards the rim.
+fn thickened(image: &[f32], width: usize, radius: f32) -> Vec<f32> {
+    let height = image.len() / width;
     let reach = radius.ceil() as i64;
-    let mut out = vec![0.0_f32; picture.len()];
+    let mut out = vec![0.0_f32; image.len()];
     for dy in -reach..=reach {
         for dx in -reach..=reach {
             let weight = (radius + 0.5 - (dx as f32).hypot(dy as f32)).clamp(0.0, 1.0);
@@ -154,7 +136,7 @@ fn thickened(picture: &[f32], width: usize, radius: f32) -> Vec<f32> {
                 for x in dx.max(0)..(width as i64 + dx).min(width as i64) {
                     let from = (y - dy) as usize * width + (x - dx) as usize;
                     let to = y as usize * width + x as usize;
-                    out[to] = out[to].max(picture[from] * weight);
+                    out[to] = out[to].max(image[from] * weight);
                 }
             }
         }

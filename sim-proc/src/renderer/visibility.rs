@@ -1,61 +1,62 @@
-//! What a camera can possibly see: a conservative set, so that leaving the rest out changes no pixel.
+//! The set of objects that a camera may see. It is conservative: leaving the rest out changes no pixel.
 //!
-//! All cameras are at one height, below the racks' top, and the racks' panels reach from the floor to
-//! that top. So for everything no taller than a rack the question is one of the floor plan: is there,
-//! along some direction, nothing in the way? Panels are drawn into a one-dimensional depth buffer over
-//! the picture's columns, and an object is left out when it lies behind the buffer in every column it
-//! could touch. What is taller is only tested against the edges of the picture.
+//! All cameras are at the same height, below the racks' top, and the racks' panels reach from the floor to that top. So
+//! whether an object no taller than a rack is hidden is a question about the floor plan. Panels are drawn into a
+//! one-dimensional depth buffer over the image's columns, and an object is left out when it lies behind the buffer in
+//! every column that it could touch. Taller objects are only tested against the edges of the image.
 
 use std::ops::Range;
 
+use raster::DrawList;
+
 use super::camera::Camera;
 use super::mesh::rack::RACK_HEIGHT_M;
-use super::scene::{Object, Scene, Screen};
+use super::scene::{Object, Occluder, Scene};
 
-/// Columns of the depth buffer; several to a pixel at the sizes that are common.
+/// Columns of the depth buffer: several per pixel at common sizes.
 const COLUMNS: usize = 2048;
 
-/// Columns by which an object is widened on each side, since a panel counts for a whole column when it
-/// covers its middle.
+/// Columns by which an object is widened on each side, because a panel that covers the middle of a column counts for all
+/// of it.
 const MARGIN_COLUMNS: usize = 2;
 
-/// Nearer than this, in metres, everything is seen.
+/// Everything nearer than this, in metres, counts as visible.
 const NEAR_M: f32 = 0.1;
 
-/// From here on, in metres ahead, objects are drawn with less detail.
+/// Objects at least this far ahead, in metres, are drawn with less detail.
 const FAR_M: f32 = 3.2;
 
-/// A triangle seen nearly edge-on is left to the device, which rounds corners to its own raster: the
-/// sine of the angle below which that may matter.
+/// The sine of the angle below which a triangle is seen nearly edge-on. Whether such a triangle shows its front is left
+/// to the backend, which rounds its corners to a grid.
 const EDGE_ON: f32 = 0.005;
 
-/// Panels meet at their ends; rounding must not open a gap there.
+/// How far panels are extended at their ends, so that rounding opens no gap between two that meet.
 const JOINT_M: f32 = 0.002;
 
-/// What a camera sees between the panels.
+/// What a camera may see.
 #[derive(Clone)]
-pub(super) struct Sight {
-    /// The objects of the scene that it may see, by index, nearest first.
+pub(super) struct VisibleSet {
+    /// Indices of the scene's objects, nearest first.
     pub(super) objects: Vec<u32>,
     columns: Columns,
 }
 
-impl Sight {
-    /// What `camera` sees of `scene`.
+impl VisibleSet {
+    /// What `camera` may see of `scene`.
     pub(super) fn new(scene: &Scene, camera: &Camera) -> Self {
-        let columns = Columns::new(&scene.screens, camera);
+        let columns = Columns::new(&scene.occluders, camera);
         let objects = nearest_first(scene, camera, |object| columns.may_show(object, camera));
         Self { objects, columns }
     }
 
-    /// Whether `camera`, which this is the sight of, may see an object that is not part of the scene.
+    /// Whether `camera`, for which this set was computed, may see an object that is not part of the scene.
     pub(super) fn may_show(&self, object: &Object, camera: &Camera) -> bool {
         self.columns.may_show(object, camera)
     }
 }
 
-/// The objects that `keep` accepts, by index. Where two surfaces meet in the very same depth the first
-/// one drawn wins, so the order must not depend on what is kept.
+/// Indices of the objects that `keep` accepts, nearest first. Of two surfaces at exactly the same depth the first one
+/// drawn wins, so the order must not depend on what is kept.
 pub(super) fn nearest_first(
     scene: &Scene,
     camera: &Camera,
@@ -72,70 +73,69 @@ pub(super) fn nearest_first(
     keyed.into_iter().map(|(_, index)| index).collect()
 }
 
-/// The corners of an object's bounds in the floor plan, as the camera has them.
+/// The corners of an object's bounds on the floor plan, in camera space.
 fn footprint(object: &Object, camera: &Camera) -> [[f32; 2]; 4] {
     let (min, max) = (object.min, object.max);
     [[min[0], min[1]], [max[0], min[1]], [max[0], max[1]], [min[0], max[1]]]
         .map(|corner| in_camera(camera, corner))
 }
 
-/// What a view draws: the corners of its triangles, layer by layer.
-#[derive(Debug, Clone, Default, PartialEq)]
-pub(super) struct DrawList {
-    pub(super) solid: Vec<u32>,
-    pub(super) plate: Vec<u32>,
-    pub(super) text: Vec<u32>,
-}
-
 /// Which triangles of the objects to draw.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Triangles {
-    /// All of them; the device leaves out those that turn their back.
+    /// All of them. The backend culls those that show their back.
     #[cfg(test)]
     All,
-    /// Not those that turn their back to the camera, which spares the device half of the work.
+    /// Those that do not show their back, about half.
     Facing,
 }
 
-impl DrawList {
-    /// The triangles of `objects`, in their order.
-    pub(super) fn new(
-        scene: &Scene,
-        camera: &Camera,
-        objects: &[u32],
-        triangles: Triangles,
-    ) -> Self {
-        let mut list = Self::default();
-        for &index in objects {
-            let object = &scene.objects[index as usize];
-            let depths = footprint(object, camera).map(|corner| corner[1]);
-            let nearest = depths.into_iter().fold(f32::INFINITY, f32::min);
-            let solid = if nearest < FAR_M { object.near.clone() } else { object.far.clone() };
-            match triangles {
-                #[cfg(test)]
-                Triangles::All => list.solid.extend_from_slice(&scene.solid.indices[solid]),
-                Triangles::Facing => list.facing(scene, camera, solid, reach(object, camera)),
+/// The triangles of `objects`, in their order.
+pub(super) fn draw_list(
+    scene: &Scene,
+    camera: &Camera,
+    objects: &[u32],
+    triangles: Triangles,
+) -> DrawList {
+    let geometry = &scene.geometry;
+    let mut list = DrawList::default();
+    for &index in objects {
+        let object = &scene.objects[index as usize];
+        let depths = footprint(object, camera).map(|corner| corner[1]);
+        let nearest = depths.into_iter().fold(f32::INFINITY, f32::min);
+        let solid = if nearest < FAR_M { object.near.clone() } else { object.far.clone() };
+        match triangles {
+            #[cfg(test)]
+            Triangles::All => list.solid.extend_from_slice(&geometry.solid.indices[solid]),
+            Triangles::Facing => {
+                add_facing(&mut list.solid, scene, camera, solid, reach(object, camera));
             }
-            list.plate.extend_from_slice(&scene.plate.indices[object.plate.clone()]);
-            list.text.extend_from_slice(&scene.text.indices[object.text.clone()]);
         }
-        list
+        list.plate.extend_from_slice(&geometry.plate.indices[object.plate.clone()]);
+        list.text.extend_from_slice(&geometry.text.indices[object.text.clone()]);
     }
+    list
+}
 
-    /// Adds the lit triangles, no farther than `reach` metres, that do not turn their back.
-    fn facing(&mut self, scene: &Scene, camera: &Camera, solid: Range<usize>, reach: f32) {
-        let [x, y, z]: [f32; 3] = camera.position.into();
-        let limit = -EDGE_ON * reach;
-        let planes = &scene.planes[solid.start / 3..solid.end / 3];
-        for (corners, plane) in scene.solid.indices[solid].chunks_exact(3).zip(planes) {
-            if plane[0] * x + plane[1] * y + plane[2] * z - plane[3] > limit {
-                self.solid.extend_from_slice(corners);
-            }
+/// Adds those of the lit triangles `solid`, all within `reach` metres, that do not show their back.
+fn add_facing(
+    list: &mut Vec<u32>,
+    scene: &Scene,
+    camera: &Camera,
+    solid: Range<usize>,
+    reach: f32,
+) {
+    let [x, y, z]: [f32; 3] = camera.position.into();
+    let limit = -EDGE_ON * reach;
+    let planes = &scene.planes[solid.start / 3..solid.end / 3];
+    for (corners, plane) in scene.geometry.solid.indices[solid].chunks_exact(3).zip(planes) {
+        if plane[0] * x + plane[1] * y + plane[2] * z - plane[3] > limit {
+            list.extend_from_slice(corners);
         }
     }
 }
 
-/// How far the farthest corner of an object's bounds is from the camera, in metres.
+/// The distance from the camera to the farthest corner of an object's bounds, in metres.
 fn reach(object: &Object, camera: &Camera) -> f32 {
     let axis = |i: usize| {
         let at = camera.position[i];
@@ -144,14 +144,14 @@ fn reach(object: &Object, camera: &Camera) -> f32 {
     (0..3).map(|i| axis(i) * axis(i)).sum::<f32>().sqrt()
 }
 
-/// A point of the floor plan as the camera has it: to the right and ahead, in metres.
+/// A point of the floor plan in camera space: to the right and ahead, in metres.
 fn in_camera(camera: &Camera, [x, y]: [f32; 2]) -> [f32; 2] {
     let (dx, dy) = (x - camera.position.x, y - camera.position.y);
     let along = |axis: &nalgebra::Vector3<f32>| dx * axis.x + dy * axis.y;
     [along(&camera.right), along(&camera.ahead)]
 }
 
-/// What an object may cover: columns of the picture (-1 to 1) and the depth it begins at.
+/// What an object may cover: columns of the image (-1 to 1), from a depth on.
 struct Span {
     left: f32,
     right: f32,
@@ -159,7 +159,7 @@ struct Span {
 }
 
 impl Span {
-    /// `None` when the object is outside the picture.
+    /// `None` when the object is outside the image.
     fn of(object: &Object, camera: &Camera) -> Option<Self> {
         let (min, max) = (object.min, object.max);
         let corners = footprint(object, camera);
@@ -167,7 +167,7 @@ impl Span {
         let nearest = corners.iter().map(|c| c[1]).fold(f32::INFINITY, f32::min);
         let farthest = corners.iter().map(|c| c[1]).fold(f32::NEG_INFINITY, f32::max);
         let outside = |side: f32| corners.iter().all(|c| side * c[0] > across * c[1]);
-        // Above or below the picture even at the object's far end.
+        // Above or below the image even at the object's far end.
         let (bottom, top) = (min[2] - camera.position.z, max[2] - camera.position.z);
         let beyond = bottom > up * farthest || top < -up * farthest;
         if farthest <= 0.0 || outside(1.0) || outside(-1.0) || beyond {
@@ -185,22 +185,22 @@ impl Span {
     }
 }
 
-/// How far one sees in each column, as a reciprocal: 0 is without end.
+/// The reciprocal of the depth of the nearest panel in each column; 0 where there is none.
 #[derive(Clone)]
 struct Columns(Vec<f32>);
 
 impl Columns {
-    fn new(screens: &[Screen], camera: &Camera) -> Self {
+    fn new(occluders: &[Occluder], camera: &Camera) -> Self {
         let mut columns = Self(vec![0.0; COLUMNS]);
-        for screen in screens {
-            columns.add(screen, camera);
+        for occluder in occluders {
+            columns.add(occluder, camera);
         }
         columns
     }
 
-    /// Enters a panel into the columns whose middle it covers.
-    fn add(&mut self, screen: &Screen, camera: &Camera) {
-        let mut ends = [screen.from, screen.to].map(|end| in_camera(camera, end));
+    /// Adds a panel to the columns whose middle it covers.
+    fn add(&mut self, occluder: &Occluder, camera: &Camera) {
+        let mut ends = [occluder.from, occluder.to].map(|end| in_camera(camera, end));
         let along = [ends[1][0] - ends[0][0], ends[1][1] - ends[0][1]];
         let length = along[0].hypot(along[1]);
         for (end, sign) in ends.iter_mut().zip([-1.0, 1.0]) {
@@ -208,7 +208,7 @@ impl Columns {
                 end[axis] += sign * JOINT_M * along[axis] / length;
             }
         }
-        // Cut off what is behind the camera.
+        // Clip what is behind the camera.
         if ends[0][1] > ends[1][1] {
             ends.swap(0, 1);
         }
@@ -220,7 +220,7 @@ impl Columns {
             let share = (NEAR_M - near[1]) / (far[1] - near[1]);
             ends[0] = [near[0] + (far[0] - near[0]) * share, NEAR_M];
         }
-        // Across the picture, the reciprocal of the depth along a straight panel is linear.
+        // The reciprocal of the depth along a straight panel is linear across the image.
         let mut projected =
             ends.map(|[right, ahead]| [right / ahead / camera.half_extent[0], 1.0 / ahead]);
         if projected[0][0] > projected[1][0] {
@@ -236,26 +236,26 @@ impl Columns {
         }
     }
 
-    /// Whether any of `object` may be in the picture.
+    /// Whether any part of `object` may be visible.
     fn may_show(&self, object: &Object, camera: &Camera) -> bool {
         let Some(span) = Span::of(object, camera) else { return false };
         object.max[2] > RACK_HEIGHT_M || !self.hide(&span)
     }
 
-    /// Whether panels are in front of the whole span.
+    /// Whether panels hide the whole span.
     fn hide(&self, span: &Span) -> bool {
         if span.nearest < NEAR_M {
             return false;
         }
         let first = (column(span.left).floor().max(0.0) as usize).saturating_sub(MARGIN_COLUMNS);
         let end = ((column(span.right).ceil().max(0.0) as usize) + MARGIN_COLUMNS).min(COLUMNS);
-        // A panel's depth at a column's middle differs a little from that at its edges.
+        // A panel's depth at the middle of a column differs slightly from that at its edges.
         let limit = 1.0 / span.nearest * 1.01;
         first < end && self.0[first..end].iter().all(|&w| w > limit)
     }
 }
 
-/// The place of `x` (-1 to 1) among the columns.
+/// The column, counted from the left edge, at `x` (-1 to 1).
 fn column(x: f32) -> f32 {
     (x + 1.0) / 2.0 * COLUMNS as f32
 }

@@ -1,21 +1,20 @@
-//! Building blocks of meshes: boxes, turned bodies, tubes and plates, in colours and with normals.
+//! Building blocks of meshes: boxes, bodies of revolution, tubes and polygons, with materials and normals.
 //!
-//! A [`Mesh`] knows no light and no place in the world; the scene bakes both into its vertices once
-//! (see [`super::super::light`]).
+//! A [`Mesh`] has no light and no place in the world. The scene bakes both into its vertices.
 
-use nalgebra::{Isometry3, Point3, Unit, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, Point3, Quaternion, Unit, UnitQuaternion, Vector3};
 
 /// A point in the space of the mesh, in metres: x right, y away from the viewer, z up.
 pub(crate) type Point = Point3<f32>;
 
-/// A surface: its colour and how it answers light.
+/// A surface: its colour and how it reflects light.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Material {
     /// Colour in sRGB.
     pub(crate) rgb: [u8; 3],
-    /// Strength of the highlight: 0 dull (cardboard), 1 glossy (lacquer).
+    /// Strength of the highlight: 0 is dull (cardboard), 1 glossy (lacquer).
     pub(crate) gloss: f32,
-    /// Whether the surface shines by itself, so that light, shade and fog leave it alone.
+    /// Whether the surface emits light, so that light, shade and fog do not change it.
     pub(crate) glows: bool,
 }
 
@@ -30,7 +29,7 @@ impl Material {
         Self { rgb, gloss: 0.6, glows: false }
     }
 
-    /// A lamp.
+    /// A surface that emits light.
     pub(crate) const fn glowing(rgb: [u8; 3]) -> Self {
         Self { rgb, gloss: 0.0, glows: true }
     }
@@ -41,7 +40,7 @@ impl Material {
     }
 }
 
-/// A corner of a triangle, before light.
+/// A corner of a triangle, before light is baked in.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Vertex {
     pub(crate) position: Point,
@@ -56,22 +55,22 @@ pub(crate) struct Mesh {
     pub(crate) indices: Vec<u32>,
 }
 
-/// How finely a mesh is drawn.
+/// Level of detail of a mesh.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Detail {
-    /// For a look from nearby.
+    /// For nearby views.
     Near,
-    /// For a look from several metres: fewer segments, and no small parts.
+    /// For views from several metres: fewer segments and no small parts.
     Far,
 }
 
 impl Detail {
-    /// Both.
+    /// Both levels.
     #[cfg(test)]
     pub(crate) const ALL: [Self; 2] = [Self::Near, Self::Far];
 }
 
-/// Draws shapes into a mesh, in the frame and the material set last.
+/// Adds shapes to a mesh, in the current frame and material.
 pub(crate) struct Builder {
     mesh: Mesh,
     mesh_from_local: Isometry3<f32>,
@@ -93,14 +92,14 @@ impl Builder {
         self.mesh
     }
 
-    /// Draws a part that is too small to be seen from afar.
+    /// Adds a part that is too small for distant views.
     pub(crate) fn small(&mut self, draw: impl FnOnce(&mut Self)) {
         if self.detail == Detail::Near {
             draw(self);
         }
     }
 
-    /// How many of `segments` a round thing gets.
+    /// The number of segments at this level of detail of a round shape with `segments` at the finest.
     fn segments(&self, segments: u32) -> u32 {
         match self.detail {
             Detail::Near => segments,
@@ -108,25 +107,27 @@ impl Builder {
         }
     }
 
-    /// What follows is made of this.
+    /// Sets the material of the shapes that follow.
     pub(crate) fn material(&mut self, material: Material) -> &mut Self {
         self.material = material;
         self
     }
 
-    /// Draws in a frame moved by (x, y, z) from the current one.
+    /// Adds shapes in a frame moved by (x, y, z) from the current one.
     pub(crate) fn moved(&mut self, [x, y, z]: [f32; 3], draw: impl FnOnce(&mut Self)) {
         self.framed(Isometry3::translation(x, y, z), draw);
     }
 
-    /// Draws in a frame turned by `degrees` about `axis`, anticlockwise seen against the axis.
+    /// Adds shapes in a frame rotated by `degrees` about `axis`, counter-clockwise seen against the axis.
     pub(crate) fn turned(
         &mut self,
         axis: Unit<Vector3<f32>>,
         degrees: f32,
         draw: impl FnOnce(&mut Self),
     ) {
-        let rotation = UnitQuaternion::from_axis_angle(&axis, degrees.to_radians());
+        let (sin, cos) = (degrees.to_radians() / 2.0).sin_cos();
+        let rotation =
+            UnitQuaternion::new_unchecked(Quaternion::from_parts(cos, axis.as_ref() * sin));
         self.framed(Isometry3::from_parts(Default::default(), rotation), draw);
     }
 
@@ -146,12 +147,12 @@ impl Builder {
         self.mesh.vertices.len() as u32 - 1
     }
 
-    /// A flat polygon: convex, corners counter-clockwise seen from its front.
+    /// Adds a convex polygon, its corners counter-clockwise seen from the front.
     pub(crate) fn polygon(&mut self, corners: &[[f32; 3]]) {
         self.shaded_polygon(corners, |_| 1.0);
     }
 
-    /// As [`Self::polygon`], with the material shaded by a factor at each corner.
+    /// As [`Self::polygon`], with a factor of brightness at each corner.
     pub(crate) fn shaded_polygon(&mut self, corners: &[[f32; 3]], shade: impl Fn([f32; 3]) -> f32) {
         let points: Vec<Point> = corners.iter().map(|&c| Point::from(c)).collect();
         let normal = (points[1] - points[0]).cross(&(points[2] - points[0])).normalize();
@@ -167,7 +168,7 @@ impl Builder {
         }
     }
 
-    /// A box between two corners, without the sides that `hidden` names.
+    /// Adds a box between two corners, without its `hidden` sides.
     pub(crate) fn block_without(&mut self, min: [f32; 3], max: [f32; 3], hidden: &[Side]) {
         let ([x0, y0, z0], [x1, y1, z1]) = (min, max);
         let faces = [
@@ -185,12 +186,12 @@ impl Builder {
         }
     }
 
-    /// A box between two corners that stands on something: no bottom.
+    /// Adds a box between two corners, without its bottom.
     pub(crate) fn block(&mut self, min: [f32; 3], max: [f32; 3]) {
         self.block_without(min, max, &[Side::Bottom]);
     }
 
-    /// A box whose upright and upper edges are cut off by `bevel` metres, which catches the light.
+    /// Adds a box whose vertical and upper edges are bevelled by `bevel` metres.
     pub(crate) fn bevelled(&mut self, min: [f32; 3], max: [f32; 3], bevel: f32) {
         if self.detail == Detail::Far {
             return self.block(min, max);
@@ -218,7 +219,7 @@ impl Builder {
         self.polygon(&top);
     }
 
-    /// A prism: the convex `outline` (x, z), counter-clockwise seen from the front, from y0 to y1.
+    /// Adds a prism: a convex `outline` (x, z), counter-clockwise seen from the front, from y0 to y1.
     pub(crate) fn prism(&mut self, outline: &[[f32; 2]], y0: f32, y1: f32) {
         let front: Vec<[f32; 3]> = outline.iter().map(|&[x, z]| [x, y0, z]).collect();
         let back: Vec<[f32; 3]> = outline.iter().rev().map(|&[x, z]| [x, y1, z]).collect();
@@ -230,8 +231,8 @@ impl Builder {
         }
     }
 
-    /// A body turned about the z axis: `profile` lists (radius, height) from bottom to top with the
-    /// outside on the right; every stretch has its own edge. Radius 0 closes the body.
+    /// Adds a body of revolution about the z axis. `profile` lists (radius, height) from bottom to top, with the outside
+    /// on the right; segments meet in edges. Radius 0 closes the body.
     pub(crate) fn turned_body(&mut self, profile: &[[f32; 2]], segments: u32) {
         for pair in profile.windows(2) {
             let ([r0, z0], [r1, z1]) = (pair[0], pair[1]);
@@ -245,7 +246,7 @@ impl Builder {
         }
     }
 
-    /// As [`Self::turned_body`], with the edges between stretches smoothed away.
+    /// As [`Self::turned_body`], with smooth transitions between segments.
     pub(crate) fn smooth_body(&mut self, profile: &[[f32; 2]], segments: u32) {
         let slope = |i: usize, j: usize| {
             let (run, rise) = (profile[j][0] - profile[i][0], profile[j][1] - profile[i][1]);
@@ -267,7 +268,7 @@ impl Builder {
         }
     }
 
-    /// One stretch of a turned body, with a normal (outward, up) at each of its ends.
+    /// Adds a segment of a body of revolution, with a normal (outward, up) at each end.
     fn ring(&mut self, ends: [[f32; 2]; 2], normals: [[f32; 2]; 2], segments: u32) {
         let segments = self.segments(segments);
         let first = self.mesh.vertices.len() as u32;
@@ -290,7 +291,7 @@ impl Builder {
         }
     }
 
-    /// A round bar through `path`, `sides` around, with flat ends.
+    /// Adds a bar through `path` with `sides` sides and flat ends.
     pub(crate) fn tube(&mut self, path: &[[f32; 3]], radius: f32, sides: u32) {
         let sides = if self.detail == Detail::Far { 3 } else { sides };
         let points: Vec<Point> = path.iter().map(|&p| Point::from(p)).collect();
@@ -299,7 +300,7 @@ impl Builder {
             let (from, to) = (i.max(1) - 1, (i + 1).min(last));
             (points[to] - points[from]).normalize()
         };
-        // One reference direction that is never along the path keeps the sides from twisting.
+        // A fixed reference direction, as far from the path's as possible, keeps the sides from twisting.
         let span = points[last] - points[0];
         let reference = [Vector3::y(), Vector3::x(), Vector3::z()]
             .into_iter()
@@ -342,7 +343,7 @@ impl Builder {
     }
 }
 
-/// A side of a box, seen from in front of it.
+/// A side of a box, as seen from the front.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Side {
     /// Towards smaller x.
@@ -363,7 +364,7 @@ pub(crate) enum Side {
 mod tests {
     use super::*;
 
-    /// Every triangle must turn the same way as its corners' normals say.
+    /// Checks that every triangle faces the same way as the normals of its corners.
     fn assert_faces_outward(name: &str, draw: impl Fn(&mut Builder)) {
         for detail in Detail::ALL {
             let mut builder = Builder::new(detail);

@@ -1,14 +1,14 @@
-//! The hall around the racks: floor with its markings, upper walls, roof, lamps, signs, barricades.
+//! The hall around the racks: floor with markings, upper walls, roof, lamps, signs, barricades.
 //!
-//! Signs and barricades are drawn in the frame of somebody who faces them, everything else in world
-//! space: x east, y north, z up, in metres.
+//! Signs and barricades are in the frame of a viewer who faces them, everything else in world space: x east, y north, z up,
+//! in metres.
 
 use domain::{Cell, Heading};
 use warehouse::{Layout, Square};
 
 use super::builder::{Builder, Detail, Material, Mesh, Side};
 
-/// Height of the roof above the floor, in metres.
+/// Height of the roof, in metres.
 pub(crate) const ROOF_M: f32 = 5.6;
 
 /// How far shade reaches from a rack's foot, in metres.
@@ -20,7 +20,7 @@ const WALL: Material = Material::dull([196, 200, 202]);
 const ROOF: Material = Material::dull([168, 174, 180]);
 const TRUSS: Material = Material::dull([104, 112, 122]);
 
-/// Floor of one free cell, darker at the foot of racks and walls, with slabs of slightly different tone.
+/// The floor of a free cell, darker at the foot of racks and walls, in slabs of slightly different tone.
 pub(crate) fn floor(layout: &Layout, cell: Cell) -> Mesh {
     let mut b = Builder::new(Detail::Near);
     let (x0, y0) = (f32::from(cell.x), f32::from(cell.y));
@@ -41,7 +41,7 @@ pub(crate) fn floor(layout: &Layout, cell: Cell) -> Mesh {
     b.finish()
 }
 
-/// Plain floor in front of (x, y), `half` metres to both sides and twice as far to the south.
+/// Plain floor south of (x, y): `half` metres to both sides and twice as far to the south.
 pub(crate) fn open_floor([x, y]: [f32; 2], half: f32) -> Mesh {
     let mut b = Builder::new(Detail::Near);
     b.material(CONCRETE);
@@ -50,7 +50,7 @@ pub(crate) fn open_floor([x, y]: [f32; 2], half: f32) -> Mesh {
     b.finish()
 }
 
-/// The neighbours of `cell`, itself included, that are not free, as their south-west corners.
+/// The south-west corners of all cells around `cell` that are not free.
 fn solid_around(layout: &Layout, cell: Cell) -> Vec<[f32; 2]> {
     let mut solid = Vec::new();
     for dy in -1..=1_i16 {
@@ -71,7 +71,7 @@ fn is_free(layout: &Layout, x: i16, y: i16) -> bool {
     }
 }
 
-/// How bright the floor is at (x, y): less near what stands on it.
+/// The brightness of the floor at (x, y): lower near racks and walls.
 fn floor_shade(solid: &[[f32; 2]], x: f32, y: f32) -> f32 {
     let nearest = solid
         .iter()
@@ -81,7 +81,7 @@ fn floor_shade(solid: &[[f32; 2]], x: f32, y: f32) -> f32 {
             dx.hypot(dy)
         })
         .fold(SHADE_REACH_M, f32::min);
-    // A slow stain over the concrete keeps large stretches from looking dead.
+    // A faint stain keeps large areas of concrete from looking uniform.
     let stain = 0.02 * ((x * 1.7).sin() * (y * 1.3).cos() + (x * 0.61 + y * 0.83).sin());
     0.62 + 0.38 * (nearest / SHADE_REACH_M) + stain
 }
@@ -98,7 +98,7 @@ fn markings(b: &mut Builder, layout: &Layout, cell: Cell) {
         if !is_rack(heading) {
             continue;
         }
-        // In the frame of somebody who looks at the rack: along its face, then away from it.
+        // In the frame of a viewer who faces the rack: along its face, then towards it.
         let (left, right) = (is_rack(heading.left()), is_rack(heading.right()));
         let l = if left { -inner } else { -0.5 };
         let r = if right { inner } else { 0.5 };
@@ -109,7 +109,7 @@ fn markings(b: &mut Builder, layout: &Layout, cell: Cell) {
         };
         b.polygon(&[at(l, inner), at(r, inner), at(r, outer), at(l, outer)]);
     }
-    // Around an outer corner of a rack the line goes on through the diagonal cell.
+    // Around an outer corner of a rack the line continues through the diagonal cell.
     for heading in Heading::ALL {
         let diagonal = cell.step(heading).and_then(|c| c.step(heading.right()));
         let corner = diagonal.is_some_and(|c| layout.square(c) == Square::Rack)
@@ -133,14 +133,14 @@ fn vector(heading: Heading) -> (f32, f32) {
     (f32::from(x), f32::from(y))
 }
 
-/// A number in 0..1 that depends on nothing but the two given.
+/// A pseudo-random number in 0..1.
 fn dice(a: u32, b: u32) -> f32 {
     let mixed =
         (a.wrapping_mul(0x9e37_79b1) ^ b.wrapping_mul(0x85eb_ca77)).wrapping_mul(0xc2b2_ae3d);
     (mixed >> 8) as f32 / (1 << 24) as f32
 }
 
-/// The wall above the racks between two points of the floor plan, left to right from inside.
+/// The wall above the racks between two points of the floor plan, left to right as seen from inside.
 pub(crate) fn upper_wall(from: [f32; 2], to: [f32; 2], bottom: f32) -> Mesh {
     let mut b = Builder::new(Detail::Near);
     let ([x0, y0], [x1, y1]) = (from, to);
@@ -154,7 +154,7 @@ pub(crate) fn upper_wall(from: [f32; 2], to: [f32; 2], bottom: f32) -> Mesh {
     b.finish()
 }
 
-/// A stretch of roof over x0..x1, y0..y1 with a beam across its southern edge.
+/// A piece of roof over x0..x1, y0..y1 with a beam along its southern edge.
 pub(crate) fn roof(x0: f32, x1: f32, y0: f32, y1: f32) -> Mesh {
     let mut b = Builder::new(Detail::Near);
     b.material(ROOF);
@@ -165,7 +165,7 @@ pub(crate) fn roof(x0: f32, x1: f32, y0: f32, y1: f32) -> Mesh {
     b.finish()
 }
 
-/// A lamp of 1.4 m that hangs above (x, y), along the aisle.
+/// A lamp 1.4 m long above (x, y), along the aisle.
 pub(crate) fn lamp(x: f32, y: f32, north_south: bool) -> Mesh {
     let mut b = Builder::new(Detail::Near);
     let (hx, hy) = if north_south { (0.11, 0.7) } else { (0.7, 0.11) };
@@ -182,11 +182,10 @@ pub(crate) fn lamp(x: f32, y: f32, north_south: bool) -> Mesh {
     b.finish()
 }
 
-/// The board of an overhead sign in the frame of somebody who reads it: left, bottom, right, top.
+/// The board of an overhead sign in the frame of a viewer who faces it: left, bottom, right, top.
 pub(crate) const SIGN_M: [f32; 4] = [-0.8, 2.52, 0.8, 2.9];
 
-/// The board of an overhead sign, in the middle of y = 0, and the rods it hangs from. The lettering
-/// stands out from both faces.
+/// The board of an overhead sign, centred on y = 0, and the rods it hangs from.
 pub(crate) fn sign_board() -> Mesh {
     let mut b = Builder::new(Detail::Near);
     let [left, bottom, right, top] = SIGN_M;
@@ -202,8 +201,7 @@ pub(crate) fn sign_board() -> Mesh {
     b.finish()
 }
 
-/// One side of a barricade, 1 m wide, in the frame of a face: it stands just behind y = 0 and is
-/// striped on both sides.
+/// One side of a barricade, 1 m wide, in the frame of a face. It stands just behind y = 0 and is striped on both sides.
 pub(crate) fn barricade() -> Mesh {
     let mut b = Builder::new(Detail::Near);
     let (front, back) = (0.10, 0.13);
@@ -219,13 +217,9 @@ pub(crate) fn barricade() -> Mesh {
                     continue;
                 }
                 b.material(Material::dull(if red { [214, 28, 30] } else { [246, 246, 244] }));
-                let mut corners: Vec<[f32; 3]> =
-                    clipped.iter().map(|&[x, z]| [x * facing, y, z]).collect();
-                // Mirroring the outline for the back also turns it around, as it must be.
-                if facing < 0.0 {
-                    corners = clipped.iter().map(|&[x, z]| [-x, y, z]).collect();
-                }
-                b.polygon(&corners);
+                // Mirroring the outline also makes it face backwards.
+                let corners = clipped.iter().map(|&[x, z]| [x * facing, y, z]);
+                b.polygon(&corners.collect::<Vec<_>>());
             }
         }
         b.material(Material::dull([180, 180, 178]));
@@ -245,7 +239,7 @@ pub(crate) fn barricade() -> Mesh {
     b.finish()
 }
 
-/// The part of a convex outline with min <= x <= max.
+/// The part of a convex outline between `min` and `max` in x.
 fn within(outline: &[[f32; 2]], min: f32, max: f32) -> Vec<[f32; 2]> {
     let keep = |outline: &[[f32; 2]], inside: &dyn Fn(f32) -> bool, limit: f32| {
         let mut kept: Vec<[f32; 2]> = Vec::new();

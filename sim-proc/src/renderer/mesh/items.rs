@@ -1,7 +1,7 @@
-//! What stands on the shelves: one mesh for each shape of the catalogue.
+//! The items on the shelves: one mesh for each shape of the catalogue.
 //!
-//! A mesh stands on z = 0 with its front towards -y, inside 0.6 m of width, 0.52 m of depth and 0.5 m
-//! of height. Each has the two or three details that make a person name it.
+//! A mesh stands on z = 0 with its front towards -y, and is at most 0.6 m wide, 0.52 m deep and 0.5 m high. Each has the
+//! details by which a person recognises it.
 
 use nalgebra::Vector3;
 use warehouse::Shape;
@@ -55,13 +55,13 @@ fn barrel(b: &mut Builder, paint: Material) {
     b.moved([0.06, -0.1, 0.436], |b| b.turned_body(&[[0.03, 0.0], [0.03, 0.02], [0.0, 0.02]], 8));
 }
 
-/// A cardboard box with tape over the seam and its upper flaps ajar.
+/// A cardboard box with tape over the seam and open upper flaps.
 fn carton(b: &mut Builder, card: Material) {
     let (w, d, h) = (0.2, 0.19, 0.31);
     b.material(card);
     b.block([-w, -d, 0.0], [w, d, h]);
     for side in [-1.0, 1.0] {
-        // A flap leans outward from the upper edge; drawn on both of its sides.
+        // A flap leans outward from the upper edge and is visible from both sides.
         let (x0, x1, z1) = (side * w, side * (w + 0.075), h + 0.085);
         let flap = [[x0, -d, h], [x1, -d, z1], [x1, d, z1], [x0, d, h]];
         let mut other = flap;
@@ -124,7 +124,7 @@ fn toolbox(b: &mut Builder, paint: Material) {
     b.block([-0.09, -0.123, 0.06], [0.09, -0.12, 0.12]);
 }
 
-/// A slim bottle with lever, gauge, a white label and a hose that ends in a horn.
+/// A slim bottle with lever, gauge, white label, and a hose that ends in a horn.
 fn fire_extinguisher(b: &mut Builder, paint: Material) {
     b.material(BLACK);
     b.turned_body(&[[0.102, 0.0], [0.102, 0.025], [0.1, 0.025]], 16);
@@ -200,7 +200,7 @@ fn cone(b: &mut Builder, paint: Material) {
     stretch(b, 0.31, 0.37);
 }
 
-/// A tyre, standing, hole towards the viewer, with treads around.
+/// An upright tyre, its hole towards the viewer, with treads.
 fn tyre(b: &mut Builder, rubber: Material) {
     let (inner, outer, half) = (0.125, 0.225, 0.09);
     b.moved([0.0, 0.0, outer + 0.012], |b| {
@@ -247,7 +247,7 @@ fn tyre(b: &mut Builder, rubber: Material) {
     });
 }
 
-/// A bucket, wider at the top, its bail standing up.
+/// A bucket, wider at the top, with an upright handle.
 fn bucket(b: &mut Builder, paint: Material) {
     b.material(paint);
     b.turned_body(&[[0.135, 0.0], [0.172, 0.225]], 20);
@@ -342,7 +342,7 @@ fn crate_of_slats(b: &mut Builder, plastic: Material) {
     for (low, high) in [(0.0, 0.05), (0.075, 0.115), (0.14, 0.18)] {
         b.block_without([-w, -d, low], [w, d, high], &[]);
     }
-    // The rim is four boards, so that one sees into the crate.
+    // The rim is four boards, so that the inside is visible.
     let (z0, z1, t) = (0.205, h, 0.022);
     b.block_without([-w, d - t, z0], [w, d, z1], &[]);
     b.block_without([-w, -d + t, z0], [-w + t, d - t, z1], &[]);
@@ -356,7 +356,7 @@ fn crate_of_slats(b: &mut Builder, plastic: Material) {
     b.block_without([-0.05, -d - 0.003, 0.225], [0.05, -d, 0.258], &[]);
 }
 
-/// A fuel can: flat, pressed cross on the front, three bars to carry it, spout on the right.
+/// A flat fuel can: pressed cross on the front, three carrying bars, spout on the right.
 fn jerrycan(b: &mut Builder, paint: Material) {
     let (w, d, h) = (0.17, 0.085, 0.37);
     b.material(paint);
@@ -369,7 +369,7 @@ fn jerrycan(b: &mut Builder, paint: Material) {
         let (dx, dz) = (to[0] - from[0], to[1] - from[1]);
         let length = f32::hypot(dx, dz);
         let (nx, nz) = (-dz / length * 0.012, dx / length * 0.012);
-        // The second bar lies a little higher, so that the two never share a plane.
+        // The second bar is slightly raised, so that the two never share a plane.
         let y = -d - if dz > 0.0 { 0.006 } else { 0.009 };
         b.prism(
             &[
@@ -524,7 +524,7 @@ mod tests {
                     let p = vertex.position;
                     p.x.abs() <= 0.3 && p.y.abs() <= 0.26 && (-1e-4..=0.5).contains(&p.z)
                 });
-                assert!(within, "{shape:?} stands out of its place");
+                assert!(within, "{shape:?} exceeds its bounds");
                 let triangles = mesh.indices.len() / 3;
                 let most = if detail == Detail::Near { 850 } else { 450 };
                 assert!(triangles <= most, "{shape:?}, {detail:?}: {triangles} triangles");
@@ -533,7 +533,7 @@ mod tests {
     }
 
     #[test]
-    fn no_item_looks_like_a_plates_frame() {
+    fn no_item_has_the_colour_of_a_plate_frame() {
         let mesh_colours = Shape::ALL.into_iter().flat_map(|shape| {
             let mesh = item(shape, [34, 168, 163], Detail::Near);
             mesh.vertices.into_iter().map(|vertex| vertex.material.rgb)

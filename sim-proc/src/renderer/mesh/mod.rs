@@ -1,4 +1,4 @@
-//! Meshes as pure values: shapes in metres, colours and normals. No light, no device, no layout.
+//! Meshes as pure values: shapes in metres, colours and normals. No light, no backend.
 
 pub(crate) mod builder;
 pub(crate) mod hall;

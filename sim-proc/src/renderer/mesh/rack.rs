@@ -1,17 +1,15 @@
-//! The racks: a bay of shelving behind each open face, a sheet of steel over each closed one.
+//! The racks: a bay of shelves behind each open face, a sheet of steel over each closed one.
 //!
-//! A face is drawn in its own frame: x to the right of somebody who looks at it, y into the rack, z
-//! up, with the origin on the floor in the middle of the face. It is 1 m wide.
-
-use plates;
+//! The frame of a face: x to the viewer's right, y into the rack, z up, with the origin on the floor in the middle of the
+//! face, which is 1 m wide.
 
 use super::builder::{Builder, Detail, Material, Mesh, Side};
 
 /// Height of the shelf that items stand on, in metres.
 pub(crate) const SHELF_TOP_M: f32 = 0.80;
 
-/// Height of the racks, in metres. What stands behind a rack and is no taller cannot be seen from the
-/// camera's height, since the back panels are as tall.
+/// Height of the racks and their back panels, in metres. Nothing behind a rack that is no taller is visible from the
+/// camera's height.
 pub(crate) const RACK_HEIGHT_M: f32 = 3.0;
 
 /// Depth of a bay, in metres.
@@ -20,14 +18,14 @@ pub(crate) const BAY_DEPTH_M: f32 = 0.62;
 /// Depth of a bay that shares its rack square with another, in metres.
 pub(crate) const SHALLOW_BAY_DEPTH_M: f32 = 0.29;
 
-/// The panel of the label on the shelf's edge, in the face's frame: left, bottom, right, top.
+/// The label on the shelf's edge, in the frame of the face: left, bottom, right, top.
 pub(crate) const LABEL_M: [f32; 4] = [-0.46, 0.682, 0.46, 0.797];
 
-/// The panel of the bay's number on the upper beam, likewise.
+/// The bay's number on the upper beam, likewise.
 pub(crate) const BAY_NUMBER_M: [f32; 4] = [-0.16, 1.85, 0.16, 1.918];
 
-/// Ends of the sheet that a closed face is, in plan.
-pub(crate) const CLOSED_FACE_SCREEN_M: [[f32; 2]; 2] = [[-0.494, 0.034], [0.494, 0.034]];
+/// Ends of the sheet of a closed face, on the floor plan.
+pub(crate) const CLOSED_FACE_OCCLUDER_M: [[f32; 2]; 2] = [[-0.494, 0.034], [0.494, 0.034]];
 
 /// How far panels with text stand out from the face, in metres.
 pub(crate) const PANEL_OFFSET_M: f32 = 0.012;
@@ -45,26 +43,26 @@ const LOWER_DECK_M: f32 = 0.77;
 const UPPER_DECK_M: f32 = 1.86;
 const HALF_UPRIGHT_M: f32 = 0.035;
 const BEAM_M: f32 = 0.04;
-/// Where upright things begin, so that no gap opens between them and the floor.
+/// The bottom of upright parts, so that no gap opens between them and the floor.
 const BELOW_FLOOR_M: f32 = -0.01;
-/// How far the floor under a closed face reaches to both sides: around the corner, under the aisle's.
+/// How far the floor under a closed face extends to both sides: around the corner, under the aisle's floor.
 const UNDER_M: f32 = 0.53;
-/// How deep the sheets lie that cover a face, and where one that narrows a bay ends.
+/// The depth of sheets that cover a face, and where a sheet that narrows a bay ends.
 const COVER_M: f32 = 0.02;
 const COVER_END_M: f32 = 0.48;
 
 /// How a bay ends to its left or right.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) enum Edge {
-    /// The run continues with another bay.
+    /// The row continues with another bay.
     Joined,
-    /// The run continues with a bay that is only this deep.
+    /// The row continues with a bay that is only this deep.
     Step(f32),
-    /// The run goes on with a closed face or a wall: a side sheet and a whole upright end the bay.
+    /// The row continues with a closed face or a wall: a side sheet and a whole upright end the bay.
     Ended,
-    /// The run ends here, with a closed face around the corner; likewise.
+    /// The row ends here, with a closed face around the corner. A side sheet and a whole upright end the bay.
     Closed,
-    /// Around the corner lies another bay, this deep: a sheet covers this face as far as that one goes.
+    /// Around the corner is another bay, this deep: a sheet covers this face as far as that bay reaches.
     Narrowed(f32),
 }
 
@@ -86,8 +84,8 @@ impl Edge {
         }
     }
 
-    /// The upright: half of one that is shared with the next bay, or a whole one that stands back from
-    /// the planes of the face around the corner.
+    /// The upright: half of one that is shared with the next bay, or a whole one that is set back from the planes of the
+    /// face around the corner.
     fn upright(self) -> [f32; 2] {
         match self {
             Self::Joined | Self::Step(_) => [0.5 - HALF_UPRIGHT_M, 0.5],
@@ -97,7 +95,7 @@ impl Edge {
         }
     }
 
-    /// The sheet that closes the bay to this side: how far out it is, and how deep it begins.
+    /// The sheet that closes the bay on this side: its distance from the middle, and the depth where it begins.
     fn side_sheet(self) -> Option<(f32, f32)> {
         match self {
             Self::Joined => None,
@@ -113,31 +111,31 @@ pub(crate) struct Bay {
     pub(crate) left: Edge,
     pub(crate) right: Edge,
     pub(crate) depth: f32,
-    /// Whether an item stands in it, and hence a plate hangs over it.
+    /// Whether an item stands in it and a plate hangs above.
     pub(crate) stocked: bool,
-    /// Decides what the filler loads above and below look like.
+    /// Determines the loads above and below the item.
     pub(crate) seed: u32,
 }
 
 impl Bay {
-    /// What stops every look through the bay, in plan: back panel, sides and uprights.
-    pub(crate) fn screens(&self) -> Vec<[[f32; 2]; 2]> {
+    /// The bay's occluders on the floor plan: back panel, sides and uprights.
+    pub(crate) fn occluders(&self) -> Vec<[[f32; 2]; 2]> {
         let d = self.depth;
-        let mut screens = vec![[[-self.left.inside(), d], [self.right.inside(), d]]];
+        let mut occluders = vec![[[-self.left.inside(), d], [self.right.inside(), d]]];
         for (edge, sign) in [(self.left, -1.0), (self.right, 1.0)] {
-            screens.push(edge.upright().map(|x| [sign * x, 0.04]));
-            screens.extend(edge.side_sheet().map(|(x, y)| [[sign * x, y], [sign * x, d]]));
+            occluders.push(edge.upright().map(|x| [sign * x, 0.04]));
+            occluders.extend(edge.side_sheet().map(|(x, y)| [[sign * x, y], [sign * x, d]]));
             if let Edge::Narrowed(_) = edge {
-                screens.push([[sign * edge.inside(), COVER_M], [sign * COVER_END_M, COVER_M]]);
+                occluders.push([[sign * edge.inside(), COVER_M], [sign * COVER_END_M, COVER_M]]);
             }
         }
-        screens
+        occluders
     }
 
     /// Uprights, beams, shelves, panels and filler loads.
     pub(crate) fn mesh(&self, detail: Detail) -> Mesh {
         let mut b = Builder::new(detail);
-        // From the front to the back, so that little is drawn over.
+        // Front to back, so that little is drawn over.
         if self.stocked {
             plate_holder(&mut b);
         }
@@ -157,7 +155,7 @@ impl Bay {
         b.material(UPRIGHT);
         for (edge, sign) in self.sides() {
             let [near, far] = edge.upright().map(|x| sign * x);
-            // Before a wall it stands out a little, or one would see past the wall's end.
+            // In front of a wall it protrudes slightly, to cover the end of the wall.
             let front = if edge == Edge::Ended { -0.004 } else { 0.01 };
             let (min, max) =
                 ([near.min(far), front, BELOW_FLOOR_M], [near.max(far), 0.07, RACK_HEIGHT_M]);
@@ -165,18 +163,18 @@ impl Bay {
         }
     }
 
-    /// Floor, back panel and what closes the sides.
+    /// Floor, back panel and side sheets.
     fn sheets(&self, b: &mut Builder) {
         let (l, r, d) = (-self.left.inside(), self.right.inside(), self.depth);
         let sides = self.sides();
-        // A little lower than the aisle's floor and a little under it.
+        // Slightly lower than the aisle's floor, and reaching slightly under it.
         let (near, z) = (-0.02, -0.003);
         let under = |edge: Edge| if edge == Edge::Ended { 0.5 } else { edge.inside() };
         b.material(FLOOR);
         let (left, right) = (-under(self.left), under(self.right));
         b.polygon(&[[left, near, z], [right, near, z], [right, d, z], [left, d, z]]);
-        // In three heights, so that shade can differ between shelves. They join behind the decks, and
-        // corners share their ends: a gap as wide as a rounding error would show what is far behind.
+        // In three pieces, so that shade can differ between shelves. They join behind the decks and share corners: a
+        // gap as wide as a rounding error would show what is behind.
         let joints = [BELOW_FLOOR_M, LOWER_DECK_M + 0.015, UPPER_DECK_M + 0.03, RACK_HEIGHT_M];
         let heights = [0, 1, 2].map(|i| (joints[i], joints[i + 1]));
         for (low, high) in heights {
@@ -212,7 +210,7 @@ impl Bay {
         }
     }
 
-    /// A deck with its front beam; the beam hangs down to `beam_bottom`.
+    /// A deck with its front beam, which reaches down to `beam_bottom`.
     fn shelf(&self, b: &mut Builder, bottom: f32, top: f32, beam_bottom: f32) {
         let hidden = [Side::Left, Side::Right, Side::Back, Side::Front];
         b.material(DECK);
@@ -223,7 +221,7 @@ impl Bay {
         b.block_without([l, 0.0, beam_bottom], [r, BEAM_M, top], &hidden[2..3]);
     }
 
-    /// What fills the shelves that hold no item: pallets under wrapped loads in colours of dust.
+    /// What fills the shelves without an item: wrapped loads on pallets, in muted colours.
     fn loads(&self, b: &mut Builder) {
         let (l, r) = (0.06 - self.left.inside(), self.right.inside() - 0.06);
         for (level, (floor, room)) in
@@ -231,7 +229,7 @@ impl Bay {
         {
             let dice = self.seed.wrapping_mul(2_654_435_761).rotate_left(9 + 7 * level as u32);
             if dice.is_multiple_of(7) && self.stocked {
-                continue; // An empty place now and then.
+                continue; // Some places are empty.
             }
             let (front, back) = (0.085, self.depth - 0.02);
             let top = floor + room * (0.72 + 0.05 * (dice / 7 % 5) as f32);
@@ -271,7 +269,7 @@ impl Bay {
     }
 }
 
-/// A rectangle that faces the viewer.
+/// A rectangle facing the viewer.
 fn upright(b: &mut Builder, x0: f32, x1: f32, y: f32, z0: f32, z1: f32) {
     b.polygon(&[[x0, y, z0], [x1, y, z0], [x1, y, z1], [x0, y, z1]]);
 }
@@ -297,7 +295,7 @@ fn plate_holder(b: &mut Builder) {
 pub(crate) fn closed_face() -> Mesh {
     let mut b = Builder::new(Detail::Near);
     b.material(END_SHEET);
-    // Corrugation: alternating planes, joined by narrow slopes.
+    // Corrugation: alternating planes joined by narrow slopes.
     let (near, far, ribs) = (0.02, 0.034, 6);
     let step = 0.96 / ribs as f32;
     for i in 0..ribs {

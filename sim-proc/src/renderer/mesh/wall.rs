@@ -1,13 +1,12 @@
-//! Walls up to the racks' height, and what stands against or hangs on them.
+//! Walls up to the racks' height, and what stands against them or hangs on them.
 //!
-//! Drawn in the frame of somebody who faces the wall: x to the right, y into the wall, z up, so what
-//! stands out from the wall has a negative y.
+//! The frame of a wall: x to the viewer's right, y into the wall, z up. What protrudes from the wall has a negative y.
 
 use domain::Heading;
 
 use super::builder::{Builder, Detail, Material, Mesh, Side};
 
-/// How far boards with text stand out from the wall, in metres.
+/// How far boards with text protrude from the wall, in metres.
 pub(crate) const BOARD_OFFSET_M: f32 = 0.075;
 
 /// The text of a notice: left, bottom, right, top.
@@ -18,8 +17,7 @@ const STEEL: Material = Material::dull([112, 120, 130]);
 const YELLOW: Material = Material::dull([236, 190, 36]);
 const BLACK: Material = Material::dull([40, 40, 42]);
 
-/// The colour of the stripe at the foot of the wall that one faces in this direction: each side of the
-/// hall has its own, so that a person can tell them apart.
+/// The colour at the foot of walls that face a viewer looking in this direction. Each side of the hall has its own.
 fn stripe(facing: Heading) -> Material {
     Material::dull(match facing {
         Heading::N => [62, 104, 142],
@@ -29,7 +27,7 @@ fn stripe(facing: Heading) -> Material {
     })
 }
 
-/// A metre of corrugated wall over a painted foot.
+/// A metre of corrugated wall above a painted foot.
 pub(crate) fn cladding(facing: Heading, top: f32) -> Mesh {
     let mut b = Builder::new(Detail::Near);
     let shade = |[_, _, z]: [f32; 3]| 0.70 + 0.30 * (z / 0.7).min(1.0);
@@ -37,11 +35,11 @@ pub(crate) fn cladding(facing: Heading, top: f32) -> Mesh {
         b.material(material);
         b.shaded_polygon(&[[x0, 0.0, z0], [x1, 0.0, z0], [x1, 0.0, z1], [x0, 0.0, z1]], shade);
     };
-    // From below the floor, so that no gap can open between the two.
+    // From below the floor, so that no gap opens between the two.
     strip(stripe(facing), -0.5, 0.5, -0.02, 0.7);
     strip(stripe(facing), -0.5, 0.5, 0.7, 1.0);
     strip(Material::dull([232, 232, 228]), -0.5, 0.5, 1.0, 1.05);
-    // Corrugation is painted on: at this distance shade is all one sees of it.
+    // Corrugation is painted on: at this distance only its shade is visible.
     for i in 0..6 {
         let x = -0.5 + i as f32 / 6.0;
         strip(WALL, x, x + 0.105, 1.05, top);
@@ -74,7 +72,7 @@ pub(crate) fn gate() -> Mesh {
     for i in 0..slats {
         let height = top / slats as f32;
         let low = height * i as f32;
-        // A slat bulges: its lower half looks down, its upper half up, and between two is a dark groove.
+        // A slat bulges: its lower half faces down, its upper half up, and a dark groove separates two slats.
         let edges = [
             (low, 0.012),
             (low + 0.012, 0.012),

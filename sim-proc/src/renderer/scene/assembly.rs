@@ -1,27 +1,25 @@
-//! A scene under construction: meshes, plates and texts are added object by object.
-
-use std::ops::Range;
+//! A scene under construction: meshes, label plates and texts are added object by object.
 
 use nalgebra::{Isometry3, Point3};
-use plates::{self, Plate};
+use plates::Plate;
+use raster::{Atlas, Geometry, Layer, PlateVertex, SolidVertex, TextVertex};
 
-use super::{Layer, Object, Scene, Screen};
+use super::object::{Object, Occluder, Scene};
 use crate::renderer::light::{Light, baked};
 use crate::renderer::mesh::builder::Mesh;
 use crate::renderer::mesh::hall::barricade;
-use crate::renderer::text::{AtlasPlan, Lettering};
-use crate::renderer::vertex::{PlateVertex, SolidVertex, TextVertex};
+use crate::renderer::text::{AtlasBuilder, PanelText};
 
-/// What stands on a panel, and in which colours.
-pub(super) struct Writing<'a> {
+/// A text and its colours.
+pub(super) struct Label<'a> {
     pub(super) text: &'a str,
     pub(super) ink: [u8; 3],
     pub(super) paper: [u8; 3],
-    /// How finely it is drawn.
+    /// Resolution in the atlas.
     pub(super) texels_per_m: f32,
 }
 
-/// A panel of text before the atlas is drawn.
+/// A corner of a text panel before the size of the atlas is known.
 struct PanelCorner {
     vertex: TextVertex,
     texel: [u32; 2],
@@ -34,19 +32,18 @@ pub(super) struct Assembly {
     plate: Layer<PlateVertex>,
     text: Layer<PanelCorner>,
     objects: Vec<Object>,
-    screens: Vec<Screen>,
-    barricade: Range<usize>,
-    atlas: AtlasPlan,
+    occluders: Vec<Occluder>,
+    atlas: AtlasBuilder,
 }
 
 impl Assembly {
-    /// Everything that `draw` adds is one object.
-    pub(super) fn object(&mut self, draw: impl FnOnce(&mut Self)) {
+    /// Makes everything that `add` adds one object.
+    pub(super) fn object(&mut self, add: impl FnOnce(&mut Self)) {
         let counts =
             |a: &Self| [a.solid.vertices.len(), a.plate.vertices.len(), a.text.vertices.len()];
         let ends = |a: &Self| [a.solid.indices.len(), a.plate.indices.len(), a.text.indices.len()];
         let (first, start) = (counts(self), ends(self));
-        draw(self);
+        add(self);
         let end = ends(self);
         let (mut min, mut max) = ([f32::INFINITY; 3], [f32::NEG_INFINITY; 3]);
         let solid = self.solid.vertices[first[0]..].iter().map(|v| v.position);
@@ -68,14 +65,14 @@ impl Assembly {
         });
     }
 
-    /// As [`Self::object`], with other lit meshes when seen from afar: those that `far` adds. Both lie
-    /// within the same bounds.
+    /// As [`Self::object`], with the lit meshes of `far` in place of those of `near` when seen from several metres. Both
+    /// have the same bounds.
     pub(super) fn object_with_far(
         &mut self,
-        draw: impl FnOnce(&mut Self),
+        near: impl FnOnce(&mut Self),
         far: impl FnOnce(&mut Self),
     ) {
-        self.object(draw);
+        self.object(near);
         let start = self.solid.indices.len();
         far(self);
         let end = self.solid.indices.len();
@@ -84,6 +81,7 @@ impl Assembly {
         }
     }
 
+    /// Adds a mesh, lit.
     pub(super) fn solid(&mut self, mesh: &Mesh, world_from_mesh: &Isometry3<f32>, light: Light) {
         let first = self.solid.vertices.len() as u32;
         self.solid.vertices.extend(mesh.vertices.iter().map(|vertex| SolidVertex {
@@ -93,13 +91,13 @@ impl Assembly {
         self.solid.indices.extend(mesh.indices.iter().map(|index| first + index));
     }
 
-    /// A rectangle in a face's frame, `out` metres in front of it: its corners from the bottom left,
-    /// counter-clockwise.
+    /// The corners of a rectangle `out` metres in front of a face, counter-clockwise from the bottom left.
     fn panel(world_from_face: &Isometry3<f32>, [l, b, r, t]: [f32; 4], out: f32) -> [[f32; 3]; 4] {
         [[l, b], [r, b], [r, t], [l, t]]
             .map(|[x, z]| (world_from_face * Point3::new(x, -out, z)).into())
     }
 
+    /// Adds a label plate above the face.
     pub(super) fn plate(&mut self, world_from_face: &Isometry3<f32>, plate: Plate) {
         let (half, centre) = (plates::SIZE_M / 2.0, plates::CENTRE_HEIGHT_M);
         let rect = [-half, centre - half, half, centre + half];
@@ -114,16 +112,17 @@ impl Assembly {
         self.plate.indices.extend([0, 1, 2, 0, 2, 3].map(|i| first + i));
     }
 
+    /// Adds a panel with text, `out` metres in front of the face.
     pub(super) fn text(
         &mut self,
         world_from_face: &Isometry3<f32>,
         rect: [f32; 4],
         out: f32,
-        writing: &Writing<'_>,
+        label: &Label<'_>,
     ) {
-        let texels = |metres: f32| (metres * writing.texels_per_m).round() as u32;
+        let texels = |metres: f32| (metres * label.texels_per_m).round() as u32;
         let size = [texels(rect[2] - rect[0]), texels(rect[3] - rect[1])];
-        let [l, t, r, b] = self.atlas.rect(Lettering { text: writing.text.to_owned(), size });
+        let [l, t, r, b] = self.atlas.rect(PanelText { text: label.text.to_owned(), size });
         let opaque = |[r, g, b]: [u8; 3]| [r, g, b, 255];
         let first = self.text.vertices.len() as u32;
         for (position, texel) in Self::panel(world_from_face, rect, out).into_iter().zip([
@@ -135,48 +134,48 @@ impl Assembly {
             let vertex = TextVertex {
                 position,
                 atlas: [0.0; 2],
-                ink: opaque(writing.ink),
-                paper: opaque(writing.paper),
+                ink: opaque(label.ink),
+                paper: opaque(label.paper),
             };
             self.text.vertices.push(PanelCorner { vertex, texel });
         }
         self.text.indices.extend([0, 1, 2, 0, 2, 3].map(|i| first + i));
     }
 
-    /// Notes an upright sheet that hides what is behind it; ends in the face's frame.
-    pub(super) fn screen(&mut self, frame: &Isometry3<f32>, from: [f32; 2], to: [f32; 2]) {
+    /// Adds an upright panel that hides what is behind it, by its ends in the face's frame.
+    pub(super) fn occluder(&mut self, frame: &Isometry3<f32>, from: [f32; 2], to: [f32; 2]) {
         let at = |[x, y]: [f32; 2]| {
             let point = frame * Point3::new(x, y, 0.0);
             [point.x, point.y]
         };
-        self.screens.push(Screen { from: at(from), to: at(to) });
+        self.occluders.push(Occluder { from: at(from), to: at(to) });
     }
 
-    /// Draws the atlas and hands over.
+    /// Draws the atlas and completes the scene.
     pub(super) fn finish(mut self) -> Scene {
         let first = self.solid.indices.len();
         self.solid(&barricade(), &Isometry3::identity(), Light::Bay);
-        self.barricade = first..self.solid.indices.len();
+        let barricade = first..self.solid.indices.len();
         let planes = planes(&self.solid);
         let atlas = self.atlas.draw();
-        let text = self.text.vertices.into_iter().map(|corner| {
-            let [u, v, ..] = atlas.share([corner.texel[0], corner.texel[1], 0, 0]);
-            TextVertex { atlas: [u, v], ..corner.vertex }
-        });
+        let share = |[x, y]: [u32; 2], Atlas { width, height, .. }: &Atlas| {
+            [x as f32 / *width as f32, y as f32 / *height as f32]
+        };
+        let text = self.text.vertices.into_iter();
+        let text =
+            text.map(|corner| TextVertex { atlas: share(corner.texel, &atlas), ..corner.vertex });
+        let text = Layer { vertices: text.collect(), indices: self.text.indices };
         Scene {
-            solid: self.solid,
+            geometry: Geometry { solid: self.solid, plate: self.plate, text, atlas, barricade },
             planes,
-            plate: self.plate,
-            text: Layer { vertices: text.collect(), indices: self.text.indices },
             objects: self.objects,
-            screens: self.screens,
-            barricade: self.barricade,
-            atlas,
+            occluders: self.occluders,
         }
     }
 }
 
-/// Three bits a band (red, green, blue), the top band lowest, then the frame's.
+/// The colours of a plate, three bits (red, green, blue) per band from the lowest bits and the top band on, then three
+/// for the frame.
 fn plate_code(plate: Plate) -> u32 {
     let bits = |rgb: [u8; 3]| {
         let [r, g, b] = rgb.map(|channel| u32::from(channel == 255));
@@ -187,7 +186,7 @@ fn plate_code(plate: Plate) -> u32 {
     all.enumerate().map(|(place, rgb)| bits(rgb) << (3 * place)).sum()
 }
 
-/// The plane of every triangle: its unit normal, and the normal's product with any of its points.
+/// The plane of every triangle, as in [`Scene::planes`].
 fn planes(layer: &Layer<SolidVertex>) -> Vec<[f32; 4]> {
     let triangle = |corners: &[u32]| {
         let [a, b, c] =

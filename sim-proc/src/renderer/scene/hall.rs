@@ -1,16 +1,16 @@
-//! Where floor, walls, roof, lamps and signs are.
+//! Places floor, walls, roof, lamps and signs.
 
 use domain::{Cell, Heading};
-use nalgebra::Isometry3;
+use nalgebra::{Isometry3, Translation3};
 use warehouse::{Axis, Layout, Square};
 
-use super::assembly::{Assembly, Writing};
-use super::{side_of, world_from_face};
+use super::assembly::{Assembly, Label};
+use super::frames::{side_of, world_from_face};
 use crate::renderer::light::Light;
 use crate::renderer::mesh::rack::RACK_HEIGHT_M;
 use crate::renderer::mesh::{hall, wall};
 
-/// The hall of `layout`, without its racks.
+/// Adds the hall of `layout`, without its racks.
 pub(super) fn build(assembly: &mut Assembly, layout: &Layout) {
     for cell in layout.free_cells() {
         let mesh = hall::floor(layout, cell);
@@ -26,20 +26,20 @@ pub(super) fn build(assembly: &mut Assembly, layout: &Layout) {
     }
 }
 
-/// About how far apart gates and doors are on a long wall, in metres.
+/// The approximate distance between gates and doors on a long wall, in metres.
 const FEATURE_SPACING_M: f32 = 6.0;
 
 /// A straight piece of wall that borders floor.
 struct WallRun {
-    /// The floor cells along it, from left to right for somebody who faces the wall.
+    /// The floor cells along it, from left to right as a viewer who faces the wall sees them.
     cells: Vec<Cell>,
-    /// The way one faces it.
+    /// The direction in which a viewer faces it.
     facing: Heading,
-    /// Whether the wall stands inside the hall, so that it has to reach the roof by itself.
+    /// Whether the wall stands inside the hall and so has to reach the roof.
     inside: bool,
 }
 
-/// The walls that border floor, piece by piece.
+/// The straight pieces of all walls that border floor.
 fn wall_runs(layout: &Layout) -> Vec<WallRun> {
     let is_wall = |cell: Cell, facing: Heading| {
         cell.step(facing).is_none_or(|next| layout.square(next) == Square::Wall)
@@ -70,11 +70,11 @@ impl WallRun {
             let mesh = wall::cladding(self.facing, top);
             assembly.object(|a| a.solid(&mesh, &frame, Light::Hall));
         }
-        // What hangs on a wall depends on the way it faces; columns stand between.
+        // What hangs on a wall depends on its direction; columns stand in between.
         let length = self.cells.len() as f32;
         let along = |metres: f32| {
             let first = world_from_face(side_of(self.cells[0], self.facing), self.facing);
-            first * nalgebra::Translation3::new(metres - 0.5, 0.0, 0.0)
+            first * Translation3::new(metres - 0.5, 0.0, 0.0)
         };
         let pieces = (length / FEATURE_SPACING_M).round().max(1.0) as u32;
         for k in 1..pieces {
@@ -91,7 +91,7 @@ impl WallRun {
         }
     }
 
-    /// What marks a long wall: gates to the west, doors and windows elsewhere.
+    /// Adds what marks a long wall: gates to the west and south, emergency exits elsewhere.
     fn feature(&self, assembly: &mut Assembly, frame: &Isometry3<f32>, number: u32) {
         let gate = matches!(self.facing, Heading::W | Heading::S);
         let (mesh, text, rect, paper) = if gate {
@@ -101,12 +101,12 @@ impl WallRun {
         };
         assembly.object(|a| {
             a.solid(&mesh, frame, Light::Hall);
-            let writing = Writing { text: &text, ink: [250, 250, 250], paper, texels_per_m: 240.0 };
-            a.text(frame, rect, wall::BOARD_OFFSET_M, &writing);
+            let label = Label { text: &text, ink: [250, 250, 250], paper, texels_per_m: 240.0 };
+            a.text(frame, rect, wall::BOARD_OFFSET_M, &label);
         });
     }
 
-    /// A notice on a short piece of wall.
+    /// Adds a notice on a short piece of wall.
     fn notice(&self, assembly: &mut Assembly, frame: &Isometry3<f32>) {
         let text = match self.facing {
             Heading::N => "NORTH WALL",
@@ -116,17 +116,17 @@ impl WallRun {
         };
         assembly.object(|a| {
             a.solid(&wall::notice_board(), frame, Light::Hall);
-            let writing =
-                Writing { text, ink: [36, 44, 58], paper: [236, 238, 238], texels_per_m: 200.0 };
-            a.text(frame, wall::NOTICE_M, wall::BOARD_OFFSET_M, &writing);
+            let label =
+                Label { text, ink: [36, 44, 58], paper: [236, 238, 238], texels_per_m: 200.0 };
+            a.text(frame, wall::NOTICE_M, wall::BOARD_OFFSET_M, &label);
         });
     }
 }
 
-/// Above the racks the outer wall runs all around, in pieces.
+/// Adds the outer wall above the racks, in pieces.
 fn outer_walls(assembly: &mut Assembly, layout: &Layout) {
     let (w, h) = (f32::from(layout.width()), f32::from(layout.height()));
-    // A little behind and below the lower walls' upper edge: surfaces that only touch leave gaps.
+    // Slightly behind and below the lower walls' upper edge: surfaces that only touch leave gaps.
     let (out, bottom) = (0.02, RACK_HEIGHT_M - 0.1);
     let corners = [[-out, h + out], [w + out, h + out], [w + out, -out], [-out, -out]];
     for (i, &from) in corners.iter().enumerate() {
@@ -144,6 +144,7 @@ fn outer_walls(assembly: &mut Assembly, layout: &Layout) {
     }
 }
 
+/// Adds the roof, in pieces.
 fn roof(assembly: &mut Assembly, layout: &Layout) {
     let (w, h) = (f32::from(layout.width()), f32::from(layout.height()));
     let pieces = (h / 5.0).ceil() as u32;
@@ -156,7 +157,7 @@ fn roof(assembly: &mut Assembly, layout: &Layout) {
     }
 }
 
-/// Lamps and signs of one aisle.
+/// Adds lamps and signs of an aisle.
 fn aisle(assembly: &mut Assembly, layout: &Layout, index: usize) {
     let aisle = &layout.aisles()[index];
     let cells: Vec<Cell> =
@@ -177,7 +178,7 @@ fn aisle(assembly: &mut Assembly, layout: &Layout, index: usize) {
     }
 }
 
-/// An overhead sign, read from both sides.
+/// Adds an overhead sign that is readable from both sides.
 fn sign(assembly: &mut Assembly, at: [f32; 2], heading: Heading, text: &str) {
     let [left, bottom, right, top] = hall::SIGN_M;
     let inset = 0.03;
@@ -185,14 +186,14 @@ fn sign(assembly: &mut Assembly, at: [f32; 2], heading: Heading, text: &str) {
     assembly.object(|a| {
         a.solid(&hall::sign_board(), &world_from_face(at, heading), Light::Hall);
         for viewer in [heading, heading.opposite()] {
-            let writing =
-                Writing { text, ink: [250, 250, 250], paper: [24, 92, 150], texels_per_m: 200.0 };
-            a.text(&world_from_face(at, viewer), rect, 0.03, &writing);
+            let label =
+                Label { text, ink: [250, 250, 250], paper: [24, 92, 150], texels_per_m: 200.0 };
+            a.text(&world_from_face(at, viewer), rect, 0.03, &label);
         }
     });
 }
 
-/// The rectangle around an aisle's cells, in metres.
+/// The bounding rectangle of an aisle's cells, in metres.
 struct Area {
     min: [f32; 2],
     max: [f32; 2],
@@ -213,14 +214,13 @@ impl Area {
         self.max[usize::from(north_south)] - self.min[usize::from(north_south)]
     }
 
-    /// The coordinate across the aisle of its middle line.
+    /// The coordinate of the middle line, across the aisle.
     fn middle(&self, north_south: bool) -> f32 {
         let across = usize::from(!north_south);
         (self.min[across] + self.max[across]) / 2.0
     }
 
-    /// Where signs hang along the aisle: at both ends of one that runs between racks, and within one
-    /// that crosses them.
+    /// Where signs hang along the aisle: at both ends of an aisle between racks, and inside an aisle that crosses them.
     fn sign_places(&self, north_south: bool) -> [f32; 2] {
         let (start, length) = (self.start(north_south), self.length(north_south));
         let inset = if north_south { 0.3 } else { length * 0.3125 };

@@ -1,22 +1,22 @@
-//! Which rack faces are bays, how the bays meet, and what stands in them.
+//! Decides which rack faces are bays, how bays meet, and what stands in them.
 
 use domain::{Cell, Heading};
 use nalgebra::{Isometry3, Point3};
 use plates::Plate;
 use warehouse::{Axis, Catalogue, Layout, Square, Warehouse};
 
-use super::assembly::{Assembly, Writing};
-use super::{side_of, world_from_face};
+use super::assembly::{Assembly, Label};
+use super::frames::{side_of, world_from_face};
 use crate::renderer::light::Light;
 use crate::renderer::mesh::builder::{Detail, Mesh};
 use crate::renderer::mesh::items::item;
 use crate::renderer::mesh::rack::{
-    BAY_DEPTH_M, BAY_NUMBER_M, Bay, CLOSED_FACE_SCREEN_M, Edge, LABEL_M, PANEL_OFFSET_M,
+    BAY_DEPTH_M, BAY_NUMBER_M, Bay, CLOSED_FACE_OCCLUDER_M, Edge, LABEL_M, PANEL_OFFSET_M,
     SHALLOW_BAY_DEPTH_M, SHELF_TOP_M, closed_face,
 };
 
-/// Every rack face that borders floor: a bay where an item stands, and along the rest a bay or, at the
-/// end of a run, a sheet of steel.
+/// Adds every rack face that borders floor: a bay where an item stands; elsewhere a bay or, at the end of a row, a sheet
+/// of steel.
 pub(super) fn build(assembly: &mut Assembly, warehouse: &Warehouse) {
     let faces = RackFaces { warehouse };
     let layout = &warehouse.layout;
@@ -27,8 +27,8 @@ pub(super) fn build(assembly: &mut Assembly, warehouse: &Warehouse) {
                 FaceKind::Inner => {}
                 FaceKind::Closed => {
                     assembly.object(|a| a.solid(&closed_face(), &frame, Light::Bay));
-                    let [from, to] = CLOSED_FACE_SCREEN_M;
-                    assembly.screen(&frame, from, to);
+                    let [from, to] = CLOSED_FACE_OCCLUDER_M;
+                    assembly.occluder(&frame, from, to);
                 }
                 FaceKind::Bay => {
                     let bay = faces.bay(rack, face);
@@ -43,8 +43,8 @@ pub(super) fn build(assembly: &mut Assembly, warehouse: &Warehouse) {
                             |a| a.solid(&bay.mesh(Detail::Far), &frame, Light::Bay),
                         );
                     }
-                    for [from, to] in bay.screens() {
-                        assembly.screen(&frame, from, to);
+                    for [from, to] in bay.occluders() {
+                        assembly.occluder(&frame, from, to);
                     }
                 }
             }
@@ -52,7 +52,7 @@ pub(super) fn build(assembly: &mut Assembly, warehouse: &Warehouse) {
     }
 }
 
-/// An object: a bay with its item, the plate over it, the label under it and the bay's number.
+/// Adds one object: a bay with its item, the plate above it, the label below it and the bay's number.
 pub(super) fn stocked_bay(
     assembly: &mut Assembly,
     world_from_face: &Isometry3<f32>,
@@ -71,29 +71,25 @@ pub(super) fn stocked_bay(
     let near = |a: &mut Assembly| {
         solid(a, Detail::Near);
         a.plate(world_from_face, Plate::new(&category.name, &kind.name));
-        let label = Writing {
+        let label = Label {
             text: &kind.name,
             ink: [16, 16, 18],
             paper: [248, 248, 244],
             texels_per_m: 560.0,
         };
         a.text(world_from_face, LABEL_M, PANEL_OFFSET_M, &label);
-        let number = Writing {
-            text: number,
-            ink: [250, 250, 250],
-            paper: [36, 44, 58],
-            texels_per_m: 300.0,
-        };
+        let number =
+            Label { text: number, ink: [250, 250, 250], paper: [36, 44, 58], texels_per_m: 300.0 };
         a.text(world_from_face, BAY_NUMBER_M, PANEL_OFFSET_M, &number);
     };
     assembly.object_with_far(near, |a| solid(a, Detail::Far));
 }
 
-/// Moves an item's mesh onto the shelf of a bay this deep; in a shallow one it stands smaller.
+/// Moves an item's mesh onto the shelf of a bay this deep. In a shallow bay it is scaled down.
 fn on_shelf(mut mesh: Mesh, depth: f32) -> Mesh {
     let half_depth = mesh.vertices.iter().map(|v| v.position.y.abs()).fold(0.0, f32::max);
     let (scale, y) = if depth < BAY_DEPTH_M {
-        // Narrower, too: a bay around the corner takes some of this one's width.
+        // Smaller than the depth alone demands: a bay around the corner takes some of this one's width.
         (f32::min(0.72, (depth / 2.0 - 0.01) / half_depth), depth / 2.0)
     } else {
         (1.0, 0.29)
@@ -105,7 +101,7 @@ fn on_shelf(mut mesh: Mesh, depth: f32) -> Mesh {
     mesh
 }
 
-/// What is written over a bay: the first letter of the aisle's own word, and a number along the aisle.
+/// The number of a bay: the first letter of the aisle's name without the word "aisle", and the position along the aisle.
 fn bay_number(layout: &Layout, standpoint: Cell) -> String {
     let Some(aisle) = layout.aisle(standpoint) else { return String::new() };
     let word = aisle.name.split([' ', '-']).find(|w| !w.eq_ignore_ascii_case("aisle"));
@@ -117,10 +113,10 @@ fn bay_number(layout: &Layout, standpoint: Cell) -> String {
     format!("{letter}-{along:02}")
 }
 
-/// What is on a side of a rack square.
+/// What a side of a rack square is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum FaceKind {
-    /// No floor in front, or no rack.
+    /// Not a rack, or no floor in front of it.
     Inner,
     /// A sheet of steel.
     Closed,
@@ -142,7 +138,6 @@ impl RackFaces<'_> {
         self.warehouse.items.iter().any(|item| item.rack == rack && item.face == face)
     }
 
-    /// What is on this side of a square; nothing where the square is no rack.
     fn kind(&self, rack: Cell, face: Heading) -> FaceKind {
         let is_rack = self.warehouse.layout.square(rack) == Square::Rack;
         if !is_rack || !self.is_open(rack, face) {
@@ -151,7 +146,7 @@ impl RackFaces<'_> {
         if self.holds_item(rack, face) {
             return FaceKind::Bay;
         }
-        // Without an item, a face is a bay only if the square has no other bay to share its room with.
+        // Without an item, a face is a bay only if the square holds no other bay.
         let first_open = Heading::ALL.into_iter().find(|&other| self.is_open(rack, other));
         let any_item = Heading::ALL.into_iter().any(|other| self.holds_item(rack, other));
         if !any_item && first_open == Some(face) { FaceKind::Bay } else { FaceKind::Closed }
@@ -168,7 +163,7 @@ impl RackFaces<'_> {
         }
     }
 
-    /// Bays that share a square are shallow, so that they do not run into each other.
+    /// The depth of bays in this square: shallow where several share it, so that they do not overlap.
     fn depth(&self, rack: Cell) -> f32 {
         let bays = Heading::ALL.into_iter().filter(|&face| self.kind(rack, face) == FaceKind::Bay);
         if bays.count() > 1 { SHALLOW_BAY_DEPTH_M } else { BAY_DEPTH_M }
@@ -178,8 +173,8 @@ impl RackFaces<'_> {
     fn edge(&self, rack: Cell, face: Heading, side: Heading) -> Edge {
         match self.kind(rack, side) {
             FaceKind::Closed => Edge::Closed,
-            // Of two bays around a corner, the one that looks east or west keeps its width. A sheet
-            // parts them, so that an item is seen through its own face only.
+            // Of two bays around a corner, the one that faces east or west keeps its width. A sheet separates
+            // them, so that an item is visible through its own face only.
             FaceKind::Bay if matches!(face, Heading::E | Heading::W) => Edge::Closed,
             FaceKind::Bay => Edge::Narrowed(self.depth(rack)),
             FaceKind::Inner => match rack.step(side) {

@@ -1,16 +1,16 @@
-// Label plates: exact, unlit colours. A pixel's colour is decided at its centre, so inside a plate there
-// is no blend of two bands to misread; only its outer edge is anti-aliased.
+// Label plates: exact, unlit colours. A pixel's colour is decided at its centre, so two bands never blend inside a
+// plate; only its outer edge is anti-aliased.
 
 // The frame's width as a share of the plate's.
 override FRAME_SHARE: f32;
-// How many bands there are, top to bottom.
+// The number of bands.
 override BANDS: u32;
 
 struct Corner {
     @location(0) position: vec3<f32>,
     // (0, 0) at the plate's top left corner, (1, 1) at its bottom right.
     @location(1) across: vec2<f32>,
-    // Three bits a band, the top band lowest, then three for the frame: red, green, blue from bit 0.
+    // Three bits (red, green, blue) per band, the top band lowest, then three for the frame.
     @location(2) code: u32,
 }
 

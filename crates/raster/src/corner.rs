@@ -3,9 +3,7 @@
 use fearless_simd::{Select, Simd, SimdBase, SimdFloat, f32x16, i32x16};
 
 use super::canvas::{Lanes, PIXELS};
-use crate::renderer::camera::{Camera, NEAR_M};
-use crate::renderer::vertex::Placement;
-use crate::renderer::{FOG_PER_M, FOG_RGB};
+use super::geometry::{FOG_PER_M, FOG_RGB, NEAR_M, Placement};
 
 /// Triangles are cut off this far outside of the picture, so that numbers stay small.
 const GUARD: f32 = 2.0;
@@ -67,22 +65,21 @@ impl Grid {
     }
 }
 
-/// How a mesh is looked at: by which camera, and where it stands.
-pub(super) struct Look<'a> {
+/// Moves vertices of a mesh to their places in the image.
+pub(super) struct Transform<'a> {
     grid: &'a Grid,
     /// Column by column.
     clip_from_world: [[f32; 4]; 4],
     placement: Placement,
 }
 
-impl<'a> Look<'a> {
-    /// Of `camera` at meshes that stand where they say.
-    pub(super) fn new(grid: &'a Grid, camera: &Camera) -> Self {
-        let clip_from_world = camera.clip_from_world().into();
+impl<'a> Transform<'a> {
+    /// Leaves meshes where their vertices say.
+    pub(super) fn new(grid: &'a Grid, clip_from_world: [[f32; 4]; 4]) -> Self {
         Self { grid, clip_from_world, placement: Placement::IDENTITY }
     }
 
-    /// At a mesh that stands elsewhere.
+    /// The same with meshes moved to `placement`.
     pub(super) fn at(&self, placement: Placement) -> Self {
         Self { placement, ..*self }
     }
@@ -187,7 +184,7 @@ impl Corners {
     }
 
     /// Forgets the last look.
-    pub(super) fn look_again(&mut self) {
+    pub(super) fn forget(&mut self) {
         self.now = self.now.wrapping_add(1);
         if self.now == 0 {
             self.stamps.fill(0);
@@ -200,7 +197,7 @@ impl Corners {
     pub(super) fn triangle<V: Simd>(
         &mut self,
         simd: V,
-        look: &Look<'_>,
+        transform: &Transform<'_>,
         indices: &[u32],
     ) -> [Corner; 3] {
         let mut triangle = [Corner::NOWHERE; 3];
@@ -208,7 +205,7 @@ impl Corners {
             let (sixteen, lane) = (index as usize / PIXELS, index as usize % PIXELS);
             if self.stamps[sixteen] != self.now {
                 self.stamps[sixteen] = self.now;
-                look.place(simd, &self.mesh[sixteen], &mut self.placed[sixteen]);
+                transform.place(simd, &self.mesh[sixteen], &mut self.placed[sixteen]);
             }
             *corner = self.placed[sixteen][lane];
         }

@@ -1,47 +1,47 @@
-//! The three ways of drawing (lit, label plate, text), and the buffers that a batch of views needs.
+//! Three pipelines (lit, label plate, text) and the buffers of a batch of views.
 
 use std::ops::Range;
 
 use bytemuck::cast_slice;
 use plates;
+use raster::{
+    Atlas, Geometry, Layer, Placement, PlateVertex, PreparedView, SolidVertex, TextVertex,
+};
 use wgpu::util::DeviceExt;
 
 use super::device::Gpu;
-use super::scene::{Layer, Scene};
 use super::target::{COLOUR_FORMAT, DEPTH_FORMAT};
-use super::text::{Atlas, MIP_LEVELS};
-use super::vertex::{Placement, PlateVertex, SolidVertex, TextVertex, Vertex, ViewUniform};
-use super::visibility::DrawList;
+use super::vertex::{Vertex, ViewUniform};
 
-/// What all shaders begin with.
+/// The beginning of every shader.
 pub(super) const VIEW_WGSL: &str = include_str!("shader/view.wgsl");
-/// Lit triangles.
+/// Shader of lit triangles.
 pub(super) const SOLID_WGSL: &str = include_str!("shader/solid.wgsl");
-/// Label plates.
+/// Shader of label plates.
 pub(super) const PLATE_WGSL: &str = include_str!("shader/plate.wgsl");
-/// Labels and signs.
+/// Shader of labels and signs.
 pub(super) const TEXT_WGSL: &str = include_str!("shader/text.wgsl");
 
-/// Distance between the uniforms of two views: the alignment that every device accepts.
+/// The distance between the uniforms of two views: an alignment that every device accepts.
 const UNIFORM_STRIDE: usize = 256;
 
-/// A pipeline with the static corners it draws.
-struct Drawing {
+/// A pipeline and the static vertices that it draws.
+struct Pass {
     pipeline: wgpu::RenderPipeline,
     vertices: wgpu::Buffer,
 }
 
-/// Everything static on the device.
+/// Everything on the device that stays the same.
 pub(super) struct Pipelines {
     view_layout: wgpu::BindGroupLayout,
-    solid: Drawing,
-    plate: Drawing,
-    text: Drawing,
-    lettering: wgpu::BindGroup,
+    solid: Pass,
+    plate: Pass,
+    text: Pass,
+    atlas: wgpu::BindGroup,
 }
 
 impl Pipelines {
-    pub(super) fn new(gpu: &Gpu, scene: &Scene, samples: u32) -> Self {
+    pub(super) fn new(gpu: &Gpu, geometry: &Geometry, samples: u32) -> Self {
         let view_layout = gpu.device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
             label: Some("view"),
             entries: &[wgpu::BindGroupLayoutEntry {
@@ -55,16 +55,16 @@ impl Pipelines {
                 count: None,
             }],
         });
-        let (lettering_layout, lettering) = lettering(gpu, &scene.atlas);
+        let (atlas_layout, atlas) = upload_atlas(gpu, &geometry.atlas);
         let plate_constants = [
             ("FRAME_SHARE", f64::from(plates::FRAME_M / plates::SIZE_M)),
             ("BANDS", plates::BANDS as f64),
         ];
         let one = [Some(&view_layout)];
-        let two = [Some(&view_layout), Some(&lettering_layout)];
+        let two = [Some(&view_layout), Some(&atlas_layout)];
         Self {
-            solid: Drawing {
-                pipeline: Plan {
+            solid: Pass {
+                pipeline: PipelinePlan {
                     name: "solid",
                     wgsl: SOLID_WGSL,
                     groups: &one,
@@ -72,10 +72,10 @@ impl Pipelines {
                     constants: &[],
                 }
                 .build(gpu, samples),
-                vertices: upload(gpu, "solid", &scene.solid),
+                vertices: upload(gpu, "solid", &geometry.solid),
             },
-            plate: Drawing {
-                pipeline: Plan {
+            plate: Pass {
+                pipeline: PipelinePlan {
                     name: "plate",
                     wgsl: PLATE_WGSL,
                     groups: &one,
@@ -83,10 +83,10 @@ impl Pipelines {
                     constants: &plate_constants,
                 }
                 .build(gpu, samples),
-                vertices: upload(gpu, "plate", &scene.plate),
+                vertices: upload(gpu, "plate", &geometry.plate),
             },
-            text: Drawing {
-                pipeline: Plan {
+            text: Pass {
+                pipeline: PipelinePlan {
                     name: "text",
                     wgsl: TEXT_WGSL,
                     groups: &two,
@@ -94,16 +94,16 @@ impl Pipelines {
                     constants: &[],
                 }
                 .build(gpu, samples),
-                vertices: upload(gpu, "text", &scene.text),
+                vertices: upload(gpu, "text", &geometry.text),
             },
             view_layout,
-            lettering,
+            atlas,
         }
     }
 }
 
 /// What differs from pipeline to pipeline.
-struct Plan<'a> {
+struct PipelinePlan<'a> {
     name: &'a str,
     wgsl: &'a str,
     groups: &'a [Option<&'a wgpu::BindGroupLayout>],
@@ -111,7 +111,7 @@ struct Plan<'a> {
     constants: &'a [(&'a str, f64)],
 }
 
-impl Plan<'_> {
+impl PipelinePlan<'_> {
     fn build(&self, gpu: &Gpu, samples: u32) -> wgpu::RenderPipeline {
         let module = gpu.device.create_shader_module(wgpu::ShaderModuleDescriptor {
             label: Some(self.name),
@@ -181,12 +181,12 @@ fn upload<V: Vertex>(gpu: &Gpu, label: &str, layer: &Layer<V>) -> wgpu::Buffer {
     })
 }
 
-/// The atlas of texts as a texture with all its levels of detail.
-fn lettering(gpu: &Gpu, atlas: &Atlas) -> (wgpu::BindGroupLayout, wgpu::BindGroup) {
+/// Uploads the text atlas as a texture with all its levels of detail.
+fn upload_atlas(gpu: &Gpu, atlas: &Atlas) -> (wgpu::BindGroupLayout, wgpu::BindGroup) {
     let texture = gpu.device.create_texture(&wgpu::TextureDescriptor {
-        label: Some("lettering"),
+        label: Some("text atlas"),
         size: wgpu::Extent3d { width: atlas.width, height: atlas.height, depth_or_array_layers: 1 },
-        mip_level_count: MIP_LEVELS,
+        mip_level_count: atlas.levels.len() as u32,
         sample_count: 1,
         dimension: wgpu::TextureDimension::D2,
         format: wgpu::TextureFormat::R8Unorm,
@@ -207,7 +207,7 @@ fn lettering(gpu: &Gpu, atlas: &Atlas) -> (wgpu::BindGroupLayout, wgpu::BindGrou
         );
     }
     let sampler = gpu.device.create_sampler(&wgpu::SamplerDescriptor {
-        label: Some("lettering"),
+        label: Some("text atlas"),
         mag_filter: wgpu::FilterMode::Linear,
         min_filter: wgpu::FilterMode::Linear,
         mipmap_filter: wgpu::MipmapFilterMode::Nearest,
@@ -220,7 +220,7 @@ fn lettering(gpu: &Gpu, atlas: &Atlas) -> (wgpu::BindGroupLayout, wgpu::BindGrou
         count: None,
     };
     let layout = gpu.device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
-        label: Some("lettering"),
+        label: Some("text atlas"),
         entries: &[
             entry(
                 0,
@@ -234,7 +234,7 @@ fn lettering(gpu: &Gpu, atlas: &Atlas) -> (wgpu::BindGroupLayout, wgpu::BindGrou
         ],
     });
     let group = gpu.device.create_bind_group(&wgpu::BindGroupDescriptor {
-        label: Some("lettering"),
+        label: Some("text atlas"),
         layout: &layout,
         entries: &[
             wgpu::BindGroupEntry {
@@ -247,8 +247,8 @@ fn lettering(gpu: &Gpu, atlas: &Atlas) -> (wgpu::BindGroupLayout, wgpu::BindGrou
     (layout, group)
 }
 
-/// What one view draws: ranges of the batch's buffers.
-struct Slot {
+/// What a view draws: ranges of the batch's buffers.
+struct BatchView {
     solid: Range<u32>,
     barricade: Range<u32>,
     plate: Range<u32>,
@@ -256,20 +256,19 @@ struct Slot {
     placements: Range<u32>,
 }
 
-/// What the views of a batch send to the device: uniforms, indices of what is visible, and where
-/// barricades stand.
-pub(super) struct ViewSlots {
+/// What a batch of views sends to the device: uniforms, indices of visible triangles, and placements of barricades.
+pub(super) struct Batch {
     uniforms: wgpu::Buffer,
     views: wgpu::BindGroup,
     indices: wgpu::Buffer,
     placements: wgpu::Buffer,
-    slots: Vec<Slot>,
+    list: Vec<BatchView>,
     uniform_bytes: Vec<u8>,
     index_list: Vec<u32>,
     placement_list: Vec<Placement>,
 }
 
-impl ViewSlots {
+impl Batch {
     pub(super) fn new(gpu: &Gpu, pipelines: &Pipelines, capacity: usize) -> Self {
         let uniforms = gpu.device.create_buffer(&wgpu::BufferDescriptor {
             label: Some("views"),
@@ -294,33 +293,28 @@ impl ViewSlots {
             views,
             indices: growable(gpu, "indices", 4 << 16, wgpu::BufferUsages::INDEX),
             placements: growable(gpu, "placements", 16 << 8, wgpu::BufferUsages::VERTEX),
-            slots: Vec::new(),
+            list: Vec::new(),
             uniform_bytes: Vec::new(),
             index_list: Vec::new(),
             placement_list: Vec::new(),
         }
     }
 
-    /// Begins a new batch.
+    /// Begins an empty batch.
     pub(super) fn clear(&mut self) {
-        self.slots.clear();
+        self.list.clear();
         self.uniform_bytes.clear();
         self.index_list.clear();
         self.placement_list.clear();
         self.placement_list.push(Placement::IDENTITY);
     }
 
-    /// Adds a view of what `list` names, and of barricades.
-    pub(super) fn push(
-        &mut self,
-        scene: &Scene,
-        uniform: &ViewUniform,
-        list: &DrawList,
-        barricades: &[Placement],
-    ) {
-        self.uniform_bytes.resize(self.slots.len() * UNIFORM_STRIDE, 0);
+    /// Adds a view of `geometry`.
+    pub(super) fn push(&mut self, geometry: &Geometry, uniform: &ViewUniform, view: &PreparedView) {
+        let PreparedView { list, barricades, .. } = view;
+        self.uniform_bytes.resize(self.list.len() * UNIFORM_STRIDE, 0);
         self.uniform_bytes.extend_from_slice(bytemuck::bytes_of(uniform));
-        let pieces = if barricades.is_empty() { 0..0 } else { scene.barricade.clone() };
+        let pieces = if barricades.is_empty() { 0..0 } else { geometry.barricade.clone() };
         let mut indices = |add: &[u32]| {
             let first = self.index_list.len() as u32;
             self.index_list.extend_from_slice(add);
@@ -328,11 +322,11 @@ impl ViewSlots {
         };
         let (solid, plate, text) =
             (indices(&list.solid), indices(&list.plate), indices(&list.text));
-        let barricade = indices(&scene.solid.indices[pieces]);
+        let barricade = indices(&geometry.solid.indices[pieces]);
         let first = self.placement_list.len() as u32;
         self.placement_list.extend_from_slice(barricades);
         let placements = first..self.placement_list.len() as u32;
-        self.slots.push(Slot { solid, barricade, plate, text, placements });
+        self.list.push(BatchView { solid, barricade, plate, text, placements });
     }
 
     /// Sends the batch's data to the device.
@@ -352,32 +346,33 @@ impl ViewSlots {
         gpu.queue.write_buffer(&self.placements, 0, placements);
     }
 
-    /// Draws view number `place` of the batch.
+    /// Draws view number `index` of the batch.
     pub(super) fn draw(
         &self,
         pass: &mut wgpu::RenderPass<'_>,
         pipelines: &Pipelines,
-        place: usize,
+        index: usize,
     ) {
-        let slot = &self.slots[place];
-        pass.set_bind_group(0, &self.views, &[(place * UNIFORM_STRIDE) as u32]);
+        let view = &self.list[index];
+        pass.set_bind_group(0, &self.views, &[(index * UNIFORM_STRIDE) as u32]);
         pass.set_index_buffer(self.indices.slice(..), wgpu::IndexFormat::Uint32);
-        // What hangs in front comes first, so that little is drawn over.
+        // What hangs in front is drawn first, so that little is drawn over.
         pass.set_pipeline(&pipelines.plate.pipeline);
         pass.set_vertex_buffer(0, pipelines.plate.vertices.slice(..));
-        pass.draw_indexed(slot.plate.clone(), 0, 0..1);
+        pass.draw_indexed(view.plate.clone(), 0, 0..1);
         pass.set_pipeline(&pipelines.text.pipeline);
-        pass.set_bind_group(1, &pipelines.lettering, &[]);
+        pass.set_bind_group(1, &pipelines.atlas, &[]);
         pass.set_vertex_buffer(0, pipelines.text.vertices.slice(..));
-        pass.draw_indexed(slot.text.clone(), 0, 0..1);
+        pass.draw_indexed(view.text.clone(), 0, 0..1);
         pass.set_pipeline(&pipelines.solid.pipeline);
         pass.set_vertex_buffer(0, pipelines.solid.vertices.slice(..));
         pass.set_vertex_buffer(1, self.placements.slice(..));
-        pass.draw_indexed(slot.solid.clone(), 0, 0..1);
-        pass.draw_indexed(slot.barricade.clone(), 0, slot.placements.clone());
+        pass.draw_indexed(view.solid.clone(), 0, 0..1);
+        pass.draw_indexed(view.barricade.clone(), 0, view.placements.clone());
     }
 }
 
+/// A buffer that is replaced by a larger one when it is too small.
 fn growable(gpu: &Gpu, label: &str, size: u64, usage: wgpu::BufferUsages) -> wgpu::Buffer {
     gpu.device.create_buffer(&wgpu::BufferDescriptor {
         label: Some(label),

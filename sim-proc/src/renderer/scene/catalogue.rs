@@ -5,7 +5,9 @@ use nalgebra::Isometry3;
 use warehouse::Catalogue;
 
 use super::assembly::Assembly;
-use super::{Scene, racks, world_from_face};
+use super::frames::world_from_face;
+use super::object::Scene;
+use super::racks;
 use crate::renderer::light::Light;
 use crate::renderer::mesh::hall;
 use crate::renderer::mesh::rack::{BAY_DEPTH_M, Bay, Edge};
@@ -15,20 +17,19 @@ const SPACING_M: f32 = 8.0;
 
 /// Where a type stands.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(in crate::renderer) struct Stand {
-    /// The middle of its bay's face, on the floor. It is looked at along `viewer`.
+pub(in crate::renderer) struct ItemStand {
+    /// The middle of its bay's face on the floor plan.
     pub(in crate::renderer) at: [f32; 2],
+    /// The direction in which a viewer faces it.
     pub(in crate::renderer) viewer: Heading,
 }
 
-/// The scene, and the stand of every type of the catalogue.
-pub(in crate::renderer) fn showcase(catalogue: &Catalogue) -> (Scene, Vec<Stand>) {
+/// The scene, and the stand of every type in the order of the catalogue.
+pub(in crate::renderer) fn catalogue_scene(catalogue: &Catalogue) -> (Scene, Vec<ItemStand>) {
     let mut assembly = Assembly::default();
-    let viewer = Heading::N;
-    let stands: Vec<Stand> = (0..catalogue.types.len())
-        .map(|index| Stand { at: [SPACING_M * index as f32, 0.0], viewer })
-        .collect();
-    for (index, stand) in stands.iter().enumerate() {
+    let mut stands = Vec::new();
+    for index in 0..catalogue.types.len() {
+        let stand = ItemStand { at: [SPACING_M * index as f32, 0.0], viewer: Heading::N };
         let bay = Bay {
             left: Edge::Closed,
             right: Edge::Closed,
@@ -41,6 +42,7 @@ pub(in crate::renderer) fn showcase(catalogue: &Catalogue) -> (Scene, Vec<Stand>
         racks::stocked_bay(&mut assembly, &frame, &bay, catalogue, index, &number);
         let floor = hall::open_floor(stand.at, SPACING_M / 2.0);
         assembly.object(|a| a.solid(&floor, &Isometry3::identity(), Light::Hall));
+        stands.push(stand);
     }
     (assembly.finish(), stands)
 }

@@ -1,9 +1,8 @@
-//! Which views are resident: what must stay, what may go, what is to be drawn.
+//! The cache of rendered views: which are resident, which must stay, and which are to be rendered next.
 //!
-//! A view is named by what it shows ([`ViewKey`]) and, once it is drawn, by its frame. It is *pinned* while
-//! it is among the last views of a running lane or memory holds it; views that are not pinned stay for as
-//! long as there is room and go in the order in which they were let go of. Everything here is bookkeeping:
-//! nothing draws, sends or waits.
+//! A view is identified by what it shows ([`ViewKey`]) and, once rendered, by its frame. It is *pinned* while it is among
+//! the last views of a running lane or memory has pinned it. Unpinned views stay as long as there is room and are evicted
+//! in the order in which they were unpinned. This is bookkeeping only: nothing here renders, sends or waits.
 
 use std::collections::{BTreeMap, VecDeque};
 
@@ -14,7 +13,7 @@ use shm_types::message::FrameId;
 /// What a frame shows.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum ViewKey {
-    /// The world in a variant (as in [`StepCommand`](shm_types::message::StepCommand)) from a pose.
+    /// A variant of the world, as numbered in [`StepCommand`](shm_types::message::StepCommand), from a pose.
     World {
         /// The variant.
         variant: u32,
@@ -25,76 +24,76 @@ pub enum ViewKey {
     Blank,
 }
 
-/// More views are needed at once than may be resident.
+/// More views are in use at once than fit.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error(
     "{needed} views are in use at once and the frame store has room for {capacity}: raise --frame-budget or \
      lower --lanes"
 )]
-pub struct Overfull {
+pub struct CacheFull {
     /// Views in use.
     pub needed: usize,
-    /// Views that may be resident.
+    /// The most views that may be resident.
     pub capacity: usize,
 }
 
-/// A release of a frame that is not held.
+/// A frame was released that is not pinned.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("frame {0} is released, but it is not held")]
-pub struct NotHeld(pub FrameId);
+#[error("frame {0} is released, but it is not pinned")]
+pub struct NotPinned(pub FrameId);
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Picture {
-    /// In a queue to be drawn.
+enum State {
+    /// Waits to be rendered.
     Missing,
-    /// Handed out to be drawn.
-    Drawing,
+    /// A worker renders it.
+    Rendering,
     Resident(FrameId),
 }
 
 #[derive(Debug)]
-struct Entry {
-    picture: Picture,
-    /// How often the view occurs among the last views of lanes.
-    shown: u32,
-    /// How often memory holds it.
-    holds: u32,
-    /// When it was let go of, while it is not pinned.
-    let_go: u64,
+struct CachedView {
+    state: State,
+    /// How often it occurs among the last views of lanes.
+    lane_pins: u32,
+    /// How often memory has pinned it.
+    memory_pins: u32,
+    /// When it was unpinned last.
+    unpinned_at: u64,
 }
 
-impl Entry {
+impl CachedView {
     fn is_pinned(&self) -> bool {
-        self.shown + self.holds > 0
+        self.lane_pins + self.memory_pins > 0
     }
 }
 
-/// Every view that is resident or about to be.
+/// All views that are resident or waiting to be rendered.
 #[derive(Debug)]
-pub struct Views {
+pub struct ViewCache {
     capacity: usize,
-    /// Views that a lane keeps.
-    kept: usize,
-    entries: FxHashMap<ViewKey, Entry>,
+    /// Last views of a lane that stay pinned.
+    pinned_per_lane: usize,
+    views: FxHashMap<ViewKey, CachedView>,
     keys: FxHashMap<FrameId, ViewKey>,
-    /// Resident and not pinned, by when they were let go of.
+    /// Resident views without a pin, by when they were unpinned.
     idle: BTreeMap<u64, ViewKey>,
     clock: u64,
     /// The last views of each lane, oldest first.
     lanes: Vec<VecDeque<ViewKey>>,
-    /// To be drawn: what lanes wait for, then what memory waits for. May name views that no longer are.
+    /// To be rendered: what lanes wait for, then what memory waits for. May hold keys of views that have been dropped.
     urgent: VecDeque<ViewKey>,
     later: VecDeque<ViewKey>,
 }
 
-impl Views {
-    /// Room for `capacity` views; each of `lanes` lanes keeps its last `window` + 2: what the next request
-    /// shows, and one more for the request that is still being answered.
+impl ViewCache {
+    /// A cache of at most `capacity` views. Each of `lanes` lanes pins its last `window` + 2 views: those of the next
+    /// request, and one more for the request that is still being answered.
     pub fn new(capacity: usize, lanes: usize, window: usize) -> Self {
         Self {
             capacity,
-            kept: window + 2,
-            entries: FxHashMap::default(),
+            pinned_per_lane: window + 2,
+            views: FxHashMap::default(),
             keys: FxHashMap::default(),
             idle: BTreeMap::new(),
             clock: 0,
@@ -104,110 +103,109 @@ impl Views {
         }
     }
 
-    /// `lane` looks at `view` now.
+    /// Makes `view` the current view of `lane`.
     pub fn show(&mut self, lane: usize, view: ViewKey) {
-        self.pin(view).shown += 1;
-        if self.entries[&view].picture == Picture::Missing {
+        self.pin(view).lane_pins += 1;
+        if self.views[&view].state == State::Missing {
             self.urgent.push_back(view);
         }
         self.lanes[lane].push_back(view);
-        if self.lanes[lane].len() > self.kept
+        if self.lanes[lane].len() > self.pinned_per_lane
             && let Some(oldest) = self.lanes[lane].pop_front()
         {
-            self.unpin(oldest, |entry| entry.shown -= 1);
+            self.unpin(oldest, |view| view.lane_pins -= 1);
         }
     }
 
-    /// The episode in `lane` is over: none of its views is needed any more.
-    pub fn forget(&mut self, lane: usize) {
+    /// Unpins all views of `lane`, whose episode has ended.
+    pub fn clear_lane(&mut self, lane: usize) {
         for view in std::mem::take(&mut self.lanes[lane]) {
-            self.unpin(view, |entry| entry.shown -= 1);
+            self.unpin(view, |view| view.lane_pins -= 1);
         }
     }
 
-    /// Memory wants `view` until it has released it as often as it was held.
-    pub fn hold(&mut self, view: ViewKey) {
-        self.pin(view).holds += 1;
-        if self.entries[&view].picture == Picture::Missing {
+    /// Pins `view` for memory, which has to release it as often.
+    pub fn pin_for_memory(&mut self, view: ViewKey) {
+        self.pin(view).memory_pins += 1;
+        if self.views[&view].state == State::Missing {
             self.later.push_back(view);
         }
     }
 
-    /// Memory no longer wants `frame`.
+    /// Takes back one pin of memory.
     ///
     /// # Errors
-    /// When it is not held.
-    pub fn release(&mut self, frame: FrameId) -> Result<(), NotHeld> {
-        let view = *self.keys.get(&frame).ok_or(NotHeld(frame))?;
-        if self.entries[&view].holds == 0 {
-            return Err(NotHeld(frame));
+    /// When memory has not pinned `frame`.
+    pub fn release(&mut self, frame: FrameId) -> Result<(), NotPinned> {
+        let view = *self.keys.get(&frame).ok_or(NotPinned(frame))?;
+        if self.views[&view].memory_pins == 0 {
+            return Err(NotPinned(frame));
         }
-        self.unpin(view, |entry| entry.holds -= 1);
+        self.unpin(view, |view| view.memory_pins -= 1);
         Ok(())
     }
 
-    /// The frame that shows `view`, if it is resident.
+    /// The frame of `view`, if it is resident.
     pub fn frame(&self, view: ViewKey) -> Option<FrameId> {
-        match self.entries.get(&view)?.picture {
-            Picture::Resident(frame) => Some(frame),
-            Picture::Missing | Picture::Drawing => None,
+        match self.views.get(&view)?.state {
+            State::Resident(frame) => Some(frame),
+            State::Missing | State::Rendering => None,
         }
     }
 
-    /// Views that are resident.
+    /// The number of resident views.
     pub fn resident(&self) -> usize {
         self.keys.len()
     }
 
-    /// Views that are needed and not resident yet.
+    /// The number of views that are needed and not resident yet.
     pub fn missing(&self) -> usize {
-        self.entries.len() - self.keys.len()
+        self.views.len() - self.keys.len()
     }
 
-    /// Views that may be resident.
+    /// The most views that may be resident.
     pub fn capacity(&self) -> usize {
         self.capacity
     }
 
-    /// Takes up to `most` views that are to be drawn, those first that lanes wait for. Each must be
-    /// [filled](Views::fill).
+    /// Takes up to `most` views to be rendered, first those that lanes wait for. Each must be
+    /// [inserted](ViewCache::insert) afterwards.
     pub fn take_missing(&mut self, most: usize) -> Vec<ViewKey> {
         let mut taken = Vec::new();
         while taken.len() < most
             && let Some(view) = self.urgent.pop_front().or_else(|| self.later.pop_front())
         {
-            if let Some(entry) = self.entries.get_mut(&view)
-                && entry.picture == Picture::Missing
+            if let Some(entry) = self.views.get_mut(&view)
+                && entry.state == State::Missing
             {
-                entry.picture = Picture::Drawing;
+                entry.state = State::Rendering;
                 taken.push(view);
             }
         }
         taken
     }
 
-    /// `view`, which was taken to be drawn, is resident as `frame`.
-    pub fn fill(&mut self, view: ViewKey, frame: FrameId) {
-        let Some(entry) = self.entries.get_mut(&view) else { return };
-        entry.picture = Picture::Resident(frame);
+    /// Makes a view that was taken to be rendered resident as `frame`.
+    pub fn insert(&mut self, view: ViewKey, frame: FrameId) {
+        let Some(entry) = self.views.get_mut(&view) else { return };
+        entry.state = State::Resident(frame);
         self.keys.insert(frame, view);
         if !entry.is_pinned() {
             self.unpin(view, |_| {});
         }
     }
 
-    /// Evicts until everything fits, what is to be drawn included; returns the frames to let go of.
+    /// Evicts unpinned views until everything fits, views to be rendered included. Returns the evicted frames.
     ///
     /// # Errors
-    /// When it does not fit even so.
-    pub fn make_room(&mut self) -> Result<Vec<FrameId>, Overfull> {
+    /// When the pinned views alone do not fit.
+    pub fn make_room(&mut self) -> Result<Vec<FrameId>, CacheFull> {
         let mut evicted = Vec::new();
-        while self.entries.len() > self.capacity {
+        while self.views.len() > self.capacity {
             let Some((_, view)) = self.idle.pop_first() else {
-                return Err(Overfull { needed: self.entries.len(), capacity: self.capacity });
+                return Err(CacheFull { needed: self.views.len(), capacity: self.capacity });
             };
-            if let Some(Entry { picture: Picture::Resident(frame), .. }) =
-                self.entries.remove(&view)
+            if let Some(CachedView { state: State::Resident(frame), .. }) = self.views.remove(&view)
             {
                 self.keys.remove(&frame);
                 evicted.push(frame);
@@ -216,36 +214,35 @@ impl Views {
         Ok(evicted)
     }
 
-    /// The view's entry, made if there is none, and no longer among the idle ones.
-    fn pin(&mut self, view: ViewKey) -> &mut Entry {
-        let entry = self.entries.entry(view).or_insert(Entry {
-            picture: Picture::Missing,
-            shown: 0,
-            holds: 0,
-            let_go: 0,
+    /// The entry of a view, created if there is none, and no longer idle.
+    fn pin(&mut self, view: ViewKey) -> &mut CachedView {
+        let entry = self.views.entry(view).or_insert(CachedView {
+            state: State::Missing,
+            lane_pins: 0,
+            memory_pins: 0,
+            unpinned_at: 0,
         });
-        self.idle.remove(&entry.let_go);
+        self.idle.remove(&entry.unpinned_at);
         entry
     }
 
-    /// Takes a pin off; without any, a resident view becomes idle and one that nobody has begun to draw is
-    /// forgotten.
-    fn unpin(&mut self, view: ViewKey, take_off: impl FnOnce(&mut Entry)) {
-        let Some(entry) = self.entries.get_mut(&view) else { return };
-        take_off(entry);
+    /// Removes a pin. A view without pins becomes idle if it is resident, and is dropped if it waits to be rendered.
+    fn unpin(&mut self, view: ViewKey, remove_pin: impl FnOnce(&mut CachedView)) {
+        let Some(entry) = self.views.get_mut(&view) else { return };
+        remove_pin(entry);
         if entry.is_pinned() {
             return;
         }
-        match entry.picture {
-            Picture::Resident(_) => {
+        match entry.state {
+            State::Resident(_) => {
                 self.clock += 1;
-                entry.let_go = self.clock;
+                entry.unpinned_at = self.clock;
                 self.idle.insert(self.clock, view);
             }
-            Picture::Missing => {
-                self.entries.remove(&view);
+            State::Missing => {
+                self.views.remove(&view);
             }
-            Picture::Drawing => {}
+            State::Rendering => {}
         }
     }
 }
@@ -263,18 +260,18 @@ mod tests {
         ViewKey::World { variant: 0, pose: Pose::new(n, 0, Heading::N) }
     }
 
-    /// Draws everything that is missing; frames are numbered from `first`.
-    fn draw(views: &mut Views, first: FrameId) {
+    /// "Renders" everything that is missing; frames are numbered from `first`.
+    fn render_missing(views: &mut ViewCache, first: FrameId) {
         for (n, view) in views.take_missing(usize::MAX).into_iter().enumerate() {
-            views.fill(view, first + n as FrameId);
+            views.insert(view, first + n as FrameId);
         }
     }
 
     #[test]
-    fn what_lanes_wait_for_is_drawn_first_and_once() {
-        let mut views = Views::new(9, 2, 6);
-        views.hold(view(1));
-        views.hold(view(2));
+    fn views_of_lanes_are_rendered_first_and_once() {
+        let mut views = ViewCache::new(9, 2, 6);
+        views.pin_for_memory(view(1));
+        views.pin_for_memory(view(2));
         views.show(0, view(3));
         views.show(1, view(2));
         assert_eq!(views.take_missing(2), [view(3), view(2)]);
@@ -283,79 +280,79 @@ mod tests {
     }
 
     #[test]
-    fn a_lane_keeps_its_window_and_two_more() {
-        let mut views = Views::new(3, 1, 1);
+    fn a_lane_pins_its_window_and_two_more() {
+        let mut views = ViewCache::new(3, 1, 1);
         for n in 1..=4 {
             views.show(0, view(n));
             let evicted = views.make_room().unwrap();
             assert_eq!(evicted, if n == 4 { vec![1] } else { vec![] });
-            draw(&mut views, n.into());
+            render_missing(&mut views, n.into());
         }
         assert_eq!([1, 2, 3, 4].map(|n| views.frame(view(n))), [None, Some(2), Some(3), Some(4)]);
-        views.forget(0);
-        views.hold(view(9));
+        views.clear_lane(0);
+        views.pin_for_memory(view(9));
         assert_eq!(views.make_room(), Ok(vec![2]));
     }
 
     #[test]
-    fn a_held_view_stays_until_it_is_released_as_often() {
-        let mut views = Views::new(1, 1, 0);
-        views.hold(view(1));
-        views.hold(view(1));
-        draw(&mut views, 7);
-        assert_eq!(views.release(8), Err(NotHeld(8)));
+    fn a_pinned_view_stays_until_it_is_released_as_often() {
+        let mut views = ViewCache::new(1, 1, 0);
+        views.pin_for_memory(view(1));
+        views.pin_for_memory(view(1));
+        render_missing(&mut views, 7);
+        assert_eq!(views.release(8), Err(NotPinned(8)));
         assert_eq!(views.release(7), Ok(()));
-        views.hold(view(2));
+        views.pin_for_memory(view(2));
         let error = views.make_room().unwrap_err();
-        assert_eq!(error, Overfull { needed: 2, capacity: 1 });
+        assert_eq!(error, CacheFull { needed: 2, capacity: 1 });
         assert!(error.to_string().contains("raise --frame-budget or lower --lanes"));
         assert_eq!(views.release(7), Ok(()));
-        assert_eq!(views.release(7), Err(NotHeld(7)));
+        assert_eq!(views.release(7), Err(NotPinned(7)));
         assert_eq!(views.make_room(), Ok(vec![7]));
         assert_eq!(views.frame(view(1)), None);
     }
 
     #[test]
-    fn a_view_that_nobody_waits_for_any_more_is_not_drawn() {
-        let mut views = Views::new(1, 1, 0);
+    fn a_view_without_pins_is_not_rendered() {
+        let mut views = ViewCache::new(1, 1, 0);
         views.show(0, view(1));
-        views.forget(0);
+        views.clear_lane(0);
         assert_eq!(views.take_missing(9), []);
-        // And one that is let go of while it is drawn can be evicted afterwards.
+        // A view that is unpinned while it is rendered can be evicted afterwards.
         views.show(0, view(2));
         assert_eq!(views.take_missing(9), [view(2)]);
-        views.forget(0);
-        views.fill(view(2), 5);
-        views.hold(view(3));
+        views.clear_lane(0);
+        views.insert(view(2), 5);
+        views.pin_for_memory(view(3));
         assert_eq!(views.make_room(), Ok(vec![5]));
     }
 
     #[derive(Debug, Clone)]
     enum Op {
         Show(usize, u8),
-        Forget(usize),
-        Hold(u8),
+        ClearLane(usize),
+        Pin(u8),
         Release(u8),
-        Draw(usize),
+        Render(usize),
     }
 
     fn op() -> impl Strategy<Value = Op> {
         prop_oneof![
             6 => (0..3_usize, 0..20_u8).prop_map(|(lane, n)| Op::Show(lane, n)),
-            1 => (0..3_usize).prop_map(Op::Forget),
-            2 => (0..20_u8).prop_map(Op::Hold),
+            1 => (0..3_usize).prop_map(Op::ClearLane),
+            2 => (0..20_u8).prop_map(Op::Pin),
             2 => (0..20_u8).prop_map(Op::Release),
-            3 => (1..4_usize).prop_map(Op::Draw),
+            3 => (1..4_usize).prop_map(Op::Render),
         ]
     }
 
     proptest! {
-        /// Against a model that recounts everything from scratch.
+        /// Compares with a model that recounts everything from scratch.
         #[test]
-        fn only_idle_views_go_the_longest_idle_first_and_no_more_than_needed(
+        fn the_longest_idle_views_are_evicted_and_no_more_than_needed(
             capacity in 1..20_usize, window in 0..3_usize, ops in proptest::collection::vec(op(), 0..200)
         ) {
-            let mut views = Views::new(capacity, 3, window);
+            let mut views = ViewCache::new(capacity, 3, window);
             let mut lanes = [const { Vec::<u8>::new() }; 3];
             let mut holds = [0_u32; 20];
             let mut frames = [None::<FrameId>; 20];
@@ -371,9 +368,9 @@ mod tests {
                             lanes[lane].remove(0);
                         }
                     }
-                    Op::Forget(lane) => {
-                        views.forget(lane);
-                        // Let go of oldest first; a view that is there twice goes with the last.
+                    Op::ClearLane(lane) => {
+                        views.clear_lane(lane);
+                        // Unpinned oldest first; a view that occurs twice is unpinned with the last.
                         while !lanes[lane].is_empty() {
                             let n = lanes[lane].remove(0);
                             if !pinned(&lanes, &holds).contains(&n) && frames[usize::from(n)].is_some() {
@@ -381,8 +378,8 @@ mod tests {
                             }
                         }
                     }
-                    Op::Hold(n) => {
-                        views.hold(view(n));
+                    Op::Pin(n) => {
+                        views.pin_for_memory(view(n));
                         holds[usize::from(n)] += 1;
                     }
                     Op::Release(n) => {
@@ -391,14 +388,14 @@ mod tests {
                         prop_assert_eq!(views.release(frame).is_ok(), held);
                         holds[usize::from(n)] -= u32::from(held);
                     }
-                    Op::Draw(most) => {
-                        for drawn in views.take_missing(most) {
-                            let ViewKey::World { pose, .. } = drawn else { unreachable!() };
+                    Op::Render(most) => {
+                        for taken in views.take_missing(most) {
+                            let ViewKey::World { pose, .. } = taken else { unreachable!() };
                             let n = usize::from(pose.cell.x);
                             prop_assert!(frames[n].is_none());
                             next += 1;
                             frames[n] = Some(next);
-                            views.fill(drawn, next);
+                            views.insert(taken, next);
                         }
                     }
                 }

@@ -1,11 +1,11 @@
-// Everything that is lit. Light and shade are baked into the vertex colours, so all that is left is
-// distance: fog is linear in the depth, which a vertex can know and interpolation keeps exact.
+// Lit triangles. Light is baked into the vertex colours, so only fog is left: it is linear in depth, so interpolating
+// it between vertices is exact.
 
 struct Corner {
     @location(0) position: vec3<f32>,
-    // Alpha is how much of the fog the surface takes: 0 for lamps.
+    // Alpha is the share of fog that the surface takes: 0 for lamps.
     @location(1) colour: vec4<f32>,
-    // Where this copy of the mesh stands: (x, y) in metres, cosine and sine of its turn about z.
+    // Where this instance stands: (x, y) in metres, cosine and sine of its rotation about z.
     @location(2) placement: vec4<f32>,
 }
 

@@ -1,11 +1,12 @@
-//! The shaders as text: each is valid, and reads the very bytes that the structs in `vertex` are.
+//! Every shader is valid, and reads the layouts of the structs in `raster` and `vertex`.
 
 use std::mem::offset_of;
 
+use raster::{Placement, PlateVertex, SolidVertex, TextVertex};
 use wgpu::naga;
 
 use super::pipelines::{PLATE_WGSL, SOLID_WGSL, TEXT_WGSL, VIEW_WGSL};
-use super::vertex::{Placement, PlateVertex, SolidVertex, TextVertex, Vertex, ViewUniform};
+use super::vertex::{Vertex, ViewUniform};
 
 fn parsed(wgsl: &str) -> naga::Module {
     let source = format!("{VIEW_WGSL}{wgsl}");
@@ -38,7 +39,7 @@ fn shaders_are_valid() {
 }
 
 #[test]
-fn the_views_uniform_has_one_layout() {
+fn the_uniform_has_the_same_layout_in_rust_and_wgsl() {
     let module = parsed(SOLID_WGSL);
     let offsets: Vec<(&str, usize)> = members(&module, "View")
         .iter()
@@ -56,10 +57,10 @@ fn the_views_uniform_has_one_layout() {
     assert_eq!(layouter[view].size as usize, size_of::<ViewUniform>());
 }
 
-/// The attributes that a pipeline feeds are those that the shader's `Corner` reads, in number and shape,
-/// and each lies where the Rust struct has the field of that name.
+/// The attributes of a pipeline are the fields of the shader's `Corner`, in number and shape, and each has the offset of
+/// the Rust field with the same name.
 #[test]
-fn vertices_have_one_layout() {
+fn vertices_have_the_same_layout_in_rust_and_wgsl() {
     let fields = |names: &[(&'static str, usize)]| names.to_vec();
     let solid = fields(&[
         ("position", offset_of!(SolidVertex, position)),

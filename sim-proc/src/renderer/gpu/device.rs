@@ -1,56 +1,55 @@
-//! A Vulkan device without a window: which adapter, and whether it can write into the host's pages.
+//! Chooses a Vulkan adapter and opens its device.
 //!
-//! The device is opened through wgpu's hardware layer, because importing host memory takes a Vulkan
-//! extension that wgpu does not name. Nothing else here is Vulkan-specific.
+//! The device is opened through wgpu's hardware layer, because importing host memory needs a Vulkan extension that wgpu
+//! does not expose.
 #![expect(unsafe_code, reason = "opening a device with an extra extension goes through raw Vulkan")]
 
 use wgpu::hal::vulkan;
 
-use super::RenderError;
+use crate::renderer::error::RenderError;
 
 /// An open device with its queue.
-pub(super) struct Gpu {
+pub(in crate::renderer) struct Gpu {
     pub(super) device: wgpu::Device,
     pub(super) queue: wgpu::Queue,
     pub(super) adapter: wgpu::AdapterInfo,
-    /// The alignment, in bytes, that imported host memory must have; `None` when the driver cannot
-    /// import host memory at all.
+    /// The alignment of imported host memory, in bytes; `None` when the driver cannot import host memory.
     pub(super) host_import_alignment: Option<u64>,
 }
 
 impl Gpu {
-    /// Opens the best graphics card, if there is one.
-    pub(super) fn open_graphics_card() -> Result<Option<Self>, RenderError> {
-        let best = adapters().into_iter().next();
-        let card = best.filter(|adapter| is_graphics_card(adapter.get_info().device_type));
-        card.map(|adapter| open_adapter(&adapter)).transpose()
-    }
-
-    /// Opens the first adapter whose name contains `wanted` (case-insensitive), the best ones first.
-    pub(super) fn open(wanted: &str) -> Result<Self, RenderError> {
-        let adapters = adapters();
-        if adapters.is_empty() {
-            return Err(RenderError::NoVulkan { wanted: wanted.to_owned() });
-        }
-        let names: Vec<String> = adapters.iter().map(|a| a.get_info().name).collect();
-        let chosen = names
-            .iter()
-            .position(|name| name.to_lowercase().contains(&wanted.to_lowercase()))
-            .ok_or_else(|| RenderError::NoSuchAdapter {
-                wanted: wanted.to_owned(),
-                found: names.join(", "),
-            })?;
-        open_adapter(&adapters[chosen])
-    }
-
-    /// Waits until everything submitted so far has been done.
+    /// Waits until the device has completed everything submitted so far.
     pub(super) fn wait(&self) -> Result<(), RenderError> {
         let waited = self.device.poll(wgpu::PollType::wait_indefinitely());
         waited.map(|_| ()).map_err(|error| RenderError::Device(error.to_string()))
     }
 }
 
-/// Every Vulkan adapter, the best first.
+/// Opens the best graphics card, if there is one.
+pub(in crate::renderer) fn open_graphics_card() -> Result<Option<Gpu>, RenderError> {
+    let best = adapters().into_iter().next();
+    let card = best.filter(|adapter| is_graphics_card(adapter.get_info().device_type));
+    card.map(|adapter| open_adapter(&adapter)).transpose()
+}
+
+/// Opens the best of the adapters whose name contains `wanted` (case-insensitive).
+pub(in crate::renderer) fn open(wanted: &str) -> Result<Gpu, RenderError> {
+    let adapters = adapters();
+    if adapters.is_empty() {
+        return Err(RenderError::NoVulkan);
+    }
+    let names: Vec<String> = adapters.iter().map(|a| a.get_info().name).collect();
+    let chosen = names
+        .iter()
+        .position(|name| name.to_lowercase().contains(&wanted.to_lowercase()))
+        .ok_or_else(|| RenderError::NoSuchAdapter {
+            wanted: wanted.to_owned(),
+            found: names.join(", "),
+        })?;
+    open_adapter(&adapters[chosen])
+}
+
+/// All Vulkan adapters, the best first.
 fn adapters() -> Vec<wgpu::Adapter> {
     let mut descriptor = wgpu::InstanceDescriptor::new_without_display_handle();
     descriptor.backends = wgpu::Backends::VULKAN;
@@ -88,7 +87,7 @@ fn open_adapter(adapter: &wgpu::Adapter) -> Result<Gpu, RenderError> {
     };
     // SAFETY: the hardware-layer adapter is only borrowed while it opens a device.
     let hal = unsafe { adapter.as_hal::<vulkan::Api>() }
-        .ok_or_else(|| no_device("it is no Vulkan adapter".to_owned()))?;
+        .ok_or_else(|| no_device("it is not a Vulkan adapter".to_owned()))?;
     let host_import_alignment = host_import_alignment(&hal);
     let extension = host_import_alignment.is_some().then_some(ash::ext::external_memory_host::NAME);
     // SAFETY: the callback only adds an extension that this adapter lists as supported.
@@ -101,14 +100,14 @@ fn open_adapter(adapter: &wgpu::Adapter) -> Result<Gpu, RenderError> {
         )
     };
     let open = open.map_err(|error| no_device(error.to_string()))?;
-    // SAFETY: the device was opened from this very adapter, with the features that are declared.
+    // SAFETY: the device was opened from this adapter with the declared features.
     let (device, queue) = unsafe { adapter.create_device_from_hal(open, &descriptor) }
         .map_err(|error| no_device(error.to_string()))?;
     drop(hal);
     Ok(Gpu { device, queue, adapter: info, host_import_alignment })
 }
 
-/// The alignment that `VK_EXT_external_memory_host` asks of a pointer, where the adapter offers it.
+/// The alignment that `VK_EXT_external_memory_host` demands of pointers, if the adapter supports the extension.
 fn host_import_alignment(hal: &vulkan::Adapter) -> Option<u64> {
     let extension = ash::ext::external_memory_host::NAME;
     if !hal.physical_device_capabilities().supports_extension(extension) {

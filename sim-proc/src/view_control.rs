@@ -1,4 +1,4 @@
-//! What an agent is shown in place of what it would see: the controls that prove results come from pixels.
+//! The frame controls: what lanes are shown instead of their true view, to prove that results come from pixels.
 
 use std::collections::HashMap;
 
@@ -6,20 +6,20 @@ use domain::{Heading, Pose};
 use shm_types::FrameControl;
 use warehouse::{Layout, Variant};
 
-use crate::views::ViewKey;
+use crate::view_cache::ViewKey;
 
-/// Chooses the view that an observation shows.
+/// Chooses the view of an observation.
 #[derive(Debug)]
-pub enum Control {
-    /// What the agent sees.
+pub enum ViewControl {
+    /// The true view.
     Rendered,
-    /// Nothing.
+    /// Uniform grey.
     Blank,
-    /// What it would see at the pose that follows its own in one cycle through all poses.
+    /// The view from the next pose in a fixed cycle through all poses.
     Swapped(HashMap<Pose, Pose>),
 }
 
-impl Control {
+impl ViewControl {
     /// The control `kind` on the floor of `layout`.
     pub fn new(kind: FrameControl, layout: &Layout) -> Self {
         match kind {
@@ -29,13 +29,13 @@ impl Control {
         }
     }
 
-    /// The view that an agent at `pose` is shown in world variant `number`, which is `variant`.
-    pub fn shown(&self, number: u32, variant: &Variant, pose: Pose) -> ViewKey {
+    /// The view that a lane at `pose` gets in world variant `number`, which is `variant`.
+    pub fn view(&self, number: u32, variant: &Variant, pose: Pose) -> ViewKey {
         let pose = match self {
             Self::Blank => return ViewKey::Blank,
             Self::Rendered => pose,
             Self::Swapped(successors) => {
-                // Nobody can stand in a barricade, and nobody is shown the view from inside one.
+                // No agent can stand inside a barricade, so views from there are skipped.
                 let next = |pose: &Pose| successors.get(pose).copied();
                 let mut others = std::iter::successors(next(&pose), next);
                 others.find(|other| !variant.is_closed(other.cell)).unwrap_or(pose)
@@ -45,13 +45,12 @@ impl Control {
     }
 }
 
-/// Every pose that an agent can have on an open floor.
+/// Every pose that an agent can have in the unchanged world.
 pub fn every_pose(layout: &Layout) -> impl Iterator<Item = Pose> + '_ {
     layout.free_cells().flat_map(|cell| Heading::ALL.map(|heading| Pose { cell, heading }))
 }
 
-/// One cycle through every pose, in an order that has nothing to do with where poses lie: so no pose
-/// follows itself.
+/// One cycle through all poses, in an order unrelated to where they lie. No pose follows itself.
 fn successors(layout: &Layout) -> HashMap<Pose, Pose> {
     let mut order: Vec<(u64, Pose)> = (0..).map(scatter).zip(every_pose(layout)).collect();
     order.sort_unstable();
@@ -59,7 +58,7 @@ fn successors(layout: &Layout) -> HashMap<Pose, Pose> {
     order.iter().zip(next).map(|(&(_, pose), &(_, next))| (pose, next)).collect()
 }
 
-/// A bijection on 64 bits that leaves nothing of the order (SplitMix64's finaliser).
+/// A bijection on 64 bits that destroys the order (SplitMix64's finaliser).
 fn scatter(index: u64) -> u64 {
     let mut z = index.wrapping_add(1).wrapping_mul(0x9e37_79b9_7f4a_7c15);
     z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
@@ -80,9 +79,9 @@ mod tests {
     }
 
     #[test]
-    fn controls_show_the_view_nothing_or_another_view() {
+    fn controls_choose_the_true_view_grey_or_another_view() {
         let Warehouse { layout, .. } = Warehouse::shipped();
-        let shown = |kind, pose| Control::new(kind, &layout).shown(0, &Variant::UNCHANGED, pose);
+        let shown = |kind, pose| ViewControl::new(kind, &layout).view(0, &Variant::UNCHANGED, pose);
         let pose = poses(&layout)[5];
         assert_eq!(shown(FrameControl::Rendered, pose), ViewKey::World { variant: 0, pose });
         assert_eq!(shown(FrameControl::Blank, pose), ViewKey::Blank);
@@ -103,14 +102,14 @@ mod tests {
     }
 
     #[test]
-    fn nobody_is_shown_the_inside_of_a_barricade() {
+    fn no_view_is_from_inside_a_barricade() {
         let Warehouse { layout, .. } = Warehouse::shipped();
-        let control = Control::new(FrameControl::Swapped, &layout);
+        let control = ViewControl::new(FrameControl::Swapped, &layout);
         for (case, number) in CaseSet::shipped().cases.iter().zip(1..) {
             let variant = Variant::closing(case.barricade.iter().copied());
             for pose in poses(&layout) {
                 let ViewKey::World { variant: of, pose: other } =
-                    control.shown(number, &variant, pose)
+                    control.view(number, &variant, pose)
                 else {
                     panic!("a view of the world")
                 };

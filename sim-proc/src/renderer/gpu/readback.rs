@@ -1,15 +1,15 @@
-//! Where a finished frame goes: straight into the host's pages, or through a staging buffer.
+//! Moves finished frames from the device to the host: straight into the host's pages, or through a staging buffer.
 //!
-//! With `VK_EXT_external_memory_host` a loaned shared-memory slot *is* the buffer that the device
-//! writes, so the program never touches the pixels. Without it, or where a start-up test finds wrong
-//! bytes, the frame is mapped and copied once, and the bytes so copied are counted.
+//! With `VK_EXT_external_memory_host`, a loaned shared-memory slot *is* the buffer that the device writes, and the program
+//! never touches the pixels. Without it, or where a start-up test finds wrong bytes, each frame is mapped and copied once,
+//! and the copied bytes are counted.
 //!
 //! # Lifetimes
 //!
-//! No device work is in flight between two calls of the renderer, so the memory behind a slot is
-//! written only during the call that was given the slot. Imports are cached by address. A driver may
-//! tie an import to the pages that were mapped there at the time; whoever unmaps slots (a publisher
-//! that is recreated) must therefore call [`Outputs::forget_imports`] before it renders into new ones.
+//! No device work is in flight between two calls of the renderer, so the memory behind a slot is written only during the
+//! call that was given the slot. Imports are cached by address. A driver may tie an import to the pages that were mapped
+//! there at the time. After slots are unmapped (when a publisher is recreated), [`Readback::forget_imports`] must be called
+//! before frames go to new ones.
 #![expect(unsafe_code, reason = "importing host memory goes through raw Vulkan")]
 
 use std::collections::HashMap;
@@ -18,51 +18,24 @@ use ash::vk;
 use wgpu::hal::vulkan;
 
 use super::device::Gpu;
-use super::target::{BYTES_PER_PIXEL, Target};
-use super::{FramePath, RenderError};
+use super::target::Target;
+use crate::renderer::error::RenderError;
+use crate::renderer::job::Destination;
+use crate::renderer::settings::FramePath;
 
-/// Imports kept before all are dropped: drivers bound the number of allocations, often at 4,096.
+/// Imports cached before all are dropped. Drivers limit the number of allocations, often to 4,096.
 const IMPORT_CACHE_CAPACITY: usize = 1024;
 
-/// What kind of memory a frame is written to.
-pub enum Destination<'a> {
-    /// A loaned shared-memory slot: page-aligned, whole pages, used again and again. The device
-    /// writes it directly where it can.
-    Slot(&'a mut [u8]),
-    /// Ordinary memory: always written by one counted copy.
-    Memory(&'a mut [u8]),
-}
-
-impl Destination<'_> {
-    /// The destination's length in bytes.
-    pub fn len(&self) -> usize {
-        match self {
-            Self::Slot(bytes) | Self::Memory(bytes) => bytes.len(),
-        }
-    }
-
-    /// Whether the destination has no bytes at all.
-    pub fn is_empty(&self) -> bool {
-        self.len() == 0
-    }
-
-    pub(super) fn bytes(&mut self) -> &mut [u8] {
-        match self {
-            Self::Slot(bytes) | Self::Memory(bytes) => bytes,
-        }
-    }
-}
-
-/// The buffer that a view's pixels are copied to by the device.
+/// Where the device copies the pixels of a view.
 pub(super) enum Sink {
-    /// The slot itself.
+    /// Into the slot itself.
     Imported,
-    /// A staging buffer, by its place in the batch.
+    /// Into the staging buffer of this number.
     Staged(usize),
 }
 
-/// The ways out of the device, and what has been copied so far.
-pub(super) struct Outputs {
+/// Imported slots, staging buffers, and what has been copied so far.
+pub(super) struct Readback {
     frame_bytes: u64,
     path: FramePath,
     imports: HashMap<(usize, usize), wgpu::Buffer>,
@@ -70,10 +43,10 @@ pub(super) struct Outputs {
     bytes_copied: u64,
 }
 
-impl Outputs {
-    /// Decides by a test which way slots are written; `force_copy` skips the test.
+impl Readback {
+    /// Tests whether the device can write into host memory; `force_copy` skips the test and copies.
     pub(super) fn new(gpu: &Gpu, target: &Target, force_copy: bool) -> Self {
-        let mut outputs = Self {
+        let mut readback = Self {
             frame_bytes: target.frame_bytes(),
             path: FramePath::Direct,
             imports: HashMap::new(),
@@ -81,15 +54,15 @@ impl Outputs {
             bytes_copied: 0,
         };
         let tested = if force_copy {
-            Err("it was asked for".to_owned())
+            Err("copying was requested".to_owned())
         } else {
-            outputs.test_direct(gpu, target)
+            readback.test_direct(gpu, target)
         };
         if let Err(reason) = tested {
-            outputs.path = FramePath::Copied { reason };
+            readback.path = FramePath::Copied { reason };
         }
-        outputs.forget_imports();
-        outputs
+        readback.forget_imports();
+        readback
     }
 
     pub(super) fn path(&self) -> &FramePath {
@@ -100,12 +73,12 @@ impl Outputs {
         self.bytes_copied
     }
 
-    /// Drops every import. See the module's section on lifetimes.
+    /// Drops all imports. See the section on lifetimes above.
     pub(super) fn forget_imports(&mut self) {
         self.imports.clear();
     }
 
-    /// Records the way of a finished frame out of `target`: view number `place` of the batch.
+    /// Records the copy of the finished frame in `target`, the batch's view number `place`, to its destination.
     pub(super) fn record(
         &mut self,
         gpu: &Gpu,
@@ -136,7 +109,7 @@ impl Outputs {
         Sink::Staged(place)
     }
 
-    /// Brings staged frames home, once the device is done with the batch.
+    /// Copies staged frames to their destinations after the device has completed the batch.
     pub(super) fn finish(
         &mut self,
         gpu: &Gpu,
@@ -146,14 +119,14 @@ impl Outputs {
             .into_iter()
             .filter_map(|(sink, destination)| match sink {
                 Sink::Imported => None,
-                Sink::Staged(place) => Some((&self.staging[place], destination.bytes())),
+                Sink::Staged(place) => Some((&self.staging[place], destination.bytes_mut())),
             })
             .collect();
         if staged.is_empty() {
             return Ok(());
         }
         for (buffer, _) in &staged {
-            // A failed mapping shows when its range is asked for below.
+            // If mapping fails, `get_mapped_range` below reports it.
             buffer.slice(..).map_async(wgpu::MapMode::Read, |_| ());
         }
         gpu.wait()?;
@@ -170,7 +143,7 @@ impl Outputs {
         Ok(())
     }
 
-    /// The slot as a buffer of the device; `None`, and copies from then on, if the driver refuses it.
+    /// The slot as a buffer of the device. If the driver refuses it, `None`, and frames are copied from then on.
     fn import(&mut self, gpu: &Gpu, slot: &mut [u8]) -> Option<wgpu::Buffer> {
         let place = (slot.as_mut_ptr() as usize, slot.len());
         if let Some(buffer) = self.imports.get(&place) {
@@ -192,18 +165,18 @@ impl Outputs {
         }
     }
 
-    /// Sends a known picture into file-backed pages like a slot's and reads it there.
+    /// Lets the device write a known image into pages like a slot's, and compares the bytes.
     fn test_direct(&mut self, gpu: &Gpu, target: &Target) -> Result<(), String> {
         let mut pages = shared_pages(self.frame_bytes)?;
         let bytes = self.frame_bytes as usize;
-        let picture: Vec<u8> = (0..bytes).map(|i| (i * 7 + i / 4096 + 1) as u8).collect();
-        target.fill(gpu, &picture);
+        let image: Vec<u8> = (0..bytes).map(|i| (i * 7 + i / 4096 + 1) as u8).collect();
+        target.fill(gpu, &image);
         let slot = import(gpu, &mut pages)?;
         let mut encoder = gpu.device.create_command_encoder(&Default::default());
         target.copy_to(&mut encoder, &slot);
         gpu.queue.submit([encoder.finish(), host_read_barrier(gpu)]);
         gpu.wait().map_err(|error| error.to_string())?;
-        if pages[..bytes] == picture[..] {
+        if pages[..bytes] == image[..] {
             Ok(())
         } else {
             Err("the start-up test found wrong bytes in host memory".to_owned())
@@ -211,8 +184,8 @@ impl Outputs {
     }
 }
 
-/// Makes what the device wrote into imported memory visible to the host. wgpu records no such barrier,
-/// because it does not know that the memory can be read by other means than mapping.
+/// Makes the device's writes into imported memory visible to the host. wgpu records no such barrier, because it does not
+/// know that the memory is read other than by mapping.
 pub(super) fn host_read_barrier(gpu: &Gpu) -> wgpu::CommandBuffer {
     let mut encoder = gpu
         .device
@@ -223,8 +196,8 @@ pub(super) fn host_read_barrier(gpu: &Gpu) -> wgpu::CommandBuffer {
         .src_access_mask(vk::AccessFlags::TRANSFER_WRITE)
         .dst_access_mask(vk::AccessFlags::HOST_READ);
     if let Some(device) = device {
-        // SAFETY: nothing else is recorded into this encoder, the handles live until it is finished,
-        // and wgpu ends the command buffer.
+        // SAFETY: nothing else is recorded into this encoder, the handles outlive it, and wgpu ends the command
+        // buffer.
         unsafe {
             encoder.as_hal_mut::<vulkan::Api, _, _>(|hal| {
                 if let Some(hal) = hal {
@@ -244,13 +217,16 @@ pub(super) fn host_read_barrier(gpu: &Gpu) -> wgpu::CommandBuffer {
     encoder.finish()
 }
 
-/// Wraps `slot` as a buffer of the device, or says why the driver does not take it.
+/// Wraps `slot` as a buffer of the device.
+///
+/// # Errors
+/// The reason why the driver does not accept it.
 fn import(gpu: &Gpu, slot: &mut [u8]) -> Result<wgpu::Buffer, String> {
     let alignment =
         gpu.host_import_alignment.ok_or("the driver has no VK_EXT_external_memory_host")?;
     let (pointer, size) = (slot.as_mut_ptr(), slot.len() as u64);
     if !(pointer as u64).is_multiple_of(alignment) || !size.is_multiple_of(alignment) {
-        return Err(format!("the slot of {size} bytes is not whole pages of {alignment} bytes"));
+        return Err(format!("a slot of {size} bytes is not made of pages of {alignment} bytes"));
     }
     // SAFETY: the device is only borrowed for this function.
     let hal = unsafe { gpu.device.as_hal::<vulkan::Api>() }.ok_or("the device is not Vulkan")?;
@@ -258,7 +234,7 @@ fn import(gpu: &Gpu, slot: &mut [u8]) -> Result<wgpu::Buffer, String> {
     let instance = hal.shared_instance().raw_instance();
     let handle_type = vk::ExternalMemoryHandleTypeFlags::HOST_ALLOCATION_EXT;
     let host = ash::ext::external_memory_host::Device::new(instance, device);
-    let said = |what: &str, error: vk::Result| format!("{what}: {error}");
+    let failed = |what: &str, error: vk::Result| format!("{what}: {error}");
 
     let mut pointer_properties = vk::MemoryHostPointerPropertiesEXT::default();
     // SAFETY: the pointer is that of a live slice of `size` bytes.
@@ -271,7 +247,7 @@ fn import(gpu: &Gpu, slot: &mut [u8]) -> Result<wgpu::Buffer, String> {
         )
     }
     .result()
-    .map_err(|error| said("vkGetMemoryHostPointerPropertiesEXT", error))?;
+    .map_err(|error| failed("vkGetMemoryHostPointerPropertiesEXT", error))?;
 
     let mut external = vk::ExternalMemoryBufferCreateInfo::default().handle_types(handle_type);
     let create = vk::BufferCreateInfo::default()
@@ -280,7 +256,7 @@ fn import(gpu: &Gpu, slot: &mut [u8]) -> Result<wgpu::Buffer, String> {
         .push_next(&mut external);
     // SAFETY: the structures are complete and live for the call.
     let buffer = unsafe { device.create_buffer(&create, None) }
-        .map_err(|error| said("vkCreateBuffer", error))?;
+        .map_err(|error| failed("vkCreateBuffer", error))?;
 
     // SAFETY: the buffer and the physical device are of this device and instance.
     let (needs, memory) = unsafe {
@@ -296,7 +272,7 @@ fn import(gpu: &Gpu, slot: &mut [u8]) -> Result<wgpu::Buffer, String> {
         .iter()
         .enumerate()
         .position(|(i, kind)| bits & (1 << i) != 0 && kind.property_flags.contains(wanted));
-    let bound = memory_type.ok_or("no coherent memory type takes the slot".to_owned()).and_then(
+    let bound = memory_type.ok_or("no coherent memory type accepts the slot".to_owned()).and_then(
         |memory_type| {
             if needs.size > size {
                 return Err(format!("the driver needs {} bytes for {size}", needs.size));
@@ -308,16 +284,16 @@ fn import(gpu: &Gpu, slot: &mut [u8]) -> Result<wgpu::Buffer, String> {
                 .allocation_size(size)
                 .memory_type_index(memory_type as u32)
                 .push_next(&mut source);
-            // SAFETY: pointer and size are whole pages of live memory, as the extension demands. The
-            // device writes them only during calls that borrow the slot (see the module's head).
+            // SAFETY: pointer and size are whole pages of live memory, as the extension demands. The device
+            // writes them only during calls that borrow the slot (see "Lifetimes" above).
             let memory = unsafe { device.allocate_memory(&allocate, None) }
-                .map_err(|error| said("vkAllocateMemory", error))?;
+                .map_err(|error| failed("vkAllocateMemory", error))?;
             // SAFETY: the memory is as large as the buffer needs, and nothing else is bound to it.
             let bound = unsafe { device.bind_buffer_memory(buffer, memory, 0) };
             bound.map(|()| memory).map_err(|error| {
                 // SAFETY: nothing uses the memory.
                 unsafe { device.free_memory(memory, None) };
-                said("vkBindBufferMemory", error)
+                failed("vkBindBufferMemory", error)
             })
         },
     );
@@ -325,8 +301,8 @@ fn import(gpu: &Gpu, slot: &mut [u8]) -> Result<wgpu::Buffer, String> {
         // SAFETY: nothing uses the buffer.
         unsafe { device.destroy_buffer(buffer, None) };
     })?;
-    // SAFETY: buffer and memory were made here for each other, by this device, and their ownership
-    // passes to wgpu; memory of the host counts as initialised.
+    // SAFETY: buffer and memory were created here for each other by this device, their ownership passes to wgpu, and
+    // host memory counts as initialised.
     Ok(unsafe {
         let managed = vulkan::Buffer::from_raw_managed(buffer, memory, 0, size);
         gpu.device.create_buffer_from_hal::<vulkan::Api>(
@@ -341,17 +317,12 @@ fn import(gpu: &Gpu, slot: &mut [u8]) -> Result<wgpu::Buffer, String> {
     })
 }
 
-/// Pages of a memory file: the same kind of memory as a slot's.
+/// Pages of a memory file, the kind of memory that slots are made of.
 fn shared_pages(bytes: u64) -> Result<memmap2::MmapMut, String> {
     let pages = bytes.next_multiple_of(4096);
     let file = rustix::fs::memfd_create("renderer-self-test", rustix::fs::MemfdFlags::CLOEXEC)
         .map_err(|error| format!("memfd_create: {error}"))?;
     rustix::fs::ftruncate(&file, pages).map_err(|error| format!("ftruncate: {error}"))?;
-    // SAFETY: nobody else has this file.
+    // SAFETY: nothing else has this file open.
     unsafe { memmap2::MmapMut::map_mut(&file) }.map_err(|error| format!("mmap: {error}"))
-}
-
-/// Bytes of a frame of `width_px` x `height_px`.
-pub(super) fn frame_bytes(width_px: u32, height_px: u32) -> u64 {
-    u64::from(width_px) * u64::from(height_px) * BYTES_PER_PIXEL
 }

@@ -1,4 +1,4 @@
-// Labels and signs: ink on paper, both unlit, with the lettering's coverage read from an atlas.
+// Labels and signs: unlit ink on paper, with coverage read from the text atlas.
 
 struct Corner {
     @location(0) position: vec3<f32>,
@@ -14,8 +14,8 @@ struct Placed {
     @location(2) @interpolate(flat) paper: vec3<f32>,
 }
 
-@group(1) @binding(0) var lettering: texture_2d<f32>;
-@group(1) @binding(1) var lettering_sampler: sampler;
+@group(1) @binding(0) var atlas: texture_2d<f32>;
+@group(1) @binding(1) var atlas_sampler: sampler;
 
 @vertex
 fn corner(in: Corner) -> Placed {
@@ -23,15 +23,14 @@ fn corner(in: Corner) -> Placed {
     return Placed(clip, in.atlas, in.ink.rgb, in.paper.rgb);
 }
 
-// Labels are mostly seen aslant, along an aisle: a pixel covers a long stretch of text one way and a
-// short one the other. Three samples along the stretch, each fine enough for a third of it, read far
-// better than one that is as coarse as the whole; a device's own anisotropic filter costs the software
-// driver several times as much.
+// Labels are mostly seen at an angle, along an aisle: a pixel covers many texels in one direction and few in the other.
+// Three samples along the longer direction, each fine enough for a third of it, are far more legible than one sample as
+// coarse as the whole.
 const TAPS: f32 = 3.0;
 
 @fragment
 fn pixel(in: Placed) -> @location(0) vec4<f32> {
-    let texels = vec2<f32>(textureDimensions(lettering));
+    let texels = vec2<f32>(textureDimensions(atlas));
     let across = dpdx(in.atlas);
     let down = dpdy(in.atlas);
     let lengths = vec2(length(across * texels), length(down * texels));
@@ -40,9 +39,9 @@ fn pixel(in: Placed) -> @location(0) vec4<f32> {
     let shortest = min(lengths.x, lengths.y);
     let level = log2(max(max(shortest, longest / TAPS), 1e-6));
     let coverage = (
-        textureSampleLevel(lettering, lettering_sampler, in.atlas - stretch, level).r
-        + textureSampleLevel(lettering, lettering_sampler, in.atlas, level).r
-        + textureSampleLevel(lettering, lettering_sampler, in.atlas + stretch, level).r
+        textureSampleLevel(atlas, atlas_sampler, in.atlas - stretch, level).r
+        + textureSampleLevel(atlas, atlas_sampler, in.atlas, level).r
+        + textureSampleLevel(atlas, atlas_sampler, in.atlas + stretch, level).r
     ) / TAPS;
     return vec4(mix(in.paper, in.ink, coverage), 1.0);
 }

@@ -1,26 +1,24 @@
-//! The pictures that views are drawn on: colour, depth, and the single-sampled result.
+//! The textures that views are drawn on: colour, depth, and the single-sampled result.
 
 use super::device::Gpu;
-use super::output;
 
 /// Bytes of a pixel: red, green, blue and alpha, 8 bits each.
-pub(super) const BYTES_PER_PIXEL: u64 = 4;
+const BYTES_PER_PIXEL: u64 = 4;
 
-/// Colour is stored as it will be read: no conversion happens on the way, so a label plate's colours
-/// arrive as they were written.
+/// Colour is stored as it is read, without conversion, so that the colours of label plates stay exact.
 pub(super) const COLOUR_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rgba8Unorm;
 
-/// Depth is reversed (1 near, 0 infinitely far), which spreads a float's precision evenly.
+/// Depth is reversed (1 near, 0 infinitely far), which distributes the precision of a float evenly.
 pub(super) const DEPTH_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Depth32Float;
 
-/// One set of attachments. Views of a batch use it in turn.
+/// A set of attachments, used by the views of a batch in turn.
 pub(super) struct Target {
     width_px: u32,
     height_px: u32,
-    /// What a finished frame is read from.
+    /// The finished frame.
     result: wgpu::Texture,
     result_view: wgpu::TextureView,
-    /// The multisampled colour that is resolved into the result; `None` without anti-aliasing.
+    /// Multisampled colour, resolved into the result; `None` without anti-aliasing.
     multisampled: Option<wgpu::TextureView>,
     depth: wgpu::TextureView,
 }
@@ -53,10 +51,10 @@ impl Target {
 
     /// Bytes of a finished frame.
     pub(super) fn frame_bytes(&self) -> u64 {
-        output::frame_bytes(self.width_px, self.height_px)
+        u64::from(self.width_px) * u64::from(self.height_px) * BYTES_PER_PIXEL
     }
 
-    /// Begins a pass that clears colour to `background` and depth to infinity.
+    /// Begins a render pass that clears colour to `background` and depth to infinity.
     pub(super) fn begin<'e>(
         &self,
         encoder: &'e mut wgpu::CommandEncoder,
@@ -86,7 +84,7 @@ impl Target {
         })
     }
 
-    /// Records the copy of the finished frame into `buffer`, rows top to bottom without gaps.
+    /// Records the copy of the finished frame into `buffer`, in rows from the top without gaps.
     pub(super) fn copy_to(&self, encoder: &mut wgpu::CommandEncoder, buffer: &wgpu::Buffer) {
         encoder.copy_texture_to_buffer(
             self.result.as_image_copy(),
@@ -95,7 +93,7 @@ impl Target {
         );
     }
 
-    /// Puts a ready-made picture where finished frames are read from.
+    /// Replaces the finished frame by these pixels.
     pub(super) fn fill(&self, gpu: &Gpu, pixels: &[u8]) {
         let (layout, size) = (self.layout(), extent(self.width_px, self.height_px));
         gpu.queue.write_texture(self.result.as_image_copy(), pixels, layout, size);

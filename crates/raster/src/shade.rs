@@ -1,11 +1,10 @@
 //! The three ways of colouring pixels, as in the shaders beside this folder: lit, label plate, text.
 
 use fearless_simd::{Bytes, Select, Simd, SimdBase, SimdFloat, SimdInt, f32x16, i32x16, u32x16};
-use plates;
 
 use super::canvas::PIXELS;
 use super::triangle::{Part, Triangle};
-use crate::renderer::text::Atlas;
+use super::geometry::Atlas;
 
 /// Colours the pixels of a block.
 pub(super) trait Shader {

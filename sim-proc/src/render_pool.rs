@@ -1,0 +1,188 @@
+//! Render workers: threads beside the serve loop that render views into slots of the frame store.
+
+use std::ops::Range;
+use std::thread::{self, JoinHandle};
+
+use crossbeam::channel::{Receiver, Sender, unbounded};
+use domain::Pose;
+use shm_types::FrameSlot;
+use shm_types::process::monotonic_ns;
+use warehouse::Variant;
+
+use crate::renderer::RenderError;
+use crate::view_cache::ViewKey;
+
+/// Requests that wait for each worker in addition to those it works on, so that it never idles. More would delay later
+/// requests that are more urgent.
+const WAITING_PER_WORKER: usize = 1;
+
+/// The pixel of a blank frame, RGBA.
+const GREY: [u8; 4] = [128, 128, 128, 255];
+
+/// A view and the slot that it is rendered into.
+#[derive(Debug)]
+pub struct RenderTask<'a> {
+    /// Which passages are closed.
+    pub variant: &'a Variant,
+    /// The camera's pose.
+    pub pose: Pose,
+    /// Where the pixels go.
+    pub slot: &'a mut FrameSlot,
+}
+
+/// Renders views into slots of the frame store. The pixels of a view must not depend on the worker or on the other views
+/// of the batch.
+pub trait RenderWorker: Send {
+    /// Renders all `tasks`. Returns how many bytes of pixels the program itself has copied.
+    ///
+    /// # Errors
+    /// When the device fails.
+    fn render_into(&mut self, tasks: &mut [RenderTask<'_>]) -> Result<u64, RenderError>;
+}
+
+/// Whether a barricade of the variant may be visible from the pose. Where none is, the frame of the unchanged world is
+/// used instead.
+pub type MayShowBarricade = Box<dyn FnMut(&Variant, Pose) -> bool>;
+
+/// What a simulator renders with.
+pub struct RenderSetup {
+    /// At least one. Each works on a thread of its own.
+    pub workers: Vec<Box<dyn RenderWorker>>,
+    /// Most views in a batch of one worker: several where a device renders them faster together.
+    pub batch_views: usize,
+    /// Which views need barricades.
+    pub may_show_barricade: MayShowBarricade,
+    /// Backend and adapter, for the run's manifest.
+    pub facts: Vec<(&'static str, String)>,
+}
+
+/// A view to be rendered.
+#[derive(Debug)]
+pub(crate) struct RenderRequest {
+    pub(crate) view: ViewKey,
+    /// What the view shows; `None` is uniform grey.
+    pub(crate) world: Option<(Variant, Pose)>,
+    pub(crate) slot: FrameSlot,
+}
+
+/// Views that a worker has rendered together.
+#[derive(Debug)]
+pub(crate) struct RenderedBatch {
+    /// The worker's number.
+    pub(crate) worker: usize,
+    /// Begin and end, CLOCK_MONOTONIC.
+    pub(crate) span_ns: Range<u64>,
+    pub(crate) bytes_copied: u64,
+    pub(crate) views: Vec<RenderedView>,
+}
+
+/// A view that has been rendered.
+#[derive(Debug)]
+pub(crate) struct RenderedView {
+    pub(crate) view: ViewKey,
+    pub(crate) slot: FrameSlot,
+    /// The first 16 bytes of the BLAKE3 hash of the pixels.
+    pub(crate) content_hash: [u8; 16],
+}
+
+/// Worker threads. When dropped, it waits for them to complete what they have been sent.
+#[derive(Debug)]
+pub(crate) struct RenderPool {
+    requests: Option<Sender<RenderRequest>>,
+    rendered: Receiver<Result<RenderedBatch, RenderError>>,
+    threads: Vec<JoinHandle<()>>,
+    capacity: usize,
+    in_flight: usize,
+}
+
+impl RenderPool {
+    /// Starts a thread for each worker. The threads call `wake` whenever [`Self::take`] has something to return.
+    pub(crate) fn new(
+        workers: Vec<Box<dyn RenderWorker>>,
+        batch_views: usize,
+        wake: impl Fn() + Clone + Send + 'static,
+    ) -> Self {
+        let capacity = workers.len() * batch_views * (1 + WAITING_PER_WORKER);
+        let (requests, queue) = unbounded::<RenderRequest>();
+        let (sender, rendered) = unbounded();
+        let start = |(number, mut worker): (usize, Box<dyn RenderWorker>)| {
+            let (queue, sender, wake) = (queue.clone(), sender.clone(), wake.clone());
+            thread::spawn(move || {
+                while let Ok(first) = queue.recv() {
+                    let more = queue.try_iter().take(batch_views - 1);
+                    let batch = std::iter::once(first).chain(more).collect();
+                    if sender.send(render_batch(&mut *worker, number, batch)).is_err() {
+                        break;
+                    }
+                    wake();
+                }
+            })
+        };
+        let threads = workers.into_iter().enumerate().map(start).collect();
+        Self { requests: Some(requests), rendered, threads, capacity, in_flight: 0 }
+    }
+
+    /// How many requests may be sent now.
+    pub(crate) fn room(&self) -> usize {
+        self.capacity - self.in_flight
+    }
+
+    /// Sends a request to the next free worker.
+    ///
+    /// # Errors
+    /// When all workers have ended.
+    pub(crate) fn send(&mut self, request: RenderRequest) -> Result<(), RenderError> {
+        let sent = self.requests.as_ref().and_then(|requests| requests.send(request).ok());
+        sent.ok_or(RenderError::WorkerEnded)?;
+        self.in_flight += 1;
+        Ok(())
+    }
+
+    /// A batch that a worker has completed, if there is one.
+    ///
+    /// # Errors
+    /// When rendering failed, or a worker has ended.
+    pub(crate) fn take(&mut self) -> Result<Option<RenderedBatch>, RenderError> {
+        let Ok(batch) = self.rendered.try_recv() else {
+            let has_ended = self.threads.iter().any(JoinHandle::is_finished);
+            return if has_ended { Err(RenderError::WorkerEnded) } else { Ok(None) };
+        };
+        let batch = batch?;
+        self.in_flight -= batch.views.len();
+        Ok(Some(batch))
+    }
+}
+
+impl Drop for RenderPool {
+    fn drop(&mut self) {
+        self.requests = None;
+        for thread in self.threads.drain(..) {
+            // A worker that panicked has printed its message.
+            let _ = thread.join();
+        }
+    }
+}
+
+fn render_batch(
+    worker: &mut dyn RenderWorker,
+    number: usize,
+    mut requests: Vec<RenderRequest>,
+) -> Result<RenderedBatch, RenderError> {
+    let begun = monotonic_ns();
+    let mut tasks = Vec::with_capacity(requests.len());
+    for RenderRequest { world, slot, .. } in &mut requests {
+        match world {
+            Some((variant, pose)) => tasks.push(RenderTask { variant, pose: *pose, slot }),
+            None => slot.pixels_mut().as_chunks_mut().0.fill(GREY),
+        }
+    }
+    let bytes_copied = if tasks.is_empty() { 0 } else { worker.render_into(&mut tasks)? };
+    let span_ns = begun..monotonic_ns();
+    let finish = |RenderRequest { view, slot, .. }| {
+        let mut content_hash = [0; 16];
+        content_hash.copy_from_slice(&blake3::hash(slot.pixels()).as_bytes()[..16]);
+        RenderedView { view, slot, content_hash }
+    };
+    let views = requests.into_iter().map(finish).collect();
+    Ok(RenderedBatch { worker: number, span_ns, bytes_copied, views })
+}

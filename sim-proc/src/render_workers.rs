@@ -1,0 +1,76 @@
+//! Renderers as render workers: one per core with the CPU backend, one in all with a Vulkan device.
+
+use std::thread;
+
+use warehouse::Warehouse;
+
+use crate::render_pool::{RenderSetup, RenderTask, RenderWorker};
+use crate::renderer::{
+    Backend, Destination, RenderError, RenderJob, RenderSettings, Renderer, View,
+};
+
+/// Most renderers on the CPU.
+const MAX_RENDERERS: usize = 8;
+
+/// Most views that a Vulkan device renders together.
+const GPU_BATCH_VIEWS: usize = 8;
+
+impl RenderWorker for Renderer {
+    fn render_into(&mut self, tasks: &mut [RenderTask<'_>]) -> Result<u64, RenderError> {
+        let before = self.report().bytes_copied;
+        let mut jobs: Vec<RenderJob<'_>> = tasks
+            .iter_mut()
+            .map(|task| RenderJob {
+                view: View { pose: task.pose, variant: task.variant },
+                destination: Destination::Slot(bytemuck::cast_slice_mut(task.slot.pages_mut())),
+            })
+            .collect();
+        self.render(&mut jobs)?;
+        Ok(self.report().bytes_copied - before)
+    }
+}
+
+/// Opens renderers that work at the same time: one per core, up to eight, with the CPU backend; otherwise one.
+///
+/// # Errors
+/// As [`Renderer::new`].
+pub fn open_renderers(
+    warehouse: &Warehouse,
+    settings: RenderSettings,
+) -> Result<Vec<Renderer>, RenderError> {
+    let mut renderers = vec![Renderer::new(warehouse, settings)?];
+    if renderers[0].report().backend == Backend::Cpu {
+        let cores = thread::available_parallelism().map_or(1, usize::from);
+        for _ in 1..cores.min(MAX_RENDERERS) {
+            renderers.push(renderers[0].try_clone()?);
+        }
+    }
+    Ok(renderers)
+}
+
+impl RenderSetup {
+    /// Opens the renderers of a simulator.
+    ///
+    /// # Errors
+    /// As [`Renderer::new`].
+    pub fn open(warehouse: &Warehouse, settings: RenderSettings) -> Result<Self, RenderError> {
+        let renderers = open_renderers(warehouse, settings)?;
+        let report = renderers[0].report();
+        let mut facts = vec![
+            ("backend", report.backend.to_string()),
+            ("frame path", report.frame_path.to_string()),
+            ("renderers", renderers.len().to_string()),
+        ];
+        facts.extend(report.adapter.map(|adapter| ("adapter", adapter)));
+        let mut visibility = renderers[0].visibility();
+        let worker = |renderer| Box::new(renderer) as Box<dyn RenderWorker>;
+        Ok(Self {
+            workers: renderers.into_iter().map(worker).collect(),
+            batch_views: if report.backend == Backend::Cpu { 1 } else { GPU_BATCH_VIEWS },
+            may_show_barricade: Box::new(move |variant, pose| {
+                visibility.may_show_barricade(View { pose, variant })
+            }),
+            facts,
+        })
+    }
+}

@@ -1,0 +1,53 @@
+//! The finished scene: triangles grouped into objects with bounds.
+
+use std::ops::Range;
+
+use raster::{Geometry, Placement};
+
+/// A part of the scene that is drawn or left out as a whole: its bounds, and ranges of each layer's indices.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub(in crate::renderer) struct Object {
+    pub(in crate::renderer) min: [f32; 3],
+    pub(in crate::renderer) max: [f32; 3],
+    /// Lit triangles in full detail.
+    pub(in crate::renderer) near: Range<usize>,
+    /// Lit triangles to be drawn from several metres away.
+    pub(in crate::renderer) far: Range<usize>,
+    pub(in crate::renderer) plate: Range<usize>,
+    pub(in crate::renderer) text: Range<usize>,
+}
+
+/// An opaque upright panel from the floor to the racks' height, by its ends on the floor plan.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(in crate::renderer) struct Occluder {
+    pub(in crate::renderer) from: [f32; 2],
+    pub(in crate::renderer) to: [f32; 2],
+}
+
+/// Everything there is to draw.
+pub(in crate::renderer) struct Scene {
+    pub(in crate::renderer) geometry: Geometry,
+    /// The plane of each lit triangle: its unit normal, and the normal's dot product with any point of the triangle.
+    pub(in crate::renderer) planes: Vec<[f32; 4]>,
+    pub(in crate::renderer) objects: Vec<Object>,
+    pub(in crate::renderer) occluders: Vec<Occluder>,
+}
+
+impl Scene {
+    /// The bounds of a barricade's side that stands at `side`.
+    pub(in crate::renderer) fn barricade_at(&self, side: Placement) -> Object {
+        let solid = &self.geometry.solid;
+        let (mut min, mut max) = ([f32::INFINITY; 3], [f32::NEG_INFINITY; 3]);
+        let [cos, sin] = side.turn;
+        for &corner in &solid.indices[self.geometry.barricade.clone()] {
+            let [x, y, z] = solid.vertices[corner as usize].position;
+            // As in `solid.wgsl`.
+            let position = [side.at[0] + cos * x - sin * y, side.at[1] + sin * x + cos * y, z];
+            for axis in 0..3 {
+                min[axis] = min[axis].min(position[axis]);
+                max[axis] = max[axis].max(position[axis]);
+            }
+        }
+        Object { min, max, ..Object::default() }
+    }
+}
