@@ -14,7 +14,6 @@ use memory_proc::manifest::Manifest;
 use memory_proc::paths::Cache;
 use serde_json::json;
 use shm_types::attach::FrameSize;
-use sim_proc::control::every_pose;
 use sim_proc::renderer::{Destination, RenderJob, RenderSettings, Renderer, View};
 use warehouse::{Variant, Warehouse};
 

@@ -12,8 +12,8 @@ use std::time::Instant;
 use anyhow::{Context, Result, ensure};
 use memory_proc::embedding_cache::stored;
 use serde_json::Value;
-use sim_proc::control::every_pose;
 use sim_proc::renderer::Samples;
+use sim_proc::view_control::every_pose;
 use warehouse::Warehouse;
 
 use crate::Bench;

@@ -1,7 +1,7 @@
 //! Rendering views for the first time, beside MiniWorld and ViZDoom, and the cost of a view that is already resident,
 //! beside a memcpy of a frame.
 //!
-//! Ours renders every view of the unchanged warehouse once with the renderers of a run ([`renderers`]) into plain memory,
+//! Ours renders every view of the unchanged warehouse once with the renderers of a run ([`open_renderers`]) into plain memory,
 //! as the baselines render into arrays; hashing and publishing are not measured. A baseline runs with one process and with
 //! one per core, and the better figure counts. Work done once for the first view is not timed on either side.
 
@@ -17,10 +17,10 @@ use orchestrator::machine::floors::frame_copy_ns;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 use shm_types::attach::{DEFAULT_WINDOW, FrameSize, PAGE_BYTES};
-use sim_proc::control::every_pose;
+use sim_proc::render_workers::open_renderers;
 use sim_proc::renderer::{Destination, RenderJob, RenderSettings, Renderer, Samples, View};
-use sim_proc::studio::renderers;
-use sim_proc::views::{ViewKey, Views};
+use sim_proc::view_cache::{ViewCache, ViewKey};
+use sim_proc::view_control::every_pose;
 use warehouse::{Variant, Warehouse};
 
 use crate::Bench;
@@ -234,7 +234,7 @@ pub(crate) fn render_process(arguments: &[String]) -> Result<()> {
     let samples = if samples == "1" { Samples::One } else { Samples::Four };
     let warehouse = Warehouse::shipped();
     let settings = RenderSettings { samples, ..RenderSettings::default() };
-    let renderers = renderers(&warehouse, settings)?;
+    let renderers = open_renderers(&warehouse, settings)?;
     let mut easels: Vec<Easel> = renderers.into_iter().map(Easel::new).collect();
     let poses: Vec<Pose> = every_pose(&warehouse.layout).collect();
     let (first, rest) = poses.split_at(easels.len());
@@ -259,7 +259,7 @@ pub(crate) fn render_process(arguments: &[String]) -> Result<()> {
         views_per_second: rest.len() as f64 / began.elapsed().as_secs_f64(),
         views: rest.len(),
         renderers: easels.len(),
-        adapter: easels[0].renderer.report().adapter,
+        adapter: easels[0].renderer.report().adapter.unwrap_or_else(|| "none (cpu)".to_owned()),
     };
     println!("{}", serde_json::to_string(&drawn)?);
     Ok(())
@@ -270,11 +270,11 @@ fn repeated(session: &mut Session<'_>) -> Result<Figure> {
     let layout = Warehouse::shipped().layout;
     let keys: Vec<ViewKey> =
         every_pose(&layout).map(|pose| ViewKey::World { variant: 0, pose }).collect();
-    let mut views = Views::new(keys.len(), LANES, DEFAULT_WINDOW as usize);
+    let mut views = ViewCache::new(keys.len(), LANES, DEFAULT_WINDOW as usize);
     for (frame, &view) in (1..).zip(&keys) {
-        views.hold(view);
+        views.pin_for_memory(view);
         views.take_missing(1);
-        views.fill(view, frame);
+        views.insert(view, frame);
         views.release(frame)?;
     }
     let (steps, copies) = (session.size.pick(1000, 2_000_000), session.size.pick(3, 500));
@@ -292,7 +292,7 @@ fn repeated(session: &mut Session<'_>) -> Result<Figure> {
 }
 
 /// Mean duration of a step in nanoseconds: lanes take turns, each step far from the last view.
-fn look_up_ns(views: &mut Views, keys: &[ViewKey], steps: usize) -> Result<f64> {
+fn look_up_ns(views: &mut ViewCache, keys: &[ViewKey], steps: usize) -> Result<f64> {
     /// A prime, so that every view is visited.
     const STRIDE: usize = 367;
     let began = Instant::now();

@@ -1,14 +1,16 @@
-//! Prints how many views a second the renderer draws, over every pose of the warehouse.
+//! Prints how many views per second the renderer draws, over every pose of the warehouse.
 //!
-//!     cargo run --release -p sim-proc --example frame_rate -- [rounds] [samples] [adapter]
+//!     cargo run --release -p sim-proc --example frame_rate -- [rounds] [samples] [cpu | part of an adapter's name]
 //!
-//! Slots are page-aligned memory of this process; publishing them is not measured.
+//! Views are rendered into page-aligned memory of this process; hashing and publishing are not measured.
 
 use std::time::{Duration, Instant};
 
 use anyhow::Result;
 use domain::{Heading, Pose};
-use sim_proc::renderer::{Destination, RenderJob, RenderSettings, Renderer, Samples, View};
+use sim_proc::renderer::{
+    Backend, Destination, RenderJob, RenderSettings, Renderer, Samples, View,
+};
 use warehouse::{Variant, Warehouse};
 
 const PAGE: usize = 4096;
@@ -24,15 +26,20 @@ fn main() -> Result<()> {
         .flat_map(|cell| Heading::ALL.map(|heading| Pose { cell, heading }))
         .collect();
     let only: Option<u32> = std::env::args().nth(2).map(|text| text.parse()).transpose()?;
-    let adapter = std::env::args().nth(3);
+    let backend = std::env::args().nth(3);
+    let (backend, adapter) = match backend.as_deref() {
+        Some("cpu") => (Some(Backend::Cpu), None),
+        adapter => (None, adapter.map(str::to_owned)),
+    };
     for samples in [Samples::One, Samples::Four] {
         if only.is_some_and(|only| only != samples.count()) {
             continue;
         }
         for batch in [1, 8] {
             let begun = Instant::now();
+            let adapter = adapter.clone();
             let settings =
-                RenderSettings { samples, adapter: adapter.clone(), ..RenderSettings::default() };
+                RenderSettings { samples, backend, adapter, ..RenderSettings::default() };
             let mut renderer = Renderer::new(&warehouse, settings)?;
             let start = begun.elapsed();
             let mut times = Vec::new();
@@ -43,27 +50,27 @@ fn main() -> Result<()> {
             let cpu = (cpu_time() - cpu) / (rounds * poses.len() as u32);
             let best = times.iter().min().copied().unwrap_or(Duration::MAX);
             println!(
-                "{} sample(s), batches of {batch}: {:.0} views a second at best, {:.0} in the first \
-                 round; {:.2} ms of processor time a view; start {:.0} ms; {}",
+                "{} sample(s), batches of {batch}: {:.0} views per second at best, {:.0} in the first \
+                 round; {:.2} ms of CPU time per view; start {:.0} ms; {}",
                 samples.count(),
                 poses.len() as f64 / best.as_secs_f64(),
                 poses.len() as f64 / times[0].as_secs_f64(),
                 cpu.as_secs_f64() * 1e3,
                 start.as_secs_f64() * 1e3,
-                renderer.report().adapter,
+                renderer.report().adapter.as_deref().unwrap_or("cpu"),
             );
         }
     }
     Ok(())
 }
 
-/// What all threads of this process have used so far: steadier than the clock on a busy machine.
+/// The CPU time of all threads of this process.
 fn cpu_time() -> Duration {
     let now = rustix::time::clock_gettime(rustix::time::ClockId::ProcessCPUTime);
     Duration::new(now.tv_sec as u64, now.tv_nsec as u32)
 }
 
-/// Draws every pose once and says how long it took.
+/// Draws every pose once and returns how long that took.
 fn all_poses(renderer: &mut Renderer, poses: &[Pose], batch: usize) -> Result<Duration> {
     let bytes = renderer.frame_bytes().next_multiple_of(PAGE);
     let mut memory = vec![0_u8; bytes * batch + PAGE];

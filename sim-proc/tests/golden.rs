@@ -1,21 +1,22 @@
-//! Pictures that have been looked at and found good, compared with what is drawn now.
+//! Compares rendered views with reference images that a person has checked.
 //!
-//! `UPDATE_GOLDEN=1 cargo test -p sim-proc --test golden` writes them anew; look at them before you
-//! commit them. Drivers round differently, so a little difference is allowed.
+//! `UPDATE_GOLDEN=1 cargo test --release -p sim-proc --test golden` writes new reference images; check them before
+//! committing. Backends and drivers round differently, so small differences are allowed.
 
 use std::path::{Path, PathBuf};
 
-use image::RgbaImage;
+use domain::{Heading, Pose};
+use png_file::RgbaImage;
 use sim_proc::renderer::{RenderSettings, Renderer, View};
 use warehouse::{CaseSet, Variant, Warehouse};
 
 /// A pixel counts as different when a channel is off by more than this.
 const CHANNEL_TOLERANCE: u8 = 24;
 
-/// So many of a thousand pixels may be different.
+/// How many of a thousand pixels may differ.
 const PIXELS_PER_MILLE: usize = 4;
 
-/// What the pictures are called, and where they are taken.
+/// Names and poses of the views.
 const VIEWS: [(&str, &str); 6] = [
     ("along-aisle-a", "2,8,N"),
     ("cross-aisle", "5,14,E"),
@@ -30,7 +31,7 @@ fn folder() -> PathBuf {
 }
 
 #[test]
-fn views_look_as_they_did() {
+fn views_look_like_their_references() {
     let warehouse = Warehouse::shipped();
     let mut renderer = Renderer::new(&warehouse, RenderSettings::default()).unwrap();
     let mut wrong = Vec::new();
@@ -39,60 +40,54 @@ fn views_look_as_they_did() {
         let image = renderer.render_image(view).unwrap();
         wrong.extend(compare(name, &image));
     }
-    // A barricade, seen from two cells before it.
+    // A barricade, seen from two cells away.
     let cases = CaseSet::shipped();
     let closed = Variant::closing(cases.cases[0].barricade.iter().copied());
-    let (pose, _) = standing_before(&warehouse, &closed);
+    let pose = pose_before(&warehouse, &closed);
     let image = renderer.render_image(View { pose, variant: &closed }).unwrap();
     wrong.extend(compare("barricade", &image));
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));
 }
 
-/// The first pose, by cell and heading, that looks at a closed cell from two cells away.
-fn standing_before(warehouse: &Warehouse, closed: &Variant) -> (domain::Pose, domain::Cell) {
+/// The first pose, by cell and heading, that faces a closed cell from two cells away.
+fn pose_before(warehouse: &Warehouse, closed: &Variant) -> Pose {
     for &cell in closed.closed() {
-        for heading in domain::Heading::ALL {
-            let back = heading.opposite();
-            let free = |cell| warehouse.layout.free_neighbour(cell, back);
-            let Some(before) = free(cell).filter(|&before| !closed.is_closed(before)) else {
+        for heading in Heading::ALL {
+            let back = |cell| warehouse.layout.free_neighbour(cell, heading.opposite());
+            let Some(before) = back(cell).filter(|&before| !closed.is_closed(before)) else {
                 continue;
             };
-            if let Some(stand) = free(before) {
-                return (domain::Pose { cell: stand, heading }, cell);
+            if let Some(cell) = back(before) {
+                return Pose { cell, heading };
             }
         }
     }
-    panic!("a barricade that cannot be stood before");
+    panic!("no pose faces the barricade");
 }
 
-/// What is wrong with the picture called `name`, if anything.
+/// What is wrong with the image called `name`, if anything.
 fn compare(name: &str, actual: &RgbaImage) -> Option<String> {
     let path = folder().join(format!("{name}.png"));
     if std::env::var_os("UPDATE_GOLDEN").is_some() {
         save(actual, &path);
         return None;
     }
-    let golden = match image::open(&path) {
-        Ok(golden) => golden.to_rgba8(),
-        Err(error) => {
-            return Some(format!("{}: {error}; UPDATE_GOLDEN=1 writes it", path.display()));
-        }
+    let golden = match RgbaImage::read(&path) {
+        Ok(golden) => golden,
+        Err(error) => return Some(format!("{error}; UPDATE_GOLDEN=1 writes it")),
     };
-    if golden.dimensions() != actual.dimensions() {
-        return Some(format!(
-            "{name}: {:?} instead of {:?}",
-            actual.dimensions(),
-            golden.dimensions()
-        ));
+    let (width, height) = (actual.width(), actual.height());
+    if [golden.width(), golden.height()] != [width, height] {
+        return Some(format!("{name}: {actual:?} instead of {golden:?}"));
     }
-    let mut difference = RgbaImage::new(actual.width(), actual.height());
+    let mut difference = RgbaImage::filled(width, height, [0, 0, 0, 255]);
     let mut count = 0;
-    for ((a, b), shown) in actual.pixels().zip(golden.pixels()).zip(difference.pixels_mut()) {
-        let off = (0..4).map(|i| a[i].abs_diff(b[i])).max().unwrap_or(0);
+    for (i, (a, b)) in (0..).zip(actual.pixels().zip(golden.pixels())) {
+        let off = a.iter().zip(b).map(|(a, b)| a.abs_diff(b)).max().unwrap_or(0);
         count += usize::from(off > CHANNEL_TOLERANCE);
-        *shown = image::Rgba([off, off, off, 255]);
+        *difference.pixel_mut(i % width, i / width) = [off, off, off, 255];
     }
-    let allowed = (actual.width() * actual.height()) as usize * PIXELS_PER_MILLE / 1000;
+    let allowed = (width * height) as usize * PIXELS_PER_MILLE / 1000;
     if count <= allowed {
         return None;
     }
@@ -102,15 +97,15 @@ fn compare(name: &str, actual: &RgbaImage) -> Option<String> {
     save(&difference, &shown);
     save(actual, &drawn);
     Some(format!(
-        "{name}: {count} pixels differ, {allowed} may; see {} and {}; if the new picture is right, \
-         UPDATE_GOLDEN=1 keeps it",
+        "{name}: {count} pixels differ, {allowed} may; see {} and {}; if the new image is right, \
+         UPDATE_GOLDEN=1 makes it the reference",
         drawn.display(),
         shown.display()
     ))
 }
 
 fn save(image: &RgbaImage, path: &Path) {
-    if let Err(error) = image.save(path) {
-        panic!("cannot write {}: {error}", path.display());
+    if let Err(error) = image.write(path) {
+        panic!("cannot write {error}");
     }
 }

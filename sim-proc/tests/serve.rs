@@ -1,5 +1,5 @@
-//! The serve loop among scripted peers: this test plays orchestrator, memory and policy, and a painter that
-//! writes down what it was asked to draw.
+//! The serve loop with scripted neighbours: the test acts as orchestrator, memory and policy, and render workers write
+//! what they were asked to render into the pixels.
 
 #![expect(clippy::unwrap_used, reason = "test helpers fail loudly")]
 
@@ -17,53 +17,53 @@ use shm_types::message::{
 use shm_types::{
     Attach, Bus, FrameControl, FrameSize, FrameStore, Notifier, Receiver, RunDir, Sender,
 };
-use sim_proc::painter::{Painter, Painting, Studio};
+use sim_proc::render_pool::{RenderSetup, RenderTask, RenderWorker};
 use sim_proc::renderer::{
     Destination, RenderError, RenderJob, RenderSettings, Renderer, View as Look,
 };
-use sim_proc::serve::{Ahead, ServeError, serve};
+use sim_proc::serve::{ServeError, serve};
 use tempfile::TempDir;
 use warehouse::{CaseSet, Variant, Warehouse, step};
 
-/// A wait that lasts this long hangs.
+/// The longest wait of a test.
 const LONG: Duration = Duration::from_secs(120);
 
-/// Fills a slot with the pose and the size of a barricade that is near, again and again.
-struct Scribe;
+/// Fills a slot with pixels that tell the pose and the number of nearby closed cells.
+struct CodeWorker;
 
-fn scribble(variant: &Variant, pose: Pose) -> [u8; 4] {
+fn code(variant: &Variant, pose: Pose) -> [u8; 4] {
     let WirePose([x, y, heading, _]) = pose.into();
     let size = if is_near(variant, pose) { variant.closed().len() } else { 0 };
     [x, y, heading, size as u8]
 }
 
-/// A scribe sees four cells far, in all directions.
+/// Barricades are visible for four cells in all directions.
 fn is_near(variant: &Variant, pose: Pose) -> bool {
     variant.closed().iter().any(|cell| cell.distance(pose.cell) <= 4)
 }
 
-impl Painter for Scribe {
-    fn paint(&mut self, paintings: &mut [Painting<'_>]) -> Result<u64, RenderError> {
-        for Painting { variant, pose, slot } in &mut *paintings {
-            let text = scribble(variant, *pose);
-            slot.pixels_mut().chunks_exact_mut(4).for_each(|pixel| pixel.copy_from_slice(&text));
+impl RenderWorker for CodeWorker {
+    fn render_into(&mut self, tasks: &mut [RenderTask<'_>]) -> Result<u64, RenderError> {
+        for RenderTask { variant, pose, slot } in &mut *tasks {
+            let code = code(variant, *pose);
+            slot.pixels_mut().chunks_exact_mut(4).for_each(|pixel| pixel.copy_from_slice(&code));
         }
-        // As if it had copied a byte for each.
-        Ok(paintings.len() as u64)
+        // As if one byte had been copied for each.
+        Ok(tasks.len() as u64)
     }
 }
 
-/// Two scribes.
-fn scribes() -> Studio {
-    Studio {
-        painters: vec![Box::new(Scribe), Box::new(Scribe)],
-        at_once: 3,
+/// Two workers.
+fn setup() -> RenderSetup {
+    RenderSetup {
+        workers: vec![Box::new(CodeWorker), Box::new(CodeWorker)],
+        batch_views: 3,
         may_show_barricade: Box::new(is_near),
-        facts: vec![("adapter", "a scribe".to_owned())],
+        facts: vec![("backend", "test".to_owned())],
     }
 }
 
-/// A run with a simulator in it, and everybody else. Fields are dropped in order.
+/// A run with a simulator and its scripted neighbours. Fields are dropped in order.
 struct Peers {
     commands: Sender<StepCommand>,
     stops: Sender<Stop>,
@@ -77,7 +77,7 @@ struct Peers {
     observations: [Receiver<Observation>; 3],
     stores: [FrameStore; 2],
     orchestrator: Bus,
-    /// Nobody listens to these, but a message waits for all its receivers.
+    /// Unused, but a message waits for all its receivers.
     _stop_receivers: [Receiver<Stop>; 2],
     _others: [Bus; 2],
     warehouse: Warehouse,
@@ -99,18 +99,18 @@ impl Drop for Peers {
     }
 }
 
-/// Peers around a simulator with [`scribes`].
+/// The neighbours of a simulator with [`setup`].
 fn peers(change: impl FnOnce(&mut Attach)) -> Peers {
-    let mut peers = peers_around(change, Ahead::Nothing, |_| Ok(scribes()));
+    let mut peers = peers_around(change, false, |_| Ok(setup()));
     let handshake = peers.wait(|peers| peers.handshakes.next().unwrap());
-    assert_eq!(handshake.facts().unwrap(), BTreeMap::from([("adapter".into(), "a scribe".into())]));
+    assert_eq!(handshake.facts().unwrap(), BTreeMap::from([("backend".into(), "test".into())]));
     peers
 }
 
 fn peers_around(
     change: impl FnOnce(&mut Attach),
-    ahead: Ahead,
-    open: impl FnOnce(FrameSize) -> Result<Studio, RenderError> + Send + 'static,
+    warm_views: bool,
+    open: impl FnOnce(FrameSize) -> Result<RenderSetup, RenderError> + Send + 'static,
 ) -> Peers {
     let base = tempfile::Builder::new().prefix("mt").tempdir_in("/tmp").unwrap();
     let run = RunDir::create(base.path()).unwrap();
@@ -132,7 +132,7 @@ fn peers_around(
     let simulator = thread::spawn(move || {
         let frame = attach.frame;
         let bus = Bus::join(attach, Role::Sim)?;
-        serve(&bus, &Warehouse::shipped(), &CaseSet::shipped(), ahead, || open(frame))
+        serve(&bus, &Warehouse::shipped(), &CaseSet::shipped(), warm_views, || open(frame))
     });
     Peers {
         commands: orchestrator.sender().unwrap(),
@@ -158,19 +158,19 @@ fn peers_around(
 }
 
 impl Peers {
-    /// Looks, and sleeps a moment until there is something to see: not everything rings at the orchestrator.
+    /// Polls `look` until it returns something: not every message wakes the orchestrator.
     fn wait<T>(&mut self, look: impl Fn(&mut Self) -> Option<T>) -> T {
         loop {
             let over = self.simulator.as_ref().is_none_or(JoinHandle::is_finished);
             if let Some(seen) = look(self) {
                 return seen;
             }
-            assert!(!over, "the simulator ended before this came");
+            assert!(!over, "the simulator ended too early");
             self.orchestrator.listener().wait(Duration::from_millis(1)).unwrap();
         }
     }
 
-    /// Rings, waits for `count` observations; all three receivers must get the same.
+    /// Wakes the simulator and waits for `count` observations, which all three receivers must get.
     fn observe(&mut self, count: usize) -> Vec<Observation> {
         self.notifier.notify().unwrap();
         let mut seen = Vec::new();
@@ -201,8 +201,8 @@ impl Peers {
         read_text(&error_report.text, error_report.text_len).unwrap().to_owned()
     }
 
-    /// What the frame shows, as both consumers see it.
-    fn picture(&mut self, frame: FrameId) -> [u8; 4] {
+    /// The code in the frame's pixels, as both consumers read it.
+    fn shown_code(&mut self, frame: FrameId) -> [u8; 4] {
         let [memory, policy] = self.stores.each_mut().map(|store| {
             let frame = store.get(frame).unwrap().expect("the frame is resident").clone();
             let (first, rest) = frame.pixels().split_at(4);
@@ -214,7 +214,7 @@ impl Peers {
         memory
     }
 
-    fn hold(&mut self, pose: Pose) -> ViewRequest {
+    fn pin(&mut self, pose: Pose) -> ViewRequest {
         let (kind, frame) = (ViewRequestKind::Pin as u8, NO_FRAME);
         let request = ViewRequest { frame, pose: pose.into(), kind, reserved: [0; 3] };
         self.requests.send(&request).unwrap();
@@ -256,7 +256,7 @@ fn episodes_run_by_the_dynamics_and_show_what_is_there() {
     let mut peers = peers(|_| {});
     let case = peers.cases.cases[3].clone();
     let variant = Variant::closing(case.barricade.iter().copied());
-    // The four lanes walk the blocked reference, one after the other in step.
+    // All four lanes follow the blocked reference in step.
     let mut pose = case.blocked.start;
     let mut shown = BTreeSet::new();
     for lane in 0..4 {
@@ -274,7 +274,7 @@ fn episodes_run_by_the_dynamics_and_show_what_is_there() {
             assert!(o.woken_ns <= o.stepped_ns && o.stepped_ns <= o.rendered_ns);
             assert!(o.rendered_ns <= o.sent_ns);
         }
-        assert_eq!(peers.picture(observations[0].frame), scribble(&variant, pose));
+        assert_eq!(peers.shown_code(observations[0].frame), code(&variant, pose));
         shown.insert(observations[0].frame);
         (pose, feedback) = step(&peers.warehouse.layout, &variant, pose, action);
         for lane in 0..4 {
@@ -321,7 +321,7 @@ fn lanes_share_a_frame_wherever_their_worlds_look_alike() {
                 let variant = if lane == 0 { 0 } else { numbers[lane] as u32 + 1 };
                 let command = reset(lane as u32, 4 * n + lane as u64, variant, pose);
                 let seen = peers.ask(&command);
-                assert_eq!(peers.picture(seen.frame), scribble(&variants[lane], pose));
+                assert_eq!(peers.shown_code(seen.frame), code(&variants[lane], pose));
                 seen.frame
             })
             .collect();
@@ -342,7 +342,7 @@ fn memory_gets_the_views_it_asks_for_until_it_lets_go() {
     let poses = peers.poses();
     let held: Vec<Pose> = poses[..40].to_vec();
     for &pose in &held {
-        peers.hold(pose);
+        peers.pin(pose);
     }
     peers.notifier.notify().unwrap();
     let mut frames = BTreeMap::new();
@@ -352,7 +352,7 @@ fn memory_gets_the_views_it_asks_for_until_it_lets_go() {
     }
     assert_eq!(frames.keys().copied().collect::<BTreeSet<_>>(), held.iter().copied().collect());
 
-    // A walk that needs more than the rest of the store leaves them where they are.
+    // An episode that needs more than the rest of the store does not evict them.
     let start = poses[0];
     peers.ask(&reset(0, 1, 0, start));
     for step in 1..60 {
@@ -360,12 +360,12 @@ fn memory_gets_the_views_it_asks_for_until_it_lets_go() {
         peers.ask(&act(0, 1, step, action));
     }
     for (&pose, &frame) in &frames {
-        assert_eq!(peers.picture(frame), scribble(&Variant::UNCHANGED, pose));
+        assert_eq!(peers.shown_code(frame), code(&Variant::UNCHANGED, pose));
     }
     // A view that is resident is answered with the same frame, also to a lane.
     let (&pose, &frame) = frames.first_key_value().unwrap();
     assert_eq!(peers.ask(&reset(1, 2, 0, pose)).frame, frame);
-    peers.hold(pose);
+    peers.pin(pose);
     peers.notifier.notify().unwrap();
     assert_eq!(peers.wait(|peers| peers.views.next().unwrap()).frame, frame);
     peers.release(frame);
@@ -375,14 +375,14 @@ fn memory_gets_the_views_it_asks_for_until_it_lets_go() {
     peers.release(frame);
     assert_eq!(
         peers.error_report(),
-        format!("view request: frame {frame} is released, but it is not held")
+        format!("view request: frame {frame} is released, but it is not pinned")
     );
     let shutdown_report = peers.stop();
     assert_eq!(shutdown_report.error_reports, 1);
 }
 
 #[test]
-fn a_walk_longer_than_the_store_evicts_and_memory_stays_bounded() {
+fn an_episode_longer_than_the_store_evicts_and_memory_stays_bounded() {
     // Two lanes of window 1 keep three views each.
     let mut peers = peers(|attach| {
         (attach.frame_capacity, attach.lanes, attach.window) = (6, 2, 1);
@@ -391,7 +391,7 @@ fn a_walk_longer_than_the_store_evicts_and_memory_stays_bounded() {
     let mut recent = [const { Vec::<(FrameId, Pose)>::new() }; 2];
     for (n, pair) in poses.chunks_exact(2).enumerate() {
         for (lane, &pose) in pair.iter().enumerate() {
-            // A new episode each time lets go of the lane; every third goes on instead.
+            // Every third step begins an episode, which unpins the lane's views.
             let seen = if n % 3 == 0 {
                 recent[lane].clear();
                 peers.ask(&reset(lane as u32, n as u64, 0, pose))
@@ -403,7 +403,7 @@ fn a_walk_longer_than_the_store_evicts_and_memory_stays_bounded() {
             assert!(peers.stores[0].held() <= 6);
         }
         for (frame, pose) in recent.concat() {
-            assert_eq!(peers.picture(frame), scribble(&Variant::UNCHANGED, pose));
+            assert_eq!(peers.shown_code(frame), code(&Variant::UNCHANGED, pose));
         }
     }
     let shutdown_report = peers.stop();
@@ -420,14 +420,14 @@ fn controls_change_what_lanes_see_and_not_what_memory_gets() {
         for (episode, &pose) in poses.iter().step_by(50).enumerate() {
             let seen = peers.ask(&reset(0, episode as u64, 0, pose));
             assert_eq!(seen.pose, pose.into());
-            let picture = peers.picture(seen.frame);
-            assert_ne!(picture, scribble(&Variant::UNCHANGED, pose));
-            assert_eq!(picture == [128, 128, 128, 255], control == FrameControl::Blank);
+            let shown_code = peers.shown_code(seen.frame);
+            assert_ne!(shown_code, code(&Variant::UNCHANGED, pose));
+            assert_eq!(shown_code == [128, 128, 128, 255], control == FrameControl::Blank);
             shown.insert(seen.frame);
-            peers.hold(pose);
+            peers.pin(pose);
             peers.notifier.notify().unwrap();
             let view = peers.wait(|peers| peers.views.next().unwrap());
-            assert_eq!(peers.picture(view.frame), scribble(&Variant::UNCHANGED, pose));
+            assert_eq!(peers.shown_code(view.frame), code(&Variant::UNCHANGED, pose));
         }
         assert_eq!(shown.len() == 1, control == FrameControl::Blank, "one grey frame for all");
         peers.stop();
@@ -435,7 +435,7 @@ fn controls_change_what_lanes_see_and_not_what_memory_gets() {
 }
 
 #[test]
-fn rubbish_is_counted_and_the_run_goes_on() {
+fn invalid_messages_are_reported_and_the_run_continues() {
     let mut peers = peers(|_| {});
     let pose = peers.poses()[0];
     let nowhere = WirePose([200, 200, 0, 0]);
@@ -443,7 +443,10 @@ fn rubbish_is_counted_and_the_run_goes_on() {
         (StepCommand { lane: 9, ..reset(0, 1, 0, pose) }, "there are 4 lanes"),
         (StepCommand { kind: 77, ..reset(0, 1, 0, pose) }, "77 is not a step kind"),
         (reset(0, 1, 4000, pose), "variant 4000 is not one of"),
-        (StepCommand { start: nowhere, ..reset(0, 1, 0, pose) }, "nobody can stand at 200,200,N"),
+        (
+            StepCommand { start: nowhere, ..reset(0, 1, 0, pose) },
+            "an agent cannot stand at 200,200,N",
+        ),
         (act(0, 1, 1, Action::Forward), "the lane is in no episode"),
     ] {
         peers.commands.send(&command).unwrap();
@@ -452,7 +455,7 @@ fn rubbish_is_counted_and_the_run_goes_on() {
     }
     for (request, said) in [
         (ViewRequest { kind: 9, ..Zeroable::zeroed() }, "9 is not a view request kind"),
-        (ViewRequest { pose: nowhere, ..Zeroable::zeroed() }, "nobody can stand at 200,200,N"),
+        (ViewRequest { pose: nowhere, ..Zeroable::zeroed() }, "an agent cannot stand at 200,200,N"),
         (ViewRequest { frame: 5, kind: 1, ..Zeroable::zeroed() }, "frame 5 is released"),
     ] {
         peers.requests.send(&request).unwrap();
@@ -464,7 +467,7 @@ fn rubbish_is_counted_and_the_run_goes_on() {
 }
 
 #[test]
-fn a_store_that_is_too_small_is_named_before_the_end() {
+fn a_store_that_is_too_small_is_reported() {
     let mut peers = peers(|attach| attach.frame_capacity = 3);
     let poses = peers.poses();
     for (lane, &pose) in poses[..4].iter().enumerate() {
@@ -476,50 +479,53 @@ fn a_store_that_is_too_small_is_named_before_the_end() {
         "4 views are in use at once and the frame store has room for 3: raise --frame-budget or lower --lanes"
     );
     let error = peers.simulator.take().unwrap().join().unwrap().unwrap_err();
-    assert!(matches!(error, ServeError::Overfull(_)));
+    assert!(matches!(error, ServeError::CacheFull(_)));
 }
 
-/// Gives up at the first painting.
-struct Quitter;
+/// Panics at its first task.
+struct PanickingWorker;
 
-impl Painter for Quitter {
-    fn paint(&mut self, _paintings: &mut [Painting<'_>]) -> Result<u64, RenderError> {
-        panic!("this painter gives up, as a test wants it to");
+impl RenderWorker for PanickingWorker {
+    fn render_into(&mut self, _tasks: &mut [RenderTask<'_>]) -> Result<u64, RenderError> {
+        panic!("this worker panics, as the test wants");
     }
 }
 
 #[test]
-fn a_painter_that_is_gone_ends_the_run() {
-    let studio = || Studio { painters: vec![Box::new(Quitter), Box::new(Quitter)], ..scribes() };
-    let mut peers = peers_around(|_| {}, Ahead::Nothing, move |_| Ok(studio()));
+fn a_panicking_worker_ends_the_run() {
+    let studio = || RenderSetup {
+        workers: vec![Box::new(PanickingWorker), Box::new(PanickingWorker)],
+        ..setup()
+    };
+    let mut peers = peers_around(|_| {}, false, move |_| Ok(studio()));
     peers.commands.send(&reset(0, 1, 0, peers.poses()[0])).unwrap();
     assert_eq!(
         peers.error_report(),
-        "a thread that draws has ended; what it said before is the reason"
+        "a render worker has ended; its own message on standard error says why"
     );
     let error = peers.simulator.take().unwrap().join().unwrap().unwrap_err();
-    assert!(matches!(error, ServeError::Render(RenderError::PaintersGone)));
+    assert!(matches!(error, ServeError::Render(RenderError::WorkerEnded)));
 }
 
-/// A scribe that is told each time to go on.
-struct Hesitant(Told<()>);
+/// Waits for permission before each batch.
+struct WaitingWorker(Told<()>);
 
-impl Painter for Hesitant {
-    fn paint(&mut self, paintings: &mut [Painting<'_>]) -> Result<u64, RenderError> {
-        // A test that has failed tells nobody anything, and lets go.
+impl RenderWorker for WaitingWorker {
+    fn render_into(&mut self, tasks: &mut [RenderTask<'_>]) -> Result<u64, RenderError> {
+        // After a failed test the channel is closed.
         let _ = self.0.recv();
-        Scribe.paint(paintings)
+        CodeWorker.render_into(tasks)
     }
 }
 
 #[test]
-fn nobody_waits_for_what_another_wants_to_see() {
+fn no_lane_waits_for_the_view_of_another() {
     // The one who tells is dropped before the peers.
     let (mut peers, go_on) = {
         let (go_on, told) = channel();
-        let painters: Vec<Box<dyn Painter>> = vec![Box::new(Hesitant(told))];
-        let open = move |_| Ok(Studio { painters, ..scribes() });
-        (peers_around(|_| {}, Ahead::Nothing, open), go_on)
+        let workers: Vec<Box<dyn RenderWorker>> = vec![Box::new(WaitingWorker(told))];
+        let open = move |_| Ok(RenderSetup { workers, ..setup() });
+        (peers_around(|_| {}, false, open), go_on)
     };
     let poses = peers.poses();
     let (here, elsewhere) = (poses[0], poses[50]);
@@ -538,20 +544,19 @@ fn nobody_waits_for_what_another_wants_to_see() {
     let seen = peers.observe(1)[0];
     assert_eq!((seen.lane, seen.episode, seen.pose), (1, 2, elsewhere.into()));
     assert!(seen.stepped_ns < seen.rendered_ns);
-    assert_eq!(peers.picture(seen.frame), scribble(&Variant::UNCHANGED, elsewhere));
+    assert_eq!(peers.shown_code(seen.frame), code(&Variant::UNCHANGED, elsewhere));
     assert_eq!(peers.stop().frames_rendered, 2);
 }
 
 #[test]
-fn what_is_drawn_ahead_is_not_drawn_again() {
-    let mut peers =
-        peers_around(|attach| attach.frame_capacity = 1500, Ahead::EveryView, |_| Ok(scribes()));
+fn warm_views_are_not_rendered_again() {
+    let mut peers = peers_around(|attach| attach.frame_capacity = 1500, true, |_| Ok(setup()));
     peers.wait(|peers| peers.handshakes.next().unwrap());
     let poses = peers.poses();
     for (episode, &pose) in poses.iter().enumerate().step_by(7) {
         let seen = peers.ask(&reset(0, episode as u64, 0, pose));
         assert_eq!(seen.rendered_ns, seen.stepped_ns, "{pose} was there");
-        assert_eq!(peers.picture(seen.frame), scribble(&Variant::UNCHANGED, pose));
+        assert_eq!(peers.shown_code(seen.frame), code(&Variant::UNCHANGED, pose));
     }
     let shutdown_report = peers.stop();
     assert_eq!(
@@ -561,8 +566,8 @@ fn what_is_drawn_ahead_is_not_drawn_again() {
 }
 
 #[test]
-fn a_store_without_room_for_every_view_is_named() {
-    let mut peers = peers_around(|_| {}, Ahead::EveryView, |_| Ok(scribes()));
+fn a_store_without_room_for_warm_views_is_reported() {
+    let mut peers = peers_around(|_| {}, true, |_| Ok(setup()));
     let views = peers.poses().len();
     assert_eq!(
         peers.error_report(),
@@ -572,12 +577,12 @@ fn a_store_without_room_for_every_view_is_named() {
         )
     );
     let error = peers.simulator.take().unwrap().join().unwrap().unwrap_err();
-    assert!(matches!(error, ServeError::NoRoomAhead { .. }));
+    assert!(matches!(error, ServeError::NoRoomForWarmViews { .. }));
 }
 
-/// The frames in shared memory are the renderer's own, byte for byte, and the device wrote them there.
+/// Frames in shared memory equal the renderer's, byte for byte, and are copied only where the device cannot write them.
 #[test]
-fn the_renderer_draws_into_the_frame_store() {
+fn the_renderer_writes_into_the_frame_store() {
     let size = FrameSize { width: 128, height: 96 };
     let settings = move |frame: FrameSize| RenderSettings {
         width_px: frame.width,
@@ -588,8 +593,8 @@ fn the_renderer_draws_into_the_frame_store() {
         |attach| {
             (attach.frame, attach.frame_capacity, attach.lanes, attach.window) = (size, 6, 1, 2)
         },
-        Ahead::Nothing,
-        move |frame| Studio::open(&Warehouse::shipped(), settings(frame)),
+        false,
+        move |frame| RenderSetup::open(&Warehouse::shipped(), settings(frame)),
     );
     let handshake = peers.wait(|peers| peers.handshakes.next().unwrap());
     let facts = handshake.facts().unwrap();

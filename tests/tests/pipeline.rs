@@ -91,19 +91,19 @@ fn the_expert_is_perfect_and_the_random_policy_is_not() {
 }
 
 #[test]
-fn views_are_drawn_on_the_adapter_that_was_asked_for() {
+fn views_are_rendered_with_the_requested_backend() {
     let bench = Bench::new();
-    let run = |adapter| {
-        let few = ["run", "--policy", "random", "--limit", "1", "--out", adapter];
-        bench.run(&[&few[..], &["--adapter", adapter]].concat())
+    let run = |out, backend: &[&str]| {
+        let few = ["run", "--policy", "random", "--limit", "1", "--out", out];
+        bench.run(&[&few[..], backend].concat())
     };
-    run("processor").expect(0);
-    let manifest = fs::read(bench.out("processor").join("manifest.json")).unwrap();
+    run("cpu", &["--backend", "cpu"]).expect(0);
+    let manifest = fs::read(bench.out("cpu").join("manifest.json")).unwrap();
     let manifest: Value = serde_json::from_slice(&manifest).unwrap();
-    assert_eq!(manifest["processes"]["sim"]["adapter"], "processor");
-    let Ended { stderr, .. } = run("abacus").expect(2);
+    assert_eq!(manifest["processes"]["sim"]["backend"], "cpu");
+    let Ended { stderr, .. } = run("abacus", &["--adapter", "abacus"]).expect(2);
     assert!(stderr.contains("contains \"abacus\"; there are: "), "{stderr}");
-    assert!(stderr.contains("\"processor\", which needs none"), "{stderr}");
+    assert!(stderr.contains("--backend cpu renders without one"), "{stderr}");
     assert_eq!(bench.leftovers(), Vec::<String>::new());
 }
 

@@ -3,25 +3,24 @@
 use domain::{Action, Cell, Feedback, Pose};
 
 use crate::dynamics::{Variant, step};
-use crate::mixed::Mixture;
 use crate::progress::Progress;
 use crate::task::Task;
 use crate::world::Warehouse;
 
-/// Which of a case's six trajectories (SPEC section 4).
+/// One of a case's six trajectories (specification, section 4).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub enum Start {
     /// The case's start.
     Original,
-    /// The same cell, heading turned around.
+    /// The same cell, facing the other way.
     Opposite,
     /// 2 to 4 cells along the same aisle, same heading.
     Nearby,
-    /// Another aisle, heading turned by a quarter.
+    /// Another aisle, heading turned by 90 degrees.
     Distant,
-    /// The new start that episodes are tested from. Never memory.
+    /// The new start that episodes are tested from. Never part of a memory.
     Test,
-    /// The test start with a passage closed. Never memory.
+    /// The test start with a passage closed. Never part of a memory.
     Blocked,
 }
 
@@ -30,7 +29,7 @@ impl Start {
     pub const ALL: [Self; 6] =
         [Self::Original, Self::Opposite, Self::Nearby, Self::Distant, Self::Test, Self::Blocked];
 
-    /// The four that memory is built from.
+    /// The four demonstrations that memories are built from.
     pub const DEMONSTRATIONS: [Self; 4] =
         [Self::Original, Self::Opposite, Self::Nearby, Self::Distant];
 
@@ -59,33 +58,55 @@ impl Start {
     }
 }
 
-/// A start pose and what is done from there. Everything else about it follows by replay.
+/// What kind of histories of other tasks a case is tested with (specification, section 6).
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub enum Mixture {
+    /// They share no pose with the test reference.
+    Irrelevant,
+    /// They share poses with it and continue differently from there.
+    Confusable,
+}
+
+impl Mixture {
+    /// Both kinds.
+    pub const ALL: [Self; 2] = [Self::Irrelevant, Self::Confusable];
+
+    /// The name in files and tables.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Irrelevant => "irrelevant",
+            Self::Confusable => "confusable",
+        }
+    }
+}
+
+/// A start pose and a list of actions. Everything else follows by replay.
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
 pub struct Trajectory {
-    /// Where it begins.
+    /// The first pose.
     pub start: Pose,
-    /// What is done, in order.
+    /// The actions, in order.
     pub actions: Vec<Action>,
 }
 
-/// A trajectory acted out. Index 0 of each list is the start, index `t` the state after action `t`.
+/// A replayed trajectory. Index 0 of each list is the start, index `t` the state after action `t`.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Replay {
-    /// Where the agent was.
+    /// Poses.
     pub poses: Vec<Pose>,
-    /// What it was told; [`Feedback::Start`] first.
+    /// Feedback; [`Feedback::Start`] first.
     pub feedback: Vec<Feedback>,
     /// Sub-goals completed so far.
     pub stages: Vec<u32>,
-    /// For each sub-goal in order of completion: the step at which it was completed.
+    /// The steps at which sub-goals were completed, in order.
     pub goal_steps: Vec<u32>,
-    /// Steps until the task was complete, `l_i` of a reference; `None` when it never was. A last turn
-    /// towards the rack comes after it and does not count.
+    /// Steps until the task was complete, `l_i` of a reference; `None` if it never was. A final turn towards the rack comes
+    /// after that and does not count.
     pub length: Option<u32>,
 }
 
 impl Trajectory {
-    /// Acts the trajectory out in the world's own dynamics and scores it for `task`.
+    /// Replays the trajectory with the world's dynamics and scores it for `task`.
     pub fn replay(&self, warehouse: &Warehouse, task: &Task, variant: &Variant) -> Replay {
         let mut progress = Progress::new(warehouse, task, self.start.cell);
         let mut replay = Replay {
@@ -112,7 +133,7 @@ impl Trajectory {
     }
 }
 
-/// A demonstration, and whose it is.
+/// A demonstration of a case.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct History {
     /// Index of the case in its set.
@@ -121,13 +142,13 @@ pub struct History {
     pub start: Start,
 }
 
-/// One task, its six trajectories, what its blocked variant closes, and which demonstrations of other tasks
-/// it is tested with.
+/// A task, its six trajectories, the passage that its blocked variant closes, and the demonstrations of other tasks that it
+/// is tested with.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Case {
-    /// Names the case everywhere, for example `t03-07`: type 3, seventh case.
+    /// Identifies the case, for example `t03-07`: type 3, seventh case.
     pub id: String,
-    /// What is asked.
+    /// The task.
     pub task: Task,
     /// Demonstration from the case's start.
     pub original: Trajectory,
@@ -145,7 +166,7 @@ pub struct Case {
     pub barricade: Vec<Cell>,
     /// Two demonstrations of other tasks that share no pose with the test reference.
     pub irrelevant: [History; 2],
-    /// Two demonstrations of other tasks that share poses with it and go on differently from there.
+    /// Two demonstrations of other tasks that share poses with it and continue differently from there.
     pub confusable: [History; 2],
 }
 
@@ -162,7 +183,7 @@ impl Case {
         }
     }
 
-    /// Its histories of one kind.
+    /// Its histories of other tasks of one kind.
     pub const fn mixed(&self, mixture: Mixture) -> [History; 2] {
         match mixture {
             Mixture::Irrelevant => self.irrelevant,
@@ -170,7 +191,7 @@ impl Case {
         }
     }
 
-    /// The world in which the trajectory from `start` is walked.
+    /// The world variant of the trajectory from `start`.
     pub fn variant(&self, start: Start) -> Variant {
         match start {
             Start::Blocked => Variant::closing(self.barricade.iter().copied()),
@@ -178,28 +199,28 @@ impl Case {
         }
     }
 
-    /// The trajectory from `start`, acted out in its own world.
+    /// Replays the trajectory from `start` in its world variant.
     pub fn replay(&self, warehouse: &Warehouse, start: Start) -> Replay {
         self.trajectory(start).replay(warehouse, &self.task, &self.variant(start))
     }
 }
 
-/// The cases of a benchmark, all made from one seed.
+/// The cases of a benchmark, all generated from one seed.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct CaseSet {
-    /// What they were generated from.
+    /// The seed.
     pub seed: u64,
-    /// In the order of their ids.
+    /// The cases, sorted by id.
     pub cases: Vec<Case>,
 }
 
 impl CaseSet {
-    /// Where the case called `id` stands.
+    /// The index of the case with this id.
     pub fn index(&self, id: &str) -> Option<usize> {
         self.cases.iter().position(|case| case.id == id)
     }
 
-    /// The case called `id`.
+    /// The case with this id.
     pub fn case(&self, id: &str) -> Option<&Case> {
         self.cases.iter().find(|case| case.id == id)
     }
@@ -217,8 +238,8 @@ mod tests {
         let warehouse = tiny();
         let task = Task::InOrder { a: BLUE_BARREL, b: RED_BARREL };
         let actions = "fRUffrfL".chars().filter_map(Action::from_letter).collect();
-        let walk = Trajectory { start: Pose::new(1, 3, Heading::W), actions };
-        let replay = walk.replay(&warehouse, &task, &Variant::UNCHANGED);
+        let trajectory = Trajectory { start: Pose::new(1, 3, Heading::W), actions };
+        let replay = trajectory.replay(&warehouse, &task, &Variant::UNCHANGED);
         use Feedback::{Blocked, Moved, Start, Turned};
         assert_eq!(
             replay.feedback,

@@ -1,8 +1,8 @@
-//! A set of cases as a text file that people can read: `cases.toml`.
+//! Reads and writes a set of cases as a text file, `cases.toml`.
 //!
-//! A case lists its task by type number and names, and six trajectories as a start pose and a letter for
-//! each action. Reading checks that the file means something in a warehouse; whether it is a *good* set
-//! is the validator's business.
+//! A case lists its task by type number and names, and six trajectories as a start pose and a letter for each action.
+//! Reading checks that names, cells and actions are valid in a warehouse; the [validator](crate::validate()) checks the
+//! constraints on cases.
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -12,14 +12,13 @@ use domain::{Action, Cell, Pose};
 use serde::Deserialize;
 
 use crate::asset::{AssetError, Problem, invalid, read, toml};
-use crate::case::{Case, CaseSet, History, Start, Trajectory};
+use crate::case::{Case, CaseSet, History, Mixture, Start, Trajectory};
 use crate::catalogue::Catalogue;
 use crate::dynamics::MAX_STEPS;
-use crate::mixed::Mixture;
 use crate::task::Task;
 use crate::world::Warehouse;
 
-/// The file's name in an assets folder.
+/// The name of the file in an assets folder.
 pub const CASES_FILE: &str = "cases.toml";
 
 const SHIPPED_CASES: &str = include_str!("../../../assets/cases.toml");
@@ -27,7 +26,7 @@ const SHIPPED_CASES: &str = include_str!("../../../assets/cases.toml");
 /// Most cases of a set.
 const MAX_CASES: usize = 100_000;
 
-/// Most bytes of a case's id: it becomes part of file names and log keys.
+/// Most bytes of a case's id, which becomes part of file names and log keys.
 const MAX_ID: usize = 32;
 
 const HEADER: &str = "\
@@ -68,7 +67,7 @@ struct CaseEntry {
 }
 
 impl CaseSet {
-    /// The cases that are compiled in; they belong to [`Warehouse::shipped`].
+    /// The cases that are compiled in, for [`Warehouse::shipped`].
     pub fn shipped() -> Self {
         match Self::parse(SHIPPED_CASES, &Warehouse::shipped()) {
             Ok(cases) => cases,
@@ -76,11 +75,10 @@ impl CaseSet {
         }
     }
 
-    /// Reads the file at `path`, whose names and cells are those of `warehouse`.
+    /// Reads the file at `path`, whose cases belong to `warehouse`.
     ///
     /// # Errors
-    /// A file that cannot be read, or a case in it that means nothing in `warehouse`; the message names
-    /// the case and the field.
+    /// A file that cannot be read, or a case that is invalid in `warehouse`; the message names the case and the field.
     pub fn load(path: &Path, warehouse: &Warehouse) -> Result<Self, AssetError> {
         Self::parse(&read(path)?, warehouse).map_err(invalid(path.display()))
     }
@@ -110,7 +108,7 @@ impl CaseSet {
         Ok(Self { seed: file.seed, cases })
     }
 
-    /// The file's text. [`load`](Self::load) gives the same set back.
+    /// The text of the file, from which [`load`](Self::load) reads the same set.
     pub fn to_toml(&self, catalogue: &Catalogue) -> String {
         let mut text = format!("{HEADER}\nseed = {}\n", self.seed);
         for case in &self.cases {
@@ -153,7 +151,7 @@ fn write_case(text: &mut String, case: &Case, set: &CaseSet, catalogue: &Catalog
         case.barricade.iter().map(|cell| format!("[{}, {}]", cell.x, cell.y)).collect();
     lines.push(format!("barricade = [{}]", cells.join(", ")));
     for mixture in Mixture::ALL {
-        let [one, two] = case.mixed(mixture).map(|history| shown(set, history));
+        let [one, two] = case.mixed(mixture).map(|history| history_text(set, history));
         lines.push(format!("{} = [{one:?}, {two:?}]", mixture.name()));
     }
     for line in lines {
@@ -162,8 +160,8 @@ fn write_case(text: &mut String, case: &Case, set: &CaseSet, catalogue: &Catalog
     }
 }
 
-/// A history as it is written: the case's id and the demonstration's name.
-fn shown(set: &CaseSet, History { case, start }: History) -> String {
+/// A history in the file: the case's id and the demonstration's name.
+fn history_text(set: &CaseSet, History { case, start }: History) -> String {
     let id = set.cases.get(case).map_or("?", |case| &case.id);
     format!("{id} {}", start.name())
 }
@@ -277,7 +275,7 @@ fn parse_trajectory(text: &str, warehouse: &Warehouse) -> Result<Trajectory, Pro
     let (pose, letters) = text.split_once(' ').unwrap_or((text, ""));
     let start: Pose = pose.parse().map_err(|error: domain::pose::UnknownCode| error.to_string())?;
     if !warehouse.layout.is_free(start.cell) {
-        return Err(format!("starts on {}, which is no free cell", start.cell));
+        return Err(format!("starts on {}, which is not a free cell", start.cell));
     }
     let action = |(at, letter)| {
         Action::from_letter(letter).ok_or_else(|| {
@@ -285,14 +283,14 @@ fn parse_trajectory(text: &str, warehouse: &Warehouse) -> Result<Trajectory, Pro
         })
     };
     let actions = letters.chars().enumerate().map(action).collect::<Result<Vec<_>, _>>()?;
-    // The last turn towards the rack may come after the last step that counts.
+    // A final turn towards the rack may follow the last step that counts.
     if actions.is_empty() || actions.len() > MAX_STEPS as usize + 1 {
         return Err(format!("{} actions; must be 1 to {}", actions.len(), MAX_STEPS + 1));
     }
     Ok(Trajectory { start, actions })
 }
 
-/// A demonstration of some case of the file; a reference is none.
+/// A demonstration, not a reference, of a case in the file.
 fn parse_history(text: &str, indices: &BTreeMap<String, usize>) -> Result<History, Problem> {
     let (id, name) = text.split_once(' ').unwrap_or((text, ""));
     let case = indices.get(id).copied();
@@ -300,7 +298,7 @@ fn parse_history(text: &str, indices: &BTreeMap<String, usize>) -> Result<Histor
     let start = Start::DEMONSTRATIONS.into_iter().find(|start| start.name() == name);
     let start = start.ok_or_else(|| {
         let known = Start::DEMONSTRATIONS.map(Start::name).join(", ");
-        format!("{text:?}: {name:?} is no demonstration; a case has {known}")
+        format!("{text:?}: {name:?} is not a demonstration; a case has {known}")
     })?;
     Ok(History { case, start })
 }
@@ -316,7 +314,7 @@ fn check_barricade(cells: &[Cell], warehouse: &Warehouse) -> Result<(), Problem>
         ));
     }
     match cells.iter().find(|&&cell| !warehouse.layout.is_free(cell)) {
-        Some(cell) => Err(format!("{cell} is no free cell")),
+        Some(cell) => Err(format!("{cell} is not a free cell")),
         None => Ok(()),
     }
 }
@@ -345,7 +343,7 @@ confusable = ["t06-01 original", "t06-01 opposite"]
 "#;
 
     #[test]
-    fn a_case_is_read_as_it_was_written() {
+    fn a_written_case_reads_back_the_same() {
         let warehouse = Warehouse::shipped();
         let cases = CaseSet::parse(CASE, &warehouse).unwrap();
         assert_eq!(cases.seed, u64::MAX);
@@ -383,11 +381,15 @@ confusable = ["t06-01 original", "t06-01 opposite"]
             ("\"2,1,N fRf\"", "\"2,1 fRf\"", "original: 2,1 is not a pose"),
             ("\"2,1,N fRf\"", "\"2,1,N fRx\"", "original: action 3 is 'x', which is none of"),
             ("\"2,1,N fRf\"", "\"2,1,N\"", "original: 0 actions; must be 1 to 201"),
-            ("\"2,1,N fRf\"", "\"0,0,N f\"", "original: starts on (0, 0), which is no free cell"),
+            (
+                "\"2,1,N fRf\"",
+                "\"0,0,N f\"",
+                "original: starts on (0, 0), which is not a free cell",
+            ),
             ("[[2, 3], [3, 3]]", "[]", "barricade: closes no cell"),
             ("[[2, 3], [3, 3]]", "[[3, 3], [2, 3]]", "barricade: (3, 3) comes before (2, 3)"),
             ("[[2, 3], [3, 3]]", "[[2, 3], [2, 3]]", "barricade: (2, 3) comes before (2, 3)"),
-            ("[[2, 3], [3, 3]]", "[[1, 3]]", "barricade: (1, 3) is no free cell"),
+            ("[[2, 3], [3, 3]]", "[[1, 3]]", "barricade: (1, 3) is not a free cell"),
             ("[[2, 3], [3, 3]]", "[[2, 3000]]", "3000"),
             (
                 "t06-01 nearby",
@@ -397,7 +399,7 @@ confusable = ["t06-01 original", "t06-01 opposite"]
             (
                 "t06-01 original",
                 "t06-01 test",
-                "confusable: \"t06-01 test\": \"test\" is no demonstration; a case has original,",
+                "confusable: \"t06-01 test\": \"test\" is not a demonstration; a case has original,",
             ),
             (", \"t06-01 distant\"]", "]", "irrelevant"),
             ("test = ", "tset = ", "tset"),

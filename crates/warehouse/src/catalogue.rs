@@ -1,13 +1,11 @@
-//! The item catalogue: categories, their types, what each looks like, and the plates that name them.
-//!
-//! Where the items stand is the stock plan, read here and placed by [`world`](crate::Warehouse).
+//! The item catalogue: categories, types, and what each looks like. Also reads the stock plan, which says where items stand.
 
 use plates::code;
 use serde::Deserialize;
 
 use crate::asset::{Problem, toml};
 
-/// What an item looks like. A closed set: the renderer has one mesh for each.
+/// What an item looks like. The renderer has one mesh for each shape.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Shape {
@@ -55,19 +53,19 @@ impl Shape {
     ];
 }
 
-/// A family of types, named in the plural: "barrels".
+/// A family of types, for example "barrels".
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Category {
-    /// Plural name, as instructions and plates spell it.
+    /// Plural name, as in instructions and on plates.
     pub name: String,
     /// The shape that all its types share.
     pub shape: Shape,
 }
 
-/// What an item is: "blue barrel".
+/// A type of item, for example "blue barrel".
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct ItemType {
-    /// Singular name, as instructions and plates spell it.
+    /// Singular name, as in instructions and on plates.
     pub name: String,
     /// Index of its category in [`Catalogue::categories`].
     pub category: usize,
@@ -77,27 +75,27 @@ pub struct ItemType {
     pub colour: [u8; 3],
 }
 
-/// Everything that can stand on a rack.
+/// All categories and types.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Catalogue {
-    /// In the order of the file.
+    /// Categories, in the order of the file.
     pub categories: Vec<Category>,
-    /// By category, then in the order of the file.
+    /// Types, by category and then in the order of the file.
     pub types: Vec<ItemType>,
 }
 
 impl Catalogue {
-    /// Index of the type called `name`.
+    /// The index of the type called `name`.
     pub fn type_named(&self, name: &str) -> Option<usize> {
         self.types.iter().position(|item_type| item_type.name == name)
     }
 
-    /// Index of the category called `name`.
+    /// The index of the category called `name`.
     pub fn category_named(&self, name: &str) -> Option<usize> {
         self.categories.iter().position(|category| category.name == name)
     }
 
-    /// Indices of the types in `category`.
+    /// The indices of the types in `category`.
     pub fn types_in(&self, category: usize) -> impl Iterator<Item = usize> + '_ {
         (0..self.types.len()).filter(move |&index| self.types[index].category == category)
     }
@@ -143,8 +141,8 @@ struct TypeEntry {
 /// Reads the text of a `catalogue.toml`.
 ///
 /// # Errors
-/// Names the entry and what is wrong with it: a name used twice, two names with one plate code, a
-/// colour that is no colour or near the magenta of plate frames, an unknown mark in the stock plan.
+/// A name used twice, two names with the same plate code, an invalid colour or one near the magenta of plate frames, an
+/// unknown mark in the stock plan. The message names the entry.
 pub(crate) fn parse(text: &str) -> Result<(Catalogue, Stock), Problem> {
     let file: CatalogueFile = toml(text)?;
     let mut catalogue = Catalogue { categories: Vec::new(), types: Vec::new() };
@@ -202,7 +200,7 @@ fn parse_stock(plan: &str, marks: &[String]) -> Result<Stock, Problem> {
     Ok(Stock { rows })
 }
 
-/// Names are whole words in plain letters, and differ, and so do the plates they spell.
+/// Checks that names are lower-case words, and that names and their plates differ.
 fn check_names<'a>(what: &str, names: impl Iterator<Item = &'a str>) -> Result<(), Problem> {
     let mut seen: Vec<&str> = Vec::new();
     for name in names {
@@ -225,7 +223,7 @@ fn check_names<'a>(what: &str, names: impl Iterator<Item = &'a str>) -> Result<(
         }
         seen.push(name);
     }
-    if seen.is_empty() { Err(format!("{what}: there are none")) } else { Ok(()) }
+    if seen.is_empty() { Err(format!("{what}: there are none; add at least one")) } else { Ok(()) }
 }
 
 fn parse_colour(text: &str) -> Result<[u8; 3], Problem> {
@@ -236,7 +234,7 @@ fn parse_colour(text: &str) -> Result<[u8; 3], Problem> {
     };
     let [_, r, g, b] = value.to_be_bytes();
     if r.min(b) >= 96 && g <= r.min(b) / 2 {
-        return Err(format!("colour {text:?} is too near the magenta that frames plates"));
+        return Err(format!("colour {text:?} is too similar to the magenta of plate frames"));
     }
     Ok([r, g, b])
 }
@@ -273,11 +271,11 @@ mod tests {
                 barrels("{ name = \"barrel\", colour = \"blue\" }"),
                 "colour \"blue\" is not of the form",
             ),
-            (barrels("{ name = \"barrel\", colour = \"#ff00ff\" }"), "too near the magenta"),
+            (barrels("{ name = \"barrel\", colour = \"#ff00ff\" }"), "too similar to the magenta"),
             (barrels("{ name = \"Blue\", colour = \"#0000ff\" }"), "lower-case letters"),
             (barrels("{ name = \"blue\", color = \"#0000ff\" }"), "color"),
             (
-                // These two happen to share a code.
+                // These two names have the same code.
                 barrels(&format!(
                     "{blue}, {{ name = \"yellow barrel\", colour = \"#ffff00\" }}, {{ name = \"blue toolbox\", colour = \"#0000ff\" }}"
                 )),

@@ -1,7 +1,6 @@
-//! What must hold of a case (SPEC section 4), one predicate each, on replayed walks.
+//! The constraints on cases (specification, section 4), one predicate each, on replayed trajectories.
 //!
-//! The generator looks for cases that satisfy them and the validator counts those that do
-//! not; both use these words.
+//! The generator searches for cases that satisfy them, and the validator reports cases that do not.
 
 use domain::{Cell, Feedback, Pose};
 
@@ -12,22 +11,22 @@ use crate::sight::sees;
 use crate::task::Task;
 use crate::world::{Item, Warehouse};
 
-/// How far a nearby start lies along the aisle, in cells.
+/// Distance of a nearby start along the aisle, in cells.
 pub(crate) const NEARBY_CELLS: std::ops::RangeInclusive<u8> = 2..=4;
 
-/// How far a distant start lies off at least, in cells (columns plus rows).
+/// Least distance of a distant start, in cells (columns plus rows).
 pub(crate) const DISTANT_CELLS: u32 = 6;
 
 /// Length of the test reference, in percent of the original demonstration's.
 pub(crate) const TEST_LENGTH_PERCENT: std::ops::RangeInclusive<u32> = 75..=135;
 
-/// Most steps of any trajectory of a generated set, in percent of the fewest that complete its task.
+/// Most steps of any trajectory of a generated set, in percent of the fewest steps that complete its task.
 pub const MAX_DETOUR_PERCENT: u32 = 150;
 
 /// An undirected move between two neighbouring cells, the smaller cell first.
 pub(crate) type Edge = (Cell, Cell);
 
-/// The edges a walk uses, each once, sorted. Turns and blocked moves use none.
+/// The edges of a trajectory, each once, sorted. Turns and blocked moves have none.
 pub(crate) fn edges(poses: &[Pose]) -> Vec<Edge> {
     let moves = poses.windows(2).map(|pair| (pair[0].cell, pair[1].cell));
     let mut edges: Vec<Edge> =
@@ -37,12 +36,12 @@ pub(crate) fn edges(poses: &[Pose]) -> Vec<Edge> {
     edges
 }
 
-/// How many edges both walks use.
+/// The number of edges in both lists.
 pub(crate) fn shared(one: &[Edge], other: &[Edge]) -> usize {
     one.iter().filter(|edge| other.binary_search(edge).is_ok()).count()
 }
 
-/// Same cell, heading turned around.
+/// Same cell, facing the other way.
 pub(crate) fn is_opposite(original: Pose, opposite: Pose) -> bool {
     opposite == Pose { heading: original.heading.opposite(), ..original }
 }
@@ -61,7 +60,7 @@ pub(crate) fn is_nearby(layout: &Layout, original: Pose, nearby: Pose) -> bool {
         && across == 0
 }
 
-/// At least 6 cells away, in another aisle, heading turned by a quarter.
+/// At least 6 cells away, in another aisle, heading turned by 90 degrees.
 pub(crate) fn is_distant(layout: &Layout, original: Pose, distant: Pose) -> bool {
     layout.is_free(distant.cell)
         && layout.aisle_index(original.cell) != layout.aisle_index(distant.cell)
@@ -69,12 +68,12 @@ pub(crate) fn is_distant(layout: &Layout, original: Pose, distant: Pose) -> bool
         && [original.heading.left(), original.heading.right()].contains(&distant.heading)
 }
 
-/// At least half of the original's edges are in the other walk.
+/// At least half of the original's edges are in the other trajectory.
 pub(crate) fn shares_at_least_half(original: &[Edge], other: &[Edge]) -> bool {
     2 * shared(original, other) >= original.len()
 }
 
-/// At most half of the original's edges are in the other walk.
+/// At most half of the original's edges are in the other trajectory.
 pub(crate) fn shares_at_most_half(original: &[Edge], other: &[Edge]) -> bool {
     2 * shared(original, other) <= original.len()
 }
@@ -99,15 +98,15 @@ pub(crate) fn target_on<'i>(cells: &[Cell], targets: &[&'i Item]) -> Option<&'i 
     targets.iter().copied().find(|item| cells.contains(&item.standpoint))
 }
 
-/// Whether a walk enters `cells` from outside; beginning inside is not enough.
+/// Whether a trajectory enters `cells` from outside; beginning inside is not enough.
 pub(crate) fn enters(poses: &[Pose], cells: &[Cell]) -> bool {
     let is_inside = |pose: &Pose| cells.contains(&pose.cell);
     poses.windows(2).any(|pair| !is_inside(&pair[0]) && is_inside(&pair[1]))
 }
 
-/// The walk does its task, within the step limit, is never blocked, and ends there: at most one turn
-/// follows the step that completes the task.
-pub(crate) fn does_its_task(replay: &Replay) -> Result<u32, String> {
+/// Checks that the trajectory completes its task within the step limit, is never blocked, and ends there: at most one turn
+/// follows the step that completes the task. Returns that step.
+pub(crate) fn completes_task(replay: &Replay) -> Result<u32, String> {
     let blocked = replay.feedback.iter().position(|&feedback| feedback == Feedback::Blocked);
     if let Some(at) = blocked {
         return Err(format!("step {at} is blocked at {}", replay.poses[at]));
@@ -124,12 +123,12 @@ pub(crate) fn does_its_task(replay: &Replay) -> Result<u32, String> {
     }
     let tail = &replay.feedback[length as usize + 1..];
     if tail.len() > 1 || tail.contains(&Feedback::Moved) {
-        return Err(format!("goes on for {} steps after completing the task", tail.len()));
+        return Err(format!("continues for {} steps after completing the task", tail.len()));
     }
     Ok(length)
 }
 
-/// Wherever the walk reaches an item that counts, it looks at the item before it leaves the cell.
+/// Checks that wherever the trajectory reaches an item that counts, it faces the item before it leaves the cell.
 pub(crate) fn faces_targets(
     warehouse: &Warehouse,
     task: &Task,
@@ -142,13 +141,13 @@ pub(crate) fn faces_targets(
         let Some(item) = warehouse.item_at(cell) else { continue };
         let mut stay = replay.poses[at as usize..].iter().take_while(|pose| pose.cell == cell);
         if !stay.any(|pose| pose.heading == item.viewing_heading()) {
-            return Err(format!("reaches item {} at step {at} without looking at it", item.id));
+            return Err(format!("reaches item {} at step {at} without facing it", item.id));
         }
     }
     Ok(())
 }
 
-/// The walk is at most [`MAX_DETOUR_PERCENT`] of the fewest steps.
+/// At most [`MAX_DETOUR_PERCENT`] of the fewest steps.
 pub(crate) fn is_near_optimal(length: u32, fewest: u32) -> bool {
     100 * length <= MAX_DETOUR_PERCENT * fewest
 }

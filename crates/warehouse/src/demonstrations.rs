@@ -1,16 +1,14 @@
-//! Sets of demonstrations: what a memory is built from, as people write it and as it goes over the wire.
-//!
-//! A set is about some case; which demonstrations it then comes to, [`CaseSet::histories`] says.
+//! Which demonstrations a memory is built from, as text and as bits on the wire. [`CaseSet::histories`] lists them for a
+//! case.
 
 use std::fmt;
 use std::str::FromStr;
 
 use serde::{Deserialize, Serialize};
 
-use crate::case::{CaseSet, History, Start};
-use crate::mixed::Mixture;
+use crate::case::{CaseSet, History, Mixture, Start};
 
-/// Which demonstrations: some of the case's own four, or two of them and two of other cases (SPEC section 6).
+/// Some of the case's own four demonstrations, or two of them and two of other cases (specification, section 6).
 ///
 /// Written `original`, `original+nearby`, `4` for all own, `none`, `irrelevant` or `confusable`. The last
 /// two are mixed sets of four: original, opposite, and the case's two histories of that kind.
@@ -18,7 +16,7 @@ use crate::mixed::Mixture;
 #[serde(try_from = "String", into = "String")]
 pub struct Demonstrations(u8);
 
-/// A set that is written otherwise than [`Demonstrations`] are.
+/// A text that names no [`Demonstrations`].
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error(
     "unknown demonstrations `{given}`: did you mean `{nearest}`? (known: 4 for a case's own four, some of \
@@ -26,9 +24,9 @@ pub struct Demonstrations(u8);
     own = OWN.map(Start::name).join(", ")
 )]
 pub struct UnknownDemonstrations {
-    /// The word that is none.
+    /// The unknown word.
     pub given: String,
-    /// The word that is written most like it.
+    /// The known word nearest to it.
     pub nearest: &'static str,
 }
 
@@ -37,7 +35,7 @@ const OWN: [Start; 4] = Start::DEMONSTRATIONS;
 /// The bits of the case's own four.
 const OWN_BITS: u8 = 0b1111;
 
-/// Every set that is written as one word, with what it is shown as; a set is shown as the first that fits.
+/// Sets with a name. A set is displayed with the first name that fits.
 const WORDS: [(&str, Demonstrations); 9] = [
     ("none", Demonstrations::NONE),
     ("original", Demonstrations::ORIGINAL),
@@ -51,9 +49,9 @@ const WORDS: [(&str, Demonstrations); 9] = [
 ];
 
 impl Demonstrations {
-    /// No demonstration: what working memory has.
+    /// No demonstrations, as for working memory.
     pub const NONE: Self = Self(0);
-    /// The case's original demonstration alone.
+    /// Only the case's original demonstration.
     pub const ORIGINAL: Self = Self(1);
     /// The case's own four.
     pub const ALL: Self = Self(OWN_BITS);
@@ -62,25 +60,25 @@ impl Demonstrations {
     /// Original, opposite, and the case's two confusable histories.
     pub const CONFUSABLE: Self = Self(0b10_0011);
 
-    /// Bit i below 4 set: the case's own demonstration i is in the set. Bit 4: its irrelevant histories
-    /// are; bit 5: its confusable ones.
+    /// Bits 0 to 3 stand for the case's own demonstrations, bit 4 for its irrelevant histories, bit 5 for its confusable
+    /// ones.
     pub const fn bits(self) -> u32 {
         self.0 as u32
     }
 
-    /// The set with these [`bits`](Self::bits); `None` when there is no such set.
+    /// The set with these [`bits`](Self::bits), if there is one.
     pub const fn from_bits(bits: u32) -> Option<Self> {
         let is_own = bits <= OWN_BITS as u32;
         let is_mixed = bits == Self::IRRELEVANT.bits() || bits == Self::CONFUSABLE.bits();
         if is_own || is_mixed { Some(Self(bits as u8)) } else { None }
     }
 
-    /// Those of the case's own demonstrations that are in the set, in order.
+    /// The case's own demonstrations in the set, in order.
     pub fn own(self) -> impl Iterator<Item = Start> {
         OWN.into_iter().filter(move |&start| self.0 & (1 << start as u8) != 0)
     }
 
-    /// Which histories of other cases are in the set, if any.
+    /// The kind of histories of other cases in the set, if any.
     pub const fn mixture(self) -> Option<Mixture> {
         match self {
             Self::IRRELEVANT => Some(Mixture::Irrelevant),
@@ -91,8 +89,8 @@ impl Demonstrations {
 }
 
 impl CaseSet {
-    /// What `demonstrations` come to for the case at `case`: its own in the order of [`Start`], then the
-    /// histories of other cases as it lists them. None when there is no such case.
+    /// The `demonstrations` of case number `case`: its own in the order of [`Start`], then its histories of other cases.
+    /// Empty if there is no such case.
     pub fn histories(&self, case: usize, demonstrations: Demonstrations) -> Vec<History> {
         let Some(listed) = self.cases.get(case) else { return Vec::new() };
         let own = demonstrations.own().map(|start| History { case, start });

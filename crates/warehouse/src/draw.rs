@@ -1,5 +1,5 @@
-//! Random draws that are the same on every machine and with every version of the libraries: the bytes
-//! of ChaCha8 from a key spelled out here, and integers only.
+//! Random draws that are the same on every machine and with every version of the libraries: ChaCha8 with a key that is
+//! defined here, and integers only.
 
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
@@ -26,7 +26,7 @@ impl Draw {
         choices[self.below(choices.len())]
     }
 
-    /// `list` in random order (Fisher and Yates).
+    /// `list` in random order (Fisher-Yates shuffle).
     pub(crate) fn shuffled<T>(&mut self, mut list: Vec<T>) -> Vec<T> {
         for i in (1..list.len()).rev() {
             list.swap(i, self.below(i + 1));
@@ -40,7 +40,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn draws_are_the_same_for_ever() {
+    fn draws_never_change() {
         let mut draw = Draw::new(1, 2);
         let numbers: Vec<usize> = (0..8).map(|_| draw.below(1000)).collect();
         assert_eq!(numbers, [188, 329, 267, 276, 686, 477, 521, 239]);

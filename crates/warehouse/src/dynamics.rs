@@ -1,23 +1,23 @@
-//! One step of the world: pose + action + variant -> pose + feedback. The only place that decides it.
+//! The dynamics: one function from pose, action and variant to pose and feedback.
 
 use domain::{Action, Cell, Feedback, Pose};
 
 use crate::layout::Layout;
 
-/// Most steps of an episode, T_max of the paper.
+/// The step limit of an episode, T_max in the paper.
 pub const MAX_STEPS: u32 = 200;
 
-/// What differs from the warehouse as drawn: cells closed by a barricade.
+/// A variant of the world: the cells closed by a barricade.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Hash)]
 pub struct Variant {
     closed: Vec<Cell>,
 }
 
 impl Variant {
-    /// The warehouse as drawn.
+    /// The world without a barricade.
     pub const UNCHANGED: Self = Self { closed: Vec::new() };
 
-    /// The warehouse with a barricade on `cells`.
+    /// The world with a barricade on `cells`.
     pub fn closing(cells: impl IntoIterator<Item = Cell>) -> Self {
         let mut closed: Vec<Cell> = cells.into_iter().collect();
         closed.sort_unstable();
@@ -36,10 +36,10 @@ impl Variant {
     }
 }
 
-/// What `action` does at `pose`: where the agent is afterwards, and what it is told.
+/// The pose and feedback after `action` at `pose`.
 ///
-/// Turns always succeed. A move into a rack, a wall, a barricade or off the floor leaves the agent where
-/// it is and is answered with [`Feedback::Blocked`].
+/// Turns always succeed. A move into a rack, a wall, a barricade or off the floor leaves the agent where it is, with
+/// [`Feedback::Blocked`].
 pub fn step(layout: &Layout, variant: &Variant, pose: Pose, action: Action) -> (Pose, Feedback) {
     if let Some(quarters) = action.turn_quarters() {
         return (Pose { heading: pose.heading.turned(quarters), ..pose }, Feedback::Turned);

@@ -1,14 +1,14 @@
-//! Makes cases from a seed: a task, a start, and the other five starts and the barricade around it, until
-//! every constraint holds.
+//! Generates cases from a seed: draws a task and a start, then the other five starts and the barricade, until every
+//! constraint holds.
 //!
-//! Each case draws from a stream of its own, so the first cases of a larger set are those of a smaller one.
-//! Whatever is tried is tried in an order that the seed alone decides.
+//! Each case draws from its own stream, so the first cases of a larger set are those of a smaller one. The seed alone
+//! determines the order in which candidates are tried.
 
 use domain::{Cell, Heading, Pose};
 
 use crate::case::{Case, CaseSet, History, Replay, Start, Trajectory};
 use crate::constraints::{
-    Edge, does_its_task, edges, enters, faces_targets, is_distant, is_near_optimal, is_nearby,
+    Edge, completes_task, edges, enters, faces_targets, is_distant, is_near_optimal, is_nearby,
     is_of_similar_length, shares_at_least_half, shares_at_most_half, target_in_view, target_on,
 };
 use crate::draw::Draw;
@@ -24,71 +24,70 @@ pub const SHIPPED_SEED: u64 = 1;
 /// How many cases are shipped.
 pub const SHIPPED_COUNT: usize = 100;
 
-/// Original demonstrations are this long, in steps: short ones leave nothing to remember, long ones
-/// leave no room to get lost within the step limit.
+/// Lengths of original demonstrations, in steps. Short ones need no memory; long ones leave no room for detours within the
+/// step limit.
 const ORIGINAL_STEPS: std::ops::RangeInclusive<u32> = 10..=80;
 
-/// Any walk has at least this many steps.
+/// Least steps of any trajectory.
 const LEAST_STEPS: u32 = 6;
 
-/// With a passage closed the reference is longer than without, and at most this long, in steps.
+/// Most steps of the blocked reference, which is longer than the test reference.
 const MOST_BLOCKED_STEPS: u32 = 120;
 
-/// A test start is at least this far from every demonstration's start, in cells.
+/// Least distance between the test start and every demonstration's start, in cells.
 const TEST_CELLS: u32 = 3;
 
-/// Original starts tried for one choice of targets, and choices of targets tried for one case.
+/// Original starts tried for a choice of targets, and choices of targets tried for a case.
 const STARTS_TRIED: usize = 100;
 const TARGETS_TRIED: usize = 50;
 
-/// Test starts tried for one original start.
+/// Test starts tried for an original start.
 const TESTS_TRIED: usize = 60;
 
-/// What a case has until the whole set is there to choose histories from.
+/// A placeholder until the whole set exists, from which histories are chosen.
 const NO_HISTORIES: [History; 2] = [History { case: usize::MAX, start: Start::Original }; 2];
 
-/// Why no set of cases could be made.
+/// Why a set of cases cannot be generated.
 #[derive(Debug, thiserror::Error)]
 pub enum GenerateError {
-    /// The warehouse offers no case of some type.
+    /// The warehouse allows no case of some type.
     #[error(
         "no case of type {number} ({name}) found for seed {seed} after {TARGETS_TRIED} choices of targets with \
          {STARTS_TRIED} starts each; the warehouse has too few items, aisles or passages for it"
     )]
     NoCase {
-        /// Of this type.
+        /// The type's number.
         number: u8,
-        /// What the type is called.
+        /// The type's name.
         name: &'static str,
         /// The set's seed.
         seed: u64,
     },
-    /// The other cases offer a case too few histories.
+    /// There are too few histories of other tasks for a case.
     #[error(
-        "case {case} needs two {mixture} histories and the other {others} cases offer {found}; make a larger \
-         set, or one from another seed"
+        "case {case} needs two {mixture} histories and the other {others} cases offer {found}; generate a \
+         larger set, or use another seed"
     )]
     NoHistory {
-        /// Which case.
+        /// The case's id.
         case: String,
-        /// Which kind.
+        /// The kind of histories.
         mixture: &'static str,
-        /// How many other cases there are.
+        /// The number of other cases.
         others: usize,
-        /// How many histories of the kind they offer.
+        /// The number of candidates.
         found: usize,
     },
 }
 
 impl CaseSet {
-    /// Makes `count` cases, a tenth of each type and one more of the first types where ten does not
-    /// divide `count`. Ids count within the type: `t03-07` is the seventh case of type 3.
+    /// Generates `count` cases, a tenth of each type, and one more of the first types if ten does not divide `count`. Ids
+    /// count within the type: `t03-07` is the seventh case of type 3.
     ///
-    /// Histories of other tasks are chosen from the whole set, so they do change with its size.
+    /// Histories of other tasks are chosen from the whole set, so they change with its size.
     ///
     /// # Errors
-    /// When the warehouse offers no case of some type, such as one with a single aisle, and when so few
-    /// cases are made that they offer one of them too few histories of other tasks.
+    /// When the warehouse allows no case of some type, or there are too few cases to choose histories from.
     pub fn generate(warehouse: &Warehouse, seed: u64, count: usize) -> Result<Self, GenerateError> {
         let generator = Generator::new(warehouse, seed);
         let width = count.div_ceil(10).to_string().len().max(2);
@@ -127,8 +126,8 @@ struct Generator<'w> {
     passages: Vec<Vec<Cell>>,
 }
 
-/// A planned walk that may serve as a reference.
-struct Walk {
+/// A planned trajectory with what the constraints need to know about it.
+struct Candidate {
     trajectory: Trajectory,
     replay: Replay,
     length: u32,
@@ -148,8 +147,8 @@ impl<'w> Generator<'w> {
         }
     }
 
-    /// What tasks of type `number` can be about, in the order in which cases take their turn: types with
-    /// at least two instances where every one must be visited, categories, or any types.
+    /// The possible targets of tasks of type `number`, in the order in which cases use them: types with at least two
+    /// instances if every one must be visited, categories, or any types.
     fn target_choices(&self, number: u8) -> Vec<usize> {
         let types = 0..self.warehouse.catalogue.types.len();
         let choices = match number {
@@ -160,7 +159,7 @@ impl<'w> Generator<'w> {
         Draw::new(self.seed, u64::from(number) << 32).shuffled(choices)
     }
 
-    /// Case `index` of type `number`, unlike those in `taken`.
+    /// Case `index` of type `number`, different from those in `taken`.
     fn case(&self, number: u8, index: usize, choices: &[usize], taken: &[Case]) -> Option<Case> {
         let mut draw = Draw::new(self.seed, u64::from(number) << 32 | (index as u64 + 1));
         if choices.is_empty() {
@@ -183,7 +182,7 @@ impl<'w> Generator<'w> {
         None
     }
 
-    /// The task of type `number` about `a`; a second type is drawn.
+    /// A task of type `number` for `a`. A second type is drawn.
     fn task(&self, number: u8, a: usize, draw: &mut Draw) -> Option<Task> {
         let others =
             (0..self.warehouse.catalogue.types.len()).filter(|&b| b != a).collect::<Vec<_>>();
@@ -205,42 +204,44 @@ impl<'w> Generator<'w> {
         })
     }
 
-    /// A case of `task` from `start`, if one can be completed around it.
+    /// A case of `task` from `start`, if there is one that satisfies all constraints.
     fn case_from(&self, task: Task, start: Pose, draw: &mut Draw) -> Option<Case> {
         let layout = &self.warehouse.layout;
         let targets = task.targets(self.warehouse);
         if target_in_view(layout, start, &targets).is_some() {
             return None;
         }
-        let original = self.walk(&task, start, &targets)?;
+        let original = self.candidate(&task, start, &targets)?;
         if !ORIGINAL_STEPS.contains(&original.length) {
             return None;
         }
         let turned = Pose { heading: start.heading.opposite(), ..start };
-        let opposite = self.walk(&task, turned, &targets)?;
-        let nearby = self.first_walk(
+        let opposite = self.candidate(&task, turned, &targets)?;
+        let nearby = self.first_candidate(
             &task,
             &targets,
             draw,
             &|pose| is_nearby(layout, start, pose),
-            &|walk| shares_at_least_half(&original.edges, &walk.edges),
+            &|candidate| shares_at_least_half(&original.edges, &candidate.edges),
         )?;
-        let distant = self.first_walk(
+        let distant = self.first_candidate(
             &task,
             &targets,
             draw,
             &|pose| is_distant(layout, start, pose),
-            &|walk| shares_at_most_half(&original.edges, &walk.edges),
+            &|candidate| shares_at_most_half(&original.edges, &candidate.edges),
         )?;
         let demonstrations = [&original, &opposite, &nearby, &distant];
 
         let is_new = |pose: &Pose| {
-            let far = |walk: &&Walk| walk.trajectory.start.cell.distance(pose.cell) >= TEST_CELLS;
+            let far = |candidate: &&Candidate| {
+                candidate.trajectory.start.cell.distance(pose.cell) >= TEST_CELLS
+            };
             demonstrations.iter().all(far) && target_in_view(layout, *pose, &targets).is_none()
         };
         let tests: Vec<Pose> = self.poses.iter().copied().filter(is_new).collect();
         for pose in draw.shuffled(tests).into_iter().take(TESTS_TRIED) {
-            let Some(test) = self.walk(&task, pose, &targets) else { continue };
+            let Some(test) = self.candidate(&task, pose, &targets) else { continue };
             if !is_of_similar_length(original.length, test.length) {
                 continue;
             }
@@ -248,7 +249,8 @@ impl<'w> Generator<'w> {
                 self.blocked(&task, &targets, &test, &demonstrations, draw)
             {
                 let [original, opposite, nearby, distant, test] =
-                    [original, opposite, nearby, distant, test].map(|walk| walk.trajectory);
+                    [original, opposite, nearby, distant, test]
+                        .map(|candidate| candidate.trajectory);
                 let id = String::new();
                 return Some(Case {
                     id,
@@ -268,33 +270,33 @@ impl<'w> Generator<'w> {
         None
     }
 
-    /// The first walk, in random order of starts, with both properties.
-    fn first_walk(
+    /// The first trajectory, in random order of starts, with both properties.
+    fn first_candidate(
         &self,
         task: &Task,
         targets: &[&Item],
         draw: &mut Draw,
         is_start: &dyn Fn(Pose) -> bool,
-        is_walk: &dyn Fn(&Walk) -> bool,
-    ) -> Option<Walk> {
+        is_accepted: &dyn Fn(&Candidate) -> bool,
+    ) -> Option<Candidate> {
         let starts = self.poses.iter().copied().filter(|&pose| is_start(pose)).collect();
         let mut starts = draw.shuffled(starts).into_iter();
-        starts.find_map(|start| self.walk(task, start, targets).filter(is_walk))
+        starts.find_map(|start| self.candidate(task, start, targets).filter(is_accepted))
     }
 
-    /// A closed passage that `test` and a demonstration use, and the reference around it.
+    /// A passage that `test` and a demonstration use, and the reference that avoids it.
     fn blocked(
         &self,
         task: &Task,
         targets: &[&Item],
-        test: &Walk,
-        demonstrations: &[&Walk],
+        test: &Candidate,
+        demonstrations: &[&Candidate],
         draw: &mut Draw,
     ) -> Option<(Trajectory, Vec<Cell>)> {
         let start = test.trajectory.start;
         let fits = |cells: &&Vec<Cell>| {
             enters(&test.replay.poses, cells)
-                && demonstrations.iter().any(|walk| enters(&walk.replay.poses, cells))
+                && demonstrations.iter().any(|candidate| enters(&candidate.replay.poses, cells))
                 && !cells.contains(&start.cell)
                 && target_on(cells, targets).is_none()
         };
@@ -302,47 +304,47 @@ impl<'w> Generator<'w> {
         draw.shuffled(passages).into_iter().find_map(|cells| {
             let variant = Variant::closing(cells.iter().copied());
             let expert = Planner::new(self.warehouse, variant.clone(), Prices::EXPERT);
-            let walk = self.walk_with(&expert, &variant, task, start, |length| {
-                // Closing a passage never shortens a walk, so the cheap answer mostly decides.
+            let candidate = self.candidate_in(&expert, &variant, task, start, |length| {
+                // Closing a passage never shortens a route, so the cheap bound decides in most cases.
                 let unchanged = self.fewest.cost(start, task)?;
                 if is_near_optimal(length, unchanged) {
                     return Some(unchanged);
                 }
                 Planner::new(self.warehouse, variant.clone(), Prices::STEPS).cost(start, task)
             })?;
-            let detours = walk.length > test.length && walk.length <= MOST_BLOCKED_STEPS;
-            detours.then(|| (walk.trajectory, cells.clone()))
+            let detours = candidate.length > test.length && candidate.length <= MOST_BLOCKED_STEPS;
+            detours.then(|| (candidate.trajectory, cells.clone()))
         })
     }
 
-    /// The expert's walk in the unchanged warehouse, if it may serve as a reference.
-    fn walk(&self, task: &Task, start: Pose, targets: &[&Item]) -> Option<Walk> {
+    /// The expert's trajectory in the unchanged world, if it satisfies the constraints on all trajectories.
+    fn candidate(&self, task: &Task, start: Pose, targets: &[&Item]) -> Option<Candidate> {
         if target_on(&[start.cell], targets).is_some() {
             return None;
         }
-        self.walk_with(&self.expert, &Variant::UNCHANGED, task, start, |_| {
+        self.candidate_in(&self.expert, &Variant::UNCHANGED, task, start, |_| {
             self.fewest.cost(start, task)
         })
     }
 
-    /// The walk of `expert` in `variant`, if it may serve as a reference. `fewest` is a lower bound of the
-    /// steps needed, exact where a walk of the given length would be rejected by it.
-    fn walk_with(
+    /// The trajectory of `expert` in `variant`, if it satisfies the constraints on all trajectories. `fewest` is a lower bound
+    /// of the steps needed, and exact where a trajectory of the given length is rejected because of it.
+    fn candidate_in(
         &self,
         expert: &Planner<'_>,
         variant: &Variant,
         task: &Task,
         start: Pose,
         fewest: impl Fn(u32) -> Option<u32>,
-    ) -> Option<Walk> {
+    ) -> Option<Candidate> {
         let trajectory = expert.plan(start, task)?;
         let replay = trajectory.replay(self.warehouse, task, variant);
-        let length = does_its_task(&replay).ok()?;
+        let length = completes_task(&replay).ok()?;
         faces_targets(self.warehouse, task, &replay).ok()?;
         let good = length >= LEAST_STEPS && is_near_optimal(length, fewest(length)?);
         good.then(|| {
             let edges = edges(&replay.poses);
-            Walk { trajectory, replay, length, edges }
+            Candidate { trajectory, replay, length, edges }
         })
     }
 }

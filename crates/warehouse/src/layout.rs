@@ -1,6 +1,5 @@
-//! The floor plan: which squares are free, which are rack or wall, and what each aisle is called.
-//!
-//! What stands on the racks is [`catalogue`](crate::catalogue)'s business.
+//! The floor plan: free floor, racks and walls, and the names of aisles. Items are in the
+//! [`catalogue`](crate::catalogue).
 
 use domain::{Cell, Heading};
 use serde::Deserialize;
@@ -15,13 +14,13 @@ pub const MAX_SIDE: usize = 64;
 pub enum Square {
     /// Free floor, part of a named aisle.
     Floor,
-    /// A rack; items stand on the faces it turns to the floor.
+    /// A rack. Items stand on its faces towards the floor.
     Rack,
-    /// A wall or pillar. Everything off the plan is wall too.
+    /// A wall or pillar, and everything outside the plan.
     Wall,
 }
 
-/// The direction an aisle runs in.
+/// The direction of an aisle.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Axis {
@@ -32,7 +31,7 @@ pub enum Axis {
 }
 
 impl Axis {
-    /// The heading along this axis that grows its coordinate.
+    /// The heading in which the coordinate along this axis grows.
     pub const fn forward(self) -> Heading {
         match self {
             Self::EastWest => Heading::E,
@@ -41,12 +40,12 @@ impl Axis {
     }
 }
 
-/// A stretch of free floor that people have a name for.
+/// A named part of the free floor.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Aisle {
     /// Its name, for example `Cross-aisle`.
     pub name: String,
-    /// The direction it runs in.
+    /// The direction in which it runs.
     pub runs: Axis,
 }
 
@@ -55,7 +54,7 @@ pub struct Aisle {
 pub struct Layout {
     width: u8,
     height: u8,
-    /// Row by row from the south; for floor, the index of its aisle.
+    /// Row by row from the south; for floor with the index of its aisle.
     squares: Vec<(Square, u8)>,
     aisles: Vec<Aisle>,
 }
@@ -79,8 +78,8 @@ impl Layout {
     /// Reads the text of a `layout.toml`.
     ///
     /// # Errors
-    /// Says which line, column or aisle is wrong: a ragged plan, an unknown mark, an aisle without
-    /// floor, floor that cannot be reached.
+    /// Rows of different length, an unknown mark, an aisle without floor, floor that cannot be reached. The message names
+    /// line, column or aisle.
     pub(crate) fn parse(text: &str) -> Result<Self, Problem> {
         let file: LayoutFile = toml(text)?;
         check_aisles(&file.aisle)?;
@@ -125,7 +124,7 @@ impl Layout {
         Ok(layout)
     }
 
-    /// Every aisle has floor, and all floor hangs together.
+    /// Checks that every aisle has floor and that all floor is connected.
     fn check_floor(&self) -> Result<(), Problem> {
         for (index, aisle) in self.aisles.iter().enumerate() {
             if !self.free_cells().any(|cell| self.aisle_index(cell) == Some(index)) {
@@ -160,7 +159,7 @@ impl Layout {
             .then(|| usize::from(cell.y) * usize::from(self.width) + usize::from(cell.x))
     }
 
-    /// What fills `cell`; wall for every cell off the plan.
+    /// What fills `cell`; a wall for cells outside the plan.
     pub fn square(&self, cell: Cell) -> Square {
         self.index(cell).map_or(Square::Wall, |index| self.squares[index].0)
     }
@@ -191,24 +190,24 @@ impl Layout {
         &self.aisles
     }
 
-    /// Position in [`aisles`](Self::aisles) of the aisle that free `cell` belongs to.
+    /// The index in [`aisles`](Self::aisles) of the aisle of a free cell.
     pub fn aisle_index(&self, cell: Cell) -> Option<usize> {
         let (square, aisle) = self.squares[self.index(cell)?];
         (square == Square::Floor).then_some(usize::from(aisle))
     }
 
-    /// The aisle that free `cell` belongs to.
+    /// The aisle of a free cell.
     pub fn aisle(&self, cell: Cell) -> Option<&Aisle> {
         self.aisle_index(cell).map(|index| &self.aisles[index])
     }
 
-    /// The name of the aisle that free `cell` belongs to.
+    /// The name of the aisle of a free cell.
     pub fn aisle_name(&self, cell: Cell) -> Option<&str> {
         self.aisle(cell).map(|aisle| aisle.name.as_str())
     }
 
-    /// Every passage: the cells across one aisle, from wall or rack to wall or rack. Closing one closes the
-    /// aisle there across its full width. In the order of their first cell; cells sorted.
+    /// All passages. A passage is the cells across one aisle, from wall or rack to wall or rack; closing it closes the aisle
+    /// there across its full width. Sorted by first cell; the cells of each are sorted, too.
     pub fn passages(&self) -> Vec<Vec<Cell>> {
         let mut passages = Vec::new();
         for first in self.free_cells() {
@@ -222,7 +221,7 @@ impl Layout {
             }
             let run = std::iter::successors(Some(first), |&cell| self.free_neighbour(cell, across));
             let run: Vec<Cell> = run.collect();
-            // A run that leaves the aisle is a junction, which has no full width to close.
+            // Cells that leave the aisle are at a junction, which has no full width to close.
             if run.iter().all(|&cell| self.aisle_index(cell) == Some(index)) {
                 passages.push(run);
             }
@@ -230,7 +229,7 @@ impl Layout {
         passages
     }
 
-    /// The free cells that can be walked to from `from` without entering `closed`, sorted.
+    /// The free cells that can be reached from `from` without entering `closed`, sorted.
     pub fn reachable(&self, from: Cell, closed: &[Cell]) -> Vec<Cell> {
         let mut reached = vec![from];
         let mut seen = vec![false; self.squares.len()];

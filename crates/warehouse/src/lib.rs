@@ -1,15 +1,15 @@
-//! The world and its tasks as pure values: nothing here renders, talks or waits.
+//! The world and its tasks as pure values: nothing here renders, communicates or waits.
 //!
-//! - [`layout`]: the floor plan; [`catalogue`]: what stands on the racks; [`Warehouse`]: both, checked.
-//! - [`dynamics`]: one function, pose + action + variant -> pose + feedback.
-//! - [`task`]: the ten task types; [`progress`]: the one checker that scores any walk.
-//! - [`case`]: a task with its six trajectories; [`case_file`]: a set of them as a readable file.
-//! - [`demonstrations`]: sets of them, as memories are built from; [`mixed`]: histories of other tasks.
-//! - [`plan`]: the expert's walks and the true optimum; [`sight`]: what is in view, on the grid.
-//! - [`CaseSet::generate`]: cases from a seed; [`validate`](mod@validate): every constraint checked by replay;
-//!   [`map`]: pictures for people.
+//! - [`layout`]: the floor plan; [`catalogue`]: the items on the racks; [`Warehouse`]: both, checked.
+//! - [`dynamics`]: one function from pose, action and variant to pose and feedback.
+//! - [`task`]: the ten task types; [`progress`]: the checker that decides which sub-goals a trajectory completes.
+//! - [`case`]: a task with its six trajectories; [`case_file`]: a set of cases as a text file.
+//! - [`demonstrations`]: which demonstrations a memory is built from; [`mixed`]: histories of other tasks.
+//! - [`plan`]: expert trajectories and the fewest steps; [`sight`]: which items are in view, computed on the grid.
+//! - [`CaseSet::generate`]: cases from a seed; [`validate`](mod@validate): every constraint checked by replay; [`map`]:
+//!   maps as SVG.
 //!
-//! Everything is integer arithmetic on a grid, so every machine computes the same.
+//! All arithmetic is in integers on a grid, so every machine computes the same.
 
 pub mod asset;
 pub mod case;
@@ -35,14 +35,14 @@ pub mod validate;
 mod world;
 
 pub use asset::AssetError;
-pub use case::{Case, CaseSet, History, Replay, Start, Trajectory};
+pub use case::{Case, CaseSet, History, Mixture, Replay, Start, Trajectory};
 pub use catalogue::{Catalogue, Category, ItemType, Shape};
 pub use constraints::MAX_DETOUR_PERCENT;
 pub use demonstrations::{Demonstrations, UnknownDemonstrations};
 pub use dynamics::{MAX_STEPS, Variant, step};
 pub use generate::{GenerateError, SHIPPED_COUNT, SHIPPED_SEED};
 pub use layout::{Aisle, Axis, Layout, Square};
-pub use mixed::{Mixture, Overlap};
+pub use mixed::Overlap;
 pub use progress::Progress;
 pub use task::{Group, Phase, Task};
 pub use validate::validate;

@@ -1,89 +1,65 @@
-//! Histories of other tasks (SPEC section 6): what makes one irrelevant or confusable to a case, and which
-//! two of each kind a case is given.
+//! Histories of other tasks (specification, section 6): when a history is irrelevant or confusable for a case, and which
+//! two of each kind a case gets.
 //!
-//! A candidate is a demonstration of another case whose targets are not this one's: no item that counts
-//! for one task counts for the other ([`Task::targets`]), so a search for a category and a search for a
-//! type of that category exclude each other. What it has to do with the case is measured against the
-//! test reference, pose by pose ([`Overlap`]):
+//! A candidate is a demonstration of another case with other targets: no item counts for both tasks ([`Task::targets`]), so
+//! a search for a category and a search for a type of that category exclude each other. A candidate is compared with the
+//! case's test reference, pose by pose ([`Overlap`]):
 //!
 //! - *irrelevant*: it shares no pose with the reference;
-//! - *confusable*: at one or more shared poses the expert went on in another way than the reference does.
+//! - *confusable*: at one or more shared poses it continues differently.
 //!
-//! A case's two histories of a kind are the first candidate, and the first one after it from another case
-//! (from the same case where no other offers any). The candidates' order: the most conflicts first, where
-//! they are confusable; then the one that serves fewest cases so far; then as drawn. Cases take their
-//! turn in the order of the set, and no history serves more than [`MOST_SERVED`] cases as one kind.
+//! A case gets the first candidate of each kind, and the next one from another case (or from the same case if no other has
+//! any). Candidates are ordered by the number of conflicts (most first), then by how many cases they serve so far (fewest
+//! first), then randomly. Cases choose in the order of the set, and no history serves more than [`MOST_SERVED`] cases as
+//! one kind.
 
 use std::cmp::Reverse;
 use std::collections::BTreeMap;
 
 use domain::{Action, Pose};
 
-use crate::case::{Case, CaseSet, History, Start};
+use crate::case::{Case, CaseSet, History, Mixture, Start};
 use crate::draw::Draw;
 use crate::task::Task;
 use crate::world::Warehouse;
 
-/// Most cases that one history is given to as an irrelevant one, and again as a confusable one.
+/// Most cases that one history serves as an irrelevant one, and again as a confusable one.
 pub const MOST_SERVED: usize = 4;
-
-/// What histories of other tasks are to a case.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
-pub enum Mixture {
-    /// They share no pose with the test reference.
-    Irrelevant,
-    /// They share poses with it and go on differently from there.
-    Confusable,
-}
-
-impl Mixture {
-    /// Both.
-    pub const ALL: [Self; 2] = [Self::Irrelevant, Self::Confusable];
-
-    /// The name in files and tables.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Irrelevant => "irrelevant",
-            Self::Confusable => "confusable",
-        }
-    }
-
-    /// Whether a history with this overlap is of this kind.
-    pub const fn admits(self, overlap: Overlap) -> bool {
-        match self {
-            Self::Irrelevant => overlap.shared_poses == 0,
-            Self::Confusable => overlap.conflicts > 0,
-        }
-    }
-}
 
 /// What a history has in common with a case's test reference.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub struct Overlap {
-    /// Poses (cell and heading) that both walks are in at some time.
+    /// Poses (cell and heading) that occur in both.
     pub shared_poses: usize,
-    /// Those of them from which both go on, the reference before its task is complete, and no action that one
-    /// takes there is taken there by the other.
+    /// Shared poses from which both continue, the reference before its task is complete, with no action in common.
     pub conflicts: usize,
 }
 
 impl Overlap {
-    /// Of `history` with the test reference of the case at `case`. `None` when the set lacks one of them.
+    /// The overlap of `history` with the test reference of case number `case`. `None` if the set lacks one of them.
     pub fn of(warehouse: &Warehouse, set: &CaseSet, case: usize, history: History) -> Option<Self> {
         let reference = DenseActions::of_reference(warehouse, set.cases.get(case)?);
         let history = Actions::of_history(warehouse, set.cases.get(history.case)?, history.start);
         Some(reference.overlap(&history))
     }
+
+    /// Whether a history with this overlap is of the kind `mixture`.
+    pub const fn is(self, mixture: Mixture) -> bool {
+        match mixture {
+            Mixture::Irrelevant => self.shared_poses == 0,
+            Mixture::Confusable => self.conflicts > 0,
+        }
+    }
 }
 
-/// The items that count for `task`, by id and sorted.
+/// The ids of the items that count for `task`, sorted.
 pub(crate) fn target_ids(warehouse: &Warehouse, task: &Task) -> Vec<u16> {
     let mut ids: Vec<u16> = task.targets(warehouse).iter().map(|item| item.id).collect();
     ids.sort_unstable();
     ids
 }
 
-/// The first item that counts for both of two tasks, by their [`target_ids`].
+/// The first id in both of two lists of [`target_ids`].
 pub(crate) fn in_common(one: &[u16], other: &[u16]) -> Option<u16> {
     one.iter().copied().find(|id| other.binary_search(id).is_ok())
 }
@@ -91,17 +67,17 @@ pub(crate) fn in_common(one: &[u16], other: &[u16]) -> Option<u16> {
 /// A set of actions: bit `a` for action `a`.
 type ActionBits = u8;
 
-/// The pose was visited, whatever was done there.
+/// Set if the pose was visited at all.
 const VISITED: ActionBits = 1 << 7;
 const _: () = assert!(Action::ALL.len() <= 7);
 
-/// What a walk does at each pose it is in, by [`position`], which is sorted.
+/// The actions that a trajectory takes at each of its poses, sorted by [`position`].
 struct Actions(Vec<(usize, ActionBits)>);
 
-/// The same with an entry for every pose of the floor.
+/// The same with an entry for every pose of the floor plan.
 struct DenseActions(Vec<ActionBits>);
 
-/// Where a pose stands among all poses of the floor.
+/// The number of a pose among all poses of the floor plan.
 fn position(warehouse: &Warehouse, pose: Pose) -> usize {
     let row = usize::from(pose.cell.y) * usize::from(warehouse.layout.width());
     4 * (row + usize::from(pose.cell.x)) + pose.heading as usize
@@ -113,7 +89,7 @@ impl Actions {
         Self::of(warehouse, &case.replay(warehouse, start).poses, actions)
     }
 
-    /// The pose after each of `actions`, the start before them; there may be more poses.
+    /// From the start pose and the pose after each of `actions`; there may be more poses.
     fn of(warehouse: &Warehouse, poses: &[Pose], actions: &[Action]) -> Self {
         let actions = actions.iter().map(|&action| 1 << action as u8);
         let mut taken: BTreeMap<usize, ActionBits> = BTreeMap::new();
@@ -125,7 +101,7 @@ impl Actions {
 }
 
 impl DenseActions {
-    /// An episode ends when its task is complete, so what the test reference does after that is no action.
+    /// An episode ends when its task is complete, so later actions of the test reference do not count.
     fn of_reference(warehouse: &Warehouse, case: &Case) -> Self {
         let replay = case.replay(warehouse, Start::Test);
         let all = &case.test.actions;
@@ -153,46 +129,46 @@ impl DenseActions {
     }
 }
 
-/// A case that has too few candidates.
+/// A case with too few candidates.
 pub(crate) struct TooFew {
     pub(crate) case: String,
     pub(crate) mixture: Mixture,
     pub(crate) found: usize,
 }
 
-/// Gives every case of `set` its histories; those that it has are forgotten.
+/// Gives every case of `set` its histories, replacing those that it has.
 pub(crate) fn assign(warehouse: &Warehouse, set: &mut CaseSet) -> Result<(), TooFew> {
     let all = Start::DEMONSTRATIONS.len();
-    let walks = |case: &Case| {
+    let actions = |case: &Case| {
         Start::DEMONSTRATIONS.map(|start| Actions::of_history(warehouse, case, start))
     };
-    let walks: Vec<[Actions; 4]> = set.cases.iter().map(walks).collect();
+    let actions: Vec<[Actions; 4]> = set.cases.iter().map(actions).collect();
     let targets: Vec<Vec<u16>> =
         set.cases.iter().map(|case| target_ids(warehouse, &case.task)).collect();
-    let mut served = Mixture::ALL.map(|_| vec![0_usize; all * walks.len()]);
-    for index in 0..walks.len() {
+    let mut served = Mixture::ALL.map(|_| vec![0_usize; all * actions.len()]);
+    for index in 0..actions.len() {
         let reference = DenseActions::of_reference(warehouse, &set.cases[index]);
         let is_foreign = |other: &usize| {
             *other != index && in_common(&targets[index], &targets[*other]).is_none()
         };
-        let candidates: Vec<(History, Overlap)> = (0..walks.len())
+        let candidates: Vec<(History, Overlap)> = (0..actions.len())
             .filter(is_foreign)
             .flat_map(|case| {
                 let histories = Start::DEMONSTRATIONS.map(|start| History { case, start });
-                histories.into_iter().zip(&walks[case])
+                histories.into_iter().zip(&actions[case])
             })
-            .map(|(history, walk)| (history, reference.overlap(walk)))
+            .map(|(history, actions)| (history, reference.overlap(actions)))
             .collect();
         for mixture in Mixture::ALL {
             let served = &mut served[mixture as usize];
             let place = |history: &History| all * history.case + history.start as usize;
             let fits = |(history, overlap): &&(History, Overlap)| {
-                mixture.admits(*overlap) && served[place(history)] < MOST_SERVED
+                overlap.is(mixture) && served[place(history)] < MOST_SERVED
             };
             let fitting = candidates.iter().filter(fits).copied().collect();
             let stream = (mixture as u64 + 1) << 48 | index as u64;
             let mut ranked: Vec<(History, Overlap)> = Draw::new(set.seed, stream).shuffled(fitting);
-            // Stable, so equals stay as drawn.
+            // The sort is stable, so equal candidates stay in random order.
             ranked.sort_by_key(|(history, overlap)| {
                 (Reverse(overlap.conflicts), served[place(history)])
             });
@@ -215,7 +191,7 @@ pub(crate) fn assign(warehouse: &Warehouse, set: &mut CaseSet) -> Result<(), Too
     Ok(())
 }
 
-/// The first, and the first after it from another case; where there is none, the second.
+/// The first history, and the next one from another case; if there is none, the second.
 fn first_two(mut ranked: impl Iterator<Item = History> + Clone) -> Option<[History; 2]> {
     let first = ranked.next()?;
     let elsewhere = ranked.clone().find(|history| history.case != first.case);
@@ -230,7 +206,7 @@ mod tests {
     use crate::case::Trajectory;
     use crate::testing::{BLUE_BARREL, CONES, GREEN_CONE, ORANGE_CONE, RED_BARREL, tiny};
 
-    /// A set of one case in the tiny warehouse whose test reference and original demonstration are these.
+    /// The overlap of a demonstration and a test reference in the tiny warehouse.
     fn overlap(test: (Pose, &str), original: (Pose, &str)) -> Overlap {
         let walk = |(start, letters): (Pose, &str)| Trajectory {
             start,
@@ -315,11 +291,11 @@ mod tests {
         let error = CaseSet::generate(&Warehouse::shipped(), 3, 1).unwrap_err();
         insta::assert_snapshot!(
             error,
-            @"case t01-01 needs two irrelevant histories and the other 0 cases offer 0; make a larger set, or one from another seed"
+            @"case t01-01 needs two irrelevant histories and the other 0 cases offer 0; generate a larger set, or use another seed"
         );
     }
 
-    /// The choice as the module's text states it, by brute force.
+    /// Compares with a brute-force choice.
     #[test]
     fn no_candidate_that_was_free_has_more_conflicts_than_the_first_one_chosen() {
         let warehouse = Warehouse::shipped();

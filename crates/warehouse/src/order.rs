@@ -1,31 +1,31 @@
-//! The cheapest order of visits, exactly: dynamic programming over (sub-goals met, last item), after Held
-//! and Karp. Choices of instance and several phases are part of the same tables.
+//! The cheapest order of visits: exact dynamic programming over (completed sub-goals, last item), after Held and Karp. The
+//! tables also cover the choice of instances and several phases.
 //!
-//! Costs go from an item to the end of the plan, so one table serves every start.
+//! Costs are counted from an item to the end of the plan, so one table serves every start.
 
 use crate::route::NO_WAY;
 
-/// Sets of items, one sub-goal each, of which one item must be visited, in any order of sub-goals.
+/// One set of items for each sub-goal. One item of each set must be visited, in any order of sets.
 pub(crate) type PhaseSets = Vec<Vec<u16>>;
 
-/// What it costs to go from one item to another.
+/// The cost of going from one item to another.
 pub(crate) type Leg<'l> = &'l dyn Fn(u16, u16) -> u32;
 
-/// A plan: what it costs and the items in the order it visits them.
+/// A plan: its cost and the items in order.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct Visits {
     pub(crate) cost: u32,
     pub(crate) items: Vec<u16>,
 }
 
-/// The tables of a task's phases.
+/// The tables for the phases of a task.
 #[derive(Debug)]
 pub(crate) struct Order {
     phases: Vec<Table>,
 }
 
-/// One phase: `to_go[met * items + last]` is the cost from `last` to the end of the plan, when the
-/// sub-goals in the bit set `met` (that of `last` included) are done.
+/// One phase. `to_go[met * items + last]` is the cost from `last` to the end of the plan when the sub-goals in the bit set
+/// `met`, that of `last` included, are completed.
 #[derive(Debug)]
 struct Table {
     /// Item id and the sub-goal it serves, sorted.
@@ -36,7 +36,7 @@ struct Table {
 }
 
 impl Order {
-    /// Works the tables out from the last phase to the first. `tail` is the cost after the last item.
+    /// Computes the tables from the last phase to the first. `tail` is the cost after the last item.
     pub(crate) fn new(phases: &[PhaseSets], leg: Leg<'_>, tail: &dyn Fn(u16) -> u32) -> Self {
         let mut tables: Vec<Table> = Vec::new();
         for sets in phases.iter().rev() {
@@ -51,8 +51,8 @@ impl Order {
         Self { phases: tables }
     }
 
-    /// The cheapest visits when `entry` is the cost of getting to an item from the start; `None` when
-    /// there are none. Between equals, lower ids come first.
+    /// The cheapest visits if `entry` is the cost of reaching an item from the start; `None` if there are none. Of equally
+    /// cheap visits, those with lower ids come first.
     pub(crate) fn visits(&self, leg: Leg<'_>, entry: &dyn Fn(u16) -> u32) -> Option<Visits> {
         let mut visits: Option<Visits> = None;
         for table in &self.phases {
@@ -82,7 +82,7 @@ impl Table {
         let all = (1_u32 << sets.len()) - 1;
         let mut table = Self { to_go: vec![NO_WAY; (all as usize + 1) * items.len()], items, all };
         for met in (1..=all).rev() {
-            // The items that may come next, and what is left from each.
+            // The items that may come next, and the cost that remains from each.
             let is_open = |&(_, &(_, goal)): &(usize, &(u16, u32))| met & (1 << goal) == 0;
             let open = table.items.iter().enumerate().filter(is_open);
             let open: Vec<(usize, u32)> =
@@ -104,8 +104,8 @@ impl Table {
         self.to_go[met as usize * self.items.len() + last]
     }
 
-    /// The cheapest item to begin with when `entry` is the cost of getting to it: position and cost to
-    /// the end of the plan.
+    /// The cheapest item to begin with if `entry` is the cost of reaching it: its position, and the cost to the end of the
+    /// plan.
     fn entry(&self, entry: &dyn Fn(u16) -> u32) -> Option<(usize, u32)> {
         let entries = self
             .items

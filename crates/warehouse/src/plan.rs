@@ -1,19 +1,18 @@
-//! The planner: the cheapest walk that does a task, exact over poses, choices of instance and visit orders.
+//! The planner: the cheapest trajectory that completes a task, exact over poses, choices of instances and visit orders.
 //!
-//! A plan has two exact parts. *Legs*: the cheapest walk from any pose to any goal (`route`). *Order*: the
-//! cheapest choice of instances and order of visits, given what legs cost (`order`).
+//! A plan has two exact parts. *Legs* are the cheapest routes from any pose to any goal (`route`). The *order* is the
+//! cheapest choice of instances and order of visits, given the costs of legs (`order`).
 //!
-//! Two sets of prices are planned with. [`Prices::EXPERT`] makes the reference walks: a sidestep or a
-//! step backwards costs a little more than two plain steps, so the expert turns towards where it goes
-//! except for a single sidestep; among equals it keeps clear of the bays it does not visit; and a target
-//! counts once it is looked at from its standpoint, so the expert faces the rack on arrival.
-//! [`Prices::STEPS`] counts steps alone and gives the true optimum.
+//! There are two sets of prices. [`Prices::EXPERT`] plans the reference trajectories: a sidestep or a step backwards costs
+//! slightly more than two plain steps, so the expert turns to face its direction except for a single sidestep; of equally
+//! cheap routes it takes the one that avoids bays it does not visit; and a target counts when it is faced from its
+//! standpoint, so the expert faces the rack on arrival. [`Prices::STEPS`] counts steps only and gives the true optimum.
 //!
-//! # How near to the optimum
-//! Let `opt` be the fewest steps that complete a task and `k` the items visited on the way. A walk of `opt`
-//! moves becomes one that always faces its direction by adding at most one turn a move and one a target,
-//! so the expert never needs more than `2 * opt + k` steps. What it needs in practice is far less:
-//! [`MAX_DETOUR_PERCENT`](crate::MAX_DETOUR_PERCENT) is kept by every trajectory of a generated set.
+//! # Distance from the optimum
+//! Let `opt` be the fewest steps that complete a task and `k` the number of items visited. A route of `opt` moves becomes
+//! one that always faces its direction by adding at most one turn per move and one per target, so the expert never needs
+//! more than `2 * opt + k` steps. In practice it needs far fewer: every trajectory of a generated set stays within
+//! [`MAX_DETOUR_PERCENT`](crate::MAX_DETOUR_PERCENT).
 
 use std::cell::{OnceCell, RefCell};
 use std::collections::BTreeMap;
@@ -29,7 +28,7 @@ use crate::route::{Field, Graph};
 use crate::task::{Phase, Task};
 use crate::world::Warehouse;
 
-/// Plans in one variant of a warehouse, at one set of prices. Keeps what it has worked out.
+/// Plans in one variant of a warehouse with one set of prices, and caches what it has computed.
 #[derive(Debug)]
 pub struct Planner<'w> {
     warehouse: &'w Warehouse,
@@ -37,15 +36,15 @@ pub struct Planner<'w> {
     graph: Graph,
     /// By item id: the field towards it.
     fields: Vec<OnceCell<Field>>,
-    /// What was worked out for tasks whose plans do not depend on the start.
+    /// Results for tasks whose plans do not depend on the start.
     choices: RefCell<BTreeMap<Task, Rc<Vec<Choice>>>>,
 }
 
-/// One way to do a task; the cheapest of them is the plan.
+/// One way to complete a task. The cheapest is the plan.
 #[derive(Debug)]
 struct Choice {
     order: Order,
-    /// The field towards the first item where that is not the ordinary one.
+    /// The field towards the first item, if it is not the ordinary one.
     approach: Option<Field>,
 }
 
@@ -54,22 +53,22 @@ struct Found {
     visits: Visits,
     choices: Rc<Vec<Choice>>,
     chosen: usize,
-    /// The field towards the origin if the task ends there.
+    /// The field towards the origin, if the task ends there.
     home: Option<Field>,
 }
 
 impl<'w> Planner<'w> {
-    /// A planner that has worked out nothing yet.
+    /// A planner with empty caches.
     pub fn new(warehouse: &'w Warehouse, variant: Variant, prices: Prices) -> Self {
         let graph = Graph::new(warehouse, &variant, prices);
         let fields = warehouse.items.iter().map(|_| OnceCell::new()).collect();
         Self { warehouse, variant, graph, fields, choices: RefCell::default() }
     }
 
-    /// The cheapest walk from `start` that does `task`; `None` when there is no way.
+    /// The cheapest trajectory from `start` that completes `task`, if there is one.
     ///
-    /// At [`Prices::EXPERT`] it ends facing the last target's rack. Between equally cheap plans the
-    /// choice is fixed: lower item ids first, then forward before turns before sidesteps.
+    /// With [`Prices::EXPERT`] it ends facing the last target's rack. Of equally cheap plans, lower item ids come first,
+    /// then forward moves before turns before sidesteps.
     pub fn plan(&self, start: Pose, task: &Task) -> Option<Trajectory> {
         let Found { visits, choices, chosen, home } = self.find(start, task)?;
         let mut fields: Vec<&Field> = visits.items.iter().map(|&id| self.field(id)).collect();
@@ -80,7 +79,7 @@ impl<'w> Planner<'w> {
         let mut actions = Vec::new();
         let mut pose = start;
         for field in fields {
-            for action in self.graph.walk(field, pose)? {
+            for action in self.graph.route(field, pose)? {
                 (pose, _) = step(&self.warehouse.layout, &self.variant, pose, action);
                 actions.push(action);
             }
@@ -88,7 +87,7 @@ impl<'w> Planner<'w> {
         Some(Trajectory { start, actions })
     }
 
-    /// What the cheapest walk costs; `None` when there is no way.
+    /// The cost of the cheapest trajectory, if there is one.
     pub fn cost(&self, start: Pose, task: &Task) -> Option<u32> {
         self.find(start, task).map(|found| found.visits.cost)
     }
@@ -114,8 +113,8 @@ impl<'w> Planner<'w> {
         Some(Found { visits, choices, chosen, home })
     }
 
-    /// The choices of a task without a return to the origin: one, or for a revisit one for each instance
-    /// that may be the first. It must not be approached past another instance, which would be the first then.
+    /// The choices of a task without a return to the origin: one; for a revisit, one for each instance that may come first.
+    /// It must be approached without passing another instance, which would come first then.
     fn choices_for_any_start(&self, task: &Task, phases: &[Phase]) -> Rc<Vec<Choice>> {
         if let Some(known) = self.choices.borrow().get(task) {
             return Rc::clone(known);
@@ -145,7 +144,7 @@ impl<'w> Planner<'w> {
         Order::new(sets, &|from, to| self.leg(from, to), tail)
     }
 
-    /// The pose in which item `id` is visited. Where headings do not matter it stands for all four.
+    /// The pose in which item `id` is visited. Where headings do not matter, it stands for all four.
     fn goal(&self, id: u16) -> Pose {
         let item = self.warehouse.item(id);
         Pose { cell: item.standpoint, heading: item.viewing_heading() }
@@ -161,7 +160,7 @@ impl<'w> Planner<'w> {
     }
 }
 
-/// The sets of items to visit, phase by phase; a return to the origin or the first item left out.
+/// The sets of items to visit, phase by phase, without returns to the origin or the first item.
 fn sets(phases: &[Phase]) -> Vec<PhaseSets> {
     let sets = phases.iter().filter_map(|phase| match phase {
         Phase::OneOfEach(sets) => Some(sets.clone()),

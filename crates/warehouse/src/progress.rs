@@ -1,14 +1,14 @@
-//! The one checker: how far a walk has got with a task. Planner, memory, orchestrator and scorer use it.
+//! Decides which sub-goals of a task a trajectory has completed. Planner, memory, orchestrator and scorer all use it.
 //!
-//! It sees cells only. Standing on an item's standpoint reaches the item, whatever the heading, and the
-//! cell an episode begins on counts like any other.
+//! Only cells matter. An agent on an item's standpoint has reached the item, whatever its heading, and the first cell of an
+//! episode counts like any other.
 
 use domain::Cell;
 
 use crate::task::{Phase, Task};
 use crate::world::Warehouse;
 
-/// How far one walk has got with one task.
+/// The progress of one trajectory with one task.
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
 pub struct Progress {
     phases: Vec<Goals>,
@@ -22,7 +22,7 @@ pub struct Progress {
 /// A [`Phase`] in terms of cells.
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
 enum Goals {
-    /// The standpoints that satisfy each sub-goal still open.
+    /// For each sub-goal that is still open, the standpoints that complete it.
     OneOfEach(Vec<Vec<Cell>>),
     Origin,
     FirstAgain,
@@ -55,10 +55,10 @@ impl Progress {
         progress
     }
 
-    /// The agent stands on `cell`. Says how many sub-goals that completed.
+    /// Records that the agent is on `cell` and returns how many sub-goals this completes.
     ///
-    /// Visiting the same cell twice in a row is the same as visiting it once, so turns and blocked moves
-    /// may be reported or left out.
+    /// Visiting the same cell twice in a row is the same as visiting it once, so turns and blocked moves may be reported or
+    /// left out.
     pub fn visit(&mut self, cell: Cell) -> u32 {
         let before = self.stage;
         while let Some(goals) = self.phases.get_mut(self.phase) {
@@ -88,7 +88,7 @@ impl Progress {
         self.stage - before
     }
 
-    /// Sub-goals completed: one for each required item, one for the return.
+    /// Completed sub-goals: one for each required item, one for the return.
     pub fn stage(&self) -> u32 {
         self.stage
     }
@@ -98,7 +98,7 @@ impl Progress {
         self.total
     }
 
-    /// Whether the task is done.
+    /// Whether the task is complete.
     pub fn is_complete(&self) -> bool {
         self.stage == self.total
     }
@@ -118,7 +118,7 @@ mod tests {
     const GREEN: (u8, u8) = (3, 1);
     const NOWHERE: (u8, u8) = (2, 1);
 
-    /// The stage after each cell of a walk that begins on the first.
+    /// The stage after each cell, beginning on the first.
     fn stages(task: Task, walk: &[(u8, u8)]) -> Vec<u32> {
         let walk = cells(walk);
         let mut progress = Progress::new(&tiny(), &task, walk[0]);
@@ -132,11 +132,11 @@ mod tests {
     }
 
     #[test]
-    fn every_type_of_task_is_scored_by_its_own_rule() {
+    fn every_task_type_is_scored_by_its_rule() {
         let (a, b) = (BLUE_BARREL, RED_BARREL);
         type Row<'r> = (Task, &'r [(u8, u8)], &'r [u32]);
         let table: [Row<'_>; 22] = [
-            // Any instance will do, others do not count.
+            // Any instance counts, other items do not.
             (Task::FindType { a }, &[NOWHERE, RED[0], BLUE[2], BLUE[0]], &[0, 0, 1, 1]),
             (Task::FindCategory { c: CONES }, &[NOWHERE, BLUE[0], GREEN], &[0, 0, 1]),
             // Every instance, each once, in any order.
@@ -156,7 +156,7 @@ mod tests {
             // A before B; an early B does not count.
             (Task::InOrder { a, b }, &[NOWHERE, RED[0], BLUE[0], RED[0]], &[0, 0, 1, 2]),
             (Task::InOrder { a, b }, &[NOWHERE, BLUE[0], BLUE[1], RED[1]], &[0, 1, 1, 2]),
-            // The return counts after the target only, and only to this episode's own origin.
+            // The return counts only after the target, and only to the origin of this episode.
             (
                 Task::FindAndReturn { a },
                 &[NOWHERE, NOWHERE, BLUE[0], GREEN, NOWHERE],
@@ -167,7 +167,7 @@ mod tests {
                 &[NOWHERE, RED[0], NOWHERE, RED[1], NOWHERE],
                 &[0, 1, 1, 2, 3],
             ),
-            // The same A, the one reached first; another A on the way changes nothing.
+            // The A that was reached first; another A on the way changes nothing.
             (
                 Task::Revisit { a, b },
                 &[NOWHERE, BLUE[0], RED[0], BLUE[1], BLUE[0]],
@@ -193,7 +193,7 @@ mod tests {
                 &[NOWHERE, RED[0], NOWHERE, BLUE[0], NOWHERE],
                 &[0, 0, 0, 1, 1],
             ),
-            // The cell an episode begins on is visited.
+            // The first cell of an episode counts as visited.
             (Task::FindType { a }, &[BLUE[0]], &[1]),
             (Task::EveryOfType { a }, &[BLUE[0], BLUE[1], BLUE[2]], &[1, 2, 3]),
             (Task::InOrder { a, b }, &[BLUE[0], RED[0]], &[1, 2]),

@@ -1,6 +1,5 @@
-//! Cheapest walks from anywhere to a goal: a backward Dijkstra over poses, and walks down its costs.
-//!
-//! Which goals, and in which order, is [`plan`](crate::plan)'s business.
+//! Cheapest routes from any pose to a goal: a backward Dijkstra search over poses. [`plan`](crate::plan) decides which goals
+//! are visited in which order.
 
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
@@ -10,7 +9,7 @@ use domain::{Action, Cell, Heading, Pose};
 use crate::dynamics::{Variant, step};
 use crate::world::Warehouse;
 
-/// What a walk pays for.
+/// The prices of actions.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Prices {
     /// One cell forward.
@@ -19,22 +18,21 @@ pub struct Prices {
     turn: u32,
     /// One cell to the left, to the right or backward.
     sidestep: u32,
-    /// For each move onto a cell in front of an item, on top; too little to be worth a step.
+    /// Added for each move onto a cell in front of an item; too little to be worth a step.
     bay: u32,
-    /// Whether a target must be looked at; otherwise standing in front of it is enough, and all moves
-    /// must cost the same.
+    /// Whether a target must be faced. Otherwise standing in front of it is enough, and all moves must cost the same.
     facing: bool,
 }
 
 impl Prices {
-    /// What the expert pays, in thousandths of a step.
+    /// The expert's prices, in thousandths of a step.
     pub const EXPERT: Self =
         Self { forward: 1000, turn: 1000, sidestep: 2100, bay: 1, facing: true };
 
-    /// One for every step: walks at these prices are the shortest there are.
+    /// One for every step, which makes the cheapest routes the shortest.
     pub const STEPS: Self = Self { forward: 1, turn: 1, sidestep: 1, bay: 0, facing: false };
 
-    /// What `action` costs when it ends on a cell that is, or is not, in front of an item.
+    /// The price of an action that ends on a cell which is, or is not, in front of an item.
     pub(crate) const fn of(&self, action: Action, onto_bay: bool) -> u32 {
         let bay = if onto_bay { self.bay } else { 0 };
         match action {
@@ -45,7 +43,7 @@ impl Prices {
     }
 }
 
-/// Between equally cheap actions the first of these is taken.
+/// Of equally cheap actions the first of these is taken.
 const PREFERENCE: [Action; 7] = [
     Action::Forward,
     Action::TurnLeft,
@@ -56,20 +54,20 @@ const PREFERENCE: [Action; 7] = [
     Action::Backward,
 ];
 
-/// A cost that no walk has: there is no way.
+/// The cost where no route exists.
 pub(crate) const NO_WAY: u32 = u32::MAX;
 
-/// A link that leads nowhere: the action is blocked.
+/// The link of a blocked action.
 const NO_POSE: u16 = u16::MAX;
 
-/// Every pose of one variant of a warehouse and what leads to what, at one set of prices.
+/// All poses of a world variant, the actions that connect them, and their prices.
 #[derive(Debug)]
 pub(crate) struct Graph {
     prices: Prices,
     width: usize,
-    /// By pose: from which pose each action leads here, and at what cost.
+    /// By pose: the pose from which each action leads here, and its price.
     back: Vec<[(u16, u32); 7]>,
-    /// By pose: where each action leads, and at what cost; in the order of [`PREFERENCE`].
+    /// By pose: where each action leads, and its price, in the order of [`PREFERENCE`].
     ahead: Vec<[(u16, u32); 7]>,
 }
 
@@ -111,8 +109,7 @@ impl Graph {
             + pose.heading as usize
     }
 
-    /// The costs of getting to `goal` without entering `avoid`; with any heading where headings do not
-    /// matter.
+    /// The costs of reaching `goal` without entering `avoid`, with any heading where headings do not matter.
     pub(crate) fn towards_target(&self, goal: Pose, avoid: &[Cell]) -> Field {
         if self.prices.facing {
             self.towards(&[goal], avoid)
@@ -121,12 +118,12 @@ impl Graph {
         }
     }
 
-    /// The costs of getting to `cell`, facing anywhere.
+    /// The costs of reaching `cell` with any heading.
     pub(crate) fn towards_cell(&self, cell: Cell) -> Field {
         self.towards(&facing_anywhere(cell), &[])
     }
 
-    /// Dijkstra backwards from `goals`; there is no way from or through `avoid`.
+    /// Dijkstra backwards from `goals`, with no route from or through `avoid`.
     fn towards(&self, goals: &[Pose], avoid: &[Cell]) -> Field {
         let mut avoided = vec![false; self.back.len()];
         for pose in avoid.iter().copied().flat_map(facing_anywhere) {
@@ -153,13 +150,13 @@ impl Graph {
         Field(costs)
     }
 
-    /// What the cheapest walk from `pose` to the goal of `field` costs.
+    /// The cost of the cheapest route from `pose` to the goal of `field`.
     pub(crate) fn cost(&self, field: &Field, pose: Pose) -> u32 {
         field.0.get(self.index(pose)).copied().unwrap_or(NO_WAY)
     }
 
-    /// The cheapest walk from `pose` to the goal of `field`; `None` when there is no way.
-    pub(crate) fn walk(&self, field: &Field, pose: Pose) -> Option<Vec<Action>> {
+    /// The cheapest route from `pose` to the goal of `field`, if there is one.
+    pub(crate) fn route(&self, field: &Field, pose: Pose) -> Option<Vec<Action>> {
         let mut actions = Vec::new();
         let mut at = self.index(pose);
         while *field.0.get(at)? > 0 {
@@ -176,7 +173,7 @@ impl Graph {
     }
 }
 
-/// The four poses in `cell`.
+/// The four poses on `cell`.
 fn facing_anywhere(cell: Cell) -> [Pose; 4] {
     Heading::ALL.map(|heading| Pose { cell, heading })
 }

@@ -1,10 +1,10 @@
-//! Whether the camera sees an item, decided on the grid in integers.
+//! Whether an item is in view, computed on the grid in integers.
 //!
-//! An item is seen from a pose when some point of its rack face lies within the camera's 90 degrees and
-//! nothing solid stands between, at whatever distance. That is generous: the renderer may show such an
-//! item as three pixels at the far end of an aisle. What is *not* seen by this rule is in no picture, so the rule
-//! serves the constraint that a first view must not show the target. Racks hide all that stands behind
-//! them, and items are seen through their own face only; barricades hide nothing.
+//! An item is in view from a pose if some point of its rack face lies within the camera's 90 degrees and nothing solid is
+//! in between, at any distance. This is conservative: such an item may cover three pixels at the far end of an aisle, but
+//! an item that is *not* in view by this rule is in no image. It serves the constraint that the first view must not show
+//! the target. Racks hide everything behind them, and items are visible through their own face only; barricades hide
+//! nothing.
 
 use domain::{Cell, Heading, Pose};
 
@@ -60,7 +60,7 @@ fn is_clear(layout: &Layout, from: Cell, point: Point, last: Cell) -> bool {
         if dx > 0 { Heading::E } else { Heading::W },
         if dy > 0 { Heading::N } else { Heading::S },
     );
-    // How far along the line, times |dx * dy|, the next border across x and across y is.
+    // The distance along the line, times |dx * dy|, to the next border across x and across y.
     let (mut next_x, mut next_y) = (CELL / 2 * dy.abs(), CELL / 2 * dx.abs());
     let mut cell = from;
     while cell != last {
@@ -114,7 +114,7 @@ mod tests {
         }
     }
 
-    /// Whether the segment passes through the inside of `cell`: clipped to it slab by slab.
+    /// Whether the segment passes through the inside of `cell`, by clipping it to the cell.
     fn crosses(from: Point, to: Point, cell: Cell) -> bool {
         let (mut enter, mut leave) = (0.0_f64, 1.0_f64);
         let low = (i32::from(cell.x) * CELL, i32::from(cell.y) * CELL);

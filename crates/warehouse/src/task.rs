@@ -1,12 +1,12 @@
-//! The ten task types: what must be visited, in which order, and the sentence a policy reads.
+//! The ten task types: what must be visited, in which order, and the instruction for the policy.
 //!
-//! Types and categories are indices into the [`Catalogue`]. Scoring is [`Progress`](crate::Progress)'s
-//! business; it and the planner both read a task as [`Phase`]s.
+//! Types and categories are indices into the [`Catalogue`]. [`Progress`](crate::Progress) and the planner both work on the
+//! [`Phase`]s of a task.
 
 use crate::catalogue::Catalogue;
 use crate::world::{Item, Warehouse};
 
-/// What an agent is asked to do. `a` and `b` are item types, `c` is a category (SPEC section 3).
+/// A task. `a` and `b` are item types, `c` is a category (specification, section 3).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub enum Task {
     /// 1: reach one instance of A.
@@ -69,7 +69,7 @@ pub enum Task {
     },
 }
 
-/// The groups that results are broken down by.
+/// Groups of task types in results.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub enum Group {
     /// Types 1 and 2.
@@ -82,7 +82,7 @@ pub enum Group {
     Revisit,
 }
 
-/// A part of a task that is finished before the next begins.
+/// A part of a task that must be complete before the next begins.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Phase {
     /// One item of each set, in any order. Every set is one sub-goal and holds item ids, sorted.
@@ -110,7 +110,7 @@ impl Task {
         }
     }
 
-    /// The type's name in the paper, for a type number; `None` outside 1 to 10.
+    /// The paper's name of the type with this number; `None` outside 1 to 10.
     pub fn type_name(number: u8) -> Option<&'static str> {
         const NAMES: [&str; 10] = [
             "single object search",
@@ -127,7 +127,7 @@ impl Task {
         NAMES.get(usize::from(number).checked_sub(1)?).copied()
     }
 
-    /// The group of results it counts in.
+    /// The group of its type.
     pub const fn group(&self) -> Group {
         match self.number() {
             1 | 2 => Group::Basic,
@@ -137,7 +137,7 @@ impl Task {
         }
     }
 
-    /// The sentence a policy reads. It and the policy's reading of it share these exact forms.
+    /// The instruction for the policy. Policies parse these exact forms.
     pub fn instruction(&self, catalogue: &Catalogue) -> String {
         let plain = |index: usize| catalogue.types[index].name.as_str();
         let one = |index: usize| with_article(plain(index));
@@ -174,12 +174,12 @@ impl Task {
         }
     }
 
-    /// Whether it ends at the cell where the episode began.
+    /// Whether the task ends at the cell where the episode began.
     pub const fn returns_to_origin(&self) -> bool {
         matches!(self.group(), Group::ReturnLoop)
     }
 
-    /// Its parts, in order. A return is always the last.
+    /// The phases, in order. A return is always the last.
     pub fn phases(&self, warehouse: &Warehouse) -> Vec<Phase> {
         let of_type = |index| ids(warehouse.instances(index));
         let of_category = |index| ids(warehouse.items_in(index));
@@ -201,8 +201,8 @@ impl Task {
         }
     }
 
-    /// The items it is about, by id: every instance of A and B, or every item of C. All of them must be
-    /// visited where the task says "every"; otherwise any of them counts.
+    /// The items that count, by id: every instance of A and B, or every item of C. All of them must be visited if the task
+    /// says "every"; otherwise any of them counts.
     pub fn targets<'w>(&self, warehouse: &'w Warehouse) -> Vec<&'w Item> {
         let wanted = |item: &&Item| match *self {
             Self::FindCategory { c } | Self::EveryOfCategory { c } => {
@@ -225,7 +225,7 @@ impl Group {
     /// All groups, in the order of the paper's table.
     pub const ALL: [Self; 4] = [Self::Basic, Self::MultiObject, Self::ReturnLoop, Self::Revisit];
 
-    /// The heading of its column.
+    /// The heading of the group's column.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Basic => "basic",

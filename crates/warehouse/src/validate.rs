@@ -1,19 +1,18 @@
-//! Checks a warehouse and its cases against every constraint of SPEC sections 2 to 4 and 6, by replay.
+//! Checks a warehouse and its cases against every constraint (specification, sections 2 to 4 and section 6), by replay.
 //!
-//! One line for each constraint: how often it was checked and what violates it. Nothing here trusts how
-//! the cases came about; only the last constraint asks the generator, whether it gives them again.
+//! Only the last constraint uses the generator, to check that it generates the same cases again.
 
 mod histories;
+mod report;
 
 use std::fmt;
 
 use domain::Cell;
 use plates::Plate;
-use serde::Serialize;
 
 use crate::case::{Case, CaseSet, Replay, Start};
 use crate::constraints::{
-    Edge, MAX_DETOUR_PERCENT, does_its_task, edges, enters, faces_targets, is_distant,
+    Edge, MAX_DETOUR_PERCENT, completes_task, edges, enters, faces_targets, is_distant,
     is_near_optimal, is_nearby, is_of_similar_length, is_opposite, shares_at_least_half,
     shares_at_most_half, target_in_view, target_on,
 };
@@ -22,89 +21,22 @@ use crate::layout::{Axis, Layout, Square};
 use crate::plan::{Planner, Prices};
 use crate::world::{Item, Warehouse};
 
-pub use histories::{Figures, Spread};
+pub use report::{ConstraintResult, CountRange, HistoryStatistics, ValidationReport};
+use report::{ensure, equal};
 
-/// How many violations of a constraint a printed report spells out.
-const SPELLED_OUT: usize = 3;
-
-// The constraints below spell these figures out.
+// The constraints below contain these numbers.
 const _: () = assert!(MAX_STEPS == 200 && MAX_DETOUR_PERCENT == 150);
 
-/// What validation found, constraint by constraint.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
-pub struct Report {
-    /// One for each constraint.
-    pub lines: Vec<Line>,
-    /// What there is of each kind of histories of other tasks.
-    pub mixtures: Vec<Figures>,
-}
-
-/// What validation found about one constraint.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
-pub struct Line {
-    /// The constraint, as a statement that should be true.
-    pub constraint: &'static str,
-    /// How often it was checked.
-    pub checked: usize,
-    /// Where it does not hold, and how.
-    pub violations: Vec<String>,
-}
-
-impl Report {
-    /// Violations of all constraints together.
-    pub fn violations(&self) -> usize {
-        self.lines.iter().map(|line| line.violations.len()).sum()
-    }
-
-    /// Whether every constraint was checked at least once and none is violated.
-    pub fn is_clean(&self) -> bool {
-        self.violations() == 0 && self.lines.iter().all(|line| line.checked > 0)
-    }
-
-    fn push(
-        &mut self,
-        constraint: &'static str,
-        results: impl IntoIterator<Item = Result<(), String>>,
-    ) {
-        let mut line = Line { constraint, checked: 0, violations: Vec::new() };
-        for result in results {
-            line.checked += 1;
-            line.violations.extend(result.err());
-        }
-        self.lines.push(line);
-    }
-}
-
-impl fmt::Display for Report {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        for Line { constraint, checked, violations } in &self.lines {
-            let verdict = if violations.is_empty() && *checked > 0 { "ok  " } else { "FAIL" };
-            writeln!(
-                f,
-                "{verdict} {checked:>5} checked {:>4} off  {constraint}",
-                violations.len()
-            )?;
-            for violation in violations.iter().take(SPELLED_OUT) {
-                writeln!(f, "           {violation}")?;
-            }
-            if violations.len() > SPELLED_OUT {
-                writeln!(f, "           and {} more", violations.len() - SPELLED_OUT)?;
-            }
-        }
-        self.mixtures.iter().try_for_each(|figures| writeln!(f, "{figures}"))
-    }
-}
-
-/// Checks everything, regeneration from the seed included.
-pub fn validate(warehouse: &Warehouse, cases: &CaseSet) -> Report {
+/// Checks all constraints.
+pub fn validate(warehouse: &Warehouse, cases: &CaseSet) -> ValidationReport {
     let mut report = check(warehouse, cases);
     regeneration(&mut report, warehouse, cases);
     report
 }
 
-/// Everything but regeneration.
-pub(crate) fn check(warehouse: &Warehouse, cases: &CaseSet) -> Report {
-    let mut report = Report { lines: Vec::new(), mixtures: Vec::new() };
+/// Checks all constraints except regeneration.
+pub(crate) fn check(warehouse: &Warehouse, cases: &CaseSet) -> ValidationReport {
+    let mut report = ValidationReport { lines: Vec::new(), mixtures: Vec::new() };
     floor(&mut report, &warehouse.layout);
     items(&mut report, warehouse);
     set(&mut report, cases);
@@ -117,16 +49,7 @@ pub(crate) fn check(warehouse: &Warehouse, cases: &CaseSet) -> Report {
     report
 }
 
-/// `Ok` when `holds`, otherwise the violation.
-fn ensure(holds: bool, violation: impl FnOnce() -> String) -> Result<(), String> {
-    if holds { Ok(()) } else { Err(violation()) }
-}
-
-fn equal<T: PartialEq + fmt::Debug>(what: &str, found: T, expected: T) -> Result<(), String> {
-    ensure(found == expected, || format!("{what}: {found:?} instead of {expected:?}"))
-}
-
-fn floor(report: &mut Report, layout: &Layout) {
+fn floor(report: &mut ValidationReport, layout: &Layout) {
     let size = (layout.width(), layout.height());
     report.push("the floor is 16 x 30 cells", [equal("columns and rows", size, (16, 30))]);
 
@@ -167,7 +90,7 @@ fn floor(report: &mut Report, layout: &Layout) {
     );
 }
 
-fn items(report: &mut Report, warehouse: &Warehouse) {
+fn items(report: &mut ValidationReport, warehouse: &Warehouse) {
     let Warehouse { layout, catalogue, items } = warehouse;
     let at_least = |what: &str, found: usize, least: usize| {
         ensure(found >= least, || format!("{found} {what}; at least {least} are needed"))
@@ -198,7 +121,7 @@ fn items(report: &mut Report, warehouse: &Warehouse) {
         "items of a category stand in neighbouring bays",
         catalogue.categories.iter().enumerate().map(|(index, category)| {
             let cells = warehouse.items_in(index).map(|item| item.standpoint).collect();
-            // Two cells apart is round the corner of a block.
+            // Two cells apart is around the corner of a block.
             equal(&format!("groups of {}", category.name), islands(cells, 2).len(), 1)
         }),
     );
@@ -222,8 +145,8 @@ fn items(report: &mut Report, warehouse: &Warehouse) {
     );
 }
 
-/// The set as a whole.
-fn set(report: &mut Report, CaseSet { cases, .. }: &CaseSet) {
+/// Constraints on the set as a whole.
+fn set(report: &mut ValidationReport, CaseSet { cases, .. }: &CaseSet) {
     report.push(
         "all ten types have the same number of cases, or the first of them one more",
         (1..=10_u8).map(|number| {
@@ -252,7 +175,7 @@ fn set(report: &mut Report, CaseSet { cases, .. }: &CaseSet) {
     report.push("no two cases share task and start", distinct);
 }
 
-/// A case with its six trajectories acted out.
+/// A case with its six trajectories replayed.
 struct Replayed<'a> {
     case: &'a Case,
     targets: Vec<&'a Item>,
@@ -278,32 +201,32 @@ impl<'a> Replayed<'a> {
         self.case.trajectory(start).start
     }
 
-    /// Names the case, and one of its trajectories, before a violation.
+    /// A violation by one of the case's trajectories.
     fn at(&self, start: Start, violation: impl fmt::Display) -> String {
         format!("{} {}: {violation}", self.case.id, start.name())
     }
 }
 
-/// What holds of all six trajectories of a case.
-fn trajectories(report: &mut Report, warehouse: &Warehouse, cases: &[Replayed<'_>]) {
+/// Constraints on all six trajectories of a case.
+fn trajectories(report: &mut ValidationReport, warehouse: &Warehouse, cases: &[Replayed<'_>]) {
     let all =
         || cases.iter().flat_map(|c| c.replays.iter().map(move |(s, replay)| (c, *s, replay)));
 
     report.push(
-        "every trajectory replays without a blocked step and does its task within 200 steps",
+        "every trajectory replays without a blocked step and completes its task within 200 steps",
         all().map(|(c, start, replay)| {
-            does_its_task(replay).map(drop).map_err(|problem| c.at(start, problem))
+            completes_task(replay).map(drop).map_err(|problem| c.at(start, problem))
         }),
     );
     report.push(
-        "every trajectory looks at each target when it reaches it",
+        "every trajectory faces each target when it reaches it",
         all().map(|(c, start, replay)| {
             faces_targets(warehouse, &c.case.task, replay).map_err(|problem| c.at(start, problem))
         }),
     );
     let unchanged = Planner::new(warehouse, Variant::UNCHANGED, Prices::STEPS);
     report.push(
-        "every trajectory takes at most 150 % of the fewest steps that do its task",
+        "every trajectory takes at most 150 % of the fewest steps that complete its task",
         all().map(|(c, start, replay)| {
             let (from, task) = (c.start(start), &c.case.task);
             let fewest = match start {
@@ -314,7 +237,7 @@ fn trajectories(report: &mut Report, warehouse: &Warehouse, cases: &[Replayed<'_
             };
             let near = replay.length.zip(fewest).is_some_and(|(l, f)| is_near_optimal(l, f));
             ensure(near, || {
-                let (taken, fewest) = (shown(replay.length), shown(fewest));
+                let (taken, fewest) = (steps_text(replay.length), steps_text(fewest));
                 c.at(start, format!("{taken} steps where {fewest} are enough"))
             })
         }),
@@ -328,10 +251,10 @@ fn trajectories(report: &mut Report, warehouse: &Warehouse, cases: &[Replayed<'_
     );
 }
 
-/// The demonstrations other than the original, and what they share with it.
-fn demonstrations(report: &mut Report, layout: &Layout, cases: &[Replayed<'_>]) {
+/// Constraints on the demonstrations.
+fn demonstrations(report: &mut ValidationReport, layout: &Layout, cases: &[Replayed<'_>]) {
     let starts = |c: &Replayed<'_>, start| (c.start(Start::Original), c.start(start));
-    let shown = |c: &Replayed<'_>, start| {
+    let starts_at = |c: &Replayed<'_>, start| {
         let (original, other) = starts(c, start);
         c.at(start, format!("starts at {other}, the original at {original}"))
     };
@@ -340,17 +263,17 @@ fn demonstrations(report: &mut Report, layout: &Layout, cases: &[Replayed<'_>]) 
         cases.iter().map(|c| unseen(layout, c, Start::Original)),
     );
     report.push(
-        "opposite: the original's cell, heading turned around",
+        "opposite: the original's cell, facing the other way",
         cases.iter().map(|c| {
             let (original, opposite) = starts(c, Start::Opposite);
-            ensure(is_opposite(original, opposite), || shown(c, Start::Opposite))
+            ensure(is_opposite(original, opposite), || starts_at(c, Start::Opposite))
         }),
     );
     report.push(
         "nearby: 2 to 4 cells along the same aisle, same heading",
         cases.iter().map(|c| {
             let (original, nearby) = starts(c, Start::Nearby);
-            ensure(is_nearby(layout, original, nearby), || shown(c, Start::Nearby))
+            ensure(is_nearby(layout, original, nearby), || starts_at(c, Start::Nearby))
         }),
     );
     report.push(
@@ -366,7 +289,7 @@ fn demonstrations(report: &mut Report, layout: &Layout, cases: &[Replayed<'_>]) 
         "distant: at least 6 cells away in another aisle, heading turned by 90 degrees",
         cases.iter().map(|c| {
             let (original, distant) = starts(c, Start::Distant);
-            ensure(is_distant(layout, original, distant), || shown(c, Start::Distant))
+            ensure(is_distant(layout, original, distant), || starts_at(c, Start::Distant))
         }),
     );
     report.push(
@@ -380,8 +303,8 @@ fn demonstrations(report: &mut Report, layout: &Layout, cases: &[Replayed<'_>]) 
     );
 }
 
-/// The test start and its blocked variant.
-fn tests(report: &mut Report, layout: &Layout, cases: &[Replayed<'_>]) {
+/// Constraints on the test start and its blocked variant.
+fn tests(report: &mut ValidationReport, layout: &Layout, cases: &[Replayed<'_>]) {
     report.push(
         "test: starts at another pose than the four demonstrations",
         cases.iter().map(|c| {
@@ -404,7 +327,11 @@ fn tests(report: &mut Report, layout: &Layout, cases: &[Replayed<'_>]) {
             ensure(similar, || {
                 c.at(
                     Start::Test,
-                    format!("{} steps, the original {}", shown(lengths.1), shown(lengths.0)),
+                    format!(
+                        "{} steps, the original {}",
+                        steps_text(lengths.1),
+                        steps_text(lengths.0)
+                    ),
                 )
             })
         }),
@@ -421,7 +348,7 @@ fn tests(report: &mut Report, layout: &Layout, cases: &[Replayed<'_>]) {
         cases.iter().map(|c| {
             let closed = &c.case.barricade;
             ensure(passages.contains(closed), || {
-                c.at(Start::Blocked, format!("{} is no passage", list(closed)))
+                c.at(Start::Blocked, format!("{} is not a passage", list(closed)))
             })
         }),
     );
@@ -469,7 +396,7 @@ fn unseen(layout: &Layout, c: &Replayed<'_>, start: Start) -> Result<(), String>
     }
 }
 
-fn regeneration(report: &mut Report, warehouse: &Warehouse, cases: &CaseSet) {
+fn regeneration(report: &mut ValidationReport, warehouse: &Warehouse, cases: &CaseSet) {
     let count = cases.cases.len();
     let results = match CaseSet::generate(warehouse, cases.seed, count) {
         Ok(again) => cases
@@ -487,7 +414,7 @@ fn regeneration(report: &mut Report, warehouse: &Warehouse, cases: &CaseSet) {
     report.push("the cases are regenerated from their seed, bit for bit", results);
 }
 
-/// The groups of `cells` in which neighbours are at most `reach` apart.
+/// Groups of `cells` in which neighbours are at most `reach` apart.
 fn islands(cells: Vec<Cell>, reach: u32) -> Vec<Vec<Cell>> {
     let mut rest = cells;
     let mut islands = Vec::new();
@@ -507,7 +434,7 @@ fn list(cells: &[Cell]) -> String {
     cells.iter().map(Cell::to_string).collect::<Vec<_>>().join(" ")
 }
 
-fn shown(steps: Option<u32>) -> String {
+fn steps_text(steps: Option<u32>) -> String {
     steps.map_or_else(|| "no".into(), |steps| steps.to_string())
 }
 

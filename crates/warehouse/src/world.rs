@@ -1,4 +1,4 @@
-//! The warehouse: floor plan and catalogue put together, every item in its bay.
+//! The warehouse: floor plan and catalogue together, with every item in its bay.
 
 use std::path::Path;
 
@@ -13,26 +13,26 @@ const CATALOGUE_FILE: &str = "catalogue.toml";
 const SHIPPED_LAYOUT: &str = include_str!("../../../assets/layout.toml");
 const SHIPPED_CATALOGUE: &str = include_str!("../../../assets/catalogue.toml");
 
-/// Most items of one category: planning searches all orders of visiting them.
+/// Most items of one category, because planning searches all visit orders.
 const MAX_CATEGORY: usize = 16;
 
 /// One item in its bay.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub struct Item {
-    /// Position in [`Warehouse::items`].
+    /// The index in [`Warehouse::items`].
     pub id: u16,
-    /// Index of its type in [`Catalogue::types`].
+    /// The index of its type in [`Catalogue::types`].
     pub item_type: usize,
-    /// The rack square it stands in.
+    /// Its rack square.
     pub rack: Cell,
-    /// The side of the rack it stands on: points from the rack to the standpoint.
+    /// Its side of the rack: the direction from the rack to the standpoint.
     pub face: Heading,
-    /// The free cell in front of it; standing there reaches the item.
+    /// The free cell in front of it. An agent there has reached the item.
     pub standpoint: Cell,
 }
 
 impl Item {
-    /// The heading from which the item is looked at on its standpoint.
+    /// The heading in which an agent on the standpoint faces the item.
     pub fn viewing_heading(&self) -> Heading {
         self.face.opposite()
     }
@@ -43,9 +43,9 @@ impl Item {
 pub struct Warehouse {
     /// The floor plan.
     pub layout: Layout,
-    /// What there is.
+    /// Categories and types.
     pub catalogue: Catalogue,
-    /// Every item, by id: row by row of their standpoints from the south-west corner.
+    /// All items by id: by standpoint, row by row from the south-west corner.
     pub items: Vec<Item>,
 }
 
@@ -66,7 +66,7 @@ impl Warehouse {
     /// Reads `layout.toml` and `catalogue.toml` in the folder `assets`.
     ///
     /// # Errors
-    /// A file that cannot be read, or that describes no possible warehouse.
+    /// A file that cannot be read or is invalid.
     pub fn load(assets: &Path) -> Result<Self, AssetError> {
         let (layout, catalogue) = (assets.join(LAYOUT_FILE), assets.join(CATALOGUE_FILE));
         Self::parse(
@@ -77,7 +77,7 @@ impl Warehouse {
         )
     }
 
-    /// Reads the two texts; the names are those of the files, for messages.
+    /// Parses the two texts. The file names are for messages.
     pub(crate) fn parse(
         layout_file: String,
         layout_text: &str,
@@ -95,12 +95,12 @@ impl Warehouse {
             .map_err(invalid(catalogue_file))
     }
 
-    /// Every type stands somewhere, and no category is too large to search all visit orders of.
+    /// Checks that every type has an item and no category has too many.
     fn check_sizes(&self) -> Result<(), Problem> {
         for (index, item_type) in self.catalogue.types.iter().enumerate() {
             if self.instances(index).next().is_none() {
                 return Err(format!(
-                    "no {} in the stock plan; add one or drop the type",
+                    "no {} in the stock plan; add one or remove the type",
                     item_type.name
                 ));
             }
@@ -125,7 +125,7 @@ impl Warehouse {
         &self.items[usize::from(id)]
     }
 
-    /// The item that is reached by standing on `cell`.
+    /// The item whose standpoint is `cell`.
     pub fn item_at(&self, cell: Cell) -> Option<&Item> {
         self.items.iter().find(|item| item.standpoint == cell)
     }
@@ -146,7 +146,7 @@ impl Warehouse {
     }
 }
 
-/// Turns the stock plan into items.
+/// The items of the stock plan.
 fn place(layout: &Layout, stock: &Stock) -> Result<Vec<Item>, Problem> {
     let (width, height) = (usize::from(layout.width()), usize::from(layout.height()));
     if stock.rows.len() != height {
@@ -189,7 +189,7 @@ fn place(layout: &Layout, stock: &Stock) -> Result<Vec<Item>, Problem> {
     Ok(items)
 }
 
-/// The one rack square beside `cell`, and the side of it that faces `cell`.
+/// The only rack square beside `cell`, and its side towards `cell`.
 fn faced_bay(layout: &Layout, cell: Cell) -> Result<(Cell, Heading), Problem> {
     let mut bays = Heading::ALL.into_iter().filter_map(|heading| {
         let rack = cell.step(heading).filter(|&next| layout.square(next) == Square::Rack)?;

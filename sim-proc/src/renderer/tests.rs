@@ -1,12 +1,15 @@
-//! What must hold for every picture, whoever draws it: nothing visible is left out, neither the way out nor the batch
-//! changes a byte, label plates keep their colours, a barricade is seen.
+//! What must hold for the images of both backends: nothing visible is left out, neither the frame path nor the batch
+//! changes a byte, label plates have exact colours, barricades are visible.
 
-use domain::Heading;
+use std::path::Path;
+
 use domain::camera::{CAMERA_HEIGHT_M, focal_length_px};
-use plates::{self, Plate};
-use warehouse::CaseSet;
+use domain::{Heading, Pose};
+use plates::Plate;
+use warehouse::{CaseSet, Variant};
 
-use super::visibility::Sight;
+use super::camera::Camera;
+use super::visibility::{VisibleSet, nearest_first};
 use super::*;
 
 const SIDE_PX: u32 = 448;
@@ -18,16 +21,12 @@ fn renderer(warehouse: &Warehouse, settings: RenderSettings) -> Renderer {
     }
 }
 
-/// Every hand there is on this machine, with these settings: the processor's, and that of the best Vulkan adapter.
-fn hands(settings: &RenderSettings) -> [RenderSettings; 2] {
-    // Every name contains nothing.
-    [PROCESSOR, ""]
-        .map(|name| RenderSettings { adapter: Some(name.to_owned()), ..settings.clone() })
-}
-
-/// A renderer with each hand.
+/// A renderer with each backend.
 fn both(warehouse: &Warehouse) -> [Renderer; 2] {
-    hands(&RenderSettings::default()).map(|settings| renderer(warehouse, settings))
+    [Backend::Cpu, Backend::Wgpu].map(|backend| {
+        let backend = Some(backend);
+        renderer(warehouse, RenderSettings { backend, ..RenderSettings::default() })
+    })
 }
 
 fn poses(warehouse: &Warehouse) -> Vec<Pose> {
@@ -35,67 +34,70 @@ fn poses(warehouse: &Warehouse) -> Vec<Pose> {
     cells.flat_map(|cell| Heading::ALL.map(|heading| Pose { cell, heading })).collect()
 }
 
-/// Draws these objects, instead of those that culling finds.
-fn drawn_with(
+/// Draws these objects instead of the visible set.
+fn draw_objects(
     renderer: &mut Renderer,
     camera: &Camera,
     objects: &[u32],
     triangles: Triangles,
-) -> image::RgbaImage {
-    let list = DrawList::new(renderer.lookout.scene(), camera, objects, triangles);
-    renderer.draw_image(Picture { camera: *camera, list, barricades: Vec::new() }).unwrap()
+) -> RgbaImage {
+    let list = draw_list(renderer.visibility.scene(), camera, objects, triangles);
+    let clip_from_world = camera.clip_from_world().into();
+    renderer.draw_image(PreparedView { clip_from_world, list, barricades: Vec::new() }).unwrap()
 }
 
-/// How many pixels differ. With DIFF_DIR set, the places are shown in a picture there.
-fn differing(pose: Pose, a: &image::RgbaImage, b: &image::RgbaImage) -> usize {
+/// How many pixels differ. With DIFF_DIR set, an image there shows which.
+fn differing(pose: Pose, a: &RgbaImage, b: &RgbaImage) -> usize {
     let count = a.pixels().zip(b.pixels()).filter(|(a, b)| a != b).count();
     if let (true, Ok(folder)) = (count > 0, std::env::var("DIFF_DIR")) {
         let mut shown = a.clone();
-        for (shown, (a, b)) in shown.pixels_mut().zip(a.pixels().zip(b.pixels())) {
+        for (shown, (a, b)) in
+            shown.as_bytes_mut().as_chunks_mut().0.iter_mut().zip(a.pixels().zip(b.pixels()))
+        {
             let [r, g, b] = if a == b { [a[0] / 3, a[1] / 3, a[2] / 3] } else { [255, 255, 0] };
-            *shown = image::Rgba([r, g, b, 255]);
+            *shown = [r, g, b, 255];
         }
-        shown.save(format!("{folder}/{pose}.png")).unwrap();
+        shown.write(&Path::new(&folder).join(format!("{pose}.png"))).unwrap();
     }
     count
 }
 
-/// Every 29th pose; `POSE_STEP=1` looks at all of them.
+/// Every 29th pose; `POSE_STEP=1` tests all of them.
 #[test]
-fn culling_loses_nothing_and_the_hall_has_no_holes() {
+fn culling_changes_no_pixel_and_the_hall_has_no_holes() {
     let warehouse = Warehouse::shipped();
     let step = std::env::var("POSE_STEP").map_or(29, |step| step.parse().unwrap());
     for mut renderer in both(&warehouse) {
         let wrong = losses(&warehouse, &mut renderer, step);
-        let drawn = renderer.report().adapter;
-        assert!(wrong.is_empty(), "views that {drawn} draws wrong:\n{}", wrong.join("\n"));
+        let backend = renderer.report().backend;
+        assert!(wrong.is_empty(), "wrong with {backend}:\n{}", wrong.join("\n"));
     }
 }
 
-/// What is wrong with every pose number `step`.
+/// What is wrong with every `step`th pose.
 fn losses(warehouse: &Warehouse, renderer: &mut Renderer, step: usize) -> Vec<String> {
     let mut wrong = Vec::new();
     for pose in poses(warehouse).into_iter().step_by(step) {
         let camera = Camera::new(pose, SIDE_PX, SIDE_PX);
-        let all = visibility::nearest_first(renderer.lookout.scene(), &camera, |_| true);
+        let all = nearest_first(renderer.visibility.scene(), &camera, |_| true);
         let backwards: Vec<u32> = all.iter().rev().copied().collect();
-        let culled = Sight::new(renderer.lookout.scene(), &camera).objects;
+        let culled = VisibleSet::new(renderer.visibility.scene(), &camera).objects;
         assert!(culled.len() < all.len() / 2, "{pose}: culling left out too little");
-        let culled = drawn_with(renderer, &camera, &culled, Triangles::Facing);
-        let whole = drawn_with(renderer, &camera, &all, Triangles::All);
+        let culled = draw_objects(renderer, &camera, &culled, Triangles::Facing);
+        let whole = draw_objects(renderer, &camera, &all, Triangles::All);
         let lost = differing(pose, &culled, &whole);
         if lost > 0 {
             wrong.push(format!("{pose}: {lost} pixels lost"));
         }
-        // Surfaces in one plane would show here; single pixels are edges that meet.
-        let whole_backwards = drawn_with(renderer, &camera, &backwards, Triangles::All);
+        // Coplanar surfaces would differ here. Single pixels are edges that meet.
+        let whole_backwards = draw_objects(renderer, &camera, &backwards, Triangles::All);
         let fighting = differing(pose, &whole, &whole_backwards);
         if fighting > 12 {
             wrong.push(format!("{pose}: {fighting} pixels depend on the order of drawing"));
         }
-        // A hole in the hall would show the background; a few samples at distant corners do.
+        // A hole in the hall would show the background, as a few samples at distant corners do.
         let background = std::mem::replace(&mut renderer.background, [0.0; 3]);
-        let holes = drawn_with(renderer, &camera, &all, Triangles::All);
+        let holes = draw_objects(renderer, &camera, &all, Triangles::All);
         renderer.background = background;
         let holes = differing(pose, &whole, &holes);
         if holes > 4 {
@@ -126,12 +128,12 @@ impl Pages {
 }
 
 #[test]
-fn neither_the_way_out_nor_the_batch_changes_a_byte() {
+fn neither_the_frame_path_nor_the_batch_changes_a_byte() {
     let warehouse = Warehouse::shipped();
     let settings = RenderSettings { width_px: 192, height_px: 128, ..RenderSettings::default() };
-    let [_, card] = hands(&settings);
-    let mut direct = renderer(&warehouse, card.clone());
-    let mut copied = renderer(&warehouse, RenderSettings { force_copy: true, ..card });
+    let settings = RenderSettings { backend: Some(Backend::Wgpu), ..settings };
+    let mut direct = renderer(&warehouse, settings.clone());
+    let mut copied = renderer(&warehouse, RenderSettings { force_copy: true, ..settings });
     assert!(matches!(copied.report().frame_path, FramePath::Copied { .. }));
     let open = Variant::UNCHANGED;
     let blocked = Variant::closing(CaseSet::shipped().cases[0].barricade.iter().copied());
@@ -142,8 +144,8 @@ fn neither_the_way_out_nor_the_batch_changes_a_byte() {
         .map(|(pose, variant)| View { pose, variant })
         .collect();
     let frame = direct.frame_bytes();
-    let alone: Vec<Vec<u8>> =
-        views.iter().map(|&view| direct.render_image(view).unwrap().into_raw()).collect();
+    let alone: Vec<RgbaImage> =
+        views.iter().map(|&view| direct.render_image(view).unwrap()).collect();
     let copied_before = direct.report().bytes_copied;
     assert_eq!(copied_before as usize, frame * views.len(), "ordinary memory is copied once");
 
@@ -158,7 +160,7 @@ fn neither_the_way_out_nor_the_batch_changes_a_byte() {
             .collect();
         renderer.render(&mut jobs).unwrap();
         for ((view, expected), slot) in views.iter().zip(&alone).rev().zip(pages.slots()) {
-            assert!(slot[..frame] == expected[..], "{} differs", view.pose);
+            assert!(slot[..frame] == *expected.as_bytes(), "{} differs", view.pose);
         }
         renderer.forget_imports();
     }
@@ -169,7 +171,7 @@ fn neither_the_way_out_nor_the_batch_changes_a_byte() {
 }
 
 #[test]
-fn a_plate_in_front_shows_its_exact_colours() {
+fn a_nearby_plate_has_exact_colours() {
     let warehouse = Warehouse::shipped();
     for mut renderer in both(&warehouse) {
         check_plates(&warehouse, &mut renderer);
@@ -187,7 +189,10 @@ fn check_plates(warehouse: &Warehouse, renderer: &mut Renderer) {
         let rgb = |right: f32, up: f32| {
             let centre = SIDE_PX as f32 / 2.0;
             let (x, y) = (centre + right * scale, centre - (up - CAMERA_HEIGHT_M) * scale);
-            let [r, g, b, _] = image.get_pixel(x as u32, y as u32).0;
+            let [[r, g, b, _]] = *image.crop(x as u32, y as u32, 1, 1).as_bytes().as_chunks().0
+            else {
+                panic!("one pixel")
+            };
             [r, g, b]
         };
         let inner = plates::SIZE_M - 2.0 * plates::FRAME_M;
@@ -209,7 +214,7 @@ fn check_plates(warehouse: &Warehouse, renderer: &mut Renderer) {
 }
 
 #[test]
-fn nobody_overlooks_a_barricade() {
+fn a_nearby_barricade_is_visible() {
     let warehouse = Warehouse::shipped();
     let mut seen = 0;
     let mut both = both(&warehouse);
@@ -227,12 +232,12 @@ fn nobody_overlooks_a_barricade() {
                 };
                 let pose = Pose { cell: stand, heading };
                 assert!(
-                    renderer.lookout.may_show_barricade(View { pose, variant: &closed }),
+                    renderer.visibility.may_show_barricade(View { pose, variant: &closed }),
                     "{pose}"
                 );
                 let image = renderer.render_image(View { pose, variant: &closed }).unwrap();
-                let is_red = |p: &&image::Rgba<u8>| p[0] > 120 && p[1] < 60 && p[2] < 60;
-                let middle = image::imageops::crop_imm(&image, 112, 150, 224, 200).to_image();
+                let is_red = |p: &[u8; 4]| p[0] > 120 && p[1] < 60 && p[2] < 60;
+                let middle = image.crop(112, 150, 224, 200);
                 let red = middle.pixels().filter(is_red).count();
                 assert!(red > 2500, "{pose}: only {red} red pixels where a barricade stands");
                 seen += 1;
@@ -242,8 +247,8 @@ fn nobody_overlooks_a_barricade() {
     assert!(seen > 10, "only {seen} views of barricades");
 }
 
-/// 40 pairs of a barricade and a pose before which it lies in the field of view behind racks, and 8 where
-/// it lies elsewhere. `POSE_STEP=1` looks at all of them.
+/// 40 pairs of a barricade and a pose whose field of view contains it, hidden behind racks, and 8 where it lies elsewhere.
+/// `POSE_STEP=1` tests all pairs.
 #[test]
 fn a_barricade_that_is_hidden_changes_no_byte() {
     let warehouse = Warehouse::shipped();
@@ -259,7 +264,7 @@ fn a_barricade_that_is_hidden_changes_no_byte() {
     for (number, variant) in barricades.iter().enumerate() {
         for pose in poses(&warehouse).into_iter().filter(|pose| !variant.is_closed(pose.cell)) {
             views += 1;
-            if !both[0].lookout.may_show_barricade(View { pose, variant }) {
+            if !both[0].visibility.may_show_barricade(View { pose, variant }) {
                 let is_ahead = variant.closed().iter().any(|&cell| is_ahead(pose, cell));
                 if is_ahead { &mut ahead } else { &mut elsewhere }.push((number, pose));
             }
@@ -292,13 +297,18 @@ fn is_ahead(pose: Pose, cell: domain::Cell) -> bool {
 }
 
 #[test]
-fn what_cannot_be_rendered_is_refused_with_a_reason() {
+fn unusable_settings_are_refused_with_a_reason() {
     let warehouse = Warehouse::shipped();
     let refused = |settings| Renderer::new(&warehouse, settings).err().unwrap().to_string();
     let odd = RenderSettings { width_px: 450, ..RenderSettings::default() };
     assert!(refused(odd).contains("multiple of 64"));
-    let wanted = RenderSettings { adapter: Some("abacus".into()), ..RenderSettings::default() };
-    assert!(refused(wanted).contains("no Vulkan adapter's name contains \"abacus\"; there are: "));
+    let named = RenderSettings { adapter: Some("abacus".into()), ..RenderSettings::default() };
+    assert!(
+        refused(named.clone())
+            .contains("no Vulkan adapter's name contains \"abacus\"; there are: ")
+    );
+    let both = RenderSettings { backend: Some(Backend::Cpu), ..named };
+    assert!(refused(both).contains("which --backend cpu does not use"));
 
     let mut renderer = renderer(&warehouse, RenderSettings::default());
     let view = View { pose: Pose::new(2, 8, Heading::N), variant: &Variant::UNCHANGED };

@@ -83,7 +83,7 @@ impl Views {
         let rendered = if is_changed { &mut self.rendered_closed } else { &mut self.rendered };
         let render = || {
             let image = self.renderer.render_image(View { pose, variant }).unwrap();
-            let (width, height) = image.dimensions();
+            let (width, height) = (image.width(), image.height());
             self.last_id += 1;
             Arc::new(Image::new(self.last_id, width, height, image.into_raw()))
         };

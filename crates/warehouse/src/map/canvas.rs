@@ -1,12 +1,24 @@
-//! A small SVG writer: just the elements that the maps use.
+//! Writes SVG: only the elements that the maps use, and the measures and colours that all of them share.
 
 use std::fmt::Write as _;
 
-use super::Point;
+/// A point of the drawing: right and down.
+pub(super) type Point = (f64, f64);
+
+/// Side of a cell, in units of the drawing.
+pub(super) const CELL: f64 = 40.0;
+/// Space around the floor plan, for coordinates.
+pub(super) const MARGIN: f64 = 44.0;
+/// Width of the legend.
+pub(super) const LEGEND: f64 = 372.0;
+
+pub(super) const INK: &str = "#1f2933";
+pub(super) const MUTED: &str = "#7b8794";
+pub(super) const PAPER: &str = "#ffffff";
 
 const FONT: &str = "Inter, 'Helvetica Neue', Helvetica, Arial, 'DejaVu Sans', sans-serif";
 
-/// An SVG document in progress. `style` arguments are attributes, written as they are.
+/// An SVG document in progress. `style` arguments are attributes, written without change.
 pub(super) struct Canvas(String);
 
 impl Canvas {
@@ -40,7 +52,7 @@ impl Canvas {
         self.line(format_args!("<circle cx='{x:.1}' cy='{y:.1}' r='{radius:.1}' {style}/>"));
     }
 
-    /// An unfilled path, unless `style` fills it.
+    /// A path, filled only if `style` says so.
     pub(super) fn path(&mut self, d: &str, style: &str) {
         let fill = if style.contains("fill=") { "" } else { "fill='none' " };
         self.line(format_args!("<path d='{d}' {fill}{style}/>"));

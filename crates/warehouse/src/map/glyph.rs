@@ -1,7 +1,6 @@
-//! A small picture of every shape, seen from the side so that people recognise it.
+//! A glyph for every shape, seen from the side.
 
-use super::Point;
-use super::canvas::Canvas;
+use super::canvas::{Canvas, Point};
 use crate::catalogue::Shape;
 
 /// Outline of every glyph.

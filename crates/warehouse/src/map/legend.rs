@@ -1,47 +1,16 @@
-//! What stands beside the floor: the task, the routes with their lengths, the targets, the catalogue.
+//! The legend: the task, the routes with their lengths, the targets, the catalogue.
 
-use super::canvas::Canvas;
-use super::routes::{Style, barricade, start_disc, style};
-use super::{CELL, INK, LEGEND, MARGIN, MUTED, Map, PAPER, Point, glyph};
+use super::canvas::{CELL, Canvas, INK, LEGEND, MARGIN, MUTED, PAPER};
+use super::floor::Map;
+use super::glyph;
+use super::marks::{Style, badge, barricade, letter, start_disc, style};
 use crate::case::{Case, Start};
 use crate::catalogue::Catalogue;
 use crate::task::Task;
 use crate::world::{Item, Warehouse};
 
-/// Characters of a line of the instruction.
+/// Most characters in a line of the instruction.
 const LINE: usize = 36;
-
-/// The letter that a target of `task` wears; `None` for any other item.
-pub(super) fn letter(warehouse: &Warehouse, task: &Task, item: &Item) -> Option<char> {
-    match *task {
-        Task::FindCategory { c } | Task::EveryOfCategory { c } => {
-            (warehouse.category_of(item) == c).then_some('C')
-        }
-        Task::FindType { a }
-        | Task::EveryOfType { a }
-        | Task::FindAndReturn { a }
-        | Task::EveryAndReturn { a } => (item.item_type == a).then_some('A'),
-        Task::BothTypes { a, b }
-        | Task::InOrder { a, b }
-        | Task::Revisit { a, b }
-        | Task::InOrderAndReturn { a, b } => match item.item_type {
-            found if found == a => Some('A'),
-            found if found == b => Some('B'),
-            _ => None,
-        },
-    }
-}
-
-/// The round badge with a target's letter.
-pub(super) fn badge(canvas: &mut Canvas, (x, y): Point, letter: char) {
-    let fill = if letter == 'B' { "#0f766e" } else { INK };
-    canvas.circle((x, y), 8.0, &format!("fill='{fill}'"));
-    canvas.text(
-        (x, y + 4.0),
-        &letter.to_string(),
-        &format!("font-size='11' font-weight='700' fill='{PAPER}' text-anchor='middle'"),
-    );
-}
 
 /// Writes the legend from top to bottom.
 struct Column<'m> {
@@ -90,7 +59,7 @@ impl Column<'_> {
         }
     }
 
-    /// A figure at the right border.
+    /// A number at the right border.
     fn right(&mut self, text: &str) {
         let at = (self.x + LEGEND - MARGIN, self.y);
         self.canvas.text(at, text, &format!("font-size='14' fill='{MUTED}' text-anchor='end'"));
@@ -167,18 +136,18 @@ impl Map<'_> {
         column.y += 28.0;
         let at = (column.x + 25.0, column.y - 5.0);
         column.canvas.circle(at, 4.2, &format!("fill='{PAPER}' stroke='{INK}' stroke-width='2.2'"));
-        column.text(66.0, "a sub-goal is met", 14.0, INK, 400);
+        column.text(66.0, "a sub-goal is completed", 14.0, INK, 400);
         column.catalogue(&warehouse.catalogue, &|index| warehouse.items_in(index).count());
         self.compass();
     }
 }
 
-/// Each letter, what it stands for and how many there are.
+/// The letters of targets, what they stand for, and how many there are.
 fn targets(column: &mut Column<'_>, warehouse: &Warehouse, case: &Case) {
     let targets = case.task.targets(warehouse);
     for wanted in ['A', 'B', 'C'] {
-        let wears = |item: &&&Item| letter(warehouse, &case.task, item) == Some(wanted);
-        let found: Vec<&Item> = targets.iter().filter(wears).copied().collect();
+        let has_letter = |item: &&&Item| letter(warehouse, &case.task, item) == Some(wanted);
+        let found: Vec<&Item> = targets.iter().filter(has_letter).copied().collect();
         let Some(first) = found.first() else { continue };
         let item_type = &warehouse.catalogue.types[first.item_type];
         let name = match wanted {
@@ -194,7 +163,7 @@ fn targets(column: &mut Column<'_>, warehouse: &Warehouse, case: &Case) {
     }
 }
 
-/// A route's line, its start and its length.
+/// A route's line style, start and length.
 fn route(column: &mut Column<'_>, warehouse: &Warehouse, case: &Case, start: Start) {
     column.y += 29.0;
     let (x, y) = (column.x, column.y - 5.0);
@@ -212,7 +181,7 @@ fn route(column: &mut Column<'_>, warehouse: &Warehouse, case: &Case, start: Sta
     column.right(&steps);
 }
 
-/// `text` in lines of at most `width` characters, where its words allow.
+/// Wraps `text` into lines of at most `width` characters.
 fn wrapped(text: &str, width: usize) -> Vec<String> {
     let mut lines: Vec<String> = Vec::new();
     for word in text.split(' ') {

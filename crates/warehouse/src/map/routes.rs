@@ -1,38 +1,18 @@
-//! The six routes of a case, side by side where they run together, and the barricade.
+//! The six routes of a case, side by side where they overlap, and the barricade.
 
-use domain::{Cell, Heading, Pose};
+use domain::{Cell, Pose};
 
-use super::canvas::Canvas;
-use super::{CELL, INK, Map, PAPER, Point, direction};
+use super::canvas::{CELL, PAPER, Point};
+use super::floor::Map;
+use super::marks::{Style, barricade, chevron, direction, start_disc, style};
 use crate::case::{Case, Start};
 use crate::world::Warehouse;
 
 /// Distance between neighbouring routes in one cell.
 const LANE: f64 = 5.2;
 
-/// A chevron on every so many moves says which way a route runs.
+/// A chevron on every so many moves shows the direction of a route.
 const CHEVRON_EVERY: usize = 3;
-
-/// How a route is drawn.
-pub(super) struct Style {
-    pub(super) colour: &'static str,
-    pub(super) dashes: &'static str,
-    pub(super) width: f64,
-    /// Place among the six, from -2.5 to 2.5.
-    lane: f64,
-}
-
-pub(super) const fn style(start: Start) -> Style {
-    let (colour, dashes, width, lane) = match start {
-        Start::Original => ("#0b5fa5", "", 2.6, -2.5),
-        Start::Opposite => ("#3fa9dc", "", 2.6, -1.5),
-        Start::Nearby => ("#2a9d5c", "", 2.6, -0.5),
-        Start::Distant => ("#8250c4", "", 2.6, 0.5),
-        Start::Test => ("#e8780c", "", 3.2, 1.5),
-        Start::Blocked => ("#c81e3a", "7 3.5", 3.2, 2.5),
-    };
-    Style { colour, dashes, width, lane }
-}
 
 impl Map<'_> {
     pub(super) fn routes(&mut self, warehouse: &Warehouse, case: &Case) {
@@ -53,8 +33,8 @@ impl Map<'_> {
         }
     }
 
-    /// The middle of `cell` in the lane of `start`. All of a route is shifted alike, along both axes,
-    /// so no two routes cover each other and none is torn at its corners.
+    /// The middle of `cell` in the lane of `start`. A whole route is shifted along both axes, so routes neither cover each
+    /// other nor break at corners.
     fn in_lane(&self, start: Start, cell: Cell) -> Point {
         let (x, y) = self.centre(cell);
         let shift = style(start).lane * LANE;
@@ -87,7 +67,7 @@ impl Map<'_> {
         }
     }
 
-    /// A dot where a sub-goal is met.
+    /// A dot where a sub-goal is completed.
     fn goal(&mut self, start: Start, cell: Cell) {
         let colour = style(start).colour;
         let at = self.in_lane(start, cell);
@@ -98,8 +78,8 @@ impl Map<'_> {
         );
     }
 
-    /// A disc that points towards the start's heading. Original and opposite share a cell and point apart;
-    /// test and blocked share a pose, and the blocked one is a rim around the other.
+    /// A disc with an arrow in the direction of the start's heading. Original and opposite share a cell and are moved apart;
+    /// test and blocked share a pose, and the blocked one is a ring around the other.
     fn start_mark(&mut self, start: Start, pose: Pose) {
         let (x, y) = self.centre(pose.cell);
         let (dx, dy) = direction(pose.heading);
@@ -109,73 +89,4 @@ impl Map<'_> {
         };
         start_disc(&mut self.canvas, (x + dx * pushed, y + dy * pushed), start, pose.heading);
     }
-}
-
-/// The mark of a start at `at`.
-pub(super) fn start_disc(canvas: &mut Canvas, at: Point, start: Start, heading: Heading) {
-    let Style { colour, dashes, .. } = style(start);
-    if start == Start::Blocked {
-        let rim =
-            format!("fill='none' stroke='{colour}' stroke-width='2.6' stroke-dasharray='5 2.5'");
-        canvas.circle(at, 13.5, &rim);
-        return;
-    }
-    let disc =
-        format!("fill='{PAPER}' stroke='{colour}' stroke-width='2.2' stroke-dasharray='{dashes}'");
-    canvas.circle(at, 10.0, &disc);
-    let (dx, dy) = direction(heading);
-    pointer(canvas, at, dy.atan2(dx).to_degrees(), 0.85, &format!("fill='{colour}'"));
-}
-
-/// An arrow head of about 15 units, drawn towards `angle` degrees clockwise from east.
-pub(super) fn pointer(canvas: &mut Canvas, (x, y): Point, angle: f64, size: f64, look: &str) {
-    canvas.open(&format!("transform='translate({x:.1} {y:.1}) rotate({angle:.0}) scale({size})'"));
-    canvas.path("M8.5 0L-6 7L-2.5 0L-6 -7Z", &format!("{look} stroke-linejoin='round'"));
-    canvas.close();
-}
-
-fn chevron(canvas: &mut Canvas, (x, y): Point, angle: f64, colour: &str) {
-    canvas.open(&format!("transform='translate({x:.1} {y:.1}) rotate({angle:.0})'"));
-    canvas.path("M5 0L-3.2 4.4L-1.2 0L-3.2 -4.4Z", &format!("fill='{colour}'"));
-    canvas.close();
-}
-
-/// A square of red and white stripes, `size` wide.
-pub(super) fn barricade(canvas: &mut Canvas, (x, y): Point, size: f64) {
-    let (x, y, size) = (x + 1.5, y + 1.5, size - 3.0);
-    canvas.rect((x, y), (size, size), "fill='#ffffff'");
-    // Slanted stripes, cut to the square: each rises as far as it runs.
-    let stripe = size / 4.0;
-    let mut path = String::new();
-    for k in [-3.0, -1.0, 1.0, 3.0] {
-        let (from, to) = (k * stripe, (k + 1.0) * stripe);
-        // Corners of the band from <= u + v <= to of the unit square's diagonal coordinates.
-        let at = |sum: f64| {
-            let sum = sum + size;
-            if sum <= size {
-                ((sum, 0.0), (0.0, sum))
-            } else {
-                ((size, sum - size), (sum - size, size))
-            }
-        };
-        let ((ax, ay), (bx, by)) = at(from);
-        let ((cx, cy), (dx, dy)) = at(to);
-        path += &format!(
-            "M{:.1} {:.1}L{:.1} {:.1}L{:.1} {:.1}L{:.1} {:.1}Z",
-            x + ax,
-            y + ay,
-            x + bx,
-            y + by,
-            x + dx,
-            y + dy,
-            x + cx,
-            y + cy
-        );
-    }
-    canvas.path(&path, "fill='#d7263d'");
-    canvas.rect(
-        (x, y),
-        (size, size),
-        &format!("fill='none' stroke='{INK}' stroke-width='1.5' rx='2'"),
-    );
 }

@@ -1,84 +1,23 @@
-//! What holds of the histories of other tasks that each case lists (SPEC section 6), and how many there are.
+//! Constraints on each case's histories of other tasks (specification, section 6), and their statistics.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 
-use serde::Serialize;
-
-use super::{Report, ensure};
-use crate::case::{Case, CaseSet, History, Start};
-use crate::mixed::{MOST_SERVED, Mixture, Overlap, in_common, target_ids};
+use super::report::{CountRange, HistoryStatistics, ValidationReport, ensure};
+use crate::case::{Case, CaseSet, History, Mixture, Start};
+use crate::mixed::{MOST_SERVED, Overlap, in_common, target_ids};
 use crate::world::Warehouse;
 
-// A constraint below spells this figure out.
+// A constraint below contains this number.
 const _: () = assert!(MOST_SERVED == 4);
 
-/// What there is of one kind of histories.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
-pub struct Figures {
-    /// The kind: irrelevant or confusable.
-    pub mixture: &'static str,
-    /// How many the cases list.
-    pub listed: usize,
-    /// How many different ones.
-    pub different: usize,
-    /// How many cases these are demonstrations of.
-    pub cases: usize,
-    /// Poses that each shares with the test reference.
-    pub shared_poses: Spread,
-    /// Shared poses from which each goes on differently.
-    pub conflicts: Spread,
-}
-
-/// The smallest, the middle (the upper one of two) and the largest of some numbers.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
-pub struct Spread {
-    /// The smallest.
-    pub least: usize,
-    /// The middle.
-    pub median: usize,
-    /// The largest.
-    pub most: usize,
-}
-
-impl Spread {
-    /// `None` without numbers.
-    fn of(numbers: impl Iterator<Item = usize>) -> Option<Self> {
-        let mut numbers: Vec<usize> = numbers.collect();
-        numbers.sort_unstable();
-        let (&least, &most) = (numbers.first()?, numbers.last()?);
-        Some(Self { least, median: numbers[numbers.len() / 2], most })
-    }
-}
-
-impl fmt::Display for Spread {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { least, median, most } = self;
-        if least == most {
-            return write!(f, "{least}");
-        }
-        write!(f, "{least} to {most} (median {median})")
-    }
-}
-
-impl fmt::Display for Figures {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { mixture, listed, different, cases, shared_poses, conflicts } = self;
-        write!(
-            f,
-            "{mixture}: {listed} histories, {different} different ones of {cases} cases; shared poses \
-             {shared_poses}, conflicts {conflicts}"
-        )
-    }
-}
-
-/// A history that a case lists.
+/// A history of a case.
 struct Listed<'a> {
     index: usize,
     case: &'a Case,
     mixture: Mixture,
     history: History,
-    /// Whose demonstration it is; the set may lack it.
+    /// The case that it is a demonstration of; the set may lack it.
     source: Option<&'a Case>,
 }
 
@@ -87,7 +26,7 @@ impl Listed<'_> {
         Overlap::of(warehouse, set, self.index, self.history)
     }
 
-    /// Names the case and the history before a violation.
+    /// A violation by this history.
     fn at(&self, violation: impl fmt::Display) -> String {
         let source = self.source.map_or("a case that is not in the set", |source| &source.id);
         let (id, kind, start) = (&self.case.id, self.mixture.name(), self.history.start.name());
@@ -95,7 +34,7 @@ impl Listed<'_> {
     }
 }
 
-pub(super) fn check(report: &mut Report, warehouse: &Warehouse, set: &CaseSet) {
+pub(super) fn check(report: &mut ValidationReport, warehouse: &Warehouse, set: &CaseSet) {
     let listed: Vec<Listed<'_>> = set
         .cases
         .iter()
@@ -137,7 +76,7 @@ pub(super) fn check(report: &mut Report, warehouse: &Warehouse, set: &CaseSet) {
         (Mixture::Irrelevant, "irrelevant: the history shares no pose with the test reference"),
         (
             Mixture::Confusable,
-            "confusable: at a pose shared with the test reference the history goes on differently",
+            "confusable: at a pose shared with the test reference the history continues differently",
         ),
     ] {
         let of_kind = measured.iter().filter(|(l, _)| l.mixture == mixture);
@@ -145,7 +84,7 @@ pub(super) fn check(report: &mut Report, warehouse: &Warehouse, set: &CaseSet) {
             constraint,
             of_kind.map(|(l, overlap)| {
                 let Overlap { shared_poses, conflicts } = overlap;
-                ensure(mixture.admits(*overlap), || {
+                ensure(overlap.is(mixture), || {
                     l.at(format!("{shared_poses} poses are shared, {conflicts} in conflict"))
                 })
             }),
@@ -162,21 +101,21 @@ pub(super) fn check(report: &mut Report, warehouse: &Warehouse, set: &CaseSet) {
             ensure(by.len() <= MOST_SERVED, || by[0].at(format!("serves {} cases", by.len())))
         }),
     );
-    report.mixtures = Mixture::ALL.into_iter().filter_map(|m| figures(m, &measured)).collect();
+    report.mixtures = Mixture::ALL.into_iter().filter_map(|m| statistics(m, &measured)).collect();
 }
 
-/// `None` where there are no histories of this kind.
-fn figures(mixture: Mixture, measured: &[(&Listed<'_>, Overlap)]) -> Option<Figures> {
+/// `None` if there are no histories of this kind.
+fn statistics(mixture: Mixture, measured: &[(&Listed<'_>, Overlap)]) -> Option<HistoryStatistics> {
     let of_kind = || measured.iter().filter(|(l, _)| l.mixture == mixture);
     let histories: BTreeSet<History> = of_kind().map(|(l, _)| l.history).collect();
     let cases: BTreeSet<usize> = histories.iter().map(|history| history.case).collect();
-    Some(Figures {
+    Some(HistoryStatistics {
         mixture: mixture.name(),
         listed: of_kind().count(),
         different: histories.len(),
         cases: cases.len(),
-        shared_poses: Spread::of(of_kind().map(|(_, overlap)| overlap.shared_poses))?,
-        conflicts: Spread::of(of_kind().map(|(_, overlap)| overlap.conflicts))?,
+        shared_poses: CountRange::of(of_kind().map(|(_, overlap)| overlap.shared_poses))?,
+        conflicts: CountRange::of(of_kind().map(|(_, overlap)| overlap.conflicts))?,
     })
 }
 
@@ -184,8 +123,8 @@ fn figures(mixture: Mixture, measured: &[(&Listed<'_>, Overlap)]) -> Option<Figu
 mod tests {
     use super::*;
 
-    fn checked(set: &CaseSet) -> Report {
-        let mut report = Report { lines: Vec::new(), mixtures: Vec::new() };
+    fn checked(set: &CaseSet) -> ValidationReport {
+        let mut report = ValidationReport { lines: Vec::new(), mixtures: Vec::new() };
         check(&mut report, &Warehouse::shipped(), set);
         report
     }
@@ -198,7 +137,7 @@ mod tests {
         ok     400 checked    0 off  mixed: two different histories of each kind, demonstrations of other cases
         ok     400 checked    0 off  mixed: no item counts for the history's task and for the case's
         ok     200 checked    0 off  irrelevant: the history shares no pose with the test reference
-        ok     200 checked    0 off  confusable: at a pose shared with the test reference the history goes on differently
+        ok     200 checked    0 off  confusable: at a pose shared with the test reference the history continues differently
         ok     365 checked    0 off  mixed: no history serves more than four cases as one kind
         irrelevant: 200 histories, 200 different ones of 90 cases; shared poses 0, conflicts 0
         confusable: 200 histories, 165 different ones of 74 cases; shared poses 1 to 32 (median 11), conflicts 1 to 5 (median 3)

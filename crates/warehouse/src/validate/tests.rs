@@ -1,12 +1,12 @@
-//! Whatever single thing is wrong, the line of the constraint it breaks says so.
+//! Each violation is reported for the constraint that it breaks.
 
 use domain::{Action, Heading, Pose};
 
 use super::*;
 use crate::catalogue::Shape;
 
-/// The line about `constraint`, by the words it begins with.
-fn line<'r>(report: &'r Report, constraint: &str) -> &'r Line {
+/// The result for the constraint that begins with these words.
+fn line<'r>(report: &'r ValidationReport, constraint: &str) -> &'r ConstraintResult {
     let mut lines = report.lines.iter().filter(|line| line.constraint.starts_with(constraint));
     let line = lines.next().unwrap_or_else(|| panic!("no line begins with {constraint:?}"));
     assert!(lines.next().is_none(), "two lines begin with {constraint:?}");
@@ -14,7 +14,7 @@ fn line<'r>(report: &'r Report, constraint: &str) -> &'r Line {
 }
 
 /// Asserts that `report` finds the constraint broken.
-fn assert_broken(report: &Report, constraint: &str, what: &str) {
+fn assert_broken(report: &ValidationReport, constraint: &str, what: &str) {
     assert!(!report.is_clean(), "{what}");
     assert!(!line(report, constraint).violations.is_empty(), "{what}\n{report}");
 }
@@ -51,9 +51,9 @@ fn a_corrupted_case_breaks_the_line_about_it() {
             "every trajectory takes at most 150 %",
         ),
         (
-            "no look at the target",
-            |case, _| leave_out_last_look(case),
-            "every trajectory looks at each target",
+            "a target that is not faced",
+            |case, _| remove_last_turn(case),
+            "every trajectory faces each target",
         ),
         ("another task", |case, other| case.task = other.task, "every trajectory replays"),
         (
@@ -143,7 +143,7 @@ fn a_corrupted_case_breaks_the_line_about_it() {
 }
 
 /// Leaves out the turn towards the last target, in a trajectory that ends with one.
-fn leave_out_last_look(case: &mut Case) {
+fn remove_last_turn(case: &mut Case) {
     let all = [
         &mut case.original,
         &mut case.opposite,
@@ -157,7 +157,7 @@ fn leave_out_last_look(case: &mut Case) {
     found.unwrap().actions.pop();
 }
 
-/// Steps into what stands beside the test start: aisles are two cells wide, so something does.
+/// Steps into what is beside the test start. Aisles are two cells wide, so something is.
 fn into_solid(case: &Case) -> Vec<Action> {
     let layout = Warehouse::shipped().layout;
     let Pose { cell, heading } = case.test.start;
@@ -169,7 +169,7 @@ fn into_solid(case: &Case) -> Vec<Action> {
     moves.into_iter().filter(blocked).collect()
 }
 
-/// The pose in which the case's first target is looked at.
+/// The pose that faces the case's first target.
 fn at_target(case: &Case) -> Pose {
     let warehouse = Warehouse::shipped();
     let item = case.task.targets(&warehouse)[0];
@@ -259,7 +259,7 @@ fn a_corrupted_item_breaks_the_line_about_it() {
     for (what, corrupt, constraint) in table {
         let mut warehouse = shipped.clone();
         corrupt(&mut warehouse);
-        let mut report = Report { lines: Vec::new(), mixtures: Vec::new() };
+        let mut report = ValidationReport { lines: Vec::new(), mixtures: Vec::new() };
         if warehouse.catalogue.types.len() < shipped.catalogue.types.len() {
             warehouse.items.retain(|item| item.item_type < 23);
         }
@@ -291,7 +291,7 @@ fn a_corrupted_floor_breaks_the_line_about_it() {
         ("one way between the banks", change(&one_way), "every two aisles stay"),
     ] {
         let layout = Layout::parse(&layout).unwrap_or_else(|problem| panic!("{what}: {problem}"));
-        let mut report = Report { lines: Vec::new(), mixtures: Vec::new() };
+        let mut report = ValidationReport { lines: Vec::new(), mixtures: Vec::new() };
         floor(&mut report, &layout);
         assert_broken(&report, constraint, what);
     }
@@ -304,12 +304,12 @@ fn aisle_entry(text: &str, name: &str) -> String {
 
 #[test]
 fn a_report_prints_a_line_for_each_constraint_and_the_first_violations() {
-    let line = |constraint, checked, violations: &[&str]| Line {
+    let line = |constraint, checked, violations: &[&str]| ConstraintResult {
         constraint,
         checked,
         violations: violations.iter().map(|v| (*v).to_owned()).collect(),
     };
-    let report = Report {
+    let report = ValidationReport {
         lines: vec![
             line("good things are good", 100, &[]),
             line("bad things are few", 7, &["one", "two", "three", "four", "five"]),
