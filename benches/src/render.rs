@@ -18,7 +18,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 use shm_types::attach::{DEFAULT_WINDOW, FrameSize, PAGE_BYTES};
 use sim_proc::render_workers::open_renderers;
-use sim_proc::renderer::{Destination, RenderJob, RenderSettings, Renderer, Samples, View};
+use sim_proc::renderer::{Destination, RenderJob, RenderSettings, Renderer, Samples, ViewSpec};
 use sim_proc::view_cache::{ViewCache, ViewKey};
 use sim_proc::view_control::every_pose;
 use warehouse::{Variant, Warehouse};
@@ -220,7 +220,7 @@ impl Easel {
         let first = self.memory.as_ptr().align_offset(PAGE_BYTES);
         let slots = self.memory[first..].chunks_exact_mut(slot);
         let job = |(&pose, slot)| RenderJob {
-            view: View { pose, variant: &UNCHANGED },
+            view: ViewSpec { pose, variant: &UNCHANGED },
             destination: Destination::Slot(slot),
         };
         let mut jobs: Vec<RenderJob<'_>> = poses.iter().zip(slots).map(job).collect();

@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 use anyhow::Result;
 use domain::{Heading, Pose};
 use sim_proc::renderer::{
-    Backend, Destination, RenderJob, RenderSettings, Renderer, Samples, View,
+    Backend, Destination, RenderJob, RenderSettings, Renderer, Samples, ViewSpec,
 };
 use warehouse::{Variant, Warehouse};
 
@@ -83,7 +83,7 @@ fn all_poses(renderer: &mut Renderer, poses: &[Pose], batch: usize) -> Result<Du
             .iter()
             .zip(pages.chunks_exact_mut(bytes))
             .map(|(&pose, slot)| RenderJob {
-                view: View { pose, variant: &UNCHANGED },
+                view: ViewSpec { pose, variant: &UNCHANGED },
                 destination: Destination::Slot(slot),
             })
             .collect();

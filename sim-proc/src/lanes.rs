@@ -87,7 +87,7 @@ pub struct Stepped {
 }
 
 #[derive(Debug, Clone, Copy)]
-struct Lane {
+struct LaneEpisode {
     episode: u64,
     step: u32,
     variant: u32,
@@ -102,7 +102,7 @@ pub struct Lanes {
     variants: Vec<Variant>,
     /// By variant number: the first variant that closes the same cells.
     same_as: Vec<u32>,
-    lanes: Vec<Option<Lane>>,
+    lanes: Vec<Option<LaneEpisode>>,
 }
 
 impl Lanes {
@@ -157,20 +157,24 @@ impl Lanes {
                 let now = following(command, now)?;
                 let variant = &self.variants[now.variant as usize];
                 let (pose, feedback) = step(&self.layout, variant, now.pose, action);
-                (Lane { pose, step: command.step, ..now }, feedback)
+                (LaneEpisode { pose, step: command.step, ..now }, feedback)
             }
             StepKind::Stay => {
                 let now = following(command, now)?;
-                (Lane { step: command.step, ..now }, Feedback::NotUnderstood)
+                (LaneEpisode { step: command.step, ..now }, Feedback::NotUnderstood)
             }
         };
         let ends = command.last != 0;
         self.lanes[lane] = (!ends).then_some(next);
-        let Lane { variant, pose, .. } = next;
+        let LaneEpisode { variant, pose, .. } = next;
         Ok(Stepped { lane, variant, pose, feedback, begins: kind == StepKind::Reset, ends })
     }
 
-    fn reset(&self, command: &StepCommand, now: Option<Lane>) -> Result<Lane, CommandProblem> {
+    fn reset(
+        &self,
+        command: &StepCommand,
+        now: Option<LaneEpisode>,
+    ) -> Result<LaneEpisode, CommandProblem> {
         let &StepCommand { episode, step, variant: found, .. } = command;
         let pose = Pose::try_from(command.start)?;
         let variant = self.variants.get(found as usize);
@@ -182,20 +186,26 @@ impl Lanes {
         if step != 0 {
             return Err(CommandProblem::OutOfOrder(state(now)));
         }
-        Ok(Lane { episode, step, variant: found, pose })
+        Ok(LaneEpisode { episode, step, variant: found, pose })
     }
 }
 
 /// The lane, if `command` is its next one.
-fn following(command: &StepCommand, now: Option<Lane>) -> Result<Lane, CommandProblem> {
+fn following(
+    command: &StepCommand,
+    now: Option<LaneEpisode>,
+) -> Result<LaneEpisode, CommandProblem> {
     now.filter(|lane| {
         lane.episode == command.episode && lane.step.checked_add(1) == Some(command.step)
     })
     .ok_or(CommandProblem::OutOfOrder(state(now)))
 }
 
-fn state(lane: Option<Lane>) -> LaneState {
-    lane.map_or(LaneState::Idle, |Lane { episode, step, .. }| LaneState::Running { episode, step })
+fn state(lane: Option<LaneEpisode>) -> LaneState {
+    lane.map_or(LaneState::Idle, |LaneEpisode { episode, step, .. }| LaneState::Running {
+        episode,
+        step,
+    })
 }
 
 #[cfg(test)]

@@ -7,7 +7,7 @@ use domain::Pose;
 use png_file::RgbaImage;
 use warehouse::{CaseSet, Start, Variant, Warehouse};
 
-use crate::renderer::{Backend, RenderSettings, Renderer, Samples, View, contact_sheet};
+use crate::renderer::{Backend, RenderSettings, Renderer, Samples, ViewSpec, contact_sheet};
 
 /// The flags that choose a backend.
 #[derive(Debug, clap::Args)]
@@ -111,7 +111,7 @@ pub fn run(args: &RenderArgs) -> Result<()> {
             );
         }
         let mut renderer = renderer(&warehouse, settings)?;
-        let image = renderer.render_image(View { pose, variant: &Variant::UNCHANGED })?;
+        let image = renderer.render_image(ViewSpec { pose, variant: &Variant::UNCHANGED })?;
         return save(
             &image,
             &out(&format!("view-{}-{}-{}.png", pose.cell.x, pose.cell.y, pose.heading)),
@@ -149,7 +149,7 @@ fn trajectory(
     let mut renderer = renderer(warehouse, settings)?;
     let variant = case.variant(args.trajectory);
     for (step, pose) in case.replay(warehouse, args.trajectory).poses.into_iter().enumerate() {
-        let image = renderer.render_image(View { pose, variant: &variant })?;
+        let image = renderer.render_image(ViewSpec { pose, variant: &variant })?;
         save(&image, &folder.join(format!("{step:03}.png")))?;
     }
     Ok(())

@@ -6,7 +6,7 @@ use warehouse::Warehouse;
 
 use crate::render_pool::{RenderSetup, RenderTask, RenderWorker};
 use crate::renderer::{
-    Backend, Destination, RenderError, RenderJob, RenderSettings, Renderer, View,
+    Backend, Destination, RenderError, RenderJob, RenderSettings, Renderer, ViewSpec,
 };
 
 /// Most renderers on the CPU.
@@ -21,7 +21,7 @@ impl RenderWorker for Renderer {
         let mut jobs: Vec<RenderJob<'_>> = tasks
             .iter_mut()
             .map(|task| RenderJob {
-                view: View { pose: task.pose, variant: task.variant },
+                view: ViewSpec { pose: task.pose, variant: task.variant },
                 destination: Destination::Slot(bytemuck::cast_slice_mut(task.slot.pages_mut())),
             })
             .collect();
@@ -68,7 +68,7 @@ impl RenderSetup {
             workers: renderers.into_iter().map(worker).collect(),
             batch_views: if report.backend == Backend::Cpu { 1 } else { GPU_BATCH_VIEWS },
             may_show_barricade: Box::new(move |variant, pose| {
-                visibility.may_show_barricade(View { pose, variant })
+                visibility.may_show_barricade(ViewSpec { pose, variant })
             }),
             facts,
         })

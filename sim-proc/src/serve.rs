@@ -45,7 +45,7 @@ const CONSUMER_POLL: Duration = Duration::from_millis(1);
 
 /// Why the simulator failed.
 #[derive(Debug, thiserror::Error)]
-pub enum ServeError {
+pub enum SimError {
     /// The transport failed.
     #[error(transparent)]
     Bus(#[from] BusError),
@@ -101,10 +101,10 @@ pub fn serve(
     cases: &CaseSet,
     warm_views: bool,
     open: impl FnOnce() -> Result<RenderSetup, RenderError>,
-) -> Result<(), ServeError> {
+) -> Result<(), SimError> {
     let mut simulator = Simulator::new(bus, warehouse, cases)?;
     let outcome = open()
-        .map_err(ServeError::from)
+        .map_err(SimError::from)
         .and_then(|setup| simulator.serve_until_stop(setup, warm_views));
     if let Err(error) = &outcome {
         simulator.reporter.report(error);
@@ -117,11 +117,11 @@ pub fn serve(
 #[derive(Debug)]
 struct Pending {
     view: Option<ViewKey>,
-    answer: Answer,
+    answer: PendingAnswer,
 }
 
 #[derive(Debug)]
-enum Answer {
+enum PendingAnswer {
     Observation(Observation),
     View(WirePose),
 }
@@ -157,7 +157,7 @@ struct Rendering {
 }
 
 impl<'a> Simulator<'a> {
-    fn new(bus: &'a Bus, warehouse: &Warehouse, cases: &CaseSet) -> Result<Self, ServeError> {
+    fn new(bus: &'a Bus, warehouse: &Warehouse, cases: &CaseSet) -> Result<Self, SimError> {
         let attach = bus.attach();
         let (lanes, window) = (attach.lanes as usize, attach.window as usize);
         Ok(Self {
@@ -187,7 +187,7 @@ impl<'a> Simulator<'a> {
         &mut self,
         RenderSetup { workers, batch_views, may_show_barricade, facts }: RenderSetup,
         warm_views: bool,
-    ) -> Result<(), ServeError> {
+    ) -> Result<(), SimError> {
         let notifier = Arc::new(self.bus.notifier(Role::Sim)?);
         let pool = RenderPool::new(workers, batch_views, move || {
             if let Err(error) = notifier.notify() {
@@ -217,12 +217,12 @@ impl<'a> Simulator<'a> {
     }
 
     /// Renders every view of the unchanged world. All are resident afterwards, and none is pinned.
-    fn render_every_view(&mut self, pool: &mut RenderPool) -> Result<(), ServeError> {
+    fn render_every_view(&mut self, pool: &mut RenderPool) -> Result<(), SimError> {
         let poses = every_pose(self.lanes.layout());
         let views: Vec<ViewKey> = poses.map(|pose| ViewKey::World { variant: 0, pose }).collect();
         let (needed, capacity) = (views.len(), self.views.capacity());
         if needed > capacity {
-            return Err(ServeError::NoRoomForWarmViews { needed, capacity });
+            return Err(SimError::NoRoomForWarmViews { needed, capacity });
         }
         while !self.frames.is_complete() {
             thread::sleep(CONSUMER_POLL);
@@ -245,7 +245,7 @@ impl<'a> Simulator<'a> {
     }
 
     /// One turn of the loop. Returns whether more commands may be waiting.
-    fn turn(&mut self, rendering: &mut Rendering) -> Result<bool, ServeError> {
+    fn turn(&mut self, rendering: &mut Rendering) -> Result<bool, SimError> {
         let reported = self.reporter.count();
         self.take_requests()?;
         let more = self.take_commands(rendering)?;
@@ -289,7 +289,8 @@ impl<'a> Simulator<'a> {
                 }
                 let view = ViewKey::World { variant: 0, pose };
                 self.views.pin_for_memory(view);
-                self.pending.push(Pending { view: Some(view), answer: Answer::View(pose.into()) });
+                self.pending
+                    .push(Pending { view: Some(view), answer: PendingAnswer::View(pose.into()) });
             }
             ViewRequestKind::Release => self.views.release(request.frame)?,
         }
@@ -324,7 +325,7 @@ impl<'a> Simulator<'a> {
             self.views.clear_lane(lane);
             // Drop observations of an abandoned episode.
             self.pending.retain(|Pending { answer, .. }| {
-                !matches!(answer, Answer::Observation(waiting) if waiting.lane == command.lane)
+                !matches!(answer, PendingAnswer::Observation(waiting) if waiting.lane == command.lane)
             });
         }
         let view = (!ends).then(|| {
@@ -351,7 +352,7 @@ impl<'a> Simulator<'a> {
             last: u8::from(ends),
             reserved: 0,
         };
-        self.pending.push(Pending { view, answer: Answer::Observation(observation) });
+        self.pending.push(Pending { view, answer: PendingAnswer::Observation(observation) });
         Ok(())
     }
 
@@ -367,7 +368,7 @@ impl<'a> Simulator<'a> {
     }
 
     /// Evicts views to make room.
-    fn evict(&mut self) -> Result<(), ServeError> {
+    fn evict(&mut self) -> Result<(), SimError> {
         let frames = self.views.make_room()?;
         for &frame in &frames {
             self.evictions.send(&Eviction { frame })?;
@@ -386,11 +387,11 @@ impl<'a> Simulator<'a> {
             let frame = view.map_or(Some(NO_FRAME), |view| self.views.frame(view));
             match (frame, answer) {
                 (None, answer) => self.pending.push(Pending { view, answer }),
-                (Some(frame), Answer::View(pose)) => {
+                (Some(frame), PendingAnswer::View(pose)) => {
                     self.resident.send(&View { frame, pose, reserved: 0 })?;
                     self.wakeups.add(Role::Memory);
                 }
-                (Some(frame), Answer::Observation(observation)) => {
+                (Some(frame), PendingAnswer::Observation(observation)) => {
                     let observation = Observation { frame, sent_ns: monotonic_ns(), ..observation };
                     self.observations.send(&observation)?;
                     self.wakeups.add_for_observation(observation.last != 0);
@@ -401,7 +402,7 @@ impl<'a> Simulator<'a> {
     }
 
     /// Sends the next missing views to the render workers, as many as they accept.
-    fn request_missing(&mut self, pool: &mut RenderPool) -> Result<(), ServeError> {
+    fn request_missing(&mut self, pool: &mut RenderPool) -> Result<(), SimError> {
         for view in self.views.take_missing(pool.room()) {
             let world = match view {
                 ViewKey::World { variant, pose } => {
@@ -415,7 +416,7 @@ impl<'a> Simulator<'a> {
     }
 
     /// Publishes the views that workers have rendered.
-    fn publish_rendered(&mut self, pool: &mut RenderPool) -> Result<(), ServeError> {
+    fn publish_rendered(&mut self, pool: &mut RenderPool) -> Result<(), SimError> {
         while let Some(RenderedBatch { worker, span_ns, bytes_copied, views }) = pool.take()? {
             let track = format!("renderer {worker}");
             self.spans.add(span_ns.start, span_ns.end, &track, "draw", views.len());
@@ -435,7 +436,7 @@ impl<'a> Simulator<'a> {
         self.frames_rendered += 1;
         for Pending { view: awaited, answer } in &mut self.pending {
             if *awaited == Some(view)
-                && let Answer::Observation(observation) = answer
+                && let PendingAnswer::Observation(observation) = answer
             {
                 // The view may have been rendered before the agent arrived.
                 observation.rendered_ns = rendered_ns.max(observation.stepped_ns);

@@ -43,7 +43,7 @@ pub struct CacheFull {
 pub struct NotPinned(pub FrameId);
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum State {
+enum ViewState {
     /// Waits to be rendered.
     Missing,
     /// A worker renders it.
@@ -53,7 +53,7 @@ enum State {
 
 #[derive(Debug)]
 struct CachedView {
-    state: State,
+    state: ViewState,
     /// How often it occurs among the last views of lanes.
     lane_pins: u32,
     /// How often memory has pinned it.
@@ -106,7 +106,7 @@ impl ViewCache {
     /// Makes `view` the current view of `lane`.
     pub fn show(&mut self, lane: usize, view: ViewKey) {
         self.pin(view).lane_pins += 1;
-        if self.views[&view].state == State::Missing {
+        if self.views[&view].state == ViewState::Missing {
             self.urgent.push_back(view);
         }
         self.lanes[lane].push_back(view);
@@ -127,7 +127,7 @@ impl ViewCache {
     /// Pins `view` for memory, which has to release it as often.
     pub fn pin_for_memory(&mut self, view: ViewKey) {
         self.pin(view).memory_pins += 1;
-        if self.views[&view].state == State::Missing {
+        if self.views[&view].state == ViewState::Missing {
             self.later.push_back(view);
         }
     }
@@ -148,8 +148,8 @@ impl ViewCache {
     /// The frame of `view`, if it is resident.
     pub fn frame(&self, view: ViewKey) -> Option<FrameId> {
         match self.views.get(&view)?.state {
-            State::Resident(frame) => Some(frame),
-            State::Missing | State::Rendering => None,
+            ViewState::Resident(frame) => Some(frame),
+            ViewState::Missing | ViewState::Rendering => None,
         }
     }
 
@@ -176,9 +176,9 @@ impl ViewCache {
             && let Some(view) = self.urgent.pop_front().or_else(|| self.later.pop_front())
         {
             if let Some(entry) = self.views.get_mut(&view)
-                && entry.state == State::Missing
+                && entry.state == ViewState::Missing
             {
-                entry.state = State::Rendering;
+                entry.state = ViewState::Rendering;
                 taken.push(view);
             }
         }
@@ -188,7 +188,7 @@ impl ViewCache {
     /// Makes a view that was taken to be rendered resident as `frame`.
     pub fn insert(&mut self, view: ViewKey, frame: FrameId) {
         let Some(entry) = self.views.get_mut(&view) else { return };
-        entry.state = State::Resident(frame);
+        entry.state = ViewState::Resident(frame);
         self.keys.insert(frame, view);
         if !entry.is_pinned() {
             self.unpin(view, |_| {});
@@ -205,7 +205,8 @@ impl ViewCache {
             let Some((_, view)) = self.idle.pop_first() else {
                 return Err(CacheFull { needed: self.views.len(), capacity: self.capacity });
             };
-            if let Some(CachedView { state: State::Resident(frame), .. }) = self.views.remove(&view)
+            if let Some(CachedView { state: ViewState::Resident(frame), .. }) =
+                self.views.remove(&view)
             {
                 self.keys.remove(&frame);
                 evicted.push(frame);
@@ -217,7 +218,7 @@ impl ViewCache {
     /// The entry of a view, created if there is none, and no longer idle.
     fn pin(&mut self, view: ViewKey) -> &mut CachedView {
         let entry = self.views.entry(view).or_insert(CachedView {
-            state: State::Missing,
+            state: ViewState::Missing,
             lane_pins: 0,
             memory_pins: 0,
             unpinned_at: 0,
@@ -234,15 +235,15 @@ impl ViewCache {
             return;
         }
         match entry.state {
-            State::Resident(_) => {
+            ViewState::Resident(_) => {
                 self.clock += 1;
                 entry.unpinned_at = self.clock;
                 self.idle.insert(self.clock, view);
             }
-            State::Missing => {
+            ViewState::Missing => {
                 self.views.remove(&view);
             }
-            State::Rendering => {}
+            ViewState::Rendering => {}
         }
     }
 }

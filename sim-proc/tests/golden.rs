@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 
 use domain::{Heading, Pose};
 use png_file::RgbaImage;
-use sim_proc::renderer::{RenderSettings, Renderer, View};
+use sim_proc::renderer::{RenderSettings, Renderer, ViewSpec};
 use warehouse::{CaseSet, Variant, Warehouse};
 
 /// A pixel counts as different when a channel is off by more than this.
@@ -36,7 +36,7 @@ fn views_look_like_their_references() {
     let mut renderer = Renderer::new(&warehouse, RenderSettings::default()).unwrap();
     let mut wrong = Vec::new();
     for (name, pose) in VIEWS {
-        let view = View { pose: pose.parse().unwrap(), variant: &Variant::UNCHANGED };
+        let view = ViewSpec { pose: pose.parse().unwrap(), variant: &Variant::UNCHANGED };
         let image = renderer.render_image(view).unwrap();
         wrong.extend(compare(name, &image));
     }
@@ -44,7 +44,7 @@ fn views_look_like_their_references() {
     let cases = CaseSet::shipped();
     let closed = Variant::closing(cases.cases[0].barricade.iter().copied());
     let pose = pose_before(&warehouse, &closed);
-    let image = renderer.render_image(View { pose, variant: &closed }).unwrap();
+    let image = renderer.render_image(ViewSpec { pose, variant: &closed }).unwrap();
     wrong.extend(compare("barricade", &image));
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));
 }

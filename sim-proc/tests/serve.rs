@@ -18,10 +18,8 @@ use shm_types::{
     Attach, Bus, FrameControl, FrameSize, FrameStore, Notifier, Receiver, RunDir, Sender,
 };
 use sim_proc::render_pool::{RenderSetup, RenderTask, RenderWorker};
-use sim_proc::renderer::{
-    Destination, RenderError, RenderJob, RenderSettings, Renderer, View as Look,
-};
-use sim_proc::serve::{ServeError, serve};
+use sim_proc::renderer::{Destination, RenderError, RenderJob, RenderSettings, Renderer, ViewSpec};
+use sim_proc::serve::{SimError, serve};
 use tempfile::TempDir;
 use warehouse::{CaseSet, Variant, Warehouse, step};
 
@@ -82,7 +80,7 @@ struct Peers {
     _others: [Bus; 2],
     warehouse: Warehouse,
     cases: CaseSet,
-    simulator: Option<JoinHandle<Result<(), ServeError>>>,
+    simulator: Option<JoinHandle<Result<(), SimError>>>,
     _run: RunDir,
     _base: TempDir,
     _watchdog: Alive<()>,
@@ -479,7 +477,7 @@ fn a_store_that_is_too_small_is_reported() {
         "4 views are in use at once and the frame store has room for 3: raise --frame-budget or lower --lanes"
     );
     let error = peers.simulator.take().unwrap().join().unwrap().unwrap_err();
-    assert!(matches!(error, ServeError::CacheFull(_)));
+    assert!(matches!(error, SimError::CacheFull(_)));
 }
 
 /// Panics at its first task.
@@ -504,7 +502,7 @@ fn a_panicking_worker_ends_the_run() {
         "a render worker has ended; its own message on standard error says why"
     );
     let error = peers.simulator.take().unwrap().join().unwrap().unwrap_err();
-    assert!(matches!(error, ServeError::Render(RenderError::WorkerEnded)));
+    assert!(matches!(error, SimError::Render(RenderError::WorkerEnded)));
 }
 
 /// Waits for permission before each batch.
@@ -577,7 +575,7 @@ fn a_store_without_room_for_warm_views_is_reported() {
         )
     );
     let error = peers.simulator.take().unwrap().join().unwrap().unwrap_err();
-    assert!(matches!(error, ServeError::NoRoomForWarmViews { .. }));
+    assert!(matches!(error, SimError::NoRoomForWarmViews { .. }));
 }
 
 /// Frames in shared memory equal the renderer's, byte for byte, and are copied only where the device cannot write them.
@@ -607,7 +605,7 @@ fn the_renderer_writes_into_the_frame_store() {
         let seen = peers.ask(&command);
         let pose = Pose::try_from(seen.pose).unwrap();
         let destination = Destination::Memory(&mut expected);
-        let view = Look { pose, variant: &variant };
+        let view = ViewSpec { pose, variant: &variant };
         renderer.render(&mut [RenderJob { view, destination }]).unwrap();
         for store in &mut peers.stores {
             assert!(store.get(seen.frame).unwrap().unwrap().pixels() == expected, "{pose}");

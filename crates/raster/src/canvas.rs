@@ -1,37 +1,37 @@
-//! The picture while it is drawn: blocks of 4 x 4 pixels, each with its samples side by side, so that one
-//! block is a few vector registers and stays in the nearest cache.
+//! Colour and depth of the image being drawn, in blocks of 4 x 4 pixels. The samples of a block lie side by side, so that a
+//! block is a few vector registers and stays in the first-level cache.
 
 use fearless_simd::{Simd, SimdBase, u32x16};
 
 /// Pixels along a side of a block.
 pub(super) const SIDE: usize = 4;
 
-/// Pixels of a block: lanes of a vector.
+/// Pixels of a block, and lanes of a vector.
 pub(super) const PIXELS: usize = SIDE * SIDE;
 
 /// A value for every pixel of a block, row by row.
 pub(super) type Lanes<T> = [T; PIXELS];
 
-/// How deep a block is filled that nothing was drawn into.
+/// The depth of blocks that nothing has been drawn into.
 const UNTOUCHED: f32 = -1.0;
 
 /// The samples of a block.
 #[derive(Clone, Copy)]
 #[repr(C, align(64))]
 pub(super) struct Block<const M: usize> {
-    /// 1 / distance ahead in metres: more is nearer, 0 is infinitely far away.
+    /// 1 / distance ahead in metres: larger is nearer, 0 is infinitely far away.
     pub(super) depth: [Lanes<f32>; M],
-    /// RGBA, red lowest.
+    /// RGBA with red in the lowest byte.
     pub(super) colour: [Lanes<u32>; M],
 }
 
-/// A picture of `M` samples a pixel.
+/// An image with `M` samples per pixel.
 pub(super) struct Canvas<const M: usize> {
-    /// Blocks in a row, and rows of blocks.
+    /// Blocks per row, and rows of blocks.
     pub(super) columns: usize,
     pub(super) rows: usize,
     blocks: Vec<Block<M>>,
-    /// The depth of each block's farthest sample: nothing behind it shows.
+    /// The depth of each block's farthest sample. Nothing behind it is visible.
     farthest: Vec<f32>,
     background: u32,
 }
@@ -50,20 +50,20 @@ impl<const M: usize> Canvas<M> {
         }
     }
 
-    /// Begins a picture that shows `background` where nothing is drawn. Blocks are wiped when something is drawn
-    /// into them.
+    /// Begins an image that is `background` where nothing is drawn. Blocks are cleared when something is first drawn into
+    /// them.
     pub(super) fn clear(&mut self, background: u32) {
         self.farthest.fill(UNTOUCHED);
         self.background = background;
     }
 
-    /// Whether something as near as `nearest` could show in block number `place`.
+    /// Whether something as near as `nearest` may be visible in block `place`.
     #[inline(always)]
     pub(super) fn may_show(&self, place: usize, nearest: f32) -> bool {
         nearest > self.farthest[place]
     }
 
-    /// Block number `place`, to be drawn into, and the depth of its farthest sample, to be kept right.
+    /// Block `place`, to be drawn into, and the depth of its farthest sample, to be updated.
     #[inline(always)]
     pub(super) fn block(&mut self, place: usize) -> (&mut Block<M>, &mut f32) {
         let (block, farthest) = (&mut self.blocks[place], &mut self.farthest[place]);
@@ -77,7 +77,7 @@ impl<const M: usize> Canvas<M> {
         (block, farthest)
     }
 
-    /// Writes the finished picture: RGBA, rows top to bottom, as many as `pixels` has.
+    /// Writes the finished image: RGBA in rows from the top, as many as fit into `pixels`.
     #[inline(always)]
     pub(super) fn resolve<V: Simd>(&self, simd: V, pixels: &mut [u8]) {
         let row_bytes = self.columns * SIDE * 4;
@@ -127,7 +127,7 @@ mod tests {
     }
 
     #[test]
-    fn samples_are_mixed_channel_by_channel() {
+    fn samples_are_averaged_per_channel() {
         let samples = [0xff00_0000, 0xff00_01ff, 0xff00_02ff, 0xff00_03ff].map(|c| [c; PIXELS]);
         // Means 255, 0, 1.5 and 191.25.
         assert_eq!(mixed(samples), [0xff00_02bf; PIXELS]);
@@ -135,7 +135,7 @@ mod tests {
     }
 
     #[test]
-    fn what_nothing_is_drawn_into_shows_the_background() {
+    fn untouched_blocks_show_the_background() {
         let mut canvas = Canvas::<4>::new(64, 6);
         let mut pixels = vec![0; 64 * 6 * 4];
         for _ in 0..2 {

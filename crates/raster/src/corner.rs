@@ -1,36 +1,36 @@
-//! From the corners of a mesh to places in the picture, sixteen at a time.
+//! Transforms vertices to positions in the image, sixteen at a time.
 
 use fearless_simd::{Select, Simd, SimdBase, SimdFloat, f32x16, i32x16};
 
 use super::canvas::{Lanes, PIXELS};
 use super::geometry::{FOG_PER_M, FOG_RGB, NEAR_M, Placement};
 
-/// Triangles are cut off this far outside of the picture, so that numbers stay small.
+/// Triangles are clipped this far outside of the image, so that numbers stay small.
 const GUARD: f32 = 2.0;
 
-/// Bits below a pixel, for pictures of up to 1024 pixels a side; fewer for larger ones.
+/// Sub-pixel bits of images with sides of up to 1024 pixels. Larger images have fewer.
 const SUBPIXEL_BITS: u32 = 8;
 
-/// The bit, in [`Corner::beyond`], of corners whose triangles have to be cut.
+/// The bit in [`Corner::beyond`] of corners whose triangles must be clipped.
 pub(super) const TO_CUT: i32 = 1 << 5;
 
-/// A corner as the camera sees it.
+/// A vertex in the image.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[repr(C, align(16))]
 pub(super) struct Corner {
-    /// 1, and the values that are interpolated in the world.
+    /// 1 and the values to be interpolated.
     pub(super) values: [f32; 4],
-    /// Clip space: x and y over `ahead` are the place in the picture, -1 to 1.
+    /// Clip space: x and y divided by `ahead` are the position in the image, -1 to 1.
     pub(super) x: f32,
     pub(super) y: f32,
     /// Metres along the optical axis.
     pub(super) ahead: f32,
     pub(super) nearness: f32,
-    /// Where it lies in the picture: steps of the grid from the top left corner, and the nearest whole ones.
+    /// The position in grid steps from the top left corner, exact and rounded.
     pub(super) fine: [f32; 2],
     pub(super) at: [i32; 2],
-    /// How it lies outside of the picture, a bit for each: to the right, to the left, above, below, behind, and so far
-    /// beyond that its triangles have to be cut.
+    /// One bit for each side of the image that it lies beyond (right, left, above, below), one if it is behind the camera, and
+    /// one if its triangles must be clipped.
     pub(super) beyond: i32,
 }
 
@@ -47,12 +47,12 @@ impl Corner {
     };
 }
 
-/// The places in a picture that are told apart.
+/// The sub-pixel grid that vertices are snapped to.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Grid {
-    /// A pixel is 2 to this many steps.
+    /// A pixel is 2^bits steps wide.
     pub(super) bits: u32,
-    /// Half the picture in steps, across and down.
+    /// Half the width and height of the image, in steps.
     half: [f32; 2],
 }
 
@@ -84,7 +84,7 @@ impl<'a> Transform<'a> {
         Self { placement, ..*self }
     }
 
-    /// Places sixteen corners. As in the shaders.
+    /// Transforms sixteen vertices, as the shaders do.
     #[inline(always)]
     fn place<V: Simd>(&self, simd: V, sixteen: &Sixteen, corners: &mut [Corner; PIXELS]) {
         let mut components = [f32x16::splat(simd, 0.0); COMPONENTS];
@@ -127,7 +127,7 @@ impl<'a> Transform<'a> {
         }
         let (x, y) = (x.to_array(), y.to_array());
         let (ahead, nearness) = (ahead.to_array(), nearness.to_array());
-        // Where a corner that is not kept lies in the picture, nobody asks.
+        // The grid position of a corner that has to be clipped is never used.
         let whole_right = (right + 0.5).floor().to_int::<i32x16<V>>().to_array();
         let whole_down = (down + 0.5).floor().to_int::<i32x16<V>>().to_array();
         let (right, down) = (right.to_array(), down.to_array());
@@ -147,25 +147,25 @@ impl<'a> Transform<'a> {
     }
 }
 
-/// x, y, z in metres, how much of the fog it takes, and three values.
+/// x, y, z in metres, the share of fog, and three values.
 const COMPONENTS: usize = 7;
 
-/// Sixteen corners of a mesh, component by component.
+/// Sixteen vertices, component by component.
 #[derive(Clone, Copy)]
 #[repr(C, align(64))]
 struct Sixteen([Lanes<f32>; COMPONENTS]);
 
-/// The corners of a mesh, and those of them that were asked for as a camera sees them.
+/// The vertices of a layer, and a cache of those that have been transformed for the current view.
 pub(super) struct Corners {
     mesh: Vec<Sixteen>,
     placed: Vec<[Corner; PIXELS]>,
-    /// At which look each sixteen were placed.
+    /// The value of `now` when each sixteen were transformed.
     stamps: Vec<u32>,
     now: u32,
 }
 
 impl Corners {
-    /// Corners with their positions, how much of the fog they take, and their values.
+    /// From positions, shares of fog, and values.
     pub(super) fn new(corners: impl Iterator<Item = ([f32; 3], f32, [f32; 3])>) -> Self {
         let mut mesh = Vec::new();
         for (number, ([x, y, z], fog, [a, b, c])) in corners.enumerate() {
@@ -183,7 +183,7 @@ impl Corners {
         Self { mesh, placed, stamps, now: 0 }
     }
 
-    /// Forgets the last look.
+    /// Empties the cache.
     pub(super) fn forget(&mut self) {
         self.now = self.now.wrapping_add(1);
         if self.now == 0 {
@@ -192,7 +192,7 @@ impl Corners {
         }
     }
 
-    /// A triangle's corners.
+    /// The corners of a triangle.
     #[inline(always)]
     pub(super) fn triangle<V: Simd>(
         &mut self,
@@ -215,21 +215,21 @@ impl Corners {
 
 const PLANES: usize = 5;
 
-/// How far inside of each plane that triangles are cut at.
+/// The distance of a corner inside each clipping plane.
 fn planes(corner: &Corner) -> [f32; PLANES] {
     let Corner { x, y, ahead, .. } = *corner;
     let guard = GUARD * ahead;
     [ahead - NEAR_M, guard - x, guard + x, guard - y, guard + y]
 }
 
-/// What is left of a triangle that was cut; every plane adds a corner at most.
+/// A clipped triangle. Every plane adds at most one corner.
 pub(super) struct Polygon {
     corners: [Corner; 3 + PLANES],
     len: usize,
 }
 
 impl Polygon {
-    /// Cuts a triangle at every plane.
+    /// Clips a triangle at every plane.
     #[inline(never)]
     pub(super) fn inside(corners: &[Corner; 3], grid: &Grid) -> Self {
         let mut polygon = Self { corners: [Corner::NOWHERE; 3 + PLANES], len: 3 };
@@ -253,7 +253,7 @@ impl Polygon {
         &self.corners[..self.len]
     }
 
-    /// Leaves what is inside of plane number `plane`.
+    /// Clips at plane number `plane`.
     fn cut(&mut self, plane: usize) {
         let before = self.corners;
         let len = std::mem::take(&mut self.len);
@@ -263,7 +263,7 @@ impl Polygon {
             if here >= 0.0 {
                 self.push(this);
             }
-            // From the inside out, whichever way round, so that neighbours are cut at the same place.
+            // Always from the inside out, so that neighbouring triangles are clipped at the same point.
             if here >= 0.0 && there < 0.0 {
                 self.push(between(&this, &next, here / (here - there)));
             } else if here < 0.0 && there >= 0.0 {
@@ -280,7 +280,7 @@ impl Polygon {
     }
 }
 
-/// The corner at a share of the way; its place in the picture is not known yet.
+/// The corner at this share of the way. Its position in the image is computed later.
 fn between(from: &Corner, to: &Corner, share: f32) -> Corner {
     let mix = |a: f32, b: f32| a + (b - a) * share;
     Corner {

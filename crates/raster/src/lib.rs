@@ -24,7 +24,7 @@ pub use geometry::{
     Atlas, DrawList, FOG_PER_M, FOG_RGB, Geometry, Layer, NEAR_M, Placement, PlateVertex,
     PreparedView, SolidVertex, TextVertex,
 };
-use shade::{Lettering, Lit, Plate, Text};
+use shade::{Lettering, LitShader, PlateShader, TextShader};
 
 /// Samples per pixel.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -181,13 +181,13 @@ impl Layers {
         text.forget();
         // In the order of the GPU backend: what hangs in front comes first, so that little is drawn over.
         for indices in view.list.plate.chunks_exact(3) {
-            let shader = Plate { code: geometry.plate.vertices[indices[0] as usize].code };
+            let shader = PlateShader { code: geometry.plate.vertices[indices[0] as usize].code };
             let corners = plate.triangle(simd, &transform, indices);
             triangle::draw(simd, canvas, grid, &corners, &shader);
         }
         for indices in view.list.text.chunks_exact(3) {
             let vertex = &geometry.text.vertices[indices[0] as usize];
-            let shader = Text { lettering, ink: vertex.ink, paper: vertex.paper };
+            let shader = TextShader { lettering, ink: vertex.ink, paper: vertex.paper };
             let corners = text.triangle(simd, &transform, indices);
             triangle::draw(simd, canvas, grid, &corners, &shader);
         }
@@ -202,7 +202,7 @@ impl Layers {
             solid.forget();
             for indices in indices.chunks_exact(3) {
                 let corners = solid.triangle(simd, &transform, indices);
-                triangle::draw(simd, canvas, grid, &corners, &Lit);
+                triangle::draw(simd, canvas, grid, &corners, &LitShader);
             }
         }
         canvas.resolve(simd, pixels);

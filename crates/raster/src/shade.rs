@@ -1,21 +1,20 @@
-//! The three ways of colouring pixels, as in the shaders beside this folder: lit, label plate, text.
+//! The three ways of colouring pixels (lit, label plate, text), as in the shaders of the GPU backend.
 
 use fearless_simd::{Bytes, Select, Simd, SimdBase, SimdFloat, SimdInt, f32x16, i32x16, u32x16};
 
 use super::canvas::PIXELS;
-use super::triangle::{Part, Triangle};
 use super::geometry::Atlas;
+use super::triangle::{Triangle, TrianglePart};
 
-/// Colours the pixels of a block.
+/// Computes the colours of a block.
 pub(super) trait Shader {
-    /// RGBA, red lowest, for each pixel of the block.
-    fn colours<V: Simd, const M: usize>(&self, part: &Part<'_, V, M>) -> u32x16<V>;
+    /// RGBA with red in the lowest byte, for each pixel of the block.
+    fn colours<V: Simd, const M: usize>(&self, part: &TrianglePart<'_, V, M>) -> u32x16<V>;
 }
 
 const OPAQUE: u32 = 0xff00_0000;
 
-/// Added to a float of 0 to 255, it leaves the nearest whole number in the lowest byte, and nothing in the
-/// two above it.
+/// Adding this to a float from 0 to 255 leaves the nearest integer in its lowest byte and zeros in the two above.
 const TO_WHOLE: f32 = 8_388_608.0;
 
 #[inline(always)]
@@ -28,39 +27,41 @@ fn whole<V: Simd>(channel: f32x16<V>) -> u32x16<V> {
     (channel + TO_WHOLE).bitcast::<u32x16<V>>()
 }
 
-/// The first `N` values of a triangle's corners, at each pixel of a block.
+/// The first `N` values of a triangle, interpolated at each pixel of a block.
 #[inline(always)]
-fn values<V: Simd, const M: usize, const N: usize>(part: &Part<'_, V, M>) -> [f32x16<V>; N] {
-    let &Part { simd, triangle, at, nearness, .. } = part;
+fn values<V: Simd, const M: usize, const N: usize>(
+    part: &TrianglePart<'_, V, M>,
+) -> [f32x16<V>; N] {
+    let &TrianglePart { simd, triangle, at, nearness, .. } = part;
     let start = triangle.plane.values(at).to_array();
     let distance = f32x16::splat(simd, 1.0) / (triangle.slopes[0] + nearness);
     let mut values = [distance; N];
     for i in 0..N {
         let value = (triangle.slopes[1 + i] + start[1 + i]) * distance;
-        // A pixel whose middle lies beside the triangle has no other values than its corners.
+        // Outside the triangle, where a pixel's centre may lie, values are clamped to those of the corners.
         values[i] = value.max(triangle.least[1 + i]).min(triangle.most[1 + i]);
     }
     values
 }
 
-/// A lit surface. A corner's values are its colour in bytes.
-pub(super) struct Lit;
+/// Lit triangles. The values are colours, 0 to 255.
+pub(super) struct LitShader;
 
-impl Shader for Lit {
+impl Shader for LitShader {
     #[inline(always)]
-    fn colours<V: Simd, const M: usize>(&self, part: &Part<'_, V, M>) -> u32x16<V> {
+    fn colours<V: Simd, const M: usize>(&self, part: &TrianglePart<'_, V, M>) -> u32x16<V> {
         packed(part.simd, values(part))
     }
 }
 
-/// A label plate: exact colours, decided at the middle of a pixel. A corner's values are its place on it.
-pub(super) struct Plate {
+/// Label plates: exact colours, decided at the centre of a pixel. The values are the position on the plate.
+pub(super) struct PlateShader {
     pub(super) code: u32,
 }
 
-impl Shader for Plate {
+impl Shader for PlateShader {
     #[inline(always)]
-    fn colours<V: Simd, const M: usize>(&self, part: &Part<'_, V, M>) -> u32x16<V> {
+    fn colours<V: Simd, const M: usize>(&self, part: &TrianglePart<'_, V, M>) -> u32x16<V> {
         let share = plates::FRAME_M / plates::SIZE_M;
         let simd = part.simd;
         let [x, y] = values(part);
@@ -77,7 +78,7 @@ impl Shader for Plate {
     }
 }
 
-/// The lettering, four texels to a word: one, its neighbour to the right, and the two below.
+/// The text atlas with four texels per word: a texel, its right neighbour, and the two below.
 pub(super) struct Lettering {
     size: [f32; 2],
     levels: Vec<Vec<u32>>,
@@ -106,8 +107,8 @@ impl Lettering {
     }
 }
 
-/// Ink on paper. A corner's values are its place in the atlas.
-pub(super) struct Text<'a> {
+/// Text: ink on paper. The values are the position in the atlas.
+pub(super) struct TextShader<'a> {
     pub(super) lettering: &'a Lettering,
     pub(super) ink: [u8; 4],
     pub(super) paper: [u8; 4],
@@ -116,8 +117,8 @@ pub(super) struct Text<'a> {
 /// As in `text.wgsl`.
 const TAPS: f32 = 3.0;
 
-impl Text<'_> {
-    /// The lettering between its four nearest texels; 0 to 255.
+impl TextShader<'_> {
+    /// The coverage, 0 to 255, interpolated between the four nearest texels.
     #[inline(always)]
     fn coverage<V: Simd>(&self, simd: V, level: usize, [u, v]: [f32x16<V>; 2]) -> f32x16<V> {
         let texels = &self.lettering.levels[level];
@@ -148,15 +149,15 @@ fn texel<V: Simd>(quads: u32x16<V>) -> f32x16<V> {
     (quads & 0xff).to_float::<f32x16<V>>()
 }
 
-/// The level of detail, of `levels`, whose texels are nearest in size to `texels` of the finest.
+/// The level of detail whose texels are nearest in size to `texels` texels of the finest level.
 fn level(texels: f32, levels: usize) -> usize {
-    // Level n has texels of 2^n; half way to the next, in powers of two, is 2^(n + 1/2).
+    // Texels of level n are 2^n wide. The geometric mean with the next level is 2^(n + 1/2).
     let squared = texels * texels;
     let finer = (0..levels - 1).take_while(|&n| squared >= (2_u32 << (2 * n)) as f32);
     finer.count()
 }
 
-/// How a triangle's first two values change a pixel, to the right and downwards, at one place.
+/// The change of a triangle's first two values per pixel, to the right and downwards.
 #[inline(always)]
 fn changes<V: Simd, const M: usize>(triangle: &Triangle<V, M>, at: [f64; 2]) -> [[f32; 2]; 2] {
     let plane = &triangle.plane;
@@ -167,12 +168,12 @@ fn changes<V: Simd, const M: usize>(triangle: &Triangle<V, M>, at: [f64; 2]) -> 
     [[right[1], right[2]], [down[1], down[2]]]
 }
 
-impl Shader for Text<'_> {
+impl Shader for TextShader<'_> {
     #[inline(always)]
-    fn colours<V: Simd, const M: usize>(&self, part: &Part<'_, V, M>) -> u32x16<V> {
-        let &Part { simd, triangle, at, .. } = part;
+    fn colours<V: Simd, const M: usize>(&self, part: &TrianglePart<'_, V, M>) -> u32x16<V> {
+        let &TrianglePart { simd, triangle, at, .. } = part;
         let [u, v] = values(part);
-        // One level of detail for the block, as it is in its middle.
+        // One level of detail for the whole block, computed at its centre.
         let changes = changes(triangle, [at[0] + 1.5, at[1] + 1.5]);
         let size = self.lettering.size;
         let mut lengths = [0.0; 2];
@@ -206,7 +207,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn levels_change_half_way() {
+    fn levels_change_at_the_geometric_mean() {
         let at = |texels| level(texels, 6);
         assert_eq!([0.3, 1.0, 1.41, 1.42, 2.0, 2.82, 2.83].map(at), [0, 0, 0, 1, 1, 1, 2]);
         assert_eq!((at(1e9), at(f32::NAN)), (5, 0));

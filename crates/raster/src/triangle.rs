@@ -1,8 +1,7 @@
-//! From three corners to the samples that they cover.
+//! Finds the samples that a triangle covers.
 //!
-//! Corners are snapped to a grid finer than the samples', and what is inside is decided in whole numbers: an
-//! edge that two triangles share belongs to one of them, whatever they are, so no gap opens between them and
-//! no sample is drawn twice.
+//! Corners are snapped to a sub-pixel grid and coverage is decided in integers. A sample on an edge that two triangles share
+//! belongs to exactly one of them, so no gap opens between them and no sample is drawn twice.
 
 use fearless_simd::{
     Bytes, Select, Simd, SimdBase, SimdMask, f32x4, f32x16, f64x4, i32x16, mask32x16, u32x16, u64x4,
@@ -12,7 +11,7 @@ use super::canvas::{Block, Canvas, Lanes, SIDE};
 use super::corner::{Corner, Grid, Polygon, TO_CUT};
 use super::shade::Shader;
 
-/// Where the samples of a pixel lie, in sixteenths of it: Vulkan's standard places.
+/// Sample positions in sixteenths of a pixel: Vulkan's standard positions.
 const fn samples<const M: usize>() -> [[i32; 2]; M] {
     let mut places = [[8, 8]; M];
     if M == 4 {
@@ -26,7 +25,7 @@ const fn samples<const M: usize>() -> [[i32; 2]; M] {
     places
 }
 
-/// Draws a triangle if it shows its front: its corners are counter-clockwise in the picture then.
+/// Draws a triangle if it shows its front, that is if its corners are counter-clockwise in the image.
 #[inline(always)]
 pub(super) fn draw<V: Simd, const M: usize, H: Shader>(
     simd: V,
@@ -36,7 +35,7 @@ pub(super) fn draw<V: Simd, const M: usize, H: Shader>(
     shader: &H,
 ) {
     let [a, b, c] = corners;
-    // Wholly beyond one side of the picture, or behind.
+    // Entirely beyond one side of the image, or behind the camera.
     if a.beyond & b.beyond & c.beyond & !TO_CUT != 0 {
         return;
     }
@@ -53,29 +52,29 @@ pub(super) fn draw<V: Simd, const M: usize, H: Shader>(
     }
 }
 
-/// The three edges, a fourth that everything is inside of beside them: how far inside a grid point is, times the
-/// edge's length. Whole numbers that a float holds.
+/// The edge functions of the three edges, and a fourth that is nowhere negative: the distance of a grid point inside the
+/// edge, times the length of the edge. Integers that a float represents exactly.
 struct Edges<V: Simd> {
-    /// The change a grid step to the right and downwards.
+    /// The change per grid step, to the right and downwards.
     x: f64x4<V>,
     y: f64x4<V>,
-    /// At the picture's top left corner; below 0 is outside.
+    /// The value at the image's top left corner; negative is outside.
     start: f64x4<V>,
-    /// The most and the least that it changes within a block.
+    /// The largest and smallest change within a block.
     rise: f64x4<V>,
     fall: f64x4<V>,
-    /// 1 / the change a block to the left.
+    /// 1 / the change per block to the left.
     slant: f64x4<V>,
 }
 
-/// In blocks, more than rounding can move the place where an edge crosses a row.
+/// More than rounding can move the point where an edge crosses a row, in blocks.
 const SLACK: f64 = 1e-3;
 
-/// Added to a whole number, it leaves its lowest bits as those of the sum.
+/// Adding this to an integer leaves its lowest bits as those of the sum.
 const TO_BITS: f64 = 6_755_399_441_055_744.0;
 
 impl<V: Simd> Edges<V> {
-    /// From corner to corner, as often as it takes to come around.
+    /// The edges from each corner to the next.
     #[inline(always)]
     fn new(simd: V, [a, b, c]: [[f64; 2]; 3], step: f64) -> Self {
         let x0 = f64x4::load_array(simd, [a[0], b[0], c[0], 0.0]);
@@ -84,7 +83,7 @@ impl<V: Simd> Edges<V> {
         let y1 = f64x4::load_array(simd, [b[1], c[1], a[1], 0.0]);
         let (x, y) = (y0 - y1, x1 - x0);
         let zero = f64x4::splat(simd, 0.0);
-        // A point on an edge belongs to the triangle of which it is a left or top one.
+        // A point on an edge belongs to the triangle whose left or top edge it is.
         let is_owned = x.simd_gt(zero) | (x.simd_eq(zero) & y.simd_ge(zero));
         let start = -(x * x0 + y * y0) - is_owned.select(zero, zero + 1.0);
         let reach = step - 1.0;
@@ -98,11 +97,11 @@ impl<V: Simd> Edges<V> {
         }
     }
 
-    /// The first and the last of the columns from `low` to `high` of the blocks that these edges leave, in a row in
-    /// whose first column they are at `inside`. It may be one too many.
+    /// The first and last block between columns `low` and `high` that the edges may cover, in a row in whose first column the
+    /// edge functions are `inside`. May include one block too many.
     #[inline(always)]
     fn narrow(&self, simd: V, inside: f64x4<V>, low: f64, high: f64) -> [f64; 2] {
-        // Half more than a whole number, so that an upright edge has all columns inside, or none.
+        // Half more than an integer, so that a vertical edge has all columns inside, or none.
         let cross = (inside + self.rise + 0.5) * self.slant;
         let zero = f64x4::splat(simd, 0.0);
         let least = self.x.simd_ge(zero).select(cross - SLACK, zero + low).to_array();
@@ -114,7 +113,7 @@ impl<V: Simd> Edges<V> {
     }
 }
 
-/// The change of an edge to each pixel of a block.
+/// The change of an edge function to each pixel of a block.
 #[inline(always)]
 fn edge_lanes<V: Simd>(simd: V, right: i32, down: i32, bits: u32) -> i32x16<V> {
     const COLUMN: Lanes<i32> = [0, 1, 2, 3, 0, 1, 2, 3, 0, 1, 2, 3, 0, 1, 2, 3];
@@ -123,39 +122,39 @@ fn edge_lanes<V: Simd>(simd: V, right: i32, down: i32, bits: u32) -> i32x16<V> {
         + i32x16::load_array(simd, LINE) * (down << bits)
 }
 
-/// A whole number of at most 32 bits.
+/// Converts an integer of at most 32 bits.
 #[inline(always)]
 fn to_whole(value: f64) -> u32 {
     (value + TO_BITS).to_bits() as u32
 }
 
-/// The greater of two that are numbers.
+/// The larger of two numbers that are not NaN.
 #[inline(always)]
 fn more(a: f64, b: f64) -> f64 {
     if a > b { a } else { b }
 }
 
-/// The smaller of two that are numbers.
+/// The smaller of two numbers that are not NaN.
 #[inline(always)]
 fn less(a: f64, b: f64) -> f64 {
     if a < b { a } else { b }
 }
 
-/// Twice the area of a triangle, below 0 the other way round.
+/// Twice the area of a triangle; negative if it shows its back.
 #[inline(always)]
 fn doubled_area([a, b, c]: [[f64; 2]; 3]) -> f64 {
     (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
 }
 
-/// Values that are linear in the picture: nearness, and three values over the distance.
+/// Values that are linear in the image: nearness, and three values divided by distance.
 pub(super) struct Plane<V: Simd> {
-    /// Where they are at `start`, in pixels.
+    /// The position of `start`, in pixels.
     from: [f64; 2],
     start: f32x4<V>,
-    /// The change a pixel, to the right and downwards.
+    /// The change per pixel, to the right and downwards.
     pub(super) right: f32x4<V>,
     pub(super) down: f32x4<V>,
-    /// Nearness alone, finer: of two surfaces that meet, the same one has to be in front however far they reach.
+    /// Nearness with higher precision: of two surfaces that meet, the same one must be in front everywhere.
     nearness: [f64; 3],
 }
 
@@ -169,9 +168,9 @@ impl<V: Simd> Plane<V> {
             [f64::from(c.fine[0]), f64::from(c.fine[1])],
         ];
         let fine_area = doubled_area(fine);
-        // Between the whole places of corners, a surface seen aslant would be tilted. Of a splinter no more is known.
-        let is_splinter = (fine_area - area).abs() > 0.5 * area;
-        let ([pa, pb, pc], area) = if is_splinter { (whole, area) } else { (fine, fine_area) };
+        // Interpolating between rounded corners would tilt a surface seen at an angle. For a sliver they must do.
+        let is_sliver = (fine_area - area).abs() > 0.5 * area;
+        let ([pa, pb, pc], area) = if is_sliver { (whole, area) } else { (fine, fine_area) };
         let over_area = one / area;
         let ab = [(pb[0] - pa[0]) * over_area, (pb[1] - pa[1]) * over_area];
         let ac = [(pc[0] - pa[0]) * over_area, (pc[1] - pa[1]) * over_area];
@@ -191,14 +190,14 @@ impl<V: Simd> Plane<V> {
         }
     }
 
-    /// Nearness at a place in pixels.
+    /// Nearness at a position in pixels.
     #[inline(always)]
     pub(super) fn nearness(&self, [x, y]: [f64; 2]) -> f32 {
         let [start, right, down] = self.nearness;
         (start + right * (x - self.from[0]) + down * (y - self.from[1])) as f32
     }
 
-    /// The three values over the distance, after one that is not as fine as [`Self::nearness`].
+    /// Nearness, less precise than [`Self::nearness`], and the three values divided by distance.
     #[inline(always)]
     pub(super) fn values(&self, [x, y]: [f64; 2]) -> f32x4<V> {
         let (x, y) = ((x - self.from[0]) as f32, (y - self.from[1]) as f32);
@@ -206,22 +205,22 @@ impl<V: Simd> Plane<V> {
     }
 }
 
-/// What all blocks of a triangle share.
+/// What is the same for all blocks of a triangle.
 pub(super) struct Triangle<V: Simd, const M: usize> {
     pub(super) plane: Plane<V>,
     /// The change of the plane's values to each pixel of a block.
     pub(super) slopes: [f32x16<V>; 4],
-    /// The change of nearness from the middle of a pixel to its samples.
+    /// The change of nearness from the centre of a pixel to its samples.
     depths: [f32; M],
-    /// The change of each edge to each pixel of a block, and to the samples of a pixel.
+    /// The change of each edge function to each pixel of a block, and to the samples of a pixel.
     lanes: [i32x16<V>; 3],
     samples: [[i32; M]; 3],
-    /// The least and the most of the corners' values.
+    /// Minimum and maximum of the corners' values.
     pub(super) least: [f32; 4],
     pub(super) most: [f32; 4],
 }
 
-/// How far to the right, and how far down, the pixels of a block lie from the first.
+/// Offsets of the pixels of a block from the first, to the right and downwards.
 const COLUMN: Lanes<f32> = [0., 1., 2., 3., 0., 1., 2., 3., 0., 1., 2., 3., 0., 1., 2., 3.];
 const LINE: Lanes<f32> = [0., 0., 0., 0., 1., 1., 1., 1., 2., 2., 2., 2., 3., 3., 3., 3.];
 
@@ -234,13 +233,13 @@ fn fill<V: Simd, const M: usize, H: Shader>(
     shader: &H,
 ) {
     let bits = grid.bits;
-    // None, if it lies between all samples.
+    // Nothing to draw if the triangle lies between samples.
     let low = [a.at[0].min(b.at[0]).min(c.at[0]), a.at[1].min(b.at[1]).min(c.at[1])];
     let high = [a.at[0].max(b.at[0]).max(c.at[0]), a.at[1].max(b.at[1]).max(c.at[1])];
     if misses_samples::<M>(low[0], high[0], bits) || misses_samples::<M>(low[1], high[1], bits) {
         return;
     }
-    // The blocks that it may touch.
+    // The blocks of its bounding box.
     let to_block = bits + SIDE.trailing_zeros();
     let first = [(low[0] >> to_block).max(0), (low[1] >> to_block).max(0)];
     let last = [
@@ -302,8 +301,8 @@ fn fill<V: Simd, const M: usize, H: Shader>(
         most: va.max(vb).max(vc).to_array(),
     };
 
-    // How much nearer than in the middle of a block's first pixel it can be within the block: at samples up to half a
-    // pixel before that, and to the right of it and below; and a little for rounding.
+    // How much nearer the triangle can be within a block than at the centre of its first pixel: at samples up to half a pixel
+    // before that centre, and to the right of it and below; plus a margin for rounding.
     let nearest = a.nearness.max(b.nearness).max(c.nearness);
     let [right, down] = [rights[0], downs[0]];
     let nearer = SIDE as f32 * (right.max(0.0) + down.max(0.0))
@@ -315,7 +314,7 @@ fn fill<V: Simd, const M: usize, H: Shader>(
         if low > high {
             continue;
         }
-        // A crossing within a block leaves it.
+        // A block that an edge crosses is kept.
         let (begin, end) = (to_whole(low.ceil()) as usize, to_whole(high.floor()) as usize + 1);
         let place = row as usize * canvas.columns;
         let y = (row as usize * SIDE) as f64 + 0.5;
@@ -327,11 +326,11 @@ fn fill<V: Simd, const M: usize, H: Shader>(
                 continue;
             }
             let here = starts + edges.x * (number as f64 * step);
-            // Far inside of an edge, just inside says the same, and fits.
+            // Far inside an edge the value is clamped to one that fits into 32 bits.
             let here = here.min(-edges.fall) + TO_BITS;
             let inside = here.bitcast::<u64x4<V>>().to_array();
             let inside = [inside[0] as i32, inside[1] as i32, inside[2] as i32];
-            let part = Part { simd, triangle: &triangle, at, nearness, inside };
+            let part = TrianglePart { simd, triangle: &triangle, at, nearness, inside };
             let (block, farthest) = canvas.block(place + number);
             part.draw(shader, block, farthest);
         }
@@ -339,18 +338,18 @@ fn fill<V: Simd, const M: usize, H: Shader>(
 }
 
 /// The part of a triangle that lies in one block.
-pub(super) struct Part<'a, V: Simd, const M: usize> {
+pub(super) struct TrianglePart<'a, V: Simd, const M: usize> {
     pub(super) simd: V,
     pub(super) triangle: &'a Triangle<V, M>,
-    /// The middle of the block's first pixel, in pixels, and the nearness there.
+    /// The centre of the block's first pixel, in pixels, and the nearness there.
     pub(super) at: [f64; 2],
     pub(super) nearness: f32,
-    /// The edges at the block's corner.
+    /// The edge functions at the block's corner.
     inside: [i32; 3],
 }
 
-impl<V: Simd, const M: usize> Part<'_, V, M> {
-    /// Draws it where it is nearer than what is there.
+impl<V: Simd, const M: usize> TrianglePart<'_, V, M> {
+    /// Draws the samples that are nearer than those already there.
     #[inline(always)]
     fn draw(&self, shader: &impl Shader, block: &mut Block<M>, farthest: &mut f32) {
         let simd = self.simd;
@@ -379,7 +378,7 @@ impl<V: Simd, const M: usize> Part<'_, V, M> {
         *farthest = least.reduce_min();
     }
 
-    /// The pixels whose sample number `sample` it covers.
+    /// The pixels whose sample number `sample` is covered.
     #[inline(always)]
     fn covered(&self, sample: usize) -> mask32x16<V> {
         let Triangle { lanes, samples, .. } = self.triangle;
@@ -391,10 +390,10 @@ impl<V: Simd, const M: usize> Part<'_, V, M> {
     }
 }
 
-/// Whether no sample lies between two places along an axis.
+/// Whether no sample lies between two positions along an axis.
 #[inline(always)]
 fn misses_samples<const M: usize>(low: i32, high: i32, bits: u32) -> bool {
-    // One sample in the middle of a pixel; of four, one in the middle of every quarter.
+    // One sample is at the centre of the pixel; four are at the centres of its quarters along each axis.
     let spacing = bits - M.trailing_zeros();
     let half = 1 << spacing >> 1;
     (low - half + (1 << spacing) - 1) >> spacing > (high - half) >> spacing

@@ -44,6 +44,6 @@ pub use generate::{GenerateError, SHIPPED_COUNT, SHIPPED_SEED};
 pub use layout::{Aisle, Axis, Layout, Square};
 pub use mixed::Overlap;
 pub use progress::Progress;
-pub use task::{Group, Phase, Task};
+pub use task::{Phase, Task, TaskGroup};
 pub use validate::validate;
 pub use world::{Item, Warehouse};

@@ -24,7 +24,7 @@ use crate::case::Trajectory;
 use crate::dynamics::{Variant, step};
 use crate::order::{Order, PhaseSets, Visits};
 pub use crate::route::Prices;
-use crate::route::{Field, Graph};
+use crate::route::{CostField, Graph};
 use crate::task::{Phase, Task};
 use crate::world::Warehouse;
 
@@ -35,7 +35,7 @@ pub struct Planner<'w> {
     variant: Variant,
     graph: Graph,
     /// By item id: the field towards it.
-    fields: Vec<OnceCell<Field>>,
+    fields: Vec<OnceCell<CostField>>,
     /// Results for tasks whose plans do not depend on the start.
     choices: RefCell<BTreeMap<Task, Rc<Vec<Choice>>>>,
 }
@@ -45,16 +45,16 @@ pub struct Planner<'w> {
 struct Choice {
     order: Order,
     /// The field towards the first item, if it is not the ordinary one.
-    approach: Option<Field>,
+    approach: Option<CostField>,
 }
 
 /// The cheapest visits of a task from one start.
-struct Found {
+struct BestVisits {
     visits: Visits,
     choices: Rc<Vec<Choice>>,
     chosen: usize,
     /// The field towards the origin, if the task ends there.
-    home: Option<Field>,
+    home: Option<CostField>,
 }
 
 impl<'w> Planner<'w> {
@@ -70,8 +70,8 @@ impl<'w> Planner<'w> {
     /// With [`Prices::EXPERT`] it ends facing the last target's rack. Of equally cheap plans, lower item ids come first,
     /// then forward moves before turns before sidesteps.
     pub fn plan(&self, start: Pose, task: &Task) -> Option<Trajectory> {
-        let Found { visits, choices, chosen, home } = self.find(start, task)?;
-        let mut fields: Vec<&Field> = visits.items.iter().map(|&id| self.field(id)).collect();
+        let BestVisits { visits, choices, chosen, home } = self.find(start, task)?;
+        let mut fields: Vec<&CostField> = visits.items.iter().map(|&id| self.field(id)).collect();
         if let (Some(first), Some(approach)) = (fields.first_mut(), &choices[chosen].approach) {
             *first = approach;
         }
@@ -92,7 +92,7 @@ impl<'w> Planner<'w> {
         self.find(start, task).map(|found| found.visits.cost)
     }
 
-    fn find(&self, start: Pose, task: &Task) -> Option<Found> {
+    fn find(&self, start: Pose, task: &Task) -> Option<BestVisits> {
         let phases = task.phases(self.warehouse);
         let home = phases.contains(&Phase::Origin).then(|| self.graph.towards_cell(start.cell));
         let choices = match &home {
@@ -110,7 +110,7 @@ impl<'w> Planner<'w> {
         });
         // `min_by_key` keeps the first of equals.
         let (visits, chosen) = visits.min_by_key(|(visits, _)| visits.cost)?;
-        Some(Found { visits, choices, chosen, home })
+        Some(BestVisits { visits, choices, chosen, home })
     }
 
     /// The choices of a task without a return to the origin: one; for a revisit, one for each instance that may come first.
@@ -150,7 +150,7 @@ impl<'w> Planner<'w> {
         Pose { cell: item.standpoint, heading: item.viewing_heading() }
     }
 
-    fn field(&self, id: u16) -> &Field {
+    fn field(&self, id: u16) -> &CostField {
         let field = || self.graph.towards_target(self.goal(id), &[]);
         self.fields[usize::from(id)].get_or_init(field)
     }

@@ -73,7 +73,7 @@ pub(crate) struct Graph {
 
 /// The cheapest cost from every pose to a goal, by pose.
 #[derive(Debug)]
-pub(crate) struct Field(Vec<u32>);
+pub(crate) struct CostField(Vec<u32>);
 
 impl Graph {
     pub(crate) fn new(warehouse: &Warehouse, variant: &Variant, prices: Prices) -> Self {
@@ -110,7 +110,7 @@ impl Graph {
     }
 
     /// The costs of reaching `goal` without entering `avoid`, with any heading where headings do not matter.
-    pub(crate) fn towards_target(&self, goal: Pose, avoid: &[Cell]) -> Field {
+    pub(crate) fn towards_target(&self, goal: Pose, avoid: &[Cell]) -> CostField {
         if self.prices.facing {
             self.towards(&[goal], avoid)
         } else {
@@ -119,12 +119,12 @@ impl Graph {
     }
 
     /// The costs of reaching `cell` with any heading.
-    pub(crate) fn towards_cell(&self, cell: Cell) -> Field {
+    pub(crate) fn towards_cell(&self, cell: Cell) -> CostField {
         self.towards(&facing_anywhere(cell), &[])
     }
 
     /// Dijkstra backwards from `goals`, with no route from or through `avoid`.
-    fn towards(&self, goals: &[Pose], avoid: &[Cell]) -> Field {
+    fn towards(&self, goals: &[Pose], avoid: &[Cell]) -> CostField {
         let mut avoided = vec![false; self.back.len()];
         for pose in avoid.iter().copied().flat_map(facing_anywhere) {
             avoided[self.index(pose)] = true;
@@ -147,16 +147,16 @@ impl Graph {
                 }
             }
         }
-        Field(costs)
+        CostField(costs)
     }
 
     /// The cost of the cheapest route from `pose` to the goal of `field`.
-    pub(crate) fn cost(&self, field: &Field, pose: Pose) -> u32 {
+    pub(crate) fn cost(&self, field: &CostField, pose: Pose) -> u32 {
         field.0.get(self.index(pose)).copied().unwrap_or(NO_WAY)
     }
 
     /// The cheapest route from `pose` to the goal of `field`, if there is one.
-    pub(crate) fn route(&self, field: &Field, pose: Pose) -> Option<Vec<Action>> {
+    pub(crate) fn route(&self, field: &CostField, pose: Pose) -> Option<Vec<Action>> {
         let mut actions = Vec::new();
         let mut at = self.index(pose);
         while *field.0.get(at)? > 0 {

@@ -71,7 +71,7 @@ pub enum Task {
 
 /// Groups of task types in results.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
-pub enum Group {
+pub enum TaskGroup {
     /// Types 1 and 2.
     Basic,
     /// Types 3 to 6.
@@ -128,12 +128,12 @@ impl Task {
     }
 
     /// The group of its type.
-    pub const fn group(&self) -> Group {
+    pub const fn group(&self) -> TaskGroup {
         match self.number() {
-            1 | 2 => Group::Basic,
-            3..=6 => Group::MultiObject,
-            9 => Group::Revisit,
-            _ => Group::ReturnLoop,
+            1 | 2 => TaskGroup::Basic,
+            3..=6 => TaskGroup::MultiObject,
+            9 => TaskGroup::Revisit,
+            _ => TaskGroup::ReturnLoop,
         }
     }
 
@@ -176,7 +176,7 @@ impl Task {
 
     /// Whether the task ends at the cell where the episode began.
     pub const fn returns_to_origin(&self) -> bool {
-        matches!(self.group(), Group::ReturnLoop)
+        matches!(self.group(), TaskGroup::ReturnLoop)
     }
 
     /// The phases, in order. A return is always the last.
@@ -221,7 +221,7 @@ impl Task {
     }
 }
 
-impl Group {
+impl TaskGroup {
     /// All groups, in the order of the paper's table.
     pub const ALL: [Self; 4] = [Self::Basic, Self::MultiObject, Self::ReturnLoop, Self::Revisit];
 
@@ -291,7 +291,7 @@ mod tests {
                 match phase {
                     Phase::OneOfEach(sets) => in_phases.extend(sets.into_iter().flatten()),
                     Phase::Origin => assert!(task.returns_to_origin()),
-                    Phase::FirstAgain => assert_eq!(task.group(), Group::Revisit),
+                    Phase::FirstAgain => assert_eq!(task.group(), TaskGroup::Revisit),
                 }
             }
             in_phases.sort_unstable();

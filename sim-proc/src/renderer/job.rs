@@ -5,7 +5,7 @@ use warehouse::Variant;
 
 /// A pose in a variant of the world.
 #[derive(Debug, Clone, Copy)]
-pub struct View<'a> {
+pub struct ViewSpec<'a> {
     /// The camera's pose.
     pub pose: Pose,
     /// Which passages are closed.
@@ -38,7 +38,7 @@ impl Destination<'_> {
 /// A view and its destination. Pixels are RGBA, 8 bits per channel, in rows from the top without gaps.
 pub struct RenderJob<'a> {
     /// What to render.
-    pub view: View<'a>,
+    pub view: ViewSpec<'a>,
     /// Where to write it.
     pub destination: Destination<'a>,
 }

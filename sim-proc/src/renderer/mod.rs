@@ -30,7 +30,7 @@ use warehouse::{Layout, Warehouse};
 pub use contact_sheet::contact_sheet;
 pub use error::RenderError;
 use gpu::GpuBackend;
-pub use job::{Destination, RenderJob, View};
+pub use job::{Destination, RenderJob, ViewSpec};
 use scene::Scene;
 pub use scene_visibility::SceneVisibility;
 pub use settings::{Backend, FramePath, RenderReport, RenderSettings, Samples};
@@ -158,7 +158,7 @@ impl Renderer {
     ///
     /// # Errors
     /// As [`Self::render`].
-    pub fn render_image(&mut self, view: View<'_>) -> Result<RgbaImage, RenderError> {
+    pub fn render_image(&mut self, view: ViewSpec<'_>) -> Result<RgbaImage, RenderError> {
         let prepared = self.prepare(view);
         self.draw_image(prepared)
     }
@@ -182,7 +182,7 @@ impl Renderer {
         self
     }
 
-    fn prepare(&mut self, View { pose, variant }: View<'_>) -> PreparedView {
+    fn prepare(&mut self, ViewSpec { pose, variant }: ViewSpec<'_>) -> PreparedView {
         let barricades = self.visibility.barricades(variant);
         let (scene, camera, visible) = self.visibility.from_pose(pose);
         PreparedView {

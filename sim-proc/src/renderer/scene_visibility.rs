@@ -8,7 +8,7 @@ use raster::Placement;
 use warehouse::{Layout, Variant};
 
 use super::camera::Camera;
-use super::job::View;
+use super::job::ViewSpec;
 use super::scene::{Scene, barricade_sides};
 use super::visibility::VisibleSet;
 
@@ -47,7 +47,7 @@ impl SceneVisibility {
 
     /// Whether a barricade may be visible. Where none is, the frame equals that of the unchanged world, byte for byte:
     /// barricades cast no shadow, and hidden triangles change no pixel.
-    pub fn may_show_barricade(&mut self, View { pose, variant }: View<'_>) -> bool {
+    pub fn may_show_barricade(&mut self, ViewSpec { pose, variant }: ViewSpec<'_>) -> bool {
         if variant.closed().is_empty() {
             return false;
         }

@@ -137,11 +137,11 @@ fn neither_the_frame_path_nor_the_batch_changes_a_byte() {
     assert!(matches!(copied.report().frame_path, FramePath::Copied { .. }));
     let open = Variant::UNCHANGED;
     let blocked = Variant::closing(CaseSet::shipped().cases[0].barricade.iter().copied());
-    let views: Vec<View<'_>> = poses(&warehouse)
+    let views: Vec<ViewSpec<'_>> = poses(&warehouse)
         .into_iter()
         .step_by(47)
         .zip([&open, &blocked].into_iter().cycle())
-        .map(|(pose, variant)| View { pose, variant })
+        .map(|(pose, variant)| ViewSpec { pose, variant })
         .collect();
     let frame = direct.frame_bytes();
     let alone: Vec<RgbaImage> =
@@ -184,7 +184,7 @@ fn check_plates(warehouse: &Warehouse, renderer: &mut Renderer) {
         let category = &warehouse.catalogue.categories[kind.category];
         let bands = Plate::new(&category.name, &kind.name).0;
         let pose = Pose { cell: item.standpoint, heading: item.viewing_heading() };
-        let image = renderer.render_image(View { pose, variant: &Variant::UNCHANGED }).unwrap();
+        let image = renderer.render_image(ViewSpec { pose, variant: &Variant::UNCHANGED }).unwrap();
         let scale = focal_length_px(SIDE_PX) / (0.5 - plates::FACE_OFFSET_M);
         let rgb = |right: f32, up: f32| {
             let centre = SIDE_PX as f32 / 2.0;
@@ -232,10 +232,10 @@ fn a_nearby_barricade_is_visible() {
                 };
                 let pose = Pose { cell: stand, heading };
                 assert!(
-                    renderer.visibility.may_show_barricade(View { pose, variant: &closed }),
+                    renderer.visibility.may_show_barricade(ViewSpec { pose, variant: &closed }),
                     "{pose}"
                 );
-                let image = renderer.render_image(View { pose, variant: &closed }).unwrap();
+                let image = renderer.render_image(ViewSpec { pose, variant: &closed }).unwrap();
                 let is_red = |p: &[u8; 4]| p[0] > 120 && p[1] < 60 && p[2] < 60;
                 let middle = image.crop(112, 150, 224, 200);
                 let red = middle.pixels().filter(is_red).count();
@@ -264,7 +264,7 @@ fn a_barricade_that_is_hidden_changes_no_byte() {
     for (number, variant) in barricades.iter().enumerate() {
         for pose in poses(&warehouse).into_iter().filter(|pose| !variant.is_closed(pose.cell)) {
             views += 1;
-            if !both[0].visibility.may_show_barricade(View { pose, variant }) {
+            if !both[0].visibility.may_show_barricade(ViewSpec { pose, variant }) {
                 let is_ahead = variant.closed().iter().any(|&cell| is_ahead(pose, cell));
                 if is_ahead { &mut ahead } else { &mut elsewhere }.push((number, pose));
             }
@@ -278,8 +278,8 @@ fn a_barricade_that_is_hidden_changes_no_byte() {
         for (number, pose) in hidden.into_iter().step_by(step) {
             let variant = &barricades[number];
             for renderer in &mut both {
-                let blocked = renderer.render_image(View { pose, variant }).unwrap();
-                let open = View { pose, variant: &Variant::UNCHANGED };
+                let blocked = renderer.render_image(ViewSpec { pose, variant }).unwrap();
+                let open = ViewSpec { pose, variant: &Variant::UNCHANGED };
                 let open = renderer.render_image(open).unwrap();
                 let differing = differing(pose, &open, &blocked);
                 assert_eq!(differing, 0, "{pose} with {:?} closed", variant.closed());
@@ -311,7 +311,7 @@ fn unusable_settings_are_refused_with_a_reason() {
     assert!(refused(both).contains("which --backend cpu does not use"));
 
     let mut renderer = renderer(&warehouse, RenderSettings::default());
-    let view = View { pose: Pose::new(2, 8, Heading::N), variant: &Variant::UNCHANGED };
+    let view = ViewSpec { pose: Pose::new(2, 8, Heading::N), variant: &Variant::UNCHANGED };
     let destination = Destination::Memory(&mut [0; 12]);
     let error = renderer.render(&mut [RenderJob { view, destination }]).unwrap_err().to_string();
     assert_eq!(error, "a frame takes 802816 bytes, but the destination of view 2,8,N has 12");

@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use domain::{Cell, Heading, Pose};
 use policy_proc::FrameView;
-use sim_proc::renderer::{RenderSettings, Renderer, View};
+use sim_proc::renderer::{RenderSettings, Renderer, ViewSpec};
 use warehouse::{Variant, Warehouse};
 
 /// Fields along each side of the coarse grid by which views are compared.
@@ -82,7 +82,7 @@ impl Views {
         let is_changed = !variant.closed().is_empty();
         let rendered = if is_changed { &mut self.rendered_closed } else { &mut self.rendered };
         let render = || {
-            let image = self.renderer.render_image(View { pose, variant }).unwrap();
+            let image = self.renderer.render_image(ViewSpec { pose, variant }).unwrap();
             let (width, height) = (image.width(), image.height());
             self.last_id += 1;
             Arc::new(Image::new(self.last_id, width, height, image.into_raw()))

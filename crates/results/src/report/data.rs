@@ -155,7 +155,7 @@ pub(super) fn conditions(views: &[View<'_>]) -> Frame {
         frame.real(format!("{name}_low"), |(_, score)| Some(derived(score)?.interval?.low));
         frame.real(format!("{name}_high"), |(_, score)| Some(derived(score)?.interval?.high));
     }
-    for group in warehouse::Group::ALL {
+    for group in warehouse::TaskGroup::ALL {
         let of = move |score: &ConditionScore| {
             score.groups.iter().find(|found| found.group == group).map(|found| found.sr)
         };

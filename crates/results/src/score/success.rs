@@ -2,7 +2,7 @@
 //! tasks and for each group of them.
 
 use serde::Serialize;
-use warehouse::Group;
+use warehouse::TaskGroup;
 
 use super::spread::{Spread, mean, percentage};
 use super::trial::{Trial, Trials};
@@ -23,33 +23,33 @@ pub(super) fn path_weighted(trials: &[&Trial<'_>]) -> Option<f64> {
 pub struct GroupScore {
     /// The group's name.
     #[serde(serialize_with = "by_name")]
-    pub group: Group,
+    pub group: TaskGroup,
     /// Success rate in percent over runs, of the group's episodes alone.
     pub sr: Spread,
 }
 
-fn by_name<S: serde::Serializer>(group: &Group, serializer: S) -> Result<S::Ok, S::Error> {
+fn by_name<S: serde::Serializer>(group: &TaskGroup, serializer: S) -> Result<S::Ok, S::Error> {
     serializer.serialize_str(group.name())
 }
 
 /// The groups that have an episode.
 pub(super) fn groups(trials: &Trials<'_>) -> Vec<GroupScore> {
-    let rate = |group: Group| {
+    let rate = |group: TaskGroup| {
         trials.over_runs(|run| {
             let of = |trial: &&&Trial<'_>| trial.task.map(group_of) == Some(group);
             percentage(run.iter().filter(of).map(|trial| trial.is_success()))
         })
     };
-    let scored = |group: Group| Some(GroupScore { group, sr: rate(group)? });
-    Group::ALL.into_iter().filter_map(scored).collect()
+    let scored = |group: TaskGroup| Some(GroupScore { group, sr: rate(group)? });
+    TaskGroup::ALL.into_iter().filter_map(scored).collect()
 }
 
 /// The group of task `number` (SPEC section 3).
-pub const fn group_of(number: u8) -> Group {
+pub const fn group_of(number: u8) -> TaskGroup {
     match number {
-        1 | 2 => Group::Basic,
-        7 | 8 | 10 => Group::ReturnLoop,
-        9 => Group::Revisit,
-        _ => Group::MultiObject,
+        1 | 2 => TaskGroup::Basic,
+        7 | 8 | 10 => TaskGroup::ReturnLoop,
+        9 => TaskGroup::Revisit,
+        _ => TaskGroup::MultiObject,
     }
 }

@@ -20,7 +20,7 @@ use device::Gpu;
 pub(super) use device::{open, open_graphics_card};
 use pipelines::{Batch, Pipelines};
 use readback::{Readback, Sink, host_read_barrier};
-use target::Target;
+use target::RenderTarget;
 use vertex::ViewUniform;
 
 /// Views per submission.
@@ -29,7 +29,7 @@ const BATCH_VIEWS: usize = 16;
 /// Draws views of one scene on a Vulkan device.
 pub(super) struct GpuBackend {
     gpu: Gpu,
-    target: Target,
+    target: RenderTarget,
     readback: Readback,
     pipelines: Pipelines,
     batch: Batch,
@@ -39,7 +39,7 @@ impl GpuBackend {
     /// Uploads `geometry` to the device.
     pub(super) fn new(gpu: Gpu, geometry: &Geometry, settings: &RenderSettings) -> Self {
         let samples = settings.samples.count();
-        let target = Target::new(&gpu, settings.width_px, settings.height_px, samples);
+        let target = RenderTarget::new(&gpu, settings.width_px, settings.height_px, samples);
         let readback = Readback::new(&gpu, &target, settings.force_copy);
         let pipelines = Pipelines::new(&gpu, geometry, samples);
         let batch = Batch::new(&gpu, &pipelines, BATCH_VIEWS);

@@ -18,7 +18,7 @@ use ash::vk;
 use wgpu::hal::vulkan;
 
 use super::device::Gpu;
-use super::target::Target;
+use super::target::RenderTarget;
 use crate::renderer::error::RenderError;
 use crate::renderer::job::Destination;
 use crate::renderer::settings::FramePath;
@@ -45,7 +45,7 @@ pub(super) struct Readback {
 
 impl Readback {
     /// Tests whether the device can write into host memory; `force_copy` skips the test and copies.
-    pub(super) fn new(gpu: &Gpu, target: &Target, force_copy: bool) -> Self {
+    pub(super) fn new(gpu: &Gpu, target: &RenderTarget, force_copy: bool) -> Self {
         let mut readback = Self {
             frame_bytes: target.frame_bytes(),
             path: FramePath::Direct,
@@ -83,7 +83,7 @@ impl Readback {
         &mut self,
         gpu: &Gpu,
         encoder: &mut wgpu::CommandEncoder,
-        target: &Target,
+        target: &RenderTarget,
         place: usize,
         destination: &mut Destination<'_>,
     ) -> Sink {
@@ -166,7 +166,7 @@ impl Readback {
     }
 
     /// Lets the device write a known image into pages like a slot's, and compares the bytes.
-    fn test_direct(&mut self, gpu: &Gpu, target: &Target) -> Result<(), String> {
+    fn test_direct(&mut self, gpu: &Gpu, target: &RenderTarget) -> Result<(), String> {
         let mut pages = shared_pages(self.frame_bytes)?;
         let bytes = self.frame_bytes as usize;
         let image: Vec<u8> = (0..bytes).map(|i| (i * 7 + i / 4096 + 1) as u8).collect();

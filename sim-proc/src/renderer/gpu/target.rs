@@ -12,7 +12,7 @@ pub(super) const COLOUR_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rgba8
 pub(super) const DEPTH_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Depth32Float;
 
 /// A set of attachments, used by the views of a batch in turn.
-pub(super) struct Target {
+pub(super) struct RenderTarget {
     width_px: u32,
     height_px: u32,
     /// The finished frame.
@@ -23,7 +23,7 @@ pub(super) struct Target {
     depth: wgpu::TextureView,
 }
 
-impl Target {
+impl RenderTarget {
     pub(super) fn new(gpu: &Gpu, width_px: u32, height_px: u32, samples: u32) -> Self {
         let texture = |label, format, sample_count, extra_usage| {
             gpu.device.create_texture(&wgpu::TextureDescriptor {

@@ -71,14 +71,14 @@ impl Detail {
 }
 
 /// Adds shapes to a mesh, in the current frame and material.
-pub(crate) struct Builder {
+pub(crate) struct MeshBuilder {
     mesh: Mesh,
     mesh_from_local: Isometry3<f32>,
     material: Material,
     detail: Detail,
 }
 
-impl Builder {
+impl MeshBuilder {
     pub(crate) fn new(detail: Detail) -> Self {
         Self {
             detail,
@@ -365,9 +365,9 @@ mod tests {
     use super::*;
 
     /// Checks that every triangle faces the same way as the normals of its corners.
-    fn assert_faces_outward(name: &str, draw: impl Fn(&mut Builder)) {
+    fn assert_faces_outward(name: &str, draw: impl Fn(&mut MeshBuilder)) {
         for detail in Detail::ALL {
-            let mut builder = Builder::new(detail);
+            let mut builder = MeshBuilder::new(detail);
             builder.moved([0.3, -0.2, 0.1], |b| b.turned(Vector3::x_axis(), 30.0, &draw));
             let mesh = builder.finish();
             assert!(!mesh.indices.is_empty());

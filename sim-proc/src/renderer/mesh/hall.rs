@@ -6,7 +6,7 @@
 use domain::{Cell, Heading};
 use warehouse::{Layout, Square};
 
-use super::builder::{Builder, Detail, Material, Mesh, Side};
+use super::builder::{Detail, Material, Mesh, MeshBuilder, Side};
 
 /// Height of the roof, in metres.
 pub(crate) const ROOF_M: f32 = 5.6;
@@ -22,7 +22,7 @@ const TRUSS: Material = Material::dull([104, 112, 122]);
 
 /// The floor of a free cell, darker at the foot of racks and walls, in slabs of slightly different tone.
 pub(crate) fn floor(layout: &Layout, cell: Cell) -> Mesh {
-    let mut b = Builder::new(Detail::Near);
+    let mut b = MeshBuilder::new(Detail::Near);
     let (x0, y0) = (f32::from(cell.x), f32::from(cell.y));
     let solid = solid_around(layout, cell);
     let slab = dice(u32::from(cell.x) / 4, u32::from(cell.y) / 4);
@@ -43,7 +43,7 @@ pub(crate) fn floor(layout: &Layout, cell: Cell) -> Mesh {
 
 /// Plain floor south of (x, y): `half` metres to both sides and twice as far to the south.
 pub(crate) fn open_floor([x, y]: [f32; 2], half: f32) -> Mesh {
-    let mut b = Builder::new(Detail::Near);
+    let mut b = MeshBuilder::new(Detail::Near);
     b.material(CONCRETE);
     let (l, r, f) = (x - half, x + half, y - 2.0 * half);
     b.polygon(&[[l, f, 0.0], [r, f, 0.0], [r, y, 0.0], [l, y, 0.0]]);
@@ -87,7 +87,7 @@ fn floor_shade(solid: &[[f32; 2]], x: f32, y: f32) -> f32 {
 }
 
 /// Yellow lines along the racks.
-fn markings(b: &mut Builder, layout: &Layout, cell: Cell) {
+fn markings(b: &mut MeshBuilder, layout: &Layout, cell: Cell) {
     let (cx, cy) = cell.centre();
     let is_rack = |heading: Heading| {
         cell.step(heading).is_some_and(|next| layout.square(next) == Square::Rack)
@@ -142,7 +142,7 @@ fn dice(a: u32, b: u32) -> f32 {
 
 /// The wall above the racks between two points of the floor plan, left to right as seen from inside.
 pub(crate) fn upper_wall(from: [f32; 2], to: [f32; 2], bottom: f32) -> Mesh {
-    let mut b = Builder::new(Detail::Near);
+    let mut b = MeshBuilder::new(Detail::Near);
     let ([x0, y0], [x1, y1]) = (from, to);
     b.material(WALL.shaded(0.94));
     b.shaded_polygon(
@@ -156,7 +156,7 @@ pub(crate) fn upper_wall(from: [f32; 2], to: [f32; 2], bottom: f32) -> Mesh {
 
 /// A piece of roof over x0..x1, y0..y1 with a beam along its southern edge.
 pub(crate) fn roof(x0: f32, x1: f32, y0: f32, y1: f32) -> Mesh {
-    let mut b = Builder::new(Detail::Near);
+    let mut b = MeshBuilder::new(Detail::Near);
     b.material(ROOF);
     b.polygon(&[[x0, y1, ROOF_M], [x1, y1, ROOF_M], [x1, y0, ROOF_M], [x0, y0, ROOF_M]]);
     b.material(TRUSS);
@@ -167,7 +167,7 @@ pub(crate) fn roof(x0: f32, x1: f32, y0: f32, y1: f32) -> Mesh {
 
 /// A lamp 1.4 m long above (x, y), along the aisle.
 pub(crate) fn lamp(x: f32, y: f32, north_south: bool) -> Mesh {
-    let mut b = Builder::new(Detail::Near);
+    let mut b = MeshBuilder::new(Detail::Near);
     let (hx, hy) = if north_south { (0.11, 0.7) } else { (0.7, 0.11) };
     let z = 4.3;
     b.material(Material::dull([90, 94, 100]));
@@ -187,7 +187,7 @@ pub(crate) const SIGN_M: [f32; 4] = [-0.8, 2.52, 0.8, 2.9];
 
 /// The board of an overhead sign, centred on y = 0, and the rods it hangs from.
 pub(crate) fn sign_board() -> Mesh {
-    let mut b = Builder::new(Detail::Near);
+    let mut b = MeshBuilder::new(Detail::Near);
     let [left, bottom, right, top] = SIGN_M;
     b.material(Material::dull([40, 52, 70]));
     b.block_without([left, -0.025, bottom], [right, 0.025, top], &[]);
@@ -203,7 +203,7 @@ pub(crate) fn sign_board() -> Mesh {
 
 /// One side of a barricade, 1 m wide, in the frame of a face. It stands just behind y = 0 and is striped on both sides.
 pub(crate) fn barricade() -> Mesh {
-    let mut b = Builder::new(Detail::Near);
+    let mut b = MeshBuilder::new(Detail::Near);
     let (front, back) = (0.10, 0.13);
     for (low, high) in [(0.22, 0.44), (0.62, 0.84), (1.02, 1.24)] {
         for (y, facing) in [(front, 1.0), (back, -1.0)] {

@@ -6,7 +6,7 @@
 use nalgebra::Vector3;
 use warehouse::Shape;
 
-use super::builder::{Builder, Detail, Material, Mesh};
+use super::builder::{Detail, Material, Mesh, MeshBuilder};
 
 const BLACK: Material = Material::glossy([34, 35, 38]);
 const DARK: Material = Material::dull([48, 50, 54]);
@@ -16,7 +16,7 @@ const WOOD: Material = Material::dull([196, 160, 112]);
 
 /// The mesh of an item of `shape` with main colour `rgb`.
 pub(crate) fn item(shape: Shape, rgb: [u8; 3], detail: Detail) -> Mesh {
-    let mut builder = Builder::new(detail);
+    let mut builder = MeshBuilder::new(detail);
     let b = &mut builder;
     match shape {
         Shape::Barrel => barrel(b, Material::glossy(rgb)),
@@ -36,7 +36,7 @@ pub(crate) fn item(shape: Shape, rgb: [u8; 3], detail: Detail) -> Mesh {
 }
 
 /// A steel drum: three hoops, a rim, a sunken lid with its bung.
-fn barrel(b: &mut Builder, paint: Material) {
+fn barrel(b: &mut MeshBuilder, paint: Material) {
     let hoop =
         |z: f32| [[0.19, z - 0.018], [0.205, z - 0.006], [0.205, z + 0.006], [0.19, z + 0.018]];
     b.material(paint);
@@ -56,7 +56,7 @@ fn barrel(b: &mut Builder, paint: Material) {
 }
 
 /// A cardboard box with tape over the seam and open upper flaps.
-fn carton(b: &mut Builder, card: Material) {
+fn carton(b: &mut MeshBuilder, card: Material) {
     let (w, d, h) = (0.2, 0.19, 0.31);
     b.material(card);
     b.block([-w, -d, 0.0], [w, d, h]);
@@ -89,7 +89,7 @@ fn carton(b: &mut Builder, card: Material) {
 }
 
 /// A long box with a ridged lid, two clasps and a carrying handle.
-fn toolbox(b: &mut Builder, paint: Material) {
+fn toolbox(b: &mut MeshBuilder, paint: Material) {
     b.material(paint);
     b.bevelled([-0.26, -0.12, 0.0], [0.26, 0.12, 0.19], 0.012);
     b.material(DARK);
@@ -125,7 +125,7 @@ fn toolbox(b: &mut Builder, paint: Material) {
 }
 
 /// A slim bottle with lever, gauge, white label, and a hose that ends in a horn.
-fn fire_extinguisher(b: &mut Builder, paint: Material) {
+fn fire_extinguisher(b: &mut MeshBuilder, paint: Material) {
     b.material(BLACK);
     b.turned_body(&[[0.102, 0.0], [0.102, 0.025], [0.1, 0.025]], 16);
     b.material(paint);
@@ -170,7 +170,7 @@ fn fire_extinguisher(b: &mut Builder, paint: Material) {
 }
 
 /// A strip on the front of a bottle of this `radius`, `half_angle` degrees to each side.
-fn wrapped(b: &mut Builder, radius: f32, [low, high]: [f32; 2], half_angle: f32) {
+fn wrapped(b: &mut MeshBuilder, radius: f32, [low, high]: [f32; 2], half_angle: f32) {
     let steps = 6;
     let at = |i: u32| {
         let angle = (-90.0 - half_angle + 2.0 * half_angle * i as f32 / steps as f32).to_radians();
@@ -183,11 +183,11 @@ fn wrapped(b: &mut Builder, radius: f32, [low, high]: [f32; 2], half_angle: f32)
 }
 
 /// A traffic cone on a square foot, with two white bands.
-fn cone(b: &mut Builder, paint: Material) {
+fn cone(b: &mut MeshBuilder, paint: Material) {
     b.material(paint.shaded(0.72));
     b.bevelled([-0.2, -0.2, 0.0], [0.2, 0.2, 0.035], 0.012);
     let radius = |z: f32| 0.155 - (z - 0.035) * 0.29;
-    let stretch = |b: &mut Builder, low: f32, high: f32| {
+    let stretch = |b: &mut MeshBuilder, low: f32, high: f32| {
         b.turned_body(&[[radius(low), low], [radius(high), high]], 20);
     };
     b.material(paint);
@@ -201,7 +201,7 @@ fn cone(b: &mut Builder, paint: Material) {
 }
 
 /// An upright tyre, its hole towards the viewer, with treads.
-fn tyre(b: &mut Builder, rubber: Material) {
+fn tyre(b: &mut MeshBuilder, rubber: Material) {
     let (inner, outer, half) = (0.125, 0.225, 0.09);
     b.moved([0.0, 0.0, outer + 0.012], |b| {
         b.turned(Vector3::x_axis(), 90.0, |b| {
@@ -248,7 +248,7 @@ fn tyre(b: &mut Builder, rubber: Material) {
 }
 
 /// A bucket, wider at the top, with an upright handle.
-fn bucket(b: &mut Builder, paint: Material) {
+fn bucket(b: &mut MeshBuilder, paint: Material) {
     b.material(paint);
     b.turned_body(&[[0.135, 0.0], [0.172, 0.225]], 20);
     b.turned_body(
@@ -282,7 +282,7 @@ fn bucket(b: &mut Builder, paint: Material) {
 }
 
 /// A hard hat with peak and ridges, on a plain stand.
-fn helmet(b: &mut Builder, shell: Material) {
+fn helmet(b: &mut MeshBuilder, shell: Material) {
     b.material(Material::dull([92, 97, 104]));
     b.turned_body(&[[0.11, 0.0], [0.11, 0.02], [0.045, 0.03], [0.045, 0.15], [0.1, 0.17]], 10);
     b.moved([0.0, 0.03, 0.16], |b| {
@@ -334,7 +334,7 @@ fn helmet(b: &mut Builder, shell: Material) {
 }
 
 /// A stacking crate: posts, slats with dark gaps, a rim with a grip hole.
-fn crate_of_slats(b: &mut Builder, plastic: Material) {
+fn crate_of_slats(b: &mut MeshBuilder, plastic: Material) {
     let (w, d, h) = (0.25, 0.17, 0.28);
     b.material(plastic.shaded(0.28));
     b.block_without([-w + 0.02, -d + 0.02, 0.0], [w - 0.02, d - 0.02, h - 0.05], &[]);
@@ -357,7 +357,7 @@ fn crate_of_slats(b: &mut Builder, plastic: Material) {
 }
 
 /// A flat fuel can: pressed cross on the front, three carrying bars, spout on the right.
-fn jerrycan(b: &mut Builder, paint: Material) {
+fn jerrycan(b: &mut MeshBuilder, paint: Material) {
     let (w, d, h) = (0.17, 0.085, 0.37);
     b.material(paint);
     b.bevelled([-w, -d, 0.0], [w, d, h], 0.025);
@@ -402,7 +402,7 @@ fn jerrycan(b: &mut Builder, paint: Material) {
 }
 
 /// A gas bottle: foot ring, round shoulder, valve inside a collar with openings, a warning diamond.
-fn gas_cylinder(b: &mut Builder, paint: Material) {
+fn gas_cylinder(b: &mut MeshBuilder, paint: Material) {
     b.material(paint.shaded(0.55));
     b.turned_body(&[[0.12, 0.0], [0.12, 0.03]], 18);
     b.material(paint);
@@ -462,7 +462,7 @@ fn gas_cylinder(b: &mut Builder, paint: Material) {
 }
 
 /// A wooden drum on its side, half turned to the viewer, wound with coloured cable.
-fn cable_reel(b: &mut Builder, cable: Material) {
+fn cable_reel(b: &mut MeshBuilder, cable: Material) {
     let (flange, wound, half) = (0.215, 0.165, 0.11);
     b.moved([0.0, 0.0, flange], |b| {
         b.turned(Vector3::z_axis(), 52.0, |b| {

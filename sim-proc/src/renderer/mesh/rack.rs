@@ -3,7 +3,7 @@
 //! The frame of a face: x to the viewer's right, y into the rack, z up, with the origin on the floor in the middle of the
 //! face, which is 1 m wide.
 
-use super::builder::{Builder, Detail, Material, Mesh, Side};
+use super::builder::{Detail, Material, Mesh, MeshBuilder, Side};
 
 /// Height of the shelf that items stand on, in metres.
 pub(crate) const SHELF_TOP_M: f32 = 0.80;
@@ -134,7 +134,7 @@ impl Bay {
 
     /// Uprights, beams, shelves, panels and filler loads.
     pub(crate) fn mesh(&self, detail: Detail) -> Mesh {
-        let mut b = Builder::new(detail);
+        let mut b = MeshBuilder::new(detail);
         // Front to back, so that little is drawn over.
         if self.stocked {
             plate_holder(&mut b);
@@ -151,7 +151,7 @@ impl Bay {
         [(self.left, -1.0), (self.right, 1.0)]
     }
 
-    fn uprights(&self, b: &mut Builder) {
+    fn uprights(&self, b: &mut MeshBuilder) {
         b.material(UPRIGHT);
         for (edge, sign) in self.sides() {
             let [near, far] = edge.upright().map(|x| sign * x);
@@ -164,7 +164,7 @@ impl Bay {
     }
 
     /// Floor, back panel and side sheets.
-    fn sheets(&self, b: &mut Builder) {
+    fn sheets(&self, b: &mut MeshBuilder) {
         let (l, r, d) = (-self.left.inside(), self.right.inside(), self.depth);
         let sides = self.sides();
         // Slightly lower than the aisle's floor, and reaching slightly under it.
@@ -211,7 +211,7 @@ impl Bay {
     }
 
     /// A deck with its front beam, which reaches down to `beam_bottom`.
-    fn shelf(&self, b: &mut Builder, bottom: f32, top: f32, beam_bottom: f32) {
+    fn shelf(&self, b: &mut MeshBuilder, bottom: f32, top: f32, beam_bottom: f32) {
         let hidden = [Side::Left, Side::Right, Side::Back, Side::Front];
         b.material(DECK);
         let (l, r) = (-self.left.inside(), self.right.inside());
@@ -222,7 +222,7 @@ impl Bay {
     }
 
     /// What fills the shelves without an item: wrapped loads on pallets, in muted colours.
-    fn loads(&self, b: &mut Builder) {
+    fn loads(&self, b: &mut MeshBuilder) {
         let (l, r) = (0.06 - self.left.inside(), self.right.inside() - 0.06);
         for (level, (floor, room)) in
             [(0.0, 0.60), (UPPER_DECK_M + 0.06, 1.0)].into_iter().enumerate()
@@ -270,12 +270,12 @@ impl Bay {
 }
 
 /// A rectangle facing the viewer.
-fn upright(b: &mut Builder, x0: f32, x1: f32, y: f32, z0: f32, z1: f32) {
+fn upright(b: &mut MeshBuilder, x0: f32, x1: f32, y: f32, z0: f32, z1: f32) {
     b.polygon(&[[x0, y, z0], [x1, y, z0], [x1, y, z1], [x0, y, z1]]);
 }
 
 /// The two rods and the board that carry a label plate.
-fn plate_holder(b: &mut Builder) {
+fn plate_holder(b: &mut MeshBuilder) {
     let half = plates::SIZE_M / 2.0 - 0.002;
     let (front, back) = (-plates::FACE_OFFSET_M + 0.001, -0.008);
     let (low, high) = (plates::CENTRE_HEIGHT_M - half, plates::CENTRE_HEIGHT_M + half);
@@ -293,7 +293,7 @@ fn plate_holder(b: &mut Builder) {
 
 /// A closed face: corrugated steel between two posts, with a kick plate and a bumper.
 pub(crate) fn closed_face() -> Mesh {
-    let mut b = Builder::new(Detail::Near);
+    let mut b = MeshBuilder::new(Detail::Near);
     b.material(END_SHEET);
     // Corrugation: alternating planes joined by narrow slopes.
     let (near, far, ribs) = (0.02, 0.034, 6);

@@ -4,7 +4,7 @@
 
 use domain::Heading;
 
-use super::builder::{Builder, Detail, Material, Mesh, Side};
+use super::builder::{Detail, Material, Mesh, MeshBuilder, Side};
 
 /// How far boards with text protrude from the wall, in metres.
 pub(crate) const BOARD_OFFSET_M: f32 = 0.075;
@@ -29,7 +29,7 @@ fn stripe(facing: Heading) -> Material {
 
 /// A metre of corrugated wall above a painted foot.
 pub(crate) fn cladding(facing: Heading, top: f32) -> Mesh {
-    let mut b = Builder::new(Detail::Near);
+    let mut b = MeshBuilder::new(Detail::Near);
     let shade = |[_, _, z]: [f32; 3]| 0.70 + 0.30 * (z / 0.7).min(1.0);
     let mut strip = |material: Material, x0: f32, x1: f32, z0: f32, z1: f32| {
         b.material(material);
@@ -50,7 +50,7 @@ pub(crate) fn cladding(facing: Heading, top: f32) -> Mesh {
 
 /// A steel column, as high as the racks.
 pub(crate) fn column() -> Mesh {
-    let mut b = Builder::new(Detail::Near);
+    let mut b = MeshBuilder::new(Detail::Near);
     b.material(STEEL);
     let hidden = [Side::Bottom, Side::Back, Side::Top];
     b.block_without([-0.11, -0.05, 0.0], [0.11, 0.0, 3.0], &hidden);
@@ -66,7 +66,7 @@ pub(crate) fn column() -> Mesh {
 
 /// A roller gate between striped posts.
 pub(crate) fn gate() -> Mesh {
-    let mut b = Builder::new(Detail::Near);
+    let mut b = MeshBuilder::new(Detail::Near);
     let (half, top) = (1.25, 2.45);
     let slats = 14;
     for i in 0..slats {
@@ -109,7 +109,7 @@ pub(crate) fn gate() -> Mesh {
 
 /// An emergency exit with its push bar, under a lit sign.
 pub(crate) fn exit() -> Mesh {
-    let mut b = Builder::new(Detail::Near);
+    let mut b = MeshBuilder::new(Detail::Near);
     b.material(STEEL.shaded(0.75));
     b.block_without([-0.56, -0.04, 0.0], [0.56, 0.0, 2.12], &[Side::Back, Side::Bottom]);
     b.material(Material::dull([72, 128, 104]));
@@ -127,7 +127,7 @@ pub(crate) fn exit() -> Mesh {
 
 /// The frame of a notice.
 pub(crate) fn notice_board() -> Mesh {
-    let mut b = Builder::new(Detail::Near);
+    let mut b = MeshBuilder::new(Detail::Near);
     b.material(Material::dull([52, 62, 78]));
     let [left, bottom, right, top] = NOTICE_M;
     let frame = 0.04;

@@ -1,17 +1,17 @@
 //! Table `tab:tasks`: success rate by task group, unchanged and blocked.
 
 use domain::Representation;
-use warehouse::Group;
+use warehouse::TaskGroup;
 
 use crate::report::document::{Block, Cell, Column, Missing, Table};
 use crate::report::plot::PlotError;
 use crate::report::view::{View, name, pair_stubs};
 
-const HEADINGS: [(Group, &str); 4] = [
-    (Group::Basic, "Basic (T1–T2)"),
-    (Group::MultiObject, "Multi-object (T3–T6)"),
-    (Group::ReturnLoop, "Return loops (T7, T8, T10)"),
-    (Group::Revisit, "Revisit (T9)"),
+const HEADINGS: [(TaskGroup, &str); 4] = [
+    (TaskGroup::Basic, "Basic (T1–T2)"),
+    (TaskGroup::MultiObject, "Multi-object (T3–T6)"),
+    (TaskGroup::ReturnLoop, "Return loops (T7, T8, T10)"),
+    (TaskGroup::Revisit, "Revisit (T9)"),
 ];
 
 pub(super) fn blocks(view: &View<'_>) -> Result<Vec<Block>, PlotError> {
@@ -21,9 +21,9 @@ pub(super) fn blocks(view: &View<'_>) -> Result<Vec<Block>, PlotError> {
     let names = |representation| {
         ["new/unchanged", "new/blocked"].map(|rest| name(representation, rest, "4"))
     };
-    let each = |representation, cell: &dyn Fn(Group, &str) -> Cell| {
+    let each = |representation, cell: &dyn Fn(TaskGroup, &str) -> Cell| {
         let names = names(representation);
-        let both = |(group, _): &(Group, &str)| names.each_ref().map(|name| cell(*group, name));
+        let both = |(group, _): &(TaskGroup, &str)| names.each_ref().map(|name| cell(*group, name));
         HEADINGS.iter().flat_map(both).collect::<Vec<_>>()
     };
     let ours = |representation| {
