@@ -7,68 +7,6 @@ use domain::{Action, Feedback, Pose};
 use shm_types::message::{StepCommand, StepKind};
 use warehouse::{CaseSet, Layout, Variant, Warehouse, step};
 
-/// A command that cannot be executed.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("command for lane {lane}, episode {episode}, step {step}: {problem}")]
-pub struct BadCommand {
-    /// The lane it names.
-    pub lane: u32,
-    /// The episode it names.
-    pub episode: u64,
-    /// The step it names.
-    pub step: u32,
-    /// What is wrong.
-    pub problem: CommandProblem,
-}
-
-/// What is wrong with a command.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-pub enum CommandProblem {
-    /// There is no such lane.
-    #[error("there are {0} lanes")]
-    Lane(usize),
-    /// There is no such world variant.
-    #[error("variant {found} is not one of {variants}")]
-    Variant {
-        /// The variant it names.
-        found: u32,
-        /// How many there are.
-        variants: usize,
-    },
-    /// A code is not defined.
-    #[error(transparent)]
-    Code(#[from] UnknownCode),
-    /// The start is not on free floor.
-    #[error("an agent cannot stand at {0}")]
-    Start(Pose),
-    /// The command does not follow the lane's last one.
-    #[error("the lane is {0}")]
-    OutOfOrder(LaneState),
-}
-
-/// The progress of a lane.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum LaneState {
-    /// In no episode.
-    Idle,
-    /// In an episode.
-    Running {
-        /// Its id.
-        episode: u64,
-        /// Steps taken.
-        step: u32,
-    },
-}
-
-impl std::fmt::Display for LaneState {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        match self {
-            Self::Idle => write!(f, "in no episode"),
-            Self::Running { episode, step } => write!(f, "in episode {episode} after step {step}"),
-        }
-    }
-}
-
 /// The outcome of a command.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Stepped {
@@ -140,20 +78,23 @@ impl Lanes {
     /// Executes a command.
     ///
     /// # Errors
-    /// When the command is invalid or out of order. The lane is unchanged then.
-    pub fn apply(&mut self, command: &StepCommand) -> Result<Stepped, BadCommand> {
+    /// What is wrong, if the command is invalid or out of order. The lane is unchanged then.
+    pub fn apply(&mut self, command: &StepCommand) -> Result<Stepped, String> {
         let &StepCommand { lane, episode, step, .. } = command;
-        self.try_apply(command).map_err(|problem| BadCommand { lane, episode, step, problem })
+        self.try_apply(command).map_err(|problem| {
+            format!("command for lane {lane}, episode {episode}, step {step}: {problem}")
+        })
     }
 
-    fn try_apply(&mut self, command: &StepCommand) -> Result<Stepped, CommandProblem> {
+    fn try_apply(&mut self, command: &StepCommand) -> Result<Stepped, String> {
         let (lane, count) = (command.lane as usize, self.lanes.len());
-        let now = *self.lanes.get(lane).ok_or(CommandProblem::Lane(count))?;
-        let kind = StepKind::try_from(command.kind)?;
+        let now = *self.lanes.get(lane).ok_or_else(|| format!("there are {count} lanes"))?;
+        let text = |unknown: UnknownCode| unknown.to_string();
+        let kind = StepKind::try_from(command.kind).map_err(text)?;
         let (next, feedback) = match kind {
             StepKind::Reset => (self.reset(command, now)?, Feedback::Start),
             StepKind::Act => {
-                let action = Action::try_from(command.action)?;
+                let action = Action::try_from(command.action).map_err(text)?;
                 let now = following(command, now)?;
                 let variant = &self.variants[now.variant as usize];
                 let (pose, feedback) = step(&self.layout, variant, now.pose, action);
@@ -174,38 +115,38 @@ impl Lanes {
         &self,
         command: &StepCommand,
         now: Option<LaneEpisode>,
-    ) -> Result<LaneEpisode, CommandProblem> {
-        let &StepCommand { episode, step, variant: found, .. } = command;
-        let pose = Pose::try_from(command.start)?;
-        let variant = self.variants.get(found as usize);
-        let variant =
-            variant.ok_or(CommandProblem::Variant { found, variants: self.variants.len() })?;
+    ) -> Result<LaneEpisode, String> {
+        let &StepCommand { episode, step, variant: number, .. } = command;
+        let pose = Pose::try_from(command.start).map_err(|unknown| unknown.to_string())?;
+        let variant = self
+            .variants
+            .get(number as usize)
+            .ok_or_else(|| format!("variant {number} is not one of {}", self.variants.len()))?;
         if !self.layout.is_free(pose.cell) || variant.is_closed(pose.cell) {
-            return Err(CommandProblem::Start(pose));
+            return Err(format!("an agent cannot stand at {pose}"));
         }
         if step != 0 {
-            return Err(CommandProblem::OutOfOrder(state(now)));
+            return Err(out_of_order(now));
         }
-        Ok(LaneEpisode { episode, step, variant: found, pose })
+        Ok(LaneEpisode { episode, step, variant: number, pose })
     }
 }
 
-/// The lane, if `command` is its next one.
-fn following(
-    command: &StepCommand,
-    now: Option<LaneEpisode>,
-) -> Result<LaneEpisode, CommandProblem> {
-    now.filter(|lane| {
-        lane.episode == command.episode && lane.step.checked_add(1) == Some(command.step)
+/// The lane's episode, if `command` is its next one.
+fn following(command: &StepCommand, now: Option<LaneEpisode>) -> Result<LaneEpisode, String> {
+    now.filter(|now| {
+        now.episode == command.episode && now.step.checked_add(1) == Some(command.step)
     })
-    .ok_or(CommandProblem::OutOfOrder(state(now)))
+    .ok_or_else(|| out_of_order(now))
 }
 
-fn state(lane: Option<LaneEpisode>) -> LaneState {
-    lane.map_or(LaneState::Idle, |LaneEpisode { episode, step, .. }| LaneState::Running {
-        episode,
-        step,
-    })
+fn out_of_order(now: Option<LaneEpisode>) -> String {
+    match now {
+        None => "the lane is in no episode".to_owned(),
+        Some(LaneEpisode { episode, step, .. }) => {
+            format!("the lane is in episode {episode} after step {step}")
+        }
+    }
 }
 
 #[cfg(test)]
@@ -255,7 +196,7 @@ mod tests {
         let stayed = lanes.apply(&stay).unwrap();
         assert_eq!((stayed.pose, stayed.feedback), (turned.pose, Feedback::NotUnderstood));
         assert!(stayed.ends);
-        let error = lanes.apply(&act(1, 7, 3, Action::Forward)).unwrap_err().to_string();
+        let error = lanes.apply(&act(1, 7, 3, Action::Forward)).unwrap_err();
         assert_eq!(error, "command for lane 1, episode 7, step 3: the lane is in no episode");
     }
 
@@ -290,7 +231,7 @@ mod tests {
             (act(0, 7, 2, Action::Left), "the lane is in episode 7 after step 0"),
             (act(1, 7, 1, Action::Left), "the lane is in no episode"),
         ] {
-            let error = lanes.apply(&command).unwrap_err().to_string();
+            let error = lanes.apply(&command).unwrap_err();
             assert!(error.contains(said), "{error}");
         }
         assert!(lanes.apply(&act(0, 7, 1, Action::TurnLeft)).is_ok());

@@ -1,4 +1,4 @@
-//! The simulator's binary: `serve` takes part in a run, `render` draws pictures for people.
+//! The simulator's binary: `serve` runs the simulator of a run, `render` writes views to PNG files.
 
 use std::process::ExitCode;
 

@@ -7,12 +7,13 @@
 //!
 //! An invalid message is reported and dropped; the lane or view that it refers to gets no answer.
 
+use std::fmt::Display;
 use std::sync::Arc;
 use std::thread;
 use std::time::{Duration, Instant};
 
 use bytemuck::Zeroable;
-use domain::UnknownCode;
+use domain::Pose;
 use rustc_hash::FxHashMap;
 use shm_types::message::{
     Eviction, Handshake, Heartbeat, NO_ACTION, NO_FRAME, Observation, Role, ShutdownReport,
@@ -25,12 +26,12 @@ use shm_types::{
 };
 use warehouse::{CaseSet, Warehouse};
 
-use crate::lanes::{BadCommand, Lanes, Stepped};
+use crate::lanes::{Lanes, Stepped};
 use crate::render_pool::{
     MayShowBarricade, RenderPool, RenderRequest, RenderSetup, RenderedBatch, RenderedView,
 };
 use crate::renderer::RenderError;
-use crate::view_cache::{CacheFull, NotPinned, ViewCache, ViewKey};
+use crate::view_cache::{CacheFull, ViewCache, ViewKey};
 use crate::view_control::{ViewControl, every_pose};
 use crate::wakeups::Wakeups;
 
@@ -75,17 +76,6 @@ pub enum SimError {
         /// Views that may be resident.
         capacity: usize,
     },
-}
-
-/// An invalid view request.
-#[derive(Debug, thiserror::Error)]
-enum BadRequest {
-    #[error("view request: {0}")]
-    Code(#[from] UnknownCode),
-    #[error("view request: an agent cannot stand at {0}")]
-    Pose(Pose),
-    #[error("view request: {0}")]
-    Release(#[from] NotPinned),
 }
 
 /// Serves the run that `bus` has joined until the orchestrator stops it. `open` opens the renderers after the simulator's
@@ -280,19 +270,22 @@ impl<'a> Simulator<'a> {
         Ok(())
     }
 
-    fn take_request(&mut self, request: &ViewRequest) -> Result<(), BadRequest> {
-        match ViewRequestKind::try_from(request.kind)? {
+    fn take_request(&mut self, request: &ViewRequest) -> Result<(), String> {
+        let problem = |problem: &dyn Display| format!("view request: {problem}");
+        match ViewRequestKind::try_from(request.kind).map_err(|unknown| problem(&unknown))? {
             ViewRequestKind::Pin => {
-                let pose = Pose::try_from(request.pose)?;
+                let pose = Pose::try_from(request.pose).map_err(|unknown| problem(&unknown))?;
                 if !self.lanes.layout().is_free(pose.cell) {
-                    return Err(BadRequest::Pose(pose));
+                    return Err(problem(&format_args!("an agent cannot stand at {pose}")));
                 }
                 let view = ViewKey::World { variant: 0, pose };
                 self.views.pin_for_memory(view);
-                self.pending
-                    .push(Pending { view: Some(view), answer: PendingAnswer::View(pose.into()) });
+                let answer = PendingAnswer::View(pose.into());
+                self.pending.push(Pending { view: Some(view), answer });
             }
-            ViewRequestKind::Release => self.views.release(request.frame)?,
+            ViewRequestKind::Release => {
+                self.views.release(request.frame).map_err(|not_pinned| problem(&not_pinned))?;
+            }
         }
         Ok(())
     }
@@ -318,7 +311,7 @@ impl<'a> Simulator<'a> {
         command: &StepCommand,
         woken_ns: u64,
         rendering: &mut Rendering,
-    ) -> Result<(), BadCommand> {
+    ) -> Result<(), String> {
         let Stepped { lane, variant, pose, feedback, begins, ends } = self.lanes.apply(command)?;
         let stepped_ns = monotonic_ns();
         if begins || ends {

@@ -15,7 +15,7 @@ use crate::asset::{AssetError, Problem, invalid, read, toml};
 use crate::case::{Case, CaseSet, History, Mixture, Start, Trajectory};
 use crate::catalogue::Catalogue;
 use crate::dynamics::MAX_STEPS;
-use crate::task::Task;
+use crate::task::{Task, TaskSubject};
 use crate::world::Warehouse;
 
 /// The name of the file in an assets folder.
@@ -120,28 +120,19 @@ impl CaseSet {
 
 fn write_case(text: &mut String, case: &Case, set: &CaseSet, catalogue: &Catalogue) {
     let type_name = |index: usize| &catalogue.types[index].name;
-    let (first, second) = match case.task {
-        Task::FindCategory { c } | Task::EveryOfCategory { c } => {
-            (format!("c = {:?}", catalogue.categories[c].name), None)
-        }
-        Task::FindType { a }
-        | Task::EveryOfType { a }
-        | Task::FindAndReturn { a }
-        | Task::EveryAndReturn { a } => (format!("a = {:?}", type_name(a)), None),
-        Task::BothTypes { a, b }
-        | Task::InOrder { a, b }
-        | Task::Revisit { a, b }
-        | Task::InOrderAndReturn { a, b } => {
-            (format!("a = {:?}", type_name(a)), Some(format!("b = {:?}", type_name(b))))
+    let mut names = match case.task.subject() {
+        TaskSubject::Category(c) => vec![format!("c = {:?}", catalogue.categories[c].name)],
+        TaskSubject::Type(a) => vec![format!("a = {:?}", type_name(a))],
+        TaskSubject::Types(a, b) => {
+            vec![format!("a = {:?}", type_name(a)), format!("b = {:?}", type_name(b))]
         }
     };
     let mut lines = vec![
         format!("\n# {}\n[[case]]", case.task.instruction(catalogue)),
         format!("id = {:?}", case.id),
         format!("type = {}", case.task.number()),
-        first,
     ];
-    lines.extend(second);
+    lines.append(&mut names);
     for start in Start::ALL {
         let Trajectory { start: pose, actions } = case.trajectory(start);
         let letters: String = actions.iter().map(|action| action.letter()).collect();
@@ -227,16 +218,10 @@ impl CaseEntry {
             10 => Task::InOrderAndReturn { a: a()?, b: b()? },
             number => return Err(format!("type: {number} is not a task type; 1 to 10 are")),
         };
-        let (wants_a, wants_b) = match task {
-            Task::FindCategory { .. } | Task::EveryOfCategory { .. } => (false, false),
-            Task::FindType { .. }
-            | Task::EveryOfType { .. }
-            | Task::FindAndReturn { .. }
-            | Task::EveryAndReturn { .. } => (true, false),
-            Task::BothTypes { .. }
-            | Task::InOrder { .. }
-            | Task::Revisit { .. }
-            | Task::InOrderAndReturn { .. } => (true, true),
+        let (wants_a, wants_b) = match task.subject() {
+            TaskSubject::Category(_) => (false, false),
+            TaskSubject::Type(_) => (true, false),
+            TaskSubject::Types(..) => (true, true),
         };
         for (field, given, wanted) in [
             ("a", self.a.is_some(), wants_a),

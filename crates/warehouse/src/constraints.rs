@@ -159,8 +159,8 @@ mod tests {
     use super::*;
     use crate::testing::cells;
 
-    fn poses(walk: &[(u8, u8)]) -> Vec<Pose> {
-        cells(walk).into_iter().map(|cell| Pose { cell, heading: N }).collect()
+    fn poses(visited: &[(u8, u8)]) -> Vec<Pose> {
+        cells(visited).into_iter().map(|cell| Pose { cell, heading: N }).collect()
     }
 
     #[test]

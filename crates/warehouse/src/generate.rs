@@ -49,36 +49,8 @@ const NO_HISTORIES: [History; 2] = [History { case: usize::MAX, start: Start::Or
 
 /// Why a set of cases cannot be generated.
 #[derive(Debug, thiserror::Error)]
-pub enum GenerateError {
-    /// The warehouse allows no case of some type.
-    #[error(
-        "no case of type {number} ({name}) found for seed {seed} after {TARGETS_TRIED} choices of targets with \
-         {STARTS_TRIED} starts each; the warehouse has too few items, aisles or passages for it"
-    )]
-    NoCase {
-        /// The type's number.
-        number: u8,
-        /// The type's name.
-        name: &'static str,
-        /// The set's seed.
-        seed: u64,
-    },
-    /// There are too few histories of other tasks for a case.
-    #[error(
-        "case {case} needs two {mixture} histories and the other {others} cases offer {found}; generate a \
-         larger set, or use another seed"
-    )]
-    NoHistory {
-        /// The case's id.
-        case: String,
-        /// The kind of histories.
-        mixture: &'static str,
-        /// The number of other cases.
-        others: usize,
-        /// The number of candidates.
-        found: usize,
-    },
-}
+#[error("{0}")]
+pub struct GenerateError(String);
 
 impl CaseSet {
     /// Generates `count` cases, a tenth of each type, and one more of the first types if ten does not divide `count`. Ids
@@ -99,10 +71,13 @@ impl CaseSet {
             for index in 0..of_type {
                 let mut case = generator
                     .case(number, index, &choices, &cases[first..])
-                    .ok_or_else(|| GenerateError::NoCase {
-                        number,
-                        name: Task::type_name(number).unwrap_or_default(),
-                        seed,
+                    .ok_or_else(|| {
+                        let name = Task::type_name(number).unwrap_or_default();
+                        GenerateError(format!(
+                            "no case of type {number} ({name}) found for seed {seed} after {TARGETS_TRIED} choices of \
+                             targets with {STARTS_TRIED} starts each; the warehouse has too few items, aisles or \
+                             passages for it"
+                        ))
                     })?;
                 case.id = format!("t{number:02}-{:0width$}", index + 1);
                 cases.push(case);
@@ -111,7 +86,11 @@ impl CaseSet {
         let mut set = Self { seed, cases };
         let others = count.saturating_sub(1);
         mixed::assign(warehouse, &mut set).map_err(|TooFew { case, mixture, found }| {
-            GenerateError::NoHistory { case, mixture: mixture.name(), others, found }
+            GenerateError(format!(
+                "case {case} needs two {} histories and the other {others} cases offer {found}; generate a larger set, \
+                 or use another seed",
+                mixture.name()
+            ))
         })?;
         Ok(set)
     }

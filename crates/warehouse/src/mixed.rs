@@ -208,11 +208,11 @@ mod tests {
 
     /// The overlap of a demonstration and a test reference in the tiny warehouse.
     fn overlap(test: (Pose, &str), original: (Pose, &str)) -> Overlap {
-        let walk = |(start, letters): (Pose, &str)| Trajectory {
+        let trajectory = |(start, letters): (Pose, &str)| Trajectory {
             start,
             actions: letters.chars().filter_map(Action::from_letter).collect(),
         };
-        let (test, original) = (walk(test), walk(original));
+        let (test, original) = (trajectory(test), trajectory(original));
         let own = [History { case: 0, start: Start::Original }; 2];
         let case = Case {
             id: "t01-01".into(),
@@ -237,10 +237,10 @@ mod tests {
         // To the blue barrel at (6, 3); the turn there comes after the task is complete.
         let east = (at(3, 3, Heading::E), "fffR");
         for (history, shared_poses, conflicts, why) in [
-            (east, 5, 0, "the same walk"),
+            (east, 5, 0, "the same trajectory"),
             ((at(6, 3, Heading::W), "fff"), 0, 0, "the same cells, facing the other way"),
-            ((at(5, 3, Heading::E), "fb"), 2, 0, "it goes on where the reference ends"),
-            ((at(4, 3, Heading::E), "f"), 2, 0, "it ends where the reference goes on"),
+            ((at(5, 3, Heading::E), "fb"), 2, 0, "it continues where the reference ends"),
+            ((at(4, 3, Heading::E), "f"), 2, 0, "it ends where the reference continues"),
             ((at(4, 3, Heading::E), "fR"), 2, 1, "another action at (5, 3)"),
             ((at(5, 3, Heading::E), "bbfff"), 4, 0, "the same action, too, where it acts twice"),
             ((at(4, 3, Heading::E), "bU"), 2, 2, "another action at both"),

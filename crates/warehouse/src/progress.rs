@@ -119,11 +119,11 @@ mod tests {
     const NOWHERE: (u8, u8) = (2, 1);
 
     /// The stage after each cell, beginning on the first.
-    fn stages(task: Task, walk: &[(u8, u8)]) -> Vec<u32> {
-        let walk = cells(walk);
-        let mut progress = Progress::new(&tiny(), &task, walk[0]);
+    fn stages(task: Task, visited: &[(u8, u8)]) -> Vec<u32> {
+        let visited = cells(visited);
+        let mut progress = Progress::new(&tiny(), &task, visited[0]);
         let mut stages = vec![progress.stage()];
-        for &cell in &walk[1..] {
+        for &cell in &visited[1..] {
             progress.visit(cell);
             stages.push(progress.stage());
         }
@@ -202,8 +202,8 @@ mod tests {
             (Task::EveryAndReturn { a: b }, &[RED[0], RED[1], RED[0]], &[1, 2, 3]),
             (Task::Revisit { a, b }, &[BLUE[0], RED[0], BLUE[0]], &[1, 2, 3]),
         ];
-        for (task, walk, expected) in table {
-            assert_eq!(stages(task, walk), expected, "{task:?} on {walk:?}");
+        for (task, visited, expected) in table {
+            assert_eq!(stages(task, visited), expected, "{task:?} on {visited:?}");
         }
     }
 
@@ -230,15 +230,15 @@ mod tests {
         #[test]
         fn standing_still_changes_nothing_and_progress_never_falls(
             task in 0..64_usize,
-            walk in proptest::collection::vec(0..17_usize, 1..40),
+            visited in proptest::collection::vec(0..17_usize, 1..40),
         ) {
             let warehouse = tiny();
             let tasks = all_tasks(&warehouse);
             let task = tasks[task % tasks.len()];
             let free: Vec<Cell> = warehouse.layout.free_cells().collect();
-            let mut once = Progress::new(&warehouse, &task, free[walk[0]]);
+            let mut once = Progress::new(&warehouse, &task, free[visited[0]]);
             let mut twice = once.clone();
-            for &step in &walk {
+            for &step in &visited {
                 let before = once.stage();
                 let met = once.visit(free[step]);
                 twice.visit(free[step]);

@@ -201,24 +201,46 @@ impl Task {
         }
     }
 
-    /// The items that count, by id: every instance of A and B, or every item of C. All of them must be visited if the task
-    /// says "every"; otherwise any of them counts.
-    pub fn targets<'w>(&self, warehouse: &'w Warehouse) -> Vec<&'w Item> {
-        let wanted = |item: &&Item| match *self {
-            Self::FindCategory { c } | Self::EveryOfCategory { c } => {
-                warehouse.category_of(item) == c
-            }
+    /// The types or the category that the task is about.
+    pub(crate) const fn subject(&self) -> TaskSubject {
+        match *self {
+            Self::FindCategory { c } | Self::EveryOfCategory { c } => TaskSubject::Category(c),
             Self::FindType { a }
             | Self::EveryOfType { a }
             | Self::FindAndReturn { a }
-            | Self::EveryAndReturn { a } => item.item_type == a,
+            | Self::EveryAndReturn { a } => TaskSubject::Type(a),
             Self::BothTypes { a, b }
             | Self::InOrder { a, b }
             | Self::Revisit { a, b }
-            | Self::InOrderAndReturn { a, b } => item.item_type == a || item.item_type == b,
-        };
-        warehouse.items.iter().filter(wanted).collect()
+            | Self::InOrderAndReturn { a, b } => TaskSubject::Types(a, b),
+        }
     }
+
+    /// The letter of an item that counts: A, B or C, as in the descriptions of the types.
+    pub(crate) fn letter(&self, warehouse: &Warehouse, item: &Item) -> Option<char> {
+        let found = item.item_type;
+        match self.subject() {
+            TaskSubject::Category(c) => (warehouse.category_of(item) == c).then_some('C'),
+            TaskSubject::Type(a) | TaskSubject::Types(a, _) if found == a => Some('A'),
+            TaskSubject::Types(_, b) if found == b => Some('B'),
+            TaskSubject::Type(_) | TaskSubject::Types(..) => None,
+        }
+    }
+
+    /// The items that count, by id: every instance of A and B, or every item of C. All of them must be visited if the task
+    /// says "every"; otherwise any of them counts.
+    pub fn targets<'w>(&self, warehouse: &'w Warehouse) -> Vec<&'w Item> {
+        let counts = |item: &&Item| self.letter(warehouse, item).is_some();
+        warehouse.items.iter().filter(counts).collect()
+    }
+}
+
+/// The types or the category that a task is about.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum TaskSubject {
+    Type(usize),
+    Types(usize, usize),
+    Category(usize),
 }
 
 impl TaskGroup {

@@ -4,7 +4,7 @@ use domain::{Cell, Heading};
 
 use super::canvas::{CELL, Canvas, LEGEND, MARGIN, MUTED, PAPER, Point};
 use super::glyph;
-use super::marks::{badge, direction, letter};
+use super::marks::{badge, direction};
 use crate::case::Case;
 use crate::layout::{Axis, Layout, Square};
 use crate::world::{Item, Warehouse};
@@ -168,7 +168,7 @@ impl<'l> Map<'l> {
     /// Every item at its face. With a case, its targets are highlighted and have a letter.
     pub(super) fn items(&mut self, warehouse: &Warehouse, case: Option<&Case>) {
         for item in &warehouse.items {
-            let mark = case.and_then(|case| letter(warehouse, &case.task, item));
+            let mark = case.and_then(|case| case.task.letter(warehouse, item));
             let faded = case.is_some() && mark.is_none();
             let item_type = &warehouse.catalogue.types[item.item_type];
             let middle = self.in_bay(warehouse, item, ITEM_DEPTH);

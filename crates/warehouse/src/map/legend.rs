@@ -3,7 +3,7 @@
 use super::canvas::{CELL, Canvas, INK, LEGEND, MARGIN, MUTED, PAPER};
 use super::floor::Map;
 use super::glyph;
-use super::marks::{Style, badge, barricade, letter, start_disc, style};
+use super::marks::{Style, badge, barricade, start_disc, style};
 use crate::case::{Case, Start};
 use crate::catalogue::Catalogue;
 use crate::task::Task;
@@ -146,7 +146,7 @@ impl Map<'_> {
 fn targets(column: &mut Column<'_>, warehouse: &Warehouse, case: &Case) {
     let targets = case.task.targets(warehouse);
     for wanted in ['A', 'B', 'C'] {
-        let has_letter = |item: &&&Item| letter(warehouse, &case.task, item) == Some(wanted);
+        let has_letter = |item: &&&Item| case.task.letter(warehouse, item) == Some(wanted);
         let found: Vec<&Item> = targets.iter().filter(has_letter).copied().collect();
         let Some(first) = found.first() else { continue };
         let item_type = &warehouse.catalogue.types[first.item_type];

@@ -4,34 +4,11 @@ use domain::Heading;
 
 use super::canvas::{Canvas, INK, PAPER, Point};
 use crate::case::Start;
-use crate::task::Task;
-use crate::world::{Item, Warehouse};
 
 /// The unit vector of `heading` on the drawing, where y grows downwards.
 pub(super) fn direction(heading: Heading) -> Point {
     let (x, y) = heading.vector();
     (f64::from(x), -f64::from(y))
-}
-
-/// The letter of a target of `task`; `None` for other items.
-pub(super) fn letter(warehouse: &Warehouse, task: &Task, item: &Item) -> Option<char> {
-    match *task {
-        Task::FindCategory { c } | Task::EveryOfCategory { c } => {
-            (warehouse.category_of(item) == c).then_some('C')
-        }
-        Task::FindType { a }
-        | Task::EveryOfType { a }
-        | Task::FindAndReturn { a }
-        | Task::EveryAndReturn { a } => (item.item_type == a).then_some('A'),
-        Task::BothTypes { a, b }
-        | Task::InOrder { a, b }
-        | Task::Revisit { a, b }
-        | Task::InOrderAndReturn { a, b } => match item.item_type {
-            found if found == a => Some('A'),
-            found if found == b => Some('B'),
-            _ => None,
-        },
-    }
 }
 
 /// The round badge with a target's letter.

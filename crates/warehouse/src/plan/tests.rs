@@ -32,7 +32,7 @@ fn brute_force(
         if known[&states[at]] < cost {
             continue;
         }
-        // The first instance entered is the one to revisit, looked at or not: no passing by.
+        // The first instance entered is the one to revisit, whether it was faced or not.
         let stays = progress.stage() == 0
             && target_on(pose.cell).is_some_and(|item| first_of(task) == Some(item.item_type));
         for action in Action::ALL {
@@ -63,7 +63,7 @@ fn first_of(task: &Task) -> Option<usize> {
     if let Task::Revisit { a, .. } = *task { Some(a) } else { None }
 }
 
-/// Plans as brute force does, and walks what it plans.
+/// Checks that a plan costs what brute force finds, and that replaying it completes the task.
 fn check(warehouse: &Warehouse, variant: &Variant, start: Pose, task: &Task) {
     let fewest = Planner::new(warehouse, variant.clone(), Prices::STEPS).cost(start, task);
     assert_eq!(
@@ -73,7 +73,7 @@ fn check(warehouse: &Warehouse, variant: &Variant, start: Pose, task: &Task) {
     );
     let on_target = task.targets(warehouse).iter().any(|item| item.standpoint == start.cell);
     if on_target {
-        // Brute force counts the first cell as looked at, whatever the heading.
+        // Brute force counts items at the first cell as faced, whatever the heading.
         return;
     }
     let expert = Planner::new(warehouse, variant.clone(), Prices::EXPERT);

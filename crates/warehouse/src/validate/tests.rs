@@ -153,7 +153,7 @@ fn remove_last_turn(case: &mut Case) {
         &mut case.blocked,
     ];
     let is_turn = |action: &Action| action.turn_quarters().is_some();
-    let found = all.into_iter().find(|walk| walk.actions.last().is_some_and(is_turn));
+    let found = all.into_iter().find(|trajectory| trajectory.actions.last().is_some_and(is_turn));
     found.unwrap().actions.pop();
 }
 
