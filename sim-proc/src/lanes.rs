@@ -170,7 +170,7 @@ mod tests {
         StepCommand {
             lane,
             episode,
-            start: WirePose::from(start(world)),
+            start: WirePose::from(start(lanes)),
             kind: StepKind::Reset as u8,
             action: NO_ACTION,
             ..Zeroable::zeroed()
