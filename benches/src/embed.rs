@@ -14,7 +14,7 @@ use memory_proc::manifest::Manifest;
 use memory_proc::paths::Cache;
 use serde_json::json;
 use shm_types::attach::FrameSize;
-use sim_proc::renderer::{Destination, RenderJob, RenderSettings, Renderer, View};
+use sim_proc::renderer::{Destination, RenderJob, RenderSettings, Renderer, ViewSpec};
 use warehouse::{Variant, Warehouse};
 
 use crate::Bench;
