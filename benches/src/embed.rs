@@ -15,6 +15,7 @@ use memory_proc::paths::Cache;
 use serde_json::json;
 use shm_types::attach::FrameSize;
 use sim_proc::renderer::{Destination, RenderJob, RenderSettings, Renderer, ViewSpec};
+use sim_proc::view_control::every_pose;
 use warehouse::{Variant, Warehouse};
 
 use crate::Bench;
