@@ -85,7 +85,7 @@ impl Views {
             let image = self.renderer.render_image(ViewSpec { pose, variant }).unwrap();
             let (width, height) = (image.width(), image.height());
             self.last_id += 1;
-            Arc::new(Image::new(self.last_id, width, height, image.into_raw()))
+            Arc::new(Image::new(self.last_id, width, height, image.as_bytes().to_vec()))
         };
         Arc::clone(rendered.entry(pose).or_insert_with(render))
     }
