@@ -1,7 +1,7 @@
-//! What tests of the whole program share: running `memtransfer` in a world of its own.
+//! Helpers of the end-to-end tests: running `memtransfer` in a sandbox.
 //!
-//! Every [`Bench`] has its own folder of runs, so that what a run leaves behind can be told from what
-//! anybody else's run is using. Nothing waits without an end.
+//! Each [`Bench`] has its own folders, so that what its runs leave behind is not mistaken for another run's.
+//! Every wait has a limit.
 
 #![expect(clippy::expect_used, clippy::missing_panics_doc, reason = "a test may panic")]
 
@@ -19,15 +19,15 @@ use std::time::{Duration, Instant};
 use shm_types::ATTACH_VARIABLE;
 use tempfile::TempDir;
 
-/// Longest a single run of the program may take before it is taken to hang.
+/// How long one run of the program may take before it is killed.
 pub const WATCHDOG: Duration = Duration::from_secs(300);
 
-/// Tests that start processes run one at a time: there are two cores.
+/// Tests that start processes run one at a time, since each uses all cores.
 static MACHINE: Mutex<()> = Mutex::new(());
 
-/// The program `name`, built beside the running test.
+/// The path of the program `name`, which was built beside the running test.
 pub fn program(name: &str) -> PathBuf {
-    let test = std::env::current_exe().expect("a test knows where it lies");
+    let test = std::env::current_exe().expect("the path of the test");
     let release = test.parent().and_then(Path::parent).expect("target/release/deps/<test>");
     let program = release.join(name);
     assert!(
@@ -38,17 +38,17 @@ pub fn program(name: &str) -> PathBuf {
     program
 }
 
-/// A place to run the program in, and the machine to itself.
+/// Folders to run the program in, and the right to use the machine.
 pub struct Bench {
     /// Holds the run folders.
     pub folder: TempDir,
-    /// Where live runs are registered; short, because socket names lie below it.
+    /// Where live runs are registered. The path is short because it is part of socket names.
     pub registry: TempDir,
     _machine: MutexGuard<'static, ()>,
 }
 
 impl Bench {
-    /// A fresh one.
+    /// New empty folders; waits until no other test uses the machine.
     pub fn new() -> Self {
         let machine = MACHINE.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
         let folder = tempfile::tempdir().expect("a folder");
@@ -56,7 +56,7 @@ impl Bench {
         Self { folder, registry, _machine: machine }
     }
 
-    /// `memtransfer` with `args`, not started yet.
+    /// The command `memtransfer` with `args`.
     pub fn command(&self, args: &[&str]) -> Command {
         let mut command = Command::new(program("memtransfer"));
         command
@@ -69,7 +69,7 @@ impl Bench {
         command
     }
 
-    /// Runs `memtransfer` with `args` to its end.
+    /// Runs `memtransfer` with `args` and waits for it.
     pub fn run(&self, args: &[&str]) -> Ended {
         Ended::of(self.start(args))
     }
@@ -84,7 +84,7 @@ impl Bench {
         self.folder.path().join(name)
     }
 
-    /// The names of the runs that are registered, living or dead.
+    /// The names of all registered runs, live or dead.
     pub fn runs(&self) -> Vec<String> {
         fs::read_dir(self.registry.path())
             .expect("the registry can be read")
@@ -94,7 +94,7 @@ impl Bench {
             .collect()
     }
 
-    /// What is left of live runs: folders in the registry, their shared memory, processes.
+    /// What runs left behind: folders in the registry, shared memory, processes.
     pub fn leftovers(&self) -> Vec<String> {
         let runs = self.runs();
         let mut left = shared_memory_of(&runs);
@@ -104,7 +104,7 @@ impl Bench {
     }
 }
 
-/// The names in shared memory that belong to the runs called `runs`.
+/// The shared memory objects of the runs with these names.
 pub fn shared_memory_of(runs: &[String]) -> Vec<String> {
     let prefixes: Vec<String> = runs.iter().map(|run| format!("mt{run}_")).collect();
     fs::read_dir("/dev/shm")
@@ -120,9 +120,9 @@ impl Default for Bench {
     }
 }
 
-/// A run of the program that is over.
+/// A finished run of the program.
 pub struct Ended {
-    /// Exit status; `None` when a signal ended it.
+    /// Exit status; `None` if a signal ended it.
     pub status: Option<i32>,
     /// Its standard output.
     pub stdout: String,
@@ -131,7 +131,7 @@ pub struct Ended {
 }
 
 impl Ended {
-    /// Waits for `child`, and kills it when it hangs.
+    /// Waits for `child`, and kills it after [`WATCHDOG`].
     pub fn of(child: Child) -> Self {
         let pid = child.id();
         let (done, over) = std::sync::mpsc::channel::<()>();
@@ -147,7 +147,7 @@ impl Ended {
         Self { status: status.code(), stdout: text(&stdout), stderr: text(&stderr) }
     }
 
-    /// Itself, if it ended with `status`.
+    /// Panics with the output unless the run ended with `status`.
     pub fn expect(self, status: i32) -> Self {
         assert_eq!(self.status, Some(status), "stdout:\n{}\nstderr:\n{}", self.stdout, self.stderr);
         self
@@ -158,25 +158,24 @@ impl Ended {
 pub fn kill(pid: u32) {
     let pid = i32::try_from(pid).ok().and_then(rustix::process::Pid::from_raw);
     if let Some(pid) = pid {
-        // It may be gone already.
+        // It may have ended already.
         let _ = rustix::process::kill_process(pid, rustix::process::Signal::KILL);
     }
 }
 
-/// The processes that attached to a run below `registry`, by an argument or a variable that names it.
+/// The processes with an argument or variable that names a run below `registry`.
 pub fn processes_of(registry: &Path) -> BTreeSet<u32> {
     let path = registry.as_os_str().as_encoded_bytes();
     let attached = [format!("{ATTACH_VARIABLE}=").as_bytes(), path].concat();
     &processes_with(path) | &processes_where("environ", &attached)
 }
 
-/// The processes that have `marker` in their arguments.
+/// The processes with `marker` in their arguments.
 pub fn processes_with(marker: &[u8]) -> BTreeSet<u32> {
     processes_where("cmdline", marker)
 }
 
-/// The processes whose `file` in /proc has `marker` in it. One that has ended, and that nobody waited for, has
-/// nothing.
+/// The processes whose `file` in /proc contains `marker`. A zombie's files are empty.
 fn processes_where(file: &str, marker: &[u8]) -> BTreeSet<u32> {
     let mut found = BTreeSet::new();
     for entry in fs::read_dir("/proc").expect("/proc").flatten() {
@@ -190,7 +189,7 @@ fn processes_where(file: &str, marker: &[u8]) -> BTreeSet<u32> {
     found
 }
 
-/// The process in the part `role` ("sim", "memory", "policy") of a run below `registry`, once it is there.
+/// The process that has `role` ("sim", "memory", "policy") in a run below `registry`; waits for it to start.
 pub fn process_of(registry: &Path, role: &str) -> u32 {
     let name = format!("{role}-proc");
     eventually(&format!("the {name} process to start"), || {
@@ -201,26 +200,26 @@ pub fn process_of(registry: &Path, role: &str) -> u32 {
     })
 }
 
-/// What `look` finds, as soon as it finds something.
+/// Calls `look` until it returns something.
 pub fn eventually<T>(what: &str, mut look: impl FnMut() -> Option<T>) -> T {
     let start = Instant::now();
     loop {
         if let Some(found) = look() {
             return found;
         }
-        assert!(start.elapsed() < WATCHDOG, "waited in vain for {what}");
+        assert!(start.elapsed() < WATCHDOG, "timed out waiting for {what}");
         std::thread::sleep(Duration::from_millis(5));
     }
 }
 
-/// The lines of a run's episode log, sorted: what must not depend on lanes or crashes.
+/// The sorted lines of a run's episode log, which must not depend on lanes or crashes.
 pub fn sorted_log(run: &Path) -> Vec<String> {
     let mut lines: Vec<String> = episodes(run).lines().map(str::to_owned).collect();
     lines.sort();
     lines
 }
 
-/// The run's episode log as it stands; empty while there is none.
+/// The run's episode log so far; empty if there is none.
 pub fn episodes(run: &Path) -> String {
     fs::read_to_string(run.join("episodes.jsonl")).unwrap_or_default()
 }
@@ -231,13 +230,13 @@ pub fn records(run: &Path) -> Vec<serde_json::Value> {
     episodes(run).lines().map(parse).collect()
 }
 
-/// Success rate in percent of the records that `select` picks; they must not be none.
+/// The success rate, in percent, of the records that `select` accepts. Panics if there are none.
 pub fn success_rate(
     records: &[serde_json::Value],
     select: impl Fn(&serde_json::Value) -> bool,
 ) -> f64 {
-    let picked: Vec<bool> =
+    let selected: Vec<bool> =
         records.iter().filter(|r| select(r)).map(|r| r["ending"] == "complete").collect();
-    assert!(!picked.is_empty(), "no record was picked");
-    100.0 * picked.iter().filter(|&&success| success).count() as f64 / picked.len() as f64
+    assert!(!selected.is_empty(), "no record was selected");
+    100.0 * selected.iter().filter(|&&success| success).count() as f64 / selected.len() as f64
 }

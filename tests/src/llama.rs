@@ -1,7 +1,7 @@
-//! A real language model behind HTTP: llama.cpp's own server with a small model, which knows text only.
+//! llama.cpp's own HTTP server with a small text-only model.
 //!
-//! What it says is not the point, and hardly makes sense. The point is that a server which this project did
-//! not write understands the requests, and that its answers are understood.
+//! The answers make little sense. The tests check that a server from another project understands the requests,
+//! and that its answers can be read.
 
 use std::fs::{self, File};
 use std::io::{BufRead, BufReader};
@@ -17,7 +17,7 @@ pub const MODEL: &str = "smollm2-135m";
 
 const SCRIPT: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/python/llama_server.py");
 
-/// A server that answers, until the value is dropped or this process is gone.
+/// A running server, which ends when the value is dropped or this process ends.
 pub struct LlamaServer {
     process: Child,
     base_url: String,
@@ -25,7 +25,7 @@ pub struct LlamaServer {
 }
 
 impl LlamaServer {
-    /// Starts it, for `parallel` requests at once of at most `context` tokens with their answers.
+    /// Starts a server for `parallel` concurrent requests of at most `context` tokens, answers included.
     pub fn start(context: u32, parallel: u32) -> Self {
         let folder = tempfile::tempdir().expect("a folder");
         let log = File::create(folder.path().join("log")).expect("a log");
@@ -33,7 +33,7 @@ impl LlamaServer {
             .args(["-B", SCRIPT])
             .arg(needs::language_model())
             .args([MODEL, &context.to_string(), &parallel.to_string()])
-            // Held open by this process: its end is the server's.
+            // The server exits when this process closes the pipe.
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())
             .stderr(log)

@@ -1,22 +1,22 @@
-//! What tests need from outside: where set-up put it. A test whose need is missing fails, and says
-//! which command brings it.
+//! Where set-up put what tests need. A test that needs something missing fails and names the command that
+//! installs it.
 
 use std::path::PathBuf;
 
 use memory_proc::paths::Cache;
 
-/// The Python that has the packages of `xtask/python/requirements-tests.txt`. Programs of packages are
-/// run as modules: `python -m pytest`.
+/// The Python with the packages of `xtask/python/requirements-tests.txt`. Run their programs as modules:
+/// `python -m pytest`.
 pub fn python() -> PathBuf {
-    brought("python-tests/bin/python")
+    installed("python-tests/bin/python")
 }
 
-/// A small language model, text only, as llama.cpp reads it.
+/// A small text-only language model in llama.cpp's format.
 pub fn language_model() -> PathBuf {
-    brought("language-models/smollm2-135m-instruct-q4_1.gguf")
+    installed("language-models/smollm2-135m-instruct-q4_1.gguf")
 }
 
-fn brought(place: &str) -> PathBuf {
+fn installed(place: &str) -> PathBuf {
     let path = Cache::from_environment().expect("a cache folder").root().join(place);
     assert!(
         path.is_file(),

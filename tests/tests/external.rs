@@ -1,4 +1,4 @@
-//! A policy in a process of somebody else's: started by a command, or attached from outside.
+//! External policies: started by a command, or attached to a waiting run.
 
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
@@ -10,7 +10,7 @@ use memtransfer_tests::{
     Bench, Ended, episodes, eventually, kill, process_of, processes_with, program, sorted_log,
 };
 
-/// `memtransfer run` over twelve episodes that take a moment, whoever decides.
+/// The arguments of a run of twelve episodes.
 fn slice<'a>(out: &'a str, lanes: &'a str, policy: &[&'a str]) -> Vec<&'a str> {
     let mut args = vec!["run", "--suite", "quick", "--cases", "t01-01,t03-02,t09-05"];
     args.extend(["--memory", "working,full-context", "--lanes", lanes, "--out", out]);
@@ -18,12 +18,12 @@ fn slice<'a>(out: &'a str, lanes: &'a str, policy: &[&'a str]) -> Vec<&'a str> {
     args
 }
 
-/// The command that starts a built-in policy as if it were somebody's own.
-fn own(policy: &str) -> String {
+/// The command that starts a built-in policy as an external one.
+fn built_in(policy: &str) -> String {
     format!("{} serve --policy {policy}", program("policy-proc").display())
 }
 
-/// The log that every way of running the slice must give: that of the built-in policy.
+/// The log with the built-in policy, which every way of starting it must reproduce.
 fn reference(bench: &Bench) -> Vec<String> {
     bench.run(&slice("reference", "4", &["--policy", "grounded"])).expect(0);
     let log = sorted_log(&bench.out("reference"));
@@ -31,37 +31,41 @@ fn reference(bench: &Bench) -> Vec<String> {
     log
 }
 
-/// Waits until some of the slice is in the log, and not all.
-fn mid_run(run: &Path) {
+/// Waits until the first episode is finished.
+fn wait_for_an_episode(run: &Path) {
     eventually("an episode to be finished", || (!episodes(run).is_empty()).then_some(()));
 }
 
 #[test]
-fn a_policy_command_that_is_killed_leaves_no_trace_in_the_log_and_nothing_behind() {
+fn killing_a_policy_command_changes_no_log_and_leaves_nothing_behind() {
     let bench = Bench::new();
     let reference = reference(&bench);
-    // Beside the policy the command starts something that does not end by itself.
+    // The command also starts a process that does not exit by itself.
     let mark = format!("86400.{}", std::process::id());
-    let command = format!("sh -c 'sleep {mark} & {}; exit $?'", own("grounded"));
+    let command = format!("sh -c 'sleep {mark} & {}; exit $?'", built_in("grounded"));
     let child = bench.start(&slice("killed", "4", &["--policy-cmd", &command]));
-    mid_run(&bench.out("killed"));
+    wait_for_an_episode(&bench.out("killed"));
     kill(process_of(bench.registry.path(), "policy"));
     let ended = Ended::of(child).expect(0);
     assert!(ended.stderr.contains("the policy process (`sh -c "), "{}", ended.stderr);
     assert!(ended.stdout.contains("Policy: a program of its own, `sh -c "), "{}", ended.stdout);
     assert_eq!(sorted_log(&bench.out("killed")), reference);
-    assert_eq!(processes_with(mark.as_bytes()), Default::default(), "what the command had started");
+    assert_eq!(
+        processes_with(mark.as_bytes()),
+        Default::default(),
+        "processes that the command started"
+    );
     assert_eq!(bench.leftovers(), Vec::<String>::new());
 }
 
 #[test]
-fn a_command_that_is_no_policy_is_told_what_is_wrong() {
+fn a_command_that_is_not_a_policy_is_explained() {
     let bench = Bench::new();
-    let refused = |command: &str, said: &[&str]| {
+    let refused = |command: &str, messages: &[&str]| {
         let flags = ["--policy-cmd", command, "--start-timeout", "3"];
         let ended = bench.run(&slice("refused", "4", &flags)).expect(2);
-        for said in said {
-            assert!(ended.stderr.contains(said), "{command}: {}", ended.stderr);
+        for message in messages {
+            assert!(ended.stderr.contains(message), "{command}: {}", ended.stderr);
         }
     };
     refused("python 'half", &["--policy-cmd is \"python 'half\", but must be a program"]);
@@ -76,7 +80,7 @@ fn a_command_that_is_no_policy_is_told_what_is_wrong() {
     assert_eq!(bench.leftovers(), Vec::<String>::new());
 }
 
-/// Starts a built-in policy that nobody supervises.
+/// Starts a built-in policy without supervision.
 fn attach(run: &Path) -> Child {
     let mut policy = Command::new(program("policy-proc"));
     policy.args(["serve", "--policy", "grounded"]).env("MEMTRANSFER_ATTACH", run);
@@ -84,15 +88,15 @@ fn attach(run: &Path) -> Child {
     policy.spawn().unwrap()
 }
 
-/// Reads what the run says until it names the folder to attach to, and goes on reading.
+/// Reads the run's progress until it names the folder to attach to; the rest is read and dropped.
 fn folder_to_attach_to(child: &mut Child) -> PathBuf {
     let mut lines = BufReader::new(child.stderr.take().unwrap()).lines();
     let folder = lines
         .by_ref()
         .find_map(|line| {
             let line = line.unwrap();
-            let (_, said) = line.split_once("MEMTRANSFER_ATTACH=")?;
-            Some(PathBuf::from(said.split_whitespace().next()?))
+            let (_, folder) = line.split_once("MEMTRANSFER_ATTACH=")?;
+            Some(PathBuf::from(folder.split_whitespace().next()?))
         })
         .unwrap();
     std::thread::spawn(move || lines.for_each(drop));
@@ -100,22 +104,22 @@ fn folder_to_attach_to(child: &mut Child) -> PathBuf {
 }
 
 #[test]
-fn a_policy_that_attaches_is_waited_for_and_may_come_again() {
+fn a_run_waits_for_a_policy_to_attach_and_to_attach_again() {
     let bench = Bench::new();
     let reference = reference(&bench);
     let mut child = bench.start(&slice("attached", "4", &["--policy", "external"]));
     let run = folder_to_attach_to(&mut child);
     let mut first = attach(&run);
-    mid_run(&bench.out("attached"));
+    wait_for_an_episode(&bench.out("attached"));
 
     let second = Ended::of(attach(&run)).expect(2);
     assert!(second.stderr.contains("the run has a policy already"), "{}", second.stderr);
 
-    // Nobody waits for the first one yet when it is dead.
+    // The first policy is a zombie while the third attaches.
     kill(first.id());
     let third = attach(&run);
-    mid_run(&bench.out("attached"));
-    // The others are started anew, and the policy joins them by itself.
+    wait_for_an_episode(&bench.out("attached"));
+    // The other processes are restarted, and the policy joins the new generation.
     kill(process_of(bench.registry.path(), "sim"));
     Ended::of(child).expect(0);
     first.wait().unwrap();
@@ -128,12 +132,12 @@ fn a_policy_that_attaches_is_waited_for_and_may_come_again() {
 }
 
 #[test]
-fn a_policy_that_attached_ends_when_the_orchestrator_is_gone() {
+fn an_attached_policy_ends_with_the_orchestrator() {
     let bench = Bench::new();
     let mut child = bench.start(&slice("gone", "4", &["--policy", "external"]));
     let run = folder_to_attach_to(&mut child);
     let policy = attach(&run);
-    mid_run(&bench.out("gone"));
+    wait_for_an_episode(&bench.out("gone"));
     kill(child.id());
     child.wait().unwrap();
     let policy = Ended::of(policy).expect(2);
@@ -149,8 +153,8 @@ fn instruction(case: &str) -> String {
     case.task.instruction(&warehouse.catalogue)
 }
 
-/// Walks six short episodes, and returns the keys of those that were not finished.
-fn walk_with_a_victim(bench: &Bench, fault: &str, out: &str) -> (Ended, Vec<String>) {
+/// Runs six short episodes with a policy that fails one of them, and returns the errors of the run.
+fn run_with_fault(bench: &Bench, fault: &str, out: &str) -> (Ended, Vec<String>) {
     let cases = "t01-01,t02-02,t03-02,t05-03,t07-04,t09-05";
     let command = format!(
         "{} {fault} '{}'",
@@ -166,12 +170,12 @@ fn walk_with_a_victim(bench: &Bench, fault: &str, out: &str) -> (Ended, Vec<Stri
 }
 
 #[test]
-fn a_policy_that_cannot_stand_one_episode_loses_that_one_only() {
+fn a_fault_in_one_episode_costs_that_episode_only() {
     let bench = Bench::new();
     for (fault, said) in
         [("crash-on", "I cannot stand this one"), ("silent-on", "owed an answer for 2 s")]
     {
-        let (ended, errors) = walk_with_a_victim(&bench, fault, fault);
+        let (ended, errors) = run_with_fault(&bench, fault, fault);
         let ended = ended.expect(1);
         let [error] = &errors[..] else { panic!("{fault}: {errors:?}\n{}", ended.stderr) };
         assert!(error.contains("t03-02") && error.contains(said), "{error}");

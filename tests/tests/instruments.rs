@@ -1,4 +1,4 @@
-//! What a run tells about its own speed: while it runs, and afterwards.
+//! Live status, traces and latencies of a run.
 
 use std::collections::BTreeSet;
 use std::fs;
@@ -16,16 +16,16 @@ fn values<'a>(objects: impl IntoIterator<Item = &'a Value>, key: &str) -> BTreeS
 }
 
 #[test]
-fn a_run_is_watched_traced_and_timed() {
+fn a_run_has_a_live_status_a_trace_and_latencies() {
     let bench = Bench::new();
     let args = ["run", "--policy", "grounded", "--memory", "working,episodic", "--limit", "10"];
     let more = ["--lanes", "4", "--out", "seen", "--trace", "trace.json"];
     let child = bench.start(&[&args[..], &more].concat());
-    // Each process tells what it is at about once a second.
-    let told = |seen: &Value| seen["processes"].as_object().map_or(0, serde_json::Map::len);
-    let status = eventually("every process to be seen", || {
+    // Each process sends a heartbeat about once a second.
+    let processes = |seen: &Value| seen["processes"].as_object().map_or(0, serde_json::Map::len);
+    let status = eventually("heartbeats of every process", || {
         let seen = bench.run(&["top", "seen", "--once", "--json"]);
-        (seen.status == Some(0)).then(|| json(&seen.stdout)).filter(|seen| told(seen) == 3)
+        (seen.status == Some(0)).then(|| json(&seen.stdout)).filter(|seen| processes(seen) == 3)
     });
     assert_eq!((&status["lanes"], &status["episodes"][0]), (&json("4"), &json("40")));
     assert!(status["steps"].as_u64() > Some(0), "{status}");
@@ -42,13 +42,13 @@ fn a_run_is_watched_traced_and_timed() {
     assert!(
         of("X").all(|slice| slice["ts"].as_f64() >= Some(0.0) && slice["dur"].as_f64() > Some(0.0))
     );
-    // Perfetto drops a slice that begins within another of its track and ends after it.
+    // Perfetto drops a slice that overlaps another one on its track.
     let ns = |slice: &Value, key: &str| (slice[key].as_f64().unwrap() * 1000.0).round() as u64;
     let track = |slice: &Value| (slice["pid"].as_u64(), slice["tid"].as_u64());
-    let mut in_turn: Vec<_> =
+    let mut slices_by_track: Vec<_> =
         of("X").map(|slice| (track(slice), ns(slice, "ts"), ns(slice, "dur"))).collect();
-    in_turn.sort_unstable();
-    for pair in in_turn.windows(2) {
+    slices_by_track.sort_unstable();
+    for pair in slices_by_track.windows(2) {
         let (one, next) = (pair[0], pair[1]);
         assert!(one.0 != next.0 || one.1 + one.2 <= next.1, "{one:?} overlaps {next:?}");
     }
@@ -56,8 +56,8 @@ fn a_run_is_watched_traced_and_timed() {
     for name in ["step", "draw", "render", "recall", "search", "decide"] {
         assert!(slices.contains(name), "{name} is not in {slices:?}");
     }
-    let taken = of("X").filter(|slice| slice["name"] == "step").count() as u64;
-    assert_eq!(taken, steps);
+    let traced_steps = of("X").filter(|slice| slice["name"] == "step").count() as u64;
+    assert_eq!(traced_steps, steps);
     let tracks = values(
         of("M").map(|track| &track["args"]).filter(|track| track["name"].is_string()),
         "name",
@@ -70,6 +70,6 @@ fn a_run_is_watched_traced_and_timed() {
     let lines: Vec<Value> = latency.lines().map(json).collect();
     assert_eq!(values(&lines, "memory"), BTreeSet::from(["working", "episodic"]));
     let whole = lines.iter().filter(|line| line["stage"] == "step");
-    assert_eq!(whole.map(|line| line["count"].as_u64().unwrap()).sum::<u64>(), taken);
+    assert_eq!(whole.map(|line| line["count"].as_u64().unwrap()).sum::<u64>(), traced_steps);
     assert_eq!(bench.leftovers(), Vec::<String>::new());
 }

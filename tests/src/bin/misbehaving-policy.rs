@@ -1,7 +1,7 @@
-//! A policy that does one thing wrong, for tests: its argument says which.
+//! A policy for tests with one fault, named by its argument.
 //!
-//! `crash-on TEXT` and `silent-on TEXT` are well-behaved but for the episodes whose instruction is TEXT. The others
-//! are on the bus by themselves, without the policy SDK, which would not let them.
+//! `crash-on TEXT` and `silent-on TEXT` fail in the episodes whose instruction is TEXT. The other faults are those
+//! that the SDK prevents, so they use the bus directly.
 
 #![expect(clippy::unwrap_used, reason = "a policy for tests may end by panicking")]
 
@@ -35,7 +35,7 @@ fn main() {
     }
 }
 
-/// Turns left, but for the victim.
+/// Turns left in all episodes but those with the instruction `victim`.
 struct Picky {
     crashes: bool,
     victim: String,
@@ -63,7 +63,7 @@ impl Decider for Picky {
     }
 }
 
-/// What has come for a lane.
+/// The messages received for a lane.
 #[derive(Default)]
 struct Lane {
     episode: u64,
@@ -71,7 +71,7 @@ struct Lane {
     recalled: Option<u32>,
 }
 
-/// On the bus without the SDK, turning left.
+/// Turns left, without the SDK.
 fn raw(mode: &str) {
     let folder = PathBuf::from(std::env::var_os(ATTACH_VARIABLE).unwrap());
     let attach = if mode == "ignores-the-wire-version" {
@@ -137,7 +137,7 @@ fn raw(mode: &str) {
             answered += 1;
             let action = if mode == "draws" { answered % 7 } else { Action::TurnLeft as u32 } as u8;
             let usual = Decision { episode, lane, step, action, ..Zeroable::zeroed() };
-            let said = match mode {
+            let sent = match mode {
                 "silent" | "no-hello" => vec![],
                 "wrong-lane" => vec![Decision { lane: lane + 1, ..usual }],
                 "no-such-lane" => vec![Decision { lane: 4242, ..usual }],
@@ -151,8 +151,8 @@ fn raw(mode: &str) {
                 }
                 _ => vec![usual],
             };
-            // A full queue is nobody else's business.
-            said.iter().for_each(|decision| drop(decisions.send(decision)));
+            // A flood fills the queue.
+            sent.iter().for_each(|decision| drop(decisions.send(decision)));
             orchestrator.notify().unwrap();
         }
         if mode != "keeps-frames" {
