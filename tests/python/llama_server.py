@@ -2,9 +2,9 @@
 
     python llama_server.py MODEL.gguf NAME CONTEXT PARALLEL
 
-Serves MODEL under NAME on a free port of the loopback, prints `http://127.0.0.1:PORT/v1` on one line
-once it answers, and ends when its standard input does, which is when whoever started it is gone. At most
-PARALLEL requests are worked on at once, each with CONTEXT tokens for its prompt and its answer.
+Serves MODEL under NAME on a free local port and prints `http://127.0.0.1:PORT/v1` when it is ready. Exits when its
+standard input is closed, so that it does not outlive the process that started it. Up to PARALLEL requests run at once,
+each with CONTEXT tokens for prompt and answer.
 """
 
 import os
@@ -15,7 +15,7 @@ import xllamacpp
 
 
 def end_with_parent():
-    """Waits for the end of the standard input, and ends the process whatever it is doing."""
+    """Exits the process when the standard input is closed."""
     while sys.stdin.buffer.read(4096):
         pass
     os._exit(0)

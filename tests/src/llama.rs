@@ -46,7 +46,7 @@ impl LlamaServer {
         std::thread::spawn(move || {
             let mut line = String::new();
             let read = BufReader::new(output).read_line(&mut line);
-            // Nobody listens when it took too long.
+            // After the time-out there is no receiver.
             let _ = found.send(read.map(|_| line));
         });
         let line = ready.recv_timeout(WATCHDOG).expect("the server is ready in time");
@@ -55,12 +55,12 @@ impl LlamaServer {
         server
     }
 
-    /// Where it is, up to `/v1`.
+    /// The base URL, up to `/v1`.
     pub fn base_url(&self) -> &str {
         &self.base_url
     }
 
-    /// What it has said on its standard error.
+    /// The server's standard error so far.
     pub fn log(&self) -> String {
         fs::read_to_string(self.folder.path().join("log")).unwrap_or_default()
     }
