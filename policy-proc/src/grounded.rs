@@ -29,14 +29,14 @@ mod testing;
 mod tests;
 mod tour;
 
-use beliefs::{Beliefs, Caches};
-use instruction::Goal;
+use beliefs::{Beliefs, PolicyCaches};
+use instruction::NavigationGoal;
 use peer::{Decision, Policy, Request};
 
 /// The grounded policy. Its only state are caches of what frames and documents say.
 #[derive(Debug, Default)]
 pub struct Grounded {
-    caches: Caches,
+    caches: PolicyCaches,
 }
 
 impl Policy for Grounded {
@@ -50,7 +50,7 @@ impl Policy for Grounded {
 
     fn act(&mut self, batch: &[Request<'_>]) -> Vec<Decision> {
         let decide = |request: &Request<'_>| {
-            let goal = Goal::parse(request.instruction);
+            let goal = NavigationGoal::parse(request.instruction);
             let beliefs = Beliefs::new(request, goal.as_ref(), &mut self.caches);
             Decision::act(request, plan::next_action(request, goal.as_ref(), &beliefs))
         };

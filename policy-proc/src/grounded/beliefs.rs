@@ -3,29 +3,29 @@
 use std::sync::Arc;
 
 use domain::{Cell, Pose};
+use peer::Request;
 use plates::Landmark;
 
-use super::demonstration::{Demonstration, Demonstrations, Supplied};
-use super::instruction::{Goal, Target};
-use super::knowledge::{Knowledge, KnowledgeBase, standpoints_among};
+use super::demonstration::{RelativePath, RelativePaths, Supplied};
+use super::instruction::{ItemKind, NavigationGoal};
+use super::knowledge::{Doubt, Knowledge, KnowledgeBase, standpoints_among};
 use super::local_map::LocalMap;
-use super::perception::{PlacedView, Views, rack_of};
-use super::recent::Recent;
+use super::perception::{FrameCache, PlacedFrame, rack_of};
+use super::recent::RecentSteps;
 use super::tour::Tour;
-use peer::Request;
 
 /// What was derived from frames, demonstrations and documents, which never change. Each cache is bounded;
 /// losing an entry costs time and changes no decision.
 #[derive(Debug, Default)]
-pub(super) struct Caches {
-    views: Views,
-    demonstrations: Demonstrations,
+pub(super) struct PolicyCaches {
+    views: FrameCache,
+    demonstrations: RelativePaths,
     knowledge: KnowledgeBase,
 }
 
 /// What the policy believes.
 pub(super) struct Beliefs {
-    pub(super) recent: Recent,
+    pub(super) recent: RecentSteps,
     /// Nothing can be seen in the current frame.
     pub(super) is_blind: bool,
     pub(super) map: LocalMap,
@@ -37,8 +37,12 @@ pub(super) struct Beliefs {
 }
 
 impl Beliefs {
-    pub(super) fn new(request: &Request<'_>, goal: Option<&Goal<'_>>, caches: &mut Caches) -> Self {
-        let recent = Recent::of(request);
+    pub(super) fn new(
+        request: &Request<'_>,
+        goal: Option<&NavigationGoal<'_>>,
+        caches: &mut PolicyCaches,
+    ) -> Self {
+        let recent = RecentSteps::of(request);
         let views = placed_views(request, &recent, &mut caches.views);
         let mut seen: Vec<Landmark> = Vec::new();
         views.iter().for_each(|view| seen.extend_from_slice(&view.landmarks));
@@ -54,9 +58,10 @@ impl Beliefs {
             locate(supplied, &views, caches)
         });
         let located: Vec<_> = trajectories.collect();
-        let origin = recent.origin.map(|pose| pose.cell);
+        let doubt = Doubt::at(request.step, request.episode_seed);
+        let situation = (recent.origin.map(|pose| pose.cell), doubt);
         let task = (request.instruction, goal);
-        let knowledge = caches.knowledge.get(task, origin, request.documents, &located);
+        let knowledge = caches.knowledge.get(task, situation, request.documents, &located);
 
         let mut map = LocalMap::around(request.pose.cell);
         knowledge.mark(&mut map);
@@ -71,12 +76,12 @@ impl Beliefs {
         segment.iter().flat_map(Tour::cells).for_each(|cell| map.mark_free(cell));
         recent.cells().for_each(|cell| map.mark_free(cell));
         recent.blocked_cells().for_each(|cell| map.mark_occupied(cell));
-        let is_blind = views.last().is_none_or(|view| view.view.is_blank);
+        let is_blind = views.last().is_none_or(|view| view.content.is_blank);
         Self { recent, is_blind, map, seen, segment, knowledge }
     }
 
     /// Cells from which the `nth` target of the goal can be reached.
-    pub(super) fn standpoints(&self, nth: usize, target: Target<'_>) -> Vec<Cell> {
+    pub(super) fn standpoints(&self, nth: usize, target: ItemKind<'_>) -> Vec<Cell> {
         let mut cells = self.knowledge.standpoints.get(nth).cloned().unwrap_or_default();
         cells.extend(standpoints_among(&self.seen, target));
         cells
@@ -84,7 +89,11 @@ impl Beliefs {
 }
 
 /// The views of the window and the current one, with their poses, oldest first.
-fn placed_views(request: &Request<'_>, recent: &Recent, views: &mut Views) -> Vec<Arc<PlacedView>> {
+fn placed_views(
+    request: &Request<'_>,
+    recent: &RecentSteps,
+    views: &mut FrameCache,
+) -> Vec<Arc<PlacedFrame>> {
     let past = request.window.iter().zip(&recent.past);
     let frames = past.map(|(step, past)| (&step.frame, past.pose));
     let frames = frames.chain([(&request.frame, recent.here)]);
@@ -94,9 +103,9 @@ fn placed_views(request: &Request<'_>, recent: &Recent, views: &mut Views) -> Ve
 /// The supplied demonstration and where it began, if `views` tell.
 fn locate<'a>(
     supplied: impl Iterator<Item = Supplied<'a>>,
-    views: &[Arc<PlacedView>],
-    caches: &mut Caches,
-) -> Option<(Arc<Demonstration>, Pose)> {
+    views: &[Arc<PlacedFrame>],
+    caches: &mut PolicyCaches,
+) -> Option<(Arc<RelativePath>, Pose)> {
     let supplied: Vec<Supplied<'_>> = supplied.collect();
     let demonstration = caches.demonstrations.get(&supplied, &mut caches.views);
     let start = demonstration.locate(views)?;

@@ -7,15 +7,15 @@ use rustc_hash::FxHashMap;
 
 /// Keeps up to `LIMIT` values, then starts again. A lost value costs time and changes no decision.
 #[derive(Debug)]
-pub(super) struct Cache<K, V, const LIMIT: usize>(FxHashMap<K, Arc<V>>);
+pub(super) struct BoundedCache<K, V, const LIMIT: usize>(FxHashMap<K, Arc<V>>);
 
-impl<K, V, const LIMIT: usize> Default for Cache<K, V, LIMIT> {
+impl<K, V, const LIMIT: usize> Default for BoundedCache<K, V, LIMIT> {
     fn default() -> Self {
         Self(FxHashMap::default())
     }
 }
 
-impl<K: Eq + Hash, V, const LIMIT: usize> Cache<K, V, LIMIT> {
+impl<K: Eq + Hash, V, const LIMIT: usize> BoundedCache<K, V, LIMIT> {
     /// The value for `key`, which `derive` computes if it is not there.
     pub(super) fn get(&mut self, key: K, derive: impl FnOnce() -> V) -> Arc<V> {
         if self.0.len() >= LIMIT && !self.0.contains_key(&key) {

@@ -6,12 +6,12 @@
 use std::sync::Arc;
 
 use domain::{Action, Heading, Pose};
+use peer::{FrameId, FrameView};
 use plates::Landmark;
 
-use super::cache::Cache;
+use super::cache::BoundedCache;
 use super::geometry::{PathStep, after, relocated};
-use super::perception::{PlacedView, View, Views};
-use peer::{FrameId, FrameView};
+use super::perception::{FrameCache, FrameContent, PlacedFrame};
 
 /// Where every demonstration starts in its own coordinates: far from the grid's edges.
 const START: Pose = Pose::new(128, 128, Heading::N);
@@ -27,18 +27,18 @@ pub(super) type Supplied<'a> = (Option<FrameView<'a>>, Option<Action>);
 
 /// A demonstration, or a segment of one, in coordinates in which it begins at `START`.
 #[derive(Debug)]
-pub(super) struct Demonstration {
+pub(super) struct RelativePath {
     /// Identifies the demonstration among those of one policy.
     pub(super) serial: u64,
     path: Vec<PathStep>,
     /// The views, with the poses they were taken from.
-    views: Vec<(Pose, Arc<View>)>,
+    views: Vec<(Pose, Arc<FrameContent>)>,
     /// The plates in all views, sorted.
     landmarks: Vec<Landmark>,
 }
 
-impl Demonstration {
-    fn new(serial: u64, supplied: &[Supplied<'_>], cache: &mut Views) -> Self {
+impl RelativePath {
+    fn new(serial: u64, supplied: &[Supplied<'_>], cache: &mut FrameCache) -> Self {
         let mut demonstration =
             Self { serial, path: Vec::new(), views: Vec::new(), landmarks: Vec::new() };
         let mut pose = Some(START);
@@ -50,10 +50,10 @@ impl Demonstration {
                 if action.is_none()
                     && let Some((Some(next), _)) = supplied.get(at + 1)
                 {
-                    action = action_between(&view, cache.view(next));
+                    action = action_between(&view, cache.content(next));
                 }
                 demonstration.landmarks.extend_from_slice(&view.landmarks);
-                demonstration.views.push((here, Arc::clone(&view.view)));
+                demonstration.views.push((here, Arc::clone(&view.content)));
             }
             demonstration.path.push(PathStep { pose: here, action });
             pose = action.and_then(|action| after(here, action));
@@ -68,10 +68,10 @@ impl Demonstration {
     ///
     /// Each view that equals a remembered one votes for a pose, and so does each pair of equal plates. A pose
     /// is refuted when a plate hangs where the demonstration has only others.
-    pub(super) fn locate(&self, views: &[Arc<PlacedView>]) -> Option<Pose> {
+    pub(super) fn locate(&self, views: &[Arc<PlacedFrame>]) -> Option<Pose> {
         let mut votes: Vec<(Pose, u32)> = Vec::new();
         for view in views {
-            let same = self.views.iter().filter(|(_, known)| known.shows_same(&view.view));
+            let same = self.views.iter().filter(|(_, known)| known.shows_same(&view.content));
             let starts = same.filter_map(|&(pose, _)| relocated(START, pose, view.pose));
             votes.extend(starts.map(|start| (start, SAME_VIEW)));
         }
@@ -130,10 +130,10 @@ fn facing(landmark: &Landmark) -> Pose {
 }
 
 /// The action that leads from one view to the next, if both show enough of the same plates.
-fn action_between(view: &Arc<PlacedView>, next: Arc<View>) -> Option<Action> {
-    let mut landmarks = PlacedView::new(Arc::clone(&next), START).landmarks;
+fn action_between(view: &Arc<PlacedFrame>, next: Arc<FrameContent>) -> Option<Action> {
+    let mut landmarks = PlacedFrame::new(Arc::clone(&next), START).landmarks;
     landmarks.sort_unstable();
-    let next = Demonstration { serial: 0, path: Vec::new(), views: vec![(START, next)], landmarks };
+    let next = RelativePath { serial: 0, path: Vec::new(), views: vec![(START, next)], landmarks };
     let there = next.locate(std::slice::from_ref(view))?;
     Action::ALL.into_iter().find(|&action| after(view.pose, action) == Some(there))
 }
@@ -143,22 +143,22 @@ type DemonstrationId = Vec<(Option<FrameId>, Option<Action>)>;
 
 /// Demonstrations by what memory supplied.
 #[derive(Debug, Default)]
-pub(super) struct Demonstrations {
-    known: Cache<DemonstrationId, Demonstration, 4096>,
+pub(super) struct RelativePaths {
+    known: BoundedCache<DemonstrationId, RelativePath, 4096>,
     created: u64,
 }
 
-impl Demonstrations {
+impl RelativePaths {
     pub(super) fn get(
         &mut self,
         supplied: &[Supplied<'_>],
-        views: &mut Views,
-    ) -> Arc<Demonstration> {
+        views: &mut FrameCache,
+    ) -> Arc<RelativePath> {
         let id = supplied.iter().map(|(frame, action)| (frame.map(|frame| frame.id), *action));
         let created = &mut self.created;
         self.known.get(id.collect(), || {
             *created += 1;
-            Demonstration::new(*created, supplied, views)
+            RelativePath::new(*created, supplied, views)
         })
     }
 }
@@ -183,7 +183,7 @@ mod tests {
             (None, Some(Action::Forward)),
             (Some(frame(&pictures[1], 2)), None),
         ];
-        let demonstration = Demonstration::new(1, &supplied, &mut Views::default());
+        let demonstration = RelativePath::new(1, &supplied, &mut FrameCache::default());
         let poses: Vec<_> = demonstration.path.iter().map(|step| step.pose).collect();
         assert_eq!(poses, [0, 1, 2].map(|y| Pose::new(128, 128 + y, Heading::N)));
         let is_real = |landmark: &Landmark| {
@@ -200,7 +200,7 @@ mod tests {
         let pictures = pictures(&[poses[0], poses[1], poses[2], Pose::new(11, 13, Heading::E)]);
         let supplied: Vec<_> =
             (1..).zip(&pictures).map(|(id, picture)| (Some(frame(picture, id)), None)).collect();
-        let demonstration = Demonstration::new(1, &supplied, &mut Views::default());
+        let demonstration = RelativePath::new(1, &supplied, &mut FrameCache::default());
         let actions: Vec<_> = demonstration.path.iter().map(|step| step.action).collect();
         assert_eq!(actions, [Some(Action::Forward), Some(Action::Right), None]);
     }
@@ -216,8 +216,8 @@ mod tests {
                 (keyframe, (at < 5).then_some(Action::Forward))
             })
             .collect();
-        let mut views = Views::default();
-        let demonstration = Demonstration::new(1, &supplied, &mut views);
+        let mut views = FrameCache::default();
+        let demonstration = RelativePath::new(1, &supplied, &mut views);
         let picture = Aisle::new().picture(here);
         demonstration.locate(&[views.placed(&frame(&picture, 99), here)])
     }
@@ -247,23 +247,23 @@ mod tests {
         let mut other = Aisle::new();
         other.landmarks[4].plate = other.landmarks[0].plate;
         let (here_picture, other_picture) = (Aisle::new().picture(here), other.picture(here));
-        let mut views = Views::default();
+        let mut views = FrameCache::default();
         let supplied = [(Some(frame(&other_picture, 1)), None)];
-        let demonstration = Demonstration::new(1, &supplied, &mut views);
+        let demonstration = RelativePath::new(1, &supplied, &mut views);
         assert_eq!(demonstration.locate(&[views.placed(&frame(&here_picture, 2), here)]), None);
     }
 
     #[test]
     fn blank_views_locate_nothing() {
-        let mut views = Views::default();
-        let demonstration = Demonstration::new(1, &[(Some(blank_frame(1)), None)], &mut views);
+        let mut views = FrameCache::default();
+        let demonstration = RelativePath::new(1, &[(Some(blank_frame(1)), None)], &mut views);
         assert_eq!(demonstration.locate(&[views.placed(&blank_frame(1), START)]), None);
     }
 
     #[test]
     fn equal_supplies_are_the_same_demonstration() {
         let pictures = pictures(&[Pose::new(10, 12, Heading::N)]);
-        let (mut cache, mut views) = (Demonstrations::default(), Views::default());
+        let (mut cache, mut views) = (RelativePaths::default(), FrameCache::default());
         let mut serial = |id, action| {
             let supplied = [(Some(frame(&pictures[0], id)), Some(action)), (None, None)];
             cache.get(&supplied, &mut views).serial

@@ -6,7 +6,7 @@
 use domain::{Cell, Heading, Pose};
 
 use super::geometry::{PathStep, path_along};
-use super::instruction::{Rank, Target};
+use super::instruction::{ItemKind, NameRank};
 
 /// The largest rectangle that counts as floor, in cells.
 const LARGEST_PASSAGE: usize = 1024;
@@ -30,15 +30,16 @@ impl Rect {
 
 /// A parsed document.
 #[derive(Debug, Default)]
-pub(super) struct Document {
-    places: Vec<Place>,
-    passages: Vec<Rect>,
-    routes: Vec<Route>,
+pub(super) struct ParsedDocument {
+    places: Vec<DocumentedPlace>,
+    /// Cells that can be walked on, sorted.
+    pub(super) floor: Vec<Cell>,
+    routes: Vec<DocumentedRoute>,
 }
 
 /// A line that says where items of some kind are.
 #[derive(Debug)]
-struct Place {
+struct DocumentedPlace {
     /// In lower case.
     text: String,
     standpoints: Vec<Cell>,
@@ -47,7 +48,7 @@ struct Place {
 
 /// A demonstrated route.
 #[derive(Debug)]
-struct Route {
+struct DocumentedRoute {
     /// In lower case.
     instruction: String,
     facing: Option<Heading>,
@@ -55,7 +56,7 @@ struct Route {
     corners: Vec<Cell>,
 }
 
-impl Document {
+impl ParsedDocument {
     pub(super) fn parse(text: &str) -> Self {
         let mut document = Self::default();
         let mut is_about_floor = false;
@@ -65,12 +66,16 @@ impl Document {
             } else if !document.parse_route(&line) {
                 let (standpoints, regions) = (cells(&line), rects(&line));
                 if standpoints.is_empty() && (is_about_floor || mentions_floor(&line)) {
-                    document.passages.extend(regions);
+                    document.floor.extend(regions.into_iter().flat_map(Rect::cells));
                 } else if !(standpoints.is_empty() && regions.is_empty()) {
-                    document.places.push(Place { text: line, standpoints, regions });
+                    document.places.push(DocumentedPlace { text: line, standpoints, regions });
                 }
             }
         }
+        let walked = document.routes.iter().filter_map(DocumentedRoute::path).flatten();
+        document.floor.extend(walked.map(|step| step.pose.cell));
+        document.floor.sort_unstable();
+        document.floor.dedup();
         document
     }
 
@@ -82,7 +87,7 @@ impl Document {
         for text in route.split("reached ").skip(1) {
             let standpoints = cells(text).into_iter().take(1).collect();
             let text = text.split('(').next().unwrap_or_default().to_owned();
-            self.places.push(Place { text, standpoints, regions: Vec::new() });
+            self.places.push(DocumentedPlace { text, standpoints, regions: Vec::new() });
         }
         let facing = route.split_once("facing ").and_then(|(_, rest)| {
             let letter = rest.chars().next()?.to_ascii_uppercase();
@@ -90,37 +95,30 @@ impl Document {
         });
         let mut corners = cells(route);
         corners.dedup();
-        self.routes.push(Route { instruction: instruction.to_owned(), facing, corners });
+        self.routes.push(DocumentedRoute { instruction: instruction.to_owned(), facing, corners });
         true
     }
 
     /// Cells from which items of the target kind can be reached.
-    pub(super) fn standpoints(&self, target: Target<'_>) -> impl Iterator<Item = Cell> {
+    pub(super) fn standpoints(&self, target: ItemKind<'_>) -> impl Iterator<Item = Cell> {
         self.about(target).flat_map(|place| place.standpoints.iter().copied())
     }
 
     /// Where items of the target kind were seen.
-    pub(super) fn regions(&self, target: Target<'_>) -> impl Iterator<Item = Rect> {
+    pub(super) fn regions(&self, target: ItemKind<'_>) -> impl Iterator<Item = Rect> {
         self.about(target).flat_map(|place| place.regions.iter().copied())
     }
 
     /// Lines that give a plate or the name of the target kind.
-    fn about(&self, target: Target<'_>) -> impl Iterator<Item = &Place> {
+    fn about(&self, target: ItemKind<'_>) -> impl Iterator<Item = &DocumentedPlace> {
         let name = target.name.to_lowercase();
         let code: String = target.code.iter().map(u8::to_string).collect();
         let plate = match target.rank {
-            Rank::Type => format!("-{code}]"),
-            Rank::Category => format!("[plate {code}"),
+            NameRank::Type => format!("-{code}]"),
+            NameRank::Category => format!("[plate {code}"),
         };
         let places = self.places.iter();
         places.filter(move |place| place.text.contains(&plate) || place.text.contains(&name))
-    }
-
-    /// Cells that can be walked on.
-    pub(super) fn floor(&self) -> impl Iterator<Item = Cell> {
-        let passages = self.passages.iter().flat_map(|rect| rect.cells());
-        let routes = self.routes.iter().filter_map(Route::path).flatten();
-        passages.chain(routes.map(|step| step.pose.cell))
     }
 
     /// Routes that were demonstrated for exactly this instruction.
@@ -129,11 +127,11 @@ impl Document {
         self.routes
             .iter()
             .filter(move |route| route.instruction == instruction)
-            .filter_map(Route::path)
+            .filter_map(DocumentedRoute::path)
     }
 }
 
-impl Route {
+impl DocumentedRoute {
     /// The poses and actions of the route, facing ahead; `None` if it is empty or bends elsewhere than at its
     /// corners.
     fn path(&self) -> Option<Vec<PathStep>> {
@@ -215,7 +213,7 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
-    use crate::grounded::instruction::Goal;
+    use crate::grounded::instruction::NavigationGoal;
 
     const SUMMARY: &str = r#"# Summary of the demonstrations
 Positions are (column, row): columns grow east, rows grow north.
@@ -229,7 +227,7 @@ Positions are (column, row): columns grow east, rows grow north.
 - column 3: rows 1-14
 - row 15: columns 0-15
 
-## Routes
+## LocalRoutes
 - "Find a blue barrel." from (14, 11) facing S: south 3 to (14, 8), west 5 to (9, 8); reached blue barrel at (9, 8).
 "#;
 
@@ -244,8 +242,8 @@ Positions are (column, row): columns grow east, rows grow north.
 ";
 
     fn standpoints(text: &str, instruction: &str) -> Vec<(u8, u8)> {
-        let goal = Goal::parse(instruction).unwrap();
-        let cells: Vec<Cell> = Document::parse(text).standpoints(goal.targets[0]).collect();
+        let goal = NavigationGoal::parse(instruction).unwrap();
+        let cells: Vec<Cell> = ParsedDocument::parse(text).standpoints(goal.targets[0]).collect();
         cells.into_iter().map(|cell| (cell.x, cell.y)).collect()
     }
 
@@ -260,21 +258,21 @@ Positions are (column, row): columns grow east, rows grow north.
 
     #[test]
     fn passages_and_routes_are_floor() {
-        let document = Document::parse(SUMMARY);
+        let document = ParsedDocument::parse(SUMMARY);
         let route = document.routes("Find a blue barrel.").next().unwrap();
         assert_eq!(route[0].pose, Pose::new(14, 11, Heading::S));
         assert_eq!(route.last().unwrap().pose.cell, Cell::new(9, 8));
         assert_eq!(route.len(), 3 + 1 + 5 + 1, "moves, a turn, the end");
         assert_eq!(document.routes("Find a red barrel.").count(), 0);
-        assert_eq!(document.floor().count(), 14 + 16 + route.len());
+        assert_eq!(document.floor.len(), 14 + 16 + 1 + 3 + 5);
     }
 
     #[test]
     fn regions_say_where_kinds_of_items_were_seen() {
-        let document = Document::parse(SEMANTIC);
-        assert_eq!(document.passages.len(), 4);
+        let document = ParsedDocument::parse(SEMANTIC);
+        assert_eq!(document.floor.len(), 14 + 14 + 16 + 16);
         let regions = |instruction: &str| {
-            let goal = Goal::parse(instruction).unwrap();
+            let goal = NavigationGoal::parse(instruction).unwrap();
             document.regions(goal.targets[0]).collect::<Vec<_>>()
         };
         let region = Rect { columns: (2, 5), rows: (6, 9) };
@@ -321,12 +319,12 @@ Positions are (column, row): columns grow east, rows grow north.
                 "(1, 2) {} (255, 256) columns 0-255 rows 0-255 {}",
             ];
             let text = templates[template].replace("{}", &text);
-            let document = Document::parse(&text);
+            let document = ParsedDocument::parse(&text);
             let instruction = "Visit a blue barrel and an orange cone, in any order.";
-            for target in Goal::parse(instruction).unwrap().targets {
+            for target in NavigationGoal::parse(instruction).unwrap().targets {
                 let _ = (document.standpoints(target).count(), document.regions(target).count());
             }
-            let _ = (document.floor().count(), document.routes(&text).count());
+            let _ = document.routes(&text).count();
         }
     }
 }

@@ -4,8 +4,8 @@ use plates::Plate;
 
 /// A kind of item that the instruction names.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct Target<'a> {
-    pub(super) rank: Rank,
+pub(super) struct ItemKind<'a> {
+    pub(super) rank: NameRank,
     pub(super) name: &'a str,
     /// The digits with which plates spell the name.
     pub(super) code: [u8; 3],
@@ -13,16 +13,16 @@ pub(super) struct Target<'a> {
 
 /// What a target's name refers to.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Rank {
+pub(super) enum NameRank {
     /// "blue barrel"
     Type,
     /// "barrels"
     Category,
 }
 
-impl<'a> Target<'a> {
+impl<'a> ItemKind<'a> {
     /// A target with this name, which must be a name on its own: no punctuation of the sentence around it.
-    fn new(rank: Rank, name: &'a str) -> Option<Self> {
+    fn new(rank: NameRank, name: &'a str) -> Option<Self> {
         let is_name = !name.is_empty() && !name.contains([',', '.']);
         is_name.then(|| Self { rank, name, code: plates::code(name) })
     }
@@ -30,21 +30,21 @@ impl<'a> Target<'a> {
     /// "a blue barrel", "an orange cone"
     fn with_article(text: &'a str) -> Option<Self> {
         let name = text.strip_prefix("a ").or_else(|| text.strip_prefix("an "))?;
-        Self::new(Rank::Type, name)
+        Self::new(NameRank::Type, name)
     }
 
     /// Whether the item labelled with `plate` is of this kind.
     pub(super) fn matches(self, plate: Plate) -> bool {
         match self.rank {
-            Rank::Type => plate.0[3..] == self.code,
-            Rank::Category => plate.0[..3] == self.code,
+            NameRank::Type => plate.0[3..] == self.code,
+            NameRank::Category => plate.0[..3] == self.code,
         }
     }
 }
 
 /// Which items of the target kinds have to be visited.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Visit {
+pub(super) enum VisitOrder {
     /// One item of the only kind (tasks 1, 2, 7).
     One,
     /// All items of the only kind (tasks 3, 4, 8).
@@ -57,7 +57,7 @@ pub(super) enum Visit {
 
 /// Where the episode has to end.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Ending {
+pub(super) enum FinalCell {
     /// At the last item visited.
     LastItem,
     /// At the cell where the episode started (tasks 7, 8, 10).
@@ -68,55 +68,55 @@ pub(super) enum Ending {
 
 /// A parsed instruction.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(super) struct Goal<'a> {
-    pub(super) visit: Visit,
+pub(super) struct NavigationGoal<'a> {
+    pub(super) visit: VisitOrder,
     /// One or two kinds of items, in the order of the instruction.
-    pub(super) targets: Vec<Target<'a>>,
-    pub(super) ending: Ending,
+    pub(super) targets: Vec<ItemKind<'a>>,
+    pub(super) ending: FinalCell,
 }
 
-impl<'a> Goal<'a> {
+impl<'a> NavigationGoal<'a> {
     /// Parses `instruction`; `None` if it follows none of the ten templates.
     pub(super) fn parse(instruction: &'a str) -> Option<Self> {
         let text = instruction.strip_suffix('.')?;
         if let Some((rest, same)) = text.split_once(", then go back to the same ") {
             let (first, second) = rest.strip_prefix("Find ")?.split_once(", then visit ")?;
-            let targets = vec![Target::with_article(first)?, Target::with_article(second)?];
-            let ending = Ending::FirstItem;
+            let targets = vec![ItemKind::with_article(first)?, ItemKind::with_article(second)?];
+            let ending = FinalCell::FirstItem;
             return (targets[0].name == same).then_some(Self {
-                visit: Visit::InOrder,
+                visit: VisitOrder::InOrder,
                 targets,
                 ending,
             });
         }
         let returns = text.strip_suffix(", then return to the cell where you started");
-        let ending = if returns.is_some() { Ending::Origin } else { Ending::LastItem };
+        let ending = if returns.is_some() { FinalCell::Origin } else { FinalCell::LastItem };
         let (visit, targets) = parse_visit(returns.unwrap_or(text))?;
         Some(Self { visit, targets, ending })
     }
 }
 
-fn parse_visit(text: &str) -> Option<(Visit, Vec<Target<'_>>)> {
+fn parse_visit(text: &str) -> Option<(VisitOrder, Vec<ItemKind<'_>>)> {
     if let Some(category) = text.strip_prefix("Find any item of the category ") {
-        return Some((Visit::One, vec![Target::new(Rank::Category, category)?]));
+        return Some((VisitOrder::One, vec![ItemKind::new(NameRank::Category, category)?]));
     }
     if let Some(item) = text.strip_prefix("Find ") {
-        return Some((Visit::One, vec![Target::with_article(item)?]));
+        return Some((VisitOrder::One, vec![ItemKind::with_article(item)?]));
     }
     let text = text.strip_prefix("Visit ")?;
     if let Some(kind) = text.strip_prefix("every ") {
         let kind = kind.strip_suffix(" in the warehouse")?;
         let target = match kind.strip_prefix("item of the category ") {
-            Some(category) => Target::new(Rank::Category, category)?,
-            None => Target::new(Rank::Type, kind)?,
+            Some(category) => ItemKind::new(NameRank::Category, category)?,
+            None => ItemKind::new(NameRank::Type, kind)?,
         };
-        return Some((Visit::Every, vec![target]));
+        return Some((VisitOrder::Every, vec![target]));
     }
     let (visit, (first, second)) = match text.strip_suffix(", in any order") {
-        Some(pair) => (Visit::AnyOrder, pair.split_once(" and ")?),
-        None => (Visit::InOrder, text.split_once(", then ")?),
+        Some(pair) => (VisitOrder::AnyOrder, pair.split_once(" and ")?),
+        None => (VisitOrder::InOrder, text.split_once(", then ")?),
     };
-    Some((visit, vec![Target::with_article(first)?, Target::with_article(second)?]))
+    Some((visit, vec![ItemKind::with_article(first)?, ItemKind::with_article(second)?]))
 }
 
 #[cfg(test)]
@@ -139,7 +139,7 @@ mod tests {
             "Find a blue barrel, then visit an orange cone, then go back to the same blue barrel.",
             "Visit a blue barrel, then an orange cone, then return to the cell where you started.",
         ] {
-            let goal = Goal::parse(instruction).expect(instruction);
+            let goal = NavigationGoal::parse(instruction).expect(instruction);
             let targets = goal.targets.iter();
             let targets = targets.map(|target| format!("{:?} {}", target.rank, target.name));
             let targets = targets.collect::<Vec<_>>().join(", ");
@@ -174,15 +174,15 @@ mod tests {
             "Find a blue barrel, then dance.",
             "Find a blue barrel, then return to the cell where you started, then stop.",
         ] {
-            assert_eq!(Goal::parse(instruction), None, "{instruction}");
+            assert_eq!(NavigationGoal::parse(instruction), None, "{instruction}");
         }
     }
 
     #[test]
     fn targets_match_their_own_plates_only() {
         let plate = Plate::new("barrels", "blue barrel");
-        let matches = |rank, name| Target::new(rank, name).unwrap().matches(plate);
-        assert!(matches(Rank::Type, "blue barrel") && matches(Rank::Category, "barrels"));
-        assert!(!matches(Rank::Type, "barrels") && !matches(Rank::Category, "cones"));
+        let matches = |rank, name| ItemKind::new(rank, name).unwrap().matches(plate);
+        assert!(matches(NameRank::Type, "blue barrel") && matches(NameRank::Category, "barrels"));
+        assert!(!matches(NameRank::Type, "barrels") && !matches(NameRank::Category, "cones"));
     }
 }

@@ -2,23 +2,51 @@
 //!
 //! All of it is in world coordinates and stays the same from step to step.
 
+use std::hash::{Hash, Hasher};
 use std::sync::{Arc, OnceLock};
 
 use domain::{Cell, Pose};
 use peer::{DocumentId, DocumentView};
 use plates::Landmark;
+use rustc_hash::FxHasher;
 
-use super::cache::Cache;
-use super::demonstration::Demonstration;
-use super::document::Document;
+use super::cache::BoundedCache;
+use super::demonstration::RelativePath;
+use super::document::ParsedDocument;
 use super::geometry::PathStep;
-use super::instruction::{Ending, Goal, Target, Visit};
+use super::instruction::{FinalCell, ItemKind, NavigationGoal, VisitOrder};
 use super::local_map::LocalMap;
 use super::perception::rack_of;
 use super::tour::Tour;
 
 /// The number of cells of one kind that a tour takes into account.
 const MOST_GOALS: usize = 10;
+
+/// Steps after which the floor is doubted anew.
+const DOUBT_STEPS: u32 = 45;
+
+/// Distrust in parts of the floor. A plan that has not succeeded for long may lead through a blocked cell that has
+/// left the window. Treating some of the floor as unknown, another part each time, leads to other routes.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash)]
+pub(super) struct Doubt {
+    seed: u64,
+    period: u32,
+}
+
+impl Doubt {
+    pub(super) fn at(step: u32, episode_seed: u64) -> Self {
+        let period = step / DOUBT_STEPS;
+        // Without doubt, all episodes of a task share their knowledge.
+        Self { seed: if period == 0 { 0 } else { episode_seed }, period }
+    }
+
+    /// Whether `cell` is in one of the blocks of 4 x 4 cells, a third of all, that are distrusted.
+    fn covers(self, cell: Cell) -> bool {
+        let mut hasher = FxHasher::default();
+        (self, cell.x / 4, cell.y / 4).hash(&mut hasher);
+        self.period > 0 && (hasher.finish() >> 32).is_multiple_of(3)
+    }
+}
 
 /// What is known about one instruction.
 #[derive(Debug, Default)]
@@ -39,10 +67,10 @@ pub(super) struct Knowledge {
 
 impl Knowledge {
     fn new(
-        (instruction, goal): (&str, Option<&Goal<'_>>),
-        origin: Option<Cell>,
-        documents: &[Arc<Document>],
-        located: &[(Arc<Demonstration>, Pose)],
+        (instruction, goal): (&str, Option<&NavigationGoal<'_>>),
+        (origin, doubt): (Option<Cell>, Doubt),
+        documents: &[Arc<ParsedDocument>],
+        located: &[(Arc<RelativePath>, Pose)],
     ) -> Self {
         let targets = goal.map_or(&[][..], |goal| &goal.targets);
         let landmarks = located.iter().flat_map(|(known, start)| known.landmarks_from(*start));
@@ -61,7 +89,7 @@ impl Knowledge {
         let most = paths.iter().map(reached).max();
         paths.retain(|path| Some(reached(path)) == most);
 
-        let floor = documents.iter().flat_map(|document| document.floor());
+        let floor = documents.iter().flat_map(|document| document.floor.iter().copied());
         let floor = floor.chain(landmarks.iter().map(|landmark| landmark.standpoint));
         let walked = paths.iter().flatten().map(|step| step.pose.cell);
         let floor = sorted(floor.chain(walked).chain(goals.iter().copied()));
@@ -78,8 +106,8 @@ impl Knowledge {
             demonstrations: paths.into_iter().map(|path| Tour::along(path, &goals)).collect(),
             racks: sorted(landmarks.iter().filter_map(rack_of)),
             origin: origin.or(start),
+            floor: floor.into_iter().filter(|&cell| !doubt.covers(cell)).collect(),
             standpoints,
-            floor,
             ..Self::default()
         }
     }
@@ -91,14 +119,14 @@ impl Knowledge {
     }
 
     /// A tour that fulfils `goal`, if it is known where everything is.
-    pub(super) fn goal_tour(&self, goal: &Goal<'_>) -> Option<&Tour> {
+    pub(super) fn goal_tour(&self, goal: &NavigationGoal<'_>) -> Option<&Tour> {
         let tour = self.goal_tour.get_or_init(|| {
             let mut stages = self.standpoints.clone();
             stages.iter_mut().for_each(|stage| stage.truncate(MOST_GOALS));
-            if goal.visit == Visit::Every {
+            if goal.visit == VisitOrder::Every {
                 stages = vec![stages[0].clone(); stages[0].len()];
             }
-            let origin = self.origin.filter(|_| goal.ending == Ending::Origin);
+            let origin = self.origin.filter(|_| goal.ending == FinalCell::Origin);
             stages.extend(origin.map(|cell| vec![cell]));
             self.tour(&stages)
         });
@@ -131,7 +159,7 @@ fn sorted(cells: impl Iterator<Item = Cell>) -> Vec<Cell> {
 /// The standpoints of plates of the target kind.
 pub(super) fn standpoints_among(
     landmarks: &[Landmark],
-    target: Target<'_>,
+    target: ItemKind<'_>,
 ) -> impl Iterator<Item = Cell> {
     let matching = landmarks.iter().filter(move |landmark| target.matches(landmark.plate));
     matching.map(|landmark| landmark.standpoint)
@@ -143,34 +171,34 @@ fn targets_reached(path: &[PathStep], standpoints: &[Vec<Cell>]) -> usize {
     standpoints.iter().take_while(|group| cells.any(|cell| group.contains(&cell))).count()
 }
 
-/// What knowledge is derived from: instruction, origin, documents, and demonstrations by serial number and
-/// start.
-type Sources = (String, Option<Cell>, Vec<DocumentId>, Vec<(u64, Pose)>);
+/// What knowledge is derived from: instruction, origin, doubt, documents, and demonstrations by serial number
+/// and start.
+type Sources = (String, (Option<Cell>, Doubt), Vec<DocumentId>, Vec<(u64, Pose)>);
 
 /// Parsed documents, and the knowledge derived from them and from demonstrations.
 #[derive(Debug, Default)]
 pub(super) struct KnowledgeBase {
-    documents: Cache<DocumentId, Document, 64>,
-    known: Cache<Sources, Knowledge, 1024>,
+    documents: BoundedCache<DocumentId, ParsedDocument, 64>,
+    known: BoundedCache<Sources, Knowledge, 1024>,
 }
 
 impl KnowledgeBase {
     pub(super) fn get(
         &mut self,
-        (instruction, goal): (&str, Option<&Goal<'_>>),
-        origin: Option<Cell>,
+        (instruction, goal): (&str, Option<&NavigationGoal<'_>>),
+        situation: (Option<Cell>, Doubt),
         documents: &[DocumentView<'_>],
-        located: &[(Arc<Demonstration>, Pose)],
+        located: &[(Arc<RelativePath>, Pose)],
     ) -> Arc<Knowledge> {
         let ids = documents.iter().map(|document| document.id).collect();
         let starts = located.iter().map(|(known, start)| (known.serial, *start)).collect();
         let parsed = &mut self.documents;
-        self.known.get((instruction.to_owned(), origin, ids, starts), || {
+        self.known.get((instruction.to_owned(), situation, ids, starts), || {
             let parse = |document: &DocumentView<'_>| {
-                parsed.get(document.id, || Document::parse(document.text))
+                parsed.get(document.id, || ParsedDocument::parse(document.text))
             };
             let documents: Vec<_> = documents.iter().map(parse).collect();
-            Knowledge::new((instruction, goal), origin, &documents, located)
+            Knowledge::new((instruction, goal), situation, &documents, located)
         })
     }
 }

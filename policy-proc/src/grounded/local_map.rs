@@ -86,9 +86,9 @@ impl LocalMap {
     ///
     /// Breadth first, with one queue per step cost: each queue is in order of cost by itself, and the cheaper
     /// of the two heads comes next.
-    pub(super) fn routes(&self, start: Pose, goals: &[Cell]) -> Routes {
+    pub(super) fn routes(&self, start: Pose, goals: &[Cell]) -> LocalRoutes {
         let directions = [0, 1, 3, 2].map(|quarters| start.heading.turned(quarters));
-        let mut routes = Routes {
+        let mut routes = LocalRoutes {
             corner: self.corner,
             start: start.cell,
             reached: vec![None; usize::from(SIDE) * usize::from(SIDE)],
@@ -142,7 +142,7 @@ fn pop_cheapest(queues: &mut [VecDeque<(u32, Cell)>; 2]) -> Option<(u32, Cell)> 
 
 /// The cheapest routes from one cell.
 #[derive(Debug)]
-pub(super) struct Routes {
+pub(super) struct LocalRoutes {
     corner: (i16, i16),
     start: Cell,
     /// For each cell of the map, the cost of its route and the route's last move.
@@ -151,7 +151,7 @@ pub(super) struct Routes {
     pub(super) nearest: Option<Cell>,
 }
 
-impl Routes {
+impl LocalRoutes {
     fn reached(&self, cell: Cell) -> Option<(u32, Heading)> {
         let x = u8::try_from(i16::from(cell.x) - self.corner.0).ok()?;
         let y = u8::try_from(i16::from(cell.y) - self.corner.1).ok()?;

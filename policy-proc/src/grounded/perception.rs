@@ -1,20 +1,20 @@
 //! What frames show: plates, barricades, and whether two frames show the same view.
 //!
-//! The pixels of a frame never change, so each frame is looked at once.
+//! The pixels of a frame never change, so each frame is read once.
 
 use std::sync::Arc;
 
 use domain::{Cell, Pose};
+use peer::{FrameId, FrameView};
 use plates::{Landmark, Sighting};
 
 use super::barricade;
-use super::cache::Cache;
-use peer::{FrameId, FrameView};
+use super::cache::BoundedCache;
 
-/// What one frame shows, relative to its camera.
+/// What a frame shows, relative to its camera.
 #[derive(Debug)]
-pub(super) struct View {
-    content: [u8; 16],
+pub(super) struct FrameContent {
+    hash: [u8; 16],
     /// All pixels have the same colour.
     pub(super) is_blank: bool,
     pub(super) plates: Vec<Sighting>,
@@ -22,12 +22,12 @@ pub(super) struct View {
     pub(super) barricades: Vec<(i8, i8)>,
 }
 
-impl View {
+impl FrameContent {
     pub(super) fn of(frame: &FrameView<'_>) -> Self {
         let mut pixels = frame.pixels.chunks_exact(4);
         let first = pixels.next();
         Self {
-            content: frame.content_hash,
+            hash: frame.content_hash,
             is_blank: pixels.all(|pixel| Some(pixel) == first),
             plates: plates::read(frame.width, frame.height, frame.pixels),
             barricades: barricade::read(frame),
@@ -36,33 +36,33 @@ impl View {
 
     /// Whether both frames have the same content, and one that tells where they were taken.
     pub(super) fn shows_same(&self, other: &Self) -> bool {
-        self.content == other.content && !self.is_blank
+        self.hash == other.hash && !self.is_blank
     }
 }
 
-/// A view from a known pose, and what it says about the world.
+/// A frame from a known pose, and what it shows of the world.
 #[derive(Debug)]
-pub(super) struct PlacedView {
+pub(super) struct PlacedFrame {
     pub(super) pose: Pose,
-    pub(super) view: Arc<View>,
+    pub(super) content: Arc<FrameContent>,
     pub(super) landmarks: Vec<Landmark>,
     pub(super) free: Vec<Cell>,
     pub(super) occupied: Vec<Cell>,
 }
 
-impl PlacedView {
-    pub(super) fn new(view: Arc<View>, pose: Pose) -> Self {
+impl PlacedFrame {
+    pub(super) fn new(content: Arc<FrameContent>, pose: Pose) -> Self {
         let landmarks: Vec<Landmark> =
-            view.plates.iter().filter_map(|plate| plate.seen_from(pose)).collect();
-        let lines = view.plates.iter().flat_map(|plate| line_of_sight(plate.ahead, plate.right));
+            content.plates.iter().filter_map(|plate| plate.seen_from(pose)).collect();
+        let lines = content.plates.iter().flat_map(|plate| line_of_sight(plate.ahead, plate.right));
         let mut free: Vec<Cell> =
             lines.filter_map(|(ahead, right)| pose.cell_at(ahead, right)).collect();
         free.sort_unstable();
         free.dedup();
-        let barricades = view.barricades.iter();
+        let barricades = content.barricades.iter();
         let barricades = barricades.filter_map(|&(ahead, right)| pose.cell_at(ahead, right));
         let occupied = barricades.chain(landmarks.iter().filter_map(rack_of)).collect();
-        Self { pose, view, landmarks, free, occupied }
+        Self { pose, content, landmarks, free, occupied }
     }
 }
 
@@ -81,23 +81,23 @@ fn line_of_sight(ahead: i8, right: i8) -> impl Iterator<Item = (i8, i8)> {
     })
 }
 
-/// What frames show, each frame looked at once.
+/// What frames show. Each frame is read once.
 #[derive(Debug, Default)]
-pub(super) struct Views {
-    views: Cache<FrameId, View, 16_384>,
-    placed: Cache<(FrameId, Pose), PlacedView, 16_384>,
+pub(super) struct FrameCache {
+    contents: BoundedCache<FrameId, FrameContent, 16_384>,
+    placed: BoundedCache<(FrameId, Pose), PlacedFrame, 16_384>,
 }
 
-impl Views {
-    pub(super) fn view(&mut self, frame: &FrameView<'_>) -> Arc<View> {
-        self.views.get(frame.id, || View::of(frame))
+impl FrameCache {
+    pub(super) fn content(&mut self, frame: &FrameView<'_>) -> Arc<FrameContent> {
+        self.contents.get(frame.id, || FrameContent::of(frame))
     }
 
-    /// The view in `frame`, which was taken from `pose`.
-    pub(super) fn placed(&mut self, frame: &FrameView<'_>, pose: Pose) -> Arc<PlacedView> {
-        let views = &mut self.views;
+    /// What `frame` shows if it was taken from `pose`.
+    pub(super) fn placed(&mut self, frame: &FrameView<'_>, pose: Pose) -> Arc<PlacedFrame> {
+        let contents = &mut self.contents;
         self.placed.get((frame.id, pose), || {
-            PlacedView::new(views.get(frame.id, || View::of(frame)), pose)
+            PlacedFrame::new(contents.get(frame.id, || FrameContent::of(frame)), pose)
         })
     }
 }

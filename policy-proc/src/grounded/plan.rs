@@ -3,15 +3,15 @@
 use std::cell::OnceCell;
 
 use domain::{Action, Cell, Heading};
+use peer::Request;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 
 use super::beliefs::Beliefs;
 use super::geometry::turn_towards;
-use super::instruction::{Ending, Goal, Visit};
-use super::local_map::Routes;
+use super::instruction::{FinalCell, NavigationGoal, VisitOrder};
+use super::local_map::LocalRoutes;
 use super::tour::{Tour, makes_progress, stride};
-use peer::Request;
 
 /// The cost of the longest way to a retrieved segment.
 const FARTHEST_SEGMENT: u32 = 6;
@@ -26,7 +26,7 @@ const RESTLESS_STEPS: u32 = 24;
 /// The action for `request`.
 pub(super) fn next_action(
     request: &Request<'_>,
-    goal: Option<&Goal<'_>>,
+    goal: Option<&NavigationGoal<'_>>,
     beliefs: &Beliefs,
 ) -> Action {
     Planner { request, goal, beliefs, routes: OnceCell::new() }.next_action()
@@ -34,10 +34,10 @@ pub(super) fn next_action(
 
 struct Planner<'a> {
     request: &'a Request<'a>,
-    goal: Option<&'a Goal<'a>>,
+    goal: Option<&'a NavigationGoal<'a>>,
     beliefs: &'a Beliefs,
     /// Routes from the current cell to all others.
-    routes: OnceCell<Routes>,
+    routes: OnceCell<LocalRoutes>,
 }
 
 impl Planner<'_> {
@@ -45,9 +45,9 @@ impl Planner<'_> {
         if self.beliefs.is_blind {
             return Action::TurnRight;
         }
-        let is_single = self
-            .goal
-            .is_some_and(|goal| goal.visit == Visit::One && goal.ending == Ending::LastItem);
+        let is_single = self.goal.is_some_and(|goal| {
+            goal.visit == VisitOrder::One && goal.ending == FinalCell::LastItem
+        });
         let Beliefs { segment, knowledge, .. } = self.beliefs;
         self.follow(segment.iter())
             .or_else(|| self.follow(self.demonstrations()))
@@ -64,7 +64,7 @@ impl Planner<'_> {
         makes_progress(*action, &self.beliefs.recent, &self.beliefs.map)
     }
 
-    fn routes(&self) -> &Routes {
+    fn routes(&self) -> &LocalRoutes {
         let Beliefs { recent, map, .. } = self.beliefs;
         self.routes.get_or_init(|| map.routes(recent.here, &[]))
     }
@@ -98,7 +98,7 @@ impl Planner<'_> {
     fn approach_target(&self) -> Option<Action> {
         let goal = self.goal?;
         let is_restless = self.request.step / RESTLESS_STEPS % 2 == 1;
-        if is_restless && matches!(goal.visit, Visit::Every | Visit::InOrder) {
+        if is_restless && matches!(goal.visit, VisitOrder::Every | VisitOrder::InOrder) {
             return None;
         }
         let Beliefs { recent, map, .. } = self.beliefs;
@@ -113,7 +113,7 @@ impl Planner<'_> {
 
     /// Cells to visit next, as far as the window tells: any of the first group, or if that cannot be
     /// reached, of the next.
-    fn wanted(&self, goal: &Goal<'_>) -> Vec<Vec<Cell>> {
+    fn wanted(&self, goal: &NavigationGoal<'_>) -> Vec<Vec<Cell>> {
         let recent = &self.beliefs.recent;
         let groups = goal.targets.iter().enumerate();
         let mut groups: Vec<Vec<Cell>> =
@@ -123,25 +123,25 @@ impl Planner<'_> {
             recent.cells().enumerate().skip(from).find(|(_, cell)| cells.contains(cell))
         };
         let ending = |first: Cell| match goal.ending {
-            Ending::LastItem => Vec::new(),
-            Ending::Origin => vec![recent.origin.map(|pose| pose.cell).into_iter().collect()],
-            Ending::FirstItem => vec![vec![first]],
+            FinalCell::LastItem => Vec::new(),
+            FinalCell::Origin => vec![recent.origin.map(|pose| pose.cell).into_iter().collect()],
+            FinalCell::FirstItem => vec![vec![first]],
         };
         match goal.visit {
-            Visit::One => match visit(&groups[0], 0) {
+            VisitOrder::One => match visit(&groups[0], 0) {
                 Some((_, cell)) => ending(cell),
                 None => groups,
             },
-            Visit::Every => {
+            VisitOrder::Every => {
                 groups[0].retain(|cell| !recent.cells().any(|visited| visited == *cell));
                 groups
             }
-            Visit::AnyOrder => {
+            VisitOrder::AnyOrder => {
                 groups.retain(|cells| visit(cells, 0).is_none());
                 groups
             }
             // The first visit may have been before the window: the second target is worth a visit, too.
-            Visit::InOrder => match visit(&groups[0], 0) {
+            VisitOrder::InOrder => match visit(&groups[0], 0) {
                 None if visit(&groups[1], 0).is_some() => groups[..1].to_vec(),
                 None => groups,
                 Some((at, first)) => match visit(&groups[1], at + 1) {

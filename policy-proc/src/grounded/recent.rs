@@ -1,13 +1,13 @@
 //! The poses of the last steps, reconstructed from the current pose and the window.
 
 use domain::{Action, Cell, Feedback, Pose};
+use peer::Request;
 
 use super::geometry::after;
-use peer::Request;
 
 /// One past step, with the pose in which the action was taken.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct PastStep {
+pub(super) struct PastPose {
     pub(super) pose: Pose,
     pub(super) action: Option<Action>,
     pub(super) feedback: Feedback,
@@ -15,20 +15,20 @@ pub(super) struct PastStep {
 
 /// The last steps, oldest first, and the current pose.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(super) struct Recent {
-    pub(super) past: Vec<PastStep>,
+pub(super) struct RecentSteps {
+    pub(super) past: Vec<PastPose>,
     pub(super) here: Pose,
     /// The pose in which the episode started, if the window reaches back to it.
     pub(super) origin: Option<Pose>,
 }
 
-impl Recent {
+impl RecentSteps {
     pub(super) fn of(request: &Request<'_>) -> Self {
         let mut pose = request.pose;
         let mut past = Vec::with_capacity(request.window.len());
         for step in request.window.iter().rev() {
             pose = before(pose, step.action, step.feedback);
-            past.push(PastStep { pose, action: step.action, feedback: step.feedback });
+            past.push(PastPose { pose, action: step.action, feedback: step.feedback });
         }
         past.reverse();
         let is_complete = past.len() == request.step as usize;
@@ -97,7 +97,7 @@ mod tests {
                     (Some(_), Some(_)) if !blocked => Feedback::Moved,
                     _ => Feedback::Blocked,
                 };
-                past.push(PastStep { pose: at, action: Some(action), feedback });
+                past.push(PastPose { pose: at, action: Some(action), feedback });
                 window.push(PastView { frame, action: Some(action), feedback });
                 at = if feedback == Feedback::Blocked { at } else { to.unwrap() };
             }
@@ -117,11 +117,11 @@ mod tests {
                 trajectories: &[],
                 starts_as_demonstrated: false,
             };
-            let recent = Recent::of(&request);
+            let recent = RecentSteps::of(&request);
             prop_assert_eq!(recent.past, past);
             prop_assert_eq!(recent.origin, Some(start));
             let later = Request { step: request.step + 1, ..request };
-            prop_assert_eq!(Recent::of(&later).origin, None);
+            prop_assert_eq!(RecentSteps::of(&later).origin, None);
         }
     }
 }

@@ -6,8 +6,8 @@
 use domain::{Action, Cell, Heading, Pose};
 
 use super::geometry::{PathStep, after, move_towards, path_along, turn_towards};
-use super::local_map::{LocalMap, Routes};
-use super::recent::{PastStep, Recent};
+use super::local_map::{LocalMap, LocalRoutes};
+use super::recent::{PastPose, RecentSteps};
 
 /// Steps of a tour that have to be passable where it is joined.
 const CLEAR_AHEAD: usize = 8;
@@ -71,7 +71,7 @@ impl Tour {
 
     /// The action of the tour in the current pose, and how many of the last steps followed the tour up to it.
     /// Where the tour passes the pose more than once, the last steps decide, then the order of the tour.
-    pub(super) fn action_here(&self, recent: &Recent) -> Option<(usize, Action)> {
+    pub(super) fn action_here(&self, recent: &RecentSteps) -> Option<(usize, Action)> {
         let here = self.steps.iter().enumerate().filter(|(_, step)| step.pose == recent.here);
         let actions = here.filter_map(|(at, step)| Some((at, step.action?)));
         let followed = actions.map(|(at, action)| (self.followed_to(at, recent), at, action));
@@ -80,10 +80,10 @@ impl Tour {
     }
 
     /// How many of the last steps were those of the tour before step `at`.
-    fn followed_to(&self, at: usize, recent: &Recent) -> usize {
+    fn followed_to(&self, at: usize, recent: &RecentSteps) -> usize {
         let before = self.steps[..at].iter().rev();
         let wrapped = self.steps[at..].iter().rev().filter(|_| self.is_loop);
-        let is_same = |(past, step): &(&PastStep, &PathStep)| {
+        let is_same = |(past, step): &(&PastPose, &PathStep)| {
             past.pose == step.pose && past.action == step.action
         };
         recent.past.iter().rev().zip(before.chain(wrapped)).take_while(is_same).count()
@@ -93,9 +93,9 @@ impl Tour {
     /// cost of that path. The way there costs `limit` at most.
     pub(super) fn join(
         &self,
-        recent: &Recent,
+        recent: &RecentSteps,
         map: &LocalMap,
-        routes: &Routes,
+        routes: &LocalRoutes,
         limit: u32,
     ) -> Option<(u32, Action)> {
         let here = recent.here;
@@ -133,7 +133,7 @@ pub(super) fn stride(heading: Heading, moves: &[Heading]) -> Option<Action> {
 
 /// Whether `action` leads somewhere useful: not into an occupied cell, and not to a pose that occurs twice in
 /// the last steps already.
-pub(super) fn makes_progress(action: Action, recent: &Recent, map: &LocalMap) -> bool {
+pub(super) fn makes_progress(action: Action, recent: &RecentSteps, map: &LocalMap) -> bool {
     after(recent.here, action).is_some_and(|pose| {
         let stays = pose.cell == recent.here.cell;
         recent.times_in(pose) < 2 && (stays || !map.is_occupied(pose.cell))
