@@ -1,5 +1,5 @@
-//! Runs with a model whose server fails in every way there is: nothing is lost, nothing is counted twice, and the
-//! log is that of a server that never failed.
+//! Runs with a model whose server fails in many ways: nothing is lost or counted twice, and the log is the one of a
+//! server that never fails.
 
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on fails")]
 
@@ -14,33 +14,33 @@ use llm::scripted::{Received, Server, Turn, completion};
 use memtransfer_tests::{Bench, Ended, episodes, eventually, records, sorted_log};
 use serde_json::{Value, json};
 
-/// Lanes, and most requests under way.
+/// Lanes, and the limit of concurrent requests.
 const LANES: u64 = 4;
 
 /// Cases times memories.
 const EPISODES: usize = 6;
 
-/// What the server says to a request, by the request alone: an action, and what it took.
+/// The server's reply, which depends on the request alone: an action and token counts.
 fn reply(request: &Received) -> Value {
-    let said = request.body["messages"].to_string();
+    let messages = request.body["messages"].to_string();
     let mut hasher = DefaultHasher::new();
-    said.hash(&mut hasher);
+    messages.hash(&mut hasher);
     let action = ["move forward", "Turn left.", "{\"action\": \"turn right\"}", "no idea"]
         [(hasher.finish() % 4) as usize];
     let mut reply = completion(action);
-    let (prompt, answer) = (100 + said.len() as u64 % 1000, 1 + hasher.finish() % 9);
+    let (prompt, answer) = (100 + messages.len() as u64 % 1000, 1 + hasher.finish() % 9);
     reply["usage"] = json!({"prompt_tokens": prompt, "completion_tokens": answer});
     reply
 }
 
-/// Tokens and number of the replies that a server gave in full.
+/// Totals of the complete replies of a server.
 #[derive(Default)]
-struct Given {
+struct ReplyTotals {
     tokens: AtomicU64,
     replies: AtomicU64,
 }
 
-impl Given {
+impl ReplyTotals {
     fn answer(&self, request: &Received) -> Turn {
         let reply = reply(request);
         let tokens = |what: &str| reply["usage"][what].as_u64().unwrap();
@@ -51,13 +51,13 @@ impl Given {
 }
 
 /// A server that never fails.
-fn sound() -> Server {
-    let given = Given::default();
+fn reliable() -> Server {
+    let given = ReplyTotals::default();
     Server::concurrent(move |request| given.answer(request)).unwrap()
 }
 
-/// A server that fails nearly every second time, each time in another way.
-fn faulty(given: Arc<Given>) -> Server {
+/// A server that fails almost every second request, in nine ways.
+fn faulty(given: Arc<ReplyTotals>) -> Server {
     let count = AtomicU64::new(0);
     Server::concurrent(move |request| {
         let error = json!({"error": {"message": "not now"}});
@@ -77,7 +77,7 @@ fn faulty(given: Arc<Given>) -> Server {
     .unwrap()
 }
 
-/// `memtransfer run` of a slice that a model decides, into the folder `out`.
+/// The arguments of a short run with a model, into the folder `out`.
 fn slice<'a>(base_url: &'a str, out: &'a str, cache: &'a str) -> Vec<&'a str> {
     let mut args = vec!["run", "--policy", "openai", "--model", "m", "--base-url", base_url];
     args.extend(["--cases", "t01-01,t03-02,t07-01", "--starts", "new", "--demos", "original"]);
@@ -89,7 +89,7 @@ fn slice<'a>(base_url: &'a str, out: &'a str, cache: &'a str) -> Vec<&'a str> {
 
 fn requests(run: &Path) -> Vec<Value> {
     let text = fs::read_to_string(run.join("requests.jsonl")).unwrap();
-    // A line that a kill has torn is no line.
+    // A kill may leave an incomplete line.
     text.lines().filter_map(|line| serde_json::from_str(line).ok()).collect()
 }
 
@@ -98,9 +98,9 @@ fn tokens(record: &Value) -> u64 {
     count("prompt_tokens") + count("completion_tokens")
 }
 
-/// Kills a run in the middle and gives the same command again, with a server that fails all the time.
-fn survives(bench: &Bench, reference: &[String], out: &str, cache: &str) {
-    let given = Arc::<Given>::default();
+/// Kills a run, gives the same command again, both with a faulty server, and checks the log and the totals.
+fn check_kill_and_resume(bench: &Bench, reference: &[String], out: &str, cache: &str) {
+    let given = Arc::<ReplyTotals>::default();
     let server = faulty(given.clone());
     let base_url = server.base_url();
     let args = slice(&base_url, out, cache);
@@ -115,36 +115,39 @@ fn survives(bench: &Bench, reference: &[String], out: &str, cache: &str) {
     let asked = requests(&run);
     let (kept, sent): (Vec<&Value>, Vec<&Value>) =
         asked.iter().partition(|request| request["replayed"] == true);
-    // What was on its way when the run was killed is all that can be missing.
+    // Only requests in flight at the kill may be missing.
     let (replies, counted) = (given.replies.load(SeqCst), sent.len() as u64);
     assert!(counted <= replies && replies <= counted + LANES, "{counted} of {replies}");
     let total: u64 = sent.iter().map(|request| tokens(request)).sum();
     let most = given.tokens.load(SeqCst);
     assert!(total <= most && most - total <= LANES * 1200, "{total} of {most}");
-    assert!(sent.iter().any(|request| request["attempts"].as_u64() > Some(1)), "it never failed");
+    assert!(
+        sent.iter().any(|request| request["attempts"].as_u64() > Some(1)),
+        "no request was retried"
+    );
     assert_eq!(kept.is_empty(), cache == "off");
-    // Every step of every finished episode is among them.
+    // Each step of each finished episode has a request.
     let steps: u64 = records(&run).iter().map(|episode| episode["steps"].as_u64().unwrap()).sum();
     assert!(asked.len() as u64 >= steps);
 }
 
 #[test]
-fn whatever_the_server_does_the_log_is_the_same_and_the_totals_are_right() {
+fn failures_of_the_server_change_neither_the_log_nor_the_totals() {
     let bench = Bench::new();
-    let server = sound();
+    let server = reliable();
     bench.run(&slice(&server.base_url(), "reference", "off")).expect(0);
     let reference = sorted_log(&bench.out("reference"));
     assert_eq!(reference.len(), EPISODES);
     let spent: u64 = records(&bench.out("reference")).iter().map(tokens).sum();
     assert_eq!(spent, requests(&bench.out("reference")).iter().map(tokens).sum::<u64>());
 
-    survives(&bench, &reference, "again", "off");
-    survives(&bench, &reference, "kept", "./replies");
+    check_kill_and_resume(&bench, &reference, "again", "off");
+    check_kill_and_resume(&bench, &reference, "kept", "./replies");
     assert_eq!(bench.leftovers(), Vec::<String>::new());
 }
 
 #[test]
-fn a_server_that_takes_few_images_ends_episodes_with_its_words_and_a_budget_helps() {
+fn an_image_limit_of_the_server_is_reported_and_an_image_budget_respects_it() {
     let bench = Bench::new();
     let server = Server::concurrent(|request| {
         let images = request.body["messages"].to_string().matches("image_url").count() / 2;
@@ -157,7 +160,7 @@ fn a_server_that_takes_few_images_ends_episodes_with_its_words_and_a_budget_help
     let base_url = server.base_url();
     let ended: Ended = bench.run(&slice(&base_url, "refused", "off")).expect(1);
     assert!(ended.stderr.contains("at most 2 images"), "{}", ended.stderr);
-    assert_eq!(records(&bench.out("refused")), Vec::<Value>::new(), "nothing is scored");
+    assert_eq!(records(&bench.out("refused")), Vec::<Value>::new(), "an episode was scored");
     let errors = fs::read_to_string(bench.out("refused").join("errors.jsonl")).unwrap();
     assert_eq!(errors.matches("at most 2 images").count(), EPISODES, "{errors}");
 
@@ -172,9 +175,9 @@ fn a_server_that_takes_few_images_ends_episodes_with_its_words_and_a_budget_help
 }
 
 #[test]
-fn a_server_that_is_gone_stops_the_run_and_the_same_command_goes_on() {
+fn a_server_that_is_down_stops_the_run_and_the_same_command_continues_it() {
     let bench = Bench::new();
-    let server = sound();
+    let server = reliable();
     let base_url = server.base_url();
     let args = slice(&base_url, "run", "off");
     let mut few: Vec<&str> = args.iter().map(|arg| if *arg == "12" { "1" } else { arg }).collect();
@@ -184,7 +187,7 @@ fn a_server_that_is_gone_stops_the_run_and_the_same_command_goes_on() {
     assert!(ended.stderr.contains("doctor --policy openai"), "{}", ended.stderr);
     assert!(records(&bench.out("run")).is_empty());
 
-    let server = sound();
+    let server = reliable();
     let elsewhere = server.base_url();
     few.iter_mut().filter(|arg| **arg == base_url).for_each(|arg| *arg = &elsewhere);
     bench.run(&few).expect(0);
