@@ -8,10 +8,10 @@ use std::time::Instant;
 use anyhow::{Context, Result};
 use domain::Pose;
 use memory_proc::encoder::{
-    Encoder, Image, ImageSource, ModelFile, Open, PreparedEncoder, Provider,
+    Encoder, Image, ImageSource, ModelFile, PreparedEncoder, Provider, SessionOpening,
 };
-use memory_proc::manifest::Manifest;
-use memory_proc::paths::Cache;
+use memory_proc::manifest::EncoderManifest;
+use memory_proc::paths::CacheFolder;
 use serde_json::json;
 use shm_types::attach::FrameSize;
 use sim_proc::renderer::{Destination, RenderJob, RenderSettings, Renderer, ViewSpec};
@@ -93,17 +93,17 @@ fn run(session: &mut Session<'_>) -> Result<Vec<Figure>> {
 
 /// What an encoder of the default model is made from.
 fn default_model() -> Result<ModelFile> {
-    let manifest = Manifest::shipped()?;
+    let manifest = EncoderManifest::shipped()?;
     let model = manifest.model(&manifest.default)?;
-    Ok(ModelFile::read(model, None, &Cache::from_environment()?)?)
+    Ok(ModelFile::read(model, None, &CacheFolder::from_environment()?)?)
 }
 
 /// The default encoder, with a worker for each core; its sessions are open.
 pub(crate) fn open() -> Result<Encoder> {
     let threads = NonZeroUsize::new(threads()).context("no thread")?;
-    let runtime = Cache::from_environment()?.runtime();
+    let runtime = CacheFolder::from_environment()?.runtime();
     let prepared = PreparedEncoder::new(default_model()?, &runtime, threads, Provider::Cpu)?;
-    let mut encoder = prepared.start(Open::Eagerly, || {});
+    let mut encoder = prepared.start(SessionOpening::Eagerly, || {});
     let black = Frame(vec![0; FrameSize::DEFAULT.bytes()].into());
     // One for each worker: who is at one does not take another.
     encoder.embed_all(std::iter::repeat_n(black, threads.get()))?;

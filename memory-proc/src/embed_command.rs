@@ -10,8 +10,8 @@ use anyhow::Context;
 use png_file::RgbaImage;
 use search::distance;
 
-use crate::encoder::{Image, ImageSource, Open};
-use crate::manifest::Manifest;
+use crate::encoder::{Image, ImageSource, SessionOpening};
+use crate::manifest::EncoderManifest;
 use crate::serve::EncoderSettings;
 
 impl ImageSource for Arc<RgbaImage> {
@@ -28,12 +28,12 @@ impl ImageSource for Arc<RgbaImage> {
 pub fn run(
     files: &[PathBuf],
     repeat: NonZeroUsize,
-    manifest: &Manifest,
+    manifest: &EncoderManifest,
     settings: &EncoderSettings,
 ) -> anyhow::Result<()> {
     let read = |file: &PathBuf| anyhow::Ok(Arc::new(RgbaImage::read(file).context("cannot read")?));
     let images = files.iter().map(read).collect::<anyhow::Result<Vec<_>>>()?;
-    let mut encoder = settings.prepare(manifest)?.start(Open::Eagerly, || {});
+    let mut encoder = settings.prepare(manifest)?.start(SessionOpening::Eagerly, || {});
     // Opening sessions does not count.
     encoder.embed_all(images.iter().take(1).cloned())?;
     let begun = Instant::now();

@@ -23,7 +23,7 @@ const EMBEDDINGS: TableDefinition<'_, &[u8; 16], &[u8]> = TableDefinition::new("
 /// File name extension of a database.
 const EXTENSION: &str = "redb";
 
-/// A batch is written when it has this many embeddings, or when this much time has passed since the last.
+/// A batch is due when it has this many embeddings, or when this much time has passed since the last one.
 const BATCH: usize = 32;
 const BATCH_INTERVAL: Duration = Duration::from_secs(1);
 
@@ -111,7 +111,7 @@ impl EmbeddingCache {
         self.known.is_empty()
     }
 
-    /// Adds an embedding, and writes the current batch if it is due.
+    /// Adds an embedding, and writes the current batch if it is full.
     ///
     /// # Errors
     /// When the batch cannot be written. The embeddings stay in memory, and the file is not used again.
@@ -119,11 +119,22 @@ impl EmbeddingCache {
         let is_new = self.known.insert(content, embedding.clone()).is_none();
         if let Some(file) = self.file.as_mut().filter(|_| is_new) {
             file.pending.push((content, embedding));
-            if file.pending.len() >= BATCH || file.last_written.elapsed() >= BATCH_INTERVAL {
+            if file.pending.len() >= BATCH {
                 return self.flush();
             }
         }
         Ok(())
+    }
+
+    /// Writes the current batch if it is due.
+    ///
+    /// # Errors
+    /// As [`Self::insert`].
+    pub fn write_if_due(&mut self) -> Result<(), CacheError> {
+        match &self.file {
+            Some(file) if file.is_due() => self.flush(),
+            _ => Ok(()),
+        }
     }
 
     /// Writes the current batch.
@@ -141,6 +152,10 @@ impl EmbeddingCache {
 }
 
 impl CacheFile {
+    fn is_due(&self) -> bool {
+        !self.pending.is_empty() && self.last_written.elapsed() >= BATCH_INTERVAL
+    }
+
     fn write(&mut self) -> Result<(), redb::Error> {
         self.last_written = Instant::now();
         if self.pending.is_empty() {

@@ -16,7 +16,7 @@ use shm_types::message::{
 use warehouse::{CaseSet, Warehouse};
 
 use crate::embedding_cache::{CacheError, EmbeddingCache};
-use crate::episode::{Episode, PendingObservation, Unusable, unusable};
+use crate::episode::{MemoryEpisode, PendingObservation, Unusable, unusable};
 use crate::representation::{DocumentSupplier, StoredView};
 use crate::views::{Arrival, PinnedView, PinnedViews};
 use search::{ContentHash, Embedding};
@@ -25,7 +25,7 @@ use search::{ContentHash, Embedding};
 pub struct Engine<I> {
     warehouse: Warehouse,
     cases: CaseSet,
-    lanes: Vec<Lane>,
+    lanes: Vec<EngineLane>,
     /// Lanes with a pending observation.
     pending: BTreeSet<u32>,
     views: PinnedViews<I>,
@@ -40,11 +40,11 @@ pub struct Engine<I> {
 }
 
 #[derive(Default)]
-struct Lane {
+struct EngineLane {
     /// The episode whose steps are observed.
-    running: Option<Episode>,
+    running: Option<MemoryEpisode>,
     /// The announced episode that has not begun.
-    next: Option<Episode>,
+    next: Option<MemoryEpisode>,
 }
 
 impl<I: Clone> Engine<I> {
@@ -59,7 +59,7 @@ impl<I: Clone> Engine<I> {
         Self {
             warehouse,
             cases,
-            lanes: (0..lanes).map(|_| Lane::default()).collect(),
+            lanes: (0..lanes).map(|_| EngineLane::default()).collect(),
             pending: BTreeSet::new(),
             views: PinnedViews::new(views),
             admission: VecDeque::new(),
@@ -75,7 +75,7 @@ impl<I: Clone> Engine<I> {
     /// # Errors
     /// When a value in the message is invalid, or its views do not fit.
     pub fn config(&mut self, config: &MemoryEpisodeConfig) -> Result<(), Unusable> {
-        let episode = Episode::announced(config, &self.warehouse, &self.cases)?;
+        let episode = MemoryEpisode::announced(config, &self.warehouse, &self.cases)?;
         let (needed, room) = (episode.builder.poses().len(), self.views.room());
         if needed > room {
             return Err(unusable!(
@@ -212,12 +212,12 @@ impl<I: Clone> Engine<I> {
         self.embeddings.insert(content, embedding)
     }
 
-    /// Writes new embeddings to the cache's file.
+    /// Writes new embeddings to the cache's file if a batch is due.
     ///
     /// # Errors
     /// As [`Self::add_embedding`].
-    pub fn flush_embeddings(&mut self) -> Result<(), CacheError> {
-        self.embeddings.flush()
+    pub fn write_embeddings(&mut self) -> Result<(), CacheError> {
+        self.embeddings.write_if_due()
     }
 
     /// Answers every lane that can be answered, in the order of lanes. The documents that answers name have been published.
@@ -286,7 +286,7 @@ impl<I: Clone> Engine<I> {
     }
 
     /// Drops an episode that has left its lane.
-    fn close(&mut self, episode: Episode) {
+    fn close(&mut self, episode: MemoryEpisode) {
         if episode.admitted {
             self.views.release(episode.builder.poses());
             self.admit();

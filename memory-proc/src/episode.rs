@@ -12,8 +12,8 @@ use warehouse::{CaseSet, Demonstrations, Progress, Warehouse};
 
 use crate::demonstrations;
 use crate::representation::{
-    DocumentSupplier, Memory, MemoryBuilder, MemorySpec, RecallQuery, Recalled, RetrievedSegment,
-    StoredView, StoredViews, memory_builder,
+    DocumentSupplier, Memory, MemoryBuilder, MemorySpec, RecallQuery, RecalledItems,
+    RetrievedSegment, StoredView, StoredViews, memory_builder,
 };
 use crate::window::Window;
 use search::{ContentHash, Embedding};
@@ -37,7 +37,7 @@ pub(crate) struct PendingObservation {
     pub(crate) content: Option<ContentHash>,
 }
 
-pub(crate) struct Episode {
+pub(crate) struct MemoryEpisode {
     pub(crate) id: u64,
     pub(crate) lane: u32,
     pub(crate) representation: Representation,
@@ -60,7 +60,7 @@ struct CurrentStep {
     progress: Progress,
 }
 
-impl Episode {
+impl MemoryEpisode {
     /// The episode that a message announces.
     pub(crate) fn announced(
         config: &MemoryEpisodeConfig,
@@ -189,7 +189,7 @@ impl Episode {
         let PendingObservation { received_ns, .. } = self.pending.take()?;
         let embedded_ns = clock();
         let query = RecallQuery { embedding, stage: now.progress.stage(), elapsed: now.step };
-        let Recalled { segment: retrieved, documents: named } = memory.recall(&query);
+        let RecalledItems { segment: retrieved, documents: named } = memory.recall(&query);
         let searched_ns = clock();
 
         let mut window = [bytemuck::Zeroable::zeroed(); MAX_WINDOW];

@@ -13,8 +13,8 @@ use memory_proc::builders::build::{self, BuildSettings};
 use memory_proc::builders::{DocumentBuilder, Extractive, ModelBuilder, model};
 use memory_proc::embed_command;
 use memory_proc::encoder::Provider;
-use memory_proc::manifest::Manifest;
-use memory_proc::paths::Cache;
+use memory_proc::manifest::EncoderManifest;
+use memory_proc::paths::CacheFolder;
 use memory_proc::search_profile::{self, ProfileSettings};
 use memory_proc::serve::{EncoderSettings, ServeSettings, serve};
 use search::GraphOptions;
@@ -23,13 +23,13 @@ use search::synthetic::SyntheticVectors;
 /// The memory of MemTransfer: embeds frames, builds the representations, retrieves.
 #[derive(Parser)]
 #[command(name = "memory-proc", version)]
-struct Arguments {
+struct MemoryArguments {
     #[command(subcommand)]
-    verb: Verb,
+    verb: MemoryVerb,
 }
 
 #[derive(Subcommand)]
-enum Verb {
+enum MemoryVerb {
     /// Serve a run until it stops. Started by `memtransfer run`
     Serve {
         /// The run's folder, which holds attach.json
@@ -250,34 +250,34 @@ fn cores() -> NonZeroUsize {
     std::thread::available_parallelism().unwrap_or(NonZeroUsize::MIN)
 }
 
-fn cache_at(folder: Option<PathBuf>) -> anyhow::Result<Cache> {
-    Ok(folder.map_or_else(Cache::from_environment, |folder| Ok(Cache::at(folder)))?)
+fn cache_at(folder: Option<PathBuf>) -> anyhow::Result<CacheFolder> {
+    Ok(folder.map_or_else(CacheFolder::from_environment, |folder| Ok(CacheFolder::at(folder)))?)
 }
 
 fn main() -> ExitCode {
-    program::run("memory-proc", || run(Arguments::parse().verb).map(|()| ExitCode::SUCCESS))
+    program::run("memory-proc", || run(MemoryArguments::parse().verb).map(|()| ExitCode::SUCCESS))
 }
 
-fn run(verb: Verb) -> anyhow::Result<()> {
+fn run(verb: MemoryVerb) -> anyhow::Result<()> {
     match verb {
-        Verb::Serve { attach, documents, no_encoder, encoder } => {
+        MemoryVerb::Serve { attach, documents, no_encoder, encoder } => {
             let assets = encoder.assets.clone();
             let encoder = if no_encoder { None } else { Some(encoder.settings()?) };
             serve(&ServeSettings { attach, assets, documents, encoder })
         }
-        Verb::Embed { files, repeat, encoder } => {
+        MemoryVerb::Embed { files, repeat, encoder } => {
             let manifest = match &encoder.assets {
-                None => Manifest::shipped()?,
-                Some(folder) => Manifest::load(folder)?,
+                None => EncoderManifest::shipped()?,
+                Some(folder) => EncoderManifest::load(folder)?,
             };
             embed_command::run(&files, repeat, &manifest, &encoder.settings()?)
         }
-        Verb::Profile(arguments) => profile(arguments),
-        Verb::Vectors { vectors, entries, queries } => {
+        MemoryVerb::Profile(arguments) => profile(arguments),
+        MemoryVerb::Vectors { vectors, entries, queries } => {
             let mut out = std::io::BufWriter::with_capacity(1 << 20, std::io::stdout().lock());
             search_profile::write_vectors(&vectors.vectors()?, entries.get(), queries, &mut out)
         }
-        Verb::Build { attach, assets, documents, wanted, builder } => {
+        MemoryVerb::Build { attach, assets, documents, wanted, builder } => {
             let (recipe, mut builder) = builder.builder()?;
             let settings = BuildSettings { attach, assets, documents, wanted, recipe };
             build::build(&settings, builder.as_mut())

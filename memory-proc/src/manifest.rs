@@ -147,7 +147,7 @@ impl Model {
 /// All encoders.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Manifest {
+pub struct EncoderManifest {
     /// The name of the default encoder.
     pub default: String,
     /// Their entries.
@@ -155,7 +155,7 @@ pub struct Manifest {
     pub models: Vec<Model>,
 }
 
-impl Manifest {
+impl EncoderManifest {
     /// The built-in manifest.
     ///
     /// # Errors
@@ -225,13 +225,13 @@ impl Manifest {
 mod tests {
     use super::*;
 
-    fn parse(text: &str) -> Result<Manifest, ManifestError> {
-        Manifest::parse(text, Path::new("models.toml"))
+    fn parse(text: &str) -> Result<EncoderManifest, ManifestError> {
+        EncoderManifest::parse(text, Path::new("models.toml"))
     }
 
     #[test]
     fn the_shipped_manifest_is_sound() {
-        let manifest = Manifest::shipped().unwrap();
+        let manifest = EncoderManifest::shipped().unwrap();
         let default = manifest.model(&manifest.default).unwrap();
         assert!(default.trained && default.file.is_some() && default.sha256.is_some());
         assert!(manifest.model("vit-b16").unwrap().file.is_none());
@@ -241,9 +241,12 @@ mod tests {
     #[test]
     fn a_folder_without_a_manifest_means_the_shipped_one() {
         let folder = tempfile::tempdir().unwrap();
-        assert_eq!(Manifest::load(folder.path()).unwrap(), Manifest::shipped().unwrap());
+        assert_eq!(
+            EncoderManifest::load(folder.path()).unwrap(),
+            EncoderManifest::shipped().unwrap()
+        );
         std::fs::write(folder.path().join(FILE), "nonsense").unwrap();
-        assert!(matches!(Manifest::load(folder.path()), Err(ManifestError::Parse { .. })));
+        assert!(matches!(EncoderManifest::load(folder.path()), Err(ManifestError::Parse { .. })));
     }
 
     #[test]
@@ -266,7 +269,7 @@ mod tests {
             let error = parse(&SHIPPED.replacen(from, to, 1)).unwrap_err().to_string();
             assert!(error.contains("models.toml") && error.contains(expected), "{to}: {error}");
         }
-        let error = Manifest::shipped().unwrap().model("vit").unwrap_err().to_string();
+        let error = EncoderManifest::shipped().unwrap().model("vit").unwrap_err().to_string();
         assert!(error.contains("unknown encoder `vit`") && error.contains("`vit-b16`"), "{error}");
     }
 }

@@ -9,11 +9,11 @@ use domain::{NoCacheFolder, cache_folder};
 
 /// The cache folder.
 #[derive(Debug, Clone)]
-pub struct Cache {
+pub struct CacheFolder {
     root: PathBuf,
 }
 
-impl Cache {
+impl CacheFolder {
     /// The cache in `folder`.
     pub fn at(folder: impl Into<PathBuf>) -> Self {
         Self { root: folder.into() }

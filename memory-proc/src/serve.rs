@@ -26,12 +26,13 @@ use warehouse::{CaseSet, Warehouse};
 
 use crate::embedding_cache::EmbeddingCache;
 use crate::encoder::{
-    Embedded, Encoder, EncoderFacts, Image, ImageSource, ModelFile, Open, PreparedEncoder, Provider,
+    Embedded, Encoder, EncoderFacts, Image, ImageSource, ModelFile, PreparedEncoder, Provider,
+    SessionOpening,
 };
 use crate::engine::Engine;
 use crate::episode::{Unusable, unusable};
-use crate::manifest::Manifest;
-use crate::paths::Cache;
+use crate::manifest::EncoderManifest;
+use crate::paths::CacheFolder;
 use crate::run_documents::RunDocuments;
 
 /// The longest wait for an event. Nothing depends on it; it bounds the time until a lost event is noticed.
@@ -65,7 +66,7 @@ pub struct EncoderSettings {
     /// The hardware that it runs on.
     pub provider: Provider,
     /// The cache folder, with the models, the runtime and known embeddings.
-    pub cache: Cache,
+    pub cache: CacheFolder,
 }
 
 impl EncoderSettings {
@@ -73,7 +74,7 @@ impl EncoderSettings {
     ///
     /// # Errors
     /// When there is no such encoder, or something that it needs is missing or broken.
-    pub fn prepare(&self, manifest: &Manifest) -> anyhow::Result<PreparedEncoder> {
+    pub fn prepare(&self, manifest: &EncoderManifest) -> anyhow::Result<PreparedEncoder> {
         let model = manifest.model(self.name.as_ref().unwrap_or(&manifest.default))?;
         let file = ModelFile::read(model, self.file.as_deref(), &self.cache)?;
         Ok(PreparedEncoder::new(file, &self.cache.runtime(), self.threads, self.provider)?)
@@ -95,7 +96,8 @@ pub fn serve(settings: &ServeSettings) -> anyhow::Result<()> {
     let mut reporter = ErrorReporter::new(&bus)?;
     // Receivers first: messages sent while the encoder starts wait in their queues.
     let ports = Ports::new(&bus)?;
-    let served = Server::start(settings, &bus, ports, &mut reporter).and_then(Server::run);
+    let served =
+        MemoryServer::start(settings, &bus, ports, &mut reporter).and_then(MemoryServer::run);
     if let Err(error) = &served {
         reporter.report(format_args!("the memory process failed: {error:#}"));
         bus.notifier(Role::Orchestrator)?.notify()?;
@@ -146,7 +148,7 @@ impl Ports {
     }
 }
 
-struct Server<'a> {
+struct MemoryServer<'a> {
     bus: &'a Bus,
     ports: Ports,
     reporter: &'a mut ErrorReporter,
@@ -158,7 +160,7 @@ struct Server<'a> {
     spans: Spans,
 }
 
-impl<'a> Server<'a> {
+impl<'a> MemoryServer<'a> {
     fn start(
         settings: &ServeSettings,
         bus: &'a Bus,
@@ -178,12 +180,17 @@ impl<'a> Server<'a> {
         let (encoder, embeddings) = match &settings.encoder {
             None => (None, EmbeddingCache::in_memory()),
             Some(chosen) => {
-                let manifest = assets.map_or_else(Manifest::shipped, Manifest::load)?;
+                let manifest =
+                    assets.map_or_else(EncoderManifest::shipped, EncoderManifest::load)?;
                 let own_notifier = Arc::new(bus.notifier(Role::Memory)?);
                 let encoder = chosen.prepare(&manifest)?;
                 let embeddings = open_cache(&chosen.cache, encoder.facts(), reporter);
                 // Known embeddings may be all that the run needs.
-                let open = if embeddings.is_empty() { Open::Eagerly } else { Open::OnDemand };
+                let open = if embeddings.is_empty() {
+                    SessionOpening::Eagerly
+                } else {
+                    SessionOpening::OnDemand
+                };
                 let encoder = encoder.start(open, move || {
                     if let Err(error) = own_notifier.notify() {
                         tracing::debug!(%error, "an encoder worker cannot wake the loop");
@@ -205,7 +212,6 @@ impl<'a> Server<'a> {
     fn run(mut self) -> anyhow::Result<()> {
         while self.ports.stops.next()?.is_none() {
             if !self.turn()? {
-                self.flush_embeddings();
                 self.bus.listener().wait(LONGEST_SLEEP)?;
             }
         }
@@ -234,15 +240,16 @@ impl<'a> Server<'a> {
             self.ports.sim.notify()?;
         }
         self.submit_images()?;
-        let told = self.beat();
-        if told || self.reporter.count() != error_reports {
+        let reported = self.send_heartbeat();
+        if reported || self.reporter.count() != error_reports {
             self.ports.orchestrator.notify()?;
         }
+        self.write_embeddings();
         self.release_frames()?;
         Ok(more)
     }
 
-    /// Reads all queues, observations up to the number of a turn; returns whether more may have arrived. A message is sent
+    /// Reads all queues, observations up to a batch; returns whether more may have arrived. A message is sent
     /// after those that it refers to. Queues are therefore drained in the order effect, cause, and handled in the order
     /// cause, effect.
     fn take_messages(&mut self) -> anyhow::Result<bool> {
@@ -253,18 +260,16 @@ impl<'a> Server<'a> {
         let views = self.ports.views.drain()?;
         for config in self.ports.configs.drain()? {
             let outcome = self.can_serve(&config).and_then(|()| self.engine.config(&config));
-            self.complain(outcome);
+            self.report_unusable(outcome);
         }
         for View { frame, pose, .. } in views {
             match Pose::try_from(pose) {
                 Err(error) => self.reporter.report(format_args!("view as frame {frame}: {error}")),
                 Ok(pose) => {
-                    if let Some(picture) =
-                        self.find_frame(frame, &format_args!("view of {pose}"))?
-                    {
-                        let content = picture.content_hash();
-                        let outcome = self.engine.view(pose, frame, content, picture);
-                        self.complain(outcome);
+                    if let Some(image) = self.find_frame(frame, &format_args!("view of {pose}"))? {
+                        let content = image.content_hash();
+                        let outcome = self.engine.view(pose, frame, content, image);
+                        self.report_unusable(outcome);
                     }
                 }
             }
@@ -276,8 +281,8 @@ impl<'a> Server<'a> {
                 Ok(None) => {}
                 Ok(Some(frame)) => {
                     let what = format_args!("observation of episode {episode}, step {step}");
-                    if let Some(picture) = self.find_frame(frame, &what)? {
-                        self.engine.current_view(lane, picture.content_hash(), picture);
+                    if let Some(image) = self.find_frame(frame, &what)? {
+                        self.engine.current_view(lane, image.content_hash(), image);
                     }
                 }
             }
@@ -334,17 +339,15 @@ impl<'a> Server<'a> {
         Ok(())
     }
 
-    /// Writes new embeddings to disk once no image is being embedded.
-    fn flush_embeddings(&mut self) {
-        if self.engine.waiting() == 0
-            && let Err(error) = self.engine.flush_embeddings()
-        {
+    /// Writes new embeddings to disk about once a second.
+    fn write_embeddings(&mut self) {
+        if let Err(error) = self.engine.write_embeddings() {
             self.reporter.report(format_args!("{error}; the run continues without it"));
         }
     }
 
     /// Reports progress to the orchestrator about once a second.
-    fn beat(&mut self) -> bool {
+    fn send_heartbeat(&mut self) -> bool {
         let (engine, done) = (&self.engine, self.embedded);
         let (held, room) = engine.pinned_views();
         self.ports.heartbeats.beat(|| Heartbeat {
@@ -394,7 +397,7 @@ impl<'a> Server<'a> {
         }
     }
 
-    fn complain(&mut self, outcome: Result<(), Unusable>) {
+    fn report_unusable(&mut self, outcome: Result<(), Unusable>) {
         if let Err(unusable) = outcome {
             self.reporter.report(unusable);
         }
@@ -408,7 +411,11 @@ fn room_for_views(attach: &Attach) -> usize {
     u64::from(attach.frame_capacity).saturating_sub(pinned) as usize
 }
 
-fn open_cache(cache: &Cache, facts: &EncoderFacts, reporter: &mut ErrorReporter) -> EmbeddingCache {
+fn open_cache(
+    cache: &CacheFolder,
+    facts: &EncoderFacts,
+    reporter: &mut ErrorReporter,
+) -> EmbeddingCache {
     let folder = cache.embeddings();
     match EmbeddingCache::open(&folder, &facts.fingerprint, facts.dimension) {
         Ok(cache) => {

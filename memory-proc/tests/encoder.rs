@@ -8,10 +8,10 @@ use std::process::Command;
 use std::sync::Arc;
 
 use memory_proc::encoder::{
-    Encoder, EncoderError, Image, ImageSource, ModelFile, Open, PreparedEncoder, Provider,
+    Encoder, EncoderError, Image, ImageSource, ModelFile, PreparedEncoder, Provider, SessionOpening,
 };
-use memory_proc::manifest::{Manifest, Model};
-use memory_proc::paths::Cache;
+use memory_proc::manifest::{EncoderManifest, Model};
+use memory_proc::paths::CacheFolder;
 use search::{Embedding, distance};
 
 const SIDE: u32 = 256;
@@ -52,19 +52,19 @@ fn noise(seed: u32) -> Drawn {
     })
 }
 
-fn cache() -> Cache {
-    Cache::from_environment().unwrap()
+fn cache() -> CacheFolder {
+    CacheFolder::from_environment().unwrap()
 }
 
 fn default_model() -> Model {
-    let manifest = Manifest::shipped().unwrap();
+    let manifest = EncoderManifest::shipped().unwrap();
     manifest.model(&manifest.default).unwrap().clone()
 }
 
 fn start(file: ModelFile, threads: usize) -> Result<Encoder, EncoderError> {
     let threads = NonZeroUsize::new(threads).unwrap();
     let prepared = PreparedEncoder::new(file, &cache().runtime(), threads, Provider::Cpu)?;
-    Ok(prepared.start(Open::OnDemand, || {}))
+    Ok(prepared.start(SessionOpening::OnDemand, || {}))
 }
 
 /// The default encoder.
@@ -149,9 +149,9 @@ fn a_broken_image_is_an_error_and_the_encoder_continues() {
 #[test]
 fn errors_about_missing_files_name_the_command_that_fetches_them() {
     let empty = tempfile::tempdir().unwrap();
-    let nowhere = Cache::at(empty.path());
-    let manifest = Manifest::shipped().unwrap();
-    let said = |model: &Model, file: Option<&Path>, cache: &Cache| {
+    let nowhere = CacheFolder::at(empty.path());
+    let manifest = EncoderManifest::shipped().unwrap();
+    let said = |model: &Model, file: Option<&Path>, cache: &CacheFolder| {
         ModelFile::read(model, file, cache).unwrap_err().to_string()
     };
     let model = default_model();
@@ -228,7 +228,7 @@ fn a_model_that_does_not_match_the_manifest_is_refused_with_a_reason() {
 #[test]
 fn a_library_that_is_not_onnx_runtime_is_refused() {
     let folder = tempfile::tempdir().unwrap();
-    let broken = Cache::at(folder.path());
+    let broken = CacheFolder::at(folder.path());
     let (model, runtime) = (broken.model("dinov2-s14.onnx"), broken.runtime());
     for path in [&model, &runtime] {
         std::fs::create_dir_all(path.parent().unwrap()).unwrap();
@@ -259,7 +259,7 @@ fn the_untrained_vit_b16_is_written_and_runs_under_its_name() {
     let script = concat!(env!("CARGO_MANIFEST_DIR"), "/../xtask/python/vit_b16_untrained.py");
     let written = Command::new("python3").arg("-B").arg(script).arg(&path).status().unwrap();
     assert!(written.success());
-    let manifest = Manifest::shipped().unwrap();
+    let manifest = EncoderManifest::shipped().unwrap();
     let model = manifest.model("vit-b16-untrained").unwrap();
     let file = ModelFile::read(model, Some(&path), &cache()).unwrap();
     let mut encoder = start(file, 1).unwrap();

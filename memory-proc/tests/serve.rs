@@ -13,7 +13,7 @@ use documents::{BuildAccount, DocumentFile, DocumentFolder, Provenance};
 use domain::{DocumentKind, SegmentContent};
 use domain::{Pose, Representation};
 use memory_proc::embedding_cache::stored;
-use memory_proc::paths::Cache;
+use memory_proc::paths::CacheFolder;
 use shm_types::documents::Content;
 use shm_types::message::{
     DocumentId, ErrorReport, FrameId, Handshake, MAX_SEGMENT, MAX_WINDOW, MemoryEpisodeConfig,
@@ -250,7 +250,7 @@ fn observation(replay: &Replay, case: &Case, start: Start, step: usize) -> Obser
 /// A cache folder with the files that setup fetched, and no embeddings.
 fn fresh_cache() -> TempDir {
     let folder = tempfile::tempdir().unwrap();
-    let setup = Cache::from_environment().unwrap();
+    let setup = CacheFolder::from_environment().unwrap();
     for part in ["models", "onnxruntime"] {
         std::os::unix::fs::symlink(setup.root().join(part), folder.path().join(part)).unwrap();
     }

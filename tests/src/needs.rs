@@ -3,7 +3,7 @@
 
 use std::path::PathBuf;
 
-use memory_proc::paths::Cache;
+use memory_proc::paths::CacheFolder;
 
 /// The Python with the packages of `xtask/python/requirements-tests.txt`. Run their programs as modules:
 /// `python -m pytest`.
@@ -17,7 +17,7 @@ pub fn language_model() -> PathBuf {
 }
 
 fn installed(place: &str) -> PathBuf {
-    let path = Cache::from_environment().expect("a cache folder").root().join(place);
+    let path = CacheFolder::from_environment().expect("a cache folder").root().join(place);
     assert!(
         path.is_file(),
         "{} is missing: run `cargo xtask setup --tests`, or the tests with `cargo xtask test`",

@@ -14,7 +14,7 @@ use domain::{Action, Cell, Feedback, Heading, Pose};
 use llm::scripted::{Received, Server, Turn};
 use llm::{ChatClient, ChatSettings, Endpoint};
 use memory_proc::builders::model::{ModelBuilder, ask_through};
-use memory_proc::builders::{DocumentBuilder, Seen, Step, Transcript};
+use memory_proc::builders::{DocumentBuilder, FrameReading, Transcript, TranscriptStep};
 use memtransfer_tests::WATCHDOG;
 use plates::{Landmark, Plate};
 
@@ -28,8 +28,8 @@ const DOCUMENT: &str = "MEMTRANSFER_TEST_DOCUMENT";
 fn transcript(x: u8) -> Transcript {
     let plate = Plate::new("barrels", "blue barrel");
     let barrel = Landmark { standpoint: Cell::new(x, 9), face: Heading::W, plate };
-    let seen = std::sync::Arc::new(Seen { frame: [x; 16], landmarks: vec![barrel] });
-    let steps = (1..10).map(|y| Step {
+    let seen = std::sync::Arc::new(FrameReading { frame: [x; 16], landmarks: vec![barrel] });
+    let steps = (1..10).map(|y| TranscriptStep {
         pose: Pose::new(x, y, Heading::N),
         feedback: if y == 1 { Feedback::Start } else { Feedback::Moved },
         seen: seen.clone(),

@@ -100,7 +100,7 @@ pub struct DocumentFile {
 
 /// Why a document cannot be read or written.
 #[derive(Debug, thiserror::Error)]
-pub enum DocumentError {
+pub enum DocumentFileError {
     /// There is no such file.
     #[error("{} is missing", path.display())]
     Missing {
@@ -146,21 +146,21 @@ impl DocumentFile {
     ///
     /// # Errors
     /// When there is none, it cannot be read, or it is not usable.
-    pub fn load(path: &Path) -> Result<Self, DocumentError> {
+    pub fn load(path: &Path) -> Result<Self, DocumentFileError> {
         let path = path.to_owned();
         let text = match fs::read_to_string(&path) {
             Ok(text) => text,
             Err(cause) => {
                 return Err(match cause.kind() {
-                    io::ErrorKind::NotFound => DocumentError::Missing { path },
+                    io::ErrorKind::NotFound => DocumentFileError::Missing { path },
                     io::ErrorKind::InvalidData => {
-                        DocumentError::Broken { path, problem: cause.to_string() }
+                        DocumentFileError::Broken { path, problem: cause.to_string() }
                     }
-                    _ => DocumentError::Io { action: "read", path, cause },
+                    _ => DocumentFileError::Io { action: "read", path, cause },
                 });
             }
         };
-        Self::parse(&text).map_err(|problem| DocumentError::Broken { path, problem })
+        Self::parse(&text).map_err(|problem| DocumentFileError::Broken { path, problem })
     }
 
     fn parse(json: &str) -> Result<Self, String> {
@@ -191,7 +191,7 @@ impl DocumentFile {
     ///
     /// # Errors
     /// When the file cannot be written.
-    pub fn save(&self, path: &Path) -> Result<(), DocumentError> {
+    pub fn save(&self, path: &Path) -> Result<(), DocumentFileError> {
         let folder = path.parent().unwrap_or(Path::new("."));
         let draft = path.with_extension("json.new");
         let write = || {
@@ -203,7 +203,7 @@ impl DocumentFile {
             fs::rename(&draft, path)?;
             File::open(folder)?.sync_all()
         };
-        write().map_err(|cause| DocumentError::Io { action: "write", path: path.into(), cause })
+        write().map_err(|cause| DocumentFileError::Io { action: "write", path: path.into(), cause })
     }
 }
 
@@ -247,7 +247,7 @@ pub(crate) mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("summary-4.json");
         let missing = DocumentFile::load(&path).unwrap_err();
-        assert!(matches!(missing, DocumentError::Missing { .. }), "{missing}");
+        assert!(matches!(missing, DocumentFileError::Missing { .. }), "{missing}");
         DocumentFile::new(provenance(), "# A summary".to_owned()).save(&path).unwrap();
         let json = fs::read_to_string(&path).unwrap();
         for (from, to, problem) in [
@@ -266,6 +266,6 @@ pub(crate) mod tests {
         }
         fs::write(&path, [0xff, 0xfe]).unwrap();
         let error = DocumentFile::load(&path).unwrap_err();
-        assert!(matches!(error, DocumentError::Broken { .. }), "{error}");
+        assert!(matches!(error, DocumentFileError::Broken { .. }), "{error}");
     }
 }

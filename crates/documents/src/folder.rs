@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use serde::{Serialize, Serializer};
 
-use crate::{DocumentError, DocumentFile, DocumentName, Provenance, Recipe, Sources};
+use crate::{DocumentFile, DocumentFileError, DocumentName, Provenance, Recipe, Sources};
 
 /// A folder of documents.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -204,12 +204,14 @@ impl DocumentFolder {
     ///
     /// # Errors
     /// When there is none, or it is not usable.
-    pub fn load_run_copy(&self, name: DocumentName) -> Result<DocumentFile, DocumentError> {
+    pub fn load_run_copy(&self, name: DocumentName) -> Result<DocumentFile, DocumentFileError> {
         let path = self.run_copy(name);
         let file = DocumentFile::load(&path)?;
         match file.provenance.name() {
             own if own == name => Ok(file),
-            own => Err(DocumentError::Broken { path, problem: format!("it is document {own}") }),
+            own => {
+                Err(DocumentFileError::Broken { path, problem: format!("it is document {own}") })
+            }
         }
     }
 
@@ -264,7 +266,7 @@ fn load(name: DocumentName, file: PathBuf, sources_sha256: &str) -> StoredDocume
             stored.document = Some(document);
         }
         Err(error) => {
-            let is_missing = matches!(error, DocumentError::Missing { .. });
+            let is_missing = matches!(error, DocumentFileError::Missing { .. });
             stored.state = if is_missing { DocumentState::Missing } else { DocumentState::Broken };
             stored.problem = Some(error.to_string());
         }
@@ -282,12 +284,12 @@ fn distinct(mut stored: Vec<StoredDocument>) -> Vec<StoredDocument> {
 /// A document in JSON: its provenance and the size of its text.
 fn summarized<S: Serializer>(document: &Option<DocumentFile>, to: S) -> Result<S::Ok, S::Error> {
     #[derive(Serialize)]
-    struct Summary<'a> {
+    struct StoredSummary<'a> {
         provenance: &'a Provenance,
         bytes: u64,
         words: u64,
     }
-    let summary = document.as_ref().map(|document| Summary {
+    let summary = document.as_ref().map(|document| StoredSummary {
         provenance: &document.provenance,
         bytes: document.text.len() as u64,
         words: document.words(),

@@ -14,7 +14,7 @@ mod name;
 mod recipe;
 mod sources;
 
-pub use file::{BuildAccount, DocumentError, DocumentFile, MAX_TEXT_BYTES, Provenance};
+pub use file::{BuildAccount, DocumentFile, DocumentFileError, MAX_TEXT_BYTES, Provenance};
 pub use folder::{DocumentFolder, DocumentSelection, DocumentState, StoredDocument};
 pub use name::{DocumentName, UnknownDocument, kind};
 pub use recipe::{EXTRACTIVE_VERSION, ModelRecipe, PROMPT_VERSION, Recipe};

@@ -39,7 +39,7 @@ pub(crate) struct QuantizedMatrix {
 
 /// Rows that are compared with a query together.
 #[derive(Clone, Copy)]
-pub(crate) struct Block<'a> {
+pub(crate) struct RowBlock<'a> {
     lines: &'a [CodeLine],
     scales: &'a [f32; BLOCK_ROWS],
     half_norms: &'a [f32; BLOCK_ROWS],
@@ -73,10 +73,10 @@ impl QuantizedMatrix {
             .chunks_mut(share * steps * 4)
             .zip(scales.chunks_mut(share * BLOCK_ROWS))
             .zip(half_norms.chunks_mut(share * BLOCK_ROWS));
-        let mut parts: Vec<Part<'_>> = (0..)
+        let mut parts: Vec<BlockRange<'_>> = (0..)
             .step_by(share * BLOCK_ROWS)
             .zip(parts)
-            .map(|(first_row, ((lines, scales), half_norms))| Part {
+            .map(|(first_row, ((lines, scales), half_norms))| BlockRange {
                 first_row,
                 lines,
                 scales,
@@ -113,9 +113,9 @@ impl QuantizedMatrix {
     }
 
     /// The rows from `BLOCK_ROWS * block` on.
-    pub(crate) fn block(&self, block: usize) -> Block<'_> {
+    pub(crate) fn block(&self, block: usize) -> RowBlock<'_> {
         let lines = self.steps * 4;
-        Block {
+        RowBlock {
             lines: &self.lines[block * lines..(block + 1) * lines],
             scales: &self.scales.as_chunks().0[block],
             half_norms: &self.half_norms.as_chunks().0[block],
@@ -201,7 +201,7 @@ pub(crate) fn record_distance(level: Level, a: &[u8], b: &[u8]) -> f32 {
     a_half_norm + b_half_norm - a_scale * b_scale * product
 }
 
-impl Block<'_> {
+impl RowBlock<'_> {
     /// Which rows reach a [threshold](QuantizedMatrix::threshold), one bit each.
     pub(crate) fn candidates(self, level: Level, query: &QuantizedQuery, threshold: f32) -> u64 {
         let products = self.products(level, query);
@@ -234,7 +234,7 @@ impl Block<'_> {
 }
 
 /// The blocks that one thread fills.
-struct Part<'a> {
+struct BlockRange<'a> {
     first_row: usize,
     lines: &'a mut [CodeLine],
     scales: &'a mut [f32],
@@ -243,7 +243,7 @@ struct Part<'a> {
     max_half_norm: f64,
 }
 
-impl Part<'_> {
+impl BlockRange<'_> {
     fn fill(&mut self, level: Level, rows: &Matrix, centre: &[f32]) {
         let lines_per_block = self.lines.len() / (self.scales.len() / BLOCK_ROWS);
         let mut codes = vec![CODE_ZERO; lines_per_block];

@@ -24,7 +24,7 @@ use warehouse::Demonstrations;
 use documents::{DocumentFile, DocumentFolder, DocumentName, Provenance, Recipe, Sources};
 
 use super::transcript::sha256;
-use super::{BuiltText, DocumentBuilder, Seen, transcripts};
+use super::{BuiltText, DocumentBuilder, FrameReading, transcripts};
 
 /// The longest wait for an event. Nothing depends on it; it bounds the time until a lost event is noticed.
 const LONGEST_SLEEP: Duration = Duration::from_secs(1);
@@ -122,7 +122,7 @@ impl<'a> BuildProcess<'a> {
     }
 
     /// Reads the views from `poses`, as many at a time as fit into the frame store.
-    fn read_views(&mut self, poses: &[Pose]) -> Result<HashMap<Pose, Arc<Seen>>> {
+    fn read_views(&mut self, poses: &[Pose]) -> Result<HashMap<Pose, Arc<FrameReading>>> {
         let attach = self.bus.attach();
         let pinned = u64::from(attach.lanes) * (u64::from(attach.window) + 2);
         let room = u64::from(attach.frame_capacity).saturating_sub(pinned) as usize;
@@ -164,7 +164,7 @@ impl<'a> BuildProcess<'a> {
         name: DocumentName,
         BuildSettings { documents, recipe, .. }: &BuildSettings,
         sources: &Sources,
-        seen: &HashMap<Pose, Arc<Seen>>,
+        seen: &HashMap<Pose, Arc<FrameReading>>,
         builder: &mut dyn DocumentBuilder,
     ) -> Result<()> {
         let DocumentName { kind, demonstrations } = name;
@@ -250,9 +250,9 @@ impl<'a> BuildProcess<'a> {
 }
 
 /// Reads the plates in a frame that was rendered from `pose`.
-fn read_plates(frame: &Frame, pose: Pose) -> Seen {
+fn read_plates(frame: &Frame, pose: Pose) -> FrameReading {
     let size = frame.size();
     let sightings = plates::read(size.width, size.height, frame.pixels());
     let landmarks = sightings.into_iter().filter_map(|sighting| sighting.seen_from(pose));
-    Seen { frame: frame.content_hash(), landmarks: landmarks.collect() }
+    FrameReading { frame: frame.content_hash(), landmarks: landmarks.collect() }
 }

@@ -28,7 +28,7 @@ impl DocumentBuilder for Extractive {
     ) -> anyhow::Result<BuiltText> {
         let text = match kind {
             DocumentKind::Summary => {
-                let mut summary = summary::Summary::default();
+                let mut summary = summary::SummaryDraft::default();
                 for (done, transcript) in transcripts.iter().enumerate() {
                     progress(done, transcripts.len());
                     summary.add(transcript);

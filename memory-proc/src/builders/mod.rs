@@ -22,7 +22,7 @@ use domain::DocumentKind;
 
 pub use extractive::Extractive;
 pub use model::ModelBuilder;
-pub use transcript::{Seen, Step, Transcript, transcripts};
+pub use transcript::{FrameReading, Transcript, TranscriptStep, transcripts};
 
 /// Writes documents.
 pub trait DocumentBuilder {

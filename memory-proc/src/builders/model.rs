@@ -21,10 +21,10 @@ use documents::{BuildAccount, ModelRecipe, PROMPT_VERSION};
 use domain::DocumentKind;
 use llm::{ChatClient, ChatReply, ReplyContent};
 
-pub use self::prompt::Prompt;
+pub use self::prompt::DocumentPrompt;
 
-use self::prompt::Stage;
-use self::steps::Steps;
+use self::prompt::PromptStage;
+use self::steps::StepFolder;
 use super::{BuiltText, DocumentBuilder, Transcript};
 
 /// The least number of characters in a token. Coordinates and digits make short tokens.
@@ -37,13 +37,13 @@ const MAX_DOCUMENT_BYTES: usize = 256 << 10;
 const PROGRESS_INTERVAL: Duration = Duration::from_secs(1);
 
 /// Sends prompts to a model. The second argument is called about once a second until the reply arrives.
-pub trait AskModel: FnMut(&Prompt, &mut dyn FnMut()) -> anyhow::Result<ChatReply> {}
+pub trait AskModel: FnMut(&DocumentPrompt, &mut dyn FnMut()) -> anyhow::Result<ChatReply> {}
 
-impl<F: FnMut(&Prompt, &mut dyn FnMut()) -> anyhow::Result<ChatReply>> AskModel for F {}
+impl<F: FnMut(&DocumentPrompt, &mut dyn FnMut()) -> anyhow::Result<ChatReply>> AskModel for F {}
 
 /// Sends prompts through a chat client.
 pub fn ask_through(client: ChatClient) -> impl AskModel {
-    move |prompt: &Prompt, waiting: &mut dyn FnMut()| {
+    move |prompt: &DocumentPrompt, waiting: &mut dyn FnMut()| {
         let (sender, replies) = mpsc::channel();
         client.submit(prompt.request(), 0, move |result| {
             // The build may have been given up.
@@ -86,8 +86,8 @@ impl<A: AskModel> DocumentBuilder for ModelBuilder<A> {
         let mut draft = Draft {
             ask: &mut self.ask,
             recipe: &self.recipe,
-            steps: Steps::open(steps, &self.recipe.model)?,
-            usage: Usage::default(),
+            steps: StepFolder::open(steps, &self.recipe.model)?,
+            usage: BuildUsage::default(),
         };
         let text = match kind {
             DocumentKind::Summary => draft.summary(&narrated, progress)?,
@@ -108,8 +108,8 @@ impl<A: AskModel> DocumentBuilder for ModelBuilder<A> {
 struct Draft<'a> {
     ask: &'a mut dyn AskModel,
     recipe: &'a ModelRecipe,
-    steps: Steps,
-    usage: Usage,
+    steps: StepFolder,
+    usage: BuildUsage,
 }
 
 impl Draft<'_> {
@@ -122,7 +122,7 @@ impl Draft<'_> {
         let mut done = 0;
         while done < narrated.len() {
             progress(done, narrated.len());
-            let room = self.room(Stage::Summary, &summary);
+            let room = self.room(PromptStage::Summary, &summary);
             let next = fitting(&narrated[done..], room);
             ensure!(
                 next > 0,
@@ -135,7 +135,8 @@ impl Draft<'_> {
             );
             let demonstrations = narrated[done..done + next].join("\n");
             let values = [("so_far", &*summary), ("demonstrations", &demonstrations)];
-            summary = self.ask(Stage::Summary, &values, &mut || progress(done, narrated.len()))?;
+            summary =
+                self.ask(PromptStage::Summary, &values, &mut || progress(done, narrated.len()))?;
             done += next;
         }
         progress(done, narrated.len());
@@ -152,17 +153,17 @@ impl Draft<'_> {
         let parts = narrated.len() + 2;
         let mut notes = Vec::new();
         let mut done = 0;
-        for demonstrations in self.groups(Stage::Extract, narrated)? {
+        for demonstrations in self.groups(PromptStage::Extract, narrated)? {
             progress(done, parts);
             let joined = demonstrations.join("\n");
             let values = [("demonstrations", &*joined)];
-            notes.push(self.ask(Stage::Extract, &values, &mut || progress(done, parts))?);
+            notes.push(self.ask(PromptStage::Extract, &values, &mut || progress(done, parts))?);
             done += demonstrations.len();
         }
         ensure!(!notes.is_empty(), "there are no demonstrations to learn from");
         progress(parts - 2, parts);
         loop {
-            let groups = self.groups(Stage::Consolidate, &notes)?;
+            let groups = self.groups(PromptStage::Consolidate, &notes)?;
             ensure!(
                 groups.len() == 1 || groups.len() < notes.len(),
                 "no two of {} sets of notes fit into a prompt of {} characters: raise --context-chars or lower \
@@ -179,7 +180,7 @@ impl Draft<'_> {
                     .join("\n");
                 let values = [("notes", &*joined)];
                 let waiting = &mut || progress(parts - 2, parts);
-                fewer.push(self.ask(Stage::Consolidate, &values, waiting)?);
+                fewer.push(self.ask(PromptStage::Consolidate, &values, waiting)?);
             }
             notes = fewer;
             if notes.len() == 1 {
@@ -188,13 +189,17 @@ impl Draft<'_> {
         }
         progress(parts - 1, parts);
         let waiting = &mut || progress(parts - 1, parts);
-        let document = self.ask(Stage::Refine, &[("notes", &notes[0])], waiting)?;
+        let document = self.ask(PromptStage::Refine, &[("notes", &notes[0])], waiting)?;
         progress(parts, parts);
         Ok(document)
     }
 
     /// Splits `texts` into consecutive groups that fit into a prompt of `stage`.
-    fn groups<'t>(&self, stage: Stage, texts: &'t [String]) -> anyhow::Result<Vec<&'t [String]>> {
+    fn groups<'t>(
+        &self,
+        stage: PromptStage,
+        texts: &'t [String],
+    ) -> anyhow::Result<Vec<&'t [String]>> {
         let room = self.room(stage, "");
         let mut groups = Vec::new();
         let mut rest = texts;
@@ -216,12 +221,12 @@ impl Draft<'_> {
     }
 
     /// Characters that fit into a prompt of `stage` beside its own words and `other`.
-    fn room(&self, stage: Stage, other: &str) -> usize {
+    fn room(&self, stage: PromptStage, other: &str) -> usize {
         let own = self.prompt(stage, &[]).chars();
         self.recipe.context_chars.saturating_sub(own + chars(other))
     }
 
-    fn prompt(&self, stage: Stage, values: &[(&str, &str)]) -> Prompt {
+    fn prompt(&self, stage: PromptStage, values: &[(&str, &str)]) -> DocumentPrompt {
         let max_tokens = self.recipe.max_tokens;
         let limit = (max_tokens as usize * CHARS_PER_TOKEN).to_string();
         let values: Vec<_> = values.iter().copied().chain([("limit", &*limit)]).collect();
@@ -231,7 +236,7 @@ impl Draft<'_> {
     /// The model's answer at a stage, without a fence around it; never empty.
     fn ask(
         &mut self,
-        stage: Stage,
+        stage: PromptStage,
         values: &[(&str, &str)],
         waiting: &mut dyn FnMut(),
     ) -> anyhow::Result<String> {
@@ -306,7 +311,7 @@ fn chars(text: &str) -> usize {
 
 /// Requests and tokens of a document.
 #[derive(Debug, Default)]
-struct Usage {
+struct BuildUsage {
     requests: u64,
     cut_off: u64,
     models: Vec<String>,
@@ -331,7 +336,7 @@ impl Sum {
     }
 }
 
-impl Usage {
+impl BuildUsage {
     fn add(&mut self, reply: &ChatReply) {
         self.requests += 1;
         self.cut_off += u64::from(is_cut_off(reply));

@@ -5,7 +5,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use domain::{Cell, Heading, Pose};
 use plates::{Landmark, Plate};
 
-use super::transcript::Step;
+use super::transcript::TranscriptStep;
 use search::ContentHash;
 
 /// Readings of the plate at each bay, which is named by its standpoint and the heading that faces it.
@@ -27,7 +27,7 @@ pub(super) struct Bay {
 
 impl Survey {
     /// Adds the view of `step`.
-    pub(super) fn add(&mut self, step: &Step) {
+    pub(super) fn add(&mut self, step: &TranscriptStep) {
         if !self.counted.insert((step.pose, step.seen.frame)) {
             return;
         }
@@ -59,7 +59,7 @@ mod tests {
 
     use domain::Feedback;
 
-    use super::super::transcript::Seen;
+    use super::super::transcript::FrameReading;
     use super::*;
 
     const CELL: Cell = Cell::new(3, 4);
@@ -68,11 +68,12 @@ mod tests {
         Plate([code; 6])
     }
 
-    fn look(from: u8, codes: &[u8]) -> Step {
+    fn look(from: u8, codes: &[u8]) -> TranscriptStep {
         let landmark =
             |&code: &u8| Landmark { standpoint: CELL, face: Heading::E, plate: plate(code) };
-        let seen = Seen { frame: [from; 16], landmarks: codes.iter().map(landmark).collect() };
-        Step {
+        let seen =
+            FrameReading { frame: [from; 16], landmarks: codes.iter().map(landmark).collect() };
+        TranscriptStep {
             pose: Pose::new(0, from, Heading::N),
             feedback: Feedback::Moved,
             seen: Arc::new(seen),

@@ -19,18 +19,18 @@ pub struct Transcript {
     /// The instruction.
     pub instruction: String,
     /// The start, then the state after each action; at least one.
-    pub steps: Vec<Step>,
+    pub steps: Vec<TranscriptStep>,
 }
 
 /// A state, and the action taken in it.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Step {
+pub struct TranscriptStep {
     /// The expert's pose.
     pub pose: Pose,
     /// Feedback on its last action.
     pub feedback: Feedback,
     /// Its view.
-    pub seen: Arc<Seen>,
+    pub seen: Arc<FrameReading>,
     /// Sub-goals completed so far, this cell included.
     pub completed: u32,
     /// Its action; `None` at the end.
@@ -39,7 +39,7 @@ pub struct Step {
 
 /// What can be read in a frame.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
-pub struct Seen {
+pub struct FrameReading {
     /// Identifies the frame's content.
     pub frame: ContentHash,
     /// The plates that were read, placed in the world by the camera's pose.
@@ -50,7 +50,7 @@ pub struct Seen {
 pub fn transcripts(
     sources: &Sources,
     selection: Demonstrations,
-    seen: impl Fn(Pose) -> Option<Arc<Seen>>,
+    seen: impl Fn(Pose) -> Option<Arc<FrameReading>>,
 ) -> Option<Vec<Transcript>> {
     let histories = sources.histories(selection).into_iter();
     histories.map(|history| transcript(sources, history, &seen)).collect()
@@ -59,14 +59,14 @@ pub fn transcripts(
 fn transcript(
     sources: &Sources,
     History { case, start }: History,
-    seen: impl Fn(Pose) -> Option<Arc<Seen>>,
+    seen: impl Fn(Pose) -> Option<Arc<FrameReading>>,
 ) -> Option<Transcript> {
     let case = &sources.cases.cases[case];
     let replay = case.replay(&sources.warehouse, start);
     let actions = case.trajectory(start).actions.iter().copied().map(Some).chain([None]);
     let states = replay.poses.into_iter().zip(replay.feedback).zip(replay.stages);
     let steps = states.zip(actions).map(|(((pose, feedback), completed), action)| {
-        Some(Step { pose, feedback, seen: seen(pose)?, completed, action })
+        Some(TranscriptStep { pose, feedback, seen: seen(pose)?, completed, action })
     });
     let instruction = case.task.instruction(&sources.warehouse.catalogue);
     Some(Transcript { instruction, steps: steps.collect::<Option<_>>()? })
@@ -81,7 +81,7 @@ pub(super) fn sha256(transcripts: &[Transcript]) -> String {
         hasher.update((instruction.len() as u64).to_le_bytes());
         hasher.update(instruction);
         hasher.update((steps.len() as u64).to_le_bytes());
-        for Step { pose, feedback, seen, completed, action } in steps {
+        for TranscriptStep { pose, feedback, seen, completed, action } in steps {
             let action = action.map_or(shm_types::message::NO_ACTION, |action| action as u8);
             let codes = [pose.cell.x, pose.cell.y, pose.heading as u8, *feedback as u8, action];
             hasher.update(codes);
@@ -100,7 +100,7 @@ mod tests {
 
     #[test]
     fn every_part_of_a_transcript_counts() {
-        let step = Step {
+        let step = TranscriptStep {
             pose: Pose::new(3, 4, Heading::N),
             feedback: Feedback::Start,
             seen: Arc::default(),
@@ -120,7 +120,9 @@ mod tests {
             changed(|t| t.steps[0].feedback = Feedback::Turned),
             changed(|t| t.steps[0].completed = 1),
             changed(|t| t.steps[0].action = None),
-            changed(|t| t.steps[0].seen = Arc::new(Seen { frame: [1; 16], landmarks: vec![] })),
+            changed(|t| {
+                t.steps[0].seen = Arc::new(FrameReading { frame: [1; 16], landmarks: vec![] })
+            }),
             changed(|t| t.steps.extend_from_within(..)),
         ];
         let mut hashes: Vec<_> = all.iter().map(|t| sha256(std::slice::from_ref(t))).collect();

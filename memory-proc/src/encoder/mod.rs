@@ -30,7 +30,7 @@ pub use provider::Provider;
 pub use session::ModelFile;
 
 use preprocess::Preprocessor;
-use session::{Runtime, Session};
+use session::{EncoderSession, Runtime};
 
 /// Why an encoder cannot be started or an image not embedded.
 #[derive(Debug, Clone, thiserror::Error)]
@@ -144,7 +144,7 @@ struct Job {
 
 /// When workers open their sessions.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Open {
+pub enum SessionOpening {
     /// At once.
     Eagerly,
     /// When the first image arrives: there may be none.
@@ -192,7 +192,7 @@ impl PreparedEncoder {
 
     /// Starts the workers. A worker calls `wake` whenever a result can be fetched with [`Encoder::poll`]. If the model
     /// cannot be opened, that error is the result for every image.
-    pub fn start(self, open: Open, wake: impl Fn() + Clone + Send + 'static) -> Encoder {
+    pub fn start(self, open: SessionOpening, wake: impl Fn() + Clone + Send + 'static) -> Encoder {
         let Self { file, runtime, facts } = self;
         let threads = facts.threads;
         let (jobs, queue) = bounded(threads * (1 + WAITING_PER_WORKER));
@@ -202,21 +202,22 @@ impl PreparedEncoder {
             let (queue, done) = (queue.clone(), done.clone());
             move || {
                 let first: Option<Job> = match open {
-                    Open::Eagerly => None,
-                    Open::OnDemand => match queue.recv() {
+                    SessionOpening::Eagerly => None,
+                    SessionOpening::OnDemand => match queue.recv() {
                         Ok(job) => Some(job),
                         Err(_) => return,
                     },
                 };
                 let (size, mean, std) = (file.model.input_size, file.model.mean, file.model.std);
                 let mut preprocessor = Preprocessor::new(size, mean, std);
-                let mut session = Session::new(runtime, facts.provider, &file);
+                let mut session = EncoderSession::new(runtime, facts.provider, &file);
                 // The sessions have copied what they need of the model's bytes.
                 drop(file);
                 for Job { content, image } in first.into_iter().chain(&queue) {
                     let start = monotonic_ns();
-                    let embed =
-                        |session: &mut Session| session.embed(&preprocessor.tensor(image.image())?);
+                    let embed = |session: &mut EncoderSession| {
+                        session.embed(&preprocessor.tensor(image.image())?)
+                    };
                     let embedding = session.as_mut().map_err(|error| error.clone()).and_then(embed);
                     drop(image);
                     let span_ns = start..monotonic_ns();

@@ -15,7 +15,7 @@ use sha2::{Digest, Sha256};
 
 use super::{EncoderError, Provider};
 use crate::manifest::{Model, Pooling};
-use crate::paths::Cache;
+use crate::paths::CacheFolder;
 use search::Embedding;
 
 /// A model file, checked against its manifest entry.
@@ -35,7 +35,11 @@ impl ModelFile {
     ///
     /// # Errors
     /// When there is no such file, or its SHA-256 is not the manifest's.
-    pub fn read(model: &Model, given: Option<&Path>, cache: &Cache) -> Result<Self, EncoderError> {
+    pub fn read(
+        model: &Model,
+        given: Option<&Path>,
+        cache: &CacheFolder,
+    ) -> Result<Self, EncoderError> {
         let path = match (given, &model.file) {
             (Some(given), _) => given.to_path_buf(),
             (None, Some(file)) => cache.model(file),
@@ -98,13 +102,13 @@ impl Runtime {
 }
 
 /// An open model, which runs on the calling thread.
-pub(super) struct Session {
+pub(super) struct EncoderSession {
     session: OrtSession,
     outputs: RunOptions<HasSelectedOutputs>,
     model: Model,
 }
 
-impl Session {
+impl EncoderSession {
     pub(super) fn new(
         runtime: Runtime,
         provider: Provider,
@@ -225,11 +229,11 @@ fn pool(model: &Model, tokens: &[f32]) -> Option<Vec<f32>> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::manifest::Manifest;
+    use crate::manifest::EncoderManifest;
 
     #[test]
     fn pooling_takes_the_first_token_or_the_mean_of_the_others() {
-        let mut model = Manifest::shipped().unwrap().models[0].clone();
+        let mut model = EncoderManifest::shipped().unwrap().models[0].clone();
         model.dimension = 2;
         let tokens = [1.0, 2.0, 3.0, 4.0, 5.0, 6.0];
         assert_eq!(pool(&model, &tokens), Some(vec![1.0, 2.0]));

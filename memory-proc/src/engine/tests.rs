@@ -176,7 +176,7 @@ fn unusable_messages_are_refused_with_a_reason() {
     let first = Observation { frame: 1, ..first };
     refuse(&mut rig, Observation { episode: 8, ..first }, "unknown episode 8 in lane 0");
     refuse(&mut rig, Observation { lane: 7, ..first }, "unknown episode 1 in lane 7");
-    refuse(&mut rig, Observation { step: 1, ..first }, "step 1: step 0 was to come");
+    refuse(&mut rig, Observation { step: 1, ..first }, "step 1: expected step 0");
     refuse(&mut rig, Observation { action: 7, ..first }, "7 is not an action");
     refuse(&mut rig, Observation { feedback: 5, ..first }, "5 is not a feedback");
     refuse(&mut rig, Observation { frame: NO_FRAME, ..first }, "it names no frame");

@@ -5,7 +5,7 @@ use domain::DocumentKind;
 use shm_types::message::DocumentId;
 use warehouse::Demonstrations;
 
-use super::{DocumentSupplier, Memory, MemoryBuilder, RecallQuery, Recalled, StoredViews};
+use super::{DocumentSupplier, Memory, MemoryBuilder, RecallQuery, RecalledItems, StoredViews};
 
 /// Builds a memory of documents over the demonstrations `set` of all cases.
 #[derive(Debug)]
@@ -33,8 +33,8 @@ impl MemoryBuilder for Consolidated {
 pub(super) struct SameDocuments(pub(super) Vec<DocumentId>);
 
 impl Memory for SameDocuments {
-    fn recall(&self, _: &RecallQuery<'_>) -> Recalled {
-        Recalled { segment: None, documents: self.0.clone() }
+    fn recall(&self, _: &RecallQuery<'_>) -> RecalledItems {
+        RecalledItems { segment: None, documents: self.0.clone() }
     }
 }
 

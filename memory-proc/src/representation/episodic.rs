@@ -11,8 +11,8 @@ use domain::{Action, Pose};
 use shm_types::message::{FrameId, NO_ACTION, SegmentStep};
 
 use super::{
-    DocumentSupplier, Memory, MemoryBuilder, MemorySpec, RecallQuery, Recalled, RetrievedSegment,
-    StoredViews,
+    DocumentSupplier, Memory, MemoryBuilder, MemorySpec, RecallQuery, RecalledItems,
+    RetrievedSegment, StoredViews,
 };
 use crate::demonstrations::Demonstration;
 use search::{Index, Query, ViewEntry};
@@ -62,7 +62,7 @@ impl MemoryBuilder for Episodic {
                 entries.push((entry, view.content, embedding));
             }
             let Demonstration { case, number, ref actions, .. } = *demonstration;
-            trajectories.push(Trajectory { case, number, frames, actions: actions.clone() });
+            trajectories.push(IndexedTrajectory { case, number, frames, actions: actions.clone() });
         }
         let (horizon, content) = (self.horizon, self.content);
         Ok(Box::new(Indexed { trajectories, index: Index::new(entries), horizon, content }))
@@ -71,13 +71,13 @@ impl MemoryBuilder for Episodic {
 
 /// The demonstrations' views, indexed by embedding, and their trajectories.
 struct Indexed {
-    trajectories: Vec<Trajectory>,
+    trajectories: Vec<IndexedTrajectory>,
     index: Index,
     horizon: usize,
     content: SegmentContent,
 }
 
-struct Trajectory {
+struct IndexedTrajectory {
     case: u32,
     number: u16,
     frames: Vec<FrameId>,
@@ -85,8 +85,8 @@ struct Trajectory {
 }
 
 impl Memory for Indexed {
-    fn recall(&self, now: &RecallQuery<'_>) -> Recalled {
-        Recalled { segment: self.retrieve(now), documents: Vec::new() }
+    fn recall(&self, now: &RecallQuery<'_>) -> RecalledItems {
+        RecalledItems { segment: self.retrieve(now), documents: Vec::new() }
     }
 }
 
@@ -106,7 +106,7 @@ impl Indexed {
     }
 }
 
-impl Trajectory {
+impl IndexedTrajectory {
     /// The view at `step` and at most `horizon` actions from there, with the views that they lead to.
     fn segment(&self, step: usize, horizon: usize, content: SegmentContent) -> Vec<SegmentStep> {
         let end = (step + horizon).min(self.frames.len() - 1);

@@ -80,7 +80,7 @@ pub trait MemoryBuilder {
 /// A memory, which no longer changes.
 pub trait Memory {
     /// What a step is supplied with, in addition to the window.
-    fn recall(&self, query: &RecallQuery<'_>) -> Recalled;
+    fn recall(&self, query: &RecallQuery<'_>) -> RecalledItems;
 }
 
 /// The current step, as far as a memory may use it.
@@ -96,7 +96,7 @@ pub struct RecallQuery<'a> {
 
 /// What a step is supplied with, in addition to the window.
 #[derive(Debug, Clone, PartialEq, Default)]
-pub struct Recalled {
+pub struct RecalledItems {
     /// A segment of a demonstration.
     pub segment: Option<RetrievedSegment>,
     /// Published documents, in order; at most [`MAX_DOCUMENTS`](shm_types::message::MAX_DOCUMENTS).

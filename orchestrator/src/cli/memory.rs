@@ -278,7 +278,7 @@ fn show(args: ShowArgs) -> Result<Exit> {
 
 /// A table of documents, at most 100 columns wide.
 fn overview(documents: &[StoredDocument]) -> String {
-    let header = ["document", "address", "builder", "state", "size", "words", "made"];
+    let header = ["document", "address", "builder", "state", "size", "words", "demos", "views"];
     let mut table = table(&header, 4);
     for stored in documents {
         let document = stored.document.as_ref();
@@ -293,10 +293,8 @@ fn overview(documents: &[StoredDocument]) -> String {
             stored.state.word().to_owned(),
             made(|file| format!("{:.1} KiB", file.text.len() as f64 / 1024.0)),
             made(|file| file.words().to_string()),
-            made(|file| {
-                let made = &file.provenance;
-                format!("of {} demonstrations, {} views", made.trajectories, made.views)
-            }),
+            made(|file| file.provenance.trajectories.to_string()),
+            made(|file| file.provenance.views.to_string()),
         ]);
     }
     table.to_string()

@@ -113,7 +113,7 @@ struct Build<'a> {
 
 impl Build<'_> {
     fn run(mut self, stop: &AtomicBool, report: &mut dyn FnMut(BuildStage)) -> Result<bool> {
-        let mut error_report = None;
+        let mut error = None;
         loop {
             self.bus.listener().wait(TICK)?;
             if stop.load(Ordering::Relaxed) {
@@ -125,20 +125,17 @@ impl Build<'_> {
                     self.report(heartbeat, report);
                 }
             }
-            for said in self.inbox.error_reports.drain()? {
-                error_report = read_text(&said.text, said.text_len).ok().map(str::to_owned);
+            for report in self.inbox.error_reports.drain()? {
+                error = read_text(&report.text, report.text_len).ok().map(str::to_owned);
             }
-            let shutdown_reports = self.inbox.shutdown_reports.drain()?;
-            if shutdown_reports
-                .iter()
-                .any(|shutdown_report| shutdown_report.role == Role::Memory as u32)
-            {
+            let reports = self.inbox.shutdown_reports.drain()?;
+            if reports.iter().any(|report| report.role == Role::Memory as u32) {
                 self.finish()?;
                 return Ok(true);
             }
-            if let Some(death) = self.children.exited() {
-                let error_report = error_report.map(|said| format!("{said}; ")).unwrap_or_default();
-                bail!("{error_report}{death}");
+            if let Some(exit) = self.children.exited() {
+                let error = error.map(|text| format!("{text}; ")).unwrap_or_default();
+                bail!("{error}{exit}");
             }
         }
     }
@@ -146,12 +143,12 @@ impl Build<'_> {
     /// Reports progress: of views until all are read, then of parts of documents.
     fn report(&mut self, heartbeat: Heartbeat, report: &mut dyn FnMut(BuildStage)) {
         let (done, total) = (heartbeat.done, heartbeat.done.saturating_add(heartbeat.waiting));
-        let all_seen = match self.last_report {
+        let all_read = match self.last_report {
             Some(BuildStage::Writing(..)) => true,
             Some(BuildStage::Views(done, total)) => done == total,
             _ => false,
         };
-        let stage = if all_seen {
+        let stage = if all_read {
             BuildStage::Writing(done, total)
         } else {
             BuildStage::Views(done, total)

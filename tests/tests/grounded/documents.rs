@@ -4,9 +4,9 @@ use std::collections::HashMap;
 use std::path::Path;
 use std::sync::Arc;
 
+use documents::Sources;
 use domain::{DocumentKind, Pose};
-use memory_proc::documents::sources::Sources;
-use memory_proc::documents::{Builder, Extractive, Seen};
+use memory_proc::builders::{DocumentBuilder, Extractive, FrameReading, transcripts};
 use warehouse::{Demonstrations, Variant};
 
 use crate::views::Views;
@@ -23,10 +23,12 @@ pub(crate) fn document(
         let frame = image.frame();
         let sightings = plates::read(frame.width, frame.height, frame.pixels);
         let landmarks = sightings.into_iter().filter_map(|sighting| sighting.seen_from(pose));
-        Arc::new(Seen { frame: [0; 16], landmarks: landmarks.collect() })
+        Arc::new(FrameReading { frame: [0; 16], landmarks: landmarks.collect() })
     };
     let poses = sources.poses(demonstrations);
-    let seen: HashMap<Pose, Arc<Seen>> = poses.into_iter().map(|pose| (pose, look(pose))).collect();
-    let transcripts = sources.transcripts(demonstrations, |pose| seen.get(&pose).cloned()).unwrap();
+    let seen: HashMap<Pose, Arc<FrameReading>> =
+        poses.into_iter().map(|pose| (pose, look(pose))).collect();
+    let transcripts =
+        transcripts(&sources, demonstrations, |pose| seen.get(&pose).cloned()).unwrap();
     Extractive.build(kind, &transcripts, Path::new(""), &mut |_, _| ()).unwrap().text
 }

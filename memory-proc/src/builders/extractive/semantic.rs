@@ -10,7 +10,7 @@ use plates::Plate;
 use super::super::floor::{Floor, Stretch};
 use super::super::names::{Label, Names};
 use super::super::survey::{Bay, Survey};
-use super::super::transcript::{Step, Transcript};
+use super::super::transcript::{Transcript, TranscriptStep};
 use super::category_digits;
 
 /// Frames or demonstrations that a fact needs.
@@ -31,7 +31,7 @@ pub(super) struct Facts {
     /// Steps to the first sub-goal, for each demonstration that completed one.
     first_completions: Vec<usize>,
     /// The steps that completed a sub-goal.
-    completions: Vec<Step>,
+    completions: Vec<TranscriptStep>,
 }
 
 /// Facts after consolidation.
@@ -96,7 +96,7 @@ impl Facts {
     }
 
     /// Whether the expert faces an item that it stands in front of, or there is none.
-    fn faces_an_item(&self, step: &Step) -> bool {
+    fn faces_an_item(&self, step: &TranscriptStep) -> bool {
         let mut here =
             self.survey.bays().filter(|bay| bay.landmark.standpoint == step.pose.cell).peekable();
         here.peek().is_none() || here.any(|bay| bay.landmark.face == step.pose.heading)

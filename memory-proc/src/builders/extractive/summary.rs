@@ -19,7 +19,7 @@ Positions are (column, row): columns grow east, rows grow north. An item is reac
 
 /// The summary so far.
 #[derive(Debug, Default)]
-pub(super) struct Summary {
+pub(super) struct SummaryDraft {
     names: Names,
     survey: Survey,
     floor: Floor,
@@ -31,18 +31,18 @@ pub(super) struct Summary {
 struct Route {
     instruction: String,
     start: Pose,
-    events: Vec<Event>,
+    events: Vec<RouteEvent>,
 }
 
 #[derive(Debug, PartialEq, Eq)]
-enum Event {
+enum RouteEvent {
     /// A number of cells in a straight line, and the cell reached.
     Leg { towards: Heading, cells: u8, to: Cell },
     /// Sub-goals were completed; `last` if none is left.
     Completed { count: u32, at: Cell, last: bool },
 }
 
-impl Summary {
+impl SummaryDraft {
     /// Adds a demonstration.
     pub(super) fn add(&mut self, transcript: &Transcript) {
         self.names.add(&transcript.instruction);
@@ -86,7 +86,7 @@ impl Summary {
         let mut after_leg = None;
         for event in events {
             match event {
-                Event::Leg { towards, cells, to } => {
+                RouteEvent::Leg { towards, cells, to } => {
                     f.write_str(match after_leg {
                         None => " ",
                         Some(true) => ", ",
@@ -95,7 +95,7 @@ impl Summary {
                     write!(f, "{} {cells} to {to}", towards.word())?;
                     after_leg = Some(true);
                 }
-                &Event::Completed { count, at, last } => {
+                &RouteEvent::Completed { count, at, last } => {
                     f.write_str(if after_leg.is_none() { " " } else { "; " })?;
                     f.write_str(&self.reached(route, count, at, last).join("; "))?;
                     after_leg = Some(false);
@@ -113,9 +113,9 @@ impl Route {
         let start = steps.first()?;
         let total = steps.last()?.completed;
         let mut events = Vec::new();
-        let complete = |events: &mut Vec<Event>, before: u32, now: u32, at: Cell| {
+        let complete = |events: &mut Vec<RouteEvent>, before: u32, now: u32, at: Cell| {
             if now > before {
-                events.push(Event::Completed { count: now - before, at, last: now == total });
+                events.push(RouteEvent::Completed { count: now - before, at, last: now == total });
             }
         };
         complete(&mut events, 0, start.completed, start.pose.cell);
@@ -124,11 +124,11 @@ impl Route {
             if let Some(towards) = Heading::ALL.into_iter().find(|&way| from.step(way) == Some(to))
             {
                 match events.last_mut() {
-                    Some(Event::Leg { towards: way, cells, to: end }) if *way == towards => {
+                    Some(RouteEvent::Leg { towards: way, cells, to: end }) if *way == towards => {
                         *cells += 1;
                         *end = to;
                     }
-                    _ => events.push(Event::Leg { towards, cells: 1, to }),
+                    _ => events.push(RouteEvent::Leg { towards, cells: 1, to }),
                 }
             }
             complete(&mut events, pair[0].completed, pair[1].completed, to);
@@ -138,7 +138,7 @@ impl Route {
     }
 }
 
-impl fmt::Display for Summary {
+impl fmt::Display for SummaryDraft {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(OPENING)?;
         f.write_str("\n## Items\n")?;

@@ -8,24 +8,24 @@ use proptest::prelude::*;
 use warehouse::{CaseSet, Demonstrations, Start, Warehouse};
 
 use super::*;
-use crate::builders::{Seen, Step, transcripts};
+use crate::builders::{FrameReading, TranscriptStep, transcripts};
 use documents::Sources;
 
 /// The plates read in the painted aisle's image from `pose`.
-fn look(pose: Pose) -> Arc<Seen> {
+fn look(pose: Pose) -> Arc<FrameReading> {
     let picture = Aisle::new().picture(pose);
     let read = plates::read(picture.width(), picture.width(), picture.pixels());
     let landmarks = read.into_iter().filter_map(|sighting| sighting.seen_from(pose)).collect();
     let mut frame = [0; 16];
     frame[..3].copy_from_slice(&[pose.cell.x, pose.cell.y, pose.heading as u8]);
-    Arc::new(Seen { frame, landmarks })
+    Arc::new(FrameReading { frame, landmarks })
 }
 
 /// A demonstration in the painted aisle: its actions as letters, with an exclamation mark after each that completes a
 /// sub-goal.
 fn transcript(instruction: &str, start: &str, letters: &str) -> Transcript {
     let mut pose: Pose = start.parse().unwrap();
-    let state = |pose, feedback, completed| Step {
+    let state = |pose, feedback, completed| TranscriptStep {
         pose,
         feedback,
         seen: look(pose),

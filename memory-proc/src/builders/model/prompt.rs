@@ -9,7 +9,7 @@ const USER: &str = "=== user ===\n";
 /// What the model is sent.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Prompt {
+pub struct DocumentPrompt {
     /// The system message: the rules.
     pub system: String,
     /// The user message: the material.
@@ -18,7 +18,7 @@ pub struct Prompt {
     pub max_tokens: u32,
 }
 
-impl Prompt {
+impl DocumentPrompt {
     /// Number of characters in both messages.
     pub(super) fn chars(&self) -> usize {
         self.system.chars().count() + self.user.chars().count()
@@ -36,7 +36,7 @@ impl Prompt {
 
 /// A step in building a document.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Stage {
+pub(super) enum PromptStage {
     /// The summary so far and further demonstrations become a new summary.
     Summary,
     /// Demonstrations become notes.
@@ -47,7 +47,7 @@ pub(super) enum Stage {
     Refine,
 }
 
-impl Stage {
+impl PromptStage {
     /// Its name, also in file names.
     pub(super) const fn name(self) -> &'static str {
         match self {
@@ -68,10 +68,10 @@ impl Stage {
     }
 
     /// The prompt of this stage, with `values` in place of their names in braces.
-    pub(super) fn prompt(self, max_tokens: u32, values: &[(&str, &str)]) -> Prompt {
+    pub(super) fn prompt(self, max_tokens: u32, values: &[(&str, &str)]) -> DocumentPrompt {
         let (system, user) = self.file().split_once(USER).unwrap_or(("", self.file()));
         let filled = |template: &str| fill(template.trim_end(), values);
-        Prompt { system: filled(system), user: filled(user), max_tokens }
+        DocumentPrompt { system: filled(system), user: filled(user), max_tokens }
     }
 }
 
@@ -106,7 +106,8 @@ mod tests {
     use super::*;
     use documents::{PROMPT_VERSION, hex};
 
-    const STAGES: [Stage; 4] = [Stage::Summary, Stage::Extract, Stage::Consolidate, Stage::Refine];
+    const STAGES: [PromptStage; 4] =
+        [PromptStage::Summary, PromptStage::Extract, PromptStage::Consolidate, PromptStage::Refine];
 
     /// When this fails, a prompt has changed: raise [`PROMPT_VERSION`] along with the hashes.
     #[test]
@@ -122,7 +123,7 @@ mod tests {
     fn every_place_is_filled() {
         let values = ["limit", "so_far", "demonstrations", "notes"].map(|name| (name, "{limit}!"));
         for stage in STAGES {
-            let Prompt { system, user, max_tokens } = stage.prompt(9, &values);
+            let DocumentPrompt { system, user, max_tokens } = stage.prompt(9, &values);
             assert_eq!(max_tokens, 9);
             for content in [system, user] {
                 assert!(content.contains("{limit}!"), "{content}");

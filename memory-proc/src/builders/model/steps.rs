@@ -13,7 +13,7 @@ use anyhow::Context;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
-use super::prompt::{Prompt, Stage};
+use super::prompt::{DocumentPrompt, PromptStage};
 use documents::hex;
 use llm::ChatReply;
 
@@ -23,13 +23,13 @@ use llm::ChatReply;
 struct StepFile {
     /// SHA-256 of the model's name and the prompt.
     request_sha256: String,
-    prompt: Prompt,
+    prompt: DocumentPrompt,
     reply: ChatReply,
 }
 
 /// The steps of one document, in order.
 #[derive(Debug)]
-pub(super) struct Steps {
+pub(super) struct StepFolder {
     folder: PathBuf,
     /// The model's name.
     model: String,
@@ -37,7 +37,7 @@ pub(super) struct Steps {
     used: BTreeSet<OsString>,
 }
 
-impl Steps {
+impl StepFolder {
     /// Opens the folder of a document built by `model`. Creates the folder if it is missing.
     pub(super) fn open(folder: &Path, model: &str) -> anyhow::Result<Self> {
         fs::create_dir_all(folder)
@@ -48,8 +48,8 @@ impl Steps {
     /// The reply to the next prompt: the stored one, else the result of `ask`, which is then stored.
     pub(super) fn next(
         &mut self,
-        stage: Stage,
-        prompt: &Prompt,
+        stage: PromptStage,
+        prompt: &DocumentPrompt,
         ask: impl FnOnce() -> anyhow::Result<ChatReply>,
     ) -> anyhow::Result<ChatReply> {
         let name = format!("{:03}-{}.json", self.used.len() + 1, stage.name());
@@ -79,7 +79,7 @@ impl Steps {
         stale().with_context(|| format!("cannot clear {}", self.folder.display()))
     }
 
-    fn sha256(&self, prompt: &Prompt) -> anyhow::Result<String> {
+    fn sha256(&self, prompt: &DocumentPrompt) -> anyhow::Result<String> {
         let mut hasher = Sha256::new();
         hasher.update((self.model.len() as u64).to_le_bytes());
         hasher.update(&self.model);
@@ -130,8 +130,8 @@ mod tests {
     use super::*;
     use llm::ReplyContent;
 
-    fn prompt(limit: &str) -> Prompt {
-        Stage::Extract.prompt(9, &[("limit", limit)])
+    fn prompt(limit: &str) -> DocumentPrompt {
+        PromptStage::Extract.prompt(9, &[("limit", limit)])
     }
 
     fn reply(text: &str) -> ChatReply {
@@ -150,12 +150,14 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let folder = folder.path().join("summary-4.steps");
         let next = |model, limit, answer: Option<&str>| {
-            let mut steps = Steps::open(&folder, model).unwrap();
+            let mut steps = StepFolder::open(&folder, model).unwrap();
             let ask = || match answer {
                 Some(text) => Ok(reply(text)),
                 None => bail!("no server"),
             };
-            steps.next(Stage::Extract, &prompt(limit), ask).map(|reply| reply.text().to_owned())
+            steps
+                .next(PromptStage::Extract, &prompt(limit), ask)
+                .map(|reply| reply.text().to_owned())
         };
         assert!(next("m", "1", None).is_err());
         assert_eq!(names(&folder), [""; 0], "a failure leaves nothing");
@@ -175,8 +177,8 @@ mod tests {
         for name in ["002-refine.json", "003-extract.json.new", "notes.txt", "a-b.json"] {
             fs::write(folder.path().join(name), "x").unwrap();
         }
-        let mut steps = Steps::open(folder.path(), "m").unwrap();
-        steps.next(Stage::Summary, &prompt("1"), || Ok(reply("a"))).unwrap();
+        let mut steps = StepFolder::open(folder.path(), "m").unwrap();
+        steps.next(PromptStage::Summary, &prompt("1"), || Ok(reply("a"))).unwrap();
         steps.finish().unwrap();
         assert_eq!(names(folder.path()), ["001-summary.json", "a-b.json", "notes.txt"]);
     }

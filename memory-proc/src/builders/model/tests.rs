@@ -6,7 +6,7 @@ use domain::{Action, Cell, Feedback, Heading, Pose};
 use plates::{Landmark, Plate};
 use tempfile::TempDir;
 
-use super::super::{Seen, Step};
+use super::super::{FrameReading, TranscriptStep};
 use super::*;
 
 pub(super) fn reply(content: ReplyContent) -> ChatReply {
@@ -36,10 +36,10 @@ fn transcript(instruction: &str) -> Transcript {
     };
     let cone = Landmark { plate: Plate::new("cones", "orange cone"), ..barrel };
     let (none, one, both) = (vec![], vec![barrel], vec![barrel, cone]);
-    let step = |y, heading, feedback, landmarks: &Vec<_>, completed, action| Step {
+    let step = |y, heading, feedback, landmarks: &Vec<_>, completed, action| TranscriptStep {
         pose: Pose::new(3, y, heading),
         feedback,
-        seen: Arc::new(Seen { frame: [0; 16], landmarks: landmarks.clone() }),
+        seen: Arc::new(FrameReading { frame: [0; 16], landmarks: landmarks.clone() }),
         completed,
         action,
     };
@@ -63,7 +63,7 @@ fn transcripts(count: usize) -> Vec<Transcript> {
 }
 
 /// A recipe whose prompts of `stage` have room for `count` demonstrations beside `other` characters.
-fn room_for(stage: Stage, count: usize, other: usize) -> ModelRecipe {
+fn room_for(stage: PromptStage, count: usize, other: usize) -> ModelRecipe {
     let words = stage.prompt(0, &[("limit", "2000")]).chars();
     let one = chars(&narration::narrate(1, &transcripts(1)[0])) + 20;
     let context_chars = words + count * one + other;
@@ -85,10 +85,10 @@ impl Bench {
         kind: DocumentKind,
         count: usize,
         recipe: &ModelRecipe,
-        mut script: impl FnMut(usize, &Prompt) -> anyhow::Result<ChatReply>,
-    ) -> (anyhow::Result<BuiltText>, Vec<Prompt>) {
+        mut script: impl FnMut(usize, &DocumentPrompt) -> anyhow::Result<ChatReply>,
+    ) -> (anyhow::Result<BuiltText>, Vec<DocumentPrompt>) {
         let mut asked = Vec::new();
-        let ask = |prompt: &Prompt, _: &mut dyn FnMut()| {
+        let ask = |prompt: &DocumentPrompt, _: &mut dyn FnMut()| {
             asked.push(prompt.clone());
             script(asked.len(), prompt)
         };
@@ -133,8 +133,8 @@ fn a_demonstration_in_words() {
 
 #[test]
 fn a_summary_goes_on_from_the_one_before() {
-    let recipe = room_for(Stage::Summary, 2, 60);
-    let script = |number, _: &Prompt| Ok(says(format!("# Summary {number}")));
+    let recipe = room_for(PromptStage::Summary, 2, 60);
+    let script = |number, _: &DocumentPrompt| Ok(says(format!("# Summary {number}")));
     let (built, asked) = Bench::new().build(DocumentKind::Summary, 5, &recipe, script);
     let built = built.unwrap();
     assert_eq!(built.text, "# Summary 3\n");
@@ -149,22 +149,22 @@ fn a_summary_goes_on_from_the_one_before() {
             completion_tokens: Some(30),
         }
     );
-    let numbers = |prompt: &Prompt| {
+    let numbers = |prompt: &DocumentPrompt| {
         (1..=5).filter(|n| prompt.user.contains(&format!("## Demonstration {n}\n"))).collect()
     };
     let shown: Vec<Vec<u32>> = asked.iter().map(numbers).collect();
     assert_eq!(shown, [vec![1, 2], vec![3, 4], vec![5]]);
     assert!(asked[0].user.contains("(There is none yet.)"));
     assert!(asked[1].user.contains("# Summary 1\n") && !asked[2].user.contains("Summary 1"));
-    let longest = asked.iter().map(Prompt::chars);
+    let longest = asked.iter().map(DocumentPrompt::chars);
     assert!(longest.max().is_some_and(|chars| chars <= recipe.context_chars));
 }
 
 #[test]
 fn knowledge_is_extracted_consolidated_and_refined() {
     // Notes that fit twice into a prompt, so that four sets of them take two rounds.
-    let recipe = room_for(Stage::Extract, 1, 0);
-    let consolidate = room_for(Stage::Consolidate, 0, 0).context_chars;
+    let recipe = room_for(PromptStage::Extract, 1, 0);
+    let consolidate = room_for(PromptStage::Consolidate, 0, 0).context_chars;
     let notes = "n".repeat((recipe.context_chars - consolidate) / 2 - 20);
     let bench = Bench::new();
     let (built, asked) = bench.build(DocumentKind::Semantic, 4, &recipe, |number, _| {
@@ -192,8 +192,8 @@ fn knowledge_is_extracted_consolidated_and_refined() {
 #[test]
 fn a_build_that_was_stopped_goes_on_and_a_finished_one_asks_nothing() {
     for kind in [DocumentKind::Summary, DocumentKind::Semantic] {
-        let recipe = room_for(Stage::Summary, 1, 60);
-        let fails_at = |number, _: &Prompt| match number {
+        let recipe = room_for(PromptStage::Summary, 1, 60);
+        let fails_at = |number, _: &DocumentPrompt| match number {
             3 => bail!("the server is gone"),
             _ => Ok(says(format!("# Text {number}"))),
         };
@@ -209,7 +209,7 @@ fn a_build_that_was_stopped_goes_on_and_a_finished_one_asks_nothing() {
         assert_eq!(built.as_ref().unwrap(), &whole.0.unwrap());
         assert_eq!([&asked[..2], &rest].concat(), whole.1, "nothing is asked twice");
 
-        let unreachable = |_, _: &Prompt| -> anyhow::Result<ChatReply> { panic!("asked") };
+        let unreachable = |_, _: &DocumentPrompt| -> anyhow::Result<ChatReply> { panic!("asked") };
         let (again, _) = bench.build(kind, 4, &recipe, unreachable);
         assert_eq!(again.unwrap(), built.unwrap());
     }
@@ -217,8 +217,8 @@ fn a_build_that_was_stopped_goes_on_and_a_finished_one_asks_nothing() {
 
 #[test]
 fn what_was_not_counted_is_absent() {
-    let recipe = room_for(Stage::Summary, 1, 60);
-    let script = |number, _: &Prompt| {
+    let recipe = room_for(PromptStage::Summary, 1, 60);
+    let script = |number, _: &DocumentPrompt| {
         let prompt_tokens = (number != 2).then_some(7);
         Ok(ChatReply { model: None, prompt_tokens, ..says("# Summary") })
     };
@@ -235,8 +235,8 @@ fn an_answer_that_is_none_fails_the_build_and_is_not_kept() {
         (ReplyContent::Text("```\n```".into()), "has no text in it"),
         (ReplyContent::Length("# Summ".into()), "cut off before its first sentence ended"),
     ] {
-        let (bench, recipe) = (Bench::new(), room_for(Stage::Summary, 9, 60));
-        let script = |_, _: &Prompt| Ok(reply(content.clone()));
+        let (bench, recipe) = (Bench::new(), room_for(PromptStage::Summary, 9, 60));
+        let script = |_, _: &DocumentPrompt| Ok(reply(content.clone()));
         let (built, _) = bench.build(DocumentKind::Summary, 1, &recipe, script);
         let error = format!("{:#}", built.unwrap_err());
         assert!(error.contains(expected), "{error}");
@@ -261,8 +261,8 @@ fn what_models_wrap_around_an_answer_is_taken_off() {
 
 #[test]
 fn an_answer_that_was_cut_off_is_counted() {
-    let recipe = room_for(Stage::Summary, 9, 60);
-    let script = |_, _: &Prompt| Ok(reply(ReplyContent::Length("# A\nb\nhal".into())));
+    let recipe = room_for(PromptStage::Summary, 9, 60);
+    let script = |_, _: &DocumentPrompt| Ok(reply(ReplyContent::Length("# A\nb\nhal".into())));
     let built = Bench::new().build(DocumentKind::Summary, 1, &recipe, script).0.unwrap();
     assert_eq!((&*built.text, built.account.cut_off), ("# A\nb\n", Some(1)));
 }
@@ -271,10 +271,10 @@ fn an_answer_that_was_cut_off_is_counted() {
 fn what_does_not_fit_is_said_before_anybody_is_asked() {
     let long = "n".repeat(4000);
     for (kind, stage, told, asked_before, expected) in [
-        (DocumentKind::Summary, Stage::Summary, 0, 0, "demonstration 1 has"),
-        (DocumentKind::Summary, Stage::Summary, 1, 1, "beside a summary of 4000"),
-        (DocumentKind::Semantic, Stage::Extract, 0, 0, "for the stage `extract`"),
-        (DocumentKind::Semantic, Stage::Extract, 1, 3, "for the stage `consolidate`"),
+        (DocumentKind::Summary, PromptStage::Summary, 0, 0, "demonstration 1 has"),
+        (DocumentKind::Summary, PromptStage::Summary, 1, 1, "beside a summary of 4000"),
+        (DocumentKind::Semantic, PromptStage::Extract, 0, 0, "for the stage `extract`"),
+        (DocumentKind::Semantic, PromptStage::Extract, 1, 3, "for the stage `consolidate`"),
     ] {
         let recipe = room_for(stage, told, 30);
         let (built, asked) = Bench::new().build(kind, 3, &recipe, |_, _| Ok(says(&long)));
@@ -287,11 +287,11 @@ fn what_does_not_fit_is_said_before_anybody_is_asked() {
 #[test]
 fn a_document_is_not_made_of_nothing_and_not_without_bounds() {
     for kind in [DocumentKind::Summary, DocumentKind::Semantic] {
-        let recipe = room_for(Stage::Summary, 1, 60);
+        let recipe = room_for(PromptStage::Summary, 1, 60);
         let (built, _) = Bench::new().build(kind, 0, &recipe, |_, _| Ok(says("# A")));
         assert!(format!("{:#}", built.unwrap_err()).contains("there are no demonstrations"));
     }
-    let recipe = ModelRecipe { context_chars: 100_000, ..room_for(Stage::Summary, 1, 60) };
+    let recipe = ModelRecipe { context_chars: 100_000, ..room_for(PromptStage::Summary, 1, 60) };
     let long = "n".repeat(MAX_DOCUMENT_BYTES + 1);
     let (built, _) = Bench::new().build(DocumentKind::Summary, 1, &recipe, |_, _| Ok(says(&long)));
     assert!(format!("{:#}", built.unwrap_err()).contains("at most 262144 fit"));
