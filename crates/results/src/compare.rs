@@ -1,18 +1,18 @@
-//! Which conditions of which runs are compared, by the names that people write.
+//! Comparisons of conditions and runs by name.
 //!
-//! The comparison itself is [`score::compare`](crate::score::compare)'s.
+//! The statistics are [`score::compare`](crate::score::compare)'s.
 
-use crate::log::RunLog;
+use crate::log::{Difference, RunLog};
 use crate::names::UnknownName;
 use crate::score::{Comparison, Trials, compare};
 
 /// Why two configurations cannot be compared.
 #[derive(Debug, thiserror::Error)]
 pub enum CompareError {
-    /// A name that no condition of the run has.
+    /// No condition of the run has the name.
     #[error(transparent)]
     Unknown(#[from] UnknownName),
-    /// Nothing to compare on.
+    /// There is nothing to compare.
     #[error("{a} and {b} have no finished case in common")]
     NoCommonCase {
         /// One side.
@@ -30,15 +30,15 @@ pub enum CompareError {
         a: String,
         /// The other's.
         b: String,
-        /// What differs: layout, catalogue or cases.
+        /// The content that differs: layout, catalogue or cases.
         what: String,
     },
 }
 
-/// Compares two conditions, each written as in the log, of one run or of two.
+/// Compares two conditions, each by its name in the log, of one run or of two.
 ///
 /// # Errors
-/// When a name is no condition of its run, or the two have no case in common.
+/// When a name is not a condition of its run, or the two have no case in common.
 pub fn compare_conditions(
     a: (&RunLog, &str),
     b: (&RunLog, &str),
@@ -80,6 +80,17 @@ pub fn compare_runs(a: &RunLog, b: &RunLog) -> Result<Vec<Comparison>, CompareEr
     Ok(compared)
 }
 
+/// The settings, contents and versions in which two runs differ beside their policies and their lists of episodes.
+/// Any of them can be why their figures differ.
+pub fn differing_settings(a: &RunLog, b: &RunLog) -> Vec<Difference> {
+    const COMPARED: [&str; 8] =
+        ["policy", "policy-cmd", "model", "cases", "limit", "group", "log-prompts", "episodes"];
+    let mut differences = b.manifest.differences(&a.manifest);
+    differences
+        .retain(|one| !COMPARED.contains(&one.key.as_str()) && !one.key.starts_with("runs of "));
+    differences
+}
+
 /// Whether the same case is the same case in both runs.
 fn same_world(a: &RunLog, b: &RunLog) -> Result<(), CompareError> {
     let hash = |log: &RunLog, what: &str| log.manifest.hashes.get(what).cloned();
@@ -92,8 +103,35 @@ fn same_world(a: &RunLog, b: &RunLog) -> Result<(), CompareError> {
     Ok(())
 }
 
-/// What a run is called among others: the last part of its folder.
+/// The name of a run among others: the last part of its folder.
 pub fn run_name(log: &RunLog) -> String {
     let name = log.dir.file_name().unwrap_or(log.dir.as_os_str());
     name.to_string_lossy().into_owned()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::log::testing::{log, record};
+
+    #[test]
+    fn settings_that_differ_are_named_with_both_values() {
+        let (mut a, mut b) = (log(vec![record("a", true)]), log(vec![record("a", false)]));
+        a.manifest.settings.seed = 3;
+        (b.manifest.settings.max_steps, b.manifest.settings.frame_size) = (60, 224);
+        (b.manifest.settings.keyframes, b.manifest.settings.limit) = (20, Some(5));
+        let differing = differing_settings(&a, &b);
+        let shown: Vec<String> = differing
+            .iter()
+            .map(|one| format!("{}: {} and {}", one.key, one.there, one.here))
+            .collect();
+        insta::assert_snapshot!(shown.join("\n"), @"
+        frame-size: 448 and 224
+        keyframes: 40 and 20
+        max-steps: 200 and 60
+        seed: 3 and 1
+        ");
+        let compared = compare_runs(&a, &b).unwrap();
+        assert_eq!((compared[0].sr.a, compared[0].sr.b, compared[0].sr.mean), (100.0, 0.0, 100.0));
+    }
 }

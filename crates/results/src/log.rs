@@ -15,13 +15,15 @@
 //!
 //! Scores are made from these files alone ([`score`](crate::score)).
 
+mod check;
 mod folder;
 mod journal;
 mod manifest;
 mod record;
+mod replay;
 
 pub use folder::{Opened, REPORT_FOLDER, RunFolder, RunLog, STATUS_FILE};
-pub use journal::{Journal, read_journal};
+pub use journal::{DamagedLine, Journal, JournalContents, damaged_file, read_journal};
 pub use manifest::{Difference, DocumentFacts, FORMAT, Manifest};
 pub use record::{
     Ending, EpisodeError, EpisodeRecord, EpisodeTimings, RequestRecord, SessionEvent,
@@ -46,18 +48,6 @@ pub enum LogError {
         path: PathBuf,
         /// What it said.
         source: io::Error,
-    },
-    /// A line that is not what it should be, and not because the program was killed while writing it.
-    #[error(
-        "{}, line {line}: {problem}; mend or remove the line, or start over with --fresh", path.display()
-    )]
-    BrokenLine {
-        /// The file.
-        path: PathBuf,
-        /// Counted from 1.
-        line: usize,
-        /// What is wrong with it.
-        problem: String,
     },
     /// The manifest cannot be understood.
     #[error("{}: {problem}; start over with --fresh, or choose another --out", path.display())]

@@ -1,9 +1,8 @@
-//! Pages, tables and data files about runs, from their logs alone.
+//! Reports about runs, from their logs alone.
 //!
-//! Three steps that never merge: [`score`](crate::score) reckons, this room arranges ([`Document`]: sections,
-//! tables, figures; `sections/`: what is in them, a file for each of the paper's tables), and one file for each form
-//! writes: `html.rs`, `markdown.rs`, `csv.rs`, `parquet.rs`. The paper's own figures are data
-//! ([`Published`], `assets/published.toml`).
+//! Three steps: [`score`](crate::score) computes, `sections/` arranges figures into a [`Document`] of sections, tables
+//! and plots, and one file for each format writes it: `html.rs`, `markdown.rs`, `csv.rs`, `parquet.rs`, `terminal.rs`.
+//! The published figures are data ([`Published`], `assets/published.toml`).
 //!
 //! The same logs give the same files, byte for byte.
 
@@ -17,6 +16,7 @@ mod parquet;
 mod plot;
 mod published;
 mod sections;
+mod terminal;
 mod view;
 
 #[cfg(test)]
@@ -24,11 +24,14 @@ mod testing;
 #[cfg(test)]
 mod tests;
 
+pub use data::{episodes_frame, timings_frame};
 pub use document::{Block, Cell, Column, Document, Figure, Group, Missing, Row, Section, Table};
 pub use frame::{Frame, Series, Values};
-pub use plot::{Curve, Curves, PlotError, curves};
+pub use plot::{Curve, Curves, curves};
 pub use plot::{Stack, StackRow, stack};
 pub use published::{Published, PublishedCondition, PublishedSpread};
+
+pub use terminal::{compared_runs, comparison, summary};
 
 use std::fs::{self, File};
 use std::io::{self, BufWriter};
@@ -50,9 +53,6 @@ pub enum ReportError {
         /// What it said.
         source: io::Error,
     },
-    /// A figure could not be drawn.
-    #[error(transparent)]
-    Plot(#[from] PlotError),
     /// A page could not be made of its template.
     #[error("cannot make {page}: {source}; this is a mistake in the program, please report it")]
     Template {
@@ -66,12 +66,9 @@ pub enum ReportError {
     Published(#[from] toml::de::Error),
 }
 
-/// The report about `logs`, before it has a form.
-///
-/// # Errors
-/// When a figure cannot be drawn.
-pub fn document(logs: &[RunLog], published: &Published) -> Result<Document, ReportError> {
-    Ok(arrange(&views(logs, published))?)
+/// The report about `logs` as a document.
+pub fn document(logs: &[RunLog], published: &Published) -> Document {
+    arrange(&views(logs, published))
 }
 
 /// `document` as one HTML page that needs nothing else.
@@ -92,34 +89,16 @@ fn views<'a>(logs: &'a [RunLog], published: &'a Published) -> Vec<View<'a>> {
     (1..).zip(logs).map(view).collect()
 }
 
-fn arrange(views: &[View<'_>]) -> Result<Document, PlotError> {
+fn arrange(views: &[View<'_>]) -> Document {
     let mut sections = Vec::new();
-    let title = match views {
-        [view] => {
-            sections.extend(sections::sections(view, 2)?);
-            sections.push(sections::method());
-            sections.push(sections::provenance(view, 2));
-            format!("MemTransfer: {}", run_name(view.log))
-        }
-        _ => {
-            sections.extend(sections::runs(views));
-            for view in views {
-                let title = format!("Run {}", run_name(view.log));
-                sections.push(Section {
-                    id: view.id("s-run"),
-                    level: 2,
-                    title,
-                    blocks: Vec::new(),
-                });
-                sections.extend(sections::sections(view, 3)?);
-                sections.push(sections::provenance(view, 3));
-            }
-            sections.push(sections::method());
-            let names: Vec<String> = views.iter().map(|view| run_name(view.log)).collect();
-            format!("MemTransfer: {}", names.join(", "))
-        }
-    };
-    Ok(Document { title, sections })
+    match views {
+        [view] => sections.extend(sections::sections(view)),
+        _ => sections.push(sections::runs(views)),
+    }
+    sections.push(sections::method());
+    sections.extend(views.iter().map(sections::provenance));
+    let names: Vec<String> = views.iter().map(|view| run_name(view.log)).collect();
+    Document { title: format!("MemTransfer: {}", names.join(", ")), sections }
 }
 
 /// Writes the report about `logs` into the folder `dir`, which is made if need be; files of an earlier report there
@@ -138,7 +117,7 @@ fn arrange(views: &[View<'_>]) -> Result<Document, PlotError> {
 pub fn write(logs: &[RunLog], dir: &Path) -> Result<PathBuf, ReportError> {
     let published = Published::load()?;
     let views = views(logs, &published);
-    let document = arrange(&views)?;
+    let document = arrange(&views);
     let template = |page| move |source| ReportError::Template { page, source };
     let out = Folder { dir };
     let page =
@@ -153,14 +132,12 @@ pub fn write(logs: &[RunLog], dir: &Path) -> Result<PathBuf, ReportError> {
         })?;
     }
     for (name, frame) in
-        [("conditions", data::conditions(&views)), ("episodes", data::episodes(logs))]
+        [("conditions", data::conditions(&views)), ("episodes", data::episodes_frame(logs))]
     {
         out.stream(&format!("{name}.csv"), |file| {
             csv::write_frame(&frame, file).map_err(io::Error::other)
         })?;
-        out.stream(&format!("{name}.parquet"), |file| {
-            parquet::write_frame(&frame, file).map_err(io::Error::other)
-        })?;
+        out.stream(&format!("{name}.parquet"), |file| parquet::write_frame(&frame, file))?;
     }
     Ok(page)
 }

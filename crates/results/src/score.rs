@@ -1,22 +1,22 @@
 //! Scores, from a run's log alone.
 //!
-//! Pure functions with the formulas of SPEC section 7 and of the paper's section on metrics, a file for each
-//! family. Nothing is read, drawn or printed here: the log is [`log`](crate::log)'s, the table
-//! [`table`](crate::table)'s, the pages [`report`](crate::report)'s.
+//! Pure functions with the formulas of section 7 of the specification and of the paper's section on metrics, a file
+//! for each family.
 //!
-//! Every figure is computed for each run by itself, then averaged over runs ([`Spread`]). What was not
-//! measured, or is not defined, is `None`, never zero. An episode that was given up because of a fault is an
-//! attempt that did not succeed; it has no steps, tokens or answers that could enter another figure.
+//! Every figure is computed for each run by itself, then averaged over runs ([`Spread`]). What was not measured, or
+//! is not defined, is `None`, never zero. Figures are over finished episodes. Where episodes are missing, because
+//! they were given up after a fault of the infrastructure, or because the run is not over, [`Bounds`] says what the
+//! missing ones can make of it.
 //!
 //! | figure | file |
 //! |---|---|
 //! | SR, SPL, SR by task group | `success.rs` |
 //! | follow F, recovery C, change Delta, retention R | `blocked.rs` |
-//! | images a request, tokens a hundred cases, unreadable answers, retrievals from other tasks | `cost.rs` |
-//! | tokens, latency and cost of questions to a model | `requests.rs` |
-//! | why episodes failed | `failure.rs` |
+//! | images, tokens, unreadable answers, retrievals from other tasks | `cost.rs` |
+//! | tokens, latency and cost of requests to a model | `requests.rs` |
+//! | kinds of failure, the cases that fail most | `failure.rs`, `worst.rs` |
 //! | time of a step by stage, steps a second | `time.rs` |
-//! | 95 % intervals | `bootstrap.rs` |
+//! | 95 % intervals: of rates, of other figures | `interval.rs`, `bootstrap.rs` |
 //! | two configurations on the same cases | `compare.rs` |
 
 mod blocked;
@@ -25,64 +25,74 @@ mod compare;
 mod condition;
 mod cost;
 mod failure;
+mod interval;
 mod requests;
 mod spread;
 mod success;
 mod time;
 mod trial;
+mod worst;
 
 pub use blocked::{BlockedScore, Derived};
-pub use bootstrap::{Interval, RESAMPLES, SEED, intervals};
+pub use bootstrap::{RESAMPLES, SEED};
 pub use compare::{Comparison, Difference, compare};
-pub use condition::ConditionScore;
+pub use condition::{Bounds, ConditionScore};
 pub use failure::{Failure, Failures, LOOP_STEPS, LOOP_VISITS, NEW_CELLS};
+pub use interval::Interval;
 pub use requests::RequestScore;
 pub use spread::Spread;
 pub use success::{GroupScore, group_of};
 pub use time::StageTimes;
-pub use trial::{Trial, Trials};
+pub use trial::{Trials, path_weight};
+pub use worst::{CaseScore, worst_cases};
 
 use std::collections::BTreeMap;
 
 use serde::Serialize;
 
 use crate::conditions::Condition;
-use crate::log::{EpisodeTimings, RunLog};
+use crate::log::{EpisodeTimings, Manifest, RunLog};
 
-/// Everything that is said about a run.
+/// The scores of a run.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Scores {
-    /// One entry for each condition that has an episode, in the order of the words of a condition: so those of a
-    /// memory stand together.
+    /// One entry for each condition that has a finished episode, ordered by memory, start, route, demonstrations.
     pub conditions: Vec<ConditionScore>,
     /// Episodes of the whole run, finished or not.
     pub planned: usize,
     /// Finished episodes.
     pub finished: usize,
-    /// Episodes given up because of a fault that is not the model's. They count as not successful.
+    /// Episodes given up because of a fault that is not the policy's. They enter no figure.
     pub errored: usize,
-    /// Steps of all finished episodes a second of running time.
+    /// Steps of all finished episodes per second of running time.
     pub steps_per_s: Option<f64>,
-    /// What was asked of a model; absent when none was asked.
+    /// Requests to the model; absent when there were none.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub requests: Option<RequestScore>,
 }
 
 impl Scores {
-    /// The scores of `condition`; `None` when it has no episode.
+    /// The scores of `condition`; `None` when it has no finished episode.
     pub fn of(&self, condition: &Condition) -> Option<&ConditionScore> {
         self.conditions.iter().find(|score| score.condition == *condition)
     }
+
+    /// Episodes that have not finished.
+    pub const fn missing(&self) -> usize {
+        self.planned.saturating_sub(self.finished)
+    }
 }
 
-/// The scores of a run.
+/// Computes the scores of a run.
 pub fn score(log: &RunLog) -> Scores {
     let timings: BTreeMap<&str, &EpisodeTimings> =
         log.timings.iter().map(|timings| (timings.key.as_str(), timings)).collect();
     let trials = Trials::by_condition(log);
-    let scored = trials
-        .iter()
-        .filter_map(|(condition, trials)| condition::score_condition(*condition, trials, &timings));
+    let planned = planned(&log.manifest);
+    let scored = trials.iter().filter_map(|(condition, trials)| {
+        let planned = planned.get(condition).copied().unwrap_or(0);
+        condition::score_condition(*condition, trials, planned, &timings)
+    });
     let mut conditions: Vec<ConditionScore> = scored.collect();
     condition::relate(&mut conditions, &trials);
     Scores {
@@ -93,6 +103,14 @@ pub fn score(log: &RunLog) -> Scores {
         steps_per_s: time::steps_per_s(&log.timings),
         requests: RequestScore::of_run(log),
     }
+}
+
+/// The episodes of each condition in the whole run: every condition has the same cases.
+fn planned(manifest: &Manifest) -> BTreeMap<Condition, usize> {
+    let runs = manifest.settings.runs();
+    let repetitions: u32 = runs.iter().map(|(_, runs)| runs).sum();
+    let cases = manifest.episodes.checked_div(repetitions).unwrap_or(0);
+    runs.into_iter().map(|(condition, runs)| (condition, (runs * cases) as usize)).collect()
 }
 
 #[cfg(test)]

@@ -13,7 +13,7 @@ use domain::prompt_log::{
     Entry, Hash, Part, Seen, entries_file, image_file, line_start, session_folder, text_file,
     trajectories_file,
 };
-use domain::{Action, Feedback, Pose};
+use domain::{Action, Pose};
 use serde::Serialize;
 
 use crate::log::{EpisodeRecord, EpisodeTimings, RunFolder, RunLog};
@@ -68,7 +68,7 @@ pub fn look_up(log: &RunLog, record: &EpisodeRecord, step: u32) -> Result<Shown>
             record.steps.saturating_sub(1)
         );
     }
-    let (pose, feedback) = situation(record, step);
+    let (pose, feedback) = record.replay()[step as usize];
     let timings = log.timings.iter().find(|timings| timings.key == record.key);
     let retrieved = record.retrieved.as_deref();
     Ok(Shown {
@@ -87,28 +87,6 @@ pub fn look_up(log: &RunLog, record: &EpisodeRecord, step: u32) -> Result<Shown>
 
 fn action_at(record: &EpisodeRecord, step: u32) -> Option<Action> {
     Action::from_letter(record.actions.chars().nth(step as usize)?)
-}
-
-/// Where the agent was before a step and what it had been told: the log says which moves were blocked.
-fn situation(record: &EpisodeRecord, step: u32) -> (Pose, Feedback) {
-    let (mut pose, mut feedback) = (record.start_pose, Feedback::Start);
-    for (index, letter) in (1..=step).zip(record.actions.chars()) {
-        feedback = match Action::from_letter(letter) {
-            None => Feedback::NotUnderstood,
-            Some(_) if record.blocked_moves.contains(&index) => Feedback::Blocked,
-            Some(action) => match (action.move_direction(), action.turn_quarters()) {
-                (Some(direction), _) => {
-                    pose.cell = pose.cell.step(pose.heading.turned(direction)).unwrap_or(pose.cell);
-                    Feedback::Moved
-                }
-                (None, quarters) => {
-                    pose.heading = pose.heading.turned(quarters.unwrap_or(0));
-                    Feedback::Turned
-                }
-            },
-        };
-    }
-    (pose, feedback)
 }
 
 /// What the prompt log has of a step of the episode that `timings` are of.
@@ -165,27 +143,4 @@ fn prompt(log: &RunLog, timings: &EpisodeTimings, step: u32) -> Result<Option<Pr
         .map(|hash| (hash.clone(), image_file(&folder, hash)))
         .collect();
     Ok(Some(Prompt { entry, demonstrations, texts, images }))
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::log::testing::record;
-    use domain::Heading;
-
-    #[test]
-    fn where_the_agent_was_follows_from_the_log() {
-        let mut walked = record("t01-01", true);
-        // North, then east against something, then not understood, then north again.
-        (walked.actions, walked.blocked_moves) = ("fRf?Lf".to_owned(), vec![3]);
-        let at = |step| situation(&walked, step);
-        let pose = |x, y, heading| Pose::new(x, y, heading);
-        assert_eq!(at(0), (pose(1, 2, Heading::N), Feedback::Start));
-        assert_eq!(at(1), (pose(1, 3, Heading::N), Feedback::Moved));
-        assert_eq!(at(2), (pose(1, 3, Heading::E), Feedback::Turned));
-        assert_eq!(at(3), (pose(1, 3, Heading::E), Feedback::Blocked));
-        assert_eq!(at(4), (pose(1, 3, Heading::E), Feedback::NotUnderstood));
-        assert_eq!(at(6), (pose(1, 4, Heading::N), Feedback::Moved));
-        assert_eq!((action_at(&walked, 2), action_at(&walked, 3)), (Some(Action::Forward), None));
-    }
 }

@@ -9,7 +9,7 @@ use crate::log::RequestRecord;
 pub struct UsageTotals {
     /// Requests that the server answered.
     pub requests: u64,
-    /// Attempts made for them, failed ones included.
+    /// Attempts made for them, failed ones included; one for a request whose attempts are unknown.
     pub attempts: u64,
     /// Requests answered from the response cache.
     pub replayed: u64,
@@ -38,7 +38,7 @@ impl UsageTotals {
             return;
         }
         self.requests += 1;
-        self.attempts += u64::from(request.attempts);
+        self.attempts += u64::from(request.attempts.unwrap_or(1));
         let (Some(prompt), Some(completion)) = (request.prompt_tokens, request.completion_tokens)
         else {
             self.unknown += 1;
@@ -47,6 +47,11 @@ impl UsageTotals {
         self.prompt_tokens += u64::from(prompt);
         self.completion_tokens += u64::from(completion);
         self.cached_tokens += u64::from(request.cached_tokens.unwrap_or(0));
+    }
+
+    /// Attempts beyond the first of each request.
+    pub const fn retries(&self) -> u64 {
+        self.attempts.saturating_sub(self.requests)
     }
 
     /// Prompt and completion tokens together.
@@ -62,9 +67,9 @@ mod tests {
 
     #[test]
     fn cached_answers_cost_nothing_and_unknown_counts_are_counted() {
-        let replayed = RequestRecord { replayed: true, attempts: 0, ..request("a", 0) };
+        let replayed = RequestRecord { replayed: true, attempts: Some(0), ..request("a", 0) };
         let unknown = RequestRecord { completion_tokens: None, ..request("a", 1) };
-        let retried = RequestRecord { attempts: 3, cached_tokens: None, ..request("a", 2) };
+        let retried = RequestRecord { attempts: Some(3), cached_tokens: None, ..request("a", 2) };
         let sum = UsageTotals::of(&[request("a", 0), replayed, unknown, retried]);
         assert_eq!((sum.requests, sum.attempts, sum.replayed, sum.unknown), (3, 5, 1, 1));
         assert_eq!((sum.prompt_tokens, sum.cached_tokens, sum.completion_tokens), (2000, 200, 6));

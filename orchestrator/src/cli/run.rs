@@ -145,7 +145,7 @@ pub(super) fn run(args: RunArgs, matches: &ArgMatches) -> Result<Exit> {
         return Ok(Exit::Signal(signal));
     }
     let log = RunLog::read(&settings.out)?;
-    print(&table::report(&log))?;
+    print(&results::report::summary(&log))?;
     if let Some(why) = halted {
         eprintln!("stopped: {why}\nWhat is done is kept. To go on:\n  {}", same_command());
     }

@@ -6,15 +6,16 @@ use clap::Args;
 use serde::Serialize;
 
 use super::{Exit, print, print_json};
-use results::compare::{compare_conditions, compare_runs};
-use results::log::RunLog;
-use results::score::Comparison;
-use results::{score, table};
+use results::compare::{compare_conditions, compare_runs, differing_settings};
+use results::log::{Difference, RunLog};
+use results::report;
+use results::score::{Comparison, score};
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Reads the runs' folders and nothing else; a run that is still going can be scored, too.
-A comparison is paired: it takes the cases that both sides have.
+A comparison is paired: it takes the cases that both sides have, prints both sides' figures and their
+difference, and names the settings in which two runs differ.
 Exit status 1 when episodes were given up.
 
 Examples:
@@ -42,12 +43,23 @@ pub(super) fn run(args: &ScoreArgs) -> anyhow::Result<Exit> {
     let log = RunLog::read(&args.run)?;
     let other = args.other.as_deref().map(RunLog::read).transpose()?;
     match (&args.compare, &other) {
-        (None, None) => args.show(&score::score(&log), || table::report(&log))?,
-        (None, Some(other)) => args.show_compared(&compare_runs(&log, other)?)?,
+        (None, None) => args.show(&score(&log), || report::summary(&log))?,
+        (None, Some(other)) => {
+            let compared = compare_runs(&log, other)?;
+            let shown = ComparedRuns {
+                differing_settings: differing_settings(&log, other),
+                comparisons: &compared,
+            };
+            args.show(&shown, || report::compared_runs(&log, other, &compared))?;
+        }
         (Some(conditions), other) => {
             let [a, b] = [0, 1].map(|side| conditions[side].as_str());
             let second = other.as_ref().unwrap_or(&log);
-            args.show_compared(&[compare_conditions((&log, a), (second, b))?])?;
+            let compared = [compare_conditions((&log, a), (second, b))?];
+            args.show(&compared, || match other {
+                Some(other) => report::compared_runs(&log, other, &compared),
+                None => report::comparison(&compared),
+            })?;
         }
     }
     let given_up =
@@ -55,11 +67,14 @@ pub(super) fn run(args: &ScoreArgs) -> anyhow::Result<Exit> {
     Ok(if given_up { Exit::Failed } else { Exit::Complete })
 }
 
-impl ScoreArgs {
-    fn show_compared(&self, compared: &[Comparison]) -> anyhow::Result<()> {
-        self.show(&compared, || table::comparisons(compared))
-    }
+/// Two runs compared, as JSON.
+#[derive(Debug, Serialize)]
+struct ComparedRuns<'a> {
+    differing_settings: Vec<Difference>,
+    comparisons: &'a [Comparison],
+}
 
+impl ScoreArgs {
     fn show(&self, value: &impl Serialize, text: impl Fn() -> String) -> anyhow::Result<()> {
         if self.json { print_json(value) } else { print(&text()) }
     }

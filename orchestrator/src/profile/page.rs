@@ -113,7 +113,7 @@ fn stacked(walk: &Walk) -> Result<Figure> {
         parts: parts.iter().map(Part::to_string).collect(),
         rows: rows.collect(),
     };
-    Ok(stack(&plot)?)
+    Ok(stack(&plot))
 }
 
 fn distribution(walk: &Walk) -> Table {
@@ -218,8 +218,8 @@ fn lanes(profile: &Profile) -> Result<Option<Section>> {
                  the steps of a second do, too."
                     .to_owned(),
             ),
-            Block::Figure(plot("f-lanes-p50", "The median", |times| times.p50)?),
-            Block::Figure(plot("f-lanes-p99", "The 99th percentile", |times| times.p99)?),
+            Block::Figure(plot("f-lanes-p50", "The median", |times| times.p50)),
+            Block::Figure(plot("f-lanes-p99", "The 99th percentile", |times| times.p99)),
             Block::Table(Table::of_text("t-lanes", caption, (&["Lanes"], &["steps", "steps/s"]), rows)),
         ],
     )))
@@ -262,7 +262,7 @@ fn sizes(profile: &Profile) -> Result<Option<Section>> {
         across: "entries".to_owned(),
         up: "microseconds".to_owned(),
         curves: shown,
-    })?;
+    });
     let rows = profile.searches.iter().map(|search| {
         let times = &search.latency_ns;
         let mut cells =

@@ -9,8 +9,8 @@ use rustix::fs::FlockOperation;
 
 use super::manifest::MANIFEST_FILE;
 use super::{
-    EpisodeError, EpisodeRecord, EpisodeTimings, Journal, LogError, Manifest, RequestRecord,
-    SessionEvent, SessionRecord, read_journal, system,
+    DamagedLine, EpisodeError, EpisodeRecord, EpisodeTimings, Journal, LogError, Manifest,
+    RequestRecord, SessionEvent, SessionRecord, damaged_file, read_journal, system,
 };
 use crate::latency::LatencyRecord;
 
@@ -30,7 +30,7 @@ const LOGS_FOLDER: &str = "logs";
 pub const REPORT_FOLDER: &str = "report";
 
 /// Everything a run folder holds. Nothing else in it is ever touched.
-const CONTENTS: [&str; 14] = [
+const CONTENTS: [&str; 21] = [
     MANIFEST_FILE,
     "manifest.json.new",
     EPISODES_FILE,
@@ -41,6 +41,13 @@ const CONTENTS: [&str; 14] = [
     LATENCY_FILE,
     STATUS_FILE,
     "status.json.new",
+    "episodes.jsonl.new",
+    "episodes.damaged.jsonl",
+    "timings.damaged.jsonl",
+    "requests.damaged.jsonl",
+    "errors.damaged.jsonl",
+    "sessions.damaged.jsonl",
+    "latency.damaged.jsonl",
     DOCUMENTS_FOLDER,
     PROMPTS_FOLDER,
     LOGS_FOLDER,
@@ -121,13 +128,13 @@ impl RunFolder {
         manifest.write(dir)?;
 
         let mut open = Opening { dir, notes: &mut notes };
-        let (episodes, finished) = open.journal::<EpisodeRecord>(EPISODES_FILE)?;
-        let (timings, _) = open.journal(TIMINGS_FILE)?;
-        let (requests, asked) = open.journal(REQUESTS_FILE)?;
-        let (errors, _) = open.journal(ERRORS_FILE)?;
-        let (sessions, past) = open.journal::<SessionRecord>(SESSIONS_FILE)?;
-        let (latency, _) = open.journal(LATENCY_FILE)?;
-        check_unique(&dir.join(EPISODES_FILE), &finished)?;
+        let check = check_record(manifest.settings.max_steps);
+        let (episodes, finished) = open.journal::<EpisodeRecord>(EPISODES_FILE, check)?;
+        let (timings, _) = open.journal(TIMINGS_FILE, unchecked)?;
+        let (requests, asked) = open.journal(REQUESTS_FILE, unchecked)?;
+        let (errors, _) = open.journal(ERRORS_FILE, unchecked)?;
+        let (sessions, past) = open.journal::<SessionRecord>(SESSIONS_FILE, unchecked)?;
+        let (latency, _) = open.journal(LATENCY_FILE, unchecked)?;
         let logs = dir.join(LOGS_FOLDER);
         fs::create_dir_all(&logs).map_err(system("make", &logs))?;
         File::open(dir).and_then(|dir| dir.sync_all()).map_err(system("flush", dir))?;
@@ -304,6 +311,8 @@ pub struct RunLog {
     pub errors: Vec<EpisodeError>,
     /// What happened to the processes.
     pub sessions: Vec<SessionRecord>,
+    /// Lines that cannot be used: what they say is missing above. A run sets them aside and repeats their episodes.
+    pub damaged: Vec<DamagedLine>,
 }
 
 impl RunLog {
@@ -316,27 +325,64 @@ impl RunLog {
             return Err(LogError::NoRun { dir: dir.to_owned() });
         }
         let manifest = Manifest::read(dir)?;
-        let mut episodes: Vec<EpisodeRecord> = read_journal(&dir.join(EPISODES_FILE))?;
-        check_unique(&dir.join(EPISODES_FILE), &episodes)?;
-        episodes.sort_by(|a, b| a.key.cmp(&b.key));
-        let mut timings: Vec<EpisodeTimings> = read_journal(&dir.join(TIMINGS_FILE))?;
-        timings.sort_by(|a, b| a.key.cmp(&b.key));
-        let requests = read_journal(&dir.join(REQUESTS_FILE))?;
+        let mut damaged = Vec::new();
+        let check = check_record(manifest.settings.max_steps);
+        let mut episodes = read(dir, EPISODES_FILE, check, &mut damaged)?;
+        episodes.sort_by(|a: &EpisodeRecord, b| a.key.cmp(&b.key));
+        let timings: Vec<EpisodeTimings> = read(dir, TIMINGS_FILE, unchecked, &mut damaged)?;
+        // The last of each key: those of an episode that was set aside come before those of its repetition.
+        let timings: BTreeMap<String, EpisodeTimings> =
+            timings.into_iter().map(|timings| (timings.key.clone(), timings)).collect();
+        let timings = timings.into_values().collect();
+        let requests = read(dir, REQUESTS_FILE, unchecked, &mut damaged)?;
         let finished: BTreeSet<&str> = episodes.iter().map(|record| record.key.as_str()).collect();
-        let errors: Vec<EpisodeError> = read_journal(&dir.join(ERRORS_FILE))?;
-        let mut last = BTreeMap::new();
-        for error in errors {
-            if !finished.contains(error.key.as_str()) {
-                last.insert(error.key.clone(), error);
-            }
-        }
-        let errors = last.into_values().collect();
-        let sessions = read_journal(&dir.join(SESSIONS_FILE))?;
-        Ok(Self { dir: dir.to_owned(), manifest, episodes, timings, requests, errors, sessions })
+        let errors: Vec<EpisodeError> = read(dir, ERRORS_FILE, unchecked, &mut damaged)?;
+        let open = errors.into_iter().filter(|error| !finished.contains(error.key.as_str()));
+        let errors: BTreeMap<String, EpisodeError> =
+            open.map(|error| (error.key.clone(), error)).collect();
+        let errors = errors.into_values().collect();
+        let sessions = read(dir, SESSIONS_FILE, unchecked, &mut damaged)?;
+        let dir = dir.to_owned();
+        Ok(Self { dir, manifest, episodes, timings, requests, errors, sessions, damaged })
+    }
+
+    /// The name by which the policy introduced itself, for example a model's; `None` when none has started.
+    pub fn policy_name(&self) -> Option<&str> {
+        self.manifest.policy_name()
+    }
+
+    /// When the run was begun, in seconds since 1970.
+    pub fn began_unix_s(&self) -> Option<u64> {
+        self.sessions.iter().map(|record| record.unix_s).min()
     }
 }
 
-/// Opens journals, and says what was torn.
+fn read<T: serde::de::DeserializeOwned>(
+    dir: &Path,
+    file: &str,
+    check: impl FnMut(&T) -> Result<(), String>,
+    damaged: &mut Vec<DamagedLine>,
+) -> Result<Vec<T>, LogError> {
+    let contents = read_journal(&dir.join(file), check)?;
+    damaged.extend(contents.damaged);
+    Ok(contents.entries)
+}
+
+/// Checks records against themselves and against those before.
+fn check_record(max_steps: u32) -> impl FnMut(&EpisodeRecord) -> Result<(), String> {
+    let mut seen = BTreeSet::new();
+    move |record| {
+        record.check(max_steps)?;
+        let is_new = seen.insert(record.key.clone());
+        if is_new { Ok(()) } else { Err(format!("{} is there already", record.key)) }
+    }
+}
+
+fn unchecked<T>(_: &T) -> Result<(), String> {
+    Ok(())
+}
+
+/// Opens journals, and notes what was cut or set aside.
 struct Opening<'a> {
     dir: &'a Path,
     notes: &'a mut Vec<String>,
@@ -346,14 +392,22 @@ impl Opening<'_> {
     fn journal<T: serde::Serialize + serde::de::DeserializeOwned>(
         &mut self,
         file: &str,
+        check: impl FnMut(&T) -> Result<(), String>,
     ) -> Result<(Journal<T>, Vec<T>), LogError> {
-        let (journal, entries, torn) = Journal::open(&self.dir.join(file))?;
-        if torn > 0 {
+        let path = self.dir.join(file);
+        let (journal, contents) = Journal::open(&path, check)?;
+        if contents.torn > 0 {
             self.notes.push(format!(
-                "{file}: cut {torn} bytes of a line that was being written when the program was killed"
+                "{file}: cut {} bytes of a line that was being written when the program was killed",
+                contents.torn
             ));
         }
-        Ok((journal, entries))
+        let lines = contents
+            .damaged
+            .iter()
+            .map(|line| format!("{line}; moved to {}", damaged_file(&path).display()));
+        self.notes.extend(lines);
+        Ok((journal, contents.entries))
     }
 }
 
@@ -413,17 +467,6 @@ fn remove_run(dir: &Path) -> Result<Vec<String>, LogError> {
         }
     }
     Ok(vec![note])
-}
-
-fn check_unique(path: &Path, records: &[EpisodeRecord]) -> Result<(), LogError> {
-    let mut seen = BTreeMap::new();
-    for (line, record) in (1..).zip(records) {
-        if let Some(first) = seen.insert(record.key.as_str(), line) {
-            let problem = format!("{} is on line {first} already", record.key);
-            return Err(LogError::BrokenLine { path: path.to_owned(), line, problem });
-        }
-    }
-    Ok(())
 }
 
 #[cfg(test)]
@@ -533,19 +576,39 @@ mod tests {
     }
 
     #[test]
-    fn the_same_episode_twice_is_a_broken_log() {
+    fn a_damaged_record_is_named_set_aside_and_its_episode_is_open_again() {
         let dir = tempfile::tempdir().unwrap();
-        let mut folder = RunFolder::open(dir.path(), manifest(), false).unwrap().folder;
-        add(&mut folder, "t01-01");
+        let open = || RunFolder::open(dir.path(), manifest(), false).unwrap();
+        let mut folder = open().folder;
+        ["t01-01", "t01-02", "t01-03"].iter().for_each(|case| add(&mut folder, case));
         drop(folder);
         let path = dir.path().join(EPISODES_FILE);
-        fs::write(&path, fs::read(&path).unwrap().repeat(2)).unwrap();
-        for error in [
-            RunLog::read(dir.path()).unwrap_err(),
-            RunFolder::open(dir.path(), manifest(), false).unwrap_err(),
-        ] {
-            assert!(error.to_string().contains("episodes.jsonl, line 2"), "{error}");
-        }
+        let text = fs::read_to_string(&path).unwrap();
+        let mut lines: Vec<String> = text.lines().map(str::to_owned).collect();
+        // One line edited, one torn, one twice.
+        lines[0] = lines[0].replace("\"steps\":10", "\"steps\":931");
+        lines[1].truncate(40);
+        lines.push(lines[2].clone());
+        fs::write(&path, lines.join("\n") + "\n").unwrap();
+
+        let log = RunLog::read(dir.path()).unwrap();
+        assert_eq!(keys(&log.episodes), [record("t01-03", true).key]);
+        let shown: Vec<String> = log.damaged.iter().map(ToString::to_string).collect();
+        insta::assert_snapshot!(shown.join("\n"), @r#"
+        episodes.jsonl, line 1: "steps" is 931, and "actions" has 10
+        episodes.jsonl, line 2: EOF while parsing a string at line 1 column 40
+        episodes.jsonl, line 4: episodic/original/unchanged/original/run1/t01-03 is there already
+        "#);
+
+        let Opened { mut folder, finished, notes, .. } = open();
+        assert_eq!((keys(&finished), notes.len()), (vec![&*record("t01-03", true).key], 3));
+        assert!(!folder.is_finished(&record("t01-01", true).key));
+        ["t01-01", "t01-02"].iter().for_each(|case| add(&mut folder, case));
+        drop(folder);
+        let log = RunLog::read(dir.path()).unwrap();
+        assert_eq!((log.episodes.len(), log.timings.len(), log.damaged.len()), (3, 3, 0));
+        let aside = fs::read_to_string(damaged_file(&path)).unwrap();
+        assert_eq!(aside.lines().count(), 3, "nothing is lost");
     }
 
     #[test]

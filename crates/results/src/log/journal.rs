@@ -1,6 +1,6 @@
-//! An append-only file of JSON lines that survives being killed while it is written.
+//! An append-only file of JSON lines that survives a kill at any moment, and damage to any line.
 
-use std::fs::{File, OpenOptions};
+use std::fs::{self, File, OpenOptions};
 use std::io::{self, Write};
 use std::marker::PhantomData;
 use std::path::{Path, PathBuf};
@@ -12,6 +12,35 @@ use serde::de::DeserializeOwned;
 
 use super::{LogError, system};
 
+/// What a journal holds.
+#[derive(Debug)]
+pub struct JournalContents<T> {
+    /// The entries that can be used.
+    pub entries: Vec<T>,
+    /// The lines that cannot.
+    pub damaged: Vec<DamagedLine>,
+    /// Bytes after the last line end: a line that was being written when the program was killed.
+    pub torn: u64,
+}
+
+/// A line that is not an entry, or contradicts itself.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct DamagedLine {
+    /// The name of the file.
+    pub file: String,
+    /// The line's number, from 1.
+    pub line: usize,
+    /// What is wrong with it.
+    pub problem: String,
+    text: Vec<u8>,
+}
+
+impl std::fmt::Display for DamagedLine {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{}, line {}: {}", self.file, self.line, self.problem)
+    }
+}
+
 /// An open journal of `T`.
 #[derive(Debug)]
 pub struct Journal<T> {
@@ -22,26 +51,28 @@ pub struct Journal<T> {
 }
 
 impl<T: Serialize + DeserializeOwned> Journal<T> {
-    /// Opens the journal in `path`, which is made if it is missing: what it holds, and how many bytes of a
-    /// line that was never finished were cut off its end.
+    /// Opens the journal in `path` and reads it; creates it if it is missing. A torn last line is cut off. Damaged
+    /// lines, which `check` may find beside those that cannot be read, are moved to [`damaged_file`].
     ///
     /// # Errors
-    /// When the system refuses, or a finished line is broken.
-    pub fn open(path: &Path) -> Result<(Self, Vec<T>, u64), LogError> {
+    /// When the system refuses.
+    pub fn open(
+        path: &Path,
+        check: impl FnMut(&T) -> Result<(), String>,
+    ) -> Result<(Self, JournalContents<T>), LogError> {
         let options = OpenOptions::new().create(true).append(true).clone();
-        let file = options.open(path).map_err(system("open", path))?;
-        let text = read_bytes(path)?;
-        let whole = whole_lines(&text);
-        let entries = parse(path, whole)?;
-        let torn = (text.len() - whole.len()) as u64;
-        if torn > 0 {
-            file.set_len(whole.len() as u64).map_err(system("cut the torn end of", path))?;
+        let mut file = options.open(path).map_err(system("open", path))?;
+        let text = fs::read(path).map_err(system("read", path))?;
+        let contents = parse(path, &text, check);
+        if !contents.damaged.is_empty() {
+            set_aside(path, &text, &contents.damaged)?;
+            file = options.open(path).map_err(system("open", path))?;
+        } else if contents.torn > 0 {
+            let whole = text.len() as u64 - contents.torn;
+            file.set_len(whole).map_err(system("cut the torn end of", path))?;
         }
-        Ok((
-            Self { path: path.to_owned(), file, flusher: None, entries: PhantomData },
-            entries,
-            torn,
-        ))
+        let path = path.to_owned();
+        Ok((Self { path, file, flusher: None, entries: PhantomData }, contents))
     }
 
     /// Adds a line. Nothing is promised about a crash of the machine before [`Journal::sync`].
@@ -49,11 +80,8 @@ impl<T: Serialize + DeserializeOwned> Journal<T> {
     /// # Errors
     /// When the system refuses.
     pub fn append(&mut self, entry: &T) -> Result<(), LogError> {
-        let mut line = serde_json::to_vec(entry).map_err(|error| LogError::BrokenLine {
-            path: self.path.clone(),
-            line: 0,
-            problem: format!("an entry cannot be written as JSON: {error}"),
-        })?;
+        let mut line = serde_json::to_vec(entry)
+            .map_err(|error| system("write to", &self.path)(io::Error::other(error)))?;
         line.push(b'\n');
         // One write: a kill leaves a line whole, absent or torn, never mixed with another.
         self.file.write_all(&line).map_err(system("write to", &self.path))
@@ -132,20 +160,25 @@ impl Drop for Flusher {
     }
 }
 
-/// What the journal in `path` holds, without touching it: nothing if it is missing, and without a line that
-/// was never finished.
+/// Reads the journal in `path` without changing it; a missing one is empty.
 ///
 /// # Errors
-/// When the system refuses, or a finished line is broken.
-pub fn read_journal<T: DeserializeOwned>(path: &Path) -> Result<Vec<T>, LogError> {
-    if !path.exists() {
-        return Ok(Vec::new());
-    }
-    parse(path, whole_lines(&read_bytes(path)?))
+/// When the system refuses.
+pub fn read_journal<T: DeserializeOwned>(
+    path: &Path,
+    check: impl FnMut(&T) -> Result<(), String>,
+) -> Result<JournalContents<T>, LogError> {
+    let text = match fs::read(path) {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => Vec::new(),
+        text => text.map_err(system("read", path))?,
+    };
+    Ok(parse(path, &text, check))
 }
 
-fn read_bytes(path: &Path) -> Result<Vec<u8>, LogError> {
-    std::fs::read(path).map_err(system("read", path))
+/// The file that damaged lines of the journal in `path` are moved to: `episodes.damaged.jsonl` for
+/// `episodes.jsonl`.
+pub fn damaged_file(path: &Path) -> PathBuf {
+    path.with_extension("damaged.jsonl")
 }
 
 /// Everything up to and including the last line end.
@@ -154,17 +187,43 @@ fn whole_lines(text: &[u8]) -> &[u8] {
     &text[..end]
 }
 
-fn parse<T: DeserializeOwned>(path: &Path, text: &[u8]) -> Result<Vec<T>, LogError> {
-    let lines = text.split_inclusive(|&byte| byte == b'\n').enumerate();
-    lines
-        .map(|(index, line)| {
-            serde_json::from_slice(line).map_err(|error| LogError::BrokenLine {
-                path: path.to_owned(),
-                line: index + 1,
-                problem: error.to_string(),
-            })
-        })
-        .collect()
+fn parse<T: DeserializeOwned>(
+    path: &Path,
+    text: &[u8],
+    mut check: impl FnMut(&T) -> Result<(), String>,
+) -> JournalContents<T> {
+    let whole = whole_lines(text);
+    let (mut entries, mut damaged) = (Vec::new(), Vec::new());
+    for (number, line) in (1..).zip(whole.split_inclusive(|&byte| byte == b'\n')) {
+        let entry = serde_json::from_slice(line).map_err(|error| error.to_string());
+        match entry.and_then(|entry| check(&entry).map(|()| entry)) {
+            Ok(entry) => entries.push(entry),
+            Err(problem) => {
+                let file = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+                damaged.push(DamagedLine { file, line: number, problem, text: line.to_vec() });
+            }
+        }
+    }
+    JournalContents { entries, damaged, torn: (text.len() - whole.len()) as u64 }
+}
+
+/// Moves the `damaged` lines of the journal in `path`, which holds `text`, to another file. They are there, durably,
+/// before they are gone here.
+fn set_aside(path: &Path, text: &[u8], damaged: &[DamagedLine]) -> Result<(), LogError> {
+    let aside = damaged_file(path);
+    let draft = path.with_extension("jsonl.new");
+    let write = || {
+        let mut file = OpenOptions::new().create(true).append(true).open(&aside)?;
+        file.write_all(&damaged.iter().flat_map(|line| line.text.clone()).collect::<Vec<u8>>())?;
+        file.sync_all()?;
+        let mut kept = File::create(&draft)?;
+        let lines = (1..).zip(whole_lines(text).split_inclusive(|&byte| byte == b'\n'));
+        let sound = lines.filter(|(number, _)| damaged.iter().all(|line| line.line != *number));
+        kept.write_all(&sound.flat_map(|(_, line)| line).copied().collect::<Vec<u8>>())?;
+        kept.sync_all()?;
+        fs::rename(&draft, path)
+    };
+    write().map_err(system("set damaged lines aside in", &aside))
 }
 
 #[cfg(test)]
@@ -181,8 +240,8 @@ mod tests {
     fn a_journal_cut_anywhere_keeps_its_whole_lines_and_goes_on() {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("j.jsonl");
-        let (mut journal, found, torn) = Journal::<Entry>::open(&path).unwrap();
-        assert_eq!((found, torn), (vec![], 0));
+        let (mut journal, found) = Journal::<Entry>::open(&path, |_| Ok(())).unwrap();
+        assert_eq!((found.entries, found.torn), (vec![], 0));
         entries(4).iter().for_each(|entry| journal.append(entry).unwrap());
         journal.sync_soon().unwrap();
         journal.sync().unwrap();
@@ -191,23 +250,40 @@ mod tests {
         for length in 0..=text.len() {
             std::fs::write(&path, &text[..length]).unwrap();
             let whole = text[..length].iter().filter(|&&byte| byte == b'\n').count() as u32;
-            assert_eq!(read_journal::<Entry>(&path).unwrap(), entries(whole));
-            let (mut journal, found, torn) = Journal::<Entry>::open(&path).unwrap();
-            assert_eq!(found, entries(whole));
-            assert_eq!(torn > 0, !text[..length].ends_with(b"\n") && length > 0);
+            assert_eq!(read(&path), entries(whole));
+            let (mut journal, found) = Journal::<Entry>::open(&path, |_| Ok(())).unwrap();
+            assert_eq!(found.entries, entries(whole));
+            assert_eq!(found.torn > 0, !text[..length].ends_with(b"\n") && length > 0);
             journal.append(&(9, String::new())).unwrap();
-            assert_eq!(read_journal::<Entry>(&path).unwrap().len() as u32, whole + 1);
+            assert_eq!(read(&path).len() as u32, whole + 1);
         }
     }
 
+    fn read(path: &Path) -> Vec<Entry> {
+        read_journal(path, |_| Ok(())).unwrap().entries
+    }
+
     #[test]
-    fn a_broken_line_inside_is_named_and_nothing_is_cut() {
+    fn a_damaged_line_is_named_set_aside_and_the_others_stay() {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("j.jsonl");
-        let text = "[0,\"\"]\n[1,\n[2,\"\"]\n[3";
+        let text = b"[0,\"\"]\n[1,\n[2,\"\"]\n[7,\"\"]\n\xff\n[4,\"\"]\n[3";
         std::fs::write(&path, text).unwrap();
-        let error = Journal::<Entry>::open(&path).unwrap_err().to_string();
-        assert!(error.contains("j.jsonl, line 2: ") && error.contains("--fresh"), "{error}");
-        assert_eq!(std::fs::read_to_string(&path).unwrap(), text);
+        let seven = |entry: &Entry| if entry.0 == 7 { Err("seven".to_owned()) } else { Ok(()) };
+        let contents = read_journal(&path, seven).unwrap();
+        let shown: Vec<String> = contents.damaged.iter().map(ToString::to_string).collect();
+        insta::assert_snapshot!(shown.join("\n"), @"
+        j.jsonl, line 2: EOF while parsing a value at line 2 column 0
+        j.jsonl, line 4: seven
+        j.jsonl, line 5: expected value at line 1 column 1
+        ");
+        assert_eq!(std::fs::read(&path).unwrap(), text, "reading changes nothing");
+
+        let (mut journal, contents) = Journal::<Entry>::open(&path, seven).unwrap();
+        assert_eq!((contents.entries.len(), contents.damaged.len(), contents.torn), (3, 3, 2));
+        journal.append(&(5, String::new())).unwrap();
+        assert_eq!(std::fs::read(&path).unwrap(), b"[0,\"\"]\n[2,\"\"]\n[4,\"\"]\n[5,\"\"]\n");
+        let aside = dir.path().join("j.damaged.jsonl");
+        assert_eq!(std::fs::read(aside).unwrap(), b"[1,\n[7,\"\"]\n\xff\n", "nothing is lost");
     }
 }

@@ -63,14 +63,14 @@ pub struct DocumentFacts {
     pub words: u64,
 }
 
-/// Something that two manifests disagree about.
-#[derive(Debug, Clone, PartialEq, Eq)]
+/// A key in which two manifests differ.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct Difference {
     /// The key.
     pub key: String,
-    /// What the folder's manifest says.
+    /// The value in the folder's manifest; of the first run when runs are compared.
     pub there: String,
-    /// What this command says.
+    /// The value of this command; of the second run.
     pub here: String,
 }
 
@@ -117,6 +117,11 @@ impl Manifest {
             fs::File::open(dir)?.sync_all()
         };
         write().map_err(system("write", &path))
+    }
+
+    /// The name by which the policy introduced itself; `None` before it has.
+    pub fn policy_name(&self) -> Option<&str> {
+        self.processes.get("policy")?.get("policy").map(String::as_str)
     }
 
     /// What would make the episodes of the two runs different, or their lists.

@@ -218,7 +218,8 @@ pub struct RequestRecord {
     #[serde(with = "outcome_word")]
     pub outcome: Outcome,
     /// Requests that were sent for it, failed ones included.
-    pub attempts: u32,
+    #[serde(skip_serializing_if = "Option::is_none", default, deserialize_with = "measured")]
+    pub attempts: Option<u32>,
     /// Whether the reply was one that had been kept from an earlier request: it cost nothing this time.
     #[serde(skip_serializing_if = "std::ops::Not::not", default)]
     pub replayed: bool,
@@ -226,9 +227,11 @@ pub struct RequestRecord {
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub latency_us: Option<u64>,
     /// Images that the request held.
-    pub images_asked: u32,
+    #[serde(skip_serializing_if = "Option::is_none", default, deserialize_with = "measured")]
+    pub images_asked: Option<u32>,
     /// Images that the policy was shown.
-    pub images: u32,
+    #[serde(skip_serializing_if = "Option::is_none", default, deserialize_with = "measured")]
+    pub images: Option<u32>,
     /// Tokens of the prompt.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub prompt_tokens: Option<u32>,
@@ -244,6 +247,11 @@ pub struct RequestRecord {
     /// Tokens of the prompt that are injected memory, an estimate.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub memory_tokens: Option<u32>,
+}
+
+/// Reads a count. Earlier versions wrote the wire's mark for "not measured", the largest number, into the log.
+fn measured<'de, D: serde::Deserializer<'de>>(from: D) -> Result<Option<u32>, D::Error> {
+    Ok(Option::<u32>::deserialize(from)?.filter(|count| *count != u32::MAX))
 }
 
 /// Writes an [`Outcome`] as its word.

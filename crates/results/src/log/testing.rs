@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use domain::{Heading, Outcome, Pose, Representation};
 
 use super::{
-    Ending, EpisodeRecord, EpisodeTimings, FORMAT, Manifest, RequestRecord, Stages, Unread,
+    Ending, EpisodeRecord, EpisodeTimings, FORMAT, Manifest, RequestRecord, RunLog, Stages, Unread,
 };
 use crate::conditions::{Condition, Demonstrations, Frames, PolicyKind, Route, Start, Variation};
 use crate::key::EpisodeKey;
@@ -105,7 +105,7 @@ pub fn record(case: &str, success: bool) -> EpisodeRecord {
         tried_closed: None,
         tried_closed_at: None,
         start_pose: Pose::new(1, 2, Heading::N),
-        final_pose: Pose::new(1, 12, Heading::N),
+        final_pose: Pose::new(1, 2 + steps as u8, Heading::N),
         requests: Some(steps),
         images: Some(u64::from(steps) * 14),
         images_dropped: 0,
@@ -156,15 +156,29 @@ pub fn request(key: &str, step: u32) -> RequestRecord {
         step,
         session: 1,
         outcome: Outcome::Acted,
-        attempts: 1,
+        attempts: Some(1),
         replayed: false,
         latency_us: Some(500_000),
-        images_asked: 7,
-        images: 7,
+        images_asked: Some(7),
+        images: Some(7),
         prompt_tokens: Some(1000),
         completion_tokens: Some(3),
         cached_tokens: Some(200),
         image_tokens: Some(400),
         memory_tokens: Some(300),
+    }
+}
+
+/// The log of a run of which `episodes` are finished.
+pub fn log(episodes: Vec<EpisodeRecord>) -> RunLog {
+    RunLog {
+        dir: "run".into(),
+        manifest: Manifest { episodes: episodes.len() as u32, ..manifest() },
+        timings: episodes.iter().map(timings).collect(),
+        episodes,
+        requests: Vec::new(),
+        errors: Vec::new(),
+        sessions: Vec::new(),
+        damaged: Vec::new(),
     }
 }

@@ -8,7 +8,7 @@ use crate::compare::run_name;
 use crate::conditions::Condition;
 use crate::key::EpisodeKey;
 use crate::log::{EpisodeError, EpisodeRecord, EpisodeTimings, RunLog, Stages};
-use crate::score::{ConditionScore, Derived, Failure, Spread, group_of};
+use crate::score::{ConditionScore, Derived, Failure, Spread, group_of, path_weight};
 
 /// An episode of a run: finished, or given up.
 #[derive(Debug)]
@@ -48,9 +48,9 @@ impl<'a> Episode<'a> {
     }
 }
 
-/// Every episode of the runs. An episode that was given up has the ending `given-up`, its key, its condition, and
-/// no other figure.
-pub(super) fn episodes(logs: &[RunLog]) -> Frame {
+/// A row for each episode of the runs. An episode that was given up has the ending `given-up`, its key, its condition
+/// and its error, and no other figure.
+pub fn episodes_frame(logs: &[RunLog]) -> Frame {
     let mut rows = Vec::new();
     for log in logs {
         let timings: BTreeMap<&str, &EpisodeTimings> =
@@ -78,7 +78,12 @@ pub(super) fn episodes(logs: &[RunLog]) -> Frame {
     frame.text("ending", |row| {
         Some(of(row).map_or("given-up".to_owned(), |record| record.ending.to_string()))
     });
-    frame.flag("success", |row| Some(of(row).is_some_and(EpisodeRecord::is_success)));
+    frame.flag("success", |row| Some(of(row)?.is_success()));
+    frame.real("spl", |row| Some(path_weight(of(row)?)));
+    frame.text("error", |(_, episode)| match episode {
+        Episode::Finished(..) => None,
+        Episode::GivenUp(error) => Some(error.error.clone()),
+    });
     frame.text("failure", |row| Some(Failure::of(of(row)?)?.name().to_owned()));
     frame.whole("steps", |row| Some(of(row)?.steps.into()));
     frame.whole("reference", |row| Some(of(row)?.reference.into()));
@@ -96,6 +101,9 @@ pub(super) fn episodes(logs: &[RunLog]) -> Frame {
     frame.whole("completion_tokens", |row| of(row)?.completion_tokens.map(|tokens| tokens as i64));
     frame.whole("memory_tokens", |row| of(row)?.memory_tokens.map(|tokens| tokens as i64));
     frame.whole("unread", |row| Some(of(row)?.unread.total().into()));
+    frame.whole("unreadable", |row| Some(of(row)?.unread.unreadable.into()));
+    frame.whole("empty", |row| Some(of(row)?.unread.empty.into()));
+    frame.whole("refused", |row| Some(of(row)?.unread.refused.into()));
     frame.text("retrieved", |row| of(row)?.retrieved.clone());
     frame.real("distance", |row| of(row)?.distance);
     for (index, stage) in Stages::NAMES.into_iter().enumerate() {
@@ -109,7 +117,36 @@ pub(super) fn episodes(logs: &[RunLog]) -> Frame {
     frame.finish()
 }
 
-/// Every condition of the runs, with every figure and what the paper prints.
+/// A row for each episode of the runs: when and where it ran, and the nanoseconds of all its steps in each stage.
+pub fn timings_frame(logs: &[RunLog]) -> Frame {
+    let rows: Vec<(String, &EpisodeTimings)> = logs
+        .iter()
+        .flat_map(|log| log.timings.iter().map(move |timings| (run_name(log), timings)))
+        .collect();
+    let mut frame = Builder::new(&rows);
+    frame.text("log", |(log, _)| Some(log.clone()));
+    frame.text("key", |(_, timings)| Some(timings.key.clone()));
+    type Count = fn(&EpisodeTimings) -> u64;
+    let counts: [(&str, Count); 6] = [
+        ("session", |timings| timings.session.into()),
+        ("attempt", |timings| timings.attempt.into()),
+        ("lane", |timings| timings.lane.into()),
+        ("started_ns", |timings| timings.started_ns),
+        ("ended_ns", |timings| timings.ended_ns),
+        ("steps", |timings| timings.steps.into()),
+    ];
+    for (name, count) in counts {
+        frame.whole(name, |(_, timings)| i64::try_from(count(timings)).ok());
+    }
+    for (index, stage) in Stages::NAMES.into_iter().enumerate() {
+        frame.whole(format!("{stage}_ns"), |(_, timings)| {
+            i64::try_from(timings.stages.values()[index]).ok()
+        });
+    }
+    frame.finish()
+}
+
+/// A row for each condition of the runs, with every figure and the published ones.
 pub(super) fn conditions(views: &[View<'_>]) -> Frame {
     let rows: Vec<(&View<'_>, &ConditionScore)> = views
         .iter()
@@ -122,7 +159,9 @@ pub(super) fn conditions(views: &[View<'_>]) -> Frame {
     frame.text("condition", |(_, score)| Some(score.condition.to_string()));
     add_condition(&mut frame, |(_, score)| Some(score.condition));
     frame.whole("episodes", |(_, score)| Some(score.episodes as i64));
-    frame.whole("given_up", |(_, score)| Some(score.errored as i64));
+    frame.whole("planned", |(_, score)| Some(score.planned as i64));
+    frame.real("sr_if_missing_fail", |(_, score)| Some(score.bounds?.sr.low));
+    frame.real("sr_if_missing_succeed", |(_, score)| Some(score.bounds?.sr.high));
     frame.whole("runs", |(_, score)| Some(score.runs as i64));
     frame.whole("cases", |(_, score)| Some(score.cases as i64));
     type OfSpread = fn(&ConditionScore) -> Option<Spread>;

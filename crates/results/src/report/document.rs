@@ -1,11 +1,11 @@
-//! A report before it has a form: sections of text, tables and figures, for HTML, Markdown and CSV alike.
+//! The document model: sections of text, tables and figures, rendered as HTML, Markdown, CSV and in a terminal.
 //!
-//! A table has no empty cell because a [`Cell`] cannot be empty: where there is no figure it says why.
+//! A [`Cell`] cannot be empty: where there is no figure it says why.
 
 /// A whole report.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Document {
-    /// What it is called.
+    /// The title.
     pub title: String,
     /// The sections, in order.
     pub sections: Vec<Section>,
@@ -42,12 +42,12 @@ pub struct Section {
     pub level: u8,
     /// Its heading.
     pub title: String,
-    /// What is in it.
+    /// The content.
     pub blocks: Vec<Block>,
 }
 
 impl Section {
-    /// One that is inside no other.
+    /// Makes a top-level section.
     pub fn new(id: impl Into<String>, title: impl Into<String>, blocks: Vec<Block>) -> Self {
         Self { id: id.into(), level: 2, title: title.into(), blocks }
     }
@@ -64,7 +64,7 @@ pub enum Block {
     Terms(Vec<(String, String)>),
     /// A table.
     Table(Table),
-    /// A picture.
+    /// A figure.
     Figure(Figure),
 }
 
@@ -73,9 +73,9 @@ pub enum Block {
 pub struct Table {
     /// Unique in the document; the name of its CSV file.
     pub id: String,
-    /// What it shows, and what a reader must know about it.
+    /// The caption.
     pub caption: String,
-    /// What the columns of row labels are called: two where rows come in groups, else one.
+    /// The headings of the label columns: two where rows come in groups, else one.
     pub stubs: Vec<String>,
     /// The other columns.
     pub columns: Vec<Column>,
@@ -86,16 +86,16 @@ pub struct Table {
 /// A column.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Column {
-    /// What it shares with its neighbours, or nothing.
+    /// A heading shared with its neighbours, or empty.
     pub over: String,
-    /// Its own name.
+    /// Its own heading.
     pub name: String,
 }
 
 /// Rows that belong together.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Group {
-    /// What they have in common; `None` in tables with one column of labels.
+    /// Their common label; `None` in tables with one label column.
     pub label: Option<String>,
     /// The rows.
     pub rows: Vec<Row>,
@@ -104,9 +104,9 @@ pub struct Group {
 /// A row.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Row {
-    /// What it is about.
+    /// The label.
     pub label: String,
-    /// Whether its figures are the paper's and not a run's.
+    /// Whether the figures are the published ones, not a run's.
     pub published: bool,
     /// One cell a column.
     pub cells: Vec<Cell>,
@@ -117,7 +117,7 @@ pub struct Row {
 pub enum Cell {
     /// A figure or a word.
     Value(String),
-    /// A figure and what shows how sure it is.
+    /// A figure with an interval.
     Sure {
         /// The figure.
         figure: String,
@@ -160,7 +160,7 @@ impl Missing {
         match self {
             Self::NotRun => None,
             Self::NotMeasured(why) => Some(format!("n/m, not measured: {why}")),
-            Self::NotReported(why) => Some(format!("—, not in the paper: {why}")),
+            Self::NotReported(why) => Some(format!("—, not published: {why}")),
             Self::Undefined(why) => Some(format!("undef., undefined: {why}")),
             Self::NotApplicable(why) => Some(format!("n/a, does not exist: {why}")),
         }
@@ -178,22 +178,22 @@ impl Cell {
     }
 }
 
-/// A picture.
+/// A figure.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Figure {
     /// Unique in the document; the name of its SVG file.
     pub id: String,
-    /// What it shows.
+    /// The caption.
     pub caption: String,
-    /// What it shows, for somebody who does not see it.
+    /// Its content in words, for readers who do not see it.
     pub alt: String,
-    /// The picture, as an `svg` element.
+    /// The image, as an `svg` element.
     pub svg: String,
 }
 
 impl Table {
-    /// One of text alone, in one group: what its label columns and the others are called, and for each row a label and
-    /// its cells.
+    /// Makes a table of text: the headings of the label columns and of the others, and for each row a label and its
+    /// cells.
     pub fn of_text(
         id: impl Into<String>,
         caption: impl Into<String>,
@@ -212,6 +212,27 @@ impl Table {
             columns: columns.iter().map(|name| Column::new(*name)).collect(),
             groups: vec![Group { label: None, rows: rows.into_iter().map(row).collect() }],
         }
+    }
+
+    /// The table without what was not run: rows of the run that have no figure go, with the published rows of their
+    /// group, then columns without a figure. `None` when nothing is left.
+    pub fn pruned(mut self) -> Option<Self> {
+        for group in &mut self.groups {
+            group.rows.retain(|row| row.published || row.cells.iter().any(Cell::is_figure));
+        }
+        self.groups.retain(|group| group.rows.iter().any(|row| !row.published));
+        let rows = || self.groups.iter().flat_map(|group| &group.rows);
+        let was_run = |column: usize| {
+            rows().any(|row| {
+                !row.published && row.cells.get(column) != Some(&Cell::Missing(Missing::NotRun))
+            })
+        };
+        let kept: Vec<bool> = (0..self.columns.len()).map(was_run).collect();
+        for row in self.groups.iter_mut().flat_map(|group| &mut group.rows) {
+            keep(&mut row.cells, &kept);
+        }
+        keep(&mut self.columns, &kept);
+        (!self.groups.is_empty()).then_some(self)
     }
 
     /// The reasons for its missing figures, each once, in the order in which they come.
@@ -256,7 +277,17 @@ impl Table {
     }
 }
 
+fn keep<T>(list: &mut Vec<T>, kept: &[bool]) {
+    let mut kept = kept.iter();
+    list.retain(|_| kept.next().is_none_or(|kept| *kept));
+}
+
 impl Cell {
+    /// Whether it is a figure, or would be one had it been measured or defined.
+    fn is_figure(&self) -> bool {
+        !matches!(self, Self::Missing(Missing::NotRun | Missing::NotApplicable(_)))
+    }
+
     fn missing(&self) -> Option<&Missing> {
         match self {
             Self::Missing(missing) => Some(missing),

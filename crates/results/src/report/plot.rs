@@ -1,8 +1,8 @@
-//! Pictures of figures, as SVG: readable in black and white, with labels in the picture and error bars.
+//! Figures as SVG: readable in black and white, with labels and error bars.
 //!
-//! Nothing here is told apart by colour. Dots differ by shape, filled or open; parts of a bar by their order, a
-//! light or a dark grey, and a number that the legend explains. What is drawn in black takes the colour of the
-//! text around it in the page, so that it shows on a dark background, too.
+//! Nothing is told apart by color. Dots differ by shape, filled or open; parts of a bar by their order, a light or a
+//! dark gray, and a number that the legend explains. Ink and paper are classes that take the colors of the page, with
+//! black and white as attributes where there is no style sheet.
 
 mod curves;
 mod dots;
@@ -12,46 +12,82 @@ pub use curves::{Curve, Curves, curves};
 pub(super) use dots::{Dot, DotRow, Dots, dots};
 pub use stack::{Stack, StackRow, stack};
 
-use plotters::backend::SVGBackend;
-use plotters::coord::Shift;
-use plotters::prelude::{DrawingArea, IntoDrawingArea, Text};
-use plotters::style::text_anchor::{HPos, Pos, VPos};
-use plotters::style::{BLACK, FontStyle, IntoFont, RGBColor, TextStyle};
+use std::fmt::Write;
 
-/// A picture that could not be drawn.
-#[derive(Debug, thiserror::Error)]
-#[error("cannot draw figure {id}: {problem}; this is a mistake in the program, please report it")]
-pub struct PlotError {
-    id: String,
-    problem: String,
-}
-
-type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
-type Drawn = Result<(), Box<dyn std::error::Error>>;
-
-/// All pictures are as wide as the text of the page.
-const WIDTH: u32 = 820;
-/// Where the labels of rows end and the figures begin.
+/// The width of every figure: that of the text of the page.
+const WIDTH: i32 = 820;
+/// The horizontal position where row labels end and the plot begins.
 const LEFT: i32 = 250;
 const RIGHT: i32 = 24;
-/// What the words of an axis need.
+/// The height of the labels of a horizontal axis.
 const BOTTOM: i32 = 44;
-const GREY: RGBColor = RGBColor(0x76, 0x76, 0x76);
-const RULE: RGBColor = RGBColor(0xb8, 0xb8, 0xb8);
 
-/// Draws a picture of `height`.
-fn draw(
-    id: &str,
-    height: u32,
-    paint: impl FnOnce(&Area<'_>) -> Drawn,
-) -> Result<String, PlotError> {
-    let mut svg = String::new();
-    let drawn = {
-        let area = SVGBackend::with_string(&mut svg, (WIDTH, height)).into_drawing_area();
-        paint(&area).and_then(|()| Ok(area.present()?))
-    };
-    drawn.map_err(|error| PlotError { id: id.to_owned(), problem: error.to_string() })?;
-    Ok(svg)
+/// An SVG image under construction. Coordinates are pixels from the top left.
+struct Svg {
+    height: i32,
+    body: String,
+}
+
+/// How a shape is painted: a class of the page's style sheet, with the attributes that it stands for.
+#[derive(Clone, Copy)]
+enum Paint {
+    /// Filled with ink.
+    Ink,
+    /// Outlined with ink, filled with paper.
+    Open,
+    /// Outlined with gray, filled with paper.
+    OpenGray,
+    /// Outlined with ink, filled with dark gray.
+    Dark,
+    /// Outlined with ink, filled with light gray.
+    Light,
+}
+
+impl Paint {
+    const fn attributes(self) -> &'static str {
+        match self {
+            Self::Ink => r##"class="ink" fill="#000""##,
+            Self::Open => r##"class="open" fill="#fff" stroke="#000""##,
+            Self::OpenGray => {
+                r##"class="open-gray" fill="#fff" stroke="#767676" stroke-width="2""##
+            }
+            Self::Dark => r##"class="bar" fill="#595959" stroke="#000""##,
+            Self::Light => r##"class="bar" fill="#d6d6d6" stroke="#000""##,
+        }
+    }
+}
+
+/// How a line is drawn.
+#[derive(Clone, Copy)]
+enum Stroke {
+    Ink,
+    Gray,
+    ThickGray,
+    /// A grid line.
+    Rule,
+}
+
+impl Stroke {
+    const fn attributes(self) -> &'static str {
+        match self {
+            Self::Ink => r##"class="line" stroke="#000""##,
+            Self::Gray => r##"stroke="#767676""##,
+            Self::ThickGray => r##"stroke="#767676" stroke-width="3""##,
+            Self::Rule => r##"class="rule" stroke="#b8b8b8""##,
+        }
+    }
+}
+
+/// How text is written.
+#[derive(Clone, Copy)]
+enum Style {
+    Plain,
+    Bold,
+    Faint,
+    /// On a dark bar.
+    OnDark,
+    /// On a light bar.
+    OnLight,
 }
 
 /// Where text stands relative to its point.
@@ -62,32 +98,70 @@ enum Side {
     Around,
 }
 
-/// Writes a line of text at `point`, in the middle of its height.
-fn write(
-    area: &Area<'_>,
-    text: &str,
-    point: (i32, i32),
-    side: Side,
-    style: (f64, FontStyle, RGBColor),
-) -> Drawn {
-    let (size, weight, colour) = style;
-    let across = match side {
-        Side::Before => HPos::Right,
-        Side::After => HPos::Left,
-        Side::Around => HPos::Center,
-    };
-    let font = ("sans-serif", size).into_font().style(weight);
-    let style = TextStyle::from(font).color(&colour).pos(Pos::new(across, VPos::Center));
-    area.draw(&Text::new(text.to_owned(), point, style))?;
-    Ok(())
+impl Svg {
+    fn new(height: i32) -> Self {
+        Self { height, body: String::new() }
+    }
+
+    fn finish(self) -> String {
+        format!(
+            "<svg width=\"{WIDTH}\" height=\"{0}\" viewBox=\"0 0 {WIDTH} {0}\" \
+             xmlns=\"http://www.w3.org/2000/svg\" font-family=\"sans-serif\">\n{1}</svg>\n",
+            self.height, self.body
+        )
+    }
+
+    fn element(&mut self, element: std::fmt::Arguments<'_>) {
+        // Writing to a string cannot fail.
+        let _ = writeln!(self.body, "{element}");
+    }
+
+    fn text(&mut self, text: &str, (x, y): (i32, i32), side: Side, style: Style) {
+        let anchor = match side {
+            Side::Before => "end",
+            Side::After => "start",
+            Side::Around => "middle",
+        };
+        let style = match style {
+            Style::Plain => r##"font-size="16" class="ink" fill="#000""##,
+            Style::Bold => r##"font-size="16" font-weight="bold" class="ink" fill="#000""##,
+            Style::Faint => r##"font-size="14" fill="#767676""##,
+            Style::OnDark => r##"font-size="14" fill="#ffffff""##,
+            Style::OnLight => r##"font-size="14" fill="#000000""##,
+        };
+        let text = escaped(text);
+        self.element(format_args!(
+            r#"<text x="{x}" y="{y}" dy="0.35em" text-anchor="{anchor}" {style}>{text}</text>"#
+        ));
+    }
+
+    fn line(&mut self, points: &[(i32, i32)], stroke: Stroke) {
+        let (points, stroke) = (coordinates(points), stroke.attributes());
+        self.element(format_args!(r#"<polyline points="{points}" fill="none" {stroke}/>"#));
+    }
+
+    fn circle(&mut self, (x, y): (i32, i32), paint: Paint) {
+        let paint = paint.attributes();
+        self.element(format_args!(r#"<circle cx="{x}" cy="{y}" r="4" {paint}/>"#));
+    }
+
+    fn polygon(&mut self, points: &[(i32, i32)], paint: Paint) {
+        let (points, paint) = (coordinates(points), paint.attributes());
+        self.element(format_args!(r#"<polygon points="{points}" {paint}/>"#));
+    }
+
+    fn rectangle(&mut self, [(left, top), (right, bottom)]: [(i32, i32); 2], paint: Paint) {
+        self.polygon(&[(left, top), (right, top), (right, bottom), (left, bottom)], paint);
+    }
 }
 
-/// Labels of rows, axes, legends.
-const PLAIN: (f64, FontStyle, RGBColor) = (16.0, FontStyle::Normal, BLACK);
-/// Headings of rows.
-const BOLD: (f64, FontStyle, RGBColor) = (16.0, FontStyle::Bold, BLACK);
-/// What is said of missing figures.
-const FAINT: (f64, FontStyle, RGBColor) = (14.0, FontStyle::Normal, GREY);
+fn escaped(text: &str) -> String {
+    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;")
+}
+
+fn coordinates(points: &[(i32, i32)]) -> String {
+    points.iter().map(|(x, y)| format!("{x},{y}")).collect::<Vec<_>>().join(" ")
+}
 
 /// A horizontal axis.
 struct Axis {
@@ -96,11 +170,10 @@ struct Axis {
 }
 
 impl Axis {
-    /// The place of `value`.
+    /// The position of `value`.
     fn x(&self, value: f64) -> i32 {
-        let width = f64::from(WIDTH as i32 - LEFT - RIGHT);
         let share = ((value - self.from) / (self.to - self.from)).clamp(0.0, 1.0);
-        LEFT + (share * width).round() as i32
+        LEFT + (share * f64::from(WIDTH - LEFT - RIGHT)).round() as i32
     }
 
     /// A round step that gives at most seven marks.
@@ -111,25 +184,18 @@ impl Axis {
         steps.into_iter().find(|step| *step >= rough).unwrap_or(rough)
     }
 
-    /// Lines, marks and the name of the axis below them.
-    fn paint(&self, area: &Area<'_>, name: &str, top: i32, bottom: i32) -> Drawn {
+    /// Draws grid lines, marks and the name of the axis.
+    fn draw(&self, svg: &mut Svg, name: &str, top: i32, bottom: i32) {
         let step = self.step();
         let marks = ((self.to - self.from) / step + 1e-9).floor() as u32;
         for mark in 0..=marks {
             let value = self.from + f64::from(mark) * step;
             let x = self.x(value);
-            line(area, [(x, top), (x, bottom)], RULE, 1)?;
+            svg.line(&[(x, top), (x, bottom)], Stroke::Rule);
             let digits = usize::from(step < 1.0) + usize::from(step < 0.1);
-            write(area, &format!("{value:.digits$}"), (x, bottom + 12), Side::Around, PLAIN)?;
+            svg.text(&format!("{value:.digits$}"), (x, bottom + 12), Side::Around, Style::Plain);
         }
-        let middle = (self.x(self.from) + self.x(self.to)) / 2;
-        write(area, name, (middle, bottom + 32), Side::Around, PLAIN)
+        let middle = i32::midpoint(self.x(self.from), self.x(self.to));
+        svg.text(name, (middle, bottom + 32), Side::Around, Style::Plain);
     }
-}
-
-fn line(area: &Area<'_>, points: [(i32, i32); 2], colour: RGBColor, width: u32) -> Drawn {
-    use plotters::prelude::PathElement;
-    use plotters::style::Color;
-    area.draw(&PathElement::new(points.to_vec(), colour.stroke_width(width)))?;
-    Ok(())
 }

@@ -7,7 +7,7 @@ use serde::Deserialize;
 const PUBLISHED: &str = include_str!("../../../../assets/published.toml");
 
 /// What the paper prints.
-#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Published {
     /// The policy that made the figures.

@@ -1,5 +1,4 @@
-//! What a report says about one run, section by section: each file makes the tables and figures of one of the
-//! paper's, or of what the paper leaves out.
+//! The sections of a report about one run: a file for each of the paper's tables, and for what the paper leaves out.
 
 mod blocked;
 mod conditions;
@@ -21,14 +20,21 @@ pub(super) use method::method;
 pub(super) use runs::runs;
 
 use super::document::{Block, Section};
-use super::plot::PlotError;
 use super::view::View;
 
-/// A section's name in links, its heading, and what makes its contents.
-type Part = (&'static str, &'static str, fn(&View<'_>) -> Result<Vec<Block>, PlotError>);
+pub(super) use blocked::blocked_table;
+pub(super) use conditions::conditions_table;
+pub(super) use cost::requests_table;
+pub(super) use failures::{failures_table, worst_table};
+pub(super) use overview::{notices, steps_per_second};
+pub(super) use time::time_table;
+
+/// A section's name in links, its heading, and the function that makes its content.
+type Part = (&'static str, &'static str, fn(&View<'_>) -> Vec<Block>);
 
 const PARTS: [Part; 12] = [
     ("overview", "What was run", overview::blocks),
+    ("conditions", "All conditions", conditions::blocks),
     ("main", "Success across the three questions", main_table::blocks),
     ("transfer", "RQ1: another start than the demonstration's", transfer::blocks),
     ("blocked", "RQ2: a blocked route", blocked::blocks),
@@ -39,27 +45,32 @@ const PARTS: [Part; 12] = [
     ("cost", "Images, tokens, unreadable answers", cost::blocks),
     ("time", "Time by stage", time::blocks),
     ("pairs", "Paired comparisons", pairs::blocks),
-    ("conditions", "All conditions", conditions::blocks),
 ];
 
-/// All sections about the run; `level` is that of their headings.
-///
-/// # Errors
-/// When a figure cannot be drawn.
-pub(super) fn sections(view: &View<'_>, level: u8) -> Result<Vec<Section>, PlotError> {
-    let section = |&(id, title, blocks): &Part| {
-        let blocks = blocks(view)?;
-        Ok(Section { id: view.id(&format!("s-{id}")), level, title: title.to_owned(), blocks })
-    };
-    PARTS.iter().map(section).collect()
+/// All sections about the run. Those of which nothing was run are named in one line of the first section.
+pub(super) fn sections(view: &View<'_>) -> Vec<Section> {
+    let mut sections = Vec::new();
+    let mut not_run = Vec::new();
+    for (id, title, blocks) in PARTS {
+        let blocks = blocks(view);
+        if blocks.iter().any(|block| matches!(block, Block::Table(_) | Block::Figure(_))) {
+            sections.push(Section::new(view.id(&format!("s-{id}")), title, blocks));
+        } else {
+            not_run.push(title);
+        }
+    }
+    if let (Some(first), false) = (sections.first_mut(), not_run.is_empty()) {
+        let text = format!("This run has no conditions for: {}.", not_run.join("; "));
+        first.blocks.push(Block::Text(text));
+    }
+    sections
 }
 
-/// Where the run's figures come from.
-pub(super) fn provenance(view: &View<'_>, level: u8) -> Section {
-    Section {
-        id: view.id("s-provenance"),
-        level,
-        title: "Provenance".to_owned(),
-        blocks: provenance::blocks(view),
-    }
+/// The section about the origin of the run's figures.
+pub(super) fn provenance(view: &View<'_>) -> Section {
+    let title = match view.prefix.as_str() {
+        "" => "Provenance".to_owned(),
+        _ => format!("Provenance of {}", crate::compare::run_name(view.log)),
+    };
+    Section::new(view.id("s-provenance"), title, provenance::blocks(view))
 }

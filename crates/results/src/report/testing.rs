@@ -5,7 +5,7 @@ use domain::{Action, Heading, Pose, Representation};
 use crate::conditions::{Condition, Demonstrations, Route, SegmentContent, Start, Variation};
 use crate::events::{Requirement, Visit};
 use crate::key::EpisodeKey;
-use crate::log::testing::{manifest, record, settings, timings};
+use crate::log::testing::{log, record, settings};
 use crate::log::{Ending, EpisodeRecord, RunLog, Unread};
 use crate::settings::{Group, RunSettings};
 
@@ -41,17 +41,8 @@ pub(crate) fn made_up(conditions: &[(Condition, u32)], tasks: &[u8]) -> RunLog {
         }
     }
     episodes.sort_by(|a, b| a.key.cmp(&b.key));
-    let mut manifest = manifest();
-    manifest.episodes = episodes.len() as u32;
-    let mut log = RunLog {
-        dir: "runs/made-up".into(),
-        manifest,
-        timings: episodes.iter().map(timings).collect(),
-        episodes,
-        requests: Vec::new(),
-        errors: Vec::new(),
-        sessions: Vec::new(),
-    };
+    let mut log = log(episodes);
+    log.dir = "runs/made-up".into();
     for (timings, record) in log.timings.iter_mut().zip(&log.episodes) {
         let stages = &mut timings.stages;
         (stages.render, stages.decide) = (stages.render * 900, stages.decide * 2500);

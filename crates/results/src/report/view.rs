@@ -1,5 +1,4 @@
-//! One run as the tables look at it: its scores by condition, beside what the paper prints; and how figures are
-//! written.
+//! One run as the tables see it: its scores by condition beside the published ones; and how figures are written.
 
 use domain::Representation;
 
@@ -15,28 +14,28 @@ pub(super) struct View<'a> {
     pub(super) log: &'a RunLog,
     pub(super) scores: Scores,
     pub(super) published: &'a Published,
-    /// What ids of tables and figures begin with; empty for a single run.
+    /// The prefix of ids of tables and figures; empty for a single run.
     pub(super) prefix: String,
 }
 
 impl View<'_> {
-    /// An id of a table, figure or section.
+    /// The id of a table, figure or section.
     pub(super) fn id(&self, name: &str) -> String {
         format!("{}{name}", self.prefix)
     }
 
-    /// What the run scored under the condition called `name`.
+    /// The run's scores of the condition called `name`.
     pub(super) fn score(&self, name: &str) -> Option<&ConditionScore> {
         let condition: Condition = name.parse().ok()?;
         self.scores.of(&condition)
     }
 
-    /// A cell of this run: what `figure` says of the condition called `name`, or that it was not run.
+    /// A cell of this run: the `figure` of the condition called `name`, or that it was not run.
     pub(super) fn ours(&self, name: &str, figure: impl Fn(&ConditionScore) -> Cell) -> Cell {
         self.score(name).map_or(Cell::Missing(Missing::NotRun), figure)
     }
 
-    /// A cell of the paper: what `figure` says of the condition called `name`, or why there is nothing.
+    /// A published cell: the `figure` of the condition called `name`, or why there is none.
     pub(super) fn theirs(
         &self,
         name: &str,
@@ -46,8 +45,7 @@ impl View<'_> {
         published.map_or_else(|| unpublished(name), Cell::Value)
     }
 
-    /// A row of this run and one of the paper for each representation; `names` gives the condition of each
-    /// column.
+    /// A row of this run and a published one for each representation.
     pub(super) fn pairs(
         &self,
         representations: &[Representation],
@@ -68,14 +66,14 @@ impl View<'_> {
 /// The label of a row with a run's figures.
 pub(super) const OURS: &str = "this run";
 /// The label of a row with the paper's figures.
-pub(super) const THEIRS: &str = "paper";
+pub(super) const THEIRS: &str = "published";
 
-/// The labels of rows that come in pairs.
+/// The headings of the two label columns of paired rows.
 pub(super) fn pair_stubs() -> Vec<String> {
     vec!["Representation".to_owned(), "Source".to_owned()]
 }
 
-/// A representation as the paper's tables call it.
+/// The name of a representation in the paper's tables.
 pub(super) const fn title(representation: Representation) -> &'static str {
     match representation {
         Representation::Working => "Working memory",
@@ -87,7 +85,7 @@ pub(super) const fn title(representation: Representation) -> &'static str {
     }
 }
 
-/// All but the baseline.
+/// All representations but working memory.
 pub(super) fn historical() -> Vec<Representation> {
     let uses = |representation: &Representation| representation.uses_demonstrations();
     Representation::ALL.iter().copied().filter(uses).collect()
@@ -123,12 +121,12 @@ pub(super) fn sure(spread: Spread, digits: usize) -> Cell {
     }
 }
 
-/// The same; a figure that there is not is missing for the reason given.
+/// The same, or the reason why there is no figure.
 pub(super) fn sure_or(spread: Option<Spread>, digits: usize, missing: Missing) -> Cell {
     spread.map_or(Cell::Missing(missing), |spread| sure(spread, digits))
 }
 
-/// A plain figure, or why there is none.
+/// A plain figure, or the reason why there is none.
 pub(super) fn plain_or(value: Option<f64>, digits: usize, missing: Missing) -> Cell {
     value.map_or(Cell::Missing(missing), |value| Cell::Value(format!("{value:.digits$}")))
 }
@@ -180,7 +178,7 @@ pub(super) fn our_rates(view: &View<'_>, name: &str) -> [Cell; 2] {
     ]
 }
 
-/// The paper's.
+/// The published cells under those columns.
 pub(super) fn their_rates(view: &View<'_>, name: &str) -> [Cell; 2] {
     [
         view.theirs(name, |published| published.sr.map(published_text)),

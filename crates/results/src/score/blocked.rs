@@ -1,22 +1,23 @@
-//! What a blocked route does (SPEC section 7; paper, equations `eq:change_retention` and
+//! What a blocked route does (specification, section 7; paper, equations `eq:change_retention` and
 //! `eq:follow_recovery`): follow, recovery, change relative to working memory, retention.
 
 use serde::Serialize;
 
-use super::bootstrap::Interval;
+use super::interval::Interval;
 use super::spread::{Spread, percentage};
-use super::trial::{Trial, Trials};
+use super::trial::Trials;
+use crate::log::EpisodeRecord;
 
 /// The figures that exist on a blocked route only.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct BlockedScore {
-    /// F in percent, over runs. Absent when no episode finished.
+    /// F in percent, over runs.
     pub follow: Option<Spread>,
-    /// C in percent, over the runs in which it is defined; absent when it is in none.
+    /// C in percent, over the runs in which it is defined; `None` when it is in none.
     pub recovery: Option<Spread>,
-    /// Delta_r in percentage points. Absent when the unchanged route or working memory was not run.
+    /// Delta_r in percentage points. `None` when the unchanged route or working memory was not run.
     pub change: Option<Derived>,
-    /// R_r, a fraction. Absent when the unchanged route was not run, undefined when nothing succeeds there.
+    /// R_r, a fraction. `None` when the unchanged route was not run, or nothing succeeds there.
     pub retention: Option<Derived>,
 }
 
@@ -25,21 +26,19 @@ pub struct BlockedScore {
 pub struct Derived {
     /// The figure, from the mean success rates as they are reported.
     pub value: f64,
-    /// Its 95 % bootstrap interval: all conditions are resampled with the same cases.
+    /// Its 95 % bootstrap interval; all conditions are resampled with the same cases.
     pub interval: Option<Interval>,
 }
 
-/// `F = 100 / N * sum b_i` of one run: how many tried to enter a newly closed cell. `N` are the episodes that
-/// finished, since of one that was given up b_i is not known.
-pub(super) fn follow(trials: &[&Trial<'_>]) -> Option<f64> {
-    percentage(trials.iter().filter_map(|trial| trial.tried_closed()))
+/// `F = 100 / N * sum b_i` of one run: the episodes that tried to enter a newly closed cell.
+pub(super) fn follow(records: &[&EpisodeRecord]) -> Option<f64> {
+    percentage(records.iter().filter_map(|record| record.tried_closed))
 }
 
-/// `C = 100 * sum b_i s_i / sum b_i` of one run: how many of those succeeded all the same. Undefined, not
-/// zero, when no b_i is 1.
-pub(super) fn recovery(trials: &[&Trial<'_>]) -> Option<f64> {
-    let tried = trials.iter().filter(|trial| trial.tried_closed() == Some(true));
-    percentage(tried.map(|trial| trial.is_success()))
+/// `C = 100 * sum b_i s_i / sum b_i` of one run: the successes among those. Undefined, not zero, when no b_i is 1.
+pub(super) fn recovery(records: &[&EpisodeRecord]) -> Option<f64> {
+    let tried = records.iter().filter(|record| record.tried_closed == Some(true));
+    percentage(tried.map(|record| record.is_success()))
 }
 
 /// `Delta_r = (S_{r,blocked} - S_{r,unchanged}) - (S_{w,blocked} - S_{w,unchanged})`, where S are mean success
@@ -49,8 +48,8 @@ pub(super) fn change(blocked: f64, unchanged: f64, baseline: [f64; 2]) -> f64 {
     (blocked - unchanged) - (baseline_blocked - baseline_unchanged)
 }
 
-/// `R_r = S_{r,blocked} / S_{r,unchanged}`: the part of the success rate that is left. Undefined when there
-/// was none.
+/// `R_r = S_{r,blocked} / S_{r,unchanged}`: the part of the success rate that is left. Undefined when there was
+/// none.
 pub(super) fn retention(blocked: f64, unchanged: f64) -> Option<f64> {
     (unchanged > 0.0).then(|| blocked / unchanged)
 }

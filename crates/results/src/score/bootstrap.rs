@@ -1,42 +1,34 @@
 //! Bootstrap intervals over cases and runs.
 //!
-//! What varies from one evaluation to the next is which cases were drawn up and how each repetition went. So
-//! a resample draws as many cases as there are, with replacement, and for each case drawn as many of its
-//! repetitions as it has, again with replacement; the interval is what lies between the 2.5th and the 97.5th
-//! percentile of the figure over all resamples (the percentile method). Conditions that enter one figure
-//! together, such as the two of a comparison, are resampled with the same cases.
+//! Evaluations differ in which cases were drawn up and in how each repetition went. So a resample draws as many
+//! cases as there are, with replacement, and for each case drawn as many of its repetitions as it has, again with
+//! replacement; the interval runs from the 2.5th to the 97.5th percentile of the figure over all resamples (the
+//! percentile method). Conditions that enter one figure together, such as the two of a comparison, are resampled
+//! with the same cases.
 //!
-//! Deterministic: the draws come from ChaCha8 with a fixed seed, begun anew for each interval, over cases in
-//! the order of their ids.
+//! Deterministic: the draws come from ChaCha8 with a fixed seed, restarted for each interval, over cases in the
+//! order of their ids.
 //!
-//! Its limit: a rate of 0 or 100 percent in every episode is 0 or 100 in every resample, so the interval has
-//! no width there. It says nothing about other policies, other warehouses, or a case set made otherwise.
+//! A figure that is the same in every episode is the same in every resample. Rates therefore have
+//! [another interval](super::interval).
 
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
-use serde::Serialize;
 
-/// Resamples an interval is read from.
+use super::interval::Interval;
+
+/// Number of resamples.
 pub const RESAMPLES: usize = 2000;
 
-/// The seed of ChaCha8's draws.
+/// Seed of the draws.
 pub const SEED: u64 = 20_260_801;
-
-/// What lies between the 2.5th and the 97.5th percentile of the resamples.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct Interval {
-    /// The 2.5th percentile.
-    pub low: f64,
-    /// The 97.5th.
-    pub high: f64,
-}
 
 /// The intervals of `figures`, which are `N` numbers made of the same resample.
 ///
 /// `cases[i][arm]` are the repetitions of case i under each of the arms that enter the figures together;
 /// `figures` gets the resampled repetitions of each arm. `None` for fewer than two cases, and for a figure
 /// that is undefined in more than one resample of twenty.
-pub fn intervals<T: Copy, const N: usize>(
+pub(super) fn intervals<T: Copy, const N: usize>(
     cases: &[Vec<Vec<T>>],
     figures: impl Fn(&[Vec<T>]) -> [Option<f64>; N],
 ) -> [Option<Interval>; N] {

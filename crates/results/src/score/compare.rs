@@ -1,28 +1,28 @@
-//! Two configurations on the same cases: the mean difference with its interval, and a test of whether more
-//! cases went better than worse.
+//! Two configurations on the same cases: both figures, the mean difference with its interval, and a test of whether
+//! more cases went better than worse.
 
 use serde::Serialize;
-use statrs::distribution::{Binomial, DiscreteCDF};
 
-use super::bootstrap::{Interval, intervals};
-use super::condition::{Outcome, paired, rate, weight};
+use super::bootstrap::intervals;
+use super::condition::{Sample, paired, rate, weight};
+use super::interval::{Interval, difference_interval, rate_interval};
 use super::spread::mean;
 use super::trial::Trials;
 
 /// How configuration A compares with configuration B on the cases that both have.
 ///
-/// A difference is A minus B, of the means over cases of each case's mean over its repetitions.
+/// Figures are means over cases of each case's mean over its repetitions.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Comparison {
-    /// The first configuration, as it is written.
+    /// The name of the first configuration.
     pub a: String,
-    /// The second.
+    /// The name of the second.
     pub b: String,
     /// Cases that both have.
     pub cases: usize,
-    /// Difference of the success rates, in percentage points.
+    /// Success rates in percent, their difference in percentage points.
     pub sr: Difference,
-    /// Difference of SPL.
+    /// SPL.
     pub spl: Difference,
     /// Cases that succeed more often under A. With one run each: that succeed under A alone.
     pub more_under_a: usize,
@@ -33,25 +33,35 @@ pub struct Comparison {
     pub p: f64,
 }
 
-/// A mean difference.
+/// A figure of both configurations, and the mean difference.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Difference {
-    /// The mean over cases.
+    /// The figure of A.
+    pub a: f64,
+    /// The figure of B.
+    pub b: f64,
+    /// A minus B.
     pub mean: f64,
-    /// Its 95 % bootstrap interval, cases paired.
+    /// The 95 % interval of the difference: bootstrap, cases paired. Where every case differs by the same amount,
+    /// so that the bootstrap has no width, that of the success rate is Newcombe's, and SPL has none.
     pub interval: Option<Interval>,
 }
 
-/// Compares `a` with `b`; `None` when they have no case in common. The names are for the reader.
+/// Compares `a` with `b`, each with its name; `None` when they have no case in common.
 pub fn compare(a: (&str, &Trials<'_>), b: (&str, &Trials<'_>)) -> Option<Comparison> {
-    let cases: Vec<Vec<Vec<Outcome>>> = paired(&[a.1, b.1]).into_values().collect();
-    let difference = |figure: fn(&[Outcome]) -> Option<f64>| {
-        mean(cases.iter().filter_map(|arms| Some(figure(&arms[0])? - figure(&arms[1])?)))
-    };
-    let (sr, spl) = (difference(rate)?, difference(weight)?);
-    let [sr_interval, spl_interval] = intervals(&cases, |arms| {
+    let cases: Vec<Vec<Vec<Sample>>> = paired(&[a.1, b.1]).into_values().collect();
+    let [sr, spl] = intervals(&cases, |arms| {
         [rate, weight].map(|figure| Some(figure(&arms[0])? - figure(&arms[1])?))
     });
+    let difference = |figure: fn(&[Sample]) -> Option<f64>, interval: Option<Interval>| {
+        let side = |arm: usize| mean(cases.iter().filter_map(|arms| figure(&arms[arm])));
+        let of_case = |arms: &Vec<Vec<Sample>>| Some(figure(&arms[0])? - figure(&arms[1])?);
+        let interval = interval.filter(|interval| !interval.is_point());
+        let mean = mean(cases.iter().filter_map(of_case))?;
+        Some(Difference { a: side(0)?, b: side(1)?, mean, interval })
+    };
+    let (mut sr, spl) = (difference(rate, sr)?, difference(weight, spl)?);
+    sr.interval = sr.interval.or_else(|| rate_difference(&cases, &sr));
     let more = |first: usize, second: usize| {
         cases.iter().filter(|arms| rate(&arms[first]) > rate(&arms[second])).count()
     };
@@ -60,19 +70,35 @@ pub fn compare(a: (&str, &Trials<'_>), b: (&str, &Trials<'_>)) -> Option<Compari
         a: a.0.to_owned(),
         b: b.0.to_owned(),
         cases: cases.len(),
-        sr: Difference { mean: sr, interval: sr_interval },
-        spl: Difference { mean: spl, interval: spl_interval },
+        sr,
+        spl,
         more_under_a,
         more_under_b,
         p: sign_test(more_under_a, more_under_b),
     })
 }
 
+/// Newcombe's interval of the difference of two success rates.
+fn rate_difference(cases: &[Vec<Vec<Sample>>], sr: &Difference) -> Option<Interval> {
+    let interval = |arm: usize| {
+        let successes = |arms: &Vec<Vec<Sample>>| arms[arm].iter().map(|s| s.success).collect();
+        rate_interval(&cases.iter().map(successes).collect::<Vec<_>>())
+    };
+    Some(difference_interval((sr.a, interval(0)?), (sr.b, interval(1)?)))
+}
+
 /// Two-sided p of `plus` against `minus` under a fair coin: twice the binomial tail, at most 1.
 fn sign_test(plus: usize, minus: usize) -> f64 {
-    // A fair coin is a distribution for any number of throws, none included.
-    Binomial::new(0.5, (plus + minus) as u64)
-        .map_or(1.0, |coin| (2.0 * coin.cdf(plus.min(minus) as u64)).min(1.0))
+    let throws = (plus + minus) as f64;
+    // The logarithm of the probability of k heads, from that of k - 1; a product would underflow.
+    let mut log_probability = -throws * std::f64::consts::LN_2;
+    let mut tail = log_probability.exp();
+    for heads in 1..=plus.min(minus) {
+        let heads = heads as f64;
+        log_probability += ((throws - heads + 1.0) / heads).ln();
+        tail += log_probability.exp();
+    }
+    (2.0 * tail).min(1.0)
 }
 
 #[cfg(test)]

@@ -1,31 +1,35 @@
-//! The scores of one condition: every figure of SPEC section 7, put together.
+//! The scores of one condition: every figure of section 7 of the specification, put together.
 
 use std::collections::BTreeMap;
 
+use domain::Representation;
 use serde::Serialize;
 
 use super::blocked::{self, BlockedScore, Derived, Quartet};
-use super::bootstrap::{Interval, intervals};
+use super::bootstrap::intervals;
 use super::cost;
 use super::failure::Failures;
+use super::interval::{Interval, rate_interval, wilson};
 use super::spread::{Spread, mean, percentage};
 use super::success::{self, GroupScore};
 use super::time::{StageTimes, exists};
-use super::trial::{Trial, Trials};
+use super::trial::{Trials, path_weight};
 use crate::conditions::{Condition, Demonstrations, Route};
-use crate::log::EpisodeTimings;
-use domain::Representation;
+use crate::log::{EpisodeRecord, EpisodeTimings};
 
 /// The scores of one condition. What was not measured, or is not defined, is `None`, never zero.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct ConditionScore {
-    /// Which.
+    /// The condition.
     #[serde(flatten)]
     pub condition: Condition,
-    /// Episodes, those given up included.
+    /// Finished episodes: those that the figures are of.
     pub episodes: usize,
-    /// Those given up because of a fault that is not the model's. They count as not successful.
-    pub errored: usize,
+    /// Episodes of the condition in the whole run.
+    pub planned: usize,
+    /// The bounds that missing episodes allow; `None` when none is missing.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub bounds: Option<Bounds>,
     /// Repetitions of which there is an episode.
     pub runs: usize,
     /// Cases of which there is an episode.
@@ -38,109 +42,161 @@ pub struct ConditionScore {
     pub groups: Vec<GroupScore>,
     /// Follow, recovery, change and retention. Blocked routes only.
     pub blocked: Option<BlockedScore>,
-    /// Mean steps of a finished episode.
+    /// Mean steps of an episode.
     pub mean_steps: Option<f64>,
-    /// Images in a request, on average.
+    /// Mean images of a request.
     pub images_per_request: Option<Spread>,
-    /// Tokens of prompts and completions, a hundred cases.
+    /// Prompt and completion tokens of a hundred cases.
     pub tokens_per_100: Option<Spread>,
     /// Percentage of answers in which no action could be read.
     pub unread: Option<Spread>,
     /// Percentage of retrievals that came from another task's history.
     pub from_other_cases: Option<Spread>,
-    /// Why the finished episodes that failed did. With `errored` these are all that did not succeed.
+    /// The episodes that failed, by kind.
     pub failures: Failures,
-    /// Mean microseconds of a step in each stage that there was.
+    /// Mean microseconds of a step in each stage that exists.
     pub stage_us: Option<StageTimes>,
+}
+
+/// What the success rate and SPL are when all missing episodes fail, and when all succeed (with SPL 1).
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Bounds {
+    /// Of the success rate, in percent.
+    pub sr: Interval,
+    /// Of SPL.
+    pub spl: Interval,
+}
+
+impl Bounds {
+    fn of(trials: &Trials<'_>, planned: usize) -> Option<Self> {
+        let missing = planned.saturating_sub(trials.count());
+        let between = |sum: f64, unit: f64| Interval {
+            low: unit * sum / planned as f64,
+            high: unit * (sum + missing as f64) / planned as f64,
+        };
+        let successes = trials.iter().filter(|record| record.is_success()).count();
+        (missing > 0).then(|| Self {
+            sr: between(successes as f64, 100.0),
+            spl: between(trials.iter().map(path_weight).sum(), 1.0),
+        })
+    }
 }
 
 /// What the intervals need of an episode.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Outcome {
+pub(super) struct Sample {
     pub(super) success: bool,
     pub(super) path_weight: f64,
     tried_closed: Option<bool>,
 }
 
-impl From<&Trial<'_>> for Outcome {
-    fn from(trial: &Trial<'_>) -> Self {
+impl From<&EpisodeRecord> for Sample {
+    fn from(record: &EpisodeRecord) -> Self {
         Self {
-            success: trial.is_success(),
-            path_weight: trial.path_weight(),
-            tried_closed: trial.tried_closed(),
+            success: record.is_success(),
+            path_weight: path_weight(record),
+            tried_closed: record.tried_closed,
         }
     }
 }
 
-/// The repetitions of each case under each of the `arms`, of the cases that all arms have.
-pub(super) fn paired<'a>(arms: &[&Trials<'a>]) -> BTreeMap<&'a str, Vec<Vec<Outcome>>> {
+/// The repetitions of each case under each of the `arms`, for the cases that all arms have.
+pub(super) fn paired<'a>(arms: &[&Trials<'a>]) -> BTreeMap<&'a str, Vec<Vec<Sample>>> {
     let by_case: Vec<_> = arms.iter().map(|trials| trials.cases()).collect();
     let Some(first) = by_case.first() else { return BTreeMap::new() };
     let repetitions = |case: &str| {
-        let arm = |cases: &BTreeMap<&str, Vec<&Trial<'_>>>| {
-            Some(cases.get(case)?.iter().map(|trial| Outcome::from(*trial)).collect())
+        let arm = |cases: &BTreeMap<&str, Vec<&EpisodeRecord>>| {
+            Some(cases.get(case)?.iter().map(|record| Sample::from(*record)).collect())
         };
-        by_case.iter().map(arm).collect::<Option<Vec<Vec<Outcome>>>>()
+        by_case.iter().map(arm).collect::<Option<Vec<Vec<Sample>>>>()
     };
     first.keys().filter_map(|case| Some((*case, repetitions(case)?))).collect()
 }
 
-pub(super) fn rate(outcomes: &[Outcome]) -> Option<f64> {
-    percentage(outcomes.iter().map(|outcome| outcome.success))
+pub(super) fn rate(samples: &[Sample]) -> Option<f64> {
+    percentage(samples.iter().map(|sample| sample.success))
 }
 
-pub(super) fn weight(outcomes: &[Outcome]) -> Option<f64> {
-    mean(outcomes.iter().map(|outcome| outcome.path_weight))
+pub(super) fn weight(samples: &[Sample]) -> Option<f64> {
+    mean(samples.iter().map(|sample| sample.path_weight))
 }
 
-/// The scores of `condition` from its `trials`; `None` when there are none. What takes other conditions to
-/// compute is added by [`relate`].
+/// The scores of `condition` from its `trials`, of which the run has `planned`; `None` when there are none. What
+/// needs other conditions is added by [`relate`].
 pub(super) fn score_condition(
     condition: Condition,
     trials: &Trials<'_>,
+    planned: usize,
     timings: &BTreeMap<&str, &EpisodeTimings>,
 ) -> Option<ConditionScore> {
-    let cases: Vec<_> = paired(&[trials]).into_values().collect();
-    let [sr, spl, follow, recovery] = intervals(&cases, |arms| {
-        let outcomes = &arms[0];
-        let tried = || outcomes.iter().filter(|outcome| outcome.tried_closed == Some(true));
-        [
-            rate(outcomes),
-            weight(outcomes),
-            percentage(outcomes.iter().filter_map(|outcome| outcome.tried_closed)),
-            percentage(tried().map(|outcome| outcome.success)),
-        ]
-    });
-    let within = |spread: Option<Spread>, interval: Option<Interval>| {
-        spread.map(|spread| spread.within(interval))
-    };
-    let errored = trials.iter().filter(|trial| trial.record.is_none()).count();
+    let planned = planned.max(trials.count());
+    let intervals = Intervals::of(trials);
     Some(ConditionScore {
         condition,
-        episodes: trials.iter().count(),
-        errored,
+        episodes: trials.count(),
+        planned,
+        bounds: Bounds::of(trials, planned),
         runs: trials.runs().len(),
-        cases: cases.len(),
-        sr: trials.over_runs(success::success_rate)?.within(sr),
-        spl: trials.over_runs(success::path_weighted)?.within(spl),
+        cases: trials.cases().len(),
+        sr: trials.over_runs(success::success_rate)?.within(intervals.sr),
+        spl: trials.over_runs(success::path_weighted)?.within(intervals.spl),
         groups: success::groups(trials),
-        blocked: (condition.route == Route::Blocked).then(|| BlockedScore {
-            follow: within(trials.over_runs(blocked::follow), follow),
-            recovery: within(trials.over_runs(blocked::recovery), recovery),
-            change: None,
-            retention: None,
+        blocked: (condition.route == Route::Blocked).then(|| {
+            let within = |spread: Option<Spread>, interval| spread.map(|s| s.within(interval));
+            BlockedScore {
+                follow: within(trials.over_runs(blocked::follow), intervals.follow),
+                recovery: within(trials.over_runs(blocked::recovery), intervals.recovery),
+                change: None,
+                retention: None,
+            }
         }),
-        mean_steps: mean(trials.records().map(|record| f64::from(record.steps))),
+        mean_steps: mean(trials.iter().map(|record| f64::from(record.steps))),
         images_per_request: trials.over_runs(cost::images_per_request),
         tokens_per_100: tokens(trials),
         unread: trials.over_runs(cost::unread),
         from_other_cases: trials.over_runs(cost::from_other_cases),
-        failures: Failures::of(trials.records()),
+        failures: Failures::of(trials.iter()),
         stage_us: stage_us(condition, trials, timings),
     })
 }
 
-/// Absent unless every run was measured.
+/// The intervals of a condition's own figures.
+struct Intervals {
+    sr: Option<Interval>,
+    spl: Option<Interval>,
+    follow: Option<Interval>,
+    recovery: Option<Interval>,
+}
+
+impl Intervals {
+    fn of(trials: &Trials<'_>) -> Self {
+        let cases: Vec<_> = paired(&[trials]).into_values().collect();
+        let of_rate = |value: fn(&Sample) -> Option<bool>| {
+            let by_case = cases.iter().map(|arms| arms[0].iter().filter_map(value).collect());
+            rate_interval(&by_case.collect::<Vec<_>>())
+        };
+        let tried = |samples: &[Sample]| {
+            let tried = samples.iter().filter(|sample| sample.tried_closed == Some(true));
+            percentage(tried.map(|sample| sample.success))
+        };
+        let [spl, recovery] = intervals(&cases, |arms| [weight(&arms[0]), tried(&arms[0])]);
+        let counted = cases.iter().filter(|arms| tried(&arms[0]).is_some()).count();
+        Self {
+            sr: of_rate(|sample| Some(sample.success)),
+            spl: spl.map(|found| with_width(found, cases.len(), 1.0)),
+            follow: of_rate(|sample| sample.tried_closed),
+            recovery: recovery.map(|found| with_width(found, counted, 100.0)),
+        }
+    }
+}
+
+/// The bootstrap interval `found` of a mean of values from 0 to `most` over `cases`; Wilson's where all cases are
+/// alike, so that the bootstrap has no width. (The variance of such a mean is at most that of a rate.)
+fn with_width(found: Interval, cases: usize, most: f64) -> Interval {
+    if found.is_point() { wilson(found.low / most, cases as f64).scaled(most) } else { found }
+}
+
+/// `None` unless every run was measured.
 fn tokens(trials: &Trials<'_>) -> Option<Spread> {
     let spread = trials.over_runs(cost::tokens_per_100)?;
     (spread.runs as usize == trials.runs().len()).then_some(spread)
@@ -151,12 +207,12 @@ fn stage_us(
     trials: &Trials<'_>,
     timings: &BTreeMap<&str, &EpisodeTimings>,
 ) -> Option<StageTimes> {
-    let timed = trials.records().filter_map(|record| timings.get(record.key.as_str()).copied());
-    let asked = trials.records().any(|record| record.requests.is_some());
+    let timed = trials.iter().filter_map(|record| timings.get(record.key.as_str()).copied());
+    let asked = trials.iter().any(|record| record.requests.is_some());
     StageTimes::of(timed, |stage| exists(stage, condition.memory, asked))
 }
 
-/// Change and retention of each blocked condition, from its own unchanged route and working memory's two.
+/// Adds change and retention of each blocked condition, from its own unchanged route and working memory's two.
 pub(super) fn relate(scores: &mut [ConditionScore], trials: &BTreeMap<Condition, Trials<'_>>) {
     let rates: BTreeMap<Condition, f64> =
         scores.iter().map(|score| (score.condition, score.sr.mean)).collect();
@@ -196,11 +252,12 @@ pub(super) fn relate(scores: &mut [ConditionScore], trials: &BTreeMap<Condition,
     }
 }
 
+/// The bootstrap intervals of change and retention; none where all cases are alike.
 fn related_intervals(quartet: Quartet<'_, '_>) -> [Option<Interval>; 2] {
     let mut arms = vec![quartet.blocked, quartet.unchanged];
     arms.extend(quartet.baseline.into_iter().flatten());
     let cases: Vec<_> = paired(&arms).into_values().collect();
-    intervals(&cases, |arms| {
+    let found = intervals(&cases, |arms| {
         let rates: Option<Vec<f64>> = arms.iter().map(|arm| rate(arm)).collect();
         match rates.as_deref() {
             Some(&[after, before]) => [None, blocked::retention(after, before)],
@@ -210,5 +267,6 @@ fn related_intervals(quartet: Quartet<'_, '_>) -> [Option<Interval>; 2] {
             ],
             _ => [None, None],
         }
-    })
+    });
+    found.map(|interval| interval.filter(|interval| !interval.is_point()))
 }

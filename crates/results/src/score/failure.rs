@@ -6,7 +6,6 @@
 
 use std::collections::BTreeSet;
 
-use domain::{Action, Pose};
 use serde::Serialize;
 
 use crate::events::Requirement;
@@ -120,7 +119,7 @@ fn has_seen(record: &EpisodeRecord, open: &[Requirement]) -> bool {
 }
 
 fn gave_up(record: &EpisodeRecord, tried_at: u32) -> bool {
-    let poses = poses(record);
+    let poses = record.poses();
     let (before, after) = poses.split_at(poses.len().min(tried_at as usize));
     let known: BTreeSet<_> = before.iter().map(|pose| pose.cell).collect();
     let entered: BTreeSet<_> = after.iter().map(|pose| pose.cell).collect();
@@ -129,36 +128,10 @@ fn gave_up(record: &EpisodeRecord, tried_at: u32) -> bool {
 }
 
 fn looped(record: &EpisodeRecord) -> bool {
-    let mut last = poses(record);
+    let mut last = record.poses();
     last.drain(..last.len().saturating_sub(LOOP_STEPS));
     last.sort();
     last.chunk_by(|a, b| a == b).any(|same| same.len() >= LOOP_VISITS)
-}
-
-/// Where the agent was: at the start and after each step.
-fn poses(record: &EpisodeRecord) -> Vec<Pose> {
-    let blocked: BTreeSet<u32> = record.blocked_moves.iter().copied().collect();
-    let mut pose = record.start_pose;
-    let mut poses = vec![pose];
-    for (step, letter) in (1..).zip(record.actions.chars()) {
-        if let Some(action) = Action::from_letter(letter)
-            && !blocked.contains(&step)
-        {
-            pose = moved(pose, action);
-        }
-        poses.push(pose);
-    }
-    poses
-}
-
-/// Where an action leads that is not blocked.
-fn moved(pose: Pose, action: Action) -> Pose {
-    if let Some(quarters) = action.turn_quarters() {
-        return Pose { heading: pose.heading.turned(quarters), ..pose };
-    }
-    let direction = action.move_direction().map(|quarters| pose.heading.turned(quarters));
-    let cell = direction.and_then(|heading| pose.cell.step(heading));
-    Pose { cell: cell.unwrap_or(pose.cell), ..pose }
 }
 
 /// How many failures there are of each kind.
@@ -191,7 +164,7 @@ impl Failures {
 mod tests {
     use std::collections::BTreeMap;
 
-    use domain::{Cell, Heading};
+    use domain::{Cell, Heading, Pose};
 
     use super::*;
     use crate::events::Visit;
@@ -281,15 +254,5 @@ mod tests {
         let some: Vec<_> = failures.iter().filter(|(_, count)| *count > 0).collect();
         assert_eq!(some, [(Failure::NoReturn, 2), (Failure::NeverSaw, 1)]);
         assert_eq!(failures.total(), 3);
-    }
-
-    #[test]
-    fn a_walk_is_replayed_from_the_record() {
-        let mut record = failed(1, 1, &[]);
-        record.start_pose = Pose::new(5, 0, Heading::N);
-        record.actions = "fRf?lbU".to_owned();
-        record.blocked_moves = vec![3];
-        let shown: Vec<String> = poses(&record).iter().map(ToString::to_string).collect();
-        insta::assert_snapshot!(shown.join(" "), @"5,0,N 5,1,N 5,1,E 5,1,E 5,1,E 5,2,E 4,2,E 4,2,W");
     }
 }

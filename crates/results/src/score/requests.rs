@@ -1,5 +1,5 @@
-//! What questions to a model took: tokens, the memory's part of them, latency, money. From `requests.jsonl`, so
-//! with what was spent on episodes that were walked in vain.
+//! Tokens, latency and cost of requests to a model, from `requests.jsonl`: those of episodes that were run again are
+//! included.
 
 use std::collections::BTreeMap;
 
@@ -11,40 +11,39 @@ use crate::key::EpisodeKey;
 use crate::log::{RequestRecord, RunLog, Unread};
 use crate::usage::UsageTotals;
 
-/// What a set of questions took. A sum is absent when one of the questions that a server answered was not
-/// measured.
+/// Figures of a set of requests. A sum is absent when one of the requests that the server answered was not measured.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct RequestScore {
-    /// What was spent.
+    /// Requests and tokens.
     #[serde(flatten)]
-    pub spent: UsageTotals,
+    pub usage: UsageTotals,
     /// Mean tokens of a prompt.
     pub prompt_tokens_each: Option<f64>,
-    /// Percentage of the prompts' tokens that are injected memory, an estimate of the policy's.
+    /// Percentage of the prompt tokens that are injected memory, as the policy estimates it.
     pub memory_share: Option<f64>,
-    /// Percentage of the prompts' tokens that the server took from its own cache.
+    /// Percentage of the prompt tokens that the server took from its own cache.
     pub cached_share: Option<f64>,
-    /// Images that the requests held.
+    /// Images that the policy was asked to look at.
     pub images_asked: u64,
-    /// Images that were left out, because they were more than the budget.
+    /// Images that were left out because they exceeded the budget.
     pub images_dropped: u64,
     /// Answers in which no action could be read.
     pub unread: Unread,
-    /// Milliseconds from sending to decision that half of the requests took at most.
+    /// Median latency in milliseconds, of the attempt that was answered.
     pub latency_p50_ms: Option<f64>,
-    /// The same for nine of ten.
+    /// 90th percentile of the same.
     pub latency_p90_ms: Option<f64>,
-    /// What it cost. Absent without prices, or where tokens were not told.
+    /// The cost. Absent without prices, or where token counts are unknown.
     pub cost: Option<Amount>,
 }
 
 impl RequestScore {
-    /// That of all questions of a run; `None` when no model was asked.
+    /// All requests of a run; `None` when no model was asked.
     pub fn of_run(log: &RunLog) -> Option<Self> {
         Self::of(log, &log.requests.iter().collect::<Vec<_>>())
     }
 
-    /// That of each memory's.
+    /// The requests of each memory.
     pub fn by_memory(log: &RunLog) -> Vec<(Representation, Self)> {
         let mut by_memory: BTreeMap<Representation, Vec<&RequestRecord>> = BTreeMap::new();
         for request in &log.requests {
@@ -60,46 +59,50 @@ impl RequestScore {
         if requests.is_empty() {
             return None;
         }
-        let spent = UsageTotals::of(requests.iter().copied());
-        // Of the questions that a server answered.
+        let usage = UsageTotals::of(requests.iter().copied());
+        let sent = || requests.iter().filter(|request| !request.replayed);
         let sum = |count: fn(&RequestRecord) -> Option<u32>| {
-            let sent = requests.iter().filter(|request| !request.replayed);
-            sent.map(|request| count(request).map(u64::from)).sum::<Option<u64>>()
+            sent().map(|request| count(request).map(u64::from)).sum::<Option<u64>>()
         };
         let prompt = sum(|request| request.prompt_tokens).filter(|tokens| *tokens > 0);
         let share = |part: Option<u64>| Some(100.0 * part? as f64 / prompt? as f64);
-        let mut unread = Unread::default();
-        for request in requests {
-            match request.outcome {
-                Outcome::Acted => {}
-                Outcome::Unreadable => unread.unreadable += 1,
-                Outcome::Empty => unread.empty += 1,
-                Outcome::Refused => unread.refused += 1,
-            }
-        }
-        let sent = requests.iter().filter(|request| !request.replayed);
-        let mut latencies: Vec<u64> = sent.filter_map(|request| request.latency_us).collect();
+        let mut latencies: Vec<u64> = sent().filter_map(|request| request.latency_us).collect();
         latencies.sort_unstable();
-        let images = |count: fn(&RequestRecord) -> u32| -> u64 {
-            requests.iter().map(|request| u64::from(count(request))).sum()
+        let images = |count: fn(&RequestRecord) -> Option<u32>| -> u64 {
+            requests.iter().filter_map(|request| count(request)).map(u64::from).sum()
         };
-        let prices = log.manifest.prices.as_ref().filter(|_| spent.unknown == 0);
+        let prices = log.manifest.prices.as_ref().filter(|_| usage.unknown == 0);
         Some(Self {
-            prompt_tokens_each: prompt.map(|tokens| tokens as f64 / spent.requests as f64),
+            prompt_tokens_each: prompt.map(|tokens| tokens as f64 / usage.requests as f64),
             memory_share: share(sum(|request| request.memory_tokens)),
             cached_share: share(sum(|request| request.cached_tokens)),
             images_asked: images(|request| request.images_asked),
-            images_dropped: images(|request| request.images_asked.saturating_sub(request.images)),
-            unread,
+            images_dropped: images(|request| {
+                Some(request.images_asked?.saturating_sub(request.images?))
+            }),
+            unread: unread(requests),
             latency_p50_ms: quantile(&latencies, 50).map(|us| us as f64 / 1000.0),
             latency_p90_ms: quantile(&latencies, 90).map(|us| us as f64 / 1000.0),
-            cost: prices.map(|prices| prices.cost(&spent)),
-            spent,
+            cost: prices.map(|prices| prices.cost(&usage)),
+            usage,
         })
     }
 }
 
-/// The smallest of the `sorted` values that `percent` of a hundred are not above.
+fn unread(requests: &[&RequestRecord]) -> Unread {
+    let mut unread = Unread::default();
+    for request in requests {
+        match request.outcome {
+            Outcome::Acted => {}
+            Outcome::Unreadable => unread.unreadable += 1,
+            Outcome::Empty => unread.empty += 1,
+            Outcome::Refused => unread.refused += 1,
+        }
+    }
+    unread
+}
+
+/// The smallest of the `sorted` values that at least `percent` of a hundred do not exceed.
 fn quantile(sorted: &[u64], percent: usize) -> Option<u64> {
     let rank = (sorted.len() * percent).div_ceil(100);
     sorted.get(rank.max(1) - 1).copied()
@@ -119,7 +122,11 @@ mod tests {
             ..request(&key, 0)
         };
         let mut requests: Vec<_> = (1..=9).map(|n| of(n * 1000, 100)).collect();
-        requests.push(RequestRecord { outcome: Outcome::Empty, images: 5, ..of(90_000, 100) });
+        requests.push(RequestRecord {
+            outcome: Outcome::Empty,
+            images: Some(5),
+            ..of(90_000, 100)
+        });
         requests.push(RequestRecord { replayed: true, latency_us: None, ..request(&key, 0) });
         let mut manifest = manifest();
         manifest.prices = Some(crate::cost::ModelPrices {
@@ -136,9 +143,10 @@ mod tests {
             requests,
             errors: Vec::new(),
             sessions: Vec::new(),
+            damaged: Vec::new(),
         };
         let found = RequestScore::of_run(&log).unwrap();
-        assert_eq!((found.spent.requests, found.spent.replayed), (10, 1));
+        assert_eq!((found.usage.requests, found.usage.replayed), (10, 1));
         assert_eq!((found.prompt_tokens_each, found.memory_share), (Some(1000.0), Some(30.0)));
         assert_eq!(found.cached_share, Some(10.0));
         assert_eq!((found.latency_p50_ms, found.latency_p90_ms), (Some(5.0), Some(9.0)));
@@ -146,6 +154,14 @@ mod tests {
         // 10 x (900 x 1 + 3 x 10) millionths.
         assert_eq!(found.cost.unwrap().to_string(), "0.0093");
         assert_eq!(RequestScore::by_memory(&log), [(Representation::Episodic, found)]);
+
+        // A policy that does not count attempts and images.
+        let request =
+            RequestRecord { attempts: None, images: None, images_asked: None, ..request(&key, 1) };
+        let mut unmeasured = log.clone();
+        unmeasured.requests = vec![request];
+        let none = RequestScore::of_run(&unmeasured).unwrap();
+        assert_eq!((none.usage.retries(), none.images_asked, none.images_dropped), (0, 0, 0));
 
         // A sum over some would look like one over all.
         log.requests[3].cached_tokens = None;

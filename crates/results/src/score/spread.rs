@@ -1,20 +1,19 @@
-//! A figure over runs: how it is averaged, and what shows how sure it is.
+//! A figure over runs: mean, standard deviation, interval.
 
 use serde::Serialize;
 
-use super::bootstrap::Interval;
+use super::interval::Interval;
 
-/// A figure that was computed for each run by itself, over the runs.
+/// A figure computed for each run by itself, over the runs.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Spread {
     /// Its mean over the runs that have it.
     pub mean: f64,
     /// Its sample standard deviation over them (n - 1 in the denominator); `None` for one run.
     pub std: Option<f64>,
-    /// How many runs that is. A run in which the figure is undefined does not enter, so this can be fewer
-    /// than the condition's runs.
+    /// Number of runs that have it: fewer than the condition's runs where the figure is undefined in some.
     pub runs: u32,
-    /// The 95 % bootstrap interval of the mean, where one is computed.
+    /// The 95 % interval of the mean, where one is computed.
     pub interval: Option<Interval>,
 }
 
@@ -27,19 +26,19 @@ impl Spread {
         Some(Self { mean, std, runs: values.len() as u32, interval: None })
     }
 
-    /// The same with an interval.
+    /// Sets the interval.
     pub(super) fn within(self, interval: Option<Interval>) -> Self {
         Self { interval, ..self }
     }
 }
 
-/// The mean; `None` of no values.
+/// Returns the mean; `None` of no values.
 pub(super) fn mean(values: impl Iterator<Item = f64>) -> Option<f64> {
     let (sum, count) = values.fold((0.0, 0_u32), |(sum, count), value| (sum + value, count + 1));
     (count > 0).then(|| sum / f64::from(count))
 }
 
-/// How many of a hundred are true; `None` of no values.
+/// Returns the percentage of true values; `None` of no values.
 pub(super) fn percentage(values: impl Iterator<Item = bool>) -> Option<f64> {
     mean(values.map(|value| if value { 100.0 } else { 0.0 }))
 }

@@ -3,21 +3,9 @@
 use super::*;
 use crate::conditions::{Demonstrations, Route, Start};
 use crate::key::EpisodeKey;
-use crate::log::testing::{manifest, record, timings};
+use crate::log::testing::{log, record};
 use crate::log::{EpisodeError, EpisodeRecord, Stages, Unread};
 use domain::Representation;
-
-fn log(records: Vec<EpisodeRecord>) -> RunLog {
-    RunLog {
-        dir: "run".into(),
-        manifest: manifest(),
-        timings: records.iter().map(timings).collect(),
-        episodes: records,
-        requests: Vec::new(),
-        errors: Vec::new(),
-        sessions: Vec::new(),
-    }
-}
 
 fn only(log: &RunLog) -> ConditionScore {
     let mut scores = score(log).conditions;
@@ -247,20 +235,28 @@ fn what_was_not_measured_is_absent() {
 }
 
 #[test]
-fn an_episode_that_was_given_up_does_not_leave_the_mean() {
-    let mut log = log(vec![record("a", true), in_run(2, record("b", true))]);
-    let error = |record: EpisodeRecord| EpisodeError {
-        key: record.key,
-        session: 1,
-        error: "overdue".into(),
-    };
-    log.errors.push(error(record("b", true)));
-    log.errors.push(error(in_run(2, record("a", true))));
+fn an_episode_that_was_given_up_is_not_scored_and_bounds_what_is() {
+    let mut log = log(vec![record("a", true), record("b", false), in_run(2, record("a", true))]);
+    // One condition of two runs on two cases: four episodes, one of them given up.
+    log.manifest.episodes = 4;
+    let group = &mut log.manifest.settings.groups[0];
+    group.memory = vec![Representation::Episodic];
+    (group.starts, group.runs) = (vec![Start::Original], 2);
+    let key = in_run(2, record("b", true)).key;
+    log.errors.push(EpisodeError { key, session: 1, error: "overdue".into() });
     let found = only(&log);
-    // Each run has 1 of 2, at 0.8.
-    assert_eq!((found.episodes, found.errored, found.sr.mean, found.spl.mean), (4, 2, 50.0, 0.4));
-    assert_eq!(found.groups[0].sr.mean, 50.0, "its task is known from another run");
-    assert_eq!(found.failures.total(), 0, "a fault is not the model's failure");
+    // Run 1 has 1 of 2, run 2 has 1 of 1.
+    assert_eq!((found.episodes, found.planned, found.sr.mean), (3, 4, 75.0));
+    let bounds = found.bounds.unwrap();
+    // 2 of 4 succeed if the missing one fails, 3 of 4 if it succeeds; SPL 2 x 0.8 / 4, or 2.6 / 4.
+    assert_eq!((bounds.sr.low, bounds.sr.high), (50.0, 75.0));
+    near(bounds.spl.low, 0.4);
+    near(bounds.spl.high, 0.65);
+    assert_eq!(score(&log).missing(), 1);
+    // Finished later: nothing is missing, and there are no bounds.
+    log.episodes.push(in_run(2, record("b", true)));
+    log.errors.clear();
+    assert_eq!((only(&log).bounds, only(&log).sr.mean), (None, 75.0));
 }
 
 #[test]

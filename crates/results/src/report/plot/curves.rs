@@ -1,23 +1,18 @@
-//! Curves on two logarithmic axes, told apart by the shapes of their points, with their names at their ends.
+//! Curves on two logarithmic axes, told apart by the shapes of their points.
 
-use plotters::prelude::{Circle, PathElement, Polygon, Rectangle};
-use plotters::style::{BLACK, Color, RGBColor};
-
-use super::{
-    Area, BOTTOM, Drawn, FAINT, GREY, PLAIN, PlotError, RIGHT, RULE, Side, WIDTH, draw, line, write,
-};
+use super::{BOTTOM, Paint, RIGHT, Side, Stroke, Style, Svg, WIDTH};
 use crate::report::document::Figure;
 
-/// What is to be drawn.
+/// A plot of curves.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Curves {
     /// The figure's id.
     pub id: String,
-    /// What it shows.
+    /// Its caption.
     pub caption: String,
-    /// What the horizontal axis is, with its unit.
+    /// The name of the horizontal axis, with its unit.
     pub across: String,
-    /// What the vertical axis is, with its unit.
+    /// The name of the vertical axis, with its unit.
     pub up: String,
     /// The curves.
     pub curves: Vec<Curve>,
@@ -28,7 +23,7 @@ pub struct Curves {
 pub struct Curve {
     /// Its name.
     pub name: String,
-    /// Whether it is a bound that others are seen against: without points, in grey.
+    /// Whether it is a bound that others are compared with: drawn gray, without points.
     pub is_bound: bool,
     /// Its points, left to right; those that are not above zero are left out.
     pub points: Vec<(f64, f64)>,
@@ -49,7 +44,7 @@ struct Scale {
 }
 
 impl Scale {
-    /// Over all of `values`, with a little room at both ends.
+    /// Makes an axis over all of `values`, with a little room at both ends.
     fn over(values: impl Iterator<Item = f64>, start: i32, end: i32) -> Self {
         let (low, high) = values.fold((f64::INFINITY, 0.0_f64), |(l, h), v| (l.min(v), h.max(v)));
         let (low, high) = if high > 0.0 { (low, high) } else { (1.0, 10.0) };
@@ -63,7 +58,7 @@ impl Scale {
         self.start + (share * f64::from(self.end - self.start)).round() as i32
     }
 
-    /// Where lines are drawn: powers of ten, with 2 and 5 between them where those are few.
+    /// The marks: powers of ten, with others between them where those are few.
     fn marks(&self) -> Vec<f64> {
         let (first, last) = (self.from.log10().floor() as i32, self.to.log10().ceil() as i32);
         let steps: &[f64] = match (self.to / self.from).log10() {
@@ -77,104 +72,78 @@ impl Scale {
     }
 }
 
-/// The picture.
-///
-/// # Errors
-/// When the library refuses, which for SVG in memory it does not.
-pub fn curves(plot: &Curves) -> Result<Figure, PlotError> {
-    let shown: Vec<(&Curve, Vec<(f64, f64)>)> = plot
-        .curves
-        .iter()
-        .map(|curve| {
-            let above = |point: &(f64, f64)| point.0 > 0.0 && point.1 > 0.0;
-            (curve, curve.points.iter().copied().filter(above).collect())
-        })
-        .collect();
-    let points = || shown.iter().flat_map(|(_, points)| points.iter().copied());
+/// Draws the plot.
+pub fn curves(plot: &Curves) -> Figure {
+    let above = |point: &(f64, f64)| point.0 > 0.0 && point.1 > 0.0;
+    let points = |curve: &Curve| curve.points.iter().copied().filter(above).collect::<Vec<_>>();
+    let shown: Vec<(&Curve, Vec<(f64, f64)>)> =
+        plot.curves.iter().map(|curve| (curve, points(curve))).collect();
+    let all = || shown.iter().flat_map(|(_, points)| points.iter().copied());
     let top = TOP + LEGEND_ROW * shown.len().div_ceil(LEGEND_COLUMNS) as i32 + 14;
     let bottom = top + HEIGHT;
-    let across = Scale::over(points().map(|(x, _)| x), AXIS, WIDTH as i32 - RIGHT);
-    let up = Scale::over(points().map(|(_, y)| y), bottom, top);
-    let svg = draw(&plot.id, (bottom + BOTTOM) as u32, |area| {
-        paint_axes(area, plot, &across, &up)?;
-        let mut shapes = 0..;
-        for (place, (curve, points)) in shown.iter().enumerate() {
-            let shape = if curve.is_bound { None } else { shapes.next() };
-            let legend = (
-                AXIS + 360 * (place % LEGEND_COLUMNS) as i32,
-                TOP + LEGEND_ROW * (place / LEGEND_COLUMNS) as i32,
-            );
-            paint_curve(area, &[legend, (legend.0 + 28, legend.1)], shape)?;
-            write(area, &curve.name, (legend.0 + 40, legend.1), Side::After, PLAIN)?;
-            let pixels: Vec<(i32, i32)> =
-                points.iter().map(|(x, y)| (across.at(*x), up.at(*y))).collect();
-            paint_curve(area, &pixels, shape)?;
-        }
-        Ok(())
-    })?;
-    let told = shown.iter().map(|(curve, points)| {
+    let across = Scale::over(all().map(|(x, _)| x), AXIS, WIDTH - RIGHT);
+    let up = Scale::over(all().map(|(_, y)| y), bottom, top);
+    let mut svg = Svg::new(bottom + BOTTOM);
+    draw_axes(&mut svg, plot, &across, &up);
+    let mut shapes = 0..;
+    for (place, (curve, points)) in shown.iter().enumerate() {
+        let shape = if curve.is_bound { None } else { shapes.next() };
+        let (x, y) = (
+            AXIS + 360 * (place % LEGEND_COLUMNS) as i32,
+            TOP + LEGEND_ROW * (place / LEGEND_COLUMNS) as i32,
+        );
+        draw_curve(&mut svg, &[(x, y), (x + 28, y)], shape);
+        svg.text(&curve.name, (x + 40, y), Side::After, Style::Plain);
+        let pixels: Vec<(i32, i32)> =
+            points.iter().map(|(x, y)| (across.at(*x), up.at(*y))).collect();
+        draw_curve(&mut svg, &pixels, shape);
+    }
+    let in_words = shown.iter().map(|(curve, points)| {
         let points: Vec<String> =
             points.iter().map(|(x, y)| format!("{} at {}", label(*y), label(*x))).collect();
         format!("{}: {}", curve.name, points.join(", "))
     });
-    let alt = format!("{} {}", plot.caption, told.collect::<Vec<_>>().join("; "));
-    Ok(Figure { id: plot.id.clone(), caption: plot.caption.clone(), alt, svg })
+    let alt = format!("{} {}", plot.caption, in_words.collect::<Vec<_>>().join("; "));
+    Figure { id: plot.id.clone(), caption: plot.caption.clone(), alt, svg: svg.finish() }
 }
 
-fn paint_axes(area: &Area<'_>, plot: &Curves, across: &Scale, up: &Scale) -> Drawn {
+fn draw_axes(svg: &mut Svg, plot: &Curves, across: &Scale, up: &Scale) {
     let (top, bottom) = (up.end, up.start);
     for mark in across.marks() {
         let x = across.at(mark);
-        line(area, [(x, top), (x, bottom)], RULE, 1)?;
-        write(area, &label(mark), (x, bottom + 12), Side::Around, PLAIN)?;
+        svg.line(&[(x, top), (x, bottom)], Stroke::Rule);
+        svg.text(&label(mark), (x, bottom + 12), Side::Around, Style::Plain);
     }
     for mark in up.marks() {
         let y = up.at(mark);
-        line(area, [(across.start, y), (across.end, y)], RULE, 1)?;
-        write(area, &label(mark), (across.start - 8, y), Side::Before, PLAIN)?;
+        svg.line(&[(across.start, y), (across.end, y)], Stroke::Rule);
+        svg.text(&label(mark), (across.start - 8, y), Side::Before, Style::Plain);
     }
     let middle = i32::midpoint(across.start, across.end);
-    write(area, &plot.across, (middle, bottom + 32), Side::Around, PLAIN)?;
-    write(area, &plot.up, (8, top - 12), Side::After, FAINT)
+    svg.text(&plot.across, (middle, bottom + 32), Side::Around, Style::Plain);
+    svg.text(&plot.up, (8, top - 12), Side::After, Style::Faint);
 }
 
-/// A curve with its points; a bound where it has no shape.
-fn paint_curve(area: &Area<'_>, pixels: &[(i32, i32)], shape: Option<usize>) -> Drawn {
-    let colour = if shape.is_some() { BLACK } else { GREY };
-    let width = if shape.is_some() { 1 } else { 3 };
-    area.draw(&PathElement::new(pixels.to_vec(), colour.stroke_width(width)))?;
-    let Some(shape) = shape else { return Ok(()) };
-    for &point in pixels {
-        paint_mark(area, shape, point)?;
+/// Draws a curve with its points; a bound, which has no shape, without.
+fn draw_curve(svg: &mut Svg, pixels: &[(i32, i32)], shape: Option<usize>) {
+    svg.line(pixels, if shape.is_some() { Stroke::Ink } else { Stroke::ThickGray });
+    if let Some(shape) = shape {
+        pixels.iter().for_each(|&point| draw_mark(svg, shape, point));
     }
-    Ok(())
 }
 
-/// The point of a curve: circle, diamond, square, triangle; filled, then open.
-fn paint_mark(area: &Area<'_>, shape: usize, (x, y): (i32, i32)) -> Drawn {
-    let page = RGBColor(0xff, 0xff, 0xff);
-    let fill = if (shape / 4).is_multiple_of(2) { BLACK } else { page };
-    let outline: &[(i32, i32)] = match shape % 4 {
-        0 => {
-            area.draw(&Circle::new((x, y), 4, fill.filled()))?;
-            area.draw(&Circle::new((x, y), 4, BLACK.stroke_width(1)))?;
-            return Ok(());
-        }
-        2 => {
-            let corners = [(x - 4, y - 4), (x + 4, y + 4)];
-            area.draw(&Rectangle::new(corners, fill.filled()))?;
-            area.draw(&Rectangle::new(corners, BLACK.stroke_width(1)))?;
-            return Ok(());
-        }
-        1 => &[(x, y - 6), (x + 6, y), (x, y + 6), (x - 6, y), (x, y - 6)],
-        _ => &[(x, y - 5), (x + 5, y + 4), (x - 5, y + 4), (x, y - 5)],
-    };
-    area.draw(&Polygon::new(outline.to_vec(), fill.filled()))?;
-    area.draw(&PathElement::new(outline.to_vec(), BLACK.stroke_width(1)))?;
-    Ok(())
+/// Draws the point of a curve: circle, diamond, square, triangle; filled, then open.
+fn draw_mark(svg: &mut Svg, shape: usize, (x, y): (i32, i32)) {
+    let paint = if (shape / 4).is_multiple_of(2) { Paint::Ink } else { Paint::Open };
+    match shape % 4 {
+        0 => svg.circle((x, y), paint),
+        1 => svg.polygon(&[(x, y - 6), (x + 6, y), (x, y + 6), (x - 6, y)], paint),
+        2 => svg.rectangle([(x - 4, y - 4), (x + 4, y + 4)], paint),
+        _ => svg.polygon(&[(x, y - 5), (x + 5, y + 4), (x - 5, y + 4)], paint),
+    }
 }
 
-/// A number in few letters: `1k`, `2.5M`, `0.02`.
+/// A short form of a number: `1k`, `2.5M`, `0.02`.
 fn label(value: f64) -> String {
     let (scaled, unit) = match value.abs() {
         size if size >= 1e9 => (value / 1e9, "G"),
@@ -228,7 +197,7 @@ mod tests {
     }
 
     #[test]
-    fn a_picture_says_what_it_shows_and_leaves_out_what_has_no_place() {
+    fn points_without_a_place_on_the_axes_are_left_out() {
         let curve = |name: &str, is_bound, points: &[(f64, f64)]| Curve {
             name: name.to_owned(),
             is_bound,
@@ -245,7 +214,7 @@ mod tests {
                 curve("nothing", false, &[]),
             ],
         };
-        let figure = curves(&plot).unwrap();
+        let figure = curves(&plot);
         assert_eq!(
             figure.alt,
             "Time. exact: 10 at 1k, 9k at 1M; bandwidth: 5 at 1k, 5k at 1M; nothing: "

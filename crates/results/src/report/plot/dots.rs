@@ -1,22 +1,17 @@
 //! Dots with error bars: a row for each condition, a shape for each source.
 
-use plotters::prelude::{Circle, PathElement, Polygon};
-use plotters::style::{BLACK, Color, RGBColor};
-
-use super::{
-    Area, Axis, BOLD, BOTTOM, Drawn, FAINT, GREY, LEFT, PLAIN, PlotError, Side, draw, line, write,
-};
+use super::{Axis, BOTTOM, LEFT, Paint, Side, Stroke, Style, Svg};
 use crate::report::document::Figure;
 
-/// What is to be drawn.
+/// A plot of dots.
 #[derive(Debug)]
 pub(in crate::report) struct Dots {
     pub(in crate::report) id: String,
     pub(in crate::report) caption: String,
-    /// What the axis is called, with its unit.
+    /// The name of the axis, with its unit.
     pub(in crate::report) axis: &'static str,
     pub(in crate::report) range: (f64, f64),
-    /// The sources, by number.
+    /// The names of the sources.
     pub(in crate::report) series: Vec<String>,
     pub(in crate::report) rows: Vec<DotRow>,
 }
@@ -24,7 +19,7 @@ pub(in crate::report) struct Dots {
 /// A row.
 #[derive(Debug)]
 pub(in crate::report) struct DotRow {
-    /// What this row and those after it have in common; begins a block.
+    /// A heading above this row.
     pub(in crate::report) heading: Option<String>,
     pub(in crate::report) label: String,
     pub(in crate::report) dots: Vec<Dot>,
@@ -33,7 +28,7 @@ pub(in crate::report) struct DotRow {
 /// A figure.
 #[derive(Debug, Clone, Copy)]
 pub(in crate::report) struct Dot {
-    /// Whose.
+    /// The index of its source.
     pub(in crate::report) series: usize,
     pub(in crate::report) value: f64,
     /// Its error bar.
@@ -44,83 +39,74 @@ const ROW: i32 = 24;
 const HEADING: i32 = 26;
 const LEGEND: i32 = 34;
 
-/// The picture.
-///
-/// # Errors
-/// When the library refuses, which for SVG in memory it does not.
-pub(in crate::report) fn dots(plot: &Dots) -> Result<Figure, PlotError> {
+/// Draws the plot.
+pub(in crate::report) fn dots(plot: &Dots) -> Figure {
     let headings = plot.rows.iter().filter(|row| row.heading.is_some()).count() as i32;
     let bottom = LEGEND + headings * HEADING + plot.rows.len() as i32 * ROW + 4;
     let axis = Axis { from: plot.range.0, to: plot.range.1 };
-    let svg = draw(&plot.id, (bottom + BOTTOM) as u32, |area| {
-        legend(area, &plot.series)?;
-        axis.paint(area, plot.axis, LEGEND, bottom)?;
-        let mut y = LEGEND;
-        for row in &plot.rows {
-            if let Some(heading) = &row.heading {
-                write(area, heading, (8, y + HEADING / 2 + 2), Side::After, BOLD)?;
-                y += HEADING;
-            }
-            paint_row(area, &axis, row, y + ROW / 2)?;
-            y += ROW;
+    let mut svg = Svg::new(bottom + BOTTOM);
+    draw_legend(&mut svg, plot);
+    axis.draw(&mut svg, plot.axis, LEGEND, bottom);
+    let mut y = LEGEND;
+    for row in &plot.rows {
+        if let Some(heading) = &row.heading {
+            svg.text(heading, (8, y + HEADING / 2 + 2), Side::After, Style::Bold);
+            y += HEADING;
         }
-        Ok(())
-    })?;
-    let told = plot.rows.iter().map(|row| told(row, &plot.series));
-    let alt = format!("{} {}", plot.caption, told.collect::<Vec<_>>().join("; "));
-    Ok(Figure { id: plot.id.clone(), caption: plot.caption.clone(), alt, svg })
+        draw_row(&mut svg, &axis, row, y + ROW / 2);
+        y += ROW;
+    }
+    let rows = plot.rows.iter().map(|row| in_words(row, &plot.series));
+    let alt = format!("{} {}", plot.caption, rows.collect::<Vec<_>>().join("; "));
+    Figure { id: plot.id.clone(), caption: plot.caption.clone(), alt, svg: svg.finish() }
 }
 
-fn legend(area: &Area<'_>, series: &[String]) -> Drawn {
+/// Lists the sources that have a dot.
+fn draw_legend(svg: &mut Svg, plot: &Dots) {
     let mut x = LEFT + 6;
-    for (index, name) in series.iter().enumerate() {
-        mark(area, index, (x, LEGEND / 2 - 2))?;
-        write(area, name, (x + 12, LEGEND / 2 - 2), Side::After, PLAIN)?;
+    for (index, name) in plot.series.iter().enumerate() {
+        if plot.rows.iter().flat_map(|row| &row.dots).all(|dot| dot.series != index) {
+            continue;
+        }
+        draw_mark(svg, index, (x, LEGEND / 2 - 2));
+        svg.text(name, (x + 12, LEGEND / 2 - 2), Side::After, Style::Plain);
         x += 40 + 8 * name.chars().count() as i32;
     }
-    Ok(())
 }
 
-fn paint_row(area: &Area<'_>, axis: &Axis, row: &DotRow, y: i32) -> Drawn {
-    write(area, &row.label, (LEFT - 12, y), Side::Before, PLAIN)?;
+fn draw_row(svg: &mut Svg, axis: &Axis, row: &DotRow, y: i32) {
+    svg.text(&row.label, (LEFT - 12, y), Side::Before, Style::Plain);
     if row.dots.is_empty() {
-        return write(area, "no figure", (LEFT + 6, y), Side::After, FAINT);
+        svg.text("no figure", (LEFT + 6, y), Side::After, Style::Faint);
     }
     for dot in &row.dots {
         // Sources above one another, so that bars do not hide each other.
         let y = if row.dots.len() > 1 { y - 5 + 10 * (dot.series.min(1) as i32) } else { y };
         if let Some((low, high)) = dot.range {
             let (low, high) = (axis.x(low), axis.x(high));
-            let colour = shade(dot.series);
-            line(area, [(low, y), (high, y)], colour, 1)?;
-            line(area, [(low, y - 3), (low, y + 3)], colour, 1)?;
-            line(area, [(high, y - 3), (high, y + 3)], colour, 1)?;
+            let stroke = if dot.series == 0 { Stroke::Ink } else { Stroke::Gray };
+            for ends in [
+                [(low, y), (high, y)],
+                [(low, y - 3), (low, y + 3)],
+                [(high, y - 3), (high, y + 3)],
+            ] {
+                svg.line(&ends, stroke);
+            }
         }
-        mark(area, dot.series, (axis.x(dot.value), y))?;
+        draw_mark(svg, dot.series, (axis.x(dot.value), y));
     }
-    Ok(())
-}
-
-const fn shade(series: usize) -> RGBColor {
-    if series == 0 { BLACK } else { GREY }
 }
 
 /// The shape of a source: filled circle, open diamond.
-fn mark(area: &Area<'_>, series: usize, (x, y): (i32, i32)) -> Drawn {
+fn draw_mark(svg: &mut Svg, series: usize, (x, y): (i32, i32)) {
     if series == 0 {
-        area.draw(&Circle::new((x, y), 4, BLACK.filled()))?;
-        return Ok(());
+        svg.circle((x, y), Paint::Ink);
+    } else {
+        svg.polygon(&[(x, y - 5), (x + 5, y), (x, y + 5), (x - 5, y)], Paint::OpenGray);
     }
-    let corners = [(x, y - 5), (x + 5, y), (x, y + 5), (x - 5, y)];
-    // Filled with the page, so that the error bar does not run through it.
-    area.draw(&Polygon::new(corners.to_vec(), RGBColor(0xff, 0xff, 0xff).filled()))?;
-    let outline = corners.into_iter().chain([corners[0]]).collect::<Vec<_>>();
-    area.draw(&PathElement::new(outline, GREY.stroke_width(2)))?;
-    Ok(())
 }
 
-/// A row in words.
-fn told(row: &DotRow, series: &[String]) -> String {
+fn in_words(row: &DotRow, series: &[String]) -> String {
     let heading = row.heading.as_ref().map_or(String::new(), |heading| format!("{heading}: "));
     let figures: Vec<String> = row
         .dots

@@ -1,23 +1,20 @@
-//! Bars made of parts: a row for each bar, parts in the same order everywhere, with their numbers on them.
+//! Stacked bars: a row for each bar, parts in the same order everywhere, with their numbers on them.
 
-use plotters::prelude::Rectangle;
-use plotters::style::{BLACK, Color, FontStyle, RGBColor};
-
-use super::{Area, Axis, BOTTOM, Drawn, FAINT, LEFT, PLAIN, PlotError, Side, draw, write};
+use super::{Axis, BOTTOM, LEFT, Paint, Side, Style, Svg};
 use crate::report::document::Figure;
 
-/// What is to be drawn.
+/// A plot of stacked bars.
 #[derive(Debug)]
 pub struct Stack {
     /// The figure's id.
     pub id: String,
     /// Its caption.
     pub caption: String,
-    /// What the axis is called, with its unit.
+    /// The name of the axis, with its unit.
     pub axis: &'static str,
-    /// The end of the axis; what the longest bar needs when `None`.
+    /// The end of the axis; by the longest bar when `None`.
     pub to: Option<f64>,
-    /// The parts' names, in order.
+    /// The names of the parts, in order.
     pub parts: Vec<String>,
     /// The bars.
     pub rows: Vec<StackRow>,
@@ -35,14 +32,9 @@ pub struct StackRow {
 const ROW: i32 = 28;
 const LEGEND_ROW: i32 = 22;
 const LEGEND_COLUMNS: usize = 3;
-const LIGHT: RGBColor = RGBColor(0xd6, 0xd6, 0xd6);
-const DARK: RGBColor = RGBColor(0x59, 0x59, 0x59);
 
-/// The picture. Parts that no bar has are left out, also of the legend.
-///
-/// # Errors
-/// When the library refuses, which for SVG in memory it does not.
-pub fn stack(plot: &Stack) -> Result<Figure, PlotError> {
+/// Draws the plot. Parts that no bar has are left out, from the legend too.
+pub fn stack(plot: &Stack) -> Figure {
     let lengths = || plot.rows.iter().filter_map(|row| row.lengths.as_deref());
     let present: Vec<usize> = (0..plot.parts.len())
         .filter(|&part| lengths().any(|lengths| lengths.get(part).is_some_and(|l| *l > 0.0)))
@@ -52,60 +44,53 @@ pub fn stack(plot: &Stack) -> Result<Figure, PlotError> {
     let axis = Axis { from: 0.0, to: if to > 0.0 { to } else { 1.0 } };
     let top = 12 + LEGEND_ROW * present.len().div_ceil(LEGEND_COLUMNS) as i32;
     let bottom = top + plot.rows.len() as i32 * ROW + 6;
-    let svg = draw(&plot.id, (bottom + BOTTOM) as u32, |area| {
-        for (place, &part) in present.iter().enumerate() {
-            let x = 12 + 270 * (place % LEGEND_COLUMNS) as i32;
-            let y = LEGEND_ROW / 2 + LEGEND_ROW * (place / LEGEND_COLUMNS) as i32;
-            paint_part(area, place, [(x, y - 8), (x + 22, y + 8)])?;
-            write(area, &plot.parts[part], (x + 30, y), Side::After, PLAIN)?;
-        }
-        axis.paint(area, plot.axis, top, bottom)?;
-        for (row, y) in plot.rows.iter().zip((top..).step_by(ROW as usize)) {
-            paint_row(area, &axis, row, &present, y)?;
-        }
-        Ok(())
-    })?;
-    let told: Vec<String> = plot.rows.iter().map(|row| told(row, &plot.parts)).collect();
-    let alt = format!("{} {}", plot.caption, told.join("; "));
-    Ok(Figure { id: plot.id.clone(), caption: plot.caption.clone(), alt, svg })
+    let mut svg = Svg::new(bottom + BOTTOM);
+    for (place, &part) in present.iter().enumerate() {
+        let x = 12 + 270 * (place % LEGEND_COLUMNS) as i32;
+        let y = LEGEND_ROW / 2 + LEGEND_ROW * (place / LEGEND_COLUMNS) as i32;
+        draw_part(&mut svg, place, [(x, y - 8), (x + 22, y + 8)]);
+        svg.text(&plot.parts[part], (x + 30, y), Side::After, Style::Plain);
+    }
+    axis.draw(&mut svg, plot.axis, top, bottom);
+    for (row, y) in plot.rows.iter().zip((top..).step_by(ROW as usize)) {
+        draw_row(&mut svg, &axis, row, &present, y);
+    }
+    let rows: Vec<String> = plot.rows.iter().map(|row| in_words(row, &plot.parts)).collect();
+    let alt = format!("{} {}", plot.caption, rows.join("; "));
+    Figure { id: plot.id.clone(), caption: plot.caption.clone(), alt, svg: svg.finish() }
 }
 
-fn paint_row(area: &Area<'_>, axis: &Axis, row: &StackRow, present: &[usize], y: i32) -> Drawn {
-    write(area, &row.label, (LEFT - 12, y + ROW / 2), Side::Before, PLAIN)?;
+fn draw_row(svg: &mut Svg, axis: &Axis, row: &StackRow, present: &[usize], y: i32) {
+    svg.text(&row.label, (LEFT - 12, y + ROW / 2), Side::Before, Style::Plain);
     let Some(lengths) = &row.lengths else {
-        return write(area, "not run", (LEFT + 6, y + ROW / 2), Side::After, FAINT);
+        return svg.text("not run", (LEFT + 6, y + ROW / 2), Side::After, Style::Faint);
     };
     let mut from = 0.0;
     for (place, &part) in present.iter().enumerate() {
         let to = from + lengths.get(part).copied().unwrap_or(0.0);
         let corners = [(axis.x(from), y + 4), (axis.x(to), y + ROW - 4)];
         if corners[0].0 < corners[1].0 {
-            paint_part(area, place, corners)?;
+            draw_part(svg, place, corners);
         }
         from = to;
     }
-    Ok(())
 }
 
-/// A part with its number, where the number fits.
-fn paint_part(area: &Area<'_>, place: usize, corners: [(i32, i32); 2]) -> Drawn {
-    let (fill, ink) = if place.is_multiple_of(2) {
-        (DARK, RGBColor(0xff, 0xff, 0xfe))
-    } else {
-        (LIGHT, RGBColor(0, 0, 1))
+/// Draws a part, with its number where it fits.
+fn draw_part(svg: &mut Svg, place: usize, corners: [(i32, i32); 2]) {
+    let (paint, style) = match place.is_multiple_of(2) {
+        true => (Paint::Dark, Style::OnDark),
+        false => (Paint::Light, Style::OnLight),
     };
-    area.draw(&Rectangle::new(corners, fill.filled()))?;
-    area.draw(&Rectangle::new(corners, BLACK.stroke_width(1)))?;
+    svg.rectangle(corners, paint);
     let [(left, top), (right, bottom)] = corners;
-    if right - left < 14 {
-        return Ok(());
+    if right - left >= 14 {
+        let middle = (i32::midpoint(left, right), i32::midpoint(top, bottom));
+        svg.text(&(place + 1).to_string(), middle, Side::Around, style);
     }
-    let middle = ((left + right) / 2, (top + bottom) / 2);
-    write(area, &(place + 1).to_string(), middle, Side::Around, (14.0, FontStyle::Normal, ink))
 }
 
-/// A bar in words.
-fn told(row: &StackRow, parts: &[String]) -> String {
+fn in_words(row: &StackRow, parts: &[String]) -> String {
     let Some(lengths) = &row.lengths else { return format!("{}: not run", row.label) };
     let parts: Vec<String> = parts
         .iter()

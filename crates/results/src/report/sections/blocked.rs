@@ -3,7 +3,6 @@
 use domain::Representation;
 
 use crate::report::document::{Block, Cell, Column, Missing, Table};
-use crate::report::plot::PlotError;
 use crate::report::view::{View, interval_text, name, pair_stubs, published_text, signed, sure_or};
 use crate::score::{BlockedScore, Derived};
 
@@ -12,10 +11,15 @@ const NEEDS_BOTH: Missing = Missing::NotMeasured(
 );
 const NOTHING_TO_RETAIN: Missing =
     Missing::Undefined("no episode succeeds on the unchanged route, so there is nothing to retain");
-const NOBODY_TRIED: Missing =
+const NONE_TRIED: Missing =
     Missing::Undefined("no episode tried to enter a closed cell, so none could recover");
 
-pub(super) fn blocks(view: &View<'_>) -> Result<Vec<Block>, PlotError> {
+pub(super) fn blocks(view: &View<'_>) -> Vec<Block> {
+    blocked_table(view).map(Block::Table).into_iter().collect()
+}
+
+/// The paper's table with the run's figures; `None` where no blocked route was run.
+pub(in crate::report) fn blocked_table(view: &View<'_>) -> Option<Table> {
     let blocked = |representation| name(representation, "new/blocked", "4");
     let unchanged = |representation| name(representation, "new/unchanged", "4");
     let ours = |representation| {
@@ -34,7 +38,7 @@ pub(super) fn blocks(view: &View<'_>) -> Result<Vec<Block>, PlotError> {
                 derived(found.retention, |value| format!("{value:.2}"), 2, &no_retention)
             }),
             cell(&|found| sure_or(found.follow, 1, Missing::NotMeasured("no episode finished"))),
-            cell(&|found| sure_or(found.recovery, 1, NOBODY_TRIED)),
+            cell(&|found| sure_or(found.recovery, 1, NONE_TRIED)),
         ]
     };
     let theirs = |representation| {
@@ -58,7 +62,7 @@ pub(super) fn blocks(view: &View<'_>) -> Result<Vec<Block>, PlotError> {
         columns: ["Δ", "Retention", "Follow %", "Recovery %"].map(Column::new).to_vec(),
         groups: view.pairs(Representation::ALL, ours, theirs),
     };
-    Ok(vec![Block::Table(table)])
+    table.pruned()
 }
 
 fn derived(

@@ -1,56 +1,79 @@
 //! Every condition that was run.
 
 use super::main_table::{NO_REQUESTS, NO_TOKENS};
+use crate::conditions::{Condition, Route};
 use crate::report::document::{Block, Cell, Column, Group, Missing, Row, Table};
-use crate::report::plot::PlotError;
-use crate::report::view::{View, plain_or, sure};
+use crate::report::view::{View, interval_text, plain_or, spread_text, title};
 use crate::score::ConditionScore;
 
 const NO_RETRIEVAL: Missing = Missing::NotApplicable("nothing is retrieved under this condition");
-const NONE_FINISHED: Missing = Missing::NotMeasured("no episode finished");
+const ONE_CASE: Missing = Missing::NotMeasured("one case says nothing about others");
 
-pub(super) fn blocks(view: &View<'_>) -> Result<Vec<Block>, PlotError> {
-    let columns = [
-        "Episodes",
-        "Runs",
-        "SR %",
-        "SPL",
-        "Steps",
-        "Images",
-        "Mtok",
-        "Unreadable %",
-        "Other tasks %",
-    ];
-    let row = |score: &ConditionScore| Row {
-        label: score.condition.to_string(),
-        published: false,
-        cells: vec![
-            Cell::Value(score.episodes.to_string()),
-            Cell::Value(score.runs.to_string()),
-            sure(score.sr, 1),
-            sure(score.spl, 3),
-            plain_or(score.mean_steps, 1, NONE_FINISHED),
-            plain_or(score.images_per_request.map(|images| images.mean), 2, NO_REQUESTS),
+pub(super) fn blocks(view: &View<'_>) -> Vec<Block> {
+    let mut table = conditions_table(view);
+    table.columns.extend(["Mtok", "Unreadable %", "Other tasks %"].map(Column::new));
+    let rows = table.groups.iter_mut().flat_map(|group| &mut group.rows);
+    for (row, score) in rows.zip(&view.scores.conditions) {
+        row.cells.extend([
             plain_or(score.tokens_per_100.map(|tokens| tokens.mean / 1e6), 2, NO_TOKENS),
             plain_or(score.unread.map(|unread| unread.mean), 2, NO_REQUESTS),
             plain_or(score.from_other_cases.map(|share| share.mean), 1, NO_RETRIEVAL),
-        ],
-    };
-    let mut rows: Vec<Row> = view.scores.conditions.iter().map(row).collect();
-    if rows.is_empty() {
-        let cells = vec![Cell::Missing(Missing::NotRun); columns.len()];
-        rows.push(Row { label: "no condition".to_owned(), published: false, cells });
+        ]);
     }
-    let table = Table {
-        id: view.id("conditions"),
-        caption: "Every condition that was run, written memory/start/route/demonstrations and what departs from the \
-                  standard. SR and SPL: mean ± standard deviation over runs and 95 % interval; the rest: means. Images: \
-                  a request. Mtok: million tokens per 100 cases. Other tasks: retrievals that came from another task's \
-                  history. The files conditions.csv and conditions.parquet hold every figure in full."
-            .to_owned(),
-        stubs: vec!["Condition".to_owned()],
-        columns: columns.map(Column::new).to_vec(),
-        groups: vec![Group { label: None, rows }],
+    table.caption = "Every condition that was run. N: finished episodes, of those planned where some are missing. SR \
+                     %: success rate, mean ± standard deviation over runs. SPL, steps, images a request (Img), million \
+                     tokens of 100 cases (Mtok), percentage of unreadable answers and of retrievals from another \
+                     task's history: means. conditions.csv and conditions.parquet hold every figure in full."
+        .to_owned();
+    table.pruned().map(Block::Table).into_iter().collect()
+}
+
+/// The conditions by memory with success rate, interval, SPL, steps and images.
+pub(in crate::report) fn conditions_table(view: &View<'_>) -> Table {
+    let scores = &view.scores.conditions;
+    let groups = scores.chunk_by(|a, b| a.condition.memory == b.condition.memory);
+    let group = |scores: &[ConditionScore]| Group {
+        label: scores.first().map(|score| title(score.condition.memory).to_owned()),
+        rows: scores.iter().map(row).collect(),
     };
-    Ok(vec![Block::Table(table)])
+    Table {
+        id: view.id("conditions"),
+        caption: String::new(),
+        stubs: vec!["Memory".to_owned(), "Start, route, demonstrations".to_owned()],
+        columns: ["N", "SR %", "95 % CI", "SPL", "Steps", "Img"].map(Column::new).to_vec(),
+        groups: groups.map(group).collect(),
+    }
+}
+
+fn row(score: &ConditionScore) -> Row {
+    let episodes = match score.planned > score.episodes {
+        true => format!("{}/{}", score.episodes, score.planned),
+        false => score.episodes.to_string(),
+    };
+    let interval = score.sr.interval.map(|interval| Cell::Value(interval_text(interval, 1)));
+    Row {
+        label: setting(&score.condition),
+        published: false,
+        cells: vec![
+            Cell::Value(episodes),
+            Cell::Value(spread_text(score.sr, 1)),
+            interval.unwrap_or(Cell::Missing(ONE_CASE)),
+            Cell::Value(format!("{:.3}", score.spl.mean)),
+            plain_or(score.mean_steps, 1, NO_REQUESTS),
+            plain_or(score.images_per_request.map(|images| images.mean), 1, NO_REQUESTS),
+        ],
+    }
+}
+
+/// A condition without its memory: `original, 1 demonstration`.
+pub(super) fn setting(condition: &Condition) -> String {
+    let Condition { start, route, demonstrations, variation, memory } = condition;
+    let mut text = start.to_string();
+    if *route == Route::Blocked {
+        text += " blocked";
+    }
+    if memory.uses_demonstrations() {
+        text += &format!(", {demonstrations}");
+    }
+    text + &variation.to_string().replace('/', ", ")
 }

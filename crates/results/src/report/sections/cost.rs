@@ -1,11 +1,10 @@
-//! What the policy was given and what it answered, for each representation.
+//! Images, tokens and answers, for each representation.
 
 use domain::Representation;
 
 use super::main_table::{NO_REQUESTS, mega};
 use crate::conditions::Variation;
 use crate::report::document::{Block, Cell, Column, Group, Missing, Row, Table};
-use crate::report::plot::PlotError;
 use crate::report::view::{View, name, pair_stubs, plain_or, title};
 use crate::score::RequestScore;
 
@@ -14,7 +13,7 @@ const SETTINGS: [(&str, &str, &str); 2] = [
     ("New start, 4 demos", "new/unchanged", "4"),
 ];
 
-pub(super) fn blocks(view: &View<'_>) -> Result<Vec<Block>, PlotError> {
+pub(super) fn blocks(view: &View<'_>) -> Vec<Block> {
     let settings = &view.log.manifest.settings;
     let columns = SETTINGS.iter().flat_map(|(over, _, _)| {
         ["Images", "Mtok", "Unreadable %"].map(|name| Column::under(*over, name))
@@ -27,7 +26,10 @@ pub(super) fn blocks(view: &View<'_>) -> Result<Vec<Block>, PlotError> {
     let ours = |representation: Representation| {
         let window = Variation::STANDARD.window;
         let most = representation.images(window, settings.horizon, settings.keyframes);
-        let mut cells = vec![Cell::Value(most.to_string())];
+        let was_run = names(representation).iter().any(|name| view.score(name).is_some());
+        let full =
+            if was_run { Cell::Value(most.to_string()) } else { Cell::Missing(Missing::NotRun) };
+        let mut cells = vec![full];
         for name in names(representation) {
             cells.push(view.ours(&name, |score| {
                 plain_or(score.images_per_request.map(|images| images.mean), 2, NO_REQUESTS)
@@ -60,65 +62,61 @@ pub(super) fn blocks(view: &View<'_>) -> Result<Vec<Block>, PlotError> {
         columns,
         groups: view.pairs(Representation::ALL, ours, theirs),
     };
-    let mut blocks = vec![Block::Table(table)];
-    blocks.extend(requests(view).map(Block::Table));
-    Ok(blocks)
+    let tables = [table.pruned(), requests_table(view)];
+    tables.into_iter().flatten().map(Block::Table).collect()
 }
 
-/// What questions to a model took, by memory; `None` where none was asked.
-fn requests(view: &View<'_>) -> Option<Table> {
-    let prices = view.log.manifest.prices.as_ref();
-    let mut columns =
-        ["Requests", "Kept", "Retries", "Tokens", "Memory %", "Cached %"].map(Column::new).to_vec();
-    columns.push(Column::new("Images left out"));
-    columns.extend(["Unreadable", "Empty", "Refused"].map(|name| Column::under("Answers", name)));
-    columns.extend(["p50", "p90"].map(|name| Column::under("Latency, ms", name)));
-    columns.push(Column::new("Mtok"));
-    columns.extend(prices.map(|prices| Column::new(format!("Cost, {}", prices.currency))));
-    let row = |label: &str, found: &RequestScore| {
-        let count = |count: u64| Cell::Value(count.to_string());
-        let answers = |kind: u32| Cell::Value(kind.to_string());
-        let spent = &found.spent;
-        let tokens = (spent.unknown == 0).then(|| spent.tokens() as f64 / 1e6);
-        let mut cells = vec![
-            count(spent.requests),
-            count(spent.replayed),
-            count(spent.attempts.saturating_sub(spent.requests)),
-            plain_or(found.prompt_tokens_each, 0, UNTOLD),
-            plain_or(found.memory_share, 1, UNTOLD),
-            plain_or(found.cached_share, 1, UNTOLD),
-            count(found.images_dropped),
-            answers(found.unread.unreadable),
-            answers(found.unread.empty),
-            answers(found.unread.refused),
-            plain_or(found.latency_p50_ms, 0, NOTHING_SENT),
-            plain_or(found.latency_p90_ms, 0, NOTHING_SENT),
-            plain_or(tokens, 3, UNTOLD),
-        ];
-        cells.extend(prices.map(|_| match found.cost {
-            Some(cost) => Cell::Value(cost.to_string()),
-            None => Cell::Missing(UNTOLD),
-        }));
-        Row { label: label.to_owned(), published: false, cells }
-    };
+/// Figures of the requests, a column for each memory; `None` where no model was asked.
+pub(in crate::report) fn requests_table(view: &View<'_>) -> Option<Table> {
     let all = RequestScore::of_run(view.log)?;
     let by_memory = RequestScore::by_memory(view.log);
-    let rows = by_memory.iter().map(|(memory, found)| row(title(*memory), found));
+    let scores: Vec<&RequestScore> =
+        by_memory.iter().map(|(_, score)| score).chain([&all]).collect();
+    type Figure = fn(&RequestScore) -> Cell;
+    let mut figures: Vec<(String, Figure)> = [
+        ("Requests", (|s| Cell::Value(s.usage.requests.to_string())) as Figure),
+        ("From the response cache", |s| Cell::Value(s.usage.replayed.to_string())),
+        ("Retries", |s| Cell::Value(s.usage.retries().to_string())),
+        ("Tokens of a prompt", |s| plain_or(s.prompt_tokens_each, 0, UNKNOWN)),
+        ("of which memory, %", |s| plain_or(s.memory_share, 1, UNKNOWN)),
+        ("of which cached, %", |s| plain_or(s.cached_share, 1, UNKNOWN)),
+        ("Images left out", |s| Cell::Value(s.images_dropped.to_string())),
+        ("Unreadable answers", |s| Cell::Value(s.unread.unreadable.to_string())),
+        ("Empty answers", |s| Cell::Value(s.unread.empty.to_string())),
+        ("Refusals", |s| Cell::Value(s.unread.refused.to_string())),
+        ("Latency p50, ms", |s| plain_or(s.latency_p50_ms, 0, NOTHING_SENT)),
+        ("Latency p90, ms", |s| plain_or(s.latency_p90_ms, 0, NOTHING_SENT)),
+        ("Million tokens", |s| {
+            let tokens = (s.usage.unknown == 0).then(|| s.usage.tokens() as f64 / 1e6);
+            plain_or(tokens, 3, UNKNOWN)
+        }),
+    ]
+    .map(|(label, figure)| (label.to_owned(), figure))
+    .to_vec();
+    if let Some(prices) = &view.log.manifest.prices {
+        let cost: Figure =
+            |s| s.cost.map_or(Cell::Missing(UNKNOWN), |cost| Cell::Value(cost.to_string()));
+        figures.push((format!("Cost, {}", prices.currency), cost));
+    }
+    let row = |(label, figure): (String, Figure)| Row {
+        label,
+        published: false,
+        cells: scores.iter().map(|score| figure(score)).collect(),
+    };
+    let columns = by_memory.iter().map(|(memory, _)| title(*memory)).chain(["All"]);
     Some(Table {
         id: view.id("requests"),
-        caption: "What questions to the model took, over all conditions of a memory, those of episodes that were walked \
-                  again included. Requests: questions that the server answered. Kept: questions that were answered \
-                  from the response cache; they cost nothing and are in no other figure but the images and answers. Retries: \
-                  further attempts. Tokens: mean of a prompt. Memory: the part of the prompts that is injected memory, an \
-                  estimate. Cached: the part that the server took from its own cache. Images left out: those beyond the image \
-                  budget. Latency: from sending to decision, for half and nine of ten of the requests. Mtok: million tokens \
-                  of prompts and answers together, as spent."
+        caption: "Requests to the model over all conditions of a memory, those of episodes that were run again \
+                  included. Answers from the response cache cost nothing and enter no figure but images and answers. \
+                  Memory: the part of the prompts that is injected memory, an estimate. Cached: the part that the \
+                  server took from its own cache. Images left out: those beyond the image budget. Latency: of the \
+                  attempt that was answered. Million tokens: prompts and completions together."
             .to_owned(),
-        stubs: vec!["Representation".to_owned()],
-        columns,
-        groups: vec![Group { label: None, rows: rows.chain([row("All", &all)]).collect() }],
+        stubs: vec!["Figure".to_owned()],
+        columns: columns.map(Column::new).collect(),
+        groups: vec![Group { label: None, rows: figures.into_iter().map(row).collect() }],
     })
 }
 
-const UNTOLD: Missing = Missing::NotMeasured("not told for every request");
+const UNKNOWN: Missing = Missing::NotMeasured("unknown for some requests");
 const NOTHING_SENT: Missing = Missing::NotMeasured("every answer came from the response cache");

@@ -3,13 +3,13 @@
 use domain::Representation;
 
 use crate::report::document::{Block, Group, Row, Table};
-use crate::report::plot::{Dots, PlotError, dots};
-use crate::report::sections::main_table::rate_rows;
+use crate::report::plot::Dots;
+use crate::report::sections::main_table::{dots_if_any, rate_rows};
 use crate::report::view::{OURS, THEIRS, View, name, our_rates, rate_columns, their_rates, title};
 
 const ORIGINAL: &str = "original/unchanged";
 
-pub(super) fn blocks(view: &View<'_>) -> Result<Vec<Block>, PlotError> {
+pub(super) fn blocks(view: &View<'_>) -> Vec<Block> {
     let choices = choices();
     let row = |(choice, name): &(String, String)| Row {
         label: choice.clone(),
@@ -18,7 +18,7 @@ pub(super) fn blocks(view: &View<'_>) -> Result<Vec<Block>, PlotError> {
     };
     let group = |(heading, conditions): &(String, Vec<(String, String)>)| Group {
         label: Some(heading.clone()),
-        rows: conditions.iter().map(row).collect(),
+        rows: conditions.iter().filter(|(_, name)| view.score(name).is_some()).map(row).collect(),
     };
     let table = Table {
         id: view.id("design"),
@@ -30,17 +30,17 @@ pub(super) fn blocks(view: &View<'_>) -> Result<Vec<Block>, PlotError> {
     };
     let rows =
         choices.iter().flat_map(|(heading, conditions)| rate_rows(view, heading, conditions));
-    let figure = dots(&Dots {
+    let figure = dots_if_any(Dots {
         id: view.id("design-figure"),
-        caption: "Success rate by design choice. Filled: this run with its 95 % interval. Open: the paper, mean ± \
+        caption: "Success rate by design choice. Filled: this run with its 95 % interval. Open: published, mean ± \
                   standard deviation where it is printed."
             .to_owned(),
         axis: "Success rate, %",
         range: (0.0, 100.0),
         series: vec![OURS.to_owned(), THEIRS.to_owned()],
         rows: rows.collect(),
-    })?;
-    Ok(vec![Block::Table(table), Block::Figure(figure)])
+    });
+    table.pruned().map(Block::Table).into_iter().chain(figure).collect()
 }
 
 /// The conditions by heading, each with what is varied and its name.

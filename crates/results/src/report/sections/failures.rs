@@ -1,90 +1,102 @@
-//! Failures by kind.
+//! Failures by kind, and the cases that fail most.
 
 use domain::Representation;
 
-use crate::report::document::{Block, Cell, Column, Group, Missing, Row, Table};
-use crate::report::plot::{PlotError, Stack, StackRow, stack};
-use crate::report::view::{View, name, title};
-use crate::score::{ConditionScore, Failure};
+use crate::report::document::{Block, Column, Table};
+use crate::report::plot::{Stack, StackRow, stack};
+use crate::report::sections::conditions::setting;
+use crate::report::view::{View, title};
+use crate::score::{ConditionScore, Failure, worst_cases};
 
-/// The settings that are shown, as in the first table.
-const SETTINGS: [(&str, &str, &str); 4] = [
-    ("original, 1 demo", "original/unchanged", "original"),
-    ("new, 1 demo", "new/unchanged", "original"),
-    ("new, 4 demos", "new/unchanged", "4"),
-    ("blocked, 4 demos", "new/blocked", "4"),
-];
+/// Cases in the table of the worst.
+const WORST: usize = 10;
 
-pub(super) fn blocks(view: &View<'_>) -> Result<Vec<Block>, PlotError> {
-    let text = "Each failed episode is of one kind: the first rule that applies, in the order of the columns. First \
-                comes how an episode went wrong, then what was missing. Kinds of which there is none have no column.";
-    let terms = Failure::ALL.iter().map(|kind| (kind.name().to_owned(), kind.meaning().to_owned()));
-    let given_up =
-        ("given up".to_owned(), "a fault that is not the policy's ended the episode".to_owned());
-    let bars = Representation::ALL.iter().flat_map(|&representation| {
-        SETTINGS.map(|(label, rest, demonstrations)| StackRow {
-            label: format!("{}: {label}", title(representation)),
-            lengths: view.score(&name(representation, rest, demonstrations)).map(shares),
-        })
+pub(super) fn blocks(view: &View<'_>) -> Vec<Block> {
+    let Some(table) = failures_table(view) else { return Vec::new() };
+    let text = "Each failed episode is of one kind: the first rule that applies, in the order of the rows. First comes \
+                how an episode went wrong, then what was missing.";
+    let present = Failure::ALL
+        .iter()
+        .filter(|kind| table.groups[0].rows.iter().any(|row| row.label == kind.name()));
+    let terms = present.map(|kind| (kind.name().to_owned(), kind.meaning().to_owned()));
+    let mut blocks = vec![Block::Text(text.to_owned()), Block::Terms(terms.collect())];
+    let bars = view.scores.conditions.iter().map(|score| StackRow {
+        label: format!("{}: {}", title(score.condition.memory), setting(&score.condition)),
+        lengths: Some(shares(score)),
     });
-    let figure = stack(&Stack {
+    blocks.push(Block::Figure(stack(&Stack {
         id: view.id("failures-figure"),
-        caption: "Why episodes failed: kinds as a percentage of all episodes of the condition. What is missing to 100 \
+        caption: "Kinds of failure as a percentage of the finished episodes of each condition. The rest to 100 \
                   succeeded."
             .to_owned(),
         axis: "Failed episodes, % of all",
         to: Some(100.0),
-        parts: kinds(),
+        parts: Failure::ALL.iter().map(|kind| kind.name().to_owned()).collect(),
         rows: bars.collect(),
-    })?;
-    let mut blocks =
-        vec![Block::Text(text.to_owned()), Block::Terms(terms.chain([given_up]).collect())];
-    blocks.extend([Block::Figure(figure), Block::Table(table(view))]);
-    Ok(blocks)
-}
-
-fn kinds() -> Vec<String> {
-    let names = Failure::ALL.iter().map(|kind| kind.name().to_owned());
-    names.chain(["given up".to_owned()]).collect()
-}
-
-fn counts(score: &ConditionScore) -> Vec<usize> {
-    score.failures.iter().map(|(_, count)| count).chain([score.errored]).collect()
+    })));
+    blocks.push(Block::Table(table));
+    blocks.extend(worst_table(view, WORST).map(Block::Table));
+    blocks
 }
 
 fn shares(score: &ConditionScore) -> Vec<f64> {
-    counts(score).iter().map(|&count| 100.0 * count as f64 / score.episodes as f64).collect()
+    let share = |(_, count)| 100.0 * count as f64 / score.episodes as f64;
+    score.failures.iter().map(share).collect()
 }
 
-/// Counts under every condition that was run.
-fn table(view: &View<'_>) -> Table {
+/// Counts of each kind that occurs, by memory; `None` when nothing failed.
+pub(in crate::report) fn failures_table(view: &View<'_>) -> Option<Table> {
     let scores = &view.scores.conditions;
-    let there = |kind: &usize| scores.iter().any(|score| counts(score)[*kind] > 0);
-    let present: Vec<usize> = (0..kinds().len()).filter(there).collect();
-    let mut columns = vec![Column::new("Episodes"), Column::new("Failed")];
-    let kinds = kinds();
-    columns.extend(present.iter().map(|&kind| Column::under("Of these", kinds[kind].clone())));
-    let row = |score: &ConditionScore| {
-        let counts = counts(score);
-        let all: usize = counts.iter().sum();
-        let figures =
-            [score.episodes, all].into_iter().chain(present.iter().map(|&kind| counts[kind]));
-        Row {
-            label: score.condition.to_string(),
-            published: false,
-            cells: figures.map(|count| Cell::Value(count.to_string())).collect(),
-        }
+    let memories: Vec<Representation> = Representation::ALL
+        .iter()
+        .copied()
+        .filter(|memory| scores.iter().any(|score| score.condition.memory == *memory))
+        .collect();
+    let count = |kind: Option<Failure>, memory: Option<Representation>| -> usize {
+        let of_memory =
+            scores.iter().filter(|score| memory.is_none_or(|m| score.condition.memory == m));
+        let counts = of_memory.flat_map(|score| score.failures.iter());
+        counts.filter(|(found, _)| kind.is_none_or(|kind| *found == kind)).map(|(_, n)| n).sum()
     };
-    let mut rows: Vec<Row> = scores.iter().map(row).collect();
+    let row = |label: &str, kind: Option<Failure>| {
+        let by_memory = memories.iter().map(|memory| count(kind, Some(*memory)).to_string());
+        (label.to_owned(), by_memory.chain([count(kind, None).to_string()]).collect())
+    };
+    let kinds = Failure::ALL.iter().filter(|kind| count(Some(**kind), None) > 0);
+    let mut rows: Vec<(String, Vec<String>)> =
+        kinds.map(|kind| row(kind.name(), Some(*kind))).collect();
     if rows.is_empty() {
-        let cells = vec![Cell::Missing(Missing::NotRun); columns.len()];
-        rows.push(Row { label: "no condition".to_owned(), published: false, cells });
+        return None;
     }
-    Table {
-        id: view.id("failures"),
-        caption: "Failed episodes by kind, counts over all runs.".to_owned(),
-        stubs: vec!["Condition".to_owned()],
-        columns,
-        groups: vec![Group { label: None, rows }],
-    }
+    rows.push(row("all", None));
+    let mut columns: Vec<&str> = memories.iter().map(|memory| title(*memory)).collect();
+    columns.push("All");
+    let mut table = Table::of_text(
+        view.id("failures"),
+        "Failed episodes by kind and memory, counts over all conditions and runs.",
+        (&["Kind"], &columns),
+        rows,
+    );
+    table.columns = columns.into_iter().map(Column::new).collect();
+    Some(table)
+}
+
+/// The cases that fail most; `None` when nothing failed.
+pub(in crate::report) fn worst_table(view: &View<'_>, most: usize) -> Option<Table> {
+    let cases = worst_cases(view.log, most);
+    let row = |case: crate::score::CaseScore| {
+        let failed = format!("{} of {}", case.failed, case.episodes);
+        let kind = case.failure.name().to_owned();
+        (case.case, vec![case.task.to_string(), failed, kind, case.example])
+    };
+    let rows: Vec<(String, Vec<String>)> = cases.into_iter().map(row).collect();
+    (!rows.is_empty()).then(|| {
+        Table::of_text(
+            view.id("worst-cases"),
+            "The cases that fail most, over all conditions and runs, with the most frequent kind of failure and an \
+             episode of it: `memtransfer show RUN EPISODE` shows its steps.",
+            (&["Case"], &["Task", "Failed", "Mostly", "For example"]),
+            rows,
+        )
+    })
 }

@@ -4,7 +4,6 @@ use domain::Representation;
 use warehouse::TaskGroup;
 
 use crate::report::document::{Block, Cell, Column, Missing, Table};
-use crate::report::plot::PlotError;
 use crate::report::view::{View, name, pair_stubs};
 
 const HEADINGS: [(TaskGroup, &str); 4] = [
@@ -14,7 +13,7 @@ const HEADINGS: [(TaskGroup, &str); 4] = [
     (TaskGroup::Revisit, "Revisit (T9)"),
 ];
 
-pub(super) fn blocks(view: &View<'_>) -> Result<Vec<Block>, PlotError> {
+pub(super) fn blocks(view: &View<'_>) -> Vec<Block> {
     let columns = HEADINGS.iter().flat_map(|(_, heading)| {
         ["unchanged", "blocked"].map(|route| Column::under(*heading, route))
     });
@@ -54,5 +53,5 @@ pub(super) fn blocks(view: &View<'_>) -> Result<Vec<Block>, PlotError> {
         columns: columns.collect(),
         groups: view.pairs(Representation::ALL, ours, theirs),
     };
-    Ok(vec![Block::Table(table)])
+    table.pruned().map(Block::Table).into_iter().collect()
 }

@@ -3,11 +3,11 @@
 use domain::Representation;
 
 use crate::report::document::{Block, Cell, Column, Missing, Table};
-use crate::report::plot::{Dot, DotRow, Dots, PlotError, dots};
+use crate::report::plot::{Dot, DotRow, Dots, dots};
 use crate::report::view::{
     OURS, THEIRS, View, name, our_rates, pair_stubs, rate_columns, their_rates, title,
 };
-use crate::score::Spread;
+use crate::score::{ConditionScore, Spread};
 
 /// The four settings: heading, start and route, demonstrations.
 const SETTINGS: [(&str, &str, &str); 4] = [
@@ -22,7 +22,7 @@ pub(super) const NO_TOKENS: Missing =
 pub(super) const NO_REQUESTS: Missing =
     Missing::NotMeasured("no policy was asked: the expert replays the reference");
 
-pub(super) fn blocks(view: &View<'_>) -> Result<Vec<Block>, PlotError> {
+pub(super) fn blocks(view: &View<'_>) -> Vec<Block> {
     let mut columns =
         vec![Column::new("Img"), Column::under("Mtok", "1 demo"), Column::under("Mtok", "4 demos")];
     columns.extend(rate_columns(&SETTINGS.map(|(heading, _, _)| heading)));
@@ -64,27 +64,34 @@ pub(super) fn blocks(view: &View<'_>) -> Result<Vec<Block>, PlotError> {
     let rows = Representation::ALL.iter().flat_map(|&representation| {
         rate_rows(view, title(representation), &settings(representation))
     });
-    let figure = dots(&Dots {
+    let figure = dots_if_any(Dots {
         id: view.id("main-figure"),
-        caption: "Success rate in the four settings. Filled: this run with its 95 % interval. Open: the paper, \
+        caption: "Success rate in the four settings. Filled: this run with its 95 % interval. Open: published, \
                   mean ± standard deviation."
             .to_owned(),
         axis: "Success rate, %",
         range: (0.0, 100.0),
         series: vec![OURS.to_owned(), THEIRS.to_owned()],
         rows: rows.collect(),
-    })?;
-    Ok(vec![Block::Table(table), Block::Figure(figure)])
+    });
+    table.pruned().map(Block::Table).into_iter().chain(figure).collect()
 }
 
-/// A row of a plot of success rates for each of the `conditions` (label, name), this run's and the paper's.
+/// The plot, if it has rows.
+pub(super) fn dots_if_any(plot: Dots) -> Option<Block> {
+    (!plot.rows.is_empty()).then(|| Block::Figure(dots(&plot)))
+}
+
+/// The rows of a plot of success rates: one for each of the `conditions` (label, name) that was run, with the
+/// published figure beside the run's.
 pub(super) fn rate_rows(
     view: &View<'_>,
     heading: &str,
     conditions: &[(String, String)],
 ) -> Vec<DotRow> {
-    let row = |(index, (label, name)): (usize, &(String, String))| {
-        let ours = view.score(name).map(|score| dot(0, score.sr));
+    let run = conditions.iter().filter_map(|(label, name)| Some((label, name, view.score(name)?)));
+    let row = |(index, (label, name, score)): (usize, (&String, &String, &ConditionScore))| {
+        let ours = dot(0, score.sr);
         let published = view.published.of(name).and_then(|published| published.sr);
         let theirs = published.map(|spread| Dot {
             series: 1,
@@ -94,13 +101,13 @@ pub(super) fn rate_rows(
         DotRow {
             heading: (index == 0).then(|| heading.to_owned()),
             label: label.clone(),
-            dots: ours.into_iter().chain(theirs).collect(),
+            dots: [ours].into_iter().chain(theirs).collect(),
         }
     };
-    conditions.iter().enumerate().map(row).collect()
+    run.enumerate().map(row).collect()
 }
 
-/// A spread with its interval, or with its standard deviation where there is none.
+/// A figure with its interval as the error bar, or its standard deviation where there is none.
 pub(super) fn dot(series: usize, spread: Spread) -> Dot {
     let interval = spread.interval.map(|interval| (interval.low, interval.high));
     let deviation = spread.std.map(|std| (spread.mean - std, spread.mean + std));

@@ -15,7 +15,8 @@ pub(in crate::report) fn method() -> Section {
         term(
             "SPL",
             "Success weighted by path length: 1/N · Σ sᵢ · lᵢ / max(pᵢ, lᵢ), from 0 to 1. pᵢ: steps taken; lᵢ: length of \
-             the reference from the episode's own start on its route.",
+             the reference from the episode's own start on its route. A success that is not longer than the reference \
+             counts 1; references are up to 1.56 times as long as the shortest way with strafing.",
         ),
         term(
             "Δ",
@@ -33,8 +34,8 @@ pub(in crate::report) fn method() -> Section {
         ),
         term(
             "Recovery",
-            "100 · Σ bᵢsᵢ / Σ bᵢ, of each run in which somebody tried. A run in which nobody did has no recovery rate and \
-             does not enter its mean.",
+            "100 · Σ bᵢsᵢ / Σ bᵢ, of each run in which an episode tried. A run without one has no recovery rate and does not \
+             enter its mean.",
         ),
         term(
             "Tokens",
@@ -50,15 +51,19 @@ pub(in crate::report) fn method() -> Section {
         ),
     ];
     let intervals = format!(
-        "Intervals in brackets are 95 % percentile bootstrap intervals from {RESAMPLES} resamples (ChaCha8, seed {SEED}): \
-         cases are drawn with replacement, and for each case drawn its repetitions, again with replacement; conditions \
-         that enter one figure together are drawn with the same cases. Where every episode succeeds, or none does, the \
-         interval has no width, and says nothing about cases that were not tried."
+        "Intervals are of 95 %. Of success and follow rates: Wilson's score interval over cases, for several runs with \
+         the effective sample size between the number of cases and of episodes that the cases' own means show; it \
+         has a width at 0 and 100 %, too. Of the other figures: percentile bootstrap from {RESAMPLES} resamples \
+         (ChaCha8, seed {SEED}): cases are drawn with replacement, and for each case drawn its repetitions, again with \
+         replacement; conditions that enter one figure together are drawn with the same cases. Where every case is \
+         alike the bootstrap has no width: SPL and recovery then have Wilson's interval, a difference of success \
+         rates Newcombe's, the others none."
     );
-    let given_up = "An episode that was given up because of a fault is an attempt that did not succeed: it counts in SR, SPL \
-                    and the task groups, and has no steps, images, tokens or answers.";
-    let marks = "In the tables: not run, the run has no such condition; n/m, not measured; —, not in the paper; undef., \
-                 undefined; n/a, there is no such thing. The reason stands below each table.";
+    let missing = "Figures are over finished episodes. An episode that was given up because of a fault is not scored. \
+                   Where episodes are missing the report says so, with the success rate and SPL if all of them failed \
+                   and if all succeeded.";
+    let marks = "In the tables: not run, the run has no such condition; n/m, not measured; —, not published; undef., \
+                 undefined; n/a, does not exist. The reason stands below each table.";
     Section {
         id: "s-method".to_owned(),
         level: 2,
@@ -66,7 +71,7 @@ pub(in crate::report) fn method() -> Section {
         blocks: vec![
             Block::Terms(terms),
             Block::Text(intervals),
-            Block::Text(given_up.to_owned()),
+            Block::Text(missing.to_owned()),
             Block::Text(marks.to_owned()),
         ],
     }

@@ -4,55 +4,86 @@ use domain::Representation;
 use domain::representation::Description;
 
 use crate::conditions::{Frames, PolicyKind};
+use crate::log::Manifest;
 use crate::report::document::{Block, Cell, Column, Group, Missing, Row, Table};
-use crate::report::plot::PlotError;
 use crate::report::view::{View, title};
-use crate::table;
 
-/// What must not be missed about the run.
-fn notices(view: &View<'_>) -> Vec<String> {
-    let settings = &view.log.manifest.settings;
-    let mut notices = table::standing(settings);
-    if settings.policy == PolicyKind::Grounded {
-        notices.push(
-            "The stand-in reads plates, labels and memory by rules, from the same request that a model would get. \
-             So its figures show whether every part of the harness works. The paper's figures beside them are a \
-             vision-language model's: closeness or distance between the two means nothing."
-                .to_owned(),
-        );
-    }
-    if settings.frames != Frames::Rendered {
-        notices.push(
-            "A control run shows what remains of the figures when the pixels say nothing true: compare it with a run \
-             on rendered frames, not with the paper."
-                .to_owned(),
-        );
-    }
+/// What makes the difference between a result and a test of the harness, and what is missing.
+pub(in crate::report) fn notices(view: &View<'_>) -> Vec<String> {
+    let mut notices = standing(&view.log.manifest);
     let scores = &view.scores;
-    let left = scores.planned.saturating_sub(scores.finished + scores.errored);
-    if left > 0 {
+    if scores.missing() > 0 {
         notices.push(format!(
-            "Not complete: {left} of {} episodes are missing. Figures are of those that finished.",
-            scores.planned
-        ));
-    }
-    if scores.errored > 0 {
-        notices.push(format!(
-            "{} episodes were given up because of faults that are not the policy's. They count as not successful.",
+            "Incomplete: {} of {} episodes are missing, {} of them given up after a fault (errors.jsonl). Figures are \
+             over finished episodes; the same command goes on.",
+            scores.missing(),
+            scores.planned,
             scores.errored
         ));
+    }
+    for score in scores.conditions.iter().take(MOST_BOUNDS) {
+        if let Some(bounds) = &score.bounds {
+            notices.push(format!(
+                "{}: the missing episodes allow an SR from {:.1} to {:.1} % and an SPL from {:.3} to {:.3}.",
+                score.condition, bounds.sr.low, bounds.sr.high, bounds.spl.low, bounds.spl.high
+            ));
+        }
+    }
+    let damaged = view.log.damaged.iter().take(MOST_DAMAGED);
+    notices.extend(damaged.map(|line| format!("Damaged and left out: {line}.")));
+    if let Some(more) = view.log.damaged.len().checked_sub(MOST_DAMAGED).filter(|more| *more > 0) {
+        notices.push(format!("Damaged and left out: {more} more lines."));
     }
     notices
 }
 
-pub(super) fn blocks(view: &View<'_>) -> Result<Vec<Block>, PlotError> {
+/// Conditions whose bounds are printed, at most.
+const MOST_BOUNDS: usize = 12;
+/// Damaged lines that are named, at most.
+const MOST_DAMAGED: usize = 5;
+
+/// Who decided, and whether the frames were a control's.
+fn standing(manifest: &Manifest) -> Vec<String> {
+    let settings = &manifest.settings;
+    let mut lines = vec![match settings.policy {
+        PolicyKind::Grounded => {
+            "Policy: grounded, a scripted stand-in. It tests the harness; its numbers are no claim \
+                                 about any model."
+                .to_owned()
+        }
+        PolicyKind::Openai => {
+            let model = settings.model.as_ref().map_or("?", |model| model.model.as_str());
+            format!("Policy: {model}, asked through an OpenAI-compatible endpoint.")
+        }
+        PolicyKind::External => {
+            let name = manifest.policy_name().map_or(String::new(), |name| format!(" {name}"));
+            match &settings.policy_cmd {
+                Some(command) => format!("Policy: external{name}, started with `{command}`."),
+                None => format!("Policy: external{name}."),
+            }
+        }
+        PolicyKind::Random => "Policy: random, the lower bound of the scale.".to_owned(),
+        PolicyKind::Expert => {
+            "Policy: expert, which replays the reference: the upper bound of the scale.".to_owned()
+        }
+    }];
+    match settings.frames {
+        Frames::Rendered => {}
+        control => lines.push(format!(
+            "Control: observed frames were {control}. Compare with a run on rendered frames, not with the paper."
+        )),
+    }
+    lines
+}
+
+pub(super) fn blocks(view: &View<'_>) -> Vec<Block> {
     let mut blocks: Vec<Block> = notices(view).into_iter().map(Block::Notice).collect();
     let (settings, scores) = (&view.log.manifest.settings, &view.scores);
     let cases = scores.conditions.iter().map(|score| score.cases).max().unwrap_or(0);
     let runs = scores.conditions.iter().map(|score| score.runs).max().unwrap_or(0);
     let speed = match scores.steps_per_s {
         Some(rate) => {
-            let rate = table::steps_per_second(rate);
+            let rate = steps_per_second(rate);
             Cell::Value(format!("{rate} steps/s with {} lanes", settings.lanes))
         }
         None => Cell::Missing(Missing::NotMeasured("the log holds no timings")),
@@ -68,22 +99,27 @@ pub(super) fn blocks(view: &View<'_>) -> Result<Vec<Block>, PlotError> {
         ("Speed", speed),
     ];
     blocks.push(Block::Table(facts_table(view.id("facts"), "The run in short.", facts)));
-    let asked = "An agent has an instruction such as “Visit a blue barrel, then an orange cone.”, its pose and what it sees. \
+    let task = "An agent has an instruction such as “Visit a blue barrel, then an orange cone.”, its pose and what it sees. \
                  Expert demonstrations of the same case were made into a memory before, in one of six representations; \
                  at every step a part of it is handed to the policy beside the last few steps. The tables ask what that \
                  is worth where the demonstration fits, from another start, with a passage blocked, and among other \
                  tasks' histories.";
-    blocks.push(Block::Text(asked.to_owned()));
+    blocks.push(Block::Text(task.to_owned()));
     let memory = |representation: &Representation| {
         let Description { stores, supplies, .. } = representation.describe();
         let meaning = format!("stores {stores}; supplies {supplies}");
         (title(*representation).to_owned(), meaning)
     };
     blocks.push(Block::Terms(Representation::ALL.iter().map(memory).collect()));
-    Ok(blocks)
+    blocks
 }
 
-/// A table of facts, one a row.
+/// Formats a rate: a slow one with a digit after the point.
+pub(in crate::report) fn steps_per_second(rate: f64) -> String {
+    if rate < 10.0 { format!("{rate:.1}") } else { format!("{rate:.0}") }
+}
+
+/// A table of facts, one in each row.
 pub(super) fn facts_table(
     id: String,
     caption: &str,

@@ -4,10 +4,9 @@ use domain::Representation;
 
 use crate::compare::compare_conditions;
 use crate::report::document::{Block, Cell, Column, Group, Missing, Row, Table};
-use crate::report::plot::PlotError;
+use crate::report::terminal::p_value;
 use crate::report::view::{View, interval_text, name, signed, title};
 use crate::score::{Comparison, Difference};
-use crate::table::p_value;
 
 /// A condition without its memory: start and route, demonstrations.
 type Setting = (&'static str, &'static str);
@@ -25,7 +24,7 @@ const COMPARED: [(&str, Setting, Setting); 5] = [
     ("confusable − 4 relevant", ("new/unchanged", "confusable"), ("new/unchanged", "4")),
 ];
 
-pub(super) fn blocks(view: &View<'_>) -> Result<Vec<Block>, PlotError> {
+pub(super) fn blocks(view: &View<'_>) -> Vec<Block> {
     let group = |&representation: &Representation| {
         let of = |(rest, demonstrations): (&str, &str)| name(representation, rest, demonstrations);
         let mut rows: Vec<Row> = COMPARED
@@ -44,7 +43,7 @@ pub(super) fn blocks(view: &View<'_>) -> Result<Vec<Block>, PlotError> {
     };
     let table = Table {
         id: view.id("pairs"),
-        caption: "Differences on the same cases: first minus second. SR in percentage points, with 95 % bootstrap \
+        caption: "Pairs of conditions on the same cases, and first minus second, SR in percent, with 95 % bootstrap \
                   intervals over cases and runs. Better, worse: cases that succeed more often, or less often, under the \
                   first. p: exact two-sided sign test on these two counts (McNemar's exact test where each condition \
                   has one run), not corrected for the number of rows."
@@ -53,11 +52,16 @@ pub(super) fn blocks(view: &View<'_>) -> Result<Vec<Block>, PlotError> {
         columns: columns(),
         groups: Representation::ALL.iter().map(group).collect(),
     };
-    Ok(vec![Block::Table(table)])
+    table.pruned().map(Block::Table).into_iter().collect()
 }
 
 pub(super) fn columns() -> Vec<Column> {
-    ["Cases", "SR", "SPL", "Better", "Worse", "p"].map(Column::new).to_vec()
+    let mut columns = vec![Column::new("Cases")];
+    for over in ["SR %", "SPL"] {
+        columns.extend(["first", "second", "difference"].map(|name| Column::under(over, name)));
+    }
+    columns.extend(["Better", "Worse", "p"].map(Column::new));
+    columns
 }
 
 fn row(view: &View<'_>, label: &str, a: &str, b: &str) -> Row {
@@ -72,19 +76,17 @@ fn row(view: &View<'_>, label: &str, a: &str, b: &str) -> Row {
 /// The cells of a comparison under [`columns`].
 pub(super) fn cells(compared: &Comparison) -> Vec<Cell> {
     let Comparison { cases, sr, spl, more_under_a, more_under_b, p, .. } = compared;
-    let difference = |Difference { mean, interval }: &Difference, digits: usize| {
+    let three = |Difference { a, b, mean, interval }: &Difference, digits: usize| {
         let figure = signed(*mean, digits);
-        match interval {
+        let difference = match interval {
             None => Cell::Value(figure),
             Some(found) => Cell::Sure { figure, interval: interval_text(*found, digits) },
-        }
+        };
+        [Cell::Value(format!("{a:.digits$}")), Cell::Value(format!("{b:.digits$}")), difference]
     };
-    vec![
-        Cell::Value(cases.to_string()),
-        difference(sr, 1),
-        difference(spl, 3),
-        Cell::Value(more_under_a.to_string()),
-        Cell::Value(more_under_b.to_string()),
-        Cell::Value(p_value(*p)),
-    ]
+    let mut cells = vec![Cell::Value(cases.to_string())];
+    cells.extend(three(sr, 1).into_iter().chain(three(spl, 3)));
+    cells
+        .extend([more_under_a.to_string(), more_under_b.to_string(), p_value(*p)].map(Cell::Value));
+    cells
 }

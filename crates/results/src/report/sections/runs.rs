@@ -1,65 +1,109 @@
-//! Several runs beside each other: what they were, and the conditions that they share, paired by case.
+//! Several runs side by side: what they were, and the conditions that they share, paired by case.
 
+use std::collections::BTreeSet;
+
+use super::overview::notices;
 use super::pairs::{cells, columns};
-use crate::compare::{compare_runs, run_name};
-use crate::report::document::{Block, Cell, Column, Group, Row, Section, Table};
-use crate::report::view::View;
-use crate::table;
+use crate::compare::{compare_runs, differing_settings, run_name};
+use crate::conditions::Condition;
+use crate::report::document::{Block, Cell, Column, Group, Missing, Row, Section, Table};
+use crate::report::sections::conditions::setting;
+use crate::report::view::{View, sure, title};
 
-/// The sections about all of the runs together.
-pub(in crate::report) fn runs(views: &[View<'_>]) -> Vec<Section> {
+/// The section about all runs together.
+pub(in crate::report) fn runs(views: &[View<'_>]) -> Section {
+    let mut blocks = Vec::new();
+    for view in views {
+        let name = run_name(view.log);
+        let lines = notices(view).into_iter();
+        blocks.extend(lines.map(|line| Block::Notice(format!("{name}: {line}"))));
+    }
+    blocks.push(Block::Table(overview(views)));
+    blocks.push(Block::Table(side_by_side(views)));
+    for (later, second) in views.iter().enumerate() {
+        for first in &views[..later] {
+            blocks.extend(compared(first, second));
+        }
+    }
+    Section::new("s-runs", "The runs side by side", blocks)
+}
+
+fn overview(views: &[View<'_>]) -> Table {
     let row = |view: &View<'_>| {
         let settings = &view.log.manifest.settings;
-        let facts = [
+        let facts = vec![
             settings.policy.to_string(),
             settings.suite.to_string(),
             settings.frames.to_string(),
             view.scores.conditions.len().to_string(),
             format!("{} of {}", view.scores.finished, view.scores.planned),
         ];
-        Row { label: run_name(view.log), published: false, cells: facts.map(Cell::Value).to_vec() }
+        (run_name(view.log), facts)
     };
-    let overview = Table {
-        id: "runs".to_owned(),
-        caption: "The runs of this report. Each has its own sections below.".to_owned(),
-        stubs: vec!["Run".to_owned()],
-        columns: ["Policy", "Suite", "Frames", "Conditions", "Episodes"].map(Column::new).to_vec(),
-        groups: vec![Group { label: None, rows: views.iter().map(row).collect() }],
-    };
-    let standing = views.iter().flat_map(|view| {
-        let lines = table::standing(&view.log.manifest.settings).into_iter();
-        lines.map(|line| Block::Notice(format!("{}: {line}", run_name(view.log))))
-    });
-    let mut blocks: Vec<Block> = standing.chain([Block::Table(overview)]).collect();
-    for (later, second) in views.iter().enumerate() {
-        for first in &views[..later] {
-            blocks.push(compared(first, second));
-        }
-    }
-    let title = "The runs compared".to_owned();
-    vec![Section { id: "s-runs".to_owned(), level: 2, title, blocks }]
+    Table::of_text(
+        "runs",
+        "The runs of this report.",
+        (&["Run"], &["Policy", "Suite", "Frames", "Conditions", "Episodes"]),
+        views.iter().map(row),
+    )
 }
 
-fn compared(first: &View<'_>, second: &View<'_>) -> Block {
+/// Success rate and SPL of every condition, a pair of columns for each run.
+fn side_by_side(views: &[View<'_>]) -> Table {
+    let scores = views.iter().flat_map(|view| &view.scores.conditions);
+    let conditions: BTreeSet<Condition> = scores.map(|score| score.condition).collect();
+    let conditions: Vec<Condition> = conditions.into_iter().collect();
+    let row = |condition: &Condition| {
+        let cells = views.iter().flat_map(|view| match view.scores.of(condition) {
+            Some(score) => [sure(score.sr, 1), Cell::Value(format!("{:.3}", score.spl.mean))],
+            None => [Cell::Missing(Missing::NotRun), Cell::Missing(Missing::NotRun)],
+        });
+        Row { label: setting(condition), published: false, cells: cells.collect() }
+    };
+    let group = |conditions: &[Condition]| Group {
+        label: conditions.first().map(|condition| title(condition.memory).to_owned()),
+        rows: conditions.iter().map(row).collect(),
+    };
+    let columns = views.iter().flat_map(|view| {
+        let name = run_name(view.log);
+        [Column::under(name.clone(), "SR %"), Column::under(name, "SPL")]
+    });
+    Table {
+        id: "side-by-side".to_owned(),
+        caption: "Success rate (mean ± standard deviation over runs, 95 % interval) and SPL of every condition."
+            .to_owned(),
+        stubs: vec!["Memory".to_owned(), "Start, route, demonstrations".to_owned()],
+        columns: columns.collect(),
+        groups: conditions.chunk_by(|a, b| a.memory == b.memory).map(group).collect(),
+    }
+}
+
+fn compared(first: &View<'_>, second: &View<'_>) -> Vec<Block> {
+    let (a, b) = (run_name(first.log), run_name(second.log));
     let compared = match compare_runs(first.log, second.log) {
         Ok(compared) => compared,
-        Err(error) => return Block::Notice(format!("No comparison: {error}.")),
+        Err(error) => return vec![Block::Notice(format!("No comparison: {error}."))],
     };
-    let (a, b) = (run_name(first.log), run_name(second.log));
+    let differing = differing_settings(first.log, second.log).into_iter().map(|one| {
+        let (key, there, here) = (one.key, one.there, one.here);
+        Block::Notice(format!("{key} differs: {there} in {a}, {here} in {b}."))
+    });
+    let mut blocks: Vec<Block> = differing.collect();
     let rows = compared.iter().map(|compared| Row {
         label: compared.a.trim_start_matches(&format!("{a}: ")).to_owned(),
         published: false,
         cells: cells(compared),
     });
-    Block::Table(Table {
+    blocks.push(Block::Table(Table {
         id: format!("compare-{}{}", first.prefix, second.prefix.trim_end_matches('-')),
         caption: format!(
-            "{a} minus {b}, on the conditions and cases that both have. SR in percentage points, with 95 % bootstrap \
-             intervals over cases and runs. Better, worse: cases that succeed more often, or less often, in {a}. p: \
-             exact two-sided sign test on these two counts, not corrected for the number of rows."
+            "{a} minus {b}, on the conditions and cases that both have. SR in percentage points. Better, worse: cases \
+             that succeed more often, or less often, in {a}. p: exact two-sided sign test on these two counts, not \
+             corrected for the number of rows."
         ),
         stubs: vec!["Condition".to_owned()],
         columns: columns(),
         groups: vec![Group { label: None, rows: rows.collect() }],
-    })
+    }));
+    blocks
 }

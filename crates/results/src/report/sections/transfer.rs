@@ -1,8 +1,8 @@
 //! Table `tab:transfer` (RQ1): the test stays at the original start, the demonstration's start changes.
 
 use crate::report::document::{Block, Table};
-use crate::report::plot::{Dots, PlotError, dots};
-use crate::report::sections::main_table::rate_rows;
+use crate::report::plot::Dots;
+use crate::report::sections::main_table::{dots_if_any, rate_rows};
 use crate::report::view::{
     OURS, THEIRS, View, historical, name, our_rates, pair_stubs, rate_columns, their_rates, title,
 };
@@ -14,7 +14,7 @@ const DEMONSTRATIONS: [(&str, &str); 4] = [
     ("Distant start", "distant"),
 ];
 
-pub(super) fn blocks(view: &View<'_>) -> Result<Vec<Block>, PlotError> {
+pub(super) fn blocks(view: &View<'_>) -> Vec<Block> {
     let names = |representation| {
         DEMONSTRATIONS.map(|(_, which)| name(representation, "original/unchanged", which))
     };
@@ -44,15 +44,15 @@ pub(super) fn blocks(view: &View<'_>) -> Result<Vec<Block>, PlotError> {
             .collect();
         rate_rows(view, title(representation), &labelled)
     });
-    let figure = dots(&Dots {
+    let figure = dots_if_any(Dots {
         id: view.id("transfer-figure"),
         caption: "Success rate at the original start, by the demonstration that is remembered. Filled: this run with \
-                  its 95 % interval. Open: the paper, mean ± standard deviation."
+                  its 95 % interval. Open: published, mean ± standard deviation."
             .to_owned(),
         axis: "Success rate, %",
         range: (0.0, 100.0),
         series: vec![OURS.to_owned(), THEIRS.to_owned()],
         rows: rows.collect(),
-    })?;
-    Ok(vec![Block::Table(table), Block::Figure(figure)])
+    });
+    table.pruned().map(Block::Table).into_iter().chain(figure).collect()
 }

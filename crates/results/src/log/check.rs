@@ -1,0 +1,147 @@
+//! Whether a record agrees with itself.
+//!
+//! A record says most things more than once (the number of steps and the actions, the final pose and the way
+//! there), so a damaged or edited one contradicts itself.
+
+use domain::Action;
+
+use super::{Ending, EpisodeRecord};
+use crate::conditions::{Condition, Route};
+use crate::key::EpisodeKey;
+
+impl EpisodeRecord {
+    /// Checks the record against itself and against the step limit of its run.
+    ///
+    /// # Errors
+    /// Names the first contradiction.
+    pub fn check(&self, max_steps: u32) -> Result<(), String> {
+        self.check_key()?;
+        self.check_steps(max_steps)?;
+        self.check_path()?;
+        self.check_events()
+    }
+
+    fn check_key(&self) -> Result<(), String> {
+        let Condition { memory, start, route, demonstrations, variation } = self.condition();
+        let condition = Condition::new(memory, start, route, demonstrations, variation);
+        let condition = condition.filter(|condition| *condition == self.condition());
+        let key = condition.map(|condition| {
+            EpisodeKey { condition, run: self.run, case: self.case.clone() }.to_string()
+        });
+        ensure(key.as_ref() == Some(&self.key), || {
+            format!("its fields make the key {}", key.as_deref().unwrap_or("of no condition"))
+        })
+    }
+
+    fn check_steps(&self, max_steps: u32) -> Result<(), String> {
+        let actions = self.actions.chars().count();
+        ensure(actions == self.steps as usize, || {
+            format!("\"steps\" is {}, and \"actions\" has {actions}", self.steps)
+        })?;
+        let unread = self.actions.chars().filter(|letter| *letter == '?').count();
+        ensure(unread == self.unread.total() as usize, || {
+            format!("\"unread\" counts {}, and \"actions\" has {unread} `?`", self.unread.total())
+        })?;
+        let bad = self.actions.chars().find(|&c| c != '?' && Action::from_letter(c).is_none());
+        ensure(bad.is_none(), || format!("\"actions\" has the letter {:?}", bad.unwrap_or(' ')))?;
+        let is_complete = self.sub_goals.len() == self.required as usize;
+        ensure(is_complete == (self.ending == Ending::Complete), || {
+            let (met, required) = (self.sub_goals.len(), self.required);
+            format!("\"ending\" is {}, with {met} of {required} sub-goals", self.ending)
+        })?;
+        let is_over = if is_complete { self.steps <= max_steps } else { self.steps == max_steps };
+        ensure(is_over, || {
+            format!("it ends {} after {} of {max_steps} steps", self.ending, self.steps)
+        })
+    }
+
+    fn check_path(&self) -> Result<(), String> {
+        let is_move = |step: u32| {
+            let letter = self.actions.chars().nth((step as usize).wrapping_sub(1));
+            letter.and_then(Action::from_letter).is_some_and(|a| a.move_direction().is_some())
+        };
+        let blocked = &self.blocked_moves;
+        let in_order = blocked.is_sorted_by(|a, b| a < b);
+        ensure(in_order && blocked.iter().all(|&step| is_move(step)), || {
+            "\"blocked_moves\" names a step that is not a move".to_owned()
+        })?;
+        let poses = self.poses();
+        let end = poses.last().copied().unwrap_or(self.start_pose);
+        ensure(end == self.final_pose, || {
+            format!("its actions lead to {end}, and \"final_pose\" is {}", self.final_pose)
+        })?;
+        let misplaced = self
+            .visits
+            .iter()
+            .find(|visit| poses.get(visit.step as usize).map(|pose| pose.cell) != Some(visit.cell));
+        ensure(misplaced.is_none(), || {
+            let visit = misplaced.map_or(String::new(), ToString::to_string);
+            format!("the agent was elsewhere at the visit {visit}")
+        })
+    }
+
+    fn check_events(&self) -> Result<(), String> {
+        let steps = self.steps;
+        ensure(self.sub_goals.is_sorted() && self.sub_goals.iter().all(|at| *at <= steps), || {
+            "\"sub_goals\" are out of order or after the end".to_owned()
+        })?;
+        ensure(self.first_seen.values().all(|at| *at <= steps), || {
+            "\"first_seen\" has a step after the end".to_owned()
+        })?;
+        ensure(self.tried_closed.is_some() == (self.route == Route::Blocked), || {
+            "\"tried_closed\" is for blocked routes, and every one of them".to_owned()
+        })?;
+        let tried = self.tried_closed_at.is_none_or(|at| self.blocked_moves.contains(&at));
+        let tried = tried && self.tried_closed_at.is_some() == (self.tried_closed == Some(true));
+        ensure(tried, || "\"tried_closed_at\" is not one of \"blocked_moves\"".to_owned())?;
+        ensure(self.requests.is_none_or(|requests| requests == steps), || {
+            format!("{} requests, and {steps} steps", self.requests.unwrap_or(0))
+        })
+    }
+}
+
+fn ensure(holds: bool, problem: impl FnOnce() -> String) -> Result<(), String> {
+    if holds { Ok(()) } else { Err(problem()) }
+}
+
+#[cfg(test)]
+mod tests {
+    use domain::{Heading, Pose};
+
+    use super::*;
+    use crate::events::{Requirement, Visit};
+    use crate::log::testing::record;
+
+    #[test]
+    fn a_sound_record_passes_and_every_edit_is_noticed() {
+        for success in [true, false] {
+            assert_eq!(record("t01-01", success).check(200), Ok(()));
+        }
+        let edits: [fn(&mut EpisodeRecord); 12] = [
+            |record| record.steps = 931,
+            |record| record.case = "t01-02".to_owned(),
+            |record| record.run = 2,
+            |record| record.ending = Ending::OutOfSteps,
+            |record| record.actions = "fffffffff!".to_owned(),
+            |record| record.actions = "fffffffff?".to_owned(),
+            |record| record.actions = "ffffffffff".replace('f', "b"),
+            |record| record.final_pose = Pose::new(1, 11, Heading::N),
+            |record| record.blocked_moves = vec![3],
+            |record| record.tried_closed = Some(false),
+            |record| record.requests = Some(9),
+            |record| {
+                let cell = record.start_pose.cell;
+                record.visits = vec![Visit { step: 3, requirement: Requirement::A, cell }];
+            },
+        ];
+        for (index, edit) in edits.iter().enumerate() {
+            let mut record = record("t01-01", true);
+            edit(&mut record);
+            assert!(record.check(200).is_err(), "edit {index}");
+        }
+        assert!(record("t01-01", false).check(300).is_err(), "stopped before the limit");
+        let mut edited = record("t01-01", true);
+        edited.steps = 931;
+        insta::assert_snapshot!(edited.check(1000).unwrap_err(), @r#""steps" is 931, and "actions" has 10"#);
+    }
+}
