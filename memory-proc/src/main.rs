@@ -166,8 +166,8 @@ struct BuilderArguments {
     #[arg(long, value_name = "URL")]
     base_url: Option<String>,
     /// The longest time of one attempt to ask the model
-    #[arg(long, value_name = "SECONDS", default_value_t = 300)]
-    timeout: u32,
+    #[arg(long, alias = "timeout", value_name = "SECONDS", default_value_t = 300)]
+    request_timeout: u32,
     /// How often a request is repeated when the server fails
     #[arg(long, value_name = "N", default_value_t = 5)]
     max_retries: u32,
@@ -195,7 +195,7 @@ impl BuilderArguments {
         };
         let endpoint = Endpoint::from_environment(self.base_url.as_deref(), Path::new("."))?;
         let settings = ChatSettings {
-            request_timeout: Duration::from_secs(self.timeout.into()),
+            request_timeout: Duration::from_secs(self.request_timeout.into()),
             max_retries: self.max_retries,
             max_connections: 1,
             ..ChatSettings::new(&*model)

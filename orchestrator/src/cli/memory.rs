@@ -90,7 +90,7 @@ struct ModelArgs {
     #[arg(long, value_name = "N", requires = "model")]
     max_tokens: Option<u32>,
     /// The longest time of one attempt [default: 300]
-    #[arg(long, value_name = "SECONDS", requires = "model")]
+    #[arg(long = "request-timeout", alias = "timeout", value_name = "SECONDS", requires = "model")]
     timeout: Option<u32>,
     /// How often a request is repeated when the server fails [default: 5]
     #[arg(long, value_name = "N", requires = "model")]
