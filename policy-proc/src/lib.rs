@@ -10,5 +10,3 @@
 pub mod grounded;
 pub mod openai;
 pub mod random;
-
-pub use peer::*;

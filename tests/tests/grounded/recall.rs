@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use domain::Action;
-use policy_proc::{SegmentView, TrajectoryView};
+use peer::{SegmentView, TrajectoryView};
 use warehouse::{Case, Start, Variant, Warehouse};
 
 use crate::views::{Image, Views};

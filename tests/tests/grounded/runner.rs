@@ -4,8 +4,8 @@ use std::collections::{HashMap, VecDeque};
 use std::sync::Arc;
 
 use domain::{Action, DocumentKind, Feedback, Pose, Representation};
+use peer::{DocumentView, PastView, Policy, Request, Segment, Trajectory};
 use policy_proc::grounded::Grounded;
-use policy_proc::{DocumentView, PastView, Policy, Request, Segment, Trajectory};
 use warehouse::{
     Case, CaseSet, Demonstrations, MAX_STEPS, Progress, Start, Variant, Warehouse, step,
 };

@@ -5,7 +5,7 @@ use std::hash::{DefaultHasher, Hash, Hasher};
 use std::sync::Arc;
 
 use domain::{Cell, Heading, Pose};
-use policy_proc::FrameView;
+use peer::FrameView;
 use sim_proc::renderer::{RenderSettings, Renderer, ViewSpec};
 use warehouse::{Variant, Warehouse};
 
