@@ -13,7 +13,7 @@ from pathlib import Path
 
 import iceoryx2 as iox2
 
-WIRE_VERSION = 5
+WIRE_VERSION = 6
 ROLES = ("orchestrator", "sim", "memory", "policy")
 POLICY = ROLES.index("policy")
 FORWARD, TURN_LEFT, NO_ACTION = 0, 4, 255
@@ -39,7 +39,6 @@ def struct(name, size, fields):
 
 
 WirePose = struct("WirePose", 4, "x: u8, y: u8, heading: u8, reserved: u8")
-PastStep = struct("PastStep", 16, "frame: u64, action: u8, feedback: u8, reserved: u8 x 6")
 SegmentStep = struct("SegmentStep", 16, "frame: u64, action: u8, reserved: u8 x 7")
 FrameHeader = struct("FrameHeader", 32, "id: u64, width: u32, height: u32, content_hash: u8 x 16")
 Page = struct("Page", PAGE_BYTES, "pixels: u8 x 4096")
@@ -50,13 +49,12 @@ Handshake = struct("Handshake", 512, "wire_version: u32, role: u32, pid: u32, fa
 ShutdownReport = struct("ShutdownReport", 48, """role: u32, reserved: u32, frames_rendered: u64,
     frames_evicted: u64, frames_received: u64, pixel_bytes_copied: u64, error_reports: u64""")
 PolicyEpisodeConfig = struct("PolicyEpisodeConfig", 264, """episode: u64, seed: u64, lane: u32, instruction_len: u32,
-    repeat: u32, starts_as_demonstrated: u8, reserved: u8 x 3, instruction: u8 x 232""")
+    repeat: u32, starts_as_demonstrated: u8, window: u8, reserved: u8 x 2, instruction: u8 x 232""")
 Observation = struct("Observation", 72, """episode: u64, frame: u64, commanded_ns: u64, woken_ns: u64,
     stepped_ns: u64, rendered_ns: u64, sent_ns: u64, lane: u32, step: u32, pose: WirePose, feedback: u8, action: u8,
     last: u8, reserved: u8""")
-Recall = struct("Recall", 1104, """episode: u64, received_ns: u64, sent_ns: u64, lane: u32, step: u32, distance: f32,
-    window_len: u32, segment_len: u32, documents_len: u32, documents: u64 x 4, window: PastStep x 32,
-    segment: SegmentStep x 32""")
+Recall = struct("Recall", 592, """episode: u64, received_ns: u64, sent_ns: u64, lane: u32, step: u32, distance: f32,
+    segment_len: u32, documents_len: u32, reserved: u32, documents: u64 x 4, segment: SegmentStep x 32""")
 Decision = struct("Decision", 112, """episode: u64, received_ns: u64, started_ns: u64, prompted_ns: u64, sent_ns: u64,
     decided_ns: u64, lane: u32, step: u32, prompt_tokens: u32, completion_tokens: u32, cached_tokens: u32,
     image_tokens: u32, memory_tokens: u32, images_asked: u32, images: u32, attempts: u32, outcome: u8, action: u8,

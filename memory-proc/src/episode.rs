@@ -3,11 +3,10 @@
 use anyhow::Context;
 use domain::SegmentContent;
 use domain::{Action, Feedback, Pose, Representation};
-use shm_types::message::{
-    FrameId, MAX_WINDOW, MemoryEpisodeConfig, NO_ACTION, NOT_MEASURED, Observation, PastStep,
-    Recall, RecallTrace, SegmentStep,
-};
 use shm_types::message::{MAX_DOCUMENTS, MAX_SEGMENT, NO_DOCUMENT, NO_FRAME};
+use shm_types::message::{
+    MemoryEpisodeConfig, NO_ACTION, NOT_MEASURED, Observation, Recall, RecallTrace, SegmentStep,
+};
 use warehouse::{CaseSet, Demonstrations, Progress, Warehouse};
 
 use crate::demonstrations;
@@ -15,7 +14,6 @@ use crate::representation::{
     DocumentSupplier, Memory, MemoryBuilder, MemorySpec, RecallQuery, RecalledItems,
     RetrievedSegment, StoredView, StoredViews, memory_builder,
 };
-use crate::window::Window;
 use search::{ContentHash, Embedding};
 
 /// A message that cannot be used. The text names the value and what was expected.
@@ -48,7 +46,6 @@ pub(crate) struct MemoryEpisode {
     views: StoredViews,
     memory: Option<Box<dyn Memory>>,
     case: u32,
-    window: Window,
     /// The current step, from the first observation on.
     current: Option<CurrentStep>,
     pub(crate) pending: Option<PendingObservation>,
@@ -56,7 +53,6 @@ pub(crate) struct MemoryEpisode {
 
 struct CurrentStep {
     step: u32,
-    frame: FrameId,
     progress: Progress,
 }
 
@@ -67,14 +63,13 @@ impl MemoryEpisode {
         warehouse: &Warehouse,
         cases: &CaseSet,
     ) -> Result<Self, Unusable> {
-        let MemoryEpisodeConfig { case, demonstrations, window, horizon, .. } = *config;
+        let MemoryEpisodeConfig { case, demonstrations, horizon, .. } = *config;
         let representation = Representation::try_from(config.representation)
             .map_err(|error| unusable!("config of episode {}: {error}", config.episode))?;
-        if usize::from(window) > MAX_WINDOW || usize::from(horizon) >= MAX_SEGMENT {
+        if usize::from(horizon) >= MAX_SEGMENT {
             let most = MAX_SEGMENT - 1;
             return Err(unusable!(
-                "config of episode {}: a window of {window} and a horizon of {horizon}, but at most \
-                 {MAX_WINDOW} and {most} fit into a recall",
+                "config of episode {}: a horizon of {horizon}, but at most {most} fit into a recall",
                 config.episode
             ));
         }
@@ -113,7 +108,6 @@ impl MemoryEpisode {
             views: StoredViews::default(),
             memory: None,
             case,
-            window: Window::new(window.into()),
             current: None,
             pending: None,
         })
@@ -144,14 +138,11 @@ impl MemoryEpisode {
         let task = &cases.cases[self.case as usize].task;
         let now = self.current.get_or_insert_with(|| CurrentStep {
             step,
-            frame,
             progress: Progress::new(warehouse, task, pose.cell),
         });
         if step > 0 {
-            let Observation { action, feedback, .. } = *seen;
-            self.window.push(PastStep { frame: now.frame, action, feedback, reserved: [0; 6] });
             now.progress.visit(pose.cell);
-            (now.step, now.frame) = (step, frame);
+            now.step = step;
         }
         Ok(())
     }
@@ -192,10 +183,6 @@ impl MemoryEpisode {
         let RecalledItems { segment: retrieved, documents: named } = memory.recall(&query);
         let searched_ns = clock();
 
-        let mut window = [bytemuck::Zeroable::zeroed(); MAX_WINDOW];
-        let steps = self.window.steps();
-        let window_len = steps.len() as u32;
-        window.iter_mut().zip(steps).for_each(|(slot, step): (&mut PastStep, _)| *slot = step);
         let mut segment: [SegmentStep; MAX_SEGMENT] = [bytemuck::Zeroable::zeroed(); MAX_SEGMENT];
         let found = retrieved.as_ref().map_or(&[][..], |retrieved| &retrieved.segment);
         segment[..found.len()].copy_from_slice(found);
@@ -212,11 +199,10 @@ impl MemoryEpisode {
             lane,
             step,
             distance,
-            window_len,
             segment_len: found.len() as u32,
             documents_len: named.len() as u32,
+            reserved: 0,
             documents,
-            window,
             segment,
         };
         let (case, demonstration, index) = match retrieved {

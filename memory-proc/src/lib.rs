@@ -23,4 +23,3 @@ pub mod run_documents;
 pub mod search_profile;
 pub mod serve;
 mod views;
-mod window;

@@ -217,7 +217,7 @@ impl<'a> MemoryServer<'a> {
         }
         self.bus.sender()?.send(&ShutdownReport {
             role: Role::Memory as u32,
-            frames_received: self.ports.frames.taken(),
+            frames_received: self.ports.frames.received(),
             // Workers read pixels in shared memory; this process sends frame ids only.
             pixel_bytes_copied: 0,
             error_reports: self.reporter.count().into(),

@@ -206,6 +206,8 @@ impl<'w> Lanes<'w> {
             lane: lane as u32,
             repeat: episode.key.run,
             starts_as_demonstrated: condition.is_hinted().into(),
+            // At most `MAX_WINDOW`, which the settings check.
+            window: condition.variation.window as u8,
             ..Zeroable::zeroed()
         };
         let task = &self.cases.cases[episode.case_index].task;
@@ -218,8 +220,6 @@ impl<'w> Lanes<'w> {
                 case: episode.case_index as u32,
                 demonstrations: condition.demonstrations.bits(),
                 representation: condition.memory as u8,
-                // At most `MAX_WINDOW`, which the settings check.
-                window: condition.variation.window as u8,
                 horizon: self.rules.horizon,
                 keyframes: self.rules.keyframes,
                 segment: condition.variation.segment.code() as u8,
@@ -403,17 +403,21 @@ impl<'w> Lanes<'w> {
         walk.stamps.recalled(&trace);
         walk.stamps.decided(&decision);
         let record = &mut walk.walked.record;
-        let told = |tokens: u32| (tokens != NOT_MEASURED).then_some(u64::from(tokens));
+        let counts = decision.counts();
         let sum = |sum: Option<u64>, more: Option<u64>| sum.zip(more).map(|(a, b)| a + b);
         record.requests = record.requests.map(|requests| requests + 1);
-        record.images = sum(record.images, Some(u64::from(decision.images)));
-        record.images_dropped += u64::from(decision.images_asked.saturating_sub(decision.images));
-        record.prompt_tokens = sum(record.prompt_tokens, told(decision.prompt_tokens));
-        record.completion_tokens = sum(record.completion_tokens, told(decision.completion_tokens));
-        record.memory_tokens = sum(record.memory_tokens, told(decision.memory_tokens));
-        let asked_a_model = decision.attempts > 0
+        record.images = sum(record.images, counts.images.map(u64::from));
+        record.images_dropped += counts
+            .images_asked
+            .zip(counts.images)
+            .map_or(0, |(asked, images)| u64::from(asked - images));
+        record.prompt_tokens = sum(record.prompt_tokens, counts.prompt_tokens.map(u64::from));
+        record.completion_tokens =
+            sum(record.completion_tokens, counts.completion_tokens.map(u64::from));
+        record.memory_tokens = sum(record.memory_tokens, counts.memory_tokens.map(u64::from));
+        let asked_a_model = counts.attempts.is_some_and(|attempts| attempts > 0)
             || decision.replayed != 0
-            || decision.prompt_tokens != NOT_MEASURED;
+            || counts.prompt_tokens.is_some();
         if asked_a_model {
             let key = record.key.clone();
             self.spent.push(Spent { key, decision });

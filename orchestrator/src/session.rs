@@ -7,7 +7,7 @@ use std::path::Path;
 use anyhow::Result;
 use domain::Outcome;
 use shm_types::ATTACH_VARIABLE;
-use shm_types::message::{Decision, Heartbeat, NOT_MEASURED, Role, ShutdownReport};
+use shm_types::message::{Decision, Heartbeat, Role, ShutdownReport};
 use shm_types::process::monotonic_ns;
 
 use crate::budget::Budget;
@@ -229,7 +229,7 @@ fn said_about(role: Role, said: &ShutdownReport) -> (String, BTreeMap<String, u6
 
 /// The record of the request that `decision` reports.
 fn request_record(key: String, session: u32, decision: &Decision) -> RequestRecord {
-    let measured = |count: u32| (count != NOT_MEASURED).then_some(count);
+    let counts = decision.counts();
     let latency_ns = decision.decided_ns.saturating_sub(decision.sent_ns);
     RequestRecord {
         key,
@@ -237,15 +237,15 @@ fn request_record(key: String, session: u32, decision: &Decision) -> RequestReco
         session,
         // Decisions with an invalid outcome are dropped before.
         outcome: Outcome::try_from(decision.outcome).unwrap_or(Outcome::Unreadable),
-        attempts: measured(decision.attempts),
+        attempts: counts.attempts,
         replayed: decision.replayed != 0,
         latency_us: (decision.sent_ns > 0).then_some(latency_ns / 1000),
-        images_asked: measured(decision.images_asked),
-        images: measured(decision.images),
-        prompt_tokens: measured(decision.prompt_tokens),
-        completion_tokens: measured(decision.completion_tokens),
-        cached_tokens: measured(decision.cached_tokens),
-        image_tokens: measured(decision.image_tokens),
-        memory_tokens: measured(decision.memory_tokens),
+        images_asked: counts.images_asked,
+        images: counts.images,
+        prompt_tokens: counts.prompt_tokens,
+        completion_tokens: counts.completion_tokens,
+        cached_tokens: counts.cached_tokens,
+        image_tokens: counts.image_tokens,
+        memory_tokens: counts.memory_tokens,
     }
 }

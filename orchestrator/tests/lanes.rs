@@ -241,10 +241,10 @@ fn what_an_episode_is_given_follows_from_its_own_condition() {
         let key = EpisodeKey { condition, run: 1, case };
         let opening = lanes.begin(0, Episode { key, case_index: 3, seed: 7 });
         lanes.give_up(0);
-        let MemoryEpisodeConfig { representation, demonstrations, window, horizon, .. } =
-            opening.memory;
+        let MemoryEpisodeConfig { representation, demonstrations, horizon, .. } = opening.memory;
         let MemoryEpisodeConfig { keyframes, segment, case, .. } = opening.memory;
         assert_eq!((case, horizon, keyframes), (3, 6, 40));
+        let window = opening.policy.window;
         let hinted = opening.policy.starts_as_demonstrated;
         let representation = Representation::try_from(representation).unwrap();
         format!(

@@ -14,12 +14,12 @@ mod usage;
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, PoisonError};
 
-use domain::prompt_log::{Exchange, Message, Part, hex};
+use domain::prompt_log::{RecordedExchange, RecordedMessage, RecordedPart, hex};
 use llm::{
     AskError, ChatAnswer, ChatClient, ChatMessage, ChatReply, ChatRequest, ChatRole, ContentPart,
     ImageUrl, MessageContent, ReplyContent,
 };
-use peer::{Answer, Answers, Decider, Decision, FrameView, Request, RequestId, ServeError, Usage};
+use peer::{Answer, Answers, Batch, Decider, Decision, FrameView, RequestId, ServeError, Usage};
 use prompt::image::ImageFormat;
 use prompt::{PartContent, Prompt, UnreadAnswer, read_answer};
 use shm_types::process::monotonic_ns;
@@ -95,7 +95,7 @@ impl Decider for Openai {
         ]
     }
 
-    fn take(&mut self, batch: &[Request<'_>], answers: &Answers) -> Result<(), ServeError> {
+    fn take(&mut self, batch: &Batch<'_>, answers: &Answers) -> Result<(), ServeError> {
         *self.answers.lock().unwrap_or_else(PoisonError::into_inner) = Some(answers.clone());
         let budget = self.settings.image_budget;
         let prompts: Vec<_> = batch.iter().map(|request| Prompt::new(request, budget)).collect();
@@ -163,7 +163,7 @@ struct PendingRequest {
     token_fits: TokenFits,
     prompted_ns: u64,
     /// For the prompt log, where there is one.
-    exchange: Option<Exchange>,
+    exchange: Option<RecordedExchange>,
     answers: Answers,
 }
 
@@ -176,7 +176,7 @@ impl PendingRequest {
                 self.record(None, None);
                 return self.answers.fail(id, error.to_string());
             }
-            Err(AskError::Stopped(why)) => return self.answers.halt(why),
+            Err(AskError::Stopped(why)) => return self.answers.stop_run(why),
         };
         let read = read_reply(&answered.reply);
         self.record(Some(&answered.reply), read.err());
@@ -189,7 +189,7 @@ impl PendingRequest {
         if let Some(exchange) = self.exchange.take() {
             let reply = reply.map(|reply| reply.text().to_owned());
             let unread = unread.map(|unread| unread.to_string());
-            self.answers.record(self.id, || Exchange { reply, unread, ..exchange });
+            self.answers.record(self.id, || RecordedExchange { reply, unread, ..exchange });
         }
     }
 
@@ -220,18 +220,18 @@ impl PendingRequest {
 }
 
 /// A prompt as the prompt log stores it.
-fn exchange(prompt: &Prompt<'_>) -> Exchange {
+fn exchange(prompt: &Prompt<'_>) -> RecordedExchange {
     let user = prompt.parts.iter().map(|part| match &part.content {
-        PartContent::Text(text) => Part::Text(text.clone()),
-        PartContent::View(view) => Part::Image(hex(view.content_hash)),
+        PartContent::Text(text) => RecordedPart::Text(text.clone()),
+        PartContent::View(view) => RecordedPart::Image(hex(view.content_hash)),
     });
-    let message = |role: &str, parts| Message { role: role.to_owned(), parts };
-    Exchange {
+    let message = |role: &str, parts| RecordedMessage { role: role.to_owned(), parts };
+    RecordedExchange {
         messages: vec![
-            message("system", vec![Part::Text(prompt.system.to_owned())]),
+            message("system", vec![RecordedPart::Text(prompt.system.to_owned())]),
             message("user", user.collect()),
         ],
-        ..Exchange::default()
+        ..RecordedExchange::default()
     }
 }
 

@@ -126,8 +126,13 @@ impl Bench {
 
     /// An episode in `lane`; the instruction contains the lane's number.
     fn begin(&self, lane: u32) {
+        self.begin_with_window(lane, 0);
+    }
+
+    fn begin_with_window(&self, lane: u32, window: u8) {
         let episode = episode(lane);
-        let mut config = PolicyEpisodeConfig { lane, episode, repeat: 1, ..Zeroable::zeroed() };
+        let mut config =
+            PolicyEpisodeConfig { lane, episode, repeat: 1, window, ..Zeroable::zeroed() };
         config.instruction_len = write_text(&mut config.instruction, &format!("Find item {lane}."));
         self.configs.send(&config).unwrap();
     }
@@ -326,17 +331,17 @@ fn images_are_kept_to_the_budget() {
     let budget = OpenaiSettings { image_budget: 3, image_format: ImageFormat::Jpeg, ..settings() };
     let mut bench = Bench::new(server, budget);
     let frames = [10, 20, 30, 40].map(|grey| bench.publish(grey));
-    let mut recall = Recall { window_len: 2, segment_len: 2, distance: 0.5, ..no_memory() };
-    for (past, frame) in recall.window.iter_mut().zip([frames[0], frames[1]]) {
-        (past.frame, past.feedback) = (frame, Feedback::Moved as u8);
-    }
+    let mut recall = Recall { segment_len: 2, distance: 0.5, ..no_memory() };
     for (view, frame) in recall.segment.iter_mut().zip([frames[2], frames[0]]) {
         view.frame = frame;
     }
-    for lane in 0..2 {
-        bench.begin(lane);
-        bench.step(lane, 0, frames[3], recall);
+    (0..2).for_each(|lane| bench.begin_with_window(lane, 2));
+    for step in 0..2 {
+        (0..2).for_each(|lane| bench.step(lane, step, frames[step as usize], no_memory()));
+        bench.notify();
+        bench.decisions(2);
     }
+    (0..2).for_each(|lane| bench.step(lane, 2, frames[3], recall));
     bench.notify();
     for decision in bench.decisions(2) {
         assert_eq!((decision.images_asked, decision.images), (5, 3));

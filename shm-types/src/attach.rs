@@ -312,8 +312,12 @@ impl Attach {
     /// Chunks of the frame store, one frame each: frames that are resident, that renderers fill, and that are evicted
     /// but still pinned by a consumer. Shared memory never holds more.
     pub const fn frame_chunks(&self) -> u32 {
-        let lag = self.frame_capacity / 8 + self.lanes + 16;
-        self.frame_capacity + MAX_LOANED_FRAMES + lag
+        self.frame_capacity + MAX_LOANED_FRAMES + self.spare_frames()
+    }
+
+    /// Chunks for frames that are evicted but still pinned.
+    pub const fn spare_frames(&self) -> u32 {
+        self.frame_capacity / 8 + self.lanes + 16
     }
 
     /// Messages of a service that can wait for one receiver: the queue length that all processes must agree on.

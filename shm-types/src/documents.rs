@@ -1,9 +1,8 @@
-//! Documents: what memory supplies that is too large for a message, published once and then named by id.
+//! Documents: what memory supplies that is too long for a message, published once and then identified by id.
 //!
-//! Memory publishes a document before the first [`Recall`](crate::message::Recall) that names it. A
-//! document is either for the whole run (episode 0), or belongs to one episode of one lane and is forgotten
-//! with it. The policy keeps a copy of the bytes, made once: documents are text and short lists, never
-//! pixels, which stay in the [frame store](crate::frames) and are named by id here, too.
+//! Memory publishes a document before the first [`Recall`](crate::message::Recall) that names it. A document belongs to
+//! the whole run (episode 0), or to one episode of one lane and is dropped with it. The policy copies its bytes once:
+//! documents are texts and short lists. Pixels stay in the [frame store](crate::frames).
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -27,17 +26,17 @@ pub const DOCUMENT_SERVICE: &str = "document";
 /// Most bytes of a document: far more than any prompt holds.
 pub const MAX_DOCUMENT_BYTES: usize = 16 << 20;
 
-/// Bytes that a document may have without a further piece of shared memory.
-const USUAL_BYTES: usize = 16 << 10;
+/// Bytes of a document for which shared memory is reserved from the start.
+const INITIAL_BYTES: usize = 16 << 10;
 
-/// Documents for the whole run that can wait beside those of episodes.
+/// Documents of the whole run that can wait beside those of episodes.
 const RUN_DOCUMENTS: usize = 64;
 
 /// Bits of a document id below the generation.
 const ID_BITS: u32 = 40;
 
 wire_struct! {
-    /// What travels with a document's bytes.
+    /// The header of a document.
     DocumentHeader: Eq Default, "memtransfer.DocumentHeader", 24 bytes {
         /// The document's id.
         id: DocumentId,
@@ -50,7 +49,7 @@ wire_struct! {
     }
 }
 
-/// What a document says.
+/// The content of a document.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Content {
     /// Object locations, landmarks and routes.
@@ -62,7 +61,7 @@ pub enum Content {
 }
 
 impl Content {
-    /// What kind of document this is.
+    /// The kind of document.
     pub const fn kind(&self) -> DocumentKind {
         match self {
             Self::Summary(_) => DocumentKind::Summary,
@@ -109,7 +108,7 @@ impl Content {
     }
 }
 
-/// A document as it was received.
+/// A received document.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Document {
     /// Its id.
@@ -118,7 +117,7 @@ pub struct Document {
     pub episode: u64,
     /// That episode's lane.
     pub lane: u32,
-    /// What it says.
+    /// Its content.
     pub content: Content,
 }
 
@@ -131,12 +130,12 @@ pub enum DocumentError {
         /// Its bytes.
         bytes: usize,
     },
-    /// What arrived is no document; it is dropped, and the next call goes on after it.
+    /// A received document is invalid; it is dropped, and the next call goes on after it.
     #[error("document {id}: {problem}")]
     Unusable {
         /// Its id.
         id: DocumentId,
-        /// What is wrong with it.
+        /// The problem.
         problem: UnknownCode,
     },
     /// The bus failed.
@@ -144,7 +143,7 @@ pub enum DocumentError {
     Bus(#[from] BusError),
 }
 
-/// Documents that can wait for the policy.
+/// Documents that can wait for the policy: the queue length that both processes must agree on.
 pub const fn queue_len(attach: &Attach) -> usize {
     2 * attach.lanes as usize + RUN_DOCUMENTS
 }
@@ -164,7 +163,7 @@ fn service(bus: &Bus) -> Result<PortFactory<Ipc, [u8], DocumentHeader>, BusError
         .map_err(|e| BusError::open("cannot open the service of documents", e))
 }
 
-/// The memory's end.
+/// Publishes documents; for memory.
 #[derive(Debug)]
 pub struct DocumentPublisher {
     publisher: Publisher<Ipc, [u8], DocumentHeader>,
@@ -174,7 +173,7 @@ pub struct DocumentPublisher {
 }
 
 impl DocumentPublisher {
-    /// The publishing end.
+    /// A publisher.
     ///
     /// # Errors
     /// When this process is not the memory, or the service cannot be opened.
@@ -185,7 +184,7 @@ impl DocumentPublisher {
         }
         let publisher = service(bus)?
             .publisher_builder()
-            .initial_max_slice_len(USUAL_BYTES)
+            .initial_max_slice_len(INITIAL_BYTES)
             .allocation_strategy(AllocationStrategy::PowerOfTwo)
             .max_loaned_samples(1)
             .set_backpressure_handler(|_| BackpressureAction::DiscardDataAndFail)
@@ -195,7 +194,7 @@ impl DocumentPublisher {
         Ok(Self { publisher, generation: attach.generation, published: 0, readers })
     }
 
-    /// Makes a document known, for `episode` (lane and ticket) or for the whole run, and names it.
+    /// Publishes a document for an episode (lane and id) or for the whole run, and returns its id.
     ///
     /// # Errors
     /// When it is too long, or the policy does not receive it.
@@ -222,7 +221,7 @@ impl DocumentPublisher {
     }
 }
 
-/// The policy's end: keeps every document that can still be named.
+/// The documents that the policy has received and that messages can still name.
 #[derive(Debug)]
 pub struct DocumentStore {
     subscriber: Subscriber<Ipc, [u8], DocumentHeader>,
@@ -230,7 +229,7 @@ pub struct DocumentStore {
 }
 
 impl DocumentStore {
-    /// An empty store that gets every document published from now on.
+    /// An empty store, which receives every document published from now on.
     ///
     /// # Errors
     /// When this process is not the policy, or the service cannot be opened.
@@ -246,10 +245,10 @@ impl DocumentStore {
         Ok(Self { subscriber, documents: HashMap::new() })
     }
 
-    /// The document that `id` names: `None` when there is none.
+    /// The document that `id` names, if there is one.
     ///
     /// # Errors
-    /// When a document that arrived cannot be used; it is dropped, and the next call goes on after it.
+    /// When a received document is invalid; it is dropped, and the next call goes on after it.
     pub fn get(&mut self, id: DocumentId) -> Result<Option<&Arc<Document>>, DocumentError> {
         if !self.documents.contains_key(&id) {
             self.take_waiting()?;
@@ -257,16 +256,17 @@ impl DocumentStore {
         Ok(self.documents.get(&id))
     }
 
-    /// Episode `episode` begins in `lane`: what belonged to the lane's earlier ones is forgotten.
+    /// Episode `episode` begins in `lane`: drops the documents of the lane's earlier episodes.
     pub fn begin(&mut self, lane: u32, episode: u64) {
-        // Tickets grow, and what belongs to a later episode has come early.
+        // Episode ids grow; documents of a later episode may have arrived early.
         self.documents.retain(|_, document| {
             document.episode == 0 || document.lane != lane || document.episode >= episode
         });
     }
 
-    /// Documents kept now.
-    pub fn held(&self) -> usize {
+    /// Documents in the store.
+    #[expect(clippy::len_without_is_empty, reason = "emptiness is not asked for")]
+    pub fn len(&self) -> usize {
         self.documents.len()
     }
 

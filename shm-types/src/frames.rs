@@ -1,22 +1,22 @@
-//! The frame store: every view is written once into shared memory and held by all under its id.
+//! The frame store: every view is written into shared memory once, and identified by its id from then on.
 //!
-//! The simulator loans a [`FrameSlot`], lets the renderer write into it, and publishes it. Consumers keep
-//! what they are given in a [`FrameStore`] and look frames up by the ids that messages carry. Nobody
-//! copies pixels, and a published frame never changes: iceoryx2 gives its chunk to a new frame only after
-//! the simulator evicted it and every consumer has let go.
+//! The simulator loans a [`FrameSlot`], lets the renderer write into it, and publishes it. Consumers keep received frames
+//! in a [`FrameStore`] and look them up by the ids in messages. No process copies pixels, and a published frame never
+//! changes: iceoryx2 reuses its chunk only after the simulator has evicted it and every consumer has dropped it.
 //!
 //! # Memory
-//! The store owns [`frame_chunks`](crate::Attach::frame_chunks) chunks. They are reused last freed, first used, so a run
-//! touches about as many as are alive at once. A chunk is free again when every consumer has applied the
-//! eviction; the store has more chunks than may be resident so that the simulator need not wait for that,
-//! and if a consumer falls far behind, [`FramePublisher::loan`] says so with [`FrameError::NoChunk`].
+//! The store owns [`frame_chunks`](crate::Attach::frame_chunks) chunks. The chunk that was freed last is used first, so a
+//! run touches about as many as are in use at the same time. A chunk is free when every consumer has dropped its frame.
+//! There are more chunks than may be resident, so that the simulator need not wait for that; if a consumer falls far
+//! behind, [`FramePublisher::loan`] returns [`FrameError::NoChunk`].
 //!
 //! # Order
-//! A frame is published before any message that names it, and evicted after every message that does has
-//! been answered. So a consumer that meets an unknown id finds the frame waiting in its queue.
+//! A frame is published before any message that names it, and evicted after every such message has been answered. So a
+//! consumer that reads an unknown id finds the frame in its queue.
 
 use std::collections::hash_map::Entry;
-use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
+use std::sync::{Arc, Weak};
 
 use bytemuck::{Pod, Zeroable};
 use iceoryx2::port::publisher::Publisher;
@@ -38,13 +38,13 @@ use crate::transport::{BusError, Ipc, delivered};
 /// Last part of the name of the service that carries frames.
 pub const FRAME_SERVICE: &str = "frame";
 
-/// Who holds frames.
+/// The roles that receive frames.
 pub const FRAME_CONSUMERS: [Role; 2] = [Role::Memory, Role::Policy];
 
 /// Bits of a frame id below the generation.
 const ID_BITS: u32 = 40;
 
-/// One page of a frame. The alignment is what a graphics device needs to write into it.
+/// A page of a frame, aligned so that a graphics device can write into it.
 #[derive(Debug, Clone, Copy, Pod, Zeroable, ZeroCopySend)]
 #[repr(C)]
 #[repr(align(4096))]
@@ -52,7 +52,7 @@ const ID_BITS: u32 = 40;
 pub struct Page(pub [u8; PAGE_BYTES]);
 
 wire_struct! {
-    /// What travels with the pixels.
+    /// The header of a frame.
     FrameHeader: Eq Default, "memtransfer.FrameHeader", 32 bytes {
         /// The frame's id.
         id: FrameId,
@@ -79,7 +79,7 @@ impl Layout for Page {
             shape: <[u8; PAGE_BYTES]>::SHAPE,
             offset: 0,
             bytes: PAGE_BYTES,
-            doc: "Its part of the pixels; what is left of a frame's last page means nothing.",
+            doc: "Pixels; the rest of a frame's last page is undefined.",
         }],
     };
 }
@@ -87,20 +87,19 @@ impl Layout for Page {
 /// Why a frame cannot be loaned, published or looked up.
 #[derive(Debug, thiserror::Error)]
 pub enum FrameError {
-    /// Every chunk is in use: consumers have not let go of enough evicted frames. Ring them, wait a
-    /// little, and try again for a bounded time.
+    /// Every chunk is in use: consumers have not dropped enough evicted frames. Notify them and try again for a
+    /// bounded time.
     #[error(
-        "all {chunks} chunks of the frame store are in use: memory or policy does not let go of evicted \
-         frames"
+        "all {chunks} chunks of the frame store are in use: memory or policy does not release evicted frames"
     )]
     NoChunk {
-        /// How many there are.
+        /// Chunks of the store.
         chunks: u32,
     },
-    /// More slots at once than a renderer may fill.
-    #[error("{MAX_LOANED_FRAMES} frames are being filled already: publish or drop one first")]
+    /// Too many slots at the same time.
+    #[error("{MAX_LOANED_FRAMES} frame slots are in use: publish or drop one first")]
     TooManySlots,
-    /// A frame arrived that is not what the run agreed on.
+    /// A received frame has the wrong size.
     #[error(
         "frame {id} is {width} x {height} in {pages} pages instead of {} x {} in {}",
         expected.width, expected.height, expected.pages()
@@ -108,17 +107,17 @@ pub enum FrameError {
     Shape {
         /// Its id.
         id: FrameId,
-        /// The width it claims.
+        /// Its width.
         width: u32,
-        /// The height it claims.
+        /// Its height.
         height: u32,
         /// Its pages.
         pages: u64,
-        /// What the run agreed on.
+        /// The frame size of the run.
         expected: FrameSize,
     },
-    /// A frame arrived under an id that names none, or names another frame.
-    #[error("a frame arrived under id {id}, which names {}", if *id == NO_FRAME { "none" } else { "another" })]
+    /// A received frame has the id 0, or that of another frame.
+    #[error("a received frame has the id {id}, which is {}", if *id == NO_FRAME { "reserved" } else { "in use" })]
     Id {
         /// The id.
         id: FrameId,
@@ -144,7 +143,7 @@ fn service(bus: &Bus) -> Result<PortFactory<Ipc, [Page], FrameHeader>, BusError>
         .map_err(|e| BusError::open("cannot open the frame store", e))
 }
 
-/// The simulator's end: hands out slots to fill.
+/// Publishes frames; for the simulator.
 #[derive(Debug)]
 pub struct FramePublisher {
     publisher: Publisher<Ipc, [Page], FrameHeader>,
@@ -187,16 +186,16 @@ impl FramePublisher {
         })
     }
 
-    /// Whether every consumer is there. Publish nothing before: what a consumer has missed it never gets.
+    /// Whether all consumers exist. Publish nothing before: a consumer never gets earlier frames.
     pub fn is_complete(&self) -> bool {
         self.service.dynamic_config().number_of_subscribers() >= self.consumers
     }
 
-    /// A slot to fill. Its bytes are what an earlier frame left there, or zero. At most
-    /// [`MAX_LOANED_FRAMES`] at once; one that is dropped unpublished is free again.
+    /// A slot to write a frame into. Its bytes are zero or those of an earlier frame. A slot that is dropped unpublished is
+    /// free again.
     ///
     /// # Errors
-    /// When every chunk is in use, or as many slots are out as may be.
+    /// When every chunk is in use, or [`MAX_LOANED_FRAMES`] slots exist.
     pub fn loan(&self) -> Result<FrameSlot, FrameError> {
         let sample =
             self.publisher.loan_slice_uninit(self.size.pages()).map_err(|error| match error {
@@ -205,14 +204,13 @@ impl FramePublisher {
                 e => BusError::transport("loaning a frame", e).into(),
             })?;
         #[expect(unsafe_code, reason = "shared memory is initialised by the system")]
-        // SAFETY: the chunk lies in a file mapping, whose bytes the system has set to zero, and a `Page` is
-        // plain bytes: every value of them is one.
+        // SAFETY: the chunk lies in a file mapping, whose bytes the kernel has initialised with zeros, and every bit pattern
+        // is a valid `Page`.
         let sample = unsafe { sample.assume_init() };
         Ok(FrameSlot { sample, size: self.size })
     }
 
-    /// Makes a filled slot a frame that every consumer gets, and names it. Ids grow by one and are never
-    /// used again within a run.
+    /// Sends a slot to all consumers as a frame and returns its id. Ids grow by one and are never reused within a run.
     ///
     /// # Errors
     /// When a consumer's queue is full or a consumer is missing.
@@ -230,7 +228,7 @@ impl FramePublisher {
     }
 }
 
-/// A frame that is being filled.
+/// A frame that is being written.
 #[derive(Debug)]
 pub struct FrameSlot {
     sample: SampleMut<Ipc, [Page], FrameHeader>,
@@ -238,7 +236,7 @@ pub struct FrameSlot {
 }
 
 impl FrameSlot {
-    /// The slot's pages, page-aligned: the pixels, and what is left of the last page.
+    /// The slot's pages: the pixels, and the rest of the last page.
     pub fn pages_mut(&mut self) -> &mut [Page] {
         self.sample.payload_mut()
     }
@@ -254,32 +252,36 @@ impl FrameSlot {
         &bytemuck::cast_slice(self.sample.payload())[..self.size.bytes()]
     }
 
-    /// Where the first page lies: a multiple of 4096 that stays mapped, and names the same chunk, for as
-    /// long as the publisher exists.
+    /// The address of the first page. It stays mapped, and belongs to the same chunk, while the publisher exists.
     pub fn as_mut_ptr(&mut self) -> *mut Page {
         self.sample.payload_mut().as_mut_ptr()
     }
 }
 
-/// A frame that this process holds. Its pixels do not change and stay where they are until the last
-/// holder drops it, evicted or not.
+/// A received frame. Its pixels do not change and stay mapped until it is dropped, even after its eviction.
 #[derive(Debug)]
 pub struct Frame {
     header: FrameHeader,
     size: FrameSize,
+    evicted: AtomicBool,
     sample: Sample<Ipc, [Page], FrameHeader>,
 }
 
-#[expect(unsafe_code, reason = "frames are looked at by worker threads")]
-// SAFETY: a `&Frame` gives out a copied header and a shared slice of memory that nobody writes while the
-// sample exists. Reading the sample's length locks the subscriber's mutex (`ipc_threadsafe`), and the sample
-// itself is `Send`, so the last holder may drop it on any thread.
+#[expect(unsafe_code, reason = "worker threads read frames")]
+// SAFETY: a `&Frame` gives access to a copied header, an atomic, and a shared slice of memory that no process writes while
+// the sample exists. Reading the sample's length locks the subscriber's mutex (`ipc_threadsafe`), and the sample itself is
+// `Send`, so it may be dropped on any thread.
 unsafe impl Sync for Frame {}
 
 impl Frame {
     /// The frame's id.
     pub fn id(&self) -> FrameId {
         self.header.id
+    }
+
+    /// Whether the simulator has evicted the frame: no later message names it.
+    pub fn is_evicted(&self) -> bool {
+        self.evicted.load(Relaxed)
     }
 
     /// Width and height in pixels.
@@ -298,21 +300,23 @@ impl Frame {
     }
 }
 
-/// A consumer's end: holds every frame that is resident.
+/// The frames that a consumer has received and that are not evicted.
 #[derive(Debug)]
 pub struct FrameStore {
     subscriber: Subscriber<Ipc, [Page], FrameHeader>,
     evictions: Receiver<Eviction>,
     size: FrameSize,
     frames: FxHashMap<FrameId, Arc<Frame>>,
-    taken: u64,
+    /// Evicted frames that are in use outside the store.
+    pinned: Vec<Weak<Frame>>,
+    received: u64,
 }
 
 impl FrameStore {
-    /// An empty store that gets every frame published from now on.
+    /// An empty store, which receives every frame published from now on.
     ///
     /// # Errors
-    /// When this process is not a consumer of frames, or a service cannot be opened.
+    /// When this role does not receive frames, or a service cannot be opened.
     pub fn new(bus: &Bus) -> Result<Self, BusError> {
         let role = bus.role();
         if !FRAME_CONSUMERS.contains(&role) {
@@ -324,13 +328,20 @@ impl FrameStore {
             .create()
             .map_err(|e| BusError::open("cannot receive frames", e))?;
         let size = bus.attach().frame;
-        Ok(Self { subscriber, evictions, size, frames: FxHashMap::default(), taken: 0 })
+        Ok(Self {
+            subscriber,
+            evictions,
+            size,
+            frames: FxHashMap::default(),
+            pinned: Vec::new(),
+            received: 0,
+        })
     }
 
-    /// The frame that `id` names: `None` when there is none, because it was evicted or never published.
+    /// The frame that `id` names; `None` if it was evicted or never published.
     ///
     /// # Errors
-    /// When a frame that arrived cannot be used; it is dropped, and the next call goes on after it.
+    /// When a received frame is invalid; it is dropped, and the next call goes on after it.
     pub fn get(&mut self, id: FrameId) -> Result<Option<&Arc<Frame>>, FrameError> {
         if !self.frames.contains_key(&id) {
             self.take_waiting()?;
@@ -338,8 +349,8 @@ impl FrameStore {
         Ok(self.frames.get(&id))
     }
 
-    /// Lets go of every frame that was evicted; returns how many. Call it whenever the process wakes:
-    /// what is not let go of keeps its memory.
+    /// Drops the frames that were evicted, and returns how many. Call it whenever the process wakes: a frame that is not
+    /// dropped keeps its memory.
     ///
     /// # Errors
     /// As [`FrameStore::get`], and when the transport fails.
@@ -347,22 +358,38 @@ impl FrameStore {
         let mut evicted = 0;
         while let Some(Eviction { frame }) = self.evictions.next()? {
             if !self.frames.contains_key(&frame) {
-                // Never asked for, so still in the queue.
+                // Never looked up, so still in the queue.
                 self.take_waiting()?;
             }
-            evicted += usize::from(self.frames.remove(&frame).is_some());
+            if let Some(frame) = self.frames.remove(&frame) {
+                evicted += 1;
+                frame.evicted.store(true, Relaxed);
+                if Arc::strong_count(&frame) > 1 {
+                    self.pinned.push(Arc::downgrade(&frame));
+                }
+            }
         }
         Ok(evicted)
     }
 
-    /// Frames held now.
-    pub fn held(&self) -> usize {
+    /// Frames in the store.
+    #[expect(
+        clippy::len_without_is_empty,
+        reason = "the number is reported, emptiness is not asked for"
+    )]
+    pub fn len(&self) -> usize {
         self.frames.len()
     }
 
-    /// Frames that were ever taken hold of.
-    pub fn taken(&self) -> u64 {
-        self.taken
+    /// Frames received so far.
+    pub fn received(&self) -> u64 {
+        self.received
+    }
+
+    /// Evicted frames that this process still uses, and whose memory is therefore not free.
+    pub fn evicted_but_pinned(&mut self) -> usize {
+        self.pinned.retain(|frame| frame.strong_count() > 0);
+        self.pinned.len()
     }
 
     fn take_waiting(&mut self) -> Result<(), FrameError> {
@@ -382,8 +409,9 @@ impl FrameStore {
         }
         match self.frames.entry(id) {
             Entry::Vacant(entry) if id != NO_FRAME => {
-                entry.insert(Arc::new(Frame { header, size: expected, sample }));
-                self.taken += 1;
+                let evicted = AtomicBool::new(false);
+                entry.insert(Arc::new(Frame { header, size: expected, evicted, sample }));
+                self.received += 1;
                 Ok(())
             }
             _ => Err(FrameError::Id { id }),

@@ -20,7 +20,7 @@ mod codes;
 pub use codes::{CODE_SETS, ErrorReportKind, Role, StepKind, ViewRequestKind};
 
 /// Version of everything that `docs/wire.md` describes; compared when a process attaches.
-pub const WIRE_VERSION: u32 = 5;
+pub const WIRE_VERSION: u32 = 6;
 
 /// Longest window of past steps.
 pub const MAX_WINDOW: usize = 32;
@@ -181,20 +181,6 @@ impl TryFrom<WirePose> for Pose {
 }
 
 wire_struct! {
-    /// One past step: the view, the action taken there, and the feedback to it.
-    PastStep, "memtransfer.PastStep", 16 bytes {
-        /// The view before the action.
-        frame: FrameId,
-        /// Code of the [`Action`](domain::Action) taken, or [`NO_ACTION`].
-        action: u8,
-        /// Code of the [`Feedback`](domain::Feedback) it got.
-        feedback: u8,
-        /// Zero.
-        reserved: [u8; 6],
-    }
-}
-
-wire_struct! {
     /// One view of a retrieved segment, and the expert's action there.
     SegmentStep, "memtransfer.SegmentStep", 16 bytes {
         /// The remembered view.
@@ -296,16 +282,14 @@ messages! {
         demonstrations: u32,
         /// Code of the [`Representation`](domain::Representation).
         representation: u8,
-        /// Window length h, at most [`MAX_WINDOW`].
-        window: u8,
         /// Expert actions a retrieved segment follows, H_epi, less than [`MAX_SEGMENT`].
         horizon: u8,
         /// Keyframes of full-context memory, shared by all its demonstrations.
         keyframes: u8,
-        /// Code of the [`SegmentContent`].
+        /// Code of the [`SegmentContent`](domain::SegmentContent).
         segment: u8,
         /// Zero.
-        reserved: [u8; 7],
+        reserved: [u8; 8],
     }
 
     /// Orchestrator to policy, before a reset: the lane's next episode.
@@ -323,8 +307,10 @@ messages! {
         repeat: u32,
         /// 1 when the prompt says that a demonstration started in this episode's start pose.
         starts_as_demonstrated: u8,
+        /// Window length h, at most [`MAX_WINDOW`]: how many past steps belong to a request.
+        window: u8,
         /// Zero.
-        reserved: [u8; 3],
+        reserved: [u8; 2],
         /// The instruction, UTF-8.
         instruction: [u8; MAX_INSTRUCTION],
     }
@@ -361,7 +347,7 @@ messages! {
     }
 
     /// Memory to policy: what memory supplies for a step.
-    Recall, "memtransfer.Recall", "recall", 1104 bytes,
+    Recall, "memtransfer.Recall", "recall", 592 bytes,
         [Memory] to [Policy], Lanes {
         /// The episode.
         episode: u64,
@@ -375,16 +361,14 @@ messages! {
         step: u32,
         /// Cosine distance of the segment's first view to the current one; NaN without a segment.
         distance: f32,
-        /// Entries of `window` in use, oldest first.
-        window_len: u32,
         /// Entries of `segment` in use: 0 without a retrieval.
         segment_len: u32,
         /// Entries of `documents` in use.
         documents_len: u32,
+        /// Zero.
+        reserved: u32,
         /// Documents, in order. A document is published before the first recall that names it.
         documents: [DocumentId; MAX_DOCUMENTS],
-        /// The last steps before the current one, oldest first.
-        window: [PastStep; MAX_WINDOW],
         /// The matched view, then the views after each of the expert's actions.
         segment: [SegmentStep; MAX_SEGMENT],
     }
@@ -474,9 +458,9 @@ messages! {
         images: u32,
         /// Requests sent to a model's server for this decision, including failed ones.
         attempts: u32,
-        /// An [`Outcome`] code.
+        /// An [`Outcome`](domain::Outcome) code.
         outcome: u8,
-        /// Code of the action when the outcome is [`Outcome::Acted`], otherwise [`NO_ACTION`].
+        /// Code of the action when the outcome is [`Acted`](domain::Outcome::Acted), otherwise [`NO_ACTION`].
         action: u8,
         /// 1 when the reply came from the response cache.
         replayed: u8,
@@ -547,6 +531,49 @@ messages! {
     }
 }
 
+/// The counts of a [`Decision`] that are known and possible.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct DecisionCounts {
+    /// Images of the request.
+    pub images_asked: Option<u32>,
+    /// Images that the policy used.
+    pub images: Option<u32>,
+    /// Requests sent to a model's server.
+    pub attempts: Option<u32>,
+    /// Tokens of the prompt.
+    pub prompt_tokens: Option<u32>,
+    /// Tokens of the completion.
+    pub completion_tokens: Option<u32>,
+    /// Tokens of the prompt that the server took from its cache.
+    pub cached_tokens: Option<u32>,
+    /// Tokens of the prompt's images.
+    pub image_tokens: Option<u32>,
+    /// Tokens of the prompt that are memory.
+    pub memory_tokens: Option<u32>,
+}
+
+/// Larger counts of images, attempts or tokens in one decision are not possible.
+const MAX_COUNT: u32 = 1 << 24;
+
+impl Decision {
+    /// The counts: without those that are [`NOT_MEASURED`] or not possible, such as more images used than asked.
+    pub fn counts(&self) -> DecisionCounts {
+        let known = |count: u32| (count <= MAX_COUNT).then_some(count);
+        let images_asked = known(self.images_asked);
+        let fits = |images: &u32| images_asked.is_none_or(|asked| *images <= asked);
+        DecisionCounts {
+            images_asked,
+            images: known(self.images).filter(fits),
+            attempts: known(self.attempts),
+            prompt_tokens: known(self.prompt_tokens),
+            completion_tokens: known(self.completion_tokens),
+            cached_tokens: known(self.cached_tokens),
+            image_tokens: known(self.image_tokens),
+            memory_tokens: known(self.memory_tokens),
+        }
+    }
+}
+
 /// Copies as much of `text` as fits into `buffer`, cut at a character; returns the bytes used.
 pub fn write_text(buffer: &mut [u8], text: &str) -> u32 {
     let mut end = text.len().min(buffer.len());
@@ -594,7 +621,31 @@ mod tests {
     }
 
     #[test]
-    fn every_message_has_a_way_to_go() {
+    fn counts_that_are_not_known_or_not_possible_are_absent() {
+        let decision = Decision {
+            images_asked: 4,
+            images: 3,
+            attempts: 1,
+            prompt_tokens: NOT_MEASURED,
+            ..Zeroable::zeroed()
+        };
+        let counts = decision.counts();
+        assert_eq!((counts.images_asked, counts.images), (Some(4), Some(3)));
+        assert_eq!((counts.attempts, counts.prompt_tokens), (Some(1), None));
+        let unknown = Decision {
+            images_asked: NOT_MEASURED,
+            images: NOT_MEASURED,
+            attempts: NOT_MEASURED,
+            ..decision
+        };
+        let counts = unknown.counts();
+        assert_eq!((counts.images_asked, counts.images, counts.attempts), (None, None, None));
+        assert_eq!(Decision { images: 5, ..decision }.counts().images, None);
+        assert_eq!(Decision { attempts: NOT_MEASURED - 1, ..decision }.counts().attempts, None);
+    }
+
+    #[test]
+    fn every_message_has_senders_and_receivers() {
         fn check<M: Message>() {
             assert!(!M::FROM.is_empty() && !M::TO.is_empty(), "{}", M::SERVICE);
             assert!(M::FROM.iter().all(|role| !M::TO.contains(role)), "{}", M::SERVICE);

@@ -398,7 +398,7 @@ fn an_episode_longer_than_the_store_evicts_and_memory_stays_bounded() {
                 peers.ask(&act(lane as u32, episode, step, Action::TurnRight))
             };
             recent[lane].push((seen.frame, Pose::try_from(seen.pose).unwrap()));
-            assert!(peers.stores[0].held() <= 6);
+            assert!(peers.stores[0].len() <= 6);
         }
         for (frame, pose) in recent.concat() {
             assert_eq!(peers.shown_code(frame), code(&Variant::UNCHANGED, pose));

@@ -43,33 +43,30 @@ fn the_built_in_policies_conform() {
 fn what_a_policy_does_wrong_is_named() {
     let bench = Bench::new();
     let faults = [
-        ("no-hello", "says hello", "no hello within 3 s"),
-        ("old", "says hello", "it says hello with wire version"),
+        ("no-handshake", "joins", "no handshake within 3 s"),
+        ("old", "joins", "its handshake has wire version"),
         ("silent", "answers a step", "no answer to step 0 of lane 0 within 2 s"),
-        (
-            "wrong-lane",
-            "answers a step",
-            "nobody asked for: no episode of that lane has the ticket",
-        ),
-        ("no-such-lane", "answers a step", "a decision for lane 4242, and the lanes are 0 to 63"),
-        ("wrong-step", "answers a step", "nobody asked for: step 0 was asked for"),
-        ("garbage", "answers a step", "is no decision: 77 is not an outcome"),
+        ("wrong-lane", "answers a step", "without a request: the lane has no such episode"),
+        ("no-such-lane", "answers a step", "a decision for lane 4242, but the lanes are 0 to 63"),
+        ("wrong-step", "answers a step", "without a request: its last request is step 0"),
+        ("garbage", "answers a step", "is invalid: 77 is not an outcome"),
         ("twice", "answers a step", "a second decision for step 0 of lane 0"),
         ("flood", "answers a step", "a second decision for step 0 of lane 0"),
-        ("decides-the-end", "walks an episode", "which could not be decided"),
+        ("decides-the-end", "runs an episode", "which could not be decided"),
+        ("miscounts", "counts correctly", "`images` is 4294967294 for a request with 4 images"),
         ("crash", "answers 64 lanes at once", "I am no good at this"),
-        ("takes-the-late", "ignores what is late", "which could not be decided"),
+        ("takes-the-late", "ignores late messages", "which could not be decided"),
         ("decides-early", "waits for slow messages", "which could not be decided"),
-        ("keeps-frames", "lets go of frames", "it holds most of the"),
+        ("keeps-frames", "releases frames", "it still keeps most of the"),
         (
             "draws",
-            "survives garbage",
+            "survives invalid messages",
             "after a feedback code of 77: a decision for step 0 of lane 20",
         ),
-        ("ignores-stop", "stops when told to", "2 s later it has neither said farewell nor ended"),
-        ("no-farewell", "stops when told to", "it ended without a farewell"),
-        ("outlives", "ends with the orchestrator", "it is still running 2 s later"),
-        ("ignores-the-wire-version", "refuses another wire version", "it is still running"),
+        ("ignores-stop", "stops", "after 2 s it has neither sent a shutdown report nor ended"),
+        ("no-shutdown-report", "stops", "it ended without a shutdown report"),
+        ("outlives", "ends with the orchestrator", "it still runs after 2 s"),
+        ("ignores-the-wire-version", "refuses another wire version", "it still runs"),
     ];
     // They mostly wait.
     for together in faults.chunks(4) {

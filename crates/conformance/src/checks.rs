@@ -1,4 +1,4 @@
-//! The hard situations, one function each, in the order in which they are played.
+//! The checks, in the order in which they run: one function for each hard situation.
 
 use std::fs;
 use std::process::{Command, Stdio};
@@ -10,317 +10,347 @@ use shm_types::ATTACH_VARIABLE;
 use shm_types::attach::ATTACH_FILE;
 use shm_types::documents::Content;
 use shm_types::message::{
-    MAX_INSTRUCTION, MAX_SEGMENT, MAX_WINDOW, NO_ACTION, NO_FRAME, TrajectoryStep, WIRE_VERSION,
+    MAX_INSTRUCTION, MAX_SEGMENT, MAX_WINDOW, NO_ACTION, NO_FRAME, NOT_MEASURED, TrajectoryStep,
+    WIRE_VERSION,
 };
-
-use super::stage::{
-    RequestId, Scene, Stage, Step, Trouble, last, observation, recall, wait_for_death, wrong,
-};
-use super::{Kit, LANES};
 use supervise::Children;
 
-/// What an ordinary question asks for.
+use super::{Kit, LANES};
+use crate::neighbours::{last, observation};
+use crate::subject::{CheckResult, Scene, Subject, Trouble, next, wait_for_exit, wrong};
+
+/// The instruction of an ordinary episode.
 const INSTRUCTION: &str = "Find a blue barrel.";
 
-/// A situation.
+/// A check.
 pub(super) struct Check {
-    /// What the policy does if all is well.
+    /// What the policy does if it passes.
     pub(super) name: &'static str,
     /// What exactly is expected.
     pub(super) expected: &'static str,
-    /// What to do where it is not so.
+    /// What to do if it fails.
     pub(super) advice: &'static str,
-    /// Plays it. What it returns is worth knowing even when all is well.
-    pub(super) play: fn(&mut Kit<'_>) -> Step<String>,
+    /// Runs it. Returns a remark, which may be empty.
+    pub(super) run: fn(&mut Kit<'_>) -> CheckResult<String>,
 }
 
-/// All of them. Nothing else can be said of a policy that fails one of the first two.
+/// All checks. If one of the first two fails, the others are skipped.
 pub(super) const CHECKS: &[Check] = &[
     Check {
-        name: "says hello",
-        expected: "it joins the run in $MEMTRANSFER_ATTACH and says hello: its role, the wire's version, its name",
-        advice: "call `serve_from_environment` (Rust) or `memtransfer.run` (Python) first thing; what loads a \
-                 model may take as long as --start-timeout",
-        play: |kit| Ok(kit.stage()?.introduction.clone()),
+        name: "joins",
+        expected: "it joins the run in $MEMTRANSFER_ATTACH and sends a handshake: role, wire version, name",
+        advice: "call `serve_from_environment` (Rust) or `memtransfer.run` (Python) first; loading a model may take as \
+                 long as --start-timeout",
+        run: |kit| Ok(kit.subject()?.introduction.clone()),
     },
     Check {
         name: "answers a step",
-        expected: "one decision for the one step that it is asked for",
-        advice: "answer each request once, with the lane, step and ticket that it came with, and ring the \
-                 orchestrator",
-        play: a_step,
+        expected: "one decision for one request",
+        advice: "answer each request once, with its lane, step and episode, and notify the orchestrator",
+        run: a_step,
     },
     Check {
-        name: "walks an episode",
-        expected: "one decision for each of eight steps with a growing window, and none for the episode's end",
-        advice: "an observation with `last` = 1 is the end of the episode: nobody waits for a decision",
-        play: an_episode,
+        name: "runs an episode",
+        expected: "one decision for each of eight steps, and none for the end of the episode",
+        advice: "an observation with `last` = 1 ends the episode and is not answered",
+        run: an_episode,
+    },
+    Check {
+        name: "counts correctly",
+        expected: "`images_asked` is the number of images of the request, `images` is not larger, `attempts` is \
+                   plausible; a count that is not known is NOT_MEASURED",
+        advice: "count the current view, the window, the segment and the keyframes; set unknown counts to 4294967295",
+        run: counts,
     },
     Check {
         name: "answers 64 lanes at once",
-        expected: "one decision for each of 64 lanes that are asked together",
-        advice: "take all that waits into one batch; `act` returns one decision for each request of its batch",
-        play: many_lanes,
+        expected: "one decision for each of 64 simultaneous requests",
+        advice: "take all waiting requests into one batch; `act` returns one decision for each request",
+        run: many_lanes,
     },
     Check {
         name: "keeps lanes apart",
-        expected: "one decision for each of nine lanes at different steps, whose messages come interleaved",
-        advice: "join recall and observation by lane, ticket and step: either may come first",
-        play: interleaved,
+        expected: "one decision for each of nine lanes at different steps, whose messages arrive interleaved",
+        advice: "join recall and observation by lane, episode and step: either may come first",
+        run: interleaved,
     },
     Check {
-        name: "begins anew when told to",
-        expected: "a new episode's step is answered, whatever was open in its lane before",
-        advice: "a brief ends what the lane had: forget it, and answer under the new ticket",
-        play: new_episode,
+        name: "begins a new episode",
+        expected: "the steps of a new episode are answered, whatever was open in its lane",
+        advice: "an episode config ends the lane's episode: drop it, and answer with the new episode id",
+        run: new_episode,
     },
     Check {
-        name: "ignores what is late",
+        name: "ignores late messages",
         expected: "no decision for messages of an episode that is over",
-        advice: "drop messages whose ticket is not the one of the lane's last brief",
-        play: late_messages,
+        advice: "drop messages whose episode id is not that of the lane's last config",
+        run: late_messages,
     },
     Check {
         name: "waits for slow messages",
-        expected: "no decision before both observation and recall are there, and one then",
-        advice: "decide a step when its observation and its recall have come, and not before",
-        play: slow_messages,
+        expected: "no decision before both observation and recall have arrived, and one then",
+        advice: "decide a step when its observation and its recall have arrived",
+        run: slow_messages,
     },
     Check {
         name: "reads long documents",
         expected: "a decision with two documents of 1 MiB each, supplied at several steps",
-        advice: "documents may have up to 16 MiB: cut what does not fit into a prompt, and do not fail",
-        play: long_documents,
+        advice: "documents may have up to 16 MiB: truncate what does not fit into a prompt",
+        run: long_documents,
     },
     Check {
         name: "takes 40 keyframes",
         expected: "a decision with four demonstrations that have 40 keyframes",
-        advice: "a step of a demonstration without a keyframe has no frame; leave out images that are too many",
-        play: keyframes,
+        advice: "a step without a keyframe has no frame; leave out images that are too many",
+        run: keyframes,
     },
     Check {
         name: "takes the longest window and segment",
-        expected: "a decision without window, with a window of 32, with a segment of 32, and with both",
-        advice: "both lists may be empty, and may have up to 32 entries",
-        play: windows,
+        expected: "a decision without and with a window of 32 steps, and with a segment of 32 views",
+        advice: "window and segment may be empty, and may have up to 32 entries",
+        run: windows,
     },
     Check {
         name: "reads any instruction",
-        expected: "a decision for instructions in other scripts, of full length and of none",
-        advice: "an instruction is UTF-8 of `instruction_len` bytes; no zero byte ends it",
-        play: instructions,
+        expected: "a decision for instructions in other scripts, of full length, and empty ones",
+        advice: "an instruction is UTF-8 of `instruction_len` bytes without a terminating zero",
+        run: instructions,
     },
     Check {
-        name: "lets go of frames",
-        expected: "frames that were evicted come back to the store",
-        advice: "keep a frame no longer than until its eviction, and copy what is needed for longer; in Python, \
-                 do not store `frame.pixels` beyond `act`",
-        play: frames_come_back,
+        name: "releases frames",
+        expected: "evicted frames become free again",
+        advice: "drop a frame when it is evicted, and copy what is needed for longer; in Python, do not keep \
+                 `frame.pixels` after `act`",
+        run: frames_are_released,
     },
     Check {
-        name: "survives garbage",
-        expected: "a complaint for each message that cannot be used, no decision for it, and answers as ever to \
-                   everybody else",
-        advice: "check what comes before it is used; say what is wrong in a `Complaint`, drop it, go on",
-        play: garbage,
+        name: "survives invalid messages",
+        expected: "an error report for each invalid message, no decision for it, and answers to all other requests",
+        advice: "check values before use; send an `ErrorReport`, drop the message, go on",
+        run: invalid_messages,
     },
     Check {
         name: "decides the same again",
-        expected: "the same request gets the same answer: alone, in company, in another lane, later",
-        advice: "decide from the request alone, seed what is drawn with `episode_seed`, ask a model at \
-                 temperature 0: otherwise runs cannot be repeated",
-        play: the_same_again,
+        expected: "the same request gets the same answer: alone, in a batch, in another lane, later",
+        advice: "decide from the request alone, seed random choices with `episode_seed`, ask models at temperature 0: \
+                 otherwise runs are not reproducible",
+        run: same_request_again,
     },
     Check {
-        name: "can be started again",
-        expected: "killed in the middle of a step, it takes part in the next generation as in the first",
-        advice: "leave nothing behind that keeps a second start from working: no lock file, no fixed port",
-        play: started_again,
+        name: "can be restarted",
+        expected: "after a kill in the middle of a step, it takes part in the next generation",
+        advice: "leave nothing behind that prevents a second start: no lock file, no fixed port",
+        run: restart,
     },
     Check {
-        name: "stops when told to",
-        expected: "after a Stop: a farewell, and exit status 0 soon",
-        advice: "leave the loop when a Stop has come; end threads and servers of its own with it",
-        play: |kit| kit.take_stage()?.stop().map(|()| String::new()),
+        name: "stops",
+        expected: "after a Stop message: a shutdown report, and exit status 0 soon",
+        advice: "leave the loop after a Stop message, and end all threads and servers",
+        run: |kit| kit.take_subject()?.stop().map(|()| String::new()),
     },
     Check {
         name: "ends with the orchestrator",
-        expected: "it ends soon when the process `orchestrator_pid` of attach.json is gone",
-        advice: "look a few times a second whether that process lives, and end when it does not",
-        play: orchestrator_gone,
+        expected: "it ends soon after the process `orchestrator_pid` of attach.json",
+        advice: "check a few times a second whether that process exists, and exit when it does not",
+        run: orchestrator_ends,
     },
     Check {
         name: "refuses another wire version",
-        expected: "it says so, and ends with an exit status other than 0",
-        advice: "compare `wire_version` in attach.json before anything else",
-        play: another_wire_version,
+        expected: "it prints a message and exits with a status other than 0",
+        advice: "compare `wire_version` in attach.json first",
+        run: another_wire_version,
     },
 ];
 
-/// A scene of one view, and nothing remembered.
-fn plain(stage: &mut Stage<'_>, seed: u64) -> Step<Scene> {
-    Ok(Scene { frame: stage.view(seed)?, ..Scene::default() })
+/// A scene of one view, without memory.
+fn plain(subject: &mut Subject<'_>, seed: u64) -> CheckResult<Scene> {
+    Ok(Scene { frame: subject.view(seed)?, ..Scene::default() })
 }
 
-/// Nothing more may come; the check's views are evicted.
-fn clear_away(stage: &mut Stage<'_>) -> Step<String> {
-    stage.settle()?;
-    stage.evict_all()?;
+/// Ends a check: nothing more may come, and its views are evicted.
+fn clear_away(subject: &mut Subject<'_>) -> CheckResult<String> {
+    subject.settle()?;
+    subject.evict_all()?;
     Ok(String::new())
 }
 
-fn a_step(kit: &mut Kit<'_>) -> Step<String> {
-    let stage = kit.stage()?;
-    let scene = plain(stage, 1)?;
-    let ticket = stage.begin(0, 1, INSTRUCTION)?;
-    let decision = stage.ask_and_wait(ticket, &scene)?;
-    clear_away(stage)?;
+fn a_step(kit: &mut Kit<'_>) -> CheckResult<String> {
+    let subject = kit.subject()?;
+    let scene = plain(subject, 1)?;
+    let id = subject.begin(0, 1, INSTRUCTION)?;
+    let decision = subject.ask_and_wait(id, &scene)?;
+    clear_away(subject)?;
     Ok(match Action::try_from(decision.action) {
         Ok(action) => format!("its first action: {action:?}"),
         Err(_) => "its first answer was no action".to_owned(),
     })
 }
 
-fn an_episode(kit: &mut Kit<'_>) -> Step<String> {
-    let stage = kit.stage()?;
-    let mut ticket = stage.begin(1, 2, INSTRUCTION)?;
-    let mut window = Vec::new();
+fn an_episode(kit: &mut Kit<'_>) -> CheckResult<String> {
+    let subject = kit.subject()?;
+    let mut id = subject.begin(1, 2, INSTRUCTION)?;
     for seed in 0..8 {
-        let scene = Scene { frame: stage.view(seed)?, window: window.clone(), ..Scene::default() };
-        stage.ask_and_wait(ticket, &scene)?;
-        window.push(scene.frame);
-        window = window.split_off(window.len().saturating_sub(6));
-        ticket = ticket.next();
+        let scene = plain(subject, seed)?;
+        subject.ask_and_wait(id, &scene)?;
+        id = next(id);
     }
-    stage.expect_none(ticket);
-    stage.observe(&last(ticket))?;
-    stage.notify()?;
-    clear_away(stage)
+    subject.expect_none(id);
+    subject.observe(&last(id))?;
+    subject.notify()?;
+    clear_away(subject)
 }
 
-fn many_lanes(kit: &mut Kit<'_>) -> Step<String> {
-    let stage = kit.stage()?;
-    let frames = stage.views(0..8)?;
+/// More attempts for one decision are a mistake in counting.
+const MAX_ATTEMPTS: u32 = 1000;
+
+fn counts(kit: &mut Kit<'_>) -> CheckResult<String> {
+    let subject = kit.subject()?;
+    let (frame, segment) = (subject.view(11)?, subject.views(12..15)?);
+    let scene = Scene { frame, segment, ..Scene::default() };
+    let id = subject.begin(14, 1, INSTRUCTION)?;
+    let decision = subject.ask_and_wait(id, &scene)?;
+    clear_away(subject)?;
+    let shown = 1 + scene.segment.len() as u32;
+    let measured = |count: u32| (count != NOT_MEASURED).then_some(count);
+    if let Some(asked) = measured(decision.images_asked).filter(|&asked| asked != shown) {
+        return wrong(format_args!("`images_asked` is {asked} for a request with {shown} images"));
+    }
+    if let Some(images) = measured(decision.images).filter(|&images| images > shown) {
+        return wrong(format_args!("`images` is {images} for a request with {shown} images"));
+    }
+    if let Some(attempts) = measured(decision.attempts).filter(|&count| count > MAX_ATTEMPTS) {
+        return wrong(format_args!("`attempts` is {attempts} for one decision"));
+    }
+    Ok(String::new())
+}
+
+fn many_lanes(kit: &mut Kit<'_>) -> CheckResult<String> {
+    let subject = kit.subject()?;
+    let frames = subject.views(0..8)?;
     for lane in 0..LANES {
-        let ticket = stage.begin(lane, lane.into(), INSTRUCTION)?;
+        let id = subject.begin(lane, lane.into(), INSTRUCTION)?;
         let frame = frames[lane as usize % frames.len()];
-        stage.ask(ticket, &Scene { frame, window: frames.clone(), ..Scene::default() })?;
+        subject.ask(id, &Scene { frame, ..Scene::default() })?;
     }
-    stage.notify()?;
-    stage.wait()?;
-    clear_away(stage)
+    subject.notify()?;
+    subject.wait()?;
+    clear_away(subject)
 }
 
-fn interleaved(kit: &mut Kit<'_>) -> Step<String> {
-    let stage = kit.stage()?;
-    let scene = plain(stage, 3)?;
-    let mut tickets = Vec::new();
+fn interleaved(kit: &mut Kit<'_>) -> CheckResult<String> {
+    let subject = kit.subject()?;
+    let scene = plain(subject, 3)?;
+    let mut requests = Vec::new();
     for lane in [7, 60, 2, 31, 0, 63, 12, 40, 5] {
-        let ticket = stage.begin(lane, lane.into(), INSTRUCTION)?;
-        tickets.push(RequestId { step: lane % 4, ..ticket });
+        let mut id = subject.begin(lane, lane.into(), INSTRUCTION)?;
+        for _ in 0..lane % 4 {
+            subject.ask_and_wait(id, &scene)?;
+            id = next(id);
+        }
+        requests.push(id);
     }
-    for (at, ticket) in tickets.iter().enumerate() {
-        stage.expect(*ticket);
+    for (at, &id) in requests.iter().enumerate() {
+        subject.expect(id);
         if at % 2 == 0 {
-            stage.observe(&observation(*ticket, scene.frame))?;
+            subject.observe(&observation(id, scene.frame))?;
         } else {
-            stage.recall(&recall(*ticket, &scene))?;
+            subject.recall(&scene.recall(id))?;
         }
     }
-    stage.notify()?;
-    for (at, ticket) in tickets.iter().enumerate().rev() {
+    subject.notify()?;
+    for (at, &id) in requests.iter().enumerate().rev() {
         if at % 2 == 0 {
-            stage.recall(&recall(*ticket, &scene))?;
+            subject.recall(&scene.recall(id))?;
         } else {
-            stage.observe(&observation(*ticket, scene.frame))?;
+            subject.observe(&observation(id, scene.frame))?;
         }
-        stage.notify()?;
+        subject.notify()?;
     }
-    stage.wait()?;
-    clear_away(stage)
+    subject.wait()?;
+    clear_away(subject)
 }
 
-fn new_episode(kit: &mut Kit<'_>) -> Step<String> {
-    let stage = kit.stage()?;
-    let scene = plain(stage, 4)?;
-    // Asked, and over before there can be an answer.
-    let old = stage.begin(9, 1, INSTRUCTION)?;
-    stage.ask(old, &scene)?;
-    let new = stage.begin(9, 2, "Find a red cone.")?;
-    stage.ask(new, &scene)?;
-    stage.notify()?;
-    stage.wait()?;
-    // Over when only half of the question was there.
-    let half = stage.begin(9, 3, INSTRUCTION)?;
-    stage.expect_none(half);
-    stage.observe(&observation(half, scene.frame))?;
-    stage.notify()?;
-    let new = stage.begin(9, 4, INSTRUCTION)?;
-    stage.expect(new);
-    stage.recall(&recall(new, &scene))?;
-    stage.notify()?;
-    stage.observe(&observation(new, scene.frame))?;
-    stage.notify()?;
-    stage.wait()?;
-    clear_away(stage)
+fn new_episode(kit: &mut Kit<'_>) -> CheckResult<String> {
+    let subject = kit.subject()?;
+    let scene = plain(subject, 4)?;
+    // The episode ends before it is answered.
+    let old = subject.begin(9, 1, INSTRUCTION)?;
+    subject.ask(old, &scene)?;
+    let new = subject.begin(9, 2, "Find a red cone.")?;
+    subject.ask(new, &scene)?;
+    subject.notify()?;
+    subject.wait()?;
+    // The episode ends between observation and recall.
+    let half = subject.begin(9, 3, INSTRUCTION)?;
+    subject.expect_none(half);
+    subject.observe(&observation(half, scene.frame))?;
+    subject.notify()?;
+    let new = subject.begin(9, 4, INSTRUCTION)?;
+    subject.expect(new);
+    subject.recall(&scene.recall(new))?;
+    subject.notify()?;
+    subject.observe(&observation(new, scene.frame))?;
+    subject.notify()?;
+    subject.wait()?;
+    clear_away(subject)
 }
 
-fn late_messages(kit: &mut Kit<'_>) -> Step<String> {
-    let stage = kit.stage()?;
-    let scene = plain(stage, 5)?;
-    let old = stage.begin(3, 1, INSTRUCTION)?;
-    let new = stage.begin(3, 2, INSTRUCTION)?;
-    stage.expect_none(old);
-    stage.recall(&recall(old, &scene))?;
-    stage.observe(&observation(old, scene.frame))?;
-    stage.notify()?;
-    stage.settle()?;
-    stage.ask_and_wait(new, &scene)?;
-    clear_away(stage)
+fn late_messages(kit: &mut Kit<'_>) -> CheckResult<String> {
+    let subject = kit.subject()?;
+    let scene = plain(subject, 5)?;
+    let old = subject.begin(3, 1, INSTRUCTION)?;
+    let new = subject.begin(3, 2, INSTRUCTION)?;
+    subject.expect_none(old);
+    subject.recall(&scene.recall(old))?;
+    subject.observe(&observation(old, scene.frame))?;
+    subject.notify()?;
+    subject.settle()?;
+    subject.ask_and_wait(new, &scene)?;
+    clear_away(subject)
 }
 
-fn slow_messages(kit: &mut Kit<'_>) -> Step<String> {
-    let stage = kit.stage()?;
-    let scene = plain(stage, 6)?;
-    let ticket = stage.begin(4, 1, INSTRUCTION)?;
-    stage.expect_none(ticket);
-    stage.notify()?;
+fn slow_messages(kit: &mut Kit<'_>) -> CheckResult<String> {
+    let subject = kit.subject()?;
+    let scene = plain(subject, 6)?;
+    let id = subject.begin(4, 1, INSTRUCTION)?;
+    subject.expect_none(id);
+    subject.notify()?;
     let pause = Duration::from_millis(300);
-    stage.listen_for(pause)?;
-    stage.observe(&observation(ticket, scene.frame))?;
-    stage.notify()?;
-    stage.listen_for(pause)?;
-    stage.expect(ticket);
-    stage.recall(&recall(ticket, &scene))?;
-    stage.notify()?;
-    stage.wait()?;
-    clear_away(stage)
+    subject.listen_for(pause)?;
+    subject.observe(&observation(id, scene.frame))?;
+    subject.notify()?;
+    subject.listen_for(pause)?;
+    subject.expect(id);
+    subject.recall(&scene.recall(id))?;
+    subject.notify()?;
+    subject.wait()?;
+    clear_away(subject)
 }
 
-fn long_documents(kit: &mut Kit<'_>) -> Step<String> {
-    let stage = kit.stage()?;
+fn long_documents(kit: &mut Kit<'_>) -> CheckResult<String> {
+    let subject = kit.subject()?;
     let text = |line: &str| line.repeat((1 << 20) / line.len());
     let summary = text("The blue barrels stand in aisle 3, bay 7 — second from the north. ");
     let semantic =
         text("Regale stehen in Blöcken; am Ende eines Ganges führt ein Quergang weiter.\n");
     let documents = vec![
-        stage.document(None, &Content::Summary(summary))?,
-        stage.document(None, &Content::Semantic(semantic))?,
+        subject.document(None, &Content::Summary(summary))?,
+        subject.document(None, &Content::Semantic(semantic))?,
     ];
-    let mut ticket = stage.begin(6, 1, INSTRUCTION)?;
+    let mut id = subject.begin(6, 1, INSTRUCTION)?;
     for seed in 0..3 {
         let scene =
-            Scene { frame: stage.view(seed)?, documents: documents.clone(), ..Scene::default() };
-        stage.ask_and_wait(ticket, &scene)?;
-        ticket = ticket.next();
+            Scene { frame: subject.view(seed)?, documents: documents.clone(), ..Scene::default() };
+        subject.ask_and_wait(id, &scene)?;
+        id = next(id);
     }
-    clear_away(stage)
+    clear_away(subject)
 }
 
-fn keyframes(kit: &mut Kit<'_>) -> Step<String> {
-    let stage = kit.stage()?;
-    let views = stage.views(100..140)?;
-    let ticket = stage.begin(8, 1, INSTRUCTION)?;
+fn keyframes(kit: &mut Kit<'_>) -> CheckResult<String> {
+    let subject = kit.subject()?;
+    let views = subject.views(100..140)?;
+    let id = subject.begin(8, 1, INSTRUCTION)?;
     let steps = views.chunks(10).enumerate().flat_map(|(trajectory, views)| {
         // Every other step has its view; the last one has no action.
         let steps = views.iter().flat_map(|&frame| [frame, NO_FRAME]);
@@ -332,129 +362,123 @@ fn keyframes(kit: &mut Kit<'_>) -> Step<String> {
             reserved: [0; 6],
         })
     });
-    let document = stage.document(Some(ticket), &Content::Trajectories(steps.collect()))?;
-    let frame = stage.view(7)?;
-    stage.ask_and_wait(ticket, &Scene { frame, documents: vec![document], ..Scene::default() })?;
-    clear_away(stage)
+    let document = subject.document(Some(id), &Content::Trajectories(steps.collect()))?;
+    let frame = subject.view(7)?;
+    subject.ask_and_wait(id, &Scene { frame, documents: vec![document], ..Scene::default() })?;
+    clear_away(subject)
 }
 
-fn windows(kit: &mut Kit<'_>) -> Step<String> {
-    let stage = kit.stage()?;
-    let frame = stage.view(8)?;
-    let (past, remembered) =
-        (stage.views(200..200 + MAX_WINDOW as u64)?, stage.views(300..300 + MAX_SEGMENT as u64)?);
-    let mut ticket = stage.begin(10, 1, INSTRUCTION)?;
-    ticket.step = 40;
-    for (window, segment) in [(0, 0), (MAX_WINDOW, 0), (0, MAX_SEGMENT), (MAX_WINDOW, MAX_SEGMENT)]
-    {
-        let scene = Scene {
-            frame,
-            window: past[..window].to_vec(),
-            segment: remembered[..segment].to_vec(),
-            ..Scene::default()
-        };
-        stage.ask_and_wait(ticket, &scene)?;
-        ticket = ticket.next();
+fn windows(kit: &mut Kit<'_>) -> CheckResult<String> {
+    let subject = kit.subject()?;
+    let views = subject.views(200..202 + MAX_WINDOW as u64)?;
+    let segment = subject.views(300..300 + MAX_SEGMENT as u64)?;
+    for window in [0, MAX_WINDOW] {
+        let mut id = subject.begin_with_window(10, 1, INSTRUCTION, window as u8)?;
+        for (step, &frame) in views.iter().enumerate() {
+            let segment = if step < MAX_WINDOW { Vec::new() } else { segment.clone() };
+            subject.ask_and_wait(id, &Scene { frame, segment, ..Scene::default() })?;
+            id = next(id);
+        }
     }
-    clear_away(stage)
+    clear_away(subject)
 }
 
-fn instructions(kit: &mut Kit<'_>) -> Step<String> {
-    let stage = kit.stage()?;
-    let scene = plain(stage, 9)?;
+fn instructions(kit: &mut Kit<'_>) -> CheckResult<String> {
+    let subject = kit.subject()?;
+    let scene = plain(subject, 9)?;
     let full = "ß".repeat(MAX_INSTRUCTION / 2);
     for instruction in ["Geh zum blauen Faß, dann zurück.", "青い樽を探してください 🛢", &full, ""]
     {
-        let ticket = stage.begin(11, 1, instruction)?;
-        stage.ask_and_wait(ticket, &scene)?;
+        let id = subject.begin(11, 1, instruction)?;
+        subject.ask_and_wait(id, &scene)?;
     }
-    clear_away(stage)
+    clear_away(subject)
 }
 
-fn frames_come_back(kit: &mut Kit<'_>) -> Step<String> {
+fn frames_are_released(kit: &mut Kit<'_>) -> CheckResult<String> {
     let chunks = kit.attach.frame_chunks() as usize;
-    let stage = kit.stage()?;
+    let subject = kit.subject()?;
     let mut shown = 0;
-    let mut ticket = stage.begin(12, 1, INSTRUCTION)?;
-    // A store of many more frames than there is room for, a few at a time.
+    let mut id = subject.begin_with_window(12, 1, INSTRUCTION, 0)?;
+    // A few frames at a time, in total more than the store holds.
     while shown < 2 * chunks {
-        let views = stage.views((0..1 + MAX_WINDOW as u64).map(|seed| seed + shown as u64))?;
+        let views = subject.views((0..1 + MAX_SEGMENT as u64).map(|seed| seed + shown as u64))?;
         shown += views.len();
-        let (frame, window) = (views[0], views[1..].to_vec());
-        stage.ask_and_wait(ticket, &Scene { frame, window, ..Scene::default() })?;
-        ticket = ticket.next();
-        stage.evict_all()?;
+        let (frame, segment) = (views[0], views[1..].to_vec());
+        subject.ask_and_wait(id, &Scene { frame, segment, ..Scene::default() })?;
+        id = next(id);
+        subject.evict_all()?;
     }
-    clear_away(stage)?;
-    Ok(format!("{shown} frames through room for {chunks}"))
+    clear_away(subject)?;
+    Ok(format!("{shown} frames in a store of {chunks}"))
 }
 
-fn garbage(kit: &mut Kit<'_>) -> Step<String> {
-    let stage = kit.stage()?;
-    let scene = plain(stage, 10)?;
+fn invalid_messages(kit: &mut Kit<'_>) -> CheckResult<String> {
+    let subject = kit.subject()?;
+    let scene = plain(subject, 10)?;
     let unknown_document = Scene { documents: vec![scene.frame + 1_000_000], ..scene.clone() };
-    let unknown_frame = Scene { window: vec![scene.frame + 1_000_000], ..scene.clone() };
+    let unknown_frame = Scene { segment: vec![scene.frame + 1_000_000], ..scene.clone() };
     let mut ignored = Vec::new();
     for (lane, what) in [
         "a feedback code of 77",
-        "a document that nobody published",
-        "a frame that nobody published",
-        "a window of 33",
+        "a document that was never published",
+        "a frame that was never published",
+        "a segment of 33 views",
     ]
     .into_iter()
     .enumerate()
     {
         let lane = 20 + lane as u32;
-        let ticket = stage.begin(lane, 1, INSTRUCTION)?;
-        stage.expect_none(ticket);
-        let (mut observed, mut recalled) =
-            (observation(ticket, scene.frame), recall(ticket, &scene));
+        let id = subject.begin(lane, 1, INSTRUCTION)?;
+        subject.expect_none(id);
+        let (mut observed, mut recalled) = (observation(id, scene.frame), scene.recall(id));
         match lane - 20 {
             0 => observed.feedback = 77,
-            1 => recalled = recall(ticket, &unknown_document),
-            2 => recalled = recall(ticket, &unknown_frame),
-            _ => recalled.window_len = MAX_WINDOW as u32 + 1,
+            1 => recalled = unknown_document.recall(id),
+            2 => recalled = unknown_frame.recall(id),
+            _ => recalled.segment_len = MAX_SEGMENT as u32 + 1,
         }
-        stage.recall(&recalled)?;
-        stage.observe(&observed)?;
-        stage.notify()?;
-        // Its neighbour is answered all the same.
-        let other = stage.begin(lane + 20, 1, INSTRUCTION)?;
-        if let Err(Trouble::Wrong(why)) = stage.ask_and_wait(other, &scene) {
+        subject.recall(&recalled)?;
+        subject.observe(&observed)?;
+        subject.notify()?;
+        // Another lane is answered.
+        let other = subject.begin(lane + 20, 1, INSTRUCTION)?;
+        if let Err(Trouble::Wrong(why)) = subject.ask_and_wait(other, &scene) {
             return wrong(format_args!("after {what}: {why}"));
         }
-        stage.listen_for(Duration::from_millis(40))?;
-        if stage.error_reports().is_empty() {
+        subject.listen_for(Duration::from_millis(40))?;
+        if subject.take_errors().is_empty() {
             ignored.push(what);
         }
-        // And so is the lane itself, in its next episode.
-        let again = stage.begin(lane, 1, INSTRUCTION)?;
-        stage.ask_and_wait(again, &scene)?;
+        // So is the lane itself, in its next episode.
+        let again = subject.begin(lane, 1, INSTRUCTION)?;
+        subject.ask_and_wait(again, &scene)?;
     }
     if !ignored.is_empty() {
-        return wrong(format_args!("not a word about {}", ignored.join(", ")));
+        return wrong(format_args!("no error report about {}", ignored.join(", ")));
     }
-    clear_away(stage)
+    clear_away(subject)
 }
 
-fn the_same_again(kit: &mut Kit<'_>) -> Step<String> {
-    let stage = kit.stage()?;
+fn same_request_again(kit: &mut Kit<'_>) -> CheckResult<String> {
+    let subject = kit.subject()?;
     let mut answers = Vec::new();
     for round in 0..6 {
         // New ids for the same pixels.
-        let (frame, window) = (stage.view(11)?, stage.views(12..15)?);
-        let segment = stage.views(15..18)?;
-        let scene = Scene { frame, window, segment, ..Scene::default() };
-        let ticket = stage.begin(13 + round, 5, INSTRUCTION)?;
-        let ticket = RequestId { step: 3, ..ticket };
-        for lane in 30..30 + 3 * round {
-            let other = stage.begin(lane, lane.into(), "Find a red cone.")?;
-            stage.ask(other, &scene)?;
+        let (frame, segment) = (subject.view(11)?, subject.views(15..18)?);
+        let scene = Scene { frame, segment, ..Scene::default() };
+        let mut id = subject.begin(13 + round, 5, INSTRUCTION)?;
+        for past in subject.views(12..15)? {
+            subject.ask_and_wait(id, &Scene { frame: past, ..Scene::default() })?;
+            id = next(id);
         }
-        stage.ask_and_wait(ticket, &scene)?;
-        let decision = stage.answer(ticket).map(|d| (d.outcome, d.action));
-        answers.extend(decision);
-        stage.evict_all()?;
+        for lane in 30..30 + 3 * round {
+            let other = subject.begin(lane, lane.into(), "Find a red cone.")?;
+            subject.ask(other, &scene)?;
+        }
+        let decision = subject.ask_and_wait(id, &scene)?;
+        answers.push((decision.outcome, decision.action));
+        subject.evict_all()?;
     }
     let said = |(_, action): &(u8, u8)| match Action::try_from(*action) {
         Ok(action) => format!("{action:?}"),
@@ -465,41 +489,41 @@ fn the_same_again(kit: &mut Kit<'_>) -> Step<String> {
         let what = format!("the same request, six times: {}", said.join(", "));
         return Err(Trouble::Doubtful(what));
     }
-    clear_away(stage)
+    clear_away(subject)
 }
 
-fn started_again(kit: &mut Kit<'_>) -> Step<String> {
-    let stage = kit.stage()?;
-    let scene = plain(stage, 19)?;
-    let ticket = stage.begin(0, 1, INSTRUCTION)?;
-    stage.ask(ticket, &scene)?;
-    stage.notify()?;
-    kit.kill_stage();
-    let stage = kit.stage()?;
-    let scene = plain(stage, 20)?;
-    let ticket = stage.begin(0, 1, INSTRUCTION)?;
-    stage.ask_and_wait(ticket, &scene)?;
-    clear_away(stage)
+fn restart(kit: &mut Kit<'_>) -> CheckResult<String> {
+    let subject = kit.subject()?;
+    let scene = plain(subject, 19)?;
+    let id = subject.begin(0, 1, INSTRUCTION)?;
+    subject.ask(id, &scene)?;
+    subject.notify()?;
+    kit.kill_subject();
+    let subject = kit.subject()?;
+    let scene = plain(subject, 20)?;
+    let id = subject.begin(0, 1, INSTRUCTION)?;
+    subject.ask_and_wait(id, &scene)?;
+    clear_away(subject)
 }
 
-fn orchestrator_gone(kit: &mut Kit<'_>) -> Step<String> {
-    kit.kill_stage();
+fn orchestrator_ends(kit: &mut Kit<'_>) -> CheckResult<String> {
+    kit.kill_subject();
     let stand_in = Command::new("sleep").arg("3600").stdin(Stdio::null()).spawn();
     let mut stand_in = stand_in.context("cannot start `sleep`")?;
     kit.attach.orchestrator_pid = stand_in.id();
-    let outcome = kit.stage().map(drop);
+    let outcome = kit.subject().map(drop);
     let ended = stand_in.kill().and_then(|()| stand_in.wait());
     kit.attach.orchestrator_pid = std::process::id();
     outcome?;
     ended.context("cannot end `sleep`")?;
-    // It may be gone already, as it should.
-    let Some(mut stage) = kit.stage.take() else { return wrong("it is not there") };
-    stage.wait_for_end()?;
+    // It may have ended already.
+    let Some(mut subject) = kit.subject.take() else { return wrong("it did not start") };
+    subject.wait_for_exit()?;
     Ok(String::new())
 }
 
-fn another_wire_version(kit: &mut Kit<'_>) -> Step<String> {
-    kit.kill_stage();
+fn another_wire_version(kit: &mut Kit<'_>) -> CheckResult<String> {
+    kit.kill_subject();
     let (run, attach) = kit.another_run()?;
     attach.write(run.path()).map_err(anyhow::Error::from)?;
     let file = run.path().join(ATTACH_FILE);
@@ -509,15 +533,15 @@ fn another_wire_version(kit: &mut Kit<'_>) -> Step<String> {
     fs::write(&file, text).context("cannot write attach.json")?;
     let launch = kit.terms.launch.clone().attached_to(run.path());
     let mut children = Children::start(&[launch], &run.path().join("logs"))?;
-    let death = wait_for_death(&mut children, kit.terms)?;
-    if death.status.success() {
-        return wrong("it ended with exit status 0, as if all were well");
+    let exit = wait_for_exit(&mut children, kit.terms)?;
+    if exit.status.success() {
+        return wrong("it ended with exit status 0, which means success");
     }
-    if death.log_tail.is_empty() {
+    if exit.log_tail.is_empty() {
         return wrong(format_args!(
-            "it ended {}: nobody can tell what is wrong with ${ATTACH_VARIABLE}",
-            death.how()
+            "it ended {}: without a message, the user cannot tell what is wrong with ${ATTACH_VARIABLE}",
+            exit.how()
         ));
     }
-    Ok(format!("it said: {}", death.log_tail.lines().last().unwrap_or_default()))
+    Ok(format!("it printed: {}", exit.log_tail.lines().last().unwrap_or_default()))
 }

@@ -1,11 +1,11 @@
-//! Does a policy of somebody else's keep to the wire? Hard situations are played to it over the real bus, and what
-//! it does wrong is said: what was expected, what happened, what to do.
+//! Checks whether an external policy follows the protocol of the wire, in hard situations over the real bus.
 //!
-//! This process is everybody else meanwhile: orchestrator, simulator and memory, none of whom is what is tested.
-//! What is not asked here: whether the policy's decisions are any good.
+//! This process plays the other roles ([`neighbours`]), which the crates' own tests use, too. The quality of a policy's
+//! decisions is not checked.
 
 mod checks;
-mod stage;
+pub mod neighbours;
+mod subject;
 
 use std::sync::atomic::AtomicBool;
 use std::time::Duration;
@@ -14,73 +14,73 @@ use anyhow::Result;
 use serde::Serialize;
 use shm_types::message::{MAX_WINDOW, Role};
 use shm_types::{Attach, FrameSize, RunDir, registry};
-
-use self::checks::CHECKS;
-use self::stage::{Stage, Step, Terms, Trouble};
 use supervise::Launch;
 
-/// Episodes that a policy is asked about at once.
+use self::checks::CHECKS;
+use self::subject::{CheckResult, Subject, Terms, Trouble};
+
+/// Lanes of the run.
 const LANES: u32 = 64;
 
-/// Neither square nor of the usual size: a policy goes by what it is told.
+/// Neither square nor the default: a policy has to use the size that it is told.
 const FRAME: FrameSize = FrameSize { width: 192, height: 128 };
 
-/// Frames that may be resident: enough for the check that shows most of them.
+/// Frames that may be resident: enough for the check with most views.
 const FRAMES: u32 = 128;
 
-/// Longest that a process may take to end.
-const END_PATIENCE: Duration = Duration::from_secs(10);
+/// Longest time for a process to end.
+const MAX_END_TIMEOUT: Duration = Duration::from_secs(10);
 
-/// Checks without which nothing else can be said.
-const FIRST: usize = 2;
+/// The first checks: if one of them fails, all others are skipped.
+const REQUIRED_CHECKS: usize = 2;
 
-/// What is tested, and how patiently.
+/// A policy to check.
 #[derive(Debug, Clone)]
 pub struct Conformance {
     /// The policy's command line.
     pub command: String,
     /// How long an answer may take.
-    pub patience: Duration,
-    /// How long the policy may take until it is ready.
-    pub start_patience: Duration,
-    /// Whether what need not be so counts as well.
+    pub answer_timeout: Duration,
+    /// How long the policy may take to get ready.
+    pub start_timeout: Duration,
+    /// Whether warnings count as failures.
     pub strict: bool,
 }
 
-/// How a check went.
+/// The outcome of a check.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Verdict {
-    /// As expected.
+    /// The policy does what is expected.
     Passed,
-    /// Otherwise, and it may be so.
+    /// The policy does something that may be intended.
     Warning,
-    /// Otherwise.
+    /// The policy violates the protocol.
     Failed,
-    /// Not played: an earlier one had to pass.
+    /// The check did not run, because an earlier one failed.
     Skipped,
 }
 
-/// What came of a check.
+/// The result of a check.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct Finding {
     /// The check.
     pub name: &'static str,
-    /// How it went.
+    /// Its outcome.
     pub verdict: Verdict,
-    /// What was expected.
+    /// What is expected.
     pub expected: &'static str,
     /// What happened.
     pub happened: String,
-    /// What to do where it is not as expected.
+    /// What to do if the check fails.
     pub advice: &'static str,
 }
 
 impl Conformance {
-    /// Plays everything, and tells `observer` of each check as soon as it is done.
+    /// Runs all checks, and passes each result to `observer` at once.
     ///
     /// # Errors
-    /// When the command cannot be started, the machine does not have what is needed, or `stop` is set.
+    /// When the command cannot be started, the run cannot be set up, or `stop` is set.
     pub fn check(
         &self,
         stop: &AtomicBool,
@@ -89,23 +89,24 @@ impl Conformance {
         let launch = Launch::command(Role::Policy, &self.command)?;
         let terms = Terms {
             launch: &launch,
-            patience: self.patience,
-            end_patience: self.patience.min(END_PATIENCE),
-            start_patience: self.start_patience,
+            answer_timeout: self.answer_timeout,
+            end_timeout: self.answer_timeout.min(MAX_END_TIMEOUT),
+            start_timeout: self.start_timeout,
             stop,
         };
         let mut kit = Kit::new(&terms)?;
         let mut findings: Vec<Finding> = Vec::with_capacity(CHECKS.len());
         for check in CHECKS {
-            let first = findings.iter().take(FIRST).find(|f| f.verdict == Verdict::Failed);
-            let (verdict, happened) = match first {
-                Some(first) => (Verdict::Skipped, format!("it needs \"{}\"", first.name)),
-                None => match (check.play)(&mut kit) {
-                    Ok(note) => (Verdict::Passed, note),
+            let required = findings.iter().take(REQUIRED_CHECKS);
+            let failed = required.into_iter().find(|f| f.verdict == Verdict::Failed);
+            let (verdict, happened) = match failed {
+                Some(failed) => (Verdict::Skipped, format!("it needs \"{}\"", failed.name)),
+                None => match (check.run)(&mut kit) {
+                    Ok(remark) => (Verdict::Passed, remark),
                     Err(Trouble::Broken(error)) => return Err(error),
                     Err(Trouble::Wrong(what)) => {
-                        // Whatever it is up to: the next check is not to suffer from it.
-                        kit.kill_stage();
+                        // The next check starts the policy anew.
+                        kit.kill_subject();
                         (Verdict::Failed, what)
                     }
                     Err(Trouble::Doubtful(what)) if self.strict => (Verdict::Failed, what),
@@ -121,11 +122,11 @@ impl Conformance {
     }
 }
 
-/// A policy under test: started when a check needs it, and again where an earlier one has ended it.
+/// The policy under test: started when a check needs it, and again after a check that has ended it.
 struct Kit<'a> {
     terms: &'a Terms<'a>,
-    stage: Option<Stage<'a>>,
-    /// What the next generation is told.
+    subject: Option<Subject<'a>>,
+    /// The settings of the next generation.
     attach: Attach,
     run: RunDir,
 }
@@ -133,49 +134,49 @@ struct Kit<'a> {
 impl<'a> Kit<'a> {
     fn new(terms: &'a Terms<'a>) -> Result<Self> {
         let run = RunDir::create(&registry::default_base())?;
-        let attach = described(&run);
+        let attach = settings(&run);
         shm_types::process::check_shared_memory(attach.shared_memory_bytes())?;
-        Ok(Self { terms, stage: None, attach, run })
+        Ok(Self { terms, subject: None, attach, run })
     }
 
-    /// The policy, ready for questions.
-    fn stage(&mut self) -> Step<&mut Stage<'a>> {
-        if self.stage.as_mut().is_some_and(|stage| stage.death().is_some()) {
-            self.kill_stage();
+    /// The policy, ready for requests.
+    fn subject(&mut self) -> CheckResult<&mut Subject<'a>> {
+        if self.subject.as_mut().is_some_and(|subject| subject.exited().is_some()) {
+            self.kill_subject();
         }
-        let stage = match self.stage.take() {
-            Some(stage) => stage,
+        let subject = match self.subject.take() {
+            Some(subject) => subject,
             None => {
-                let stage = Stage::set(&self.attach, self.terms);
+                let subject = Subject::start(&self.attach, self.terms);
                 self.attach.generation += 1;
-                stage?
+                subject?
             }
         };
-        Ok(self.stage.insert(stage))
+        Ok(self.subject.insert(subject))
     }
 
-    /// The same, for good.
-    fn take_stage(&mut self) -> Step<Stage<'a>> {
-        self.stage()?;
-        self.stage.take().ok_or_else(|| anyhow::anyhow!("the policy is not there").into())
+    /// As [`Self::subject`], for a check that ends the policy.
+    fn take_subject(&mut self) -> CheckResult<Subject<'a>> {
+        self.subject()?;
+        self.subject.take().ok_or_else(|| anyhow::anyhow!("the policy was not started").into())
     }
 
-    /// Ends the policy as `kill -9` does, and everything that it had started.
-    fn kill_stage(&mut self) {
-        self.stage = None;
+    /// Kills the policy and all processes that it started.
+    fn kill_subject(&mut self) {
+        self.subject = None;
     }
 
-    /// A run beside this one.
-    fn another_run(&self) -> Step<(RunDir, Attach)> {
+    /// Another run.
+    fn another_run(&self) -> CheckResult<(RunDir, Attach)> {
         let base = self.run.path().parent().unwrap_or(self.run.path());
         let run = RunDir::create(base).map_err(anyhow::Error::from)?;
-        let attach = described(&run);
+        let attach = settings(&run);
         Ok((run, attach))
     }
 }
 
-/// What a policy is told of `run`. Nobody but the policy has to be waited for: the others are here.
-fn described(run: &RunDir) -> Attach {
+/// The settings of `run`. Only the policy takes part: its neighbours are in this process.
+fn settings(run: &RunDir) -> Attach {
     Attach {
         participants: vec![Role::Policy],
         lanes: LANES,

@@ -1,19 +1,18 @@
-//! The prompt log: what a policy was given and what it answered, step by step, as files.
+//! The prompt log: every request of a policy and its answer, as files.
 //!
-//! The policy process writes it where [`Attach::prompts`](crate::Attach::prompts) asks for it, `memtransfer show`
-//! reads it.
+//! The policy process writes it if the run asks for it (`--log-prompts`); `memtransfer show` reads it.
 //!
 //! | file below the run's `prompts/` | holds |
 //! |---|---|
-//! | `session-1/generation-1.jsonl` | an [`Entry`] a line, appended as requests are answered |
-//! | `images/HASH.png` | every view that an entry names, once; the hash is its frame's content hash |
+//! | `session-1/generation-1.jsonl` | an [`PromptLogEntry`] a line, appended as requests are answered |
+//! | `images/HASH.png` | every image that an entry names, once; for a view the hash is its frame's content hash |
 //! | `documents/HASH.txt` | every long text that an entry names, once |
-//! | `documents/HASH.json` | the demonstrations that an entry names: arrays of [`Seen`] |
+//! | `documents/HASH.json` | the demonstrations that an entry names: arrays of [`RecordedView`] |
 //!
-//! Hashes are the first 16 bytes of BLAKE3, as 32 hexadecimal digits. A generation of a session has a file of its
-//! own, so a run that is resumed adds files and changes none. An entry is found by its episode's ticket and its
-//! step; `timings.jsonl` of the run says for every finished episode under which session, generation and ticket it
-//! was walked. A last line without its end was being written when the process was killed.
+//! Hashes are the first 16 bytes of BLAKE3, as 32 hexadecimal digits. Each generation of a session has a file of its own,
+//! so resuming a run adds files and changes none. An entry is found by its episode id and step; `timings.jsonl` of the run
+//! has the session, generation and episode id of every finished episode. A last line without a line end was being written
+//! when the process was killed.
 
 use std::path::{Path, PathBuf};
 
@@ -24,96 +23,96 @@ use crate::pose::Pose;
 /// First bytes of a BLAKE3 hash, as hexadecimal digits.
 pub type Hash = String;
 
-/// How a content hash is written.
+/// A hash in hexadecimal digits.
 pub fn hex(hash: [u8; 16]) -> Hash {
     hash.iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
-/// The folder of a session's entries, below the folder of a run's prompt logs.
+/// The folder of a session's entries below a run's `prompts` folder.
 pub fn session_folder(prompts: &Path, session: u32) -> PathBuf {
     prompts.join(format!("session-{session}"))
 }
 
-/// The file of a generation's entries, in its session's folder.
+/// The file of a generation's entries in its session's folder.
 pub fn entries_file(session_folder: &Path, generation: u32) -> PathBuf {
     session_folder.join(format!("generation-{generation}.jsonl"))
 }
 
-/// The file of an image, below the folder of a run's prompt logs.
+/// The file of an image below a run's `prompts` folder.
 pub fn image_file(prompts: &Path, hash: &str) -> PathBuf {
     prompts.join("images").join(format!("{hash}.png"))
 }
 
-/// The file of a text, likewise.
+/// The file of a text below a run's `prompts` folder.
 pub fn text_file(prompts: &Path, hash: &str) -> PathBuf {
     prompts.join("documents").join(format!("{hash}.txt"))
 }
 
-/// The file of demonstrations, likewise.
+/// The file of demonstrations below a run's `prompts` folder.
 pub fn trajectories_file(prompts: &Path, hash: &str) -> PathBuf {
     prompts.join("documents").join(format!("{hash}.json"))
 }
 
-/// What begins the line of an entry, so that it is found without reading all others.
+/// The start of an entry's line, to find it without parsing the others.
 pub fn line_start(episode: u64, step: u32) -> String {
     format!("{{\"episode\":{episode},\"step\":{step},")
 }
 
-/// A request and what came of it.
+/// A request and its answer.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Entry {
-    /// The episode's ticket.
+pub struct PromptLogEntry {
+    /// The episode's id.
     pub episode: u64,
     /// Steps taken before.
     pub step: u32,
     /// The lane.
     pub lane: u32,
-    /// What was asked.
-    pub request: Asked,
-    /// What was said to a model and what it said; absent where none was asked.
+    /// The request.
+    pub request: RecordedRequest,
+    /// The exchange with a model; absent if none was asked.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub exchange: Option<Exchange>,
-    /// The answer; absent where there was none.
+    pub exchange: Option<RecordedExchange>,
+    /// The answer; absent if there was none.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub answer: Option<Answered>,
+    pub answer: Option<RecordedAnswer>,
     /// Why there was no answer.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub failed: Option<String>,
-    /// What asking a model took; absent where none was asked.
+    /// The cost of asking a model; absent if none was asked.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub usage: Option<Usage>,
-    /// When what happened.
-    pub timing: Timing,
+    pub usage: Option<RecordedUsage>,
+    /// Time stamps.
+    pub timing: RecordedTiming,
 }
 
-/// A request: all that a policy may use to decide the step.
+/// A request as it was given to the policy.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Asked {
-    /// Which repetition of the run.
+pub struct RecordedRequest {
+    /// The repetition of the run.
     pub repeat: u32,
     /// The episode's seed.
     pub seed: u64,
     /// The instruction.
     pub instruction: String,
-    /// Where the agent is.
+    /// The agent's pose.
     pub pose: Pose,
-    /// What the world said to the last action, in words.
+    /// The feedback to the last action, in words.
     pub feedback: String,
     /// The view.
     pub frame: Hash,
-    /// Whether the policy is told that the demonstration started where the episode does.
+    /// Whether the prompt says that a demonstration started in the episode's start pose.
     pub starts_as_demonstrated: bool,
     /// The last steps, oldest first.
-    pub window: Vec<Past>,
-    /// What memory retrieved; absent where nothing was.
+    pub window: Vec<RecordedPast>,
+    /// The retrieved segment; absent if there was none.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub segment: Option<Retrieved>,
+    pub segment: Option<RecordedSegment>,
     /// The documents that memory supplied, in order.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub documents: Vec<Supplied>,
-    /// The demonstrations that memory supplied whole: a file. Absent where it supplied none.
+    pub documents: Vec<RecordedDocument>,
+    /// The file of the demonstrations that memory supplied; absent if there were none.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub trajectories: Option<Hash>,
 }
@@ -121,34 +120,34 @@ pub struct Asked {
 /// A past step.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Past {
+pub struct RecordedPast {
     /// The view before the action.
     pub frame: Hash,
-    /// The action in words; absent where the answer could not be read.
+    /// The action in words; absent if the answer could not be read.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub action: Option<String>,
-    /// What the world said to it.
+    /// The feedback to it, in words.
     pub feedback: String,
 }
 
 /// A retrieved segment.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Retrieved {
-    /// Cosine distance of its first view to the current one.
+pub struct RecordedSegment {
+    /// Cosine distance of the matched view to the current one.
     pub distance: f32,
-    /// The matched view, then those that the expert's actions led to.
-    pub steps: Vec<Seen>,
+    /// The matched view, then the views after each of the expert's actions.
+    pub steps: Vec<RecordedView>,
 }
 
-/// A step of a demonstration.
+/// A view of a segment or demonstration, with the expert's action.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Seen {
-    /// The view before the action; absent where it is no keyframe.
+pub struct RecordedView {
+    /// The view before the action; absent if it is not a keyframe.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub frame: Option<Hash>,
-    /// The action in words; absent at the end, and in a segment of images alone.
+    /// The action in words; absent at the end, and in a segment without actions.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub action: Option<String>,
 }
@@ -156,23 +155,23 @@ pub struct Seen {
 /// A document.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Supplied {
+pub struct RecordedDocument {
     /// `summary` or `semantic`.
     pub kind: String,
-    /// Its text: a file.
+    /// The file of its text.
     pub text: Hash,
 }
 
-/// What was said to a model and what it said.
+/// The messages sent to a model, and its reply.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Exchange {
+pub struct RecordedExchange {
     /// The messages, in order.
-    pub messages: Vec<Message>,
-    /// The reply, as it came; absent where none did.
+    pub messages: Vec<RecordedMessage>,
+    /// The text of the reply; absent if there was none.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub reply: Option<String>,
-    /// Why no action could be read in it; absent where one could.
+    /// Why no action could be read from it; absent if one could.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub unread: Option<String>,
 }
@@ -180,78 +179,81 @@ pub struct Exchange {
 /// A message to a model.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Message {
+pub struct RecordedMessage {
     /// `system` or `user`.
     pub role: String,
-    /// What it says, in order.
-    pub parts: Vec<Part>,
+    /// Its parts, in order.
+    pub parts: Vec<RecordedPart>,
 }
 
 /// A part of a message.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
-pub enum Part {
+pub enum RecordedPart {
     /// Text.
     Text(String),
-    /// A long text, which is in a file.
+    /// A long text, by its file.
     Stored(Hash),
-    /// An image.
+    /// An image, by its file.
     Image(Hash),
+    /// An image as the bytes of a PNG file. The log stores it and writes [`Image`](Self::Image) instead.
+    #[serde(skip)]
+    Png(Vec<u8>),
 }
 
 /// An answer.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Answered {
+pub struct RecordedAnswer {
     /// `acted`, `unreadable`, `empty` or `refused`.
     pub outcome: String,
-    /// The action in words; absent where none could be read.
+    /// The action in words; absent if none could be read.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub action: Option<String>,
     /// Images that the request held.
     pub images_asked: u32,
-    /// Images that the policy was shown.
+    /// Images that the policy used.
     pub images: u32,
 }
 
-/// What asking a model took. An absent count was told by nobody.
+/// The cost of asking a model. A count that is not known is absent.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Usage {
+pub struct RecordedUsage {
     /// Tokens of the prompt.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub prompt_tokens: Option<u32>,
     /// Tokens of the answer.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub completion_tokens: Option<u32>,
-    /// Tokens of the prompt that the server took from its own cache.
+    /// Tokens of the prompt that the server took from its cache.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub cached_tokens: Option<u32>,
     /// Tokens of the prompt's images.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub image_tokens: Option<u32>,
-    /// Tokens of the prompt that are injected memory, an estimate.
+    /// Tokens of the prompt that are memory; an estimate.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub memory_tokens: Option<u32>,
-    /// Requests that were sent, failed ones included.
+    /// Requests sent, including failed ones.
     pub attempts: u32,
-    /// Whether the reply was one that had been kept: it cost nothing this time.
+    /// Whether the reply came from the response cache.
     pub replayed: bool,
 }
 
-/// When what happened: CLOCK_MONOTONIC nanoseconds.
+/// Time stamps in CLOCK_MONOTONIC nanoseconds.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Timing {
-    /// Observation and recall were both there.
+pub struct RecordedTiming {
+    /// Observation and recall had both been received.
     pub received_ns: u64,
-    /// The policy began to decide.
+    /// The policy was called.
     pub started_ns: u64,
-    /// The prompt was built; 0 where none was.
+    /// The prompt was built; 0 without one.
     pub prompted_ns: u64,
-    /// The request went to the model's server, the last time; 0 where none did.
+    /// The last request was sent to the model's server; 0 without one.
     pub sent_ns: u64,
-    /// It was decided.
+    /// The policy had decided.
     pub decided_ns: u64,
 }
 
@@ -261,12 +263,12 @@ mod tests {
     use crate::Heading;
 
     #[test]
-    fn an_entry_begins_with_what_it_is_found_by() {
-        let entry = Entry {
+    fn the_line_of_an_entry_starts_with_its_key() {
+        let entry = PromptLogEntry {
             episode: 57,
             step: 12,
             lane: 3,
-            request: Asked {
+            request: RecordedRequest {
                 repeat: 1,
                 seed: 5,
                 instruction: "Visit a blue barrel.".to_owned(),
@@ -283,11 +285,11 @@ mod tests {
             answer: None,
             failed: Some("gone".to_owned()),
             usage: None,
-            timing: Timing::default(),
+            timing: RecordedTiming::default(),
         };
         let line = serde_json::to_string(&entry).unwrap();
         assert!(line.starts_with(&line_start(57, 12)), "{line}");
-        assert_eq!(serde_json::from_str::<Entry>(&line).unwrap(), entry);
+        assert_eq!(serde_json::from_str::<PromptLogEntry>(&line).unwrap(), entry);
         assert_eq!(entry.request.frame, "ab".repeat(16));
     }
 }

@@ -10,8 +10,8 @@ use std::path::PathBuf;
 
 use anyhow::{Context, Result, bail};
 use domain::prompt_log::{
-    Entry, Hash, Part, Seen, entries_file, image_file, line_start, session_folder, text_file,
-    trajectories_file,
+    Hash, PromptLogEntry, RecordedPart, RecordedView, entries_file, image_file, line_start,
+    session_folder, text_file, trajectories_file,
 };
 use domain::{Action, Pose};
 use serde::Serialize;
@@ -44,10 +44,10 @@ pub struct Shown {
 pub struct Prompt {
     /// The entry.
     #[serde(flatten)]
-    pub entry: Entry,
+    pub entry: PromptLogEntry,
     /// The demonstrations that memory supplied whole.
     #[serde(skip_serializing_if = "Vec::is_empty")]
-    pub demonstrations: Vec<Vec<Seen>>,
+    pub demonstrations: Vec<Vec<RecordedView>>,
     /// The texts that the entry names, by their hash.
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
     pub texts: BTreeMap<Hash, String>,
@@ -106,12 +106,12 @@ fn prompt(log: &RunLog, timings: &EpisodeTimings, step: u32) -> Result<Option<Pr
         }
     }
     let Some(line) = found else { return Ok(None) };
-    let entry: Entry = serde_json::from_str(&line)
+    let entry: PromptLogEntry = serde_json::from_str(&line)
         .with_context(|| format!("step {step} in {}", file.display()))?;
     let read = |path: PathBuf| {
         std::fs::read_to_string(&path).with_context(|| format!("cannot read {}", path.display()))
     };
-    let demonstrations: Vec<Vec<Seen>> = match &entry.request.trajectories {
+    let demonstrations: Vec<Vec<RecordedView>> = match &entry.request.trajectories {
         None => Vec::new(),
         Some(hash) => serde_json::from_str(&read(trajectories_file(&folder, hash))?)?,
     };
@@ -122,8 +122,8 @@ fn prompt(log: &RunLog, timings: &EpisodeTimings, step: u32) -> Result<Option<Pr
     let mut texts = BTreeMap::new();
     let documents = entry.request.documents.iter().map(|document| &document.text);
     let stored = parts().filter_map(|part| match part {
-        Part::Stored(hash) => Some(hash),
-        Part::Text(_) | Part::Image(_) => None,
+        RecordedPart::Stored(hash) => Some(hash),
+        RecordedPart::Text(_) | RecordedPart::Image(_) | RecordedPart::Png(_) => None,
     });
     for hash in documents.chain(stored) {
         texts.insert(hash.clone(), read(text_file(&folder, hash))?);
@@ -133,8 +133,8 @@ fn prompt(log: &RunLog, timings: &EpisodeTimings, step: u32) -> Result<Option<Pr
     let segment = request.segment.iter().flat_map(|segment| &segment.steps);
     let remembered = segment.chain(demonstrations.iter().flatten());
     let sent = parts().filter_map(|part| match part {
-        Part::Image(hash) => Some(hash),
-        Part::Text(_) | Part::Stored(_) => None,
+        RecordedPart::Image(hash) => Some(hash),
+        RecordedPart::Text(_) | RecordedPart::Stored(_) | RecordedPart::Png(_) => None,
     });
     let images = std::iter::once(&request.frame)
         .chain(window)

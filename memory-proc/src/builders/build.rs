@@ -235,7 +235,7 @@ impl<'a> BuildProcess<'a> {
     fn finish(mut self) -> Result<()> {
         self.bus.sender()?.send(&ShutdownReport {
             role: Role::Memory as u32,
-            frames_received: self.frames.taken(),
+            frames_received: self.frames.received(),
             // Plates are read from shared memory.
             pixel_bytes_copied: 0,
             ..Zeroable::zeroed()

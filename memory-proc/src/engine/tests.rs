@@ -19,16 +19,11 @@ fn on_a_demonstrated_route_the_segment_is_the_experts_continuation() {
     rig.play(std::slice::from_ref(&script), std::iter::empty());
     let steps = script.poses.len() - 1;
     assert_eq!(rig.answers.len(), steps);
-    for (&(_, step), Answer { window, segment, distance, source, .. }) in &rig.answers {
+    for (&(_, step), Answer { segment, distance, source, .. }) in &rig.answers {
         let step = step as usize;
         assert_eq!(f32::from_bits(*distance), 0.0);
         assert_eq!(source.0, 3);
         assert_eq!(segment[0].0, script.poses[step]);
-        let past: Vec<Pose> = window.iter().map(|past| past.0).collect();
-        assert_eq!(past, script.poses[step.saturating_sub(6)..step]);
-        for (past, seen) in window.iter().zip(&script.observations[step.saturating_sub(6) + 1..]) {
-            assert_eq!(past.1, seen.action);
-        }
         if source.1 == 0 && usize::from(source.2) == step {
             let until = (step + 6).min(steps);
             let followed: Vec<Pose> = segment.iter().map(|step| step.0).collect();
@@ -161,7 +156,6 @@ fn unusable_messages_are_refused_with_a_reason() {
         ),
         (MemoryEpisodeConfig { segment: 2, ..config }, "2 is not a segment content"),
         (MemoryEpisodeConfig { representation: 9, ..config }, "9 is not a representation"),
-        (MemoryEpisodeConfig { window: 33, ..config }, "a window of 33"),
         (MemoryEpisodeConfig { horizon: 32, ..config }, "a horizon of 32"),
     ] {
         let error = rig.engine.config(&bad).unwrap_err().to_string();
@@ -254,11 +248,10 @@ proptest! {
                     case: small * 40,
                     demonstrations,
                     representation: a,
-                    window: b,
                     horizon: c,
                     keyframes: d,
                     segment: e,
-                    reserved: [f; 7],
+                    reserved: [b ^ f; 8],
                 });
             } else {
                 let pose = shm_types::message::WirePose([a, b, c, d]);

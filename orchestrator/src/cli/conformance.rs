@@ -1,4 +1,4 @@
-//! `memtransfer conformance`: what a policy of one's own does wrong.
+//! `memtransfer conformance`: checks an external policy.
 
 use std::time::Duration;
 
@@ -12,10 +12,10 @@ use conformance::{Conformance, Finding, Verdict};
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
-The command is started as `memtransfer run --policy-cmd` starts it: with the folder of a run in
-MEMTRANSFER_ATTACH. Nothing is simulated; what the policy decides is not judged.
+The command is started as `memtransfer run --policy-cmd` does: with the folder of a run in
+MEMTRANSFER_ATTACH. Nothing is simulated; the quality of decisions is not checked.
 
-Exit status: 0 nothing is wrong, 1 something is, 2 the command cannot be started.
+Exit status: 0 all checks passed, 1 a check failed, 2 the command cannot be started.
 
 Examples:
   memtransfer conformance --policy-cmd 'python my_policy.py'
@@ -25,15 +25,15 @@ pub(super) struct ConformanceArgs {
     #[arg(long, value_name = "COMMAND", env = "MEMTRANSFER_POLICY_CMD")]
     policy_cmd: String,
 
-    /// Seconds that an answer may take, or the policy's end (10 at most)
+    /// Seconds that an answer may take; the policy's end may take as long, but at most 10
     #[arg(long, value_name = "SECONDS", default_value_t = 30, value_parser = clap::value_parser!(u32).range(1..))]
     step_timeout: u32,
 
-    /// Seconds that the policy may take until it is ready
+    /// Seconds that the policy may take to get ready
     #[arg(long, value_name = "SECONDS", default_value_t = 300, value_parser = clap::value_parser!(u32).range(1..))]
     start_timeout: u32,
 
-    /// Let warnings count as failures
+    /// Count warnings as failures
     #[arg(long)]
     strict: bool,
 
@@ -54,8 +54,8 @@ pub(super) fn run(args: &ConformanceArgs) -> Result<Exit> {
     let signals = Signals::listen().context("cannot listen to signals")?;
     let conformance = Conformance {
         command: args.policy_cmd.clone(),
-        patience: Duration::from_secs(args.step_timeout.into()),
-        start_patience: Duration::from_secs(args.start_timeout.into()),
+        answer_timeout: Duration::from_secs(args.step_timeout.into()),
+        start_timeout: Duration::from_secs(args.start_timeout.into()),
         strict: args.strict,
     };
     let mut printed = Ok(());

@@ -13,13 +13,13 @@ use shm_types::frames::{FRAME_SERVICE, FrameHeader, Page};
 use shm_types::layout::{Layout, Struct};
 use shm_types::message::{
     CODE_SETS, Description, MAX_DOCUMENTS, MAX_INSTRUCTION, MAX_SEGMENT, MAX_WINDOW, MESSAGES,
-    NO_ACTION, NO_DOCUMENT, NO_FRAME, NOT_MEASURED, PastStep, Role, SegmentStep, Traffic,
-    TrajectoryStep, WIRE_VERSION, WirePose,
+    NO_ACTION, NO_DOCUMENT, NO_FRAME, NOT_MEASURED, Role, SegmentStep, Traffic, TrajectoryStep,
+    WIRE_VERSION, WirePose,
 };
 
 /// Structs that are parts of messages and documents.
-pub(crate) const PARTS: [Struct; 4] =
-    [WirePose::LAYOUT, PastStep::LAYOUT, SegmentStep::LAYOUT, TrajectoryStep::LAYOUT];
+pub(crate) const PARTS: [Struct; 3] =
+    [WirePose::LAYOUT, SegmentStep::LAYOUT, TrajectoryStep::LAYOUT];
 
 /// What travels on the services of frames and documents.
 pub(crate) const CARRIED: [Struct; 3] = [FrameHeader::LAYOUT, Page::LAYOUT, DocumentHeader::LAYOUT];

@@ -53,7 +53,7 @@ fn an_episode_s_document_goes_with_the_episode() {
     assert_eq!(there(&mut store), [true, false, true, true]);
     store.begin(2, 7);
     assert_eq!(there(&mut store), [true, false, true, false]);
-    assert_eq!(store.held(), 2);
+    assert_eq!(store.len(), 2);
 }
 
 #[test]

@@ -62,7 +62,7 @@ fn a_frame_is_the_same_for_everybody() {
             assert!(
                 consumer.get(0).unwrap().is_none() && consumer.get(second + 1).unwrap().is_none()
             );
-            assert_eq!((consumer.held(), consumer.taken()), (2, 2));
+            assert_eq!((consumer.len(), consumer.received()), (2, 2));
         }
     }
 }
@@ -110,7 +110,7 @@ fn a_held_frame_does_not_change_and_memory_stays_near_the_budget() {
     }
     for consumer in &mut store.consumers {
         consumer.apply_evictions().unwrap();
-        assert_eq!(consumer.held(), 0);
+        assert_eq!(consumer.len(), 0);
     }
 }
 

@@ -12,9 +12,10 @@ use std::time::Duration;
 
 use bytemuck::Zeroable;
 use domain::Action;
-use peer::{Answers, Decider, Request, ServeError, serve_from_environment};
+use peer::{Answers, Batch, Decider, ServeError, serve_from_environment};
 use shm_types::message::{
-    Decision, Handshake, Observation, PolicyEpisodeConfig, Recall, Role, ShutdownReport, Stop,
+    Decision, Handshake, NOT_MEASURED, Observation, PolicyEpisodeConfig, Recall, Role,
+    ShutdownReport, Stop,
 };
 use shm_types::process::ProcessWatch;
 use shm_types::{ATTACH_VARIABLE, Attach, Bus, FrameStore};
@@ -46,8 +47,8 @@ impl Decider for Picky {
         "picky"
     }
 
-    fn take(&mut self, batch: &[Request<'_>], answers: &Answers) -> Result<(), ServeError> {
-        for request in batch {
+    fn take(&mut self, batch: &Batch<'_>, answers: &Answers) -> Result<(), ServeError> {
+        for request in batch.iter() {
             if request.instruction != self.victim {
                 let decision = peer::Decision::act(request, Action::TurnLeft);
                 answers.decide(request.id(), decision);
@@ -91,7 +92,7 @@ fn raw(mode: &str) {
     let _documents = shm_types::DocumentStore::new(&bus).unwrap();
     let decisions = bus.sender::<Decision>().unwrap();
     let orchestrator = bus.notifier(Role::Orchestrator).unwrap();
-    if mode != "no-hello" {
+    if mode != "no-handshake" {
         let handshake = Handshake::new(Role::Policy, [("policy", mode.to_owned())]).unwrap();
         let handshake = Handshake {
             wire_version: handshake.wire_version + u32::from(mode == "old"),
@@ -136,9 +137,23 @@ fn raw(mode: &str) {
             (entry.observed, entry.recalled) = (None, None);
             answered += 1;
             let action = if mode == "draws" { answered % 7 } else { Action::TurnLeft as u32 } as u8;
-            let usual = Decision { episode, lane, step, action, ..Zeroable::zeroed() };
+            let usual = Decision {
+                episode,
+                lane,
+                step,
+                action,
+                images_asked: NOT_MEASURED,
+                images: if mode == "miscounts" { NOT_MEASURED - 1 } else { NOT_MEASURED },
+                attempts: NOT_MEASURED,
+                prompt_tokens: NOT_MEASURED,
+                completion_tokens: NOT_MEASURED,
+                cached_tokens: NOT_MEASURED,
+                image_tokens: NOT_MEASURED,
+                memory_tokens: NOT_MEASURED,
+                ..Zeroable::zeroed()
+            };
             let sent = match mode {
-                "silent" | "no-hello" => vec![],
+                "silent" | "no-handshake" => vec![],
                 "wrong-lane" => vec![Decision { lane: lane + 1, ..usual }],
                 "no-such-lane" => vec![Decision { lane: 4242, ..usual }],
                 "wrong-step" => vec![Decision { step: step + 1, ..usual }],
@@ -159,7 +174,7 @@ fn raw(mode: &str) {
             let _ = frames.apply_evictions();
         }
         if stops.next().unwrap().is_some() && mode != "ignores-stop" {
-            if mode != "no-farewell" {
+            if mode != "no-shutdown-report" {
                 let shutdown_report =
                     ShutdownReport { role: Role::Policy as u32, ..Zeroable::zeroed() };
                 bus.sender().unwrap().send(&shutdown_report).unwrap();

@@ -32,8 +32,6 @@ pub(super) struct Script {
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Answer {
     /// Views and actions.
-    pub(super) window: Vec<(Pose, u8)>,
-    /// Views and actions.
     pub(super) segment: Vec<(Pose, u8)>,
     /// The distance's bits.
     pub(super) distance: u32,
@@ -45,10 +43,10 @@ pub(super) struct Answer {
 }
 
 impl Answer {
-    /// Images of a request with this answer.
+    /// Images of a request with this answer and a full window.
     pub(super) fn images(&self) -> usize {
         let keyframes = self.trajectories.iter().filter(|step| step.0.is_some());
-        1 + self.window.len() + self.segment.len() + keyframes.count()
+        1 + 6 + self.segment.len() + keyframes.count()
     }
 }
 
@@ -123,11 +121,10 @@ impl Rig {
                 case: case_index,
                 demonstrations: Demonstrations::ALL.bits(),
                 representation: representation as u8,
-                window: 6,
                 horizon: 6,
                 keyframes: 40,
                 segment: 0,
-                reserved: [0; 7],
+                reserved: [0; 8],
             },
             observations: (0..=last).map(observation).collect(),
             poses: replay.poses,
@@ -191,7 +188,6 @@ impl Rig {
     pub(super) fn collect(&mut self) -> Vec<u32> {
         let mut lanes = Vec::new();
         for (recall, trace) in self.engine.answers(|| 5, &mut self.documents).unwrap() {
-            let window = &recall.window[..recall.window_len as usize];
             let segment = &recall.segment[..recall.segment_len as usize];
             let pose = |frame: FrameId| self.frames[frame as usize - 1];
             let held = |frame: FrameId| {
@@ -217,7 +213,6 @@ impl Rig {
                 }
             }
             let answer = Answer {
-                window: window.iter().map(|step| (pose(step.frame), step.action)).collect(),
                 segment: segment.iter().map(|step| (held(step.frame), step.action)).collect(),
                 distance: recall.distance.to_bits(),
                 source: (trace.case, trace.demonstration, trace.index),

@@ -7,7 +7,7 @@ use anyhow::{Context, Result};
 use askama::Template;
 use base64::Engine;
 use base64::prelude::BASE64_STANDARD;
-use domain::prompt_log::{Part, Seen};
+use domain::prompt_log::{RecordedPart, RecordedView};
 
 use super::text;
 use results::step_view::{Prompt, Shown};
@@ -68,12 +68,12 @@ pub(super) fn render(shown: &Shown, prompt: &Prompt) -> Result<String> {
         let action = past.action.as_deref().unwrap_or("not understood").to_owned();
         Picture { url: url(&past.frame), lines: vec![action, past.feedback.clone()] }
     });
-    let picture = |(index, seen): (usize, &Seen)| {
+    let picture = |(index, seen): (usize, &RecordedView)| {
         let action = seen.action.clone().unwrap_or_default();
         let lines = vec![format!("{index}. {action}").trim_end().to_owned()];
         Picture { url: seen.frame.as_ref().and_then(url), lines }
     };
-    let strip = |title: String, steps: &[Seen]| {
+    let strip = |title: String, steps: &[RecordedView]| {
         let pictures = steps.iter().enumerate().map(picture).collect();
         Strip { title, pictures }
     };
@@ -90,9 +90,11 @@ pub(super) fn render(shown: &Shown, prompt: &Prompt) -> Result<String> {
             .parts
             .iter()
             .filter_map(|part| match part {
-                Part::Text(text) => Some(Piece::Text(text)),
-                Part::Stored(hash) => Some(Piece::Text(text(hash))),
-                Part::Image(hash) => url(hash).map(Piece::Image),
+                RecordedPart::Text(text) => Some(Piece::Text(text)),
+                RecordedPart::Stored(hash) => Some(Piece::Text(text(hash))),
+                RecordedPart::Image(hash) => url(hash).map(Piece::Image),
+                // Never in a log.
+                RecordedPart::Png(_) => None,
             })
             .collect(),
     });

@@ -2,7 +2,7 @@
 
 use std::fmt::Write;
 
-use domain::prompt_log::{Part, Seen, Usage};
+use domain::prompt_log::{RecordedPart, RecordedUsage, RecordedView};
 
 use results::step_view::{Prompt, Shown};
 
@@ -91,13 +91,15 @@ fn entry(text: &mut String, prompt: &Prompt) {
             let _ = writeln!(text, "\nMessage of role {}", message.role);
             for part in &message.parts {
                 match part {
-                    Part::Text(content) => indented(text, content),
-                    Part::Stored(hash) => {
+                    RecordedPart::Text(content) => indented(text, content),
+                    RecordedPart::Stored(hash) => {
                         indented(text, prompt.texts.get(hash).map_or("", String::as_str));
                     }
-                    Part::Image(hash) => {
+                    RecordedPart::Image(hash) => {
                         let _ = writeln!(text, "  [image {}]", short(hash));
                     }
+                    // Never in a log.
+                    RecordedPart::Png(_) => {}
                 }
             }
         }
@@ -151,7 +153,7 @@ pub(super) fn facts(prompt: &Prompt) -> Vec<(&'static str, String)> {
     facts
 }
 
-fn tokens(usage: &Usage) -> String {
+fn tokens(usage: &RecordedUsage) -> String {
     let mut text = Vec::new();
     let of_prompt: Vec<String> = [
         ("cached", usage.cached_tokens),
@@ -168,7 +170,7 @@ fn tokens(usage: &Usage) -> String {
     if text.is_empty() { "not told".to_owned() } else { text.join(", ") }
 }
 
-fn walk(text: &mut String, steps: &[Seen]) {
+fn walk(text: &mut String, steps: &[RecordedView]) {
     for (index, seen) in steps.iter().enumerate() {
         let view = seen
             .frame

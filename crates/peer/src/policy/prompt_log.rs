@@ -1,6 +1,4 @@
-//! Writes the prompt log ([`domain::prompt_log`]): requests and answers, views and long texts once.
-//!
-//! Nothing here decides what happens when the disk is full: the serve loop does.
+//! Writes the prompt log ([`domain::prompt_log`]). Images and long texts are stored once.
 
 use std::collections::HashSet;
 use std::fs::{self, File, OpenOptions};
@@ -8,29 +6,28 @@ use std::io::{self, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
 use domain::prompt_log::{
-    Asked, Entry, Hash, Part, Past, Retrieved, Seen, Supplied, entries_file, hex, image_file,
-    text_file, trajectories_file,
+    Hash, PromptLogEntry, RecordedDocument, RecordedPart, RecordedPast, RecordedRequest,
+    RecordedSegment, RecordedView, entries_file, hex, image_file, text_file, trajectories_file,
 };
-use image::codecs::png::{CompressionType, FilterType, PngEncoder};
-use image::{ExtendedColorType, ImageEncoder};
+use png_file::{Channels, encode};
 use serde::Serialize;
 use shm_types::Attach;
 
-use crate::{FrameView, Request};
+use super::{FrameView, Request};
 
-/// Texts of more bytes than these are stored once.
+/// Longer texts, in bytes, have a file of their own.
 const LONG_TEXT: usize = 1024;
 
-/// What could not be written, and why.
+/// A file of the prompt log cannot be written.
 #[derive(Debug, thiserror::Error)]
-#[error("cannot keep the prompt log: {}: {source}", path.display())]
-pub(super) struct LogError {
+#[error("cannot write the prompt log: {}: {source}", path.display())]
+pub(super) struct PromptLogError {
     path: PathBuf,
     source: io::Error,
 }
 
-fn at(path: &Path) -> impl FnOnce(io::Error) -> LogError + '_ {
-    move |source| LogError { path: path.to_owned(), source }
+fn at(path: &Path) -> impl FnOnce(io::Error) -> PromptLogError + '_ {
+    move |source| PromptLogError { path: path.to_owned(), source }
 }
 
 /// An open prompt log.
@@ -39,13 +36,13 @@ pub(super) struct PromptLog {
     prompts: PathBuf,
     path: PathBuf,
     file: File,
-    /// Images and texts that are known to be there.
-    kept: HashSet<PathBuf>,
+    /// Files of images and texts that exist.
+    stored: HashSet<PathBuf>,
 }
 
 impl PromptLog {
-    /// The log that the run asks for, if it does.
-    pub(super) fn open(attach: &Attach) -> Result<Option<Self>, LogError> {
+    /// Opens the log if the run asks for one.
+    pub(super) fn open(attach: &Attach) -> Result<Option<Self>, PromptLogError> {
         let Some(session) = &attach.prompts else { return Ok(None) };
         let prompts = session.parent().unwrap_or(session).to_owned();
         for folder in [session.clone(), prompts.join("images"), prompts.join("documents")] {
@@ -53,14 +50,17 @@ impl PromptLog {
         }
         let path = entries_file(session, attach.generation);
         let file = open_lines(&path).map_err(at(&path))?;
-        Ok(Some(Self { prompts, path, file, kept: HashSet::new() }))
+        Ok(Some(Self { prompts, path, file, stored: HashSet::new() }))
     }
 
-    /// Keeps what a request shows, and says what to write of it.
-    pub(super) fn asked(&mut self, request: &Request<'_>) -> Result<Asked, LogError> {
+    /// Stores the images and texts of a request, and returns its record.
+    pub(super) fn request(
+        &mut self,
+        request: &Request<'_>,
+    ) -> Result<RecordedRequest, PromptLogError> {
         let mut window = Vec::with_capacity(request.window.len());
         for past in request.window {
-            window.push(Past {
+            window.push(RecordedPast {
                 frame: self.view(&past.frame)?,
                 action: past.action.map(|action| action.words().to_owned()),
                 feedback: past.feedback.words().to_owned(),
@@ -70,20 +70,20 @@ impl PromptLog {
             None => None,
             Some(segment) => {
                 let steps = segment.steps.iter().map(|step| (Some(step.frame), step.action));
-                Some(Retrieved { distance: segment.distance, steps: self.seen(steps)? })
+                Some(RecordedSegment { distance: segment.distance, steps: self.views(steps)? })
             }
         };
         let mut documents = Vec::with_capacity(request.documents.len());
         for document in request.documents {
             let kind = document.kind.word().to_owned();
-            documents.push(Supplied { kind, text: self.text(document.text)? });
+            documents.push(RecordedDocument { kind, text: self.text(document.text)? });
         }
         let mut trajectories = Vec::with_capacity(request.trajectories.len());
         for trajectory in request.trajectories {
             let steps = trajectory.steps.iter().map(|step| (step.frame, step.action));
-            trajectories.push(self.seen(steps)?);
+            trajectories.push(self.views(steps)?);
         }
-        Ok(Asked {
+        Ok(RecordedRequest {
             repeat: request.repeat,
             seed: request.episode_seed,
             instruction: request.instruction.to_owned(),
@@ -101,68 +101,72 @@ impl PromptLog {
         })
     }
 
-    /// Adds an entry. Its long texts go into files of their own.
-    pub(super) fn write(&mut self, mut entry: Entry) -> Result<(), LogError> {
+    /// Appends an entry. Its images and long texts go into files of their own.
+    pub(super) fn write(&mut self, mut entry: PromptLogEntry) -> Result<(), PromptLogError> {
         let messages = entry.exchange.iter_mut().flat_map(|exchange| &mut exchange.messages);
         for part in messages.flat_map(|message| &mut message.parts) {
-            if let Part::Text(text) = part
-                && text.len() > LONG_TEXT
-            {
-                *part = Part::Stored(self.text(text)?);
+            match part {
+                RecordedPart::Text(text) if text.len() > LONG_TEXT => {
+                    *part = RecordedPart::Stored(self.text(text)?);
+                }
+                RecordedPart::Png(png) => {
+                    let hash = hash_of(png);
+                    self.store(image_file(&self.prompts, &hash), || Ok(std::mem::take(png)))?;
+                    *part = RecordedPart::Image(hash);
+                }
+                RecordedPart::Text(_) | RecordedPart::Stored(_) | RecordedPart::Image(_) => {}
             }
         }
         let mut line = json(&entry, &self.path)?;
         line.push(b'\n');
-        // One write: a kill leaves a line whole, absent or torn, never mixed with another.
+        // A single write: if the process is killed, the line is complete, cut off or absent.
         self.file.write_all(&line).map_err(at(&self.path))
     }
 
-    fn seen<'a>(
+    fn views<'a>(
         &mut self,
         steps: impl Iterator<Item = (Option<FrameView<'a>>, Option<domain::Action>)>,
-    ) -> Result<Vec<Seen>, LogError> {
-        let mut seen = Vec::new();
+    ) -> Result<Vec<RecordedView>, PromptLogError> {
+        let mut views = Vec::new();
         for (frame, action) in steps {
             let frame = frame.map(|frame| self.view(&frame)).transpose()?;
-            seen.push(Seen { frame, action: action.map(|action| action.words().to_owned()) });
+            views.push(RecordedView {
+                frame,
+                action: action.map(|action| action.words().to_owned()),
+            });
         }
-        Ok(seen)
+        Ok(views)
     }
 
-    fn view(&mut self, view: &FrameView<'_>) -> Result<Hash, LogError> {
+    fn view(&mut self, view: &FrameView<'_>) -> Result<Hash, PromptLogError> {
         let hash = hex(view.content_hash);
         let path = image_file(&self.prompts, &hash);
-        self.keep(path, || {
-            let mut png = Vec::new();
-            // The views have no transparent pixels, but they are kept as they are.
-            PngEncoder::new_with_quality(&mut png, CompressionType::Fast, FilterType::Adaptive)
-                .write_image(view.pixels, view.width, view.height, ExtendedColorType::Rgba8)
-                .map_err(io::Error::other)?;
-            Ok(png)
+        self.store(path, || {
+            encode(view.width, view.height, Channels::Rgba, view.pixels).map_err(io::Error::other)
         })?;
         Ok(hash)
     }
 
-    fn text(&mut self, text: &str) -> Result<Hash, LogError> {
+    fn text(&mut self, text: &str) -> Result<Hash, PromptLogError> {
         let hash = hash_of(text.as_bytes());
-        self.keep(text_file(&self.prompts, &hash), || Ok(text.as_bytes().to_vec()))?;
+        self.store(text_file(&self.prompts, &hash), || Ok(text.as_bytes().to_vec()))?;
         Ok(hash)
     }
 
-    fn trajectories(&mut self, trajectories: &[Vec<Seen>]) -> Result<Hash, LogError> {
+    fn trajectories(&mut self, trajectories: &[Vec<RecordedView>]) -> Result<Hash, PromptLogError> {
         let text = json(&trajectories, &self.path)?;
         let hash = hash_of(&text);
-        self.keep(trajectories_file(&self.prompts, &hash), || Ok(text))?;
+        self.store(trajectories_file(&self.prompts, &hash), || Ok(text))?;
         Ok(hash)
     }
 
-    /// Writes a file whose name says its content, unless it is there: whole or not at all.
-    fn keep(
+    /// Writes a file that is named by its content's hash, atomically, unless it exists.
+    fn store(
         &mut self,
         path: PathBuf,
         content: impl FnOnce() -> io::Result<Vec<u8>>,
-    ) -> Result<(), LogError> {
-        if self.kept.contains(&path) {
+    ) -> Result<(), PromptLogError> {
+        if self.stored.contains(&path) {
             return Ok(());
         }
         if !path.exists() {
@@ -172,22 +176,22 @@ impl PromptLog {
                 .and_then(|()| fs::rename(&draft, &path))
                 .map_err(at(&path))?;
         }
-        self.kept.insert(path);
+        self.stored.insert(path);
         Ok(())
     }
 }
 
-/// The name of a text.
+/// The hash that names a file with these bytes.
 fn hash_of(bytes: &[u8]) -> Hash {
     let hash = blake3::hash(bytes);
     hex(hash.as_bytes().first_chunk().copied().unwrap_or_default())
 }
 
-fn json(value: &impl Serialize, path: &Path) -> Result<Vec<u8>, LogError> {
+fn json(value: &impl Serialize, path: &Path) -> Result<Vec<u8>, PromptLogError> {
     serde_json::to_vec(value).map_err(io::Error::other).map_err(at(path))
 }
 
-/// Opens a file of lines to add to: a line that was never finished is cut off.
+/// Opens a file of lines for appending, and removes an incomplete last line.
 fn open_lines(path: &Path) -> io::Result<File> {
     let mut file =
         OpenOptions::new().create(true).truncate(false).read(true).write(true).open(path)?;
@@ -206,7 +210,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_line_that_was_being_written_is_cut_off() {
+    fn an_incomplete_last_line_is_removed() {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("generation-1.jsonl");
         for (found, kept) in [("", ""), ("{}\n{\"ep", "{}\n"), ("{}\n", "{}\n"), ("{", "")] {

@@ -1,17 +1,16 @@
-//! What a policy is given for one step of one episode, and what it answers.
+//! Requests and decisions.
 //!
-//! A request borrows everything: pixels stay where the simulator wrote them. Two equal requests may
-//! be answered at any time, in any batch and any order, so a policy that wants its runs repeatable
-//! answers from the request alone.
+//! A request borrows everything: pixels stay where the simulator wrote them. Equal requests may come at any time, in any
+//! batch and any order, so a policy whose runs are to be reproducible decides from the request alone.
 
 use domain::{Action, DocumentKind, Feedback, Outcome, Pose};
-use shm_types::message::{DocumentId, FrameId, NO_FRAME};
+use shm_types::message::{DocumentId, FrameId, NO_FRAME, RequestId};
+use shm_types::{Frame, FrameSize};
 
-/// A view: pixels in shared memory, which never change while the view can be named.
+/// An image in shared memory. It does not change while the request lives.
 #[derive(Clone, Copy)]
 pub struct FrameView<'a> {
-    /// Names the pixels. Good for caching what was seen in them, since it is never reused; which
-    /// number it is means nothing.
+    /// Identifies the frame within the run; never reused.
     pub id: FrameId,
     /// First 16 bytes of the BLAKE3 hash of the pixels: equal pixels, equal hash, whatever the run.
     pub content_hash: [u8; 16],
@@ -23,12 +22,18 @@ pub struct FrameView<'a> {
     pub pixels: &'a [u8],
 }
 
-impl FrameView<'_> {
-    /// No picture.
+impl<'a> FrameView<'a> {
+    pub(super) fn of(frame: &'a Frame) -> Self {
+        let FrameSize { width, height } = frame.size();
+        let (id, content_hash) = (frame.id(), frame.content_hash());
+        Self { id, content_hash, width, height, pixels: frame.pixels() }
+    }
+
+    /// No image.
     pub const NONE: Self =
         Self { id: NO_FRAME, content_hash: [0; 16], width: 0, height: 0, pixels: &[] };
 
-    /// The red, green and blue of the pixel in column `x` and row `y`; black outside the picture.
+    /// The colour of the pixel in column `x` and row `y`; black outside the image.
     pub fn rgb(&self, x: u32, y: u32) -> [u8; 3] {
         if x >= self.width {
             return [0; 3];
@@ -52,36 +57,34 @@ impl std::fmt::Debug for FrameView<'_> {
 pub struct PastView<'a> {
     /// The view before the action.
     pub frame: FrameView<'a>,
-    /// What was done there; `None` when the answer could not be read.
+    /// The action taken there; `None` if the answer could not be read.
     pub action: Option<Action>,
-    /// What the world said to it.
+    /// The feedback to it.
     pub feedback: Feedback,
 }
 
-/// One view of a remembered segment.
+/// One view of a retrieved segment.
 #[derive(Debug, Clone, Copy)]
 pub struct SegmentView<'a> {
     /// The remembered view.
     pub frame: FrameView<'a>,
-    /// What the expert did there; `None` at the end of the segment, and everywhere in one of images
-    /// alone.
+    /// The expert's action there; `None` at the end of the segment, and in a segment without actions.
     pub action: Option<Action>,
 }
 
-/// What memory found for this step: the stored view nearest to the current one, and what followed.
+/// What memory retrieved for a step: the stored view nearest to the current one, and the views after it.
 #[derive(Debug, Clone, Copy)]
 pub struct Segment<'a> {
-    /// Cosine distance between the embeddings of the first remembered view and the current one.
+    /// Cosine distance between the embeddings of the matched view and the current one.
     pub distance: f32,
-    /// The matched view, then the views that the expert's actions led to. Never empty.
+    /// The matched view, then the views after each of the expert's actions. Never empty.
     pub steps: &'a [SegmentView<'a>],
 }
 
-/// A document that memory supplies as it stands.
+/// A text document that memory supplies.
 #[derive(Debug, Clone, Copy)]
 pub struct DocumentView<'a> {
-    /// Names the text. Good for caching what was read in it, since it is never reused; which number it
-    /// is means nothing.
+    /// Identifies the document within the run; never reused.
     pub id: DocumentId,
     /// Summary or semantic.
     pub kind: DocumentKind,
@@ -89,75 +92,63 @@ pub struct DocumentView<'a> {
     pub text: &'a str,
 }
 
-/// One step of a demonstration that memory supplies whole.
+/// One step of a demonstration.
 #[derive(Debug, Clone, Copy)]
 pub struct TrajectoryView<'a> {
-    /// The view before the action, where it is a keyframe.
+    /// The view before the action, if it is a keyframe.
     pub frame: Option<FrameView<'a>>,
-    /// What the expert did there; `None` at the end of the demonstration.
+    /// The expert's action there; `None` at the end of the demonstration.
     pub action: Option<Action>,
 }
 
-/// A demonstration: every action, and keyframes.
+/// A whole demonstration: all actions, and keyframes.
 #[derive(Debug, Clone, Copy)]
 pub struct Trajectory<'a> {
     /// From its start to its end. Never empty.
     pub steps: &'a [TrajectoryView<'a>],
 }
 
-/// Names a request, for its answer.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-pub struct RequestId {
-    /// The lane the episode runs in.
-    pub lane: u32,
-    /// Steps taken so far.
-    pub step: u32,
-    /// The episode; never used again within a run.
-    pub episode: u64,
-}
-
-/// All that a policy may use to decide one step (SPEC section 1: `x_t`, `W_t` and `m_t`).
+/// All that a policy may use to decide a step: `x_t`, `W_t` and `m_t` (specification, section 1).
 #[derive(Debug, Clone, Copy)]
 pub struct Request<'a> {
-    /// The lane the episode runs in. For a policy's own book-keeping; it means nothing.
+    /// The lane that the episode runs in. It has no meaning beyond telling simultaneous episodes apart.
     pub lane: u32,
     /// Steps taken so far.
     pub step: u32,
-    /// Names the episode: never used again within a run, and which number it is means nothing.
+    /// Identifies the episode within the run; never reused.
     pub episode: u64,
-    /// A policy that draws at random draws from this.
+    /// Seed for random choices.
     pub episode_seed: u64,
-    /// Which repetition of the run this is, from 1. Equal requests of one repetition are the same request, and
-    /// may be given the same answer.
+    /// The repetition of the run, from 1. Equal requests of one repetition are the same request and may get the same
+    /// answer.
     pub repeat: u32,
-    /// What is asked for, in English.
+    /// The task, in English.
     pub instruction: &'a str,
-    /// Where the agent is.
+    /// The agent's pose.
     pub pose: Pose,
-    /// What the world said to the last action.
+    /// The feedback to the last action.
     pub feedback: Feedback,
-    /// What the agent sees.
+    /// The agent's view.
     pub frame: FrameView<'a>,
     /// The last steps, oldest first.
     pub window: &'a [PastView<'a>],
-    /// What memory retrieved for this step, if it retrieves.
+    /// The segment that memory retrieved, if any.
     pub segment: Option<Segment<'a>>,
     /// Documents that memory supplies, in order.
     pub documents: &'a [DocumentView<'a>],
     /// Demonstrations that memory supplies whole.
     pub trajectories: &'a [Trajectory<'a>],
-    /// Whether a demonstration is known to have started in the pose this episode started in: the hint
-    /// of the original start (paper, Design Choices).
+    /// Whether the prompt says that a demonstration started in this episode's start pose (paper, Design Choices).
     pub starts_as_demonstrated: bool,
 }
 
 impl Request<'_> {
-    /// What names the request in its answer.
+    /// Identifies the request in its answer.
     pub const fn id(&self) -> RequestId {
-        RequestId { lane: self.lane, step: self.step, episode: self.episode }
+        RequestId { lane: self.lane, episode: self.episode, step: self.step }
     }
 
-    /// Images in the request: the current view, the window's, the segment's and the keyframes.
+    /// The number of images: the current view, the window, the segment and the keyframes.
     pub fn images(&self) -> u32 {
         let retrieved = self.segment.map_or(0, |segment| segment.steps.len());
         let steps = self.trajectories.iter().flat_map(|trajectory| trajectory.steps);
@@ -166,13 +157,13 @@ impl Request<'_> {
     }
 }
 
-/// What came of asking a policy. Anything but an action leaves the agent where it is, costs a step
-/// and is reported as such; it is never an accident of the machinery.
+/// The outcome of a request. Anything but an action costs a step and leaves the agent where it is. Failures of a server
+/// are no answers: see [`Answers::fail`](super::Answers::fail).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Answer {
-    /// Do this.
+    /// Take this action.
     Act(Action),
-    /// There was an answer, and no action could be read from it.
+    /// No action could be read from the answer.
     Unreadable,
     /// The answer was empty.
     Empty,
@@ -181,7 +172,7 @@ pub enum Answer {
 }
 
 impl Answer {
-    /// The word for this on the wire and in the log.
+    /// The outcome on the wire and in the log.
     pub const fn outcome(self) -> Outcome {
         match self {
             Self::Act(_) => Outcome::Acted,
@@ -191,7 +182,7 @@ impl Answer {
         }
     }
 
-    /// The action, if one was chosen.
+    /// The action, if there is one.
     pub const fn action(self) -> Option<Action> {
         match self {
             Self::Act(action) => Some(action),
@@ -200,26 +191,26 @@ impl Answer {
     }
 }
 
-/// What asking a language model took. `None`: nobody told.
+/// The cost of asking a language model. `None` is not known.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Usage {
     /// Tokens of the prompt.
     pub prompt_tokens: Option<u32>,
     /// Tokens of the answer.
     pub completion_tokens: Option<u32>,
-    /// Tokens of the prompt that the server had computed before and took from its own cache.
+    /// Tokens of the prompt that the server took from its cache.
     pub cached_tokens: Option<u32>,
     /// Tokens of the prompt's images.
     pub image_tokens: Option<u32>,
-    /// Tokens of the prompt that are injected memory, an estimate.
+    /// Tokens of the prompt that are memory; an estimate.
     pub memory_tokens: Option<u32>,
-    /// Requests that were sent, failed ones included.
+    /// Requests sent, including failed ones.
     pub attempts: u32,
-    /// The reply is one that was kept from an earlier request: it cost nothing this time.
+    /// Whether the reply came from the response cache.
     pub replayed: bool,
     /// When the prompt was built, CLOCK_MONOTONIC.
     pub prompted_ns: u64,
-    /// When the request was sent, the last time if several times; 0 where none was.
+    /// When the last request was sent; 0 without one.
     pub sent_ns: u64,
 }
 
@@ -228,14 +219,14 @@ pub struct Usage {
 pub struct Decision {
     /// The answer.
     pub answer: Answer,
-    /// Images the policy was shown for it.
+    /// Images that the policy used.
     pub images: u32,
-    /// What asking a model took; `None` where none was asked.
+    /// The cost of asking a model; `None` if none was asked.
     pub usage: Option<Usage>,
 }
 
 impl Decision {
-    /// `action`, after being shown every image of `request`, without asking a model.
+    /// `action`, decided from all images of `request` without a model.
     pub fn act(request: &Request<'_>, action: Action) -> Self {
         Self { answer: Answer::Act(action), images: request.images(), usage: None }
     }

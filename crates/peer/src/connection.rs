@@ -1,0 +1,218 @@
+//! One generation of a run, for any role: handshake, serve loop, frames, heartbeats, shutdown.
+
+use std::sync::Arc;
+use std::thread;
+use std::time::{Duration, Instant};
+
+use bytemuck::Zeroable;
+use shm_types::message::{FrameId, Handshake, Heartbeat, Role, ShutdownReport, Stop};
+use shm_types::{
+    Attach, Bus, ErrorReporter, Frame, FrameError, FrameStore, Heartbeats, Notifier, Receiver,
+    Spans,
+};
+
+use crate::run::{Run, ServeError};
+
+/// Longest sleep of the serve loop, and how often it looks for the next generation.
+const MAX_SLEEP: Duration = Duration::from_millis(250);
+
+/// Sleep while a message is expected that comes without a notification.
+const SHORT_SLEEP: Duration = Duration::from_millis(1);
+
+/// How often to look for the orchestrator before it has joined.
+const POLL_INTERVAL: Duration = Duration::from_millis(10);
+
+/// What a program does in a role.
+pub trait Service {
+    /// The role.
+    const ROLE: Role;
+
+    /// The state of one generation.
+    type Session<'s>: Session
+    where
+        Self: 's;
+
+    /// Facts for the run's manifest, as names and values.
+    fn facts(&self) -> Vec<(&'static str, String)>;
+
+    /// Creates the receivers and senders of a generation.
+    ///
+    /// # Errors
+    /// When a service cannot be opened.
+    fn start<'s>(&'s mut self, connection: &Connection) -> Result<Self::Session<'s>, ServeError>;
+}
+
+/// What a [`Service`] does in one generation.
+pub trait Session {
+    /// Receives all waiting messages, works on them and sends the results. Returns whether the orchestrator has to be
+    /// notified.
+    ///
+    /// # Errors
+    /// When the transport fails or the service cannot go on.
+    fn turn(&mut self, connection: &mut Connection) -> Result<bool, ServeError>;
+
+    /// Work done since the start, and work that waits, for the heartbeat.
+    fn progress(&self) -> (u64, u64);
+
+    /// Whether a message is expected that comes without a notification.
+    fn expects_message(&self) -> bool {
+        false
+    }
+
+    /// Called when a wait has ended without a notification, a few times a second.
+    ///
+    /// # Errors
+    /// When serving has to end.
+    fn idle(&mut self) -> Result<(), ServeError> {
+        Ok(())
+    }
+}
+
+/// How a generation ended.
+pub(crate) enum End {
+    /// A stop message came.
+    Stopped,
+    /// Another generation has replaced it.
+    NextGeneration(Attach),
+}
+
+/// A process's place in one generation of a run.
+#[derive(Debug)]
+pub struct Connection {
+    /// Frames, documents and messages that cannot be used are reported here.
+    pub errors: ErrorReporter,
+    /// Spans of the process's work, if the run asks for them.
+    pub spans: Spans,
+    frames: FrameStore,
+    heartbeats: Heartbeats,
+    stops: Receiver<Stop>,
+    orchestrator: Notifier,
+    pin_limit: usize,
+    is_over_pin_limit: bool,
+    // The last field: the ports above are dropped first.
+    bus: Bus,
+}
+
+impl Connection {
+    pub(crate) fn join<S: Service>(attach: Attach, _service: &S) -> Result<Self, ServeError> {
+        let bus = Bus::join(attach, S::ROLE)?;
+        let attach = bus.attach();
+        Ok(Self {
+            errors: ErrorReporter::new(&bus)?,
+            spans: Spans::open(attach, S::ROLE).map_err(ServeError::Spans)?,
+            frames: FrameStore::new(&bus)?,
+            heartbeats: Heartbeats::new(&bus)?,
+            stops: bus.receiver()?,
+            orchestrator: bus.notifier(Role::Orchestrator)?,
+            pin_limit: attach.spare_frames() as usize / 2,
+            is_over_pin_limit: false,
+            bus,
+        })
+    }
+
+    /// The generation's bus.
+    pub fn bus(&self) -> &Bus {
+        &self.bus
+    }
+
+    /// The frame that `id` names, which stays readable while the result lives; `None` if there is none.
+    ///
+    /// # Errors
+    /// When the transport fails.
+    pub fn frame(&mut self, id: FrameId) -> Result<Option<Arc<Frame>>, ServeError> {
+        loop {
+            match self.frames.get(id) {
+                Ok(frame) => return Ok(frame.cloned()),
+                Err(FrameError::Bus(error)) => return Err(error.into()),
+                // The store has dropped the invalid frame.
+                Err(error) => self.errors.report(error),
+            }
+        }
+    }
+
+    /// Serves until the generation ends.
+    pub(crate) fn serve<S: Service>(
+        &mut self,
+        service: &mut S,
+        run: &Run,
+    ) -> Result<End, ServeError> {
+        // The session creates its receivers first: other processes send as soon as all handshakes are in.
+        let handshake = Handshake::new(S::ROLE, service.facts())?;
+        let mut session = service.start(self)?;
+        let handshakes = self.bus.sender()?;
+        // The orchestrator may not have joined yet, or be in the next generation already.
+        while !handshakes.is_complete() {
+            if let Some(next) = run.next(self.bus.attach())? {
+                return Ok(End::NextGeneration(next));
+            }
+            thread::sleep(POLL_INTERVAL);
+        }
+        handshakes.send(&handshake)?;
+        self.orchestrator.notify()?;
+        let mut last_look = Instant::now();
+        while !self.turn(&mut session)? {
+            let sleep = if session.expects_message() { SHORT_SLEEP } else { MAX_SLEEP };
+            let notified = self.bus.listener().wait(sleep)?;
+            if last_look.elapsed() >= MAX_SLEEP {
+                if let Some(next) = run.next(self.bus.attach())? {
+                    return Ok(End::NextGeneration(next));
+                }
+                last_look = Instant::now();
+            }
+            if !notified {
+                session.idle()?;
+            }
+        }
+        self.send_shutdown_report()?;
+        Ok(End::Stopped)
+    }
+
+    /// One iteration of the serve loop; returns whether a stop message came.
+    fn turn(&mut self, session: &mut impl Session) -> Result<bool, ServeError> {
+        let reports = self.errors.count();
+        let sent = session.turn(self)?;
+        self.drop_evicted_frames()?;
+        let frames = self.frames.len() as u64;
+        let is_beat = self.heartbeats.beat(|| {
+            let (done, waiting) = session.progress();
+            Heartbeat { done, waiting, held: frames, ..Zeroable::zeroed() }
+        });
+        if sent || is_beat || self.errors.count() != reports {
+            self.orchestrator.notify()?;
+        }
+        Ok(self.stops.next()?.is_some())
+    }
+
+    /// Drops evicted frames from the store. If the program itself pins too many of them, the simulator would run out of
+    /// memory for new ones: then the run stops.
+    fn drop_evicted_frames(&mut self) -> Result<(), ServeError> {
+        while let Err(error) = self.frames.apply_evictions() {
+            match error {
+                FrameError::Bus(error) => return Err(error.into()),
+                error => self.errors.report(error),
+            }
+        }
+        let pinned = self.frames.evicted_but_pinned();
+        if pinned > self.pin_limit && !self.is_over_pin_limit {
+            self.is_over_pin_limit = true;
+            let role = self.bus.role().word();
+            self.errors.stop_run(&format!(
+                "the {role} keeps {pinned} frames that were evicted, and at most {} are allowed: copy the pixels that \
+                 are needed after a request",
+                self.pin_limit
+            ))?;
+        }
+        Ok(())
+    }
+
+    fn send_shutdown_report(&self) -> Result<(), ServeError> {
+        self.bus.sender()?.send(&ShutdownReport {
+            role: self.bus.role() as u32,
+            frames_received: self.frames.received(),
+            error_reports: self.errors.count().into(),
+            ..Zeroable::zeroed()
+        })?;
+        self.orchestrator.notify()?;
+        Ok(())
+    }
+}

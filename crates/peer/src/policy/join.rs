@@ -1,0 +1,411 @@
+//! Joins the messages of a step: a lane's episode config, its observation, and the recall for the same step. Builds the
+//! window of past steps from the observations.
+//!
+//! Pure: messages in, complete steps out. A message with an invalid value is an error that names the value and changes
+//! nothing.
+
+use std::collections::VecDeque;
+use std::sync::Arc;
+
+use domain::pose::UnknownCode;
+use domain::{Action, Feedback, Pose};
+use shm_types::message::{
+    DocumentId, EpisodeId, FrameId, MAX_DOCUMENTS, MAX_SEGMENT, MAX_WINDOW, NO_ACTION, NO_FRAME,
+    Observation, PolicyEpisodeConfig, Recall, RequestId, SegmentStep, read_text,
+};
+
+const RECALL: &str = "recall";
+
+/// Why a message cannot be used.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub(super) enum BadMessage {
+    #[error("{message} for lane {lane}: the run has {lanes} lanes")]
+    Lane { message: &'static str, lane: u32, lanes: usize },
+    #[error("{message} for lane {lane}, step {step}: {problem}")]
+    Value { message: &'static str, lane: u32, step: u32, problem: UnknownCode },
+    #[error("{message} for lane {lane}, step {step}: {count} {what}, but at most {most} fit")]
+    Count {
+        message: &'static str,
+        lane: u32,
+        step: u32,
+        what: &'static str,
+        count: u32,
+        most: usize,
+    },
+    #[error("observation for lane {lane}, step {step}: it names no frame")]
+    NoFrame { lane: u32, step: u32 },
+    #[error("observation for lane {lane}, step {step}: step {expected} is next")]
+    Order { lane: u32, step: u32, expected: u32 },
+}
+
+/// The episode of a lane.
+#[derive(Debug, PartialEq, Eq)]
+pub(super) struct Episode {
+    pub(super) id: EpisodeId,
+    pub(super) seed: u64,
+    pub(super) repeat: u32,
+    pub(super) instruction: String,
+    pub(super) starts_as_demonstrated: bool,
+    /// Window length.
+    window: usize,
+}
+
+/// A past step: its view, the action taken there (`None` if the answer could not be read) and the feedback to it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct PastStep {
+    pub(super) frame: FrameId,
+    pub(super) action: Option<Action>,
+    pub(super) feedback: Feedback,
+}
+
+/// The content of an observation.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Observed {
+    pub(super) step: u32,
+    pub(super) frame: FrameId,
+    pub(super) pose: Pose,
+    pub(super) feedback: Feedback,
+}
+
+/// The content of a recall.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub(super) struct Recalled {
+    lane: u32,
+    episode: EpisodeId,
+    step: u32,
+    /// View and action of the retrieved segment; empty without one.
+    pub(super) segment: Vec<(FrameId, Option<Action>)>,
+    pub(super) distance: f32,
+    pub(super) documents: Vec<DocumentId>,
+}
+
+impl Recalled {
+    /// Reads a message where it lies.
+    pub(super) fn read(message: &Recall) -> Result<Self, BadMessage> {
+        let &Recall { lane, step, episode, distance, .. } = message;
+        let count = |what, count: u32, most: usize| {
+            let fits = usize::try_from(count).ok().filter(|&count| count <= most);
+            fits.ok_or(BadMessage::Count { message: RECALL, lane, step, what, count, most })
+        };
+        let segment = &message.segment[..count("segment views", message.segment_len, MAX_SEGMENT)?];
+        let documents =
+            &message.documents[..count("documents", message.documents_len, MAX_DOCUMENTS)?];
+        let view = |view: &SegmentStep| Ok((view.frame, action(view.action)?));
+        let bad = bad_value(RECALL, lane, step);
+        Ok(Self {
+            lane,
+            episode,
+            step,
+            segment: segment.iter().map(view).collect::<Result<_, _>>().map_err(&bad)?,
+            distance,
+            documents: documents.to_vec(),
+        })
+    }
+}
+
+/// The running episode of a lane, and the messages of its current step.
+#[derive(Debug, Default)]
+struct Lane {
+    episode: Option<Arc<Episode>>,
+    /// Steps before the current one, oldest first.
+    window: VecDeque<PastStep>,
+    /// The current step.
+    current: Option<Observed>,
+    /// Whether the current step waits for its recall.
+    is_open: bool,
+    recalled: Option<Recalled>,
+}
+
+impl Lane {
+    fn is_running(&self, id: EpisodeId) -> bool {
+        self.episode.as_ref().is_some_and(|episode| episode.id == id)
+    }
+}
+
+/// A step with everything that belongs to it.
+#[derive(Debug)]
+pub(super) struct Ready {
+    pub(super) lane: u32,
+    pub(super) episode: Arc<Episode>,
+    pub(super) observed: Observed,
+    pub(super) window: Vec<PastStep>,
+    pub(super) recalled: Recalled,
+}
+
+/// All lanes of a run.
+#[derive(Debug)]
+pub(super) struct Join {
+    lanes: Vec<Lane>,
+}
+
+impl Join {
+    pub(super) fn new(lanes: u32) -> Self {
+        Self { lanes: (0..lanes).map(|_| Lane::default()).collect() }
+    }
+
+    /// Begins an episode in a lane, and drops what the lane had.
+    pub(super) fn begin(&mut self, config: &PolicyEpisodeConfig) -> Result<(), BadMessage> {
+        const MESSAGE: &str = "episode config";
+        let number = config.lane;
+        let lane = self.lane_mut(MESSAGE, number)?;
+        let instruction = read_text(&config.instruction, config.instruction_len)
+            .map_err(bad_value(MESSAGE, number, 0))?;
+        let window = usize::from(config.window);
+        if window > MAX_WINDOW {
+            let (count, what, most) = (config.window.into(), "past steps", MAX_WINDOW);
+            return Err(BadMessage::Count {
+                message: MESSAGE,
+                lane: number,
+                step: 0,
+                what,
+                count,
+                most,
+            });
+        }
+        let episode = Episode {
+            id: config.episode,
+            seed: config.seed,
+            repeat: config.repeat,
+            instruction: instruction.to_owned(),
+            starts_as_demonstrated: config.starts_as_demonstrated != 0,
+            window,
+        };
+        *lane = Lane { episode: Some(Arc::new(episode)), ..Lane::default() };
+        Ok(())
+    }
+
+    /// Takes the observation of a step. One of another episode is late and is dropped.
+    pub(super) fn observe(&mut self, message: &Observation) -> Result<(), BadMessage> {
+        const MESSAGE: &str = "observation";
+        let &Observation { lane: number, step, frame, .. } = message;
+        let lane = self.lane_mut(MESSAGE, number)?;
+        let Some(episode) = lane.episode.as_ref().filter(|episode| episode.id == message.episode)
+        else {
+            return Ok(());
+        };
+        if message.last != 0 {
+            *lane = Lane::default();
+            return Ok(());
+        }
+        let bad = bad_value(MESSAGE, number, step);
+        if frame == NO_FRAME {
+            return Err(BadMessage::NoFrame { lane: number, step });
+        }
+        let pose = message.pose.try_into().map_err(&bad)?;
+        let feedback = message.feedback.try_into().map_err(&bad)?;
+        let action = action(message.action).map_err(&bad)?;
+        let expected = lane.current.map_or(0, |current| current.step + 1);
+        if step != expected {
+            return Err(BadMessage::Order { lane: number, step, expected });
+        }
+        if let Some(past) = lane.current {
+            lane.window.push_back(PastStep { frame: past.frame, action, feedback });
+            if lane.window.len() > episode.window {
+                lane.window.pop_front();
+            }
+        }
+        lane.current = Some(Observed { step, frame, pose, feedback });
+        lane.is_open = true;
+        Ok(())
+    }
+
+    /// Takes the recall of a step. One of another episode is late and is dropped.
+    pub(super) fn recall(&mut self, recalled: Recalled) -> Result<(), BadMessage> {
+        let lane = self.lane_mut(RECALL, recalled.lane)?;
+        if lane.is_running(recalled.episode) {
+            lane.recalled = Some(recalled);
+        }
+        Ok(())
+    }
+
+    /// Takes all steps that have their observation and their recall, by lane.
+    pub(super) fn take_ready(&mut self) -> Vec<Ready> {
+        let mut ready = Vec::new();
+        for (number, lane) in self.lanes.iter_mut().enumerate() {
+            let Lane { episode: Some(episode), current: Some(observed), is_open: true, .. } = lane
+            else {
+                continue;
+            };
+            let Some(recalled) = lane.recalled.take_if(|recalled| recalled.step == observed.step)
+            else {
+                continue;
+            };
+            lane.is_open = false;
+            ready.push(Ready {
+                lane: number as u32,
+                episode: Arc::clone(episode),
+                observed: *observed,
+                window: lane.window.iter().copied().collect(),
+                recalled,
+            });
+        }
+        ready
+    }
+
+    /// Whether a recall waits for its observation. The observation has been sent, without a notification for the
+    /// policy, and may arrive a moment later.
+    pub(super) fn awaits_observation(&self) -> bool {
+        self.lanes.iter().any(|lane| lane.recalled.is_some())
+    }
+
+    /// Whether `id` belongs to a running episode.
+    pub(super) fn is_running(&self, id: RequestId) -> bool {
+        self.lanes.get(id.lane as usize).is_some_and(|lane| lane.is_running(id.episode))
+    }
+
+    fn lane_mut(&mut self, message: &'static str, lane: u32) -> Result<&mut Lane, BadMessage> {
+        let lanes = self.lanes.len();
+        self.lanes.get_mut(lane as usize).ok_or(BadMessage::Lane { message, lane, lanes })
+    }
+}
+
+fn action(code: u8) -> Result<Option<Action>, UnknownCode> {
+    if code == NO_ACTION { Ok(None) } else { Action::try_from(code).map(Some) }
+}
+
+fn bad_value(message: &'static str, lane: u32, step: u32) -> impl Fn(UnknownCode) -> BadMessage {
+    move |problem| BadMessage::Value { message, lane, step, problem }
+}
+
+#[cfg(test)]
+mod tests {
+    use bytemuck::Zeroable;
+    use shm_types::message::write_text;
+
+    use super::*;
+
+    fn config(lane: u32, episode: u64) -> PolicyEpisodeConfig {
+        let mut config = PolicyEpisodeConfig { lane, episode, window: 2, ..Zeroable::zeroed() };
+        config.instruction_len = write_text(&mut config.instruction, "Find a blue barrel.");
+        config
+    }
+
+    fn observation(lane: u32, episode: u64, step: u32) -> Observation {
+        let frame = 100 + u64::from(step);
+        Observation { lane, episode, step, frame, feedback: 1, ..Zeroable::zeroed() }
+    }
+
+    fn recall(lane: u32, episode: u64, step: u32) -> Recall {
+        Recall { lane, episode, step, ..Zeroable::zeroed() }
+    }
+
+    fn recalled(join: &mut Join, message: &Recall) -> Result<(), BadMessage> {
+        join.recall(Recalled::read(message)?)
+    }
+
+    /// Two lanes; episode 5 runs in the second one.
+    fn join() -> Join {
+        let mut join = Join::new(2);
+        join.begin(&config(1, 5)).unwrap();
+        join
+    }
+
+    fn ready(join: &mut Join) -> Vec<(u32, u32)> {
+        join.take_ready().iter().map(|ready| (ready.lane, ready.observed.step)).collect()
+    }
+
+    #[test]
+    fn a_step_is_complete_with_observation_and_recall_in_either_order() {
+        let mut join = join();
+        join.observe(&observation(1, 5, 0)).unwrap();
+        assert_eq!(ready(&mut join), []);
+        recalled(&mut join, &recall(1, 5, 0)).unwrap();
+        assert_eq!(ready(&mut join), [(1, 0)]);
+        assert_eq!(ready(&mut join), [], "a step is taken once");
+        recalled(&mut join, &recall(1, 5, 1)).unwrap();
+        assert!(join.awaits_observation());
+        join.observe(&observation(1, 5, 1)).unwrap();
+        let steps = join.take_ready();
+        assert_eq!((steps.len(), steps[0].observed.step), (1, 1));
+        assert_eq!(steps[0].episode.instruction, "Find a blue barrel.");
+        assert!(!join.awaits_observation());
+    }
+
+    #[test]
+    fn the_window_holds_the_last_steps_oldest_first() {
+        let mut join = join();
+        let mut windows = Vec::new();
+        for step in 0..4 {
+            let action = if step == 2 { NO_ACTION } else { step as u8 };
+            join.observe(&Observation { action, ..observation(1, 5, step) }).unwrap();
+            recalled(&mut join, &recall(1, 5, step)).unwrap();
+            windows.push(join.take_ready().pop().unwrap().window);
+        }
+        let past =
+            |step: u64, action| PastStep { frame: 100 + step, action, feedback: Feedback::Moved };
+        let first = past(0, Some(Action::Backward));
+        let (second, third) = (past(1, None), past(2, Some(Action::Right)));
+        let expected = [vec![], vec![first], vec![first, second], vec![second, third]];
+        assert_eq!(windows, expected);
+        join.begin(&PolicyEpisodeConfig { window: 0, ..config(1, 6) }).unwrap();
+        for step in 0..2 {
+            join.observe(&observation(1, 6, step)).unwrap();
+        }
+        recalled(&mut join, &recall(1, 6, 1)).unwrap();
+        assert_eq!(join.take_ready()[0].window, []);
+    }
+
+    #[test]
+    fn messages_of_different_steps_or_episodes_never_join() {
+        let mut join = join();
+        join.observe(&observation(1, 5, 0)).unwrap();
+        recalled(&mut join, &recall(1, 5, 1)).unwrap();
+        recalled(&mut join, &recall(1, 4, 0)).unwrap();
+        join.observe(&observation(0, 0, 0)).unwrap();
+        recalled(&mut join, &recall(0, 0, 0)).unwrap();
+        assert_eq!(ready(&mut join), []);
+        join.begin(&config(1, 6)).unwrap();
+        recalled(&mut join, &recall(1, 6, 0)).unwrap();
+        assert_eq!(ready(&mut join), [], "a new episode starts with nothing");
+    }
+
+    #[test]
+    fn the_last_observation_ends_the_episode() {
+        let mut join = join();
+        let last = Observation { last: 1, frame: NO_FRAME, ..observation(1, 5, 9) };
+        join.observe(&last).unwrap();
+        join.observe(&observation(1, 5, 9)).unwrap();
+        recalled(&mut join, &recall(1, 5, 9)).unwrap();
+        assert_eq!(ready(&mut join), []);
+    }
+
+    #[test]
+    fn invalid_messages_are_described_and_change_nothing() {
+        let mut join = join();
+        let no_text = PolicyEpisodeConfig { instruction_len: 4000, ..config(1, 6) };
+        let mut bad_pose = observation(1, 5, 0);
+        bad_pose.pose.0[2] = 9;
+        let mut bad_action = Recall { segment_len: 1, ..recall(1, 5, 0) };
+        bad_action.segment[0].action = 77;
+        let errors = [
+            join.begin(&config(2, 6)),
+            join.begin(&no_text),
+            join.begin(&PolicyEpisodeConfig { window: 33, ..config(1, 6) }),
+            join.observe(&bad_pose),
+            join.observe(&Observation { feedback: 8, ..observation(1, 5, 0) }),
+            join.observe(&Observation { action: 7, ..observation(1, 5, 0) }),
+            join.observe(&Observation { frame: NO_FRAME, ..observation(1, 5, 0) }),
+            join.observe(&observation(1, 5, 1)),
+            recalled(&mut join, &Recall { segment_len: 1 << 31, ..recall(1, 5, 0) }),
+            recalled(&mut join, &bad_action),
+            recalled(&mut join, &recall(u32::MAX, 5, 0)),
+        ];
+        let texts: Vec<_> = errors.into_iter().map(|e| e.unwrap_err().to_string()).collect();
+        insta::assert_snapshot!(texts.join("\n"), @r"
+        episode config for lane 2: the run has 2 lanes
+        episode config for lane 1, step 0: a text of 4000 bytes is not UTF-8 that fits
+        episode config for lane 1, step 0: 33 past steps, but at most 32 fit
+        observation for lane 1, step 0: 9 is not a heading (0 N, 1 E, 2 S, 3 W)
+        observation for lane 1, step 0: 8 is not a feedback (0 to 4)
+        observation for lane 1, step 0: 7 is not an action (0 to 6)
+        observation for lane 1, step 0: it names no frame
+        observation for lane 1, step 1: step 0 is next
+        recall for lane 1, step 0: 2147483648 segment views, but at most 32 fit
+        recall for lane 1, step 0: 77 is not an action (0 to 6)
+        recall for lane 4294967295: the run has 2 lanes
+        ");
+        join.observe(&observation(1, 5, 0)).unwrap();
+        recalled(&mut join, &recall(1, 5, 0)).unwrap();
+        assert_eq!(ready(&mut join), [(1, 0)]);
+    }
+}
