@@ -104,7 +104,7 @@ class Run:
         return create(self.builder(name).publish_subscribe(message), senders, receivers, 1, self.queues[queue])
 
     def events(self, role):
-        events = self.builder(f"doorbell/{role}").event().max_listeners(1).max_notifiers(4).max_nodes(5)
+        events = self.builder(f"event/{role}").event().max_listeners(1).max_notifiers(4).max_nodes(5)
         return events.event_id_max_value(0).open_or_create()
 
     def shake_hands(self):
@@ -152,10 +152,10 @@ class Run:
     def answer(self, observation, recall, frame):
         started = time.monotonic_ns()
         action = self.decide(observation, recall, frame)
-        unknown = ("prompt_tokens", "completion_tokens", "cached_tokens", "image_tokens", "memory_tokens")
+        unknown = ("images_asked", "attempts", "prompt_tokens", "completion_tokens", "cached_tokens", "image_tokens", "memory_tokens")
         send(self.decisions, Decision(
             episode=observation.episode, lane=observation.lane, step=observation.step, received_ns=started,
-            started_ns=started, decided_ns=time.monotonic_ns(), images_asked=1, images=1, outcome=ACTED,
+            started_ns=started, decided_ns=time.monotonic_ns(), images=1, outcome=ACTED,
             action=action, **dict.fromkeys(unknown, NOT_MEASURED)))
 
     def decide(self, observation, recall, frame):
