@@ -105,7 +105,7 @@ fn measured(session: &Session<'_>, cold: &Cold) -> Result<Figure> {
             rival.measure(cold.views)?;
         }
     }
-    let Drawn { adapter, renderers, views, .. } = drawn.first().context("no round")?;
+    let Drawn { backend, renderers, views, .. } = drawn.first().context("no round")?;
     let rates: Vec<f64> = drawn.iter().map(|drawn| drawn.views_per_second).collect();
     let FrameSize { width, height } = FrameSize::DEFAULT;
     let figure = Figure::new(cold.id, cold.what, "views/s", Better::Higher)
@@ -113,7 +113,7 @@ fn measured(session: &Session<'_>, cold: &Cold) -> Result<Figure> {
         .target(Bound::Ratio(cold.target.0), cold.target.1)
         .parameter("size", format_args!("{width} x {height}"))
         .parameter("views", views)
-        .parameter("adapter", adapter)
+        .parameter("backend", backend)
         .parameter("renderers", renderers);
     Ok(match rival {
         Some(rival) => rival.beside(figure, cold),
@@ -193,7 +193,7 @@ pub(crate) struct Drawn {
     pub(crate) views_per_second: f64,
     views: usize,
     renderers: usize,
-    adapter: String,
+    backend: String,
 }
 
 /// Measures ours in a new process without any resident view.
@@ -255,11 +255,12 @@ pub(crate) fn render_process(arguments: &[String]) -> Result<()> {
         let drawing: Vec<_> = easels.iter_mut().map(|easel| scope.spawn(|| work(easel))).collect();
         drawing.into_iter().try_for_each(|drawn| drawn.join().unwrap_or_else(|p| resume_unwind(p)))
     })?;
+    let report = easels[0].renderer.report();
     let drawn = Drawn {
         views_per_second: rest.len() as f64 / began.elapsed().as_secs_f64(),
         views: rest.len(),
         renderers: easels.len(),
-        adapter: easels[0].renderer.report().adapter.unwrap_or_else(|| "none (cpu)".to_owned()),
+        backend: report.adapter.unwrap_or_else(|| report.backend.to_string()),
     };
     println!("{}", serde_json::to_string(&drawn)?);
     Ok(())

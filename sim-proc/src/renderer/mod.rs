@@ -184,7 +184,7 @@ impl Renderer {
 
     fn prepare(&mut self, ViewSpec { pose, variant }: ViewSpec<'_>) -> PreparedView {
         let barricades = self.visibility.barricades(variant);
-        let (scene, camera, visible) = self.visibility.from_pose(pose);
+        let (scene, camera, visible) = self.visibility.at_pose(pose);
         PreparedView {
             clip_from_world: camera.clip_from_world().into(),
             list: draw_list(scene, &camera, &visible.objects, Triangles::Facing),

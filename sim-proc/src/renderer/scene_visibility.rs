@@ -37,7 +37,7 @@ impl SceneVisibility {
     }
 
     /// The scene, the camera at `pose`, and what it sees.
-    pub(super) fn from_pose(&mut self, pose: Pose) -> (&Scene, Camera, &VisibleSet) {
+    pub(super) fn at_pose(&mut self, pose: Pose) -> (&Scene, Camera, &VisibleSet) {
         let [width_px, height_px] = self.size_px;
         let camera = Camera::new(pose, width_px, height_px);
         let scene = &*self.scene;
@@ -52,7 +52,7 @@ impl SceneVisibility {
             return false;
         }
         let sides = self.barricades(variant);
-        let (scene, camera, set) = self.from_pose(pose);
+        let (scene, camera, set) = self.at_pose(pose);
         sides.into_iter().any(|side| set.may_show(&scene.barricade_at(side), &camera))
     }
 }
