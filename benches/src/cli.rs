@@ -6,7 +6,7 @@ use std::time::{Instant, SystemTime};
 
 use anyhow::{Context, Result, bail};
 use benches::results::{BenchOutcome, FILE, Results};
-use benches::{BENCHES, Baselines, Bench, Session, Size, compare, markdown, processes, timeline};
+use benches::{BENCHES, Baselines, Bench, Session, Size, compare, markdown, processes};
 use clap::{Parser, Subcommand};
 use orchestrator::commit::commit_of;
 
@@ -45,20 +45,6 @@ struct Arguments {
 
 #[derive(Debug, Subcommand)]
 enum Verb {
-    /// Draw what each process worked on, from a trace (`memtransfer run --trace`)
-    Timeline {
-        /// The trace
-        trace: PathBuf,
-        /// Output file (SVG)
-        #[arg(long, value_name = "FILE", default_value = "timeline.svg")]
-        to: PathBuf,
-        /// Start, in milliseconds of the run
-        #[arg(long, value_name = "MS", default_value_t = 0.0)]
-        from_ms: f64,
-        /// Duration, in milliseconds
-        #[arg(long, value_name = "MS", default_value_t = 1000.0)]
-        for_ms: f64,
-    },
     /// Run a helper process of a bench
     #[command(hide = true)]
     Process { name: String, arguments: Vec<String> },
@@ -78,14 +64,6 @@ pub(super) fn main() -> ExitCode {
     let arguments = Arguments::parse();
     let done = match &arguments.verb {
         Some(Verb::Process { name, arguments }) => processes::run(name, arguments).map(|()| true),
-        Some(Verb::Timeline { trace, to, from_ms, for_ms }) => {
-            timeline::draw(trace, *from_ms, *for_ms).and_then(|svg| {
-                std::fs::write(to, svg)
-                    .with_context(|| format!("cannot write {}", to.display()))?;
-                eprintln!("written to {}", to.display());
-                Ok(true)
-            })
-        }
         None => run(&arguments),
     };
     match done {

@@ -5,8 +5,7 @@
 //!   [`processes`] (helper processes), [`runs`] (of `memtransfer`) and [`bare_chain`] (processes that only pass
 //!   messages).
 //! - It returns [`figure`]s, which are stored as [`results`] with the [`machine`](orchestrator::machine).
-//! - Results are compared with earlier ones ([`compare`]) and rendered ([`table`], [`markdown`]). [`timeline`] draws a
-//!   trace.
+//! - Results are compared with earlier ones ([`compare`]) and rendered ([`table`], [`markdown`]).
 //!
 //! Every bench also runs at [`Size::Tiny`](session::Size) under `cargo test -p benches`. No test asserts a time.
 
@@ -20,7 +19,6 @@ pub mod results;
 pub mod runs;
 pub mod session;
 pub mod table;
-pub mod timeline;
 
 pub mod approximate;
 pub mod chain;

@@ -7,7 +7,7 @@
 
 use peer::{Action, Decision, Feedback, FrameView, Policy, Request, serve_from_environment};
 
-/// Does what memory shows, and otherwise walks towards the light.
+/// Follows memory, and otherwise moves towards the light.
 struct Wanderer;
 
 impl Policy for Wanderer {
