@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Instant;
 
-use anyhow::Context;
+use anyhow::bail;
 
 use png_file::RgbaImage;
 use search::distance;
@@ -31,7 +31,11 @@ pub fn run(
     manifest: &EncoderManifest,
     settings: &EncoderSettings,
 ) -> anyhow::Result<()> {
-    let read = |file: &PathBuf| anyhow::Ok(Arc::new(RgbaImage::read(file).context("cannot read")?));
+    let read = |file: &PathBuf| match RgbaImage::read(file) {
+        Ok(image) => Ok(Arc::new(image)),
+        // The error names the file.
+        Err(error) => bail!("cannot read {error}"),
+    };
     let images = files.iter().map(read).collect::<anyhow::Result<Vec<_>>>()?;
     let mut encoder = settings.prepare(manifest)?.start(SessionOpening::Eagerly, || {});
     // Opening sessions does not count.

@@ -2,7 +2,7 @@
 //!
 //! - [`serve`] is the process in a run; [`engine`] knows what each lane waits for, [`episode`] is one of them;
 //! - [`representation`]: what is stored and what a step is supplied with, built from [`demonstrations`];
-//!   [`run_documents`] publishes documents;
+//!   [`document_loader`] publishes documents;
 //! - [`encoder`] computes embeddings, [`embedding_cache`] keeps them; [`manifest`] lists encoders, [`paths`] their files;
 //! - [`builders`] write documents before a run;
 //! - [`embed_command`] embeds images, and [`search_profile`] measures searches, for people.
@@ -11,6 +11,7 @@
 
 pub mod builders;
 pub mod demonstrations;
+pub mod document_loader;
 pub mod embed_command;
 pub mod embedding_cache;
 pub mod encoder;
@@ -19,7 +20,6 @@ pub mod episode;
 pub mod manifest;
 pub mod paths;
 pub mod representation;
-pub mod run_documents;
 pub mod search_profile;
 pub mod serve;
 mod views;

@@ -24,6 +24,7 @@ use shm_types::{
 use warehouse::case_file::CASES_FILE;
 use warehouse::{CaseSet, Warehouse};
 
+use crate::document_loader::DocumentLoader;
 use crate::embedding_cache::EmbeddingCache;
 use crate::encoder::{
     Embedded, Encoder, EncoderFacts, Image, ImageSource, ModelFile, PreparedEncoder, Provider,
@@ -33,7 +34,6 @@ use crate::engine::Engine;
 use crate::episode::{Unusable, unusable};
 use crate::manifest::EncoderManifest;
 use crate::paths::CacheFolder;
-use crate::run_documents::RunDocuments;
 
 /// The longest wait for an event. Nothing depends on it; it bounds the time until a lost event is noticed.
 const LONGEST_SLEEP: Duration = Duration::from_secs(1);
@@ -153,7 +153,7 @@ struct MemoryServer<'a> {
     ports: Ports,
     reporter: &'a mut ErrorReporter,
     engine: Engine<Arc<Frame>>,
-    documents: RunDocuments,
+    documents: DocumentLoader,
     encoder: Option<Encoder>,
     /// Number of images embedded so far.
     embedded: u64,
@@ -167,7 +167,8 @@ impl<'a> MemoryServer<'a> {
         ports: Ports,
         reporter: &'a mut ErrorReporter,
     ) -> anyhow::Result<Self> {
-        let documents = RunDocuments::new(settings.documents.clone(), DocumentPublisher::new(bus)?);
+        let documents =
+            DocumentLoader::new(settings.documents.clone(), DocumentPublisher::new(bus)?);
         let assets = settings.assets.as_deref();
         let (warehouse, cases) = match assets {
             None => (Warehouse::shipped(), CaseSet::shipped()),

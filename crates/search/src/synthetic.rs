@@ -17,7 +17,7 @@ const NOISE: (f32, f32) = (0.02, 0.5);
 
 /// What a random vector is drawn for.
 #[derive(Clone, Copy)]
-enum Purpose {
+enum DrawPurpose {
     Entry,
     Query,
     Direction,
@@ -41,7 +41,7 @@ impl SyntheticVectors {
         let mut vectors = Self { dimension, seed, origins: embeddings, real };
         if real == 0 {
             let direction = |number| {
-                let mut draws = vectors.draws(Purpose::Direction, number);
+                let mut draws = vectors.draws(DrawPurpose::Direction, number);
                 vectors.noisy(None, 1.0, &mut draws)
             };
             vectors.origins = (0..DIRECTIONS).map(direction).collect();
@@ -64,7 +64,7 @@ impl SyntheticVectors {
         if number < self.real {
             return self.origins[number as usize].clone();
         }
-        let mut draws = self.draws(Purpose::Entry, number);
+        let mut draws = self.draws(DrawPurpose::Entry, number);
         let origin = &self.origins[draws.next_u64() as usize % self.origins.len()];
         let length = length(&mut draws);
         self.noisy(Some(origin), length, &mut draws)
@@ -72,13 +72,13 @@ impl SyntheticVectors {
 
     /// A query for a memory of `entries` entries.
     pub fn query(&self, number: usize, entries: u32) -> Embedding {
-        let mut draws = self.draws(Purpose::Query, number as u32);
+        let mut draws = self.draws(DrawPurpose::Query, number as u32);
         let entry = self.entry((draws.next_u64() % u64::from(entries.max(1))) as u32);
         let length = length(&mut draws);
         self.noisy(Some(&entry), length, &mut draws)
     }
 
-    fn draws(&self, purpose: Purpose, number: u32) -> ChaCha8Rng {
+    fn draws(&self, purpose: DrawPurpose, number: u32) -> ChaCha8Rng {
         let mut draws = ChaCha8Rng::seed_from_u64(self.seed);
         draws.set_stream(u64::from(number) << 2 | purpose as u64);
         draws

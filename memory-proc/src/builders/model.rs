@@ -315,21 +315,21 @@ struct BuildUsage {
     requests: u64,
     cut_off: u64,
     models: Vec<String>,
-    prompt_tokens: Sum,
-    completion_tokens: Sum,
+    prompt_tokens: CompleteSum,
+    completion_tokens: CompleteSum,
 }
 
 /// A sum that is absent when one of its parts is.
 #[derive(Debug, Clone, Copy)]
-struct Sum(Option<u64>);
+struct CompleteSum(Option<u64>);
 
-impl Default for Sum {
+impl Default for CompleteSum {
     fn default() -> Self {
         Self(Some(0))
     }
 }
 
-impl Sum {
+impl CompleteSum {
     fn add(&mut self, part: Option<u64>) {
         let Self(sum) = self;
         *sum = sum.zip(part).and_then(|(sum, part)| sum.checked_add(part));

@@ -25,7 +25,7 @@ pub(super) struct Names {
 
 /// The name of what a plate labels, as far as it is known.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub(super) enum Label<'a> {
+pub(super) enum PlateLabel<'a> {
     /// Its type's name.
     Type(&'a str),
     /// Its category's name only.
@@ -34,7 +34,7 @@ pub(super) enum Label<'a> {
     Unnamed,
 }
 
-impl std::fmt::Display for Label<'_> {
+impl std::fmt::Display for PlateLabel<'_> {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
             Self::Type(name) => f.write_str(name),
@@ -69,11 +69,11 @@ impl Names {
     }
 
     /// The label of `plate`.
-    pub(super) fn label(&self, plate: Plate) -> Label<'_> {
+    pub(super) fn label(&self, plate: Plate) -> PlateLabel<'_> {
         if let Some(name) = self.types.iter().find(|name| plate.is_type(name)) {
-            return Label::Type(name);
+            return PlateLabel::Type(name);
         }
-        self.category(plate).map_or(Label::Unnamed, Label::Category)
+        self.category(plate).map_or(PlateLabel::Unnamed, PlateLabel::Category)
     }
 
     /// The name of the category of `plate`, if it is known.
@@ -152,7 +152,7 @@ mod tests {
         assert_eq!(label("Find a red barrel."), "item");
         let mut both = Names::of("Find a blue barrel.");
         both.add("Find any item of the category barrels.");
-        assert_eq!(both.label(plate), Label::Type("blue barrel"));
+        assert_eq!(both.label(plate), PlateLabel::Type("blue barrel"));
         assert_eq!(both.category(plate), Some("barrels"));
     }
 }

@@ -18,7 +18,7 @@ pub(super) struct Survey {
 
 /// A bay and its plate.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct Bay {
+pub(super) struct SurveyedBay {
     /// Its place and plate.
     pub(super) landmark: Landmark,
     /// Frames in which this plate was read.
@@ -38,17 +38,17 @@ impl Survey {
     }
 
     /// Every bay with its most frequent reading, ordered by standpoint. Of equally frequent ones, the least plate.
-    pub(super) fn bays(&self) -> impl Iterator<Item = Bay> + '_ {
+    pub(super) fn bays(&self) -> impl Iterator<Item = SurveyedBay> + '_ {
         self.readings.iter().filter_map(|(&(standpoint, face), readings)| {
             let most = readings.values().copied().max()?;
             let (&plate, &support) = readings.iter().find(|&(_, &count)| count == most)?;
-            Some(Bay { landmark: Landmark { standpoint, face, plate }, support })
+            Some(SurveyedBay { landmark: Landmark { standpoint, face, plate }, support })
         })
     }
 
     /// The plates of bays with the standpoint `cell`.
     pub(super) fn at(&self, cell: Cell) -> impl Iterator<Item = Plate> + '_ {
-        let here = move |bay: &Bay| bay.landmark.standpoint == cell;
+        let here = move |bay: &SurveyedBay| bay.landmark.standpoint == cell;
         self.bays().filter(here).map(|bay| bay.landmark.plate)
     }
 }
@@ -89,7 +89,7 @@ mod tests {
         for step in [look(1, &[5]), look(1, &[5]), look(1, &[5]), look(2, &[2]), look(3, &[2])] {
             survey.add(&step);
         }
-        let bays: Vec<Bay> = survey.bays().collect();
+        let bays: Vec<SurveyedBay> = survey.bays().collect();
         assert_eq!((bays.len(), bays[0].landmark.plate, bays[0].support), (1, plate(2), 2));
         survey.add(&look(4, &[5]));
         assert_eq!(survey.at(CELL).collect::<Vec<_>>(), [plate(2)]);

@@ -8,8 +8,8 @@ use domain::Cell;
 use plates::Plate;
 
 use super::super::floor::{Floor, Stretch};
-use super::super::names::{Label, Names};
-use super::super::survey::{Bay, Survey};
+use super::super::names::{Names, PlateLabel};
+use super::super::survey::{Survey, SurveyedBay};
 use super::super::transcript::{Transcript, TranscriptStep};
 use super::category_digits;
 
@@ -36,7 +36,7 @@ pub(super) struct Facts {
 
 /// Facts after consolidation.
 #[derive(Debug)]
-pub(super) struct Knowledge {
+pub(super) struct RefinedFacts {
     corridors: Vec<Stretch>,
     aisles: Vec<Stretch>,
     kinds: Vec<Kind>,
@@ -74,18 +74,18 @@ impl Facts {
     }
 
     /// Combines the facts and drops those with too little support.
-    pub(super) fn consolidate(mut self) -> Knowledge {
+    pub(super) fn consolidate(mut self) -> RefinedFacts {
         let stretches = self.floor.stretches(LEAST_SUPPORT);
         let (corridors, aisles) = stretches
             .into_iter()
             .filter(|stretch| stretch.cells() >= LEAST_LENGTH)
             .partition(|stretch| matches!(stretch, Stretch::Column { .. }));
-        let bays: Vec<Bay> =
+        let bays: Vec<SurveyedBay> =
             self.survey.bays().filter(|bay| bay.support >= LEAST_SUPPORT).collect();
         let unfaced = self.completions.iter().filter(|step| !self.faces_an_item(step)).count();
         self.first_completions.sort_unstable();
         let middle = self.first_completions.get(self.first_completions.len() / 2);
-        Knowledge {
+        RefinedFacts {
             corridors,
             aisles,
             kinds: kinds(&self.names, &bays),
@@ -104,8 +104,8 @@ impl Facts {
 }
 
 /// The bays of each category.
-fn by_category(bays: &[Bay]) -> BTreeMap<[u8; 3], Vec<Bay>> {
-    let mut categories = BTreeMap::<_, Vec<Bay>>::new();
+fn by_category(bays: &[SurveyedBay]) -> BTreeMap<[u8; 3], Vec<SurveyedBay>> {
+    let mut categories = BTreeMap::<_, Vec<SurveyedBay>>::new();
     for &bay in bays {
         let [a, b, c, ..] = bay.landmark.plate.0;
         categories.entry([a, b, c]).or_default().push(bay);
@@ -113,7 +113,7 @@ fn by_category(bays: &[Bay]) -> BTreeMap<[u8; 3], Vec<Bay>> {
     categories
 }
 
-fn kinds(names: &Names, bays: &[Bay]) -> Vec<Kind> {
+fn kinds(names: &Names, bays: &[SurveyedBay]) -> Vec<Kind> {
     let mut kinds = Vec::new();
     for bays in by_category(bays).into_values() {
         for region in regions(bays) {
@@ -122,8 +122,8 @@ fn kinds(names: &Names, bays: &[Bay]) -> Vec<Kind> {
             let cells = || region.iter().map(|bay| bay.landmark.standpoint);
             let (columns, rows) = (range(cells().map(|c| c.x)), range(cells().map(|c| c.y)));
             let typed = |plate: Plate| match names.label(plate) {
-                Label::Type(name) => Some(name.to_owned()),
-                Label::Category(_) | Label::Unnamed => None,
+                PlateLabel::Type(name) => Some(name.to_owned()),
+                PlateLabel::Category(_) | PlateLabel::Unnamed => None,
             };
             kinds.push(Kind {
                 name: names.category(plate).unwrap_or_default().to_owned(),
@@ -143,8 +143,8 @@ fn range(places: impl Iterator<Item = u8>) -> (u8, u8) {
 }
 
 /// Groups bays with those near them.
-fn regions(bays: Vec<Bay>) -> Vec<Vec<Bay>> {
-    let mut regions: Vec<Vec<Bay>> = Vec::new();
+fn regions(bays: Vec<SurveyedBay>) -> Vec<Vec<SurveyedBay>> {
+    let mut regions: Vec<Vec<SurveyedBay>> = Vec::new();
     for bay in bays {
         let (mut joined, others): (Vec<_>, Vec<_>) = regions
             .into_iter()
@@ -157,15 +157,15 @@ fn regions(bays: Vec<Bay>) -> Vec<Vec<Bay>> {
 }
 
 /// The distance between two standpoints: columns or rows, whichever is greater.
-fn gap(a: &Bay, b: &Bay) -> u8 {
+fn gap(a: &SurveyedBay, b: &SurveyedBay) -> u8 {
     let (Cell { x, y }, other) = (a.landmark.standpoint, b.landmark.standpoint);
     x.abs_diff(other.x).max(y.abs_diff(other.y))
 }
 
 /// Whether at least three in four items have one of their own category beside them.
-fn stand_side_by_side(bays: &[Bay]) -> bool {
+fn stand_side_by_side(bays: &[SurveyedBay]) -> bool {
     let categories = by_category(bays);
-    let has_neighbour = |own: &[Bay], bay: &Bay| {
+    let has_neighbour = |own: &[SurveyedBay], bay: &SurveyedBay| {
         own.iter().any(|other| other.landmark != bay.landmark && gap(bay, other) <= 1)
     };
     let beside: usize = categories
@@ -175,7 +175,7 @@ fn stand_side_by_side(bays: &[Bay]) -> bool {
     !bays.is_empty() && 4 * beside >= 3 * bays.len()
 }
 
-impl fmt::Display for Knowledge {
+impl fmt::Display for RefinedFacts {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(
             "# Knowledge of the warehouse\n\

@@ -7,8 +7,8 @@ use domain::{Cell, Heading, Pose};
 use plates::Plate;
 
 use super::super::floor::{Floor, Stretch};
-use super::super::names::{Label, Names};
-use super::super::survey::{Bay, Survey};
+use super::super::names::{Names, PlateLabel};
+use super::super::survey::{Survey, SurveyedBay};
 use super::super::transcript::Transcript;
 use super::{category_digits, type_digits};
 
@@ -55,8 +55,8 @@ impl SummaryDraft {
         }
     }
 
-    fn items(&self) -> BTreeMap<(Label<'_>, Plate), Vec<Bay>> {
-        let mut items = BTreeMap::<_, Vec<Bay>>::new();
+    fn items(&self) -> BTreeMap<(PlateLabel<'_>, Plate), Vec<SurveyedBay>> {
+        let mut items = BTreeMap::<_, Vec<SurveyedBay>>::new();
         for bay in self.survey.bays() {
             let plate = bay.landmark.plate;
             items.entry((self.names.label(plate), plate)).or_default().push(bay);
@@ -68,7 +68,7 @@ impl SummaryDraft {
     fn reached(&self, route: &Route, count: u32, at: Cell, last: bool) -> Vec<String> {
         let asked = Names::of(&route.instruction);
         let returns = last && at == route.start.cell && route.instruction.contains("you started");
-        let targets = self.survey.at(at).filter(|&plate| asked.label(plate) != Label::Unnamed);
+        let targets = self.survey.at(at).filter(|&plate| asked.label(plate) != PlateLabel::Unnamed);
         let targets = targets.map(|plate| format!("reached {} at {at}", self.names.label(plate)));
         let mut words: Vec<String> = targets.take(count as usize - usize::from(returns)).collect();
         if returns {
@@ -145,7 +145,7 @@ impl fmt::Display for SummaryDraft {
         for ((label, plate), bays) in self.items() {
             let (category, own) = (category_digits(plate), type_digits(plate));
             write!(f, "- {label} [plate {category}-{own}]:")?;
-            for (i, Bay { landmark, .. }) in bays.iter().enumerate() {
+            for (i, SurveyedBay { landmark, .. }) in bays.iter().enumerate() {
                 let (cell, face) = (landmark.standpoint, landmark.face.letter());
                 write!(f, "{} stand at {cell} facing {face}", if i == 0 { "" } else { ";" })?;
             }

@@ -18,20 +18,20 @@ use crate::representation::DocumentSupplier;
 
 /// Reads documents from a run's folder and publishes them.
 #[derive(Debug)]
-pub struct RunDocuments {
+pub struct DocumentLoader {
     folder: Option<DocumentFolder>,
     publisher: DocumentPublisher,
     published: BTreeMap<DocumentName, DocumentId>,
 }
 
-impl RunDocuments {
+impl DocumentLoader {
     /// The documents in `folder`. Reads nothing yet.
     pub fn new(folder: Option<PathBuf>, publisher: DocumentPublisher) -> Self {
         Self { folder: folder.map(DocumentFolder::new), publisher, published: BTreeMap::new() }
     }
 }
 
-impl DocumentSupplier for RunDocuments {
+impl DocumentSupplier for DocumentLoader {
     fn publish(&mut self, episode: (u32, u64), content: &Content) -> anyhow::Result<DocumentId> {
         Ok(self.publisher.publish(Some(episode), content)?)
     }
