@@ -449,7 +449,7 @@ fn without_an_encoder_every_memory_but_episodic_is_served() {
 
     bench.config(config(Representation::Episodic, 0, 8, original));
     let said = bench.error_report();
-    assert!(said.starts_with("config of episode 8: episodic memory compares views"), "{said}");
+    assert!(said.starts_with("config of episode 8: episodic memory matches views"), "{said}");
     bench.stop.send(&Stop { reserved: 0 }).unwrap();
     bench.orchestrator.notifier(Role::Memory).unwrap().notify().unwrap();
     assert!(bench.exit().success());
