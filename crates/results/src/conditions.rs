@@ -1,7 +1,6 @@
-//! What an episode is run under: which memory, from where, on which route, with which demonstrations.
+//! Conditions: memory, start, route, demonstrations and variations of the prompt.
 //!
-//! Only the words and their combinations; which of them a run holds is the
-//! [settings'](crate::settings) business, which episodes follow is [`plan`](crate::plan)'s.
+//! Which conditions a run has is in its [settings](crate::settings).
 
 mod variation;
 
@@ -35,21 +34,21 @@ named! {
         Blocked = "blocked",
     }
 
-    /// Who decides.
+    /// The kind of policy.
     PolicyKind, "policy" {
         /// A scripted stand-in that looks at the pixels and at the recall it is given.
         Grounded = "grounded",
         /// A model behind an OpenAI-compatible endpoint.
         Openai = "openai",
-        /// A program of somebody else's, on the wire.
+        /// A user's own program, on the wire.
         External = "external",
-        /// Draws every action, seeded.
+        /// Chooses every action at random, seeded.
         Random = "random",
         /// Replays the reference trajectory: privileged, the upper bound of the scale.
         Expert = "expert",
     }
 
-    /// How a model is sent what the agent sees.
+    /// The format in which views are sent to a model.
     ImageFormat, "image format" {
         /// Without loss.
         Png = "png",
@@ -57,9 +56,9 @@ named! {
         Jpeg = "jpeg",
     }
 
-    /// What the simulator shows where the agent looks: the controls that prove results come from pixels.
+    /// What observed frames show: the true view, or a control that proves that results come from pixels.
     Frames, "kind of frames" {
-        /// What is there.
+        /// The true view.
         Rendered = "rendered",
         /// Uniform grey.
         Blank = "blank",
@@ -80,7 +79,7 @@ pub fn representation(word: &str) -> Result<Representation, UnknownName> {
 }
 
 impl PolicyKind {
-    /// Whether it decides in a process of its own, from observations and memory. The expert does not.
+    /// Whether it runs in a process of its own, on observations and memory. The expert does not.
     pub const fn has_process(self) -> bool {
         match self {
             Self::Grounded | Self::Openai | Self::External | Self::Random => true,
@@ -92,7 +91,7 @@ impl PolicyKind {
 impl Start {
     /// The case's trajectory whose length is the reference l_i for an episode from here on `route`.
     ///
-    /// A blocked route is defined from the new start only (SPEC section 4).
+    /// A blocked route is defined from the new start only (specification, section 4).
     pub const fn reference(self, route: Route) -> warehouse::Start {
         match (self, route) {
             (_, Route::Blocked) => warehouse::Start::Blocked,
@@ -108,15 +107,15 @@ impl Start {
 /// Always in its normal form, see [`Condition::new`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
 pub struct Condition {
-    /// Which memory.
+    /// The memory.
     pub memory: Representation,
-    /// From where.
+    /// The start.
     pub start: Start,
-    /// On which route.
+    /// The route.
     pub route: Route,
-    /// With which demonstrations.
+    /// The demonstrations.
     pub demonstrations: Demonstrations,
-    /// With which changes to the prompt.
+    /// The changes to the prompt.
     #[serde(flatten)]
     pub variation: Variation,
 }
@@ -126,10 +125,10 @@ impl Condition {
     /// conditions differ only where their episodes can. `None` where there is no such condition.
     ///
     /// - A memory that needs no demonstration has none; the others need one at least.
-    /// - A blocked route is defined for the new start only (SPEC section 4).
-    /// - What a segment holds concerns those who retrieve one.
-    /// - The hint can be given where it is true and somebody could use it: at the original start, with the
-    ///   original demonstration alone, to a memory that supplies trajectories.
+    /// - A blocked route is defined for the new start only (specification, section 4).
+    /// - The content of a segment varies only for memories that retrieve one.
+    /// - The hint applies where it is true and of use: at the original start, with the original demonstration alone,
+    ///   for a memory that supplies trajectories.
     pub fn new(
         memory: Representation,
         start: Start,
@@ -158,7 +157,7 @@ impl Condition {
             && self.memory.describe().trajectories != Trajectories::Nothing
     }
 
-    /// Whether the policy is told that the demonstration starts where the episode does.
+    /// Whether the prompt states that the demonstration starts where the episode does.
     pub fn is_hinted(&self) -> bool {
         self.can_be_hinted() && self.variation.hint == Hint::On
     }
@@ -171,7 +170,7 @@ impl fmt::Display for Condition {
     }
 }
 
-/// Why a text is no condition.
+/// Why a text is not a condition.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum BadCondition {
     /// A part is not what it should be.
@@ -182,7 +181,7 @@ pub enum BadCondition {
     Demonstrations(#[from] UnknownDemonstrations),
     /// A part is missing, or one too many.
     #[error(
-        "`{0}` is no condition: write memory/start/route/demonstrations, then what departs from the \
+        "`{0}` is not a condition: write memory/start/route/demonstrations, then what departs from the \
          standard (/h20, /images, /no-hint)"
     )]
     Parts(String),
@@ -283,8 +282,8 @@ mod tests {
     #[test]
     fn what_is_no_condition_is_said() {
         let error = |text: &str| text.parse::<Condition>().unwrap_err().to_string();
-        insta::assert_snapshot!(error("episodic/new/unchanged"), @"`episodic/new/unchanged` is no condition: write memory/start/route/demonstrations, then what departs from the standard (/h20, /images, /no-hint)");
-        insta::assert_snapshot!(error("working/new/unchanged/none/h200"), @"`working/new/unchanged/none/h200` is no condition: write memory/start/route/demonstrations, then what departs from the standard (/h20, /images, /no-hint)");
+        insta::assert_snapshot!(error("episodic/new/unchanged"), @"`episodic/new/unchanged` is not a condition: write memory/start/route/demonstrations, then what departs from the standard (/h20, /images, /no-hint)");
+        insta::assert_snapshot!(error("working/new/unchanged/none/h200"), @"`working/new/unchanged/none/h200` is not a condition: write memory/start/route/demonstrations, then what departs from the standard (/h20, /images, /no-hint)");
         insta::assert_snapshot!(error("working/new/unchanged/4/h6"), @"there is no condition `working/new/unchanged/4/h6`; the same episodes are those of `working/new/unchanged/none`");
         insta::assert_snapshot!(error("episodic/original/blocked/4"), @"there is no condition `episodic/original/blocked/4`");
         insta::assert_snapshot!(error("episodic/newer/blocked/4"), @"unknown start `newer`: did you mean `new`? (known: original, new)");

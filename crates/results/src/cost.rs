@@ -12,7 +12,6 @@ use anyhow::{Context, Result, bail};
 use serde::{Deserialize, Serialize};
 
 use crate::names::UnknownName;
-use crate::usage::UsageTotals;
 
 /// The file of `--prices`.
 #[derive(Debug, Deserialize)]
@@ -72,18 +71,6 @@ impl ModelPrices {
         let (prompt, cached_prompt, completion) = (*prompt, *cached_prompt, *completion);
         Ok(Self { currency, prompt, cached_prompt, completion })
     }
-
-    /// The cost of `usage`, rounded to a millionth.
-    pub fn cost(&self, usage: &UsageTotals) -> Amount {
-        let UsageTotals { prompt_tokens, cached_tokens, completion_tokens, .. } = *usage;
-        let cached = cached_tokens.min(prompt_tokens);
-        let each = |tokens: u64, price: Amount| u128::from(tokens) * u128::from(price.millionths);
-        let sum = each(prompt_tokens - cached, self.prompt)
-            + each(cached, self.cached_prompt.unwrap_or(self.prompt))
-            + each(completion_tokens, self.completion);
-        let millionths = (sum + 500_000) / 1_000_000;
-        Amount { millionths: u64::try_from(millionths).unwrap_or(u64::MAX) }
-    }
 }
 
 /// An amount of money in the currency of the prices, exact to a millionth.
@@ -138,6 +125,7 @@ impl fmt::Display for Amount {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::usage::UsageTotals;
 
     const FILE: &str = r#"
 currency = "USD"

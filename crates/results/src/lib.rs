@@ -1,7 +1,7 @@
 //! Runs as data: settings, records, scores, statistics, tables, report.
 //!
 //! Everything about a finished run follows from its folder: read it with [`log::RunLog::read`], score it with
-//! [`score::score`], print it with [`table::report`], write pages and data files with [`report::write`]. This works
+//! [`score::score`], print them with [`report::summary`], write pages and data files with [`report::write`]. This works
 //! on any machine; the crate starts nothing and links no iceoryx2.
 
 pub mod compare;

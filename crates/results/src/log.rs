@@ -1,16 +1,17 @@
-//! The run folder: what a run was, and every episode it finished.
+//! The run folder: the manifest of a run, and a record of every episode.
 //!
 //! | file | holds | written |
 //! |---|---|---|
-//! | `manifest.json` | settings, versions, hashes, what the processes said they are | first |
-//! | `episodes.jsonl` | one line for each finished episode; nothing in it depends on time or lanes | durably, when it ends |
-//! | `timings.jsonl` | one line for each finished episode: everything that does | beside it |
-//! | `requests.jsonl` | one line for each question to a model: tokens, attempts, latency | as they are answered |
-//! | `errors.jsonl` | episodes given up because of a fault that is not the model's | as they happen |
+//! | `manifest.json` | settings, versions, hashes, facts that the processes reported | first |
+//! | `episodes.jsonl` | one line for each finished episode; independent of time and lanes | durably, when it ends |
+//! | `timings.jsonl` | one line for each finished episode: times | beside it |
+//! | `requests.jsonl` | one line for each request to a model: tokens, attempts, latency | as they are answered |
+//! | `errors.jsonl` | episodes given up because of a fault of the infrastructure | as they happen |
 //! | `sessions.jsonl` | starts, restarts and ends of the processes | as they happen |
-//! | `documents/` | the documents that memory supplied, as they were | before the first episode |
-//! | `prompts/` | what the policy was given and what it answered ([`domain::prompt_log`]), where asked for | by it |
-//! | `logs/` | what the processes wrote on stderr | by them |
+//! | `documents/` | the documents that memory supplies | before the first episode |
+//! | `prompts/` | requests to the policy and its answers ([`domain::prompt_log`]), where asked for | by it |
+//! | `*.damaged.jsonl` | lines that could not be used, moved there | when the run is resumed |
+//! | `logs/` | stderr of the processes | by them |
 //! | `report/` | pages and data files about it ([`report`](crate::report)) | when asked for |
 //!
 //! Scores are made from these files alone ([`score`](crate::score)).
@@ -42,11 +43,11 @@ pub enum LogError {
     /// The system refused.
     #[error("cannot {doing} {}: {source}", path.display())]
     System {
-        /// What was tried.
+        /// The operation.
         doing: &'static str,
-        /// With what.
+        /// The file or folder.
         path: PathBuf,
-        /// What it said.
+        /// The system's error.
         source: io::Error,
     },
     /// The manifest cannot be understood.
@@ -83,7 +84,7 @@ pub enum LogError {
         /// The folder.
         dir: PathBuf,
     },
-    /// Somebody else is writing to it.
+    /// Another process is writing to it.
     #[error(
         "another memtransfer is writing to {}: wait until it is done, or choose another --out", dir.display()
     )]

@@ -1,22 +1,22 @@
-//! Words that people write for closed sets, and what to say when a word is none of them.
+//! Names of the members of closed sets, and errors that suggest the nearest name.
 //!
-//! A set is declared once with `named!`; flags, suite files, logs and tables all use its words.
+//! A set is declared once with `named!`; flags, suite files, logs and tables use the same names.
 
 use std::fmt;
 
-/// A word that names no member of the set it should name.
+/// A name that is not in its set.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub struct UnknownName {
-    /// What was to be named: "memory", "suite", ...
+    /// The kind of thing: "memory", "suite", ...
     pub what: &'static str,
-    /// What was written.
+    /// The unknown name.
     pub given: String,
-    /// Every word that would have been accepted.
+    /// The known names.
     pub known: Vec<String>,
 }
 
 impl UnknownName {
-    /// `given` is none of the `known` names of a `what`.
+    /// Makes the error for `given`, which is not one of the `known` names of a `what`.
     pub fn new<T: Into<String>>(
         what: &'static str,
         given: &str,
@@ -32,7 +32,7 @@ impl fmt::Display for UnknownName {
         if let Some(nearest) = nearest(&self.given, &self.known) {
             write!(f, ": did you mean `{nearest}`?")?;
         }
-        // A long list helps nobody; the nearest name and `memtransfer ls` do.
+        // A longer list does not help; `memtransfer ls` does.
         if (1..=32).contains(&self.known.len()) {
             write!(f, " (known: {})", self.known.join(", "))?;
         }
@@ -40,7 +40,7 @@ impl fmt::Display for UnknownName {
     }
 }
 
-/// The one of `known` that `given` most likely means, if any is close.
+/// Returns the name in `known` that is most like `given`, if any is close.
 pub fn nearest<'a, T: AsRef<str>>(given: &str, known: &'a [T]) -> Option<&'a str> {
     let given = given.to_lowercase();
     let likeness = |name: &str| strsim::jaro_winkler(&given, &name.to_lowercase());

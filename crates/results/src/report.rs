@@ -40,7 +40,7 @@ use std::path::{Path, PathBuf};
 use crate::compare::run_name;
 use crate::log::RunLog;
 use crate::score::score;
-use view::View;
+use view::ScoredRun;
 
 /// Why a report could not be made.
 #[derive(Debug, thiserror::Error)]
@@ -74,22 +74,23 @@ pub fn document(logs: &[RunLog], published: &Published) -> Document {
 /// `document` as one HTML page that needs nothing else.
 ///
 /// # Errors
-/// When the template refuses, which it does not.
+/// When the template fails, which would be a bug.
 pub fn page(document: &Document) -> Result<String, ReportError> {
     let template = |source| ReportError::Template { page: "the page", source };
     html::render(document).map_err(template)
 }
 
-fn views<'a>(logs: &'a [RunLog], published: &'a Published) -> Vec<View<'a>> {
+fn views<'a>(logs: &'a [RunLog], published: &'a Published) -> Vec<ScoredRun<'a>> {
     let prefix = |place: usize| match logs {
         [_] => String::new(),
         _ => format!("run{place}-"),
     };
-    let view = |(place, log)| View { log, scores: score(log), published, prefix: prefix(place) };
+    let view =
+        |(place, log)| ScoredRun { log, scores: score(log), published, prefix: prefix(place) };
     (1..).zip(logs).map(view).collect()
 }
 
-fn arrange(views: &[View<'_>]) -> Document {
+fn arrange(views: &[ScoredRun<'_>]) -> Document {
     let mut sections = Vec::new();
     match views {
         [view] => sections.extend(sections::sections(view)),
@@ -113,7 +114,7 @@ fn arrange(views: &[View<'_>]) -> Document {
 /// | `episodes.csv`, `episodes.parquet` | a row for each episode |
 ///
 /// # Errors
-/// When the system refuses.
+/// When an operation of the system fails.
 pub fn write(logs: &[RunLog], dir: &Path) -> Result<PathBuf, ReportError> {
     let published = Published::load()?;
     let views = views(logs, &published);

@@ -35,7 +35,7 @@ mod worst;
 
 pub use blocked::{BlockedScore, Derived};
 pub use bootstrap::{RESAMPLES, SEED};
-pub use compare::{Comparison, Difference, compare};
+pub use compare::{Comparison, FigureDifference, compare};
 pub use condition::{Bounds, ConditionScore};
 pub use failure::{Failure, Failures, LOOP_STEPS, LOOP_VISITS, NEW_CELLS};
 pub use interval::Interval;

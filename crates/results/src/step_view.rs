@@ -1,7 +1,7 @@
-//! One step of a finished episode: what the policy was given and what it answered.
+//! One step of a finished episode.
 //!
-//! The run's log alone knows where the agent was, what it was told, what was retrieved and what it did. What the
-//! policy was shown, said to a model and heard back is in the prompt log, where the run kept one.
+//! Pose, feedback, retrieval and action come from the run's log; the request, the exchange with the model and the
+//! answer from its prompt log, where it has one.
 
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -18,7 +18,7 @@ use serde::Serialize;
 
 use crate::log::{EpisodeRecord, EpisodeTimings, RunFolder, RunLog};
 
-/// A step, as it is shown.
+/// One step.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Shown {
     /// The episode's key.
@@ -27,19 +27,19 @@ pub struct Shown {
     pub step: u32,
     /// Steps of the whole episode.
     pub steps: u32,
-    /// Where the agent was.
+    /// The agent's pose.
     pub pose: Pose,
-    /// What the world had said to the last action.
+    /// The feedback on the last action.
     pub feedback: &'static str,
-    /// What was done; absent where the answer could not be read.
+    /// The action; absent where the answer could not be read.
     pub action: Option<&'static str>,
-    /// What memory retrieved, as the log writes it: `o12`, `t03-07:o4`, `-`. Absent where nothing is retrieved.
+    /// The retrieval, as the log writes it: `o12`, `t03-07:o4`, `-`. Absent where nothing is retrieved.
     pub retrieved: Option<String>,
-    /// What the prompt log has; absent where it has nothing.
+    /// The entry of the prompt log; absent where there is none.
     pub prompt: Option<Prompt>,
 }
 
-/// What the prompt log has of a step.
+/// The prompt log's entry about a step, with everything that it refers to.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Prompt {
     /// The entry.
@@ -55,7 +55,7 @@ pub struct Prompt {
     pub images: BTreeMap<Hash, PathBuf>,
 }
 
-/// What step `step` of the episode of `record` was.
+/// Returns step `step` of the episode of `record`.
 ///
 /// # Errors
 /// When the episode has no such step, or a file of the prompt log cannot be used.
@@ -89,7 +89,7 @@ fn action_at(record: &EpisodeRecord, step: u32) -> Option<Action> {
     Action::from_letter(record.actions.chars().nth(step as usize)?)
 }
 
-/// What the prompt log has of a step of the episode that `timings` are of.
+/// Reads the prompt log's entry about a step of the episode of `timings`.
 fn prompt(log: &RunLog, timings: &EpisodeTimings, step: u32) -> Result<Option<Prompt>> {
     let folder = RunFolder::prompts_of(&log.dir);
     let file = entries_file(&session_folder(&folder, timings.session), timings.generation);

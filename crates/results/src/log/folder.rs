@@ -1,4 +1,4 @@
-//! The folder as a whole: made, locked, resumed, read.
+//! The run folder: created, locked, resumed, read.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs::{self, File};
@@ -29,7 +29,7 @@ const LOGS_FOLDER: &str = "logs";
 /// Where [`report`](crate::report) writes about a single run.
 pub const REPORT_FOLDER: &str = "report";
 
-/// Everything a run folder holds. Nothing else in it is ever touched.
+/// Everything that a run folder may hold. No other file in it is touched.
 const CONTENTS: [&str; 21] = [
     MANIFEST_FILE,
     "manifest.json.new",
@@ -54,7 +54,7 @@ const CONTENTS: [&str; 21] = [
     REPORT_FOLDER,
 ];
 
-/// A run folder that this process writes to. Nobody else can meanwhile.
+/// A run folder that this process writes to, with a lock that keeps other processes from doing so.
 #[derive(Debug)]
 pub struct RunFolder {
     dir: PathBuf,
@@ -67,20 +67,20 @@ pub struct RunFolder {
     sessions: Journal<SessionRecord>,
     latency: Journal<LatencyRecord>,
     finished: BTreeSet<String>,
-    /// Last, so that everything else is closed when the lock goes.
+    /// Dropped last, after everything else is closed.
     _lock: File,
 }
 
-/// A run folder, and what was found in it.
+/// An opened run folder, and what was found in it.
 #[derive(Debug)]
 pub struct Opened {
     /// The folder.
     pub folder: RunFolder,
-    /// Episodes that are done.
+    /// Finished episodes.
     pub finished: Vec<EpisodeRecord>,
-    /// What was asked of a model so far.
+    /// Requests to the model so far.
     pub requests: Vec<RequestRecord>,
-    /// What a person should be told: what was removed or cut.
+    /// Messages for the user: what was removed, cut or set aside.
     pub notes: Vec<String>,
 }
 
@@ -96,7 +96,7 @@ impl RunFolder {
         let lock = lock(dir)?;
         let mut notes = Vec::new();
         let manifest = match existing(dir)? {
-            // A run that never got anywhere, perhaps for want of a model, binds nobody.
+            // A run without an episode or a request, perhaps for want of a model, is replaced.
             Some(_) if !fresh && !has_episodes(dir) && !has_requests(dir) => {
                 remove_run(dir)?;
                 manifest
@@ -165,7 +165,7 @@ impl RunFolder {
         &self.manifest
     }
 
-    /// Which session this is, from 1.
+    /// The number of this session, from 1.
     pub fn session(&self) -> u32 {
         self.session
     }
@@ -185,26 +185,26 @@ impl RunFolder {
         dir.join(PROMPTS_FOLDER)
     }
 
-    /// Where the process called `role` writes what it says on stderr.
+    /// The file that the process called `role` writes its stderr to.
     pub fn log_file(&self, role: &str) -> PathBuf {
         self.dir.join(LOGS_FOLDER).join(format!("{role}.log"))
     }
 
-    /// Whether the episode is in the log.
+    /// Whether the episode has finished.
     pub fn is_finished(&self, key: &str) -> bool {
         self.finished.contains(key)
     }
 
-    /// Episodes that are in the log.
+    /// The number of finished episodes.
     pub fn count_finished(&self) -> u64 {
         self.finished.len() as u64
     }
 
-    /// Puts finished episodes into the log: no kill of a process can undo that. What they cost is on the disk
-    /// when this returns, and so are they then; without a cost they are there some milliseconds later.
+    /// Records finished episodes; they survive any kill of the process. If a model was asked, requests and episodes
+    /// are on the disk when this returns, otherwise some milliseconds later.
     ///
     /// # Errors
-    /// When the system refuses.
+    /// When an operation of the system fails.
     pub fn finish(&mut self, episodes: &[(EpisodeRecord, EpisodeTimings)]) -> Result<(), LogError> {
         if episodes.is_empty() {
             return Ok(());
@@ -228,27 +228,27 @@ impl RunFolder {
         episodes.iter().try_for_each(|(_, timings)| self.timings.append(timings))
     }
 
-    /// Notes what a question to a model took.
+    /// Records a request to the model.
     ///
     /// # Errors
-    /// When the system refuses.
+    /// When an operation of the system fails.
     pub fn asked(&mut self, request: &RequestRecord) -> Result<(), LogError> {
         self.requests.append(request)
     }
 
-    /// Notes an episode that was given up.
+    /// Records an episode that was given up.
     ///
     /// # Errors
-    /// When the system refuses.
+    /// When an operation of the system fails.
     pub fn give_up(&mut self, error: &EpisodeError) -> Result<(), LogError> {
         self.errors.append(error)?;
         self.errors.sync()
     }
 
-    /// Notes something that happened to the processes.
+    /// Records an event of the session.
     ///
     /// # Errors
-    /// When the system refuses.
+    /// When an operation of the system fails.
     pub fn note(&mut self, event: SessionEvent) -> Result<(), LogError> {
         let now = SystemTime::now().duration_since(UNIX_EPOCH);
         let unix_s = now.map_or(0, |since| since.as_secs());
@@ -259,7 +259,7 @@ impl RunFolder {
     /// Adds a line about the latency of a stage.
     ///
     /// # Errors
-    /// When the system refuses.
+    /// When an operation of the system fails.
     pub fn measured(&mut self, record: &LatencyRecord) -> Result<(), LogError> {
         self.latency.append(record)
     }
@@ -268,7 +268,7 @@ impl RunFolder {
     /// they differ from then.
     ///
     /// # Errors
-    /// When the system refuses.
+    /// When an operation of the system fails.
     pub fn introduce(
         &mut self,
         processes: BTreeMap<String, BTreeMap<String, String>>,
@@ -293,23 +293,22 @@ impl RunFolder {
     }
 }
 
-/// A run folder as it is read afterwards, or while somebody writes to it.
+/// A run folder as it is read, also while another process writes to it.
 #[derive(Debug, Clone)]
 pub struct RunLog {
     /// The folder.
     pub dir: PathBuf,
-    /// What the run is.
+    /// The manifest.
     pub manifest: Manifest,
     /// Finished episodes, by key.
     pub episodes: Vec<EpisodeRecord>,
     /// Their timings, by key.
     pub timings: Vec<EpisodeTimings>,
-    /// What was asked of a model, in the order in which it was answered: for episodes that were walked in vain,
-    /// too.
+    /// Requests to the model in the order of their answers, those of unfinished attempts at an episode included.
     pub requests: Vec<RequestRecord>,
     /// Episodes that were given up and not finished since, by key: the last error of each.
     pub errors: Vec<EpisodeError>,
-    /// What happened to the processes.
+    /// Events of the sessions.
     pub sessions: Vec<SessionRecord>,
     /// Lines that cannot be used: what they say is missing above. A run sets them aside and repeats their episodes.
     pub damaged: Vec<DamagedLine>,
@@ -411,7 +410,7 @@ impl Opening<'_> {
     }
 }
 
-/// Keeps everybody else from writing to the folder until the file is dropped.
+/// Locks the folder until the file is dropped.
 fn lock(dir: &Path) -> Result<File, LogError> {
     let file = File::open(dir).map_err(system("open", dir))?;
     match rustix::fs::flock(&file, FlockOperation::NonBlockingLockExclusive) {
@@ -437,12 +436,12 @@ fn existing(dir: &Path) -> Result<Option<Result<Manifest, LogError>>, LogError> 
     Ok(None)
 }
 
-/// Whether the run in `dir` has finished anything.
+/// Whether the run in `dir` has finished an episode.
 fn has_episodes(dir: &Path) -> bool {
     fs::metadata(dir.join(EPISODES_FILE)).is_ok_and(|file| file.len() > 0)
 }
 
-/// Whether the run in `dir` has spent anything.
+/// Whether the run in `dir` has sent a request.
 fn has_requests(dir: &Path) -> bool {
     fs::metadata(dir.join(REQUESTS_FILE)).is_ok_and(|file| file.len() > 0)
 }
@@ -528,7 +527,7 @@ mod tests {
         assert_eq!((finished.len(), requests.len()), (0, 2));
         assert!(notes[0].starts_with("requests.jsonl: cut "), "{notes:?}");
         assert_eq!(requests, [request("a", 0), request("a", 1)]);
-        // The episode is walked again, and what it took before was spent all the same.
+        // The episode runs again, and what it took before was spent all the same.
         (0..3).for_each(|step| folder.asked(&request("a", step)).unwrap());
         add(&mut folder, "t01-01");
         drop(folder);
@@ -596,7 +595,7 @@ mod tests {
         let shown: Vec<String> = log.damaged.iter().map(ToString::to_string).collect();
         insta::assert_snapshot!(shown.join("\n"), @r#"
         episodes.jsonl, line 1: "steps" is 931, and "actions" has 10
-        episodes.jsonl, line 2: EOF while parsing a string at line 1 column 40
+        episodes.jsonl, line 2: control character (\u0000-\u001F) found while parsing a string at line 2 column 0
         episodes.jsonl, line 4: episodic/original/unchanged/original/run1/t01-03 is there already
         "#);
 
@@ -628,7 +627,7 @@ mod tests {
     }
 
     #[test]
-    fn processes_that_changed_are_told() {
+    fn processes_that_changed_are_named() {
         let dir = tempfile::tempdir().unwrap();
         let facts = |adapter: &str| {
             let facts = BTreeMap::from([("adapter".to_owned(), adapter.to_owned())]);

@@ -55,7 +55,7 @@ impl<T: Serialize + DeserializeOwned> Journal<T> {
     /// lines, which `check` may find beside those that cannot be read, are moved to [`damaged_file`].
     ///
     /// # Errors
-    /// When the system refuses.
+    /// When an operation of the system fails.
     pub fn open(
         path: &Path,
         check: impl FnMut(&T) -> Result<(), String>,
@@ -78,7 +78,7 @@ impl<T: Serialize + DeserializeOwned> Journal<T> {
     /// Adds a line. Nothing is promised about a crash of the machine before [`Journal::sync`].
     ///
     /// # Errors
-    /// When the system refuses.
+    /// When an operation of the system fails.
     pub fn append(&mut self, entry: &T) -> Result<(), LogError> {
         let mut line = serde_json::to_vec(entry)
             .map_err(|error| system("write to", &self.path)(io::Error::other(error)))?;
@@ -90,7 +90,7 @@ impl<T: Serialize + DeserializeOwned> Journal<T> {
     /// Returns when everything added so far is on the disk.
     ///
     /// # Errors
-    /// When the system refuses.
+    /// When an operation of the system fails.
     pub fn sync(&mut self) -> Result<(), LogError> {
         self.file.sync_data().map_err(system("flush", &self.path))
     }
@@ -163,7 +163,7 @@ impl Drop for Flusher {
 /// Reads the journal in `path` without changing it; a missing one is empty.
 ///
 /// # Errors
-/// When the system refuses.
+/// When an operation of the system fails.
 pub fn read_journal<T: DeserializeOwned>(
     path: &Path,
     check: impl FnMut(&T) -> Result<(), String>,

@@ -104,7 +104,7 @@ impl Manifest {
     /// Writes it into the run folder `dir`: all of it or nothing, and durably.
     ///
     /// # Errors
-    /// When the system refuses.
+    /// When an operation of the system fails.
     pub fn write(&self, dir: &Path) -> Result<(), LogError> {
         let path = dir.join(MANIFEST_FILE);
         let draft = dir.join(format!("{MANIFEST_FILE}.new"));

@@ -32,13 +32,13 @@ named! {
 pub struct EpisodeRecord {
     /// The [`EpisodeKey`](crate::key::EpisodeKey) as it is written: unique in the log.
     pub key: String,
-    /// Which memory.
+    /// The memory.
     pub memory: Representation,
-    /// From where.
+    /// The start.
     pub start: Start,
-    /// On which route.
+    /// The route.
     pub route: Route,
-    /// With which demonstrations.
+    /// The demonstrations.
     pub demonstrations: Demonstrations,
     /// Past steps that the policy was shown, h. Absent where it is the standard, 6.
     #[serde(skip_serializing_if = "is_standard_window", default = "standard_window")]
@@ -49,7 +49,7 @@ pub struct EpisodeRecord {
     /// Whether the original-start hint was given where it is true. Absent where it is the standard, `on`.
     #[serde(skip_serializing_if = "is_default", default)]
     pub hint: Hint,
-    /// Which repetition, from 1.
+    /// The repetition, from 1.
     pub run: u32,
     /// The case's id.
     pub case: String,
@@ -63,7 +63,7 @@ pub struct EpisodeRecord {
     pub steps: u32,
     /// Length of the reference, l_i.
     pub reference: u32,
-    /// What was done, a letter a step (`f b l r` moves, `L R U` turns), `?` for an unreadable answer.
+    /// The actions, a letter for each step (`f b l r` moves, `L R U` turns), `?` for an unreadable answer.
     pub actions: String,
     /// For each sub-goal, in order of completion: the step at which it was completed.
     pub sub_goals: Vec<u32>,
@@ -106,7 +106,7 @@ pub struct EpisodeRecord {
     /// Tokens of all completions. Absent when any was not measured.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub completion_tokens: Option<u64>,
-    /// Tokens of all prompts that are injected memory, an estimate. Absent when any was not told.
+    /// Tokens of all prompts that are injected memory, an estimate. Absent when unknown for any.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub memory_tokens: Option<u64>,
     /// Answers in which no action could be read, by kind.
@@ -123,7 +123,7 @@ pub struct EpisodeRecord {
 }
 
 impl EpisodeRecord {
-    /// What it was run under.
+    /// The condition.
     pub fn condition(&self) -> Condition {
         Condition {
             memory: self.memory,
@@ -134,7 +134,7 @@ impl EpisodeRecord {
         }
     }
 
-    /// s_i.
+    /// Whether the task was completed, s_i.
     pub fn is_success(&self) -> bool {
         self.ending == Ending::Complete
     }
@@ -164,7 +164,7 @@ impl Unread {
     }
 }
 
-/// What an episode's steps cost; depends on machine, lanes and chance.
+/// Times of an episode; they depend on machine, lanes and chance.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct EpisodeTimings {
@@ -178,7 +178,7 @@ pub struct EpisodeTimings {
     /// Its ticket in that session, by which [`prompts`](domain::prompt_log) name it. 0 likewise.
     #[serde(default)]
     pub ticket: u64,
-    /// How often it was started, this time included.
+    /// The number of the attempt, from 1.
     pub attempt: u32,
     /// The lane it ran in.
     pub lane: u32,
@@ -188,7 +188,7 @@ pub struct EpisodeTimings {
     pub ended_ns: u64,
     /// Steps taken.
     pub steps: u32,
-    /// Messages about it that could not be used.
+    /// Invalid messages about it.
     #[serde(skip_serializing_if = "is_zero", default)]
     pub rubbish: u32,
     /// Where the time went, summed over its steps.
@@ -203,8 +203,8 @@ fn is_none(count: &u64) -> bool {
     *count == 0
 }
 
-/// One question to a model, of an episode that was finished or of one that was walked in vain. What it cost was
-/// spent either way, unless it was `replayed`. A count is absent where nobody told it.
+/// One request to a model, of a finished episode or of an attempt that was given up. Its cost was spent either way,
+/// unless it was `replayed`. A count is absent where it is unknown.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RequestRecord {
@@ -360,8 +360,8 @@ impl std::ops::AddAssign for Stages {
     }
 }
 
-/// An episode that was given up, because of something that is not the model's mistake. It counts as not
-/// successful until a later session finishes it.
+/// An episode that was given up because of a fault of the infrastructure. It is not scored; the same command runs it
+/// again.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct EpisodeError {
@@ -373,38 +373,38 @@ pub struct EpisodeError {
     pub error: String,
 }
 
-/// Something that happened to the processes of a run.
+/// An event of a session.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct SessionRecord {
-    /// The session, from 1: one for each time that the command was given.
+    /// The session, from 1: one for each invocation of the command.
     pub session: u32,
     /// Seconds since 1970.
     pub unix_s: u64,
-    /// What happened.
+    /// The event.
     #[serde(flatten)]
     pub event: SessionEvent,
 }
 
-/// What can happen to the processes of a run.
+/// The events of a session.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", tag = "event")]
 pub enum SessionEvent {
     /// The processes of a generation are ready.
     Ready {
-        /// Which generation.
+        /// The generation.
         generation: u32,
         /// Lanes.
         lanes: u32,
         /// Frames that may be resident.
         frame_budget: u32,
-        /// What each process said about itself.
+        /// The facts that each process reported about itself.
         processes: BTreeMap<String, BTreeMap<String, String>>,
     },
-    /// A process failed; all are started anew, and the episodes under way are walked again.
+    /// A process failed; all are restarted, and the episodes under way run again.
     Failed {
         /// The generation that failed.
         generation: u32,
-        /// Which process, and how.
+        /// The process and its failure.
         reason: String,
     },
     /// The session is over.

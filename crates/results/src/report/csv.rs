@@ -8,7 +8,7 @@ use super::frame::Frame;
 /// Writes a printed table: its labels, its cells as text; a mark stands where there is no figure.
 ///
 /// # Errors
-/// When `out` refuses.
+/// When writing fails.
 pub(super) fn write_table(table: &Table, out: impl Write) -> csv::Result<()> {
     let mut writer = csv::Writer::from_writer(out);
     let columns = table.columns.iter().map(|column| match column.over.as_str() {
@@ -29,7 +29,7 @@ pub(super) fn write_table(table: &Table, out: impl Write) -> csv::Result<()> {
 /// Writes a frame; an absent value is an empty field.
 ///
 /// # Errors
-/// When `out` refuses.
+/// When writing fails.
 pub(super) fn write_frame(frame: &Frame, out: impl Write) -> csv::Result<()> {
     let mut writer = csv::Writer::from_writer(out);
     writer.write_record(frame.columns.iter().map(|column| &column.name))?;

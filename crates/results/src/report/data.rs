@@ -2,8 +2,8 @@
 
 use std::collections::BTreeMap;
 
-use super::frame::{Builder, Frame};
-use super::view::View;
+use super::frame::{Frame, FrameBuilder};
+use super::view::ScoredRun;
 use crate::compare::run_name;
 use crate::conditions::Condition;
 use crate::key::EpisodeKey;
@@ -66,7 +66,7 @@ pub fn episodes_frame(logs: &[RunLog]) -> Frame {
     fn of<'a>((_, episode): &(String, Episode<'a>)) -> Option<&'a EpisodeRecord> {
         episode.record()
     }
-    let mut frame = Builder::new(&rows);
+    let mut frame = FrameBuilder::new(&rows);
     frame.text("log", |(log, _)| Some(log.clone()));
     frame.text("key", |(_, episode)| Some(episode.key().to_owned()));
     add_condition(&mut frame, |(_, episode)| episode.condition());
@@ -123,7 +123,7 @@ pub fn timings_frame(logs: &[RunLog]) -> Frame {
         .iter()
         .flat_map(|log| log.timings.iter().map(move |timings| (run_name(log), timings)))
         .collect();
-    let mut frame = Builder::new(&rows);
+    let mut frame = FrameBuilder::new(&rows);
     frame.text("log", |(log, _)| Some(log.clone()));
     frame.text("key", |(_, timings)| Some(timings.key.clone()));
     type Count = fn(&EpisodeTimings) -> u64;
@@ -147,12 +147,12 @@ pub fn timings_frame(logs: &[RunLog]) -> Frame {
 }
 
 /// A row for each condition of the runs, with every figure and the published ones.
-pub(super) fn conditions(views: &[View<'_>]) -> Frame {
-    let rows: Vec<(&View<'_>, &ConditionScore)> = views
+pub(super) fn conditions(views: &[ScoredRun<'_>]) -> Frame {
+    let rows: Vec<(&ScoredRun<'_>, &ConditionScore)> = views
         .iter()
         .flat_map(|view| view.scores.conditions.iter().map(move |score| (view, score)))
         .collect();
-    let mut frame = Builder::new(&rows);
+    let mut frame = FrameBuilder::new(&rows);
     frame.text("log", |(view, _)| Some(run_name(view.log)));
     frame.text("policy", |(view, _)| Some(view.log.manifest.settings.policy.to_string()));
     frame.text("frames", |(view, _)| Some(view.log.manifest.settings.frames.to_string()));
@@ -210,7 +210,7 @@ pub(super) fn conditions(views: &[View<'_>]) -> Frame {
     for stage in Stages::NAMES {
         frame.real(format!("{stage}_us"), |(_, score)| score.stage_us.as_ref()?.stage(stage));
     }
-    let published = |view: &View<'_>, score: &ConditionScore| {
+    let published = |view: &ScoredRun<'_>, score: &ConditionScore| {
         view.published.of(&score.condition.to_string()).cloned()
     };
     frame.real("published_sr", |(view, score)| Some(published(view, score)?.sr?.mean));
@@ -224,7 +224,7 @@ pub(super) fn conditions(views: &[View<'_>]) -> Frame {
 }
 
 /// The columns that say under which condition a row is.
-fn add_condition<T>(frame: &mut Builder<'_, T>, of: impl Fn(&T) -> Option<Condition>) {
+fn add_condition<T>(frame: &mut FrameBuilder<'_, T>, of: impl Fn(&T) -> Option<Condition>) {
     frame.text("memory", |row| Some(of(row)?.memory.to_string()));
     frame.text("start", |row| Some(of(row)?.start.to_string()));
     frame.text("route", |row| Some(of(row)?.route.to_string()));

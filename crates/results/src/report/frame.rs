@@ -1,5 +1,4 @@
-//! Flat tables of figures for other programs: a typed column for each figure, in full precision, with nothing where
-//! there is nothing.
+//! Flat tables of figures for other programs: typed columns in full precision, with nulls.
 
 /// A table of values.
 #[derive(Debug, Clone, PartialEq)]
@@ -13,25 +12,25 @@ pub struct Frame {
 pub struct Series {
     /// Its name, unique in the frame: lower case with underscores.
     pub name: String,
-    /// What is in it.
+    /// Its values.
     pub values: Values,
 }
 
-/// The values of a column; `None` where there is none.
+/// The values of a column; `None` is a null.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Values {
-    /// Words.
+    /// Text.
     Text(Vec<Option<String>>),
-    /// Counts.
+    /// Integers.
     Whole(Vec<Option<i64>>),
-    /// Measures.
+    /// Floating-point numbers.
     Real(Vec<Option<f64>>),
-    /// Yes or no.
+    /// Booleans.
     Flag(Vec<Option<bool>>),
 }
 
 impl Values {
-    /// How many.
+    /// The number of values.
     pub fn len(&self) -> usize {
         match self {
             Self::Text(values) => values.len(),
@@ -41,12 +40,12 @@ impl Values {
         }
     }
 
-    /// Whether there are none.
+    /// Whether there are no values.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
 
-    /// The value in `row` as text; nothing where there is none.
+    /// The value in `row` as text; empty for a null.
     pub fn text(&self, row: usize) -> String {
         fn shown<T: ToString>(values: &[Option<T>], row: usize) -> String {
             values.get(row).and_then(Option::as_ref).map_or_else(String::new, T::to_string)
@@ -62,12 +61,12 @@ impl Values {
 
 /// Makes a [`Frame`] of a list, column by column.
 #[derive(Debug)]
-pub(super) struct Builder<'a, T> {
+pub(super) struct FrameBuilder<'a, T> {
     rows: &'a [T],
     columns: Vec<Series>,
 }
 
-impl<'a, T> Builder<'a, T> {
+impl<'a, T> FrameBuilder<'a, T> {
     pub(super) fn new(rows: &'a [T]) -> Self {
         Self { rows, columns: Vec::new() }
     }

@@ -14,7 +14,7 @@ struct Page<'a> {
 /// The page.
 ///
 /// # Errors
-/// When the template refuses, which it does not.
+/// When the template fails, which would be a bug.
 pub(super) fn render(document: &Document) -> askama::Result<String> {
     Page { document, style: include_str!("../../templates/report.css") }.render()
 }

@@ -13,7 +13,7 @@ struct Markdown<'a> {
 /// The page. Figures are files beside it: `figures/<id>.svg`.
 ///
 /// # Errors
-/// When the template refuses, which it does not.
+/// When the template fails, which would be a bug.
 pub(super) fn render(document: &Document) -> askama::Result<String> {
     let text = Markdown { document }.render()?;
     // A template leaves empty lines where its instructions stood.

@@ -13,7 +13,7 @@ const MAGIC: &[u8; 4] = b"PAR1";
 /// Writes `frame` as a Parquet file.
 ///
 /// # Errors
-/// When `out` refuses.
+/// When writing fails.
 pub(super) fn write_frame(frame: &Frame, mut out: impl Write) -> io::Result<()> {
     out.write_all(MAGIC)?;
     let mut offset = MAGIC.len();

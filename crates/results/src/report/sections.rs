@@ -20,7 +20,7 @@ pub(super) use method::method;
 pub(super) use runs::runs;
 
 use super::document::{Block, Section};
-use super::view::View;
+use super::view::ScoredRun;
 
 pub(super) use blocked::blocked_table;
 pub(super) use conditions::conditions_table;
@@ -30,7 +30,7 @@ pub(super) use overview::{notices, steps_per_second};
 pub(super) use time::time_table;
 
 /// A section's name in links, its heading, and the function that makes its content.
-type Part = (&'static str, &'static str, fn(&View<'_>) -> Vec<Block>);
+type Part = (&'static str, &'static str, fn(&ScoredRun<'_>) -> Vec<Block>);
 
 const PARTS: [Part; 12] = [
     ("overview", "What was run", overview::blocks),
@@ -48,7 +48,7 @@ const PARTS: [Part; 12] = [
 ];
 
 /// All sections about the run. Those of which nothing was run are named in one line of the first section.
-pub(super) fn sections(view: &View<'_>) -> Vec<Section> {
+pub(super) fn sections(view: &ScoredRun<'_>) -> Vec<Section> {
     let mut sections = Vec::new();
     let mut not_run = Vec::new();
     for (id, title, blocks) in PARTS {
@@ -67,7 +67,7 @@ pub(super) fn sections(view: &View<'_>) -> Vec<Section> {
 }
 
 /// The section about the origin of the run's figures.
-pub(super) fn provenance(view: &View<'_>) -> Section {
+pub(super) fn provenance(view: &ScoredRun<'_>) -> Section {
     let title = match view.prefix.as_str() {
         "" => "Provenance".to_owned(),
         _ => format!("Provenance of {}", crate::compare::run_name(view.log)),

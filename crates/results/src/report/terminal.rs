@@ -8,10 +8,10 @@ use super::sections::{
     blocked_table, conditions_table, failures_table, notices, requests_table, steps_per_second,
     time_table, worst_table,
 };
-use super::view::{View, interval_text, signed};
+use super::view::{ScoredRun, interval_text, p_value, signed};
 use crate::compare::{differing_settings, run_name};
 use crate::log::RunLog;
-use crate::score::{Comparison, Difference, score};
+use crate::score::{Comparison, FigureDifference, score};
 use crate::table::{TextTable, table};
 
 /// Cases that are named as the worst.
@@ -22,7 +22,7 @@ const TIMES: [&str; 6] = ["dynamics", "render", "embed", "search", "decide", "su
 /// The scores of a run as text, at most 100 columns wide.
 pub fn summary(log: &RunLog) -> String {
     let (published, scores) = (Published::default(), score(log));
-    let view = View { log, scores, published: &published, prefix: String::new() };
+    let view = ScoredRun { log, scores, published: &published, prefix: String::new() };
     let mut time = time_table(&view);
     for group in time.iter_mut().flat_map(|table| &mut table.groups) {
         group.rows.retain(|row| TIMES.contains(&row.label.as_str()));
@@ -51,9 +51,9 @@ pub fn summary(log: &RunLog) -> String {
     text
 }
 
-fn closing(view: &View<'_>) -> Vec<String> {
+fn closing(view: &ScoredRun<'_>) -> Vec<String> {
     let mut lines = vec![
-        "N: finished episodes. SR: mean ± standard deviation over runs; CI: Wilson, by cases (see the report)."
+        "N: finished episodes. SR: mean ± standard deviation over runs; CI: Wilson's interval over cases."
             .to_owned(),
     ];
     if let Some(rate) = view.scores.steps_per_s {
@@ -117,7 +117,7 @@ pub fn comparison(compared: &[Comparison]) -> String {
         (Some(_), Some((_, _, condition))) => condition.to_owned(),
         _ => format!("A: {}\nB: {}", one.a, one.b),
     };
-    let interval = |one: &Difference, digits| {
+    let interval = |one: &FigureDifference, digits| {
         one.interval.map_or("-".to_owned(), |interval| interval_text(interval, digits))
     };
     let mut rates = table(&["condition", "cases", "A SR", "B SR", "A−B", "95 % CI", "A:B", "p"], 1);
@@ -154,11 +154,6 @@ fn shared_condition(compared: &Comparison) -> Option<(&str, &str, &str)> {
     let (run_a, a) = compared.a.rsplit_once(": ")?;
     let (run_b, b) = compared.b.rsplit_once(": ")?;
     (a == b).then_some((run_a, run_b, a))
-}
-
-/// Formats a p value: never as zero.
-pub(super) fn p_value(p: f64) -> String {
-    if p < 0.001 { "<0.001".to_owned() } else { format!("{p:.3}") }
 }
 
 /// A paragraph in lines of at most 100 characters; nothing for no text.
@@ -228,13 +223,13 @@ mod tests {
             a: a.to_owned(),
             b: b.to_owned(),
             cases: 3,
-            sr: Difference {
+            sr: FigureDifference {
                 a: 50.0,
                 b: 100.0,
                 mean: -50.0,
                 interval: Some(Interval { low: -90.0, high: 0.0 }),
             },
-            spl: Difference { a: 0.5, b: 0.5, mean: 0.0, interval: None },
+            spl: FigureDifference { a: 0.5, b: 0.5, mean: 0.0, interval: None },
             more_under_a: 0,
             more_under_b: 9,
             p: 0.0004,

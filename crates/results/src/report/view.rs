@@ -10,7 +10,7 @@ use crate::score::{ConditionScore, Interval, Scores, Spread};
 
 /// One run, scored.
 #[derive(Debug)]
-pub(super) struct View<'a> {
+pub(super) struct ScoredRun<'a> {
     pub(super) log: &'a RunLog,
     pub(super) scores: Scores,
     pub(super) published: &'a Published,
@@ -18,7 +18,7 @@ pub(super) struct View<'a> {
     pub(super) prefix: String,
 }
 
-impl View<'_> {
+impl ScoredRun<'_> {
     /// The id of a table, figure or section.
     pub(super) fn id(&self, name: &str) -> String {
         format!("{}{name}", self.prefix)
@@ -164,6 +164,11 @@ pub(super) fn signed(value: f64, digits: usize) -> String {
     }
 }
 
+/// Formats a p value: never as zero.
+pub(super) fn p_value(p: f64) -> String {
+    if p < 0.001 { "<0.001".to_owned() } else { format!("{p:.3}") }
+}
+
 /// Columns of success rate and SPL for each of `settings`.
 pub(super) fn rate_columns(settings: &[&str]) -> Vec<Column> {
     let both = |over: &&str| [Column::under(*over, "SR %"), Column::under(*over, "SPL")];
@@ -171,7 +176,7 @@ pub(super) fn rate_columns(settings: &[&str]) -> Vec<Column> {
 }
 
 /// The run's cells under those columns, of the condition called `name`.
-pub(super) fn our_rates(view: &View<'_>, name: &str) -> [Cell; 2] {
+pub(super) fn our_rates(view: &ScoredRun<'_>, name: &str) -> [Cell; 2] {
     [
         view.ours(name, |score| sure(score.sr, 1)),
         view.ours(name, |score| Cell::Value(format!("{:.3}", score.spl.mean))),
@@ -179,7 +184,7 @@ pub(super) fn our_rates(view: &View<'_>, name: &str) -> [Cell; 2] {
 }
 
 /// The published cells under those columns.
-pub(super) fn their_rates(view: &View<'_>, name: &str) -> [Cell; 2] {
+pub(super) fn their_rates(view: &ScoredRun<'_>, name: &str) -> [Cell; 2] {
     [
         view.theirs(name, |published| published.sr.map(published_text)),
         view.theirs(name, |published| published.spl.map(|spl| format!("{spl:.3}"))),

@@ -21,9 +21,9 @@ pub struct Comparison {
     /// Cases that both have.
     pub cases: usize,
     /// Success rates in percent, their difference in percentage points.
-    pub sr: Difference,
+    pub sr: FigureDifference,
     /// SPL.
-    pub spl: Difference,
+    pub spl: FigureDifference,
     /// Cases that succeed more often under A. With one run each: that succeed under A alone.
     pub more_under_a: usize,
     /// Cases that succeed more often under B.
@@ -35,7 +35,7 @@ pub struct Comparison {
 
 /// A figure of both configurations, and the mean difference.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct Difference {
+pub struct FigureDifference {
     /// The figure of A.
     pub a: f64,
     /// The figure of B.
@@ -58,7 +58,7 @@ pub fn compare(a: (&str, &Trials<'_>), b: (&str, &Trials<'_>)) -> Option<Compari
         let of_case = |arms: &Vec<Vec<Sample>>| Some(figure(&arms[0])? - figure(&arms[1])?);
         let interval = interval.filter(|interval| !interval.is_point());
         let mean = mean(cases.iter().filter_map(of_case))?;
-        Some(Difference { a: side(0)?, b: side(1)?, mean, interval })
+        Some(FigureDifference { a: side(0)?, b: side(1)?, mean, interval })
     };
     let (mut sr, spl) = (difference(rate, sr)?, difference(weight, spl)?);
     sr.interval = sr.interval.or_else(|| rate_difference(&cases, &sr));
@@ -79,7 +79,7 @@ pub fn compare(a: (&str, &Trials<'_>), b: (&str, &Trials<'_>)) -> Option<Compari
 }
 
 /// Newcombe's interval of the difference of two success rates.
-fn rate_difference(cases: &[Vec<Vec<Sample>>], sr: &Difference) -> Option<Interval> {
+fn rate_difference(cases: &[Vec<Vec<Sample>>], sr: &FigureDifference) -> Option<Interval> {
     let interval = |arm: usize| {
         let successes = |arms: &Vec<Vec<Sample>>| arms[arm].iter().map(|s| s.success).collect();
         rate_interval(&cases.iter().map(successes).collect::<Vec<_>>())

@@ -39,21 +39,21 @@ named! {
     }
 }
 
-/// As many new cells after a barricade are a way round it.
+/// Number of new cells after a barricade that count as looking for a way round it.
 pub const NEW_CELLS: usize = 10;
-/// The end of an episode in which a loop is looked for.
+/// Number of steps at the end of an episode in which a loop is looked for.
 pub const LOOP_STEPS: usize = 60;
-/// As many times in one pose are a loop.
+/// Number of times in one pose that count as a loop.
 pub const LOOP_VISITS: usize = 5;
 
 impl Failure {
-    /// Why `record` failed; `None` when it did not.
+    /// Returns the kind of failure of `record`; `None` for a success.
     pub fn of(record: &EpisodeRecord) -> Option<Self> {
         let rule = |kind: &&Self| kind.applies(record);
         (!record.is_success()).then(|| Self::ALL.iter().find(rule).copied().unwrap_or(Self::Other))
     }
 
-    /// What it means, in a few words for a legend.
+    /// A short description for a legend.
     pub const fn meaning(self) -> &'static str {
         match self {
             Self::Unreadable => "in at least half of the answers no action could be read",
@@ -134,12 +134,12 @@ fn looped(record: &EpisodeRecord) -> bool {
     last.chunk_by(|a, b| a == b).any(|same| same.len() >= LOOP_VISITS)
 }
 
-/// How many failures there are of each kind.
+/// Counts of failures by kind.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize)]
 pub struct Failures(Vec<(Failure, usize)>);
 
 impl Failures {
-    /// Of `records`.
+    /// Counts the failures of `records`.
     pub fn of<'a>(records: impl Iterator<Item = &'a EpisodeRecord>) -> Self {
         let mut counts: Vec<(Failure, usize)> =
             Failure::ALL.iter().map(|&failure| (failure, 0)).collect();
@@ -154,7 +154,7 @@ impl Failures {
         self.0.iter().copied()
     }
 
-    /// All of them.
+    /// The number of failures.
     pub fn total(&self) -> usize {
         self.0.iter().map(|(_, count)| count).sum()
     }

@@ -1,4 +1,4 @@
-//! Every figure, reckoned by hand for small made-up logs.
+//! Every figure, computed by hand for small logs.
 
 use super::*;
 use crate::conditions::{Demonstrations, Route, Start};
@@ -53,7 +53,7 @@ fn success_and_path_length_per_run_then_over_runs() {
 }
 
 #[test]
-fn a_walk_shorter_than_its_reference_is_worth_no_more_than_one() {
+fn an_episode_shorter_than_its_reference_is_worth_no_more_than_one() {
     // l / max(p, l): 8/8, 8/max(4, 8), 8/16, failure, 0/0 taken as 1.
     for (success, steps, reference, expected) in [
         (true, 8, 8, 1.0),
@@ -98,7 +98,7 @@ fn task_groups_are_scored_by_themselves_per_run() {
 }
 
 /// A record from the new start under `memory`, blocked when `tried` says whether it tried the closed cell.
-fn walked(
+fn episode(
     memory: Representation,
     id: &str,
     run: u32,
@@ -125,7 +125,7 @@ fn blocked_score(log: &RunLog, memory: Representation) -> BlockedScore {
 #[test]
 fn follow_and_recovery_per_run_and_undefined_is_not_zero() {
     let blocked =
-        |id, run, success, tried| walked(Representation::Episodic, id, run, success, Some(tried));
+        |id, run, success, tried| episode(Representation::Episodic, id, run, success, Some(tried));
     let mut records = vec![
         // Run 1: b = 1, 1, 1, 0 and s = 1, 0, 0, 1. F = 100 * 3/4 = 75, C = 100 * 1/3 = 33.33.
         blocked("a", 1, true, true),
@@ -157,7 +157,7 @@ fn follow_and_recovery_per_run_and_undefined_is_not_zero() {
 fn change_and_retention_from_the_mean_success_rates() {
     let four = |memory, route: Option<bool>, successes: usize| {
         let ids = ["a", "b", "c", "d"].into_iter().enumerate();
-        ids.map(move |(i, id)| walked(memory, id, 1, i < successes, route)).collect::<Vec<_>>()
+        ids.map(move |(i, id)| episode(memory, id, 1, i < successes, route)).collect::<Vec<_>>()
     };
     // Episodic: 75 unchanged, 25 blocked. Working: 50 unchanged, 25 blocked.
     let mut records = four(Representation::Episodic, None, 3);
@@ -273,7 +273,7 @@ fn two_configurations_are_compared_case_by_case() {
     let side = |memory, successes: [[bool; 2]; 4]| {
         let cases = ["a", "b", "c", "d"].into_iter().zip(successes);
         let both = |(id, runs): (&'static str, [bool; 2])| {
-            [1, 2].map(|run| walked(memory, id, run, runs[run as usize - 1], None))
+            [1, 2].map(|run| episode(memory, id, run, runs[run as usize - 1], None))
         };
         cases.flat_map(both).collect::<Vec<_>>()
     };
@@ -281,7 +281,7 @@ fn two_configurations_are_compared_case_by_case() {
     let mut records = side(Representation::Episodic, [yes, half, yes, no]);
     records.extend(side(Representation::Working, [no, no, yes, half]));
     // A fifth case that only one side has does not enter.
-    records.push(walked(Representation::Working, "e", 1, true, None));
+    records.push(episode(Representation::Working, "e", 1, true, None));
     let log = log(records);
     let of = |memory| {
         let mut trials = Trials::by_condition(&log).into_iter();

@@ -1,4 +1,4 @@
-//! Where the time of a step went. Not part of any result: times depend on machine, lanes and chance.
+//! Time of a step by stage. Not a result: times depend on machine, lanes and chance.
 
 use std::collections::BTreeMap;
 
@@ -8,10 +8,10 @@ use crate::log::{EpisodeTimings, RunLog, Stages};
 use domain::Representation;
 use domain::representation::Trajectories;
 
-/// Where the time of a step went, in microseconds.
+/// Mean time of a step by stage, in microseconds.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct StageTimes {
-    /// From a command to the next one.
+    /// All stages together: from a command to the next one.
     pub sum: f64,
     /// The stages that there are, in order, by the names of [`Stages::NAMES`].
     pub stages: Vec<(&'static str, f64)>,
@@ -36,7 +36,7 @@ impl StageTimes {
         })
     }
 
-    /// Those of each memory that was timed, over all its conditions: start and route make no difference.
+    /// The means of each memory that was timed, over all its conditions.
     pub fn by_memory(log: &RunLog) -> Vec<(Representation, Self)> {
         let timings: BTreeMap<&str, &EpisodeTimings> =
             log.timings.iter().map(|timings| (timings.key.as_str(), timings)).collect();

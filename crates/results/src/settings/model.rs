@@ -33,7 +33,7 @@ pub struct ModelSettings {
     pub max_cost: Option<Amount>,
 }
 
-/// Where answers are kept. Written `on`, `off`, or as a path, which has a slash.
+/// Where answers are cached. Written `on`, `off`, or as a path, which has a slash.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 pub enum ResponseCache {
@@ -45,7 +45,7 @@ pub enum ResponseCache {
     Folder(PathBuf),
 }
 
-/// A word that says neither yes nor no nor where.
+/// A text that is not a place for responses.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{0}; a folder is named by its path, for example ./responses")]
 pub struct UnknownCache(UnknownName);

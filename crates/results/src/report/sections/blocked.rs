@@ -3,7 +3,9 @@
 use domain::Representation;
 
 use crate::report::document::{Block, Cell, Column, Missing, Table};
-use crate::report::view::{View, interval_text, name, pair_stubs, published_text, signed, sure_or};
+use crate::report::view::{
+    ScoredRun, interval_text, name, pair_stubs, published_text, signed, sure_or,
+};
 use crate::score::{BlockedScore, Derived};
 
 const NEEDS_BOTH: Missing = Missing::NotMeasured(
@@ -14,12 +16,12 @@ const NOTHING_TO_RETAIN: Missing =
 const NONE_TRIED: Missing =
     Missing::Undefined("no episode tried to enter a closed cell, so none could recover");
 
-pub(super) fn blocks(view: &View<'_>) -> Vec<Block> {
+pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<Block> {
     blocked_table(view).map(Block::Table).into_iter().collect()
 }
 
 /// The paper's table with the run's figures; `None` where no blocked route was run.
-pub(in crate::report) fn blocked_table(view: &View<'_>) -> Option<Table> {
+pub(in crate::report) fn blocked_table(view: &ScoredRun<'_>) -> Option<Table> {
     let blocked = |representation| name(representation, "new/blocked", "4");
     let unchanged = |representation| name(representation, "new/unchanged", "4");
     let ours = |representation| {

@@ -3,13 +3,13 @@
 use super::main_table::{NO_REQUESTS, NO_TOKENS};
 use crate::conditions::{Condition, Route};
 use crate::report::document::{Block, Cell, Column, Group, Missing, Row, Table};
-use crate::report::view::{View, interval_text, plain_or, spread_text, title};
+use crate::report::view::{ScoredRun, interval_text, plain_or, spread_text, title};
 use crate::score::ConditionScore;
 
 const NO_RETRIEVAL: Missing = Missing::NotApplicable("nothing is retrieved under this condition");
 const ONE_CASE: Missing = Missing::NotMeasured("one case says nothing about others");
 
-pub(super) fn blocks(view: &View<'_>) -> Vec<Block> {
+pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<Block> {
     let mut table = conditions_table(view);
     table.columns.extend(["Mtok", "Unreadable %", "Other tasks %"].map(Column::new));
     let rows = table.groups.iter_mut().flat_map(|group| &mut group.rows);
@@ -29,7 +29,7 @@ pub(super) fn blocks(view: &View<'_>) -> Vec<Block> {
 }
 
 /// The conditions by memory with success rate, interval, SPL, steps and images.
-pub(in crate::report) fn conditions_table(view: &View<'_>) -> Table {
+pub(in crate::report) fn conditions_table(view: &ScoredRun<'_>) -> Table {
     let scores = &view.scores.conditions;
     let groups = scores.chunk_by(|a, b| a.condition.memory == b.condition.memory);
     let group = |scores: &[ConditionScore]| Group {

@@ -5,7 +5,7 @@ use domain::Representation;
 use super::main_table::{NO_REQUESTS, mega};
 use crate::conditions::Variation;
 use crate::report::document::{Block, Cell, Column, Group, Missing, Row, Table};
-use crate::report::view::{View, name, pair_stubs, plain_or, title};
+use crate::report::view::{ScoredRun, name, pair_stubs, plain_or, title};
 use crate::score::RequestScore;
 
 const SETTINGS: [(&str, &str, &str); 2] = [
@@ -13,7 +13,7 @@ const SETTINGS: [(&str, &str, &str); 2] = [
     ("New start, 4 demos", "new/unchanged", "4"),
 ];
 
-pub(super) fn blocks(view: &View<'_>) -> Vec<Block> {
+pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<Block> {
     let settings = &view.log.manifest.settings;
     let columns = SETTINGS.iter().flat_map(|(over, _, _)| {
         ["Images", "Mtok", "Unreadable %"].map(|name| Column::under(*over, name))
@@ -67,7 +67,7 @@ pub(super) fn blocks(view: &View<'_>) -> Vec<Block> {
 }
 
 /// Figures of the requests, a column for each memory; `None` where no model was asked.
-pub(in crate::report) fn requests_table(view: &View<'_>) -> Option<Table> {
+pub(in crate::report) fn requests_table(view: &ScoredRun<'_>) -> Option<Table> {
     let all = RequestScore::of_run(view.log)?;
     let by_memory = RequestScore::by_memory(view.log);
     let scores: Vec<&RequestScore> =

@@ -5,11 +5,13 @@ use domain::Representation;
 use crate::report::document::{Block, Group, Row, Table};
 use crate::report::plot::Dots;
 use crate::report::sections::main_table::{dots_if_any, rate_rows};
-use crate::report::view::{OURS, THEIRS, View, name, our_rates, rate_columns, their_rates, title};
+use crate::report::view::{
+    OURS, ScoredRun, THEIRS, name, our_rates, rate_columns, their_rates, title,
+};
 
 const ORIGINAL: &str = "original/unchanged";
 
-pub(super) fn blocks(view: &View<'_>) -> Vec<Block> {
+pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<Block> {
     let choices = choices();
     let row = |(choice, name): &(String, String)| Row {
         label: choice.clone(),

@@ -5,13 +5,13 @@ use domain::Representation;
 use crate::report::document::{Block, Column, Table};
 use crate::report::plot::{Stack, StackRow, stack};
 use crate::report::sections::conditions::setting;
-use crate::report::view::{View, title};
+use crate::report::view::{ScoredRun, title};
 use crate::score::{ConditionScore, Failure, worst_cases};
 
 /// Cases in the table of the worst.
 const WORST: usize = 10;
 
-pub(super) fn blocks(view: &View<'_>) -> Vec<Block> {
+pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<Block> {
     let Some(table) = failures_table(view) else { return Vec::new() };
     let text = "Each failed episode is of one kind: the first rule that applies, in the order of the rows. First comes \
                 how an episode went wrong, then what was missing.";
@@ -45,7 +45,7 @@ fn shares(score: &ConditionScore) -> Vec<f64> {
 }
 
 /// Counts of each kind that occurs, by memory; `None` when nothing failed.
-pub(in crate::report) fn failures_table(view: &View<'_>) -> Option<Table> {
+pub(in crate::report) fn failures_table(view: &ScoredRun<'_>) -> Option<Table> {
     let scores = &view.scores.conditions;
     let memories: Vec<Representation> = Representation::ALL
         .iter()
@@ -82,7 +82,7 @@ pub(in crate::report) fn failures_table(view: &View<'_>) -> Option<Table> {
 }
 
 /// The cases that fail most; `None` when nothing failed.
-pub(in crate::report) fn worst_table(view: &View<'_>, most: usize) -> Option<Table> {
+pub(in crate::report) fn worst_table(view: &ScoredRun<'_>, most: usize) -> Option<Table> {
     let cases = worst_cases(view.log, most);
     let row = |case: crate::score::CaseScore| {
         let failed = format!("{} of {}", case.failed, case.episodes);

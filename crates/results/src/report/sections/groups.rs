@@ -4,7 +4,7 @@ use domain::Representation;
 use warehouse::TaskGroup;
 
 use crate::report::document::{Block, Cell, Column, Missing, Table};
-use crate::report::view::{View, name, pair_stubs};
+use crate::report::view::{ScoredRun, name, pair_stubs};
 
 const HEADINGS: [(TaskGroup, &str); 4] = [
     (TaskGroup::Basic, "Basic (T1–T2)"),
@@ -13,7 +13,7 @@ const HEADINGS: [(TaskGroup, &str); 4] = [
     (TaskGroup::Revisit, "Revisit (T9)"),
 ];
 
-pub(super) fn blocks(view: &View<'_>) -> Vec<Block> {
+pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<Block> {
     let columns = HEADINGS.iter().flat_map(|(_, heading)| {
         ["unchanged", "blocked"].map(|route| Column::under(*heading, route))
     });

@@ -5,7 +5,7 @@ use domain::Representation;
 use crate::report::document::{Block, Cell, Column, Missing, Table};
 use crate::report::plot::{Dot, DotRow, Dots, dots};
 use crate::report::view::{
-    OURS, THEIRS, View, name, our_rates, pair_stubs, rate_columns, their_rates, title,
+    OURS, ScoredRun, THEIRS, name, our_rates, pair_stubs, rate_columns, their_rates, title,
 };
 use crate::score::{ConditionScore, Spread};
 
@@ -22,7 +22,7 @@ pub(super) const NO_TOKENS: Missing =
 pub(super) const NO_REQUESTS: Missing =
     Missing::NotMeasured("no policy was asked: the expert replays the reference");
 
-pub(super) fn blocks(view: &View<'_>) -> Vec<Block> {
+pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<Block> {
     let mut columns =
         vec![Column::new("Img"), Column::under("Mtok", "1 demo"), Column::under("Mtok", "4 demos")];
     columns.extend(rate_columns(&SETTINGS.map(|(heading, _, _)| heading)));
@@ -85,7 +85,7 @@ pub(super) fn dots_if_any(plot: Dots) -> Option<Block> {
 /// The rows of a plot of success rates: one for each of the `conditions` (label, name) that was run, with the
 /// published figure beside the run's.
 pub(super) fn rate_rows(
-    view: &View<'_>,
+    view: &ScoredRun<'_>,
     heading: &str,
     conditions: &[(String, String)],
 ) -> Vec<DotRow> {
@@ -114,7 +114,7 @@ pub(super) fn dot(series: usize, spread: Spread) -> Dot {
     Dot { series, value: spread.mean, range: interval.or(deviation) }
 }
 
-fn images(view: &View<'_>, one: &str, four: &str) -> Cell {
+fn images(view: &ScoredRun<'_>, one: &str, four: &str) -> Cell {
     let Some(score) = view.score(one).or_else(|| view.score(four)) else {
         return Cell::Missing(Missing::NotRun);
     };
@@ -124,7 +124,7 @@ fn images(view: &View<'_>, one: &str, four: &str) -> Cell {
 }
 
 /// Million tokens a hundred cases.
-pub(super) fn mega(view: &View<'_>, name: &str) -> Cell {
+pub(super) fn mega(view: &ScoredRun<'_>, name: &str) -> Cell {
     view.ours(name, |score| {
         let tokens = score.tokens_per_100.map(|tokens| format!("{:.1}", tokens.mean / 1e6));
         tokens.map_or(Cell::Missing(NO_TOKENS), Cell::Value)

@@ -4,7 +4,7 @@ use crate::report::document::{Block, Cell, Column, Missing, Table};
 use crate::report::plot::Dots;
 use crate::report::sections::main_table::{dots_if_any, rate_rows};
 use crate::report::view::{
-    OURS, THEIRS, View, historical, name, pair_stubs, published_text, sure, sure_or, title,
+    OURS, ScoredRun, THEIRS, historical, name, pair_stubs, published_text, sure, sure_or, title,
 };
 
 const SETS: [(&str, &str); 3] =
@@ -14,7 +14,7 @@ const NO_RETRIEVAL: Missing = Missing::NotApplicable(
     "only Episodic retrieves; the other representations supply the same at each step",
 );
 
-pub(super) fn blocks(view: &View<'_>) -> Vec<Block> {
+pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<Block> {
     let names = |representation| SETS.map(|(_, set)| name(representation, "new/unchanged", set));
     let rows = historical().into_iter().flat_map(|representation| {
         let labelled: Vec<_> = SETS

@@ -6,10 +6,10 @@ use domain::representation::Description;
 use crate::conditions::{Frames, PolicyKind};
 use crate::log::Manifest;
 use crate::report::document::{Block, Cell, Column, Group, Missing, Row, Table};
-use crate::report::view::{View, title};
+use crate::report::view::{ScoredRun, title};
 
 /// What makes the difference between a result and a test of the harness, and what is missing.
-pub(in crate::report) fn notices(view: &View<'_>) -> Vec<String> {
+pub(in crate::report) fn notices(view: &ScoredRun<'_>) -> Vec<String> {
     let mut notices = standing(&view.log.manifest);
     let scores = &view.scores;
     if scores.missing() > 0 {
@@ -76,7 +76,7 @@ fn standing(manifest: &Manifest) -> Vec<String> {
     lines
 }
 
-pub(super) fn blocks(view: &View<'_>) -> Vec<Block> {
+pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<Block> {
     let mut blocks: Vec<Block> = notices(view).into_iter().map(Block::Notice).collect();
     let (settings, scores) = (&view.log.manifest.settings, &view.scores);
     let cases = scores.conditions.iter().map(|score| score.cases).max().unwrap_or(0);

@@ -4,9 +4,8 @@ use domain::Representation;
 
 use crate::compare::compare_conditions;
 use crate::report::document::{Block, Cell, Column, Group, Missing, Row, Table};
-use crate::report::terminal::p_value;
-use crate::report::view::{View, interval_text, name, signed, title};
-use crate::score::{Comparison, Difference};
+use crate::report::view::{ScoredRun, interval_text, name, p_value, signed, title};
+use crate::score::{Comparison, FigureDifference};
 
 /// A condition without its memory: start and route, demonstrations.
 type Setting = (&'static str, &'static str);
@@ -24,7 +23,7 @@ const COMPARED: [(&str, Setting, Setting); 5] = [
     ("confusable − 4 relevant", ("new/unchanged", "confusable"), ("new/unchanged", "4")),
 ];
 
-pub(super) fn blocks(view: &View<'_>) -> Vec<Block> {
+pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<Block> {
     let group = |&representation: &Representation| {
         let of = |(rest, demonstrations): (&str, &str)| name(representation, rest, demonstrations);
         let mut rows: Vec<Row> = COMPARED
@@ -64,7 +63,7 @@ pub(super) fn columns() -> Vec<Column> {
     columns
 }
 
-fn row(view: &View<'_>, label: &str, a: &str, b: &str) -> Row {
+fn row(view: &ScoredRun<'_>, label: &str, a: &str, b: &str) -> Row {
     let compared = compare_conditions((view.log, a), (view.log, b));
     let cells = match &compared {
         Ok(compared) => cells(compared),
@@ -76,7 +75,7 @@ fn row(view: &View<'_>, label: &str, a: &str, b: &str) -> Row {
 /// The cells of a comparison under [`columns`].
 pub(super) fn cells(compared: &Comparison) -> Vec<Cell> {
     let Comparison { cases, sr, spl, more_under_a, more_under_b, p, .. } = compared;
-    let three = |Difference { a, b, mean, interval }: &Difference, digits: usize| {
+    let three = |FigureDifference { a, b, mean, interval }: &FigureDifference, digits: usize| {
         let figure = signed(*mean, digits);
         let difference = match interval {
             None => Cell::Value(figure),

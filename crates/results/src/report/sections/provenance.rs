@@ -5,9 +5,9 @@ use serde_json::Value;
 use super::overview::facts_table;
 use crate::log::SessionEvent;
 use crate::report::document::{Block, Cell, Missing};
-use crate::report::view::View;
+use crate::report::view::ScoredRun;
 
-pub(super) fn blocks(view: &View<'_>) -> Vec<Block> {
+pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<Block> {
     let (log, manifest) = (view.log, &view.log.manifest);
     let failures = log
         .sessions

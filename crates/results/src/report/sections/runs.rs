@@ -8,10 +8,10 @@ use crate::compare::{compare_runs, differing_settings, run_name};
 use crate::conditions::Condition;
 use crate::report::document::{Block, Cell, Column, Group, Missing, Row, Section, Table};
 use crate::report::sections::conditions::setting;
-use crate::report::view::{View, sure, title};
+use crate::report::view::{ScoredRun, sure, title};
 
 /// The section about all runs together.
-pub(in crate::report) fn runs(views: &[View<'_>]) -> Section {
+pub(in crate::report) fn runs(views: &[ScoredRun<'_>]) -> Section {
     let mut blocks = Vec::new();
     for view in views {
         let name = run_name(view.log);
@@ -28,8 +28,8 @@ pub(in crate::report) fn runs(views: &[View<'_>]) -> Section {
     Section::new("s-runs", "The runs side by side", blocks)
 }
 
-fn overview(views: &[View<'_>]) -> Table {
-    let row = |view: &View<'_>| {
+fn overview(views: &[ScoredRun<'_>]) -> Table {
+    let row = |view: &ScoredRun<'_>| {
         let settings = &view.log.manifest.settings;
         let facts = vec![
             settings.policy.to_string(),
@@ -49,7 +49,7 @@ fn overview(views: &[View<'_>]) -> Table {
 }
 
 /// Success rate and SPL of every condition, a pair of columns for each run.
-fn side_by_side(views: &[View<'_>]) -> Table {
+fn side_by_side(views: &[ScoredRun<'_>]) -> Table {
     let scores = views.iter().flat_map(|view| &view.scores.conditions);
     let conditions: BTreeSet<Condition> = scores.map(|score| score.condition).collect();
     let conditions: Vec<Condition> = conditions.into_iter().collect();
@@ -78,7 +78,7 @@ fn side_by_side(views: &[View<'_>]) -> Table {
     }
 }
 
-fn compared(first: &View<'_>, second: &View<'_>) -> Vec<Block> {
+fn compared(first: &ScoredRun<'_>, second: &ScoredRun<'_>) -> Vec<Block> {
     let (a, b) = (run_name(first.log), run_name(second.log));
     let compared = match compare_runs(first.log, second.log) {
         Ok(compared) => compared,

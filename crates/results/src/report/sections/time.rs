@@ -5,7 +5,7 @@ use domain::Representation;
 use crate::log::Stages;
 use crate::report::document::{Block, Cell, Column, Group, Missing, Row, Table};
 use crate::report::plot::{Stack, StackRow, stack};
-use crate::report::view::{View, title};
+use crate::report::view::{ScoredRun, title};
 use crate::score::StageTimes;
 
 /// The stages in which something is computed; the others are transport between processes.
@@ -13,7 +13,7 @@ const WORK: [&str; 5] = ["dynamics", "render", "embed", "search", "decide"];
 
 const NO_STAGE: Missing = Missing::NotApplicable("this memory or policy has no such stage");
 
-pub(super) fn blocks(view: &View<'_>) -> Vec<Block> {
+pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<Block> {
     let Some(table) = time_table(view) else { return Vec::new() };
     let bar = |(memory, times): (Representation, StageTimes)| {
         let work = WORK.map(|stage| times.stage(stage).unwrap_or(0.0) / 1000.0);
@@ -36,7 +36,7 @@ pub(super) fn blocks(view: &View<'_>) -> Vec<Block> {
 }
 
 /// A row for each stage, a column for each memory; `None` when nothing was timed.
-pub(in crate::report) fn time_table(view: &View<'_>) -> Option<Table> {
+pub(in crate::report) fn time_table(view: &ScoredRun<'_>) -> Option<Table> {
     let times = StageTimes::by_memory(view.log);
     let row = |label: &str, us: &dyn Fn(&StageTimes) -> Option<f64>| Row {
         label: label.to_owned(),

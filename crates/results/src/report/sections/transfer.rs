@@ -4,7 +4,8 @@ use crate::report::document::{Block, Table};
 use crate::report::plot::Dots;
 use crate::report::sections::main_table::{dots_if_any, rate_rows};
 use crate::report::view::{
-    OURS, THEIRS, View, historical, name, our_rates, pair_stubs, rate_columns, their_rates, title,
+    OURS, ScoredRun, THEIRS, historical, name, our_rates, pair_stubs, rate_columns, their_rates,
+    title,
 };
 
 const DEMONSTRATIONS: [(&str, &str); 4] = [
@@ -14,7 +15,7 @@ const DEMONSTRATIONS: [(&str, &str); 4] = [
     ("Distant start", "distant"),
 ];
 
-pub(super) fn blocks(view: &View<'_>) -> Vec<Block> {
+pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<Block> {
     let names = |representation| {
         DEMONSTRATIONS.map(|(_, which)| name(representation, "original/unchanged", which))
     };
