@@ -13,7 +13,7 @@ use iceoryx2::port::publisher::Publisher;
 use iceoryx2::port::subscriber::Subscriber;
 use iceoryx2::prelude::{FileName, PortFactory as _, SemanticString, SignalHandlingMode, ipc};
 use orchestrator::lanes::Stamps;
-use orchestrator::latency::Latency;
+use orchestrator::latency::StepLatencies;
 use orchestrator::machine::floors::{Effort, measure};
 use shm_types::message::{Observation, Role, StepCommand};
 use shm_types::process::{SHARED_MEMORY, monotonic_ns};
@@ -61,7 +61,7 @@ fn run(session: &mut Session<'_>) -> Result<Vec<Figure>> {
 /// Cost of profiling a step, in all processes together: time stamps and histograms.
 fn stamping(session: &Session<'_>) -> Figure {
     let steps = session.size.pick(1_000, 1_000_000);
-    let mut latency = Latency::default();
+    let mut latency = StepLatencies::default();
     let mut round = || {
         let began = Instant::now();
         for step in 0..steps {
@@ -81,7 +81,7 @@ fn stamping(session: &Session<'_>) -> Figure {
                 started_ns: monotonic_ns(),
                 decided_ns: monotonic_ns(),
                 logged_ns: monotonic_ns(),
-                ..Stamps::none(1, 0, Representation::Episodic)
+                ..Stamps::new(1, 0, Representation::Episodic)
             };
             latency.record(&stamps);
         }

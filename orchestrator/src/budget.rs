@@ -1,24 +1,22 @@
-//! How much a run may spend, and when it has: `--max-tokens-total` and `--max-cost`.
+//! The limits on what a run may spend: `--max-tokens-total` and `--max-cost`.
 //!
-//! What earlier sessions spent counts, also on episodes that were walked again.
+//! Requests of earlier sessions count, also those of episodes that were repeated.
 
-use results::cost::Amount;
-use results::cost::ModelPrices;
+use results::cost::{Amount, ModelPrices};
 use results::log::RequestRecord;
 use results::settings::ModelSettings;
 use results::usage::UsageTotals;
 
-/// What a run has spent, and may.
+/// What a run has used, and its limits.
 #[derive(Debug, Clone, Default)]
 pub struct Budget {
-    spent: UsageTotals,
+    used: UsageTotals,
     max_tokens: Option<u64>,
     max_cost: Option<(Amount, ModelPrices)>,
 }
 
 impl Budget {
-    /// What `model`'s settings allow, with `past` spent already. A bound on the cost is kept where there are
-    /// prices.
+    /// The limits in `model`, with the requests in `past` counted. Costs are limited only with `prices`.
     pub fn new(
         model: Option<&ModelSettings>,
         prices: Option<&ModelPrices>,
@@ -26,36 +24,36 @@ impl Budget {
     ) -> Self {
         let max_cost = model.and_then(|model| model.max_cost).zip(prices.cloned());
         let max_tokens = model.and_then(|model| model.max_tokens_total);
-        Self { spent: UsageTotals::of(past), max_tokens, max_cost }
+        Self { used: UsageTotals::of(past), max_tokens, max_cost }
     }
 
     /// Counts a request.
     pub fn add(&mut self, request: &RequestRecord) {
-        self.spent.add(request);
+        self.used.add(request);
     }
 
-    /// Why nothing more may be spent, if that is so.
+    /// Why the run has to stop, if a limit is reached.
     pub fn exceeded(&self) -> Option<String> {
-        let Self { spent, max_tokens, max_cost } = self;
-        if spent.unknown > 0 && (max_tokens.is_some() || max_cost.is_some()) {
+        let Self { used, max_tokens, max_cost } = self;
+        if used.unknown > 0 && (max_tokens.is_some() || max_cost.is_some()) {
             return Some(
-                "the server does not tell how many tokens its answers took, so --max-tokens-total and --max-cost \
-                 cannot be kept to: run without them"
+                "the server does not report tokens, so --max-tokens-total and --max-cost cannot be enforced: run \
+                 without them"
                     .to_owned(),
             );
         }
-        let used = spent.tokens();
-        if let Some(most) = max_tokens.filter(|most| used >= *most) {
+        let tokens = used.tokens();
+        if let Some(most) = max_tokens.filter(|most| tokens >= *most) {
             return Some(format!(
-                "the run has used {used} tokens, and --max-tokens-total is {most}: a larger one goes on"
+                "the run has used {tokens} tokens, and --max-tokens-total is {most}: raise it to go on"
             ));
         }
         if let Some((most, prices)) = max_cost {
-            let cost = prices.cost(spent);
+            let cost = prices.cost(used);
             if cost >= *most {
                 let currency = &prices.currency;
                 return Some(format!(
-                    "the run has cost {cost} {currency}, and --max-cost is {most}: a larger one goes on"
+                    "the run has cost {cost} {currency}, and --max-cost is {most}: raise it to go on"
                 ));
             }
         }
@@ -77,34 +75,34 @@ mod tests {
             completion: amount("10"),
         };
         let max_cost = max_cost.map(|most| (amount(most), prices));
-        Budget { spent: UsageTotals::of(past), max_tokens, max_cost }
+        Budget { used: UsageTotals::of(past), max_tokens, max_cost }
     }
 
     #[test]
-    fn a_run_stops_when_it_has_spent_what_it_may_earlier_sessions_included() {
+    fn a_run_stops_at_its_limit_earlier_sessions_included() {
         let past = [request("a", 0), request("b", 0)];
         assert_eq!(budget(None, None, &past).exceeded(), None);
         let mut tokens = budget(Some(3000), Some("1"), &past);
         assert_eq!(tokens.exceeded(), None);
         tokens.add(&RequestRecord { replayed: true, ..request("c", 0) });
-        assert_eq!(tokens.exceeded(), None, "what was kept costs nothing");
+        assert_eq!(tokens.exceeded(), None, "a cached reply costs nothing");
         tokens.add(&request("c", 1));
         let said =
-            "the run has used 3009 tokens, and --max-tokens-total is 3000: a larger one goes on";
+            "the run has used 3009 tokens, and --max-tokens-total is 3000: raise it to go on";
         assert_eq!(tokens.exceeded().as_deref(), Some(said));
         let mut cost = budget(None, Some("0.003"), &past);
         assert_eq!(cost.exceeded(), None);
         cost.add(&request("c", 1));
         // 3 x (1000 x 1 + 3 x 10) millionths.
-        let said = "the run has cost 0.00309 EUR, and --max-cost is 0.003: a larger one goes on";
+        let said = "the run has cost 0.00309 EUR, and --max-cost is 0.003: raise it to go on";
         assert_eq!(cost.exceeded().as_deref(), Some(said));
     }
 
     #[test]
-    fn a_bound_that_cannot_be_watched_stops_the_run() {
-        let untold = [RequestRecord { prompt_tokens: None, ..request("a", 0) }];
-        assert_eq!(budget(None, None, &untold).exceeded(), None);
-        let said = budget(Some(10), None, &untold).exceeded().unwrap();
-        assert!(said.starts_with("the server does not tell how many tokens"), "{said}");
+    fn a_limit_that_cannot_be_enforced_stops_the_run() {
+        let unmeasured = [RequestRecord { prompt_tokens: None, ..request("a", 0) }];
+        assert_eq!(budget(None, None, &unmeasured).exceeded(), None);
+        let said = budget(Some(10), None, &unmeasured).exceeded().unwrap();
+        assert!(said.starts_with("the server does not report tokens"), "{said}");
     }
 }

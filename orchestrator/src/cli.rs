@@ -1,7 +1,7 @@
-//! What people type: the verbs, and one exit point.
+//! The command line: the verbs, and one exit point.
 //!
-//! stdout carries data, stderr progress and messages. The exit status is 0 when everything is complete, 1
-//! when something finished with failures, 2 when it could not be done, 128 + n when signal n ended it.
+//! Data goes to stdout, progress and messages go to stderr. The exit status is 0 when everything is complete, 1 when
+//! something is incomplete or failed, 2 on an error, and 128 + n when signal n ended the program.
 
 mod cache;
 mod clean;
@@ -25,67 +25,67 @@ use std::io::{self, Write};
 use std::path::PathBuf;
 use std::process::ExitCode;
 
-use clap::{Args, CommandFactory, FromArgMatches, Parser, Subcommand};
+use clap::{Args, Parser, Subcommand};
 
 use crate::world::World;
 
-/// A benchmark of embodied memory: a hundred navigation cases in a rendered warehouse, walked by four
+/// A benchmark of embodied memory: a hundred navigation cases in a rendered warehouse, run by four
 /// processes over shared memory.
 #[derive(Debug, Parser)]
 #[command(name = "memtransfer", version, after_help = EXAMPLES)]
 pub struct Cli {
     #[command(subcommand)]
-    verb: Verb,
+    verb: MemtransferVerb,
 }
 
 const EXAMPLES: &str = "\
 Examples:
   memtransfer run                          the main job; the same command again resumes it
   memtransfer run --limit 5 --policy random
-  memtransfer score runs/quick-grounded    its table once more, from the log alone
+  memtransfer score runs/quick-grounded    its table again, from the log alone
   memtransfer report runs/quick-grounded   pages, tables and data files of it
-  memtransfer ls cases                     what there is to walk
+  memtransfer ls cases                     the cases
   memtransfer map t03-07 --out map.svg     one case from above
-  memtransfer top                          what the run that is going on is at
+  memtransfer top                          the live status of the run that is going on
   memtransfer profile                      how long an access to memory takes
   memtransfer doctor                       what is missing on this machine
 
-Exit status: 0 complete, 1 finished with failures, 2 could not run, 128 + n ended by signal n.
+Exit status: 0 complete, 1 incomplete or failed, 2 error, 128 + n ended by signal n.
 Every flag of `run` can be given as a MEMTRANSFER_* variable, or as a key of a suite file.";
 
 #[derive(Debug, Subcommand)]
-enum Verb {
-    /// Run a suite: start the processes, walk the episodes, print the table
+enum MemtransferVerb {
+    /// Run a suite: start the processes, run the episodes, print the table
     Run(Box<run::RunArgs>),
-    /// Show what a running run is at: rates, queues, lanes, the frame store, latencies
+    /// Show the live status of a run: rates, queues, lanes, frames, latencies
     Top(top::TopArgs),
     /// List cases, tasks, items, suites or runs
     Ls(list::ListArgs),
-    /// Check every constraint on warehouse and cases by replay
+    /// Check every constraint on warehouse and cases
     Validate(validate::ValidateArgs),
-    /// Draw a case, or the warehouse, from above as SVG
+    /// Draw the warehouse, or a case, from above as SVG
     Map(map::MapArgs),
-    /// Render what an agent sees as PNG
+    /// Render views of an agent as PNG
     Render(render::RenderArgs),
-    /// Build, list and show the documents that summary, semantic and hybrid memory supply
+    /// Build, list and show the documents of summary, semantic and hybrid memory
     Memory(memory::MemoryArgs),
-    /// Print a run's tables once more, from its log alone, or compare conditions and runs
+    /// Print a run's tables from its log, or compare conditions and runs
     Score(score::ScoreArgs),
-    /// Write a run's pages: the paper's tables, figures and data files, from its log alone
+    /// Write a run's report from its log: the paper's tables, figures and data files
     Report(report::ReportArgs),
-    /// Print what the policy was given at a step, and what it answered
+    /// Print one step: what the policy received, and what it answered
     Show(show::ShowArgs),
-    /// Measure how long an access to memory takes, taken apart
+    /// Measure how long an access to memory takes, part by part
     Profile(profile::ProfileArgs),
-    /// Play hard situations to a policy of your own, and say what it does wrong
+    /// Test your own policy in difficult situations, and say what it does wrong
     Conformance(conformance::ConformanceArgs),
     /// Remove what killed runs left in shared memory and temporary folders
     Clean(clean::CleanArgs),
-    /// List or remove the replies of models that are kept on disk
+    /// List or remove the cached replies of models
     Cache(cache::CacheArgs),
-    /// Make a case file from a seed
+    /// Generate a case file from a seed
     Generate(generate::GenerateArgs),
-    /// Check what a run needs on this machine, and say what to do about what is missing
+    /// Check what a run needs on this machine, and say how to get what is missing
     Doctor(doctor::DoctorArgs),
 }
 
@@ -94,13 +94,13 @@ enum Verb {
 pub enum Exit {
     /// Everything is complete.
     Complete,
-    /// It finished, with failed episodes or violated constraints.
+    /// It ended with missing episodes or violated constraints.
     Failed,
-    /// It could not be done.
+    /// An error prevented it.
     CouldNot,
     /// A signal ended it.
     Signal(u8),
-    /// As a program ended that did the work.
+    /// The exit status of the program that did the work.
     Code(u8),
 }
 
@@ -116,53 +116,44 @@ impl From<Exit> for ExitCode {
     }
 }
 
-/// The whole program: reads the command line, does what the verb says, tells how it ended.
+/// The whole program: reads the command line, runs the verb, returns how it ended.
 pub fn main() -> ExitCode {
     program::log_to_stderr();
-    let matches = Cli::command().get_matches();
-    let verb = match Cli::from_arg_matches(&matches) {
-        Ok(cli) => cli.verb,
-        Err(error) => error.exit(),
+    let outcome = match Cli::parse().verb {
+        MemtransferVerb::Run(args) => run::run(*args),
+        MemtransferVerb::Top(args) => top::run(&args),
+        MemtransferVerb::Ls(args) => list::run(&args),
+        MemtransferVerb::Validate(args) => validate::run(&args),
+        MemtransferVerb::Map(args) => map::run(&args),
+        MemtransferVerb::Render(args) => render::run(&args),
+        MemtransferVerb::Memory(args) => memory::run(args),
+        MemtransferVerb::Score(args) => score::run(&args),
+        MemtransferVerb::Report(args) => report::run(&args),
+        MemtransferVerb::Show(args) => show::run(&args),
+        MemtransferVerb::Profile(args) => profile::run(&args),
+        MemtransferVerb::Conformance(args) => conformance::run(&args),
+        MemtransferVerb::Clean(args) => clean::run(&args),
+        MemtransferVerb::Cache(args) => cache::run(&args),
+        MemtransferVerb::Generate(args) => generate::run(&args),
+        MemtransferVerb::Doctor(args) => doctor::run(&args),
     };
-    let done = match verb {
-        Verb::Run(args) => {
-            // Which flags were typed and which are variables is known here only.
-            let matches = matches.subcommand_matches("run").unwrap_or(&matches);
-            run::run(*args, matches)
-        }
-        Verb::Top(args) => top::run(&args),
-        Verb::Ls(args) => list::run(&args),
-        Verb::Validate(args) => validate::run(&args),
-        Verb::Map(args) => map::run(&args),
-        Verb::Render(args) => render::run(&args),
-        Verb::Memory(args) => memory::run(args),
-        Verb::Score(args) => score::run(&args),
-        Verb::Report(args) => report::run(&args),
-        Verb::Show(args) => show::run(&args),
-        Verb::Profile(args) => profile::run(&args),
-        Verb::Conformance(args) => conformance::run(&args),
-        Verb::Clean(args) => clean::run(&args),
-        Verb::Cache(args) => cache::run(&args),
-        Verb::Generate(args) => generate::run(&args),
-        Verb::Doctor(args) => doctor::run(&args),
-    };
-    match done {
+    match outcome {
         Ok(exit) => exit.into(),
-        // `memtransfer ls cases | head` is no failure of anything.
+        // `memtransfer ls cases | head` is not an error.
         Err(error) if is_closed_pipe(&error) => Exit::Complete.into(),
         Err(error) => {
-            eprintln!("memtransfer: {}", said_once(&error));
+            eprintln!("memtransfer: {}", in_one_line(&error));
             Exit::CouldNot.into()
         }
     }
 }
 
-/// An error and its causes in one line, without what an error already says about its own cause.
-fn said_once(error: &anyhow::Error) -> String {
-    error.chain().fold(String::new(), |said, cause| match cause.to_string() {
-        cause if said.is_empty() => cause,
-        cause if said.contains(&cause) => said,
-        cause => format!("{said}: {cause}"),
+/// An error and its causes, without causes that an error's own message contains.
+fn in_one_line(error: &anyhow::Error) -> String {
+    error.chain().fold(String::new(), |line, cause| match cause.to_string() {
+        cause if line.is_empty() => cause,
+        cause if line.contains(&cause) => line,
+        cause => format!("{line}: {cause}"),
     })
 }
 
@@ -171,7 +162,7 @@ fn is_closed_pipe(error: &anyhow::Error) -> bool {
     io_error.is_some_and(|error| error.kind() == io::ErrorKind::BrokenPipe)
 }
 
-/// Writes data to stdout, line end included.
+/// Prints a text to stdout, with a line end.
 fn print(text: &str) -> anyhow::Result<()> {
     let mut stdout = io::stdout().lock();
     stdout.write_all(text.as_bytes())?;
@@ -182,12 +173,12 @@ fn print(text: &str) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Writes a value to stdout as JSON.
+/// Prints a value to stdout as JSON.
 fn print_json(value: &impl serde::Serialize) -> anyhow::Result<()> {
     print(&serde_json::to_string_pretty(value)?)
 }
 
-/// Which world a verb is about.
+/// The world that a verb uses.
 #[derive(Debug, Args)]
 struct WorldArgs {
     /// Use the layout, catalogue and cases in DIR instead of the built-in ones
@@ -203,6 +194,8 @@ impl WorldArgs {
 
 #[cfg(test)]
 mod tests {
+    use clap::CommandFactory;
+
     use super::*;
 
     #[test]
@@ -211,31 +204,31 @@ mod tests {
         command.clone().debug_assert();
         insta::assert_snapshot!("help", command.render_long_help());
         command.build();
-        let run = command.find_subcommand_mut("run").unwrap().clone().term_width(100);
-        // What this machine's environment says is not part of the help.
-        insta::assert_snapshot!("help-run", run.hide_env_values().render_help());
+        let mut run = command.find_subcommand_mut("run").unwrap().clone().term_width(100);
+        insta::assert_snapshot!("help-run", run.render_help());
     }
 
-    trait HideEnvironment {
-        fn hide_env_values(self) -> Self;
-        fn render_help(self) -> String;
-    }
-
-    impl HideEnvironment for clap::Command {
-        fn hide_env_values(self) -> Self {
-            self.mut_args(|arg| arg.hide_env(true))
-        }
-        fn render_help(mut self) -> String {
-            clap::Command::render_help(&mut self).to_string()
+    #[test]
+    fn every_help_fits_a_hundred_columns_and_teaches_by_example() {
+        let mut command = Cli::command().term_width(100);
+        command.build();
+        for verb in command.get_subcommands_mut() {
+            let name = verb.get_name().to_owned();
+            if ["help", "render", "cache"].contains(&name.as_str()) {
+                continue;
+            }
+            let help = verb.clone().term_width(100).render_long_help().to_string();
+            assert!(help.contains("memtransfer "), "{name} shows no example");
+            assert!(help.lines().all(|line| line.chars().count() <= 100), "{name}: {help}");
         }
     }
 
     #[test]
-    fn causes_are_said_once() {
+    fn causes_are_not_repeated() {
         let missing = || io::Error::new(io::ErrorKind::NotFound, "no such file");
         let own = anyhow::Error::from(missing()).context("cannot read x: no such file");
-        assert_eq!(said_once(&own), "cannot read x: no such file");
-        assert_eq!(said_once(&own.context("no suite")), "no suite: cannot read x: no such file");
+        assert_eq!(in_one_line(&own), "cannot read x: no such file");
+        assert_eq!(in_one_line(&own.context("no suite")), "no suite: cannot read x: no such file");
     }
 
     #[test]

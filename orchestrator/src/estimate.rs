@@ -12,7 +12,7 @@ use domain::representation::Trajectories;
 use prompt::tokens;
 
 use crate::documents::needed;
-use crate::plan::Episode;
+use crate::plan::PlannedEpisode;
 use crate::world::World;
 use results::conditions::Condition;
 use results::cost::Amount;
@@ -30,7 +30,7 @@ const RETRIEVED_VIEW: u64 = 79;
 /// Characters of an action of a whole demonstration, and around one of its views.
 const ACTION: u64 = 14;
 const KEYFRAME: u64 = 20;
-/// Tokens of an image of the default size (SPEC section 2).
+/// Tokens of an image of the default size (specification, section 2).
 const IMAGE_TOKENS: u64 = 256;
 
 /// What the missing episodes of a condition would take.
@@ -87,7 +87,7 @@ pub struct Basis<'a> {
 
 impl Basis<'_> {
     /// What `missing`, all of `condition`, would take.
-    pub fn estimate(&self, condition: &Condition, missing: &[&Episode]) -> Estimate {
+    pub fn estimate(&self, condition: &Condition, missing: &[&PlannedEpisode]) -> Estimate {
         let done = || self.done.iter().filter(|record| record.condition() == *condition);
         let requests: u64 = done().filter_map(|record| record.requests).map(u64::from).sum();
         let prompt = done().map(|record| record.prompt_tokens).sum::<Option<u64>>();
@@ -106,10 +106,10 @@ impl Basis<'_> {
         }
     }
 
-    fn bounds(&self, condition: &Condition, missing: &[&Episode]) -> [u64; 2] {
+    fn bounds(&self, condition: &Condition, missing: &[&PlannedEpisode]) -> [u64; 2] {
         let World { warehouse, cases, .. } = self.world;
         let max_steps = self.settings.max_steps;
-        let reference = |episode: &&Episode| {
+        let reference = |episode: &&PlannedEpisode| {
             let from = condition.start.reference(condition.route);
             let length = cases.cases[episode.case_index].replay(warehouse, from).length;
             u64::from(length.unwrap_or(max_steps).min(max_steps))
@@ -122,7 +122,7 @@ impl Basis<'_> {
     }
 
     /// Tokens of a prompt with a full window, on average over the cases.
-    fn prompt(&self, condition: &Condition, missing: &[&Episode]) -> Option<u64> {
+    fn prompt(&self, condition: &Condition, missing: &[&PlannedEpisode]) -> Option<u64> {
         let mut characters = ALWAYS + PAST_STEP * u64::from(condition.variation.window);
         characters += match condition.memory.describe().trajectories {
             Trajectories::Nothing => 0,
@@ -142,7 +142,7 @@ impl Basis<'_> {
     }
 
     /// Actions of the demonstrations that an episode remembers.
-    fn demonstrated(&self, condition: &Condition, episode: &Episode) -> u64 {
+    fn demonstrated(&self, condition: &Condition, episode: &PlannedEpisode) -> u64 {
         let cases = &self.world.cases;
         let histories = cases.histories(episode.case_index, condition.demonstrations);
         let length = |history: &warehouse::History| {
@@ -168,18 +168,12 @@ mod tests {
         assert!((ALWAYS / 2..ALWAYS * 2).contains(&system), "{system} characters of rules alone");
     }
     use crate::plan::plan;
-    use crate::settings::{Layer, Origin, resolve};
-    use results::conditions::PolicyKind;
+    use crate::settings::{Layer, resolve};
     use results::log::testing::record;
 
     fn settings() -> RunSettings {
-        let said = Layer {
-            policy: Some(PolicyKind::Openai),
-            model: Some("m".to_owned()),
-            ..Layer::default()
-        };
-        let layers = [(Origin::Default, Layer::defaults()), (Origin::CommandLine, said)];
-        resolve(layers).unwrap().settings
+        let flags = Layer::flags([("policy", "openai"), ("model", "m")]).unwrap();
+        resolve([flags]).unwrap().settings
     }
 
     #[test]
@@ -189,7 +183,7 @@ mod tests {
         let condition: Condition = "episodic/original/unchanged/original".parse().unwrap();
         let ids = world.case_ids();
         let episodes = plan(&[(condition, 1)], &[0, 1], &ids, 1);
-        let missing: Vec<&Episode> = episodes.iter().collect();
+        let missing: Vec<&PlannedEpisode> = episodes.iter().collect();
         let documents = BTreeMap::new();
         let mut done = [record("t01-01", true)];
         done[0].prompt_tokens = Some(12_000);

@@ -1,76 +1,158 @@
-//! How many frames may be resident: as many as are useful, as far as shared memory and the machine have room.
+//! How many frames are kept in shared memory: as many as are useful, as far as there is room.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::fmt;
 
-use domain::{Cell, Pose, representation::Trajectories};
-use shm_types::Attach;
+use domain::representation::Trajectories;
+use domain::{Cell, Pose};
+use results::conditions::Route;
+use shm_types::{Attach, FrameSize};
 use warehouse::{CaseSet, History, Warehouse};
 
-use crate::plan::Episode;
-use results::conditions::Route;
+use crate::plan::PlannedEpisode;
 
-/// Free shared memory that is left to others.
+/// Free shared memory left to other programs, as far as it is not more than [`SHARE_LEFT`] of what is free.
 const HEADROOM_BYTES: u64 = 64 << 20;
 
-/// Share of the memory that programs can still have which frames may take beyond the least.
+/// Divides the free shared memory; one part is left to other programs.
+const SHARE_LEFT: u64 = 8;
+
+/// Share of the available memory that frames may take beyond the least number.
 const SHARE_OF_MEMORY: f64 = 0.5;
 
-/// What a run can use.
+/// Frame sizes that a message suggests are multiples of this.
+const FRAME_SIZE_STEP: u32 = 64;
+
+/// Numbers of frames that a run can use.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Demand {
-    /// Frames without which it cannot run: the views that live lanes refer to, and what the memory of one
-    /// episode holds of its demonstrations.
-    pub least: u32,
-    /// Frames beyond which more are of no use: in addition every view of every world that is walked.
-    pub most: u32,
+    /// Frames that each lane needs: its window, the current view and the next one.
+    pub per_lane: u32,
+    /// Frames that the memory of one episode holds of its demonstrations, at most.
+    pub remembered: u32,
+    /// Every view of every world in the run: more frames are of no use.
+    pub all_views: u32,
 }
 
-/// Not even the least fits.
+/// There is too little shared memory for the least number of frames.
 #[derive(Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "the run needs room for {least} frames, that is {needed} MiB of shared memory, and {free} MiB are free: \
-     use fewer --lanes or a smaller --frame-size, or make it larger (in Docker with --shm-size)"
+    "the run needs {needed_mib} MiB of shared memory for at least {frames} frames ({lanes} lanes with {per_lane} each, \
+     {remembered} of the demonstrations), and {free_mib} MiB of /dev/shm are usable: {advice}"
 )]
 pub struct NoRoom {
-    least: u32,
-    needed: u64,
-    free: u64,
+    frames: u32,
+    lanes: u32,
+    per_lane: u32,
+    remembered: u32,
+    needed_mib: u64,
+    free_mib: u64,
+    advice: Advice,
 }
 
-/// What `episodes` can use in lanes as `attach` has them, with a budget of `keyframes` for full-context
-/// memory.
-pub fn demand(
-    attach: &Attach,
-    warehouse: &Warehouse,
-    cases: &CaseSet,
-    episodes: &[Episode],
-    keyframes: u32,
-) -> Demand {
-    let live = attach.lanes * (attach.window + 2);
-    let mut views_of = BTreeMap::new();
-    let remembered = episodes.iter().map(|episode| {
-        let condition = episode.key.condition;
-        let mut views = || {
-            let set = (episode.case_index, condition.demonstrations);
-            *views_of.entry(set).or_insert_with(|| {
-                let histories = cases.histories(set.0, set.1).into_iter();
-                let replay = |History { case, start }| cases.cases[case].replay(warehouse, start);
-                let views: BTreeSet<Pose> = histories.flat_map(|h| replay(h).poses).collect();
-                views.len() as u32
-            })
-        };
-        match condition.memory.describe().trajectories {
-            Trajectories::Nothing => 0,
-            Trajectories::Whole => views().min(keyframes),
-            Trajectories::Segment => views(),
+/// What makes a run fit.
+#[derive(Debug, PartialEq, Eq)]
+enum Advice {
+    Lanes(u32),
+    FrameSize(u32),
+    MoreMemory,
+}
+
+impl fmt::Display for Advice {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Lanes(1) => write!(f, "--lanes 1 fits")?,
+            Self::Lanes(lanes) => write!(f, "--lanes {lanes} or fewer fit")?,
+            Self::FrameSize(size) => {
+                write!(f, "--lanes 1 --frame-size {size} fits, but the agent sees smaller images")?;
+            }
+            Self::MoreMemory => return write!(f, "make it larger (in Docker with --shm-size)"),
         }
-    });
-    let remembered = remembered.max().unwrap_or(0);
-    let blocked = episodes.iter().filter(|e| e.key.condition.route == Route::Blocked);
-    let barricades: BTreeSet<&[Cell]> =
-        blocked.map(|episode| &*cases.cases[episode.case_index].barricade).collect();
-    let worlds = 1 + barricades.len() as u32;
-    Demand { least: live + remembered, most: live + worlds * every_view(warehouse) }
+        write!(f, "; or make it larger (in Docker with --shm-size)")
+    }
+}
+
+/// Why a run gets no frames.
+#[derive(Debug, PartialEq, Eq, thiserror::Error)]
+pub enum FrameBudgetError {
+    /// See [`NoRoom`].
+    #[error(transparent)]
+    NoRoom(#[from] NoRoom),
+    /// `--frame-budget` is too small.
+    #[error(
+        "--frame-budget is {given}, and the run needs at least {least} frames ({lanes} lanes with {per_lane} each, \
+         {remembered} of the demonstrations): fewer --lanes need fewer, or leave --frame-budget out"
+    )]
+    TooFew {
+        /// `--frame-budget`.
+        given: u32,
+        /// The least number.
+        least: u32,
+        /// Lanes of the run.
+        lanes: u32,
+        /// [`Demand::per_lane`].
+        per_lane: u32,
+        /// [`Demand::remembered`].
+        remembered: u32,
+    },
+    /// `--frame-budget` is too large.
+    #[error(
+        "--frame-budget is {given}, and {most} frames fit into the {free_mib} MiB of /dev/shm that are usable: give \
+         at most that, or leave --frame-budget out"
+    )]
+    TooMany {
+        /// `--frame-budget`.
+        given: u32,
+        /// The most that fit.
+        most: u32,
+        /// Usable shared memory.
+        free_mib: u64,
+    },
+}
+
+impl Demand {
+    /// What `episodes` can use with the window of `attach`, and `keyframes` for full-context memory.
+    pub fn of(
+        attach: &Attach,
+        warehouse: &Warehouse,
+        cases: &CaseSet,
+        episodes: &[PlannedEpisode],
+        keyframes: u32,
+    ) -> Self {
+        let mut views_of = BTreeMap::new();
+        let remembered = episodes.iter().map(|episode| {
+            let condition = episode.key.condition;
+            let mut views = || {
+                let set = (episode.case_index, condition.demonstrations);
+                *views_of.entry(set).or_insert_with(|| {
+                    let histories = cases.histories(set.0, set.1).into_iter();
+                    let replay =
+                        |History { case, start }| cases.cases[case].replay(warehouse, start);
+                    let views: BTreeSet<Pose> = histories.flat_map(|h| replay(h).poses).collect();
+                    views.len() as u32
+                })
+            };
+            match condition.memory.describe().trajectories {
+                Trajectories::Nothing => 0,
+                Trajectories::Whole => views().min(keyframes),
+                Trajectories::Segment => views(),
+            }
+        });
+        let blocked = episodes.iter().filter(|e| e.key.condition.route == Route::Blocked);
+        let barricades: BTreeSet<&[Cell]> =
+            blocked.map(|episode| &*cases.cases[episode.case_index].barricade).collect();
+        let worlds = 1 + barricades.len() as u32;
+        Self {
+            per_lane: attach.window + 2,
+            remembered: remembered.max().unwrap_or(0),
+            all_views: worlds * every_view(warehouse),
+        }
+    }
+
+    /// The least number of frames that `lanes` can run with.
+    const fn least(&self, lanes: u32) -> u32 {
+        lanes * self.per_lane + self.remembered
+    }
 }
 
 /// Views of the unchanged warehouse.
@@ -78,96 +160,170 @@ pub fn every_view(warehouse: &Warehouse) -> u32 {
     4 * warehouse.layout.free_cells().count() as u32
 }
 
-/// The largest useful number of frames that fits into `free` bytes of shared memory and, beyond the least, into its
-/// share of the `available` bytes of memory.
+/// The number of frames for the run in `attach`: `given`, else the largest useful number that fits into `free` bytes
+/// of shared memory and, beyond the least, into its share of the `available` bytes of memory.
 ///
 /// # Errors
-/// When the least does not fit.
-pub fn choose(attach: &Attach, demand: Demand, free: u64, available: u64) -> Result<u32, NoRoom> {
-    let needed = |frames| Attach { frame_capacity: frames, ..attach.clone() }.shared_memory_bytes();
-    let room = free.saturating_sub(HEADROOM_BYTES);
-    let Demand { least, most } = demand;
-    if needed(least) > room {
-        let (needed, free) = ((needed(least) + HEADROOM_BYTES).div_ceil(1 << 20), free >> 20);
-        return Err(NoRoom { least, needed, free });
+/// When the least number does not fit, or `given` is below it or does not fit.
+pub fn choose(
+    attach: &Attach,
+    demand: Demand,
+    given: Option<u32>,
+    free: u64,
+    available: u64,
+) -> Result<u32, FrameBudgetError> {
+    let room = free - HEADROOM_BYTES.min(free / SHARE_LEFT);
+    let lanes = attach.lanes;
+    let least = demand.least(lanes);
+    let Demand { per_lane, remembered, .. } = demand;
+    let free_mib = room >> 20;
+    if bytes(attach, least) > room {
+        return Err(NoRoom {
+            frames: least,
+            lanes,
+            per_lane,
+            remembered,
+            needed_mib: bytes(attach, least).div_ceil(1 << 20),
+            free_mib,
+            advice: advise(attach, demand, room),
+        }
+        .into());
+    }
+    if let Some(given) = given {
+        if given < least {
+            return Err(FrameBudgetError::TooFew { given, least, lanes, per_lane, remembered });
+        }
+        if bytes(attach, given) > room {
+            let most = most_within(attach, least, given, room);
+            return Err(FrameBudgetError::TooMany { given, most, free_mib });
+        }
+        return Ok(given);
     }
     let room = room.min((SHARE_OF_MEMORY * available as f64) as u64);
+    Ok(most_within(attach, least, lanes * per_lane + demand.all_views.max(remembered), room))
+}
+
+/// Bytes of shared memory with so many frames.
+fn bytes(attach: &Attach, frames: u32) -> u64 {
+    Attach { frame_capacity: frames, ..attach.clone() }.shared_memory_bytes()
+}
+
+/// The largest number of frames from `least`, taken to fit, to `most` that fits into `room` bytes.
+fn most_within(attach: &Attach, least: u32, most: u32, room: u64) -> u32 {
     // `fits` holds throughout; what is above `too_many` does not fit or is of no use.
     let (mut fits, mut too_many) = (least, most.max(least) + 1);
     while fits + 1 < too_many {
         let middle = fits + (too_many - fits) / 2;
-        if needed(middle) <= room { fits = middle } else { too_many = middle }
+        if bytes(attach, middle) <= room { fits = middle } else { too_many = middle }
     }
-    Ok(fits)
+    fits
+}
+
+/// What makes the run fit into `room` bytes.
+fn advise(attach: &Attach, demand: Demand, room: u64) -> Advice {
+    let fits = |lanes: u32, frame: FrameSize| {
+        bytes(&Attach { lanes, frame, ..attach.clone() }, demand.least(lanes)) <= room
+    };
+    if let Some(lanes) = (1..attach.lanes).rev().find(|&lanes| fits(lanes, attach.frame)) {
+        return Advice::Lanes(lanes);
+    }
+    let sizes =
+        (1..attach.frame.width.div_ceil(FRAME_SIZE_STEP)).rev().map(|n| n * FRAME_SIZE_STEP);
+    let smaller = sizes.into_iter().find(|&size| fits(1, FrameSize { width: size, height: size }));
+    smaller.map_or(Advice::MoreMemory, Advice::FrameSize)
 }
 
 #[cfg(test)]
 mod tests {
-    use std::path::PathBuf;
-
-    use shm_types::message::{Role, WIRE_VERSION};
-    use shm_types::{FrameControl, FrameSize, Wait};
+    use domain::Representation;
+    use results::conditions::{Condition, Demonstrations};
+    use shm_types::RunDir;
 
     use super::*;
     use crate::plan::plan;
 
     fn attach() -> Attach {
-        Attach {
-            wire_version: WIRE_VERSION,
-            prefix: "mt0_".to_owned(),
-            generation: 1,
-            orchestrator_pid: 1,
-            participants: Role::CHILDREN.to_vec(),
-            lanes: 4,
-            window: 6,
-            frame: FrameSize::DEFAULT,
-            frame_capacity: 1,
-            wait: Wait::default(),
-            frame_control: FrameControl::Rendered,
-            prompts: None,
-            spans: None,
-            root: PathBuf::new(),
-        }
+        let base = tempfile::tempdir().unwrap();
+        let run = RunDir::create(base.path()).unwrap();
+        Attach { lanes: 4, window: 6, ..run.attach() }
     }
+
+    const DEMAND: Demand = Demand { per_lane: 8, remembered: 40, all_views: 1000 };
 
     #[test]
     fn as_many_frames_as_are_useful_and_fit() {
-        let demand = Demand { least: 100, most: 1000 };
-        let bytes = |frames| Attach { frame_capacity: frames, ..attach() }.shared_memory_bytes();
-        for frames in [100, 101, 500, 999, 1000] {
-            let free = bytes(frames) + HEADROOM_BYTES;
-            assert_eq!(choose(&attach(), demand, free, u64::MAX), Ok(frames));
-            assert_eq!(choose(&attach(), demand, u64::MAX, 2 * bytes(frames)), Ok(frames));
+        let attach = attach();
+        let chosen = |free, available| choose(&attach, DEMAND, None, free, available);
+        let (least, most) = (72, 1032);
+        for frames in [least, least + 1, 500, most - 1, most] {
+            let free = bytes(&attach, frames);
+            // An eighth of what is free, 64 MiB at most, is left.
+            let free = free + HEADROOM_BYTES.min(free.div_ceil(7));
+            assert_eq!(chosen(free, u64::MAX), Ok(frames));
+            assert_eq!(chosen(u64::MAX, 2 * bytes(&attach, frames)), Ok(frames));
         }
-        assert_eq!(choose(&attach(), demand, u64::MAX, u64::MAX), Ok(1000));
-        assert_eq!(choose(&attach(), demand, u64::MAX, 0), Ok(100), "the least it must have");
-        let error = choose(&attach(), demand, 64 << 20, u64::MAX).unwrap_err().to_string();
-        assert!(error.starts_with("the run needs room for 100 frames, that is"), "{error}");
+        assert_eq!(chosen(u64::MAX, u64::MAX), Ok(most));
+        assert_eq!(chosen(u64::MAX, 0), Ok(least), "the least number it must have");
+    }
+
+    #[test]
+    fn advice_can_be_followed() {
+        let attach = attach();
+        // What Docker gives a container.
+        let free = 64 << 20;
+        let error = choose(&attach, DEMAND, None, free, u64::MAX).unwrap_err();
+        let FrameBudgetError::NoRoom(NoRoom { advice: Advice::Lanes(lanes), .. }) = error else {
+            panic!("{error}");
+        };
+        let fewer = Attach { lanes, ..attach.clone() };
+        let frames = choose(&fewer, DEMAND, None, free, u64::MAX).unwrap();
+        assert!(frames >= DEMAND.least(lanes) && lanes < attach.lanes);
+        let one_more = Attach { lanes: lanes + 1, ..attach.clone() };
+        assert!(choose(&one_more, DEMAND, None, free, u64::MAX).is_err());
+
+        let error = choose(&attach, DEMAND, None, 20 << 20, u64::MAX).unwrap_err();
+        let FrameBudgetError::NoRoom(NoRoom { advice: Advice::FrameSize(size), .. }) = error else {
+            panic!("{error}");
+        };
+        let frame = FrameSize { width: size, height: size };
+        let smaller = Attach { lanes: 1, frame, ..attach.clone() };
+        assert!(choose(&smaller, DEMAND, None, 20 << 20, u64::MAX).is_ok());
+        let none = choose(&attach, DEMAND, None, 1 << 20, u64::MAX).unwrap_err().to_string();
+        assert!(none.ends_with("make it larger (in Docker with --shm-size)"), "{none}");
+
+        let few = choose(&attach, DEMAND, Some(10), u64::MAX, u64::MAX).unwrap_err();
+        assert!(few.to_string().starts_with("--frame-budget is 10, and the run needs at least 72"));
+        let free = 256 << 20;
+        let many = choose(&attach, DEMAND, Some(100_000), free, u64::MAX).unwrap_err();
+        let FrameBudgetError::TooMany { most, .. } = many else { panic!("{many}") };
+        assert_eq!(choose(&attach, DEMAND, Some(most), free, u64::MAX), Ok(most));
     }
 
     #[test]
     fn what_an_episode_s_memory_holds_counts() {
         let (warehouse, cases) = (Warehouse::shipped(), CaseSet::shipped());
-        let needed = |conditions: &[&str]| {
+        let attach = attach();
+        let remembered = |conditions: &[&str]| {
             let is_blocked = conditions.iter().any(|written| written.contains("blocked"));
-            let conditions: Vec<_> =
+            let conditions: Vec<(Condition, u32)> =
                 conditions.iter().map(|written| (written.parse().unwrap(), 1)).collect();
             let ids: Vec<&str> = cases.cases.iter().map(|case| case.id.as_str()).collect();
             let episodes = plan(&conditions, &[0, 60], &ids, 1);
-            let Demand { least, most } = demand(&attach(), &warehouse, &cases, &episodes, 40);
+            let demand = Demand::of(&attach, &warehouse, &cases, &episodes, 40);
             // The two cases close different passages.
             let worlds = if is_blocked { 3 } else { 1 };
-            assert_eq!(most, 32 + worlds * every_view(&warehouse));
-            least - 32
+            assert_eq!(demand.all_views, worlds * every_view(&warehouse));
+            demand.remembered
         };
-        let views = |set| needed(&[&format!("episodic/new/unchanged/{set}")]);
-        assert_eq!(needed(&[]), 0);
-        assert_eq!(needed(&["working/new/unchanged/none", "hybrid/new/unchanged/4"]), 0);
-        assert_eq!(needed(&["full-context/new/unchanged/4"]), 40);
-        assert_eq!(needed(&["full-context/new/blocked/4"]), 40);
-        assert!(views("original") > 10 && views("original") < views("4"));
-        assert!(views("4") > 40 && views("confusable") > views("original"));
-        let all = ["episodic/new/unchanged/4", "full-context/new/unchanged/4"];
-        assert_eq!(needed(&all), views("4"));
+        let views = |set: Demonstrations| {
+            remembered(&[&format!("{}/new/unchanged/{set}", Representation::Episodic.name())])
+        };
+        assert_eq!(remembered(&[]), 0);
+        assert_eq!(remembered(&["working/new/unchanged/none", "hybrid/new/unchanged/4"]), 0);
+        assert_eq!(remembered(&["full-context/new/unchanged/4"]), 40);
+        assert_eq!(remembered(&["full-context/new/blocked/4"]), 40);
+        let (original, all) = (Demonstrations::ORIGINAL, Demonstrations::ALL);
+        assert!(views(original) > 10 && views(original) < views(all));
+        assert!(views(all) > 40);
     }
 }

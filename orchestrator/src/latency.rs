@@ -1,6 +1,6 @@
-//! How long the stages of steps took, as histograms: percentiles say what means hide.
+//! Latencies of the stages of steps, as histograms.
 //!
-//! To record a step allocates nothing, but the first time that a memory has one.
+//! Recording a step allocates nothing, except for the first step with a memory.
 
 use domain::Representation;
 use hdrhistogram::Histogram;
@@ -9,28 +9,28 @@ use results::log::Stages;
 
 use crate::lanes::Stamps;
 
-/// The longest time that is told from longer ones, in nanoseconds: an hour.
+/// The longest time that is recorded, in nanoseconds: an hour.
 const LONGEST_NS: u64 = 3_600_000_000_000;
 
-/// Significant decimal digits that are kept: to one per cent.
+/// Significant decimal digits of a recorded time.
 const DIGITS: u8 = 2;
 
 const STAGES: usize = Stages::NAMES.len();
 
 /// Histograms of every stage, and of whole steps, by memory.
 #[derive(Debug, Default)]
-pub struct Latency {
-    memories: Vec<(Representation, Memory)>,
+pub struct StepLatencies {
+    memories: Vec<(Representation, StageHistograms)>,
 }
 
-/// One memory's.
+/// The histograms of one memory.
 #[derive(Debug)]
-struct Memory {
+struct StageHistograms {
     stages: [Histogram<u64>; STAGES],
     step: Histogram<u64>,
 }
 
-impl Latency {
+impl StepLatencies {
     /// Adds a step.
     pub fn record(&mut self, stamps: &Stamps) {
         let memory = self.of(stamps.memory);
@@ -48,7 +48,20 @@ impl Latency {
         self.memories.is_empty()
     }
 
-    /// Forgets everything, and keeps the room for it.
+    /// Adds what `other` recorded.
+    pub fn add(&mut self, other: &Self) {
+        for (representation, theirs) in &other.memories {
+            let ours = self.of(*representation);
+            let pairs = ours.stages.iter_mut().zip(&theirs.stages);
+            for (ours, theirs) in pairs.chain([(&mut ours.step, &theirs.step)]) {
+                if let Err(impossible) = ours.add(theirs) {
+                    unreachable!("all histograms have the same bounds: {impossible}");
+                }
+            }
+        }
+    }
+
+    /// Removes everything that was recorded, and keeps the allocations.
     pub fn clear(&mut self) {
         for (_, memory) in &mut self.memories {
             memory.stages.iter_mut().chain([&mut memory.step]).for_each(Histogram::reset);
@@ -79,27 +92,27 @@ impl Latency {
         })
     }
 
-    fn of(&mut self, representation: Representation) -> &mut Memory {
+    fn of(&mut self, representation: Representation) -> &mut StageHistograms {
         let at = self.memories.iter().position(|(known, _)| *known == representation);
         let at = at.unwrap_or_else(|| {
-            self.memories.push((representation, Memory::new()));
+            self.memories.push((representation, StageHistograms::new()));
             self.memories.len() - 1
         });
         &mut self.memories[at].1
     }
 }
 
-impl Memory {
+impl StageHistograms {
     fn new() -> Self {
-        Self { stages: std::array::from_fn(|_| histogram()), step: histogram() }
+        Self { stages: std::array::from_fn(|_| histogram(DIGITS)), step: histogram(DIGITS) }
     }
 }
 
-/// An empty histogram of times in nanoseconds.
-pub fn histogram() -> Histogram<u64> {
-    match Histogram::new_with_bounds(1, LONGEST_NS, DIGITS) {
+/// An empty histogram of times in nanoseconds, to so many significant decimal digits (at most 5).
+pub fn histogram(digits: u8) -> Histogram<u64> {
+    match Histogram::new_with_bounds(1, LONGEST_NS, digits) {
         Ok(histogram) => histogram,
-        Err(impossible) => unreachable!("the bounds are constants that it takes: {impossible}"),
+        Err(impossible) => unreachable!("the bounds are valid constants: {impossible}"),
     }
 }
 
@@ -124,14 +137,14 @@ mod tests {
 
     #[test]
     fn percentiles_are_by_memory_and_stage_and_known_to_one_per_cent() {
-        let mut latency = Latency::default();
+        let mut latency = StepLatencies::default();
         assert!(latency.is_empty());
         for n in 1..=1000 {
-            let mut stamps = Stamps::none(1, 0, Representation::Episodic);
+            let mut stamps = Stamps::new(1, 0, Representation::Episodic);
             (stamps.commanded_ns, stamps.woken_ns) = (1, 1 + n * 1000);
             latency.record(&stamps);
         }
-        let of = |latency: &Latency, name: &str| {
+        let of = |latency: &StepLatencies, name: &str| {
             let mut all = latency.summaries();
             all.find(|&(memory, stage, _)| (memory, stage) == (Representation::Episodic, name))
                 .map(|(_, _, summary)| summary)
@@ -146,6 +159,10 @@ mod tests {
         assert_eq!(of(&latency, "step").unwrap(), command);
         assert_eq!(of(&latency, "embed").unwrap().max_us, 0.0);
         assert_eq!(latency.records(3).count(), STAGES + 1);
+        let mut sum = StepLatencies::default();
+        sum.add(&latency);
+        sum.add(&latency);
+        assert_eq!(of(&sum, "command").unwrap().count, 2000);
         latency.clear();
         assert_eq!(latency.summaries().count(), 0);
     }

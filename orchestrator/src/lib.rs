@@ -1,12 +1,17 @@
-//! The program `memtransfer`: it plans a run, starts the processes, runs the episodes and records them.
+//! The program `memtransfer`: settings, lanes, child processes, command line.
 //!
-//! - Before: [`settings`] (layers, resolved once), [`world`], [`plan`], [`documents`], [`estimate`].
-//! - During: [`pipeline`] and [`lanes`], [`session`], [`budget`], [`frame_budget`], [`progress`], [`status`],
-//!   [`event_recorder`], [`latency`], [`trace`], [`signals`].
-//! - Measuring: [`profile`], [`machine`].
+//! - Before a run: [`settings`] (sources, resolved once), [`world`] (warehouse and cases), [`plan`] (episodes and
+//!   their seeds), [`documents`] (built where they are missing), [`estimate`] (of tokens and costs), [`launch`] (which
+//!   processes, with which limits), [`frame_budget`] (room in shared memory).
+//! - During a run: [`lanes`] (episodes step by step, pure), [`event_recorder`] (what an episode's record needs beside
+//!   its steps), [`pipeline`] (through the processes), [`session`] (into the run folder), [`budget`] (when to stop),
+//!   [`signals`].
+//! - What is shown: [`latency`] (histograms), [`status`] and [`monitor`] (the live status), [`progress`], [`trace`]
+//!   (for Perfetto).
+//! - Measurements: [`machine`], [`profile`].
 //! - The command line: [`cli`], one file for each verb.
 //!
-//! Records, scores and reports are the `results` crate's.
+//! Records, scores, tables and reports are in the crate `results`.
 
 pub mod budget;
 pub mod cli;
@@ -17,7 +22,9 @@ pub mod event_recorder;
 pub mod frame_budget;
 pub mod lanes;
 pub mod latency;
+pub mod launch;
 pub mod machine;
+pub mod monitor;
 pub mod pipeline;
 pub mod plan;
 pub mod profile;

@@ -1,7 +1,5 @@
-//! The machine: what it is ([`Machine`]), and what it can do at best ([`floors`]). Stands beside every figure about
-//! speed, in what `memtransfer profile` writes and in what the benches do.
-//!
-//! Here and not in `shm-types`, because no process needs it to take part in a run.
+//! The machine: what it is ([`Machine`]), and what it achieves at best ([`floors`]). `memtransfer profile` and the
+//! benches record both with their figures.
 
 pub mod floors;
 
@@ -10,7 +8,7 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
-/// Instruction sets that make a difference here.
+/// Instruction sets that matter to speed.
 const FLAGS: [&str; 11] = [
     "avx2",
     "fma",
@@ -25,14 +23,14 @@ const FLAGS: [&str; 11] = [
     "amx_bf16",
 ];
 
-/// What a machine is, as far as it decides how fast something runs.
+/// The properties of a machine that decide how fast a program runs on it.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct Machine {
     /// The processor's name.
     pub processor: String,
-    /// Cores that this process may use.
+    /// Cores available to this process.
     pub cores: u32,
-    /// Those of its instruction sets that make a difference here.
+    /// Its instruction sets that matter to speed.
     pub flags: Vec<String>,
     /// Bytes of memory.
     pub memory_bytes: u64,
@@ -40,14 +38,14 @@ pub struct Machine {
     pub shared_memory_bytes: u64,
     /// The kernel's version.
     pub kernel: String,
-    /// Whether it is a virtual one, where its neighbours show in the figures.
+    /// Whether it is a virtual machine.
     pub is_virtual: bool,
-    /// Graphics processors of NVIDIA's, by name.
+    /// NVIDIA GPUs, by name.
     pub gpus: Vec<String>,
 }
 
 impl Machine {
-    /// This one. What the system does not tell is left empty.
+    /// This machine. What the system does not tell is left empty.
     pub fn here() -> Self {
         let text = |path: &str| fs::read_to_string(path).unwrap_or_default();
         let (processors, memory) = (text("/proc/cpuinfo"), text("/proc/meminfo"));
@@ -66,7 +64,7 @@ impl Machine {
         }
     }
 
-    /// What it is, in a line.
+    /// A description in one line.
     pub fn summary(&self) -> String {
         let gib = |bytes: u64| format!("{:.0} GiB", bytes as f64 / (1_u64 << 30) as f64);
         let cores =
@@ -84,13 +82,13 @@ impl Machine {
     }
 }
 
-/// Bytes of memory that programs can still have; very many where the system does not say.
+/// Bytes of available memory; `u64::MAX` where the system does not tell.
 pub fn memory_available() -> u64 {
     let memory = fs::read_to_string("/proc/meminfo").unwrap_or_default();
     kibibytes(&memory, "MemAvailable").unwrap_or(u64::MAX)
 }
 
-/// Bytes that a line of /proc/meminfo tells in KiB.
+/// Bytes in a line of /proc/meminfo, which has KiB.
 fn kibibytes(memory: &str, name: &str) -> Option<u64> {
     let kib: u64 = field(memory, name)?.split(' ').next()?.parse().ok()?;
     kib.checked_mul(1024)
@@ -104,7 +102,7 @@ fn field<'a>(text: &'a str, name: &str) -> Option<&'a str> {
         .map(|(_, value)| value.trim())
 }
 
-/// The names in NVIDIA's part of /proc: a folder for each.
+/// The names of the GPUs in NVIDIA's part of /proc, which has a folder for each.
 fn gpus(folder: &Path) -> Vec<String> {
     let folders = fs::read_dir(folder).into_iter().flatten().flatten();
     let mut names: Vec<String> = folders
@@ -120,7 +118,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn fields_are_found_by_their_name() {
+    fn fields_are_found_by_name() {
         let text = "model name\t: A: b\nMemTotal:   12 kB\n";
         assert_eq!(
             (field(text, "model name"), field(text, "MemTotal")),
@@ -132,7 +130,7 @@ mod tests {
     }
 
     #[test]
-    fn this_machine_says_what_it_is() {
+    fn this_machine_describes_itself() {
         let here = Machine::here();
         assert!(here.cores > 0 && here.memory_bytes > 0 && !here.kernel.is_empty());
         assert!(here.summary().contains(&here.kernel));
@@ -141,7 +139,7 @@ mod tests {
     }
 
     #[test]
-    fn a_graphics_processor_is_called_what_its_driver_calls_it() {
+    fn gpus_are_listed_by_the_driver_s_name() {
         let folder = tempfile::tempdir().unwrap();
         fs::create_dir(folder.path().join("0000:01:00.0")).unwrap();
         fs::write(folder.path().join("0000:01:00.0/information"), "Model: \t\t Some GPU\nIRQ: 1\n")

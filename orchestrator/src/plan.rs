@@ -8,7 +8,7 @@ use results::key::EpisodeKey;
 
 /// One episode of a run.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Episode {
+pub struct PlannedEpisode {
     /// Names it in the log: unique in a run.
     pub key: EpisodeKey,
     /// Index of its case in the case file.
@@ -29,7 +29,7 @@ pub fn plan(
     cases: &[usize],
     ids: &[&str],
     master_seed: u64,
-) -> Vec<Episode> {
+) -> Vec<PlannedEpisode> {
     let most_runs = conditions.iter().map(|(_, runs)| *runs).max().unwrap_or(0);
     let mut episodes = Vec::new();
     for run in 1..=most_runs {
@@ -37,7 +37,7 @@ pub fn plan(
             for &(condition, _) in conditions.iter().filter(|(_, runs)| run <= *runs) {
                 let key = EpisodeKey { condition, run, case: ids[case_index].to_owned() };
                 let seed = seed_of(master_seed, &key);
-                episodes.push(Episode { key, case_index, seed });
+                episodes.push(PlannedEpisode { key, case_index, seed });
             }
         }
     }

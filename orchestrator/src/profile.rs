@@ -1,10 +1,10 @@
 //! How long an access to memory takes: what `memtransfer profile` measures, keeps and shows.
 //!
-//! An access begins when the simulator has published an observation and is over when the policy has the recall that
-//! answers it. [`recorder`] takes it apart, step by step, while real episodes are walked through the four processes;
-//! [`search`] has the memory process measure its search by itself, at sizes that no case reaches; beside both stand the
-//! machine's [floors](crate::machine::floors). What is measured is kept as a [`Profile`] (`profile.json`,
-//! `profile.csv`), from which alone the page and the [`summary`] are made (`page.rs`).
+//! An access begins when the simulator has published an observation, and ends when the policy has the recall that
+//! answers it. [`recorder`] splits it into its parts, step by step, while episodes run through the four processes;
+//! [`search`] has the memory process measure its search alone, in memories larger than any case has; the machine's
+//! [floors](crate::machine::floors) are measured beside both. The figures are a [`Profile`] (`profile.json`,
+//! `profile.csv`), from which page and [`summary`] are made.
 
 mod page;
 pub mod recorder;
@@ -16,23 +16,23 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
+use results::named;
 use serde::{Deserialize, Serialize};
 
 use crate::machine::Machine;
 use crate::machine::floors::Floors;
-use recorder::Latency;
-use results::names::named;
-use search::Search;
+use recorder::AccessLatency;
+use search::SearchMeasurement;
 
 /// The version of the format.
-pub const SCHEMA: u32 = 1;
+pub const SCHEMA: u32 = 2;
 
 named! {
-    /// Whether memory has met the views before.
-    Mode, "mode" {
-        /// It has not: each is drawn, embedded and remembered for the first time.
+    /// Whether the caches know the views.
+    CacheState, "cache state" {
+        /// They do not: each view is rendered and embedded for the first time.
         Cold = "cold",
-        /// It has: their embeddings are in the cache folder, and they were drawn before the first step.
+        /// They do: embeddings are in the cache folder, and views were rendered before the first step.
         Warm = "warm",
     }
 }
@@ -46,43 +46,43 @@ pub struct Profile {
     pub version: String,
     /// Its commit.
     pub commit: Option<String>,
-    /// When it began, in seconds since 1970.
+    /// When the measurement began, in seconds since 1970.
     pub unix_s: u64,
-    /// Where.
+    /// The machine.
     pub machine: Machine,
-    /// What that can do at best.
+    /// The machine's floors.
     pub floors: Floors,
     /// The encoder.
     pub encoder: String,
-    /// Episodes that were walked.
-    pub walks: Vec<Walk>,
-    /// Searches that were measured by themselves.
-    pub searches: Vec<Search>,
+    /// Accesses in episodes, by the way in which these ran.
+    pub runs: Vec<AccessRun>,
+    /// Searches alone.
+    pub searches: Vec<SearchMeasurement>,
     /// What could not be measured, and why.
     pub problems: Vec<String>,
 }
 
-/// Episodes that were walked in one way.
+/// Accesses in episodes that ran in one way.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Walk {
-    /// Whether memory had met the views before.
-    pub mode: Mode,
-    /// Episodes at once.
+pub struct AccessRun {
+    /// Whether the caches knew the views.
+    pub caches: CacheState,
+    /// Episodes at a time.
     pub lanes: u32,
-    /// Microseconds for which a process looks before it sleeps: 0 is blocking.
+    /// Microseconds for which a process polled before it slept; 0 is blocking.
     pub spin_us: u32,
-    /// Episodes.
+    /// Number of episodes.
     pub episodes: u32,
-    /// Steps.
+    /// Number of steps.
     pub steps: u64,
     /// Seconds from the first command to the last decision.
     pub seconds: f64,
-    /// How long accesses took.
-    pub latencies: Vec<Latency>,
+    /// The latencies.
+    pub latencies: Vec<AccessLatency>,
 }
 
-impl Walk {
-    /// How it was walked, in words.
+impl AccessRun {
+    /// A description: `warm, 4 lanes, blocking`.
     pub fn name(&self) -> String {
         let wait = match self.spin_us {
             0 => "blocking".to_owned(),
@@ -90,13 +90,13 @@ impl Walk {
         };
         let lanes =
             if self.lanes == 1 { "1 lane".to_owned() } else { format!("{} lanes", self.lanes) };
-        format!("{}, {lanes}, {wait}", self.mode)
+        format!("{}, {lanes}, {wait}", self.caches)
     }
 }
 
 impl Profile {
-    /// Writes `profile.json`, `profile.csv` and `profile.html` into the folder `dir`, which is made if need be; what an
-    /// earlier profile wrote there is replaced. Returns the page.
+    /// Writes `profile.json`, `profile.csv` and `profile.html` into the folder `dir`, replacing earlier ones. Returns
+    /// the path of the page.
     ///
     /// # Errors
     /// When the system refuses.
@@ -112,12 +112,12 @@ impl Profile {
         save("profile.html", results::report::page(&page::document(self)?)?.into_bytes())
     }
 
-    /// A line for each latency, walked and searched.
+    /// One line for each latency, in microseconds.
     fn csv(&self) -> Result<Vec<u8>> {
         let mut csv = csv::Writer::from_writer(Vec::new());
         csv.write_record([
             "measurement",
-            "mode",
+            "caches",
             "lanes",
             "spin_us",
             "what",
@@ -127,54 +127,36 @@ impl Profile {
             "batch",
             "threads",
             "count",
-            "mean_ns",
-            "p50_ns",
-            "p90_ns",
-            "p99_ns",
-            "p999_ns",
-            "max_ns",
+            "mean_us",
+            "p50_us",
+            "p90_us",
+            "p99_us",
+            "p999_us",
+            "max_us",
             "recall_at_1",
             "recall_at_10",
         ])?;
-        for walk in &self.walks {
-            for latency in &walk.latencies {
-                let Latency { times, .. } = latency;
+        for run in &self.runs {
+            for AccessLatency { representation, step, part, times } in &run.latencies {
                 csv.serialize((
-                    ("walk", walk.mode.to_string(), walk.lanes, walk.spin_us),
-                    (
-                        latency.representation.name(),
-                        latency.step.to_string(),
-                        latency.part.to_string(),
-                    ),
+                    ("run", run.caches.to_string(), run.lanes, run.spin_us),
+                    (representation.name(), step.to_string(), part.to_string()),
                     (None::<u32>, None::<u32>, None::<u32>),
-                    (
-                        times.count,
-                        times.mean,
-                        times.p50,
-                        times.p90,
-                        times.p99,
-                        times.p999,
-                        times.max,
-                    ),
+                    (times.count, times.mean_us, times.p50_us, times.p90_us),
+                    (times.p99_us, times.p999_us, times.max_us),
                     (None::<f64>, None::<f64>),
                 ))?;
             }
         }
         for search in &self.searches {
             let times = &search.latency_ns;
+            let us = |ns: u64| ns as f64 / 1e3;
             csv.serialize((
                 ("search", None::<String>, None::<u32>, None::<u32>),
                 (search.search.as_str(), None::<String>, None::<String>),
                 (search.entries, search.batch, search.threads),
-                (
-                    search.queries,
-                    None::<f64>,
-                    times.p50,
-                    times.p90,
-                    times.p99,
-                    times.p999,
-                    times.max,
-                ),
+                (search.queries, None::<f64>, us(times.p50), us(times.p90)),
+                (us(times.p99), us(times.p999), us(times.max)),
                 (search.recall_at_1, search.recall_at_10),
             ))?;
         }
@@ -186,25 +168,36 @@ impl Profile {
 pub(crate) mod tests {
     use domain::Representation;
 
-    use super::recorder::{Part, StepKind, Times};
+    use results::latency::LatencySummary;
+
+    use super::recorder::{AccessPart, StepClass};
     use super::*;
 
     /// A profile with one of everything.
     pub(crate) fn profile() -> Profile {
-        let times = Times { count: 3, mean: 21.5, p50: 20, p90: 30, p99: 40, p999: 50, max: 60 };
+        let times = LatencySummary {
+            count: 3,
+            mean_us: 21.5,
+            p50_us: 20.0,
+            p90_us: 30.0,
+            p99_us: 40.0,
+            p999_us: 50.0,
+            max_us: 60.0,
+        };
         let latencies = |representation: &Representation| {
             let representation = *representation;
-            Part::ALL.iter().flat_map(move |&part| {
-                [StepKind::First, StepKind::Later].map(|step| Latency {
+            let times = times.clone();
+            AccessPart::ALL.iter().flat_map(move |&part| {
+                [StepClass::First, StepClass::Later].map(|step| AccessLatency {
                     representation,
                     step,
                     part,
-                    times,
+                    times: times.clone(),
                 })
             })
         };
-        let walk = |mode, lanes, spin_us| Walk {
-            mode,
+        let run = |caches, lanes, spin_us| AccessRun {
+            caches,
             lanes,
             spin_us,
             episodes: 3,
@@ -216,9 +209,12 @@ pub(crate) mod tests {
                       \"threads\": 2, \"build_s\": 0.1, \"bytes\": 160, \"queries\": 7, \"latency_ns\": {\"p50\": 1, \
                       \"p90\": 2, \"p99\": 3, \"p999\": 4, \"max\": 5}, \"queries_per_s\": 9.0, \"bytes_per_s\": null, \
                       \"recall_at_1\": 1.0, \"recall_at_10\": 1.0}";
-        let search: Search = serde_json::from_str(search).unwrap();
-        let approximate =
-            Search { search: "approximate".to_owned(), recall_at_10: 0.97, ..search.clone() };
+        let search: SearchMeasurement = serde_json::from_str(search).unwrap();
+        let approximate = SearchMeasurement {
+            search: "approximate".to_owned(),
+            recall_at_10: 0.97,
+            ..search.clone()
+        };
         Profile {
             schema: SCHEMA,
             version: "0".to_owned(),
@@ -232,11 +228,11 @@ pub(crate) mod tests {
                 read_all_cores: 2e10,
             },
             encoder: "e".to_owned(),
-            walks: vec![
-                walk(Mode::Cold, 1, 0),
-                walk(Mode::Warm, 1, 0),
-                walk(Mode::Warm, 1, 200),
-                walk(Mode::Warm, 16, 0),
+            runs: vec![
+                run(CacheState::Cold, 1, 0),
+                run(CacheState::Warm, 1, 0),
+                run(CacheState::Warm, 1, 200),
+                run(CacheState::Warm, 16, 0),
             ],
             searches: vec![search, approximate],
             problems: vec!["something & nothing".to_owned()],
@@ -253,7 +249,7 @@ pub(crate) mod tests {
         let mut lines = csv.lines();
         let columns = lines.next().unwrap().split(',').count();
         assert!(csv.lines().all(|line| line.split(',').count() == columns), "{csv}");
-        let latencies: usize = profile().walks.iter().map(|walk| walk.latencies.len()).sum();
+        let latencies: usize = profile().runs.iter().map(|run| run.latencies.len()).sum();
         assert_eq!(lines.count(), latencies + 2);
         let page = fs::read_to_string(page).unwrap();
         for said in ["something &#38; nothing", "<svg", "episodic", "exact"] {
@@ -262,8 +258,8 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn a_walk_is_named_by_how_it_was_walked() {
-        let names: Vec<String> = profile().walks.iter().map(Walk::name).collect();
+    fn a_run_is_named_by_the_way_it_ran() {
+        let names: Vec<String> = profile().runs.iter().map(AccessRun::name).collect();
         assert_eq!(
             names,
             [

@@ -1,246 +1,134 @@
-//! What stderr shows while a run goes on: a bar, or lines where there is no terminal.
+//! Shows on stderr how far something is: a bar in a terminal, otherwise a line every few seconds.
 
-use std::io::IsTerminal;
+use std::io::{IsTerminal, Write};
 use std::time::{Duration, Instant};
-
-use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 
 use crate::documents::BuildStage;
 
-/// How often a line is written where there is no terminal.
-const LINE_INTERVAL: Duration = Duration::from_secs(5);
-
-/// How often the bar is drawn anew.
-const DRAWS_PER_S: u8 = 5;
-
-/// The display of one session of a run.
+/// Shows how far the building of documents is.
 #[derive(Debug)]
-pub struct Progress {
-    tally: Tally,
-    /// When the first step of this session was taken.
-    running_since: Option<Instant>,
-    phase: String,
-    display: Display,
-}
-
-#[derive(Debug)]
-enum Display {
-    Bar(ProgressBar),
-    Lines { last: Option<Instant> },
-    Nothing,
-}
-
-/// The display while documents are built, before a run or for their own sake.
-#[derive(Debug)]
-pub struct BuildProgress {
-    display: Display,
-    said: String,
-}
+pub struct BuildProgress(Progress);
 
 impl BuildProgress {
     /// A display that shows nothing yet, and never anything if `quiet`.
     pub fn new(quiet: bool) -> Self {
-        Self { display: Display::new(quiet), said: String::new() }
+        Self(Progress::new(quiet))
     }
 
-    /// Building is at `stage` now.
+    /// Shows `stage`.
     pub fn show(&mut self, stage: BuildStage) {
-        let (what, counts) = match stage {
-            BuildStage::Waiting => ("another build in the same folder has to end first", None),
+        let (phase, counts) = match stage {
+            BuildStage::Waiting => ("waiting for another build in the same folder", None),
             BuildStage::Starting => ("starting simulator and memory", None),
-            BuildStage::Views(done, total) => {
-                ("looking at the demonstrations", Some((done, total)))
-            }
+            BuildStage::Views(done, total) => ("reading the demonstrations", Some((done, total))),
             BuildStage::Writing(done, total) => ("writing documents", Some((done, total))),
         };
-        let line = match counts {
-            Some((done, total)) => format!("{what}: {done}/{total}"),
-            None => what.to_owned(),
-        };
-        match &mut self.display {
-            Display::Bar(bar) => {
-                let (done, total) = counts.unwrap_or_default();
-                bar.set_length(total);
-                bar.set_position(done);
-                bar.set_message(line);
-            }
-            Display::Lines { last } => {
-                let is_new = self.said != what;
-                if is_new || last.is_none_or(|last| last.elapsed() >= LINE_INTERVAL) {
-                    eprintln!("{line}");
-                    *last = Some(Instant::now());
-                }
-            }
-            Display::Nothing => {}
-        }
-        what.clone_into(&mut self.said);
+        self.0.show(phase, counts.unwrap_or_default(), || match counts {
+            Some((done, total)) => format!("{phase}: {done}/{total}"),
+            None => phase.to_owned(),
+        });
     }
 
-    /// Takes the bar away.
+    /// Removes the bar.
     pub fn close(self) {
-        if let Display::Bar(bar) = &self.display {
-            bar.finish_and_clear();
-        }
+        self.0.close(|| "documents: done".to_owned());
     }
 }
 
-impl Display {
-    fn new(quiet: bool) -> Self {
-        if quiet {
-            return Self::Nothing;
-        }
-        if !std::io::stderr().is_terminal() {
-            return Self::Lines { last: None };
-        }
-        let target = ProgressDrawTarget::stderr_with_hz(DRAWS_PER_S);
-        let bar = ProgressBar::with_draw_target(Some(0), target);
-        if let Ok(style) = ProgressStyle::with_template("{bar:24} {msg}") {
-            bar.set_style(style);
-        }
-        Self::Bar(bar)
-    }
+/// Time between two lines where there is no terminal.
+const LINE_INTERVAL: Duration = Duration::from_secs(5);
+
+/// Time between two drawings of the bar.
+const DRAW_INTERVAL: Duration = Duration::from_millis(200);
+
+/// Characters of the bar.
+const BAR: u64 = 24;
+
+/// Columns of a terminal that does not tell its width.
+const COLUMNS: usize = 100;
+
+/// The display of progress.
+#[derive(Debug)]
+pub struct Progress {
+    target: ProgressTarget,
+    phase: String,
+    shown: Option<Instant>,
 }
 
-/// What has been done so far.
-#[derive(Debug, Clone, Copy, Default)]
-struct Tally {
-    /// Episodes of the whole run.
-    total: u64,
-    /// Those that earlier sessions finished, and how many of them were successful.
-    earlier: (u64, u64),
-    /// Those of this session, and how many of them were successful.
-    finished: (u64, u64),
-    /// Those given up.
-    errored: u64,
-    /// Steps of this session.
-    steps: u64,
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum ProgressTarget {
+    Bar,
+    Lines,
+    Nothing,
 }
 
 impl Progress {
-    /// The display of a run of `total` episodes of which `finished` are done, `successes` of them
-    /// successfully.
-    pub fn new(total: usize, finished: usize, successes: usize, quiet: bool) -> Self {
-        let display = Display::new(quiet);
-        if let Display::Bar(bar) = &display {
-            bar.set_length(total as u64);
-        }
-        let tally = Tally {
-            total: total as u64,
-            earlier: (finished as u64, successes as u64),
-            ..Tally::default()
+    /// A display that shows nothing yet, and never anything if `quiet`.
+    pub fn new(quiet: bool) -> Self {
+        let target = match quiet {
+            true => ProgressTarget::Nothing,
+            false if std::io::stderr().is_terminal() => ProgressTarget::Bar,
+            false => ProgressTarget::Lines,
         };
-        Self { tally, running_since: None, phase: String::new(), display }
+        Self { target, phase: String::new(), shown: None }
     }
 
-    /// What is going on before steps are taken: starting, loading the encoder, ...
-    pub fn phase(&mut self, phase: &str) {
-        if phase != self.phase {
-            self.phase = phase.to_owned();
-            match &self.display {
-                Display::Bar(bar) => bar.set_message(self.phase.clone()),
-                Display::Lines { .. } => eprintln!("{phase}"),
-                Display::Nothing => {}
+    /// Shows `line`, with `done` of `total` in the bar. A new `phase` is shown at once, everything else now and then.
+    pub fn show(&mut self, phase: &str, (done, total): (u64, u64), line: impl FnOnce() -> String) {
+        let interval = match self.target {
+            ProgressTarget::Bar => DRAW_INTERVAL,
+            ProgressTarget::Lines => LINE_INTERVAL,
+            ProgressTarget::Nothing => return,
+        };
+        let is_new = self.phase != phase;
+        if !is_new && self.shown.is_some_and(|shown| shown.elapsed() < interval) {
+            return;
+        }
+        phase.clone_into(&mut self.phase);
+        self.shown = Some(Instant::now());
+        match self.target {
+            ProgressTarget::Bar => {
+                let columns = terminal_size::terminal_size_of(std::io::stderr());
+                let columns = columns.map_or(COLUMNS, |(width, _)| usize::from(width.0));
+                erase_line();
+                eprint!("{}", bar(done, total, &line(), columns));
+                // What cannot be shown is not needed.
+                let _ = std::io::stderr().flush();
             }
+            ProgressTarget::Lines => eprintln!("{}", line()),
+            ProgressTarget::Nothing => {}
         }
     }
 
-    /// Steps were taken.
-    pub fn steps(&mut self, count: u64) {
-        if count > 0 {
-            self.running_since.get_or_insert_with(Instant::now);
-            self.tally.steps += count;
+    /// Prints a message that stays, above the bar; also where no progress is shown.
+    pub fn note(&mut self, note: &str) {
+        if self.target == ProgressTarget::Bar && self.shown.take().is_some() {
+            erase_line();
         }
+        eprintln!("{note}");
     }
 
-    /// An episode ended.
-    pub fn finished(&mut self, success: bool) {
-        self.tally.finished.0 += 1;
-        self.tally.finished.1 += u64::from(success);
-    }
-
-    /// An episode was given up.
-    pub fn errored(&mut self) {
-        self.tally.errored += 1;
-    }
-
-    /// Draws anew, if it is time to.
-    pub fn tick(&mut self) {
-        let Some(since) = self.running_since else { return };
-        let line = || self.tally.line(since.elapsed());
-        match &mut self.display {
-            Display::Bar(bar) => {
-                bar.set_position(self.tally.done());
-                bar.set_message(line());
-            }
-            Display::Lines { last } => {
-                if last.is_none_or(|last| last.elapsed() >= LINE_INTERVAL) {
-                    eprintln!("{}", line());
-                    *last = Some(Instant::now());
-                }
-            }
-            Display::Nothing => {}
-        }
-    }
-
-    /// Says something that stays, above the bar. It is said even where progress is not.
-    pub fn note(&self, note: &str) {
-        match &self.display {
-            Display::Bar(bar) => bar.suspend(|| eprintln!("{note}")),
-            Display::Lines { .. } | Display::Nothing => eprintln!("{note}"),
-        }
-    }
-
-    /// Takes the bar away; where there is none, says where things stand at the end.
-    pub fn close(self) {
-        match (&self.display, self.running_since) {
-            (Display::Bar(bar), _) => bar.finish_and_clear(),
-            (Display::Lines { .. }, Some(since)) => {
-                eprintln!("{}", self.tally.line(since.elapsed()));
-            }
-            (Display::Lines { .. } | Display::Nothing, _) => {}
+    /// Removes the bar; where there are lines, prints the `last` one.
+    pub fn close(self, last: impl FnOnce() -> String) {
+        match self.target {
+            ProgressTarget::Bar if self.shown.is_some() => erase_line(),
+            ProgressTarget::Lines if self.shown.is_some() => eprintln!("{}", last()),
+            ProgressTarget::Bar | ProgressTarget::Lines | ProgressTarget::Nothing => {}
         }
     }
 }
 
-impl Tally {
-    fn done(&self) -> u64 {
-        self.earlier.0 + self.finished.0 + self.errored
-    }
-
-    /// Everything there is to say, after `running` of this session.
-    fn line(&self, running: Duration) -> String {
-        let mut parts = vec![format!("{}/{} episodes", self.done(), self.total)];
-        let seconds = running.as_secs_f64();
-        // Over less than a second a rate says nothing.
-        if seconds >= 1.0 {
-            parts.push(format!("{:.0} steps/s", self.steps as f64 / seconds));
-        }
-        let (episodes, successes) =
-            (self.earlier.0 + self.finished.0, self.earlier.1 + self.finished.1);
-        if episodes > 0 {
-            parts.push(format!("SR {:.1} %", 100.0 * successes as f64 / episodes as f64));
-        }
-        if self.errored > 0 {
-            parts.push(format!("{} given up", self.errored));
-        }
-        // Earlier sessions say nothing about how fast this one is.
-        let now = self.finished.0 + self.errored;
-        if now > 0 {
-            let left = self.total.saturating_sub(self.done()) as f64 * seconds / now as f64;
-            parts.push(format!("{} left", span(left)));
-        }
-        parts.join(", ")
-    }
+fn erase_line() {
+    eprint!("\r\x1b[2K");
 }
 
-/// A time as people say it: `48 s`, `3 min 20 s`, `1 h 05 min`.
-fn span(seconds: f64) -> String {
-    let s = seconds.round() as u64;
-    match s {
-        0..60 => format!("{s} s"),
-        60..3600 => format!("{} min {:02} s", s / 60, s % 60),
-        _ => format!("{} h {:02} min", s / 3600, s / 60 % 60),
-    }
+/// A bar and a text, in as many columns as there are.
+fn bar(done: u64, total: u64, text: &str, columns: usize) -> String {
+    let full = (BAR * done.min(total)).checked_div(total).unwrap_or(0) as usize;
+    let empty = BAR as usize - full;
+    let bar = format!("[{}{}] {text}", "#".repeat(full), ".".repeat(empty));
+    // A line that wraps could not be erased.
+    bar.chars().take(columns.saturating_sub(1)).collect()
 }
 
 #[cfg(test)]
@@ -248,26 +136,9 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_line_says_how_far_how_fast_how_well_and_how_long() {
-        let tally = Tally { total: 400, ..Tally::default() };
-        let after = |tally: Tally, s| tally.line(Duration::from_secs(s));
-        assert_eq!(after(tally, 0), "0/400 episodes");
-        let tally = Tally { steps: 1000, finished: (50, 20), ..tally };
-        assert_eq!(after(tally, 10), "50/400 episodes, 100 steps/s, SR 40.0 %, 1 min 10 s left");
-        // A resumed run counts everything, and takes its time from what this session did.
-        let tally = Tally { earlier: (100, 100), errored: 50, ..tally };
-        assert_eq!(
-            after(tally, 10),
-            "200/400 episodes, 100 steps/s, SR 80.0 %, 50 given up, 20 s left"
-        );
-    }
-
-    #[test]
-    fn times_are_written_as_people_say_them() {
-        for (seconds, expected) in
-            [(0.2, "0 s"), (59.6, "1 min 00 s"), (200.0, "3 min 20 s"), (3900.0, "1 h 05 min")]
-        {
-            assert_eq!(span(seconds), expected);
-        }
+    fn a_bar_fits_its_columns() {
+        assert_eq!(bar(1, 2, "x", 100), "[############............] x");
+        assert_eq!(bar(0, 0, "x", 100), "[........................] x");
+        assert_eq!(bar(5, 2, "abc", 20).chars().count(), 19);
     }
 }

@@ -1,139 +1,117 @@
-//! One session of a run: what the [`pipeline`](crate::pipeline) finishes goes into the run folder, what
-//! happens goes to stderr.
+//! One session of a run: what the [`pipeline`](crate::pipeline) finishes goes into the run folder, what happens to the
+//! monitor.
 
 use std::collections::BTreeMap;
 use std::path::Path;
 
 use anyhow::Result;
 use domain::Outcome;
+use results::log::{EpisodeError, EpisodeTimings, RequestRecord, RunFolder, SessionEvent};
 use shm_types::ATTACH_VARIABLE;
-use shm_types::message::{Decision, Heartbeat, Role, ShutdownReport};
+use shm_types::message::{Heartbeat, Role, ShutdownReport};
 use shm_types::process::monotonic_ns;
 
 use crate::budget::Budget;
-use crate::lanes::{Owed, Spent, Stamps, Walked};
-use crate::latency::Latency;
+use crate::lanes::{AnsweredRequest, FinishedEpisode, PendingAnswer, Stamps};
+use crate::monitor::Monitor;
 use crate::pipeline::{Ending, Facts, Observer};
-use crate::progress::Progress;
-use crate::status::StatusFile;
-use crate::trace::Trace;
-use results::log::{EpisodeError, EpisodeTimings, RequestRecord, RunFolder, SessionEvent};
+use crate::trace::RunTrace;
 
-/// Troubles that are said one by one; a process that talks rubbish does so often.
-const TROUBLES_SAID: u32 = 20;
+/// Problems that are printed one by one; a process that sends invalid messages may do so often.
+const PROBLEMS_PRINTED: u32 = 20;
 
-/// Keeps a run folder up to date, and a person.
+/// Records a session in the run folder and shows it.
 #[derive(Debug)]
-pub struct Session<'a> {
+pub struct RunSession<'a> {
     folder: &'a mut RunFolder,
-    progress: Progress,
+    monitor: Monitor,
     budget: Budget,
+    trace: Option<RunTrace>,
     lanes: u32,
     frame_budget: u32,
     began_ns: u64,
     generation: u32,
-    troubles: u32,
-    last_trouble: String,
+    problems: u32,
+    last_problem: String,
     finished: u32,
-    /// Episodes of the run that are done.
-    done: u64,
-    latency: Latency,
-    status: StatusFile,
-    trace: Option<Trace>,
 }
 
-impl<'a> Session<'a> {
-    /// A session that writes to `folder`, and to `trace`, and keeps to `budget`, with so many lanes and frames.
+impl<'a> RunSession<'a> {
+    /// A session that is recorded in `folder`, with so many lanes and frames.
     pub fn new(
         folder: &'a mut RunFolder,
-        progress: Progress,
+        monitor: Monitor,
         budget: Budget,
-        lanes: u32,
-        frame_budget: u32,
-        trace: Option<Trace>,
+        trace: Option<RunTrace>,
+        (lanes, frame_budget): (u32, u32),
     ) -> Self {
-        let episodes = u64::from(folder.manifest().episodes);
-        let status = StatusFile::new(folder.dir(), lanes, episodes);
         Self {
-            done: folder.count_finished(),
-            latency: Latency::default(),
-            status,
-            trace,
             folder,
-            progress,
+            monitor,
             budget,
+            trace,
             lanes,
             frame_budget,
             began_ns: monotonic_ns(),
             generation: 0,
-            troubles: 0,
-            last_trouble: String::new(),
+            problems: 0,
+            last_problem: String::new(),
             finished: 0,
         }
     }
 
-    /// Writes down how the session ended; `reason` is "complete", or why it stopped.
+    /// Records how the session ended; `reason` is "complete", or why it stopped.
     ///
     /// # Errors
-    /// When the run folder cannot be written to.
+    /// When the run folder or the trace cannot be written.
     pub fn end(mut self, outcome: &Result<Ending>, reason: &str) -> Result<()> {
         let session = self.folder.session();
         let mut errors = 0;
-        let mut shutdown_reports = BTreeMap::new();
+        let mut farewells = BTreeMap::new();
         if let Ok(ending) = outcome {
             for (episode, why) in &ending.unfinished {
                 let (key, error) = (episode.key.to_string(), why.clone());
                 self.folder.give_up(&EpisodeError { key, session, error })?;
-                self.progress.errored();
+                self.monitor.gave_up();
                 errors += 1;
             }
-            shutdown_reports = ending
-                .shutdown_reports
-                .iter()
-                .map(|(role, said)| said_about(*role, said))
-                .collect();
+            let reports = ending.shutdown_reports.iter();
+            farewells = reports.map(|(role, report)| counts_of(*role, report)).collect();
         }
-        if self.troubles > TROUBLES_SAID {
-            let more = self.troubles - TROUBLES_SAID;
-            self.progress.note(&format!("{more} more such messages were not shown"));
+        if let Some(more) = self.problems.checked_sub(PROBLEMS_PRINTED).filter(|more| *more > 0) {
+            self.monitor.note(&format!("{more} more such messages were not printed"));
         }
-        let session = self.folder.session();
-        self.latency.records(session).try_for_each(|record| self.folder.measured(&record))?;
-        self.progress.close();
+        let latency = self.monitor.close();
+        latency.records(session).try_for_each(|record| self.folder.measured(&record))?;
         if let Some(trace) = self.trace {
             let path = trace.finish()?;
             eprintln!("trace: {} (open it with https://ui.perfetto.dev)", path.display());
         }
         let (finished, reason) = (self.finished, reason.to_owned());
-        Ok(self.folder.note(SessionEvent::Ended {
-            finished,
-            errors,
-            reason,
-            farewells: shutdown_reports,
-        })?)
+        Ok(self.folder.note(SessionEvent::Ended { finished, errors, reason, farewells })?)
     }
 }
 
-impl Observer for Session<'_> {
+impl Observer for RunSession<'_> {
     fn starting(&mut self, generation: u32) {
         if generation > 1 {
-            let (generation, reason) = (self.generation, self.last_trouble.clone());
+            let (generation, reason) = (self.generation, self.last_problem.clone());
             if let Err(error) = self.folder.note(SessionEvent::Failed { generation, reason }) {
-                self.progress.note(&format!("{error}"));
+                self.monitor.note(&error.to_string());
             }
         }
         self.generation = generation;
-        self.progress.phase("starting the processes");
+        self.monitor.phase("starting the processes");
     }
 
-    fn awaiting(&mut self, folder: &Path) {
+    fn awaiting_policy(&mut self, folder: &Path) {
         if self.generation == 1 {
-            self.progress.note(&format!(
-                "start your policy with this, now or later:\n  {ATTACH_VARIABLE}={} your-program",
+            self.monitor.note(&format!(
+                "Start your policy, now or later:\n  {ATTACH_VARIABLE}={} your-program",
                 folder.display()
             ));
         }
-        self.progress.phase("waiting for a policy to attach");
+        self.monitor.phase("waiting for a policy to attach");
     }
 
     fn ready(&mut self, facts: &BTreeMap<Role, Facts>) -> Result<()> {
@@ -146,93 +124,94 @@ impl Observer for Session<'_> {
             processes: processes.clone(),
         })?;
         for change in self.folder.introduce(processes)? {
-            self.progress.note(&change);
+            self.monitor.note(&change);
         }
-        let remembers = facts.contains_key(&Role::Memory);
-        self.progress.phase(if remembers {
-            "looking at the demonstrations"
+        let has_memory = facts.contains_key(&Role::Memory);
+        self.monitor.phase(if has_memory {
+            "preparing memories"
         } else {
-            "setting out"
+            "taking the first steps"
         });
         Ok(())
     }
 
-    fn spent(&mut self, spent: &Spent) -> Result<Option<String>> {
-        let session = self.folder.session();
-        let request = request_record(spent.key.clone(), session, &spent.decision);
-        self.folder.asked(&request)?;
-        self.budget.add(&request);
+    fn answered(&mut self, request: &AnsweredRequest) -> Result<Option<String>> {
+        let record = request_record(request, self.folder.session());
+        self.folder.asked(&record)?;
+        self.budget.add(&record);
         Ok(self.budget.exceeded())
     }
 
-    fn finished(&mut self, walked: &Walked, attempt: u32) -> Result<()> {
+    fn finished(&mut self, finished: &FinishedEpisode, attempt: u32) -> Result<()> {
         let timings = EpisodeTimings {
-            key: walked.record.key.clone(),
+            key: finished.record.key.clone(),
             session: self.folder.session(),
             generation: self.generation,
-            ticket: walked.ticket,
+            ticket: finished.id,
             attempt,
-            lane: walked.lane,
-            started_ns: walked.started_ns.saturating_sub(self.began_ns),
-            ended_ns: walked.ended_ns.saturating_sub(self.began_ns),
-            steps: walked.record.steps,
-            rubbish: walked.rubbish,
-            stages: walked.stages,
+            lane: finished.lane,
+            started_ns: finished.started_ns.saturating_sub(self.began_ns),
+            ended_ns: finished.ended_ns.saturating_sub(self.began_ns),
+            steps: finished.record.steps,
+            rubbish: finished.unusable,
+            stages: finished.stages,
         };
-        self.folder.finish(&[(walked.record.clone(), timings)])?;
+        self.folder.finish(&[(finished.record.clone(), timings)])?;
         self.finished += 1;
-        self.done += 1;
-        self.progress.finished(walked.record.is_success());
+        self.monitor.finished(finished.record.is_success());
         Ok(())
     }
 
     fn stepped(&mut self, stamps: &Stamps) -> Result<()> {
-        self.latency.record(stamps);
-        self.status.stepped(stamps);
+        self.monitor.stepped(stamps);
         self.trace.as_mut().map_or(Ok(()), |trace| trace.step(stamps))
     }
 
     fn heartbeat(&mut self, role: Role, heartbeat: &Heartbeat) {
-        self.status.heartbeat(role, heartbeat);
+        self.monitor.heartbeat(role, heartbeat);
     }
 
-    fn waiting(&mut self, owed: &[Owed]) {
-        self.status.waiting(owed);
-        self.status.tick(self.done);
+    fn waiting_for_server(&mut self, reason: Option<&str>) {
+        self.monitor.waiting_for_server(reason);
     }
 
-    fn progress(&mut self, steps: u64) {
-        self.progress.steps(steps);
-        self.progress.tick();
+    fn pending(&mut self, pending: &[PendingAnswer]) {
+        self.monitor.pending(pending);
     }
 
-    fn trouble(&mut self, what: &str) {
-        self.troubles += 1;
-        if self.troubles <= TROUBLES_SAID {
-            self.progress.note(what);
+    fn progress(&mut self, _steps: u64) {
+        self.monitor.tick();
+    }
+
+    fn problem(&mut self, what: &str) {
+        self.problems += 1;
+        if self.problems <= PROBLEMS_PRINTED {
+            self.monitor.note(what);
         }
-        self.last_trouble = what.to_owned();
+        what.clone_into(&mut self.last_problem);
     }
 }
 
-fn said_about(role: Role, said: &ShutdownReport) -> (String, BTreeMap<String, u64>) {
+/// A shutdown report as the run folder keeps it.
+fn counts_of(role: Role, report: &ShutdownReport) -> (String, BTreeMap<String, u64>) {
     let counts = [
-        ("frames_rendered", said.frames_rendered),
-        ("frames_evicted", said.frames_evicted),
-        ("frames_held", said.frames_received),
-        ("pixel_bytes_copied", said.pixel_bytes_copied),
-        ("complaints", said.error_reports),
+        ("frames_rendered", report.frames_rendered),
+        ("frames_evicted", report.frames_evicted),
+        ("frames_held", report.frames_received),
+        ("pixel_bytes_copied", report.pixel_bytes_copied),
+        ("complaints", report.error_reports),
     ];
     let counts = counts.into_iter().map(|(what, count)| (what.to_owned(), count));
     (role.word().to_owned(), counts.collect())
 }
 
-/// The record of the request that `decision` reports.
-fn request_record(key: String, session: u32, decision: &Decision) -> RequestRecord {
+/// The record of a request to a model. A policy may leave any figure unmeasured.
+fn request_record(request: &AnsweredRequest, session: u32) -> RequestRecord {
+    let AnsweredRequest { key, decision } = request;
     let counts = decision.counts();
     let latency_ns = decision.decided_ns.saturating_sub(decision.sent_ns);
     RequestRecord {
-        key,
+        key: key.clone(),
         step: decision.step,
         session,
         // Decisions with an invalid outcome are dropped before.

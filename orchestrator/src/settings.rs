@@ -1,39 +1,18 @@
-//! The settings of a run, put together from layers.
+//! What a run is asked to do: sources of settings, resolved once into a [`RunSettings`].
 //!
-//! A [`Layer`] holds the settings of one source; its fields are at the same time the flags of `memtransfer run`,
-//! the MEMTRANSFER_* variables and the keys of a suite file. [`resolve`] puts the layers on top of each other
-//! (defaults < suite file < environment < command line) and checks the result.
-//!
-//! Conditions are listed in [`Group`](results::settings::Group)s. Flags and variables apply to all groups.
+//! [`keys`](KEYS) is the one table of settings: every entry is a flag of `memtransfer run`, a
+//! `MEMTRANSFER_*` variable and a key of a suite file. A [`Layer`] holds what one source says, its values
+//! checked against the table, so a message can name the source. [`resolve`] merges the layers (defaults <
+//! suite < environment < command line) and checks what concerns several settings.
 
 mod cases;
-mod images;
+mod keys;
 mod layer;
 mod resolve;
 mod suite;
 
 pub use cases::select_cases;
-pub use images::{MAX_IMAGES, TooManyImages};
-pub use layer::Layer;
-pub use resolve::{Origin, Resolved, SettingsError, resolve};
-pub use suite::{SuiteError, load_suite, shipped_suites};
-
-/// The keys that a `[[group]]` of a suite file may have beside its name.
-pub const GROUP_KEYS: &[&str] =
-    &["memory", "starts", "routes", "demos", "window", "segment", "hint", "runs"];
-
-/// The keys of [`ModelSettings`](results::settings::ModelSettings): for `--policy openai` only.
-pub const MODEL_KEYS: &[&str] = &[
-    "model",
-    "base-url",
-    "image-format",
-    "image-budget",
-    "answer-tokens",
-    "max-connections",
-    "max-retries",
-    "request-timeout",
-    "response-cache",
-    "prices",
-    "max-tokens-total",
-    "max-cost",
-];
+pub use keys::{KEYS, Key, MAX_IMAGES};
+pub use layer::{GROUP_KEYS, Layer, Origin, variable};
+pub use resolve::{Resolved, SettingsError, resolve};
+pub use suite::{SHIPPED_SUITES, load_suite};

@@ -1,4 +1,4 @@
-//! SIGINT and SIGTERM: the first asks a run to stop, the second ends the program at once.
+//! SIGINT and SIGTERM: the first one asks to stop, the second one ends the program at once.
 
 use std::io;
 use std::sync::Arc;
@@ -6,36 +6,36 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
 use signal_hook::consts::{SIGINT, SIGTERM};
 
-/// What was asked for by signals, from the moment on when it is made.
+/// The signals received since [`Signals::listen`].
 #[derive(Debug, Clone)]
 pub struct Signals {
-    asked: Arc<AtomicBool>,
+    stop: Arc<AtomicBool>,
     received: Arc<AtomicUsize>,
 }
 
 impl Signals {
-    /// Listens from now on.
+    /// Starts to listen.
     ///
     /// # Errors
     /// When the system refuses.
     pub fn listen() -> io::Result<Self> {
         let received = Arc::new(AtomicUsize::new(0));
-        let asked = Arc::new(AtomicBool::new(false));
+        let stop = Arc::new(AtomicBool::new(false));
         for signal in [SIGINT, SIGTERM] {
-            // In this order: the first signal finds `asked` unset and only sets it.
-            signal_hook::flag::register_conditional_default(signal, Arc::clone(&asked))?;
-            signal_hook::flag::register(signal, Arc::clone(&asked))?;
+            // In this order: the first signal finds `stop` unset and only sets it.
+            signal_hook::flag::register_conditional_default(signal, Arc::clone(&stop))?;
+            signal_hook::flag::register(signal, Arc::clone(&stop))?;
             signal_hook::flag::register_usize(signal, Arc::clone(&received), signal as usize)?;
         }
-        Ok(Self { asked, received })
+        Ok(Self { stop, received })
     }
 
-    /// True from the moment on when a signal asked to stop.
+    /// Set once a signal asks to stop.
     pub fn stop(&self) -> &AtomicBool {
-        &self.asked
+        &self.stop
     }
 
-    /// The signal that asked to stop, if one did.
+    /// The last signal, if there was one.
     pub fn received(&self) -> Option<u8> {
         u8::try_from(self.received.load(Ordering::Relaxed)).ok().filter(|&signal| signal != 0)
     }

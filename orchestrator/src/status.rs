@@ -1,80 +1,100 @@
-//! What a running run is at: a small file in its folder, written anew about twice a second and removed when the
-//! session ends. `memtransfer top` shows it.
+//! The live status of a running session: what progress shows and, through a small file in the run's folder,
+//! `memtransfer top`.
 
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use anyhow::{Context, Result};
 use domain::Representation;
-use serde::{Deserialize, Serialize};
-use shm_types::message::{Heartbeat, Role};
-
-use crate::lanes::{Owed, Stamps};
-use crate::latency::Latency;
 use results::latency::LatencySummary;
+use serde::{Deserialize, Serialize};
 
-/// Time between two writings.
-const INTERVAL: Duration = Duration::from_millis(500);
+/// Name of the file in a run's folder.
+const STATUS_FILE: &str = "status.json";
 
-pub use results::log::STATUS_FILE;
-
-/// What a running run is at.
+/// The live status of a session.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
-pub struct Status {
+pub struct LiveStatus {
     /// Process id of the orchestrator.
     pub pid: u32,
+    /// What the session does: starting its processes, running episodes, ...
+    pub phase: String,
+    /// Why the policy waits for its model's server, while it does.
+    pub waiting_for_server: Option<String>,
     /// Seconds since the session began.
     pub elapsed_s: f64,
-    /// Episodes of the run, and those that are done.
-    pub episodes: (u64, u64),
+    /// Seconds since its first step.
+    pub running_s: f64,
+    /// Episodes of the run.
+    pub episodes: EpisodeCounts,
     /// Steps of this session.
     pub steps: u64,
-    /// Steps a second, since the writing before.
+    /// Steps per second since the last update.
     pub steps_per_s: f64,
-    /// Lanes of the run, and how many wait for which process; the others are free.
+    /// Lanes.
     pub lanes: u32,
-    /// By the process's name.
+    /// How many lanes wait for each process, by its name. The others are free.
     pub waiting: BTreeMap<String, u32>,
-    /// What the processes told last, by their names.
-    pub processes: BTreeMap<String, Process>,
-    /// The stages of the steps since the writing before.
-    pub stages: Vec<Stage>,
+    /// What each process reported last, by its name.
+    pub processes: BTreeMap<String, ProcessStatus>,
+    /// Latencies of the steps since the last update.
+    pub stages: Vec<StageLatency>,
 }
 
-/// What a process told.
+/// Counts of a run's episodes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+pub struct EpisodeCounts {
+    /// All of the run.
+    pub planned: u64,
+    /// Finished by earlier sessions, and how many of them successfully.
+    pub earlier: (u64, u64),
+    /// Finished by this session, and how many of them successfully.
+    pub finished: (u64, u64),
+    /// Given up by this session.
+    pub given_up: u64,
+}
+
+/// The load of a process.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
-pub struct Process {
-    /// As [`Heartbeat::done`]: views drawn, images embedded, requests answered.
+pub struct ProcessStatus {
+    /// Views rendered, images embedded, or requests answered.
     pub done: u64,
-    /// The same, a second.
+    /// The same per second.
     pub done_per_s: f64,
-    /// As [`Heartbeat::waiting`].
+    /// Requests that wait for the process.
     pub waiting: u64,
-    /// As [`Heartbeat::held`]: frames.
+    /// Frames it holds.
     pub held: u64,
-    /// As [`Heartbeat::room`].
+    /// Frames it may hold; 0 for no limit.
     pub room: u64,
 }
 
-/// How long a stage took.
+/// The latency of one stage with one memory.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Stage {
-    /// Under which memory.
+pub struct StageLatency {
+    /// The memory.
     pub memory: Representation,
-    /// The stage, or `step` for all of them together.
+    /// The stage, or `step` for all stages together.
     pub stage: String,
-    /// The times.
+    /// The latency.
     #[serde(flatten)]
     pub summary: LatencySummary,
 }
 
-impl Status {
-    /// What the run in the folder `run` is at; `None` when none is running there.
+impl EpisodeCounts {
+    /// Episodes that are over.
+    pub const fn done(&self) -> u64 {
+        self.earlier.0 + self.finished.0 + self.given_up
+    }
+}
+
+impl LiveStatus {
+    /// The status of the session that runs in the folder `run`; `None` when none does.
     ///
     /// # Errors
-    /// When the file is there and cannot be read.
+    /// When the status file exists and cannot be read.
     pub fn read(run: &Path) -> Result<Option<Self>> {
         let path = run.join(STATUS_FILE);
         let text = match fs::read_to_string(&path) {
@@ -85,92 +105,78 @@ impl Status {
             }
         };
         let status: Self = serde_json::from_str(&text)
-            .with_context(|| format!("{} is not what a run writes", path.display()))?;
-        // One that was killed leaves its file behind.
+            .with_context(|| format!("{} is not a status file", path.display()))?;
+        // A session that was killed leaves its file behind.
         let is_alive = Path::new("/proc").join(status.pid.to_string()).exists();
         Ok(is_alive.then_some(status))
     }
+
+    /// Progress in one line.
+    pub fn line(&self) -> String {
+        let counts = &self.episodes;
+        if self.steps == 0 && self.waiting_for_server.is_none() {
+            return self.phase.clone();
+        }
+        let mut parts = vec![format!("{}/{} episodes", counts.done(), counts.planned)];
+        // Over less than a second a rate means nothing.
+        if self.running_s >= 1.0 {
+            parts.push(format!("{:.0} steps/s", self.steps as f64 / self.running_s));
+        }
+        let (episodes, successes) =
+            (counts.earlier.0 + counts.finished.0, counts.earlier.1 + counts.finished.1);
+        if episodes > 0 {
+            parts.push(format!("SR {:.1} %", 100.0 * successes as f64 / episodes as f64));
+        }
+        if counts.given_up > 0 {
+            parts.push(format!("{} given up", counts.given_up));
+        }
+        if let Some(reason) = &self.waiting_for_server {
+            parts.push(format!("waiting for the server: {reason}"));
+            return parts.join(", ");
+        }
+        // How fast earlier sessions were says nothing about this one.
+        let now = counts.finished.0 + counts.given_up;
+        if now > 0 {
+            let left = counts.planned.saturating_sub(counts.done()) as f64;
+            let left = Duration::from_secs_f64(left * self.running_s / now as f64);
+            parts.push(format!("{} left", duration(left)));
+        }
+        parts.join(", ")
+    }
 }
 
-/// Keeps the file up to date. A file that cannot be written is done without: nothing depends on it.
+/// A duration for people: `48 s`, `3 min 20 s`, `1 h 05 min`.
+fn duration(duration: Duration) -> String {
+    let s = duration.as_secs_f64().round() as u64;
+    match s {
+        0..60 => format!("{s} s"),
+        60..3600 => format!("{} min {:02} s", s / 60, s % 60),
+        _ => format!("{} h {:02} min", s / 3600, s / 60 % 60),
+    }
+}
+
+/// The status file of a run. A file that cannot be written is done without.
 #[derive(Debug)]
 pub struct StatusFile {
     path: PathBuf,
-    status: Status,
-    latency: Latency,
-    heartbeats: BTreeMap<Role, (Instant, Heartbeat)>,
-    began: Instant,
-    written: (Instant, u64),
 }
 
 impl StatusFile {
-    /// For the run in the folder `run`, of so many lanes and episodes.
-    pub fn new(run: &Path, lanes: u32, episodes: u64) -> Self {
-        let now = Instant::now();
-        let pid = std::process::id();
-        Self {
-            path: run.join(STATUS_FILE),
-            status: Status { pid, lanes, episodes: (episodes, 0), ..Status::default() },
-            latency: Latency::default(),
-            heartbeats: BTreeMap::new(),
-            began: now,
-            written: (now, 0),
-        }
+    /// The file in the folder `run`, not written yet.
+    pub fn new(run: &Path) -> Self {
+        Self { path: run.join(STATUS_FILE) }
     }
 
-    /// A step was taken.
-    pub fn stepped(&mut self, stamps: &Stamps) {
-        self.status.steps += 1;
-        self.latency.record(stamps);
-    }
-
-    /// A process told what it is at.
-    pub fn heartbeat(&mut self, role: Role, heartbeat: &Heartbeat) {
-        let now = Instant::now();
-        let Heartbeat { done, waiting, held, room, .. } = *heartbeat;
-        let before = self.heartbeats.insert(role, (now, *heartbeat));
-        let done_per_s = before.map_or(0.0, |(when, before)| {
-            done.saturating_sub(before.done) as f64 / (now - when).as_secs_f64().max(1e-3)
-        });
-        let process = Process { done, done_per_s, waiting, held, room };
-        self.status.processes.insert(role.word().to_owned(), process);
-    }
-
-    /// What lanes wait for.
-    pub fn waiting(&mut self, owed: &[Owed]) {
-        self.status.waiting.clear();
-        for owed in owed {
-            *self.status.waiting.entry(owed.role.word().to_owned()).or_default() += 1;
-        }
-    }
-
-    /// Writes the file, if it is time to. So many episodes are done.
-    pub fn tick(&mut self, done: u64) {
-        let (when, steps) = self.written;
-        let passed = when.elapsed();
-        if passed < INTERVAL {
-            return;
-        }
-        let status = &mut self.status;
-        status.elapsed_s = self.began.elapsed().as_secs_f64();
-        status.episodes.1 = done;
-        status.steps_per_s = (status.steps - steps) as f64 / passed.as_secs_f64();
-        let stages = self.latency.summaries();
-        status.stages = stages
-            .map(|(memory, stage, summary)| Stage { memory, stage: stage.to_owned(), summary })
-            .collect();
-        self.latency.clear();
-        self.written = (Instant::now(), status.steps);
-        if let Err(error) = self.write() {
-            tracing::debug!(%error, "the run's status cannot be written");
-        }
-    }
-
-    fn write(&self) -> Result<()> {
+    /// Replaces the file's content.
+    pub fn write(&self, status: &LiveStatus) {
         let new = self.path.with_extension("json.new");
-        fs::write(&new, serde_json::to_vec(&self.status)?)?;
-        // Whoever reads sees the one or the other, whole.
-        Ok(fs::rename(&new, &self.path)?)
+        let written = serde_json::to_vec(status)
+            .map_err(std::io::Error::from)
+            .and_then(|text| fs::write(&new, text))
+            .and_then(|()| fs::rename(&new, &self.path));
+        if let Err(error) = written {
+            tracing::debug!(%error, "cannot write the status file");
+        }
     }
 }
 
@@ -186,27 +192,50 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_status_is_there_while_the_run_is() {
+    fn the_status_file_exists_while_the_session_runs() {
         let run = tempfile::tempdir().unwrap();
-        assert!(Status::read(run.path()).unwrap().is_none());
-        let mut file = StatusFile::new(run.path(), 8, 100);
-        file.written.0 -= INTERVAL;
-        file.stepped(&Stamps::none(1, 0, Representation::Working));
-        file.waiting(&[Owed { role: Role::Sim, lane: 3, since_ns: 0, rubbish: 0 }]);
-        let heartbeat = Heartbeat { held: 7, room: 9, ..bytemuck::Zeroable::zeroed() };
-        file.heartbeat(Role::Sim, &heartbeat);
-        file.tick(40);
-        let status = Status::read(run.path()).unwrap().unwrap();
-        assert_eq!((status.episodes, status.steps, status.lanes), ((100, 40), 1, 8));
-        assert_eq!((status.waiting["sim"], status.processes["sim"].held), (1, 7));
-        assert_eq!(status.stages.len(), results::log::Stages::NAMES.len() + 1);
-
-        let dead = Status { pid: u32::MAX, ..status };
-        fs::write(run.path().join(STATUS_FILE), serde_json::to_string(&dead).unwrap()).unwrap();
-        assert!(Status::read(run.path()).unwrap().is_none(), "its process is gone");
+        assert!(LiveStatus::read(run.path()).unwrap().is_none());
+        let file = StatusFile::new(run.path());
+        let status = LiveStatus { pid: std::process::id(), steps: 7, ..LiveStatus::default() };
+        file.write(&status);
+        assert_eq!(LiveStatus::read(run.path()).unwrap(), Some(status.clone()));
+        file.write(&LiveStatus { pid: u32::MAX, ..status });
+        assert!(LiveStatus::read(run.path()).unwrap().is_none(), "its process is gone");
         fs::write(run.path().join(STATUS_FILE), "{").unwrap();
-        assert!(Status::read(run.path()).is_err());
+        assert!(LiveStatus::read(run.path()).is_err());
         drop(file);
         assert!(!run.path().join(STATUS_FILE).exists());
+    }
+
+    #[test]
+    fn the_line_tells_progress_speed_success_and_the_time_left() {
+        let counts = EpisodeCounts { planned: 400, ..EpisodeCounts::default() };
+        let after = |episodes, steps, running_s| LiveStatus {
+            episodes,
+            steps,
+            running_s,
+            ..LiveStatus::default()
+        };
+        let starting = LiveStatus { phase: "starting".to_owned(), ..after(counts, 0, 0.0) };
+        assert_eq!(starting.line(), "starting");
+        assert_eq!(after(counts, 1, 0.0).line(), "0/400 episodes");
+        let counts = EpisodeCounts { finished: (50, 20), ..counts };
+        insta::assert_snapshot!(after(counts, 1000, 10.0).line(), @"50/400 episodes, 100 steps/s, SR 40.0 %, 1 min 10 s left");
+        // A resumed run counts all episodes; the time left follows from this session's speed.
+        let counts = EpisodeCounts { earlier: (100, 100), given_up: 50, ..counts };
+        let status = after(counts, 1000, 10.0);
+        insta::assert_snapshot!(status.line(), @"200/400 episodes, 100 steps/s, SR 80.0 %, 50 given up, 20 s left");
+        let waiting =
+            LiveStatus { waiting_for_server: Some("connection refused".to_owned()), ..status };
+        insta::assert_snapshot!(waiting.line(), @"200/400 episodes, 100 steps/s, SR 80.0 %, 50 given up, waiting for the server: connection refused");
+    }
+
+    #[test]
+    fn durations_are_short() {
+        for (seconds, expected) in
+            [(0.2, "0 s"), (59.6, "1 min 00 s"), (200.0, "3 min 20 s"), (3900.0, "1 h 05 min")]
+        {
+            assert_eq!(duration(Duration::from_secs_f64(seconds)), expected);
+        }
     }
 }

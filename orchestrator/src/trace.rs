@@ -1,10 +1,9 @@
-//! A trace of a run that Perfetto opens (<https://ui.perfetto.dev>): what every process was at when, and where
-//! every step was.
+//! A trace of a run for Perfetto (<https://ui.perfetto.dev>): what each process worked on, and the stages of each step.
 //!
-//! Chrome's JSON trace format. Each process is one there; its tracks are what it worked on (from the
-//! [spans](shm_types::spans) that it kept) and, for each lane, the stages of the steps (from their
-//! [stamps](Stamps)). Work shows what overlaps; a stage is as long as the step was in it, waiting included. Slices of
-//! one track never overlap: Perfetto drops one that begins within another and ends after it.
+//! Chrome's JSON trace format. Each process has a track for every kind of work (from the
+//! [spans](shm_types::spans) that it records) and one for every lane with the stages of its steps (from their
+//! [stamps](Stamps)). A stage includes waiting. Slices of one track never overlap: Perfetto drops a slice that begins
+//! within another and ends after it.
 
 use std::fs::{self, File};
 use std::io::{BufRead, BufReader, BufWriter, Write};
@@ -18,23 +17,23 @@ use shm_types::spans::Span;
 
 use crate::lanes::Stamps;
 
-/// Tracks of lanes begin here, those of work before.
+/// Numbers of lanes' tracks begin here; smaller ones are those of work.
 pub const FIRST_LANE: u32 = 100;
 
 /// A trace that is being written.
 #[derive(Debug)]
-pub struct Trace {
+pub struct RunTrace {
     path: PathBuf,
     file: BufWriter<File>,
-    /// Where processes keep their spans until the end.
+    /// Where processes record their spans.
     spans: PathBuf,
     began_ns: u64,
     is_first: bool,
     lanes: u32,
 }
 
-impl Trace {
-    /// A trace in the file `path`, which is written anew.
+impl RunTrace {
+    /// A trace in the file `path`, which is replaced.
     ///
     /// # Errors
     /// When the file, or the folder for spans beside it, cannot be made.
@@ -58,7 +57,7 @@ impl Trace {
         Ok(Self { path, file, spans, began_ns, is_first: true, lanes: 0 })
     }
 
-    /// The folder in which processes are to keep spans.
+    /// The folder in which processes record their spans.
     pub fn spans(&self) -> &Path {
         &self.spans
     }
@@ -82,27 +81,27 @@ impl Trace {
             (Role::Policy, "decide", s.started_ns, s.decided_ns),
         ];
         for (role, name, start_ns, end_ns) in whole.into_iter().chain(stages) {
-            // What a step did not go through has no stamps.
+            // A stage that the step skips has no stamps.
             if start_ns == 0 || end_ns <= start_ns {
                 continue;
             }
-            let arguments = json!({ "step": s.step, "episode": s.ticket, "memory": s.memory });
+            let arguments = json!({ "step": s.step, "episode": s.episode, "memory": s.memory });
             let track = (role, FIRST_LANE + s.lane);
             self.slice(track, name, (start_ns, end_ns), &arguments)?;
         }
         Ok(())
     }
 
-    /// Adds what the processes kept, names the tracks and ends the file. Returns where it is.
+    /// Adds the processes' spans, names the tracks and completes the file. Returns its path.
     ///
     /// # Errors
-    /// When the file cannot be written to, or what a process kept not be read.
+    /// When the file cannot be written, or spans cannot be read.
     pub fn finish(mut self) -> Result<PathBuf> {
         let mut tracks: Vec<(Role, String)> = Vec::new();
         let mut files: Vec<PathBuf> = fs::read_dir(&self.spans)?
             .map(|entry| Ok(entry?.path()))
             .collect::<Result<_>>()
-            .with_context(|| format!("cannot look into {}", self.spans.display()))?;
+            .with_context(|| format!("cannot list {}", self.spans.display()))?;
         files.sort();
         for path in files {
             let Some(role) = role_of(&path) else { continue };
@@ -171,12 +170,12 @@ impl Trace {
     }
 }
 
-/// A process's number in the trace: 0 has a meaning of its own to viewers.
+/// A process's number in the trace: viewers treat 0 as special.
 fn pid(role: Role) -> u32 {
     role as u32 + 1
 }
 
-/// Whose spans are in the file, by its name.
+/// The process whose spans are in the file, by its name.
 fn role_of(path: &Path) -> Option<Role> {
     let name = path.file_stem()?.to_str()?;
     let (word, _) = name.rsplit_once('-')?;
@@ -191,10 +190,10 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_trace_has_a_track_for_each_process_and_lane_and_for_what_was_worked_on() {
+    fn a_trace_has_tracks_for_processes_lanes_and_work() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("deep").join("t.json");
-        let mut trace = Trace::create(&path).unwrap();
+        let mut trace = RunTrace::create(&path).unwrap();
         let at = |us: u64| trace.began_ns + us * 1000;
         let stamps = Stamps {
             step: 4,
@@ -203,7 +202,7 @@ mod tests {
             stepped_ns: at(3),
             rendered_ns: at(7),
             logged_ns: at(9),
-            ..Stamps::none(8, 1, Representation::Working)
+            ..Stamps::new(8, 1, Representation::Working)
         };
         let span = Span {
             track: "renderer".into(),

@@ -1,4 +1,4 @@
-//! The world and the cases a run is about: built in, or read from a folder of assets.
+//! The world and the cases of a run: built in, or read from a folder of assets.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -7,7 +7,7 @@ use std::path::Path;
 use warehouse::case_file::CASES_FILE;
 use warehouse::{AssetError, CaseSet, Warehouse};
 
-/// Files whose contents decide a run's outcome: the name of the hash, the file, the built-in text.
+/// Files whose contents decide the outcome of a run: name of the hash, file, built-in text.
 const HASHED: [(&str, &str, &[u8]); 4] = [
     ("layout", "layout.toml", include_bytes!("../../assets/layout.toml")),
     ("catalogue", "catalogue.toml", include_bytes!("../../assets/catalogue.toml")),
@@ -15,7 +15,7 @@ const HASHED: [(&str, &str, &[u8]); 4] = [
     ("models", "models.toml", include_bytes!("../../assets/models.toml")),
 ];
 
-/// The warehouse, its cases, and what identifies them.
+/// The warehouse, its cases, and the hashes that identify them.
 #[derive(Debug, Clone)]
 pub struct World {
     /// The warehouse.
@@ -27,10 +27,10 @@ pub struct World {
 }
 
 impl World {
-    /// Reads the assets in `assets`, or takes those that are built in.
+    /// Reads the assets in the folder `assets`, or takes the built-in ones.
     ///
     /// # Errors
-    /// When a file cannot be read or says something impossible.
+    /// When a file cannot be read or is invalid.
     pub fn load(assets: Option<&Path>) -> Result<Self, AssetError> {
         let (warehouse, cases) = match assets {
             None => (Warehouse::shipped(), CaseSet::shipped()),

@@ -55,7 +55,7 @@ fn bad_input_gets_one_clear_message_and_exit_status_2() {
     for (arguments, said) in [
         ("run --suite quik", "did you mean `quick`?"),
         ("run --suite ./missing.toml", "cannot read suite ./missing.toml"),
-        ("run --suite typo.toml", "unknown key `lane`: did you mean `lanes`?"),
+        ("run --suite typo.toml", "suite typo.toml: unknown key `lane`: did you mean `lanes`?"),
         ("run --suite broken.toml", "suite broken.toml: TOML parse error at line 1"),
         ("run --policy ground", "did you mean `grounded`?"),
         ("run --memory episodik", "did you mean `episodic`?"),
@@ -66,15 +66,15 @@ fn bad_input_gets_one_clear_message_and_exit_status_2() {
         ("run --documents modle", "did you mean `model`?"),
         (
             "run --suite typo-in-group.toml",
-            "unknown key `start` in group 1: did you mean `starts`?",
+            "suite typo-in-group.toml, group 1: unknown key `start`: did you mean `starts`?",
         ),
         ("run --suite rq1 --window 20", "lower --window or --keyframes"),
         ("run --memory episodic --demos none", "no condition is left"),
         ("run --cases t03-7", "did you mean `t03-07`?"),
         ("run --cases 1-200", "unknown case `1-200`: did you mean `1-100`?"),
         ("run --limit 0", "no case is left"),
-        ("run --lanes 0", "--lanes is 0, but must be 1 to 1024"),
-        ("run --frame-size 100", "--frame-size is 100, but must be a multiple of 64"),
+        ("run --lanes 0", "--lanes: 0 is not a whole number from 1 to 1024"),
+        ("run --frame-size 100", "--frame-size: 100 is not a multiple of 64 from 64 to 4096"),
         ("run --starts original --routes blocked", "a blocked route needs the new start"),
         ("run --lames 3", "--lanes"),
         ("run --assets nowhere", "cannot read nowhere/layout.toml"),
@@ -164,6 +164,34 @@ fn settings_come_from_everywhere_in_order() {
         let line = found.lines().find(|line| line.starts_with(key));
         assert!(line.is_some_and(|line| line.ends_with(origin)), "{key} from {origin}: {found}");
     }
+}
+
+#[test]
+fn a_wrong_variable_is_named() {
+    let dir = dir();
+    for (variable, value, said) in [
+        ("MEMTRANSFER_LANES", "abc", "MEMTRANSFER_LANES: abc is not a whole number"),
+        ("MEMTRANSFER_LANS", "3", "did you mean `MEMTRANSFER_LANES`?"),
+        ("MEMTRANSFER_POLICY", "ground", "MEMTRANSFER_POLICY: unknown policy `ground`"),
+    ] {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_memtransfer"));
+        command.args(["run", "--dry-run"]).current_dir(dir.path()).env(variable, value);
+        let output = command.output().unwrap();
+        let found = text(&output.stderr);
+        assert_eq!(output.status.code(), Some(2), "{found}");
+        assert!(found.contains(said) && !found.contains("--lanes"), "{found}");
+    }
+}
+
+#[test]
+fn a_larger_limit_includes_the_cases_of_a_smaller_one() {
+    let dir = dir();
+    let planned = |limit: u32| {
+        let arguments = format!("run --dry-run --policy expert --starts new --limit {limit}");
+        text(&memtransfer(dir.path(), &arguments).stdout)
+    };
+    assert!(planned(10).contains("10 of 10 episodes"), "{}", planned(10));
+    assert!(planned(20).contains("20 of 20 episodes"), "{}", planned(20));
 }
 
 #[test]

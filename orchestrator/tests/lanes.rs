@@ -3,8 +3,8 @@
 
 use bytemuck::Zeroable;
 use domain::{Action, Feedback, Outcome, Pose, Representation};
-use orchestrator::lanes::{Fault, Lanes, Opening, Rules, Turn, Walked};
-use orchestrator::plan::Episode;
+use orchestrator::lanes::{AnswerError, EpisodeOpening, FinishedEpisode, Lanes, Rules, Turn};
+use orchestrator::plan::PlannedEpisode;
 use results::conditions::{Condition, Demonstrations, Route, Start, Variation};
 use results::key::EpisodeKey;
 use results::log::Ending;
@@ -20,13 +20,13 @@ fn world() -> (Warehouse, CaseSet) {
     (Warehouse::shipped(), CaseSet::shipped())
 }
 
-fn episode(cases: &CaseSet, case_index: usize, start: Start, route: Route) -> Episode {
+fn episode(cases: &CaseSet, case_index: usize, start: Start, route: Route) -> PlannedEpisode {
     let demonstrations = Demonstrations::ORIGINAL;
     let variation = Variation::STANDARD;
     let condition =
         Condition { memory: Representation::Episodic, start, route, demonstrations, variation };
     let case = cases.cases[case_index].id.clone();
-    Episode { key: EpisodeKey { condition, run: 1, case }, case_index, seed: 7 }
+    PlannedEpisode { key: EpisodeKey { condition, run: 1, case }, case_index, seed: 7 }
 }
 
 /// The simulator: the same dynamics, from what the commands say alone.
@@ -91,25 +91,25 @@ fn decision(of: &Observation, action: Action) -> Decision {
     }
 }
 
-/// Walks one episode to its end; the policy answers by step number, `None` for an unreadable answer.
-fn walk(
+/// Runs one episode to its end; the policy answers by step number, `None` for an unreadable answer.
+fn run(
     rules: Rules,
     start: Start,
     route: Route,
     case: usize,
     answer: impl Fn(usize) -> Option<Action>,
-) -> Walked {
+) -> FinishedEpisode {
     let (_, cases) = world();
-    walk_remembering(rules, episode(&cases, case, start, route), answer, trace)
+    run_with_recall(rules, episode(&cases, case, start, route), answer, trace)
 }
 
 /// The same, with what memory recalls at each observation.
-fn walk_remembering(
+fn run_with_recall(
     rules: Rules,
-    episode: Episode,
+    episode: PlannedEpisode,
     answer: impl Fn(usize) -> Option<Action>,
     recall: impl Fn(&Observation) -> RecallTrace,
-) -> Walked {
+) -> FinishedEpisode {
     let (warehouse, cases) = world();
     let mut lanes = Lanes::new(&warehouse, &cases, rules, 1);
     let opening = lanes.begin(0, episode);
@@ -119,7 +119,7 @@ fn walk_remembering(
     loop {
         let observation = sim.observe(&command);
         match lanes.observed(&observation).unwrap() {
-            Turn::Finished(walked) => return *walked,
+            Turn::Finished(finished) => return *finished,
             Turn::Command(next) => {
                 command = next;
                 continue;
@@ -151,7 +151,7 @@ fn the_expert_completes_every_case_from_every_start_with_the_reference_s_length(
             (Start::New, Route::Unchanged),
             (Start::New, Route::Blocked),
         ] {
-            let record = walk(rules, start, route, case, |_| None).record;
+            let record = run(rules, start, route, case, |_| None).record;
             assert_eq!(record.ending, Ending::Complete, "{}", record.key);
             assert_eq!(record.steps, record.reference, "{}", record.key);
             assert_eq!(record.tried_closed, (route == Route::Blocked).then_some(false));
@@ -173,8 +173,8 @@ fn the_expert_completes_every_case_from_every_start_with_the_reference_s_length(
 fn an_episode_ends_at_the_limit_and_counts_what_happened() {
     let turning = |step| (step != 4).then_some(Action::TurnLeft);
     let rules = Rules { max_steps: 9, ..RULES };
-    let walked = walk(rules, Start::Original, Route::Unchanged, 0, turning);
-    let record = walked.record;
+    let finished = run(rules, Start::Original, Route::Unchanged, 0, turning);
+    let record = finished.record;
     assert_eq!((record.ending, record.steps), (Ending::OutOfSteps, 9));
     assert_eq!(record.actions, "LLLL?LLLL");
     assert_eq!(record.start_pose, record.final_pose);
@@ -205,7 +205,7 @@ fn the_log_says_whose_demonstration_each_match_is_of() {
         };
         let rules = Rules { max_steps: 5, ..RULES };
         let turning = |_| Some(Action::TurnLeft);
-        let record = walk_remembering(rules, episode.clone(), turning, recall).record;
+        let record = run_with_recall(rules, episode.clone(), turning, recall).record;
         let [one, two] = cases.cases[20]
             .mixed(mixture)
             .map(|History { case, start }| format!("{}:{}7", cases.cases[case].id, start.letter()));
@@ -214,7 +214,7 @@ fn the_log_says_whose_demonstration_each_match_is_of() {
 }
 
 #[test]
-fn walking_into_the_barricade_is_noticed() {
+fn a_try_to_enter_the_barricade_is_recorded() {
     let (warehouse, cases) = world();
     // The unblocked reference runs into the passage that was closed on it.
     let hits = (0..cases.cases.len())
@@ -222,7 +222,7 @@ fn walking_into_the_barricade_is_noticed() {
             let actions = cases.cases[index].test.actions.clone();
             let answer = |step: usize| actions.get(step).copied().or(Some(Action::TurnLeft));
             let rules = Rules { max_steps: actions.len() as u32, ..RULES };
-            let record = walk(rules, Start::New, Route::Blocked, index, answer).record;
+            let record = run(rules, Start::New, Route::Blocked, index, answer).record;
             assert!(!record.blocked_moves.is_empty(), "{}", record.key);
             record.tried_closed == Some(true)
         })
@@ -239,7 +239,7 @@ fn what_an_episode_is_given_follows_from_its_own_condition() {
         let condition: Condition = condition.parse().unwrap();
         let case = cases.cases[3].id.clone();
         let key = EpisodeKey { condition, run: 1, case };
-        let opening = lanes.begin(0, Episode { key, case_index: 3, seed: 7 });
+        let opening = lanes.begin(0, PlannedEpisode { key, case_index: 3, seed: 7 });
         lanes.give_up(0);
         let MemoryEpisodeConfig { representation, demonstrations, horizon, .. } = opening.memory;
         let MemoryEpisodeConfig { keyframes, segment, case, .. } = opening.memory;
@@ -281,7 +281,7 @@ fn what_an_episode_is_given_follows_from_its_own_condition() {
 fn two_lanes<'w>(
     warehouse: &'w Warehouse,
     cases: &'w CaseSet,
-) -> (Lanes<'w>, Opening, Observation) {
+) -> (Lanes<'w>, EpisodeOpening, Observation) {
     let mut lanes = Lanes::new(warehouse, cases, RULES, 2);
     let opening = lanes.begin(0, episode(cases, 0, Start::Original, Route::Unchanged));
     lanes.begin(1, episode(cases, 1, Start::Original, Route::Unchanged));
@@ -291,35 +291,47 @@ fn two_lanes<'w>(
 }
 
 #[test]
-fn answers_out_of_turn_are_faults_and_change_nothing() {
+fn answers_out_of_turn_are_errors_and_change_nothing() {
     let (warehouse, cases) = world();
     let (mut lanes, opening, observation) = two_lanes(&warehouse, &cases);
     let answer = decision(&observation, Action::Forward);
     let ahead = Decision { step: 1, ..answer };
-    assert!(matches!(lanes.decided(&ahead), Err(Fault::NotAsked { role: Role::Policy, .. })));
+    assert!(matches!(
+        lanes.decided(&ahead),
+        Err(AnswerError::Unexpected { role: Role::Policy, .. })
+    ));
     assert!(matches!(lanes.observed(&observation), Ok(Turn::Wait)));
-    assert!(matches!(lanes.observed(&observation), Err(Fault::NotAsked { role: Role::Sim, .. })));
+    assert!(matches!(
+        lanes.observed(&observation),
+        Err(AnswerError::Unexpected { role: Role::Sim, .. })
+    ));
     let ahead = Decision { step: 1, ..answer };
-    assert!(matches!(lanes.decided(&ahead), Err(Fault::NotAsked { step: 1, .. })));
-    assert_eq!(lanes.owed(0).last().map(|owed| (owed.lane, owed.role)), Some((1, Role::Sim)));
+    assert!(matches!(lanes.decided(&ahead), Err(AnswerError::Unexpected { step: 1, .. })));
+    assert_eq!(
+        lanes.pending(0).last().map(|answer| (answer.lane, answer.role)),
+        Some((1, Role::Sim))
+    );
     lanes.recalled(&trace(&observation)).unwrap();
-    assert!(matches!(lanes.recalled(&trace(&observation)), Err(Fault::NotAsked { .. })));
+    assert!(matches!(lanes.recalled(&trace(&observation)), Err(AnswerError::Unexpected { .. })));
     let ahead = Decision { step: 1, ..answer };
-    assert!(matches!(lanes.decided(&ahead), Err(Fault::NotAsked { step: 1, .. })));
+    assert!(matches!(lanes.decided(&ahead), Err(AnswerError::Unexpected { step: 1, .. })));
     let elsewhere = Decision { lane: 2, ..answer };
-    assert!(matches!(lanes.decided(&elsewhere), Err(Fault::NoSuchLane { lane: 2, lanes: 2, .. })));
+    assert!(matches!(
+        lanes.decided(&elsewhere),
+        Err(AnswerError::NoSuchLane { lane: 2, lanes: 2, .. })
+    ));
     let late = Decision { episode: opening.command.episode + 100, ..answer };
-    assert!(matches!(lanes.decided(&late), Ok(Turn::Wait)), "another episode's ticket");
+    assert!(matches!(lanes.decided(&late), Ok(Turn::Wait)), "another episode");
     assert!(matches!(lanes.decided(&answer), Ok(Turn::Command(_))));
 }
 
 #[test]
-fn memory_that_is_known_to_be_at_work_owes_nothing_from_before() {
+fn memory_that_makes_progress_owes_nothing_from_before() {
     let (warehouse, cases) = world();
     let (mut lanes, _, observation) = two_lanes(&warehouse, &cases);
     lanes.observed(&observation).unwrap();
-    let busy_ns = lanes.owed(0)[0].since_ns + 1_000_000_000_000;
-    let [memory, sim] = lanes.owed(busy_ns)[..] else { panic!("both lanes wait") };
+    let busy_ns = lanes.pending(0)[0].since_ns + 1_000_000_000_000;
+    let [memory, sim] = lanes.pending(busy_ns)[..] else { panic!("both lanes wait") };
     assert_eq!((memory.role, memory.lane, memory.since_ns), (Role::Memory, 0, busy_ns));
     assert_eq!((sim.role, sim.since_ns < busy_ns), (Role::Sim, true));
 }
@@ -330,17 +342,20 @@ fn an_answer_may_overtake_what_it_answers() {
     let (mut lanes, _, observation) = two_lanes(&warehouse, &cases);
     let (answer, trace) = (decision(&observation, Action::Forward), trace(&observation));
     assert!(matches!(lanes.decided(&answer), Ok(Turn::Wait)));
-    assert!(lanes.is_half_told());
-    assert!(matches!(lanes.decided(&answer), Err(Fault::NotAsked { .. })), "one answer a step");
+    assert!(lanes.has_early_decision());
+    assert!(
+        matches!(lanes.decided(&answer), Err(AnswerError::Unexpected { .. })),
+        "one answer a step"
+    );
     assert!(matches!(lanes.recalled(&trace), Ok(Turn::Wait)));
     assert!(matches!(lanes.observed(&observation), Ok(Turn::Command(_))));
-    assert!(!lanes.is_half_told());
+    assert!(!lanes.has_early_decision());
     let [stamps] = lanes.take_stepped().collect::<Vec<_>>()[..] else { panic!("one step") };
     assert_eq!((stamps.lane, stamps.step), (0, 0));
 }
 
 #[test]
-fn what_a_model_took_is_counted_once_and_other_answers_took_nothing() {
+fn the_cost_of_an_answer_is_counted_once() {
     let (warehouse, cases) = world();
     let (mut lanes, _, observation) = two_lanes(&warehouse, &cases);
     let asked = Decision {
@@ -353,28 +368,44 @@ fn what_a_model_took_is_counted_once_and_other_answers_took_nothing() {
     };
     lanes.observed(&observation).unwrap();
     lanes.decided(&asked).unwrap();
-    assert!(lanes.take_spent().is_empty(), "it is not an answer before memory's account");
+    assert!(lanes.take_answered().is_empty(), "it is not an answer before memory's account");
     lanes.recalled(&trace(&observation)).unwrap();
     assert!(lanes.decided(&asked).is_err());
-    let spent = lanes.take_spent();
-    assert_eq!((spent.len(), spent[0].decision), (1, asked));
-    assert!(spent[0].key.ends_with("/run1/t01-01") && lanes.take_spent().is_empty());
+    let answered = lanes.take_answered();
+    assert_eq!((answered.len(), answered[0].decision), (1, asked));
+    assert!(answered[0].key.ends_with("/run1/t01-01") && lanes.take_answered().is_empty());
 }
 
 #[test]
-fn garbage_costs_its_own_episode_and_no_other() {
+fn figures_that_a_policy_does_not_measure_are_not_counted() {
+    let (warehouse, cases) = world();
+    let (mut lanes, _, observation) = two_lanes(&warehouse, &cases);
+    let unmeasured = Decision {
+        attempts: NOT_MEASURED,
+        images: NOT_MEASURED,
+        images_asked: NOT_MEASURED,
+        ..decision(&observation, Action::TurnLeft)
+    };
+    lanes.observed(&observation).unwrap();
+    lanes.recalled(&trace(&observation)).unwrap();
+    assert!(matches!(lanes.decided(&unmeasured), Ok(Turn::Command(_))));
+    assert!(lanes.take_answered().is_empty(), "no model was asked, as far as is known");
+}
+
+#[test]
+fn an_invalid_answer_costs_its_own_episode_and_no_other() {
     let (warehouse, cases) = world();
     let (mut lanes, _, observation) = two_lanes(&warehouse, &cases);
     lanes.observed(&observation).unwrap();
     lanes.recalled(&trace(&observation)).unwrap();
     let good = decision(&observation, Action::Forward);
-    for garbage in [Decision { action: 99, ..good }, Decision { outcome: 9, ..good }] {
-        assert!(matches!(lanes.decided(&garbage), Err(Fault::Garbage { lane: 0, .. })));
+    for invalid in [Decision { action: 99, ..good }, Decision { outcome: 9, ..good }] {
+        assert!(matches!(lanes.decided(&invalid), Err(AnswerError::Invalid { lane: 0, .. })));
     }
     assert_eq!(lanes.give_up(0).map(|episode| episode.case_index), Some(0));
     assert_eq!((lanes.busy(), lanes.free()), (1, Some(0)));
     let again = lanes.begin(0, episode(&cases, 0, Start::Original, Route::Unchanged));
-    assert!(again.command.episode > observation.episode, "tickets are not used twice");
+    assert!(again.command.episode > observation.episode, "ids are not used twice");
     assert!(matches!(lanes.decided(&good), Ok(Turn::Wait)), "the old answer is late");
 }
 
@@ -391,6 +422,6 @@ fn a_simulator_that_disagrees_is_found() {
         Observation { frame: 0, ..observation },
     ] {
         let (mut lanes, _, _) = two_lanes(&warehouse, &cases);
-        assert!(matches!(lanes.observed(&wrong), Err(Fault::Disagrees { .. })), "{wrong:?}");
+        assert!(matches!(lanes.observed(&wrong), Err(AnswerError::Disagrees { .. })), "{wrong:?}");
     }
 }

@@ -11,8 +11,8 @@ use std::time::Duration;
 use anyhow::Result;
 use bytemuck::Zeroable;
 use domain::{Action, Feedback, Pose, Representation};
-use orchestrator::lanes::{Lanes, Rules, Spent, Walked};
-use orchestrator::pipeline::{Crewing, Ending, Facts, Observer, walk};
+use orchestrator::lanes::{AnsweredRequest, FinishedEpisode, Lanes, Rules};
+use orchestrator::pipeline::{Ending, Facts, Observer, PipelineOptions, run_episodes};
 use orchestrator::plan::plan;
 use results::conditions::{Condition, Demonstrations, Route, Start, Variation};
 use shm_types::message::{
@@ -49,8 +49,8 @@ struct Run<'a> {
     over: &'a AtomicBool,
 }
 
-/// Joins as `role`, says hello, calls `turn` at every ring until told to stop, says farewell.
-/// `turn` is given the bus and a way to ring others.
+/// Joins as `role`, sends the handshake, calls `turn` at every notification until asked to stop, sends the report.
+/// `turn` receives the bus and a function that notifies others.
 fn peer(run: &Run<'_>, role: Role, mut turn: impl FnMut(&Bus, &dyn Fn(Role))) {
     let Run { attach, over } = *run;
     let bus = Bus::join(attach.clone(), role).unwrap();
@@ -58,28 +58,28 @@ fn peer(run: &Run<'_>, role: Role, mut turn: impl FnMut(&Bus, &dyn Fn(Role))) {
     let others = Role::ALL.iter().filter(|other| **other != role);
     let notifiers: BTreeMap<Role, Notifier> =
         others.map(|&of| (of, bus.notifier(of).unwrap())).collect();
-    let ring = |of: Role| notifiers[&of].notify().unwrap();
-    // Receivers have to be there before anybody is told so.
-    turn(&bus, &ring);
+    let notify = |of: Role| notifiers[&of].notify().unwrap();
+    // Receivers must exist before the handshake.
+    turn(&bus, &notify);
     bus.sender().unwrap().send(&handshake(role)).unwrap();
-    ring(Role::Orchestrator);
+    notify(Role::Orchestrator);
     while stops.next().unwrap().is_none() {
         if over.load(Ordering::Relaxed) {
             return;
         }
         bus.listener().wait(TICK).unwrap();
-        turn(&bus, &ring);
+        turn(&bus, &notify);
     }
     let shutdown_report = ShutdownReport { role: role as u32, ..Zeroable::zeroed() };
     bus.sender().unwrap().send(&shutdown_report).unwrap();
-    ring(Role::Orchestrator);
+    notify(Role::Orchestrator);
 }
 
 fn sim(run: &Run<'_>) {
     let warehouse = Warehouse::shipped();
     let mut poses = BTreeMap::new();
     let mut commands = None;
-    peer(run, Role::Sim, |bus, ring| {
+    peer(run, Role::Sim, |bus, notify| {
         let commands = commands.get_or_insert_with(|| bus.receiver::<StepCommand>().unwrap());
         for command in commands.drain().unwrap() {
             let pose: &mut Pose =
@@ -108,15 +108,15 @@ fn sim(run: &Run<'_>) {
                 ..Zeroable::zeroed()
             };
             bus.sender().unwrap().send(&observation).unwrap();
-            ring(Role::Memory);
-            ring(Role::Orchestrator);
+            notify(Role::Memory);
+            notify(Role::Orchestrator);
         }
     });
 }
 
 fn memory(run: &Run<'_>) {
     let mut ports = None;
-    peer(run, Role::Memory, |bus, ring| {
+    peer(run, Role::Memory, |bus, notify| {
         let (configs, observations) = ports.get_or_insert_with(|| {
             (bus.receiver::<MemoryEpisodeConfig>().unwrap(), bus.receiver::<Observation>().unwrap())
         });
@@ -130,7 +130,7 @@ fn memory(run: &Run<'_>) {
             let recall = Recall { episode, lane, step, ..Zeroable::zeroed() };
             bus.sender().unwrap().send(&trace).unwrap();
             bus.sender().unwrap().send(&recall).unwrap();
-            ring(Role::Policy);
+            notify(Role::Policy);
         }
     });
 }
@@ -142,7 +142,7 @@ fn policy(run: &Run<'_>, spoil: fn(Decision) -> Decision) {
     let instruction = cases.cases[VICTIM].task.instruction(&catalogue);
     let mut ports = None;
     let mut victims = Vec::new();
-    peer(run, Role::Policy, |bus, ring| {
+    peer(run, Role::Policy, |bus, notify| {
         let (configs, observations, recalls) = ports.get_or_insert_with(|| {
             let observations = bus.receiver::<Observation>().unwrap();
             (
@@ -164,7 +164,7 @@ fn policy(run: &Run<'_>, spoil: fn(Decision) -> Decision) {
             let spoilt = victims.contains(&episode);
             let decision = if spoilt { spoil(decision) } else { decision };
             bus.sender().unwrap().send(&decision).unwrap();
-            ring(Role::Orchestrator);
+            notify(Role::Orchestrator);
         }
     });
 }
@@ -173,7 +173,7 @@ fn policy(run: &Run<'_>, spoil: fn(Decision) -> Decision) {
 #[derive(Default)]
 struct Seen {
     finished: Vec<usize>,
-    troubles: Vec<String>,
+    problems: Vec<String>,
     generations: u32,
     steps: u64,
 }
@@ -182,29 +182,29 @@ impl Observer for Seen {
     fn starting(&mut self, generation: u32) {
         self.generations = generation;
     }
-    fn awaiting(&mut self, _folder: &Path) {}
+    fn awaiting_policy(&mut self, _folder: &Path) {}
     fn ready(&mut self, facts: &BTreeMap<Role, Facts>) -> Result<()> {
         assert_eq!(facts.len(), 3);
         assert!(facts.values().all(|facts| facts["kind"] == "scripted"));
         Ok(())
     }
-    fn spent(&mut self, _: &Spent) -> Result<Option<String>> {
+    fn answered(&mut self, _: &AnsweredRequest) -> Result<Option<String>> {
         Ok(None)
     }
-    fn finished(&mut self, walked: &Walked, _attempt: u32) -> Result<()> {
-        assert_eq!(walked.record.steps, MAX_STEPS);
-        self.finished.push(walked.episode.case_index);
+    fn finished(&mut self, finished: &FinishedEpisode, _attempt: u32) -> Result<()> {
+        assert_eq!(finished.record.steps, MAX_STEPS);
+        self.finished.push(finished.episode.case_index);
         Ok(())
     }
     fn progress(&mut self, steps: u64) {
         self.steps += steps;
     }
-    fn trouble(&mut self, what: &str) {
-        self.troubles.push(what.to_owned());
+    fn problem(&mut self, what: &str) {
+        self.problems.push(what.to_owned());
     }
 }
 
-/// Walks the first eight cases among scripted peers, of which the policy spoils the victim's decisions.
+/// Runs the first eight cases among scripted peers, of which the policy spoils the victim's decisions.
 fn run(spoil: fn(Decision) -> Decision) -> (Seen, Ending) {
     let base = tempfile::Builder::new().prefix("mt").tempdir_in("/tmp").unwrap();
     let dir = RunDir::create(base.path()).unwrap();
@@ -230,13 +230,13 @@ fn run(spoil: fn(Decision) -> Decision) -> (Seen, Ending) {
         command: Some("sleeper".to_owned()),
         env: Vec::new(),
     };
-    let crewing = Crewing {
+    let options = PipelineOptions {
         launches: vec![sleeper],
-        guest: false,
+        external_policy: false,
         logs: base.path().join("logs"),
-        start_deadline: Duration::from_secs(60),
-        answer_deadline: Duration::from_secs(2),
-        decision_deadline: Some(Duration::from_secs(2)),
+        start_timeout: Duration::from_secs(60),
+        answer_timeout: Duration::from_secs(2),
+        decision_timeout: Some(Duration::from_secs(2)),
     };
     let mut seen = Seen::default();
     let over = AtomicBool::new(false);
@@ -246,7 +246,7 @@ fn run(spoil: fn(Decision) -> Decision) -> (Seen, Ending) {
         scope.spawn(|| memory(&peers));
         scope.spawn(|| policy(&peers, spoil));
         let stop = AtomicBool::new(false);
-        let outcome = walk(&mut lanes, episodes, &attach, &crewing, &stop, &mut seen);
+        let outcome = run_episodes(&mut lanes, episodes, &attach, &options, &stop, &mut seen);
         over.store(true, Ordering::Relaxed);
         outcome
     });
@@ -256,7 +256,7 @@ fn run(spoil: fn(Decision) -> Decision) -> (Seen, Ending) {
 
 fn check_only_the_victim_suffers(seen: &Seen, ending: &Ending, said: &str) {
     assert_eq!(seen.finished, [0, 1, 3, 4, 5, 6, 7]);
-    assert_eq!(seen.generations, 1, "nobody was started anew: {:?}", seen.troubles);
+    assert_eq!(seen.generations, 1, "nothing was restarted: {:?}", seen.problems);
     let unfinished: Vec<_> =
         ending.unfinished.iter().map(|(episode, why)| (episode.case_index, why)).collect();
     let [(VICTIM, why)] = unfinished[..] else { panic!("{unfinished:?}") };
@@ -267,7 +267,7 @@ fn check_only_the_victim_suffers(seen: &Seen, ending: &Ending, said: &str) {
 fn peers_that_behave_finish_everything() {
     let (seen, ending) = run(|decision| decision);
     assert_eq!(seen.finished, [0, 1, 2, 3, 4, 5, 6, 7]);
-    assert_eq!((seen.troubles, seen.steps), (vec![], 8 * u64::from(MAX_STEPS)));
+    assert_eq!((seen.problems, seen.steps), (vec![], 8 * u64::from(MAX_STEPS)));
     assert!(ending.unfinished.is_empty() && !ending.interrupted);
     assert_eq!(ending.shutdown_reports.len(), 3);
 }
@@ -276,11 +276,56 @@ fn peers_that_behave_finish_everything() {
 fn a_policy_that_sends_garbage_spoils_that_episode_and_no_other() {
     let (seen, ending) = run(|decision| Decision { outcome: 77, action: 99, ..decision });
     check_only_the_victim_suffers(&seen, &ending, "77 is not an outcome");
-    assert!(!seen.troubles.is_empty());
+    assert!(!seen.problems.is_empty());
 }
 
 #[test]
 fn a_policy_that_answers_something_else_spoils_that_episode_and_no_other() {
     let (seen, ending) = run(|decision| Decision { step: decision.step + 5, ..decision });
     check_only_the_victim_suffers(&seen, &ending, "answers that could not be used");
+}
+
+/// Runs one episode with a simulator that executes `script` whenever it is started. Returns how often that was, and the
+/// error.
+fn run_with_simulator(script: &str) -> (u32, String) {
+    let base = tempfile::Builder::new().prefix("mt").tempdir_in("/tmp").unwrap();
+    let dir = RunDir::create(base.path()).unwrap();
+    let attach = Attach { participants: vec![Role::Sim], frame_capacity: 8, ..dir.attach() };
+    let (warehouse, cases) = (Warehouse::shipped(), CaseSet::shipped());
+    let condition = "working/original/unchanged/none".parse().unwrap();
+    let episodes = plan(&[(condition, 1)], &[0], &["t01-01"], 1);
+    let rules = Rules { horizon: 6, keyframes: 40, max_steps: MAX_STEPS, expert: true };
+    let mut lanes = Lanes::new(&warehouse, &cases, rules, 1);
+    let launch = Launch {
+        role: Role::Sim,
+        program: "/bin/sh".into(),
+        args: vec!["-c".into(), script.into()],
+        command: Some(script.to_owned()),
+        env: Vec::new(),
+    };
+    let options = PipelineOptions {
+        launches: vec![launch],
+        external_policy: false,
+        logs: base.path().join("logs"),
+        start_timeout: Duration::from_secs(60),
+        answer_timeout: Duration::from_secs(2),
+        decision_timeout: None,
+    };
+    let (mut seen, stop) = (Seen::default(), AtomicBool::new(false));
+    let outcome = run_episodes(&mut lanes, episodes, &attach, &options, &stop, &mut seen);
+    (seen.generations, outcome.unwrap_err().to_string())
+}
+
+#[test]
+fn a_process_that_is_killed_while_the_run_starts_is_started_again() {
+    let (generations, error) = run_with_simulator("kill -9 $$");
+    assert_eq!(generations, 4, "{error}");
+    assert!(error.contains("signal 9") && error.contains("4 times in a row"), "{error}");
+}
+
+#[test]
+fn a_process_that_cannot_start_ends_the_run_at_once() {
+    let (generations, error) = run_with_simulator("echo 'sim-proc: no device' >&2; exit 2");
+    assert_eq!(generations, 1, "{error}");
+    assert!(error.contains("exit status 2") && error.contains("no device"), "{error}");
 }

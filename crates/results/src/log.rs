@@ -70,6 +70,21 @@ pub enum LogError {
         /// What differs.
         differences: Vec<Difference>,
     },
+    /// The folder holds finished episodes that the run does not have.
+    #[error(
+        "{} holds {count} finished episodes that this command leaves out, for example {example}. A run can grow and not \
+         shrink: ask for at least the same memories, conditions, cases and runs, use --fresh to start over, or choose \
+         another --out",
+        dir.display()
+    )]
+    NotPlanned {
+        /// The folder.
+        dir: PathBuf,
+        /// Number of such episodes.
+        count: usize,
+        /// The key of one.
+        example: String,
+    },
     /// The folder holds something else.
     #[error(
         "{} holds files and is no run folder (it has no manifest.json): choose another --out", dir.display()

@@ -61,6 +61,10 @@ pub struct RunSettings {
     pub frame_budget: Option<u32>,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub adapter: Option<String>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub backend: Option<String>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub provider: Option<String>,
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub warm_views: bool,
     pub spin_us: u32,
@@ -95,6 +99,7 @@ pub const FREE_KEYS: &[&str] = &[
     "max-connections",
     "max-retries",
     "request-timeout",
+    "server-patience",
     "response-cache",
     "prices",
     "max-tokens-total",

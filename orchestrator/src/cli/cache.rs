@@ -1,4 +1,4 @@
-//! `memtransfer cache`: hands everything to the policy process's own verb, which keeps the replies of models.
+//! `memtransfer cache`: passes its arguments to `policy-proc cache`, which caches the replies of models.
 
 use std::ffi::OsString;
 use std::process::Command;
@@ -6,13 +6,14 @@ use std::process::Command;
 use anyhow::Context;
 use clap::Args;
 
-use super::Exit;
 use supervise::sibling;
+
+use super::Exit;
 
 #[derive(Debug, Args)]
 #[command(disable_help_flag = true)]
 pub(super) struct CacheArgs {
-    /// ls, prune or clear, and whatever they take; `memtransfer cache --help` lists it
+    /// ls, prune or clear, and their arguments; `memtransfer cache --help` lists them
     #[arg(trailing_var_arg = true, allow_hyphen_values = true, value_name = "ARGUMENTS")]
     arguments: Vec<OsString>,
 }

@@ -10,10 +10,14 @@ use super::{Exit, print, print_json};
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
-Only what belongs to runs whose processes are all gone is removed: their names in shared memory,
-their sockets, their temporary folder. Run folders with results are never touched.")]
+Removes what belongs to runs whose processes are all gone: shared memory, sockets, temporary
+folders. Run folders with results are never touched.
+
+Examples:
+  memtransfer clean --dry-run
+  memtransfer clean")]
 pub(super) struct CleanArgs {
-    /// Only say what there is
+    /// Print what would be removed, and stop
     #[arg(long)]
     dry_run: bool,
     /// Print JSON

@@ -1,4 +1,4 @@
-//! `memtransfer doctor`: what a run needs, checked by using it.
+//! `memtransfer doctor`: checks what a run needs by using it.
 
 use std::borrow::Cow;
 use std::fs;
@@ -11,16 +11,20 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use shm_types::process::{SHARED_MEMORY, check_shared_memory};
 use shm_types::{RunDir, registry};
-
-use super::{Exit, WorldArgs, print, print_json};
 use supervise::sibling;
 
-/// What is found out about a model's server stands under this name.
+use super::documents::RunDocuments;
+use super::{Exit, WorldArgs, print, print_json};
+use crate::settings::{Layer, resolve};
+
+/// The name of findings about a model's server.
 const ENDPOINT: &str = "endpoint";
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
-Exit status 1 when something is missing.
+Exit status 1 when something is missing. Frame size, image budget and time limit of the request to a
+model are those of a run: set MEMTRANSFER_FRAME_SIZE, MEMTRANSFER_IMAGE_BUDGET or
+MEMTRANSFER_REQUEST_TIMEOUT as for `memtransfer run`.
 
 Examples:
   memtransfer doctor
@@ -28,18 +32,15 @@ Examples:
 pub(super) struct DoctorArgs {
     #[command(flatten)]
     world: WorldArgs,
-    /// Also find out what the server of this policy's model can do, by some thirty short requests
-    #[arg(long, value_name = "POLICY", value_enum)]
-    policy: Option<Asking>,
-    /// With --policy openai: the model, as the server calls it
-    #[arg(
-        long,
-        value_name = "NAME",
-        env = "MEMTRANSFER_MODEL",
-        required_if_eq("policy", "openai")
-    )]
+    /// Also check the server of this policy's model, with some thirty short requests and one of the
+    /// size that a run sends
+    #[arg(long, value_name = "POLICY", value_enum, requires = "model")]
+    policy: Option<ModelPolicy>,
+    /// With --policy openai: the model, by the name that the server knows
+    #[arg(long, value_name = "NAME", env = "MEMTRANSFER_MODEL")]
     model: Option<String>,
-    /// With it: where the server is, up to /v1 [default: $OPENAI_BASE_URL; the key is $OPENAI_API_KEY]
+    /// With --policy openai: the server, up to /v1 [default: $OPENAI_BASE_URL; the key is
+    /// $OPENAI_API_KEY]
     #[arg(long, value_name = "URL", env = "MEMTRANSFER_BASE_URL")]
     base_url: Option<String>,
     /// Print JSON
@@ -47,29 +48,29 @@ pub(super) struct DoctorArgs {
     json: bool,
 }
 
-/// Policies that ask somebody else.
+/// A policy that asks a model.
 #[derive(Debug, Clone, Copy, ValueEnum)]
-enum Asking {
+enum ModelPolicy {
     /// A model behind an OpenAI-compatible endpoint
     Openai,
 }
 
-/// One thing that a run needs.
+/// The result of one check.
 #[derive(Debug, Serialize)]
-struct Finding {
+struct DoctorFinding {
     what: Cow<'static, str>,
     ok: bool,
-    /// It does, but results may be worth less than they look.
+    /// Whether a run works, but with doubtful results.
     #[serde(skip_serializing_if = "std::ops::Not::not")]
     doubtful: bool,
-    /// What was found, or what is wrong and what to do.
+    /// What was found, or what is wrong and how to fix it.
     about: String,
-    /// The same as data, where there is more.
+    /// Details, as data.
     #[serde(skip_serializing_if = "Option::is_none")]
     data: Option<Value>,
 }
 
-impl Finding {
+impl DoctorFinding {
     fn of(what: &'static str, outcome: anyhow::Result<String>) -> Self {
         let (ok, about) = match outcome {
             Ok(about) => (true, about),
@@ -79,7 +80,7 @@ impl Finding {
     }
 }
 
-/// What `policy-proc probe` tells, as far as it is looked into here.
+/// The parts of `policy-proc probe`'s report that are used here.
 #[derive(Deserialize)]
 struct Probed {
     endpoint: String,
@@ -103,27 +104,27 @@ enum ProbedMark {
 }
 
 pub(super) fn run(args: &DoctorArgs) -> anyhow::Result<Exit> {
-    // One picture is drawn and then embedded: what works here works in a run.
+    // One view is rendered and then embedded, as in a run.
     let scratch = Scratch::new()?;
-    let picture = scratch.0.join("view.png");
+    let view = scratch.0.join("view.png");
     let mut findings = vec![
-        Finding::of("warehouse and cases", world(&args.world)),
-        Finding::of("programs", programs()),
-        Finding::of("shared memory", shared_memory()),
-        Finding::of("drawing", drawing(&args.world, &picture)),
-        Finding::of("ONNX Runtime and encoder", encoder(&args.world, &picture)),
-        Finding::of("leftovers of killed runs", leftovers()),
+        DoctorFinding::of("warehouse and cases", world(&args.world)),
+        DoctorFinding::of("programs", programs()),
+        DoctorFinding::of("shared memory", shared_memory()),
+        DoctorFinding::of("rendering", rendering(&args.world, &view)),
+        DoctorFinding::of("ONNX Runtime and encoder", encoder(&args.world, &view)),
+        DoctorFinding::of("leftovers of killed runs", leftovers()),
     ];
-    if let (Some(Asking::Openai), Some(model)) = (args.policy, &args.model) {
+    if let (Some(ModelPolicy::Openai), Some(model)) = (args.policy, &args.model) {
         match endpoint(model, args.base_url.as_deref()) {
             Ok(found) => findings.extend(found),
-            Err(error) => findings.push(Finding::of(ENDPOINT, Err(error))),
+            Err(error) => findings.push(DoctorFinding::of(ENDPOINT, Err(error))),
         }
     }
     if args.json {
         print_json(&findings)?;
     } else {
-        for Finding { what, ok, doubtful, about, .. } in &findings {
+        for DoctorFinding { what, ok, doubtful, about, .. } in &findings {
             let mark = match (ok, doubtful) {
                 (false, _) => "NOT YET ",
                 (true, true) => "doubtful",
@@ -156,17 +157,17 @@ fn shared_memory() -> anyhow::Result<String> {
     Ok(format!("{SHARED_MEMORY} has room for a default run ({mib} MiB at most)"))
 }
 
-fn drawing(world: &WorldArgs, picture: &Path) -> anyhow::Result<String> {
+fn rendering(world: &WorldArgs, view: &Path) -> anyhow::Result<String> {
     let mut command = Command::new(sibling("sim-proc")?);
-    command.args(["render", "--pose", &a_pose(world)?, "--out"]).arg(picture);
+    command.args(["render", "--pose", &a_pose(world)?, "--out"]).arg(view);
     succeed(with_assets(command, world))?;
-    Ok("a view was drawn".to_owned())
+    Ok("a view was rendered".to_owned())
 }
 
-fn encoder(world: &WorldArgs, picture: &Path) -> anyhow::Result<String> {
-    ensure!(picture.exists(), "not tried, because no view could be drawn");
+fn encoder(world: &WorldArgs, view: &Path) -> anyhow::Result<String> {
+    ensure!(view.exists(), "not checked, because no view could be rendered");
     let mut command = Command::new(sibling("memory-proc")?);
-    command.arg("embed").arg(picture);
+    command.arg("embed").arg(view);
     succeed(with_assets(command, world))?;
     Ok("the view was embedded".to_owned())
 }
@@ -174,20 +175,18 @@ fn encoder(world: &WorldArgs, picture: &Path) -> anyhow::Result<String> {
 fn leftovers() -> anyhow::Result<String> {
     let runs = registry::list(&registry::default_base())?;
     let dead = runs.iter().filter(|run| !run.alive).count();
-    ensure!(
-        dead == 0,
-        "there are {dead}, which hold shared memory: `memtransfer clean` removes them"
-    );
+    ensure!(dead == 0, "{dead} runs hold shared memory: `memtransfer clean` removes them");
     Ok("none".to_owned())
 }
 
-/// What the server of a model can do; the whole report as data of the first finding.
-fn endpoint(model: &str, base_url: Option<&str>) -> anyhow::Result<Vec<Finding>> {
+/// What the server of a model can do. The whole report is the data of the first finding.
+fn endpoint(model: &str, base_url: Option<&str>) -> anyhow::Result<Vec<DoctorFinding>> {
     let mut command = Command::new(sibling("policy-proc")?);
     command.args(["probe", "--json", "--model", model]);
     if let Some(base_url) = base_url {
         command.args(["--base-url", base_url]);
     }
+    command.args(request_size(model)?);
     let output = command.output()?;
     if output.stdout.is_empty() {
         bail!("{}", String::from_utf8_lossy(&output.stderr).trim());
@@ -195,22 +194,44 @@ fn endpoint(model: &str, base_url: Option<&str>) -> anyhow::Result<Vec<Finding>>
     let report: Value = serde_json::from_slice(&output.stdout).context("cannot read the probe")?;
     let Probed { endpoint, model, findings } = Probed::deserialize(&report)?;
     let fingerprint = report["fingerprint"].to_string();
-    let whole = Finding {
+    let whole = DoctorFinding {
         data: Some(report),
-        ..Finding::of(ENDPOINT, Ok(format!("{model} at {endpoint}")))
+        ..DoctorFinding::of(ENDPOINT, Ok(format!("{model} at {endpoint}")))
     };
-    let parts = findings.into_iter().map(|ProbedFinding { what, mark, about }| Finding {
+    let parts = findings.into_iter().map(|ProbedFinding { what, mark, about }| DoctorFinding {
         what: format!("{ENDPOINT}, {what}").into(),
         ok: mark != ProbedMark::Bad,
         doubtful: mark == ProbedMark::Doubtful,
         about,
         data: None,
     });
-    let who = Finding::of("endpoint, fingerprint", Ok(fingerprint));
+    let who = DoctorFinding::of("endpoint, fingerprint", Ok(fingerprint));
     Ok(std::iter::once(whole).chain(parts).chain([who]).collect())
 }
 
-/// Some pose in the warehouse.
+/// The probe's flags about the largest request of a run with `model`.
+fn request_size(model: &str) -> anyhow::Result<Vec<String>> {
+    let flags = Layer::flags([("policy", "openai"), ("model", model)])?;
+    let settings = resolve([Layer::environment(std::env::vars_os())?, flags])?.settings;
+    let window = settings.groups.iter().flat_map(|group| &group.window).max();
+    let largest = RunDocuments::of(&settings, false).sizes().into_values().max().unwrap_or(0);
+    let mut flags = vec![
+        ("--frame-size", settings.frame_size.to_string()),
+        ("--document-chars", largest.to_string()),
+        ("--keyframes", settings.keyframes.to_string()),
+        ("--window", window.copied().unwrap_or(0).to_string()),
+    ];
+    if let Some(model) = &settings.model {
+        flags.extend([
+            ("--image-budget", model.image_budget.to_string()),
+            ("--image-format", model.image_format.to_string()),
+            ("--request-timeout", model.request_timeout.to_string()),
+        ]);
+    }
+    Ok(flags.into_iter().flat_map(|(flag, value)| [flag.to_owned(), value]).collect())
+}
+
+/// A pose in the warehouse.
 fn a_pose(world: &WorldArgs) -> anyhow::Result<String> {
     let world = world.load()?;
     let case = world.cases.cases.first();
@@ -224,15 +245,15 @@ fn with_assets(mut command: Command, world: &WorldArgs) -> Command {
     command
 }
 
-/// Runs `command`; what it said on stderr is the error.
+/// Runs `command`; what it prints on stderr is the error.
 fn succeed(mut command: Command) -> anyhow::Result<()> {
     let output = command.output()?;
-    let said = String::from_utf8_lossy(&output.stderr);
-    ensure!(output.status.success(), "{}", said.trim());
+    let message = String::from_utf8_lossy(&output.stderr);
+    ensure!(output.status.success(), "{}", message.trim());
     Ok(())
 }
 
-/// A folder that goes when it is dropped.
+/// A folder that is removed when it is dropped.
 struct Scratch(PathBuf);
 
 impl Scratch {
@@ -245,7 +266,7 @@ impl Scratch {
 
 impl Drop for Scratch {
     fn drop(&mut self) {
-        // Nothing depends on it, and nothing can be done about a folder that does not go.
+        // Nothing depends on it.
         let _ = fs::remove_dir_all(&self.0);
     }
 }

@@ -1,4 +1,4 @@
-//! `memtransfer generate`: makes a case file from a seed.
+//! `memtransfer generate`: generates a case file from a seed.
 
 use std::path::PathBuf;
 
@@ -10,23 +10,23 @@ use super::{Exit, WorldArgs, print};
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
-The same seed and count give the same file on every machine; the defaults give the cases that
-are built in. To run other cases, put the file as cases.toml into a folder with layout.toml and
-catalogue.toml, and pass that folder to `run`, `validate` and the others with --assets. Each case
-is given demonstrations of others, and a set of a few dozen may offer some case too few of them;
-the program then says which.
+The same seed and count give the same file on every machine; the defaults give the built-in cases.
+To run other cases, put the file as cases.toml into a folder with layout.toml and catalogue.toml,
+and pass that folder to `run`, `validate` and other verbs with --assets. Mixed sets of
+demonstrations come from other cases; a set of a few dozen cases may have too few for some case,
+which is then named.
 
 Examples:
   memtransfer generate --seed 7 --count 1000 --out my-assets/cases.toml
   memtransfer generate | diff - assets/cases.toml")]
 pub(super) struct GenerateArgs {
-    /// The number that everything is drawn from
+    /// The seed
     #[arg(long, value_name = "N", default_value_t = SHIPPED_SEED)]
     seed: u64,
-    /// How many cases, spread evenly over the ten tasks
+    /// Number of cases, spread evenly over the ten tasks
     #[arg(long, value_name = "N", default_value_t = SHIPPED_COUNT)]
     count: usize,
-    /// Write the file there instead of to stdout
+    /// Write to FILE instead of stdout
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
     #[command(flatten)]
@@ -35,7 +35,7 @@ pub(super) struct GenerateArgs {
 
 pub(super) fn run(args: &GenerateArgs) -> anyhow::Result<Exit> {
     ensure!(args.count > 0, "--count is 0, but must be at least 1");
-    // The cases that may lie there already are not read: they are what is to be made.
+    // Cases that are there already are not read: they are to be replaced.
     let warehouse = match &args.world.assets {
         None => Warehouse::shipped(),
         Some(dir) => Warehouse::load(dir)?,

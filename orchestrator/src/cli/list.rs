@@ -1,18 +1,18 @@
-//! `memtransfer ls`: what there is.
+//! `memtransfer ls`: lists cases, tasks, items, suites and runs.
 
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 use clap::{Args, Subcommand};
+use results::log::RunLog;
+use results::score::score;
+use results::table::table;
 use serde_json::{Value, json};
 use warehouse::{Mixture, Overlap, Start, Task};
 
 use super::{Exit, WorldArgs, print, print_json};
-use crate::settings::{Layer, Origin, load_suite, resolve, select_cases, shipped_suites};
+use crate::settings::{Layer, SHIPPED_SUITES, resolve, select_cases};
 use crate::world::World;
-use results::log::RunLog;
-use results::score::score;
-use results::table::table;
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
@@ -30,17 +30,17 @@ pub(super) struct ListArgs {
 
 #[derive(Debug, Subcommand)]
 enum What {
-    /// The cases: what is asked, and how long the references are
+    /// Cases: instruction, starting poses, lengths of the reference routes
     Cases(WorldArgs),
-    /// The demonstrations of other tasks that each case's mixed sets hold
+    /// The demonstrations of other tasks in each case's mixed sets
     Histories(WorldArgs),
     /// The ten types of tasks
     Tasks(WorldArgs),
-    /// The items in the warehouse, with where one stands to reach them
+    /// The items of the warehouse, with the cells in front of them
     Items(WorldArgs),
-    /// The shipped suites: what each is for, and how much it runs
+    /// The shipped suites: purpose and size
     Suites,
-    /// The runs in a folder: how far each is, and how well it went
+    /// The runs in a folder: policy, date, progress and success rate
     Runs {
         /// The folder of run folders
         #[arg(default_value = "runs", value_name = "DIR")]
@@ -188,7 +188,7 @@ fn items(world: &World) -> Listing {
 }
 
 fn suites() -> anyhow::Result<Listing> {
-    // A suite opens with a comment that says what it is for.
+    // A suite begins with a comment about its purpose.
     let about = |text: &str| {
         let comment = text.lines().take_while(|line| line.starts_with('#'));
         let about: Vec<&str> = comment
@@ -199,11 +199,8 @@ fn suites() -> anyhow::Result<Listing> {
     };
     let mut rows = Vec::new();
     let world = World::load(None)?;
-    for (name, text) in shipped_suites() {
-        let suite = (*name).parse()?;
-        let layers =
-            [(Origin::Default, Layer::defaults()), (Origin::Suite, load_suite(&suite, None)?)];
-        let settings = resolve(layers)?.settings;
+    for (name, text) in SHIPPED_SUITES {
+        let settings = resolve([Layer::flags([("suite", *name)])?])?.settings;
         let cases = select_cases(&world.case_ids(), &settings.cases, settings.limit)?.len();
         let conditions = settings.runs();
         let runs: u32 = conditions.iter().map(|(_, runs)| runs).sum();
@@ -229,34 +226,93 @@ fn runs(dir: &Path) -> anyhow::Result<Listing> {
         folders.sort();
         rows = folders.iter().map(|folder| run_row(folder)).collect();
     }
-    let header = vec!["run", "suite", "policy", "state", "finished", "planned", "given up", "SR"];
-    Ok(Listing { header, numbers: 4, rows })
+    let header =
+        vec!["run", "suite", "policy", "begun", "state", "finished", "planned", "given up", "SR"];
+    Ok(Listing { header, numbers: 5, rows })
 }
 
-/// A run that cannot be read is listed all the same, with the reason.
+/// A run's row; of a run that cannot be read, the reason.
 fn run_row(folder: &Path) -> Vec<Value> {
     let name = json!(folder.display().to_string());
     let log = match RunLog::read(folder) {
         Ok(log) => log,
         Err(error) => {
-            let mut row = vec![name, Value::Null, Value::Null, json!(error.to_string())];
-            row.resize(8, Value::Null);
+            let mut row = vec![name, Value::Null, Value::Null, Value::Null];
+            row.push(json!(error.to_string()));
+            row.resize(9, Value::Null);
             return row;
         }
     };
     let scores = score(&log);
-    let state = if scores.finished >= scores.planned { "complete" } else { "not complete" };
+    let state = if scores.finished >= scores.planned { "complete" } else { "incomplete" };
     let successes = log.episodes.iter().filter(|record| record.is_success()).count();
-    let counted = scores.finished + scores.errored;
-    let sr = (counted > 0).then(|| format!("{:.1}", 100.0 * successes as f64 / counted as f64));
+    let finished = log.episodes.len();
+    let sr = (finished > 0).then(|| format!("{:.1}", 100.0 * successes as f64 / finished as f64));
     vec![
         name,
         json!(log.manifest.settings.suite.word()),
-        json!(log.manifest.settings.policy),
+        json!(policy_name(&log)),
+        json!(log.sessions.first().map(|session| date(session.unix_s))),
         json!(state),
         json!(scores.finished),
         json!(scores.planned),
-        json!(scores.errored),
+        json!(log.errors.len()),
         json!(sr),
     ]
+}
+
+/// The run's policy, with the name that an external one gives itself, or the model of `openai`.
+fn policy_name(log: &RunLog) -> String {
+    let settings = &log.manifest.settings;
+    let own = log.manifest.processes.get("policy").and_then(|facts| facts.get("policy"));
+    let model = settings.model.as_ref().map(|model| &model.model);
+    let kind = settings.policy.to_string();
+    match model.or(own) {
+        Some(name) if *name != kind => format!("{kind} ({name})"),
+        _ => kind,
+    }
+}
+
+/// The UTC date and time of seconds since 1970: `2026-03-01 12:30`.
+fn date(unix_s: u64) -> String {
+    let (days, minutes) = (unix_s / 86_400, unix_s % 86_400 / 60);
+    // Days are counted from March 1 of year 0, so that leap days come last (Howard Hinnant's algorithm).
+    let shifted = days + 719_468;
+    let (era, of_era) = (shifted / 146_097, shifted % 146_097);
+    let year = (of_era - of_era / 1460 + of_era / 36_524 - of_era / 146_096) / 365;
+    let of_year = of_era - (365 * year + year / 4 - year / 100);
+    let month = (5 * of_year + 2) / 153;
+    let day = of_year - (153 * month + 2) / 5 + 1;
+    let month = if month < 10 { month + 3 } else { month - 9 };
+    let year = year + 400 * era + u64::from(month <= 2);
+    format!("{year}-{month:02}-{day:02} {:02}:{:02}", minutes / 60, minutes % 60)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn dates_are_those_of_the_calendar() {
+        for (unix_s, expected) in [
+            (0, "1970-01-01 00:00"),
+            (951_782_399, "2000-02-28 23:59"),
+            (951_782_400, "2000-02-29 00:00"),
+            (1_772_368_200, "2026-03-01 12:30"),
+            (4_102_444_799, "2099-12-31 23:59"),
+        ] {
+            assert_eq!(date(unix_s), expected);
+        }
+    }
+
+    #[test]
+    fn lists_fit_a_terminal() {
+        let world = World::load(None).unwrap();
+        for listing in
+            [cases(&world), histories(&world), tasks(&world), items(&world), suites().unwrap()]
+        {
+            let table = listing.table();
+            assert!(table.lines().all(|line| line.chars().count() <= 100), "{table}");
+        }
+    }
 }

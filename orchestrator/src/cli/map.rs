@@ -1,24 +1,24 @@
-//! `memtransfer map`: a case or the warehouse from above.
+//! `memtransfer map`: a case, or the warehouse, from above.
 
 use std::path::PathBuf;
 
 use anyhow::Context;
 use clap::Args;
+use results::names::UnknownName;
 use warehouse::map;
 
 use super::{Exit, WorldArgs, print};
-use results::names::UnknownName;
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
   memtransfer map t03-07 --out map.svg     a case with its six routes
-  memtransfer map > floor.svg              the warehouse and what stands in it")]
+  memtransfer map > floor.svg              the warehouse and its items")]
 pub(super) struct MapArgs {
-    /// The case; without one, the warehouse alone
+    /// The case [default: the warehouse alone]
     #[arg(value_name = "CASE")]
     case: Option<String>,
-    /// Write the SVG there instead of to stdout
+    /// Write the SVG to FILE instead of stdout
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
     #[command(flatten)]

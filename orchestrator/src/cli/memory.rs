@@ -16,6 +16,7 @@ use warehouse::Demonstrations;
 use super::{Exit, print, print_json};
 use crate::documents::{DocumentRequest, ModelServer};
 use crate::progress::BuildProgress;
+use crate::settings::variable;
 use crate::signals::Signals;
 use results::table::table;
 
@@ -33,11 +34,11 @@ Examples:
   memtransfer memory show summary 4")]
 pub(super) struct MemoryArgs {
     #[command(subcommand)]
-    verb: Verb,
+    verb: MemoryVerb,
 }
 
 #[derive(Debug, Subcommand)]
-enum Verb {
+enum MemoryVerb {
     /// Build documents that are missing
     Build(BuildArgs),
     /// List documents, and whether they fit the current frame size and assets
@@ -158,10 +159,9 @@ struct MadeFor {
     /// Use the layout, catalogue and cases in DIR instead of the built-in ones
     #[arg(long, value_name = "DIR", env = "MEMTRANSFER_ASSETS")]
     assets: Option<PathBuf>,
-    /// Width and height of the frames that are read
-    #[arg(long, value_name = "PIXELS", env = "MEMTRANSFER_FRAME_SIZE",
-          default_value_t = FrameSize::DEFAULT.width)]
-    frame_size: u32,
+    /// Width and height of the frames that are read [default: $MEMTRANSFER_FRAME_SIZE, else 448]
+    #[arg(long, value_name = "PIXELS")]
+    frame_size: Option<u32>,
 }
 
 /// A builder of documents.
@@ -174,17 +174,25 @@ enum BuilderName {
 }
 
 impl MadeFor {
-    fn request(self, folder: Option<PathBuf>, selection: DocumentSelection) -> DocumentRequest {
+    fn request(
+        self,
+        folder: Option<PathBuf>,
+        selection: DocumentSelection,
+    ) -> Result<DocumentRequest> {
         let Self { assets, frame_size } = self;
-        DocumentRequest { folder, assets, frame_size, selection, server: ModelServer::default() }
+        let variable = variable("frame-size")?;
+        let variable = variable.and_then(|size| u32::try_from(size.as_u64()?).ok());
+        let frame_size = frame_size.or(variable).unwrap_or(FrameSize::DEFAULT.width);
+        let server = ModelServer::default();
+        Ok(DocumentRequest { folder, assets, frame_size, selection, server })
     }
 }
 
 pub(super) fn run(args: MemoryArgs) -> Result<Exit> {
     match args.verb {
-        Verb::Build(args) => build(args),
-        Verb::Ls(args) => ls(args),
-        Verb::Show(args) => show(args),
+        MemoryVerb::Build(args) => build(args),
+        MemoryVerb::Ls(args) => ls(args),
+        MemoryVerb::Show(args) => show(args),
     }
 }
 
@@ -200,7 +208,7 @@ fn build(args: BuildArgs) -> Result<Exit> {
     wanted.sort_unstable();
     wanted.dedup();
     let signals = Signals::listen().context("cannot listen to signals")?;
-    let request = args.made_for.request(args.out, DocumentSelection::Recipe(recipe));
+    let request = args.made_for.request(args.out, DocumentSelection::Recipe(recipe))?;
     let request = DocumentRequest { server, ..request };
     let mut progress = BuildProgress::new(args.quiet);
     let ready =
@@ -220,7 +228,7 @@ fn build(args: BuildArgs) -> Result<Exit> {
 }
 
 fn ls(args: LsArgs) -> Result<Exit> {
-    let request = args.made_for.request(args.documents, DocumentSelection::Any);
+    let request = args.made_for.request(args.documents, DocumentSelection::Any)?;
     let documents = request.list()?;
     if args.json {
         print_json(&documents)?;
@@ -249,7 +257,7 @@ fn show(args: ShowArgs) -> Result<Exit> {
         (None, None) if args.documents.is_some() => DocumentSelection::Any,
         (None, None) => DocumentSelection::Recipe(Recipe::Extractive),
     };
-    let request = args.made_for.request(args.documents, selection);
+    let request = args.made_for.request(args.documents, selection)?;
     let name = DocumentName { kind: args.kind, demonstrations: args.demos };
     let Some(stored) = request.find(&[name])?.pop() else { bail!("there is no document {name}") };
     let Some(DocumentFile { provenance, text, .. }) = &stored.document else {

@@ -1,140 +1,148 @@
-//! `memtransfer profile`: how long an access to memory takes, taken apart, with tables, data and a page.
+//! `memtransfer profile`: how long an access to memory takes, part by part, as tables, data and a page.
 
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
 
-use anyhow::{Context, Result, ensure};
+use anyhow::{Context, Result};
 use clap::Args;
 use domain::{Representation, cache_folder};
+use results::conditions::representation;
+use results::log::RunFolder;
+use results::settings::RunSettings;
 use shm_types::message::Role;
 use shm_types::{RunDir, registry};
 
 use super::documents::RunDocuments;
-use super::run::{attach, crewing, rules};
 use super::{Exit, print};
 use crate::commit::commit_of;
 use crate::lanes::Lanes;
+use crate::launch;
 use crate::machine::{Machine, floors};
 use crate::pipeline;
 use crate::plan::plan;
-use crate::profile::recorder::Recorder;
+use crate::profile::recorder::AccessRecorder;
 use crate::profile::summary::summary;
-use crate::profile::{Mode, Profile, SCHEMA, Walk, search};
-use crate::settings::{Layer, Origin, resolve, select_cases};
+use crate::profile::{AccessRun, CacheState, Profile, SCHEMA, search};
+use crate::settings::{Layer, resolve, select_cases, variable};
 use crate::signals::Signals;
 use crate::world::World;
-use results::conditions::{PolicyKind, Start, representation};
-use results::log::RunFolder;
-use results::settings::{DocumentSource, RunSettings};
 
-/// The folder with what a profile needs while it is made.
+/// The folder of what a profile needs while it is made.
 const SCRATCH: &str = "scratch";
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
-An access begins when the simulator has published an observation, and is over when the policy
-has the recall that answers it. It is taken apart into wire (the way there and back), embedding,
-search and assembly.
+An access begins when the simulator has published an observation, and ends when the policy has the
+recall that answers it. Its parts are wire (there and back), embedding, search and assembly.
 
 What is measured:
-  floors      a cache line between two cores, a memcpy of a frame, the bandwidth of memory
-  cold        every representation in one lane, with nothing cached: each view is drawn and
-              embedded anew
-  warm        the same episodes' views known; sleeping at once (blocking), and looking for work
-              first (polling)
-  lanes       warm, with several episodes at once
-  sizes       the search by itself, exact and approximate with its recall, in memories of real
-              embeddings and seeded neighbours of them
+  floors      a cache line between two cores, a copy of a frame, the bandwidth of memory
+  cold        accesses with one lane and empty caches: every view is rendered and embedded
+  warm        the same episodes with known views; sleeping at once (blocking), and polling first
+  lanes       warm, with several episodes at a time
+  sizes       search alone, exact and approximate with its recall, in memories of real embeddings
+              and seeded neighbours of them
 
-The episodes are walked by the policy `random` through the processes that a run starts. Nothing of
-it is a score. Close other programs: on two cores every one of them shows.
+The policy is `random`, the processes are those of a run, and nothing is scored. Close other
+programs: with few cores each of them shows in the figures.
 
-Writes into --out: profile.html (one page with plots), profile.json and profile.csv.
+Writes profile.html (a page with plots), profile.json and profile.csv into --out.
 
 Examples:
   memtransfer profile                                 about a minute on two cores
-  memtransfer profile --quick                         a short one, to see whether it works
+  memtransfer profile --quick                         two memories and few figures
   memtransfer profile --full                          up to 64 lanes and ten million entries
   memtransfer profile --memory episodic --lanes 1,2,4,8 --entries 1000,100000")]
 pub(super) struct ProfileArgs {
-    /// As little as gives an impression
+    /// Measure little, for a first impression
     #[arg(long, conflicts_with = "full")]
     quick: bool,
-    /// Everything, up to memories that hardly fit into this machine's
+    /// Measure everything, up to memories that barely fit into the machine
     #[arg(long)]
     full: bool,
-    /// Where to write; files of an earlier profile there are replaced
+    /// Write into DIR; files of an earlier profile are replaced
     #[arg(long, value_name = "DIR", default_value = "profile")]
     out: PathBuf,
-    /// Memory representations [default: all six]
+    /// Memory representations [default: all; with --quick working and episodic]
     #[arg(long, value_name = "LIST", value_delimiter = ',', value_parser = representation)]
     memory: Vec<Representation>,
-    /// Numbers of lanes to walk with, beside one
+    /// Numbers of lanes to measure beside one
     #[arg(long, value_name = "LIST", value_delimiter = ',')]
     lanes: Vec<u32>,
-    /// Microseconds for which a polling process looks for work before it sleeps
-    #[arg(long, value_name = "MICROSECONDS", default_value_t = 200)]
+    /// Microseconds for which a polling process polls before it sleeps
+    #[arg(long, value_name = "MICROSECONDS", default_value_t = 200,
+          value_parser = clap::value_parser!(u32).range(1..))]
     spin_us: u32,
-    /// Sizes of memory to search in by itself
-    #[arg(long, value_name = "LIST", value_delimiter = ',')]
+    /// Sizes of memory for search alone
+    #[arg(long, value_name = "LIST", value_delimiter = ',',
+          value_parser = clap::value_parser!(u32).range(1..))]
     entries: Vec<u32>,
     /// The model that embeds frames, by its name in models.toml
-    #[arg(long, value_name = "NAME", env = "MEMTRANSFER_ENCODER")]
+    #[arg(long, value_name = "NAME")]
     encoder: Option<String>,
-    /// Say nothing of what is being done
+    /// Show no progress
     #[arg(long)]
     quiet: bool,
 }
 
 /// How much is measured.
 struct Extent {
+    memory: Vec<Representation>,
     floors: floors::Effort,
     cases: u32,
-    /// Repetitions of a case in a warm walk.
-    runs: u32,
+    /// Steps of an episode.
+    steps: u32,
+    /// Repetitions of a case with warm caches.
+    repetitions: u32,
     lanes: Vec<u32>,
     exact: Vec<u32>,
     approximate: Vec<u32>,
-    /// Seconds of a measurement of search.
+    /// Seconds of one measurement of search.
     seconds: f64,
 }
 
-/// Steps of an episode: most of them are later ones, and a walk does not get far from its start.
-const STEPS: u32 = 24;
-
 impl ProfileArgs {
     fn extent(&self) -> Extent {
-        let effort = floors::Effort::FULL;
+        let floors = floors::Effort::FULL;
         let mut extent = match (self.quick, self.full) {
             (true, _) => Extent {
-                floors: floors::Effort { bytes: effort.bytes / 2, passes: 1, ..effort },
-                cases: 2,
-                runs: 4,
-                lanes: vec![8],
-                exact: vec![1000, 10_000],
-                approximate: vec![10_000],
-                seconds: 0.3,
+                memory: vec![Representation::Working, Representation::Episodic],
+                floors: floors::Effort { bytes: floors.bytes / 4, passes: 1, ..floors },
+                cases: 1,
+                steps: 12,
+                repetitions: 8,
+                lanes: Vec::new(),
+                exact: vec![1000],
+                approximate: vec![1000],
+                seconds: 0.2,
             },
             (false, false) => Extent {
-                floors: effort,
+                memory: Representation::ALL.to_vec(),
+                floors,
                 cases: 4,
-                runs: 20,
+                steps: 24,
+                repetitions: 20,
                 lanes: vec![4, 16],
                 exact: vec![1, 10, 100, 1000, 10_000, 100_000, 1_000_000],
                 approximate: vec![1000, 10_000, 100_000],
                 seconds: 0.5,
             },
             (false, true) => Extent {
-                floors: effort,
+                memory: Representation::ALL.to_vec(),
+                floors,
                 cases: 8,
-                runs: 40,
+                steps: 24,
+                repetitions: 40,
                 lanes: vec![2, 4, 8, 16, 32, 64],
                 exact: (0..=7).map(|power| 10_u32.pow(power)).collect(),
                 approximate: vec![1000, 10_000, 100_000, 1_000_000],
                 seconds: 2.0,
             },
         };
+        if !self.memory.is_empty() {
+            extent.memory.clone_from(&self.memory);
+        }
         if !self.lanes.is_empty() {
             extent.lanes = self.lanes.iter().copied().filter(|lanes| *lanes > 1).collect();
         }
@@ -144,7 +152,7 @@ impl ProfileArgs {
         extent
     }
 
-    fn say(&self, what: impl std::fmt::Display) {
+    fn progress(&self, what: impl std::fmt::Display) {
         if !self.quiet {
             eprintln!("profile: {what}");
         }
@@ -152,20 +160,12 @@ impl ProfileArgs {
 }
 
 pub(super) fn run(args: &ProfileArgs) -> Result<Exit> {
-    ensure!(
-        args.spin_us > 0,
-        "--spin-us is 0, which is blocking: give the microseconds of polling"
-    );
-    ensure!(
-        args.entries.iter().all(|entries| *entries > 0),
-        "--entries has a 0: a memory of nothing is not searched"
-    );
-    let (extent, signals) = (args.extent(), Signals::listen().context("cannot listen to signals")?);
+    let extent = args.extent();
+    let signals = Signals::listen().context("cannot listen to signals")?;
     let unix_s = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_secs());
-    let world = World::load(None)?;
     let scratch = Scratch::make(&args.out)?;
-    args.say("the machine's floors");
-    let floors = floors::measure(extent.floors);
+    let profiler = Profiler { args, extent: &extent, world: World::load(None)?, scratch, signals };
+    args.progress("the machine's floors");
     let program = std::env::current_exe().ok();
     let mut profile = Profile {
         schema: SCHEMA,
@@ -173,31 +173,30 @@ pub(super) fn run(args: &ProfileArgs) -> Result<Exit> {
         commit: program.as_deref().and_then(Path::parent).and_then(commit_of),
         unix_s,
         machine: Machine::here(),
-        floors,
-        encoder: scratch.settings(args, &extent, How::COLD)?.encoder,
-        walks: Vec::new(),
+        floors: floors::measure(extent.floors),
+        encoder: profiler.settings(RunWay::COLD)?.encoder,
+        runs: Vec::new(),
         searches: Vec::new(),
         problems: Vec::new(),
     };
-    for how in hows(args, &extent) {
-        let settings = scratch.settings(args, &extent, how)?;
-        let walked = scratch.walk(&settings, &world, how, &signals, args)?;
-        if let Some(signal) = signals.received() {
+    for way in ways(args, &extent) {
+        let measured = profiler.measure(way)?;
+        if let Some(signal) = profiler.signals.received() {
             return Ok(Exit::Signal(signal));
         }
-        let Some((walk, problems)) = walked else { continue };
+        let Some((run, problems)) = measured else { continue };
         profile.problems.extend(problems);
-        if !how.unseen {
-            profile.walks.push(walk);
+        if !way.is_warm_up {
+            profile.runs.push(run);
             profile.write(&args.out)?;
         }
     }
     for (kind, sizes) in [("exact", &extent.exact), ("approximate", &extent.approximate)] {
         for &entries in sizes {
-            if let Some(signal) = signals.received() {
+            if let Some(signal) = profiler.signals.received() {
                 return Ok(Exit::Signal(signal));
             }
-            args.say(format_args!("{kind} search among {entries}"));
+            args.progress(format_args!("{kind} search among {entries}"));
             match search::measure(kind, entries, extent.seconds) {
                 Ok(searches) => profile.searches.extend(searches),
                 Err(error) => {
@@ -211,31 +210,122 @@ pub(super) fn run(args: &ProfileArgs) -> Result<Exit> {
     Ok(if profile.problems.is_empty() { Exit::Complete } else { Exit::Failed })
 }
 
-/// How episodes are walked.
+/// The way in which episodes run.
 #[derive(Debug, Clone, Copy)]
-struct How {
-    mode: Mode,
+struct RunWay {
+    caches: CacheState,
     lanes: u32,
     spin_us: u32,
-    /// Whether it is only there for what comes after it: views become known.
-    unseen: bool,
+    /// Whether the episodes only fill the caches for those that follow.
+    is_warm_up: bool,
 }
 
-impl How {
-    const COLD: Self = Self { mode: Mode::Cold, lanes: 1, spin_us: 0, unseen: false };
+impl RunWay {
+    const COLD: Self = Self { caches: CacheState::Cold, lanes: 1, spin_us: 0, is_warm_up: false };
 }
 
-/// All walks, in order.
-fn hows(args: &ProfileArgs, extent: &Extent) -> Vec<How> {
-    let warm = How { mode: Mode::Warm, ..How::COLD };
-    let mut hows = vec![How::COLD, How { unseen: true, lanes: 8, ..warm }, warm];
-    hows.push(How { spin_us: args.spin_us, ..warm });
-    hows.extend(extent.lanes.iter().map(|&lanes| How { lanes, ..warm }));
-    hows
+/// All ways, in order.
+fn ways(args: &ProfileArgs, extent: &Extent) -> Vec<RunWay> {
+    let warm = RunWay { caches: CacheState::Warm, ..RunWay::COLD };
+    let mut ways = vec![RunWay::COLD, RunWay { is_warm_up: true, lanes: 8, ..warm }, warm];
+    ways.push(RunWay { spin_us: args.spin_us, ..warm });
+    ways.extend(extent.lanes.iter().map(|&lanes| RunWay { lanes, ..warm }));
+    ways
 }
 
-/// What a profile needs while it is made: a cache folder of its own, in which nothing is embedded at first, and the
-/// processes' logs. Gone when it is dropped.
+/// Runs episodes and records their accesses.
+struct Profiler<'a> {
+    args: &'a ProfileArgs,
+    extent: &'a Extent,
+    world: World,
+    scratch: Scratch,
+    signals: Signals,
+}
+
+impl Profiler<'_> {
+    fn settings(&self, way: RunWay) -> Result<RunSettings> {
+        let Self { args, extent, scratch, .. } = self;
+        let repetitions = if way.caches == CacheState::Cold { 1 } else { extent.repetitions };
+        let names: Vec<&str> = extent.memory.iter().map(|memory| memory.name()).collect();
+        let (memory, out) = (names.join(","), scratch.folder.join("run").display().to_string());
+        let numbers = [extent.cases, repetitions, extent.steps, way.lanes, way.spin_us];
+        let [cases, runs, steps, lanes, spin_us] = numbers.map(|number| number.to_string());
+        let mut flags = vec![
+            ("policy", "random"),
+            ("memory", &*memory),
+            ("starts", "new"),
+            ("limit", &*cases),
+            ("runs", &*runs),
+            ("max-steps", &*steps),
+            ("documents", "extractive"),
+            ("out", &*out),
+            ("lanes", &*lanes),
+            ("spin-us", &*spin_us),
+        ];
+        if way.caches == CacheState::Warm {
+            flags.push(("warm-views", "true"));
+        }
+        let variable = variable("encoder")?;
+        let encoder = args.encoder.as_deref().or(variable.as_ref().and_then(|v| v.as_str()));
+        flags.extend(encoder.map(|encoder| ("encoder", encoder)));
+        Ok(resolve([Layer::flags(flags)?])?.settings)
+    }
+
+    /// Runs episodes; `None` when a signal asked to stop. Returns what was measured, and problems.
+    fn measure(&self, way: RunWay) -> Result<Option<(AccessRun, Vec<String>)>> {
+        let Self { args, world, scratch, signals, .. } = self;
+        let settings = self.settings(way)?;
+        let ids = world.case_ids();
+        let cases = select_cases(&ids, &settings.cases, settings.limit)?;
+        let episodes = plan(&settings.runs(), &cases, &ids, settings.seed);
+        let mut run = AccessRun {
+            caches: way.caches,
+            lanes: way.lanes,
+            spin_us: way.spin_us,
+            episodes: 0,
+            steps: 0,
+            seconds: 0.0,
+            latencies: Vec::new(),
+        };
+        let purpose = if way.is_warm_up { " (to fill the caches)" } else { "" };
+        args.progress(format_args!("{}: {} episodes{purpose}", run.name(), episodes.len()));
+        let Some(supply) = RunDocuments::of(&settings, true).supply(signals, args.quiet)? else {
+            return Ok(None);
+        };
+        supply.copy_to(&RunFolder::documents_of(&settings.out))?;
+        drop(supply);
+        let base = registry::default_base();
+        registry::clean(&base)?;
+        let folder = RunDir::create(&base)?;
+        let attach = launch::attach(&settings, world, &episodes, &folder, None)?;
+        let mut options = launch::pipeline_options(&settings, scratch.folder.join("logs"))?;
+        for launch in options.launches.iter_mut().filter(|launch| launch.role == Role::Memory) {
+            launch.env.push(("MEMTRANSFER_CACHE".into(), scratch.cache().into()));
+        }
+        let rules = launch::rules(&settings)?;
+        let mut lanes = Lanes::new(&world.warehouse, &world.cases, rules, attach.lanes as usize);
+        let mut recorder = AccessRecorder::default();
+        let stop = signals.stop();
+        let ending =
+            pipeline::run_episodes(&mut lanes, episodes, &attach, &options, stop, &mut recorder)?;
+        if ending.interrupted {
+            return Ok(None);
+        }
+        let name = run.name();
+        let mut problems = std::mem::take(&mut recorder.problems);
+        problems.extend(ending.unfinished.into_iter().map(|(_, why)| why));
+        if recorder.unordered > 0 {
+            problems.push(format!("{} steps with stamps out of order", recorder.unordered));
+        }
+        problems.iter_mut().for_each(|problem| problem.insert_str(0, &format!("{name}: ")));
+        (run.episodes, run.steps) = (recorder.episodes, recorder.steps);
+        (run.seconds, run.latencies) = (recorder.seconds(), recorder.latencies());
+        Ok(Some((run, problems)))
+    }
+}
+
+/// The folder that a profile uses while it is made: an empty cache folder, and the processes' logs. Removed when it is
+/// dropped.
 #[derive(Debug)]
 struct Scratch {
     folder: PathBuf,
@@ -252,12 +342,12 @@ impl Scratch {
         let scratch = Self { folder };
         let cache = scratch.cache();
         fs::create_dir_all(&cache).with_context(|| format!("cannot make {}", cache.display()))?;
-        // What set-up brought is used where it lies; what is embedded is not.
-        let whole = std::path::absolute(cache_folder()?)?;
+        // What set-up installed is used; what is embedded already is not.
+        let shared = std::path::absolute(cache_folder()?)?;
         for part in ["models", "onnxruntime"] {
-            let (from, to) = (whole.join(part), cache.join(part));
-            std::os::unix::fs::symlink(&from, &to)
-                .with_context(|| format!("cannot link {}", to.display()))?;
+            let link = cache.join(part);
+            std::os::unix::fs::symlink(shared.join(part), &link)
+                .with_context(|| format!("cannot link {}", link.display()))?;
         }
         Ok(scratch)
     }
@@ -265,90 +355,46 @@ impl Scratch {
     fn cache(&self) -> PathBuf {
         self.folder.join("cache")
     }
-
-    /// The settings of a walk.
-    fn settings(&self, args: &ProfileArgs, extent: &Extent, how: How) -> Result<RunSettings> {
-        let memory =
-            if args.memory.is_empty() { Representation::ALL.to_vec() } else { args.memory.clone() };
-        let layer = Layer {
-            policy: Some(PolicyKind::Random),
-            memory: Some(memory),
-            starts: Some(vec![Start::New]),
-            limit: Some(extent.cases),
-            runs: Some(if how.mode == Mode::Cold { 1 } else { extent.runs }),
-            max_steps: Some(STEPS),
-            documents: Some(DocumentSource::Extractive),
-            encoder: args.encoder.clone(),
-            out: Some(self.folder.join("run")),
-            lanes: Some(how.lanes),
-            spin_us: Some(how.spin_us),
-            warm_views: how.mode == Mode::Warm,
-            ..Layer::default()
-        };
-        Ok(resolve([(Origin::Default, Layer::defaults()), (Origin::CommandLine, layer)])?.settings)
-    }
-
-    /// Walks episodes; `None` when a signal asked to stop. Beside what was measured, what went wrong.
-    fn walk(
-        &self,
-        settings: &RunSettings,
-        world: &World,
-        how: How,
-        signals: &Signals,
-        args: &ProfileArgs,
-    ) -> Result<Option<(Walk, Vec<String>)>> {
-        let ids = world.case_ids();
-        let cases = select_cases(&ids, &settings.cases, settings.limit)?;
-        let episodes = plan(&settings.runs(), &cases, &ids, settings.seed);
-        let mut walk = Walk {
-            mode: how.mode,
-            lanes: how.lanes,
-            spin_us: how.spin_us,
-            episodes: 0,
-            steps: 0,
-            seconds: 0.0,
-            latencies: Vec::new(),
-        };
-        let purpose = if how.unseen { " (views become known)" } else { "" };
-        args.say(format_args!("{}: {} episodes{purpose}", walk.name(), episodes.len()));
-        let Some(supply) = RunDocuments::of(settings, true).supply(signals, args.quiet)? else {
-            return Ok(None);
-        };
-        supply.copy_to(&RunFolder::documents_of(&settings.out))?;
-        drop(supply);
-        let base = registry::default_base();
-        registry::clean(&base)?;
-        let run = RunDir::create(&base)?;
-        let attach = attach(settings, world, &episodes, &run, 1)?;
-        let mut crewing = crewing(settings, self.folder.join("logs"))?;
-        for launch in crewing.launches.iter_mut().filter(|launch| launch.role == Role::Memory) {
-            launch.env.push(("MEMTRANSFER_CACHE".into(), self.cache().into()));
-        }
-        let rules = rules(settings)?;
-        let mut lanes = Lanes::new(&world.warehouse, &world.cases, rules, attach.lanes as usize);
-        let mut recorder = Recorder::default();
-        let stop = signals.stop();
-        let ending = pipeline::walk(&mut lanes, episodes, &attach, &crewing, stop, &mut recorder)?;
-        if ending.interrupted {
-            return Ok(None);
-        }
-        let of_walk = |what: String| format!("{}: {what}", walk.name());
-        let mut problems: Vec<String> = recorder.troubles.iter().cloned().map(of_walk).collect();
-        problems.extend(ending.unfinished.into_iter().map(|(_, why)| of_walk(why)));
-        if recorder.senseless > 0 {
-            problems
-                .push(of_walk(format!("{} steps with stamps out of order", recorder.senseless)));
-        }
-        (walk.episodes, walk.steps) = (recorder.episodes, recorder.steps);
-        (walk.seconds, walk.latencies) = (recorder.seconds(), recorder.latencies());
-        Ok(Some((walk, problems)))
-    }
 }
 
 impl Drop for Scratch {
     fn drop(&mut self) {
         if let Err(error) = fs::remove_dir_all(&self.folder) {
-            tracing::warn!(%error, "{} could not be removed", self.folder.display());
+            tracing::warn!(%error, "cannot remove {}", self.folder.display());
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::Parser;
+
+    use super::*;
+
+    #[derive(Debug, Parser)]
+    struct Cli {
+        #[command(flatten)]
+        args: ProfileArgs,
+    }
+
+    #[test]
+    fn a_quick_profile_measures_little() {
+        let extent = |arguments: &[&str]| {
+            let arguments = ["profile"].iter().chain(arguments);
+            let args = Cli::parse_from(arguments).args;
+            let extent = args.extent();
+            let steps = |way: &RunWay| {
+                let repetitions =
+                    if way.caches == CacheState::Cold { 1 } else { extent.repetitions };
+                extent.cases * repetitions * extent.steps * extent.memory.len() as u32
+            };
+            let steps: u32 = ways(&args, &extent).iter().map(steps).sum();
+            (steps, extent.exact.iter().chain(&extent.approximate).sum::<u32>())
+        };
+        let (quick, usual) = (extent(&["--quick"]), extent(&[]));
+        assert!(quick.0 < 1000 && quick.0 * 40 < usual.0, "{quick:?} of {usual:?}");
+        assert!(quick.1 <= 2000, "{quick:?}");
+        // What is asked for is measured.
+        assert_eq!(extent(&["--quick", "--entries", "5000"]).1, 10_000);
     }
 }

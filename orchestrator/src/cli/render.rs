@@ -1,4 +1,4 @@
-//! `memtransfer render`: hands everything to the simulator's own verb, which has the renderer.
+//! `memtransfer render`: passes its arguments to `sim-proc render`, which has the renderer.
 
 use std::ffi::OsString;
 use std::process::Command;
@@ -6,13 +6,14 @@ use std::process::Command;
 use anyhow::Context;
 use clap::Args;
 
-use super::Exit;
 use supervise::{QUIET_DRIVER, sibling};
+
+use super::Exit;
 
 #[derive(Debug, Args)]
 #[command(disable_help_flag = true)]
 pub(super) struct RenderArgs {
-    /// Whatever `sim-proc render` takes; `memtransfer render --help` lists it
+    /// Arguments of `sim-proc render`; `memtransfer render --help` lists them
     #[arg(trailing_var_arg = true, allow_hyphen_values = true, value_name = "ARGUMENTS")]
     arguments: Vec<OsString>,
 }

@@ -1,28 +1,28 @@
-//! `memtransfer report`: pages and data files about runs, from their logs alone.
+//! `memtransfer report`: pages and data files of runs, from their logs alone.
 
 use std::path::PathBuf;
 
 use anyhow::bail;
 use clap::Args;
-
-use super::{Exit, print};
 use results::log::{REPORT_FOLDER, RunLog};
 use results::report;
 
+use super::{Exit, print};
+
 #[derive(Debug, Args)]
 #[command(after_help = "\
-Reads the runs' folders and nothing else. Writes report.html (one page that needs nothing else),
-report.md with its figures, every table as CSV, and conditions and episodes as CSV and Parquet;
-prints where the page is. Exit status 1 when episodes were given up.
+Reads the runs' folders and nothing else. Writes report.html (one page, everything inside), report.md
+with its figures, every table as CSV, and conditions and episodes as CSV and Parquet; prints the
+path of the page. Exit status 1 when episodes were given up.
 
 Examples:
   memtransfer report runs/paper-grounded
   memtransfer report runs/paper-grounded runs/paper-random --out reports/both")]
 pub(super) struct ReportArgs {
-    /// The runs' folders; conditions that several runs share are compared
+    /// The runs' folders; conditions of several runs are compared
     #[arg(value_name = "RUN", required = true)]
     runs: Vec<PathBuf>,
-    /// Where to write [default: `report` in the folder of a single run]
+    /// Write into DIR [default: `report` in the folder of a single run]
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
 }

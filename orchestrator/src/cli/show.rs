@@ -1,4 +1,4 @@
-//! `memtransfer show`: one step of an episode, as the policy was given it.
+//! `memtransfer show`: one step of an episode, as the policy received it.
 
 mod page;
 mod text;
@@ -6,18 +6,21 @@ mod text;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result, anyhow, bail};
 use clap::Args;
 
-use super::{Exit, print, print_json};
 use results::log::{EpisodeRecord, RunLog};
 use results::names::UnknownName;
 use results::step_view::{Prompt, look_up};
 
+use super::{Exit, print, print_json};
+use crate::settings::select_cases;
+use crate::world::World;
+
 #[derive(Debug, Args)]
 #[command(after_help = "\
-What the policy was shown, said to a model and heard back is there for runs with --log-prompts; of
-others the log knows poses, actions and what was retrieved.
+Of a run with --log-prompts, this prints the prompt, its images and the answer; of any other run,
+the pose, the action and what was retrieved.
 
 Examples:
   memtransfer show runs/quick-grounded t01-01 0 --condition episodic,new
@@ -33,13 +36,13 @@ pub(super) struct ShowArgs {
     /// The step: how many were taken before, so 0 is the first
     #[arg(value_name = "STEP")]
     step: u32,
-    /// The condition, or words of it, separated by commas, that no other one has together
+    /// The condition, or words of it, separated by commas, that identify it
     #[arg(long, value_name = "CONDITION")]
     condition: Option<String>,
     /// Which repetition, from 1 [default: the first that is finished]
     #[arg(long = "run", value_name = "N")]
     repetition: Option<u32>,
-    /// Write the images into DIR, in the order in which they were shown
+    /// Write the images of the prompt into DIR
     #[arg(long, value_name = "DIR")]
     images: Option<PathBuf>,
     /// Write one page with everything, images included, to FILE
@@ -63,7 +66,10 @@ pub(super) fn run(args: &ShowArgs) -> Result<Exit> {
     }
     let Some(prompt) = &shown.prompt else {
         bail!(
-            "there are no images: the run has no prompt log of this step (memtransfer run --log-prompts)"
+            "{} has no prompt log of this step, so there are no images. Prompts are logged while episodes run: give \
+             the run's command again with --log-prompts, --cases {} and another --out",
+            args.run.display(),
+            args.case
         );
     };
     if let Some(folder) = &args.images {
@@ -80,51 +86,37 @@ pub(super) fn run(args: &ShowArgs) -> Result<Exit> {
 impl ShowArgs {
     /// The one episode that is asked for.
     fn episode<'a>(&self, log: &'a RunLog) -> Result<&'a EpisodeRecord> {
-        let of_case = |record: &&EpisodeRecord| record.case == self.case;
-        let walked: Vec<&EpisodeRecord> = log.episodes.iter().filter(of_case).collect();
-        if walked.is_empty() {
-            let mut cases: Vec<&str> = log.episodes.iter().map(|r| r.case.as_str()).collect();
-            cases.dedup();
-            cases.sort_unstable();
-            cases.dedup();
-            return Err(UnknownName::new(
-                "case (among those that are finished)",
-                &self.case,
-                cases,
-            )
-            .into());
+        let of_case: Vec<&EpisodeRecord> =
+            log.episodes.iter().filter(|record| record.case == self.case).collect();
+        if of_case.is_empty() {
+            return Err(self.no_such_case(log));
         }
-        let asked_for = |record: &&EpisodeRecord| match &self.condition {
-            None => true,
-            Some(asked) => {
-                let condition = record.condition().to_string();
+        let condition = |record: &EpisodeRecord| record.condition().to_string();
+        let mut found = of_case.clone();
+        if let Some(asked) = &self.condition {
+            let has_words = |record: &&EpisodeRecord| {
+                let condition = condition(record);
                 let words: Vec<&str> = condition.split('/').collect();
-                condition == *asked
-                    || asked.split([',', '/']).all(|word| words.contains(&word.trim()))
-            }
-        };
-        let mut found: Vec<&EpisodeRecord> = walked.iter().copied().filter(asked_for).collect();
-        // A condition in full is that one, and not those that vary from it.
-        let exact =
-            |record: &&EpisodeRecord| Some(record.condition().to_string()) == self.condition;
-        if found.iter().any(exact) {
-            found.retain(exact);
+                asked.split([',', '/']).all(|word| words.contains(&word.trim()))
+            };
+            // A condition in full does not stand for its variations.
+            let exact = found.iter().copied().filter(|record| condition(record) == *asked);
+            let exact: Vec<&EpisodeRecord> = exact.collect();
+            found = match exact.is_empty() {
+                true => found.into_iter().filter(has_words).collect(),
+                false => exact,
+            };
         }
-        let mut conditions: Vec<String> = if found.is_empty() { &walked } else { &found }
-            .iter()
-            .map(|r| r.condition().to_string())
-            .collect();
+        let among = if found.is_empty() { &of_case } else { &found };
+        let mut conditions: Vec<String> = among.iter().map(|record| condition(record)).collect();
         conditions.dedup();
         if found.is_empty() || conditions.len() > 1 {
+            let matching =
+                if found.is_empty() { "none of which is that one" } else { "all of which match" };
             bail!(
-                "{} was walked under {} conditions{}; choose one with --condition:\n  {}",
+                "{} ran under {} conditions, {matching}; choose one with --condition:\n  {}",
                 self.case,
                 conditions.len(),
-                if found.is_empty() {
-                    ", none of which is that one"
-                } else {
-                    " that this could mean"
-                },
                 conditions.join("\n  ")
             );
         }
@@ -138,6 +130,27 @@ impl ShowArgs {
             format!("that repetition is not finished; choose one with --run: {}", runs.join(", "))
         })
     }
+
+    /// Why the run has no finished episode of the case: it is not finished, not part of the run, or does not exist.
+    fn no_such_case(&self, log: &RunLog) -> anyhow::Error {
+        let (case, run, settings) = (&self.case, self.run.display(), &log.manifest.settings);
+        let Ok(world) = World::load(settings.assets.as_deref()) else {
+            return anyhow!("{run} has no finished episode of {case}");
+        };
+        let ids = world.case_ids();
+        let Some(index) = ids.iter().position(|id| id == case) else {
+            return UnknownName::new("case", case, ids).into();
+        };
+        let planned = select_cases(&ids, &settings.cases, settings.limit).unwrap_or_default();
+        if planned.contains(&index) {
+            anyhow!("no episode of {case} is finished yet in {run}: the run's command resumes it")
+        } else {
+            anyhow!(
+                "{case} is not one of the cases of {run}, which its --cases and --limit chose; `memtransfer ls \
+                 cases` lists all"
+            )
+        }
+    }
 }
 
 /// Writes the images of a request, named by their place in it.
@@ -150,10 +163,10 @@ fn write_images(folder: &Path, prompt: &Prompt) -> Result<()> {
     for (index, past) in request.window.iter().enumerate() {
         named.push((format!("window-{:02}", index + 1), &past.frame));
     }
-    for (walk, steps) in remembered.enumerate() {
+    for (index, steps) in remembered.enumerate() {
         for (step, seen) in steps.iter().enumerate() {
             if let Some(frame) = &seen.frame {
-                named.push((format!("memory-{}-{step:03}", walk + 1), frame));
+                named.push((format!("memory-{}-{step:03}", index + 1), frame));
             }
         }
     }

@@ -1,4 +1,4 @@
-//! `memtransfer top`: what a running run is at.
+//! `memtransfer top`: the live status of a running run.
 
 use std::io::{IsTerminal, Write};
 use std::path::{Path, PathBuf};
@@ -7,37 +7,45 @@ use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
 use clap::Args;
-use serde_json::json;
+use domain::Representation;
+use results::conditions::representation;
+use results::table::table;
 use shm_types::message::Role;
 
 use super::{Exit, print, print_json};
-use crate::status::Status;
-use results::table::table;
+use crate::status::{LiveStatus, StageLatency};
 
-/// How often the screen is drawn anew.
+/// Time between two drawings of the screen.
 const INTERVAL: Duration = Duration::from_millis(500);
 
-/// Clears the terminal and goes to its corner.
+/// Clears the terminal and moves to its corner.
 const CLEAR: &str = "\x1b[2J\x1b[H";
+
+/// The size of a terminal that does not tell it.
+const DEFAULT_SIZE: (usize, usize) = (100, 40);
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
-Where lanes pile up is what limits the run: many waiting for `memory` while images wait there means
-that embedding is what takes time. Times are of the last half second; a stage includes waiting for a
-process that is busy with others.
+The process that most lanes wait for limits the run: many lanes waiting for `memory` while images
+wait there means that embedding takes the time. Latencies are those of the last half second; a stage
+includes waiting for a process that is busy with other lanes.
 
 Examples:
   memtransfer top                       the run that is going on in ./runs
   memtransfer top runs/paper-grounded
+  memtransfer top --memory episodic     every stage of the steps with episodic memory
   memtransfer top --once --json | jq .steps_per_s")]
 pub(super) struct TopArgs {
     /// A run's folder, or a folder of run folders
     #[arg(default_value = "runs", value_name = "DIR")]
     dir: PathBuf,
-    /// Print it once, and stop
+    /// Show every stage of the steps with this memory
+    #[arg(long, value_name = "NAME", value_parser = representation)]
+    memory: Option<Representation>,
+    /// Print the status once, and stop
     #[arg(long)]
     once: bool,
-    /// Print JSON, once
+    /// Print the status once, as JSON
     #[arg(long)]
     json: bool,
 }
@@ -45,115 +53,149 @@ pub(super) struct TopArgs {
 pub(super) fn run(args: &TopArgs) -> Result<Exit> {
     let (run, mut status) = running(&args.dir)?;
     if args.json {
-        print_json(&json!(status))?;
+        print_json(&status)?;
         return Ok(Exit::Complete);
     }
-    let screen = std::io::stdout().is_terminal() && !args.once;
+    let is_screen = std::io::stdout().is_terminal() && !args.once;
     loop {
-        let text = shown(&run, &status);
-        if !screen {
+        let text = page(&run, &status, args.memory);
+        if !is_screen {
             print(&text)?;
             return Ok(Exit::Complete);
         }
-        print!("{CLEAR}{text}\n\nEnds with the run; Ctrl-C leaves it alone.\n");
+        let size = terminal_size::terminal_size();
+        let size = size.map_or(DEFAULT_SIZE, |(w, h)| (usize::from(w.0), usize::from(h.0)));
+        print!("{CLEAR}{}", fit(&format!("{text}\n\nCtrl-C ends this view, not the run."), size));
         std::io::stdout().flush()?;
         thread::sleep(INTERVAL);
-        let Some(next) = Status::read(&run)? else {
-            print(&format!("The run in {} is over.", run.display()))?;
+        let Some(next) = LiveStatus::read(&run)? else {
+            print(&format!("\nThe run in {} has ended.", run.display()))?;
             return Ok(Exit::Complete);
         };
         status = next;
     }
 }
 
-/// The run in `dir`, or in a folder of it, that is going on.
-fn running(dir: &Path) -> Result<(PathBuf, Status)> {
-    if let Some(status) = Status::read(dir)? {
+/// The run that is going on in `dir`, or in a folder in it.
+fn running(dir: &Path) -> Result<(PathBuf, LiveStatus)> {
+    if let Some(status) = LiveStatus::read(dir)? {
         return Ok((dir.to_owned(), status));
     }
     let mut found = Vec::new();
     if dir.is_dir() {
-        for entry in
-            dir.read_dir().with_context(|| format!("cannot look into {}", dir.display()))?
-        {
+        let entries = dir.read_dir().with_context(|| format!("cannot list {}", dir.display()))?;
+        for entry in entries {
             let run = entry?.path();
             if run.is_dir()
-                && let Some(status) = Status::read(&run)?
+                && let Some(status) = LiveStatus::read(&run)?
             {
                 found.push((run, status));
             }
         }
     }
-    match found.len() {
-        0 => bail!(
-            "no run is going on in {}: start one with `memtransfer run`, or name its folder \
-             (--out of that run)",
-            dir.display()
-        ),
-        1 => found.pop().context("one was found"),
-        _ => {
-            let names: Vec<String> = found
-                .iter()
-                .map(|(run, _)| format!("  memtransfer top {}", run.display()))
-                .collect();
-            bail!("several runs are going on; say which:\n{}", names.join("\n"))
-        }
+    if found.len() > 1 {
+        let names = found.iter().map(|(run, _)| format!("  memtransfer top {}", run.display()));
+        bail!("several runs are going on; choose one:\n{}", names.collect::<Vec<_>>().join("\n"));
     }
+    found.pop().with_context(|| {
+        format!(
+            "no run is going on in {}: start one with `memtransfer run`, or give the folder of one (its --out)",
+            dir.display()
+        )
+    })
 }
 
-fn shown(run: &Path, status: &Status) -> String {
-    let (total, done) = status.episodes;
-    let mut text = format!(
-        "{}: {done}/{total} episodes, {:.0} steps/s now, {} steps in {:.0} s\n\n",
-        run.display(),
-        status.steps_per_s,
-        status.steps,
-        status.elapsed_s
-    );
+/// The first lines of `text` that fit, each cut to the width.
+fn fit(text: &str, (width, height): (usize, usize)) -> String {
+    let lines: Vec<String> = text.lines().map(|line| line.chars().take(width).collect()).collect();
+    lines[..lines.len().min(height.max(1))].join("\n")
+}
 
-    let waiting = |role: Role| status.waiting.get(role.word()).copied().unwrap_or(0);
+fn page(run: &Path, status: &LiveStatus, memory: Option<Representation>) -> String {
+    let mut text = format!("{}: {}\n", run.display(), status.line());
     let busy: u32 = status.waiting.values().sum();
-    let mut processes =
-        table(&["process", "lanes wait", "does", "a second", "waiting", "frames", "room"], 1);
-    for (role, does) in [
-        (Role::Sim, "draws views"),
-        (Role::Memory, "embeds images"),
-        (Role::Policy, "answers requests"),
+    text += &format!(
+        "{:.0} steps/s now, {} steps in {:.0} s, {busy} of {} lanes are busy\n\n",
+        status.steps_per_s, status.steps, status.elapsed_s, status.lanes
+    );
+    let header = ["process", "lanes waiting", "work", "per second", "queued", "frames", "limit"];
+    let mut processes = table(&header, 1);
+    for (role, work) in [
+        (Role::Sim, "views rendered"),
+        (Role::Memory, "images embedded"),
+        (Role::Policy, "requests answered"),
     ] {
-        let told = status.processes.get(role.word());
+        let process = status.processes.get(role.word());
         let cell = |value: Option<String>| value.unwrap_or_else(|| "-".to_owned());
         processes.add_row([
             role.word().to_owned(),
-            waiting(role).to_string(),
-            does.to_owned(),
-            cell(told.map(|told| format!("{:.0}", told.done_per_s))),
-            cell(told.map(|told| told.waiting.to_string())),
-            cell(told.map(|told| told.held.to_string())),
-            cell(told.filter(|told| told.room > 0).map(|told| told.room.to_string())),
+            status.waiting.get(role.word()).copied().unwrap_or(0).to_string(),
+            work.to_owned(),
+            cell(process.map(|process| format!("{:.0}", process.done_per_s))),
+            cell(process.map(|process| process.waiting.to_string())),
+            cell(process.map(|process| process.held.to_string())),
+            cell(
+                process.filter(|process| process.room > 0).map(|process| process.room.to_string()),
+            ),
         ]);
     }
-    text += &format!("{processes}\n{busy} of {} lanes are busy.\n\n", status.lanes);
+    text += &format!("{processes}\n\n");
+    text + &match memory {
+        Some(memory) => stages(status, memory),
+        None => steps(status),
+    }
+}
 
-    let mut stages = table(&["memory", "stage", "steps", "mean us", "p50", "p99", "max"], 2);
-    let us = |us: f64| format!("{us:.1}");
-    for stage in &status.stages {
-        let summary = &stage.summary;
-        stages.add_row([
-            stage.memory.to_string(),
-            stage.stage.clone(),
-            summary.count.to_string(),
-            us(summary.mean_us),
-            us(summary.p50_us),
-            us(summary.p99_us),
-            us(summary.max_us),
+/// A row for each memory: its steps, and the stages that take most of their time.
+fn steps(status: &LiveStatus) -> String {
+    let mut steps = table(&["memory", "steps", "p50 us", "p99 us", "max us", "most time in"], 1);
+    for whole in status.stages.iter().filter(|stage| stage.stage == "step") {
+        let mut of_memory: Vec<&StageLatency> = status
+            .stages
+            .iter()
+            .filter(|stage| stage.memory == whole.memory && stage.stage != "step")
+            .collect();
+        of_memory.sort_by(|a, b| b.summary.mean_us.total_cmp(&a.summary.mean_us));
+        let mean = whole.summary.mean_us.max(f64::MIN_POSITIVE);
+        let share = |stage: &&StageLatency| {
+            format!("{} {:.0} %", stage.stage, 100.0 * stage.summary.mean_us / mean)
+        };
+        let shares: Vec<String> = of_memory.iter().take(3).map(share).collect();
+        steps.add_row([
+            whole.memory.to_string(),
+            whole.summary.count.to_string(),
+            format!("{:.0}", whole.summary.p50_us),
+            format!("{:.0}", whole.summary.p99_us),
+            format!("{:.0}", whole.summary.max_us),
+            shares.join(", "),
         ]);
     }
-    text + &stages.to_string()
+    steps.to_string()
+}
+
+/// A row for each stage of the steps with `memory`.
+fn stages(status: &LiveStatus, memory: Representation) -> String {
+    let mut stages = table(&["stage", "steps", "mean us", "p50", "p90", "p99", "max"], 1);
+    for StageLatency { stage, summary, .. } in
+        status.stages.iter().filter(|stage| stage.memory == memory)
+    {
+        let us = |us: f64| format!("{us:.1}");
+        let times =
+            [summary.mean_us, summary.p50_us, summary.p90_us, summary.p99_us, summary.max_us];
+        let mut row = vec![stage.clone(), summary.count.to_string()];
+        row.extend(times.map(us));
+        stages.add_row(row);
+    }
+    stages.to_string()
 }
 
 #[cfg(test)]
 mod tests {
+    use results::latency::LatencySummary;
+    use results::log::Stages;
+
     use super::*;
+    use crate::status::{EpisodeCounts, ProcessStatus};
 
     #[test]
     fn no_run_is_an_error_that_says_what_to_do() {
@@ -162,5 +204,62 @@ mod tests {
         let error = running(dir.path()).unwrap_err().to_string();
         assert!(error.contains("no run is going on") && error.contains("memtransfer run"));
         assert!(running(&dir.path().join("none")).is_err());
+    }
+
+    fn busy() -> LiveStatus {
+        let summary = LatencySummary {
+            count: 123_456,
+            mean_us: 123_456.7,
+            p50_us: 123_456.7,
+            p90_us: 1_234_567.8,
+            p99_us: 1_234_567.8,
+            p999_us: 1_234_567.8,
+            max_us: 12_345_678.9,
+        };
+        let stages = Representation::ALL.iter().flat_map(|&memory| {
+            let summary = summary.clone();
+            Stages::NAMES.into_iter().chain(["step"]).map(move |stage| StageLatency {
+                memory,
+                stage: stage.to_owned(),
+                summary: summary.clone(),
+            })
+        });
+        let process =
+            ProcessStatus { done: 1, done_per_s: 12_345.0, waiting: 64, held: 9999, room: 99_999 };
+        LiveStatus {
+            episodes: EpisodeCounts {
+                planned: 17_500,
+                finished: (9000, 100),
+                ..Default::default()
+            },
+            steps: 12_345_678,
+            running_s: 1e5,
+            elapsed_s: 1e5,
+            lanes: 64,
+            processes: Role::CHILDREN.map(|role| (role.word().to_owned(), process)).into(),
+            stages: stages.collect(),
+            ..LiveStatus::default()
+        }
+    }
+
+    #[test]
+    fn six_memories_fit_a_terminal() {
+        let status = busy();
+        for memory in [None, Some(Representation::FullContext)] {
+            let page = page(Path::new("runs/paper-openai-some-model"), &status, memory);
+            assert!(page.lines().count() <= 24, "{page}");
+            assert!(page.lines().all(|line| line.chars().count() <= 100), "{page}");
+        }
+        let page = page(Path::new("run"), &status, None);
+        assert!(Representation::ALL.iter().all(|memory| page.contains(memory.name())), "{page}");
+        assert_eq!(fit("abcdef\nb\nc", (3, 2)), "abc\nb");
+    }
+
+    #[test]
+    fn a_run_that_waits_for_the_server_says_so() {
+        let waiting_for_server = Some("connection refused".to_owned());
+        let status = LiveStatus { waiting_for_server, ..busy() };
+        let page = page(Path::new("run"), &status, None);
+        assert!(page.contains("waiting for the server: connection refused"), "{page}");
     }
 }

@@ -1,4 +1,4 @@
-//! `memtransfer validate`: every constraint on warehouse and cases, checked by replay.
+//! `memtransfer validate`: checks every constraint on warehouse and cases by replay.
 
 use clap::Args;
 
@@ -6,8 +6,8 @@ use super::{Exit, WorldArgs, print, print_json};
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
-Prints one line for each constraint: whether it holds, how often it was checked, how often it
-does not. Exit status 1 when anything is off.
+Prints one line for each constraint: whether it holds, how often it was checked and violated. Exit
+status 1 when one is violated.
 
 Examples:
   memtransfer validate

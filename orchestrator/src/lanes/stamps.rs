@@ -1,17 +1,15 @@
-//! When each stage of a step was over, by what its messages say.
+//! Time stamps of one step, taken from its messages.
 
 use domain::Representation;
+use results::log::Stages;
 use shm_types::message::{Decision, Observation, RecallTrace};
 
-use results::log::Stages;
-
-/// The way of one step through the processes: CLOCK_MONOTONIC nanoseconds, one scale over all of them. A stage
-/// that a step did not go through has 0, and so has everything behind the observation where nobody decides but
-/// the expert.
+/// When one step passed from stage to stage: CLOCK_MONOTONIC nanoseconds, the same clock in every process. A stage
+/// that the step skips has 0; with the expert so has every stage after the observation.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Stamps {
-    /// The episode's ticket.
-    pub ticket: u64,
+    /// The episode's id.
+    pub episode: u64,
     /// The lane.
     pub lane: u32,
     /// Steps taken before.
@@ -20,21 +18,21 @@ pub struct Stamps {
     pub memory: Representation,
     /// The orchestrator sent the command.
     pub commanded_ns: u64,
-    /// The simulator took it up.
+    /// The simulator received it.
     pub woken_ns: u64,
     /// The dynamics were applied.
     pub stepped_ns: u64,
-    /// The view was there.
+    /// The view was rendered, or found.
     pub rendered_ns: u64,
     /// The observation was published.
     pub published_ns: u64,
-    /// Memory took it up.
+    /// Memory received it.
     pub received_ns: u64,
-    /// The embeddings that were needed were there.
+    /// The embeddings were computed.
     pub embedded_ns: u64,
     /// The nearest view was found.
     pub searched_ns: u64,
-    /// The recall was put together.
+    /// The recall was assembled.
     pub assembled_ns: u64,
     /// The recall was sent.
     pub recalled_ns: u64,
@@ -42,21 +40,21 @@ pub struct Stamps {
     pub joined_ns: u64,
     /// It began to decide.
     pub started_ns: u64,
-    /// The prompt was built; 0 where none is.
+    /// The prompt was built; 0 without one.
     pub prompted_ns: u64,
-    /// The request went to a model's server; 0 where none did.
+    /// The request was sent to a model's server; 0 without one.
     pub requested_ns: u64,
     /// It had decided.
     pub decided_ns: u64,
-    /// The orchestrator had accounted for the step.
+    /// The orchestrator had recorded the step.
     pub logged_ns: u64,
 }
 
 impl Stamps {
-    /// Of a step that nobody has begun.
-    pub const fn none(ticket: u64, lane: u32, memory: Representation) -> Self {
+    /// The stamps of a step before it begins.
+    pub const fn new(episode: u64, lane: u32, memory: Representation) -> Self {
         Self {
-            ticket,
+            episode,
             lane,
             step: 0,
             memory,
@@ -79,7 +77,7 @@ impl Stamps {
         }
     }
 
-    /// Takes over what the simulator stamped, for a step that begins with it.
+    /// Begins a step with the simulator's stamps.
     pub(super) const fn observed(&mut self, observation: &Observation) {
         let Observation { step, commanded_ns, woken_ns, stepped_ns, rendered_ns, sent_ns, .. } =
             *observation;
@@ -90,11 +88,11 @@ impl Stamps {
             stepped_ns,
             rendered_ns,
             published_ns: sent_ns,
-            ..Self::none(self.ticket, self.lane, self.memory)
+            ..Self::new(self.episode, self.lane, self.memory)
         };
     }
 
-    /// Takes over what memory stamped.
+    /// Adds memory's stamps.
     pub(super) const fn recalled(&mut self, trace: &RecallTrace) {
         self.received_ns = trace.received_ns;
         self.embedded_ns = trace.embedded_ns;
@@ -103,7 +101,7 @@ impl Stamps {
         self.recalled_ns = trace.sent_ns;
     }
 
-    /// Takes over what the policy stamped.
+    /// Adds the policy's stamps.
     pub(super) const fn decided(&mut self, decision: &Decision) {
         self.joined_ns = decision.received_ns;
         self.started_ns = decision.started_ns;
@@ -112,9 +110,9 @@ impl Stamps {
         self.decided_ns = decision.decided_ns;
     }
 
-    /// How long each stage took. What a step did not go through took no time.
+    /// Nanoseconds in each stage; 0 for one that the step skips.
     pub fn stages(&self) -> Stages {
-        // Other processes may stamp what they like.
+        // A policy may send any stamps.
         let from = |from: u64, until: u64| if from == 0 { 0 } else { until.saturating_sub(from) };
         Stages {
             command: from(self.commanded_ns, self.woken_ns),

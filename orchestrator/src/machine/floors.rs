@@ -58,12 +58,12 @@ pub fn measure(effort: Effort) -> Floors {
 
 /// A line of the cache to itself, and the one beside it, which processors fetch along with it.
 #[repr(align(128))]
-struct Line(AtomicU64);
+struct CacheLine(AtomicU64);
 
 /// Half the time in which a line goes to another thread and an answer comes back, over `trips` round trips.
 pub fn cache_line_ns(trips: u64) -> f64 {
-    let (there, back) = (Line(AtomicU64::new(0)), Line(AtomicU64::new(0)));
-    let await_value = |line: &Line, value: u64| {
+    let (there, back) = (CacheLine(AtomicU64::new(0)), CacheLine(AtomicU64::new(0)));
+    let await_value = |line: &CacheLine, value: u64| {
         while line.0.load(Ordering::Acquire) != value {
             spin_loop();
         }

@@ -1,16 +1,17 @@
-//! A profile as one page: floors, accesses by representation, polling, lanes, sizes.
+//! A profile as a page: floors, accesses by representation, polling, lanes, sizes.
 
 use std::collections::BTreeSet;
 
 use anyhow::Result;
 use domain::Representation;
-
-use super::recorder::{Latency, Part, StepKind, Times};
-use super::{Mode, Profile, Walk};
+use results::latency::LatencySummary;
 use results::report::{
     Block, Cell, Column, Curve, Curves, Document, Figure, Group, Row, Section, Stack, StackRow,
     Table, curves, stack,
 };
+
+use super::recorder::{AccessLatency, AccessPart, StepClass};
+use super::{AccessRun, CacheState, Profile};
 
 /// The page, before it has a form.
 pub(super) fn document(profile: &Profile) -> Result<Document> {
@@ -25,10 +26,10 @@ pub(super) fn document(profile: &Profile) -> Result<Document> {
 fn about(profile: &Profile) -> Section {
     let mut blocks = vec![
         Block::Text(
-            "An access begins when the simulator has published an observation, and is over when the policy has the \
-             recall that answers it. It is taken apart into the way there and back (wire), getting the embeddings that \
-             the answer needs (embedding), finding the nearest remembered view (search), and putting the recall \
-             together (assembly). Every step is stamped on one clock."
+            "An access begins when the simulator has published an observation, and ends when the policy has the \
+             recall that answers it. Its parts are the messages there and back (wire), the embeddings that the answer \
+             needs (embedding), the nearest remembered view (search), and the recall itself (assembly). All processes \
+             stamp their messages with the same clock."
                 .to_owned(),
         ),
         Block::Terms(vec![
@@ -40,15 +41,15 @@ fn about(profile: &Profile) -> Section {
             ("encoder".to_owned(), profile.encoder.clone()),
             (
                 "cold".to_owned(),
-                "nothing is cached: every view is drawn and embedded for the first time".to_owned(),
+                "nothing is cached: every view is rendered and embedded for the first time".to_owned(),
             ),
             (
                 "warm".to_owned(),
-                "the views were drawn before the first step, their embeddings are in the cache folder".to_owned(),
+                "views were rendered before the first step, and their embeddings are in the cache folder".to_owned(),
             ),
             (
                 "first, later".to_owned(),
-                "the first step of an episode, which waits until its memory is built, and all others".to_owned(),
+                "the first step of an episode, which waits for its memory to be built, and all others".to_owned(),
             ),
         ]),
     ];
@@ -67,59 +68,59 @@ fn floors(profile: &Profile) -> Section {
         ("reading memory with one thread".to_owned(), vec![gb(floors.read_one_thread)]),
         ("reading memory with all cores".to_owned(), vec![gb(floors.read_all_cores)]),
     ];
-    let caption = "What this machine can do at best, measured in the same session.";
+    let caption = "What this machine achieves at best, measured in the same session.";
     let table = Table::of_text("t-floors", caption, (&["floor"], &["figure"]), rows);
     Section::new("s-floors", "The machine's floors", vec![Block::Table(table)])
 }
 
-/// The walk in one lane, blocking.
-fn plain(profile: &Profile, mode: Mode) -> Option<&Walk> {
-    profile.walks.iter().find(|walk| walk.mode == mode && walk.lanes == 1 && walk.spin_us == 0)
+/// The run with one lane, blocking.
+fn single_lane(profile: &Profile, caches: CacheState) -> Option<&AccessRun> {
+    profile.runs.iter().find(|run| run.caches == caches && run.lanes == 1 && run.spin_us == 0)
 }
 
 fn representations(profile: &Profile) -> Result<Section> {
     let mut blocks = Vec::new();
-    for mode in [Mode::Warm, Mode::Cold] {
-        let Some(walk) = plain(profile, mode) else { continue };
-        blocks.push(Block::Figure(stacked(walk)?));
-        blocks.push(Block::Table(distribution(walk)));
+    for caches in [CacheState::Warm, CacheState::Cold] {
+        let Some(run) = single_lane(profile, caches) else { continue };
+        blocks.push(Block::Figure(stacked(run)?));
+        blocks.push(Block::Table(distribution(run)));
     }
     Ok(Section::new("s-representations", "By representation", blocks))
 }
 
 /// The parts of later steps, stacked.
-fn stacked(walk: &Walk) -> Result<Figure> {
-    let parts = [Part::Wire, Part::Embedding, Part::Search, Part::Assembly];
-    // Cold, the few steps that wait for an embedding are what counts; warm, a median is not moved by chance.
-    let (called, at): (_, fn(&Times) -> f64) = match walk.mode {
-        Mode::Cold => ("means", |times| times.mean),
-        Mode::Warm => ("medians", |times| times.p50 as f64),
+fn stacked(run: &AccessRun) -> Result<Figure> {
+    let parts = [AccessPart::Wire, AccessPart::Embedding, AccessPart::Search, AccessPart::Assembly];
+    // Cold, the few steps that wait for an embedding matter; warm, a median is not moved by outliers.
+    let (name, value): (_, fn(&LatencySummary) -> f64) = match run.caches {
+        CacheState::Cold => ("means", |times| times.mean_us),
+        CacheState::Warm => ("medians", |times| times.p50_us),
     };
     let rows = Representation::ALL.iter().map(|&representation| {
-        let length = |part| find(walk, representation, StepKind::Later, part).map(|t| at(t) / 1e3);
+        let length = |part| find(run, representation, StepClass::Later, part).map(value);
         StackRow {
             label: representation.name().to_owned(),
             lengths: parts.iter().map(|part| length(*part)).collect(),
         }
     });
     let plot = Stack {
-        id: format!("f-split-{}", walk.mode),
+        id: format!("f-split-{}", run.caches),
         caption: format!(
-            "An access by representation, {}, later steps: the {called} of its parts.",
-            walk.name()
+            "An access by representation, {}, later steps: {name} of the parts.",
+            run.name()
         ),
         axis: "microseconds",
         to: None,
-        parts: parts.iter().map(Part::to_string).collect(),
+        parts: parts.iter().map(AccessPart::to_string).collect(),
         rows: rows.collect(),
     };
     Ok(stack(&plot))
 }
 
-fn distribution(walk: &Walk) -> Table {
+fn distribution(run: &AccessRun) -> Table {
     let groups = Representation::ALL.iter().filter_map(|&representation| {
-        let of = |latency: &&Latency| latency.representation == representation;
-        let rows: Vec<Row> = walk
+        let of = |latency: &&AccessLatency| latency.representation == representation;
+        let rows: Vec<Row> = run
             .latencies
             .iter()
             .filter(of)
@@ -133,12 +134,12 @@ fn distribution(walk: &Walk) -> Table {
         (!rows.is_empty()).then_some(Group { label, rows })
     });
     Table {
-        id: format!("t-split-{}", walk.mode),
+        id: format!("t-split-{}", run.caches),
         caption: format!(
             "Accesses by representation, {}: {} episodes, {} steps.",
-            walk.name(),
-            walk.episodes,
-            walk.steps
+            run.name(),
+            run.episodes,
+            run.steps
         ),
         stubs: vec!["Representation".to_owned(), "Steps and part".to_owned()],
         columns: TIMES.iter().map(|name| Column::new(*name)).collect(),
@@ -148,26 +149,29 @@ fn distribution(walk: &Walk) -> Table {
 
 /// Blocking beside polling.
 fn waiting(profile: &Profile) -> Option<Section> {
-    let walks: Vec<&Walk> =
-        profile.walks.iter().filter(|walk| walk.mode == Mode::Warm && walk.lanes == 1).collect();
-    if walks.len() < 2 {
+    let runs: Vec<&AccessRun> = profile
+        .runs
+        .iter()
+        .filter(|run| run.caches == CacheState::Warm && run.lanes == 1)
+        .collect();
+    if runs.len() < 2 {
         return None;
     }
-    let groups = walks.iter().map(|walk| {
+    let groups = runs.iter().map(|run| {
         let row = |&representation: &Representation| {
-            let total = find(walk, representation, StepKind::Later, Part::Total)?;
+            let total = find(run, representation, StepClass::Later, AccessPart::Total)?;
             let label = representation.name().to_owned();
             Some(Row { label, published: false, cells: cells(total) })
         };
         Group {
-            label: Some(walk.name()),
+            label: Some(run.name()),
             rows: Representation::ALL.iter().filter_map(row).collect(),
         }
     });
     let table = Table {
         id: "t-waiting".to_owned(),
-        caption: "Whole accesses of later steps: processes that sleep at once, and processes that first look for work. \
-                  Where there are more processes than cores, those that look keep others from working."
+        caption: "Whole accesses of later steps, of processes that sleep at once and of processes that poll first. With more \
+                  processes than cores, those that poll keep the others from working."
             .to_owned(),
         stubs: vec!["Waiting".to_owned(), "Representation".to_owned()],
         columns: TIMES.iter().map(|name| Column::new(*name)).collect(),
@@ -177,18 +181,21 @@ fn waiting(profile: &Profile) -> Option<Section> {
 }
 
 fn lanes(profile: &Profile) -> Result<Option<Section>> {
-    let walks: Vec<&Walk> =
-        profile.walks.iter().filter(|walk| walk.mode == Mode::Warm && walk.spin_us == 0).collect();
-    if walks.len() < 2 {
+    let runs: Vec<&AccessRun> = profile
+        .runs
+        .iter()
+        .filter(|run| run.caches == CacheState::Warm && run.spin_us == 0)
+        .collect();
+    if runs.len() < 2 {
         return Ok(None);
     }
-    let plot = |id: &str, what: &str, at: fn(&Times) -> u64| {
+    let plot = |id: &str, what: &str, at: fn(&LatencySummary) -> f64| {
         let curve = |&representation: &Representation| {
-            let point = |walk: &&Walk| {
-                let total = find(walk, representation, StepKind::Later, Part::Total)?;
-                Some((f64::from(walk.lanes), at(total) as f64 / 1e3))
+            let point = |run: &&AccessRun| {
+                let total = find(run, representation, StepClass::Later, AccessPart::Total)?;
+                Some((f64::from(run.lanes), at(total)))
             };
-            let points: Vec<(f64, f64)> = walks.iter().filter_map(point).collect();
+            let points: Vec<(f64, f64)> = runs.iter().filter_map(point).collect();
             let name = representation.name().to_owned();
             (!points.is_empty()).then_some(Curve { name, is_bound: false, points })
         };
@@ -202,24 +209,23 @@ fn lanes(profile: &Profile) -> Result<Option<Section>> {
             curves: Representation::ALL.iter().filter_map(curve).collect(),
         })
     };
-    let rows = walks.iter().map(|walk| {
-        let rate = walk.steps as f64 / walk.seconds.max(f64::MIN_POSITIVE);
-        let cells = vec![walk.steps.to_string(), format!("{rate:.0}")];
-        (walk.lanes.to_string(), cells)
+    let rows = runs.iter().map(|run| {
+        let rate = run.steps as f64 / run.seconds.max(f64::MIN_POSITIVE);
+        let cells = vec![run.steps.to_string(), format!("{rate:.0}")];
+        (run.lanes.to_string(), cells)
     });
-    let caption =
-        "What these episodes came to: first command to last decision, with the first steps.";
+    let caption = "Throughput from the first command to the last decision, first steps included.";
     Ok(Some(Section::new(
         "s-lanes",
         "Against lanes",
         vec![
             Block::Text(
-                "With many lanes a step waits for others, in the queues and for the cores: its latency grows while \
-                 the steps of a second do, too."
+                "With many lanes a step waits for others, in queues and for cores: latency grows together with \
+                 throughput."
                     .to_owned(),
             ),
-            Block::Figure(plot("f-lanes-p50", "The median", |times| times.p50)),
-            Block::Figure(plot("f-lanes-p99", "The 99th percentile", |times| times.p99)),
+            Block::Figure(plot("f-lanes-p50", "The median", |times| times.p50_us)),
+            Block::Figure(plot("f-lanes-p99", "The 99th percentile", |times| times.p99_us)),
             Block::Table(Table::of_text("t-lanes", caption, (&["Lanes"], &["steps", "steps/s"]), rows)),
         ],
     )))
@@ -247,7 +253,7 @@ fn sizes(profile: &Profile) -> Result<Option<Section>> {
     let exact =
         profile.searches.iter().filter(|search| search.search == "exact" && search.batch == 1);
     shown.push(Curve {
-        name: "reading all numbers once, at the floor".to_owned(),
+        name: "reading all vectors once, at the floor".to_owned(),
         is_bound: true,
         points: exact
             .map(|search| {
@@ -298,8 +304,8 @@ fn sizes(profile: &Profile) -> Result<Option<Section>> {
         "recall@1",
         "recall@10",
     ];
-    let caption = "Searches by themselves: real embeddings first, then seeded neighbours of them. A run searches exactly; \
-                   recall says what an approximate search would find of that. GB/s: what is read from end to end.";
+    let caption = "Searches alone, among real embeddings and seeded neighbours of them. A run searches exactly; recall is the \
+                   share of that which an approximate search finds. GB/s: what an exact search reads.";
     let table = Table::of_text("t-sizes", caption, (&["Search and entries"], &columns), rows);
     Ok(Some(Section::new(
         "s-sizes",
@@ -311,27 +317,31 @@ fn sizes(profile: &Profile) -> Result<Option<Section>> {
 /// The columns of a distribution.
 const TIMES: [&str; 7] = ["count", "mean", "p50", "p90", "p99", "p99.9", "max"];
 
-fn cells(times: &Times) -> Vec<Cell> {
-    let shown =
-        [times.p50, times.p90, times.p99, times.p999, times.max].map(|time| ns(time as f64));
-    let first = [times.count.to_string(), ns(times.mean)];
+fn cells(times: &LatencySummary) -> Vec<Cell> {
+    let shown = [times.p50_us, times.p90_us, times.p99_us, times.p999_us, times.max_us].map(us);
+    let first = [times.count.to_string(), us(times.mean_us)];
     first.into_iter().chain(shown).map(Cell::Value).collect()
 }
 
-/// How long a part of the accesses to a representation took, if there were any.
+/// The latency of a part of the accesses to a representation, if there were any.
 pub(super) fn find(
-    walk: &Walk,
+    run: &AccessRun,
     representation: Representation,
-    step: StepKind,
-    part: Part,
-) -> Option<&Times> {
-    let is = |found: &&Latency| {
+    step: StepClass,
+    part: AccessPart,
+) -> Option<&LatencySummary> {
+    let is = |found: &&AccessLatency| {
         found.representation == representation && found.step == step && found.part == part
     };
-    walk.latencies.iter().find(is).map(|found| &found.times)
+    run.latencies.iter().find(is).map(|found| &found.times)
 }
 
-/// A time in the unit that suits it.
+/// A time in microseconds, in a suitable unit.
+pub(super) fn us(time: f64) -> String {
+    ns(time * 1e3)
+}
+
+/// A time in nanoseconds, in a suitable unit.
 pub(super) fn ns(time: f64) -> String {
     match time {
         time if time >= 1e9 => format!("{:.2} s", time / 1e9),
@@ -346,7 +356,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn times_have_the_unit_that_suits_them() {
+    fn times_have_a_suitable_unit() {
         for (time, text) in
             [(250.0, "250 ns"), (62_000.0, "62.0 us"), (4.5e6, "4.50 ms"), (2e9, "2.00 s")]
         {
@@ -355,9 +365,9 @@ mod tests {
     }
 
     #[test]
-    fn a_profile_of_little_has_a_page_too() {
+    fn a_small_profile_has_a_page() {
         let mut little = crate::profile::tests::profile();
-        little.walks.truncate(1);
+        little.runs.truncate(1);
         little.searches.clear();
         let page = document(&little).unwrap();
         let ids: Vec<&str> = page.sections.iter().map(|section| section.id.as_str()).collect();

@@ -1,6 +1,6 @@
-//! Takes every step's access to memory apart, while episodes are walked.
+//! Splits every step's access to memory into its parts, while episodes run.
 //!
-//! Nothing is allocated for a step: its parts are counted into histograms that are there from the beginning.
+//! Recording a step allocates nothing.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -8,98 +8,76 @@ use std::path::Path;
 use anyhow::Result;
 use domain::Representation;
 use hdrhistogram::Histogram;
+use results::latency::LatencySummary;
+use results::named;
 use serde::{Deserialize, Serialize};
 use shm_types::message::Role;
 
-use crate::lanes::{Spent, Stamps, Walked};
+use crate::lanes::{AnsweredRequest, FinishedEpisode, Stamps};
+use crate::latency::{histogram, summarize};
 use crate::pipeline::{Facts, Observer};
-use results::names::named;
 
-/// Longest time that is told apart: an hour.
-const LONGEST_NS: u64 = 3_600_000_000_000;
-
-/// Digits of a time that are kept.
+/// Significant decimal digits of a recorded time.
 const DIGITS: u8 = 3;
 
 named! {
     /// A part of an access.
-    Part, "part" {
-        /// From the observation's sending to memory, and from memory to the policy.
+    AccessPart, "part" {
+        /// From the simulator to memory, and from memory to the policy.
         Wire = "wire",
-        /// Until the embeddings were there.
+        /// Computing embeddings, or finding them in the cache.
         Embedding = "embedding",
-        /// Until the nearest view was found.
+        /// Finding the nearest view.
         Search = "search",
-        /// Until the recall was put together.
+        /// Assembling the recall.
         Assembly = "assembly",
-        /// All of it.
+        /// All parts together.
         Total = "total",
     }
 }
 
 named! {
-    /// Which step of an episode.
-    StepKind, "step" {
-        /// The first: before it is answered, the episode's memory is built.
+    /// A class of steps of an episode.
+    StepClass, "step" {
+        /// The first: the episode's memory is built before it is answered.
         First = "first",
         /// Any other.
         Later = "later",
     }
 }
 
-/// How long a part of the accesses to one representation took.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct Latency {
-    /// Of which.
+/// The latency of one part of the accesses to one representation.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct AccessLatency {
+    /// The representation.
     pub representation: Representation,
-    /// In which steps.
-    pub step: StepKind,
-    /// Which part.
-    pub part: Part,
-    /// How long.
+    /// The steps.
+    pub step: StepClass,
+    /// The part.
+    pub part: AccessPart,
+    /// The latency.
     #[serde(flatten)]
-    pub times: Times,
+    pub times: LatencySummary,
 }
 
-/// A distribution of times, in nanoseconds.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct Times {
-    /// How many.
-    pub count: u64,
-    /// Their mean.
-    pub mean: f64,
-    /// Half took no longer.
-    pub p50: u64,
-    /// Of ten, nine took no longer.
-    pub p90: u64,
-    /// Of a hundred, 99.
-    pub p99: u64,
-    /// Of a thousand, 999.
-    pub p999: u64,
-    /// The longest.
-    pub max: u64,
-}
-
-/// Histograms of the parts, in the order of [`Part::ALL`].
+/// Histograms of the parts, in the order of [`AccessPart::ALL`].
 #[derive(Debug, Clone)]
-struct Parts(Vec<Histogram<u64>>);
+struct PartHistograms(Vec<Histogram<u64>>);
 
-impl Parts {
+impl PartHistograms {
     fn new() -> Self {
-        let histogram = Histogram::new_with_bounds(1, LONGEST_NS, DIGITS)
-            .unwrap_or_else(|_| unreachable!("an hour in three digits can be kept"));
-        Self(vec![histogram; Part::ALL.len()])
+        Self(vec![histogram(DIGITS); AccessPart::ALL.len()])
     }
 
-    fn record(&mut self, times: [u64; Part::ALL.len()]) {
+    fn record(&mut self, times: [u64; AccessPart::ALL.len()]) {
         for (histogram, time) in self.0.iter_mut().zip(times) {
             histogram.saturating_record(time);
         }
     }
 }
 
-/// The parts of one access; `None` where nobody but the expert decided, or somebody stamps nonsense.
-fn parts(stamps: &Stamps) -> Option<[u64; Part::ALL.len()]> {
+/// The parts of one access; `None` where the expert decided, or stamps are out of order.
+fn parts(stamps: &Stamps) -> Option<[u64; AccessPart::ALL.len()]> {
     let Stamps {
         published_ns, received_ns, embedded_ns, searched_ns, assembled_ns, joined_ns, ..
     } = *stamps;
@@ -116,39 +94,40 @@ fn parts(stamps: &Stamps) -> Option<[u64; Part::ALL.len()]> {
     ])
 }
 
-/// An [`Observer`] that counts accesses, and nothing else.
+/// An [`Observer`] that records the latency of accesses, and nothing else.
 #[derive(Debug)]
-pub struct Recorder {
-    /// By representation, in the order of [`Representation::ALL`], and by kind of step.
-    counted: Vec<[Parts; 2]>,
-    /// Episodes that were finished.
+pub struct AccessRecorder {
+    /// By representation, in the order of [`Representation::ALL`], and by class of steps.
+    histograms: Vec<[PartHistograms; 2]>,
+    /// Finished episodes.
     pub episodes: u32,
-    /// Steps that were taken.
+    /// Steps.
     pub steps: u64,
-    /// Steps whose stamps make no sense.
-    pub senseless: u64,
+    /// Steps whose stamps are out of order.
+    pub unordered: u64,
     began_ns: u64,
     ended_ns: u64,
-    /// What went wrong.
-    pub troubles: Vec<String>,
+    /// Problems that occurred.
+    pub problems: Vec<String>,
 }
 
-impl Default for Recorder {
+impl Default for AccessRecorder {
     fn default() -> Self {
+        let empty = [PartHistograms::new(), PartHistograms::new()];
         Self {
-            counted: vec![[Parts::new(), Parts::new()]; Representation::ALL.len()],
+            histograms: vec![empty; Representation::ALL.len()],
             episodes: 0,
             steps: 0,
-            senseless: 0,
+            unordered: 0,
             began_ns: 0,
             ended_ns: 0,
-            troubles: Vec::new(),
+            problems: Vec::new(),
         }
     }
 }
 
-impl Recorder {
-    /// Counts one step.
+impl AccessRecorder {
+    /// Records one step.
     pub fn record(&mut self, stamps: &Stamps) {
         self.steps += 1;
         if self.began_ns == 0 {
@@ -156,11 +135,11 @@ impl Recorder {
         }
         self.ended_ns = self.ended_ns.max(stamps.decided_ns);
         let Some(times) = parts(stamps) else {
-            self.senseless += 1;
+            self.unordered += 1;
             return;
         };
-        if let Some(kinds) = self.counted.get_mut(stamps.memory as usize) {
-            kinds[usize::from(stamps.step > 0)].record(times);
+        if let Some(classes) = self.histograms.get_mut(stamps.memory as usize) {
+            classes[usize::from(stamps.step > 0)].record(times);
         }
     }
 
@@ -169,47 +148,40 @@ impl Recorder {
         self.ended_ns.saturating_sub(self.began_ns) as f64 / 1e9
     }
 
-    /// What was counted; nothing of what did not occur.
-    pub fn latencies(&self) -> Vec<Latency> {
+    /// The latencies of all accesses that occurred.
+    pub fn latencies(&self) -> Vec<AccessLatency> {
         let mut latencies = Vec::new();
-        for (&representation, kinds) in Representation::ALL.iter().zip(&self.counted) {
-            for (&step, Parts(parts)) in StepKind::ALL.iter().zip(kinds) {
-                for (&part, histogram) in Part::ALL.iter().zip(parts) {
-                    if histogram.is_empty() {
-                        continue;
-                    }
-                    let at = |quantile| histogram.value_at_quantile(quantile);
-                    let times = Times {
-                        count: histogram.len(),
-                        mean: histogram.mean(),
-                        p50: at(0.5),
-                        p90: at(0.9),
-                        p99: at(0.99),
-                        p999: at(0.999),
-                        max: histogram.max(),
-                    };
-                    latencies.push(Latency { representation, step, part, times });
-                }
+        for (&representation, classes) in Representation::ALL.iter().zip(&self.histograms) {
+            for (&step, PartHistograms(parts)) in StepClass::ALL.iter().zip(classes) {
+                let parts = AccessPart::ALL.iter().zip(parts);
+                latencies.extend(parts.filter(|(_, times)| !times.is_empty()).map(
+                    |(&part, times)| AccessLatency {
+                        representation,
+                        step,
+                        part,
+                        times: summarize(times),
+                    },
+                ));
             }
         }
         latencies
     }
 }
 
-impl Observer for Recorder {
+impl Observer for AccessRecorder {
     fn starting(&mut self, _generation: u32) {}
 
-    fn awaiting(&mut self, _folder: &Path) {}
+    fn awaiting_policy(&mut self, _folder: &Path) {}
 
     fn ready(&mut self, _facts: &BTreeMap<Role, Facts>) -> Result<()> {
         Ok(())
     }
 
-    fn spent(&mut self, _spent: &Spent) -> Result<Option<String>> {
+    fn answered(&mut self, _request: &AnsweredRequest) -> Result<Option<String>> {
         Ok(None)
     }
 
-    fn finished(&mut self, _walked: &Walked, _attempt: u32) -> Result<()> {
+    fn finished(&mut self, _finished: &FinishedEpisode, _attempt: u32) -> Result<()> {
         self.episodes += 1;
         Ok(())
     }
@@ -221,8 +193,8 @@ impl Observer for Recorder {
 
     fn progress(&mut self, _steps: u64) {}
 
-    fn trouble(&mut self, what: &str) {
-        self.troubles.push(what.to_owned());
+    fn problem(&mut self, what: &str) {
+        self.problems.push(what.to_owned());
     }
 }
 
@@ -230,11 +202,11 @@ impl Observer for Recorder {
 mod tests {
     use super::*;
 
-    /// A step whose stages end at these times.
+    /// The stamps of a step.
     fn stamps(step: u32, memory: Representation, times: [u64; 6]) -> Stamps {
         let [published_ns, received_ns, embedded_ns, searched_ns, assembled_ns, joined_ns] = times;
         Stamps {
-            ticket: 1,
+            episode: 1,
             lane: 0,
             step,
             memory,
@@ -258,23 +230,23 @@ mod tests {
     }
 
     #[test]
-    fn an_access_is_taken_apart_and_the_parts_add_up() {
-        let mut recorder = Recorder::default();
+    fn the_parts_of_an_access_add_up() {
+        let mut recorder = AccessRecorder::default();
         recorder.record(&stamps(0, Representation::Episodic, [10, 20, 120, 150, 155, 175]));
         recorder.record(&stamps(1, Representation::Episodic, [10, 20, 20, 50, 55, 75]));
         recorder.record(&stamps(1, Representation::Working, [10, 5, 20, 50, 55, 75]));
         recorder.record(&stamps(1, Representation::Working, [0; 6]));
-        assert_eq!((recorder.steps, recorder.senseless), (4, 2));
+        assert_eq!((recorder.steps, recorder.unordered), (4, 2));
         let latencies = recorder.latencies();
         let p50s = |step| -> Vec<u64> {
             latencies
                 .iter()
                 .filter(|found| found.step == step)
-                .map(|found| found.times.p50)
+                .map(|found| (found.times.p50_us * 1000.0).round() as u64)
                 .collect()
         };
-        assert_eq!(p50s(StepKind::First), [30, 100, 30, 5, 165]);
-        assert_eq!(p50s(StepKind::Later), [30, 0, 30, 5, 65]);
+        assert_eq!(p50s(StepClass::First), [30, 100, 30, 5, 165]);
+        assert_eq!(p50s(StepClass::Later), [30, 0, 30, 5, 65]);
         assert!(latencies.iter().all(|found| found.representation == Representation::Episodic));
         assert_eq!(recorder.seconds(), 175e-9);
     }

@@ -1,5 +1,5 @@
-//! The search of a memory by itself, measured by the process that searches: `memory-proc profile`. The orchestrator
-//! does not link that process; it starts it and reads a JSON object a line.
+//! The latency of search alone, measured by the process that searches: `memory-proc profile`, which prints one JSON
+//! object a line.
 
 use std::io::{BufRead, BufReader};
 use std::process::{Command, Stdio};
@@ -9,32 +9,32 @@ use serde::{Deserialize, Serialize};
 
 use supervise::sibling;
 
-/// One measurement, as the memory process tells it.
+/// One measurement, as the memory process prints it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Search {
+pub struct SearchMeasurement {
     /// Entries of the memory.
     pub entries: u32,
-    /// Numbers of a vector.
+    /// Components of a vector.
     pub dimension: u32,
-    /// How many of the entries are embeddings of pictures; the others are seeded neighbours of them.
+    /// Entries that are embeddings of rendered views; the others are seeded neighbours of them.
     pub real: u32,
     /// `exact` or `approximate`.
     pub search: String,
-    /// Queries asked at once.
+    /// Queries of a batch.
     pub batch: u32,
     /// Threads.
     pub threads: u32,
-    /// Seconds that it took to make the memory ready.
+    /// Seconds to build the index.
     pub build_s: f64,
-    /// Bytes that it takes.
+    /// Bytes of the index.
     pub bytes: u64,
-    /// Queries that were asked.
+    /// Number of queries.
     pub queries: u64,
-    /// How long a batch took, in nanoseconds.
+    /// Latency of a batch, in nanoseconds.
     pub latency_ns: SearchTimes,
-    /// Queries answered in a second.
+    /// Queries per second.
     pub queries_per_s: f64,
-    /// Bytes read from end to end in a second, where that is how it searches.
+    /// Bytes read per second, where a search reads all of them.
     pub bytes_per_s: Option<f64>,
     /// Share of queries whose nearest entry was found.
     pub recall_at_1: f64,
@@ -42,26 +42,26 @@ pub struct Search {
     pub recall_at_10: f64,
 }
 
-/// How long searches took, in nanoseconds; as [`Times`](super::recorder::Times), without a mean.
+/// The distribution of a search's latency, in nanoseconds.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct SearchTimes {
-    /// Half took no longer.
+    /// Median.
     pub p50: u64,
-    /// Of ten, nine.
+    /// 90th percentile.
     pub p90: u64,
-    /// Of a hundred, 99.
+    /// 99th percentile.
     pub p99: u64,
-    /// Of a thousand, 999.
+    /// 99.9th percentile.
     pub p999: u64,
-    /// The longest.
+    /// Maximum.
     pub max: u64,
 }
 
-/// Has one kind of search measured at one size, for about so many seconds a measurement.
+/// Measures one kind of search in a memory of `entries`, for about `seconds` per measurement.
 ///
 /// # Errors
-/// When the process cannot be started, fails, or tells what cannot be read; the message has its last words.
-pub fn measure(kind: &str, entries: u32, seconds: f64) -> Result<Vec<Search>> {
+/// When the process cannot be started, fails, or prints something else.
+pub fn measure(kind: &str, entries: u32, seconds: f64) -> Result<Vec<SearchMeasurement>> {
     let mut child = Command::new(sibling("memory-proc")?)
         .args(["profile", "--search", kind, "--entries", &entries.to_string()])
         .args(["--seconds", &seconds.to_string()])
@@ -71,20 +71,20 @@ pub fn measure(kind: &str, entries: u32, seconds: f64) -> Result<Vec<Search>> {
         .spawn()
         .context("cannot start memory-proc")?;
     let errors = child.stderr.take().context("memory-proc has no standard error")?;
-    let said = std::thread::spawn(move || std::io::read_to_string(errors).unwrap_or_default());
+    let messages = std::thread::spawn(move || std::io::read_to_string(errors).unwrap_or_default());
     let output = BufReader::new(child.stdout.take().context("memory-proc has no output")?);
-    let read: Result<Vec<Search>> = output
+    let read: Result<Vec<SearchMeasurement>> = output
         .lines()
         .map(|line| {
             let line = line?;
-            serde_json::from_str(&line).with_context(|| format!("memory-proc told {line:?}"))
+            serde_json::from_str(&line).with_context(|| format!("memory-proc printed {line:?}"))
         })
         .collect();
     let status = child.wait().context("cannot wait for memory-proc")?;
-    let said = said.join().unwrap_or_default();
+    let messages = messages.join().unwrap_or_default();
     if !status.success() {
         let last =
-            said.lines().rev().find(|line| !line.trim().is_empty()).unwrap_or("without a word");
+            messages.lines().rev().find(|line| !line.trim().is_empty()).unwrap_or("no message");
         bail!("memory-proc ended ({status}): {last}");
     }
     read

@@ -1,17 +1,17 @@
-//! A profile in a terminal.
+//! A profile as tables for a terminal.
 
 use domain::Representation;
-
-use super::page::{find, ns};
-use super::recorder::{Part, StepKind};
-use super::{Mode, Profile};
 use results::table::table;
+
+use super::page::{find, ns, us};
+use super::recorder::{AccessPart, StepClass};
+use super::{AccessRun, CacheState, Profile};
 
 /// The tables: accesses by representation, searches by size, and the floors in a line.
 pub fn summary(profile: &Profile) -> String {
     let mut text = String::new();
     let header = [
-        "walk",
+        "run",
         "memory",
         "wire",
         "embed",
@@ -25,24 +25,25 @@ pub fn summary(profile: &Profile) -> String {
         "first step p50",
     ];
     let mut accesses = table(&header, 2);
-    let shown = |walk: &&super::Walk| walk.lanes == 1 || walk.mode == Mode::Warm;
-    for walk in profile.walks.iter().filter(shown) {
+    let is_shown = |run: &&AccessRun| run.lanes == 1 || run.caches == CacheState::Warm;
+    for run in profile.runs.iter().filter(is_shown) {
         for &representation in Representation::ALL {
-            let times = |step, part| find(walk, representation, step, part);
-            let Some(total) = times(StepKind::Later, Part::Total) else { continue };
+            let times = |step, part| find(run, representation, step, part);
+            let Some(total) = times(StepClass::Later, AccessPart::Total) else { continue };
             let p50 =
-                |step, part| times(step, part).map_or_else(|| "-".to_owned(), |t| ns(t.p50 as f64));
-            let mut row = vec![walk.name(), representation.name().to_owned()];
-            let parts = [Part::Wire, Part::Embedding, Part::Search, Part::Assembly];
-            row.extend(parts.map(|part| p50(StepKind::Later, part)));
-            let tail = [total.p50, total.p90, total.p99, total.p999, total.max];
-            row.extend(tail.map(|time| ns(time as f64)));
-            row.push(p50(StepKind::First, Part::Total));
+                |step, part| times(step, part).map_or_else(|| "-".to_owned(), |t| us(t.p50_us));
+            let mut row = vec![run.name(), representation.name().to_owned()];
+            let parts =
+                [AccessPart::Wire, AccessPart::Embedding, AccessPart::Search, AccessPart::Assembly];
+            row.extend(parts.map(|part| p50(StepClass::Later, part)));
+            let tail = [total.p50_us, total.p90_us, total.p99_us, total.p999_us, total.max_us];
+            row.extend(tail.map(us));
+            row.push(p50(StepClass::First, AccessPart::Total));
             accesses.add_row(row);
         }
     }
     text += &format!(
-        "Access to memory, from observation to recall: medians of the parts, then the whole (later steps)\n{accesses}\n"
+        "Accesses to memory, from observation to recall (later steps): medians of the parts, then the whole\n{accesses}\n"
     );
     if !profile.searches.is_empty() {
         let header = [
@@ -74,12 +75,12 @@ pub fn summary(profile: &Profile) -> String {
             );
             searches.add_row(row);
         }
-        text += &format!("\nSearch by itself\n{searches}\n");
+        text += &format!("\nSearch alone\n{searches}\n");
     }
     let floors = &profile.floors;
     text += &format!(
-        "\nFloors of this machine: a cache line to another core {}, a memcpy of a frame {}, reading memory {:.1} GB/s \
-         with one thread, {:.1} with all cores",
+        "\nFloors of this machine: {} for a cache line to another core, {} to copy a frame,\n\
+         {:.1} GB/s read from memory with one thread, {:.1} with all cores",
         ns(floors.cache_line_ns),
         ns(floors.frame_copy_ns),
         floors.read_one_thread / 1e9,
@@ -96,11 +97,11 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_terminal_shows_every_representation_every_search_and_what_is_missing() {
+    fn the_summary_has_every_representation_every_search_and_every_problem() {
         let text = summary(&crate::profile::tests::profile());
         let lines = |part: &str| text.lines().filter(|line| line.contains(part)).count();
         assert_eq!(lines("full-context"), 4, "{text}");
         assert_eq!((lines("approximate"), lines("Not measured: something")), (1, 1), "{text}");
-        assert!(text.contains("a cache line to another core 100 ns"), "{text}");
+        assert!(text.contains("100 ns for a cache line to another core"), "{text}");
     }
 }

@@ -1,51 +1,26 @@
-//! Layers on top of each other, and whether the outcome can be.
+//! Merges layers and checks what concerns several settings at once.
 
 use std::collections::BTreeMap;
 use std::fmt;
 use std::path::PathBuf;
 
 use domain::Representation;
-use results::conditions::{PolicyKind, Variation};
+use domain::representation::Trajectories;
+use results::conditions::{Condition, PolicyKind, Variation};
+use results::names::UnknownName;
 use results::settings::{Group, RunSettings, SuiteName};
 use serde_json::{Map, Value, json};
-use shm_types::message::{MAX_SEGMENT, MAX_WINDOW};
 
-use super::images::check_images;
-use super::{GROUP_KEYS, Layer, MAX_IMAGES, MODEL_KEYS, TooManyImages};
+use super::keys::{KEYS, MAX_IMAGES, MODEL_KEYS};
+use super::layer::{GROUP_KEYS, Layer, Origin};
+use super::load_suite;
 
-/// Where a setting comes from, weakest first.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Origin {
-    /// Nobody said anything.
-    Default,
-    /// The suite.
-    Suite,
-    /// The policy, to which what is varied makes no difference.
-    Policy,
-    /// A MEMTRANSFER_* variable.
-    Environment,
-    /// A flag.
-    CommandLine,
-}
-
-impl fmt::Display for Origin {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
-            Self::Default => "default",
-            Self::Suite => "suite",
-            Self::Policy => "policy",
-            Self::Environment => "environment",
-            Self::CommandLine => "command line",
-        })
-    }
-}
-
-/// Settings, and where each comes from.
+/// A run's settings, and where each comes from.
 #[derive(Debug, Clone)]
 pub struct Resolved {
     /// The settings.
     pub settings: RunSettings,
-    /// Of the keys that are not a group's.
+    /// Of the keys outside of groups.
     origins: Origins,
     /// Of each group's keys.
     group_origins: Vec<Origins>,
@@ -56,66 +31,107 @@ type Origins = BTreeMap<String, Origin>;
 /// Why layers make no settings.
 #[derive(Debug, thiserror::Error)]
 pub enum SettingsError {
-    /// A value that cannot be.
-    #[error("{key} is {value}, but must be {expected}")]
-    Value {
-        /// The flag.
-        key: &'static str,
-        /// What it is.
-        value: String,
-        /// What would be accepted.
-        expected: String,
+    /// A source says something invalid.
+    #[error("{place}: {problem}")]
+    Invalid {
+        /// The source, and the place in it: a flag, a variable, a key of a suite file.
+        place: String,
+        /// What is wrong with it.
+        problem: String,
     },
-    /// A flag that is for another policy.
+    /// A variable with the prefix of settings names none.
+    #[error(transparent)]
+    UnknownVariable(#[from] UnknownName),
+    /// No suite has the name.
+    #[error("{0}; a file is named by its path, for example ./my-suite.toml")]
+    UnknownSuite(UnknownName),
+    /// A suite file cannot be read.
+    #[error("cannot read suite {}: {source}", path.display())]
+    Unreadable {
+        /// The file.
+        path: PathBuf,
+        /// The system's error.
+        source: std::io::Error,
+    },
+    /// A flag is for another policy.
     #[error("--{key} is for --policy {only_for}, and the policy is {policy}")]
     OtherPolicy {
         /// The flag.
-        key: &'static str,
+        key: String,
         /// The policy it is for.
         only_for: PolicyKind,
-        /// The policy there is.
+        /// The run's policy.
         policy: PolicyKind,
     },
-    /// Nobody said which model.
-    #[error(
-        "--policy openai needs a model: say --model NAME, by the name that the server knows it by"
-    )]
+    /// The policy `openai` needs a model.
+    #[error("--policy openai needs --model NAME: the model, by the name that the server knows")]
     NoModel,
+    /// The renderer on the processor has no adapters to choose from.
+    #[error("--adapter chooses a graphics adapter, and --backend cpu uses none: give one of them")]
+    AdapterWithoutDevice,
     /// Nothing is left to run.
     #[error(
-        "no condition is left: a blocked route needs the new start (add `new` to --starts), a memory of \
-         demonstrations needs some (--demos), and each list needs an entry"
+        "no condition is left: a blocked route needs the new start (add `new` to --starts), and a \
+         memory of demonstrations needs some (--demos)"
     )]
     NoCondition,
-    /// A request could hold more images than a prompt does.
-    #[error(transparent)]
-    Images(#[from] TooManyImages),
-    /// The layers do not fit together: a bug.
+    /// A request could hold more images than a prompt does (paper, Experimental Setup).
+    #[error(
+        "a request under {condition} may need {images} images (the current view, {window} of the \
+         window, {remembered} of memory), and a prompt holds at most {MAX_IMAGES}: lower --window or \
+         {flag}"
+    )]
+    TooManyImages {
+        /// The first such condition.
+        condition: Condition,
+        /// Images of a request under it.
+        images: u32,
+        /// Those of the window.
+        window: u32,
+        /// Those of memory.
+        remembered: u32,
+        /// The flag that lowers the number, beside `--window`.
+        flag: &'static str,
+    },
+    /// Checked layers do not fit the type of settings: a bug.
     #[error("the settings cannot be put together: {0}")]
     Internal(#[from] serde_json::Error),
 }
 
-/// Puts layers on top of each other, weakest first, and checks the outcome.
+impl SettingsError {
+    pub(super) fn invalid(place: &str, problem: String) -> Self {
+        Self::Invalid { place: place.to_owned(), problem }
+    }
+}
+
+/// Settings of the built-in defaults, the suite that `above` names, and the layers `above`, weakest first.
 ///
 /// # Errors
-/// When a value cannot be, or nothing is left to run.
-pub fn resolve(
-    layers: impl IntoIterator<Item = (Origin, Layer)>,
-) -> Result<Resolved, SettingsError> {
+/// When the suite is invalid, settings contradict each other, or nothing is left to run.
+pub fn resolve(above: impl IntoIterator<Item = Layer>) -> Result<Resolved, SettingsError> {
+    let (defaults, above) = (Layer::defaults()?, Vec::from_iter(above));
+    let text = |key| above.iter().rev().find_map(|layer| layer.text(key));
+    let suite = text("suite").or(defaults.text("suite")).unwrap_or_default();
+    let suite: SuiteName = serde_json::from_value(suite.into())?;
+    let suite = load_suite(&suite, text("assets").map(std::path::Path::new))?;
+    merge([defaults, suite].into_iter().chain(above))
+}
+
+/// Settings of `layers`, weakest first, and of nothing else.
+pub(super) fn merge(layers: impl IntoIterator<Item = Layer>) -> Result<Resolved, SettingsError> {
     let mut merged = Map::new();
     let mut origins = Origins::new();
-    for (origin, layer) in layers {
-        let Value::Object(said) = serde_json::to_value(layer)? else { continue };
-        origins.extend(said.keys().map(|key| (key.clone(), origin)));
-        merged.extend(said);
+    for Layer { origin, values } in layers {
+        origins.extend(values.keys().map(|key| (key.clone(), origin)));
+        merged.extend(values);
     }
     let policy = choose_policy(&mut merged, &mut origins)?;
     if !merged.contains_key("out") {
-        let out = PathBuf::from(format!("runs/{}", folder_name(&merged, policy)?));
-        merged.insert("out".to_owned(), serde_json::to_value(out)?);
+        let out = format!("runs/{}", folder_name(&merged, policy)?);
+        merged.insert("out".to_owned(), out.into());
         origins.insert("out".to_owned(), Origin::Default);
     }
-    let said = match merged.remove("group") {
+    let groups = match merged.remove("group") {
         Some(Value::Array(groups)) => groups,
         // Without groups there is one, of the top-level keys.
         _ => vec![Value::Object(Map::new())],
@@ -125,41 +141,43 @@ pub fn resolve(
         .filter_map(|key| Some((*key, merged.remove(*key)?, origins.remove(*key)?)))
         .collect();
     origins.remove("group");
-    let (mut groups, mut group_origins) = (Vec::new(), Vec::new());
-    for group in said {
+    let (mut completed, mut group_origins) = (Vec::new(), Vec::new());
+    for group in groups {
         let Value::Object(mut group) = group else { continue };
         group_origins.push(complete(&mut group, &common, policy));
-        groups.push(Value::Object(group));
+        completed.push(Value::Object(group));
     }
-    merged.insert("group".to_owned(), Value::Array(groups));
+    merged.insert("group".to_owned(), completed.into());
     let settings: RunSettings = serde_json::from_value(Value::Object(merged))?;
     check(&settings)?;
     Ok(Resolved { settings, origins, group_origins })
 }
 
-/// Which policy the layers come to. Takes away what is not for it; what somebody asked for and cannot have is an
-/// error.
+/// The run's policy. Removes the settings of other policies; a flag for another policy is an error.
 fn choose_policy(
     merged: &mut Map<String, Value>,
     origins: &mut Origins,
 ) -> Result<PolicyKind, SettingsError> {
-    let asked_for = |origins: &Origins, key| origins.get(key) >= Some(&Origin::Environment);
-    if merged.contains_key("policy-cmd") && !asked_for(origins, "policy") {
+    let is_given = |origins: &Origins, key| origins.get(key) >= Some(&Origin::Environment);
+    if merged.contains_key("policy-cmd") && !is_given(origins, "policy") {
         merged.insert("policy".to_owned(), PolicyKind::External.name().into());
         origins.insert("policy".to_owned(), origins["policy-cmd"]);
     }
     let policy = serde_json::from_value(merged.get("policy").cloned().unwrap_or_default())?;
-    let only_for = |key, only_for| SettingsError::OtherPolicy { key, only_for, policy };
+    let other = |key: &str, only_for| {
+        let key = key.to_owned();
+        SettingsError::OtherPolicy { key, only_for, policy }
+    };
     if policy != PolicyKind::External && merged.contains_key("policy-cmd") {
-        return Err(only_for("policy-cmd", PolicyKind::External));
+        return Err(other("policy-cmd", PolicyKind::External));
     }
     if policy == PolicyKind::Openai {
         return if merged.contains_key("model") { Ok(policy) } else { Err(SettingsError::NoModel) };
     }
     for key in MODEL_KEYS {
-        // A variable may be there for other runs.
+        // A variable may be set for other runs.
         if origins.get(*key) == Some(&Origin::CommandLine) {
-            return Err(only_for(key, PolicyKind::Openai));
+            return Err(other(key, PolicyKind::Openai));
         }
         merged.remove(*key);
         origins.remove(*key);
@@ -167,22 +185,22 @@ fn choose_policy(
     Ok(policy)
 }
 
-/// What a run's folder is called when nobody says it: suite and policy, and which model it asks.
+/// The default name of a run's folder: suite and policy, and the model of `openai`.
 fn folder_name(merged: &Map<String, Value>, policy: PolicyKind) -> Result<String, SettingsError> {
-    let word = |key| merged.get(key).and_then(Value::as_str).unwrap_or_default();
-    let suite: SuiteName = serde_json::from_value(word("suite").into())?;
+    let text = |key| merged.get(key).and_then(Value::as_str).unwrap_or_default();
+    let suite: SuiteName = serde_json::from_value(text("suite").into())?;
     let plain = |c: char| if c.is_ascii_alphanumeric() || ".-_".contains(c) { c } else { '-' };
-    let who = match policy {
+    let policy = match policy {
         PolicyKind::Openai => {
-            format!("openai-{}", word("model").chars().map(plain).collect::<String>())
+            format!("openai-{}", text("model").chars().map(plain).collect::<String>())
         }
         _ => policy.to_string(),
     };
-    Ok(format!("{}-{who}", suite.word()))
+    Ok(format!("{}-{policy}", suite.word()))
 }
 
-/// Completes what a suite says of a group: a flag or variable replaces it, what is said at the top level holds
-/// where it says nothing. Returns where each key comes from.
+/// Completes a suite's group: a flag or variable replaces what it says, the suite's top level holds where
+/// it says nothing. Returns where each key comes from.
 fn complete(
     group: &mut Map<String, Value>,
     common: &[(&str, Value, Origin)],
@@ -190,21 +208,18 @@ fn complete(
 ) -> Origins {
     let mut origins = Origins::new();
     for (key, value, origin) in common {
-        let origin = match origin {
-            Origin::Environment | Origin::CommandLine => *origin,
-            _ if group.contains_key(*key) => Origin::Suite,
-            _ => *origin,
-        };
-        if origin != Origin::Suite || !group.contains_key(*key) {
+        if *origin >= Origin::Environment || !group.contains_key(*key) {
             group.insert((*key).to_owned(), value.clone());
+            origins.insert((*key).to_owned(), *origin);
+        } else {
+            origins.insert((*key).to_owned(), Origin::Suite);
         }
-        origins.insert((*key).to_owned(), origin);
     }
-    for (key, value) in makes_no_difference(policy) {
-        let is_asked_for = origins.get(key) >= Some(&Origin::Environment);
-        // A policy without a process can be given nothing, whatever is asked for.
+    for (key, value) in irrelevant_to(policy) {
+        let is_given = origins.get(key) >= Some(&Origin::Environment);
+        // A policy without a process uses no memory, whatever is asked for.
         let is_possible = policy.has_process() || key == "runs";
-        if !is_asked_for || !is_possible {
+        if !is_given || !is_possible {
             group.insert(key.to_owned(), value);
             origins.insert(key.to_owned(), Origin::Policy);
         }
@@ -212,9 +227,9 @@ fn complete(
     origins
 }
 
-/// What a suite need not vary for a policy that decides without looking, with the value that stands for all:
-/// each start and route then is run once, not once for every memory.
-fn makes_no_difference(policy: PolicyKind) -> Vec<(&'static str, Value)> {
+/// The keys that make no difference to a policy that ignores what it is given, each with the value that
+/// stands for all.
+fn irrelevant_to(policy: PolicyKind) -> Vec<(&'static str, Value)> {
     let Variation { window, segment, hint } = Variation::STANDARD;
     let given = vec![
         ("memory", json!([Representation::Working])),
@@ -225,74 +240,46 @@ fn makes_no_difference(policy: PolicyKind) -> Vec<(&'static str, Value)> {
     match policy {
         PolicyKind::Grounded | PolicyKind::Openai | PolicyKind::External => Vec::new(),
         PolicyKind::Random => given,
-        // It does the same in every run.
+        // Every repetition is the same.
         PolicyKind::Expert => given.into_iter().chain([("runs", json!(1))]).collect(),
     }
 }
 
-/// Whether every value can be.
+/// Checks what concerns several settings at once.
 fn check(settings: &RunSettings) -> Result<(), SettingsError> {
-    let numbers = [
-        ("--max-steps", settings.max_steps, 1, 10_000),
-        ("--horizon", settings.horizon, 0, MAX_SEGMENT as u32 - 1),
-        ("--keyframes", settings.keyframes, 1, MAX_IMAGES),
-        ("--frame-size", settings.frame_size, 64, 4096),
-        ("--lanes", settings.lanes, 1, 1024),
-        ("--spin-us", settings.spin_us, 0, 1_000_000),
-        ("--step-timeout", settings.step_timeout, 1, 86_400),
-        ("--start-timeout", settings.start_timeout, 1, 86_400),
-    ];
-    let model = settings.model.iter().flat_map(|model| {
-        [
-            ("--image-budget", model.image_budget, 0, 1000),
-            ("--answer-tokens", model.answer_tokens, 1, 100_000),
-            ("--max-connections", model.max_connections, 1, 1024),
-            ("--max-retries", model.max_retries, 0, 100),
-            ("--request-timeout", model.request_timeout, 1, 86_400),
-        ]
-    });
-    let varied = settings.groups.iter().flat_map(|group: &Group| {
-        let windows = group.window.iter();
-        let windows = windows.map(|&window| ("--window", window, 0, MAX_WINDOW as u32));
-        windows.chain([("--runs", group.runs, 1, 1000)])
-    });
-    for (key, value, least, most) in numbers.into_iter().chain(model).chain(varied) {
-        if !(least..=most).contains(&value) {
-            let expected = format!("{least} to {most}");
-            return Err(SettingsError::Value { key, value: value.to_string(), expected });
-        }
+    if settings.adapter.is_some() && settings.backend.as_deref() == Some("cpu") {
+        return Err(SettingsError::AdapterWithoutDevice);
     }
-    for (key, value) in
-        [("--encoder-threads", settings.encoder_threads), ("--frame-budget", settings.frame_budget)]
-    {
-        if value == Some(0) {
-            let expected = "at least 1".to_owned();
-            return Err(SettingsError::Value { key, value: "0".to_owned(), expected });
-        }
-    }
-    if !settings.frame_size.is_multiple_of(64) {
-        return Err(SettingsError::Value {
-            key: "--frame-size",
-            value: settings.frame_size.to_string(),
-            expected: "a multiple of 64".to_owned(),
-        });
-    }
-    let words = settings.policy_cmd.as_deref().map(|command| (command, shlex::split(command)));
-    if let Some((command, words)) = words
-        && words.is_none_or(|words| words.is_empty())
-    {
-        let expected = "a program and its arguments, every quote closed".to_owned();
-        let value = format!("{command:?}");
-        return Err(SettingsError::Value { key: "--policy-cmd", value, expected });
-    }
-    if settings.conditions().is_empty() {
+    let conditions = settings.conditions();
+    if conditions.is_empty() {
         return Err(SettingsError::NoCondition);
     }
-    Ok(check_images(settings)?)
+    // With a model, what exceeds --image-budget is left out and counted.
+    if settings.model.is_some() {
+        return Ok(());
+    }
+    for condition in conditions {
+        let (images, window) = (settings.images(&condition), condition.variation.window);
+        if images > MAX_IMAGES {
+            let flag = match condition.memory.describe().trajectories {
+                Trajectories::Segment => "--horizon",
+                Trajectories::Whole | Trajectories::Nothing => "--keyframes",
+            };
+            let remembered = images - 1 - window;
+            return Err(SettingsError::TooManyImages {
+                condition,
+                images,
+                window,
+                remembered,
+                flag,
+            });
+        }
+    }
+    Ok(())
 }
 
 impl Resolved {
-    /// The groups that a suite file gave a name, with where each key comes from.
+    /// The groups that a suite file names, with where each key comes from.
     fn named_groups(&self) -> impl Iterator<Item = (&Group, &Origins)> {
         let groups = self.settings.groups.iter().zip(&self.group_origins);
         groups.filter(|(group, _)| group.name.is_some())
@@ -300,11 +287,13 @@ impl Resolved {
 }
 
 impl fmt::Display for Resolved {
-    /// As a suite file would say it, each line with where it comes from. JSON scalars and arrays are TOML.
+    /// As a suite file, each line with where it comes from. JSON scalars and arrays are TOML.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Ok(Value::Object(mut values)) = serde_json::to_value(&self.settings) else {
-            return Err(fmt::Error);
+        let object = |value: serde_json::Result<Value>| match value {
+            Ok(Value::Object(object)) => Ok(object),
+            _ => Err(fmt::Error),
         };
+        let mut values = object(serde_json::to_value(&self.settings))?;
         let mut origins = self.origins.clone();
         if self.named_groups().next().is_none()
             && let Some(Value::Array(groups)) = values.remove("group")
@@ -313,21 +302,19 @@ impl fmt::Display for Resolved {
             values.extend(only);
             origins.extend(self.group_origins.iter().flatten().map(|(k, o)| (k.clone(), *o)));
         }
-        for key in Layer::keys() {
-            match (values.get(&key), origins.get(&key)) {
+        for key in KEYS.iter().map(|key| key.name) {
+            match (values.get(key), origins.get(key)) {
                 // A suite file does not name a suite.
                 (Some(value), Some(origin)) if key == "suite" => {
                     writeln!(f, "{:<44} # {origin}", format!("# suite = {value}"))?;
                 }
-                (Some(value), Some(origin)) => write_line(f, &key, value, *origin)?,
-                _ if GROUP_KEYS.contains(&key.as_str()) => {}
+                (Some(value), Some(origin)) => write_line(f, key, value, *origin)?,
+                _ if GROUP_KEYS.contains(&key) => {}
                 _ => writeln!(f, "# {key}: not set")?,
             }
         }
         for (group, origins) in self.named_groups() {
-            let Ok(Value::Object(values)) = serde_json::to_value(group) else {
-                return Err(fmt::Error);
-            };
+            let values = object(serde_json::to_value(group))?;
             writeln!(f, "\n[[group]]")?;
             for key in ["name"].iter().chain(GROUP_KEYS) {
                 let origin = origins.get(*key).copied().unwrap_or(Origin::Suite);
@@ -347,87 +334,77 @@ fn write_line(f: &mut fmt::Formatter<'_>, key: &str, value: &Value, origin: Orig
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::settings::load_suite;
-    use results::conditions::{Route, Start};
 
-    fn lanes(n: u32) -> Layer {
-        Layer { lanes: Some(n), ..Layer::default() }
+    fn flags(given: &[(&str, &str)]) -> Layer {
+        Layer::flags(given.iter().copied()).unwrap()
     }
 
-    fn with(layer: Layer) -> Result<Resolved, SettingsError> {
-        resolve([(Origin::Default, Layer::defaults()), (Origin::CommandLine, layer)])
+    fn environment(variable: &str, value: &str) -> Layer {
+        Layer::environment([(variable.into(), value.into())]).unwrap()
+    }
+
+    fn suite(text: &str) -> Layer {
+        Layer::suite("mine.toml", text).unwrap()
+    }
+
+    fn with(given: &[(&str, &str)]) -> Result<Resolved, SettingsError> {
+        merge([Layer::defaults().unwrap(), flags(given)])
     }
 
     #[test]
     fn the_strongest_source_wins_whatever_the_others_say() {
         use Origin::{CommandLine, Default, Environment, Suite};
-        let base = [(Default, Layer::defaults())];
-        for (said, expected, origin) in [
+        let (file, variable) = (suite("lanes = 2"), environment("MEMTRANSFER_LANES", "3"));
+        let flag = flags(&[("lanes", "4")]);
+        for (layers, expected, origin) in [
             (vec![], 16, Default),
-            (vec![(Suite, lanes(2))], 2, Suite),
-            (vec![(Suite, lanes(2)), (Environment, lanes(3))], 3, Environment),
-            (
-                vec![(Suite, lanes(2)), (Environment, lanes(3)), (CommandLine, lanes(4))],
-                4,
-                CommandLine,
-            ),
-            (vec![(Suite, lanes(2)), (CommandLine, Layer::default())], 2, Suite),
+            (vec![file.clone()], 2, Suite),
+            (vec![file.clone(), variable.clone()], 3, Environment),
+            (vec![file.clone(), variable, flag], 4, CommandLine),
+            (vec![file, flags(&[])], 2, Suite),
         ] {
-            let resolved = resolve(base.iter().cloned().chain(said)).unwrap();
+            let resolved = merge([Layer::defaults().unwrap()].into_iter().chain(layers)).unwrap();
             assert_eq!((resolved.settings.lanes, resolved.origins["lanes"]), (expected, origin));
         }
     }
 
     #[test]
     fn the_folder_follows_from_suite_and_policy() {
-        let out = |layer| with(layer).unwrap().settings.out.display().to_string();
-        let suite = |name: &str| Layer { suite: name.parse().ok(), ..Layer::default() };
-        assert_eq!(out(Layer::default()), "runs/quick-grounded");
-        assert_eq!(out(suite("mine/small.toml")), "runs/small-grounded");
-        let own = Layer { out: Some("elsewhere".into()), ..suite("quick") };
-        assert_eq!(out(own), "elsewhere");
+        let out = |given: &[_]| with(given).unwrap().settings.out.display().to_string();
+        assert_eq!(out(&[]), "runs/quick-grounded");
+        assert_eq!(out(&[("suite", "mine/small.toml")]), "runs/small-grounded");
+        assert_eq!(out(&[("policy", "openai"), ("model", "a/b")]), "runs/quick-openai-a-b");
+        assert_eq!(out(&[("out", "elsewhere")]), "elsewhere");
     }
 
     #[test]
-    fn impossible_values_are_named_with_what_would_do() {
-        let error = |layer| with(layer).unwrap_err().to_string();
-        let size = |n| Layer { frame_size: Some(n), ..Layer::default() };
-        assert_eq!(error(lanes(0)), "--lanes is 0, but must be 1 to 1024");
-        assert_eq!(error(size(100)), "--frame-size is 100, but must be a multiple of 64");
-        let nothing = Layer {
-            starts: Some(vec![Start::Original]),
-            routes: Some(vec![Route::Blocked]),
-            ..Layer::default()
-        };
-        assert!(error(nothing).contains("a blocked route needs the new start"));
+    fn settings_that_contradict_each_other_are_refused() {
+        let error = |given: &[_]| with(given).unwrap_err().to_string();
+        let nothing = error(&[("starts", "original"), ("routes", "blocked")]);
+        assert!(nothing.contains("a blocked route needs the new start"));
+        insta::assert_snapshot!(error(&[("model", "m")]), @"--model is for --policy openai, and the policy is grounded");
+        insta::assert_snapshot!(error(&[("policy", "openai")]), @"--policy openai needs --model NAME: the model, by the name that the server knows");
+        insta::assert_snapshot!(error(&[("backend", "cpu"), ("adapter", "x")]), @"--adapter chooses a graphics adapter, and --backend cpu uses none: give one of them");
+        insta::assert_snapshot!(error(&[("window", "6,20")]), @"a request under full-context/original/unchanged/original/h20 may need 61 images (the current view, 20 of the window, 40 of memory), and a prompt holds at most 50: lower --window or --keyframes");
+        let long = error(&[("window", "20"), ("horizon", "30"), ("keyframes", "20")]);
+        assert!(long.ends_with("lower --window or --horizon"), "{long}");
+        assert!(with(&[("keyframes", "43")]).is_ok(), "50 images");
     }
 
     #[test]
     fn settings_are_shown_as_a_suite_file() {
         let quick = load_suite(&SuiteName::quick(), None).unwrap();
-        let layers = [
-            (Origin::Default, Layer::defaults()),
-            (Origin::Suite, quick),
-            (Origin::CommandLine, lanes(4)),
-        ];
-        let resolved = resolve(layers).unwrap();
+        let resolved =
+            merge([Layer::defaults().unwrap(), quick, flags(&[("lanes", "4")])]).unwrap();
         insta::assert_snapshot!(resolved);
-        let dir = tempfile::tempdir().unwrap();
-        let shown = |resolved: &Resolved| {
-            let path = dir.path().join("shown.toml");
-            std::fs::write(&path, resolved.to_string()).unwrap();
-            let suite: SuiteName = path.display().to_string().parse().unwrap();
-            let layer = load_suite(&suite, None).unwrap();
-            resolve([(Origin::Default, Layer::defaults()), (Origin::Suite, layer)]).unwrap()
+        let read_again = |resolved: &Resolved| {
+            let layer = suite(&resolved.to_string());
+            merge([Layer::defaults().unwrap(), layer]).unwrap().settings
         };
-        assert_eq!(shown(&resolved).settings.lanes, 4);
-        let layers = [
-            (Origin::Default, Layer::defaults()),
-            (Origin::Suite, toml::from_str(GROUPS).unwrap()),
-        ];
-        let resolved = resolve(layers).unwrap();
+        assert_eq!(read_again(&resolved).lanes, 4);
+        let resolved = merge([Layer::defaults().unwrap(), suite(GROUPS)]).unwrap();
         insta::assert_snapshot!("groups-as-a-suite-file", resolved);
-        assert_eq!(shown(&resolved).settings, resolved.settings);
+        assert_eq!(read_again(&resolved), resolved.settings);
     }
 
     const GROUPS: &str = r#"
@@ -447,21 +424,17 @@ window = [0, 6]
 runs = 5
 "#;
 
-    fn in_groups(policy: PolicyKind, said: Layer) -> String {
-        let suite = Layer { policy: Some(policy), ..toml::from_str(GROUPS).unwrap() };
-        let layers = [
-            (Origin::Default, Layer::defaults()),
-            (Origin::Suite, suite),
-            (Origin::CommandLine, said),
-        ];
-        let conditions = resolve(layers).unwrap().settings.runs();
+    fn in_groups(policy: &str, given: &[(&str, &str)]) -> String {
+        let policy = suite(&format!("policy = \"{policy}\"\n{GROUPS}"));
+        let resolved = merge([Layer::defaults().unwrap(), policy, flags(given)]).unwrap();
+        let conditions = resolved.settings.runs();
         let shown = conditions.iter().map(|(condition, runs)| format!("{condition} x{runs}"));
         shown.collect::<Vec<_>>().join("\n")
     }
 
     #[test]
-    fn what_is_said_at_the_top_holds_in_groups_and_flags_replace_both() {
-        insta::assert_snapshot!(in_groups(PolicyKind::Grounded, Layer::default()), @"
+    fn the_top_level_holds_in_groups_and_flags_replace_both() {
+        insta::assert_snapshot!(in_groups("grounded", &[]), @"
         working/original/unchanged/none x3
         episodic/original/unchanged/4/h0 x5
         episodic/original/unchanged/4 x5
@@ -472,13 +445,8 @@ runs = 5
         summary/new/unchanged/4/h0 x5
         summary/new/unchanged/4 x5
         ");
-        let flags = Layer {
-            memory: Some(vec![Representation::Episodic]),
-            starts: Some(vec![Start::New]),
-            runs: Some(2),
-            ..Layer::default()
-        };
-        insta::assert_snapshot!(in_groups(PolicyKind::Grounded, flags), @"
+        let given = [("memory", "episodic"), ("starts", "new"), ("runs", "2")];
+        insta::assert_snapshot!(in_groups("grounded", &given), @"
         episodic/new/unchanged/original x2
         episodic/new/unchanged/4/h0 x2
         episodic/new/unchanged/4 x2
@@ -486,36 +454,25 @@ runs = 5
     }
 
     #[test]
-    fn a_policy_that_does_not_look_is_run_once_for_all_memories() {
-        insta::assert_snapshot!(in_groups(PolicyKind::Expert, Layer::default()), @"
+    fn a_policy_that_ignores_memory_runs_once_for_all_memories() {
+        insta::assert_snapshot!(in_groups("expert", &[]), @"
         working/original/unchanged/none x1
         working/new/unchanged/none x1
         ");
-        insta::assert_snapshot!(in_groups(PolicyKind::Random, Layer::default()), @"
+        insta::assert_snapshot!(in_groups("random", &[]), @"
         working/original/unchanged/none x5
         working/new/unchanged/none x5
         ");
-        // Asked for, to see what memory costs.
-        let episodic = Layer { memory: Some(vec![Representation::Episodic]), ..Layer::default() };
-        insta::assert_snapshot!(in_groups(PolicyKind::Random, episodic.clone()), @"
+        // Asked for, to measure what memory costs.
+        let episodic = [("memory", "episodic")];
+        insta::assert_snapshot!(in_groups("random", &episodic), @"
         episodic/original/unchanged/original x3
         episodic/original/unchanged/4 x5
         episodic/new/unchanged/4 x5
         ");
-        insta::assert_snapshot!(in_groups(PolicyKind::Expert, episodic), @"
+        insta::assert_snapshot!(in_groups("expert", &episodic), @"
         working/original/unchanged/none x1
         working/new/unchanged/none x1
         ");
-    }
-
-    #[test]
-    fn requests_with_too_many_images_are_refused() {
-        let error = |layer| with(layer).unwrap_err().to_string();
-        let window = |window| Layer { window: Some(vec![6, window]), ..Layer::default() };
-        insta::assert_snapshot!(error(window(20)), @"a request under full-context/original/unchanged/original/h20 may need 61 images (the current view, 20 of the window, 40 remembered), and a prompt holds at most 50: lower --window or --keyframes");
-        let long = Layer { horizon: Some(30), keyframes: Some(20), ..window(20) };
-        insta::assert_snapshot!(error(long), @"a request under episodic/original/unchanged/original/h20 may need 52 images (the current view, 20 of the window, 31 remembered), and a prompt holds at most 50: lower --window or --horizon");
-        assert!(with(Layer { keyframes: Some(43), ..Layer::default() }).is_ok(), "50 images");
-        assert!(error(window(33)).starts_with("--window is 33, but must be 0 to 32"));
     }
 }

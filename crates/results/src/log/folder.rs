@@ -117,7 +117,10 @@ impl RunFolder {
                 }
                 // What is free to change is as this session has it.
                 let prices = manifest.prices.or(there.prices);
-                Manifest { processes: there.processes, commit: there.commit, prices, ..manifest }
+                let mut documents = there.documents;
+                documents.extend(manifest.documents);
+                let (processes, commit) = (there.processes, there.commit);
+                Manifest { processes, commit, prices, documents, ..manifest }
             }
             Some(_) => {
                 notes.extend(remove_run(dir)?);
@@ -315,6 +318,21 @@ pub struct RunLog {
 }
 
 impl RunLog {
+    /// Checks that a run whose episodes have the keys `planned` contains every finished episode: a run can grow, and not
+    /// shrink.
+    ///
+    /// # Errors
+    /// When a finished episode is missing from `planned`.
+    pub fn check_planned(&self, planned: &BTreeSet<String>) -> Result<(), LogError> {
+        let mut outside = self.episodes.iter().filter(|record| !planned.contains(&record.key));
+        let Some(first) = outside.next() else { return Ok(()) };
+        Err(LogError::NotPlanned {
+            dir: self.dir.clone(),
+            count: 1 + outside.count(),
+            example: first.key.clone(),
+        })
+    }
+
     /// Reads the run in `dir`.
     ///
     /// # Errors
@@ -471,6 +489,7 @@ fn remove_run(dir: &Path) -> Result<Vec<String>, LogError> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::log::DocumentFacts;
     use crate::log::testing::{manifest, record, request, timings};
 
     fn keys(records: &[EpisodeRecord]) -> Vec<&str> {
@@ -532,6 +551,47 @@ mod tests {
         add(&mut folder, "t01-01");
         drop(folder);
         assert_eq!(RunLog::read(dir.path()).unwrap().requests.len(), 5);
+    }
+
+    #[test]
+    fn a_run_can_grow_and_not_shrink() {
+        let dir = tempfile::tempdir().unwrap();
+        let document = |sha256: &str| DocumentFacts {
+            sha256: sha256.to_owned(),
+            builder: "extractive".to_owned(),
+            address: None,
+            bytes: 1,
+            words: 1,
+        };
+        let with = |documents: &[(&str, &str)]| {
+            let facts =
+                documents.iter().map(|(name, sha256)| ((*name).to_owned(), document(sha256)));
+            Manifest { documents: facts.collect(), ..manifest() }
+        };
+        let mut first = with(&[("summary/original", "aa")]);
+        first.settings.limit = Some(10);
+        let mut folder = RunFolder::open(dir.path(), first, false).unwrap().folder;
+        add(&mut folder, "t01-01");
+        drop(folder);
+
+        let mut larger = with(&[("semantic/original", "bb")]);
+        larger.settings.limit = Some(20);
+        larger.settings.groups[0].runs = 3;
+        let folder = RunFolder::open(dir.path(), larger, false).unwrap().folder;
+        let names: Vec<&String> = folder.manifest().documents.keys().collect();
+        assert_eq!(names, ["semantic/original", "summary/original"]);
+        assert_eq!(folder.manifest().settings.limit, Some(20));
+        drop(folder);
+
+        let other = with(&[("summary/original", "cc")]);
+        let error = RunFolder::open(dir.path(), other, false).unwrap_err().to_string();
+        assert!(error.contains("document summary/original: \"aa\" there, \"cc\" now"), "{error}");
+
+        let log = RunLog::read(dir.path()).unwrap();
+        let key = log.episodes[0].key.clone();
+        log.check_planned(&BTreeSet::from([key.clone(), "another".to_owned()])).unwrap();
+        let error = log.check_planned(&BTreeSet::new()).unwrap_err().to_string();
+        assert!(error.contains("1 finished episodes") && error.contains(&key), "{error}");
     }
 
     #[test]

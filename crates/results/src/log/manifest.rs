@@ -124,43 +124,43 @@ impl Manifest {
         self.processes.get("policy")?.get("policy").map(String::as_str)
     }
 
-    /// What would make the episodes of the two runs different, or their lists.
+    /// The keys whose values make an episode of one run differ from the same episode of the other. Which episodes a run
+    /// has is not among them: a run can grow.
     pub fn differences(&self, there: &Self) -> Vec<Difference> {
-        let (here, there) = (self.identity(), there.identity());
+        let (mut here, mut of_there) = (self.identity(), there.identity());
+        for (name, document) in &self.documents {
+            if let Some(other) = there.documents.get(name) {
+                here.insert(format!("document {name}"), document.sha256.clone().into());
+                of_there.insert(format!("document {name}"), other.sha256.clone().into());
+            }
+        }
         let shown = |value: Option<&Value>| value.map_or("not set".to_owned(), Value::to_string);
-        let mut keys: Vec<&String> = here.keys().chain(there.keys()).collect();
+        let mut keys: Vec<&String> = here.keys().chain(of_there.keys()).collect();
         keys.sort();
         keys.dedup();
         keys.into_iter()
-            .filter(|key| here.get(*key) != there.get(*key))
+            .filter(|key| here.get(*key) != of_there.get(*key))
             .map(|key| Difference {
                 key: key.clone(),
-                there: shown(there.get(key)),
+                there: shown(of_there.get(key)),
                 here: shown(here.get(key)),
             })
             .collect()
     }
 
-    /// What decides the outcome of the run, by name.
+    /// The settings and contents that decide the outcome of an episode, by name.
     fn identity(&self) -> Map<String, Value> {
         let mut identity = match serde_json::to_value(&self.settings) {
             Ok(Value::Object(settings)) => settings,
             _ => Map::new(),
         };
-        FREE_KEYS.iter().for_each(|key| {
+        // `cases`, `limit` and `group` decide which episodes there are.
+        for key in FREE_KEYS.iter().chain(&["cases", "limit", "group"]) {
             identity.remove(*key);
-        });
-        // Not how a suite puts its conditions into groups, but what they come to.
-        identity.remove("group");
-        for (condition, runs) in self.settings.runs() {
-            identity.insert(format!("runs of {condition}"), runs.into());
         }
         identity.insert("version".to_owned(), self.version.clone().into());
         for (name, hash) in &self.hashes {
             identity.insert(format!("contents of {name}"), hash.clone().into());
-        }
-        for (name, document) in &self.documents {
-            identity.insert(format!("document {name}"), document.sha256.clone().into());
         }
         identity
     }

@@ -63,6 +63,8 @@ pub fn settings() -> RunSettings {
         encoder_threads: None,
         frame_budget: None,
         adapter: None,
+        backend: None,
+        provider: None,
         warm_views: false,
         spin_us: 0,
         step_timeout: 120,

@@ -24,6 +24,8 @@ pub struct ModelSettings {
     pub max_connections: u32,
     pub max_retries: u32,
     pub request_timeout: u32,
+    #[serde(default)]
+    pub server_patience: u32,
     pub response_cache: ResponseCache,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub prices: Option<PathBuf>,

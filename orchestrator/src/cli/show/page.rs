@@ -1,4 +1,4 @@
-//! A step as one HTML page that needs nothing else: images are in it, scripts there are none.
+//! One step as an HTML page, images inside, without scripts.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -14,45 +14,45 @@ use results::step_view::{Prompt, Shown};
 
 #[derive(Template)]
 #[template(path = "show.html")]
-struct Page<'a> {
+struct StepPage<'a> {
     shown: &'a Shown,
     instruction: &'a str,
     hinted: bool,
-    now: Picture,
-    window: Vec<Picture>,
-    memory: Vec<Strip>,
+    now: ImageFigure,
+    window: Vec<ImageFigure>,
+    memory: Vec<ImageRow>,
     documents: Vec<(String, &'a str)>,
-    messages: Vec<Message<'a>>,
+    messages: Vec<PromptMessage<'a>>,
     reply: Option<&'a str>,
     unread: Option<&'a str>,
     facts: Vec<(&'static str, String)>,
     style: &'static str,
 }
 
-/// An image with what is said below it.
-struct Picture {
-    /// The image, as a URL that holds it; none for a step without a view.
+/// An image with a caption.
+struct ImageFigure {
+    /// The image as a data URL; none for a step without a view.
     url: Option<String>,
     lines: Vec<String>,
 }
 
 /// A row of images.
-struct Strip {
+struct ImageRow {
     title: String,
-    pictures: Vec<Picture>,
+    images: Vec<ImageFigure>,
 }
 
-struct Message<'a> {
+struct PromptMessage<'a> {
     role: &'a str,
-    parts: Vec<Piece<'a>>,
+    parts: Vec<MessagePart<'a>>,
 }
 
-enum Piece<'a> {
+enum MessagePart<'a> {
     Text(&'a str),
     Image(String),
 }
 
-/// The page.
+/// Renders the page.
 ///
 /// # Errors
 /// When an image cannot be read.
@@ -66,43 +66,44 @@ pub(super) fn render(shown: &Shown, prompt: &Prompt) -> Result<String> {
     let request = &prompt.entry.request;
     let window = request.window.iter().map(|past| {
         let action = past.action.as_deref().unwrap_or("not understood").to_owned();
-        Picture { url: url(&past.frame), lines: vec![action, past.feedback.clone()] }
+        ImageFigure { url: url(&past.frame), lines: vec![action, past.feedback.clone()] }
     });
-    let picture = |(index, seen): (usize, &RecordedView)| {
+    let image = |(index, seen): (usize, &RecordedView)| {
         let action = seen.action.clone().unwrap_or_default();
         let lines = vec![format!("{index}. {action}").trim_end().to_owned()];
-        Picture { url: seen.frame.as_ref().and_then(url), lines }
+        ImageFigure { url: seen.frame.as_ref().and_then(url), lines }
     };
-    let strip = |title: String, steps: &[RecordedView]| {
-        let pictures = steps.iter().enumerate().map(picture).collect();
-        Strip { title, pictures }
+    let row = |title: String, steps: &[RecordedView]| {
+        let images = steps.iter().enumerate().map(image).collect();
+        ImageRow { title, images }
     };
     let retrieved = request.segment.iter().map(|segment| {
-        strip(format!("Retrieved, at distance {:.4}", segment.distance), &segment.steps)
+        row(format!("Retrieved, at distance {:.4}", segment.distance), &segment.steps)
     });
     let whole = (1..).zip(&prompt.demonstrations);
-    let whole = whole.map(|(number, steps)| strip(format!("Demonstration {number}"), steps));
+    let whole = whole.map(|(number, steps)| row(format!("Demonstration {number}"), steps));
     let text = |hash: &String| prompt.texts.get(hash).map_or("", String::as_str);
     let exchange = prompt.entry.exchange.as_ref();
-    let messages = exchange.iter().flat_map(|exchange| &exchange.messages).map(|message| Message {
-        role: &message.role,
-        parts: message
-            .parts
-            .iter()
-            .filter_map(|part| match part {
-                RecordedPart::Text(text) => Some(Piece::Text(text)),
-                RecordedPart::Stored(hash) => Some(Piece::Text(text(hash))),
-                RecordedPart::Image(hash) => url(hash).map(Piece::Image),
-                // Never in a log.
-                RecordedPart::Png(_) => None,
-            })
-            .collect(),
-    });
-    let page = Page {
+    let messages =
+        exchange.iter().flat_map(|exchange| &exchange.messages).map(|message| PromptMessage {
+            role: &message.role,
+            parts: message
+                .parts
+                .iter()
+                .filter_map(|part| match part {
+                    RecordedPart::Text(text) => Some(MessagePart::Text(text)),
+                    RecordedPart::Stored(hash) => Some(MessagePart::Text(text(hash))),
+                    RecordedPart::Image(hash) => url(hash).map(MessagePart::Image),
+                    // Never in a log.
+                    RecordedPart::Png(_) => None,
+                })
+                .collect(),
+        });
+    let page = StepPage {
         shown,
         instruction: &request.instruction,
         hinted: request.starts_as_demonstrated,
-        now: Picture { url: url(&request.frame), lines: Vec::new() },
+        now: ImageFigure { url: url(&request.frame), lines: Vec::new() },
         window: window.collect(),
         memory: retrieved.chain(whole).collect(),
         documents: request

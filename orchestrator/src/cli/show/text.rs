@@ -1,4 +1,4 @@
-//! A step as people read it in a terminal.
+//! One step as text for a terminal.
 
 use std::fmt::Write;
 
@@ -6,13 +6,13 @@ use domain::prompt_log::{RecordedPart, RecordedUsage, RecordedView};
 
 use results::step_view::{Prompt, Shown};
 
-/// Characters of a text that are shown; the page and the JSON have all.
+/// Characters of a text that are printed; page and JSON have all.
 const MOST: usize = 2000;
 
-/// Hexadecimal digits by which an image is told from others.
+/// Hexadecimal digits that identify an image.
 const DIGITS: usize = 8;
 
-/// The step.
+/// Renders the step.
 pub(super) fn render(shown: &Shown) -> String {
     let mut text = format!("{}, step {} of {}\n\n", shown.key, shown.step, shown.steps);
     let mut fact = |name: &str, value: &str| {
@@ -28,16 +28,16 @@ pub(super) fn render(shown: &Shown) -> String {
         fact("Retrieved", &in_words(retrieved));
     }
     match &shown.prompt {
-        Some(prompt) => entry(&mut text, prompt),
+        Some(prompt) => prompt_text(&mut text, prompt),
         None => text.push_str(
-            "\nThe run has no prompt log of this step. What the policy is shown and answers is kept with\n\
-             memtransfer run --log-prompts\n",
+            "\nThe run has no prompt log of this step. Prompts are logged while episodes run: give the run's\n\
+             command again with --log-prompts and another --out.\n",
         ),
     }
     text
 }
 
-/// Where a retrieved view is from.
+/// Where a retrieved view comes from.
 fn in_words(retrieved: &str) -> String {
     let (case, view) = match retrieved.split_once(':') {
         Some((case, view)) => (format!(" of {case}, another task"), view),
@@ -54,7 +54,7 @@ fn in_words(retrieved: &str) -> String {
     format!("view {step} of the demonstration `{which}`{case}")
 }
 
-fn entry(text: &mut String, prompt: &Prompt) {
+fn prompt_text(text: &mut String, prompt: &Prompt) {
     let request = &prompt.entry.request;
     let _ = writeln!(text, "{:<10} image {}", "View", short(&request.frame));
     if request.starts_as_demonstrated {
@@ -71,11 +71,11 @@ fn entry(text: &mut String, prompt: &Prompt) {
     let _ = writeln!(text, "\nMemory");
     if let Some(segment) = &request.segment {
         let _ = writeln!(text, "  retrieved, at distance {:.4}", segment.distance);
-        walk(text, &segment.steps);
+        demonstration(text, &segment.steps);
     }
     for (number, steps) in (1..).zip(&prompt.demonstrations) {
         let _ = writeln!(text, "  demonstration {number}");
-        walk(text, steps);
+        demonstration(text, steps);
     }
     for document in &request.documents {
         let content = prompt.texts.get(&document.text).map_or("", String::as_str);
@@ -95,11 +95,11 @@ fn entry(text: &mut String, prompt: &Prompt) {
                     RecordedPart::Stored(hash) => {
                         indented(text, prompt.texts.get(hash).map_or("", String::as_str));
                     }
+                    // Never in a log.
+                    RecordedPart::Png(_) => {}
                     RecordedPart::Image(hash) => {
                         let _ = writeln!(text, "  [image {}]", short(hash));
                     }
-                    // Never in a log.
-                    RecordedPart::Png(_) => {}
                 }
             }
         }
@@ -167,10 +167,10 @@ fn tokens(usage: &RecordedUsage) -> String {
         if of_prompt.is_empty() { String::new() } else { format!(" ({})", of_prompt.join(", ")) };
     text.extend(usage.prompt_tokens.map(|count| format!("prompt {count}{parts}")));
     text.extend(usage.completion_tokens.map(|count| format!("answer {count}")));
-    if text.is_empty() { "not told".to_owned() } else { text.join(", ") }
+    if text.is_empty() { "not reported".to_owned() } else { text.join(", ") }
 }
 
-fn walk(text: &mut String, steps: &[RecordedView]) {
+fn demonstration(text: &mut String, steps: &[RecordedView]) {
     for (index, seen) in steps.iter().enumerate() {
         let view = seen
             .frame

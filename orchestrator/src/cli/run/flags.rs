@@ -1,0 +1,53 @@
+//! The flags of `memtransfer run` that stand in the table of settings.
+
+use anyhow::Result;
+use clap::{Arg, ArgAction, ArgMatches, Args, Command, Error, FromArgMatches};
+
+use crate::settings::{KEYS, Layer};
+
+/// The settings that were given as flags, each with its text.
+#[derive(Debug, Clone, Default)]
+pub(super) struct SettingFlags {
+    given: Vec<(&'static str, String)>,
+}
+
+impl SettingFlags {
+    /// Their values.
+    pub(super) fn layer(&self) -> Result<Layer> {
+        Ok(Layer::flags(self.given.iter().map(|(name, text)| (*name, text.as_str())))?)
+    }
+}
+
+impl Args for SettingFlags {
+    fn augment_args(command: Command) -> Command {
+        KEYS.iter().fold(command, |command, key| {
+            let arg =
+                Arg::new(key.name).long(key.name).help(key.help_text()).help_heading(key.heading);
+            command.arg(if key.is_switch() {
+                arg.action(ArgAction::SetTrue)
+            } else {
+                arg.value_name(key.value_name).action(ArgAction::Set)
+            })
+        })
+    }
+
+    fn augment_args_for_update(command: Command) -> Command {
+        Self::augment_args(command)
+    }
+}
+
+impl FromArgMatches for SettingFlags {
+    fn from_arg_matches(matches: &ArgMatches) -> Result<Self, Error> {
+        let text = |key: &crate::settings::Key| match key.is_switch() {
+            true => matches.get_flag(key.name).then(|| "true".to_owned()),
+            false => matches.get_one::<String>(key.name).cloned(),
+        };
+        let given = KEYS.iter().filter_map(|key| Some((key.name, text(key)?)));
+        Ok(Self { given: given.collect() })
+    }
+
+    fn update_from_arg_matches(&mut self, matches: &ArgMatches) -> Result<(), Error> {
+        *self = Self::from_arg_matches(matches)?;
+        Ok(())
+    }
+}

@@ -1,0 +1,466 @@
+//! One episode in a lane, from its first command to its record.
+
+use std::collections::BTreeMap;
+use std::fmt::Write as _;
+
+use bytemuck::Zeroable;
+use domain::{Action, Cell, Feedback, Outcome, Pose};
+use results::conditions::Route;
+use results::log::{Ending, EpisodeRecord, Stages, Unread};
+use shm_types::message::{
+    Decision, FrameId, MemoryEpisodeConfig, NO_ACTION, NO_FRAME, NOT_MEASURED, Observation,
+    PolicyEpisodeConfig, RecallTrace, Role, StepCommand, StepKind, WirePose, write_text,
+};
+use warehouse::{Case, Progress, Start, Variant, step};
+
+use super::{
+    AnswerError, AnsweredRequest, Context, EpisodeOpening, FinishedEpisode, PendingAnswer, Stamps,
+};
+use crate::event_recorder::EventRecorder;
+use crate::plan::PlannedEpisode;
+
+/// An episode under way.
+#[derive(Debug)]
+pub(super) struct ActiveEpisode {
+    variant_code: u32,
+    variant: Variant,
+    /// The reference's actions, for the expert.
+    reference: Vec<Action>,
+    progress: Progress,
+    events: EventRecorder,
+    /// Pose and feedback once the open command is done.
+    pose: Pose,
+    feedback: Feedback,
+    last_action: u8,
+    awaited: Awaited,
+    /// When the awaited answer was asked for.
+    since_ns: u64,
+    /// Of the current step.
+    stamps: Stamps,
+    /// Memory's account of the current step, once it is here.
+    trace: Option<RecallTrace>,
+    /// The decision on the current step, until what it is based on is here, too.
+    early: Option<Decision>,
+    /// As [`EpisodeRecord::retrieved`].
+    retrieved: String,
+    distances: Vec<f64>,
+    result: FinishedEpisode,
+}
+
+/// The answer that the episode waits for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Awaited {
+    /// The simulator's; the episode goes on.
+    Observation,
+    /// The simulator's; the episode ends with it.
+    LastObservation,
+    /// The policy's.
+    Decision,
+}
+
+impl ActiveEpisode {
+    /// `episode` before its first step.
+    pub(super) fn new(context: &Context<'_>, id: u64, lane: u32, episode: PlannedEpisode) -> Self {
+        let Context { warehouse, cases, rules, now_ns } = context;
+        let case = &cases.cases[episode.case_index];
+        let condition = episode.key.condition;
+        let from = condition.start.reference(condition.route);
+        let trajectory = case.trajectory(from);
+        let start = trajectory.start;
+        let progress = Progress::new(warehouse, &case.task, start.cell);
+        let mut events = EventRecorder::new(warehouse, &case.task);
+        events.stands(0, start);
+        events.looks(&warehouse.layout, 0, start);
+        let is_blocked = condition.route == Route::Blocked;
+        let has_policy = !rules.expert;
+        let record = EpisodeRecord {
+            key: episode.key.to_string(),
+            memory: condition.memory,
+            start: condition.start,
+            route: condition.route,
+            demonstrations: condition.demonstrations,
+            window: condition.variation.window,
+            segment: condition.variation.segment,
+            hint: condition.variation.hint,
+            run: episode.key.run,
+            case: episode.key.case.clone(),
+            task: case.task.number(),
+            seed: episode.seed,
+            ending: Ending::OutOfSteps,
+            steps: 0,
+            reference: case.replay(warehouse, from).length.unwrap_or(0),
+            actions: String::new(),
+            sub_goals: vec![0; progress.stage() as usize],
+            required: progress.total(),
+            visits: Vec::new(),
+            first_seen: BTreeMap::new(),
+            blocked_moves: Vec::new(),
+            tried_closed: is_blocked.then_some(false),
+            tried_closed_at: None,
+            start_pose: start,
+            final_pose: start,
+            requests: has_policy.then_some(0),
+            images: has_policy.then_some(0),
+            images_dropped: 0,
+            prompt_tokens: has_policy.then_some(0),
+            completion_tokens: has_policy.then_some(0),
+            memory_tokens: has_policy.then_some(0),
+            unread: Unread::default(),
+            retrieved: None,
+            distance: None,
+        };
+        Self {
+            variant_code: if is_blocked { 1 + episode.case_index as u32 } else { 0 },
+            variant: case.variant(from),
+            reference: if rules.expert { trajectory.actions.clone() } else { Vec::new() },
+            progress,
+            events,
+            pose: start,
+            feedback: Feedback::Start,
+            last_action: NO_ACTION,
+            awaited: Awaited::Observation,
+            since_ns: 0,
+            stamps: Stamps::new(id, lane, condition.memory),
+            trace: None,
+            early: None,
+            retrieved: String::new(),
+            distances: Vec::new(),
+            result: FinishedEpisode {
+                episode,
+                record,
+                stages: Stages::default(),
+                lane,
+                id,
+                started_ns: *now_ns,
+                ended_ns: 0,
+                unusable: 0,
+            },
+        }
+    }
+
+    pub(super) const fn id(&self) -> u64 {
+        self.result.id
+    }
+
+    pub(super) fn into_episode(self) -> PlannedEpisode {
+        self.result.episode
+    }
+
+    pub(super) const fn has_early_decision(&self) -> bool {
+        self.early.is_some()
+    }
+
+    /// The messages that begin the episode.
+    pub(super) fn opening(&mut self, context: &Context<'_>) -> EpisodeOpening {
+        let FinishedEpisode { episode, id, lane, .. } = &self.result;
+        let (episode, id, lane) = (episode.clone(), *id, *lane);
+        let condition = episode.key.condition;
+        let mut policy = PolicyEpisodeConfig {
+            episode: id,
+            seed: episode.seed,
+            lane,
+            repeat: episode.key.run,
+            starts_as_demonstrated: condition.is_hinted().into(),
+            // At most `MAX_WINDOW`, which the settings check.
+            window: condition.variation.window as u8,
+            ..Zeroable::zeroed()
+        };
+        let task = &context.cases.cases[episode.case_index].task;
+        let instruction = task.instruction(&context.warehouse.catalogue);
+        policy.instruction_len = write_text(&mut policy.instruction, &instruction);
+        let memory = MemoryEpisodeConfig {
+            episode: id,
+            lane,
+            case: episode.case_index as u32,
+            demonstrations: condition.demonstrations.bits(),
+            representation: condition.memory as u8,
+            horizon: context.rules.horizon,
+            keyframes: context.rules.keyframes,
+            segment: condition.variation.segment.code() as u8,
+            ..Zeroable::zeroed()
+        };
+        let start = self.pose.into();
+        let command = StepCommand { start, ..self.command(StepKind::Reset, context.now_ns) };
+        EpisodeOpening { memory, policy, command }
+    }
+
+    /// Takes the simulator's answer. Returns whether it was the last one.
+    pub(super) fn observed(
+        &mut self,
+        context: &Context<'_>,
+        observation: &Observation,
+    ) -> Result<bool, AnswerError> {
+        let is_last = match self.awaited {
+            Awaited::Observation => false,
+            Awaited::LastObservation => true,
+            Awaited::Decision => return Err(self.unexpected(Role::Sim, observation.step)),
+        };
+        self.compare(observation, is_last)?;
+        self.stamps.observed(observation);
+        self.since_ns = context.now_ns;
+        if !is_last {
+            self.awaited = Awaited::Decision;
+        }
+        Ok(is_last)
+    }
+
+    /// Takes memory's account of a recall.
+    pub(super) fn recalled(
+        &mut self,
+        context: &Context<'_>,
+        trace: &RecallTrace,
+    ) -> Result<(), AnswerError> {
+        let &RecallTrace { lane, step, case, demonstration, .. } = trace;
+        if !self.awaits(step) || self.trace.is_some() {
+            return Err(self.unexpected(Role::Memory, step));
+        }
+        let source = if case == NOT_MEASURED {
+            None
+        } else {
+            let start = Start::DEMONSTRATIONS.get(usize::from(demonstration));
+            let Some(source) = context.cases.cases.get(case as usize).zip(start) else {
+                let problem = format!("case {case}, demonstration {demonstration}");
+                return Err(AnswerError::Invalid { role: Role::Memory, lane, step, problem });
+            };
+            Some(source)
+        };
+        self.note_retrieval(source, trace);
+        self.trace = Some(*trace);
+        self.since_ns = context.now_ns;
+        Ok(())
+    }
+
+    /// Takes the policy's answer.
+    pub(super) fn decided(&mut self, decision: &Decision) -> Result<(), AnswerError> {
+        if !self.awaits(decision.step) || self.early.is_some() {
+            return Err(self.unexpected(Role::Policy, decision.step));
+        }
+        read_answer(decision).map(drop)?;
+        self.early = Some(*decision);
+        Ok(())
+    }
+
+    /// Takes the step that a decision leads to, once all that it is based on is here: messages are delivered to
+    /// one receiver after the other, so an answer may arrive before what it answers.
+    pub(super) fn settle(
+        &mut self,
+        context: &Context<'_>,
+        answered: &mut Vec<AnsweredRequest>,
+    ) -> Result<Option<(StepCommand, Stamps)>, AnswerError> {
+        let (Awaited::Decision, Some(trace), Some(decision)) =
+            (self.awaited, self.trace, self.early)
+        else {
+            return Ok(None);
+        };
+        (self.trace, self.early) = (None, None);
+        let answer = read_answer(&decision)?;
+        self.stamps.recalled(&trace);
+        self.stamps.decided(&decision);
+        self.count(&decision, answered);
+        Ok(Some(self.advance(context, answer)))
+    }
+
+    /// Takes the next step of the reference.
+    pub(super) fn expert_step(
+        &mut self,
+        context: &Context<'_>,
+    ) -> Result<(StepCommand, Stamps), AnswerError> {
+        let step = self.result.record.steps;
+        let action = self.reference.get(step as usize).copied().ok_or_else(|| {
+            let problem = "the case's reference ends before its task is complete".to_owned();
+            let lane = self.result.lane;
+            AnswerError::Invalid { role: Role::Orchestrator, lane, step, problem }
+        })?;
+        Ok(self.advance(context, Ok(action)))
+    }
+
+    /// Adds what a decision cost.
+    fn count(&mut self, decision: &Decision, answered: &mut Vec<AnsweredRequest>) {
+        let counts = decision.counts();
+        let sum = |sum: Option<u64>, more: Option<u32>| {
+            sum.zip(more).map(|(sum, more)| sum + u64::from(more))
+        };
+        let record = &mut self.result.record;
+        let dropped = counts.images_asked.zip(counts.images);
+        record.requests = record.requests.map(|requests| requests + 1);
+        record.images = sum(record.images, counts.images);
+        record.images_dropped +=
+            dropped.map_or(0, |(asked, images)| u64::from(asked.saturating_sub(images)));
+        record.prompt_tokens = sum(record.prompt_tokens, counts.prompt_tokens);
+        record.completion_tokens = sum(record.completion_tokens, counts.completion_tokens);
+        record.memory_tokens = sum(record.memory_tokens, counts.memory_tokens);
+        let asked_a_model = counts.attempts.is_some_and(|attempts| attempts > 0)
+            || decision.replayed != 0
+            || counts.prompt_tokens.is_some();
+        if asked_a_model {
+            answered.push(AnsweredRequest { key: record.key.clone(), decision: *decision });
+        }
+    }
+
+    /// Predicts the next step: an action, or staying where an answer could not be read. Returns the command that
+    /// makes the simulator take it, and the stamps of the step before.
+    fn advance(
+        &mut self,
+        context: &Context<'_>,
+        answer: Result<Action, Outcome>,
+    ) -> (StepCommand, Stamps) {
+        let layout = &context.warehouse.layout;
+        let record = &mut self.result.record;
+        record.steps += 1;
+        let kind = match answer {
+            Ok(action) => {
+                let tried = entered(self.pose, action).is_some_and(|c| self.variant.is_closed(c));
+                if tried && record.tried_closed_at.is_none() {
+                    record.tried_closed_at = Some(record.steps);
+                }
+                record.tried_closed = record.tried_closed.map(|before| before || tried);
+                (self.pose, self.feedback) = step(layout, &self.variant, self.pose, action);
+                self.last_action = action as u8;
+                record.actions.push(action.letter());
+                StepKind::Act
+            }
+            Err(outcome) => {
+                match outcome {
+                    Outcome::Acted | Outcome::Unreadable => record.unread.unreadable += 1,
+                    Outcome::Empty => record.unread.empty += 1,
+                    Outcome::Refused => record.unread.refused += 1,
+                }
+                self.feedback = Feedback::NotUnderstood;
+                self.last_action = NO_ACTION;
+                record.actions.push('?');
+                StepKind::Stay
+            }
+        };
+        record.final_pose = self.pose;
+        if self.feedback == Feedback::Blocked {
+            record.blocked_moves.push(record.steps);
+        }
+        self.events.stands(record.steps, self.pose);
+        let met = self.progress.visit(self.pose.cell);
+        record.sub_goals.extend((0..met).map(|_| record.steps));
+        if self.progress.is_complete() {
+            record.ending = Ending::Complete;
+        }
+        let is_over = self.progress.is_complete() || record.steps >= context.rules.max_steps;
+        self.awaited = if is_over {
+            Awaited::LastObservation
+        } else {
+            self.events.looks(layout, record.steps, self.pose);
+            Awaited::Observation
+        };
+        self.stamps.logged_ns = context.now_ns;
+        self.result.stages += self.stamps.stages();
+        (self.command(kind, context.now_ns), self.stamps)
+    }
+
+    /// The finished episode.
+    pub(super) fn finish(self, now_ns: u64) -> FinishedEpisode {
+        let Self { mut result, events, retrieved, distances, .. } = self;
+        result.ended_ns = now_ns;
+        result.record.visits = events.visits;
+        result.record.first_seen = events.first_seen;
+        if !distances.is_empty() {
+            let mean = distances.iter().sum::<f64>() / distances.len() as f64;
+            result.record.distance = Some((mean * 1e6).round() / 1e6);
+            result.record.retrieved = Some(retrieved);
+        }
+        result
+    }
+
+    /// The answer that the episode waits for.
+    pub(super) fn pending(&self, lane: u32, memory_busy_ns: u64) -> PendingAnswer {
+        let role = match (self.awaited, self.trace) {
+            (Awaited::Observation | Awaited::LastObservation, _) => Role::Sim,
+            (Awaited::Decision, None) => Role::Memory,
+            (Awaited::Decision, Some(_)) => Role::Policy,
+        };
+        let since_ns = match role {
+            Role::Memory => self.since_ns.max(memory_busy_ns),
+            _ => self.since_ns,
+        };
+        PendingAnswer { role, lane, since_ns, unusable: self.result.unusable }
+    }
+
+    /// The command that makes the simulator do what was predicted.
+    fn command(&mut self, kind: StepKind, now_ns: u64) -> StepCommand {
+        self.since_ns = now_ns;
+        StepCommand {
+            episode: self.result.id,
+            sent_ns: now_ns,
+            lane: self.result.lane,
+            step: self.result.record.steps,
+            variant: self.variant_code,
+            kind: kind as u8,
+            action: self.last_action,
+            last: u8::from(self.awaited == Awaited::LastObservation),
+            ..Zeroable::zeroed()
+        }
+    }
+
+    /// Adds where the current step's segment comes from.
+    fn note_retrieval(&mut self, source: Option<(&Case, &Start)>, trace: &RecallTrace) {
+        if !self.retrieved.is_empty() {
+            self.retrieved.push(' ');
+        }
+        let Some((case, start)) = source else { return self.retrieved.push('-') };
+        self.distances.push(f64::from(trace.distance));
+        if trace.case as usize != self.result.episode.case_index {
+            self.retrieved.push_str(&case.id);
+            self.retrieved.push(':');
+        }
+        self.retrieved.push(start.letter());
+        // Writing to a string cannot fail.
+        let _ = write!(self.retrieved, "{}", trace.index);
+    }
+
+    /// Whether an answer about `step` is, or will be, awaited.
+    fn awaits(&self, step: u32) -> bool {
+        self.awaited != Awaited::LastObservation && step == self.result.record.steps
+    }
+
+    fn unexpected(&mut self, role: Role, step: u32) -> AnswerError {
+        self.result.unusable += 1;
+        AnswerError::Unexpected { role, lane: self.result.lane, step }
+    }
+
+    /// Compares an observation with the prediction.
+    fn compare(&self, observation: &Observation, is_last: bool) -> Result<(), AnswerError> {
+        let &Observation { lane, step, .. } = observation;
+        let steps = self.result.record.steps;
+        let frame_as_due = |frame: FrameId| (frame == NO_FRAME) == is_last;
+        let (pose, feedback): (WirePose, u8) = (self.pose.into(), self.feedback as u8);
+        if (step, observation.pose, observation.feedback) == (steps, pose, feedback)
+            && frame_as_due(observation.frame)
+        {
+            return Ok(());
+        }
+        let found = format!(
+            "step {step}, pose {:?}, feedback {}, frame {}",
+            observation.pose.0, observation.feedback, observation.frame
+        );
+        let expected = format!(
+            "step {steps}, pose {:?}, feedback {feedback}, {} frame",
+            pose.0,
+            if is_last { "no" } else { "a" }
+        );
+        Err(AnswerError::Disagrees { lane, step, found, expected })
+    }
+}
+
+/// The action that was decided on, or why the answer has none.
+fn read_answer(decision: &Decision) -> Result<Result<Action, Outcome>, AnswerError> {
+    let &Decision { lane, step, outcome, action, .. } = decision;
+    let invalid = |error: domain::pose::UnknownCode| {
+        let problem = error.to_string();
+        AnswerError::Invalid { role: Role::Policy, lane, step, problem }
+    };
+    Ok(match Outcome::try_from(outcome).map_err(invalid)? {
+        Outcome::Acted => Ok(Action::try_from(action).map_err(invalid)?),
+        unread => Err(unread),
+    })
+}
+
+/// The cell that `action` tries to enter from `pose`, if it is a move.
+fn entered(pose: Pose, action: Action) -> Option<Cell> {
+    pose.cell.step(pose.heading.turned(action.move_direction()?))
+}

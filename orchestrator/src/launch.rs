@@ -1,0 +1,169 @@
+//! What a run starts: which processes, with which arguments and limits, attached to what.
+
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use anyhow::{Context, Result, bail};
+use results::conditions::{Frames, PolicyKind};
+use results::log::RunFolder;
+use results::settings::{ModelSettings, RunSettings};
+use shm_types::message::Role;
+use shm_types::process::shared_memory_space;
+use shm_types::{Attach, FrameControl, FrameSize, RunDir, Wait};
+use supervise::Launch;
+
+use crate::frame_budget::{self, Demand};
+use crate::lanes::Rules;
+use crate::machine::memory_available;
+use crate::pipeline::PipelineOptions;
+use crate::plan::PlannedEpisode;
+use crate::world::World;
+
+/// How the processes are started, with their logs in the folder `logs`.
+///
+/// # Errors
+/// When a program is missing, or `--policy-cmd` is no command.
+pub fn pipeline_options(settings: &RunSettings, logs: PathBuf) -> Result<PipelineOptions> {
+    let step_timeout = Duration::from_secs(settings.step_timeout.into());
+    Ok(PipelineOptions {
+        launches: launches(settings)?,
+        external_policy: settings.policy == PolicyKind::External && settings.policy_cmd.is_none(),
+        logs,
+        start_timeout: Duration::from_secs(settings.start_timeout.into()),
+        answer_timeout: step_timeout,
+        // The client of a model has time limits of its own, and always answers.
+        decision_timeout: (settings.policy != PolicyKind::Openai).then_some(step_timeout),
+    })
+}
+
+/// What all episodes have in common.
+///
+/// # Errors
+/// When a number is too large for the wire, which the settings rule out.
+pub fn rules(settings: &RunSettings) -> Result<Rules> {
+    Ok(Rules {
+        horizon: u8::try_from(settings.horizon).context("--horizon")?,
+        keyframes: u8::try_from(settings.keyframes).context("--keyframes")?,
+        max_steps: settings.max_steps,
+        expert: settings.policy == PolicyKind::Expert,
+    })
+}
+
+/// What every process of the run receives. `prompts` is the folder of the prompt log, if one is kept.
+///
+/// # Errors
+/// When there is too little shared memory.
+pub fn attach(
+    settings: &RunSettings,
+    world: &World,
+    episodes: &[PlannedEpisode],
+    run: &RunDir,
+    prompts: Option<&Path>,
+) -> Result<Attach> {
+    let windows = episodes.iter().map(|episode| episode.key.condition.variation.window);
+    // The expert needs no memory and no policy.
+    let has_process = settings.policy.has_process();
+    let mut attach = Attach {
+        participants: if has_process { Role::CHILDREN.to_vec() } else { vec![Role::Sim] },
+        lanes: settings.lanes.min(episodes.len() as u32),
+        window: windows.max().unwrap_or(0),
+        frame: FrameSize { width: settings.frame_size, height: settings.frame_size },
+        wait: Wait { spin_us: settings.spin_us },
+        frame_control: match settings.frames {
+            Frames::Rendered => FrameControl::Rendered,
+            Frames::Blank => FrameControl::Blank,
+            Frames::Swapped => FrameControl::Swapped,
+        },
+        // Absolute: an external policy may have another working folder.
+        prompts: prompts.map(std::path::absolute).transpose()?,
+        ..run.attach()
+    };
+    let World { warehouse, cases, .. } = world;
+    let demand = Demand::of(&attach, warehouse, cases, episodes, settings.keyframes);
+    let (free, _) = shared_memory_space().context("cannot tell how much shared memory is free")?;
+    let given = settings.frame_budget;
+    attach.frame_capacity = frame_budget::choose(&attach, demand, given, free, memory_available())?;
+    let every_view = frame_budget::every_view(warehouse);
+    if settings.warm_views && attach.frame_capacity < every_view {
+        bail!(
+            "--warm-views needs room for {every_view} frames, and there is room for {}: make shared memory larger \
+             (in Docker with --shm-size), or leave --warm-views out",
+            attach.frame_capacity
+        );
+    }
+    Ok(attach)
+}
+
+/// Arguments of a process, written as flags with values that may be missing.
+type Flags = Vec<(&'static str, Option<String>)>;
+
+fn launch(
+    role: Role,
+    program: &str,
+    mut args: Vec<std::ffi::OsString>,
+    flags: Flags,
+) -> Result<Launch> {
+    for (flag, value) in flags {
+        args.extend(value.into_iter().flat_map(|value| [flag.into(), value.into()]));
+    }
+    Launch::sibling(role, program, args)
+}
+
+/// The processes that a run starts.
+fn launches(settings: &RunSettings) -> Result<Vec<Launch>> {
+    let path = |path: &Option<PathBuf>| path.as_ref().map(|path| path.display().to_string());
+    let assets = ("--assets", path(&settings.assets));
+    let renderer = vec![
+        assets.clone(),
+        ("--backend", settings.backend.clone()),
+        ("--adapter", settings.adapter.clone()),
+    ];
+    let mut sim = launch(Role::Sim, "sim-proc", vec!["serve".into()], renderer)?;
+    if settings.warm_views {
+        sim.args.push("--warm-views".into());
+    }
+    if !settings.policy.has_process() {
+        return Ok(vec![sim]);
+    }
+    let encoder = vec![
+        assets,
+        ("--encoder", Some(settings.encoder.clone())),
+        ("--encoder-file", path(&settings.encoder_file)),
+        ("--encoder-threads", settings.encoder_threads.map(|n| n.to_string())),
+        ("--provider", settings.provider.clone()),
+        ("--documents", Some(RunFolder::documents_of(&settings.out).display().to_string())),
+    ];
+    let mut memory = launch(Role::Memory, "memory-proc", vec!["serve".into()], encoder)?;
+    // Decided by all conditions, not by those that are left: the process reports the same when a run is resumed.
+    if !settings.conditions().iter().any(|condition| condition.memory.matches_views()) {
+        memory.args.push("--no-encoder".into());
+    }
+    Ok([Some(sim), Some(memory), policy_launch(settings)?].into_iter().flatten().collect())
+}
+
+/// The policy's process, unless it is started by someone else.
+fn policy_launch(settings: &RunSettings) -> Result<Option<Launch>> {
+    if settings.policy == PolicyKind::External {
+        let command = settings.policy_cmd.as_deref();
+        return command.map(|command| Launch::command(Role::Policy, command)).transpose();
+    }
+    let args = vec!["serve".into(), "--policy".into(), settings.policy.to_string().into()];
+    let flags = settings.model.as_ref().map(model_flags).unwrap_or_default();
+    launch(Role::Policy, "policy-proc", args, flags).map(Some)
+}
+
+/// The policy process's flags about the model.
+fn model_flags(model: &ModelSettings) -> Flags {
+    vec![
+        ("--model", Some(model.model.clone())),
+        ("--base-url", model.base_url.clone()),
+        ("--image-format", Some(model.image_format.to_string())),
+        ("--image-budget", Some(model.image_budget.to_string())),
+        ("--answer-tokens", Some(model.answer_tokens.to_string())),
+        ("--max-connections", Some(model.max_connections.to_string())),
+        ("--max-retries", Some(model.max_retries.to_string())),
+        ("--request-timeout", Some(model.request_timeout.to_string())),
+        ("--server-patience", Some(model.server_patience.to_string())),
+        ("--response-cache", Some(model.response_cache.to_string())),
+    ]
+}

@@ -1,0 +1,189 @@
+//! Keeps the [`LiveStatus`] of a session up to date and shows it: as progress on stderr, and in the status file.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::time::{Duration, Instant};
+
+use shm_types::message::{Heartbeat, Role};
+
+use crate::lanes::{PendingAnswer, Stamps};
+use crate::latency::StepLatencies;
+use crate::progress::Progress;
+use crate::status::{EpisodeCounts, LiveStatus, ProcessStatus, StageLatency, StatusFile};
+
+/// Time between two updates of the status file.
+const INTERVAL: Duration = Duration::from_millis(500);
+
+/// The phase in which episodes run.
+const RUNNING: &str = "running episodes";
+
+/// Keeps and shows a live status.
+#[derive(Debug)]
+pub struct Monitor {
+    status: LiveStatus,
+    progress: Progress,
+    file: StatusFile,
+    /// Of the steps since the last update.
+    recent: StepLatencies,
+    /// Of all steps before.
+    latency: StepLatencies,
+    heartbeats: BTreeMap<Role, (Instant, Heartbeat)>,
+    began: Instant,
+    /// When the first step was taken.
+    running_since: Option<Instant>,
+    /// When the file was last updated, and the steps until then.
+    updated: (Instant, u64),
+}
+
+impl Monitor {
+    /// The monitor of a session in the folder `run`.
+    pub fn new(run: &Path, lanes: u32, episodes: EpisodeCounts, progress: Progress) -> Self {
+        let now = Instant::now();
+        let pid = std::process::id();
+        Self {
+            status: LiveStatus { pid, lanes, episodes, ..LiveStatus::default() },
+            progress,
+            file: StatusFile::new(run),
+            recent: StepLatencies::default(),
+            latency: StepLatencies::default(),
+            heartbeats: BTreeMap::new(),
+            began: now,
+            running_since: None,
+            updated: (now, 0),
+        }
+    }
+
+    /// The session enters a phase before its first step.
+    pub fn phase(&mut self, phase: &str) {
+        phase.clone_into(&mut self.status.phase);
+        self.show();
+    }
+
+    /// A step was taken.
+    pub fn stepped(&mut self, stamps: &Stamps) {
+        if self.running_since.is_none() {
+            self.running_since = Some(Instant::now());
+            RUNNING.clone_into(&mut self.status.phase);
+        }
+        self.status.steps += 1;
+        self.recent.record(stamps);
+    }
+
+    /// An episode was finished.
+    pub fn finished(&mut self, is_success: bool) {
+        let (finished, successes) = &mut self.status.episodes.finished;
+        *finished += 1;
+        *successes += u64::from(is_success);
+    }
+
+    /// An episode was given up.
+    pub fn gave_up(&mut self) {
+        self.status.episodes.given_up += 1;
+    }
+
+    /// The policy waits for its model's server, or no longer.
+    pub fn waiting_for_server(&mut self, reason: Option<&str>) {
+        self.status.waiting_for_server = reason.map(str::to_owned);
+        self.show();
+    }
+
+    /// A process reported its load.
+    pub fn heartbeat(&mut self, role: Role, heartbeat: &Heartbeat) {
+        let now = Instant::now();
+        let Heartbeat { done, waiting, held, room, .. } = *heartbeat;
+        let before = self.heartbeats.insert(role, (now, *heartbeat));
+        let done_per_s = before.map_or(0.0, |(when, before)| {
+            done.saturating_sub(before.done) as f64 / (now - when).as_secs_f64().max(1e-3)
+        });
+        let process = ProcessStatus { done, done_per_s, waiting, held, room };
+        self.status.processes.insert(role.word().to_owned(), process);
+    }
+
+    /// The answers that lanes wait for.
+    pub fn pending(&mut self, pending: &[PendingAnswer]) {
+        self.status.waiting.clear();
+        for answer in pending {
+            *self.status.waiting.entry(answer.role.word().to_owned()).or_default() += 1;
+        }
+    }
+
+    /// Updates what is shown, if it is time to.
+    pub fn tick(&mut self) {
+        let (when, steps) = self.updated;
+        let passed = when.elapsed();
+        if passed >= INTERVAL {
+            let status = &mut self.status;
+            status.elapsed_s = self.began.elapsed().as_secs_f64();
+            status.steps_per_s = (status.steps - steps) as f64 / passed.as_secs_f64();
+            let stages = self.recent.summaries();
+            let stages = stages.map(|(memory, stage, summary)| StageLatency {
+                memory,
+                stage: stage.to_owned(),
+                summary,
+            });
+            status.stages = stages.collect();
+            self.latency.add(&self.recent);
+            self.recent.clear();
+            self.updated = (Instant::now(), status.steps);
+            self.file.write(&self.status);
+        }
+        self.show();
+    }
+
+    /// Prints a message that stays.
+    pub fn note(&mut self, note: &str) {
+        self.progress.note(note);
+    }
+
+    /// Ends the display. Returns the latencies of all steps.
+    pub fn close(mut self) -> StepLatencies {
+        self.latency.add(&self.recent);
+        self.update_running();
+        let line = self.status.line();
+        self.progress.close(|| line);
+        self.latency
+    }
+
+    fn show(&mut self) {
+        self.update_running();
+        let Self { status, progress, .. } = self;
+        let counts = &status.episodes;
+        // Waiting for the server is a phase of its own.
+        let phase = match &status.waiting_for_server {
+            Some(_) => "waiting for the server",
+            None => &status.phase,
+        };
+        progress.show(phase, (counts.done(), counts.planned), || status.line());
+    }
+
+    fn update_running(&mut self) {
+        self.status.running_s = self.running_since.map_or(0.0, |at| at.elapsed().as_secs_f64());
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use domain::Representation;
+
+    use super::*;
+
+    #[test]
+    fn the_status_file_tells_steps_lanes_and_loads() {
+        let run = tempfile::tempdir().unwrap();
+        let episodes = EpisodeCounts { planned: 100, earlier: (40, 1), ..EpisodeCounts::default() };
+        let mut monitor = Monitor::new(run.path(), 8, episodes, Progress::new(true));
+        monitor.updated.0 -= INTERVAL;
+        monitor.stepped(&Stamps::new(1, 0, Representation::Working));
+        monitor.pending(&[PendingAnswer { role: Role::Sim, lane: 3, since_ns: 0, unusable: 0 }]);
+        monitor.heartbeat(Role::Sim, &Heartbeat { held: 7, ..bytemuck::Zeroable::zeroed() });
+        monitor.finished(true);
+        monitor.waiting_for_server(Some("connection refused"));
+        monitor.tick();
+        let status = LiveStatus::read(run.path()).unwrap().unwrap();
+        assert_eq!((status.episodes.done(), status.steps, status.lanes), (41, 1, 8));
+        assert_eq!((status.waiting["sim"], status.processes["sim"].held), (1, 7));
+        assert_eq!(status.stages.len(), results::log::Stages::NAMES.len() + 1);
+        assert_eq!(status.waiting_for_server.as_deref(), Some("connection refused"));
+        assert_eq!(monitor.close().records(1).count(), status.stages.len());
+    }
+}

@@ -1,0 +1,296 @@
+//! Episodes that are left to run, how often each failed, and which one makes the policy fail.
+//!
+//! A policy that crashes or hangs takes every episode under way with it. If one of them is the cause, the same ones
+//! together would end the same way. So they become suspects: they run before all others and fewer at a time, half as
+//! many after each such failure, until one fails alone. That one is given up after [`SPOILED_ATTEMPTS`]; suspects that
+//! are finished are cleared, and when none is left, all lanes are used again. The order of episodes never changes
+//! their records.
+
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
+
+use results::key::EpisodeKey;
+
+use crate::plan::PlannedEpisode;
+
+/// Attempts at an episode when something else may be the cause of its failures.
+const ATTEMPTS: u32 = 12;
+
+/// Attempts at an episode that alone makes the policy fail.
+const SPOILED_ATTEMPTS: u32 = 3;
+
+/// Culprits that may be found one after the other without an episode being finished in between. A policy that fails on
+/// more of them fails on everything.
+pub(super) const CULPRITS_IN_A_ROW: u32 = 2;
+
+/// Episodes that are left to run.
+#[derive(Debug, Default)]
+pub(super) struct EpisodeQueue {
+    waiting: VecDeque<PlannedEpisode>,
+    failures: BTreeMap<EpisodeKey, Failures>,
+    search: Option<CulpritSearch>,
+    unfinished: Vec<(PlannedEpisode, String)>,
+    finished: u64,
+    /// Culprits found since an episode was finished.
+    culprits: u32,
+}
+
+/// Failed attempts at an episode.
+#[derive(Debug, Default, Clone, Copy)]
+struct Failures {
+    /// For any reason.
+    all: u32,
+    /// Because a process other than the policy failed.
+    by_others: u32,
+    /// Because the policy failed on this episode and nothing else.
+    spoiled: u32,
+}
+
+/// The search for the episode that makes the policy fail.
+#[derive(Debug)]
+struct CulpritSearch {
+    suspects: BTreeSet<EpisodeKey>,
+    /// Episodes that run at once.
+    width: usize,
+}
+
+impl EpisodeQueue {
+    pub(super) fn new(episodes: impl IntoIterator<Item = PlannedEpisode>) -> Self {
+        Self { waiting: episodes.into_iter().collect(), ..Self::default() }
+    }
+
+    /// Whether no episode waits.
+    pub(super) fn is_empty(&self) -> bool {
+        self.waiting.is_empty()
+    }
+
+    /// Number of finished episodes.
+    pub(super) fn count_finished(&self) -> u64 {
+        self.finished
+    }
+
+    /// Culprits found since an episode was finished.
+    pub(super) fn culprits_in_a_row(&self) -> u32 {
+        self.culprits
+    }
+
+    /// Episodes that run at once during a search for a culprit.
+    pub(super) fn width(&self) -> Option<usize> {
+        self.search.as_ref().map(|search| search.width)
+    }
+
+    /// The episodes that were given up, and why.
+    pub(super) fn into_unfinished(self) -> Vec<(PlannedEpisode, String)> {
+        self.unfinished
+    }
+
+    /// The number of the current attempt at `episode`, from 1.
+    pub(super) fn attempt(&self, episode: &PlannedEpisode) -> u32 {
+        1 + self.failures.get(&episode.key).map_or(0, |failures| failures.all)
+    }
+
+    /// The episode to begin while `busy` are under way, if another one may begin.
+    pub(super) fn next(&mut self, busy: usize) -> Option<PlannedEpisode> {
+        let Some(CulpritSearch { suspects, width }) = &self.search else {
+            return self.waiting.pop_front();
+        };
+        if busy >= *width {
+            return None;
+        }
+        let suspect = self.waiting.iter().position(|episode| suspects.contains(&episode.key))?;
+        self.waiting.remove(suspect)
+    }
+
+    /// `episode` is in the log.
+    pub(super) fn finish(&mut self, episode: &PlannedEpisode) {
+        self.finished += 1;
+        self.culprits = 0;
+        self.clear(&episode.key);
+    }
+
+    /// `episode` is not run again in this session.
+    pub(super) fn give_up(&mut self, episode: PlannedEpisode, why: String) {
+        self.clear(&episode.key);
+        self.unfinished.push((episode, why));
+    }
+
+    /// The policy failed on `episode` and nothing else. Returns whether the episode is given up.
+    pub(super) fn spoiled(&mut self, episode: PlannedEpisode, why: &str) -> bool {
+        let failures = self.failures.entry(episode.key.clone()).or_default();
+        failures.all += 1;
+        failures.spoiled += 1;
+        if failures.spoiled < SPOILED_ATTEMPTS {
+            self.waiting.push_front(episode);
+            return false;
+        }
+        self.give_up(episode, why.to_owned());
+        true
+    }
+
+    /// A generation failed with `under_way`, and not because of the policy.
+    pub(super) fn failed(&mut self, under_way: Vec<PlannedEpisode>) {
+        for episode in under_way {
+            let failures = self.failures.entry(episode.key.clone()).or_default();
+            failures.all += 1;
+            failures.by_others += 1;
+            if failures.by_others < ATTEMPTS {
+                self.waiting.push_front(episode);
+            } else {
+                let why = format!("its processes failed {ATTEMPTS} times");
+                self.give_up(episode, why);
+            }
+        }
+    }
+
+    /// A generation failed with `under_way` because of the policy. Returns the culprit, if it was found and given up.
+    pub(super) fn failed_by_policy(
+        &mut self,
+        mut under_way: Vec<PlannedEpisode>,
+        why: &str,
+    ) -> Option<EpisodeKey> {
+        if under_way.len() != 1 {
+            let width = (under_way.len() / 2).max(1);
+            let suspects: BTreeSet<_> =
+                under_way.iter().map(|episode| episode.key.clone()).collect();
+            for episode in under_way {
+                self.failures.entry(episode.key.clone()).or_default().all += 1;
+                self.waiting.push_front(episode);
+            }
+            if !suspects.is_empty() {
+                self.search = Some(CulpritSearch { suspects, width });
+            }
+            return None;
+        }
+        let culprit = under_way.pop()?;
+        let key = culprit.key.clone();
+        // It keeps running alone, as it did this time.
+        let alone = || CulpritSearch { suspects: BTreeSet::from([key.clone()]), width: 1 };
+        self.search.get_or_insert_with(alone).width = 1;
+        let why = format!("the policy fails whenever this episode runs, even alone: {why}");
+        self.spoiled(culprit, &why).then(|| {
+            self.culprits += 1;
+            key
+        })
+    }
+
+    /// `key` is no longer a suspect.
+    fn clear(&mut self, key: &EpisodeKey) {
+        if let Some(search) = &mut self.search {
+            search.suspects.remove(key);
+            if search.suspects.is_empty() {
+                self.search = None;
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use domain::Representation;
+
+    use super::*;
+    use results::conditions::{Condition, Demonstrations, Route, Start, Variation};
+
+    const LANES: usize = 16;
+
+    fn episodes(count: usize) -> Vec<PlannedEpisode> {
+        let condition = Condition {
+            memory: Representation::Working,
+            start: Start::Original,
+            route: Route::Unchanged,
+            demonstrations: Demonstrations::NONE,
+            variation: Variation::STANDARD,
+        };
+        let of = |case_index| {
+            let key = EpisodeKey { condition, run: 1, case: format!("c{case_index:03}") };
+            PlannedEpisode { key, case_index, seed: 1 }
+        };
+        (0..count).map(of).collect()
+    }
+
+    /// How a run ended.
+    struct Outcome {
+        finished: Vec<usize>,
+        given_up: Vec<usize>,
+        generations: u32,
+        /// Whether it was stopped because the policy fails on everything.
+        hopeless: bool,
+    }
+
+    /// Runs `count` episodes with a policy that fails whenever one of `poisonous` has been under way for a turn.
+    /// In each turn, the episode that was begun first is finished.
+    fn run(count: usize, poisonous: impl Fn(usize) -> bool) -> Outcome {
+        let mut queue = EpisodeQueue::new(episodes(count));
+        let mut outcome =
+            Outcome { finished: vec![], given_up: vec![], generations: 0, hopeless: false };
+        while !queue.is_empty() && !outcome.hopeless {
+            outcome.generations += 1;
+            assert!(outcome.generations < 1000, "it does not end");
+            let mut under_way: VecDeque<PlannedEpisode> = VecDeque::new();
+            loop {
+                while under_way.len() < LANES
+                    && let Some(episode) = queue.next(under_way.len())
+                {
+                    under_way.push_back(episode);
+                }
+                if under_way.iter().any(|episode| poisonous(episode.case_index)) {
+                    queue.failed_by_policy(under_way.into_iter().collect(), "it crashed");
+                    outcome.hopeless = queue.culprits_in_a_row() >= CULPRITS_IN_A_ROW;
+                    break;
+                }
+                let Some(done) = under_way.pop_front() else { break };
+                queue.finish(&done);
+                outcome.finished.push(done.case_index);
+            }
+        }
+        outcome.finished.sort_unstable();
+        outcome.given_up = queue.unfinished.iter().map(|(episode, _)| episode.case_index).collect();
+        outcome.given_up.sort_unstable();
+        outcome
+    }
+
+    #[test]
+    fn one_poisonous_episode_is_found_and_everything_else_is_finished() {
+        for poison in 0..40 {
+            let Outcome { finished, given_up, generations, hopeless } = run(40, |n| n == poison);
+            assert!(!hopeless && generations <= 8, "{poison}: {generations} generations");
+            assert_eq!(given_up, [poison]);
+            assert_eq!(finished, (0..40).filter(|&n| n != poison).collect::<Vec<_>>());
+        }
+    }
+
+    #[test]
+    fn several_poisonous_episodes_are_found_as_well() {
+        let outcome = run(100, |n| n % 20 == 7);
+        assert_eq!(outcome.given_up, [7, 27, 47, 67, 87]);
+        assert_eq!(outcome.finished.len(), 95);
+    }
+
+    #[test]
+    fn a_policy_that_fails_on_everything_is_not_tried_for_ever() {
+        let outcome = run(100, |_| true);
+        assert!(
+            outcome.hopeless && outcome.generations <= 16,
+            "{} generations",
+            outcome.generations
+        );
+    }
+
+    #[test]
+    fn failures_of_others_allow_more_attempts_and_a_failure_by_chance_costs_nothing() {
+        let mut queue = EpisodeQueue::new(episodes(3));
+        for _ in 0..ATTEMPTS - 1 {
+            let under_way: Vec<_> = std::iter::from_fn(|| queue.next(0)).collect();
+            assert_eq!(under_way.len(), 3);
+            queue.failed(under_way);
+        }
+        let under_way: Vec<_> = std::iter::from_fn(|| queue.next(0)).collect();
+        assert_eq!(queue.attempt(&under_way[0]), ATTEMPTS);
+        queue.failed_by_policy(under_way, "killed");
+        assert_eq!((queue.width(), queue.unfinished.len()), (Some(1), 0));
+        while let Some(episode) = queue.next(0) {
+            assert!(queue.next(1).is_none(), "one at a time");
+            queue.finish(&episode);
+        }
+        assert_eq!((queue.width(), queue.count_finished(), queue.is_empty()), (None, 3, true));
+    }
+}

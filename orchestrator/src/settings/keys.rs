@@ -1,0 +1,383 @@
+//! The settings of a run: one table that is at the same time the flags of `memtransfer run`, the
+//! `MEMTRANSFER_*` variables and the keys of a suite file.
+
+use std::fmt;
+use std::str::FromStr;
+
+use results::conditions::{
+    Demonstrations, Frames, Hint, ImageFormat, PolicyKind, Route, SegmentContent, Start,
+    representation,
+};
+use results::cost::Amount;
+use results::settings::{CaseSelector, DocumentSource, ResponseCache};
+use serde_json::Value;
+use shm_types::message::{MAX_SEGMENT, MAX_WINDOW};
+
+/// Most images of a prompt (paper, Experimental Setup).
+pub const MAX_IMAGES: u32 = 50;
+
+/// Keys that concern a model: for `--policy openai` only.
+pub(super) const MODEL_KEYS: &[&str] = &[
+    "model",
+    "base-url",
+    "image-format",
+    "image-budget",
+    "answer-tokens",
+    "max-connections",
+    "max-retries",
+    "request-timeout",
+    "server-patience",
+    "response-cache",
+    "prices",
+    "max-tokens-total",
+    "max-cost",
+];
+
+/// One setting.
+#[derive(Debug)]
+pub struct Key {
+    /// Its name: the flag without `--`, and the key in a suite file.
+    pub name: &'static str,
+    /// What stands for its value in the help; empty for a switch.
+    pub value_name: &'static str,
+    /// The heading that the help lists it under.
+    pub heading: &'static str,
+    /// One paragraph of help.
+    pub help: &'static str,
+    kind: ValueKind,
+}
+
+/// The form of a setting's value.
+#[derive(Debug, Clone, Copy)]
+enum ValueKind {
+    /// On or off.
+    Switch,
+    /// A whole number within bounds, a multiple of the third.
+    Number(u64, u64, u64),
+    /// A list of whole numbers within bounds.
+    Numbers(u64, u64),
+    /// An amount of money.
+    Money,
+    /// A text that the function accepts.
+    Text(Check),
+    /// A list of texts that the function accepts.
+    List(Check),
+}
+
+type Check = fn(&str) -> Result<(), String>;
+
+/// Accepts what parses as `T`.
+fn parses<T: FromStr<Err: fmt::Display>>(text: &str) -> Result<(), String> {
+    text.parse::<T>().map(drop).map_err(|error| error.to_string())
+}
+
+fn is_representation(text: &str) -> Result<(), String> {
+    representation(text).map(drop).map_err(|error| error.to_string())
+}
+
+/// Accepts any text but an empty one.
+fn any(text: &str) -> Result<(), String> {
+    if text.is_empty() { Err("the value is empty".to_owned()) } else { Ok(()) }
+}
+
+fn is_command(text: &str) -> Result<(), String> {
+    match shlex::split(text) {
+        Some(words) if !words.is_empty() => Ok(()),
+        _ => Err(format!("`{text}` is not a program and its arguments, with every quote closed")),
+    }
+}
+
+fn is_backend(text: &str) -> Result<(), String> {
+    match text {
+        "wgpu" | "cpu" => Ok(()),
+        _ => Err(results::names::UnknownName::new("backend", text, ["wgpu", "cpu"]).to_string()),
+    }
+}
+
+const WHAT: &str = "What is run";
+const GIVEN: &str = "What the agent is given";
+const MODEL: &str = "The model (with --policy openai)";
+const HOW: &str =
+    "How it is run (only --backend, --adapter and --provider may change a result, slightly)";
+
+/// Writes the table: one line of names and form, one of help.
+macro_rules! keys {
+    ($($heading:ident: $($name:literal $value_name:literal $kind:expr, $help:literal;)*)*) => {
+        &[$($(Key {
+            name: $name,
+            value_name: $value_name,
+            heading: $heading,
+            help: $help,
+            kind: $kind,
+        }),*),*]
+    };
+}
+
+use ValueKind::{List, Money, Number, Numbers, Switch, Text};
+
+const SECONDS: ValueKind = Number(1, 86_400, 1);
+
+/// Every setting, in the order of the help.
+pub const KEYS: &[Key] = keys! {
+    WHAT:
+    "suite" "NAME|FILE" Text(any),
+        "A shipped suite by name, or a suite file (TOML)";
+    "policy" "NAME" Text(parses::<PolicyKind>),
+        "What decides: grounded (scripted, needs no model), openai (a model behind an \
+         OpenAI-compatible endpoint), external (your own program), random, or expert (replays the \
+         reference)";
+    "policy-cmd" "COMMAND" Text(is_command),
+        "The command that starts your own policy, for example \"python my_policy.py\"; implies \
+         --policy external";
+    "memory" "LIST" List(is_representation),
+        "Memory representations: working, full-context, summary, semantic, hybrid, episodic";
+    "starts" "LIST" List(parses::<Start>),
+        "Starting poses: original (as demonstrated), new (no demonstration starts there)";
+    "routes" "LIST" List(parses::<Route>),
+        "Routes: unchanged, blocked (a passage of the demonstrations is closed; new starts only)";
+    "demos" "LIST" List(parses::<Demonstrations>),
+        "Demonstrations in memory: original, opposite, nearby, distant, several joined by +, or 4 \
+         for all; irrelevant or confusable for original, opposite and two of other tasks. Each \
+         entry of the list is a condition of its own";
+    "cases" "LIST" List(parses::<CaseSelector>),
+        "Cases by id (t03-07), task (t03), number (37) or range (1-10, t03-01..t04-10); `all`";
+    "limit" "N" Number(0, 1_000_000, 1),
+        "Run N of the selected cases, balanced over the tasks. A larger N includes the cases of a \
+         smaller one";
+    "runs" "N" Number(1, 1000, 1),
+        "Repetitions of every episode, each with its own seed";
+    "seed" "N" Number(0, u64::MAX, 1),
+        "The number that every episode's seed is derived from";
+    "max-steps" "N" Number(1, 10_000, 1),
+        "Steps after which an episode ends, T_max";
+    "assets" "DIR" Text(any),
+        "Use the layout, catalogue, cases, suites and model manifest in DIR, not the built-in ones";
+
+    GIVEN:
+    "window" "LIST" Numbers(0, MAX_WINDOW as u64),
+        "Past steps shown to the policy, h. Each entry of the list is a condition of its own";
+    "horizon" "N" Number(0, MAX_SEGMENT as u64 - 1, 1),
+        "Expert actions that a retrieved segment covers, H_epi";
+    "segment" "LIST" List(parses::<SegmentContent>),
+        "Content of a retrieved segment: actions (with the views they led to), or images only";
+    "keyframes" "N" Number(1, MAX_IMAGES as u64, 1),
+        "Keyframes of full-context memory, shared by the demonstrations of a case";
+    "hint" "LIST" List(parses::<Hint>),
+        "Whether the prompt says that the demonstration has the same starting pose, where it has: \
+         on, off";
+    "documents" "BUILDER|DIR" Text(parses::<DocumentSource>),
+        "Documents of summary, semantic and hybrid memory: from the builder extractive or model, or \
+         from the folder DIR";
+    "frame-size" "PIXELS" Number(64, 4096, 64),
+        "Width and height of a frame, a multiple of 64";
+    "frames" "KIND" Text(parses::<Frames>),
+        "What frames show: rendered, or as a control blank (grey) or swapped (another pose)";
+    "encoder" "NAME" Text(any),
+        "The model that embeds frames, by its name in models.toml";
+    "encoder-file" "FILE" Text(any),
+        "The encoder's ONNX file, for a model that `cargo xtask setup` does not fetch";
+
+    MODEL:
+    "model" "NAME" Text(any),
+        "The model, by the name that the server knows";
+    "base-url" "URL" Text(any),
+        "The server, up to /v1 [default: $OPENAI_BASE_URL, else $OPENAI_API_BASE]. The key is \
+         $OPENAI_API_KEY; a file .env may hold all three";
+    "image-format" "FORMAT" Text(parses::<ImageFormat>),
+        "Encoding of images in requests: png (lossless) or jpeg";
+    "image-budget" "N" Number(0, 1000, 1),
+        "Most images in a request; the prompt says how many were left out. 0 for a model that \
+         reads text only";
+    "answer-tokens" "N" Number(1, 100_000, 1),
+        "Most tokens of an answer";
+    "max-connections" "N" Number(1, 1024, 1),
+        "Most requests in flight; fewer while the server is overloaded or slow";
+    "max-retries" "N" Number(0, 100, 1),
+        "How often a request is repeated after status 429 or 5xx, a timeout or a failed connection";
+    "request-timeout" "SECONDS" SECONDS,
+        "Time limit of one attempt";
+    "server-patience" "SECONDS" Number(0, 86_400, 1),
+        "How long a run waits for a server that answered before and is gone; 0 does not wait";
+    "response-cache" "on|off|DIR" Text(parses::<ResponseCache>),
+        "Keep replies and never send the same request twice: on, off, or the folder to keep them in";
+    "prices" "FILE" Text(any),
+        "Prices of tokens, by model (TOML; see docs/costs.md)";
+    "max-tokens-total" "N" Number(0, u64::MAX, 1),
+        "Stop when the run has used N tokens, earlier sessions included";
+    "max-cost" "AMOUNT" Money,
+        "Stop when the run has cost AMOUNT in the currency of --prices, earlier sessions included";
+
+    HOW:
+    "out" "DIR" Text(any),
+        "The run's folder; the same command again resumes the run in it";
+    "log-prompts" "" Switch,
+        "Keep every prompt, its images and the answer in the run's folder, for `memtransfer show`";
+    "lanes" "N" Number(1, 1024, 1),
+        "Episodes that run at the same time";
+    "encoder-threads" "N" Number(1, 1024, 1),
+        "Frames embedded at the same time [default: number of cores]";
+    "provider" "NAME" Text(any),
+        "ONNX Runtime's execution provider for the encoder: cpu, openvino, cuda, tensorrt \
+         [default: cpu]";
+    "frame-budget" "FRAMES" Number(1, u32::MAX as u64, 1),
+        "Frames kept in shared memory [default: as many as are useful and fit into half of the \
+         free memory]";
+    "backend" "NAME" Text(is_backend),
+        "Render with wgpu (a graphics device) or on the cpu, whose pixels are the same on every \
+         machine [default: wgpu where there is a graphics card]";
+    "adapter" "NAME" Text(any),
+        "Render with the first graphics adapter whose name contains NAME";
+    "warm-views" "" Switch,
+        "Render every view of the unchanged warehouse before the first step; for measurements";
+    "spin-us" "MICROSECONDS" Number(0, 1_000_000, 1),
+        "How long a process polls for messages before it sleeps; useful where cores are idle";
+    "step-timeout" "SECONDS" SECONDS,
+        "Time limit of an answer; a process that exceeds it is restarted";
+    "start-timeout" "SECONDS" SECONDS,
+        "Time limit for the processes to get ready";
+};
+
+/// What holds where no source sets a key. A suite sets most of them.
+pub(super) const DEFAULTS: &str = r#"
+suite = "quick"
+policy = "grounded"
+memory = ["working", "full-context", "summary", "semantic", "hybrid", "episodic"]
+starts = ["original", "new"]
+routes = ["unchanged"]
+demos = ["original"]
+cases = ["all"]
+runs = 1
+seed = 1
+max-steps = 200
+window = [6]
+horizon = 6
+segment = ["actions"]
+keyframes = 40
+hint = ["on"]
+documents = "extractive"
+frame-size = 448
+frames = "rendered"
+encoder = "dinov2-s14"
+image-format = "png"
+image-budget = 50
+answer-tokens = 30
+max-connections = 16
+max-retries = 5
+request-timeout = 120
+server-patience = 600
+response-cache = "on"
+lanes = 16
+spin-us = 0
+step-timeout = 120
+start-timeout = 300
+"#;
+
+impl Key {
+    /// The setting called `name`.
+    pub fn find(name: &str) -> Option<&'static Self> {
+        KEYS.iter().find(|key| key.name == name)
+    }
+
+    /// The help, with the default if there is one.
+    pub fn help_text(&self) -> String {
+        let prefix = format!("{} = ", self.name);
+        let default = DEFAULTS.lines().find_map(|line| line.strip_prefix(&prefix));
+        match default {
+            Some(default) => {
+                let plain = |c: char| !"[]\" ".contains(c);
+                let default: String = default.chars().filter(|c| plain(*c)).collect();
+                format!("{} [default: {default}]", self.help)
+            }
+            None => self.help.to_owned(),
+        }
+    }
+
+    /// Whether the flag takes no value.
+    pub const fn is_switch(&self) -> bool {
+        matches!(self.kind, ValueKind::Switch)
+    }
+
+    /// The environment variable.
+    pub fn variable(&self) -> String {
+        format!("{VARIABLE_PREFIX}{}", self.name.replace('-', "_").to_uppercase())
+    }
+
+    /// The value that `text` stands for, on the command line or in a variable.
+    ///
+    /// # Errors
+    /// When it stands for none.
+    pub(super) fn read(&self, text: &str) -> Result<Value, String> {
+        let invalid = || self.kind.rejects(text);
+        let number = |text: &str| text.trim().parse::<u64>().map(Value::from);
+        let entries = || text.split(',').map(str::trim);
+        let value = match self.kind {
+            ValueKind::Switch => match text {
+                "1" | "true" | "yes" | "on" => true.into(),
+                "0" | "false" | "no" | "off" => false.into(),
+                _ => return Err(invalid()),
+            },
+            ValueKind::Number(..) => number(text).map_err(|_| invalid())?,
+            ValueKind::Numbers(..) => {
+                let numbers: Result<Vec<Value>, _> = entries().map(number).collect();
+                numbers.map_err(|_| invalid())?.into()
+            }
+            ValueKind::Money => text.trim().parse::<f64>().map_err(|_| invalid())?.into(),
+            ValueKind::Text(_) => text.into(),
+            ValueKind::List(_) => entries().collect::<Vec<_>>().into(),
+        };
+        self.check(&value)?;
+        Ok(value)
+    }
+
+    /// Whether the setting can have this value.
+    ///
+    /// # Errors
+    /// When it cannot.
+    pub(super) fn check(&self, value: &Value) -> Result<(), String> {
+        let shown = |value: &Value| value.as_str().map_or_else(|| value.to_string(), str::to_owned);
+        let invalid = || self.kind.rejects(&shown(value));
+        let within = |value: &Value, least, most, step| {
+            let number = value.as_u64().filter(|n| (least..=most).contains(n) && n % step == 0);
+            let expected = ValueKind::Number(least, most, step);
+            number.map(drop).ok_or_else(|| expected.rejects(&shown(value)))
+        };
+        let list = || value.as_array().filter(|list| !list.is_empty()).ok_or_else(invalid);
+        match self.kind {
+            ValueKind::Switch => value.as_bool().map(drop).ok_or_else(invalid),
+            ValueKind::Number(least, most, step) => within(value, least, most, step),
+            ValueKind::Numbers(least, most) => {
+                list()?.iter().try_for_each(|number| within(number, least, most, 1))
+            }
+            ValueKind::Money => {
+                let amount = value.as_f64().and_then(|amount| Amount::try_from(amount).ok());
+                amount.map(drop).ok_or_else(invalid)
+            }
+            ValueKind::Text(check) => check(value.as_str().ok_or_else(invalid)?),
+            ValueKind::List(check) => {
+                list()?.iter().try_for_each(|entry| check(entry.as_str().ok_or_else(invalid)?))
+            }
+        }
+    }
+}
+
+impl ValueKind {
+    /// The message about a value that is not of this form.
+    fn rejects(self, given: &str) -> String {
+        let expected = match self {
+            Self::Switch => "true or false".to_owned(),
+            Self::Number(least, u64::MAX, _) => format!("a whole number from {least}"),
+            Self::Number(least, most, 1) => format!("a whole number from {least} to {most}"),
+            Self::Number(least, most, step) => {
+                format!("a multiple of {step} from {least} to {most}")
+            }
+            Self::Numbers(least, most) => format!("a list of whole numbers from {least} to {most}"),
+            Self::Money => "an amount of money, such as 0.25".to_owned(),
+            Self::Text(_) => "a text".to_owned(),
+            Self::List(_) => "a list of texts".to_owned(),
+        };
+        format!("{given} is not {expected}")
+    }
+}
+
+/// Every setting's variable begins with this.
+pub(super) const VARIABLE_PREFIX: &str = "MEMTRANSFER_";
