@@ -1,10 +1,10 @@
-"""Asks a vision-language model behind an OpenAI-compatible endpoint, with the harness's own prompt.
+"""Asks a vision-language model behind an OpenAI-compatible endpoint, with the benchmark's own prompt.
 
     export OPENAI_BASE_URL=http://localhost:8000/v1 OPENAI_API_KEY=...
     memtransfer run --policy-cmd "python endpoint_policy.py MODEL"
 
-It is the harness's `openai` policy in small, to start one's own from: another prompt, another model, a chain
-of calls. `--image-budget 0` is for models that take text alone. Needs `pip install openai`.
+A small version of `--policy openai`, as a start for a policy of your own: another prompt, another model, a chain of
+calls. Use `--image-budget 0` for text-only models. Needs `pip install openai`.
 """
 
 import argparse
@@ -23,7 +23,7 @@ class Endpoint(Policy):
     def __init__(self, model, image_budget):
         self.model = model
         self.image_budget = image_budget
-        # Reads OPENAI_BASE_URL and OPENAI_API_KEY, waits after 429 and tries again.
+        # Reads OPENAI_BASE_URL and OPENAI_API_KEY, and retries after status 429.
         self.client = OpenAI(timeout=60, max_retries=4)
         self.threads = ThreadPoolExecutor(max_workers=64)
 
@@ -43,7 +43,7 @@ class Endpoint(Policy):
                 model=self.model, messages=messages, **SETTINGS
             )
         except OpenAIError as error:
-            # Not the model's mistake: the episode is not scored, and the same command walks it again.
+            # Not the model's mistake: the episode is not scored, and the same command runs it again.
             return Failed(f"{type(error).__name__}: {error}", exchange=Exchange(messages))
         used = reply.usage
         usage = Usage(
@@ -52,11 +52,10 @@ class Endpoint(Policy):
             sent_ns=sent_ns,
         )
         choice = reply.choices[0]
-        cut_off = choice.finish_reason == "length"
         text = choice.message.content or ""
-        answer = read_answer(text, cut_off)
+        answer = read_answer(text)
         read = isinstance(answer, Action)
-        # `--log-prompts` keeps it, for `memtransfer show`.
+        # Stored with `--log-prompts`, for `memtransfer show`.
         exchange = Exchange(messages, text, unread=None if read else answer.words)
         rest = {"images": prompt.images_sent, "usage": usage, "exchange": exchange}
         return Decision(answer, **rest) if read else Decision(None, answer, **rest)
@@ -64,7 +63,7 @@ class Endpoint(Policy):
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("model", help="the name that the server knows it by")
+    parser.add_argument("model", help="the model's name on the server")
     parser.add_argument("--image-budget", type=int, default=IMAGE_BUDGET, metavar="N")
     arguments = parser.parse_args()
     run(Endpoint(arguments.model, arguments.image_budget))

@@ -1,9 +1,9 @@
-"""Looks where it goes: walks while the floor ahead is free, and turns where it is not.
+"""Walks while the floor ahead is free, and turns where it is not.
 
     memtransfer run --policy-cmd "python pixels_policy.py"
 
-All that it knows of the warehouse is what bare floor looks like. The pixels are shared memory itself; what
-numpy copies here is the small patch of each frame that is looked at.
+It knows only what bare floor looks like. The pixels are in shared memory; numpy copies only the small patch of each frame
+that is examined.
 """
 
 import random
@@ -12,7 +12,7 @@ import numpy as np
 
 from memtransfer import Action, Policy, run
 
-# The floor of the next cell, as parts of the picture: the lowest tenth, in the middle.
+# Where a frame shows the floor of the next cell: the lowest tenth, in the middle.
 ROWS, COLUMNS = (0.90, 0.98), (0.43, 0.57)
 
 
@@ -32,7 +32,7 @@ def patch(pixels):
 
 
 def is_bare_floor(patches):
-    """For each patch whether it is an even, light grey."""
+    """Returns for each patch whether it is an even, light grey."""
     pixels = patches.reshape(len(patches), -1, 3).astype(np.float32)
     mean, spread = pixels.mean(axis=1), pixels.std(axis=1).max(axis=1)
     grey = np.ptp(mean, axis=1) < 8
@@ -41,7 +41,7 @@ def is_bare_floor(patches):
 
 
 def decide(request, free):
-    # From the request alone, so that the same episode is the same walk.
+    # Drawn from the request alone, so that an episode is the same in every run.
     rng = random.Random(request.episode_seed * 1000 + request.step)
     if free and rng.random() < 0.8:
         return Action.FORWARD

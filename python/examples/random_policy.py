@@ -1,4 +1,4 @@
-"""The smallest policy: any of the seven actions, by chance. Start a run with it:
+"""Takes one of the seven actions at random. Start a run with it:
 
     memtransfer run --policy-cmd "python random_policy.py"
 """
@@ -12,9 +12,9 @@ class Random(Policy):
     name = "random-python"
 
     def act(self, batch):
-        # From the request alone: the same episode is the same walk, whatever runs beside it.
-        draw = (random.Random(request.episode_seed * 1000 + request.step) for request in batch)
-        return [rng.choice(list(Action)) for rng in draw]
+        # Drawn from the request alone, so that an episode is the same in every run.
+        draws = (random.Random(request.episode_seed * 1000 + request.step) for request in batch)
+        return [draw.choice(list(Action)) for draw in draws]
 
 
 if __name__ == "__main__":

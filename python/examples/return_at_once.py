@@ -1,4 +1,4 @@
-"""Decides nothing: always forward. What is left is the time that the harness and this package take.
+"""Always moves forward, at once: a run with it measures the time of the harness and this package.
 
     memtransfer run --policy-cmd "python return_at_once.py" --lanes 64 --runs 20
 """

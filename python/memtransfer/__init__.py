@@ -1,23 +1,21 @@
-"""Write a policy for MemTransfer in Python, and read the results of runs.
+"""Policies for MemTransfer in Python, and the results of runs.
 
     from memtransfer import Action, Policy, run
 
-    class Mine(Policy):
-        name = "mine"
+    class AlwaysForward(Policy):
+        name = "always-forward"
 
         def act(self, batch):
             return [Action.FORWARD for request in batch]
 
-    run(Mine())
+    run(AlwaysForward())
 
-`docs/python.md` of the project is the guide. `memtransfer.prompt` renders the harness's own prompt,
-`memtransfer.results` reads a run's folder.
+`memtransfer.prompt` renders the benchmark's own prompt and reads a model's answers; `memtransfer.results` reads
+the folder of a run. The guide is `docs/python.md` of the project.
 """
 
-from typing import TYPE_CHECKING, Any
-
-from memtransfer._frames import Frame
-from memtransfer._wire import Action, DocumentKind, Feedback, Heading, Outcome
+from memtransfer._native import Frame
+from memtransfer.codes import Action, DocumentKind, Feedback, Heading, Outcome
 from memtransfer.errors import (
     AttachError,
     BusError,
@@ -26,7 +24,7 @@ from memtransfer.errors import (
     PolicyError,
     PromptLogError,
 )
-from memtransfer.policy import Policy
+from memtransfer.policy import Policy, run, serve
 from memtransfer.request import (
     Answer,
     Decision,
@@ -42,9 +40,6 @@ from memtransfer.request import (
     Trajectory,
     Usage,
 )
-
-if TYPE_CHECKING:
-    from memtransfer._serve import run, serve
 
 EMPTY = Outcome.EMPTY
 REFUSED = Outcome.REFUSED
@@ -83,12 +78,3 @@ __all__ = [
     "run",
     "serve",
 ]
-
-
-def __getattr__(name: str) -> Any:
-    """`run` and `serve` load the transport, which whoever only reads results does without."""
-    if name in ("run", "serve"):
-        from memtransfer import _serve
-
-        return getattr(_serve, name)
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

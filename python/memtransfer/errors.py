@@ -1,31 +1,30 @@
-"""What can go wrong, in one place."""
+"""The exceptions of this package."""
 
 from __future__ import annotations
 
 
 class MemTransferError(Exception):
-    """Base of all errors of this package. Its text says what, which value, and what to do."""
+    """Base class of all errors of this package."""
 
 
 class AttachError(MemTransferError):
-    """The run cannot be taken part in: it is not there, or speaks another version of the wire."""
+    """The run cannot be joined: it does not exist, has ended, or uses another wire version."""
 
 
 class BusError(MemTransferError):
-    """The transport of a run failed: a peer is gone, or hangs."""
+    """The transport of a run failed, for example because another process of the run is gone."""
 
 
 class PromptLogError(MemTransferError):
-    """The prompt log that the run asks for cannot be written."""
+    """The prompt log that the run asks for cannot be created."""
 
 
 class FrameGone(MemTransferError):
-    """A frame was looked at after the run let go of it.
+    """The run has evicted the frame, so its pixels are no longer available.
 
-    Its memory shows, or will show, another view. Whoever wants to keep pixels copies them while the
-    request is being answered: `frame.pixels.copy()`.
+    Copy pixels that you want to keep while the request is open: `frame.pixels.copy()`.
     """
 
 
 class PolicyError(MemTransferError):
-    """The policy broke its contract: wrong number of answers, or answers that are none."""
+    """The policy broke its contract: the wrong number of answers, or a value that is not an answer."""

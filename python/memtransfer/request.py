@@ -1,25 +1,26 @@
-"""What a policy is given for one step of one episode, and what it answers. Plain objects: build them
-yourself to test a policy without a run.
+"""The request that a policy receives for one step of one episode, and the answer it returns.
+
+All classes here are plain objects: build them yourself to test a policy without a run.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, TypeAlias
 
-from memtransfer._frames import Frame
-from memtransfer._wire import Action, DocumentKind, Feedback, Heading, Outcome
+from memtransfer._native import Frame, Step
+from memtransfer.codes import Action, DocumentKind, Feedback, Heading, Outcome
 
 
 @dataclass(frozen=True, slots=True)
 class Pose:
-    """Where an agent stands and which way it faces."""
+    """The position and heading of an agent."""
 
     x: int
-    """Column, growing east."""
+    """Column, counted from the west."""
     y: int
-    """Row, growing north."""
+    """Row, counted from the south."""
     heading: Heading
 
     def __str__(self) -> str:
@@ -28,97 +29,95 @@ class Pose:
 
 @dataclass(frozen=True, slots=True)
 class PastStep:
-    """One past step of the running episode."""
+    """One of the last steps of the running episode."""
 
     frame: Frame
     """The view before the action."""
     action: Action | None
-    """What was done there; `None` when the answer could not be read."""
+    """The action taken; `None` if the answer held none."""
     feedback: Feedback
-    """What the world said to it."""
+    """The result of the action."""
 
 
 @dataclass(frozen=True, slots=True)
 class RememberedStep:
-    """One view of a retrieved segment."""
+    """One step of a retrieved segment."""
 
     frame: Frame
     """The remembered view."""
     action: Action | None
-    """What the expert did there; `None` at the end of the segment, and everywhere in one of images alone."""
+    """The expert's action there; `None` at the end of the segment, and in segments without actions."""
 
 
 @dataclass(frozen=True, slots=True)
 class Segment:
-    """What memory found for this step: the stored view nearest to the current one, and what followed."""
+    """The stored view closest to the current one, and the steps that followed it."""
 
     distance: float
-    """Cosine distance between the embeddings of the first remembered view and the current one."""
+    """The cosine distance between the embeddings of the first remembered view and the current view."""
     steps: tuple[RememberedStep, ...]
-    """The matched view, then the views that the expert's actions led to. Never empty."""
+    """The matched view first. Never empty."""
 
 
 @dataclass(frozen=True, slots=True)
 class Document:
-    """A text that memory supplies as it stands."""
+    """A text that memory supplies."""
 
     id: int
-    """Names the text. Good for caching what was read in it; which number it is means nothing."""
+    """Identifies the text within the run: a key to cache what was read in it."""
     kind: DocumentKind
-    """Summary or semantic."""
     text: str
 
 
 @dataclass(frozen=True, slots=True)
 class DemonstrationStep:
-    """One step of a demonstration that memory supplies whole."""
+    """One step of a demonstration."""
 
     frame: Frame | None
-    """The view before the action, where it is a keyframe."""
+    """The view before the action; `None` unless it is a keyframe."""
     action: Action | None
-    """What the expert did there; `None` at the end of the demonstration."""
+    """The expert's action there; `None` at the end of the demonstration."""
 
 
-Trajectory = tuple[DemonstrationStep, ...]
-"""A demonstration from its start to its end: every action, and keyframes. Never empty."""
+Trajectory: TypeAlias = tuple[DemonstrationStep, ...]
+"""A whole demonstration: every action, and the keyframes. Never empty."""
 
 
 @dataclass(slots=True, eq=False)
 class Request:
-    """Everything that a policy may use to decide one step."""
+    """Everything a policy may use to decide one step."""
 
     lane: int
-    """The lane the episode runs in. For a policy's own book-keeping; it means nothing."""
+    """The lane the episode runs in. Use it only to keep state apart."""
     step: int
-    """Steps taken so far."""
+    """Number of steps taken so far."""
     episode: int
-    """Names the episode: never used again within a run, and which number it is means nothing."""
+    """Identifies the episode within the run."""
     episode_seed: int
-    """A policy that draws at random draws from this."""
+    """The seed for policies that draw at random."""
     repeat: int
-    """Which repetition of the run this is, from 1. Equal requests of one repetition are the same request,
-    and may be given the same answer."""
+    """The repetition of the run, from 1. Equal requests of one repetition may be given the same answer."""
     instruction: str
-    """What is asked for, in English."""
+    """The task, in English."""
     pose: Pose
-    """Where the agent is."""
+    """The agent's position and heading."""
     feedback: Feedback
-    """What the world said to the last action."""
+    """The result of the last action."""
     frame: Frame
-    """What the agent sees."""
+    """The current view."""
     window: Sequence[PastStep] = ()
     """The last steps, oldest first."""
     segment: Segment | None = None
-    """What memory retrieved for this step, if it retrieves."""
+    """What memory retrieved for this step."""
     documents: Sequence[Document] = ()
     """Texts that memory supplies, in order."""
     trajectories: Sequence[Trajectory] = ()
-    """Demonstrations that memory supplies whole."""
+    """Whole demonstrations that memory supplies."""
     starts_as_demonstrated: bool = False
-    """Whether a demonstration is known to have started in the pose this episode started in."""
+    """Whether a demonstration is known to start in the pose in which this episode started."""
 
     def images(self) -> int:
-        """Images in the request: the current view, the window's, the segment's and the keyframes."""
+        """Returns the number of images: the current view, the window's, the segment's and the keyframes."""
         retrieved = len(self.segment.steps) if self.segment else 0
         keyframes = sum(
             step.frame is not None for trajectory in self.trajectories for step in trajectory
@@ -126,41 +125,59 @@ class Request:
         return 1 + len(self.window) + retrieved + keyframes
 
 
+class ServedRequest(Request):
+    """A request of a run. Each field is read from the step when it is first used."""
+
+    __slots__ = ("_step",)
+
+    def __init__(self, step: Step) -> None:
+        self._step = step
+
+    def __getattr__(self, name: str) -> Any:
+        # Called only for slots that are not set yet.
+        value = self._step.field(name)
+        setattr(self, name, value)
+        return value
+
+    def images(self) -> int:
+        return self._step.images
+
+
 @dataclass(frozen=True, slots=True)
 class Usage:
-    """What asking a language model took. `None`: nobody told."""
+    """The cost of asking a language model. `None` means not measured."""
 
     prompt_tokens: int | None = None
     """Tokens of the prompt."""
     completion_tokens: int | None = None
-    """Tokens of the answer."""
+    """Tokens of the reply."""
     cached_tokens: int | None = None
-    """Tokens of the prompt that the server had computed before and took from its own cache."""
+    """Tokens of the prompt that the server took from its cache."""
     image_tokens: int | None = None
     """Tokens of the prompt's images."""
     memory_tokens: int | None = None
-    """Tokens of the prompt that are injected memory, an estimate."""
+    """Tokens of the prompt that memory supplied; an estimate."""
     attempts: int = 1
-    """Requests that were sent, failed ones included."""
+    """Requests sent to the server, failed ones included."""
     replayed: bool = False
-    """The reply is one that was kept from an earlier request: it cost nothing this time."""
+    """Whether the reply was stored from an earlier request, so that it cost nothing this time."""
     prompted_ns: int = 0
-    """When the prompt was built (`time.monotonic_ns()`)."""
+    """When the prompt was complete (`time.monotonic_ns()`)."""
     sent_ns: int = 0
-    """When the request was sent, the last time if several times; 0 where none was."""
+    """When the request was last sent; 0 if none was."""
 
 
 @dataclass(frozen=True, slots=True)
 class Exchange:
-    """For the prompt log: what was said to a model and what it said. Costs nothing where there is none."""
+    """A conversation with a model, for the prompt log. Ignored in runs without `--log-prompts`."""
 
     messages: Sequence[Mapping[str, Any]]
-    """The messages, as an OpenAI-compatible server takes them: `role`, and `content` that is a text or a list
-    of parts. Of an image that is in them only its name is written into the entry."""
+    """The messages in the format of OpenAI-compatible servers: `role`, and `content` that is a text or a list
+    of parts. The log stores each image once."""
     reply: str | None = None
-    """The reply, as it came; `None` where none did."""
+    """The model's reply; `None` if there was none."""
     unread: str | None = None
-    """Why no action could be read in it; `None` where one could."""
+    """Why no action could be read in the reply; `None` if one could."""
 
     def __post_init__(self) -> None:
         for message in self.messages:
@@ -177,18 +194,18 @@ class Exchange:
 
 @dataclass(frozen=True, slots=True)
 class Decision:
-    """An answer in full. An `Action`, or an `Outcome` without one, is short for it."""
+    """An answer with its details. An `Action`, or an `Outcome` without an action, is its short form."""
 
     action: Action | None
-    """Do this. `None`: there is no action, and `outcome` says why."""
+    """The action to take; `None` if there is none, which `outcome` explains."""
     outcome: Outcome = Outcome.ACTED
-    """Without an action: UNREADABLE, EMPTY or REFUSED."""
+    """UNREADABLE, EMPTY or REFUSED if there is no action."""
     images: int | None = None
-    """Images the policy was shown for it; `None`: all that the request holds."""
+    """Images shown to the model; `None` for all of the request's."""
     usage: Usage | None = None
-    """What asking a model took; `None` where none was asked."""
+    """The cost of asking a model; `None` if none was asked."""
     exchange: Exchange | None = field(default=None, compare=False, repr=False)
-    """What was said to a model and what it said, for the prompt log; `None` where none was asked."""
+    """The conversation with the model, for the prompt log."""
 
     def __post_init__(self) -> None:
         if (self.action is None) == (self.outcome is Outcome.ACTED):
@@ -200,14 +217,14 @@ class Decision:
 
 @dataclass(frozen=True, slots=True)
 class Failed:
-    """An answer that says: no decision can be had, for a reason that is not the policy's, such as a server
-    that is down. The episode ends without a result, and is not scored.
+    """No decision is possible for a reason outside the policy, such as a server that is down. The episode
+    ends without a result and is not scored; the same command runs it again.
     """
 
     why: str
     exchange: Exchange | None = field(default=None, compare=False, repr=False)
-    """What was said to a model, for the prompt log."""
+    """The conversation with the model, for the prompt log."""
 
 
-Answer = Action | Outcome | Decision | Failed | None
-"""What a policy may answer to a request. `None` is `Outcome.UNREADABLE`."""
+Answer: TypeAlias = Action | Outcome | Decision | Failed | None
+"""What a policy may return for a request. `None` stands for `Outcome.UNREADABLE`."""

@@ -1,11 +1,10 @@
-"""The prompt is the harness's own: rendered from its texts, and compared with its golden files."""
+"""The prompt and the reading of answers, against the golden files of the Rust crate."""
 
 from __future__ import annotations
 
 import base64
 import json
 import struct
-import sys
 import zlib
 from pathlib import Path
 from typing import Any
@@ -21,6 +20,7 @@ from memtransfer import (
     Feedback,
     Frame,
     Heading,
+    Outcome,
     PastStep,
     Pose,
     RememberedStep,
@@ -29,8 +29,7 @@ from memtransfer import (
 )
 from memtransfer import prompt as prompts
 
-POLICY = Path(__file__).parents[2] / "policy-proc"
-GOLDEN = sorted((POLICY / "tests/prompt").glob("*.json"))
+GOLDEN = sorted((Path(__file__).parents[2] / "crates/prompt/tests/cases").glob("*.json"))
 
 
 def frame(name: str) -> Frame:
@@ -42,7 +41,7 @@ def action(name: str | None) -> Action | None:
 
 
 def request(plain: dict[str, Any]) -> Request:
-    """A request in the plain form of the golden files."""
+    """Returns a request from its form in the golden files."""
     segment = plain["segment"]
     if segment is not None:
         distance = float("nan") if segment["distance"] is None else segment["distance"]
@@ -77,7 +76,7 @@ def request(plain: dict[str, Any]) -> Request:
     )
 
 
-def test_there_are_golden_files() -> None:
+def test_golden_files_exist() -> None:
     assert len(GOLDEN) > 10
 
 
@@ -96,76 +95,63 @@ def test_golden_files(path: Path) -> None:
     assert {name: prompt.characters(name) for name in prompts.SECTIONS} == expected["characters"]
 
 
-@pytest.mark.skipif(sys.version_info < (3, 11), reason="reading TOML came with Python 3.11")
-def test_the_texts_are_the_harness_s() -> None:
-    import tomllib
-
-    texts = tomllib.loads((POLICY / "prompt/v1.toml").read_text(encoding="utf-8"))
-    assert dict(prompts.TEMPLATE) == texts, (
-        "policy-proc/prompt/v1.toml has changed: write it to python/memtransfer/_prompt.json with\n"
-        "  python python/tests/copy_prompt.py"
-    )
+def test_settings_are_arguments_of_a_client() -> None:
+    assert prompts.SETTINGS == {"temperature": 0, "max_tokens": 30}
+    assert prompts.IMAGE_BUDGET == 50
+    assert prompts.VERSION == prompts.TEMPLATE["version"]
+    assert prompts.CHOICES == tuple(action.words for action in Action)
 
 
-def test_names_are_replaced_once_and_other_braces_stay() -> None:
-    assert prompts._fill("{a} and {b}", a="{b}", b="B") == "{b} and B"
-    assert prompts._fill("{c} {a", a="A") == "{c} {a"
-    assert prompts._fill("{{b}}", b="B") == "{B}"
-
-
-def test_a_png_file_holds_the_pixels() -> None:
-    picture = np.random.default_rng(2).integers(0, 256, (3, 5, 4), dtype=np.uint8)
-    url = prompts.data_url(Frame.of(picture))
-    kind, _, content = url.partition(",")
+def test_png_holds_the_pixels_without_alpha() -> None:
+    image = np.random.default_rng(2).integers(0, 256, (3, 5, 4), dtype=np.uint8)
+    kind, _, content = prompts.data_url(Frame.of(image)).partition(",")
     assert kind == "data:image/png;base64"
-    file = base64.b64decode(content)
+    assert np.array_equal(decoded(base64.b64decode(content)), image[:, :, :3])
+
+
+def decoded(file: bytes) -> np.ndarray[Any, np.dtype[np.uint8]]:
+    """Decodes an RGB PNG file."""
     assert file[:8] == b"\x89PNG\r\n\x1a\n"
-    chunks, at = {}, 8
+    chunks: dict[bytes, bytes] = {}
+    at = 8
     while at < len(file):
         (length,) = struct.unpack_from(">I", file, at)
-        kind_and_content = file[at + 4 : at + 8 + length]
-        (crc,) = struct.unpack_from(">I", file, at + 8 + length)
-        assert crc == zlib.crc32(kind_and_content)
-        chunks[kind_and_content[:4]] = kind_and_content[4:]
+        kind = file[at + 4 : at + 8]
+        chunks[kind] = chunks.get(kind, b"") + file[at + 8 : at + 8 + length]
         at += 12 + length
-    assert list(chunks) == [b"IHDR", b"IDAT", b"IEND"]
-    assert struct.unpack(">IIBBBBB", chunks[b"IHDR"]) == (5, 3, 8, 2, 0, 0, 0)
-    rows = np.frombuffer(zlib.decompress(chunks[b"IDAT"]), np.uint8).reshape(3, 16)
-    assert not rows[:, 0].any()
-    assert np.array_equal(rows[:, 1:].reshape(3, 5, 3), picture[:, :, :3])
+    width, height, depth, colour, *_ = struct.unpack(">IIBBBBB", chunks[b"IHDR"])
+    assert (depth, colour) == (8, 2)
+    rows = np.frombuffer(zlib.decompress(chunks[b"IDAT"]), np.uint8).reshape(height, 1 + 3 * width)
+    image = np.zeros((height, width, 3), dtype=np.uint8)
+    for y in range(height):
+        above = image[y - 1] if y else np.zeros((width, 3), dtype=np.uint8)
+        for x in range(width):
+            left = image[y, x - 1] if x else np.zeros(3, dtype=np.uint8)
+            corner = above[x - 1] if x else np.zeros(3, dtype=np.uint8)
+            a, b, c = left.astype(int), above[x].astype(int), corner.astype(int)
+            p = a + b - c
+            pa, pb, pc = abs(p - a), abs(p - b), abs(p - c)
+            paeth = np.where((pa <= pb) & (pa <= pc), a, np.where(pb <= pc, b, c))
+            predicted = [0 * a, a, b, (a + b) // 2, paeth][rows[y, 0]]
+            image[y, x] = (rows[y, 1 + 3 * x : 4 + 3 * x] + predicted) % 256
+    return image
 
 
 def test_a_view_is_encoded_once() -> None:
-    picture = np.full((4, 4, 4), 7, dtype=np.uint8)
-    first = prompts.data_url(Frame.of(picture, id=1))
-    assert prompts.data_url(Frame.of(picture, id=2)) is first
-
-
-ANSWERS = json.loads((Path(__file__).parent / "answers.json").read_text(encoding="utf-8"))
-
-
-@pytest.mark.parametrize(("text", "expected"), ANSWERS)
-def test_answers(text: str, expected: str) -> None:
-    """The harness's tests put the same table to its own parser, and many more texts to both."""
-    assert prompts.read_answer(text).name.lower() == expected
+    image = np.full((4, 4, 4), 7, dtype=np.uint8)
+    assert prompts.png(Frame.of(image, id=1)) is prompts.png(Frame.of(image, id=2))
 
 
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
-        ("turn left\n\nThe barrel is on the le", "turn_left"),
-        ("Turn left. I see a blue barrel at the end of the", "turn_left"),
-        ("I see.\nAction: turn left.\nThis is bec", "turn_left"),
-        ("turn left", "unreadable"),
-        ("Turn left. Then move forward. Then", "unreadable"),
-        ("<think>I should turn left.\n", "unreadable"),
-        ("", "empty"),
+        ("move forward", Action.FORWARD),
+        ('{"action": "turn_left"}', Action.TURN_LEFT),
+        ("", Outcome.EMPTY),
+        ("I see a barrel.", Outcome.UNREADABLE),
+        ("\ud800", Outcome.UNREADABLE),
     ],
 )
-def test_answers_that_were_cut_off(text: str, expected: str) -> None:
-    assert prompts.read_answer(text, cut_off=True).name.lower() == expected
-
-
-def test_nothing_makes_reading_fail() -> None:
-    for text in ("{" * 5000 + "}", "[" * 5000 + '{"action": 1}', '{"action": NaN}', "\ud800", "{}"):
-        prompts.read_answer(text)
+def test_answers(text: str, expected: Action | Outcome) -> None:
+    assert prompts.read_answer(text) is expected
+    assert prompts.read_answer(text, cut_off=True) is expected

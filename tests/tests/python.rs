@@ -1,32 +1,98 @@
-//! The Python package: its own tests, its types, its installation, and its examples on the benchmark.
+//! The Python package: its own tests, its types, its installation, and policies in Python in real runs.
+
+#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use std::fs;
+use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
-use std::process::{Command, Stdio};
+use std::process::{Child, Command, Stdio};
 
-use llm::scripted::{Server, Turn};
 use memtransfer_tests::{
     Bench, Ended, episodes, eventually, kill, needs, processes_with, records, sorted_log,
 };
-use prompt::read_answer;
+use llm::scripted::{Server, Turn};
+use rustix::process::{Pid, Signal, kill_process};
+use serde_json::{Value, json};
 
+/// The package's folder, with the extension that `cargo xtask test` builds.
 fn package() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("../python").canonicalize().expect("the package")
+    let package = Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join("../python")
+        .canonicalize()
+        .expect("the package");
+    let extension = package.join("memtransfer/_native.abi3.so");
+    assert!(
+        extension.is_file(),
+        "{} is missing: run the tests with `cargo xtask test`, which builds it",
+        extension.display()
+    );
+    package
 }
 
-/// Runs the tests' Python in the package's folder.
-fn python(args: &[&str], variables: &[(&str, &str)]) -> Ended {
+/// Starts the tests' Python in the package's folder.
+fn start_python(args: &[&str], variables: &[(&str, &str)]) -> Child {
     let mut command = Command::new(needs::python());
     command
         .args(args)
         .current_dir(package())
-        .envs(variables.iter().copied())
-        // Leave no bytecode in the tree.
+        .env("PYTHONPATH", package())
+        // Write no bytecode into the tree.
         .env("PYTHONDONTWRITEBYTECODE", "1")
+        .env_remove("MEMTRANSFER_ATTACH")
+        .envs(variables.iter().copied())
         .stdin(Stdio::null())
         .stdout(Stdio::piped())
         .stderr(Stdio::piped());
-    Ended::of(command.spawn().expect("it starts"))
+    command.spawn().expect("Python starts")
+}
+
+fn python(args: &[&str], variables: &[(&str, &str)]) -> Ended {
+    Ended::of(start_python(args, variables))
+}
+
+/// The command that starts a script of the package with `arguments`.
+fn script(path: &str, arguments: &str) -> String {
+    format!("{} {} {arguments}", needs::python().display(), package().join(path).display())
+}
+
+/// The command that starts the test policy with one trait.
+fn scripted(policy_trait: &str) -> String {
+    script("tests/policies/scripted.py", policy_trait)
+}
+
+/// `memtransfer run` of three cases with a policy command, not started yet.
+fn slice(bench: &Bench, out: &str, policy: &str, more: &[&str]) -> Command {
+    let mut args = vec!["run", "--policy-cmd", policy, "--limit", "3", "--starts", "original"];
+    args.extend(["--out", out]);
+    args.extend(more);
+    let mut command = bench.command(&args);
+    command.env("PYTHONPATH", package()).env("PYTHONDONTWRITEBYTECODE", "1");
+    command
+}
+
+/// Short episodes on small frames.
+const SHORT: [&str; 8] =
+    ["--memory", "working", "--frame-size", "64", "--max-steps", "7", "--lanes", "3"];
+
+fn finish(mut command: Command) -> Ended {
+    Ended::of(command.spawn().expect("memtransfer starts"))
+}
+
+/// The lines of a JSON file in the folder of a run.
+fn json_lines(path: &Path) -> Vec<Value> {
+    let text = fs::read_to_string(path).expect("the file is there");
+    text.lines().map(|line| serde_json::from_str(line).unwrap()).collect()
+}
+
+/// The episodes of a run as `memtransfer.results` reads them.
+fn read_run(run: &Path) -> Vec<Value> {
+    let ended = python(&["tests/read_run.py", run.to_str().unwrap()], &[]).expect(0);
+    serde_json::from_str(&ended.stdout).unwrap()
+}
+
+/// The entries of the prompt log of a run's first session.
+fn prompt_log(run: &Path) -> Vec<Value> {
+    json_lines(&run.join("prompts/session-1/generation-1.jsonl"))
 }
 
 #[test]
@@ -39,11 +105,10 @@ fn the_package_passes_its_own_tests() {
 fn the_package_is_typed() {
     let bench = Bench::new();
     let cache = bench.out("mypy");
-    let cache = cache.to_str().unwrap();
-    python(&["-m", "mypy", "--cache-dir", cache, "memtransfer"], &[]).expect(0);
+    python(&["-m", "mypy", "--cache-dir", cache.to_str().unwrap(), "memtransfer"], &[]).expect(0);
 }
 
-/// As `pip install ./python` does it, but with what is on this machine.
+/// As `pip install ./python` does it, but without the network: maturin is among the tests' packages.
 #[test]
 fn the_package_can_be_installed_from_the_checkout() {
     let bench = Bench::new();
@@ -51,147 +116,340 @@ fn the_package_can_be_installed_from_the_checkout() {
     let mut args = vec!["-m", "pip", "install", "--quiet", "--disable-pip-version-check"];
     args.extend(["--no-index", "--no-deps", "--no-build-isolation", "--no-compile", "--target"]);
     args.extend([place.to_str().unwrap(), "."]);
-    python(&args, &[]).expect(0);
+    let packages = python(&["-c", "import maturin; print(maturin.__path__[0])"], &[]).expect(0);
+    let maturin = Path::new(packages.stdout.trim()).with_file_name("bin");
+    let path = format!("{}:{}", maturin.display(), std::env::var("PATH").unwrap());
+    python(&args, &[("PATH", &path), ("CARGO_NET_OFFLINE", "true")]).expect(0);
     assert!(place.join("memtransfer/py.typed").is_file());
-    assert!(place.join("memtransfer/_prompt.json").is_file());
-    let look = "import memtransfer, pathlib; print(pathlib.Path(memtransfer.__file__).parent)";
+    assert!(place.join("memtransfer/_native.pyi").is_file());
+    let look = "import memtransfer._native; print(memtransfer._native.__file__)";
     let ended = python(&["-P", "-c", look], &[("PYTHONPATH", place.to_str().unwrap())]).expect(0);
-    assert_eq!(ended.stdout.trim(), place.join("memtransfer").to_str().unwrap());
+    let loaded = Path::new(ended.stdout.trim());
+    assert_eq!(loaded.parent().unwrap(), place.join("memtransfer"));
 }
 
-/// What the harness's parser reads in `text`, in the words of the package.
-fn read(text: &str) -> String {
-    match read_answer(text) {
-        Ok(action) => action.words().replace("move ", "").replace(' ', "_"),
-        Err(why) => format!("{:?}", why.answer().outcome()).to_lowercase(),
-    }
-}
-
-/// Texts of words that matter to the parser, drawn from `seed`.
-fn drawn(mut seed: u64) -> String {
-    const WORDS: [&str; 64] = [
-        "turn",
-        "move",
-        "go",
-        "step",
-        "walk",
-        "take",
-        "make",
-        "rotate",
-        "strafe",
-        "head",
-        "left",
-        "right",
-        "forward",
-        "back",
-        "backward",
-        "around",
-        "straight",
-        "ahead",
-        "clockwise",
-        "counter",
-        "u",
-        "about",
-        "face",
-        "half",
-        "quarter",
-        "90",
-        "180",
-        "45",
-        "2",
-        "degrees",
-        "°",
-        "to",
-        "the",
-        "my",
-        "a",
-        "on",
-        "is",
-        "by",
-        "one",
-        "cell",
-        "and",
-        "or",
-        "then",
-        "not",
-        "don't",
-        "maybe",
-        "if",
-        "instead",
-        "rack",
-        "now",
-        "way",
-        "all",
-        "corner",
-        "action",
-        ":",
-        ",",
-        ".",
-        "?",
-        "\n",
-        "/",
-        "<think>",
-        "</think>",
-        "{\"action\":\"",
-        "\"}",
-    ];
-    let mut draw = || {
-        seed = seed.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-        (seed >> 33) as usize
+#[test]
+fn requests_hold_what_the_prompt_log_records_and_pixels_are_shared_memory() {
+    let bench = Bench::new();
+    let seen = bench.out("seen.jsonl");
+    let observer = script("tests/policies/observer.py", seen.to_str().unwrap());
+    let more = ["--memory", "full-context,hybrid,episodic", "--lanes", "4", "--max-steps", "8"];
+    let mut command = slice(&bench, "observed", &observer, &more);
+    command.args(["--log-prompts", "--frame-size", "64"]);
+    finish(command).expect(0);
+    let run = bench.out("observed");
+    let id = |entry: &Value| (entry["episode"].as_u64(), entry["step"].as_u64());
+    let mut seen = json_lines(&seen);
+    let mut recorded = prompt_log(&run);
+    seen.sort_by_key(id);
+    recorded.sort_by_key(id);
+    assert_eq!(seen.len(), recorded.len());
+    assert!(recorded.len() >= 72, "{} requests", recorded.len());
+    let document = |hash: &Value, suffix: &str| {
+        let name = format!("{}.{suffix}", hash.as_str().unwrap());
+        fs::read_to_string(run.join("prompts/documents").join(name)).unwrap()
     };
-    let length = 1 + draw() % 8;
-    (0..length).map(|_| WORDS[draw() % WORDS.len()]).collect::<Vec<_>>().join(" ")
-}
-
-#[test]
-fn the_package_reads_answers_as_the_harness_does() {
-    let bench = Bench::new();
-    let table = fs::read_to_string(package().join("tests/answers.json")).unwrap();
-    let table: Vec<(String, String)> = serde_json::from_str(&table).unwrap();
-    assert!(table.len() > 150);
-    for (text, expected) in &table {
-        assert_eq!(&read(text), expected, "{text:?}");
+    let (mut texts, mut demonstrations, mut segments) = (0, 0, 0);
+    for (seen, recorded) in seen.iter().zip(&mut recorded) {
+        let request = &mut recorded["request"];
+        for supplied in request["documents"].as_array_mut().into_iter().flatten() {
+            supplied["text"] = document(&supplied["text"], "txt").into();
+            texts += 1;
+        }
+        if !request["trajectories"].is_null() {
+            let steps = document(&request["trajectories"], "json");
+            request["trajectories"] = serde_json::from_str(&steps).unwrap();
+            demonstrations += 1;
+        }
+        segments += usize::from(!request["segment"].is_null());
+        let mut seen = seen.clone();
+        for distance in [&mut seen["request"], &mut *request] {
+            if let Some(distance) = distance.pointer_mut("/segment/distance") {
+                // One has the digits of 32 bits, the other those of 64.
+                *distance = json!(distance.as_f64().unwrap() as f32);
+            }
+        }
+        assert_eq!(seen["request"], *request);
     }
-    let drawn: Vec<(String, String)> =
-        (0..20_000).map(|seed| (drawn(seed), read(&drawn(seed)))).collect();
-    let actions = drawn.iter().filter(|(_, read)| read != "unreadable").count();
-    assert!(actions > 1000, "{actions} texts hold an action");
-    let path = bench.out("drawn.json");
-    fs::write(&path, serde_json::to_string(&drawn).unwrap()).unwrap();
-    let compare = "import json, sys; from memtransfer.prompt import read_answer; \
-        table = json.load(open(sys.argv[1])); \
-        wrong = [(text, there, here) for text, there in table \
-                 if (here := read_answer(text).name.lower()) != there]; \
-        sys.exit(str(wrong[:9]) if wrong else 0)";
-    python(&["-c", compare, path.to_str().unwrap()], &[]).expect(0);
-}
-
-/// The command that starts an example.
-fn example(name: &str) -> String {
-    let script = package().join("examples").join(name);
-    format!("{} {}", needs::python().display(), script.display())
-}
-
-/// `memtransfer run` over three cases with a policy command, not started yet.
-fn slice(bench: &Bench, out: &str, policy: &str, more: &[&str]) -> Command {
-    let mut args = vec!["run", "--policy-cmd", policy, "--limit", "3", "--starts", "original"];
-    args.extend(["--out", out]);
-    args.extend(more);
-    let mut command = bench.command(&args);
-    command.env("PYTHONPATH", package()).env("PYTHONDONTWRITEBYTECODE", "1");
-    command
-}
-
-fn walk(mut command: Command) -> Ended {
-    Ended::of(command.spawn().expect("it starts")).expect(0)
+    assert!(texts > 0 && demonstrations > 0 && segments > 0);
+    let manifest = fs::read_to_string(run.join("manifest.json")).unwrap();
+    let manifest: Value = serde_json::from_str(&manifest).unwrap();
+    let facts = &manifest["processes"]["policy"];
+    assert_eq!(
+        (&facts["policy"], &facts["sdk"], &facts["model"]),
+        (&json!("observer"), &json!("python"), &json!("none"))
+    );
+    assert_eq!(bench.leftovers(), Vec::<String>::new());
 }
 
 #[test]
-fn the_random_example_walks_and_a_kill_leaves_no_trace_in_the_log() {
+fn kept_pixels_stay_and_evicted_frames_are_gone() {
     let bench = Bench::new();
-    let random = example("random_policy.py");
+    let seen = bench.out("seen.txt");
+    let keeper = script("tests/policies/keeper.py", seen.to_str().unwrap());
+    let more = ["--memory", "working", "--frame-size", "64", "--frame-budget", "64"];
+    let mut command = slice(&bench, "kept", &keeper, &more);
+    command.args(["--lanes", "2", "--runs", "3", "--max-steps", "100"]);
+    finish(command).expect(0);
+    let seen = fs::read_to_string(seen).expect("frames were evicted");
+    assert!(seen.ends_with("frames are gone"), "{seen}");
+}
+
+#[test]
+fn a_policy_that_keeps_too_many_pixels_stops_the_run() {
+    let bench = Bench::new();
+    let more = ["--memory", "working", "--frame-size", "64", "--frame-budget", "64"];
+    let mut command = slice(&bench, "hoard", &scripted("hoards"), &more);
+    command.args(["--lanes", "2", "--runs", "3", "--max-steps", "100"]);
+    let ended = finish(command);
+    assert_ne!(ended.status, Some(0), "{}", ended.stderr);
+    assert!(ended.stderr.contains("--frame-budget"), "{}", ended.stderr);
+    assert!(ended.stderr.contains("policy hoards"), "{}", ended.stderr);
+    assert_eq!(bench.leftovers(), Vec::<String>::new());
+}
+
+#[test]
+fn every_form_of_an_answer_arrives() {
+    let bench = Bench::new();
+    let mut command = slice(&bench, "answers", &scripted("every_answer"), &SHORT);
+    command.arg("--log-prompts");
+    finish(command).expect(0);
+    let run = bench.out("answers");
+    for record in records(&run) {
+        assert_eq!(record["actions"], "U???b??");
+        assert_eq!(record["unread"], json!({"unreadable": 2, "empty": 1, "refused": 2}));
+    }
+    let log = prompt_log(&run);
+    let answers: Vec<_> =
+        log.iter().filter(|entry| entry["episode"] == log[0]["episode"]).collect();
+    assert_eq!(
+        answers[4]["answer"],
+        json!({"outcome": "acted", "action": "move backward", "images_asked": 5, "images": 0})
+    );
+    assert_eq!(
+        answers[4]["usage"],
+        json!({
+            "prompt_tokens": 100,
+            "completion_tokens": 3,
+            "image_tokens": 0,
+            "attempts": 2,
+            "replayed": true
+        })
+    );
+    assert_eq!(answers[4]["timing"]["prompted_ns"], 5);
+    assert_eq!(answers[4]["timing"]["sent_ns"], 6);
+    assert!(answers[0]["usage"].is_null());
+    assert_eq!(answers[0]["answer"]["images"], 1);
+}
+
+#[test]
+fn an_exception_costs_its_own_episode() {
+    let bench = Bench::new();
+    finish(slice(&bench, "one", &scripted("raises_in_lane_1"), &SHORT)).expect(1);
+    let run = bench.out("one");
+    assert_eq!(records(&run).len(), 2);
+    let errors = json_lines(&run.join("errors.jsonl"));
+    let said = "policy raises_in_lane_1 raised RuntimeError: cannot do lane 1";
+    assert!(errors[0]["error"].as_str().unwrap().contains(said), "{errors:?}");
+    let read = read_run(&run);
+    assert_eq!(read.iter().filter(|row| row["success"].is_null()).count(), 1);
+    let log = fs::read_to_string(run.join("logs/policy.log")).unwrap();
+    assert!(log.contains("Traceback") && log.contains("in raises_in_lane_1"), "{log}");
+}
+
+#[test]
+fn a_policy_that_always_raises_stops_the_run() {
+    let bench = Bench::new();
+    let mut command = slice(&bench, "always", &scripted("raises"), &SHORT[..6]);
+    command.args(["--lanes", "1", "--runs", "4"]);
+    let ended = finish(command);
+    assert_ne!(ended.status, Some(0));
+    assert!(ended.stderr.contains("exception 8 in a row"), "{}", ended.stderr);
+}
+
+#[test]
+fn a_failure_outside_the_policy_gives_its_episode_up() {
+    let bench = Bench::new();
+    finish(slice(&bench, "failed", &scripted("fails"), &SHORT)).expect(1);
+    let errors = json_lines(&bench.out("failed/errors.jsonl"));
+    assert_eq!(errors.len(), 3);
+    assert!(errors[0]["error"].as_str().unwrap().contains("the server is down"), "{errors:?}");
+}
+
+#[test]
+fn a_broken_contract_ends_the_policy_with_a_message() {
+    let bench = Bench::new();
+    for (policy_trait, said) in [
+        ("no_answers", "policy no_answers answered 0 of 1 requests: it must answer each once"),
+        ("returns_none", "policy returns_none returned None from act"),
+        ("number", "policy number answered 3 (int): an answer is an Action"),
+        ("acted", "policy acted answered <Outcome.ACTED: 0> (Outcome)"),
+        ("negative", "does not fit into a message"),
+        ("numbers", "policy numbers: its facts must be text"),
+        ("raises_on_reset", "RuntimeError: cannot reset"),
+    ] {
+        let mut command = slice(&bench, policy_trait, &scripted(policy_trait), &SHORT[..6]);
+        command.args(["--lanes", "1", "--limit", "1"]);
+        let ended = finish(command);
+        assert_ne!(ended.status, Some(0), "{policy_trait}");
+        let log = fs::read_to_string(bench.out(policy_trait).join("logs/policy.log")).unwrap();
+        assert!(log.contains(said), "{policy_trait}: {log}");
+        assert_eq!(log.contains("Traceback"), policy_trait == "raises_on_reset", "{log}");
+    }
+}
+
+#[test]
+fn a_conversation_is_kept_as_far_as_it_can_be() {
+    let bench = Bench::new();
+    let mut command = slice(&bench, "asked", &scripted("asks"), &SHORT);
+    command.arg("--log-prompts");
+    finish(command).expect(0);
+    let run = bench.out("asked");
+    let entry = &prompt_log(&run)[0];
+    let exchange = &entry["exchange"];
+    assert_eq!(exchange["reply"], "no ? idea");
+    assert_eq!(exchange["unread"], "no action in it");
+    let messages = exchange["messages"].as_array().unwrap();
+    let roles: Vec<_> = messages.iter().map(|message| &message["role"]).collect();
+    assert_eq!(roles, ["system", "user", "assistant"]);
+    // The long text of the rules is stored once.
+    let rules = messages[0]["parts"][0]["stored"].as_str().unwrap();
+    let rules = fs::read_to_string(run.join(format!("prompts/documents/{rules}.txt"))).unwrap();
+    assert!(rules.contains("You control a robot in a warehouse."), "{rules}");
+    let view = &entry["request"]["frame"];
+    let parts = messages[1]["parts"].as_array().unwrap();
+    let other = &parts[4]["image"];
+    assert_ne!(other, view);
+    for image in [view, other] {
+        let file = run.join(format!("prompts/images/{}.png", image.as_str().unwrap()));
+        assert!(fs::read(file).unwrap().starts_with(b"\x89PNG"));
+    }
+    assert_eq!(
+        parts[..],
+        [
+            json!({"text": "look"}),
+            json!({"image": view}),
+            json!({"image": view}),
+            json!({"image": view}),
+            json!({"image": other}),
+            json!({"text": "[an image (image/jpeg, 3 bytes) that is not kept]"}),
+            json!({"text": "[an image (image/png) that is not valid base64]"}),
+            json!({"text": "[the image at https://example.org/a.png]"}),
+            json!({"text": format!("[the image at image:{}]", "0".repeat(32))}),
+            json!({"text": r#"{"type":"strange","value":3}"#}),
+        ]
+    );
+    assert_eq!(messages[2]["parts"], json!([{"text": r#"{"tool_calls":[{"id":"a"}]}"#}]));
+}
+
+/// A run that waits for a policy that the test starts, and the folder that it names.
+struct Waiting {
+    run: Child,
+    folder: String,
+}
+
+impl Waiting {
+    fn new(bench: &Bench, out: &str) -> Self {
+        let mut args = vec!["run", "--policy", "external", "--limit", "3", "--starts", "original"];
+        args.extend(["--out", out, "--frame-size", "64", "--memory", "working"]);
+        args.extend(["--runs", "200"]);
+        let mut run = bench.start(&args);
+        let mut folder = None;
+        for line in BufReader::new(run.stderr.take().unwrap()).lines() {
+            let line = line.unwrap();
+            if let Some((_, named)) = line.split_once("MEMTRANSFER_ATTACH=") {
+                folder = named.split_whitespace().next().map(str::to_owned);
+                break;
+            }
+        }
+        Self { run, folder: folder.expect("the run names its folder") }
+    }
+
+    /// Starts the example that draws at random, and waits until it is deciding.
+    fn policy(&self, bench: &Bench, out: &str) -> Child {
+        let script = package().join("examples/random_policy.py");
+        let variables = [("MEMTRANSFER_ATTACH", self.folder.as_str())];
+        let policy = start_python(&[script.to_str().unwrap()], &variables);
+        let run = bench.out(out);
+        eventually("an episode to be finished", || (!episodes(&run).is_empty()).then_some(()));
+        policy
+    }
+}
+
+fn send(process: u32, signal: Signal) {
+    kill_process(Pid::from_raw(i32::try_from(process).unwrap()).unwrap(), signal).unwrap();
+}
+
+#[test]
+fn signals_end_a_policy_quietly() {
+    let bench = Bench::new();
+    for (out, signal, status) in
+        [("interrupted", Signal::INT, 130), ("terminated", Signal::TERM, 143)]
+    {
+        let mut waiting = Waiting::new(&bench, out);
+        let policy = waiting.policy(&bench, out);
+        send(policy.id(), signal);
+        let ended = Ended::of(policy).expect(status);
+        assert_eq!((ended.stdout.as_str(), ended.stderr.as_str()), ("", ""));
+        send(waiting.run.id(), Signal::TERM);
+        waiting.run.wait().unwrap();
+    }
+    assert_eq!(bench.leftovers(), Vec::<String>::new());
+}
+
+#[test]
+fn a_policy_ends_when_the_orchestrator_is_gone() {
+    let bench = Bench::new();
+    let mut waiting = Waiting::new(&bench, "killed");
+    let policy = waiting.policy(&bench, "killed");
+    kill(waiting.run.id());
+    waiting.run.wait().unwrap();
+    let ended = Ended::of(policy).expect(0);
+    assert!(ended.stderr.contains("ended without a stop message"), "{}", ended.stderr);
+    bench.run(&["clean"]).expect(0);
+}
+
+#[test]
+fn without_a_run_a_policy_says_how_to_get_one() {
+    let bench = Bench::new();
+    let policy = "examples/random_policy.py";
+    let ended = python(&[policy], &[]).expect(2);
+    assert!(
+        ended.stderr.starts_with("memtransfer: MEMTRANSFER_ATTACH is not set"),
+        "{}",
+        ended.stderr
+    );
+    assert!(ended.stderr.contains("memtransfer run --policy-cmd"), "{}", ended.stderr);
+    let nowhere = bench.out("nowhere");
+    let ended = python(&[policy], &[("MEMTRANSFER_ATTACH", nowhere.to_str().unwrap())]).expect(2);
+    assert!(ended.stderr.contains("is not the folder of a run"), "{}", ended.stderr);
+    fs::create_dir(&nowhere).unwrap();
+    fs::write(nowhere.join("attach.json"), r#"{"wire_version": 999}"#).unwrap();
+    let ended = python(&[policy], &[("MEMTRANSFER_ATTACH", nowhere.to_str().unwrap())]).expect(2);
+    assert!(ended.stderr.contains("wire version 999"), "{}", ended.stderr);
+    assert!(!ended.stderr.contains("Traceback"), "{}", ended.stderr);
+    let classes = "import memtransfer as m\ntry: m.serve(None, 'x')\nexcept AttributeError: pass\n\
+        class P(m.Policy):\n  def act(self, batch): return []\n\
+        try: m.serve(P(), '/nowhere')\nexcept m.AttachError as e: print(e)";
+    let ended = python(&["-c", classes], &[]).expect(0);
+    assert!(ended.stdout.starts_with("/nowhere is not the folder of a run"), "{}", ended.stdout);
+}
+
+#[test]
+fn the_random_example_conforms_to_the_wire() {
+    let bench = Bench::new();
+    let random = script("examples/random_policy.py", "");
+    let mut command = bench.command(&["conformance", "--policy-cmd", &random]);
+    command.env("PYTHONPATH", package()).env("PYTHONDONTWRITEBYTECODE", "1");
+    finish(command).expect(0);
+}
+
+#[test]
+fn a_run_with_the_random_example_survives_a_kill_and_is_read_as_data_frames() {
+    let bench = Bench::new();
+    let random = script("examples/random_policy.py", "");
     let more = ["--memory", "working,full-context,episodic", "--lanes", "4"];
-    walk(slice(&bench, "whole", &random, &more));
+    finish(slice(&bench, "whole", &random, &more)).expect(0);
     let whole = sorted_log(&bench.out("whole"));
     assert_eq!(whole.len(), 9);
 
@@ -205,56 +463,68 @@ fn the_random_example_walks_and_a_kill_leaves_no_trace_in_the_log() {
     });
     kill(policy);
     let ended = Ended::of(child).expect(0);
-    assert!(ended.stderr.contains("ended on signal 9"), "{}", ended.stderr);
+    assert!(ended.stderr.contains("signal 9"), "{}", ended.stderr);
     assert_eq!(sorted_log(&bench.out("killed")), whole);
     assert_eq!(bench.leftovers(), Vec::<String>::new());
+
+    let read = read_run(&bench.out("whole"));
+    assert_eq!(read.len(), 9);
+    for record in records(&bench.out("whole")) {
+        let row = read.iter().find(|row| row["key"] == record["key"]).unwrap();
+        for name in ["memory", "case", "steps", "seed"] {
+            assert_eq!(row[name], record[name], "{name}");
+        }
+        assert_eq!(row["success"], record["ending"] == "complete");
+        let (steps, reference) = (&record["steps"], &record["reference"]);
+        let longest = steps.as_f64().unwrap().max(reference.as_f64().unwrap());
+        let weight = if row["success"] == true { reference.as_f64().unwrap() / longest } else { 0.0 };
+        assert!((row["spl"].as_f64().unwrap() - weight).abs() < 1e-9, "{row}");
+    }
 }
 
 #[test]
-fn the_pixels_example_sees_where_it_goes() {
+fn the_pixels_example_avoids_obstacles() {
     let bench = Bench::new();
-    let pixels = example("pixels_policy.py");
-    walk(slice(&bench, "pixels", &pixels, &["--memory", "working", "--max-steps", "30"]));
-    let walked = records(&bench.out("pixels"));
-    assert_eq!(walked.len(), 3);
+    let pixels = script("examples/pixels_policy.py", "");
+    finish(slice(&bench, "pixels", &pixels, &["--memory", "working", "--max-steps", "30"]))
+        .expect(0);
+    let records = records(&bench.out("pixels"));
+    assert_eq!(records.len(), 3);
     let (mut moves, mut blocked) = (0, 0);
-    for record in &walked {
+    for record in &records {
         moves += record["actions"].as_str().unwrap().matches('f').count();
         blocked += record["blocked_moves"].as_array().map_or(0, Vec::len);
     }
     assert!(moves > 30 && blocked * 10 < moves, "{blocked} of {moves} moves were blocked");
-    assert_eq!(bench.leftovers(), Vec::<String>::new());
 }
 
 #[test]
 fn the_endpoint_example_asks_a_server() {
     let bench = Bench::new();
     let server = Server::start(|_| Turn::says("Action: turn left")).unwrap();
-    let policy = format!("{} scripted", example("endpoint_policy.py"));
+    let policy = script("examples/endpoint_policy.py", "scripted");
     let more = ["--memory", "working", "--max-steps", "5", "--log-prompts"];
     let mut command = slice(&bench, "endpoint", &policy, &more);
     command.env("OPENAI_BASE_URL", server.base_url()).env("OPENAI_API_KEY", "none");
-    walk(command);
-    let walked = records(&bench.out("endpoint"));
-    assert_eq!(walked.len(), 3);
-    for record in &walked {
+    finish(command).expect(0);
+    let records = records(&bench.out("endpoint"));
+    assert_eq!(records.len(), 3);
+    for record in &records {
         assert_eq!(record["actions"], "LLLLL");
         assert_eq!(
             (&record["prompt_tokens"], &record["completion_tokens"]),
-            (&50.into(), &25.into())
+            (&json!(50), &json!(25))
         );
     }
     let received = server.received();
     assert_eq!(received.len(), 15);
     let system = &received[0].body["messages"][0]["content"];
     assert!(system.as_str().unwrap().contains("You control a robot in a warehouse."));
-    // The package keeps prompt logs as the harness does.
-    let case = walked[0]["case"].as_str().unwrap();
+    let case = records[0]["case"].as_str().unwrap();
     let shown = bench.run(&["show", "endpoint", case, "2"]).expect(0).stdout;
     for part in
         ["Message of role user", "  [image ", "Reply\n  Action: turn left", "acted: turn left"]
     {
         assert!(shown.contains(part), "no {part:?} in {shown}");
     }
-    assert_eq!(bench.leftovers(), Vec::<String>::new());
 }

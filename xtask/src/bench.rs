@@ -44,7 +44,9 @@ pub(crate) fn run(
     cache: &Cache,
     workspace: &Workspace,
 ) -> anyhow::Result<bool> {
-    if !workspace.build_programs(&["benches"])? {
+    if !workspace.build_programs(&["benches"])?
+        || (!arguments.no_baselines && !workspace.build_python_extension()?)
+    {
         return Ok(false);
     }
     let program = workspace.program("memtransfer-bench")?;

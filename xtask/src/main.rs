@@ -68,6 +68,8 @@ enum Verb {
     },
     /// Set up with the baselines' packages, build, measure, write target/bench
     Bench(bench::BenchArguments),
+    /// Build a wheel of the Python package into target/wheels
+    Wheel,
     /// Check links between crates, citations, format, lints, docs and licences
     Check,
     /// What CI runs: `check`, then `test`
@@ -114,6 +116,7 @@ fn run(arguments: &Arguments) -> anyhow::Result<bool> {
             setup::install_missing(purpose, &pins, &cache, &workspace)?;
             bench::run(arguments, &pins, &cache, &workspace)
         }
+        Verb::Wheel => python::build_wheel(&workspace),
         Verb::Check => check::run(&workspace),
         Verb::Ci => {
             let checked = check::run(&workspace)?;

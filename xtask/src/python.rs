@@ -6,6 +6,7 @@ use std::process::{Command, Stdio};
 use anyhow::{Context, bail};
 
 use crate::pins::WheelPin;
+use crate::workspace::{Workspace, succeeds};
 
 /// First line of `-m MODULE --version`; `None` when it fails.
 pub(crate) fn module_version(module: &str) -> Option<String> {
@@ -66,6 +67,18 @@ pub(crate) fn run_script(script: &Path, arguments: &[&std::ffi::OsStr]) -> anyho
         bail!("{} failed ({status}); its messages are above", script.display());
     }
     Ok(())
+}
+
+/// Builds a wheel of the package in `python/` into `target/wheels`. pip brings maturin, in the version that
+/// `python/pyproject.toml` names.
+pub(crate) fn build_wheel(workspace: &Workspace) -> anyhow::Result<bool> {
+    let wheels = workspace.root().join("target/wheels");
+    let mut command = python();
+    command
+        .args(["-m", "pip", "wheel", "--no-deps", "--disable-pip-version-check", "--wheel-dir"])
+        .arg(&wheels)
+        .arg(workspace.root().join("python"));
+    succeeds(&mut command)
 }
 
 fn python() -> Command {

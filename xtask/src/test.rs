@@ -11,7 +11,7 @@ use crate::workspace::Workspace;
 
 /// Runs the tests. Returns whether all passed.
 pub(crate) fn run(workspace: &Workspace, test_arguments: &[String]) -> anyhow::Result<bool> {
-    if !workspace.build_programs(&["memtransfer-tests"])? {
+    if !workspace.build_programs(&["memtransfer-tests"])? || !workspace.build_python_extension()? {
         return Ok(false);
     }
     eprintln!("testing");

@@ -55,6 +55,28 @@ impl Workspace {
         succeeds(&mut command)
     }
 
+    /// Builds the extension of the Python package and puts it into `python/memtransfer`, so that Python finds the
+    /// package with `PYTHONPATH=python`.
+    pub(crate) fn build_python_extension(&self) -> anyhow::Result<bool> {
+        eprintln!("building the Python package's extension");
+        let mut command = self.cargo(&["build", "--release", "--lib"]);
+        // With the programs, so that shared dependencies keep the features that they are built with.
+        for package in PROGRAMS.iter().chain(&["memtransfer-python"]) {
+            command.args(["--package", package]);
+        }
+        if !succeeds(&mut command)? {
+            return Ok(false);
+        }
+        let built = self.program("lib_native.so")?;
+        let place = self.root.join("python/memtransfer/_native.abi3.so");
+        // Renamed into place: a process that uses the present file is not disturbed.
+        let draft = place.with_extension("new");
+        std::fs::copy(&built, &draft)
+            .and_then(|_| std::fs::rename(&draft, &place))
+            .with_context(|| format!("cannot copy {} to {}", built.display(), place.display()))?;
+        Ok(true)
+    }
+
     /// The path of a program that [`Self::build_programs`] built: the folder of xtask itself.
     pub(crate) fn program(&self, name: &str) -> anyhow::Result<PathBuf> {
         Ok(std::env::current_exe().context("cannot find the path of xtask")?.with_file_name(name))

@@ -33,7 +33,7 @@ pub trait Service {
         Self: 's;
 
     /// Facts for the run's manifest, as names and values.
-    fn facts(&self) -> Vec<(&'static str, String)>;
+    fn facts(&self) -> Vec<(&str, String)>;
 
     /// Creates the receivers and senders of a generation.
     ///
@@ -66,6 +66,9 @@ pub trait Session {
     fn idle(&mut self) -> Result<(), ServeError> {
         Ok(())
     }
+
+    /// Called when too many evicted frames are pinned, before the run is asked to stop.
+    fn release_frames(&mut self) {}
 }
 
 /// How a generation ended.
@@ -171,7 +174,7 @@ impl Connection {
     fn turn(&mut self, session: &mut impl Session) -> Result<bool, ServeError> {
         let reports = self.errors.count();
         let sent = session.turn(self)?;
-        self.drop_evicted_frames()?;
+        self.drop_evicted_frames(session)?;
         let frames = self.frames.len() as u64;
         let is_beat = self.heartbeats.beat(|| {
             let (done, waiting) = session.progress();
@@ -185,14 +188,18 @@ impl Connection {
 
     /// Drops evicted frames from the store. If the program itself pins too many of them, the simulator would run out of
     /// memory for new ones: then the run stops.
-    fn drop_evicted_frames(&mut self) -> Result<(), ServeError> {
+    fn drop_evicted_frames(&mut self, session: &mut impl Session) -> Result<(), ServeError> {
         while let Err(error) = self.frames.apply_evictions() {
             match error {
                 FrameError::Bus(error) => return Err(error.into()),
                 error => self.errors.report(error),
             }
         }
-        let pinned = self.frames.evicted_but_pinned();
+        let mut pinned = self.frames.evicted_but_pinned();
+        if pinned > self.pin_limit && !self.is_over_pin_limit {
+            session.release_frames();
+            pinned = self.frames.evicted_but_pinned();
+        }
         if pinned > self.pin_limit && !self.is_over_pin_limit {
             self.is_over_pin_limit = true;
             let role = self.bus.role().word();

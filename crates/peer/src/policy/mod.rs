@@ -26,7 +26,7 @@ pub trait Policy {
     fn name(&self) -> &str;
 
     /// Further facts for the manifest, as names and values.
-    fn facts(&self) -> Vec<(&'static str, String)> {
+    fn facts(&self) -> Vec<(&str, String)> {
         Vec::new()
     }
 
@@ -46,7 +46,7 @@ pub trait Decider {
     fn name(&self) -> &str;
 
     /// As [`Policy::facts`].
-    fn facts(&self) -> Vec<(&'static str, String)> {
+    fn facts(&self) -> Vec<(&str, String)> {
         Vec::new()
     }
 
@@ -69,6 +69,10 @@ pub trait Decider {
     fn idle(&mut self) -> Result<(), ServeError> {
         Ok(())
     }
+
+    /// Called when the policy keeps too many evicted frames, before the run is asked to stop: a policy whose language
+    /// collects garbage collects it now.
+    fn release_frames(&mut self) {}
 }
 
 impl<P: Policy + ?Sized> Decider for P {
@@ -76,7 +80,7 @@ impl<P: Policy + ?Sized> Decider for P {
         Policy::name(self)
     }
 
-    fn facts(&self) -> Vec<(&'static str, String)> {
+    fn facts(&self) -> Vec<(&str, String)> {
         Policy::facts(self)
     }
 
@@ -130,7 +134,7 @@ impl<P: Decider + ?Sized> Service for PolicyService<'_, P> {
     where
         Self: 's;
 
-    fn facts(&self) -> Vec<(&'static str, String)> {
+    fn facts(&self) -> Vec<(&str, String)> {
         let name = ("policy", self.policy.name().to_owned());
         std::iter::once(name).chain(self.policy.facts()).collect()
     }

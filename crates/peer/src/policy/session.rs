@@ -297,6 +297,10 @@ impl<P: Decider + ?Sized> Session for PolicySession<'_, P> {
     fn idle(&mut self) -> Result<(), ServeError> {
         self.policy.idle()
     }
+
+    fn release_frames(&mut self) {
+        self.policy.release_frames();
+    }
 }
 
 impl OpenRequest {

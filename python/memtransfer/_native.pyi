@@ -1,0 +1,76 @@
+"""The extension module, written in Rust (`python/src`). Use the package's other modules."""
+
+from os import PathLike
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from memtransfer.codes import Action, Outcome
+from memtransfer.policy import Policy
+from memtransfer.request import Request
+
+class Frame:
+    """A view. Its pixels are in shared memory and never change."""
+
+    @property
+    def id(self) -> int:
+        """Identifies the frame within the run."""
+
+    @property
+    def content_hash(self) -> bytes:
+        """The first 16 bytes of the BLAKE3 hash of the pixels: the same for equal pixels in every run."""
+
+    @property
+    def width(self) -> int:
+        """Pixels per row."""
+
+    @property
+    def height(self) -> int:
+        """Number of rows."""
+
+    @property
+    def pixels(self) -> NDArray[np.uint8]:
+        """The pixels as a read-only array of shape (height, width, 4): RGBA, rows from top to bottom.
+
+        The array is the shared memory itself. While it exists, the run cannot reuse that memory, of which there is
+        little: copy what you keep (`frame.pixels.copy()`).
+
+        Raises:
+            FrameGone: The run has evicted the frame. No frame of an open request is evicted.
+        """
+
+    @property
+    def is_gone(self) -> bool:
+        """Whether the run has evicted the frame."""
+
+    @classmethod
+    def of(
+        cls, pixels: NDArray[np.uint8], id: int = 1, content_hash: bytes | None = None
+    ) -> Frame:
+        """Returns a frame with a copy of `pixels` (height x width x 4), for tests of a policy."""
+
+class Step:
+    """The step behind a served request."""
+
+    @property
+    def images(self) -> int: ...
+    def field(self, name: str) -> Any: ...
+
+def serve(policy: Policy, folder: str | PathLike[str] | None) -> None: ...
+def version() -> str: ...
+def template() -> str: ...
+def settings() -> str: ...
+def render(
+    request: Request, image_budget: int
+) -> tuple[str, list[tuple[str, str | None, Frame | None]]]: ...
+def read_answer(text: str) -> Action | Outcome: ...
+def png(frame: Frame) -> bytes:
+    """Returns a frame as a PNG file, without its alpha channel."""
+
+def image_name(frame: Frame) -> str:
+    """Returns the name of a frame's image in logs: `image:` and the hash of its pixels."""
+
+def read_run(
+    folder: str | PathLike[str],
+) -> tuple[str, str, list[tuple[str, str, list[Any]]], list[tuple[str, str, list[Any]]]]: ...

@@ -1,0 +1,39 @@
+//! `memtransfer._native`: what the Python package needs of the Rust crates.
+//!
+//! The package itself is in `memtransfer/`: plain data classes, the policy interface and the data frames. This
+//! crate serves a Python policy ([`serve`]), gives numpy the frames in shared memory ([`frame`]), renders prompts
+//! and reads answers ([`prompt`]), and reads a run's folder ([`results`]).
+
+mod classes;
+mod exchange;
+mod frame;
+mod logging;
+mod policy;
+mod prompt;
+mod results;
+mod serve;
+mod step;
+
+use pyo3::prelude::*;
+
+#[pymodule]
+mod _native {
+    use pyo3::prelude::*;
+
+    #[pymodule_export]
+    use crate::frame::{Frame, SharedPixels};
+    #[pymodule_export]
+    use crate::prompt::{image_name, png, read_answer, render, settings, template, version};
+    #[pymodule_export]
+    use crate::results::read_run;
+    #[pymodule_export]
+    use crate::serve::serve;
+    #[pymodule_export]
+    use crate::step::Step;
+
+    #[pymodule_init]
+    fn init(_module: &Bound<'_, PyModule>) -> PyResult<()> {
+        crate::logging::forward_to_python();
+        Ok(())
+    }
+}

@@ -1,0 +1,266 @@
+//! The benchmark's own prompt: rendering a request, encoding its images, reading an answer.
+
+use std::collections::BTreeMap;
+use std::sync::{Mutex, MutexGuard, PoisonError};
+
+use domain::prompt_log::hex;
+use domain::{Action, Cell, DocumentKind, Feedback, Heading, Pose};
+use peer::{
+    DocumentView, FrameView, PastView, Request, Segment, SegmentView, Trajectory, TrajectoryView,
+};
+use prompt::image::{ImageFormat, encode};
+use prompt::{PartContent, Prompt};
+use pyo3::exceptions::PyValueError;
+use pyo3::prelude::*;
+use pyo3::types::{PyBytes, PyString};
+
+use crate::classes::{Classes, lossy};
+use crate::frame::Frame;
+
+/// Encoded views that are kept: most views of a request were in the request before.
+const MAX_ENCODED: usize = 512;
+
+/// The version of the prompt.
+#[pyfunction]
+pub(crate) fn version() -> &'static str {
+    prompt::version()
+}
+
+/// The texts of the prompt, as JSON.
+#[pyfunction]
+pub(crate) fn template() -> PyResult<String> {
+    let texts: toml::Value = toml::from_str(prompt::template_text())
+        .map_err(|e| PyValueError::new_err(e.to_string()))?;
+    serde_json::to_string(&texts).map_err(|error| PyValueError::new_err(error.to_string()))
+}
+
+/// The settings of the benchmark's requests to a model, as JSON.
+#[pyfunction]
+pub(crate) fn settings() -> String {
+    prompt::request_settings().to_string()
+}
+
+/// The system message and the parts of the user message: section, text, and the frame where the part is an image.
+type Rendered<'py> = (&'static str, Vec<(&'static str, Option<String>, Option<Bound<'py, Frame>>)>);
+
+/// Renders `request`, with at most `image_budget` images.
+#[pyfunction]
+pub(crate) fn render<'py>(
+    request: &Bound<'py, PyAny>,
+    image_budget: u32,
+) -> PyResult<Rendered<'py>> {
+    let mut frames = Frames::default();
+    let read = ReadRequest::new(request, &mut frames)?;
+    let trajectories: Vec<_> = read.trajectories.iter().map(|steps| Trajectory { steps }).collect();
+    let documents =
+        read.documents.iter().map(|(kind, text)| DocumentView { id: 0, kind: *kind, text });
+    let documents: Vec<_> = documents.collect();
+    let request = Request {
+        lane: 0,
+        step: 0,
+        episode: 0,
+        episode_seed: 0,
+        repeat: 1,
+        instruction: &read.instruction,
+        pose: read.pose,
+        feedback: read.feedback,
+        frame: read.frame,
+        window: &read.window,
+        segment: read
+            .segment
+            .as_ref()
+            .map(|(distance, steps)| Segment { distance: *distance, steps }),
+        documents: &documents,
+        trajectories: &trajectories,
+        starts_as_demonstrated: read.starts_as_demonstrated,
+    };
+    let prompt = Prompt::new(&request, image_budget);
+    let parts = prompt.parts.into_iter().map(|part| {
+        let section = part.section.name();
+        match part.content {
+            PartContent::Text(text) => (section, Some(text), None),
+            PartContent::View(view) => (section, None, frames.of(&view)),
+        }
+    });
+    Ok((prompt.system, parts.collect()))
+}
+
+/// Frames of a request. The id of a view is its place here.
+#[derive(Default)]
+struct Frames<'py>(Vec<Bound<'py, Frame>>);
+
+impl<'py> Frames<'py> {
+    fn view(&mut self, frame: &Bound<'py, PyAny>) -> PyResult<FrameView<'static>> {
+        self.0.push(frame.cast::<Frame>()?.clone());
+        Ok(FrameView { id: self.0.len() as u64 - 1, ..FrameView::NONE })
+    }
+
+    fn of(&self, view: &FrameView<'_>) -> Option<Bound<'py, Frame>> {
+        self.0.get(usize::try_from(view.id).ok()?).cloned()
+    }
+}
+
+/// A `memtransfer.Request`, as far as the prompt shows it.
+struct ReadRequest {
+    instruction: String,
+    pose: Pose,
+    feedback: Feedback,
+    frame: FrameView<'static>,
+    window: Vec<PastView<'static>>,
+    segment: Option<(f32, Vec<SegmentView<'static>>)>,
+    documents: Vec<(DocumentKind, String)>,
+    trajectories: Vec<Vec<TrajectoryView<'static>>>,
+    starts_as_demonstrated: bool,
+}
+
+impl ReadRequest {
+    fn new<'py>(request: &Bound<'py, PyAny>, frames: &mut Frames<'py>) -> PyResult<Self> {
+        let pose = request.getattr("pose")?;
+        let cell = Cell { x: pose.getattr("x")?.extract()?, y: pose.getattr("y")?.extract()? };
+        let frame = frames.view(&request.getattr("frame")?)?;
+        let mut window = Vec::new();
+        for past in request.getattr("window")?.try_iter()? {
+            let past = past?;
+            window.push(PastView {
+                frame: frames.view(&past.getattr("frame")?)?,
+                action: action(&past)?,
+                feedback: feedback(&past)?,
+            });
+        }
+        let segment = request.getattr("segment")?;
+        let segment = if segment.is_none() {
+            None
+        } else {
+            let mut steps = Vec::new();
+            for step in segment.getattr("steps")?.try_iter()? {
+                let step = step?;
+                let frame = frames.view(&step.getattr("frame")?)?;
+                steps.push(SegmentView { frame, action: action(&step)? });
+            }
+            Some((segment.getattr("distance")?.extract()?, steps))
+        };
+        let mut documents = Vec::new();
+        for document in request.getattr("documents")?.try_iter()? {
+            let document = document?;
+            let kind = code(&document, "kind")?;
+            documents.push((kind, document.getattr("text")?.extract()?));
+        }
+        let mut trajectories = Vec::new();
+        for trajectory in request.getattr("trajectories")?.try_iter()? {
+            let mut steps = Vec::new();
+            for step in trajectory?.try_iter()? {
+                let step = step?;
+                let frame = step.getattr("frame")?;
+                let frame = if frame.is_none() { None } else { Some(frames.view(&frame)?) };
+                steps.push(TrajectoryView { frame, action: action(&step)? });
+            }
+            trajectories.push(steps);
+        }
+        Ok(Self {
+            instruction: request.getattr("instruction")?.extract()?,
+            pose: Pose { cell, heading: code::<Heading>(&pose, "heading")? },
+            feedback: feedback(request)?,
+            frame,
+            window,
+            segment,
+            documents,
+            trajectories,
+            starts_as_demonstrated: request.getattr("starts_as_demonstrated")?.is_truthy()?,
+        })
+    }
+}
+
+fn action(step: &Bound<'_, PyAny>) -> PyResult<Option<Action>> {
+    if step.getattr("action")?.is_none() { Ok(None) } else { code(step, "action").map(Some) }
+}
+
+fn feedback(of: &Bound<'_, PyAny>) -> PyResult<Feedback> {
+    code(of, "feedback")
+}
+
+/// The attribute `name`, an integer that is a code of `T`.
+fn code<T: TryFrom<u8, Error: ToString>>(of: &Bound<'_, PyAny>, name: &str) -> PyResult<T> {
+    let code: u8 = of.getattr(name)?.extract()?;
+    T::try_from(code).map_err(|problem| PyValueError::new_err(problem.to_string()))
+}
+
+/// The action that `text` names, or the outcome that says why there is none.
+#[pyfunction]
+pub(crate) fn read_answer<'py>(
+    py: Python<'py>,
+    text: &Bound<'py, PyString>,
+) -> PyResult<Option<Bound<'py, PyAny>>> {
+    let classes = Classes::get(py)?;
+    Ok(match prompt::read_answer(&lossy(text)?) {
+        Ok(action) => classes.action.member(py, action as u8),
+        Err(why) => classes.outcome.member(py, why.answer().outcome() as u8),
+    })
+}
+
+/// The name of a frame's image in logs.
+#[pyfunction]
+pub(crate) fn image_name(frame: &Frame) -> String {
+    format!("image:{}", hex(frame.content_hash))
+}
+
+/// A frame as a PNG file, without its alpha channel.
+#[pyfunction]
+pub(crate) fn png<'py>(py: Python<'py>, frame: &Frame) -> PyResult<Bound<'py, PyBytes>> {
+    if let Some(known) = cache().find(py, frame.content_hash) {
+        return Ok(known);
+    }
+    let pixels = frame.bytes(py)?;
+    let &Frame { id, content_hash, width, height, .. } = frame;
+    let file = py.detach(|| {
+        let view = FrameView { id, content_hash, width, height, pixels: &pixels };
+        encode(&view, ImageFormat::Png)
+    });
+    let file = file.map_err(|problem| PyValueError::new_err(problem.to_string()))?;
+    let bytes = PyBytes::new(py, &file);
+    cache().insert(content_hash, &bytes);
+    Ok(bytes)
+}
+
+/// The view that a PNG file shows, if [`png`] made it lately.
+pub(crate) fn view_of_png(py: Python<'_>, file: &[u8]) -> Option<[u8; 16]> {
+    let cache = cache();
+    let mut files = cache.files.iter();
+    files.find(|(_, known)| known.file.as_bytes(py) == file).map(|(&view, _)| view)
+}
+
+/// The last views that were encoded, by content.
+#[derive(Default)]
+struct Cache {
+    files: BTreeMap<[u8; 16], CachedFile>,
+    /// Uses so far.
+    clock: u64,
+}
+
+struct CachedFile {
+    file: Py<PyBytes>,
+    /// [`Cache::clock`] when it was last used.
+    used: u64,
+}
+
+fn cache() -> MutexGuard<'static, Cache> {
+    static CACHE: Mutex<Cache> = Mutex::new(Cache { files: BTreeMap::new(), clock: 0 });
+    CACHE.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+impl Cache {
+    fn find<'py>(&mut self, py: Python<'py>, view: [u8; 16]) -> Option<Bound<'py, PyBytes>> {
+        self.clock += 1;
+        let known = self.files.get_mut(&view)?;
+        known.used = self.clock;
+        Some(known.file.bind(py).clone())
+    }
+
+    fn insert(&mut self, view: [u8; 16], file: &Bound<'_, PyBytes>) {
+        if self.files.len() >= MAX_ENCODED
+            && let Some((&oldest, _)) = self.files.iter().min_by_key(|(_, known)| known.used)
+        {
+            self.files.remove(&oldest);
+        }
+        self.files.insert(view, CachedFile { file: file.clone().unbind(), used: self.clock });
+    }
+}

@@ -1,0 +1,44 @@
+//! The folder of a run, as columns.
+
+use std::path::PathBuf;
+
+use pyo3::exceptions::{PyFileNotFoundError, PyValueError};
+use pyo3::prelude::*;
+use pyo3::types::PyList;
+use results::log::{LogError, RunLog};
+use results::report::{Frame, Values, episodes_frame, timings_frame};
+
+/// A column: its name, the kind of its values, and the values, `None` where there is none.
+type Column<'py> = (String, &'static str, Bound<'py, PyList>);
+
+/// The manifest and the sessions as JSON, then the columns of the episodes and of the timings.
+type Run<'py> = (String, String, Vec<Column<'py>>, Vec<Column<'py>>);
+
+/// Reads the run in `folder`.
+#[pyfunction]
+pub(crate) fn read_run(py: Python<'_>, folder: PathBuf) -> PyResult<Run<'_>> {
+    let log = py.detach(|| RunLog::read(&folder)).map_err(|error| match error {
+        LogError::NoRun { .. } => PyFileNotFoundError::new_err(error.to_string()),
+        error => PyValueError::new_err(error.to_string()),
+    })?;
+    let json = |text: serde_json::Result<String>| {
+        text.map_err(|error| PyValueError::new_err(error.to_string()))
+    };
+    let manifest = json(serde_json::to_string(&log.manifest))?;
+    let sessions = json(serde_json::to_string(&log.sessions))?;
+    let log = std::slice::from_ref(&log);
+    Ok((manifest, sessions, columns(py, episodes_frame(log))?, columns(py, timings_frame(log))?))
+}
+
+fn columns(py: Python<'_>, table: Frame) -> PyResult<Vec<Column<'_>>> {
+    let columns = table.columns.into_iter().map(|column| {
+        let (kind, values) = match column.values {
+            Values::Text(values) => ("text", PyList::new(py, values)?),
+            Values::Whole(values) => ("whole", PyList::new(py, values)?),
+            Values::Real(values) => ("real", PyList::new(py, values)?),
+            Values::Flag(values) => ("flag", PyList::new(py, values)?),
+        };
+        Ok((column.name, kind, values))
+    });
+    columns.collect()
+}

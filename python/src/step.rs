@@ -1,0 +1,148 @@
+//! A step of a run as Python sees it: fields are made of the pinned step when they are first used.
+
+use std::sync::{Arc, Mutex, PoisonError};
+
+use peer::PinnedStep;
+use pyo3::exceptions::PyAttributeError;
+use pyo3::prelude::*;
+use pyo3::types::PyTuple;
+
+use crate::classes::{Classes, error};
+use crate::frame::Frame;
+
+/// The step behind a served request. Its frames and documents are pinned until the request is answered.
+#[pyclass(frozen, module = "memtransfer._native")]
+pub(crate) struct Step {
+    /// `None` once the request is answered.
+    pinned: Mutex<Option<Arc<PinnedStep>>>,
+    #[pyo3(get)]
+    images: u32,
+}
+
+impl Step {
+    pub(crate) fn new(pinned: &Arc<PinnedStep>, images: u32) -> Self {
+        Self { pinned: Mutex::new(Some(Arc::clone(pinned))), images }
+    }
+
+    /// Unpins the step's frames and documents.
+    pub(crate) fn release(&self) {
+        *self.pinned.lock().unwrap_or_else(PoisonError::into_inner) = None;
+    }
+}
+
+#[pymethods]
+impl Step {
+    /// The value of a field of `memtransfer.Request`.
+    fn field<'py>(&self, py: Python<'py>, name: &str) -> PyResult<Bound<'py, PyAny>> {
+        let pinned = self.pinned.lock().unwrap_or_else(PoisonError::into_inner).clone();
+        let Some(pinned) = pinned else {
+            let message = format!(
+                "the request's {name} is gone: it was first read after the request was answered; read it \
+                 in act, or copy what you want to keep"
+            );
+            return Err(error(py, "FrameGone", message));
+        };
+        match field(py, &pinned, name)? {
+            Some(value) => Ok(value),
+            None => Err(PyAttributeError::new_err(format!("a request has no field {name:?}"))),
+        }
+    }
+}
+
+fn field<'py>(
+    py: Python<'py>,
+    step: &PinnedStep,
+    name: &str,
+) -> PyResult<Option<Bound<'py, PyAny>>> {
+    let classes = Classes::get(py)?;
+    let maker = Maker { py, classes };
+    step.with_request(|request| {
+        // The pinned frames are in this order: current view, window, segment, keyframes.
+        let (window, segment) =
+            (request.window.len(), request.segment.map_or(0, |s| s.steps.len()));
+        let mut frames = step.frames().iter();
+        Ok(Some(match name {
+            "lane" => request.lane.into_pyobject(py)?.into_any(),
+            "step" => request.step.into_pyobject(py)?.into_any(),
+            "episode" => request.episode.into_pyobject(py)?.into_any(),
+            "episode_seed" => request.episode_seed.into_pyobject(py)?.into_any(),
+            "repeat" => request.repeat.into_pyobject(py)?.into_any(),
+            "instruction" => request.instruction.into_pyobject(py)?.into_any(),
+            "starts_as_demonstrated" => {
+                request.starts_as_demonstrated.into_pyobject(py)?.to_owned().into_any()
+            }
+            "pose" => {
+                let heading = classes.heading.member(py, request.pose.heading as u8);
+                let cell = request.pose.cell;
+                classes.pose.bind(py).call1((cell.x, cell.y, heading))?
+            }
+            "feedback" => classes.feedback.member(py, request.feedback as u8).into_pyobject(py)?,
+            "frame" => maker.frame(frames.next())?,
+            "window" => {
+                let steps = request.window.iter().zip(frames.skip(1)).map(|(past, frame)| {
+                    let feedback = classes.feedback.member(py, past.feedback as u8);
+                    let values = (maker.frame(Some(frame))?, maker.action(past.action), feedback);
+                    classes.past_step.bind(py).call1(values)
+                });
+                maker.tuple(steps)?
+            }
+            "segment" => match request.segment {
+                None => py.None().into_bound(py),
+                Some(found) => {
+                    let frames = frames.skip(1 + window);
+                    let steps = found.steps.iter().zip(frames).map(|(step, frame)| {
+                        let values = (maker.frame(Some(frame))?, maker.action(step.action));
+                        classes.remembered_step.bind(py).call1(values)
+                    });
+                    let steps = maker.tuple(steps)?;
+                    classes.segment.bind(py).call1((found.distance, steps))?
+                }
+            },
+            "documents" => {
+                let texts = request.documents.iter().map(|document| {
+                    let kind = classes.document_kind.member(py, document.kind as u8);
+                    classes.document.bind(py).call1((document.id, kind, document.text))
+                });
+                maker.tuple(texts)?
+            }
+            "trajectories" => {
+                let mut frames = frames.skip(1 + window + segment);
+                let trajectories = request.trajectories.iter().map(|trajectory| {
+                    maker.tuple(trajectory.steps.iter().map(|step| {
+                        let frame = if step.frame.is_some() { frames.next() } else { None };
+                        let values = (maker.frame(frame)?, maker.action(step.action));
+                        classes.demonstration_step.bind(py).call1(values)
+                    }))
+                });
+                maker.tuple(trajectories)?
+            }
+            _ => return Ok(None),
+        }))
+    })
+}
+
+struct Maker<'py> {
+    py: Python<'py>,
+    classes: &'static Classes,
+}
+
+impl<'py> Maker<'py> {
+    fn frame(&self, frame: Option<&Arc<shm_types::Frame>>) -> PyResult<Bound<'py, PyAny>> {
+        match frame {
+            Some(frame) => Ok(Bound::new(self.py, Frame::shared(frame))?.into_any()),
+            None => Ok(self.py.None().into_bound(self.py)),
+        }
+    }
+
+    fn action(&self, action: Option<domain::Action>) -> Option<Bound<'py, PyAny>> {
+        self.classes.action.member(self.py, action? as u8)
+    }
+
+    fn tuple(
+        &self,
+        values: impl Iterator<Item = PyResult<Bound<'py, PyAny>>>,
+    ) -> PyResult<Bound<'py, PyAny>> {
+        let values = values.collect::<PyResult<Vec<_>>>()?;
+        Ok(PyTuple::new(self.py, values)?.into_any())
+    }
+}

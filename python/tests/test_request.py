@@ -1,0 +1,63 @@
+"""Requests, frames and answers that are built without a run."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from memtransfer import (
+    Action,
+    Decision,
+    DocumentKind,
+    Exchange,
+    Feedback,
+    Frame,
+    Heading,
+    Outcome,
+    Pose,
+    Request,
+)
+
+
+def test_codes_have_the_words_of_the_benchmark() -> None:
+    assert [action.words for action in Action][4:] == ["turn left", "turn right", "turn around"]
+    assert Feedback.BLOCKED.words == "Something blocks the way: you did not move."
+    assert (Heading.E.words, Outcome.REFUSED.words) == ("east", "refused")
+    assert (Action(3), int(DocumentKind.SEMANTIC)) == (Action.RIGHT, 1)
+
+
+def test_a_frame_of_own_pixels_is_a_read_only_copy() -> None:
+    image = np.zeros((2, 3, 4), dtype=np.uint8)
+    frame = Frame.of(image, id=5)
+    image[:] = 9
+    assert (frame.id, frame.width, frame.height) == (5, 3, 2)
+    assert not frame.is_gone and not frame.pixels.any() and not frame.pixels.flags.writeable
+    # BLAKE3 of 24 zero bytes.
+    assert frame.content_hash == Frame.of(np.zeros((3, 2, 4), dtype=np.uint8)).content_hash
+    assert frame != Frame.of(image, id=5) and len({frame, Frame.of(frame.pixels, id=5)}) == 1
+    with pytest.raises(ValueError, match="3 channels"):
+        Frame.of(np.zeros((2, 2, 3), dtype=np.uint8))
+
+
+def test_a_request_counts_its_images() -> None:
+    frame = Frame.of(np.zeros((1, 1, 4), dtype=np.uint8))
+    request = Request(0, 0, 1, 5, 1, "Find a barrel.", Pose(3, 12, Heading.N), Feedback.START, frame)
+    assert request.images() == 1 and str(request.pose) == "3,12,N"
+
+
+def test_a_decision_has_an_action_or_the_reason_why_not() -> None:
+    for action, outcome in [(None, Outcome.ACTED), (Action.LEFT, Outcome.EMPTY)]:
+        with pytest.raises(ValueError, match="an action and the outcome ACTED, or neither"):
+            Decision(action, outcome)
+
+
+def test_an_exchange_must_hold_messages() -> None:
+    with pytest.raises(TypeError, match="a message of an exchange is a str"):
+        Exchange("hello")  # type: ignore[arg-type]
+    with pytest.raises(TypeError, match="reply of an exchange is a int"):
+        Exchange([], reply=3)  # type: ignore[arg-type]
+
+
+def test_decisions_are_compared_without_their_exchange() -> None:
+    said = Decision(Action.LEFT, exchange=Exchange([{"role": "user", "content": "x"}]))
+    assert said == Decision(Action.LEFT) and hash(said) == hash(Decision(Action.LEFT))
