@@ -1,29 +1,26 @@
-//! Wire structs and codes that describe themselves: names, offsets, sizes and meanings, from the very
-//! declaration that the compiler lays out.
-//!
-//! The reference of the wire (`docs/wire.md`) and the Python structures (`python/memtransfer/_wire.py`) are
-//! written from these by the example `wire`. Nothing here is needed to take part in a run.
+//! Descriptions of wire structs, from the declarations that the compiler lays out. The example `wire` writes
+//! `docs/wire.md` from them.
 
-/// A struct of the wire, with its description.
+/// A wire struct.
 pub trait Layout {
-    /// The description.
+    /// Its description.
     const LAYOUT: Struct;
 }
 
-/// How a struct lies in memory.
+/// The layout of a wire struct.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Struct {
     /// Its name in Rust.
     pub name: &'static str,
-    /// Its name for iceoryx2, which both ends of a service must agree on.
+    /// Its type name in iceoryx2.
     pub type_name: &'static str,
-    /// What it is; Markdown, one line of source a line.
+    /// Its meaning, in Markdown.
     pub doc: &'static str,
     /// Its size in bytes.
     pub bytes: usize,
     /// Its alignment in bytes.
     pub align: usize,
-    /// Its fields: they follow each other without gaps.
+    /// Its fields, without gaps.
     pub fields: &'static [Field],
 }
 
@@ -33,47 +30,47 @@ pub struct Field {
     /// Its name.
     pub name: &'static str,
     /// Its type.
-    pub shape: Shape,
-    /// Bytes before it.
+    pub shape: FieldType,
+    /// Its offset in bytes.
     pub offset: usize,
     /// Its size in bytes.
     pub bytes: usize,
-    /// What it means; Markdown, one line of source a line.
+    /// Its meaning, in Markdown.
     pub doc: &'static str,
 }
 
 /// The type of a field.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Shape {
-    /// A number, by its name in Rust.
+pub enum FieldType {
+    /// A number, by its Rust name.
     Number(&'static str),
-    /// A struct of the wire, by its name.
+    /// A wire struct, by its name.
     Struct(&'static str),
-    /// So many of one type.
+    /// An array.
     Array(&'static Self, usize),
 }
 
 /// A type that can be a field.
-pub trait Shaped {
-    /// What it is.
-    const SHAPE: Shape;
+pub trait WireType {
+    /// Its type.
+    const SHAPE: FieldType;
 }
 
 macro_rules! numbers {
     ($($type:ident)*) => {$(
-        impl Shaped for $type {
-            const SHAPE: Shape = Shape::Number(stringify!($type));
+        impl WireType for $type {
+            const SHAPE: FieldType = FieldType::Number(stringify!($type));
         }
     )*};
 }
 
 numbers!(u8 u16 u32 u64 f32);
 
-impl<T: Shaped, const N: usize> Shaped for [T; N] {
-    const SHAPE: Shape = Shape::Array(&T::SHAPE, N);
+impl<T: WireType, const N: usize> WireType for [T; N] {
+    const SHAPE: FieldType = FieldType::Array(&T::SHAPE, N);
 }
 
-/// Declares a wire struct and describes it; its size is asserted.
+/// Declares and describes a wire struct, and asserts its size.
 macro_rules! wire_struct {
     ($(#[doc = $doc:literal])* $name:ident $(: $($derive:ident)+)?, $type_name:literal, $size:literal bytes {
         $($(#[doc = $field_doc:literal])* $field:ident: $type:ty,)*
@@ -87,8 +84,8 @@ macro_rules! wire_struct {
 
         const _: () = assert!(size_of::<$name>() == $size, "wire size changed: raise WIRE_VERSION");
 
-        impl $crate::layout::Shaped for $name {
-            const SHAPE: $crate::layout::Shape = $crate::layout::Shape::Struct(stringify!($name));
+        impl $crate::layout::WireType for $name {
+            const SHAPE: $crate::layout::FieldType = $crate::layout::FieldType::Struct(stringify!($name));
         }
 
         impl $crate::layout::Layout for $name {
@@ -100,7 +97,7 @@ macro_rules! wire_struct {
                 align: align_of::<$name>(),
                 fields: &[$($crate::layout::Field {
                     name: stringify!($field),
-                    shape: <$type as $crate::layout::Shaped>::SHAPE,
+                    shape: <$type as $crate::layout::WireType>::SHAPE,
                     offset: core::mem::offset_of!($name, $field),
                     bytes: size_of::<$type>(),
                     doc: concat!($($field_doc, "\n",)*),

@@ -13,7 +13,7 @@ use iceoryx2::prelude::ZeroCopySend;
 
 use domain::{Heading, Pose, UnknownCode};
 
-use crate::layout::{Field, Layout, Shape, Shaped, Struct, wire_struct};
+use crate::layout::{Field, FieldType, Layout, Struct, WireType, wire_struct};
 
 mod codes;
 
@@ -141,8 +141,8 @@ macro_rules! messages {
 #[type_name("memtransfer.WirePose")]
 pub struct WirePose(pub [u8; 4]);
 
-impl Shaped for WirePose {
-    const SHAPE: Shape = Shape::Struct("WirePose");
+impl WireType for WirePose {
+    const SHAPE: FieldType = FieldType::Struct("WirePose");
 }
 
 impl Layout for WirePose {

@@ -39,9 +39,9 @@ pub enum RegistryError {
     System {
         /// What was tried.
         doing: &'static str,
-        /// With what.
+        /// The path.
         path: PathBuf,
-        /// What it said.
+        /// The operating system's error.
         cause: io::Error,
     },
     /// The folder of all runs belongs to another user, or other users may write to it.
@@ -50,9 +50,9 @@ pub enum RegistryError {
         /// The folder.
         path: PathBuf,
     },
-    /// No socket would fit below the folder.
+    /// The path is too long for the names of sockets.
     #[error(
-        "{} is too long a path for runs, sockets below it need it to stay under {} bytes: choose another",
+        "the path {} is too long: names of sockets in it leave room for under {} bytes; choose another folder",
         path.display(), MAX_ROOT_BYTES - RUN_NAME_BYTES
     )]
     TooLong {
@@ -171,7 +171,7 @@ pub struct Cleaned {
 
 /// A run found by [`list`].
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Run {
+pub struct ListedRun {
     /// Its folder.
     pub path: PathBuf,
     /// Whether a process of it is alive.
@@ -182,13 +182,16 @@ pub struct Run {
 ///
 /// # Errors
 /// When `base` belongs to another user or the system refuses.
-pub fn list(base: &Path) -> Result<Vec<Run>, RegistryError> {
+pub fn list(base: &Path) -> Result<Vec<ListedRun>, RegistryError> {
     if !base.exists() {
         return Ok(Vec::new());
     }
     let _base_lock = lock_base(base)?;
     let dead = |path: &Path| Ok(lock_dead(path)?.is_some() && !has_living_node(path));
-    run_folders(base)?.into_iter().map(|path| Ok(Run { alive: !dead(&path)?, path })).collect()
+    run_folders(base)?
+        .into_iter()
+        .map(|path| Ok(ListedRun { alive: !dead(&path)?, path }))
+        .collect()
 }
 
 /// Removes what dead runs below `base` left: shared memory, sockets, folders. Does not touch living runs.

@@ -1,8 +1,7 @@
-//! Spans: what each process was at when, so that a trace can show what overlapped.
+//! Spans of each process's work, for `memtransfer run --trace`.
 //!
-//! A process writes them where [`Attach::spans`](crate::Attach::spans) asks for it, a [`Span`] a line, into a file
-//! of its own; `memtransfer run --trace` puts them together when the run is over. A span is a batch of work, not
-//! a step: how long a step waited where, its messages say.
+//! A process writes one [`Span`] a line into a file of its own if [`Attach::spans`](crate::Attach::spans) names a folder.
+//! A span is a batch of work, not a step: the times of steps are in the messages.
 
 use std::fs::File;
 use std::io::{self, BufWriter, Write};
@@ -14,65 +13,65 @@ use crate::attach::Attach;
 use crate::message::Role;
 use crate::process::monotonic_ns;
 
-/// A piece of work.
+/// A batch of work.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Span {
-    /// The thread, or whatever else does one thing after the other.
+    /// The thread.
     pub track: String,
-    /// What was done.
+    /// The kind of work.
     pub name: String,
-    /// When it began, CLOCK_MONOTONIC.
+    /// Its start, CLOCK_MONOTONIC.
     pub start_ns: u64,
-    /// When it was done.
+    /// Its end.
     pub end_ns: u64,
-    /// On how many.
+    /// The number of items.
     pub count: u64,
 }
 
-/// Where a process keeps its spans, if anybody wants them.
+/// Writes the spans of a process, if the run asks for them.
 #[derive(Debug, Default)]
 pub struct Spans {
     file: Option<BufWriter<File>>,
 }
 
 impl Spans {
-    /// Where the run that `attach` describes wants them of the process `role`.
+    /// Opens the file of the process `role`, if the run asks for spans.
     ///
     /// # Errors
-    /// When the file cannot be made.
+    /// When the file cannot be created.
     pub fn open(attach: &Attach, role: Role) -> io::Result<Self> {
         let Some(folder) = &attach.spans else { return Ok(Self::default()) };
         let file = File::create(spans_file(folder, role, attach.generation))?;
         Ok(Self { file: Some(BufWriter::new(file)) })
     }
 
-    /// The time, if anybody wants spans: where one begins.
+    /// The start of a span: the time, if spans are written.
     pub fn begin(&self) -> Option<u64> {
         self.file.is_some().then(monotonic_ns)
     }
 
-    /// Ends a span that [began](Self::begin), on `count` pieces; one on none was not worth the mention.
+    /// Ends a span that [began](Self::begin), of `count` items; one without items is not written.
     pub fn end(&mut self, began: Option<u64>, track: &str, name: &str, count: usize) {
         if let Some(start_ns) = began.filter(|_| count > 0) {
             self.add(start_ns, monotonic_ns(), track, name, count);
         }
     }
 
-    /// Adds a span. A file that cannot be written to is given up, and the log says so.
+    /// Adds a span. After a write error no more spans are written, and the log says so.
     pub fn add(&mut self, start_ns: u64, end_ns: u64, track: &str, name: &str, count: usize) {
         let Some(file) = &mut self.file else { return };
         let (track, name) = (track.to_owned(), name.to_owned());
         let span = Span { track, name, start_ns, end_ns, count: count as u64 };
         let written = serde_json::to_writer(&mut *file, &span).map_err(io::Error::from);
         if let Err(error) = written.and_then(|()| file.write_all(b"\n")) {
-            tracing::warn!(%error, "spans are kept no longer");
+            tracing::warn!(%error, "cannot write spans; no more are written");
             self.file = None;
         }
     }
 }
 
-/// The file in `folder` for the spans of the process `role` in one generation.
+/// The file in `folder` of the spans of the process `role` in one generation.
 pub fn spans_file(folder: &Path, role: Role, generation: u32) -> PathBuf {
     folder.join(format!("{}-{generation}.jsonl", role.word()))
 }

@@ -17,7 +17,9 @@ use supervise::Children;
 
 use super::{Kit, LANES};
 use crate::neighbours::{last, observation};
-use crate::subject::{CheckResult, Scene, Subject, Trouble, next, wait_for_exit, wrong};
+use crate::subject::{
+    CheckResult, RequestScene, TestedPolicy, Trouble, next, wait_for_exit, wrong,
+};
 
 /// The instruction of an ordinary episode.
 const INSTRUCTION: &str = "Find a blue barrel.";
@@ -163,12 +165,12 @@ pub(super) const CHECKS: &[Check] = &[
 ];
 
 /// A scene of one view, without memory.
-fn plain(subject: &mut Subject<'_>, seed: u64) -> CheckResult<Scene> {
-    Ok(Scene { frame: subject.view(seed)?, ..Scene::default() })
+fn plain(subject: &mut TestedPolicy<'_>, seed: u64) -> CheckResult<RequestScene> {
+    Ok(RequestScene { frame: subject.view(seed)?, ..RequestScene::default() })
 }
 
 /// Ends a check: nothing more may come, and its views are evicted.
-fn clear_away(subject: &mut Subject<'_>) -> CheckResult<String> {
+fn clear_away(subject: &mut TestedPolicy<'_>) -> CheckResult<String> {
     subject.settle()?;
     subject.evict_all()?;
     Ok(String::new())
@@ -206,7 +208,7 @@ const MAX_ATTEMPTS: u32 = 1000;
 fn counts(kit: &mut Kit<'_>) -> CheckResult<String> {
     let subject = kit.subject()?;
     let (frame, segment) = (subject.view(11)?, subject.views(12..15)?);
-    let scene = Scene { frame, segment, ..Scene::default() };
+    let scene = RequestScene { frame, segment, ..RequestScene::default() };
     let id = subject.begin(14, 1, INSTRUCTION)?;
     let decision = subject.ask_and_wait(id, &scene)?;
     clear_away(subject)?;
@@ -230,7 +232,7 @@ fn many_lanes(kit: &mut Kit<'_>) -> CheckResult<String> {
     for lane in 0..LANES {
         let id = subject.begin(lane, lane.into(), INSTRUCTION)?;
         let frame = frames[lane as usize % frames.len()];
-        subject.ask(id, &Scene { frame, ..Scene::default() })?;
+        subject.ask(id, &RequestScene { frame, ..RequestScene::default() })?;
     }
     subject.notify()?;
     subject.wait()?;
@@ -339,8 +341,11 @@ fn long_documents(kit: &mut Kit<'_>) -> CheckResult<String> {
     ];
     let mut id = subject.begin(6, 1, INSTRUCTION)?;
     for seed in 0..3 {
-        let scene =
-            Scene { frame: subject.view(seed)?, documents: documents.clone(), ..Scene::default() };
+        let scene = RequestScene {
+            frame: subject.view(seed)?,
+            documents: documents.clone(),
+            ..RequestScene::default()
+        };
         subject.ask_and_wait(id, &scene)?;
         id = next(id);
     }
@@ -364,7 +369,10 @@ fn keyframes(kit: &mut Kit<'_>) -> CheckResult<String> {
     });
     let document = subject.document(Some(id), &Content::Trajectories(steps.collect()))?;
     let frame = subject.view(7)?;
-    subject.ask_and_wait(id, &Scene { frame, documents: vec![document], ..Scene::default() })?;
+    subject.ask_and_wait(
+        id,
+        &RequestScene { frame, documents: vec![document], ..RequestScene::default() },
+    )?;
     clear_away(subject)
 }
 
@@ -376,7 +384,8 @@ fn windows(kit: &mut Kit<'_>) -> CheckResult<String> {
         let mut id = subject.begin_with_window(10, 1, INSTRUCTION, window as u8)?;
         for (step, &frame) in views.iter().enumerate() {
             let segment = if step < MAX_WINDOW { Vec::new() } else { segment.clone() };
-            subject.ask_and_wait(id, &Scene { frame, segment, ..Scene::default() })?;
+            subject
+                .ask_and_wait(id, &RequestScene { frame, segment, ..RequestScene::default() })?;
             id = next(id);
         }
     }
@@ -405,7 +414,7 @@ fn frames_are_released(kit: &mut Kit<'_>) -> CheckResult<String> {
         let views = subject.views((0..1 + MAX_SEGMENT as u64).map(|seed| seed + shown as u64))?;
         shown += views.len();
         let (frame, segment) = (views[0], views[1..].to_vec());
-        subject.ask_and_wait(id, &Scene { frame, segment, ..Scene::default() })?;
+        subject.ask_and_wait(id, &RequestScene { frame, segment, ..RequestScene::default() })?;
         id = next(id);
         subject.evict_all()?;
     }
@@ -416,8 +425,9 @@ fn frames_are_released(kit: &mut Kit<'_>) -> CheckResult<String> {
 fn invalid_messages(kit: &mut Kit<'_>) -> CheckResult<String> {
     let subject = kit.subject()?;
     let scene = plain(subject, 10)?;
-    let unknown_document = Scene { documents: vec![scene.frame + 1_000_000], ..scene.clone() };
-    let unknown_frame = Scene { segment: vec![scene.frame + 1_000_000], ..scene.clone() };
+    let unknown_document =
+        RequestScene { documents: vec![scene.frame + 1_000_000], ..scene.clone() };
+    let unknown_frame = RequestScene { segment: vec![scene.frame + 1_000_000], ..scene.clone() };
     let mut ignored = Vec::new();
     for (lane, what) in [
         "a feedback code of 77",
@@ -466,10 +476,10 @@ fn same_request_again(kit: &mut Kit<'_>) -> CheckResult<String> {
     for round in 0..6 {
         // New ids for the same pixels.
         let (frame, segment) = (subject.view(11)?, subject.views(15..18)?);
-        let scene = Scene { frame, segment, ..Scene::default() };
+        let scene = RequestScene { frame, segment, ..RequestScene::default() };
         let mut id = subject.begin(13 + round, 5, INSTRUCTION)?;
         for past in subject.views(12..15)? {
-            subject.ask_and_wait(id, &Scene { frame: past, ..Scene::default() })?;
+            subject.ask_and_wait(id, &RequestScene { frame: past, ..RequestScene::default() })?;
             id = next(id);
         }
         for lane in 30..30 + 3 * round {

@@ -17,7 +17,7 @@ use shm_types::{Attach, FrameSize, RunDir, registry};
 use supervise::Launch;
 
 use self::checks::CHECKS;
-use self::subject::{CheckResult, Subject, Terms, Trouble};
+use self::subject::{CheckResult, Terms, TestedPolicy, Trouble};
 
 /// Lanes of the run.
 const LANES: u32 = 64;
@@ -50,7 +50,7 @@ pub struct Conformance {
 /// The outcome of a check.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
-pub enum Verdict {
+pub enum CheckVerdict {
     /// The policy does what is expected.
     Passed,
     /// The policy does something that may be intended.
@@ -63,11 +63,11 @@ pub enum Verdict {
 
 /// The result of a check.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
-pub struct Finding {
+pub struct CheckFinding {
     /// The check.
     pub name: &'static str,
     /// Its outcome.
-    pub verdict: Verdict,
+    pub verdict: CheckVerdict,
     /// What is expected.
     pub expected: &'static str,
     /// What happened.
@@ -84,8 +84,8 @@ impl Conformance {
     pub fn check(
         &self,
         stop: &AtomicBool,
-        observer: &mut dyn FnMut(&Finding),
-    ) -> Result<Vec<Finding>> {
+        observer: &mut dyn FnMut(&CheckFinding),
+    ) -> Result<Vec<CheckFinding>> {
         let launch = Launch::command(Role::Policy, &self.command)?;
         let terms = Terms {
             launch: &launch,
@@ -95,26 +95,26 @@ impl Conformance {
             stop,
         };
         let mut kit = Kit::new(&terms)?;
-        let mut findings: Vec<Finding> = Vec::with_capacity(CHECKS.len());
+        let mut findings: Vec<CheckFinding> = Vec::with_capacity(CHECKS.len());
         for check in CHECKS {
             let required = findings.iter().take(REQUIRED_CHECKS);
-            let failed = required.into_iter().find(|f| f.verdict == Verdict::Failed);
+            let failed = required.into_iter().find(|f| f.verdict == CheckVerdict::Failed);
             let (verdict, happened) = match failed {
-                Some(failed) => (Verdict::Skipped, format!("it needs \"{}\"", failed.name)),
+                Some(failed) => (CheckVerdict::Skipped, format!("it needs \"{}\"", failed.name)),
                 None => match (check.run)(&mut kit) {
-                    Ok(remark) => (Verdict::Passed, remark),
+                    Ok(remark) => (CheckVerdict::Passed, remark),
                     Err(Trouble::Broken(error)) => return Err(error),
                     Err(Trouble::Wrong(what)) => {
                         // The next check starts the policy anew.
                         kit.kill_subject();
-                        (Verdict::Failed, what)
+                        (CheckVerdict::Failed, what)
                     }
-                    Err(Trouble::Doubtful(what)) if self.strict => (Verdict::Failed, what),
-                    Err(Trouble::Doubtful(what)) => (Verdict::Warning, what),
+                    Err(Trouble::Doubtful(what)) if self.strict => (CheckVerdict::Failed, what),
+                    Err(Trouble::Doubtful(what)) => (CheckVerdict::Warning, what),
                 },
             };
             let (name, expected, advice) = (check.name, check.expected, check.advice);
-            let finding = Finding { name, verdict, expected, happened, advice };
+            let finding = CheckFinding { name, verdict, expected, happened, advice };
             observer(&finding);
             findings.push(finding);
         }
@@ -125,7 +125,7 @@ impl Conformance {
 /// The policy under test: started when a check needs it, and again after a check that has ended it.
 struct Kit<'a> {
     terms: &'a Terms<'a>,
-    subject: Option<Subject<'a>>,
+    subject: Option<TestedPolicy<'a>>,
     /// The settings of the next generation.
     attach: Attach,
     run: RunDir,
@@ -140,14 +140,14 @@ impl<'a> Kit<'a> {
     }
 
     /// The policy, ready for requests.
-    fn subject(&mut self) -> CheckResult<&mut Subject<'a>> {
+    fn subject(&mut self) -> CheckResult<&mut TestedPolicy<'a>> {
         if self.subject.as_mut().is_some_and(|subject| subject.exited().is_some()) {
             self.kill_subject();
         }
         let subject = match self.subject.take() {
             Some(subject) => subject,
             None => {
-                let subject = Subject::start(&self.attach, self.terms);
+                let subject = TestedPolicy::start(&self.attach, self.terms);
                 self.attach.generation += 1;
                 subject?
             }
@@ -156,7 +156,7 @@ impl<'a> Kit<'a> {
     }
 
     /// As [`Self::subject`], for a check that ends the policy.
-    fn take_subject(&mut self) -> CheckResult<Subject<'a>> {
+    fn take_subject(&mut self) -> CheckResult<TestedPolicy<'a>> {
         self.subject()?;
         self.subject.take().ok_or_else(|| anyhow::anyhow!("the policy was not started").into())
     }

@@ -71,13 +71,13 @@ enum RequestState {
 
 /// What a request shows.
 #[derive(Debug, Clone, Default)]
-pub(crate) struct Scene {
+pub(crate) struct RequestScene {
     pub(crate) frame: FrameId,
     pub(crate) segment: Vec<FrameId>,
     pub(crate) documents: Vec<DocumentId>,
 }
 
-impl Scene {
+impl RequestScene {
     pub(crate) fn recall(&self, id: RequestId) -> Recall {
         let mut recall = recall(id, &self.segment);
         recall.documents[..self.documents.len()].copy_from_slice(&self.documents);
@@ -111,7 +111,7 @@ impl Terms<'_> {
 }
 
 /// A policy in one generation. The fields are dropped in order: the policy ends before the services.
-pub(crate) struct Subject<'a> {
+pub(crate) struct TestedPolicy<'a> {
     children: Children,
     terms: &'a Terms<'a>,
     neighbours: PolicyNeighbours,
@@ -124,7 +124,7 @@ pub(crate) struct Subject<'a> {
     pub(crate) introduction: String,
 }
 
-impl<'a> Subject<'a> {
+impl<'a> TestedPolicy<'a> {
     /// Starts the policy and waits until it is ready.
     pub(crate) fn start(attach: &Attach, terms: &'a Terms<'a>) -> CheckResult<Self> {
         attach.write(&attach.root).map_err(anyhow::Error::from)?;
@@ -289,14 +289,18 @@ impl<'a> Subject<'a> {
     }
 
     /// Makes a request: recall, then observation. Does not notify.
-    pub(crate) fn ask(&mut self, id: RequestId, scene: &Scene) -> CheckResult<()> {
+    pub(crate) fn ask(&mut self, id: RequestId, scene: &RequestScene) -> CheckResult<()> {
         self.expect(id);
         self.recall(&scene.recall(id))?;
         self.observe(&observation(id, scene.frame))
     }
 
     /// Makes a request and waits for its answer.
-    pub(crate) fn ask_and_wait(&mut self, id: RequestId, scene: &Scene) -> CheckResult<Decision> {
+    pub(crate) fn ask_and_wait(
+        &mut self,
+        id: RequestId,
+        scene: &RequestScene,
+    ) -> CheckResult<Decision> {
         self.ask(id, scene)?;
         self.notify()?;
         self.wait()?;

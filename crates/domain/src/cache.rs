@@ -1,9 +1,9 @@
-//! The folder outside the repository that set-up fills, and in which processes keep what runs can use again.
+//! The cache folder: models from set-up, and results that later runs reuse.
 
 use std::ffi::OsString;
 use std::path::PathBuf;
 
-/// The environment names no folder in which a cache could lie.
+/// The environment names no cache folder.
 #[derive(Debug, thiserror::Error)]
 #[error(
     "no cache folder: none of MEMTRANSFER_CACHE, XDG_CACHE_HOME and HOME is set; set MEMTRANSFER_CACHE to a folder"

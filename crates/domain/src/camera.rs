@@ -1,6 +1,4 @@
-//! How the agent's camera maps metres to pixels (SPEC section 2).
-//!
-//! Public knowledge: it is part of the interface that a policy is told, not of the map.
+//! The agent's camera (specification, section 2). Policies may know it.
 
 /// Height of the camera above the floor, in metres.
 pub const CAMERA_HEIGHT_M: f32 = 1.2;

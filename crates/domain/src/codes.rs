@@ -1,35 +1,34 @@
-//! Closed sets with `u8` codes that describe themselves: names, codes and meanings, from the declaration that the
-//! compiler reads. The reference of the wire is written from these.
+//! Enums with `u8` codes, described from their declaration for the page of the wire.
 
-/// A closed set of codes, with its description.
+/// An enum with codes.
 pub trait Codes {
     /// The description.
     const CODES: CodeSet;
 }
 
-/// What a set of codes is.
+/// The description of an enum with codes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct CodeSet {
     /// Its name in Rust.
     pub name: &'static str,
-    /// What it is; Markdown, one line of source a line.
+    /// Its meaning, in Markdown.
     pub doc: &'static str,
     /// Its members, in code order.
-    pub members: &'static [Member],
+    pub members: &'static [CodeSetMember],
 }
 
 /// A member of a [`CodeSet`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Member {
+pub struct CodeSetMember {
     /// Its name in Rust.
     pub name: &'static str,
     /// Its code on the wire.
     pub code: u8,
-    /// What it means; Markdown, one line of source a line.
+    /// Its meaning, in Markdown.
     pub doc: &'static str,
 }
 
-/// Declares closed sets with `u8` codes that are positions in `ALL`.
+/// Declares enums whose `u8` codes are positions in `ALL`.
 #[macro_export]
 macro_rules! code_sets {
     ($($(#[doc = $doc:literal])* $name:ident, $what:literal $(#[$attribute:meta])* {
@@ -42,7 +41,7 @@ macro_rules! code_sets {
             }
 
             impl $name {
-                /// Every member, in code order.
+                /// All members, in code order.
                 pub const ALL: &'static [Self] = &[$(Self::$variant),*];
             }
 
@@ -58,12 +57,12 @@ macro_rules! code_sets {
             }
         )*
 
-        /// All sets of codes that are declared here, described.
+        /// The enums declared here.
         pub const CODE_SETS: &[$crate::codes::CodeSet] = &[$(<$name as $crate::codes::Codes>::CODES),*];
     };
 }
 
-/// Declares an enum whose members have `u8` codes, and describes it.
+/// Declares an enum whose members have `u8` codes.
 #[macro_export]
 macro_rules! coded_enum {
     ($(#[doc = $doc:literal])* $name:ident $(#[$attribute:meta])* {
@@ -79,7 +78,7 @@ macro_rules! coded_enum {
             const CODES: $crate::codes::CodeSet = $crate::codes::CodeSet {
                 name: stringify!($name),
                 doc: concat!($($doc, "\n",)*),
-                members: &[$($crate::codes::Member {
+                members: &[$($crate::codes::CodeSetMember {
                     name: stringify!($member),
                     code: $code,
                     doc: concat!($($member_doc, "\n",)*),

@@ -1,7 +1,7 @@
-//! The values that every part of the benchmark shares: poses, actions and feedback, the memory representations, the
-//! outcomes of a decision, and the files that one process writes and another reads.
+//! The vocabulary of the benchmark: poses, actions and feedback, memory representations, outcomes of decisions, and the
+//! format of the prompt log.
 //!
-//! Links no iceoryx2. What is not here: the map, the tasks, messages, anything that decides.
+//! Does not link iceoryx2. Knows neither the map nor the tasks nor messages.
 
 mod cache;
 pub mod camera;

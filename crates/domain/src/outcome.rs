@@ -1,14 +1,13 @@
-//! Closed sets that the wire, the log and the report share.
+//! Codes that the wire, the log and the report share.
 
 use crate::code_sets;
 
 code_sets! {
-    /// How a decision came out (DESIGN section 5). Infrastructure failures are retried by the policy
-    /// and reported as [`ErrorReport`](super::ErrorReport)s: they are never an outcome of the model.
+    /// The outcome of a decision. Failures of the infrastructure are not outcomes: the policy retries, or reports an error.
     Outcome, "an outcome (0 acted, 1 unreadable, 2 empty, 3 refused)" {
         /// An action was chosen.
         Acted = 0,
-        /// There was an answer, and no action could be read from it.
+        /// No action could be read from the answer.
         Unreadable = 1,
         /// The answer was empty.
         Empty = 2,
@@ -16,7 +15,7 @@ code_sets! {
         Refused = 3,
     }
 
-    /// What a retrieved segment holds (paper, Design Choices).
+    /// The content of a retrieved segment (paper, Design Choices).
     SegmentContent, "a segment content (0 actions, 1 images)" {
         /// The expert's actions and the views they led to.
         Actions = 0,
@@ -24,7 +23,7 @@ code_sets! {
         Images = 1,
     }
 
-    /// What a [`Document`](crate::documents::Document) is.
+    /// The kind of a document.
     DocumentKind, "a document kind (0 summary, 1 semantic, 2 trajectories)"
     #[derive(serde::Serialize, serde::Deserialize)]
     #[serde(rename_all = "lowercase")] {
@@ -32,7 +31,7 @@ code_sets! {
         Summary = 0,
         /// General spatial and navigation knowledge: UTF-8 text.
         Semantic = 1,
-        /// Demonstrations with their keyframes: [`TrajectoryStep`](super::TrajectoryStep)s.
+        /// Demonstrations with their keyframes: `TrajectoryStep`s.
         Trajectories = 2,
     }
 }

@@ -1,19 +1,18 @@
-//! Where an agent stands, what it can do in one step, and what the world answers.
+//! Poses, actions and feedback.
 //!
-//! The floor is a grid of 1 m cells: `x` grows east, `y` grows north. What a cell holds, and hence
-//! whether a move succeeds, is the warehouse's business and not known here.
+//! The floor is a grid of 1 m cells: `x` grows east, `y` grows north. The content of the cells is not known here.
 
 use serde::{Deserialize, Serialize};
 
 use crate::coded_enum;
 
-/// A value from a message or a file that names no member of the set it should name.
+/// A value in a message or file that is not valid.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{value} is not {expected}")]
 pub struct UnknownCode {
-    /// What was found, as text.
+    /// The value, as text.
     pub value: String,
-    /// What would have been accepted.
+    /// The accepted values.
     pub expected: &'static str,
 }
 
@@ -76,7 +75,7 @@ impl std::fmt::Display for Cell {
 }
 
 coded_enum! {
-    /// One of the four ways an agent can face.
+    /// The direction in which an agent faces.
     Heading
     #[derive(Serialize, Deserialize)] {
         /// North: `y` grows.
@@ -119,7 +118,7 @@ impl Heading {
         self.turned(-1)
     }
 
-    /// The heading behind.
+    /// The opposite heading.
     pub const fn opposite(self) -> Self {
         self.turned(2)
     }
@@ -177,13 +176,13 @@ impl std::str::FromStr for Heading {
     }
 }
 
-/// A cell and the way the agent faces in it. Written `x,y,H`, for example `3,12,N`.
+/// A cell and a heading. Written `x,y,H`, for example `3,12,N`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 pub struct Pose {
-    /// The cell stood on.
+    /// The cell.
     pub cell: Cell,
-    /// The way faced.
+    /// The heading.
     pub heading: Heading,
 }
 
@@ -193,7 +192,7 @@ impl Pose {
         Self { cell: Cell::new(x, y), heading }
     }
 
-    /// The cell that lies so many cells ahead and to the right; `None` off the grid.
+    /// The cell `ahead` cells ahead and `right` cells to the right; `None` off the grid.
     pub fn cell_at(self, ahead: i8, right: i8) -> Option<Cell> {
         let (along, across) = (self.heading.vector(), self.heading.right().vector());
         let moved = |from: u8, along: i8, across: i8| {
@@ -206,7 +205,7 @@ impl Pose {
         ))
     }
 
-    /// How far ahead and to the right a cell lies.
+    /// The offset of a cell: cells ahead, and cells to the right.
     pub fn offset_of(self, cell: Cell) -> (i16, i16) {
         let (along, across) = (self.heading.vector(), self.heading.right().vector());
         let (dx, dy) = (
@@ -260,7 +259,7 @@ impl From<Pose> for String {
 }
 
 coded_enum! {
-    /// What an agent can do in one step: seven actions (SPEC section 2).
+    /// What an agent can do in one step: seven actions (specification, section 2).
     Action {
         /// One cell along the heading.
         Forward = 0,
@@ -291,7 +290,7 @@ impl Action {
         Self::TurnAround,
     ];
 
-    /// The words a policy is told and answers with.
+    /// The words for it in prompts and answers.
     pub const fn words(self) -> &'static str {
         match self {
             Self::Forward => "move forward",
@@ -317,12 +316,12 @@ impl Action {
         }
     }
 
-    /// The action that `letter` names, if it names one.
+    /// The action with this letter.
     pub fn from_letter(letter: char) -> Option<Self> {
         Self::ALL.into_iter().find(|action| action.letter() == letter)
     }
 
-    /// For a move: how many right turns its direction is away from the heading. `None` for a turn.
+    /// For a move: right turns from the heading to its direction. `None` for a turn.
     pub const fn move_direction(self) -> Option<i8> {
         match self {
             Self::Forward => Some(0),
@@ -333,7 +332,7 @@ impl Action {
         }
     }
 
-    /// For a turn: how many right turns it makes. `None` for a move.
+    /// For a turn: its right turns. `None` for a move.
     pub const fn turn_quarters(self) -> Option<i8> {
         match self {
             Self::TurnRight => Some(1),
@@ -354,17 +353,17 @@ impl TryFrom<u8> for Action {
 }
 
 coded_enum! {
-    /// What the world says about the last action. It never says that a target was reached.
+    /// The response of the world to an action. It never says that a target was reached.
     Feedback {
-        /// The episode has just begun; there was no action.
+        /// There was no action yet.
         Start = 0,
         /// The move succeeded.
         Moved = 1,
-        /// The turn was made (turns always succeed).
+        /// The turn succeeded (turns always do).
         Turned = 2,
-        /// Something stood in the way: the agent stayed where it was, and the step counts.
+        /// An obstacle blocked the move: the agent did not move, and the step counts.
         Blocked = 3,
-        /// The policy's answer could not be read: the agent stayed where it was, and the step counts.
+        /// The policy's answer could not be read: the agent did not move, and the step counts.
         NotUnderstood = 4,
     }
 }
@@ -374,7 +373,7 @@ impl Feedback {
     pub const ALL: [Self; 5] =
         [Self::Start, Self::Moved, Self::Turned, Self::Blocked, Self::NotUnderstood];
 
-    /// The sentence a policy reads.
+    /// The sentence for it in prompts.
     pub const fn words(self) -> &'static str {
         match self {
             Self::Start => "The episode has just begun.",

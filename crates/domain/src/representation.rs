@@ -1,7 +1,7 @@
-//! The memory representations (SPEC section 5): their names, codes, and what each gives a policy.
+//! The memory representations (specification, section 5): names, codes, and what each supplies.
 //!
-//! To add one: a variant with its row in [`Representation::describe`] here, and a file in the memory process,
-//! to which the compiler leads. Everything else (flags, suites, tables) follows from these.
+//! To add one: a variant with its row in [`Representation::describe`] here, and a file in memory-proc. Flags, suites and
+//! tables follow from these.
 
 use serde::{Deserialize, Serialize};
 
@@ -29,24 +29,24 @@ coded_enum! {
     }
 }
 
-/// What a representation stores and supplies.
+/// The properties of a representation.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Description {
+pub struct RepresentationInfo {
     /// The word on the command line, in files and in tables.
     pub name: &'static str,
     /// What is stored.
     pub stores: &'static str,
-    /// What is supplied at each step, beside the window.
+    /// What is supplied at each step, in addition to the window.
     pub supplies: &'static str,
-    /// How it draws on demonstrations.
+    /// The demonstrations it is built from.
     pub source: Source,
     /// The text documents it supplies, in order.
     pub documents: &'static [DocumentKind],
-    /// What it supplies of demonstrations as such.
+    /// The parts of demonstrations that it supplies.
     pub trajectories: Trajectories,
 }
 
-/// Which demonstrations a representation is made of.
+/// The demonstrations that a representation is built from.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Source {
     /// None.
@@ -57,19 +57,19 @@ pub enum Source {
     AllCases,
 }
 
-/// Which parts of demonstrations a representation supplies as they were, actions and views.
+/// The parts of demonstrations, actions and views, that a representation supplies.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Trajectories {
     /// None.
     Nothing,
     /// All actions, and as many keyframes as the budget allows.
     Whole,
-    /// A retrieved view and as many steps from there as the horizon allows.
+    /// A retrieved view, and the steps after it up to the horizon.
     Segment,
 }
 
 impl Representation {
-    /// Every one, in the order of the tables; the position is the code.
+    /// All representations, in the order of the tables; the position is the code.
     pub const ALL: &'static [Self] = &[
         Self::Working,
         Self::FullContext,
@@ -79,9 +79,9 @@ impl Representation {
         Self::Episodic,
     ];
 
-    /// What it stores and supplies.
-    pub const fn describe(self) -> Description {
-        const NOTHING: Description = Description {
+    /// Its properties.
+    pub const fn describe(self) -> RepresentationInfo {
+        const NOTHING: RepresentationInfo = RepresentationInfo {
             name: "working",
             stores: "the last h steps",
             supplies: "the window",
@@ -91,7 +91,7 @@ impl Representation {
         };
         match self {
             Self::Working => NOTHING,
-            Self::FullContext => Description {
+            Self::FullContext => RepresentationInfo {
                 name: "full-context",
                 stores: "all actions and the keyframes of the case's demonstrations",
                 supplies: "all of it",
@@ -99,7 +99,7 @@ impl Representation {
                 trajectories: Trajectories::Whole,
                 ..NOTHING
             },
-            Self::Summary => Description {
+            Self::Summary => RepresentationInfo {
                 name: "summary",
                 stores: "one document of object locations, landmarks and routes",
                 supplies: "the whole document",
@@ -107,7 +107,7 @@ impl Representation {
                 documents: &[DocumentKind::Summary],
                 ..NOTHING
             },
-            Self::Semantic => Description {
+            Self::Semantic => RepresentationInfo {
                 name: "semantic",
                 stores: "one document of general spatial and navigation knowledge",
                 supplies: "the whole document",
@@ -115,7 +115,7 @@ impl Representation {
                 documents: &[DocumentKind::Semantic],
                 ..NOTHING
             },
-            Self::Hybrid => Description {
+            Self::Hybrid => RepresentationInfo {
                 name: "hybrid",
                 stores: "the summary and the semantic document",
                 supplies: "both documents",
@@ -123,7 +123,7 @@ impl Representation {
                 documents: &[DocumentKind::Summary, DocumentKind::Semantic],
                 ..NOTHING
             },
-            Self::Episodic => Description {
+            Self::Episodic => RepresentationInfo {
                 name: "episodic",
                 stores: "every demonstration frame's embedding, with its trajectory",
                 supplies: "the stored view nearest to the current one, and the expert's continuation",
@@ -139,18 +139,18 @@ impl Representation {
         self.describe().name
     }
 
-    /// Whether demonstrations make a difference to it.
+    /// Whether it is built from demonstrations.
     pub const fn uses_demonstrations(self) -> bool {
         !matches!(self.describe().source, Source::Nothing)
     }
 
-    /// Whether it is searched by the current view, so that views have to be embedded.
+    /// Whether it is searched with the current view, so that views have to be embedded.
     pub const fn matches_views(self) -> bool {
         matches!(self.describe().trajectories, Trajectories::Segment)
     }
 
-    /// Most images of a request: the current view, the window's `window`, and what is remembered with
-    /// `horizon` actions after a retrieved view or a budget of `keyframes`.
+    /// Most images of a request: the current view, `window` past views, and either a segment of `horizon` actions or
+    /// `keyframes`.
     pub const fn images(self, window: u32, horizon: u32, keyframes: u32) -> u32 {
         let remembered = match self.describe().trajectories {
             Trajectories::Nothing => 0,
@@ -176,7 +176,7 @@ impl TryFrom<u8> for Representation {
     }
 }
 
-/// A word that names no representation.
+/// An unknown name of a representation.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("no representation is called {0:?}")]
 pub struct UnknownRepresentation(pub String);

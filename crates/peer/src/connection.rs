@@ -11,7 +11,7 @@ use shm_types::{
     Spans,
 };
 
-use crate::run::{Run, ServeError};
+use crate::run::{ServeError, WatchedRun};
 
 /// Longest sleep of the serve loop, and how often it looks for the next generation.
 const MAX_SLEEP: Duration = Duration::from_millis(250);
@@ -97,12 +97,11 @@ pub struct Connection {
 }
 
 impl Connection {
-    pub(crate) fn join<S: Service>(attach: Attach, _service: &S) -> Result<Self, ServeError> {
-        let bus = Bus::join(attach, S::ROLE)?;
+    pub(crate) fn new(bus: Bus) -> Result<Self, ServeError> {
         let attach = bus.attach();
         Ok(Self {
             errors: ErrorReporter::new(&bus)?,
-            spans: Spans::open(attach, S::ROLE).map_err(ServeError::Spans)?,
+            spans: Spans::open(attach, bus.role()).map_err(ServeError::Spans)?,
             frames: FrameStore::new(&bus)?,
             heartbeats: Heartbeats::new(&bus)?,
             stops: bus.receiver()?,
@@ -137,7 +136,7 @@ impl Connection {
     pub(crate) fn serve<S: Service>(
         &mut self,
         service: &mut S,
-        run: &Run,
+        run: &WatchedRun,
     ) -> Result<End, ServeError> {
         // The session creates its receivers first: other processes send as soon as all handshakes are in.
         let handshake = Handshake::new(S::ROLE, service.facts())?;

@@ -11,7 +11,7 @@ use std::time::{Duration, Instant};
 
 use shm_types::message::Role;
 use shm_types::process::{ProcessWatch, die_with_parent, is_parent};
-use shm_types::{ATTACH_VARIABLE, Attach, AttachError, BusError, FactsTooLong};
+use shm_types::{ATTACH_VARIABLE, Attach, AttachError, Bus, BusError, FactsTooLong};
 
 use crate::connection::{Connection, End, Service};
 
@@ -92,17 +92,17 @@ pub fn folder_from_environment(role: Role) -> Result<PathBuf, ServeError> {
 /// # Errors
 /// When there is no such run, it cannot be joined, its transport fails, it ends without a stop message, or the service
 /// fails.
-pub fn serve_role(service: &mut impl Service, folder: &Path) -> Result<(), ServeError> {
+pub fn serve_role<S: Service>(service: &mut S, folder: &Path) -> Result<(), ServeError> {
     let mut attach = Attach::read(folder).map_err(|error| match error {
         AttachError::File { cause, .. } if cause.kind() == io::ErrorKind::NotFound => {
             ServeError::NotARun(folder.to_owned())
         }
         error => BusError::from(error).into(),
     })?;
-    let run = Run::watch(&attach)?;
+    let run = WatchedRun::watch(&attach)?;
     loop {
-        let ended = Connection::join(attach.clone(), service)
-            .and_then(|mut connection| connection.serve(service, &run));
+        let bus = Bus::join(attach.clone(), S::ROLE)?;
+        let ended = Connection::new(bus).and_then(|mut connection| connection.serve(service, &run));
         attach = match ended {
             Ok(End::Stopped) => return Ok(()),
             Ok(End::NextGeneration(next)) => next,
@@ -115,12 +115,12 @@ pub fn serve_role(service: &mut impl Service, folder: &Path) -> Result<(), Serve
 
 /// A run, watched through the orchestrator's process and `attach.json`.
 #[derive(Debug)]
-pub(crate) struct Run {
+pub(crate) struct WatchedRun {
     orchestrator: ProcessWatch,
     folder: PathBuf,
 }
 
-impl Run {
+impl WatchedRun {
     fn watch(attach: &Attach) -> Result<Self, ServeError> {
         let pid = attach.orchestrator_pid;
         if is_parent(pid) {

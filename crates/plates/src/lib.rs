@@ -1,13 +1,12 @@
-//! The label plate: how an item spells its type in pixels.
+//! Label plates: an item's category and type as colours in an image.
 //!
 //! Every item hangs under a plate on the rack face: a magenta frame around six horizontal bands of
 //! unlit, saturated colour. Three bands spell the category and three the type, each group a base-7
-//! number hashed from the *name*, so a policy that reads "blue barrel" in its instruction knows what
-//! to look for without a catalogue. Bands are horizontal because a plate seen at a grazing angle keeps
-//! its height and loses its width.
+//! number hashed from the *name*, so a policy that reads "blue barrel" in its instruction knows the plate
+//! without a catalogue. Bands are horizontal because a plate at a grazing angle keeps its height and
+//! loses its width.
 //!
-//! The simulator draws plates; who looks at pixels may read them ([`read()`]). Both take geometry and code
-//! from here.
+//! The simulator draws plates; [`read()`] finds them in an image.
 
 #[cfg(any(test, feature = "painter"))]
 pub mod painter;
@@ -31,7 +30,7 @@ pub const FACE_OFFSET_M: f32 = 0.02;
 /// The frame's colour. Nothing else in the world is drawn in it.
 pub const FRAME_RGB: [u8; 3] = [255, 0, 255];
 
-/// What a band may be: seven colours, every channel 0 or 255, magenta left out.
+/// The seven colours of bands: every channel is 0 or 255; magenta is left out.
 pub const BAND_RGB: [[u8; 3]; 7] = [
     [0, 0, 0],
     [255, 0, 0],

@@ -1,13 +1,13 @@
-//! A painter of label plates for tests: racks without anything else in front of a mottled background.
+//! Synthetic images of label plates for tests, in front of a mottled background.
 
 use super::read::{Landmark, Sighting};
 use crate::{BAND_RGB, BANDS, CENTRE_HEIGHT_M, FACE_OFFSET_M, FRAME_M, FRAME_RGB, Plate, SIZE_M};
 use domain::camera::{CAMERA_HEIGHT_M, focal_length_px};
 use domain::{Cell, Heading, Pose};
 
-/// A picture that owns its pixels.
+/// A square image of plates.
 #[derive(Debug)]
-pub struct Picture {
+pub struct PlateImage {
     width: u32,
     pixels: Vec<u8>,
 }
@@ -15,8 +15,8 @@ pub struct Picture {
 /// Where the four samples of a pixel lie, as a graphics device places them.
 const SAMPLES: [(f32, f32); 4] = [(0.375, 0.125), (0.875, 0.375), (0.125, 0.625), (0.625, 0.875)];
 
-impl Picture {
-    /// A square picture of the background alone, a different one for each `seed`.
+impl PlateImage {
+    /// The background, a different one for each `seed`.
     pub fn background(width: u32, seed: u32) -> Self {
         let mottle = |i: u32| {
             let (x, y) = (i % width / 24, i / width / 24);
@@ -31,7 +31,7 @@ impl Picture {
         Self { width, pixels: pixels.collect() }
     }
 
-    /// Adds plates; of two that overlap, the nearer one is seen.
+    /// Adds plates; nearer ones hide those behind.
     pub fn with(mut self, plates: &[Sighting]) -> Self {
         let mut plates = plates.to_vec();
         plates.sort_by_key(|plate| std::cmp::Reverse(plate.ahead));
@@ -79,8 +79,7 @@ impl Picture {
         }
     }
 
-    /// Where the line of sight through a point of the picture meets the plate's plane, as shares of the
-    /// plate's width and height.
+    /// Where the ray through a point of the image meets the plate's plane, in units of the plate's size.
     fn on_plate(&self, sighting: &Sighting, x: f32, y: f32) -> Option<(f32, f32)> {
         let focal = focal_length_px(self.width);
         let centre = self.width as f32 / 2.0;
@@ -105,7 +104,7 @@ impl Picture {
     }
 }
 
-/// The colour the simulator's shader gives a point of a plate.
+/// The colour of a point of a plate, as in the simulator's shader.
 fn colour_at(plate: Plate, (across, down): (f32, f32)) -> [u8; 3] {
     let frame = FRAME_M / SIZE_M;
     let inside = |at: f32| (at - frame) / (1.0 - 2.0 * frame);
@@ -119,12 +118,12 @@ fn colour_at(plate: Plate, (across, down): (f32, f32)) -> [u8; 3] {
 /// A straight aisle two cells wide, x = 10 and 11, running north from y = 10 to 19. Each rack face has a
 /// plate with its own type; those on the west side are of category "barrels", on the east side "cones".
 #[derive(Debug)]
-pub struct Aisle {
+pub struct PlateAisle {
     /// Every plate in it.
     pub landmarks: Vec<Landmark>,
 }
 
-impl Aisle {
+impl PlateAisle {
     /// The aisle.
     #[expect(clippy::new_without_default, reason = "there is one aisle")]
     pub fn new() -> Self {
@@ -139,13 +138,13 @@ impl Aisle {
         Self { landmarks: west.chain(side(11, Heading::E, "cones")).collect() }
     }
 
-    /// What is seen from `pose`, five cells far.
-    pub fn picture(&self, pose: Pose) -> Picture {
+    /// The view from `pose`, five cells far.
+    pub fn picture(&self, pose: Pose) -> PlateImage {
         let seen: Vec<_> =
             self.landmarks.iter().filter_map(|landmark| seen(landmark, pose)).collect();
         let Cell { x, y } = pose.cell;
         let seed = (u32::from(x) * 256 + u32::from(y)) * 4 + pose.heading as u32;
-        Picture::background(448, seed).with(&seen)
+        PlateImage::background(448, seed).with(&seen)
     }
 }
 

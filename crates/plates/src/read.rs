@@ -1,13 +1,11 @@
-//! Reading label plates off a picture: which plates hang where, relative to the camera.
+//! Reads label plates in an image: their content and position relative to the camera.
 //!
-//! The camera is level, so a pixel column that meets a plate meets all of it at one distance, and the
-//! plate's known height above the floor says where in the column its frame and its bands lie for that
-//! distance. A reading therefore is a stretch of a column that has magenta at both of the right places
-//! and one of the seven band colours at all six places between. Columns agree on a plate by voting; a
-//! plate hangs centred on a bay, so where it is needs no more than rounding.
+//! The camera is level, so all of a plate in one pixel column has the same distance. The plate's known height then fixes
+//! where its frame and bands are in the column. A column reading is a run of pixels with magenta at both ends and a band
+//! colour at each of the six places between. Columns vote for a plate; plates are centred on bays, so rounding gives their
+//! position.
 //!
-//! What is not here: what an item looks like. Of a plate that is hidden, cut off or too far away,
-//! nothing is said.
+//! Plates that are hidden, cut off or too far away are not found.
 
 use crate::{BAND_RGB, BANDS, CENTRE_HEIGHT_M, FACE_OFFSET_M, FRAME_M, FRAME_RGB, Plate, SIZE_M};
 use domain::camera::{CAMERA_HEIGHT_M, focal_length_px};
@@ -22,28 +20,28 @@ const BAND_M: f32 = (SIZE_M - 2.0 * FRAME_M) / BANDS as f32;
 /// Distance between a cell's centre and a plate on the face of the rack beside it, in metres.
 const PLATE_M: f32 = 0.5 - FACE_OFFSET_M;
 
-/// Least pixels to a metre of a plate that is read: its bands are 1.4 pixels high then.
+/// Least pixels per metre: the bands are 1.4 pixels high then.
 const LEAST_SCALE: f32 = 28.0;
 
-/// Largest difference to a band's or frame's exact channel value.
+/// Largest difference to the exact channel values of a band.
 const TOLERANCE: u8 = 48;
 
-/// Pixels by which the distance between lower and upper frame may differ from where the plate must be.
+/// Largest deviation of a frame edge from its expected position, in pixels.
 const SLACK_PX: f32 = 1.3;
 
-/// Largest width or height of a picture that is read, in pixels.
+/// Largest width or height of an image, in pixels.
 const LARGEST_SIDE: usize = 16_384;
 
-/// A plate seen, in the camera's terms: the cell to stand on in front of its item, and the way to face.
+/// A plate relative to the camera: the cell in front of its item, and the heading towards it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Sighting {
-    /// Cells ahead of the camera to the item's standpoint.
+    /// Cells ahead of the camera.
     pub ahead: i8,
-    /// Cells to the right of it; negative to the left.
+    /// Cells to the right of the camera; negative to the left.
     pub right: i8,
-    /// Right turns from the camera's heading to the one that faces the rack: 0, 1 or 3.
+    /// Right turns from the camera's heading to the heading towards the rack: 0, 1 or 3.
     pub face: i8,
-    /// What the plate says.
+    /// The plate.
     pub plate: Plate,
 }
 
@@ -52,14 +50,14 @@ pub struct Sighting {
 pub struct Landmark {
     /// The cell in front of the item.
     pub standpoint: Cell,
-    /// The way to the rack from there.
+    /// The heading from there to the rack.
     pub face: Heading,
-    /// What the plate says.
+    /// The plate.
     pub plate: Plate,
 }
 
 impl Sighting {
-    /// Where the plate is when the camera is at `camera`; `None` when that is off the grid.
+    /// The plate in the world, seen from `camera`; `None` off the grid.
     pub fn seen_from(self, camera: Pose) -> Option<Landmark> {
         Some(Landmark {
             standpoint: camera.cell_at(self.ahead, self.right)?,
@@ -69,32 +67,31 @@ impl Sighting {
     }
 }
 
-/// A picture: RGBA, 8 bits each, rows top to bottom without gaps.
+/// An image: RGBA, 8 bits each, rows top to bottom without gaps.
 #[derive(Clone, Copy)]
-struct Picture<'a> {
+struct RgbaView<'a> {
     width: u32,
     height: u32,
     rgba: &'a [u8],
 }
 
-impl Picture<'_> {
-    /// The red, green and blue of the pixel in column `x` and row `y`, both inside the picture.
+impl RgbaView<'_> {
+    /// The red, green and blue of the pixel in column `x` and row `y`, both inside the image.
     fn rgb(&self, x: u32, y: u32) -> [u8; 3] {
         let at = 4 * (y as usize * self.width as usize + x as usize);
         [self.rgba[at], self.rgba[at + 1], self.rgba[at + 2]]
     }
 }
 
-/// Every plate that can be read in a picture of `width` x `height` pixels, nearest rows first.
+/// All readable plates in an image of `width` x `height` pixels, nearest rows first.
 ///
-/// `rgba` holds 4 bytes a pixel, rows top to bottom without gaps. In bytes that do not make a picture
-/// nothing is read.
+/// `rgba` holds 4 bytes per pixel, rows top to bottom without gaps. Returns nothing if its length does not fit.
 pub fn read(width: u32, height: u32, rgba: &[u8]) -> Vec<Sighting> {
-    let frame = &Picture { width, height, rgba };
+    let frame = &RgbaView { width, height, rgba };
     let (width, height) = (width as usize, height as usize);
     let sides = 1..=LARGEST_SIDE;
-    let is_picture = sides.contains(&width) && sides.contains(&height);
-    if !is_picture || rgba.len() != 4 * width * height {
+    let is_image = sides.contains(&width) && sides.contains(&height);
+    if !is_image || rgba.len() != 4 * width * height {
         return Vec::new();
     }
     let focal = focal_length_px(frame.width);
@@ -102,8 +99,9 @@ pub fn read(width: u32, height: u32, rgba: &[u8]) -> Vec<Sighting> {
     let runs = magenta_runs(rgba, width, height);
     for column in runs.chunk_by(|a, b| a.x == b.x) {
         for (i, lower) in column.iter().enumerate() {
-            let Some(reading) =
-                column[i + 1..].iter().find_map(|upper| Reading::between(frame, lower, upper))
+            let Some(reading) = column[i + 1..]
+                .iter()
+                .find_map(|upper| ColumnReading::between(frame, lower, upper))
             else {
                 continue;
             };
@@ -123,9 +121,9 @@ pub fn read(width: u32, height: u32, rgba: &[u8]) -> Vec<Sighting> {
     sightings
 }
 
-/// A vertical stretch of magenta, above the horizon.
+/// A vertical run of magenta pixels above the horizon.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-struct Run {
+struct MagentaRun {
     /// Column.
     x: u16,
     /// Pixels between the horizon and its lower edge.
@@ -134,16 +132,16 @@ struct Run {
     top: u16,
 }
 
-/// All stretches of magenta in the upper half, by column and upwards.
-fn magenta_runs(pixels: &[u8], width: usize, height: usize) -> Vec<Run> {
+/// All runs of magenta in the upper half, by column and upwards.
+fn magenta_runs(pixels: &[u8], width: usize, height: usize) -> Vec<MagentaRun> {
     const NONE: u32 = u32::MAX;
     let horizon = height / 2;
-    let mut runs: Vec<Run> = Vec::new();
+    let mut runs: Vec<MagentaRun> = Vec::new();
     let mut latest = vec![NONE; width];
     for above in 0..horizon {
         let row = &pixels[4 * width * (horizon - 1 - above)..][..4 * width];
         for (block, pixels) in row.chunks(4 * 16).enumerate() {
-            // Most of a picture is nowhere near magenta, and 16 pixels are looked at as fast as one.
+            // Most pixels are not magenta, and 16 of them are tested as fast as one.
             if !pixels.chunks_exact(4).fold(false, |any, pixel| any | is_magenta(pixel)) {
                 continue;
             }
@@ -156,7 +154,7 @@ fn magenta_runs(pixels: &[u8], width: usize, height: usize) -> Vec<Run> {
                     Some(run) if run.top == above => run.top += 1,
                     _ => {
                         latest[x] = runs.len() as u32;
-                        runs.push(Run { x: x as u16, bottom: above, top: above + 1 });
+                        runs.push(MagentaRun { x: x as u16, bottom: above, top: above + 1 });
                     }
                 }
             }
@@ -170,21 +168,21 @@ fn is_magenta(pixel: &[u8]) -> bool {
     (pixel[0] > 160) & (pixel[1] < 96) & (pixel[2] > 160)
 }
 
-/// What one column says.
+/// A plate in one column.
 #[derive(Debug, Clone, Copy)]
-struct Reading {
-    /// Pixels right of the picture's centre.
+struct ColumnReading {
+    /// Pixels right of the image's centre.
     right_px: f32,
-    /// Pixels to a metre at the plate's distance.
+    /// Pixels per metre at the plate's distance.
     scale: f32,
     plate: Plate,
 }
 
-impl Reading {
-    /// The plate whose frame's lower and upper edge are `lower` and `upper`, if they are.
-    fn between(frame: &Picture<'_>, lower: &Run, upper: &Run) -> Option<Self> {
-        let middle = |run: &Run| f32::from(run.bottom + run.top) / 2.0;
-        let thickness = |run: &Run| f32::from(run.top - run.bottom);
+impl ColumnReading {
+    /// The plate between the lower and upper edge of its frame, if they fit.
+    fn between(frame: &RgbaView<'_>, lower: &MagentaRun, upper: &MagentaRun) -> Option<Self> {
+        let middle = |run: &MagentaRun| f32::from(run.bottom + run.top) / 2.0;
+        let thickness = |run: &MagentaRun| f32::from(run.top - run.bottom);
         let scale = (middle(upper) - middle(lower)) / (SIZE_M - FRAME_M);
         let lower_px = scale * (BOTTOM_M + FRAME_M / 2.0);
         let fits = scale >= LEAST_SCALE
@@ -198,7 +196,7 @@ impl Reading {
         let mut bands = [0; BANDS];
         for (i, band) in bands.iter_mut().enumerate() {
             let above_m = BOTTOM_M + SIZE_M - FRAME_M - BAND_M * (i as f32 + 0.5);
-            // Measured from the lower frame's edge, which is nearer than the horizon.
+            // Measured from the lower edge, which is nearer than the horizon.
             let above_px = middle(lower) + scale * (above_m - BOTTOM_M - FRAME_M / 2.0);
             let y = (frame.height / 2).checked_sub(1 + above_px as u32)?;
             *band = band_of(frame.rgb(u32::from(lower.x), y))?;
@@ -207,8 +205,7 @@ impl Reading {
         Some(Self { right_px, scale, plate: Plate(bands) })
     }
 
-    /// The bay whose plate this column must have met: the one of those along its ray that a plate hangs
-    /// in front of and whose distance agrees best with the size.
+    /// The position of the plate: of those along the column's ray, the one whose distance agrees best with the size.
     fn place(&self, focal: f32) -> Option<Sighting> {
         let slope = self.right_px / focal;
         let distance = focal / self.scale;
@@ -242,7 +239,7 @@ impl Reading {
     }
 }
 
-/// Pixel columns that lie within a plate's bands when nothing hides it.
+/// Pixel columns of a plate's bands if nothing hides it.
 fn columns_of(sighting: &Sighting, width: u32) -> u32 {
     let (ahead, right) = (f32::from(sighting.ahead), f32::from(sighting.right));
     let half = SIZE_M / 2.0 - FRAME_M;
@@ -258,7 +255,7 @@ fn columns_of(sighting: &Sighting, width: u32) -> u32 {
     (to - from).max(0.0) as u32
 }
 
-/// The band that has this colour, if it is one of the seven without much doubt.
+/// The band with this colour, within the tolerance.
 fn band_of(rgb: [u8; 3]) -> Option<u8> {
     debug_assert!(!BAND_RGB.contains(&FRAME_RGB));
     let near = |colour: &[u8; 3]| colour.iter().zip(rgb).all(|(&a, b)| a.abs_diff(b) <= TOLERANCE);

@@ -1,7 +1,7 @@
 use proptest::prelude::*;
 
 use super::*;
-use crate::painter::Picture as Painting;
+use crate::painter::PlateImage as Painting;
 
 fn plate(code: u32) -> Plate {
     Plate(std::array::from_fn(|i| (code / 7_u32.pow(i as u32) % 7) as u8))

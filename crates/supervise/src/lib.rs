@@ -149,11 +149,11 @@ impl std::fmt::Display for ChildExit {
 /// The child processes of one generation. Dropping it kills those that still run.
 #[derive(Debug)]
 pub struct Children {
-    processes: Vec<Process>,
+    processes: Vec<ChildProcess>,
 }
 
 #[derive(Debug)]
-struct Process {
+struct ChildProcess {
     role: Role,
     command: Option<String>,
     child: Child,
@@ -173,7 +173,7 @@ impl Children {
         fs::create_dir_all(logs).with_context(|| format!("cannot create {}", logs.display()))?;
         let mut children = Self { processes: Vec::new() };
         for launch in launches {
-            children.processes.push(Process::start(launch, logs)?);
+            children.processes.push(ChildProcess::start(launch, logs)?);
         }
         Ok(children)
     }
@@ -181,7 +181,7 @@ impl Children {
     /// A child that has ended, if any. The policy comes first: when it ends, the processes that send to it fail, too.
     pub fn exited(&mut self) -> Option<ChildExit> {
         let mut exits: Vec<ChildExit> =
-            self.processes.iter_mut().filter_map(Process::exit).collect();
+            self.processes.iter_mut().filter_map(ChildProcess::exit).collect();
         let first = exits.iter().position(|exit| exit.role == Role::Policy).unwrap_or(0);
         (!exits.is_empty()).then(|| exits.swap_remove(first))
     }
@@ -189,7 +189,7 @@ impl Children {
     /// Waits at most `timeout` for all children to end, and kills the others.
     pub fn wait_or_kill(self, timeout: Duration) {
         let deadline = Instant::now() + timeout;
-        while Instant::now() < deadline && self.processes.iter().any(Process::is_alive) {
+        while Instant::now() < deadline && self.processes.iter().any(ChildProcess::is_alive) {
             std::thread::sleep(Duration::from_millis(2));
         }
     }
@@ -208,7 +208,7 @@ impl Drop for Children {
     }
 }
 
-impl Process {
+impl ChildProcess {
     fn start(launch: &Launch, logs: &Path) -> Result<Self> {
         let Launch { role, program, args, command, env } = launch;
         let log = logs.join(format!("{}.log", role.word()));

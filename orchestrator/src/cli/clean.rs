@@ -30,7 +30,7 @@ pub(super) fn run(args: &CleanArgs) -> anyhow::Result<Exit> {
     let (dead, alive): (Vec<PathBuf>, Vec<PathBuf>) = if args.dry_run {
         let (alive, dead): (Vec<_>, Vec<_>) =
             registry::list(&base)?.into_iter().partition(|run| run.alive);
-        let paths = |runs: Vec<registry::Run>| runs.into_iter().map(|run| run.path).collect();
+        let paths = |runs: Vec<registry::ListedRun>| runs.into_iter().map(|run| run.path).collect();
         (paths(dead), paths(alive))
     } else {
         let cleaned = registry::clean(&base)?;

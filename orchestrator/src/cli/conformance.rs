@@ -8,7 +8,7 @@ use serde::Serialize;
 
 use super::{Exit, print, print_json};
 use crate::signals::Signals;
-use conformance::{Conformance, Finding, Verdict};
+use conformance::{CheckFinding, CheckVerdict, Conformance};
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
@@ -47,7 +47,7 @@ pub(super) struct ConformanceArgs {
 struct Report<'a> {
     policy_cmd: &'a str,
     conforms: bool,
-    checks: &'a [Finding],
+    checks: &'a [CheckFinding],
 }
 
 pub(super) fn run(args: &ConformanceArgs) -> Result<Exit> {
@@ -70,15 +70,15 @@ pub(super) fn run(args: &ConformanceArgs) -> Result<Exit> {
     let findings = findings?;
     printed?;
     let count = |verdict| findings.iter().filter(|finding| finding.verdict == verdict).count();
-    let conforms = count(Verdict::Failed) == 0;
+    let conforms = count(CheckVerdict::Failed) == 0;
     if args.json {
         print_json(&Report { policy_cmd: &args.policy_cmd, conforms, checks: &findings })?;
     } else {
         let counts = [
-            (Verdict::Passed, "passed"),
-            (Verdict::Warning, "passed with a warning"),
-            (Verdict::Failed, "failed"),
-            (Verdict::Skipped, "not played"),
+            (CheckVerdict::Passed, "passed"),
+            (CheckVerdict::Warning, "passed with a warning"),
+            (CheckVerdict::Failed, "failed"),
+            (CheckVerdict::Skipped, "skipped"),
         ];
         let counts = counts.map(|(verdict, word)| (count(verdict), word));
         let counts: Vec<String> = counts
@@ -92,13 +92,13 @@ pub(super) fn run(args: &ConformanceArgs) -> Result<Exit> {
 }
 
 /// A finding in a line, or in a paragraph where something is to be done.
-fn line(finding: &Finding) -> String {
-    let Finding { name, verdict, expected, happened, advice } = finding;
+fn line(finding: &CheckFinding) -> String {
+    let CheckFinding { name, verdict, expected, happened, advice } = finding;
     let (word, explains) = match verdict {
-        Verdict::Passed => ("ok  ", false),
-        Verdict::Warning => ("WARN", true),
-        Verdict::Failed => ("FAIL", true),
-        Verdict::Skipped => ("-   ", false),
+        CheckVerdict::Passed => ("ok  ", false),
+        CheckVerdict::Warning => ("WARN", true),
+        CheckVerdict::Failed => ("FAIL", true),
+        CheckVerdict::Skipped => ("-   ", false),
     };
     if explains {
         let happened = happened.replace('\n', "\n               ");

@@ -76,12 +76,12 @@ fn is_white([red, green, blue]: [u8; 3]) -> bool {
 mod tests {
     use super::*;
     use domain::{Heading, Pose};
-    use plates::painter::{Aisle, Picture};
+    use plates::painter::{PlateAisle, PlateImage};
 
     /// An image with a barricade on the cell, as the camera sees it.
     fn with_barricade(ahead: i8, right: i8) -> Vec<u8> {
         let side = 448_u32;
-        let mut pixels = Picture::background(side, 3).pixels().to_vec();
+        let mut pixels = PlateImage::background(side, 3).pixels().to_vec();
         let focal = focal_length_px(side);
         let scale = focal / (f32::from(ahead) - 0.5 + SETBACK_M);
         for y in side / 2..side {
@@ -115,7 +115,7 @@ mod tests {
 
     #[test]
     fn other_images_have_none() {
-        let aisle = Aisle::new().picture(Pose::new(10, 12, Heading::N));
+        let aisle = PlateAisle::new().picture(Pose::new(10, 12, Heading::N));
         for (side, pixels) in [(448, aisle.pixels()), (64, &[128; 64 * 64 * 4]), (64, &[])] {
             assert_eq!(read(&frame_of(side, pixels)), []);
         }

@@ -166,13 +166,13 @@ impl RelativePaths {
 #[cfg(test)]
 mod tests {
     use domain::Cell;
-    use plates::painter::{Aisle, Picture};
+    use plates::painter::{PlateAisle, PlateImage};
 
     use super::*;
     use crate::grounded::testing::{blank_frame, frame};
 
-    fn pictures(poses: &[Pose]) -> Vec<Picture> {
-        poses.iter().map(|&pose| Aisle::new().picture(pose)).collect()
+    fn pictures(poses: &[Pose]) -> Vec<PlateImage> {
+        poses.iter().map(|&pose| PlateAisle::new().picture(pose)).collect()
     }
 
     #[test]
@@ -189,7 +189,7 @@ mod tests {
         let is_real = |landmark: &Landmark| {
             let Cell { x, y } = landmark.standpoint;
             let standpoint = Cell::new(x - 118, y - 116);
-            Aisle::new().landmarks.contains(&Landmark { standpoint, ..*landmark })
+            PlateAisle::new().landmarks.contains(&Landmark { standpoint, ..*landmark })
         };
         assert!(demonstration.landmarks.len() > 8 && demonstration.landmarks.iter().all(is_real));
     }
@@ -218,7 +218,7 @@ mod tests {
             .collect();
         let mut views = FrameCache::default();
         let demonstration = RelativePath::new(1, &supplied, &mut views);
-        let picture = Aisle::new().picture(here);
+        let picture = PlateAisle::new().picture(here);
         demonstration.locate(&[views.placed(&frame(&picture, 99), here)])
     }
 
@@ -244,9 +244,9 @@ mod tests {
     #[test]
     fn one_different_plate_refutes_a_location() {
         let here = Pose::new(10, 12, Heading::N);
-        let mut other = Aisle::new();
+        let mut other = PlateAisle::new();
         other.landmarks[4].plate = other.landmarks[0].plate;
-        let (here_picture, other_picture) = (Aisle::new().picture(here), other.picture(here));
+        let (here_picture, other_picture) = (PlateAisle::new().picture(here), other.picture(here));
         let mut views = FrameCache::default();
         let supplied = [(Some(frame(&other_picture, 1)), None)];
         let demonstration = RelativePath::new(1, &supplied, &mut views);

@@ -1,10 +1,10 @@
 //! What the tests of this module share.
 
 use peer::FrameView;
-use plates::painter::Picture;
+use plates::painter::PlateImage;
 
 /// A painted picture as a frame.
-pub(super) fn frame(picture: &Picture, id: u64) -> FrameView<'_> {
+pub(super) fn frame(picture: &PlateImage, id: u64) -> FrameView<'_> {
     let side = picture.width();
     let content_hash = content_hash(picture.pixels());
     FrameView { id, content_hash, width: side, height: side, pixels: picture.pixels() }

@@ -5,7 +5,7 @@ use peer::{
     Decision, DocumentKind, DocumentView, FrameView, PastView, Policy, Request, Segment,
     SegmentView, Trajectory, TrajectoryView,
 };
-use plates::painter::{Aisle, Picture};
+use plates::painter::{PlateAisle, PlateImage};
 use proptest::prelude::*;
 
 use super::Grounded;
@@ -63,7 +63,7 @@ impl Ask {
     }
 
     fn action_with_ids(&self, first_id: u64) -> Action {
-        let aisle = Aisle::new();
+        let aisle = PlateAisle::new();
         let pose = self.pose.unwrap();
         let poses = self.window.iter().map(|past| past.0);
         let poses = poses.chain(self.segment.iter().map(|step| step.0));
@@ -318,7 +318,7 @@ proptest! {
         past in prop::collection::vec((any_action(), feedback()), 0..7),
         actions in prop::collection::vec(prop::option::of(any_action()), 1..8),
     ) {
-        let texture = Picture::background(64, 3);
+        let texture = PlateImage::background(64, 3);
         let content_hash = content_hash(&pixels);
         let noise = FrameView { id: 2, content_hash, width: 32, height: 32, pixels: &pixels };
         for frame in [frame(&texture, 1), noise] {

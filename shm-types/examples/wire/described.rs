@@ -120,7 +120,7 @@ pub(crate) fn plain(doc: &str) -> String {
         rest = after.to_owned();
     }
     text.push_str(&rest);
-    for aside in [" (SPEC section ", " (DESIGN section ", " (paper, "] {
+    for aside in [" (specification, ", " (paper, "] {
         if let Some((before, after)) = text.split_once(aside)
             && let Some((_, after)) = after.split_once(')')
         {

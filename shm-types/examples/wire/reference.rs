@@ -4,7 +4,7 @@ use std::fmt::Write;
 
 use domain::codes::CodeSet;
 use shm_types::attach::PAGE_BYTES;
-use shm_types::layout::{Shape, Struct};
+use shm_types::layout::{FieldType, Struct};
 use shm_types::message::{Description, MESSAGES, Role, WIRE_VERSION};
 
 use crate::COMMAND;
@@ -103,11 +103,11 @@ fn section(layout: &Struct, head: &str) -> String {
 }
 
 /// A type as the tables name it.
-fn shape(of: Shape) -> String {
+fn shape(of: FieldType) -> String {
     match of {
-        Shape::Number(name) => name.to_owned(),
-        Shape::Struct(name) => format!("[{name}](#{})", name.to_lowercase()),
-        Shape::Array(item, count) => format!("{} × {count}", shape(*item)),
+        FieldType::Number(name) => name.to_owned(),
+        FieldType::Struct(name) => format!("[{name}](#{})", name.to_lowercase()),
+        FieldType::Array(item, count) => format!("{} × {count}", shape(*item)),
     }
 }
 

@@ -74,7 +74,7 @@ fn the_first_send_waits_for_a_receiver_that_starts_later() {
 }
 
 #[test]
-fn first_and_log_tail_arrive_from_a_sender_that_nobody_kept() {
+fn first_and_last_messages_arrive_from_a_sender_that_was_dropped() {
     let Run { attach, .. } = &run();
     let orchestrator = bus(attach, Role::Orchestrator);
     let (handshakes, shutdown_reports) = (
@@ -91,7 +91,7 @@ fn first_and_log_tail_arrive_from_a_sender_that_nobody_kept() {
 }
 
 #[test]
-fn a_message_outlives_its_sender_where_somebody_has_looked() {
+fn a_message_outlives_its_sender_for_connected_receivers() {
     let Run { attach, .. } = &run();
     let (orchestrator, policy) = (bus(attach, Role::Orchestrator), bus(attach, Role::Policy));
     let decisions = orchestrator.receiver::<Decision>().unwrap();
@@ -234,7 +234,7 @@ fn complaints_are_counted_told_and_never_in_the_way() {
     let Run { attach, .. } = &run();
     let (orchestrator, sim) = (bus(attach, Role::Orchestrator), bus(attach, Role::Sim));
     let mut reporter = ErrorReporter::new(&sim).unwrap();
-    reporter.report("nobody listens yet");
+    reporter.report("no receiver yet");
     let receiver = orchestrator.receiver::<ErrorReport>().unwrap();
     for lane in 0..1000 {
         reporter.report(format_args!("lane {lane} is not below 4"));

@@ -55,7 +55,7 @@ fn plays() {
             let _orchestrator = bus(&attach, Role::Orchestrator);
             publish_and_sleep(&attach, dir.path().to_str().unwrap());
         }
-        // A simulator in somebody's run.
+        // A simulator in an existing run.
         "sim" => publish_and_sleep(&Attach::read(&dir).unwrap(), "ready"),
         // Somebody whose child wants to die with it.
         "parent" => {

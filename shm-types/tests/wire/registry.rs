@@ -41,7 +41,7 @@ fn clean_removes_what_a_killed_run_left_and_nothing_that_lives() {
     let child = sleeper("run", base.path());
     let killed = PathBuf::from(&child.word);
     let prefix = format!("mt{}_", killed.file_name().unwrap().to_str().unwrap());
-    // Something that is nobody's run, and a run that died before it had a lock.
+    // A folder that is not a run, and a run that died before it had a lock.
     let (foreign, unborn) = (base.path().join("notes"), base.path().join("0123abcd"));
     fs::create_dir(&foreign).unwrap();
     fs::create_dir(&unborn).unwrap();

@@ -13,7 +13,7 @@ use super::Decision;
 
 /// A message from the policy to the serve loop.
 #[derive(Debug)]
-pub(super) enum Event {
+pub(super) enum AnswerEvent {
     /// The exchange with a model about a request, for the prompt log.
     Exchanged(RequestId, Box<RecordedExchange>),
     /// The decision, and when it was made.
@@ -29,7 +29,7 @@ pub(super) enum Event {
 /// Passes a policy's answers to the serve loop. Clone it for each thread that answers.
 #[derive(Debug, Clone)]
 pub struct Answers {
-    events: Sender<Event>,
+    events: Sender<AnswerEvent>,
     /// Wakes the serve loop.
     notifier: Arc<Notifier>,
     serving: ThreadId,
@@ -38,7 +38,7 @@ pub struct Answers {
 
 impl Answers {
     /// Answers to the calling thread, which `notifier` wakes, and their receiver.
-    pub(super) fn new(notifier: Notifier, logs_prompts: bool) -> (Self, Receiver<Event>) {
+    pub(super) fn new(notifier: Notifier, logs_prompts: bool) -> (Self, Receiver<AnswerEvent>) {
         let (events, received) = channel();
         let (notifier, serving) = (Arc::new(notifier), thread::current().id());
         (Self { events, notifier, serving, logs_prompts }, received)
@@ -54,33 +54,33 @@ impl Answers {
     pub fn record(&self, id: RequestId, exchange: impl FnOnce() -> RecordedExchange) {
         if self.logs_prompts {
             // Does not notify: the decision follows.
-            let _ = self.events.send(Event::Exchanged(id, Box::new(exchange())));
+            let _ = self.events.send(AnswerEvent::Exchanged(id, Box::new(exchange())));
         }
     }
 
     /// Answers request `id`. An answer to an episode that is over is dropped.
     pub fn decide(&self, id: RequestId, decision: Decision) {
-        self.send(Event::Decided(id, decision, monotonic_ns()));
+        self.send(AnswerEvent::Decided(id, decision, monotonic_ns()));
     }
 
     /// Gives up request `id`, for a reason that is not the policy's: its episode ends without a result and is not
     /// scored.
     pub fn fail(&self, id: RequestId, why: impl Into<String>) {
-        self.send(Event::Failed(id, why.into()));
+        self.send(AnswerEvent::Failed(id, why.into()));
     }
 
     /// Stops the run, because no request can be answered. The user can resume it.
     pub fn stop_run(&self, why: impl Into<String>) {
-        self.send(Event::Stopped(why.into()));
+        self.send(AnswerEvent::Stopped(why.into()));
     }
 
     /// Reports that decisions wait for `reason`, such as a server that does not answer; an empty one ends the wait. The
     /// orchestrator shows it.
     pub fn waiting(&self, reason: impl Into<String>) {
-        self.send(Event::Waiting(reason.into()));
+        self.send(AnswerEvent::Waiting(reason.into()));
     }
 
-    fn send(&self, event: Event) {
+    fn send(&self, event: AnswerEvent) {
         // Fails when serving has ended.
         if self.events.send(event).is_err() || thread::current().id() == self.serving {
             return;

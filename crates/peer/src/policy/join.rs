@@ -40,7 +40,7 @@ pub(super) enum BadMessage {
 
 /// The episode of a lane.
 #[derive(Debug, PartialEq, Eq)]
-pub(super) struct Episode {
+pub(super) struct LaneEpisode {
     pub(super) id: EpisodeId,
     pub(super) seed: u64,
     pub(super) repeat: u32,
@@ -106,7 +106,7 @@ impl Recalled {
 /// The running episode of a lane, and the messages of its current step.
 #[derive(Debug, Default)]
 struct Lane {
-    episode: Option<Arc<Episode>>,
+    episode: Option<Arc<LaneEpisode>>,
     /// Steps before the current one, oldest first.
     window: VecDeque<PastStep>,
     /// The current step.
@@ -126,7 +126,7 @@ impl Lane {
 #[derive(Debug)]
 pub(super) struct Ready {
     pub(super) lane: u32,
-    pub(super) episode: Arc<Episode>,
+    pub(super) episode: Arc<LaneEpisode>,
     pub(super) observed: Observed,
     pub(super) window: Vec<PastStep>,
     pub(super) recalled: Recalled,
@@ -162,7 +162,7 @@ impl Join {
                 most,
             });
         }
-        let episode = Episode {
+        let episode = LaneEpisode {
             id: config.episode,
             seed: config.seed,
             repeat: config.repeat,

@@ -13,7 +13,7 @@ use shm_types::message::{
 use shm_types::process::monotonic_ns;
 use shm_types::{Bus, Document, DocumentError, DocumentStore, ErrorReporter, Receiver, Sender};
 
-use super::answers::{Answers, Event};
+use super::answers::{AnswerEvent, Answers};
 use super::join::{Join, Ready, Recalled};
 use super::pinned::{PinnedStep, with_batch};
 use super::prompt_log::{PromptLog, PromptLogError};
@@ -37,7 +37,7 @@ pub(super) struct PolicySession<'p, P: ?Sized> {
     documents: DocumentStore,
     join: Join,
     answers: Answers,
-    events: mpsc::Receiver<Event>,
+    events: mpsc::Receiver<AnswerEvent>,
     /// By lane: the request that the policy has not answered yet.
     open: Vec<Option<OpenRequest>>,
     /// Requests answered so far.
@@ -176,14 +176,14 @@ impl<'p, P: Decider + ?Sized> PolicySession<'p, P> {
         let mut sent = false;
         while let Ok(event) = self.events.try_recv() {
             match event {
-                Event::Exchanged(id, exchange) => {
+                AnswerEvent::Exchanged(id, exchange) => {
                     let open = self.open.get_mut(id.lane as usize).and_then(Option::as_mut);
                     if let Some(open) = open.filter(|open| open.id == id) {
                         open.exchange = Some(exchange);
                     }
                     continue;
                 }
-                Event::Decided(id, decision, decided_ns) => {
+                AnswerEvent::Decided(id, decision, decided_ns) => {
                     let Some(open) = self.close(id) else { continue };
                     let message = open.message(&decision, decided_ns);
                     // The log entry is written before the decision is sent.
@@ -192,14 +192,14 @@ impl<'p, P: Decider + ?Sized> PolicySession<'p, P> {
                         self.answered += 1;
                     }
                 }
-                Event::Failed(id, why) => {
+                AnswerEvent::Failed(id, why) => {
                     let Some(open) = self.close(id) else { continue };
                     if self.log_entry(open.entry(Err(&why)), errors)? {
                         errors.fail_episode(id.lane, id.episode, &why)?;
                     }
                 }
-                Event::Stopped(why) => errors.stop_run(&why)?,
-                Event::Waiting(reason) => errors.waiting(&reason)?,
+                AnswerEvent::Stopped(why) => errors.stop_run(&why)?,
+                AnswerEvent::Waiting(reason) => errors.waiting(&reason)?,
             }
             sent = true;
         }

@@ -3,7 +3,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use domain::{Action, Cell, Feedback, Pose};
-use plates::painter::Aisle;
+use plates::painter::PlateAisle;
 use proptest::prelude::*;
 use warehouse::{CaseSet, Demonstrations, Start, Warehouse};
 
@@ -13,7 +13,7 @@ use documents::Sources;
 
 /// The plates read in the painted aisle's image from `pose`.
 fn look(pose: Pose) -> Arc<FrameReading> {
-    let picture = Aisle::new().picture(pose);
+    let picture = PlateAisle::new().picture(pose);
     let read = plates::read(picture.width(), picture.width(), picture.pixels());
     let landmarks = read.into_iter().filter_map(|sighting| sighting.seen_from(pose)).collect();
     let mut frame = [0; 16];

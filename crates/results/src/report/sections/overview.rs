@@ -1,7 +1,7 @@
 //! What the run was, and what a reader must know before looking at its figures.
 
 use domain::Representation;
-use domain::representation::Description;
+use domain::representation::RepresentationInfo;
 
 use crate::conditions::{Frames, PolicyKind};
 use crate::log::Manifest;
@@ -106,7 +106,7 @@ pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<Block> {
                  tasks' histories.";
     blocks.push(Block::Text(task.to_owned()));
     let memory = |representation: &Representation| {
-        let Description { stores, supplies, .. } = representation.describe();
+        let RepresentationInfo { stores, supplies, .. } = representation.describe();
         let meaning = format!("stores {stores}; supplies {supplies}");
         (title(*representation).to_owned(), meaning)
     };
