@@ -32,7 +32,9 @@ fn scores_equal_those_of_version_1() {
     assert_eq!((log.damaged.len(), log.episodes.len()), (0, log.manifest.episodes as usize));
     let text = std::fs::read_to_string(folder().join("scores.json")).unwrap();
     let mut expected: Value = serde_json::from_str(&text).unwrap();
-    let mut found = serde_json::to_value(score(&log)).unwrap();
+    // Through text, as the expected scores went: serde_json does not parse every number to the last digit.
+    let text = serde_json::to_string(&score(&log)).unwrap();
+    let mut found: Value = serde_json::from_str(&text).unwrap();
     without_intervals(&mut expected);
     without_intervals(&mut found);
     assert_eq!(found, expected);
