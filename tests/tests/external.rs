@@ -113,7 +113,7 @@ fn a_run_waits_for_a_policy_to_attach_and_to_attach_again() {
     wait_for_an_episode(&bench.out("attached"));
 
     let second = Ended::of(attach(&run)).expect(2);
-    assert!(second.stderr.contains("the run has a policy already"), "{}", second.stderr);
+    assert!(second.stderr.contains("the run already has a policy process"), "{}", second.stderr);
 
     // The first policy is a zombie while the third attaches.
     kill(first.id());
@@ -141,7 +141,7 @@ fn an_attached_policy_ends_with_the_orchestrator() {
     kill(child.id());
     child.wait().unwrap();
     let policy = Ended::of(policy).expect(2);
-    assert!(policy.stderr.contains("ended without saying so"), "{}", policy.stderr);
+    assert!(policy.stderr.contains("ended without a stop message"), "{}", policy.stderr);
     bench.run(&["clean"]).expect(0);
     assert_eq!(bench.leftovers(), Vec::<String>::new());
 }

@@ -145,9 +145,9 @@ fn a_role_cannot_speak_for_another() {
     let Run { attach, .. } = &run();
     let policy = bus(attach, Role::Policy);
     let error = policy.sender::<StepCommand>().unwrap_err();
-    assert_eq!(error.to_string(), "command is not for the policy to send");
+    assert_eq!(error.to_string(), "the policy process may not send on command");
     let error = policy.receiver::<StepCommand>().unwrap_err();
-    assert_eq!(error.to_string(), "command is not for the policy to receive");
+    assert_eq!(error.to_string(), "the policy process may not receive on command");
 }
 
 #[test]
