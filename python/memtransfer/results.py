@@ -68,4 +68,5 @@ def _frame(columns: list[tuple[str, str, list[Any]]]) -> pd.DataFrame:
         name: pd.Series(values, dtype="category" if name in _CATEGORIES else _DTYPES[kind])
         for name, kind, values in columns
     }
-    return pd.DataFrame(series)
+    table: pd.DataFrame = pd.DataFrame(series)
+    return table

@@ -149,7 +149,7 @@ def test_a_view_is_encoded_once() -> None:
         ('{"action": "turn_left"}', Action.TURN_LEFT),
         ("", Outcome.EMPTY),
         ("I see a barrel.", Outcome.UNREADABLE),
-        ("\ud800", Outcome.UNREADABLE),
+        ("see \ud800", Outcome.UNREADABLE),
     ],
 )
 def test_answers(text: str, expected: Action | Outcome) -> None:
