@@ -230,7 +230,7 @@ pub(crate) fn view_of_png(py: Python<'_>, file: &[u8]) -> Option<[u8; 16]> {
 
 /// The last views that were encoded, by content.
 #[derive(Default)]
-struct Cache {
+struct PngCache {
     files: BTreeMap<[u8; 16], CachedFile>,
     /// Uses so far.
     clock: u64,
@@ -238,16 +238,16 @@ struct Cache {
 
 struct CachedFile {
     file: Py<PyBytes>,
-    /// [`Cache::clock`] when it was last used.
+    /// [`PngCache::clock`] when it was last used.
     used: u64,
 }
 
-fn cache() -> MutexGuard<'static, Cache> {
-    static CACHE: Mutex<Cache> = Mutex::new(Cache { files: BTreeMap::new(), clock: 0 });
+fn cache() -> MutexGuard<'static, PngCache> {
+    static CACHE: Mutex<PngCache> = Mutex::new(PngCache { files: BTreeMap::new(), clock: 0 });
     CACHE.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-impl Cache {
+impl PngCache {
     fn find<'py>(&mut self, py: Python<'py>, view: [u8; 16]) -> Option<Bound<'py, PyBytes>> {
         self.clock += 1;
         let known = self.files.get_mut(&view)?;
