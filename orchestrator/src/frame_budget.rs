@@ -269,8 +269,7 @@ mod tests {
     #[test]
     fn advice_can_be_followed() {
         let attach = attach();
-        // What Docker gives a container.
-        let free = 64 << 20;
+        let free = 100 << 20;
         let error = choose(&attach, DEMAND, None, free, u64::MAX).unwrap_err();
         let FrameBudgetError::NoRoom(NoRoom { advice: Advice::Lanes(lanes), .. }) = error else {
             panic!("{error}");

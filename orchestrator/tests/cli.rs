@@ -84,7 +84,7 @@ fn bad_input_gets_one_clear_message_and_exit_status_2() {
         ("generate --count 0", "--count is 0"),
         ("memory build --demos none", "a document needs demonstrations"),
         ("memory build --demos orignal", "did you mean `original`?"),
-        ("memory build --kind sumary", "did you mean `summary`?"),
+        ("memory build --kind sumary", "a kind is summary or semantic"),
         ("memory build --model m", "--model needs --builder model"),
         ("memory build --builder model", "--model <NAME>"),
         ("memory show summary", "<DEMOS>"),

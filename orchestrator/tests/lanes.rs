@@ -85,6 +85,7 @@ fn decision(of: &Observation, action: Action) -> Decision {
         step,
         action: action as u8,
         images: 3,
+        images_asked: 3,
         prompt_tokens: NOT_MEASURED,
         completion_tokens: NOT_MEASURED,
         ..Zeroable::zeroed()

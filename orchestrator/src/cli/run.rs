@@ -160,6 +160,7 @@ impl RunPlan {
     fn execute(&self, args: &RunArgs) -> Result<Exit> {
         let signals = Signals::listen().context("cannot listen to signals")?;
         let settings = &self.settings;
+        RunFolder::check(&settings.out)?;
         let mut manifest = self.manifest();
         let documents = RunDocuments::of(settings, args.fresh);
         let Some(documents) = documents.supply(&signals, args.quiet)? else {

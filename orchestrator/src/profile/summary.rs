@@ -10,29 +10,29 @@ use super::{AccessRun, CacheState, Profile};
 /// The tables: accesses by representation, searches by size, and the floors in a line.
 pub fn summary(profile: &Profile) -> String {
     let mut text = String::new();
+    text += "Accesses to memory, from observation to recall (later steps): medians of the parts, then the whole\n";
     let header = [
-        "run",
         "memory",
         "wire",
         "embed",
         "search",
         "assemble",
-        "access p50",
+        "p50",
         "p90",
         "p99",
         "p99.9",
         "max",
         "first step p50",
     ];
-    let mut accesses = table(&header, 2);
     let is_shown = |run: &&AccessRun| run.lanes == 1 || run.caches == CacheState::Warm;
     for run in profile.runs.iter().filter(is_shown) {
+        let mut accesses = table(&header, 1);
         for &representation in Representation::ALL {
             let times = |step, part| find(run, representation, step, part);
             let Some(total) = times(StepClass::Later, AccessPart::Total) else { continue };
             let p50 =
                 |step, part| times(step, part).map_or_else(|| "-".to_owned(), |t| us(t.p50_us));
-            let mut row = vec![run.name(), representation.name().to_owned()];
+            let mut row = vec![representation.name().to_owned()];
             let parts =
                 [AccessPart::Wire, AccessPart::Embedding, AccessPart::Search, AccessPart::Assembly];
             row.extend(parts.map(|part| p50(StepClass::Later, part)));
@@ -41,10 +41,8 @@ pub fn summary(profile: &Profile) -> String {
             row.push(p50(StepClass::First, AccessPart::Total));
             accesses.add_row(row);
         }
+        text += &format!("\n{}\n{accesses}\n", run.name());
     }
-    text += &format!(
-        "Accesses to memory, from observation to recall (later steps): medians of the parts, then the whole\n{accesses}\n"
-    );
     if !profile.searches.is_empty() {
         let header = [
             "search",
@@ -99,6 +97,7 @@ mod tests {
     #[test]
     fn the_summary_has_every_representation_every_search_and_every_problem() {
         let text = summary(&crate::profile::tests::profile());
+        assert!(text.lines().all(|line| line.chars().count() <= 100), "{text}");
         let lines = |part: &str| text.lines().filter(|line| line.contains(part)).count();
         assert_eq!(lines("full-context"), 4, "{text}");
         assert_eq!((lines("approximate"), lines("Not measured: something")), (1, 1), "{text}");

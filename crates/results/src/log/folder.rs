@@ -173,6 +173,14 @@ impl RunFolder {
         self.session
     }
 
+    /// Checks that a run can be kept in `dir`: it is missing, empty, or holds a run.
+    ///
+    /// # Errors
+    /// When it holds something else.
+    pub fn check(dir: &Path) -> Result<(), LogError> {
+        if dir.exists() { existing(dir).map(drop) } else { Ok(()) }
+    }
+
     /// Whether the run folder at `dir` has finished episodes.
     pub fn has_episodes(dir: &Path) -> bool {
         has_episodes(dir)
