@@ -269,25 +269,32 @@ mod tests {
     #[test]
     fn advice_can_be_followed() {
         let attach = attach();
-        let free = 100 << 20;
+        // Enough for two lanes, or for one with smaller frames, and what is left to others.
+        let enough = |attach: &Attach| {
+            let bytes = bytes(attach, DEMAND.least(attach.lanes));
+            bytes + bytes / 7 + 8
+        };
+        let free = enough(&Attach { lanes: 2, ..attach.clone() });
         let error = choose(&attach, DEMAND, None, free, u64::MAX).unwrap_err();
         let FrameBudgetError::NoRoom(NoRoom { advice: Advice::Lanes(lanes), .. }) = error else {
             panic!("{error}");
         };
         let fewer = Attach { lanes, ..attach.clone() };
         let frames = choose(&fewer, DEMAND, None, free, u64::MAX).unwrap();
-        assert!(frames >= DEMAND.least(lanes) && lanes < attach.lanes);
+        assert_eq!((lanes, frames >= DEMAND.least(lanes)), (2, true));
         let one_more = Attach { lanes: lanes + 1, ..attach.clone() };
         assert!(choose(&one_more, DEMAND, None, free, u64::MAX).is_err());
 
-        let error = choose(&attach, DEMAND, None, 20 << 20, u64::MAX).unwrap_err();
+        let frame = FrameSize { width: 192, height: 192 };
+        let free = enough(&Attach { lanes: 1, frame, ..attach.clone() });
+        let error = choose(&attach, DEMAND, None, free, u64::MAX).unwrap_err();
         let FrameBudgetError::NoRoom(NoRoom { advice: Advice::FrameSize(size), .. }) = error else {
             panic!("{error}");
         };
         let frame = FrameSize { width: size, height: size };
         let smaller = Attach { lanes: 1, frame, ..attach.clone() };
-        assert!(choose(&smaller, DEMAND, None, 20 << 20, u64::MAX).is_ok());
-        let none = choose(&attach, DEMAND, None, 1 << 20, u64::MAX).unwrap_err().to_string();
+        assert!(choose(&smaller, DEMAND, None, free, u64::MAX).is_ok());
+        let none = choose(&attach, DEMAND, None, 1000, u64::MAX).unwrap_err().to_string();
         assert!(none.ends_with("make it larger (in Docker with --shm-size)"), "{none}");
 
         let few = choose(&attach, DEMAND, Some(10), u64::MAX, u64::MAX).unwrap_err();

@@ -11,19 +11,8 @@ use super::{AccessRun, CacheState, Profile};
 pub fn summary(profile: &Profile) -> String {
     let mut text = String::new();
     text += "Accesses to memory, from observation to recall (later steps): medians of the parts, then the whole\n";
-    let header = [
-        "memory",
-        "wire",
-        "embed",
-        "search",
-        "assemble",
-        "p50",
-        "p90",
-        "p99",
-        "p99.9",
-        "max",
-        "first step p50",
-    ];
+    let header =
+        ["memory", "wire", "embed", "search", "assemble", "p50", "p90", "p99", "max", "first p50"];
     let is_shown = |run: &&AccessRun| run.lanes == 1 || run.caches == CacheState::Warm;
     for run in profile.runs.iter().filter(is_shown) {
         let mut accesses = table(&header, 1);
@@ -36,7 +25,7 @@ pub fn summary(profile: &Profile) -> String {
             let parts =
                 [AccessPart::Wire, AccessPart::Embedding, AccessPart::Search, AccessPart::Assembly];
             row.extend(parts.map(|part| p50(StepClass::Later, part)));
-            let tail = [total.p50_us, total.p90_us, total.p99_us, total.p999_us, total.max_us];
+            let tail = [total.p50_us, total.p90_us, total.p99_us, total.max_us];
             row.extend(tail.map(us));
             row.push(p50(StepClass::First, AccessPart::Total));
             accesses.add_row(row);
