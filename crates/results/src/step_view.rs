@@ -20,7 +20,7 @@ use crate::log::{EpisodeRecord, EpisodeTimings, RunFolder, RunLog};
 
 /// One step.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Shown {
+pub struct StepView {
     /// The episode's key.
     pub key: String,
     /// Steps taken before.
@@ -36,12 +36,12 @@ pub struct Shown {
     /// The retrieval, as the log writes it: `o12`, `t03-07:o4`, `-`. Absent where nothing is retrieved.
     pub retrieved: Option<String>,
     /// The entry of the prompt log; absent where there is none.
-    pub prompt: Option<Prompt>,
+    pub prompt: Option<RecordedPrompt>,
 }
 
 /// The prompt log's entry about a step, with everything that it refers to.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Prompt {
+pub struct RecordedPrompt {
     /// The entry.
     #[serde(flatten)]
     pub entry: PromptLogEntry,
@@ -59,7 +59,7 @@ pub struct Prompt {
 ///
 /// # Errors
 /// When the episode has no such step, or a file of the prompt log cannot be used.
-pub fn look_up(log: &RunLog, record: &EpisodeRecord, step: u32) -> Result<Shown> {
+pub fn look_up(log: &RunLog, record: &EpisodeRecord, step: u32) -> Result<StepView> {
     if step >= record.steps {
         bail!(
             "{} has {} steps, so its steps are 0 to {}: there is no step {step}",
@@ -71,7 +71,7 @@ pub fn look_up(log: &RunLog, record: &EpisodeRecord, step: u32) -> Result<Shown>
     let (pose, feedback) = record.replay()[step as usize];
     let timings = log.timings.iter().find(|timings| timings.key == record.key);
     let retrieved = record.retrieved.as_deref();
-    Ok(Shown {
+    Ok(StepView {
         key: record.key.clone(),
         step,
         steps: record.steps,
@@ -90,7 +90,7 @@ fn action_at(record: &EpisodeRecord, step: u32) -> Option<Action> {
 }
 
 /// Reads the prompt log's entry about a step of the episode of `timings`.
-fn prompt(log: &RunLog, timings: &EpisodeTimings, step: u32) -> Result<Option<Prompt>> {
+fn prompt(log: &RunLog, timings: &EpisodeTimings, step: u32) -> Result<Option<RecordedPrompt>> {
     let folder = RunFolder::prompts_of(&log.dir);
     let file = entries_file(&session_folder(&folder, timings.session), timings.generation);
     if !file.exists() {
@@ -142,5 +142,5 @@ fn prompt(log: &RunLog, timings: &EpisodeTimings, step: u32) -> Result<Option<Pr
         .chain(sent)
         .map(|hash| (hash.clone(), image_file(&folder, hash)))
         .collect();
-    Ok(Some(Prompt { entry, demonstrations, texts, images }))
+    Ok(Some(RecordedPrompt { entry, demonstrations, texts, images }))
 }

@@ -11,7 +11,7 @@ use clap::Args;
 
 use results::log::{EpisodeRecord, RunLog};
 use results::names::UnknownName;
-use results::step_view::{Prompt, look_up};
+use results::step_view::{RecordedPrompt, look_up};
 
 use super::{Exit, print, print_json};
 use crate::settings::select_cases;
@@ -154,7 +154,7 @@ impl ShowArgs {
 }
 
 /// Writes the images of a request, named by their place in it.
-fn write_images(folder: &Path, prompt: &Prompt) -> Result<()> {
+fn write_images(folder: &Path, prompt: &RecordedPrompt) -> Result<()> {
     fs::create_dir_all(folder).with_context(|| format!("cannot make {}", folder.display()))?;
     let request = &prompt.entry.request;
     let remembered =

@@ -130,7 +130,7 @@ impl RunFolder {
         };
         manifest.write(dir)?;
 
-        let mut open = Opening { dir, notes: &mut notes };
+        let mut open = JournalOpener { dir, notes: &mut notes };
         let check = check_record(manifest.settings.max_steps);
         let (episodes, finished) = open.journal::<EpisodeRecord>(EPISODES_FILE, check)?;
         let (timings, _) = open.journal(TIMINGS_FILE, unchecked)?;
@@ -408,12 +408,12 @@ fn unchecked<T>(_: &T) -> Result<(), String> {
 }
 
 /// Opens journals, and notes what was cut or set aside.
-struct Opening<'a> {
+struct JournalOpener<'a> {
     dir: &'a Path,
     notes: &'a mut Vec<String>,
 }
 
-impl Opening<'_> {
+impl JournalOpener<'_> {
     fn journal<T: serde::Serialize + serde::de::DeserializeOwned>(
         &mut self,
         file: &str,

@@ -12,12 +12,12 @@ use crate::score::{ConditionScore, Derived, Failure, Spread, group_of, path_weig
 
 /// An episode of a run: finished, or given up.
 #[derive(Debug)]
-enum Episode<'a> {
+enum EpisodeRow<'a> {
     Finished(&'a EpisodeRecord, Option<&'a EpisodeTimings>),
     GivenUp(&'a EpisodeError),
 }
 
-impl<'a> Episode<'a> {
+impl<'a> EpisodeRow<'a> {
     fn record(&self) -> Option<&'a EpisodeRecord> {
         match self {
             Self::Finished(record, _) => Some(record),
@@ -59,11 +59,11 @@ pub fn episodes_frame(logs: &[RunLog]) -> Frame {
         let finished = log
             .episodes
             .iter()
-            .map(|record| Episode::Finished(record, timings.get(record.key.as_str()).copied()));
-        let given_up = log.errors.iter().map(Episode::GivenUp);
+            .map(|record| EpisodeRow::Finished(record, timings.get(record.key.as_str()).copied()));
+        let given_up = log.errors.iter().map(EpisodeRow::GivenUp);
         rows.extend(finished.chain(given_up).map(|episode| (name.clone(), episode)));
     }
-    fn of<'a>((_, episode): &(String, Episode<'a>)) -> Option<&'a EpisodeRecord> {
+    fn of<'a>((_, episode): &(String, EpisodeRow<'a>)) -> Option<&'a EpisodeRecord> {
         episode.record()
     }
     let mut frame = FrameBuilder::new(&rows);
@@ -81,8 +81,8 @@ pub fn episodes_frame(logs: &[RunLog]) -> Frame {
     frame.flag("success", |row| Some(of(row)?.is_success()));
     frame.real("spl", |row| Some(path_weight(of(row)?)));
     frame.text("error", |(_, episode)| match episode {
-        Episode::Finished(..) => None,
-        Episode::GivenUp(error) => Some(error.error.clone()),
+        EpisodeRow::Finished(..) => None,
+        EpisodeRow::GivenUp(error) => Some(error.error.clone()),
     });
     frame.text("failure", |row| Some(Failure::of(of(row)?)?.name().to_owned()));
     frame.whole("steps", |row| Some(of(row)?.steps.into()));
@@ -108,7 +108,7 @@ pub fn episodes_frame(logs: &[RunLog]) -> Frame {
     frame.real("distance", |row| of(row)?.distance);
     for (index, stage) in Stages::NAMES.into_iter().enumerate() {
         frame.real(format!("{stage}_us"), |(_, episode)| match episode {
-            Episode::Finished(_, Some(timings)) => {
+            EpisodeRow::Finished(_, Some(timings)) => {
                 Some(timings.stages.values()[index] as f64 / 1000.0)
             }
             _ => None,

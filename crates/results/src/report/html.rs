@@ -6,7 +6,7 @@ use super::document::{Block, Cell, Document};
 
 #[derive(Template)]
 #[template(path = "report.html")]
-struct Page<'a> {
+struct HtmlPage<'a> {
     document: &'a Document,
     style: &'static str,
 }
@@ -16,5 +16,5 @@ struct Page<'a> {
 /// # Errors
 /// When the template fails, which would be a bug.
 pub(super) fn render(document: &Document) -> askama::Result<String> {
-    Page { document, style: include_str!("../../templates/report.css") }.render()
+    HtmlPage { document, style: include_str!("../../templates/report.css") }.render()
 }

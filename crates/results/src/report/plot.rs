@@ -80,7 +80,7 @@ impl Stroke {
 
 /// How text is written.
 #[derive(Clone, Copy)]
-enum Style {
+enum TextStyle {
     Plain,
     Bold,
     Faint,
@@ -92,7 +92,7 @@ enum Style {
 
 /// Where text stands relative to its point.
 #[derive(Clone, Copy)]
-enum Side {
+enum TextAnchor {
     Before,
     After,
     Around,
@@ -116,18 +116,18 @@ impl Svg {
         let _ = writeln!(self.body, "{element}");
     }
 
-    fn text(&mut self, text: &str, (x, y): (i32, i32), side: Side, style: Style) {
+    fn text(&mut self, text: &str, (x, y): (i32, i32), side: TextAnchor, style: TextStyle) {
         let anchor = match side {
-            Side::Before => "end",
-            Side::After => "start",
-            Side::Around => "middle",
+            TextAnchor::Before => "end",
+            TextAnchor::After => "start",
+            TextAnchor::Around => "middle",
         };
         let style = match style {
-            Style::Plain => r##"font-size="16" class="ink" fill="#000""##,
-            Style::Bold => r##"font-size="16" font-weight="bold" class="ink" fill="#000""##,
-            Style::Faint => r##"font-size="14" fill="#767676""##,
-            Style::OnDark => r##"font-size="14" fill="#ffffff""##,
-            Style::OnLight => r##"font-size="14" fill="#000000""##,
+            TextStyle::Plain => r##"font-size="16" class="ink" fill="#000""##,
+            TextStyle::Bold => r##"font-size="16" font-weight="bold" class="ink" fill="#000""##,
+            TextStyle::Faint => r##"font-size="14" fill="#767676""##,
+            TextStyle::OnDark => r##"font-size="14" fill="#ffffff""##,
+            TextStyle::OnLight => r##"font-size="14" fill="#000000""##,
         };
         let text = escaped(text);
         self.element(format_args!(
@@ -164,12 +164,12 @@ fn coordinates(points: &[(i32, i32)]) -> String {
 }
 
 /// A horizontal axis.
-struct Axis {
+struct ValueAxis {
     from: f64,
     to: f64,
 }
 
-impl Axis {
+impl ValueAxis {
     /// The position of `value`.
     fn x(&self, value: f64) -> i32 {
         let share = ((value - self.from) / (self.to - self.from)).clamp(0.0, 1.0);
@@ -193,9 +193,14 @@ impl Axis {
             let x = self.x(value);
             svg.line(&[(x, top), (x, bottom)], Stroke::Rule);
             let digits = usize::from(step < 1.0) + usize::from(step < 0.1);
-            svg.text(&format!("{value:.digits$}"), (x, bottom + 12), Side::Around, Style::Plain);
+            svg.text(
+                &format!("{value:.digits$}"),
+                (x, bottom + 12),
+                TextAnchor::Around,
+                TextStyle::Plain,
+            );
         }
         let middle = i32::midpoint(self.x(self.from), self.x(self.to));
-        svg.text(name, (middle, bottom + 32), Side::Around, Style::Plain);
+        svg.text(name, (middle, bottom + 32), TextAnchor::Around, TextStyle::Plain);
     }
 }

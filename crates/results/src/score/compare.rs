@@ -4,7 +4,7 @@
 use serde::Serialize;
 
 use super::bootstrap::intervals;
-use super::condition::{Sample, paired, rate, weight};
+use super::condition::{EpisodeSample, paired, rate, weight};
 use super::interval::{Interval, difference_interval, rate_interval};
 use super::spread::mean;
 use super::trial::Trials;
@@ -49,13 +49,13 @@ pub struct FigureDifference {
 
 /// Compares `a` with `b`, each with its name; `None` when they have no case in common.
 pub fn compare(a: (&str, &Trials<'_>), b: (&str, &Trials<'_>)) -> Option<Comparison> {
-    let cases: Vec<Vec<Vec<Sample>>> = paired(&[a.1, b.1]).into_values().collect();
+    let cases: Vec<Vec<Vec<EpisodeSample>>> = paired(&[a.1, b.1]).into_values().collect();
     let [sr, spl] = intervals(&cases, |arms| {
         [rate, weight].map(|figure| Some(figure(&arms[0])? - figure(&arms[1])?))
     });
-    let difference = |figure: fn(&[Sample]) -> Option<f64>, interval: Option<Interval>| {
+    let difference = |figure: fn(&[EpisodeSample]) -> Option<f64>, interval: Option<Interval>| {
         let side = |arm: usize| mean(cases.iter().filter_map(|arms| figure(&arms[arm])));
-        let of_case = |arms: &Vec<Vec<Sample>>| Some(figure(&arms[0])? - figure(&arms[1])?);
+        let of_case = |arms: &Vec<Vec<EpisodeSample>>| Some(figure(&arms[0])? - figure(&arms[1])?);
         let interval = interval.filter(|interval| !interval.is_point());
         let mean = mean(cases.iter().filter_map(of_case))?;
         Some(FigureDifference { a: side(0)?, b: side(1)?, mean, interval })
@@ -79,9 +79,10 @@ pub fn compare(a: (&str, &Trials<'_>), b: (&str, &Trials<'_>)) -> Option<Compari
 }
 
 /// Newcombe's interval of the difference of two success rates.
-fn rate_difference(cases: &[Vec<Vec<Sample>>], sr: &FigureDifference) -> Option<Interval> {
+fn rate_difference(cases: &[Vec<Vec<EpisodeSample>>], sr: &FigureDifference) -> Option<Interval> {
     let interval = |arm: usize| {
-        let successes = |arms: &Vec<Vec<Sample>>| arms[arm].iter().map(|s| s.success).collect();
+        let successes =
+            |arms: &Vec<Vec<EpisodeSample>>| arms[arm].iter().map(|s| s.success).collect();
         rate_interval(&cases.iter().map(successes).collect::<Vec<_>>())
     };
     Some(difference_interval((sr.a, interval(0)?), (sr.b, interval(1)?)))

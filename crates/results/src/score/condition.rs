@@ -84,13 +84,13 @@ impl Bounds {
 
 /// What the intervals need of an episode.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Sample {
+pub(super) struct EpisodeSample {
     pub(super) success: bool,
     pub(super) path_weight: f64,
     tried_closed: Option<bool>,
 }
 
-impl From<&EpisodeRecord> for Sample {
+impl From<&EpisodeRecord> for EpisodeSample {
     fn from(record: &EpisodeRecord) -> Self {
         Self {
             success: record.is_success(),
@@ -101,23 +101,23 @@ impl From<&EpisodeRecord> for Sample {
 }
 
 /// The repetitions of each case under each of the `arms`, for the cases that all arms have.
-pub(super) fn paired<'a>(arms: &[&Trials<'a>]) -> BTreeMap<&'a str, Vec<Vec<Sample>>> {
+pub(super) fn paired<'a>(arms: &[&Trials<'a>]) -> BTreeMap<&'a str, Vec<Vec<EpisodeSample>>> {
     let by_case: Vec<_> = arms.iter().map(|trials| trials.cases()).collect();
     let Some(first) = by_case.first() else { return BTreeMap::new() };
     let repetitions = |case: &str| {
         let arm = |cases: &BTreeMap<&str, Vec<&EpisodeRecord>>| {
-            Some(cases.get(case)?.iter().map(|record| Sample::from(*record)).collect())
+            Some(cases.get(case)?.iter().map(|record| EpisodeSample::from(*record)).collect())
         };
-        by_case.iter().map(arm).collect::<Option<Vec<Vec<Sample>>>>()
+        by_case.iter().map(arm).collect::<Option<Vec<Vec<EpisodeSample>>>>()
     };
     first.keys().filter_map(|case| Some((*case, repetitions(case)?))).collect()
 }
 
-pub(super) fn rate(samples: &[Sample]) -> Option<f64> {
+pub(super) fn rate(samples: &[EpisodeSample]) -> Option<f64> {
     percentage(samples.iter().map(|sample| sample.success))
 }
 
-pub(super) fn weight(samples: &[Sample]) -> Option<f64> {
+pub(super) fn weight(samples: &[EpisodeSample]) -> Option<f64> {
     mean(samples.iter().map(|sample| sample.path_weight))
 }
 
@@ -171,11 +171,11 @@ struct Intervals {
 impl Intervals {
     fn of(trials: &Trials<'_>) -> Self {
         let cases: Vec<_> = paired(&[trials]).into_values().collect();
-        let of_rate = |value: fn(&Sample) -> Option<bool>| {
+        let of_rate = |value: fn(&EpisodeSample) -> Option<bool>| {
             let by_case = cases.iter().map(|arms| arms[0].iter().filter_map(value).collect());
             rate_interval(&by_case.collect::<Vec<_>>())
         };
-        let tried = |samples: &[Sample]| {
+        let tried = |samples: &[EpisodeSample]| {
             let tried = samples.iter().filter(|sample| sample.tried_closed == Some(true));
             percentage(tried.map(|sample| sample.success))
         };

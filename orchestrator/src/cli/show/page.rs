@@ -10,12 +10,12 @@ use base64::prelude::BASE64_STANDARD;
 use domain::prompt_log::{RecordedPart, RecordedView};
 
 use super::text;
-use results::step_view::{Prompt, Shown};
+use results::step_view::{RecordedPrompt, StepView};
 
 #[derive(Template)]
 #[template(path = "show.html")]
 struct StepPage<'a> {
-    shown: &'a Shown,
+    shown: &'a StepView,
     instruction: &'a str,
     hinted: bool,
     now: ImageFigure,
@@ -56,7 +56,7 @@ enum MessagePart<'a> {
 ///
 /// # Errors
 /// When an image cannot be read.
-pub(super) fn render(shown: &Shown, prompt: &Prompt) -> Result<String> {
+pub(super) fn render(shown: &StepView, prompt: &RecordedPrompt) -> Result<String> {
     let mut urls = BTreeMap::new();
     for (hash, path) in &prompt.images {
         let png = fs::read(path).with_context(|| format!("cannot read {}", path.display()))?;

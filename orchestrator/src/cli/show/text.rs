@@ -4,7 +4,7 @@ use std::fmt::Write;
 
 use domain::prompt_log::{RecordedPart, RecordedUsage, RecordedView};
 
-use results::step_view::{Prompt, Shown};
+use results::step_view::{RecordedPrompt, StepView};
 
 /// Characters of a text that are printed; page and JSON have all.
 const MOST: usize = 2000;
@@ -13,7 +13,7 @@ const MOST: usize = 2000;
 const DIGITS: usize = 8;
 
 /// Renders the step.
-pub(super) fn render(shown: &Shown) -> String {
+pub(super) fn render(shown: &StepView) -> String {
     let mut text = format!("{}, step {} of {}\n\n", shown.key, shown.step, shown.steps);
     let mut fact = |name: &str, value: &str| {
         let _ = writeln!(text, "{name:<10} {value}");
@@ -54,7 +54,7 @@ fn in_words(retrieved: &str) -> String {
     format!("view {step} of the demonstration `{which}`{case}")
 }
 
-fn prompt_text(text: &mut String, prompt: &Prompt) {
+fn prompt_text(text: &mut String, prompt: &RecordedPrompt) {
     let request = &prompt.entry.request;
     let _ = writeln!(text, "{:<10} image {}", "View", short(&request.frame));
     if request.starts_as_demonstrated {
@@ -116,7 +116,7 @@ fn prompt_text(text: &mut String, prompt: &Prompt) {
 }
 
 /// What came of the request and what it took.
-pub(super) fn facts(prompt: &Prompt) -> Vec<(&'static str, String)> {
+pub(super) fn facts(prompt: &RecordedPrompt) -> Vec<(&'static str, String)> {
     let entry = &prompt.entry;
     let mut facts = Vec::new();
     if let Some(answer) = &entry.answer {

@@ -1,6 +1,6 @@
 //! Curves on two logarithmic axes, told apart by the shapes of their points.
 
-use super::{BOTTOM, Paint, RIGHT, Side, Stroke, Style, Svg, WIDTH};
+use super::{BOTTOM, Paint, RIGHT, Stroke, Svg, TextAnchor, TextStyle, WIDTH};
 use crate::report::document::Figure;
 
 /// A plot of curves.
@@ -93,7 +93,7 @@ pub fn curves(plot: &Curves) -> Figure {
             TOP + LEGEND_ROW * (place / LEGEND_COLUMNS) as i32,
         );
         draw_curve(&mut svg, &[(x, y), (x + 28, y)], shape);
-        svg.text(&curve.name, (x + 40, y), Side::After, Style::Plain);
+        svg.text(&curve.name, (x + 40, y), TextAnchor::After, TextStyle::Plain);
         let pixels: Vec<(i32, i32)> =
             points.iter().map(|(x, y)| (across.at(*x), up.at(*y))).collect();
         draw_curve(&mut svg, &pixels, shape);
@@ -112,16 +112,16 @@ fn draw_axes(svg: &mut Svg, plot: &Curves, across: &Scale, up: &Scale) {
     for mark in across.marks() {
         let x = across.at(mark);
         svg.line(&[(x, top), (x, bottom)], Stroke::Rule);
-        svg.text(&label(mark), (x, bottom + 12), Side::Around, Style::Plain);
+        svg.text(&label(mark), (x, bottom + 12), TextAnchor::Around, TextStyle::Plain);
     }
     for mark in up.marks() {
         let y = up.at(mark);
         svg.line(&[(across.start, y), (across.end, y)], Stroke::Rule);
-        svg.text(&label(mark), (across.start - 8, y), Side::Before, Style::Plain);
+        svg.text(&label(mark), (across.start - 8, y), TextAnchor::Before, TextStyle::Plain);
     }
     let middle = i32::midpoint(across.start, across.end);
-    svg.text(&plot.across, (middle, bottom + 32), Side::Around, Style::Plain);
-    svg.text(&plot.up, (8, top - 12), Side::After, Style::Faint);
+    svg.text(&plot.across, (middle, bottom + 32), TextAnchor::Around, TextStyle::Plain);
+    svg.text(&plot.up, (8, top - 12), TextAnchor::After, TextStyle::Faint);
 }
 
 /// Draws a curve with its points; a bound, which has no shape, without.

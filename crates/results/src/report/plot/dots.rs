@@ -1,6 +1,6 @@
 //! Dots with error bars: a row for each condition, a shape for each source.
 
-use super::{Axis, BOTTOM, LEFT, Paint, Side, Stroke, Style, Svg};
+use super::{BOTTOM, LEFT, Paint, Stroke, Svg, TextAnchor, TextStyle, ValueAxis};
 use crate::report::document::Figure;
 
 /// A plot of dots.
@@ -43,14 +43,14 @@ const LEGEND: i32 = 34;
 pub(in crate::report) fn dots(plot: &Dots) -> Figure {
     let headings = plot.rows.iter().filter(|row| row.heading.is_some()).count() as i32;
     let bottom = LEGEND + headings * HEADING + plot.rows.len() as i32 * ROW + 4;
-    let axis = Axis { from: plot.range.0, to: plot.range.1 };
+    let axis = ValueAxis { from: plot.range.0, to: plot.range.1 };
     let mut svg = Svg::new(bottom + BOTTOM);
     draw_legend(&mut svg, plot);
     axis.draw(&mut svg, plot.axis, LEGEND, bottom);
     let mut y = LEGEND;
     for row in &plot.rows {
         if let Some(heading) = &row.heading {
-            svg.text(heading, (8, y + HEADING / 2 + 2), Side::After, Style::Bold);
+            svg.text(heading, (8, y + HEADING / 2 + 2), TextAnchor::After, TextStyle::Bold);
             y += HEADING;
         }
         draw_row(&mut svg, &axis, row, y + ROW / 2);
@@ -69,15 +69,15 @@ fn draw_legend(svg: &mut Svg, plot: &Dots) {
             continue;
         }
         draw_mark(svg, index, (x, LEGEND / 2 - 2));
-        svg.text(name, (x + 12, LEGEND / 2 - 2), Side::After, Style::Plain);
+        svg.text(name, (x + 12, LEGEND / 2 - 2), TextAnchor::After, TextStyle::Plain);
         x += 40 + 8 * name.chars().count() as i32;
     }
 }
 
-fn draw_row(svg: &mut Svg, axis: &Axis, row: &DotRow, y: i32) {
-    svg.text(&row.label, (LEFT - 12, y), Side::Before, Style::Plain);
+fn draw_row(svg: &mut Svg, axis: &ValueAxis, row: &DotRow, y: i32) {
+    svg.text(&row.label, (LEFT - 12, y), TextAnchor::Before, TextStyle::Plain);
     if row.dots.is_empty() {
-        svg.text("no figure", (LEFT + 6, y), Side::After, Style::Faint);
+        svg.text("no figure", (LEFT + 6, y), TextAnchor::After, TextStyle::Faint);
     }
     for dot in &row.dots {
         // Sources above one another, so that bars do not hide each other.

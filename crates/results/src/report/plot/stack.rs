@@ -1,6 +1,6 @@
 //! Stacked bars: a row for each bar, parts in the same order everywhere, with their numbers on them.
 
-use super::{Axis, BOTTOM, LEFT, Paint, Side, Style, Svg};
+use super::{BOTTOM, LEFT, Paint, Svg, TextAnchor, TextStyle, ValueAxis};
 use crate::report::document::Figure;
 
 /// A plot of stacked bars.
@@ -41,7 +41,7 @@ pub fn stack(plot: &Stack) -> Figure {
         .collect();
     let longest = lengths().map(|lengths| lengths.iter().sum::<f64>()).fold(0.0, f64::max);
     let to = plot.to.unwrap_or(longest * 1.04);
-    let axis = Axis { from: 0.0, to: if to > 0.0 { to } else { 1.0 } };
+    let axis = ValueAxis { from: 0.0, to: if to > 0.0 { to } else { 1.0 } };
     let top = 12 + LEGEND_ROW * present.len().div_ceil(LEGEND_COLUMNS) as i32;
     let bottom = top + plot.rows.len() as i32 * ROW + 6;
     let mut svg = Svg::new(bottom + BOTTOM);
@@ -49,7 +49,7 @@ pub fn stack(plot: &Stack) -> Figure {
         let x = 12 + 270 * (place % LEGEND_COLUMNS) as i32;
         let y = LEGEND_ROW / 2 + LEGEND_ROW * (place / LEGEND_COLUMNS) as i32;
         draw_part(&mut svg, place, [(x, y - 8), (x + 22, y + 8)]);
-        svg.text(&plot.parts[part], (x + 30, y), Side::After, Style::Plain);
+        svg.text(&plot.parts[part], (x + 30, y), TextAnchor::After, TextStyle::Plain);
     }
     axis.draw(&mut svg, plot.axis, top, bottom);
     for (row, y) in plot.rows.iter().zip((top..).step_by(ROW as usize)) {
@@ -60,10 +60,10 @@ pub fn stack(plot: &Stack) -> Figure {
     Figure { id: plot.id.clone(), caption: plot.caption.clone(), alt, svg: svg.finish() }
 }
 
-fn draw_row(svg: &mut Svg, axis: &Axis, row: &StackRow, present: &[usize], y: i32) {
-    svg.text(&row.label, (LEFT - 12, y + ROW / 2), Side::Before, Style::Plain);
+fn draw_row(svg: &mut Svg, axis: &ValueAxis, row: &StackRow, present: &[usize], y: i32) {
+    svg.text(&row.label, (LEFT - 12, y + ROW / 2), TextAnchor::Before, TextStyle::Plain);
     let Some(lengths) = &row.lengths else {
-        return svg.text("not run", (LEFT + 6, y + ROW / 2), Side::After, Style::Faint);
+        return svg.text("not run", (LEFT + 6, y + ROW / 2), TextAnchor::After, TextStyle::Faint);
     };
     let mut from = 0.0;
     for (place, &part) in present.iter().enumerate() {
@@ -79,14 +79,14 @@ fn draw_row(svg: &mut Svg, axis: &Axis, row: &StackRow, present: &[usize], y: i3
 /// Draws a part, with its number where it fits.
 fn draw_part(svg: &mut Svg, place: usize, corners: [(i32, i32); 2]) {
     let (paint, style) = match place.is_multiple_of(2) {
-        true => (Paint::Dark, Style::OnDark),
-        false => (Paint::Light, Style::OnLight),
+        true => (Paint::Dark, TextStyle::OnDark),
+        false => (Paint::Light, TextStyle::OnLight),
     };
     svg.rectangle(corners, paint);
     let [(left, top), (right, bottom)] = corners;
     if right - left >= 14 {
         let middle = (i32::midpoint(left, right), i32::midpoint(top, bottom));
-        svg.text(&(place + 1).to_string(), middle, Side::Around, style);
+        svg.text(&(place + 1).to_string(), middle, TextAnchor::Around, style);
     }
 }
 
