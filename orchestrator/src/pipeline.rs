@@ -127,7 +127,7 @@ pub fn run_episodes(
 ) -> Result<Ending> {
     let mut run =
         PipelineRun { lanes, queue: EpisodeQueue::new(episodes), options, stop, observer };
-    let ending = run.to_the_end(attach.clone());
+    let ending = run.execute_to_end(attach.clone());
     // A process that was not started here, and missed the message to stop, sees by this that the run is over.
     if let Err(error) = Attach::withdraw(&attach.root) {
         tracing::warn!(%error, "the run's folder still looks like that of a run");
@@ -154,7 +154,7 @@ struct PipelineRun<'a, 'w> {
 type GenerationOutcome = (Option<String>, BTreeMap<Role, ShutdownReport>);
 
 impl PipelineRun<'_, '_> {
-    fn to_the_end(&mut self, mut attach: Attach) -> Result<GenerationOutcome> {
+    fn execute_to_end(&mut self, mut attach: Attach) -> Result<GenerationOutcome> {
         let mut failures = 0;
         let (mut halted, mut reports) = (None, BTreeMap::new());
         while !self.queue.is_empty() && halted.is_none() && !self.stop.load(Ordering::Relaxed) {

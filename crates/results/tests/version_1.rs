@@ -1,6 +1,5 @@
 //! A run folder that version 1 recorded (the scripted stand-in on part of the suite rq2) opens, and its scores are those that
 //! version 1 computed, to the last digit.
-#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use std::path::Path;
 
