@@ -75,7 +75,7 @@ const CURVES: [Curve; 3] = [
 const SLACK: f64 = 0.15;
 
 fn run(session: &mut Session<'_>) -> Result<Vec<Figure>> {
-    walked(session)?;
+    execute(session)?;
     let rounds = session.rounds().min(3);
     let mut figures = Vec::new();
     for curve in &CURVES {
@@ -158,21 +158,21 @@ fn generate(session: &Session<'_>, cases: u32) -> Result<f64> {
 }
 
 /// The run that provides the episodes of [`report`].
-const WALKED: &str = "walked";
+const BASE_RUN: &str = "base-run";
 
 /// Executes as many episodes as the longest report has. The expert needs only the simulator.
-fn walked(session: &Session<'_>) -> Result<()> {
+fn execute(session: &Session<'_>) -> Result<()> {
     let few = ["--limit", "10", "--frame-size", "64"];
     let flags = ["--suite", "quick", "--policy", "expert", "--cases", "all", "--max-steps", "8"];
     let size = session.size.pick(&few[..], &["--frame-size", "64"]);
     // A hundred cases (or ten), two starts, six memories, repeated.
     let runs = session.size.pick(1, 8);
-    BenchRun::new(32, runs, &[&flags[..], size].concat()).make(session, WALKED)?;
+    BenchRun::new(32, runs, &[&flags[..], size].concat()).make(session, BASE_RUN)?;
     Ok(())
 }
 
 fn report(session: &Session<'_>, episodes: u32) -> Result<f64> {
-    let (whole, part) = (session.scratch().join(WALKED), session.scratch().join("part"));
+    let (whole, part) = (session.scratch().join(BASE_RUN), session.scratch().join("part"));
     fs::create_dir_all(&part).context("cannot make a folder")?;
     for file in ["manifest.json", "sessions.jsonl"] {
         copy(&whole, &part, file, None)?;

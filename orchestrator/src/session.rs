@@ -197,7 +197,7 @@ fn counts_of(role: Role, report: &ShutdownReport) -> (String, BTreeMap<String, u
     let counts = [
         ("frames_rendered", report.frames_rendered),
         ("frames_evicted", report.frames_evicted),
-        ("frames_held", report.frames_received),
+        ("frames_received", report.frames_received),
         ("pixel_bytes_copied", report.pixel_bytes_copied),
         ("complaints", report.error_reports),
     ];

@@ -48,7 +48,7 @@ fn killing_a_policy_command_changes_no_log_and_leaves_nothing_behind() {
     kill(process_of(bench.registry.path(), "policy"));
     let ended = Ended::of(child).expect(0);
     assert!(ended.stderr.contains("the policy process (`sh -c "), "{}", ended.stderr);
-    assert!(ended.stdout.contains("Policy: a program of its own, `sh -c "), "{}", ended.stdout);
+    assert!(ended.stdout.contains(", started with `sh -c "), "{}", ended.stdout);
     assert_eq!(sorted_log(&bench.out("killed")), reference);
     assert_eq!(
         processes_with(mark.as_bytes()),
@@ -68,7 +68,7 @@ fn a_command_that_is_not_a_policy_is_explained() {
             assert!(ended.stderr.contains(message), "{command}: {}", ended.stderr);
         }
     };
-    refused("python 'half", &["--policy-cmd is \"python 'half\", but must be a program"]);
+    refused("python 'half", &["--policy-cmd: `python 'half` is not a program"]);
     refused("./no-such-policy --x", &["cannot start the policy command `./no-such-policy --x`"]);
     std::fs::write(bench.out("script"), "print('hello')").unwrap();
     refused("./script", &["is not executable", "chmod +x"]);
@@ -173,7 +173,7 @@ fn run_with_fault(bench: &Bench, fault: &str, out: &str) -> (Ended, Vec<String>)
 fn a_fault_in_one_episode_costs_that_episode_only() {
     let bench = Bench::new();
     for (fault, said) in
-        [("crash-on", "I cannot stand this one"), ("silent-on", "owed an answer for 2 s")]
+        [("crash-on", "I cannot stand this one"), ("silent-on", "has not answered for 2 s")]
     {
         let (ended, errors) = run_with_fault(&bench, fault, fault);
         let ended = ended.expect(1);

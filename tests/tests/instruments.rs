@@ -27,7 +27,7 @@ fn a_run_has_a_live_status_a_trace_and_latencies() {
         let seen = bench.run(&["top", "seen", "--once", "--json"]);
         (seen.status == Some(0)).then(|| json(&seen.stdout)).filter(|seen| processes(seen) == 3)
     });
-    assert_eq!((&status["lanes"], &status["episodes"][0]), (&json("4"), &json("40")));
+    assert_eq!((&status["lanes"], &status["episodes"]["planned"]), (&json("4"), &json("40")));
     assert!(status["steps"].as_u64() > Some(0), "{status}");
     let shown = bench.run(&["top", "seen", "--once"]);
     Ended::of(child).expect(0);
