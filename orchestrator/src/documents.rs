@@ -1,7 +1,7 @@
 //! The documents that a run needs, and having missing ones built before it begins.
 //!
 //! The crate `documents` knows what a document is, where it lies and whether it fits. Here missing documents are built by
-//! a simulator and a memory process ([`building`]). One build at a time runs in a folder; others wait for it.
+//! a simulator and a memory process (`building`). One build at a time runs in a folder; others wait for it.
 
 mod building;
 

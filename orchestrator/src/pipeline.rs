@@ -4,7 +4,7 @@
 //! generation ends; its services have names that no later one uses, so no stale message arrives. The next generation
 //! starts after a pause and repeats the episodes that were under way; finished ones are in the log. A policy may be
 //! any program: an episode that it leaves unanswered, or answers with something invalid, is repeated by itself, and
-//! one that makes it crash is searched for ([`queue`]).
+//! one that makes it crash is searched for (`queue`).
 //!
 //! Results leave through [`Observer`]; nothing here writes or prints.
 

@@ -1,4 +1,4 @@
-//! What a run is asked to do: sources of settings, resolved once into a [`RunSettings`].
+//! What a run is asked to do: sources of settings, resolved once into a `RunSettings`.
 //!
 //! [`keys`](KEYS) is the one table of settings: every entry is a flag of `memtransfer run`, a
 //! `MEMTRANSFER_*` variable and a key of a suite file. A [`Layer`] holds what one source says, its values

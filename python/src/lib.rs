@@ -1,8 +1,8 @@
 //! `memtransfer._native`: what the Python package needs of the Rust crates.
 //!
 //! The package itself is in `memtransfer/`: plain data classes, the policy interface and the data frames. This
-//! crate serves a Python policy ([`serve`]), gives numpy the frames in shared memory ([`frame`]), renders prompts
-//! and reads answers ([`prompt`]), and reads a run's folder ([`results`]).
+//! crate serves a Python policy (`serve`), gives numpy the frames in shared memory (`frame`), renders prompts
+//! and reads answers (`prompt`), and reads a run's folder (`results`).
 
 mod classes;
 mod exchange;
