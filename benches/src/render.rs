@@ -204,12 +204,12 @@ pub(crate) fn ours(session: &Session<'_>, samples: Samples) -> Result<Drawn> {
 }
 
 /// A renderer and the memory it renders into, which must outlive it.
-struct Easel {
+struct RenderWorker {
     renderer: Renderer,
     memory: Vec<u8>,
 }
 
-impl Easel {
+impl RenderWorker {
     fn new(renderer: Renderer) -> Self {
         let slot = renderer.frame_bytes().next_multiple_of(PAGE_BYTES);
         Self { renderer, memory: vec![0; slot * VIEWS_AT_ONCE + PAGE_BYTES] }
@@ -235,31 +235,32 @@ pub(crate) fn render_process(arguments: &[String]) -> Result<()> {
     let warehouse = Warehouse::shipped();
     let settings = RenderSettings { samples, ..RenderSettings::default() };
     let renderers = open_renderers(&warehouse, settings)?;
-    let mut easels: Vec<Easel> = renderers.into_iter().map(Easel::new).collect();
+    let mut workers: Vec<RenderWorker> = renderers.into_iter().map(RenderWorker::new).collect();
     let poses: Vec<Pose> = every_pose(&warehouse.layout).collect();
-    let (first, rest) = poses.split_at(easels.len());
+    let (first, rest) = poses.split_at(workers.len());
     let rest = &rest[..rest.len().min(most.parse()?)];
-    for (easel, pose) in easels.iter_mut().zip(first.chunks(1)) {
-        easel.draw(pose)?;
+    for (worker, pose) in workers.iter_mut().zip(first.chunks(1)) {
+        worker.draw(pose)?;
     }
     let batches = Mutex::new(rest.chunks(VIEWS_AT_ONCE));
     let next = || batches.lock().unwrap_or_else(PoisonError::into_inner).next();
-    let work = |easel: &mut Easel| -> Result<()> {
+    let work = |worker: &mut RenderWorker| -> Result<()> {
         while let Some(poses) = next() {
-            easel.draw(poses)?;
+            worker.draw(poses)?;
         }
         Ok(())
     };
     let began = Instant::now();
     thread::scope(|scope| {
-        let drawing: Vec<_> = easels.iter_mut().map(|easel| scope.spawn(|| work(easel))).collect();
+        let drawing: Vec<_> =
+            workers.iter_mut().map(|worker| scope.spawn(|| work(worker))).collect();
         drawing.into_iter().try_for_each(|drawn| drawn.join().unwrap_or_else(|p| resume_unwind(p)))
     })?;
-    let report = easels[0].renderer.report();
+    let report = workers[0].renderer.report();
     let drawn = Drawn {
         views_per_second: rest.len() as f64 / began.elapsed().as_secs_f64(),
         views: rest.len(),
-        renderers: easels.len(),
+        renderers: workers.len(),
         backend: report.adapter.unwrap_or_else(|| report.backend.to_string()),
     };
     println!("{}", serde_json::to_string(&drawn)?);

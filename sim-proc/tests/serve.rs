@@ -491,11 +491,11 @@ impl RenderWorker for PanickingWorker {
 
 #[test]
 fn a_panicking_worker_ends_the_run() {
-    let studio = || RenderSetup {
+    let panicking_setup = || RenderSetup {
         workers: vec![Box::new(PanickingWorker), Box::new(PanickingWorker)],
         ..setup()
     };
-    let mut peers = peers_around(|_| {}, false, move |_| Ok(studio()));
+    let mut peers = peers_around(|_| {}, false, move |_| Ok(panicking_setup()));
     peers.commands.send(&reset(0, 1, 0, peers.poses()[0])).unwrap();
     assert_eq!(
         peers.error_report(),
