@@ -20,6 +20,7 @@ mod handshake;
 pub mod heartbeats;
 pub mod layout;
 pub mod message;
+mod ports;
 pub mod process;
 pub mod registry;
 pub mod spans;

@@ -8,12 +8,16 @@
 //! run, so a late answer is recognised and dropped. All `*_ns` fields are CLOCK_MONOTONIC nanoseconds, which all
 //! processes of a machine share.
 
+use std::sync::Arc;
+
 use bytemuck::{Pod, Zeroable};
 use iceoryx2::prelude::ZeroCopySend;
 
 use domain::{Heading, Pose, UnknownCode};
 
+use crate::bus::{Bus, BusError};
 use crate::layout::{Field, FieldType, Layout, Struct, WireType, wire_struct};
+use crate::ports::{self, ReceiverPort, SenderPort};
 
 mod codes;
 
@@ -76,6 +80,14 @@ pub trait Message: ZeroCopySend + Pod + core::fmt::Debug {
     const TO: &'static [Role];
     /// How many can wait for a receiver.
     const TRAFFIC: Traffic;
+
+    /// Opens its sender.
+    #[doc(hidden)]
+    fn open_sender(bus: &Bus) -> Result<Box<dyn SenderPort<Self>>, BusError>;
+
+    /// Opens a receiver.
+    #[doc(hidden)]
+    fn open_receiver(bus: &Bus) -> Result<Arc<dyn ReceiverPort<Self>>, BusError>;
 }
 
 /// What bounds the number of waiting messages, and so the length of the queue
@@ -121,6 +133,15 @@ macro_rules! messages {
                 const FROM: &'static [Role] = &[$(Role::$from),*];
                 const TO: &'static [Role] = &[$(Role::$to),*];
                 const TRAFFIC: Traffic = Traffic::$traffic;
+
+                // Not generic, so that the ports are compiled in this crate.
+                fn open_sender(bus: &Bus) -> Result<Box<dyn SenderPort<Self>>, BusError> {
+                    ports::open_sender(bus)
+                }
+
+                fn open_receiver(bus: &Bus) -> Result<Arc<dyn ReceiverPort<Self>>, BusError> {
+                    ports::open_receiver(bus)
+                }
             }
         )*
 
