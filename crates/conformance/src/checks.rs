@@ -16,7 +16,7 @@ use shm_types::message::{
 use supervise::Children;
 
 use super::{Kit, LANES};
-use crate::neighbours::{last, observation};
+use crate::messages::{last, observation};
 use crate::subject::{
     CheckResult, RequestScene, TestedPolicy, Trouble, next, wait_for_exit, wrong,
 };

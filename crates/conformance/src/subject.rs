@@ -18,7 +18,8 @@ use shm_types::message::{
 use shm_types::{Attach, BusError, FrameError};
 use supervise::{ChildExit, Children, Launch};
 
-use crate::neighbours::{PolicyNeighbours, TICK, config, observation, recall};
+use crate::messages::{config, observation, recall};
+use crate::neighbours::{PolicyNeighbours, TICK};
 
 /// How long to look for messages that must not come.
 const QUIET_TIME: Duration = Duration::from_millis(60);
@@ -79,10 +80,7 @@ pub(crate) struct RequestScene {
 
 impl RequestScene {
     pub(crate) fn recall(&self, id: RequestId) -> Recall {
-        let mut recall = recall(id, &self.segment);
-        recall.documents[..self.documents.len()].copy_from_slice(&self.documents);
-        recall.documents_len = self.documents.len() as u32;
-        recall
+        recall(id, &self.segment, &self.documents)
     }
 }
 
@@ -280,7 +278,7 @@ impl<'a> TestedPolicy<'a> {
         self.last_episode += 1;
         let episode = self.last_episode;
         let config = config(lane, episode, instruction);
-        self.neighbours.begin(&shm_types::message::PolicyEpisodeConfig {
+        self.neighbours.send(&shm_types::message::PolicyEpisodeConfig {
             seed,
             window,
             ..config
@@ -318,7 +316,7 @@ impl<'a> TestedPolicy<'a> {
     }
 
     pub(crate) fn recall(&mut self, message: &Recall) -> CheckResult<()> {
-        Ok(self.neighbours.recalls.send(message)?)
+        Ok(self.neighbours.send(message)?)
     }
 
     pub(crate) fn observe(&mut self, message: &Observation) -> CheckResult<()> {
