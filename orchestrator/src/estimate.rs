@@ -38,11 +38,11 @@ const IMAGE_TOKENS: u64 = 256;
 pub struct Estimate {
     /// Requests, at least and at most.
     pub requests: [u64; 2],
-    /// Most images of a request.
+    /// Maximum number of images of a request.
     pub images_each: u64,
     /// Tokens of a prompt; `None` when a document that it holds is not there yet.
     pub prompt_each: Option<u64>,
-    /// Most tokens of an answer.
+    /// Maximum number of tokens of an answer.
     pub answer_each: u64,
     /// Whether steps are those of finished episodes.
     pub measured_steps: bool,

@@ -32,9 +32,9 @@ use usage::{PromptSize, TokenFit};
 pub struct OpenaiSettings {
     /// How images are encoded.
     pub image_format: ImageFormat,
-    /// Most images of a prompt; 0 for a model without vision.
+    /// Maximum number of images of a prompt; 0 for a model without vision.
     pub image_budget: u32,
-    /// Most tokens of an answer.
+    /// Maximum number of tokens of an answer.
     pub answer_tokens: u32,
 }
 

@@ -29,13 +29,13 @@ pub const WIRE_VERSION: u32 = 6;
 /// Longest window of past steps.
 pub const MAX_WINDOW: usize = 32;
 
-/// Most entries of a retrieved segment: the matched view and the views after it.
+/// Maximum number of entries of a retrieved segment: the matched view and the views after it.
 pub const MAX_SEGMENT: usize = 32;
 
-/// Most documents a [`Recall`] names.
+/// Maximum number of documents a [`Recall`] names.
 pub const MAX_DOCUMENTS: usize = 4;
 
-/// Most bytes of an instruction.
+/// Maximum length of an instruction, in bytes.
 pub const MAX_INSTRUCTION: usize = 232;
 
 /// The `action` code for "no action".
@@ -511,7 +511,7 @@ messages! {
         episode: u64,
         /// Code of the sender's [`Role`].
         role: u32,
-        /// ErrorX.
+        /// Reports of the sender so far, including this one.
         count: u32,
         /// Code of the [`ErrorReportKind`].
         kind: u32,
@@ -540,7 +540,7 @@ messages! {
         frames_received: u64,
         /// Bytes of pixels that the sender copied for another process.
         pixel_bytes_copied: u64,
-        /// Error reports sent.
+        /// Reports that the sender made.
         error_reports: u64,
     }
 
@@ -595,7 +595,7 @@ impl Decision {
     }
 }
 
-/// Copies as much of `text` as fits into `buffer`, cut at a character; returns the bytes used.
+/// Copies as much of `text` as fits into `buffer`, cut at a character boundary; returns the bytes used.
 pub fn write_text(buffer: &mut [u8], text: &str) -> u32 {
     let mut end = text.len().min(buffer.len());
     while !text.is_char_boundary(end) {
@@ -608,7 +608,7 @@ pub fn write_text(buffer: &mut [u8], text: &str) -> u32 {
 /// The text that the first `len` bytes of `buffer` hold.
 ///
 /// # Errors
-/// When `len` is past the buffer or the bytes are not UTF-8: the sender is broken.
+/// When `len` is larger than the buffer or the bytes are not UTF-8: the sender is broken.
 pub fn read_text(buffer: &[u8], len: u32) -> Result<&str, UnknownCode> {
     let broken = || UnknownCode::new(format_args!("a text of {len} bytes"), "UTF-8 that fits");
     let bytes = buffer.get(..len as usize).ok_or_else(broken)?;

@@ -4,9 +4,9 @@
 //!
 //! | file below the run's `prompts/` | holds |
 //! |---|---|
-//! | `session-1/generation-1.jsonl` | an [`PromptLogEntry`] a line, appended as requests are answered |
-//! | `images/HASH.png` | every image that an entry names, once; for a view the hash is its frame's content hash |
-//! | `documents/HASH.txt` | every long text that an entry names, once |
+//! | `session-1/generation-1.jsonl` | one [`PromptLogEntry`] per line, appended as requests are answered |
+//! | `images/HASH.png` | each image that an entry names, once; a view's hash is the content hash of its frame |
+//! | `documents/HASH.txt` | each long text that an entry names, once |
 //! | `documents/HASH.json` | the demonstrations that an entry names: arrays of [`RecordedView`] |
 //!
 //! Hashes are the first 16 bytes of BLAKE3, as 32 hexadecimal digits. Each generation of a session has a file of its own,
@@ -20,7 +20,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::pose::Pose;
 
-/// First bytes of a BLAKE3 hash, as hexadecimal digits.
+/// The first 16 bytes of a BLAKE3 hash, as hexadecimal digits.
 pub type Hash = String;
 
 /// A hash in hexadecimal digits.

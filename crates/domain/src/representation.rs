@@ -149,8 +149,8 @@ impl Representation {
         matches!(self.describe().trajectories, Trajectories::Segment)
     }
 
-    /// Most images of a request: the current view, `window` past views, and either a segment of `horizon` actions or
-    /// `keyframes`.
+    /// Maximum number of images of a request: the current view, `window` past views, and either a segment of `horizon`
+    /// actions or `keyframes`.
     pub const fn images(self, window: u32, horizon: u32, keyframes: u32) -> u32 {
         let remembered = match self.describe().trajectories {
             Trajectories::Nothing => 0,

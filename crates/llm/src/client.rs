@@ -26,7 +26,7 @@ pub struct ChatSettings {
     pub request_timeout: Duration,
     /// How many times a request is sent again after a transient failure.
     pub max_retries: u32,
-    /// Most requests in flight, at least 1. Fewer while the server cannot keep up.
+    /// Maximum number of requests in flight, at least 1. Fewer while the server cannot keep up.
     pub max_connections: u32,
     /// How long to wait for a server that has answered before and is gone.
     pub server_patience: Duration,

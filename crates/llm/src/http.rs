@@ -20,10 +20,10 @@ use crate::reply::{self, ChatReply};
 use crate::request::{ChatRequest, Dialect};
 use crate::server;
 
-/// Most bytes of an answer that are read.
+/// Maximum number of bytes of an answer that are read.
 const LARGEST_ANSWER: u64 = 16 << 20;
 
-/// Most connections that are kept open for later requests.
+/// Maximum number of connections that are kept open for later requests.
 const IDLE_CONNECTIONS: usize = 256;
 
 /// The outcome of sending a request in one dialect.

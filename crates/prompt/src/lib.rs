@@ -55,10 +55,10 @@ pub fn request_settings() -> Value {
     })
 }
 
-/// Most tokens of an answer, by default.
+/// Maximum number of tokens of an answer, by default.
 pub const ANSWER_TOKENS: u32 = 30;
 
-/// Most images of a prompt, by default.
+/// Maximum number of images of a prompt, by default.
 pub const IMAGE_BUDGET: u32 = 50;
 
 /// A section of a prompt.

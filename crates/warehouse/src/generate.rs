@@ -31,7 +31,7 @@ const ORIGINAL_STEPS: std::ops::RangeInclusive<u32> = 10..=80;
 /// Least steps of any trajectory.
 const LEAST_STEPS: u32 = 6;
 
-/// Most steps of the blocked reference, which is longer than the test reference.
+/// Maximum number of steps of the blocked reference, which is longer than the test reference.
 const MOST_BLOCKED_STEPS: u32 = 120;
 
 /// Least distance between the test start and every demonstration's start, in cells.

@@ -13,7 +13,7 @@ use results::settings::{CaseSelector, DocumentSource, ResponseCache};
 use serde_json::Value;
 use shm_types::message::{MAX_SEGMENT, MAX_WINDOW};
 
-/// Most images of a prompt (paper, Experimental Setup).
+/// Maximum number of images of a prompt (paper, Experimental Setup).
 pub const MAX_IMAGES: u32 = 50;
 
 /// Keys that concern a model: for `--policy openai` only.

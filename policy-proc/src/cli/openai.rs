@@ -22,13 +22,13 @@ pub(crate) struct ModelArguments {
     /// Image encoding: png, or jpeg (smaller, with loss)
     #[arg(long, value_name = "FORMAT", default_value_t = ImageFormat::Png)]
     image_format: ImageFormat,
-    /// Most images of a prompt; 0 for a model without vision
+    /// Maximum number of images of a prompt; 0 for a model without vision
     #[arg(long, value_name = "N", default_value_t = prompt::IMAGE_BUDGET)]
     image_budget: u32,
-    /// Most tokens of an answer
+    /// Maximum number of tokens of an answer
     #[arg(long, value_name = "N", default_value_t = prompt::ANSWER_TOKENS, value_parser = clap::value_parser!(u32).range(1..))]
     answer_tokens: u32,
-    /// Most requests in flight
+    /// Maximum number of requests in flight
     #[arg(long, value_name = "N", default_value = "16", value_parser = clap::value_parser!(u32).range(1..))]
     max_connections: u32,
     /// How often a request is sent again after a transient failure

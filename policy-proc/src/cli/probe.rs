@@ -35,7 +35,7 @@ pub(crate) struct ProbeArguments {
     /// Past steps in a prompt of the run
     #[arg(long, value_name = "N", default_value = "6")]
     window: u32,
-    /// Most images of a prompt of the run
+    /// Maximum number of images of a prompt of the run
     #[arg(long, value_name = "N", default_value_t = prompt::IMAGE_BUDGET)]
     image_budget: u32,
     /// Characters of documents in a prompt of the run

@@ -16,7 +16,7 @@ use std::thread;
 use peer::FrameView;
 use prompt::image::{ImageFormat, data_url};
 
-/// Most bytes of URLs in one generation; two hold some thousands of views.
+/// Maximum number of bytes of URLs in one generation; two hold some thousands of views.
 const GENERATION_BYTES: usize = 128 << 20;
 
 /// The hash of a view's pixels.

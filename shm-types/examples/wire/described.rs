@@ -1,5 +1,4 @@
-//! What there is to write about: every struct, code and constant of the wire, and what both outputs need to
-//! say of them.
+//! What the page describes: every struct, code and constant of the wire.
 
 use domain::{
     Action, Feedback, Heading, Outcome, Representation,
@@ -21,16 +20,16 @@ use shm_types::message::{
 pub(crate) const PARTS: [Struct; 3] =
     [WirePose::LAYOUT, SegmentStep::LAYOUT, TrajectoryStep::LAYOUT];
 
-/// What travels on the services of frames and documents.
+/// The types that the services of frames and documents carry.
 pub(crate) const CARRIED: [Struct; 3] = [FrameHeader::LAYOUT, Page::LAYOUT, DocumentHeader::LAYOUT];
 
-/// Every closed set, those of the agent first.
+/// Every enum with codes: first those of the agent's world, then those of messages.
 pub(crate) fn code_sets() -> Vec<CodeSet> {
     let agent = [Action::CODES, Feedback::CODES, Heading::CODES, Representation::CODES];
     agent.into_iter().chain(CODE_SETS.iter().copied()).collect()
 }
 
-/// What a member of a set is called where a policy reads or writes it, if it is.
+/// The words for a member of a code set in prompts, files and logs, if it has any.
 pub(crate) fn words(set: &CodeSet, code: u8) -> Option<&'static str> {
     let position = usize::from(code);
     match set.name {
@@ -46,7 +45,7 @@ pub(crate) fn words(set: &CodeSet, code: u8) -> Option<&'static str> {
     }
 }
 
-/// A constant, as it is written in Python.
+/// A constant, with its value as text.
 pub(crate) struct Constant {
     pub(crate) name: &'static str,
     pub(crate) value: String,
@@ -59,31 +58,31 @@ macro_rules! constants {
     };
 }
 
-/// The constants that a peer needs.
+/// The constants that an implementation needs.
 pub(crate) fn constants() -> Vec<Constant> {
     constants![
         WIRE_VERSION: "Version of everything described here.",
-        NO_ACTION: "The action code that says: no action was taken.",
-        NOT_MEASURED: "A count that was not measured. Absent, never zero.",
-        NO_FRAME: "The frame id that names no frame.",
-        NO_DOCUMENT: "The document id that names no document.",
-        MAX_WINDOW: "Most window entries of a recall.",
-        MAX_SEGMENT: "Most entries of a recall's segment.",
-        MAX_DOCUMENTS: "Most documents that a recall names.",
-        MAX_INSTRUCTION: "Most bytes of an instruction.",
-        MAX_DOCUMENT_BYTES: "Most bytes of a document.",
-        MAX_LANES: "Most lanes of a run.",
-        MAX_FRAMES: "Most frames that a run keeps resident.",
-        MAX_LOANED_FRAMES: "Frames that the simulator fills at the same time.",
+        NO_ACTION: "The action code for \"no action\".",
+        NOT_MEASURED: "The count for \"not measured\".",
+        NO_FRAME: "The frame id for \"no frame\".",
+        NO_DOCUMENT: "The document id for \"no document\".",
+        MAX_WINDOW: "Maximum length of the window of past steps.",
+        MAX_SEGMENT: "Maximum number of views in a retrieved segment.",
+        MAX_DOCUMENTS: "Maximum number of documents that a recall names.",
+        MAX_INSTRUCTION: "Maximum length of an instruction, in bytes.",
+        MAX_DOCUMENT_BYTES: "Maximum length of a document, in bytes.",
+        MAX_LANES: "Maximum number of lanes in a run.",
+        MAX_FRAMES: "Maximum number of frames that a run keeps resident.",
+        MAX_LOANED_FRAMES: "Maximum number of frames that the simulator fills at the same time.",
         MAX_ROOT_BYTES: "Longest path of a run's folder, in bytes.",
-        PAGE_BYTES: "Bytes of a page; frames are whole pages, aligned to as much.",
+        PAGE_BYTES: "Bytes of a page; frames are whole pages, aligned to pages.",
         FRAME_SERVICE: "Last part of the name of the service that carries frames.",
         DOCUMENT_SERVICE: "Last part of the name of the service that carries documents.",
-        ATTACH_FILE: "The file in a run's folder that says how to join it.",
+        ATTACH_FILE: "The file in a run's folder that describes how to join it.",
     ]
 }
 
-/// Messages that a policy sends or receives, and those that it never meets.
+/// The messages that a policy sends or receives; if `of_a_policy` is false, the other messages.
 pub(crate) fn messages(of_a_policy: bool) -> impl Iterator<Item = &'static Description> {
     MESSAGES.iter().filter(move |message| {
         let ends = [message.from, message.to].concat();
@@ -91,7 +90,7 @@ pub(crate) fn messages(of_a_policy: bool) -> impl Iterator<Item = &'static Descr
     })
 }
 
-/// The word for what bounds a queue.
+/// The name of a queue in the tables.
 pub(crate) const fn traffic(traffic: Traffic) -> &'static str {
     match traffic {
         Traffic::Lanes => "lanes",
@@ -100,8 +99,8 @@ pub(crate) const fn traffic(traffic: Traffic) -> &'static str {
     }
 }
 
-/// A doc comment as one paragraph of plain Markdown: links to items of the code become their names, and
-/// sections of documents that the reader does not have go.
+/// A doc comment as one paragraph of plain Markdown: links to code become names, and references to the specification
+/// and the paper are removed.
 pub(crate) fn plain(doc: &str) -> String {
     let mut rest = doc.split_whitespace().collect::<Vec<_>>().join(" ");
     let mut text = String::new();
