@@ -48,7 +48,7 @@ struct EngineLane {
 }
 
 impl<I: Clone> Engine<I> {
-    /// An engine for `lanes` lanes, with room for `views` demonstration views.
+    /// Creates an engine for `lanes` lanes, with room for `views` demonstration views.
     pub fn new(
         warehouse: Warehouse,
         cases: CaseSet,

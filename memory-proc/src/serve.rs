@@ -1,4 +1,5 @@
-//! The memory process in a run: drains its queues, has images embedded, answers what it can, notifies each neighbour once.
+//! The memory process in a run: drains its queues, submits images to the encoder, answers what it can, notifies each
+//! neighbour once.
 //!
 //! The loop never waits for an embedding. A worker notifies this process's own listener when it has one, so that a
 //! finished embedding wakes the loop as a message does.

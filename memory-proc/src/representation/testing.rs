@@ -1,4 +1,4 @@
-//! Small demonstrations and a documents of documents, for the tests of representations and of the engine.
+//! Small demonstrations and a supplier of documents, for the tests of representations and of the engine.
 
 use anyhow::bail;
 use domain::{Action, Heading, Pose};

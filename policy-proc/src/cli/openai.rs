@@ -37,7 +37,8 @@ pub(crate) struct ModelArguments {
     /// Time limit of an attempt in seconds; a server that answers slowly gets up to eight times this
     #[arg(long, value_name = "SECONDS", default_value = "120", value_parser = clap::value_parser!(u32).range(1..))]
     request_timeout: u32,
-    /// How long to wait for a server that was there and is gone; 0: as long as the retries last
+    /// How long to wait for a server that has answered before and is unreachable now; 0: only as long as the retries
+    /// last
     #[arg(long, value_name = "SECONDS", default_value = "600")]
     server_patience: u32,
     /// Store replies and reuse them for the same request: on (in the cache folder), off, or a folder

@@ -100,7 +100,7 @@ fn placed_views(
     frames.map(|(frame, pose)| views.placed(frame, pose)).collect()
 }
 
-/// The supplied demonstration and where it began, if `views` tell.
+/// The supplied demonstration and the pose where it began, if `views` determine it.
 fn locate<'a>(
     supplied: impl Iterator<Item = Supplied<'a>>,
     views: &[Arc<PlacedFrame>],
