@@ -1,8 +1,8 @@
 //! The prompt of a vision-language model (specification, sections 1, 2 and 5).
 //!
-//! One template, [`version`], serves all representations; its every word is in `v1.toml`. A prompt is one system message,
-//! always the same, and one user message, with what changes least first, so that a server with a prefix cache reads it
-//! once: memory, task, recent steps, now. `docs/prompt.md` shows one in full.
+//! One template, [`version`], serves all representations; all its texts are in `v1.toml`. A prompt is one system
+//! message, always the same, and one user message that begins with what changes least, so that a server with a prefix
+//! cache reads it once: memory, task, recent steps, now. `docs/prompt.md` shows one in full.
 //!
 //! - [`Prompt::new`] renders a [`Request`] within an image budget;
 //! - [`read_answer`] finds the action in a model's answer;
