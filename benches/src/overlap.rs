@@ -134,7 +134,7 @@ fn execute(session: &Session<'_>, cache: &Path, flags: &[&str]) -> Result<RunMea
     let sessions: Vec<Value> = lines(&folder.join("sessions.jsonl"))?;
     let rendered = sessions
         .iter()
-        .find_map(|event| event["farewells"]["sim"]["frames_rendered"].as_u64())
+        .find_map(|event| event["shutdown_reports"]["sim"]["frames_rendered"].as_u64())
         .context("the simulator said nothing of what it has drawn")?;
     Ok(RunMeasurement { seconds: (last - first) as f64 / 1e9, busy, rendered: rendered as usize })
 }

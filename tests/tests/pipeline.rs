@@ -172,7 +172,7 @@ fn no_pixel_crosses_a_process_boundary_by_copy() {
         .map(|line| serde_json::from_str::<Value>(line).unwrap())
         .find(|event| event["event"] == "ended")
         .unwrap();
-    let total = |role: &str, key: &str| ended["farewells"][role][key].as_u64().unwrap();
+    let total = |role: &str, key: &str| ended["shutdown_reports"][role][key].as_u64().unwrap();
     let frames = total("sim", "frames_rendered");
     assert!(frames > 100, "{frames} frames");
     for role in ["memory", "policy"] {

@@ -30,7 +30,7 @@ impl ScoredRun<'_> {
         self.scores.of(&condition)
     }
 
-    /// A cell of this run: the `figure` of the condition called `name`, or that it was not run.
+    /// A cell of this run: the `figure` of the condition called `name`, or `not run`.
     pub(super) fn ours(&self, name: &str, figure: impl Fn(&ConditionScore) -> Cell) -> Cell {
         self.score(name).map_or(Cell::Missing(Missing::NotRun), figure)
     }

@@ -26,7 +26,7 @@ pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<Block> {
     });
     blocks.push(Block::Figure(stack(&Stack {
         id: view.id("failures-figure"),
-        caption: "Kinds of failure as a percentage of the finished episodes of each condition. The rest to 100 \
+        caption: "Kinds of failure as a percentage of the finished episodes of each condition. The remainder \
                   succeeded."
             .to_owned(),
         axis: "Failed episodes, % of all",
@@ -95,8 +95,9 @@ pub(in crate::report) fn worst_table(view: &ScoredRun<'_>, most: usize) -> Optio
             view.id("worst-cases"),
             "The cases that fail most, over all conditions and runs, with the most frequent kind of failure and an \
              episode of it: `memtransfer show RUN EPISODE` shows its steps.",
-            (&["Case"], &["Task", "Failed", "Mostly", "For example"]),
+            (&["Case"], &["Task", "Failed", "Main failure", "Example"]),
             rows,
         )
+        .with_text(&["Main failure", "Example"])
     })
 }
