@@ -203,7 +203,9 @@ impl SearchBench<'_> {
             let begun = Instant::now();
             search(batch)?;
             let time = begun.elapsed();
-            times.record(time.as_nanos() as u64).context("a search took longer than the histogram can record")?;
+            times
+                .record(time.as_nanos() as u64)
+                .context("a search took longer than the histogram can record")?;
             sum += time;
             if sum.as_secs_f64() > self.settings.seconds {
                 break;

@@ -25,7 +25,10 @@ fn policy_proc(arguments: &[&str]) -> Command {
 fn ended(child: Child) -> Output {
     let output = child.wait_with_output().unwrap();
     let printed = [&output.stdout[..], &output.stderr[..]].concat();
-    assert!(!String::from_utf8_lossy(&printed).contains("very-secret"), "the output contains the key");
+    assert!(
+        !String::from_utf8_lossy(&printed).contains("very-secret"),
+        "the output contains the key"
+    );
     output
 }
 

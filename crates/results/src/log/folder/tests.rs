@@ -2,8 +2,8 @@
 
 use super::*;
 use crate::log::manifest::MANIFEST_FILE;
-use crate::log::{DocumentFacts, RunLog};
 use crate::log::testing::{manifest, record, request, timings};
+use crate::log::{DocumentFacts, RunLog};
 
 fn keys(records: &[EpisodeRecord]) -> Vec<&str> {
     records.iter().map(|record| record.key.as_str()).collect()
@@ -77,8 +77,7 @@ fn a_run_can_grow_but_not_shrink() {
         words: 1,
     };
     let with = |documents: &[(&str, &str)]| {
-        let facts =
-            documents.iter().map(|(name, sha256)| ((*name).to_owned(), document(sha256)));
+        let facts = documents.iter().map(|(name, sha256)| ((*name).to_owned(), document(sha256)));
         Manifest { documents: facts.collect(), ..manifest() }
     };
     let mut first = with(&[("summary/original", "aa")]);
