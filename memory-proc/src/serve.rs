@@ -92,7 +92,7 @@ impl EncoderSettings {
 pub fn serve(settings: &ServeSettings) -> anyhow::Result<()> {
     let attach = Attach::read(&settings.attach).context("cannot join the run")?;
     die_with_parent(attach.orchestrator_pid)
-        .context("this process is started by an orchestrator")?;
+        .context("cannot tie this process to its orchestrator")?;
     let bus = Bus::join(attach, Role::Memory)?;
     let mut reporter = ErrorReporter::new(&bus)?;
     // Receivers first: messages sent while the encoder starts wait in their queues.

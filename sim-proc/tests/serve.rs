@@ -367,7 +367,7 @@ fn a_panicking_worker_ends_the_run() {
 }
 
 /// Waits for permission before each batch.
-struct WaitingWorker(Told<()>);
+struct WaitingWorker(Permissions<()>);
 
 impl RenderWorker for WaitingWorker {
     fn render_into(&mut self, tasks: &mut [RenderTask<'_>]) -> Result<u64, RenderError> {
@@ -395,7 +395,7 @@ fn no_lane_waits_for_the_view_of_another() {
     for episode in 3..13 {
         let seen = sim.ask(&reset(0, episode, 0, here));
         assert_eq!((seen.lane, seen.episode, seen.frame), (0, episode, resident));
-        assert_eq!(seen.rendered_ns, seen.stepped_ns, "the view was there");
+        assert_eq!(seen.rendered_ns, seen.stepped_ns, "the view was resident");
     }
     assert_eq!(sim.neighbours.observations.next().unwrap(), None, "lane 1's view is not drawn yet");
 

@@ -14,7 +14,7 @@ use crate::world::{Item, Warehouse};
 /// Distance of a nearby start along the aisle, in cells.
 pub(crate) const NEARBY_CELLS: std::ops::RangeInclusive<u8> = 2..=4;
 
-/// Least distance of a distant start, in cells (columns plus rows).
+/// Minimum distance of a distant start, in cells (columns plus rows).
 pub(crate) const DISTANT_CELLS: u32 = 6;
 
 /// Length of the test reference, in percent of the original demonstration's.
