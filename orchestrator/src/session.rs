@@ -1,5 +1,5 @@
-//! One session of a run: what the [`pipeline`](crate::pipeline) finishes goes into the run folder, what happens to the
-//! monitor.
+//! One session of a run: records what the [`pipeline`](crate::pipeline) finishes in the run folder, and passes events
+//! to the monitor.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -192,7 +192,7 @@ impl Observer for RunSession<'_> {
     }
 }
 
-/// A shutdown report as the run folder keeps it.
+/// A shutdown report as the run folder stores it.
 fn counts_of(role: Role, report: &ShutdownReport) -> (String, BTreeMap<String, u64>) {
     let counts = [
         ("frames_rendered", report.frames_rendered),

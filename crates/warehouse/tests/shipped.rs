@@ -22,7 +22,11 @@ fn the_shipped_cases_are_what_their_seed_gives() {
         "assets/cases.toml is not what seed {SHIPPED_SEED} gives; if the change is intended, write it \
          anew: {REGENERATE}=1 cargo test --release -p warehouse --test shipped"
     );
-    assert_eq!(CaseSet::load(&path, &warehouse).unwrap(), generated, "the file is read back as the same set");
+    assert_eq!(
+        CaseSet::load(&path, &warehouse).unwrap(),
+        generated,
+        "the file is read back as the same set"
+    );
 }
 
 #[test]

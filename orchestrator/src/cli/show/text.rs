@@ -95,7 +95,7 @@ fn prompt_text(text: &mut String, prompt: &RecordedPrompt) {
                     RecordedPart::Stored(hash) => {
                         indented(text, prompt.texts.get(hash).map_or("", String::as_str));
                     }
-                    // Never in a log.
+                    // Never in a log: images are stored as files.
                     RecordedPart::Png(_) => {}
                     RecordedPart::Image(hash) => {
                         let _ = writeln!(text, "  [image {}]", short(hash));
@@ -115,7 +115,7 @@ fn prompt_text(text: &mut String, prompt: &RecordedPrompt) {
     }
 }
 
-/// What came of the request and what it took.
+/// Outcome, attempts, times and tokens of a request.
 pub(super) fn facts(prompt: &RecordedPrompt) -> Vec<(&'static str, String)> {
     let entry = &prompt.entry;
     let mut facts = Vec::new();
