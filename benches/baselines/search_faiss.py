@@ -48,11 +48,11 @@ def time(batch, seconds):
     return {"seconds": median_seconds(lambda q: index.search(q, 1), queries, batch, seconds)}
 
 
-def walk(searching, batch, seconds):
+def query(searching, batch, seconds):
     """Measures time and recall of a batch with efSearch = `searching`."""
     state["index"].hnsw.efSearch = searching
     _, found = state["index"].search(state["queries"], 10)
     return {"recall_at_10": recall(found, state["truth"]), **time(batch, seconds)}
 
 
-serve(load=load, time=time, walk=walk)
+serve(load=load, time=time, query=query)

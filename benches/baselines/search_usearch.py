@@ -27,7 +27,7 @@ def load(command, entries, dimension, queries, threads, graph):
     return {"entries": len(index), "version": usearch.__version__}
 
 
-def walk(searching, batch, seconds):
+def query(searching, batch, seconds):
     """Measures time and recall of a batch with expansion_search = `searching`."""
     index, queries = state["index"], state["queries"]
     index.expansion_search = searching
@@ -40,4 +40,4 @@ def walk(searching, batch, seconds):
     }
 
 
-serve(load=load, walk=walk)
+serve(load=load, query=query)
