@@ -44,7 +44,7 @@ impl ErrorReporter {
         self.sender.send(&error_report)
     }
 
-    /// Reports that no episode can go on, and why: the run stops. Notify the orchestrator afterwards.
+    /// Reports that no episode can continue, and why: the run stops. Notify the orchestrator afterwards.
     ///
     /// # Errors
     /// When the report cannot be delivered.

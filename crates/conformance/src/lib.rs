@@ -111,7 +111,7 @@ impl Conformance {
                     Ok(remark) => (CheckVerdict::Passed, remark),
                     Err(Trouble::Broken(error)) => return Err(error),
                     Err(Trouble::Wrong(what)) => {
-                        // The next check starts the policy anew.
+                        // The next check starts a new policy process.
                         kit.kill_subject();
                         (CheckVerdict::Failed, what)
                     }

@@ -23,7 +23,7 @@ pub(super) struct RunDocuments {
 }
 
 impl RunDocuments {
-    /// The documents of a run with `settings`, which begins anew if `fresh`.
+    /// The documents of a run with `settings`, which starts over if `fresh`.
     pub(super) fn of(settings: &RunSettings, fresh: bool) -> Self {
         let (folder, selection) = match &settings.documents {
             DocumentSource::Extractive => (None, DocumentSelection::Recipe(Recipe::Extractive)),
