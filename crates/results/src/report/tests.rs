@@ -71,7 +71,7 @@ fn what_was_not_run_is_left_out_and_named_in_one_line() {
         Block::Text(text) if text.starts_with("This run has no conditions for") => Some(text),
         _ => None,
     });
-    insta::assert_snapshot!(line.unwrap(), @"This run has no conditions for: RQ1: another start than the demonstration's; RQ2: a blocked route; Design choices.");
+    insta::assert_snapshot!(line.unwrap(), @"This run has no conditions for: RQ1: a start that was not demonstrated; RQ2: a blocked route; Design choices.");
     let cells = cells(&document);
     let found = |place: &str| {
         let cell = cells.iter().find(|(at, _)| at == place);

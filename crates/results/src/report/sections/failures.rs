@@ -94,7 +94,7 @@ pub(in crate::report) fn worst_table(view: &ScoredRun<'_>, most: usize) -> Optio
         Table::of_text(
             view.id("worst-cases"),
             "The cases that fail most, over all conditions and runs, with the most frequent kind of failure and an \
-             episode of it: `memtransfer show RUN EPISODE` shows its steps.",
+             episode of it: `memtransfer show RUN CASE STEP` shows its steps.",
             (&["Case"], &["Task", "Failed", "Main failure", "Example"]),
             rows,
         )
