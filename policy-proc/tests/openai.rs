@@ -212,7 +212,7 @@ fn answers_without_an_action_have_different_outcomes() {
         (6, Outcome::Acted),
     ];
     assert_eq!(outcomes, expected.map(|(lane, outcome)| (lane, outcome as u8)));
-    // A refused request is no fault of the model.
+    // A refused request does not count against the model.
     let (report, text) = bench.error_report();
     assert_eq!((report.kind, report.lane), (ErrorReportKind::Episode as u32, 5));
     assert!(text.contains("status 400: at most 1 image"), "{text}");
