@@ -87,7 +87,7 @@ pub fn recall(id: RequestId, segment: &[FrameId], documents: &[DocumentId]) -> R
     recall
 }
 
-/// The account of a recall without a retrieval.
+/// The trace of a recall without a retrieval.
 pub fn recall_trace(id: RequestId) -> RecallTrace {
     let RequestId { lane, episode, step } = id;
     RecallTrace {
