@@ -3,10 +3,10 @@
 //! - [`serve`] is the process in a run; [`engine`] knows what each lane waits for, [`episode`] is one of them;
 //! - [`representation`]: what is stored and what a step is supplied with, built from [`demonstrations`];
 //!   [`document_loader`] publishes documents;
-//! [`encoder`] computes embeddings, [`embedding_cache`] stores them; [`manifest`] lists encoders, [`paths`] their
-//! files;
+//! - [`encoder`] computes embeddings, [`embedding_cache`] stores them; [`manifest`] lists encoders, [`paths`] their
+//!   files;
 //! - [`builders`] write documents before a run;
-//! [`embed_command`] embeds images, and [`search_profile`] measures searches, for users.
+//! - [`embed_command`] embeds images, and [`search_profile`] measures searches, for users.
 //!
 //! What is not here: stepping and rendering (sim-proc), deciding (policy-proc), scoring (results).
 
