@@ -134,11 +134,11 @@ mod tests {
         let report = checked(&CaseSet::shipped());
         assert!(report.is_clean(), "{report}");
         insta::assert_snapshot!(report, @"
-        ok     400 checked    0 off  mixed: two different histories of each kind, demonstrations of other cases
-        ok     400 checked    0 off  mixed: no item counts for the history's task and for the case's
-        ok     200 checked    0 off  irrelevant: the history shares no pose with the test reference
-        ok     200 checked    0 off  confusable: at a pose shared with the test reference the history continues differently
-        ok     365 checked    0 off  mixed: no history serves more than four cases as one kind
+        ok     400 checked    0 violated  mixed: two different histories of each kind, demonstrations of other cases
+        ok     400 checked    0 violated  mixed: no item counts for the history's task and for the case's
+        ok     200 checked    0 violated  irrelevant: the history shares no pose with the test reference
+        ok     200 checked    0 violated  confusable: at a pose shared with the test reference the history continues differently
+        ok     365 checked    0 violated  mixed: no history serves more than four cases as one kind
         irrelevant: 200 histories, 200 different ones of 90 cases; shared poses 0, conflicts 0
         confusable: 200 histories, 165 different ones of 74 cases; shared poses 1 to 32 (median 11), conflicts 1 to 5 (median 3)
         ");

@@ -320,12 +320,12 @@ fn a_report_prints_a_line_for_each_constraint_and_the_first_violations() {
     assert!(!report.is_clean());
     assert_eq!(report.violations(), 5);
     insta::assert_snapshot!(report, @"
-    ok     100 checked    0 violated   good things are good
-    FAIL     7 checked    5 violated   bad things are few
+    ok     100 checked    0 violated  good things are good
+    FAIL     7 checked    5 violated  bad things are few
                one
                two
                three
                and 2 more
-    FAIL     0 checked    0 violated   something is there
+    FAIL     0 checked    0 violated  something is there
     ");
 }
