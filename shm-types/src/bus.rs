@@ -50,9 +50,11 @@ const RECEIVERS_TIMEOUT: Duration = Duration::from_secs(60);
 pub struct Bus {
     attach: Attach,
     role: Role,
+    /// Index of an external memory; otherwise 0.
+    index: u8,
     listener: Listener,
     /// The senders created so far, by service.
-    ports: Mutex<HashMap<&'static str, Arc<dyn Any + Send + Sync>>>,
+    ports: Mutex<HashMap<(&'static str, u8), Arc<dyn Any + Send + Sync>>>,
     receivers: Arc<AllReceivers>,
     node: Node<Ipc>,
     /// Locked while the process takes part, so that no cleaner removes the run. The last field: it is dropped
@@ -67,6 +69,18 @@ impl Bus {
     /// When a value of `attach` is invalid, the folder's path is too long for sockets, the folder does not exist,
     /// or iceoryx2 cannot create its node or the role's listener.
     pub fn join(attach: Attach, role: Role) -> Result<Self, BusError> {
+        Self::join_as(attach, role, 0)
+    }
+
+    /// As [`Self::join`], for the external memory with this index.
+    ///
+    /// # Errors
+    /// As [`Self::join`].
+    pub fn join_external_memory(attach: Attach, index: u8) -> Result<Self, BusError> {
+        Self::join_as(attach, Role::ExternalMemory, index)
+    }
+
+    fn join_as(attach: Attach, role: Role, index: u8) -> Result<Self, BusError> {
         attach.check()?;
         let membership = registry::lock_shared(&attach.root).map_err(|cause| {
             BusError::Membership { path: attach.root.display().to_string(), cause }
@@ -79,9 +93,9 @@ impl Bus {
             .config(&config)
             .create::<Ipc>()
             .map_err(|e| BusError::open("cannot create a node in the run", e))?;
-        let listener = Listener::new(&node, &attach, role)?;
+        let listener = Listener::new(&node, &attach, (role, index))?;
         let (ports, receivers) = (Mutex::default(), Arc::default());
-        let bus = Self { attach, role, listener, ports, receivers, node, _membership: membership };
+        let bus = Self { attach, role, index, listener, ports, receivers, node, _membership: membership };
         if role != Role::Orchestrator {
             bus.sender::<Handshake>()?;
             bus.sender::<ErrorReport>()?;
@@ -100,6 +114,11 @@ impl Bus {
         self.role
     }
 
+    /// The index of an external memory; 0 for other roles.
+    pub fn index(&self) -> u8 {
+        self.index
+    }
+
     /// This process's own listener. It exists before any receiver, so that a message that is received can also be
     /// notified.
     pub fn listener(&self) -> &Listener {
@@ -111,7 +130,15 @@ impl Bus {
     /// # Errors
     /// When the service cannot be opened.
     pub fn notifier(&self, of: Role) -> Result<Notifier, BusError> {
-        Notifier::new(&self.node, &self.attach, of)
+        Notifier::new(&self.node, &self.attach, (of, self.index))
+    }
+
+    /// A notifier for an external memory.
+    ///
+    /// # Errors
+    /// When the service cannot be opened.
+    pub fn external_memory_notifier(&self, index: u8) -> Result<Notifier, BusError> {
+        Notifier::new(&self.node, &self.attach, (Role::ExternalMemory, index))
     }
 
     /// The sender of `M`; every call returns the same one.
@@ -119,22 +146,31 @@ impl Bus {
     /// # Errors
     /// When this role does not send `M`, or the service cannot be opened.
     pub fn sender<M: Message>(&self) -> Result<Sender<M>, BusError> {
+        self.sender_to(self.index)
+    }
+
+    /// The sender of `M` to an external memory.
+    ///
+    /// # Errors
+    /// As [`Self::sender`].
+    pub fn sender_to<M: Message>(&self, index: u8) -> Result<Sender<M>, BusError> {
         self.allowed(M::FROM, M::SERVICE, "send")?;
         let mut ports = self.ports.lock().unwrap_or_else(PoisonError::into_inner);
-        let known = ports.get(M::SERVICE).cloned();
+        let key = (M::SERVICE, index);
+        let known = ports.get(&key).cloned();
         if let Some(port) = known.and_then(|port| port.downcast().ok()) {
             return Ok(Sender { port });
         }
-        let service = self.service::<M>()?;
+        let service = self.service::<M>(index)?;
         let publisher = service
             .publisher_builder()
             .max_loaned_samples(1)
             .set_backpressure_handler(|_| BackpressureAction::DiscardDataAndFail)
             .create()
             .map_err(|e| BusError::open(format_args!("cannot send on {}", M::SERVICE), e))?;
-        let receivers = self.attach.count(M::TO);
+        let receivers = if is_private::<M>() { 1 } else { self.attach.count(M::TO) };
         let port = Arc::new(Port { publisher, service, receivers, complete: false.into() });
-        ports.insert(M::SERVICE, port.clone());
+        ports.insert(key, port.clone());
         Ok(Sender { port })
     }
 
@@ -143,15 +179,24 @@ impl Bus {
     /// # Errors
     /// When this role does not receive `M`, or the service cannot be opened.
     pub fn receiver<M: Message>(&self) -> Result<Receiver<M>, BusError> {
+        self.receiver_from(self.index)
+    }
+
+    /// A receiver of `M` from an external memory.
+    ///
+    /// # Errors
+    /// As [`Self::receiver`].
+    pub fn receiver_from<M: Message>(&self, index: u8) -> Result<Receiver<M>, BusError> {
         self.allowed(M::TO, M::SERVICE, "receive")?;
         let subscriber = self
-            .service::<M>()?
+            .service::<M>(index)?
             .subscriber_builder()
             .create()
             .map_err(|e| BusError::open(format_args!("cannot receive on {}", M::SERVICE), e))?;
         let subscriber = Arc::new(subscriber);
         self.receivers.add(subscriber.clone());
-        let most = self.attach.queue_len(M::TRAFFIC) * M::FROM.len();
+        let senders = if is_private::<M>() { 1 } else { self.attach.places(M::FROM) };
+        let most = self.attach.queue_len(M::TRAFFIC) * senders;
         Ok(Receiver { subscriber, most, all: self.receivers.clone() })
     }
 
@@ -165,14 +210,19 @@ impl Bus {
         roles.contains(&role).then_some(()).ok_or(BusError::WrongRole { service, role, verb })
     }
 
-    fn service<M: Message>(&self) -> Result<PortFactory<Ipc, M, ()>, BusError> {
-        self.builder(M::SERVICE)?
+    fn service<M: Message>(&self, index: u8) -> Result<PortFactory<Ipc, M, ()>, BusError> {
+        let (builder, senders, receivers) = if is_private::<M>() {
+            (self.builder(&format!("{}-{index}", M::SERVICE))?, 1, 1)
+        } else {
+            (self.builder(M::SERVICE)?, self.attach.places(M::FROM), self.attach.places(M::TO))
+        };
+        builder
             .publish_subscribe::<M>()
             .enable_safe_overflow(false)
             .history_size(0)
-            .max_publishers(M::FROM.len())
-            .max_subscribers(M::TO.len())
-            .max_nodes(M::FROM.len() + M::TO.len())
+            .max_publishers(senders)
+            .max_subscribers(receivers)
+            .max_nodes(senders + receivers)
             .subscriber_max_borrowed_samples(1)
             .subscriber_max_buffer_size(self.attach.queue_len(M::TRAFFIC))
             .open_or_create()
@@ -186,6 +236,11 @@ impl Bus {
     ) -> Result<iceoryx2::service::builder::Builder<Ipc>, BusError> {
         Ok(self.node.service_builder(&service_name(&self.attach, name)?))
     }
+}
+
+/// Whether each external memory has its own service for `M`.
+fn is_private<M: Message>() -> bool {
+    [M::FROM, M::TO].contains(&[Role::ExternalMemory].as_slice())
 }
 
 /// Sends messages of type `M`.
