@@ -17,8 +17,8 @@ use prompt::image::ImageFormat;
 use serde_json::{Value, json};
 use shm_types::documents::Content;
 use shm_types::message::{
-    self, ErrorReport, ErrorReportKind, FrameId, Handshake, NOT_MEASURED, Observation,
-    PolicyEpisodeConfig, Recall, Role, Stop, WirePose, read_text, write_text,
+    self, ErrorReport, ErrorReportKind, FrameId, Handshake, ItemKind, NOT_MEASURED, Observation,
+    PolicyEpisodeConfig, Recall, RecalledItem, Role, Stop, WirePose, read_text, write_text,
 };
 use shm_types::{
     Attach, Bus, DocumentPublisher, FramePublisher, FrameSize, FrameStore, Notifier, Receiver,
@@ -331,9 +331,11 @@ fn images_are_kept_to_the_budget() {
     let budget = OpenaiSettings { image_budget: 3, image_format: ImageFormat::Jpeg, ..settings() };
     let mut bench = Bench::new(server, budget);
     let frames = [10, 20, 30, 40].map(|grey| bench.publish(grey));
-    let mut recall = Recall { segment_len: 2, distance: 0.5, ..no_memory() };
-    for (view, frame) in recall.segment.iter_mut().zip([frames[2], frames[0]]) {
-        view.frame = frame;
+    let mut recall = Recall { items_len: 1, steps_len: 2, ..no_memory() };
+    let kind = ItemKind::Steps as u8;
+    recall.items[0] = RecalledItem { kind, distance: 0.5, steps: 2, ..Zeroable::zeroed() };
+    for (step, frame) in recall.steps.iter_mut().zip([frames[2], frames[0]]) {
+        step.frame = frame;
     }
     (0..2).for_each(|lane| bench.begin_with_window(lane, 2));
     for step in 0..2 {
@@ -374,10 +376,12 @@ fn without_images_a_model_gets_plain_text_and_memory_its_share() {
     let mut bench = Bench::new(server, OpenaiSettings { image_budget: 0, ..settings() });
     let frame = bench.publish(1);
     // As much text as the rest of the prompt, and more.
-    let document = Content::Summary("- blue barrel: stand at (1, 2)\n".repeat(200));
-    let document = bench.documents.publish(None, &document).unwrap();
-    let mut recall = Recall { documents_len: 1, ..no_memory() };
-    recall.documents[0] = document;
+    let text = "- blue barrel: stand at (1, 2)\n".repeat(200);
+    let bytes = text.len() as u32;
+    let document = bench.documents.publish(None, &Content::Summary(text)).unwrap();
+    let mut recall = Recall { items_len: 1, ..no_memory() };
+    let kind = ItemKind::Text as u8;
+    recall.items[0] = RecalledItem { kind, document, bytes, ..Zeroable::zeroed() };
     bench.begin(3);
     bench.step(3, 0, frame, recall);
     bench.notify();

@@ -2,7 +2,7 @@
 
 use std::sync::{Arc, Mutex, PoisonError};
 
-use peer::PinnedStep;
+use peer::{CaptionedView, Item, PinnedStep, StepsView, TextView};
 use pyo3::exceptions::PyAttributeError;
 use pyo3::prelude::*;
 use pyo3::types::PyTuple;
@@ -57,9 +57,7 @@ fn field<'py>(
     let classes = Classes::get(py)?;
     let maker = Maker { py, classes };
     step.with_request(|request| {
-        // The pinned frames are in this order: current view, window, segment, keyframes.
-        let (window, segment) =
-            (request.window.len(), request.segment.map_or(0, |s| s.steps.len()));
+        // The pinned frames are in this order: current view, window, items.
         let mut frames = step.frames().iter();
         Ok(Some(match name {
             "lane" => request.lane.into_pyobject(py)?.into_any(),
@@ -86,35 +84,9 @@ fn field<'py>(
                 });
                 maker.tuple(steps)?
             }
-            "segment" => match request.segment {
-                None => py.None().into_bound(py),
-                Some(found) => {
-                    let frames = frames.skip(1 + window);
-                    let steps = found.steps.iter().zip(frames).map(|(step, frame)| {
-                        let values = (maker.frame(Some(frame))?, maker.action(step.action));
-                        classes.remembered_step.bind(py).call1(values)
-                    });
-                    let steps = maker.tuple(steps)?;
-                    classes.segment.bind(py).call1((found.distance, steps))?
-                }
-            },
-            "documents" => {
-                let texts = request.documents.iter().map(|document| {
-                    let kind = classes.document_kind.member(py, document.kind as u8);
-                    classes.document.bind(py).call1((document.id, kind, document.text))
-                });
-                maker.tuple(texts)?
-            }
-            "trajectories" => {
-                let mut frames = frames.skip(1 + window + segment);
-                let trajectories = request.trajectories.iter().map(|trajectory| {
-                    maker.tuple(trajectory.steps.iter().map(|step| {
-                        let frame = if step.frame.is_some() { frames.next() } else { None };
-                        let values = (maker.frame(frame)?, maker.action(step.action));
-                        classes.demonstration_step.bind(py).call1(values)
-                    }))
-                });
-                maker.tuple(trajectories)?
+            "items" => {
+                let mut frames = frames.skip(1 + request.window.len());
+                maker.tuple(request.items.iter().map(|item| maker.item(item, &mut frames)))?
             }
             _ => return Ok(None),
         }))
@@ -127,6 +99,33 @@ struct Maker<'py> {
 }
 
 impl<'py> Maker<'py> {
+    /// An item, whose views are the next of `frames`.
+    fn item<'f>(
+        &self,
+        item: &Item<'_>,
+        frames: &mut impl Iterator<Item = &'f Arc<shm_types::Frame>>,
+    ) -> PyResult<Bound<'py, PyAny>> {
+        let Self { py, classes } = *self;
+        match item {
+            Item::Text(TextView { id, kind, text }) => {
+                let kind = classes.document_kind.member(py, *kind as u8);
+                classes.document.bind(py).call1((*id, kind, *text))
+            }
+            Item::Steps(StepsView { distance, is_whole, steps }) => {
+                let steps = self.tuple(steps.iter().map(|step| {
+                    let frame = if step.frame.is_some() { frames.next() } else { None };
+                    let values = (self.frame(frame)?, self.action(step.action));
+                    classes.remembered_step.bind(py).call1(values)
+                }))?;
+                classes.segment.bind(py).call1((*distance, steps, *is_whole))
+            }
+            Item::Frame(CaptionedView { caption, .. }) => {
+                let values = (self.frame(frames.next())?, *caption);
+                classes.remembered_view.bind(py).call1(values)
+            }
+        }
+    }
+
     fn frame(&self, frame: Option<&Arc<shm_types::Frame>>) -> PyResult<Bound<'py, PyAny>> {
         match frame {
             Some(frame) => Ok(Bound::new(self.py, Frame::shared(frame))?.into_any()),

@@ -320,7 +320,9 @@ impl Attach {
             return value("frame_capacity", &self.frame_capacity, format!("1 to {MAX_FRAMES}"));
         }
         let most = MAX_EXTERNAL_MEMORIES;
-        if let Some(index) = self.external_memories.iter().find(|&&index| usize::from(index) >= most) {
+        if let Some(index) =
+            self.external_memories.iter().find(|&&index| usize::from(index) >= most)
+        {
             return value("external_memories", index, format!("0 to {}", most - 1));
         }
         if !self.external_memories.is_sorted_by(|a, b| a < b) {

@@ -95,7 +95,8 @@ impl Bus {
             .map_err(|e| BusError::open("cannot create a node in the run", e))?;
         let listener = Listener::new(&node, &attach, (role, index))?;
         let (ports, receivers) = (Mutex::default(), Arc::default());
-        let bus = Self { attach, role, index, listener, ports, receivers, node, _membership: membership };
+        let bus =
+            Self { attach, role, index, listener, ports, receivers, node, _membership: membership };
         if role != Role::Orchestrator {
             bus.sender::<Handshake>()?;
             bus.sender::<ErrorReport>()?;

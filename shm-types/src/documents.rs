@@ -73,6 +73,14 @@ impl Content {
         }
     }
 
+    /// The text; `None` for demonstrations.
+    pub fn text(&self) -> Option<&str> {
+        match self {
+            Self::Summary(text) | Self::Semantic(text) | Self::Note(text) => Some(text),
+            Self::Trajectories(_) => None,
+        }
+    }
+
     fn bytes(&self) -> &[u8] {
         match self {
             Self::Summary(text) | Self::Semantic(text) | Self::Note(text) => text.as_bytes(),

@@ -37,7 +37,11 @@ pub struct Listener {
 }
 
 impl Listener {
-    pub(crate) fn new(node: &Node<Ipc>, attach: &Attach, (role, index): (Role, u8)) -> Result<Self, BusError> {
+    pub(crate) fn new(
+        node: &Node<Ipc>,
+        attach: &Attach,
+        (role, index): (Role, u8),
+    ) -> Result<Self, BusError> {
         let port = service(node, attach, (role, index))?.listener_builder().create();
         let port = port.map_err(|error| match error {
             ListenerCreateError::ExceedsMaxSupportedListeners => BusError::Taken { role },

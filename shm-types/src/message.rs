@@ -212,13 +212,14 @@ wire_struct! {
     /// One item of what memory supplies for a step.
     RecalledItem, "memtransfer.RecalledItem", 32 bytes {
         /// Text and captioned frame: the document that holds the text. Trajectory: the document that holds the steps.
-        /// Otherwise [`NO_DOCUMENT`].
+        /// Otherwise, and for an empty caption, [`NO_DOCUMENT`].
         document: DocumentId,
         /// Distance between the item and the query; NaN if the memory tells none.
         distance: f32,
         /// First step: in [`Recall::steps`], or in the document of a trajectory.
         first_step: u32,
-        /// Number of steps.
+        /// Number of steps, at least 1; 1 for a captioned frame, 0 for a text. Those of a trajectory can belong to
+        /// several demonstrations, one after the other.
         steps: u32,
         /// First byte of the text in the document.
         first_byte: u32,
@@ -226,8 +227,10 @@ wire_struct! {
         bytes: u32,
         /// An [`ItemKind`] code.
         kind: u8,
+        /// Steps and trajectory: 1 if they are a whole demonstration, from its start to its end.
+        whole: u8,
         /// Zero.
-        reserved: [u8; 3],
+        reserved: [u8; 2],
     }
 }
 

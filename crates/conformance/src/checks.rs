@@ -10,13 +10,13 @@ use shm_types::ATTACH_VARIABLE;
 use shm_types::attach::ATTACH_FILE;
 use shm_types::documents::Content;
 use shm_types::message::{
-    MAX_INSTRUCTION, MAX_SEGMENT, MAX_WINDOW, NO_ACTION, NO_FRAME, NOT_MEASURED, TrajectoryStep,
-    WIRE_VERSION,
+    FrameId, ItemKind, MAX_INSTRUCTION, MAX_ITEMS, MAX_SEGMENT, MAX_STEPS, MAX_WINDOW, NO_ACTION,
+    NO_FRAME, NOT_MEASURED, RecalledItem, TrajectoryStep, WIRE_VERSION,
 };
 use supervise::Children;
 
 use super::{Kit, LANES};
-use crate::neighbours::{last, observation};
+use crate::neighbours::{item, last, observation, supplied, supply};
 use crate::subject::{
     CheckResult, RequestScene, TestedPolicy, Trouble, next, wait_for_exit, wrong,
 };
@@ -61,7 +61,7 @@ pub(super) const CHECKS: &[Check] = &[
         name: "counts correctly",
         expected: "`images_asked` is the number of images of the request, `images` is not larger, `attempts` is \
                    plausible; a count that is not known is NOT_MEASURED",
-        advice: "count the current view, the window, the segment and the keyframes; set unknown counts to 4294967295",
+        advice: "count the current view, the window and the views of all items; set unknown counts to 4294967295",
         run: counts,
     },
     Check {
@@ -105,6 +105,14 @@ pub(super) const CHECKS: &[Check] = &[
         expected: "a decision with four demonstrations that have 40 keyframes",
         advice: "a step without a keyframe has no frame; leave out images that are too many",
         run: keyframes,
+    },
+    Check {
+        name: "takes items of every kind",
+        expected: "a decision for recalls with eight items: texts of every kind, segments, parts without views or \
+                   actions, demonstrations, captioned views; with 48 steps; and an `images_asked` that counts all views",
+        advice: "go through `items` in order; a step may lack its view or its action, a distance may be NaN, a text may \
+                 be a part of its document",
+        run: every_item,
     },
     Check {
         name: "takes the longest window and segment",
@@ -335,15 +343,15 @@ fn long_documents(kit: &mut Kit<'_>) -> CheckResult<String> {
     let summary = text("The blue barrels stand in aisle 3, bay 7 — second from the north. ");
     let semantic =
         text("Regale stehen in Blöcken; am Ende eines Ganges führt ein Quergang weiter.\n");
-    let documents = vec![
-        subject.document(None, &Content::Summary(summary))?,
-        subject.document(None, &Content::Semantic(semantic))?,
+    let items = vec![
+        (subject.document(None, &Content::Summary(summary))?, Vec::new()),
+        (subject.document(None, &Content::Semantic(semantic))?, Vec::new()),
     ];
     let mut id = subject.begin(6, 1, INSTRUCTION)?;
     for seed in 0..3 {
         let scene = RequestScene {
             frame: subject.view(seed)?,
-            documents: documents.clone(),
+            items: items.clone(),
             ..RequestScene::default()
         };
         subject.ask_and_wait(id, &scene)?;
@@ -371,8 +379,59 @@ fn keyframes(kit: &mut Kit<'_>) -> CheckResult<String> {
     let frame = subject.view(7)?;
     subject.ask_and_wait(
         id,
-        &RequestScene { frame, documents: vec![document], ..RequestScene::default() },
+        &RequestScene { frame, items: vec![(document, Vec::new())], ..RequestScene::default() },
     )?;
+    clear_away(subject)
+}
+
+fn every_item(kit: &mut Kit<'_>) -> CheckResult<String> {
+    let subject = kit.subject()?;
+    let views = subject.views(400..400 + MAX_STEPS as u64)?;
+    let mut id = subject.begin(16, 1, INSTRUCTION)?;
+    let note = subject.document(Some(id), &Content::Note("Zurück — nach Süden.".to_owned()))?;
+    let summary =
+        subject.document(None, &Content::Summary("The barrels stand in aisle 3.".into()))?;
+    let of_trajectory =
+        |trajectory, frame, action| TrajectoryStep { frame, action, trajectory, reserved: [0; 6] };
+    let demonstrations = vec![
+        of_trajectory(0, views[0], Action::Forward as u8),
+        of_trajectory(0, NO_FRAME, NO_ACTION),
+        of_trajectory(1, NO_FRAME, Action::Left as u8),
+        of_trajectory(1, views[1], NO_ACTION),
+    ];
+    let demonstrations = subject.document(Some(id), &Content::Trajectories(demonstrations))?;
+    let steps = |frames: &[FrameId], action| -> Vec<_> {
+        frames.iter().map(|&frame| supplied(frame, action)).collect()
+    };
+    let of_steps = item(ItemKind::Steps);
+    let frame_of = |caption| RecalledItem { kind: ItemKind::Frame as u8, ..caption };
+    let forward = Some(Action::Forward);
+    let mixed = vec![
+        // "nach": a text may be a part of its document.
+        (RecalledItem { first_byte: 12, bytes: 4, ..note }, Vec::new()),
+        (RecalledItem { distance: 0.25, ..of_steps }, steps(&views[..3], forward)),
+        (RecalledItem { distance: 0.5, ..of_steps }, steps(&views[3..5], None)),
+        (of_steps, steps(&[NO_FRAME; 4], forward)),
+        (demonstrations, Vec::new()),
+        (frame_of(note), steps(&views[..1], None)),
+        (frame_of(item(ItemKind::Frame)), steps(&views[..1], None)),
+        (summary, Vec::new()),
+    ];
+    let part = RecalledItem { first_step: 1, steps: 2, whole: 0, ..demonstrations };
+    let repeated = vec![(part, Vec::new()); MAX_ITEMS];
+    let longest = vec![(of_steps, steps(&views, forward))];
+    for (items, images) in [(mixed, 10), (repeated, 1), (longest, 1 + MAX_STEPS as u32)] {
+        let scene = RequestScene { frame: subject.view(5)?, items, ..RequestScene::default() };
+        let decision = subject.ask_and_wait(id, &scene)?;
+        // The steps before this one are in the window.
+        let (asked, shown) = (decision.images_asked, images + id.step);
+        if asked != NOT_MEASURED && asked != shown {
+            return wrong(format_args!(
+                "`images_asked` is {asked} for a request with {shown} images"
+            ));
+        }
+        id = next(id);
+    }
     clear_away(subject)
 }
 
@@ -425,15 +484,24 @@ fn frames_are_released(kit: &mut Kit<'_>) -> CheckResult<String> {
 fn invalid_messages(kit: &mut Kit<'_>) -> CheckResult<String> {
     let subject = kit.subject()?;
     let scene = plain(subject, 10)?;
-    let unknown_document =
-        RequestScene { documents: vec![scene.frame + 1_000_000], ..scene.clone() };
+    let text = subject.document(None, &Content::Note("— a note".to_owned()))?;
+    let of_item =
+        |item: RecalledItem| RequestScene { items: vec![(item, Vec::new())], ..scene.clone() };
+    let unknown_document = of_item(RecalledItem { document: text.document + 1_000_000, ..text });
+    let cut = of_item(RecalledItem { bytes: 1, ..text });
+    let kind = ItemKind::Trajectory as u8;
+    let wrong_kind = of_item(RecalledItem { kind, steps: 1, ..text });
     let unknown_frame = RequestScene { segment: vec![scene.frame + 1_000_000], ..scene.clone() };
     let mut ignored = Vec::new();
     for (lane, what) in [
         "a feedback code of 77",
         "a document that was never published",
         "a frame that was never published",
-        "a segment of 33 views",
+        "nine items",
+        "an item of kind 77",
+        "an item with steps that the message does not have",
+        "a text that ends within a character",
+        "steps of a document that is a text",
     ]
     .into_iter()
     .enumerate()
@@ -446,7 +514,11 @@ fn invalid_messages(kit: &mut Kit<'_>) -> CheckResult<String> {
             0 => observed.feedback = 77,
             1 => recalled = unknown_document.recall(id),
             2 => recalled = unknown_frame.recall(id),
-            _ => recalled.segment_len = MAX_SEGMENT as u32 + 1,
+            3 => recalled.items_len = MAX_ITEMS as u32 + 1,
+            4 => supply(&mut recalled, RecalledItem { kind: 77, ..item(ItemKind::Text) }, &[]),
+            5 => supply(&mut recalled, RecalledItem { steps: 3, ..item(ItemKind::Steps) }, &[]),
+            6 => recalled = cut.recall(id),
+            _ => recalled = wrong_kind.recall(id),
         }
         subject.recall(&recalled)?;
         subject.observe(&observed)?;

@@ -5,9 +5,9 @@ use std::time::{Duration, Instant};
 use bytemuck::Zeroable;
 use domain::{Action, Feedback, Heading, Pose};
 use shm_types::message::{
-    Decision, ErrorReport, Eviction, FrameId, Handshake, NO_ACTION, NO_FRAME, Observation,
-    PolicyEpisodeConfig, Recall, RequestId, Role, SegmentStep, ShutdownReport, Stop, WirePose,
-    write_text,
+    Decision, ErrorReport, Eviction, FrameId, Handshake, ItemKind, NO_ACTION, NO_FRAME,
+    Observation, PolicyEpisodeConfig, Recall, RecalledItem, RequestId, Role, SegmentStep,
+    ShutdownReport, Stop, WirePose, write_text,
 };
 use shm_types::process::monotonic_ns;
 use shm_types::{
@@ -203,25 +203,46 @@ pub fn last(id: RequestId) -> Observation {
     Observation { last: 1, ..observation(id, NO_FRAME) }
 }
 
-/// A recall with a segment, whose last view has no action.
+/// A recall with a segment, whose last view has no action; without an item if `segment` is empty.
 pub fn recall(id: RequestId, segment: &[FrameId]) -> Recall {
     let RequestId { lane, episode, step } = id;
     let now = monotonic_ns();
-    let distance = if segment.is_empty() { f32::NAN } else { 0.125 };
-    let (received_ns, sent_ns, segment_len) = (now, now, segment.len() as u32);
-    let mut recall = Recall {
-        lane,
-        episode,
-        step,
-        distance,
-        received_ns,
-        sent_ns,
-        segment_len,
-        ..Zeroable::zeroed()
-    };
-    for (at, (view, &frame)) in recall.segment.iter_mut().zip(segment).enumerate() {
-        let action = if at + 1 == segment.len() { NO_ACTION } else { Action::TurnLeft as u8 };
-        *view = SegmentStep { frame, action, reserved: [0; 7] };
+    let mut recall =
+        Recall { lane, episode, step, received_ns: now, sent_ns: now, ..Zeroable::zeroed() };
+    if !segment.is_empty() {
+        let item = RecalledItem { distance: 0.125, ..item(ItemKind::Steps) };
+        let last = segment.len() - 1;
+        let steps = segment.iter().enumerate();
+        let action = |at| (at < last).then_some(Action::TurnLeft);
+        let steps: Vec<_> = steps.map(|(at, &frame)| supplied(frame, action(at))).collect();
+        supply(&mut recall, item, &steps);
     }
     recall
+}
+
+/// An item without a document, steps and distance.
+pub fn item(kind: ItemKind) -> RecalledItem {
+    RecalledItem { kind: kind as u8, distance: f32::NAN, ..Zeroable::zeroed() }
+}
+
+/// A step of an item.
+pub fn supplied(frame: FrameId, action: Option<Action>) -> SegmentStep {
+    let action = action.map_or(NO_ACTION, |action| action as u8);
+    SegmentStep { frame, action, reserved: [0; 7] }
+}
+
+/// Adds an item to a recall, with the steps that the message holds for it.
+///
+/// # Panics
+/// When the message has no room for them.
+pub fn supply(recall: &mut Recall, item: RecalledItem, steps: &[SegmentStep]) {
+    let (at, first) = (recall.items_len as usize, recall.steps_len as usize);
+    recall.items[at] = item;
+    recall.items_len += 1;
+    if !steps.is_empty() {
+        recall.items[at].first_step = recall.steps_len;
+        recall.items[at].steps = steps.len() as u32;
+        recall.steps[first..first + steps.len()].copy_from_slice(steps);
+        recall.steps_len += steps.len() as u32;
+    }
 }

@@ -12,13 +12,13 @@ use std::time::{Duration, Instant};
 use domain::{Action, Outcome};
 use shm_types::documents::Content;
 use shm_types::message::{
-    Decision, DocumentId, ErrorReportKind, FrameId, Observation, Recall, RequestId, Role,
-    WIRE_VERSION, read_text,
+    Decision, ErrorReportKind, FrameId, ItemKind, Observation, Recall, RecalledItem, RequestId,
+    Role, SegmentStep, WIRE_VERSION, read_text,
 };
 use shm_types::{Attach, BusError, FrameError};
 use supervise::{ChildExit, Children, Launch};
 
-use crate::neighbours::{PolicyNeighbours, TICK, config, observation, recall};
+use crate::neighbours::{PolicyNeighbours, TICK, config, item, observation, recall, supply};
 
 /// How long to look for messages that must not come.
 const QUIET_TIME: Duration = Duration::from_millis(60);
@@ -74,14 +74,16 @@ enum RequestState {
 pub(crate) struct RequestScene {
     pub(crate) frame: FrameId,
     pub(crate) segment: Vec<FrameId>,
-    pub(crate) documents: Vec<DocumentId>,
+    /// Further items, with the steps that the message holds for them.
+    pub(crate) items: Vec<(RecalledItem, Vec<SegmentStep>)>,
 }
 
 impl RequestScene {
     pub(crate) fn recall(&self, id: RequestId) -> Recall {
         let mut recall = recall(id, &self.segment);
-        recall.documents[..self.documents.len()].copy_from_slice(&self.documents);
-        recall.documents_len = self.documents.len() as u32;
+        for (item, steps) in &self.items {
+            supply(&mut recall, *item, steps);
+        }
         recall
     }
 }
@@ -243,15 +245,26 @@ impl<'a> TestedPolicy<'a> {
         self.notify()
     }
 
-    /// Publishes a document for an episode, or for the whole run.
+    /// Publishes a document for an episode, or for the whole run. Returns the item that supplies all of it.
     pub(crate) fn document(
         &mut self,
         of: Option<RequestId>,
         content: &Content,
-    ) -> CheckResult<DocumentId> {
+    ) -> CheckResult<RecalledItem> {
         let of = of.map(|id| (id.lane, id.episode));
         let published = self.neighbours.documents.publish(of, content);
-        published.map_err(|error| Trouble::Wrong(error.to_string()))
+        let document = published.map_err(|error| Trouble::Wrong(error.to_string()))?;
+        Ok(match content {
+            Content::Trajectories(steps) => RecalledItem {
+                document,
+                steps: steps.len() as u32,
+                whole: 1,
+                ..item(ItemKind::Trajectory)
+            },
+            Content::Summary(text) | Content::Semantic(text) | Content::Note(text) => {
+                RecalledItem { document, bytes: text.len() as u32, ..item(ItemKind::Text) }
+            }
+        })
     }
 
     /// Begins an episode with a window of six steps.

@@ -8,19 +8,22 @@ use std::sync::mpsc;
 use std::thread::{self, JoinHandle};
 use std::time::Duration;
 
-use conformance::neighbours::{PolicyNeighbours, config, observation, recall};
+use conformance::neighbours::{
+    PolicyNeighbours, config, item, observation, recall, supplied, supply,
+};
 use domain::prompt_log::{
-    PromptLogEntry, RecordedExchange, RecordedMessage, RecordedPart, entries_file, hex,
+    PromptLogEntry, RecordedExchange, RecordedItem, RecordedMessage, RecordedPart, entries_file, hex,
     session_folder,
 };
 use domain::{Action, Feedback, Outcome};
 use peer::{
-    Answer, Answers, Batch, Decider, Decision, Policy, Request, RequestId, ServeError, Usage, serve,
+    Answer, Answers, Batch, Decider, Decision, FrameView, Item, Policy, Request, RequestId,
+    ServeError, StepsView, Usage, serve,
 };
 use shm_types::documents::Content;
 use shm_types::message::{
-    self, ErrorReport, ErrorReportKind, FrameId, Handshake, NO_ACTION, NO_FRAME, Observation,
-    Recall, Role, ShutdownReport, TrajectoryStep, read_text,
+    self, ErrorReport, ErrorReportKind, FrameId, Handshake, ItemKind, NO_ACTION, NO_FRAME,
+    Observation, Recall, RecalledItem, Role, ShutdownReport, TrajectoryStep, read_text,
 };
 use shm_types::{Attach, FrameSize, RunDir};
 use tempfile::TempDir;
@@ -123,7 +126,7 @@ impl Policy for Recorder {
     }
 
     fn act(&mut self, batch: &[Request<'_>]) -> Vec<Decision> {
-        let grey = |frame: peer::FrameView<'_>| {
+        let grey = |frame: FrameView<'_>| {
             assert!(frame.pixels.iter().all(|&byte| byte == frame.pixels[0]));
             assert_eq!(frame.pixels.len(), 64 * 64 * 4);
             frame.pixels[0]
@@ -134,29 +137,15 @@ impl Policy for Recorder {
                 .iter()
                 .map(|past| (grey(past.frame), past.action, past.feedback))
                 .collect();
-            let segment = request.segment.map(|segment| {
-                let views: Vec<_> =
-                    segment.steps.iter().map(|view| (grey(view.frame), view.action)).collect();
-                (segment.distance, views)
-            });
+            let items: Vec<_> = request.items.iter().map(|item| told(item, grey)).collect();
             let Request { lane, step, episode_seed, instruction, pose, feedback, .. } = request;
-            let documents: Vec<_> = request.documents.iter().map(|d| (d.kind, d.text)).collect();
-            let trajectories: Vec<Vec<_>> = request
-                .trajectories
-                .iter()
-                .map(|t| t.steps.iter().map(|step| (step.frame.map(grey), step.action)).collect())
-                .collect();
-            let hint = request.starts_as_demonstrated;
-            if !documents.is_empty() || !trajectories.is_empty() || hint {
-                let told =
-                    format!("hint {hint} documents {documents:?} trajectories {trajectories:?}");
-                self.0.send(told).unwrap();
-            }
+            let hint = if request.starts_as_demonstrated { ", hinted" } else { "" };
             let frame = grey(request.frame);
             self.0
                 .send(format!(
                     "lane {lane} step {step} seed {episode_seed} {instruction:?} at {pose} \
-                     {feedback:?} sees {frame} after {window:?} remembers {segment:?}"
+                     {feedback:?} sees {frame} after {window:?} remembers [{}]{hint}",
+                    items.join(", ")
                 ))
                 .unwrap();
         }
@@ -180,44 +169,86 @@ impl Policy for Recorder {
     }
 }
 
+fn told(item: &Item<'_>, grey: impl Fn(FrameView<'_>) -> u8) -> String {
+    match item {
+        Item::Text(text) => format!("{:?} {:?}", text.kind, text.text),
+        Item::Frame(captioned) => format!("{} {:?}", grey(captioned.frame), captioned.caption),
+        Item::Steps(StepsView { distance, is_whole, steps }) => {
+            let steps = steps.iter().map(|step| (step.frame.map(&grey), step.action));
+            let what = if *is_whole { "whole" } else { "part" };
+            format!("{what} at {distance:?} {:?}", steps.collect::<Vec<_>>())
+        }
+    }
+}
+
 #[test]
-fn documents_and_demonstrations_reach_the_policy_with_their_keyframes() {
+fn items_of_every_kind_reach_the_policy() {
     let (say, heard) = mpsc::channel();
     let mut rig = Rig::new(Recorder(say));
-    let (frame, keyframe) = (rig.publish(10), rig.publish(40));
+    let (frame, view) = (rig.publish(10), rig.publish(40));
     let hinted = config(0, 9, "Find a cone.");
     let hinted = message::PolicyEpisodeConfig { starts_as_demonstrated: 1, ..hinted };
     rig.neighbours.begin(&hinted).unwrap();
     let step =
         |trajectory, frame, action| TrajectoryStep { frame, action, trajectory, reserved: [0; 6] };
     let steps = vec![
-        step(0, keyframe, Action::Forward as u8),
+        step(0, view, Action::Forward as u8),
         step(0, NO_FRAME, NO_ACTION),
         step(1, frame, NO_ACTION),
     ];
     let documents = &mut rig.neighbours.documents;
     let summary = documents.publish(None, &Content::Summary("a cone at (1, 2)".into())).unwrap();
+    let note = documents.publish(Some((0, 9)), &Content::Note("Zurück!".into())).unwrap();
     let steps = documents.publish(Some((0, 9)), &Content::Trajectories(steps)).unwrap();
-    let mut first = recall(id(0, 9, 0), &[]);
-    first.documents[..2].copy_from_slice(&[summary, steps]);
-    first.documents_len = 2;
+    let text = |document, first_byte, bytes| RecalledItem {
+        document,
+        first_byte,
+        bytes,
+        ..item(ItemKind::Text)
+    };
+    let trajectory = |first_step, steps_len, whole| RecalledItem {
+        document: steps,
+        first_step,
+        steps: steps_len,
+        whole,
+        ..item(ItemKind::Trajectory)
+    };
+    let mut first = recall(id(0, 9, 0), &[view, frame]);
+    supply(&mut first, text(summary, 0, 16), &[]);
+    supply(&mut first, trajectory(0, 3, 1), &[]);
+    let caption = RecalledItem { kind: ItemKind::Frame as u8, ..text(note, 1, 6) };
+    supply(&mut first, caption, &[supplied(view, None)]);
+    supply(&mut first, item(ItemKind::Frame), &[supplied(frame, None)]);
+    supply(&mut first, trajectory(1, 1, 0), &[]);
+    let left = supplied(NO_FRAME, Some(Action::Left));
+    supply(&mut first, RecalledItem { whole: 1, ..item(ItemKind::Steps) }, &[left; 2]);
     rig.step(&observation(id(0, 9, 0), frame), &first);
 
     let decision = rig.decisions(1)[0];
-    assert_eq!(decision.images, 3, "the current view and two keyframes");
+    assert_eq!(decision.images, 7, "the current view, two retrieved, two keyframes, two captioned");
     assert_eq!(heard.recv().unwrap(), "reset 0");
-    assert_eq!(
-        heard.recv().unwrap(),
-        "hint true documents [(Summary, \"a cone at (1, 2)\")] trajectories [[(Some(40), \
-         Some(Forward)), (None, None)], [(Some(10), None)]]"
-    );
+    let told = heard.recv().unwrap().replace("], ", "],\n").replace("\", ", ", "\",\n");
+    insta::assert_snapshot!(told, @"");
 
-    // A document that was never published: it is reported, and the step stays open.
-    let mut second = Recall { step: 1, ..first };
-    second.documents[1] = steps + 7;
-    rig.step(&observation(id(0, 9, 1), frame), &second);
-    let (_, text) = &rig.error_reports(1)[0];
-    assert!(text.contains("was never published"), "{text}");
+    // What a document does not have is reported, and the step stays open.
+    let cases = [
+        text(steps + 7, 0, 1),
+        text(steps, 0, 1),
+        text(note, 5, 1),
+        text(note, 0, 99),
+        text(note, u32::MAX, u32::MAX),
+        RecalledItem { kind: ItemKind::Frame as u8, steps: 1, ..text(note, 4, 9) },
+        trajectory(2, 2, 1),
+        RecalledItem { document: note, ..trajectory(0, 1, 1) },
+    ];
+    let mut reports = Vec::new();
+    for (step, bad) in (1..).zip(cases) {
+        let mut next = Recall { step, items_len: 1, ..first };
+        next.items[0] = bad;
+        rig.step(&observation(id(0, 9, step), frame), &next);
+        reports.extend(rig.error_reports(1).into_iter().map(|(_, text)| text));
+    }
+    insta::assert_snapshot!(reports.join("\n"), @"");
     rig.stop().0.unwrap();
 }
 
@@ -287,7 +318,9 @@ fn prompts_are_logged_and_a_log_that_cannot_be_written_stops_the_run() {
     let summary = rig.neighbours.documents.publish(None, &Content::Summary(text.clone())).unwrap();
     let ask = |rig: &Rig, step: u32| {
         let mut recall = recall(id(0, 9, step), &[]);
-        (recall.documents[0], recall.documents_len) = (summary, 1);
+        let bytes = text.len() as u32;
+        let item = RecalledItem { document: summary, bytes, ..item(ItemKind::Text) };
+        supply(&mut recall, item, &[]);
         rig.step(&observation(id(0, 9, step), frames[step as usize % 2]), &recall);
     };
     rig.begin(0, 9, "Find a cone.");
@@ -336,7 +369,8 @@ fn prompts_are_logged_and_a_log_that_cannot_be_written_stops_the_run() {
     );
     let files = |sub: &str| fs::read_dir(folder.path().join(sub)).unwrap().count();
     assert_eq!((files("images"), files("documents")), (3, 2), "everything is stored once");
-    let stored = folder.path().join(format!("documents/{}.txt", first.request.documents[0].text));
+    let [RecordedItem::Text { text: hash, .. }] = &first.request.items[..] else { panic!("{lines}") };
+    let stored = folder.path().join(format!("documents/{hash}.txt"));
     assert_eq!(fs::read_to_string(stored).unwrap(), text);
     let exchange = second.exchange.as_ref().unwrap();
     assert!(matches!(
@@ -422,14 +456,14 @@ fn invalid_messages_are_reported_and_the_others_answered() {
     rig.begin(9, 6, "Find a blue barrel.");
     let mut bad_pose = observation(id(1, 5, 0), frame);
     bad_pose.pose.0[2] = 200;
-    rig.step(&bad_pose, &Recall { segment_len: 99, ..recall(id(1, 5, 0), &[]) });
+    rig.step(&bad_pose, &Recall { items_len: 99, ..recall(id(1, 5, 0), &[]) });
     let mut texts: Vec<_> = rig.error_reports(3).into_iter().map(|(_, text)| text).collect();
     rig.step(&observation(id(1, 5, 0), frame), &recall(id(1, 5, 0), &[12_345]));
     texts.extend(rig.error_reports(1).into_iter().map(|(_, text)| text));
     insta::assert_snapshot!(texts.join("\n"), @r#"
     episode config for lane 9: the run has 4 lanes
     observation for lane 1, step 0: 200 is not a heading (0 N, 1 E, 2 S, 3 W)
-    recall for lane 1, step 0: 99 segment views, but at most 32 fit
+    recall for lane 1, step 0: 99 items, but at most 8 fit
     lane 1, step 0: frame 12345 is not in the store: it was evicted too early or never published
     "#);
 

@@ -25,7 +25,7 @@ impl Policy for Wanderer {
 // From the request alone: the same request gets the same action, so that a run can be repeated.
 fn decide(request: &Request<'_>) -> Action {
     // Episodic memory: the demonstrated view that is most like the current one, and what the expert did there.
-    let demonstrated = request.segment.and_then(|segment| segment.steps.first()?.action);
+    let demonstrated = request.segments().find_map(|segment| segment.steps.first()?.action);
     if let Some(action) = demonstrated {
         return action;
     }

@@ -2,7 +2,7 @@
 
 use std::fmt::Write;
 
-use domain::prompt_log::{RecordedPart, RecordedUsage, RecordedView};
+use domain::prompt_log::{RecordedItem, RecordedPart, RecordedUsage, RecordedView};
 
 use results::step_view::{RecordedPrompt, StepView};
 
@@ -69,22 +69,23 @@ fn prompt_text(text: &mut String, prompt: &RecordedPrompt) {
         let _ = writeln!(text, "  image {}  {action:<14} {}", short(&past.frame), past.feedback);
     }
     let _ = writeln!(text, "\nMemory");
-    if let Some(segment) = &request.segment {
-        let _ = writeln!(text, "  retrieved, at distance {:.4}", segment.distance);
-        demonstration(text, &segment.steps);
-    }
-    for (number, steps) in (1..).zip(&prompt.demonstrations) {
-        let _ = writeln!(text, "  demonstration {number}");
-        demonstration(text, steps);
-    }
-    for document in &request.documents {
-        let content = prompt.texts.get(&document.text).map_or("", String::as_str);
-        let _ =
-            writeln!(text, "  {} document, {} characters", document.kind, content.chars().count());
-    }
-    if request.segment.is_none() && request.documents.is_empty() && prompt.demonstrations.is_empty()
-    {
+    if request.items.is_empty() {
         let _ = writeln!(text, "  nothing");
+    }
+    for item in &request.items {
+        let _ = writeln!(text, "  {}", title(item, prompt));
+        match item {
+            RecordedItem::Text { kind, text: hash } if kind == "note" => {
+                indented(text, prompt.text(hash));
+            }
+            RecordedItem::Text { .. } => {}
+            RecordedItem::Segment { steps, .. } => demonstration(text, steps),
+            RecordedItem::Trajectory(hash) => demonstration(text, prompt.trajectory(hash)),
+            RecordedItem::Frame { frame, caption } => {
+                let _ = writeln!(text, "    image {}", short(frame));
+                indented(text, prompt.text(caption));
+            }
+        }
     }
     if let Some(exchange) = &prompt.entry.exchange {
         for message in &exchange.messages {
@@ -92,9 +93,7 @@ fn prompt_text(text: &mut String, prompt: &RecordedPrompt) {
             for part in &message.parts {
                 match part {
                     RecordedPart::Text(content) => indented(text, content),
-                    RecordedPart::Stored(hash) => {
-                        indented(text, prompt.texts.get(hash).map_or("", String::as_str));
-                    }
+                    RecordedPart::Stored(hash) => indented(text, prompt.text(hash)),
                     // Never in a log.
                     RecordedPart::Png(_) => {}
                     RecordedPart::Image(hash) => {
@@ -112,6 +111,21 @@ fn prompt_text(text: &mut String, prompt: &RecordedPrompt) {
     text.push('\n');
     for (name, value) in facts(prompt) {
         let _ = writeln!(text, "{name:<10} {value}");
+    }
+}
+
+/// What an item of memory is.
+pub(super) fn title(item: &RecordedItem, prompt: &RecordedPrompt) -> String {
+    match item {
+        RecordedItem::Text { kind, text } => {
+            format!("Text ({kind}), {} characters", prompt.text(text).chars().count())
+        }
+        RecordedItem::Segment { distance: Some(distance), .. } => {
+            format!("Retrieved, at distance {distance:.4}")
+        }
+        RecordedItem::Segment { distance: None, .. } => "Part of a demonstration".to_owned(),
+        RecordedItem::Trajectory(_) => "Demonstration".to_owned(),
+        RecordedItem::Frame { .. } => "Remembered view".to_owned(),
     }
 }
 
