@@ -192,7 +192,7 @@ fn episode(lane: u32) -> u64 {
 }
 
 fn no_memory() -> Recall {
-    Recall { distance: f32::NAN, ..Zeroable::zeroed() }
+    Zeroable::zeroed()
 }
 
 /// What `look` finds before the watchdog ends.

@@ -12,8 +12,8 @@ use conformance::neighbours::{
     PolicyNeighbours, config, item, observation, recall, supplied, supply,
 };
 use domain::prompt_log::{
-    PromptLogEntry, RecordedExchange, RecordedItem, RecordedMessage, RecordedPart, entries_file, hex,
-    session_folder,
+    PromptLogEntry, RecordedExchange, RecordedItem, RecordedMessage, RecordedPart, entries_file,
+    hex, session_folder,
 };
 use domain::{Action, Feedback, Outcome};
 use peer::{
@@ -227,7 +227,7 @@ fn items_of_every_kind_reach_the_policy() {
     let decision = rig.decisions(1)[0];
     assert_eq!(decision.images, 7, "the current view, two retrieved, two keyframes, two captioned");
     assert_eq!(heard.recv().unwrap(), "reset 0");
-    let told = heard.recv().unwrap().replace("], ", "],\n").replace("\", ", ", "\",\n");
+    let told = heard.recv().unwrap().replace("], ", "],\n");
     insta::assert_snapshot!(told, @"");
 
     // What a document does not have is reported, and the step stays open.
@@ -369,7 +369,9 @@ fn prompts_are_logged_and_a_log_that_cannot_be_written_stops_the_run() {
     );
     let files = |sub: &str| fs::read_dir(folder.path().join(sub)).unwrap().count();
     assert_eq!((files("images"), files("documents")), (3, 2), "everything is stored once");
-    let [RecordedItem::Text { text: hash, .. }] = &first.request.items[..] else { panic!("{lines}") };
+    let [RecordedItem::Text { text: hash, .. }] = &first.request.items[..] else {
+        panic!("{lines}")
+    };
     let stored = folder.path().join(format!("documents/{hash}.txt"));
     assert_eq!(fs::read_to_string(stored).unwrap(), text);
     let exchange = second.exchange.as_ref().unwrap();
