@@ -6,12 +6,14 @@
 mod cache;
 pub mod camera;
 pub mod codes;
+pub mod memory_kind;
 pub mod outcome;
 pub mod pose;
 pub mod prompt_log;
 pub mod representation;
 
 pub use cache::{NoCacheFolder, cache_folder};
+pub use memory_kind::{ExternalName, MemoryKind};
 pub use outcome::{DocumentKind, Outcome, SegmentContent};
 pub use pose::{Action, Cell, Feedback, Heading, Pose, UnknownCode};
 pub use representation::Representation;

@@ -6,7 +6,7 @@
 
 use std::collections::BTreeMap;
 
-use domain::{Outcome, Pose, Representation};
+use domain::{MemoryKind, Outcome, Pose};
 use serde::{Deserialize, Serialize};
 
 use crate::conditions::{
@@ -33,7 +33,7 @@ pub struct EpisodeRecord {
     /// The [`EpisodeKey`](crate::key::EpisodeKey) as it is written: unique in the log.
     pub key: String,
     /// The memory.
-    pub memory: Representation,
+    pub memory: MemoryKind,
     /// The start.
     pub start: Start,
     /// The route.

@@ -33,9 +33,11 @@ pub fn settings() -> RunSettings {
         suite: SuiteName::quick(),
         policy: PolicyKind::Grounded,
         policy_cmd: None,
+        memory_cmd: Vec::new(),
+        external_memory: false,
         groups: vec![Group {
             name: None,
-            memory: Representation::ALL.to_vec(),
+            memory: Representation::ALL.iter().copied().map(Into::into).collect(),
             starts: Start::ALL.to_vec(),
             routes: vec![Route::Unchanged],
             demos: vec![Demonstrations::ORIGINAL],
@@ -49,7 +51,10 @@ pub fn settings() -> RunSettings {
         seed: 1,
         max_steps: 200,
         horizon: 6,
+        hits: 1,
         keyframes: 40,
+        memory_images: None,
+        memory_text_bytes: crate::settings::MEMORY_TEXT_BYTES,
         documents: DocumentSource::Extractive,
         frame_size: 448,
         frames: Frames::Rendered,
@@ -68,6 +73,7 @@ pub fn settings() -> RunSettings {
         warm_views: false,
         spin_us: 0,
         step_timeout: 120,
+        memory_timeout: crate::settings::MEMORY_TIMEOUT,
         start_timeout: 300,
     }
 }
@@ -75,7 +81,7 @@ pub fn settings() -> RunSettings {
 /// The record of `case` under episodic memory: a success is 10 steps for a reference of 8, a failure 200.
 pub fn record(case: &str, success: bool) -> EpisodeRecord {
     let condition = Condition {
-        memory: Representation::Episodic,
+        memory: Representation::Episodic.into(),
         start: Start::Original,
         route: Route::Unchanged,
         demonstrations: Demonstrations::ORIGINAL,

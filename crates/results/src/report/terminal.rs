@@ -193,7 +193,8 @@ mod tests {
     fn a_summary_says_what_ran_and_what_it_is_worth() {
         let mut episodes = vec![record("t01-01", true), record("t01-02", false)];
         let mut without = record("t01-01", false);
-        (without.memory, without.demonstrations) = (Representation::Working, Demonstrations::NONE);
+        (without.memory, without.demonstrations) =
+            (Representation::Working.into(), Demonstrations::NONE);
         without.images = Some(1400);
         without.key = EpisodeKey { condition: without.condition(), run: 1, case: "t01-01".into() }
             .to_string();

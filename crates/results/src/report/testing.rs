@@ -1,6 +1,6 @@
 //! A made-up run of the whole paper suite, as plausible as arithmetic on names can make it.
 
-use domain::{Action, Heading, Pose, Representation};
+use domain::{Action, Heading, MemoryKind, Pose, Representation};
 
 use crate::conditions::{Condition, Demonstrations, Route, SegmentContent, Start, Variation};
 use crate::events::{Requirement, Visit};
@@ -56,7 +56,7 @@ pub(crate) fn made_up(conditions: &[(Condition, u32)], tasks: &[u8]) -> RunLog {
 /// One episode: how it goes follows from a hash of its key, what is likely from its condition.
 fn episode(key: EpisodeKey, task: u8) -> EpisodeRecord {
     // The same chance for the same case under every condition, so that comparisons are paired.
-    let luck = hash(&key, |key| key.condition.memory = Representation::Working) % 60;
+    let luck = hash(&key, |key| key.condition.memory = Representation::Working.into()) % 60;
     let chance = (luck + hash(&key, |_| {}) % 40) as i64;
     let condition = key.condition;
     let success = chance < likely(&condition) - if task == 9 { 20 } else { 0 };
@@ -72,7 +72,7 @@ fn episode(key: EpisodeKey, task: u8) -> EpisodeRecord {
     (record.reference, record.required) = (18, if task < 3 { 1 } else { 3 });
     record.requests = Some(record.steps);
     record.images =
-        Some(u64::from(record.steps) * u64::from(condition.memory.images(window, 6, 40)));
+        Some(u64::from(record.steps) * u64::from(1 + window + settings().memory_images_of(condition.memory)));
     record.start_pose = Pose::new(8, 0, Heading::N);
     record.sub_goals =
         if success { vec![record.steps; record.required as usize] } else { Vec::new() };
@@ -116,7 +116,10 @@ fn likely(condition: &Condition) -> i64 {
     use Representation::{Episodic, FullContext, Hybrid, Semantic, Summary, Working};
     let original = condition.start == Start::Original;
     let exact = original && condition.demonstrations == Demonstrations::ORIGINAL;
-    let base = match condition.memory {
+    let MemoryKind::BuiltIn(representation) = condition.memory else {
+        return 40 + condition.memory.name().len() as i64 * 3;
+    };
+    let base = match representation {
         Working => 25 + condition.variation.window as i64,
         FullContext if exact => 97,
         FullContext => 60,

@@ -106,7 +106,7 @@ fn episode(
     tried: Option<bool>,
 ) -> EpisodeRecord {
     let mut record = record(id, success);
-    (record.memory, record.start) = (memory, Start::New);
+    (record.memory, record.start) = (memory.into(), Start::New);
     if memory == Representation::Working {
         record.demonstrations = Demonstrations::NONE;
     }
@@ -240,7 +240,7 @@ fn an_episode_that_was_given_up_is_not_scored_and_bounds_what_is() {
     // One condition of two runs on two cases: four episodes, one of them given up.
     log.manifest.episodes = 4;
     let group = &mut log.manifest.settings.groups[0];
-    group.memory = vec![Representation::Episodic];
+    group.memory = vec![Representation::Episodic.into()];
     (group.starts, group.runs) = (vec![Start::Original], 2);
     let key = in_run(2, record("b", true)).key;
     log.errors.push(EpisodeError { key, session: 1, error: "overdue".into() });

@@ -108,7 +108,7 @@ pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<Block> {
     let memory = |representation: &Representation| {
         let RepresentationInfo { stores, supplies, .. } = representation.describe();
         let meaning = format!("stores {stores}; supplies {supplies}");
-        (title(*representation).to_owned(), meaning)
+        (title((*representation).into()), meaning)
     };
     blocks.push(Block::Terms(Representation::ALL.iter().map(memory).collect()));
     blocks

@@ -1,6 +1,6 @@
 //! The comparisons that the paper's questions ask for, paired by case.
 
-use domain::Representation;
+use domain::{MemoryKind, Representation};
 
 use crate::compare::compare_conditions;
 use crate::report::document::{Block, Cell, Column, Group, Missing, Row, Table};
@@ -24,7 +24,7 @@ const COMPARED: [(&str, Setting, Setting); 5] = [
 ];
 
 pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<Block> {
-    let group = |&representation: &Representation| {
+    let group = |&representation: &MemoryKind| {
         let of = |(rest, demonstrations): (&str, &str)| name(representation, rest, demonstrations);
         let mut rows: Vec<Row> = COMPARED
             .iter()
@@ -34,11 +34,11 @@ pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<Block> {
             .map(|(label, a, b)| row(view, label, &a, &b))
             .collect();
         if representation.uses_demonstrations() {
-            let baseline = name(Representation::Working, "new/unchanged", "none");
+            let baseline = name(Representation::Working.into(), "new/unchanged", "none");
             let label = "memory − working memory (new start, 4 demos)";
             rows.push(row(view, label, &of(("new/unchanged", "4")), &baseline));
         }
-        Group { label: Some(title(representation).to_owned()), rows }
+        Group { label: Some(title(representation)), rows }
     };
     let table = Table {
         id: view.id("pairs"),
@@ -49,7 +49,7 @@ pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<Block> {
             .to_owned(),
         stubs: vec!["Representation".to_owned(), "Comparison".to_owned()],
         columns: columns(),
-        groups: Representation::ALL.iter().map(group).collect(),
+        groups: view.memories().iter().map(group).collect(),
     };
     table.pruned().map(Block::Table).into_iter().collect()
 }
