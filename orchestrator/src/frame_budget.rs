@@ -132,10 +132,11 @@ impl Demand {
                     views.len() as u32
                 })
             };
-            match condition.memory.describe().trajectories {
-                Trajectories::Nothing => 0,
-                Trajectories::Whole => views().min(keyframes),
-                Trajectories::Segment => views(),
+            match condition.memory.describe().map(|info| info.trajectories) {
+                Some(Trajectories::Nothing) => 0,
+                Some(Trajectories::Whole) => views().min(keyframes),
+                // An external memory may ask for any view.
+                Some(Trajectories::Segment) | None => views(),
             }
         });
         let blocked = episodes.iter().filter(|e| e.key.condition.route == Route::Blocked);

@@ -2,7 +2,7 @@
 //!
 //! Recording a step allocates nothing, except for the first step with a memory.
 
-use domain::Representation;
+use domain::MemoryKind;
 use hdrhistogram::Histogram;
 use results::latency::{LatencyRecord, LatencySummary};
 use results::log::Stages;
@@ -20,7 +20,7 @@ const STAGES: usize = Stages::NAMES.len();
 /// Histograms of every stage, and of whole steps, by memory.
 #[derive(Debug, Default)]
 pub struct StepLatencies {
-    memories: Vec<(Representation, StageHistograms)>,
+    memories: Vec<(MemoryKind, StageHistograms)>,
 }
 
 /// The histograms of one memory.
@@ -50,8 +50,8 @@ impl StepLatencies {
 
     /// Adds what `other` recorded.
     pub fn add(&mut self, other: &Self) {
-        for (representation, theirs) in &other.memories {
-            let ours = self.of(*representation);
+        for (memory, theirs) in &other.memories {
+            let ours = self.of(*memory);
             let pairs = ours.stages.iter_mut().zip(&theirs.stages);
             for (ours, theirs) in pairs.chain([(&mut ours.step, &theirs.step)]) {
                 if let Err(impossible) = ours.add(theirs) {
@@ -71,13 +71,13 @@ impl StepLatencies {
     /// Every stage of every memory, and `step` for all stages together, in order.
     pub fn summaries(
         &self,
-    ) -> impl Iterator<Item = (Representation, &'static str, LatencySummary)> + '_ {
+    ) -> impl Iterator<Item = (MemoryKind, &'static str, LatencySummary)> + '_ {
         self.memories.iter().filter(|(_, memory)| !memory.step.is_empty()).flat_map(
-            |(representation, memory)| {
-                let stages = Stages::NAMES.into_iter().zip(&memory.stages);
+            |(memory, histograms)| {
+                let stages = Stages::NAMES.into_iter().zip(&histograms.stages);
                 stages
-                    .chain([("step", &memory.step)])
-                    .map(|(stage, histogram)| (*representation, stage, summarize(histogram)))
+                    .chain([("step", &histograms.step)])
+                    .map(|(stage, histogram)| (*memory, stage, summarize(histogram)))
             },
         )
     }
@@ -92,10 +92,10 @@ impl StepLatencies {
         })
     }
 
-    fn of(&mut self, representation: Representation) -> &mut StageHistograms {
-        let at = self.memories.iter().position(|(known, _)| *known == representation);
+    fn of(&mut self, memory: MemoryKind) -> &mut StageHistograms {
+        let at = self.memories.iter().position(|(known, _)| *known == memory);
         let at = at.unwrap_or_else(|| {
-            self.memories.push((representation, StageHistograms::new()));
+            self.memories.push((memory, StageHistograms::new()));
             self.memories.len() - 1
         });
         &mut self.memories[at].1
@@ -133,6 +133,8 @@ pub fn summarize(histogram: &Histogram<u64>) -> LatencySummary {
 
 #[cfg(test)]
 mod tests {
+    use domain::Representation;
+
     use super::*;
 
     #[test]
@@ -140,13 +142,13 @@ mod tests {
         let mut latency = StepLatencies::default();
         assert!(latency.is_empty());
         for n in 1..=1000 {
-            let mut stamps = Stamps::new(1, 0, Representation::Episodic);
+            let mut stamps = Stamps::new(1, 0, Representation::Episodic.into());
             (stamps.commanded_ns, stamps.woken_ns) = (1, 1 + n * 1000);
             latency.record(&stamps);
         }
         let of = |latency: &StepLatencies, name: &str| {
             let mut all = latency.summaries();
-            all.find(|&(memory, stage, _)| (memory, stage) == (Representation::Episodic, name))
+            all.find(|&(memory, stage, _)| memory == Representation::Episodic && stage == name)
                 .map(|(_, _, summary)| summary)
         };
         let command = of(&latency, "command").unwrap();

@@ -13,7 +13,7 @@ use shm_types::{Attach, FrameControl, FrameSize, RunDir, Wait};
 use supervise::Launch;
 
 use crate::frame_budget::{self, Demand};
-use crate::lanes::Rules;
+use crate::lanes::{ExternalNames, Rules};
 use crate::machine::memory_available;
 use crate::pipeline::PipelineOptions;
 use crate::plan::PlannedEpisode;
@@ -43,9 +43,13 @@ pub fn pipeline_options(settings: &RunSettings, logs: PathBuf) -> Result<Pipelin
 pub fn rules(settings: &RunSettings) -> Result<Rules> {
     Ok(Rules {
         horizon: u8::try_from(settings.horizon).context("--horizon")?,
+        hits: u8::try_from(settings.hits).context("--hits")?,
+        memory_images: u16::try_from(settings.memory_image_budget()).context("--memory-images")?,
+        memory_text_bytes: settings.memory_text_bytes,
         keyframes: u8::try_from(settings.keyframes).context("--keyframes")?,
         max_steps: settings.max_steps,
         expert: settings.policy == PolicyKind::Expert,
+        external_memories: ExternalNames::default(),
     })
 }
 
@@ -135,7 +139,7 @@ fn launches(settings: &RunSettings) -> Result<Vec<Launch>> {
     ];
     let mut memory = launch(Role::Memory, "memory-proc", vec!["serve".into()], encoder)?;
     // Decided by all conditions, not by those that are left: the process reports the same when a run is resumed.
-    if !settings.conditions().iter().any(|condition| condition.memory.matches_views()) {
+    if !settings.conditions().iter().any(|condition| condition.memory.retrieves()) {
         memory.args.push("--no-encoder".into());
     }
     Ok([Some(sim), Some(memory), policy_launch(settings)?].into_iter().flatten().collect())

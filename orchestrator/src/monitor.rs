@@ -173,8 +173,14 @@ mod tests {
         let episodes = EpisodeCounts { planned: 100, earlier: (40, 1), ..EpisodeCounts::default() };
         let mut monitor = Monitor::new(run.path(), 8, episodes, Progress::new(true));
         monitor.updated.0 -= INTERVAL;
-        monitor.stepped(&Stamps::new(1, 0, Representation::Working));
-        monitor.pending(&[PendingAnswer { role: Role::Sim, lane: 3, since_ns: 0, unusable: 0 }]);
+        monitor.stepped(&Stamps::new(1, 0, Representation::Working.into()));
+        monitor.pending(&[PendingAnswer {
+            role: Role::Sim,
+            lane: 3,
+            memory: Representation::Working.into(),
+            since_ns: 0,
+            unusable: 0,
+        }]);
         monitor.heartbeat(Role::Sim, &Heartbeat { held: 7, ..bytemuck::Zeroable::zeroed() });
         monitor.finished(true);
         monitor.waiting_for_server(Some("connection refused"));

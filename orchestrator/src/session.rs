@@ -155,6 +155,7 @@ impl Observer for RunSession<'_> {
             steps: finished.record.steps,
             rubbish: finished.unusable,
             stages: finished.stages,
+            recalls: finished.recalls,
         };
         self.folder.finish(&[(finished.record.clone(), timings)])?;
         self.finished += 1;

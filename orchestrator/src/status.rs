@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use anyhow::{Context, Result};
-use domain::Representation;
+use domain::MemoryKind;
 use results::latency::LatencySummary;
 use serde::{Deserialize, Serialize};
 
@@ -75,7 +75,7 @@ pub struct ProcessStatus {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct StageLatency {
     /// The memory.
-    pub memory: Representation,
+    pub memory: MemoryKind,
     /// The stage, or `step` for all stages together.
     pub stage: String,
     /// The latency.

@@ -202,7 +202,7 @@ mod tests {
             stepped_ns: at(3),
             rendered_ns: at(7),
             logged_ns: at(9),
-            ..Stamps::new(8, 1, Representation::Working)
+            ..Stamps::new(8, 1, Representation::Working.into())
         };
         let span = Span {
             track: "renderer".into(),

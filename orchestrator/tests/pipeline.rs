@@ -16,9 +16,9 @@ use orchestrator::pipeline::{Ending, Facts, Observer, PipelineOptions, run_episo
 use orchestrator::plan::plan;
 use results::conditions::{Condition, Demonstrations, Route, Start, Variation};
 use shm_types::message::{
-    Decision, Handshake, MemoryEpisodeConfig, NOT_MEASURED, Observation, PolicyEpisodeConfig,
-    Recall, RecallTrace, Role, ShutdownReport, StepCommand, StepKind, Stop, WIRE_VERSION,
-    write_text,
+    Decision, Handshake, MAX_EXTERNAL_MEMORIES, MemoryEpisodeConfig, Observation,
+    PolicyEpisodeConfig, Recall, RecallTrace, Role, ShutdownReport, StepCommand, StepKind, Stop,
+    WIRE_VERSION, write_text,
 };
 use shm_types::{Attach, Bus, FrameSize, Notifier, RunDir};
 use supervise::Launch;
@@ -27,6 +27,16 @@ use warehouse::{CaseSet, Variant, Warehouse, step};
 const TICK: Duration = Duration::from_millis(20);
 const LANES: u32 = 4;
 const MAX_STEPS: u32 = 10;
+const RULES: Rules = Rules {
+    horizon: 6,
+    hits: 1,
+    keyframes: 40,
+    memory_images: 40,
+    memory_text_bytes: 65_536,
+    max_steps: MAX_STEPS,
+    expert: false,
+    external_memories: [None; MAX_EXTERNAL_MEMORIES],
+};
 /// The case whose episode the policy spoils.
 const VICTIM: usize = 2;
 
@@ -36,7 +46,8 @@ fn handshake(role: Role) -> Handshake {
         role: role as u32,
         pid: std::process::id(),
         facts_len: 0,
-        facts: [0; 496],
+        external: 0,
+        facts: [0; 492],
     };
     handshake.facts_len = write_text(&mut handshake.facts, "{\"kind\": \"scripted\"}");
     handshake
@@ -125,8 +136,7 @@ fn memory(run: &Run<'_>) {
             if last == 1 {
                 continue;
             }
-            let case = NOT_MEASURED;
-            let trace = RecallTrace { episode, lane, step, case, ..Zeroable::zeroed() };
+            let trace = RecallTrace { episode, lane, step, ..Zeroable::zeroed() };
             let recall = Recall { episode, lane, step, ..Zeroable::zeroed() };
             bus.sender().unwrap().send(&trace).unwrap();
             bus.sender().unwrap().send(&recall).unwrap();
@@ -213,14 +223,14 @@ fn run(spoil: fn(Decision) -> Decision) -> (Seen, Ending) {
     let (warehouse, cases) = (Warehouse::shipped(), CaseSet::shipped());
     let ids: Vec<&str> = cases.cases.iter().map(|case| case.id.as_str()).collect();
     let condition = Condition {
-        memory: Representation::Working,
+        memory: Representation::Working.into(),
         start: Start::Original,
         route: Route::Unchanged,
         demonstrations: Demonstrations::NONE,
         variation: Variation::STANDARD,
     };
     let episodes = plan(&[(condition, 1)], &[0, 1, 2, 3, 4, 5, 6, 7], &ids, 1);
-    let rules = Rules { horizon: 6, keyframes: 40, max_steps: MAX_STEPS, expert: false };
+    let rules = Rules { expert: false, ..RULES };
     let mut lanes = Lanes::new(&warehouse, &cases, rules, LANES as usize);
     // The peers are threads; the process that the pipeline watches only has to live.
     let sleeper = Launch {
@@ -294,7 +304,7 @@ fn run_with_simulator(script: &str) -> (u32, String) {
     let (warehouse, cases) = (Warehouse::shipped(), CaseSet::shipped());
     let condition = "working/original/unchanged/none".parse().unwrap();
     let episodes = plan(&[(condition, 1)], &[0], &["t01-01"], 1);
-    let rules = Rules { horizon: 6, keyframes: 40, max_steps: MAX_STEPS, expert: true };
+    let rules = Rules { expert: true, ..RULES };
     let mut lanes = Lanes::new(&warehouse, &cases, rules, 1);
     let launch = Launch {
         role: Role::Sim,

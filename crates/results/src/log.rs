@@ -27,7 +27,7 @@ pub use folder::{Opened, REPORT_FOLDER, RunFolder, RunLog, STATUS_FILE};
 pub use journal::{DamagedLine, Journal, JournalContents, damaged_file, read_journal};
 pub use manifest::{Difference, DocumentFacts, FORMAT, Manifest};
 pub use record::{
-    Ending, EpisodeError, EpisodeRecord, EpisodeTimings, RequestRecord, SessionEvent,
+    Ending, EpisodeError, EpisodeRecord, EpisodeTimings, RecallTotals, RequestRecord, SessionEvent,
     SessionRecord, Stages, Unread,
 };
 

@@ -1,5 +1,6 @@
 //! `memtransfer top`: the live status of a running run.
 
+use std::collections::BTreeSet;
 use std::io::{IsTerminal, Write};
 use std::path::{Path, PathBuf};
 use std::thread;
@@ -7,8 +8,8 @@ use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
 use clap::Args;
-use domain::Representation;
-use results::conditions::representation;
+use domain::{MemoryKind, Representation};
+use results::names::UnknownName;
 use results::table::table;
 use shm_types::message::Role;
 
@@ -40,8 +41,8 @@ pub(super) struct TopArgs {
     #[arg(default_value = "runs", value_name = "DIR")]
     dir: PathBuf,
     /// Show every stage of the steps with this memory
-    #[arg(long, value_name = "NAME", value_parser = representation)]
-    memory: Option<Representation>,
+    #[arg(long, value_name = "NAME")]
+    memory: Option<String>,
     /// Print the status once, and stop
     #[arg(long)]
     once: bool,
@@ -56,9 +57,10 @@ pub(super) fn run(args: &TopArgs) -> Result<Exit> {
         print_json(&status)?;
         return Ok(Exit::Complete);
     }
+    let memory = args.memory.as_deref().map(|name| shown_memory(name, &status)).transpose()?;
     let is_screen = std::io::stdout().is_terminal() && !args.once;
     loop {
-        let text = page(&run, &status, args.memory);
+        let text = page(&run, &status, memory);
         if !is_screen {
             print(&text)?;
             return Ok(Exit::Complete);
@@ -105,13 +107,22 @@ fn running(dir: &Path) -> Result<(PathBuf, LiveStatus)> {
     })
 }
 
+/// The memory called `name`: a built-in one, or one that the run has.
+fn shown_memory(name: &str, status: &LiveStatus) -> Result<MemoryKind, UnknownName> {
+    let built_in = Representation::ALL.iter().copied().map(MemoryKind::BuiltIn);
+    let of_run = status.stages.iter().map(|stage| stage.memory);
+    let known: BTreeSet<MemoryKind> = built_in.chain(of_run).collect();
+    let found = known.iter().find(|memory| memory.name() == name).copied();
+    found.ok_or_else(|| UnknownName::new("memory", name, known.iter().map(MemoryKind::name)))
+}
+
 /// The first lines of `text` that fit, each cut to the width.
 fn fit(text: &str, (width, height): (usize, usize)) -> String {
     let lines: Vec<String> = text.lines().map(|line| line.chars().take(width).collect()).collect();
     lines[..lines.len().min(height.max(1))].join("\n")
 }
 
-fn page(run: &Path, status: &LiveStatus, memory: Option<Representation>) -> String {
+fn page(run: &Path, status: &LiveStatus, memory: Option<MemoryKind>) -> String {
     let mut text = format!("{}: {}\n", run.display(), status.line());
     let busy: u32 = status.waiting.values().sum();
     text += &format!(
@@ -174,7 +185,7 @@ fn steps(status: &LiveStatus) -> String {
 }
 
 /// A row for each stage of the steps with `memory`.
-fn stages(status: &LiveStatus, memory: Representation) -> String {
+fn stages(status: &LiveStatus, memory: MemoryKind) -> String {
     let mut stages = table(&["stage", "steps", "mean us", "p50", "p90", "p99", "max"], 1);
     for StageLatency { stage, summary, .. } in
         status.stages.iter().filter(|stage| stage.memory == memory)
@@ -217,7 +228,7 @@ mod tests {
             max_us: 12_345_678.9,
         };
         let stages = Representation::ALL.iter().flat_map(|&memory| {
-            let summary = summary.clone();
+            let (memory, summary) = (MemoryKind::BuiltIn(memory), summary.clone());
             Stages::NAMES.into_iter().chain(["step"]).map(move |stage| StageLatency {
                 memory,
                 stage: stage.to_owned(),
@@ -245,7 +256,7 @@ mod tests {
     #[test]
     fn six_memories_fit_a_terminal() {
         let status = busy();
-        for memory in [None, Some(Representation::FullContext)] {
+        for memory in [None, Some(Representation::FullContext.into())] {
             let page = page(Path::new("runs/paper-openai-some-model"), &status, memory);
             let most = if memory.is_none() { 24 } else { 30 };
             assert!(page.lines().count() <= most, "{page}");

@@ -194,7 +194,7 @@ mod tests {
 
     fn episodes(count: usize) -> Vec<PlannedEpisode> {
         let condition = Condition {
-            memory: Representation::Working,
+            memory: Representation::Working.into(),
             start: Start::Original,
             route: Route::Unchanged,
             demonstrations: Demonstrations::NONE,

@@ -261,9 +261,10 @@ fn check(settings: &RunSettings) -> Result<(), SettingsError> {
     for condition in conditions {
         let (images, window) = (settings.images(&condition), condition.variation.window);
         if images > MAX_IMAGES {
-            let flag = match condition.memory.describe().trajectories {
-                Trajectories::Segment => "--horizon",
-                Trajectories::Whole | Trajectories::Nothing => "--keyframes",
+            let flag = match condition.memory.describe().map(|info| info.trajectories) {
+                Some(Trajectories::Segment) => "--horizon",
+                Some(Trajectories::Whole | Trajectories::Nothing) => "--keyframes",
+                None => "--memory-images",
             };
             let remembered = images - 1 - window;
             return Err(SettingsError::TooManyImages {

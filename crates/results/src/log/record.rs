@@ -113,13 +113,24 @@ pub struct EpisodeRecord {
     #[serde(skip_serializing_if = "Unread::is_none", default)]
     pub unread: Unread,
     /// Where memory's answer came from, one word a request: demonstration's letter (`o` original, `p`
-    /// opposite, `n` nearby, `d` distant) and step in it, for example `o12`; with the case before it when it
-    /// is another's (`t03-07:o12`); `-` for no match. Absent when nothing was ever retrieved.
+    /// opposite, `n` nearby, `d` distant) and first step in it, for example `o12`; with the case before it when it
+    /// is another's (`t03-07:o12`); `-` for no match. Several sources are joined by `+`: `o12+n3`. Absent when
+    /// nothing was ever retrieved.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub retrieved: Option<String>,
-    /// Mean cosine distance of the matches, rounded to millionths.
+    /// Mean distance of the first match of each request that has one, rounded to millionths: the cosine distance for
+    /// episodic memory, whatever an external memory says.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub distance: Option<f64>,
+    /// Items that memory wanted to supply and that exceeded its budgets. Absent when there were none.
+    #[serde(skip_serializing_if = "is_none", default)]
+    pub memory_items_dropped: u64,
+    /// Images in them. Absent when there were none.
+    #[serde(skip_serializing_if = "is_none", default)]
+    pub memory_images_dropped: u64,
+    /// Bytes of text in them. Absent when there were none.
+    #[serde(skip_serializing_if = "is_none", default)]
+    pub memory_text_dropped: u64,
 }
 
 impl EpisodeRecord {
@@ -193,6 +204,42 @@ pub struct EpisodeTimings {
     pub rubbish: u32,
     /// Where the time went, summed over its steps.
     pub stages: Stages,
+    /// What memory supplied, summed over its steps. Absent where no memory was asked, and in earlier logs.
+    #[serde(skip_serializing_if = "RecallTotals::is_none", default)]
+    pub recalls: RecallTotals,
+}
+
+/// What memory supplied in an episode.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RecallTotals {
+    /// Requests that memory answered.
+    pub requests: u32,
+    /// Items that it supplied.
+    pub items: u64,
+    /// Images in them.
+    pub images: u64,
+    /// Bytes of text in them.
+    pub text: u64,
+    /// The largest size that it told for its store, in bytes. Absent if it told none.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub store_bytes: Option<u64>,
+    /// Nanoseconds that an external memory computed, by its own clock. Absent for a built-in one.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub method_ns: Option<u64>,
+    /// Nanoseconds from the query to the answer of an external memory. Absent for a built-in one.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub answer_ns: Option<u64>,
+    /// Tokens of its own requests to a model. Absent if it told none.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub tokens: Option<u64>,
+}
+
+impl RecallTotals {
+    /// Whether memory was never asked.
+    pub fn is_none(&self) -> bool {
+        self.requests == 0
+    }
 }
 
 fn is_zero(count: &u32) -> bool {

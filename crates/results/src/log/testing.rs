@@ -5,7 +5,8 @@ use std::collections::BTreeMap;
 use domain::{Heading, Outcome, Pose, Representation};
 
 use super::{
-    Ending, EpisodeRecord, EpisodeTimings, FORMAT, Manifest, RequestRecord, RunLog, Stages, Unread,
+    Ending, EpisodeRecord, EpisodeTimings, FORMAT, Manifest, RecallTotals, RequestRecord, RunLog,
+    Stages, Unread,
 };
 use crate::conditions::{Condition, Demonstrations, Frames, PolicyKind, Route, Start, Variation};
 use crate::key::EpisodeKey;
@@ -123,6 +124,9 @@ pub fn record(case: &str, success: bool) -> EpisodeRecord {
         unread: Unread::default(),
         retrieved: None,
         distance: None,
+        memory_items_dropped: 0,
+        memory_images_dropped: 0,
+        memory_text_dropped: 0,
     }
 }
 
@@ -154,6 +158,7 @@ pub fn timings(record: &EpisodeRecord) -> EpisodeTimings {
             decide: each,
             decision: each,
         },
+        recalls: RecallTotals::default(),
     }
 }
 

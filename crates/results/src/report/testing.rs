@@ -71,8 +71,10 @@ fn episode(key: EpisodeKey, task: u8) -> EpisodeRecord {
     record.steps = if success { 20 + chance as u32 } else { 200 };
     (record.reference, record.required) = (18, if task < 3 { 1 } else { 3 });
     record.requests = Some(record.steps);
-    record.images =
-        Some(u64::from(record.steps) * u64::from(1 + window + settings().memory_images_of(condition.memory)));
+    record.images = Some(
+        u64::from(record.steps)
+            * u64::from(1 + window + settings().memory_images_of(condition.memory)),
+    );
     record.start_pose = Pose::new(8, 0, Heading::N);
     record.sub_goals =
         if success { vec![record.steps; record.required as usize] } else { Vec::new() };

@@ -153,7 +153,10 @@ mod tests {
         assert_eq!((found.unread.empty, found.unread.total(), found.images_dropped), (1, 1, 2));
         // 10 x (900 x 1 + 3 x 10) millionths.
         assert_eq!(found.cost.unwrap().to_string(), "0.0093");
-        assert_eq!(RequestScore::by_memory(&log), [(domain::Representation::Episodic.into(), found)]);
+        assert_eq!(
+            RequestScore::by_memory(&log),
+            [(domain::Representation::Episodic.into(), found)]
+        );
 
         // A policy that does not count attempts and images.
         let request =

@@ -197,7 +197,7 @@ fn images_tokens_answers_and_retrievals_per_run() {
         measured("a", 1, 10, 70, 100, 3, "o0 o1 - t03-07:d4"),
         measured("b", 1, 5, 20, 300, 0, "n3"),
         // Run 2: 40 / 5 = 8; 500 * 100 = 50,000; 0 of 5: 0 %; 1 of 2: 50 %.
-        measured("a", 2, 5, 40, 500, 0, "o0 t03-07:o1"),
+        measured("a", 2, 5, 40, 500, 0, "o0+t03-07:o1 -"),
     ];
     let found = only(&log(records.clone()));
     let images = found.images_per_request.unwrap();

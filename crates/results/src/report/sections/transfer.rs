@@ -4,8 +4,7 @@ use crate::report::document::{Block, Table};
 use crate::report::plot::Dots;
 use crate::report::sections::main_table::{dots_if_any, rate_rows};
 use crate::report::view::{
-    OURS, ScoredRun, THEIRS, name, our_rates, pair_stubs, rate_columns, their_rates,
-    title,
+    OURS, ScoredRun, THEIRS, name, our_rates, pair_stubs, rate_columns, their_rates, title,
 };
 
 const DEMONSTRATIONS: [(&str, &str); 4] = [
