@@ -49,7 +49,7 @@ impl Generation {
         let now = monotonic_ns();
         let pending = run.lanes.pending(self.memory_busy_ns);
         run.observer.pending(&pending);
-        for PendingAnswer { role, lane, since_ns, unusable } in pending {
+        for PendingAnswer { role, lane, since_ns, unusable, .. } in pending {
             let timeout = match role {
                 Role::Policy => run.options.decision_timeout,
                 _ => Some(run.options.answer_timeout),
