@@ -35,7 +35,7 @@ use iceoryx2::prelude::{LogLevel, SignalHandlingMode, set_log_level_from_env_or}
 use iceoryx2::service::port_factory::PortFactory as _;
 use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
 
-use crate::attach::Attach;
+use crate::attach::{Attach, AttachError};
 use crate::events::{Listener, Notifier};
 use crate::message::{ErrorReport, Handshake, Message, Role, ShutdownReport};
 use crate::registry;
@@ -45,6 +45,9 @@ use crate::transport::{Ipc, config, delivered, service_name};
 /// How long the first send on a service waits for its receivers.
 const RECEIVERS_TIMEOUT: Duration = Duration::from_secs(60);
 
+/// A service, and the index of the external memory at its other end, or 0.
+type PortKey = (&'static str, u8);
+
 /// A process's membership in a run.
 #[derive(Debug)]
 pub struct Bus {
@@ -53,8 +56,8 @@ pub struct Bus {
     /// Index of an external memory; otherwise 0.
     index: u8,
     listener: Listener,
-    /// The senders created so far, by service.
-    ports: Mutex<HashMap<(&'static str, u8), Arc<dyn Any + Send + Sync>>>,
+    /// The senders created so far.
+    ports: Mutex<HashMap<PortKey, Arc<dyn Any + Send + Sync>>>,
     receivers: Arc<AllReceivers>,
     node: Node<Ipc>,
     /// Locked while the process takes part, so that no cleaner removes the run. The last field: it is dropped
@@ -82,6 +85,13 @@ impl Bus {
 
     fn join_as(attach: Attach, role: Role, index: u8) -> Result<Self, BusError> {
         attach.check()?;
+        if role == Role::ExternalMemory && !attach.external_memories.contains(&index) {
+            return Err(BusError::from(AttachError::Value {
+                field: "external_memories",
+                value: format!("{:?}", attach.external_memories),
+                expected: format!("a list with {index}: the run goes on without this memory"),
+            }));
+        }
         let membership = registry::lock_shared(&attach.root).map_err(|cause| {
             BusError::Membership { path: attach.root.display().to_string(), cause }
         })?;

@@ -157,7 +157,7 @@ pub enum DocumentError {
 
 /// Documents that can wait for the policy: the queue length that both processes must agree on.
 pub const fn queue_len(attach: &Attach) -> usize {
-    2 * attach.lanes as usize + RUN_DOCUMENTS
+    4 * attach.lanes as usize + RUN_DOCUMENTS
 }
 
 fn service(bus: &Bus) -> Result<PortFactory<Ipc, [u8], DocumentHeader>, BusError> {

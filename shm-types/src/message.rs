@@ -255,12 +255,9 @@ wire_struct! {
 }
 
 wire_struct! {
-    /// One item of a [`ExternalAnswer`].
-    AnswerItem, "memtransfer.AnswerItem", 40 bytes {
-        /// Text and captioned frame: the document, published by the external memory, that holds the text. Otherwise
-        /// [`NO_DOCUMENT`].
-        document: DocumentId,
-        /// First byte of the text in the document.
+    /// One item of an [`ExternalAnswer`].
+    AnswerItem, "memtransfer.AnswerItem", 28 bytes {
+        /// Text and captioned frame: first byte of the text in the answer's note.
         first_byte: u32,
         /// Bytes of the text.
         bytes: u32,
@@ -272,19 +269,20 @@ wire_struct! {
         steps: u32,
         /// Distance between the item and the query; NaN if it is not known.
         distance: f32,
-        /// An [`ItemKind`] code; a trajectory is [`ItemKind::Steps`] of any length.
+        /// An [`ItemKind`] code; steps of any length are [`ItemKind::Steps`].
         kind: u8,
-        /// Steps: 1 to supply their views.
+        /// Steps: 1 to supply their views; 2 to supply those whose numbers the answer's note holds, as `bytes / 4`
+        /// little-endian 32-bit numbers from `first_byte` on.
         views: u8,
         /// Steps: 1 to supply their actions.
         actions: u8,
         /// Zero.
-        reserved: [u8; 5],
+        reserved: u8,
     }
 }
 
 wire_struct! {
-    /// Where a text item of a [`ExternalAnswer`] comes from: consecutive steps of one demonstration.
+    /// Where a text item of an [`ExternalAnswer`] comes from: consecutive steps of one demonstration.
     AnswerSource, "memtransfer.AnswerSource", 16 bytes {
         /// Number of the item, from 0.
         item: u32,
@@ -373,10 +371,12 @@ messages! {
     }
 
     /// Orchestrator to memory, before a reset: the memory of the lane's next episode.
-    MemoryEpisodeConfig, "memtransfer.MemoryEpisodeConfig", "memory-config", 40 bytes,
+    MemoryEpisodeConfig, "memtransfer.MemoryEpisodeConfig", "memory-config", 48 bytes,
         [Orchestrator] to [Memory], Lanes {
         /// The episode.
         episode: u64,
+        /// Seed for random choices of the memory: that of the policy's config.
+        seed: u64,
         /// The lane.
         lane: u32,
         /// Index of the case.
@@ -584,21 +584,21 @@ messages! {
         embedding: [f32; MAX_EMBEDDING],
     }
 
-    /// An external memory to memory: it has built itself from a bank, or cannot.
+    /// An external memory to memory: it has built itself from a bank, or cannot. Answers each new bank once.
     ExternalBuilt, "memtransfer.ExternalBuilt", "external-built", 32 bytes,
         [ExternalMemory] to [Memory], Lanes {
         /// The bank.
         bank: u64,
         /// Bytes of its store; 0 if it does not tell.
         store_bytes: u64,
-        /// The document with the reason, if it failed; otherwise [`NO_DOCUMENT`].
+        /// The note with the reason, if it failed; otherwise [`NO_DOCUMENT`].
         failure: DocumentId,
         /// Nanoseconds it took, by its own clock.
         took_ns: u64,
     }
 
     /// An external memory to memory: the answer to a query.
-    ExternalAnswer, "memtransfer.ExternalAnswer", "external-answer", 640 bytes,
+    ExternalAnswer, "memtransfer.ExternalAnswer", "external-answer", 544 bytes,
         [ExternalMemory] to [Memory], Lanes {
         /// The episode.
         episode: u64,
@@ -608,8 +608,8 @@ messages! {
         sent_ns: u64,
         /// Bytes of its store; 0 if it does not tell.
         store_bytes: u64,
-        /// The document with the reason, if it failed; otherwise [`NO_DOCUMENT`].
-        failure: DocumentId,
+        /// The note with the texts of the items, published before; otherwise [`NO_DOCUMENT`].
+        note: DocumentId,
         /// The lane.
         lane: u32,
         /// The step it answers.
@@ -620,16 +620,16 @@ messages! {
         sources_len: u32,
         /// Tokens of its own requests to a model for this step; [`NOT_MEASURED`] if it reports none.
         tokens: u32,
-        /// Zero.
-        reserved: u32,
+        /// 1 if the memory failed: the note holds the reason, and there are no items.
+        failed: u32,
         /// What it supplies, the most important first.
         items: [AnswerItem; MAX_ITEMS],
         /// Where text items come from.
         sources: [AnswerSource; MAX_SOURCES],
     }
 
-    /// All to orchestrator: progress, about once a second if it has changed. The orchestrator
-    /// waits for memory as long as its `done` grows: without cached embeddings, an answer can take minutes.
+    /// All to orchestrator: progress, about once a second if it has changed. The orchestrator waits for memory as long
+    /// as its `done` grows: without cached embeddings, an answer can take minutes.
     Heartbeat, "memtransfer.Heartbeat", "heartbeat", 40 bytes,
         [Sim Memory Policy ExternalMemory] to [Orchestrator], Few {
         /// Code of the sender's [`Role`].

@@ -179,6 +179,7 @@ impl ActiveEpisode {
         let external = condition.memory.external().and_then(|name| rules.external_index(name));
         let memory = MemoryEpisodeConfig {
             episode: id,
+            seed: episode.seed,
             lane,
             case: episode.case_index as u32,
             demonstrations: condition.demonstrations.bits(),

@@ -8,21 +8,40 @@ use domain::{
 use shm_types::attach::{
     ATTACH_FILE, MAX_FRAMES, MAX_LANES, MAX_LOANED_FRAMES, MAX_ROOT_BYTES, PAGE_BYTES,
 };
+use shm_types::banks::{BANK_SERVICE, BankDemonstration, BankHeader, BankStep};
+use shm_types::description::DESCRIPTION_FILE;
 use shm_types::documents::{DOCUMENT_SERVICE, DocumentHeader, MAX_DOCUMENT_BYTES};
 use shm_types::frames::{FRAME_SERVICE, FrameHeader, Page};
 use shm_types::layout::{Layout, Struct};
 use shm_types::message::{
-    CODE_SETS, Description, MAX_DOCUMENTS, MAX_INSTRUCTION, MAX_SEGMENT, MAX_WINDOW, MESSAGES,
-    NO_ACTION, NO_DOCUMENT, NO_FRAME, NOT_MEASURED, Role, SegmentStep, Traffic, TrajectoryStep,
-    WIRE_VERSION, WirePose,
+    AnswerItem, AnswerSource, CODE_SETS, Description, EXTERNAL, MAX_EMBEDDING,
+    MAX_EXTERNAL_MEMORIES, MAX_INSTRUCTION, MAX_ITEMS, MAX_SEGMENT, MAX_SOURCES, MAX_STEPS,
+    MAX_WINDOW, MESSAGES, NO_ACTION, NO_DOCUMENT, NO_FRAME, NOT_MEASURED, RecalledItem,
+    RecalledSource, Role, SegmentStep, Traffic, TrajectoryStep, WIRE_VERSION, WirePose,
 };
+use shm_types::notes::{NOTE_SERVICE, NoteHeader};
 
 /// Structs that are parts of messages and documents.
-pub(crate) const PARTS: [Struct; 3] =
-    [WirePose::LAYOUT, SegmentStep::LAYOUT, TrajectoryStep::LAYOUT];
+pub(crate) const PARTS: [Struct; 9] = [
+    WirePose::LAYOUT,
+    RecalledItem::LAYOUT,
+    SegmentStep::LAYOUT,
+    TrajectoryStep::LAYOUT,
+    RecalledSource::LAYOUT,
+    AnswerItem::LAYOUT,
+    AnswerSource::LAYOUT,
+    BankDemonstration::LAYOUT,
+    BankStep::LAYOUT,
+];
 
-/// What travels on the services of frames and documents.
-pub(crate) const CARRIED: [Struct; 3] = [FrameHeader::LAYOUT, Page::LAYOUT, DocumentHeader::LAYOUT];
+/// What travels on the services of frames, documents, banks and notes.
+pub(crate) const CARRIED: [Struct; 5] = [
+    FrameHeader::LAYOUT,
+    Page::LAYOUT,
+    DocumentHeader::LAYOUT,
+    BankHeader::LAYOUT,
+    NoteHeader::LAYOUT,
+];
 
 /// Every closed set, those of the agent first.
 pub(crate) fn code_sets() -> Vec<CodeSet> {
@@ -68,8 +87,13 @@ pub(crate) fn constants() -> Vec<Constant> {
         NO_FRAME: "The frame id that names no frame.",
         NO_DOCUMENT: "The document id that names no document.",
         MAX_WINDOW: "Most window entries of a recall.",
-        MAX_SEGMENT: "Most entries of a recall's segment.",
-        MAX_DOCUMENTS: "Most documents that a recall names.",
+        MAX_ITEMS: "Most items of a recall or an answer.",
+        MAX_STEPS: "Most steps that a recall holds itself.",
+        MAX_SEGMENT: "Most steps of an item that a recall holds itself.",
+        MAX_SOURCES: "Most sources of a recall or an answer.",
+        MAX_EMBEDDING: "Most numbers of an embedding.",
+        MAX_EXTERNAL_MEMORIES: "Most external memories of a run.",
+        EXTERNAL: "The representation code of an external memory.",
         MAX_INSTRUCTION: "Most bytes of an instruction.",
         MAX_DOCUMENT_BYTES: "Most bytes of a document.",
         MAX_LANES: "Most lanes of a run.",
@@ -79,15 +103,36 @@ pub(crate) fn constants() -> Vec<Constant> {
         PAGE_BYTES: "Bytes of a page; frames are whole pages, aligned to as much.",
         FRAME_SERVICE: "Last part of the name of the service that carries frames.",
         DOCUMENT_SERVICE: "Last part of the name of the service that carries documents.",
+        BANK_SERVICE: "First part of the name of the service that carries banks.",
+        NOTE_SERVICE: "First part of the name of the service that carries notes.",
+        DESCRIPTION_FILE: "The file in an external memory's folder that describes it.",
         ATTACH_FILE: "The file in a run's folder that says how to join it.",
     ]
 }
 
-/// Messages that a policy sends or receives, and those that it never meets.
-pub(crate) fn messages(of_a_policy: bool) -> impl Iterator<Item = &'static Description> {
+/// Whose messages a section lists.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Section {
+    /// Those that a policy sends or receives.
+    Policy,
+    /// Those that an external memory sends or receives, and no policy.
+    ExternalMemory,
+    /// All others.
+    Others,
+}
+
+/// The messages of a section.
+pub(crate) fn messages(of: Section) -> impl Iterator<Item = &'static Description> {
     MESSAGES.iter().filter(move |message| {
         let ends = [message.from, message.to].concat();
-        ends.contains(&Role::Policy) == of_a_policy
+        let section = if ends.contains(&Role::Policy) {
+            Section::Policy
+        } else if ends.contains(&Role::ExternalMemory) {
+            Section::ExternalMemory
+        } else {
+            Section::Others
+        };
+        section == of
     })
 }
 
