@@ -27,17 +27,12 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use iceoryx2::node::{Node, NodeBuilder};
-use iceoryx2::port::BackpressureAction;
-use iceoryx2::port::publisher::Publisher;
-use iceoryx2::port::subscriber::Subscriber;
-use iceoryx2::port::update_connections::{ConnectionFailure, UpdateConnections};
 use iceoryx2::prelude::{LogLevel, SignalHandlingMode, set_log_level_from_env_or};
-use iceoryx2::service::port_factory::PortFactory as _;
-use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
 
 use crate::attach::{Attach, AttachError};
 use crate::events::{Listener, Notifier};
 use crate::message::{ErrorReport, Handshake, Message, Role, ShutdownReport};
+use crate::ports::{Connect, ReceiverPort, SenderPort, is_private};
 use crate::registry;
 pub use crate::transport::BusError;
 use crate::transport::{Ipc, config, delivered, service_name};
@@ -172,15 +167,9 @@ impl Bus {
         if let Some(port) = known.and_then(|port| port.downcast().ok()) {
             return Ok(Sender { port });
         }
-        let service = self.service::<M>(index)?;
-        let publisher = service
-            .publisher_builder()
-            .max_loaned_samples(1)
-            .set_backpressure_handler(|_| BackpressureAction::DiscardDataAndFail)
-            .create()
-            .map_err(|e| BusError::open(format_args!("cannot send on {}", M::SERVICE), e))?;
         let receivers = if is_private::<M>() { 1 } else { self.attach.count(M::TO) };
-        let port = Arc::new(Port { publisher, service, receivers, complete: false.into() });
+        let sender = M::open_sender(self, index)?;
+        let port = Arc::new(Port { sender, receivers, complete: false.into() });
         ports.insert(key, port.clone());
         Ok(Sender { port })
     }
@@ -199,16 +188,11 @@ impl Bus {
     /// As [`Self::receiver`].
     pub fn receiver_from<M: Message>(&self, index: u8) -> Result<Receiver<M>, BusError> {
         self.allowed(M::TO, M::SERVICE, "receive")?;
-        let subscriber = self
-            .service::<M>(index)?
-            .subscriber_builder()
-            .create()
-            .map_err(|e| BusError::open(format_args!("cannot receive on {}", M::SERVICE), e))?;
-        let subscriber = Arc::new(subscriber);
-        self.receivers.add(subscriber.clone());
+        let port = M::open_receiver(self, index)?;
+        self.receivers.add(port.clone());
         let senders = if is_private::<M>() { 1 } else { self.attach.places(M::FROM) };
         let most = self.attach.queue_len(M::TRAFFIC) * senders;
-        Ok(Receiver { subscriber, most, all: self.receivers.clone() })
+        Ok(Receiver { port, most, all: self.receivers.clone() })
     }
 
     fn allowed(
@@ -221,25 +205,6 @@ impl Bus {
         roles.contains(&role).then_some(()).ok_or(BusError::WrongRole { service, role, verb })
     }
 
-    fn service<M: Message>(&self, index: u8) -> Result<PortFactory<Ipc, M, ()>, BusError> {
-        let (builder, senders, receivers) = if is_private::<M>() {
-            (self.builder(&format!("{}-{index}", M::SERVICE))?, 1, 1)
-        } else {
-            (self.builder(M::SERVICE)?, self.attach.places(M::FROM), self.attach.places(M::TO))
-        };
-        builder
-            .publish_subscribe::<M>()
-            .enable_safe_overflow(false)
-            .history_size(0)
-            .max_publishers(senders)
-            .max_subscribers(receivers)
-            .max_nodes(senders + receivers)
-            .subscriber_max_borrowed_samples(1)
-            .subscriber_max_buffer_size(self.attach.queue_len(M::TRAFFIC))
-            .open_or_create()
-            .map_err(|e| BusError::open(format_args!("cannot open {}", M::SERVICE), e))
-    }
-
     /// A builder for this generation's service `name`.
     pub(crate) fn builder(
         &self,
@@ -247,11 +212,6 @@ impl Bus {
     ) -> Result<iceoryx2::service::builder::Builder<Ipc>, BusError> {
         Ok(self.node.service_builder(&service_name(&self.attach, name)?))
     }
-}
-
-/// Whether each external memory has its own service for `M`.
-fn is_private<M: Message>() -> bool {
-    [M::FROM, M::TO].contains(&[Role::ExternalMemory].as_slice())
 }
 
 /// Sends messages of type `M`.
@@ -263,8 +223,7 @@ pub struct Sender<M: Message> {
 /// The sending port of one service, shared by all [`Sender`]s of the process.
 #[derive(Debug)]
 struct Port<M: Message> {
-    publisher: Publisher<Ipc, M, ()>,
-    service: PortFactory<Ipc, M, ()>,
+    sender: Box<dyn SenderPort<M>>,
     /// Receivers that take part in the run.
     receivers: usize,
     /// Whether the wait for all receivers is over.
@@ -296,19 +255,19 @@ impl<M: Message> Sender<M> {
 
     /// Whether all receivers exist.
     pub fn is_complete(&self) -> bool {
-        self.port.service.dynamic_config().number_of_subscribers() >= self.port.receivers
+        self.port.sender.receivers() >= self.port.receivers
     }
 
     /// As [`Sender::send`], without waiting for receivers.
     pub(crate) fn send_now(&self, message: &M) -> Result<(), BusError> {
-        delivered(M::SERVICE, self.port.receivers, self.port.publisher.send_copy(*message))
+        delivered(M::SERVICE, self.port.receivers, self.port.sender.send(message))
     }
 }
 
 /// Receives messages of type `M`.
 #[derive(Debug)]
 pub struct Receiver<M: Message> {
-    subscriber: Arc<Subscriber<Ipc, M, ()>>,
+    port: Arc<dyn ReceiverPort<M>>,
     /// Messages that can wait at the same time: a queue for each sender.
     most: usize,
     all: Arc<AllReceivers>,
@@ -320,12 +279,12 @@ impl<M: Message> Receiver<M> {
     /// # Errors
     /// When the transport fails.
     pub fn next(&self) -> Result<Option<M>, BusError> {
-        let sample = self.subscriber.receive().map_err(|e| BusError::transport(M::SERVICE, e))?;
+        let message = self.next_with(|message| *message)?;
         // Decided at compile time.
-        if sample.is_some() && TypeId::of::<M>() == TypeId::of::<Handshake>() {
+        if message.is_some() && TypeId::of::<M>() == TypeId::of::<Handshake>() {
             self.all.connect()?;
         }
-        Ok(sample.map(|sample| *sample))
+        Ok(message)
     }
 
     /// All waiting messages, in order. At most as many as the queue holds, so that a sender that never stops cannot
@@ -350,25 +309,15 @@ impl<M: Message> Receiver<M> {
     /// # Errors
     /// As [`Receiver::next`].
     pub fn next_with<R>(&self, look: impl FnOnce(&M) -> R) -> Result<Option<R>, BusError> {
-        let sample = self.subscriber.receive().map_err(|e| BusError::transport(M::SERVICE, e))?;
-        Ok(sample.map(|sample| look(&sample)))
+        let (mut look, mut result) = (Some(look), None);
+        self.port.receive(&mut |message| result = look.take().map(|look| look(message)))?;
+        Ok(result)
     }
 }
 
 /// Weak references to all receivers of a process.
 #[derive(Debug, Default)]
 struct AllReceivers(Mutex<Vec<Weak<dyn Connect>>>);
-
-/// A receiver of any message type.
-trait Connect: Debug + Send + Sync {
-    fn connect(&self) -> Result<(), ConnectionFailure>;
-}
-
-impl<M: Message> Connect for Subscriber<Ipc, M, ()> {
-    fn connect(&self) -> Result<(), ConnectionFailure> {
-        self.update_connections()
-    }
-}
 
 impl AllReceivers {
     fn add(&self, receiver: Arc<dyn Connect>) {

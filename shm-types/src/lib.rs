@@ -24,6 +24,7 @@ pub mod heartbeats;
 pub mod layout;
 pub mod message;
 pub mod notes;
+mod ports;
 pub mod process;
 pub mod registry;
 pub mod spans;

@@ -8,12 +8,16 @@
 //! run, so a late answer is recognised and dropped. All `*_ns` fields are CLOCK_MONOTONIC nanoseconds, which all
 //! processes of a machine share.
 
+use std::sync::Arc;
+
 use bytemuck::{Pod, Zeroable};
 use iceoryx2::prelude::ZeroCopySend;
 
 use domain::{Heading, Pose, UnknownCode};
 
+use crate::bus::{Bus, BusError};
 use crate::layout::{Field, FieldType, Layout, Struct, WireType, wire_struct};
+use crate::ports::{self, ReceiverPort, SenderPort};
 
 mod codes;
 
@@ -91,6 +95,14 @@ pub trait Message: ZeroCopySend + Pod + core::fmt::Debug {
     const TO: &'static [Role];
     /// How many can wait for a receiver.
     const TRAFFIC: Traffic;
+
+    /// Opens its sender; `index` is that of the external memory it sends to, if it sends to one.
+    #[doc(hidden)]
+    fn open_sender(bus: &Bus, index: u8) -> Result<Box<dyn SenderPort<Self>>, BusError>;
+
+    /// Opens a receiver, as [`Self::open_sender`].
+    #[doc(hidden)]
+    fn open_receiver(bus: &Bus, index: u8) -> Result<Arc<dyn ReceiverPort<Self>>, BusError>;
 }
 
 /// What bounds the number of waiting messages, and so the length of the queue
@@ -136,6 +148,15 @@ macro_rules! messages {
                 const FROM: &'static [Role] = &[$(Role::$from),*];
                 const TO: &'static [Role] = &[$(Role::$to),*];
                 const TRAFFIC: Traffic = Traffic::$traffic;
+
+                // Not generic, so that the ports are compiled in this crate.
+                fn open_sender(bus: &Bus, index: u8) -> Result<Box<dyn SenderPort<Self>>, BusError> {
+                    ports::open_sender(bus, index)
+                }
+
+                fn open_receiver(bus: &Bus, index: u8) -> Result<Arc<dyn ReceiverPort<Self>>, BusError> {
+                    ports::open_receiver(bus, index)
+                }
             }
         )*
 
