@@ -261,7 +261,7 @@ fn print(measured: &SearchMeasurement, out: &mut impl Write) -> anyhow::Result<(
 }
 
 fn query(embedding: &Embedding) -> Query<'_> {
-    Query { embedding, stage: 0, elapsed: 0 }
+    Query { embedding: embedding.as_slice(), stage: 0, elapsed: 0 }
 }
 
 /// Writes the vectors of a memory of `entries`, then those of some queries, as little-endian numbers.

@@ -7,8 +7,8 @@ use std::time::{Duration, Instant};
 use bytemuck::Zeroable;
 use shm_types::message::{FrameId, Handshake, Heartbeat, Role, ShutdownReport, Stop};
 use shm_types::{
-    Attach, Bus, ErrorReporter, Frame, FrameError, FrameStore, Heartbeats, Notifier, Receiver,
-    Spans,
+    Attach, Bus, BusError, ErrorReporter, Frame, FrameError, FrameStore, Heartbeats, Notifier,
+    Receiver, Spans,
 };
 
 use crate::run::{ServeError, WatchedRun};
@@ -31,6 +31,14 @@ pub trait Service {
     type Session<'s>: Session
     where
         Self: 's;
+
+    /// Joins a generation.
+    ///
+    /// # Errors
+    /// When the generation cannot be joined, or this process does not take part in it.
+    fn join(&self, attach: Attach) -> Result<Bus, BusError> {
+        Bus::join(attach, Self::ROLE)
+    }
 
     /// Facts for the run's manifest, as names and values.
     fn facts(&self) -> Vec<(&str, String)>;
@@ -139,7 +147,8 @@ impl Connection {
         run: &WatchedRun,
     ) -> Result<End, ServeError> {
         // The session creates its receivers first: other processes send as soon as all handshakes are in.
-        let handshake = Handshake::new(S::ROLE, service.facts())?;
+        let external = self.bus.index().into();
+        let handshake = Handshake { external, ..Handshake::new(S::ROLE, service.facts())? };
         let mut session = service.start(self)?;
         let handshakes = self.bus.sender()?;
         // The orchestrator may not have joined yet, or be in the next generation already.
@@ -214,6 +223,7 @@ impl Connection {
     fn send_shutdown_report(&self) -> Result<(), ServeError> {
         self.bus.sender()?.send(&ShutdownReport {
             role: self.bus.role() as u32,
+            external: self.bus.index().into(),
             frames_received: self.frames.received(),
             error_reports: self.errors.count().into(),
             ..Zeroable::zeroed()

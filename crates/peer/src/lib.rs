@@ -29,6 +29,7 @@
 //! role of the policy is the module [`policy`].
 
 pub mod connection;
+pub mod memory;
 pub mod policy;
 pub mod run;
 

@@ -23,7 +23,7 @@ pub struct FrameView<'a> {
 }
 
 impl<'a> FrameView<'a> {
-    pub(super) fn of(frame: &'a Frame) -> Self {
+    pub(crate) fn of(frame: &'a Frame) -> Self {
         let FrameSize { width, height } = frame.size();
         let (id, content_hash) = (frame.id(), frame.content_hash());
         Self { id, content_hash, width, height, pixels: frame.pixels() }
