@@ -1,7 +1,8 @@
 //! Lanes against a scripted simulator, memory and policy: no process, no shared memory.
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
-use bytemuck::Zeroable;
+use conformance::messages::{self, recall_trace};
+use conformance::scripted::{ScriptedSim, request};
 use domain::{Action, Feedback, Outcome, Pose, Representation};
 use orchestrator::lanes::{AnswerError, EpisodeOpening, FinishedEpisode, Lanes, Rules, Turn};
 use orchestrator::plan::PlannedEpisode;
@@ -10,7 +11,7 @@ use results::key::EpisodeKey;
 use results::log::Ending;
 use shm_types::message::{
     Decision, MAX_EXTERNAL_MEMORIES, MemoryEpisodeConfig, NOT_MEASURED, Observation, RecallTrace,
-    RecalledSource, Role, StepCommand, StepKind,
+    RecalledSource, Role,
 };
 use warehouse::{CaseSet, History, Mixture, Variant, Warehouse, step};
 
@@ -43,67 +44,24 @@ fn episode(cases: &CaseSet, case_index: usize, start: Start, route: Route) -> Pl
     PlannedEpisode { key: EpisodeKey { condition, run: 1, case }, case_index, seed: 7 }
 }
 
-/// The simulator: the same dynamics, from what the commands say alone.
-struct Sim<'w> {
-    warehouse: &'w Warehouse,
-    cases: &'w CaseSet,
-    pose: Pose,
-}
-
-impl Sim<'_> {
-    fn observe(&mut self, command: &StepCommand) -> Observation {
-        let variant = match command.variant {
-            0 => Variant::UNCHANGED,
-            n => {
-                let case = &self.cases.cases[n as usize - 1];
-                Variant::closing(case.barricade.iter().copied())
-            }
-        };
-        let feedback = match StepKind::try_from(command.kind).unwrap() {
-            StepKind::Reset => {
-                self.pose = command.start.try_into().unwrap();
-                Feedback::Start
-            }
-            StepKind::Stay => Feedback::NotUnderstood,
-            StepKind::Act => {
-                let action = Action::try_from(command.action).unwrap();
-                let feedback;
-                (self.pose, feedback) = step(&self.warehouse.layout, &variant, self.pose, action);
-                feedback
-            }
-        };
-        Observation {
-            episode: command.episode,
-            frame: u64::from(command.last == 0),
-            lane: command.lane,
-            step: command.step,
-            pose: self.pose.into(),
-            feedback: feedback as u8,
-            action: command.action,
-            last: command.last,
-            ..Zeroable::zeroed()
-        }
-    }
+/// The simulator: the same dynamics, from the commands alone.
+fn sim(
+    warehouse: &Warehouse,
+    cases: &CaseSet,
+) -> ScriptedSim<impl FnMut(u32, Pose, Action) -> (Pose, Feedback)> {
+    ScriptedSim::new(move |variant, pose, action| {
+        let closed = variant.checked_sub(1).map(|case| &cases.cases[case as usize].barricade);
+        let variant = Variant::closing(closed.into_iter().flatten().copied());
+        step(&warehouse.layout, &variant, pose, action)
+    })
 }
 
 fn trace(of: &Observation) -> RecallTrace {
-    let &Observation { episode, lane, step, .. } = of;
-    RecallTrace { episode, lane, step, tokens: NOT_MEASURED, ..Zeroable::zeroed() }
+    recall_trace(request(of))
 }
 
 fn decision(of: &Observation, action: Action) -> Decision {
-    let &Observation { episode, lane, step, .. } = of;
-    Decision {
-        episode,
-        lane,
-        step,
-        action: action as u8,
-        images: 3,
-        images_asked: 3,
-        prompt_tokens: NOT_MEASURED,
-        completion_tokens: NOT_MEASURED,
-        ..Zeroable::zeroed()
-    }
+    Decision { images: 3, images_asked: 3, ..messages::decision(request(of), action) }
 }
 
 /// Runs one episode to its end; the policy answers by step number, `None` for an unreadable answer.
@@ -128,8 +86,7 @@ fn run_with_recall(
     let (warehouse, cases) = world();
     let mut lanes = Lanes::new(&warehouse, &cases, rules, 1);
     let opening = lanes.begin(0, episode);
-    let mut sim =
-        Sim { warehouse: &warehouse, cases: &cases, pose: Pose::new(0, 0, domain::Heading::N) };
+    let mut sim = sim(&warehouse, &cases);
     let mut command = opening.command;
     loop {
         let observation = sim.observe(&command);
@@ -306,7 +263,7 @@ fn two_lanes<'w>(
     let mut lanes = Lanes::new(warehouse, cases, RULES, 2);
     let opening = lanes.begin(0, episode(cases, 0, Start::Original, Route::Unchanged));
     lanes.begin(1, episode(cases, 1, Start::Original, Route::Unchanged));
-    let mut sim = Sim { warehouse, cases, pose: Pose::new(0, 0, domain::Heading::N) };
+    let mut sim = sim(warehouse, cases);
     let observation = sim.observe(&opening.command);
     (lanes, opening, observation)
 }

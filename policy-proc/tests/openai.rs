@@ -2,54 +2,46 @@
 
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on fails")]
 
-use std::any::Any;
+use std::ops::{Deref, DerefMut};
 use std::sync::{Arc, Condvar, Mutex};
-use std::thread::{self, JoinHandle};
-use std::time::{Duration, Instant};
 
-use bytemuck::Zeroable;
-use domain::{Action, Feedback, Heading, Outcome, Pose};
+use conformance::messages::{self, config, observation, recall, supply};
+use conformance::testing::{LONG, PolicyRig};
+use domain::{Action, Feedback, Outcome};
 use llm::scripted::{Received, Server, Turn, completion};
 use llm::{ChatClient, ChatSettings, Endpoint, ReplyCache};
-use peer::{ServeError, serve};
+use peer::serve;
 use policy_proc::openai::{Openai, OpenaiSettings};
 use prompt::image::ImageFormat;
 use serde_json::{Value, json};
+use shm_types::Attach;
 use shm_types::documents::Content;
 use shm_types::message::{
-    self, ErrorReport, ErrorReportKind, FrameId, Handshake, ItemKind, NOT_MEASURED, Observation,
-    PolicyEpisodeConfig, Recall, RecalledItem, Role, Stop, WirePose, read_text, write_text,
+    self, ErrorReportKind, FrameId, NOT_MEASURED, Observation, PolicyEpisodeConfig, RecalledItem,
+    RequestId, read_text,
 };
-use shm_types::{
-    Attach, Bus, DocumentPublisher, FramePublisher, FrameSize, FrameStore, Notifier, Receiver,
-    RunDir, Sender,
-};
-use tempfile::TempDir;
 
 const LANES: u32 = 8;
-const PATIENCE: Duration = Duration::from_secs(60);
 
-/// A server, and a run of eight lanes whose policy asks it. Fields are dropped in order: the run before its folder.
+/// A run of eight lanes whose policy asks a server.
 struct Bench {
-    orchestrator: Bus,
-    configs: Sender<PolicyEpisodeConfig>,
-    observations: Sender<Observation>,
-    recalls: Sender<Recall>,
-    stops: Sender<Stop>,
-    decisions: Receiver<message::Decision>,
-    error_reports: Receiver<ErrorReport>,
-    policy: Notifier,
-    frames: FramePublisher,
-    documents: DocumentPublisher,
-    /// Other receivers of observations, which have to drain them.
-    observers: [Receiver<Observation>; 2],
-    /// Receivers without which nothing is delivered.
-    _others: Box<dyn Any>,
-    facts: String,
-    serving: JoinHandle<Result<(), ServeError>>,
+    rig: PolicyRig,
+    facts: Value,
     server: Server,
-    _run: RunDir,
-    _base: TempDir,
+}
+
+impl Deref for Bench {
+    type Target = PolicyRig;
+
+    fn deref(&self) -> &PolicyRig {
+        &self.rig
+    }
+}
+
+impl DerefMut for Bench {
+    fn deref_mut(&mut self) -> &mut PolicyRig {
+        &mut self.rig
+    }
 }
 
 /// The settings of most tests.
@@ -59,7 +51,7 @@ fn settings() -> OpenaiSettings {
 
 fn chat_settings() -> ChatSettings {
     ChatSettings {
-        request_timeout: PATIENCE,
+        request_timeout: LONG,
         max_retries: 0,
         max_connections: LANES,
         ..ChatSettings::new("m")
@@ -74,116 +66,39 @@ impl Bench {
     fn with_cache(server: Server, settings: OpenaiSettings, cache: Option<ReplyCache>) -> Self {
         let endpoint = Endpoint::new(&server.base_url(), None).unwrap();
         let mut policy = Openai::new(ChatClient::new(endpoint, chat_settings(), cache), settings);
-
-        let base = tempfile::Builder::new().prefix("mt").tempdir_in("/tmp").unwrap();
-        let run = RunDir::create(base.path()).unwrap();
-        let frame = FrameSize { width: 64, height: 64 };
-        let attach = Attach { frame, frame_capacity: 64, lanes: LANES, ..run.attach() };
-        attach.write(run.path()).unwrap();
-        let bus = |role| Bus::join(attach.clone(), role).unwrap();
-        let (orchestrator, sim, memory) =
-            (bus(Role::Orchestrator), bus(Role::Sim), bus(Role::Memory));
-        let handshakes = orchestrator.receiver::<Handshake>().unwrap();
-        let (decisions, error_reports) =
-            (orchestrator.receiver().unwrap(), orchestrator.receiver().unwrap());
-        let others = (
-            orchestrator.receiver::<message::ShutdownReport>().unwrap(),
-            FrameStore::new(&memory).unwrap(),
-            memory.receiver::<Stop>().unwrap(),
-            sim.receiver::<Stop>().unwrap(),
-        );
-        let observers = [orchestrator.receiver().unwrap(), memory.receiver().unwrap()];
-        let path = run.path().to_owned();
-        let serving = thread::spawn(move || serve(&mut policy, &path));
-        let handshake = within_patience(&orchestrator, || handshakes.next().unwrap());
-        Self {
-            configs: orchestrator.sender().unwrap(),
-            observations: sim.sender().unwrap(),
-            recalls: memory.sender().unwrap(),
-            stops: orchestrator.sender().unwrap(),
-            decisions,
-            error_reports,
-            policy: orchestrator.notifier(Role::Policy).unwrap(),
-            frames: FramePublisher::new(&sim).unwrap(),
-            documents: DocumentPublisher::new(&memory).unwrap(),
-            observers,
-            _others: Box::new((others, sim, memory)),
-            facts: read_text(&handshake.facts, handshake.facts_len).unwrap().to_owned(),
-            serving,
-            server,
-            _run: run,
-            _base: base,
-            orchestrator,
-        }
+        let change = |attach: &mut Attach| attach.lanes = LANES;
+        let mut rig = PolicyRig::in_thread(change, move |folder| Ok(serve(&mut policy, folder)?));
+        let handshake = rig.handshake();
+        let facts = read_text(&handshake.facts, handshake.facts_len).unwrap();
+        Self { facts: serde_json::from_str(facts).unwrap(), rig, server }
     }
 
-    /// A frame of one grey.
-    fn publish(&mut self, grey: u8) -> FrameId {
-        let mut slot = self.frames.loan().unwrap();
-        slot.pixels_mut().fill(grey);
-        self.frames.publish(slot, [grey; 16]).unwrap()
+    /// An episode without a window in `lane`; the instruction contains the lane's number.
+    fn begin_lane(&self, lane: u32) {
+        self.begin(&PolicyEpisodeConfig { window: 0, ..lane_config(lane) });
     }
 
-    /// An episode in `lane`; the instruction contains the lane's number.
-    fn begin(&self, lane: u32) {
-        self.begin_with_window(lane, 0);
+    /// Sends a step of `lane` with a recall of these views and documents. Does not notify.
+    fn ask_lane(
+        &self,
+        lane: u32,
+        step: u32,
+        frame: FrameId,
+        segment: &[FrameId],
+        texts: &[RecalledItem],
+    ) {
+        let id = RequestId { lane, episode: episode(lane), step };
+        let mut recall = recall(id, segment);
+        texts.iter().for_each(|&text| supply(&mut recall, text, &[]));
+        self.ask(&observation(id, frame), &recall);
     }
 
-    fn begin_with_window(&self, lane: u32, window: u8) {
-        let episode = episode(lane);
-        let mut config =
-            PolicyEpisodeConfig { lane, episode, repeat: 1, window, ..Zeroable::zeroed() };
-        config.instruction_len = write_text(&mut config.instruction, &format!("Find item {lane}."));
-        self.configs.send(&config).unwrap();
-    }
-
-    /// Sends a step of `lane` with `recall`.
-    fn step(&self, lane: u32, step: u32, frame: FrameId, recall: Recall) {
-        let pose = WirePose::from(Pose::new(3, 4, Heading::E));
-        let episode = episode(lane);
-        let (feedback, action) = (Feedback::Moved as u8, Action::Forward as u8);
-        let observation = Observation {
-            lane,
-            episode,
-            step,
-            frame,
-            pose,
-            feedback,
-            action,
-            ..Zeroable::zeroed()
-        };
-        self.observations.send(&observation).unwrap();
-        self.recalls.send(&Recall { lane, episode, step, ..recall }).unwrap();
-    }
-
-    fn notify(&self) {
-        self.policy.notify().unwrap();
-    }
-
-    fn decisions(&self, count: usize) -> Vec<message::Decision> {
-        let mut all = Vec::new();
-        within_patience(&self.orchestrator, || {
-            all.extend(self.decisions.drain().unwrap());
-            (all.len() >= count).then_some(())
-        });
-        for observer in &self.observers {
-            drop(observer.drain().unwrap());
-        }
-        all.sort_by_key(|decision: &message::Decision| decision.lane);
-        all
-    }
-
-    fn error_report(&self) -> (u32, u32, String) {
-        let error_report =
-            within_patience(&self.orchestrator, || self.error_reports.next().unwrap());
-        let text = read_text(&error_report.text, error_report.text_len).unwrap().to_owned();
-        (error_report.kind, error_report.lane, text)
-    }
-
-    fn stop(self) {
-        self.stops.send(&Stop::zeroed()).unwrap();
+    /// Wakes the policy; the next `count` decisions by lane.
+    fn decide(&mut self, count: usize) -> Vec<message::Decision> {
         self.notify();
-        self.serving.join().unwrap().unwrap();
+        let mut decisions = self.decisions(count);
+        decisions.sort_by_key(|decision| decision.lane);
+        decisions
     }
 }
 
@@ -191,20 +106,8 @@ fn episode(lane: u32) -> u64 {
     100 + u64::from(lane)
 }
 
-fn no_memory() -> Recall {
-    Zeroable::zeroed()
-}
-
-/// What `look` finds before the watchdog ends.
-fn within_patience<T>(bus: &Bus, mut look: impl FnMut() -> Option<T>) -> T {
-    let deadline = Instant::now() + PATIENCE;
-    loop {
-        if let Some(found) = look() {
-            return found;
-        }
-        assert!(Instant::now() < deadline, "nothing came");
-        bus.listener().wait(Duration::from_millis(100)).unwrap();
-    }
+fn lane_config(lane: u32) -> PolicyEpisodeConfig {
+    config(lane, episode(lane), &format!("Find item {lane}."))
 }
 
 /// The lane that a request is about.
@@ -236,7 +139,7 @@ fn requests_of_all_lanes_are_in_flight_at_once() {
         state.0 += 1;
         changed.notify_all();
         let late = |state: &mut (u32, u32)| state.0 < LANES || state.1 != lane + 1;
-        let (mut state, waited) = changed.wait_timeout_while(state, PATIENCE, late).unwrap();
+        let (mut state, waited) = changed.wait_timeout_while(state, LONG, late).unwrap();
         assert!(!waited.timed_out(), "lane {lane} waits for the others");
         state.1 = lane;
         changed.notify_all();
@@ -246,11 +149,10 @@ fn requests_of_all_lanes_are_in_flight_at_once() {
     let mut bench = Bench::new(server, settings());
     let frame = bench.publish(9);
     for lane in 0..LANES {
-        bench.begin(lane);
-        bench.step(lane, 0, frame, no_memory());
+        bench.begin_lane(lane);
+        bench.ask_lane(lane, 0, frame, &[], &[]);
     }
-    bench.notify();
-    let decisions = bench.decisions(LANES as usize);
+    let decisions = bench.decide(LANES as usize);
     for (decision, lane) in decisions.iter().zip(0..) {
         assert_eq!((decision.lane, decision.episode), (lane, episode(lane)));
         assert_eq!(decision.outcome, Outcome::Acted as u8);
@@ -274,7 +176,7 @@ fn requests_of_all_lanes_are_in_flight_at_once() {
         let first = &received[0].body["messages"][0];
         assert_eq!((&request.body["messages"][0], &first["role"]), (first, &json!("system")));
     }
-    bench.stop();
+    bench.rig.stop();
 }
 
 #[test]
@@ -299,11 +201,10 @@ fn answers_without_an_action_have_different_outcomes() {
     let mut bench = Bench::new(server, settings());
     let frame = bench.publish(9);
     for lane in 0..7 {
-        bench.begin(lane);
-        bench.step(lane, 0, frame, no_memory());
+        bench.begin_lane(lane);
+        bench.ask_lane(lane, 0, frame, &[], &[]);
     }
-    bench.notify();
-    let outcomes: Vec<_> = bench.decisions(6).iter().map(|d| (d.lane, d.outcome)).collect();
+    let outcomes: Vec<_> = bench.decide(6).iter().map(|d| (d.lane, d.outcome)).collect();
     let expected = [
         (0, Outcome::Unreadable),
         (1, Outcome::Empty),
@@ -314,10 +215,10 @@ fn answers_without_an_action_have_different_outcomes() {
     ];
     assert_eq!(outcomes, expected.map(|(lane, outcome)| (lane, outcome as u8)));
     // A refused request is no fault of the model.
-    let (kind, lane, text) = bench.error_report();
-    assert_eq!((kind, lane), (ErrorReportKind::Episode as u32, 5));
+    let (report, text) = bench.error_report();
+    assert_eq!((report.kind, report.lane), (ErrorReportKind::Episode as u32, 5));
     assert!(text.contains("status 400: at most 1 image"), "{text}");
-    bench.stop();
+    bench.rig.stop();
 }
 
 #[test]
@@ -331,21 +232,15 @@ fn images_are_kept_to_the_budget() {
     let budget = OpenaiSettings { image_budget: 3, image_format: ImageFormat::Jpeg, ..settings() };
     let mut bench = Bench::new(server, budget);
     let frames = [10, 20, 30, 40].map(|grey| bench.publish(grey));
-    let mut recall = Recall { items_len: 1, steps_len: 2, ..no_memory() };
-    let kind = ItemKind::Steps as u8;
-    recall.items[0] = RecalledItem { kind, distance: 0.5, steps: 2, ..Zeroable::zeroed() };
-    for (step, frame) in recall.steps.iter_mut().zip([frames[2], frames[0]]) {
-        step.frame = frame;
+    for lane in 0..2 {
+        bench.begin(&PolicyEpisodeConfig { window: 2, ..lane_config(lane) });
     }
-    (0..2).for_each(|lane| bench.begin_with_window(lane, 2));
     for step in 0..2 {
-        (0..2).for_each(|lane| bench.step(lane, step, frames[step as usize], no_memory()));
-        bench.notify();
-        bench.decisions(2);
+        (0..2).for_each(|lane| bench.ask_lane(lane, step, frames[step as usize], &[], &[]));
+        bench.decide(2);
     }
-    (0..2).for_each(|lane| bench.step(lane, 2, frames[3], recall));
-    bench.notify();
-    for decision in bench.decisions(2) {
+    (0..2).for_each(|lane| bench.ask_lane(lane, 2, frames[3], &[frames[2], frames[0]], &[]));
+    for decision in bench.decide(2) {
         assert_eq!((decision.images_asked, decision.images), (5, 3));
         // All retrieved views are left out, so memory is a share of the text alone.
         assert!((50..400).contains(&decision.memory_tokens), "{}", decision.memory_tokens);
@@ -359,7 +254,7 @@ fn images_are_kept_to_the_budget() {
     assert_eq!(one, other);
     let body = received[0].body.to_string();
     assert_eq!(body.matches("[view not shown]").count(), 2);
-    bench.stop();
+    bench.rig.stop();
 }
 
 #[test]
@@ -377,15 +272,11 @@ fn without_images_a_model_gets_plain_text_and_memory_its_share() {
     let frame = bench.publish(1);
     // As much text as the rest of the prompt, and more.
     let text = "- blue barrel: stand at (1, 2)\n".repeat(200);
-    let bytes = text.len() as u32;
-    let document = bench.documents.publish(None, &Content::Summary(text)).unwrap();
-    let mut recall = Recall { items_len: 1, ..no_memory() };
-    let kind = ItemKind::Text as u8;
-    recall.items[0] = RecalledItem { kind, document, bytes, ..Zeroable::zeroed() };
-    bench.begin(3);
-    bench.step(3, 0, frame, recall);
-    bench.notify();
-    let decision = bench.decisions(1)[0];
+    let item = messages::text(0, text.len());
+    let document = bench.publish_document(&Content::Summary(text));
+    bench.begin_lane(3);
+    bench.ask_lane(3, 0, frame, &[], &[RecalledItem { document, ..item }]);
+    let decision = bench.decide(1)[0];
     assert_eq!((decision.images_asked, decision.images), (1, 0));
     assert_eq!((decision.prompt_tokens, decision.cached_tokens), (1000, 600));
     assert!((500..900).contains(&decision.memory_tokens), "{}", decision.memory_tokens);
@@ -393,7 +284,7 @@ fn without_images_a_model_gets_plain_text_and_memory_its_share() {
     let text = content.as_str().unwrap();
     assert!(text.starts_with("<memory>\n<document"), "{text}");
     assert!(text.contains("You see:\n[view not shown]\n"), "{text}");
-    bench.stop();
+    bench.rig.stop();
 }
 
 #[test]
@@ -405,15 +296,14 @@ fn a_request_that_hangs_delays_no_other_lane() {
     .unwrap();
     let mut bench = Bench::new(server, settings());
     let frame = bench.publish(9);
-    (0..LANES).for_each(|lane| bench.begin(lane));
-    bench.step(0, 0, frame, no_memory());
+    (0..LANES).for_each(|lane| bench.begin_lane(lane));
+    bench.ask_lane(0, 0, frame, &[], &[]);
     for step in 0..5 {
-        (1..LANES).for_each(|lane| bench.step(lane, step, frame, no_memory()));
-        bench.notify();
-        let decisions = bench.decisions(LANES as usize - 1);
+        (1..LANES).for_each(|lane| bench.ask_lane(lane, step, frame, &[], &[]));
+        let decisions = bench.decide(LANES as usize - 1);
         assert!(decisions.iter().all(|d| d.lane != 0 && d.step == step));
     }
-    bench.stop();
+    bench.rig.stop();
 }
 
 #[test]
@@ -423,29 +313,26 @@ fn a_stored_reply_costs_nothing_and_each_repetition_has_its_own() {
     let cache = ReplyCache::at(folder.path());
     let mut bench = Bench::with_cache(server, settings(), Some(cache));
     let frame = bench.publish(9);
-    bench.begin(1);
+    bench.begin_lane(1);
+    // The same request at every step.
+    let ask = |bench: &Bench, id| {
+        let (feedback, action) = (Feedback::Moved as u8, Action::Forward as u8);
+        let same = Observation { feedback, action, ..observation(id, frame) };
+        bench.ask(&same, &recall(id, &[], &[]));
+    };
     for step in 0..2 {
-        bench.step(1, step, frame, no_memory());
-        bench.notify();
-        let decision = bench.decisions(1)[0];
+        ask(&bench, RequestId { lane: 1, episode: episode(1), step });
+        let decision = bench.decide(1)[0];
         let known = step == 1;
         assert_eq!((decision.replayed == 1, decision.attempts), (known, u32::from(!known)));
         assert_eq!(decision.sent_ns == 0, known);
         assert_eq!(decision.action, Action::TurnRight as u8);
     }
-    let mut config = PolicyEpisodeConfig { lane: 1, episode: 999, repeat: 2, ..Zeroable::zeroed() };
-    config.instruction_len = write_text(&mut config.instruction, "Find item 1.");
-    bench.configs.send(&config).unwrap();
-    let pose = WirePose::from(Pose::new(3, 4, Heading::E));
-    let feedback = Feedback::Moved as u8;
-    let observation =
-        Observation { lane: 1, episode: 999, frame, pose, feedback, ..Zeroable::zeroed() };
-    bench.observations.send(&observation).unwrap();
-    bench.recalls.send(&Recall { lane: 1, episode: 999, ..no_memory() }).unwrap();
-    bench.notify();
-    assert_eq!(bench.decisions(1)[0].replayed, 0);
+    bench.begin(&PolicyEpisodeConfig { episode: 999, repeat: 2, window: 0, ..lane_config(1) });
+    ask(&bench, RequestId { lane: 1, episode: 999, step: 0 });
+    assert_eq!(bench.decide(1)[0].replayed, 0);
     assert_eq!(bench.server.received().len(), 2);
-    bench.stop();
+    bench.rig.stop();
 }
 
 #[test]
@@ -453,13 +340,13 @@ fn a_server_that_refuses_the_key_stops_the_run() {
     let server = Server::concurrent(|_| Turn::json(401, &json!({"error": "no"}))).unwrap();
     let mut bench = Bench::new(server, settings());
     let frame = bench.publish(9);
-    bench.begin(0);
-    bench.step(0, 0, frame, no_memory());
+    bench.begin_lane(0);
+    bench.ask_lane(0, 0, frame, &[], &[]);
     bench.notify();
-    let (kind, _, text) = bench.error_report();
-    assert_eq!(kind, ErrorReportKind::Run as u32, "{text}");
+    let (report, text) = bench.error_report();
+    assert_eq!(report.kind, ErrorReportKind::Run as u32, "{text}");
     assert!(text.contains("401"), "{text}");
-    bench.stop();
+    bench.rig.stop();
 }
 
 /// Defect 17: while the server is gone, the orchestrator is told so, and the decision comes when it is back.
@@ -470,29 +357,28 @@ fn a_run_is_told_that_it_waits_for_the_server() {
     let server = Server::turns([says(), unavailable.clone(), unavailable, says()]).unwrap();
     let mut bench = Bench::new(server, settings());
     let frame = bench.publish(9);
-    bench.begin(0);
+    bench.begin_lane(0);
     for step in 0..2 {
-        bench.step(0, step, frame, no_memory());
-        bench.notify();
-        assert_eq!(bench.decisions(1)[0].action, Action::TurnRight as u8);
+        bench.ask_lane(0, step, frame, &[], &[]);
+        assert_eq!(bench.decide(1)[0].action, Action::TurnRight as u8);
     }
     let reports = [(); 3].map(|()| bench.error_report());
-    assert!(reports.iter().all(|(kind, ..)| *kind == ErrorReportKind::Waiting as u32));
-    assert!(reports[0].2.contains("loading the model); waiting up to 600 s"), "{reports:?}");
-    assert_eq!(reports[2].2, "");
-    bench.stop();
+    assert!(reports.iter().all(|(report, _)| report.kind == ErrorReportKind::Waiting as u32));
+    assert!(reports[0].1.contains("loading the model); waiting up to 600 s"), "{reports:?}");
+    assert_eq!(reports[2].1, "");
+    bench.rig.stop();
 }
 
 #[test]
 fn facts_for_the_manifest_are_what_decides_results() {
     let server = Server::turns([]).unwrap();
     let jpeg = OpenaiSettings { image_format: ImageFormat::Jpeg, ..settings() };
-    let bench = Bench::new(server, jpeg);
-    let mut facts: Value = serde_json::from_str(&bench.facts).unwrap();
+    let mut bench = Bench::new(server, jpeg);
+    let facts = &mut bench.facts;
     let hash = facts["prompt_hash"].take();
     let endpoint = facts["endpoint"].take();
     assert!(endpoint.as_str().unwrap().ends_with("/v1/chat/completions"));
     assert_eq!(hash.as_str().unwrap().len(), 16);
     insta::assert_snapshot!(facts, @r#"{"answer_tokens":"30","answers":"restricted","endpoint":null,"image_budget":"50","image_format":"jpeg 90","model":"m","policy":"openai","prompt":"prompt/1","prompt_hash":null,"reasoning":"off","temperature":"0"}"#);
-    bench.stop();
+    bench.rig.stop();
 }

@@ -1,30 +1,22 @@
-//! The serve loop with scripted neighbours: the test acts as orchestrator, memory and policy, and render workers write
-//! what they were asked to render into the pixels.
+//! The serve loop among scripted neighbours. The render workers write what they were asked to render into the pixels.
 
 #![expect(clippy::unwrap_used, reason = "test helpers fail loudly")]
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::sync::mpsc::{Receiver as Told, Sender as Alive, channel};
-use std::thread::{self, JoinHandle};
-use std::time::Duration;
+use std::sync::mpsc::{Receiver as Told, channel};
 
 use bytemuck::Zeroable;
+use conformance::messages::{self, reset};
+use conformance::testing::SimRig;
 use domain::{Action, Feedback, Heading, Pose};
 use shm_types::message::{
-    ErrorReport, FrameId, Handshake, NO_ACTION, NO_FRAME, Observation, Role, ShutdownReport,
-    StepCommand, StepKind, Stop, View, ViewRequest, ViewRequestKind, WirePose, read_text,
+    FrameId, NO_FRAME, RequestId, Role, ShutdownReport, StepCommand, ViewRequest, WirePose,
 };
-use shm_types::{
-    Attach, Bus, FrameControl, FrameSize, FrameStore, Notifier, Receiver, RunDir, Sender,
-};
+use shm_types::{Attach, Bus, FrameControl, FrameSize};
 use sim_proc::render_pool::{RenderSetup, RenderTask, RenderWorker};
 use sim_proc::renderer::{Destination, RenderError, RenderJob, RenderSettings, Renderer, ViewSpec};
 use sim_proc::serve::{SimError, serve};
-use tempfile::TempDir;
 use warehouse::{CaseSet, Variant, Warehouse, step};
-
-/// The longest wait of a test.
-const LONG: Duration = Duration::from_secs(120);
 
 /// Fills a slot with pixels that tell the pose and the number of nearby closed cells.
 struct CodeWorker;
@@ -61,208 +53,80 @@ fn setup() -> RenderSetup {
     }
 }
 
-/// A run with a simulator and its scripted neighbours. Fields are dropped in order.
-struct Peers {
-    commands: Sender<StepCommand>,
-    stops: Sender<Stop>,
-    requests: Sender<ViewRequest>,
-    notifier: Notifier,
-    handshakes: Receiver<Handshake>,
-    error_reports: Receiver<ErrorReport>,
-    shutdown_reports: Receiver<ShutdownReport>,
-    views: Receiver<View>,
-    /// Of orchestrator, memory and policy.
-    observations: [Receiver<Observation>; 3],
-    stores: [FrameStore; 2],
-    orchestrator: Bus,
-    /// Unused, but a message waits for all its receivers.
-    _stop_receivers: [Receiver<Stop>; 2],
-    _others: [Bus; 2],
-    warehouse: Warehouse,
-    cases: CaseSet,
-    simulator: Option<JoinHandle<Result<(), SimError>>>,
-    _run: RunDir,
-    _base: TempDir,
-    _watchdog: Alive<()>,
+/// A simulator with [`setup`] among its neighbours.
+fn simulator(change: impl FnOnce(&mut Attach)) -> SimRig {
+    let mut rig = simulator_with(change, false, |_| Ok(setup()));
+    let facts = rig.handshake().facts().unwrap();
+    assert_eq!(facts, BTreeMap::from([("backend".into(), "test".into())]));
+    rig
 }
 
-impl Drop for Peers {
-    fn drop(&mut self) {
-        if let Some(simulator) = self.simulator.take() {
-            // A test has failed. The simulator must not outlive its run.
-            let _ = self.stops.send(&Stop { reserved: 0 });
-            let _ = self.notifier.notify();
-            let _ = simulator.join();
-        }
-    }
-}
-
-/// The neighbours of a simulator with [`setup`].
-fn peers(change: impl FnOnce(&mut Attach)) -> Peers {
-    let mut peers = peers_around(change, false, |_| Ok(setup()));
-    let handshake = peers.wait(|peers| peers.handshakes.next().unwrap());
-    assert_eq!(handshake.facts().unwrap(), BTreeMap::from([("backend".into(), "test".into())]));
-    peers
-}
-
-fn peers_around(
+fn simulator_with(
     change: impl FnOnce(&mut Attach),
     warm_views: bool,
     open: impl FnOnce(FrameSize) -> Result<RenderSetup, RenderError> + Send + 'static,
-) -> Peers {
-    let base = tempfile::Builder::new().prefix("mt").tempdir_in("/tmp").unwrap();
-    let run = RunDir::create(base.path()).unwrap();
-    let frame = FrameSize { width: 64, height: 32 };
-    let mut attach = Attach { frame, frame_capacity: 64, lanes: 4, ..run.attach() };
-    change(&mut attach);
-    let [orchestrator, memory, policy] = [Role::Orchestrator, Role::Memory, Role::Policy]
-        .map(|role| Bus::join(attach.clone(), role).unwrap());
-    let (alive, watched) = channel::<()>();
-    thread::spawn(move || {
-        if watched
-            .recv_timeout(2 * LONG)
-            .is_err_and(|e| e == std::sync::mpsc::RecvTimeoutError::Timeout)
-        {
-            eprintln!("a test of the serve loop hangs");
-            std::process::abort();
-        }
-    });
-    let simulator = thread::spawn(move || {
-        let frame = attach.frame;
-        let bus = Bus::join(attach, Role::Sim)?;
-        serve(&bus, &Warehouse::shipped(), &CaseSet::shipped(), warm_views, || open(frame))
-    });
-    Peers {
-        commands: orchestrator.sender().unwrap(),
-        stops: orchestrator.sender().unwrap(),
-        requests: memory.sender().unwrap(),
-        notifier: orchestrator.notifier(Role::Sim).unwrap(),
-        handshakes: orchestrator.receiver().unwrap(),
-        error_reports: orchestrator.receiver().unwrap(),
-        shutdown_reports: orchestrator.receiver().unwrap(),
-        views: memory.receiver().unwrap(),
-        observations: [&orchestrator, &memory, &policy].map(|bus| bus.receiver().unwrap()),
-        stores: [&memory, &policy].map(|bus| FrameStore::new(bus).unwrap()),
-        _stop_receivers: [&memory, &policy].map(|bus| bus.receiver().unwrap()),
-        orchestrator,
-        _others: [memory, policy],
-        warehouse: Warehouse::shipped(),
-        cases: CaseSet::shipped(),
-        simulator: Some(simulator),
-        _run: run,
-        _base: base,
-        _watchdog: alive,
-    }
+) -> SimRig {
+    let change = |attach: &mut Attach| {
+        attach.frame = FrameSize { width: 64, height: 32 };
+        change(attach);
+    };
+    SimRig::in_thread(change, move |folder| {
+        let bus = Bus::join(Attach::read(folder)?, Role::Sim)?;
+        let open = || open(bus.attach().frame);
+        Ok(serve(&bus, &Warehouse::shipped(), &CaseSet::shipped(), warm_views, open)?)
+    })
 }
 
-impl Peers {
-    /// Polls `look` until it returns something: not every message wakes the orchestrator.
-    fn wait<T>(&mut self, look: impl Fn(&mut Self) -> Option<T>) -> T {
-        loop {
-            let over = self.simulator.as_ref().is_none_or(JoinHandle::is_finished);
-            if let Some(seen) = look(self) {
-                return seen;
-            }
-            assert!(!over, "the simulator ended too early");
-            self.orchestrator.listener().wait(Duration::from_millis(1)).unwrap();
-        }
-    }
-
-    /// Wakes the simulator and waits for `count` observations, which all three receivers must get.
-    fn observe(&mut self, count: usize) -> Vec<Observation> {
-        self.notifier.notify().unwrap();
-        let mut seen = Vec::new();
-        while seen.len() < count {
-            let observation = self.wait(|peers| peers.observations[0].next().unwrap());
-            for other in 1..3 {
-                assert_eq!(
-                    self.wait(|peers| peers.observations[other].next().unwrap()),
-                    observation
-                );
-            }
-            seen.push(observation);
-        }
-        for store in &mut self.stores {
-            store.apply_evictions().unwrap();
-        }
-        seen
-    }
-
-    fn ask(&mut self, command: &StepCommand) -> Observation {
-        self.commands.send(command).unwrap();
-        self.observe(1)[0]
-    }
-
-    fn error_report(&mut self) -> String {
-        self.notifier.notify().unwrap();
-        let error_report = self.wait(|peers| peers.error_reports.next().unwrap());
-        read_text(&error_report.text, error_report.text_len).unwrap().to_owned()
-    }
-
-    /// The code in the frame's pixels, as both consumers read it.
-    fn shown_code(&mut self, frame: FrameId) -> [u8; 4] {
-        let [memory, policy] = self.stores.each_mut().map(|store| {
-            let frame = store.get(frame).unwrap().expect("the frame is resident").clone();
-            let (first, rest) = frame.pixels().split_at(4);
-            assert!(rest.chunks_exact(4).all(|pixel| pixel == first));
-            assert_eq!(frame.content_hash(), blake3::hash(frame.pixels()).as_bytes()[..16]);
-            <[u8; 4]>::try_from(first).unwrap()
-        });
-        assert_eq!(memory, policy);
-        memory
-    }
-
-    fn pin(&mut self, pose: Pose) -> ViewRequest {
-        let (kind, frame) = (ViewRequestKind::Pin as u8, NO_FRAME);
-        let request = ViewRequest { frame, pose: pose.into(), kind, reserved: [0; 3] };
-        self.requests.send(&request).unwrap();
-        request
-    }
-
-    fn release(&mut self, frame: FrameId) {
-        let kind = ViewRequestKind::Release as u8;
-        self.requests.send(&ViewRequest { frame, kind, ..Zeroable::zeroed() }).unwrap();
-    }
-
-    fn stop(mut self) -> ShutdownReport {
-        self.stops.send(&Stop { reserved: 0 }).unwrap();
-        self.notifier.notify().unwrap();
-        let shutdown_report = self.wait(|peers| peers.shutdown_reports.next().unwrap());
-        self.simulator.take().unwrap().join().unwrap().unwrap();
-        shutdown_report
-    }
-
-    /// The poses of the shipped floor.
-    fn poses(&self) -> Vec<Pose> {
-        let cells = self.warehouse.layout.free_cells();
-        cells.flat_map(|cell| Heading::ALL.map(|heading| Pose { cell, heading })).collect()
-    }
+/// The error that ends the simulator.
+fn end(rig: &mut SimRig) -> SimError {
+    rig.end().unwrap_err().downcast().unwrap()
 }
 
-fn reset(lane: u32, episode: u64, variant: u32, start: Pose) -> StepCommand {
-    let (kind, start) = (StepKind::Reset as u8, start.into());
-    StepCommand { lane, episode, variant, start, kind, action: NO_ACTION, ..Zeroable::zeroed() }
+/// The next error report's text; the simulator is notified first.
+fn error_report(rig: &mut SimRig) -> String {
+    rig.notify();
+    rig.error_report().1
+}
+
+/// The code in the frame's pixels, as both consumers read it.
+fn shown_code(rig: &mut SimRig, frame: FrameId) -> [u8; 4] {
+    let [memory, policy] = rig.neighbours.stores.each_mut().map(|store| {
+        let frame = store.get(frame).unwrap().expect("the frame is resident").clone();
+        let (first, rest) = frame.pixels().split_at(4);
+        assert!(rest.chunks_exact(4).all(|pixel| pixel == first));
+        assert_eq!(frame.content_hash(), blake3::hash(frame.pixels()).as_bytes()[..16]);
+        <[u8; 4]>::try_from(first).unwrap()
+    });
+    assert_eq!(memory, policy);
+    memory
+}
+
+/// The poses of the shipped floor.
+fn poses() -> Vec<Pose> {
+    let layout = Warehouse::shipped().layout;
+    let cells = layout.free_cells();
+    cells.flat_map(|cell| Heading::ALL.map(|heading| Pose { cell, heading })).collect()
 }
 
 fn act(lane: u32, episode: u64, step: u32, action: Action) -> StepCommand {
-    let (kind, action) = (StepKind::Act as u8, action as u8);
-    StepCommand { lane, episode, step, kind, action, sent_ns: 1, ..Zeroable::zeroed() }
+    messages::act(RequestId { lane, episode, step }, action)
 }
 
 #[test]
 fn episodes_run_by_the_dynamics_and_show_what_is_there() {
-    let mut peers = peers(|_| {});
-    let case = peers.cases.cases[3].clone();
+    let mut sim = simulator(|_| {});
+    let case = CaseSet::shipped().cases[3].clone();
+    let layout = Warehouse::shipped().layout;
     let variant = Variant::closing(case.barricade.iter().copied());
     // All four lanes follow the blocked reference in step.
     let mut pose = case.blocked.start;
     let mut shown = BTreeSet::new();
     for lane in 0..4 {
-        peers.commands.send(&reset(lane, 10 + u64::from(lane), 4, pose)).unwrap();
+        sim.command(&reset(lane, 10 + u64::from(lane), 4, pose));
     }
     let mut feedback = Feedback::Start;
     for (n, &action) in case.blocked.actions.iter().enumerate() {
-        let observations = peers.observe(4);
+        let observations = sim.observe(4);
         let lanes: BTreeSet<u32> = observations.iter().map(|o| o.lane).collect();
         assert_eq!(lanes, BTreeSet::from([0, 1, 2, 3]));
         for o in &observations {
@@ -272,23 +136,23 @@ fn episodes_run_by_the_dynamics_and_show_what_is_there() {
             assert!(o.woken_ns <= o.stepped_ns && o.stepped_ns <= o.rendered_ns);
             assert!(o.rendered_ns <= o.sent_ns);
         }
-        assert_eq!(peers.shown_code(observations[0].frame), code(&variant, pose));
+        assert_eq!(shown_code(&mut sim, observations[0].frame), code(&variant, pose));
         shown.insert(observations[0].frame);
-        (pose, feedback) = step(&peers.warehouse.layout, &variant, pose, action);
+        (pose, feedback) = step(&layout, &variant, pose, action);
         for lane in 0..4 {
             let command = act(lane, 10 + u64::from(lane), n as u32 + 1, action);
-            peers.commands.send(&command).unwrap();
+            sim.command(&command);
         }
     }
-    peers.observe(4);
+    sim.observe(4);
     let steps = case.blocked.actions.len() as u32;
     for lane in 0..4 {
         let mut command = act(lane, 10 + u64::from(lane), steps + 1, Action::TurnLeft);
         command.last = 1;
-        let over = peers.ask(&command);
+        let over = sim.ask(&command);
         assert_eq!((over.last, over.frame, over.lane), (1, NO_FRAME, lane));
     }
-    let shutdown_report = peers.stop();
+    let shutdown_report = sim.stop();
     assert_eq!(shutdown_report.frames_rendered, shown.len() as u64 + 1);
     assert_eq!(
         (shutdown_report.error_reports, shutdown_report.pixel_bytes_copied),
@@ -298,8 +162,8 @@ fn episodes_run_by_the_dynamics_and_show_what_is_there() {
 
 #[test]
 fn lanes_share_a_frame_wherever_their_worlds_look_alike() {
-    let mut peers = peers(|attach| attach.frame_capacity = 2000);
-    let cases = peers.cases.cases.clone();
+    let mut sim = simulator(|attach| attach.frame_capacity = 2000);
+    let cases = CaseSet::shipped().cases;
     // Two cases that close the same passage, and one that closes another.
     let (one, another) = (0..cases.len())
         .flat_map(|b| (0..b).map(move |a| (a, b)))
@@ -311,15 +175,15 @@ fn lanes_share_a_frame_wherever_their_worlds_look_alike() {
     let variants =
         [Variant::UNCHANGED, variants[1].clone(), variants[2].clone(), variants[3].clone()];
     let free = |pose: &Pose| variants.iter().all(|variant| !variant.is_closed(pose.cell));
-    let poses: Vec<Pose> = peers.poses().into_iter().filter(free).step_by(3).collect();
+    let poses: Vec<Pose> = poses().into_iter().filter(free).step_by(3).collect();
     let mut looks = BTreeSet::new();
     for (n, &pose) in (0..).zip(&poses) {
         let frames: Vec<FrameId> = (0..4)
             .map(|lane| {
                 let variant = if lane == 0 { 0 } else { numbers[lane] as u32 + 1 };
                 let command = reset(lane as u32, 4 * n + lane as u64, variant, pose);
-                let seen = peers.ask(&command);
-                assert_eq!(peers.shown_code(seen.frame), code(&variants[lane], pose));
+                let seen = sim.ask(&command);
+                assert_eq!(shown_code(&mut sim, seen.frame), code(&variants[lane], pose));
                 seen.frame
             })
             .collect();
@@ -329,82 +193,80 @@ fn lanes_share_a_frame_wherever_their_worlds_look_alike() {
         }
         looks.extend(frames);
     }
-    let shutdown_report = peers.stop();
+    let shutdown_report = sim.stop();
     assert_eq!(shutdown_report.frames_rendered, looks.len() as u64);
     assert!(looks.len() > poses.len() && looks.len() < 2 * poses.len());
 }
 
 #[test]
 fn memory_gets_the_views_it_asks_for_until_it_lets_go() {
-    let mut peers = peers(|_| {});
-    let poses = peers.poses();
+    let mut sim = simulator(|_| {});
+    let poses = poses();
     let held: Vec<Pose> = poses[..40].to_vec();
     for &pose in &held {
-        peers.pin(pose);
+        sim.pin(pose);
     }
-    peers.notifier.notify().unwrap();
     let mut frames = BTreeMap::new();
     while frames.len() < held.len() {
-        let view = peers.wait(|peers| peers.views.next().unwrap());
+        let view = sim.view();
         frames.insert(Pose::try_from(view.pose).unwrap(), view.frame);
     }
     assert_eq!(frames.keys().copied().collect::<BTreeSet<_>>(), held.iter().copied().collect());
 
     // An episode that needs more than the rest of the store does not evict them.
     let start = poses[0];
-    peers.ask(&reset(0, 1, 0, start));
+    sim.ask(&reset(0, 1, 0, start));
     for step in 1..60 {
         let action = if step % 4 == 0 { Action::Forward } else { Action::TurnLeft };
-        peers.ask(&act(0, 1, step, action));
+        sim.ask(&act(0, 1, step, action));
     }
     for (&pose, &frame) in &frames {
-        assert_eq!(peers.shown_code(frame), code(&Variant::UNCHANGED, pose));
+        assert_eq!(shown_code(&mut sim, frame), code(&Variant::UNCHANGED, pose));
     }
     // A view that is resident is answered with the same frame, also to a lane.
     let (&pose, &frame) = frames.first_key_value().unwrap();
-    assert_eq!(peers.ask(&reset(1, 2, 0, pose)).frame, frame);
-    peers.pin(pose);
-    peers.notifier.notify().unwrap();
-    assert_eq!(peers.wait(|peers| peers.views.next().unwrap()).frame, frame);
-    peers.release(frame);
+    assert_eq!(sim.ask(&reset(1, 2, 0, pose)).frame, frame);
+    sim.pin(pose);
+    assert_eq!(sim.view().frame, frame);
+    sim.release(frame);
     for &frame in frames.values() {
-        peers.release(frame);
+        sim.release(frame);
     }
-    peers.release(frame);
+    sim.release(frame);
     assert_eq!(
-        peers.error_report(),
+        error_report(&mut sim),
         format!("view request: frame {frame} is released, but it is not pinned")
     );
-    let shutdown_report = peers.stop();
+    let shutdown_report = sim.stop();
     assert_eq!(shutdown_report.error_reports, 1);
 }
 
 #[test]
 fn an_episode_longer_than_the_store_evicts_and_memory_stays_bounded() {
     // Two lanes of window 1 keep three views each.
-    let mut peers = peers(|attach| {
+    let mut sim = simulator(|attach| {
         (attach.frame_capacity, attach.lanes, attach.window) = (6, 2, 1);
     });
-    let poses = peers.poses();
+    let poses = poses();
     let mut recent = [const { Vec::<(FrameId, Pose)>::new() }; 2];
     for (n, pair) in poses.chunks_exact(2).enumerate() {
         for (lane, &pose) in pair.iter().enumerate() {
             // Every third step begins an episode, which unpins the lane's views.
             let seen = if n % 3 == 0 {
                 recent[lane].clear();
-                peers.ask(&reset(lane as u32, n as u64, 0, pose))
+                sim.ask(&reset(lane as u32, n as u64, 0, pose))
             } else {
                 let (episode, step) = (n as u64 / 3 * 3, (n % 3) as u32);
-                peers.ask(&act(lane as u32, episode, step, Action::TurnRight))
+                sim.ask(&act(lane as u32, episode, step, Action::TurnRight))
             };
             recent[lane].push((seen.frame, Pose::try_from(seen.pose).unwrap()));
-            assert!(peers.stores[0].len() <= 6);
+            assert!(sim.neighbours.stores[0].len() <= 6);
         }
         for (frame, pose) in recent.concat() {
-            assert_eq!(peers.shown_code(frame), code(&Variant::UNCHANGED, pose));
+            assert_eq!(shown_code(&mut sim, frame), code(&Variant::UNCHANGED, pose));
         }
     }
-    let shutdown_report = peers.stop();
+    let shutdown_report = sim.stop();
     assert!(shutdown_report.frames_evicted > 100);
     assert!(shutdown_report.frames_rendered - shutdown_report.frames_evicted <= 6);
 }
@@ -412,30 +274,29 @@ fn an_episode_longer_than_the_store_evicts_and_memory_stays_bounded() {
 #[test]
 fn controls_change_what_lanes_see_and_not_what_memory_gets() {
     for control in [FrameControl::Blank, FrameControl::Swapped] {
-        let mut peers = peers(|attach| attach.frame_control = control);
-        let poses = peers.poses();
+        let mut sim = simulator(|attach| attach.frame_control = control);
+        let poses = poses();
         let mut shown = BTreeSet::new();
         for (episode, &pose) in poses.iter().step_by(50).enumerate() {
-            let seen = peers.ask(&reset(0, episode as u64, 0, pose));
+            let seen = sim.ask(&reset(0, episode as u64, 0, pose));
             assert_eq!(seen.pose, pose.into());
-            let shown_code = peers.shown_code(seen.frame);
-            assert_ne!(shown_code, code(&Variant::UNCHANGED, pose));
-            assert_eq!(shown_code == [128, 128, 128, 255], control == FrameControl::Blank);
+            let pixel = shown_code(&mut sim, seen.frame);
+            assert_ne!(pixel, code(&Variant::UNCHANGED, pose));
+            assert_eq!(pixel == [128, 128, 128, 255], control == FrameControl::Blank);
             shown.insert(seen.frame);
-            peers.pin(pose);
-            peers.notifier.notify().unwrap();
-            let view = peers.wait(|peers| peers.views.next().unwrap());
-            assert_eq!(peers.shown_code(view.frame), code(&Variant::UNCHANGED, pose));
+            sim.pin(pose);
+            let view = sim.view();
+            assert_eq!(shown_code(&mut sim, view.frame), code(&Variant::UNCHANGED, pose));
         }
         assert_eq!(shown.len() == 1, control == FrameControl::Blank, "one grey frame for all");
-        peers.stop();
+        sim.stop();
     }
 }
 
 #[test]
 fn invalid_messages_are_reported_and_the_run_continues() {
-    let mut peers = peers(|_| {});
-    let pose = peers.poses()[0];
+    let mut sim = simulator(|_| {});
+    let pose = poses()[0];
     let nowhere = WirePose([200, 200, 0, 0]);
     for (command, said) in [
         (StepCommand { lane: 9, ..reset(0, 1, 0, pose) }, "there are 4 lanes"),
@@ -447,8 +308,8 @@ fn invalid_messages_are_reported_and_the_run_continues() {
         ),
         (act(0, 1, 1, Action::Forward), "the lane is in no episode"),
     ] {
-        peers.commands.send(&command).unwrap();
-        let error_report = peers.error_report();
+        sim.command(&command);
+        let error_report = error_report(&mut sim);
         assert!(error_report.contains(said), "{error_report}");
     }
     for (request, said) in [
@@ -456,27 +317,27 @@ fn invalid_messages_are_reported_and_the_run_continues() {
         (ViewRequest { pose: nowhere, ..Zeroable::zeroed() }, "an agent cannot stand at 200,200,N"),
         (ViewRequest { frame: 5, kind: 1, ..Zeroable::zeroed() }, "frame 5 is released"),
     ] {
-        peers.requests.send(&request).unwrap();
-        let error_report = peers.error_report();
+        sim.neighbours.send(&request).unwrap();
+        let error_report = error_report(&mut sim);
         assert!(error_report.contains(said), "{error_report}");
     }
-    assert_eq!(peers.ask(&reset(0, 1, 0, pose)).feedback, Feedback::Start as u8);
-    assert_eq!(peers.stop().error_reports, 8);
+    assert_eq!(sim.ask(&reset(0, 1, 0, pose)).feedback, Feedback::Start as u8);
+    assert_eq!(sim.stop().error_reports, 8);
 }
 
 #[test]
 fn a_store_that_is_too_small_is_reported() {
-    let mut peers = peers(|attach| attach.frame_capacity = 3);
-    let poses = peers.poses();
+    let mut sim = simulator(|attach| attach.frame_capacity = 3);
+    let poses = poses();
     for (lane, &pose) in poses[..4].iter().enumerate() {
-        peers.commands.send(&reset(lane as u32, 1, 0, pose)).unwrap();
+        sim.command(&reset(lane as u32, 1, 0, pose));
     }
-    let error_report = peers.error_report();
+    let error_report = error_report(&mut sim);
     assert_eq!(
         error_report,
         "4 views are in use at once and the frame store has room for 3: raise --frame-budget or lower --lanes"
     );
-    let error = peers.simulator.take().unwrap().join().unwrap().unwrap_err();
+    let error = end(&mut sim);
     assert!(matches!(error, SimError::CacheFull(_)));
 }
 
@@ -495,13 +356,13 @@ fn a_panicking_worker_ends_the_run() {
         workers: vec![Box::new(PanickingWorker), Box::new(PanickingWorker)],
         ..setup()
     };
-    let mut peers = peers_around(|_| {}, false, move |_| Ok(panicking_setup()));
-    peers.commands.send(&reset(0, 1, 0, peers.poses()[0])).unwrap();
+    let mut sim = simulator_with(|_| {}, false, move |_| Ok(panicking_setup()));
+    sim.command(&reset(0, 1, 0, poses()[0]));
     assert_eq!(
-        peers.error_report(),
+        error_report(&mut sim),
         "a render worker has ended; its own message on standard error says why"
     );
-    let error = peers.simulator.take().unwrap().join().unwrap().unwrap_err();
+    let error = end(&mut sim);
     assert!(matches!(error, SimError::Render(RenderError::WorkerEnded)));
 }
 
@@ -518,45 +379,45 @@ impl RenderWorker for WaitingWorker {
 
 #[test]
 fn no_lane_waits_for_the_view_of_another() {
-    // The one who tells is dropped before the peers.
-    let (mut peers, go_on) = {
+    // The one who tells is dropped before the rig.
+    let (mut sim, go_on) = {
         let (go_on, told) = channel();
         let workers: Vec<Box<dyn RenderWorker>> = vec![Box::new(WaitingWorker(told))];
         let open = move |_| Ok(RenderSetup { workers, ..setup() });
-        (peers_around(|_| {}, false, open), go_on)
+        (simulator_with(|_| {}, false, open), go_on)
     };
-    let poses = peers.poses();
+    let poses = poses();
     let (here, elsewhere) = (poses[0], poses[50]);
     go_on.send(()).unwrap();
-    let resident = peers.ask(&reset(0, 1, 0, here)).frame;
+    let resident = sim.ask(&reset(0, 1, 0, here)).frame;
 
-    peers.commands.send(&reset(1, 2, 0, elsewhere)).unwrap();
+    sim.command(&reset(1, 2, 0, elsewhere));
     for episode in 3..13 {
-        let seen = peers.ask(&reset(0, episode, 0, here));
+        let seen = sim.ask(&reset(0, episode, 0, here));
         assert_eq!((seen.lane, seen.episode, seen.frame), (0, episode, resident));
         assert_eq!(seen.rendered_ns, seen.stepped_ns, "the view was there");
     }
-    assert_eq!(peers.observations[0].next().unwrap(), None, "lane 1's view is not drawn yet");
+    assert_eq!(sim.neighbours.observations.next().unwrap(), None, "lane 1's view is not drawn yet");
 
     go_on.send(()).unwrap();
-    let seen = peers.observe(1)[0];
+    let seen = sim.observe(1)[0];
     assert_eq!((seen.lane, seen.episode, seen.pose), (1, 2, elsewhere.into()));
     assert!(seen.stepped_ns < seen.rendered_ns);
-    assert_eq!(peers.shown_code(seen.frame), code(&Variant::UNCHANGED, elsewhere));
-    assert_eq!(peers.stop().frames_rendered, 2);
+    assert_eq!(shown_code(&mut sim, seen.frame), code(&Variant::UNCHANGED, elsewhere));
+    assert_eq!(sim.stop().frames_rendered, 2);
 }
 
 #[test]
 fn warm_views_are_not_rendered_again() {
-    let mut peers = peers_around(|attach| attach.frame_capacity = 1500, true, |_| Ok(setup()));
-    peers.wait(|peers| peers.handshakes.next().unwrap());
-    let poses = peers.poses();
+    let mut sim = simulator_with(|attach| attach.frame_capacity = 1500, true, |_| Ok(setup()));
+    sim.handshake();
+    let poses = poses();
     for (episode, &pose) in poses.iter().enumerate().step_by(7) {
-        let seen = peers.ask(&reset(0, episode as u64, 0, pose));
+        let seen = sim.ask(&reset(0, episode as u64, 0, pose));
         assert_eq!(seen.rendered_ns, seen.stepped_ns, "{pose} was there");
-        assert_eq!(peers.shown_code(seen.frame), code(&Variant::UNCHANGED, pose));
+        assert_eq!(shown_code(&mut sim, seen.frame), code(&Variant::UNCHANGED, pose));
     }
-    let shutdown_report = peers.stop();
+    let shutdown_report = sim.stop();
     assert_eq!(
         (shutdown_report.frames_rendered, shutdown_report.frames_evicted),
         (poses.len() as u64, 0)
@@ -565,16 +426,16 @@ fn warm_views_are_not_rendered_again() {
 
 #[test]
 fn a_store_without_room_for_warm_views_is_reported() {
-    let mut peers = peers_around(|_| {}, true, |_| Ok(setup()));
-    let views = peers.poses().len();
+    let mut sim = simulator_with(|_| {}, true, |_| Ok(setup()));
+    let views = poses().len();
     assert_eq!(
-        peers.error_report(),
+        error_report(&mut sim),
         format!(
             "--warm-views needs room for {views} frames and the frame store has room for 64: raise \
              --frame-budget or leave --warm-views out"
         )
     );
-    let error = peers.simulator.take().unwrap().join().unwrap().unwrap_err();
+    let error = end(&mut sim);
     assert!(matches!(error, SimError::NoRoomForWarmViews { .. }));
 }
 
@@ -587,32 +448,32 @@ fn the_renderer_writes_into_the_frame_store() {
         height_px: frame.height,
         ..RenderSettings::default()
     };
-    let mut peers = peers_around(
+    let mut sim = simulator_with(
         |attach| {
             (attach.frame, attach.frame_capacity, attach.lanes, attach.window) = (size, 6, 1, 2)
         },
         false,
         move |frame| RenderSetup::open(&Warehouse::shipped(), settings(frame)),
     );
-    let handshake = peers.wait(|peers| peers.handshakes.next().unwrap());
+    let handshake = sim.handshake();
     let facts = handshake.facts().unwrap();
     let mut expected = vec![0; size.bytes()];
-    let mut renderer = Renderer::new(&peers.warehouse, settings(size)).unwrap();
-    let case = peers.cases.cases[0].clone();
+    let mut renderer = Renderer::new(&Warehouse::shipped(), settings(size)).unwrap();
+    let case = CaseSet::shipped().cases[0].clone();
     let variant = Variant::closing(case.barricade.iter().copied());
     let mut command = reset(0, 1, 1, case.blocked.start);
     for (&action, step) in case.blocked.actions.iter().zip(1..) {
-        let seen = peers.ask(&command);
+        let seen = sim.ask(&command);
         let pose = Pose::try_from(seen.pose).unwrap();
         let destination = Destination::Memory(&mut expected);
         let view = ViewSpec { pose, variant: &variant };
         renderer.render(&mut [RenderJob { view, destination }]).unwrap();
-        for store in &mut peers.stores {
+        for store in &mut sim.neighbours.stores {
             assert!(store.get(seen.frame).unwrap().unwrap().pixels() == expected, "{pose}");
         }
         command = act(0, 1, step, action);
     }
-    let ShutdownReport { frames_rendered, frames_evicted, pixel_bytes_copied, .. } = peers.stop();
+    let ShutdownReport { frames_rendered, frames_evicted, pixel_bytes_copied, .. } = sim.stop();
     assert!(frames_rendered > 6 && frames_evicted >= frames_rendered - 6);
     let copied = if facts["frame path"] == "direct" { 0 } else { frames_rendered };
     assert_eq!(pixel_bytes_copied, copied * size.bytes() as u64, "{facts:?}");

@@ -16,7 +16,7 @@ use shm_types::message::{
 use supervise::Children;
 
 use super::{Kit, LANES};
-use crate::neighbours::{item, last, observation, supplied, supply};
+use crate::messages::{item, last, observation, supplied, supply};
 use crate::subject::{
     CheckResult, RequestScene, TestedPolicy, Trouble, next, wait_for_exit, wrong,
 };

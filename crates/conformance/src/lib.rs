@@ -1,11 +1,17 @@
 //! Checks whether an external policy follows the protocol of the wire, in hard situations over the real bus.
 //!
-//! This process plays the other roles ([`neighbours`]), which the crates' own tests use, too. The quality of a policy's
+//! This process plays the other roles ([`neighbours`]). The crates' own tests use them, too: with the feature `testing`
+//! there are rigs around one process of a run (`testing`) and scripted processes (`scripted`). The quality of a policy's
 //! decisions is not checked.
 
 mod checks;
+pub mod messages;
 pub mod neighbours;
+#[cfg(feature = "testing")]
+pub mod scripted;
 mod subject;
+#[cfg(feature = "testing")]
+pub mod testing;
 
 use std::sync::atomic::AtomicBool;
 use std::time::Duration;

@@ -18,7 +18,8 @@ use shm_types::message::{
 use shm_types::{Attach, BusError, FrameError};
 use supervise::{ChildExit, Children, Launch};
 
-use crate::neighbours::{PolicyNeighbours, TICK, config, item, observation, recall, supply};
+use crate::messages::{config, item, observation, recall, supply};
+use crate::neighbours::{PolicyNeighbours, TICK};
 
 /// How long to look for messages that must not come.
 const QUIET_TIME: Duration = Duration::from_millis(60);
@@ -293,7 +294,7 @@ impl<'a> TestedPolicy<'a> {
         self.last_episode += 1;
         let episode = self.last_episode;
         let config = config(lane, episode, instruction);
-        self.neighbours.begin(&shm_types::message::PolicyEpisodeConfig {
+        self.neighbours.send(&shm_types::message::PolicyEpisodeConfig {
             seed,
             window,
             ..config
@@ -331,7 +332,7 @@ impl<'a> TestedPolicy<'a> {
     }
 
     pub(crate) fn recall(&mut self, message: &Recall) -> CheckResult<()> {
-        Ok(self.neighbours.recalls.send(message)?)
+        Ok(self.neighbours.send(message)?)
     }
 
     pub(crate) fn observe(&mut self, message: &Observation) -> CheckResult<()> {

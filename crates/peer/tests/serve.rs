@@ -5,12 +5,11 @@
 use std::fs;
 use std::path::PathBuf;
 use std::sync::mpsc;
-use std::thread::{self, JoinHandle};
-use std::time::Duration;
 
-use conformance::neighbours::{
-    PolicyNeighbours, config, item, observation, recall, supplied, supply,
+use conformance::messages::{
+    config, item, observation, recall, supplied, supply, text as whole_text,
 };
+use conformance::testing::{LONG, PolicyRig};
 use domain::prompt_log::{
     PromptLogEntry, RecordedExchange, RecordedItem, RecordedMessage, RecordedPart, entries_file,
     hex, session_folder,
@@ -20,93 +19,26 @@ use peer::{
     Answer, Answers, Batch, Decider, Decision, FrameView, Item, Policy, Request, RequestId,
     ServeError, StepsView, Usage, serve,
 };
+use shm_types::Attach;
 use shm_types::documents::Content;
 use shm_types::message::{
-    self, ErrorReport, ErrorReportKind, FrameId, Handshake, ItemKind, NO_ACTION, NO_FRAME,
-    Observation, Recall, RecalledItem, Role, ShutdownReport, TrajectoryStep, read_text,
+    self, ErrorReportKind, Handshake, ItemKind, NO_ACTION, NO_FRAME, Observation, Recall,
+    RecalledItem, Role, TrajectoryStep,
 };
-use shm_types::{Attach, FrameSize, RunDir};
-use tempfile::TempDir;
 
-const TIMEOUT: Duration = Duration::from_secs(60);
-
-/// A policy that serves in a thread, and its neighbours. Fields are dropped in order: the run before its folder.
-struct Rig {
-    neighbours: PolicyNeighbours,
-    handshake: Handshake,
-    serving: JoinHandle<Result<(), ServeError>>,
-    _run: RunDir,
-    _base: TempDir,
+/// A run of four lanes in which `policy` serves, and the policy's handshake.
+fn serving(policy: impl Decider + Send + 'static) -> (PolicyRig, Handshake) {
+    serving_with_prompt_log(policy, None)
 }
 
-impl Rig {
-    /// A run of four lanes in which `policy` serves.
-    fn new(policy: impl Decider + Send + 'static) -> Self {
-        Self::with_prompt_log(policy, None)
-    }
-
-    fn with_prompt_log(
-        mut policy: impl Decider + Send + 'static,
-        prompts: Option<PathBuf>,
-    ) -> Self {
-        let base = tempfile::Builder::new().prefix("mt").tempdir_in("/tmp").unwrap();
-        let run = RunDir::create(base.path()).unwrap();
-        let frame = FrameSize { width: 64, height: 64 };
-        let participants = vec![Role::Policy];
-        let attach =
-            Attach { participants, frame, frame_capacity: 32, lanes: 4, prompts, ..run.attach() };
-        attach.write(run.path()).unwrap();
-        let neighbours = PolicyNeighbours::join(&attach).unwrap();
-        let path = run.path().to_owned();
-        let serving = thread::spawn(move || serve(&mut policy, &path));
-        let handshake = neighbours.until(TIMEOUT, |n| n.handshakes.next()).unwrap();
-        let handshake = handshake.expect("a handshake");
-        Self { neighbours, handshake, serving, _run: run, _base: base }
-    }
-
-    /// A frame of one grey.
-    fn publish(&mut self, grey: u8) -> FrameId {
-        self.neighbours.publish([grey; 16], |pixels| pixels.fill(grey)).unwrap()
-    }
-
-    fn begin(&self, lane: u32, episode: u64, instruction: &str) {
-        self.neighbours.begin(&config(lane, episode, instruction)).unwrap();
-    }
-
-    /// Sends the messages of a step and notifies.
-    fn step(&self, observation: &Observation, recall: &Recall) {
-        self.neighbours.observe(observation).unwrap();
-        self.neighbours.recalls.send(recall).unwrap();
-        self.neighbours.notify().unwrap();
-    }
-
-    fn decisions(&self, count: usize) -> Vec<message::Decision> {
-        let mut all = Vec::new();
-        let complete = self.neighbours.until(TIMEOUT, |n| {
-            all.extend(n.decisions.drain()?);
-            Ok((all.len() >= count).then_some(()))
-        });
-        assert!(complete.unwrap().is_some(), "{} of {count} decisions", all.len());
-        all
-    }
-
-    fn error_reports(&self, count: usize) -> Vec<(ErrorReport, String)> {
-        let mut all = Vec::new();
-        let complete = self.neighbours.until(TIMEOUT, |n| {
-            all.extend(n.error_reports.drain()?);
-            Ok((all.len() >= count).then_some(()))
-        });
-        assert!(complete.unwrap().is_some(), "{} of {count} error reports", all.len());
-        let text = |r: &ErrorReport| read_text(&r.text, r.text_len).unwrap().to_owned();
-        all.into_iter().map(|report| (report, text(&report))).collect()
-    }
-
-    /// Stops the policy; returns how serving ended and its shutdown report.
-    fn stop(self) -> (Result<(), ServeError>, ShutdownReport) {
-        self.neighbours.stop().unwrap();
-        let report = self.neighbours.until(TIMEOUT, |n| n.shutdown_reports.next()).unwrap();
-        (self.serving.join().unwrap(), report.expect("a shutdown report"))
-    }
+fn serving_with_prompt_log(
+    mut policy: impl Decider + Send + 'static,
+    prompts: Option<PathBuf>,
+) -> (PolicyRig, Handshake) {
+    let change = |attach: &mut Attach| (attach.frame_capacity, attach.prompts) = (32, prompts);
+    let mut rig = PolicyRig::in_thread(change, move |folder| Ok(serve(&mut policy, folder)?));
+    let handshake = rig.handshake();
+    (rig, handshake)
 }
 
 fn id(lane: u32, episode: u64, step: u32) -> RequestId {
@@ -184,11 +116,11 @@ fn told(item: &Item<'_>, grey: impl Fn(FrameView<'_>) -> u8) -> String {
 #[test]
 fn items_of_every_kind_reach_the_policy() {
     let (say, heard) = mpsc::channel();
-    let mut rig = Rig::new(Recorder(say));
+    let (mut rig, _) = serving(Recorder(say));
     let (frame, view) = (rig.publish(10), rig.publish(40));
     let hinted = config(0, 9, "Find a cone.");
     let hinted = message::PolicyEpisodeConfig { starts_as_demonstrated: 1, ..hinted };
-    rig.neighbours.begin(&hinted).unwrap();
+    rig.begin(&hinted);
     let step =
         |trajectory, frame, action| TrajectoryStep { frame, action, trajectory, reserved: [0; 6] };
     let steps = vec![
@@ -196,8 +128,8 @@ fn items_of_every_kind_reach_the_policy() {
         step(0, NO_FRAME, NO_ACTION),
         step(1, frame, NO_ACTION),
     ];
+    let summary = rig.publish_document(&Content::Summary("a cone at (1, 2)".into()));
     let documents = &mut rig.neighbours.documents;
-    let summary = documents.publish(None, &Content::Summary("a cone at (1, 2)".into())).unwrap();
     let note = documents.publish(Some((0, 9)), &Content::Note("Zurück!".into())).unwrap();
     let steps = documents.publish(Some((0, 9)), &Content::Trajectories(steps)).unwrap();
     let text = |document, first_byte, bytes| RecalledItem {
@@ -246,10 +178,10 @@ fn items_of_every_kind_reach_the_policy() {
         let mut next = Recall { step, items_len: 1, ..first };
         next.items[0] = bad;
         rig.step(&observation(id(0, 9, step), frame), &next);
-        reports.extend(rig.error_reports(1).into_iter().map(|(_, text)| text));
+        reports.extend(rig.error_texts(1));
     }
     insta::assert_snapshot!(reports.join("\n"), @"");
-    rig.stop().0.unwrap();
+    rig.stop();
 }
 
 /// Passes its requests to the test, which answers them.
@@ -269,15 +201,15 @@ impl Decider for Deferred {
 #[test]
 fn answers_may_come_later_in_any_order_from_any_thread_or_not_at_all() {
     let (hand_over, taken) = mpsc::channel();
-    let mut rig = Rig::new(Deferred(hand_over));
+    let (mut rig, _) = serving(Deferred(hand_over));
     let frame = rig.publish(10);
     for lane in 0..4 {
         let first = id(lane, 50 + u64::from(lane), 0);
-        rig.begin(lane, first.episode, "Find a cone.");
-        rig.step(&observation(first, frame), &recall(first, &[]));
+        rig.begin(&config(lane, first.episode, "Find a cone."));
+        rig.step(&observation(first, frame), &recall(first, &[], &[]));
     }
     let mut taken: Vec<(RequestId, Answers)> =
-        (0..4).map(|_| taken.recv_timeout(TIMEOUT).unwrap()).collect();
+        (0..4).map(|_| taken.recv_timeout(LONG).unwrap()).collect();
     taken.sort_by_key(|(id, _)| id.lane);
     let decision = |action| Decision { answer: Answer::Act(action), images: 1, usage: None };
     let decide = |lane: usize, action| taken[lane].1.decide(taken[lane].0, decision(action));
@@ -285,12 +217,12 @@ fn answers_may_come_later_in_any_order_from_any_thread_or_not_at_all() {
     decide(3, Action::Right);
     assert_eq!(rig.decisions(1)[0].lane, 3);
     // Lane 2 begins another episode: the answer to the earlier one is late.
-    rig.begin(2, 62, "Find a barrel.");
-    rig.neighbours.notify().unwrap();
+    rig.begin(&config(2, 62, "Find a barrel."));
+    rig.notify();
     let no_such_lane = RequestId { lane: 77, ..taken[0].0 };
     taken[0].1.decide(no_such_lane, decision(Action::Left));
     taken[1].1.fail(taken[1].0, "status 400: too many images");
-    let (report, text) = &rig.error_reports(1)[0];
+    let (report, text) = rig.error_report();
     assert_eq!(
         (report.kind, report.lane, report.episode, text.as_str()),
         (ErrorReportKind::Episode as u32, 1, 51, "status 400: too many images")
@@ -303,8 +235,8 @@ fn answers_may_come_later_in_any_order_from_any_thread_or_not_at_all() {
     assert_eq!((answered[0].lane, answered[0].action), (0, Action::Backward as u8));
 
     taken[0].1.stop_run("the server is down");
-    assert_eq!(rig.error_reports(1)[0].0.kind, ErrorReportKind::Run as u32);
-    rig.stop().0.unwrap();
+    assert_eq!(rig.error_report().0.kind, ErrorReportKind::Run as u32);
+    rig.stop();
 }
 
 #[test]
@@ -312,20 +244,18 @@ fn prompts_are_logged_and_a_log_that_cannot_be_written_stops_the_run() {
     let folder = tempfile::tempdir().unwrap();
     let session = session_folder(folder.path(), 2);
     let (hand_over, taken) = mpsc::channel();
-    let mut rig = Rig::with_prompt_log(Deferred(hand_over), Some(session.clone()));
+    let (mut rig, _) = serving_with_prompt_log(Deferred(hand_over), Some(session.clone()));
     let frames = [rig.publish(10), rig.publish(40)];
     let text = "a cone at (1, 2)".to_owned();
-    let summary = rig.neighbours.documents.publish(None, &Content::Summary(text.clone())).unwrap();
-    let ask = |rig: &Rig, step: u32| {
+    let summary = rig.publish_document(&Content::Summary(text.clone()));
+    let ask = |rig: &PolicyRig, step: u32| {
         let mut recall = recall(id(0, 9, step), &[]);
-        let bytes = text.len() as u32;
-        let item = RecalledItem { document: summary, bytes, ..item(ItemKind::Text) };
-        supply(&mut recall, item, &[]);
+        supply(&mut recall, whole_text(summary, text.len()), &[]);
         rig.step(&observation(id(0, 9, step), frames[step as usize % 2]), &recall);
     };
-    rig.begin(0, 9, "Find a cone.");
+    rig.begin(&config(0, 9, "Find a cone."));
     ask(&rig, 0);
-    let (first, answers) = taken.recv_timeout(TIMEOUT).unwrap();
+    let (first, answers) = taken.recv_timeout(LONG).unwrap();
     let decide = |step, usage| {
         let request = RequestId { step, ..first };
         answers.record(request, || RecordedExchange {
@@ -347,7 +277,7 @@ fn prompts_are_logged_and_a_log_that_cannot_be_written_stops_the_run() {
     decide(0, Some(usage));
     rig.decisions(1);
     ask(&rig, 1);
-    taken.recv_timeout(TIMEOUT).unwrap();
+    taken.recv_timeout(LONG).unwrap();
     decide(1, None);
     rig.decisions(1);
 
@@ -383,41 +313,41 @@ fn prompts_are_logged_and_a_log_that_cannot_be_written_stops_the_run() {
     // A view that cannot be stored: no request reaches the policy any more, and the run is asked to stop.
     fs::remove_dir_all(folder.path().join("images")).unwrap();
     let unseen = rig.publish(70);
-    rig.step(&observation(id(0, 9, 2), unseen), &recall(id(0, 9, 2), &[]));
-    let (report, text) = &rig.error_reports(1)[0];
+    rig.step(&observation(id(0, 9, 2), unseen), &recall(id(0, 9, 2), &[], &[]));
+    let (report, text) = rig.error_report();
     assert_eq!(report.kind, ErrorReportKind::Run as u32);
     assert!(text.starts_with("cannot write the prompt log: "), "{text}");
-    rig.stop().0.unwrap();
+    rig.stop();
     assert!(taken.try_recv().is_err());
 }
 
 #[test]
 fn a_policy_gets_its_requests_with_window_and_segment() {
     let (say, heard) = mpsc::channel();
-    let mut rig = Rig::new(Recorder(say));
+    let (mut rig, handshake) = serving(Recorder(say));
     assert_eq!(
-        rig.handshake.facts().unwrap().into_iter().collect::<Vec<_>>(),
+        handshake.facts().unwrap().into_iter().collect::<Vec<_>>(),
         [("policy", "recorder"), ("sees", "all")].map(|(a, b)| (a.to_owned(), b.to_owned()))
     );
     let greys = [10, 20, 30].map(|grey| rig.publish(grey));
-    rig.begin(2, 71, "Find a blue barrel.");
-    rig.begin(0, 72, "Find a red barrel.");
-    rig.step(&observation(id(0, 72, 0), greys[2]), &recall(id(0, 72, 0), &[]));
-    rig.step(&observation(id(2, 71, 0), greys[1]), &recall(id(2, 71, 0), &[]));
+    rig.begin(&config(2, 71, "Find a blue barrel."));
+    rig.begin(&config(0, 72, "Find a red barrel."));
+    rig.step(&observation(id(0, 72, 0), greys[2]), &recall(id(0, 72, 0), &[], &[]));
+    rig.step(&observation(id(2, 71, 0), greys[1]), &recall(id(2, 71, 0), &[], &[]));
     rig.decisions(2);
     let not_understood = Observation {
         action: NO_ACTION,
         feedback: Feedback::NotUnderstood as u8,
         ..observation(id(2, 71, 1), greys[2])
     };
-    rig.step(&not_understood, &recall(id(2, 71, 1), &[]));
+    rig.step(&not_understood, &recall(id(2, 71, 1), &[], &[]));
     rig.decisions(1);
     let blocked = Observation {
         action: Action::Left as u8,
         feedback: Feedback::Blocked as u8,
         ..observation(id(2, 71, 2), greys[0])
     };
-    rig.step(&blocked, &recall(id(2, 71, 2), &[greys[0], greys[1]]));
+    rig.step(&blocked, &recall(id(2, 71, 2), &[greys[0], greys[1]], &[]));
     let decision = rig.decisions(1)[0];
     assert_eq!((decision.lane, decision.episode, decision.step), (2, 71, 2));
     assert_eq!((decision.images, decision.images_asked), (5, 5));
@@ -431,10 +361,9 @@ fn a_policy_gets_its_requests_with_window_and_segment() {
         .observe(&Observation { last: 1, frame: NO_FRAME, ..observation(id(0, 72, 1), 1) })
         .unwrap();
     rig.neighbours.evict(greys[1]).unwrap();
-    rig.neighbours.notify().unwrap();
+    rig.notify();
 
-    let (served, report) = rig.stop();
-    served.unwrap();
+    let report = rig.stop();
     assert_eq!((report.role, report.error_reports), (Role::Policy as u32, 0));
     assert_eq!((report.frames_received, report.pixel_bytes_copied), (3, 0));
     let mut heard: Vec<_> = heard.iter().collect();
@@ -452,16 +381,16 @@ fn a_policy_gets_its_requests_with_window_and_segment() {
 #[test]
 fn invalid_messages_are_reported_and_the_others_answered() {
     let (say, _heard) = mpsc::channel();
-    let mut rig = Rig::new(Recorder(say));
+    let (mut rig, _) = serving(Recorder(say));
     let frame = rig.publish(1);
-    rig.begin(1, 5, "Find a blue barrel.");
-    rig.begin(9, 6, "Find a blue barrel.");
+    rig.begin(&config(1, 5, "Find a blue barrel."));
+    rig.begin(&config(9, 6, "Find a blue barrel."));
     let mut bad_pose = observation(id(1, 5, 0), frame);
     bad_pose.pose.0[2] = 200;
     rig.step(&bad_pose, &Recall { items_len: 99, ..recall(id(1, 5, 0), &[]) });
-    let mut texts: Vec<_> = rig.error_reports(3).into_iter().map(|(_, text)| text).collect();
+    let mut texts = rig.error_texts(3);
     rig.step(&observation(id(1, 5, 0), frame), &recall(id(1, 5, 0), &[12_345]));
-    texts.extend(rig.error_reports(1).into_iter().map(|(_, text)| text));
+    texts.extend(rig.error_texts(1));
     insta::assert_snapshot!(texts.join("\n"), @r#"
     episode config for lane 9: the run has 4 lanes
     observation for lane 1, step 0: 200 is not a heading (0 N, 1 E, 2 S, 3 W)
@@ -469,11 +398,10 @@ fn invalid_messages_are_reported_and_the_others_answered() {
     lane 1, step 0: frame 12345 is not in the store: it was evicted too early or never published
     "#);
 
-    rig.step(&observation(id(1, 5, 1), frame), &recall(id(1, 5, 1), &[]));
+    rig.step(&observation(id(1, 5, 1), frame), &recall(id(1, 5, 1), &[], &[]));
     let decisions = rig.decisions(1);
     assert_eq!((decisions.len(), decisions[0].step), (1, 1));
-    let (served, report) = rig.stop();
-    served.unwrap();
+    let report = rig.stop();
     assert_eq!(report.error_reports, 4);
 }
 
@@ -496,21 +424,21 @@ impl Decider for Hoarder {
 
 #[test]
 fn a_policy_that_keeps_evicted_frames_stops_the_run() {
-    let mut rig = Rig::new(Hoarder(Vec::new()));
+    let (mut rig, _) = serving(Hoarder(Vec::new()));
     let spare = rig.neighbours.attach().spare_frames();
     let window = message::PolicyEpisodeConfig { window: 0, ..config(0, 3, "Find a cone.") };
-    rig.neighbours.begin(&window).unwrap();
+    rig.begin(&window);
     for step in 0..=spare / 2 {
         let frame = rig.publish(step as u8);
-        rig.step(&observation(id(0, 3, step), frame), &recall(id(0, 3, step), &[]));
+        rig.step(&observation(id(0, 3, step), frame), &recall(id(0, 3, step), &[], &[]));
         rig.decisions(1);
         rig.neighbours.evict(frame).unwrap();
     }
-    rig.neighbours.notify().unwrap();
-    let (report, text) = &rig.error_reports(1)[0];
+    rig.notify();
+    let (report, text) = rig.error_report();
     assert_eq!(report.kind, ErrorReportKind::Run as u32);
     assert!(text.contains("frames that were evicted"), "{text}");
-    rig.stop().0.unwrap();
+    rig.stop();
 }
 
 /// Answers nothing.
@@ -528,10 +456,10 @@ impl Policy for Mute {
 
 #[test]
 fn a_policy_that_does_not_answer_ends_the_process() {
-    let mut rig = Rig::new(Mute);
+    let (mut rig, _) = serving(Mute);
     let frame = rig.publish(1);
-    rig.begin(0, 1, "Find a blue barrel.");
-    rig.step(&observation(id(0, 1, 0), frame), &recall(id(0, 1, 0), &[]));
-    let error = rig.serving.join().unwrap().unwrap_err();
+    rig.begin(&config(0, 1, "Find a blue barrel."));
+    rig.step(&observation(id(0, 1, 0), frame), &recall(id(0, 1, 0), &[], &[]));
+    let error = rig.end().unwrap_err();
     assert_eq!(error.to_string(), "policy mute returned 0 decisions for 1 requests");
 }

@@ -1,0 +1,137 @@
+//! Valid messages. A test changes the fields that it is about.
+
+use bytemuck::Zeroable;
+use domain::{Action, Feedback, Heading, Outcome, Pose};
+use shm_types::message::{
+    Decision, DocumentId, FrameId, ItemKind, NO_ACTION, NO_FRAME, NOT_MEASURED, Observation,
+    PolicyEpisodeConfig, Recall, RecallTrace, RecalledItem, RequestId, SegmentStep, StepCommand,
+    StepKind, WirePose, write_text,
+};
+use shm_types::process::monotonic_ns;
+
+/// The config of an episode with a window of six steps; its seed is the number of its lane.
+pub fn config(lane: u32, episode: u64, instruction: &str) -> PolicyEpisodeConfig {
+    let seed = lane.into();
+    let mut config =
+        PolicyEpisodeConfig { lane, episode, seed, repeat: 1, window: 6, ..Zeroable::zeroed() };
+    config.instruction_len = write_text(&mut config.instruction, instruction);
+    config
+}
+
+/// The command that begins an episode at `start`.
+pub fn reset(lane: u32, episode: u64, variant: u32, start: Pose) -> StepCommand {
+    let (kind, start) = (StepKind::Reset as u8, start.into());
+    StepCommand { lane, episode, variant, start, kind, action: NO_ACTION, ..Zeroable::zeroed() }
+}
+
+/// The command to act.
+pub fn act(id: RequestId, action: Action) -> StepCommand {
+    let RequestId { lane, episode, step } = id;
+    let (kind, action) = (StepKind::Act as u8, action as u8);
+    StepCommand { lane, episode, step, kind, action, sent_ns: 1, ..Zeroable::zeroed() }
+}
+
+/// The observation of a step, after a move forward.
+pub fn observation(id: RequestId, frame: FrameId) -> Observation {
+    let RequestId { lane, episode, step } = id;
+    let (feedback, action) = match step {
+        0 => (Feedback::Start, NO_ACTION),
+        _ => (Feedback::Moved, Action::Forward as u8),
+    };
+    let now = monotonic_ns();
+    Observation {
+        lane,
+        episode,
+        step,
+        frame,
+        pose: WirePose::from(Pose::new(3, 4, Heading::E)),
+        feedback: feedback as u8,
+        action,
+        commanded_ns: now,
+        woken_ns: now,
+        stepped_ns: now,
+        rendered_ns: now,
+        sent_ns: now,
+        ..Zeroable::zeroed()
+    }
+}
+
+/// The last observation of an episode.
+pub fn last(id: RequestId) -> Observation {
+    Observation { last: 1, ..observation(id, NO_FRAME) }
+}
+
+/// A recall with a segment, whose last view has no action; without an item if `segment` is empty.
+pub fn recall(id: RequestId, segment: &[FrameId]) -> Recall {
+    let RequestId { lane, episode, step } = id;
+    let now = monotonic_ns();
+    let mut recall =
+        Recall { lane, episode, step, received_ns: now, sent_ns: now, ..Zeroable::zeroed() };
+    if !segment.is_empty() {
+        let item = RecalledItem { distance: 0.125, ..item(ItemKind::Steps) };
+        let last = segment.len() - 1;
+        let steps = segment.iter().enumerate();
+        let action = |at| (at < last).then_some(Action::TurnLeft);
+        let steps: Vec<_> = steps.map(|(at, &frame)| supplied(frame, action(at))).collect();
+        supply(&mut recall, item, &steps);
+    }
+    recall
+}
+
+/// An item without a document, steps and distance.
+pub fn item(kind: ItemKind) -> RecalledItem {
+    RecalledItem { kind: kind as u8, distance: f32::NAN, ..Zeroable::zeroed() }
+}
+
+/// A step of an item.
+pub fn supplied(frame: FrameId, action: Option<Action>) -> SegmentStep {
+    let action = action.map_or(NO_ACTION, |action| action as u8);
+    SegmentStep { frame, action, reserved: [0; 7] }
+}
+
+/// An item that is the whole text of a document.
+pub fn text(document: DocumentId, bytes: usize) -> RecalledItem {
+    RecalledItem { document, bytes: bytes as u32, ..item(ItemKind::Text) }
+}
+
+/// Adds an item to a recall, with the steps that the message holds for it.
+///
+/// # Panics
+/// When the message has no room for them.
+pub fn supply(recall: &mut Recall, item: RecalledItem, steps: &[SegmentStep]) {
+    let (at, first) = (recall.items_len as usize, recall.steps_len as usize);
+    recall.items[at] = item;
+    recall.items_len += 1;
+    if !steps.is_empty() {
+        recall.items[at].first_step = recall.steps_len;
+        recall.items[at].steps = steps.len() as u32;
+        recall.steps[first..first + steps.len()].copy_from_slice(steps);
+        recall.steps_len += steps.len() as u32;
+    }
+}
+
+/// The account of a recall without a retrieval.
+pub fn recall_trace(id: RequestId) -> RecallTrace {
+    let RequestId { lane, episode, step } = id;
+    RecallTrace { lane, episode, step, tokens: NOT_MEASURED, ..Zeroable::zeroed() }
+}
+
+/// The decision to act, by a policy that saw one image and asked no model.
+pub fn decision(id: RequestId, action: Action) -> Decision {
+    let RequestId { lane, episode, step } = id;
+    Decision {
+        lane,
+        episode,
+        step,
+        outcome: Outcome::Acted as u8,
+        action: action as u8,
+        images: 1,
+        images_asked: 1,
+        prompt_tokens: NOT_MEASURED,
+        completion_tokens: NOT_MEASURED,
+        cached_tokens: NOT_MEASURED,
+        image_tokens: NOT_MEASURED,
+        memory_tokens: NOT_MEASURED,
+        ..Zeroable::zeroed()
+    }
+}

@@ -1,0 +1,169 @@
+//! Scripted processes of a run: threads that speak the wire, for tests of the orchestrator.
+
+#![expect(clippy::unwrap_used, reason = "test helpers fail loudly")]
+
+use std::collections::BTreeMap;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+use bytemuck::Zeroable;
+use domain::{Action, Feedback, Heading, Pose};
+use shm_types::message::{
+    Decision, Handshake, MemoryEpisodeConfig, NO_FRAME, Observation, PolicyEpisodeConfig, Recall,
+    RequestId, Role, ShutdownReport, StepCommand, StepKind, Stop, read_text,
+};
+use shm_types::{Attach, Bus, Notifier};
+
+use crate::messages::{decision, observation, recall, recall_trace};
+
+/// The fact `kind` in the handshake of a scripted process.
+pub const KIND: &str = "scripted";
+
+const TICK: Duration = Duration::from_millis(20);
+
+/// A simulator without pixels. `F` is its dynamics: the pose and the feedback after an action in a variant of the world.
+#[derive(Debug)]
+pub struct ScriptedSim<F> {
+    dynamics: F,
+    poses: BTreeMap<u32, Pose>,
+}
+
+impl<F: FnMut(u32, Pose, Action) -> (Pose, Feedback)> ScriptedSim<F> {
+    /// A simulator with these dynamics.
+    pub fn new(dynamics: F) -> Self {
+        Self { dynamics, poses: BTreeMap::new() }
+    }
+
+    /// The observation after a command.
+    pub fn observe(&mut self, command: &StepCommand) -> Observation {
+        let &StepCommand { lane, episode, step, last, action, .. } = command;
+        let pose = self.poses.entry(lane).or_insert(Pose::new(0, 0, Heading::N));
+        let feedback = match StepKind::try_from(command.kind).unwrap() {
+            StepKind::Reset => {
+                *pose = command.start.try_into().unwrap();
+                Feedback::Start
+            }
+            StepKind::Stay => Feedback::NotUnderstood,
+            StepKind::Act => {
+                let action = Action::try_from(action).unwrap();
+                let feedback;
+                (*pose, feedback) = (self.dynamics)(command.variant, *pose, action);
+                feedback
+            }
+        };
+        let frame = if last == 1 { NO_FRAME } else { 1 };
+        let (pose, feedback) = ((*pose).into(), feedback as u8);
+        let id = RequestId { lane, episode, step };
+        Observation { pose, feedback, action, last, ..observation(id, frame) }
+    }
+}
+
+/// What an observation asks for.
+pub fn request(observation: &Observation) -> RequestId {
+    let &Observation { lane, episode, step, .. } = observation;
+    RequestId { lane, episode, step }
+}
+
+/// A run as its scripted processes see it. Each method is a process: it returns when the run is over.
+#[derive(Debug, Clone, Copy)]
+pub struct ScriptedRun<'a> {
+    /// The run's settings.
+    pub attach: &'a Attach,
+    /// Set when the run is over without a stop message.
+    pub over: &'a AtomicBool,
+}
+
+impl ScriptedRun<'_> {
+    /// A simulator.
+    pub fn sim<F: FnMut(u32, Pose, Action) -> (Pose, Feedback)>(&self, mut sim: ScriptedSim<F>) {
+        let mut commands = None;
+        self.serve(Role::Sim, |process| {
+            let commands = commands.get_or_insert_with(|| process.bus.receiver().unwrap());
+            for command in commands.drain().unwrap() {
+                process.send(&sim.observe(&command), &[Role::Memory, Role::Orchestrator]);
+            }
+        });
+    }
+
+    /// A memory that recalls nothing.
+    pub fn memory(&self) {
+        let mut ports = None;
+        self.serve(Role::Memory, |process| {
+            let (configs, observations) = ports.get_or_insert_with(|| {
+                let configs = process.bus.receiver::<MemoryEpisodeConfig>().unwrap();
+                (configs, process.bus.receiver::<Observation>().unwrap())
+            });
+            configs.drain().unwrap();
+            for observation in observations.drain().unwrap() {
+                if observation.last == 0 {
+                    process.send(&recall_trace(request(&observation)), &[]);
+                    process.send(&recall(request(&observation), &[]), &[Role::Policy]);
+                }
+            }
+        });
+    }
+
+    /// A policy that turns left. `change` is called with each episode's instruction and decision.
+    pub fn policy(&self, mut change: impl FnMut(&str, Decision) -> Decision) {
+        let mut ports = None;
+        let mut instructions = BTreeMap::new();
+        self.serve(Role::Policy, |process| {
+            let (configs, observations, recalls) = ports.get_or_insert_with(|| {
+                let observations = process.bus.receiver::<Observation>().unwrap();
+                let recalls = process.bus.receiver::<Recall>().unwrap();
+                (process.bus.receiver::<PolicyEpisodeConfig>().unwrap(), observations, recalls)
+            });
+            // The config of an episode comes before its recalls.
+            let recalls = recalls.drain().unwrap();
+            observations.drain().unwrap();
+            for config in configs.drain().unwrap() {
+                let text = read_text(&config.instruction, config.instruction_len).unwrap();
+                instructions.insert(config.episode, text.to_owned());
+            }
+            for Recall { episode, lane, step, .. } in recalls {
+                let decision = decision(RequestId { lane, episode, step }, Action::TurnLeft);
+                let decision = change(&instructions[&episode], decision);
+                process.send(&decision, &[Role::Orchestrator]);
+            }
+        });
+    }
+
+    /// Joins as `role`, sends the handshake, calls `turn` at every notification until the stop message, and sends the
+    /// shutdown report.
+    fn serve(&self, role: Role, mut turn: impl FnMut(&ScriptedProcess)) {
+        let bus = Bus::join(self.attach.clone(), role).unwrap();
+        let stops = bus.receiver::<Stop>().unwrap();
+        let others = Role::ALL.iter().copied().filter(|other| *other != role);
+        let notifiers = others.map(|other| (other, bus.notifier(other).unwrap())).collect();
+        let process = ScriptedProcess { bus, notifiers };
+        // Its receivers must exist before the handshake.
+        turn(&process);
+        let handshake = Handshake::new(role, [("kind", KIND.to_owned())]).unwrap();
+        process.send(&handshake, &[Role::Orchestrator]);
+        while stops.next().unwrap().is_none() {
+            if self.over.load(Ordering::Relaxed) {
+                return;
+            }
+            process.bus.listener().wait(TICK).unwrap();
+            turn(&process);
+        }
+        let report = ShutdownReport { role: role as u32, ..Zeroable::zeroed() };
+        process.send(&report, &[Role::Orchestrator]);
+    }
+}
+
+/// A scripted process in its run.
+struct ScriptedProcess {
+    bus: Bus,
+    notifiers: BTreeMap<Role, Notifier>,
+}
+
+impl ScriptedProcess {
+    /// Sends a message and notifies.
+    fn send<M: shm_types::message::Message>(&self, message: &M, notified: &[Role]) {
+        self.bus.sender().unwrap().send(message).unwrap();
+        for role in notified {
+            self.notifiers[role].notify().unwrap();
+        }
+    }
+}

@@ -1,0 +1,496 @@
+//! Rigs for the crates' own tests: a run around one process, its subject, whose other roles the test plays.
+//!
+//! A test that cannot go on fails: everything here panics.
+
+#![expect(clippy::unwrap_used, reason = "test helpers fail loudly")]
+
+use std::collections::HashMap;
+use std::ops::Deref;
+use std::path::Path;
+use std::process::{Child, Command};
+use std::thread::{self, JoinHandle};
+use std::time::{Duration, Instant};
+
+use bytemuck::Zeroable;
+use domain::Pose;
+use shm_types::documents::Content;
+use shm_types::message::{
+    Decision, DocumentId, ErrorReport, FrameId, Handshake, MemoryEpisodeConfig, NO_DOCUMENT,
+    NO_FRAME, Observation, PolicyEpisodeConfig, Recall, RecallTrace, Role, ShutdownReport,
+    StepCommand, View, ViewRequest, ViewRequestKind, read_text,
+};
+use shm_types::{
+    Attach, BusError, DocumentStore, FramePublisher, FrameSize, FrameStore, Receiver, RunDir,
+};
+use tempfile::TempDir;
+
+use crate::neighbours::{Neighbours, PolicyNeighbours};
+
+/// A wait that takes this long hangs.
+pub const LONG: Duration = Duration::from_secs(120);
+
+/// A run in a folder of its own, which is removed in the end. Fields are dropped in order.
+#[derive(Debug)]
+pub struct ScratchRun {
+    attach: Attach,
+    _run: RunDir,
+    base: TempDir,
+}
+
+impl ScratchRun {
+    /// A run of `participants` with four lanes and 64 frames of 64 x 64 pixels, unless `change` sets something else.
+    pub fn new(participants: &[Role], change: impl FnOnce(&mut Attach)) -> Self {
+        // The names of sockets leave little room for the path.
+        let base = tempfile::Builder::new().prefix("mt").tempdir_in("/tmp").unwrap();
+        let run = RunDir::create(base.path()).unwrap();
+        let mut attach = Attach {
+            participants: participants.to_vec(),
+            frame: FrameSize { width: 64, height: 64 },
+            frame_capacity: 64,
+            lanes: 4,
+            ..run.attach()
+        };
+        change(&mut attach);
+        attach.write(run.path()).unwrap();
+        Self { attach, _run: run, base }
+    }
+
+    /// The run's settings.
+    pub fn attach(&self) -> &Attach {
+        &self.attach
+    }
+
+    /// The folder to attach to.
+    pub fn path(&self) -> &Path {
+        &self.attach.root
+    }
+
+    /// A folder for other files of the test.
+    pub fn base(&self) -> &Path {
+        self.base.path()
+    }
+}
+
+/// The neighbours of a subject.
+pub trait SubjectNeighbours: Deref<Target = Neighbours> + Sized {
+    /// The subject's role.
+    const SUBJECT: Role;
+
+    /// Joins the run of `attach`, whose only participant is the subject.
+    ///
+    /// # Errors
+    /// When the run cannot be joined.
+    fn join(attach: &Attach) -> Result<Self, BusError>;
+
+    /// Answers what the subject asks for while the test waits for something else.
+    fn respond(&mut self) {}
+}
+
+/// A process under test.
+#[derive(Debug)]
+enum Subject {
+    Thread(Option<JoinHandle<anyhow::Result<()>>>),
+    Process(Child),
+}
+
+impl Subject {
+    fn has_ended(&mut self) -> bool {
+        match self {
+            Self::Thread(thread) => thread.as_ref().is_none_or(JoinHandle::is_finished),
+            Self::Process(child) => child.try_wait().unwrap().is_some(),
+        }
+    }
+}
+
+/// A subject among its neighbours. Fields are dropped in order: the subject before its run.
+#[derive(Debug)]
+pub struct Rig<N: SubjectNeighbours> {
+    subject: Subject,
+    /// The other roles.
+    pub neighbours: N,
+    _run: ScratchRun,
+}
+
+impl<N: SubjectNeighbours> Drop for Rig<N> {
+    /// After a failed test the subject must not outlive its run.
+    fn drop(&mut self) {
+        if let Subject::Process(child) = &mut self.subject {
+            let _ = child.kill();
+            let _ = child.wait();
+        } else if !self.subject.has_ended() {
+            let _ = self.neighbours.stop();
+            let deadline = Instant::now() + Duration::from_secs(5);
+            while !self.subject.has_ended() && Instant::now() < deadline {
+                thread::sleep(Duration::from_millis(2));
+            }
+        }
+    }
+}
+
+impl<N: SubjectNeighbours> Rig<N> {
+    /// A subject that serves in a thread of the test, in a run as [`ScratchRun::new`] makes it.
+    pub fn in_thread(
+        change: impl FnOnce(&mut Attach),
+        serve: impl FnOnce(&Path) -> anyhow::Result<()> + Send + 'static,
+    ) -> Self {
+        Self::start(change, |folder| {
+            let folder = folder.to_owned();
+            Subject::Thread(Some(thread::spawn(move || serve(&folder))))
+        })
+    }
+
+    /// A subject that is a process, started by the command that `command` returns for the run's folder.
+    pub fn in_process(
+        change: impl FnOnce(&mut Attach),
+        command: impl FnOnce(&Path) -> Command,
+    ) -> Self {
+        Self::start(change, |folder| Subject::Process(command(folder).spawn().unwrap()))
+    }
+
+    /// The subject starts last, so that its first messages find their receivers.
+    fn start(change: impl FnOnce(&mut Attach), subject: impl FnOnce(&Path) -> Subject) -> Self {
+        let run = ScratchRun::new(&[N::SUBJECT], change);
+        let neighbours = N::join(run.attach()).unwrap();
+        Self { subject: subject(run.path()), neighbours, _run: run }
+    }
+
+    /// Waits until `look` returns something.
+    ///
+    /// # Panics
+    /// When the subject has ended, or after [`LONG`].
+    #[track_caller]
+    pub fn until<T>(&mut self, mut look: impl FnMut(&mut N) -> Option<T>) -> T {
+        let deadline = Instant::now() + LONG;
+        loop {
+            // Checked first, so that messages sent before the subject ended are found.
+            let over = self.subject.has_ended();
+            self.neighbours.respond();
+            if let Some(found) = look(&mut self.neighbours) {
+                return found;
+            }
+            assert!(!over, "the subject has ended");
+            assert!(Instant::now() < deadline, "nothing came");
+            self.neighbours.wait().unwrap();
+        }
+    }
+
+    /// The subject's handshake.
+    ///
+    /// # Panics
+    /// With the text of an error report that comes instead.
+    pub fn handshake(&mut self) -> Handshake {
+        self.until(|neighbours| {
+            if let Some(report) = neighbours.error_reports.next().unwrap() {
+                panic!("{}", read_text(&report.text, report.text_len).unwrap());
+            }
+            neighbours.handshakes.next().unwrap()
+        })
+    }
+
+    /// The next error report, and its text.
+    pub fn error_report(&mut self) -> (ErrorReport, String) {
+        let report = self.until(|neighbours| neighbours.error_reports.next().unwrap());
+        (report, read_text(&report.text, report.text_len).unwrap().to_owned())
+    }
+
+    /// The texts of the next `count` error reports.
+    pub fn error_texts(&mut self, count: usize) -> Vec<String> {
+        (0..count).map(|_| self.error_report().1).collect()
+    }
+
+    /// Wakes the subject.
+    pub fn notify(&self) {
+        self.neighbours.notify().unwrap();
+    }
+
+    /// Stops the subject, which has to end without an error, and returns its shutdown report.
+    pub fn stop(mut self) -> ShutdownReport {
+        self.neighbours.stop().unwrap();
+        let report = self.until(|neighbours| neighbours.shutdown_reports.next().unwrap());
+        self.end().unwrap();
+        report
+    }
+
+    /// Waits until the subject ends by itself.
+    ///
+    /// # Errors
+    /// When it ends with one: that of a thread as it is, that of a process as its exit status.
+    pub fn end(&mut self) -> anyhow::Result<()> {
+        let deadline = Instant::now() + LONG;
+        while !self.subject.has_ended() {
+            assert!(Instant::now() < deadline, "the subject does not end");
+            thread::sleep(Duration::from_millis(2));
+        }
+        match &mut self.subject {
+            Subject::Thread(thread) => thread.take().unwrap().join().unwrap(),
+            Subject::Process(child) => {
+                let status = child.wait()?;
+                anyhow::ensure!(status.success(), "{status}");
+                Ok(())
+            }
+        }
+    }
+}
+
+impl SubjectNeighbours for PolicyNeighbours {
+    const SUBJECT: Role = Role::Policy;
+
+    fn join(attach: &Attach) -> Result<Self, BusError> {
+        Self::join(attach)
+    }
+}
+
+/// A policy among its neighbours.
+pub type PolicyRig = Rig<PolicyNeighbours>;
+
+impl PolicyRig {
+    /// Publishes a frame of one grey.
+    pub fn publish(&mut self, grey: u8) -> FrameId {
+        self.neighbours.publish([grey; 16], |pixels| pixels.fill(grey)).unwrap()
+    }
+
+    /// Publishes a document for the whole run.
+    pub fn publish_document(&mut self, content: &Content) -> DocumentId {
+        self.neighbours.documents.publish(None, content).unwrap()
+    }
+
+    /// Begins an episode. Does not notify.
+    pub fn begin(&self, config: &PolicyEpisodeConfig) {
+        self.neighbours.send(config).unwrap();
+    }
+
+    /// Sends the messages of a step. Does not notify.
+    pub fn ask(&self, observation: &Observation, recall: &Recall) {
+        self.neighbours.observe(observation).unwrap();
+        self.neighbours.send(recall).unwrap();
+    }
+
+    /// Sends the messages of a step, and notifies.
+    pub fn step(&self, observation: &Observation, recall: &Recall) {
+        self.ask(observation, recall);
+        self.notify();
+    }
+
+    /// The next `count` decisions, or more.
+    pub fn decisions(&mut self, count: usize) -> Vec<Decision> {
+        let mut all = Vec::new();
+        self.until(|neighbours| {
+            all.extend(neighbours.decisions.drain().unwrap());
+            (all.len() >= count).then_some(())
+        });
+        all
+    }
+}
+
+/// The neighbours of a simulator.
+#[derive(Debug)]
+pub struct SimNeighbours {
+    /// Views for memory.
+    pub views: Receiver<View>,
+    /// The frames of memory and policy.
+    pub stores: [FrameStore; 2],
+    /// Observations as memory and policy receive them.
+    observers: [Receiver<Observation>; 2],
+    neighbours: Neighbours,
+}
+
+impl Deref for SimNeighbours {
+    type Target = Neighbours;
+
+    fn deref(&self) -> &Neighbours {
+        &self.neighbours
+    }
+}
+
+impl SubjectNeighbours for SimNeighbours {
+    const SUBJECT: Role = Role::Sim;
+
+    fn join(attach: &Attach) -> Result<Self, BusError> {
+        let neighbours = Neighbours::join(attach, Role::Sim)?;
+        let [memory, policy] = [Role::Memory, Role::Policy].map(|role| neighbours.bus(&[role]));
+        Ok(Self {
+            views: memory.receiver()?,
+            stores: [FrameStore::new(memory)?, FrameStore::new(policy)?],
+            observers: [memory.receiver()?, policy.receiver()?],
+            neighbours,
+        })
+    }
+}
+
+/// A simulator among its neighbours.
+pub type SimRig = Rig<SimNeighbours>;
+
+impl SimRig {
+    /// Sends a command. Does not notify.
+    pub fn command(&self, command: &StepCommand) {
+        self.neighbours.send(command).unwrap();
+    }
+
+    /// Wakes the simulator and waits for `count` observations, which all three receivers must get.
+    pub fn observe(&mut self, count: usize) -> Vec<Observation> {
+        self.notify();
+        let mut seen = Vec::new();
+        while seen.len() < count {
+            let observation = self.until(|neighbours| neighbours.observations.next().unwrap());
+            for other in 0..2 {
+                let same = self.until(|neighbours| neighbours.observers[other].next().unwrap());
+                assert_eq!(same, observation);
+            }
+            seen.push(observation);
+        }
+        for store in &mut self.neighbours.stores {
+            store.apply_evictions().unwrap();
+        }
+        seen
+    }
+
+    /// Sends a command and waits for its observation.
+    pub fn ask(&mut self, command: &StepCommand) -> Observation {
+        self.command(command);
+        self.observe(1)[0]
+    }
+
+    /// Asks for the view of `pose`, as memory. Does not notify.
+    pub fn pin(&self, pose: Pose) {
+        let (kind, frame) = (ViewRequestKind::Pin as u8, NO_FRAME);
+        let request = ViewRequest { frame, pose: pose.into(), kind, reserved: [0; 3] };
+        self.neighbours.send(&request).unwrap();
+    }
+
+    /// Releases a frame, as memory. Does not notify.
+    pub fn release(&self, frame: FrameId) {
+        let kind = ViewRequestKind::Release as u8;
+        self.neighbours.send(&ViewRequest { frame, kind, ..Zeroable::zeroed() }).unwrap();
+    }
+
+    /// The view that memory gets next.
+    pub fn view(&mut self) -> View {
+        self.notify();
+        self.until(|neighbours| neighbours.views.next().unwrap())
+    }
+}
+
+/// The neighbours of a memory. The simulator shows it every view that it asks for.
+#[derive(Debug)]
+pub struct MemoryNeighbours {
+    /// The documents of the policy.
+    pub documents: DocumentStore,
+    /// The pose of each frame.
+    pub shown: HashMap<FrameId, Pose>,
+    /// Views that memory has released.
+    pub released: usize,
+    recalls: Receiver<Recall>,
+    traces: Receiver<RecallTrace>,
+    requests: Receiver<ViewRequest>,
+    frames: FramePublisher,
+    neighbours: Neighbours,
+}
+
+impl Deref for MemoryNeighbours {
+    type Target = Neighbours;
+
+    fn deref(&self) -> &Neighbours {
+        &self.neighbours
+    }
+}
+
+impl SubjectNeighbours for MemoryNeighbours {
+    const SUBJECT: Role = Role::Memory;
+
+    fn join(attach: &Attach) -> Result<Self, BusError> {
+        let neighbours = Neighbours::join(attach, Role::Memory)?;
+        Ok(Self {
+            documents: DocumentStore::new(neighbours.bus(&[Role::Policy]))?,
+            shown: HashMap::new(),
+            released: 0,
+            recalls: neighbours.receiver()?,
+            traces: neighbours.receiver()?,
+            requests: neighbours.receiver()?,
+            frames: FramePublisher::new(neighbours.bus(&[Role::Sim]))?,
+            neighbours,
+        })
+    }
+
+    fn respond(&mut self) {
+        for request in self.requests.drain().unwrap() {
+            if request.kind == ViewRequestKind::Pin as u8 {
+                let frame = self.publish(Pose::try_from(request.pose).unwrap());
+                self.send(&View { frame, pose: request.pose, reserved: 0 }).unwrap();
+                self.notify().unwrap();
+            } else {
+                assert_eq!(Pose::try_from(request.pose), Ok(self.shown[&request.frame]));
+                self.released += 1;
+            }
+        }
+    }
+}
+
+impl MemoryNeighbours {
+    /// Publishes a frame for `pose`, with stripes that no other pose has.
+    fn publish(&mut self, pose: Pose) -> FrameId {
+        let mut slot = self.frames.loan().unwrap();
+        let width = self.attach().frame.width as usize;
+        let seed = *blake3::hash(pose.to_string().as_bytes()).as_bytes();
+        for (index, byte) in slot.pixels_mut().iter_mut().enumerate() {
+            let (column, row) = (index / 4 % width, index / 4 / width);
+            *byte = seed[(column / 8 + 3 * (row / 8)) % 32] ^ (index % 4) as u8;
+        }
+        let hash = *blake3::hash(slot.pixels()).as_bytes().first_chunk().unwrap();
+        let id = self.frames.publish(slot, hash).unwrap();
+        self.shown.insert(id, pose);
+        id
+    }
+}
+
+/// A memory among its neighbours.
+pub type MemoryRig = Rig<MemoryNeighbours>;
+
+impl MemoryRig {
+    /// Begins an episode.
+    pub fn begin(&self, config: &MemoryEpisodeConfig) {
+        self.neighbours.send(config).unwrap();
+        self.notify();
+    }
+
+    /// Sends an observation with a frame of its pose, or without one if it is the last.
+    pub fn observe(&mut self, seen: Observation) {
+        let frame = match seen.last {
+            1 => NO_FRAME,
+            _ => self.neighbours.publish(seen.pose.try_into().unwrap()),
+        };
+        self.neighbours.observe(&Observation { frame, ..seen }).unwrap();
+        self.notify();
+    }
+
+    /// The next recall, and its account.
+    pub fn recall(&mut self) -> (Recall, RecallTrace) {
+        let recall = self.until(|neighbours| neighbours.recalls.next().unwrap());
+        let trace = self.until(|neighbours| neighbours.traces.next().unwrap());
+        assert_eq!(
+            (recall.episode, recall.lane, recall.step),
+            (trace.episode, trace.lane, trace.step)
+        );
+        let times =
+            [trace.received_ns, trace.embedded_ns, trace.searched_ns, trace.sent_ns, u64::MAX];
+        assert!(times.is_sorted() && times[0] > 0);
+        (recall, trace)
+    }
+
+    /// The poses of the views of a recall's segment, in order.
+    pub fn segment(&self, recall: &Recall) -> Vec<Pose> {
+        let segment = &recall.steps[..recall.steps_len as usize];
+        segment.iter().map(|entry| self.neighbours.shown[&entry.frame]).collect()
+    }
+
+    /// The documents that a recall names, in order, and their episodes; 0 stands for the run.
+    pub fn documents(&mut self, recall: &Recall) -> Vec<(DocumentId, u64, Content)> {
+        let items = &recall.items[..recall.items_len as usize];
+        let ids = items.iter().map(|item| item.document).filter(|&id| id != NO_DOCUMENT);
+        let documents = &mut self.neighbours.documents;
+        let named = |id: DocumentId| {
+            let document = documents.get(id).unwrap().expect("published before it is named");
+            (id, document.episode, document.content.clone())
+        };
+        ids.map(named).collect()
+    }
+}
