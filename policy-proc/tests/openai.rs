@@ -318,7 +318,7 @@ fn a_stored_reply_costs_nothing_and_each_repetition_has_its_own() {
     let ask = |bench: &Bench, id| {
         let (feedback, action) = (Feedback::Moved as u8, Action::Forward as u8);
         let same = Observation { feedback, action, ..observation(id, frame) };
-        bench.ask(&same, &recall(id, &[], &[]));
+        bench.ask(&same, &recall(id, &[]));
     };
     for step in 0..2 {
         ask(&bench, RequestId { lane: 1, episode: episode(1), step });
