@@ -1,11 +1,11 @@
-"""What every baseline here is: a loop over requests, a JSON object a line, each answered with one.
+"""The loop that every baseline runs: it reads requests, one JSON object per line, and answers each with one.
 
-A request names what is to be done under "do"; the rest are arguments by name:
+A request names the action under "do"; the other fields are its arguments:
 
     {"do": "time", "threads": 2}    ->    {"seconds": 0.25}
 
-What a baseline's package prints must not get among the answers, so standard output is turned to standard error, and
-answers go out through a copy that was made before.
+Packages may print to standard output, which would mix with the answers. Standard output is therefore redirected to
+standard error, and answers are written to a duplicate of the original.
 """
 
 import json

@@ -1,4 +1,4 @@
-"""The vectors that ours are measured with: a program writes them, a memory's and then the queries'."""
+"""Reads the vectors that our own search is measured with. A program writes them: the memory's, then the queries."""
 
 import subprocess
 import time
@@ -7,7 +7,7 @@ import numpy
 
 
 def read(command, entries, dimension, queries):
-    """Gives the memory's vectors in blocks, and at last the queries, as arrays of rows."""
+    """Yields the memory's vectors in blocks, then the queries, as arrays with one vector per row."""
     with subprocess.Popen(command, stdout=subprocess.PIPE, bufsize=1 << 20) as program:
         for count in [*blocks(entries), queries]:
             wanted = count * dimension * 4
@@ -18,12 +18,12 @@ def read(command, entries, dimension, queries):
 
 
 def blocks(entries, size=65536):
-    """The sizes of the blocks of so many entries."""
+    """Returns the sizes of the blocks for this number of entries."""
     return [min(size, entries - first) for first in range(0, entries, size)]
 
 
 def median_seconds(ask, queries, batch, seconds):
-    """The median of how long `ask` takes for a batch of queries, asked for so many seconds, once at least."""
+    """Returns the median time of `ask` for a batch of queries, measured for `seconds`, at least once."""
     batches = [queries[i : i + batch] for i in range(0, len(queries) - batch + 1, batch)]
     begun = time.perf_counter()
     ask(batches[0])
@@ -39,12 +39,12 @@ def median_seconds(ask, queries, batch, seconds):
 
 
 def nearest(vectors, queries, count):
-    """The numbers of the nearest vectors of every query, by looking at all."""
+    """Returns the indices of the nearest vectors of every query, by brute force."""
     best = numpy.argpartition(-(queries @ vectors.T), count, axis=1)
     return best[:, :count]
 
 
 def recall(found, truth):
-    """The share of what was to be found that was found."""
+    """Returns the share of the true neighbours that were found."""
     hits = [len(set(a) & set(b)) for a, b in zip(found.tolist(), truth.tolist())]
     return sum(hits) / truth.size

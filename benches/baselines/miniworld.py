@@ -1,4 +1,4 @@
-"""MiniWorld: how many views a second it renders, off screen, into arrays.
+"""MiniWorld: how many views per second it renders off screen into arrays.
 
     {"do": "start", "width": 448, "height": 448}    ->    {"version": ..., "renderer": ..., "samples": ...}
     {"do": "time", "views": 200}                    ->    {"seconds": ..., "views": ...}
@@ -10,7 +10,7 @@ import os
 import sys
 import time
 
-# This file is called as the package is.
+# This file has the name of the package.
 sys.path = [entry for entry in sys.path if os.path.abspath(entry or ".") != os.path.dirname(os.path.abspath(__file__))]
 import pyglet  # noqa: E402
 

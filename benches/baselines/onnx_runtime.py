@@ -1,4 +1,4 @@
-"""ONNX Runtime from Python, the package from PyPI: how fast it runs a model on images that are ready as tensors.
+"""ONNX Runtime from Python, the package from PyPI: how fast it runs a model on images that are already tensors.
 
     {"do": "open", "model": "FILE", "threads": 2}    ->    {"version": "...", "setting": "2 sessions of 1 thread"}
     {"do": "time", "images": 40}                     ->    {"images_per_second": 20.0}
@@ -29,7 +29,7 @@ def make(model, count, threads):
 
 
 def rate(sessions, images):
-    """Images a second, shared out evenly over the sessions."""
+    """Returns images per second, distributed evenly over the sessions."""
 
     def work(session, count):
         given = session.get_inputs()[0]

@@ -1,4 +1,4 @@
-"""FAISS: its flat index, and its HNSW graph."""
+"""FAISS: the flat index and the HNSW graph."""
 
 import faiss
 import numpy
@@ -14,7 +14,7 @@ def load(command, entries, dimension, queries, threads, graph=None):
     faiss.omp_set_num_threads(threads)
     if graph is None:
         index = faiss.IndexFlatIP(dimension)
-        # Room for all, or the largest memories are held twice while it grows.
+        # Reserves room for all entries; otherwise growing the index would need memory for two copies.
         index.codes.resize(4 * dimension * entries)
         index.codes.resize(0)
     else:
@@ -30,7 +30,7 @@ def load(command, entries, dimension, queries, threads, graph=None):
 
 
 def keep(blocks, index, graph):
-    """Adds blocks at once where no graph needs them all, so that they are not held twice."""
+    """Adds each block at once where no graph needs all of them, so that memory holds one copy."""
     held = None
     for block in blocks:
         if held is not None:
@@ -43,16 +43,16 @@ def keep(blocks, index, graph):
 
 
 def time(batch, seconds):
-    """How long a batch takes."""
+    """Measures the time of a batch."""
     index, queries = state["index"], state["queries"]
     return {"seconds": median_seconds(lambda q: index.search(q, 1), queries, batch, seconds)}
 
 
-def walk(searching, batch, seconds):
-    """How long a batch takes with so many nodes kept in sight, and what is found."""
+def query(searching, batch, seconds):
+    """Measures time and recall of a batch with efSearch = `searching`."""
     state["index"].hnsw.efSearch = searching
     _, found = state["index"].search(state["queries"], 10)
     return {"recall_at_10": recall(found, state["truth"]), **time(batch, seconds)}
 
 
-serve(load=load, time=time, walk=walk)
+serve(load=load, time=time, query=query)

@@ -11,7 +11,7 @@ state = {}
 
 
 def load(command, entries, dimension, queries, threads, graph):
-    """Builds a graph of what `command` writes."""
+    """Builds a graph of the vectors that `command` writes."""
     index = Index(
         ndim=dimension,
         metric="ip",
@@ -27,8 +27,8 @@ def load(command, entries, dimension, queries, threads, graph):
     return {"entries": len(index), "version": usearch.__version__}
 
 
-def walk(searching, batch, seconds):
-    """How long a batch takes with so many nodes kept in sight, and what is found."""
+def query(searching, batch, seconds):
+    """Measures time and recall of a batch with expansion_search = `searching`."""
     index, queries = state["index"], state["queries"]
     index.expansion_search = searching
     found = index.search(queries, 10, threads=state["threads"]).keys
@@ -40,4 +40,4 @@ def walk(searching, batch, seconds):
     }
 
 
-serve(load=load, walk=walk)
+serve(load=load, query=query)

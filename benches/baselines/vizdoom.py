@@ -1,10 +1,10 @@
-"""ViZDoom: how many views a second it renders, without a window, into arrays.
+"""ViZDoom: how many views per second it renders without a window into arrays.
 
     {"do": "start", "width": 512, "height": 384}    ->    {"version": ..., "pixels": ...}
     {"do": "time", "views": 200}                    ->    {"seconds": ..., "views": ...}
 
-The agent turns and walks through the rooms of its scenario "my way home"; every step is one tick of the game, and
-its picture is taken as an array of RGB.
+The agent turns and walks through the rooms of the scenario "my way home"; every step is one tick of the game, and
+its image is read as an RGB array.
 """
 
 import os
@@ -12,7 +12,7 @@ import sys
 import tempfile
 import time
 
-# This file is called as the package is.
+# This file has the name of the package.
 sys.path = [entry for entry in sys.path if os.path.abspath(entry or ".") != os.path.dirname(os.path.abspath(__file__))]
 import vizdoom  # noqa: E402
 
@@ -21,7 +21,7 @@ from _serve import serve  # noqa: E402
 
 GAME = vizdoom.DoomGame()
 
-# It writes its settings to a file, which is not to lie wherever this was started.
+# ViZDoom writes its settings to a file: keep it out of the working folder.
 SCRATCH = tempfile.TemporaryDirectory(prefix="vizdoom-")
 
 
@@ -43,18 +43,18 @@ def start(width, height):
 
 
 def timed(views):
-    count, pictures = len(GAME.get_available_buttons()), 0
+    count, images = len(GAME.get_available_buttons()), 0
     began = time.perf_counter()
     for view in range(views):
         if GAME.is_episode_finished():
             GAME.new_episode()
-        # To the left, or ahead.
+        # Turn left, or move ahead.
         pressed = [1 if button == (0 if view % 3 else count - 1) else 0 for button in range(count)]
         GAME.make_action(pressed)
         state = GAME.get_state()
         if state is not None:
-            pictures += state.screen_buffer is not None
-    return {"seconds": time.perf_counter() - began, "views": pictures}
+            images += state.screen_buffer is not None
+    return {"seconds": time.perf_counter() - began, "views": images}
 
 
 serve(start=start, time=timed)

@@ -148,17 +148,17 @@ fn figures_of(
     let rate: fn(&Found) -> f64 = |found| BATCH as f64 / found.batch;
     let last = |rounds: &[Found]| {
         rounds.last().map_or_else(String::new, |found| {
-            format!("{:.3} with {} nodes in sight", found.recall, found.searching)
+            format!("{:.3} at ef {}", found.recall, found.searching)
         })
     };
     let named = |figure: Figure| {
         figure
             .parameter("entries", entries)
             .parameter("dimension", dimension)
-            .parameter("recall at ten asked for", RECALL)
-            .parameter("neighbours of a node", CONNECTIVITY)
-            .parameter("nodes in sight while building", BUILDING)
-            .parameter("threads of a batch", threads())
+            .parameter("required recall at 10", RECALL)
+            .parameter("neighbours per node", CONNECTIVITY)
+            .parameter("construction effort", BUILDING)
+            .parameter("threads per batch", threads())
             .parameter("ours found", last(ours))
     };
     let id = |what: &str| format!("approximate.{entries}x{dimension}.{what}");

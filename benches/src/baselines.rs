@@ -49,7 +49,7 @@ impl Baseline {
         let path = baselines.scripts.join(script);
         let log = logs.join(format!("{script}.log"));
         let errors =
-            File::create(&log).with_context(|| format!("cannot make {}", log.display()))?;
+            File::create(&log).with_context(|| format!("cannot create {}", log.display()))?;
         let mut child = Command::new(&baselines.python)
             // No bytecode in the tree, no packages from the user's site folder.
             .args(["-B", "-s"])

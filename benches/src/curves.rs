@@ -38,7 +38,7 @@ struct Curve {
 const CURVES: [Curve; 3] = [
     Curve {
         id: "lanes",
-        plot: "Steps a second against lanes (policy `random`, warm views)",
+        plot: "Steps per second against lanes (policy `random`, warm views)",
         axis: "lanes",
         unit: "steps/s",
         better: Better::Higher,
@@ -49,7 +49,7 @@ const CURVES: [Curve; 3] = [
     },
     Curve {
         id: "generate",
-        plot: "Making cases: `memtransfer generate` against their number",
+        plot: "Generating cases: `memtransfer generate` against their number",
         axis: "cases",
         unit: "s",
         better: Better::Lower,
@@ -206,7 +206,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn exponents_are_those_of_the_right_end() {
+    fn the_exponent_is_fitted_to_the_right_end() {
         let points: Vec<(f64, f64)> = [1.0_f64, 10.0, 100.0, 1000.0, 10_000.0]
             .iter()
             .map(|x| (*x, 50.0 + x.powi(2)))
@@ -218,7 +218,7 @@ mod tests {
     }
 
     #[test]
-    fn sizes_grow_and_are_enough_for_a_fit() {
+    fn every_curve_has_enough_ascending_sizes() {
         for Curve { xs, tiny, .. } in &CURVES {
             assert!(xs.is_sorted() && xs.len() > FITTED && tiny.len() > 1);
         }

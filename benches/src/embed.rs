@@ -1,5 +1,5 @@
-//! Embedding views that are not cached: images a second, beside ONNX Runtime from Python with the same model on as many
-//! threads. Ours starts from a frame's bytes; the baseline gets prepared tensors.
+//! Embedding views that are not cached: images per second, beside ONNX Runtime from Python with the same model on as
+//! many threads. Ours starts from a frame's bytes; the baseline gets prepared tensors.
 
 use std::num::NonZeroUsize;
 use std::sync::Arc;
@@ -28,7 +28,7 @@ use crate::session::Session;
 pub const BENCH: Bench =
     Bench { name: "embed", about: "embedding views beside ONNX Runtime from Python", run };
 
-/// Images that either side embeds a round.
+/// Images that either side embeds per round.
 const IMAGES: usize = 128;
 
 /// A frame's pixels.
@@ -49,7 +49,7 @@ fn run(session: &mut Session<'_>) -> Result<Vec<Figure>> {
     let count = session.size.pick(4, IMAGES);
     let poses: Vec<Pose> =
         all.iter().step_by((all.len() / count).max(1)).take(count).copied().collect();
-    session.say(format_args!("drawing {} views", poses.len()));
+    session.say(format_args!("rendering {} views", poses.len()));
     let frames = drawn(&warehouse, &poses)?;
     let mut encoder = open()?;
     let (mut ours, mut theirs) = (Vec::new(), Vec::new());
@@ -80,7 +80,7 @@ fn run(session: &mut Session<'_>) -> Result<Vec<Figure>> {
         .parameter("encoder", &facts.model)
         .parameter("provider", facts.provider.word())
         .parameter("threads", facts.threads)
-        .note("ours from a frame's bytes on; the baseline is given tensors that are ready");
+        .note("ours starts from a frame's bytes; the baseline gets prepared tensors");
     if !theirs.is_empty() {
         let said = |key: &str| opened[key].as_str().unwrap_or_default();
         figure = figure
@@ -91,7 +91,7 @@ fn run(session: &mut Session<'_>) -> Result<Vec<Figure>> {
     Ok(vec![figure])
 }
 
-/// What an encoder of the default model is made from.
+/// The file of the default model.
 fn default_model() -> Result<ModelFile> {
     let manifest = EncoderManifest::shipped()?;
     let model = manifest.model(&manifest.default)?;
@@ -105,19 +105,19 @@ pub(crate) fn open() -> Result<Encoder> {
     let prepared = PreparedEncoder::new(default_model()?, &runtime, threads, Provider::Cpu)?;
     let mut encoder = prepared.start(SessionOpening::Eagerly, || {});
     let black = Frame(vec![0; FrameSize::DEFAULT.bytes()].into());
-    // One for each worker: who is at one does not take another.
+    // One per worker, so that every worker opens its session.
     encoder.embed_all(std::iter::repeat_n(black, threads.get()))?;
     Ok(encoder)
 }
 
-/// Images a second when all of these are embedded.
+/// Images per second while all of these are embedded.
 pub(crate) fn rate(encoder: &mut Encoder, frames: &[Frame]) -> Result<f64> {
     let began = Instant::now();
     encoder.embed_all(frames.iter().cloned())?;
     Ok(frames.len() as f64 / began.elapsed().as_secs_f64())
 }
 
-/// Views of the unchanged world, as a run sees them.
+/// Views of the unchanged world, rendered with the settings of a run.
 pub(crate) fn drawn(warehouse: &Warehouse, poses: &[Pose]) -> Result<Vec<Frame>> {
     let mut renderer = Renderer::new(warehouse, RenderSettings::default())?;
     let unchanged = Variant::UNCHANGED;

@@ -218,7 +218,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn rounds_are_summed_up_by_their_middle_and_their_ends() {
+    fn a_summary_is_median_and_range() {
         let of = |values: &[f64]| Summary::of(values).map(|s| (s.median, s.min, s.max));
         assert_eq!(of(&[3.0, 1.0, 2.0]), Some((2.0, 1.0, 3.0)));
         assert_eq!(of(&[4.0, 1.0]), Some((2.5, 1.0, 4.0)));
@@ -226,7 +226,7 @@ mod tests {
     }
 
     #[test]
-    fn ratios_are_taken_round_by_round_and_targets_in_the_direction_that_is_good() {
+    fn ratios_are_taken_per_round_and_targets_in_the_direction_of_improvement() {
         let figure = |better| {
             Figure::new("f", "f", "us", better)
                 .ours([10.0, 30.0, 20.0])
@@ -243,7 +243,7 @@ mod tests {
     }
 
     #[test]
-    fn numbers_are_shown_with_the_digits_that_mean_something() {
+    fn numbers_are_shown_with_significant_digits() {
         for (value, text) in [
             (1_234_567.8, "1,234,568"),
             (999.6, "1,000"),

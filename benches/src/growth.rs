@@ -31,7 +31,7 @@ const PACE: Duration = Duration::from_millis(50);
 /// Share of the episodes that count as warm-up, while caches fill.
 const WARM_UP: f64 = 0.4;
 
-/// Growth in bytes per episode that counts as none: a megabyte over the whole run.
+/// Largest slope, in bytes per episode, that counts as no growth: a megabyte over the whole run.
 const NOTHING: f64 = 100.0;
 
 /// What is sampled: private memory of each process, and shared memory once.
@@ -47,7 +47,7 @@ fn run(session: &mut Session<'_>) -> Result<Vec<Figure>> {
     let (slopes, episodes) = {
         let mut slopes: BTreeMap<&str, Vec<f64>> = BTreeMap::new();
         let mut episodes = 0;
-        // A long bench without a baseline; two rounds tell a trend from chance.
+        // A long bench without a baseline: two rounds show whether a trend repeats.
         for round in 1..=session.rounds().min(2) {
             session.say(format_args!("round {round}"));
             let samples = execute(session)?;
@@ -66,12 +66,12 @@ fn run(session: &mut Session<'_>) -> Result<Vec<Figure>> {
         Figure::new(format!("growth.{id}"), what, "bytes/episode", Better::Lower)
             .ours(slopes.get(id).cloned().unwrap_or_default())
             .parameter("episodes", episodes)
-            .parameter("from", format!("{:.0} %", WARM_UP * 100.0))
+            .parameter("samples from", format!("{:.0} %", WARM_UP * 100.0))
     };
     let mut figures = vec![
         figure("total", "growth of all processes and shared memory together")
-            .target(Bound::Value(NOTHING), "no growth: under 100 bytes an episode")
-            .note("the slope of a line through samples every 50 ms"),
+            .target(Bound::Value(NOTHING), "no growth: under 100 bytes per episode")
+            .note("slope of a line through samples taken every 50 ms"),
     ];
     figures.extend(PLACES.iter().map(|(id, what)| figure(id, &format!("growth of {what}"))));
     Ok(figures)
@@ -134,7 +134,7 @@ fn sample_until_the_end(
     let (mut file, mut episodes) = (None, 0);
     let mut children = BTreeMap::new();
     loop {
-        if child.try_wait().context("cannot look after memtransfer")?.is_some() {
+        if child.try_wait().context("cannot query the process of memtransfer")?.is_some() {
             return Ok(samples);
         }
         if file.is_none() {

@@ -97,7 +97,7 @@ pub fn changes(changes: &[Change]) -> String {
             ]
         })
         .collect();
-    rows(&["figure", "before", "now", "now / before", "the baseline's", "verdict"], &lines)
+    rows(&["figure", "before", "now", "now / before", "baseline, now / before", "verdict"], &lines)
 }
 
 /// Replaces the section between the markers of the page in `path`.

@@ -20,7 +20,7 @@ use crate::Bench;
 use crate::embed;
 use crate::figure::{Better, Bound, Figure};
 use crate::render;
-use crate::runs::{Timing, ended_well, furnish, lines};
+use crate::runs::{Timing, ended_well, lines, new_cache};
 use crate::search::threads;
 use crate::session::Session;
 
@@ -55,10 +55,10 @@ fn run(session: &mut Session<'_>) -> Result<Vec<Figure>> {
     for round in 1..=session.rounds() {
         session.say(format_args!("round {round}"));
         let cache = session.scratch().join(format!("cache-{round}"));
-        furnish(&cache)?;
+        new_cache(&cache)?;
         let cold = execute(session, &cache, &[])?;
         views = (cold.rendered, stored(&cache.join("embeddings"), dimension).len());
-        ensure!(views.0 > 0 && views.1 > 0, "{views:?} views were drawn and embedded");
+        ensure!(views.0 > 0 && views.1 > 0, "{views:?} views were rendered and embedded");
         // The same with cached embeddings and resident views: stepping, lookup, deciding and logging remain.
         let again = execute(session, &cache, &["--warm-views"])?;
         let drawing = render::ours(session, Samples::Four)?;
@@ -81,27 +81,27 @@ fn figures(rounds: &Rounds, (drawn, embedded): (usize, usize)) -> Vec<Figure> {
         let better = if unit == "%" { Better::Higher } else { Better::Lower };
         Figure::new(format!("overlap.{id}"), what, unit, better)
             .ours(values)
-            .parameter("views drawn", drawn)
+            .parameter("views rendered", drawn)
             .parameter("embedded", embedded)
             .parameter("cores", threads())
     };
     let slowest = share(|stages| stages.into_iter().fold(0.0, f64::max));
     let sum = share(|stages| stages.into_iter().sum());
     vec![
-        figure("share", "the slowest stage alone, of what a cold run takes", "%", &slowest)
+        figure("share", "the slowest stage alone, as a share of a cold run", "%", &slowest)
             .target(Bound::Value(90.0), "overlap of 90 %"),
         figure(
             "work",
-            "all stages alone, one after the other, of what a cold run takes",
+            "all stages alone, one after the other, as a share of a cold run",
             "%",
             &sum,
         )
-        .note("where every stage needs all cores, 100 is what can be reached"),
-        figure("busy", "how much of the cores' time a cold run uses", "%", busy),
+        .note("where every stage needs all cores, 100 is the most that is possible"),
+        figure("busy", "share of the cores' time that a cold run uses", "%", busy),
         figure("cold", "a cold run, from its first step to its last", "s", cold),
         figure("rendering", "rendering as many views alone", "s", rendering),
         figure("embedding", "embedding as many views alone", "s", embedding),
-        figure("deciding", "the same run, its views drawn and embedded before", "s", deciding),
+        figure("deciding", "the same run with resident views and cached embeddings", "s", deciding),
     ]
 }
 
@@ -134,8 +134,8 @@ fn execute(session: &Session<'_>, cache: &Path, flags: &[&str]) -> Result<RunMea
     let sessions: Vec<Value> = lines(&folder.join("sessions.jsonl"))?;
     let rendered = sessions
         .iter()
-        .find_map(|event| event["farewells"]["sim"]["frames_rendered"].as_u64())
-        .context("the simulator said nothing of what it has drawn")?;
+        .find_map(|event| event["shutdown_reports"]["sim"]["frames_rendered"].as_u64())
+        .context("the simulator did not report how many views it rendered")?;
     Ok(RunMeasurement { seconds: (last - first) as f64 / 1e9, busy, rendered: rendered as usize })
 }
 
@@ -143,6 +143,6 @@ fn execute(session: &Session<'_>, cache: &Path, flags: &[&str]) -> Result<RunMea
 fn work_of_children() -> Result<f64> {
     let text = fs::read_to_string("/proc/self/stat").context("cannot read /proc/self/stat")?;
     let fields = text.rsplit_once(") ").map(|(_, fields)| fields.split(' ').skip(13).take(2));
-    let ticks = fields.context("/proc/self/stat is not as it should be")?.map(str::parse::<f64>);
+    let ticks = fields.context("/proc/self/stat has an unexpected format")?.map(str::parse::<f64>);
     Ok(ticks.sum::<Result<f64, _>>()? / TICKS_PER_SECOND)
 }

@@ -1,9 +1,10 @@
 //! Rendering views for the first time, beside MiniWorld and ViZDoom, and the cost of a view that is already resident,
 //! beside a memcpy of a frame.
 //!
-//! Ours renders every view of the unchanged warehouse once with the renderers of a run ([`open_renderers`]) into plain memory,
-//! as the baselines render into arrays; hashing and publishing are not measured. A baseline runs with one process and with
-//! one per core, and the better figure counts. Work done once for the first view is not timed on either side.
+//! Ours renders every view of the unchanged warehouse once, with the renderers of a run ([`open_renderers`]) into plain
+//! memory, as the baselines render into arrays; hashing and publishing are not measured. A baseline runs with one
+//! process and with one per core, and the better figure counts. Work done once for the first view is not timed on
+//! either side.
 
 use std::hint::black_box;
 use std::panic::resume_unwind;
@@ -33,7 +34,7 @@ use crate::session::Session;
 /// The bench.
 pub const BENCH: Bench = Bench {
     name: "render",
-    about: "views drawn for the first time beside MiniWorld and ViZDoom, and again beside a memcpy of a frame",
+    about: "views rendered for the first time, beside MiniWorld and ViZDoom; resident views, beside a memcpy of a frame",
     run,
 };
 
@@ -62,18 +63,18 @@ struct Cold {
 const COLD: [Cold; 2] = [
     Cold {
         id: "render.1-sample",
-        what: "views drawn for the first time, without anti-aliasing",
+        what: "views rendered for the first time, without anti-aliasing",
         samples: Samples::One,
         target: (1.0, "faster than ViZDoom"),
         baseline: "ViZDoom",
         script: "vizdoom.py",
-        // The size it offers that is nearest to ours: 2 % fewer pixels.
+        // Its size that is nearest to ours: 2 % fewer pixels.
         size_px: (512, 384),
         views: 2000,
     },
     Cold {
         id: "render.4-samples",
-        what: "views drawn for the first time, with 4x MSAA",
+        what: "views rendered for the first time, with 4x MSAA",
         samples: Samples::Four,
         target: (5.0, "five times MiniWorld"),
         baseline: "MiniWorld",
@@ -200,7 +201,8 @@ pub(crate) struct Drawn {
 pub(crate) fn ours(session: &Session<'_>, samples: Samples) -> Result<Drawn> {
     let arguments = [samples.count().to_string(), session.size.pick(8, usize::MAX).to_string()];
     let printed = processes::output_of(session, "render", &arguments, &[])?;
-    serde_json::from_str(&printed).with_context(|| format!("the part draw printed {printed:?}"))
+    serde_json::from_str(&printed)
+        .with_context(|| format!("the helper process render printed {printed:?}"))
 }
 
 /// A renderer and the memory it renders into, which must outlive it.
@@ -230,7 +232,9 @@ impl RenderWorker {
 
 /// The helper process of [`ours`]: renders views and prints the rate.
 pub(crate) fn render_process(arguments: &[String]) -> Result<()> {
-    let [samples, most] = arguments else { bail!("how many samples, and how many views?") };
+    let [samples, most] = arguments else {
+        bail!("expected the number of samples and the number of views")
+    };
     let samples = if samples == "1" { Samples::One } else { Samples::Four };
     let warehouse = Warehouse::shipped();
     let settings = RenderSettings { samples, ..RenderSettings::default() };
@@ -282,15 +286,15 @@ fn repeated(session: &mut Session<'_>) -> Result<Figure> {
     let (steps, copies) = (session.size.pick(1000, 2_000_000), session.size.pick(3, 500));
     let (ours, copy) = session
         .in_turns(|_| look_up_ns(&mut views, &keys, steps), |_| Ok(frame_copy_ns(copies)))?;
-    ensure!(views.missing() == 0, "a view that is there was to be drawn");
-    let what = "a step's view that was drawn before: shown, looked up, and room made";
+    ensure!(views.missing() == 0, "a resident view was to be rendered");
+    let what = "a step to a resident view: noted as shown, looked up, room checked";
     Ok(Figure::new("render.repeated", what, "ns", Better::Lower)
         .ours(ours)
         .baseline("a memcpy of the frame", "", copy)
-        .target(Bound::Ratio(1.0), "no pixel work at all")
+        .target(Bound::Ratio(1.0), "no work on pixels")
         .parameter("lanes", LANES)
         .parameter("views", keys.len())
-        .note("account is kept of views, and their pixels are not touched"))
+        .note("only the bookkeeping of views; pixels are not touched"))
 }
 
 /// Mean duration of a step in nanoseconds: lanes take turns, each step far from the last view.
@@ -301,8 +305,8 @@ fn look_up_ns(views: &mut ViewCache, keys: &[ViewKey], steps: usize) -> Result<f
     for step in 0..steps {
         let view = keys[step * STRIDE % keys.len()];
         views.show(step % LANES, view);
-        ensure!(views.make_room()?.is_empty(), "a view had to go");
-        black_box(views.frame(view).context("a view is not there")?);
+        ensure!(views.make_room()?.is_empty(), "a view was evicted");
+        black_box(views.frame(view).context("a view is not resident")?);
     }
     Ok(began.elapsed().as_nanos() as f64 / steps as f64)
 }

@@ -67,7 +67,7 @@ impl BenchRun {
 /// # Errors
 /// When it does not start or fails; the message quotes the end of the log.
 pub fn ended_well(command: &mut Command, log: &Path) -> Result<()> {
-    let file = File::create(log).with_context(|| format!("cannot make {}", log.display()))?;
+    let file = File::create(log).with_context(|| format!("cannot create {}", log.display()))?;
     let status = command.stderr(file).status().context("cannot start memtransfer")?;
     if !status.success() {
         let said = std::fs::read_to_string(log).unwrap_or_default();
@@ -84,8 +84,8 @@ pub fn ended_well(command: &mut Command, log: &Path) -> Result<()> {
 ///
 /// # Errors
 /// When it exists or cannot be created.
-pub fn furnish(folder: &Path) -> Result<()> {
-    std::fs::create_dir(folder).with_context(|| format!("cannot make {}", folder.display()))?;
+pub fn new_cache(folder: &Path) -> Result<()> {
+    std::fs::create_dir(folder).with_context(|| format!("cannot create {}", folder.display()))?;
     let Ok(entries) = std::path::absolute(cache_folder()?)?.read_dir() else { return Ok(()) };
     for entry in entries {
         let entry = entry?;

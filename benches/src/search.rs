@@ -200,8 +200,8 @@ fn figures_of((entries, dimension): (u32, u32), rounds: Rounds) -> Vec<Figure> {
         figure
             .parameter("entries", entries)
             .parameter("dimension", dimension)
-            .parameter("of them embeddings", real)
-            .parameter("most threads", threads())
+            .parameter("embeddings among them", real)
+            .parameter("threads, at most", threads())
     };
     let id = |what: &str| format!("search.{entries}x{dimension}.{what}");
     let mut single = Figure::new(
@@ -236,7 +236,7 @@ fn figures_of((entries, dimension): (u32, u32), rounds: Rounds) -> Vec<Figure> {
         .ours(giga(read))
         .baseline("a plain read loop", "", giga(bandwidth))
         .target(Bound::Ratio(0.8), "80 % of the bandwidth")
-        .note("what is read are codes, a quarter of the vectors' size");
+        .note("reads the quantized codes, a quarter of the vectors' size");
         figures.push(named(figure));
     }
     figures

@@ -8,7 +8,7 @@ use anyhow::Result;
 
 use crate::Bench;
 use crate::figure::{Better, Bound, Figure};
-use crate::runs::{ended_well, furnish};
+use crate::runs::{ended_well, new_cache};
 use crate::session::{Session, Size};
 
 /// The bench.
@@ -20,7 +20,7 @@ const LANES: &str = "64";
 
 fn run(session: &mut Session<'_>) -> Result<Vec<Figure>> {
     let cache = session.scratch().join("cache");
-    furnish(&cache)?;
+    new_cache(&cache)?;
     session.say("cold");
     let cold = execute(session, &cache, "cold")?;
     let mut warm = Vec::new();
@@ -38,13 +38,13 @@ fn run(session: &mut Session<'_>) -> Result<Vec<Figure>> {
     Ok(vec![
         figure(
             "suite.warm",
-            "the paper suite with `grounded`, embeddings and documents kept",
+            "the paper suite with `grounded`, embeddings and documents cached",
             warm,
             (60.0, "1 minute"),
         ),
         figure(
             "suite.cold",
-            "the paper suite with `grounded`, nothing kept",
+            "the paper suite with `grounded`, empty caches",
             vec![cold],
             (480.0, "under 8 minutes"),
         ),

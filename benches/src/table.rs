@@ -33,12 +33,12 @@ const WANTED: &[Wanted] = &[
     Wanted {
         what: "64 lanes, warm, `random` / `grounded` / Python returning at once",
         against: "the bare chain",
-        target: "200,000 / 80,000 / 30,000 steps a second",
+        target: "200,000 / 80,000 / 30,000 steps per second",
         prefix: "chain.64.",
     },
     Wanted {
         what: "cold rendering without anti-aliasing",
-        against: "ViZDoom at 512 x 384, as nearly the same number of pixels as it offers",
+        against: "ViZDoom at 512 x 384, its size nearest to ours",
         target: "faster than ViZDoom",
         prefix: "render.1-sample",
     },
@@ -51,7 +51,7 @@ const WANTED: &[Wanted] = &[
     Wanted {
         what: "repeated views",
         against: "a memcpy of the frame",
-        target: "no pixel work at all",
+        target: "no work on pixels",
         prefix: "render.repeated",
     },
     Wanted {
@@ -85,7 +85,7 @@ const WANTED: &[Wanted] = &[
         prefix: "suite.",
     },
     Wanted {
-        what: "memory over 10,000 episodes",
+        what: "memory over 30,000 episodes",
         against: "frame store and models",
         target: "no growth",
         prefix: "growth.",
@@ -93,7 +93,7 @@ const WANTED: &[Wanted] = &[
     Wanted {
         what: "how time grows with cases and episodes",
         against: "",
-        target: "as it must and no faster",
+        target: "linear in cases and in episodes",
         prefix: "curves.",
     },
 ];

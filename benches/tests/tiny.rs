@@ -1,4 +1,4 @@
-//! Every bench once, as small as it goes and without baselines: it works, and its figures can be told apart.
+//! Runs every bench at its smallest size and without baselines, and checks that its figures have unique ids.
 
 #![expect(clippy::unwrap_used, reason = "a test may panic")]
 
@@ -17,12 +17,16 @@ fn tiny(name: &str) {
     let bench = BENCHES.iter().find(|bench| bench.name == name).unwrap();
     let mut session = Session::new(bench.name, Size::Tiny, 1, programs, None).unwrap();
     let figures = (bench.run)(&mut session).unwrap();
-    assert!(!figures.is_empty(), "{name} gives nothing");
+    assert!(!figures.is_empty(), "{name} returned no figure");
     let mut ids = BTreeSet::new();
     for figure in &figures {
-        assert!(figure.id.starts_with(&format!("{name}.")), "{}: begins with its bench", figure.id);
+        assert!(
+            figure.id.starts_with(&format!("{name}.")),
+            "{}: the id does not start with its bench",
+            figure.id
+        );
         assert!(ids.insert(&figure.id), "{}: twice", figure.id);
-        assert!(!figure.ours.is_empty(), "{}: no value", figure.id);
+        assert!(!figure.ours.is_empty(), "{}: it has no value", figure.id);
         assert!(
             figure.ours.iter().all(|value| value.is_finite()),
             "{}: {:?}",
@@ -32,7 +36,7 @@ fn tiny(name: &str) {
     }
 }
 
-/// A test for each bench, and one that none is missing.
+/// One test for each bench, and a test that the list is complete.
 macro_rules! tests {
     ($($name:ident)*) => {
         $(#[test] fn $name() { tiny(stringify!($name)); })*

@@ -82,7 +82,7 @@ mod tests {
     use warehouse::Mixture;
 
     #[test]
-    fn a_demonstration_of_another_case_is_a_walk_of_that_case_s_task() {
+    fn a_demonstration_of_another_case_completes_that_case_s_task() {
         let (warehouse, cases) = (Warehouse::shipped(), CaseSet::shipped());
         for (set, mixture) in [
             (Demonstrations::IRRELEVANT, Mixture::Irrelevant),
@@ -116,7 +116,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_case_or_no_set_is_refused() {
+    fn unknown_cases_and_sets_are_refused() {
         let (warehouse, cases) = (Warehouse::shipped(), CaseSet::shipped());
         let all = Demonstrations::ALL.bits();
         assert_eq!(selected(&warehouse, &cases, 100, all), None);

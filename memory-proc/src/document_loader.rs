@@ -26,7 +26,7 @@ pub struct DocumentLoader {
 }
 
 impl DocumentLoader {
-    /// The documents in `folder`. Reads nothing yet.
+    /// Creates a loader of the documents in `folder`. Reads nothing yet.
     pub fn new(folder: Option<PathBuf>, publisher: DocumentPublisher) -> Self {
         Self { folder: folder.map(DocumentFolder::new), publisher, published: BTreeMap::new() }
     }

@@ -20,8 +20,8 @@ impl ImageSource for Arc<RgbaImage> {
     }
 }
 
-/// Embeds PNG files `repeat` times, and prints a JSON object: the encoder, the files, their pairwise cosine distances and
-/// the images embedded a second.
+/// Embeds PNG files `repeat` times, and prints a JSON object: the encoder, the files, their pairwise cosine distances
+/// and the number of images embedded per second.
 ///
 /// # Errors
 /// When a file is not a PNG image, or the encoder cannot be used.
@@ -38,7 +38,7 @@ pub fn run(
     };
     let images = files.iter().map(read).collect::<anyhow::Result<Vec<_>>>()?;
     let mut encoder = settings.prepare(manifest)?.start(SessionOpening::Eagerly, || {});
-    // Opening sessions does not count.
+    // Opening the sessions is not measured.
     encoder.embed_all(images.iter().take(1).cloned())?;
     let begun = Instant::now();
     let mut embeddings = Vec::new();

@@ -1,4 +1,4 @@
-//! Embeddings kept by image content: in memory, and in a database file for later runs.
+//! Embeddings cached by image content: in memory, and in a database file for later runs.
 //!
 //! Each [encoder fingerprint](crate::encoder::EncoderFacts::fingerprint) has a file of its own, so embeddings of
 //! another model, preprocessing, runtime or execution provider are never mixed. Several processes may read and write a
@@ -27,10 +27,10 @@ const EXTENSION: &str = "redb";
 const BATCH: usize = 32;
 const BATCH_INTERVAL: Duration = Duration::from_secs(1);
 
-/// Memory that the database uses for pages; what is read stays in memory anyway.
+/// Size of the database's page cache. Small, because every embedding that is read stays in memory.
 const PAGE_CACHE_BYTES: usize = 4 << 20;
 
-/// The database cannot be used. Embeddings are kept in memory all the same.
+/// The database cannot be used. The embeddings stay in memory.
 #[derive(Debug, thiserror::Error)]
 #[error("cannot {action} the embedding cache {path}: {cause}")]
 pub struct CacheError {

@@ -148,7 +148,7 @@ impl<I: Clone> EmbeddedViews<I> {
 }
 
 impl<I: Clone> Engine<I> {
-    /// An engine for `lanes` lanes, with room for `views` demonstration views.
+    /// Creates an engine for `lanes` lanes, with room for `views` demonstration views.
     pub fn new(
         warehouse: Warehouse,
         cases: CaseSet,

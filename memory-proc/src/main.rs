@@ -62,7 +62,7 @@ enum MemoryVerb {
         #[command(flatten)]
         encoder: EncoderArguments,
     },
-    /// Measure how long a search takes, by the size of the memory. Prints a JSON object a line
+    /// Measure how long a search takes, by the size of the memory. Prints one JSON object per line
     ///
     /// The vectors are the embeddings in the cache folder, then seeded neighbours of them, or of random directions if
     /// there are no embeddings.
@@ -118,13 +118,13 @@ struct ProfileArguments {
     /// Approximate search: candidates considered by a query (efSearch); one measurement each
     #[arg(long, default_value = "64", value_name = "LIST", value_delimiter = ',')]
     searching: Vec<usize>,
-    /// The greatest number of queries in a measurement
+    /// Maximum number of queries in a measurement
     #[arg(long, default_value = "10000", value_name = "N")]
     queries: NonZeroUsize,
-    /// The longest time of a measurement
+    /// Maximum duration of a measurement
     #[arg(long, default_value = "3", value_name = "SECONDS")]
     seconds: f64,
-    /// The greatest number of threads of a search [default: the number of cores]
+    /// Maximum number of threads of a search [default: the number of cores]
     #[arg(long, value_name = "N")]
     threads: Option<NonZeroUsize>,
 }
@@ -153,11 +153,11 @@ impl VectorArguments {
 
 #[derive(Clone, Copy, ValueEnum)]
 enum SearchKind {
-    /// The nearest views
+    /// Exact search
     Exact,
-    /// Most of the nearest views, through a graph
+    /// Approximate search, through a graph
     Approximate,
-    /// One after the other
+    /// Exact search, then approximate search
     Both,
 }
 
@@ -166,22 +166,22 @@ struct BuilderArguments {
     /// What builds the documents
     #[arg(long, value_name = "NAME", value_enum, default_value_t = BuilderKind::Extractive)]
     builder: BuilderKind,
-    /// The model that the builder `model` asks, as its server calls it
+    /// The model that the builder `model` asks, by the name that the server knows it by
     #[arg(long, value_name = "NAME", required_if_eq("builder", "model"))]
     model: Option<String>,
     /// The model's server, up to /v1 [default: $OPENAI_BASE_URL; the key is $OPENAI_API_KEY]
     #[arg(long, value_name = "URL")]
     base_url: Option<String>,
-    /// The longest time of one attempt to ask the model
+    /// Time limit of an attempt
     #[arg(long, alias = "timeout", value_name = "SECONDS", default_value_t = 300)]
     request_timeout: u32,
-    /// How often a request is repeated when the server fails
+    /// How often a request is sent again after a transient failure
     #[arg(long, value_name = "N", default_value_t = 5)]
     max_retries: u32,
-    /// The greatest number of characters in a prompt
+    /// Maximum number of characters in a prompt
     #[arg(long, value_name = "N", default_value_t = ModelRecipe::CONTEXT_CHARS)]
     context_chars: usize,
-    /// The greatest number of tokens in an answer
+    /// Maximum number of tokens in an answer
     #[arg(long, value_name = "N", default_value_t = ModelRecipe::MAX_TOKENS)]
     max_tokens: u32,
 }

@@ -1,6 +1,6 @@
 //! `memory-proc profile`: how long a search takes, by the size of the memory.
 //!
-//! Prints one measurement a line: a kind of search, a size and a number of queries in one call.
+//! Prints one measurement per line: a kind of search, a size, and a number of queries in one call.
 
 use std::io::Write;
 use std::num::NonZeroUsize;
@@ -17,7 +17,7 @@ use serde::Serialize;
 /// Queries in one call, for the two measurements of each size.
 const BATCHES: [usize; 2] = [1, 64];
 
-/// Different queries of a measurement, which are repeated.
+/// Distinct queries of a measurement; they are repeated.
 const QUERIES: usize = 4096;
 
 /// Queries that recall is measured with.
@@ -39,11 +39,11 @@ pub struct ProfileSettings {
     pub graph: GraphOptions,
     /// Candidates that the approximate search considers; one measurement each.
     pub searching: Vec<usize>,
-    /// The greatest number of queries in a measurement.
+    /// Maximum number of queries in a measurement.
     pub queries: usize,
-    /// The longest time of a measurement, in seconds.
+    /// Maximum duration of a measurement, in seconds.
     pub seconds: f64,
-    /// The greatest number of threads of a search.
+    /// Maximum number of threads of a search.
     pub threads: NonZeroUsize,
 }
 
@@ -72,9 +72,9 @@ pub struct SearchMeasurement {
     pub queries: usize,
     /// Time of a call.
     pub latency_ns: SearchLatency,
-    /// Queries answered in a second.
+    /// Queries answered per second.
     pub queries_per_s: f64,
-    /// Bytes read in a second; absent for approximate search.
+    /// Bytes read per second; absent for approximate search.
     pub bytes_per_s: Option<f64>,
     /// Share of queries whose nearest entry was found.
     pub recall_at_1: f64,
@@ -180,7 +180,7 @@ impl SearchBench<'_> {
         Ok(())
     }
 
-    /// Measures calls of `batch` queries each. What the caller knows better has a default.
+    /// Measures calls of `batch` queries each. The caller sets the fields that only it knows.
     fn measure(
         &self,
         batch: usize,
@@ -203,7 +203,9 @@ impl SearchBench<'_> {
             let begun = Instant::now();
             search(batch)?;
             let time = begun.elapsed();
-            times.record(time.as_nanos() as u64).context("a search took too long to count")?;
+            times
+                .record(time.as_nanos() as u64)
+                .context("a search took longer than the histogram can record")?;
             sum += time;
             if sum.as_secs_f64() > self.settings.seconds {
                 break;
@@ -297,7 +299,7 @@ fn check_memory(entries: u32, dimension: usize) -> anyhow::Result<()> {
         let gib = |bytes: usize| bytes as f64 / f64::from(1 << 30);
         bail!(
             "a memory of {entries} vectors of {dimension} numbers needs {:.1} GiB, and {:.1} GiB are available: pass \
-             fewer --entries",
+             smaller --entries",
             gib(needed),
             gib(available)
         );

@@ -1,4 +1,5 @@
-//! The memory process in a run: drains its queues, has images embedded, answers what it can, notifies each neighbour once.
+//! The memory process in a run: drains its queues, submits images to the encoder, answers what it can, notifies each
+//! neighbour once.
 //!
 //! The loop never waits for an embedding. A worker notifies this process's own listener when it has one, so that a
 //! finished embedding wakes the loop as a message does.
@@ -97,7 +98,7 @@ impl EncoderSettings {
 pub fn serve(settings: &ServeSettings) -> anyhow::Result<()> {
     let attach = Attach::read(&settings.attach).context("cannot join the run")?;
     die_with_parent(attach.orchestrator_pid)
-        .context("this process is started by an orchestrator")?;
+        .context("cannot tie this process to its orchestrator")?;
     let bus = Bus::join(attach, Role::Memory)?;
     let mut reporter = ErrorReporter::new(&bus)?;
     // Receivers first: messages sent while the encoder starts wait in their queues.

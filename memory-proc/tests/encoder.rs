@@ -73,7 +73,7 @@ fn encoder(threads: usize) -> Encoder {
     file.and_then(|file| start(file, threads)).unwrap_or_else(|error| panic!("{error}"))
 }
 
-/// The error of an encoder of this file for an image, if there is one.
+/// The error of embedding an image with this file, if there is one.
 fn refusal(file: ModelFile) -> Option<String> {
     let mut encoder = start(file, 1).unwrap();
     encoder.embed_all([scene(0)]).err().map(|error| error.to_string())

@@ -45,7 +45,7 @@ impl Budget {
         let tokens = used.tokens();
         if let Some(most) = max_tokens.filter(|most| tokens >= *most) {
             return Some(format!(
-                "the run has used {tokens} tokens, and --max-tokens-total is {most}: raise it to go on"
+                "the run has used {tokens} tokens, and --max-tokens-total is {most}: raise it to continue"
             ));
         }
         if let Some((most, prices)) = max_cost {
@@ -53,7 +53,7 @@ impl Budget {
             if cost >= *most {
                 let currency = &prices.currency;
                 return Some(format!(
-                    "the run has cost {cost} {currency}, and --max-cost is {most}: raise it to go on"
+                    "the run has cost {cost} {currency}, and --max-cost is {most}: raise it to continue"
                 ));
             }
         }
@@ -88,13 +88,13 @@ mod tests {
         assert_eq!(tokens.exceeded(), None, "a cached reply costs nothing");
         tokens.add(&request("c", 1));
         let said =
-            "the run has used 3009 tokens, and --max-tokens-total is 3000: raise it to go on";
+            "the run has used 3009 tokens, and --max-tokens-total is 3000: raise it to continue";
         assert_eq!(tokens.exceeded().as_deref(), Some(said));
         let mut cost = budget(None, Some("0.003"), &past);
         assert_eq!(cost.exceeded(), None);
         cost.add(&request("c", 1));
         // 3 x (1000 x 1 + 3 x 10) millionths.
-        let said = "the run has cost 0.00309 EUR, and --max-cost is 0.003: raise it to go on";
+        let said = "the run has cost 0.00309 EUR, and --max-cost is 0.003: raise it to continue";
         assert_eq!(cost.exceeded().as_deref(), Some(said));
     }
 

@@ -40,15 +40,15 @@ pub struct Cli {
 
 const EXAMPLES: &str = "\
 Examples:
-  memtransfer run                          the main job; the same command again resumes it
+  memtransfer run                          the suite `quick`; the same command again resumes it
   memtransfer run --limit 5 --policy random
   memtransfer score runs/quick-grounded    its table again, from the log alone
-  memtransfer report runs/quick-grounded   pages, tables and data files of it
+  memtransfer report runs/quick-grounded   its report: pages, tables and data files
   memtransfer ls cases                     the cases
   memtransfer map t03-07 --out map.svg     one case from above
-  memtransfer top                          the live status of the run that is going on
-  memtransfer profile                      how long an access to memory takes
-  memtransfer doctor                       what is missing on this machine
+  memtransfer top                          the live status of the run in progress
+  memtransfer profile                      measure how long an access to memory takes
+  memtransfer doctor                       check what is missing on this machine
 
 Exit status: 0 complete, 1 incomplete or failed, 2 error, 128 + n ended by signal n.
 Every flag of `run` can be given as a MEMTRANSFER_* variable, or as a key of a suite file.";
@@ -77,7 +77,7 @@ enum MemtransferVerb {
     Show(show::ShowArgs),
     /// Measure how long an access to memory takes, part by part
     Profile(profile::ProfileArgs),
-    /// Test your own policy in difficult situations, and say what it does wrong
+    /// Test your own policy in difficult situations, and report what it does wrong
     Conformance(conformance::ConformanceArgs),
     /// Remove what killed runs left in shared memory and temporary folders
     Clean(clean::CleanArgs),

@@ -1,4 +1,4 @@
-//! The documents that a run needs, and having missing ones built before it begins.
+//! The documents that a run needs, and building missing ones before it begins.
 //!
 //! The crate `documents` knows what a document is, where it lies and whether it fits. Here missing documents are built by
 //! a simulator and a memory process (`building`). One build at a time runs in a folder; others wait for it.
@@ -56,14 +56,14 @@ pub struct DocumentRequest {
     pub server: ModelServer,
 }
 
-/// How a model is asked for documents. None of it changes what it is asked.
+/// How a model is asked for documents. None of it changes the prompts.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct ModelServer {
     /// Its address; `None`: the one in the environment.
     pub base_url: Option<String>,
-    /// The longest time of an attempt, in seconds.
+    /// Time limit of an attempt, in seconds.
     pub timeout: Option<u32>,
-    /// How often a request is repeated.
+    /// Number of retries of a request.
     pub max_retries: Option<u32>,
 }
 
@@ -125,7 +125,7 @@ impl DocumentRequest {
         listed.with_context(|| format!("cannot list {}", folder.path().display()))
     }
 
-    /// Has the wanted documents built that are missing, or all of them if `force`. `None` when stopped.
+    /// Builds the wanted documents that are missing, or all of them if `force`. `None` when stopped.
     ///
     /// # Errors
     /// When a document is broken, or missing without a recipe for it; when building fails.
@@ -226,7 +226,7 @@ impl ReadyDocuments {
         Self { documents, built: Vec::new(), _lock: None }
     }
 
-    /// What the manifest says about them, by name.
+    /// Their entries in the manifest, by name.
     pub fn facts(&self) -> BTreeMap<String, DocumentFacts> {
         facts(&self.documents)
     }
@@ -248,7 +248,7 @@ impl ReadyDocuments {
     }
 }
 
-/// What the manifest says about documents, by name. Those that are not readable are left out.
+/// The manifest's entries about documents, by name. Documents that are not readable are left out.
 pub fn facts(documents: &[StoredDocument]) -> BTreeMap<String, DocumentFacts> {
     let facts = |stored: &StoredDocument| {
         let document = stored.document.as_ref()?;

@@ -2,7 +2,7 @@
 //!
 //! The number of steps of an episode is not known in advance, so there are two figures: at least as many as the reference,
 //! at most T_max. Where the run folder has finished episodes of a condition, their mean replaces both, and the tokens of
-//! their prompts are used. Otherwise a prompt is estimated from the template's length, the characters to a token of
+//! their prompts are used. Otherwise a prompt is estimated from the template's length, the characters per token of
 //! [`prompt::tokens`], and 256 tokens an image (the paper's figure).
 
 use std::collections::BTreeMap;
@@ -38,11 +38,11 @@ const IMAGE_TOKENS: u64 = 256;
 pub struct Estimate {
     /// Requests, at least and at most.
     pub requests: [u64; 2],
-    /// Most images of a request.
+    /// Maximum number of images in a request.
     pub images_each: u64,
-    /// Tokens of a prompt; `None` when a document that it holds is not there yet.
+    /// Tokens of a prompt; `None` when a document that it contains does not exist yet.
     pub prompt_each: Option<u64>,
-    /// Most tokens of an answer.
+    /// Maximum number of tokens in an answer.
     pub answer_each: u64,
     /// Whether steps are those of finished episodes.
     pub measured_steps: bool,
@@ -79,7 +79,7 @@ pub struct Basis<'a> {
     pub model: &'a ModelSettings,
     /// The cases.
     pub world: &'a World,
-    /// Bytes of the documents that are there.
+    /// Bytes of the existing documents.
     pub documents: &'a BTreeMap<DocumentName, u64>,
     /// Episodes that the run folder has.
     pub done: &'a [EpisodeRecord],
@@ -214,7 +214,7 @@ mod tests {
             (None, None),
             "the length of the document is not known"
         );
-        // Defect 19: a summary of 42,136 characters has 18,700 tokens.
+        // A summary of 42,136 characters has 18,700 tokens.
         let documents = BTreeMap::from([(needed([&summary])[0], 42_136)]);
         let basis =
             Basis { settings: &settings, model, world: &world, documents: &documents, done: &[] };

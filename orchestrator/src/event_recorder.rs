@@ -91,7 +91,7 @@ mod tests {
     }
 
     #[test]
-    fn visits_and_first_sights_are_noticed() {
+    fn visits_and_first_sights_are_recorded() {
         let cases = CaseSet::shipped();
         let warehouse = Warehouse::shipped();
         let told = ["t01-01", "t02-01", "t06-01", "t09-01", "t10-01"].map(|id| {

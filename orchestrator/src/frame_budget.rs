@@ -1,4 +1,4 @@
-//! How many frames are kept in shared memory: as many as are useful, as far as there is room.
+//! How many frames stay in shared memory: as many as are useful and fit.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
@@ -28,7 +28,7 @@ const FRAME_SIZE_STEP: u32 = 64;
 pub struct Demand {
     /// Frames that each lane needs: its window, the current view and the next one.
     pub per_lane: u32,
-    /// Frames that the memory of one episode holds of its demonstrations, at most.
+    /// Maximum number of frames that the memory of one episode pins.
     pub remembered: u32,
     /// Every view of every world in the run: more frames are of no use.
     pub all_views: u32,
@@ -307,7 +307,7 @@ mod tests {
     }
 
     #[test]
-    fn what_an_episode_s_memory_holds_counts() {
+    fn the_demand_includes_the_views_that_memory_pins() {
         let (warehouse, cases) = (Warehouse::shipped(), CaseSet::shipped());
         let attach = attach();
         let remembered = |conditions: &[&str]| {

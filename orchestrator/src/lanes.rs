@@ -59,7 +59,7 @@ impl Rules {
     }
 }
 
-/// A finished episode: its record, and what it cost.
+/// A finished episode: its record and its times.
 #[derive(Debug, Clone, PartialEq)]
 pub struct FinishedEpisode {
     /// Which episode.
@@ -128,7 +128,7 @@ pub struct PendingAnswer {
     pub unusable: u32,
 }
 
-/// What the steps of all episodes need.
+/// What the steps of all episodes use.
 #[derive(Debug)]
 struct Context<'w> {
     warehouse: &'w Warehouse,
@@ -212,7 +212,7 @@ impl<'w> Lanes<'w> {
         Ok(taken(turn, stepped))
     }
 
-    /// Takes the memory's account of a recall.
+    /// Takes memory's trace of a recall.
     ///
     /// # Errors
     /// When it cannot be used. After [`AnswerError::Invalid`] the episode cannot go on: [`Lanes::give_up`].
@@ -238,7 +238,7 @@ impl<'w> Lanes<'w> {
         Ok(taken(active.settle(&self.context, &mut self.answered)?, &mut self.stepped))
     }
 
-    /// Whether a decision is here before what it is based on, which is on its way.
+    /// Whether a decision arrived before what it is based on, which is on its way.
     pub fn has_early_decision(&self) -> bool {
         self.lanes.iter().flatten().any(ActiveEpisode::has_early_decision)
     }
@@ -270,8 +270,8 @@ impl<'w> Lanes<'w> {
         active.map(ActiveEpisode::into_episode).collect()
     }
 
-    /// The answers that lanes wait for. Memory owes none from before `memory_busy_ns`, when it was last known to
-    /// make progress.
+    /// The answers that lanes wait for. The wait for memory begins at `memory_busy_ns`, when memory was last known to
+    /// make progress, if that is later.
     pub fn pending(&self, memory_busy_ns: u64) -> Vec<PendingAnswer> {
         let active =
             (0..).zip(&self.lanes).filter_map(|(lane, active)| Some((lane, active.as_ref()?)));

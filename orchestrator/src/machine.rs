@@ -23,7 +23,7 @@ const FLAGS: [&str; 11] = [
     "amx_bf16",
 ];
 
-/// The properties of a machine that decide how fast a program runs on it.
+/// The properties of a machine that determine how fast a program runs on it.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct Machine {
     /// The processor's name.

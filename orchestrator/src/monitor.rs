@@ -168,7 +168,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_status_file_tells_steps_lanes_and_loads() {
+    fn the_status_file_contains_steps_lanes_and_loads() {
         let run = tempfile::tempdir().unwrap();
         let episodes = EpisodeCounts { planned: 100, earlier: (40, 1), ..EpisodeCounts::default() };
         let mut monitor = Monitor::new(run.path(), 8, episodes, Progress::new(true));

@@ -32,7 +32,7 @@ use queue::{CULPRITS_IN_A_ROW, EpisodeQueue};
 /// Generations that may fail one after the other without an episode being finished in between.
 const FAILURES_IN_A_ROW: u32 = 4;
 
-/// What is said where a run gives up.
+/// The advice when a run gives up.
 const RESUME: &str = "Finished episodes are kept; the same command resumes the run";
 
 /// How the processes are started, and their time limits.
@@ -52,7 +52,7 @@ pub struct PipelineOptions {
     pub decision_timeout: Option<Duration>,
 }
 
-/// What a process reports about itself when it is ready: adapter, encoder, policy, ...
+/// The facts that a process reports when it is ready: adapter, encoder, policy, ...
 pub type Facts = BTreeMap<String, String>;
 
 /// Receives what happens, as it happens.
@@ -92,7 +92,7 @@ pub struct Ending {
     pub halted: Option<String>,
     /// Episodes that could not be finished, and why.
     pub unfinished: Vec<(PlannedEpisode, String)>,
-    /// What the processes of the last generation reported at their end.
+    /// The shutdown reports of the last generation.
     pub shutdown_reports: BTreeMap<Role, ShutdownReport>,
 }
 
@@ -128,9 +128,9 @@ pub fn run_episodes(
     let mut run =
         PipelineRun { lanes, queue: EpisodeQueue::new(episodes), options, stop, observer };
     let ending = run.execute_to_end(attach.clone());
-    // A process that was not started here, and missed the message to stop, sees by this that the run is over.
+    // A process that was not started here and missed the stop message learns from this that the run is over.
     if let Err(error) = Attach::withdraw(&attach.root) {
-        tracing::warn!(%error, "the run's folder still looks like that of a run");
+        tracing::warn!(%error, "attach.json could not be removed from the run's folder");
     }
     let (halted, shutdown_reports) = ending?;
     Ok(Ending {
@@ -170,7 +170,7 @@ impl PipelineRun<'_, '_> {
                 }
                 Err(Failure::Fatal(error)) => return Err(error),
                 Err(Failure::Policy(why)) if !under_way.is_empty() => {
-                    // However often: each time fewer episodes can be the cause.
+                    // Any number of times: each time fewer episodes can be the cause.
                     self.policy_failed(under_way, &why)?;
                     failures = 0;
                     why
@@ -201,7 +201,7 @@ impl PipelineRun<'_, '_> {
         Ok((halted, reports))
     }
 
-    /// Starts a generation, has it run episodes until none is left or it is asked to stop, and ends it.
+    /// Starts a generation, runs episodes in it until none is left or it is asked to stop, and ends it.
     fn generation(&mut self, attach: &Attach) -> Result<GenerationOutcome, Failure> {
         let Some(mut generation) = Generation::start(attach, self)? else {
             return Ok(GenerationOutcome::default());

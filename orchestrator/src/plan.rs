@@ -13,7 +13,7 @@ pub struct PlannedEpisode {
     pub key: EpisodeKey,
     /// Index of its case in the case file.
     pub case_index: usize,
-    /// What a policy that draws at random draws from.
+    /// The seed for random choices of the policy.
     pub seed: u64,
 }
 
@@ -95,7 +95,7 @@ mod tests {
     }
 
     #[test]
-    fn seeds_are_what_the_documentation_says_for_ever() {
+    fn seeds_follow_the_documented_formula() {
         let key = plan(&conditions(), &[0], &["t01-01"], 1).remove(0).key;
         let mut text = b"memtransfer episode seed v1\0".to_vec();
         text.extend(7_u64.to_le_bytes());

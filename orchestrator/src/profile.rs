@@ -1,4 +1,4 @@
-//! How long an access to memory takes: what `memtransfer profile` measures, keeps and shows.
+//! How long an access to memory takes: what `memtransfer profile` measures, stores and shows.
 //!
 //! An access begins when the simulator has published an observation, and ends when the policy has the recall that
 //! answers it. [`recorder`] splits it into its parts, step by step, while episodes run through the four processes;
@@ -247,7 +247,7 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn what_is_written_says_all_that_was_measured() {
+    fn the_files_contain_every_measurement() {
         let dir = tempfile::tempdir().unwrap();
         let page = profile().write(dir.path()).unwrap();
         let text = |name: &str| fs::read_to_string(dir.path().join(name)).unwrap();

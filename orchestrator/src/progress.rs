@@ -44,7 +44,7 @@ const DRAW_INTERVAL: Duration = Duration::from_millis(200);
 /// Characters of the bar.
 const BAR: u64 = 24;
 
-/// Columns of a terminal that does not tell its width.
+/// Columns of a terminal that does not report its width.
 const COLUMNS: usize = 100;
 
 /// The display of progress.
@@ -73,7 +73,7 @@ impl Progress {
         Self { target, phase: String::new(), shown: None }
     }
 
-    /// Shows `line`, with `done` of `total` in the bar. A new `phase` is shown at once, everything else now and then.
+    /// Shows `line`, with `done` of `total` in the bar. A new `phase` is shown at once, everything else at intervals.
     pub fn show(&mut self, phase: &str, (done, total): (u64, u64), line: impl FnOnce() -> String) {
         let interval = match self.target {
             ProgressTarget::Bar => DRAW_INTERVAL,
@@ -92,7 +92,7 @@ impl Progress {
                 let columns = columns.map_or(COLUMNS, |(width, _)| usize::from(width.0));
                 erase_line();
                 eprint!("{}", bar(done, total, &line(), columns));
-                // What cannot be shown is not needed.
+                // An error does no harm: this is only a display.
                 let _ = std::io::stderr().flush();
             }
             ProgressTarget::Lines => eprintln!("{}", line()),

@@ -1,5 +1,5 @@
-//! One session of a run: what the [`pipeline`](crate::pipeline) finishes goes into the run folder, what happens to the
-//! monitor.
+//! One session of a run: records what the [`pipeline`](crate::pipeline) finishes in the run folder, and passes events
+//! to the monitor.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -67,7 +67,7 @@ impl<'a> RunSession<'a> {
     pub fn end(mut self, outcome: &Result<Ending>, reason: &str) -> Result<()> {
         let session = self.folder.session();
         let mut errors = 0;
-        let mut farewells = BTreeMap::new();
+        let mut shutdown_reports = BTreeMap::new();
         if let Ok(ending) = outcome {
             for (episode, why) in &ending.unfinished {
                 let (key, error) = (episode.key.to_string(), why.clone());
@@ -76,7 +76,7 @@ impl<'a> RunSession<'a> {
                 errors += 1;
             }
             let reports = ending.shutdown_reports.iter();
-            farewells = reports.map(|(role, report)| counts_of(*role, report)).collect();
+            shutdown_reports = reports.map(|(role, report)| counts_of(*role, report)).collect();
         }
         if let Some(more) = self.problems.checked_sub(PROBLEMS_PRINTED).filter(|more| *more > 0) {
             self.monitor.note(&format!("{more} more such messages were not printed"));
@@ -88,7 +88,7 @@ impl<'a> RunSession<'a> {
             eprintln!("trace: {} (open it with https://ui.perfetto.dev)", path.display());
         }
         let (finished, reason) = (self.finished, reason.to_owned());
-        Ok(self.folder.note(SessionEvent::Ended { finished, errors, reason, farewells })?)
+        Ok(self.folder.note(SessionEvent::Ended { finished, errors, reason, shutdown_reports })?)
     }
 }
 
@@ -147,13 +147,13 @@ impl Observer for RunSession<'_> {
             key: finished.record.key.clone(),
             session: self.folder.session(),
             generation: self.generation,
-            ticket: finished.id,
+            episode: finished.id,
             attempt,
             lane: finished.lane,
             started_ns: finished.started_ns.saturating_sub(self.began_ns),
             ended_ns: finished.ended_ns.saturating_sub(self.began_ns),
             steps: finished.record.steps,
-            rubbish: finished.unusable,
+            invalid_messages: finished.unusable,
             stages: finished.stages,
             recalls: finished.recalls,
         };
@@ -193,14 +193,14 @@ impl Observer for RunSession<'_> {
     }
 }
 
-/// A shutdown report as the run folder keeps it.
+/// A shutdown report as the run folder stores it.
 fn counts_of(role: Role, report: &ShutdownReport) -> (String, BTreeMap<String, u64>) {
     let counts = [
         ("frames_rendered", report.frames_rendered),
         ("frames_evicted", report.frames_evicted),
         ("frames_received", report.frames_received),
         ("pixel_bytes_copied", report.pixel_bytes_copied),
-        ("complaints", report.error_reports),
+        ("error_reports", report.error_reports),
     ];
     let counts = counts.into_iter().map(|(what, count)| (what.to_owned(), count));
     (role.word().to_owned(), counts.collect())

@@ -134,7 +134,7 @@ impl LiveStatus {
             parts.push(format!("waiting for the server: {reason}"));
             return parts.join(", ");
         }
-        // How fast earlier sessions were says nothing about this one.
+        // The speed of earlier sessions is no measure of this one.
         let now = counts.finished.0 + counts.given_up;
         if now > 0 {
             let left = counts.planned.saturating_sub(counts.done()) as f64;
@@ -155,7 +155,7 @@ fn duration(duration: Duration) -> String {
     }
 }
 
-/// The status file of a run. A file that cannot be written is done without.
+/// The status file of a run. Errors of writing it are only logged.
 #[derive(Debug)]
 pub struct StatusFile {
     path: PathBuf,
@@ -208,7 +208,7 @@ mod tests {
     }
 
     #[test]
-    fn the_line_tells_progress_speed_success_and_the_time_left() {
+    fn the_line_shows_progress_speed_success_and_the_time_left() {
         let counts = EpisodeCounts { planned: 400, ..EpisodeCounts::default() };
         let after = |episodes, steps, running_s| LiveStatus {
             episodes,

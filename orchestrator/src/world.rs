@@ -7,7 +7,7 @@ use std::path::Path;
 use warehouse::case_file::CASES_FILE;
 use warehouse::{AssetError, CaseSet, Warehouse};
 
-/// Files whose contents decide the outcome of a run: name of the hash, file, built-in text.
+/// Files whose contents determine the outcome of a run: name of the hash, file, built-in text.
 const HASHED: [(&str, &str, &[u8]); 4] = [
     ("layout", "layout.toml", include_bytes!("../../assets/layout.toml")),
     ("catalogue", "catalogue.toml", include_bytes!("../../assets/catalogue.toml")),

@@ -1,4 +1,4 @@
-//! The program from outside: what it says about bad input, and how it ends. Needs no other process.
+//! The program from outside: its messages about bad input, and its exit status. Needs no other process.
 
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
@@ -35,7 +35,7 @@ fn text(bytes: &[u8]) -> String {
     String::from_utf8_lossy(bytes).into_owned()
 }
 
-/// Runs it, expects exit status 2, nothing on stdout and no harm done; returns what it said.
+/// Runs it, expects exit status 2, nothing on stdout and no run folder; returns its message.
 fn refused(dir: &Path, arguments: &str) -> String {
     let output = memtransfer(dir, arguments);
     let said = text(&output.stderr);
@@ -144,7 +144,7 @@ fn a_world_with_a_wrong_case_is_found_by_validate() {
 }
 
 #[test]
-fn settings_come_from_everywhere_in_order() {
+fn settings_come_from_all_sources_in_order() {
     let dir = dir();
     fs::write(dir.path().join("mine.toml"), "lanes = 3\nruns = 4\nseed = 5").unwrap();
     let shown = |arguments: &str| {
@@ -215,7 +215,7 @@ fn a_dry_run_counts_and_touches_nothing() {
 }
 
 #[test]
-fn a_folder_with_other_things_is_left_alone() {
+fn a_folder_with_other_files_is_not_touched() {
     let dir = dir();
     fs::create_dir(dir.path().join("precious")).unwrap();
     fs::write(dir.path().join("precious/thesis.txt"), "years").unwrap();

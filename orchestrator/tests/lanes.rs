@@ -210,7 +210,7 @@ fn a_try_to_enter_the_barricade_is_recorded() {
 }
 
 #[test]
-fn what_an_episode_is_given_follows_from_its_own_condition() {
+fn an_episode_config_follows_from_its_condition() {
     let (warehouse, cases) = world();
     let mut lanes = Lanes::new(&warehouse, &cases, RULES, 1);
     let mut told = |condition: &str| {
@@ -304,7 +304,7 @@ fn answers_out_of_turn_are_errors_and_change_nothing() {
 }
 
 #[test]
-fn memory_that_makes_progress_owes_nothing_from_before() {
+fn progress_of_memory_restarts_the_wait_for_it() {
     let (warehouse, cases) = world();
     let (mut lanes, _, observation) = two_lanes(&warehouse, &cases);
     lanes.observed(&observation).unwrap();
@@ -346,7 +346,7 @@ fn the_cost_of_an_answer_is_counted_once() {
     };
     lanes.observed(&observation).unwrap();
     lanes.decided(&asked).unwrap();
-    assert!(lanes.take_answered().is_empty(), "it is not an answer before memory's account");
+    assert!(lanes.take_answered().is_empty(), "not counted before memory's trace");
     lanes.recalled(&trace(&observation)).unwrap();
     assert!(lanes.decided(&asked).is_err());
     let answered = lanes.take_answered();

@@ -1,4 +1,4 @@
-//! The pipeline among scripted peers: threads that speak the wire, some of them badly.
+//! The pipeline among scripted peers: threads on the wire, some of which send invalid messages.
 
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 

@@ -33,7 +33,7 @@ use beliefs::{Beliefs, PolicyCaches};
 use instruction::NavigationGoal;
 use peer::{Decision, Policy, Request};
 
-/// The grounded policy. Its only state are caches of what frames and documents say.
+/// The grounded policy. Its only state is caches of what frames and documents show.
 #[derive(Debug, Default)]
 pub struct Grounded {
     caches: PolicyCaches,

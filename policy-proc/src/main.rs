@@ -69,5 +69,5 @@ fn take_part(
         BuiltInPolicy::Grounded => Box::new(Grounded::default()),
         BuiltInPolicy::Openai => Box::new(cli::openai::policy(model)?),
     };
-    serve(policy.as_mut(), attach_dir).context("the policy process cannot go on")
+    serve(policy.as_mut(), attach_dir).context("the policy process cannot continue")
 }

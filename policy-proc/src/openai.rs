@@ -4,8 +4,8 @@
 //! reply. The action is read from the reply, its cost is recorded (`usage`), and that is the decision. Nothing is kept
 //! between requests but encoded images and the token counts of the running episodes.
 //!
-//! Any reply is the model's doing. A missing one never is: a request that fails for good ends its episode without a result,
-//! and a server that is gone stops the run.
+//! Every reply counts as the model's decision. A missing reply does not: a request that fails for good ends its episode
+//! without a result, and a server that is gone stops the run.
 
 mod images;
 pub mod largest;
@@ -27,14 +27,14 @@ use shm_types::process::monotonic_ns;
 use images::EncodedViews;
 use usage::{PromptSize, TokenFit};
 
-/// What decides a model's answers, beside the server.
+/// The settings that determine a model's answers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct OpenaiSettings {
     /// How images are encoded.
     pub image_format: ImageFormat,
-    /// Most images of a prompt; 0 for a model without vision.
+    /// Maximum number of images of a prompt; 0 for a model without vision.
     pub image_budget: u32,
-    /// Most tokens of an answer.
+    /// Maximum number of tokens of an answer.
     pub answer_tokens: u32,
 }
 
@@ -45,7 +45,7 @@ pub struct Openai {
     settings: OpenaiSettings,
     images: EncodedViews,
     token_fits: TokenFits,
-    /// Where to report that the server is waited for: that of the latest batch.
+    /// Reports that the server is waited for: the channel of the latest batch.
     answers: Arc<Mutex<Option<Answers>>>,
 }
 
@@ -53,7 +53,7 @@ pub struct Openai {
 type TokenFits = Arc<Mutex<HashMap<u32, (u64, TokenFit)>>>;
 
 impl Openai {
-    /// A policy that asks through `client`.
+    /// Creates a policy that asks through `client`.
     pub fn new(client: ChatClient, settings: OpenaiSettings) -> Self {
         let images = EncodedViews::new(settings.image_format);
         let answers = Arc::<Mutex<Option<Answers>>>::default();

@@ -25,7 +25,10 @@ fn policy_proc(arguments: &[&str]) -> Command {
 fn ended(child: Child) -> Output {
     let output = child.wait_with_output().unwrap();
     let printed = [&output.stdout[..], &output.stderr[..]].concat();
-    assert!(!String::from_utf8_lossy(&printed).contains("very-secret"), "the key is out");
+    assert!(
+        !String::from_utf8_lossy(&printed).contains("very-secret"),
+        "the output contains the key"
+    );
     output
 }
 
@@ -108,7 +111,7 @@ fn a_probe_ends_with_a_status_and_hides_the_key() {
     assert_eq!(report["fingerprint"]["pages"]["/version/version"], "0.11 [key]");
 }
 
-/// Defect 18: the probe sends the run's own prompt with its images, and says with how many it is refused.
+/// The probe sends the run's own prompt with its images, and reports with how many images it is refused.
 #[test]
 fn a_probe_sends_a_request_of_the_runs_size() {
     let server = Server::start(|request| {

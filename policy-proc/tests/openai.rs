@@ -214,7 +214,7 @@ fn answers_without_an_action_have_different_outcomes() {
         (6, Outcome::Acted),
     ];
     assert_eq!(outcomes, expected.map(|(lane, outcome)| (lane, outcome as u8)));
-    // A refused request is no fault of the model.
+    // A refused request does not count against the model.
     let (report, text) = bench.error_report();
     assert_eq!((report.kind, report.lane), (ErrorReportKind::Episode as u32, 5));
     assert!(text.contains("status 400: at most 1 image"), "{text}");
@@ -349,9 +349,9 @@ fn a_server_that_refuses_the_key_stops_the_run() {
     bench.rig.stop();
 }
 
-/// Defect 17: while the server is gone, the orchestrator is told so, and the decision comes when it is back.
+/// While the server is gone, the policy reports it to the orchestrator; the decision comes when it is back.
 #[test]
-fn a_run_is_told_that_it_waits_for_the_server() {
+fn waiting_for_the_server_is_reported() {
     let unavailable = Turn::json(503, &json!({"error": "loading the model"}));
     let says = || Turn::says("turn right");
     let server = Server::turns([says(), unavailable.clone(), unavailable, says()]).unwrap();

@@ -87,8 +87,7 @@ pub(crate) fn error(py: Python<'_>, name: &str, message: impl Into<String>) -> P
     }
 }
 
-/// A text of Python's, with `?` for halves of surrogate pairs, which are not characters. A model's reply can hold
-/// them.
+/// A Python string, with `?` for unpaired surrogates, which a model's reply can contain.
 pub(crate) fn lossy(text: &Bound<'_, PyString>) -> PyResult<String> {
     let bytes = text.call_method1("encode", ("utf-8", "replace"))?;
     Ok(String::from_utf8_lossy(bytes.extract()?).into_owned())

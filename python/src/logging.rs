@@ -7,7 +7,7 @@ use tracing::field::{Field, Visit};
 use tracing::span::{Attributes, Id, Record};
 use tracing::{Event, Level, Metadata, Subscriber};
 
-/// Forwards events from now on. A subscriber that the process has already stays.
+/// Forwards events from now on. An existing subscriber of the process stays in place.
 pub(crate) fn forward_to_python() {
     let _ = tracing::subscriber::set_global_default(ToPython);
 }

@@ -21,7 +21,7 @@ pub(crate) struct PythonPolicy {
     failures: u32,
     /// The run was asked to stop because of them.
     halted: bool,
-    /// What Python raised, for the caller of `serve`.
+    /// The exception that Python raised, for the caller of `serve`.
     raised: Option<PyErr>,
 }
 
@@ -53,7 +53,7 @@ impl PythonPolicy {
         Ok(Self { policy, name, facts, failures: 0, halted: false, raised: None })
     }
 
-    /// What Python raised while serving, if it did.
+    /// Takes the exception that Python raised while serving, if any.
     pub(crate) fn take_raised(&mut self) -> Option<PyErr> {
         self.raised.take()
     }
@@ -261,7 +261,7 @@ impl Decider for PythonPolicy {
     }
 }
 
-/// Puts what was said to a model into the prompt log, where there is one.
+/// Adds the exchange with a model to the prompt log, if there is one.
 fn record(
     answers: &Answers,
     id: RequestId,

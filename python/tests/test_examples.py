@@ -1,4 +1,4 @@
-"""The examples' own parts. That they walk episodes of the benchmark is tested by the harness."""
+"""Functions of the examples. The tests of the harness run the examples in episodes."""
 
 from __future__ import annotations
 
@@ -36,14 +36,14 @@ def request(step: int = 0, value: int = 150) -> Request:
     )
 
 
-def test_the_random_walk_is_its_seed() -> None:
+def test_random_actions_depend_on_the_request_alone() -> None:
     policy = random_policy.Random()
     walk = policy.act([request(step) for step in range(200)])
     assert walk == [policy.act([request(step)])[0] for step in range(200)]
     assert set(walk) == set(Action)
 
 
-def test_bare_floor_is_told_from_what_stands_on_it() -> None:
+def test_bare_floor_is_distinguished_from_objects() -> None:
     policy = pixels_policy.Pixels()
     free = policy.act([request(step) for step in range(50)])
     assert free.count(Action.FORWARD) > 30
@@ -52,7 +52,7 @@ def test_bare_floor_is_told_from_what_stands_on_it() -> None:
 
 
 class Server:
-    """A model's server: answers with `replies`, one after the other, and keeps what it was asked."""
+    """A model's server: sends `replies` one after the other, and records the requests."""
 
     def __init__(self) -> None:
         self.replies: list[tuple[int, str]] = []
@@ -99,7 +99,7 @@ def server(monkeypatch: pytest.MonkeyPatch) -> Iterator[Server]:
     server.http.server_close()
 
 
-def test_an_endpoint_is_asked_with_the_harness_s_prompt(server: Server) -> None:
+def test_the_endpoint_receives_the_prompt_of_the_benchmark(server: Server) -> None:
     policy = endpoint_policy.Endpoint("m", image_budget=50)
     assert policy.facts() == {"model": "m", "prompt": "prompt/1"}
     server.replies = [(200, "Turn left."), (200, "no idea"), (200, ""), (400, "")]

@@ -1,9 +1,9 @@
 //! What a process must know to join a run: `attach.json` in the run's folder.
 //!
-//! The orchestrator writes the file for each generation and removes it when the run is over; every other process
-//! reads it when it starts. A process that the orchestrator did not start reads it again from time to time, to
-//! join the next generation or to end with the run. The sizes of all queues and of the frame store follow from
-//! this file, so processes that read it agree on them.
+//! The orchestrator writes the file for each generation and removes it when the run is over; every other process reads
+//! it when it starts. A process that the orchestrator did not start reads it again periodically, to join the next
+//! generation or to end with the run. The sizes of all queues and of the frame store follow from this file, so
+//! processes that read it agree on them.
 
 use std::ffi::OsStr;
 use std::fs;
@@ -23,10 +23,10 @@ pub const ATTACH_VARIABLE: &str = "MEMTRANSFER_ATTACH";
 /// Bytes of a page of shared memory; a frame is a whole number of pages.
 pub const PAGE_BYTES: usize = 4096;
 
-/// Most lanes a run can have.
+/// Maximum number of lanes a run can have.
 pub const MAX_LANES: u32 = 4096;
 
-/// Most frames that a run can keep resident.
+/// Maximum number of frames that a run can keep resident.
 pub const MAX_FRAMES: u32 = 1 << 20;
 
 /// Default of [`Attach::frame_capacity`]: every view of the unchanged world fits.
@@ -46,7 +46,7 @@ pub const MAX_ROOT_BYTES: usize = 48;
 pub struct Attach {
     /// [`WIRE_VERSION`] of the program that wrote the file.
     pub wire_version: u32,
-    /// The names of everything that the run has in shared memory start with this.
+    /// Prefix of the names of everything that the run has in shared memory.
     pub prefix: String,
     /// Grows by one whenever the processes are restarted; part of every service's name.
     pub generation: u32,
@@ -179,7 +179,7 @@ pub enum AttachError {
     },
 }
 
-/// Most steps in a batch.
+/// Maximum number of steps in a batch.
 const MAX_BATCH: u32 = 16;
 
 impl Attach {
@@ -355,8 +355,8 @@ impl Attach {
         }
     }
 
-    /// Most bytes of shared memory that the run can use: every chunk of the frame store with a page of headers each,
-    /// and an allowance for messages.
+    /// Maximum number of bytes of shared memory that the run can use: every chunk of the frame store with a page of
+    /// headers each, and an allowance for messages.
     pub const fn shared_memory_bytes(&self) -> u64 {
         let chunk = (self.frame.pages() + 1) * PAGE_BYTES;
         let messages = (16 << 20) + self.lanes as u64 * (64 << 10);
@@ -364,7 +364,7 @@ impl Attach {
     }
 }
 
-/// What the names in shared memory of the run in `folder` start with.
+/// The prefix of the names in shared memory of the run in `folder`.
 pub(crate) fn prefix(folder: &Path) -> String {
     format!("mt{}_", folder.file_name().map(OsStr::to_string_lossy).unwrap_or_default())
 }
@@ -393,8 +393,8 @@ mod tests {
         }
     }
 
-    /// What reading a file with `from` replaced by `to` says.
-    fn error_report(from: &str, to: &str) -> String {
+    /// The error of reading a file in which `from` is replaced by `to`.
+    fn error_with(from: &str, to: &str) -> String {
         let dir = tempfile::tempdir().unwrap();
         attach().write(dir.path()).unwrap();
         let path = dir.path().join(ATTACH_FILE);
@@ -432,7 +432,7 @@ mod tests {
             ("\"mt0_\"", "5", "FILE: invalid type"),
             ("\"mt0_\"", "", "FILE: expected value"),
         ] {
-            let error = error_report(from, to);
+            let error = error_with(from, to);
             assert!(error.starts_with(said) || error.contains(said), "{error}");
         }
     }
@@ -455,7 +455,7 @@ mod tests {
         let from = format!("\"wire_version\": {WIRE_VERSION}");
         let to = "\"wire_version\": 99, \"news\": true";
         let ours = format!("the run uses wire version 99 and this program {WIRE_VERSION}");
-        assert!(error_report(&from, to).starts_with(&ours));
+        assert!(error_with(&from, to).starts_with(&ours));
     }
 
     #[test]
@@ -463,7 +463,7 @@ mod tests {
         let error = Attach::read(Path::new("/nowhere")).unwrap_err();
         let error = format!("{error}{:?}", std::error::Error::source(&error));
         assert!(error.starts_with("/nowhere/attach.json: "), "{error}");
-        assert_eq!(error.matches("No such file").count(), 1, "said once, whoever prints the chain");
+        assert_eq!(error.matches("No such file").count(), 1, "the cause is printed once");
     }
 
     #[test]

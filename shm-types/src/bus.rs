@@ -1,8 +1,8 @@
 //! Joining a run, and one typed queue for each kind of message.
 //!
-//! Each message type has a service of its own, with the senders and receivers that [`Message`] names. A queue
-//! holds everything that the protocol can put into it ([`Traffic`](crate::message::Traffic)), so a full queue is a
-//! bug and [`BusError::Full`] reports it at once: nothing overflows and nothing blocks.
+//! Each message type has a service of its own, with the senders and receivers that [`Message`] names. A queue holds
+//! everything that the protocol can put into it ([`Traffic`](crate::message::Traffic)), so a full queue is a bug and
+//! [`BusError::Full`] reports it at once: queues never overflow, and sending never blocks.
 //!
 //! # Starting
 //! A message reaches the receivers that exist when it is sent, and no later ones. Therefore: join, create every
@@ -268,7 +268,7 @@ impl<M: Message> Sender<M> {
 #[derive(Debug)]
 pub struct Receiver<M: Message> {
     port: Arc<dyn ReceiverPort<M>>,
-    /// Messages that can wait at the same time: a queue for each sender.
+    /// Maximum number of messages that can wait at the same time: a queue for each sender.
     most: usize,
     all: Arc<AllReceivers>,
 }

@@ -1,4 +1,4 @@
-//! Documents: what memory supplies that is too long for a message, published once and then identified by id.
+//! Documents: content that memory supplies and that is too long for a message. Published once, then named by id.
 //!
 //! Memory publishes a document before the first [`Recall`](crate::message::Recall) that names it. A document belongs to
 //! the whole run (episode 0), or to one episode of one lane and is dropped with it. The policy copies its bytes once:
@@ -23,7 +23,7 @@ use domain::{Action, DocumentKind, UnknownCode};
 /// Last part of the name of the service that carries documents.
 pub const DOCUMENT_SERVICE: &str = "document";
 
-/// Most bytes of a document: far more than any prompt holds.
+/// Maximum length of a document, in bytes: far more than any prompt holds.
 pub const MAX_DOCUMENT_BYTES: usize = 16 << 20;
 
 /// Bytes of a document for which shared memory is reserved from the start.
@@ -42,7 +42,7 @@ wire_struct! {
         id: DocumentId,
         /// The episode it belongs to; 0: for the whole run.
         episode: u64,
-        /// That episode's lane.
+        /// The lane of that episode.
         lane: u32,
         /// Code of the [`DocumentKind`].
         kind: u32,
@@ -127,7 +127,7 @@ pub struct Document {
     pub id: DocumentId,
     /// The episode it belongs to; 0: for the whole run.
     pub episode: u64,
-    /// That episode's lane.
+    /// The lane of that episode.
     pub lane: u32,
     /// Its content.
     pub content: Content,
@@ -142,7 +142,7 @@ pub enum DocumentError {
         /// Its bytes.
         bytes: usize,
     },
-    /// A received document is invalid; it is dropped, and the next call goes on after it.
+    /// A received document is invalid; it is dropped, and the next call continues after it.
     #[error("document {id}: {problem}")]
     Unusable {
         /// Its id.
@@ -241,7 +241,7 @@ pub struct DocumentStore {
 }
 
 impl DocumentStore {
-    /// An empty store, which receives every document published from now on.
+    /// Creates an empty store, which receives every document published from now on.
     ///
     /// # Errors
     /// When this process is not the policy, or the service cannot be opened.
@@ -260,7 +260,7 @@ impl DocumentStore {
     /// The document that `id` names, if there is one.
     ///
     /// # Errors
-    /// When a received document is invalid; it is dropped, and the next call goes on after it.
+    /// When a received document is invalid; it is dropped, and the next call continues after it.
     pub fn get(&mut self, id: DocumentId) -> Result<Option<&Arc<Document>>, DocumentError> {
         if !self.documents.contains_key(&id) {
             self.take_waiting()?;
@@ -276,7 +276,7 @@ impl DocumentStore {
         });
     }
 
-    /// Documents in the store.
+    /// Number of documents in the store.
     #[expect(clippy::len_without_is_empty, reason = "emptiness is not asked for")]
     pub fn len(&self) -> usize {
         self.documents.len()

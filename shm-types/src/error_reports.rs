@@ -15,7 +15,7 @@ pub struct ErrorReporter {
 }
 
 impl ErrorReporter {
-    /// For the process that joined `bus`.
+    /// Creates a reporter for the process that joined `bus`.
     ///
     /// # Errors
     /// When the service cannot be opened.
@@ -23,8 +23,8 @@ impl ErrorReporter {
         Ok(Self { sender: bus.sender()?, role: bus.role(), external: bus.index().into(), count: 0 })
     }
 
-    /// Reports a message that could not be used: what, the value, and what was expected. Notify the orchestrator
-    /// afterwards.
+    /// Reports a message that could not be used: what is wrong, the value, and what was expected. Notify the
+    /// orchestrator afterwards.
     ///
     /// Never fails and never waits: a report that cannot be delivered is still counted and logged.
     pub fn report(&mut self, what: impl std::fmt::Display) {
@@ -45,7 +45,7 @@ impl ErrorReporter {
         self.sender.send(&error_report)
     }
 
-    /// Reports that no episode can go on, and why: the run stops. Notify the orchestrator afterwards.
+    /// Reports that no episode can continue, and why: the run stops. Notify the orchestrator afterwards.
     ///
     /// # Errors
     /// When the report cannot be delivered.
@@ -54,8 +54,8 @@ impl ErrorReporter {
         self.sender.send(&error_report)
     }
 
-    /// Reports that decisions wait for `reason`, such as a server that does not answer, or for nothing any longer if it
-    /// is empty. Not an error: neither counted nor logged. Notify the orchestrator afterwards.
+    /// Reports that decisions wait for `reason`, such as a server that does not answer; an empty reason ends the wait.
+    /// Not an error: neither counted nor logged. Notify the orchestrator afterwards.
     ///
     /// # Errors
     /// When the report cannot be delivered.

@@ -12,8 +12,8 @@
 //!
 //! A message that was queued before its notification was taken is found by 3. One whose notification comes later
 //! ends the next wait by 2. The listener exists before the process's first receiver
-//! ([`Bus::join`](crate::Bus::join)), so no message can arrive before there is a listener to notify. A wait may
-//! also return without a notification: it is a hint to look at the queues, nothing more.
+//! ([`Bus::join`](crate::Bus::join)), so no message can arrive before there is a listener to notify. A wait may also
+//! return without a notification: it is only a hint to look at the queues.
 
 use std::time::{Duration, Instant};
 

@@ -314,7 +314,7 @@ pub struct FrameStore {
 }
 
 impl FrameStore {
-    /// An empty store, which receives every frame published from now on.
+    /// Creates an empty store, which receives every frame published from now on.
     ///
     /// # Errors
     /// When this role does not receive frames, or a service cannot be opened.
@@ -342,7 +342,7 @@ impl FrameStore {
     /// The frame that `id` names; `None` if it was evicted or never published.
     ///
     /// # Errors
-    /// When a received frame is invalid; it is dropped, and the next call goes on after it.
+    /// When a received frame is invalid; it is dropped, and the next call continues after it.
     pub fn get(&mut self, id: FrameId) -> Result<Option<&Arc<Frame>>, FrameError> {
         if !self.frames.contains_key(&id) {
             self.take_waiting()?;
@@ -373,7 +373,7 @@ impl FrameStore {
         Ok(evicted)
     }
 
-    /// Frames in the store.
+    /// Number of frames in the store.
     #[expect(
         clippy::len_without_is_empty,
         reason = "the number is reported, emptiness is not asked for"
@@ -382,12 +382,12 @@ impl FrameStore {
         self.frames.len()
     }
 
-    /// Frames received so far.
+    /// Number of frames received so far.
     pub fn received(&self) -> u64 {
         self.received
     }
 
-    /// Evicted frames that this process still uses, and whose memory is therefore not free.
+    /// Number of evicted frames that this process still uses, and whose memory is therefore not free.
     pub fn evicted_but_pinned(&mut self) -> usize {
         self.pinned.retain(|frame| frame.strong_count() > 0);
         self.pinned.len()

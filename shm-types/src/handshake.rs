@@ -1,4 +1,4 @@
-//! The first message of a process: it is ready, and what it is.
+//! The first message of a process: it is ready, and facts about it.
 
 use std::collections::BTreeMap;
 

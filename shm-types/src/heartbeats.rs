@@ -7,7 +7,7 @@ use bytemuck::Zeroable;
 use crate::bus::{Bus, BusError, Sender};
 use crate::message::{Heartbeat, Role};
 
-/// Least time between two heartbeats.
+/// Minimum time between two heartbeats.
 const INTERVAL: Duration = Duration::from_secs(1);
 
 /// Sends the heartbeats of a process.
@@ -21,7 +21,7 @@ pub struct Heartbeats {
 }
 
 impl Heartbeats {
-    /// For the process that joined `bus`.
+    /// Creates the sender for the process that joined `bus`.
     ///
     /// # Errors
     /// When the service cannot be opened.

@@ -47,7 +47,7 @@ pub const MAX_EMBEDDING: usize = 1024;
 /// Most external memories of a run.
 pub const MAX_EXTERNAL_MEMORIES: usize = 8;
 
-/// Most bytes of an instruction.
+/// Maximum length of an instruction, in bytes.
 pub const MAX_INSTRUCTION: usize = 232;
 
 /// The `action` code for "no action".
@@ -765,7 +765,7 @@ messages! {
         frames_received: u64,
         /// Bytes of pixels that the sender copied for another process.
         pixel_bytes_copied: u64,
-        /// Error reports sent.
+        /// Reports that the sender made.
         error_reports: u64,
     }
 
@@ -820,7 +820,7 @@ impl Decision {
     }
 }
 
-/// Copies as much of `text` as fits into `buffer`, cut at a character; returns the bytes used.
+/// Copies as much of `text` as fits into `buffer`, cut at a character boundary; returns the bytes used.
 pub fn write_text(buffer: &mut [u8], text: &str) -> u32 {
     let mut end = text.len().min(buffer.len());
     while !text.is_char_boundary(end) {
@@ -833,7 +833,7 @@ pub fn write_text(buffer: &mut [u8], text: &str) -> u32 {
 /// The text that the first `len` bytes of `buffer` hold.
 ///
 /// # Errors
-/// When `len` is past the buffer or the bytes are not UTF-8: the sender is broken.
+/// When `len` is larger than the buffer or the bytes are not UTF-8: the sender is broken.
 pub fn read_text(buffer: &[u8], len: u32) -> Result<&str, UnknownCode> {
     let broken = || UnknownCode::new(format_args!("a text of {len} bytes"), "UTF-8 that fits");
     let bytes = buffer.get(..len as usize).ok_or_else(broken)?;

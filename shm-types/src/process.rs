@@ -1,4 +1,4 @@
-//! The operating system: the clock, parent and other processes, free shared memory.
+//! Queries to the operating system: the clock, the parent and other processes, free shared memory.
 
 use std::io;
 use std::os::fd::OwnedFd;

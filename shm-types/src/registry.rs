@@ -1,4 +1,4 @@
-//! The runs of this user: one folder each, and how to tell a living run from the remains of a dead one.
+//! The runs of this user, one folder each, and how to tell a live run from the remains of a dead one.
 //!
 //! A run's folder holds `attach.json`, iceoryx2's files and sockets, and a file `lock`. Every process of the run
 //! keeps a shared lock on that file, which the kernel releases when the process ends in any way. A process that can

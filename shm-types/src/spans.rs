@@ -1,6 +1,7 @@
 //! Spans of each process's work, for `memtransfer run --trace`.
 //!
-//! A process writes one [`Span`] a line into a file of its own if [`Attach::spans`](crate::Attach::spans) names a folder.
+//! A process writes one [`Span`] per line into a file of its own if [`Attach::spans`](crate::Attach::spans) names a
+//! folder.
 //! A span is a batch of work, not a step: the times of steps are in the messages.
 
 use std::fs::File;

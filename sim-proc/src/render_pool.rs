@@ -48,7 +48,7 @@ pub type MayShowBarricade = Box<dyn FnMut(&Variant, Pose) -> bool>;
 pub struct RenderSetup {
     /// At least one. Each works on a thread of its own.
     pub workers: Vec<Box<dyn RenderWorker>>,
-    /// Most views in a batch of one worker: several where a device renders them faster together.
+    /// Maximum number of views in a batch of one worker: several where a device renders them faster together.
     pub batch_views: usize,
     /// Which views need barricades.
     pub may_show_barricade: MayShowBarricade,

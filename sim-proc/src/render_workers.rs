@@ -9,10 +9,10 @@ use crate::renderer::{
     Backend, Destination, RenderError, RenderJob, RenderSettings, Renderer, ViewSpec,
 };
 
-/// Most renderers on the CPU.
+/// Maximum number of renderers on the CPU.
 const MAX_RENDERERS: usize = 8;
 
-/// Most views that a Vulkan device renders together.
+/// Maximum number of views that a Vulkan device renders together.
 const GPU_BATCH_VIEWS: usize = 8;
 
 impl RenderWorker for Renderer {

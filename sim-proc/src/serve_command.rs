@@ -40,7 +40,8 @@ pub struct ServeArgs {
 /// exist; later a broken transport, a failed device, or more views in use than fit.
 pub fn run(args: ServeArgs) -> Result<()> {
     let attach = Attach::read(&args.attach).context("cannot join the run")?;
-    die_with_parent(attach.orchestrator_pid).context("this process belongs to an orchestrator")?;
+    die_with_parent(attach.orchestrator_pid)
+        .context("cannot tie this process to its orchestrator")?;
     check_shared_memory(attach.shared_memory_bytes())?;
     let (warehouse, cases) = match &args.assets {
         None => (Warehouse::shipped(), CaseSet::shipped()),

@@ -3,7 +3,7 @@
 #![expect(clippy::unwrap_used, reason = "test helpers fail loudly")]
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::sync::mpsc::{Receiver as Told, channel};
+use std::sync::mpsc::{Receiver as Permissions, channel};
 
 use bytemuck::Zeroable;
 use conformance::messages::{self, reset};
@@ -18,7 +18,7 @@ use sim_proc::renderer::{Destination, RenderError, RenderJob, RenderSettings, Re
 use sim_proc::serve::{SimError, serve};
 use warehouse::{CaseSet, Variant, Warehouse, step};
 
-/// Fills a slot with pixels that tell the pose and the number of nearby closed cells.
+/// Fills a slot with pixels that encode the pose and the number of nearby closed cells.
 struct CodeWorker;
 
 fn code(variant: &Variant, pose: Pose) -> [u8; 4] {
@@ -199,7 +199,7 @@ fn lanes_share_a_frame_wherever_their_worlds_look_alike() {
 }
 
 #[test]
-fn memory_gets_the_views_it_asks_for_until_it_lets_go() {
+fn memory_gets_the_views_it_requests_until_it_releases_them() {
     let mut sim = simulator(|_| {});
     let poses = poses();
     let held: Vec<Pose> = poses[..40].to_vec();
@@ -367,7 +367,7 @@ fn a_panicking_worker_ends_the_run() {
 }
 
 /// Waits for permission before each batch.
-struct WaitingWorker(Told<()>);
+struct WaitingWorker(Permissions<()>);
 
 impl RenderWorker for WaitingWorker {
     fn render_into(&mut self, tasks: &mut [RenderTask<'_>]) -> Result<u64, RenderError> {
@@ -379,10 +379,10 @@ impl RenderWorker for WaitingWorker {
 
 #[test]
 fn no_lane_waits_for_the_view_of_another() {
-    // The one who tells is dropped before the rig.
+    // The sender is dropped before the rig.
     let (mut sim, go_on) = {
-        let (go_on, told) = channel();
-        let workers: Vec<Box<dyn RenderWorker>> = vec![Box::new(WaitingWorker(told))];
+        let (go_on, permissions) = channel();
+        let workers: Vec<Box<dyn RenderWorker>> = vec![Box::new(WaitingWorker(permissions))];
         let open = move |_| Ok(RenderSetup { workers, ..setup() });
         (simulator_with(|_| {}, false, open), go_on)
     };
@@ -395,7 +395,7 @@ fn no_lane_waits_for_the_view_of_another() {
     for episode in 3..13 {
         let seen = sim.ask(&reset(0, episode, 0, here));
         assert_eq!((seen.lane, seen.episode, seen.frame), (0, episode, resident));
-        assert_eq!(seen.rendered_ns, seen.stepped_ns, "the view was there");
+        assert_eq!(seen.rendered_ns, seen.stepped_ns, "the view was resident");
     }
     assert_eq!(sim.neighbours.observations.next().unwrap(), None, "lane 1's view is not drawn yet");
 
@@ -414,7 +414,7 @@ fn warm_views_are_not_rendered_again() {
     let poses = poses();
     for (episode, &pose) in poses.iter().enumerate().step_by(7) {
         let seen = sim.ask(&reset(0, episode as u64, 0, pose));
-        assert_eq!(seen.rendered_ns, seen.stepped_ns, "{pose} was there");
+        assert_eq!(seen.rendered_ns, seen.stepped_ns, "{pose} was resident");
         assert_eq!(shown_code(&mut sim, seen.frame), code(&Variant::UNCHANGED, pose));
     }
     let shutdown_report = sim.stop();

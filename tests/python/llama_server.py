@@ -33,7 +33,7 @@ def main(model, name, context, parallel):
     for threads in params.cpuparams, params.cpuparams_batch:
         threads.n_threads = 1
         threads.poll = 0
-    # Prompts kept beside the slots' own: none, they would take gigabytes.
+    # No cache of prompts beside the slots' own: it would take gigabytes.
     params.cache_ram_mib = 0
     params.port = 0
     server = xllamacpp.Server(params)

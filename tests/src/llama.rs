@@ -1,7 +1,7 @@
 //! llama.cpp's own HTTP server with a small text-only model.
 //!
-//! The answers make little sense. The tests check that a server from another project understands the requests,
-//! and that its answers can be read.
+//! The answers make little sense. The tests check that a server from another project understands the requests and that
+//! its answers can be read.
 
 use std::fs::{self, File};
 use std::io::{BufRead, BufReader};

@@ -1,4 +1,4 @@
-//! `memtransfer conformance`: passes for policies that keep to the wire, and names what others do wrong.
+//! `memtransfer conformance` passes for policies that keep to the wire, and names the faults of others.
 
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
@@ -12,7 +12,7 @@ use serde_json::Value;
 /// A check's verdict and what happened, by its name.
 type Findings = BTreeMap<String, (String, String)>;
 
-/// Plays everything to `command`, which is expected to end with `status`.
+/// Checks `command`, which is expected to end with `status`.
 fn conformance(bench: &Bench, command: &str, status: i32) -> Findings {
     let mut args = vec!["conformance", "--policy-cmd", command, "--json"];
     args.extend(["--step-timeout", "2", "--start-timeout", "3"]);
@@ -40,7 +40,7 @@ fn the_built_in_policies_conform() {
 }
 
 #[test]
-fn what_a_policy_does_wrong_is_named() {
+fn faults_of_a_policy_are_named() {
     let bench = Bench::new();
     let faults = [
         ("no-handshake", "joins", "no handshake within 3 s"),
@@ -92,14 +92,14 @@ fn check_fault(bench: &Bench, fault: &str, check: &str, happened: &str) {
 }
 
 #[test]
-fn a_command_that_cannot_be_started_is_no_finding() {
+fn a_command_that_cannot_be_started_is_an_error() {
     let bench = Bench::new();
     let ended = bench.run(&["conformance", "--policy-cmd", "./no-such-policy"]).expect(2);
     assert!(ended.stderr.contains("there is no program `./no-such-policy`"), "{}", ended.stderr);
 }
 
-/// Builds the example as its readers do, but into this workspace's folder and with its lock file, so that nothing
-/// that both need is built twice or fetched.
+/// Builds the example as its readers do, but into this workspace's target folder and with its lock file, so that shared
+/// dependencies are neither built twice nor downloaded.
 #[test]
 fn the_example_in_rust_conforms_and_decides_in_a_run() {
     let bench = Bench::new();

@@ -14,10 +14,10 @@ use serde_json::Value;
 use warehouse::sight::sees;
 use warehouse::{CaseSet, Demonstrations, Task, Warehouse};
 
-/// What a line under "Items" says: (standpoint, letter of the way to face), and the plate's digits.
+/// A line under "Items": standpoint, letter of the heading, and the plate's digits.
 type Bay = ((Cell, char), String);
 
-/// A place where an item is reached, what hangs there, and how the item may be called.
+/// A place where an item is reached, the plate there, and how the item may be called.
 struct Truth {
     warehouse: Warehouse,
     cases: CaseSet,
@@ -102,7 +102,7 @@ fn cell(text: &str) -> Cell {
     Cell::new(x.parse().unwrap(), y.parse().unwrap())
 }
 
-/// The bays of a summary with what their items are called.
+/// The bays of a summary, with the names of their items.
 fn items(summary: &str) -> Vec<(Bay, String)> {
     let mut items = Vec::new();
     for line in section(summary, "Items") {
@@ -139,7 +139,7 @@ fn digits(plate: Plate) -> String {
 }
 
 #[test]
-fn documents_tell_what_their_demonstrations_show_and_nothing_else() {
+fn documents_contain_what_their_demonstrations_show_and_nothing_else() {
     let (bench, truth) = (Bench::new(), Truth::new());
     let build = ["memory", "build", "--demos", "original,4", "--out", "documents"];
     let built = bench.run(&build).expect(0);
@@ -153,7 +153,7 @@ fn documents_tell_what_their_demonstrations_show_and_nothing_else() {
         assert_eq!(provenance["views"].as_u64(), Some(poses.len() as u64));
         assert_eq!(provenance["trajectories"].as_u64(), Some(100 * selection.own().count() as u64));
 
-        // Every item is a true one, called by its own name, and in sight of a demonstration.
+        // Every item exists, is called by its own name, and is in sight of a demonstration.
         let items = items(&summary);
         for ((place, said), label) in &items {
             let (plate, item_type, category) = &truth.bays[place];
@@ -168,7 +168,7 @@ fn documents_tell_what_their_demonstrations_show_and_nothing_else() {
             let in_sight = |pose: &Pose| sees(&truth.warehouse.layout, *pose, item.unwrap());
             assert!(poses.iter().any(in_sight), "{selection}: {place:?} was in no frame");
         }
-        // Passages are what was walked; of the references alone there is nothing.
+        // Passages are cells that were walked; nothing comes from the references alone.
         let walked: BTreeSet<Cell> = poses.iter().map(|pose| pose.cell).collect();
         assert_eq!(passages(&summary), walked);
 
@@ -217,7 +217,7 @@ fn documents_tell_what_their_demonstrations_show_and_nothing_else() {
     supplied_in_a_run(&bench, &folder);
 }
 
-/// A run takes them, keeps copies, says which they were, and goes on with its own.
+/// A run reads the documents, copies them, records which they were, and resumes with its own copies.
 fn supplied_in_a_run(bench: &Bench, folder: &Path) {
     let mut args = vec!["run", "--policy", "random", "--memory", "hybrid", "--demos", "original"];
     args.extend(["--starts", "new", "--limit", "1", "--max-steps", "5", "--out", "out"]);

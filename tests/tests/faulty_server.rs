@@ -1,5 +1,5 @@
-//! Runs with a model whose server fails in many ways: nothing is lost or counted twice, and the log is the one of a
-//! server that never fails.
+//! Runs with a model whose server fails in many ways: nothing is lost or counted twice, and the log is the same as with
+//! a server that never fails.
 
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on fails")]
 
@@ -98,7 +98,7 @@ fn tokens(record: &Value) -> u64 {
     count("prompt_tokens") + count("completion_tokens")
 }
 
-/// Kills a run, gives the same command again, both with a faulty server, and checks the log and the totals.
+/// Kills a run, repeats the command, both with a faulty server, and checks the log and the totals.
 fn check_kill_and_resume(bench: &Bench, reference: &[String], out: &str, cache: &str) {
     let given = Arc::<ReplyTotals>::default();
     let server = faulty(given.clone());

@@ -18,13 +18,13 @@ use memory_proc::builders::{DocumentBuilder, FrameReading, Transcript, Transcrip
 use memtransfer_tests::WATCHDOG;
 use plates::{Landmark, Plate};
 
-/// Set for the test binary that is started as a building process: where the server is.
+/// Set in the test binary when it is started as a building process: the server's URL.
 const BASE_URL: &str = "MEMTRANSFER_TEST_BASE_URL";
 
-/// And where it writes its document, named after its kind.
+/// The path of its document.
 const DOCUMENT: &str = "MEMTRANSFER_TEST_DOCUMENT";
 
-/// A walk north past a barrel, in column `x`.
+/// A transcript of walking north past a barrel, in column `x`.
 fn transcript(x: u8) -> Transcript {
     let plate = Plate::new("barrels", "blue barrel");
     let barrel = Landmark { standpoint: Cell::new(x, 9), face: Heading::W, plate };
@@ -39,7 +39,7 @@ fn transcript(x: u8) -> Transcript {
     Transcript { instruction: "Find a blue barrel.".to_owned(), steps: steps.collect() }
 }
 
-/// Not a test of its own: what a building process does, when this binary is started as one.
+/// Not a test: what this binary does when it is started as a building process.
 #[test]
 fn building_process() {
     let (Some(base_url), Some(document)) = (env::var_os(BASE_URL), env::var_os(DOCUMENT)) else {
@@ -79,13 +79,13 @@ fn start(server: &Server, document: &Path) -> Child {
         .unwrap()
 }
 
-/// Builds in a process of its own, to the end; the document.
+/// Builds in a new process and returns the document.
 fn build(server: &Server, document: &Path) -> String {
     assert!(start(server, document).wait().unwrap().success());
     fs::read_to_string(document).unwrap()
 }
 
-/// A model whose answer depends on what it is asked, and on nothing else.
+/// A model whose answer depends only on the request.
 fn model(request: &Received) -> Turn {
     let question = request.body.pointer("/messages/1/content").unwrap().as_str().unwrap();
     let sum = question.bytes().fold(0_u32, |sum, byte| sum.wrapping_mul(31) + u32::from(byte));
@@ -93,7 +93,7 @@ fn model(request: &Received) -> Turn {
 }
 
 #[test]
-fn a_build_that_is_killed_goes_on_where_it_was() {
+fn a_killed_build_resumes_where_it_stopped() {
     for kind in DocumentKind::TEXTS {
         let folder = tempfile::tempdir().unwrap();
         let whole = Server::start(model).unwrap();
@@ -122,14 +122,14 @@ fn a_build_that_is_killed_goes_on_where_it_was() {
         process.wait().unwrap();
         assert!(!document.exists());
 
-        // Only what got no answer is asked once more.
+        // Only requests without an answer are sent again.
         let rest = Server::start(model).unwrap();
         assert_eq!(build(&rest, &document), expected);
         let asked = |server: &Server| server.received().into_iter().map(|request| request.body);
         let all: Vec<_> = asked(&hanging).take(2).chain(asked(&rest)).collect();
         assert_eq!(all, questions);
 
-        // Nobody has to be there for a document that is finished.
+        // A finished document needs no server.
         let nobody = Server::turns([]).unwrap();
         assert_eq!(build(&nobody, &document), expected);
         assert!(nobody.received().is_empty());

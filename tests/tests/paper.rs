@@ -36,7 +36,7 @@ fn every_condition_of_the_paper_runs_resumes_and_is_reported() {
     });
     kill(child.id());
     Ended::of(child);
-    eventually("the orphans to end", || {
+    eventually("the child processes to end", || {
         processes_of(bench.registry.path()).is_empty().then_some(())
     });
     let killed = sorted_log(&out).len();
@@ -77,7 +77,7 @@ fn every_condition_of_the_paper_runs_resumes_and_is_reported() {
         }
     }
     assert!(cells > 500, "{cells} cells");
-    assert!(!page.contains("src=\"http"), "the page loads something");
+    assert!(!page.contains("src=\"http"), "the page loads something from the network");
     for file in ["conditions.csv", "episodes.csv", "conditions.parquet", "episodes.parquet"] {
         assert!(fs::metadata(pages.join(file)).unwrap().len() > 0, "{file}");
     }

@@ -142,9 +142,9 @@ fn bytes_through_system_calls(pid: u32) -> Option<u64> {
     Some(value("rchar:")? + value("wchar:")?)
 }
 
-/// Pixels can cross a process boundary in shared memory, in a message, or through a system call. Messages have no
-/// room for them. The test counts the bytes that go through system calls while frames are rendered, embedded and
-/// read, and checks each process's own count of copied bytes.
+/// Pixels can cross a process boundary in shared memory, in a message, or through a system call. Messages have no room
+/// for them. The test counts the bytes that go through system calls while frames are rendered, embedded and read, and
+/// checks each process's own count of copied bytes.
 #[test]
 fn no_pixel_crosses_a_process_boundary_by_copy() {
     let bench = Bench::new();
@@ -172,7 +172,7 @@ fn no_pixel_crosses_a_process_boundary_by_copy() {
         .map(|line| serde_json::from_str::<Value>(line).unwrap())
         .find(|event| event["event"] == "ended")
         .unwrap();
-    let total = |role: &str, key: &str| ended["farewells"][role][key].as_u64().unwrap();
+    let total = |role: &str, key: &str| ended["shutdown_reports"][role][key].as_u64().unwrap();
     let frames = total("sim", "frames_rendered");
     assert!(frames > 100, "{frames} frames");
     for role in ["memory", "policy"] {

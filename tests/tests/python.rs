@@ -108,7 +108,7 @@ fn the_package_is_typed() {
     python(&["-m", "mypy", "--cache-dir", cache.to_str().unwrap(), "memtransfer"], &[]).expect(0);
 }
 
-/// As `pip install ./python` does it, but without the network: maturin is among the tests' packages.
+/// As `pip install ./python` does, but without the network: maturin is among the tests' packages.
 #[test]
 fn the_package_can_be_installed_from_the_checkout() {
     let bench = Bench::new();
@@ -129,7 +129,7 @@ fn the_package_can_be_installed_from_the_checkout() {
 }
 
 #[test]
-fn requests_hold_what_the_prompt_log_records_and_pixels_are_shared_memory() {
+fn requests_match_the_prompt_log_and_their_pixels_are_shared_memory() {
     let bench = Bench::new();
     let seen = bench.out("seen.jsonl");
     let observer = script("tests/policies/observer.py", seen.to_str().unwrap());
@@ -186,7 +186,7 @@ fn requests_hold_what_the_prompt_log_records_and_pixels_are_shared_memory() {
 }
 
 #[test]
-fn kept_pixels_stay_and_evicted_frames_are_gone() {
+fn kept_pixels_stay_valid_and_evicted_frames_raise() {
     let bench = Bench::new();
     let seen = bench.out("seen.txt");
     let keeper = script("tests/policies/keeper.py", seen.to_str().unwrap());
@@ -271,7 +271,7 @@ fn a_policy_that_always_raises_stops_the_run() {
 }
 
 #[test]
-fn a_failure_outside_the_policy_gives_its_episode_up() {
+fn a_failure_outside_the_policy_abandons_its_episode() {
     let bench = Bench::new();
     finish(slice(&bench, "failed", &scripted("fails"), &SHORT)).expect(1);
     let errors = json_lines(&bench.out("failed/errors.jsonl"));
@@ -303,7 +303,7 @@ fn a_broken_contract_ends_the_policy_with_a_message() {
 }
 
 #[test]
-fn a_conversation_is_kept_as_far_as_it_can_be() {
+fn a_conversation_is_logged_without_what_cannot_be_stored() {
     let bench = Bench::new();
     let mut command = slice(&bench, "asked", &scripted("asks"), &SHORT);
     command.arg("--log-prompts");
@@ -346,7 +346,7 @@ fn a_conversation_is_kept_as_far_as_it_can_be() {
     assert_eq!(messages[2]["parts"], json!([{"text": r#"{"tool_calls":[{"id":"a"}]}"#}]));
 }
 
-/// A run that waits for a policy that the test starts, and the folder that it names.
+/// A run that waits for a policy started by the test, and the folder that it names.
 struct Waiting {
     run: Child,
     folder: String,
@@ -369,11 +369,11 @@ impl Waiting {
         Self { run, folder: folder.expect("the run names its folder") }
     }
 
-    /// Starts the example that draws at random, and waits until it is deciding.
+    /// Starts the random example and waits until it decides.
     fn policy(&self, bench: &Bench, out: &str) -> Child {
         let script = package().join("examples/random_policy.py");
         let variables = [("MEMTRANSFER_ATTACH", self.folder.as_str())];
-        // A test that runs in the background inherits that SIGINT is ignored; a policy at a terminal does not.
+        // A test in the background may inherit an ignored SIGINT; a policy at a terminal does not.
         let start = "import runpy, signal, sys; \
             signal.signal(signal.SIGINT, signal.default_int_handler); \
             runpy.run_path(sys.argv[1], run_name='__main__')";
@@ -418,7 +418,7 @@ fn a_policy_ends_when_the_orchestrator_is_gone() {
 }
 
 #[test]
-fn without_a_run_a_policy_says_how_to_get_one() {
+fn without_a_run_a_policy_names_the_command_that_starts_one() {
     let bench = Bench::new();
     let policy = "examples/random_policy.py";
     let ended = python(&[policy], &[]).expect(2);

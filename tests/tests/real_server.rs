@@ -1,6 +1,6 @@
-//! A language model that a real server serves, in place of a scripted one: llama.cpp's, which this
-//! project did not write. The model is small, knows text only and understands nothing of warehouses; what is
-//! tested is that it is asked, understood, counted, and asked once.
+//! A language model behind a real server, llama.cpp's, instead of a scripted one. The model is small, text-only and
+//! understands nothing of warehouses. The tests check that it receives the requests, that its answers are understood
+//! and counted, and that nothing is asked twice.
 
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on fails")]
 
@@ -12,13 +12,13 @@ use memtransfer_tests::{Bench, records, sorted_log};
 use serde_json::Value;
 use warehouse::{CaseSet, History, Start, Warehouse};
 
-/// Tokens that a question and its answer may have.
+/// Tokens of a request with its answer.
 const CONTEXT: u32 = 4096;
 
-/// Small frames: little is seen in them, so little is told of them.
+/// Small frames show little, so transcripts stay short.
 const FRAME_SIZE: &str = "64";
 
-/// Writes the shipped assets with two short cases only to `folder`: documents are made of all cases.
+/// Writes the shipped assets, reduced to two short cases, to `folder`: documents are built from all cases.
 fn two_cases(folder: &Path) {
     let shipped = Path::new(env!("CARGO_MANIFEST_DIR")).join("../assets");
     fs::create_dir(folder).unwrap();
@@ -28,7 +28,7 @@ fn two_cases(folder: &Path) {
     let mut set = CaseSet::shipped();
     set.cases.retain(|case| ["t01-03", "t02-03"].contains(&&*case.id));
     for (index, case) in set.cases.iter_mut().enumerate() {
-        // The other case's are the only ones left.
+        // Only the start poses of these cases remain.
         let of_the_other =
             [Start::Original, Start::Nearby].map(|start| History { case: 1 - index, start });
         (case.irrelevant, case.confusable) = (of_the_other, of_the_other);
@@ -66,7 +66,7 @@ fn documents_are_written_by_a_real_model() {
     two_cases(&bench.out("assets"));
     let folder = bench.out("documents");
 
-    // A prompt that a server has no room for is no document, and nothing is left of it.
+    // A prompt that is too long for the server gives no document and leaves nothing behind.
     let server = LlamaServer::start(512, 1);
     let ended = bench.run(&build(server.base_url())).expect(2);
     for part in ["stage `summary`", "400", "exceeds the available context size"] {
@@ -87,7 +87,7 @@ fn documents_are_written_by_a_real_model() {
         let replies: Vec<Value> =
             steps.map(|step| json(&step.unwrap().path())["reply"].take()).collect();
         assert_eq!(replies.len(), requests, "{name}");
-        // The server counted every answer, and the document's account is their sum.
+        // The server counted every answer, and the document records their sum.
         for tokens in ["prompt_tokens", "completion_tokens"] {
             let counts: Vec<u64> =
                 replies.iter().map(|reply| reply[tokens].as_u64().unwrap()).collect();
@@ -108,7 +108,7 @@ fn doctor_finds_out_what_a_real_server_can_do() {
     let server = LlamaServer::start(CONTEXT, 2);
     let mut args = vec!["doctor", "--policy", "openai", "--json"];
     args.extend(["--model", MODEL, "--base-url", server.base_url()]);
-    // It sees no images, and that is missing for a run that sends some.
+    // The model sees no images, which is an error for a run that sends some.
     let findings: Value = serde_json::from_str(&bench.run(&args).expect(1).stdout).unwrap();
     let of = |what: &str| {
         let found = findings.as_array().unwrap().iter().find(|finding| finding["what"] == what);
@@ -132,8 +132,8 @@ fn doctor_finds_out_what_a_real_server_can_do() {
     assert_eq!(report["fingerprint"]["model"]["meta"]["n_params"], 134_515_008);
 }
 
-/// A slice of a suite, into the folder `out`: two cases, with and without a summary, three steps each. No
-/// images: the model takes none.
+/// Arguments of a run of two cases into the folder `out`, with and without a summary, three steps each. No images: the
+/// model takes none.
 fn slice<'a>(base_url: &'a str, out: &'a str) -> Vec<&'a str> {
     let mut args = vec!["run", "--policy", "openai", "--model", MODEL, "--base-url", base_url];
     args.extend(["--image-budget", "0", "--response-cache", "./responses"]);
@@ -144,7 +144,7 @@ fn slice<'a>(base_url: &'a str, out: &'a str) -> Vec<&'a str> {
 }
 
 #[test]
-fn a_slice_of_a_suite_is_walked_by_a_real_model() {
+fn a_real_model_decides_in_a_run() {
     let bench = Bench::new();
     two_cases(&bench.out("assets"));
     let mut documents = vec!["memory", "build", "--kind", "summary", "--demos", "original"];
@@ -161,7 +161,7 @@ fn a_slice_of_a_suite_is_walked_by_a_real_model() {
             assert!(episode[tokens].as_u64() >= Some(3), "{tokens} of {episode}");
         }
     }
-    // A summary is read by the model, and so it is counted.
+    // The model reads the summary, so its tokens are counted.
     let tokens = |memory: &str, which: &str| -> u64 {
         let of_memory = episodes.iter().filter(|episode| episode["memory"] == memory);
         of_memory.map(|episode| episode[which].as_u64().unwrap()).sum()
@@ -180,7 +180,7 @@ fn a_slice_of_a_suite_is_walked_by_a_real_model() {
         assert!(row.contains(&millions), "{millions} in {row}");
     }
 
-    // What was answered once is not asked again: nobody is there any more.
+    // Answered requests are read from the cache: the server is gone.
     let base_url = server.base_url().to_owned();
     drop(server);
     bench.run(&slice(&base_url, "second")).expect(0);

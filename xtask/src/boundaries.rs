@@ -1,6 +1,5 @@
-//! Which crate may link what: the rules of ARCHITECTURE.md, checked against the resolved dependencies.
-//!
-//! Leaves out what tests and build scripts link: they may look at anything.
+//! Which crate may link which: the rules of ARCHITECTURE.md, checked against the resolved dependencies. Dependencies of
+//! tests and build scripts are exempt.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -19,7 +18,7 @@ const MUST_NOT_LINK: &[(&[&str], &[&str], &str)] = &[
     (
         &["domain", "results", "search", "warehouse"],
         &["iceoryx2"],
-        "a run folder can be read, and the world computed, without shared memory",
+        "reading a run folder and computing the world must not need shared memory",
     ),
     (
         &["memory-proc", "policy-proc", "sim-proc"],
@@ -39,7 +38,7 @@ const ONLY_IN: &[(&str, &[&str])] = &[
 ];
 
 /// Checks every crate of the workspace and prints what breaks a rule.
-pub(crate) fn are_kept(workspace: &Workspace) -> anyhow::Result<bool> {
+pub(crate) fn check(workspace: &Workspace) -> anyhow::Result<bool> {
     let objections = objections(&links(workspace)?);
     for objection in &objections {
         eprintln!("{objection}");
@@ -64,12 +63,12 @@ struct Package {
 #[derive(Deserialize)]
 struct Dependency {
     name: String,
-    /// `None` for what is linked; "dev" and "build" otherwise.
+    /// `None` for a normal dependency; "dev" and "build" otherwise.
     kind: Option<String>,
 }
 
-/// The workspace's crates with what their manifests name. A package from elsewhere cannot depend on one of ours, so
-/// following ours is enough.
+/// The workspace's crates with the dependencies in their manifests. A package from elsewhere cannot depend on one of
+/// ours, so following ours is enough.
 fn links(workspace: &Workspace) -> anyhow::Result<Links> {
     let output = workspace
         .cargo(&["metadata", "--format-version", "1", "--no-deps"])

@@ -15,7 +15,7 @@ pub(crate) fn run(workspace: &Workspace) -> anyhow::Result<bool> {
         }
     };
 
-    check("who links whom", boundaries::are_kept(workspace)?);
+    check("links between crates", boundaries::check(workspace)?);
     check("citations", citations::resolve(workspace)?);
     check("format", succeeds(&mut workspace.cargo(&["fmt", "--all", "--check"]))?);
     check("lints", succeeds(&mut lints(workspace))?);

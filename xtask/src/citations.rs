@@ -14,7 +14,7 @@ const PAGE: &str = "docs/specification.md";
 /// What a citation starts with; numbers follow: `section 4`, `sections 2 and 4`, `sections 2 to 4`.
 const CITATION: &str = "specification, section";
 
-/// Prints every citation of a section that the page does not have, and whether there was none.
+/// Prints every citation of a section that the page does not have. Returns whether there was none.
 pub(crate) fn resolve(workspace: &Workspace) -> anyhow::Result<bool> {
     let page = workspace.root().join(PAGE);
     let text = fs::read_to_string(&page).with_context(|| format!("cannot read {PAGE}"))?;

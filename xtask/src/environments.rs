@@ -45,7 +45,7 @@ pub(crate) fn install(
     cache: &LockedCache<'_>,
     workspace: &Workspace,
 ) -> anyhow::Result<()> {
-    eprintln!("set-up: making {}", environment.place.display());
+    eprintln!("set-up: creating {}", environment.place.display());
     let made = cache.tmp()?.join("environment");
     let requirements = workspace.root().join(&environment.requirements);
     let wheels = cache.wheels()?;

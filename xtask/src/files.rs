@@ -61,7 +61,7 @@ pub(crate) fn install(
 }
 
 /// Has pip put the pinned wheel into `wheels/`, and returns its path. pip verifies the hash, also of a wheel that is
-/// there already, and downloads only what is missing or damaged.
+/// already there, and downloads only what is missing or damaged.
 fn download(
     wheel: &WheelPin,
     needed_for: &str,

@@ -109,7 +109,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_package_is_allowed_when_one_way_of_reading_its_licence_is() {
+    fn a_package_is_allowed_if_one_alternative_of_its_licence_is() {
         let allowed = ["MIT".to_owned(), "Apache-2.0".to_owned(), "ISC".to_owned()];
         let registry = Some("registry+somewhere".to_owned());
         let cases = [

@@ -197,14 +197,14 @@ mod tests {
     }
 
     #[test]
-    fn the_shipped_list_has_a_pin_for_the_platforms_it_names() {
+    fn every_shipped_file_is_pinned_for_linux() {
         for file in shipped().file {
             assert!(file.on("linux-x86_64").is_ok(), "{}", file.name);
         }
     }
 
     #[test]
-    fn a_platform_without_a_pin_is_told_how_to_add_one() {
+    fn the_error_for_an_unpinned_platform_names_how_to_add_a_pin() {
         let pins = shipped();
         let runtime = pins.file.iter().find(|file| file.name.starts_with("ONNX Runtime")).unwrap();
         let Err(error) = runtime.on("plan9-mips") else { panic!("there is no such wheel") };
@@ -216,7 +216,7 @@ mod tests {
     }
 
     #[test]
-    fn only_tests_want_vulkan() {
+    fn only_tests_need_vulkan() {
         let pins = shipped();
         let wanted = |purpose| -> Vec<&str> {
             let needs = pins.system.iter().filter(|need| need.wanted.now(purpose));
@@ -230,7 +230,7 @@ mod tests {
     }
 
     #[test]
-    fn scripts_that_the_list_names_are_in_the_tree() {
+    fn scripts_of_the_list_exist() {
         let root = Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap();
         let pins = shipped();
         let of_files = pins.file.iter().map(|file| &file.script);
@@ -241,7 +241,7 @@ mod tests {
     }
 
     #[test]
-    fn the_models_are_those_that_the_manifest_of_encoders_pins() {
+    fn models_match_the_encoder_manifest() {
         let manifest = Path::new(env!("CARGO_MANIFEST_DIR")).join("../assets/models.toml");
         let manifest: toml::Table =
             toml::from_str(&std::fs::read_to_string(manifest).unwrap()).unwrap();

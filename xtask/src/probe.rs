@@ -39,9 +39,8 @@ fn find_library(name: &str) -> Option<PathBuf> {
         .find(|path| path.is_file())
 }
 
-/// The first driver manifest whose library is there. Like the Vulkan loader, reads
-/// `VK_DRIVER_FILES` or the older `VK_ICD_FILENAMES` instead of the folders when one of them is
-/// set.
+/// The first driver manifest whose library exists. Like the Vulkan loader, reads `VK_DRIVER_FILES` or the older
+/// `VK_ICD_FILENAMES` instead of the folders when one of them is set.
 fn find_vulkan_driver(folders: &[PathBuf]) -> Option<PathBuf> {
     let chosen = ["VK_DRIVER_FILES", "VK_ICD_FILENAMES"].into_iter().find_map(std::env::var_os);
     let mut manifests = match chosen {
@@ -61,8 +60,7 @@ fn json_files(folder: &Path) -> Vec<PathBuf> {
         .collect()
 }
 
-/// The library that a manifest names, if it is there: a bare name is looked up, a path is relative
-/// to the manifest.
+/// The library that a manifest names, if it exists: a bare name is looked up, a path is relative to the manifest.
 fn driver_library(manifest: &Path) -> Option<PathBuf> {
     #[derive(Deserialize)]
     struct Manifest {
@@ -87,7 +85,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_driver_counts_only_when_its_library_is_there() {
+    fn a_driver_counts_only_if_its_library_exists() {
         let folder = tempfile::tempdir().unwrap();
         let manifest = folder.path().join("x_icd.json");
         let check = |library: &str, expected: bool| {
@@ -106,7 +104,7 @@ mod tests {
     }
 
     #[test]
-    fn a_missing_folder_of_manifests_is_no_driver_and_no_accident() {
+    fn a_missing_folder_of_manifests_holds_no_driver() {
         assert_eq!(json_files(Path::new("/no/such/folder")), Vec::<PathBuf>::new());
     }
 }

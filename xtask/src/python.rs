@@ -69,8 +69,8 @@ pub(crate) fn run_script(script: &Path, arguments: &[&std::ffi::OsStr]) -> anyho
     Ok(())
 }
 
-/// Builds a wheel of the package in `python/` into `target/wheels`. pip brings maturin, in the version that
-/// `python/pyproject.toml` names.
+/// Builds a wheel of the package in `python/` into `target/wheels`. pip installs maturin in the version of
+/// `python/pyproject.toml`.
 pub(crate) fn build_wheel(workspace: &Workspace) -> anyhow::Result<bool> {
     let wheels = workspace.root().join("target/wheels");
     let mut command = python();

@@ -113,7 +113,7 @@ fn report_environment(
     Ok(report(&found, &environment.name, &environment.place, plan))
 }
 
-/// Prints the state and the plan. Returns whether nothing is to do.
+/// Prints the state and the plan. Returns whether it is up to date.
 fn report(found: &Found, name: &str, place: &Path, plan: impl Fn() -> String) -> bool {
     match found {
         Found::Right => line("there", name, &place.display().to_string()),

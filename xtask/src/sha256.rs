@@ -60,7 +60,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_file_has_the_sum_that_the_standard_gives_for_its_bytes() {
+    fn hashes_match_the_examples_of_the_standard() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("abc");
         std::fs::write(&path, "abc").unwrap();
@@ -70,7 +70,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_sum_is_refused() {
+    fn invalid_sums_are_refused() {
         for text in ["", "abc", &"g".repeat(64), &"é".repeat(32)] {
             assert!(Sum::try_from(text.to_owned()).is_err(), "{text:?}");
         }

@@ -69,7 +69,7 @@ impl Workspace {
         }
         let built = self.program("lib_native.so")?;
         let place = self.root.join("python/memtransfer/_native.abi3.so");
-        // Renamed into place: a process that uses the present file is not disturbed.
+        // Renamed into place, so that a process that uses the present file is not disturbed.
         let draft = place.with_extension("new");
         std::fs::copy(&built, &draft)
             .and_then(|_| std::fs::rename(&draft, &place))

@@ -1,7 +1,6 @@
-//! `cargo xtask setup` as a person runs it, with a scripted pip and apt-get in front of the real
-//! ones. No network.
+//! `cargo xtask setup` with scripted replacements of pip and apt-get in front of the real ones. No network.
 
-#![expect(clippy::unwrap_used, reason = "a test that cannot set its stage has failed")]
+#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use std::fs;
 use std::os::unix::fs::{MetadataExt, PermissionsExt};
@@ -22,7 +21,7 @@ struct Machine {
 }
 
 impl Machine {
-    /// Nothing is there yet; pip works.
+    /// An empty cache; pip works.
     fn bare() -> Self {
         let machine = Self { folder: tempfile::tempdir().unwrap() };
         for name in ["bin", "lib"] {
@@ -89,8 +88,7 @@ impl Machine {
         );
     }
 
-    /// Adds an environment for tests to the list: its script notes what it was given, and its Python
-    /// is of this kind.
+    /// Adds an environment for tests to the list. Its script writes down its arguments, and its Python is of this kind.
     fn environment(&self, requirements: &str, kind: &str) {
         let (script, list) = (self.path("environment.sh"), self.path("requirements.txt"));
         let make = "echo environment >> \"$LOG\"; mkdir -p \"$1/bin\"; touch \"$1/bin/python\"; \
@@ -148,12 +146,12 @@ impl Machine {
             .unwrap()
     }
 
-    /// Runs set-up, expects this exit status, returns what it said.
+    /// Runs set-up, expects this exit status, and returns its messages.
     fn expect(&self, status: i32) -> String {
         self.expect_of(&[], status)
     }
 
-    /// The same of a set-up for tests.
+    /// The same for a set-up for tests.
     fn expect_for_tests(&self, status: i32) -> String {
         self.expect_of(&["--tests"], status)
     }
@@ -240,7 +238,7 @@ fn an_interrupted_download_leaves_nothing_that_counts() {
 }
 
 #[test]
-fn without_a_network_a_person_is_told_what_to_bring() {
+fn without_a_network_set_up_names_the_file_to_provide() {
     let machine = Machine::bare().with_library();
     machine.pip("echo 'no network' >&2; exit 1");
     let said = machine.expect(2);
@@ -250,7 +248,7 @@ fn without_a_network_a_person_is_told_what_to_bring() {
 }
 
 #[test]
-fn what_only_tests_need_is_brought_for_tests_alone() {
+fn what_only_tests_need_is_installed_only_for_tests() {
     let machine = Machine::bare().with_library();
     machine.environment("one==1\n", "cpython-311");
     assert!(!machine.expect(0).contains("packages"));
@@ -268,7 +266,7 @@ fn what_only_tests_need_is_brought_for_tests_alone() {
 }
 
 #[test]
-fn an_environment_is_made_anew_when_its_list_or_python_changed_or_its_python_is_gone() {
+fn an_environment_is_created_again_if_its_list_or_python_changed() {
     let machine = Machine::bare().with_library();
     machine.environment("one==1\n", "cpython-311");
     machine.expect_for_tests(0);
@@ -286,7 +284,7 @@ fn an_environment_is_made_anew_when_its_list_or_python_changed_or_its_python_is_
 }
 
 #[test]
-fn an_environment_that_cannot_be_made_leaves_nothing_and_says_what_to_bring() {
+fn a_failed_environment_leaves_nothing_and_names_what_to_provide() {
     let machine = Machine::bare().with_library();
     machine.environment("one==1\n", "cpython-311");
     fs::write(machine.path("environment.sh"), "mkdir \"$1\"; echo 'no network' >&2; exit 1")
@@ -300,7 +298,7 @@ fn an_environment_that_cannot_be_made_leaves_nothing_and_says_what_to_bring() {
     machine.expect_for_tests(0);
 }
 
-/// Only root installs system packages; for anybody else there is nothing to test.
+/// Only root installs system packages; without root there is nothing to test.
 fn is_root() -> bool {
     fs::metadata("/proc/self").unwrap().uid() == 0
 }
@@ -327,13 +325,13 @@ fn packages_that_cannot_be_installed_are_an_error_before_anything_is_downloaded(
     let machine = Machine::bare();
     machine.apt_get("exit 100");
     let said = machine.expect(2);
-    // Root's apt-get fails; anybody else gets the line to run.
+    // Root's apt-get fails; other users get the line to run.
     assert!(said.contains("apt-get install --yes --no-install-recommends libthing"), "{said}");
     assert_eq!(machine.cached(), Vec::<String>::new());
 }
 
 #[test]
-fn packages_that_do_not_bring_what_they_should_are_an_error() {
+fn a_library_still_missing_after_installation_is_an_error() {
     if !is_root() {
         return;
     }

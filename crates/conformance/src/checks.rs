@@ -1,4 +1,4 @@
-//! The checks, in the order in which they run: one function for each hard situation.
+//! The checks, in the order in which they run: one function for each difficult situation.
 
 use std::fs;
 use std::process::{Command, Stdio};
@@ -177,7 +177,7 @@ fn plain(subject: &mut TestedPolicy<'_>, seed: u64) -> CheckResult<RequestScene>
     Ok(RequestScene { frame: subject.view(seed)?, ..RequestScene::default() })
 }
 
-/// Ends a check: nothing more may come, and its views are evicted.
+/// Ends a check: expects no further message, and evicts its views.
 fn clear_away(subject: &mut TestedPolicy<'_>) -> CheckResult<String> {
     subject.settle()?;
     subject.evict_all()?;
@@ -210,7 +210,7 @@ fn an_episode(kit: &mut Kit<'_>) -> CheckResult<String> {
     clear_away(subject)
 }
 
-/// More attempts for one decision are a mistake in counting.
+/// A larger number of attempts for one decision is a counting mistake.
 const MAX_ATTEMPTS: u32 = 1000;
 
 fn counts(kit: &mut Kit<'_>) -> CheckResult<String> {
@@ -523,7 +523,7 @@ fn invalid_messages(kit: &mut Kit<'_>) -> CheckResult<String> {
         subject.recall(&recalled)?;
         subject.observe(&observed)?;
         subject.notify()?;
-        // Another lane is answered.
+        // Requests of another lane are still answered.
         let other = subject.begin(lane + 20, 1, INSTRUCTION)?;
         if let Err(Trouble::Wrong(why)) = subject.ask_and_wait(other, &scene) {
             return wrong(format_args!("after {what}: {why}"));
@@ -532,7 +532,7 @@ fn invalid_messages(kit: &mut Kit<'_>) -> CheckResult<String> {
         if subject.take_errors().is_empty() {
             ignored.push(what);
         }
-        // So is the lane itself, in its next episode.
+        // The lane itself is answered again, too, in its next episode.
         let again = subject.begin(lane, 1, INSTRUCTION)?;
         subject.ask_and_wait(again, &scene)?;
     }

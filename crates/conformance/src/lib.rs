@@ -1,4 +1,4 @@
-//! Checks whether an external policy follows the protocol of the wire, in hard situations over the real bus.
+//! Checks whether an external policy follows the protocol of the wire, in difficult situations over the real bus.
 //!
 //! This process plays the other roles ([`neighbours`]). The crates' own tests use them, too: with the feature `testing`
 //! there are rigs around one process of a run (`testing`) and scripted processes (`scripted`). The quality of a policy's
@@ -28,7 +28,7 @@ use self::subject::{CheckResult, Terms, TestedPolicy, Trouble};
 /// Lanes of the run.
 const LANES: u32 = 64;
 
-/// Neither square nor the default: a policy has to use the size that it is told.
+/// Neither square nor the default: a policy has to read the size from `attach.json`.
 const FRAME: FrameSize = FrameSize { width: 192, height: 128 };
 
 /// Frames that may be resident: enough for the check with most views.
@@ -111,7 +111,7 @@ impl Conformance {
                     Ok(remark) => (CheckVerdict::Passed, remark),
                     Err(Trouble::Broken(error)) => return Err(error),
                     Err(Trouble::Wrong(what)) => {
-                        // The next check starts the policy anew.
+                        // The next check starts a new policy process.
                         kit.kill_subject();
                         (CheckVerdict::Failed, what)
                     }
@@ -172,7 +172,7 @@ impl<'a> Kit<'a> {
         self.subject = None;
     }
 
-    /// Another run.
+    /// Creates a second run, for a check that needs one of its own.
     fn another_run(&self) -> CheckResult<(RunDir, Attach)> {
         let base = self.run.path().parent().unwrap_or(self.run.path());
         let run = RunDir::create(base).map_err(anyhow::Error::from)?;

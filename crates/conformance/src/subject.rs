@@ -1,7 +1,7 @@
 //! The policy under test: started as a run starts it, asked through [`PolicyNeighbours`], and watched.
 //!
-//! A subject keeps account of its requests, so that each decision is either the one answer to an open request or a
-//! mistake that can be named.
+//! It tracks its requests, so that each decision is either the one answer to an open request or a mistake that can be
+//! named.
 
 use std::collections::BTreeMap;
 use std::fmt::Display;
@@ -94,7 +94,7 @@ pub(crate) fn next(id: RequestId) -> RequestId {
     RequestId { step: id.step + 1, ..id }
 }
 
-/// How a policy is started, and how long anything may take.
+/// How a policy is started, and its time limits.
 pub(crate) struct Terms<'a> {
     pub(crate) launch: &'a Launch,
     pub(crate) answer_timeout: Duration,
@@ -321,12 +321,12 @@ impl<'a> TestedPolicy<'a> {
         self.answers.get(&id).copied().map_or_else(|| wrong("no answer"), Ok)
     }
 
-    /// From now on `id` has to be answered.
+    /// From now on, `id` has to be answered.
     pub(crate) fn expect(&mut self, id: RequestId) {
         self.requests.insert(id, RequestState::Open);
     }
 
-    /// From now on an answer to `id` is a mistake.
+    /// From now on, an answer to `id` is a mistake.
     pub(crate) fn expect_none(&mut self, id: RequestId) {
         self.requests.insert(id, RequestState::Impossible);
     }
@@ -373,7 +373,7 @@ impl<'a> TestedPolicy<'a> {
         format!("no answer to {some}{more} within {seconds} s{}", error.unwrap_or_default())
     }
 
-    /// Checks for a moment that nothing comes that was not asked for.
+    /// Checks for a moment that no unexpected message arrives.
     pub(crate) fn settle(&mut self) -> CheckResult<()> {
         self.listen_for(QUIET_TIME)?;
         match self.errors.first() {

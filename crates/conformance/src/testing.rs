@@ -244,7 +244,7 @@ impl SubjectNeighbours for PolicyNeighbours {
 pub type PolicyRig = Rig<PolicyNeighbours>;
 
 impl PolicyRig {
-    /// Publishes a frame of one grey.
+    /// Publishes a grey frame of one brightness.
     pub fn publish(&mut self, grey: u8) -> FrameId {
         self.neighbours.publish([grey; 16], |pixels| pixels.fill(grey)).unwrap()
     }
@@ -462,7 +462,7 @@ impl MemoryRig {
         self.notify();
     }
 
-    /// The next recall, and its account.
+    /// The next recall, and its trace.
     pub fn recall(&mut self) -> (Recall, RecallTrace) {
         let recall = self.until(|neighbours| neighbours.recalls.next().unwrap());
         let trace = self.until(|neighbours| neighbours.traces.next().unwrap());

@@ -14,7 +14,7 @@ use crate::{DocumentName, sha256_of};
 /// The version of the file format.
 const FORMAT: u32 = 1;
 
-/// The greatest size of a text: the wire carries no more.
+/// Maximum size of a text in bytes: the wire carries no longer documents.
 pub const MAX_TEXT_BYTES: usize = 16 << 20;
 
 /// Where a document comes from.
@@ -27,7 +27,7 @@ pub struct Provenance {
     pub demonstrations: Demonstrations,
     /// The builder: `extractive` or `model`.
     pub builder: String,
-    /// Everything else about the builder that decides the text: its version, model, prompts, limits.
+    /// Everything else about the builder that determines the text: its version, model, prompts, limits.
     pub builder_version: String,
     /// SHA-256 of the transcripts that the builder read.
     pub inputs_sha256: String,

@@ -185,8 +185,8 @@ impl DocumentFolder {
                     ))
                 });
                 let problem = format!(
-                    "several documents {name} fit; name the model with --documents model:NAME, or move the ones not \
-                     wanted elsewhere:{}",
+                    "several documents {name} fit; name the model with --documents model:NAME, or move the other \
+                     files to another folder:{}",
                     versions.collect::<String>()
                 );
                 Ok(StoredDocument {
@@ -239,7 +239,7 @@ fn name_of(file: &str) -> Option<DocumentName> {
     format!("{kind}/{demonstrations}").parse().ok()
 }
 
-/// Loads a document that should have this name, and says whether it was made from these sources.
+/// Loads a document that should have this name, and determines whether it was made from these sources.
 fn load(name: DocumentName, file: PathBuf, sources_sha256: &str) -> StoredDocument {
     let mut stored = StoredDocument {
         name,
@@ -274,7 +274,7 @@ fn load(name: DocumentName, file: PathBuf, sources_sha256: &str) -> StoredDocume
     stored
 }
 
-/// One of several files with the same address.
+/// Keeps one of several files with the same address.
 fn distinct(mut stored: Vec<StoredDocument>) -> Vec<StoredDocument> {
     stored.sort_by(|a, b| (&a.address, &a.file).cmp(&(&b.address, &b.file)));
     stored.dedup_by(|a, b| a.address == b.address);
@@ -369,7 +369,7 @@ mod tests {
     }
 
     #[test]
-    fn documents_by_two_models_are_told_apart_by_the_model() {
+    fn documents_by_two_models_are_distinguished_by_the_model() {
         let bench = Bench::new();
         let any = DocumentSelection::Model(None);
         assert_eq!(bench.find(&any, FRAME).state, DocumentState::Missing);

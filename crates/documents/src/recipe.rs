@@ -1,4 +1,4 @@
-//! How a document is built: the builder, and everything in it that decides the text.
+//! How a document is built: the builder, and everything in it that determines the text.
 
 use crate::{DocumentName, sha256_of_parts};
 
@@ -20,11 +20,11 @@ pub enum Recipe {
 /// How a model is asked for a document.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct ModelRecipe {
-    /// The model, as its server calls it.
+    /// The model, by the name that the server knows it by.
     pub model: String,
-    /// The greatest number of characters in a prompt.
+    /// Maximum number of characters in a prompt.
     pub context_chars: usize,
-    /// The greatest number of tokens in an answer, and so in the document.
+    /// Maximum number of tokens in an answer, and so in the document.
     pub max_tokens: u32,
 }
 
@@ -44,7 +44,7 @@ impl Recipe {
         }
     }
 
-    /// Everything else that decides the text, in words.
+    /// Everything else that determines the text, in words.
     pub fn version(&self) -> String {
         match self {
             Self::Extractive => EXTRACTIVE_VERSION.to_string(),

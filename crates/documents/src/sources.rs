@@ -12,7 +12,7 @@ use warehouse::{CaseSet, Demonstrations, History, Warehouse};
 
 use crate::{hex, sha256_of_parts};
 
-/// The files that decide what a view shows, and their built-in content.
+/// The files that determine what a view shows, and their built-in content.
 const WORLD_FILES: [(&str, &[u8]); 2] = [
     ("layout.toml", include_bytes!("../../../assets/layout.toml")),
     ("catalogue.toml", include_bytes!("../../../assets/catalogue.toml")),
@@ -78,8 +78,8 @@ impl Sources {
         poses
     }
 
-    /// SHA-256, in hexadecimal digits, of everything that decides the demonstrations of `selection` and their views and
-    /// is known without rendering: layout, catalogue, the demonstrations, the frames' width and height, and this
+    /// SHA-256, in hexadecimal digits, of everything that determines the demonstrations of `selection` and their views
+    /// and is known without rendering: layout, catalogue, the demonstrations, the frames' width and height, and this
     /// program's version, which stands for how the world is drawn and how plates are read.
     ///
     /// Test references and barricades are left out: a document does not depend on them.

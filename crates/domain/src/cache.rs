@@ -32,7 +32,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_first_variable_that_says_something_decides() {
+    fn the_first_variable_that_is_set_decides() {
         let all = [("MEMTRANSFER_CACHE", "/a"), ("XDG_CACHE_HOME", "/b"), ("HOME", "/c")];
         let named = |set: &[(&str, &str)]| {
             folder(|name| set.iter().find(|(set, _)| *set == name).map(|(_, value)| value.into()))

@@ -1,4 +1,4 @@
-//! Enums with `u8` codes, described from their declaration for the page of the wire.
+//! Enums with `u8` codes, described from their declaration for the reference of the wire.
 
 /// An enum with codes.
 pub trait Codes {

@@ -1,4 +1,4 @@
-//! Codes that the wire, the log and the report share.
+//! Enums whose codes the wire, the log and the report share.
 
 use crate::code_sets;
 

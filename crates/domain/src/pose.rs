@@ -1,6 +1,6 @@
 //! Poses, actions and feedback.
 //!
-//! The floor is a grid of 1 m cells: `x` grows east, `y` grows north. The content of the cells is not known here.
+//! The floor is a grid of 1 m cells: `x` grows east, `y` grows north. This module does not know what the cells contain.
 
 use serde::{Deserialize, Serialize};
 
@@ -17,7 +17,7 @@ pub struct UnknownCode {
 }
 
 impl UnknownCode {
-    /// `value`, where `expected` would have been accepted.
+    /// An error for `value`, where only `expected` is accepted.
     pub fn new(value: impl ToString, expected: &'static str) -> Self {
         Self { value: value.to_string(), expected }
     }

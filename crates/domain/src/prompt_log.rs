@@ -20,7 +20,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::pose::Pose;
 
-/// First bytes of a BLAKE3 hash, as hexadecimal digits.
+/// The first 16 bytes of a BLAKE3 hash, as hexadecimal digits.
 pub type Hash = String;
 
 /// A hash in hexadecimal digits.

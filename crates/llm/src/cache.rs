@@ -178,7 +178,7 @@ mod tests {
     const IMAGE: &str = "data:image/png;base64,AA==";
 
     #[test]
-    fn everything_that_decides_a_reply_is_in_its_key() {
+    fn everything_that_determines_a_reply_is_in_its_key() {
         let key = |model: &str, request: &ChatRequest, repeat| {
             CacheKey::of(model, request, repeat).unwrap()
         };
@@ -259,7 +259,7 @@ mod tests {
     }
 
     #[test]
-    fn the_setting() {
+    fn the_setting_is_on_off_or_a_folder() {
         assert_eq!(ReplyCache::from_setting("off").unwrap(), None);
         assert_eq!(ReplyCache::from_setting("d").unwrap(), Some(ReplyCache::at("d")));
     }

@@ -26,9 +26,9 @@ pub struct ChatSettings {
     pub request_timeout: Duration,
     /// How many times a request is sent again after a transient failure.
     pub max_retries: u32,
-    /// Most requests in flight, at least 1. Fewer while the server cannot keep up.
+    /// Maximum number of requests in flight, at least 1. Fewer while the server cannot keep up.
     pub max_connections: u32,
-    /// How long to wait for a server that has answered before and is gone.
+    /// How long to wait for a server that has answered before and is unreachable now.
     pub server_patience: Duration,
 }
 
@@ -60,7 +60,7 @@ pub struct ChatAnswer {
     pub answered_ns: u64,
 }
 
-/// Receives a text while the client waits for its server, and `None` when the server answers again.
+/// Receives a text for the user while the client waits for its server, and `None` when the server answers again.
 type WaitingListener = Box<dyn Fn(Option<&str>) + Send + Sync>;
 
 /// Asks one model of one endpoint. Clones share connections, cache and what is known about the server.
@@ -78,7 +78,7 @@ struct Shared {
     state: Mutex<ServerState>,
     changed: Condvar,
     listener: OnceLock<WaitingListener>,
-    /// The listener was told that the server is waited for.
+    /// Whether the listener knows that the server is waited for.
     told: AtomicBool,
 }
 
@@ -158,7 +158,7 @@ impl ChatClient {
                 drop(give.send(Box::new(move || done(client.ask(&request, repeat)))));
             }
             Err(error) => done(Err(AskError::Stopped(format!(
-                "cannot start a thread for a request: {error}; run fewer --lanes"
+                "cannot start a thread for a request: {error}; lower --lanes"
             )))),
         }
     }
@@ -248,7 +248,7 @@ impl Shared {
         }
     }
 
-    /// Notes a failed attempt; an error when there is no other one.
+    /// Records a failed attempt; returns an error when there is no further attempt.
     fn failed(
         &self,
         attempts: &mut Attempts,
@@ -275,7 +275,7 @@ impl Shared {
         }
     }
 
-    /// Tells the listener that the server is waited for, or, once, that it answers again.
+    /// Calls the listener with the reason for waiting, or, once, with `None` when the server answers again.
     fn report(&self, waiting: Option<&str>) {
         let before = self.told.swap(waiting.is_some(), Ordering::Relaxed);
         if let Some(listener) = self.listener.get()
@@ -285,14 +285,14 @@ impl Shared {
         }
     }
 
-    /// Stores a reply. A failure costs nothing but another request some day, so it is logged once.
+    /// Stores a reply. A failure costs at most another request later, so it is logged once.
     fn store(&self, key: Option<&CacheKey>, reply: &ChatReply) {
         let Some((cache, key)) = self.cache.as_ref().zip(key) else { return };
         let Err(error) = cache.put(key, &self.http.settings().model, reply) else { return };
         if !self.unwritable.swap(true, Ordering::Relaxed) {
             let folder = cache.folder().display();
             tracing::warn!(
-                "replies cannot be stored in {folder}: {error}; the run goes on without"
+                "replies cannot be stored in {folder}: {error}; the run continues without them"
             );
         }
     }

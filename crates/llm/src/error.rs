@@ -1,4 +1,4 @@
-//! Why a request got no reply. None of it is the model's doing.
+//! Why a request got no reply. None of these errors counts against the model.
 
 use std::time::Duration;
 
@@ -74,7 +74,7 @@ pub enum Transient {
         /// The pause that it asks for.
         retry_after: Duration,
     },
-    /// No answer before the attempt's deadline.
+    /// There was no answer before the attempt's deadline.
     #[error("no answer within {:.3} s: the server is slow or hangs; a longer --request-timeout gives it more time", .0.as_secs_f64())]
     Timeout(Duration),
     /// No connection could be opened.

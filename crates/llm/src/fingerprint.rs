@@ -1,5 +1,5 @@
-//! What a server tells about itself: software, version, model file, context length. It explains differences between
-//! scores; nothing is decided on it.
+//! What a server reports about itself: software, version, model file, context length. It can explain differences
+//! between scores and has no other use.
 //!
 //! Only fields known to be harmless are copied, since some servers list their own keys on these pages.
 

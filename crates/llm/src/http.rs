@@ -20,10 +20,10 @@ use crate::reply::{self, ChatReply};
 use crate::request::{ChatRequest, Dialect};
 use crate::server;
 
-/// Most bytes of an answer that are read.
+/// Maximum number of bytes that are read of an answer.
 const LARGEST_ANSWER: u64 = 16 << 20;
 
-/// Most connections that are kept open for later requests.
+/// Maximum number of connections that are kept open for later requests.
 const IDLE_CONNECTIONS: usize = 256;
 
 /// The outcome of sending a request in one dialect.
@@ -46,7 +46,7 @@ pub(crate) struct HttpClient {
     agent: Agent,
     endpoint: Endpoint,
     settings: ChatSettings,
-    /// The [`Dialect`] of the server, as far as its refusals have told.
+    /// The [`Dialect`] of the server, as far as its refusals show.
     dialect: AtomicU32,
 }
 
@@ -168,7 +168,7 @@ impl HttpClient {
 
     fn read<T>(&self, response: &Response<T>, answer: &str) -> Result<ChatReply, AttemptError> {
         let media_type = header(response, CONTENT_TYPE).unwrap_or_default();
-        // A missing one is no reason to reject an answer that can be read.
+        // A missing content type is no reason to reject an answer that can be read.
         if !media_type.is_empty() && !media_type.to_ascii_lowercase().contains("json") {
             let media_type = media_type.split(';').next().unwrap_or_default();
             return Err(self.not_chat(format!("{}, not JSON", self.endpoint.masked(media_type))));

@@ -1,4 +1,4 @@
-//! A client for chat completions of the OpenAI interface, and the project's only HTTP.
+//! A client for chat completions of the OpenAI interface. The only crate that uses HTTP.
 //!
 //! - [`Endpoint`]: the address of a server and the key for it ([`ApiKey`]), from flags, environment or `.env`;
 //! - [`ChatRequest`] and [`ChatReply`]: messages of text and images; an answer and the tokens it took;

@@ -14,10 +14,10 @@ use crate::fingerprint::{self, Fingerprint, ModelList};
 use crate::reply::{ChatReply, ReplyContent};
 use crate::request::{ChatMessage, ChatRequest, ChatRole, ContentPart, ImageUrl, MessageContent};
 
-/// Most tokens of a short answer, as in a run.
+/// Maximum number of tokens of a short answer, as in a run.
 const ANSWER_TOKENS: u32 = 30;
 
-/// Most tokens of an answer whose time is taken.
+/// Maximum number of tokens of an answer whose time is measured.
 const TIMED_TOKENS: u32 = 64;
 
 /// Edge of the coloured squares, in pixels: above the patch size of every model known.
@@ -87,7 +87,7 @@ impl ProbeReport {
 pub struct RunRequest<'a> {
     /// Its images.
     pub images: u32,
-    /// The request with at most so many images.
+    /// The request with at most this many images.
     pub with: &'a dyn Fn(u32) -> ChatRequest,
 }
 

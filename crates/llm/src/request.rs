@@ -97,7 +97,7 @@ fn as_str<S: Serializer>(text: &Arc<str>, to: S) -> Result<S::Ok, S::Error> {
 pub struct ChatRequest {
     /// The conversation so far.
     pub messages: Vec<ChatMessage>,
-    /// Most tokens of the answer.
+    /// Maximum number of tokens of the answer.
     pub max_tokens: u32,
     /// The only answers allowed, where the server can enforce that; empty for free text.
     pub choices: Vec<&'static str>,

@@ -29,10 +29,10 @@ const MOST_GIVEN_UP: u32 = 3;
 /// Requests that may be refused for their content before the first reply.
 const MOST_REFUSED: u32 = 5;
 
-/// The deadline of an attempt is at most so many times that of the settings.
+/// The deadline of an attempt is at most this many times that of the settings.
 const MOST_PATIENCE: u32 = 8;
 
-/// An attempt may take so many times the recent latency.
+/// An attempt may take this many times the recent latency.
 const LATENCY_FACTOR: u32 = 3;
 
 const TOO_MANY_REQUESTS: u16 = 429;

@@ -1,4 +1,4 @@
-//! The SDK for programs that take a role in a run: the policy, written by anyone, in a process of its own.
+//! The SDK for a replaceable process of a run: a policy, written by anyone, in a process of its own.
 //!
 //! A policy is a type that implements [`Policy`] and a `main` that calls [`serve_from_environment`]. The SDK joins the
 //! run, receives messages, joins those that belong together, pins frames, checks values and reports errors.

@@ -82,7 +82,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_plate_answers_to_its_own_names_only() {
+    fn a_plate_matches_its_own_names_only() {
         let plate = Plate::new("barrels", "blue barrel");
         assert!(plate.is_category("barrels") && plate.is_type("blue barrel"));
         assert!(!plate.is_category("cones") && !plate.is_type("red barrel"));

@@ -20,7 +20,7 @@ const BAND_M: f32 = (SIZE_M - 2.0 * FRAME_M) / BANDS as f32;
 /// Distance between a cell's centre and a plate on the face of the rack beside it, in metres.
 const PLATE_M: f32 = 0.5 - FACE_OFFSET_M;
 
-/// Least pixels per metre: the bands are 1.4 pixels high then.
+/// Minimum number of pixels per metre: the bands are 1.4 pixels high then.
 const LEAST_SCALE: f32 = 28.0;
 
 /// Largest difference to the exact channel values of a band.

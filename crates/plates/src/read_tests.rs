@@ -83,7 +83,7 @@ fn sightings_become_landmarks_in_the_world() {
 }
 
 #[test]
-fn a_picture_of_the_wrong_size_shows_nothing() {
+fn an_image_of_the_wrong_size_shows_nothing() {
     let pixels = [255, 0, 255, 255].repeat(64 * 64);
     let cut = |width, height, bytes: usize| read(width, height, &pixels[..bytes]);
     assert_eq!(cut(64, 64, 64 * 64 * 4), []);
@@ -113,7 +113,7 @@ proptest! {
     }
 
     #[test]
-    fn any_bytes_are_a_picture(
+    fn any_bytes_are_accepted(
         pixels in prop::collection::vec(prop::sample::select(vec![0_u8, 128, 255]), 64 * 64 * 4),
         width in 0..80_u32,
     ) {

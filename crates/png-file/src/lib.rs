@@ -281,7 +281,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_image_is_refused() {
+    fn bytes_that_are_not_an_image_are_refused() {
         let short = encode(2, 2, Channels::Rgba, &[0; 15]).unwrap_err().to_string();
         assert_eq!(short, "15 bytes are not 2 x 2 pixels of 4 channels");
         assert!(encode(0, 0, Channels::Rgb, &[]).is_err());

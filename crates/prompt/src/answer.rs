@@ -223,7 +223,7 @@ mod tests {
 
     proptest::proptest! {
         #[test]
-        fn no_text_makes_it_panic(text in proptest::prelude::any::<String>()) {
+        fn no_text_causes_a_panic(text in proptest::prelude::any::<String>()) {
             let _ = read_answer(&text);
         }
     }

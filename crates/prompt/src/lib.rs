@@ -1,8 +1,8 @@
 //! The prompt of a vision-language model (specification, sections 1, 2 and 5).
 //!
-//! One template, [`version`], serves all representations; its every word is in `v1.toml`. A prompt is one system message,
-//! always the same, and one user message, with what changes least first, so that a server with a prefix cache reads it
-//! once: memory, task, recent steps, now. `docs/prompt.md` shows one in full.
+//! One template, [`version`], serves all representations; all its texts are in `v1.toml`. A prompt is one system
+//! message, always the same, and one user message that begins with what changes least, so that a server with a prefix
+//! cache reads it once: memory, task, recent steps, now. `docs/prompt.md` shows one in full.
 //!
 //! - [`Prompt::new`] renders a [`Request`] within an image budget;
 //! - [`read_answer`] finds the action in a model's answer;
@@ -55,10 +55,10 @@ pub fn request_settings() -> Value {
     })
 }
 
-/// Most tokens of an answer, by default.
+/// Maximum number of tokens of an answer, by default.
 pub const ANSWER_TOKENS: u32 = 30;
 
-/// Most images of a prompt, by default.
+/// Maximum number of images of a prompt, by default.
 pub const IMAGE_BUDGET: u32 = 50;
 
 /// A section of a prompt.

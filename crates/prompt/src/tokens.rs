@@ -1,9 +1,9 @@
 //! How many tokens a text has, before any server has counted them.
 
-/// Characters of English prose to a token.
+/// Characters of English prose per token.
 pub const PROSE: f64 = 4.0;
 
-/// Characters of a document to a token: coordinates make short tokens. A summary of 42,136 characters has 18,700.
+/// Characters of a document per token: coordinates make short tokens. A summary of 42,136 characters has 18,700.
 pub const DOCUMENT: f64 = 2.3;
 
 /// The tokens of `prose` characters of prose and `document` characters of documents, rounded up.

@@ -206,7 +206,7 @@ fn every_file_has_the_prompt_of_its_request() {
             wrong.push(format!("{}:\n{readable}", path.display()));
         }
     }
-    assert!(wrong.is_empty(), "UPDATE_GOLDEN=1 keeps these prompts:\n{}", wrong.join("\n"));
+    assert!(wrong.is_empty(), "UPDATE_GOLDEN=1 accepts these prompts:\n{}", wrong.join("\n"));
 }
 
 #[test]

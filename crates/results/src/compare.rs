@@ -91,7 +91,7 @@ pub fn differing_settings(a: &RunLog, b: &RunLog) -> Vec<Difference> {
     differences
 }
 
-/// Whether the same case is the same case in both runs.
+/// Whether cases with the same id are the same in both runs.
 fn same_world(a: &RunLog, b: &RunLog) -> Result<(), CompareError> {
     let hash = |log: &RunLog, what: &str| log.manifest.hashes.get(what).cloned();
     for what in ["layout", "catalogue", "cases"] {

@@ -101,8 +101,8 @@ impl Start {
     }
 }
 
-/// One cell of a table of results. Written `memory/start/route/demonstrations`, and after that what departs
-/// from the standard [`Variation`]: `working/original/unchanged/none/h20`.
+/// One cell of a table of results. Written `memory/start/route/demonstrations`, followed by the deviations from the
+/// standard [`Variation`]: `working/original/unchanged/none/h20`.
 ///
 /// Always in its normal form, see [`Condition::new`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
@@ -121,10 +121,10 @@ pub struct Condition {
 }
 
 impl Condition {
-    /// The condition in its normal form: what makes no difference is as it is in the standard, so that two
-    /// conditions differ only where their episodes can. `None` where there is no such condition.
+    /// Returns the condition in its normal form: settings without effect have their standard values, so that two
+    /// conditions differ only if their episodes can. `None` if there is no such condition.
     ///
-    /// - A memory that needs no demonstration has none; the others need one at least.
+    /// - A memory that needs no demonstration has none; the others need at least one.
     /// - A blocked route is defined for the new start only (specification, section 4).
     /// - The content of a segment varies only for memories that retrieve one.
     /// - The hint applies where it is true and of use: at the original start, with the original demonstration alone,
@@ -152,7 +152,7 @@ impl Condition {
         exists.then_some(condition)
     }
 
-    /// Whether the demonstration starts where the episode does, and the policy is shown it.
+    /// Whether the demonstration starts where the episode does, and is supplied to the policy.
     fn can_be_hinted(&self) -> bool {
         self.start == Start::Original
             && self.demonstrations == Demonstrations::ORIGINAL
@@ -172,29 +172,29 @@ impl fmt::Display for Condition {
     }
 }
 
-/// Why a text is not a condition.
+/// A text that is not a condition.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum BadCondition {
-    /// A part is not what it should be.
+    /// A part has an unknown name.
     #[error(transparent)]
     Name(#[from] UnknownName),
-    /// The demonstrations are not what they should be.
+    /// The demonstrations are not valid.
     #[error(transparent)]
     Demonstrations(#[from] UnknownDemonstrations),
-    /// A part is missing, or one too many.
+    /// A part is missing, or there is one too many.
     #[error(
-        "`{0}` is not a condition: write memory/start/route/demonstrations, then what departs from the \
+        "`{0}` is not a condition: write memory/start/route/demonstrations, then any deviation from the \
          standard (/h20, /images, /no-hint)"
     )]
     Parts(String),
     /// Not in its normal form, or there is no such condition.
     #[error("there is no condition `{given}`{}", normal.map_or_else(
-        String::new, |normal| format!("; the same episodes are those of `{normal}`")
+        String::new, |normal| format!("; its episodes are those of `{normal}`")
     ))]
     NotNormal {
-        /// What was written.
+        /// The text.
         given: String,
-        /// What should have been.
+        /// The normal form of its condition, if there is one.
         normal: Option<Condition>,
     },
 }
@@ -244,7 +244,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_condition_says_no_more_than_makes_a_difference() {
+    fn a_condition_is_reduced_to_its_normal_form() {
         let all = Variation { window: 20, segment: SegmentContent::Images, hint: Hint::Off };
         let written = |memory, start, route, demonstrations: &str| {
             let demonstrations = demonstrations.parse().unwrap();
@@ -318,9 +318,9 @@ mod tests {
     #[test]
     fn what_is_no_condition_is_said() {
         let error = |text: &str| text.parse::<Condition>().unwrap_err().to_string();
-        insta::assert_snapshot!(error("episodic/new/unchanged"), @"`episodic/new/unchanged` is not a condition: write memory/start/route/demonstrations, then what departs from the standard (/h20, /images, /no-hint)");
-        insta::assert_snapshot!(error("working/new/unchanged/none/h200"), @"`working/new/unchanged/none/h200` is not a condition: write memory/start/route/demonstrations, then what departs from the standard (/h20, /images, /no-hint)");
-        insta::assert_snapshot!(error("working/new/unchanged/4/h6"), @"there is no condition `working/new/unchanged/4/h6`; the same episodes are those of `working/new/unchanged/none`");
+        insta::assert_snapshot!(error("episodic/new/unchanged"), @"`episodic/new/unchanged` is not a condition: write memory/start/route/demonstrations, then any deviation from the standard (/h20, /images, /no-hint)");
+        insta::assert_snapshot!(error("working/new/unchanged/none/h200"), @"`working/new/unchanged/none/h200` is not a condition: write memory/start/route/demonstrations, then any deviation from the standard (/h20, /images, /no-hint)");
+        insta::assert_snapshot!(error("working/new/unchanged/4/h6"), @"there is no condition `working/new/unchanged/4/h6`; its episodes are those of `working/new/unchanged/none`");
         insta::assert_snapshot!(error("episodic/original/blocked/4"), @"there is no condition `episodic/original/blocked/4`");
         insta::assert_snapshot!(error("episodic/newer/blocked/4"), @"unknown start `newer`: did you mean `new`? (known: original, new)");
     }

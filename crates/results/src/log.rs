@@ -9,27 +9,32 @@
 //! | `errors.jsonl` | episodes given up because of a fault of the infrastructure | as they happen |
 //! | `sessions.jsonl` | starts, restarts and ends of the processes | as they happen |
 //! | `documents/` | the documents that memory supplies | before the first episode |
-//! | `prompts/` | requests to the policy and its answers ([`domain::prompt_log`]), where asked for | by it |
+//! | `prompts/` | requests to the policy and its answers ([`domain::prompt_log`]), with `--log-prompts` | by the policy |
 //! | `*.damaged.jsonl` | lines that could not be used, moved there | when the run is resumed |
 //! | `logs/` | stderr of the processes | by them |
-//! | `report/` | pages and data files about it ([`report`](crate::report)) | when asked for |
+//! | `report/` | pages and data files ([`report`](crate::report)) | by `memtransfer report` |
 //!
-//! Scores are made from these files alone ([`score`](crate::score)).
+//! Scores are computed from these files alone ([`score`](crate::score)).
 
 mod check;
+mod existing;
+mod files;
 mod folder;
 mod journal;
 mod manifest;
 mod record;
 mod replay;
+mod run_log;
 
-pub use folder::{Opened, REPORT_FOLDER, RunFolder, RunLog, STATUS_FILE};
+pub use files::{REPORT_FOLDER, STATUS_FILE};
+pub use folder::{Opened, RunFolder};
 pub use journal::{DamagedLine, Journal, JournalContents, damaged_file, read_journal};
 pub use manifest::{Difference, DocumentFacts, FORMAT, Manifest};
 pub use record::{
     Ending, EpisodeError, EpisodeRecord, EpisodeTimings, RecallTotals, RequestRecord, SessionEvent,
     SessionRecord, Stages, Unread,
 };
+pub use run_log::RunLog;
 
 #[cfg(any(test, feature = "testing"))]
 pub mod testing;
@@ -60,7 +65,7 @@ pub enum LogError {
     },
     /// The folder holds a run with other settings.
     #[error(
-        "{} holds a run with other settings:\n{}\nUse the same settings to go on with it, --fresh to start \
+        "{} holds a run with other settings:\n{}\nUse the same settings to continue it, --fresh to start \
          over, or another --out",
         dir.display(), differences.iter().map(|d| format!("  {d}")).collect::<Vec<_>>().join("\n")
     )]
@@ -72,7 +77,7 @@ pub enum LogError {
     },
     /// The folder holds finished episodes that the run does not have.
     #[error(
-        "{} holds {count} finished episodes that this command leaves out, for example {example}. A run can grow and not \
+        "{} holds {count} finished episodes that this command leaves out, for example {example}. A run can grow, but not \
          shrink: ask for at least the same memories, conditions, cases and runs, use --fresh to start over, or choose \
          another --out",
         dir.display()
@@ -94,7 +99,7 @@ pub enum LogError {
         dir: PathBuf,
     },
     /// There is no run there.
-    #[error("{} holds no run: `memtransfer ls runs` lists those there are", dir.display())]
+    #[error("{} holds no run: `memtransfer ls runs` lists the runs", dir.display())]
     NoRun {
         /// The folder.
         dir: PathBuf,

@@ -48,17 +48,17 @@ pub enum ReportError {
     /// The system refused.
     #[error("cannot write {}: {source}", path.display())]
     Write {
-        /// What.
+        /// The file.
         path: PathBuf,
-        /// What it said.
+        /// The system's error.
         source: io::Error,
     },
-    /// A page could not be made of its template.
+    /// A page could not be rendered from its template.
     #[error("cannot make {page}: {source}; this is a mistake in the program, please report it")]
     Template {
-        /// Which page.
+        /// The page.
         page: &'static str,
-        /// What is wrong.
+        /// The template engine's error.
         source: askama::Error,
     },
     /// The built-in figures of the paper cannot be read.
@@ -71,7 +71,7 @@ pub fn document(logs: &[RunLog], published: &Published) -> Document {
     arrange(&views(logs, published))
 }
 
-/// `document` as one HTML page that needs nothing else.
+/// `document` as one self-contained HTML page.
 ///
 /// # Errors
 /// When the template fails, which would be a bug.

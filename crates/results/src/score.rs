@@ -3,10 +3,10 @@
 //! Pure functions with the formulas of section 7 of the specification and of the paper's section on metrics, a file
 //! for each family.
 //!
-//! Every figure is computed for each run by itself, then averaged over runs ([`Spread`]). What was not measured, or
-//! is not defined, is `None`, never zero. Figures are over finished episodes. Where episodes are missing, because
-//! they were given up after a fault of the infrastructure, or because the run is not over, [`Bounds`] says what the
-//! missing ones can make of it.
+//! Every figure is computed for each run by itself, then averaged over runs ([`Spread`]). A figure that was not
+//! measured, or is not defined, is `None`, never zero. Figures are over finished episodes. Where episodes are missing,
+//! because they were given up after a fault of the infrastructure, or because the run is not over, [`Bounds`] gives the
+//! range that the missing ones allow.
 //!
 //! | figure | file |
 //! |---|---|
@@ -15,7 +15,7 @@
 //! | images, tokens, unreadable answers, retrievals from other tasks | `cost.rs` |
 //! | tokens, latency and cost of requests to a model | `requests.rs` |
 //! | kinds of failure, the cases that fail most | `failure.rs`, `worst.rs` |
-//! | time of a step by stage, steps a second | `time.rs` |
+//! | time of a step by stage, steps per second | `time.rs` |
 //! | 95 % intervals: of rates, of other figures | `interval.rs`, `bootstrap.rs` |
 //! | two configurations on the same cases | `compare.rs` |
 
@@ -62,7 +62,7 @@ pub struct Scores {
     pub planned: usize,
     /// Finished episodes.
     pub finished: usize,
-    /// Episodes given up because of a fault that is not the policy's. They enter no figure.
+    /// Episodes given up because of a fault that is not the policy's. They are not part of any figure.
     pub errored: usize,
     /// Steps of all finished episodes per second of running time.
     pub steps_per_s: Option<f64>,

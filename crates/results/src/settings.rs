@@ -1,7 +1,7 @@
 //! The settings of a run, as the manifest records them.
 //!
-//! How they are put together from flags, environment variables and suite files, and checked, is the
-//! orchestrator's part. A key has the same name in all of those places.
+//! The orchestrator merges them from flags, environment variables and suite files, and checks them. A key has the same
+//! name in all of those places.
 
 mod cases;
 mod documents;
@@ -159,8 +159,8 @@ impl RunSettings {
     }
 }
 
-/// Keys that do not change any result, so that a run may be resumed with other values of them. `suite` and
-/// `assets` are among them because what they contain is compared instead: settings, and hashes of files.
+/// Keys that do not change any result, so that a run may be resumed with other values of them. `suite` and `assets` are
+/// among them because their contents are compared instead: settings, and hashes of files.
 pub const FREE_KEYS: &[&str] = &[
     "suite",
     "assets",

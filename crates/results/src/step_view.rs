@@ -51,7 +51,7 @@ pub struct RecordedPrompt {
     /// The texts that the entry names, by their hash.
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
     pub texts: BTreeMap<Hash, String>,
-    /// The images that the entry names, by their hash: where they are.
+    /// The files of the images that the entry names, by their hash.
     pub images: BTreeMap<Hash, PathBuf>,
 }
 
@@ -109,7 +109,7 @@ fn prompt(log: &RunLog, timings: &EpisodeTimings, step: u32) -> Result<Option<Re
         return Ok(None);
     }
     let unreadable = || format!("cannot read {}", file.display());
-    let start = line_start(timings.ticket, step);
+    let start = line_start(timings.episode, step);
     let mut found = None;
     for line in BufReader::new(File::open(&file).with_context(unreadable)?).lines() {
         let line = line.with_context(unreadable)?;

@@ -6,7 +6,7 @@ use std::fmt;
 pub const WIDTH: usize = 100;
 /// Spaces between columns.
 const GAP: usize = 2;
-/// The narrowest a column of text becomes by wrapping.
+/// Minimum width of a column of text that wraps.
 const NARROWEST: usize = 8;
 
 /// A table of text. Columns of text wrap where the table would be wider than [`WIDTH`].
@@ -14,17 +14,25 @@ const NARROWEST: usize = 8;
 pub struct TextTable {
     header: Vec<String>,
     rows: Vec<Vec<String>>,
-    /// The first column of numbers: they are aligned to the right and do not wrap.
-    numbers: usize,
+    /// Whether each column is text, which is aligned to the left and wraps; numbers are aligned to the right.
+    is_text: Vec<bool>,
 }
 
 /// Makes a table with columns of numbers from column `numbers` on.
 pub fn table<T: AsRef<str>>(header: &[T], numbers: usize) -> TextTable {
+    let is_text = (0..header.len()).map(|column| column < numbers).collect();
     let header = header.iter().map(|name| name.as_ref().to_owned()).collect();
-    TextTable { header, rows: Vec::new(), numbers }
+    TextTable { header, rows: Vec::new(), is_text }
 }
 
 impl TextTable {
+    /// Makes column `column` a column of text.
+    pub fn set_text(&mut self, column: usize) {
+        if let Some(is_text) = self.is_text.get_mut(column) {
+            *is_text = true;
+        }
+    }
+
     /// Adds a row; missing cells are empty.
     pub fn add_row<T: Into<String>>(&mut self, cells: impl IntoIterator<Item = T>) {
         let mut row: Vec<String> = cells.into_iter().map(Into::into).collect();
@@ -48,11 +56,11 @@ impl TextTable {
         }
         let gaps = GAP * widths.len().saturating_sub(1);
         let mut excess = (widths.iter().sum::<usize>() + gaps).saturating_sub(WIDTH);
-        // The widest column of text gives way, one character at a time.
+        // The widest column of text shrinks, one character at a time.
         while excess > 0 {
-            let text = widths.iter_mut().take(self.numbers.max(1));
-            match text.max_by_key(|width| **width).filter(|width| **width > NARROWEST) {
-                Some(width) => *width -= 1,
+            let text = widths.iter_mut().zip(&self.is_text).filter(|(_, is_text)| **is_text);
+            match text.max_by_key(|(width, _)| **width).filter(|(width, _)| **width > NARROWEST) {
+                Some((width, _)) => *width -= 1,
                 None => break,
             }
             excess -= 1;
@@ -72,9 +80,9 @@ impl TextTable {
         let height = cells.iter().map(Vec::len).max().unwrap_or(0).max(1);
         for line in 0..height {
             let mut text = String::new();
-            for (column, (cell, width)) in cells.iter().zip(widths).enumerate() {
+            for ((cell, width), is_text) in cells.iter().zip(widths).zip(&self.is_text) {
                 let part = cell.get(line).map_or("", String::as_str);
-                text += &match column < self.numbers {
+                text += &match is_text {
                     true => format!("{part:<width$}"),
                     false => format!("{part:>width$}"),
                 };

@@ -40,7 +40,7 @@ fn scores_equal_those_of_version_1() {
 }
 
 #[test]
-fn a_run_of_version_1_goes_on_and_another_format_is_refused_in_one_line() {
+fn a_run_of_version_1_can_be_resumed_and_another_format_is_refused_in_one_line() {
     let dir = tempfile::tempdir().unwrap();
     for name in ["manifest.json", "episodes.jsonl", "timings.jsonl", "sessions.jsonl"] {
         std::fs::copy(folder().join(name), dir.path().join(name)).unwrap();

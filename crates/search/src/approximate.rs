@@ -21,7 +21,7 @@ pub struct GraphOptions {
     pub connectivity: usize,
     /// Candidates considered while a node is inserted (`efConstruction`).
     pub building: usize,
-    /// Candidates considered by a query (`efSearch`): more find more, and take longer.
+    /// Candidates considered by a query (`efSearch`): a larger number finds more and takes longer.
     pub searching: usize,
 }
 
@@ -52,7 +52,7 @@ impl<'a> ApproximateIndex<'a> {
     /// Builds the graph of an index.
     ///
     /// # Errors
-    /// When the library fails, for want of memory for example.
+    /// When the library fails, for example for lack of memory.
     pub fn new(
         index: &'a Index,
         options: GraphOptions,
@@ -165,7 +165,7 @@ mod tests {
     use crate::{IndexBuilder, ViewEntry};
 
     #[test]
-    fn most_of_what_an_exact_search_finds_is_found_and_measured_alike() {
+    fn most_nearest_views_are_found_with_their_exact_distances() {
         let vectors = SyntheticVectors::new(Vec::new(), 70, 5);
         let mut builder = IndexBuilder::default();
         for number in 0..3000_u16 {
@@ -193,7 +193,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_is_found_among_nothing() {
+    fn an_empty_index_finds_nothing() {
         let index = IndexBuilder::default().build();
         let graph =
             ApproximateIndex::new(&index, GraphOptions::default(), NonZeroUsize::MIN).unwrap();

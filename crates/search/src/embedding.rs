@@ -101,7 +101,7 @@ mod tests {
     }
 
     #[test]
-    fn what_has_no_direction_is_no_embedding() {
+    fn a_vector_without_direction_is_no_embedding() {
         assert!(Embedding::normalised(&[0.0, 0.0]).is_none());
         assert!(Embedding::normalised(&[f32::NAN, 1.0]).is_none());
         assert!(Embedding::normalised(&[f32::INFINITY, 1.0]).is_none());

@@ -21,7 +21,7 @@ pub struct ViewEntry {
     pub stage: u32,
 }
 
-/// The current view, as far as it decides what is nearest.
+/// The current view, as far as it determines what is nearest.
 #[derive(Debug, Clone, Copy)]
 pub struct Query<'a> {
     /// Its embedding.
@@ -41,13 +41,14 @@ pub struct Neighbour {
     pub distance: f32,
 }
 
-/// Rows from which on one query scans quantized vectors. With fewer, quantizing costs more than an episode saves.
+/// Number of rows from which a single query scans quantized vectors. With fewer, quantizing costs more than an episode
+/// saves.
 const QUANTIZED_FROM_ROWS: usize = 1000;
 
-/// Queries from which on quantized vectors are scanned even for few rows.
+/// Number of queries from which quantized vectors are scanned even for few rows.
 const QUANTIZED_FROM_QUERIES: usize = 16;
 
-/// Bytes of codes from which on a search uses several threads.
+/// Number of bytes of codes from which a search uses several threads.
 const THREADED_FROM_BYTES: usize = 8 << 20;
 
 /// Remembered views, ready to be searched.
@@ -323,7 +324,7 @@ mod tests {
     }
 
     #[test]
-    fn ties_go_by_stage_then_elapsed_steps_then_demonstration() {
+    fn ties_are_ordered_by_stage_then_elapsed_steps_then_demonstration() {
         let one = Embedding::normalised(&[1.0, 0.0]).unwrap();
         let entry = |demonstration, step, stage| ViewEntry { demonstration, step, stage };
         let views = [entry(0, 3, 0), entry(0, 9, 1), entry(1, 7, 1), entry(2, 7, 1)];

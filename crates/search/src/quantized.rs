@@ -16,7 +16,7 @@ use crate::kernels::{self, BLOCK_ROWS, CODE_ZERO, Level, QuantizedVector};
 use crate::matrix::{CodeLine, Matrix};
 use crate::pages;
 
-/// Rows that the centre is the mean of, at most. Any centre is correct; a good one makes errors small.
+/// Maximum number of rows whose mean is the centre. Any centre is correct; a good one makes errors small.
 const CENTRE_SAMPLE: usize = 4096;
 
 /// Bytes behind the codes of a record: scale and half norm.

@@ -99,7 +99,7 @@ impl Launch {
     }
 }
 
-/// The end of a child that was not asked to end.
+/// A child that ended without being asked to.
 #[derive(Debug)]
 pub struct ChildExit {
     /// Its role.

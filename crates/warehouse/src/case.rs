@@ -58,7 +58,7 @@ impl Start {
     }
 }
 
-/// What kind of histories of other tasks a case is tested with (specification, section 6).
+/// The kind of histories of other tasks that a case is tested with (specification, section 6).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub enum Mixture {
     /// They share no pose with the test reference.

@@ -23,10 +23,10 @@ pub const CASES_FILE: &str = "cases.toml";
 
 const SHIPPED_CASES: &str = include_str!("../../../assets/cases.toml");
 
-/// Most cases of a set.
+/// Maximum number of cases of a set.
 const MAX_CASES: usize = 100_000;
 
-/// Most bytes of a case's id, which becomes part of file names and log keys.
+/// Maximum number of bytes of a case's id, which becomes part of file names and log keys.
 const MAX_ID: usize = 32;
 
 const HEADER: &str = "\

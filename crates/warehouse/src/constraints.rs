@@ -14,13 +14,13 @@ use crate::world::{Item, Warehouse};
 /// Distance of a nearby start along the aisle, in cells.
 pub(crate) const NEARBY_CELLS: std::ops::RangeInclusive<u8> = 2..=4;
 
-/// Least distance of a distant start, in cells (columns plus rows).
+/// Minimum distance of a distant start, in cells (columns plus rows).
 pub(crate) const DISTANT_CELLS: u32 = 6;
 
 /// Length of the test reference, in percent of the original demonstration's.
 pub(crate) const TEST_LENGTH_PERCENT: std::ops::RangeInclusive<u32> = 75..=135;
 
-/// Most steps of any trajectory of a generated set, in percent of the fewest steps that complete its task.
+/// Maximum number of steps of any trajectory of a generated set, in percent of the fewest steps that complete its task.
 pub const MAX_DETOUR_PERCENT: u32 = 150;
 
 /// An undirected move between two neighbouring cells, the smaller cell first.

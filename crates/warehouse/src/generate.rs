@@ -28,13 +28,13 @@ pub const SHIPPED_COUNT: usize = 100;
 /// step limit.
 const ORIGINAL_STEPS: std::ops::RangeInclusive<u32> = 10..=80;
 
-/// Least steps of any trajectory.
+/// Minimum number of steps of any trajectory.
 const LEAST_STEPS: u32 = 6;
 
-/// Most steps of the blocked reference, which is longer than the test reference.
+/// Maximum number of steps of the blocked reference, which is longer than the test reference.
 const MOST_BLOCKED_STEPS: u32 = 120;
 
-/// Least distance between the test start and every demonstration's start, in cells.
+/// Minimum distance between the test start and every demonstration's start, in cells.
 const TEST_CELLS: u32 = 3;
 
 /// Original starts tried for a choice of targets, and choices of targets tried for a case.
@@ -366,7 +366,7 @@ mod tests {
     }
 
     #[test]
-    fn a_thousand_cases_are_as_good_and_as_varied() {
+    fn a_thousand_cases_satisfy_every_constraint_and_vary() {
         let warehouse = Warehouse::shipped();
         let cases = CaseSet::generate(&warehouse, 77, 1000).unwrap();
         let report = crate::validate::check(&warehouse, &cases);

@@ -23,7 +23,7 @@ use crate::draw::Draw;
 use crate::task::Task;
 use crate::world::Warehouse;
 
-/// Most cases that one history serves as an irrelevant one, and again as a confusable one.
+/// Maximum number of cases that one history serves as an irrelevant one, and again as a confusable one.
 pub const MOST_SERVED: usize = 4;
 
 /// What a history has in common with a case's test reference.

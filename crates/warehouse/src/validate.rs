@@ -75,7 +75,7 @@ fn floor(report: &mut ValidationReport, layout: &Layout) {
 
     let passages = layout.passages();
     report.push(
-        "every two aisles stay connected when any one passage is closed",
+        "any two aisles stay connected when one passage is closed",
         passages.iter().map(|closed| {
             let open = layout.free_cells().filter(|cell| !closed.contains(cell)).collect();
             let touches = |part: &Vec<Cell>, aisle| {
@@ -131,7 +131,7 @@ fn items(report: &mut ValidationReport, warehouse: &Warehouse) {
         Plate::new(&catalogue.categories[item_type.category].name, &item_type.name)
     };
     report.push(
-        "plates tell every two types and every two categories apart",
+        "any two types and any two categories have different plates",
         (0..catalogue.types.len()).flat_map(|b| (0..b).map(move |a| (a, b))).map(|(a, b)| {
             let (one, other) = (&catalogue.types[a], &catalogue.types[b]);
             let (plate_a, plate_b) = (plate(a), plate(b));

@@ -13,7 +13,7 @@ const CATALOGUE_FILE: &str = "catalogue.toml";
 const SHIPPED_LAYOUT: &str = include_str!("../../../assets/layout.toml");
 const SHIPPED_CATALOGUE: &str = include_str!("../../../assets/catalogue.toml");
 
-/// Most items of one category, because planning searches all visit orders.
+/// Maximum number of items of one category, because planning searches all visit orders.
 const MAX_CATEGORY: usize = 16;
 
 /// One item in its bay.

@@ -1,4 +1,4 @@
-//! The assets in `assets/` are what the program makes of them.
+//! The files in `assets/` are those that the program generates.
 
 use std::path::Path;
 
@@ -19,10 +19,14 @@ fn the_shipped_cases_are_what_their_seed_gives() {
     let shipped = std::fs::read_to_string(&path).unwrap();
     assert!(
         text == shipped,
-        "assets/cases.toml is not what seed {SHIPPED_SEED} gives; if the change is meant, write it \
+        "assets/cases.toml is not what seed {SHIPPED_SEED} gives; if the change is intended, write it \
          anew: {REGENERATE}=1 cargo test --release -p warehouse --test shipped"
     );
-    assert_eq!(CaseSet::load(&path, &warehouse).unwrap(), generated, "reading gives the set back");
+    assert_eq!(
+        CaseSet::load(&path, &warehouse).unwrap(),
+        generated,
+        "the file is read back as the same set"
+    );
 }
 
 #[test]

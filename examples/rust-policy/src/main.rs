@@ -15,25 +15,25 @@ impl Policy for Wanderer {
         "wanderer"
     }
 
-    // All requests that wait at this moment, each of another episode: a policy that asks a model can ask for
-    // all of them at once. One decision for each, in the same order.
+    // All requests that wait now, each of another episode: a policy that asks a model can send all of its requests at
+    // once. Return one decision for each, in the same order.
     fn act(&mut self, batch: &[Request<'_>]) -> Vec<Decision> {
         batch.iter().map(|request| Decision::act(request, decide(request))).collect()
     }
 }
 
-// From the request alone: the same request gets the same action, so that a run can be repeated.
+// Decide from the request alone: a run can be repeated if equal requests get equal actions.
 fn decide(request: &Request<'_>) -> Action {
     // Episodic memory: the demonstrated view that is most like the current one, and what the expert did there.
     let demonstrated = request.segments().find_map(|segment| segment.steps.first()?.action);
     if let Some(action) = demonstrated {
         return action;
     }
-    // What the world said to the last action.
+    // The feedback on the last action.
     if request.feedback == Feedback::Blocked {
         return Action::TurnLeft;
     }
-    // What the agent sees: 8-bit RGB, rows from top to bottom.
+    // The current view: 8-bit RGB, rows from top to bottom.
     let width = request.frame.width;
     let [left, ahead, right] = [0, 1, 2].map(|third| brightness(request.frame, third * width / 3));
     if ahead >= left.max(right) {
@@ -45,7 +45,7 @@ fn decide(request: &Request<'_>) -> Action {
     }
 }
 
-/// How bright the third of the view is that begins at column `from`. Every eighth pixel is enough.
+/// Brightness of the third of the view that starts at column `from`. Samples every eighth pixel.
 fn brightness(view: FrameView<'_>, from: u32) -> u32 {
     let columns = (from..from + view.width / 3).step_by(8);
     let pixels = columns.flat_map(|x| (0..view.height).step_by(8).map(move |y| view.rgb(x, y)));
@@ -53,7 +53,7 @@ fn brightness(view: FrameView<'_>, from: u32) -> u32 {
 }
 
 fn main() {
-    // Joins the run in $MEMTRANSFER_ATTACH and decides in it until it is over.
+    // Joins the run in $MEMTRANSFER_ATTACH and decides until the run ends.
     if let Err(error) = serve_from_environment(&mut Wanderer) {
         eprintln!("rust-policy: {error}");
         std::process::exit(2);

@@ -62,7 +62,7 @@ pub struct BuildSettings {
 pub fn build(settings: &BuildSettings, builder: &mut dyn DocumentBuilder) -> Result<()> {
     let attach = Attach::read(&settings.attach).context("cannot join the run")?;
     die_with_parent(attach.orchestrator_pid)
-        .context("this process is started by an orchestrator")?;
+        .context("cannot tie this process to its orchestrator")?;
     let bus = Bus::join(attach, Role::Memory)?;
     let mut reporter = ErrorReporter::new(&bus)?;
     let done = BuildProcess::new(&bus).and_then(|mut process| {

@@ -1,4 +1,4 @@
-//! The extractive builder: deterministic, offline, and made of nothing but what demonstrations contain.
+//! The extractive builder: deterministic and offline. It writes only what the demonstrations contain.
 //!
 //! Its texts follow a grammar that people, models and programs can read; `docs/documents.md` states it.
 

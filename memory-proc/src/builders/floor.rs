@@ -109,7 +109,7 @@ mod tests {
     }
 
     #[test]
-    fn a_wide_corridor_is_not_cut_into_slices() {
+    fn a_wide_corridor_is_covered_lengthwise() {
         let corridor: Vec<_> = (2..4).flat_map(|x| (1..9).map(move |y| (x, y))).collect();
         let expected = [2, 3].map(|x| Stretch::Column { x, from: 1, to: 8 });
         assert_eq!(floor(&corridor).covering(), expected);

@@ -27,10 +27,10 @@ use self::prompt::PromptStage;
 use self::steps::StepFolder;
 use super::{BuiltText, DocumentBuilder, Transcript};
 
-/// The least number of characters in a token. Coordinates and digits make short tokens.
+/// Minimum number of characters in a token. Coordinates and digits make short tokens.
 const CHARS_PER_TOKEN: usize = 2;
 
-/// The greatest size of a document: more leaves no room in a prompt beside its images.
+/// Maximum size of a document: a larger one leaves no room in a prompt beside its images.
 const MAX_DOCUMENT_BYTES: usize = 256 << 10;
 
 /// How often progress is reported while a reply is awaited.
@@ -67,7 +67,7 @@ pub struct ModelBuilder<A> {
 }
 
 impl<A: AskModel> ModelBuilder<A> {
-    /// A builder that follows `recipe` and sends its prompts with `ask`.
+    /// Creates a builder that follows `recipe` and sends its prompts with `ask`.
     pub fn new(ask: A, recipe: ModelRecipe) -> Self {
         Self { ask, recipe }
     }

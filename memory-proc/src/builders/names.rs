@@ -126,9 +126,9 @@ mod tests {
         "#);
     }
 
-    /// The wording is the warehouse's: whatever it asks for is found, and nothing else.
+    /// The warehouse words the instructions: exactly the names that it used are found.
     #[test]
-    fn every_shipped_instruction_gives_up_its_names() {
+    fn the_names_in_every_shipped_instruction_are_found() {
         let catalogue = &Warehouse::shipped().catalogue;
         let mut names = Names::default();
         for case in &CaseSet::shipped().cases {
@@ -144,7 +144,7 @@ mod tests {
     }
 
     #[test]
-    fn a_plate_is_called_by_the_most_that_was_mentioned() {
+    fn a_plate_has_the_most_specific_name_that_was_mentioned() {
         let plate = Plate::new("barrels", "blue barrel");
         let label = |instruction| Names::of(instruction).label(plate).to_string();
         assert_eq!(label("Find a blue barrel."), "blue barrel");

@@ -83,7 +83,7 @@ mod tests {
     }
 
     #[test]
-    fn conflicting_readings_are_put_to_the_vote_and_a_picture_has_one() {
+    fn the_most_frequent_reading_wins_and_a_frame_counts_once() {
         let mut survey = Survey::default();
         assert_eq!(survey.bays().next(), None);
         for step in [look(1, &[5]), look(1, &[5]), look(1, &[5]), look(2, &[2]), look(3, &[2])] {

@@ -192,7 +192,7 @@ mod tests {
     }
 
     #[test]
-    fn the_size_before_leaves_no_trace() {
+    fn a_tensor_does_not_depend_on_the_previous_image() {
         let (small, large) =
             (image(20, 10, |x, y| [(x * y) as u8; 3]), image(90, 64, |x, y| [(x ^ y) as u8; 3]));
         let large = Image { width: 90, height: 64, rgba: &large };

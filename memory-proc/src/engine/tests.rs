@@ -45,14 +45,14 @@ fn every_view_is_pinned_once_embedded_once_and_released() {
         (0..3).map(|lane| rig.script(lane, lane.into(), 5, Start::Nearby, Episodic)).collect();
     let demonstrations = demonstrations(&rig, 5);
     rig.play(&scripts, [0; 6].into_iter());
-    assert_eq!((rig.holds, rig.releases), (demonstrations, demonstrations));
+    assert_eq!((rig.pins, rig.releases), (demonstrations, demonstrations));
     assert_eq!(rig.embedded, demonstrations, "the test route shows only demonstrated views");
     assert!(rig.engine.pending.is_empty() && rig.engine.admission.is_empty());
 
     // Another episode of the same case pins its views again and embeds nothing.
     let again = rig.script(1, 9, 5, Start::Opposite, Episodic);
     rig.play(&[again], std::iter::empty());
-    assert_eq!((rig.holds, rig.embedded), (2 * demonstrations, demonstrations));
+    assert_eq!((rig.pins, rig.embedded), (2 * demonstrations, demonstrations));
 }
 
 /// Distinct views of a case's four demonstrations.
@@ -71,15 +71,15 @@ fn views_pinned_for_their_pixels_are_embedded_when_a_memory_matches_views() {
     rig.observe(whole.observations[0]).unwrap();
     while rig.work(0) {}
     assert_eq!(rig.collect(), [0]);
-    let keyframes = rig.holds;
+    let keyframes = rig.pins;
     assert!((1..=40).contains(&keyframes) && rig.embedded == 0);
     let compared = rig.script(1, 2, 5, Start::Original, Episodic);
     rig.play(&[compared], std::iter::empty());
-    assert_eq!((rig.holds, rig.embedded), (demonstrations(&rig, 5), rig.holds));
-    assert_eq!(rig.releases, rig.holds - keyframes, "the first lane still shows its keyframes");
+    assert_eq!((rig.pins, rig.embedded), (demonstrations(&rig, 5), rig.pins));
+    assert_eq!(rig.releases, rig.pins - keyframes, "the first lane still shows its keyframes");
     rig.observe(Observation { last: 1, ..whole.observations[1] }).unwrap();
     while rig.work(0) {}
-    assert_eq!(rig.releases, rig.holds);
+    assert_eq!(rig.releases, rig.pins);
 }
 
 #[test]
@@ -131,7 +131,7 @@ fn an_episode_that_never_began_is_dropped() {
     let last = rig.script(0, 4, 2, Start::Original, Episodic);
     rig.play(&[last], std::iter::empty());
     while rig.work(0) {}
-    assert_eq!(rig.holds, rig.releases);
+    assert_eq!(rig.pins, rig.releases);
 }
 
 #[test]
@@ -226,7 +226,7 @@ proptest! {
         let at_once = scripts(&together, lanes);
         together.play(&at_once, choices.into_iter());
         prop_assert_eq!(&together.answers, &alone.answers);
-        prop_assert_eq!(together.holds, together.releases);
+        prop_assert_eq!(together.pins, together.releases);
         let steps: usize = at_once.iter().map(|script| script.poses.len() - 1).sum();
         prop_assert_eq!(together.answers.len(), steps);
     }
@@ -280,6 +280,6 @@ proptest! {
             rig.observe(script.observations[0]).unwrap();
         }
         while rig.work(0) {}
-        prop_assert_eq!(rig.holds, rig.releases);
+        prop_assert_eq!(rig.pins, rig.releases);
     }
 }

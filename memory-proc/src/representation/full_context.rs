@@ -1,4 +1,5 @@
-//! Full-context memory: every action of the demonstrations and keyframes of the expert's views, supplied at every step (specification, section 5).
+//! Full-context memory: every action of the demonstrations and keyframes of the expert's views, supplied at every step
+//! (specification, section 5).
 //!
 //! Keyframes are chosen by these rules:
 //!

@@ -13,7 +13,7 @@ use conformance::{CheckFinding, CheckVerdict, Conformance};
 #[derive(Debug, Args)]
 #[command(after_help = "\
 The command is started as `memtransfer run --policy-cmd` does: with the folder of a run in
-MEMTRANSFER_ATTACH. Nothing is simulated; the quality of decisions is not checked.
+MEMTRANSFER_ATTACH. The other processes are scripted; the quality of decisions is not checked.
 
 Exit status: 0 all checks passed, 1 a check failed, 2 the command cannot be started.
 

@@ -32,7 +32,7 @@ Examples:
 pub(super) struct DoctorArgs {
     #[command(flatten)]
     world: WorldArgs,
-    /// Also check the server of this policy's model, with some thirty short requests and one of the
+    /// Also check the server of this policy's model, with about twenty short requests and one of the
     /// size that a run sends
     #[arg(long, value_name = "POLICY", value_enum, requires = "model")]
     policy: Option<ModelPolicy>,

@@ -1,4 +1,4 @@
-//! The documents of a run: which it needs, and having them before it begins.
+//! The documents of a run: which it needs, and building missing ones before it begins.
 
 use std::collections::BTreeMap;
 
@@ -23,7 +23,7 @@ pub(super) struct RunDocuments {
 }
 
 impl RunDocuments {
-    /// The documents of a run with `settings`, which begins anew if `fresh`.
+    /// The documents of a run with `settings`, which starts over if `fresh`.
     pub(super) fn of(settings: &RunSettings, fresh: bool) -> Self {
         let (folder, selection) = match &settings.documents {
             DocumentSource::Extractive => (None, DocumentSelection::Recipe(Recipe::Extractive)),
@@ -47,8 +47,8 @@ impl RunDocuments {
         }
     }
 
-    /// The documents: the run's own copies, and the others from their request, built if they are missing. `None` when a
-    /// signal asked to stop.
+    /// Returns the documents: the run's own copies, and the others as requested, built if they are missing. `None` when
+    /// a signal asked to stop.
     pub(super) fn supply(&self, signals: &Signals, quiet: bool) -> Result<Option<ReadyDocuments>> {
         let mut documents = self.own_copies();
         let others: Vec<DocumentName> = self.without(&documents);
@@ -72,7 +72,7 @@ impl RunDocuments {
         Ok(Some(ready))
     }
 
-    /// What the manifest would say now: about the run's own copies, and about the others that can be used.
+    /// The manifest's entries as they would be now: of the run's own copies, and of the others that can be used.
     pub(super) fn facts_now(&self) -> BTreeMap<String, DocumentFacts> {
         facts(&self.usable())
     }

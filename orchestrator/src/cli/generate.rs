@@ -35,7 +35,7 @@ pub(super) struct GenerateArgs {
 
 pub(super) fn run(args: &GenerateArgs) -> anyhow::Result<Exit> {
     ensure!(args.count > 0, "--count is 0, but must be at least 1");
-    // Cases that are there already are not read: they are to be replaced.
+    // An existing case file is not read: it is to be replaced.
     let warehouse = match &args.world.assets {
         None => Warehouse::shipped(),
         Some(dir) => Warehouse::load(dir)?,

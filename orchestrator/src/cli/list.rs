@@ -227,7 +227,7 @@ fn runs(dir: &Path) -> anyhow::Result<Listing> {
         rows = folders.iter().map(|folder| run_row(folder)).collect();
     }
     let header =
-        vec!["run", "suite", "policy", "begun", "state", "finished", "planned", "given up", "SR"];
+        vec!["run", "suite", "policy", "started", "state", "finished", "planned", "given up", "SR"];
     Ok(Listing { header, numbers: 5, rows })
 }
 

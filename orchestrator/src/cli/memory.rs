@@ -56,10 +56,10 @@ struct BuildArgs {
     #[arg(long, value_name = "LIST", value_delimiter = ',', default_value = "summary,semantic",
           value_parser = kind)]
     kind: Vec<DocumentKind>,
-    /// What builds them
+    /// The builder
     #[arg(long, value_name = "NAME", value_enum, default_value_t = BuilderName::Extractive)]
     builder: BuilderName,
-    /// The folder to put them into [default: documents in the cache folder]
+    /// The folder to write them to [default: documents in the cache folder]
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
     /// Build them again even if they are current or broken
@@ -78,22 +78,22 @@ struct BuildArgs {
 #[derive(Debug, Args)]
 #[command(next_help_heading = "With --builder model")]
 struct ModelArgs {
-    /// The model, as its server calls it
+    /// The model, by the name that the server knows it by
     #[arg(long, value_name = "NAME", required_if_eq("builder", "model"))]
     model: Option<String>,
     /// The server, up to /v1 [default: $OPENAI_BASE_URL; the key is $OPENAI_API_KEY]
     #[arg(long, value_name = "URL", requires = "model")]
     base_url: Option<String>,
-    /// The greatest number of characters in a prompt [default: 100000]
+    /// Maximum number of characters in a prompt [default: 100000]
     #[arg(long, value_name = "N", requires = "model")]
     context_chars: Option<u32>,
-    /// The greatest number of tokens in an answer [default: 16000]
+    /// Maximum number of tokens in an answer [default: 16000]
     #[arg(long, value_name = "N", requires = "model")]
     max_tokens: Option<u32>,
-    /// The longest time of one attempt [default: 300]
+    /// Time limit of one attempt [default: 300]
     #[arg(long = "request-timeout", alias = "timeout", value_name = "SECONDS", requires = "model")]
     timeout: Option<u32>,
-    /// How often a request is repeated when the server fails [default: 5]
+    /// How often a request is sent again after a transient failure [default: 5]
     #[arg(long, value_name = "N", requires = "model")]
     max_retries: Option<u32>,
 }
@@ -137,7 +137,7 @@ struct ShowArgs {
     /// Its demonstrations: original, 4, irrelevant, ...
     #[arg(value_name = "DEMOS")]
     demos: Demonstrations,
-    /// What built it [default: extractive, or model with --model]
+    /// The builder [default: extractive, or model with --model]
     #[arg(long, value_name = "NAME", value_enum)]
     builder: Option<BuilderName>,
     /// The model that wrote it
@@ -238,7 +238,7 @@ fn ls(args: LsArgs) -> Result<Exit> {
     let folder = request.folder()?;
     match documents.len() {
         0 => eprintln!(
-            "no documents in {}: `memtransfer memory build` makes them",
+            "no documents in {}: `memtransfer memory build` builds them",
             folder.path().display()
         ),
         _ => eprintln!("in {}", folder.path().display()),
@@ -253,7 +253,7 @@ fn show(args: ShowArgs) -> Result<Exit> {
             DocumentSelection::Model(model)
         }
         (Some(BuilderName::Extractive), None) => DocumentSelection::Recipe(Recipe::Extractive),
-        // Whatever a given folder holds.
+        // In a given folder, any document is acceptable.
         (None, None) if args.documents.is_some() => DocumentSelection::Any,
         (None, None) => DocumentSelection::Recipe(Recipe::Extractive),
     };

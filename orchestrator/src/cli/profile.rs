@@ -28,7 +28,7 @@ use crate::settings::{Layer, resolve, select_cases, variable};
 use crate::signals::Signals;
 use crate::world::World;
 
-/// The folder of what a profile needs while it is made.
+/// The folder of temporary files.
 const SCRATCH: &str = "scratch";
 
 #[derive(Debug, Args)]
@@ -324,7 +324,7 @@ impl Profiler<'_> {
     }
 }
 
-/// The folder that a profile uses while it is made: an empty cache folder, and the processes' logs. Removed when it is
+/// The folder of a profile's temporary files: an empty cache folder, and the processes' logs. Removed when it is
 /// dropped.
 #[derive(Debug)]
 struct Scratch {
@@ -342,7 +342,7 @@ impl Scratch {
         let scratch = Self { folder };
         let cache = scratch.cache();
         fs::create_dir_all(&cache).with_context(|| format!("cannot make {}", cache.display()))?;
-        // What set-up installed is used; what is embedded already is not.
+        // Files from set-up are used; cached embeddings are not.
         let shared = std::path::absolute(cache_folder()?)?;
         for part in ["models", "onnxruntime"] {
             let link = cache.join(part);

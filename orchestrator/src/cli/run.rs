@@ -42,15 +42,15 @@ The same command again resumes a run that was stopped or killed: finished episod
 others run again. Ctrl-C stops cleanly, a second one at once. A run can grow: with a larger --limit
 or --runs, more --memory or more --cases, the same folder gets the episodes that are missing.
 
-Precedence: defaults < suite file < MEMTRANSFER_* variables < flags. Every flag with a value can be a
-variable (MEMTRANSFER_MAX_STEPS=50) and a key of a suite file (max-steps = 50).
+Precedence: defaults < suite file < MEMTRANSFER_* variables < flags. Every flag with a value is
+also a variable (MEMTRANSFER_MAX_STEPS=50) and a key of a suite file (max-steps = 50).
 
 Examples:
   memtransfer run                                       the suite `quick` with the policy `grounded`
   memtransfer run --policy random --limit 10            ten cases, one of each task
   memtransfer run --policy expert --starts original,new --routes unchanged,blocked
   memtransfer run --memory episodic --demos original,4  one against four demonstrations
-  memtransfer run --suite paper --dry-run               all that the paper reports, counted
+  memtransfer run --suite paper --dry-run               the paper's conditions, counted
   memtransfer run --frames blank --out runs/blank       a control: what remains without pixels?
   memtransfer run --cases t03,t09-01 --dry-run          what would run")]
 pub(super) struct RunArgs {
@@ -139,7 +139,7 @@ impl RunPlan {
         self.episodes.iter().map(|episode| episode.key.to_string()).collect()
     }
 
-    /// What the run's folder is to say of it.
+    /// The run's manifest.
     fn manifest(&self) -> Manifest {
         let program = std::env::current_exe().ok();
         Manifest {
@@ -281,7 +281,7 @@ impl RunPlan {
         Ok(if done >= planned { Exit::Complete } else { Exit::Failed })
     }
 
-    /// Says which episodes `--log-prompts` comes too late for.
+    /// Reports the episodes whose prompts are not logged because they are finished.
     fn note_prompt_log(&self, finished: &[EpisodeRecord], missing: usize) {
         let folder = RunFolder::prompts_of(&self.settings.out);
         if !self.settings.log_prompts || finished.is_empty() || folder.exists() {
@@ -302,7 +302,7 @@ impl RunPlan {
     }
 }
 
-/// Says which combinations were asked for and do not exist.
+/// Reports requested combinations that do not exist.
 fn note_omissions(settings: &RunSettings) {
     let groups = &settings.groups;
     let blocked_original = |group: &Group| {
@@ -320,7 +320,7 @@ fn note_omissions(settings: &RunSettings) {
     }
 }
 
-/// Says that a signal came while documents were being built.
+/// Reports that a signal came while documents were being built.
 fn stopped_before_episodes(signals: &Signals) -> Exit {
     let signal = signals.received().unwrap_or_default();
     eprintln!(
@@ -332,7 +332,7 @@ fn stopped_before_episodes(signals: &Signals) -> Exit {
     Exit::Signal(signal)
 }
 
-/// The command line, to be given again: without `--fresh`, which would start over.
+/// The command line that resumes the run: without `--fresh`, which would start over.
 fn same_command() -> String {
     let plain = |c: char| c.is_ascii_alphanumeric() || "-_./,=+:".contains(c);
     let quoted = |argument: String| {

@@ -13,7 +13,7 @@ use results::score::{Comparison, score};
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
-Reads the runs' folders and nothing else; a run that is still going can be scored, too.
+Reads the runs' folders and nothing else; a run in progress can be scored, too.
 A comparison is paired: it takes the cases that both sides have, prints both sides' figures and their
 difference, and names the settings in which two runs differ.
 Exit status 1 when episodes were given up.

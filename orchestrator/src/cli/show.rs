@@ -85,7 +85,7 @@ pub(super) fn run(args: &ShowArgs) -> Result<Exit> {
 }
 
 impl ShowArgs {
-    /// The one episode that is asked for.
+    /// The requested episode.
     fn episode<'a>(&self, log: &'a RunLog) -> Result<&'a EpisodeRecord> {
         let of_case: Vec<&EpisodeRecord> =
             log.episodes.iter().filter(|record| record.case == self.case).collect();

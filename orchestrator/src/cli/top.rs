@@ -22,7 +22,7 @@ const INTERVAL: Duration = Duration::from_millis(500);
 /// Clears the terminal and moves to its corner.
 const CLEAR: &str = "\x1b[2J\x1b[H";
 
-/// The size of a terminal that does not tell it.
+/// The size of a terminal that does not report it.
 const DEFAULT_SIZE: (usize, usize) = (100, 40);
 
 #[derive(Debug, Args)]
@@ -32,7 +32,7 @@ wait there means that embedding takes the time. Latencies are those of the last 
 includes waiting for a process that is busy with other lanes.
 
 Examples:
-  memtransfer top                       the run that is going on in ./runs
+  memtransfer top                       the run in progress in ./runs
   memtransfer top runs/paper-grounded
   memtransfer top --memory episodic     every stage of the steps with episodic memory
   memtransfer top --once --json | jq .steps_per_s")]
@@ -78,7 +78,7 @@ pub(super) fn run(args: &TopArgs) -> Result<Exit> {
     }
 }
 
-/// The run that is going on in `dir`, or in a folder in it.
+/// The run in progress in `dir`, or in a folder in it.
 fn running(dir: &Path) -> Result<(PathBuf, LiveStatus)> {
     if let Some(status) = LiveStatus::read(dir)? {
         return Ok((dir.to_owned(), status));
@@ -97,11 +97,14 @@ fn running(dir: &Path) -> Result<(PathBuf, LiveStatus)> {
     }
     if found.len() > 1 {
         let names = found.iter().map(|(run, _)| format!("  memtransfer top {}", run.display()));
-        bail!("several runs are going on; choose one:\n{}", names.collect::<Vec<_>>().join("\n"));
+        bail!(
+            "several runs are in progress; choose one:\n{}",
+            names.collect::<Vec<_>>().join("\n")
+        );
     }
     found.pop().with_context(|| {
         format!(
-            "no run is going on in {}: start one with `memtransfer run`, or give the folder of one (its --out)",
+            "no run is in progress in {}: start one with `memtransfer run`, or give the folder of one (its --out)",
             dir.display()
         )
     })
@@ -213,7 +216,7 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         std::fs::write(dir.path().join("notes"), "no run").unwrap();
         let error = running(dir.path()).unwrap_err().to_string();
-        assert!(error.contains("no run is going on") && error.contains("memtransfer run"));
+        assert!(error.contains("no run is in progress") && error.contains("memtransfer run"));
         assert!(running(&dir.path().join("none")).is_err());
     }
 

@@ -38,9 +38,9 @@ pub(super) struct ActiveEpisode {
     since_ns: u64,
     /// Of the current step.
     stamps: Stamps,
-    /// Memory's account of the current step, once it is here.
+    /// Memory's trace of the current step, once it has arrived.
     trace: Option<RecallTrace>,
-    /// The decision on the current step, until what it is based on is here, too.
+    /// The decision on the current step, until what it is based on has arrived, too.
     early: Option<Decision>,
     /// As [`EpisodeRecord::retrieved`].
     retrieved: String,
@@ -219,7 +219,7 @@ impl ActiveEpisode {
         Ok(is_last)
     }
 
-    /// Takes memory's account of a recall.
+    /// Takes memory's trace of a recall.
     pub(super) fn recalled(
         &mut self,
         context: &Context<'_>,
@@ -251,8 +251,8 @@ impl ActiveEpisode {
         Ok(())
     }
 
-    /// Takes the step that a decision leads to, once all that it is based on is here: messages are delivered to
-    /// one receiver after the other, so an answer may arrive before what it answers.
+    /// Takes the step that a decision leads to, once everything that it is based on has arrived: messages are delivered
+    /// to one receiver after the other, so an answer may arrive before what it answers.
     pub(super) fn settle(
         &mut self,
         context: &Context<'_>,

@@ -1,6 +1,6 @@
-//! What the machine can do at best: the figures that nothing built on it can beat.
+//! The floors of a machine: figures that no program on it can beat.
 //!
-//! Each is measured plainly, without anything of ours in it.
+//! Each is measured without any other code of the project.
 
 use std::hint::{black_box, spin_loop};
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -13,14 +13,14 @@ use shm_types::FrameSize;
 /// The machine's floors.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Floors {
-    /// Nanoseconds that a cache line takes from one core to another: half a round trip between two threads that
-    /// do nothing but look.
+    /// Nanoseconds that a cache line takes from one core to another: half a round trip between two threads that only
+    /// poll.
     pub cache_line_ns: f64,
     /// Nanoseconds to copy a frame of 448 x 448 pixels in memory.
     pub frame_copy_ns: f64,
-    /// Bytes a second that one thread reads from memory.
+    /// Bytes per second that one thread reads from memory.
     pub read_one_thread: f64,
-    /// Bytes a second that all cores read from memory together.
+    /// Bytes per second that all cores read from memory together.
     pub read_all_cores: f64,
 }
 
@@ -33,14 +33,14 @@ pub struct Effort {
     pub copies: u32,
     /// Bytes that are read: several times what caches hold.
     pub bytes: usize,
-    /// How often they are read; the fastest counts.
+    /// How often they are read; the fastest pass counts.
     pub passes: u32,
 }
 
 impl Effort {
-    /// What figures need: about two seconds.
+    /// For figures: about two seconds.
     pub const FULL: Self = Self { trips: 300_000, copies: 500, bytes: 1 << 30, passes: 3 };
-    /// What shows that it works.
+    /// For tests.
     pub const TINY: Self = Self { trips: 1000, copies: 3, bytes: 8 << 20, passes: 1 };
 }
 
@@ -56,7 +56,7 @@ pub fn measure(effort: Effort) -> Floors {
     }
 }
 
-/// A line of the cache to itself, and the one beside it, which processors fetch along with it.
+/// A counter on a cache line of its own, and on the one beside it, which processors fetch along with it.
 #[repr(align(128))]
 struct CacheLine(AtomicU64);
 
@@ -105,9 +105,10 @@ pub fn frame_copy_ns(copies: u32) -> f64 {
     times[times.len() / 2]
 }
 
-/// Bytes a second that each of these numbers of threads reads together, the fastest of `passes` over `bytes`.
+/// The bandwidth of reading with each of these numbers of threads, in bytes per second: the fastest of `passes` over
+/// `bytes`.
 pub fn read_bandwidth<const N: usize>(threads: [usize; N], bytes: usize, passes: u32) -> [f64; N] {
-    // Not zero, so that every page is really there.
+    // Not zero, so that every page is mapped.
     let data = vec![1_u64; bytes / size_of::<u64>()];
     threads.map(|threads| {
         let share = data.len().div_ceil(threads.max(1)).max(1);
@@ -141,7 +142,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn sums_take_in_every_word() {
+    fn sums_include_every_word() {
         for len in [0, 1, 7, 8, 9, 40] {
             let words: Vec<u64> = (1..=len).collect();
             assert_eq!(sum(&words), len * (len + 1) / 2);
@@ -149,7 +150,7 @@ mod tests {
     }
 
     #[test]
-    fn every_floor_is_a_figure() {
+    fn every_floor_is_a_positive_number() {
         let Floors { cache_line_ns, frame_copy_ns, read_one_thread, read_all_cores } =
             measure(Effort::TINY);
         for figure in [cache_line_ns, frame_copy_ns, read_one_thread, read_all_cores] {

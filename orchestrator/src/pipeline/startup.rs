@@ -130,13 +130,13 @@ fn not_ready(late: &[Role], options: &PipelineOptions) -> String {
 /// The message about a handshake that is not awaited.
 pub(super) fn unexpected(role: Role) -> String {
     format!(
-        "a second {} process attached, or one where none is wanted: does one program attach twice, or as the \
+        "a second {} process attached, or one that the run does not use: does a program attach twice, or in the \
          wrong role?",
         role.word()
     )
 }
 
-/// What the user's own program has to do, and how to find out what it does instead.
+/// Advice on the user's own program: what it has to do, and how to check it.
 fn advice_on(command: &str) -> String {
     format!(
         "\nA policy attaches to the run in the folder $MEMTRANSFER_ATTACH, sends its handshake, and runs until it \

@@ -1,5 +1,5 @@
 //! The latency of search alone, measured by the process that searches: `memory-proc profile`, which prints one JSON
-//! object a line.
+//! object per line.
 
 use std::io::{BufRead, BufReader};
 use std::process::{Command, Stdio};

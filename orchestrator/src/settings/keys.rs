@@ -13,7 +13,7 @@ use results::settings::{CaseSelector, DocumentSource, ResponseCache};
 use serde_json::Value;
 use shm_types::message::{MAX_SEGMENT, MAX_WINDOW};
 
-/// Most images of a prompt (paper, Experimental Setup).
+/// Maximum number of images in a prompt (paper, Experimental Setup).
 pub const MAX_IMAGES: u32 = 50;
 
 /// Keys that concern a model: for `--policy openai` only.
@@ -186,20 +186,20 @@ pub const KEYS: &[Key] = keys! {
     "image-format" "FORMAT" Text(parses::<ImageFormat>),
         "Encoding of images in requests: png (lossless) or jpeg";
     "image-budget" "N" Number(0, 1000, 1),
-        "Most images in a request; the prompt says how many were left out. 0 for a model that \
+        "Maximum number of images in a request; the prompt says how many were left out. 0 for a model that \
          reads text only";
     "answer-tokens" "N" Number(1, 100_000, 1),
-        "Most tokens of an answer";
+        "Maximum number of tokens in an answer";
     "max-connections" "N" Number(1, 1024, 1),
-        "Most requests in flight; fewer while the server is overloaded or slow";
+        "Maximum number of requests in flight; fewer while the server is overloaded or slow";
     "max-retries" "N" Number(0, 100, 1),
         "How often a request is repeated after status 429 or 5xx, a timeout or a failed connection";
     "request-timeout" "SECONDS" SECONDS,
         "Time limit of one attempt";
     "server-patience" "SECONDS" Number(0, 86_400, 1),
-        "How long a run waits for a server that answered before and is gone; 0 does not wait";
+        "How long a run waits for a server that answered before and is unreachable; 0 does not wait";
     "response-cache" "on|off|DIR" Text(parses::<ResponseCache>),
-        "Keep replies and never send the same request twice: on, off, or the folder to keep them in";
+        "Cache replies, so that no request is sent twice: on, off, or the folder of the cache";
     "prices" "FILE" Text(any),
         "Prices of tokens, by model (TOML; see docs/costs.md)";
     "max-tokens-total" "N" Number(0, u64::MAX, 1),
@@ -211,7 +211,7 @@ pub const KEYS: &[Key] = keys! {
     "out" "DIR" Text(any),
         "The run's folder; the same command again resumes the run in it";
     "log-prompts" "" Switch,
-        "Keep every prompt, its images and the answer in the run's folder, for `memtransfer show`";
+        "Log every prompt, its images and the answer in the run's folder, for `memtransfer show`";
     "lanes" "N" Number(1, 1024, 1),
         "Episodes that run at the same time";
     "encoder-threads" "N" Number(1, 1024, 1),
@@ -237,7 +237,7 @@ pub const KEYS: &[Key] = keys! {
         "Time limit for the processes to get ready";
 };
 
-/// What holds where no source sets a key. A suite sets most of them.
+/// The defaults of keys that no source sets. A suite sets most of them.
 pub(super) const DEFAULTS: &str = r#"
 suite = "quick"
 policy = "grounded"

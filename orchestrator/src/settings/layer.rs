@@ -9,7 +9,7 @@ use serde_json::{Map, Value};
 use super::SettingsError;
 use super::keys::{DEFAULTS, KEYS, Key, VARIABLE_PREFIX};
 
-/// Variables with the prefix of settings that are none: folders, and what tests use.
+/// Variables with the prefix that are not settings: folders, and what tests use.
 const OTHER_VARIABLES: [&str; 4] = ["CACHE", "RUN_DIR", "ATTACH", "REGENERATE"];
 const TEST_VARIABLES: &str = "TEST_";
 
@@ -233,7 +233,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_wrong_with_a_suite_is_said_with_its_file() {
+    fn errors_in_a_suite_name_its_file() {
         let error = |text: &str| Layer::suite("my.toml", text).unwrap_err().to_string();
         insta::assert_snapshot!(error("memry = []"), @"suite my.toml: unknown key `memry`: did you mean `memory`?");
         insta::assert_snapshot!(error("runs = 1\nmemory = [\"episodik\"]"), @"suite my.toml: memory: unknown memory `episodik`: did you mean `episodic`? (known: working, full-context, summary, semantic, hybrid, episodic)");

@@ -28,7 +28,7 @@ pub struct Resolved {
 
 type Origins = BTreeMap<String, Origin>;
 
-/// Why layers make no settings.
+/// Why layers do not make valid settings.
 #[derive(Debug, thiserror::Error)]
 pub enum SettingsError {
     /// A source says something invalid.

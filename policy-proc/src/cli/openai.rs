@@ -22,13 +22,13 @@ pub(crate) struct ModelArguments {
     /// Image encoding: png, or jpeg (smaller, with loss)
     #[arg(long, value_name = "FORMAT", default_value_t = ImageFormat::Png)]
     image_format: ImageFormat,
-    /// Most images of a prompt; 0 for a model without vision
+    /// Maximum number of images of a prompt; 0 for a model without vision
     #[arg(long, value_name = "N", default_value_t = prompt::IMAGE_BUDGET)]
     image_budget: u32,
-    /// Most tokens of an answer
+    /// Maximum number of tokens of an answer
     #[arg(long, value_name = "N", default_value_t = prompt::ANSWER_TOKENS, value_parser = clap::value_parser!(u32).range(1..))]
     answer_tokens: u32,
-    /// Most requests in flight
+    /// Maximum number of requests in flight
     #[arg(long, value_name = "N", default_value = "16", value_parser = clap::value_parser!(u32).range(1..))]
     max_connections: u32,
     /// How often a request is sent again after a transient failure
@@ -37,7 +37,8 @@ pub(crate) struct ModelArguments {
     /// Time limit of an attempt in seconds; a server that answers slowly gets up to eight times this
     #[arg(long, value_name = "SECONDS", default_value = "120", value_parser = clap::value_parser!(u32).range(1..))]
     request_timeout: u32,
-    /// How long to wait for a server that was there and is gone; 0: as long as the retries last
+    /// How long to wait for a server that has answered before and is unreachable now; 0: only as long as the retries
+    /// last
     #[arg(long, value_name = "SECONDS", default_value = "600")]
     server_patience: u32,
     /// Store replies and reuse them for the same request: on (in the cache folder), off, or a folder

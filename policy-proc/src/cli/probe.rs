@@ -14,8 +14,8 @@ use super::print;
 
 #[derive(Args)]
 #[command(after_help = "\
-Sends some twenty requests, one or more of them of a run's size. The key comes from $OPENAI_API_KEY or .env.
-Exit status 0 when a run makes sense, 1 when something stands against it, 2 when nothing could be asked.")]
+Sends about twenty requests, at least one of them of a run's size. The key comes from $OPENAI_API_KEY or .env.
+Exit status 0 if a run can start, 1 if something prevents it, 2 if the server could not be asked.")]
 pub(crate) struct ProbeArguments {
     /// The server, up to /v1 [default: $OPENAI_BASE_URL, else $OPENAI_API_BASE, also from .env]
     #[arg(long, value_name = "URL")]
@@ -35,7 +35,7 @@ pub(crate) struct ProbeArguments {
     /// Past steps in a prompt of the run
     #[arg(long, value_name = "N", default_value = "6")]
     window: u32,
-    /// Most images of a prompt of the run
+    /// Maximum number of images of a prompt of the run
     #[arg(long, value_name = "N", default_value_t = prompt::IMAGE_BUDGET)]
     image_budget: u32,
     /// Characters of documents in a prompt of the run
@@ -44,7 +44,7 @@ pub(crate) struct ProbeArguments {
     /// Time limit of an attempt, in seconds
     #[arg(long, value_name = "SECONDS", default_value = "120", value_parser = clap::value_parser!(u32).range(1..))]
     request_timeout: u32,
-    /// How many requests are sent at once to take the speed
+    /// Number of concurrent requests in the measurement of throughput
     #[arg(long, value_name = "N", default_value = "8", value_parser = clap::value_parser!(u32).range(1..=1000))]
     together: u32,
     /// Print JSON

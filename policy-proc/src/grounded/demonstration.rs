@@ -16,7 +16,7 @@ use super::perception::{FrameCache, FrameContent, PlacedFrame};
 /// Where every demonstration starts in its own coordinates: far from the grid's edges.
 const START: Pose = Pose::new(128, 128, Heading::N);
 
-/// Plates that have to agree on a location.
+/// Minimum number of plates that agree on a location.
 const LEAST_AGREEING: u32 = 3;
 
 /// The weight of two equal views: more than any number of plates.
@@ -63,11 +63,11 @@ impl RelativePath {
         demonstration
     }
 
-    /// The pose in the world in which the demonstration began, according to `views`; `None` if they do not
-    /// tell.
+    /// The pose in the world in which the demonstration began, according to `views`; `None` if they do not determine
+    /// it.
     ///
-    /// Each view that equals a remembered one votes for a pose, and so does each pair of equal plates. A pose
-    /// is refuted when a plate hangs where the demonstration has only others.
+    /// Each view that equals a remembered one votes for a pose, and so does each pair of equal plates. A pose is
+    /// rejected when a plate is seen where the demonstration has only other plates.
     pub(super) fn locate(&self, views: &[Arc<PlacedFrame>]) -> Option<Pose> {
         let mut votes: Vec<(Pose, u32)> = Vec::new();
         for view in views {
@@ -205,7 +205,7 @@ mod tests {
         assert_eq!(actions, [Some(Action::Forward), Some(Action::Right), None]);
     }
 
-    /// Where a walk of six steps north from `start` with these keyframes is located from `here`.
+    /// Where a demonstration of six steps north from `start` with these keyframes is located from `here`.
     fn located(start: Pose, keyframes: &[usize], here: Pose) -> Option<Pose> {
         let poses: Vec<Pose> =
             (0..6).map(|y| Pose::new(start.cell.x, start.cell.y + y, start.heading)).collect();

@@ -22,10 +22,10 @@ use super::tour::Tour;
 /// The number of cells of one kind that a tour takes into account.
 const MOST_GOALS: usize = 10;
 
-/// Steps after which the floor is doubted anew.
+/// Steps after which other parts of the floor are distrusted.
 const DOUBT_STEPS: u32 = 45;
 
-/// Distrust in parts of the floor. A plan that has not succeeded for long may lead through a blocked cell that has
+/// Distrust in parts of the floor. A plan that has long been without success may lead through a blocked cell that has
 /// left the window. Treating some of the floor as unknown, another part each time, leads to other routes.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash)]
 pub(super) struct Doubt {

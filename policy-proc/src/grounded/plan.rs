@@ -1,4 +1,4 @@
-//! Decides one step: follow what memory offers, go to what is wanted, or explore.
+//! Decides one step: follow what memory offers, go to a target, or explore.
 
 use std::cell::OnceCell;
 
@@ -19,8 +19,8 @@ const FARTHEST_SEGMENT: u32 = 6;
 /// Steps beyond its own length for which a demonstration is followed.
 const PATIENCE: usize = 40;
 
-/// Every other stretch of so many steps, items in sight are passed by: they may have been visited before the
-/// window.
+/// In every other period of this many steps, items in sight are ignored: they may have been visited before the window
+/// began.
 const RESTLESS_STEPS: u32 = 24;
 
 /// The action for `request`.
@@ -71,7 +71,7 @@ impl Planner<'_> {
         self.routes.get_or_init(|| map.routes(recent.here, &[]))
     }
 
-    /// Demonstrations that have not been followed in vain for too long.
+    /// The demonstrations, except those that have been followed for too long without success.
     fn demonstrations(&self) -> impl Iterator<Item = &Tour> {
         let demonstrations = self.beliefs.knowledge.demonstrations.iter();
         demonstrations.filter(|tour| self.request.step as usize <= tour.len() + PATIENCE)
@@ -154,8 +154,8 @@ impl Planner<'_> {
         }
     }
 
-    /// Goes on ahead while that is possible, turns now and then, and prefers cells that were not visited
-    /// lately. The episode's seed and the step decide between equals.
+    /// Moves ahead while that is possible, turns now and then, and prefers cells that were not visited recently. The
+    /// episode's seed and the step decide between equals.
     fn explore(&self) -> Action {
         let mut rng = ChaCha8Rng::seed_from_u64(self.request.episode_seed);
         rng.set_stream(u64::from(self.request.step));

@@ -1,9 +1,9 @@
-//! What the tests of this module share.
+//! Frames for the tests of this module.
 
 use peer::FrameView;
 use plates::painter::PlateImage;
 
-/// A painted picture as a frame.
+/// A painted image as a frame.
 pub(super) fn frame(picture: &PlateImage, id: u64) -> FrameView<'_> {
     let side = picture.width();
     let content_hash = content_hash(picture.pixels());

@@ -12,7 +12,7 @@ use super::Grounded;
 use super::geometry::after;
 use super::testing::{blank_frame, content_hash, frame};
 
-/// A request in the making; its frames are painted views of the aisle.
+/// A request under construction, whose frames are painted views of the aisle.
 #[derive(Default)]
 struct Ask {
     instruction: String,

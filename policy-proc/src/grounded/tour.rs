@@ -1,7 +1,7 @@
-//! A fixed path past everything that is wanted.
+//! A fixed path past all targets.
 //!
-//! A window of a few steps cannot tell which items were visited before it. A path that is always followed in
-//! the same direction can: the place on it says what was passed already.
+//! A window of a few steps cannot tell which items were visited before it. A path that is always followed in the same
+//! direction can: the position on it shows which targets were passed.
 
 use domain::{Action, Cell, Heading, Pose};
 

@@ -1,11 +1,11 @@
 //! Views as data URLs, each encoded once.
 //!
-//! URLs are kept by the content of the view, so any lane, step and repetition can use them, in two generations: when the
-//! younger one is full it becomes the older one, whose URLs are dropped unless they were used meanwhile. A dropped view is
-//! encoded again, to the same bytes.
+//! URLs are cached by the content of the view, so any lane, step and repetition can use them, in two generations: when
+//! the younger one is full it becomes the older one, whose URLs are dropped unless they were used meanwhile. A dropped
+//! view is encoded again, to the same bytes.
 //!
 //! A view of 448 x 448 pixels takes milliseconds, so the new views of a batch are encoded on all cores while the serve
-//! loop waits: their pixels are only lent.
+//! loop waits: their pixels are only borrowed.
 
 use std::collections::HashMap;
 use std::num::NonZeroUsize;
@@ -16,7 +16,7 @@ use std::thread;
 use peer::FrameView;
 use prompt::image::{ImageFormat, data_url};
 
-/// Most bytes of URLs in one generation; two hold some thousands of views.
+/// Maximum number of bytes of URLs in one generation; two hold some thousands of views.
 const GENERATION_BYTES: usize = 128 << 20;
 
 /// The hash of a view's pixels.

@@ -90,7 +90,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn it_has_the_images_and_documents_of_a_run() {
+    fn the_request_has_the_images_and_documents_of_a_run() {
         let largest = LargestRequest {
             frame_size: 64,
             image_format: ImageFormat::Png,

@@ -49,7 +49,8 @@ pub(super) struct TokenFit {
 }
 
 impl Default for TokenFit {
-    /// A fit with one observation: a text of 1,000 tokens has as many. It decides while all requests are alike.
+    /// Starts with one observation: a text of 1,000 estimated tokens has 1,000. It decides while all requests are
+    /// alike.
     fn default() -> Self {
         const TEXT: f64 = 1000.0;
         Self {
@@ -123,7 +124,7 @@ mod tests {
         (0..20).map(|step| (size(step), tokens(size(step)), memory)).collect()
     }
 
-    /// Defect 19: images cost 64, 256 or 20 tokens, depending on the server.
+    /// Images cost 64, 256 or 20 tokens, depending on the server.
     #[test]
     fn memory_tokens_follow_the_cost_of_an_image() {
         for (per_image, per_text) in [(256.0, 1.0), (64.0, 0.9), (20.0, 1.1), (1300.0, 1.0)] {

@@ -1,5 +1,5 @@
-"""Keeps every frame and every request, and the pixels of one view. Kept pixels never change, and what the run has
-evicted raises `FrameGone`. Writes what it saw of that to a file.
+"""Keeps every frame and every request, and the pixels of one view. Kept pixels never change, and reading a frame that
+the run has evicted raises `FrameGone`. Writes what it observed to a file.
 
     keeper.py FILE
 """
@@ -35,7 +35,7 @@ class Keeper(Policy):
         self.gone += len(gone)
         self.frames = [frame for frame in self.frames if not frame.is_gone]
         if self.gone and len(self.requests) > len(batch):
-            # Its window was never read, and it is answered.
+            # The request is answered, and its window was never read.
             earlier = self.requests[0]
             assert earlier.frame.id >= 0
             assert "the request's window is gone" in raised(lambda: earlier.window)

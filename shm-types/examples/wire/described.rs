@@ -1,5 +1,4 @@
-//! What there is to write about: every struct, code and constant of the wire, and what both outputs need to
-//! say of them.
+//! What the page describes: every struct, code and constant of the wire.
 
 use domain::{
     Action, Feedback, Heading, Outcome, Representation,
@@ -43,13 +42,13 @@ pub(crate) const CARRIED: [Struct; 5] = [
     NoteHeader::LAYOUT,
 ];
 
-/// Every closed set, those of the agent first.
+/// Every enum with codes: first those of the agent's world, then those of messages.
 pub(crate) fn code_sets() -> Vec<CodeSet> {
     let agent = [Action::CODES, Feedback::CODES, Heading::CODES, Representation::CODES];
     agent.into_iter().chain(CODE_SETS.iter().copied()).collect()
 }
 
-/// What a member of a set is called where a policy reads or writes it, if it is.
+/// The words for a member of a code set in prompts, files and logs, if it has any.
 pub(crate) fn words(set: &CodeSet, code: u8) -> Option<&'static str> {
     let position = usize::from(code);
     match set.name {
@@ -65,7 +64,7 @@ pub(crate) fn words(set: &CodeSet, code: u8) -> Option<&'static str> {
     }
 }
 
-/// A constant, as it is written in Python.
+/// A constant, with its value as text.
 pub(crate) struct Constant {
     pub(crate) name: &'static str,
     pub(crate) value: String,
@@ -78,7 +77,7 @@ macro_rules! constants {
     };
 }
 
-/// The constants that a peer needs.
+/// The constants that an implementation needs.
 pub(crate) fn constants() -> Vec<Constant> {
     constants![
         WIRE_VERSION: "Version of everything described here.",
@@ -100,7 +99,7 @@ pub(crate) fn constants() -> Vec<Constant> {
         MAX_FRAMES: "Most frames that a run keeps resident.",
         MAX_LOANED_FRAMES: "Frames that the simulator fills at the same time.",
         MAX_ROOT_BYTES: "Longest path of a run's folder, in bytes.",
-        PAGE_BYTES: "Bytes of a page; frames are whole pages, aligned to as much.",
+        PAGE_BYTES: "Bytes of a page; frames are whole pages, aligned to pages.",
         FRAME_SERVICE: "Last part of the name of the service that carries frames.",
         DOCUMENT_SERVICE: "Last part of the name of the service that carries documents.",
         BANK_SERVICE: "First part of the name of the service that carries banks.",
@@ -136,7 +135,7 @@ pub(crate) fn messages(of: Section) -> impl Iterator<Item = &'static Description
     })
 }
 
-/// The word for what bounds a queue.
+/// The name of a queue in the tables.
 pub(crate) const fn traffic(traffic: Traffic) -> &'static str {
     match traffic {
         Traffic::Lanes => "lanes",
@@ -145,8 +144,8 @@ pub(crate) const fn traffic(traffic: Traffic) -> &'static str {
     }
 }
 
-/// A doc comment as one paragraph of plain Markdown: links to items of the code become their names, and
-/// sections of documents that the reader does not have go.
+/// A doc comment as one paragraph of plain Markdown: links to code become names, and references to the specification
+/// and the paper are removed.
 pub(crate) fn plain(doc: &str) -> String {
     let mut rest = doc.split_whitespace().collect::<Vec<_>>().join(" ");
     let mut text = String::new();

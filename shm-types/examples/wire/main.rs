@@ -1,5 +1,5 @@
-//! Writes `docs/wire.md`, the reference of the wire: prose from `wire.md` beside this file, tables from the declarations
-//! that the compiler lays out.
+//! Writes `docs/wire.md`, the reference of the wire: prose from `wire.md` beside this file, tables from the Rust
+//! declarations.
 //!
 //! `cargo run --release -p shm-types --example wire -- --write` writes the page; without `--write` it reports whether the
 //! page is up to date. A test does the same.
@@ -11,7 +11,7 @@ use std::fs;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
-/// Writes the page.
+/// The command that writes the page.
 const COMMAND: &str = "cargo run --release -p shm-types --example wire -- --write";
 
 fn page() -> PathBuf {

@@ -1,4 +1,4 @@
-//! The reference for people: prose from a template, tables from the code.
+//! Renders the page: prose from a template, tables from the declarations.
 
 use std::fmt::Write;
 
@@ -17,7 +17,7 @@ const TEMPLATE: &str = include_str!("wire.md");
 /// The whole page.
 ///
 /// # Panics
-/// When the template names a table that there is not: it is part of this program.
+/// When the template, which is part of this program, names an unknown table.
 pub(crate) fn page() -> String {
     let mut page = String::new();
     let mut rest = TEMPLATE;
@@ -49,7 +49,7 @@ fn table(name: &str) -> String {
                 .map(|c| format!("| `{}` | {} | {} |\n", c.name, c.value.replace('"', "`"), c.doc));
             format!("| constant | value | meaning |\n|---|---|---|\n{}", rows.collect::<String>())
         }
-        unknown => panic!("the template asks for {unknown}, which there is not"),
+        unknown => panic!("the template names an unknown table: {unknown}"),
     }
 }
 
@@ -105,7 +105,7 @@ fn section(layout: &Struct, head: &str) -> String {
     text + "\n"
 }
 
-/// A type as the tables name it.
+/// The name of a field's type in the tables.
 fn shape(of: FieldType) -> String {
     match of {
         FieldType::Number(name) => name.to_owned(),
@@ -141,7 +141,7 @@ mod tests {
 
     use super::TEMPLATE;
 
-    /// The table of attach.json is written by hand: nothing of the file is missing in it.
+    /// The table of `attach.json` is written by hand.
     #[test]
     fn every_field_of_the_attach_file_is_explained() {
         let folder = tempfile::tempdir().unwrap();

@@ -40,7 +40,7 @@ code_sets! {
         /// The episode ends without a result: there is no decision, for a reason that is not the model's, such as a
         /// server that refuses the request.
         Episode = 1,
-        /// The run stops: no episode can go on, for example because the server is down.
+        /// The run stops: no episode can continue, for example because the server is down.
         Run = 2,
         /// Not an error yet: decisions wait for something outside of the run, such as a model's server that does not
         /// answer. The text says for what; it is empty when the wait is over.

@@ -1,4 +1,4 @@
-//! Messages and bells between nodes of one run.
+//! Messages and notifications between the nodes of a run.
 
 use std::thread;
 use std::time::Duration;
@@ -21,7 +21,7 @@ fn decision(step: u32) -> Decision {
 }
 
 #[test]
-fn a_message_reaches_its_receiver_and_rings() {
+fn a_message_reaches_its_receiver_and_notifies_it() {
     let Run { attach, .. } = &run();
     let (orchestrator, sim) = (bus(attach, Role::Orchestrator), bus(attach, Role::Sim));
     let commands = sim.receiver::<StepCommand>().unwrap();
@@ -35,7 +35,7 @@ fn a_message_reaches_its_receiver_and_rings() {
     let lanes: Vec<u32> = commands.drain().unwrap().iter().map(|c| c.lane).collect();
     assert_eq!(lanes, Vec::from_iter(0..16));
     assert_eq!(commands.next().unwrap(), None);
-    assert!(!sim.listener().wait(Duration::ZERO).unwrap(), "one ring, taken once");
+    assert!(!sim.listener().wait(Duration::ZERO).unwrap(), "one notification, taken once");
     assert!(!sim.listener().wait(Duration::from_micros(10)).unwrap());
 }
 
@@ -105,7 +105,7 @@ fn a_message_outlives_its_sender_for_connected_receivers() {
 }
 
 #[test]
-fn messages_of_many_senders_that_came_and_went_all_arrive() {
+fn messages_of_many_short_lived_senders_all_arrive() {
     let Run { attach, .. } = &run();
     let orchestrator = bus(attach, Role::Orchestrator);
     let handshakes = orchestrator.receiver::<Handshake>().unwrap();
@@ -141,7 +141,7 @@ fn a_full_queue_is_an_error_and_not_a_wait() {
 }
 
 #[test]
-fn a_role_cannot_speak_for_another() {
+fn a_role_cannot_use_the_services_of_another() {
     let Run { attach, .. } = &run();
     let policy = bus(attach, Role::Policy);
     let error = policy.sender::<StepCommand>().unwrap_err();
@@ -168,8 +168,7 @@ fn runs_and_generations_never_meet() {
     }
 }
 
-/// Two processes' worth of nodes send each other messages and sleep in between; a lost ring would leave
-/// both asleep.
+/// Two nodes send each other messages and sleep in between; a lost notification would leave both asleep.
 fn ping_pong(spin_us: u32) {
     const ROUNDS: u32 = 5_000;
     let Run { attach, .. } = &run();
@@ -202,7 +201,7 @@ fn ping_pong(spin_us: u32) {
         let notifier = orchestrator.notifier(Role::Sim).unwrap();
         let (mut sent, mut seen) = (0, 0);
         while seen < ROUNDS {
-            // One to four messages in flight, and a ring for each batch.
+            // One to four messages in flight, and a notification for each batch.
             while sent < ROUNDS && sent - seen <= sent % 4 {
                 commands.send(&StepCommand { step: sent, ..Zeroable::zeroed() }).unwrap();
                 sent += 1;
@@ -220,17 +219,17 @@ fn ping_pong(spin_us: u32) {
 }
 
 #[test]
-fn no_ring_is_lost() {
+fn no_notification_is_lost() {
     ping_pong(0);
 }
 
 #[test]
-fn no_ring_is_lost_to_one_who_spins_first() {
+fn no_notification_is_lost_with_polling() {
     ping_pong(50);
 }
 
 #[test]
-fn complaints_are_counted_told_and_never_in_the_way() {
+fn error_reports_are_counted_and_never_block() {
     let Run { attach, .. } = &run();
     let (orchestrator, sim) = (bus(attach, Role::Orchestrator), bus(attach, Role::Sim));
     let mut reporter = ErrorReporter::new(&sim).unwrap();

@@ -1,4 +1,4 @@
-//! Processes for tests: this test binary, started again as something else.
+//! Child processes for tests: this test binary, started again in another part.
 
 use std::env;
 use std::io::{BufRead, BufReader, Write};
@@ -15,7 +15,7 @@ use crate::common::{LONG, attach, bus};
 const PLAY: &str = "MEMTRANSFER_TEST_PLAY";
 const DIR: &str = "MEMTRANSFER_TEST_DIR";
 
-/// A child that has said a word and now sleeps. Killed when dropped, as `kill -9` does it.
+/// A child process that has printed its word and sleeps. Dropping it kills it, as `kill -9` does.
 pub(crate) struct Sleeper {
     child: Child,
     pub(crate) word: String,
@@ -28,7 +28,7 @@ impl Drop for Sleeper {
     }
 }
 
-/// Starts `play` in `dir` and waits until it has said its word.
+/// Starts `play` in `dir` and waits until it has printed its word.
 pub(crate) fn sleeper(play: &str, dir: &std::path::Path) -> Sleeper {
     let mut child = Command::new(env::current_exe().unwrap())
         .args(["--exact", "child::plays", "--nocapture", "--test-threads=1"])
@@ -39,16 +39,16 @@ pub(crate) fn sleeper(play: &str, dir: &std::path::Path) -> Sleeper {
     let lines = BufReader::new(child.stdout.take().unwrap()).lines();
     let word =
         lines.map(Result::unwrap).find_map(|l| l.split_once("word: ").map(|w| w.1.to_owned()));
-    Sleeper { child, word: word.expect("the child says its word") }
+    Sleeper { child, word: word.expect("the child prints its word") }
 }
 
-/// Not a test: what a child does.
+/// Not a test: the main function of a child process.
 #[test]
 fn plays() {
     let Ok(play) = env::var(PLAY) else { return };
     let dir = PathBuf::from(env::var_os(DIR).unwrap());
     match play.as_str() {
-        // A whole run: its owner, two consumers, and frames that they were sent.
+        // A whole run: its owner, two consumers, and published frames.
         "run" => {
             let dir = RunDir::create(&dir).unwrap();
             let attach = attach(&dir);
@@ -57,7 +57,7 @@ fn plays() {
         }
         // A simulator in an existing run.
         "sim" => publish_and_sleep(&Attach::read(&dir).unwrap(), "ready"),
-        // Somebody whose child wants to die with it.
+        // A process with a child that ends with it.
         "parent" => {
             let child = sleeper("orphan", &dir);
             say(&format!("{}", child.child.id()));

@@ -1,4 +1,4 @@
-//! A run of its own for each test, and a watchdog over what could hang.
+//! A run of its own for each test, and a watchdog for what could hang.
 
 use std::path::Path;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
@@ -9,7 +9,7 @@ use shm_types::message::Role;
 use shm_types::{Attach, Bus, FrameSize, RunDir};
 use tempfile::TempDir;
 
-/// Longer than anything here takes; a wait that lasts this long hangs.
+/// Longer than any step of a test takes; a wait that lasts this long hangs.
 pub(crate) const LONG: Duration = Duration::from_secs(60);
 
 /// A run in a folder of its own. Fields are dropped in order: the run before its folder.
@@ -34,12 +34,12 @@ pub(crate) fn attach(dir: &RunDir) -> Attach {
     Attach { frame, frame_capacity: 32, lanes: 4, ..dir.attach() }
 }
 
-/// A place in `attach`'s run.
+/// Joins the run of `attach`.
 pub(crate) fn bus(attach: &Attach, role: Role) -> Bus {
     Bus::join(attach.clone(), role).unwrap()
 }
 
-/// Ends the process if what it returns is not dropped in time.
+/// Ends the process if the returned sender is not dropped in time.
 fn watchdog() -> Sender<()> {
     let (alive, watched): (_, Receiver<()>) = channel();
     let test = thread::current().name().unwrap_or("a test").to_owned();

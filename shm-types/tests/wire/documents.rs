@@ -1,4 +1,4 @@
-//! Documents: published once, kept as long as they can be named.
+//! Documents: published once, kept while a message can name them.
 
 use domain::Action;
 use shm_types::documents::{Content, MAX_DOCUMENT_BYTES};
@@ -12,7 +12,7 @@ fn step(trajectory: u8, frame: u64, action: u8) -> TrajectoryStep {
 }
 
 #[test]
-fn what_is_published_is_read_whatever_its_length() {
+fn documents_of_any_length_are_read_as_published() {
     let Run { attach, .. } = &run();
     let [memory, policy] = [Role::Memory, Role::Policy].map(|role| bus(attach, role));
     let mut store = DocumentStore::new(&policy).unwrap();
@@ -39,7 +39,7 @@ fn what_is_published_is_read_whatever_its_length() {
 }
 
 #[test]
-fn an_episode_s_document_goes_with_the_episode() {
+fn a_document_of_an_episode_is_dropped_with_it() {
     let Run { attach, .. } = &run();
     let [memory, policy] = [Role::Memory, Role::Policy].map(|role| bus(attach, role));
     let mut store = DocumentStore::new(&policy).unwrap();
@@ -57,7 +57,7 @@ fn an_episode_s_document_goes_with_the_episode() {
 }
 
 #[test]
-fn what_is_no_trajectory_is_said_once_and_dropped() {
+fn an_invalid_trajectory_is_reported_once_and_dropped() {
     let Run { attach, .. } = &run();
     let [memory, policy] = [Role::Memory, Role::Policy].map(|role| bus(attach, role));
     let mut store = DocumentStore::new(&policy).unwrap();

@@ -1,4 +1,4 @@
-//! Frames: written once, held by all, unchanged while held, and memory near the budget.
+//! Frames: written once, read by all consumers, unchanged while pinned, and memory near the budget.
 
 use std::collections::HashSet;
 use std::sync::Arc;
@@ -44,7 +44,7 @@ fn is_full_of(frame: &Frame, value: u8) -> bool {
 }
 
 #[test]
-fn a_frame_is_the_same_for_everybody() {
+fn every_consumer_reads_the_same_frame() {
     // 64 x 65 ends in the middle of a page.
     for frame in [FrameSize::DEFAULT, FrameSize { width: 64, height: 65 }] {
         let Run { attach, .. } = &run();
@@ -68,7 +68,7 @@ fn a_frame_is_the_same_for_everybody() {
 }
 
 #[test]
-fn a_held_frame_does_not_change_and_memory_stays_near_the_budget() {
+fn a_pinned_frame_does_not_change_and_memory_stays_near_the_budget() {
     let Run { attach, dir, .. } = &run();
     let mut store = store(attach);
     let (held, _) = store.publish(255);
@@ -80,7 +80,7 @@ fn a_held_frame_does_not_change_and_memory_stays_near_the_budget() {
     let (mut resident, mut addresses) = (Vec::new(), HashSet::new());
     for n in 0..10 * capacity {
         if resident.len() == capacity {
-            // The oldest, and now and then one that a consumer has never asked for.
+            // The oldest, and now and then one that a consumer has never looked up.
             store.evict(resident.remove(if n % 3 == 0 { capacity - 1 } else { 0 }));
         }
         let value = (n % 251) as u8;
@@ -96,7 +96,7 @@ fn a_held_frame_does_not_change_and_memory_stays_near_the_budget() {
         }
     }
     assert!(held.iter().all(|frame| is_full_of(frame, 255)));
-    // What is resident, what is held, and the lag of evictions; not the 10 x capacity that were published.
+    // What is resident, what is pinned, and the lag of evictions; not the 10 x capacity that were published.
     let alive = capacity + 1 + 5 + 1;
     assert!(addresses.len() <= alive, "{} distinct chunks", addresses.len());
     let chunk = (attach.frame.pages() + 1) * 4096;
@@ -115,7 +115,7 @@ fn a_held_frame_does_not_change_and_memory_stays_near_the_budget() {
 }
 
 #[test]
-fn a_consumer_that_does_not_let_go_is_named_and_memory_stays_bounded() {
+fn a_consumer_that_keeps_frames_is_named_and_memory_stays_bounded() {
     let Run { attach, .. } = &run();
     let mut store = store(attach);
     let ids: Vec<FrameId> = (0..attach.frame_chunks()).map(|n| store.publish(n as u8).0).collect();
@@ -160,7 +160,7 @@ fn pixels_are_read_on_other_threads_after_the_eviction() {
 }
 
 #[test]
-fn a_frame_that_breaks_the_agreement_is_refused_once() {
+fn an_invalid_frame_is_refused_once() {
     let Run { attach, .. } = &run();
     let memory = bus(attach, Role::Memory);
     let policy = bus(attach, Role::Policy);
@@ -176,7 +176,7 @@ fn a_frame_that_breaks_the_agreement_is_refused_once() {
     let (kept, id) = simulator(attach);
     assert!(consumer.get(id).unwrap().is_some());
     drop(kept);
-    // A simulator that starts again within a generation would use ids again.
+    // A simulator that starts again within a generation would use the same ids again.
     let (kept, id) = simulator(attach);
     assert!(matches!(consumer.get(id + 1), Err(FrameError::Id { id: again }) if again == id));
     assert!(consumer.get(id + 1).unwrap().is_none());
@@ -190,7 +190,7 @@ fn a_frame_that_breaks_the_agreement_is_refused_once() {
 }
 
 #[test]
-fn only_the_simulator_publishes_and_only_consumers_hold() {
+fn only_the_simulator_publishes_and_only_consumers_receive() {
     let Run { attach, .. } = &run();
     assert!(FramePublisher::new(&bus(attach, Role::Memory)).is_err());
     assert!(FrameStore::new(&bus(attach, Role::Orchestrator)).is_err());

@@ -1,4 +1,4 @@
-//! The shared memory between nodes, threads and processes. Every test has a run of its own.
+//! Shared memory between nodes, threads and processes. Every test has a run of its own.
 
 #![expect(clippy::unwrap_used, reason = "test helpers fail loudly")]
 

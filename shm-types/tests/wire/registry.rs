@@ -1,4 +1,4 @@
-//! Runs that end in every way: nothing is left behind, and nothing that lives is touched.
+//! Runs that end in every way: they leave nothing behind, and live runs are not touched.
 
 use std::fs;
 use std::os::unix::fs::PermissionsExt;

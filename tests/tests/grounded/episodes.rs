@@ -5,7 +5,7 @@ use warehouse::Start;
 
 use crate::runner::{Condition, Frames, Runner};
 
-/// One case of so many is run: two of each task type.
+/// Every how many cases one is run: two of each task type.
 const EVERY: usize = 5;
 
 #[test]

@@ -6,7 +6,7 @@ use warehouse::{Item, Variant, Warehouse};
 
 use crate::views::{Views, poses};
 
-/// One pose of so many is tested. Coprime to the number of headings, so that all headings occur.
+/// Every how many poses one is tested. Coprime to the number of headings, so that all headings occur.
 const EVERY: usize = 7;
 
 /// The farthest standpoint, in cells ahead, whose plate has to be read.

@@ -13,7 +13,7 @@ use super::{EXTENSION, FORM, ReplyCache, StoredReply};
 /// The prefix of files that are being written.
 pub(super) const UNFINISHED: &str = ".unfinished-";
 
-/// The age at which an unfinished file was left behind by a process that died.
+/// The age from which an unfinished file counts as left behind by a process that died.
 const ABANDONED_AFTER: Duration = Duration::from_secs(3600);
 
 /// The content of a cache.
@@ -224,7 +224,7 @@ mod tests {
     }
 
     #[test]
-    fn old_replies_go_first() {
+    fn old_replies_are_removed_first() {
         let now = SystemTime::now();
         for (older_than, max_bytes, expected) in [
             (None, None, 4),

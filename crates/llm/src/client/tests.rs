@@ -1,5 +1,5 @@
-//! The client against a scripted server, over real sockets. Nothing here asserts how long anything takes at most; what
-//! could hang has a watchdog.
+//! The client against a scripted server, over real sockets. No test asserts a maximum duration; what could hang has a
+//! watchdog.
 
 use std::collections::BTreeSet;
 use std::sync::Mutex;
@@ -67,7 +67,7 @@ impl Bench {
 
     fn next(&self) -> (String, Result<ChatAnswer, AskError>) {
         let (name, result) = self.done.recv_timeout(WATCHDOG).expect("the client hangs");
-        assert!(!format!("{result:?}").contains(KEY), "the key is out");
+        assert!(!format!("{result:?}").contains(KEY), "the output contains the key");
         (name, result)
     }
 
@@ -169,7 +169,7 @@ fn requests_that_hang_or_trickle_delay_no_others() {
     }
 }
 
-/// Defect 16: a server that takes 100 ms a request, one after the other, and is asked by eight at once with a deadline of
+/// A server that takes 100 ms per request, one after the other, and is asked by eight at once with a deadline of
 /// 300 ms. It computes all the time, and every request gets its reply.
 #[test]
 fn a_slow_server_answers_every_request() {
@@ -276,7 +276,7 @@ fn errors_that_concern_every_request_stop_the_client() {
     }
 }
 
-/// Defect 17: a context that is too short for every request ends the run after a few of them.
+/// A context that is too short for every request ends the run after a few of them.
 #[test]
 fn a_400_to_every_request_stops_the_client_and_names_the_image_budget() {
     let server = Server::start(|_| fails(400, "maximum context length is 8192 tokens")).unwrap();
@@ -327,9 +327,9 @@ fn a_server_that_is_not_there_stops_the_client() {
     assert_eq!(bench.error(), AskError::Stopped(why));
 }
 
-/// Defect 17: a model server takes minutes to start again; `--max-retries` covers seconds.
+/// A model server takes minutes to start again; `--max-retries` covers seconds.
 #[test]
-fn a_server_that_restarts_is_waited_for_and_the_listener_is_told() {
+fn a_restarting_server_is_waited_for_and_reported() {
     let mut turns = vec![Turn::says("North.")];
     turns.extend(vec![fails(503, "loading the model"); 3]);
     turns.push(Turn::says("South."));

@@ -69,7 +69,7 @@ fn probe_at(base_url: &str) -> ProbeReport {
     report
 }
 
-/// The findings, without what differs from time to time.
+/// The findings, without what varies from run to run.
 fn story(report: &ProbeReport) -> String {
     let lines = report.findings.iter().map(|ProbeFinding { what, mark, about }| {
         let timed = matches!(*what, "reachable" | "request of the run's size" | "speed");
@@ -104,7 +104,7 @@ fn a_server_with_everything_a_run_needs() {
     assert!(speed.contains("for 20 tokens"), "{speed}");
 }
 
-/// Defect 18: a server that refuses the run's largest request is not called good.
+/// A server that refuses the run's largest request is not reported as good.
 #[test]
 fn the_number_of_images_accepted_is_found() {
     for most in [1, 2, 8, 31, 46] {

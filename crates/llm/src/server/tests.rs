@@ -1,4 +1,4 @@
-//! The server's state by itself: stories with a clock of their own.
+//! The state of a server, in scenarios with a simulated clock.
 
 use proptest::prelude::*;
 
@@ -32,7 +32,7 @@ fn refused(status: u16) -> AttemptError {
     })
 }
 
-/// A state and a clock, both driven by hand.
+/// A state and a clock, both controlled by the test.
 struct Story {
     state: ServerState,
     start: Instant,
@@ -199,7 +199,7 @@ fn waiting_while_others_are_served_uses_up_no_retry() {
     }
 }
 
-/// Defect 16: eight requests of a slow server time out together; the next ones are fewer and have more time.
+/// Eight requests of a slow server time out together; the next ones are fewer and have more time.
 #[test]
 fn time_outs_shrink_the_load_and_extend_the_deadline() {
     let mut story = Story::new(8, 5, 0);
@@ -257,7 +257,7 @@ fn a_slow_server_is_called_slow() {
     );
 }
 
-/// Defect 17: the requests of a server that was there wait for it, with one that tries whether it is back.
+/// The requests of a server that has answered before wait for it, while one tries whether it is back.
 #[test]
 fn a_server_that_was_there_is_waited_for() {
     for failure in [unreachable(), status(503)] {
@@ -334,7 +334,7 @@ fn without_patience_three_requests_in_a_row_stop_the_client() {
     assert!(story.state.start(&mut next, story.now).is_err());
 }
 
-/// Defect 17: a server that refuses every request stops the run, and the message says what to do.
+/// A server that refuses every request stops the run, and the message says what to do.
 #[test]
 fn a_server_that_refuses_every_request_stops_the_client() {
     let mut story = Story::new(4, 5, 600);

@@ -34,7 +34,7 @@ pub trait Policy {
     /// decision must not depend on the other requests of the batch.
     fn act(&mut self, batch: &[Request<'_>]) -> Vec<Decision>;
 
-    /// A new episode begins in `lane`: what was kept for the lane is out of date.
+    /// A new episode begins in `lane`: state of the lane's earlier episode is out of date.
     fn reset(&mut self, lane: u32) {
         let _ = lane;
     }

@@ -211,8 +211,8 @@ impl<'a> Request<'a> {
     }
 }
 
-/// The outcome of a request. Anything but an action costs a step and leaves the agent where it is. Failures of a server
-/// are no answers: see [`Answers::fail`](super::Answers::fail).
+/// The outcome of a request. Anything but an action costs a step and leaves the agent where it is. A failure of a
+/// server is not an answer: see [`Answers::fail`](super::Answers::fail).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Answer {
     /// Take this action.
@@ -245,7 +245,7 @@ impl Answer {
     }
 }
 
-/// The cost of asking a language model. `None` is not known.
+/// The cost of asking a language model. A count that is not known is `None`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Usage {
     /// Tokens of the prompt.

@@ -1,7 +1,6 @@
 //! What a condition changes about the prompt (paper, Design Choices).
 //!
-//! Only the words and their standard. Where a variation makes a difference is
-//! [`Condition::new`](super::Condition::new)'s business.
+//! Only names and standard values: [`Condition::new`](super::Condition::new) decides where a variation has an effect.
 
 use std::fmt;
 
@@ -10,7 +9,7 @@ use serde::{Deserialize, Serialize};
 use crate::names::named;
 
 named! {
-    /// What a retrieved segment holds.
+    /// The content of a retrieved segment.
     SegmentContent, "segment content" {
         /// The expert's actions and the views they led to.
         Actions = "actions",
@@ -27,14 +26,14 @@ named! {
     }
 }
 
-/// What is varied about the prompt; the default is the paper's standard (paper, Experimental Setup).
+/// Variations of the prompt; the default is the paper's standard (paper, Experimental Setup).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(default)]
 pub struct Variation {
     /// Past steps that the policy is shown, h.
     #[serde(skip_serializing_if = "is_standard_window")]
     pub window: u32,
-    /// What a retrieved segment holds.
+    /// The content of a retrieved segment.
     #[serde(skip_serializing_if = "is_default")]
     pub segment: SegmentContent,
     /// Whether the original-start hint is given.
@@ -92,7 +91,7 @@ pub(crate) fn is_default<T: Default + PartialEq>(value: &T) -> bool {
 }
 
 impl fmt::Display for Variation {
-    /// What departs from the standard, each part after a slash: `/h20`, `/images`, `/no-hint`.
+    /// Writes the deviations from the standard, each after a slash: `/h20`, `/images`, `/no-hint`.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { window, segment, hint } = self;
         if !is_standard_window(window) {
@@ -109,8 +108,8 @@ impl fmt::Display for Variation {
 }
 
 impl Variation {
-    /// Reads one of the parts that [`Display`](fmt::Display) writes, without its slash. `false` when it is
-    /// none.
+    /// Reads one of the parts that [`Display`](fmt::Display) writes, without its slash. Returns `false` for any other
+    /// text.
     pub(super) fn read(&mut self, part: &str) -> bool {
         let window = part.strip_prefix('h').and_then(|digits| digits.parse().ok());
         match (window, part) {

@@ -1,13 +1,25 @@
 //! Whether a record agrees with itself.
 //!
-//! A record says most things more than once (the number of steps and the actions, the final pose and the way
-//! there), so a damaged or edited one contradicts itself.
+//! A record states most facts more than once (the number of steps and the actions, the final pose and the path to it),
+//! so a damaged or edited record contradicts itself.
+
+use std::collections::BTreeSet;
 
 use domain::Action;
 
 use super::{Ending, EpisodeRecord};
 use crate::conditions::{Condition, Route};
 use crate::key::EpisodeKey;
+
+/// Checks that records agree with themselves, and that none occurs twice.
+pub(super) fn check_records(max_steps: u32) -> impl FnMut(&EpisodeRecord) -> Result<(), String> {
+    let mut seen = BTreeSet::new();
+    move |record| {
+        record.check(max_steps)?;
+        let is_new = seen.insert(record.key.clone());
+        if is_new { Ok(()) } else { Err(format!("{} occurs twice", record.key)) }
+    }
+}
 
 impl EpisodeRecord {
     /// Checks the record against itself and against the step limit of its run.
@@ -113,7 +125,7 @@ mod tests {
     use crate::log::testing::record;
 
     #[test]
-    fn a_sound_record_passes_and_every_edit_is_noticed() {
+    fn a_valid_record_passes_and_every_edit_is_noticed() {
         for success in [true, false] {
             assert_eq!(record("t01-01", success).check(200), Ok(()));
         }

@@ -1,58 +1,25 @@
-//! The run folder: created, locked, resumed, read.
+//! The run folder as it is written: opened, locked, extended.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs::{self, File};
 use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
 
-use rustix::fs::FlockOperation;
-
-use super::manifest::MANIFEST_FILE;
+use super::check::check_records;
+use super::existing::{existing, has_episodes, has_requests, lock, remove_run};
+use super::files::{
+    DOCUMENTS_FOLDER, EPISODES_FILE, ERRORS_FILE, LATENCY_FILE, LOGS_FOLDER, PROMPTS_FOLDER,
+    REQUESTS_FILE, SESSIONS_FILE, TIMINGS_FILE,
+};
+use super::journal::unchecked;
 use super::{
-    DamagedLine, EpisodeError, EpisodeRecord, EpisodeTimings, Journal, LogError, Manifest,
-    RequestRecord, SessionEvent, SessionRecord, damaged_file, read_journal, system,
+    EpisodeError, EpisodeRecord, EpisodeTimings, Journal, LogError, Manifest, RequestRecord,
+    SessionEvent, SessionRecord, damaged_file, system,
 };
 use crate::latency::LatencyRecord;
 
-/// Name of the file in a run's folder.
-pub const STATUS_FILE: &str = "status.json";
-
-const EPISODES_FILE: &str = "episodes.jsonl";
-const TIMINGS_FILE: &str = "timings.jsonl";
-const REQUESTS_FILE: &str = "requests.jsonl";
-const ERRORS_FILE: &str = "errors.jsonl";
-const SESSIONS_FILE: &str = "sessions.jsonl";
-const LATENCY_FILE: &str = "latency.jsonl";
-const DOCUMENTS_FOLDER: &str = "documents";
-const PROMPTS_FOLDER: &str = "prompts";
-const LOGS_FOLDER: &str = "logs";
-/// Where [`report`](crate::report) writes about a single run.
-pub const REPORT_FOLDER: &str = "report";
-
-/// Everything that a run folder may hold. No other file in it is touched.
-const CONTENTS: [&str; 21] = [
-    MANIFEST_FILE,
-    "manifest.json.new",
-    EPISODES_FILE,
-    TIMINGS_FILE,
-    REQUESTS_FILE,
-    ERRORS_FILE,
-    SESSIONS_FILE,
-    LATENCY_FILE,
-    STATUS_FILE,
-    "status.json.new",
-    "episodes.jsonl.new",
-    "episodes.damaged.jsonl",
-    "timings.damaged.jsonl",
-    "requests.damaged.jsonl",
-    "errors.damaged.jsonl",
-    "sessions.damaged.jsonl",
-    "latency.damaged.jsonl",
-    DOCUMENTS_FOLDER,
-    PROMPTS_FOLDER,
-    LOGS_FOLDER,
-    REPORT_FOLDER,
-];
+#[cfg(test)]
+mod tests;
 
 /// A run folder that this process writes to, with a lock that keeps other processes from doing so.
 #[derive(Debug)]
@@ -96,7 +63,7 @@ impl RunFolder {
         let lock = lock(dir)?;
         let mut notes = Vec::new();
         let manifest = match existing(dir)? {
-            // A run without an episode or a request, perhaps for want of a model, is replaced.
+            // A run without an episode or a request, for example because a model was missing, is replaced.
             Some(_) if !fresh && !has_episodes(dir) && !has_requests(dir) => {
                 remove_run(dir)?;
                 manifest
@@ -110,12 +77,12 @@ impl RunFolder {
                 if manifest.commit != there.commit {
                     let commit = |m: &Manifest| m.commit.clone().unwrap_or("unknown".to_owned());
                     notes.push(format!(
-                        "the run was begun with commit {} and goes on with {}",
+                        "the run began with commit {} and continues with {}",
                         commit(&there),
                         commit(&manifest)
                     ));
                 }
-                // What is free to change is as this session has it.
+                // Settings that may change have this session's values.
                 let prices = manifest.prices.or(there.prices);
                 let mut documents = there.documents;
                 documents.extend(manifest.documents);
@@ -131,7 +98,7 @@ impl RunFolder {
         manifest.write(dir)?;
 
         let mut open = JournalOpener { dir, notes: &mut notes };
-        let check = check_record(manifest.settings.max_steps);
+        let check = check_records(manifest.settings.max_steps);
         let (episodes, finished) = open.journal::<EpisodeRecord>(EPISODES_FILE, check)?;
         let (timings, _) = open.journal(TIMINGS_FILE, unchecked)?;
         let (requests, asked) = open.journal(REQUESTS_FILE, unchecked)?;
@@ -191,7 +158,7 @@ impl RunFolder {
         dir.join(DOCUMENTS_FOLDER)
     }
 
-    /// Where a run folder at `dir` keeps what the policy was given and what it answered.
+    /// Where a run folder at `dir` keeps the requests to the policy and its answers.
     pub fn prompts_of(dir: &Path) -> PathBuf {
         dir.join(PROMPTS_FOLDER)
     }
@@ -220,7 +187,7 @@ impl RunFolder {
         if episodes.is_empty() {
             return Ok(());
         }
-        // What they cost before the episodes: no finished one is without.
+        // Requests before episodes, so that no finished episode lacks its requests.
         let cost =
             episodes.iter().any(|(record, _)| record.prompt_tokens.is_some_and(|sum| sum > 0));
         if cost {
@@ -275,8 +242,8 @@ impl RunFolder {
         self.latency.append(record)
     }
 
-    /// Puts what the processes said about themselves into the manifest, the first time; later says how
-    /// they differ from then.
+    /// Records the facts that the processes reported in the manifest, the first time. Later, returns how they differ
+    /// from the recorded ones.
     ///
     /// # Errors
     /// When an operation of the system fails.
@@ -304,110 +271,7 @@ impl RunFolder {
     }
 }
 
-/// A run folder as it is read, also while another process writes to it.
-#[derive(Debug, Clone)]
-pub struct RunLog {
-    /// The folder.
-    pub dir: PathBuf,
-    /// The manifest.
-    pub manifest: Manifest,
-    /// Finished episodes, by key.
-    pub episodes: Vec<EpisodeRecord>,
-    /// Their timings, by key.
-    pub timings: Vec<EpisodeTimings>,
-    /// Requests to the model in the order of their answers, those of unfinished attempts at an episode included.
-    pub requests: Vec<RequestRecord>,
-    /// Episodes that were given up and not finished since, by key: the last error of each.
-    pub errors: Vec<EpisodeError>,
-    /// Events of the sessions.
-    pub sessions: Vec<SessionRecord>,
-    /// Lines that cannot be used: what they say is missing above. A run sets them aside and repeats their episodes.
-    pub damaged: Vec<DamagedLine>,
-}
-
-impl RunLog {
-    /// Checks that a run whose episodes have the keys `planned` contains every finished episode: a run can grow, and not
-    /// shrink.
-    ///
-    /// # Errors
-    /// When a finished episode is missing from `planned`.
-    pub fn check_planned(&self, planned: &BTreeSet<String>) -> Result<(), LogError> {
-        let mut outside = self.episodes.iter().filter(|record| !planned.contains(&record.key));
-        let Some(first) = outside.next() else { return Ok(()) };
-        Err(LogError::NotPlanned {
-            dir: self.dir.clone(),
-            count: 1 + outside.count(),
-            example: first.key.clone(),
-        })
-    }
-
-    /// Reads the run in `dir`.
-    ///
-    /// # Errors
-    /// When there is none, or its log is broken.
-    pub fn read(dir: &Path) -> Result<Self, LogError> {
-        if !dir.join(MANIFEST_FILE).exists() {
-            return Err(LogError::NoRun { dir: dir.to_owned() });
-        }
-        let manifest = Manifest::read(dir)?;
-        let mut damaged = Vec::new();
-        let check = check_record(manifest.settings.max_steps);
-        let mut episodes = read(dir, EPISODES_FILE, check, &mut damaged)?;
-        episodes.sort_by(|a: &EpisodeRecord, b| a.key.cmp(&b.key));
-        let timings: Vec<EpisodeTimings> = read(dir, TIMINGS_FILE, unchecked, &mut damaged)?;
-        // The last of each key: those of an episode that was set aside come before those of its repetition.
-        let timings: BTreeMap<String, EpisodeTimings> =
-            timings.into_iter().map(|timings| (timings.key.clone(), timings)).collect();
-        let timings = timings.into_values().collect();
-        let requests = read(dir, REQUESTS_FILE, unchecked, &mut damaged)?;
-        let finished: BTreeSet<&str> = episodes.iter().map(|record| record.key.as_str()).collect();
-        let errors: Vec<EpisodeError> = read(dir, ERRORS_FILE, unchecked, &mut damaged)?;
-        let open = errors.into_iter().filter(|error| !finished.contains(error.key.as_str()));
-        let errors: BTreeMap<String, EpisodeError> =
-            open.map(|error| (error.key.clone(), error)).collect();
-        let errors = errors.into_values().collect();
-        let sessions = read(dir, SESSIONS_FILE, unchecked, &mut damaged)?;
-        let dir = dir.to_owned();
-        Ok(Self { dir, manifest, episodes, timings, requests, errors, sessions, damaged })
-    }
-
-    /// The name by which the policy introduced itself, for example a model's; `None` when none has started.
-    pub fn policy_name(&self) -> Option<&str> {
-        self.manifest.policy_name()
-    }
-
-    /// When the run was begun, in seconds since 1970.
-    pub fn began_unix_s(&self) -> Option<u64> {
-        self.sessions.iter().map(|record| record.unix_s).min()
-    }
-}
-
-fn read<T: serde::de::DeserializeOwned>(
-    dir: &Path,
-    file: &str,
-    check: impl FnMut(&T) -> Result<(), String>,
-    damaged: &mut Vec<DamagedLine>,
-) -> Result<Vec<T>, LogError> {
-    let contents = read_journal(&dir.join(file), check)?;
-    damaged.extend(contents.damaged);
-    Ok(contents.entries)
-}
-
-/// Checks records against themselves and against those before.
-fn check_record(max_steps: u32) -> impl FnMut(&EpisodeRecord) -> Result<(), String> {
-    let mut seen = BTreeSet::new();
-    move |record| {
-        record.check(max_steps)?;
-        let is_new = seen.insert(record.key.clone());
-        if is_new { Ok(()) } else { Err(format!("{} is there already", record.key)) }
-    }
-}
-
-fn unchecked<T>(_: &T) -> Result<(), String> {
-    Ok(())
-}
-
-/// Opens journals, and notes what was cut or set aside.
+/// Opens journals, and collects notes on what was cut or set aside.
 struct JournalOpener<'a> {
     dir: &'a Path,
     notes: &'a mut Vec<String>,
@@ -433,283 +297,5 @@ impl JournalOpener<'_> {
             .map(|line| format!("{line}; moved to {}", damaged_file(&path).display()));
         self.notes.extend(lines);
         Ok((journal, contents.entries))
-    }
-}
-
-/// Locks the folder until the file is dropped.
-fn lock(dir: &Path) -> Result<File, LogError> {
-    let file = File::open(dir).map_err(system("open", dir))?;
-    match rustix::fs::flock(&file, FlockOperation::NonBlockingLockExclusive) {
-        Ok(()) => Ok(file),
-        Err(rustix::io::Errno::WOULDBLOCK) => Err(LogError::Locked { dir: dir.to_owned() }),
-        Err(errno) => Err(system("lock", dir)(errno.into())),
-    }
-}
-
-/// The manifest of the run in `dir`, or none when the folder is empty; an error when it holds something
-/// else. A manifest that cannot be read is the inner error: `--fresh` gets past it.
-fn existing(dir: &Path) -> Result<Option<Result<Manifest, LogError>>, LogError> {
-    if dir.join(MANIFEST_FILE).exists() {
-        return Ok(Some(Manifest::read(dir)));
-    }
-    for entry in fs::read_dir(dir).map_err(system("list", dir))? {
-        let name = entry.map_err(system("list", dir))?.file_name();
-        // A draft without its manifest: killed in the first moment of a run.
-        if name != "manifest.json.new" {
-            return Err(LogError::NotARun { dir: dir.to_owned() });
-        }
-    }
-    Ok(None)
-}
-
-/// Whether the run in `dir` has finished an episode.
-fn has_episodes(dir: &Path) -> bool {
-    fs::metadata(dir.join(EPISODES_FILE)).is_ok_and(|file| file.len() > 0)
-}
-
-/// Whether the run in `dir` has sent a request.
-fn has_requests(dir: &Path) -> bool {
-    fs::metadata(dir.join(REQUESTS_FILE)).is_ok_and(|file| file.len() > 0)
-}
-
-/// Removes the run in `dir` and says what that was.
-fn remove_run(dir: &Path) -> Result<Vec<String>, LogError> {
-    let lines = |file: &str| {
-        fs::read(dir.join(file)).map_or(0, |text| text.iter().filter(|&&b| b == b'\n').count())
-    };
-    let note = format!(
-        "--fresh: removed the earlier run in {} ({} finished episodes)",
-        dir.display(),
-        lines(EPISODES_FILE)
-    );
-    // The manifest goes last: a folder with part of a run in it stays recognisable as one.
-    for name in CONTENTS.iter().rev() {
-        let path = dir.join(name);
-        if path.is_dir() {
-            fs::remove_dir_all(&path).map_err(system("remove", &path))?;
-        } else if path.exists() {
-            fs::remove_file(&path).map_err(system("remove", &path))?;
-        }
-    }
-    Ok(vec![note])
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::log::DocumentFacts;
-    use crate::log::testing::{manifest, record, request, timings};
-
-    fn keys(records: &[EpisodeRecord]) -> Vec<&str> {
-        records.iter().map(|record| record.key.as_str()).collect()
-    }
-
-    fn add(folder: &mut RunFolder, case: &str) {
-        let record = record(case, true);
-        folder.finish(&[(record.clone(), timings(&record))]).unwrap();
-    }
-
-    #[test]
-    fn a_run_goes_on_where_it_was_killed() {
-        let dir = tempfile::tempdir().unwrap();
-        let open = |fresh| RunFolder::open(dir.path(), manifest(), fresh).unwrap();
-        let mut folder = open(false).folder;
-        add(&mut folder, "t01-01");
-        add(&mut folder, "t01-02");
-        assert_eq!(folder.session(), 1);
-        folder.note(SessionEvent::Failed { generation: 1, reason: "x".into() }).unwrap();
-        drop(folder);
-        // Killed in the middle of a line.
-        let path = dir.path().join(EPISODES_FILE);
-        let text = fs::read(&path).unwrap();
-        fs::write(&path, &text[..text.len() - 7]).unwrap();
-
-        let Opened { mut folder, finished, notes, .. } = open(false);
-        assert_eq!(keys(&finished), [record("t01-01", true).key]);
-        assert!(notes[0].starts_with("episodes.jsonl: cut "), "{notes:?}");
-        assert_eq!(folder.session(), 2);
-        assert!(!folder.is_finished(&record("t01-02", true).key));
-        add(&mut folder, "t01-02");
-        drop(folder);
-        assert_eq!(fs::read(&path).unwrap(), text, "the log is as if nothing had happened");
-
-        let opened = open(true);
-        assert!(opened.finished.is_empty());
-        assert!(opened.notes[0].contains("(2 finished episodes)"), "{:?}", opened.notes);
-    }
-
-    #[test]
-    fn what_was_spent_is_known_after_a_kill_whether_or_not_an_episode_was_finished() {
-        let dir = tempfile::tempdir().unwrap();
-        let open = || RunFolder::open(dir.path(), manifest(), false).unwrap();
-        let mut folder = open().folder;
-        (0..3).for_each(|step| folder.asked(&request("a", step)).unwrap());
-        drop(folder);
-        // Killed in the middle of a line.
-        let path = dir.path().join(REQUESTS_FILE);
-        let text = fs::read(&path).unwrap();
-        fs::write(&path, &text[..text.len() - 7]).unwrap();
-
-        let Opened { mut folder, finished, requests, notes } = open();
-        assert_eq!((finished.len(), requests.len()), (0, 2));
-        assert!(notes[0].starts_with("requests.jsonl: cut "), "{notes:?}");
-        assert_eq!(requests, [request("a", 0), request("a", 1)]);
-        // The episode runs again, and what it took before was spent all the same.
-        (0..3).for_each(|step| folder.asked(&request("a", step)).unwrap());
-        add(&mut folder, "t01-01");
-        drop(folder);
-        assert_eq!(RunLog::read(dir.path()).unwrap().requests.len(), 5);
-    }
-
-    #[test]
-    fn a_run_can_grow_and_not_shrink() {
-        let dir = tempfile::tempdir().unwrap();
-        let document = |sha256: &str| DocumentFacts {
-            sha256: sha256.to_owned(),
-            builder: "extractive".to_owned(),
-            address: None,
-            bytes: 1,
-            words: 1,
-        };
-        let with = |documents: &[(&str, &str)]| {
-            let facts =
-                documents.iter().map(|(name, sha256)| ((*name).to_owned(), document(sha256)));
-            Manifest { documents: facts.collect(), ..manifest() }
-        };
-        let mut first = with(&[("summary/original", "aa")]);
-        first.settings.limit = Some(10);
-        let mut folder = RunFolder::open(dir.path(), first, false).unwrap().folder;
-        add(&mut folder, "t01-01");
-        drop(folder);
-
-        let mut larger = with(&[("semantic/original", "bb")]);
-        larger.settings.limit = Some(20);
-        larger.settings.groups[0].runs = 3;
-        let folder = RunFolder::open(dir.path(), larger, false).unwrap().folder;
-        let names: Vec<&String> = folder.manifest().documents.keys().collect();
-        assert_eq!(names, ["semantic/original", "summary/original"]);
-        assert_eq!(folder.manifest().settings.limit, Some(20));
-        drop(folder);
-
-        let other = with(&[("summary/original", "cc")]);
-        let error = RunFolder::open(dir.path(), other, false).unwrap_err().to_string();
-        assert!(error.contains("document summary/original: \"aa\" there, \"cc\" now"), "{error}");
-
-        let log = RunLog::read(dir.path()).unwrap();
-        let key = log.episodes[0].key.clone();
-        log.check_planned(&BTreeSet::from([key.clone(), "another".to_owned()])).unwrap();
-        let error = log.check_planned(&BTreeSet::new()).unwrap_err().to_string();
-        assert!(error.contains("1 finished episodes") && error.contains(&key), "{error}");
-    }
-
-    #[test]
-    fn another_run_is_not_touched() {
-        let dir = tempfile::tempdir().unwrap();
-        let open = |manifest| RunFolder::open(dir.path(), manifest, false);
-        let mut other = manifest();
-        other.settings.seed = 9;
-        drop(open(other).unwrap());
-        let mut folder = open(manifest()).unwrap().folder;
-        assert_eq!(folder.manifest().settings.seed, 1, "nothing had been finished with seed 9");
-        add(&mut folder, "t01-01");
-        drop(folder);
-        let mut other = manifest();
-        other.settings.seed = 8;
-        other.settings.lanes += 1;
-        other.settings.adapter = Some("processor".to_owned());
-        other.hashes.insert("layout".into(), "ff".into());
-        let error = open(other).unwrap_err().to_string();
-        let error = error.replace(&dir.path().display().to_string(), "DIR");
-        insta::assert_snapshot!(error, @r#"
-        DIR holds a run with other settings:
-          adapter: not set there, "processor" now
-          contents of layout: "00" there, "ff" now
-          seed: 1 there, 8 now
-        Use the same settings to go on with it, --fresh to start over, or another --out
-        "#);
-    }
-
-    #[test]
-    fn a_folder_with_other_things_is_refused_and_one_in_use_too() {
-        let dir = tempfile::tempdir().unwrap();
-        let open = || RunFolder::open(dir.path(), manifest(), true);
-        let held = open().unwrap();
-        assert!(matches!(open(), Err(LogError::Locked { .. })));
-        drop(held);
-        fs::remove_file(dir.path().join(MANIFEST_FILE)).unwrap();
-        assert!(matches!(open(), Err(LogError::NotARun { .. })));
-        assert!(dir.path().join(EPISODES_FILE).exists());
-        assert!(matches!(RunLog::read(dir.path()), Err(LogError::NoRun { .. })));
-    }
-
-    #[test]
-    fn a_damaged_record_is_named_set_aside_and_its_episode_is_open_again() {
-        let dir = tempfile::tempdir().unwrap();
-        let open = || RunFolder::open(dir.path(), manifest(), false).unwrap();
-        let mut folder = open().folder;
-        ["t01-01", "t01-02", "t01-03"].iter().for_each(|case| add(&mut folder, case));
-        drop(folder);
-        let path = dir.path().join(EPISODES_FILE);
-        let text = fs::read_to_string(&path).unwrap();
-        let mut lines: Vec<String> = text.lines().map(str::to_owned).collect();
-        // One line edited, one torn, one twice.
-        lines[0] = lines[0].replace("\"steps\":10", "\"steps\":931");
-        lines[1].truncate(40);
-        lines.push(lines[2].clone());
-        fs::write(&path, lines.join("\n") + "\n").unwrap();
-
-        let log = RunLog::read(dir.path()).unwrap();
-        assert_eq!(keys(&log.episodes), [record("t01-03", true).key]);
-        let shown: Vec<String> = log.damaged.iter().map(ToString::to_string).collect();
-        insta::assert_snapshot!(shown.join("\n"), @r#"
-        episodes.jsonl, line 1: "steps" is 931, and "actions" has 10
-        episodes.jsonl, line 2: control character (\u0000-\u001F) found while parsing a string at line 2 column 0
-        episodes.jsonl, line 4: episodic/original/unchanged/original/run1/t01-03 is there already
-        "#);
-
-        let Opened { mut folder, finished, notes, .. } = open();
-        assert_eq!((keys(&finished), notes.len()), (vec![&*record("t01-03", true).key], 3));
-        assert!(!folder.is_finished(&record("t01-01", true).key));
-        ["t01-01", "t01-02"].iter().for_each(|case| add(&mut folder, case));
-        drop(folder);
-        let log = RunLog::read(dir.path()).unwrap();
-        assert_eq!((log.episodes.len(), log.timings.len(), log.damaged.len()), (3, 3, 0));
-        let aside = fs::read_to_string(damaged_file(&path)).unwrap();
-        assert_eq!(aside.lines().count(), 3, "nothing is lost");
-    }
-
-    #[test]
-    fn an_error_counts_until_the_episode_is_finished() {
-        let dir = tempfile::tempdir().unwrap();
-        let mut folder = RunFolder::open(dir.path(), manifest(), false).unwrap().folder;
-        for case in ["t01-01", "t01-02"] {
-            let (key, error) = (record(case, true).key, "overdue".to_owned());
-            folder.give_up(&EpisodeError { key, session: 1, error }).unwrap();
-        }
-        add(&mut folder, "t01-02");
-        let log = RunLog::read(dir.path()).unwrap();
-        assert_eq!(
-            log.errors.iter().map(|e| e.key.as_str()).collect::<Vec<_>>(),
-            [record("t01-01", true).key]
-        );
-    }
-
-    #[test]
-    fn processes_that_changed_are_named() {
-        let dir = tempfile::tempdir().unwrap();
-        let facts = |adapter: &str| {
-            let facts = BTreeMap::from([("adapter".to_owned(), adapter.to_owned())]);
-            BTreeMap::from([("sim".to_owned(), facts)])
-        };
-        let open = || RunFolder::open(dir.path(), manifest(), false).unwrap().folder;
-        let mut first = open();
-        assert!(first.introduce(facts("llvmpipe")).unwrap().is_empty());
-        add(&mut first, "t01-01");
-        drop(first);
-        assert!(open().introduce(facts("llvmpipe")).unwrap().is_empty());
-        assert_eq!(
-            open().introduce(facts("other")).unwrap(),
-            ["sim: adapter was llvmpipe when the run began, now other"]
-        );
     }
 }

@@ -95,10 +95,9 @@ impl<T: Serialize + DeserializeOwned> Journal<T> {
         self.file.sync_data().map_err(system("flush", &self.path))
     }
 
-    /// Has everything added so far put on the disk, and does not wait for it: a thread of the journal's own
-    /// flushes again and again as long as there is something new, and once more when the journal is dropped.
-    /// What was added survives any kill of this process at once, and a crash of the machine some milliseconds
-    /// later.
+    /// Starts writing everything added so far to the disk, and does not wait for it: a thread of the journal flushes as
+    /// long as there is something new, and once more when the journal is dropped. What was added survives any kill of
+    /// this process at once, and a crash of the machine some milliseconds later.
     ///
     /// # Errors
     /// When the system refused an earlier flush, or another thread.
@@ -114,7 +113,7 @@ impl<T: Serialize + DeserializeOwned> Journal<T> {
 /// A thread that flushes a file whenever it is asked to.
 #[derive(Debug)]
 struct Flusher {
-    /// Holds one request at most: whatever is added before it is taken is flushed with it.
+    /// Holds at most one request: what is added before it is taken is flushed with it.
     requests: Option<Sender<()>>,
     failure: Receiver<io::Error>,
     thread: Option<JoinHandle<()>>,
@@ -128,7 +127,7 @@ impl Flusher {
         let flush = move || {
             for () in asked {
                 if let Err(error) = file.sync_data() {
-                    // There is room: it is the first failure, and the last.
+                    // There is room: this is the first failure, and the thread ends with it.
                     let _ = failed.send(error);
                     return;
                 }
@@ -154,10 +153,15 @@ impl Drop for Flusher {
     fn drop(&mut self) {
         self.requests = None;
         if let Some(thread) = self.thread.take() {
-            // It does not panic; and if it did, it has said so.
+            // The thread does not panic; if it did, it has printed the panic.
             let _ = thread.join();
         }
     }
+}
+
+/// A check that every entry passes.
+pub(super) fn unchecked<T>(_: &T) -> Result<(), String> {
+    Ok(())
 }
 
 /// Reads the journal in `path` without changing it; a missing one is empty.
@@ -207,8 +211,8 @@ fn parse<T: DeserializeOwned>(
     JournalContents { entries, damaged, torn: (text.len() - whole.len()) as u64 }
 }
 
-/// Moves the `damaged` lines of the journal in `path`, which holds `text`, to another file. They are there, durably,
-/// before they are gone here.
+/// Moves the `damaged` lines of the journal in `path`, which holds `text`, to another file. They are on the disk there
+/// before they are removed here.
 fn set_aside(path: &Path, text: &[u8], damaged: &[DamagedLine]) -> Result<(), LogError> {
     let aside = damaged_file(path);
     let draft = path.with_extension("jsonl.new");
@@ -237,7 +241,7 @@ mod tests {
     }
 
     #[test]
-    fn a_journal_cut_anywhere_keeps_its_whole_lines_and_goes_on() {
+    fn a_journal_cut_anywhere_keeps_its_whole_lines_and_continues() {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("j.jsonl");
         let (mut journal, found) = Journal::<Entry>::open(&path, |_| Ok(())).unwrap();
@@ -264,7 +268,7 @@ mod tests {
     }
 
     #[test]
-    fn a_damaged_line_is_named_set_aside_and_the_others_stay() {
+    fn a_damaged_line_is_named_and_set_aside_and_the_others_stay() {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("j.jsonl");
         let text = b"[0,\"\"]\n[1,\n[2,\"\"]\n[7,\"\"]\n\xff\n[4,\"\"]\n[3";

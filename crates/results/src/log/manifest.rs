@@ -13,7 +13,7 @@ use super::{LogError, system};
 use crate::cost::ModelPrices;
 use crate::settings::{FREE_KEYS, RunSettings};
 
-/// Changes when a reader of the old files could not read the new ones.
+/// Changes when programs that read the old files cannot read the new ones.
 pub const FORMAT: u32 = 2;
 
 /// Name of the file in a run folder.
@@ -37,13 +37,13 @@ pub struct Manifest {
     /// The documents that memory supplies, by name: `summary/4`.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub documents: BTreeMap<String, DocumentFacts>,
-    /// What the model's tokens cost, where that was said.
+    /// The prices of the model's tokens, if they were given.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub prices: Option<ModelPrices>,
     /// Episodes of the whole run.
     pub episodes: u32,
-    /// What each process said about itself when the run began: adapter, encoder and its hash, policy, ...
-    /// Empty until then.
+    /// The facts that each process reported when the run began: adapter, encoder and its hash, policy, ... Empty until
+    /// then.
     pub processes: BTreeMap<String, BTreeMap<String, String>>,
 }
 
@@ -52,7 +52,7 @@ pub struct Manifest {
 pub struct DocumentFacts {
     /// SHA-256 of its text, as hexadecimal digits.
     pub sha256: String,
-    /// What built it.
+    /// The builder.
     pub builder: String,
     /// Hash of everything that it depends on; absent in the manifests of earlier versions.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -90,13 +90,13 @@ impl Manifest {
         let text = fs::read_to_string(&path).map_err(system("read", &path))?;
         let broken = |problem: String| LogError::BrokenManifest { path: path.clone(), problem };
         let value: Value = serde_json::from_str(&text).map_err(|e| broken(e.to_string()))?;
-        // The format comes first: a manifest of another one may well have other fields.
+        // The format comes first: a manifest of another format may have other fields.
         match value.get("format").and_then(Value::as_u64) {
             Some(format) if format == u64::from(FORMAT) => {}
             Some(format) => {
                 return Err(broken(format!("format {format}, this program reads {FORMAT}")));
             }
-            None => return Err(broken("it says no format".to_owned())),
+            None => return Err(broken("it has no format".to_owned())),
         }
         serde_json::from_value(value).map_err(|e| broken(e.to_string()))
     }
@@ -119,7 +119,7 @@ impl Manifest {
         write().map_err(system("write", &path))
     }
 
-    /// The name by which the policy introduced itself; `None` before it has.
+    /// The name that the policy reported; `None` before it has.
     pub fn policy_name(&self) -> Option<&str> {
         self.processes.get("policy")?.get("policy").map(String::as_str)
     }
@@ -148,13 +148,13 @@ impl Manifest {
             .collect()
     }
 
-    /// The settings and contents that decide the outcome of an episode, by name.
+    /// The settings and contents that determine the outcome of an episode, by name.
     fn identity(&self) -> Map<String, Value> {
         let mut identity = match serde_json::to_value(&self.settings) {
             Ok(Value::Object(settings)) => settings,
             _ => Map::new(),
         };
-        // `cases`, `limit` and `group` decide which episodes there are.
+        // `cases`, `limit` and `group` determine which episodes the run has.
         for key in FREE_KEYS.iter().chain(&["cases", "limit", "group"]) {
             identity.remove(*key);
         }

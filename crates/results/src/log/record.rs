@@ -21,7 +21,7 @@ named! {
     Ending, "ending" {
         /// The task is done.
         Complete = "complete",
-        /// T_max steps were taken and it is not.
+        /// T_max steps were taken without completing it.
         OutOfSteps = "out-of-steps",
     }
 }
@@ -69,16 +69,16 @@ pub struct EpisodeRecord {
     pub sub_goals: Vec<u32>,
     /// Sub-goals of the whole task; a return is the last. The episode is complete when `sub_goals` has as many.
     pub required: u32,
-    /// Every time that the agent came to stand before an item that the task is about, whether or not that
-    /// counted, in order: `12A@3,7` is after 12 steps before an A, on the cell in column 3 and row 7.
+    /// Every arrival before an item that the task is about, whether or not it counted, in order: `12A@3,7` is after 12
+    /// steps before an A, on the cell in column 3 and row 7.
     #[serde(skip_serializing_if = "Vec::is_empty", default)]
     pub visits: Vec<Visit>,
     /// For A, B or C: the first step whose view showed one (by
     /// [`warehouse::sight`], whatever the distance). Absent for what was never in view.
     #[serde(skip_serializing_if = "BTreeMap::is_empty", default)]
     pub first_seen: BTreeMap<Requirement, u32>,
-    /// The steps, from 1, whose move was blocked and left the agent in place. With `start_pose` and `actions`
-    /// they say where the agent was at every step.
+    /// The steps, from 1, whose move was blocked and left the agent in place. With `start_pose` and `actions`, they
+    /// determine where the agent was at every step.
     #[serde(skip_serializing_if = "Vec::is_empty", default)]
     pub blocked_moves: Vec<u32>,
     /// On a blocked route: whether the agent tried to enter a newly closed cell, b_i. Absent elsewhere.
@@ -91,7 +91,7 @@ pub struct EpisodeRecord {
     pub start_pose: Pose,
     /// Where it ended.
     pub final_pose: Pose,
-    /// Requests to the policy. Absent where no policy was asked (the expert).
+    /// Requests to the policy. Absent where there was no policy to ask (the expert).
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub requests: Option<u32>,
     /// Images in all of them.
@@ -155,7 +155,7 @@ impl EpisodeRecord {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Unread {
-    /// There was an answer, and no action in it.
+    /// The answer has text, but no action.
     pub unreadable: u32,
     /// The answer was empty.
     pub empty: u32,
@@ -183,12 +183,12 @@ pub struct EpisodeTimings {
     pub key: String,
     /// The session it ended in, from 1.
     pub session: u32,
-    /// The generation of processes in that session. 0 in logs from before it was written down.
+    /// The generation of processes in that session. 0 in logs of earlier versions.
     #[serde(default)]
     pub generation: u32,
-    /// Its ticket in that session, by which [`prompts`](domain::prompt_log) name it. 0 likewise.
-    #[serde(default)]
-    pub ticket: u64,
+    /// The episode id in that session, by which [`prompts`](domain::prompt_log) name it. 0 in logs of earlier versions.
+    #[serde(default, alias = "ticket")]
+    pub episode: u64,
     /// The number of the attempt, from 1.
     pub attempt: u32,
     /// The lane it ran in.
@@ -200,8 +200,8 @@ pub struct EpisodeTimings {
     /// Steps taken.
     pub steps: u32,
     /// Invalid messages about it.
-    #[serde(skip_serializing_if = "is_zero", default)]
-    pub rubbish: u32,
+    #[serde(skip_serializing_if = "is_zero", default, alias = "rubbish")]
+    pub invalid_messages: u32,
     /// Where the time went, summed over its steps.
     pub stages: Stages,
     /// What memory supplied, summed over its steps. Absent where no memory was asked, and in earlier logs.
@@ -261,13 +261,13 @@ pub struct RequestRecord {
     pub step: u32,
     /// The session, from 1.
     pub session: u32,
-    /// How the answer came out.
+    /// The outcome of the answer.
     #[serde(with = "outcome_word")]
     pub outcome: Outcome,
-    /// Requests that were sent for it, failed ones included.
+    /// Requests that were sent for it, including failed ones.
     #[serde(skip_serializing_if = "Option::is_none", default, deserialize_with = "measured")]
     pub attempts: Option<u32>,
-    /// Whether the reply was one that had been kept from an earlier request: it cost nothing this time.
+    /// Whether the reply came from the response cache: it cost nothing this time.
     #[serde(skip_serializing_if = "std::ops::Not::not", default)]
     pub replayed: bool,
     /// Microseconds from the sending (of the last attempt) to the decision. Absent where nothing was sent.
@@ -324,18 +324,18 @@ mod outcome_word {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Stages {
-    /// From the command's sending until the simulator took it up.
+    /// From sending the command until the simulator received it.
     pub command: u64,
     /// Applying the dynamics.
     pub dynamics: u64,
-    /// Until the view was there.
+    /// Until the view was resident.
     pub render: u64,
     /// Until the observation was published.
     #[serde(default)]
     pub publish: u64,
-    /// Until memory took it up.
+    /// Until memory received it.
     pub observation: u64,
-    /// Until the view's embedding was there.
+    /// Until the view's embedding was known.
     pub embed: u64,
     /// Until the nearest remembered view was found.
     pub search: u64,
@@ -348,7 +348,7 @@ pub struct Stages {
     pub queue: u64,
     /// Until it had decided.
     pub decide: u64,
-    /// Until the orchestrator took the decision up.
+    /// Until the orchestrator received the decision.
     pub decision: u64,
 }
 
@@ -462,7 +462,8 @@ pub enum SessionEvent {
         errors: u32,
         /// Why it stopped: complete, or the signal.
         reason: String,
-        /// What each process of the last generation did with frames, and what it complained about.
-        farewells: BTreeMap<String, BTreeMap<String, u64>>,
+        /// The totals of each process of the last generation, from its shutdown report.
+        #[serde(alias = "farewells")]
+        shutdown_reports: BTreeMap<String, BTreeMap<String, u64>>,
     },
 }

@@ -7,7 +7,7 @@ use domain::{Action, Feedback, Pose};
 use super::EpisodeRecord;
 
 impl EpisodeRecord {
-    /// The pose at the start and after each step, with the feedback that the agent got there.
+    /// The pose at the start and after each step, with the feedback.
     ///
     /// The record says which moves were blocked, so no map is needed.
     pub fn replay(&self) -> Vec<(Pose, Feedback)> {

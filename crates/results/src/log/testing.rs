@@ -28,7 +28,7 @@ pub fn manifest() -> Manifest {
     }
 }
 
-/// The settings of the quick suite's shape with every value at its default.
+/// The settings of a suite like `quick`, with every value at its default.
 pub fn settings() -> RunSettings {
     RunSettings {
         suite: SuiteName::quick(),
@@ -137,13 +137,13 @@ pub fn timings(record: &EpisodeRecord) -> EpisodeTimings {
         key: record.key.clone(),
         session: 1,
         generation: 1,
-        ticket: 1,
+        episode: 1,
         attempt: 1,
         lane: 0,
         started_ns: 0,
         ended_ns: 2_000_000_000,
         steps: record.steps,
-        rubbish: 0,
+        invalid_messages: 0,
         stages: Stages {
             command: each,
             dynamics: each,
@@ -162,7 +162,7 @@ pub fn timings(record: &EpisodeRecord) -> EpisodeTimings {
     }
 }
 
-/// A question that was answered: 1000 tokens, 300 of them memory, 200 cached, and an answer of 3.
+/// An answered request: 1000 prompt tokens, 300 of them memory, 200 cached, and 3 completion tokens.
 pub fn request(key: &str, step: u32) -> RequestRecord {
     RequestRecord {
         key: key.to_owned(),

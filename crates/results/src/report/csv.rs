@@ -5,7 +5,7 @@ use std::io::Write;
 use super::document::Table;
 use super::frame::Frame;
 
-/// Writes a printed table: its labels, its cells as text; a mark stands where there is no figure.
+/// Writes a printed table: its labels, its cells as text, and a mark where there is no figure.
 ///
 /// # Errors
 /// When writing fails.

@@ -1,6 +1,6 @@
 //! The document model: sections of text, tables and figures, rendered as HTML, Markdown, CSV and in a terminal.
 //!
-//! A [`Cell`] cannot be empty: where there is no figure it says why.
+//! A [`Cell`] cannot be empty: where there is no figure, it gives the reason.
 
 /// A whole report.
 #[derive(Debug, Clone, PartialEq)]
@@ -90,6 +90,8 @@ pub struct Column {
     pub over: String,
     /// Its own heading.
     pub name: String,
+    /// Whether its cells are text, which is aligned to the left; figures are aligned to the right.
+    pub is_text: bool,
 }
 
 /// Rows that belong together.
@@ -108,7 +110,7 @@ pub struct Row {
     pub label: String,
     /// Whether the figures are the published ones, not a run's.
     pub published: bool,
-    /// One cell a column.
+    /// One cell per column.
     pub cells: Vec<Cell>,
 }
 
@@ -144,7 +146,7 @@ pub enum Missing {
 }
 
 impl Missing {
-    /// What stands in the cell.
+    /// The mark in the cell.
     pub const fn mark(&self) -> &'static str {
         match self {
             Self::NotRun => "not run",
@@ -155,7 +157,7 @@ impl Missing {
         }
     }
 
-    /// What stands below the table.
+    /// The note below the table that explains the mark.
     pub fn reason(&self) -> Option<String> {
         match self {
             Self::NotRun => None,
@@ -192,8 +194,8 @@ pub struct Figure {
 }
 
 impl Table {
-    /// Makes a table of text: the headings of the label columns and of the others, and for each row a label and its
-    /// cells.
+    /// Makes a table whose cells are text: the headings of the label columns and of the others, and for each row a
+    /// label and its cells.
     pub fn of_text(
         id: impl Into<String>,
         caption: impl Into<String>,
@@ -214,8 +216,16 @@ impl Table {
         }
     }
 
-    /// The table without what was not run: rows of the run that have no figure go, with the published rows of their
-    /// group, then columns without a figure. `None` when nothing is left.
+    /// Makes the columns with these headings columns of text.
+    pub fn with_text(mut self, headings: &[&str]) -> Self {
+        for column in &mut self.columns {
+            column.is_text |= headings.contains(&column.name.as_str());
+        }
+        self
+    }
+
+    /// Removes what was not run: rows of the run without a figure, published rows whose group has no other row, and
+    /// columns without a figure. `None` when nothing is left.
     pub fn pruned(mut self) -> Option<Self> {
         for group in &mut self.groups {
             group.rows.retain(|row| row.published || row.cells.iter().any(Cell::is_figure));
@@ -235,7 +245,7 @@ impl Table {
         (!self.groups.is_empty()).then_some(self)
     }
 
-    /// The reasons for its missing figures, each once, in the order in which they come.
+    /// The reasons for its missing figures, each once, in order.
     pub fn notes(&self) -> Vec<String> {
         let mut notes = Vec::new();
         for cell in self.cells() {
@@ -248,7 +258,7 @@ impl Table {
         notes
     }
 
-    /// The place of the cell's reason among [`Table::notes`], from 1.
+    /// The number of the cell's reason in [`Table::notes`], from 1.
     pub fn note_of(&self, cell: &Cell) -> Option<usize> {
         let reason = cell.missing()?.reason()?;
         Some(1 + self.notes().iter().position(|note| *note == reason)?)
@@ -259,7 +269,7 @@ impl Table {
         self.groups.iter().flat_map(|group| &group.rows).flat_map(|row| &row.cells)
     }
 
-    /// What the columns have in common with their neighbours: name and number of columns.
+    /// The headings that neighbouring columns share, each with its number of columns.
     pub fn spans(&self) -> Vec<(&str, usize)> {
         let mut spans: Vec<(&str, usize)> = Vec::new();
         for column in &self.columns {
@@ -271,7 +281,7 @@ impl Table {
         spans
     }
 
-    /// Whether any column shares something with its neighbours.
+    /// Whether columns share a heading.
     pub fn has_spans(&self) -> bool {
         self.columns.iter().any(|column| !column.over.is_empty())
     }
@@ -283,7 +293,7 @@ fn keep<T>(list: &mut Vec<T>, kept: &[bool]) {
 }
 
 impl Cell {
-    /// Whether it is a figure, or would be one had it been measured or defined.
+    /// Whether it is a figure, or would be one if it had been measured or defined.
     fn is_figure(&self) -> bool {
         !matches!(self, Self::Missing(Missing::NotRun | Missing::NotApplicable(_)))
     }
@@ -299,11 +309,16 @@ impl Cell {
 impl Column {
     /// A column of its own.
     pub fn new(name: impl Into<String>) -> Self {
-        Self { over: String::new(), name: name.into() }
+        Self { over: String::new(), name: name.into(), is_text: false }
     }
 
-    /// A column under something that it shares with its neighbours.
+    /// A column under a heading that it shares with its neighbours.
     pub fn under(over: impl Into<String>, name: impl Into<String>) -> Self {
-        Self { over: over.into(), name: name.into() }
+        Self { over: over.into(), name: name.into(), is_text: false }
+    }
+
+    /// A column of text.
+    pub fn text(name: impl Into<String>) -> Self {
+        Self { is_text: true, ..Self::new(name) }
     }
 }

@@ -1,4 +1,4 @@
-//! The report as one HTML page that needs nothing else: style and figures are in it, scripts there are none.
+//! The report as one self-contained HTML page: it includes its style and figures, and has no scripts.
 
 use askama::Template;
 

@@ -33,10 +33,8 @@ fn table_lines(table: &Table) -> Vec<String> {
         over => format!("{over}: {}", column.name),
     });
     let header: Vec<String> = table.stubs.iter().cloned().chain(columns).collect();
-    let rule = (0..header.len()).map(|column| match column < table.stubs.len() {
-        true => "---".to_owned(),
-        false => "---:".to_owned(),
-    });
+    let alignments = table.columns.iter().map(|column| if column.is_text { "---" } else { "---:" });
+    let rule = table.stubs.iter().map(|_| "---").chain(alignments).map(str::to_owned);
     let mut lines = vec![line(header.iter().cloned()), line(rule)];
     for group in &table.groups {
         for row in &group.rows {

@@ -1,8 +1,8 @@
 //! Figures as SVG: readable in black and white, with labels and error bars.
 //!
-//! Nothing is told apart by color. Dots differ by shape, filled or open; parts of a bar by their order, a light or a
-//! dark gray, and a number that the legend explains. Ink and paper are classes that take the colors of the page, with
-//! black and white as attributes where there is no style sheet.
+//! Colors carry no meaning. Dots differ by shape, filled or open; parts of a bar by their order, a light or a dark
+//! gray, and a number that the legend explains. Ink and paper are classes that take the colors of the page, with black
+//! and white as attributes where there is no style sheet.
 
 mod curves;
 mod dots;

@@ -6,26 +6,25 @@ use serde::Deserialize;
 
 const PUBLISHED: &str = include_str!("../../../../assets/published.toml");
 
-/// What the paper prints.
+/// The figures that the paper prints.
 #[derive(Debug, Clone, Default, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Published {
-    /// The policy that made the figures.
+    /// The policy that the figures are of.
     pub policy: String,
     /// An entry for each condition with a figure.
     #[serde(rename = "condition")]
     pub conditions: Vec<PublishedCondition>,
 }
 
-/// What the paper prints about one condition. Units as in [`ConditionScore`](crate::score::ConditionScore),
-/// tokens in millions.
+/// The figures of one condition. Units as in [`ConditionScore`](crate::score::ConditionScore), tokens in millions.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 #[expect(missing_docs, reason = "the figures are those of ConditionScore and are named like them")]
 pub struct PublishedCondition {
     /// The condition as it is written.
     pub name: String,
-    /// Where in the paper it stands.
+    /// The place in the paper.
     pub source: String,
     pub sr: Option<PublishedSpread>,
     pub spl: Option<f64>,
@@ -52,15 +51,15 @@ pub struct PublishedSpread {
 }
 
 impl Published {
-    /// What ships with the program.
+    /// Returns the built-in figures.
     ///
     /// # Errors
-    /// When the file that was built in is not what it should be; a test makes sure that it is.
+    /// When the built-in file is invalid; a test checks that it is not.
     pub fn load() -> Result<Self, toml::de::Error> {
         toml::from_str(PUBLISHED)
     }
 
-    /// What is printed about the condition called `name`.
+    /// The published figures of the condition called `name`.
     pub fn of(&self, name: &str) -> Option<&PublishedCondition> {
         self.conditions.iter().find(|condition| condition.name == name)
     }
@@ -78,7 +77,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_figure_of_the_paper_is_there_once() {
+    fn every_figure_of_the_paper_is_listed_once() {
         let published = Published::load().unwrap();
         let mut names: Vec<&str> = published.conditions.iter().map(|c| c.name.as_str()).collect();
         let count = |figure: fn(&PublishedCondition) -> bool| {
@@ -107,7 +106,7 @@ mod tests {
     }
 
     #[test]
-    fn what_the_paper_derives_follows_from_what_it_prints() {
+    fn derived_figures_follow_from_the_printed_rates() {
         let published = Published::load().unwrap();
         let rate = |name: &str| published.of(name).unwrap().sr.unwrap().mean;
         let baseline = rate("working/new/blocked/none") - rate("working/new/unchanged/none");

@@ -36,7 +36,7 @@ const PARTS: [Part; 12] = [
     ("overview", "What was run", overview::blocks),
     ("conditions", "All conditions", conditions::blocks),
     ("main", "Success across the three questions", main_table::blocks),
-    ("transfer", "RQ1: another start than the demonstration's", transfer::blocks),
+    ("transfer", "RQ1: a start that was not demonstrated", transfer::blocks),
     ("blocked", "RQ2: a blocked route", blocked::blocks),
     ("mixed", "RQ3: histories of other tasks", mixed::blocks),
     ("groups", "Task groups", groups::blocks),
@@ -47,7 +47,7 @@ const PARTS: [Part; 12] = [
     ("pairs", "Paired comparisons", pairs::blocks),
 ];
 
-/// All sections about the run. Those of which nothing was run are named in one line of the first section.
+/// All sections about the run. Those without any figure of the run are named in one line of the first section.
 pub(super) fn sections(view: &ScoredRun<'_>) -> Vec<Section> {
     let mut sections = Vec::new();
     let mut not_run = Vec::new();

@@ -14,9 +14,9 @@ use crate::log::RunLog;
 use crate::score::{Comparison, FigureDifference, score};
 use crate::table::{TextTable, table};
 
-/// Cases that are named as the worst.
+/// Number of cases in the table of those that fail most.
 const WORST: usize = 5;
-/// The rows of the table of times: the others are transport between processes.
+/// The rows of the table of times; the other stages are transport between processes.
 const TIMES: [&str; 6] = ["dynamics", "render", "embed", "search", "decide", "sum"];
 
 /// The scores of a run as text, at most 100 columns wide.
@@ -72,6 +72,9 @@ fn in_text(from: &Table) -> TextTable {
     let columns = from.columns.iter().map(|column| &column.name);
     let header: Vec<&String> = stubs.iter().chain(columns).collect();
     let mut to = table(&header, stubs.len());
+    for (index, _) in from.columns.iter().enumerate().filter(|(_, column)| column.is_text) {
+        to.set_text(stubs.len() + index);
+    }
     for group in &from.groups {
         for (index, row) in group.rows.iter().filter(|row| !row.published).enumerate() {
             let label = group.label.as_ref().map(|label| if index == 0 { label } else { "" });
@@ -190,7 +193,7 @@ mod tests {
     }
 
     #[test]
-    fn a_summary_says_what_ran_and_what_it_is_worth() {
+    fn the_summary_of_a_run() {
         let mut episodes = vec![record("t01-01", true), record("t01-02", false)];
         let mut without = record("t01-01", false);
         (without.memory, without.demonstrations) =

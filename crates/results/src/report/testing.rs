@@ -1,4 +1,4 @@
-//! A made-up run of the whole paper suite, as plausible as arithmetic on names can make it.
+//! A made-up run of the whole paper suite, as plausible as a hash of names can make it.
 
 use domain::{Action, Heading, MemoryKind, Pose, Representation};
 
@@ -53,7 +53,7 @@ pub(crate) fn made_up(conditions: &[(Condition, u32)], tasks: &[u8]) -> RunLog {
     log
 }
 
-/// One episode: how it goes follows from a hash of its key, what is likely from its condition.
+/// One episode. Its outcome follows from a hash of its key; the probability depends on its condition.
 fn episode(key: EpisodeKey, task: u8) -> EpisodeRecord {
     // The same chance for the same case under every condition, so that comparisons are paired.
     let luck = hash(&key, |key| key.condition.memory = Representation::Working.into()) % 60;

@@ -1,4 +1,4 @@
-//! What a report of a made-up run says, and that it leaves nothing out.
+//! The report of a made-up run, and that it is complete.
 
 use super::testing::{made_up, paper_conditions};
 use super::*;
@@ -16,7 +16,7 @@ fn only(names: &[&str]) -> Vec<(Condition, u32)> {
     names.iter().map(|name| (name.parse().unwrap(), 2)).collect()
 }
 
-/// Every cell with where it stands.
+/// Every cell with its place.
 fn cells(document: &Document) -> Vec<(String, &Cell)> {
     let of = |table: &'_ Table| -> Vec<String> {
         table
@@ -71,7 +71,7 @@ fn what_was_not_run_is_left_out_and_named_in_one_line() {
         Block::Text(text) if text.starts_with("This run has no conditions for") => Some(text),
         _ => None,
     });
-    insta::assert_snapshot!(line.unwrap(), @"This run has no conditions for: RQ1: another start than the demonstration's; RQ2: a blocked route; Design choices.");
+    insta::assert_snapshot!(line.unwrap(), @"This run has no conditions for: RQ1: a start that was not demonstrated; RQ2: a blocked route; Design choices.");
     let cells = cells(&document);
     let found = |place: &str| {
         let cell = cells.iter().find(|(at, _)| at == place);
@@ -103,12 +103,12 @@ fn every_published_condition_is_one_of_the_paper_suite() {
 }
 
 #[test]
-fn the_page_says_who_made_the_figures_and_needs_nothing_else() {
+fn the_page_names_the_policy_and_is_self_contained() {
     let mut log = made_up(&only(&["working/new/unchanged/none"]), &[1]);
     let page =
         |log: &RunLog| html::render(&document(std::slice::from_ref(log), &published())).unwrap();
     let text = page(&log);
-    assert!(text.contains("no claim about any model"), "the stand-in is called one");
+    assert!(text.contains("no claim about any model"), "the page names the stand-in");
     for foreign in ["<script", "http://", "https://", "src=", "@import", "url("] {
         // A namespace is not an address.
         let text = text.replace("http://www.w3.org/2000/svg", "");

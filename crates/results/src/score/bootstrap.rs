@@ -1,10 +1,10 @@
 //! Bootstrap intervals over cases and runs.
 //!
-//! Evaluations differ in which cases were drawn up and in how each repetition went. So a resample draws as many
-//! cases as there are, with replacement, and for each case drawn as many of its repetitions as it has, again with
-//! replacement; the interval runs from the 2.5th to the 97.5th percentile of the figure over all resamples (the
-//! percentile method). Conditions that enter one figure together, such as the two of a comparison, are resampled
-//! with the same cases.
+//! The outcome of an evaluation depends on which cases were chosen and on chance in each repetition. A resample
+//! therefore draws as many cases as there are, with replacement, and for each case drawn as many of its repetitions as
+//! it has, again with replacement; the interval runs from the 2.5th to the 97.5th percentile of the figure over all
+//! resamples (the percentile method). Conditions that enter one figure together, such as the two of a comparison, are
+//! resampled with the same cases.
 //!
 //! Deterministic: the draws come from ChaCha8 with a fixed seed, restarted for each interval, over cases in the
 //! order of their ids.

@@ -1,5 +1,5 @@
-//! Two configurations on the same cases: both figures, the mean difference with its interval, and a test of whether
-//! more cases went better than worse.
+//! Two configurations on the same cases: both figures, the mean difference with its interval, and a test of whether one
+//! succeeds in more cases than the other.
 
 use serde::Serialize;
 

@@ -23,7 +23,7 @@ pub struct ConditionScore {
     /// The condition.
     #[serde(flatten)]
     pub condition: Condition,
-    /// Finished episodes: those that the figures are of.
+    /// Finished episodes, from which the figures are computed.
     pub episodes: usize,
     /// Episodes of the condition in the whole run.
     pub planned: usize,
@@ -82,7 +82,7 @@ impl Bounds {
     }
 }
 
-/// What the intervals need of an episode.
+/// The figures of an episode that the intervals need.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct EpisodeSample {
     pub(super) success: bool,

@@ -18,7 +18,7 @@ named! {
         /// In at least half of the answers no action could be read.
         Unreadable = "unreadable",
         /// The agent tried to enter a closed cell, and after that met no requirement and entered fewer than
-        /// [`NEW_CELLS`] cells on which it had not been before: it did not look for a way round.
+        /// [`NEW_CELLS`] cells where it had not been before: it did not look for a way round.
         Blocked = "blocked",
         /// Within the last [`LOOP_STEPS`] steps the agent was at least [`LOOP_VISITS`] times in the same pose.
         Looped = "looped",
@@ -171,7 +171,7 @@ mod tests {
     use crate::log::Unread;
     use crate::log::testing::record;
 
-    /// A failure of `task` that wanders without coming by twice: north up column 3, and so on.
+    /// A failure of `task` whose agent never visits a pose twice: north up column 3, and so on.
     fn failed(task: u8, required: u32, met: &[u32]) -> EpisodeRecord {
         let mut record = record("a", false);
         (record.task, record.required, record.sub_goals) = (task, required, met.to_vec());

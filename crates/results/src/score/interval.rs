@@ -7,9 +7,9 @@
 //! Korn and B. I. Graubard, "Confidence intervals for proportions with small expected number of positive counts
 //! estimated from survey data", Survey Methodology 24, 1998; Wilson's interval in that place: N. Dean and M.
 //! Pagano, "Evaluating confidence interval methods for binomial proportions in clustered surveys", J. Survey Stat.
-//! Methodol. 3, 2015). It is kept between the number of cases (repetitions tell nothing new) and the number of
-//! episodes (they are independent). With one run, and where every episode has the same outcome, it is the number
-//! of cases.
+//! Methodol. 3, 2015). It is limited to the range from the number of cases (repetitions add no information) to the
+//! number of episodes (they are independent). With one run, and where every episode has the same outcome, it is the
+//! number of cases.
 
 use serde::Serialize;
 

@@ -20,7 +20,7 @@ pub struct CaseScore {
     pub failed: usize,
     /// The most frequent kind of failure; the first of equals.
     pub failure: Failure,
-    /// An episode that failed so, for `memtransfer show`.
+    /// An episode that failed in this way, for `memtransfer show`.
     pub example: String,
 }
 

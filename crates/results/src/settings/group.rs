@@ -96,7 +96,7 @@ mod tests {
     }
 
     #[test]
-    fn a_group_leaves_out_what_does_not_exist_and_what_makes_no_difference() {
+    fn a_group_leaves_out_impossible_and_equivalent_conditions() {
         assert_eq!(
             shown(&union(&[group()])),
             [
@@ -140,7 +140,7 @@ mod tests {
     }
 
     #[test]
-    fn a_condition_of_two_groups_is_run_as_often_as_either_wants() {
+    fn a_condition_of_two_groups_has_the_larger_number_of_runs() {
         let small = Group {
             memory: vec![Representation::Working.into()],
             starts: vec![Start::New],

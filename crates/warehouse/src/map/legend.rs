@@ -9,7 +9,7 @@ use crate::catalogue::Catalogue;
 use crate::task::Task;
 use crate::world::{Item, Warehouse};
 
-/// Most characters in a line of the instruction.
+/// Maximum number of characters in a line of the instruction.
 const LINE: usize = 36;
 
 /// Writes the legend from top to bottom.

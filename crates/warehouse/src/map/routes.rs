@@ -11,7 +11,7 @@ use crate::world::Warehouse;
 /// Distance between neighbouring routes in one cell.
 const LANE: f64 = 5.2;
 
-/// A chevron on every so many moves shows the direction of a route.
+/// Every this many moves, a chevron shows the direction of a route.
 const CHEVRON_EVERY: usize = 3;
 
 impl Map<'_> {

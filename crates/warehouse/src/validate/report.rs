@@ -1,4 +1,4 @@
-//! What validation reports.
+//! The result of validation, as a value and as text.
 
 use std::fmt;
 
@@ -59,7 +59,7 @@ impl fmt::Display for ValidationReport {
             let verdict = if violations.is_empty() && *checked > 0 { "ok  " } else { "FAIL" };
             writeln!(
                 f,
-                "{verdict} {checked:>5} checked {:>4} off  {constraint}",
+                "{verdict} {checked:>5} checked {:>4} violated  {constraint}",
                 violations.len()
             )?;
             for violation in violations.iter().take(MAX_PRINTED) {

@@ -248,12 +248,12 @@ fn a_corrupted_item_breaks_the_line_about_it() {
         (
             "two types of one name",
             |w| w.catalogue.types[1].name = w.catalogue.types[0].name.clone(),
-            "plates tell every two types",
+            "any two types and any two categories",
         ),
         (
             "two categories of one name",
             |w| w.catalogue.categories[1].name = "barrels".into(),
-            "plates tell every two types",
+            "any two types and any two categories",
         ),
     ];
     for (what, corrupt, constraint) in table {
@@ -288,7 +288,7 @@ fn a_corrupted_floor_breaks_the_line_about_it() {
         ("a block cut in two", change(&[(8, Some("##AAAAAABB####CC"))]), "six rack blocks"),
         ("the south rack gone", change(&[(0, Some("%%%%%%%%%%%%%%%%"))]), "six rack blocks"),
         ("two corridors of one name", merged, "six corridors run"),
-        ("one way between the banks", change(&one_way), "every two aisles stay"),
+        ("one way between the banks", change(&one_way), "any two aisles stay"),
     ] {
         let layout = Layout::parse(&layout).unwrap_or_else(|problem| panic!("{what}: {problem}"));
         let mut report = ValidationReport { lines: Vec::new(), mixtures: Vec::new() };
@@ -320,12 +320,12 @@ fn a_report_prints_a_line_for_each_constraint_and_the_first_violations() {
     assert!(!report.is_clean());
     assert_eq!(report.violations(), 5);
     insta::assert_snapshot!(report, @"
-    ok     100 checked    0 off  good things are good
-    FAIL     7 checked    5 off  bad things are few
+    ok     100 checked    0 violated   good things are good
+    FAIL     7 checked    5 violated   bad things are few
                one
                two
                three
                and 2 more
-    FAIL     0 checked    0 off  something is there
+    FAIL     0 checked    0 violated   something is there
     ");
 }

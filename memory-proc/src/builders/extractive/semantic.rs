@@ -13,13 +13,13 @@ use super::super::survey::{Survey, SurveyedBay};
 use super::super::transcript::{Transcript, TranscriptStep};
 use super::category_digits;
 
-/// Frames or demonstrations that a fact needs.
+/// Minimum number of frames or demonstrations that support a fact.
 const LEAST_SUPPORT: u32 = 2;
 
-/// The least length of a corridor or an aisle, in cells.
+/// Minimum length of a corridor or an aisle, in cells.
 const LEAST_LENGTH: u8 = 5;
 
-/// The greatest distance between neighbouring standpoints of a region, in columns or rows.
+/// Maximum distance between neighbouring standpoints of a region, in columns or rows.
 const REGION_GAP: u8 = 3;
 
 /// Facts as they are found.
@@ -95,7 +95,7 @@ impl Facts {
         }
     }
 
-    /// Whether the expert faces an item that it stands in front of, or there is none.
+    /// Whether the expert faces an item that it stands in front of, or stands in front of none.
     fn faces_an_item(&self, step: &TranscriptStep) -> bool {
         let mut here =
             self.survey.bays().filter(|bay| bay.landmark.standpoint == step.pose.cell).peekable();

@@ -76,7 +76,7 @@ fn build(kind: DocumentKind, transcripts: &[Transcript]) -> String {
 }
 
 #[test]
-fn a_summary_tells_items_passages_and_routes() {
+fn a_summary_lists_items_passages_and_routes() {
     insta::assert_snapshot!(build(DocumentKind::Summary, &demonstrations()), @r#"
     # Summary of the demonstrations
     Positions are (column, row): columns grow east, rows grow north. An item is reached by standing on the cell in front of it.
@@ -133,7 +133,7 @@ fn general_knowledge_has_regions_and_no_routes() {
 }
 
 #[test]
-fn nothing_is_made_of_nothing() {
+fn texts_without_demonstrations_have_a_title_only() {
     for kind in DocumentKind::TEXTS {
         assert!(build(kind, &[]).starts_with("# "));
     }
@@ -184,7 +184,7 @@ proptest! {
 
     /// A document contains what its own demonstrations show and cover, and nothing else.
     #[test]
-    fn a_summary_holds_what_its_demonstrations_hold(
+    fn a_summary_contains_what_its_demonstrations_contain(
         letters in prop::collection::vec("[flrLRU]{1,9}", 1..5),
         starts in prop::collection::vec((10..12_u8, 11..15_u8, 0..4_usize), 5),
     ) {

@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 /// Separates the system message from the user message in a template.
 const USER: &str = "=== user ===\n";
 
-/// What the model is sent.
+/// A prompt for the model.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct DocumentPrompt {
@@ -14,7 +14,7 @@ pub struct DocumentPrompt {
     pub system: String,
     /// The user message: the material.
     pub user: String,
-    /// The greatest number of tokens in the answer.
+    /// Maximum number of tokens in the answer.
     pub max_tokens: u32,
 }
 
@@ -111,7 +111,7 @@ mod tests {
 
     /// When this fails, a prompt has changed: raise [`PROMPT_VERSION`] along with the hashes.
     #[test]
-    fn the_version_stands_for_these_texts() {
+    fn the_version_belongs_to_these_texts() {
         let hashes = STAGES.map(|stage| {
             let hash = hex(&Sha256::digest(stage.file()));
             format!("{} {}", stage.name(), &hash[..16])
@@ -120,7 +120,7 @@ mod tests {
     }
 
     #[test]
-    fn every_place_is_filled() {
+    fn every_placeholder_is_filled() {
         let values = ["limit", "so_far", "demonstrations", "notes"].map(|name| (name, "{limit}!"));
         for stage in STAGES {
             let DocumentPrompt { system, user, max_tokens } = stage.prompt(9, &values);
@@ -134,7 +134,7 @@ mod tests {
     }
 
     #[test]
-    fn braces_that_name_nothing_stay() {
+    fn unknown_placeholders_are_kept() {
         assert_eq!(fill("{a} {b} {", &[("a", "{b}"), ("b", "2")]), "{b} 2 {");
         assert_eq!(fill("{c}", &[("a", "1")]), "{c}");
     }

@@ -146,7 +146,7 @@ mod tests {
     }
 
     #[test]
-    fn a_reply_is_used_again_for_the_same_request_to_the_same_model_only() {
+    fn a_reply_is_reused_for_the_same_request_to_the_same_model_only() {
         let folder = tempfile::tempdir().unwrap();
         let folder = folder.path().join("summary-4.steps");
         let next = |model, limit, answer: Option<&str>| {
@@ -172,7 +172,7 @@ mod tests {
     }
 
     #[test]
-    fn finishing_clears_what_an_earlier_document_left_and_nothing_else() {
+    fn finishing_removes_the_steps_of_an_earlier_document_and_nothing_else() {
         let folder = tempfile::tempdir().unwrap();
         for name in ["002-refine.json", "003-extract.json.new", "notes.txt", "a-b.json"] {
             fs::write(folder.path().join(name), "x").unwrap();

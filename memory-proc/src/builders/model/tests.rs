@@ -132,7 +132,7 @@ fn a_demonstration_in_words() {
 }
 
 #[test]
-fn a_summary_goes_on_from_the_one_before() {
+fn each_summary_continues_the_previous_one() {
     let recipe = room_for(PromptStage::Summary, 2, 60);
     let script = |number, _: &DocumentPrompt| Ok(says(format!("# Summary {number}")));
     let (built, asked) = Bench::new().build(DocumentKind::Summary, 5, &recipe, script);
@@ -190,7 +190,7 @@ fn knowledge_is_extracted_consolidated_and_refined() {
 }
 
 #[test]
-fn a_build_that_was_stopped_goes_on_and_a_finished_one_asks_nothing() {
+fn a_stopped_build_continues_and_a_finished_one_asks_nothing() {
     for kind in [DocumentKind::Summary, DocumentKind::Semantic] {
         let recipe = room_for(PromptStage::Summary, 1, 60);
         let fails_at = |number, _: &DocumentPrompt| match number {
@@ -216,7 +216,7 @@ fn a_build_that_was_stopped_goes_on_and_a_finished_one_asks_nothing() {
 }
 
 #[test]
-fn what_was_not_counted_is_absent() {
+fn counts_that_the_server_does_not_report_are_absent() {
     let recipe = room_for(PromptStage::Summary, 1, 60);
     let script = |number, _: &DocumentPrompt| {
         let prompt_tokens = (number != 2).then_some(7);
@@ -228,7 +228,7 @@ fn what_was_not_counted_is_absent() {
 }
 
 #[test]
-fn an_answer_that_is_none_fails_the_build_and_is_not_kept() {
+fn an_unusable_answer_fails_the_build_and_is_not_stored() {
     for (content, expected) in [
         (ReplyContent::Empty, "answer is empty"),
         (ReplyContent::Refusal("No.".into()), "refused to answer: \"No.\""),
@@ -245,7 +245,7 @@ fn an_answer_that_is_none_fails_the_build_and_is_not_kept() {
 }
 
 #[test]
-fn what_models_wrap_around_an_answer_is_taken_off() {
+fn fences_around_an_answer_are_removed() {
     for (content, text, expected) in [
         (ReplyContent::Text as fn(String) -> _, " # A\nb\n", Some("# A\nb")),
         (ReplyContent::Text, "```markdown\n# A\nb\n```\n", Some("# A\nb")),
@@ -268,7 +268,7 @@ fn an_answer_that_was_cut_off_is_counted() {
 }
 
 #[test]
-fn what_does_not_fit_is_said_before_anybody_is_asked() {
+fn material_that_does_not_fit_is_an_error_before_any_request() {
     let long = "n".repeat(4000);
     for (kind, stage, told, asked_before, expected) in [
         (DocumentKind::Summary, PromptStage::Summary, 0, 0, "demonstration 1 has"),
@@ -285,7 +285,7 @@ fn what_does_not_fit_is_said_before_anybody_is_asked() {
 }
 
 #[test]
-fn a_document_is_not_made_of_nothing_and_not_without_bounds() {
+fn a_document_needs_demonstrations_and_has_a_maximum_size() {
     for kind in [DocumentKind::Summary, DocumentKind::Semantic] {
         let recipe = room_for(PromptStage::Summary, 1, 60);
         let (built, _) = Bench::new().build(kind, 0, &recipe, |_, _| Ok(says("# A")));

@@ -56,7 +56,7 @@ pub(super) struct Rig {
     pub(super) frames: Vec<Pose>,
     pub(super) arriving: VecDeque<Pose>,
     pub(super) embedding: Vec<ContentHash>,
-    pub(super) holds: usize,
+    pub(super) pins: usize,
     pub(super) releases: usize,
     pub(super) embedded: usize,
     pub(super) answers: BTreeMap<(u64, u32), Answer>,
@@ -76,7 +76,7 @@ impl Rig {
             frames: Vec::new(),
             arriving: VecDeque::new(),
             embedding: Vec::new(),
-            holds: 0,
+            pins: 0,
             releases: 0,
             embedded: 0,
             answers: BTreeMap::new(),
@@ -150,7 +150,7 @@ impl Rig {
     pub(super) fn work(&mut self, choice: usize) -> bool {
         for request in self.engine.take_view_requests() {
             if request.kind == ViewRequestKind::Pin as u8 {
-                self.holds += 1;
+                self.pins += 1;
                 let pose = Pose::try_from(request.pose).unwrap();
                 self.asked.insert(pose);
                 self.arriving.push_back(pose);
@@ -191,7 +191,7 @@ impl Rig {
             let segment = &recall.segment[..recall.segment_len as usize];
             let pose = |frame: FrameId| self.frames[frame as usize - 1];
             let held = |frame: FrameId| {
-                assert!(!self.gone.contains(&frame), "frame {frame} is named and not held");
+                assert!(!self.gone.contains(&frame), "frame {frame} is named and not pinned");
                 pose(frame)
             };
             let (mut texts, mut trajectories) = (Vec::new(), Vec::new());

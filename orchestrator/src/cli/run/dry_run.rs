@@ -75,7 +75,7 @@ pub(super) fn describe(plan: &RunPlan, fresh: bool) -> Result<String> {
     Ok(text)
 }
 
-/// The finished episodes of the run in the folder, which has to be this one.
+/// The finished episodes of the run in the folder, which has to match this one.
 fn finished(plan: &RunPlan, documents: &RunDocuments) -> Result<Vec<EpisodeRecord>> {
     let out = &plan.settings.out;
     if !out.join("manifest.json").exists() {
@@ -141,7 +141,7 @@ fn cost_table(estimates: &[(String, Estimate)], prices: Option<&ModelPrices>) ->
     format!("\n\n{table}\n{}", explanation(estimates, tokens.is_some(), prices.is_some()))
 }
 
-/// What the figures of an estimate rest on.
+/// What the figures of an estimate are based on.
 fn explanation(estimates: &[(String, Estimate)], has_tokens: bool, has_prices: bool) -> String {
     let all = estimates.len();
     let steps = estimates.iter().filter(|(_, one)| one.measured_steps).count();

@@ -1,4 +1,4 @@
-//! The flags of `memtransfer run` that stand in the table of settings.
+//! The flags of `memtransfer run` that the table of settings lists.
 
 use anyhow::Result;
 use clap::{Arg, ArgAction, ArgMatches, Args, Command, Error, FromArgMatches};

@@ -97,7 +97,7 @@ pub(super) fn render(shown: &StepView, prompt: &RecordedPrompt) -> Result<String
                     RecordedPart::Text(text) => Some(MessagePart::Text(text)),
                     RecordedPart::Stored(hash) => Some(MessagePart::Text(prompt.text(hash))),
                     RecordedPart::Image(hash) => url(hash).map(MessagePart::Image),
-                    // Never in a log.
+                    // Never in a log: images are stored as files.
                     RecordedPart::Png(_) => None,
                 })
                 .collect(),

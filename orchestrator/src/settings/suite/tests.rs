@@ -14,7 +14,7 @@ fn shipped_suites_can_be_read() {
 }
 
 #[test]
-fn a_folder_of_assets_can_bring_its_own_suites() {
+fn a_folder_of_assets_can_contain_its_own_suites() {
     let dir = tempfile::tempdir().unwrap();
     std::fs::create_dir(dir.path().join("suites")).unwrap();
     std::fs::write(dir.path().join("suites/quick.toml"), "runs = 7").unwrap();
@@ -36,7 +36,7 @@ fn union<'a>(settings: impl IntoIterator<Item = &'a RunSettings>) -> Vec<(Condit
 }
 
 #[test]
-fn the_paper_is_all_its_questions() {
+fn the_suite_paper_contains_all_questions() {
     let paper = shipped("paper");
     let parts = ["rq1", "rq2", "rq3", "design"].map(shipped);
     assert_eq!(union([&paper]), union(&parts));

@@ -1,4 +1,4 @@
-//! Curves on two logarithmic axes, told apart by the shapes of their points.
+//! Curves on two logarithmic axes, distinguished by the shapes of their points.
 
 use super::{BOTTOM, Paint, RIGHT, Stroke, Svg, TextAnchor, TextStyle, WIDTH};
 use crate::report::document::Figure;

@@ -12,7 +12,7 @@ pub struct Stack {
     pub caption: String,
     /// The name of the axis, with its unit.
     pub axis: &'static str,
-    /// The end of the axis; by the longest bar when `None`.
+    /// The end of the axis; `None`: that of the longest bar.
     pub to: Option<f64>,
     /// The names of the parts, in order.
     pub parts: Vec<String>,

@@ -20,9 +20,9 @@ pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<Block> {
             plain_or(score.from_other_cases.map(|share| share.mean), 1, NO_RETRIEVAL),
         ]);
     }
-    table.caption = "Every condition that was run. N: finished episodes, of those planned where some are missing. SR \
-                     %: success rate, mean ± standard deviation over runs. SPL, steps, images a request (Img), million \
-                     tokens of 100 cases (Mtok), percentage of unreadable answers and of retrievals from another \
+    table.caption = "Every condition that was run. N: finished episodes, and planned ones where some are missing. SR \
+                     %: success rate, mean ± standard deviation over runs. SPL, steps, images per request (Img), million \
+                     tokens per 100 cases (Mtok), percentage of unreadable answers and of retrievals from another \
                      task's history: means. conditions.csv and conditions.parquet hold every figure in full."
         .to_owned();
     table.pruned().map(Block::Table).into_iter().collect()

@@ -52,8 +52,8 @@ pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<Block> {
     };
     let table = Table {
         id: view.id("cost"),
-        caption: "What a request held and what came back. Full window: most images of a request, which are the \
-                  current view, the window and what memory supplies. Images: the mean over all requests, which is lower \
+        caption: "Images, tokens and unreadable answers. Full window: images of a request with a full window (the current \
+                  view, the window and what memory supplies). Images: the mean over all requests, which is lower \
                   because the window fills up during an episode's first steps. Mtok: million prompt and completion \
                   tokens per 100 cases. Unreadable: percentage of answers in which no action could be read."
             .to_owned(),
@@ -105,8 +105,8 @@ pub(in crate::report) fn requests_table(view: &ScoredRun<'_>) -> Option<Table> {
     let columns = by_memory.iter().map(|(memory, _)| title(*memory)).chain(["All".to_owned()]);
     Some(Table {
         id: view.id("requests"),
-        caption: "Requests to the model over all conditions of a memory, those of episodes that were run again \
-                  included. Answers from the response cache cost nothing and enter no figure but images and answers. \
+        caption: "Requests to the model over all conditions of a memory, including those of episodes that were \
+                  repeated. Answers from the response cache cost nothing and count only for images and answers. \
                   Memory: the part of the prompts that is injected memory, an estimate. Cached: the part that the \
                   server took from its own cache. Images left out: those beyond the image budget. Latency: of the \
                   attempt that was answered. Million tokens: prompts and completions together."

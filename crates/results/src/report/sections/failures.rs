@@ -28,7 +28,7 @@ pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<Block> {
     });
     blocks.push(Block::Figure(stack(&Stack {
         id: view.id("failures-figure"),
-        caption: "Kinds of failure as a percentage of the finished episodes of each condition. The rest to 100 \
+        caption: "Kinds of failure as a percentage of the finished episodes of each condition. The remainder \
                   succeeded."
             .to_owned(),
         axis: "Failed episodes, % of all",
@@ -91,9 +91,10 @@ pub(in crate::report) fn worst_table(view: &ScoredRun<'_>, most: usize) -> Optio
         Table::of_text(
             view.id("worst-cases"),
             "The cases that fail most, over all conditions and runs, with the most frequent kind of failure and an \
-             episode of it: `memtransfer show RUN EPISODE` shows its steps.",
-            (&["Case"], &["Task", "Failed", "Mostly", "For example"]),
+             episode of it: `memtransfer show RUN CASE STEP` shows its steps.",
+            (&["Case"], &["Task", "Failed", "Main failure", "Example"]),
             rows,
         )
+        .with_text(&["Main failure", "Example"])
     })
 }

@@ -39,7 +39,7 @@ pub(in crate::report) fn method() -> Section {
         ),
         term(
             "Tokens",
-            "Prompt and completion tokens together, a hundred cases. Absent as soon as one episode was not measured.",
+            "Prompt and completion tokens together, per 100 cases. Absent if any episode was not measured.",
         ),
         term(
             "From other tasks",

@@ -66,7 +66,7 @@ pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<Block> {
         id: view.id("mixed"),
         caption: "RQ3 in numbers: success rate by the composition of the four demonstrations, and the percentage of \
                   retrievals that came from another task's history. Irrelevant histories share no pose with the test's \
-                  reference route; confusable ones share poses and go on differently from there."
+                  reference route; confusable ones share poses and continue differently from there."
             .to_owned(),
         stubs: pair_stubs(),
         columns,

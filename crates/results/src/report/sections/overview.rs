@@ -1,4 +1,4 @@
-//! What the run was, and what a reader must know before looking at its figures.
+//! What was run, and what a reader must know before looking at the figures.
 
 use domain::Representation;
 use domain::representation::RepresentationInfo;
@@ -8,14 +8,14 @@ use crate::log::Manifest;
 use crate::report::document::{Block, Cell, Column, Group, Missing, Row, Table};
 use crate::report::view::{ScoredRun, title};
 
-/// What makes the difference between a result and a test of the harness, and what is missing.
+/// Notices for the reader of the figures: the policy, controls, missing episodes, damaged lines.
 pub(in crate::report) fn notices(view: &ScoredRun<'_>) -> Vec<String> {
     let mut notices = standing(&view.log.manifest);
     let scores = &view.scores;
     if scores.missing() > 0 {
         notices.push(format!(
             "Incomplete: {} of {} episodes are missing, {} of them given up after a fault (errors.jsonl). Figures are \
-             over finished episodes; the same command goes on.",
+             over finished episodes; the same command continues the run.",
             scores.missing(),
             scores.planned,
             scores.errored
@@ -37,12 +37,12 @@ pub(in crate::report) fn notices(view: &ScoredRun<'_>) -> Vec<String> {
     notices
 }
 
-/// Conditions whose bounds are printed, at most.
+/// Maximum number of conditions whose bounds are printed.
 const MOST_BOUNDS: usize = 12;
-/// Damaged lines that are named, at most.
+/// Maximum number of damaged lines that are named.
 const MOST_DAMAGED: usize = 5;
 
-/// Who decided, and whether the frames were a control's.
+/// The policy, and whether the frames were a control.
 fn standing(manifest: &Manifest) -> Vec<String> {
     let settings = &manifest.settings;
     let mut lines = vec![match settings.policy {
@@ -98,12 +98,12 @@ pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<Block> {
         ("Episodes given up", Cell::Value(scores.errored.to_string())),
         ("Speed", speed),
     ];
-    blocks.push(Block::Table(facts_table(view.id("facts"), "The run in short.", facts)));
+    blocks.push(Block::Table(facts_table(view.id("facts"), "Summary of the run.", facts)));
     let task = "An agent has an instruction such as “Visit a blue barrel, then an orange cone.”, its pose and what it sees. \
-                 Expert demonstrations of the same case were made into a memory before, in one of six representations; \
-                 at every step a part of it is handed to the policy beside the last few steps. The tables ask what that \
-                 is worth where the demonstration fits, from another start, with a passage blocked, and among other \
-                 tasks' histories.";
+                 Expert demonstrations of the same case were stored in a memory before, in one of six representations; \
+                 at every step the policy gets a part of it in addition to the last few steps. The tables show how much \
+                 that helps where the demonstration matches, from a different start, with a passage blocked, and among \
+                 histories of other tasks.";
     blocks.push(Block::Text(task.to_owned()));
     let memory = |representation: &Representation| {
         let RepresentationInfo { stores, supplies, .. } = representation.describe();
@@ -132,7 +132,7 @@ pub(super) fn facts_table(
         id,
         caption: caption.to_owned(),
         stubs: vec!["Fact".to_owned()],
-        columns: vec![Column::new("Value")],
+        columns: vec![Column::text("Value")],
         groups: vec![Group { label: None, rows: facts.into_iter().map(row).collect() }],
     }
 }

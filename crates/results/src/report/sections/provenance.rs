@@ -1,4 +1,4 @@
-//! Where the run's figures come from: program, settings, contents, processes.
+//! The origin of the run's figures: program, settings, contents, processes.
 
 use serde_json::Value;
 
@@ -22,7 +22,7 @@ pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<Block> {
         (
             "commit".to_owned(),
             commit.map_or(
-                Cell::Missing(Missing::NotMeasured("the program did not lie in a checkout")),
+                Cell::Missing(Missing::NotMeasured("the program was not run from a checkout")),
                 Cell::Value,
             ),
         ),
@@ -39,7 +39,7 @@ pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<Block> {
     ];
     if let Ok(Value::Object(settings)) = serde_json::to_value(&manifest.settings) {
         for (key, value) in settings {
-            // A suite's groups one by one: each is a line of its own words.
+            // Each group of a suite has a row of its own.
             match value {
                 Value::Array(groups) if key == "groups" => {
                     facts.extend(groups.iter().map(group_fact))
@@ -73,7 +73,7 @@ fn group_fact(group: &Value) -> (String, Cell) {
     (format!("setting group{name}"), Cell::Value(said.join("; ")))
 }
 
-/// A value of a setting as people write it.
+/// A value of a setting in readable form.
 fn words(value: &Value) -> String {
     match value {
         Value::String(text) if text.is_empty() => "none".to_owned(),

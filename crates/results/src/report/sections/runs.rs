@@ -1,4 +1,4 @@
-//! Several runs side by side: what they were, and the conditions that they share, paired by case.
+//! Several runs side by side: their settings, and the conditions that they share, paired by case.
 
 use std::collections::BTreeSet;
 
@@ -46,6 +46,7 @@ fn overview(views: &[ScoredRun<'_>]) -> Table {
         (&["Run"], &["Policy", "Suite", "Frames", "Conditions", "Episodes"]),
         views.iter().map(row),
     )
+    .with_text(&["Policy", "Suite", "Frames"])
 }
 
 /// Success rate and SPL of every condition, a pair of columns for each run.

@@ -1,4 +1,4 @@
-//! Where the time of a step went.
+//! The time of a step by stage.
 
 use domain::MemoryKind;
 
@@ -51,8 +51,8 @@ pub(in crate::report) fn time_table(view: &ScoredRun<'_>) -> Option<Table> {
     let rows = stages.chain([row("sum", &|times| Some(times.sum))]).collect();
     (!times.is_empty()).then(|| Table {
         id: view.id("time"),
-        caption: "Mean time of a step by stage, in microseconds, over all conditions of a memory: together the time \
-                  from a command to the next one. Episodes in different lanes are in different stages at once, and \
+        caption: "Mean time of a step by stage, in microseconds, over all conditions of a memory. The sum is the time \
+                  from one command to the next. Episodes in different lanes are in different stages at once, and \
                   waiting for a busy process counts for the stage that waits, so this is a step's latency and not its \
                   cost. Depends on the machine and on the number of lanes."
             .to_owned(),

@@ -20,9 +20,9 @@ pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<Block> {
     };
     let table = Table {
         id: view.id("transfer"),
-        caption: "RQ1: changing the start of what is remembered (the paper's table “RQ1: Changing starting pose”). The test starts \
-                  at the original pose; the columns vary the one demonstration that memory is made of. Original-start \
-                  figures repeat the first table's."
+        caption: "RQ1: demonstrations from other starts (the paper's table “RQ1: Changing starting pose”). The test starts \
+                  at the original pose; the columns vary the start of the one demonstration in memory. The \
+                  figures for the original start repeat those of the first table."
             .to_owned(),
         stubs: pair_stubs(),
         columns: rate_columns(&DEMONSTRATIONS.map(|(heading, _)| heading)),
@@ -46,7 +46,7 @@ pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<Block> {
     });
     let figure = dots_if_any(Dots {
         id: view.id("transfer-figure"),
-        caption: "Success rate at the original start, by the demonstration that is remembered. Filled: this run with \
+        caption: "Success rate at the original start, by the demonstration in memory. Filled: this run with \
                   its 95 % interval. Open: published, mean ± standard deviation."
             .to_owned(),
         axis: "Success rate, %",

@@ -1,0 +1,68 @@
+//! A run that is already in a folder: locking, recognising and removing it.
+
+use std::fs::{self, File};
+use std::path::Path;
+
+use rustix::fs::FlockOperation;
+
+use super::files::{CONTENTS, EPISODES_FILE, REQUESTS_FILE};
+use super::manifest::MANIFEST_FILE;
+use super::{LogError, Manifest, system};
+
+/// Locks the folder until the file is dropped.
+pub(super) fn lock(dir: &Path) -> Result<File, LogError> {
+    let file = File::open(dir).map_err(system("open", dir))?;
+    match rustix::fs::flock(&file, FlockOperation::NonBlockingLockExclusive) {
+        Ok(()) => Ok(file),
+        Err(rustix::io::Errno::WOULDBLOCK) => Err(LogError::Locked { dir: dir.to_owned() }),
+        Err(errno) => Err(system("lock", dir)(errno.into())),
+    }
+}
+
+/// The manifest of the run in `dir`, or none when the folder is empty; an error when it holds something else. The inner
+/// error is a manifest that cannot be read, which `--fresh` replaces.
+pub(super) fn existing(dir: &Path) -> Result<Option<Result<Manifest, LogError>>, LogError> {
+    if dir.join(MANIFEST_FILE).exists() {
+        return Ok(Some(Manifest::read(dir)));
+    }
+    for entry in fs::read_dir(dir).map_err(system("list", dir))? {
+        let name = entry.map_err(system("list", dir))?.file_name();
+        // Only a draft of the manifest: the run was killed when it had just begun.
+        if name != "manifest.json.new" {
+            return Err(LogError::NotARun { dir: dir.to_owned() });
+        }
+    }
+    Ok(None)
+}
+
+/// Whether the run in `dir` has finished an episode.
+pub(super) fn has_episodes(dir: &Path) -> bool {
+    fs::metadata(dir.join(EPISODES_FILE)).is_ok_and(|file| file.len() > 0)
+}
+
+/// Whether the run in `dir` has sent a request.
+pub(super) fn has_requests(dir: &Path) -> bool {
+    fs::metadata(dir.join(REQUESTS_FILE)).is_ok_and(|file| file.len() > 0)
+}
+
+/// Removes the run in `dir` and returns a note about it.
+pub(super) fn remove_run(dir: &Path) -> Result<Vec<String>, LogError> {
+    let lines = |file: &str| {
+        fs::read(dir.join(file)).map_or(0, |text| text.iter().filter(|&&b| b == b'\n').count())
+    };
+    let note = format!(
+        "--fresh: removed the earlier run in {} ({} finished episodes)",
+        dir.display(),
+        lines(EPISODES_FILE)
+    );
+    // The manifest goes last: what is left of a run stays recognisable as one.
+    for name in CONTENTS.iter().rev() {
+        let path = dir.join(name);
+        if path.is_dir() {
+            fs::remove_dir_all(&path).map_err(system("remove", &path))?;
+        } else if path.exists() {
+            fs::remove_file(&path).map_err(system("remove", &path))?;
+        }
+    }
+    Ok(vec![note])
+}

@@ -1,0 +1,218 @@
+//! Runs that are written, killed, resumed, damaged and read.
+
+use super::*;
+use crate::log::manifest::MANIFEST_FILE;
+use crate::log::testing::{manifest, record, request, timings};
+use crate::log::{DocumentFacts, RunLog};
+
+fn keys(records: &[EpisodeRecord]) -> Vec<&str> {
+    records.iter().map(|record| record.key.as_str()).collect()
+}
+
+fn add(folder: &mut RunFolder, case: &str) {
+    let record = record(case, true);
+    folder.finish(&[(record.clone(), timings(&record))]).unwrap();
+}
+
+#[test]
+fn a_run_continues_where_it_was_killed() {
+    let dir = tempfile::tempdir().unwrap();
+    let open = |fresh| RunFolder::open(dir.path(), manifest(), fresh).unwrap();
+    let mut folder = open(false).folder;
+    add(&mut folder, "t01-01");
+    add(&mut folder, "t01-02");
+    assert_eq!(folder.session(), 1);
+    folder.note(SessionEvent::Failed { generation: 1, reason: "x".into() }).unwrap();
+    drop(folder);
+    // Killed in the middle of a line.
+    let path = dir.path().join(EPISODES_FILE);
+    let text = fs::read(&path).unwrap();
+    fs::write(&path, &text[..text.len() - 7]).unwrap();
+
+    let Opened { mut folder, finished, notes, .. } = open(false);
+    assert_eq!(keys(&finished), [record("t01-01", true).key]);
+    assert!(notes[0].starts_with("episodes.jsonl: cut "), "{notes:?}");
+    assert_eq!(folder.session(), 2);
+    assert!(!folder.is_finished(&record("t01-02", true).key));
+    add(&mut folder, "t01-02");
+    drop(folder);
+    assert_eq!(fs::read(&path).unwrap(), text, "the log is as without the kill");
+
+    let opened = open(true);
+    assert!(opened.finished.is_empty());
+    assert!(opened.notes[0].contains("(2 finished episodes)"), "{:?}", opened.notes);
+}
+
+#[test]
+fn requests_survive_a_kill_before_their_episode_is_finished() {
+    let dir = tempfile::tempdir().unwrap();
+    let open = || RunFolder::open(dir.path(), manifest(), false).unwrap();
+    let mut folder = open().folder;
+    (0..3).for_each(|step| folder.asked(&request("a", step)).unwrap());
+    drop(folder);
+    // Killed in the middle of a line.
+    let path = dir.path().join(REQUESTS_FILE);
+    let text = fs::read(&path).unwrap();
+    fs::write(&path, &text[..text.len() - 7]).unwrap();
+
+    let Opened { mut folder, finished, requests, notes } = open();
+    assert_eq!((finished.len(), requests.len()), (0, 2));
+    assert!(notes[0].starts_with("requests.jsonl: cut "), "{notes:?}");
+    assert_eq!(requests, [request("a", 0), request("a", 1)]);
+    // The episode runs again; the earlier requests stay recorded.
+    (0..3).for_each(|step| folder.asked(&request("a", step)).unwrap());
+    add(&mut folder, "t01-01");
+    drop(folder);
+    assert_eq!(RunLog::read(dir.path()).unwrap().requests.len(), 5);
+}
+
+#[test]
+fn a_run_can_grow_but_not_shrink() {
+    let dir = tempfile::tempdir().unwrap();
+    let document = |sha256: &str| DocumentFacts {
+        sha256: sha256.to_owned(),
+        builder: "extractive".to_owned(),
+        address: None,
+        bytes: 1,
+        words: 1,
+    };
+    let with = |documents: &[(&str, &str)]| {
+        let facts = documents.iter().map(|(name, sha256)| ((*name).to_owned(), document(sha256)));
+        Manifest { documents: facts.collect(), ..manifest() }
+    };
+    let mut first = with(&[("summary/original", "aa")]);
+    first.settings.limit = Some(10);
+    let mut folder = RunFolder::open(dir.path(), first, false).unwrap().folder;
+    add(&mut folder, "t01-01");
+    drop(folder);
+
+    let mut larger = with(&[("semantic/original", "bb")]);
+    larger.settings.limit = Some(20);
+    larger.settings.groups[0].runs = 3;
+    let folder = RunFolder::open(dir.path(), larger, false).unwrap().folder;
+    let names: Vec<&String> = folder.manifest().documents.keys().collect();
+    assert_eq!(names, ["semantic/original", "summary/original"]);
+    assert_eq!(folder.manifest().settings.limit, Some(20));
+    drop(folder);
+
+    let other = with(&[("summary/original", "cc")]);
+    let error = RunFolder::open(dir.path(), other, false).unwrap_err().to_string();
+    assert!(error.contains("document summary/original: \"aa\" there, \"cc\" now"), "{error}");
+
+    let log = RunLog::read(dir.path()).unwrap();
+    let key = log.episodes[0].key.clone();
+    log.check_planned(&BTreeSet::from([key.clone(), "another".to_owned()])).unwrap();
+    let error = log.check_planned(&BTreeSet::new()).unwrap_err().to_string();
+    assert!(error.contains("1 finished episodes") && error.contains(&key), "{error}");
+}
+
+#[test]
+fn another_run_is_not_touched() {
+    let dir = tempfile::tempdir().unwrap();
+    let open = |manifest| RunFolder::open(dir.path(), manifest, false);
+    let mut other = manifest();
+    other.settings.seed = 9;
+    drop(open(other).unwrap());
+    let mut folder = open(manifest()).unwrap().folder;
+    assert_eq!(folder.manifest().settings.seed, 1, "nothing had been finished with seed 9");
+    add(&mut folder, "t01-01");
+    drop(folder);
+    let mut other = manifest();
+    other.settings.seed = 8;
+    other.settings.lanes += 1;
+    other.settings.adapter = Some("processor".to_owned());
+    other.hashes.insert("layout".into(), "ff".into());
+    let error = open(other).unwrap_err().to_string();
+    let error = error.replace(&dir.path().display().to_string(), "DIR");
+    insta::assert_snapshot!(error, @r#"
+    DIR holds a run with other settings:
+      adapter: not set there, "processor" now
+      contents of layout: "00" there, "ff" now
+      seed: 1 there, 8 now
+    Use the same settings to continue it, --fresh to start over, or another --out
+    "#);
+}
+
+#[test]
+fn a_folder_that_is_in_use_or_holds_other_files_is_refused() {
+    let dir = tempfile::tempdir().unwrap();
+    let open = || RunFolder::open(dir.path(), manifest(), true);
+    let held = open().unwrap();
+    assert!(matches!(open(), Err(LogError::Locked { .. })));
+    drop(held);
+    fs::remove_file(dir.path().join(MANIFEST_FILE)).unwrap();
+    assert!(matches!(open(), Err(LogError::NotARun { .. })));
+    assert!(dir.path().join(EPISODES_FILE).exists());
+    assert!(matches!(RunLog::read(dir.path()), Err(LogError::NoRun { .. })));
+}
+
+#[test]
+fn a_damaged_record_is_named_and_set_aside_and_its_episode_repeated() {
+    let dir = tempfile::tempdir().unwrap();
+    let open = || RunFolder::open(dir.path(), manifest(), false).unwrap();
+    let mut folder = open().folder;
+    ["t01-01", "t01-02", "t01-03"].iter().for_each(|case| add(&mut folder, case));
+    drop(folder);
+    let path = dir.path().join(EPISODES_FILE);
+    let text = fs::read_to_string(&path).unwrap();
+    let mut lines: Vec<String> = text.lines().map(str::to_owned).collect();
+    // One line edited, one torn, one twice.
+    lines[0] = lines[0].replace("\"steps\":10", "\"steps\":931");
+    lines[1].truncate(40);
+    lines.push(lines[2].clone());
+    fs::write(&path, lines.join("\n") + "\n").unwrap();
+
+    let log = RunLog::read(dir.path()).unwrap();
+    assert_eq!(keys(&log.episodes), [record("t01-03", true).key]);
+    let shown: Vec<String> = log.damaged.iter().map(ToString::to_string).collect();
+    insta::assert_snapshot!(shown.join("\n"), @r#"
+    episodes.jsonl, line 1: "steps" is 931, and "actions" has 10
+    episodes.jsonl, line 2: control character (\u0000-\u001F) found while parsing a string at line 2 column 0
+    episodes.jsonl, line 4: episodic/original/unchanged/original/run1/t01-03 occurs twice
+    "#);
+
+    let Opened { mut folder, finished, notes, .. } = open();
+    assert_eq!((keys(&finished), notes.len()), (vec![&*record("t01-03", true).key], 3));
+    assert!(!folder.is_finished(&record("t01-01", true).key));
+    ["t01-01", "t01-02"].iter().for_each(|case| add(&mut folder, case));
+    drop(folder);
+    let log = RunLog::read(dir.path()).unwrap();
+    assert_eq!((log.episodes.len(), log.timings.len(), log.damaged.len()), (3, 3, 0));
+    let aside = fs::read_to_string(damaged_file(&path)).unwrap();
+    assert_eq!(aside.lines().count(), 3, "nothing is lost");
+}
+
+#[test]
+fn an_error_counts_until_the_episode_is_finished() {
+    let dir = tempfile::tempdir().unwrap();
+    let mut folder = RunFolder::open(dir.path(), manifest(), false).unwrap().folder;
+    for case in ["t01-01", "t01-02"] {
+        let (key, error) = (record(case, true).key, "overdue".to_owned());
+        folder.give_up(&EpisodeError { key, session: 1, error }).unwrap();
+    }
+    add(&mut folder, "t01-02");
+    let log = RunLog::read(dir.path()).unwrap();
+    assert_eq!(
+        log.errors.iter().map(|e| e.key.as_str()).collect::<Vec<_>>(),
+        [record("t01-01", true).key]
+    );
+}
+
+#[test]
+fn processes_that_changed_are_named() {
+    let dir = tempfile::tempdir().unwrap();
+    let facts = |adapter: &str| {
+        let facts = BTreeMap::from([("adapter".to_owned(), adapter.to_owned())]);
+        BTreeMap::from([("sim".to_owned(), facts)])
+    };
+    let open = || RunFolder::open(dir.path(), manifest(), false).unwrap().folder;
+    let mut first = open();
+    assert!(first.introduce(facts("llvmpipe")).unwrap().is_empty());
+    add(&mut first, "t01-01");
+    drop(first);
+    assert!(open().introduce(facts("llvmpipe")).unwrap().is_empty());
+    assert_eq!(
+        open().introduce(facts("other")).unwrap(),
+        ["sim: adapter was llvmpipe when the run began, now other"]
+    );
+}
