@@ -316,7 +316,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_condition_is_said() {
+    fn errors_name_the_condition_that_was_probably_meant() {
         let error = |text: &str| text.parse::<Condition>().unwrap_err().to_string();
         insta::assert_snapshot!(error("episodic/new/unchanged"), @"`episodic/new/unchanged` is not a condition: write memory/start/route/demonstrations, then any deviation from the standard (/h20, /images, /no-hint)");
         insta::assert_snapshot!(error("working/new/unchanged/none/h200"), @"`working/new/unchanged/none/h200` is not a condition: write memory/start/route/demonstrations, then any deviation from the standard (/h20, /images, /no-hint)");
