@@ -334,10 +334,15 @@ impl<I: Clone> Engine<I> {
             ));
         };
         let now = running.current.as_ref().map_or(0, |now| now.step);
-        let asked = running.pending.as_ref().and_then(|pending| match pending.stage {
+        let Some(pending) = &running.pending else {
+            return Err(unusable!(
+                "answer of external memory {name} for step {step} of episode {episode}, after it was answered or given up"
+            ));
+        };
+        let asked = match pending.stage {
             PendingStage::Asked { since_ns } if now == step => Some(since_ns),
             _ => None,
-        });
+        };
         let checked = match asked {
             None => Err(format!("it answers step {step}, and the last question was step {now}")),
             Some(since_ns) => {

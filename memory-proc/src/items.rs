@@ -500,3 +500,6 @@ impl AssembledRecall {
         }
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -9,14 +9,13 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
+use domain::ExternalName;
+
 use crate::attach::AttachError;
 use crate::message::MAX_EXTERNAL_MEMORIES;
 
 /// Name of the file in the folder of an external memory.
 pub const DESCRIPTION_FILE: &str = "description.json";
-
-/// Most bytes of a name.
-const MAX_NAME: usize = 24;
 
 /// An external memory's description of itself.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
@@ -104,19 +103,11 @@ impl MemoryDescription {
     /// # Errors
     /// When it is not valid.
     pub fn check(&self) -> Result<(), AttachError> {
-        let name = &self.name;
-        let plain = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '-';
-        let is_valid = (1..=MAX_NAME).contains(&name.len()) && name.chars().all(plain);
-        if is_valid && name != "external" && name.parse::<domain::Representation>().is_err() {
-            return Ok(());
-        }
-        Err(AttachError::Value {
+        let checked = self.name.parse::<ExternalName>();
+        checked.map(drop).map_err(|error| AttachError::Value {
             field: "name",
-            value: format!("{name:?}"),
-            expected: format!(
-                "1 to {MAX_NAME} lower-case letters, digits and hyphens, not \"external\" and not the name of a \
-                 built-in memory"
-            ),
+            value: format!("{:?}", self.name),
+            expected: format!("a name that no other memory can have: {error}"),
         })
     }
 }

@@ -68,6 +68,9 @@ pub enum ServeError {
     /// The policy failed.
     #[error(transparent)]
     Policy(Box<dyn std::error::Error + Send + Sync>),
+    /// The program keeps frames that the simulator needs.
+    #[error("{0}")]
+    Frames(String),
     /// The facts of the handshake are too long.
     #[error(transparent)]
     Facts(#[from] FactsTooLong),

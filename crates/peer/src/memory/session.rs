@@ -28,6 +28,9 @@ use crate::run::ServeError;
 /// The lane in the header of a note that is no answer.
 const NO_LANE: u32 = u32::MAX;
 
+/// Batches of queries that are answered before the process looks at its other duties.
+const MAX_BATCHES: usize = 16;
+
 /// A method of remembering in one generation.
 pub(super) struct MemorySession<'s> {
     method: &'s dyn MemoryMethod,
@@ -39,6 +42,8 @@ pub(super) struct MemorySession<'s> {
     answers: Sender<ExternalAnswer>,
     notes: NotePublisher,
     host: Notifier,
+    /// Wakes this process itself.
+    own: Notifier,
     /// By the id of the bank: the memory that was built from it.
     memories: HashMap<u64, Option<Box<dyn Memory + 's>>>,
     lanes: Vec<Option<LaneEpisode>>,
@@ -78,6 +83,7 @@ impl<'s> MemorySession<'s> {
             answers: bus.sender()?,
             notes: NotePublisher::new(bus)?,
             host: bus.notifier(Role::Memory)?,
+            own: bus.notifier(Role::ExternalMemory)?,
             memories: HashMap::new(),
             lanes: (0..attach.lanes).map(|_| None).collect(),
             window: attach.window as usize,
@@ -347,7 +353,7 @@ fn read_step(step: &BankStep) -> Result<DemonstrationStep, UnknownCode> {
 
 impl Session for MemorySession<'_> {
     fn turn(&mut self, connection: &mut Connection) -> Result<bool, ServeError> {
-        loop {
+        for _ in 0..MAX_BATCHES {
             // Effects are read first: a query is sent after its episode, and that after its bank is built.
             let queries = self.queries.drain_some(self.batch)?;
             let episodes = self.episodes.drain()?;
@@ -376,6 +382,9 @@ impl Session for MemorySession<'_> {
                 return Ok(false);
             }
         }
+        // Further messages may wait, whose notification has been taken.
+        self.own.notify()?;
+        Ok(false)
     }
 
     fn progress(&self) -> (u64, u64) {
