@@ -57,6 +57,7 @@ fn faults_of_a_policy_are_named() {
         ("crash", "answers 64 lanes at once", "I am no good at this"),
         ("takes-the-late", "ignores late messages", "which could not be decided"),
         ("decides-early", "waits for slow messages", "which could not be decided"),
+        ("knows-no-captions", "takes items of every kind", "I know no captions"),
         ("keeps-frames", "releases frames", "it still keeps most of the"),
         (
             "draws",

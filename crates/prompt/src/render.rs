@@ -116,12 +116,15 @@ impl<'a> Writer<'a> {
         if request.items.is_empty() {
             self.text(&texts.nothing);
         }
-        let hint = if request.starts_as_demonstrated { texts.hint.as_str() } else { "" };
-        // The hint is after the texts and demonstrations, before what was retrieved for this step.
-        let hint_at = request.items.iter().position(|item| item.segment().is_some());
+        // The hint is about walks: after the demonstrations, before what was retrieved for this step.
+        let has_walks = request.items.iter().any(|item| matches!(item, Item::Steps(_)));
+        let hint_at = (request.starts_as_demonstrated && has_walks).then(|| {
+            let first = request.items.iter().position(|item| item.segment().is_some());
+            first.unwrap_or(request.items.len())
+        });
         for (index, item) in request.items.iter().enumerate() {
             if hint_at == Some(index) {
-                self.text(hint);
+                self.text(&texts.hint);
             }
             match item {
                 Item::Text(text) => self.document(text),
@@ -129,8 +132,8 @@ impl<'a> Writer<'a> {
                 Item::Steps(steps) => self.steps(steps, &request.items[..index], request.items),
             }
         }
-        if hint_at.is_none() && !request.items.is_empty() {
-            self.text(hint);
+        if hint_at == Some(request.items.len()) {
+            self.text(&texts.hint);
         }
         self.text(&texts.end);
     }
