@@ -101,7 +101,7 @@ class Run:
         frames = frames.payload_alignment(iox2.Alignment.new(PAGE_BYTES))
         self.frames = create(frames, 1, 2 + self.memories, chunks, chunks).subscriber_builder().create()
         documents = self.builder("document").publish_subscribe(iox2.Slice[U8]).user_header(DocumentHeader)
-        self.documents = create(documents, 1, 1, 1, 2 * lanes + 64).subscriber_builder().create()
+        self.documents = create(documents, 1, 1, 1, 4 * lanes + 64).subscriber_builder().create()
 
     def builder(self, name):
         return self.node.service_builder(iox2.ServiceName.new(f"{self.generation}/{name}"))

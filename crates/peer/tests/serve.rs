@@ -160,13 +160,20 @@ fn items_of_every_kind_reach_the_policy() {
     assert_eq!(decision.images, 7, "the current view, two retrieved, two keyframes, two captioned");
     assert_eq!(heard.recv().unwrap(), "reset 0");
     let told = heard.recv().unwrap().replace("], ", "],\n");
-    insta::assert_snapshot!(told, @"");
+    insta::assert_snapshot!(told, @r#"
+    lane 0 step 0 seed 0 "Find a cone." at 3,4,E Start sees 10 after [] remembers [part at Some(0.125) [(Some(40), Some(TurnLeft)), (Some(10), None)],
+    Summary "a cone at (1, 2)", whole at None [(Some(40), Some(Forward)), (None, None)],
+    whole at None [(Some(10), None)],
+    40 "urück", 10 "", part at None [(None, None)],
+    whole at None [(None, Some(Left)), (None, Some(Left))]],
+    hinted
+    "#);
 
     // What a document does not have is reported, and the step stays open.
     let cases = [
         text(steps + 7, 0, 1),
         text(steps, 0, 1),
-        text(note, 5, 1),
+        text(note, 4, 1),
         text(note, 0, 99),
         text(note, u32::MAX, u32::MAX),
         RecalledItem { kind: ItemKind::Frame as u8, steps: 1, ..text(note, 4, 9) },
@@ -180,7 +187,16 @@ fn items_of_every_kind_reach_the_policy() {
         rig.step(&observation(id(0, 9, step), frame), &next);
         reports.extend(rig.error_texts(1));
     }
-    insta::assert_snapshot!(reports.join("\n"), @"");
+    insta::assert_snapshot!(reports.join("\n"), @r"
+    recall for lane 0, step 1: item 0 names document 1099511627786, which was never published
+    recall for lane 0, step 2: item 0 has text of document 1099511627779, which is of kind trajectories
+    recall for lane 0, step 3: item 0 has the bytes 4..5 of document 1099511627778, which has 8 and no characters that begin and end there
+    recall for lane 0, step 4: item 0 has the bytes 0..99 of document 1099511627778, which has 8 and no characters that begin and end there
+    recall for lane 0, step 5: item 0 has the bytes 4294967295..8589934590 of document 1099511627778, which has 8 and no characters that begin and end there
+    recall for lane 0, step 6: item 0 has the bytes 4..13 of document 1099511627778, which has 8 and no characters that begin and end there
+    recall for lane 0, step 7: item 0 has the steps 2..4 of document 1099511627779 with 3
+    recall for lane 0, step 8: item 0 has steps of document 1099511627778, which is of kind note
+    ");
     rig.stop();
 }
 
@@ -369,10 +385,10 @@ fn a_policy_gets_its_requests_with_window_and_segment() {
     let mut heard: Vec<_> = heard.iter().collect();
     heard.sort();
     insta::assert_snapshot!(heard.join("\n"), @r#"
-    lane 0 step 0 seed 0 "Find a red barrel." at 3,4,E Start sees 30 after [] remembers None
-    lane 2 step 0 seed 2 "Find a blue barrel." at 3,4,E Start sees 20 after [] remembers None
-    lane 2 step 1 seed 2 "Find a blue barrel." at 3,4,E NotUnderstood sees 30 after [(20, None, NotUnderstood)] remembers None
-    lane 2 step 2 seed 2 "Find a blue barrel." at 3,4,E Blocked sees 10 after [(20, None, NotUnderstood), (30, Some(Left), Blocked)] remembers Some((0.125, [(10, Some(TurnLeft)), (20, None)]))
+    lane 0 step 0 seed 0 "Find a red barrel." at 3,4,E Start sees 30 after [] remembers []
+    lane 2 step 0 seed 2 "Find a blue barrel." at 3,4,E Start sees 20 after [] remembers []
+    lane 2 step 1 seed 2 "Find a blue barrel." at 3,4,E NotUnderstood sees 30 after [(20, None, NotUnderstood)] remembers []
+    lane 2 step 2 seed 2 "Find a blue barrel." at 3,4,E Blocked sees 10 after [(20, None, NotUnderstood), (30, Some(Left), Blocked)] remembers [part at Some(0.125) [(Some(10), Some(TurnLeft)), (Some(20), None)]]
     reset 0
     reset 2
     "#);

@@ -277,11 +277,11 @@ fn a_note_is_read_like_a_document_and_a_captioned_view_is_perceived() {
         "## Items\n- fork lift: stand at (10, 4) facing N\n## Passages\n- column 10: rows 1-30\n";
     let ask = Ask::at(HERE).with_text(DocumentKind::Note, text);
     assert_eq!(ask.action(), Action::TurnAround);
-    // The cone is behind, and the captioned view shows it.
-    let south = Pose::new(10, 14, Heading::S);
-    let ask = Ask::at(south).to("Find a cones 16.");
-    let captioned = Ask { captioned: Some(Pose::new(10, 14, Heading::N)), ..ask };
-    assert_eq!(captioned.action(), Action::Backward);
+    // The captioned view shows the plates ahead, and a barrel on the right that the agent does not see.
+    let ask = || Ask::at(Pose::new(10, 12, Heading::E)).to("Find a barrels 10.");
+    let captioned = Ask { captioned: Some(Pose::new(10, 15, Heading::S)), ..ask() };
+    assert_eq!(captioned.action(), Action::Right);
+    assert_ne!(ask().action(), Action::Right);
 }
 
 #[test]

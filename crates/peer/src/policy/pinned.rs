@@ -234,7 +234,7 @@ impl PinnedText {
         match text.get(self.bytes.clone()) {
             Some(_) => Ok(()),
             None => Err(format!(
-                "has the bytes {:?} of document {id}, which has {} and no character boundaries there",
+                "has the bytes {:?} of document {id}, which has {} and no characters that begin and end there",
                 self.bytes,
                 text.len()
             )),
