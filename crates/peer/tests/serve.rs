@@ -222,7 +222,7 @@ fn answers_may_come_later_in_any_order_from_any_thread_or_not_at_all() {
     for lane in 0..4 {
         let first = id(lane, 50 + u64::from(lane), 0);
         rig.begin(&config(lane, first.episode, "Find a cone."));
-        rig.step(&observation(first, frame), &recall(first, &[], &[]));
+        rig.step(&observation(first, frame), &recall(first, &[]));
     }
     let mut taken: Vec<(RequestId, Answers)> =
         (0..4).map(|_| taken.recv_timeout(LONG).unwrap()).collect();
@@ -329,7 +329,7 @@ fn prompts_are_logged_and_a_log_that_cannot_be_written_stops_the_run() {
     // A view that cannot be stored: no request reaches the policy any more, and the run is asked to stop.
     fs::remove_dir_all(folder.path().join("images")).unwrap();
     let unseen = rig.publish(70);
-    rig.step(&observation(id(0, 9, 2), unseen), &recall(id(0, 9, 2), &[], &[]));
+    rig.step(&observation(id(0, 9, 2), unseen), &recall(id(0, 9, 2), &[]));
     let (report, text) = rig.error_report();
     assert_eq!(report.kind, ErrorReportKind::Run as u32);
     assert!(text.starts_with("cannot write the prompt log: "), "{text}");
@@ -348,22 +348,22 @@ fn a_policy_gets_its_requests_with_window_and_segment() {
     let greys = [10, 20, 30].map(|grey| rig.publish(grey));
     rig.begin(&config(2, 71, "Find a blue barrel."));
     rig.begin(&config(0, 72, "Find a red barrel."));
-    rig.step(&observation(id(0, 72, 0), greys[2]), &recall(id(0, 72, 0), &[], &[]));
-    rig.step(&observation(id(2, 71, 0), greys[1]), &recall(id(2, 71, 0), &[], &[]));
+    rig.step(&observation(id(0, 72, 0), greys[2]), &recall(id(0, 72, 0), &[]));
+    rig.step(&observation(id(2, 71, 0), greys[1]), &recall(id(2, 71, 0), &[]));
     rig.decisions(2);
     let not_understood = Observation {
         action: NO_ACTION,
         feedback: Feedback::NotUnderstood as u8,
         ..observation(id(2, 71, 1), greys[2])
     };
-    rig.step(&not_understood, &recall(id(2, 71, 1), &[], &[]));
+    rig.step(&not_understood, &recall(id(2, 71, 1), &[]));
     rig.decisions(1);
     let blocked = Observation {
         action: Action::Left as u8,
         feedback: Feedback::Blocked as u8,
         ..observation(id(2, 71, 2), greys[0])
     };
-    rig.step(&blocked, &recall(id(2, 71, 2), &[greys[0], greys[1]], &[]));
+    rig.step(&blocked, &recall(id(2, 71, 2), &[greys[0], greys[1]]));
     let decision = rig.decisions(1)[0];
     assert_eq!((decision.lane, decision.episode, decision.step), (2, 71, 2));
     assert_eq!((decision.images, decision.images_asked), (5, 5));
@@ -414,7 +414,7 @@ fn invalid_messages_are_reported_and_the_others_answered() {
     lane 1, step 0: frame 12345 is not in the store: it was evicted too early or never published
     "#);
 
-    rig.step(&observation(id(1, 5, 1), frame), &recall(id(1, 5, 1), &[], &[]));
+    rig.step(&observation(id(1, 5, 1), frame), &recall(id(1, 5, 1), &[]));
     let decisions = rig.decisions(1);
     assert_eq!((decisions.len(), decisions[0].step), (1, 1));
     let report = rig.stop();
@@ -446,7 +446,7 @@ fn a_policy_that_keeps_evicted_frames_stops_the_run() {
     rig.begin(&window);
     for step in 0..=spare / 2 {
         let frame = rig.publish(step as u8);
-        rig.step(&observation(id(0, 3, step), frame), &recall(id(0, 3, step), &[], &[]));
+        rig.step(&observation(id(0, 3, step), frame), &recall(id(0, 3, step), &[]));
         rig.decisions(1);
         rig.neighbours.evict(frame).unwrap();
     }
@@ -475,7 +475,7 @@ fn a_policy_that_does_not_answer_ends_the_process() {
     let (mut rig, _) = serving(Mute);
     let frame = rig.publish(1);
     rig.begin(&config(0, 1, "Find a blue barrel."));
-    rig.step(&observation(id(0, 1, 0), frame), &recall(id(0, 1, 0), &[], &[]));
+    rig.step(&observation(id(0, 1, 0), frame), &recall(id(0, 1, 0), &[]));
     let error = rig.end().unwrap_err();
     assert_eq!(error.to_string(), "policy mute returned 0 decisions for 1 requests");
 }
