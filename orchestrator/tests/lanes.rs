@@ -1,6 +1,7 @@
 //! Lanes against a scripted simulator, memory and policy: no process, no shared memory.
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
+use bytemuck::Zeroable;
 use conformance::messages::{self, recall_trace};
 use conformance::scripted::{ScriptedSim, request};
 use domain::{Action, Feedback, Outcome, Pose, Representation};
