@@ -6,7 +6,7 @@
 //!   into a recall, and [`document_loader`] publishes its documents;
 //! - [`encoder`] computes embeddings, [`embedding_cache`] keeps them; [`manifest`] lists encoders, [`paths`] their files;
 //! - [`builders`] write documents before a run;
-//! [`embed_command`] embeds images, and [`search_profile`] measures searches, for users.
+//! - [`embed_command`] embeds images, and [`search_profile`] measures searches, for users.
 //!
 //! What is not here: stepping and rendering (sim-proc), deciding (policy-proc), scoring (results).
 

@@ -1,17 +1,16 @@
 //! The grounded policy: a scripted stand-in for a model that needs no network and no key.
 //!
 //! It uses what a model would be given and nothing else. At each step it
-//! - perceives: reads plates and barricades from the frames (`perception`, `barricade`);
+//! - perceives: reads plates from the frames (`perception`);
 //! - remembers: locates the demonstrations that memory supplies by the views they share with the window
 //!   (`demonstration`), and parses documents (`document`); together that is its `knowledge`;
 //! - maps: marks free and occupied cells around the agent (`local_map`);
-//! - plans: follows a demonstration where it is on one, else goes to what the instruction asks for, on a fixed
-//!   `tour` if everything is known, else explores (`plan`).
+//! - plans: follows or joins a demonstrated `tour`, else goes to what the instruction asks for, else explores
+//!   (`plan`).
 //!
 //! It keeps no state of an episode: its `beliefs` are derived from each request anew. Its results show that
 //! the harness works; they say nothing about any model. It ignores the hint of the original start.
 
-mod barricade;
 mod beliefs;
 mod cache;
 mod demonstration;
@@ -50,7 +49,7 @@ impl Policy for Grounded {
 
     fn act(&mut self, batch: &[Request<'_>]) -> Vec<Decision> {
         let decide = |request: &Request<'_>| {
-            let goal = NavigationGoal::parse(request.instruction);
+            let goal = NavigationGoal::read(request.instruction);
             let beliefs = Beliefs::new(request, goal.as_ref(), &mut self.caches);
             Decision::act(request, plan::next_action(request, goal.as_ref(), &beliefs))
         };

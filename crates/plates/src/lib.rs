@@ -6,12 +6,14 @@
 //! without a catalogue. Bands are horizontal because a plate at a grazing angle keeps its height and
 //! loses its width.
 //!
-//! The simulator draws plates; [`read()`] finds them in an image.
+//! The simulator draws plates; [`read()`] finds them in an image, and [`item_names()`] the names in an instruction.
 
+mod names;
 #[cfg(any(test, feature = "painter"))]
 pub mod painter;
 mod read;
 
+pub use names::{ItemName, item_names};
 pub use read::{Landmark, Sighting, read};
 
 /// Width and height of the plate's outside edge, in metres.

@@ -1,20 +1,8 @@
 //! The names in instructions, and the plates that they belong to.
-//!
-//! An instruction names types in the singular ("a blue barrel", "every blue barrel", "the same blue barrel") and
-//! categories in the plural ("of the category barrels"). This module knows only this wording.
 
 use std::collections::BTreeSet;
 
-use plates::Plate;
-
-/// Words in front of a type's name.
-const DETERMINERS: [&str; 4] = [" a ", " an ", " every ", " same "];
-
-/// Words in front of a category's name.
-const CATEGORY: &str = " of the category ";
-
-/// Words that may follow a name.
-const EVERYWHERE: &str = " in the warehouse";
+use plates::{ItemName, Plate, item_names};
 
 /// Names of types and categories.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
@@ -54,17 +42,11 @@ impl Names {
 
     /// Adds the names in `instruction`.
     pub(super) fn add(&mut self, instruction: &str) {
-        let text = instruction.trim().trim_end_matches('.');
-        for clause in text.split(',').flat_map(|part| part.split(" and ")) {
-            // The determiner may be the first word of a clause.
-            let clause = format!(" {}", clause.trim());
-            let clause = clause.strip_suffix(EVERYWHERE).unwrap_or(&clause);
-            let after = |words: &str| clause.split_once(words).map(|(_, name)| name.to_owned());
-            if let Some(name) = after(CATEGORY) {
-                self.categories.insert(name);
-            } else if let Some(name) = DETERMINERS.iter().find_map(|words| after(words)) {
-                self.types.insert(name);
-            }
+        for name in item_names(instruction) {
+            match name {
+                ItemName::Type(name) => self.types.insert(name.to_owned()),
+                ItemName::Category(name) => self.categories.insert(name.to_owned()),
+            };
         }
     }
 
@@ -84,47 +66,9 @@ impl Names {
 
 #[cfg(test)]
 mod tests {
-    use std::fmt::Write;
-
     use warehouse::{CaseSet, Warehouse};
 
     use super::*;
-
-    #[test]
-    fn types_are_singular_and_categories_plural() {
-        let mut table = String::new();
-        for instruction in [
-            "Find a blue barrel.",
-            "Find any item of the category barrels.",
-            "Visit every blue barrel in the warehouse.",
-            "Visit every item of the category barrels in the warehouse.",
-            "Visit a blue barrel and an orange cone, in any order.",
-            "Visit a blue barrel, then an orange cone.",
-            "Find an orange cone, then return to the cell where you started.",
-            "Visit every orange cone in the warehouse, then return to the cell where you started.",
-            "Find a blue barrel, then visit an orange cone, then go back to the same blue barrel.",
-            "Visit a blue barrel, then an orange cone, then return to the cell where you started.",
-            "Do nothing.",
-            "",
-        ] {
-            let Names { types, categories } = Names::of(instruction);
-            writeln!(table, "{types:?} {categories:?}").unwrap();
-        }
-        insta::assert_snapshot!(table, @r#"
-        {"blue barrel"} {}
-        {} {"barrels"}
-        {"blue barrel"} {}
-        {} {"barrels"}
-        {"blue barrel", "orange cone"} {}
-        {"blue barrel", "orange cone"} {}
-        {"orange cone"} {}
-        {"orange cone"} {}
-        {"blue barrel", "orange cone"} {}
-        {"blue barrel", "orange cone"} {}
-        {} {}
-        {} {}
-        "#);
-    }
 
     /// The warehouse words the instructions: exactly the names that it used are found.
     #[test]

@@ -4,11 +4,11 @@ use std::sync::Arc;
 
 use domain::{Cell, Pose};
 use peer::{Item, Request};
-use plates::Landmark;
+use plates::{ItemName, Landmark};
 
 use super::demonstration::{RelativePath, RelativePaths, Supplied};
-use super::instruction::{ItemKind, NavigationGoal};
-use super::knowledge::{Doubt, Knowledge, KnowledgeBase, standpoints_among};
+use super::instruction::NavigationGoal;
+use super::knowledge::{Knowledge, KnowledgeBase, standpoints_among};
 use super::local_map::LocalMap;
 use super::perception::{FrameCache, PlacedFrame, rack_of};
 use super::recent::RecentSteps;
@@ -56,7 +56,9 @@ impl Beliefs {
                 }
                 Item::Frame(captioned) => vec![(Some(captioned.frame), None)],
             };
-            let Some((path, start)) = locate(&supplied, &views, caches) else { continue };
+            let Some((path, start)) = locate(&supplied, &views, caches) else {
+                continue;
+            };
             if item.trajectory().is_some() {
                 located.push((path, start));
             } else {
@@ -64,17 +66,14 @@ impl Beliefs {
                 segments.push(Tour::along(path.path_from(start), &[]));
             }
         }
-        let doubt = Doubt::at(request.step, request.episode_seed);
-        let situation = (recent.origin.map(|pose| pose.cell), doubt);
         let task = (request.instruction, goal);
         let texts: Vec<_> = request.texts().collect();
-        let knowledge = caches.knowledge.get(task, situation, &texts, &located);
+        let knowledge = caches.knowledge.get(task, &texts, &located);
 
         let mut map = LocalMap::around(request.pose.cell);
         knowledge.mark(&mut map);
         for view in &views {
             view.free.iter().for_each(|&cell| map.mark_free(cell));
-            view.occupied.iter().for_each(|&cell| map.mark_occupied(cell));
         }
         for landmark in &seen {
             map.mark_free(landmark.standpoint);
@@ -88,7 +87,7 @@ impl Beliefs {
     }
 
     /// Cells from which the `nth` target of the goal can be reached.
-    pub(super) fn standpoints(&self, nth: usize, target: ItemKind<'_>) -> Vec<Cell> {
+    pub(super) fn standpoints(&self, nth: usize, target: ItemName<'_>) -> Vec<Cell> {
         let mut cells = self.knowledge.standpoints.get(nth).cloned().unwrap_or_default();
         cells.extend(standpoints_among(&self.seen, target));
         cells

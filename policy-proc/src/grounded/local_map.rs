@@ -4,81 +4,98 @@ use std::collections::VecDeque;
 
 use domain::{Cell, Heading, Pose};
 
-/// Cells along each side of the map: one row is one word of bits.
-const SIDE: u8 = 64;
+/// Cells along each side of the map.
+const SIDE: usize = 64;
 
 /// The cost of a step onto a cell about which nothing is known; a step onto a known free cell costs 1.
 const UNKNOWN_COST: u32 = 8;
 
 /// How many cells a route may leave the area that anything is known about.
-const MARGIN: u32 = 4;
+const MARGIN: u8 = 4;
 
-/// A square of cells around the agent. A cell is free, occupied or unknown; unknown cells may be tried.
-#[derive(Debug, Clone)]
-pub(super) struct LocalMap {
+/// What is known about a cell. Unknown cells may be tried.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum CellState {
+    Unknown,
+    Free,
+    Occupied,
+}
+
+/// The square of cells that a map covers.
+#[derive(Debug, Clone, Copy)]
+struct MapArea {
     /// Column and row of the south-west corner; negative near the grid's edges.
     corner: (i16, i16),
-    free: [u64; SIDE as usize],
-    occupied: [u64; SIDE as usize],
+}
+
+impl MapArea {
+    fn index(self, cell: Cell) -> Option<usize> {
+        let x = usize::try_from(i16::from(cell.x) - self.corner.0).ok()?;
+        let y = usize::try_from(i16::from(cell.y) - self.corner.1).ok()?;
+        (x < SIDE && y < SIDE).then_some(y * SIDE + x)
+    }
+}
+
+/// A map of the cells around the agent.
+#[derive(Debug, Clone)]
+pub(super) struct LocalMap {
+    area: MapArea,
+    cells: Vec<CellState>,
+    /// The south-west and the north-east corner of what is known.
+    known: [Cell; 2],
 }
 
 impl LocalMap {
     /// A map around `centre`, of which nothing else is known.
     pub(super) fn around(centre: Cell) -> Self {
-        let half = i16::from(SIDE / 2);
-        let mut map = Self {
-            corner: (i16::from(centre.x) - half, i16::from(centre.y) - half),
-            free: [0; SIDE as usize],
-            occupied: [0; SIDE as usize],
-        };
+        let half = SIDE as i16 / 2;
+        let area = MapArea { corner: (i16::from(centre.x) - half, i16::from(centre.y) - half) };
+        let cells = vec![CellState::Unknown; SIDE * SIDE];
+        let mut map = Self { area, cells, known: [centre; 2] };
         map.mark_free(centre);
         map
     }
 
     pub(super) fn mark_free(&mut self, cell: Cell) {
-        if let Some((x, y)) = self.place(cell) {
-            self.free[usize::from(y)] |= 1 << x;
-        }
+        self.mark(cell, CellState::Free);
     }
 
+    /// An occupied cell stays occupied, whatever else is marked.
     pub(super) fn mark_occupied(&mut self, cell: Cell) {
-        if let Some((x, y)) = self.place(cell) {
-            self.occupied[usize::from(y)] |= 1 << x;
+        self.mark(cell, CellState::Occupied);
+    }
+
+    fn mark(&mut self, cell: Cell, state: CellState) {
+        let Some(index) = self.area.index(cell) else { return };
+        if self.cells[index] != CellState::Occupied {
+            self.cells[index] = state;
         }
+        let [low, high] = self.known;
+        self.known = [
+            Cell::new(low.x.min(cell.x), low.y.min(cell.y)),
+            Cell::new(high.x.max(cell.x), high.y.max(cell.y)),
+        ];
     }
 
     pub(super) fn is_free(&self, cell: Cell) -> bool {
-        self.place(cell).is_some_and(|(x, y)| self.free[usize::from(y)] >> x & 1 == 1)
+        self.state(cell) == Some(CellState::Free)
     }
 
     pub(super) fn is_occupied(&self, cell: Cell) -> bool {
-        self.place(cell).is_some_and(|(x, y)| self.occupied[usize::from(y)] >> x & 1 == 1)
+        self.state(cell) == Some(CellState::Occupied)
     }
 
-    /// The cells that routes may enter: not occupied, and in the area that anything is known about or at most
-    /// `MARGIN` cells outside it.
-    fn open_cells(&self) -> [u64; SIDE as usize] {
-        let known = |y: usize| self.free[y] | self.occupied[y];
-        let rows = (0..self.free.len()).filter(|&y| known(y) != 0);
-        let (south, north) = (rows.clone().min().unwrap_or(0), rows.clone().max().unwrap_or(0));
-        let columns = rows.fold(0, |columns, y| columns | known(y));
-        let west = columns.trailing_zeros().min(u64::BITS - 1).saturating_sub(MARGIN);
-        let beyond_east = columns.leading_zeros().min(u64::BITS - 1).saturating_sub(MARGIN);
-        let columns = u64::MAX << west & u64::MAX >> beyond_east;
-        let mut open = [0; SIDE as usize];
-        for y in south.saturating_sub(MARGIN as usize)..=north + MARGIN as usize {
-            if let Some(row) = open.get_mut(y) {
-                *row = columns & !self.occupied[y];
-            }
-        }
-        open
+    fn state(&self, cell: Cell) -> Option<CellState> {
+        self.area.index(cell).map(|index| self.cells[index])
     }
 
-    /// Column and row on the map.
-    fn place(&self, cell: Cell) -> Option<(u8, u8)> {
-        let x = u8::try_from(i16::from(cell.x) - self.corner.0).ok()?;
-        let y = u8::try_from(i16::from(cell.y) - self.corner.1).ok()?;
-        (x < SIDE && y < SIDE).then_some((x, y))
+    /// Whether `cell` is in the area that anything is known about, or at most `MARGIN` cells outside it.
+    fn is_near_known(&self, cell: Cell) -> bool {
+        let [low, high] = self.known;
+        let within = |low: u8, at: u8, high: u8| {
+            (low.saturating_sub(MARGIN)..=high.saturating_add(MARGIN)).contains(&at)
+        };
+        within(low.x, cell.x, high.x) && within(low.y, cell.y, high.y)
     }
 
     /// Searches routes from `start`: to every reachable cell, or only to the nearest of `goals` if there are
@@ -89,15 +106,14 @@ impl LocalMap {
     pub(super) fn routes(&self, start: Pose, goals: &[Cell]) -> LocalRoutes {
         let directions = [0, 1, 3, 2].map(|quarters| start.heading.turned(quarters));
         let mut routes = LocalRoutes {
-            corner: self.corner,
+            area: self.area,
             start: start.cell,
-            reached: vec![None; usize::from(SIDE) * usize::from(SIDE)],
+            reached: vec![None; SIDE * SIDE],
             nearest: None,
         };
-        let open = self.open_cells();
         let mut queues = [VecDeque::new(), VecDeque::new()];
-        if let Some((x, y)) = self.place(start.cell) {
-            routes.reached[index(x, y)] = Some((0, start.heading));
+        if let Some(index) = self.area.index(start.cell) {
+            routes.reached[index] = Some((0, start.heading));
             queues[0].push_back((0, start.cell));
         }
         while let Some((cost, cell)) = pop_cheapest(&mut queues) {
@@ -109,14 +125,15 @@ impl LocalMap {
                 break;
             }
             for direction in directions {
-                let Some(next) = cell.step(direction) else { continue };
-                let Some((x, y)) = self.place(next) else { continue };
-                if open[usize::from(y)] >> x & 1 == 0 {
-                    continue;
-                }
-                let is_unknown = self.free[usize::from(y)] >> x & 1 == 0;
+                let next = cell.step(direction).filter(|&next| self.is_near_known(next));
+                let Some(next) = next else { continue };
+                let Some(index) = self.area.index(next) else { continue };
+                let is_unknown = match self.cells[index] {
+                    CellState::Occupied => continue,
+                    state => state == CellState::Unknown,
+                };
                 let cost = cost + if is_unknown { UNKNOWN_COST } else { 1 };
-                let reached = &mut routes.reached[index(x, y)];
+                let reached = &mut routes.reached[index];
                 if reached.is_none_or(|(known, _)| cost < known) {
                     *reached = Some((cost, direction));
                     queues[usize::from(is_unknown)].push_back((cost, next));
@@ -125,10 +142,6 @@ impl LocalMap {
         }
         routes
     }
-}
-
-fn index(x: u8, y: u8) -> usize {
-    usize::from(y) * usize::from(SIDE) + usize::from(x)
 }
 
 fn pop_cheapest(queues: &mut [VecDeque<(u32, Cell)>; 2]) -> Option<(u32, Cell)> {
@@ -143,7 +156,7 @@ fn pop_cheapest(queues: &mut [VecDeque<(u32, Cell)>; 2]) -> Option<(u32, Cell)> 
 /// The cheapest routes from one cell.
 #[derive(Debug)]
 pub(super) struct LocalRoutes {
-    corner: (i16, i16),
+    area: MapArea,
     start: Cell,
     /// For each cell of the map, the cost of its route and the route's last move.
     reached: Vec<Option<(u32, Heading)>>,
@@ -153,9 +166,7 @@ pub(super) struct LocalRoutes {
 
 impl LocalRoutes {
     fn reached(&self, cell: Cell) -> Option<(u32, Heading)> {
-        let x = u8::try_from(i16::from(cell.x) - self.corner.0).ok()?;
-        let y = u8::try_from(i16::from(cell.y) - self.corner.1).ok()?;
-        if x < SIDE && y < SIDE { self.reached[index(x, y)] } else { None }
+        self.reached[self.area.index(cell)?]
     }
 
     /// The cost of the route to `goal`; `None` if there is none.

@@ -1,4 +1,4 @@
-//! What frames show: plates, barricades, and whether two frames show the same view.
+//! What frames show: plates, and whether two frames show the same view.
 //!
 //! The pixels of a frame never change, so each frame is read once.
 
@@ -8,7 +8,6 @@ use domain::{Cell, Pose};
 use peer::{FrameId, FrameView};
 use plates::{Landmark, Sighting};
 
-use super::barricade;
 use super::cache::BoundedCache;
 
 /// What a frame shows, relative to its camera.
@@ -18,8 +17,6 @@ pub(super) struct FrameContent {
     /// All pixels have the same colour.
     pub(super) is_blank: bool,
     pub(super) plates: Vec<Sighting>,
-    /// Cells with a barricade, as (cells ahead, cells to the right).
-    pub(super) barricades: Vec<(i8, i8)>,
 }
 
 impl FrameContent {
@@ -30,7 +27,6 @@ impl FrameContent {
             hash: frame.content_hash,
             is_blank: pixels.all(|pixel| Some(pixel) == first),
             plates: plates::read(frame.width, frame.height, frame.pixels),
-            barricades: barricade::read(frame),
         }
     }
 
@@ -47,7 +43,6 @@ pub(super) struct PlacedFrame {
     pub(super) content: Arc<FrameContent>,
     pub(super) landmarks: Vec<Landmark>,
     pub(super) free: Vec<Cell>,
-    pub(super) occupied: Vec<Cell>,
 }
 
 impl PlacedFrame {
@@ -59,10 +54,7 @@ impl PlacedFrame {
             lines.filter_map(|(ahead, right)| pose.cell_at(ahead, right)).collect();
         free.sort_unstable();
         free.dedup();
-        let barricades = content.barricades.iter();
-        let barricades = barricades.filter_map(|&(ahead, right)| pose.cell_at(ahead, right));
-        let occupied = barricades.chain(landmarks.iter().filter_map(rack_of)).collect();
-        Self { pose, content, landmarks, free, occupied }
+        Self { pose, content, landmarks, free }
     }
 }
 

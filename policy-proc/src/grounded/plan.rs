@@ -23,6 +23,9 @@ const PATIENCE: usize = 40;
 /// began.
 const RESTLESS_STEPS: u32 = 24;
 
+/// Steps for which one of the regions that targets were seen in is searched, before the next.
+const SEARCH_STEPS: u32 = 30;
+
 /// The action for `request`.
 pub(super) fn next_action(
     request: &Request<'_>,
@@ -48,7 +51,7 @@ impl Planner<'_> {
         let is_single = self.goal.is_some_and(|goal| {
             goal.visit == VisitOrder::One && goal.ending == FinalCell::LastItem
         });
-        let Beliefs { segments, knowledge, .. } = self.beliefs;
+        let segments = &self.beliefs.segments;
         // Memory supplies the most important segment first.
         let in_order = |step: &dyn Fn(&Tour) -> Option<Action>| segments.iter().find_map(step);
         in_order(&|segment| self.follow(std::iter::once(segment)))
@@ -56,9 +59,8 @@ impl Planner<'_> {
             .or_else(|| is_single.then(|| self.approach_target()).flatten())
             .or_else(|| in_order(&|tour| self.join(std::iter::once(tour), FARTHEST_SEGMENT)))
             .or_else(|| self.join(self.demonstrations(), u32::MAX))
-            .or_else(|| self.follow_or_join(knowledge.goal_tour(self.goal?)))
             .or_else(|| self.approach_target())
-            .or_else(|| self.follow_or_join(knowledge.search_tour()))
+            .or_else(|| self.approach_outlook())
             .unwrap_or_else(|| self.explore())
     }
 
@@ -92,10 +94,6 @@ impl Planner<'_> {
         useful.min_by_key(|&(cost, _)| cost).map(|(_, action)| action)
     }
 
-    fn follow_or_join(&self, tour: Option<&Tour>) -> Option<Action> {
-        self.follow(tour.into_iter()).or_else(|| self.join(tour.into_iter(), u32::MAX))
-    }
-
     /// A step towards the nearest known target that is still wanted.
     fn approach_target(&self) -> Option<Action> {
         let goal = self.goal?;
@@ -103,14 +101,24 @@ impl Planner<'_> {
         if is_restless && matches!(goal.visit, VisitOrder::Every | VisitOrder::InOrder) {
             return None;
         }
+        self.wanted(goal).into_iter().find_map(|cells| self.approach(&cells))
+    }
+
+    /// A step towards a region in which the targets were seen: each of them in turn.
+    fn approach_outlook(&self) -> Option<Action> {
+        let outlooks = &self.beliefs.knowledge.outlooks;
+        let turn = (self.request.step / SEARCH_STEPS) as usize;
+        self.approach(&[*outlooks.get(turn.checked_rem(outlooks.len())?)?])
+    }
+
+    /// A step towards the nearest of `cells`; `None` on one of them.
+    fn approach(&self, cells: &[Cell]) -> Option<Action> {
         let Beliefs { recent, map, .. } = self.beliefs;
-        self.wanted(goal).into_iter().find_map(|cells| {
-            if cells.is_empty() || cells.contains(&recent.here.cell) {
-                return None;
-            }
-            let routes = map.routes(recent.here, &cells);
-            stride(recent.here.heading, &routes.moves_to(routes.nearest?))
-        })
+        if cells.is_empty() || cells.contains(&recent.here.cell) {
+            return None;
+        }
+        let routes = map.routes(recent.here, cells);
+        stride(recent.here.heading, &routes.moves_to(routes.nearest?))
     }
 
     /// Cells to visit next, as far as the window tells: any of the first group, or if that cannot be

@@ -1,11 +1,8 @@
-//! A fixed path past all targets.
-//!
-//! A window of a few steps cannot tell which items were visited before it. A path that is always followed in the same
-//! direction can: the position on it shows which targets were passed.
+//! A path that was demonstrated: where it is followed, and where it is joined.
 
-use domain::{Action, Cell, Heading, Pose};
+use domain::{Action, Cell, Heading};
 
-use super::geometry::{PathStep, after, move_towards, path_along, turn_towards};
+use super::geometry::{PathStep, after, move_towards, turn_towards};
 use super::local_map::{LocalMap, LocalRoutes};
 use super::recent::{PastPose, RecentSteps};
 
@@ -15,50 +12,20 @@ const CLEAR_AHEAD: usize = 8;
 /// The length of a straight stretch that is worth the turn to face it.
 const LONG_STRETCH: usize = 3;
 
-/// Poses and actions, in order. A loop leads from its last step back to its first.
+/// Poses and actions, in order.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) struct Tour {
     steps: Vec<PathStep>,
-    is_loop: bool,
-    /// The steps at which the first and the last goal are reached.
+    /// The step at which the first goal is reached.
     first_goal: usize,
-    last_goal: usize,
 }
 
 impl Tour {
     /// The tour along a demonstrated path. It reaches the last goal at its end.
     pub(super) fn along(steps: Vec<PathStep>, goals: &[Cell]) -> Self {
-        let last_goal = steps.len().saturating_sub(1);
         let first_goal = steps.iter().position(|step| goals.contains(&step.pose.cell));
-        Self { steps, is_loop: false, first_goal: first_goal.unwrap_or(last_goal), last_goal }
-    }
-
-    /// The shortest loop that visits one new cell of each stage in turn, from each the nearest of the next
-    /// stage; `None` for fewer than two stages, and when one cannot be reached.
-    pub(super) fn through(stages: &[Vec<Cell>], map: &LocalMap) -> Option<Self> {
-        let (first, rest) = stages.split_first().filter(|(_, rest)| !rest.is_empty())?;
-        let loops = first.iter().filter_map(|&start| Self::loop_from(start, rest, map));
-        loops.min_by_key(Self::len)
-    }
-
-    fn loop_from(start: Cell, stages: &[Vec<Cell>], map: &LocalMap) -> Option<Self> {
-        let (mut visited, mut moves, mut before_last) = (vec![start], Vec::new(), 0);
-        let mut pose = Pose { cell: start, heading: Heading::N };
-        for stage in stages.iter().chain([&vec![start]]) {
-            let is_last = visited.len() > stages.len();
-            let goals = stage.iter().filter(|&cell| is_last || !visited.contains(cell));
-            let routes = map.routes(pose, &goals.copied().collect::<Vec<_>>());
-            before_last = moves.len();
-            moves.extend(routes.moves_to(routes.nearest?));
-            pose = Pose { cell: routes.nearest?, heading: *moves.last()? };
-            visited.push(pose.cell);
-        }
-        let mut steps = path_along(pose, moves);
-        steps.pop();
-        let is_move = |step: &PathStep| step.action == Some(Action::Forward);
-        let moves = steps.iter().enumerate().filter(|(_, step)| is_move(step));
-        let last_goal = moves.map(|(at, _)| at).nth(before_last).unwrap_or(0);
-        Some(Self { steps, is_loop: true, first_goal: 0, last_goal })
+        let first_goal = first_goal.unwrap_or(steps.len());
+        Self { steps, first_goal }
     }
 
     pub(super) fn len(&self) -> usize {
@@ -81,12 +48,10 @@ impl Tour {
 
     /// How many of the last steps were those of the tour before step `at`.
     fn followed_to(&self, at: usize, recent: &RecentSteps) -> usize {
-        let before = self.steps[..at].iter().rev();
-        let wrapped = self.steps[at..].iter().rev().filter(|_| self.is_loop);
         let is_same = |(past, step): &(&PastPose, &PathStep)| {
             past.pose == step.pose && past.action == step.action
         };
-        recent.past.iter().rev().zip(before.chain(wrapped)).take_while(is_same).count()
+        recent.past.iter().rev().zip(self.steps[..at].iter().rev()).take_while(is_same).count()
     }
 
     /// The action that leads onto the tour where that makes the whole path past all goals shortest, and the
@@ -100,8 +65,8 @@ impl Tour {
     ) -> Option<(u32, Action)> {
         let here = recent.here;
         let is_clear = |at: usize| {
-            let ahead = self.steps[at..].iter().chain(self.steps.iter().filter(|_| self.is_loop));
-            !ahead.take(CLEAR_AHEAD).any(|step| map.is_occupied(step.pose.cell))
+            let mut ahead = self.steps[at..].iter().take(CLEAR_AHEAD);
+            !ahead.any(|step| map.is_occupied(step.pose.cell))
         };
         let cost = |(at, step): (usize, &PathStep)| {
             step.action?;
@@ -117,8 +82,8 @@ impl Tour {
 
     /// Steps from step `at` until all goals are passed: after the first goal, another round is needed.
     fn remaining(&self, at: usize) -> u32 {
-        let round = if at <= self.first_goal { 0 } else { self.steps.len() };
-        (round + self.last_goal).saturating_sub(at) as u32
+        let again = if at <= self.first_goal { 0 } else { self.steps.len() };
+        (again + self.steps.len() - at) as u32
     }
 }
 

@@ -1,0 +1,80 @@
+//! What instructions call items.
+//!
+//! An instruction names types in the singular ("a blue barrel", "every blue barrel", "the same blue barrel") and
+//! categories in the plural ("of the category barrels"). This module knows only this wording.
+
+use crate::Plate;
+
+/// Words in front of a type's name.
+const DETERMINERS: [&str; 4] = ["a ", "an ", "every ", "same "];
+
+/// Words in front of a category's name.
+const CATEGORY: &str = "of the category ";
+
+/// Words that may follow a name.
+const EVERYWHERE: &str = " in the warehouse";
+
+/// A kind of item, by its name in an instruction.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum ItemName<'a> {
+    /// "blue barrel"
+    Type(&'a str),
+    /// "barrels"
+    Category(&'a str),
+}
+
+impl ItemName<'_> {
+    /// Whether the item labelled with `plate` is of this kind.
+    pub fn matches(self, plate: Plate) -> bool {
+        match self {
+            Self::Type(name) => plate.is_type(name),
+            Self::Category(name) => plate.is_category(name),
+        }
+    }
+}
+
+/// The kinds of items that `instruction` names, in its order.
+pub fn item_names(instruction: &str) -> impl Iterator<Item = ItemName<'_>> {
+    let text = instruction.trim().trim_end_matches('.');
+    text.split(',').flat_map(|part| part.split(" and ")).filter_map(|clause| {
+        let clause = clause.trim();
+        let clause = clause.strip_suffix(EVERYWHERE).unwrap_or(clause);
+        let category = name_after(CATEGORY, clause).map(ItemName::Category);
+        let item_type = || DETERMINERS.into_iter().find_map(|words| name_after(words, clause));
+        category.or_else(|| item_type().map(ItemName::Type))
+    })
+}
+
+/// What follows `words`, which may begin the clause or stand within it.
+fn name_after<'a>(words: &str, clause: &'a str) -> Option<&'a str> {
+    let within = || Some(clause.split_once(&format!(" {words}"))?.1);
+    clause.strip_prefix(words).or_else(within)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::ItemName::{Category, Type};
+    use super::*;
+
+    #[test]
+    fn types_are_singular_and_categories_plural() {
+        for (instruction, expected) in [
+            ("Find a blue barrel.", &[Type("blue barrel")][..]),
+            ("Visit every item of the category barrels in the warehouse.", &[Category("barrels")]),
+            (
+                "Visit a blue barrel, then an orange cone.",
+                &[Type("blue barrel"), Type("orange cone")],
+            ),
+            (
+                "Find an orange cone, then return to the cell where you started.",
+                &[Type("orange cone")],
+            ),
+            ("Find a .", &[]),
+            ("Do nothing.", &[]),
+            ("", &[]),
+        ] {
+            let names: Vec<_> = item_names(instruction).collect();
+            assert_eq!(names, expected, "{instruction}");
+        }
+    }
+}
