@@ -360,7 +360,13 @@ fn waiting_for_the_server_is_reported() {
     bench.begin_lane(0);
     for step in 0..2 {
         bench.ask_lane(0, step, frame, &[], &[]);
-        assert_eq!(bench.decide(1)[0].action, Action::TurnRight as u8);
+        let decision = bench.decide(1)[0];
+        assert_eq!(decision.action, Action::TurnRight as u8);
+        if step == 1 {
+            // Defect 16: the latency is that of the attempt that was answered.
+            let waited_ns = decision.sent_ns - decision.prompted_ns;
+            assert!(waited_ns > decision.decided_ns - decision.sent_ns, "{decision:?}");
+        }
     }
     let reports = [(); 3].map(|()| bench.error_report());
     assert!(reports.iter().all(|(report, _)| report.kind == ErrorReportKind::Waiting as u32));

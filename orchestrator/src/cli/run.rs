@@ -12,8 +12,9 @@ use clap::Args;
 use domain::prompt_log::session_folder;
 use results::conditions::{Demonstrations, Route, Start};
 use results::cost::ModelPrices;
-use results::log::{EpisodeRecord, FORMAT, Manifest, Opened, RunFolder, RunLog};
+use results::log::{FORMAT, Manifest, Opened, RunFolder, RunLog};
 use results::settings::{Group, RunSettings};
+use rustix::io::Errno;
 use shm_types::message::WIRE_VERSION;
 use shm_types::{RunDir, registry};
 
@@ -98,19 +99,23 @@ pub(super) fn run(args: RunArgs) -> Result<Exit> {
         print(&dry_run::describe(&plan, args.fresh)?)?;
         return Ok(Exit::Complete);
     }
-    plan.execute(&args).map_err(|error| {
-        let is_full = |cause: &(dyn std::error::Error + 'static)| {
-            let error = cause.downcast_ref::<io::Error>();
-            error.is_some_and(|error| error.kind() == io::ErrorKind::StorageFull)
-        };
-        if !error.chain().any(is_full) {
-            return error;
-        }
-        anyhow!(
+    plan.execute(&args).map_err(|error| match is_disk_full(&error) {
+        false => error,
+        true => anyhow!(
             "{}\nThe disk is full. Finished episodes are kept: free some space, then give the same command again:\n  {}",
             in_one_line(&error),
             same_command()
-        )
+        ),
+    })
+}
+
+/// Whether a full disk caused the error, here or in a child process, whose error is a text.
+fn is_disk_full(error: &anyhow::Error) -> bool {
+    let full = io::Error::from(Errno::NOSPC).to_string();
+    error.chain().any(|cause| {
+        let io_error = cause.downcast_ref::<io::Error>();
+        io_error.is_some_and(|error| error.kind() == io::ErrorKind::StorageFull)
+            || cause.to_string().contains(&full)
     })
 }
 
@@ -180,7 +185,13 @@ impl RunPlan {
         let is_missing = |episode: &&PlannedEpisode| !folder.is_finished(&episode.key.to_string());
         let missing: Vec<PlannedEpisode> =
             self.episodes.iter().filter(is_missing).cloned().collect();
-        self.note_prompt_log(&finished, missing.len());
+        if settings.log_prompts {
+            let logged = RunFolder::prompts_of(folder.dir());
+            let logged = logged.exists().then_some(&*logged);
+            if let Some(note) = prompt_log_note(finished.len(), missing.len(), logged) {
+                eprintln!("{note}");
+            }
+        }
         let prices = folder.manifest().prices.as_ref();
         let model = settings.model.as_ref();
         if model.is_some_and(|model| model.max_cost.is_some()) && prices.is_none() {
@@ -280,25 +291,25 @@ impl RunPlan {
         }
         Ok(if done >= planned { Exit::Complete } else { Exit::Failed })
     }
+}
 
-    /// Reports the episodes whose prompts are not logged because they are finished.
-    fn note_prompt_log(&self, finished: &[EpisodeRecord], missing: usize) {
-        let folder = RunFolder::prompts_of(&self.settings.out);
-        if !self.settings.log_prompts || finished.is_empty() || folder.exists() {
-            return;
-        }
-        let advice = "To log them, run them again with another --out, or all with --fresh";
-        match missing {
-            0 => eprintln!(
-                "--log-prompts: nothing is logged, because all {} episodes are finished. {advice}",
-                finished.len()
-            ),
-            _ => eprintln!(
-                "--log-prompts: the prompts of {} episodes that are finished are not logged, only those of the \
-                 other {missing}. {advice}",
-                finished.len()
-            ),
-        }
+/// The note about episodes whose prompts are not logged because they are finished. `logged` is the folder of the logs of
+/// earlier sessions, if there is one.
+fn prompt_log_note(finished: usize, missing: usize, logged: Option<&Path>) -> Option<String> {
+    const ADVICE: &str = "To log them, run them again with another --out, or all with --fresh";
+    match (finished, missing, logged) {
+        (0, ..) | (_, 1.., Some(_)) => None,
+        (_, 0, None) => Some(format!(
+            "--log-prompts: nothing is logged, because all {finished} episodes are finished. {ADVICE}"
+        )),
+        (_, 0, Some(folder)) => Some(format!(
+            "--log-prompts: nothing more is logged, because all {finished} episodes are finished. Earlier logs are in {}",
+            folder.display()
+        )),
+        (_, 1.., None) => Some(format!(
+            "--log-prompts: the prompts of {finished} episodes that are finished are not logged, only those of the \
+             other {missing}. {ADVICE}"
+        )),
     }
 }
 
@@ -344,4 +355,34 @@ fn same_command() -> String {
     };
     let arguments = std::env::args().filter(|argument| argument != "--fresh");
     arguments.map(quoted).collect::<Vec<_>>().join(" ")
+}
+
+#[cfg(test)]
+mod tests {
+    use results::log::LogError;
+
+    use super::*;
+
+    #[test]
+    fn prompts_that_cannot_be_logged_any_more_are_counted() {
+        let logged = Some(Path::new("runs/x/prompts"));
+        assert_eq!(prompt_log_note(0, 12, None), None);
+        assert_eq!(prompt_log_note(4, 8, logged), None);
+        let note = |finished, missing, logged| prompt_log_note(finished, missing, logged).unwrap();
+        insta::assert_snapshot!(note(12, 0, None), @"--log-prompts: nothing is logged, because all 12 episodes are finished. To log them, run them again with another --out, or all with --fresh");
+        insta::assert_snapshot!(note(12, 0, logged), @"--log-prompts: nothing more is logged, because all 12 episodes are finished. Earlier logs are in runs/x/prompts");
+        insta::assert_snapshot!(note(4, 8, None), @"--log-prompts: the prompts of 4 episodes that are finished are not logged, only those of the other 8. To log them, run them again with another --out, or all with --fresh");
+    }
+
+    #[test]
+    fn a_full_disk_is_noticed_here_and_in_child_processes() {
+        let full = || io::Error::from(Errno::NOSPC);
+        let doing = "write to";
+        let log = LogError::System { doing, path: "episodes.jsonl".into(), source: full() };
+        let reported = format!("the memory process failed: cannot store embeddings: {}", full());
+        for error in [anyhow::Error::from(log).context("session"), anyhow!(reported)] {
+            assert!(is_disk_full(&error), "{error:#}");
+        }
+        assert!(!is_disk_full(&io::Error::from(Errno::ACCESS).into()));
+    }
 }
