@@ -69,17 +69,13 @@ fn field<'py>(
             "starts_as_demonstrated" => {
                 request.starts_as_demonstrated.into_pyobject(py)?.to_owned().into_any()
             }
-            "pose" => {
-                let heading = classes.heading.member(py, request.pose.heading as u8);
-                let cell = request.pose.cell;
-                classes.pose.bind(py).call1((cell.x, cell.y, heading))?
-            }
-            "feedback" => classes.feedback.member(py, request.feedback as u8).into_pyobject(py)?,
+            "pose" => classes.pose_of(py, request.pose)?,
+            "feedback" => classes.feedback_of(py, request.feedback).into_pyobject(py)?,
             "frame" => maker.frame(frames.next())?,
             "window" => {
                 let steps = request.window.iter().zip(frames.skip(1)).map(|(past, frame)| {
-                    let feedback = classes.feedback.member(py, past.feedback as u8);
-                    let values = (maker.frame(Some(frame))?, maker.action(past.action), feedback);
+                    let feedback = classes.feedback_of(py, past.feedback);
+                    let values = (maker.frame(Some(frame))?, classes.action_of(py, past.action), feedback);
                     classes.past_step.bind(py).call1(values)
                 });
                 maker.tuple(steps)?
@@ -114,7 +110,7 @@ impl<'py> Maker<'py> {
             Item::Steps(StepsView { distance, is_whole, steps }) => {
                 let steps = self.tuple(steps.iter().map(|step| {
                     let frame = if step.frame.is_some() { frames.next() } else { None };
-                    let values = (self.frame(frame)?, self.action(step.action));
+                    let values = (self.frame(frame)?, classes.action_of(py, step.action));
                     classes.remembered_step.bind(py).call1(values)
                 }))?;
                 classes.segment.bind(py).call1((*distance, steps, *is_whole))
@@ -131,10 +127,6 @@ impl<'py> Maker<'py> {
             Some(frame) => Ok(Bound::new(self.py, Frame::shared(frame))?.into_any()),
             None => Ok(self.py.None().into_bound(self.py)),
         }
-    }
-
-    fn action(&self, action: Option<domain::Action>) -> Option<Bound<'py, PyAny>> {
-        self.classes.action.member(self.py, action? as u8)
     }
 
     fn tuple(

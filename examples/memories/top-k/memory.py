@@ -1,0 +1,36 @@
+"""The steps whose views are most like the current view, by the run's embeddings."""
+
+import numpy as np
+
+from memtransfer import Memory, Steps, run
+
+HITS = 3
+
+
+class TopK(Memory):
+    name = "top-k"
+
+    def build(self, demonstrations):
+        self.demonstrations = demonstrations
+
+    def recall(self, query):
+        # The best step of each demonstration, and the best demonstrations.
+        hits = []
+        for number, demonstration in enumerate(self.demonstrations):
+            similarity = demonstration.embeddings @ query.embedding
+            step = int(np.argmax(similarity))
+            hits.append((1 - float(similarity[step]), number, step))
+        hits = sorted(hits)[:HITS]
+        # Share the image budget; an item that does not fit would be dropped whole.
+        views = max(1, query.image_budget // max(1, len(hits)))
+        items = []
+        for distance, number, step in hits:
+            count = min(views, len(self.demonstrations[number]) - step)
+            items.append(Steps(number, step, count, distance=distance))
+        return items
+
+    def store_bytes(self):
+        return sum(demonstration.embeddings.nbytes for demonstration in self.demonstrations)
+
+
+run(TopK())
