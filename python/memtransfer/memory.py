@@ -75,9 +75,9 @@ class Demonstration(Sequence[DemonstrationStep]):
         x, y, heading = (int(number) for number in self.poses[step])
         action = int(self.actions[step])
         return DemonstrationStep(
-            Pose(x, y, Heading(heading)),
-            None if action < 0 else Action(action),
-            Feedback(int(self.feedback[step])),
+            Pose(x, y, _HEADINGS[heading]),
+            None if action < 0 else _ACTIONS[action],
+            _FEEDBACK[int(self.feedback[step])],
         )
 
     def __iter__(self) -> Iterator[DemonstrationStep]:
@@ -99,9 +99,11 @@ class Demonstration(Sequence[DemonstrationStep]):
             else:
                 legs.append((direction, 1, here))
         said = ", ".join(f"{direction} {count} to {cell}" for direction, count, cell in legs)
-        heading = Heading(int(self.poses[0][2])).name
+        heading = _HEADINGS[int(self.poses[0][2])].name
         return f'"{self.instruction}" from {cells[0]} facing {heading}: {said or "stay"}.'
 
+
+_HEADINGS, _ACTIONS, _FEEDBACK = tuple(Heading), tuple(Action), tuple(Feedback)
 
 _DIRECTIONS = {(0, 1): "north", (1, 0): "east", (0, -1): "south", (-1, 0): "west"}
 

@@ -3,8 +3,8 @@
 use std::sync::Arc;
 
 use peer::memory::{
-    Demonstration, Episode, Item, Memory, MemoryDescription, MemoryError, MemoryMethod, Query, Scope,
-    Source, Step, Views,
+    Demonstration, Episode, Item, Memory, MemoryDescription, MemoryError, MemoryMethod, Query,
+    Scope, Source, Step, Views,
 };
 use pyo3::exceptions::PyValueError;
 use pyo3::intern;
@@ -49,7 +49,9 @@ impl MemoryMethod for PythonMethod {
         let name = &*self.description.name;
         let object = Python::attach(|py| {
             let object = self.create.bind(py).call0();
-            object.and_then(|object| Object::new(&object)).map_err(|raised| failure(py, name, &raised))
+            object
+                .and_then(|object| Object::new(&object))
+                .map_err(|raised| failure(py, name, &raised))
         });
         Box::new(PythonMemory { name, object, bank: None, lengths: Vec::new() })
     }
@@ -85,8 +87,7 @@ impl Object {
     fn new(memory: &Bound<'_, PyAny>) -> PyResult<Self> {
         let py = memory.py();
         let (class, base) = (memory.get_type(), Classes::get(py)?.memory.memory.bind(py));
-        let overrides =
-            |name: &str| PyResult::Ok(!class.getattr(name)?.is(&base.getattr(name)?));
+        let overrides = |name: &str| PyResult::Ok(!class.getattr(name)?.is(&base.getattr(name)?));
         let overrides = Overrides {
             begin_episode: overrides("begin_episode")?,
             observe: overrides("observe")?,
@@ -148,7 +149,9 @@ impl<'m> PythonMemory<'m> {
                 views: match views.cast::<PyBool>() {
                     Ok(all) if all.is_true() => Views::All,
                     Ok(_) => Views::None,
-                    Err(_) => Views::Keyframes(views.try_iter()?.map(number).collect::<PyResult<_>>()?),
+                    Err(_) => {
+                        Views::Keyframes(views.try_iter()?.map(number).collect::<PyResult<_>>()?)
+                    }
                 },
                 actions: item.getattr(intern!(py, "actions"))?.is_truthy()?,
                 distance: distance()?,
@@ -171,8 +174,10 @@ impl<'m> PythonMemory<'m> {
                 distance: distance()?,
             });
         }
-        let problem =
-            format!("recall returned {}, but an item is a Text, Steps, a View or a str", item.repr()?);
+        let problem = format!(
+            "recall returned {}, but an item is a Text, Steps, a View or a str",
+            item.repr()?
+        );
         Err(PyValueError::new_err(problem))
     }
 
@@ -213,7 +218,8 @@ impl Memory for PythonMemory<'_> {
             if !overrides.begin_episode {
                 return Ok(());
             }
-            let &Episode { lane, episode, instruction, seed, repeat, image_budget, text_budget } = episode;
+            let &Episode { lane, episode, instruction, seed, repeat, image_budget, text_budget } =
+                episode;
             let values = (episode, lane, instruction, seed, repeat, image_budget, text_budget);
             let episode = Classes::get(py)?.memory.episode.bind(py).call1(values)?;
             memory.call_method1(intern!(py, "begin_episode"), (episode,)).map(drop)
@@ -287,7 +293,8 @@ fn demonstration<'py>(
     let actions = steps.iter().map(|step| step.action.map_or(-1, |action| action as i32));
     let feedback = steps.iter().map(|step| step.feedback as i32);
     let embeddings = Numbers::of_bank(of, first_row);
-    let frames: Vec<Frame> = of.frames.iter().map(|frame: &Arc<SharedFrame>| Frame::shared(frame)).collect();
+    let frames: Vec<Frame> =
+        of.frames.iter().map(|frame: &Arc<SharedFrame>| Frame::shared(frame)).collect();
     Classes::get(py)?.memory.demonstration.bind(py).call1((
         of.instruction,
         integers(py, poses)?.call_method1("reshape", (-1, 3))?,

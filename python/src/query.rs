@@ -141,9 +141,11 @@ impl Numbers {
                 let owner = Owner::Bank(Arc::clone(bank));
                 Self { owner, first: row * columns, shape: vec![rows, columns] }
             }
-            None => {
-                Self { owner: Owner::Own(of.embeddings.into()), first: 0, shape: vec![rows, columns] }
-            }
+            None => Self {
+                owner: Owner::Own(of.embeddings.into()),
+                first: 0,
+                shape: vec![rows, columns],
+            },
         }
     }
 

@@ -75,7 +75,8 @@ fn field<'py>(
             "window" => {
                 let steps = request.window.iter().zip(frames.skip(1)).map(|(past, frame)| {
                     let feedback = classes.feedback_of(py, past.feedback);
-                    let values = (maker.frame(Some(frame))?, classes.action_of(py, past.action), feedback);
+                    let values =
+                        (maker.frame(Some(frame))?, classes.action_of(py, past.action), feedback);
                     classes.past_step.bind(py).call1(values)
                 });
                 maker.tuple(steps)?

@@ -66,8 +66,17 @@ fn the_examples_run_slices_of_rq1_and_rq2_beside_built_in_memories() {
     let bench = Bench::new();
     let memories = EXAMPLES.map(example);
     for (suite, cases, episodes) in [("rq1", "t01-01", 5), ("rq2", "t01-01,t03-02", 4)] {
-        let args =
-            ["run", "--suite", suite, "--cases", cases, "--runs", "1", "--memory", "working,episodic"];
+        let args = [
+            "run",
+            "--suite",
+            suite,
+            "--cases",
+            cases,
+            "--runs",
+            "1",
+            "--memory",
+            "working,episodic",
+        ];
         run(&bench, &[&args[..], &["--out", suite]].concat(), &memories).expect(0);
         let records = records(&bench.out(suite));
         let mut expected = BTreeMap::from(EXAMPLES.map(|name| (name, episodes)));
@@ -113,7 +122,10 @@ fn notes_are_written_by_a_language_model() {
     let mut command = command(&bench, &args, &[example("model-notes")]);
     command.env("OPENAI_BASE_URL", server.base_url()).env("NOTES_MODEL", MODEL);
     Ended::of(command.spawn().unwrap()).expect(0);
-    assert_eq!(counts(&records(&bench.out("out"))), BTreeMap::from([("model-notes", 1), ("working", 1)]));
+    assert_eq!(
+        counts(&records(&bench.out("out"))),
+        BTreeMap::from([("model-notes", 1), ("working", 1)])
+    );
     let log = bench.out("out").join("prompts/session-1/generation-1.jsonl");
     let log = fs::read_to_string(log).unwrap();
     assert!(log.contains(r#""note""#), "{log}");
@@ -142,7 +154,8 @@ fn killing_any_process_of_a_run_with_external_memories_changes_no_log() {
     let bench = Bench::new();
     let memories = ["top-k", "bm25"].map(example);
     let args = |out| {
-        let args = ["run", "--cases", "t01-01,t03-02,t09-05", "--memory", "working", "--lanes", "3"];
+        let args =
+            ["run", "--cases", "t01-01,t03-02,t09-05", "--memory", "working", "--lanes", "3"];
         [&args[..], &["--out", out]].concat()
     };
     run(&bench, &args("reference"), &memories).expect(0);
@@ -165,8 +178,19 @@ fn killing_any_process_of_a_run_with_external_memories_changes_no_log() {
 
 /// Two cases at the original start, with short episodes on small frames.
 const SHORT: [&str; 13] = [
-    "run", "--cases", "t01-01,t03-02", "--memory", "working", "--starts", "original", "--frame-size",
-    "64", "--max-steps", "20", "--out", "out",
+    "run",
+    "--cases",
+    "t01-01,t03-02",
+    "--memory",
+    "working",
+    "--starts",
+    "original",
+    "--frame-size",
+    "64",
+    "--max-steps",
+    "20",
+    "--out",
+    "out",
 ];
 
 #[test]
