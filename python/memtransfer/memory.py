@@ -7,9 +7,9 @@
             self.demonstrations = demonstrations
 
         def recall(self, query):
-            distances = [1 - (d.embeddings @ query.embedding).max() for d in self.demonstrations]
-            number = distances.index(min(distances))
-            return [Steps(number, distance=distances[number])]
+            similar = [d.embeddings @ query.embedding for d in self.demonstrations]
+            number = max(range(len(similar)), key=lambda number: similar[number].max())
+            return [Steps(number, first=similar[number].argmax())]
 
     run(Nearest())
 
@@ -197,7 +197,7 @@ class Source:
     first: int = 0
     """The first step."""
     count: int | None = None
-    """Number of steps; `None` for all up to the end of the demonstration."""
+    """Maximum number of steps, which end with the demonstration; `None` for all."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -217,8 +217,9 @@ class Steps:
     """Number of the demonstration."""
     first: int = 0
     """The first step."""
-    count: int | None = None
-    """Number of steps; `None` for all up to the end of the demonstration."""
+    count: int | None = 7
+    """Maximum number of steps, which end with the demonstration; `None` for all. By default as many as episodic memory
+    supplies at the standard settings."""
     views: bool | Sequence[int] = True
     """Whether to supply the steps' views, or the numbers of the steps whose views are supplied. Each view counts
     against the image budget."""

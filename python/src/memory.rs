@@ -186,14 +186,11 @@ impl<'m> PythonMemory<'m> {
         let py = of.py();
         let demonstration = number(of.getattr(intern!(py, "demonstration")))?;
         let first = number(of.getattr(intern!(py, "first")))?;
-        let count = of.getattr(intern!(py, "count"))?;
-        let count = if count.is_none() {
-            // The host refuses a demonstration or step that does not exist.
-            let length = self.lengths.get(demonstration as usize).copied().unwrap_or_default();
-            length.saturating_sub(first).max(1)
-        } else {
-            number(Ok(count))?
-        };
+        let most = of.getattr(intern!(py, "count"))?;
+        let most = if most.is_none() { u32::MAX } else { number(Ok(most))? };
+        // The host refuses a demonstration or step that does not exist.
+        let length = self.lengths.get(demonstration as usize).copied().unwrap_or_default();
+        let count = most.min(length.saturating_sub(first).max(1));
         Ok(Source { demonstration, first, count })
     }
 }

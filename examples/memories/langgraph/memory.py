@@ -5,7 +5,6 @@ from langgraph.store.memory import InMemoryStore
 from memtransfer import Memory, Steps, run
 
 HITS = 3
-STEPS = 5
 NOW = "now"
 
 
@@ -21,8 +20,7 @@ class LangGraph(Memory):
             for first in range(len(demonstration) - 1):
                 name = f"{number}:{first}"
                 self.vectors[name] = demonstration.embeddings[first]
-                count = min(STEPS, len(demonstration) - first)
-                value = {"name": name, "steps": [number, first, count]}
+                value = {"name": name, "step": [number, first]}
                 self.store.put(("demonstrations", str(number)), name, value)
 
     def embed(self, names):
@@ -31,7 +29,7 @@ class LangGraph(Memory):
     def recall(self, query):
         self.vectors[NOW] = query.embedding
         found = self.store.search(("demonstrations",), query=NOW, limit=HITS)
-        return [Steps(*item.value["steps"], distance=1 - item.score) for item in found]
+        return [Steps(*item.value["step"], distance=1 - item.score) for item in found]
 
 
 run(LangGraph)

@@ -10,7 +10,6 @@ from robotmem.sdk import RobotMemory
 from memtransfer import Heading, Memory, Steps, run
 
 HITS = 100  # robotmem's most; it sorts by distance only what BM25 has found
-STEPS = 5
 
 
 class Robotmem(Memory):
@@ -27,12 +26,11 @@ class Robotmem(Memory):
                     f"{demonstration.instruction} Demonstration {number}, step {first}: "
                     f"{step.action.words} at column {step.pose.x}, row {step.pose.y}"
                 )
-                count = min(STEPS, len(demonstration) - first)
                 self.store.learn(
                     note,
                     context={
                         "spatial": {"position": self.position(step.pose)},
-                        "params": {"demonstration": number, "first": first, "count": count},
+                        "params": {"demonstration": number, "first": first},
                     },
                 )
 

@@ -5,6 +5,7 @@ import numpy as np
 from memtransfer import Memory, Steps, run
 
 HITS = 3
+STEPS = 7
 
 
 class TopK(Memory):
@@ -21,13 +22,9 @@ class TopK(Memory):
             step = int(np.argmax(similarity))
             hits.append((1 - float(similarity[step]), number, step))
         hits = sorted(hits)[:HITS]
-        # Share the image budget; an item that does not fit would be dropped whole.
-        views = max(1, query.image_budget // max(1, len(hits)))
-        items = []
-        for distance, number, step in hits:
-            count = min(views, len(self.demonstrations[number]) - step)
-            items.append(Steps(number, step, count, distance=distance))
-        return items
+        # An item that does not fit into the image budget would be dropped whole.
+        views = min(STEPS, max(1, query.image_budget // len(hits)))
+        return [Steps(number, step, views, distance=distance) for distance, number, step in hits]
 
     def store_bytes(self):
         return sum(demonstration.embeddings.nbytes for demonstration in self.demonstrations)

@@ -77,7 +77,7 @@ class Checks(Scripted):
             Text("a note", [Source(0)]),
             View(0, 1, "a caption"),
             "another note",
-            Steps(0, views=[0, 2]),
+            Steps(0, count=None, views=[0, 2]),
         ]
 
     def end_episode(self, episode):
