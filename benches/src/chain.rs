@@ -77,7 +77,7 @@ fn run(session: &mut Session<'_>) -> Result<Vec<Figure>> {
     ];
     if !added.is_empty() {
         // A step of the bare chain is four hops; a query and its answer are two.
-        let two_hops = bare_one.iter().map(|step| step / 2.0).collect();
+        let two_hops: Vec<f64> = bare_one.iter().map(|step| step / 2.0).collect();
         figures.push(
             Figure::new(
                 "chain.1.memory",

@@ -271,6 +271,18 @@ impl Memory for PythonMemory<'_> {
     }
 }
 
+impl Drop for PythonMemory<'_> {
+    fn drop(&mut self) {
+        Python::attach(|py| {
+            self.object = Err(MemoryError::new("the memory is gone"));
+            // Arrays in reference cycles keep the bank mapped until they are collected.
+            if self.bank.as_ref().is_some_and(|bank| Arc::strong_count(bank) > 1) {
+                let _ = py.import("gc").and_then(|gc| gc.call_method0("collect"));
+            }
+        });
+    }
+}
+
 /// A `memtransfer.ServedQuery`.
 fn served(py: Python<'_>, step: MemoryStep) -> PyResult<Bound<'_, PyAny>> {
     Classes::get(py)?.memory.served_query.bind(py).call1((step,))
