@@ -56,7 +56,7 @@ fn ended(py: Python<'_>, served: Result<(), ServeError>) -> PyResult<()> {
         | ServeError::NoOrchestrator { .. }
         | ServeError::Parent(_)
         | ServeError::Bus(BusError::Attach(_) | BusError::Taken { .. }) => "AttachError",
-        ServeError::Bus(_) | ServeError::Spans(_) => "BusError",
+        ServeError::Bus(_) | ServeError::Spans(_) | ServeError::Frames(_) => "BusError",
         ServeError::PromptLog(_) => "PromptLogError",
         ServeError::Answers { .. } | ServeError::Facts(_) | ServeError::Policy(_) => "PolicyError",
     };
