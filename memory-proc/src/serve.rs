@@ -84,7 +84,7 @@ impl EncoderSettings {
     pub fn prepare(&self, manifest: &EncoderManifest) -> anyhow::Result<PreparedEncoder> {
         let model = manifest.model(self.name.as_ref().unwrap_or(&manifest.default))?;
         let file = ModelFile::read(model, self.file.as_deref(), &self.cache)?;
-        Ok(PreparedEncoder::new(file, &self.cache.runtime(), self.threads, self.provider)?)
+        PreparedEncoder::new(file, &self.cache.runtime(), self.threads, self.provider)
     }
 }
 

@@ -58,13 +58,17 @@ pub type Facts = BTreeMap<String, String>;
 /// Receives what happens, as it happens.
 pub trait Observer {
     /// Processes are being started.
-    fn starting(&mut self, generation: u32);
+    fn starting(&mut self, _generation: u32) {}
     /// All are ready but the policy, which is started by someone else and has to attach to the run in `folder`.
-    fn awaiting_policy(&mut self, folder: &Path);
+    fn awaiting_policy(&mut self, _folder: &Path) {}
     /// All are ready.
-    fn ready(&mut self, facts: &BTreeMap<Role, Facts>) -> Result<()>;
+    fn ready(&mut self, _facts: &BTreeMap<Role, Facts>) -> Result<()> {
+        Ok(())
+    }
     /// A model answered a request. Returns why the run has to stop, if it has: its budget is used up.
-    fn answered(&mut self, request: &AnsweredRequest) -> Result<Option<String>>;
+    fn answered(&mut self, _request: &AnsweredRequest) -> Result<Option<String>> {
+        Ok(None)
+    }
     /// An episode is finished, at the `attempt`th attempt.
     fn finished(&mut self, finished: &FinishedEpisode, attempt: u32) -> Result<()>;
     /// A step was taken.
@@ -78,7 +82,7 @@ pub trait Observer {
     /// The answers that are pending. Called several times a second.
     fn pending(&mut self, _pending: &[PendingAnswer]) {}
     /// `steps` steps were taken since the last call. Called several times a second.
-    fn progress(&mut self, steps: u64);
+    fn progress(&mut self, _steps: u64) {}
     /// A problem occurred and was dealt with.
     fn problem(&mut self, what: &str);
 }

@@ -18,13 +18,13 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
 use domain::MemoryKind;
+use domain::search_profile::SearchMeasurement;
 use results::named;
 use serde::{Deserialize, Serialize};
 
 use crate::machine::Machine;
 use crate::machine::floors::Floors;
 use recorder::AccessLatency;
-use search::SearchMeasurement;
 
 /// The version of the format.
 pub const SCHEMA: u32 = 3;

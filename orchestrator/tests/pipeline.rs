@@ -3,7 +3,6 @@
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use std::collections::BTreeMap;
-use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
 use std::time::Duration;
@@ -12,7 +11,7 @@ use anyhow::Result;
 use conformance::scripted::{self, ScriptedRun, ScriptedSim};
 use conformance::testing::ScratchRun;
 use domain::Representation;
-use orchestrator::lanes::{AnsweredRequest, FinishedEpisode, Lanes, Rules};
+use orchestrator::lanes::{FinishedEpisode, Lanes, Rules};
 use orchestrator::pipeline::{Ending, Facts, Observer, PipelineOptions, run_episodes};
 use orchestrator::plan::plan;
 use results::conditions::{Condition, Demonstrations, Route, Start, Variation};
@@ -48,14 +47,10 @@ impl Observer for Seen {
     fn starting(&mut self, generation: u32) {
         self.generations = generation;
     }
-    fn awaiting_policy(&mut self, _folder: &Path) {}
     fn ready(&mut self, facts: &BTreeMap<Role, Facts>) -> Result<()> {
         assert_eq!(facts.len(), 3);
         assert!(facts.values().all(|facts| facts["kind"] == scripted::KIND));
         Ok(())
-    }
-    fn answered(&mut self, _: &AnsweredRequest) -> Result<Option<String>> {
-        Ok(None)
     }
     fn finished(&mut self, finished: &FinishedEpisode, _attempt: u32) -> Result<()> {
         assert_eq!(finished.record.steps, MAX_STEPS);

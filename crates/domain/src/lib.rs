@@ -1,5 +1,5 @@
 //! The vocabulary of the benchmark: poses, actions and feedback, memory representations, outcomes of decisions, and the
-//! format of the prompt log.
+//! formats of the prompt log and of measured searches.
 //!
 //! Does not link iceoryx2. Knows neither the map nor the tasks nor messages.
 
@@ -11,6 +11,7 @@ pub mod outcome;
 pub mod pose;
 pub mod prompt_log;
 pub mod representation;
+pub mod search_profile;
 
 pub use cache::{NoCacheFolder, cache_folder};
 pub use memory_kind::{ExternalName, MemoryKind};

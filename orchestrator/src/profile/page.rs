@@ -232,7 +232,7 @@ fn sizes(profile: &Profile) -> Result<Option<Section>> {
     if profile.searches.is_empty() {
         return Ok(None);
     }
-    let kinds: BTreeSet<(u32, &str)> =
+    let kinds: BTreeSet<(usize, &str)> =
         profile.searches.iter().map(|search| (search.batch, search.search.as_str())).collect();
     let mut shown: Vec<Curve> = kinds
         .into_iter()
@@ -243,7 +243,7 @@ fn sizes(profile: &Profile) -> Result<Option<Section>> {
                 .searches
                 .iter()
                 .filter(|search| search.batch == batch && search.search == kind)
-                .map(|search| (f64::from(search.entries), search.latency_ns.p50 as f64 / 1e3))
+                .map(|search| (f64::from(search.entries), search.seconds() * 1e6))
                 .collect(),
         })
         .collect();
@@ -254,7 +254,7 @@ fn sizes(profile: &Profile) -> Result<Option<Section>> {
         is_bound: true,
         points: exact
             .map(|search| {
-                let bytes = f64::from(search.entries) * f64::from(search.dimension) * 4.0;
+                let bytes = f64::from(search.entries) * search.dimension as f64 * 4.0;
                 (f64::from(search.entries), bytes / profile.floors.read_all_cores * 1e6)
             })
             .collect(),

@@ -2,20 +2,16 @@
 //!
 //! Recording a step allocates nothing, except for the first step with a memory.
 
-use std::collections::BTreeMap;
-use std::path::Path;
-
 use anyhow::Result;
 use domain::MemoryKind;
 use hdrhistogram::Histogram;
 use results::latency::LatencySummary;
 use results::named;
 use serde::{Deserialize, Serialize};
-use shm_types::message::Role;
 
-use crate::lanes::{AnsweredRequest, FinishedEpisode, Stamps};
+use crate::lanes::{FinishedEpisode, Stamps};
 use crate::latency::{histogram, summarize};
-use crate::pipeline::{Facts, Observer};
+use crate::pipeline::Observer;
 
 /// Significant decimal digits of a recorded time.
 const DIGITS: u8 = 3;
@@ -164,18 +160,6 @@ impl AccessRecorder {
 }
 
 impl Observer for AccessRecorder {
-    fn starting(&mut self, _generation: u32) {}
-
-    fn awaiting_policy(&mut self, _folder: &Path) {}
-
-    fn ready(&mut self, _facts: &BTreeMap<Role, Facts>) -> Result<()> {
-        Ok(())
-    }
-
-    fn answered(&mut self, _request: &AnsweredRequest) -> Result<Option<String>> {
-        Ok(None)
-    }
-
     fn finished(&mut self, _finished: &FinishedEpisode, _attempt: u32) -> Result<()> {
         self.episodes += 1;
         Ok(())
@@ -185,8 +169,6 @@ impl Observer for AccessRecorder {
         self.record(stamps);
         Ok(())
     }
-
-    fn progress(&mut self, _steps: u64) {}
 
     fn problem(&mut self, what: &str) {
         self.problems.push(what.to_owned());

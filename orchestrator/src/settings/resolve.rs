@@ -2,12 +2,11 @@
 
 use std::collections::BTreeMap;
 use std::fmt;
-use std::path::PathBuf;
 
+use anyhow::{Context, Result, anyhow, bail, ensure};
 use domain::Representation;
 use domain::representation::Trajectories;
-use results::conditions::{Condition, PolicyKind, Variation};
-use results::names::UnknownName;
+use results::conditions::{PolicyKind, Variation};
 use results::settings::{Group, RunSettings, SuiteName};
 use serde_json::{Map, Value, json};
 
@@ -28,87 +27,11 @@ pub struct Resolved {
 
 type Origins = BTreeMap<String, Origin>;
 
-/// Why layers do not make valid settings.
-#[derive(Debug, thiserror::Error)]
-pub enum SettingsError {
-    /// A source says something invalid.
-    #[error("{place}: {problem}")]
-    Invalid {
-        /// The source, and the place in it: a flag, a variable, a key of a suite file.
-        place: String,
-        /// What is wrong with it.
-        problem: String,
-    },
-    /// A variable with the prefix of settings names none.
-    #[error(transparent)]
-    UnknownVariable(#[from] UnknownName),
-    /// No suite has the name.
-    #[error("{0}; a file is named by its path, for example ./my-suite.toml")]
-    UnknownSuite(UnknownName),
-    /// A suite file cannot be read.
-    #[error("cannot read suite {}: {source}", path.display())]
-    Unreadable {
-        /// The file.
-        path: PathBuf,
-        /// The system's error.
-        source: std::io::Error,
-    },
-    /// A flag is for another policy.
-    #[error("--{key} is for --policy {only_for}, and the policy is {policy}")]
-    OtherPolicy {
-        /// The flag.
-        key: String,
-        /// The policy it is for.
-        only_for: PolicyKind,
-        /// The run's policy.
-        policy: PolicyKind,
-    },
-    /// The policy `openai` needs a model.
-    #[error("--policy openai needs --model NAME: the model, by the name that the server knows")]
-    NoModel,
-    /// The renderer on the processor has no adapters to choose from.
-    #[error("--adapter chooses a graphics adapter, and --backend cpu uses none: give one of them")]
-    AdapterWithoutDevice,
-    /// Nothing is left to run.
-    #[error(
-        "no condition is left: a blocked route needs the new start (add `new` to --starts), and a \
-         memory of demonstrations needs some (--demos)"
-    )]
-    NoCondition,
-    /// A request could hold more images than a prompt does (paper, Experimental Setup).
-    #[error(
-        "a request under {condition} may need {images} images (the current view, {window} of the \
-         window, {remembered} of memory), and a prompt holds at most {MAX_IMAGES}: lower --window or \
-         {flag}"
-    )]
-    TooManyImages {
-        /// The first such condition.
-        condition: Condition,
-        /// Images of a request under it.
-        images: u32,
-        /// Those of the window.
-        window: u32,
-        /// Those of memory.
-        remembered: u32,
-        /// The flag that lowers the number, beside `--window`.
-        flag: &'static str,
-    },
-    /// Checked layers do not fit the type of settings: a bug.
-    #[error("the settings cannot be put together: {0}")]
-    Internal(#[from] serde_json::Error),
-}
-
-impl SettingsError {
-    pub(super) fn invalid(place: &str, problem: String) -> Self {
-        Self::Invalid { place: place.to_owned(), problem }
-    }
-}
-
 /// Settings of the built-in defaults, the suite that `above` names, and the layers `above`, weakest first.
 ///
 /// # Errors
 /// When the suite is invalid, settings contradict each other, or nothing is left to run.
-pub fn resolve(above: impl IntoIterator<Item = Layer>) -> Result<Resolved, SettingsError> {
+pub fn resolve(above: impl IntoIterator<Item = Layer>) -> Result<Resolved> {
     let (defaults, above) = (Layer::defaults()?, Vec::from_iter(above));
     let text = |key| above.iter().rev().find_map(|layer| layer.text(key));
     let suite = text("suite").or(defaults.text("suite")).unwrap_or_default();
@@ -118,7 +41,7 @@ pub fn resolve(above: impl IntoIterator<Item = Layer>) -> Result<Resolved, Setti
 }
 
 /// Settings of `layers`, weakest first, and of nothing else.
-pub(super) fn merge(layers: impl IntoIterator<Item = Layer>) -> Result<Resolved, SettingsError> {
+pub(super) fn merge(layers: impl IntoIterator<Item = Layer>) -> Result<Resolved> {
     let mut merged = Map::new();
     let mut origins = Origins::new();
     for Layer { origin, values } in layers {
@@ -148,31 +71,32 @@ pub(super) fn merge(layers: impl IntoIterator<Item = Layer>) -> Result<Resolved,
         completed.push(Value::Object(group));
     }
     merged.insert("group".to_owned(), completed.into());
-    let settings: RunSettings = serde_json::from_value(Value::Object(merged))?;
+    let settings: RunSettings = serde_json::from_value(Value::Object(merged))
+        .context("the settings cannot be put together")?;
     check(&settings)?;
     Ok(Resolved { settings, origins, group_origins })
 }
 
 /// The run's policy. Removes the settings of other policies; a flag for another policy is an error.
-fn choose_policy(
-    merged: &mut Map<String, Value>,
-    origins: &mut Origins,
-) -> Result<PolicyKind, SettingsError> {
+fn choose_policy(merged: &mut Map<String, Value>, origins: &mut Origins) -> Result<PolicyKind> {
     let is_given = |origins: &Origins, key| origins.get(key) >= Some(&Origin::Environment);
     if merged.contains_key("policy-cmd") && !is_given(origins, "policy") {
         merged.insert("policy".to_owned(), PolicyKind::External.name().into());
         origins.insert("policy".to_owned(), origins["policy-cmd"]);
     }
     let policy = serde_json::from_value(merged.get("policy").cloned().unwrap_or_default())?;
-    let other = |key: &str, only_for| {
-        let key = key.to_owned();
-        SettingsError::OtherPolicy { key, only_for, policy }
+    let other = |key: &str, only_for: PolicyKind| {
+        anyhow!("--{key} is for --policy {only_for}, and the policy is {policy}")
     };
     if policy != PolicyKind::External && merged.contains_key("policy-cmd") {
         return Err(other("policy-cmd", PolicyKind::External));
     }
     if policy == PolicyKind::Openai {
-        return if merged.contains_key("model") { Ok(policy) } else { Err(SettingsError::NoModel) };
+        ensure!(
+            merged.contains_key("model"),
+            "--policy openai needs --model NAME: the model, by the name that the server knows"
+        );
+        return Ok(policy);
     }
     for key in MODEL_KEYS {
         // A variable may be set for other runs.
@@ -186,7 +110,7 @@ fn choose_policy(
 }
 
 /// The default name of a run's folder: suite and policy, and the model of `openai`.
-fn folder_name(merged: &Map<String, Value>, policy: PolicyKind) -> Result<String, SettingsError> {
+fn folder_name(merged: &Map<String, Value>, policy: PolicyKind) -> Result<String> {
     let text = |key| merged.get(key).and_then(Value::as_str).unwrap_or_default();
     let suite: SuiteName = serde_json::from_value(text("suite").into())?;
     let plain = |c: char| if c.is_ascii_alphanumeric() || ".-_".contains(c) { c } else { '-' };
@@ -246,14 +170,17 @@ fn irrelevant_to(policy: PolicyKind) -> Vec<(&'static str, Value)> {
 }
 
 /// Checks what concerns several settings at once.
-fn check(settings: &RunSettings) -> Result<(), SettingsError> {
-    if settings.adapter.is_some() && settings.backend.as_deref() == Some("cpu") {
-        return Err(SettingsError::AdapterWithoutDevice);
-    }
+fn check(settings: &RunSettings) -> Result<()> {
+    ensure!(
+        settings.adapter.is_none() || settings.backend.as_deref() != Some("cpu"),
+        "--adapter chooses a graphics adapter, and --backend cpu uses none: give one of them"
+    );
     let conditions = settings.conditions();
-    if conditions.is_empty() {
-        return Err(SettingsError::NoCondition);
-    }
+    ensure!(
+        !conditions.is_empty(),
+        "no condition is left: a blocked route needs the new start (add `new` to --starts), and a memory of \
+         demonstrations needs some (--demos)"
+    );
     // With a model, what exceeds --image-budget is left out and counted.
     if settings.model.is_some() {
         return Ok(());
@@ -267,13 +194,11 @@ fn check(settings: &RunSettings) -> Result<(), SettingsError> {
                 None => "--memory-images",
             };
             let remembered = images - 1 - window;
-            return Err(SettingsError::TooManyImages {
-                condition,
-                images,
-                window,
-                remembered,
-                flag,
-            });
+            // Paper, Experimental Setup.
+            bail!(
+                "a request under {condition} may need {images} images (the current view, {window} of the window, \
+                 {remembered} of memory), and a prompt holds at most {MAX_IMAGES}: lower --window or {flag}"
+            );
         }
     }
     Ok(())
@@ -348,7 +273,7 @@ mod tests {
         Layer::suite("mine.toml", text).unwrap()
     }
 
-    fn with(given: &[(&str, &str)]) -> Result<Resolved, SettingsError> {
+    fn with(given: &[(&str, &str)]) -> Result<Resolved> {
         merge([Layer::defaults().unwrap(), flags(given)])
     }
 

@@ -318,93 +318,62 @@ mod outcome_word {
     }
 }
 
-/// Nanoseconds in each stage of a step, in the order of the stages: together the time from a command to the
-/// next one. Several lanes are in different stages at once, and waiting for a busy process counts for the
-/// stage that waits, so with many lanes the sum is a step's latency and not its cost.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Stages {
+/// Declares the stages of a step, in order.
+macro_rules! stages {
+    ($($(#[$attribute:meta])* $stage:ident,)*) => {
+        /// Nanoseconds in each stage of a step, in the order of the stages: together the time from a command to the
+        /// next one. Several lanes are in different stages at once, and waiting for a busy process counts for the
+        /// stage that waits, so with many lanes the sum is a step's latency and not its cost.
+        #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+        #[serde(deny_unknown_fields)]
+        pub struct Stages { $($(#[$attribute])* pub $stage: u64,)* }
+
+        impl Stages {
+            /// The names, in order.
+            pub const NAMES: [&'static str; [$(stringify!($stage)),*].len()] =
+                [$(stringify!($stage)),*];
+
+            /// The values, in the order of [`Stages::NAMES`].
+            pub const fn values(&self) -> [u64; Self::NAMES.len()] {
+                [$(self.$stage),*]
+            }
+        }
+
+        impl std::ops::AddAssign for Stages {
+            fn add_assign(&mut self, other: Self) {
+                $(self.$stage += other.$stage;)*
+            }
+        }
+    };
+}
+
+stages! {
     /// From sending the command until the simulator received it.
-    pub command: u64,
+    command,
     /// Applying the dynamics.
-    pub dynamics: u64,
+    dynamics,
     /// Until the view was resident.
-    pub render: u64,
+    render,
     /// Until the observation was published.
     #[serde(default)]
-    pub publish: u64,
+    publish,
     /// Until memory received it.
-    pub observation: u64,
+    observation,
     /// Until the view's embedding was known.
-    pub embed: u64,
+    embed,
     /// Until the nearest remembered view was found.
-    pub search: u64,
+    search,
     /// Until the recall was put together.
     #[serde(default)]
-    pub assemble: u64,
+    assemble,
     /// Until the policy had observation and recall.
-    pub recall: u64,
+    recall,
     /// Until it began to decide.
-    pub queue: u64,
+    queue,
     /// Until it had decided.
-    pub decide: u64,
+    decide,
     /// Until the orchestrator received the decision.
-    pub decision: u64,
-}
-
-impl Stages {
-    /// The names, in order.
-    pub const NAMES: [&'static str; 12] = [
-        "command",
-        "dynamics",
-        "render",
-        "publish",
-        "observation",
-        "embed",
-        "search",
-        "assemble",
-        "recall",
-        "queue",
-        "decide",
-        "decision",
-    ];
-
-    /// The values, in the order of [`Stages::NAMES`].
-    pub const fn values(&self) -> [u64; 12] {
-        let Self { command, dynamics, render, publish, observation, embed, .. } = *self;
-        let Self { search, assemble, recall, queue, decide, decision, .. } = *self;
-        [
-            command,
-            dynamics,
-            render,
-            publish,
-            observation,
-            embed,
-            search,
-            assemble,
-            recall,
-            queue,
-            decide,
-            decision,
-        ]
-    }
-}
-
-impl std::ops::AddAssign for Stages {
-    fn add_assign(&mut self, other: Self) {
-        self.command += other.command;
-        self.dynamics += other.dynamics;
-        self.render += other.render;
-        self.publish += other.publish;
-        self.observation += other.observation;
-        self.embed += other.embed;
-        self.search += other.search;
-        self.assemble += other.assemble;
-        self.recall += other.recall;
-        self.queue += other.queue;
-        self.decide += other.decide;
-        self.decision += other.decision;
-    }
+    decision,
 }
 
 /// An episode that was given up because of a fault of the infrastructure. It is not scored; the same command runs it
