@@ -14,6 +14,7 @@ from memtransfer import (
     Feedback,
     Frame,
     Heading,
+    Item,
     Outcome,
     Pose,
     RememberedStep,
@@ -54,7 +55,7 @@ def test_items_are_sorted_by_what_they_are() -> None:
     steps = (RememberedStep(frame, Action.LEFT), RememberedStep(None, None))
     note = Document(1, DocumentKind.NOTE, "turn left")
     near, part, whole = Segment(0.5, steps, True), Segment(None, steps), Segment(None, steps, True)
-    items = [note, near, part, whole, RememberedView(frame, "a rack")]
+    items: list[Item] = [note, near, part, whole, RememberedView(frame, "a rack")]
     request = Request(
         0, 0, 1, 5, 1, "Find a barrel.", Pose(3, 12, Heading.N), Feedback.START, frame, items=items
     )

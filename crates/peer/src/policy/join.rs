@@ -522,4 +522,26 @@ mod tests {
         recalled(&mut join, &recall(1, 5, 0)).unwrap();
         assert_eq!(ready(&mut join), [(1, 0)]);
     }
+
+    proptest::proptest! {
+        /// Whatever arrives is read or refused.
+        #[test]
+        fn no_recall_panics(
+            bytes in proptest::collection::vec(proptest::num::u8::ANY, size_of::<Recall>()),
+            counts in (0..=MAX_ITEMS as u32, 0..=MAX_STEPS as u32),
+            ranges in proptest::collection::vec((0..60_u32, 0..60_u32, 0..5_u8), MAX_ITEMS),
+        ) {
+            let mut recall: Recall = bytemuck::pod_read_unaligned(&bytes);
+            let _ = Recalled::read(&recall);
+            (recall.items_len, recall.steps_len) = counts;
+            recall.steps.iter_mut().for_each(|step| step.action %= 7);
+            let _ = Recalled::read(&recall);
+            for (item, range) in recall.items.iter_mut().zip(ranges) {
+                (item.first_step, item.steps, item.kind) = range;
+            }
+            if let Ok(recalled) = Recalled::read(&recall) {
+                assert_eq!(recalled.items.len(), counts.0 as usize);
+            }
+        }
+    }
 }
