@@ -2,6 +2,8 @@
 //!
 //! Recording a step allocates nothing, except for the first step with a memory.
 
+use std::collections::BTreeMap;
+
 use anyhow::Result;
 use domain::MemoryKind;
 use hdrhistogram::Histogram;
