@@ -35,13 +35,14 @@ pub struct Demand {
 }
 
 impl Demand {
-    /// What `episodes` can use with the window of `attach`, and `keyframes` for full-context memory.
+    /// What `episodes` can use with the window of `attach`, so many keyframes of full-context memory, and so many images
+    /// of an external memory's answer, which may come from any case.
     pub fn of(
         attach: &Attach,
         warehouse: &Warehouse,
         cases: &CaseSet,
         episodes: &[PlannedEpisode],
-        keyframes: u32,
+        (keyframes, images): (u32, u32),
     ) -> Self {
         let mut views_of = BTreeMap::new();
         let remembered = episodes.iter().map(|episode| {
@@ -59,8 +60,8 @@ impl Demand {
             match condition.memory.describe().map(|info| info.trajectories) {
                 Some(Trajectories::Nothing) => 0,
                 Some(Trajectories::Whole) => views().min(keyframes),
-                // An external memory may ask for any view.
-                Some(Trajectories::Segment) | None => views(),
+                Some(Trajectories::Segment) => views(),
+                None => views().max(images),
             }
         });
         let blocked = episodes.iter().filter(|e| e.key.condition.route == Route::Blocked);
@@ -245,7 +246,7 @@ mod tests {
                 conditions.iter().map(|written| (written.parse().unwrap(), 1)).collect();
             let ids: Vec<&str> = cases.cases.iter().map(|case| case.id.as_str()).collect();
             let episodes = plan(&conditions, &[0, 60], &ids, 1);
-            let demand = Demand::of(&attach, &warehouse, &cases, &episodes, 40);
+            let demand = Demand::of(&attach, &warehouse, &cases, &episodes, (40, 40));
             // The two cases close different passages.
             let worlds = if is_blocked { 3 } else { 1 };
             assert_eq!(demand.all_views, worlds * every_view(&warehouse));

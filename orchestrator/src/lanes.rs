@@ -253,6 +253,12 @@ impl<'w> Lanes<'w> {
         self.stepped.drain(..)
     }
 
+    /// The memory of the episode `id`, if that runs in the lane.
+    pub fn memory_of(&self, lane: u32, id: u64) -> Option<MemoryKind> {
+        let active = self.lanes.get(lane as usize)?.as_ref()?;
+        (active.id() == id).then(|| active.memory())
+    }
+
     /// Frees the lane if the episode `id` runs in it, and returns that episode.
     pub fn give_up_episode(&mut self, lane: u32, id: u64) -> Option<PlannedEpisode> {
         let active = self.lanes.get_mut(lane as usize)?.take_if(|active| active.id() == id)?;

@@ -2,12 +2,13 @@
 //!
 //! Recording a step allocates nothing, except for the first step with a memory.
 
-use domain::MemoryKind;
+use domain::{ExternalName, MemoryKind};
 use hdrhistogram::Histogram;
 use results::latency::{LatencyRecord, LatencySummary};
 use results::log::Stages;
 
 use crate::lanes::Stamps;
+use crate::status::MemoryStatus;
 
 /// The longest time that is recorded, in nanoseconds: an hour.
 const LONGEST_NS: u64 = 3_600_000_000_000;
@@ -99,6 +100,60 @@ impl StepLatencies {
             self.memories.len() - 1
         });
         &mut self.memories[at].1
+    }
+}
+
+/// Histograms of the recalls of external memories, apart from what they compute.
+#[derive(Debug, Default)]
+pub struct RecallLatencies {
+    memories: Vec<(ExternalName, RecallHistograms)>,
+}
+
+#[derive(Debug)]
+struct RecallHistograms {
+    recall: Histogram<u64>,
+    method: Histogram<u64>,
+    wire: Histogram<u64>,
+}
+
+impl RecallLatencies {
+    /// Adds a step, if its memory is an external one.
+    pub fn record(&mut self, stamps: &Stamps) {
+        let MemoryKind::External(name) = stamps.memory else { return };
+        let at = self.memories.iter().position(|(known, _)| *known == name);
+        let at = at.unwrap_or_else(|| {
+            let [recall, method, wire] = std::array::from_fn(|_| histogram(DIGITS));
+            self.memories.push((name, RecallHistograms { recall, method, wire }));
+            self.memories.len() - 1
+        });
+        let Stamps { received_ns, embedded_ns, searched_ns, recalled_ns, method_ns, .. } = *stamps;
+        let histograms = &mut self.memories[at].1;
+        histograms.recall.saturating_record(recalled_ns.saturating_sub(received_ns));
+        histograms.method.saturating_record(method_ns);
+        let answer_ns = searched_ns.saturating_sub(embedded_ns);
+        histograms.wire.saturating_record(answer_ns.saturating_sub(method_ns));
+    }
+
+    /// The status of the memory called `name`, which is in `state`.
+    pub fn status(&self, name: ExternalName, state: &str) -> MemoryStatus {
+        let of = |histogram: fn(&RecallHistograms) -> &Histogram<u64>| {
+            let (_, found) = self.memories.iter().find(|(known, _)| *known == name)?;
+            Some(histogram(found)).filter(|times| !times.is_empty()).map(summarize)
+        };
+        MemoryStatus {
+            name,
+            state: state.to_owned(),
+            recall: of(|found| &found.recall),
+            method: of(|found| &found.method),
+            wire: of(|found| &found.wire),
+        }
+    }
+
+    /// Removes everything that was recorded, and keeps the allocations.
+    pub fn clear(&mut self) {
+        for (_, RecallHistograms { recall, method, wire }) in &mut self.memories {
+            [recall, method, wire].into_iter().for_each(Histogram::reset);
+        }
     }
 }
 

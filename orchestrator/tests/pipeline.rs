@@ -12,11 +12,11 @@ use conformance::scripted::{self, ScriptedRun, ScriptedSim};
 use conformance::testing::ScratchRun;
 use domain::Representation;
 use orchestrator::lanes::{FinishedEpisode, Lanes, Rules};
-use orchestrator::pipeline::{Ending, Facts, Observer, PipelineOptions, run_episodes};
+use orchestrator::pipeline::{Ending, Facts, Observer, Participant, PipelineOptions, run_episodes};
 use orchestrator::plan::plan;
 use results::conditions::{Condition, Demonstrations, Route, Start, Variation};
 use shm_types::message::{Decision, MAX_EXTERNAL_MEMORIES, Role};
-use supervise::Launch;
+use supervise::{Children, Launch};
 use warehouse::{CaseSet, Variant, Warehouse, step};
 
 const LANES: u32 = 4;
@@ -47,7 +47,7 @@ impl Observer for Seen {
     fn starting(&mut self, generation: u32) {
         self.generations = generation;
     }
-    fn ready(&mut self, facts: &BTreeMap<Role, Facts>) -> Result<()> {
+    fn ready(&mut self, facts: &BTreeMap<Participant, Facts>) -> Result<()> {
         assert_eq!(facts.len(), 3);
         assert!(facts.values().all(|facts| facts["kind"] == scripted::KIND));
         Ok(())
@@ -69,6 +69,7 @@ impl Observer for Seen {
 fn simulator(script: &str) -> Launch {
     Launch {
         role: Role::Sim,
+        index: 0,
         program: "/bin/sh".into(),
         args: vec!["-c".into(), script.into()],
         command: Some(script.to_owned()),
@@ -99,6 +100,8 @@ fn run(spoil: fn(Decision) -> Decision) -> (Seen, Ending) {
         start_timeout: Duration::from_secs(60),
         answer_timeout: Duration::from_secs(2),
         decision_timeout: Some(Duration::from_secs(2)),
+        memories: Vec::new(),
+        memory_timeout: Duration::from_secs(2),
     };
     let mut seen = Seen::default();
     let over = AtomicBool::new(false);
@@ -116,8 +119,8 @@ fn run(spoil: fn(Decision) -> Decision) -> (Seen, Ending) {
                 _ => decision,
             });
         });
-        let (attach, stop) = (scratch.attach(), AtomicBool::new(false));
-        let outcome = run_episodes(&mut lanes, episodes, attach, &options, &stop, &mut seen);
+        let (attach, stop, none) = (scratch.attach(), AtomicBool::new(false), Children::default());
+        let outcome = run_episodes(&mut lanes, episodes, attach, &options, none, &stop, &mut seen);
         over.store(true, Ordering::Relaxed);
         outcome
     });
@@ -172,10 +175,12 @@ fn run_with_simulator(script: &str) -> (u32, String) {
         start_timeout: Duration::from_secs(60),
         answer_timeout: Duration::from_secs(2),
         decision_timeout: None,
+        memories: Vec::new(),
+        memory_timeout: Duration::from_secs(2),
     };
     let (mut seen, stop) = (Seen::default(), AtomicBool::new(false));
-    let attach = scratch.attach();
-    let outcome = run_episodes(&mut lanes, episodes, attach, &options, &stop, &mut seen);
+    let (attach, none) = (scratch.attach(), Children::default());
+    let outcome = run_episodes(&mut lanes, episodes, attach, &options, none, &stop, &mut seen);
     (seen.generations, outcome.unwrap_err().to_string())
 }
 

@@ -13,6 +13,9 @@ pub const MAX_MEMORY_NAME: usize = 24;
 /// The word that stands for an external memory before it has told its name.
 pub const EXTERNAL_WORD: &str = "external";
 
+/// The word for no built-in memory, beside external ones.
+pub const NONE_WORD: &str = "none";
+
 /// The memory of an episode. Written as its name.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
@@ -60,7 +63,7 @@ impl FromStr for ExternalName {
         if text.is_empty() || text.len() > MAX_MEMORY_NAME || !text.bytes().all(plain) {
             return Err(BadMemoryName::Malformed(text.to_owned()));
         }
-        if text == EXTERNAL_WORD || text.parse::<Representation>().is_ok() {
+        if [EXTERNAL_WORD, NONE_WORD].contains(&text) || text.parse::<Representation>().is_ok() {
             return Err(BadMemoryName::Taken(text.to_owned()));
         }
         let mut bytes = [0; MAX_MEMORY_NAME];
@@ -222,7 +225,7 @@ mod tests {
             let bad = Err(BadMemoryName::Malformed(text.to_owned()));
             assert_eq!(text.parse::<MemoryKind>(), bad);
         }
-        for text in ["external", "episodic"] {
+        for text in ["external", "none", "episodic"] {
             assert_eq!(text.parse::<ExternalName>(), Err(BadMemoryName::Taken(text.to_owned())));
         }
     }

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::fmt::Write as _;
 
 use bytemuck::Zeroable;
-use domain::{Action, Cell, Feedback, Outcome, Pose};
+use domain::{Action, Cell, Feedback, MemoryKind, Outcome, Pose};
 use results::conditions::Route;
 use results::log::{Ending, EpisodeRecord, RecallTotals, Stages, Unread};
 use shm_types::message::{
@@ -147,6 +147,10 @@ impl ActiveEpisode {
 
     pub(super) const fn id(&self) -> u64 {
         self.result.id
+    }
+
+    pub(super) const fn memory(&self) -> MemoryKind {
+        self.stamps.memory
     }
 
     pub(super) fn into_episode(self) -> PlannedEpisode {

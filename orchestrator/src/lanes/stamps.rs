@@ -116,6 +116,16 @@ impl Stamps {
         self.decided_ns = decision.decided_ns;
     }
 
+    /// When an external memory began to compute, if the messages to it and back took equally long; 0 for a built-in one.
+    pub const fn method_began_ns(&self) -> u64 {
+        if self.method_ns == 0 {
+            return 0;
+        }
+        let wire_ns =
+            self.searched_ns.saturating_sub(self.embedded_ns).saturating_sub(self.method_ns);
+        self.searched_ns.saturating_sub(wire_ns / 2 + self.method_ns)
+    }
+
     /// Nanoseconds in each stage; 0 for one that the step skips.
     pub fn stages(&self) -> Stages {
         // A policy may send any stamps.

@@ -57,7 +57,7 @@ impl Layer {
         Ok(Self { origin: Origin::Default, values })
     }
 
-    /// The flags `given`, each with its text.
+    /// The flags `given`, each with its text; one that can be repeated may come several times.
     ///
     /// # Errors
     /// For a value that a flag cannot have; the message names the flag.
@@ -66,7 +66,10 @@ impl Layer {
         for (name, text) in given {
             let key = Key::find(name).ok_or_else(|| anyhow!("--{name}: there is no such flag"))?;
             let value = key.read(text).map_err(|problem| anyhow!("--{name}: {problem}"))?;
-            values.insert(name.to_owned(), value);
+            match (values.get_mut(name).and_then(Value::as_array_mut), value) {
+                (Some(before), Value::Array(more)) if key.is_repeated() => before.extend(more),
+                (_, value) => drop(values.insert(name.to_owned(), value)),
+            }
         }
         Ok(Self { origin: Origin::CommandLine, values })
     }

@@ -6,7 +6,7 @@
 
 use std::collections::BTreeMap;
 
-use domain::{MemoryKind, Outcome, Pose};
+use domain::{ExternalName, MemoryKind, Outcome, Pose};
 use serde::{Deserialize, Serialize};
 
 use crate::conditions::{
@@ -421,6 +421,13 @@ pub enum SessionEvent {
         /// The generation that failed.
         generation: u32,
         /// The process and its failure.
+        reason: String,
+    },
+    /// An external memory takes part no longer.
+    Excluded {
+        /// The memory.
+        memory: ExternalName,
+        /// Why.
         reason: String,
     },
     /// The session is over.

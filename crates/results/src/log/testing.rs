@@ -22,6 +22,7 @@ pub fn manifest() -> Manifest {
         settings: settings(),
         hashes: BTreeMap::from([("layout".to_owned(), "00".to_owned())]),
         documents: BTreeMap::new(),
+        memories: BTreeMap::new(),
         prices: None,
         episodes: 4,
         processes: BTreeMap::new(),

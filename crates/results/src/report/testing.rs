@@ -6,7 +6,7 @@ use crate::conditions::{Condition, Demonstrations, Route, SegmentContent, Start,
 use crate::events::{Requirement, Visit};
 use crate::key::EpisodeKey;
 use crate::log::testing::{log, record, settings};
-use crate::log::{Ending, EpisodeRecord, RunLog, Unread};
+use crate::log::{Ending, EpisodeRecord, ExternalMemoryFacts, RecallTotals, RunLog, Unread};
 use crate::settings::{Group, RunSettings};
 
 /// Every condition of the shipped suite `paper`, each with its number of runs.
@@ -43,7 +43,33 @@ pub(crate) fn made_up(conditions: &[(Condition, u32)], tasks: &[u8]) -> RunLog {
     episodes.sort_by(|a, b| a.key.cmp(&b.key));
     let mut log = log(episodes);
     log.dir = "runs/made-up".into();
+    for name in conditions.iter().filter_map(|(condition, _)| condition.memory.external()) {
+        let facts = ExternalMemoryFacts {
+            index: log.manifest.memories.len() as u8,
+            version: "1".to_owned(),
+            command: Some(format!("python {name}.py")),
+            scope: "case".to_owned(),
+            embeddings: true,
+            frames: false,
+            deterministic: true,
+            sdk: "made up".to_owned(),
+        };
+        log.manifest.memories.entry(name).or_insert(facts);
+    }
     for (timings, record) in log.timings.iter_mut().zip(&log.episodes) {
+        let requests = record.steps;
+        timings.recalls = RecallTotals {
+            requests,
+            items: u64::from(requests),
+            images: u64::from(requests) * 7,
+            ..RecallTotals::default()
+        };
+        if record.memory.external().is_some() {
+            let each = u64::from(requests) * 1000;
+            (timings.recalls.method_ns, timings.recalls.answer_ns) =
+                (Some(40 * each), Some(90 * each));
+            timings.recalls.store_bytes = Some(123_456);
+        }
         let stages = &mut timings.stages;
         (stages.render, stages.decide) = (stages.render * 900, stages.decide * 2500);
         if record.memory == Representation::Episodic {

@@ -21,6 +21,8 @@ struct StepPage<'a> {
     now: ImageFigure,
     window: Vec<ImageFigure>,
     memory: Vec<MemoryItem<'a>>,
+    /// Where the items come from, in words.
+    sources: Option<String>,
     messages: Vec<PromptMessage<'a>>,
     reply: Option<&'a str>,
     unread: Option<&'a str>,
@@ -109,6 +111,7 @@ pub(super) fn render(shown: &StepView, prompt: &RecordedPrompt) -> Result<String
         now: ImageFigure { url: url(&request.frame), lines: Vec::new() },
         window: window.collect(),
         memory: memory.collect(),
+        sources: shown.retrieved.as_deref().map(text::in_words),
         messages: messages.collect(),
         reply: exchange.and_then(|exchange| exchange.reply.as_deref()),
         unread: exchange.and_then(|exchange| exchange.unread.as_deref()),

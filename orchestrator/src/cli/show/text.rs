@@ -37,8 +37,13 @@ pub(super) fn render(shown: &StepView) -> String {
     text
 }
 
-/// Where a retrieved view comes from.
-fn in_words(retrieved: &str) -> String {
+/// Where what was retrieved comes from.
+pub(super) fn in_words(retrieved: &str) -> String {
+    retrieved.split('+').map(source_in_words).collect::<Vec<_>>().join("; ")
+}
+
+/// One source: `o12`, `t03-07:o12`, or `-` for none.
+fn source_in_words(retrieved: &str) -> String {
     let (case, view) = match retrieved.split_once(':') {
         Some((case, view)) => (format!(" of {case}, another task"), view),
         None => (String::new(), retrieved),
@@ -207,5 +212,16 @@ fn indented(text: &mut String, content: &str) {
     let rest = content.chars().count().saturating_sub(MOST);
     if rest > 0 {
         let _ = writeln!(text, "  ... {rest} more characters (--html or --json have them)");
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_source_is_named() {
+        insta::assert_snapshot!(in_words("o12+t03-07:n3"), @"view 12 of the demonstration `original`; view 3 of the demonstration `nearby` of t03-07, another task");
+        assert_eq!(in_words("-"), "nothing");
     }
 }
