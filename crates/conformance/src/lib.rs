@@ -50,16 +50,6 @@ pub enum CheckedRole {
     Memory,
 }
 
-impl CheckedRole {
-    /// The number of its checks.
-    pub const fn checks(self) -> usize {
-        match self {
-            Self::Policy => policy::checks::CHECKS.len(),
-            Self::Memory => memory::checks::CHECKS.len(),
-        }
-    }
-}
-
 /// A policy or a memory to check.
 #[derive(Debug, Clone)]
 pub struct Conformance {

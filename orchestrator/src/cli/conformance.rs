@@ -25,7 +25,12 @@ Examples:
   memtransfer conformance --memory-cmd 'python my_memory.py'")]
 pub(super) struct ConformanceArgs {
     /// The command that starts your policy
-    #[arg(long, value_name = "COMMAND", env = "MEMTRANSFER_POLICY_CMD", required_unless_present = "memory_cmd")]
+    #[arg(
+        long,
+        value_name = "COMMAND",
+        env = "MEMTRANSFER_POLICY_CMD",
+        required_unless_present = "memory_cmd"
+    )]
     policy_cmd: Option<String>,
 
     /// The command that starts your memory, to check a memory instead of a policy
@@ -63,7 +68,9 @@ pub(super) fn run(args: &ConformanceArgs) -> Result<Exit> {
     let (role, flag, command) = match (&args.memory_cmd, &args.policy_cmd) {
         (Some(memory), _) => (CheckedRole::Memory, "memory_cmd", memory),
         (None, Some(policy)) => (CheckedRole::Policy, "policy_cmd", policy),
-        (None, None) => anyhow::bail!("there is nothing to check: give --policy-cmd or --memory-cmd"),
+        (None, None) => {
+            anyhow::bail!("there is nothing to check: give --policy-cmd or --memory-cmd")
+        }
     };
     let conformance = Conformance {
         role,

@@ -142,9 +142,8 @@ fn serve(mode: &str, attach: Attach, index: u8) {
             }
             let message = ExternalBuilt { bank: id, ..Zeroable::zeroed() };
             let reason = why_not(mode, &bank);
-            let failure = reason.map_or(0, |why| {
-                notes.publish(u32::MAX, 0, why.as_bytes()).unwrap()
-            });
+            let failure =
+                reason.map_or(0, |why| notes.publish(u32::MAX, 0, why.as_bytes()).unwrap());
             match mode {
                 "builds-nothing" => {}
                 "builds-another" => {
@@ -168,8 +167,8 @@ fn serve(mode: &str, attach: Attach, index: u8) {
             let instruction = read_text(&message.instruction, message.instruction_len);
             let is_ascii = instruction.as_ref().is_ok_and(|text| text.is_ascii());
             assert!(is_ascii || mode != "ascii", "I read ASCII only");
-            let is_valid = banks.contains_key(&bank)
-                && (message.instruction_len as usize) <= MAX_INSTRUCTION;
+            let is_valid =
+                banks.contains_key(&bank) && (message.instruction_len as usize) <= MAX_INSTRUCTION;
             let budgets = (image_budget, text_budget);
             let begun = Episode { id: episode, bank, budgets, is_over: false, is_valid };
             episodes.insert(lane, begun);
@@ -178,7 +177,8 @@ fn serve(mode: &str, attach: Attach, index: u8) {
         for query in queries {
             let ExternalQuery { lane, episode, step, .. } = query;
             let known = episodes.get_mut(&lane);
-            let late = Episode { id: episode, bank: 0, budgets: (0, 0), is_over: false, is_valid: true };
+            let late =
+                Episode { id: episode, bank: 0, budgets: (0, 0), is_over: false, is_valid: true };
             let (running, is_known) = match known {
                 Some(running) if running.id == episode => {
                     running.is_over = query.last == 1;
@@ -190,7 +190,9 @@ fn serve(mode: &str, attach: Attach, index: u8) {
                 errors.report(format_args!("query of unknown episode {episode} in lane {lane}"));
                 continue;
             }
-            if !is_known && mode == "keeps-old-episodes" || query.last == 1 && mode != "answers-the-end" {
+            if !is_known && mode == "keeps-old-episodes"
+                || query.last == 1 && mode != "answers-the-end"
+            {
                 continue;
             }
             let frame = frames.get(query.frame).ok().flatten();
@@ -218,7 +220,8 @@ fn serve(mode: &str, attach: Attach, index: u8) {
             } else {
                 let nothing = AnswerItem { distance: f32::NAN, ..Zeroable::zeroed() };
                 let bytes = note.len() as u32;
-                let steps = AnswerItem { kind: ItemKind::Steps as u8, steps: 1, views: 1, ..nothing };
+                let steps =
+                    AnswerItem { kind: ItemKind::Steps as u8, steps: 1, views: 1, ..nothing };
                 let text_item = AnswerItem { kind: ItemKind::Text as u8, bytes, ..nothing };
                 let mut items = Vec::new();
                 if images > 0 || mode == "ignores-budgets" {
@@ -229,7 +232,9 @@ fn serve(mode: &str, attach: Attach, index: u8) {
                 }
                 match mode {
                     "garbage" => items.push(AnswerItem { kind: 77, ..nothing }),
-                    "unknown-demonstration" => items.push(AnswerItem { demonstration: 77, ..steps }),
+                    "unknown-demonstration" => {
+                        items.push(AnswerItem { demonstration: 77, ..steps })
+                    }
                     "past-the-end" => items.push(AnswerItem { steps: 1000, ..steps }),
                     "past-the-note" => items.push(AnswerItem { bytes: bytes + 1, ..text_item }),
                     "not-utf-8" => items.push(AnswerItem { bytes: 4, ..text_item }),

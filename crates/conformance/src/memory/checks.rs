@@ -521,7 +521,6 @@ fn banks_are_released(kit: &mut Kit<'_>) -> CheckResult<String> {
 enum Invalid {
     Feedback,
     Heading,
-    Frame,
     Bank,
     Instruction,
     Episode,
@@ -529,10 +528,9 @@ enum Invalid {
 }
 
 impl Invalid {
-    const ALL: [Self; 7] = [
+    const ALL: [Self; 6] = [
         Self::Feedback,
         Self::Heading,
-        Self::Frame,
         Self::Bank,
         Self::Instruction,
         Self::Episode,
@@ -543,7 +541,6 @@ impl Invalid {
         match self {
             Self::Feedback => "a feedback code of 77",
             Self::Heading => "a pose with heading code 77",
-            Self::Frame => "a frame that was never published",
             Self::Bank => "an episode that remembers a bank that was never published",
             Self::Instruction => "an instruction of 4,000,000,000 bytes",
             Self::Episode => "a query of an episode that never began",
@@ -579,7 +576,6 @@ fn invalid_messages(kit: &mut Kit<'_>) -> CheckResult<String> {
             let sent = match invalid {
                 Invalid::Feedback => ExternalQuery { feedback: 77, ..usual },
                 Invalid::Heading => ExternalQuery { pose: WirePose([3, 4, 77, 0]), ..usual },
-                Invalid::Frame => ExternalQuery { frame: frame + 1_000_000, ..usual },
                 _ => usual,
             };
             subject.neighbours.queries.send(&sent)?;
