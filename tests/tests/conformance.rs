@@ -117,7 +117,7 @@ fn faults_of_a_memory_are_named() {
     let bench = Bench::new();
     let faults = [
         ("undescribed", "describes itself", "no description.json in its folder within 3 s"),
-        ("nameless", "describes itself", "name is \"My Memory\", but must be 1 to 24"),
+        ("nameless", "describes itself", "name is \"My Memory\", but must be"),
         ("hasty", "describes itself", "it did not wait for the run"),
         ("no-handshake", "joins", "no handshake within 3 s"),
         ("old", "joins", "its handshake has wire version"),
@@ -143,7 +143,7 @@ fn faults_of_a_memory_are_named() {
         ("answers-the-end", "runs an episode", "which could not be answered"),
         ("no-times", "tells its times", "`sent_ns` 0"),
         ("crash", "answers 64 lanes at once", "I am no good at this"),
-        ("mixes-lanes", "keeps lanes apart", "without a request"),
+        ("mixes-lanes", "keeps lanes apart", "answer for step"),
         ("one-bank", "stays within its bank", "demonstration 1, and the bank has 1"),
         ("keeps-old-episodes", "begins a new episode", "no answer to step 0 of lane 9"),
         ("answers-late", "ignores late queries", "which could not be answered"),
