@@ -3,9 +3,9 @@
 use bytemuck::Zeroable;
 use domain::{Action, Feedback, Heading, Outcome, Pose};
 use shm_types::message::{
-    Decision, DocumentId, FrameId, ItemKind, NO_ACTION, NO_FRAME, NOT_MEASURED, Observation,
-    PolicyEpisodeConfig, Recall, RecallTrace, RecalledItem, RequestId, SegmentStep, StepCommand,
-    StepKind, WirePose, write_text,
+    Decision, DocumentId, ExternalEpisode, ExternalQuery, FrameId, ItemKind, NO_ACTION, NO_FRAME,
+    NOT_MEASURED, Observation, PolicyEpisodeConfig, Recall, RecallTrace, RecalledItem, RequestId,
+    SegmentStep, StepCommand, StepKind, WirePose, write_text,
 };
 use shm_types::process::monotonic_ns;
 
@@ -134,4 +134,48 @@ pub fn decision(id: RequestId, action: Action) -> Decision {
         memory_tokens: NOT_MEASURED,
         ..Zeroable::zeroed()
     }
+}
+
+/// The beginning of an episode that remembers the bank with the id `bank`; its seed is the number of its lane.
+pub fn external_episode(lane: u32, episode: u64, bank: u64, instruction: &str) -> ExternalEpisode {
+    let mut begun = ExternalEpisode {
+        episode,
+        bank,
+        seed: lane.into(),
+        lane,
+        text_budget: 65_536,
+        image_budget: 16,
+        repeat: 1,
+        ..Zeroable::zeroed()
+    };
+    begun.instruction_len = write_text(&mut begun.instruction, instruction);
+    begun
+}
+
+/// The query of a step, after a move forward.
+pub fn query(id: RequestId, frame: FrameId, pose: WirePose, embedding: &[f32]) -> ExternalQuery {
+    let RequestId { lane, episode, step } = id;
+    let (feedback, action) = match step {
+        0 => (Feedback::Start, NO_ACTION),
+        _ => (Feedback::Moved, Action::Forward as u8),
+    };
+    let mut query = ExternalQuery {
+        episode,
+        frame,
+        sent_ns: monotonic_ns(),
+        lane,
+        step,
+        pose,
+        embedding_len: embedding.len() as u32,
+        feedback: feedback as u8,
+        action,
+        ..Zeroable::zeroed()
+    };
+    query.embedding[..embedding.len()].copy_from_slice(embedding);
+    query
+}
+
+/// The last message of an episode, which is not answered.
+pub fn last_query(id: RequestId, pose: WirePose) -> ExternalQuery {
+    ExternalQuery { last: 1, ..query(id, NO_FRAME, pose, &[]) }
 }
