@@ -5,12 +5,13 @@
 //! would take hours to build on two cores, so the sizes end where a round takes minutes.
 
 use anyhow::{Context, Result};
+use domain::search_profile::SearchMeasurement;
 use serde_json::json;
 
 use crate::Bench;
 use crate::baselines::Baseline;
 use crate::figure::{Better, Bound, Figure};
-use crate::search::{BATCH, Line, load, profile, threads};
+use crate::search::{BATCH, load, profile, threads};
 use crate::session::Session;
 
 /// The bench.
@@ -98,8 +99,9 @@ fn our_round(session: &Session<'_>, size: (u32, u32)) -> Result<(Found, f64)> {
     )?;
     let exact = lines.iter().find(|line| line.searching.is_none() && line.batch == 1);
     let exact = exact.context("no exact search")?.seconds();
-    let graph: Vec<&Line> = lines.iter().filter(|line| line.searching.is_some()).collect();
-    let reached = |line: &&&Line| line.recall_at_10 >= RECALL;
+    let graph: Vec<&SearchMeasurement> =
+        lines.iter().filter(|line| line.searching.is_some()).collect();
+    let reached = |line: &&&SearchMeasurement| line.recall_at_10 >= RECALL;
     let first = graph.iter().find(reached).or(graph.last()).context("no approximate search")?;
     let of =
         |batch| graph.iter().find(|line| line.searching == first.searching && line.batch == batch);

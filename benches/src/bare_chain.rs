@@ -9,7 +9,9 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Result, bail, ensure};
 use bytemuck::Zeroable;
-use shm_types::message::{Decision, Observation, Recall, RecallTrace, Role, StepCommand, Stop};
+use shm_types::message::{
+    Decision, Message, Observation, Recall, RecallTrace, Role, StepCommand, Stop,
+};
 use shm_types::{Attach, Bus, RunDir};
 
 use crate::processes::BenchProcess;
@@ -99,63 +101,59 @@ fn join(arguments: &[String], role: Role) -> Result<Bus> {
     Ok(Bus::join(Attach::read(Path::new(folder))?, role)?)
 }
 
-/// Plays the simulator: answers a command with an observation.
-pub(crate) fn sim(arguments: &[String]) -> Result<()> {
-    let bus = join(arguments, Role::Sim)?;
-    let (stops, commands) = (bus.receiver::<Stop>()?, bus.receiver::<StepCommand>()?);
-    let (observations, next) = (bus.sender::<Observation>()?, bus.notifier(Role::Memory)?);
+/// Answers what arrives, all that has arrived at once, and notifies `next`, until the run stops.
+fn relay<M: Message>(
+    bus: &Bus,
+    next: Role,
+    mut answer: impl FnMut(&[M]) -> Result<()>,
+) -> Result<()> {
+    let (stops, arriving) = (bus.receiver::<Stop>()?, bus.receiver::<M>()?);
+    let next = bus.notifier(next)?;
     while stops.next()?.is_none() {
         bus.listener().wait(LONGEST_SLEEP)?;
-        let waiting = commands.drain()?;
-        for StepCommand { episode, lane, step, .. } in &waiting {
-            let (episode, lane, step) = (*episode, *lane, *step);
-            observations.send(&Observation { episode, lane, step, ..Observation::zeroed() })?;
-        }
+        let waiting = arriving.drain()?;
         if !waiting.is_empty() {
+            answer(&waiting)?;
             next.notify()?;
         }
     }
     Ok(())
+}
+
+/// Plays the simulator: answers a command with an observation.
+pub(crate) fn sim(arguments: &[String]) -> Result<()> {
+    let bus = join(arguments, Role::Sim)?;
+    let observations = bus.sender()?;
+    relay(&bus, Role::Memory, |commands| {
+        for &StepCommand { episode, lane, step, .. } in commands {
+            observations.send(&Observation { episode, lane, step, ..Observation::zeroed() })?;
+        }
+        Ok(())
+    })
 }
 
 /// Plays memory: answers an observation with a recall and its trace.
 pub(crate) fn memory(arguments: &[String]) -> Result<()> {
     let bus = join(arguments, Role::Memory)?;
-    let (stops, observations) = (bus.receiver::<Stop>()?, bus.receiver::<Observation>()?);
-    let (recalls, traces) = (bus.sender::<Recall>()?, bus.sender::<RecallTrace>()?);
-    let next = bus.notifier(Role::Policy)?;
-    while stops.next()?.is_none() {
-        bus.listener().wait(LONGEST_SLEEP)?;
-        let waiting = observations.drain()?;
-        for Observation { episode, lane, step, .. } in &waiting {
-            let (episode, lane, step) = (*episode, *lane, *step);
+    let (recalls, traces) = (bus.sender()?, bus.sender()?);
+    relay(&bus, Role::Policy, |observations| {
+        for &Observation { episode, lane, step, .. } in observations {
             traces.send(&RecallTrace { episode, lane, step, ..RecallTrace::zeroed() })?;
             recalls.send(&Recall { episode, lane, step, ..Recall::zeroed() })?;
         }
-        if !waiting.is_empty() {
-            next.notify()?;
-        }
-    }
-    Ok(())
+        Ok(())
+    })
 }
 
 /// Plays the policy: answers a recall with a decision.
 pub(crate) fn policy(arguments: &[String]) -> Result<()> {
     let bus = join(arguments, Role::Policy)?;
-    let (stops, observations) = (bus.receiver::<Stop>()?, bus.receiver::<Observation>()?);
-    let (recalls, decisions) = (bus.receiver::<Recall>()?, bus.sender::<Decision>()?);
-    let next = bus.notifier(Role::Orchestrator)?;
-    while stops.next()?.is_none() {
-        bus.listener().wait(LONGEST_SLEEP)?;
-        let waiting = recalls.drain()?;
+    let (observations, decisions) = (bus.receiver::<Observation>()?, bus.sender()?);
+    relay(&bus, Role::Orchestrator, |recalls| {
         observations.drain()?;
-        for Recall { episode, lane, step, .. } in &waiting {
-            let (episode, lane, step) = (*episode, *lane, *step);
+        for &Recall { episode, lane, step, .. } in recalls {
             decisions.send(&Decision { episode, lane, step, ..Decision::zeroed() })?;
         }
-        if !waiting.is_empty() {
-            next.notify()?;
-        }
-    }
-    Ok(())
+        Ok(())
+    })
 }

@@ -29,10 +29,11 @@ pub(crate) const WARM: [&str; 7] =
     ["--suite", "quick", "--warm-views", "--memory", "working", "--starts", "new"];
 
 /// Runs with many lanes: id, description, repetitions of the cases, target in steps per second.
-const MANY_LANES: [(&str, &str, u32, f64); 3] = [
+const MANY_LANES: [(&str, &str, u32, f64); 4] = [
     ("random", "policy `random`", 24, 200_000.0),
     ("grounded", "policy `grounded`", 12, 80_000.0),
     ("python", "a Python policy that returns at once", 6, 30_000.0),
+    ("memory", "policy `random`, a Python memory that supplies nothing", 6, 50_000.0),
 ];
 
 fn run(session: &mut Session<'_>) -> Result<Vec<Figure>> {
@@ -42,11 +43,17 @@ fn run(session: &mut Session<'_>) -> Result<Vec<Figure>> {
     let alone =
         BenchRun::new(1, session.size.pick(1, 3), &[&WARM[..], &["--policy", "random"]].concat());
     let (mut one, mut bare_one) = (Vec::new(), Vec::new());
+    let mut added = Vec::new();
     let (mut many, mut bare_many) = (vec![Vec::new(); MANY_LANES.len()], Vec::new());
     for round in 1..=session.rounds() {
         session.say(format_args!("round {round}: one lane"));
         one.push(1e6 / steady_rate(&shrunk(session, alone.clone()).make(session, "one")?)?);
         bare_one.push(1e6 / bare_chain::steps_per_second(session, 1, length)?);
+        if let Some(with_memory) = many_lanes(session, "memory", 1, session.size.pick(1, 3)) {
+            let step =
+                1e6 / steady_rate(&shrunk(session, with_memory).make(session, "one-memory")?)?;
+            added.push(step - one.last().copied().unwrap_or_default());
+        }
         session.say(format_args!("round {round}: {lanes} lanes"));
         bare_many.push(bare_chain::steps_per_second(session, lanes, length)?);
         for (rates, (id, _, runs, _)) in many.iter_mut().zip(MANY_LANES) {
@@ -64,10 +71,26 @@ fn run(session: &mut Session<'_>) -> Result<Vec<Figure>> {
             Better::Lower,
         )
         .ours(one)
-        .baseline("the bare chain", "", bare_one)
+        .baseline("the bare chain", "", bare_one.clone())
         .target(Bound::Ratio(1.5), "within 1.5 x")
         .parameter("lanes", 1),
     ];
+    if !added.is_empty() {
+        // A step of the bare chain is four hops; a query and its answer are two.
+        let two_hops: Vec<f64> = bare_one.iter().map(|step| step / 2.0).collect();
+        figures.push(
+            Figure::new(
+                "chain.1.memory",
+                "what a Python memory that supplies nothing adds to a step of one lane",
+                "us",
+                Better::Lower,
+            )
+            .ours(added)
+            .baseline("two hops of the bare chain", "", two_hops)
+            .target(Bound::Ratio(1.5), "within 1.5 x")
+            .parameter("lanes", 1),
+        );
+    }
     for (rates, (id, what, _, target)) in many.into_iter().zip(MANY_LANES) {
         if rates.is_empty() {
             continue;
@@ -90,15 +113,22 @@ fn run(session: &mut Session<'_>) -> Result<Vec<Figure>> {
 
 /// The run `id` with many lanes; `None` when it needs a Python environment that was not given.
 fn many_lanes(session: &Session<'_>, id: &str, lanes: u32, runs: u32) -> Option<BenchRun> {
-    if id != "python" {
-        return Some(BenchRun::new(lanes, runs, &[&WARM[..], &["--policy", id]].concat()));
-    }
+    let script = match id {
+        "python" => "examples/return_at_once.py",
+        "memory" => "examples/supply_nothing.py",
+        policy => {
+            return Some(BenchRun::new(lanes, runs, &[&WARM[..], &["--policy", policy]].concat()));
+        }
+    };
     let package = Path::new(env!("CARGO_MANIFEST_DIR")).join("../python");
-    let script = package.join("examples/return_at_once.py");
     let python = session.baselines?.python.display().to_string();
-    let command = format!("'{python}' -s '{}'", script.display());
-    let mut bench_run =
-        BenchRun::new(lanes, runs, &[&WARM[..], &["--policy-cmd", &command]].concat());
+    let command = format!("'{python}' -s '{}'", package.join(script).display());
+    let flags = match id {
+        "python" => [&WARM[..], &["--policy-cmd", &command]].concat(),
+        _ => [&WARM[..], &["--memory", "none", "--policy", "random", "--memory-cmd", &command]]
+            .concat(),
+    };
+    let mut bench_run = BenchRun::new(lanes, runs, &flags);
     bench_run.env.push(("PYTHONPATH".to_owned(), package.display().to_string()));
     Some(bench_run)
 }

@@ -142,7 +142,7 @@ fn measure(bench: &Bench, mut session: Session<'_>) -> BenchOutcome {
         commit: commit_of(Path::new(env!("CARGO_MANIFEST_DIR"))),
         seconds: clock.elapsed().as_secs_f64(),
         error,
-        figures: figures.unwrap_or_default().into_iter().map(Into::into).collect(),
+        figures: figures.unwrap_or_default(),
     }
 }
 

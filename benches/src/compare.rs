@@ -1,6 +1,6 @@
 //! Comparison with earlier results: ratios, and a verdict that is only given where it exceeds the noise.
 
-use crate::figure::{Better, Summary};
+use crate::figure::{Better, Figure, Summary};
 use crate::results::Results;
 
 /// Rounds needed on both sides for a verdict.
@@ -11,8 +11,6 @@ const ENOUGH_ROUNDS: usize = 3;
 pub struct Change {
     /// The figure's id.
     pub id: String,
-    /// Description.
-    pub what: String,
     /// Unit.
     pub unit: String,
     /// Earlier value.
@@ -54,25 +52,21 @@ impl Verdict {
 
 /// Compares every figure that both have, in the order of `now`.
 pub fn compare(before: &Results, now: &Results) -> Vec<Change> {
-    let change = |new: &crate::results::Measured| {
+    let change = |new: &Figure| {
         let old = before.figures().find(|old| {
             // With other parameters it is another figure.
-            old.figure.id == new.figure.id
-                && old.figure.unit == new.figure.unit
-                && old.figure.parameters == new.figure.parameters
+            old.id == new.id && old.unit == new.unit && old.parameters == new.parameters
         })?;
-        let (was, is) = (old.summary?, new.summary?);
-        let baselines = old.baseline_summary.zip(new.baseline_summary);
-        let rounds = old.figure.ours.len().min(new.figure.ours.len());
+        let (was, is) = (old.summary()?, new.summary()?);
+        let baselines = old.baseline_summary().zip(new.baseline_summary());
         Some(Change {
-            id: new.figure.id.clone(),
-            what: new.figure.what.clone(),
-            unit: new.figure.unit.clone(),
+            id: new.id.clone(),
+            unit: new.unit.clone(),
             before: was,
             now: is,
             ratio: is.median / was.median,
             baseline_ratio: baselines.map(|(was, is)| is.median / was.median),
-            verdict: verdict(was, is, new.figure.better, rounds),
+            verdict: verdict(was, is, new.better, old.ours.len().min(new.ours.len())),
         })
     };
     now.figures().filter_map(change).collect()
@@ -94,7 +88,6 @@ fn verdict(before: Summary, now: Summary, better: Better, rounds: usize) -> Verd
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::figure::Figure;
     use crate::results::BenchOutcome;
 
     fn results(better: Better, ours: &[f64], bytes: u32) -> Results {
@@ -110,7 +103,7 @@ mod tests {
             commit: None,
             seconds: 0.0,
             error: None,
-            figures: vec![figure.into()],
+            figures: vec![figure],
         });
         results
     }

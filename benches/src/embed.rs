@@ -95,7 +95,7 @@ fn run(session: &mut Session<'_>) -> Result<Vec<Figure>> {
 fn default_model() -> Result<ModelFile> {
     let manifest = EncoderManifest::shipped()?;
     let model = manifest.model(&manifest.default)?;
-    Ok(ModelFile::read(model, None, &CacheFolder::from_environment()?)?)
+    ModelFile::read(model, None, &CacheFolder::from_environment()?)
 }
 
 /// The default encoder, with a worker for each core; its sessions are open.

@@ -81,7 +81,7 @@ fn stamping(session: &Session<'_>) -> Figure {
                 started_ns: monotonic_ns(),
                 decided_ns: monotonic_ns(),
                 logged_ns: monotonic_ns(),
-                ..Stamps::new(1, 0, Representation::Episodic)
+                ..Stamps::new(1, 0, Representation::Episodic.into())
             };
             latency.record(&stamps);
         }

@@ -5,7 +5,7 @@
 //!   [`processes`] (helper processes), [`runs`] (of `memtransfer`) and [`bare_chain`] (processes that only pass
 //!   messages).
 //! - It returns [`figure`]s, which are stored as [`results`] with the [`machine`](orchestrator::machine).
-//! - Results are compared with earlier ones ([`compare`]) and rendered ([`table`], [`markdown`]).
+//! - Results are compared with earlier ones ([`compare`]) and rendered ([`markdown`]).
 //!
 //! Every bench also runs at [`Size::Tiny`](session::Size) under `cargo test -p benches`. No test asserts a time.
 
@@ -18,7 +18,6 @@ pub mod processes;
 pub mod results;
 pub mod runs;
 pub mod session;
-pub mod table;
 
 pub mod approximate;
 pub mod chain;

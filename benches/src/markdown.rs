@@ -6,9 +6,8 @@ use std::path::Path;
 use anyhow::{Context, Result, bail};
 
 use crate::compare::Change;
-use crate::figure::shown;
-use crate::results::{Results, write_whole};
-use crate::table::{self, spread, with_unit};
+use crate::figure::{Figure, Summary, shown};
+use crate::results::{BenchOutcome, Results, write_whole};
 
 /// Markers around the section of a page that [`insert`] replaces.
 const MARKERS: [&str; 2] = ["<!-- written by memtransfer-bench --page -->", "<!-- end -->"];
@@ -42,44 +41,81 @@ pub fn render(results: &Results) -> String {
         text += &format!("Measured at {}.\n", distinct.join("; "));
     }
     text += "Medians over rounds with the range in parentheses; ours and the baseline alternate on one machine.\n\n";
-    text += &rows(&table::HEADER, &table::rows(results));
+    let targets: Vec<[String; 8]> = results
+        .benches
+        .iter()
+        .flat_map(|outcome| outcome.figures.iter().filter_map(|figure| target_row(outcome, figure)))
+        .collect();
+    text += &rows(&TARGET_COLUMNS, &targets);
     for outcome in &results.benches {
         text += &format!("\n### `{}`: {}\n\n", outcome.name, outcome.about);
         if outcome.figures.is_empty() {
             text += "No figures.\n";
             continue;
         }
-        let lines: Vec<[String; 5]> = outcome
-            .figures
-            .iter()
-            .map(|measured| {
-                let figure = &measured.figure;
-                let none = || "–".to_owned();
-                let parameters: Vec<String> = figure
-                    .parameters
-                    .iter()
-                    .map(|(name, value)| format!("{name} {value}"))
-                    .collect();
-                let about: Vec<String> = std::iter::once(figure.what.clone())
-                    .chain((!parameters.is_empty()).then(|| parameters.join(", ")))
-                    .chain(figure.note.clone())
-                    .collect();
-                let baseline = figure.baseline.as_ref().zip(measured.baseline_summary);
-                [
-                    about.join("; "),
-                    measured.summary.map_or_else(none, |s| with_unit(s, &figure.unit)),
-                    baseline.map_or_else(none, |(baseline, s)| {
-                        let name = format!("{} {}", baseline.name, baseline.version);
-                        format!("{}: {}", name.trim(), with_unit(s, &figure.unit))
-                    }),
-                    measured.ratio.map_or_else(none, spread),
-                    format!("`{}`", figure.id),
-                ]
-            })
-            .collect();
+        let lines: Vec<[String; 5]> = outcome.figures.iter().map(figure_row).collect();
         text += &rows(&["what", "ours", "baseline", "ours / baseline", "id"], &lines);
     }
     text
+}
+
+/// Columns of the table of targets.
+const TARGET_COLUMNS: [&str; 8] =
+    ["what", "against", "target", "ours", "baseline", "ours / baseline", "target met", "command"];
+
+/// The row of a figure in the table of targets; `None` if it has no target.
+fn target_row(outcome: &BenchOutcome, figure: &Figure) -> Option<[String; 8]> {
+    let target = figure.target.as_ref()?;
+    let [ours, baseline, ratio] = values(figure);
+    let met = figure.meets_target().map(|met| if met { "yes" } else { "no" });
+    Some([
+        figure.what.clone(),
+        baseline_name(figure).unwrap_or_default(),
+        target.text.clone(),
+        ours,
+        baseline,
+        ratio,
+        met.unwrap_or(NONE).to_owned(),
+        format!("`cargo xtask bench --only {}`", outcome.name),
+    ])
+}
+
+/// The row of a figure in the table of its bench.
+fn figure_row(figure: &Figure) -> [String; 5] {
+    let parameters: Vec<String> =
+        figure.parameters.iter().map(|(name, value)| format!("{name} {value}")).collect();
+    let about: Vec<String> = std::iter::once(figure.what.clone())
+        .chain((!parameters.is_empty()).then(|| parameters.join(", ")))
+        .chain(figure.note.clone())
+        .collect();
+    let [ours, mut baseline, ratio] = values(figure);
+    if let Some(name) = baseline_name(figure) {
+        baseline = format!("{name}: {baseline}");
+    }
+    [about.join("; "), ours, baseline, ratio, format!("`{}`", figure.id)]
+}
+
+/// What stands for a value that there is not.
+const NONE: &str = "–";
+
+/// Our value, the baseline's, and their ratio.
+fn values(figure: &Figure) -> [String; 3] {
+    let unit = figure.unit.as_str();
+    [(figure.summary(), unit), (figure.baseline_summary(), unit), (figure.ratio(), "")].map(
+        |(summary, unit)| summary.map_or_else(|| NONE.to_owned(), |found| with_unit(found, unit)),
+    )
+}
+
+/// A median with its unit, and the range unless it is a single value.
+fn with_unit(Summary { median, min, max }: Summary, unit: &str) -> String {
+    let range = (min != max).then(|| format!("({} to {})", shown(min), shown(max)));
+    let parts = [shown(median), unit.to_owned(), range.unwrap_or_default()];
+    parts.into_iter().filter(|part| !part.is_empty()).collect::<Vec<_>>().join(" ")
+}
+
+fn baseline_name(figure: &Figure) -> Option<String> {
+    let baseline = figure.baseline.as_ref()?;
+    Some(format!("{} {}", baseline.name, baseline.version).trim().to_owned())
 }
 
 /// Renders changes since earlier results.
@@ -92,7 +128,7 @@ pub fn changes(changes: &[Change]) -> String {
                 with_unit(change.before, &change.unit),
                 with_unit(change.now, &change.unit),
                 shown(change.ratio),
-                change.baseline_ratio.map_or_else(|| "–".to_owned(), shown),
+                change.baseline_ratio.map_or_else(|| NONE.to_owned(), shown),
                 change.verdict.words().to_owned(),
             ]
         })
@@ -137,6 +173,30 @@ fn rows<const N: usize>(header: &[&str; N], rows: &[[String; N]]) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::figure::{Better, Bound};
+
+    #[test]
+    fn a_figure_with_a_target_has_a_row() {
+        let hop = Figure::new("hop.round-trip", "a round trip", "ns", Better::Lower)
+            .ours([500.0, 510.0, 490.0])
+            .baseline("iceoryx2", "0.10", [400.0, 400.0, 400.0])
+            .target(Bound::Ratio(1.5), "within 1.5 x");
+        let floor = Figure::new("hop.floor", "no target", "ns", Better::Lower).ours([1.0]);
+        let outcome = BenchOutcome {
+            name: "hop".to_owned(),
+            about: String::new(),
+            began: String::new(),
+            commit: None,
+            seconds: 0.0,
+            error: None,
+            figures: vec![hop, floor],
+        };
+        let rows = outcome.figures.iter().map(|figure| target_row(&outcome, figure));
+        let rows: Vec<Option<String>> = rows.map(|row| Some(row?.join(" | "))).collect();
+        let expected = "a round trip | iceoryx2 0.10 | within 1.5 x | 500 ns (490 to 510) | 400 ns | \
+                        1.25 (1.23 to 1.27) | yes | `cargo xtask bench --only hop`";
+        assert_eq!(rows, [Some(expected.to_owned()), None]);
+    }
 
     #[test]
     fn text_outside_the_markers_is_kept() {
@@ -154,7 +214,7 @@ mod tests {
             text.starts_with("Before.\n<!--") && text.ends_with("<!-- end -->\nAfter.\n"),
             "{text}"
         );
-        assert!(text.contains("not measured yet") && !text.contains("written before"), "{text}");
+        assert!(text.contains("Machine: ") && !text.contains("written before"), "{text}");
         fs::write(&path, "no marks").unwrap();
         assert!(insert(&path, &Results::here()).is_err());
     }

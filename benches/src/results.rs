@@ -7,7 +7,7 @@ use anyhow::{Context, Result, bail};
 use orchestrator::machine::Machine;
 use serde::{Deserialize, Serialize};
 
-use crate::figure::{Figure, Summary};
+use crate::figure::Figure;
 
 /// Version of the format.
 pub const SCHEMA: u32 = 1;
@@ -43,38 +43,7 @@ pub struct BenchOutcome {
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub error: Option<String>,
     /// Its figures.
-    pub figures: Vec<Measured>,
-}
-
-/// A figure with its summaries.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Measured {
-    /// The figure.
-    #[serde(flatten)]
-    pub figure: Figure,
-    /// Summary of our rounds.
-    pub summary: Option<Summary>,
-    /// Summary of the baseline's rounds.
-    #[serde(skip_serializing_if = "Option::is_none", default)]
-    pub baseline_summary: Option<Summary>,
-    /// Ours divided by the baseline's, per round.
-    #[serde(skip_serializing_if = "Option::is_none", default)]
-    pub ratio: Option<Summary>,
-    /// Whether the median meets the target.
-    #[serde(skip_serializing_if = "Option::is_none", default)]
-    pub meets_target: Option<bool>,
-}
-
-impl From<Figure> for Measured {
-    fn from(figure: Figure) -> Self {
-        Self {
-            summary: figure.summary(),
-            baseline_summary: figure.baseline_summary(),
-            ratio: figure.ratio(),
-            meets_target: figure.meets_target(),
-            figure,
-        }
-    }
+    pub figures: Vec<Figure>,
 }
 
 impl Results {
@@ -91,13 +60,8 @@ impl Results {
         }
     }
 
-    /// Result of the bench `name`.
-    pub fn of(&self, name: &str) -> Option<&BenchOutcome> {
-        self.benches.iter().find(|outcome| outcome.name == name)
-    }
-
     /// Every figure, in order.
-    pub fn figures(&self) -> impl Iterator<Item = &Measured> {
+    pub fn figures(&self) -> impl Iterator<Item = &Figure> {
         self.benches.iter().flat_map(|outcome| &outcome.figures)
     }
 
@@ -164,9 +128,9 @@ mod tests {
             figures,
         };
         results.add(outcome(Vec::new()));
-        results.add(outcome(vec![figure.into()]));
+        results.add(outcome(vec![figure]));
         assert_eq!(results.benches.len(), 1, "the later one counts");
-        assert_eq!(results.figures().next().and_then(|f| f.meets_target), Some(true));
+        assert_eq!(results.figures().next().and_then(Figure::meets_target), Some(true));
         results.write(dir.path()).unwrap();
         let path = dir.path().join(FILE);
         assert_eq!(Results::read(&path).unwrap(), results);

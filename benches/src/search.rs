@@ -6,9 +6,9 @@
 use std::process::{Command, Stdio};
 
 use anyhow::{Context, Result, ensure};
+use domain::search_profile::SearchMeasurement;
 use orchestrator::machine::floors::{Effort, measure};
 use orchestrator::machine::memory_available;
-use serde::Deserialize;
 use serde_json::{Value, json};
 
 use crate::Bench;
@@ -49,35 +49,12 @@ const HUGE_ROUNDS: u32 = 2;
 /// Bytes of quantized codes above which a search is bound by memory bandwidth.
 const BEYOND_CACHES: u64 = 300 << 20;
 
-/// Output of `memory-proc profile`, reduced to what is used here.
-#[derive(Debug, Deserialize)]
-pub(crate) struct Line {
-    pub(crate) batch: usize,
-    pub(crate) searching: Option<usize>,
-    pub(crate) real: u32,
-    pub(crate) latency_ns: Latency,
-    pub(crate) bytes_per_s: Option<f64>,
-    pub(crate) recall_at_10: f64,
-}
-
-#[derive(Debug, Deserialize)]
-pub(crate) struct Latency {
-    pub(crate) p50: u64,
-}
-
-impl Line {
-    /// Median duration of a batch.
-    pub(crate) fn seconds(&self) -> f64 {
-        self.latency_ns.p50 as f64 / 1e9
-    }
-}
-
 /// Measurement of one memory by `memory-proc profile`.
 pub(crate) fn profile(
     session: &Session<'_>,
     (entries, dimension): (u32, u32),
     flags: &[&str],
-) -> Result<Vec<Line>> {
+) -> Result<Vec<SearchMeasurement>> {
     let mut command = Command::new(session.program("memory-proc")?);
     command
         .args(["profile", "--entries", &entries.to_string()])

@@ -13,11 +13,12 @@ from pathlib import Path
 
 import iceoryx2 as iox2
 
-WIRE_VERSION = 6
-ROLES = ("orchestrator", "sim", "memory", "policy")
+WIRE_VERSION = 7
+ROLES = ("orchestrator", "sim", "memory", "policy", "external-memory")
 POLICY = ROLES.index("policy")
 FORWARD, TURN_LEFT, NO_ACTION = 0, 4, 255
 BLOCKED, ACTED = 3, 0
+STEPS = 1  # the kind of item that has its steps in the message
 NOT_MEASURED = 2**32 - 1
 PAGE_BYTES = 4096
 U8, U32, U64, F32 = ctypes.c_uint8, ctypes.c_uint32, ctypes.c_uint64, ctypes.c_float
@@ -39,22 +40,25 @@ def struct(name, size, fields):
 
 
 WirePose = struct("WirePose", 4, "x: u8, y: u8, heading: u8, reserved: u8")
+RecalledItem = struct("RecalledItem", 32, """document: u64, distance: f32, first_step: u32, steps: u32, first_byte: u32,
+    bytes: u32, kind: u8, whole: u8, reserved: u8 x 2""")
 SegmentStep = struct("SegmentStep", 16, "frame: u64, action: u8, reserved: u8 x 7")
 FrameHeader = struct("FrameHeader", 32, "id: u64, width: u32, height: u32, content_hash: u8 x 16")
 Page = struct("Page", PAGE_BYTES, "pixels: u8 x 4096")
 DocumentHeader = struct("DocumentHeader", 24, "id: u64, episode: u64, lane: u32, kind: u32")
 Eviction = struct("Eviction", 8, "frame: u64")
 Stop = struct("Stop", 8, "reserved: u64")
-Handshake = struct("Handshake", 512, "wire_version: u32, role: u32, pid: u32, facts_len: u32, facts: u8 x 496")
-ShutdownReport = struct("ShutdownReport", 48, """role: u32, reserved: u32, frames_rendered: u64,
+Handshake = struct("Handshake", 512, """wire_version: u32, role: u32, pid: u32, facts_len: u32,
+    external: u32, facts: u8 x 492""")
+ShutdownReport = struct("ShutdownReport", 48, """role: u32, external: u32, frames_rendered: u64,
     frames_evicted: u64, frames_received: u64, pixel_bytes_copied: u64, error_reports: u64""")
 PolicyEpisodeConfig = struct("PolicyEpisodeConfig", 264, """episode: u64, seed: u64, lane: u32, instruction_len: u32,
     repeat: u32, starts_as_demonstrated: u8, window: u8, reserved: u8 x 2, instruction: u8 x 232""")
 Observation = struct("Observation", 72, """episode: u64, frame: u64, commanded_ns: u64, woken_ns: u64,
     stepped_ns: u64, rendered_ns: u64, sent_ns: u64, lane: u32, step: u32, pose: WirePose, feedback: u8, action: u8,
     last: u8, reserved: u8""")
-Recall = struct("Recall", 592, """episode: u64, received_ns: u64, sent_ns: u64, lane: u32, step: u32, distance: f32,
-    segment_len: u32, documents_len: u32, reserved: u32, documents: u64 x 4, segment: SegmentStep x 32""")
+Recall = struct("Recall", 1064, """episode: u64, received_ns: u64, sent_ns: u64, lane: u32, step: u32, items_len: u32,
+    steps_len: u32, items: RecalledItem x 8, steps: SegmentStep x 48""")
 Decision = struct("Decision", 112, """episode: u64, received_ns: u64, started_ns: u64, prompted_ns: u64, sent_ns: u64,
     decided_ns: u64, lane: u32, step: u32, prompt_tokens: u32, completion_tokens: u32, cached_tokens: u32,
     image_tokens: u32, memory_tokens: u32, images_asked: u32, images: u32, attempts: u32, outcome: u8, action: u8,
@@ -73,7 +77,9 @@ class Run:
         config = iox2.config.default()
         config.global_cfg.prefix = iox2.FileName.new(attach["prefix"])
         config.global_cfg.root_path = iox2.Path.new(str(folder))
-        config.defaults.publish_subscribe.subscriber_expired_connection_buffer = 16
+        # External memories send and receive some messages, too.
+        self.memories = len(attach.get("external_memories", ()))
+        config.defaults.publish_subscribe.subscriber_expired_connection_buffer = 4 * (4 + self.memories)
         self.node = iox2.NodeBuilder.new().config(config).create(iox2.ServiceType.Ipc)
         self.generation = attach["generation"]
         lanes, capacity = attach["lanes"], attach["frame_capacity"]
@@ -82,20 +88,20 @@ class Run:
 
         self.listener = self.events("policy").listener_builder().create()
         self.orchestrator = self.events("orchestrator").notifier_builder().create()
-        self.handshake = self.service("handshake", Handshake, 3, 1, "few")
+        self.handshake = self.service("handshake", Handshake, 3 + self.memories, 1, "few")
         self.decisions = publisher(self.service("decision", Decision, 1, 1, "lanes"))
-        self.shutdown_reports = publisher(self.service("shutdown-report", ShutdownReport, 3, 1, "few"))
+        self.shutdown_reports = publisher(self.service("shutdown-report", ShutdownReport, 3 + self.memories, 1, "few"))
         subscribe = lambda *service: self.service(*service).subscriber_builder().create()
         self.configs = subscribe("policy-config", PolicyEpisodeConfig, 1, 1, "lanes")
         self.observations = subscribe("observation", Observation, 1, 3, "lanes")
         self.recalls = subscribe("recall", Recall, 1, 1, "lanes")
-        self.stops = subscribe("stop", Stop, 1, 3, "few")
-        self.evictions = subscribe("eviction", Eviction, 1, 2, "frames")
+        self.stops = subscribe("stop", Stop, 1, 3 + self.memories, "few")
+        self.evictions = subscribe("eviction", Eviction, 1, 2 + self.memories, "frames")
         frames = self.builder("frame").publish_subscribe(iox2.Slice[Page]).user_header(FrameHeader)
         frames = frames.payload_alignment(iox2.Alignment.new(PAGE_BYTES))
-        self.frames = create(frames, 1, 2, chunks, chunks).subscriber_builder().create()
+        self.frames = create(frames, 1, 2 + self.memories, chunks, chunks).subscriber_builder().create()
         documents = self.builder("document").publish_subscribe(iox2.Slice[U8]).user_header(DocumentHeader)
-        self.documents = create(documents, 1, 1, 1, 2 * lanes + 64).subscriber_builder().create()
+        self.documents = create(documents, 1, 1, 1, 4 * lanes + 64).subscriber_builder().create()
 
     def builder(self, name):
         return self.node.service_builder(iox2.ServiceName.new(f"{self.generation}/{name}"))
@@ -104,15 +110,16 @@ class Run:
         return create(self.builder(name).publish_subscribe(message), senders, receivers, 1, self.queues[queue])
 
     def events(self, role):
-        events = self.builder(f"event/{role}").event().max_listeners(1).max_notifiers(4).max_nodes(5)
-        return events.event_id_max_value(0).open_or_create()
+        notifiers = 4 + self.memories
+        events = self.builder(f"event/{role}").event().max_listeners(1).max_notifiers(notifiers)
+        return events.max_nodes(notifiers + 1).event_id_max_value(0).open_or_create()
 
     def shake_hands(self):
         facts = json.dumps({"policy": "wire-witness"}).encode()
         while self.handshake.dynamic_config.number_of_subscribers == 0:
             time.sleep(0.001)
         self.handshakes = publisher(self.handshake)
-        send(self.handshakes, Handshake(WIRE_VERSION, POLICY, os.getpid(), len(facts), (U8 * 496)(*facts)))
+        send(self.handshakes, Handshake(WIRE_VERSION, POLICY, os.getpid(), len(facts), 0, (U8 * 492)(*facts)))
         self.orchestrator.notify()
 
     def serve(self):
@@ -159,8 +166,11 @@ class Run:
             action=action, **dict.fromkeys(unknown, NOT_MEASURED)))
 
     def decide(self, observation, recall, frame):
-        if recall.segment_len and recall.segment[0].action != NO_ACTION:
-            return recall.segment[0].action
+        for item in recall.items[:recall.items_len]:
+            if item.kind == STEPS and item.first_step < recall.steps_len:
+                first = recall.steps[item.first_step]
+                if first.action != NO_ACTION:
+                    return first.action
         # The pixels are shared memory: only the row on the horizon is copied.
         header = FrameHeader.from_address(frame.user_header_ptr)
         start = 4 * header.width * (header.height // 2)

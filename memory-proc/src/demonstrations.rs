@@ -6,7 +6,9 @@
 //! Memories are built from demonstrations only. Only [`Start::DEMONSTRATIONS`] are replayed: the two test references
 //! never get into a memory, whatever a set of cases contains.
 
-use domain::{Action, Pose};
+use std::collections::HashSet;
+
+use domain::{Action, Feedback, Pose};
 use warehouse::{CaseSet, Demonstrations, History, Start, Warehouse};
 
 /// A replayed demonstration.
@@ -16,8 +18,12 @@ pub struct Demonstration {
     pub case: u32,
     /// Its number in that case: 0 original, 1 opposite, 2 nearby, 3 distant.
     pub number: u16,
+    /// Its task.
+    pub instruction: String,
     /// The expert's pose after `t` steps.
     pub poses: Vec<Pose>,
+    /// The feedback to action `t - 1`; [`Feedback::Start`] first.
+    pub feedback: Vec<Feedback>,
     /// Sub-goals completed after `t` steps.
     pub stages: Vec<u32>,
     /// Action `t` leads from pose `t` to pose `t + 1`: one fewer than poses.
@@ -34,19 +40,40 @@ pub fn selected(
     selection: u32,
 ) -> Option<Vec<Demonstration>> {
     cases.cases.get(index as usize)?;
+    let histories = cases.histories(index as usize, Demonstrations::from_bits(selection)?);
+    histories.into_iter().map(|history| replayed(warehouse, cases, history)).collect()
+}
+
+/// Replays the demonstrations that a set names for any case, each once, in the order of the cases. `None` as for
+/// [`selected`].
+pub fn of_all_cases(
+    warehouse: &Warehouse,
+    cases: &CaseSet,
+    selection: u32,
+) -> Option<Vec<Demonstration>> {
     let selection = Demonstrations::from_bits(selection)?;
-    let replayed = |History { case, start }| {
-        let of = cases.cases.get(case).filter(|_| Start::DEMONSTRATIONS.contains(&start))?;
-        let replay = of.replay(warehouse, start);
-        Some(Demonstration {
-            case: case as u32,
-            number: start as u16,
-            poses: replay.poses,
-            stages: replay.stages,
-            actions: of.trajectory(start).actions.clone(),
-        })
-    };
-    cases.histories(index as usize, selection).into_iter().map(replayed).collect()
+    let mut known = HashSet::new();
+    let histories = (0..cases.cases.len()).flat_map(|case| cases.histories(case, selection));
+    let each_once = histories.filter(|history| known.insert(*history));
+    each_once.map(|history| replayed(warehouse, cases, history)).collect()
+}
+
+fn replayed(
+    warehouse: &Warehouse,
+    cases: &CaseSet,
+    History { case, start }: History,
+) -> Option<Demonstration> {
+    let of = cases.cases.get(case).filter(|_| Start::DEMONSTRATIONS.contains(&start))?;
+    let replay = of.replay(warehouse, start);
+    Some(Demonstration {
+        case: case as u32,
+        number: start as u16,
+        instruction: of.task.instruction(&warehouse.catalogue),
+        poses: replay.poses,
+        feedback: replay.feedback,
+        stages: replay.stages,
+        actions: of.trajectory(start).actions.clone(),
+    })
 }
 
 #[cfg(test)]

@@ -5,6 +5,7 @@
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
+use std::sync::Arc;
 
 use anyhow::Context;
 use documents::{DocumentFolder, DocumentName};
@@ -14,14 +15,14 @@ use shm_types::documents::Content;
 use shm_types::message::DocumentId;
 use warehouse::Demonstrations;
 
-use crate::representation::DocumentSupplier;
+use crate::items::DocumentSupplier;
 
 /// Reads documents from a run's folder and publishes them.
 #[derive(Debug)]
 pub struct DocumentLoader {
     folder: Option<DocumentFolder>,
     publisher: DocumentPublisher,
-    published: BTreeMap<DocumentName, DocumentId>,
+    published: BTreeMap<DocumentName, (Arc<str>, DocumentId)>,
 }
 
 impl DocumentLoader {
@@ -40,10 +41,10 @@ impl DocumentSupplier for DocumentLoader {
         &mut self,
         kind: DocumentKind,
         demonstrations: Demonstrations,
-    ) -> anyhow::Result<DocumentId> {
+    ) -> anyhow::Result<Arc<str>> {
         let name = DocumentName { kind, demonstrations };
-        if let Some(&id) = self.published.get(&name) {
-            return Ok(id);
+        if let Some((text, _)) = self.published.get(&name) {
+            return Ok(text.clone());
         }
         let folder = self.folder.as_ref().with_context(|| {
             format!(
@@ -54,14 +55,21 @@ impl DocumentSupplier for DocumentLoader {
             let kind = kind.word();
             format!("document {name} (`memtransfer memory build --kind {kind} --demos {demonstrations}` builds it)")
         })?;
-        let text = document.text;
+        let (kept, text): (Arc<str>, _) = (document.text.as_str().into(), document.text);
         let content = match kind {
             DocumentKind::Semantic => Content::Semantic(text),
-            // A file of trajectories is not loaded.
-            DocumentKind::Summary | DocumentKind::Trajectories => Content::Summary(text),
+            // No file holds anything else.
+            DocumentKind::Summary | DocumentKind::Trajectories | DocumentKind::Note => {
+                Content::Summary(text)
+            }
         };
         let id = self.publisher.publish(None, &content)?;
-        self.published.insert(name, id);
-        Ok(id)
+        self.published.insert(name, (kept.clone(), id));
+        Ok(kept)
+    }
+
+    fn published(&self, text: &Arc<str>) -> Option<DocumentId> {
+        let same = |(known, id): &(Arc<str>, DocumentId)| Arc::ptr_eq(known, text).then_some(*id);
+        self.published.values().find_map(same)
     }
 }

@@ -1,23 +1,31 @@
 //! All lanes of a run: which of them can be answered, and what the others wait for.
 //!
 //! The engine takes messages and finished embeddings in any order and returns what to send and what to embed next. It
-//! never waits: a lane whose views or embeddings are missing stays pending while others are answered. Its answers depend
-//! on the messages only, not on their timing or on other lanes.
+//! never waits: a lane whose views, embeddings or external memory are not ready stays pending while others are answered.
+//! Its answers depend on the messages only, not on their timing or on other lanes.
 //!
 //! Its only input and output is the embedding cache's file; [`crate::serve`] connects it to the bus, the encoder and the
 //! documents.
 
 use std::collections::{BTreeSet, HashSet, VecDeque};
+use std::sync::Arc;
 
 use domain::Pose;
+use shm_types::Note;
 use shm_types::message::{
-    FrameId, MemoryEpisodeConfig, Observation, Recall, RecallTrace, ViewRequest,
+    ExternalAnswer, ExternalBuilt, FrameId, MemoryEpisodeConfig, Observation, Recall, RecallTrace,
+    ViewRequest,
 };
 use warehouse::{CaseSet, Warehouse};
 
+use crate::bank::KnownView;
 use crate::embedding_cache::{CacheError, EmbeddingCache};
-use crate::episode::{MemoryEpisode, PendingObservation, Unusable, unusable};
-use crate::representation::{DocumentSupplier, StoredView};
+use crate::episode::{
+    EpisodeMemory, MemoryAnswer, MemoryEpisode, PendingObservation, PendingStage, Unusable,
+    unusable,
+};
+use crate::external::{BankState, Collecting, ExternalMemories, ToExternal, query_message};
+use crate::items::{Assembler, DocumentSupplier};
 use crate::views::{Arrival, PinnedView, PinnedViews};
 use search::{ContentHash, Embedding};
 
@@ -28,15 +36,23 @@ pub struct Engine<I> {
     lanes: Vec<EngineLane>,
     /// Lanes with a pending observation.
     pending: BTreeSet<u32>,
-    views: PinnedViews<I>,
+    views: EmbeddedViews<I>,
     /// Episodes whose views have not been requested, by lane and number, in order of arrival.
     admission: VecDeque<(u32, u64)>,
-    embeddings: EmbeddingCache,
     /// Current views to embed, which observations wait for.
     urgent: VecDeque<(ContentHash, I)>,
+    in_flight: HashSet<ContentHash>,
+    externals: ExternalMemories,
+    /// Episodes that cannot go on.
+    failures: Vec<EpisodeFailure>,
+}
+
+/// Demonstration views in the frame store, and embeddings.
+struct EmbeddedViews<I> {
+    pinned: PinnedViews<I>,
+    embeddings: EmbeddingCache,
     /// Poses of demonstration views to embed.
     background: VecDeque<Pose>,
-    in_flight: HashSet<ContentHash>,
 }
 
 #[derive(Default)]
@@ -47,6 +63,90 @@ struct EngineLane {
     next: Option<MemoryEpisode>,
 }
 
+/// What an episode cannot go on for.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct EpisodeFailure {
+    /// Its lane.
+    pub lane: u32,
+    /// The episode.
+    pub episode: u64,
+    /// The reason.
+    pub why: String,
+}
+
+/// What has become of a pending observation.
+pub(crate) enum LaneProgress {
+    /// It waits.
+    Waiting,
+    /// It is answered.
+    Answered(Box<(Recall, RecallTrace)>),
+    /// Its episode cannot go on.
+    Failed(String),
+    /// There is none.
+    Gone,
+}
+
+impl<I: Clone> EmbeddedViews<I> {
+    /// A view, once it is in the frame store, and embedded if `embeds`.
+    fn known(&self, pose: Pose, embeds: bool) -> Option<KnownView> {
+        let &PinnedView { frame, content, .. } = self.pinned.get(pose)?;
+        let embedding = embeds.then(|| self.embeddings.get(&content).cloned());
+        match embedding {
+            Some(None) => None,
+            embedding => Some(KnownView { frame, content, embedding: embedding.flatten() }),
+        }
+    }
+
+    /// Whether all of `poses` are [known](Self::known); `ready` counts those that are, the first ones.
+    fn are_known(&self, poses: &[Pose], ready: &mut usize, embeds: bool) -> bool {
+        let is_known = |&pose: &Pose| {
+            let view = self.pinned.get(pose);
+            view.is_some_and(|view| !embeds || self.embeddings.get(&view.content).is_some())
+        };
+        *ready += poses[*ready..].iter().take_while(|pose| is_known(pose)).count();
+        *ready == poses.len()
+    }
+
+    /// Pins the views of all `poses`, or of none; returns whether there was room. `embeds`: they have to be embedded.
+    fn try_pin(&mut self, poses: &[Pose], embeds: bool) -> bool {
+        if !self.pinned.try_pin(poses, embeds) {
+            return false;
+        }
+        if embeds {
+            // Views that are there already and have not been embedded for others.
+            let known = |pose: &Pose| self.pinned.get(*pose);
+            let is_new = |pose: &&Pose| {
+                known(pose).is_some_and(|view| self.embeddings.get(&view.content).is_none())
+            };
+            self.background.extend(poses.iter().filter(is_new));
+        }
+        true
+    }
+
+    /// Pins further views of a bank if it is `wanted`, and takes those that are embedded.
+    fn collect(&mut self, collecting: &mut Collecting, wanted: bool) {
+        let mut still = Vec::new();
+        for pose in std::mem::take(&mut collecting.pinned) {
+            match self.known(pose, true) {
+                None => still.push(pose),
+                Some(view) => {
+                    collecting.found.insert(pose, view);
+                    self.pinned.release(&[pose]);
+                }
+            }
+        }
+        collecting.pinned = still;
+        while wanted
+            && collecting.has_room()
+            && let Some(&pose) = collecting.waiting.front()
+            && self.try_pin(&[pose], true)
+        {
+            collecting.waiting.pop_front();
+            collecting.pinned.push(pose);
+        }
+    }
+}
+
 impl<I: Clone> Engine<I> {
     /// Creates an engine for `lanes` lanes, with room for `views` demonstration views.
     pub fn new(
@@ -55,18 +155,20 @@ impl<I: Clone> Engine<I> {
         lanes: u32,
         views: usize,
         embeddings: EmbeddingCache,
+        externals: ExternalMemories,
     ) -> Self {
+        let pinned = PinnedViews::new(views);
         Self {
             warehouse,
             cases,
             lanes: (0..lanes).map(|_| EngineLane::default()).collect(),
             pending: BTreeSet::new(),
-            views: PinnedViews::new(views),
+            views: EmbeddedViews { pinned, embeddings, background: VecDeque::new() },
             admission: VecDeque::new(),
-            embeddings,
             urgent: VecDeque::new(),
-            background: VecDeque::new(),
             in_flight: HashSet::new(),
+            externals,
+            failures: Vec::new(),
         }
     }
 
@@ -75,8 +177,10 @@ impl<I: Clone> Engine<I> {
     /// # Errors
     /// When a value in the message is invalid, or its views do not fit.
     pub fn config(&mut self, config: &MemoryEpisodeConfig) -> Result<(), Unusable> {
-        let episode = MemoryEpisode::announced(config, &self.warehouse, &self.cases)?;
-        let (needed, room) = (episode.builder.poses().len(), self.views.room());
+        let Self { externals, warehouse, cases, .. } = self;
+        let external = |set| externals.bank(config, set, warehouse, cases);
+        let episode = MemoryEpisode::announced(config, warehouse, cases, external)?;
+        let (needed, room) = (episode.poses().len(), self.views.pinned.room());
         if needed > room {
             return Err(unusable!(
                 "config of episode {}: its memory needs {needed} views and there is room for {room}: raise \
@@ -88,6 +192,9 @@ impl<I: Clone> Engine<I> {
         let lane = self.lanes.get_mut(config.lane as usize).ok_or_else(|| {
             unusable!("config of episode {}: lane {} of {lanes}", config.episode, config.lane)
         })?;
+        if let EpisodeMemory::External { bank, .. } = episode.memory {
+            self.externals.retain(bank);
+        }
         if let Some(dropped) = lane.next.replace(episode) {
             self.close(dropped);
         }
@@ -117,18 +224,32 @@ impl<I: Clone> Engine<I> {
         let running = &mut self.lanes[seen.lane as usize].running;
         if seen.last == 1 {
             let done = running.take_if(|running| running.id == seen.episode);
-            self.close(done.ok_or_else(unknown)?);
+            let mut done = done.ok_or_else(unknown)?;
+            self.pass_on_last(&mut done, seen);
+            self.close(done);
             return Ok(None);
         }
         let running = running.as_mut().filter(|running| running.id == seen.episode);
         let running = running.ok_or_else(unknown)?;
         running.observe(seen, &self.warehouse, &self.cases)?;
-        running.pending = Some(PendingObservation { received_ns, content: None });
-        if running.representation.matches_views() {
+        let stage = PendingStage::New;
+        running.pending = Some(PendingObservation { received_ns, content: None, stage });
+        if running.embeds {
             return Ok(Some(seen.frame));
         }
         self.pending.insert(seen.lane);
         Ok(None)
+    }
+
+    /// Passes on the last observation of an episode to its external memory, if that knows of the episode.
+    fn pass_on_last(&mut self, done: &mut MemoryEpisode, seen: &Observation) {
+        let EpisodeMemory::External { index, begun: true, .. } = done.memory else { return };
+        // What is wrong with the message changes nothing any more.
+        let _ = done.observe(seen, &self.warehouse, &self.cases);
+        if let Some(now) = &done.current {
+            let query = query_message(done, now, None, true);
+            self.externals.outbox.push((index, ToExternal::Query(query)));
+        }
     }
 
     /// Takes the current view of a lane.
@@ -137,7 +258,7 @@ impl<I: Clone> Engine<I> {
         let Some(pending) = running.and_then(|running| running.pending.as_mut()) else { return };
         pending.content = Some(content);
         self.pending.insert(lane);
-        if self.embeddings.get(&content).is_none() && !self.in_flight.contains(&content) {
+        if self.views.embeddings.get(&content).is_none() && !self.in_flight.contains(&content) {
             self.urgent.push_back((content, image));
         }
     }
@@ -153,9 +274,9 @@ impl<I: Clone> Engine<I> {
         content: ContentHash,
         image: I,
     ) -> Result<(), Unusable> {
-        match self.views.arrived(pose, PinnedView { frame, content, image }) {
-            Arrival::Needed { embedded: true } if self.embeddings.get(&content).is_none() => {
-                self.background.push_back(pose);
+        match self.views.pinned.arrived(pose, PinnedView { frame, content, image }) {
+            Arrival::Needed { embedded: true } if self.views.embeddings.get(&content).is_none() => {
+                self.views.background.push_back(pose);
             }
             Arrival::Needed { .. } => {}
             // That leaves room for another.
@@ -167,6 +288,137 @@ impl<I: Clone> Engine<I> {
         Ok(())
     }
 
+    /// Takes a note of an external memory, which its next answer may name.
+    ///
+    /// # Errors
+    /// When it names a lane that does not exist.
+    pub fn external_note(&mut self, index: u8, note: Note) -> Result<(), Unusable> {
+        self.externals.take_note(index, self.lanes.len() as u32, note)
+    }
+
+    /// Takes the message that an external memory has built itself from a bank.
+    ///
+    /// # Errors
+    /// When that is not expected.
+    pub fn external_built(&mut self, index: u8, message: &ExternalBuilt) -> Result<(), Unusable> {
+        let outcome = self.externals.built(index, message)?;
+        self.finish_bank(message.bank, outcome);
+        Ok(())
+    }
+
+    /// Takes the answer of an external memory. An invalid answer costs the episode that it belongs to.
+    ///
+    /// # Errors
+    /// When it belongs to no running episode of that memory.
+    pub fn external_answer(
+        &mut self,
+        index: u8,
+        message: &ExternalAnswer,
+        now_ns: u64,
+    ) -> Result<(), Unusable> {
+        let &ExternalAnswer { lane, episode, step, .. } = message;
+        let items = self.externals.items(index, message);
+        let name = self.externals.name(index);
+        let place = self.lanes.get_mut(lane as usize).and_then(|lane| lane.running.as_mut());
+        let is_its_own = |running: &&mut MemoryEpisode| {
+            let of = match running.memory {
+                EpisodeMemory::External { index, .. } => Some(index),
+                EpisodeMemory::BuiltIn { .. } => None,
+            };
+            running.id == episode && of == Some(index)
+        };
+        let Some(running) = place.filter(is_its_own) else {
+            return Err(unusable!(
+                "answer of external memory {name} for episode {episode} in lane {lane}, which is no running episode \
+                 of it"
+            ));
+        };
+        let now = running.current.as_ref().map_or(0, |now| now.step);
+        let Some(pending) = &running.pending else {
+            return Err(unusable!(
+                "answer of external memory {name} for step {step} of episode {episode}, after it was answered or given up"
+            ));
+        };
+        let asked = match pending.stage {
+            PendingStage::Asked { since_ns } if now == step => Some(since_ns),
+            _ => None,
+        };
+        let checked = match asked {
+            None => Err(format!("it answers step {step}, and the last question was step {now}")),
+            Some(since_ns) => {
+                items.and_then(|items| running.checked(items)).map(|checked| (checked, since_ns))
+            }
+        };
+        match checked {
+            Ok((checked, embedded_ns)) => {
+                let bank_bytes = match running.memory {
+                    EpisodeMemory::External { bank, .. } => self.externals.store_bytes(bank),
+                    EpisodeMemory::BuiltIn { .. } => 0,
+                };
+                let store_bytes =
+                    if message.store_bytes == 0 { bank_bytes } else { message.store_bytes };
+                let method_ns = message.sent_ns.saturating_sub(message.received_ns);
+                let answer = MemoryAnswer {
+                    checked,
+                    embedded_ns,
+                    searched_ns: now_ns,
+                    method_ns: method_ns.min(now_ns.saturating_sub(embedded_ns)),
+                    store_bytes,
+                    tokens: message.tokens,
+                    pinned: false,
+                };
+                if let Some(pending) = &mut running.pending {
+                    pending.stage = PendingStage::Answered(Box::new(answer));
+                    self.pending.insert(lane);
+                }
+            }
+            Err(why) => {
+                let why = format!("external memory {name}, step {step}: {why}");
+                self.fail(lane, why);
+            }
+        }
+        Ok(())
+    }
+
+    /// A message could not be sent to an external memory: what waits for it fails.
+    pub fn external_unreachable(&mut self, index: u8, message: &ToExternal, why: &str) {
+        let why = format!("external memory {}: {why}", self.externals.name(index));
+        match message {
+            ToExternal::Bank(id, _) => self.finish_bank(*id, Err(why)),
+            ToExternal::TakeBack(_) => {}
+            ToExternal::Episode(message) => self.fail_episode(message.lane, message.episode, why),
+            ToExternal::Query(message) => self.fail_episode(message.lane, message.episode, why),
+        }
+    }
+
+    fn fail_episode(&mut self, lane: u32, episode: u64, why: String) {
+        let running = self.lanes.get(lane as usize).and_then(|lane| lane.running.as_ref());
+        if running.is_some_and(|running| running.id == episode) {
+            self.fail(lane, why);
+        }
+    }
+
+    /// The running episode of a lane gets no answer.
+    fn fail(&mut self, lane: u32, why: String) {
+        self.pending.remove(&lane);
+        let running = self.lanes.get_mut(lane as usize).and_then(|lane| lane.running.as_mut());
+        if let Some(running) = running
+            && running.pending.take().is_some()
+        {
+            self.failures.push(EpisodeFailure { lane, episode: running.id, why });
+        }
+    }
+
+    /// The episodes that cannot go on, since the last call.
+    pub fn take_failures(&mut self) -> Vec<EpisodeFailure> {
+        std::mem::take(&mut self.failures)
+    }
+
+    /// The messages to external memories that have arisen since the last call, in order.
+    pub fn take_external_messages(&mut self) -> Vec<(u8, ToExternal)> {
+        self.externals.take_messages()
+    }
+
     /// The next image to embed: current views first.
     pub fn next_image(&mut self) -> Option<(ContentHash, I)> {
         while let Some((content, image)) = self.urgent.pop_front() {
@@ -174,8 +426,8 @@ impl<I: Clone> Engine<I> {
                 return Some((content, image));
             }
         }
-        while let Some(pose) = self.background.pop_front() {
-            let view = self.views.get(pose).map(|view| (view.content, view.image.clone()));
+        while let Some(pose) = self.views.background.pop_front() {
+            let view = self.views.pinned.get(pose).map(|view| (view.content, view.image.clone()));
             if let Some((content, image)) = view
                 && self.start_embedding(content)
             {
@@ -187,16 +439,16 @@ impl<I: Clone> Engine<I> {
 
     /// Number of images that wait for their embeddings, including those in progress.
     pub fn waiting(&self) -> usize {
-        self.urgent.len() + self.background.len() + self.in_flight.len()
+        self.urgent.len() + self.views.background.len() + self.in_flight.len()
     }
 
     /// Number of demonstration views that are pinned, and that may be.
     pub fn pinned_views(&self) -> (usize, usize) {
-        (self.views.len(), self.views.room())
+        (self.views.pinned.len(), self.views.pinned.room())
     }
 
     fn start_embedding(&mut self, content: ContentHash) -> bool {
-        self.embeddings.get(&content).is_none() && self.in_flight.insert(content)
+        self.views.embeddings.get(&content).is_none() && self.in_flight.insert(content)
     }
 
     /// Takes the embedding of an image from [`Self::next_image`].
@@ -209,7 +461,7 @@ impl<I: Clone> Engine<I> {
         embedding: Embedding,
     ) -> Result<(), CacheError> {
         self.in_flight.remove(&content);
-        self.embeddings.insert(content, embedding)
+        self.views.embeddings.insert(content, embedding)
     }
 
     /// Writes new embeddings to the cache's file if a batch is due.
@@ -217,45 +469,125 @@ impl<I: Clone> Engine<I> {
     /// # Errors
     /// As [`Self::add_embedding`].
     pub fn write_embeddings(&mut self) -> Result<(), CacheError> {
-        self.embeddings.write_if_due()
+        self.views.embeddings.write_if_due()
     }
 
     /// Answers every lane that can be answered, in the order of lanes. The documents that answers name have been published.
     ///
     /// # Errors
-    /// When a document is missing or cannot be published.
+    /// When a document is missing or cannot be published, or a built-in memory fails.
     pub fn answers(
         &mut self,
         clock: impl Fn() -> u64,
         documents: &mut dyn DocumentSupplier,
     ) -> anyhow::Result<Vec<(Recall, RecallTrace)>> {
+        self.build_banks(&clock);
         let mut answers = Vec::new();
         for lane in std::mem::take(&mut self.pending) {
-            let Self { lanes, views, embeddings, .. } = self;
-            // The episode may have ended without an answer.
-            let Some(episode) = &mut lanes[lane as usize].running else { continue };
-            let Some(PendingObservation { content, .. }) = episode.pending else { continue };
-            let embedding = content.and_then(|content| embeddings.get(&content));
-            let compares = episode.representation.matches_views();
-            let view = |pose| {
-                let PinnedView { frame, content, .. } = views.get(pose)?;
-                let embedding = embeddings.get(content).filter(|_| compares).cloned();
-                let is_ready = embedding.is_some() || !compares;
-                is_ready.then_some(StoredView { frame: *frame, content: *content, embedding })
-            };
-            let is_seen = embedding.is_some() || content.is_none();
-            if is_seen && episode.admitted && episode.is_built(view, documents)? {
-                answers.extend(episode.answer(embedding, &clock));
-            } else {
-                self.pending.insert(lane);
+            match self.advance(lane, &clock, documents)? {
+                LaneProgress::Waiting => drop(self.pending.insert(lane)),
+                LaneProgress::Answered(messages) => answers.push(*messages),
+                LaneProgress::Failed(why) => self.fail(lane, why),
+                LaneProgress::Gone => {}
             }
         }
+        self.admit();
         Ok(answers)
+    }
+
+    /// Gets the pending observation of a lane as far as it can get now.
+    fn advance(
+        &mut self,
+        lane: u32,
+        clock: impl Fn() -> u64,
+        documents: &mut dyn DocumentSupplier,
+    ) -> anyhow::Result<LaneProgress> {
+        let Self { lanes, views, externals, .. } = self;
+        // The episode may have ended without an answer.
+        let Some(episode) = &mut lanes[lane as usize].running else {
+            return Ok(LaneProgress::Gone);
+        };
+        let Some(pending) = &episode.pending else { return Ok(LaneProgress::Gone) };
+        match pending.stage {
+            PendingStage::Answered(_) => {}
+            PendingStage::Asked { since_ns } => {
+                return Ok(externals.wait(episode, since_ns, clock()));
+            }
+            PendingStage::New => {
+                let embedding = pending.content.map(|content| views.embeddings.get(&content));
+                if embedding == Some(None) || !episode.admitted {
+                    return Ok(LaneProgress::Waiting);
+                }
+                let embedding = embedding.flatten();
+                if let EpisodeMemory::External { .. } = episode.memory {
+                    return Ok(externals.ask(episode, embedding, clock()));
+                }
+                let mut ready = episode.ready;
+                let is_ready = views.are_known(episode.poses(), &mut ready, episode.embeds);
+                episode.ready = ready;
+                if !is_ready {
+                    return Ok(LaneProgress::Waiting);
+                }
+                let embeds = episode.embeds;
+                let view = |pose| views.known(pose, embeds);
+                let answer = episode.ask_built_in(embedding, view, documents, &clock)?;
+                let Some(pending) = &mut episode.pending else { return Ok(LaneProgress::Gone) };
+                pending.stage = PendingStage::Answered(Box::new(answer));
+            }
+        }
+        supply(episode, views, clock, documents)
+    }
+
+    /// Gets the banks of external memories as far as they can get now.
+    fn build_banks(&mut self, clock: impl Fn() -> u64) {
+        for id in self.externals.unbuilt.iter().copied().collect::<Vec<_>>() {
+            let Self { externals, views, .. } = self;
+            let limit = externals.limits.build;
+            let Some(bank) = externals.banks.get_mut(&id) else { continue };
+            let (wanted, embeds, poses) = (bank.is_wanted(), bank.embeds, &bank.bank.poses);
+            match &mut bank.state {
+                BankState::Building { since_ns } => {
+                    if clock().saturating_sub(*since_ns) > limit.as_nanos() as u64 {
+                        let name = externals.name_of_bank(id);
+                        let why = format!(
+                            "external memory {name} was not built within {} s",
+                            limit.as_secs()
+                        );
+                        self.finish_bank(id, Err(why));
+                    }
+                }
+                BankState::Waiting { ready } if wanted => {
+                    if !bank.pins_bank {
+                        externals.publish(id, |_| None, clock());
+                    } else if views.are_known(poses, ready, embeds) {
+                        // Pinned until it is built, whatever becomes of the episodes.
+                        views.pinned.try_pin(poses, embeds);
+                        externals.publish(id, |pose| views.known(pose, embeds), clock());
+                    }
+                }
+                BankState::Collecting(collecting) => {
+                    views.collect(collecting, wanted);
+                    if collecting.is_complete() {
+                        let found = std::mem::take(&mut collecting.found);
+                        externals.publish(id, |pose| found.get(&pose).cloned(), clock());
+                    }
+                }
+                BankState::Waiting { .. } | BankState::Ready { .. } | BankState::Failed(_) => {}
+            }
+        }
+    }
+
+    /// Ends the building of a bank.
+    fn finish_bank(&mut self, id: u64, outcome: Result<u64, String>) {
+        if let Some(bank) = self.externals.finish(id, outcome) {
+            self.views.pinned.release(&bank.poses);
+            self.admit();
+        }
     }
 
     /// The view requests that have arisen since the last call.
     pub fn take_view_requests(&mut self) -> Vec<ViewRequest> {
-        self.views.take_requests()
+        self.views.pinned.take_requests()
     }
 
     /// Requests the views of announced episodes, in order, as long as there is room.
@@ -264,22 +596,10 @@ impl<I: Clone> Engine<I> {
             let lane = &mut self.lanes[lane as usize];
             let mut episodes = [&mut lane.running, &mut lane.next].into_iter().flatten();
             if let Some(episode) = episodes.find(|episode| episode.id == id) {
-                let (poses, embedded) =
-                    (episode.builder.poses(), episode.representation.matches_views());
-                if !self.views.try_pin(poses, embedded) {
+                if !self.views.try_pin(episode.poses(), episode.embeds) {
                     return;
                 }
                 episode.admitted = true;
-                if embedded {
-                    // Views that are there already and have not been embedded for other lanes.
-                    for &pose in poses {
-                        if let Some(view) = self.views.get(pose)
-                            && self.embeddings.get(&view.content).is_none()
-                        {
-                            self.background.push_back(pose);
-                        }
-                    }
-                }
             }
             self.admission.pop_front();
         }
@@ -288,10 +608,70 @@ impl<I: Clone> Engine<I> {
     /// Drops an episode that has left its lane.
     fn close(&mut self, episode: MemoryEpisode) {
         if episode.admitted {
-            self.views.release(episode.builder.poses());
-            self.admit();
+            self.views.pinned.release(episode.poses());
         }
+        self.views.pinned.release(&episode.recalled);
+        if let EpisodeMemory::External { bank, .. } = episode.memory {
+            self.externals.release(bank);
+        }
+        self.admit();
     }
+}
+
+/// Puts the recall for the answer to an episode's pending observation together, once the views that it names are resident.
+///
+/// # Errors
+/// When a document cannot be published.
+fn supply<I: Clone>(
+    episode: &mut MemoryEpisode,
+    views: &mut EmbeddedViews<I>,
+    clock: impl Fn() -> u64,
+    documents: &mut dyn DocumentSupplier,
+) -> anyhow::Result<LaneProgress> {
+    let Some(mut pending) = episode.pending.take() else { return Ok(LaneProgress::Gone) };
+    let PendingStage::Answered(answer) = &mut pending.stage else { return Ok(LaneProgress::Gone) };
+    let is_known = episode.last.as_ref().is_some_and(|last| Arc::ptr_eq(&last.0, &answer.checked));
+    if !is_known {
+        let poses = &answer.checked.poses;
+        if !episode.pins_bank && !answer.pinned {
+            let (needed, room) = (poses.len(), views.pinned.room());
+            if needed > room {
+                return Ok(LaneProgress::Failed(format!(
+                    "its memory names {needed} views and there is room for {room}: raise --frame-budget or lower \
+                     --memory-images"
+                )));
+            }
+            let mut is_pinned = views.try_pin(poses, false);
+            let earlier = std::mem::take(&mut episode.recalled);
+            views.pinned.release(&earlier);
+            if !is_pinned {
+                episode.last = None;
+                is_pinned = views.try_pin(poses, false);
+            }
+            if is_pinned {
+                episode.recalled.clone_from(poses);
+                answer.pinned = true;
+            }
+        }
+        let is_resident = (episode.pins_bank || answer.pinned)
+            && poses.iter().all(|&pose| views.pinned.get(pose).is_some());
+        if !is_resident {
+            episode.pending = Some(pending);
+            return Ok(LaneProgress::Waiting);
+        }
+        let mut assembler = Assembler {
+            bank: &episode.bank,
+            episode: (episode.lane, episode.id),
+            texts: &mut episode.texts,
+            documents,
+        };
+        let frame = |pose| views.pinned.get(pose).map(|view| view.frame);
+        let assembled = assembler.assemble(&answer.checked, frame)?;
+        episode.last = Some((answer.checked.clone(), assembled));
+    }
+    let Some((_, assembled)) = &episode.last else { return Ok(LaneProgress::Gone) };
+    let messages = episode.messages(pending.received_ns, answer, assembled, clock());
+    Ok(LaneProgress::Answered(Box::new(messages)))
 }
 
 #[cfg(test)]

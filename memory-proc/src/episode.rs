@@ -1,20 +1,22 @@
-//! A running episode: its memory, its progress and its pending observation.
+//! An episode: its memory, its progress, and its pending observation.
 
-use anyhow::Context;
-use domain::SegmentContent;
-use domain::{Action, Feedback, Pose, Representation};
-use shm_types::message::{MAX_DOCUMENTS, MAX_SEGMENT, NO_DOCUMENT, NO_FRAME};
+use std::sync::Arc;
+
+use anyhow::{Context, anyhow, bail};
+use bytemuck::Zeroable;
+use domain::{Action, Feedback, Pose, Representation, SegmentContent};
+use peer::memory::{Item, Memory, Query, Step};
+use search::{ContentHash, Embedding};
 use shm_types::message::{
-    MemoryEpisodeConfig, NO_ACTION, NOT_MEASURED, Observation, Recall, RecallTrace, SegmentStep,
+    EXTERNAL, FrameId, MAX_ITEMS, MAX_SEGMENT, MemoryEpisodeConfig, NO_ACTION, NO_FRAME,
+    NOT_MEASURED, Observation, Recall, RecallTrace,
 };
 use warehouse::{CaseSet, Demonstrations, Progress, Warehouse};
 
+use crate::bank::{Bank, BankSteps, KnownView};
 use crate::demonstrations;
-use crate::representation::{
-    DocumentSupplier, Memory, MemoryBuilder, MemorySpec, RecallQuery, RecalledItems,
-    RetrievedSegment, StoredView, StoredViews, memory_builder,
-};
-use search::{ContentHash, Embedding};
+use crate::items::{AssembledRecall, Budgets, CheckedAnswer, DocumentSupplier, PublishedTexts};
+use crate::representation::{MemorySettings, built_in};
 
 /// A message that cannot be used. The text names the value and what was expected.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -27,90 +29,167 @@ macro_rules! unusable {
 }
 pub(crate) use unusable;
 
+/// The memory that answers an episode's queries.
+pub(crate) enum EpisodeMemory {
+    /// A built-in one.
+    BuiltIn { representation: Representation, memory: BuiltInMemory },
+    /// The external memory with this index, with the bank that the episode remembers.
+    External {
+        index: u8,
+        bank: u64,
+        /// Whether it has been told that the episode begins.
+        begun: bool,
+    },
+}
+
+/// A built-in memory before and after it is built.
+pub(crate) enum BuiltInMemory {
+    Announced { settings: MemorySettings, set: Demonstrations },
+    Built(Box<dyn Memory>),
+}
+
 /// An observation whose recall has not been sent.
-#[derive(Debug, Clone, Copy)]
 pub(crate) struct PendingObservation {
     pub(crate) received_ns: u64,
     /// The current view; `None` if the memory does not use it.
     pub(crate) content: Option<ContentHash>,
+    pub(crate) stage: PendingStage,
+}
+
+/// How far the answer to an observation has got.
+pub(crate) enum PendingStage {
+    /// The memory has not been asked.
+    New,
+    /// An external memory was asked at this time.
+    Asked { since_ns: u64 },
+    /// The memory has answered.
+    Answered(Box<MemoryAnswer>),
+}
+
+/// A memory's answer.
+pub(crate) struct MemoryAnswer {
+    pub(crate) checked: Arc<CheckedAnswer>,
+    pub(crate) embedded_ns: u64,
+    pub(crate) searched_ns: u64,
+    pub(crate) method_ns: u64,
+    pub(crate) store_bytes: u64,
+    pub(crate) tokens: u32,
+    /// Whether the views that it names have been pinned for it.
+    pub(crate) pinned: bool,
 }
 
 pub(crate) struct MemoryEpisode {
     pub(crate) id: u64,
     pub(crate) lane: u32,
-    pub(crate) representation: Representation,
-    pub(crate) builder: Box<dyn MemoryBuilder>,
-    /// Whether its views are pinned.
+    pub(crate) memory: EpisodeMemory,
+    /// The demonstrations that the memory is built from.
+    pub(crate) bank: Arc<Bank>,
+    /// Whether all views of the bank are pinned while the episode runs.
+    pub(crate) pins_bank: bool,
+    /// Whether the memory uses embeddings.
+    pub(crate) embeds: bool,
+    /// Whether the views of the bank are pinned, if they have to be.
     pub(crate) admitted: bool,
-    /// The leading views of the builder that are ready; empty once the memory is built.
-    views: StoredViews,
-    memory: Option<Box<dyn Memory>>,
-    case: u32,
+    /// The first so many views of a pinned bank are ready.
+    pub(crate) ready: usize,
+    /// Views that are pinned for the last recall.
+    pub(crate) recalled: Vec<Pose>,
+    pub(crate) budgets: Budgets,
+    pub(crate) seed: u64,
+    pub(crate) repeat: u32,
+    pub(crate) case: u32,
+    pub(crate) instruction: String,
     /// The current step, from the first observation on.
-    current: Option<CurrentStep>,
+    pub(crate) current: Option<CurrentStep>,
     pub(crate) pending: Option<PendingObservation>,
+    /// The last answer and its recall: an equal answer has the same one.
+    pub(crate) last: Option<(Arc<CheckedAnswer>, AssembledRecall)>,
+    pub(crate) texts: PublishedTexts,
 }
 
-struct CurrentStep {
-    step: u32,
+/// The agent's state.
+pub(crate) struct CurrentStep {
+    pub(crate) step: u32,
+    pub(crate) pose: Pose,
+    pub(crate) feedback: Feedback,
+    pub(crate) action: Option<Action>,
+    pub(crate) frame: FrameId,
     progress: Progress,
 }
 
+/// What an external memory needs of an episode's bank.
+pub(crate) struct ExternalBank {
+    pub(crate) id: u64,
+    pub(crate) bank: Arc<Bank>,
+    pub(crate) pins_bank: bool,
+    pub(crate) embeds: bool,
+}
+
 impl MemoryEpisode {
-    /// The episode that a message announces.
+    /// The episode that a message announces. `external` finds the bank of an external memory.
     pub(crate) fn announced(
         config: &MemoryEpisodeConfig,
         warehouse: &Warehouse,
         cases: &CaseSet,
+        external: impl FnOnce(Demonstrations) -> Result<ExternalBank, Unusable>,
     ) -> Result<Self, Unusable> {
-        let MemoryEpisodeConfig { case, demonstrations, horizon, .. } = *config;
-        let representation = Representation::try_from(config.representation)
-            .map_err(|error| unusable!("config of episode {}: {error}", config.episode))?;
-        if usize::from(horizon) >= MAX_SEGMENT {
-            let most = MAX_SEGMENT - 1;
-            return Err(unusable!(
-                "config of episode {}: a horizon of {horizon}, but at most {most} fit into a recall",
-                config.episode
-            ));
-        }
-        let segment = SegmentContent::try_from(config.segment)
-            .map_err(|error| unusable!("config of episode {}: {error}", config.episode))?;
+        let MemoryEpisodeConfig { case, demonstrations, lane, .. } = *config;
+        let refused = |what: String| unusable!("config of episode {}: {what}", config.episode);
         let chosen = demonstrations::selected(warehouse, cases, case, demonstrations)
             .zip(Demonstrations::from_bits(demonstrations));
         let (chosen, set) = chosen.ok_or_else(|| {
-            unusable!(
-                "config of episode {}: case {case} with demonstrations {demonstrations:#b}, but there \
-                 are {} cases, and no such set for them; are both processes started with the same assets?",
-                config.episode,
+            refused(format!(
+                "case {case} with demonstrations {demonstrations:#b}, but there are {} cases, and no such set for \
+                 them; are both processes started with the same assets?",
                 cases.cases.len()
-            )
+            ))
         })?;
-        if chosen.is_empty() && representation.uses_demonstrations() {
-            let episode = config.episode;
-            return Err(unusable!(
-                "config of episode {episode}: {representation} memory of no demonstrations"
-            ));
-        }
-        let spec = MemorySpec {
-            episode: (config.lane, config.episode),
-            set,
-            demonstrations: chosen,
-            horizon: horizon.into(),
-            segment,
-            keyframes: config.keyframes.into(),
+        let none = chosen.is_empty();
+        let (memory, bank, pins_bank, embeds) = if config.representation == EXTERNAL {
+            if none {
+                return Err(refused("external memory of no demonstrations".to_owned()));
+            }
+            let ExternalBank { id, bank, pins_bank, embeds } =
+                external(set).map_err(|what| refused(what.0))?;
+            let memory = EpisodeMemory::External { index: config.external, bank: id, begun: false };
+            (memory, bank, pins_bank, embeds)
+        } else {
+            let representation = Representation::try_from(config.representation)
+                .map_err(|error| refused(error.to_string()))?;
+            if none && representation.uses_demonstrations() {
+                return Err(refused(format!("{representation} memory of no demonstrations")));
+            }
+            let settings = settings(config, representation).map_err(refused)?;
+            let embeds = representation.matches_views();
+            let memory = BuiltInMemory::Announced { settings, set };
+            let memory = EpisodeMemory::BuiltIn { representation, memory };
+            (memory, Arc::new(Bank::new(chosen)), embeds, embeds)
         };
         Ok(Self {
             id: config.episode,
-            lane: config.lane,
-            representation,
-            builder: memory_builder(representation, spec),
+            lane,
+            memory,
+            bank,
+            pins_bank,
+            embeds,
             admitted: false,
-            views: StoredViews::default(),
-            memory: None,
+            ready: 0,
+            recalled: Vec::new(),
+            budgets: Budgets { images: config.image_budget.into(), text: config.text_budget },
+            seed: config.seed,
+            repeat: config.repeat,
             case,
+            instruction: cases.cases[case as usize].task.instruction(&warehouse.catalogue),
             current: None,
             pending: None,
+            last: None,
+            texts: PublishedTexts::default(),
         })
+    }
+
+    /// The poses whose views have to be resident while the episode runs.
+    pub(crate) fn poses(&self) -> &[Pose] {
+        if self.pins_bank { &self.bank.poses } else { &[] }
     }
 
     /// Checks and takes the next observation.
@@ -124,11 +203,13 @@ impl MemoryEpisode {
         let broken =
             |what: String| unusable!("observation of episode {episode}, step {step}: {what}");
         let pose = Pose::try_from(seen.pose).map_err(|error| broken(error.to_string()))?;
-        Feedback::try_from(seen.feedback).map_err(|error| broken(error.to_string()))?;
-        if seen.action != NO_ACTION {
-            Action::try_from(seen.action).map_err(|error| broken(error.to_string()))?;
-        }
-        if frame == NO_FRAME {
+        let feedback =
+            Feedback::try_from(seen.feedback).map_err(|error| broken(error.to_string()))?;
+        let action = match seen.action {
+            NO_ACTION => None,
+            code => Some(Action::try_from(code).map_err(|error| broken(error.to_string()))?),
+        };
+        if frame == NO_FRAME && seen.last == 0 {
             return Err(broken("it names no frame".into()));
         }
         let expected = self.current.as_ref().map_or(0, |now| now.step + 1);
@@ -136,94 +217,169 @@ impl MemoryEpisode {
             return Err(broken(format!("expected step {expected}")));
         }
         let task = &cases.cases[self.case as usize].task;
-        let now = self.current.get_or_insert_with(|| CurrentStep {
-            step,
-            progress: Progress::new(warehouse, task, pose.cell),
-        });
+        let mut progress = match self.current.take() {
+            Some(now) => now.progress,
+            None => Progress::new(warehouse, task, pose.cell),
+        };
         if step > 0 {
-            now.progress.visit(pose.cell);
-            now.step = step;
+            progress.visit(pose.cell);
         }
+        self.current = Some(CurrentStep { step, pose, feedback, action, frame, progress });
         Ok(())
     }
 
-    /// Builds the memory if all its views are ready. Returns whether it is built.
+    /// Asks a built-in memory, which is built first if it has not been. The views of a pinned bank are ready; `embedding` is
+    /// that of the current view.
     ///
     /// # Errors
-    /// When a document is missing or cannot be published.
-    pub(crate) fn is_built(
-        &mut self,
-        view: impl Fn(Pose) -> Option<StoredView>,
-        documents: &mut dyn DocumentSupplier,
-    ) -> anyhow::Result<bool> {
-        if self.memory.is_none() {
-            let poses = self.builder.poses();
-            for &pose in &poses[self.views.len()..] {
-                let Some(view) = view(pose) else { return Ok(false) };
-                self.views.insert(pose, view);
-            }
-            let views = std::mem::take(&mut self.views);
-            let memory = self.builder.build(&views, documents);
-            let memory = memory.with_context(|| format!("{} memory", self.representation));
-            self.memory = Some(memory?);
-        }
-        Ok(true)
-    }
-
-    /// Answers the pending observation. The memory must be built; `embedding` is that of the current view.
-    pub(crate) fn answer(
+    /// When a document is missing, or the memory cannot be built or fails.
+    pub(crate) fn ask_built_in(
         &mut self,
         embedding: Option<&Embedding>,
+        view: impl Fn(Pose) -> Option<KnownView>,
+        documents: &mut dyn DocumentSupplier,
         clock: impl Fn() -> u64,
-    ) -> Option<(Recall, RecallTrace)> {
-        let (memory, now) = (self.memory.as_ref()?, self.current.as_ref()?);
-        let PendingObservation { received_ns, .. } = self.pending.take()?;
+    ) -> anyhow::Result<MemoryAnswer> {
+        let (EpisodeMemory::BuiltIn { representation, memory }, Some(now)) =
+            (&mut self.memory, &self.current)
+        else {
+            bail!("episode {} has no built-in memory, or has not begun", self.id);
+        };
+        let failed = format!("{representation} memory");
+        if let BuiltInMemory::Announced { settings, set } = memory {
+            let kinds = representation.describe().documents.iter();
+            let texts: anyhow::Result<_> =
+                kinds.map(|&kind| documents.consolidated(kind, *set)).collect();
+            settings.documents = texts.context(failed.clone())?;
+            let steps = match self.pins_bank {
+                true => self.bank.with_views(view).context("a view of the bank is missing")?,
+                false => BankSteps::without_views(&self.bank),
+            };
+            let mut built = built_in(*representation, settings);
+            built.build(&steps.demonstrations()).context(failed.clone())?;
+            *memory = BuiltInMemory::Built(built);
+        }
+        let BuiltInMemory::Built(memory) = memory else { bail!("{failed} has not been built") };
         let embedded_ns = clock();
-        let query = RecallQuery { embedding, stage: now.progress.stage(), elapsed: now.step };
-        let RecalledItems { segment: retrieved, documents: named } = memory.recall(&query);
+        let query = Query {
+            now: Step {
+                lane: self.lane,
+                episode: self.id,
+                step: now.step,
+                pose: now.pose,
+                last_action: now.action,
+                feedback: now.feedback,
+                frame: None,
+                embedding: embedding.map(Embedding::as_slice),
+                pinned: None,
+            },
+            instruction: &self.instruction,
+            window: &[],
+            image_budget: self.budgets.images,
+            text_budget: self.budgets.text,
+            stage: Some(now.progress.stage()),
+        };
+        let items = memory.recall(&query).context(failed.clone())?;
+        let store_bytes = memory.store_bytes().unwrap_or(0);
         let searched_ns = clock();
+        let checked = self.checked(items).map_err(|what| anyhow!("{failed}: {what}"))?;
+        Ok(MemoryAnswer {
+            checked,
+            embedded_ns,
+            searched_ns,
+            method_ns: 0,
+            store_bytes,
+            tokens: NOT_MEASURED,
+            pinned: false,
+        })
+    }
 
-        let mut segment: [SegmentStep; MAX_SEGMENT] = [bytemuck::Zeroable::zeroed(); MAX_SEGMENT];
-        let found = retrieved.as_ref().map_or(&[][..], |retrieved| &retrieved.segment);
-        segment[..found.len()].copy_from_slice(found);
-        let mut documents = [NO_DOCUMENT; MAX_DOCUMENTS];
-        documents[..named.len()].copy_from_slice(&named);
-        let distance = retrieved.as_ref().map_or(f32::NAN, |retrieved| retrieved.distance);
+    /// Checks the items of the memory's answer.
+    ///
+    /// # Errors
+    /// When an item cannot be supplied.
+    pub(crate) fn checked(&self, items: Vec<Item>) -> Result<Arc<CheckedAnswer>, String> {
+        match &self.last {
+            Some((last, _)) if last.is_of(&items) => Ok(last.clone()),
+            _ => CheckedAnswer::new(items, &self.bank, self.budgets).map(Arc::new),
+        }
+    }
 
-        let (episode, lane, step) = (self.id, self.lane, now.step);
-        let assembled_ns = clock();
+    /// The messages that answer the pending observation.
+    pub(crate) fn messages(
+        &self,
+        received_ns: u64,
+        answer: &MemoryAnswer,
+        assembled: &AssembledRecall,
+        assembled_ns: u64,
+    ) -> (Recall, RecallTrace) {
+        let (episode, lane) = (self.id, self.lane);
+        let step = self.current.as_ref().map_or(0, |now| now.step);
+        let &MemoryAnswer {
+            embedded_ns,
+            searched_ns,
+            method_ns,
+            store_bytes,
+            tokens,
+            ref checked,
+            ..
+        } = answer;
         let recall = Recall {
             episode,
             received_ns,
-            sent_ns: 0,
             lane,
             step,
-            distance,
-            segment_len: found.len() as u32,
-            documents_len: named.len() as u32,
-            reserved: 0,
-            documents,
-            segment,
+            items_len: assembled.items_len,
+            steps_len: assembled.steps_len,
+            items: assembled.items,
+            steps: assembled.steps,
+            ..Zeroable::zeroed()
         };
-        let (case, demonstration, index) = match retrieved {
-            Some(RetrievedSegment { case, demonstration, step, .. }) => (case, demonstration, step),
-            None => (NOT_MEASURED, u16::MAX, u16::MAX),
-        };
+        let (asked, supplied) = (checked.asked, checked.supplied);
         let trace = RecallTrace {
             episode,
             received_ns,
             embedded_ns,
             searched_ns,
             assembled_ns,
-            sent_ns: 0,
+            method_ns,
+            store_bytes,
             lane,
             step,
-            case,
-            demonstration,
-            index,
-            distance,
-            reserved: 0,
+            images_asked: asked.images,
+            images: supplied.images,
+            text_asked: asked.text,
+            text: supplied.text,
+            items_asked: asked.items,
+            items: supplied.items,
+            tokens,
+            sources_len: assembled.sources_len,
+            sources: assembled.sources,
+            ..Zeroable::zeroed()
         };
-        Some((recall, trace))
+        (recall, trace)
     }
+}
+
+/// The settings of a built-in memory.
+fn settings(
+    config: &MemoryEpisodeConfig,
+    representation: Representation,
+) -> Result<MemorySettings, String> {
+    let MemoryEpisodeConfig { horizon, hits, keyframes, .. } = *config;
+    if usize::from(horizon) >= MAX_SEGMENT {
+        let most = MAX_SEGMENT - 1;
+        return Err(format!("a horizon of {horizon}, but at most {most} fit into a recall"));
+    }
+    if representation.matches_views() && !(1..=MAX_ITEMS).contains(&hits.into()) {
+        return Err(format!("{hits} segments for a step, but must be 1 to {MAX_ITEMS}"));
+    }
+    let segment = SegmentContent::try_from(config.segment).map_err(|error| error.to_string())?;
+    Ok(MemorySettings {
+        horizon: horizon.into(),
+        segment,
+        hits: hits.into(),
+        keyframes: keyframes.into(),
+        documents: Vec::new(),
+    })
 }

@@ -1,15 +1,16 @@
 //! The memory: embeds frames, builds the representations, retrieves.
 //!
 //! - [`serve`] is the process in a run; [`engine`] knows what each lane waits for, [`episode`] is one of them;
-//! - [`representation`]: what is stored and what a step is supplied with, built from [`demonstrations`];
-//!   [`document_loader`] publishes documents;
-//! - [`encoder`] computes embeddings, [`embedding_cache`] stores them; [`manifest`] lists encoders, [`paths`] their
-//!   files;
+//! - [`representation`]: the built-in memories; [`external`]: what the host knows about external ones;
+//! - a [`bank`] is what a memory is built from: [`demonstrations`] and their views; [`items`] turns what a memory supplies
+//!   into a recall, and [`document_loader`] publishes its documents;
+//! - [`encoder`] computes embeddings, [`embedding_cache`] keeps them; [`manifest`] lists encoders, [`paths`] their files;
 //! - [`builders`] write documents before a run;
 //! - [`embed_command`] embeds images, and [`search_profile`] measures searches, for users.
 //!
 //! What is not here: stepping and rendering (sim-proc), deciding (policy-proc), scoring (results).
 
+pub mod bank;
 pub mod builders;
 pub mod demonstrations;
 pub mod document_loader;
@@ -18,6 +19,8 @@ pub mod embedding_cache;
 pub mod encoder;
 pub mod engine;
 pub mod episode;
+pub mod external;
+pub mod items;
 pub mod manifest;
 pub mod paths;
 pub mod representation;

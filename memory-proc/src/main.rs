@@ -13,6 +13,7 @@ use memory_proc::builders::build::{self, BuildSettings};
 use memory_proc::builders::{DocumentBuilder, Extractive, ModelBuilder, model};
 use memory_proc::embed_command;
 use memory_proc::encoder::Provider;
+use memory_proc::external::ExternalLimits;
 use memory_proc::manifest::EncoderManifest;
 use memory_proc::paths::CacheFolder;
 use memory_proc::search_profile::{self, ProfileSettings};
@@ -38,9 +39,15 @@ enum MemoryVerb {
         /// The documents that summary, semantic and hybrid memory supply
         #[arg(long, value_name = "DIR")]
         documents: Option<PathBuf>,
-        /// Start no encoder: for a run without episodic memory
+        /// Start no encoder: for a run whose memories use no embeddings
         #[arg(long)]
         no_encoder: bool,
+        /// The longest time that an external memory may take to answer
+        #[arg(long, value_name = "SECONDS", default_value_t = 30)]
+        memory_timeout: u32,
+        /// The longest time that an external memory may take to build itself
+        #[arg(long, value_name = "SECONDS", default_value_t = 600)]
+        memory_build_timeout: u32,
         #[command(flatten)]
         encoder: EncoderArguments,
     },
@@ -260,10 +267,21 @@ fn main() -> ExitCode {
 
 fn run(verb: MemoryVerb) -> anyhow::Result<()> {
     match verb {
-        MemoryVerb::Serve { attach, documents, no_encoder, encoder } => {
+        MemoryVerb::Serve {
+            attach,
+            documents,
+            no_encoder,
+            memory_timeout,
+            memory_build_timeout,
+            encoder,
+        } => {
+            let limits = ExternalLimits {
+                answer: Duration::from_secs(memory_timeout.into()),
+                build: Duration::from_secs(memory_build_timeout.into()),
+            };
             let assets = encoder.assets.clone();
             let encoder = if no_encoder { None } else { Some(encoder.settings()?) };
-            serve(&ServeSettings { attach, assets, documents, encoder })
+            serve(&ServeSettings { attach, assets, documents, encoder, limits })
         }
         MemoryVerb::Embed { files, repeat, encoder } => {
             let manifest = match &encoder.assets {

@@ -2,53 +2,15 @@
 //!
 //! Model files themselves are opened by [`crate::encoder`].
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
+use anyhow::{Context, Result, anyhow, bail};
 use serde::Deserialize;
 
 /// The manifest's file name in an assets folder.
 pub const FILE: &str = "models.toml";
 
 const SHIPPED: &str = include_str!("../../assets/models.toml");
-
-/// Why a manifest cannot be used.
-#[derive(Debug, thiserror::Error)]
-pub enum ManifestError {
-    /// The file cannot be read.
-    #[error("cannot read the model manifest {path}: {source}")]
-    Read {
-        /// The file.
-        path: PathBuf,
-        /// The cause.
-        source: std::io::Error,
-    },
-    /// The file is not valid TOML, or has unknown keys.
-    #[error("cannot use the model manifest {path}: {message}")]
-    Parse {
-        /// The file.
-        path: PathBuf,
-        /// The problem and its place.
-        message: String,
-    },
-    /// A value is out of range.
-    #[error("the model manifest {path}, model `{model}`: {what}")]
-    Invalid {
-        /// The file.
-        path: PathBuf,
-        /// The model.
-        model: String,
-        /// The value, and what is allowed.
-        what: String,
-    },
-    /// No model has this name.
-    #[error("unknown encoder `{name}`; the model manifest has {known}")]
-    Unknown {
-        /// The requested name.
-        name: String,
-        /// The names in the manifest.
-        known: String,
-    },
-}
 
 /// How a model's tokens become one embedding.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
@@ -160,7 +122,7 @@ impl EncoderManifest {
     ///
     /// # Errors
     /// Never: a test parses the built-in manifest.
-    pub fn shipped() -> Result<Self, ManifestError> {
+    pub fn shipped() -> Result<Self> {
         Self::parse(SHIPPED, Path::new("assets/models.toml"))
     }
 
@@ -168,12 +130,12 @@ impl EncoderManifest {
     ///
     /// # Errors
     /// When the file exists and cannot be read or used.
-    pub fn load(assets: &Path) -> Result<Self, ManifestError> {
+    pub fn load(assets: &Path) -> Result<Self> {
         let path = assets.join(FILE);
         match std::fs::read_to_string(&path) {
             Ok(text) => Self::parse(&text, &path),
             Err(error) if error.kind() == std::io::ErrorKind::NotFound => Self::shipped(),
-            Err(source) => Err(ManifestError::Read { path, source }),
+            Err(error) => bail!("cannot read the model manifest {}: {error}", path.display()),
         }
     }
 
@@ -181,29 +143,23 @@ impl EncoderManifest {
     ///
     /// # Errors
     /// When the text is not a manifest, or a value is out of range.
-    pub fn parse(text: &str, path: &Path) -> Result<Self, ManifestError> {
-        let parsed: Self = toml::from_str(text).map_err(|error| ManifestError::Parse {
-            path: path.into(),
-            message: error.to_string().trim_end().into(),
+    pub fn parse(text: &str, path: &Path) -> Result<Self> {
+        let path = path.display();
+        let parsed: Self = toml::from_str(text).map_err(|error| {
+            anyhow!("cannot use the model manifest {path}: {}", error.to_string().trim_end())
         })?;
-        let invalid = |model: &str, what| ManifestError::Invalid {
-            path: path.into(),
-            model: model.into(),
-            what,
-        };
+        let invalid =
+            |model: &str, what: &str| anyhow!("the model manifest {path}, model `{model}`: {what}");
         for (index, model) in parsed.models.iter().enumerate() {
             if let Some(what) = model.fault() {
-                return Err(invalid(&model.name, what));
+                return Err(invalid(&model.name, &what));
             }
             if parsed.models[..index].iter().any(|earlier| earlier.name == model.name) {
-                return Err(invalid(&model.name, "the name is taken by an earlier model".into()));
+                return Err(invalid(&model.name, "the name is taken by an earlier model"));
             }
         }
         if parsed.model(&parsed.default).is_err() {
-            return Err(invalid(
-                &parsed.default,
-                "`default` names no model of the manifest".into(),
-            ));
+            return Err(invalid(&parsed.default, "`default` names no model of the manifest"));
         }
         Ok(parsed)
     }
@@ -212,11 +168,11 @@ impl EncoderManifest {
     ///
     /// # Errors
     /// When there is none.
-    pub fn model(&self, name: &str) -> Result<&Model, ManifestError> {
-        self.models.iter().find(|model| model.name == name).ok_or_else(|| {
+    pub fn model(&self, name: &str) -> Result<&Model> {
+        self.models.iter().find(|model| model.name == name).with_context(|| {
             let known: Vec<_> =
                 self.models.iter().map(|model| format!("`{}`", model.name)).collect();
-            ManifestError::Unknown { name: name.into(), known: known.join(", ") }
+            format!("unknown encoder `{name}`; the model manifest has {}", known.join(", "))
         })
     }
 }
@@ -225,7 +181,7 @@ impl EncoderManifest {
 mod tests {
     use super::*;
 
-    fn parse(text: &str) -> Result<EncoderManifest, ManifestError> {
+    fn parse(text: &str) -> Result<EncoderManifest> {
         EncoderManifest::parse(text, Path::new("models.toml"))
     }
 
@@ -246,7 +202,8 @@ mod tests {
             EncoderManifest::shipped().unwrap()
         );
         std::fs::write(folder.path().join(FILE), "nonsense").unwrap();
-        assert!(matches!(EncoderManifest::load(folder.path()), Err(ManifestError::Parse { .. })));
+        let error = EncoderManifest::load(folder.path()).unwrap_err().to_string();
+        assert!(error.starts_with("cannot use the model manifest"), "{error}");
     }
 
     #[test]

@@ -7,12 +7,12 @@ use std::num::NonZeroUsize;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, bail};
+use domain::search_profile::{SearchLatency, SearchMeasurement};
 use hdrhistogram::Histogram;
 use search::synthetic::SyntheticVectors;
 use search::{
     ApproximateIndex, Embedding, GraphOptions, Index, IndexBuilder, Neighbour, Query, ViewEntry,
 };
-use serde::Serialize;
 
 /// Queries in one call, for the two measurements of each size.
 const BATCHES: [usize; 2] = [1, 64];
@@ -45,56 +45,6 @@ pub struct ProfileSettings {
     pub seconds: f64,
     /// Maximum number of threads of a search.
     pub threads: NonZeroUsize,
-}
-
-/// A measurement.
-#[derive(Debug, Clone, Serialize)]
-pub struct SearchMeasurement {
-    /// Size of the memory.
-    pub entries: u32,
-    /// Numbers in a vector.
-    pub dimension: usize,
-    /// Entries that are embeddings of images.
-    pub real: u32,
-    /// `exact` or `approximate`.
-    pub search: &'static str,
-    /// Candidates considered in the graph; absent for exact search.
-    pub searching: Option<usize>,
-    /// Queries in one call.
-    pub batch: usize,
-    /// Threads of the search.
-    pub threads: usize,
-    /// Seconds that preparing the search took, without generating the vectors.
-    pub build_s: f64,
-    /// Size of the memory in bytes.
-    pub bytes: usize,
-    /// Number of queries.
-    pub queries: usize,
-    /// Time of a call.
-    pub latency_ns: SearchLatency,
-    /// Queries answered per second.
-    pub queries_per_s: f64,
-    /// Bytes read per second; absent for approximate search.
-    pub bytes_per_s: Option<f64>,
-    /// Share of queries whose nearest entry was found.
-    pub recall_at_1: f64,
-    /// Share of the queries' ten nearest entries that were found.
-    pub recall_at_10: f64,
-}
-
-/// Percentiles, in nanoseconds.
-#[derive(Debug, Clone, Copy, Default, Serialize)]
-pub struct SearchLatency {
-    /// The median.
-    pub p50: u64,
-    /// The 90th percentile.
-    pub p90: u64,
-    /// The 99th percentile.
-    pub p99: u64,
-    /// The 99.9th percentile.
-    pub p999: u64,
-    /// The maximum.
-    pub max: u64,
 }
 
 /// Measures, and writes each measurement as a line of JSON as soon as it is finished.
@@ -165,7 +115,7 @@ impl SearchBench<'_> {
                     Ok(())
                 })?;
                 let measured = SearchMeasurement {
-                    search: "approximate",
+                    search: "approximate".to_owned(),
                     searching: Some(searching),
                     threads: if batch == 1 { 1 } else { threads.get() },
                     build_s,
@@ -217,7 +167,7 @@ impl SearchBench<'_> {
             entries: self.entries,
             dimension: self.vectors.dimension(),
             real: self.vectors.real(self.entries),
-            search: "exact",
+            search: "exact".to_owned(),
             searching: None,
             batch,
             threads: 1,
@@ -263,7 +213,7 @@ fn print(measured: &SearchMeasurement, out: &mut impl Write) -> anyhow::Result<(
 }
 
 fn query(embedding: &Embedding) -> Query<'_> {
-    Query { embedding, stage: 0, elapsed: 0 }
+    Query { embedding: embedding.as_slice(), stage: 0, elapsed: 0 }
 }
 
 /// Writes the vectors of a memory of `entries`, then those of some queries, as little-endian numbers.

@@ -4,23 +4,26 @@
 //! The loop never waits for an embedding. A worker notifies this process's own listener when it has one, so that a
 //! finished embedding wakes the loop as a message does.
 
+use std::collections::BTreeMap;
 use std::fmt::Display;
 use std::num::NonZeroUsize;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
 
-use anyhow::Context;
+use anyhow::{Context, bail};
 use bytemuck::Zeroable;
 use domain::{Pose, Representation};
+use shm_types::description::memory_folder;
 use shm_types::message::{
-    FrameId, Handshake, Heartbeat, MemoryEpisodeConfig, Observation, Recall, RecallTrace, Role,
+    EXTERNAL, ExternalAnswer, ExternalBuilt, ExternalEpisode, ExternalQuery, FrameId, Handshake,
+    Heartbeat, MAX_EMBEDDING, MemoryEpisodeConfig, Observation, Recall, RecallTrace, Role,
     ShutdownReport, Stop, View, ViewRequest,
 };
 use shm_types::process::{die_with_parent, monotonic_ns};
 use shm_types::{
-    Attach, Bus, BusError, DocumentPublisher, ErrorReporter, Frame, FrameError, FrameStore,
-    Heartbeats, Notifier, Receiver, Sender, Spans,
+    Attach, BankPublisher, Bus, BusError, DocumentPublisher, ErrorReporter, Frame, FrameError,
+    FrameStore, Heartbeats, MemoryDescription, NoteReceiver, Notifier, Receiver, Sender, Spans,
 };
 use warehouse::case_file::CASES_FILE;
 use warehouse::{CaseSet, Warehouse};
@@ -31,8 +34,9 @@ use crate::encoder::{
     Embedded, Encoder, EncoderFacts, Image, ImageSource, ModelFile, PreparedEncoder, Provider,
     SessionOpening,
 };
-use crate::engine::Engine;
+use crate::engine::{Engine, EpisodeFailure};
 use crate::episode::{Unusable, unusable};
+use crate::external::{ExternalLimits, ExternalMemories, ToExternal};
 use crate::manifest::EncoderManifest;
 use crate::paths::CacheFolder;
 
@@ -53,6 +57,8 @@ pub struct ServeSettings {
     pub documents: Option<PathBuf>,
     /// The encoder; `None`: no memory of the run matches views.
     pub encoder: Option<EncoderSettings>,
+    /// How long external memories may take.
+    pub limits: ExternalLimits,
 }
 
 /// How the encoder runs.
@@ -78,7 +84,7 @@ impl EncoderSettings {
     pub fn prepare(&self, manifest: &EncoderManifest) -> anyhow::Result<PreparedEncoder> {
         let model = manifest.model(self.name.as_ref().unwrap_or(&manifest.default))?;
         let file = ModelFile::read(model, self.file.as_deref(), &self.cache)?;
-        Ok(PreparedEncoder::new(file, &self.cache.runtime(), self.threads, self.provider)?)
+        PreparedEncoder::new(file, &self.cache.runtime(), self.threads, self.provider)
     }
 }
 
@@ -128,6 +134,54 @@ struct Ports {
     sim: Notifier,
     policy: Notifier,
     orchestrator: Notifier,
+    externals: Vec<ExternalPorts>,
+}
+
+/// Senders, receivers and notifier for one external memory.
+struct ExternalPorts {
+    index: u8,
+    banks: BankPublisher,
+    episodes: Sender<ExternalEpisode>,
+    queries: Sender<ExternalQuery>,
+    built: Receiver<ExternalBuilt>,
+    answers: Receiver<ExternalAnswer>,
+    notes: NoteReceiver,
+    notifier: Notifier,
+    /// Messages that could not be used.
+    unusable: u64,
+}
+
+impl ExternalPorts {
+    fn new(bus: &Bus, index: u8) -> Result<Self, BusError> {
+        Ok(Self {
+            index,
+            banks: BankPublisher::new(bus, index)?,
+            episodes: bus.sender_to(index)?,
+            queries: bus.sender_to(index)?,
+            built: bus.receiver_from(index)?,
+            answers: bus.receiver_from(index)?,
+            notes: NoteReceiver::new(bus, index)?,
+            notifier: bus.external_memory_notifier(index)?,
+            unusable: 0,
+        })
+    }
+
+    /// Sends a message. Does not wait for a process that is not there.
+    fn send(&mut self, message: &mut ToExternal) -> Result<(), BusError> {
+        if !self.episodes.is_complete() || !self.queries.is_complete() {
+            let service = <ExternalQuery as shm_types::message::Message>::SERVICE;
+            return Err(BusError::Deserted { service, expected: 1, found: 0 });
+        }
+        match message {
+            ToExternal::Bank(id, content) => self.banks.publish(*id, content),
+            ToExternal::TakeBack(id) => self.banks.take_back(*id),
+            ToExternal::Episode(message) => self.episodes.send(message),
+            ToExternal::Query(message) => {
+                message.sent_ns = monotonic_ns();
+                self.queries.send(message)
+            }
+        }
+    }
 }
 
 impl Ports {
@@ -145,6 +199,10 @@ impl Ports {
             sim: bus.notifier(Role::Sim)?,
             policy: bus.notifier(Role::Policy)?,
             orchestrator: bus.notifier(Role::Orchestrator)?,
+            externals: {
+                let indices = bus.attach().external_memories.iter();
+                indices.map(|&index| ExternalPorts::new(bus, index)).collect::<Result<_, _>>()?
+            },
         })
     }
 }
@@ -158,6 +216,8 @@ struct MemoryServer<'a> {
     encoder: Option<Encoder>,
     /// Number of images embedded so far.
     embedded: u64,
+    /// Episodes whose failure has not been reported.
+    failures: Vec<EpisodeFailure>,
     spans: Spans,
 }
 
@@ -203,12 +263,14 @@ impl<'a> MemoryServer<'a> {
         };
         let attach = bus.attach();
         let room = room_for_views(attach);
-        let engine = Engine::new(warehouse, cases, attach.lanes, room, embeddings);
+        let externals = external_memories(attach, settings.limits, encoder.as_ref())?;
+        let engine = Engine::new(warehouse, cases, attach.lanes, room, embeddings, externals);
         let spans = Spans::open(attach, Role::Memory).context("cannot record spans")?;
         let facts = encoder.as_ref().map_or_else(Vec::new, |encoder| facts(encoder.facts()));
         bus.sender()?.send(&Handshake::new(Role::Memory, facts)?)?;
         ports.orchestrator.notify()?;
-        Ok(Self { bus, ports, reporter, engine, documents, encoder, embedded: 0, spans })
+        let (embedded, failures) = (0, Vec::new());
+        Ok(Self { bus, ports, reporter, engine, documents, encoder, embedded, failures, spans })
     }
 
     fn run(mut self) -> anyhow::Result<()> {
@@ -232,8 +294,11 @@ impl<'a> MemoryServer<'a> {
     fn turn(&mut self) -> anyhow::Result<bool> {
         let error_reports = self.reporter.count();
         let more = self.take_messages()?;
+        self.take_external_messages()?;
         self.take_embeddings()?;
         self.answer()?;
+        self.send_to_externals()?;
+        self.report_failures()?;
         let requests = self.engine.take_view_requests();
         for request in &requests {
             self.ports.requests.send(request)?;
@@ -292,8 +357,67 @@ impl<'a> MemoryServer<'a> {
         Ok(more)
     }
 
+    /// Reads the queues of the external memories. What cannot be used is counted, and reported now and then.
+    fn take_external_messages(&mut self) -> Result<(), BusError> {
+        let Self { ports, engine, reporter, .. } = self;
+        for external in &mut ports.externals {
+            let index = external.index;
+            // A note is published before the message that names it.
+            let answers = external.answers.drain()?;
+            let built = external.built.drain()?;
+            let notes = external.notes.drain()?;
+            let now_ns = monotonic_ns();
+            let notes = notes.into_iter().map(|note| engine.external_note(index, note));
+            let mut outcomes: Vec<_> = notes.collect();
+            outcomes.extend(built.iter().map(|message| engine.external_built(index, message)));
+            let answered = answers.iter();
+            outcomes.extend(answered.map(|message| engine.external_answer(index, message, now_ns)));
+            for unusable in outcomes.into_iter().filter_map(Result::err) {
+                external.unusable += 1;
+                if external.unusable.is_power_of_two() {
+                    reporter.report(format_args!(
+                        "{unusable} (message {} of it that is of no use)",
+                        external.unusable
+                    ));
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Sends what has arisen for external memories, and notifies each once.
+    fn send_to_externals(&mut self) -> Result<(), BusError> {
+        let Self { ports, engine, .. } = self;
+        for (index, mut message) in engine.take_external_messages() {
+            let external = ports.externals.iter_mut().find(|external| external.index == index);
+            let Some(external) = external else { continue };
+            if let Err(error) = external.send(&mut message) {
+                engine.external_unreachable(index, &message, &error.to_string());
+            }
+            external.notifier.notify()?;
+        }
+        Ok(())
+    }
+
+    /// Reports episodes that cannot go on. Those for which the queue has no room are reported in the next turn.
+    fn report_failures(&mut self) -> Result<(), BusError> {
+        self.failures.extend(self.engine.take_failures());
+        while let Some(EpisodeFailure { lane, episode, why }) = self.failures.last() {
+            match self.reporter.fail_episode(*lane, *episode, why) {
+                Ok(()) => drop(self.failures.pop()),
+                Err(BusError::Full { .. }) => return Ok(()),
+                Err(error) => return Err(error),
+            }
+        }
+        Ok(())
+    }
+
     /// Checks that this process was started with what an episode's memory needs.
     fn can_serve(&self, config: &MemoryEpisodeConfig) -> Result<(), Unusable> {
+        if config.representation == EXTERNAL {
+            // Checked at the start.
+            return Ok(());
+        }
         match Representation::try_from(config.representation) {
             Ok(asked) if asked.matches_views() && self.encoder.is_none() => Err(unusable!(
                 "config of episode {}: {asked} memory matches views, and memory-proc was started with \
@@ -404,6 +528,35 @@ impl<'a> MemoryServer<'a> {
             self.reporter.report(unusable);
         }
     }
+}
+
+/// The external memories of the run, as they describe themselves.
+///
+/// # Errors
+/// When a description cannot be read, or a memory uses embeddings that cannot be computed or sent.
+fn external_memories(
+    attach: &Attach,
+    limits: ExternalLimits,
+    encoder: Option<&Encoder>,
+) -> anyhow::Result<ExternalMemories> {
+    let mut descriptions = BTreeMap::new();
+    for &index in &attach.external_memories {
+        let description = MemoryDescription::read(&memory_folder(&attach.root, index))?;
+        let name = &description.name;
+        match encoder.map(|encoder| encoder.facts().dimension) {
+            _ if !description.embeddings => {}
+            None => bail!(
+                "external memory {name} uses embeddings, and memory-proc was started with --no-encoder"
+            ),
+            Some(dimension) if dimension > MAX_EMBEDDING => bail!(
+                "external memory {name} uses embeddings, and those of this encoder have {dimension} numbers: at most \
+                 {MAX_EMBEDDING} fit into a message"
+            ),
+            Some(_) => {}
+        }
+        descriptions.insert(index, description);
+    }
+    Ok(ExternalMemories::new(descriptions, limits))
 }
 
 /// The number of demonstration views that fit into the frame store beside what running episodes pin: each lane's window,

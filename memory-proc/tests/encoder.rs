@@ -8,7 +8,7 @@ use std::process::Command;
 use std::sync::Arc;
 
 use memory_proc::encoder::{
-    Encoder, EncoderError, Image, ImageSource, ModelFile, PreparedEncoder, Provider, SessionOpening,
+    Encoder, Image, ImageSource, ModelFile, PreparedEncoder, Provider, SessionOpening,
 };
 use memory_proc::manifest::{EncoderManifest, Model};
 use memory_proc::paths::CacheFolder;
@@ -61,7 +61,7 @@ fn default_model() -> Model {
     manifest.model(&manifest.default).unwrap().clone()
 }
 
-fn start(file: ModelFile, threads: usize) -> Result<Encoder, EncoderError> {
+fn start(file: ModelFile, threads: usize) -> anyhow::Result<Encoder> {
     let threads = NonZeroUsize::new(threads).unwrap();
     let prepared = PreparedEncoder::new(file, &cache().runtime(), threads, Provider::Cpu)?;
     Ok(prepared.start(SessionOpening::OnDemand, || {}))

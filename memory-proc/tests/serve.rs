@@ -6,6 +6,9 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::ffi::OsStr;
 use std::path::Path;
 use std::process::Command;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
+use std::time::Duration;
 
 use bytemuck::Zeroable;
 use conformance::testing::MemoryRig;
@@ -13,15 +16,56 @@ use documents::{BuildAccount, DocumentFile, DocumentFolder, Provenance};
 use domain::{DocumentKind, Representation, SegmentContent};
 use memory_proc::embedding_cache::stored;
 use memory_proc::paths::CacheFolder;
+use peer::memory::{
+    Item, Memory, MemoryDescription, MemoryError, MemoryMethod, Query, Source, Views, serve,
+};
 use shm_types::Attach;
+use shm_types::description::memory_folder;
 use shm_types::documents::Content;
 use shm_types::message::{
-    MAX_SEGMENT, MemoryEpisodeConfig, NO_ACTION, NO_FRAME, NOT_MEASURED, Observation, Role,
+    EXTERNAL, ErrorReportKind, ItemKind, MemoryEpisodeConfig, NO_ACTION, NO_FRAME, Observation,
+    Role,
 };
 use tempfile::TempDir;
 use warehouse::{Case, CaseSet, Demonstrations, Replay, Start, Warehouse};
 
-const ORIGINAL: u32 = 0b0001;
+/// The index of the external memory.
+const INDEX: u8 = 1;
+
+/// An external memory that answers the first step with a text and two steps. The next one it fails in lane 0; in other
+/// lanes it hangs until the test ends.
+#[derive(Clone, Default)]
+struct Scripted {
+    ended: Arc<AtomicBool>,
+}
+
+impl MemoryMethod for Scripted {
+    fn describe(&self) -> MemoryDescription {
+        MemoryDescription { name: "scripted".to_owned(), ..MemoryDescription::default() }
+    }
+
+    fn create(&self) -> Box<dyn Memory + '_> {
+        Box::new(self.clone())
+    }
+}
+
+impl Memory for Scripted {
+    fn recall(&mut self, query: &Query<'_>) -> Result<Vec<Item>, MemoryError> {
+        let source = Source { demonstration: 0, first: query.now.step + 1, count: 2 };
+        match query.now.step {
+            0 => Ok(vec![
+                Item::Text { text: query.instruction.into(), sources: vec![source] },
+                Item::Steps { source, views: Views::All, actions: true, distance: None },
+            ]),
+            _ => {
+                while query.now.lane > 0 && !self.ended.load(Relaxed) {
+                    std::thread::sleep(Duration::from_millis(1));
+                }
+                Err(MemoryError::new("out of credit"))
+            }
+        }
+    }
+}
 
 /// Memory with an encoder and this cache folder, among its neighbours.
 fn memory(cache: &Path) -> MemoryRig {
@@ -74,15 +118,9 @@ fn a_run_is_answered_with_reports_of_unusable_messages() {
     let index = (0..cases.len()).min_by_key(|&index| length(&cases[index])).unwrap();
     let (case, replay) = (&cases[index], cases[index].replay(&warehouse, Start::Original));
     let config = MemoryEpisodeConfig {
-        episode: 11,
-        lane: 0,
         case: index as u32,
-        demonstrations: ORIGINAL,
-        representation: Representation::Episodic as u8,
         horizon: 3,
-        keyframes: 40,
-        segment: SegmentContent::Actions as u8,
-        reserved: [0; 8],
+        ..config(Representation::Episodic, 0, 11, Demonstrations::ORIGINAL)
     };
     rig.begin(&config);
     rig.begin(&MemoryEpisodeConfig {
@@ -95,21 +133,24 @@ fn a_run_is_answered_with_reports_of_unusable_messages() {
     for step in 0..4 {
         rig.observe(Observation { episode: 11, ..seen(step) });
         let (recall, trace) = rig.recall();
-        assert_eq!((recall.episode, recall.step, recall.distance), (11, step as u32, 0.0));
-        assert_eq!((trace.case, trace.demonstration), (index as u32, 0));
-        let matched = usize::from(trace.index);
+        assert_eq!((recall.episode, recall.step), (11, step as u32));
+        let (item, source) = (recall.items[0], trace.sources[0]);
+        assert_eq!((recall.items_len, trace.sources_len, item.distance), (1, 1, 0.0));
+        assert_eq!((item.kind, source.kind), (ItemKind::Steps as u8, ItemKind::Steps as u8));
+        assert_eq!((source.case, source.demonstration), (index as u32, 0));
+        assert_eq!([trace.images_asked, trace.images, source.steps.into()], [recall.steps_len; 3]);
+        assert!(trace.store_bytes > 0);
+        let matched = usize::from(source.first);
         let shown = rig.segment(&recall);
         let until = (matched + 3).min(length(case));
         assert_eq!(shown, replay.poses[matched..=until]);
         assert_eq!(shown[0], replay.poses[step]);
-        assert!(shown.len() <= MAX_SEGMENT);
     }
 
     rig.observe(Observation { episode: 12, lane: 1, ..seen(0) });
     let (recall, trace) = rig.recall();
-    assert_eq!((recall.lane, trace.case), (1, NOT_MEASURED));
+    assert_eq!((recall.lane, recall.items_len, trace.sources_len), (1, 0, 0));
     assert_eq!(rig.segment(&recall), []);
-    assert!(recall.distance.is_nan() && trace.distance.is_nan());
 
     rig.observe(Observation { episode: 99, ..seen(0) });
     assert_eq!(rig.error_report().1, "observation of unknown episode 99 in lane 0");
@@ -160,7 +201,11 @@ fn config(
         horizon: 6,
         keyframes: 40,
         segment: SegmentContent::Actions as u8,
-        reserved: [0; 8],
+        text_budget: 65536,
+        image_budget: 40,
+        hits: 1,
+        repeat: 1,
+        ..Zeroable::zeroed()
     }
 }
 
@@ -210,7 +255,7 @@ fn without_an_encoder_every_memory_but_episodic_is_served() {
         for step in 0..2 {
             rig.observe(Observation { episode, ..seen(step) });
             let (recall, trace) = rig.recall();
-            assert_eq!((rig.segment(&recall), trace.case), (vec![], NOT_MEASURED));
+            assert_eq!((rig.segment(&recall), trace.sources_len), (vec![], 0));
             let named = rig.documents(&recall);
             assert!(named.iter().all(|(_, owner, _)| *owner == 0), "for the whole run");
             assert_eq!(named.iter().map(|named| &named.2).collect::<Vec<_>>(), texts);
@@ -228,7 +273,7 @@ fn without_an_encoder_every_memory_but_episodic_is_served() {
         let [(_, owner, Content::Trajectories(steps))] = &named[..] else {
             panic!("{named:?} for {set}")
         };
-        assert_eq!(*owner, episode);
+        assert_eq!((*owner, recall.items_len, recall.items[0].whole), (episode, 1, 1));
         let mut rest = &steps[..];
         for start in Start::DEMONSTRATIONS.into_iter().take(if lane == 0 { 1 } else { 4 }) {
             let walk = cases[0].replay(&warehouse, start);
@@ -276,4 +321,74 @@ fn a_missing_document_ends_the_run_and_is_reported_with_the_command_that_builds_
         assert!(said.contains(expected), "{said}");
         assert_eq!(rig.end().unwrap_err().to_string(), "exit status: 2");
     }
+}
+
+/// Memory and an external memory that a thread serves, among their neighbours.
+fn memory_with_external(method: Scripted, arguments: &[&str]) -> MemoryRig {
+    let change = |attach: &mut Attach| {
+        (attach.frame_capacity, attach.lanes) = (400, 2);
+        attach.external_memories = vec![INDEX];
+    };
+    MemoryRig::in_process(change, |run| {
+        let folder = memory_folder(run, INDEX);
+        std::fs::create_dir(&folder).unwrap();
+        let path = folder.clone();
+        std::thread::spawn(move || serve(&method, &path));
+        while MemoryDescription::read(&folder).is_err() {
+            std::thread::sleep(Duration::from_millis(1));
+        }
+        let mut command = Command::new(env!("CARGO_BIN_EXE_memory-proc"));
+        command.arg("serve").arg("--attach").arg(run).args(arguments);
+        command
+    })
+}
+
+#[test]
+fn an_external_memory_supplies_what_it_names_and_fails_its_own_episodes_only() {
+    let memory = Scripted::default();
+    let arguments = ["--no-encoder", "--memory-timeout", "1"];
+    let mut rig = memory_with_external(memory.clone(), &arguments);
+    // Its own and that of the external memory, in any order.
+    let facts = [rig.handshake(), rig.handshake()].map(|handshake| handshake.facts().unwrap());
+    assert!(facts.iter().any(|facts| facts.get("memory").is_some_and(|name| name == "scripted")));
+
+    let (warehouse, cases) = (Warehouse::shipped(), CaseSet::shipped().cases);
+    let replay = cases[0].replay(&warehouse, Start::Original);
+    let seen = |step| observation(&replay, &cases[0], Start::Original, step);
+    let external = |lane, episode| MemoryEpisodeConfig {
+        representation: EXTERNAL,
+        external: INDEX,
+        ..config(Representation::Working, lane, episode, Demonstrations::ORIGINAL)
+    };
+    rig.begin(&external(0, 1));
+    rig.observe(Observation { episode: 1, ..seen(0) });
+    let (recall, trace) = rig.recall();
+    assert_eq!((recall.items_len, recall.steps_len, trace.sources_len), (2, 2, 2));
+    let named = rig.documents(&recall);
+    let instruction = cases[0].task.instruction(&warehouse.catalogue);
+    let [(_, 1, Content::Note(text))] = &named[..] else { panic!("{named:?}") };
+    assert_eq!(*text, instruction);
+    assert_eq!(rig.segment(&recall), replay.poses[1..3]);
+    assert!(trace.method_ns > 0 && trace.embedded_ns + trace.method_ns <= trace.searched_ns);
+
+    // It fails; then it hangs. Each costs its own episode, and the other lane goes on.
+    let failure = |rig: &mut MemoryRig| {
+        let (failed, why) = rig.error_report();
+        assert_eq!(failed.kind, ErrorReportKind::Episode as u32);
+        (failed.episode, why)
+    };
+    rig.observe(Observation { episode: 1, ..seen(1) });
+    let why = "external memory scripted, step 1: out of credit".to_owned();
+    assert_eq!(failure(&mut rig), (1, why));
+    rig.begin(&external(1, 2));
+    rig.begin(&config(Representation::Working, 0, 3, Demonstrations::ORIGINAL));
+    rig.observe(Observation { episode: 2, lane: 1, ..seen(0) });
+    assert_eq!(rig.recall().0.episode, 2);
+    rig.observe(Observation { episode: 2, lane: 1, ..seen(1) });
+    rig.observe(Observation { episode: 3, ..seen(0) });
+    assert_eq!(rig.recall().0.episode, 3);
+    let why = "external memory scripted has not answered step 1 within 1 s".to_owned();
+    assert_eq!(failure(&mut rig), (2, why));
+    memory.ended.store(true, Relaxed);
+    rig.stop();
 }

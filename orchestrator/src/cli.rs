@@ -3,7 +3,6 @@
 //! Data goes to stdout, progress and messages go to stderr. The exit status is 0 when everything is complete, 1 when
 //! something is incomplete or failed, 2 on an error, and 128 + n when signal n ended the program.
 
-mod cache;
 mod clean;
 mod conformance;
 mod doctor;
@@ -12,8 +11,8 @@ mod generate;
 mod list;
 mod map;
 mod memory;
+mod passed_on;
 mod profile;
-mod render;
 mod report;
 mod run;
 mod score;
@@ -66,7 +65,7 @@ enum MemtransferVerb {
     /// Draw the warehouse, or a case, from above as SVG
     Map(map::MapArgs),
     /// Render views of an agent as PNG
-    Render(render::RenderArgs),
+    Render(passed_on::PassedOn),
     /// Build, list and show the documents of summary, semantic and hybrid memory
     Memory(memory::MemoryArgs),
     /// Print a run's tables from its log, or compare conditions and runs
@@ -82,7 +81,7 @@ enum MemtransferVerb {
     /// Remove what killed runs left in shared memory and temporary folders
     Clean(clean::CleanArgs),
     /// List or remove the cached replies of models
-    Cache(cache::CacheArgs),
+    Cache(passed_on::PassedOn),
     /// Generate a case file from a seed
     Generate(generate::GenerateArgs),
     /// Check what a run needs on this machine, and say how to get what is missing
@@ -125,7 +124,7 @@ pub fn main() -> ExitCode {
         MemtransferVerb::Ls(args) => list::run(&args),
         MemtransferVerb::Validate(args) => validate::run(&args),
         MemtransferVerb::Map(args) => map::run(&args),
-        MemtransferVerb::Render(args) => render::run(&args),
+        MemtransferVerb::Render(args) => args.run("sim-proc", "render"),
         MemtransferVerb::Memory(args) => memory::run(args),
         MemtransferVerb::Score(args) => score::run(&args),
         MemtransferVerb::Report(args) => report::run(&args),
@@ -133,7 +132,7 @@ pub fn main() -> ExitCode {
         MemtransferVerb::Profile(args) => profile::run(&args),
         MemtransferVerb::Conformance(args) => conformance::run(&args),
         MemtransferVerb::Clean(args) => clean::run(&args),
-        MemtransferVerb::Cache(args) => cache::run(&args),
+        MemtransferVerb::Cache(args) => args.run("policy-proc", "cache"),
         MemtransferVerb::Generate(args) => generate::run(&args),
         MemtransferVerb::Doctor(args) => doctor::run(&args),
     };

@@ -32,7 +32,7 @@ pub fn needed<'a>(conditions: impl IntoIterator<Item = &'a Condition>) -> Vec<Do
     let mut names: Vec<DocumentName> = conditions
         .into_iter()
         .flat_map(|&Condition { memory, demonstrations, .. }| {
-            let kinds = memory.describe().documents.iter();
+            let kinds = memory.describe().map_or(&[][..], |info| info.documents).iter();
             kinds.map(move |&kind| DocumentName { kind, demonstrations })
         })
         .collect();

@@ -124,10 +124,14 @@ impl Basis<'_> {
     /// Tokens of a prompt with a full window, on average over the cases.
     fn prompt(&self, condition: &Condition, missing: &[&PlannedEpisode]) -> Option<u64> {
         let mut characters = ALWAYS + PAST_STEP * u64::from(condition.variation.window);
-        characters += match condition.memory.describe().trajectories {
-            Trajectories::Nothing => 0,
-            Trajectories::Segment => RETRIEVED_VIEW * u64::from(1 + self.settings.horizon),
-            Trajectories::Whole => {
+        characters += match condition.memory.describe().map(|info| info.trajectories) {
+            Some(Trajectories::Nothing) => 0,
+            Some(Trajectories::Segment) => {
+                RETRIEVED_VIEW * u64::from(self.settings.hits * (1 + self.settings.horizon))
+            }
+            // At most, as everything about an external memory: what it supplies is not known in advance.
+            None => u64::from(self.settings.memory_text_bytes),
+            Some(Trajectories::Whole) => {
                 let actions: u64 =
                     missing.iter().map(|episode| self.demonstrated(condition, episode)).sum();
                 let mean = actions / (missing.len() as u64).max(1);

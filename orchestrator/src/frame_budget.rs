@@ -1,8 +1,8 @@
 //! How many frames stay in shared memory: as many as are useful and fit.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::fmt;
 
+use anyhow::{Result, ensure};
 use domain::representation::Trajectories;
 use domain::{Cell, Pose};
 use results::conditions::Route;
@@ -34,90 +34,15 @@ pub struct Demand {
     pub all_views: u32,
 }
 
-/// There is too little shared memory for the least number of frames.
-#[derive(Debug, PartialEq, Eq, thiserror::Error)]
-#[error(
-    "the run needs {needed_mib} MiB of shared memory for at least {frames} frames ({lanes} lanes with {per_lane} each, \
-     {remembered} of the demonstrations), and {free_mib} MiB of /dev/shm are usable: {advice}"
-)]
-pub struct NoRoom {
-    frames: u32,
-    lanes: u32,
-    per_lane: u32,
-    remembered: u32,
-    needed_mib: u64,
-    free_mib: u64,
-    advice: Advice,
-}
-
-/// What makes a run fit.
-#[derive(Debug, PartialEq, Eq)]
-enum Advice {
-    Lanes(u32),
-    FrameSize(u32),
-    MoreMemory,
-}
-
-impl fmt::Display for Advice {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Lanes(1) => write!(f, "--lanes 1 fits")?,
-            Self::Lanes(lanes) => write!(f, "--lanes {lanes} or fewer fit")?,
-            Self::FrameSize(size) => {
-                write!(f, "--lanes 1 --frame-size {size} fits, but the agent sees smaller images")?;
-            }
-            Self::MoreMemory => return write!(f, "make it larger (in Docker with --shm-size)"),
-        }
-        write!(f, "; or make it larger (in Docker with --shm-size)")
-    }
-}
-
-/// Why a run gets no frames.
-#[derive(Debug, PartialEq, Eq, thiserror::Error)]
-pub enum FrameBudgetError {
-    /// See [`NoRoom`].
-    #[error(transparent)]
-    NoRoom(#[from] NoRoom),
-    /// `--frame-budget` is too small.
-    #[error(
-        "--frame-budget is {given}, and the run needs at least {least} frames ({lanes} lanes with {per_lane} each, \
-         {remembered} of the demonstrations): fewer --lanes need fewer, or leave --frame-budget out"
-    )]
-    TooFew {
-        /// `--frame-budget`.
-        given: u32,
-        /// The least number.
-        least: u32,
-        /// Lanes of the run.
-        lanes: u32,
-        /// [`Demand::per_lane`].
-        per_lane: u32,
-        /// [`Demand::remembered`].
-        remembered: u32,
-    },
-    /// `--frame-budget` is too large.
-    #[error(
-        "--frame-budget is {given}, and {most} frames fit into the {free_mib} MiB of /dev/shm that are usable: give \
-         at most that, or leave --frame-budget out"
-    )]
-    TooMany {
-        /// `--frame-budget`.
-        given: u32,
-        /// The most that fit.
-        most: u32,
-        /// Usable shared memory.
-        free_mib: u64,
-    },
-}
-
 impl Demand {
-    /// What `episodes` can use with the window of `attach`, and `keyframes` for full-context memory.
+    /// What `episodes` can use with the window of `attach`, so many keyframes of full-context memory, and so many images
+    /// of an external memory's answer, which may come from any case.
     pub fn of(
         attach: &Attach,
         warehouse: &Warehouse,
         cases: &CaseSet,
         episodes: &[PlannedEpisode],
-        keyframes: u32,
+        (keyframes, images): (u32, u32),
     ) -> Self {
         let mut views_of = BTreeMap::new();
         let remembered = episodes.iter().map(|episode| {
@@ -132,10 +57,11 @@ impl Demand {
                     views.len() as u32
                 })
             };
-            match condition.memory.describe().trajectories {
-                Trajectories::Nothing => 0,
-                Trajectories::Whole => views().min(keyframes),
-                Trajectories::Segment => views(),
+            match condition.memory.describe().map(|info| info.trajectories) {
+                Some(Trajectories::Nothing) => 0,
+                Some(Trajectories::Whole) => views().min(keyframes),
+                Some(Trajectories::Segment) => views(),
+                None => views().max(images),
             }
         });
         let blocked = episodes.iter().filter(|e| e.key.condition.route == Route::Blocked);
@@ -171,36 +97,39 @@ pub fn choose(
     given: Option<u32>,
     free: u64,
     available: u64,
-) -> Result<u32, FrameBudgetError> {
+) -> Result<u32> {
     let room = free - HEADROOM_BYTES.min(free / SHARE_LEFT);
     let lanes = attach.lanes;
     let least = demand.least(lanes);
     let Demand { per_lane, remembered, .. } = demand;
+    let least_frames = format!(
+        "at least {least} frames ({lanes} lanes with {per_lane} each, {remembered} of the demonstrations)"
+    );
     let free_mib = room >> 20;
-    if bytes(attach, least) > room {
-        return Err(NoRoom {
-            frames: least,
-            lanes,
-            per_lane,
-            remembered,
-            needed_mib: bytes(attach, least).div_ceil(1 << 20),
-            free_mib,
-            advice: advise(attach, demand, room),
-        }
-        .into());
-    }
-    if let Some(given) = given {
-        if given < least {
-            return Err(FrameBudgetError::TooFew { given, least, lanes, per_lane, remembered });
-        }
-        if bytes(attach, given) > room {
-            let most = most_within(attach, least, given, room);
-            return Err(FrameBudgetError::TooMany { given, most, free_mib });
-        }
-        return Ok(given);
-    }
-    let room = room.min((SHARE_OF_MEMORY * available as f64) as u64);
-    Ok(most_within(attach, least, lanes * per_lane + demand.all_views.max(remembered), room))
+    let needed = bytes(attach, least);
+    ensure!(
+        needed <= room,
+        "the run needs {} MiB of shared memory for {least_frames}, and {free_mib} MiB of /dev/shm are usable: {}",
+        needed.div_ceil(1 << 20),
+        advice(attach, demand, room)
+    );
+    let Some(given) = given else {
+        let room = room.min((SHARE_OF_MEMORY * available as f64) as u64);
+        let useful = lanes * per_lane + demand.all_views.max(remembered);
+        return Ok(most_within(attach, least, useful, room));
+    };
+    ensure!(
+        given >= least,
+        "--frame-budget is {given}, and the run needs {least_frames}: fewer --lanes need fewer, or leave \
+         --frame-budget out"
+    );
+    ensure!(
+        bytes(attach, given) <= room,
+        "--frame-budget is {given}, and {} frames fit into the {free_mib} MiB of /dev/shm that are usable: give at \
+         most that, or leave --frame-budget out",
+        most_within(attach, least, given, room)
+    );
+    Ok(given)
 }
 
 /// Bytes of shared memory with so many frames.
@@ -220,17 +149,24 @@ fn most_within(attach: &Attach, least: u32, most: u32, room: u64) -> u32 {
 }
 
 /// What makes the run fit into `room` bytes.
-fn advise(attach: &Attach, demand: Demand, room: u64) -> Advice {
+fn advice(attach: &Attach, demand: Demand, room: u64) -> String {
+    const LARGER: &str = "make it larger (in Docker with --shm-size)";
     let fits = |lanes: u32, frame: FrameSize| {
         bytes(&Attach { lanes, frame, ..attach.clone() }, demand.least(lanes)) <= room
     };
-    if let Some(lanes) = (1..attach.lanes).rev().find(|&lanes| fits(lanes, attach.frame)) {
-        return Advice::Lanes(lanes);
+    match (1..attach.lanes).rev().find(|&lanes| fits(lanes, attach.frame)) {
+        Some(1) => return format!("--lanes 1 fits; or {LARGER}"),
+        Some(lanes) => return format!("--lanes {lanes} or fewer fit; or {LARGER}"),
+        None => {}
     }
-    let sizes =
+    let mut sizes =
         (1..attach.frame.width.div_ceil(FRAME_SIZE_STEP)).rev().map(|n| n * FRAME_SIZE_STEP);
-    let smaller = sizes.into_iter().find(|&size| fits(1, FrameSize { width: size, height: size }));
-    smaller.map_or(Advice::MoreMemory, Advice::FrameSize)
+    match sizes.find(|&size| fits(1, FrameSize { width: size, height: size })) {
+        Some(size) => format!(
+            "--lanes 1 --frame-size {size} fits, but the agent sees smaller images; or {LARGER}"
+        ),
+        None => LARGER.to_owned(),
+    }
 }
 
 #[cfg(test)]
@@ -253,17 +189,17 @@ mod tests {
     #[test]
     fn as_many_frames_as_are_useful_and_fit() {
         let attach = attach();
-        let chosen = |free, available| choose(&attach, DEMAND, None, free, available);
+        let chosen = |free, available| choose(&attach, DEMAND, None, free, available).unwrap();
         let (least, most) = (72, 1032);
         for frames in [least, least + 1, 500, most - 1, most] {
             let free = bytes(&attach, frames);
             // An eighth of what is free, 64 MiB at most, is left.
             let free = free + HEADROOM_BYTES.min(free.div_ceil(7));
-            assert_eq!(chosen(free, u64::MAX), Ok(frames));
-            assert_eq!(chosen(u64::MAX, 2 * bytes(&attach, frames)), Ok(frames));
+            assert_eq!(chosen(free, u64::MAX), frames);
+            assert_eq!(chosen(u64::MAX, 2 * bytes(&attach, frames)), frames);
         }
-        assert_eq!(chosen(u64::MAX, u64::MAX), Ok(most));
-        assert_eq!(chosen(u64::MAX, 0), Ok(least), "the least number it must have");
+        assert_eq!(chosen(u64::MAX, u64::MAX), most);
+        assert_eq!(chosen(u64::MAX, 0), least, "the least number it must have");
     }
 
     #[test]
@@ -275,34 +211,29 @@ mod tests {
             bytes + bytes / 7 + 8
         };
         let free = enough(&Attach { lanes: 2, ..attach.clone() });
-        let error = choose(&attach, DEMAND, None, free, u64::MAX).unwrap_err();
-        let FrameBudgetError::NoRoom(NoRoom { advice: Advice::Lanes(lanes), .. }) = error else {
-            panic!("{error}");
-        };
-        let fewer = Attach { lanes, ..attach.clone() };
-        let frames = choose(&fewer, DEMAND, None, free, u64::MAX).unwrap();
-        assert_eq!((lanes, frames >= DEMAND.least(lanes)), (2, true));
-        let one_more = Attach { lanes: lanes + 1, ..attach.clone() };
-        assert!(choose(&one_more, DEMAND, None, free, u64::MAX).is_err());
+        let error = choose(&attach, DEMAND, None, free, u64::MAX).unwrap_err().to_string();
+        assert!(error.contains("--lanes 2 or fewer fit; or make it larger"), "{error}");
+        let with =
+            |lanes: u32| choose(&Attach { lanes, ..attach.clone() }, DEMAND, None, free, u64::MAX);
+        assert!(with(2).unwrap() >= DEMAND.least(2));
+        assert!(with(3).is_err());
 
         let frame = FrameSize { width: 192, height: 192 };
-        let free = enough(&Attach { lanes: 1, frame, ..attach.clone() });
-        let error = choose(&attach, DEMAND, None, free, u64::MAX).unwrap_err();
-        let FrameBudgetError::NoRoom(NoRoom { advice: Advice::FrameSize(size), .. }) = error else {
-            panic!("{error}");
-        };
-        let frame = FrameSize { width: size, height: size };
         let smaller = Attach { lanes: 1, frame, ..attach.clone() };
+        let free = enough(&smaller);
+        let error = choose(&attach, DEMAND, None, free, u64::MAX).unwrap_err().to_string();
+        assert!(error.contains("--lanes 1 --frame-size 192 fits"), "{error}");
         assert!(choose(&smaller, DEMAND, None, free, u64::MAX).is_ok());
         let none = choose(&attach, DEMAND, None, 1000, u64::MAX).unwrap_err().to_string();
-        assert!(none.ends_with("make it larger (in Docker with --shm-size)"), "{none}");
+        assert!(none.ends_with("usable: make it larger (in Docker with --shm-size)"), "{none}");
 
         let few = choose(&attach, DEMAND, Some(10), u64::MAX, u64::MAX).unwrap_err();
         assert!(few.to_string().starts_with("--frame-budget is 10, and the run needs at least 72"));
         let free = 256 << 20;
-        let many = choose(&attach, DEMAND, Some(100_000), free, u64::MAX).unwrap_err();
-        let FrameBudgetError::TooMany { most, .. } = many else { panic!("{many}") };
-        assert_eq!(choose(&attach, DEMAND, Some(most), free, u64::MAX), Ok(most));
+        let many = choose(&attach, DEMAND, Some(100_000), free, u64::MAX).unwrap_err().to_string();
+        let most = many.split(' ').nth(4).and_then(|word| word.parse().ok()).unwrap();
+        assert_eq!(choose(&attach, DEMAND, Some(most), free, u64::MAX).unwrap(), most);
+        assert!(choose(&attach, DEMAND, Some(most + 1), free, u64::MAX).is_err());
     }
 
     #[test]
@@ -315,7 +246,7 @@ mod tests {
                 conditions.iter().map(|written| (written.parse().unwrap(), 1)).collect();
             let ids: Vec<&str> = cases.cases.iter().map(|case| case.id.as_str()).collect();
             let episodes = plan(&conditions, &[0, 60], &ids, 1);
-            let demand = Demand::of(&attach, &warehouse, &cases, &episodes, 40);
+            let demand = Demand::of(&attach, &warehouse, &cases, &episodes, (40, 40));
             // The two cases close different passages.
             let worlds = if is_blocked { 3 } else { 1 };
             assert_eq!(demand.all_views, worlds * every_view(&warehouse));

@@ -9,9 +9,11 @@
 //! Every answer names its episode by an id that is used once. An answer to an earlier episode of the lane is
 //! late, and ignored.
 
-use results::log::{EpisodeRecord, Stages};
+use domain::{ExternalName, MemoryKind};
+use results::log::{EpisodeRecord, RecallTotals, Stages};
 use shm_types::message::{
-    Decision, MemoryEpisodeConfig, Observation, PolicyEpisodeConfig, RecallTrace, Role, StepCommand,
+    Decision, MAX_EXTERNAL_MEMORIES, MemoryEpisodeConfig, Observation, PolicyEpisodeConfig,
+    RecallTrace, Role, StepCommand,
 };
 use warehouse::{CaseSet, Warehouse};
 
@@ -30,12 +32,31 @@ pub use stamps::Stamps;
 pub struct Rules {
     /// Expert actions that a retrieved segment covers, H_epi.
     pub horizon: u8,
+    /// Segments that episodic memory supplies, k.
+    pub hits: u8,
     /// Keyframes of full-context memory.
     pub keyframes: u8,
+    /// Most images that memory supplies at a step.
+    pub memory_images: u16,
+    /// Most bytes of text that memory supplies at a step.
+    pub memory_text_bytes: u32,
     /// T_max.
     pub max_steps: u32,
     /// Whether the orchestrator itself decides, by replaying the reference.
     pub expert: bool,
+    /// The external memories of the run, in the order of their indices.
+    pub external_memories: ExternalNames,
+}
+
+/// The names of a run's external memories: the position is the index on the wire.
+pub type ExternalNames = [Option<ExternalName>; MAX_EXTERNAL_MEMORIES];
+
+impl Rules {
+    /// The index of the external memory called `name`.
+    fn external_index(&self, name: ExternalName) -> Option<u8> {
+        let at = self.external_memories.iter().position(|known| *known == Some(name))?;
+        u8::try_from(at).ok()
+    }
 }
 
 /// A finished episode: its record and its times.
@@ -47,6 +68,8 @@ pub struct FinishedEpisode {
     pub record: EpisodeRecord,
     /// Nanoseconds in each stage of its steps.
     pub stages: Stages,
+    /// What memory supplied.
+    pub recalls: RecallTotals,
     /// The lane it ran in.
     pub lane: u32,
     /// Its id on the wire.
@@ -97,6 +120,8 @@ pub struct PendingAnswer {
     pub role: Role,
     /// The lane.
     pub lane: u32,
+    /// The memory of its episode.
+    pub memory: MemoryKind,
     /// Since when, CLOCK_MONOTONIC.
     pub since_ns: u64,
     /// Messages about the lane's episode that could not be used; the answer may have been among them.
@@ -226,6 +251,12 @@ impl<'w> Lanes<'w> {
     /// The steps that were taken since the last call.
     pub fn take_stepped(&mut self) -> std::vec::Drain<'_, Stamps> {
         self.stepped.drain(..)
+    }
+
+    /// The memory of the episode `id`, if that runs in the lane.
+    pub fn memory_of(&self, lane: u32, id: u64) -> Option<MemoryKind> {
+        let active = self.lanes.get(lane as usize)?.as_ref()?;
+        (active.id() == id).then(|| active.memory())
     }
 
     /// Frees the lane if the episode `id` runs in it, and returns that episode.

@@ -2,12 +2,13 @@
 //!
 //! Recording a step allocates nothing, except for the first step with a memory.
 
-use domain::Representation;
+use domain::{ExternalName, MemoryKind};
 use hdrhistogram::Histogram;
 use results::latency::{LatencyRecord, LatencySummary};
 use results::log::Stages;
 
 use crate::lanes::Stamps;
+use crate::status::MemoryStatus;
 
 /// The longest time that is recorded, in nanoseconds: an hour.
 const LONGEST_NS: u64 = 3_600_000_000_000;
@@ -20,7 +21,7 @@ const STAGES: usize = Stages::NAMES.len();
 /// Histograms of every stage, and of whole steps, by memory.
 #[derive(Debug, Default)]
 pub struct StepLatencies {
-    memories: Vec<(Representation, StageHistograms)>,
+    memories: Vec<(MemoryKind, StageHistograms)>,
 }
 
 /// The histograms of one memory.
@@ -50,8 +51,8 @@ impl StepLatencies {
 
     /// Adds what `other` recorded.
     pub fn add(&mut self, other: &Self) {
-        for (representation, theirs) in &other.memories {
-            let ours = self.of(*representation);
+        for (memory, theirs) in &other.memories {
+            let ours = self.of(*memory);
             let pairs = ours.stages.iter_mut().zip(&theirs.stages);
             for (ours, theirs) in pairs.chain([(&mut ours.step, &theirs.step)]) {
                 if let Err(impossible) = ours.add(theirs) {
@@ -71,13 +72,13 @@ impl StepLatencies {
     /// Every stage of every memory, and `step` for all stages together, in order.
     pub fn summaries(
         &self,
-    ) -> impl Iterator<Item = (Representation, &'static str, LatencySummary)> + '_ {
+    ) -> impl Iterator<Item = (MemoryKind, &'static str, LatencySummary)> + '_ {
         self.memories.iter().filter(|(_, memory)| !memory.step.is_empty()).flat_map(
-            |(representation, memory)| {
-                let stages = Stages::NAMES.into_iter().zip(&memory.stages);
+            |(memory, histograms)| {
+                let stages = Stages::NAMES.into_iter().zip(&histograms.stages);
                 stages
-                    .chain([("step", &memory.step)])
-                    .map(|(stage, histogram)| (*representation, stage, summarize(histogram)))
+                    .chain([("step", &histograms.step)])
+                    .map(|(stage, histogram)| (*memory, stage, summarize(histogram)))
             },
         )
     }
@@ -92,13 +93,67 @@ impl StepLatencies {
         })
     }
 
-    fn of(&mut self, representation: Representation) -> &mut StageHistograms {
-        let at = self.memories.iter().position(|(known, _)| *known == representation);
+    fn of(&mut self, memory: MemoryKind) -> &mut StageHistograms {
+        let at = self.memories.iter().position(|(known, _)| *known == memory);
         let at = at.unwrap_or_else(|| {
-            self.memories.push((representation, StageHistograms::new()));
+            self.memories.push((memory, StageHistograms::new()));
             self.memories.len() - 1
         });
         &mut self.memories[at].1
+    }
+}
+
+/// Histograms of the recalls of external memories, apart from what they compute.
+#[derive(Debug, Default)]
+pub struct RecallLatencies {
+    memories: Vec<(ExternalName, RecallHistograms)>,
+}
+
+#[derive(Debug)]
+struct RecallHistograms {
+    recall: Histogram<u64>,
+    method: Histogram<u64>,
+    wire: Histogram<u64>,
+}
+
+impl RecallLatencies {
+    /// Adds a step, if its memory is an external one.
+    pub fn record(&mut self, stamps: &Stamps) {
+        let MemoryKind::External(name) = stamps.memory else { return };
+        let at = self.memories.iter().position(|(known, _)| *known == name);
+        let at = at.unwrap_or_else(|| {
+            let [recall, method, wire] = std::array::from_fn(|_| histogram(DIGITS));
+            self.memories.push((name, RecallHistograms { recall, method, wire }));
+            self.memories.len() - 1
+        });
+        let Stamps { received_ns, embedded_ns, searched_ns, recalled_ns, method_ns, .. } = *stamps;
+        let histograms = &mut self.memories[at].1;
+        histograms.recall.saturating_record(recalled_ns.saturating_sub(received_ns));
+        histograms.method.saturating_record(method_ns);
+        let answer_ns = searched_ns.saturating_sub(embedded_ns);
+        histograms.wire.saturating_record(answer_ns.saturating_sub(method_ns));
+    }
+
+    /// The status of the memory called `name`, which is in `state`.
+    pub fn status(&self, name: ExternalName, state: &str) -> MemoryStatus {
+        let of = |histogram: fn(&RecallHistograms) -> &Histogram<u64>| {
+            let (_, found) = self.memories.iter().find(|(known, _)| *known == name)?;
+            Some(histogram(found)).filter(|times| !times.is_empty()).map(summarize)
+        };
+        MemoryStatus {
+            name,
+            state: state.to_owned(),
+            recall: of(|found| &found.recall),
+            method: of(|found| &found.method),
+            wire: of(|found| &found.wire),
+        }
+    }
+
+    /// Removes everything that was recorded, and keeps the allocations.
+    pub fn clear(&mut self) {
+        for (_, RecallHistograms { recall, method, wire }) in &mut self.memories {
+            [recall, method, wire].into_iter().for_each(Histogram::reset);
+        }
     }
 }
 
@@ -133,6 +188,8 @@ pub fn summarize(histogram: &Histogram<u64>) -> LatencySummary {
 
 #[cfg(test)]
 mod tests {
+    use domain::Representation;
+
     use super::*;
 
     #[test]
@@ -140,13 +197,13 @@ mod tests {
         let mut latency = StepLatencies::default();
         assert!(latency.is_empty());
         for n in 1..=1000 {
-            let mut stamps = Stamps::new(1, 0, Representation::Episodic);
+            let mut stamps = Stamps::new(1, 0, Representation::Episodic.into());
             (stamps.commanded_ns, stamps.woken_ns) = (1, 1 + n * 1000);
             latency.record(&stamps);
         }
         let of = |latency: &StepLatencies, name: &str| {
             let mut all = latency.summaries();
-            all.find(|&(memory, stage, _)| (memory, stage) == (Representation::Episodic, name))
+            all.find(|&(memory, stage, _)| memory == Representation::Episodic && stage == name)
                 .map(|(_, _, summary)| summary)
         };
         let command = of(&latency, "command").unwrap();

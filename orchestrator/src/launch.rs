@@ -4,7 +4,8 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
-use results::conditions::{Frames, PolicyKind};
+use domain::MemoryKind;
+use results::conditions::{Condition, Frames, PolicyKind};
 use results::log::RunFolder;
 use results::settings::{ModelSettings, RunSettings};
 use shm_types::message::Role;
@@ -12,27 +13,34 @@ use shm_types::process::shared_memory_space;
 use shm_types::{Attach, FrameControl, FrameSize, RunDir, Wait};
 use supervise::Launch;
 
+use crate::external_memory::ExternalMemory;
 use crate::frame_budget::{self, Demand};
-use crate::lanes::Rules;
+use crate::lanes::{ExternalNames, Rules};
 use crate::machine::memory_available;
 use crate::pipeline::PipelineOptions;
 use crate::plan::PlannedEpisode;
 use crate::world::World;
 
-/// How the processes are started, with their logs in the folder `logs`.
+/// How the processes are started, with their logs in the folder `logs`, beside the external memories `memories`.
 ///
 /// # Errors
 /// When a program is missing, or `--policy-cmd` is no command.
-pub fn pipeline_options(settings: &RunSettings, logs: PathBuf) -> Result<PipelineOptions> {
+pub fn pipeline_options(
+    settings: &RunSettings,
+    memories: &[ExternalMemory],
+    logs: PathBuf,
+) -> Result<PipelineOptions> {
     let step_timeout = Duration::from_secs(settings.step_timeout.into());
     Ok(PipelineOptions {
-        launches: launches(settings)?,
+        launches: launches(settings, memories)?,
         external_policy: settings.policy == PolicyKind::External && settings.policy_cmd.is_none(),
         logs,
         start_timeout: Duration::from_secs(settings.start_timeout.into()),
         answer_timeout: step_timeout,
         // The client of a model has time limits of its own, and always answers.
         decision_timeout: (settings.policy != PolicyKind::Openai).then_some(step_timeout),
+        memories: memories.to_vec(),
+        memory_timeout: Duration::from_secs(settings.memory_timeout.into()),
     })
 }
 
@@ -40,12 +48,21 @@ pub fn pipeline_options(settings: &RunSettings, logs: PathBuf) -> Result<Pipelin
 ///
 /// # Errors
 /// When a number is too large for the wire, which the settings rule out.
-pub fn rules(settings: &RunSettings) -> Result<Rules> {
+pub fn rules(settings: &RunSettings, memories: &[ExternalMemory]) -> Result<Rules> {
+    let mut external_memories = ExternalNames::default();
+    for memory in memories {
+        let place = external_memories.get_mut(usize::from(memory.index));
+        *place.context("more external memories than a run can have")? = Some(memory.name);
+    }
     Ok(Rules {
         horizon: u8::try_from(settings.horizon).context("--horizon")?,
+        hits: u8::try_from(settings.hits).context("--hits")?,
+        memory_images: u16::try_from(settings.memory_image_budget()).context("--memory-images")?,
+        memory_text_bytes: settings.memory_text_bytes,
         keyframes: u8::try_from(settings.keyframes).context("--keyframes")?,
         max_steps: settings.max_steps,
         expert: settings.policy == PolicyKind::Expert,
+        external_memories,
     })
 }
 
@@ -57,7 +74,7 @@ pub fn attach(
     settings: &RunSettings,
     world: &World,
     episodes: &[PlannedEpisode],
-    run: &RunDir,
+    (run, memories): (&RunDir, &[ExternalMemory]),
     prompts: Option<&Path>,
 ) -> Result<Attach> {
     let windows = episodes.iter().map(|episode| episode.key.condition.variation.window);
@@ -65,6 +82,7 @@ pub fn attach(
     let has_process = settings.policy.has_process();
     let mut attach = Attach {
         participants: if has_process { Role::CHILDREN.to_vec() } else { vec![Role::Sim] },
+        external_memories: memories.iter().map(|memory| memory.index).collect(),
         lanes: settings.lanes.min(episodes.len() as u32),
         window: windows.max().unwrap_or(0),
         frame: FrameSize { width: settings.frame_size, height: settings.frame_size },
@@ -79,7 +97,8 @@ pub fn attach(
         ..run.attach()
     };
     let World { warehouse, cases, .. } = world;
-    let demand = Demand::of(&attach, warehouse, cases, episodes, settings.keyframes);
+    let most = (settings.keyframes, settings.memory_image_budget());
+    let demand = Demand::of(&attach, warehouse, cases, episodes, most);
     let (free, _) = shared_memory_space().context("cannot tell how much shared memory is free")?;
     let given = settings.frame_budget;
     attach.frame_capacity = frame_budget::choose(&attach, demand, given, free, memory_available())?;
@@ -110,7 +129,7 @@ fn launch(
 }
 
 /// The processes that a run starts.
-fn launches(settings: &RunSettings) -> Result<Vec<Launch>> {
+fn launches(settings: &RunSettings, memories: &[ExternalMemory]) -> Result<Vec<Launch>> {
     let path = |path: &Option<PathBuf>| path.as_ref().map(|path| path.display().to_string());
     let assets = ("--assets", path(&settings.assets));
     let renderer = vec![
@@ -125,7 +144,7 @@ fn launches(settings: &RunSettings) -> Result<Vec<Launch>> {
     if !settings.policy.has_process() {
         return Ok(vec![sim]);
     }
-    let encoder = vec![
+    let mut encoder = vec![
         assets,
         ("--encoder", Some(settings.encoder.clone())),
         ("--encoder-file", path(&settings.encoder_file)),
@@ -133,9 +152,17 @@ fn launches(settings: &RunSettings) -> Result<Vec<Launch>> {
         ("--provider", settings.provider.clone()),
         ("--documents", Some(RunFolder::documents_of(&settings.out).display().to_string())),
     ];
+    let timeout = (!memories.is_empty()).then(|| settings.memory_timeout.to_string());
+    encoder.push(("--memory-timeout", timeout));
     let mut memory = launch(Role::Memory, "memory-proc", vec!["serve".into()], encoder)?;
     // Decided by all conditions, not by those that are left: the process reports the same when a run is resumed.
-    if !settings.conditions().iter().any(|condition| condition.memory.matches_views()) {
+    let embeds = |condition: &Condition| match condition.memory {
+        MemoryKind::BuiltIn(representation) => representation.matches_views(),
+        MemoryKind::External(name) => {
+            memories.iter().any(|memory| memory.name == name && memory.description.embeddings)
+        }
+    };
+    if !settings.conditions().iter().any(embeds) {
         memory.args.push("--no-encoder".into());
     }
     Ok([Some(sim), Some(memory), policy_launch(settings)?].into_iter().flatten().collect())

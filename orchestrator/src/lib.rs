@@ -1,8 +1,8 @@
 //! The program `memtransfer`: settings, lanes, child processes, command line.
 //!
 //! - Before a run: [`settings`] (sources, resolved once), [`world`] (warehouse and cases), [`plan`] (episodes and
-//!   their seeds), [`documents`] (built where they are missing), [`estimate`] (of tokens and costs), [`launch`] (which
-//!   processes, with which limits), [`frame_budget`] (room in shared memory).
+//!   their seeds), [`documents`] (built where they are missing), [`estimate`] (of tokens and costs), [`external_memory`] (started, and asked for
+//!   their names), [`launch`] (which processes, with which limits), [`frame_budget`] (room in shared memory).
 //! - During a run: [`lanes`] (episodes step by step, pure), [`event_recorder`] (what an episode's record needs beside
 //!   its steps), [`pipeline`] (through the processes), [`session`] (into the run folder), [`budget`] (when to stop),
 //!   [`signals`].
@@ -19,6 +19,7 @@ pub mod commit;
 pub mod documents;
 pub mod estimate;
 pub mod event_recorder;
+pub mod external_memory;
 pub mod frame_budget;
 pub mod lanes;
 pub mod latency;

@@ -4,10 +4,12 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::time::{Duration, Instant};
 
+use domain::{ExternalName, MemoryKind};
 use shm_types::message::{Heartbeat, Role};
 
 use crate::lanes::{PendingAnswer, Stamps};
-use crate::latency::StepLatencies;
+use crate::latency::{RecallLatencies, StepLatencies};
+use crate::pipeline::{MemoryState, Participant};
 use crate::progress::Progress;
 use crate::status::{EpisodeCounts, LiveStatus, ProcessStatus, StageLatency, StatusFile};
 
@@ -27,7 +29,11 @@ pub struct Monitor {
     recent: StepLatencies,
     /// Of all steps before.
     latency: StepLatencies,
-    heartbeats: BTreeMap<Role, (Instant, Heartbeat)>,
+    heartbeats: BTreeMap<Participant, (Instant, Heartbeat)>,
+    /// Of the external memories: whether they take part.
+    memories: BTreeMap<ExternalName, String>,
+    /// Their recalls since the last update.
+    recalls: RecallLatencies,
     began: Instant,
     /// When the first step was taken.
     running_since: Option<Instant>,
@@ -47,6 +53,8 @@ impl Monitor {
             recent: StepLatencies::default(),
             latency: StepLatencies::default(),
             heartbeats: BTreeMap::new(),
+            memories: BTreeMap::new(),
+            recalls: RecallLatencies::default(),
             began: now,
             running_since: None,
             updated: (now, 0),
@@ -67,6 +75,18 @@ impl Monitor {
         }
         self.status.steps += 1;
         self.recent.record(stamps);
+        self.recalls.record(stamps);
+    }
+
+    /// Something happened to an external memory.
+    pub fn memory_state(&mut self, name: ExternalName, state: &MemoryState) {
+        let state = match state {
+            MemoryState::Ready => "ready".to_owned(),
+            MemoryState::Failed(1) => "failed once, started again".to_owned(),
+            MemoryState::Failed(count) => format!("failed {count} times, started again"),
+            MemoryState::Excluded(_) => "left out".to_owned(),
+        };
+        self.memories.insert(name, state);
     }
 
     /// An episode was finished.
@@ -88,22 +108,26 @@ impl Monitor {
     }
 
     /// A process reported its load.
-    pub fn heartbeat(&mut self, role: Role, heartbeat: &Heartbeat) {
+    pub fn heartbeat(&mut self, sender: Participant, heartbeat: &Heartbeat) {
         let now = Instant::now();
         let Heartbeat { done, waiting, held, room, .. } = *heartbeat;
-        let before = self.heartbeats.insert(role, (now, *heartbeat));
+        let before = self.heartbeats.insert(sender, (now, *heartbeat));
         let done_per_s = before.map_or(0.0, |(when, before)| {
             done.saturating_sub(before.done) as f64 / (now - when).as_secs_f64().max(1e-3)
         });
         let process = ProcessStatus { done, done_per_s, waiting, held, room };
-        self.status.processes.insert(role.word().to_owned(), process);
+        self.status.processes.insert(sender.to_string(), process);
     }
 
     /// The answers that lanes wait for.
     pub fn pending(&mut self, pending: &[PendingAnswer]) {
         self.status.waiting.clear();
         for answer in pending {
-            *self.status.waiting.entry(answer.role.word().to_owned()).or_default() += 1;
+            let owes = match (answer.role, answer.memory) {
+                (Role::Memory, MemoryKind::External(name)) => Participant::from(name),
+                (role, _) => role.into(),
+            };
+            *self.status.waiting.entry(owes.to_string()).or_default() += 1;
         }
     }
 
@@ -122,6 +146,10 @@ impl Monitor {
                 summary,
             });
             status.stages = stages.collect();
+            let memories = self.memories.iter();
+            status.memories =
+                memories.map(|(name, state)| self.recalls.status(*name, state)).collect();
+            self.recalls.clear();
             self.latency.add(&self.recent);
             self.recent.clear();
             self.updated = (Instant::now(), status.steps);
@@ -173,16 +201,37 @@ mod tests {
         let episodes = EpisodeCounts { planned: 100, earlier: (40, 1), ..EpisodeCounts::default() };
         let mut monitor = Monitor::new(run.path(), 8, episodes, Progress::new(true));
         monitor.updated.0 -= INTERVAL;
-        monitor.stepped(&Stamps::new(1, 0, Representation::Working));
-        monitor.pending(&[PendingAnswer { role: Role::Sim, lane: 3, since_ns: 0, unusable: 0 }]);
-        monitor.heartbeat(Role::Sim, &Heartbeat { held: 7, ..bytemuck::Zeroable::zeroed() });
+        monitor.stepped(&Stamps::new(1, 0, Representation::Working.into()));
+        monitor.pending(&[PendingAnswer {
+            role: Role::Sim,
+            lane: 3,
+            memory: Representation::Working.into(),
+            since_ns: 0,
+            unusable: 0,
+        }]);
+        monitor.heartbeat(Role::Sim.into(), &Heartbeat { held: 7, ..bytemuck::Zeroable::zeroed() });
+        let name: ExternalName = "top-3".parse().unwrap();
+        monitor.memory_state(name, &MemoryState::Failed(2));
+        let mut stamps = Stamps::new(2, 1, MemoryKind::External(name));
+        (stamps.received_ns, stamps.embedded_ns) = (1_000, 2_000);
+        (stamps.searched_ns, stamps.method_ns, stamps.recalled_ns) = (52_000, 30_000, 61_000);
+        monitor.stepped(&stamps);
         monitor.finished(true);
         monitor.waiting_for_server(Some("connection refused"));
         monitor.tick();
         let status = LiveStatus::read(run.path()).unwrap().unwrap();
-        assert_eq!((status.episodes.done(), status.steps, status.lanes), (41, 1, 8));
+        assert_eq!((status.episodes.done(), status.steps, status.lanes), (41, 2, 8));
         assert_eq!((status.waiting["sim"], status.processes["sim"].held), (1, 7));
-        assert_eq!(status.stages.len(), results::log::Stages::NAMES.len() + 1);
+        assert_eq!(status.stages.len(), 2 * (results::log::Stages::NAMES.len() + 1));
+        let memory = &status.memories[0];
+        assert_eq!((memory.name, memory.state.as_str()), (name, "failed 2 times, started again"));
+        let p50 = |latency: &Option<results::latency::LatencySummary>| {
+            latency.as_ref().map(|latency| latency.p50_us.round())
+        };
+        assert_eq!(
+            (p50(&memory.recall), p50(&memory.method), p50(&memory.wire)),
+            (Some(60.0), Some(30.0), Some(20.0))
+        );
         assert_eq!(status.waiting_for_server.as_deref(), Some("connection refused"));
         assert_eq!(monitor.close().records(1).count(), status.stages.len());
     }

@@ -4,7 +4,8 @@
 //! generation ends; its services have names that no later one uses, so no stale message arrives. The next generation
 //! starts after a pause and repeats the episodes that were under way; finished ones are in the log. A policy may be
 //! any program: an episode that it leaves unanswered, or answers with something invalid, is repeated by itself, and
-//! one that makes it crash is searched for (`queue`).
+//! one that makes it crash is searched for (`queue`). An external memory that fails several times, without one of its
+//! episodes being finished in between, is excluded: the run goes on without it.
 //!
 //! Results leave through [`Observer`]; nothing here writes or prints.
 
@@ -14,20 +15,29 @@ mod startup;
 mod supervision;
 
 use std::collections::BTreeMap;
+use std::fmt;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
 use std::time::Duration;
 
 use anyhow::{Result, bail};
+use domain::{ExternalName, MemoryKind};
 use shm_types::Attach;
 use shm_types::message::{Heartbeat, Role, ShutdownReport};
-use supervise::Launch;
+use supervise::{Children, Launch};
 
+use crate::external_memory::ExternalMemory;
 use crate::lanes::{AnsweredRequest, FinishedEpisode, Lanes, PendingAnswer, Stamps};
 use crate::plan::PlannedEpisode;
 use generation::Generation;
 use queue::{CULPRITS_IN_A_ROW, EpisodeQueue};
+
+/// Failures of an external memory, without one of its episodes being finished in between, after which it is excluded.
+const MEMORY_FAILURES: u32 = 3;
+
+/// Time that an external memory has to build itself from demonstrations; the memory process keeps it.
+const MEMORY_BUILD_TIMEOUT: Duration = Duration::from_secs(600);
 
 /// Generations that may fail one after the other without an episode being finished in between.
 const FAILURES_IN_A_ROW: u32 = 4;
@@ -50,6 +60,77 @@ pub struct PipelineOptions {
     pub answer_timeout: Duration,
     /// Time limit of a decision; `None` where the policy limits it itself.
     pub decision_timeout: Option<Duration>,
+    /// The external memories, by index.
+    pub memories: Vec<ExternalMemory>,
+    /// Time limit of an answer of an external memory. The memory process keeps it, and gives up the episode.
+    pub memory_timeout: Duration,
+}
+
+impl PipelineOptions {
+    /// The external memory with this index.
+    fn memory(&self, index: u32) -> Option<&ExternalMemory> {
+        self.memories.iter().find(|memory| u32::from(memory.index) == index)
+    }
+
+    /// The process with this role and, for an external memory, this index.
+    fn participant(&self, role: Role, index: u32) -> Option<Participant> {
+        match role {
+            Role::ExternalMemory => self.memory(index).map(|memory| memory.name.into()),
+            role => Some(role.into()),
+        }
+    }
+}
+
+/// A process of a run.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Participant {
+    /// Its role.
+    pub role: Role,
+    /// The name of an external memory.
+    pub memory: Option<ExternalName>,
+}
+
+impl From<Role> for Participant {
+    fn from(role: Role) -> Self {
+        Self { role, memory: None }
+    }
+}
+
+impl From<ExternalName> for Participant {
+    fn from(name: ExternalName) -> Self {
+        Self { role: Role::ExternalMemory, memory: Some(name) }
+    }
+}
+
+impl fmt::Display for Participant {
+    /// The role; after it the name of an external memory.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self.memory {
+            None => f.pad(self.role.word()),
+            Some(name) => f.pad(&format!("{} {name}", self.role.word())),
+        }
+    }
+}
+
+impl Participant {
+    /// As it is called in a sentence: `the policy process`, `the external memory top-3`.
+    fn in_words(&self) -> String {
+        match self.memory {
+            None => format!("the {} process", self.role.word()),
+            Some(name) => format!("the external memory {name}"),
+        }
+    }
+}
+
+/// What becomes of an external memory.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum MemoryState {
+    /// It takes part.
+    Ready,
+    /// It failed so many times since one of its episodes was finished, and is started again.
+    Failed(u32),
+    /// It takes part no longer, for this reason.
+    Excluded(String),
 }
 
 /// The facts that a process reports when it is ready: adapter, encoder, policy, ...
@@ -58,13 +139,23 @@ pub type Facts = BTreeMap<String, String>;
 /// Receives what happens, as it happens.
 pub trait Observer {
     /// Processes are being started.
-    fn starting(&mut self, generation: u32);
+    fn starting(&mut self, _generation: u32) {}
     /// All are ready but the policy, which is started by someone else and has to attach to the run in `folder`.
-    fn awaiting_policy(&mut self, folder: &Path);
+    fn awaiting_policy(&mut self, _folder: &Path) {}
+    /// All are ready but an external memory, which is started by someone else.
+    fn awaiting_memory(&mut self, _name: ExternalName) {}
+    /// Something happened to an external memory.
+    fn memory_state(&mut self, _name: ExternalName, _state: &MemoryState) -> Result<()> {
+        Ok(())
+    }
     /// All are ready.
-    fn ready(&mut self, facts: &BTreeMap<Role, Facts>) -> Result<()>;
+    fn ready(&mut self, _facts: &BTreeMap<Participant, Facts>) -> Result<()> {
+        Ok(())
+    }
     /// A model answered a request. Returns why the run has to stop, if it has: its budget is used up.
-    fn answered(&mut self, request: &AnsweredRequest) -> Result<Option<String>>;
+    fn answered(&mut self, _request: &AnsweredRequest) -> Result<Option<String>> {
+        Ok(None)
+    }
     /// An episode is finished, at the `attempt`th attempt.
     fn finished(&mut self, finished: &FinishedEpisode, attempt: u32) -> Result<()>;
     /// A step was taken.
@@ -72,13 +163,13 @@ pub trait Observer {
         Ok(())
     }
     /// A process reported its load, as each does about once a second.
-    fn heartbeat(&mut self, _role: Role, _heartbeat: &Heartbeat) {}
+    fn heartbeat(&mut self, _sender: Participant, _heartbeat: &Heartbeat) {}
     /// The policy waits for its model's server, for the reason given, or no longer.
     fn waiting_for_server(&mut self, _reason: Option<&str>) {}
     /// The answers that are pending. Called several times a second.
     fn pending(&mut self, _pending: &[PendingAnswer]) {}
     /// `steps` steps were taken since the last call. Called several times a second.
-    fn progress(&mut self, steps: u64);
+    fn progress(&mut self, _steps: u64) {}
     /// A problem occurred and was dealt with.
     fn problem(&mut self, what: &str);
 }
@@ -93,7 +184,7 @@ pub struct Ending {
     /// Episodes that could not be finished, and why.
     pub unfinished: Vec<(PlannedEpisode, String)>,
     /// The shutdown reports of the last generation.
-    pub shutdown_reports: BTreeMap<Role, ShutdownReport>,
+    pub shutdown_reports: BTreeMap<Participant, ShutdownReport>,
 }
 
 /// Why a generation ended before its work was done.
@@ -103,6 +194,8 @@ enum Failure {
     Retry(String),
     /// As [`Failure::Retry`], and the policy is the cause.
     Policy(String),
+    /// As [`Failure::Retry`], and this external memory is the cause.
+    ExternalMemory(ExternalName, String),
     /// No other generation would do better.
     Fatal(anyhow::Error),
 }
@@ -113,7 +206,8 @@ impl<E: Into<anyhow::Error>> From<E> for Failure {
     }
 }
 
-/// Runs `episodes`, in their order as lanes become free.
+/// Runs `episodes`, in their order as lanes become free. The external memories that are `started` already take part in
+/// the first generation.
 ///
 /// # Errors
 /// When the processes cannot be started, fail repeatedly, or `observer` returns an error.
@@ -122,11 +216,19 @@ pub fn run_episodes(
     episodes: impl IntoIterator<Item = PlannedEpisode>,
     attach: &Attach,
     options: &PipelineOptions,
+    started: Children,
     stop: &AtomicBool,
     observer: &mut dyn Observer,
 ) -> Result<Ending> {
-    let mut run =
-        PipelineRun { lanes, queue: EpisodeQueue::new(episodes), options, stop, observer };
+    let mut run = PipelineRun {
+        lanes,
+        queue: EpisodeQueue::new(episodes),
+        options,
+        started,
+        memory_failures: BTreeMap::new(),
+        stop,
+        observer,
+    };
     let ending = run.execute_to_end(attach.clone());
     // A process that was not started here and missed the stop message learns from this that the run is over.
     if let Err(error) = Attach::withdraw(&attach.root) {
@@ -146,12 +248,16 @@ struct PipelineRun<'a, 'w> {
     lanes: &'a mut Lanes<'w>,
     queue: EpisodeQueue,
     options: &'a PipelineOptions,
+    /// External memories that the next generation finds started; none after the first.
+    started: Children,
+    /// Failures of each external memory since one of its episodes was finished.
+    memory_failures: BTreeMap<ExternalName, u32>,
     stop: &'a AtomicBool,
     observer: &'a mut dyn Observer,
 }
 
 /// Why a run stopped early, if it did, and the reports of its last generation.
-type GenerationOutcome = (Option<String>, BTreeMap<Role, ShutdownReport>);
+type GenerationOutcome = (Option<String>, BTreeMap<Participant, ShutdownReport>);
 
 impl PipelineRun<'_, '_> {
     fn execute_to_end(&mut self, mut attach: Attach) -> Result<GenerationOutcome> {
@@ -169,6 +275,11 @@ impl PipelineRun<'_, '_> {
                     continue;
                 }
                 Err(Failure::Fatal(error)) => return Err(error),
+                Err(Failure::ExternalMemory(name, why)) => {
+                    self.memory_failed(name, under_way, &why, &mut attach)?;
+                    failures = 0;
+                    why
+                }
                 Err(Failure::Policy(why)) if !under_way.is_empty() => {
                     // Any number of times: each time fewer episodes can be the cause.
                     self.policy_failed(under_way, &why)?;
@@ -207,9 +318,40 @@ impl PipelineRun<'_, '_> {
             return Ok(GenerationOutcome::default());
         };
         match generation.run_queue(self) {
-            Ok(halted) => Ok((halted, generation.finish())),
-            Err(failure) => Err(generation.root_cause(failure)),
+            Ok(halted) => Ok((halted, generation.finish(self.options))),
+            Err(failure) => Err(generation.root_cause(self.options, failure)),
         }
+    }
+
+    /// Counts a failure of an external memory. After too many the memory takes part no longer: its episodes end without a
+    /// result.
+    fn memory_failed(
+        &mut self,
+        name: ExternalName,
+        under_way: Vec<PlannedEpisode>,
+        why: &str,
+        attach: &mut Attach,
+    ) -> Result<()> {
+        let memory = MemoryKind::External(name);
+        let is_own = |episode: &PlannedEpisode| episode.key.condition.memory == memory;
+        let (own, others) = under_way.into_iter().partition(is_own);
+        self.queue.interrupted(others);
+        self.queue.failed(own);
+        let count = self.memory_failures.entry(name).or_default();
+        *count += 1;
+        if *count < MEMORY_FAILURES {
+            let state = MemoryState::Failed(*count);
+            return self.observer.memory_state(name, &state);
+        }
+        let index = self.options.memories.iter().find(|known| known.name == name);
+        attach.external_memories.retain(|&taken| Some(taken) != index.map(|memory| memory.index));
+        let why = format!(
+            "the external memory {name} failed {count} times without finishing an episode, and is left out; the last \
+             time: {why}"
+        );
+        let excluded = self.queue.exclude(memory, &why);
+        self.observer.problem(&format!("{excluded} episodes end without a result: {why}"));
+        self.observer.memory_state(name, &MemoryState::Excluded(why))
     }
 
     fn policy_failed(&mut self, under_way: Vec<PlannedEpisode>, why: &str) -> Result<()> {

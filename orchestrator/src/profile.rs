@@ -11,21 +11,23 @@ pub mod recorder;
 pub mod search;
 pub mod summary;
 
+use std::collections::BTreeSet;
 use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
+use domain::MemoryKind;
+use domain::search_profile::SearchMeasurement;
 use results::named;
 use serde::{Deserialize, Serialize};
 
 use crate::machine::Machine;
 use crate::machine::floors::Floors;
 use recorder::AccessLatency;
-use search::SearchMeasurement;
 
 /// The version of the format.
-pub const SCHEMA: u32 = 2;
+pub const SCHEMA: u32 = 3;
 
 named! {
     /// Whether the caches know the views.
@@ -92,6 +94,11 @@ impl AccessRun {
             if self.lanes == 1 { "1 lane".to_owned() } else { format!("{} lanes", self.lanes) };
         format!("{}, {lanes}, {wait}", self.caches)
     }
+
+    /// The memories that were accessed, built-in ones first.
+    pub fn memories(&self) -> BTreeSet<MemoryKind> {
+        self.latencies.iter().map(|latency| latency.memory).collect()
+    }
 }
 
 impl Profile {
@@ -137,10 +144,10 @@ impl Profile {
             "recall_at_10",
         ])?;
         for run in &self.runs {
-            for AccessLatency { representation, step, part, times } in &run.latencies {
+            for AccessLatency { memory, step, part, times } in &run.latencies {
                 csv.serialize((
                     ("run", run.caches.to_string(), run.lanes, run.spin_us),
-                    (representation.name(), step.to_string(), part.to_string()),
+                    (memory.name(), step.to_string(), part.to_string()),
                     (None::<u32>, None::<u32>, None::<u32>),
                     (times.count, times.mean_us, times.p50_us, times.p90_us),
                     (times.p99_us, times.p999_us, times.max_us),
@@ -185,11 +192,11 @@ pub(crate) mod tests {
             max_us: 60.0,
         };
         let latencies = |representation: &Representation| {
-            let representation = *representation;
+            let memory = MemoryKind::BuiltIn(*representation);
             let times = times.clone();
             AccessPart::ALL.iter().flat_map(move |&part| {
                 [StepClass::First, StepClass::Later].map(|step| AccessLatency {
-                    representation,
+                    memory,
                     step,
                     part,
                     times: times.clone(),

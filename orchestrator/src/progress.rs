@@ -29,9 +29,10 @@ impl BuildProgress {
         });
     }
 
-    /// Removes the bar.
-    pub fn close(self) {
-        self.0.close(|| "documents: done".to_owned());
+    /// Removes the bar. Where there is no terminal, a line says whether the documents are complete.
+    pub fn close(self, complete: bool) {
+        let state = if complete { "done" } else { "not complete" };
+        self.0.close(|| format!("documents: {state}"));
     }
 }
 

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use anyhow::Result;
-use domain::Outcome;
+use domain::{ExternalName, Outcome};
 use results::log::{EpisodeError, EpisodeTimings, RequestRecord, RunFolder, SessionEvent};
 use shm_types::ATTACH_VARIABLE;
 use shm_types::message::{Heartbeat, Role, ShutdownReport};
@@ -14,7 +14,7 @@ use shm_types::process::monotonic_ns;
 use crate::budget::Budget;
 use crate::lanes::{AnsweredRequest, FinishedEpisode, PendingAnswer, Stamps};
 use crate::monitor::Monitor;
-use crate::pipeline::{Ending, Facts, Observer};
+use crate::pipeline::{Ending, Facts, MemoryState, Observer, Participant};
 use crate::trace::RunTrace;
 
 /// Problems that are printed one by one; a process that sends invalid messages may do so often.
@@ -76,7 +76,7 @@ impl<'a> RunSession<'a> {
                 errors += 1;
             }
             let reports = ending.shutdown_reports.iter();
-            shutdown_reports = reports.map(|(role, report)| counts_of(*role, report)).collect();
+            shutdown_reports = reports.map(|(sender, report)| counts_of(*sender, report)).collect();
         }
         if let Some(more) = self.problems.checked_sub(PROBLEMS_PRINTED).filter(|more| *more > 0) {
             self.monitor.note(&format!("{more} more such messages were not printed"));
@@ -114,9 +114,25 @@ impl Observer for RunSession<'_> {
         self.monitor.phase("waiting for a policy to attach");
     }
 
-    fn ready(&mut self, facts: &BTreeMap<Role, Facts>) -> Result<()> {
+    fn awaiting_memory(&mut self, name: ExternalName) {
+        self.monitor.phase(&format!("waiting for the memory {name} to attach"));
+    }
+
+    fn memory_state(&mut self, name: ExternalName, state: &MemoryState) -> Result<()> {
+        self.monitor.memory_state(name, state);
+        if let MemoryState::Excluded(reason) = state {
+            let (memory, reason) = (name, reason.clone());
+            self.folder.note(SessionEvent::Excluded { memory, reason })?;
+        }
+        Ok(())
+    }
+
+    fn ready(&mut self, facts: &BTreeMap<Participant, Facts>) -> Result<()> {
         let processes: BTreeMap<String, Facts> =
-            facts.iter().map(|(role, facts)| (role.word().to_owned(), facts.clone())).collect();
+            facts.iter().map(|(sender, facts)| (sender.to_string(), facts.clone())).collect();
+        for name in facts.keys().filter_map(|sender| sender.memory) {
+            self.monitor.memory_state(name, &MemoryState::Ready);
+        }
         self.folder.note(SessionEvent::Ready {
             generation: self.generation,
             lanes: self.lanes,
@@ -126,7 +142,7 @@ impl Observer for RunSession<'_> {
         for change in self.folder.introduce(processes)? {
             self.monitor.note(&change);
         }
-        let has_memory = facts.contains_key(&Role::Memory);
+        let has_memory = facts.contains_key(&Role::Memory.into());
         self.monitor.phase(if has_memory {
             "preparing memories"
         } else {
@@ -155,6 +171,7 @@ impl Observer for RunSession<'_> {
             steps: finished.record.steps,
             invalid_messages: finished.unusable,
             stages: finished.stages,
+            recalls: finished.recalls,
         };
         self.folder.finish(&[(finished.record.clone(), timings)])?;
         self.finished += 1;
@@ -167,8 +184,8 @@ impl Observer for RunSession<'_> {
         self.trace.as_mut().map_or(Ok(()), |trace| trace.step(stamps))
     }
 
-    fn heartbeat(&mut self, role: Role, heartbeat: &Heartbeat) {
-        self.monitor.heartbeat(role, heartbeat);
+    fn heartbeat(&mut self, sender: Participant, heartbeat: &Heartbeat) {
+        self.monitor.heartbeat(sender, heartbeat);
     }
 
     fn waiting_for_server(&mut self, reason: Option<&str>) {
@@ -193,7 +210,7 @@ impl Observer for RunSession<'_> {
 }
 
 /// A shutdown report as the run folder stores it.
-fn counts_of(role: Role, report: &ShutdownReport) -> (String, BTreeMap<String, u64>) {
+fn counts_of(sender: Participant, report: &ShutdownReport) -> (String, BTreeMap<String, u64>) {
     let counts = [
         ("frames_rendered", report.frames_rendered),
         ("frames_evicted", report.frames_evicted),
@@ -202,7 +219,7 @@ fn counts_of(role: Role, report: &ShutdownReport) -> (String, BTreeMap<String, u
         ("error_reports", report.error_reports),
     ];
     let counts = counts.into_iter().map(|(what, count)| (what.to_owned(), count));
-    (role.word().to_owned(), counts.collect())
+    (sender.to_string(), counts.collect())
 }
 
 /// The record of a request to a model. A policy may leave any figure unmeasured.

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use anyhow::{Context, Result};
-use domain::Representation;
+use domain::{ExternalName, MemoryKind};
 use results::latency::LatencySummary;
 use serde::{Deserialize, Serialize};
 
@@ -41,6 +41,24 @@ pub struct LiveStatus {
     pub processes: BTreeMap<String, ProcessStatus>,
     /// Latencies of the steps since the last update.
     pub stages: Vec<StageLatency>,
+    /// The external memories.
+    #[serde(default)]
+    pub memories: Vec<MemoryStatus>,
+}
+
+/// The status of an external memory. Latencies are those since the last update, absent where it was not asked.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct MemoryStatus {
+    /// Its name.
+    pub name: ExternalName,
+    /// Whether it takes part.
+    pub state: String,
+    /// From the observation to the recall.
+    pub recall: Option<LatencySummary>,
+    /// What it computed, by its own clock.
+    pub method: Option<LatencySummary>,
+    /// The messages to it and back.
+    pub wire: Option<LatencySummary>,
 }
 
 /// Counts of a run's episodes.
@@ -75,7 +93,7 @@ pub struct ProcessStatus {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct StageLatency {
     /// The memory.
-    pub memory: Representation,
+    pub memory: MemoryKind,
     /// The stage, or `step` for all stages together.
     pub stage: String,
     /// The latency.

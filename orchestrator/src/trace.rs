@@ -30,6 +30,8 @@ pub struct RunTrace {
     began_ns: u64,
     is_first: bool,
     lanes: u32,
+    /// Whether an external memory took part.
+    has_external: bool,
 }
 
 impl RunTrace {
@@ -54,7 +56,7 @@ impl RunTrace {
         let mut file = BufWriter::new(file);
         file.write_all(b"{\"displayTimeUnit\":\"ns\",\"traceEvents\":[")?;
         let began_ns = monotonic_ns();
-        Ok(Self { path, file, spans, began_ns, is_first: true, lanes: 0 })
+        Ok(Self { path, file, spans, began_ns, is_first: true, lanes: 0, has_external: false })
     }
 
     /// The folder in which processes record their spans.
@@ -69,6 +71,7 @@ impl RunTrace {
     pub fn step(&mut self, stamps: &Stamps) -> Result<()> {
         let s = stamps;
         self.lanes = self.lanes.max(s.lane + 1);
+        self.has_external |= s.memory.external().is_some();
         let whole = [(Role::Orchestrator, "step", s.commanded_ns, s.logged_ns)];
         let stages = [
             (Role::Sim, "dynamics", s.woken_ns, s.stepped_ns),
@@ -76,6 +79,13 @@ impl RunTrace {
             (Role::Sim, "publish", s.rendered_ns, s.published_ns),
             (Role::Memory, "embed", s.received_ns, s.embedded_ns),
             (Role::Memory, "search", s.embedded_ns, s.searched_ns),
+            // By its own clock: the messages to it and back are taken to be equally long.
+            (
+                Role::ExternalMemory,
+                "method",
+                s.method_began_ns(),
+                s.method_began_ns() + s.method_ns,
+            ),
             (Role::Memory, "assemble", s.searched_ns, s.assembled_ns),
             (Role::Policy, "queue", s.joined_ns, s.started_ns),
             (Role::Policy, "decide", s.started_ns, s.decided_ns),
@@ -120,7 +130,9 @@ impl RunTrace {
                 self.slice((role, 1 + place as u32), &name, (start_ns, end_ns), &arguments)?;
             }
         }
-        for &role in Role::ALL {
+        let has_external = self.has_external;
+        for &role in Role::ALL.iter().filter(|role| **role != Role::ExternalMemory || has_external)
+        {
             let name = json!({ "name": role.word() });
             self.meta("process_name", (role, 0), &name)?;
             self.meta("process_sort_index", (role, 0), &json!({ "sort_index": role as u8 }))?;
@@ -202,7 +214,7 @@ mod tests {
             stepped_ns: at(3),
             rendered_ns: at(7),
             logged_ns: at(9),
-            ..Stamps::new(8, 1, Representation::Working)
+            ..Stamps::new(8, 1, Representation::Working.into())
         };
         let span = Span {
             track: "renderer".into(),
@@ -233,6 +245,8 @@ mod tests {
         "draw" 2:1 3.0+3.0
         "#);
         let names = events.iter().filter(|event| event["name"] == "thread_name");
+        let external = |event: &&Value| event["pid"] == pid(Role::ExternalMemory);
+        assert_eq!(events.iter().filter(external).count(), 0, "the run has none");
         let names: Vec<&Value> = names.map(|event| &event["args"]["name"]).collect();
         assert!(names.contains(&&json!("lane 1")) && names.contains(&&json!("renderer")));
     }

@@ -6,6 +6,7 @@ use std::fs;
 use std::path::Path;
 use std::process::{Command, Output};
 
+use results::log::{RunFolder, testing};
 use tempfile::TempDir;
 
 /// `memtransfer ARGUMENTS` in `dir`, away from this machine's settings.
@@ -38,10 +39,15 @@ fn text(bytes: &[u8]) -> String {
 /// Runs it, expects exit status 2, nothing on stdout and no run folder; returns its message.
 fn refused(dir: &Path, arguments: &str) -> String {
     let output = memtransfer(dir, arguments);
-    let said = text(&output.stderr);
-    assert_eq!(output.status.code(), Some(2), "{arguments}: {said}");
     assert!(output.stdout.is_empty(), "{arguments}");
     assert!(!dir.join("runs").exists(), "{arguments} left a run folder");
+    message(&output, arguments)
+}
+
+/// The message of a command that ended with exit status 2.
+fn message(output: &Output, arguments: &str) -> String {
+    let said = text(&output.stderr);
+    assert_eq!(output.status.code(), Some(2), "{arguments}: {said}");
     said
 }
 
@@ -212,6 +218,33 @@ fn a_dry_run_counts_and_touches_nothing() {
         assert!(said.contains(counted), "{arguments}: {said}{}", text(&output.stderr));
     }
     assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 0);
+}
+
+/// A step of a run without a prompt log is shown with advice that helps, and a case that is not shown says why.
+#[test]
+fn a_run_without_prompts_is_shown_and_a_missing_case_explained() {
+    let dir = dir();
+    let mut manifest = testing::manifest();
+    manifest.settings.cases = vec!["t01".parse().unwrap()];
+    let mut folder = RunFolder::open(&dir.path().join("run"), manifest, false).unwrap().folder;
+    let record = testing::record("t01-01", true);
+    let timings = testing::timings(&record);
+    folder.finish(&[(record, timings)]).unwrap();
+    drop(folder);
+
+    let shown = memtransfer(dir.path(), "show run t01-01 0");
+    assert_eq!(shown.status.code(), Some(0), "{}", text(&shown.stderr));
+    let advice = "command again with --log-prompts and another --out";
+    assert!(text(&shown.stdout).contains(advice), "{}", text(&shown.stdout));
+    for (arguments, said) in [
+        ("show run t01-01 0 --images views", "--log-prompts, --cases t01-01 and another --out"),
+        ("show run t01-02 0", "no episode of t01-02 is finished yet in run"),
+        ("show run t02-01 0", "t02-01 is not one of the cases of run"),
+        ("show run t02-1 0", "unknown case `t02-1`: did you mean `t02-01`?"),
+    ] {
+        let found = message(&memtransfer(dir.path(), arguments), arguments);
+        assert!(found.contains(said), "{arguments}: {found}");
+    }
 }
 
 #[test]

@@ -1,6 +1,7 @@
 //! Lanes against a scripted simulator, memory and policy: no process, no shared memory.
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
+use bytemuck::Zeroable;
 use conformance::messages::{self, recall_trace};
 use conformance::scripted::{ScriptedSim, request};
 use domain::{Action, Feedback, Outcome, Pose, Representation};
@@ -10,11 +11,21 @@ use results::conditions::{Condition, Demonstrations, Route, Start, Variation};
 use results::key::EpisodeKey;
 use results::log::Ending;
 use shm_types::message::{
-    Decision, MemoryEpisodeConfig, NOT_MEASURED, Observation, RecallTrace, Role,
+    Decision, MAX_EXTERNAL_MEMORIES, MemoryEpisodeConfig, NOT_MEASURED, Observation, RecallTrace,
+    RecalledSource, Role,
 };
 use warehouse::{CaseSet, History, Mixture, Variant, Warehouse, step};
 
-const RULES: Rules = Rules { horizon: 6, keyframes: 40, max_steps: 200, expert: false };
+const RULES: Rules = Rules {
+    horizon: 6,
+    hits: 1,
+    keyframes: 40,
+    memory_images: 40,
+    memory_text_bytes: 65_536,
+    max_steps: 200,
+    expert: false,
+    external_memories: [None; MAX_EXTERNAL_MEMORIES],
+};
 
 fn world() -> (Warehouse, CaseSet) {
     (Warehouse::shipped(), CaseSet::shipped())
@@ -23,8 +34,13 @@ fn world() -> (Warehouse, CaseSet) {
 fn episode(cases: &CaseSet, case_index: usize, start: Start, route: Route) -> PlannedEpisode {
     let demonstrations = Demonstrations::ORIGINAL;
     let variation = Variation::STANDARD;
-    let condition =
-        Condition { memory: Representation::Episodic, start, route, demonstrations, variation };
+    let condition = Condition {
+        memory: Representation::Episodic.into(),
+        start,
+        route,
+        demonstrations,
+        variation,
+    };
     let case = cases.cases[case_index].id.clone();
     PlannedEpisode { key: EpisodeKey { condition, run: 1, case }, case_index, seed: 7 }
 }
@@ -152,12 +168,18 @@ fn the_log_says_whose_demonstration_each_match_is_of() {
         episode.key.condition.demonstrations = demonstrations;
         let histories = cases.histories(20, demonstrations);
         let recall = |of: &Observation| match histories.get(of.step as usize) {
-            Some(&History { case, start }) => RecallTrace {
-                case: case as u32,
-                demonstration: start as u16,
-                index: 7,
-                ..trace(of)
-            },
+            Some(&History { case, start }) => {
+                let mut trace = trace(of);
+                trace.sources_len = 1;
+                trace.sources[0] = RecalledSource {
+                    case: case as u32,
+                    demonstration: start as u16,
+                    first: 7,
+                    steps: 1,
+                    ..Zeroable::zeroed()
+                };
+                trace
+            }
             None => trace(of),
         };
         let rules = Rules { max_steps: 5, ..RULES };

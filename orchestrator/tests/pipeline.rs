@@ -3,7 +3,6 @@
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use std::collections::BTreeMap;
-use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
 use std::time::Duration;
@@ -12,16 +11,26 @@ use anyhow::Result;
 use conformance::scripted::{self, ScriptedRun, ScriptedSim};
 use conformance::testing::ScratchRun;
 use domain::Representation;
-use orchestrator::lanes::{AnsweredRequest, FinishedEpisode, Lanes, Rules};
-use orchestrator::pipeline::{Ending, Facts, Observer, PipelineOptions, run_episodes};
+use orchestrator::lanes::{FinishedEpisode, Lanes, Rules};
+use orchestrator::pipeline::{Ending, Facts, Observer, Participant, PipelineOptions, run_episodes};
 use orchestrator::plan::plan;
 use results::conditions::{Condition, Demonstrations, Route, Start, Variation};
-use shm_types::message::{Decision, Role};
-use supervise::Launch;
+use shm_types::message::{Decision, MAX_EXTERNAL_MEMORIES, Role};
+use supervise::{Children, Launch};
 use warehouse::{CaseSet, Variant, Warehouse, step};
 
 const LANES: u32 = 4;
 const MAX_STEPS: u32 = 10;
+const RULES: Rules = Rules {
+    horizon: 6,
+    hits: 1,
+    keyframes: 40,
+    memory_images: 40,
+    memory_text_bytes: 65_536,
+    max_steps: MAX_STEPS,
+    expert: false,
+    external_memories: [None; MAX_EXTERNAL_MEMORIES],
+};
 /// The case whose episode the policy spoils.
 const VICTIM: usize = 2;
 
@@ -38,14 +47,10 @@ impl Observer for Seen {
     fn starting(&mut self, generation: u32) {
         self.generations = generation;
     }
-    fn awaiting_policy(&mut self, _folder: &Path) {}
-    fn ready(&mut self, facts: &BTreeMap<Role, Facts>) -> Result<()> {
+    fn ready(&mut self, facts: &BTreeMap<Participant, Facts>) -> Result<()> {
         assert_eq!(facts.len(), 3);
         assert!(facts.values().all(|facts| facts["kind"] == scripted::KIND));
         Ok(())
-    }
-    fn answered(&mut self, _: &AnsweredRequest) -> Result<Option<String>> {
-        Ok(None)
     }
     fn finished(&mut self, finished: &FinishedEpisode, _attempt: u32) -> Result<()> {
         assert_eq!(finished.record.steps, MAX_STEPS);
@@ -64,6 +69,7 @@ impl Observer for Seen {
 fn simulator(script: &str) -> Launch {
     Launch {
         role: Role::Sim,
+        index: 0,
         program: "/bin/sh".into(),
         args: vec!["-c".into(), script.into()],
         command: Some(script.to_owned()),
@@ -77,14 +83,14 @@ fn run(spoil: fn(Decision) -> Decision) -> (Seen, Ending) {
     let (warehouse, cases) = (Warehouse::shipped(), CaseSet::shipped());
     let ids: Vec<&str> = cases.cases.iter().map(|case| case.id.as_str()).collect();
     let condition = Condition {
-        memory: Representation::Working,
+        memory: Representation::Working.into(),
         start: Start::Original,
         route: Route::Unchanged,
         demonstrations: Demonstrations::NONE,
         variation: Variation::STANDARD,
     };
     let episodes = plan(&[(condition, 1)], &[0, 1, 2, 3, 4, 5, 6, 7], &ids, 1);
-    let rules = Rules { horizon: 6, keyframes: 40, max_steps: MAX_STEPS, expert: false };
+    let rules = Rules { expert: false, ..RULES };
     let mut lanes = Lanes::new(&warehouse, &cases, rules, LANES as usize);
     // The peers are threads; the process that the pipeline watches only has to live.
     let options = PipelineOptions {
@@ -94,6 +100,8 @@ fn run(spoil: fn(Decision) -> Decision) -> (Seen, Ending) {
         start_timeout: Duration::from_secs(60),
         answer_timeout: Duration::from_secs(2),
         decision_timeout: Some(Duration::from_secs(2)),
+        memories: Vec::new(),
+        memory_timeout: Duration::from_secs(2),
     };
     let mut seen = Seen::default();
     let over = AtomicBool::new(false);
@@ -111,8 +119,8 @@ fn run(spoil: fn(Decision) -> Decision) -> (Seen, Ending) {
                 _ => decision,
             });
         });
-        let (attach, stop) = (scratch.attach(), AtomicBool::new(false));
-        let outcome = run_episodes(&mut lanes, episodes, attach, &options, &stop, &mut seen);
+        let (attach, stop, none) = (scratch.attach(), AtomicBool::new(false), Children::default());
+        let outcome = run_episodes(&mut lanes, episodes, attach, &options, none, &stop, &mut seen);
         over.store(true, Ordering::Relaxed);
         outcome
     });
@@ -158,7 +166,7 @@ fn run_with_simulator(script: &str) -> (u32, String) {
     let (warehouse, cases) = (Warehouse::shipped(), CaseSet::shipped());
     let condition = "working/original/unchanged/none".parse().unwrap();
     let episodes = plan(&[(condition, 1)], &[0], &["t01-01"], 1);
-    let rules = Rules { horizon: 6, keyframes: 40, max_steps: MAX_STEPS, expert: true };
+    let rules = Rules { expert: true, ..RULES };
     let mut lanes = Lanes::new(&warehouse, &cases, rules, 1);
     let options = PipelineOptions {
         launches: vec![simulator(script)],
@@ -167,10 +175,12 @@ fn run_with_simulator(script: &str) -> (u32, String) {
         start_timeout: Duration::from_secs(60),
         answer_timeout: Duration::from_secs(2),
         decision_timeout: None,
+        memories: Vec::new(),
+        memory_timeout: Duration::from_secs(2),
     };
     let (mut seen, stop) = (Seen::default(), AtomicBool::new(false));
-    let attach = scratch.attach();
-    let outcome = run_episodes(&mut lanes, episodes, attach, &options, &stop, &mut seen);
+    let (attach, none) = (scratch.attach(), Children::default());
+    let outcome = run_episodes(&mut lanes, episodes, attach, &options, none, &stop, &mut seen);
     (seen.generations, outcome.unwrap_err().to_string())
 }
 

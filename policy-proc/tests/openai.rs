@@ -5,7 +5,7 @@
 use std::ops::{Deref, DerefMut};
 use std::sync::{Arc, Condvar, Mutex};
 
-use conformance::messages::{config, observation, recall};
+use conformance::messages::{self, config, observation, recall, supply};
 use conformance::testing::{LONG, PolicyRig};
 use domain::{Action, Feedback, Outcome};
 use llm::scripted::{Received, Server, Turn, completion};
@@ -17,7 +17,7 @@ use serde_json::{Value, json};
 use shm_types::Attach;
 use shm_types::documents::Content;
 use shm_types::message::{
-    self, DocumentId, ErrorReportKind, FrameId, NOT_MEASURED, Observation, PolicyEpisodeConfig,
+    self, ErrorReportKind, FrameId, NOT_MEASURED, Observation, PolicyEpisodeConfig, RecalledItem,
     RequestId, read_text,
 };
 
@@ -85,10 +85,12 @@ impl Bench {
         step: u32,
         frame: FrameId,
         segment: &[FrameId],
-        documents: &[DocumentId],
+        texts: &[RecalledItem],
     ) {
         let id = RequestId { lane, episode: episode(lane), step };
-        self.ask(&observation(id, frame), &recall(id, segment, documents));
+        let mut recall = recall(id, segment);
+        texts.iter().for_each(|&text| supply(&mut recall, text, &[]));
+        self.ask(&observation(id, frame), &recall);
     }
 
     /// Wakes the policy; the next `count` decisions by lane.
@@ -269,10 +271,11 @@ fn without_images_a_model_gets_plain_text_and_memory_its_share() {
     let mut bench = Bench::new(server, OpenaiSettings { image_budget: 0, ..settings() });
     let frame = bench.publish(1);
     // As much text as the rest of the prompt, and more.
-    let document = Content::Summary("- blue barrel: stand at (1, 2)\n".repeat(200));
-    let document = bench.publish_document(&document);
+    let text = "- blue barrel: stand at (1, 2)\n".repeat(200);
+    let item = messages::text(0, text.len());
+    let document = bench.publish_document(&Content::Summary(text));
     bench.begin_lane(3);
-    bench.ask_lane(3, 0, frame, &[], &[document]);
+    bench.ask_lane(3, 0, frame, &[], &[RecalledItem { document, ..item }]);
     let decision = bench.decide(1)[0];
     assert_eq!((decision.images_asked, decision.images), (1, 0));
     assert_eq!((decision.prompt_tokens, decision.cached_tokens), (1000, 600));
@@ -315,7 +318,7 @@ fn a_stored_reply_costs_nothing_and_each_repetition_has_its_own() {
     let ask = |bench: &Bench, id| {
         let (feedback, action) = (Feedback::Moved as u8, Action::Forward as u8);
         let same = Observation { feedback, action, ..observation(id, frame) };
-        bench.ask(&same, &recall(id, &[], &[]));
+        bench.ask(&same, &recall(id, &[]));
     };
     for step in 0..2 {
         ask(&bench, RequestId { lane: 1, episode: episode(1), step });
@@ -357,7 +360,13 @@ fn waiting_for_the_server_is_reported() {
     bench.begin_lane(0);
     for step in 0..2 {
         bench.ask_lane(0, step, frame, &[], &[]);
-        assert_eq!(bench.decide(1)[0].action, Action::TurnRight as u8);
+        let decision = bench.decide(1)[0];
+        assert_eq!(decision.action, Action::TurnRight as u8);
+        if step == 1 {
+            // Defect 16: the latency is that of the attempt that was answered.
+            let waited_ns = decision.sent_ns - decision.prompted_ns;
+            assert!(waited_ns > decision.decided_ns - decision.sent_ns, "{decision:?}");
+        }
     }
     let reports = [(); 3].map(|()| bench.error_report());
     assert!(reports.iter().all(|(report, _)| report.kind == ErrorReportKind::Waiting as u32));

@@ -1,4 +1,4 @@
-"""Policies for MemTransfer in Python, and the results of runs.
+"""Policies and memories for MemTransfer in Python, and the results of runs.
 
     from memtransfer import Action, Policy, run
 
@@ -11,7 +11,8 @@
     run(AlwaysForward())
 
 `memtransfer.prompt` renders the benchmark's own prompt and reads a model's answers; `memtransfer.results` reads
-the folder of a run. The guide is `docs/python.md` of the project.
+the folder of a run. `Memory` is a memory of your own. The guides are `docs/python.md` and `docs/memory.md` of
+the project.
 """
 
 from memtransfer._native import Frame
@@ -24,22 +25,37 @@ from memtransfer.errors import (
     PolicyError,
     PromptLogError,
 )
-from memtransfer.policy import Policy, run, serve
+from memtransfer.memory import (
+    Demonstration,
+    DemonstrationStep,
+    Episode,
+    Memory,
+    MemoryItem,
+    Query,
+    RecentStep,
+    Source,
+    Steps,
+    Text,
+    View,
+)
+from memtransfer.policy import Policy
 from memtransfer.request import (
     Answer,
     Decision,
-    DemonstrationStep,
     Document,
     Exchange,
     Failed,
+    Item,
     PastStep,
     Pose,
     RememberedStep,
+    RememberedView,
     Request,
     Segment,
     Trajectory,
     Usage,
 )
+from memtransfer.serving import run, serve
 
 EMPTY = Outcome.EMPTY
 REFUSED = Outcome.REFUSED
@@ -54,27 +70,39 @@ __all__ = [
     "AttachError",
     "BusError",
     "Decision",
+    "Demonstration",
     "DemonstrationStep",
     "Document",
     "DocumentKind",
+    "Episode",
     "Exchange",
     "Failed",
     "Feedback",
     "Frame",
     "FrameGone",
     "Heading",
+    "Item",
     "MemTransferError",
+    "Memory",
+    "MemoryItem",
     "Outcome",
     "PastStep",
     "Policy",
     "PolicyError",
     "Pose",
     "PromptLogError",
+    "Query",
+    "RecentStep",
     "RememberedStep",
+    "RememberedView",
     "Request",
     "Segment",
+    "Source",
+    "Steps",
+    "Text",
     "Trajectory",
     "Usage",
+    "View",
     "run",
     "serve",
 ]

@@ -1,5 +1,6 @@
 """The extension module, written in Rust (`python/src`). Use the package's other modules."""
 
+from collections.abc import Callable
 from os import PathLike
 from typing import Any
 
@@ -7,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from memtransfer.codes import Action, Outcome
+from memtransfer.memory import Memory
 from memtransfer.policy import Policy
 from memtransfer.request import Request
 
@@ -57,7 +59,17 @@ class Step:
     def images(self) -> int: ...
     def field(self, name: str) -> Any: ...
 
+class MemoryStep:
+    """The step behind a query."""
+
+    def field(self, name: str) -> Any: ...
+
 def serve(policy: Policy, folder: str | PathLike[str] | None) -> None: ...
+def serve_memory(
+    create: Callable[[], Memory],
+    description: tuple[str, str, str, bool, bool, bool],
+    folder: str | PathLike[str] | None,
+) -> None: ...
 def version() -> str: ...
 def template() -> str: ...
 def settings() -> str: ...

@@ -76,3 +76,7 @@ class DocumentKind(_Code):
     """Object locations, landmarks and routes."""
     SEMANTIC = 1, "semantic"
     """General knowledge about the warehouse and navigation."""
+    TRAJECTORIES = 2, "trajectories"
+    """Demonstrations. In a request they are segments, not documents."""
+    NOTE = 3, "note"
+    """A text of a memory that is not built in."""

@@ -40,47 +40,59 @@ class PastStep:
 
 
 @dataclass(frozen=True, slots=True)
-class RememberedStep:
-    """One step of a retrieved segment."""
-
-    frame: Frame
-    """The remembered view."""
-    action: Action | None
-    """The expert's action there; `None` at the end of the segment, and in segments without actions."""
-
-
-@dataclass(frozen=True, slots=True)
-class Segment:
-    """The stored view closest to the current one, and the steps that followed it."""
-
-    distance: float
-    """The cosine distance between the embeddings of the first remembered view and the current view."""
-    steps: tuple[RememberedStep, ...]
-    """The matched view first. Never empty."""
-
-
-@dataclass(frozen=True, slots=True)
 class Document:
-    """A text that memory supplies."""
+    """An item of memory: a text."""
 
     id: int
     """Identifies the text within the run: a key to cache what was read in it."""
     kind: DocumentKind
+    """Summary, semantic or note."""
     text: str
 
 
 @dataclass(frozen=True, slots=True)
-class DemonstrationStep:
+class RememberedStep:
     """One step of a demonstration."""
 
     frame: Frame | None
-    """The view before the action; `None` unless it is a keyframe."""
+    """The view before the action; `None` if it is not supplied. Demonstrations have their keyframes only."""
     action: Action | None
-    """The expert's action there; `None` at the end of the demonstration."""
+    """The expert's action there; `None` at the end of the segment, and in segments without actions."""
 
 
-Trajectory: TypeAlias = tuple[DemonstrationStep, ...]
-"""A whole demonstration: every action, and the keyframes. Never empty."""
+Trajectory: TypeAlias = tuple[RememberedStep, ...]
+"""The steps of a whole demonstration: every action, and the keyframes. Never empty."""
+
+
+@dataclass(frozen=True, slots=True)
+class Segment:
+    """An item of memory: consecutive steps of a demonstration."""
+
+    distance: float | None
+    """The distance between what was retrieved and the query; `None` if memory tells none. For episodic memory, the
+    cosine distance between the embeddings of the first view and the current view."""
+    steps: tuple[RememberedStep, ...]
+    """The steps, in order. Never empty."""
+    is_whole: bool = False
+    """Whether these are all steps of the demonstration."""
+
+    @property
+    def is_trajectory(self) -> bool:
+        """Whether this is a demonstration that is supplied whole, and was not retrieved by its distance."""
+        return self.is_whole and self.distance is None
+
+
+@dataclass(frozen=True, slots=True)
+class RememberedView:
+    """An item of memory: a view with a caption."""
+
+    frame: Frame
+    caption: str
+    """The caption; may be empty."""
+
+
+Item: TypeAlias = Document | Segment | RememberedView
+"""What memory supplies for a step is a list of items."""
 
 
 @dataclass(slots=True, eq=False)
@@ -107,22 +119,38 @@ class Request:
     """The current view."""
     window: Sequence[PastStep] = ()
     """The last steps, oldest first."""
-    segment: Segment | None = None
-    """What memory retrieved for this step."""
-    documents: Sequence[Document] = ()
-    """Texts that memory supplies, in order."""
-    trajectories: Sequence[Trajectory] = ()
-    """Whole demonstrations that memory supplies."""
+    items: Sequence[Item] = ()
+    """What memory supplies, the most important first."""
     starts_as_demonstrated: bool = False
     """Whether a demonstration is known to start in the pose in which this episode started."""
 
+    @property
+    def documents(self) -> Sequence[Document]:
+        """The texts among the items."""
+        return [item for item in self.items if isinstance(item, Document)]
+
+    @property
+    def segments(self) -> Sequence[Segment]:
+        """The retrieved segments among the items. Episodic memory supplies these."""
+        segments = [item for item in self.items if isinstance(item, Segment)]
+        return [segment for segment in segments if not segment.is_trajectory]
+
+    @property
+    def segment(self) -> Segment | None:
+        """The first of the retrieved segments; `None` if there is none."""
+        return next(iter(self.segments), None)
+
+    @property
+    def trajectories(self) -> Sequence[Trajectory]:
+        """The demonstrations that memory supplies whole. Full-context memory supplies these."""
+        segments = [item for item in self.items if isinstance(item, Segment)]
+        return [segment.steps for segment in segments if segment.is_trajectory]
+
     def images(self) -> int:
-        """Returns the number of images: the current view, the window's, the segment's and the keyframes."""
-        retrieved = len(self.segment.steps) if self.segment else 0
-        keyframes = sum(
-            step.frame is not None for trajectory in self.trajectories for step in trajectory
-        )
-        return 1 + len(self.window) + retrieved + keyframes
+        """Returns the number of images: the current view, the window's and those of the items."""
+        steps = [step for item in self.items if isinstance(item, Segment) for step in item.steps]
+        views = sum(isinstance(item, RememberedView) for item in self.items)
+        return 1 + len(self.window) + sum(step.frame is not None for step in steps) + views
 
 
 class ServedRequest(Request):

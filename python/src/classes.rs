@@ -1,8 +1,11 @@
 //! The package's Python classes, looked up once.
 
+use domain::{Action, Feedback, Pose};
 use pyo3::prelude::*;
 use pyo3::sync::PyOnceLock;
 use pyo3::types::{PyString, PyType};
+
+use crate::memory::MemoryClasses;
 
 /// The classes that this crate builds or recognises.
 pub(crate) struct Classes {
@@ -16,10 +19,11 @@ pub(crate) struct Classes {
     pub(crate) remembered_step: Py<PyType>,
     pub(crate) segment: Py<PyType>,
     pub(crate) document: Py<PyType>,
-    pub(crate) demonstration_step: Py<PyType>,
+    pub(crate) remembered_view: Py<PyType>,
     pub(crate) served_request: Py<PyType>,
     pub(crate) decision: Py<PyType>,
     pub(crate) failed: Py<PyType>,
+    pub(crate) memory: MemoryClasses,
 }
 
 /// An enumeration whose members have the codes 0, 1, 2 and so on.
@@ -54,6 +58,7 @@ impl Classes {
         CLASSES.get_or_try_init(py, || {
             let codes = py.import("memtransfer.codes")?;
             let requests = py.import("memtransfer.request")?;
+            let memories = py.import("memtransfer.memory")?;
             Ok(Self {
                 action: Code::of(&codes, "Action")?,
                 feedback: Code::of(&codes, "Feedback")?,
@@ -65,12 +70,46 @@ impl Classes {
                 remembered_step: class(&requests, "RememberedStep")?,
                 segment: class(&requests, "Segment")?,
                 document: class(&requests, "Document")?,
-                demonstration_step: class(&requests, "DemonstrationStep")?,
+                remembered_view: class(&requests, "RememberedView")?,
                 served_request: class(&requests, "ServedRequest")?,
                 decision: class(&requests, "Decision")?,
                 failed: class(&requests, "Failed")?,
+                memory: MemoryClasses {
+                    memory: class(&memories, "Memory")?,
+                    demonstration: class(&memories, "Demonstration")?,
+                    episode: class(&memories, "Episode")?,
+                    recent_step: class(&memories, "RecentStep")?,
+                    served_query: class(&memories, "ServedQuery")?,
+                    text: class(&memories, "Text")?,
+                    steps: class(&memories, "Steps")?,
+                    view: class(&memories, "View")?,
+                },
             })
         })
+    }
+
+    /// A `memtransfer.Pose`.
+    pub(crate) fn pose_of<'py>(&self, py: Python<'py>, pose: Pose) -> PyResult<Bound<'py, PyAny>> {
+        let heading = self.heading.member(py, pose.heading as u8);
+        self.pose.bind(py).call1((pose.cell.x, pose.cell.y, heading))
+    }
+
+    /// A `memtransfer.Action`, if there is an action.
+    pub(crate) fn action_of<'py>(
+        &self,
+        py: Python<'py>,
+        action: Option<Action>,
+    ) -> Option<Bound<'py, PyAny>> {
+        self.action.member(py, action? as u8)
+    }
+
+    /// A `memtransfer.Feedback`.
+    pub(crate) fn feedback_of<'py>(
+        &self,
+        py: Python<'py>,
+        feedback: Feedback,
+    ) -> Option<Bound<'py, PyAny>> {
+        self.feedback.member(py, feedback as u8)
     }
 }
 

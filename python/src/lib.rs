@@ -1,15 +1,17 @@
 //! `memtransfer._native`: what the Python package needs of the Rust crates.
 //!
 //! The package itself is in `memtransfer/`: plain data classes, the policy interface and the data frames. This
-//! crate serves a Python policy (`serve`), gives numpy the frames in shared memory (`frame`), renders prompts
+//! crate serves a Python policy or memory (`serve`), gives numpy the frames in shared memory (`frame`), renders prompts
 //! and reads answers (`prompt`), and reads a run's folder (`results`).
 
 mod classes;
 mod exchange;
 mod frame;
 mod logging;
+mod memory;
 mod policy;
 mod prompt;
+mod query;
 mod results;
 mod serve;
 mod step;
@@ -25,9 +27,11 @@ mod _native {
     #[pymodule_export]
     use crate::prompt::{image_name, png, read_answer, render, settings, template, version};
     #[pymodule_export]
+    use crate::query::{MemoryStep, Numbers};
+    #[pymodule_export]
     use crate::results::read_run;
     #[pymodule_export]
-    use crate::serve::serve;
+    use crate::serve::{serve, serve_memory};
     #[pymodule_export]
     use crate::step::Step;
 

@@ -5,12 +5,10 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use domain::prompt_log::hex;
 use domain::{Action, Cell, DocumentKind, Feedback, Heading, Pose};
-use peer::{
-    DocumentView, FrameView, PastView, Request, Segment, SegmentView, Trajectory, TrajectoryView,
-};
+use peer::{CaptionedView, FrameView, Item, PastView, Request, StepView, StepsView, TextView};
 use prompt::image::{ImageFormat, encode};
 use prompt::{PartContent, Prompt};
-use pyo3::exceptions::PyValueError;
+use pyo3::exceptions::{PyTypeError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyString};
 
@@ -51,10 +49,7 @@ pub(crate) fn render<'py>(
 ) -> PyResult<Rendered<'py>> {
     let mut frames = Frames::default();
     let read = ReadRequest::new(request, &mut frames)?;
-    let trajectories: Vec<_> = read.trajectories.iter().map(|steps| Trajectory { steps }).collect();
-    let documents =
-        read.documents.iter().map(|(kind, text)| DocumentView { id: 0, kind: *kind, text });
-    let documents: Vec<_> = documents.collect();
+    let items: Vec<_> = read.items.iter().map(ReadItem::view).collect();
     let request = Request {
         lane: 0,
         step: 0,
@@ -66,12 +61,7 @@ pub(crate) fn render<'py>(
         feedback: read.feedback,
         frame: read.frame,
         window: &read.window,
-        segment: read
-            .segment
-            .as_ref()
-            .map(|(distance, steps)| Segment { distance: *distance, steps }),
-        documents: &documents,
-        trajectories: &trajectories,
+        items: &items,
         starts_as_demonstrated: read.starts_as_demonstrated,
     };
     let prompt = Prompt::new(&request, image_budget);
@@ -107,9 +97,7 @@ struct ReadRequest {
     feedback: Feedback,
     frame: FrameView<'static>,
     window: Vec<PastView<'static>>,
-    segment: Option<(f32, Vec<SegmentView<'static>>)>,
-    documents: Vec<(DocumentKind, String)>,
-    trajectories: Vec<Vec<TrajectoryView<'static>>>,
+    items: Vec<ReadItem>,
     starts_as_demonstrated: bool,
 }
 
@@ -127,34 +115,9 @@ impl ReadRequest {
                 feedback: feedback(&past)?,
             });
         }
-        let segment = request.getattr("segment")?;
-        let segment = if segment.is_none() {
-            None
-        } else {
-            let mut steps = Vec::new();
-            for step in segment.getattr("steps")?.try_iter()? {
-                let step = step?;
-                let frame = frames.view(&step.getattr("frame")?)?;
-                steps.push(SegmentView { frame, action: action(&step)? });
-            }
-            Some((segment.getattr("distance")?.extract()?, steps))
-        };
-        let mut documents = Vec::new();
-        for document in request.getattr("documents")?.try_iter()? {
-            let document = document?;
-            let kind = code(&document, "kind")?;
-            documents.push((kind, document.getattr("text")?.extract()?));
-        }
-        let mut trajectories = Vec::new();
-        for trajectory in request.getattr("trajectories")?.try_iter()? {
-            let mut steps = Vec::new();
-            for step in trajectory?.try_iter()? {
-                let step = step?;
-                let frame = step.getattr("frame")?;
-                let frame = if frame.is_none() { None } else { Some(frames.view(&frame)?) };
-                steps.push(TrajectoryView { frame, action: action(&step)? });
-            }
-            trajectories.push(steps);
+        let mut items = Vec::new();
+        for item in request.getattr("items")?.try_iter()? {
+            items.push(ReadItem::new(&item?, frames)?);
         }
         Ok(Self {
             instruction: request.getattr("instruction")?.extract()?,
@@ -162,11 +125,54 @@ impl ReadRequest {
             feedback: feedback(request)?,
             frame,
             window,
-            segment,
-            documents,
-            trajectories,
+            items,
             starts_as_demonstrated: request.getattr("starts_as_demonstrated")?.is_truthy()?,
         })
+    }
+}
+
+/// An item of a request.
+enum ReadItem {
+    Text(DocumentKind, String),
+    Steps { distance: Option<f32>, is_whole: bool, steps: Vec<StepView<'static>> },
+    Frame(FrameView<'static>, String),
+}
+
+impl ReadItem {
+    fn new<'py>(item: &Bound<'py, PyAny>, frames: &mut Frames<'py>) -> PyResult<Self> {
+        let py = item.py();
+        let classes = Classes::get(py)?;
+        if item.is_instance(classes.document.bind(py))? {
+            Ok(Self::Text(code(item, "kind")?, item.getattr("text")?.extract()?))
+        } else if item.is_instance(classes.segment.bind(py))? {
+            let mut steps = Vec::new();
+            for step in item.getattr("steps")?.try_iter()? {
+                let step = step?;
+                let frame = step.getattr("frame")?;
+                let frame = if frame.is_none() { None } else { Some(frames.view(&frame)?) };
+                steps.push(StepView { frame, action: action(&step)? });
+            }
+            let distance = item.getattr("distance")?.extract()?;
+            Ok(Self::Steps { distance, is_whole: item.getattr("is_whole")?.is_truthy()?, steps })
+        } else if item.is_instance(classes.remembered_view.bind(py))? {
+            let frame = frames.view(&item.getattr("frame")?)?;
+            Ok(Self::Frame(frame, item.getattr("caption")?.extract()?))
+        } else {
+            Err(PyTypeError::new_err(format!(
+                "an item of a request is a Document, a Segment or a RememberedView, but this is a {}",
+                item.get_type().name()?
+            )))
+        }
+    }
+
+    fn view(&self) -> Item<'_> {
+        match self {
+            Self::Text(kind, text) => Item::Text(TextView { id: 0, kind: *kind, text }),
+            Self::Steps { distance, is_whole, steps } => {
+                Item::Steps(StepsView { distance: *distance, is_whole: *is_whole, steps })
+            }
+            Self::Frame(frame, caption) => Item::Frame(CaptionedView { frame: *frame, caption }),
+        }
     }
 }
 

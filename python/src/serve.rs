@@ -1,4 +1,4 @@
-//! Serving a run with a Python policy.
+//! Serving a run with a Python policy or memory.
 
 use std::path::PathBuf;
 
@@ -7,6 +7,7 @@ use pyo3::prelude::*;
 use shm_types::BusError;
 
 use crate::classes::error;
+use crate::memory::{Described, PythonMethod};
 use crate::policy::PythonPolicy;
 
 /// Serves the run in `folder`, or without one the run that `MEMTRANSFER_ATTACH` names, until the run ends.
@@ -18,22 +19,44 @@ pub(crate) fn serve(policy: &Bound<'_, PyAny>, folder: Option<PathBuf>) -> PyRes
         Some(folder) => peer::serve(&mut policy, folder),
         None => peer::serve_from_environment(&mut policy),
     });
-    let Err(failure) = served else { return Ok(()) };
-    if let Some(raised) = policy.take_raised() {
-        return Err(raised);
+    match policy.take_raised() {
+        Some(raised) if served.is_err() => Err(raised),
+        _ => ended(py, served),
     }
+}
+
+/// Serves the run as an external memory, as [`serve`] does. `create` makes the memory of a bank.
+#[pyfunction]
+pub(crate) fn serve_memory(
+    create: &Bound<'_, PyAny>,
+    description: Described,
+    folder: Option<PathBuf>,
+) -> PyResult<()> {
+    let py = create.py();
+    let method = PythonMethod::new(create, description)?;
+    let served = py.detach(|| match &folder {
+        Some(folder) => peer::memory::serve(&method, folder),
+        None => peer::memory::serve_from_environment(&method),
+    });
+    ended(py, served)
+}
+
+/// The exception that an end of serving is to the caller.
+fn ended(py: Python<'_>, served: Result<(), ServeError>) -> PyResult<()> {
+    let Err(failure) = served else { return Ok(()) };
     let class = match &failure {
-        // The run was killed: there is nothing left to serve, and nothing that the policy could do about it.
+        // The run was killed: there is nothing left to serve, and nothing that the program could do about it.
         ServeError::Abandoned(_) => {
             tracing::warn!("{failure}");
             return Ok(());
         }
         ServeError::NoRun(_)
         | ServeError::NotARun(_)
+        | ServeError::NotAMemoryFolder(_)
         | ServeError::NoOrchestrator { .. }
         | ServeError::Parent(_)
         | ServeError::Bus(BusError::Attach(_) | BusError::Taken { .. }) => "AttachError",
-        ServeError::Bus(_) | ServeError::Spans(_) => "BusError",
+        ServeError::Bus(_) | ServeError::Spans(_) | ServeError::Frames(_) => "BusError",
         ServeError::PromptLog(_) => "PromptLogError",
         ServeError::Answers { .. } | ServeError::Facts(_) | ServeError::Policy(_) => "PolicyError",
     };

@@ -2,7 +2,7 @@
 
 use std::sync::{Arc, Mutex, PoisonError};
 
-use peer::PinnedStep;
+use peer::{CaptionedView, Item, PinnedStep, StepsView, TextView};
 use pyo3::exceptions::PyAttributeError;
 use pyo3::prelude::*;
 use pyo3::types::PyTuple;
@@ -57,9 +57,7 @@ fn field<'py>(
     let classes = Classes::get(py)?;
     let maker = Maker { py, classes };
     step.with_request(|request| {
-        // The pinned frames are in this order: current view, window, segment, keyframes.
-        let (window, segment) =
-            (request.window.len(), request.segment.map_or(0, |s| s.steps.len()));
+        // The pinned frames are in this order: current view, window, items.
         let mut frames = step.frames().iter();
         Ok(Some(match name {
             "lane" => request.lane.into_pyobject(py)?.into_any(),
@@ -71,50 +69,21 @@ fn field<'py>(
             "starts_as_demonstrated" => {
                 request.starts_as_demonstrated.into_pyobject(py)?.to_owned().into_any()
             }
-            "pose" => {
-                let heading = classes.heading.member(py, request.pose.heading as u8);
-                let cell = request.pose.cell;
-                classes.pose.bind(py).call1((cell.x, cell.y, heading))?
-            }
-            "feedback" => classes.feedback.member(py, request.feedback as u8).into_pyobject(py)?,
+            "pose" => classes.pose_of(py, request.pose)?,
+            "feedback" => classes.feedback_of(py, request.feedback).into_pyobject(py)?,
             "frame" => maker.frame(frames.next())?,
             "window" => {
                 let steps = request.window.iter().zip(frames.skip(1)).map(|(past, frame)| {
-                    let feedback = classes.feedback.member(py, past.feedback as u8);
-                    let values = (maker.frame(Some(frame))?, maker.action(past.action), feedback);
+                    let feedback = classes.feedback_of(py, past.feedback);
+                    let values =
+                        (maker.frame(Some(frame))?, classes.action_of(py, past.action), feedback);
                     classes.past_step.bind(py).call1(values)
                 });
                 maker.tuple(steps)?
             }
-            "segment" => match request.segment {
-                None => py.None().into_bound(py),
-                Some(found) => {
-                    let frames = frames.skip(1 + window);
-                    let steps = found.steps.iter().zip(frames).map(|(step, frame)| {
-                        let values = (maker.frame(Some(frame))?, maker.action(step.action));
-                        classes.remembered_step.bind(py).call1(values)
-                    });
-                    let steps = maker.tuple(steps)?;
-                    classes.segment.bind(py).call1((found.distance, steps))?
-                }
-            },
-            "documents" => {
-                let texts = request.documents.iter().map(|document| {
-                    let kind = classes.document_kind.member(py, document.kind as u8);
-                    classes.document.bind(py).call1((document.id, kind, document.text))
-                });
-                maker.tuple(texts)?
-            }
-            "trajectories" => {
-                let mut frames = frames.skip(1 + window + segment);
-                let trajectories = request.trajectories.iter().map(|trajectory| {
-                    maker.tuple(trajectory.steps.iter().map(|step| {
-                        let frame = if step.frame.is_some() { frames.next() } else { None };
-                        let values = (maker.frame(frame)?, maker.action(step.action));
-                        classes.demonstration_step.bind(py).call1(values)
-                    }))
-                });
-                maker.tuple(trajectories)?
+            "items" => {
+                let mut frames = frames.skip(1 + request.window.len());
+                maker.tuple(request.items.iter().map(|item| maker.item(item, &mut frames)))?
             }
             _ => return Ok(None),
         }))
@@ -127,15 +96,38 @@ struct Maker<'py> {
 }
 
 impl<'py> Maker<'py> {
+    /// An item, whose views are the next of `frames`.
+    fn item<'f>(
+        &self,
+        item: &Item<'_>,
+        frames: &mut impl Iterator<Item = &'f Arc<shm_types::Frame>>,
+    ) -> PyResult<Bound<'py, PyAny>> {
+        let Self { py, classes } = *self;
+        match item {
+            Item::Text(TextView { id, kind, text }) => {
+                let kind = classes.document_kind.member(py, *kind as u8);
+                classes.document.bind(py).call1((*id, kind, *text))
+            }
+            Item::Steps(StepsView { distance, is_whole, steps }) => {
+                let steps = self.tuple(steps.iter().map(|step| {
+                    let frame = if step.frame.is_some() { frames.next() } else { None };
+                    let values = (self.frame(frame)?, classes.action_of(py, step.action));
+                    classes.remembered_step.bind(py).call1(values)
+                }))?;
+                classes.segment.bind(py).call1((*distance, steps, *is_whole))
+            }
+            Item::Frame(CaptionedView { caption, .. }) => {
+                let values = (self.frame(frames.next())?, *caption);
+                classes.remembered_view.bind(py).call1(values)
+            }
+        }
+    }
+
     fn frame(&self, frame: Option<&Arc<shm_types::Frame>>) -> PyResult<Bound<'py, PyAny>> {
         match frame {
             Some(frame) => Ok(Bound::new(self.py, Frame::shared(frame))?.into_any()),
             None => Ok(self.py.None().into_bound(self.py)),
         }
-    }
-
-    fn action(&self, action: Option<domain::Action>) -> Option<Bound<'py, PyAny>> {
-        self.classes.action.member(self.py, action? as u8)
     }
 
     fn tuple(

@@ -14,16 +14,17 @@ import pytest
 
 from memtransfer import (
     Action,
-    DemonstrationStep,
     Document,
     DocumentKind,
     Feedback,
     Frame,
     Heading,
+    Item,
     Outcome,
     PastStep,
     Pose,
     RememberedStep,
+    RememberedView,
     Request,
     Segment,
 )
@@ -42,11 +43,6 @@ def action(name: str | None) -> Action | None:
 
 def request(plain: dict[str, Any]) -> Request:
     """Returns a request from its form in the golden files."""
-    segment = plain["segment"]
-    if segment is not None:
-        distance = float("nan") if segment["distance"] is None else segment["distance"]
-        steps = (RememberedStep(frame(it["view"]), action(it["action"])) for it in segment["steps"])
-        segment = Segment(distance, tuple(steps))
     return Request(
         lane=0,
         step=len(plain["window"]),
@@ -61,19 +57,21 @@ def request(plain: dict[str, Any]) -> Request:
             PastStep(frame(it["view"]), action(it["action"]), Feedback[it["feedback"].upper()])
             for it in plain["window"]
         ],
-        segment=segment,
-        documents=[
-            Document(0, DocumentKind[it["kind"].upper()], it["text"]) for it in plain["documents"]
-        ],
-        trajectories=[
-            tuple(
-                DemonstrationStep(it["view"] and frame(it["view"]), action(it["action"]))
-                for it in steps
-            )
-            for steps in plain["trajectories"]
-        ],
+        items=[item(it) for it in plain["items"]],
         starts_as_demonstrated=plain["starts_as_demonstrated"],
     )
+
+
+def item(plain: dict[str, Any]) -> Item:
+    ((kind, of),) = plain.items()
+    if kind == "text":
+        return Document(0, DocumentKind[of["kind"].upper()], of["text"])
+    if kind == "frame":
+        return RememberedView(frame(of["view"]), of["caption"])
+    steps = (
+        RememberedStep(it["view"] and frame(it["view"]), action(it["action"])) for it in of["steps"]
+    )
+    return Segment(of["distance"], tuple(steps), of["is_whole"])
 
 
 def test_golden_files_exist() -> None:

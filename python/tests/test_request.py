@@ -8,14 +8,19 @@ import pytest
 from memtransfer import (
     Action,
     Decision,
+    Document,
     DocumentKind,
     Exchange,
     Feedback,
     Frame,
     Heading,
+    Item,
     Outcome,
     Pose,
+    RememberedStep,
+    RememberedView,
     Request,
+    Segment,
 )
 
 
@@ -43,6 +48,22 @@ def test_a_request_counts_its_images() -> None:
     frame = Frame.of(np.zeros((1, 1, 4), dtype=np.uint8))
     request = Request(0, 0, 1, 5, 1, "Find a barrel.", Pose(3, 12, Heading.N), Feedback.START, frame)
     assert request.images() == 1 and str(request.pose) == "3,12,N"
+
+
+def test_items_are_sorted_by_what_they_are() -> None:
+    frame = Frame.of(np.zeros((1, 1, 4), dtype=np.uint8))
+    steps = (RememberedStep(frame, Action.LEFT), RememberedStep(None, None))
+    note = Document(1, DocumentKind.NOTE, "turn left")
+    near, part, whole = Segment(0.5, steps, True), Segment(None, steps), Segment(None, steps, True)
+    items: list[Item] = [note, near, part, whole, RememberedView(frame, "a rack")]
+    request = Request(
+        0, 0, 1, 5, 1, "Find a barrel.", Pose(3, 12, Heading.N), Feedback.START, frame, items=items
+    )
+    assert request.documents == [note] and request.segments == [near, part]
+    assert request.segment is near and request.trajectories == [steps]
+    assert request.images() == 1 + 3 + 1
+    request.items = []
+    assert request.segment is None and not request.trajectories
 
 
 def test_a_decision_has_an_action_or_the_reason_why_not() -> None:

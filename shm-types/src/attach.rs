@@ -12,7 +12,7 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
-use crate::message::{MAX_WINDOW, Role, Traffic, WIRE_VERSION};
+use crate::message::{MAX_EXTERNAL_MEMORIES, MAX_WINDOW, Role, Traffic, WIRE_VERSION};
 
 /// Name of the file in a run's folder.
 pub const ATTACH_FILE: &str = "attach.json";
@@ -54,6 +54,9 @@ pub struct Attach {
     pub orchestrator_pid: u32,
     /// The roles that take part beside the orchestrator. Senders wait for the receivers of these roles.
     pub participants: Vec<Role>,
+    /// The indices of the external memories that take part.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub external_memories: Vec<u8>,
     /// Episodes that run at the same time.
     pub lanes: u32,
     /// Longest window h of any lane.
@@ -195,6 +198,7 @@ impl Attach {
             generation: 1,
             orchestrator_pid: std::process::id(),
             participants: Role::CHILDREN.to_vec(),
+            external_memories: Vec::new(),
             lanes: 1,
             window: DEFAULT_WINDOW,
             frame: FrameSize::DEFAULT,
@@ -260,11 +264,23 @@ impl Attach {
         }
     }
 
-    /// The number of `roles` that take part in the run.
+    /// The most processes with one of `roles` that can take part in the run.
+    pub(crate) fn places(&self, roles: &[Role]) -> usize {
+        let places = |role: &Role| match role {
+            Role::ExternalMemory => self.external_memories.len(),
+            _ => 1,
+        };
+        roles.iter().map(places).sum()
+    }
+
+    /// The number of processes with one of `roles` that take part in the run.
     pub fn count(&self, roles: &[Role]) -> usize {
-        let takes_part =
-            |role: &&Role| **role == Role::Orchestrator || self.participants.contains(role);
-        roles.iter().filter(takes_part).count()
+        let processes = |role: &Role| match role {
+            Role::Orchestrator => 1,
+            Role::ExternalMemory => self.external_memories.len(),
+            role => usize::from(self.participants.contains(role)),
+        };
+        roles.iter().map(processes).sum()
     }
 
     /// Checks every value.
@@ -302,6 +318,16 @@ impl Attach {
         }
         if !(1..=MAX_FRAMES).contains(&self.frame_capacity) {
             return value("frame_capacity", &self.frame_capacity, format!("1 to {MAX_FRAMES}"));
+        }
+        let most = MAX_EXTERNAL_MEMORIES;
+        if let Some(index) =
+            self.external_memories.iter().find(|&&index| usize::from(index) >= most)
+        {
+            return value("external_memories", index, format!("0 to {}", most - 1));
+        }
+        if !self.external_memories.is_sorted_by(|a, b| a < b) {
+            let found = format!("{:?}", self.external_memories);
+            return value("external_memories", &found, "ascending indices".to_owned());
         }
         if self.wait.spin_us > 1_000_000 {
             return value("wait.spin_us", &self.wait.spin_us, "0 to 1000000".to_owned());
@@ -354,6 +380,7 @@ mod tests {
             generation: 3,
             orchestrator_pid: 17,
             participants: vec![Role::Sim],
+            external_memories: vec![0, 2],
             lanes: 8,
             window: 6,
             frame: FrameSize::DEFAULT,

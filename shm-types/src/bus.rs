@@ -29,10 +29,10 @@ use std::time::{Duration, Instant};
 use iceoryx2::node::{Node, NodeBuilder};
 use iceoryx2::prelude::{LogLevel, SignalHandlingMode, set_log_level_from_env_or};
 
-use crate::attach::Attach;
+use crate::attach::{Attach, AttachError};
 use crate::events::{Listener, Notifier};
 use crate::message::{ErrorReport, Handshake, Message, Role, ShutdownReport};
-use crate::ports::{Connect, ReceiverPort, SenderPort};
+use crate::ports::{Connect, ReceiverPort, SenderPort, is_private};
 use crate::registry;
 pub use crate::transport::BusError;
 use crate::transport::{Ipc, config, delivered, service_name};
@@ -40,14 +40,19 @@ use crate::transport::{Ipc, config, delivered, service_name};
 /// How long the first send on a service waits for its receivers.
 const RECEIVERS_TIMEOUT: Duration = Duration::from_secs(60);
 
+/// A service, and the index of the external memory at its other end, or 0.
+type PortKey = (&'static str, u8);
+
 /// A process's membership in a run.
 #[derive(Debug)]
 pub struct Bus {
     attach: Attach,
     role: Role,
+    /// Index of an external memory; otherwise 0.
+    index: u8,
     listener: Listener,
-    /// The senders created so far, by service.
-    ports: Mutex<HashMap<&'static str, Arc<dyn Any + Send + Sync>>>,
+    /// The senders created so far.
+    ports: Mutex<HashMap<PortKey, Arc<dyn Any + Send + Sync>>>,
     receivers: Arc<AllReceivers>,
     node: Node<Ipc>,
     /// Locked while the process takes part, so that no cleaner removes the run. The last field: it is dropped
@@ -62,7 +67,26 @@ impl Bus {
     /// When a value of `attach` is invalid, the folder's path is too long for sockets, the folder does not exist,
     /// or iceoryx2 cannot create its node or the role's listener.
     pub fn join(attach: Attach, role: Role) -> Result<Self, BusError> {
+        Self::join_as(attach, role, 0)
+    }
+
+    /// As [`Self::join`], for the external memory with this index.
+    ///
+    /// # Errors
+    /// As [`Self::join`].
+    pub fn join_external_memory(attach: Attach, index: u8) -> Result<Self, BusError> {
+        Self::join_as(attach, Role::ExternalMemory, index)
+    }
+
+    fn join_as(attach: Attach, role: Role, index: u8) -> Result<Self, BusError> {
         attach.check()?;
+        if role == Role::ExternalMemory && !attach.external_memories.contains(&index) {
+            return Err(BusError::from(AttachError::Value {
+                field: "external_memories",
+                value: format!("{:?}", attach.external_memories),
+                expected: format!("a list with {index}: the run goes on without this memory"),
+            }));
+        }
         let membership = registry::lock_shared(&attach.root).map_err(|cause| {
             BusError::Membership { path: attach.root.display().to_string(), cause }
         })?;
@@ -74,9 +98,10 @@ impl Bus {
             .config(&config)
             .create::<Ipc>()
             .map_err(|e| BusError::open("cannot create a node in the run", e))?;
-        let listener = Listener::new(&node, &attach, role)?;
+        let listener = Listener::new(&node, &attach, (role, index))?;
         let (ports, receivers) = (Mutex::default(), Arc::default());
-        let bus = Self { attach, role, listener, ports, receivers, node, _membership: membership };
+        let bus =
+            Self { attach, role, index, listener, ports, receivers, node, _membership: membership };
         if role != Role::Orchestrator {
             bus.sender::<Handshake>()?;
             bus.sender::<ErrorReport>()?;
@@ -95,6 +120,11 @@ impl Bus {
         self.role
     }
 
+    /// The index of an external memory; 0 for other roles.
+    pub fn index(&self) -> u8 {
+        self.index
+    }
+
     /// This process's own listener. It exists before any receiver, so that a message that is received can also be
     /// notified.
     pub fn listener(&self) -> &Listener {
@@ -106,7 +136,15 @@ impl Bus {
     /// # Errors
     /// When the service cannot be opened.
     pub fn notifier(&self, of: Role) -> Result<Notifier, BusError> {
-        Notifier::new(&self.node, &self.attach, of)
+        Notifier::new(&self.node, &self.attach, (of, self.index))
+    }
+
+    /// A notifier for an external memory.
+    ///
+    /// # Errors
+    /// When the service cannot be opened.
+    pub fn external_memory_notifier(&self, index: u8) -> Result<Notifier, BusError> {
+        Notifier::new(&self.node, &self.attach, (Role::ExternalMemory, index))
     }
 
     /// The sender of `M`; every call returns the same one.
@@ -114,16 +152,25 @@ impl Bus {
     /// # Errors
     /// When this role does not send `M`, or the service cannot be opened.
     pub fn sender<M: Message>(&self) -> Result<Sender<M>, BusError> {
+        self.sender_to(self.index)
+    }
+
+    /// The sender of `M` to an external memory.
+    ///
+    /// # Errors
+    /// As [`Self::sender`].
+    pub fn sender_to<M: Message>(&self, index: u8) -> Result<Sender<M>, BusError> {
         self.allowed(M::FROM, M::SERVICE, "send")?;
         let mut ports = self.ports.lock().unwrap_or_else(PoisonError::into_inner);
-        let known = ports.get(M::SERVICE).cloned();
+        let key = (M::SERVICE, index);
+        let known = ports.get(&key).cloned();
         if let Some(port) = known.and_then(|port| port.downcast().ok()) {
             return Ok(Sender { port });
         }
-        let receivers = self.attach.count(M::TO);
-        let port =
-            Arc::new(Port { sender: M::open_sender(self)?, receivers, complete: false.into() });
-        ports.insert(M::SERVICE, port.clone());
+        let receivers = if is_private::<M>() { 1 } else { self.attach.count(M::TO) };
+        let sender = M::open_sender(self, index)?;
+        let port = Arc::new(Port { sender, receivers, complete: false.into() });
+        ports.insert(key, port.clone());
         Ok(Sender { port })
     }
 
@@ -132,10 +179,19 @@ impl Bus {
     /// # Errors
     /// When this role does not receive `M`, or the service cannot be opened.
     pub fn receiver<M: Message>(&self) -> Result<Receiver<M>, BusError> {
+        self.receiver_from(self.index)
+    }
+
+    /// A receiver of `M` from an external memory.
+    ///
+    /// # Errors
+    /// As [`Self::receiver`].
+    pub fn receiver_from<M: Message>(&self, index: u8) -> Result<Receiver<M>, BusError> {
         self.allowed(M::TO, M::SERVICE, "receive")?;
-        let port = M::open_receiver(self)?;
+        let port = M::open_receiver(self, index)?;
         self.receivers.add(port.clone());
-        let most = self.attach.queue_len(M::TRAFFIC) * M::FROM.len();
+        let senders = if is_private::<M>() { 1 } else { self.attach.places(M::FROM) };
+        let most = self.attach.queue_len(M::TRAFFIC) * senders;
         Ok(Receiver { port, most, all: self.receivers.clone() })
     }
 

@@ -40,7 +40,7 @@ wire_struct! {
     DocumentHeader: Eq Default, "memtransfer.DocumentHeader", 24 bytes {
         /// The document's id.
         id: DocumentId,
-        /// The episode it belongs to; 0 for the whole run.
+        /// The episode it belongs to; 0: for the whole run.
         episode: u64,
         /// The lane of that episode.
         lane: u32,
@@ -58,6 +58,8 @@ pub enum Content {
     Semantic(String),
     /// Demonstrations with their keyframes, one after the other.
     Trajectories(Vec<TrajectoryStep>),
+    /// Text of an external memory.
+    Note(String),
 }
 
 impl Content {
@@ -67,12 +69,21 @@ impl Content {
             Self::Summary(_) => DocumentKind::Summary,
             Self::Semantic(_) => DocumentKind::Semantic,
             Self::Trajectories(_) => DocumentKind::Trajectories,
+            Self::Note(_) => DocumentKind::Note,
+        }
+    }
+
+    /// The text; `None` for demonstrations.
+    pub fn text(&self) -> Option<&str> {
+        match self {
+            Self::Summary(text) | Self::Semantic(text) | Self::Note(text) => Some(text),
+            Self::Trajectories(_) => None,
         }
     }
 
     fn bytes(&self) -> &[u8] {
         match self {
-            Self::Summary(text) | Self::Semantic(text) => text.as_bytes(),
+            Self::Summary(text) | Self::Semantic(text) | Self::Note(text) => text.as_bytes(),
             Self::Trajectories(steps) => bytemuck::cast_slice(steps),
         }
     }
@@ -85,6 +96,7 @@ impl Content {
         Ok(match kind {
             DocumentKind::Summary => Self::Summary(text()?),
             DocumentKind::Semantic => Self::Semantic(text()?),
+            DocumentKind::Note => Self::Note(text()?),
             DocumentKind::Trajectories => {
                 let (steps, []) = bytes.as_chunks::<{ size_of::<TrajectoryStep>() }>() else {
                     let count = format_args!("{} bytes", bytes.len());
@@ -113,7 +125,7 @@ impl Content {
 pub struct Document {
     /// Its id.
     pub id: DocumentId,
-    /// The episode it belongs to; 0 for the whole run.
+    /// The episode it belongs to; 0: for the whole run.
     pub episode: u64,
     /// The lane of that episode.
     pub lane: u32,
@@ -145,7 +157,7 @@ pub enum DocumentError {
 
 /// Documents that can wait for the policy: the queue length that both processes must agree on.
 pub const fn queue_len(attach: &Attach) -> usize {
-    2 * attach.lanes as usize + RUN_DOCUMENTS
+    4 * attach.lanes as usize + RUN_DOCUMENTS
 }
 
 fn service(bus: &Bus) -> Result<PortFactory<Ipc, [u8], DocumentHeader>, BusError> {

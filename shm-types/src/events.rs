@@ -37,8 +37,12 @@ pub struct Listener {
 }
 
 impl Listener {
-    pub(crate) fn new(node: &Node<Ipc>, attach: &Attach, role: Role) -> Result<Self, BusError> {
-        let port = service(node, attach, role)?.listener_builder().create();
+    pub(crate) fn new(
+        node: &Node<Ipc>,
+        attach: &Attach,
+        (role, index): (Role, u8),
+    ) -> Result<Self, BusError> {
+        let port = service(node, attach, (role, index))?.listener_builder().create();
         let port = port.map_err(|error| match error {
             ListenerCreateError::ExceedsMaxSupportedListeners => BusError::Taken { role },
             e => BusError::open(format_args!("cannot listen to events of the {}", role.word()), e),
@@ -90,10 +94,10 @@ pub struct Notifier {
 }
 
 impl Notifier {
-    pub(crate) fn new(node: &Node<Ipc>, attach: &Attach, of: Role) -> Result<Self, BusError> {
+    pub(crate) fn new(node: &Node<Ipc>, attach: &Attach, of: (Role, u8)) -> Result<Self, BusError> {
         let port = service(node, attach, of)?.notifier_builder().create();
         let port = port.map_err(|e| {
-            BusError::open(format_args!("cannot create a notifier for the {}", of.word()), e)
+            BusError::open(format_args!("cannot create a notifier for the {}", of.0.word()), e)
         })?;
         Ok(Self { port })
     }
@@ -108,9 +112,17 @@ impl Notifier {
     }
 }
 
-fn service(node: &Node<Ipc>, attach: &Attach, of: Role) -> Result<PortFactory<Ipc>, BusError> {
-    let roles = Role::ALL.len();
-    node.service_builder(&service_name(attach, &format!("event/{}", of.word()))?)
+fn service(
+    node: &Node<Ipc>,
+    attach: &Attach,
+    (of, index): (Role, u8),
+) -> Result<PortFactory<Ipc>, BusError> {
+    let roles = attach.places(Role::ALL);
+    let name = match of {
+        Role::ExternalMemory => format!("event/{}-{index}", of.word()),
+        _ => format!("event/{}", of.word()),
+    };
+    node.service_builder(&service_name(attach, &name)?)
         .event()
         .max_listeners(1)
         .max_notifiers(roles)

@@ -39,7 +39,7 @@ use crate::transport::{BusError, Ipc, delivered};
 pub const FRAME_SERVICE: &str = "frame";
 
 /// The roles that receive frames.
-pub const FRAME_CONSUMERS: [Role; 2] = [Role::Memory, Role::Policy];
+pub const FRAME_CONSUMERS: [Role; 3] = [Role::Memory, Role::Policy, Role::ExternalMemory];
 
 /// Bits of a frame id below the generation.
 const ID_BITS: u32 = 40;
@@ -129,14 +129,15 @@ pub enum FrameError {
 
 fn service(bus: &Bus) -> Result<PortFactory<Ipc, [Page], FrameHeader>, BusError> {
     let chunks = bus.attach().frame_chunks() as usize;
+    let consumers = bus.attach().places(&FRAME_CONSUMERS);
     bus.builder(FRAME_SERVICE)?
         .publish_subscribe::<[Page]>()
         .user_header::<FrameHeader>()
         .enable_safe_overflow(false)
         .history_size(0)
         .max_publishers(1)
-        .max_subscribers(FRAME_CONSUMERS.len())
-        .max_nodes(1 + FRAME_CONSUMERS.len())
+        .max_subscribers(consumers)
+        .max_nodes(1 + consumers)
         .subscriber_max_borrowed_samples(chunks)
         .subscriber_max_buffer_size(chunks)
         .open_or_create()

@@ -71,7 +71,7 @@ mod tests {
         let error = Handshake::new(Role::Memory, [("encoder", "x".repeat(500))]).unwrap_err();
         assert_eq!(
             error.to_string(),
-            "the facts of the memory's handshake have 514 bytes of JSON, and 496 fit: shorten them"
+            "the facts of the memory's handshake have 514 bytes of JSON, and 492 fit: shorten them"
         );
 
         let broken = Handshake { facts_len: 3, ..handshake };

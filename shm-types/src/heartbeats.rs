@@ -15,6 +15,7 @@ const INTERVAL: Duration = Duration::from_secs(1);
 pub struct Heartbeats {
     sender: Sender<Heartbeat>,
     role: Role,
+    external: u32,
     last: Heartbeat,
     sent: Instant,
 }
@@ -25,8 +26,8 @@ impl Heartbeats {
     /// # Errors
     /// When the service cannot be opened.
     pub fn new(bus: &Bus) -> Result<Self, BusError> {
-        let (sender, role) = (bus.sender()?, bus.role());
-        Ok(Self { sender, role, last: Zeroable::zeroed(), sent: Instant::now() })
+        let (sender, role, external) = (bus.sender()?, bus.role(), bus.index().into());
+        Ok(Self { sender, role, external, last: Zeroable::zeroed(), sent: Instant::now() })
     }
 
     /// Sends `heartbeat` (the role is filled in) if the last one was sent a second ago and it has changed since.
@@ -38,7 +39,8 @@ impl Heartbeats {
             return false;
         }
         self.sent = Instant::now();
-        let heartbeat = Heartbeat { role: self.role as u32, ..heartbeat() };
+        let (role, external) = (self.role as u32, self.external);
+        let heartbeat = Heartbeat { role, external, ..heartbeat() };
         let has_changed = heartbeat != self.last;
         if has_changed && let Err(error) = self.sender.send_now(&heartbeat) {
             tracing::debug!(%error, "the heartbeat was not delivered");

@@ -21,25 +21,40 @@ use crate::ports::{self, ReceiverPort, SenderPort};
 
 mod codes;
 
-pub use codes::{CODE_SETS, ErrorReportKind, Role, StepKind, ViewRequestKind};
+pub use codes::{CODE_SETS, ErrorReportKind, ItemKind, Role, StepKind, ViewRequestKind};
 
 /// Version of everything that `docs/wire.md` describes; compared when a process attaches.
-pub const WIRE_VERSION: u32 = 6;
+pub const WIRE_VERSION: u32 = 7;
 
 /// Longest window of past steps.
 pub const MAX_WINDOW: usize = 32;
 
-/// Maximum number of entries of a retrieved segment: the matched view and the views after it.
+/// Most steps of a retrieved segment: the matched view and the views after it.
 pub const MAX_SEGMENT: usize = 32;
 
-/// Maximum number of documents a [`Recall`] names.
-pub const MAX_DOCUMENTS: usize = 4;
+/// Most items of a [`Recall`].
+pub const MAX_ITEMS: usize = 8;
+
+/// Most demonstration steps that a [`Recall`] holds itself. A longer item is a document.
+pub const MAX_STEPS: usize = 48;
+
+/// Most parts of demonstrations that a [`RecallTrace`] names as the sources of the items.
+pub const MAX_SOURCES: usize = 16;
+
+/// Most numbers of an embedding.
+pub const MAX_EMBEDDING: usize = 1024;
+
+/// Most external memories of a run.
+pub const MAX_EXTERNAL_MEMORIES: usize = 8;
 
 /// Maximum length of an instruction, in bytes.
 pub const MAX_INSTRUCTION: usize = 232;
 
 /// The `action` code for "no action".
 pub const NO_ACTION: u8 = u8::MAX;
+
+/// The representation code of an external memory.
+pub const EXTERNAL: u8 = u8::MAX;
 
 /// The count for "not measured".
 pub const NOT_MEASURED: u32 = u32::MAX;
@@ -81,13 +96,13 @@ pub trait Message: ZeroCopySend + Pod + core::fmt::Debug {
     /// How many can wait for a receiver.
     const TRAFFIC: Traffic;
 
-    /// Opens its sender.
+    /// Opens its sender; `index` is that of the external memory it sends to, if it sends to one.
     #[doc(hidden)]
-    fn open_sender(bus: &Bus) -> Result<Box<dyn SenderPort<Self>>, BusError>;
+    fn open_sender(bus: &Bus, index: u8) -> Result<Box<dyn SenderPort<Self>>, BusError>;
 
-    /// Opens a receiver.
+    /// Opens a receiver, as [`Self::open_sender`].
     #[doc(hidden)]
-    fn open_receiver(bus: &Bus) -> Result<Arc<dyn ReceiverPort<Self>>, BusError>;
+    fn open_receiver(bus: &Bus, index: u8) -> Result<Arc<dyn ReceiverPort<Self>>, BusError>;
 }
 
 /// What bounds the number of waiting messages, and so the length of the queue
@@ -135,12 +150,12 @@ macro_rules! messages {
                 const TRAFFIC: Traffic = Traffic::$traffic;
 
                 // Not generic, so that the ports are compiled in this crate.
-                fn open_sender(bus: &Bus) -> Result<Box<dyn SenderPort<Self>>, BusError> {
-                    ports::open_sender(bus)
+                fn open_sender(bus: &Bus, index: u8) -> Result<Box<dyn SenderPort<Self>>, BusError> {
+                    ports::open_sender(bus, index)
                 }
 
-                fn open_receiver(bus: &Bus) -> Result<Arc<dyn ReceiverPort<Self>>, BusError> {
-                    ports::open_receiver(bus)
+                fn open_receiver(bus: &Bus, index: u8) -> Result<Arc<dyn ReceiverPort<Self>>, BusError> {
+                    ports::open_receiver(bus, index)
                 }
             }
         )*
@@ -202,15 +217,102 @@ impl TryFrom<WirePose> for Pose {
 }
 
 wire_struct! {
-    /// One view of a retrieved segment, and the expert's action there.
+    /// One step of a demonstration in a [`Recall`].
     SegmentStep, "memtransfer.SegmentStep", 16 bytes {
-        /// The remembered view.
+        /// The remembered view, or [`NO_FRAME`].
         frame: FrameId,
-        /// Code of the [`Action`](domain::Action) the expert took there, or [`NO_ACTION`] for the last
-        /// view of the segment, and for every view of a segment of images alone.
+        /// Code of the [`Action`](domain::Action) the expert took there, or [`NO_ACTION`]: at the end of the item, and
+        /// throughout an item of views alone.
         action: u8,
         /// Zero.
         reserved: [u8; 7],
+    }
+}
+
+wire_struct! {
+    /// One item of what memory supplies for a step.
+    RecalledItem, "memtransfer.RecalledItem", 32 bytes {
+        /// Text and captioned frame: the document that holds the text. Trajectory: the document that holds the steps.
+        /// Otherwise, and for an empty caption, [`NO_DOCUMENT`].
+        document: DocumentId,
+        /// Distance between the item and the query; NaN if the memory tells none.
+        distance: f32,
+        /// First step: in [`Recall::steps`], or in the document of a trajectory.
+        first_step: u32,
+        /// Number of steps, at least 1; 1 for a captioned frame, 0 for a text. Those of a trajectory can belong to
+        /// several demonstrations, one after the other.
+        steps: u32,
+        /// First byte of the text in the document.
+        first_byte: u32,
+        /// Bytes of the text.
+        bytes: u32,
+        /// An [`ItemKind`] code.
+        kind: u8,
+        /// Steps and trajectory: 1 if they are a whole demonstration, from its start to its end.
+        whole: u8,
+        /// Zero.
+        reserved: [u8; 2],
+    }
+}
+
+wire_struct! {
+    /// Where an item comes from: consecutive steps of one demonstration.
+    RecalledSource, "memtransfer.RecalledSource", 16 bytes {
+        /// Index of the demonstration's case.
+        case: u32,
+        /// Distance between the item and the query; NaN if the memory tells none.
+        distance: f32,
+        /// The demonstration (0 original, 1 opposite, 2 nearby, 3 distant).
+        demonstration: u16,
+        /// Its first step.
+        first: u16,
+        /// Number of steps.
+        steps: u16,
+        /// Number of the item that comes from here, from 0.
+        item: u8,
+        /// The item's [`ItemKind`] code.
+        kind: u8,
+    }
+}
+
+wire_struct! {
+    /// One item of an [`ExternalAnswer`].
+    AnswerItem, "memtransfer.AnswerItem", 28 bytes {
+        /// Text and captioned frame: first byte of the text in the answer's note.
+        first_byte: u32,
+        /// Bytes of the text.
+        bytes: u32,
+        /// Steps and captioned frame: number of the demonstration in the bank.
+        demonstration: u32,
+        /// Its first step.
+        first_step: u32,
+        /// Number of steps; 1 for a captioned frame.
+        steps: u32,
+        /// Distance between the item and the query; NaN if it is not known.
+        distance: f32,
+        /// An [`ItemKind`] code; steps of any length are [`ItemKind::Steps`].
+        kind: u8,
+        /// Steps: 1 to supply their views; 2 to supply those whose numbers the answer's note holds, as `bytes / 4`
+        /// little-endian 32-bit numbers from `first_byte` on.
+        views: u8,
+        /// Steps: 1 to supply their actions.
+        actions: u8,
+        /// Zero.
+        reserved: u8,
+    }
+}
+
+wire_struct! {
+    /// Where a text item of an [`ExternalAnswer`] comes from: consecutive steps of one demonstration.
+    AnswerSource, "memtransfer.AnswerSource", 16 bytes {
+        /// Number of the item, from 0.
+        item: u32,
+        /// Number of the demonstration in the bank.
+        demonstration: u32,
+        /// Its first step.
+        first_step: u32,
+        /// Number of steps.
+        steps: u32,
     }
 }
 
@@ -290,10 +392,12 @@ messages! {
     }
 
     /// Orchestrator to memory, before a reset: the memory of the lane's next episode.
-    MemoryEpisodeConfig, "memtransfer.MemoryEpisodeConfig", "memory-config", 32 bytes,
+    MemoryEpisodeConfig, "memtransfer.MemoryEpisodeConfig", "memory-config", 48 bytes,
         [Orchestrator] to [Memory], Lanes {
         /// The episode.
         episode: u64,
+        /// Seed for random choices of the memory: that of the policy's config.
+        seed: u64,
         /// The lane.
         lane: u32,
         /// Index of the case.
@@ -301,7 +405,7 @@ messages! {
         /// The demonstrations in memory: bits 0 to 3 the case's own (original, opposite, nearby, distant), bit 4 its
         /// irrelevant histories, bit 5 its confusable ones.
         demonstrations: u32,
-        /// Code of the [`Representation`](domain::Representation).
+        /// Code of the [`Representation`](domain::Representation), or [`EXTERNAL`].
         representation: u8,
         /// Expert actions a retrieved segment follows, H_epi, less than [`MAX_SEGMENT`].
         horizon: u8,
@@ -309,8 +413,18 @@ messages! {
         keyframes: u8,
         /// Code of the [`SegmentContent`](domain::SegmentContent).
         segment: u8,
+        /// Most bytes of text in one recall.
+        text_budget: u32,
+        /// Most images in one recall.
+        image_budget: u16,
+        /// Segments that episodic memory supplies, k.
+        hits: u8,
+        /// For [`EXTERNAL`]: index of the external memory.
+        external: u8,
+        /// The repetition of the run, from 1.
+        repeat: u32,
         /// Zero.
-        reserved: [u8; 8],
+        reserved: u32,
     }
 
     /// Orchestrator to policy, before a reset: the lane's next episode.
@@ -360,15 +474,15 @@ messages! {
         reserved: u32,
     }
 
-    /// Simulator to memory and policy: drop this frame. No running episode and no memory refers to it.
+    /// Simulator to memory, policy and external memories: drop this frame. No running episode and no memory refers to it.
     Eviction, "memtransfer.Eviction", "eviction", 8 bytes,
-        [Sim] to [Memory Policy], Frames {
+        [Sim] to [Memory Policy ExternalMemory], Frames {
         /// The frame.
         frame: FrameId,
     }
 
     /// Memory to policy: what memory supplies for a step.
-    Recall, "memtransfer.Recall", "recall", 592 bytes,
+    Recall, "memtransfer.Recall", "recall", 1064 bytes,
         [Memory] to [Policy], Lanes {
         /// The episode.
         episode: u64,
@@ -380,22 +494,18 @@ messages! {
         lane: u32,
         /// The step it answers.
         step: u32,
-        /// Cosine distance of the segment's first view to the current one; NaN without a segment.
-        distance: f32,
-        /// Entries of `segment` in use: 0 without a retrieval.
-        segment_len: u32,
-        /// Entries of `documents` in use.
-        documents_len: u32,
-        /// Zero.
-        reserved: u32,
-        /// Documents, in order. A document is published before the first recall that names it.
-        documents: [DocumentId; MAX_DOCUMENTS],
-        /// The matched view, then the views after each of the expert's actions.
-        segment: [SegmentStep; MAX_SEGMENT],
+        /// Entries of `items` in use.
+        items_len: u32,
+        /// Entries of `steps` in use.
+        steps_len: u32,
+        /// What is supplied, in order. A document is published before the first recall that names it.
+        items: [RecalledItem; MAX_ITEMS],
+        /// The steps of the items that hold theirs here.
+        steps: [SegmentStep; MAX_STEPS],
     }
 
-    /// Memory to orchestrator, with every recall: what was matched, and when.
-    RecallTrace, "memtransfer.RecallTrace", "recall-trace", 72 bytes,
+    /// Memory to orchestrator, with every recall: what was supplied, where it comes from, and when.
+    RecallTrace, "memtransfer.RecallTrace", "recall-trace", 360 bytes,
         [Memory] to [Orchestrator], Lanes {
         /// The episode.
         episode: u64,
@@ -404,36 +514,149 @@ messages! {
         /// When the embeddings that the answer needs were complete: the current view's and, in an episode's first
         /// steps, those of the demonstrations.
         embedded_ns: u64,
-        /// When the nearest view was found.
+        /// When the memory had answered the query.
         searched_ns: u64,
         /// When the recall was put together.
         assembled_ns: u64,
         /// When the recall was sent.
         sent_ns: u64,
+        /// Nanoseconds that an external memory computed, by its own clock; 0 for a built-in one. The rest of the time
+        /// between `embedded_ns` and `searched_ns` is the wire.
+        method_ns: u64,
+        /// Bytes of the memory's store, if it tells them; otherwise 0.
+        store_bytes: u64,
         /// The lane.
         lane: u32,
         /// The step.
         step: u32,
-        /// The case whose demonstration was matched; [`NOT_MEASURED`] without a retrieval.
-        case: u32,
-        /// The matched demonstration (0 original, 1 opposite, 2 nearby, 3 distant).
-        demonstration: u16,
-        /// The step of the matched view in it.
-        index: u16,
-        /// Cosine distance of the match; NaN without one.
-        distance: f32,
+        /// Images that the memory asked for.
+        images_asked: u32,
+        /// Images that are supplied.
+        images: u32,
+        /// Bytes of text that the memory asked for.
+        text_asked: u32,
+        /// Bytes of text that are supplied.
+        text: u32,
+        /// Items that the memory asked for.
+        items_asked: u16,
+        /// Items that are supplied. An item that does not fit into a budget is dropped whole.
+        items: u16,
+        /// Tokens of the memory's own requests to a model for this step; [`NOT_MEASURED`] if it reports none.
+        tokens: u32,
+        /// Entries of `sources` in use. An item without a source comes from the memory as a whole.
+        sources_len: u32,
         /// Zero.
         reserved: u32,
+        /// Where the items come from, in order of the items.
+        sources: [RecalledSource; MAX_SOURCES],
     }
 
-    /// Simulator, memory and policy to orchestrator: progress, about once a second if it has changed. The orchestrator
-    /// waits for memory as long as its `done` grows: without cached embeddings, an answer can take minutes.
-    Heartbeat, "memtransfer.Heartbeat", "heartbeat", 40 bytes,
-        [Sim Memory Policy] to [Orchestrator], Few {
-        /// Code of the sender's [`Role`].
-        role: u32,
+    /// Memory to an external memory: an episode begins.
+    ExternalEpisode, "memtransfer.ExternalEpisode", "external-episode", 280 bytes,
+        [Memory] to [ExternalMemory], Lanes {
+        /// The episode.
+        episode: u64,
+        /// The demonstrations it remembers: the id of a bank.
+        bank: u64,
+        /// Seed for random choices.
+        seed: u64,
+        /// The lane.
+        lane: u32,
+        /// Most bytes of text in one answer.
+        text_budget: u32,
+        /// Most images in one answer.
+        image_budget: u32,
+        /// The repetition of the run, from 1.
+        repeat: u32,
+        /// Bytes of `instruction` in use.
+        instruction_len: u32,
         /// Zero.
         reserved: u32,
+        /// The instruction, UTF-8.
+        instruction: [u8; MAX_INSTRUCTION],
+    }
+
+    /// Memory to an external memory: the agent's state after a step. Each is answered, except the last of an episode.
+    ExternalQuery, "memtransfer.ExternalQuery", "external-query", 4144 bytes,
+        [Memory] to [ExternalMemory], Lanes {
+        /// The episode.
+        episode: u64,
+        /// The agent's view; [`NO_FRAME`] if `last` is 1.
+        frame: FrameId,
+        /// When this message was sent.
+        sent_ns: u64,
+        /// The lane.
+        lane: u32,
+        /// Steps taken so far.
+        step: u32,
+        /// The agent's pose.
+        pose: WirePose,
+        /// Numbers of `embedding` in use; 0 if the memory asked for no embeddings.
+        embedding_len: u32,
+        /// Code of the [`Feedback`](domain::Feedback) to the last action.
+        feedback: u8,
+        /// Code of the last action, or [`NO_ACTION`].
+        action: u8,
+        /// 1 when the episode is over: no answer is awaited.
+        last: u8,
+        /// Zero.
+        reserved: [u8; 5],
+        /// The embedding of the view, of length 1.
+        embedding: [f32; MAX_EMBEDDING],
+    }
+
+    /// An external memory to memory: it has built itself from a bank, or cannot. Answers each new bank once.
+    ExternalBuilt, "memtransfer.ExternalBuilt", "external-built", 32 bytes,
+        [ExternalMemory] to [Memory], Lanes {
+        /// The bank.
+        bank: u64,
+        /// Bytes of its store; 0 if it does not tell.
+        store_bytes: u64,
+        /// The note with the reason, if it failed; otherwise [`NO_DOCUMENT`].
+        failure: DocumentId,
+        /// Nanoseconds it took, by its own clock.
+        took_ns: u64,
+    }
+
+    /// An external memory to memory: the answer to a query.
+    ExternalAnswer, "memtransfer.ExternalAnswer", "external-answer", 544 bytes,
+        [ExternalMemory] to [Memory], Lanes {
+        /// The episode.
+        episode: u64,
+        /// When it received the query.
+        received_ns: u64,
+        /// When it sent this message.
+        sent_ns: u64,
+        /// Bytes of its store; 0 if it does not tell.
+        store_bytes: u64,
+        /// The note with the texts of the items, published before; otherwise [`NO_DOCUMENT`].
+        note: DocumentId,
+        /// The lane.
+        lane: u32,
+        /// The step it answers.
+        step: u32,
+        /// Entries of `items` in use.
+        items_len: u32,
+        /// Entries of `sources` in use.
+        sources_len: u32,
+        /// Tokens of its own requests to a model for this step; [`NOT_MEASURED`] if it reports none.
+        tokens: u32,
+        /// 1 if the memory failed: the note holds the reason, and there are no items.
+        failed: u32,
+        /// What it supplies, the most important first.
+        items: [AnswerItem; MAX_ITEMS],
+        /// Where text items come from.
+        sources: [AnswerSource; MAX_SOURCES],
+    }
+
+    /// All to orchestrator: progress, about once a second if it has changed. The orchestrator waits for memory as long
+    /// as its `done` grows: without cached embeddings, an answer can take minutes.
+    Heartbeat, "memtransfer.Heartbeat", "heartbeat", 40 bytes,
+        [Sim Memory Policy ExternalMemory] to [Orchestrator], Few {
+        /// Code of the sender's [`Role`].
+        role: u32,
+        /// Index of an external memory; 0 for other roles.
+        external: u32,
         /// Work done since the sender started: views rendered, images embedded, requests answered.
         done: u64,
         /// Work that waits: views to render, images to embed, requests to answer.
@@ -489,9 +712,9 @@ messages! {
         reserved: [u8; 21],
     }
 
-    /// Simulator, memory and policy to orchestrator, once, when ready.
+    /// All to orchestrator, once, when ready.
     Handshake, "memtransfer.Handshake", "handshake", 512 bytes,
-        [Sim Memory Policy] to [Orchestrator], Few {
+        [Sim Memory Policy ExternalMemory] to [Orchestrator], Few {
         /// [`WIRE_VERSION`] of the sender.
         wire_version: u32,
         /// Code of its [`Role`].
@@ -500,18 +723,20 @@ messages! {
         pid: u32,
         /// Bytes of `facts` in use.
         facts_len: u32,
+        /// Index of an external memory; 0 for other roles.
+        external: u32,
         /// A JSON object of strings for the manifest: adapter, frame path, encoder, policy, ...
-        facts: [u8; 496],
+        facts: [u8; 492],
     }
 
-    /// Simulator, memory and policy to orchestrator: an error, and what follows from it ([`ErrorReportKind`]).
+    /// All to orchestrator: an error, and what follows from it ([`ErrorReportKind`]).
     ErrorReport, "memtransfer.ErrorReport", "error-report", 512 bytes,
-        [Sim Memory Policy] to [Orchestrator], Few {
+        [Sim Memory Policy ExternalMemory] to [Orchestrator], Few {
         /// For [`ErrorReportKind::Episode`]: the episode. Otherwise 0.
         episode: u64,
         /// Code of the sender's [`Role`].
         role: u32,
-        /// Reports of the sender so far, including this one.
+        /// Reports of the sender so far, this one included.
         count: u32,
         /// Code of the [`ErrorReportKind`].
         kind: u32,
@@ -519,19 +744,19 @@ messages! {
         lane: u32,
         /// Bytes of `text` in use.
         text_len: u32,
-        /// Zero.
-        reserved: u32,
+        /// Index of an external memory; 0 for other roles.
+        external: u32,
         /// What is wrong, the value, and what was expected; UTF-8.
         text: [u8; 480],
     }
 
-    /// Simulator, memory and policy to orchestrator, once, after [`Stop`]: totals of the process.
+    /// All to orchestrator, once, after [`Stop`]: totals of the process.
     ShutdownReport, "memtransfer.ShutdownReport", "shutdown-report", 48 bytes,
-        [Sim Memory Policy] to [Orchestrator], Few {
+        [Sim Memory Policy ExternalMemory] to [Orchestrator], Few {
         /// Code of the sender's [`Role`].
         role: u32,
-        /// Zero.
-        reserved: u32,
+        /// Index of an external memory; 0 for other roles.
+        external: u32,
         /// Frames rendered into the store (simulator only).
         frames_rendered: u64,
         /// Frames evicted from the store (simulator only).
@@ -546,7 +771,7 @@ messages! {
 
     /// Orchestrator to all: send a [`ShutdownReport`] and exit.
     Stop, "memtransfer.Stop", "stop", 8 bytes,
-        [Orchestrator] to [Sim Memory Policy], Few {
+        [Orchestrator] to [Sim Memory Policy ExternalMemory], Few {
         /// Zero.
         reserved: u64,
     }
@@ -626,7 +851,8 @@ mod tests {
     macro_rules! every_message {
         ($check:ident $(, $argument:expr)*) => {
             every_message!(@ $check, ($($argument),*), StepCommand Observation MemoryEpisodeConfig PolicyEpisodeConfig
-                ViewRequest View Eviction Recall RecallTrace Heartbeat Decision Handshake ErrorReport ShutdownReport Stop)
+                ViewRequest View Eviction Recall RecallTrace ExternalEpisode ExternalQuery ExternalBuilt ExternalAnswer
+                Heartbeat Decision Handshake ErrorReport ShutdownReport Stop)
         };
         (@ $check:ident, $arguments:tt, $($message:ident)*) => {$($check::<$message>$arguments;)*};
     }
@@ -636,7 +862,7 @@ mod tests {
         for (code, role) in Role::ALL.iter().enumerate() {
             assert_eq!(Role::try_from(code as u8), Ok(*role));
         }
-        assert!(Role::try_from(4).is_err());
+        assert!(Role::try_from(5).is_err());
         assert!(Outcome::try_from(NO_ACTION).is_err());
         assert!(Action::try_from(NO_ACTION).is_err() && Feedback::try_from(NO_ACTION).is_err());
     }
@@ -677,7 +903,7 @@ mod tests {
     proptest! {
         /// Whatever arrives is a value or an error.
         #[test]
-        fn no_bytes_panic(bytes in proptest::collection::vec(any::<u8>(), 2048)) {
+        fn no_bytes_panic(bytes in proptest::collection::vec(any::<u8>(), 8192)) {
             fn check<M: Message>(bytes: &[u8]) {
                 let message: M = bytemuck::pod_read_unaligned(&bytes[..size_of::<M>()]);
                 let _ = format!("{message:?}");

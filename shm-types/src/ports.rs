@@ -14,7 +14,7 @@ use iceoryx2::service::port_factory::PortFactory as _;
 use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
 
 use crate::bus::Bus;
-use crate::message::Message;
+use crate::message::{Message, Role};
 use crate::transport::{BusError, Ipc};
 
 /// Sends messages to every receiver.
@@ -79,8 +79,11 @@ impl<M: Message> Connect for Subscriber<Ipc, M, ()> {
     }
 }
 
-pub(crate) fn open_sender<M: Message>(bus: &Bus) -> Result<Box<dyn SenderPort<M>>, BusError> {
-    let service = service::<M>(bus)?;
+pub(crate) fn open_sender<M: Message>(
+    bus: &Bus,
+    index: u8,
+) -> Result<Box<dyn SenderPort<M>>, BusError> {
+    let service = service::<M>(bus, index)?;
     let publisher = service
         .publisher_builder()
         .max_loaned_samples(1)
@@ -91,24 +94,39 @@ pub(crate) fn open_sender<M: Message>(bus: &Bus) -> Result<Box<dyn SenderPort<M>
     Ok(Box::new(OpenSender { publisher, service }))
 }
 
-pub(crate) fn open_receiver<M: Message>(bus: &Bus) -> Result<Arc<dyn ReceiverPort<M>>, BusError> {
-    let subscriber = service::<M>(bus)?
+pub(crate) fn open_receiver<M: Message>(
+    bus: &Bus,
+    index: u8,
+) -> Result<Arc<dyn ReceiverPort<M>>, BusError> {
+    let subscriber = service::<M>(bus, index)?
         .subscriber_builder()
         .create()
         .map_err(|e| BusError::open(format_args!("cannot receive on {}", M::SERVICE), e))?;
     Ok(Arc::new(subscriber))
 }
 
-fn service<M: Message>(bus: &Bus) -> Result<PortFactory<Ipc, M, ()>, BusError> {
-    bus.builder(M::SERVICE)?
+/// Whether each external memory has its own service for `M`.
+pub(crate) fn is_private<M: Message>() -> bool {
+    [M::FROM, M::TO].contains(&[Role::ExternalMemory].as_slice())
+}
+
+/// The service of `M`; `index` is that of the external memory, where each has its own.
+fn service<M: Message>(bus: &Bus, index: u8) -> Result<PortFactory<Ipc, M, ()>, BusError> {
+    let attach = bus.attach();
+    let (builder, senders, receivers) = if is_private::<M>() {
+        (bus.builder(&format!("{}-{index}", M::SERVICE))?, 1, 1)
+    } else {
+        (bus.builder(M::SERVICE)?, attach.places(M::FROM), attach.places(M::TO))
+    };
+    builder
         .publish_subscribe::<M>()
         .enable_safe_overflow(false)
         .history_size(0)
-        .max_publishers(M::FROM.len())
-        .max_subscribers(M::TO.len())
-        .max_nodes(M::FROM.len() + M::TO.len())
+        .max_publishers(senders)
+        .max_subscribers(receivers)
+        .max_nodes(senders + receivers)
         .subscriber_max_borrowed_samples(1)
-        .subscriber_max_buffer_size(bus.attach().queue_len(M::TRAFFIC))
+        .subscriber_max_buffer_size(attach.queue_len(M::TRAFFIC))
         .open_or_create()
         .map_err(|e| BusError::open(format_args!("cannot open {}", M::SERVICE), e))
 }

@@ -69,7 +69,7 @@ pub enum SharedMemoryError {
     /// Too little is free.
     #[error(
         "the run can use {needed} MiB of shared memory, and {SHARED_MEMORY} has {free} MiB free of {total}: \
-         lower --frame-budget, or enlarge {SHARED_MEMORY} (in Docker: --shm-size)"
+         enlarge it (in Docker: --shm-size)"
     )]
     TooSmall {
         /// MiB needed.
@@ -140,8 +140,8 @@ mod tests {
         let error = check_space(100 << 20, 64 << 20, 64 << 20).unwrap_err().to_string();
         assert_eq!(
             error,
-            "the run can use 100 MiB of shared memory, and /dev/shm has 64 MiB free of 64: lower --frame-budget, or \
-             enlarge /dev/shm (in Docker: --shm-size)"
+            "the run can use 100 MiB of shared memory, and /dev/shm has 64 MiB free of 64: enlarge it (in Docker: \
+             --shm-size)"
         );
         assert!(check_space(1, 1, 1).is_ok());
     }

@@ -214,6 +214,13 @@ pub fn clean(base: &Path) -> Result<Cleaned, RegistryError> {
     Ok(cleaned)
 }
 
+/// Whether a process of the run in `root` is alive: its orchestrator, at least.
+pub fn is_alive(root: &Path) -> bool {
+    // Locked for a moment if nobody else has a lock.
+    File::open(root.join(LOCK_FILE))
+        .is_ok_and(|lock| matches!(lock.try_lock(), Err(TryLockError::WouldBlock)))
+}
+
 /// Locks the run in `root` until the returned file is dropped: no cleaner removes it in the meantime.
 pub(crate) fn lock_shared(root: &Path) -> io::Result<File> {
     let lock = File::open(root.join(LOCK_FILE))?;

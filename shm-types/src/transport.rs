@@ -13,9 +13,9 @@ use crate::message::Role;
 /// The iceoryx2 service type of every service.
 pub(crate) type Ipc = ipc_threadsafe::Service;
 
-/// Disconnected senders whose messages one receiver keeps: four times the processes of a generation. Every
+/// Disconnected senders whose messages one receiver keeps, for each process of a generation. Every
 /// receive call scans a slot for each, so a larger number makes receiving slower.
-const EXPIRED_CONNECTIONS: usize = 4 * Role::ALL.len();
+const EXPIRED_CONNECTIONS: usize = 4;
 
 /// Why the bus cannot be used.
 #[derive(Debug, thiserror::Error)]
@@ -115,7 +115,8 @@ pub(crate) fn service_name(attach: &Attach, name: &str) -> Result<ServiceName, B
 /// The iceoryx2 configuration of the run of `attach`. Nothing is read from files or the environment.
 pub(crate) fn config(attach: &Attach) -> Result<Config, BusError> {
     let mut config = run_config(&attach.prefix, &attach.root)?;
-    config.defaults.publish_subscribe.subscriber_expired_connection_buffer = EXPIRED_CONNECTIONS;
+    config.defaults.publish_subscribe.subscriber_expired_connection_buffer =
+        EXPIRED_CONNECTIONS * (1 + Role::CHILDREN.len() + attach.external_memories.len());
     Ok(config)
 }
 

@@ -3,18 +3,20 @@
 use std::ops::Range;
 use std::thread::{self, JoinHandle};
 
+use anyhow::{Context, Result, ensure};
 use crossbeam::channel::{Receiver, Sender, unbounded};
 use domain::Pose;
 use shm_types::FrameSlot;
 use shm_types::process::monotonic_ns;
 use warehouse::Variant;
 
-use crate::renderer::RenderError;
 use crate::view_cache::ViewKey;
 
 /// Requests that wait for each worker in addition to those it works on, so that it never idles. More would delay later
 /// requests that are more urgent.
 const WAITING_PER_WORKER: usize = 1;
+
+const WORKER_ENDED: &str = "a render worker has ended; its own message on standard error says why";
 
 /// The pixel of a blank frame, RGBA.
 const GREY: [u8; 4] = [128, 128, 128, 255];
@@ -37,7 +39,7 @@ pub trait RenderWorker: Send {
     ///
     /// # Errors
     /// When the device fails.
-    fn render_into(&mut self, tasks: &mut [RenderTask<'_>]) -> Result<u64, RenderError>;
+    fn render_into(&mut self, tasks: &mut [RenderTask<'_>]) -> Result<u64>;
 }
 
 /// Whether a barricade of the variant may be visible from the pose. Where none is, the frame of the unchanged world is
@@ -89,7 +91,7 @@ pub(crate) struct RenderedView {
 #[derive(Debug)]
 pub(crate) struct RenderPool {
     requests: Option<Sender<RenderRequest>>,
-    rendered: Receiver<Result<RenderedBatch, RenderError>>,
+    rendered: Receiver<Result<RenderedBatch>>,
     threads: Vec<JoinHandle<()>>,
     capacity: usize,
     in_flight: usize,
@@ -131,9 +133,9 @@ impl RenderPool {
     ///
     /// # Errors
     /// When all workers have ended.
-    pub(crate) fn send(&mut self, request: RenderRequest) -> Result<(), RenderError> {
+    pub(crate) fn send(&mut self, request: RenderRequest) -> Result<()> {
         let sent = self.requests.as_ref().and_then(|requests| requests.send(request).ok());
-        sent.ok_or(RenderError::WorkerEnded)?;
+        sent.context(WORKER_ENDED)?;
         self.in_flight += 1;
         Ok(())
     }
@@ -142,10 +144,11 @@ impl RenderPool {
     ///
     /// # Errors
     /// When rendering failed, or a worker has ended.
-    pub(crate) fn take(&mut self) -> Result<Option<RenderedBatch>, RenderError> {
+    pub(crate) fn take(&mut self) -> Result<Option<RenderedBatch>> {
         let Ok(batch) = self.rendered.try_recv() else {
             let has_ended = self.threads.iter().any(JoinHandle::is_finished);
-            return if has_ended { Err(RenderError::WorkerEnded) } else { Ok(None) };
+            ensure!(!has_ended, WORKER_ENDED);
+            return Ok(None);
         };
         let batch = batch?;
         self.in_flight -= batch.views.len();
@@ -167,7 +170,7 @@ fn render_batch(
     worker: &mut dyn RenderWorker,
     number: usize,
     mut requests: Vec<RenderRequest>,
-) -> Result<RenderedBatch, RenderError> {
+) -> Result<RenderedBatch> {
     let begun = monotonic_ns();
     let mut tasks = Vec::with_capacity(requests.len());
     for RenderRequest { world, slot, .. } in &mut requests {

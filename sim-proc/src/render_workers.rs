@@ -2,12 +2,11 @@
 
 use std::thread;
 
+use anyhow::Result;
 use warehouse::Warehouse;
 
 use crate::render_pool::{RenderSetup, RenderTask, RenderWorker};
-use crate::renderer::{
-    Backend, Destination, RenderError, RenderJob, RenderSettings, Renderer, ViewSpec,
-};
+use crate::renderer::{Backend, Destination, RenderJob, RenderSettings, Renderer, ViewSpec};
 
 /// Maximum number of renderers on the CPU.
 const MAX_RENDERERS: usize = 8;
@@ -16,7 +15,7 @@ const MAX_RENDERERS: usize = 8;
 const GPU_BATCH_VIEWS: usize = 8;
 
 impl RenderWorker for Renderer {
-    fn render_into(&mut self, tasks: &mut [RenderTask<'_>]) -> Result<u64, RenderError> {
+    fn render_into(&mut self, tasks: &mut [RenderTask<'_>]) -> Result<u64> {
         let before = self.report().bytes_copied;
         let mut jobs: Vec<RenderJob<'_>> = tasks
             .iter_mut()
@@ -34,10 +33,7 @@ impl RenderWorker for Renderer {
 ///
 /// # Errors
 /// As [`Renderer::new`].
-pub fn open_renderers(
-    warehouse: &Warehouse,
-    settings: RenderSettings,
-) -> Result<Vec<Renderer>, RenderError> {
+pub fn open_renderers(warehouse: &Warehouse, settings: RenderSettings) -> Result<Vec<Renderer>> {
     let mut renderers = vec![Renderer::new(warehouse, settings)?];
     if renderers[0].report().backend == Backend::Cpu {
         let cores = thread::available_parallelism().map_or(1, usize::from);
@@ -53,7 +49,7 @@ impl RenderSetup {
     ///
     /// # Errors
     /// As [`Renderer::new`].
-    pub fn open(warehouse: &Warehouse, settings: RenderSettings) -> Result<Self, RenderError> {
+    pub fn open(warehouse: &Warehouse, settings: RenderSettings) -> Result<Self> {
         let renderers = open_renderers(warehouse, settings)?;
         let report = renderers[0].report();
         let mut facts = vec![

@@ -12,6 +12,7 @@ use std::sync::Arc;
 use std::thread;
 use std::time::{Duration, Instant};
 
+use anyhow::{Context, Result, ensure};
 use bytemuck::Zeroable;
 use domain::Pose;
 use rustc_hash::FxHashMap;
@@ -21,8 +22,8 @@ use shm_types::message::{
 };
 use shm_types::process::monotonic_ns;
 use shm_types::{
-    Bus, BusError, ErrorReporter, FactsTooLong, FrameError, FramePublisher, FrameSlot, Heartbeats,
-    Receiver, Sender, Spans,
+    Bus, BusError, ErrorReporter, FrameError, FramePublisher, FrameSlot, Heartbeats, Receiver,
+    Sender, Spans,
 };
 use warehouse::{CaseSet, Warehouse};
 
@@ -30,8 +31,7 @@ use crate::lanes::{Lanes, Stepped};
 use crate::render_pool::{
     MayShowBarricade, RenderPool, RenderRequest, RenderSetup, RenderedBatch, RenderedView,
 };
-use crate::renderer::RenderError;
-use crate::view_cache::{CacheFull, ViewCache, ViewKey};
+use crate::view_cache::{ViewCache, ViewKey};
 use crate::view_control::{ViewControl, every_pose};
 use crate::wakeups::Wakeups;
 
@@ -43,40 +43,6 @@ const SLOT_TIMEOUT: Duration = Duration::from_secs(30);
 
 /// How often to check whether the consumers of frames have connected.
 const CONSUMER_POLL: Duration = Duration::from_millis(1);
-
-/// Why the simulator failed.
-#[derive(Debug, thiserror::Error)]
-pub enum SimError {
-    /// The transport failed.
-    #[error(transparent)]
-    Bus(#[from] BusError),
-    /// The frame store failed.
-    #[error(transparent)]
-    Frame(#[from] FrameError),
-    /// More views are in use than fit.
-    #[error(transparent)]
-    CacheFull(#[from] CacheFull),
-    /// Rendering failed.
-    #[error(transparent)]
-    Render(#[from] RenderError),
-    /// Spans cannot be written.
-    #[error("cannot write spans for the trace: {0}")]
-    Spans(#[from] std::io::Error),
-    /// The facts for the manifest do not fit into their message.
-    #[error(transparent)]
-    Facts(#[from] FactsTooLong),
-    /// The views of `--warm-views` do not fit.
-    #[error(
-        "--warm-views needs room for {needed} frames and the frame store has room for {capacity}: raise \
-         --frame-budget or leave --warm-views out"
-    )]
-    NoRoomForWarmViews {
-        /// Views of the unchanged world.
-        needed: usize,
-        /// Views that may be resident.
-        capacity: usize,
-    },
-}
 
 /// Serves the run that `bus` has joined until the orchestrator stops it. `open` opens the renderers after the simulator's
 /// queues exist, so other processes may send meanwhile. With `warm_views`, every view of the unchanged world is rendered
@@ -90,12 +56,10 @@ pub fn serve(
     warehouse: &Warehouse,
     cases: &CaseSet,
     warm_views: bool,
-    open: impl FnOnce() -> Result<RenderSetup, RenderError>,
-) -> Result<(), SimError> {
+    open: impl FnOnce() -> Result<RenderSetup>,
+) -> Result<()> {
     let mut simulator = Simulator::new(bus, warehouse, cases)?;
-    let outcome = open()
-        .map_err(SimError::from)
-        .and_then(|setup| simulator.serve_until_stop(setup, warm_views));
+    let outcome = open().and_then(|setup| simulator.serve_until_stop(setup, warm_views));
     if let Err(error) = &outcome {
         simulator.reporter.report(error);
         simulator.wakeups.send_to_all()?;
@@ -147,7 +111,7 @@ struct Rendering {
 }
 
 impl<'a> Simulator<'a> {
-    fn new(bus: &'a Bus, warehouse: &Warehouse, cases: &CaseSet) -> Result<Self, SimError> {
+    fn new(bus: &'a Bus, warehouse: &Warehouse, cases: &CaseSet) -> Result<Self> {
         let attach = bus.attach();
         let (lanes, window) = (attach.lanes as usize, attach.window as usize);
         Ok(Self {
@@ -162,7 +126,7 @@ impl<'a> Simulator<'a> {
             frames: FramePublisher::new(bus)?,
             reporter: ErrorReporter::new(bus)?,
             heartbeats: Heartbeats::new(bus)?,
-            spans: Spans::open(attach, Role::Sim)?,
+            spans: Spans::open(attach, Role::Sim).context("cannot write spans for the trace")?,
             lanes: Lanes::new(warehouse, cases, lanes),
             control: ViewControl::new(attach.frame_control, &warehouse.layout),
             views: ViewCache::new(attach.frame_capacity as usize, lanes, window),
@@ -177,7 +141,7 @@ impl<'a> Simulator<'a> {
         &mut self,
         RenderSetup { workers, batch_views, may_show_barricade, facts }: RenderSetup,
         warm_views: bool,
-    ) -> Result<(), SimError> {
+    ) -> Result<()> {
         let notifier = Arc::new(self.bus.notifier(Role::Sim)?);
         let pool = RenderPool::new(workers, batch_views, move || {
             if let Err(error) = notifier.notify() {
@@ -207,13 +171,15 @@ impl<'a> Simulator<'a> {
     }
 
     /// Renders every view of the unchanged world. All are resident afterwards, and none is pinned.
-    fn render_every_view(&mut self, pool: &mut RenderPool) -> Result<(), SimError> {
+    fn render_every_view(&mut self, pool: &mut RenderPool) -> Result<()> {
         let poses = every_pose(self.lanes.layout());
         let views: Vec<ViewKey> = poses.map(|pose| ViewKey::World { variant: 0, pose }).collect();
         let (needed, capacity) = (views.len(), self.views.capacity());
-        if needed > capacity {
-            return Err(SimError::NoRoomForWarmViews { needed, capacity });
-        }
+        ensure!(
+            needed <= capacity,
+            "--warm-views needs room for {needed} frames and the frame store has room for {capacity}: raise \
+             --frame-budget or leave --warm-views out"
+        );
         while !self.frames.is_complete() {
             thread::sleep(CONSUMER_POLL);
         }
@@ -235,7 +201,7 @@ impl<'a> Simulator<'a> {
     }
 
     /// One turn of the loop. Returns whether more commands may be waiting.
-    fn turn(&mut self, rendering: &mut Rendering) -> Result<bool, SimError> {
+    fn turn(&mut self, rendering: &mut Rendering) -> Result<bool> {
         let reported = self.reporter.count();
         self.take_requests()?;
         let more = self.take_commands(rendering)?;
@@ -361,7 +327,7 @@ impl<'a> Simulator<'a> {
     }
 
     /// Evicts views to make room.
-    fn evict(&mut self) -> Result<(), SimError> {
+    fn evict(&mut self) -> Result<()> {
         let frames = self.views.make_room()?;
         for &frame in &frames {
             self.evictions.send(&Eviction { frame })?;
@@ -395,7 +361,7 @@ impl<'a> Simulator<'a> {
     }
 
     /// Sends the next missing views to the render workers, as many as they accept.
-    fn request_missing(&mut self, pool: &mut RenderPool) -> Result<(), SimError> {
+    fn request_missing(&mut self, pool: &mut RenderPool) -> Result<()> {
         for view in self.views.take_missing(pool.room()) {
             let world = match view {
                 ViewKey::World { variant, pose } => {
@@ -409,7 +375,7 @@ impl<'a> Simulator<'a> {
     }
 
     /// Publishes the views that workers have rendered.
-    fn publish_rendered(&mut self, pool: &mut RenderPool) -> Result<(), SimError> {
+    fn publish_rendered(&mut self, pool: &mut RenderPool) -> Result<()> {
         while let Some(RenderedBatch { worker, span_ns, bytes_copied, views }) = pool.take()? {
             let track = format!("renderer {worker}");
             self.spans.add(span_ns.start, span_ns.end, &track, "draw", views.len());

@@ -5,6 +5,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::mpsc::{Receiver as Permissions, channel};
 
+use anyhow::Result;
 use bytemuck::Zeroable;
 use conformance::messages::{self, reset};
 use conformance::testing::SimRig;
@@ -14,8 +15,8 @@ use shm_types::message::{
 };
 use shm_types::{Attach, Bus, FrameControl, FrameSize};
 use sim_proc::render_pool::{RenderSetup, RenderTask, RenderWorker};
-use sim_proc::renderer::{Destination, RenderError, RenderJob, RenderSettings, Renderer, ViewSpec};
-use sim_proc::serve::{SimError, serve};
+use sim_proc::renderer::{Destination, RenderJob, RenderSettings, Renderer, ViewSpec};
+use sim_proc::serve::serve;
 use warehouse::{CaseSet, Variant, Warehouse, step};
 
 /// Fills a slot with pixels that encode the pose and the number of nearby closed cells.
@@ -33,7 +34,7 @@ fn is_near(variant: &Variant, pose: Pose) -> bool {
 }
 
 impl RenderWorker for CodeWorker {
-    fn render_into(&mut self, tasks: &mut [RenderTask<'_>]) -> Result<u64, RenderError> {
+    fn render_into(&mut self, tasks: &mut [RenderTask<'_>]) -> Result<u64> {
         for RenderTask { variant, pose, slot } in &mut *tasks {
             let code = code(variant, *pose);
             slot.pixels_mut().chunks_exact_mut(4).for_each(|pixel| pixel.copy_from_slice(&code));
@@ -64,7 +65,7 @@ fn simulator(change: impl FnOnce(&mut Attach)) -> SimRig {
 fn simulator_with(
     change: impl FnOnce(&mut Attach),
     warm_views: bool,
-    open: impl FnOnce(FrameSize) -> Result<RenderSetup, RenderError> + Send + 'static,
+    open: impl FnOnce(FrameSize) -> Result<RenderSetup> + Send + 'static,
 ) -> SimRig {
     let change = |attach: &mut Attach| {
         attach.frame = FrameSize { width: 64, height: 32 };
@@ -73,19 +74,21 @@ fn simulator_with(
     SimRig::in_thread(change, move |folder| {
         let bus = Bus::join(Attach::read(folder)?, Role::Sim)?;
         let open = || open(bus.attach().frame);
-        Ok(serve(&bus, &Warehouse::shipped(), &CaseSet::shipped(), warm_views, open)?)
+        serve(&bus, &Warehouse::shipped(), &CaseSet::shipped(), warm_views, open)
     })
-}
-
-/// The error that ends the simulator.
-fn end(rig: &mut SimRig) -> SimError {
-    rig.end().unwrap_err().downcast().unwrap()
 }
 
 /// The next error report's text; the simulator is notified first.
 fn error_report(rig: &mut SimRig) -> String {
     rig.notify();
     rig.error_report().1
+}
+
+/// The error that ends the simulator, which it has reported.
+fn fatal_error(rig: &mut SimRig) -> String {
+    let report = error_report(rig);
+    assert_eq!(rig.end().unwrap_err().to_string(), report);
+    report
 }
 
 /// The code in the frame's pixels, as both consumers read it.
@@ -332,20 +335,17 @@ fn a_store_that_is_too_small_is_reported() {
     for (lane, &pose) in poses[..4].iter().enumerate() {
         sim.command(&reset(lane as u32, 1, 0, pose));
     }
-    let error_report = error_report(&mut sim);
     assert_eq!(
-        error_report,
+        fatal_error(&mut sim),
         "4 views are in use at once and the frame store has room for 3: raise --frame-budget or lower --lanes"
     );
-    let error = end(&mut sim);
-    assert!(matches!(error, SimError::CacheFull(_)));
 }
 
 /// Panics at its first task.
 struct PanickingWorker;
 
 impl RenderWorker for PanickingWorker {
-    fn render_into(&mut self, _tasks: &mut [RenderTask<'_>]) -> Result<u64, RenderError> {
+    fn render_into(&mut self, _tasks: &mut [RenderTask<'_>]) -> Result<u64> {
         panic!("this worker panics, as the test wants");
     }
 }
@@ -359,18 +359,16 @@ fn a_panicking_worker_ends_the_run() {
     let mut sim = simulator_with(|_| {}, false, move |_| Ok(panicking_setup()));
     sim.command(&reset(0, 1, 0, poses()[0]));
     assert_eq!(
-        error_report(&mut sim),
+        fatal_error(&mut sim),
         "a render worker has ended; its own message on standard error says why"
     );
-    let error = end(&mut sim);
-    assert!(matches!(error, SimError::Render(RenderError::WorkerEnded)));
 }
 
 /// Waits for permission before each batch.
 struct WaitingWorker(Permissions<()>);
 
 impl RenderWorker for WaitingWorker {
-    fn render_into(&mut self, tasks: &mut [RenderTask<'_>]) -> Result<u64, RenderError> {
+    fn render_into(&mut self, tasks: &mut [RenderTask<'_>]) -> Result<u64> {
         // After a failed test the channel is closed.
         let _ = self.0.recv();
         CodeWorker.render_into(tasks)
@@ -429,14 +427,12 @@ fn a_store_without_room_for_warm_views_is_reported() {
     let mut sim = simulator_with(|_| {}, true, |_| Ok(setup()));
     let views = poses().len();
     assert_eq!(
-        error_report(&mut sim),
+        fatal_error(&mut sim),
         format!(
             "--warm-views needs room for {views} frames and the frame store has room for 64: raise \
              --frame-budget or leave --warm-views out"
         )
     );
-    let error = end(&mut sim);
-    assert!(matches!(error, SimError::NoRoomForWarmViews { .. }));
 }
 
 /// Frames in shared memory equal the renderer's, byte for byte, and are copied only where the device cannot write them.

@@ -11,6 +11,11 @@ pub fn python() -> PathBuf {
     installed("python-tests/bin/python")
 }
 
+/// The Python with the packages of the example memory in `examples/memories/NAME`.
+pub fn memory_python(name: &str) -> PathBuf {
+    installed(&format!("python-memories/{name}/bin/python"))
+}
+
 /// A small text-only language model in llama.cpp's format.
 pub fn language_model() -> PathBuf {
     installed("language-models/smollm2-135m-instruct-q4_1.gguf")

@@ -1,32 +1,70 @@
-//! `memtransfer conformance` passes for policies that keep to the wire, and names the faults of others.
+//! `memtransfer conformance` passes for policies and memories that keep to the wire, and names the faults of others.
 
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use std::collections::BTreeMap;
-use std::path::Path;
+use std::path::PathBuf;
 use std::process::Command;
 
-use memtransfer_tests::{Bench, program};
+use memtransfer_tests::{Bench, needs, program, records};
 use serde_json::Value;
 
 /// A check's verdict and what happened, by its name.
 type Findings = BTreeMap<String, (String, String)>;
 
-/// Checks `command`, which is expected to end with `status`.
-fn conformance(bench: &Bench, command: &str, status: i32) -> Findings {
-    let mut args = vec!["conformance", "--policy-cmd", command, "--json"];
-    args.extend(["--step-timeout", "2", "--start-timeout", "3"]);
+/// Seconds for an answer and for a start: short ones for a process that may be silent.
+const SHORT: [&str; 2] = ["2", "3"];
+const LONG: [&str; 2] = ["30", "60"];
+
+/// Checks the command that `flag` starts, which is expected to end with `status`. Returns the checks.
+fn checks(
+    bench: &Bench,
+    [flag, command]: [&str; 2],
+    [step, start]: [&str; 2],
+    status: i32,
+) -> Vec<Value> {
+    let limits = ["--step-timeout", step, "--start-timeout", start];
+    let args = [&["conformance", flag, command, "--json"], &limits[..]].concat();
     let report: Value = serde_json::from_str(&bench.run(&args).expect(status).stdout).unwrap();
     assert_eq!(report["conforms"], status == 0);
-    let text = |value: &Value| value.as_str().unwrap().to_owned();
-    let checks = report["checks"].as_array().unwrap().iter();
-    checks.map(|c| (text(&c["name"]), (text(&c["verdict"]), text(&c["happened"])))).collect()
+    report["checks"].as_array().unwrap().clone()
 }
 
-fn check_conforms(bench: &Bench, command: &str) {
-    let findings = conformance(bench, command, 0);
-    let others: Findings = findings.into_iter().filter(|(_, (v, _))| v != "passed").collect();
-    assert_eq!(others, Findings::new(), "{command}");
+fn findings(checks: &[Value]) -> Findings {
+    let text = |value: &Value| value.as_str().unwrap().to_owned();
+    let finding = |c: &Value| (text(&c["name"]), (text(&c["verdict"]), text(&c["happened"])));
+    checks.iter().map(finding).collect()
+}
+
+fn check_conforms(bench: &Bench, command: [&str; 2]) -> Vec<Value> {
+    let checks = checks(bench, command, LONG, 0);
+    let mut others = findings(&checks);
+    others.retain(|_, (verdict, _)| verdict != "passed");
+    assert_eq!(others, Findings::new(), "{command:?}");
+    checks
+}
+
+/// The command of a test process with one fault.
+fn misbehaving(role: &str, fault: &str) -> String {
+    format!("{} {fault}", program(&format!("misbehaving-{role}")).display())
+}
+
+/// Asserts that `docs/conformance.md` lists just these checks under `heading`.
+fn assert_documented(heading: &str, checks: &[Value]) {
+    let page = std::fs::read_to_string(repository("docs/conformance.md")).unwrap();
+    let (_, section) = page.split_once(&format!("\n## {heading}\n")).unwrap();
+    let section = section.split("\n## ").next().unwrap();
+    let text = |check: &Value, field: &str| check[field].as_str().unwrap().to_owned();
+    let row = |check| format!("| {} | {} |\n", text(check, "name"), text(check, "expected"));
+    let rows: String = checks.iter().map(row).collect();
+    let count = format!("{} checks", checks.len());
+    assert!(section.contains(&count) && section.contains(&rows), "expected: {count}\n{rows}");
+}
+
+/// A file or folder of the repository.
+fn repository(path: &str) -> PathBuf {
+    let root = concat!(env!("CARGO_MANIFEST_DIR"), "/..");
+    PathBuf::from(root).join(path)
 }
 
 #[test]
@@ -34,7 +72,8 @@ fn the_built_in_policies_conform() {
     let bench = Bench::new();
     for policy in ["random", "grounded"] {
         let program = program("policy-proc");
-        check_conforms(&bench, &format!("{} serve --policy {policy}", program.display()));
+        let command = format!("{} serve --policy {policy}", program.display());
+        assert_documented("Policies", &check_conforms(&bench, ["--policy-cmd", &command]));
     }
     assert_eq!(bench.leftovers(), Vec::<String>::new());
 }
@@ -57,6 +96,7 @@ fn faults_of_a_policy_are_named() {
         ("crash", "answers 64 lanes at once", "I am no good at this"),
         ("takes-the-late", "ignores late messages", "which could not be decided"),
         ("decides-early", "waits for slow messages", "which could not be decided"),
+        ("knows-no-captions", "takes items of every kind", "I know no captions"),
         ("keeps-frames", "releases frames", "it still keeps most of the"),
         (
             "draws",
@@ -68,24 +108,94 @@ fn faults_of_a_policy_are_named() {
         ("outlives", "ends with the orchestrator", "it still runs after 2 s"),
         ("ignores-the-wire-version", "refuses another wire version", "it still runs"),
     ];
+    check_faults(&bench, "policy", &faults);
+    assert_eq!(bench.leftovers(), Vec::<String>::new());
+}
+
+#[test]
+fn faults_of_a_memory_are_named() {
+    let bench = Bench::new();
+    let faults = [
+        ("undescribed", "describes itself", "no description.json in its folder within 3 s"),
+        ("nameless", "describes itself", "name is \"My Memory\", but must be"),
+        ("hasty", "describes itself", "it did not wait for the run"),
+        ("no-handshake", "joins", "no handshake within 3 s"),
+        ("old", "joins", "its handshake has wire version"),
+        ("wrong-index", "joins", "`external` 4, and its folder is that of index 3"),
+        ("builds-nothing", "builds itself", "1 banks were not built within 3 s"),
+        ("builds-another", "builds itself", "it has built bank 2, which does not wait"),
+        ("cannot-build", "builds itself", "it cannot build itself from a bank: I have no idea"),
+        ("silent", "answers a query", "no answer to step 0 of lane 0 within 2 s"),
+        ("fails", "answers a query", "it failed at step 0 of lane 0: Zurück zum Tor."),
+        ("wrong-lane", "answers a query", "without a request: the lane has no such episode"),
+        ("no-such-lane", "answers a query", "an answer for lane 4242, but the lanes are 0 to 63"),
+        ("wrong-step", "answers a query", "without a request: its last request is step 0"),
+        ("wrong-note", "answers a query", "was not published, with the lane of the answer"),
+        ("garbage", "answers a query", "has kind 77"),
+        ("unknown-demonstration", "answers a query", "demonstration 77, and the bank has 3"),
+        ("past-the-end", "answers a query", "names 1000 steps from step 0 of demonstration 0"),
+        ("past-the-note", "answers a query", "of the note, which has 16"),
+        ("not-utf-8", "answers a query", "has a text that is not UTF-8"),
+        ("not-a-distance", "answers a query", "has the distance inf"),
+        ("nine-items", "answers a query", "it has 11 items, and at most 8 are allowed"),
+        ("twice", "answers a query", "a second answer for step 0 of lane 0"),
+        ("flood", "answers a query", "a second answer for step 0 of lane 0"),
+        ("answers-the-end", "runs an episode", "which could not be answered"),
+        ("no-times", "tells its times", "`sent_ns` 0"),
+        ("crash", "answers 64 lanes at once", "I am no good at this"),
+        ("mixes-lanes", "keeps lanes apart", "answer for step"),
+        ("one-bank", "stays within its bank", "demonstration 1, and the bank has 1"),
+        ("keeps-old-episodes", "begins a new episode", "no answer to step 0 of lane 9"),
+        ("answers-late", "ignores late queries", "which could not be answered"),
+        ("small", "remembers 1,000 demonstrations", "too many demonstrations"),
+        ("one-task", "remembers mixed histories", "demonstrations of two tasks"),
+        ("ascii", "reads any text", "I read ASCII only"),
+        ("keeps-frames", "releases frames", "it still keeps most of the"),
+        ("keeps-banks", "releases banks", ""),
+        ("believes", "survives invalid messages", "after a feedback code of 77: an answer"),
+        ("draws", "answers the same again", "it calls itself deterministic"),
+        ("leaves-a-lock", "can be restarted", "I run already"),
+        ("ignores-stop", "stops", "after 2 s it has neither sent a shutdown report nor ended"),
+        ("no-shutdown-report", "stops", "it ended without a shutdown report"),
+        ("outlives", "ends with the orchestrator", "it still runs after 2 s"),
+        ("waits-forever", "ends if the run does not begin", "it still runs after 2 s"),
+        ("ignores-the-wire-version", "refuses another wire version", "it still runs"),
+    ];
+    check_faults(&bench, "memory", &faults);
+    assert_eq!(bench.leftovers(), Vec::<String>::new());
+}
+
+#[test]
+fn a_memory_without_faults_conforms() {
+    let bench = Bench::new();
+    let command = misbehaving("memory", "well-behaved");
+    assert_documented("Memories", &check_conforms(&bench, ["--memory-cmd", &command]));
+    // A memory may leave it to the run to drop items.
+    let command = misbehaving("memory", "ignores-budgets");
+    let found = findings(&checks(&bench, ["--memory-cmd", &command], SHORT, 0));
+    let (verdict, what) = &found["heeds budgets"];
+    assert!(verdict == "warning" && what.contains("a run would drop 1 of 1 items"), "{what}");
+    assert_eq!(bench.leftovers(), Vec::<String>::new());
+}
+
+/// Checks processes with one fault each: the check that fails, and what happened.
+fn check_faults(bench: &Bench, role: &str, faults: &[(&str, &str, &str)]) {
     // They mostly wait.
     for together in faults.chunks(4) {
         std::thread::scope(|scope| {
             for &(fault, check, happened) in together {
-                let bench = &bench;
-                scope.spawn(move || check_fault(bench, fault, check, happened));
+                scope.spawn(move || check_fault(bench, role, fault, check, happened));
             }
         });
     }
-    assert_eq!(bench.leftovers(), Vec::<String>::new());
 }
 
-fn check_fault(bench: &Bench, fault: &str, check: &str, happened: &str) {
-    let command = format!("{} {fault}", program("misbehaving-policy").display());
-    let findings = conformance(bench, &command, 1);
+fn check_fault(bench: &Bench, role: &str, fault: &str, check: &str, happened: &str) {
+    let (flag, command) = (format!("--{role}-cmd"), misbehaving(role, fault));
+    let findings = findings(&checks(bench, [&flag, &command], SHORT, 1));
     let (verdict, what) = &findings[check];
     assert!(verdict == "failed" && what.contains(happened), "{fault}: {check}: {verdict}: {what}");
-    if fault == "draws" {
+    if (role, fault) == ("policy", "draws") {
         let (verdict, what) = &findings["decides the same again"];
         assert!(verdict == "warning" && what.contains("the same request"), "{verdict}: {what}");
     }
@@ -98,14 +208,11 @@ fn a_command_that_cannot_be_started_is_an_error() {
     assert!(ended.stderr.contains("there is no program `./no-such-policy`"), "{}", ended.stderr);
 }
 
-/// Builds the example as its readers do, but into this workspace's target folder and with its lock file, so that shared
-/// dependencies are neither built twice nor downloaded.
-#[test]
-fn the_example_in_rust_conforms_and_decides_in_a_run() {
-    let bench = Bench::new();
-    let root = Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap();
-    let example = root.join("examples/rust-policy");
-    std::fs::copy(root.join("Cargo.lock"), example.join("Cargo.lock")).unwrap();
+/// Builds an example as its readers do, but into this workspace's target folder and with its lock file, so that shared
+/// dependencies are neither built twice nor downloaded. Returns its program.
+fn build_example(name: &str) -> String {
+    let example = repository("examples").join(name);
+    std::fs::copy(repository("Cargo.lock"), example.join("Cargo.lock")).unwrap();
     let release = program("memtransfer").parent().unwrap().to_owned();
     let built = Command::new(env!("CARGO"))
         .args(["build", "--release", "--offline", "--target-dir"])
@@ -116,13 +223,41 @@ fn the_example_in_rust_conforms_and_decides_in_a_run() {
         .output()
         .unwrap();
     assert!(built.status.success(), "{}", String::from_utf8_lossy(&built.stderr));
-    let policy = program("rust-policy");
-    check_conforms(&bench, policy.to_str().unwrap());
+    program(name).to_str().unwrap().to_owned()
+}
+
+#[test]
+fn the_example_policy_in_rust_conforms_and_decides_in_a_run() {
+    let bench = Bench::new();
+    let policy = build_example("rust-policy");
+    check_conforms(&bench, ["--policy-cmd", &policy]);
 
     let mut args = vec!["run", "--cases", "t01-01,t09-05", "--starts", "original"];
     args.extend(["--memory", "working,full-context", "--max-steps", "30", "--out", "own"]);
-    args.extend(["--policy-cmd", policy.to_str().unwrap()]);
+    args.extend(["--policy-cmd", &policy]);
     let ended = bench.run(&args).expect(0);
     assert!(ended.stdout.contains("Policy: external wanderer, started with `"), "{}", ended.stdout);
+    assert_eq!(bench.leftovers(), Vec::<String>::new());
+}
+
+#[test]
+fn the_example_memories_in_rust_and_on_plain_iceoryx2_conform_and_run_a_slice_of_rq1() {
+    let bench = Bench::new();
+    let script = repository("examples/wire-memory/wire_memory.py");
+    let memories = [
+        build_example("rust-memory"),
+        format!("{} {}", needs::python().display(), script.display()),
+    ];
+    for memory in &memories {
+        check_conforms(&bench, ["--memory-cmd", memory]);
+    }
+    let mut args = vec!["run", "--suite", "rq1", "--cases", "t01-01", "--runs", "1"];
+    args.extend(["--memory", "working", "--out", "own"]);
+    args.extend(memories.iter().flat_map(|memory| ["--memory-cmd", memory]));
+    bench.run(&args).expect(0);
+    let records = records(&bench.out("own"));
+    for name in ["nearest", "wire-places"] {
+        assert!(records.iter().any(|record| record["memory"] == name), "{name}: {records:?}");
+    }
     assert_eq!(bench.leftovers(), Vec::<String>::new());
 }

@@ -8,8 +8,9 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use domain::{Cell, Pose};
-use memtransfer_tests::Bench;
+use memtransfer_tests::{Bench, Ended, eventually};
 use plates::Plate;
+use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;
 use warehouse::sight::sees;
 use warehouse::{CaseSet, Demonstrations, Task, Warehouse};
@@ -217,6 +218,24 @@ fn documents_contain_what_their_demonstrations_show_and_nothing_else() {
     supplied_in_a_run(&bench, &folder);
 }
 
+/// A signal while a run builds its documents is answered with what was kept and how to go on.
+#[test]
+fn a_run_that_is_stopped_while_it_builds_documents_says_so() {
+    let bench = Bench::new();
+    let mut command = bench.command(&["run", "--policy", "random", "--memory", "summary"]);
+    let cache = bench.out("cache");
+    let child = command.args(["--limit", "1"]).env("MEMTRANSFER_CACHE", &cache).spawn().unwrap();
+    eventually("the build to begin", || cache.join("documents/logs").exists().then_some(()));
+    let pid = Pid::from_child(&child);
+    kill_process(pid, Signal::TERM).unwrap();
+    let ended = Ended::of(child).expect(128 + 15);
+    for said in ["stopped by SIGTERM while documents were being built", "--memory summary"] {
+        assert!(ended.stderr.contains(said), "{}", ended.stderr);
+    }
+    assert!(!ended.stderr.contains("documents: done"), "{}", ended.stderr);
+    assert_eq!(bench.leftovers(), Vec::<String>::new());
+}
+
 /// A run reads the documents, copies them, records which they were, and resumes with its own copies.
 fn supplied_in_a_run(bench: &Bench, folder: &Path) {
     let mut args = vec!["run", "--policy", "random", "--memory", "hybrid", "--demos", "original"];
@@ -242,7 +261,10 @@ fn supplied_in_a_run(bench: &Bench, folder: &Path) {
     fs::remove_dir_all(folder).unwrap();
     bench.run(&args).expect(0);
     // A dry run of the finished run has the same settings and documents.
-    bench.run(&[&args[..], &["--dry-run"]].concat()).expect(0);
+    let dry = bench.run(&[&args[..], &["--dry-run"]].concat()).expect(0);
+    assert!(dry.stdout.contains("\n0 of 1 episodes"), "{}", dry.stdout);
+    let late = bench.run(&[&args[..], &["--log-prompts"]].concat()).expect(0);
+    assert!(late.stderr.contains("nothing is logged, because all 1 episodes"), "{}", late.stderr);
     let own = bench.out("out").join("documents/summary-original.json");
     let changed = fs::read_to_string(&own).unwrap().replacen("Items", "Itens", 1);
     fs::write(&own, changed).unwrap();

@@ -78,8 +78,13 @@ fn wait_for_episodes(run: &Path) {
 fn the_expert_always_succeeds_and_the_random_policy_rarely() {
     let bench = Bench::new();
     let all = ["--limit", "100", "--starts", "original,new", "--routes", "unchanged,blocked"];
-    let expert = [&["run", "--policy", "expert", "--out", "expert"][..], &all[..]].concat();
-    bench.run(&expert).expect(0);
+    let expert = ["run", "--policy", "expert", "--out", "expert"];
+    // A run of more cases and conditions goes on in the same folder, and finished episodes stay.
+    bench.run(&[&expert[..], &["--limit", "20", "--starts", "new"]].concat()).expect(0);
+    let before = episodes(&bench.out("expert"));
+    assert_eq!(before.lines().count(), 20);
+    bench.run(&[&expert[..], &all[..]].concat()).expect(0);
+    assert!(episodes(&bench.out("expert")).starts_with(&before));
     let finished = records(&bench.out("expert"));
     assert_eq!(finished.len(), 300);
     assert_eq!(success_rate(&finished, |_| true), 100.0);

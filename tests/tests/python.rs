@@ -152,22 +152,24 @@ fn requests_match_the_prompt_log_and_their_pixels_are_shared_memory() {
     let (mut texts, mut demonstrations, mut segments) = (0, 0, 0);
     for (seen, recorded) in seen.iter().zip(&mut recorded) {
         let request = &mut recorded["request"];
-        let documents = request.get_mut("documents").and_then(Value::as_array_mut);
-        for supplied in documents.into_iter().flatten() {
-            supplied["text"] = document(&supplied["text"], "txt").into();
-            texts += 1;
-        }
-        if !request["trajectories"].is_null() {
-            let steps = document(&request["trajectories"], "json");
-            request["trajectories"] = serde_json::from_str(&steps).unwrap();
-            demonstrations += 1;
-        }
-        segments += usize::from(!request["segment"].is_null());
         let mut seen = seen.clone();
-        for distance in [&mut seen["request"], &mut *request] {
-            if let Some(distance) = distance.pointer_mut("/segment/distance") {
-                // One is printed with the digits of 32 bits, the other with those of 64.
-                *distance = json!(distance.as_f64().unwrap() as f32);
+        for item in request["items"].as_array_mut().unwrap() {
+            if let Some(text) = item.get_mut("text") {
+                text["text"] = document(&text["text"], "txt").into();
+                texts += 1;
+            } else if let Some(steps) = item.get_mut("trajectory") {
+                *steps = serde_json::from_str(&document(steps, "json")).unwrap();
+                demonstrations += 1;
+            } else {
+                segments += 1;
+            }
+        }
+        for request in [&mut seen["request"], &mut *request] {
+            for item in request["items"].as_array_mut().unwrap() {
+                if let Some(distance) = item.pointer_mut("/segment/distance") {
+                    // One has the digits of 32 bits, the other those of 64.
+                    *distance = json!(distance.as_f64().unwrap() as f32);
+                }
             }
         }
         assert_eq!(seen["request"], *request);

@@ -1,12 +1,14 @@
-//! Checks whether an external policy follows the protocol of the wire, in difficult situations over the real bus.
+//! Checks whether an external policy or memory follows the protocol of the wire, in difficult situations over the real bus.
 //!
 //! This process plays the other roles ([`neighbours`]). The crates' own tests use them, too: with the feature `testing`
-//! there are rigs around one process of a run (`testing`) and scripted processes (`scripted`). The quality of a policy's
-//! decisions is not checked.
+//! there are rigs around one process of a run (`testing`) and scripted processes (`scripted`). The quality of decisions
+//! and of what a memory supplies is not checked.
 
 mod checks;
+mod memory;
 pub mod messages;
 pub mod neighbours;
+mod policy;
 #[cfg(feature = "testing")]
 pub mod scripted;
 mod subject;
@@ -18,17 +20,19 @@ use std::time::Duration;
 
 use anyhow::Result;
 use serde::Serialize;
-use shm_types::message::{MAX_WINDOW, Role};
+use shm_types::message::MAX_WINDOW;
 use shm_types::{Attach, FrameSize, RunDir, registry};
 use supervise::Launch;
 
-use self::checks::CHECKS;
-use self::subject::{CheckResult, Terms, TestedPolicy, Trouble};
+use self::checks::Check;
+use self::memory::MemoryRole;
+use self::policy::PolicyRole;
+use self::subject::{CheckResult, Subject, Terms, TestedRole, Trouble};
 
 /// Lanes of the run.
 const LANES: u32 = 64;
 
-/// Neither square nor the default: a policy has to read the size from `attach.json`.
+/// Neither square nor the default: a process has to read the size from `attach.json`.
 const FRAME: FrameSize = FrameSize { width: 192, height: 128 };
 
 /// Frames that may be resident: enough for the check with most views.
@@ -37,17 +41,25 @@ const FRAMES: u32 = 128;
 /// Longest time for a process to end.
 const MAX_END_TIMEOUT: Duration = Duration::from_secs(10);
 
-/// The first checks: if one of them fails, all others are skipped.
-const REQUIRED_CHECKS: usize = 2;
+/// What is checked.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum CheckedRole {
+    /// A policy.
+    Policy,
+    /// An external memory.
+    Memory,
+}
 
-/// A policy to check.
+/// A policy or a memory to check.
 #[derive(Debug, Clone)]
 pub struct Conformance {
-    /// The policy's command line.
+    /// Which of them.
+    pub role: CheckedRole,
+    /// Its command line.
     pub command: String,
     /// How long an answer may take.
     pub answer_timeout: Duration,
-    /// How long the policy may take to get ready.
+    /// How long it may take to get ready, and a memory to build itself from a bank.
     pub start_timeout: Duration,
     /// Whether warnings count as failures.
     pub strict: bool,
@@ -57,11 +69,11 @@ pub struct Conformance {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum CheckVerdict {
-    /// The policy does what is expected.
+    /// The process does what is expected.
     Passed,
-    /// The policy does something that may be intended.
+    /// The process does something that may be intended.
     Warning,
-    /// The policy violates the protocol.
+    /// The process violates the protocol.
     Failed,
     /// The check did not run, because an earlier one failed.
     Skipped,
@@ -92,7 +104,27 @@ impl Conformance {
         stop: &AtomicBool,
         observer: &mut dyn FnMut(&CheckFinding),
     ) -> Result<Vec<CheckFinding>> {
-        let launch = Launch::command(Role::Policy, &self.command)?;
+        match self.role {
+            CheckedRole::Policy => {
+                use policy::checks::{CHECKS, REQUIRED_CHECKS};
+                self.play::<PolicyRole>(CHECKS, REQUIRED_CHECKS, stop, observer)
+            }
+            CheckedRole::Memory => {
+                use memory::checks::{CHECKS, REQUIRED_CHECKS};
+                self.play::<MemoryRole>(CHECKS, REQUIRED_CHECKS, stop, observer)
+            }
+        }
+    }
+
+    /// As [`Self::check`]. If one of the first `required` checks fails, all others are skipped.
+    fn play<R: TestedRole>(
+        &self,
+        checks: &[Check<R>],
+        required: usize,
+        stop: &AtomicBool,
+        observer: &mut dyn FnMut(&CheckFinding),
+    ) -> Result<Vec<CheckFinding>> {
+        let launch = Launch::command(R::ROLE, &self.command)?;
         let terms = Terms {
             launch: &launch,
             answer_timeout: self.answer_timeout,
@@ -100,18 +132,18 @@ impl Conformance {
             start_timeout: self.start_timeout,
             stop,
         };
-        let mut kit = Kit::new(&terms)?;
-        let mut findings: Vec<CheckFinding> = Vec::with_capacity(CHECKS.len());
-        for check in CHECKS {
-            let required = findings.iter().take(REQUIRED_CHECKS);
-            let failed = required.into_iter().find(|f| f.verdict == CheckVerdict::Failed);
+        let mut kit: Kit<'_, R> = Kit::new(&terms)?;
+        let mut findings: Vec<CheckFinding> = Vec::with_capacity(checks.len());
+        for check in checks {
+            let mut first = findings.iter().take(required);
+            let failed = first.find(|f| f.verdict == CheckVerdict::Failed);
             let (verdict, happened) = match failed {
                 Some(failed) => (CheckVerdict::Skipped, format!("it needs \"{}\"", failed.name)),
                 None => match (check.run)(&mut kit) {
                     Ok(remark) => (CheckVerdict::Passed, remark),
                     Err(Trouble::Broken(error)) => return Err(error),
                     Err(Trouble::Wrong(what)) => {
-                        // The next check starts a new policy process.
+                        // The next check starts a new process.
                         kit.kill_subject();
                         (CheckVerdict::Failed, what)
                     }
@@ -128,32 +160,32 @@ impl Conformance {
     }
 }
 
-/// The policy under test: started when a check needs it, and again after a check that has ended it.
-struct Kit<'a> {
+/// The process under test: started when a check needs it, and again after a check that has ended it.
+struct Kit<'a, R: TestedRole> {
     terms: &'a Terms<'a>,
-    subject: Option<TestedPolicy<'a>>,
+    subject: Option<Subject<'a, R>>,
     /// The settings of the next generation.
     attach: Attach,
     run: RunDir,
 }
 
-impl<'a> Kit<'a> {
+impl<'a, R: TestedRole> Kit<'a, R> {
     fn new(terms: &'a Terms<'a>) -> Result<Self> {
         let run = RunDir::create(&registry::default_base())?;
-        let attach = settings(&run);
+        let attach = settings::<R>(&run);
         shm_types::process::check_shared_memory(attach.shared_memory_bytes())?;
         Ok(Self { terms, subject: None, attach, run })
     }
 
-    /// The policy, ready for requests.
-    fn subject(&mut self) -> CheckResult<&mut TestedPolicy<'a>> {
+    /// The process, ready for requests.
+    fn subject(&mut self) -> CheckResult<&mut Subject<'a, R>> {
         if self.subject.as_mut().is_some_and(|subject| subject.exited().is_some()) {
             self.kill_subject();
         }
         let subject = match self.subject.take() {
             Some(subject) => subject,
             None => {
-                let subject = TestedPolicy::start(&self.attach, self.terms);
+                let subject = Subject::start(&self.attach, self.terms);
                 self.attach.generation += 1;
                 subject?
             }
@@ -161,13 +193,13 @@ impl<'a> Kit<'a> {
         Ok(self.subject.insert(subject))
     }
 
-    /// As [`Self::subject`], for a check that ends the policy.
-    fn take_subject(&mut self) -> CheckResult<TestedPolicy<'a>> {
+    /// As [`Self::subject`], for a check that ends the process.
+    fn take_subject(&mut self) -> CheckResult<Subject<'a, R>> {
         self.subject()?;
-        self.subject.take().ok_or_else(|| anyhow::anyhow!("the policy was not started").into())
+        self.subject.take().ok_or_else(|| anyhow::anyhow!("the process was not started").into())
     }
 
-    /// Kills the policy and all processes that it started.
+    /// Kills the process and all processes that it started.
     fn kill_subject(&mut self) {
         self.subject = None;
     }
@@ -176,19 +208,19 @@ impl<'a> Kit<'a> {
     fn another_run(&self) -> CheckResult<(RunDir, Attach)> {
         let base = self.run.path().parent().unwrap_or(self.run.path());
         let run = RunDir::create(base).map_err(anyhow::Error::from)?;
-        let attach = settings(&run);
+        let attach = settings::<R>(&run);
         Ok((run, attach))
     }
 }
 
-/// The settings of `run`. Only the policy takes part: its neighbours are in this process.
-fn settings(run: &RunDir) -> Attach {
-    Attach {
-        participants: vec![Role::Policy],
+/// The settings of `run`. Only the process under test takes part: its neighbours are in this process.
+fn settings<R: TestedRole>(run: &RunDir) -> Attach {
+    R::settings(Attach {
+        participants: Vec::new(),
         lanes: LANES,
         window: MAX_WINDOW as u32,
         frame: FRAME,
         frame_capacity: FRAMES,
         ..run.attach()
-    }
+    })
 }

@@ -3,9 +3,9 @@
 use bytemuck::Zeroable;
 use domain::{Action, Feedback, Heading, Outcome, Pose};
 use shm_types::message::{
-    Decision, DocumentId, FrameId, NO_ACTION, NO_FRAME, NOT_MEASURED, Observation,
-    PolicyEpisodeConfig, Recall, RecallTrace, RequestId, SegmentStep, StepCommand, StepKind,
-    WirePose, write_text,
+    Decision, DocumentId, ExternalEpisode, ExternalQuery, FrameId, ItemKind, NO_ACTION, NO_FRAME,
+    NOT_MEASURED, Observation, PolicyEpisodeConfig, Recall, RecallTrace, RecalledItem, RequestId,
+    SegmentStep, StepCommand, StepKind, WirePose, write_text,
 };
 use shm_types::process::monotonic_ns;
 
@@ -61,43 +61,59 @@ pub fn last(id: RequestId) -> Observation {
     Observation { last: 1, ..observation(id, NO_FRAME) }
 }
 
-/// A recall of a segment, whose last view has no action, and of documents. As many as fit are named.
-pub fn recall(id: RequestId, segment: &[FrameId], documents: &[DocumentId]) -> Recall {
+/// A recall with a segment, whose last view has no action; without an item if `segment` is empty.
+pub fn recall(id: RequestId, segment: &[FrameId]) -> Recall {
     let RequestId { lane, episode, step } = id;
     let now = monotonic_ns();
-    let distance = if segment.is_empty() { f32::NAN } else { 0.125 };
-    let mut recall = Recall {
-        lane,
-        episode,
-        step,
-        distance,
-        received_ns: now,
-        sent_ns: now,
-        segment_len: segment.len() as u32,
-        documents_len: documents.len() as u32,
-        ..Zeroable::zeroed()
-    };
-    for (at, (view, &frame)) in recall.segment.iter_mut().zip(segment).enumerate() {
-        let action = if at + 1 == segment.len() { NO_ACTION } else { Action::TurnLeft as u8 };
-        *view = SegmentStep { frame, action, reserved: [0; 7] };
-    }
-    for (entry, &document) in recall.documents.iter_mut().zip(documents) {
-        *entry = document;
+    let mut recall =
+        Recall { lane, episode, step, received_ns: now, sent_ns: now, ..Zeroable::zeroed() };
+    if !segment.is_empty() {
+        let item = RecalledItem { distance: 0.125, ..item(ItemKind::Steps) };
+        let last = segment.len() - 1;
+        let steps = segment.iter().enumerate();
+        let action = |at| (at < last).then_some(Action::TurnLeft);
+        let steps: Vec<_> = steps.map(|(at, &frame)| supplied(frame, action(at))).collect();
+        supply(&mut recall, item, &steps);
     }
     recall
 }
 
-/// The trace of a recall without a retrieval.
+/// An item without a document, steps and distance.
+pub fn item(kind: ItemKind) -> RecalledItem {
+    RecalledItem { kind: kind as u8, distance: f32::NAN, ..Zeroable::zeroed() }
+}
+
+/// A step of an item.
+pub fn supplied(frame: FrameId, action: Option<Action>) -> SegmentStep {
+    let action = action.map_or(NO_ACTION, |action| action as u8);
+    SegmentStep { frame, action, reserved: [0; 7] }
+}
+
+/// An item that is the whole text of a document.
+pub fn text(document: DocumentId, bytes: usize) -> RecalledItem {
+    RecalledItem { document, bytes: bytes as u32, ..item(ItemKind::Text) }
+}
+
+/// Adds an item to a recall, with the steps that the message holds for it.
+///
+/// # Panics
+/// When the message has no room for them.
+pub fn supply(recall: &mut Recall, item: RecalledItem, steps: &[SegmentStep]) {
+    let (at, first) = (recall.items_len as usize, recall.steps_len as usize);
+    recall.items[at] = item;
+    recall.items_len += 1;
+    if !steps.is_empty() {
+        recall.items[at].first_step = recall.steps_len;
+        recall.items[at].steps = steps.len() as u32;
+        recall.steps[first..first + steps.len()].copy_from_slice(steps);
+        recall.steps_len += steps.len() as u32;
+    }
+}
+
+/// The account of a recall without a retrieval.
 pub fn recall_trace(id: RequestId) -> RecallTrace {
     let RequestId { lane, episode, step } = id;
-    RecallTrace {
-        lane,
-        episode,
-        step,
-        case: NOT_MEASURED,
-        distance: f32::NAN,
-        ..Zeroable::zeroed()
-    }
+    RecallTrace { lane, episode, step, tokens: NOT_MEASURED, ..Zeroable::zeroed() }
 }
 
 /// The decision to act, by a policy that saw one image and asked no model.
@@ -118,4 +134,48 @@ pub fn decision(id: RequestId, action: Action) -> Decision {
         memory_tokens: NOT_MEASURED,
         ..Zeroable::zeroed()
     }
+}
+
+/// The beginning of an episode that remembers the bank with the id `bank`; its seed is the number of its lane.
+pub fn external_episode(lane: u32, episode: u64, bank: u64, instruction: &str) -> ExternalEpisode {
+    let mut begun = ExternalEpisode {
+        episode,
+        bank,
+        seed: lane.into(),
+        lane,
+        text_budget: 65_536,
+        image_budget: 16,
+        repeat: 1,
+        ..Zeroable::zeroed()
+    };
+    begun.instruction_len = write_text(&mut begun.instruction, instruction);
+    begun
+}
+
+/// The query of a step, after a move forward.
+pub fn query(id: RequestId, frame: FrameId, pose: WirePose, embedding: &[f32]) -> ExternalQuery {
+    let RequestId { lane, episode, step } = id;
+    let (feedback, action) = match step {
+        0 => (Feedback::Start, NO_ACTION),
+        _ => (Feedback::Moved, Action::Forward as u8),
+    };
+    let mut query = ExternalQuery {
+        episode,
+        frame,
+        sent_ns: monotonic_ns(),
+        lane,
+        step,
+        pose,
+        embedding_len: embedding.len() as u32,
+        feedback: feedback as u8,
+        action,
+        ..Zeroable::zeroed()
+    };
+    query.embedding[..embedding.len()].copy_from_slice(embedding);
+    query
+}
+
+/// The last message of an episode, which is not answered.
+pub fn last_query(id: RequestId, pose: WirePose) -> ExternalQuery {
+    ExternalQuery { last: 1, ..query(id, NO_FRAME, pose, &[]) }
 }

@@ -5,12 +5,12 @@ use std::time::Duration;
 
 use bytemuck::Zeroable;
 use shm_types::message::{
-    Decision, ErrorReport, Eviction, FrameId, Handshake, Message, Observation, Role,
-    ShutdownReport, Stop,
+    Decision, ErrorReport, Eviction, ExternalAnswer, ExternalBuilt, ExternalEpisode, ExternalQuery,
+    FrameId, Handshake, Message, Observation, Role, ShutdownReport, Stop,
 };
 use shm_types::{
-    Attach, Bus, BusError, DocumentPublisher, FrameError, FramePublisher, Notifier, Receiver,
-    Sender,
+    Attach, BankPublisher, Bus, BusError, DocumentPublisher, FrameError, FramePublisher,
+    NoteReceiver, Notifier, Receiver, Sender,
 };
 
 /// The longest time that [`Neighbours::wait`] waits.
@@ -33,7 +33,7 @@ pub struct Neighbours {
 }
 
 impl Neighbours {
-    /// Joins the run of `attach`, whose only participant has to be `subject`.
+    /// Joins the run of `attach`, whose only participant has to be `subject`; if it is an external memory, the only one.
     ///
     /// # Errors
     /// When the run cannot be joined.
@@ -46,7 +46,10 @@ impl Neighbours {
             error_reports: orchestrator.receiver()?,
             shutdown_reports: orchestrator.receiver()?,
             observations: orchestrator.receiver()?,
-            subject: orchestrator.notifier(subject)?,
+            subject: match attach.external_memories.first() {
+                Some(&index) => orchestrator.external_memory_notifier(index)?,
+                None => orchestrator.notifier(subject)?,
+            },
             others: others.map(bus).collect::<Result<_, _>>()?,
             orchestrator,
         })
@@ -96,6 +99,14 @@ impl Neighbours {
         self.send(observation)
     }
 
+    /// Evicts a frame.
+    ///
+    /// # Errors
+    /// When the message cannot be delivered.
+    pub fn evict(&self, frame: FrameId) -> Result<(), BusError> {
+        self.send(&Eviction { frame })
+    }
+
     /// Asks the subject to stop.
     ///
     /// # Errors
@@ -129,7 +140,7 @@ pub struct PolicyNeighbours {
     pub decisions: Receiver<Decision>,
     /// Publishes the documents of memory.
     pub documents: DocumentPublisher,
-    frames: FramePublisher,
+    pub(crate) frames: FramePublisher,
     neighbours: Neighbours,
 }
 
@@ -169,12 +180,53 @@ impl PolicyNeighbours {
         fill(slot.pixels_mut());
         self.frames.publish(slot, content_hash)
     }
+}
 
-    /// Evicts a frame.
+/// The neighbours of an external memory.
+#[derive(Debug)]
+pub struct MemoryNeighbours {
+    /// What it has built.
+    pub built: Receiver<ExternalBuilt>,
+    /// Its answers.
+    pub answers: Receiver<ExternalAnswer>,
+    /// Its notes.
+    pub notes: NoteReceiver,
+    /// Publishes its banks.
+    pub banks: BankPublisher,
+    /// Sends the episodes that it remembers for.
+    pub episodes: Sender<ExternalEpisode>,
+    /// Sends its queries.
+    pub queries: Sender<ExternalQuery>,
+    pub(crate) frames: FramePublisher,
+    neighbours: Neighbours,
+}
+
+impl Deref for MemoryNeighbours {
+    type Target = Neighbours;
+
+    fn deref(&self) -> &Neighbours {
+        &self.neighbours
+    }
+}
+
+impl MemoryNeighbours {
+    /// Joins the run of `attach`, whose only participant has to be one external memory.
     ///
     /// # Errors
-    /// When the message cannot be delivered.
-    pub fn evict(&self, frame: FrameId) -> Result<(), BusError> {
-        self.send(&Eviction { frame })
+    /// When the run cannot be joined.
+    pub fn join(attach: &Attach) -> Result<Self, BusError> {
+        let index = attach.external_memories.first().copied().unwrap_or_default();
+        let neighbours = Neighbours::join(attach, Role::ExternalMemory)?;
+        let memory = neighbours.bus(&[Role::Memory]);
+        Ok(Self {
+            built: memory.receiver_from(index)?,
+            answers: memory.receiver_from(index)?,
+            notes: NoteReceiver::new(memory, index)?,
+            banks: BankPublisher::new(memory, index)?,
+            episodes: memory.sender_to(index)?,
+            queries: memory.sender_to(index)?,
+            frames: FramePublisher::new(neighbours.bus(&[Role::Sim]))?,
+            neighbours,
+        })
     }
 }

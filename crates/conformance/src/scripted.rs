@@ -97,7 +97,7 @@ impl ScriptedRun<'_> {
             for observation in observations.drain().unwrap() {
                 if observation.last == 0 {
                     process.send(&recall_trace(request(&observation)), &[]);
-                    process.send(&recall(request(&observation), &[], &[]), &[Role::Policy]);
+                    process.send(&recall(request(&observation), &[]), &[Role::Policy]);
                 }
             }
         });
@@ -128,39 +128,53 @@ impl ScriptedRun<'_> {
         });
     }
 
+    /// The external memory with this index: calls `turn` at every notification.
+    pub fn external_memory(&self, index: u8, turn: impl FnMut(&ScriptedProcess)) {
+        self.serve_on(Bus::join_external_memory(self.attach.clone(), index).unwrap(), turn);
+    }
+
     /// Joins as `role`, sends the handshake, calls `turn` at every notification until the stop message, and sends the
-    /// shutdown report.
-    fn serve(&self, role: Role, mut turn: impl FnMut(&ScriptedProcess)) {
-        let bus = Bus::join(self.attach.clone(), role).unwrap();
+    /// shutdown report. Returns as well when a later generation has begun.
+    pub fn serve(&self, role: Role, turn: impl FnMut(&ScriptedProcess)) {
+        self.serve_on(Bus::join(self.attach.clone(), role).unwrap(), turn);
+    }
+
+    fn serve_on(&self, bus: Bus, mut turn: impl FnMut(&ScriptedProcess)) {
+        let (role, external) = (bus.role(), u32::from(bus.index()));
         let stops = bus.receiver::<Stop>().unwrap();
-        let others = Role::ALL.iter().copied().filter(|other| *other != role);
+        let all = Role::CHILDREN.into_iter().chain([Role::Orchestrator]);
+        let others = all.filter(|other| *other != role);
         let notifiers = others.map(|other| (other, bus.notifier(other).unwrap())).collect();
         let process = ScriptedProcess { bus, notifiers };
         // Its receivers must exist before the handshake.
         turn(&process);
         let handshake = Handshake::new(role, [("kind", KIND.to_owned())]).unwrap();
-        process.send(&handshake, &[Role::Orchestrator]);
+        process.send(&Handshake { external, ..handshake }, &[Role::Orchestrator]);
         while stops.next().unwrap().is_none() {
-            if self.over.load(Ordering::Relaxed) {
+            let is_past = Attach::read(&self.attach.root)
+                .is_ok_and(|now| now.generation > self.attach.generation);
+            if is_past || self.over.load(Ordering::Relaxed) {
                 return;
             }
             process.bus.listener().wait(TICK).unwrap();
             turn(&process);
         }
-        let report = ShutdownReport { role: role as u32, ..Zeroable::zeroed() };
+        let report = ShutdownReport { role: role as u32, external, ..Zeroable::zeroed() };
         process.send(&report, &[Role::Orchestrator]);
     }
 }
 
 /// A scripted process in its run.
-struct ScriptedProcess {
-    bus: Bus,
+#[derive(Debug)]
+pub struct ScriptedProcess {
+    /// Its bus.
+    pub bus: Bus,
     notifiers: BTreeMap<Role, Notifier>,
 }
 
 impl ScriptedProcess {
     /// Sends a message and notifies.
-    fn send<M: shm_types::message::Message>(&self, message: &M, notified: &[Role]) {
+    pub fn send<M: shm_types::message::Message>(&self, message: &M, notified: &[Role]) {
         self.bus.sender().unwrap().send(message).unwrap();
         for role in notified {
             self.notifiers[role].notify().unwrap();

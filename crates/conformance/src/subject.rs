@@ -1,38 +1,34 @@
-//! The policy under test: started as a run starts it, asked through [`PolicyNeighbours`], and watched.
+//! The process under test: started as a run starts it, asked through its [`neighbours`](crate::neighbours), and watched.
 //!
-//! It tracks its requests, so that each decision is either the one answer to an open request or a mistake that can be
-//! named.
+//! It tracks its requests, so that each answer is either the one to an open request or a mistake that can be named. What differs between policies and memories is its [`TestedRole`].
 
 use std::collections::BTreeMap;
 use std::fmt::Display;
+use std::fs;
+use std::ops::Deref;
+use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use domain::{Action, Outcome};
-use shm_types::documents::Content;
-use shm_types::message::{
-    Decision, DocumentId, ErrorReportKind, FrameId, Observation, Recall, RequestId, Role,
-    WIRE_VERSION, read_text,
-};
-use shm_types::{Attach, BusError, FrameError};
+use shm_types::message::{ErrorReportKind, FrameId, RequestId, Role, WIRE_VERSION, read_text};
+use shm_types::{Attach, BusError, FrameError, FramePublisher};
 use supervise::{ChildExit, Children, Launch};
 
-use crate::messages::{config, observation, recall};
-use crate::neighbours::{PolicyNeighbours, TICK};
+use crate::neighbours::{Neighbours, TICK};
 
 /// How long to look for messages that must not come.
 const QUIET_TIME: Duration = Duration::from_millis(60);
 
-/// How long a policy may take to drop evicted frames.
+/// How long a process may take to drop evicted frames.
 const RELEASE_TIMEOUT: Duration = Duration::from_secs(5);
 
 /// Why a check ended early.
 #[derive(Debug)]
 pub(crate) enum Trouble {
-    /// The policy violates the protocol.
+    /// The process violates the protocol.
     Wrong(String),
-    /// The policy does something that is wrong unless it is intended.
+    /// The process does something that is wrong unless it is intended.
     Doubtful(String),
     /// The check itself failed.
     Broken(anyhow::Error),
@@ -45,7 +41,7 @@ pub(crate) fn wrong<T>(what: impl Display) -> CheckResult<T> {
 }
 
 impl From<BusError> for Trouble {
-    /// The policy is the only other process: if a message cannot be delivered, it does not receive, or too slowly.
+    /// The process under test is the only other one: if a message cannot be delivered, it does not receive, or too slowly.
     fn from(error: BusError) -> Self {
         Self::Wrong(error.to_string())
     }
@@ -68,20 +64,8 @@ enum RequestState {
     Over,
     /// It cannot be answered.
     Impossible,
-}
-
-/// What a request shows.
-#[derive(Debug, Clone, Default)]
-pub(crate) struct RequestScene {
-    pub(crate) frame: FrameId,
-    pub(crate) segment: Vec<FrameId>,
-    pub(crate) documents: Vec<DocumentId>,
-}
-
-impl RequestScene {
-    pub(crate) fn recall(&self, id: RequestId) -> Recall {
-        recall(id, &self.segment, &self.documents)
-    }
+    /// It cannot be answered, other than with a failure.
+    Unusable,
 }
 
 /// The request of the next step.
@@ -89,7 +73,7 @@ pub(crate) fn next(id: RequestId) -> RequestId {
     RequestId { step: id.step + 1, ..id }
 }
 
-/// How a policy is started, and its time limits.
+/// How the process is started, and its time limits.
 pub(crate) struct Terms<'a> {
     pub(crate) launch: &'a Launch,
     pub(crate) answer_timeout: Duration,
@@ -108,30 +92,130 @@ impl Terms<'_> {
     }
 }
 
-/// A policy in one generation. The fields are dropped in order: the policy ends before the services.
-pub(crate) struct TestedPolicy<'a> {
+/// The role that is tested: what its neighbours are, and what an answer is.
+pub(crate) trait TestedRole: Default {
+    /// The role.
+    const ROLE: Role;
+    /// The role in a sentence, with its article.
+    const A_PROCESS: &'static str;
+    /// The fact of the handshake that holds its name.
+    const NAME_FACT: &'static str;
+    /// An answer in a sentence.
+    const ANSWER: &'static str;
+    /// The same, with its article.
+    const AN_ANSWER: &'static str;
+    /// What an answer that must not come could not be.
+    const ANSWERED: &'static str;
+    /// Whether the process waits for `attach.json`.
+    const WAITS_FOR_RUN: bool;
+
+    /// The other roles of the run.
+    type Neighbours: Deref<Target = Neighbours>;
+    /// An answer.
+    type Answer: Clone;
+
+    /// The settings of a run with this process alone.
+    fn settings(attach: Attach) -> Attach;
+
+    /// Its index, if there can be several.
+    fn index() -> u8 {
+        0
+    }
+
+    /// The folder that `MEMTRANSFER_ATTACH` names, in the run's folder.
+    fn folder(root: &Path) -> PathBuf {
+        root.to_owned()
+    }
+
+    /// Prepares its folder for the start of the process.
+    ///
+    /// # Errors
+    /// When the folder cannot be changed.
+    fn prepare(folder: &Path) -> CheckResult<()> {
+        let _ = folder;
+        Ok(())
+    }
+
+    /// Waits for what the process writes before it joins the run.
+    ///
+    /// # Errors
+    /// When it does not write it.
+    fn introduce(
+        &mut self,
+        folder: &Path,
+        children: &mut Children,
+        terms: &Terms<'_>,
+    ) -> CheckResult<()> {
+        let _ = (folder, children, terms);
+        Ok(())
+    }
+
+    /// Joins the run as its neighbours.
+    ///
+    /// # Errors
+    /// When the run cannot be joined.
+    fn join(attach: &Attach) -> Result<Self::Neighbours, BusError>;
+
+    /// Publishes the frames of the run.
+    fn frames(neighbours: &mut Self::Neighbours) -> &mut FramePublisher;
+
+    /// The answers that have arrived.
+    ///
+    /// # Errors
+    /// When the process sends something else that is wrong.
+    fn receive(
+        &mut self,
+        neighbours: &mut Self::Neighbours,
+    ) -> CheckResult<Vec<(RequestId, Self::Answer)>>;
+
+    /// Whether the answer is valid.
+    ///
+    /// # Errors
+    /// What is wrong with it.
+    fn check(&self, id: RequestId, answer: &Self::Answer) -> Result<(), String>;
+
+    /// All views were evicted.
+    fn evicted(&mut self) {}
+
+    /// The reason, if the process refuses to answer.
+    fn refusal(answer: &Self::Answer) -> Option<String>;
+}
+
+/// A process in one generation. The fields are dropped in order: the process ends before the services.
+pub(crate) struct Subject<'a, R: TestedRole> {
     children: Children,
-    terms: &'a Terms<'a>,
-    neighbours: PolicyNeighbours,
+    pub(crate) terms: &'a Terms<'a>,
+    pub(crate) neighbours: R::Neighbours,
+    pub(crate) role: R,
     requests: BTreeMap<RequestId, RequestState>,
-    answers: BTreeMap<RequestId, Decision>,
+    answers: BTreeMap<RequestId, R::Answer>,
     errors: Vec<String>,
-    resident: Vec<FrameId>,
+    /// The resident views and their content hashes.
+    resident: Vec<(FrameId, [u8; 16])>,
     last_episode: u64,
-    /// The policy's name, and how long it took to get ready.
+    /// The name, and how long it took to get ready.
     pub(crate) introduction: String,
 }
 
-impl<'a> TestedPolicy<'a> {
-    /// Starts the policy and waits until it is ready.
+impl<'a, R: TestedRole> Subject<'a, R> {
+    /// Starts the process and waits until it is ready.
     pub(crate) fn start(attach: &Attach, terms: &'a Terms<'a>) -> CheckResult<Self> {
-        attach.write(&attach.root).map_err(anyhow::Error::from)?;
-        let neighbours = PolicyNeighbours::join(attach).map_err(anyhow::Error::from)?;
-        let launch = terms.launch.clone().attached_to(&attach.root);
+        let root = &attach.root;
+        let folder = R::folder(root);
+        fs::create_dir_all(&folder).map_err(anyhow::Error::from)?;
+        R::prepare(&folder)?;
+        if R::WAITS_FOR_RUN {
+            Attach::withdraw(root).map_err(anyhow::Error::from)?;
+        } else {
+            attach.write(root).map_err(anyhow::Error::from)?;
+        }
+        let neighbours = R::join(attach).map_err(anyhow::Error::from)?;
+        let launch = terms.launch.clone().attached_to(&folder);
         let mut subject = Self {
-            children: Children::start(&[launch], &attach.root.join("logs"))?,
+            children: Children::start(&[launch], &root.join("logs"))?,
             terms,
             neighbours,
+            role: R::default(),
             requests: BTreeMap::new(),
             answers: BTreeMap::new(),
             errors: Vec::new(),
@@ -140,12 +224,17 @@ impl<'a> TestedPolicy<'a> {
             last_episode: u64::from(attach.generation) << 32,
             introduction: String::new(),
         };
-        subject.wait_for_handshake()?;
+        let began = Instant::now();
+        subject.role.introduce(&folder, &mut subject.children, terms)?;
+        if R::WAITS_FOR_RUN {
+            attach.write(root).map_err(anyhow::Error::from)?;
+        }
+        subject.wait_for_handshake(began)?;
         Ok(subject)
     }
 
-    fn wait_for_handshake(&mut self) -> CheckResult<()> {
-        let (began, timeout) = (Instant::now(), self.terms.start_timeout);
+    fn wait_for_handshake(&mut self, began: Instant) -> CheckResult<()> {
+        let timeout = self.terms.start_timeout;
         let handshake = loop {
             if let Some(handshake) = self.neighbours.handshakes.next()? {
                 break handshake;
@@ -162,28 +251,36 @@ impl<'a> TestedPolicy<'a> {
                 handshake.wire_version
             ));
         }
-        if handshake.role != Role::Policy as u32 {
+        if handshake.role != R::ROLE as u32 {
             return wrong(format_args!(
-                "its handshake has role {}, and a policy is role {}",
+                "its handshake has role {}, and {} is role {}",
                 handshake.role,
-                Role::Policy as u32
+                R::A_PROCESS,
+                R::ROLE as u32
+            ));
+        }
+        if handshake.external != u32::from(R::index()) {
+            return wrong(format_args!(
+                "its handshake has `external` {}, and its folder is that of index {}",
+                handshake.external,
+                R::index()
             ));
         }
         let facts = handshake.facts().map_err(|error| {
             Trouble::Wrong(format!("the facts of its handshake cannot be read: {error}"))
         })?;
-        let name = facts.get("policy").map_or("without a name", String::as_str);
+        let name = facts.get(R::NAME_FACT).map_or("without a name", String::as_str);
         let seconds = began.elapsed().as_secs_f64();
-        self.introduction = format!("policy {name}, ready after {seconds:.1} s");
+        self.introduction = format!("{} {name}, ready after {seconds:.1} s", R::NAME_FACT);
         Ok(())
     }
 
-    /// How the policy's process ended, if it has.
+    /// How the process ended, if it has.
     pub(crate) fn exited(&mut self) -> Option<ChildExit> {
         self.children.exited()
     }
 
-    fn check_alive(&mut self) -> CheckResult<()> {
+    pub(crate) fn check_alive(&mut self) -> CheckResult<()> {
         self.terms.check_stop()?;
         match self.children.exited() {
             None => Ok(()),
@@ -203,9 +300,14 @@ impl<'a> TestedPolicy<'a> {
         let mut hash = [0; 16];
         hash.copy_from_slice(&blake3::hash(&pixels).as_bytes()[..16]);
         loop {
-            match self.neighbours.publish(hash, |slot| slot.copy_from_slice(&pixels)) {
+            let frames = R::frames(&mut self.neighbours);
+            let published = frames.loan().and_then(|mut slot| {
+                slot.pixels_mut().copy_from_slice(&pixels);
+                frames.publish(slot, hash)
+            });
+            match published {
                 Ok(id) => {
-                    self.resident.push(id);
+                    self.resident.push((id, hash));
                     return Ok(id);
                 }
                 Err(FrameError::NoChunk { chunks }) if Instant::now() > deadline => {
@@ -233,76 +335,34 @@ impl<'a> TestedPolicy<'a> {
         seeds.into_iter().map(|seed| self.view(seed)).collect()
     }
 
+    /// The content hash of a resident view.
+    pub(crate) fn content_of(&self, frame: FrameId) -> Option<[u8; 16]> {
+        self.resident.iter().find(|(resident, _)| *resident == frame).map(|(_, hash)| *hash)
+    }
+
     /// Evicts all views.
     pub(crate) fn evict_all(&mut self) -> CheckResult<()> {
-        for frame in std::mem::take(&mut self.resident) {
+        for (frame, _) in std::mem::take(&mut self.resident) {
             self.neighbours.evict(frame)?;
         }
+        self.role.evicted();
         self.notify()
     }
 
-    /// Publishes a document for an episode, or for the whole run.
-    pub(crate) fn document(
-        &mut self,
-        of: Option<RequestId>,
-        content: &Content,
-    ) -> CheckResult<DocumentId> {
-        let of = of.map(|id| (id.lane, id.episode));
-        let published = self.neighbours.documents.publish(of, content);
-        published.map_err(|error| Trouble::Wrong(error.to_string()))
-    }
-
-    /// Begins an episode with a window of six steps.
-    pub(crate) fn begin(
-        &mut self,
-        lane: u32,
-        seed: u64,
-        instruction: &str,
-    ) -> CheckResult<RequestId> {
-        self.begin_with_window(lane, seed, instruction, 6)
-    }
-
-    /// Begins an episode in `lane`; the lane's earlier one is over.
-    pub(crate) fn begin_with_window(
-        &mut self,
-        lane: u32,
-        seed: u64,
-        instruction: &str,
-        window: u8,
-    ) -> CheckResult<RequestId> {
+    /// Begins an episode in `lane`: the lane's earlier one is over. Returns the request of its first step.
+    pub(crate) fn next_episode(&mut self, lane: u32) -> RequestId {
         for (id, state) in &mut self.requests {
             if id.lane == lane && *state == RequestState::Open {
                 *state = RequestState::Over;
             }
         }
         self.last_episode += 1;
-        let episode = self.last_episode;
-        let config = config(lane, episode, instruction);
-        self.neighbours.send(&shm_types::message::PolicyEpisodeConfig {
-            seed,
-            window,
-            ..config
-        })?;
-        Ok(RequestId { lane, episode, step: 0 })
+        RequestId { lane, episode: self.last_episode, step: 0 }
     }
 
-    /// Makes a request: recall, then observation. Does not notify.
-    pub(crate) fn ask(&mut self, id: RequestId, scene: &RequestScene) -> CheckResult<()> {
-        self.expect(id);
-        self.recall(&scene.recall(id))?;
-        self.observe(&observation(id, scene.frame))
-    }
-
-    /// Makes a request and waits for its answer.
-    pub(crate) fn ask_and_wait(
-        &mut self,
-        id: RequestId,
-        scene: &RequestScene,
-    ) -> CheckResult<Decision> {
-        self.ask(id, scene)?;
-        self.notify()?;
-        self.wait()?;
-        self.answers.get(&id).copied().map_or_else(|| wrong("no answer"), Ok)
+    /// The answer to a request.
+    pub(crate) fn answer(&self, id: RequestId) -> CheckResult<R::Answer> {
+        self.answers.get(&id).cloned().map_or_else(|| wrong("no answer"), Ok)
     }
 
     /// From now on, `id` has to be answered.
@@ -313,14 +373,6 @@ impl<'a> TestedPolicy<'a> {
     /// From now on, an answer to `id` is a mistake.
     pub(crate) fn expect_none(&mut self, id: RequestId) {
         self.requests.insert(id, RequestState::Impossible);
-    }
-
-    pub(crate) fn recall(&mut self, message: &Recall) -> CheckResult<()> {
-        Ok(self.neighbours.send(message)?)
-    }
-
-    pub(crate) fn observe(&mut self, message: &Observation) -> CheckResult<()> {
-        Ok(self.neighbours.observe(message)?)
     }
 
     pub(crate) fn notify(&self) -> CheckResult<()> {
@@ -377,15 +429,20 @@ impl<'a> TestedPolicy<'a> {
         Ok(())
     }
 
-    /// The policy's error reports since the last call.
+    /// From now on, `id` may be answered with a failure, and otherwise not.
+    pub(crate) fn expect_refusal(&mut self, id: RequestId) {
+        self.requests.insert(id, RequestState::Unusable);
+    }
+
+    /// Error reports and refusals since the last call.
     pub(crate) fn take_errors(&mut self) -> Vec<String> {
         std::mem::take(&mut self.errors)
     }
 
     /// Receives all waiting messages.
-    fn listen(&mut self) -> CheckResult<()> {
-        for decision in self.neighbours.decisions.drain()? {
-            self.take(decision)?;
+    pub(crate) fn listen(&mut self) -> CheckResult<()> {
+        for (id, answer) in self.role.receive(&mut self.neighbours)? {
+            self.take(id, answer)?;
         }
         for report in self.neighbours.error_reports.drain()? {
             let text = read_text(&report.text, report.text_len).unwrap_or("(not UTF-8)");
@@ -409,42 +466,47 @@ impl<'a> TestedPolicy<'a> {
         Ok(())
     }
 
-    /// Takes a decision, which has to be the valid answer to an open request.
-    fn take(&mut self, decision: Decision) -> CheckResult<()> {
-        let Decision { lane, step, episode, outcome, action, .. } = decision;
+    /// Takes an answer, which has to be the valid one to an open request.
+    fn take(&mut self, id: RequestId, answer: R::Answer) -> CheckResult<()> {
+        let RequestId { lane, step, .. } = id;
         let lanes = self.neighbours.attach().lanes;
+        let (an_answer, answer_word) = (R::AN_ANSWER, R::ANSWER);
         if lane >= lanes {
             let last = lanes - 1;
             return wrong(format_args!(
-                "a decision for lane {lane}, but the lanes are 0 to {last}"
+                "{an_answer} for lane {lane}, but the lanes are 0 to {last}"
             ));
         }
-        let id = RequestId { lane, episode, step };
         match self.requests.get(&id) {
             Some(RequestState::Open) => {}
             Some(RequestState::Over) => return Ok(()),
             Some(RequestState::Answered) => {
-                return wrong(format_args!("a second decision for step {step} of lane {lane}"));
-            }
-            Some(RequestState::Impossible) => {
                 return wrong(format_args!(
-                    "a decision for step {step} of lane {lane}, which could not be decided"
+                    "a second {answer_word} for step {step} of lane {lane}"
+                ));
+            }
+            Some(RequestState::Unusable) if R::refusal(&answer).is_some() => {
+                self.errors.extend(R::refusal(&answer));
+                return Ok(());
+            }
+            Some(RequestState::Impossible | RequestState::Unusable) => {
+                return wrong(format_args!(
+                    "{an_answer} for step {step} of lane {lane}, which could not be {}",
+                    R::ANSWERED
                 ));
             }
             None => return wrong(self.unknown_request(id)),
         }
-        let valid = match Outcome::try_from(outcome) {
-            Ok(Outcome::Acted) => Action::try_from(action).map(drop),
-            Ok(_) => Ok(()),
-            Err(error) => Err(error),
-        };
-        if let Err(error) = valid {
+        if let Some(why) = R::refusal(&answer) {
+            return wrong(format_args!("it failed at step {step} of lane {lane}: {why}"));
+        }
+        if let Err(error) = self.role.check(id, &answer) {
             return wrong(format_args!(
-                "the decision for step {step} of lane {lane} is invalid: {error}"
+                "the {answer_word} for step {step} of lane {lane} is invalid: {error}"
             ));
         }
         self.requests.insert(id, RequestState::Answered);
-        self.answers.insert(id, decision);
+        self.answers.insert(id, answer);
         Ok(())
     }
 
@@ -455,8 +517,9 @@ impl<'a> TestedPolicy<'a> {
             || "the lane has no such episode".to_owned(),
             |id| format!("its last request is step {}", id.step),
         );
+        let an_answer = R::AN_ANSWER;
         format!(
-            "a decision for step {step} of lane {lane}, episode {episode}, without a request: {last}"
+            "{an_answer} for step {step} of lane {lane}, episode {episode}, without a request: {last}"
         )
     }
 

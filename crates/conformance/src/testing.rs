@@ -15,9 +15,9 @@ use bytemuck::Zeroable;
 use domain::Pose;
 use shm_types::documents::Content;
 use shm_types::message::{
-    Decision, DocumentId, ErrorReport, FrameId, Handshake, MemoryEpisodeConfig, NO_FRAME,
-    Observation, PolicyEpisodeConfig, Recall, RecallTrace, Role, ShutdownReport, StepCommand, View,
-    ViewRequest, ViewRequestKind, read_text,
+    Decision, DocumentId, ErrorReport, FrameId, Handshake, MemoryEpisodeConfig, NO_DOCUMENT,
+    NO_FRAME, Observation, PolicyEpisodeConfig, Recall, RecallTrace, Role, ShutdownReport,
+    StepCommand, View, ViewRequest, ViewRequestKind, read_text,
 };
 use shm_types::{
     Attach, BusError, DocumentStore, FramePublisher, FrameSize, FrameStore, Receiver, RunDir,
@@ -478,18 +478,19 @@ impl MemoryRig {
 
     /// The poses of the views of a recall's segment, in order.
     pub fn segment(&self, recall: &Recall) -> Vec<Pose> {
-        let segment = &recall.segment[..recall.segment_len as usize];
+        let segment = &recall.steps[..recall.steps_len as usize];
         segment.iter().map(|entry| self.neighbours.shown[&entry.frame]).collect()
     }
 
     /// The documents that a recall names, in order, and their episodes; 0 stands for the run.
     pub fn documents(&mut self, recall: &Recall) -> Vec<(DocumentId, u64, Content)> {
-        let ids = &recall.documents[..recall.documents_len as usize];
+        let items = &recall.items[..recall.items_len as usize];
+        let ids = items.iter().map(|item| item.document).filter(|&id| id != NO_DOCUMENT);
         let documents = &mut self.neighbours.documents;
-        let mut named = |&id: &DocumentId| {
+        let named = |id: DocumentId| {
             let document = documents.get(id).unwrap().expect("published before it is named");
             (id, document.episode, document.content.clone())
         };
-        ids.iter().map(&mut named).collect()
+        ids.map(named).collect()
     }
 }

@@ -1,17 +1,20 @@
 //! The vocabulary of the benchmark: poses, actions and feedback, memory representations, outcomes of decisions, and the
-//! format of the prompt log.
+//! formats of the prompt log and of measured searches.
 //!
 //! Does not link iceoryx2. Knows neither the map nor the tasks nor messages.
 
 mod cache;
 pub mod camera;
 pub mod codes;
+pub mod memory_kind;
 pub mod outcome;
 pub mod pose;
 pub mod prompt_log;
 pub mod representation;
+pub mod search_profile;
 
 pub use cache::{NoCacheFolder, cache_folder};
+pub use memory_kind::{ExternalName, MemoryKind};
 pub use outcome::{DocumentKind, Outcome, SegmentContent};
 pub use pose::{Action, Cell, Feedback, Heading, Pose, UnknownCode};
 pub use representation::Representation;

@@ -24,7 +24,7 @@ code_sets! {
     }
 
     /// The kind of a document.
-    DocumentKind, "a document kind (0 summary, 1 semantic, 2 trajectories)"
+    DocumentKind, "a document kind (0 summary, 1 semantic, 2 trajectories, 3 note)"
     #[derive(serde::Serialize, serde::Deserialize)]
     #[serde(rename_all = "lowercase")] {
         /// Object locations, landmarks and routes: UTF-8 text.
@@ -33,6 +33,8 @@ code_sets! {
         Semantic = 1,
         /// Demonstrations with their keyframes: `TrajectoryStep`s.
         Trajectories = 2,
+        /// Text of an external memory: UTF-8 text.
+        Note = 3,
     }
 }
 
@@ -58,6 +60,7 @@ impl DocumentKind {
             Self::Summary => "summary",
             Self::Semantic => "semantic",
             Self::Trajectories => "trajectories",
+            Self::Note => "note",
         }
     }
 }

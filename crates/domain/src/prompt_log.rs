@@ -4,10 +4,10 @@
 //!
 //! | file below the run's `prompts/` | holds |
 //! |---|---|
-//! | `session-1/generation-1.jsonl` | one [`PromptLogEntry`] per line, appended as requests are answered |
-//! | `images/HASH.png` | each image that an entry names, once; a view's hash is the content hash of its frame |
-//! | `documents/HASH.txt` | each long text that an entry names, once |
-//! | `documents/HASH.json` | the demonstrations that an entry names: arrays of [`RecordedView`] |
+//! | `session-1/generation-1.jsonl` | an [`PromptLogEntry`] a line, appended as requests are answered |
+//! | `images/HASH.png` | every image that an entry names, once; for a view the hash is its frame's content hash |
+//! | `documents/HASH.txt` | every long text that an entry names, once |
+//! | `documents/HASH.json` | every demonstration that an entry names, once: an array of [`RecordedView`] |
 //!
 //! Hashes are the first 16 bytes of BLAKE3, as 32 hexadecimal digits. Each generation of a session has a file of its own,
 //! so resuming a run adds files and changes none. An entry is found by its episode id and step; `timings.jsonl` of the run
@@ -48,8 +48,8 @@ pub fn text_file(prompts: &Path, hash: &str) -> PathBuf {
     prompts.join("documents").join(format!("{hash}.txt"))
 }
 
-/// The file of demonstrations below a run's `prompts` folder.
-pub fn trajectories_file(prompts: &Path, hash: &str) -> PathBuf {
+/// The file of a demonstration below a run's `prompts` folder.
+pub fn trajectory_file(prompts: &Path, hash: &str) -> PathBuf {
     prompts.join("documents").join(format!("{hash}.json"))
 }
 
@@ -106,15 +106,8 @@ pub struct RecordedRequest {
     pub starts_as_demonstrated: bool,
     /// The last steps, oldest first.
     pub window: Vec<RecordedPast>,
-    /// The retrieved segment; absent if there was none.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub segment: Option<RecordedSegment>,
-    /// The documents that memory supplied, in order.
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub documents: Vec<RecordedDocument>,
-    /// The file of the demonstrations that memory supplied; absent if there were none.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub trajectories: Option<Hash>,
+    /// What memory supplied, in order.
+    pub items: Vec<RecordedItem>,
 }
 
 /// A past step.
@@ -130,14 +123,35 @@ pub struct RecordedPast {
     pub feedback: String,
 }
 
-/// A retrieved segment.
+/// An item that memory supplied.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct RecordedSegment {
-    /// Cosine distance of the matched view to the current one.
-    pub distance: f32,
-    /// The matched view, then the views after each of the expert's actions.
-    pub steps: Vec<RecordedView>,
+#[serde(rename_all = "lowercase")]
+pub enum RecordedItem {
+    /// A text.
+    Text {
+        /// `summary`, `semantic` or `note`.
+        kind: String,
+        /// The file of the text.
+        text: Hash,
+    },
+    /// Retrieved steps of a demonstration.
+    Segment {
+        /// Distance between what was retrieved and the query; absent if memory told none. For episodic memory, the cosine
+        /// distance between the embeddings of the first view and the current one.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        distance: Option<f32>,
+        /// The steps.
+        steps: Vec<RecordedView>,
+    },
+    /// The file of a demonstration that was supplied whole.
+    Trajectory(Hash),
+    /// A remembered view with a caption.
+    Frame {
+        /// The view.
+        frame: Hash,
+        /// The file of the caption.
+        caption: Hash,
+    },
 }
 
 /// A view of a segment or demonstration, with the expert's action.
@@ -150,16 +164,6 @@ pub struct RecordedView {
     /// The action in words; absent at the end, and in a segment without actions.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub action: Option<String>,
-}
-
-/// A document.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct RecordedDocument {
-    /// `summary` or `semantic`.
-    pub kind: String,
-    /// The file of its text.
-    pub text: Hash,
 }
 
 /// The messages sent to a model, and its reply.
@@ -277,9 +281,7 @@ mod tests {
                 frame: hex([0xab; 16]),
                 starts_as_demonstrated: false,
                 window: Vec::new(),
-                segment: None,
-                documents: Vec::new(),
-                trajectories: None,
+                items: vec![RecordedItem::Trajectory(hex([1; 16]))],
             },
             exchange: None,
             answer: None,

@@ -149,15 +149,13 @@ impl Representation {
         matches!(self.describe().trajectories, Trajectories::Segment)
     }
 
-    /// Maximum number of images of a request: the current view, `window` past views, and either a segment of `horizon`
-    /// actions or `keyframes`.
-    pub const fn images(self, window: u32, horizon: u32, keyframes: u32) -> u32 {
-        let remembered = match self.describe().trajectories {
+    /// Most images that memory adds to a request: `hits` segments of `horizon` actions, or `keyframes`.
+    pub const fn images(self, horizon: u32, hits: u32, keyframes: u32) -> u32 {
+        match self.describe().trajectories {
             Trajectories::Nothing => 0,
             Trajectories::Whole => keyframes,
-            Trajectories::Segment => 1 + horizon,
-        };
-        1 + window + remembered
+            Trajectories::Segment => hits * (1 + horizon),
+        }
     }
 }
 
@@ -221,7 +219,9 @@ mod tests {
 
     #[test]
     fn images_of_a_request_are_those_of_the_paper() {
-        let images: Vec<u32> = Representation::ALL.iter().map(|r| r.images(6, 6, 40)).collect();
-        assert_eq!(images, [7, 47, 7, 7, 7, 14]);
+        let images = |hits| Representation::ALL.iter().map(|r| 7 + r.images(6, hits, 40)).collect();
+        let (one, three): (Vec<u32>, Vec<u32>) = (images(1), images(3));
+        assert_eq!(one, [7, 47, 7, 7, 7, 14]);
+        assert_eq!(three, [7, 47, 7, 7, 7, 28]);
     }
 }

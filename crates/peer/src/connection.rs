@@ -1,14 +1,14 @@
 //! One generation of a run, for any role: handshake, serve loop, frames, heartbeats, shutdown.
 
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 use std::thread;
 use std::time::{Duration, Instant};
 
 use bytemuck::Zeroable;
 use shm_types::message::{FrameId, Handshake, Heartbeat, Role, ShutdownReport, Stop};
 use shm_types::{
-    Attach, Bus, ErrorReporter, Frame, FrameError, FrameStore, Heartbeats, Notifier, Receiver,
-    Spans,
+    Attach, Bus, BusError, ErrorReporter, Frame, FrameError, FrameStore, Heartbeats, Notifier,
+    Receiver, Spans,
 };
 
 use crate::run::{ServeError, WatchedRun};
@@ -22,6 +22,9 @@ const SHORT_SLEEP: Duration = Duration::from_millis(1);
 /// How often to look for the orchestrator before it has joined.
 const POLL_INTERVAL: Duration = Duration::from_millis(10);
 
+/// How often an external memory releases evicted frames while it works on a query.
+const RELEASE_INTERVAL: Duration = Duration::from_millis(50);
+
 /// What a program does in a role.
 pub trait Service {
     /// The role.
@@ -31,6 +34,14 @@ pub trait Service {
     type Session<'s>: Session
     where
         Self: 's;
+
+    /// Joins a generation.
+    ///
+    /// # Errors
+    /// When the generation cannot be joined, or this process does not take part in it.
+    fn join(&self, attach: Attach) -> Result<Bus, BusError> {
+        Bus::join(attach, Self::ROLE)
+    }
 
     /// Facts for the run's manifest, as names and values.
     fn facts(&self) -> Vec<(&str, String)>;
@@ -86,7 +97,7 @@ pub struct Connection {
     pub errors: ErrorReporter,
     /// Spans of the process's work, if the run asks for them.
     pub spans: Spans,
-    frames: FrameStore,
+    frames: SharedFrames,
     heartbeats: Heartbeats,
     stops: Receiver<Stop>,
     orchestrator: Notifier,
@@ -96,13 +107,48 @@ pub struct Connection {
     bus: Bus,
 }
 
+/// The frame store of the process. An external memory may work on one query for minutes; a thread of its own releases
+/// evicted frames in the meantime, because the simulator needs their memory.
+#[derive(Debug)]
+struct SharedFrames(Arc<Mutex<FrameStore>>);
+
+impl SharedFrames {
+    fn new(bus: &Bus) -> Result<Self, ServeError> {
+        let frames = Arc::new(Mutex::new(FrameStore::new(bus)?));
+        if bus.role() == Role::ExternalMemory {
+            let frames = Arc::downgrade(&frames);
+            thread::Builder::new()
+                .name("evictions".to_owned())
+                .spawn(move || release_evicted(&frames))?;
+        }
+        Ok(Self(frames))
+    }
+
+    fn lock(&self) -> MutexGuard<'_, FrameStore> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// Releases evicted frames until the store is dropped.
+fn release_evicted(frames: &Weak<Mutex<FrameStore>>) {
+    while let Some(frames) = frames.upgrade() {
+        // Frames that cannot be used are dropped, and the transport's failure ends the serve loop as well.
+        let outcome = frames.lock().unwrap_or_else(PoisonError::into_inner).apply_evictions();
+        drop(frames);
+        if let Err(error) = outcome {
+            tracing::debug!(%error, "evictions");
+        }
+        thread::sleep(RELEASE_INTERVAL);
+    }
+}
+
 impl Connection {
     pub(crate) fn new(bus: Bus) -> Result<Self, ServeError> {
         let attach = bus.attach();
         Ok(Self {
             errors: ErrorReporter::new(&bus)?,
             spans: Spans::open(attach, bus.role()).map_err(ServeError::Spans)?,
-            frames: FrameStore::new(&bus)?,
+            frames: SharedFrames::new(&bus)?,
             heartbeats: Heartbeats::new(&bus)?,
             stops: bus.receiver()?,
             orchestrator: bus.notifier(Role::Orchestrator)?,
@@ -123,8 +169,9 @@ impl Connection {
     /// When the transport fails.
     pub fn frame(&mut self, id: FrameId) -> Result<Option<Arc<Frame>>, ServeError> {
         loop {
-            match self.frames.get(id) {
-                Ok(frame) => return Ok(frame.cloned()),
+            let found = self.frames.lock().get(id).map(|frame| frame.cloned());
+            match found {
+                Ok(frame) => return Ok(frame),
                 Err(FrameError::Bus(error)) => return Err(error.into()),
                 // The store has dropped the invalid frame.
                 Err(error) => self.errors.report(error),
@@ -139,7 +186,8 @@ impl Connection {
         run: &WatchedRun,
     ) -> Result<End, ServeError> {
         // The session creates its receivers first: other processes send as soon as all handshakes are in.
-        let handshake = Handshake::new(S::ROLE, service.facts())?;
+        let external = self.bus.index().into();
+        let handshake = Handshake { external, ..Handshake::new(S::ROLE, service.facts())? };
         let mut session = service.start(self)?;
         let handshakes = self.bus.sender()?;
         // The orchestrator may not have joined yet, or be in the next generation already.
@@ -174,7 +222,7 @@ impl Connection {
         let reports = self.errors.count();
         let sent = session.turn(self)?;
         self.drop_evicted_frames(session)?;
-        let frames = self.frames.len() as u64;
+        let frames = self.frames.lock().len() as u64;
         let is_beat = self.heartbeats.beat(|| {
             let (done, waiting) = session.progress();
             Heartbeat { done, waiting, held: frames, ..Zeroable::zeroed() }
@@ -186,27 +234,35 @@ impl Connection {
     }
 
     /// Drops evicted frames from the store. If the program itself pins too many of them, the simulator would run out of
-    /// memory for new ones: then the run stops.
+    /// memory for new ones: then the run stops, or the external memory ends.
     fn drop_evicted_frames(&mut self, session: &mut impl Session) -> Result<(), ServeError> {
-        while let Err(error) = self.frames.apply_evictions() {
+        loop {
+            let outcome = self.frames.lock().apply_evictions();
+            let Err(error) = outcome else { break };
             match error {
                 FrameError::Bus(error) => return Err(error.into()),
                 error => self.errors.report(error),
             }
         }
-        let mut pinned = self.frames.evicted_but_pinned();
+        let mut pinned = self.frames.lock().evicted_but_pinned();
         if pinned > self.pin_limit && !self.is_over_pin_limit {
             session.release_frames();
-            pinned = self.frames.evicted_but_pinned();
+            pinned = self.frames.lock().evicted_but_pinned();
         }
         if pinned > self.pin_limit && !self.is_over_pin_limit {
             self.is_over_pin_limit = true;
-            let role = self.bus.role().word();
-            self.errors.stop_run(&format!(
-                "the {role} keeps {pinned} frames that were evicted, and at most {} are allowed: copy the pixels that \
-                 are needed after a request",
+            let role = self.bus.role();
+            let why = format!(
+                "the {} keeps {pinned} frames that were evicted, and at most {} are allowed: copy the pixels that are \
+                 needed after a request",
+                role.word(),
                 self.pin_limit
-            ))?;
+            );
+            if role == Role::ExternalMemory {
+                // It may end itself, not the run.
+                return Err(ServeError::Frames(why));
+            }
+            self.errors.stop_run(&why)?;
         }
         Ok(())
     }
@@ -214,7 +270,8 @@ impl Connection {
     fn send_shutdown_report(&self) -> Result<(), ServeError> {
         self.bus.sender()?.send(&ShutdownReport {
             role: self.bus.role() as u32,
-            frames_received: self.frames.received(),
+            external: self.bus.index().into(),
+            frames_received: self.frames.lock().received(),
             error_reports: self.errors.count().into(),
             ..Zeroable::zeroed()
         })?;

@@ -29,16 +29,17 @@
 //! role of the policy is the module [`policy`].
 
 pub mod connection;
+pub mod memory;
 pub mod policy;
 pub mod run;
 
 pub use connection::{Connection, Service, Session};
 pub use policy::{
-    Answer, Answers, Batch, Decider, Decision, DocumentView, FrameView, PastView, PinnedStep,
-    Policy, Request, Segment, SegmentView, Trajectory, TrajectoryView, Usage, serve,
+    Answer, Answers, Batch, CaptionedView, Decider, Decision, FrameView, Item, PastView,
+    PinnedStep, Policy, Request, StepView, StepsView, TextView, Usage, serve,
     serve_from_environment,
 };
 pub use run::ServeError;
 // The vocabulary of requests and decisions, so that a policy needs no other crate.
 pub use domain::{Action, Cell, DocumentKind, Feedback, Heading, Pose};
-pub use shm_types::message::{DocumentId, FrameId, RequestId};
+pub use shm_types::message::{FrameId, RequestId};

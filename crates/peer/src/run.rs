@@ -11,7 +11,7 @@ use std::time::{Duration, Instant};
 
 use shm_types::message::Role;
 use shm_types::process::{ProcessWatch, die_with_parent, is_parent};
-use shm_types::{ATTACH_VARIABLE, Attach, AttachError, Bus, BusError, FactsTooLong};
+use shm_types::{ATTACH_VARIABLE, Attach, AttachError, BusError, FactsTooLong};
 
 use crate::connection::{Connection, End, Service};
 
@@ -29,9 +29,9 @@ pub enum ServeError {
     Bus(#[from] BusError),
     /// The environment does not name a run.
     #[error(
-        "{ATTACH_VARIABLE} is not set: it names the folder of the run to join. `memtransfer run --{role}-cmd \
-         COMMAND` starts this program with it; `memtransfer run --{role} external` waits for this program and \
-         prints its value", role = .0.word()
+        "{ATTACH_VARIABLE} is not set: it names the folder of the run to join. `memtransfer run --{flag}-cmd \
+         COMMAND` starts this program with it; `memtransfer run --{flag} external` waits for this program and \
+         prints its value", flag = flag(*.0)
     )]
     NoRun(Role),
     /// The folder holds no run.
@@ -46,6 +46,9 @@ pub enum ServeError {
         /// Its process id.
         pid: u32,
     },
+    /// The folder is not that of an external memory.
+    #[error("{} is not the folder of an external memory of a run: {ATTACH_VARIABLE} names one", .0.display())]
+    NotAMemoryFolder(PathBuf),
     /// The run ended without a stop message.
     #[error("the run in {} ended without a stop message", .0.display())]
     Abandoned(PathBuf),
@@ -65,6 +68,9 @@ pub enum ServeError {
     /// The policy failed.
     #[error(transparent)]
     Policy(Box<dyn std::error::Error + Send + Sync>),
+    /// The program keeps frames that the simulator needs.
+    #[error("{0}")]
+    Frames(String),
     /// The facts of the handshake are too long.
     #[error(transparent)]
     Facts(#[from] FactsTooLong),
@@ -76,7 +82,15 @@ pub enum ServeError {
     Parent(#[from] io::Error),
 }
 
-/// The run's folder that the environment names for `role`.
+/// The first part of the flags that start a program in `role`.
+const fn flag(role: Role) -> &'static str {
+    match role {
+        Role::ExternalMemory => Role::Memory.word(),
+        role => role.word(),
+    }
+}
+
+/// The folder that the environment names for `role`.
 ///
 /// # Errors
 /// When `MEMTRANSFER_ATTACH` is not set.
@@ -101,7 +115,7 @@ pub fn serve_role<S: Service>(service: &mut S, folder: &Path) -> Result<(), Serv
     })?;
     let run = WatchedRun::watch(&attach)?;
     loop {
-        let bus = Bus::join(attach.clone(), S::ROLE)?;
+        let bus = service.join(attach.clone())?;
         let ended = Connection::new(bus).and_then(|mut connection| connection.serve(service, &run));
         attach = match ended {
             Ok(End::Stopped) => return Ok(()),

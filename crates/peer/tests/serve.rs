@@ -6,21 +6,24 @@ use std::fs;
 use std::path::PathBuf;
 use std::sync::mpsc;
 
-use conformance::messages::{config, observation, recall};
+use conformance::messages::{
+    config, item, observation, recall, supplied, supply, text as whole_text,
+};
 use conformance::testing::{LONG, PolicyRig};
 use domain::prompt_log::{
-    PromptLogEntry, RecordedExchange, RecordedMessage, RecordedPart, entries_file, hex,
-    session_folder,
+    PromptLogEntry, RecordedExchange, RecordedItem, RecordedMessage, RecordedPart, entries_file,
+    hex, session_folder,
 };
 use domain::{Action, Feedback, Outcome};
 use peer::{
-    Answer, Answers, Batch, Decider, Decision, Policy, Request, RequestId, ServeError, Usage, serve,
+    Answer, Answers, Batch, Decider, Decision, FrameView, Item, Policy, Request, RequestId,
+    ServeError, StepsView, Usage, serve,
 };
 use shm_types::Attach;
 use shm_types::documents::Content;
 use shm_types::message::{
-    self, ErrorReportKind, Handshake, NO_ACTION, NO_FRAME, Observation, Recall, Role,
-    TrajectoryStep,
+    self, ErrorReportKind, Handshake, ItemKind, NO_ACTION, NO_FRAME, Observation, Recall,
+    RecalledItem, Role, TrajectoryStep,
 };
 
 /// A run of four lanes in which `policy` serves, and the policy's handshake.
@@ -55,7 +58,7 @@ impl Policy for Recorder {
     }
 
     fn act(&mut self, batch: &[Request<'_>]) -> Vec<Decision> {
-        let grey = |frame: peer::FrameView<'_>| {
+        let grey = |frame: FrameView<'_>| {
             assert!(frame.pixels.iter().all(|&byte| byte == frame.pixels[0]));
             assert_eq!(frame.pixels.len(), 64 * 64 * 4);
             frame.pixels[0]
@@ -66,29 +69,15 @@ impl Policy for Recorder {
                 .iter()
                 .map(|past| (grey(past.frame), past.action, past.feedback))
                 .collect();
-            let segment = request.segment.map(|segment| {
-                let views: Vec<_> =
-                    segment.steps.iter().map(|view| (grey(view.frame), view.action)).collect();
-                (segment.distance, views)
-            });
+            let items: Vec<_> = request.items.iter().map(|item| told(item, grey)).collect();
             let Request { lane, step, episode_seed, instruction, pose, feedback, .. } = request;
-            let documents: Vec<_> = request.documents.iter().map(|d| (d.kind, d.text)).collect();
-            let trajectories: Vec<Vec<_>> = request
-                .trajectories
-                .iter()
-                .map(|t| t.steps.iter().map(|step| (step.frame.map(grey), step.action)).collect())
-                .collect();
-            let hint = request.starts_as_demonstrated;
-            if !documents.is_empty() || !trajectories.is_empty() || hint {
-                let told =
-                    format!("hint {hint} documents {documents:?} trajectories {trajectories:?}");
-                self.0.send(told).unwrap();
-            }
+            let hint = if request.starts_as_demonstrated { ", hinted" } else { "" };
             let frame = grey(request.frame);
             self.0
                 .send(format!(
                     "lane {lane} step {step} seed {episode_seed} {instruction:?} at {pose} \
-                     {feedback:?} sees {frame} after {window:?} remembers {segment:?}"
+                     {feedback:?} sees {frame} after {window:?} remembers [{}]{hint}",
+                    items.join(", ")
                 ))
                 .unwrap();
         }
@@ -112,41 +101,102 @@ impl Policy for Recorder {
     }
 }
 
+fn told(item: &Item<'_>, grey: impl Fn(FrameView<'_>) -> u8) -> String {
+    match item {
+        Item::Text(text) => format!("{:?} {:?}", text.kind, text.text),
+        Item::Frame(captioned) => format!("{} {:?}", grey(captioned.frame), captioned.caption),
+        Item::Steps(StepsView { distance, is_whole, steps }) => {
+            let steps = steps.iter().map(|step| (step.frame.map(&grey), step.action));
+            let what = if *is_whole { "whole" } else { "part" };
+            format!("{what} at {distance:?} {:?}", steps.collect::<Vec<_>>())
+        }
+    }
+}
+
 #[test]
-fn documents_and_demonstrations_reach_the_policy_with_their_keyframes() {
+fn items_of_every_kind_reach_the_policy() {
     let (say, heard) = mpsc::channel();
     let (mut rig, _) = serving(Recorder(say));
-    let (frame, keyframe) = (rig.publish(10), rig.publish(40));
+    let (frame, view) = (rig.publish(10), rig.publish(40));
     let hinted = config(0, 9, "Find a cone.");
     let hinted = message::PolicyEpisodeConfig { starts_as_demonstrated: 1, ..hinted };
     rig.begin(&hinted);
     let step =
         |trajectory, frame, action| TrajectoryStep { frame, action, trajectory, reserved: [0; 6] };
     let steps = vec![
-        step(0, keyframe, Action::Forward as u8),
+        step(0, view, Action::Forward as u8),
         step(0, NO_FRAME, NO_ACTION),
         step(1, frame, NO_ACTION),
     ];
     let summary = rig.publish_document(&Content::Summary("a cone at (1, 2)".into()));
     let documents = &mut rig.neighbours.documents;
+    let note = documents.publish(Some((0, 9)), &Content::Note("Zurück!".into())).unwrap();
     let steps = documents.publish(Some((0, 9)), &Content::Trajectories(steps)).unwrap();
-    let first = recall(id(0, 9, 0), &[], &[summary, steps]);
+    let text = |document, first_byte, bytes| RecalledItem {
+        document,
+        first_byte,
+        bytes,
+        ..item(ItemKind::Text)
+    };
+    let trajectory = |first_step, steps_len, whole| RecalledItem {
+        document: steps,
+        first_step,
+        steps: steps_len,
+        whole,
+        ..item(ItemKind::Trajectory)
+    };
+    let mut first = recall(id(0, 9, 0), &[view, frame]);
+    supply(&mut first, text(summary, 0, 16), &[]);
+    supply(&mut first, trajectory(0, 3, 1), &[]);
+    let caption = RecalledItem { kind: ItemKind::Frame as u8, ..text(note, 1, 6) };
+    supply(&mut first, caption, &[supplied(view, None)]);
+    supply(&mut first, item(ItemKind::Frame), &[supplied(frame, None)]);
+    supply(&mut first, trajectory(1, 1, 0), &[]);
+    let left = supplied(NO_FRAME, Some(Action::Left));
+    supply(&mut first, RecalledItem { whole: 1, ..item(ItemKind::Steps) }, &[left; 2]);
     rig.step(&observation(id(0, 9, 0), frame), &first);
 
     let decision = rig.decisions(1)[0];
-    assert_eq!(decision.images, 3, "the current view and two keyframes");
+    assert_eq!(decision.images, 7, "the current view, two retrieved, two keyframes, two captioned");
     assert_eq!(heard.recv().unwrap(), "reset 0");
-    assert_eq!(
-        heard.recv().unwrap(),
-        "hint true documents [(Summary, \"a cone at (1, 2)\")] trajectories [[(Some(40), \
-         Some(Forward)), (None, None)], [(Some(10), None)]]"
-    );
+    let told = heard.recv().unwrap().replace("], ", "],\n");
+    insta::assert_snapshot!(told, @r#"
+    lane 0 step 0 seed 0 "Find a cone." at 3,4,E Start sees 10 after [] remembers [part at Some(0.125) [(Some(40), Some(TurnLeft)), (Some(10), None)],
+    Summary "a cone at (1, 2)", whole at None [(Some(40), Some(Forward)), (None, None)],
+    whole at None [(Some(10), None)],
+    40 "urück", 10 "", part at None [(None, None)],
+    whole at None [(None, Some(Left)), (None, Some(Left))]],
+    hinted
+    "#);
 
-    // A document that was never published: it is reported, and the step stays open.
-    let second = recall(id(0, 9, 1), &[], &[summary, steps + 7]);
-    rig.step(&observation(id(0, 9, 1), frame), &second);
-    let (_, text) = rig.error_report();
-    assert!(text.contains("was never published"), "{text}");
+    // What a document does not have is reported, and the step stays open.
+    let cases = [
+        text(steps + 7, 0, 1),
+        text(steps, 0, 1),
+        text(note, 4, 1),
+        text(note, 0, 99),
+        text(note, u32::MAX, u32::MAX),
+        RecalledItem { kind: ItemKind::Frame as u8, steps: 1, ..text(note, 4, 9) },
+        trajectory(2, 2, 1),
+        RecalledItem { document: note, ..trajectory(0, 1, 1) },
+    ];
+    let mut reports = Vec::new();
+    for (step, bad) in (1..).zip(cases) {
+        let mut next = Recall { step, items_len: 1, ..first };
+        next.items[0] = bad;
+        rig.step(&observation(id(0, 9, step), frame), &next);
+        reports.extend(rig.error_texts(1));
+    }
+    insta::assert_snapshot!(reports.join("\n"), @r"
+    recall for lane 0, step 1: item 0 names document 1099511627786, which was never published
+    recall for lane 0, step 2: item 0 has text of document 1099511627779, which is of kind trajectories
+    recall for lane 0, step 3: item 0 has the bytes 4..5 of document 1099511627778, which has 8 and no characters that begin and end there
+    recall for lane 0, step 4: item 0 has the bytes 0..99 of document 1099511627778, which has 8 and no characters that begin and end there
+    recall for lane 0, step 5: item 0 has the bytes 4294967295..8589934590 of document 1099511627778, which has 8 and no characters that begin and end there
+    recall for lane 0, step 6: item 0 has the bytes 4..13 of document 1099511627778, which has 8 and no characters that begin and end there
+    recall for lane 0, step 7: item 0 has the steps 2..4 of document 1099511627779 with 3
+    recall for lane 0, step 8: item 0 has steps of document 1099511627778, which is of kind note
+    ");
     rig.stop();
 }
 
@@ -172,7 +222,7 @@ fn answers_may_come_later_in_any_order_from_any_thread_or_not_at_all() {
     for lane in 0..4 {
         let first = id(lane, 50 + u64::from(lane), 0);
         rig.begin(&config(lane, first.episode, "Find a cone."));
-        rig.step(&observation(first, frame), &recall(first, &[], &[]));
+        rig.step(&observation(first, frame), &recall(first, &[]));
     }
     let mut taken: Vec<(RequestId, Answers)> =
         (0..4).map(|_| taken.recv_timeout(LONG).unwrap()).collect();
@@ -215,7 +265,8 @@ fn prompts_are_logged_and_a_log_that_cannot_be_written_stops_the_run() {
     let text = "a cone at (1, 2)".to_owned();
     let summary = rig.publish_document(&Content::Summary(text.clone()));
     let ask = |rig: &PolicyRig, step: u32| {
-        let recall = recall(id(0, 9, step), &[], &[summary]);
+        let mut recall = recall(id(0, 9, step), &[]);
+        supply(&mut recall, whole_text(summary, text.len()), &[]);
         rig.step(&observation(id(0, 9, step), frames[step as usize % 2]), &recall);
     };
     rig.begin(&config(0, 9, "Find a cone."));
@@ -264,7 +315,10 @@ fn prompts_are_logged_and_a_log_that_cannot_be_written_stops_the_run() {
     );
     let files = |sub: &str| fs::read_dir(folder.path().join(sub)).unwrap().count();
     assert_eq!((files("images"), files("documents")), (3, 2), "everything is stored once");
-    let stored = folder.path().join(format!("documents/{}.txt", first.request.documents[0].text));
+    let [RecordedItem::Text { text: hash, .. }] = &first.request.items[..] else {
+        panic!("{lines}")
+    };
+    let stored = folder.path().join(format!("documents/{hash}.txt"));
     assert_eq!(fs::read_to_string(stored).unwrap(), text);
     let exchange = second.exchange.as_ref().unwrap();
     assert!(matches!(
@@ -275,7 +329,7 @@ fn prompts_are_logged_and_a_log_that_cannot_be_written_stops_the_run() {
     // A view that cannot be stored: no request reaches the policy any more, and the run is asked to stop.
     fs::remove_dir_all(folder.path().join("images")).unwrap();
     let unseen = rig.publish(70);
-    rig.step(&observation(id(0, 9, 2), unseen), &recall(id(0, 9, 2), &[], &[]));
+    rig.step(&observation(id(0, 9, 2), unseen), &recall(id(0, 9, 2), &[]));
     let (report, text) = rig.error_report();
     assert_eq!(report.kind, ErrorReportKind::Run as u32);
     assert!(text.starts_with("cannot write the prompt log: "), "{text}");
@@ -294,22 +348,22 @@ fn a_policy_gets_its_requests_with_window_and_segment() {
     let greys = [10, 20, 30].map(|grey| rig.publish(grey));
     rig.begin(&config(2, 71, "Find a blue barrel."));
     rig.begin(&config(0, 72, "Find a red barrel."));
-    rig.step(&observation(id(0, 72, 0), greys[2]), &recall(id(0, 72, 0), &[], &[]));
-    rig.step(&observation(id(2, 71, 0), greys[1]), &recall(id(2, 71, 0), &[], &[]));
+    rig.step(&observation(id(0, 72, 0), greys[2]), &recall(id(0, 72, 0), &[]));
+    rig.step(&observation(id(2, 71, 0), greys[1]), &recall(id(2, 71, 0), &[]));
     rig.decisions(2);
     let not_understood = Observation {
         action: NO_ACTION,
         feedback: Feedback::NotUnderstood as u8,
         ..observation(id(2, 71, 1), greys[2])
     };
-    rig.step(&not_understood, &recall(id(2, 71, 1), &[], &[]));
+    rig.step(&not_understood, &recall(id(2, 71, 1), &[]));
     rig.decisions(1);
     let blocked = Observation {
         action: Action::Left as u8,
         feedback: Feedback::Blocked as u8,
         ..observation(id(2, 71, 2), greys[0])
     };
-    rig.step(&blocked, &recall(id(2, 71, 2), &[greys[0], greys[1]], &[]));
+    rig.step(&blocked, &recall(id(2, 71, 2), &[greys[0], greys[1]]));
     let decision = rig.decisions(1)[0];
     assert_eq!((decision.lane, decision.episode, decision.step), (2, 71, 2));
     assert_eq!((decision.images, decision.images_asked), (5, 5));
@@ -331,10 +385,10 @@ fn a_policy_gets_its_requests_with_window_and_segment() {
     let mut heard: Vec<_> = heard.iter().collect();
     heard.sort();
     insta::assert_snapshot!(heard.join("\n"), @r#"
-    lane 0 step 0 seed 0 "Find a red barrel." at 3,4,E Start sees 30 after [] remembers None
-    lane 2 step 0 seed 2 "Find a blue barrel." at 3,4,E Start sees 20 after [] remembers None
-    lane 2 step 1 seed 2 "Find a blue barrel." at 3,4,E NotUnderstood sees 30 after [(20, None, NotUnderstood)] remembers None
-    lane 2 step 2 seed 2 "Find a blue barrel." at 3,4,E Blocked sees 10 after [(20, None, NotUnderstood), (30, Some(Left), Blocked)] remembers Some((0.125, [(10, Some(TurnLeft)), (20, None)]))
+    lane 0 step 0 seed 0 "Find a red barrel." at 3,4,E Start sees 30 after [] remembers []
+    lane 2 step 0 seed 2 "Find a blue barrel." at 3,4,E Start sees 20 after [] remembers []
+    lane 2 step 1 seed 2 "Find a blue barrel." at 3,4,E NotUnderstood sees 30 after [(20, None, NotUnderstood)] remembers []
+    lane 2 step 2 seed 2 "Find a blue barrel." at 3,4,E Blocked sees 10 after [(20, None, NotUnderstood), (30, Some(Left), Blocked)] remembers [part at Some(0.125) [(Some(10), Some(TurnLeft)), (Some(20), None)]]
     reset 0
     reset 2
     "#);
@@ -349,18 +403,18 @@ fn invalid_messages_are_reported_and_the_others_answered() {
     rig.begin(&config(9, 6, "Find a blue barrel."));
     let mut bad_pose = observation(id(1, 5, 0), frame);
     bad_pose.pose.0[2] = 200;
-    rig.step(&bad_pose, &Recall { segment_len: 99, ..recall(id(1, 5, 0), &[], &[]) });
+    rig.step(&bad_pose, &Recall { items_len: 99, ..recall(id(1, 5, 0), &[]) });
     let mut texts = rig.error_texts(3);
-    rig.step(&observation(id(1, 5, 0), frame), &recall(id(1, 5, 0), &[12_345], &[]));
+    rig.step(&observation(id(1, 5, 0), frame), &recall(id(1, 5, 0), &[12_345]));
     texts.extend(rig.error_texts(1));
     insta::assert_snapshot!(texts.join("\n"), @r#"
     episode config for lane 9: the run has 4 lanes
     observation for lane 1, step 0: 200 is not a heading (0 N, 1 E, 2 S, 3 W)
-    recall for lane 1, step 0: 99 segment views, but at most 32 fit
+    recall for lane 1, step 0: 99 items, but at most 8 fit
     lane 1, step 0: frame 12345 is not in the store: it was evicted too early or never published
     "#);
 
-    rig.step(&observation(id(1, 5, 1), frame), &recall(id(1, 5, 1), &[], &[]));
+    rig.step(&observation(id(1, 5, 1), frame), &recall(id(1, 5, 1), &[]));
     let decisions = rig.decisions(1);
     assert_eq!((decisions.len(), decisions[0].step), (1, 1));
     let report = rig.stop();
@@ -392,7 +446,7 @@ fn a_policy_that_keeps_evicted_frames_stops_the_run() {
     rig.begin(&window);
     for step in 0..=spare / 2 {
         let frame = rig.publish(step as u8);
-        rig.step(&observation(id(0, 3, step), frame), &recall(id(0, 3, step), &[], &[]));
+        rig.step(&observation(id(0, 3, step), frame), &recall(id(0, 3, step), &[]));
         rig.decisions(1);
         rig.neighbours.evict(frame).unwrap();
     }
@@ -421,7 +475,7 @@ fn a_policy_that_does_not_answer_ends_the_process() {
     let (mut rig, _) = serving(Mute);
     let frame = rig.publish(1);
     rig.begin(&config(0, 1, "Find a blue barrel."));
-    rig.step(&observation(id(0, 1, 0), frame), &recall(id(0, 1, 0), &[], &[]));
+    rig.step(&observation(id(0, 1, 0), frame), &recall(id(0, 1, 0), &[]));
     let error = rig.end().unwrap_err();
     assert_eq!(error.to_string(), "policy mute returned 0 decisions for 1 requests");
 }

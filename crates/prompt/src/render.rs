@@ -1,7 +1,7 @@
 //! Renders a request in the words of the template.
 
 use domain::{Action, DocumentKind};
-use peer::{DocumentView, FrameView, Request, Segment, Trajectory};
+use peer::{CaptionedView, FrameView, Item, Request, StepsView, TextView};
 
 use super::budget::{ImageCounts, ImagePlan};
 use super::template::{Template, fill};
@@ -13,27 +13,60 @@ pub(super) fn prompt<'a>(
     request: &Request<'a>,
     image_budget: u32,
 ) -> Prompt<'a> {
-    let mut writer = Writer { template, section: PromptSection::Memory, parts: Vec::new() };
     let plan = ImagePlan::new(counts(request), image_budget);
-    writer.memory(request, &plan);
+    let section = PromptSection::Memory;
+    let mut writer =
+        Writer { template, plan, section, keyframes: 0, retrieved: 0, parts: Vec::new() };
+    writer.memory(request);
     writer.section = PromptSection::Task;
     writer.fill(&template.task.text, &[("instruction", request.instruction)]);
     writer.section = PromptSection::Window;
-    writer.window(request, &plan);
+    writer.window(request);
     writer.section = PromptSection::Now;
-    writer.now(request, &plan);
+    writer.now(request);
     Prompt { system: &template.system, parts: writer.parts, images_asked: request.images() }
 }
 
 fn counts(request: &Request<'_>) -> ImageCounts {
-    let retrieved = request.segment.map_or(0, |segment| segment.steps.len() as u32);
+    let images = |is_keyframe: bool| {
+        let items = request.items.iter().filter(|item| item.trajectory().is_some() == is_keyframe);
+        items.map(Item::images).sum::<usize>() as u32
+    };
     let window = request.window.len() as u32;
-    ImageCounts { keyframes: request.images() - retrieved - window - 1, retrieved, window }
+    ImageCounts { keyframes: images(true), retrieved: images(false), window }
+}
+
+/// How steps of a demonstration are worded.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum StepsWording {
+    /// A demonstration that is supplied whole.
+    Demonstration,
+    /// The remembered view that is most like the current one, or several such views, and what followed.
+    Retrieved,
+    /// Any other part of a demonstration.
+    Part,
+}
+
+impl StepsWording {
+    fn of(steps: &StepsView<'_>) -> Self {
+        if steps.is_trajectory() {
+            Self::Demonstration
+        } else if steps.distance.is_some() && steps.steps.iter().all(|step| step.frame.is_some()) {
+            Self::Retrieved
+        } else {
+            Self::Part
+        }
+    }
 }
 
 struct Writer<'a> {
     template: &'static Template,
+    plan: ImagePlan,
     section: PromptSection,
+    /// Keyframes so far.
+    keyframes: u32,
+    /// Other views from memory so far.
+    retrieved: u32,
     parts: Vec<PromptPart<'a>>,
 }
 
@@ -67,57 +100,110 @@ impl<'a> Writer<'a> {
         self.parts.push(PromptPart { section: self.section, content });
     }
 
-    fn memory(&mut self, request: &Request<'a>, plan: &ImagePlan) {
+    fn keyframe(&mut self, view: FrameView<'a>) {
+        self.view(view, self.plan.keyframe(self.keyframes));
+        self.keyframes += 1;
+    }
+
+    fn retrieved_view(&mut self, view: FrameView<'a>) {
+        self.view(view, self.plan.retrieved(self.retrieved));
+        self.retrieved += 1;
+    }
+
+    fn memory(&mut self, request: &Request<'a>) {
         let texts = &self.template.memory;
-        let Request { documents, trajectories, segment, .. } = *request;
         self.text(&texts.begin);
-        if documents.is_empty() && trajectories.is_empty() && segment.is_none() {
+        if request.items.is_empty() {
             self.text(&texts.nothing);
-        } else {
-            documents.iter().for_each(|document| self.document(document));
-            let mut keyframe = 0;
-            for (index, trajectory) in trajectories.iter().enumerate() {
-                let number = (index + 1).to_string();
-                let count = trajectories.len().to_string();
-                let values = [("number", number.as_str()), ("count", &count)];
-                self.fill(&texts.demonstration_begin, &values);
-                self.demonstration(trajectory, &mut keyframe, plan);
-                self.text(&texts.demonstration_end);
-            }
-            if request.starts_as_demonstrated {
+        }
+        // The hint is about walks: after the demonstrations, before what was retrieved for this step.
+        let has_walks = request.items.iter().any(|item| matches!(item, Item::Steps(_)));
+        let hint_at = (request.starts_as_demonstrated && has_walks).then(|| {
+            let first = request.items.iter().position(|item| item.segment().is_some());
+            first.unwrap_or(request.items.len())
+        });
+        for (index, item) in request.items.iter().enumerate() {
+            if hint_at == Some(index) {
                 self.text(&texts.hint);
             }
-            if let Some(segment) = segment {
-                self.retrieved(&segment, plan);
+            match item {
+                Item::Text(text) => self.document(text),
+                Item::Frame(captioned) => self.captioned(captioned),
+                Item::Steps(steps) => self.steps(steps, &request.items[..index], request.items),
             }
+        }
+        if hint_at == Some(request.items.len()) {
+            self.text(&texts.hint);
         }
         self.text(&texts.end);
     }
 
-    fn document(&mut self, &DocumentView { kind, text, .. }: &DocumentView<'_>) {
+    fn document(&mut self, &TextView { kind, text, .. }: &TextView<'_>) {
         let texts = &self.template.memory;
         let name = match kind {
             DocumentKind::Summary => &texts.summary,
-            // The SDK supplies documents of these two kinds only.
-            DocumentKind::Semantic | DocumentKind::Trajectories => &texts.semantic,
+            DocumentKind::Semantic => &texts.semantic,
+            // The SDK supplies texts only.
+            DocumentKind::Note | DocumentKind::Trajectories => {
+                return self.fill(&texts.note, &[("text", text)]);
+            }
         };
         self.fill(&texts.document, &[("name", name), ("text", text)]);
     }
 
+    fn captioned(&mut self, &CaptionedView { frame, caption }: &CaptionedView<'a>) {
+        let texts = &self.template.memory;
+        self.text(&texts.captioned_begin);
+        if !caption.is_empty() {
+            self.fill(&texts.caption, &[("caption", caption)]);
+        }
+        self.retrieved_view(frame);
+        self.text(&texts.captioned_end);
+    }
+
+    /// Writes steps that come after the items `before`, of `all`. Items that are worded alike are numbered.
+    fn steps(&mut self, steps: &StepsView<'a>, before: &[Item<'a>], all: &[Item<'a>]) {
+        let texts = &self.template.memory;
+        let wording = StepsWording::of(steps);
+        let alike = |items: &[Item<'_>]| {
+            let is_alike =
+                |item: &&Item<'_>| matches!(item, Item::Steps(s) if StepsWording::of(s) == wording);
+            items.iter().filter(is_alike).count()
+        };
+        let (number, count) = (alike(before) + 1, alike(all));
+        let (begin, end) = match wording {
+            StepsWording::Demonstration => (&texts.demonstration_begin, &texts.demonstration_end),
+            StepsWording::Retrieved if count == 1 => (&texts.retrieved_begin, &texts.retrieved_end),
+            StepsWording::Retrieved => (&texts.one_retrieved_begin, &texts.retrieved_end),
+            StepsWording::Part => (&texts.part_begin, &texts.part_end),
+        };
+        // Rounding can make the distance of equal views slightly negative.
+        let distance = steps.distance.unwrap_or_default().max(0.0);
+        let values = [
+            ("number", number.to_string()),
+            ("count", count.to_string()),
+            ("distance", format!("{distance:.3}")),
+        ];
+        self.fill(begin, &values.each_ref().map(|(name, value)| (*name, value.as_str())));
+        match wording {
+            StepsWording::Retrieved => self.retrieved(steps),
+            StepsWording::Demonstration | StepsWording::Part => self.walk(steps),
+        }
+        self.text(end);
+    }
+
     /// The views of a demonstration, and between two of them the actions that led from one to the other.
-    fn demonstration(&mut self, trajectory: &Trajectory<'a>, keyframe: &mut u32, plan: &ImagePlan) {
+    fn walk(&mut self, steps: &StepsView<'a>) {
+        let is_trajectory = steps.is_trajectory();
         let mut actions = Vec::new();
-        let mut taken: usize = 0;
-        for step in trajectory.steps {
+        for (index, step) in steps.steps.iter().enumerate() {
             if let Some(view) = step.frame {
                 self.actions(&mut actions);
                 let text = &self.template.memory.demonstration_view;
-                self.fill(text, &[("step", &taken.to_string())]);
-                self.view(view, plan.keyframe(*keyframe));
-                *keyframe += 1;
+                self.fill(text, &[("step", &index.to_string())]);
+                if is_trajectory { self.keyframe(view) } else { self.retrieved_view(view) }
             }
             actions.extend(step.action);
-            taken += usize::from(step.action.is_some());
         }
         self.actions(&mut actions);
     }
@@ -141,33 +227,28 @@ impl<'a> Writer<'a> {
         actions.clear();
     }
 
-    fn retrieved(&mut self, segment: &Segment<'a>, plan: &ImagePlan) {
+    fn retrieved(&mut self, steps: &StepsView<'a>) {
         let template = self.template;
         let texts = &template.memory;
-        let distance = match segment.distance {
-            // Rounding can make the distance of equal views slightly negative.
-            distance if distance.is_finite() => format!("{:.3}", distance.max(0.0)),
-            _ => texts.unknown_distance.clone(),
-        };
-        self.fill(&texts.retrieved_begin, &[("distance", &distance)]);
         let mut led_here = None;
-        for (index, step) in segment.steps.iter().enumerate() {
+        for (index, step) in steps.steps.iter().enumerate() {
             if index > 0 {
                 self.text(match led_here {
                     Some(_) => &texts.retrieved_view,
                     None => &texts.retrieved_view_alone,
                 });
             }
-            self.view(step.frame, plan.retrieved(index as u32));
+            if let Some(view) = step.frame {
+                self.retrieved_view(view);
+            }
             if let Some(action) = step.action {
                 self.fill(&texts.retrieved_action, &[("action", template.action(action))]);
             }
             led_here = step.action;
         }
-        self.text(&texts.retrieved_end);
     }
 
-    fn window(&mut self, request: &Request<'a>, plan: &ImagePlan) {
+    fn window(&mut self, request: &Request<'a>) {
         let template = self.template;
         let texts = &template.window;
         self.text(&texts.begin);
@@ -178,7 +259,7 @@ impl<'a> Writer<'a> {
         for (index, past) in request.window.iter().enumerate() {
             let number = (index + 1).to_string();
             self.fill(&texts.view, &[("number", &number), ("count", &count)]);
-            self.view(past.frame, plan.window(index as u32));
+            self.view(past.frame, self.plan.window(index as u32));
             let action = past.action.map_or(texts.no_action.as_str(), |done| template.action(done));
             let feedback = template.feedback(past.feedback);
             self.fill(&texts.step, &[("action", action), ("feedback", feedback)]);
@@ -186,7 +267,7 @@ impl<'a> Writer<'a> {
         self.text(&texts.end);
     }
 
-    fn now(&mut self, request: &Request<'a>, plan: &ImagePlan) {
+    fn now(&mut self, request: &Request<'a>) {
         let texts = &self.template.now;
         let cell = request.pose.cell;
         let (column, row) = (cell.x.to_string(), cell.y.to_string());
@@ -197,7 +278,7 @@ impl<'a> Writer<'a> {
             ("feedback", self.template.feedback(request.feedback)),
         ];
         self.fill(&texts.begin, &values);
-        self.view(request.frame, plan.now);
+        self.view(request.frame, self.plan.now);
         self.text(&texts.end);
     }
 }

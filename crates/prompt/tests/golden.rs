@@ -11,9 +11,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use domain::{Action, DocumentKind, Feedback, Heading, Pose};
-use peer::{
-    DocumentView, FrameView, PastView, Request, Segment, SegmentView, Trajectory, TrajectoryView,
-};
+use peer::{CaptionedView, FrameView, Item, PastView, Request, StepView, StepsView, TextView};
 use prompt::{PartContent, Prompt, PromptSection, image_name};
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
@@ -38,9 +36,7 @@ struct PlainRequest {
     feedback: String,
     view: String,
     window: Vec<PlainPast>,
-    documents: Vec<PlainDocument>,
-    trajectories: Vec<Vec<PlainStep>>,
-    segment: Option<PlainSegment>,
+    items: Vec<PlainItem>,
     starts_as_demonstrated: bool,
 }
 
@@ -61,10 +57,11 @@ struct PlainPast {
 }
 
 #[derive(Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct PlainDocument {
-    kind: String,
-    text: String,
+#[serde(rename_all = "lowercase", deny_unknown_fields)]
+enum PlainItem {
+    Text { kind: String, text: String },
+    Steps { distance: Option<f32>, is_whole: bool, steps: Vec<PlainStep> },
+    Frame { view: String, caption: String },
 }
 
 #[derive(Serialize, Deserialize)]
@@ -72,14 +69,6 @@ struct PlainDocument {
 struct PlainStep {
     view: Option<String>,
     action: Option<String>,
-}
-
-#[derive(Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct PlainSegment {
-    /// `null` for one that is no number.
-    distance: Option<f32>,
-    steps: Vec<PlainStep>,
 }
 
 const ACTIONS: [&str; 7] =
@@ -117,36 +106,33 @@ fn outcome(plain: &PlainRequest, image_budget: u32) -> (Value, String) {
             feedback: feedback(&past.feedback),
         })
         .collect();
-    let documents: Vec<_> = plain
-        .documents
-        .iter()
-        .map(|document| DocumentView {
-            id: 0,
-            kind: match document.kind.as_str() {
-                "summary" => DocumentKind::Summary,
-                "semantic" => DocumentKind::Semantic,
-                other => panic!("{other} is no document kind"),
-            },
-            text: &document.text,
-        })
-        .collect();
-    let walks = plain.trajectories.iter().map(|steps| {
-        let steps = steps.iter().map(|step| TrajectoryView {
+    let steps = |item: &PlainItem| -> Vec<StepView<'_>> {
+        let PlainItem::Steps { steps, .. } = item else { return Vec::new() };
+        let step = |step: &PlainStep| StepView {
             frame: step.view.as_deref().map(view),
             action: action(&step.action),
-        });
-        steps.collect::<Vec<_>>()
+        };
+        steps.iter().map(step).collect()
+    };
+    let steps: Vec<_> = plain.items.iter().map(steps).collect();
+    let items = plain.items.iter().zip(&steps).map(|(item, steps)| match item {
+        PlainItem::Text { kind, text } => {
+            let kind = match kind.as_str() {
+                "summary" => DocumentKind::Summary,
+                "semantic" => DocumentKind::Semantic,
+                "note" => DocumentKind::Note,
+                other => panic!("{other} is no kind of text"),
+            };
+            Item::Text(TextView { id: 0, kind, text })
+        }
+        &PlainItem::Steps { distance, is_whole, .. } => {
+            Item::Steps(StepsView { distance, is_whole, steps })
+        }
+        PlainItem::Frame { view: name, caption } => {
+            Item::Frame(CaptionedView { frame: view(name), caption })
+        }
     });
-    let walks: Vec<_> = walks.collect();
-    let trajectories: Vec<_> = walks.iter().map(|steps| Trajectory { steps }).collect();
-    let segment: Option<Vec<_>> = plain.segment.as_ref().map(|segment| {
-        let steps = segment.steps.iter().map(|step| SegmentView {
-            frame: view(step.view.as_deref().unwrap()),
-            action: action(&step.action),
-        });
-        steps.collect()
-    });
-    let distance = plain.segment.as_ref().and_then(|segment| segment.distance).unwrap_or(f32::NAN);
+    let items: Vec<_> = items.collect();
     let PlainPose { column, row, heading } = plain.pose;
     let request = Request {
         lane: 3,
@@ -159,9 +145,7 @@ fn outcome(plain: &PlainRequest, image_budget: u32) -> (Value, String) {
         feedback: feedback(&plain.feedback),
         frame: view(&plain.view),
         window: &window,
-        segment: segment.as_ref().map(|steps| Segment { distance, steps }),
-        documents: &documents,
-        trajectories: &trajectories,
+        items: &items,
         starts_as_demonstrated: plain.starts_as_demonstrated,
     };
     let prompt = Prompt::new(&request, image_budget);

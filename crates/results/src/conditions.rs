@@ -10,8 +10,8 @@ pub(crate) use variation::{is_default, is_standard_window, standard_window};
 use std::fmt;
 use std::str::FromStr;
 
-use domain::Representation;
-use domain::representation::Trajectories;
+use domain::representation::{RepresentationInfo, Trajectories};
+use domain::{MemoryKind, Representation};
 use serde::{Deserialize, Serialize};
 pub use warehouse::{Demonstrations, UnknownDemonstrations};
 
@@ -108,7 +108,7 @@ impl Start {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
 pub struct Condition {
     /// The memory.
-    pub memory: Representation,
+    pub memory: MemoryKind,
     /// The start.
     pub start: Start,
     /// The route.
@@ -128,20 +128,22 @@ impl Condition {
     /// - A blocked route is defined for the new start only (specification, section 4).
     /// - The content of a segment varies only for memories that retrieve one.
     /// - The hint applies where it is true and of use: at the original start, with the original demonstration alone,
-    ///   for a memory that supplies trajectories.
+    ///   for a memory that supplies trajectories, or may do so.
     pub fn new(
-        memory: Representation,
+        memory: impl Into<MemoryKind>,
         start: Start,
         route: Route,
         demonstrations: Demonstrations,
         variation: Variation,
     ) -> Option<Self> {
+        let memory = memory.into();
         let demonstrations =
             if memory.uses_demonstrations() { demonstrations } else { Demonstrations::NONE };
         let exists = (start, route) != (Start::Original, Route::Blocked)
             && (memory.uses_demonstrations() != (demonstrations == Demonstrations::NONE));
         let mut condition = Self { memory, start, route, demonstrations, variation };
-        if memory.describe().trajectories != Trajectories::Segment {
+        let varies = |info: RepresentationInfo| info.trajectories == Trajectories::Segment;
+        if !memory.describe().is_some_and(varies) {
             condition.variation.segment = SegmentContent::default();
         }
         if !condition.can_be_hinted() {
@@ -154,7 +156,7 @@ impl Condition {
     fn can_be_hinted(&self) -> bool {
         self.start == Start::Original
             && self.demonstrations == Demonstrations::ORIGINAL
-            && self.memory.describe().trajectories != Trajectories::Nothing
+            && self.memory.supplies_trajectories()
     }
 
     /// Whether the prompt states that the demonstration starts where the episode does.
@@ -200,11 +202,29 @@ pub enum BadCondition {
 impl FromStr for Condition {
     type Err = BadCondition;
 
+    /// Of a built-in memory: see [`Condition::logged`] for others.
     fn from_str(text: &str) -> Result<Self, BadCondition> {
+        Self::read(text, |word| representation(word).map(MemoryKind::BuiltIn))
+    }
+}
+
+impl Condition {
+    /// Reads a condition from a log, where any well-formed name of a memory is one.
+    ///
+    /// # Errors
+    /// When the text is not a condition.
+    pub fn logged(text: &str) -> Result<Self, BadCondition> {
+        Self::read(text, |word| word.parse().or_else(|_| representation(word).map(Into::into)))
+    }
+
+    fn read(
+        text: &str,
+        memory: impl Fn(&str) -> Result<MemoryKind, UnknownName>,
+    ) -> Result<Self, BadCondition> {
         let bad = || BadCondition::Parts(text.to_owned());
         let mut parts = text.split('/');
         let mut next = || parts.next().ok_or_else(bad);
-        let memory = representation(next()?)?;
+        let memory = memory(next()?)?;
         let (start, route) = (next()?.parse()?, next()?.parse()?);
         let demonstrations = next()?.parse()?;
         let mut variation = Variation::STANDARD;
@@ -277,6 +297,22 @@ mod tests {
         );
         let json = serde_json::to_value(standard.unwrap()).unwrap();
         assert_eq!(json.as_object().unwrap().len(), 4, "the standard is left out: {json}");
+    }
+
+    #[test]
+    fn an_external_memory_is_known_by_name_in_a_log_only() {
+        let memory: MemoryKind = "top-3".parse().unwrap();
+        let all = Variation { window: 6, segment: SegmentContent::Images, hint: Hint::Off };
+        let demonstrations = Demonstrations::ORIGINAL;
+        let condition =
+            Condition::new(memory, Start::Original, Route::Unchanged, demonstrations, all).unwrap();
+        let text = condition.to_string();
+        assert_eq!(text, "top-3/original/unchanged/original/no-hint");
+        assert_eq!(Condition::logged(&text), Ok(condition));
+        let none = Demonstrations::NONE;
+        assert_eq!(Condition::new(memory, Start::New, Route::Unchanged, none, all), None);
+        insta::assert_snapshot!(text.parse::<Condition>().unwrap_err(), @"unknown memory `top-3` (known: working, full-context, summary, semantic, hybrid, episodic)");
+        assert!(Condition::logged("Top 3/new/unchanged/4").is_err());
     }
 
     #[test]

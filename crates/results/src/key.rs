@@ -24,11 +24,11 @@ impl fmt::Display for EpisodeKey {
 }
 
 impl EpisodeKey {
-    /// Parses what [`Display`](fmt::Display) writes; `None` for any other text.
+    /// Parses what [`Display`](fmt::Display) writes, with any memory; `None` for any other text.
     pub fn read(text: &str) -> Option<Self> {
         let (rest, case) = text.rsplit_once('/')?;
         let (condition, run) = rest.rsplit_once("/run")?;
-        let (condition, run) = (condition.parse().ok()?, run.parse().ok()?);
+        let (condition, run) = (Condition::logged(condition).ok()?, run.parse().ok()?);
         Some(Self { condition, run, case: case.to_owned() })
     }
 }
@@ -43,6 +43,7 @@ mod tests {
             "working/original/unchanged/none/run1/t01-01",
             "episodic/new/unchanged/4/run12/t03-07",
             "episodic/original/unchanged/original/h20/images/no-hint/run1/a",
+            "run1/new/unchanged/4/run1/run2",
         ] {
             assert_eq!(EpisodeKey::read(text).unwrap().to_string(), text);
         }

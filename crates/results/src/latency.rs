@@ -1,6 +1,6 @@
 //! The lines of `latency.jsonl`: percentiles of each stage of a step.
 
-use domain::Representation;
+use domain::MemoryKind;
 use serde::{Deserialize, Serialize};
 
 /// Summary of a latency histogram. Times are in microseconds, accurate to one percent.
@@ -28,7 +28,7 @@ pub struct LatencyRecord {
     /// The session, from 1.
     pub session: u32,
     /// The memory.
-    pub memory: Representation,
+    pub memory: MemoryKind,
     /// The stage's name, or `step` for the sum of all stages.
     pub stage: String,
     /// The distribution.

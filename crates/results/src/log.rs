@@ -29,9 +29,9 @@ mod run_log;
 pub use files::{REPORT_FOLDER, STATUS_FILE};
 pub use folder::{Opened, RunFolder};
 pub use journal::{DamagedLine, Journal, JournalContents, damaged_file, read_journal};
-pub use manifest::{Difference, DocumentFacts, FORMAT, Manifest};
+pub use manifest::{Difference, DocumentFacts, ExternalMemoryFacts, FORMAT, Manifest};
 pub use record::{
-    Ending, EpisodeError, EpisodeRecord, EpisodeTimings, RequestRecord, SessionEvent,
+    Ending, EpisodeError, EpisodeRecord, EpisodeTimings, RecallTotals, RequestRecord, SessionEvent,
     SessionRecord, Stages, Unread,
 };
 pub use run_log::RunLog;

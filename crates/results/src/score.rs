@@ -14,6 +14,7 @@
 //! | follow F, recovery C, change Delta, retention R | `blocked.rs` |
 //! | images, tokens, unreadable answers, retrievals from other tasks | `cost.rs` |
 //! | tokens, latency and cost of requests to a model | `requests.rs` |
+//! | what memories supplied and what that took | `memory.rs` |
 //! | kinds of failure, the cases that fail most | `failure.rs`, `worst.rs` |
 //! | time of a step by stage, steps per second | `time.rs` |
 //! | 95 % intervals: of rates, of other figures | `interval.rs`, `bootstrap.rs` |
@@ -26,6 +27,7 @@ mod condition;
 mod cost;
 mod failure;
 mod interval;
+mod memory;
 mod requests;
 mod spread;
 mod success;
@@ -39,6 +41,7 @@ pub use compare::{Comparison, FigureDifference, compare};
 pub use condition::{Bounds, ConditionScore};
 pub use failure::{Failure, Failures, LOOP_STEPS, LOOP_VISITS, NEW_CELLS};
 pub use interval::Interval;
+pub use memory::MemoryScore;
 pub use requests::RequestScore;
 pub use spread::Spread;
 pub use success::{GroupScore, group_of};

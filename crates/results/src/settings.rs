@@ -15,8 +15,10 @@ pub use group::Group;
 pub use model::{ModelSettings, ResponseCache};
 pub use suite::SuiteName;
 
+use std::collections::BTreeSet;
 use std::path::PathBuf;
 
+use domain::{ExternalName, MemoryKind};
 use serde::{Deserialize, Serialize};
 
 use crate::conditions::{Condition, Frames, PolicyKind};
@@ -30,6 +32,11 @@ pub struct RunSettings {
     pub policy: PolicyKind,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub policy_cmd: Option<String>,
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub memory_cmd: Vec<String>,
+    /// Whether an external memory is awaited that the user starts: the word `external` in `--memory`.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub external_memory: bool,
     /// The groups of conditions, at least one.
     #[serde(rename = "group")]
     pub groups: Vec<Group>,
@@ -39,7 +46,13 @@ pub struct RunSettings {
     pub seed: u64,
     pub max_steps: u32,
     pub horizon: u32,
+    #[serde(default = "one")]
+    pub hits: u32,
     pub keyframes: u32,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub memory_images: Option<u32>,
+    #[serde(default = "default_text_bytes")]
+    pub memory_text_bytes: u32,
     pub documents: DocumentSource,
     pub frame_size: u32,
     pub frames: Frames,
@@ -69,7 +82,27 @@ pub struct RunSettings {
     pub warm_views: bool,
     pub spin_us: u32,
     pub step_timeout: u32,
+    #[serde(default = "default_memory_timeout")]
+    pub memory_timeout: u32,
     pub start_timeout: u32,
+}
+
+/// Most bytes of text that memory supplies at a step, where nothing is said.
+pub const MEMORY_TEXT_BYTES: u32 = 65_536;
+
+/// Seconds in which an external memory answers, where nothing is said.
+pub const MEMORY_TIMEOUT: u32 = 30;
+
+fn one() -> u32 {
+    1
+}
+
+fn default_text_bytes() -> u32 {
+    MEMORY_TEXT_BYTES
+}
+
+fn default_memory_timeout() -> u32 {
+    MEMORY_TIMEOUT
 }
 
 impl RunSettings {
@@ -83,9 +116,46 @@ impl RunSettings {
         group::union(&self.groups)
     }
 
-    /// The largest number of images that a request under `condition` can hold.
-    pub const fn images(&self, condition: &Condition) -> u32 {
-        condition.memory.images(condition.variation.window, self.horizon, self.keyframes)
+    /// The largest number of images that a request under `condition` can hold: the current view, the window, and those
+    /// of memory.
+    pub fn images(&self, condition: &Condition) -> u32 {
+        1 + condition.variation.window + self.memory_images_of(condition.memory)
+    }
+
+    /// The largest number of images that `memory` can add to a request.
+    pub fn memory_images_of(&self, memory: MemoryKind) -> u32 {
+        let most = self.memory_image_budget();
+        let built_in = memory.built_in();
+        built_in.map_or(most, |one| one.images(self.horizon, self.hits, self.keyframes).min(most))
+    }
+
+    /// Most images that a memory may supply at a step. By default no built-in memory has more.
+    pub fn memory_image_budget(&self) -> u32 {
+        let most_built_in = self.keyframes.max(self.hits * (1 + self.horizon));
+        self.memory_images.unwrap_or(most_built_in)
+    }
+
+    /// Whether the run has memories in processes of their own.
+    pub const fn has_external_memories(&self) -> bool {
+        self.external_memory || !self.memory_cmd.is_empty()
+    }
+
+    /// Adds the external memories called `names` to every group, except to a suite's groups without a memory of
+    /// demonstrations, unless all are such.
+    pub fn add_external_memories(&mut self, names: &[ExternalName]) {
+        let is_for_working = |group: &Group| {
+            group.name.is_some() && !group.memory.iter().any(|memory| memory.uses_demonstrations())
+        };
+        let all = self.groups.iter().all(is_for_working);
+        for group in self.groups.iter_mut().filter(|group| all || !is_for_working(group)) {
+            group.memory.extend(names.iter().map(|name| MemoryKind::External(*name)));
+        }
+    }
+
+    /// The names of the external memories that the groups have, each once.
+    pub fn external_names(&self) -> BTreeSet<ExternalName> {
+        let memories = self.groups.iter().flat_map(|group| &group.memory);
+        memories.filter_map(|memory| memory.external()).collect()
     }
 }
 
@@ -111,5 +181,8 @@ pub const FREE_KEYS: &[&str] = &[
     "warm-views",
     "spin-us",
     "step-timeout",
+    "memory-cmd",
+    "external-memory",
+    "memory-timeout",
     "start-timeout",
 ];

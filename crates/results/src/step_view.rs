@@ -10,8 +10,8 @@ use std::path::PathBuf;
 
 use anyhow::{Context, Result, bail};
 use domain::prompt_log::{
-    Hash, PromptLogEntry, RecordedPart, RecordedView, entries_file, image_file, line_start,
-    session_folder, text_file, trajectories_file,
+    Hash, PromptLogEntry, RecordedItem, RecordedPart, RecordedView, entries_file, image_file,
+    line_start, session_folder, text_file, trajectory_file,
 };
 use domain::{Action, Pose};
 use serde::Serialize;
@@ -45,14 +45,26 @@ pub struct RecordedPrompt {
     /// The entry.
     #[serde(flatten)]
     pub entry: PromptLogEntry,
-    /// The demonstrations that memory supplied whole.
-    #[serde(skip_serializing_if = "Vec::is_empty")]
-    pub demonstrations: Vec<Vec<RecordedView>>,
+    /// The demonstrations that memory supplied whole, by their hash.
+    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
+    pub trajectories: BTreeMap<Hash, Vec<RecordedView>>,
     /// The texts that the entry names, by their hash.
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
     pub texts: BTreeMap<Hash, String>,
     /// The files of the images that the entry names, by their hash.
     pub images: BTreeMap<Hash, PathBuf>,
+}
+
+impl RecordedPrompt {
+    /// The text with this hash.
+    pub fn text(&self, hash: &str) -> &str {
+        self.texts.get(hash).map_or("", String::as_str)
+    }
+
+    /// The demonstration with this hash.
+    pub fn trajectory(&self, hash: &str) -> &[RecordedView] {
+        self.trajectories.get(hash).map_or(&[], Vec::as_slice)
+    }
 }
 
 /// Returns step `step` of the episode of `record`.
@@ -106,41 +118,47 @@ fn prompt(log: &RunLog, timings: &EpisodeTimings, step: u32) -> Result<Option<Re
         }
     }
     let Some(line) = found else { return Ok(None) };
-    let entry: PromptLogEntry = serde_json::from_str(&line)
-        .with_context(|| format!("step {step} in {}", file.display()))?;
+    let entry: PromptLogEntry = serde_json::from_str(&line).with_context(|| {
+        format!(
+            "step {step} in {} cannot be read: another version of MemTransfer wrote it",
+            file.display()
+        )
+    })?;
     let read = |path: PathBuf| {
         std::fs::read_to_string(&path).with_context(|| format!("cannot read {}", path.display()))
     };
-    let demonstrations: Vec<Vec<RecordedView>> = match &entry.request.trajectories {
-        None => Vec::new(),
-        Some(hash) => serde_json::from_str(&read(trajectories_file(&folder, hash))?)?,
-    };
-    let parts = || {
-        let messages = entry.exchange.iter().flat_map(|exchange| &exchange.messages);
-        messages.flat_map(|message| &message.parts)
-    };
-    let mut texts = BTreeMap::new();
-    let documents = entry.request.documents.iter().map(|document| &document.text);
-    let stored = parts().filter_map(|part| match part {
-        RecordedPart::Stored(hash) => Some(hash),
-        RecordedPart::Text(_) | RecordedPart::Image(_) | RecordedPart::Png(_) => None,
-    });
-    for hash in documents.chain(stored) {
-        texts.insert(hash.clone(), read(text_file(&folder, hash))?);
-    }
     let request = &entry.request;
-    let window = request.window.iter().map(|past| &past.frame);
-    let segment = request.segment.iter().flat_map(|segment| &segment.steps);
-    let remembered = segment.chain(demonstrations.iter().flatten());
-    let sent = parts().filter_map(|part| match part {
-        RecordedPart::Image(hash) => Some(hash),
-        RecordedPart::Text(_) | RecordedPart::Stored(_) | RecordedPart::Png(_) => None,
-    });
-    let images = std::iter::once(&request.frame)
-        .chain(window)
-        .chain(remembered.filter_map(|seen| seen.frame.as_ref()))
-        .chain(sent)
-        .map(|hash| (hash.clone(), image_file(&folder, hash)))
-        .collect();
-    Ok(Some(RecordedPrompt { entry, demonstrations, texts, images }))
+    let mut trajectories: BTreeMap<Hash, Vec<RecordedView>> = BTreeMap::new();
+    let (mut texts, mut images) = (Vec::new(), vec![&request.frame]);
+    images.extend(request.window.iter().map(|past| &past.frame));
+    for item in &request.items {
+        match item {
+            RecordedItem::Text { text, .. } => texts.push(text),
+            RecordedItem::Segment { steps, .. } => {
+                images.extend(steps.iter().filter_map(|step| step.frame.as_ref()));
+            }
+            RecordedItem::Trajectory(hash) => {
+                let steps = serde_json::from_str(&read(trajectory_file(&folder, hash))?)?;
+                trajectories.insert(hash.clone(), steps);
+            }
+            RecordedItem::Frame { frame, caption } => {
+                images.push(frame);
+                texts.push(caption);
+            }
+        }
+    }
+    let messages = entry.exchange.iter().flat_map(|exchange| &exchange.messages);
+    for part in messages.flat_map(|message| &message.parts) {
+        match part {
+            RecordedPart::Stored(hash) => texts.push(hash),
+            RecordedPart::Image(hash) => images.push(hash),
+            RecordedPart::Text(_) | RecordedPart::Png(_) => {}
+        }
+    }
+    let keyframes = trajectories.values().flatten().filter_map(|step| step.frame.as_ref());
+    let images = images.into_iter().chain(keyframes);
+    let images = images.map(|hash| (hash.clone(), image_file(&folder, hash))).collect();
+    let read_text = |hash: &Hash| Ok((hash.clone(), read(text_file(&folder, hash))?));
+    let texts = texts.into_iter().map(read_text).collect::<Result<_>>()?;
+    Ok(Some(RecordedPrompt { entry, trajectories, texts, images }))
 }

@@ -40,11 +40,6 @@ impl TextTable {
         self.rows.push(row);
     }
 
-    /// The number of rows.
-    pub fn row_count(&self) -> usize {
-        self.rows.len()
-    }
-
     /// The width of each column.
     fn widths(&self) -> Vec<usize> {
         let mut widths = vec![0; self.header.len()];

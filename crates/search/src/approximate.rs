@@ -119,7 +119,7 @@ impl<'a> ApproximateIndex<'a> {
     }
 
     fn nearest(&self, query: &Query<'_>, wanted: usize) -> Result<Vec<Neighbour>, GraphError> {
-        let vector = query.embedding.as_slice();
+        let vector = query.embedding;
         let rows = self.index.rows();
         if rows.len() == 0 || wanted == 0 {
             return Ok(Vec::new());
@@ -177,8 +177,10 @@ mod tests {
         let graph = ApproximateIndex::new(&index, GraphOptions::default(), two).unwrap();
         assert!(graph.bytes() > 3000 * 70);
         let embeddings: Vec<_> = (0..200).map(|number| vectors.query(number, 3000)).collect();
-        let query = |embedding| Query { embedding, stage: 0, elapsed: 0 };
-        let queries: Vec<Query<'_>> = embeddings.iter().map(query).collect();
+        let queries: Vec<Query<'_>> = embeddings
+            .iter()
+            .map(|of| Query { embedding: of.as_slice(), stage: 0, elapsed: 0 })
+            .collect();
         let exact = index.nearest_of_many(&queries, 10);
         let mostly = graph.nearest_of_many(&queries, 10).unwrap();
         let found = |(exact, mostly): (&Vec<Neighbour>, &Vec<Neighbour>)| {
@@ -197,7 +199,7 @@ mod tests {
             ApproximateIndex::new(&index, GraphOptions::default(), NonZeroUsize::MIN).unwrap();
         let vectors = SyntheticVectors::new(Vec::new(), 3, 5);
         let embedding = vectors.entry(0);
-        let query = Query { embedding: &embedding, stage: 0, elapsed: 0 };
+        let query = Query { embedding: embedding.as_slice(), stage: 0, elapsed: 0 };
         assert_eq!(graph.nearest_of_many(&[query], 3).unwrap(), [vec![]]);
     }
 }

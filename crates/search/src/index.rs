@@ -25,7 +25,7 @@ pub struct ViewEntry {
 #[derive(Debug, Clone, Copy)]
 pub struct Query<'a> {
     /// Its embedding.
-    pub embedding: &'a Embedding,
+    pub embedding: &'a [f32],
     /// Sub-goals completed so far.
     pub stage: u32,
     /// Steps taken so far.
@@ -145,7 +145,7 @@ impl Index {
     /// # Panics
     /// When the query's embedding has another dimension.
     pub fn nearest(&self, query: Query<'_>) -> Option<Neighbour> {
-        let nearest = self.search(&[query.embedding.as_slice()], 1).pop()?;
+        let nearest = self.search(&[query.embedding], 1).pop()?;
         self.in_order(nearest, &query, 1).pop()
     }
 
@@ -155,7 +155,7 @@ impl Index {
     /// # Panics
     /// When a query's embedding has another dimension.
     pub fn nearest_of_many(&self, queries: &[Query<'_>], wanted: usize) -> Vec<Vec<Neighbour>> {
-        let vectors: Vec<&[f32]> = queries.iter().map(|query| query.embedding.as_slice()).collect();
+        let vectors: Vec<&[f32]> = queries.iter().map(|query| query.embedding).collect();
         let nearest = self.search(&vectors, wanted).into_iter().zip(queries);
         nearest.map(|(nearest, query)| self.in_order(nearest, query, wanted)).collect()
     }
@@ -274,7 +274,7 @@ mod tests {
     ) -> Option<Neighbour> {
         let mut best: Option<Neighbour> = None;
         for &(entry, colour) in views {
-            let distance = distance(query.embedding.as_slice(), palette[colour].as_slice());
+            let distance = distance(query.embedding, palette[colour].as_slice());
             let stage = |e: ViewEntry| (i64::from(e.stage) - i64::from(query.stage)).abs();
             let elapsed = |e: ViewEntry| (i64::from(e.step) - i64::from(query.elapsed)).abs();
             let better = best.is_none_or(|best| {
@@ -316,7 +316,7 @@ mod tests {
             let free = Embedding::normalised(&raw);
             let embedding = if on_palette { Some(&palette[colour]) } else { free.as_ref() };
             let Some(embedding) = embedding else { return Ok(()) };
-            let query = Query { embedding, stage, elapsed };
+            let query = Query { embedding: embedding.as_slice(), stage, elapsed };
             let expected = naive(&views, &palette, query);
             let parts = |&(entry, colour): &(ViewEntry, usize)| (entry, [colour as u8; 16], &palette[colour]);
             prop_assert_eq!(Index::new(views.iter().map(parts)).nearest(query), expected);
@@ -330,7 +330,7 @@ mod tests {
         let views = [entry(0, 3, 0), entry(0, 9, 1), entry(1, 7, 1), entry(2, 7, 1)];
         let index = Index::new(views.iter().map(|&entry| (entry, [0; 16], &one)));
         let ask = |stage, elapsed| {
-            index.nearest(Query { embedding: &one, stage, elapsed }).unwrap().entry
+            index.nearest(Query { embedding: one.as_slice(), stage, elapsed }).unwrap().entry
         };
         assert_eq!(ask(0, 9), views[0]);
         assert_eq!(ask(1, 9), views[1]);

@@ -18,6 +18,7 @@ use anyhow::{Context, Result};
 use rustix::io::Errno;
 use rustix::process::{Pid, Signal, WaitId, WaitIdOptions, kill_process_group, waitid};
 use shm_types::ATTACH_VARIABLE;
+use shm_types::description::memory_folder;
 use shm_types::message::Role;
 
 /// Lines of the log shown when a child has ended.
@@ -31,6 +32,8 @@ pub const QUIET_DRIVER: (&str, &str) = ("NODEVICE_SELECT", "1");
 pub struct Launch {
     /// Its role in the run.
     pub role: Role,
+    /// Index of an external memory; 0 for other roles.
+    pub index: u8,
     /// The program.
     pub program: PathBuf,
     /// Its arguments.
@@ -48,7 +51,7 @@ impl Launch {
     /// When there is no such file.
     pub fn sibling(role: Role, name: &str, args: Vec<OsString>) -> Result<Self> {
         let env = vec![(QUIET_DRIVER.0.into(), QUIET_DRIVER.1.into())];
-        Ok(Self { role, program: sibling(name)?, args, command: None, env })
+        Ok(Self { role, index: 0, program: sibling(name)?, args, command: None, env })
     }
 
     /// An external command line, split into words as a shell does. No shell runs it.
@@ -62,13 +65,27 @@ impl Launch {
         let mut words = words.into_iter();
         let program = words.next().context("the command is empty")?.into();
         let args = words.map(OsString::from).collect();
-        Ok(Self { role, program, args, command: Some(command.to_owned()), env: Vec::new() })
+        let command = Some(command.to_owned());
+        Ok(Self { role, index: 0, program, args, command, env: Vec::new() })
     }
 
-    /// Tells the process which run to join: the project's own programs by an argument, external ones by a variable.
+    /// As [`Self::command`], for the external memory with this index.
+    ///
+    /// # Errors
+    /// As [`Self::command`].
+    pub fn external_memory(index: u8, command: &str) -> Result<Self> {
+        Ok(Self { index, ..Self::command(Role::ExternalMemory, command)? })
+    }
+
+    /// Tells the process which run to join: the project's own programs by an argument, external ones by a variable. An
+    /// external memory receives its own folder in the run's.
     pub fn attached_to(mut self, run: &Path) -> Self {
         match self.command {
             None => self.args.extend(["--attach".into(), run.into()]),
+            Some(_) if self.role == Role::ExternalMemory => {
+                let folder = memory_folder(run, self.index);
+                self.env.push((ATTACH_VARIABLE.into(), folder.into()));
+            }
             Some(_) => self.env.push((ATTACH_VARIABLE.into(), run.into())),
         }
         self
@@ -104,6 +121,8 @@ impl Launch {
 pub struct ChildExit {
     /// Its role.
     pub role: Role,
+    /// Index of an external memory; 0 for other roles.
+    pub index: u8,
     /// Its exit status.
     pub status: ExitStatus,
     /// The last lines of its log.
@@ -146,8 +165,8 @@ impl std::fmt::Display for ChildExit {
     }
 }
 
-/// The child processes of one generation. Dropping it kills those that still run.
-#[derive(Debug)]
+/// Child processes. Dropping them kills those that still run.
+#[derive(Debug, Default)]
 pub struct Children {
     processes: Vec<ChildProcess>,
 }
@@ -155,6 +174,7 @@ pub struct Children {
 #[derive(Debug)]
 struct ChildProcess {
     role: Role,
+    index: u8,
     command: Option<String>,
     child: Child,
     /// Its status, once it was waited for. From then on its process id may be another process's.
@@ -171,19 +191,42 @@ impl Children {
     /// When one cannot be started or its log cannot be opened; the others are killed.
     pub fn start(launches: &[Launch], logs: &Path) -> Result<Self> {
         fs::create_dir_all(logs).with_context(|| format!("cannot create {}", logs.display()))?;
-        let mut children = Self { processes: Vec::new() };
+        let mut children = Self::default();
         for launch in launches {
             children.processes.push(ChildProcess::start(launch, logs)?);
         }
         Ok(children)
     }
 
-    /// A child that has ended, if any. The policy comes first: when it ends, the processes that send to it fail, too.
+    /// Whether there are none.
+    pub fn is_empty(&self) -> bool {
+        self.processes.is_empty()
+    }
+
+    /// Adds the children of `other`.
+    pub fn adopt(&mut self, mut other: Self) {
+        self.processes.append(&mut other.processes);
+    }
+
+    /// A child that has ended, if any. External ones come first: when one ends, the processes that send to it may fail,
+    /// too.
     pub fn exited(&mut self) -> Option<ChildExit> {
         let mut exits: Vec<ChildExit> =
             self.processes.iter_mut().filter_map(ChildProcess::exit).collect();
-        let first = exits.iter().position(|exit| exit.role == Role::Policy).unwrap_or(0);
+        let first = exits.iter().position(|exit| exit.role == Role::Policy);
+        let memory = || exits.iter().position(|exit| exit.role == Role::ExternalMemory);
+        let first = first.or_else(memory).unwrap_or(0);
         (!exits.is_empty()).then(|| exits.swap_remove(first))
+    }
+
+    /// The last lines that the external memory with this index has printed, and its log file.
+    pub fn printed_by_memory(&self, index: u8) -> Option<(String, &Path)> {
+        let is_it = |process: &&ChildProcess| {
+            process.role == Role::ExternalMemory && process.index == index
+        };
+        let process = self.processes.iter().find(is_it)?;
+        let tail = log_tail(&process.log, process.log_start, process.role).unwrap_or_default();
+        Some((tail, &process.log))
     }
 
     /// Waits at most `timeout` for all children to end, and kills the others.
@@ -210,8 +253,8 @@ impl Drop for Children {
 
 impl ChildProcess {
     fn start(launch: &Launch, logs: &Path) -> Result<Self> {
-        let Launch { role, program, args, command, env } = launch;
-        let log = logs.join(format!("{}.log", role.word()));
+        let Launch { role, index, program, args, command, env } = launch;
+        let log = logs.join(log_name(*role, *index));
         let file = File::options().create(true).append(true).open(&log);
         let file = file.with_context(|| format!("cannot open {}", log.display()))?;
         let log_start = file.metadata().map_or(0, |metadata| metadata.len());
@@ -228,7 +271,8 @@ impl ChildProcess {
             let why = launch.not_started(&error);
             anyhow::Error::from(error).context(why)
         })?;
-        Ok(Self { role: *role, command: command.clone(), child, status: None, log, log_start })
+        let (role, index, command) = (*role, *index, command.clone());
+        Ok(Self { role, index, command, child, status: None, log, log_start })
     }
 
     /// Its process group, which it leads.
@@ -262,7 +306,16 @@ impl ChildProcess {
         };
         let log_tail = log_tail(&self.log, self.log_start, self.role).unwrap_or_default();
         let (log, command) = (self.log.clone(), self.command.clone());
-        Some(ChildExit { role: self.role, status, log_tail, log, command })
+        let Self { role, index, .. } = *self;
+        Some(ChildExit { role, index, status, log_tail, log, command })
+    }
+}
+
+/// The name of a process's log file.
+fn log_name(role: Role, index: u8) -> String {
+    match role {
+        Role::ExternalMemory => format!("{}-{index}.log", role.word()),
+        role => format!("{}.log", role.word()),
     }
 }
 

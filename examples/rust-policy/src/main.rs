@@ -24,8 +24,8 @@ impl Policy for Wanderer {
 
 // Decide from the request alone: a run can be repeated if equal requests get equal actions.
 fn decide(request: &Request<'_>) -> Action {
-    // Episodic memory: the demonstrated view most similar to the current one, and what the expert did there.
-    let demonstrated = request.segment.and_then(|segment| segment.steps.first()?.action);
+    // Episodic memory: the demonstrated view that is most like the current one, and what the expert did there.
+    let demonstrated = request.segments().find_map(|segment| segment.steps.first()?.action);
     if let Some(action) = demonstrated {
         return action;
     }

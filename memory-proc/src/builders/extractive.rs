@@ -43,7 +43,9 @@ impl DocumentBuilder for Extractive {
                 }
                 facts.consolidate().to_string()
             }
-            DocumentKind::Trajectories => bail!("{} are not a text", kind.word()),
+            DocumentKind::Trajectories | DocumentKind::Note => {
+                bail!("a document of kind {} is not built", kind.word())
+            }
         };
         progress(transcripts.len(), transcripts.len());
         Ok(BuiltText { text, account: BuildAccount::default() })

@@ -92,7 +92,9 @@ impl<A: AskModel> DocumentBuilder for ModelBuilder<A> {
         let text = match kind {
             DocumentKind::Summary => draft.summary(&narrated, progress)?,
             DocumentKind::Semantic => draft.semantic(&narrated, progress)?,
-            DocumentKind::Trajectories => bail!("{} are not a text", kind.word()),
+            DocumentKind::Trajectories | DocumentKind::Note => {
+                bail!("a document of kind {} is not built", kind.word())
+            }
         };
         ensure!(
             text.len() <= MAX_DOCUMENT_BYTES,

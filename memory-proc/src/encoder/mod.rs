@@ -12,10 +12,11 @@
 use std::collections::BTreeMap;
 use std::num::NonZeroUsize;
 use std::ops::Range;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::Arc;
 use std::thread::JoinHandle;
 
+use anyhow::{Context, Result, anyhow};
 use crossbeam::channel::{Receiver, Sender, bounded, unbounded};
 use shm_types::process::monotonic_ns;
 
@@ -31,70 +32,6 @@ pub use session::ModelFile;
 
 use preprocess::Preprocessor;
 use session::{EncoderSession, Runtime};
-
-/// Why an encoder cannot be started or an image not embedded.
-#[derive(Debug, Clone, thiserror::Error)]
-#[expect(missing_docs, reason = "the fields are what the messages show")]
-pub enum EncoderError {
-    /// Setup has not fetched the model.
-    #[error("the encoder {name} needs {path}, which is not there; run `{command}`")]
-    ModelMissing { name: String, path: PathBuf, command: String },
-    /// The user provides this model's file and has not.
-    #[error(
-        "the encoder {name} needs a model file: pass --encoder-file (docs/encoders.md says how to export one)"
-    )]
-    FileNotGiven { name: String },
-    /// The file cannot be read.
-    #[error("cannot read the model file {path}: {message}")]
-    Read { path: PathBuf, message: String },
-    /// The file has another checksum.
-    #[error(
-        "{path} is not the model that the manifest describes: its SHA-256 is {found}, not {expected}; \
-         {next}"
-    )]
-    WrongFile { path: PathBuf, expected: String, found: String, next: String },
-    /// ONNX Runtime is missing.
-    #[error("ONNX Runtime is not at {path}; run `cargo xtask setup`")]
-    RuntimeMissing { path: PathBuf },
-    /// The library exists and cannot be used.
-    #[error(
-        "ONNX Runtime at {path} cannot be used ({message}); delete it and run `cargo xtask setup`"
-    )]
-    Runtime { path: PathBuf, message: String },
-    /// The runtime was built without the execution provider.
-    #[error(
-        "ONNX Runtime at {path} has no execution provider `{provider}`; it offers {offered}. Pass one of these with \
-         --provider, or put a build of ONNX Runtime that has `{provider}` there (docs/encoders.md says how)"
-    )]
-    NoProvider { path: PathBuf, provider: Provider, offered: String },
-    /// ONNX Runtime rejects the file.
-    #[error("ONNX Runtime rejects the model file {path}: {message}")]
-    Rejected { path: PathBuf, message: String },
-    /// The file has no tensor of the name in the manifest.
-    #[error(
-        "{path} has no {side} tensor {name}; it has {known}. Correct the model's entry in models.toml"
-    )]
-    NoTensor { path: PathBuf, side: &'static str, name: String, known: String },
-    /// The tensor is of another shape.
-    #[error(
-        "tensor {name} of {path} is {found}, not float {expected}. Correct the model's entry in models.toml"
-    )]
-    WrongShape { path: PathBuf, name: String, found: String, expected: String },
-    /// The file's metadata contradicts the manifest.
-    #[error(
-        "the weights in {path} are untrained, and {name} would be taken for trained: pass --encoder vit-b16-untrained"
-    )]
-    Untrained { path: PathBuf, name: String },
-    /// A call failed.
-    #[error("the encoder failed on an image: {message}")]
-    Run { message: String },
-    /// The workers have ended early.
-    #[error("the encoder's worker threads have ended")]
-    WorkersGone,
-    /// The image's size and bytes do not match.
-    #[error("an image of {width} x {height} pixels has {bytes} bytes")]
-    BadImage { width: u32, height: u32, bytes: usize },
-}
 
 /// Facts about an encoder, reported wherever its results appear.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -124,7 +61,7 @@ pub struct Embedded {
     /// The image's content.
     pub content: ContentHash,
     /// Its embedding.
-    pub embedding: Result<Embedding, EncoderError>,
+    pub embedding: Result<Embedding>,
     /// The worker's number, from 0.
     pub worker: usize,
     /// Start and end in nanoseconds of CLOCK_MONOTONIC.
@@ -168,7 +105,7 @@ impl PreparedEncoder {
         runtime: &Path,
         threads: NonZeroUsize,
         provider: Provider,
-    ) -> Result<Self, EncoderError> {
+    ) -> Result<Self> {
         let runtime = Runtime::load(runtime)?;
         provider.check(runtime.path)?;
         let (model, build) = (&file.model, runtime.build());
@@ -218,7 +155,8 @@ impl PreparedEncoder {
                     let embed = |session: &mut EncoderSession| {
                         session.embed(&preprocessor.tensor(image.image())?)
                     };
-                    let embedding = session.as_mut().map_err(|error| error.clone()).and_then(embed);
+                    let embedding =
+                        session.as_mut().map_err(|error| anyhow!("{error}")).and_then(embed);
                     drop(image);
                     let span_ns = start..monotonic_ns();
                     if done.send(Embedded { content, embedding, worker, span_ns }).is_err() {
@@ -241,6 +179,8 @@ pub struct Encoder {
     workers: Vec<JoinHandle<()>>,
     in_flight: usize,
 }
+
+const WORKERS_GONE: &str = "the encoder's worker threads have ended";
 
 /// Images queued for each worker beside the one in progress, so that a worker never waits for the next.
 const WAITING_PER_WORKER: usize = 1;
@@ -265,14 +205,10 @@ impl Encoder {
     ///
     /// # Errors
     /// When the workers have ended.
-    pub fn submit(
-        &mut self,
-        content: ContentHash,
-        image: impl ImageSource,
-    ) -> Result<(), EncoderError> {
+    pub fn submit(&mut self, content: ContentHash, image: impl ImageSource) -> Result<()> {
         let job = Job { content, image: Box::new(image) };
         let sent = self.jobs.as_ref().and_then(|jobs| jobs.send(job).ok());
-        sent.ok_or(EncoderError::WorkersGone)?;
+        sent.context(WORKERS_GONE)?;
         self.in_flight += 1;
         Ok(())
     }
@@ -291,7 +227,7 @@ impl Encoder {
     pub fn embed_all<I: ImageSource>(
         &mut self,
         images: impl IntoIterator<Item = I>,
-    ) -> Result<Vec<Embedding>, EncoderError> {
+    ) -> Result<Vec<Embedding>> {
         // Images are named by their position here, so equal ones are embedded separately.
         let mut embeddings = BTreeMap::new();
         for (position, image) in (0_u128..).zip(images) {
@@ -308,8 +244,8 @@ impl Encoder {
         Ok(embeddings.into_values().collect())
     }
 
-    fn wait(&mut self) -> Result<Embedded, EncoderError> {
-        let embedded = self.results.recv().map_err(|_| EncoderError::WorkersGone)?;
+    fn wait(&mut self) -> Result<Embedded> {
+        let embedded = self.results.recv().map_err(|_| anyhow!(WORKERS_GONE))?;
         self.in_flight -= 1;
         Ok(embedded)
     }

@@ -4,7 +4,7 @@
 //! when they shrink. Values stay floats between the two passes. The whole image is used; one that is not square is
 //! squeezed. Sums have a fixed order, so equal bytes give equal tensors on every machine.
 
-use super::EncoderError;
+use anyhow::{Result, ensure};
 
 /// Changes whenever the same bytes would give another tensor. Part of the encoder's fingerprint.
 pub(super) const VERSION: u32 = 2;
@@ -53,11 +53,9 @@ impl Preprocessor {
     ///
     /// # Errors
     /// When the image's size and bytes do not match.
-    pub(super) fn tensor(&mut self, image: Image<'_>) -> Result<Vec<f32>, EncoderError> {
-        if !image.is_sound() {
-            let Image { width, height, rgba } = image;
-            return Err(EncoderError::BadImage { width, height, bytes: rgba.len() });
-        }
+    pub(super) fn tensor(&mut self, image: Image<'_>) -> Result<Vec<f32>> {
+        let Image { width, height, rgba } = image;
+        ensure!(image.is_sound(), "an image of {width} x {height} pixels has {} bytes", rgba.len());
         let size = (image.width, image.height);
         self.filters.take_if(|filters| filters.size != size);
         let filters = self.filters.get_or_insert_with(|| Filters::new(size, self.size));
@@ -201,7 +199,7 @@ mod tests {
         used.tensor(small).unwrap();
         assert_eq!(used.tensor(large).unwrap(), plain(16).tensor(large).unwrap());
         for unsound in [Image { width: 3, ..small }, Image { width: 0, height: 0, rgba: &[] }] {
-            assert!(matches!(used.tensor(unsound), Err(EncoderError::BadImage { .. })));
+            assert!(used.tensor(unsound).is_err());
         }
     }
 }

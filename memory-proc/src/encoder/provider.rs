@@ -6,7 +6,7 @@ use std::path::Path;
 use clap::ValueEnum;
 use ort::ep::{CPU, CUDA, ExecutionProvider, ExecutionProviderDispatch, OpenVINO, TensorRT};
 
-use super::EncoderError;
+use anyhow::{Result, bail};
 
 /// An execution provider of ONNX Runtime.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, ValueEnum)]
@@ -37,14 +37,18 @@ impl Provider {
     ///
     /// # Errors
     /// When it has not; the error names those that it has.
-    pub(super) fn check(self, runtime: &Path) -> Result<(), EncoderError> {
+    pub(super) fn check(self, runtime: &Path) -> Result<()> {
         if self.is_offered() {
             return Ok(());
         }
         let offered = Self::value_variants().iter().filter(|other| other.is_offered());
         let offered: Vec<&str> = offered.map(|other| other.word()).collect();
-        let (path, offered) = (runtime.to_owned(), offered.join(", "));
-        Err(EncoderError::NoProvider { path, provider: self, offered })
+        bail!(
+            "ONNX Runtime at {} has no execution provider `{self}`; it offers {}. Pass one of these with --provider, or \
+             put a build of ONNX Runtime that has `{self}` there (docs/encoders.md says how)",
+            runtime.display(),
+            offered.join(", ")
+        )
     }
 
     /// Whether the loaded runtime was built with this provider.

@@ -6,6 +6,7 @@
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 
+use anyhow::{Context, Result, anyhow, bail, ensure};
 use ort::environment::Environment;
 use ort::session::Session as OrtSession;
 use ort::session::builder::{BuilderResult, GraphOptimizationLevel, SessionBuilder};
@@ -13,7 +14,7 @@ use ort::session::{HasSelectedOutputs, OutputSelector, RunOptions};
 use ort::value::{Outlet, TensorElementType, TensorRef};
 use sha2::{Digest, Sha256};
 
-use super::{EncoderError, Provider};
+use super::Provider;
 use crate::manifest::{Model, Pooling};
 use crate::paths::CacheFolder;
 use search::Embedding;
@@ -35,31 +36,33 @@ impl ModelFile {
     ///
     /// # Errors
     /// When there is no such file, or its SHA-256 is not the manifest's.
-    pub fn read(
-        model: &Model,
-        given: Option<&Path>,
-        cache: &CacheFolder,
-    ) -> Result<Self, EncoderError> {
+    pub fn read(model: &Model, given: Option<&Path>, cache: &CacheFolder) -> Result<Self> {
         let path = match (given, &model.file) {
             (Some(given), _) => given.to_path_buf(),
             (None, Some(file)) => cache.model(file),
-            (None, None) => return Err(EncoderError::FileNotGiven { name: model.name.clone() }),
+            (None, None) => bail!(
+                "the encoder {} needs a model file: pass --encoder-file (docs/encoders.md says how to export one)",
+                model.name
+            ),
         };
         let bringing = model.brought_by.as_ref().filter(|_| given.is_none());
+        let shown = path.display();
         let bytes = std::fs::read(&path).map_err(|error| match bringing {
-            Some(command) if error.kind() == std::io::ErrorKind::NotFound => {
-                let (name, path) = (model.name.clone(), path.clone());
-                EncoderError::ModelMissing { name, path, command: command.clone() }
-            }
-            _ => EncoderError::Read { path: path.clone(), message: error.to_string() },
+            Some(command) if error.kind() == std::io::ErrorKind::NotFound => anyhow!(
+                "the encoder {} needs {shown}, which is not there; run `{command}`",
+                model.name
+            ),
+            _ => anyhow!("cannot read the model file {shown}: {error}"),
         })?;
         let sha256: String = Sha256::digest(&bytes).iter().map(|b| format!("{b:02x}")).collect();
-        if let Some(expected) = model.sha256.clone().filter(|expected| *expected != sha256) {
+        if let Some(expected) = model.sha256.as_ref().filter(|expected| **expected != sha256) {
             let next = match bringing {
                 Some(command) => format!("delete it and run `{command}`"),
                 None => "give the right file, or correct the model's entry in models.toml".into(),
             };
-            return Err(EncoderError::WrongFile { path, expected, found: sha256, next });
+            bail!(
+                "{shown} is not the model that the manifest describes: its SHA-256 is {sha256}, not {expected}; {next}"
+            );
         }
         Ok(Self { model: model.clone(), path, sha256, bytes })
     }
@@ -75,11 +78,10 @@ pub(super) struct Runtime {
 
 impl Runtime {
     /// Loads the library at `path`, unless this process has loaded one already.
-    pub(super) fn load(path: &Path) -> Result<Self, EncoderError> {
+    pub(super) fn load(path: &Path) -> Result<Self> {
         static ENVIRONMENT: OnceLock<(PathBuf, Result<Environment, String>)> = OnceLock::new();
-        if !path.is_file() {
-            return Err(EncoderError::RuntimeMissing { path: path.into() });
-        }
+        let shown = path.display();
+        ensure!(path.is_file(), "ONNX Runtime is not at {shown}; run `cargo xtask setup`");
         let load = || {
             let builder = ort::init_from(path).map_err(|error| error.to_string())?;
             let builder = builder.with_name("memtransfer").with_telemetry(false);
@@ -87,9 +89,10 @@ impl Runtime {
         };
         match ENVIRONMENT.get_or_init(|| (path.to_owned(), load())) {
             (path, Ok(environment)) => Ok(Self { environment, path }),
-            (path, Err(message)) => {
-                Err(EncoderError::Runtime { path: path.clone(), message: message.clone() })
-            }
+            (path, Err(message)) => bail!(
+                "ONNX Runtime at {} cannot be used ({message}); delete it and run `cargo xtask setup`",
+                path.display()
+            ),
         }
     }
 
@@ -101,6 +104,8 @@ impl Runtime {
     }
 }
 
+const FAILED: &str = "the encoder failed on an image";
+
 /// An open model, which runs on the calling thread.
 pub(super) struct EncoderSession {
     session: OrtSession,
@@ -109,14 +114,10 @@ pub(super) struct EncoderSession {
 }
 
 impl EncoderSession {
-    pub(super) fn new(
-        runtime: Runtime,
-        provider: Provider,
-        file: &ModelFile,
-    ) -> Result<Self, EncoderError> {
-        let rejected = |error: ort::Error| EncoderError::Rejected {
-            path: file.path.clone(),
-            message: error.message().to_owned(),
+    pub(super) fn new(runtime: Runtime, provider: Provider, file: &ModelFile) -> Result<Self> {
+        let path = file.path.display();
+        let rejected = |error: ort::Error| {
+            anyhow!("ONNX Runtime rejects the model file {path}: {}", error.message())
         };
         let mut builder = builder(runtime.environment, provider).map_err(rejected)?;
         let session = builder.commit_from_memory(&file.bytes).map_err(rejected)?;
@@ -124,10 +125,11 @@ impl EncoderSession {
         let says_untrained = |session: &OrtSession| {
             session.metadata().ok()?.custom("memtransfer.trained").map(|trained| trained == "false")
         };
-        if model.trained && says_untrained(&session) == Some(true) {
-            let (path, name) = (file.path.clone(), model.name.clone());
-            return Err(EncoderError::Untrained { path, name });
-        }
+        ensure!(
+            !model.trained || says_untrained(&session) != Some(true),
+            "the weights in {path} are untrained, and {} would be taken for trained: pass --encoder vit-b16-untrained",
+            model.name
+        );
         let input = outlet(file, "input", session.inputs(), &model.input)?;
         let size = i64::from(model.input_size);
         check(file, &model.input, input, &[&[1, 3, size, size]])?;
@@ -140,19 +142,20 @@ impl EncoderSession {
     }
 
     /// The embedding of an input tensor.
-    pub(super) fn embed(&mut self, tensor: &[f32]) -> Result<Embedding, EncoderError> {
-        let failed = |error: ort::Error| EncoderError::Run { message: error.message().to_owned() };
+    pub(super) fn embed(&mut self, tensor: &[f32]) -> Result<Embedding> {
+        let failed = |error: ort::Error| anyhow!("{FAILED}: {}", error.message());
         let model = &self.model;
         let size = model.input_size as usize;
         let input = TensorRef::from_array_view(([1, 3, size, size], tensor)).map_err(failed)?;
         let inputs = ort::inputs![model.input.as_str() => input];
         let outputs = self.session.run_with_options(inputs, &self.outputs).map_err(failed)?;
         let (_, tokens) = outputs[0].try_extract_tensor::<f32>().map_err(failed)?;
-        let pooled = pool(model, tokens).ok_or_else(|| EncoderError::Run {
-            message: format!("{} holds {} numbers, too few", model.output, tokens.len()),
+        let output = &model.output;
+        let pooled = pool(model, tokens).with_context(|| {
+            format!("{FAILED}: {output} holds {} numbers, too few", tokens.len())
         })?;
-        Embedding::normalised(&pooled).ok_or_else(|| EncoderError::Run {
-            message: format!("{} holds only zeros, or a value that is not finite", model.output),
+        Embedding::normalised(&pooled).with_context(|| {
+            format!("{FAILED}: {output} holds only zeros, or a value that is not finite")
         })
     }
 }
@@ -174,22 +177,19 @@ fn outlet<'a>(
     side: &'static str,
     outlets: &'a [Outlet],
     name: &str,
-) -> Result<&'a Outlet, EncoderError> {
-    outlets.iter().find(|outlet| outlet.name() == name).ok_or_else(|| EncoderError::NoTensor {
-        path: file.path.clone(),
-        side,
-        name: name.into(),
-        known: outlets.iter().map(Outlet::name).collect::<Vec<_>>().join(", "),
+) -> Result<&'a Outlet> {
+    outlets.iter().find(|outlet| outlet.name() == name).with_context(|| {
+        let known: Vec<&str> = outlets.iter().map(Outlet::name).collect();
+        format!(
+            "{} has no {side} tensor {name}; it has {}. Correct the model's entry in models.toml",
+            file.path.display(),
+            known.join(", ")
+        )
     })
 }
 
 /// Checks that a tensor holds floats and has one of the `expected` shapes; -1 stands for any length.
-fn check(
-    file: &ModelFile,
-    name: &str,
-    outlet: &Outlet,
-    expected: &[&[i64]],
-) -> Result<(), EncoderError> {
+fn check(file: &ModelFile, name: &str, outlet: &Outlet, expected: &[&[i64]]) -> Result<()> {
     let kind = outlet.dtype();
     let fits = |shape: &[i64], expected: &[i64]| {
         let free = |n: i64| n < 0;
@@ -202,12 +202,11 @@ fn check(
         return Ok(());
     }
     let expected: Vec<_> = expected.iter().map(|shape| format!("{shape:?}")).collect();
-    Err(EncoderError::WrongShape {
-        path: file.path.clone(),
-        name: name.into(),
-        found: kind.to_string(),
-        expected: expected.join(" or "),
-    })
+    bail!(
+        "tensor {name} of {} is {kind}, not float {}. Correct the model's entry in models.toml",
+        file.path.display(),
+        expected.join(" or ")
+    )
 }
 
 /// Reduces the output tensor to one vector: a single vector is kept as it is, tokens are pooled.

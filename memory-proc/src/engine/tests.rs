@@ -3,12 +3,13 @@
 use domain::Representation::{Episodic, FullContext, Working};
 use domain::{Feedback, Heading, Representation};
 use proptest::prelude::*;
-use shm_types::message::{NO_ACTION, NO_FRAME};
+use shm_types::message::{EXTERNAL, NO_ACTION, NO_FRAME};
 use warehouse::{Demonstrations, Start};
 
 use self::rig::{Answer, Rig, Script, content, replay_set};
 use super::*;
 
+mod external;
 mod rig;
 mod supplied;
 
@@ -22,9 +23,10 @@ fn on_a_demonstrated_route_the_segment_is_the_experts_continuation() {
     for (&(_, step), Answer { segment, distance, source, .. }) in &rig.answers {
         let step = step as usize;
         assert_eq!(f32::from_bits(*distance), 0.0);
-        assert_eq!(source.0, 3);
+        let (case, number, first) = source.unwrap();
+        assert_eq!(case, 3);
         assert_eq!(segment[0].0, script.poses[step]);
-        if source.1 == 0 && usize::from(source.2) == step {
+        if number == 0 && usize::from(first) == step {
             let until = (step + 6).min(steps);
             let followed: Vec<Pose> = segment.iter().map(|step| step.0).collect();
             assert_eq!(followed, script.poses[step..=until]);
@@ -34,8 +36,8 @@ fn on_a_demonstrated_route_the_segment_is_the_experts_continuation() {
             assert_eq!(segment.last().unwrap().1, NO_ACTION);
         }
     }
-    let (case, demonstration, index) = rig.answers[&(7, 0)].source;
-    assert_eq!((case, demonstration, index), (3, 0, 0), "the first view is the original's own");
+    let first = rig.answers[&(7, 0)].source;
+    assert_eq!(first, Some((3, 0, 0)), "the first view is the original's own");
 }
 
 #[test]
@@ -69,6 +71,7 @@ fn views_pinned_for_their_pixels_are_embedded_when_a_memory_matches_views() {
     let whole = rig.script(0, 1, 5, Start::Original, FullContext);
     rig.engine.config(&whole.config).unwrap();
     rig.observe(whole.observations[0]).unwrap();
+    assert!(rig.collect().is_empty(), "its views are requested when it has named them");
     while rig.work(0) {}
     assert_eq!(rig.collect(), [0]);
     let keyframes = rig.pins;
@@ -96,7 +99,7 @@ fn a_waiting_lane_does_not_delay_others() {
         assert_eq!(answered, if seen.last == 1 { vec![] } else { vec![1] }, "step {step}");
     }
     assert!(rig.answers.values().all(|answer| answer.segment.is_empty()));
-    assert!(rig.answers.values().all(|answer| answer.source.0 == u32::MAX));
+    assert!(rig.answers.values().all(|answer| answer.source.is_none()));
     while rig.work(0) {
         rig.collect();
     }
@@ -156,6 +159,11 @@ fn unusable_messages_are_refused_with_a_reason() {
         ),
         (MemoryEpisodeConfig { segment: 2, ..config }, "2 is not a segment content"),
         (MemoryEpisodeConfig { representation: 9, ..config }, "9 is not a representation"),
+        (
+            MemoryEpisodeConfig { representation: EXTERNAL, external: 3, ..config },
+            "external memory 3, which does not take part in the run",
+        ),
+        (MemoryEpisodeConfig { hits: 0, ..config }, "0 segments for a step, but must be 1 to 8"),
         (MemoryEpisodeConfig { horizon: 32, ..config }, "a horizon of 32"),
     ] {
         let error = rig.engine.config(&bad).unwrap_err().to_string();
@@ -251,7 +259,11 @@ proptest! {
                     horizon: c,
                     keyframes: d,
                     segment: e,
-                    reserved: [b ^ f; 8],
+                    text_budget: b.into(),
+                    image_budget: f.into(),
+                    hits: g,
+                    external: b,
+                    ..bytemuck::Zeroable::zeroed()
                 });
             } else {
                 let pose = shm_types::message::WirePose([a, b, c, d]);

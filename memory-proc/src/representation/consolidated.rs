@@ -1,78 +1,42 @@
 //! Memories that supply the same documents at every step: summary, semantic and hybrid; and working memory, which
 //! supplies none.
 
-use domain::DocumentKind;
-use shm_types::message::DocumentId;
-use warehouse::Demonstrations;
+use std::sync::Arc;
 
-use super::{DocumentSupplier, Memory, MemoryBuilder, RecallQuery, RecalledItems, StoredViews};
+use peer::memory::{Item, Memory, MemoryError, Query};
 
-/// Builds a memory of documents over the demonstrations `set` of all cases.
+/// A memory of documents.
 #[derive(Debug)]
 pub(super) struct Consolidated {
-    /// The kinds of document, in the order of supply.
-    pub(super) kinds: &'static [DocumentKind],
-    pub(super) set: Demonstrations,
+    /// The documents, in the order of supply.
+    pub(super) documents: Vec<Arc<str>>,
 }
 
-impl MemoryBuilder for Consolidated {
-    fn build(
-        &self,
-        _: &StoredViews,
-        documents: &mut dyn DocumentSupplier,
-    ) -> anyhow::Result<Box<dyn Memory>> {
-        let kinds = self.kinds.iter();
-        let published: anyhow::Result<_> =
-            kinds.map(|&kind| documents.consolidated(kind, self.set)).collect();
-        Ok(Box::new(SameDocuments(published?)))
+impl Memory for Consolidated {
+    fn recall(&mut self, _: &Query<'_>) -> Result<Vec<Item>, MemoryError> {
+        Ok(self.documents.iter().map(|text| Item::text(text.clone())).collect())
     }
-}
 
-/// A memory that supplies the same documents at every step.
-#[derive(Debug)]
-pub(super) struct SameDocuments(pub(super) Vec<DocumentId>);
-
-impl Memory for SameDocuments {
-    fn recall(&self, _: &RecallQuery<'_>) -> RecalledItems {
-        RecalledItems { segment: None, documents: self.0.clone() }
+    fn store_bytes(&self) -> Option<u64> {
+        Some(self.documents.iter().map(|text| text.len() as u64).sum())
     }
 }
 
 #[cfg(test)]
 mod tests {
+    use super::super::testing::{build, recall, settings};
+    use super::super::{MemorySettings, built_in};
     use domain::Representation;
-    use shm_types::documents::Content;
-
-    use super::super::testing::{TestDocuments, spec};
-    use super::super::{MemorySpec, memory_builder};
-    use super::*;
 
     #[test]
-    fn each_representation_supplies_its_described_documents_at_every_step() {
-        for &representation in Representation::ALL {
-            let mut documents = TestDocuments::default();
-            let made_of = MemorySpec { set: Demonstrations::ALL, ..spec(Vec::new()) };
-            let builder = memory_builder(representation, made_of);
-            assert!(builder.poses().is_empty());
-            let memory = builder.build(&StoredViews::default(), &mut documents).unwrap();
-            let now = |elapsed| RecallQuery { embedding: None, stage: 0, elapsed };
-            let supply = memory.recall(&now(0));
-            assert_eq!(supply, memory.recall(&now(9)), "{representation}");
-            let texts = supply.documents.iter().map(|&id| documents.content(id));
-            let texts = texts.filter(|content| !matches!(content, Content::Trajectories(_)));
-            let kinds: Vec<DocumentKind> = texts.map(Content::kind).collect();
-            assert_eq!(kinds, representation.describe().documents, "{representation}");
-        }
-    }
-
-    #[test]
-    fn a_missing_document_is_an_error_and_not_an_empty_memory() {
-        for kind in ["summary", "semantic", "hybrid"] {
-            let builder = memory_builder(kind.parse().unwrap(), spec(Vec::new()));
-            let mut documents = TestDocuments { is_empty: true, ..TestDocuments::default() };
-            let error =
-                builder.build(&StoredViews::default(), &mut documents).err().unwrap().to_string();
-            assert!(error.contains("of original"), "{error}");
-        }
+    fn documents_are_supplied_in_order_at_every_step() {
+        let documents = vec!["summary".into(), "knowledge".into()];
+        let settings = MemorySettings { documents, ..settings() };
+        let mut memory = built_in(Representation::Hybrid, &settings);
+        build(&mut *memory, &[]).unwrap();
+        let items = recall(&mut *memory, None, 0, 0).unwrap();
+        assert_eq!(items, ["summary", "knowledge"].map(super::Item::text));
+        assert_eq!(items, recall(&mut *memory, None, 1, 9).unwrap());
+        assert_eq!(memory.store_bytes(), Some(16));
     }
 }

@@ -1,228 +1,177 @@
-//! Episodic retrieval (equation 7 of the paper): the remembered view nearest to the current one, and what the expert did
+//! Episodic retrieval (equation 7 of the paper): the remembered views nearest to the current one, and what the expert did
 //! from there.
 //!
 //! Equal distances are ordered by task stage, then by elapsed steps ([`search::Index`]). The stage of a view is the number
 //! of sub-goals that *its own* demonstration had completed of *its own* task. In a set that mixes in histories of other
 //! tasks, stages of different tasks are compared as numbers: retrieval does not know whose history a view comes from.
 
-use anyhow::bail;
 use domain::SegmentContent;
-use domain::{Action, Pose};
-use shm_types::message::{FrameId, NO_ACTION, SegmentStep};
+use peer::memory::{Demonstration, Item, Memory, MemoryError, Query, Source, Views};
+use search::{Index, IndexBuilder, Neighbour, ViewEntry};
 
-use super::{
-    DocumentSupplier, Memory, MemoryBuilder, MemorySpec, RecallQuery, RecalledItems,
-    RetrievedSegment, StoredViews,
-};
-use crate::demonstrations::Demonstration;
-use search::{Index, Query, ViewEntry};
+use super::MemorySettings;
 
-/// Builds an index of the demonstrations' views.
+/// An index of the demonstrations' views.
 #[derive(Debug)]
 pub(super) struct Episodic {
-    demonstrations: Vec<Demonstration>,
-    horizon: usize,
+    horizon: u32,
     content: SegmentContent,
-    poses: Vec<Pose>,
+    hits: usize,
+    index: Option<Index>,
+    /// Steps of each demonstration.
+    lengths: Vec<u32>,
 }
 
 impl Episodic {
-    pub(super) fn new(spec: MemorySpec) -> Self {
-        let MemorySpec { demonstrations, horizon, segment: content, .. } = spec;
-        let poses = demonstrations.iter().flat_map(|demonstration| &demonstration.poses);
-        let mut poses: Vec<Pose> = poses.copied().collect();
-        poses.sort_unstable();
-        poses.dedup();
-        Self { demonstrations, horizon, content, poses }
-    }
-}
-
-impl MemoryBuilder for Episodic {
-    fn poses(&self) -> &[Pose] {
-        &self.poses
+    pub(super) fn new(settings: &MemorySettings) -> Self {
+        let &MemorySettings { horizon, segment: content, hits, .. } = settings;
+        Self { horizon, content, hits, index: None, lengths: Vec::new() }
     }
 
-    fn build(
-        &self,
-        views: &StoredViews,
-        _: &mut dyn DocumentSupplier,
-    ) -> anyhow::Result<Box<dyn Memory>> {
-        let mut entries = Vec::new();
-        let mut trajectories = Vec::new();
-        for (position, demonstration) in (0..).zip(&self.demonstrations) {
-            let mut frames = Vec::with_capacity(demonstration.poses.len());
-            let states = demonstration.poses.iter().zip(&demonstration.stages);
-            for (step, (&pose, &stage)) in (0..).zip(states) {
-                let view = views.of(pose)?;
-                let Some(embedding) = &view.embedding else {
-                    bail!("the view of {pose} has not been embedded");
-                };
-                frames.push(view.frame);
-                let entry = ViewEntry { demonstration: position, step, stage };
-                entries.push((entry, view.content, embedding));
-            }
-            let Demonstration { case, number, ref actions, .. } = *demonstration;
-            trajectories.push(IndexedTrajectory { case, number, frames, actions: actions.clone() });
+    /// The view at `entry`, and at most `horizon` actions from there, with the views that they lead to.
+    fn segment(&self, Neighbour { entry, distance }: Neighbour) -> Item {
+        let first = u32::from(entry.step);
+        let length = self.lengths[usize::from(entry.demonstration)];
+        let count = (self.horizon + 1).min(length - first);
+        let demonstration = entry.demonstration.into();
+        Item::Steps {
+            source: Source { demonstration, first, count },
+            views: Views::All,
+            actions: self.content == SegmentContent::Actions,
+            distance: Some(distance),
         }
-        let (horizon, content) = (self.horizon, self.content);
-        Ok(Box::new(Indexed { trajectories, index: Index::new(entries), horizon, content }))
     }
 }
 
-/// The demonstrations' views, indexed by embedding, and their trajectories.
-struct Indexed {
-    trajectories: Vec<IndexedTrajectory>,
-    index: Index,
-    horizon: usize,
-    content: SegmentContent,
-}
-
-struct IndexedTrajectory {
-    case: u32,
-    number: u16,
-    frames: Vec<FrameId>,
-    actions: Vec<Action>,
-}
-
-impl Memory for Indexed {
-    fn recall(&self, now: &RecallQuery<'_>) -> RecalledItems {
-        RecalledItems { segment: self.retrieve(now), documents: Vec::new() }
+impl Memory for Episodic {
+    fn build(&mut self, demonstrations: &[Demonstration<'_>]) -> Result<(), MemoryError> {
+        let views = demonstrations.iter().map(|demonstration| demonstration.steps.len()).sum();
+        let dimension = demonstrations.first().map_or(0, Demonstration::dimension);
+        let mut index = IndexBuilder::with_capacity(dimension, views);
+        for (number, of) in (0..).zip(demonstrations) {
+            for (at, (step, &stage)) in of.steps.iter().zip(of.stages).enumerate() {
+                let embedding = of.embedding(at).ok_or_else(|| {
+                    MemoryError::new(format_args!(
+                        "the view of {} has not been embedded",
+                        step.pose
+                    ))
+                })?;
+                let entry = ViewEntry { demonstration: number, step: at as u16, stage };
+                index.add(entry, step.content_hash, embedding);
+            }
+            self.lengths.push(of.steps.len() as u32);
+        }
+        self.index = Some(index.build());
+        Ok(())
     }
-}
 
-impl Indexed {
-    fn retrieve(&self, now: &RecallQuery<'_>) -> Option<RetrievedSegment> {
-        let query = Query { embedding: now.embedding?, stage: now.stage, elapsed: now.elapsed };
-        let nearest = self.index.nearest(query)?;
-        let ViewEntry { demonstration, step, .. } = nearest.entry;
-        let trajectory = &self.trajectories[usize::from(demonstration)];
-        Some(RetrievedSegment {
-            segment: trajectory.segment(usize::from(step), self.horizon, self.content),
-            case: trajectory.case,
-            demonstration: trajectory.number,
-            step,
-            distance: nearest.distance,
-        })
-    }
-}
-
-impl IndexedTrajectory {
-    /// The view at `step` and at most `horizon` actions from there, with the views that they lead to.
-    fn segment(&self, step: usize, horizon: usize, content: SegmentContent) -> Vec<SegmentStep> {
-        let end = (step + horizon).min(self.frames.len() - 1);
-        let action = |at: usize| match content {
-            SegmentContent::Actions if at < end => self.actions[at] as u8,
-            SegmentContent::Actions | SegmentContent::Images => NO_ACTION,
+    fn recall(&mut self, query: &Query<'_>) -> Result<Vec<Item>, MemoryError> {
+        let (Some(index), Some(embedding)) = (&self.index, query.now.embedding) else {
+            return Err(MemoryError::new("the current view has not been embedded"));
         };
-        let entry =
-            |at| SegmentStep { frame: self.frames[at], action: action(at), reserved: [0; 7] };
-        (step..=end).map(entry).collect()
+        let (stage, elapsed) = (query.stage.unwrap_or(0), query.now.step);
+        let query = search::Query { embedding, stage, elapsed };
+        let nearest = match self.hits {
+            1 => index.nearest(query).into_iter().collect(),
+            hits => index.nearest_of_many(&[query], hits).pop().unwrap_or_default(),
+        };
+        Ok(nearest.into_iter().map(|found| self.segment(found)).collect())
+    }
+
+    fn store_bytes(&self) -> Option<u64> {
+        self.index.as_ref().map(|index| index.bytes() as u64)
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use super::super::testing::{TestDocuments, demonstration, spec};
-    use super::super::{StoredView, StoredViews};
+    use super::super::testing::{build, build_with_views, demonstration, recall, settings};
     use super::*;
-    use domain::Heading;
+    use crate::bank::KnownView;
+    use crate::demonstrations::Demonstration;
+    use domain::{Heading, Pose};
     use search::Embedding;
 
     /// Every cell has another view: frame and content are its row, the embedding is an angle.
-    fn view(pose: Pose) -> StoredView {
+    fn view(pose: Pose) -> KnownView {
         let row = pose.cell.y;
         let angle = f32::from(row) / 40.0;
         let embedding = Embedding::normalised(&[angle.cos(), angle.sin()]);
-        StoredView { frame: u64::from(row), content: [row; 16], embedding }
+        KnownView { frame: row.into(), content: [row; 16], embedding }
     }
 
-    fn build(builder: &Episodic) -> anyhow::Result<Box<dyn Memory>> {
-        let mut views = StoredViews::default();
-        builder.poses().iter().for_each(|&pose| views.insert(pose, view(pose)));
-        builder.build(&views, &mut TestDocuments::default())
+    fn memory(demonstrations: &[Demonstration], settings: &MemorySettings) -> Episodic {
+        let mut memory = Episodic::new(settings);
+        build_with_views(&mut memory, demonstrations, view).unwrap();
+        memory
     }
 
-    fn memory(demonstrations: &[Demonstration], horizon: usize) -> Box<dyn Memory> {
-        let builder = Episodic::new(MemorySpec { horizon, ..spec(demonstrations.to_vec()) });
-        build(&builder).unwrap()
-    }
-
-    fn recall(memory: &dyn Memory, row: u8, stage: u32, elapsed: u32) -> RetrievedSegment {
+    /// Demonstration, first step, number of steps and distance of each hit.
+    fn hits(memory: &mut Episodic, row: u8, stage: u32, elapsed: u32) -> Vec<(u32, u32, u32, f32)> {
         let view = view(Pose::new(0, row, Heading::N));
-        let now = RecallQuery { embedding: view.embedding.as_ref(), stage, elapsed };
-        let supply = memory.recall(&now);
-        assert!(supply.documents.is_empty());
-        supply.segment.unwrap()
+        let embedding = view.embedding.as_ref().map(Embedding::as_slice);
+        let items = recall(memory, embedding, stage, elapsed).unwrap();
+        let hit = |item| match item {
+            Item::Steps { source, views: Views::All, distance: Some(distance), .. } => {
+                (source.demonstration, source.first, source.count, distance)
+            }
+            other => panic!("{other:?}"),
+        };
+        items.into_iter().map(hit).collect()
     }
 
     #[test]
     fn a_segment_follows_the_expert_for_the_horizon_and_not_past_the_end() {
-        let memory_of = |horizon| memory(&[demonstration(1, 5, 9)], horizon);
-        let six = memory_of(6);
-        for (row, frames) in [(5, 5..=11), (8, 8..=14), (9, 9..=14), (14, 14..=14)] {
-            let found = recall(&*six, row, 0, 0);
-            assert_eq!((found.case, found.demonstration, found.distance), (8, 1, 0.0));
-            assert_eq!(found.step, u16::from(row) - 5);
-            let expected: Vec<u64> = frames.collect();
-            assert_eq!(found.segment.iter().map(|s| s.frame).collect::<Vec<_>>(), expected);
-            let (last, before) = found.segment.split_last().unwrap();
-            assert_eq!(last.action, NO_ACTION);
-            assert!(before.iter().all(|step| step.action == Action::Forward as u8));
+        let memory_of =
+            |horizon| memory(&[demonstration(1, 5, 9)], &MemorySettings { horizon, ..settings() });
+        let mut six = memory_of(6);
+        for (row, steps) in [(5, 7), (8, 7), (9, 6), (14, 1)] {
+            assert_eq!(hits(&mut six, row, 0, 0), [(0, u32::from(row) - 5, steps, 0.0)]);
         }
-        assert_eq!(recall(&*six, 30, 0, 0).step, 9);
-        assert_eq!(recall(&*memory_of(0), 7, 0, 0).segment.len(), 1);
+        assert_eq!(hits(&mut six, 30, 0, 0)[0].1, 9);
+        assert_eq!(hits(&mut memory_of(0), 7, 0, 0)[0].2, 1);
     }
 
     #[test]
-    fn a_segment_of_images_alone_has_the_same_views_and_no_actions() {
-        let with_actions = memory(&[demonstration(1, 5, 9)], 6);
-        let images = MemorySpec {
-            segment: SegmentContent::Images,
-            horizon: 6,
-            ..spec(vec![demonstration(1, 5, 9)])
-        };
-        let images = build(&Episodic::new(images)).unwrap();
-        for row in 5..=14 {
-            let (with, without) = (recall(&*with_actions, row, 0, 0), recall(&*images, row, 0, 0));
-            assert!(without.segment.iter().all(|step| step.action == NO_ACTION));
-            let frames = |found: &RetrievedSegment| {
-                found.segment.iter().map(|s| s.frame).collect::<Vec<_>>()
-            };
-            assert_eq!(frames(&with), frames(&without));
-            assert_eq!((with.step, with.distance), (without.step, without.distance));
+    fn only_a_segment_with_actions_has_actions() {
+        for segment in [SegmentContent::Actions, SegmentContent::Images] {
+            let settings = MemorySettings { segment, ..settings() };
+            let mut memory = memory(&[demonstration(1, 5, 9)], &settings);
+            let items = recall(&mut memory, Some(&[1.0, 0.0]), 0, 0).unwrap();
+            let [Item::Steps { actions, .. }] = items[..] else { panic!("{items:?}") };
+            assert_eq!(actions, segment == SegmentContent::Actions);
         }
     }
 
     #[test]
     fn equal_views_are_ordered_by_stage_and_then_by_elapsed_steps() {
-        let memory = memory(&[demonstration(0, 5, 9), demonstration(3, 7, 4)], 6);
-        assert_eq!(recall(&*memory, 8, 1, 0).demonstration, 0);
-        assert_eq!(recall(&*memory, 8, 0, 9).demonstration, 3);
-        assert_eq!(recall(&*memory, 9, 1, 4).demonstration, 0);
-        assert_eq!(recall(&*memory, 9, 1, 2).demonstration, 3);
+        let both = [demonstration(0, 5, 9), demonstration(3, 7, 4)];
+        let mut memory = memory(&both, &settings());
+        let mut first = |row, stage, elapsed| hits(&mut memory, row, stage, elapsed)[0].0;
+        assert_eq!(first(8, 1, 0), 0);
+        assert_eq!(first(8, 0, 9), 1);
+        assert_eq!(first(9, 1, 4), 0);
+        assert_eq!(first(9, 1, 2), 1);
     }
 
     #[test]
-    fn a_segment_of_a_mixed_set_names_its_origin() {
-        let foreign = Demonstration { case: 41, ..demonstration(2, 16, 4) };
-        let memory = memory(&[demonstration(0, 5, 9), foreign], 6);
-        let source = |row| {
-            let found = recall(&*memory, row, 0, 0);
-            (found.case, found.demonstration, found.step)
-        };
-        assert_eq!((source(6), source(19)), ((8, 0, 1), (41, 2, 3)));
+    fn several_hits_come_nearest_first_in_the_same_order_of_ties() {
+        let both = [demonstration(0, 5, 9), demonstration(3, 7, 4)];
+        let one = hits(&mut memory(&both, &settings()), 8, 1, 0);
+        let mut memory = memory(&both, &MemorySettings { hits: 4, ..settings() });
+        let four = hits(&mut memory, 8, 1, 0);
+        assert_eq!(four[0], one[0]);
+        assert_eq!(
+            four.iter().map(|hit| (hit.0, hit.1)).collect::<Vec<_>>()[..2],
+            [(0, 3), (1, 1)]
+        );
+        assert!(four.len() == 4 && four.is_sorted_by(|a, b| a.3 <= b.3));
     }
 
     #[test]
-    fn a_missing_view_is_an_error() {
-        let builder = Episodic::new(spec(vec![demonstration(1, 5, 9)]));
-        let mut views = StoredViews::default();
-        let error = builder.build(&views, &mut TestDocuments::default()).err().unwrap().to_string();
-        assert_eq!(error, "the memory did not request the view of 3,5,N");
-        for &pose in builder.poses() {
-            views.insert(pose, StoredView { embedding: None, ..view(pose) });
-        }
-        let error = builder.build(&views, &mut TestDocuments::default()).err().unwrap().to_string();
+    fn a_missing_embedding_is_an_error() {
+        let mut memory = Episodic::new(&settings());
+        let error = build(&mut memory, &[demonstration(1, 5, 9)]).unwrap_err().to_string();
         assert_eq!(error, "the view of 3,5,N has not been embedded");
     }
 }

@@ -13,72 +13,40 @@
 //!
 //! A keyframe is a step, not a view: a view that the expert saw twice may appear twice. Actions are always complete.
 
-use anyhow::Context;
-use domain::{Action, Pose};
-use shm_types::documents::Content;
-use shm_types::message::{NO_ACTION, NO_FRAME, TrajectoryStep};
+use domain::Action;
+use peer::memory::{Demonstration, Item, Memory, MemoryError, Query, Source, Views};
 
-use super::{DocumentSupplier, Memory, MemoryBuilder, MemorySpec, StoredViews, consolidated};
-use crate::demonstrations::Demonstration;
-
-/// Builds the document of a case's demonstrations.
+/// All demonstrations of a case.
 #[derive(Debug)]
 pub(super) struct FullContext {
-    episode: (u32, u64),
-    /// Each with the steps of its keyframes, ascending.
-    demonstrations: Vec<(Demonstration, Vec<usize>)>,
-    poses: Vec<Pose>,
+    budget: usize,
+    items: Vec<Item>,
 }
 
 impl FullContext {
-    pub(super) fn new(spec: MemorySpec) -> Self {
-        let MemorySpec { episode, demonstrations, keyframes: budget, .. } = spec;
-        let lengths: Vec<usize> =
-            demonstrations.iter().map(|demonstration| demonstration.poses.len()).collect();
-        let shares = shares(&lengths, budget);
-        let choose = |(demonstration, share)| {
-            let keyframes = keyframes(&demonstration, share);
-            (demonstration, keyframes)
-        };
-        let chosen: Vec<_> = demonstrations.into_iter().zip(shares).map(choose).collect();
-        let shown = chosen
-            .iter()
-            .flat_map(|(demonstration, steps)| steps.iter().map(|&t| demonstration.poses[t]));
-        let mut poses: Vec<Pose> = shown.collect();
-        poses.sort_unstable();
-        poses.dedup();
-        Self { episode, demonstrations: chosen, poses }
+    /// With at most `budget` keyframes.
+    pub(super) fn new(budget: usize) -> Self {
+        Self { budget, items: Vec::new() }
     }
 }
 
-impl MemoryBuilder for FullContext {
-    fn poses(&self) -> &[Pose] {
-        &self.poses
+impl Memory for FullContext {
+    fn build(&mut self, demonstrations: &[Demonstration<'_>]) -> Result<(), MemoryError> {
+        let lengths: Vec<usize> = demonstrations.iter().map(|of| of.steps.len()).collect();
+        let shares = shares(&lengths, self.budget);
+        let chosen = demonstrations.iter().zip(shares).zip(0..);
+        let items = chosen.map(|((of, share), demonstration)| Item::Steps {
+            source: Source { demonstration, first: 0, count: of.steps.len() as u32 },
+            views: Views::Keyframes(keyframes(of, share).into_iter().map(|t| t as u32).collect()),
+            actions: true,
+            distance: None,
+        });
+        self.items = items.collect();
+        Ok(())
     }
 
-    fn build(
-        &self,
-        views: &StoredViews,
-        documents: &mut dyn DocumentSupplier,
-    ) -> anyhow::Result<Box<dyn Memory>> {
-        let mut steps = Vec::new();
-        for (number, (demonstration, keyframes)) in self.demonstrations.iter().enumerate() {
-            let trajectory = u8::try_from(number).context("more than 256 demonstrations")?;
-            for (step, &pose) in demonstration.poses.iter().enumerate() {
-                let is_keyframe = keyframes.binary_search(&step).is_ok();
-                steps.push(TrajectoryStep {
-                    frame: if is_keyframe { views.of(pose)?.frame } else { NO_FRAME },
-                    action: demonstration
-                        .actions
-                        .get(step)
-                        .map_or(NO_ACTION, |&action| action as u8),
-                    trajectory,
-                    reserved: [0; 6],
-                });
-            }
-        }
-        let id = documents.publish(self.episode, &Content::Trajectories(steps))?;
-        Ok(Box::new(consolidated::SameDocuments(vec![id])))
+    fn recall(&mut self, _: &Query<'_>) -> Result<Vec<Item>, MemoryError> {
+        Ok(self.items.clone())
     }
 }
 
@@ -110,23 +78,25 @@ enum Moment {
 impl Moment {
     const ALL: [Self; 5] = [Self::Start, Self::End, Self::SubGoal, Self::BeforeTurn, Self::Other];
 
-    fn of(demonstration: &Demonstration, step: usize) -> Self {
-        const TURNS: [Action; 3] = [Action::TurnLeft, Action::TurnRight, Action::TurnAround];
+    fn of(demonstration: &Demonstration<'_>, step: usize) -> Self {
+        const TURNS: [Option<Action>; 3] =
+            [Some(Action::TurnLeft), Some(Action::TurnRight), Some(Action::TurnAround)];
+        let Demonstration { steps, stages, .. } = demonstration;
         match step {
             0 => Self::Start,
-            _ if step + 1 == demonstration.poses.len() => Self::End,
-            _ if demonstration.stages[step] > demonstration.stages[step - 1] => Self::SubGoal,
-            _ if TURNS.contains(&demonstration.actions[step]) => Self::BeforeTurn,
+            _ if step + 1 == steps.len() => Self::End,
+            _ if stages[step] > stages[step - 1] => Self::SubGoal,
+            _ if TURNS.contains(&steps[step].action) => Self::BeforeTurn,
             _ => Self::Other,
         }
     }
 }
 
 /// The steps of `share` keyframes, ascending.
-fn keyframes(demonstration: &Demonstration, share: usize) -> Vec<usize> {
+fn keyframes(demonstration: &Demonstration<'_>, share: usize) -> Vec<usize> {
     let mut chosen = Vec::with_capacity(share);
     for moment in Moment::ALL {
-        let steps = 0..demonstration.poses.len();
+        let steps = 0..demonstration.steps.len();
         let members: Vec<usize> =
             steps.filter(|&step| Moment::of(demonstration, step) == moment).collect();
         let places = members.len().min(share - chosen.len());

@@ -1,36 +1,93 @@
-//! Small demonstrations and a supplier of documents, for the tests of representations and of the engine.
+//! Small demonstrations and a folder of documents, for the tests of memories and of the engine.
+
+use std::sync::Arc;
 
 use anyhow::bail;
-use domain::{Action, Heading, Pose};
-use domain::{DocumentKind, SegmentContent};
+use domain::{Action, DocumentKind, Feedback, Heading, Pose, SegmentContent};
+use peer::memory::{Item, Memory, MemoryError, Query, Step};
 use shm_types::documents::Content;
 use shm_types::message::DocumentId;
 use warehouse::Demonstrations;
 
-use super::{DocumentSupplier, MemorySpec};
+use super::MemorySettings;
+use crate::bank::{Bank, BankSteps, KnownView};
 use crate::demonstrations::Demonstration;
+use crate::items::DocumentSupplier;
 
 /// A demonstration of case 8: north from (3, `from`) for `steps` steps; sub-goal 1 is completed at step 2.
 pub(crate) fn demonstration(number: u16, from: u8, steps: u8) -> Demonstration {
+    let all = 0..=steps;
     Demonstration {
         case: 8,
         number,
-        poses: (0..=steps).map(|t| Pose::new(3, from + t, Heading::N)).collect(),
-        stages: (0..=steps).map(|t| u32::from(t >= 2)).collect(),
+        instruction: "Find a cone.".to_owned(),
+        poses: all.clone().map(|t| Pose::new(3, from + t, Heading::N)).collect(),
+        feedback: all
+            .clone()
+            .map(|t| if t == 0 { Feedback::Start } else { Feedback::Moved })
+            .collect(),
+        stages: all.map(|t| u32::from(t >= 2)).collect(),
         actions: vec![Action::Forward; usize::from(steps)],
     }
 }
 
 /// The standard settings.
-pub(crate) fn spec(demonstrations: Vec<Demonstration>) -> MemorySpec {
-    MemorySpec {
-        episode: (1, 7),
-        set: Demonstrations::ORIGINAL,
-        demonstrations,
+pub(crate) fn settings() -> MemorySettings {
+    MemorySettings {
         horizon: 6,
         segment: SegmentContent::Actions,
+        hits: 1,
         keyframes: 40,
+        documents: Vec::new(),
     }
+}
+
+/// Builds a memory without views.
+pub(crate) fn build(
+    memory: &mut dyn Memory,
+    demonstrations: &[Demonstration],
+) -> Result<(), MemoryError> {
+    let bank = Bank::new(demonstrations.to_vec());
+    memory.build(&BankSteps::without_views(&bank).demonstrations())
+}
+
+/// Builds a memory whose views are those of `view`.
+pub(crate) fn build_with_views(
+    memory: &mut dyn Memory,
+    demonstrations: &[Demonstration],
+    view: impl Fn(Pose) -> KnownView,
+) -> Result<(), MemoryError> {
+    let bank = Bank::new(demonstrations.to_vec());
+    let steps = bank.with_views(|pose| Some(view(pose))).unwrap();
+    memory.build(&steps.demonstrations())
+}
+
+/// What a memory supplies for a view, sub-goals completed and steps taken.
+pub(crate) fn recall(
+    memory: &mut dyn Memory,
+    embedding: Option<&[f32]>,
+    stage: u32,
+    step: u32,
+) -> Result<Vec<Item>, MemoryError> {
+    let now = Step {
+        lane: 1,
+        episode: 7,
+        step,
+        pose: Pose::new(0, 0, Heading::N),
+        last_action: None,
+        feedback: Feedback::Start,
+        frame: None,
+        embedding,
+        pinned: None,
+    };
+    memory.recall(&Query {
+        now,
+        instruction: "Find a cone.",
+        window: &[],
+        image_budget: 1000,
+        text_budget: 1000,
+        stage: Some(stage),
+    })
 }
 
 /// Stores what is published: document `i + 1` is entry `i`, with the episode it belongs to. The text of a consolidated
@@ -38,6 +95,7 @@ pub(crate) fn spec(demonstrations: Vec<Demonstration>) -> MemorySpec {
 #[derive(Debug, Default)]
 pub(crate) struct TestDocuments {
     pub(crate) published: Vec<(Option<(u32, u64)>, Content)>,
+    consolidated: Vec<(Arc<str>, DocumentId)>,
     /// Whether consolidated documents are missing.
     pub(crate) is_empty: bool,
 }
@@ -48,8 +106,10 @@ impl TestDocuments {
         self.published.len() as DocumentId
     }
 
-    pub(crate) fn content(&self, id: DocumentId) -> &Content {
-        &self.published[id as usize - 1].1
+    /// Forgets everything.
+    pub(crate) fn clear(&mut self) {
+        self.published.clear();
+        self.consolidated.clear();
     }
 }
 
@@ -62,17 +122,24 @@ impl DocumentSupplier for TestDocuments {
         &mut self,
         kind: DocumentKind,
         set: Demonstrations,
-    ) -> anyhow::Result<DocumentId> {
-        let content = match kind {
+    ) -> anyhow::Result<Arc<str>> {
+        let content: fn(String) -> Content = match kind {
             _ if self.is_empty => bail!("there is no {kind:?} of {set}"),
-            DocumentKind::Summary => Content::Summary(format!("summary of {set}")),
-            DocumentKind::Semantic => Content::Semantic(format!("knowledge of {set}")),
-            DocumentKind::Trajectories => bail!("trajectories are never consolidated"),
+            DocumentKind::Summary => Content::Summary,
+            DocumentKind::Semantic => Content::Semantic,
+            DocumentKind::Trajectories | DocumentKind::Note => bail!("{kind:?} of {set}"),
         };
-        let known = self.published.iter().position(|entry| entry == &(None, content.clone()));
-        Ok(match known {
-            Some(at) => at as DocumentId + 1,
-            None => self.add(None, content),
-        })
+        let text: Arc<str> = format!("{} of {set}", kind.word()).into();
+        if let Some((known, _)) = self.consolidated.iter().find(|(known, _)| *known == text) {
+            return Ok(known.clone());
+        }
+        let id = self.add(None, content(text.to_string()));
+        self.consolidated.push((text.clone(), id));
+        Ok(text)
+    }
+
+    fn published(&self, text: &Arc<str>) -> Option<DocumentId> {
+        let same = |(known, id): &(Arc<str>, DocumentId)| Arc::ptr_eq(known, text).then_some(*id);
+        self.consolidated.iter().find_map(same)
     }
 }

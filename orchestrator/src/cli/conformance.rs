@@ -1,5 +1,6 @@
-//! `memtransfer conformance`: checks an external policy.
+//! `memtransfer conformance`: checks an external policy or an external memory.
 
+use std::collections::BTreeMap;
 use std::time::Duration;
 
 use anyhow::{Context, Result};
@@ -8,28 +9,39 @@ use serde::Serialize;
 
 use super::{Exit, print, print_json};
 use crate::signals::Signals;
-use conformance::{CheckFinding, CheckVerdict, Conformance};
+use conformance::{CheckFinding, CheckVerdict, CheckedRole, Conformance};
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
-The command is started as `memtransfer run --policy-cmd` does: with the folder of a run in
-MEMTRANSFER_ATTACH. The other processes are scripted; the quality of decisions is not checked.
+The command is started as `memtransfer run` does with --policy-cmd or --memory-cmd: with a folder in
+MEMTRANSFER_ATTACH. The other processes are scripted; the quality of decisions, and of what a memory
+supplies, is not checked.
 
 Exit status: 0 all checks passed, 1 a check failed, 2 the command cannot be started.
 
 Examples:
   memtransfer conformance --policy-cmd 'python my_policy.py'
-  memtransfer conformance --policy-cmd ./target/release/my-policy --strict --json")]
+  memtransfer conformance --policy-cmd ./target/release/my-policy --strict --json
+  memtransfer conformance --memory-cmd 'python my_memory.py'")]
 pub(super) struct ConformanceArgs {
     /// The command that starts your policy
-    #[arg(long, value_name = "COMMAND", env = "MEMTRANSFER_POLICY_CMD")]
-    policy_cmd: String,
+    #[arg(
+        long,
+        value_name = "COMMAND",
+        env = "MEMTRANSFER_POLICY_CMD",
+        required_unless_present = "memory_cmd"
+    )]
+    policy_cmd: Option<String>,
 
-    /// Seconds that an answer may take; the policy's end may take as long, but at most 10
+    /// The command that starts your memory, to check a memory instead of a policy
+    #[arg(long, value_name = "COMMAND")]
+    memory_cmd: Option<String>,
+
+    /// Seconds that an answer may take; the end of the process may take as long, but at most 10
     #[arg(long, value_name = "SECONDS", default_value_t = 30, value_parser = clap::value_parser!(u32).range(1..))]
     step_timeout: u32,
 
-    /// Seconds that the policy may take to get ready
+    /// Seconds that the process may take to get ready, and a memory to build itself from a bank
     #[arg(long, value_name = "SECONDS", default_value_t = 300, value_parser = clap::value_parser!(u32).range(1..))]
     start_timeout: u32,
 
@@ -45,15 +57,24 @@ pub(super) struct ConformanceArgs {
 /// What `--json` prints.
 #[derive(Serialize)]
 struct Report<'a> {
-    policy_cmd: &'a str,
+    #[serde(flatten)]
+    command: BTreeMap<&'static str, &'a str>,
     conforms: bool,
     checks: &'a [CheckFinding],
 }
 
 pub(super) fn run(args: &ConformanceArgs) -> Result<Exit> {
     let signals = Signals::listen().context("cannot listen to signals")?;
+    let (role, flag, command) = match (&args.memory_cmd, &args.policy_cmd) {
+        (Some(memory), _) => (CheckedRole::Memory, "memory_cmd", memory),
+        (None, Some(policy)) => (CheckedRole::Policy, "policy_cmd", policy),
+        (None, None) => {
+            anyhow::bail!("there is nothing to check: give --policy-cmd or --memory-cmd")
+        }
+    };
     let conformance = Conformance {
-        command: args.policy_cmd.clone(),
+        role,
+        command: command.clone(),
         answer_timeout: Duration::from_secs(args.step_timeout.into()),
         start_timeout: Duration::from_secs(args.start_timeout.into()),
         strict: args.strict,
@@ -72,7 +93,8 @@ pub(super) fn run(args: &ConformanceArgs) -> Result<Exit> {
     let count = |verdict| findings.iter().filter(|finding| finding.verdict == verdict).count();
     let conforms = count(CheckVerdict::Failed) == 0;
     if args.json {
-        print_json(&Report { policy_cmd: &args.policy_cmd, conforms, checks: &findings })?;
+        let command = BTreeMap::from([(flag, command.as_str())]);
+        print_json(&Report { command, conforms, checks: &findings })?;
     } else {
         let counts = [
             (CheckVerdict::Passed, "passed"),

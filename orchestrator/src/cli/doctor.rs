@@ -7,14 +7,17 @@ use std::process::Command;
 
 use anyhow::{Context, bail, ensure};
 use clap::{Args, ValueEnum};
+use documents::DocumentName;
+use results::settings::RunSettings;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use shm_types::process::{SHARED_MEMORY, check_shared_memory};
 use shm_types::{RunDir, registry};
 use supervise::sibling;
 
-use super::documents::RunDocuments;
+use super::documents::{RunDocuments, listed};
 use super::{Exit, WorldArgs, print, print_json};
+use crate::documents::needed;
 use crate::settings::{Layer, resolve};
 
 /// The name of findings about a model's server.
@@ -186,7 +189,10 @@ fn endpoint(model: &str, base_url: Option<&str>) -> anyhow::Result<Vec<DoctorFin
     if let Some(base_url) = base_url {
         command.args(["--base-url", base_url]);
     }
-    command.args(request_size(model)?);
+    let flags = Layer::flags([("policy", "openai"), ("model", model)])?;
+    let settings = resolve([Layer::environment(std::env::vars_os())?, flags])?.settings;
+    let documents = RunDocuments::of(&settings, false);
+    command.args(request_size(&settings, &documents));
     let output = command.output()?;
     if output.stdout.is_empty() {
         bail!("{}", String::from_utf8_lossy(&output.stderr).trim());
@@ -206,15 +212,31 @@ fn endpoint(model: &str, base_url: Option<&str>) -> anyhow::Result<Vec<DoctorFin
         data: None,
     });
     let who = DoctorFinding::of("endpoint, fingerprint", Ok(fingerprint));
-    Ok(std::iter::once(whole).chain(parts).chain([who]).collect())
+    let too_small = size_without(&documents.missing()).into_iter();
+    Ok(std::iter::once(whole).chain(parts).chain(too_small).chain([who]).collect())
 }
 
-/// The probe's flags about the largest request of a run with `model`.
-fn request_size(model: &str) -> anyhow::Result<Vec<String>> {
-    let flags = Layer::flags([("policy", "openai"), ("model", model)])?;
-    let settings = resolve([Layer::environment(std::env::vars_os())?, flags])?.settings;
+/// That the request of the run's size had no documents, if they are not built yet.
+fn size_without(missing: &[DocumentName]) -> Option<DoctorFinding> {
+    (!missing.is_empty()).then(|| DoctorFinding {
+        doubtful: true,
+        ..DoctorFinding::of(
+            "endpoint, documents",
+            Ok(format!(
+                "the request of the run's size was without {}, which are not built yet: `memtransfer memory build` \
+                 builds them, then check again",
+                listed(missing)
+            )),
+        )
+    })
+}
+
+/// The probe's flags about the largest request of a run with these settings and documents.
+fn request_size(settings: &RunSettings, documents: &RunDocuments) -> Vec<String> {
     let window = settings.groups.iter().flat_map(|group| &group.window).max();
-    let largest = RunDocuments::of(&settings, false).sizes().into_values().max().unwrap_or(0);
+    let sizes = documents.sizes();
+    let size = |condition| needed([condition]).iter().filter_map(|name| sizes.get(name)).sum();
+    let largest: u64 = settings.conditions().iter().map(size).max().unwrap_or(0);
     let mut flags = vec![
         ("--frame-size", settings.frame_size.to_string()),
         ("--document-chars", largest.to_string()),
@@ -228,7 +250,7 @@ fn request_size(model: &str) -> anyhow::Result<Vec<String>> {
             ("--request-timeout", model.request_timeout.to_string()),
         ]);
     }
-    Ok(flags.into_iter().flat_map(|(flag, value)| [flag.to_owned(), value]).collect())
+    flags.into_iter().flat_map(|(flag, value)| [flag.to_owned(), value]).collect()
 }
 
 /// A pose in the warehouse.
@@ -268,5 +290,36 @@ impl Drop for Scratch {
     fn drop(&mut self) {
         // Nothing depends on it.
         let _ = fs::remove_dir_all(&self.0);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Defect 18: the request that the probe sends and times has the size of the run's.
+    #[test]
+    fn a_probe_has_the_size_of_the_run_and_says_what_it_lacks() {
+        let empty = tempfile::tempdir().unwrap();
+        let environment = Layer::flags([
+            ("frame-size", "128"),
+            ("image-budget", "12"),
+            ("window", "3,9"),
+            ("request-timeout", "77"),
+            ("memory", "working,hybrid"),
+            ("demos", "original"),
+            ("documents", empty.path().to_str().unwrap()),
+        ]);
+        let flags = Layer::flags([("policy", "openai"), ("model", "m")]);
+        let settings = resolve([environment.unwrap(), flags.unwrap()]).unwrap().settings;
+        let documents = RunDocuments::of(&settings, false);
+        insta::assert_snapshot!(
+            request_size(&settings, &documents).join(" "),
+            @"--frame-size 128 --document-chars 0 --keyframes 40 --window 9 --image-budget 12 --image-format png --request-timeout 77"
+        );
+        let finding = size_without(&documents.missing()).unwrap();
+        assert!(finding.ok && finding.doubtful);
+        assert!(finding.about.contains("without summary/original, semantic/original, which"));
+        assert!(size_without(&[]).is_none());
     }
 }

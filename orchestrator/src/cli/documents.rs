@@ -58,7 +58,7 @@ impl RunDocuments {
         let mut progress = BuildProgress::new(quiet);
         let ready =
             self.request.ensure(&others, false, signals.stop(), &mut |stage| progress.show(stage));
-        progress.close();
+        progress.close(matches!(ready, Ok(Some(_))));
         let Some(mut ready) = ready? else { return Ok(None) };
         if !(ready.built.is_empty() || quiet) {
             eprintln!(
@@ -83,6 +83,11 @@ impl RunDocuments {
         usable
             .filter_map(|stored| Some((stored.name, stored.document?.text.len() as u64)))
             .collect()
+    }
+
+    /// The documents that cannot be used yet.
+    pub(super) fn missing(&self) -> Vec<DocumentName> {
+        self.without(&self.usable())
     }
 
     /// A line for a dry run; empty if no documents are needed.
@@ -134,6 +139,7 @@ impl RunDocuments {
     }
 }
 
-fn listed(names: &[DocumentName]) -> String {
+/// The names of documents, for a message.
+pub(super) fn listed(names: &[DocumentName]) -> String {
     names.iter().map(DocumentName::to_string).collect::<Vec<_>>().join(", ")
 }

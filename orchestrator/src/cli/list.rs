@@ -290,6 +290,12 @@ fn date(unix_s: u64) -> String {
 
 #[cfg(test)]
 mod tests {
+    use std::collections::BTreeMap;
+
+    use results::conditions::PolicyKind;
+    use results::log::testing::manifest;
+    use results::log::{RunFolder, SessionEvent};
+
     use super::*;
 
     #[test]
@@ -303,6 +309,27 @@ mod tests {
         ] {
             assert_eq!(date(unix_s), expected);
         }
+    }
+
+    #[test]
+    fn a_run_is_listed_with_the_name_of_its_policy_and_a_date() {
+        let dir = tempfile::tempdir().unwrap();
+        let mut manifest = manifest();
+        manifest.settings.policy = PolicyKind::External;
+        let facts = BTreeMap::from([("policy".to_owned(), "top-three".to_owned())]);
+        manifest.processes.insert("policy".to_owned(), facts);
+        let opened = RunFolder::open(&dir.path().join("run"), manifest, false).unwrap();
+        let mut folder = opened.folder;
+        folder.note(SessionEvent::Failed { generation: 1, reason: "test".to_owned() }).unwrap();
+        drop(folder);
+        let listing = runs(dir.path()).unwrap();
+        let cell = |name| {
+            let column = listing.header.iter().position(|header| *header == name).unwrap();
+            listing.rows[0][column].as_str().unwrap().to_owned()
+        };
+        assert_eq!(cell("policy"), "external (top-three)");
+        let year = cell("begun").split_once('-').unwrap().0.parse::<u32>().unwrap();
+        assert!((2024..2100).contains(&year), "{}", cell("begun"));
     }
 
     #[test]

@@ -213,7 +213,7 @@ fn build(args: BuildArgs) -> Result<Exit> {
     let mut progress = BuildProgress::new(args.quiet);
     let ready =
         request.ensure(&wanted, args.force, signals.stop(), &mut |stage| progress.show(stage));
-    progress.close();
+    progress.close(matches!(ready, Ok(Some(_))));
     let Some(ready) = ready? else {
         eprintln!("stopped; give the same command again to continue");
         return Ok(Exit::Signal(signals.received().unwrap_or_default()));

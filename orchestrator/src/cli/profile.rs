@@ -6,16 +6,18 @@ use std::time::{SystemTime, UNIX_EPOCH};
 
 use anyhow::{Context, Result};
 use clap::Args;
-use domain::{Representation, cache_folder};
+use domain::{ExternalName, Representation, cache_folder};
 use results::conditions::representation;
 use results::log::RunFolder;
 use results::settings::RunSettings;
 use shm_types::message::Role;
 use shm_types::{RunDir, registry};
+use supervise::Children;
 
 use super::documents::RunDocuments;
 use super::{Exit, print};
 use crate::commit::commit_of;
+use crate::external_memory;
 use crate::lanes::Lanes;
 use crate::launch;
 use crate::machine::{Machine, floors};
@@ -34,7 +36,8 @@ const SCRATCH: &str = "scratch";
 #[derive(Debug, Args)]
 #[command(after_help = "\
 An access begins when the simulator has published an observation, and ends when the policy has the
-recall that answers it. Its parts are wire (there and back), embedding, search and assembly.
+recall that answers it. Its parts are wire (there and back), embedding, search and assembly. For an
+external memory, search is what it computes, by its own clock, and wire includes the messages to it.
 
 What is measured:
   floors      a cache line between two cores, a copy of a frame, the bandwidth of memory
@@ -53,7 +56,8 @@ Examples:
   memtransfer profile                                 about a minute on two cores
   memtransfer profile --quick                         two memories and few figures
   memtransfer profile --full                          up to 64 lanes and ten million entries
-  memtransfer profile --memory episodic --lanes 1,2,4,8 --entries 1000,100000")]
+  memtransfer profile --memory episodic --lanes 1,2,4,8 --entries 1000,100000
+  memtransfer profile --quick --memory-cmd 'python my_memory.py'    your own memory beside two others")]
 pub(super) struct ProfileArgs {
     /// Measure little, for a first impression
     #[arg(long, conflicts_with = "full")]
@@ -67,6 +71,9 @@ pub(super) struct ProfileArgs {
     /// Memory representations [default: all; with --quick working and episodic]
     #[arg(long, value_name = "LIST", value_delimiter = ',', value_parser = representation)]
     memory: Vec<Representation>,
+    /// The command that starts a memory of your own, which is measured beside the others. Can be repeated
+    #[arg(long, value_name = "COMMAND")]
+    memory_cmd: Vec<String>,
     /// Numbers of lanes to measure beside one
     #[arg(long, value_name = "LIST", value_delimiter = ',')]
     lanes: Vec<u32>,
@@ -268,13 +275,24 @@ impl Profiler<'_> {
         let variable = variable("encoder")?;
         let encoder = args.encoder.as_deref().or(variable.as_ref().and_then(|v| v.as_str()));
         flags.extend(encoder.map(|encoder| ("encoder", encoder)));
+        flags.extend(args.memory_cmd.iter().map(|command| ("memory-cmd", command.as_str())));
         Ok(resolve([Layer::flags(flags)?])?.settings)
     }
 
     /// Runs episodes; `None` when a signal asked to stop. Returns what was measured, and problems.
     fn measure(&self, way: RunWay) -> Result<Option<(AccessRun, Vec<String>)>> {
         let Self { args, world, scratch, signals, .. } = self;
-        let settings = self.settings(way)?;
+        let mut settings = self.settings(way)?;
+        let logs = scratch.folder.join("logs");
+        let note = &mut |note: &str| args.progress(note);
+        let started = external_memory::start(&settings, Some(logs.clone()), signals.stop(), note)?;
+        if settings.has_external_memories() && started.is_none() {
+            return Ok(None);
+        }
+        let memories = started.as_ref().map_or(&[][..], |started| &started.memories);
+        let names: Vec<ExternalName> = memories.iter().map(|memory| memory.name).collect();
+        settings.add_external_memories(&names);
+        let memories = memories.to_vec();
         let ids = world.case_ids();
         let cases = select_cases(&ids, &settings.cases, settings.limit)?;
         let episodes = plan(&settings.runs(), &cases, &ids, settings.seed);
@@ -294,20 +312,32 @@ impl Profiler<'_> {
         };
         supply.copy_to(&RunFolder::documents_of(&settings.out))?;
         drop(supply);
-        let base = registry::default_base();
-        registry::clean(&base)?;
-        let folder = RunDir::create(&base)?;
-        let attach = launch::attach(&settings, world, &episodes, &folder, None)?;
-        let mut options = launch::pipeline_options(&settings, scratch.folder.join("logs"))?;
+        let (folder, children) = match started {
+            Some(started) => (started.run, started.children),
+            None => {
+                let base = registry::default_base();
+                registry::clean(&base)?;
+                (RunDir::create(&base)?, Children::default())
+            }
+        };
+        let attach = launch::attach(&settings, world, &episodes, (&folder, &memories), None)?;
+        let mut options = launch::pipeline_options(&settings, &memories, logs)?;
         for launch in options.launches.iter_mut().filter(|launch| launch.role == Role::Memory) {
             launch.env.push(("MEMTRANSFER_CACHE".into(), scratch.cache().into()));
         }
-        let rules = launch::rules(&settings)?;
+        let rules = launch::rules(&settings, &memories)?;
         let mut lanes = Lanes::new(&world.warehouse, &world.cases, rules, attach.lanes as usize);
         let mut recorder = AccessRecorder::default();
         let stop = signals.stop();
-        let ending =
-            pipeline::run_episodes(&mut lanes, episodes, &attach, &options, stop, &mut recorder)?;
+        let ending = pipeline::run_episodes(
+            &mut lanes,
+            episodes,
+            &attach,
+            &options,
+            children,
+            stop,
+            &mut recorder,
+        )?;
         if ending.interrupted {
             return Ok(None);
         }

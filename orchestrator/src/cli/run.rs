@@ -9,18 +9,22 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, anyhow, bail};
 use clap::Args;
+use domain::ExternalName;
 use domain::prompt_log::session_folder;
 use results::conditions::{Demonstrations, Route, Start};
 use results::cost::ModelPrices;
-use results::log::{EpisodeRecord, FORMAT, Manifest, Opened, RunFolder, RunLog};
+use results::log::{FORMAT, Manifest, Opened, RunFolder, RunLog};
 use results::settings::{Group, RunSettings};
+use rustix::io::Errno;
 use shm_types::message::WIRE_VERSION;
 use shm_types::{RunDir, registry};
+use supervise::Children;
 
 use super::documents::RunDocuments;
 use super::{Exit, in_one_line, print};
 use crate::budget::Budget;
 use crate::commit::commit_of;
+use crate::external_memory::{self, ExternalMemory, StartedMemories};
 use crate::frame_budget;
 use crate::lanes::Lanes;
 use crate::launch;
@@ -29,7 +33,7 @@ use crate::pipeline::{self, Ending};
 use crate::plan::{PlannedEpisode, plan};
 use crate::progress::Progress;
 use crate::session::RunSession;
-use crate::settings::{Layer, resolve, select_cases};
+use crate::settings::{self, Layer, resolve, select_cases};
 use crate::signals::{self, Signals};
 use crate::status::EpisodeCounts;
 use crate::trace::RunTrace;
@@ -50,6 +54,7 @@ Examples:
   memtransfer run --policy random --limit 10            ten cases, one of each task
   memtransfer run --policy expert --starts original,new --routes unchanged,blocked
   memtransfer run --memory episodic --demos original,4  one against four demonstrations
+  memtransfer run --memory working,episodic --memory-cmd 'python my_memory.py'  and your own memory
   memtransfer run --suite paper --dry-run               the paper's conditions, counted
   memtransfer run --frames blank --out runs/blank       a control: what remains without pixels?
   memtransfer run --cases t03,t09-01 --dry-run          what would run")]
@@ -84,6 +89,8 @@ struct RunPlan {
     world: World,
     episodes: Vec<PlannedEpisode>,
     prices: Option<ModelPrices>,
+    /// The external memories; `None` without any.
+    started: Option<StartedMemories>,
 }
 
 pub(super) fn run(args: RunArgs) -> Result<Exit> {
@@ -93,33 +100,47 @@ pub(super) fn run(args: RunArgs) -> Result<Exit> {
         print(&resolved.to_string())?;
         return Ok(Exit::Complete);
     }
-    let plan = RunPlan::new(resolved.settings)?;
+    let signals = Signals::listen().context("cannot listen to signals")?;
+    let Some(plan) = RunPlan::new(resolved.settings, &args, &signals)? else {
+        return Ok(stopped_before_episodes(&signals, "external memories were being started"));
+    };
     if args.dry_run {
         print(&dry_run::describe(&plan, args.fresh)?)?;
         return Ok(Exit::Complete);
     }
-    plan.execute(&args).map_err(|error| {
-        let is_full = |cause: &(dyn std::error::Error + 'static)| {
-            let error = cause.downcast_ref::<io::Error>();
-            error.is_some_and(|error| error.kind() == io::ErrorKind::StorageFull)
-        };
-        if !error.chain().any(is_full) {
-            return error;
-        }
-        anyhow!(
+    plan.execute(&args, &signals).map_err(|error| match is_disk_full(&error) {
+        false => error,
+        true => anyhow!(
             "{}\nThe disk is full. Finished episodes are kept: free some space, then give the same command again:\n  {}",
             in_one_line(&error),
             same_command()
-        )
+        ),
+    })
+}
+
+/// Whether a full disk caused the error, here or in a child process, whose error is a text.
+fn is_disk_full(error: &anyhow::Error) -> bool {
+    let full = io::Error::from(Errno::NOSPC).to_string();
+    error.chain().any(|cause| {
+        let io_error = cause.downcast_ref::<io::Error>();
+        io_error.is_some_and(|error| error.kind() == io::ErrorKind::StorageFull)
+            || cause.to_string().contains(&full)
     })
 }
 
 impl RunPlan {
-    fn new(settings: RunSettings) -> Result<Self> {
-        note_omissions(&settings);
+    /// The plan of a run with `settings`, once its external memories have told their names. `None` when a signal asked to
+    /// stop meanwhile.
+    fn new(mut settings: RunSettings, args: &RunArgs, signals: &Signals) -> Result<Option<Self>> {
         let world = World::load(settings.assets.as_deref())?;
         let ids = world.case_ids();
+        // What can be wrong without the names of external memories is said before these start.
         let cases = select_cases(&ids, &settings.cases, settings.limit)?;
+        let started = start_memories(&mut settings, args, signals)?;
+        if settings.has_external_memories() && started.is_none() && !args.dry_run {
+            return Ok(None);
+        }
+        note_omissions(&settings);
         let episodes = plan(&settings.runs(), &cases, &ids, settings.seed);
         if episodes.is_empty() {
             bail!("no case is left: --limit is 0, or --cases selects none");
@@ -131,7 +152,12 @@ impl RunPlan {
                 file.map(|file| ModelPrices::read(file, &model.model)).transpose()?
             }
         };
-        Ok(Self { settings, world, episodes, prices })
+        Ok(Some(Self { settings, world, episodes, prices, started }))
+    }
+
+    /// The external memories.
+    fn memories(&self) -> &[ExternalMemory] {
+        self.started.as_ref().map_or(&[], |started| &started.memories)
     }
 
     /// The keys of all episodes.
@@ -150,6 +176,7 @@ impl RunPlan {
             settings: self.settings.clone(),
             hashes: self.world.hashes.clone(),
             documents: BTreeMap::new(),
+            memories: self.memories().iter().map(|memory| (memory.name, memory.facts())).collect(),
             prices: self.prices.clone(),
             episodes: self.episodes.len() as u32,
             processes: BTreeMap::new(),
@@ -157,14 +184,13 @@ impl RunPlan {
     }
 
     /// Runs what is missing, and prints the table.
-    fn execute(&self, args: &RunArgs) -> Result<Exit> {
-        let signals = Signals::listen().context("cannot listen to signals")?;
-        let settings = &self.settings;
+    fn execute(mut self, args: &RunArgs, signals: &Signals) -> Result<Exit> {
+        let settings = self.settings.clone();
         RunFolder::check(&settings.out)?;
         let mut manifest = self.manifest();
-        let documents = RunDocuments::of(settings, args.fresh);
-        let Some(documents) = documents.supply(&signals, args.quiet)? else {
-            return Ok(stopped_before_episodes(&signals));
+        let documents = RunDocuments::of(&settings, args.fresh);
+        let Some(documents) = documents.supply(signals, args.quiet)? else {
+            return Ok(stopped_before_episodes(signals, "documents were being built"));
         };
         manifest.documents = documents.facts();
         if !args.fresh && RunFolder::has_episodes(&settings.out) {
@@ -180,7 +206,13 @@ impl RunPlan {
         let is_missing = |episode: &&PlannedEpisode| !folder.is_finished(&episode.key.to_string());
         let missing: Vec<PlannedEpisode> =
             self.episodes.iter().filter(is_missing).cloned().collect();
-        self.note_prompt_log(&finished, missing.len());
+        if settings.log_prompts {
+            let logged = RunFolder::prompts_of(folder.dir());
+            let logged = logged.exists().then_some(&*logged);
+            if let Some(note) = prompt_log_note(finished.len(), missing.len(), logged) {
+                eprintln!("{note}");
+            }
+        }
         let prices = folder.manifest().prices.as_ref();
         let model = settings.model.as_ref();
         if model.is_some_and(|model| model.max_cost.is_some()) && prices.is_none() {
@@ -200,15 +232,17 @@ impl RunPlan {
                 earlier: (finished.len() as u64, successes as u64),
                 ..EpisodeCounts::default()
             };
-            halted = self.session(missing, counts, &mut folder, budget, args, &signals)?;
+            halted = self.session(missing, counts, &mut folder, budget, args, signals)?;
         }
-        self.conclude(halted, &signals)
+        // They are not needed while the table is made.
+        self.started = None;
+        self.conclude(halted, signals)
     }
 
     /// Runs the missing episodes, and records how that ended. Returns why it stopped early, if a process or the
     /// budget did so.
     fn session(
-        &self,
+        &mut self,
         missing: Vec<PlannedEpisode>,
         counts: EpisodeCounts,
         folder: &mut RunFolder,
@@ -216,31 +250,51 @@ impl RunPlan {
         args: &RunArgs,
         signals: &Signals,
     ) -> Result<Option<String>> {
-        let Self { settings, world, .. } = self;
+        let Self { settings, world, started, .. } = self;
         let mut progress = Progress::new(args.quiet);
-        let base = registry::default_base();
-        for gone in registry::clean(&base)?.removed {
-            progress.note(&format!("removed what a killed run left in {}", gone.display()));
-        }
-        let run = RunDir::create(&base)?;
+        let (own, children);
+        let (run, memories): (&RunDir, &[ExternalMemory]) = match started {
+            Some(started) => {
+                children = std::mem::take(&mut started.children);
+                (&started.run, &started.memories)
+            }
+            None => {
+                let base = registry::default_base();
+                for gone in registry::clean(&base)?.removed {
+                    progress.note(&format!("removed what a killed run left in {}", gone.display()));
+                }
+                own = RunDir::create(&base)?;
+                children = Children::default();
+                (&own, &[])
+            }
+        };
         let prompts = RunFolder::prompts_of(&settings.out);
         let prompts = settings.log_prompts.then(|| session_folder(&prompts, folder.session()));
-        let mut attach = launch::attach(settings, world, &missing, &run, prompts.as_deref())?;
+        let mut attach =
+            launch::attach(settings, world, &missing, (run, memories), prompts.as_deref())?;
         let trace = args.trace.as_deref().map(RunTrace::create).transpose()?;
         attach.spans = trace.as_ref().map(|trace| trace.spans().to_owned());
         if settings.warm_views {
             let views = frame_budget::every_view(&world.warehouse);
             progress.note(&format!("rendering {views} views before the first step"));
         }
-        let options = launch::pipeline_options(settings, folder.dir().join("logs"))?;
-        let rules = launch::rules(settings)?;
+        let options =
+            launch::pipeline_options(settings, memories, RunFolder::logs_of(folder.dir()))?;
+        let rules = launch::rules(settings, memories)?;
         let mut lanes = Lanes::new(&world.warehouse, &world.cases, rules, attach.lanes as usize);
         let monitor = Monitor::new(folder.dir(), attach.lanes, counts, progress);
         let size = (attach.lanes, attach.frame_capacity);
         let mut session = RunSession::new(folder, monitor, budget, trace, size);
         let stop = signals.stop();
-        let outcome =
-            pipeline::run_episodes(&mut lanes, missing, &attach, &options, stop, &mut session);
+        let outcome = pipeline::run_episodes(
+            &mut lanes,
+            missing,
+            &attach,
+            &options,
+            children,
+            stop,
+            &mut session,
+        );
         let reason = match (&outcome, signals.received()) {
             (Err(error), _) => format!("{error:#}"),
             (Ok(_), Some(signal)) => signals::name(signal).to_owned(),
@@ -280,25 +334,25 @@ impl RunPlan {
         }
         Ok(if done >= planned { Exit::Complete } else { Exit::Failed })
     }
+}
 
-    /// Reports the episodes whose prompts are not logged because they are finished.
-    fn note_prompt_log(&self, finished: &[EpisodeRecord], missing: usize) {
-        let folder = RunFolder::prompts_of(&self.settings.out);
-        if !self.settings.log_prompts || finished.is_empty() || folder.exists() {
-            return;
-        }
-        let advice = "To log them, run them again with another --out, or all with --fresh";
-        match missing {
-            0 => eprintln!(
-                "--log-prompts: nothing is logged, because all {} episodes are finished. {advice}",
-                finished.len()
-            ),
-            _ => eprintln!(
-                "--log-prompts: the prompts of {} episodes that are finished are not logged, only those of the \
-                 other {missing}. {advice}",
-                finished.len()
-            ),
-        }
+/// The note about episodes whose prompts are not logged because they are finished. `logged` is the folder of the logs of
+/// earlier sessions, if there is one.
+fn prompt_log_note(finished: usize, missing: usize, logged: Option<&Path>) -> Option<String> {
+    const ADVICE: &str = "To log them, run them again with another --out, or all with --fresh";
+    match (finished, missing, logged) {
+        (0, ..) | (_, 1.., Some(_)) => None,
+        (_, 0, None) => Some(format!(
+            "--log-prompts: nothing is logged, because all {finished} episodes are finished. {ADVICE}"
+        )),
+        (_, 0, Some(folder)) => Some(format!(
+            "--log-prompts: nothing more is logged, because all {finished} episodes are finished. Earlier logs are in {}",
+            folder.display()
+        )),
+        (_, 1.., None) => Some(format!(
+            "--log-prompts: the prompts of {finished} episodes that are finished are not logged, only those of the \
+             other {missing}. {ADVICE}"
+        )),
     }
 }
 
@@ -320,12 +374,42 @@ fn note_omissions(settings: &RunSettings) {
     }
 }
 
-/// Reports that a signal came while documents were being built.
-fn stopped_before_episodes(signals: &Signals) -> Exit {
+/// Starts the external memories of a run and adds their names to the settings. `None` without any, when a signal asked to
+/// stop, and for one that the user starts in a dry run, which does not wait.
+fn start_memories(
+    settings: &mut RunSettings,
+    args: &RunArgs,
+    signals: &Signals,
+) -> Result<Option<StartedMemories>> {
+    let mut progress = Progress::new(args.quiet);
+    let logs = if args.dry_run {
+        if std::mem::take(&mut settings.external_memory) {
+            progress.note(
+                "a dry run does not wait for a memory that you start yourself: its conditions are not listed",
+            );
+        }
+        None
+    } else {
+        RunFolder::check(&settings.out)?;
+        Some(RunFolder::logs_of(&settings.out))
+    };
+    let started =
+        external_memory::start(settings, logs, signals.stop(), &mut |note| progress.note(note))?;
+    if let Some(started) = &started {
+        let names: Vec<ExternalName> = started.memories.iter().map(|memory| memory.name).collect();
+        settings.add_external_memories(&names);
+    }
+    // With the names all conditions are known.
+    settings::check(settings)?;
+    Ok(started)
+}
+
+/// Reports that a signal came while something was being done before the first episode.
+fn stopped_before_episodes(signals: &Signals, meanwhile: &str) -> Exit {
     let signal = signals.received().unwrap_or_default();
     eprintln!(
-        "stopped by {} while documents were being built, before the first episode. Documents that were complete \
-         are kept. To resume:\n  {}",
+        "stopped by {} while {meanwhile}, before the first episode. Documents that were complete are kept. To \
+         resume:\n  {}",
         signals::name(signal),
         same_command()
     );
@@ -344,4 +428,34 @@ fn same_command() -> String {
     };
     let arguments = std::env::args().filter(|argument| argument != "--fresh");
     arguments.map(quoted).collect::<Vec<_>>().join(" ")
+}
+
+#[cfg(test)]
+mod tests {
+    use results::log::LogError;
+
+    use super::*;
+
+    #[test]
+    fn prompts_that_cannot_be_logged_any_more_are_counted() {
+        let logged = Some(Path::new("runs/x/prompts"));
+        assert_eq!(prompt_log_note(0, 12, None), None);
+        assert_eq!(prompt_log_note(4, 8, logged), None);
+        let note = |finished, missing, logged| prompt_log_note(finished, missing, logged).unwrap();
+        insta::assert_snapshot!(note(12, 0, None), @"--log-prompts: nothing is logged, because all 12 episodes are finished. To log them, run them again with another --out, or all with --fresh");
+        insta::assert_snapshot!(note(12, 0, logged), @"--log-prompts: nothing more is logged, because all 12 episodes are finished. Earlier logs are in runs/x/prompts");
+        insta::assert_snapshot!(note(4, 8, None), @"--log-prompts: the prompts of 4 episodes that are finished are not logged, only those of the other 8. To log them, run them again with another --out, or all with --fresh");
+    }
+
+    #[test]
+    fn a_full_disk_is_noticed_here_and_in_child_processes() {
+        let full = || io::Error::from(Errno::NOSPC);
+        let doing = "write to";
+        let log = LogError::System { doing, path: "episodes.jsonl".into(), source: full() };
+        let reported = format!("the memory process failed: cannot store embeddings: {}", full());
+        for error in [anyhow::Error::from(log).context("session"), anyhow!(reported)] {
+            assert!(is_disk_full(&error), "{error:#}");
+        }
+        assert!(!is_disk_full(&io::Error::from(Errno::ACCESS).into()));
+    }
 }

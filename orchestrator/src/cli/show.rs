@@ -8,6 +8,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, anyhow, bail};
 use clap::Args;
+use domain::prompt_log::RecordedItem;
 
 use results::log::{EpisodeRecord, RunLog};
 use results::names::UnknownName;
@@ -157,16 +158,23 @@ impl ShowArgs {
 fn write_images(folder: &Path, prompt: &RecordedPrompt) -> Result<()> {
     fs::create_dir_all(folder).with_context(|| format!("cannot make {}", folder.display()))?;
     let request = &prompt.entry.request;
-    let remembered =
-        request.segment.iter().map(|segment| &segment.steps).chain(&prompt.demonstrations);
     let mut named = vec![("now".to_owned(), &request.frame)];
     for (index, past) in request.window.iter().enumerate() {
         named.push((format!("window-{:02}", index + 1), &past.frame));
     }
-    for (index, steps) in remembered.enumerate() {
+    for (number, item) in (1..).zip(&request.items) {
+        let steps = match item {
+            RecordedItem::Text { .. } => continue,
+            RecordedItem::Frame { frame, .. } => {
+                named.push((format!("memory-{number}"), frame));
+                continue;
+            }
+            RecordedItem::Segment { steps, .. } => steps.as_slice(),
+            RecordedItem::Trajectory(hash) => prompt.trajectory(hash),
+        };
         for (step, seen) in steps.iter().enumerate() {
             if let Some(frame) = &seen.frame {
-                named.push((format!("memory-{}-{step:03}", index + 1), frame));
+                named.push((format!("memory-{number}-{step:03}"), frame));
             }
         }
     }

@@ -1,5 +1,6 @@
 //! `memtransfer top`: the live status of a running run.
 
+use std::collections::BTreeSet;
 use std::io::{IsTerminal, Write};
 use std::path::{Path, PathBuf};
 use std::thread;
@@ -7,13 +8,15 @@ use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
 use clap::Args;
-use domain::Representation;
-use results::conditions::representation;
+use domain::{MemoryKind, Representation};
+use results::latency::LatencySummary;
+use results::names::UnknownName;
 use results::table::table;
 use shm_types::message::Role;
 
 use super::{Exit, print, print_json};
-use crate::status::{LiveStatus, StageLatency};
+use crate::pipeline::Participant;
+use crate::status::{LiveStatus, MemoryStatus, StageLatency};
 
 /// Time between two drawings of the screen.
 const INTERVAL: Duration = Duration::from_millis(500);
@@ -40,8 +43,8 @@ pub(super) struct TopArgs {
     #[arg(default_value = "runs", value_name = "DIR")]
     dir: PathBuf,
     /// Show every stage of the steps with this memory
-    #[arg(long, value_name = "NAME", value_parser = representation)]
-    memory: Option<Representation>,
+    #[arg(long, value_name = "NAME")]
+    memory: Option<String>,
     /// Print the status once, and stop
     #[arg(long)]
     once: bool,
@@ -56,9 +59,10 @@ pub(super) fn run(args: &TopArgs) -> Result<Exit> {
         print_json(&status)?;
         return Ok(Exit::Complete);
     }
+    let memory = args.memory.as_deref().map(|name| shown_memory(name, &status)).transpose()?;
     let is_screen = std::io::stdout().is_terminal() && !args.once;
     loop {
-        let text = page(&run, &status, args.memory);
+        let text = page(&run, &status, memory);
         if !is_screen {
             print(&text)?;
             return Ok(Exit::Complete);
@@ -108,13 +112,22 @@ fn running(dir: &Path) -> Result<(PathBuf, LiveStatus)> {
     })
 }
 
+/// The memory called `name`: a built-in one, or one that the run has.
+fn shown_memory(name: &str, status: &LiveStatus) -> Result<MemoryKind, UnknownName> {
+    let built_in = Representation::ALL.iter().copied().map(MemoryKind::BuiltIn);
+    let of_run = status.stages.iter().map(|stage| stage.memory);
+    let known: BTreeSet<MemoryKind> = built_in.chain(of_run).collect();
+    let found = known.iter().find(|memory| memory.name() == name).copied();
+    found.ok_or_else(|| UnknownName::new("memory", name, known.iter().map(MemoryKind::name)))
+}
+
 /// The first lines of `text` that fit, each cut to the width.
 fn fit(text: &str, (width, height): (usize, usize)) -> String {
     let lines: Vec<String> = text.lines().map(|line| line.chars().take(width).collect()).collect();
     lines[..lines.len().min(height.max(1))].join("\n")
 }
 
-fn page(run: &Path, status: &LiveStatus, memory: Option<Representation>) -> String {
+fn page(run: &Path, status: &LiveStatus, memory: Option<MemoryKind>) -> String {
     let mut text = format!("{}: {}\n", run.display(), status.line());
     let busy: u32 = status.waiting.values().sum();
     text += &format!(
@@ -123,16 +136,19 @@ fn page(run: &Path, status: &LiveStatus, memory: Option<Representation>) -> Stri
     );
     let header = ["process", "lanes waiting", "work", "per second", "queued", "frames", "limit"];
     let mut processes = table(&header, 1);
-    for (role, work) in [
-        (Role::Sim, "views rendered"),
-        (Role::Memory, "images embedded"),
-        (Role::Policy, "requests answered"),
-    ] {
-        let process = status.processes.get(role.word());
+    let fixed = [
+        (Role::Sim.into(), "views rendered"),
+        (Role::Memory.into(), "images embedded"),
+        (Role::Policy.into(), "requests answered"),
+    ];
+    let external = status.memories.iter().map(|memory| (memory.name.into(), "requests answered"));
+    let names = fixed.into_iter().chain(external);
+    for (name, work) in names.map(|(one, work): (Participant, _)| (one.to_string(), work)) {
+        let process = status.processes.get(&name);
         let cell = |value: Option<String>| value.unwrap_or_else(|| "-".to_owned());
         processes.add_row([
-            role.word().to_owned(),
-            status.waiting.get(role.word()).copied().unwrap_or(0).to_string(),
+            name.clone(),
+            status.waiting.get(&name).copied().unwrap_or(0).to_string(),
             work.to_owned(),
             cell(process.map(|process| format!("{:.0}", process.done_per_s))),
             cell(process.map(|process| process.waiting.to_string())),
@@ -143,10 +159,35 @@ fn page(run: &Path, status: &LiveStatus, memory: Option<Representation>) -> Stri
         ]);
     }
     text += &format!("{processes}\n\n");
+    if !status.memories.is_empty() {
+        text += &format!("{}\n\n", external_memories(status));
+    }
     text + &match memory {
         Some(memory) => stages(status, memory),
         None => steps(status),
     }
+}
+
+/// A row for each external memory: whether it takes part, and how fast it answers.
+fn external_memories(status: &LiveStatus) -> String {
+    let header =
+        ["external memory", "state", "recalls", "p50 us", "p99 us", "method p50", "wire p50"];
+    let mut memories = table(&header, 2);
+    for MemoryStatus { name, state, recall, method, wire } in &status.memories {
+        let us = |times: &Option<LatencySummary>, of: fn(&LatencySummary) -> f64| {
+            times.as_ref().map_or_else(|| "-".to_owned(), |times| format!("{:.0}", of(times)))
+        };
+        memories.add_row([
+            name.to_string(),
+            state.clone(),
+            us(recall, |times| times.count as f64),
+            us(recall, |times| times.p50_us),
+            us(recall, |times| times.p99_us),
+            us(method, |times| times.p50_us),
+            us(wire, |times| times.p50_us),
+        ]);
+    }
+    memories.to_string()
 }
 
 /// A row for each memory: its steps, and the stages that take most of their time.
@@ -177,7 +218,7 @@ fn steps(status: &LiveStatus) -> String {
 }
 
 /// A row for each stage of the steps with `memory`.
-fn stages(status: &LiveStatus, memory: Representation) -> String {
+fn stages(status: &LiveStatus, memory: MemoryKind) -> String {
     let mut stages = table(&["stage", "steps", "mean us", "p50", "p90", "p99", "max"], 1);
     for StageLatency { stage, summary, .. } in
         status.stages.iter().filter(|stage| stage.memory == memory)
@@ -194,7 +235,6 @@ fn stages(status: &LiveStatus, memory: Representation) -> String {
 
 #[cfg(test)]
 mod tests {
-    use results::latency::LatencySummary;
     use results::log::Stages;
 
     use super::*;
@@ -220,7 +260,7 @@ mod tests {
             max_us: 12_345_678.9,
         };
         let stages = Representation::ALL.iter().flat_map(|&memory| {
-            let summary = summary.clone();
+            let (memory, summary) = (MemoryKind::BuiltIn(memory), summary.clone());
             Stages::NAMES.into_iter().chain(["step"]).map(move |stage| StageLatency {
                 memory,
                 stage: stage.to_owned(),
@@ -248,7 +288,7 @@ mod tests {
     #[test]
     fn six_memories_fit_a_terminal() {
         let status = busy();
-        for memory in [None, Some(Representation::FullContext)] {
+        for memory in [None, Some(Representation::FullContext.into())] {
             let page = page(Path::new("runs/paper-openai-some-model"), &status, memory);
             let most = if memory.is_none() { 24 } else { 30 };
             assert!(page.lines().count() <= most, "{page}");
@@ -257,6 +297,43 @@ mod tests {
         let page = page(Path::new("run"), &status, None);
         assert!(Representation::ALL.iter().all(|memory| page.contains(memory.name())), "{page}");
         assert_eq!(fit("abcdef\nb\nc", (3, 2)), "abc\nb");
+    }
+
+    #[test]
+    fn external_memories_show_their_state_and_what_they_compute_apart_from_the_wire() {
+        let mut status = busy();
+        let stage = &status.stages[0];
+        let times = Some(LatencySummary { p50_us: 30.0, ..stage.summary.clone() });
+        let own = MemoryKind::External("a-memory-of-twenty-four".parse().unwrap());
+        let stages = status.stages[..13].iter().cloned();
+        let stages: Vec<_> = stages.map(|stage| StageLatency { memory: own, ..stage }).collect();
+        status.stages.extend(stages);
+        let memory = MemoryStatus {
+            name: own.external().unwrap(),
+            state: "failed 2 times, started again".to_owned(),
+            recall: times.clone(),
+            method: times.clone(),
+            wire: times,
+        };
+        let excluded = MemoryStatus {
+            name: "bm25".parse().unwrap(),
+            state: "left out".to_owned(),
+            recall: None,
+            method: None,
+            wire: None,
+        };
+        status.memories = vec![memory, excluded];
+        status.waiting.insert("external-memory bm25".to_owned(), 7);
+        let shown = page(Path::new("run"), &status, None);
+        assert!(shown.lines().all(|line| line.chars().count() <= 100), "{shown}");
+        let row = |start: &str| shown.lines().find(|line| line.starts_with(start)).unwrap();
+        let cells: Vec<&str> = row("external-memory bm25").split_whitespace().collect();
+        assert_eq!(cells[2], "7", "{shown}");
+        assert!(row("bm25").contains("left out") && row("bm25").ends_with('-'), "{shown}");
+        assert!(shown.contains("failed 2 times"), "{shown}");
+        assert_eq!(shown_memory("a-memory-of-twenty-four", &status).unwrap(), own);
+        let error = shown_memory("bm2", &status).unwrap_err().to_string();
+        assert!(error.starts_with("unknown memory `bm2`"), "{error}");
     }
 
     #[test]

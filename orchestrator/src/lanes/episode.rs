@@ -4,14 +4,15 @@ use std::collections::BTreeMap;
 use std::fmt::Write as _;
 
 use bytemuck::Zeroable;
-use domain::{Action, Cell, Feedback, Outcome, Pose};
+use domain::{Action, Cell, Feedback, MemoryKind, Outcome, Pose};
 use results::conditions::Route;
-use results::log::{Ending, EpisodeRecord, Stages, Unread};
+use results::log::{Ending, EpisodeRecord, RecallTotals, Stages, Unread};
 use shm_types::message::{
-    Decision, FrameId, MemoryEpisodeConfig, NO_ACTION, NO_FRAME, NOT_MEASURED, Observation,
-    PolicyEpisodeConfig, RecallTrace, Role, StepCommand, StepKind, WirePose, write_text,
+    Decision, EXTERNAL, FrameId, MemoryEpisodeConfig, NO_ACTION, NO_FRAME, NOT_MEASURED,
+    Observation, PolicyEpisodeConfig, RecallTrace, RecalledSource, Role, StepCommand, StepKind,
+    WirePose, write_text,
 };
-use warehouse::{Case, Progress, Start, Variant, step};
+use warehouse::{Progress, Start, Variant, step};
 
 use super::{
     AnswerError, AnsweredRequest, Context, EpisodeOpening, FinishedEpisode, PendingAnswer, Stamps,
@@ -43,6 +44,7 @@ pub(super) struct ActiveEpisode {
     early: Option<Decision>,
     /// As [`EpisodeRecord::retrieved`].
     retrieved: String,
+    has_matches: bool,
     distances: Vec<f64>,
     result: FinishedEpisode,
 }
@@ -108,6 +110,9 @@ impl ActiveEpisode {
             unread: Unread::default(),
             retrieved: None,
             distance: None,
+            memory_items_dropped: 0,
+            memory_images_dropped: 0,
+            memory_text_dropped: 0,
         };
         Self {
             variant_code: if is_blocked { 1 + episode.case_index as u32 } else { 0 },
@@ -124,11 +129,13 @@ impl ActiveEpisode {
             trace: None,
             early: None,
             retrieved: String::new(),
+            has_matches: false,
             distances: Vec::new(),
             result: FinishedEpisode {
                 episode,
                 record,
                 stages: Stages::default(),
+                recalls: RecallTotals::default(),
                 lane,
                 id,
                 started_ns: *now_ns,
@@ -140,6 +147,10 @@ impl ActiveEpisode {
 
     pub(super) const fn id(&self) -> u64 {
         self.result.id
+    }
+
+    pub(super) const fn memory(&self) -> MemoryKind {
+        self.stamps.memory
     }
 
     pub(super) fn into_episode(self) -> PlannedEpisode {
@@ -168,16 +179,24 @@ impl ActiveEpisode {
         let task = &context.cases.cases[episode.case_index].task;
         let instruction = task.instruction(&context.warehouse.catalogue);
         policy.instruction_len = write_text(&mut policy.instruction, &instruction);
+        let rules = &context.rules;
+        let external = condition.memory.external().and_then(|name| rules.external_index(name));
         let memory = MemoryEpisodeConfig {
             episode: id,
+            seed: episode.seed,
             lane,
             case: episode.case_index as u32,
             demonstrations: condition.demonstrations.bits(),
-            representation: condition.memory as u8,
-            horizon: context.rules.horizon,
-            keyframes: context.rules.keyframes,
+            representation: condition.memory.built_in().map_or(EXTERNAL, |one| one as u8),
+            horizon: rules.horizon,
+            keyframes: rules.keyframes,
             segment: condition.variation.segment.code() as u8,
-            ..Zeroable::zeroed()
+            text_budget: rules.memory_text_bytes,
+            image_budget: rules.memory_images,
+            hits: rules.hits,
+            external: external.unwrap_or_default(),
+            repeat: episode.key.run,
+            reserved: 0,
         };
         let start = self.pose.into();
         let command = StepCommand { start, ..self.command(StepKind::Reset, context.now_ns) };
@@ -210,21 +229,17 @@ impl ActiveEpisode {
         context: &Context<'_>,
         trace: &RecallTrace,
     ) -> Result<(), AnswerError> {
-        let &RecallTrace { lane, step, case, demonstration, .. } = trace;
+        let &RecallTrace { lane, step, .. } = trace;
         if !self.awaits(step) || self.trace.is_some() {
             return Err(self.unexpected(Role::Memory, step));
         }
-        let source = if case == NOT_MEASURED {
-            None
-        } else {
-            let start = Start::DEMONSTRATIONS.get(usize::from(demonstration));
-            let Some(source) = context.cases.cases.get(case as usize).zip(start) else {
-                let problem = format!("case {case}, demonstration {demonstration}");
-                return Err(AnswerError::Invalid { role: Role::Memory, lane, step, problem });
-            };
-            Some(source)
-        };
-        self.note_retrieval(source, trace);
+        let invalid = |problem| AnswerError::Invalid { role: Role::Memory, lane, step, problem };
+        let sources = trace.sources.get(..trace.sources_len as usize);
+        let sources = sources.ok_or_else(|| invalid(format!("{} sources", trace.sources_len)))?;
+        if self.stamps.memory.retrieves() {
+            self.note_retrieval(context, sources).map_err(invalid)?;
+        }
+        self.count_recall(trace);
         self.trace = Some(*trace);
         self.since_ns = context.now_ns;
         Ok(())
@@ -355,15 +370,15 @@ impl ActiveEpisode {
 
     /// The finished episode.
     pub(super) fn finish(self, now_ns: u64) -> FinishedEpisode {
-        let Self { mut result, events, retrieved, distances, .. } = self;
+        let Self { mut result, events, retrieved, has_matches, distances, .. } = self;
         result.ended_ns = now_ns;
         result.record.visits = events.visits;
         result.record.first_seen = events.first_seen;
         if !distances.is_empty() {
             let mean = distances.iter().sum::<f64>() / distances.len() as f64;
             result.record.distance = Some((mean * 1e6).round() / 1e6);
-            result.record.retrieved = Some(retrieved);
         }
+        result.record.retrieved = has_matches.then_some(retrieved);
         result
     }
 
@@ -378,7 +393,8 @@ impl ActiveEpisode {
             Role::Memory => self.since_ns.max(memory_busy_ns),
             _ => self.since_ns,
         };
-        PendingAnswer { role, lane, since_ns, unusable: self.result.unusable }
+        let memory = self.stamps.memory;
+        PendingAnswer { role, lane, memory, since_ns, unusable: self.result.unusable }
     }
 
     /// The command that makes the simulator do what was predicted.
@@ -397,20 +413,67 @@ impl ActiveEpisode {
         }
     }
 
-    /// Adds where the current step's segment comes from.
-    fn note_retrieval(&mut self, source: Option<(&Case, &Start)>, trace: &RecallTrace) {
+    /// Adds where the current step's items come from.
+    ///
+    /// # Errors
+    /// When a source does not exist.
+    fn note_retrieval(
+        &mut self,
+        context: &Context<'_>,
+        sources: &[RecalledSource],
+    ) -> Result<(), String> {
+        let own = self.result.episode.case_index;
+        let mut words = String::new();
+        for &RecalledSource { case, demonstration, first, .. } in sources {
+            let found = context.cases.cases.get(case as usize);
+            let start = Start::DEMONSTRATIONS.get(usize::from(demonstration));
+            let Some((found, start)) = found.zip(start) else {
+                return Err(format!("case {case}, demonstration {demonstration}"));
+            };
+            if !words.is_empty() {
+                words.push('+');
+            }
+            if case as usize != own {
+                words.push_str(&found.id);
+                words.push(':');
+            }
+            words.push(start.letter());
+            // Writing to a string cannot fail.
+            let _ = write!(words, "{first}");
+        }
         if !self.retrieved.is_empty() {
             self.retrieved.push(' ');
         }
-        let Some((case, start)) = source else { return self.retrieved.push('-') };
-        self.distances.push(f64::from(trace.distance));
-        if trace.case as usize != self.result.episode.case_index {
-            self.retrieved.push_str(&case.id);
-            self.retrieved.push(':');
+        self.retrieved.push_str(if words.is_empty() { "-" } else { &words });
+        self.has_matches |= !words.is_empty();
+        let distances = sources.iter().map(|source| f64::from(source.distance));
+        self.distances.extend(distances.filter(|distance| distance.is_finite()).take(1));
+        Ok(())
+    }
+
+    /// Adds what memory supplied.
+    fn count_recall(&mut self, trace: &RecallTrace) {
+        let record = &mut self.result.record;
+        let dropped = |asked: u32, supplied: u32| u64::from(asked.saturating_sub(supplied));
+        record.memory_items_dropped += dropped(trace.items_asked.into(), trace.items.into());
+        record.memory_images_dropped += dropped(trace.images_asked, trace.images);
+        record.memory_text_dropped += dropped(trace.text_asked, trace.text);
+        let recalls = &mut self.result.recalls;
+        recalls.requests += 1;
+        recalls.items += u64::from(trace.items);
+        recalls.images += u64::from(trace.images);
+        recalls.text += u64::from(trace.text);
+        if trace.store_bytes > 0 {
+            recalls.store_bytes = recalls.store_bytes.max(Some(trace.store_bytes));
         }
-        self.retrieved.push(start.letter());
-        // Writing to a string cannot fail.
-        let _ = write!(self.retrieved, "{}", trace.index);
+        if trace.tokens != NOT_MEASURED {
+            *recalls.tokens.get_or_insert(0) += u64::from(trace.tokens);
+        }
+        if self.stamps.memory.external().is_some() {
+            let answer_ns = trace.searched_ns.saturating_sub(trace.embedded_ns);
+            *recalls.answer_ns.get_or_insert(0) += answer_ns;
+            *recalls.method_ns.get_or_insert(0) += trace.method_ns.min(answer_ns);
+        }
     }
 
     /// Whether an answer about `step` is, or will be, awaited.

@@ -1,6 +1,6 @@
 //! Time stamps of one step, taken from its messages.
 
-use domain::Representation;
+use domain::MemoryKind;
 use results::log::Stages;
 use shm_types::message::{Decision, Observation, RecallTrace};
 
@@ -15,7 +15,7 @@ pub struct Stamps {
     /// Steps taken before.
     pub step: u32,
     /// The episode's memory.
-    pub memory: Representation,
+    pub memory: MemoryKind,
     /// The orchestrator sent the command.
     pub commanded_ns: u64,
     /// The simulator received it.
@@ -30,8 +30,10 @@ pub struct Stamps {
     pub received_ns: u64,
     /// The embeddings were computed.
     pub embedded_ns: u64,
-    /// The nearest view was found.
+    /// The memory had answered the query.
     pub searched_ns: u64,
+    /// Nanoseconds before that in which an external memory computed, by its own clock; 0 for a built-in one.
+    pub method_ns: u64,
     /// The recall was assembled.
     pub assembled_ns: u64,
     /// The recall was sent.
@@ -52,7 +54,7 @@ pub struct Stamps {
 
 impl Stamps {
     /// The stamps of a step before it begins.
-    pub const fn new(episode: u64, lane: u32, memory: Representation) -> Self {
+    pub const fn new(episode: u64, lane: u32, memory: MemoryKind) -> Self {
         Self {
             episode,
             lane,
@@ -66,6 +68,7 @@ impl Stamps {
             received_ns: 0,
             embedded_ns: 0,
             searched_ns: 0,
+            method_ns: 0,
             assembled_ns: 0,
             recalled_ns: 0,
             joined_ns: 0,
@@ -97,6 +100,9 @@ impl Stamps {
         self.received_ns = trace.received_ns;
         self.embedded_ns = trace.embedded_ns;
         self.searched_ns = trace.searched_ns;
+        // By a clock that is not ours.
+        let most_ns = trace.searched_ns.saturating_sub(trace.embedded_ns);
+        self.method_ns = if trace.method_ns < most_ns { trace.method_ns } else { most_ns };
         self.assembled_ns = trace.assembled_ns;
         self.recalled_ns = trace.sent_ns;
     }
@@ -108,6 +114,16 @@ impl Stamps {
         self.prompted_ns = decision.prompted_ns;
         self.requested_ns = decision.sent_ns;
         self.decided_ns = decision.decided_ns;
+    }
+
+    /// When an external memory began to compute, if the messages to it and back took equally long; 0 for a built-in one.
+    pub const fn method_began_ns(&self) -> u64 {
+        if self.method_ns == 0 {
+            return 0;
+        }
+        let wire_ns =
+            self.searched_ns.saturating_sub(self.embedded_ns).saturating_sub(self.method_ns);
+        self.searched_ns.saturating_sub(wire_ns / 2 + self.method_ns)
     }
 
     /// Nanoseconds in each stage; 0 for one that the step skips.

@@ -6,6 +6,7 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use bytemuck::Zeroable;
+use domain::{ExternalName, MemoryKind};
 use shm_types::message::{
     Decision, ErrorReport, Handshake, Heartbeat, MemoryEpisodeConfig, Observation,
     PolicyEpisodeConfig, RecallTrace, Role, ShutdownReport, StepCommand, Stop,
@@ -14,7 +15,7 @@ use shm_types::process::{ProcessWatch, monotonic_ns};
 use shm_types::{Bus, BusError, Notifier, Receiver, Sender};
 use supervise::Children;
 
-use super::{Failure, PipelineRun};
+use super::{Failure, MemoryState, Participant, PipelineOptions, PipelineRun};
 use crate::lanes::{AnswerError, Turn};
 
 /// Time between two checks of processes, signals and time limits, and the longest wait for a message.
@@ -31,8 +32,8 @@ const SHUTDOWN_TIMEOUT: Duration = Duration::from_secs(5);
 /// The fields are dropped in order: the processes end before the services they use.
 pub(super) struct Generation {
     pub(super) children: Children,
-    /// The policy's process, where it was started by someone else.
-    pub(super) external_policy: Option<ProcessWatch>,
+    /// The processes that were started by someone else.
+    pub(super) external: Vec<(Participant, ProcessWatch)>,
     pub(super) memory_configs: Option<Sender<MemoryEpisodeConfig>>,
     pub(super) policy_configs: Option<Sender<PolicyEpisodeConfig>>,
     pub(super) commands: Sender<StepCommand>,
@@ -43,7 +44,9 @@ pub(super) struct Generation {
     pub(super) memory_busy_ns: u64,
     /// When the policy last sent an answer that was awaited.
     pub(super) decided_ns: u64,
-    pub(super) notifiers: BTreeMap<Role, Notifier>,
+    /// When each external memory last answered.
+    pub(super) recalled_ns: BTreeMap<ExternalName, u64>,
+    pub(super) notifiers: BTreeMap<Participant, Notifier>,
     pub(super) bus: Bus,
 }
 
@@ -137,7 +140,14 @@ impl Generation {
         lanes.set_time(monotonic_ns());
         let mut turns = Vec::with_capacity(decisions.len() + observations.len());
         turns.extend(observations.iter().map(|observation| lanes.observed(observation)));
-        turns.extend(traces.iter().map(|trace| lanes.recalled(trace)));
+        for trace in &traces {
+            if !run.options.memories.is_empty()
+                && let Some(MemoryKind::External(name)) = lanes.memory_of(trace.lane, trace.episode)
+            {
+                self.recalled_ns.insert(name, lanes.time());
+            }
+            turns.push(lanes.recalled(trace));
+        }
         for decision in &decisions {
             let turn = lanes.decided(decision);
             if turn.is_ok() {
@@ -164,14 +174,14 @@ impl Generation {
     }
 
     fn notify(&self, role: Role) -> Result<(), Failure> {
-        match self.notifiers.get(&role) {
+        match self.notifiers.get(&role.into()) {
             Some(notifier) => retry(notifier.notify()),
             None => Ok(()),
         }
     }
 
     /// Asks the processes to end and collects their reports.
-    pub(super) fn finish(self) -> BTreeMap<Role, ShutdownReport> {
+    pub(super) fn finish(self, options: &PipelineOptions) -> BTreeMap<Participant, ShutdownReport> {
         let mut reports = BTreeMap::new();
         let asked = self.stops.send(&Stop::zeroed());
         let asked = asked.and_then(|()| self.notifiers.values().try_for_each(Notifier::notify));
@@ -184,17 +194,23 @@ impl Generation {
             let received = self.bus.listener().wait(TICK);
             let received = received.and_then(|_| self.inbox.shutdown_reports.drain());
             let Ok(received) = received else { break };
-            reports.extend(received.iter().filter_map(|r| Some((role(r.role).ok()?, *r))));
+            for report in received {
+                let role = role(report.role).ok();
+                let sender = role.and_then(|role| options.participant(role, report.external));
+                reports.extend(sender.map(|sender| (sender, report)));
+            }
         }
         self.children.wait_or_kill(SHUTDOWN_TIMEOUT);
         reports
     }
 
     /// The exit of a process, if one has exited: it is the cause of whatever else failed.
-    pub(super) fn root_cause(&mut self, failure: Failure) -> Failure {
-        let (Failure::Retry(_) | Failure::Policy(_)) = failure else { return failure };
+    pub(super) fn root_cause(&mut self, options: &PipelineOptions, failure: Failure) -> Failure {
+        if let Failure::Fatal(_) = failure {
+            return failure;
+        }
         thread::sleep(TICK);
-        self.exited().unwrap_or(failure)
+        self.exited(options).unwrap_or(failure)
     }
 }
 
@@ -213,6 +229,11 @@ fn follow_up(
             Ok(Turn::Finished(finished)) => {
                 let attempt = run.queue.attempt(&finished.episode);
                 run.queue.finish(&finished.episode);
+                if let MemoryKind::External(name) = finished.episode.key.condition.memory
+                    && run.memory_failures.remove(&name).is_some()
+                {
+                    run.observer.memory_state(name, &MemoryState::Ready)?;
+                }
                 run.observer.finished(&finished, attempt)?;
             }
             Err(error @ AnswerError::Disagrees { .. }) => {

@@ -8,6 +8,7 @@
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
+use domain::MemoryKind;
 use results::key::EpisodeKey;
 
 use crate::plan::PlannedEpisode;
@@ -126,6 +127,25 @@ impl EpisodeQueue {
         true
     }
 
+    /// A generation ended with `under_way`, for a reason that they have no part in: they start over, however often.
+    pub(super) fn interrupted(&mut self, under_way: Vec<PlannedEpisode>) {
+        for episode in under_way {
+            self.failures.entry(episode.key.clone()).or_default().all += 1;
+            self.waiting.push_front(episode);
+        }
+    }
+
+    /// Gives up all waiting episodes with `memory`. Returns how many.
+    pub(super) fn exclude(&mut self, memory: MemoryKind, why: &str) -> usize {
+        let waiting = std::mem::take(&mut self.waiting);
+        let is_its = |episode: &PlannedEpisode| episode.key.condition.memory == memory;
+        let (excluded, waiting): (Vec<_>, Vec<_>) = waiting.into_iter().partition(is_its);
+        self.waiting = waiting.into();
+        let count = excluded.len();
+        excluded.into_iter().for_each(|episode| self.give_up(episode, why.to_owned()));
+        count
+    }
+
     /// A generation failed with `under_way`, and not because of the policy.
     pub(super) fn failed(&mut self, under_way: Vec<PlannedEpisode>) {
         for episode in under_way {
@@ -194,7 +214,7 @@ mod tests {
 
     fn episodes(count: usize) -> Vec<PlannedEpisode> {
         let condition = Condition {
-            memory: Representation::Working,
+            memory: Representation::Working.into(),
             start: Start::Original,
             route: Route::Unchanged,
             demonstrations: Demonstrations::NONE,
@@ -273,6 +293,28 @@ mod tests {
             "{} generations",
             outcome.generations
         );
+    }
+
+    #[test]
+    fn an_excluded_memory_takes_its_waiting_episodes_with_it_and_no_others() {
+        let memory: MemoryKind = "top-3".parse().unwrap();
+        let mut all = episodes(6);
+        for episode in all.iter_mut().step_by(2) {
+            episode.key.condition.memory = memory;
+        }
+        let mut queue = EpisodeQueue::new(all);
+        for _ in 0..2 * ATTEMPTS {
+            let under_way = vec![queue.next(0).unwrap(), queue.next(1).unwrap()];
+            queue.interrupted(under_way);
+        }
+        assert_eq!(queue.exclude(memory, "it crashes"), 3);
+        let left: Vec<usize> =
+            std::iter::from_fn(|| queue.next(0)).map(|episode| episode.case_index).collect();
+        assert_eq!(left.len(), 3);
+        assert!(left.iter().all(|index| index % 2 == 1), "{left:?}");
+        let given_up = queue.into_unfinished();
+        assert_eq!(given_up.len(), 3);
+        assert!(given_up.iter().all(|(_, why)| why == "it crashes"));
     }
 
     #[test]

@@ -1,18 +1,23 @@
 //! Starts a generation: processes, services, and the handshake of each.
 
 use std::collections::BTreeMap;
+use std::fs;
+use std::io;
 use std::os::unix::process::ExitStatusExt;
 use std::sync::atomic::Ordering;
 use std::time::Instant;
 
-use anyhow::Context;
+use anyhow::{Context, bail};
+use domain::ExternalName;
+use shm_types::description::{DESCRIPTION_FILE, memory_folder};
 use shm_types::message::{Handshake, Role, WIRE_VERSION, read_text};
-use shm_types::process::ProcessWatch;
-use shm_types::{Attach, Bus, BusError};
-use supervise::{Children, Launch};
+use shm_types::process::{ProcessWatch, monotonic_ns};
+use shm_types::{Attach, Bus, BusError, MemoryDescription};
+use supervise::{ChildExit, Children, Launch};
 
 use super::generation::{Generation, Inbox, TICK, role};
-use super::{Facts, Failure, PipelineOptions, PipelineRun};
+use super::{Facts, Failure, Participant, PipelineOptions, PipelineRun};
+use crate::external_memory::ExternalMemory;
 
 impl Generation {
     /// Starts the processes and waits until all are ready. `None` when asked to stop meanwhile.
@@ -34,16 +39,17 @@ impl Generation {
         let takes_part = |role| attach.participants.contains(&role);
         let memory_configs = takes_part(Role::Memory).then(|| bus.sender()).transpose()?;
         let policy_configs = takes_part(Role::Policy).then(|| bus.sender()).transpose()?;
-        let notifiers = attach.participants.iter().map(|&role| Ok((role, bus.notifier(role)?)));
-        let notifiers = notifiers.collect::<Result<_, BusError>>()?;
+        let notifiers =
+            attach.participants.iter().map(|&role| Ok((role.into(), bus.notifier(role)?)));
+        let mut notifiers = notifiers.collect::<Result<BTreeMap<Participant, _>, BusError>>()?;
+        for memory in memories(attach, run.options) {
+            notifiers.insert(memory.name.into(), bus.external_memory_notifier(memory.index)?);
+        }
         let (commands, stops) = (bus.sender()?, bus.sender()?);
-        let launches = run.options.launches.iter();
-        let launches: Vec<Launch> =
-            launches.map(|launch| launch.clone().attached_to(&attach.root)).collect();
-        let children = Children::start(&launches, &run.options.logs)?;
+        let children = start_processes(attach, run)?;
         let mut generation = Self {
             children,
-            external_policy: None,
+            external: Vec::new(),
             memory_configs,
             policy_configs,
             commands,
@@ -52,10 +58,15 @@ impl Generation {
             embedded: 0,
             memory_busy_ns: 0,
             decided_ns: 0,
+            recalled_ns: BTreeMap::new(),
             notifiers,
             bus,
         };
         let Some(facts) = generation.wait_until_ready(run)? else { return Ok(None) };
+        let now = monotonic_ns();
+        for memory in memories(attach, run.options) {
+            generation.recalled_ns.insert(memory.name, now);
+        }
         run.observer.ready(&facts)?;
         Ok(Some(generation))
     }
@@ -65,7 +76,7 @@ impl Generation {
     fn wait_until_ready(
         &mut self,
         run: &mut PipelineRun<'_, '_>,
-    ) -> Result<Option<BTreeMap<Role, Facts>>, Failure> {
+    ) -> Result<Option<BTreeMap<Participant, Facts>>, Failure> {
         let deadline = Instant::now() + run.options.start_timeout;
         let is_first = self.bus.attach().generation == 1;
         let failed = |why: String| {
@@ -80,47 +91,150 @@ impl Generation {
             run.observer.progress(0);
             self.bus.listener().wait(TICK)?;
             for handshake in self.inbox.handshakes.drain()? {
-                let (role, said) = read_handshake(&handshake)?;
-                if facts.contains_key(&role) || !self.notifiers.contains_key(&role) {
-                    return Err(failed(unexpected(role)));
+                let Some((sender, said)) = read_handshake(&handshake, run.options)? else {
+                    run.observer.problem(&nobody_s(&handshake));
+                    continue;
+                };
+                if facts.contains_key(&sender) || !self.notifiers.contains_key(&sender) {
+                    let why = unexpected(sender);
+                    return Err(match sender.memory {
+                        Some(name) => Failure::ExternalMemory(name, why),
+                        None => failed(why),
+                    });
                 }
-                if role == Role::Policy && run.options.external_policy {
+                if is_started_by_user(sender, run.options) {
                     // One that cannot be watched counts as gone when an answer is overdue.
-                    self.external_policy = ProcessWatch::new(handshake.pid).ok();
+                    let watch = ProcessWatch::new(handshake.pid).ok();
+                    self.external.extend(watch.map(|watch| (sender, watch)));
                 }
-                facts.insert(role, said);
+                if let Some(name) = sender.memory {
+                    self.check_description(name, run)?;
+                }
+                facts.insert(sender, said);
             }
             // A process that cannot start reports an error and exits: it is reported once, here.
             if let Some(exit) = self.children.exited() {
+                if exit.role == Role::ExternalMemory {
+                    return Err(memory_exit(&exit, run.options));
+                }
                 let advice = exit.command.as_deref().map(advice_on).unwrap_or_default();
                 let why = format!("{exit}{advice}");
                 let was_killed = exit.status.signal().is_some();
                 return Err(if was_killed { Failure::Retry(why) } else { failed(why) });
             }
-            let is_awaited = |role| !(run.options.external_policy && role == Role::Policy);
-            let missing = self.notifiers.keys().copied().filter(|role| !facts.contains_key(role));
-            let late: Vec<Role> = missing.filter(|&role| is_awaited(role)).collect();
-            if late.is_empty() && facts.len() < self.notifiers.len() && !is_announced {
+            let missing = self.notifiers.keys().copied().filter(|one| !facts.contains_key(one));
+            let (awaited, late): (Vec<Participant>, Vec<Participant>) =
+                missing.partition(|&one| is_started_by_user(one, run.options));
+            if late.is_empty() && !awaited.is_empty() && !is_announced {
                 is_announced = true;
-                run.observer.awaiting_policy(&self.bus.attach().root);
+                for one in awaited {
+                    match one.memory {
+                        Some(name) => run.observer.awaiting_memory(name),
+                        None => run.observer.awaiting_policy(&self.bus.attach().root),
+                    }
+                }
             }
             if !late.is_empty() && Instant::now() > deadline {
-                return Err(failed(not_ready(&late, run.options)));
+                let why = not_ready(&late, run.options);
+                return Err(match late.iter().find_map(|one| one.memory) {
+                    Some(name) if late.len() == 1 => Failure::ExternalMemory(name, why),
+                    _ => failed(why),
+                });
             }
         }
         Ok(Some(facts))
     }
+
+    /// Checks that a memory that was started again tells the same as before: the run was planned with it.
+    fn check_description(
+        &self,
+        name: ExternalName,
+        run: &PipelineRun<'_, '_>,
+    ) -> Result<(), Failure> {
+        let failed = |why| Failure::ExternalMemory(name, why);
+        let Some(memory) = run.options.memories.iter().find(|memory| memory.name == name) else {
+            return Ok(());
+        };
+        let folder = memory_folder(&self.bus.attach().root, memory.index);
+        let now = MemoryDescription::read(&folder)
+            .map_err(|error| failed(format!("the external memory {name}: {error}")))?;
+        if now == memory.description {
+            return Ok(());
+        }
+        let before = &memory.description;
+        Err(failed(format!(
+            "the external memory {name} described itself as {before:?} when the run began, and now as {now:?}"
+        )))
+    }
+}
+
+/// The external memories that take part.
+fn memories<'a>(
+    attach: &'a Attach,
+    options: &'a PipelineOptions,
+) -> impl Iterator<Item = &'a ExternalMemory> {
+    options.memories.iter().filter(|memory| attach.external_memories.contains(&memory.index))
+}
+
+/// Starts the processes of a generation. The first one finds its external memories started.
+fn start_processes(attach: &Attach, run: &mut PipelineRun<'_, '_>) -> Result<Children, Failure> {
+    let mut launches = run.options.launches.clone();
+    let started = std::mem::take(&mut run.started);
+    if started.is_empty() {
+        for memory in memories(attach, run.options) {
+            let Some(launch) = memory.launch()? else { continue };
+            let folder = memory_folder(&attach.root, memory.index);
+            fs::create_dir_all(&folder)?;
+            // It is to be written again.
+            match fs::remove_file(folder.join(DESCRIPTION_FILE)) {
+                Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error.into()),
+                _ => {}
+            }
+            launches.push(launch);
+        }
+    }
+    let launches: Vec<Launch> =
+        launches.into_iter().map(|launch| launch.attached_to(&attach.root)).collect();
+    let mut children = Children::start(&launches, &run.options.logs)?;
+    children.adopt(started);
+    Ok(children)
+}
+
+/// Whether a process is started by the user, at any time.
+fn is_started_by_user(one: Participant, options: &PipelineOptions) -> bool {
+    match one.memory {
+        Some(name) => {
+            options.memories.iter().any(|memory| memory.name == name && memory.command.is_none())
+        }
+        None => one.role == Role::Policy && options.external_policy,
+    }
+}
+
+/// The failure that the exit of an external memory means.
+pub(super) fn memory_exit(exit: &ChildExit, options: &PipelineOptions) -> Failure {
+    match options.memory(exit.index.into()) {
+        Some(memory) => Failure::ExternalMemory(memory.name, exit.to_string()),
+        None => Failure::Retry(exit.to_string()),
+    }
+}
+
+/// The message about a handshake of an external memory that the run does not have.
+pub(super) fn nobody_s(handshake: &Handshake) -> String {
+    format!(
+        "a handshake of external memory {}, which the run does not have: ignored",
+        handshake.external
+    )
 }
 
 /// The message about processes that did not get ready in time.
-fn not_ready(late: &[Role], options: &PipelineOptions) -> String {
-    let names: Vec<&str> = late.iter().map(|role| role.word()).collect();
+fn not_ready(late: &[Participant], options: &PipelineOptions) -> String {
+    let names: Vec<String> = late.iter().map(Participant::in_words).collect();
     let policy = options.launches.iter().find(|launch| launch.role == Role::Policy);
     let command = policy.and_then(|launch| launch.command.as_deref());
-    let advice = command.filter(|_| late.contains(&Role::Policy)).map(advice_on);
+    let advice = command.filter(|_| late.contains(&Role::Policy.into())).map(advice_on);
     format!(
-        "the {} process was not ready after {} s: see its log in {}, or raise --start-timeout{}",
-        names.join(" and the "),
+        "{} was not ready after {} s: see its log in {}, or raise --start-timeout{}",
+        names.join(" and "),
         options.start_timeout.as_secs(),
         options.logs.display(),
         advice.unwrap_or_default()
@@ -128,11 +242,10 @@ fn not_ready(late: &[Role], options: &PipelineOptions) -> String {
 }
 
 /// The message about a handshake that is not awaited.
-pub(super) fn unexpected(role: Role) -> String {
+pub(super) fn unexpected(sender: Participant) -> String {
     format!(
-        "a second {} process attached, or one that the run does not use: does a program attach twice, or in the \
-         wrong role?",
-        role.word()
+        "{} attached a second time, or the run does not use it: does a program attach twice, or in the wrong role?",
+        sender.in_words()
     )
 }
 
@@ -146,19 +259,29 @@ fn advice_on(command: &str) -> String {
     )
 }
 
-/// The sender of a handshake, and what it reports about itself.
-pub(super) fn read_handshake(handshake: &Handshake) -> Result<(Role, Facts), Failure> {
+/// The sender of a handshake, and what it reports about itself; `None` for an external memory that the run does not have.
+pub(super) fn read_handshake(
+    handshake: &Handshake,
+    options: &PipelineOptions,
+) -> Result<Option<(Participant, Facts)>, Failure> {
     let role = role(handshake.role)?;
+    let Some(sender) = options.participant(role, handshake.external) else { return Ok(None) };
+    let facts = read_facts(handshake, sender).map_err(|error| match sender.memory {
+        Some(name) => Failure::ExternalMemory(name, format!("{error:#}")),
+        None => Failure::Fatal(error),
+    })?;
+    Ok(Some((sender, facts)))
+}
+
+fn read_facts(handshake: &Handshake, sender: Participant) -> anyhow::Result<Facts> {
+    let sender = sender.in_words();
     if handshake.wire_version != WIRE_VERSION {
-        return Err(Failure::Fatal(anyhow::anyhow!(
-            "the {} process uses wire version {} and this program {WIRE_VERSION}: use programs of the same build",
-            role.word(),
+        bail!(
+            "{sender} uses wire version {} and this program {WIRE_VERSION}: use programs of the same build",
             handshake.wire_version
-        )));
+        );
     }
     let facts = read_text(&handshake.facts, handshake.facts_len)?;
-    let facts = serde_json::from_str(facts).with_context(|| {
-        format!("the {} process's handshake has the facts {facts:?}", role.word())
-    })?;
-    Ok((role, facts))
+    serde_json::from_str(facts)
+        .with_context(|| format!("the handshake of {sender} has the facts {facts:?}"))
 }

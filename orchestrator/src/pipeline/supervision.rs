@@ -2,13 +2,18 @@
 
 use std::time::Duration;
 
-use shm_types::message::{ErrorReportKind, Role, read_text};
-use shm_types::process::{ProcessWatch, monotonic_ns};
+use domain::MemoryKind;
+use shm_types::message::{ErrorReport, ErrorReportKind, Role, read_text};
+use shm_types::process::monotonic_ns;
 
 use super::generation::{Generation, role};
-use super::startup::{read_handshake, unexpected};
-use super::{Failure, PipelineRun};
+use super::startup::{memory_exit, nobody_s, read_handshake, unexpected};
+use super::{Failure, MEMORY_BUILD_TIMEOUT, PipelineOptions, PipelineRun};
 use crate::lanes::PendingAnswer;
+
+/// In what the memory process reports about an external memory that has not kept its time limit. Other failures, however
+/// late, are answers.
+const OVERDUE: [&str; 2] = ["has not answered", "was not built within"];
 
 impl Generation {
     /// Checks all processes. Returns why the run has to stop early, if a process says so.
@@ -22,21 +27,26 @@ impl Generation {
         }
         for heartbeat in self.inbox.heartbeats.drain()? {
             let Ok(role) = role(heartbeat.role) else { continue };
+            let Some(sender) = run.options.participant(role, heartbeat.external) else { continue };
             // An encoder that hangs makes no progress.
             if role == Role::Memory && heartbeat.done > self.embedded {
                 self.embedded = heartbeat.done;
                 self.memory_busy_ns = monotonic_ns();
             }
-            run.observer.heartbeat(role, &heartbeat);
+            run.observer.heartbeat(sender, &heartbeat);
         }
-        if let Some(exit) = self.exited() {
+        if let Some(exit) = self.exited(run.options) {
             return Err(exit);
         }
-        if let Some(handshake) = self.inbox.handshakes.drain()?.first() {
-            let (role, _) = read_handshake(handshake)?;
-            let why = unexpected(role);
-            return Err(match role {
-                Role::Policy => Failure::Policy(why),
+        for handshake in self.inbox.handshakes.drain()? {
+            let Some((sender, _)) = read_handshake(&handshake, run.options)? else {
+                run.observer.problem(&nobody_s(&handshake));
+                continue;
+            };
+            let why = unexpected(sender);
+            return Err(match (sender.role, sender.memory) {
+                (Role::Policy, _) => Failure::Policy(why),
+                (_, Some(name)) => Failure::ExternalMemory(name, why),
                 _ => Failure::Retry(why),
             });
         }
@@ -49,9 +59,14 @@ impl Generation {
         let now = monotonic_ns();
         let pending = run.lanes.pending(self.memory_busy_ns);
         run.observer.pending(&pending);
-        for PendingAnswer { role, lane, since_ns, unusable } in pending {
+        for PendingAnswer { role, lane, memory, since_ns, unusable } in pending {
             let timeout = match role {
                 Role::Policy => run.options.decision_timeout,
+                // The memory process has time limits for external memories, and gives up their episodes.
+                Role::Memory if memory.external().is_some() => {
+                    let own = run.options.memory_timeout.max(MEMORY_BUILD_TIMEOUT);
+                    Some(run.options.answer_timeout + own)
+                }
                 _ => Some(run.options.answer_timeout),
             };
             let waited = Duration::from_nanos(now.saturating_sub(since_ns));
@@ -85,11 +100,25 @@ impl Generation {
     fn read_error_reports(&self, run: &mut PipelineRun<'_, '_>) -> Result<Option<String>, Failure> {
         let mut halted = None;
         for report in self.inbox.error_reports.drain()? {
-            let sender = role(report.role).map_or("an unknown process", Role::word);
+            let role = role(report.role).ok();
+            let sender = role.and_then(|role| run.options.participant(role, report.external));
             let text = read_text(&report.text, report.text_len).unwrap_or("an unreadable message");
-            let what = format!("{sender}: {text}");
-            match u8::try_from(report.kind).map(ErrorReportKind::try_from) {
+            let what = match sender {
+                Some(sender) => format!("{sender}: {text}"),
+                None => format!("an unknown process: {text}"),
+            };
+            let kind = u8::try_from(report.kind).map(ErrorReportKind::try_from);
+            if let Some(name) = sender.and_then(|sender| sender.memory) {
+                // It has a say about its own episodes only.
+                let own = run.lanes.memory_of(report.lane, report.episode) == Some(name.into());
+                if !own || kind != Ok(Ok(ErrorReportKind::Episode)) {
+                    run.observer.problem(&what);
+                    continue;
+                }
+            }
+            match kind {
                 Ok(Ok(ErrorReportKind::Episode)) => {
+                    self.check_silence(run, &report, &what)?;
                     // `None`: the episode is over already.
                     let episode = run.lanes.give_up_episode(report.lane, report.episode);
                     let Some(episode) = episode else { continue };
@@ -109,12 +138,55 @@ impl Generation {
         Ok(halted)
     }
 
+    /// Whether the episode that is given up waited for an external memory that has not answered anything for as long as it
+    /// has time: then it hangs, and its other episodes would end the same way.
+    fn check_silence(
+        &self,
+        run: &PipelineRun<'_, '_>,
+        report: &ErrorReport,
+        what: &str,
+    ) -> Result<(), Failure> {
+        let Some(MemoryKind::External(name)) = run.lanes.memory_of(report.lane, report.episode)
+        else {
+            return Ok(());
+        };
+        let pending = run.lanes.pending(0);
+        let Some(waits) = pending.iter().find(|answer| answer.lane == report.lane) else {
+            return Ok(());
+        };
+        let last_ns = self.recalled_ns.get(&name).copied().unwrap_or(0).max(waits.since_ns);
+        let silence = Duration::from_nanos(monotonic_ns().saturating_sub(last_ns));
+        let is_overdue = OVERDUE.iter().any(|text| what.contains(text));
+        if !is_overdue || waits.role != Role::Memory || silence < run.options.memory_timeout {
+            return Ok(());
+        }
+        let seconds = silence.as_secs();
+        Err(Failure::ExternalMemory(
+            name,
+            format!(
+                "the external memory {name} has not answered anything for {seconds} s (--memory-timeout) and seems to \
+                 hang: {what}"
+            ),
+        ))
+    }
+
     /// The failure that a process's exit means, if one has exited.
-    pub(super) fn exited(&mut self) -> Option<Failure> {
-        if self.external_policy.as_ref().is_some_and(ProcessWatch::has_ended) {
-            return Some(Failure::Policy("the external policy has exited".to_owned()));
+    pub(super) fn exited(&mut self, options: &PipelineOptions) -> Option<Failure> {
+        for (sender, watch) in &self.external {
+            if watch.has_ended() {
+                return Some(match sender.memory {
+                    Some(name) => Failure::ExternalMemory(
+                        name,
+                        format!("the external memory {name} has exited"),
+                    ),
+                    None => Failure::Policy("the external policy has exited".to_owned()),
+                });
+            }
         }
         let exit = self.children.exited()?;
+        if exit.role == Role::ExternalMemory {
+            return Some(memory_exit(&exit, options));
+        }
         let why = exit.to_string();
         Some(if exit.role == Role::Policy { Failure::Policy(why) } else { Failure::Retry(why) })
     }

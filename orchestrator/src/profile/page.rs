@@ -1,9 +1,9 @@
-//! A profile as a page: floors, accesses by representation, polling, lanes, sizes.
+//! A profile as a page: floors, accesses by memory, polling, lanes, sizes.
 
 use std::collections::BTreeSet;
 
 use anyhow::Result;
-use domain::Representation;
+use domain::MemoryKind;
 use results::latency::LatencySummary;
 use results::report::{
     Block, Cell, Column, Curve, Curves, Document, Figure, Group, Row, Section, Stack, StackRow,
@@ -16,7 +16,7 @@ use super::{AccessRun, CacheState, Profile};
 /// The page, before it has a form.
 pub(super) fn document(profile: &Profile) -> Result<Document> {
     let mut sections = vec![about(profile), floors(profile)];
-    sections.push(representations(profile)?);
+    sections.push(memories(profile)?);
     sections.extend(waiting(profile));
     sections.extend(lanes(profile)?);
     sections.extend(sizes(profile)?);
@@ -78,14 +78,14 @@ fn single_lane(profile: &Profile, caches: CacheState) -> Option<&AccessRun> {
     profile.runs.iter().find(|run| run.caches == caches && run.lanes == 1 && run.spin_us == 0)
 }
 
-fn representations(profile: &Profile) -> Result<Section> {
+fn memories(profile: &Profile) -> Result<Section> {
     let mut blocks = Vec::new();
     for caches in [CacheState::Warm, CacheState::Cold] {
         let Some(run) = single_lane(profile, caches) else { continue };
         blocks.push(Block::Figure(stacked(run)?));
         blocks.push(Block::Table(distribution(run)));
     }
-    Ok(Section::new("s-representations", "By representation", blocks))
+    Ok(Section::new("s-memories", "By memory", blocks))
 }
 
 /// The parts of later steps, stacked.
@@ -96,19 +96,16 @@ fn stacked(run: &AccessRun) -> Result<Figure> {
         CacheState::Cold => ("means", |times| times.mean_us),
         CacheState::Warm => ("medians", |times| times.p50_us),
     };
-    let rows = Representation::ALL.iter().map(|&representation| {
-        let length = |part| find(run, representation, StepClass::Later, part).map(value);
+    let rows = run.memories().into_iter().map(|memory| {
+        let length = |part| find(run, memory, StepClass::Later, part).map(value);
         StackRow {
-            label: representation.name().to_owned(),
+            label: memory.to_string(),
             lengths: parts.iter().map(|part| length(*part)).collect(),
         }
     });
     let plot = Stack {
         id: format!("f-split-{}", run.caches),
-        caption: format!(
-            "An access by representation, {}, later steps: {name} of the parts.",
-            run.name()
-        ),
+        caption: format!("An access by memory, {}, later steps: {name} of the parts.", run.name()),
         axis: "microseconds",
         to: None,
         parts: parts.iter().map(AccessPart::to_string).collect(),
@@ -118,8 +115,8 @@ fn stacked(run: &AccessRun) -> Result<Figure> {
 }
 
 fn distribution(run: &AccessRun) -> Table {
-    let groups = Representation::ALL.iter().filter_map(|&representation| {
-        let of = |latency: &&AccessLatency| latency.representation == representation;
+    let groups = run.memories().into_iter().map(|memory| {
+        let of = |latency: &&AccessLatency| latency.memory == memory;
         let rows: Vec<Row> = run
             .latencies
             .iter()
@@ -130,18 +127,17 @@ fn distribution(run: &AccessRun) -> Table {
                 cells: cells(&latency.times),
             })
             .collect();
-        let label = Some(representation.name().to_owned());
-        (!rows.is_empty()).then_some(Group { label, rows })
+        Group { label: Some(memory.to_string()), rows }
     });
     Table {
         id: format!("t-split-{}", run.caches),
         caption: format!(
-            "Accesses by representation, {}: {} episodes, {} steps.",
+            "Accesses by memory, {}: {} episodes, {} steps.",
             run.name(),
             run.episodes,
             run.steps
         ),
-        stubs: vec!["Representation".to_owned(), "Steps and part".to_owned()],
+        stubs: vec!["Memory".to_owned(), "Steps and part".to_owned()],
         columns: TIMES.iter().map(|name| Column::new(*name)).collect(),
         groups: groups.collect(),
     }
@@ -158,14 +154,14 @@ fn waiting(profile: &Profile) -> Option<Section> {
         return None;
     }
     let groups = runs.iter().map(|run| {
-        let row = |&representation: &Representation| {
-            let total = find(run, representation, StepClass::Later, AccessPart::Total)?;
-            let label = representation.name().to_owned();
+        let row = |memory: MemoryKind| {
+            let total = find(run, memory, StepClass::Later, AccessPart::Total)?;
+            let label = memory.to_string();
             Some(Row { label, published: false, cells: cells(total) })
         };
         Group {
             label: Some(run.name()),
-            rows: Representation::ALL.iter().filter_map(row).collect(),
+            rows: run.memories().into_iter().filter_map(row).collect(),
         }
     });
     let table = Table {
@@ -173,7 +169,7 @@ fn waiting(profile: &Profile) -> Option<Section> {
         caption: "Whole accesses of later steps, of processes that sleep at once and of processes that poll first. With more \
                   processes than cores, those that poll keep the others from working."
             .to_owned(),
-        stubs: vec!["Waiting".to_owned(), "Representation".to_owned()],
+        stubs: vec!["Waiting".to_owned(), "Memory".to_owned()],
         columns: TIMES.iter().map(|name| Column::new(*name)).collect(),
         groups: groups.collect(),
     };
@@ -189,14 +185,15 @@ fn lanes(profile: &Profile) -> Result<Option<Section>> {
     if runs.len() < 2 {
         return Ok(None);
     }
+    let memories: BTreeSet<MemoryKind> = runs.iter().flat_map(|run| run.memories()).collect();
     let plot = |id: &str, what: &str, at: fn(&LatencySummary) -> f64| {
-        let curve = |&representation: &Representation| {
+        let curve = |memory: MemoryKind| {
             let point = |run: &&AccessRun| {
-                let total = find(run, representation, StepClass::Later, AccessPart::Total)?;
+                let total = find(run, memory, StepClass::Later, AccessPart::Total)?;
                 Some((f64::from(run.lanes), at(total)))
             };
             let points: Vec<(f64, f64)> = runs.iter().filter_map(point).collect();
-            let name = representation.name().to_owned();
+            let name = memory.to_string();
             (!points.is_empty()).then_some(Curve { name, is_bound: false, points })
         };
         curves(&Curves {
@@ -206,7 +203,7 @@ fn lanes(profile: &Profile) -> Result<Option<Section>> {
             ),
             across: "lanes".to_owned(),
             up: "microseconds".to_owned(),
-            curves: Representation::ALL.iter().filter_map(curve).collect(),
+            curves: memories.iter().copied().filter_map(curve).collect(),
         })
     };
     let rows = runs.iter().map(|run| {
@@ -235,7 +232,7 @@ fn sizes(profile: &Profile) -> Result<Option<Section>> {
     if profile.searches.is_empty() {
         return Ok(None);
     }
-    let kinds: BTreeSet<(u32, &str)> =
+    let kinds: BTreeSet<(usize, &str)> =
         profile.searches.iter().map(|search| (search.batch, search.search.as_str())).collect();
     let mut shown: Vec<Curve> = kinds
         .into_iter()
@@ -246,7 +243,7 @@ fn sizes(profile: &Profile) -> Result<Option<Section>> {
                 .searches
                 .iter()
                 .filter(|search| search.batch == batch && search.search == kind)
-                .map(|search| (f64::from(search.entries), search.latency_ns.p50 as f64 / 1e3))
+                .map(|search| (f64::from(search.entries), search.seconds() * 1e6))
                 .collect(),
         })
         .collect();
@@ -257,7 +254,7 @@ fn sizes(profile: &Profile) -> Result<Option<Section>> {
         is_bound: true,
         points: exact
             .map(|search| {
-                let bytes = f64::from(search.entries) * f64::from(search.dimension) * 4.0;
+                let bytes = f64::from(search.entries) * search.dimension as f64 * 4.0;
                 (f64::from(search.entries), bytes / profile.floors.read_all_cores * 1e6)
             })
             .collect(),
@@ -323,16 +320,15 @@ fn cells(times: &LatencySummary) -> Vec<Cell> {
     first.into_iter().chain(shown).map(Cell::Value).collect()
 }
 
-/// The latency of a part of the accesses to a representation, if there were any.
+/// The latency of a part of the accesses to a memory, if there were any.
 pub(super) fn find(
     run: &AccessRun,
-    representation: Representation,
+    memory: MemoryKind,
     step: StepClass,
     part: AccessPart,
 ) -> Option<&LatencySummary> {
-    let is = |found: &&AccessLatency| {
-        found.representation == representation && found.step == step && found.part == part
-    };
+    let is =
+        |found: &&AccessLatency| found.memory == memory && found.step == step && found.part == part;
     run.latencies.iter().find(is).map(|found| &found.times)
 }
 
@@ -371,6 +367,6 @@ mod tests {
         little.searches.clear();
         let page = document(&little).unwrap();
         let ids: Vec<&str> = page.sections.iter().map(|section| section.id.as_str()).collect();
-        assert_eq!(ids, ["s-about", "s-floors", "s-representations"]);
+        assert_eq!(ids, ["s-about", "s-floors", "s-memories"]);
     }
 }

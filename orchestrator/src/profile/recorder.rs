@@ -1,21 +1,19 @@
 //! Splits every step's access to memory into its parts, while episodes run.
 //!
-//! Recording a step allocates nothing.
+//! Recording a step allocates nothing, except for the first step with a memory.
 
 use std::collections::BTreeMap;
-use std::path::Path;
 
 use anyhow::Result;
-use domain::Representation;
+use domain::MemoryKind;
 use hdrhistogram::Histogram;
 use results::latency::LatencySummary;
 use results::named;
 use serde::{Deserialize, Serialize};
-use shm_types::message::Role;
 
-use crate::lanes::{AnsweredRequest, FinishedEpisode, Stamps};
+use crate::lanes::{FinishedEpisode, Stamps};
 use crate::latency::{histogram, summarize};
-use crate::pipeline::{Facts, Observer};
+use crate::pipeline::Observer;
 
 /// Significant decimal digits of a recorded time.
 const DIGITS: u8 = 3;
@@ -23,11 +21,11 @@ const DIGITS: u8 = 3;
 named! {
     /// A part of an access.
     AccessPart, "part" {
-        /// From the simulator to memory, and from memory to the policy.
+        /// From the simulator to memory, and from memory to the policy; to an external memory and back, too.
         Wire = "wire",
         /// Computing embeddings, or finding them in the cache.
         Embedding = "embedding",
-        /// Finding the nearest view.
+        /// Finding the nearest view; what an external memory computes.
         Search = "search",
         /// Assembling the recall.
         Assembly = "assembly",
@@ -46,11 +44,11 @@ named! {
     }
 }
 
-/// The latency of one part of the accesses to one representation.
+/// The latency of one part of the accesses to one memory.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct AccessLatency {
-    /// The representation.
-    pub representation: Representation,
+    /// The memory.
+    pub memory: MemoryKind,
     /// The steps.
     pub step: StepClass,
     /// The part.
@@ -78,17 +76,18 @@ impl PartHistograms {
 
 /// The parts of one access; `None` where the expert decided, or stamps are out of order.
 fn parts(stamps: &Stamps) -> Option<[u64; AccessPart::ALL.len()]> {
-    let Stamps {
-        published_ns, received_ns, embedded_ns, searched_ns, assembled_ns, joined_ns, ..
-    } = *stamps;
+    let Stamps { published_ns, received_ns, embedded_ns, searched_ns, .. } = *stamps;
+    let Stamps { assembled_ns, joined_ns, method_ns, memory, .. } = *stamps;
     let times = [published_ns, received_ns, embedded_ns, searched_ns, assembled_ns, joined_ns];
     if published_ns == 0 || !times.is_sorted() {
         return None;
     }
+    let searched = searched_ns - embedded_ns;
+    let search = if memory.external().is_some() { method_ns.min(searched) } else { searched };
     Some([
-        (received_ns - published_ns) + (joined_ns - assembled_ns),
+        (received_ns - published_ns) + (joined_ns - assembled_ns) + (searched - search),
         embedded_ns - received_ns,
-        searched_ns - embedded_ns,
+        search,
         assembled_ns - searched_ns,
         joined_ns - published_ns,
     ])
@@ -97,8 +96,8 @@ fn parts(stamps: &Stamps) -> Option<[u64; AccessPart::ALL.len()]> {
 /// An [`Observer`] that records the latency of accesses, and nothing else.
 #[derive(Debug)]
 pub struct AccessRecorder {
-    /// By representation, in the order of [`Representation::ALL`], and by class of steps.
-    histograms: Vec<[PartHistograms; 2]>,
+    /// By memory and by class of steps.
+    histograms: BTreeMap<MemoryKind, [PartHistograms; 2]>,
     /// Finished episodes.
     pub episodes: u32,
     /// Steps.
@@ -113,9 +112,8 @@ pub struct AccessRecorder {
 
 impl Default for AccessRecorder {
     fn default() -> Self {
-        let empty = [PartHistograms::new(), PartHistograms::new()];
         Self {
-            histograms: vec![empty; Representation::ALL.len()],
+            histograms: BTreeMap::new(),
             episodes: 0,
             steps: 0,
             unordered: 0,
@@ -138,9 +136,9 @@ impl AccessRecorder {
             self.unordered += 1;
             return;
         };
-        if let Some(classes) = self.histograms.get_mut(stamps.memory as usize) {
-            classes[usize::from(stamps.step > 0)].record(times);
-        }
+        let classes = self.histograms.entry(stamps.memory);
+        let classes = classes.or_insert_with(|| [PartHistograms::new(), PartHistograms::new()]);
+        classes[usize::from(stamps.step > 0)].record(times);
     }
 
     /// Seconds from the first command to the last decision.
@@ -151,16 +149,11 @@ impl AccessRecorder {
     /// The latencies of all accesses that occurred.
     pub fn latencies(&self) -> Vec<AccessLatency> {
         let mut latencies = Vec::new();
-        for (&representation, classes) in Representation::ALL.iter().zip(&self.histograms) {
+        for (&memory, classes) in &self.histograms {
             for (&step, PartHistograms(parts)) in StepClass::ALL.iter().zip(classes) {
                 let parts = AccessPart::ALL.iter().zip(parts);
                 latencies.extend(parts.filter(|(_, times)| !times.is_empty()).map(
-                    |(&part, times)| AccessLatency {
-                        representation,
-                        step,
-                        part,
-                        times: summarize(times),
-                    },
+                    |(&part, times)| AccessLatency { memory, step, part, times: summarize(times) },
                 ));
             }
         }
@@ -169,18 +162,6 @@ impl AccessRecorder {
 }
 
 impl Observer for AccessRecorder {
-    fn starting(&mut self, _generation: u32) {}
-
-    fn awaiting_policy(&mut self, _folder: &Path) {}
-
-    fn ready(&mut self, _facts: &BTreeMap<Role, Facts>) -> Result<()> {
-        Ok(())
-    }
-
-    fn answered(&mut self, _request: &AnsweredRequest) -> Result<Option<String>> {
-        Ok(None)
-    }
-
     fn finished(&mut self, _finished: &FinishedEpisode, _attempt: u32) -> Result<()> {
         self.episodes += 1;
         Ok(())
@@ -191,8 +172,6 @@ impl Observer for AccessRecorder {
         Ok(())
     }
 
-    fn progress(&mut self, _steps: u64) {}
-
     fn problem(&mut self, what: &str) {
         self.problems.push(what.to_owned());
     }
@@ -200,10 +179,13 @@ impl Observer for AccessRecorder {
 
 #[cfg(test)]
 mod tests {
+    use domain::Representation;
+
     use super::*;
 
     /// The stamps of a step.
     fn stamps(step: u32, memory: Representation, times: [u64; 6]) -> Stamps {
+        let memory = memory.into();
         let [published_ns, received_ns, embedded_ns, searched_ns, assembled_ns, joined_ns] = times;
         Stamps {
             episode: 1,
@@ -218,6 +200,7 @@ mod tests {
             received_ns,
             embedded_ns,
             searched_ns,
+            method_ns: 0,
             assembled_ns,
             recalled_ns: assembled_ns,
             joined_ns,
@@ -247,7 +230,7 @@ mod tests {
         };
         assert_eq!(p50s(StepClass::First), [30, 100, 30, 5, 165]);
         assert_eq!(p50s(StepClass::Later), [30, 0, 30, 5, 65]);
-        assert!(latencies.iter().all(|found| found.representation == Representation::Episodic));
+        assert!(latencies.iter().all(|found| found.memory == Representation::Episodic));
         assert_eq!(recorder.seconds(), 175e-9);
     }
 }

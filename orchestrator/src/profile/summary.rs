@@ -1,13 +1,12 @@
 //! A profile as tables for a terminal.
 
-use domain::Representation;
 use results::table::table;
 
 use super::page::{find, ns, us};
 use super::recorder::{AccessPart, StepClass};
 use super::{AccessRun, CacheState, Profile};
 
-/// The tables: accesses by representation, searches by size, and the floors in a line.
+/// The tables: accesses by memory, searches by size, and the floors in a line.
 pub fn summary(profile: &Profile) -> String {
     let mut text = String::new();
     text += "Accesses to memory, from observation to recall (later steps): medians of the parts, then the whole\n";
@@ -16,12 +15,12 @@ pub fn summary(profile: &Profile) -> String {
     let is_shown = |run: &&AccessRun| run.lanes == 1 || run.caches == CacheState::Warm;
     for run in profile.runs.iter().filter(is_shown) {
         let mut accesses = table(&header, 1);
-        for &representation in Representation::ALL {
-            let times = |step, part| find(run, representation, step, part);
+        for memory in run.memories() {
+            let times = |step, part| find(run, memory, step, part);
             let Some(total) = times(StepClass::Later, AccessPart::Total) else { continue };
             let p50 =
                 |step, part| times(step, part).map_or_else(|| "-".to_owned(), |t| us(t.p50_us));
-            let mut row = vec![representation.name().to_owned()];
+            let mut row = vec![memory.to_string()];
             let parts =
                 [AccessPart::Wire, AccessPart::Embedding, AccessPart::Search, AccessPart::Assembly];
             row.extend(parts.map(|part| p50(StepClass::Later, part)));
@@ -84,7 +83,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_summary_has_every_representation_every_search_and_every_problem() {
+    fn the_summary_has_every_memory_every_search_and_every_problem() {
         let text = summary(&crate::profile::tests::profile());
         assert!(text.lines().all(|line| line.chars().count() <= 100), "{text}");
         let lines = |part: &str| text.lines().filter(|line| line.contains(part)).count();

@@ -4,6 +4,7 @@
 use std::fmt;
 use std::str::FromStr;
 
+use domain::memory_kind::{EXTERNAL_WORD, NONE_WORD};
 use results::conditions::{
     Demonstrations, Frames, Hint, ImageFormat, PolicyKind, Route, SegmentContent, Start,
     representation,
@@ -11,7 +12,7 @@ use results::conditions::{
 use results::cost::Amount;
 use results::settings::{CaseSelector, DocumentSource, ResponseCache};
 use serde_json::Value;
-use shm_types::message::{MAX_SEGMENT, MAX_WINDOW};
+use shm_types::message::{MAX_ITEMS, MAX_SEGMENT, MAX_WINDOW};
 
 /// Maximum number of images in a prompt (paper, Experimental Setup).
 pub const MAX_IMAGES: u32 = 50;
@@ -62,6 +63,9 @@ enum ValueKind {
     Text(Check),
     /// A list of texts that the function accepts.
     List(Check),
+    /// A list of texts that the function accepts and that may hold commas: a flag gives one of them and can be repeated,
+    /// a variable has one a line.
+    Repeated(Check),
 }
 
 type Check = fn(&str) -> Result<(), String>;
@@ -71,7 +75,11 @@ fn parses<T: FromStr<Err: fmt::Display>>(text: &str) -> Result<(), String> {
     text.parse::<T>().map(drop).map_err(|error| error.to_string())
 }
 
-fn is_representation(text: &str) -> Result<(), String> {
+/// Accepts a built-in memory, the word for an external one that the user starts, and the one for no built-in memory.
+fn is_memory(text: &str) -> Result<(), String> {
+    if [EXTERNAL_WORD, NONE_WORD].contains(&text) {
+        return Ok(());
+    }
     representation(text).map(drop).map_err(|error| error.to_string())
 }
 
@@ -113,7 +121,7 @@ macro_rules! keys {
     };
 }
 
-use ValueKind::{List, Money, Number, Numbers, Switch, Text};
+use ValueKind::{List, Money, Number, Numbers, Repeated, Switch, Text};
 
 const SECONDS: ValueKind = Number(1, 86_400, 1);
 
@@ -129,8 +137,12 @@ pub const KEYS: &[Key] = keys! {
     "policy-cmd" "COMMAND" Text(is_command),
         "The command that starts your own policy, for example \"python my_policy.py\"; implies \
          --policy external";
-    "memory" "LIST" List(is_representation),
-        "Memory representations: working, full-context, summary, semantic, hybrid, episodic";
+    "memory" "LIST" List(is_memory),
+        "Memories: working, full-context, summary, semantic, hybrid, episodic; external for one of \
+         your own that you start yourself (the run prints how); none for external ones only";
+    "memory-cmd" "COMMAND" Repeated(is_command),
+        "The command that starts a memory of your own, for example \"python my_memory.py\"; it runs \
+         beside those of --memory, under the name that it tells. Can be repeated, up to 8 times";
     "starts" "LIST" List(parses::<Start>),
         "Starting poses: original (as demonstrated), new (no demonstration starts there)";
     "routes" "LIST" List(parses::<Route>),
@@ -158,10 +170,18 @@ pub const KEYS: &[Key] = keys! {
         "Past steps shown to the policy, h. Each entry of the list is a condition of its own";
     "horizon" "N" Number(0, MAX_SEGMENT as u64 - 1, 1),
         "Expert actions that a retrieved segment covers, H_epi";
+    "hits" "N" Number(1, MAX_ITEMS as u64, 1),
+        "Segments that episodic memory supplies at a step, the nearest first, k";
     "segment" "LIST" List(parses::<SegmentContent>),
         "Content of a retrieved segment: actions (with the views they led to), or images only";
     "keyframes" "N" Number(1, MAX_IMAGES as u64, 1),
         "Keyframes of full-context memory, shared by the demonstrations of a case";
+    "memory-images" "N" Number(0, 1000, 1),
+        "Most images that a memory supplies at a step; an item that does not fit is left out and \
+         counted [default: as many as any built-in memory supplies]";
+    "memory-text-bytes" "N" Number(0, 16_000_000, 1),
+        "Most bytes of text that a memory supplies at a step; an item that does not fit is left out \
+         and counted";
     "hint" "LIST" List(parses::<Hint>),
         "Whether the prompt says that the demonstration has the same starting pose, where it has: \
          on, off";
@@ -233,6 +253,9 @@ pub const KEYS: &[Key] = keys! {
         "How long a process polls for messages before it sleeps; useful where cores are idle";
     "step-timeout" "SECONDS" SECONDS,
         "Time limit of an answer; a process that exceeds it is restarted";
+    "memory-timeout" "SECONDS" SECONDS,
+        "Time limit of an answer of an external memory; an episode that it leaves unanswered ends \
+         without a result";
     "start-timeout" "SECONDS" SECONDS,
         "Time limit for the processes to get ready";
 };
@@ -251,8 +274,10 @@ seed = 1
 max-steps = 200
 window = [6]
 horizon = 6
+hits = 1
 segment = ["actions"]
 keyframes = 40
+memory-text-bytes = 65536
 hint = ["on"]
 documents = "extractive"
 frame-size = 448
@@ -269,6 +294,7 @@ response-cache = "on"
 lanes = 16
 spin-us = 0
 step-timeout = 120
+memory-timeout = 30
 start-timeout = 300
 "#;
 
@@ -290,6 +316,11 @@ impl Key {
             }
             None => self.help.to_owned(),
         }
+    }
+
+    /// Whether the flag can be repeated, each time with one more value.
+    pub const fn is_repeated(&self) -> bool {
+        matches!(self.kind, ValueKind::Repeated(_))
     }
 
     /// Whether the flag takes no value.
@@ -324,6 +355,9 @@ impl Key {
             ValueKind::Money => text.trim().parse::<f64>().map_err(|_| invalid())?.into(),
             ValueKind::Text(_) => text.into(),
             ValueKind::List(_) => entries().collect::<Vec<_>>().into(),
+            ValueKind::Repeated(_) => {
+                text.lines().filter(|line| !line.trim().is_empty()).collect::<Vec<_>>().into()
+            }
         };
         self.check(&value)?;
         Ok(value)
@@ -353,7 +387,7 @@ impl Key {
                 amount.map(drop).ok_or_else(invalid)
             }
             ValueKind::Text(check) => check(value.as_str().ok_or_else(invalid)?),
-            ValueKind::List(check) => {
+            ValueKind::List(check) | ValueKind::Repeated(check) => {
                 list()?.iter().try_for_each(|entry| check(entry.as_str().ok_or_else(invalid)?))
             }
         }
@@ -373,7 +407,7 @@ impl ValueKind {
             Self::Numbers(least, most) => format!("a list of whole numbers from {least} to {most}"),
             Self::Money => "an amount of money, such as 0.25".to_owned(),
             Self::Text(_) => "a text".to_owned(),
-            Self::List(_) => "a list of texts".to_owned(),
+            Self::List(_) | Self::Repeated(_) => "a list of texts".to_owned(),
         };
         format!("{given} is not {expected}")
     }

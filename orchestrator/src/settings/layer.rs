@@ -3,10 +3,10 @@
 use std::ffi::OsString;
 use std::fmt;
 
+use anyhow::{Result, anyhow};
 use results::names::{UnknownName, nearest};
 use serde_json::{Map, Value};
 
-use super::SettingsError;
 use super::keys::{DEFAULTS, KEYS, Key, VARIABLE_PREFIX};
 
 /// Variables with the prefix that are not settings: folders, and what tests use.
@@ -52,28 +52,24 @@ impl Layer {
     ///
     /// # Errors
     /// Never: a test reads them.
-    pub fn defaults() -> Result<Self, SettingsError> {
-        let values = toml::from_str(DEFAULTS)
-            .map_err(|error| SettingsError::invalid("defaults", error.to_string()))?;
+    pub fn defaults() -> Result<Self> {
+        let values = toml::from_str(DEFAULTS).map_err(|error| anyhow!("defaults: {error}"))?;
         Ok(Self { origin: Origin::Default, values })
     }
 
-    /// The flags `given`, each with its text.
+    /// The flags `given`, each with its text; one that can be repeated may come several times.
     ///
     /// # Errors
     /// For a value that a flag cannot have; the message names the flag.
-    pub fn flags<'a>(
-        given: impl IntoIterator<Item = (&'a str, &'a str)>,
-    ) -> Result<Self, SettingsError> {
+    pub fn flags<'a>(given: impl IntoIterator<Item = (&'a str, &'a str)>) -> Result<Self> {
         let mut values = Map::new();
         for (name, text) in given {
-            let source = format!("--{name}");
-            let key = Key::find(name).ok_or_else(|| {
-                SettingsError::invalid(&source, "there is no such flag".to_owned())
-            })?;
-            let value =
-                key.read(text).map_err(|problem| SettingsError::invalid(&source, problem))?;
-            values.insert(name.to_owned(), value);
+            let key = Key::find(name).ok_or_else(|| anyhow!("--{name}: there is no such flag"))?;
+            let value = key.read(text).map_err(|problem| anyhow!("--{name}: {problem}"))?;
+            match (values.get_mut(name).and_then(Value::as_array_mut), value) {
+                (Some(before), Value::Array(more)) if key.is_repeated() => before.extend(more),
+                (_, value) => drop(values.insert(name.to_owned(), value)),
+            }
         }
         Ok(Self { origin: Origin::CommandLine, values })
     }
@@ -83,9 +79,7 @@ impl Layer {
     /// # Errors
     /// For a variable that has the prefix and names no setting, and for a value that a setting
     /// cannot have; the message names the variable.
-    pub fn environment(
-        variables: impl IntoIterator<Item = (OsString, OsString)>,
-    ) -> Result<Self, SettingsError> {
+    pub fn environment(variables: impl IntoIterator<Item = (OsString, OsString)>) -> Result<Self> {
         let mut values = Map::new();
         for (variable, text) in variables {
             let Some(variable) = variable.to_str().filter(|name| name.starts_with(VARIABLE_PREFIX))
@@ -105,7 +99,7 @@ impl Layer {
             }
             let value = text.to_str().ok_or_else(|| "is not UTF-8".to_owned());
             let value = value.and_then(|text| key.read(text));
-            let value = value.map_err(|problem| SettingsError::invalid(variable, problem))?;
+            let value = value.map_err(|problem| anyhow!("{variable}: {problem}"))?;
             values.insert(key.name.to_owned(), value);
         }
         Ok(Self { origin: Origin::Environment, values })
@@ -115,15 +109,10 @@ impl Layer {
     ///
     /// # Errors
     /// For text that is not TOML, for an unknown key, and for a value that a key cannot have.
-    pub(super) fn suite(file: &str, text: &str) -> Result<Self, SettingsError> {
-        let source = format!("suite {file}");
-        let invalid = |place: &str, problem: String| {
-            SettingsError::invalid(&format!("{source}{place}"), problem)
-        };
-        let values: Map<String, Value> =
-            toml::from_str(text).map_err(|error: toml::de::Error| {
-                invalid("", error.to_string().trim_end().to_owned())
-            })?;
+    pub(super) fn suite(file: &str, text: &str) -> Result<Self> {
+        let invalid = |place: &str, problem: &str| anyhow!("suite {file}{place}: {problem}");
+        let values: Map<String, Value> = toml::from_str(text)
+            .map_err(|error: toml::de::Error| invalid("", error.to_string().trim_end()))?;
         let top: Vec<&str> = KEYS
             .iter()
             .map(|key| key.name)
@@ -137,10 +126,10 @@ impl Layer {
                         Some(nearest) => format!(": did you mean `{nearest}`?"),
                         None => format!(" (known: {})", known.join(", ")),
                     };
-                    return Err(invalid(place, format!("unknown key `{name}`{hint}")));
+                    return Err(invalid(place, &format!("unknown key `{name}`{hint}")));
                 }
                 let checked = Key::find(name).map_or(Ok(()), |key| key.check(value));
-                checked.map_err(|problem| invalid(place, format!("{name}: {problem}")))?;
+                checked.map_err(|problem| invalid(place, &format!("{name}: {problem}")))?;
             }
             Ok(())
         };
@@ -148,7 +137,7 @@ impl Layer {
         let groups = match values.get("group") {
             None => Vec::new(),
             Some(Value::Array(groups)) => groups.iter().filter_map(Value::as_object).collect(),
-            Some(_) => return Err(invalid("", "`group` is not a list of tables".to_owned())),
+            Some(_) => return Err(invalid("", "`group` is not a list of tables")),
         };
         let of_group: Vec<&str> = [&["name"], GROUP_KEYS].concat();
         let mut names = Vec::new();
@@ -156,7 +145,7 @@ impl Layer {
             check(group, &of_group, &format!(", group {number}"))?;
             match group.get("name").and_then(Value::as_str) {
                 Some(name) if !names.contains(&name) => names.push(name),
-                _ => return Err(invalid("", "every [[group]] needs its own `name`".to_owned())),
+                _ => return Err(invalid("", "every [[group]] needs its own `name`")),
             }
         }
         Ok(Self { origin: Origin::Suite, values })
@@ -172,7 +161,7 @@ impl Layer {
 ///
 /// # Errors
 /// When the variable has a value that the setting cannot have; the message names the variable.
-pub fn variable(name: &str) -> Result<Option<Value>, SettingsError> {
+pub fn variable(name: &str) -> Result<Option<Value>> {
     let Some(key) = Key::find(name) else { return Ok(None) };
     let variable = key.variable();
     let Some(text) = std::env::var_os(&variable) else { return Ok(None) };

@@ -2,14 +2,15 @@
 
 use std::collections::BTreeMap;
 use std::fmt;
-use std::path::PathBuf;
 
+use anyhow::{Context, Result, anyhow, bail, ensure};
 use domain::Representation;
+use domain::memory_kind::{EXTERNAL_WORD, NONE_WORD};
 use domain::representation::Trajectories;
-use results::conditions::{Condition, PolicyKind, Variation};
-use results::names::UnknownName;
-use results::settings::{Group, RunSettings, SuiteName};
+use results::conditions::{PolicyKind, Variation};
+use results::settings::{RunSettings, SuiteName};
 use serde_json::{Map, Value, json};
+use shm_types::message::MAX_EXTERNAL_MEMORIES;
 
 use super::keys::{KEYS, MAX_IMAGES, MODEL_KEYS};
 use super::layer::{GROUP_KEYS, Layer, Origin};
@@ -28,87 +29,11 @@ pub struct Resolved {
 
 type Origins = BTreeMap<String, Origin>;
 
-/// Why layers do not make valid settings.
-#[derive(Debug, thiserror::Error)]
-pub enum SettingsError {
-    /// A source says something invalid.
-    #[error("{place}: {problem}")]
-    Invalid {
-        /// The source, and the place in it: a flag, a variable, a key of a suite file.
-        place: String,
-        /// What is wrong with it.
-        problem: String,
-    },
-    /// A variable with the prefix of settings names none.
-    #[error(transparent)]
-    UnknownVariable(#[from] UnknownName),
-    /// No suite has the name.
-    #[error("{0}; a file is named by its path, for example ./my-suite.toml")]
-    UnknownSuite(UnknownName),
-    /// A suite file cannot be read.
-    #[error("cannot read suite {}: {source}", path.display())]
-    Unreadable {
-        /// The file.
-        path: PathBuf,
-        /// The system's error.
-        source: std::io::Error,
-    },
-    /// A flag is for another policy.
-    #[error("--{key} is for --policy {only_for}, and the policy is {policy}")]
-    OtherPolicy {
-        /// The flag.
-        key: String,
-        /// The policy it is for.
-        only_for: PolicyKind,
-        /// The run's policy.
-        policy: PolicyKind,
-    },
-    /// The policy `openai` needs a model.
-    #[error("--policy openai needs --model NAME: the model, by the name that the server knows")]
-    NoModel,
-    /// The renderer on the processor has no adapters to choose from.
-    #[error("--adapter chooses a graphics adapter, and --backend cpu uses none: give one of them")]
-    AdapterWithoutDevice,
-    /// Nothing is left to run.
-    #[error(
-        "no condition is left: a blocked route needs the new start (add `new` to --starts), and a \
-         memory of demonstrations needs some (--demos)"
-    )]
-    NoCondition,
-    /// A request could hold more images than a prompt does (paper, Experimental Setup).
-    #[error(
-        "a request under {condition} may need {images} images (the current view, {window} of the \
-         window, {remembered} of memory), and a prompt holds at most {MAX_IMAGES}: lower --window or \
-         {flag}"
-    )]
-    TooManyImages {
-        /// The first such condition.
-        condition: Condition,
-        /// Images of a request under it.
-        images: u32,
-        /// Those of the window.
-        window: u32,
-        /// Those of memory.
-        remembered: u32,
-        /// The flag that lowers the number, beside `--window`.
-        flag: &'static str,
-    },
-    /// Checked layers do not fit the type of settings: a bug.
-    #[error("the settings cannot be put together: {0}")]
-    Internal(#[from] serde_json::Error),
-}
-
-impl SettingsError {
-    pub(super) fn invalid(place: &str, problem: String) -> Self {
-        Self::Invalid { place: place.to_owned(), problem }
-    }
-}
-
 /// Settings of the built-in defaults, the suite that `above` names, and the layers `above`, weakest first.
 ///
 /// # Errors
 /// When the suite is invalid, settings contradict each other, or nothing is left to run.
-pub fn resolve(above: impl IntoIterator<Item = Layer>) -> Result<Resolved, SettingsError> {
+pub fn resolve(above: impl IntoIterator<Item = Layer>) -> Result<Resolved> {
     let (defaults, above) = (Layer::defaults()?, Vec::from_iter(above));
     let text = |key| above.iter().rev().find_map(|layer| layer.text(key));
     let suite = text("suite").or(defaults.text("suite")).unwrap_or_default();
@@ -118,7 +43,7 @@ pub fn resolve(above: impl IntoIterator<Item = Layer>) -> Result<Resolved, Setti
 }
 
 /// Settings of `layers`, weakest first, and of nothing else.
-pub(super) fn merge(layers: impl IntoIterator<Item = Layer>) -> Result<Resolved, SettingsError> {
+pub(super) fn merge(layers: impl IntoIterator<Item = Layer>) -> Result<Resolved> {
     let mut merged = Map::new();
     let mut origins = Origins::new();
     for Layer { origin, values } in layers {
@@ -131,6 +56,7 @@ pub(super) fn merge(layers: impl IntoIterator<Item = Layer>) -> Result<Resolved,
         merged.insert("out".to_owned(), out.into());
         origins.insert("out".to_owned(), Origin::Default);
     }
+    await_external_memory(&mut merged, &mut origins, policy);
     let groups = match merged.remove("group") {
         Some(Value::Array(groups)) => groups,
         // Without groups there is one, of the top-level keys.
@@ -148,31 +74,32 @@ pub(super) fn merge(layers: impl IntoIterator<Item = Layer>) -> Result<Resolved,
         completed.push(Value::Object(group));
     }
     merged.insert("group".to_owned(), completed.into());
-    let settings: RunSettings = serde_json::from_value(Value::Object(merged))?;
+    let settings: RunSettings = serde_json::from_value(Value::Object(merged))
+        .context("the settings cannot be put together")?;
     check(&settings)?;
     Ok(Resolved { settings, origins, group_origins })
 }
 
 /// The run's policy. Removes the settings of other policies; a flag for another policy is an error.
-fn choose_policy(
-    merged: &mut Map<String, Value>,
-    origins: &mut Origins,
-) -> Result<PolicyKind, SettingsError> {
+fn choose_policy(merged: &mut Map<String, Value>, origins: &mut Origins) -> Result<PolicyKind> {
     let is_given = |origins: &Origins, key| origins.get(key) >= Some(&Origin::Environment);
     if merged.contains_key("policy-cmd") && !is_given(origins, "policy") {
         merged.insert("policy".to_owned(), PolicyKind::External.name().into());
         origins.insert("policy".to_owned(), origins["policy-cmd"]);
     }
     let policy = serde_json::from_value(merged.get("policy").cloned().unwrap_or_default())?;
-    let other = |key: &str, only_for| {
-        let key = key.to_owned();
-        SettingsError::OtherPolicy { key, only_for, policy }
+    let other = |key: &str, only_for: PolicyKind| {
+        anyhow!("--{key} is for --policy {only_for}, and the policy is {policy}")
     };
     if policy != PolicyKind::External && merged.contains_key("policy-cmd") {
         return Err(other("policy-cmd", PolicyKind::External));
     }
     if policy == PolicyKind::Openai {
-        return if merged.contains_key("model") { Ok(policy) } else { Err(SettingsError::NoModel) };
+        ensure!(
+            merged.contains_key("model"),
+            "--policy openai needs --model NAME: the model, by the name that the server knows"
+        );
+        return Ok(policy);
     }
     for key in MODEL_KEYS {
         // A variable may be set for other runs.
@@ -185,8 +112,39 @@ fn choose_policy(
     Ok(policy)
 }
 
+/// Takes the words that name no built-in memory out of every list of memories. That for an external memory that the user
+/// starts is a setting of the whole run. A policy without memory, or one to which it makes no difference, has no external
+/// memory either, unless the command line asks for it.
+fn await_external_memory(
+    merged: &mut Map<String, Value>,
+    origins: &mut Origins,
+    policy: PolicyKind,
+) {
+    let mut is_awaited = false;
+    let mut take = |memory: Option<&mut Value>| {
+        let Some(list) = memory.and_then(Value::as_array_mut) else { return };
+        is_awaited |= list.iter().any(|name| name == EXTERNAL_WORD);
+        list.retain(|name| name != EXTERNAL_WORD && name != NONE_WORD);
+    };
+    take(merged.get_mut("memory"));
+    let groups = merged.get_mut("group").and_then(Value::as_array_mut);
+    for group in groups.into_iter().flatten() {
+        take(group.get_mut("memory"));
+    }
+    let is_given = |key: &str| origins.get(key) >= Some(&Origin::Environment);
+    let ignores = irrelevant_to(policy).iter().any(|(key, _)| *key == "memory");
+    let (memory, commands) = (is_given("memory"), is_given("memory-cmd"));
+    if !policy.has_process() || (ignores && !commands) {
+        merged.remove("memory-cmd");
+        origins.remove("memory-cmd");
+    }
+    if is_awaited && policy.has_process() && (!ignores || memory) {
+        merged.insert("external-memory".to_owned(), true.into());
+    }
+}
+
 /// The default name of a run's folder: suite and policy, and the model of `openai`.
-fn folder_name(merged: &Map<String, Value>, policy: PolicyKind) -> Result<String, SettingsError> {
+fn folder_name(merged: &Map<String, Value>, policy: PolicyKind) -> Result<String> {
     let text = |key| merged.get(key).and_then(Value::as_str).unwrap_or_default();
     let suite: SuiteName = serde_json::from_value(text("suite").into())?;
     let plain = |c: char| if c.is_ascii_alphanumeric() || ".-_".contains(c) { c } else { '-' };
@@ -245,15 +203,29 @@ fn irrelevant_to(policy: PolicyKind) -> Vec<(&'static str, Value)> {
     }
 }
 
-/// Checks what concerns several settings at once.
-fn check(settings: &RunSettings) -> Result<(), SettingsError> {
-    if settings.adapter.is_some() && settings.backend.as_deref() == Some("cpu") {
-        return Err(SettingsError::AdapterWithoutDevice);
-    }
+/// Checks what concerns several settings at once. Before external memories have told their names, their conditions are
+/// not there yet.
+///
+/// # Errors
+/// For settings that contradict each other, or leave nothing to run.
+pub fn check(settings: &RunSettings) -> Result<()> {
+    let given = settings.memory_cmd.len() + usize::from(settings.external_memory);
+    ensure!(
+        given <= MAX_EXTERNAL_MEMORIES,
+        "the run has {given} external memories (--memory-cmd, and `external` in --memory), and at most \
+         {MAX_EXTERNAL_MEMORIES} run side by side"
+    );
+    ensure!(
+        settings.adapter.is_none() || settings.backend.as_deref() != Some("cpu"),
+        "--adapter chooses a graphics adapter, and --backend cpu uses none: give one of them"
+    );
     let conditions = settings.conditions();
-    if conditions.is_empty() {
-        return Err(SettingsError::NoCondition);
-    }
+    let is_complete = !settings.has_external_memories() || !settings.external_names().is_empty();
+    ensure!(
+        !(conditions.is_empty() && is_complete),
+        "no condition is left: a blocked route needs the new start (add `new` to --starts), and a memory of \
+         demonstrations needs some (--demos)"
+    );
     // With a model, what exceeds --image-budget is left out and counted.
     if settings.model.is_some() {
         return Ok(());
@@ -261,29 +233,20 @@ fn check(settings: &RunSettings) -> Result<(), SettingsError> {
     for condition in conditions {
         let (images, window) = (settings.images(&condition), condition.variation.window);
         if images > MAX_IMAGES {
-            let flag = match condition.memory.describe().trajectories {
-                Trajectories::Segment => "--horizon",
-                Trajectories::Whole | Trajectories::Nothing => "--keyframes",
+            let flag = match condition.memory.describe().map(|info| info.trajectories) {
+                Some(Trajectories::Segment) => "--horizon",
+                Some(Trajectories::Whole | Trajectories::Nothing) => "--keyframes",
+                None => "--memory-images",
             };
             let remembered = images - 1 - window;
-            return Err(SettingsError::TooManyImages {
-                condition,
-                images,
-                window,
-                remembered,
-                flag,
-            });
+            // Paper, Experimental Setup.
+            bail!(
+                "a request under {condition} may need {images} images (the current view, {window} of the window, \
+                 {remembered} of memory), and a prompt holds at most {MAX_IMAGES}: lower --window or {flag}"
+            );
         }
     }
     Ok(())
-}
-
-impl Resolved {
-    /// The groups that a suite file names, with where each key comes from.
-    fn named_groups(&self) -> impl Iterator<Item = (&Group, &Origins)> {
-        let groups = self.settings.groups.iter().zip(&self.group_origins);
-        groups.filter(|(group, _)| group.name.is_some())
-    }
 }
 
 impl fmt::Display for Resolved {
@@ -295,7 +258,16 @@ impl fmt::Display for Resolved {
         };
         let mut values = object(serde_json::to_value(&self.settings))?;
         let mut origins = self.origins.clone();
-        if self.named_groups().next().is_none()
+        let groups = values.get_mut("group").and_then(Value::as_array_mut);
+        for group in groups.into_iter().flatten() {
+            match group.get_mut("memory").and_then(Value::as_array_mut) {
+                Some(list) if self.settings.external_memory => list.push(EXTERNAL_WORD.into()),
+                Some(list) if list.is_empty() => list.push(NONE_WORD.into()),
+                _ => {}
+            }
+        }
+        let groups = values.get("group").cloned().unwrap_or_default();
+        if self.settings.groups.iter().all(|group| group.name.is_none())
             && let Some(Value::Array(groups)) = values.remove("group")
             && let Some(Value::Object(only)) = groups.into_iter().next()
         {
@@ -313,8 +285,9 @@ impl fmt::Display for Resolved {
                 _ => writeln!(f, "# {key}: not set")?,
             }
         }
-        for (group, origins) in self.named_groups() {
-            let values = object(serde_json::to_value(group))?;
+        let all = groups.as_array().into_iter().flatten().zip(&self.group_origins);
+        for (group, origins) in all.filter(|(group, _)| group.get("name").is_some()) {
+            let Some(values) = group.as_object() else { continue };
             writeln!(f, "\n[[group]]")?;
             for key in ["name"].iter().chain(GROUP_KEYS) {
                 let origin = origins.get(*key).copied().unwrap_or(Origin::Suite);
@@ -347,7 +320,7 @@ mod tests {
         Layer::suite("mine.toml", text).unwrap()
     }
 
-    fn with(given: &[(&str, &str)]) -> Result<Resolved, SettingsError> {
+    fn with(given: &[(&str, &str)]) -> Result<Resolved> {
         merge([Layer::defaults().unwrap(), flags(given)])
     }
 
@@ -405,6 +378,66 @@ mod tests {
         let resolved = merge([Layer::defaults().unwrap(), suite(GROUPS)]).unwrap();
         insta::assert_snapshot!("groups-as-a-suite-file", resolved);
         assert_eq!(read_again(&resolved), resolved.settings);
+    }
+
+    #[test]
+    fn external_memories_join_the_groups_once_they_have_told_their_names() {
+        let given =
+            [("memory", "working,external"), ("memory-cmd", "python a.py, b"), ("starts", "new")];
+        let layer = flags(&[&given[..], &[("memory-cmd", "./c")]].concat());
+        let resolved = merge([Layer::defaults().unwrap(), layer]).unwrap();
+        let shown = resolved.to_string();
+        assert!(shown.contains("memory = [\"working\",\"external\"]"), "{shown}");
+        assert!(shown.contains("memory-cmd = [\"python a.py, b\",\"./c\"]"), "{shown}");
+        let again = merge([Layer::defaults().unwrap(), suite(&shown)]).unwrap().settings;
+        let mut settings = resolved.settings;
+        assert_eq!(again, settings);
+        assert_eq!((settings.memory_cmd.len(), settings.external_memory), (2, true));
+        settings.add_external_memories(&["a".parse().unwrap(), "top-3".parse().unwrap()]);
+        let conditions: Vec<String> =
+            settings.conditions().iter().map(ToString::to_string).collect();
+        assert_eq!(
+            conditions,
+            [
+                "working/new/unchanged/none",
+                "a/new/unchanged/original",
+                "top-3/new/unchanged/original"
+            ]
+        );
+        // Alone they are enough, and a suite's group of working memory alone stays as it is.
+        assert!(with(&[("memory", "external")]).is_ok());
+        let only = with(&[("memory", "none"), ("memory-cmd", "a")]).unwrap();
+        assert!(only.to_string().contains("memory = [\"none\"]"), "{only}");
+        assert!(only.settings.groups[0].memory.is_empty());
+        let error = with(&[("memory", "none")]).unwrap_err().to_string();
+        assert!(error.starts_with("no condition is left"), "{error}");
+        let groups = "[[group]]\nname = \"w\"\nmemory = [\"working\"]\n[[group]]\nname = \"e\"\n\
+                      memory = [\"episodic\"]";
+        let layer = suite(&format!("memory-cmd = [\"a\"]\n{groups}"));
+        let mut settings = merge([Layer::defaults().unwrap(), layer]).unwrap().settings;
+        settings.add_external_memories(&["a".parse().unwrap()]);
+        let counts: Vec<usize> = settings.groups.iter().map(|group| group.memory.len()).collect();
+        assert_eq!(counts, [1, 2]);
+    }
+
+    #[test]
+    fn external_memories_are_of_no_use_to_a_policy_without_memory() {
+        let with = |policy, given: &[_]| {
+            let layers =
+                [suite("memory-cmd = [\"a\"]"), flags(&[("policy", policy)]), flags(given)];
+            merge([Layer::defaults().unwrap()].into_iter().chain(layers)).unwrap().settings
+        };
+        assert_eq!(with("grounded", &[]).memory_cmd, ["a"]);
+        assert!(!with("random", &[]).has_external_memories());
+        assert_eq!(with("random", &[("memory-cmd", "b")]).memory_cmd, ["b"]);
+        assert!(
+            !with("expert", &[("memory-cmd", "b"), ("memory", "external")]).has_external_memories()
+        );
+        let nine: Vec<(&str, &str)> = vec![("memory-cmd", "x"); 9];
+        let error = merge([Layer::defaults().unwrap(), flags(&nine)]).unwrap_err().to_string();
+        assert!(error.starts_with("the run has 9 external memories"), "{error}");
+        let error = merge([Layer::defaults().unwrap(), flags(&[("memory-images", "50")])]);
+        assert!(error.is_ok(), "no built-in memory supplies as many");
     }
 
     const GROUPS: &str = r#"

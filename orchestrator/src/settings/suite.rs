@@ -2,10 +2,11 @@
 
 use std::path::Path;
 
+use anyhow::{Result, anyhow};
 use results::names::UnknownName;
 use results::settings::SuiteName;
 
-use super::{Layer, SettingsError};
+use super::Layer;
 
 macro_rules! shipped {
     ($($name:literal)*) => {
@@ -20,10 +21,10 @@ pub const SHIPPED_SUITES: &[(&str, &str)] = shipped!("quick" "rq1" "rq2" "rq3" "
 ///
 /// # Errors
 /// When there is no such suite, the file cannot be read, or its content is invalid.
-pub fn load_suite(suite: &SuiteName, assets: Option<&Path>) -> Result<Layer, SettingsError> {
+pub fn load_suite(suite: &SuiteName, assets: Option<&Path>) -> Result<Layer> {
     let read = |path: &Path| {
         std::fs::read_to_string(path)
-            .map_err(|source| SettingsError::Unreadable { path: path.to_owned(), source })
+            .map_err(|error| anyhow!("cannot read suite {}: {error}", path.display()))
             .and_then(|text| Layer::suite(&path.display().to_string(), &text))
     };
     if let Some(path) = suite.file() {
@@ -38,7 +39,8 @@ pub fn load_suite(suite: &SuiteName, assets: Option<&Path>) -> Result<Layer, Set
         Some((name, text)) => Layer::suite(name, text),
         None => {
             let known = SHIPPED_SUITES.iter().map(|(name, _)| *name);
-            Err(SettingsError::UnknownSuite(UnknownName::new("suite", suite.word(), known)))
+            let unknown = UnknownName::new("suite", suite.word(), known);
+            Err(anyhow!("{unknown}; a file is named by its path, for example ./my-suite.toml"))
         }
     }
 }

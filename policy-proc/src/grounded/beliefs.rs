@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use domain::{Cell, Pose};
-use peer::Request;
+use peer::{Item, Request};
 use plates::{ItemName, Landmark};
 
 use super::demonstration::{RelativePath, RelativePaths, Supplied};
@@ -29,10 +29,10 @@ pub(super) struct Beliefs {
     /// Nothing can be seen in the current frame.
     pub(super) is_blind: bool,
     pub(super) map: LocalMap,
-    /// Plates in the last views and in the retrieved segment.
+    /// Plates in the last views, and in what was retrieved.
     seen: Vec<Landmark>,
-    /// The path of the retrieved segment, if it was located.
-    pub(super) segment: Option<Tour>,
+    /// The paths of the retrieved segments that were located, in order.
+    pub(super) segments: Vec<Tour>,
     pub(super) knowledge: Arc<Knowledge>,
 }
 
@@ -47,19 +47,28 @@ impl Beliefs {
         let mut seen: Vec<Landmark> = Vec::new();
         views.iter().for_each(|view| seen.extend_from_slice(&view.landmarks));
 
-        let segment = request.segment.map_or(&[][..], |segment| segment.steps);
-        let segment = segment.iter().map(|step| (Some(step.frame), step.action));
-        let segment = locate(segment, &views, caches).map(|(segment, start)| {
-            seen.extend(segment.landmarks_from(start));
-            Tour::along(segment.path_from(start), &[])
-        });
-        let trajectories = request.trajectories.iter().filter_map(|trajectory| {
-            let supplied = trajectory.steps.iter().map(|step| (step.frame, step.action));
-            locate(supplied, &views, caches)
-        });
-        let located: Vec<_> = trajectories.collect();
+        let (mut segments, mut located) = (Vec::new(), Vec::new());
+        for item in request.items {
+            let supplied: Vec<Supplied<'_>> = match item {
+                Item::Text(_) => continue,
+                Item::Steps(supplied) => {
+                    supplied.steps.iter().map(|step| (step.frame, step.action)).collect()
+                }
+                Item::Frame(captioned) => vec![(Some(captioned.frame), None)],
+            };
+            let Some((path, start)) = locate(&supplied, &views, caches) else {
+                continue;
+            };
+            if item.trajectory().is_some() {
+                located.push((path, start));
+            } else {
+                seen.extend(path.landmarks_from(start));
+                segments.push(Tour::along(path.path_from(start), &[]));
+            }
+        }
         let task = (request.instruction, goal);
-        let knowledge = caches.knowledge.get(task, request.documents, &located);
+        let texts: Vec<_> = request.texts().collect();
+        let knowledge = caches.knowledge.get(task, &texts, &located);
 
         let mut map = LocalMap::around(request.pose.cell);
         knowledge.mark(&mut map);
@@ -70,11 +79,11 @@ impl Beliefs {
             map.mark_free(landmark.standpoint);
             rack_of(landmark).into_iter().for_each(|rack| map.mark_occupied(rack));
         }
-        segment.iter().flat_map(Tour::cells).for_each(|cell| map.mark_free(cell));
+        segments.iter().flat_map(Tour::cells).for_each(|cell| map.mark_free(cell));
         recent.cells().for_each(|cell| map.mark_free(cell));
         recent.blocked_cells().for_each(|cell| map.mark_occupied(cell));
         let is_blind = views.last().is_none_or(|view| view.content.is_blank);
-        Self { recent, is_blind, map, seen, segment, knowledge }
+        Self { recent, is_blind, map, seen, segments, knowledge }
     }
 
     /// Cells from which the `nth` target of the goal can be reached.
@@ -97,14 +106,13 @@ fn placed_views(
     frames.map(|(frame, pose)| views.placed(frame, pose)).collect()
 }
 
-/// The supplied demonstration and the pose where it began, if `views` determine it.
-fn locate<'a>(
-    supplied: impl Iterator<Item = Supplied<'a>>,
+/// The supplied demonstration and where it began, if `views` tell.
+fn locate(
+    supplied: &[Supplied<'_>],
     views: &[Arc<PlacedFrame>],
     caches: &mut PolicyCaches,
 ) -> Option<(Arc<RelativePath>, Pose)> {
-    let supplied: Vec<Supplied<'_>> = supplied.collect();
-    let demonstration = caches.demonstrations.get(&supplied, &mut caches.views);
+    let demonstration = caches.demonstrations.get(supplied, &mut caches.views);
     let start = demonstration.locate(views)?;
     Some((demonstration, start))
 }

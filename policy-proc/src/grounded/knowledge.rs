@@ -5,7 +5,7 @@
 use std::sync::Arc;
 
 use domain::{Cell, Pose};
-use peer::{DocumentId, DocumentView};
+use peer::TextView;
 use plates::{ItemName, Landmark};
 
 use super::cache::BoundedCache;
@@ -103,12 +103,12 @@ fn targets_reached(path: &[PathStep], standpoints: &[Vec<Cell>]) -> usize {
 }
 
 /// What knowledge is derived from: instruction, documents, and demonstrations by serial number and start.
-type Sources = (String, Vec<DocumentId>, Vec<(u64, Pose)>);
+type Sources = (String, Vec<u128>, Vec<(u64, Pose)>);
 
 /// Parsed documents, and the knowledge derived from them and from demonstrations.
 #[derive(Debug, Default)]
 pub(super) struct KnowledgeBase {
-    documents: BoundedCache<DocumentId, ParsedDocument, 64>,
+    documents: BoundedCache<u128, ParsedDocument, 64>,
     known: BoundedCache<Sources, Knowledge, 1024>,
 }
 
@@ -116,14 +116,14 @@ impl KnowledgeBase {
     pub(super) fn get(
         &mut self,
         (instruction, goal): (&str, Option<&NavigationGoal<'_>>),
-        documents: &[DocumentView<'_>],
+        documents: &[TextView<'_>],
         located: &[(Arc<RelativePath>, Pose)],
     ) -> Arc<Knowledge> {
         let ids = documents.iter().map(|document| document.id).collect();
         let starts = located.iter().map(|(known, start)| (known.serial, *start)).collect();
         let parsed = &mut self.documents;
         self.known.get((instruction.to_owned(), ids, starts), || {
-            let parse = |document: &DocumentView<'_>| {
+            let parse = |document: &TextView<'_>| {
                 parsed.get(document.id, || ParsedDocument::parse(document.text))
             };
             let documents: Vec<_> = documents.iter().map(parse).collect();

@@ -51,11 +51,13 @@ impl Planner<'_> {
         let is_single = self.goal.is_some_and(|goal| {
             goal.visit == VisitOrder::One && goal.ending == FinalCell::LastItem
         });
-        let segment = &self.beliefs.segment;
-        self.follow(segment.iter())
+        let segments = &self.beliefs.segments;
+        // Memory supplies the most important segment first.
+        let in_order = |step: &dyn Fn(&Tour) -> Option<Action>| segments.iter().find_map(step);
+        in_order(&|segment| self.follow(std::iter::once(segment)))
             .or_else(|| self.follow(self.demonstrations()))
             .or_else(|| is_single.then(|| self.approach_target()).flatten())
-            .or_else(|| self.join(segment.iter(), FARTHEST_SEGMENT))
+            .or_else(|| in_order(&|tour| self.join(std::iter::once(tour), FARTHEST_SEGMENT)))
             .or_else(|| self.join(self.demonstrations(), u32::MAX))
             .or_else(|| self.approach_target())
             .or_else(|| self.approach_outlook())

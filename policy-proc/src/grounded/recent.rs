@@ -112,9 +112,7 @@ mod tests {
                 feedback: Feedback::Start,
                 frame,
                 window: &window,
-                segment: None,
-                documents: &[],
-                trajectories: &[],
+                items: &[],
                 starts_as_demonstrated: false,
             };
             let recent = RecentSteps::of(&request);

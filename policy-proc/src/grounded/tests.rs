@@ -2,8 +2,8 @@
 
 use domain::{Action, Feedback, Heading, Pose};
 use peer::{
-    Decision, DocumentKind, DocumentView, FrameView, PastView, Policy, Request, Segment,
-    SegmentView, Trajectory, TrajectoryView,
+    CaptionedView, Decision, DocumentKind, FrameView, Item, PastView, Policy, Request, StepView,
+    StepsView, TextView,
 };
 use plates::painter::{PlateAisle, PlateImage};
 use proptest::prelude::*;
@@ -21,11 +21,13 @@ struct Ask {
     pose: Option<Pose>,
     /// Past steps with the poses in which they were taken.
     window: Vec<(Pose, Action, Feedback)>,
-    /// The retrieved segment: poses and the expert's actions.
-    segment: Vec<(Pose, Option<Action>)>,
+    /// The retrieved segments: poses and the expert's actions.
+    segments: Vec<Vec<(Pose, Option<Action>)>>,
     /// A whole demonstration in which every view is a keyframe.
     demonstration: Vec<(Pose, Option<Action>)>,
-    document: String,
+    texts: Vec<(DocumentKind, String)>,
+    /// Where a captioned view was taken.
+    captioned: Option<Pose>,
     is_blank: bool,
 }
 
@@ -43,12 +45,18 @@ impl Ask {
         Self { window: window.to_vec(), ..self }
     }
 
-    fn with_segment(self, segment: &[(Pose, Option<Action>)]) -> Self {
-        Self { segment: segment.to_vec(), ..self }
+    fn with_segment(mut self, segment: &[(Pose, Option<Action>)]) -> Self {
+        self.segments.push(segment.to_vec());
+        self
     }
 
     fn with_document(self, document: &str) -> Self {
-        Self { document: document.to_owned(), ..self }
+        self.with_text(DocumentKind::Summary, document)
+    }
+
+    fn with_text(mut self, kind: DocumentKind, text: &str) -> Self {
+        self.texts.push((kind, text.to_owned()));
+        self
     }
 
     fn with_demonstration(self, demonstration: &[(Pose, Option<Action>)]) -> Self {
@@ -65,33 +73,39 @@ impl Ask {
     fn action_with_ids(&self, first_id: u64) -> Action {
         let aisle = PlateAisle::new();
         let pose = self.pose.unwrap();
+        let remembered = self.segments.iter().flatten().chain(&self.demonstration);
         let poses = self.window.iter().map(|past| past.0);
-        let poses = poses.chain(self.segment.iter().map(|step| step.0));
-        let poses = poses.chain(self.demonstration.iter().map(|step| step.0)).chain([pose]);
+        let poses = poses.chain(remembered.map(|step| step.0)).chain(self.captioned).chain([pose]);
         let pictures: Vec<_> = poses.map(|pose| aisle.picture(pose)).collect();
-        let frames: Vec<_> =
-            (first_id..).zip(&pictures).map(|(id, picture)| frame(picture, id)).collect();
-        let (past, frames) = frames.split_at(self.window.len());
-        let (remembered, frames) = frames.split_at(self.segment.len());
-        let (keyframes, current) = frames.split_at(self.demonstration.len());
+        let mut frames = (first_id..).zip(&pictures).map(|(id, picture)| frame(picture, id));
+        let mut next = || frames.next().unwrap();
 
-        let past = past.iter().zip(&self.window);
-        let window = past.map(|(&frame, &(_, action, feedback))| PastView {
-            frame,
+        let window = self.window.iter().map(|&(_, action, feedback)| PastView {
+            frame: next(),
             action: Some(action),
             feedback,
         });
         let window: Vec<_> = window.collect();
-        let remembered = remembered.iter().zip(&self.segment);
-        let segment = remembered.map(|(&frame, &(_, action))| SegmentView { frame, action });
-        let segment: Vec<_> = segment.collect();
-        let keyframes = keyframes.iter().zip(&self.demonstration);
-        let steps =
-            keyframes.map(|(&frame, &(_, action))| TrajectoryView { frame: Some(frame), action });
-        let steps: Vec<_> = steps.collect();
-        let trajectory = [Trajectory { steps: &steps }];
-        let document =
-            [DocumentView { id: first_id, kind: DocumentKind::Summary, text: &self.document }];
+        let mut supplied = |steps: &Vec<(Pose, Option<Action>)>| -> Vec<_> {
+            let step = |&(_, action): &_| StepView { frame: Some(next()), action };
+            steps.iter().map(step).collect()
+        };
+        let segments: Vec<_> = self.segments.iter().map(&mut supplied).collect();
+        let demonstration = supplied(&self.demonstration);
+        let mut items = Vec::new();
+        for steps in &segments {
+            items.push(Item::Steps(StepsView { distance: Some(0.0), is_whole: false, steps }));
+        }
+        if !demonstration.is_empty() {
+            let steps = &demonstration;
+            items.push(Item::Steps(StepsView { distance: None, is_whole: true, steps }));
+        }
+        if self.captioned.is_some() {
+            items.push(Item::Frame(CaptionedView { frame: next(), caption: "" }));
+        }
+        for (id, (kind, text)) in (first_id..).zip(&self.texts) {
+            items.push(Item::Text(TextView { id: id.into(), kind: *kind, text }));
+        }
         act(&Request {
             lane: 0,
             step: self.step,
@@ -101,11 +115,9 @@ impl Ask {
             instruction: &self.instruction,
             pose,
             feedback: window.last().map_or(Feedback::Start, |past| past.feedback),
-            frame: if self.is_blank { blank_frame(first_id + 500) } else { current[0] },
+            frame: if self.is_blank { blank_frame(first_id + 500) } else { next() },
             window: &window,
-            segment: (!segment.is_empty()).then_some(Segment { distance: 0.0, steps: &segment }),
-            documents: if self.document.is_empty() { &[] } else { &document },
-            trajectories: if steps.is_empty() { &[] } else { &trajectory },
+            items: &items,
             starts_as_demonstrated: false,
         })
     }
@@ -160,6 +172,14 @@ fn a_segment_is_joined_where_it_is_near() {
     let beside = Pose::new(11, 12, Heading::N);
     let segment = [(beside, Some(Action::Forward)), (Pose::new(11, 13, Heading::N), None)];
     assert_eq!(Ask::at(HERE).with_segment(&segment).action(), Action::Right);
+}
+
+#[test]
+fn of_several_segments_the_first_that_fits_is_followed() {
+    let elsewhere = [(Pose::new(10, 18, Heading::N), Some(Action::Backward))];
+    let here = |action| [(HERE, Some(action)), (after(HERE, action).unwrap(), None)];
+    let ask = Ask::at(HERE).with_segment(&elsewhere).with_segment(&here(Action::TurnLeft));
+    assert_eq!(ask.with_segment(&here(Action::Right)).action(), Action::TurnLeft);
 }
 
 #[test]
@@ -252,6 +272,19 @@ fn a_place_that_a_document_names_is_approached_over_known_floor() {
 }
 
 #[test]
+fn a_note_is_read_like_a_document_and_a_captioned_view_is_perceived() {
+    let text =
+        "## Items\n- fork lift: stand at (10, 4) facing N\n## Passages\n- column 10: rows 1-30\n";
+    let ask = Ask::at(HERE).with_text(DocumentKind::Note, text);
+    assert_eq!(ask.action(), Action::TurnAround);
+    // The captioned view shows the plates ahead, and a barrel on the right that the agent does not see.
+    let ask = || Ask::at(Pose::new(10, 12, Heading::E)).to("Find a barrels 10.");
+    let captioned = Ask { captioned: Some(Pose::new(10, 15, Heading::S)), ..ask() };
+    assert_eq!(captioned.action(), Action::Right);
+    assert_ne!(ask().action(), Action::Right);
+}
+
+#[test]
 fn a_blocked_route_is_left() {
     let text =
         "- fork lift: stand at (10, 22) facing N\n## Passages\n- columns 10-11: rows 10-30\n";
@@ -325,8 +358,9 @@ proptest! {
             let past = past.iter();
             let window = past.map(|&(action, feedback)| PastView { frame, action: Some(action), feedback });
             let window: Vec<_> = window.collect();
-            let steps = actions.iter().map(|&action| SegmentView { frame, action });
+            let steps = actions.iter().map(|&action| StepView { frame: Some(frame), action });
             let steps: Vec<_> = steps.collect();
+            let segment = StepsView { distance: None, is_whole: false, steps: &steps };
             act(&Request {
                 lane: 0,
                 step: window.len() as u32,
@@ -338,9 +372,10 @@ proptest! {
                 feedback: Feedback::Moved,
                 frame,
                 window: &window,
-                segment: Some(Segment { distance: f32::NAN, steps: &steps }),
-                documents: &[],
-                trajectories: &[],
+                items: &[
+                    Item::Steps(segment),
+                    Item::Frame(CaptionedView { frame, caption: "noise" }),
+                ],
                 starts_as_demonstrated: false,
             });
         }

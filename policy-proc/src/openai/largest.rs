@@ -2,7 +2,7 @@
 
 use domain::{Action, DocumentKind, Feedback, Heading, Pose};
 use llm::ChatRequest;
-use peer::{DocumentView, FrameView, PastView, Request, Trajectory, TrajectoryView};
+use peer::{FrameView, Item, PastView, Request, StepView, StepsView, TextView};
 use prompt::Prompt;
 use prompt::image::{ImageFormat, data_url};
 
@@ -42,14 +42,16 @@ impl LargestRequest {
         let past = PastView { frame, action: Some(Action::Forward), feedback: Feedback::Moved };
         let window = vec![past; self.window as usize];
         let steps: Vec<_> = (0..self.keyframes * KEYFRAME_DISTANCE)
-            .map(|step| TrajectoryView {
+            .map(|step| StepView {
                 frame: (step % KEYFRAME_DISTANCE == 0).then_some(frame),
                 action: Some(Action::ALL[step as usize % Action::ALL.len()]),
             })
             .collect();
         let text: String =
             DOCUMENT_LINE.chars().cycle().take(self.document_chars as usize).collect();
-        let document = DocumentView { id: 0, kind: DocumentKind::Summary, text: &text };
+        let document = TextView { id: 0, kind: DocumentKind::Summary, text: &text };
+        let trajectory = StepsView { distance: None, is_whole: true, steps: &steps };
+        let items = [Item::Steps(trajectory), Item::Text(document)];
         let request = Request {
             lane: 0,
             step: 0,
@@ -61,9 +63,7 @@ impl LargestRequest {
             feedback: Feedback::Moved,
             frame,
             window: &window,
-            segment: None,
-            documents: if self.document_chars == 0 { &[] } else { &[document] },
-            trajectories: &[Trajectory { steps: &steps }],
+            items: if self.document_chars == 0 { &items[..1] } else { &items },
             starts_as_demonstrated: true,
         };
         // A square view can be encoded.

@@ -6,6 +6,7 @@
 //! fit belongs to one episode, so the estimate depends neither on other lanes nor on the order of replies. Where the server
 //! reports image tokens, those are used.
 
+use domain::DocumentKind;
 use peer::Request;
 use prompt::{Prompt, PromptSection, tokens};
 
@@ -20,22 +21,19 @@ pub(super) struct PromptSize {
 
 impl PromptSize {
     pub(super) fn of(request: &Request<'_>, prompt: &Prompt<'_>) -> Self {
-        let documents = request.documents.iter().map(|document| document.text.chars().count());
-        let documents: usize = documents.sum();
+        let documents = request.texts().filter(|text| text.kind != DocumentKind::Note);
+        let documents: usize = documents.map(|document| document.text.chars().count()).sum();
         let memory = prompt.characters(PromptSection::Memory);
         let all: usize = PromptSection::ALL.iter().map(|section| prompt.characters(*section)).sum();
         let text = |characters: usize| {
             tokens::of_text((characters - documents) as u64, documents as u64) as f64
         };
-        // Without a memory, the section says so in a sentence.
-        let has_memory = !request.documents.is_empty()
-            || !request.trajectories.is_empty()
-            || request.segment.is_some();
         Self {
             images: prompt.images_sent().into(),
             memory_images: prompt.images(PromptSection::Memory).into(),
             text: text(all),
-            memory_text: if has_memory { text(memory) } else { 0.0 },
+            // Without a memory, the section says so in a sentence.
+            memory_text: if request.items.is_empty() { 0.0 } else { text(memory) },
         }
     }
 }

@@ -11,7 +11,7 @@ import sys
 
 import numpy as np
 
-from memtransfer import Action, Frame, Policy, run
+from memtransfer import Action, Document, Frame, Policy, RememberedView, run
 
 
 class Observer(Policy):
@@ -45,21 +45,27 @@ def seen(request):
         "starts_as_demonstrated": request.starts_as_demonstrated,
         "window": [{**step(past), "feedback": past.feedback.words} for past in request.window],
     }
-    keyframes = [s.frame for t in request.trajectories for s in t if s.frame is not None]
-    views = [past.frame for past in request.window] + keyframes
-    if request.segment is not None:
-        steps = request.segment.steps
-        told["segment"] = {"distance": request.segment.distance, "steps": [*map(step, steps)]}
-        views += [remembered.frame for remembered in steps]
-    if request.documents:
-        documents = request.documents
-        told["documents"] = [{"kind": d.kind.words, "text": d.text} for d in documents]
-    if request.trajectories:
-        told["trajectories"] = [[*map(step, steps)] for steps in request.trajectories]
+    views = [past.frame for past in request.window]
+    told["items"] = [item(it, views) for it in request.items]
     assert request.images() == 1 + len(views)
     for view in views:
         check_pixels(view)
     return told
+
+
+def item(of, views):
+    """Returns an item in the form of the prompt log, and adds its views to `views`."""
+    if isinstance(of, Document):
+        return {"text": {"kind": of.kind.words, "text": of.text}}
+    if isinstance(of, RememberedView):
+        views.append(of.frame)
+        return {"frame": {"frame": of.frame.content_hash.hex(), "caption": of.caption}}
+    views += [remembered.frame for remembered in of.steps if remembered.frame is not None]
+    steps = [*map(step, of.steps)]
+    if of.is_trajectory:
+        return {"trajectory": steps}
+    distance = {} if of.distance is None else {"distance": of.distance}
+    return {"segment": {**distance, "steps": steps}}
 
 
 def step(of):

@@ -7,21 +7,40 @@ use domain::{
 use shm_types::attach::{
     ATTACH_FILE, MAX_FRAMES, MAX_LANES, MAX_LOANED_FRAMES, MAX_ROOT_BYTES, PAGE_BYTES,
 };
+use shm_types::banks::{BANK_SERVICE, BankDemonstration, BankHeader, BankStep};
+use shm_types::description::DESCRIPTION_FILE;
 use shm_types::documents::{DOCUMENT_SERVICE, DocumentHeader, MAX_DOCUMENT_BYTES};
 use shm_types::frames::{FRAME_SERVICE, FrameHeader, Page};
 use shm_types::layout::{Layout, Struct};
 use shm_types::message::{
-    CODE_SETS, Description, MAX_DOCUMENTS, MAX_INSTRUCTION, MAX_SEGMENT, MAX_WINDOW, MESSAGES,
-    NO_ACTION, NO_DOCUMENT, NO_FRAME, NOT_MEASURED, Role, SegmentStep, Traffic, TrajectoryStep,
-    WIRE_VERSION, WirePose,
+    AnswerItem, AnswerSource, CODE_SETS, Description, EXTERNAL, MAX_EMBEDDING,
+    MAX_EXTERNAL_MEMORIES, MAX_INSTRUCTION, MAX_ITEMS, MAX_SEGMENT, MAX_SOURCES, MAX_STEPS,
+    MAX_WINDOW, MESSAGES, NO_ACTION, NO_DOCUMENT, NO_FRAME, NOT_MEASURED, RecalledItem,
+    RecalledSource, Role, SegmentStep, Traffic, TrajectoryStep, WIRE_VERSION, WirePose,
 };
+use shm_types::notes::{NOTE_SERVICE, NoteHeader};
 
 /// Structs that are parts of messages and documents.
-pub(crate) const PARTS: [Struct; 3] =
-    [WirePose::LAYOUT, SegmentStep::LAYOUT, TrajectoryStep::LAYOUT];
+pub(crate) const PARTS: [Struct; 9] = [
+    WirePose::LAYOUT,
+    RecalledItem::LAYOUT,
+    SegmentStep::LAYOUT,
+    TrajectoryStep::LAYOUT,
+    RecalledSource::LAYOUT,
+    AnswerItem::LAYOUT,
+    AnswerSource::LAYOUT,
+    BankDemonstration::LAYOUT,
+    BankStep::LAYOUT,
+];
 
-/// The types that the services of frames and documents carry.
-pub(crate) const CARRIED: [Struct; 3] = [FrameHeader::LAYOUT, Page::LAYOUT, DocumentHeader::LAYOUT];
+/// What travels on the services of frames, documents, banks and notes.
+pub(crate) const CARRIED: [Struct; 5] = [
+    FrameHeader::LAYOUT,
+    Page::LAYOUT,
+    DocumentHeader::LAYOUT,
+    BankHeader::LAYOUT,
+    NoteHeader::LAYOUT,
+];
 
 /// Every enum with codes: first those of the agent's world, then those of messages.
 pub(crate) fn code_sets() -> Vec<CodeSet> {
@@ -62,31 +81,57 @@ macro_rules! constants {
 pub(crate) fn constants() -> Vec<Constant> {
     constants![
         WIRE_VERSION: "Version of everything described here.",
-        NO_ACTION: "The action code for \"no action\".",
-        NOT_MEASURED: "The count for \"not measured\".",
-        NO_FRAME: "The frame id for \"no frame\".",
-        NO_DOCUMENT: "The document id for \"no document\".",
-        MAX_WINDOW: "Maximum length of the window of past steps.",
-        MAX_SEGMENT: "Maximum number of views in a retrieved segment.",
-        MAX_DOCUMENTS: "Maximum number of documents that a recall names.",
-        MAX_INSTRUCTION: "Maximum length of an instruction, in bytes.",
-        MAX_DOCUMENT_BYTES: "Maximum length of a document, in bytes.",
-        MAX_LANES: "Maximum number of lanes in a run.",
-        MAX_FRAMES: "Maximum number of frames that a run keeps resident.",
-        MAX_LOANED_FRAMES: "Maximum number of frames that the simulator fills at the same time.",
+        NO_ACTION: "The action code that says: no action was taken.",
+        NOT_MEASURED: "A count that was not measured. Absent, never zero.",
+        NO_FRAME: "The frame id that names no frame.",
+        NO_DOCUMENT: "The document id that names no document.",
+        MAX_WINDOW: "Most window entries of a recall.",
+        MAX_ITEMS: "Most items of a recall or an answer.",
+        MAX_STEPS: "Most steps that a recall holds itself.",
+        MAX_SEGMENT: "Most steps of an item that a recall holds itself.",
+        MAX_SOURCES: "Most sources of a recall or an answer.",
+        MAX_EMBEDDING: "Most numbers of an embedding.",
+        MAX_EXTERNAL_MEMORIES: "Most external memories of a run.",
+        EXTERNAL: "The representation code of an external memory.",
+        MAX_INSTRUCTION: "Most bytes of an instruction.",
+        MAX_DOCUMENT_BYTES: "Most bytes of a document.",
+        MAX_LANES: "Most lanes of a run.",
+        MAX_FRAMES: "Most frames that a run keeps resident.",
+        MAX_LOANED_FRAMES: "Frames that the simulator fills at the same time.",
         MAX_ROOT_BYTES: "Longest path of a run's folder, in bytes.",
         PAGE_BYTES: "Bytes of a page; frames are whole pages, aligned to pages.",
         FRAME_SERVICE: "Last part of the name of the service that carries frames.",
         DOCUMENT_SERVICE: "Last part of the name of the service that carries documents.",
-        ATTACH_FILE: "The file in a run's folder that describes how to join it.",
+        BANK_SERVICE: "First part of the name of the service that carries banks.",
+        NOTE_SERVICE: "First part of the name of the service that carries notes.",
+        DESCRIPTION_FILE: "The file in an external memory's folder that describes it.",
+        ATTACH_FILE: "The file in a run's folder that says how to join it.",
     ]
 }
 
-/// The messages that a policy sends or receives; if `of_a_policy` is false, the other messages.
-pub(crate) fn messages(of_a_policy: bool) -> impl Iterator<Item = &'static Description> {
+/// Whose messages a section lists.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Section {
+    /// Those that a policy sends or receives.
+    Policy,
+    /// Those that an external memory sends or receives, and no policy.
+    ExternalMemory,
+    /// All others.
+    Others,
+}
+
+/// The messages of a section.
+pub(crate) fn messages(of: Section) -> impl Iterator<Item = &'static Description> {
     MESSAGES.iter().filter(move |message| {
         let ends = [message.from, message.to].concat();
-        ends.contains(&Role::Policy) == of_a_policy
+        let section = if ends.contains(&Role::Policy) {
+            Section::Policy
+        } else if ends.contains(&Role::ExternalMemory) {
+            Section::ExternalMemory
+        } else {
+            Section::Others
+        };
+        section == of
     })
 }
 

@@ -8,7 +8,9 @@ use shm_types::layout::{FieldType, Struct};
 use shm_types::message::{Description, MESSAGES, Role, WIRE_VERSION};
 
 use crate::COMMAND;
-use crate::described::{CARRIED, PARTS, code_sets, constants, messages, plain, traffic, words};
+use crate::described::{
+    CARRIED, PARTS, Section, code_sets, constants, messages, plain, traffic, words,
+};
 
 const TEMPLATE: &str = include_str!("wire.md");
 
@@ -34,8 +36,9 @@ fn table(name: &str) -> String {
         "page" => PAGE_BYTES.to_string(),
         "wire-version" => WIRE_VERSION.to_string(),
         "services" => services(),
-        "policy-messages" => messages(true).map(message).collect(),
-        "other-messages" => messages(false).map(message).collect(),
+        "policy-messages" => messages(Section::Policy).map(message).collect(),
+        "memory-messages" => messages(Section::ExternalMemory).map(message).collect(),
+        "other-messages" => messages(Section::Others).map(message).collect(),
         "parts" => PARTS.iter().map(structure).collect(),
         "carried" => CARRIED.iter().map(structure).collect(),
         "codes" => code_sets().iter().map(codes).collect(),
@@ -143,8 +146,12 @@ mod tests {
     fn every_field_of_the_attach_file_is_explained() {
         let folder = tempfile::tempdir().unwrap();
         let run = RunDir::create(folder.path()).unwrap();
-        let attach =
-            Attach { prompts: Some("/prompts".into()), frame: FrameSize::DEFAULT, ..run.attach() };
+        let attach = Attach {
+            prompts: Some("/prompts".into()),
+            external_memories: vec![0],
+            frame: FrameSize::DEFAULT,
+            ..run.attach()
+        };
         let json = serde_json::to_value(&attach).unwrap();
         for (name, value) in json.as_object().unwrap() {
             let inner = value.as_object().into_iter().flatten();

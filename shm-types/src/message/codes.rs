@@ -21,6 +21,18 @@ code_sets! {
         Release = 1,
     }
 
+    /// The kind of a [`RecalledItem`](super::RecalledItem).
+    ItemKind, "an item kind (0 text, 1 steps, 2 trajectory, 3 frame)" {
+        /// Text.
+        Text = 0,
+        /// Steps of a demonstration, in the message.
+        Steps = 1,
+        /// Steps of a demonstration, in a document.
+        Trajectory = 2,
+        /// One remembered view with a caption.
+        Frame = 3,
+    }
+
     /// What follows from an [`ErrorReport`](super::ErrorReport).
     ErrorReportKind, "an error report kind (0 message, 1 episode, 2 run, 3 waiting)" {
         /// Nothing else: a message could not be used and was dropped.
@@ -36,9 +48,9 @@ code_sets! {
     }
 
     /// The role of a process in a run.
-    Role, "a role (0 orchestrator, 1 sim, 2 memory, 3 policy)"
+    Role, "a role (0 orchestrator, 1 sim, 2 memory, 3 policy, 4 external memory)"
     #[derive(serde::Serialize, serde::Deserialize)]
-    #[serde(rename_all = "lowercase")] {
+    #[serde(rename_all = "kebab-case")] {
         /// Schedules the steps; the program `memtransfer`.
         Orchestrator = 0,
         /// Steps the world and renders.
@@ -47,11 +59,13 @@ code_sets! {
         Memory = 2,
         /// Decides on actions.
         Policy = 3,
+        /// A memory outside of the memory process, which asks it. A run can have several, each with an index.
+        ExternalMemory = 4,
     }
 }
 
 impl Role {
-    /// All roles but the orchestrator.
+    /// The roles of the processes that every run with a policy has, apart from the orchestrator.
     pub const CHILDREN: [Self; 3] = [Self::Sim, Self::Memory, Self::Policy];
 
     /// The word used in logs, service names and messages.
@@ -61,6 +75,7 @@ impl Role {
             Self::Sim => "sim",
             Self::Memory => "memory",
             Self::Policy => "policy",
+            Self::ExternalMemory => "external-memory",
         }
     }
 }

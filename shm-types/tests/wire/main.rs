@@ -6,5 +6,6 @@ mod bus;
 mod child;
 mod common;
 mod documents;
+mod external;
 mod frames;
 mod registry;

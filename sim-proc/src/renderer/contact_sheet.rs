@@ -1,6 +1,7 @@
 //! The contact sheet: the whole catalogue in one image, as the agent's camera sees each type from 1, 2.5 and 4 metres,
 //! pixel for pixel.
 
+use anyhow::Result;
 use png_file::RgbaImage;
 use raster::PreparedView;
 use warehouse::Warehouse;
@@ -9,7 +10,7 @@ use super::camera::Camera;
 use super::scene::{ItemStand, catalogue_scene};
 use super::text::{PanelText, coverage};
 use super::visibility::{Triangles, VisibleSet, draw_list};
-use super::{RenderError, RenderSettings, Renderer};
+use super::{RenderSettings, Renderer};
 
 /// Distances between camera and item, in metres. The first image is shown large, the others beside it.
 const DISTANCES_M: [f32; 3] = [1.0, 2.5, 4.0];
@@ -27,10 +28,7 @@ const INK: [u8; 3] = [30, 34, 40];
 ///
 /// # Errors
 /// As [`Renderer::new`] and [`Renderer::render`].
-pub fn contact_sheet(
-    warehouse: &Warehouse,
-    settings: RenderSettings,
-) -> Result<RgbaImage, RenderError> {
+pub fn contact_sheet(warehouse: &Warehouse, settings: RenderSettings) -> Result<RgbaImage> {
     let types = &warehouse.catalogue.types;
     let (scene, stands) = catalogue_scene(&warehouse.catalogue);
     let mut renderer = Renderer::of_scene(scene, warehouse.layout.clone(), settings)?;
@@ -57,11 +55,7 @@ pub fn contact_sheet(
 }
 
 /// Renders the item at `stand` from `distance_m` metres in front of its face.
-fn item_image(
-    renderer: &mut Renderer,
-    stand: ItemStand,
-    distance_m: f32,
-) -> Result<RgbaImage, RenderError> {
+fn item_image(renderer: &mut Renderer, stand: ItemStand, distance_m: f32) -> Result<RgbaImage> {
     let (back_x, back_y) = stand.viewer.opposite().vector();
     let at = [
         stand.at[0] + distance_m * f32::from(back_x),

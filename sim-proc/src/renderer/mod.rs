@@ -7,7 +7,6 @@
 
 mod camera;
 mod contact_sheet;
-mod error;
 mod gpu;
 mod job;
 mod light;
@@ -23,12 +22,12 @@ mod backend_tests;
 #[cfg(test)]
 mod tests;
 
+use anyhow::{Result, bail, ensure};
 use png_file::RgbaImage;
 use raster::{FOG_RGB, PreparedView, Rasterizer};
 use warehouse::{Layout, Warehouse};
 
 pub use contact_sheet::contact_sheet;
-pub use error::RenderError;
 use gpu::GpuBackend;
 pub use job::{Destination, RenderJob, ViewSpec};
 use scene::Scene;
@@ -43,11 +42,13 @@ enum OpenBackend {
 }
 
 impl OpenBackend {
-    fn new(scene: &Scene, settings: &RenderSettings) -> Result<Self, RenderError> {
+    fn new(scene: &Scene, settings: &RenderSettings) -> Result<Self> {
         let gpu = match (settings.backend, settings.adapter.as_deref()) {
             (Some(Backend::Cpu), None) => None,
             (Some(Backend::Cpu), Some(adapter)) => {
-                return Err(RenderError::AdapterForCpu { adapter: adapter.to_owned() });
+                bail!(
+                    "--adapter {adapter:?} names a Vulkan adapter, which --backend cpu does not use: leave one of them out"
+                );
             }
             (_, Some(name)) => Some(gpu::open(name)?),
             (Some(Backend::Wgpu), None) => Some(gpu::open("")?),
@@ -79,7 +80,7 @@ impl Renderer {
     /// # Errors
     /// A frame size that cannot be rendered, no Vulkan driver, no adapter of the given name, or a device that cannot be
     /// opened.
-    pub fn new(warehouse: &Warehouse, settings: RenderSettings) -> Result<Self, RenderError> {
+    pub fn new(warehouse: &Warehouse, settings: RenderSettings) -> Result<Self> {
         Self::of_scene(Scene::new(warehouse), warehouse.layout.clone(), settings)
     }
 
@@ -87,23 +88,16 @@ impl Renderer {
     ///
     /// # Errors
     /// As [`Renderer::new`].
-    pub fn try_clone(&self) -> Result<Self, RenderError> {
+    pub fn try_clone(&self) -> Result<Self> {
         Self::with_visibility(self.visibility.clone(), self.settings.clone())
     }
 
-    fn of_scene(
-        scene: Scene,
-        layout: Layout,
-        settings: RenderSettings,
-    ) -> Result<Self, RenderError> {
+    fn of_scene(scene: Scene, layout: Layout, settings: RenderSettings) -> Result<Self> {
         let size_px = [settings.width_px, settings.height_px];
         Self::with_visibility(SceneVisibility::new(scene, layout, size_px), settings)
     }
 
-    fn with_visibility(
-        visibility: SceneVisibility,
-        settings: RenderSettings,
-    ) -> Result<Self, RenderError> {
+    fn with_visibility(visibility: SceneVisibility, settings: RenderSettings) -> Result<Self> {
         settings.check()?;
         let backend = OpenBackend::new(visibility.scene(), &settings)?;
         Ok(Self { backend, visibility, settings, background: FOG_RGB })
@@ -136,7 +130,7 @@ impl Renderer {
     ///
     /// # Errors
     /// A destination of the wrong size (nothing is rendered then), or a device that failed.
-    pub fn render(&mut self, batch: &mut [RenderJob<'_>]) -> Result<(), RenderError> {
+    pub fn render(&mut self, batch: &mut [RenderJob<'_>]) -> Result<()> {
         let expected = self.frame_bytes();
         for RenderJob { view, destination } in &*batch {
             let actual = destination.bytes().len();
@@ -144,10 +138,11 @@ impl Renderer {
                 Destination::Slot(_) => actual >= expected,
                 Destination::Memory(_) => actual == expected,
             };
-            if !fits {
-                let pose = view.pose.to_string();
-                return Err(RenderError::DestinationSize { pose, expected, actual });
-            }
+            ensure!(
+                fits,
+                "a frame takes {expected} bytes, but the destination of view {} has {actual}",
+                view.pose
+            );
         }
         let views: Vec<PreparedView> = batch.iter().map(|job| self.prepare(job.view)).collect();
         let mut destinations: Vec<_> = batch.iter_mut().map(|job| &mut job.destination).collect();
@@ -158,7 +153,7 @@ impl Renderer {
     ///
     /// # Errors
     /// As [`Self::render`].
-    pub fn render_image(&mut self, view: ViewSpec<'_>) -> Result<RgbaImage, RenderError> {
+    pub fn render_image(&mut self, view: ViewSpec<'_>) -> Result<RgbaImage> {
         let prepared = self.prepare(view);
         self.draw_image(prepared)
     }
@@ -192,7 +187,7 @@ impl Renderer {
         }
     }
 
-    fn draw_image(&mut self, view: PreparedView) -> Result<RgbaImage, RenderError> {
+    fn draw_image(&mut self, view: PreparedView) -> Result<RgbaImage> {
         let RenderSettings { width_px, height_px, .. } = self.settings;
         let mut image = RgbaImage::filled(width_px, height_px, [0; 4]);
         self.draw(&[view], &mut [&mut Destination::Memory(image.as_bytes_mut())])?;
@@ -204,7 +199,7 @@ impl Renderer {
         &mut self,
         views: &[PreparedView],
         destinations: &mut [&mut Destination<'_>],
-    ) -> Result<(), RenderError> {
+    ) -> Result<()> {
         let geometry = &self.visibility.scene().geometry;
         let frame_bytes = self.settings.frame_bytes();
         match &mut self.backend {

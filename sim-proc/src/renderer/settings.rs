@@ -3,9 +3,8 @@
 use std::fmt;
 use std::str::FromStr;
 
+use anyhow::{Result, ensure};
 pub use raster::Samples;
-
-use super::RenderError;
 
 /// Longest side of a frame, in pixels.
 const MAX_SIDE_PX: u32 = 4096;
@@ -83,15 +82,16 @@ impl RenderSettings {
     ///
     /// # Errors
     /// When frames of this size cannot be rendered.
-    pub(super) fn check(&self) -> Result<(), RenderError> {
+    pub(super) fn check(&self) -> Result<()> {
         let &Self { width_px, height_px, .. } = self;
         let sides = 64..=MAX_SIDE_PX;
         let fits = sides.contains(&width_px) && sides.contains(&height_px);
-        if fits && width_px.is_multiple_of(WIDTH_STEP_PX) {
-            Ok(())
-        } else {
-            Err(RenderError::FrameSize { width_px, height_px, limit_px: MAX_SIDE_PX })
-        }
+        ensure!(
+            fits && width_px.is_multiple_of(WIDTH_STEP_PX),
+            "frames of {width_px} x {height_px} cannot be rendered: the width must be a multiple of {WIDTH_STEP_PX} \
+             and both sides between 64 and {MAX_SIDE_PX}"
+        );
+        Ok(())
     }
 }
 

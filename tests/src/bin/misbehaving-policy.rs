@@ -14,8 +14,8 @@ use bytemuck::Zeroable;
 use domain::Action;
 use peer::{Answers, Batch, Decider, ServeError, serve_from_environment};
 use shm_types::message::{
-    Decision, Handshake, NOT_MEASURED, Observation, PolicyEpisodeConfig, Recall, Role,
-    ShutdownReport, Stop,
+    Decision, Handshake, ItemKind, MAX_ITEMS, NOT_MEASURED, Observation, PolicyEpisodeConfig,
+    Recall, Role, ShutdownReport, Stop,
 };
 use shm_types::process::ProcessWatch;
 use shm_types::{ATTACH_VARIABLE, Attach, Bus, FrameStore};
@@ -119,7 +119,12 @@ fn raw(mode: &str) {
                 due.push((lane, episode, step));
             }
         }
-        for Recall { lane, episode, step, .. } in recalls {
+        for Recall { lane, episode, step, items_len, items, .. } in recalls {
+            let mut items = items[..items_len.min(MAX_ITEMS as u32) as usize].iter();
+            if mode == "knows-no-captions" && items.any(|item| item.kind == ItemKind::Frame as u8) {
+                eprintln!("I know no captions");
+                std::process::abort();
+            }
             let entry = lanes.entry(lane).or_default();
             if mode == "takes-the-late" || entry.episode == episode {
                 entry.recalled = Some(step);

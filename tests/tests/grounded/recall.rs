@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use domain::Action;
-use peer::{SegmentView, TrajectoryView};
+use peer::StepView;
 use warehouse::{Case, Start, Variant, Warehouse};
 
 use crate::views::{Image, Views};
@@ -60,14 +60,11 @@ fn keyframes(actions: &[Action], goal_steps: &[u32], budget: usize) -> Vec<usize
 }
 
 /// A demonstration as full-context memory supplies it.
-pub(crate) fn trajectory(demonstration: &Demonstration) -> Vec<TrajectoryView<'_>> {
+pub(crate) fn trajectory(demonstration: &Demonstration) -> Vec<StepView<'_>> {
     let view = |step: &'_ DemonstrationStep| step.is_keyframe;
     let steps = demonstration.iter();
     steps
-        .map(|step| TrajectoryView {
-            frame: view(step).then(|| step.image.frame()),
-            action: step.action,
-        })
+        .map(|step| StepView { frame: view(step).then(|| step.image.frame()), action: step.action })
         .collect()
 }
 
@@ -78,7 +75,7 @@ pub(crate) fn retrieve<'a>(
     stage: u32,
     taken: u32,
     with_actions: bool,
-) -> Option<(f32, Vec<SegmentView<'a>>)> {
+) -> Option<(f32, Vec<StepView<'a>>)> {
     let views = memory.iter().flat_map(|demonstration| demonstration.iter().enumerate());
     let nearest = |(at, view): &(usize, &DemonstrationStep)| {
         let elapsed = (*at as u32).abs_diff(taken);
@@ -90,8 +87,8 @@ pub(crate) fn retrieve<'a>(
         steps.find(|step| nearest(step) == least).map(|(at, _)| (demonstration, at))
     })?;
     let end = (at + HORIZON).min(from.len() - 1);
-    let view = |i: usize| SegmentView {
-        frame: from[i].image.frame(),
+    let view = |i: usize| StepView {
+        frame: Some(from[i].image.frame()),
         action: from[i].action.filter(|_| i < end && with_actions),
     };
     Some((if least.0 == 0 { 0.0 } else { 1.0 }, (at..=end).map(view).collect()))

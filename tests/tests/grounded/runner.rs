@@ -4,7 +4,7 @@ use std::collections::{HashMap, VecDeque};
 use std::sync::Arc;
 
 use domain::{Action, DocumentKind, Feedback, Pose, Representation};
-use peer::{DocumentView, PastView, Policy, Request, Segment, Trajectory};
+use peer::{Item, PastView, Policy, Request, StepsView, TextView};
 use policy_proc::grounded::Grounded;
 use warehouse::{
     Case, CaseSet, Demonstrations, MAX_STEPS, Progress, Start, Variant, Warehouse, step,
@@ -96,10 +96,9 @@ impl Runner {
             .iter()
             .map(|&kind| (kind, self.document(kind, condition.demonstrations)))
             .collect();
-        let documents: Vec<_> = texts
+        let texts = texts
             .iter()
-            .map(|(kind, (id, text))| DocumentView { id: *id, kind: *kind, text })
-            .collect();
+            .map(|(kind, (id, text))| Item::Text(TextView { id: (*id).into(), kind: *kind, text }));
         let instruction = case.task.instruction(&self.warehouse.catalogue);
         let variant = case.variant(condition.start);
         let mut pose = case.trajectory(condition.start).start;
@@ -110,7 +109,8 @@ impl Runner {
             Representation::FullContext => memory.iter().map(recall::trajectory).collect(),
             _ => Vec::new(),
         };
-        let trajectories: Vec<_> = views.iter().map(|steps| Trajectory { steps }).collect();
+        let whole = views.iter().map(|steps| StepsView { distance: None, is_whole: true, steps });
+        let fixed: Vec<_> = texts.chain(whole.map(Item::Steps)).collect();
         for taken in 0..MAX_STEPS {
             let image = self.look(pose, &variant, condition.frames);
             let past: Vec<_> = window.iter().map(|past| past_view(past)).collect();
@@ -119,6 +119,12 @@ impl Runner {
                     recall::retrieve(&memory, &image, progress.stage(), taken, condition.actions)
                 })
                 .flatten();
+            let segment = segment.as_ref().map(|(distance, steps)| StepsView {
+                distance: Some(*distance),
+                is_whole: false,
+                steps,
+            });
+            let items: Vec<_> = fixed.iter().copied().chain(segment.map(Item::Steps)).collect();
             let request = Request {
                 lane: 0,
                 step: taken,
@@ -130,11 +136,7 @@ impl Runner {
                 feedback,
                 frame: image.frame(),
                 window: &past,
-                segment: segment
-                    .as_ref()
-                    .map(|(distance, steps)| Segment { distance: *distance, steps }),
-                documents: &documents,
-                trajectories: &trajectories,
+                items: &items,
                 starts_as_demonstrated: condition.hint,
             };
             let answer = self.policy.act(&[request])[0].answer;

@@ -5,13 +5,15 @@
 //! nothing.
 
 use std::collections::VecDeque;
+use std::ops::Range;
 use std::sync::Arc;
 
 use domain::pose::UnknownCode;
 use domain::{Action, Feedback, Pose};
 use shm_types::message::{
-    DocumentId, EpisodeId, FrameId, MAX_DOCUMENTS, MAX_SEGMENT, MAX_WINDOW, NO_ACTION, NO_FRAME,
-    Observation, PolicyEpisodeConfig, Recall, RequestId, SegmentStep, read_text,
+    DocumentId, EpisodeId, FrameId, ItemKind, MAX_ITEMS, MAX_STEPS, MAX_WINDOW, NO_ACTION,
+    NO_DOCUMENT, NO_FRAME, Observation, PolicyEpisodeConfig, Recall, RecalledItem, RequestId,
+    SegmentStep, read_text,
 };
 
 const RECALL: &str = "recall";
@@ -32,6 +34,8 @@ pub(super) enum BadMessage {
         count: u32,
         most: usize,
     },
+    #[error("recall for lane {lane}, step {step}: item {item} {problem}")]
+    Item { lane: u32, step: u32, item: usize, problem: String },
     #[error("observation for lane {lane}, step {step}: it names no frame")]
     NoFrame { lane: u32, step: u32 },
     #[error("observation for lane {lane}, step {step}: step {expected} is next")]
@@ -67,38 +71,123 @@ pub(super) struct Observed {
     pub(super) feedback: Feedback,
 }
 
+/// A view and the expert's action there, each if it is supplied.
+pub(super) type SuppliedStep = (FrameId, Option<Action>);
+
 /// The content of a recall.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub(super) struct Recalled {
     lane: u32,
     episode: EpisodeId,
     step: u32,
-    /// View and action of the retrieved segment; empty without one.
-    pub(super) segment: Vec<(FrameId, Option<Action>)>,
-    pub(super) distance: f32,
-    pub(super) documents: Vec<DocumentId>,
+    pub(super) items: Vec<ItemContent>,
+    /// The steps of all items.
+    pub(super) steps: Vec<SuppliedStep>,
+}
+
+/// An item of a recall, whose document has not been looked up.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) enum ItemContent {
+    Text(TextPart),
+    /// Steps in [`Recalled::steps`].
+    Steps {
+        kind: StepsKind,
+        steps: Range<usize>,
+    },
+    /// Steps in a document.
+    Trajectory {
+        kind: StepsKind,
+        document: DocumentId,
+        steps: Range<usize>,
+    },
+    /// A view in [`Recalled::steps`]; no caption if it is empty.
+    Frame {
+        frame: FrameId,
+        caption: Option<TextPart>,
+    },
+}
+
+/// Some bytes of a document.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct TextPart {
+    pub(super) document: DocumentId,
+    pub(super) bytes: Range<usize>,
+}
+
+/// What the steps of an item are.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct StepsKind {
+    pub(super) distance: Option<f32>,
+    pub(super) is_whole: bool,
 }
 
 impl Recalled {
     /// Reads a message where it lies.
     pub(super) fn read(message: &Recall) -> Result<Self, BadMessage> {
-        let &Recall { lane, step, episode, distance, .. } = message;
+        let &Recall { lane, step, episode, .. } = message;
         let count = |what, count: u32, most: usize| {
             let fits = usize::try_from(count).ok().filter(|&count| count <= most);
             fits.ok_or(BadMessage::Count { message: RECALL, lane, step, what, count, most })
         };
-        let segment = &message.segment[..count("segment views", message.segment_len, MAX_SEGMENT)?];
-        let documents =
-            &message.documents[..count("documents", message.documents_len, MAX_DOCUMENTS)?];
-        let view = |view: &SegmentStep| Ok((view.frame, action(view.action)?));
-        let bad = bad_value(RECALL, lane, step);
-        Ok(Self {
-            lane,
-            episode,
-            step,
-            segment: segment.iter().map(view).collect::<Result<_, _>>().map_err(&bad)?,
-            distance,
-            documents: documents.to_vec(),
+        let items = &message.items[..count("items", message.items_len, MAX_ITEMS)?];
+        let steps = &message.steps[..count("steps", message.steps_len, MAX_STEPS)?];
+        let supplied = |supplied: &SegmentStep| Ok((supplied.frame, action(supplied.action)?));
+        let steps = steps.iter().map(supplied).collect::<Result<Vec<_>, _>>();
+        let steps = steps.map_err(bad_value(RECALL, lane, step))?;
+        let items = items.iter().enumerate().map(|(item, content)| {
+            ItemContent::read(content, &steps).map_err(|problem| BadMessage::Item {
+                lane,
+                step,
+                item,
+                problem,
+            })
+        });
+        let items = items.collect::<Result<_, _>>()?;
+        Ok(Self { lane, episode, step, items, steps })
+    }
+
+    /// The documents that the items name.
+    pub(super) fn documents(&self) -> impl Iterator<Item = DocumentId> {
+        self.items.iter().filter_map(|item| match item {
+            ItemContent::Text(part) => Some(part.document),
+            ItemContent::Trajectory { document, .. } => Some(*document),
+            ItemContent::Frame { caption, .. } => Some(caption.as_ref()?.document),
+            ItemContent::Steps { .. } => None,
+        })
+    }
+}
+
+impl ItemContent {
+    /// Reads an item of a recall with `steps`; an error continues "item 2 ...".
+    fn read(item: &RecalledItem, steps: &[SuppliedStep]) -> Result<Self, String> {
+        let &RecalledItem { document, distance, kind, whole, .. } = item;
+        let range = |first: u32, count: u32| first as usize..first as usize + count as usize;
+        let text = TextPart { document, bytes: range(item.first_byte, item.bytes) };
+        let supplied = range(item.first_step, item.steps);
+        let kind = ItemKind::try_from(kind).map_err(|problem| format!("is invalid: {problem}"))?;
+        if kind != ItemKind::Text && supplied.is_empty() {
+            return Err("has no steps".to_owned());
+        }
+        if matches!(kind, ItemKind::Steps | ItemKind::Frame) && supplied.end > steps.len() {
+            let (Range { start, end }, len) = (supplied, steps.len());
+            return Err(format!("has the steps {start}..{end} of a message with {len}"));
+        }
+        let distance = distance.is_finite().then_some(distance);
+        let what = StepsKind { distance, is_whole: whole != 0 };
+        Ok(match kind {
+            ItemKind::Text => Self::Text(text),
+            ItemKind::Steps => Self::Steps { kind: what, steps: supplied },
+            ItemKind::Trajectory => Self::Trajectory { kind: what, document, steps: supplied },
+            ItemKind::Frame => {
+                let [(frame, _)] = steps[supplied] else {
+                    return Err(format!("is a frame of {} steps", item.steps));
+                };
+                if frame == NO_FRAME {
+                    return Err("is a frame that names no frame".to_owned());
+                }
+                let is_empty = text.bytes.is_empty() && document == NO_DOCUMENT;
+                Self::Frame { frame, caption: (!is_empty).then_some(text) }
+            }
         })
     }
 }
@@ -375,8 +464,17 @@ mod tests {
         let no_text = PolicyEpisodeConfig { instruction_len: 4000, ..config(1, 6) };
         let mut bad_pose = observation(1, 5, 0);
         bad_pose.pose.0[2] = 9;
-        let mut bad_action = Recall { segment_len: 1, ..recall(1, 5, 0) };
-        bad_action.segment[0].action = 77;
+        let mut bad_action = Recall { steps_len: 1, ..recall(1, 5, 0) };
+        bad_action.steps[0].action = 77;
+        let with = |item| {
+            let mut recall = Recall { items_len: 2, steps_len: 4, ..recall(1, 5, 0) };
+            recall.items[1] = item;
+            recall
+        };
+        let of_kind = |kind| RecalledItem { kind, ..Zeroable::zeroed() };
+        let steps = |kind: ItemKind, first_step, steps| {
+            with(RecalledItem { first_step, steps, ..of_kind(kind as u8) })
+        };
         let errors = [
             join.begin(&config(2, 6)),
             join.begin(&no_text),
@@ -386,8 +484,16 @@ mod tests {
             join.observe(&Observation { action: 7, ..observation(1, 5, 0) }),
             join.observe(&Observation { frame: NO_FRAME, ..observation(1, 5, 0) }),
             join.observe(&observation(1, 5, 1)),
-            recalled(&mut join, &Recall { segment_len: 1 << 31, ..recall(1, 5, 0) }),
+            recalled(&mut join, &Recall { items_len: 1 << 31, ..recall(1, 5, 0) }),
+            recalled(&mut join, &Recall { steps_len: 49, ..recall(1, 5, 0) }),
             recalled(&mut join, &bad_action),
+            recalled(&mut join, &with(of_kind(9))),
+            recalled(&mut join, &steps(ItemKind::Steps, 2, 0)),
+            recalled(&mut join, &steps(ItemKind::Steps, 2, 3)),
+            recalled(&mut join, &steps(ItemKind::Steps, u32::MAX, u32::MAX)),
+            recalled(&mut join, &steps(ItemKind::Trajectory, 0, 0)),
+            recalled(&mut join, &steps(ItemKind::Frame, 0, 2)),
+            recalled(&mut join, &steps(ItemKind::Frame, 0, 1)),
             recalled(&mut join, &recall(u32::MAX, 5, 0)),
         ];
         let texts: Vec<_> = errors.into_iter().map(|e| e.unwrap_err().to_string()).collect();
@@ -400,12 +506,42 @@ mod tests {
         observation for lane 1, step 0: 7 is not an action (0 to 6)
         observation for lane 1, step 0: it names no frame
         observation for lane 1, step 1: step 0 is next
-        recall for lane 1, step 0: 2147483648 segment views, but at most 32 fit
+        recall for lane 1, step 0: 2147483648 items, but at most 8 fit
+        recall for lane 1, step 0: 49 steps, but at most 48 fit
         recall for lane 1, step 0: 77 is not an action (0 to 6)
+        recall for lane 1, step 0: item 1 is invalid: 9 is not an item kind (0 text, 1 steps, 2 trajectory, 3 frame)
+        recall for lane 1, step 0: item 1 has no steps
+        recall for lane 1, step 0: item 1 has the steps 2..5 of a message with 4
+        recall for lane 1, step 0: item 1 has the steps 4294967295..8589934590 of a message with 4
+        recall for lane 1, step 0: item 1 has no steps
+        recall for lane 1, step 0: item 1 is a frame of 2 steps
+        recall for lane 1, step 0: item 1 is a frame that names no frame
         recall for lane 4294967295: the run has 2 lanes
         ");
         join.observe(&observation(1, 5, 0)).unwrap();
         recalled(&mut join, &recall(1, 5, 0)).unwrap();
         assert_eq!(ready(&mut join), [(1, 0)]);
+    }
+
+    proptest::proptest! {
+        /// Whatever arrives is read or refused.
+        #[test]
+        fn no_recall_panics(
+            bytes in proptest::collection::vec(proptest::num::u8::ANY, size_of::<Recall>()),
+            counts in (0..=MAX_ITEMS as u32, 0..=MAX_STEPS as u32),
+            ranges in proptest::collection::vec((0..60_u32, 0..60_u32, 0..5_u8), MAX_ITEMS),
+        ) {
+            let mut recall: Recall = bytemuck::pod_read_unaligned(&bytes);
+            let _ = Recalled::read(&recall);
+            (recall.items_len, recall.steps_len) = counts;
+            recall.steps.iter_mut().for_each(|step| step.action %= 7);
+            let _ = Recalled::read(&recall);
+            for (item, range) in recall.items.iter_mut().zip(ranges) {
+                (item.first_step, item.steps, item.kind) = range;
+            }
+            if let Ok(recalled) = Recalled::read(&recall) {
+                assert_eq!(recalled.items.len(), counts.0 as usize);
+            }
+        }
     }
 }

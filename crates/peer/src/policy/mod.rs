@@ -14,8 +14,8 @@ use shm_types::message::Role;
 pub use self::answers::Answers;
 pub use self::pinned::{Batch, PinnedStep};
 pub use self::request::{
-    Answer, Decision, DocumentView, FrameView, PastView, Request, Segment, SegmentView, Trajectory,
-    TrajectoryView, Usage,
+    Answer, CaptionedView, Decision, FrameView, Item, PastView, Request, StepView, StepsView,
+    TextView, Usage,
 };
 use crate::connection::{Connection, Service};
 use crate::run::{ServeError, folder_from_environment, serve_role};

@@ -1,16 +1,16 @@
 //! A step with everything that its request shows: pixels stay in shared memory, texts in their documents.
 
-use std::ops::Deref;
+use std::ops::{Deref, Range};
 use std::sync::Arc;
 
-use domain::{Action, DocumentKind};
+use domain::Action;
 use shm_types::Frame;
 use shm_types::documents::{Content, Document};
-use shm_types::message::{FrameId, NO_FRAME, RequestId, TrajectoryStep};
+use shm_types::message::{DocumentId, FrameId, NO_FRAME, RequestId};
 
-use super::join::Ready;
+use super::join::{BadMessage, ItemContent, Ready, StepsKind, SuppliedStep, TextPart};
 use super::request::{
-    DocumentView, FrameView, PastView, Request, Segment, SegmentView, Trajectory, TrajectoryView,
+    CaptionedView, FrameView, Item, PastView, Request, StepView, StepsView, TextView,
 };
 
 /// The requests that wait at this moment, each of another lane. Dereferences to the requests.
@@ -38,11 +38,11 @@ impl<'a> Deref for Batch<'a> {
 /// Calls `f` with the batch of `steps`.
 pub(super) fn with_batch<R>(steps: &[Arc<PinnedStep>], f: impl FnOnce(&Batch<'_>) -> R) -> R {
     let views: Vec<StepViews<'_>> = steps.iter().map(|step| step.views()).collect();
-    let trajectories: Vec<_> = views.iter().map(StepViews::trajectories).collect();
+    let items: Vec<_> = steps.iter().zip(&views).map(|(step, views)| step.items(views)).collect();
     let requests: Vec<Request<'_>> = steps
         .iter()
-        .zip(views.iter().zip(&trajectories))
-        .map(|(step, (views, trajectories))| step.request(views, trajectories))
+        .zip(views.iter().zip(&items))
+        .map(|(step, (views, items))| step.request(views, items))
         .collect();
     f(&Batch { steps, requests: &requests })
 }
@@ -51,13 +51,89 @@ pub(super) fn with_batch<R>(steps: &[Arc<PinnedStep>], f: impl FnOnce(&Batch<'_>
 #[derive(Debug)]
 pub struct PinnedStep {
     step: Ready,
-    documents: Vec<Arc<Document>>,
+    items: Vec<PinnedItem>,
+    /// The steps of all items, in order.
+    steps: Vec<SuppliedStep>,
     frames: Vec<Arc<Frame>>,
 }
 
+/// An item with its document.
+#[derive(Debug)]
+enum PinnedItem {
+    Text(PinnedText),
+    /// Steps in [`PinnedStep::steps`].
+    Steps(StepsKind, Range<usize>),
+    /// A step in [`PinnedStep::steps`] that has a view.
+    Frame(usize, Option<PinnedText>),
+}
+
+/// A part of a document, on character boundaries.
+#[derive(Debug)]
+struct PinnedText {
+    document: Arc<Document>,
+    bytes: Range<usize>,
+}
+
 impl PinnedStep {
-    pub(super) fn new(step: Ready, documents: Vec<Arc<Document>>) -> Self {
-        Self { step, documents, frames: Vec::new() }
+    /// `step` with those of `documents` that it names.
+    pub(super) fn new(step: Ready, documents: &[Arc<Document>]) -> Result<Self, BadMessage> {
+        let (items, steps) = (Vec::with_capacity(step.recalled.items.len()), Vec::new());
+        let mut pinned = Self { step, items, steps, frames: Vec::new() };
+        for item in 0..pinned.step.recalled.items.len() {
+            pinned.add(item, documents).map_err(|problem| BadMessage::Item {
+                lane: pinned.step.lane,
+                step: pinned.step.observed.step,
+                item,
+                problem,
+            })?;
+        }
+        Ok(pinned)
+    }
+
+    /// Adds an item of the recall, in the order of which frames are pinned.
+    fn add(&mut self, item: usize, documents: &[Arc<Document>]) -> Result<(), String> {
+        let recalled = &self.step.recalled;
+        let named = |id: DocumentId| {
+            let document = documents.iter().find(|document| document.id == id);
+            document.ok_or_else(|| format!("names document {id}, which was never published"))
+        };
+        let text = |part: &TextPart| {
+            let (document, bytes) = (Arc::clone(named(part.document)?), part.bytes.clone());
+            let pinned = PinnedText { document, bytes };
+            pinned.check().map(|()| pinned)
+        };
+        let first = self.steps.len();
+        match &recalled.items[item] {
+            ItemContent::Text(part) => self.items.push(PinnedItem::Text(text(part)?)),
+            ItemContent::Steps { kind, steps } => {
+                self.steps.extend_from_slice(&recalled.steps[steps.clone()]);
+                self.items.push(PinnedItem::Steps(*kind, first..self.steps.len()));
+            }
+            ItemContent::Trajectory { kind, document, steps } => {
+                let document = named(*document)?;
+                let Content::Trajectories(content) = &document.content else {
+                    let (id, kind) = (document.id, document.content.kind().word());
+                    return Err(format!("has steps of document {id}, which is of kind {kind}"));
+                };
+                let Some(content) = content.get(steps.clone()) else {
+                    let (id, len) = (document.id, content.len());
+                    return Err(format!("has the steps {steps:?} of document {id} with {len}"));
+                };
+                for demonstration in content.chunk_by(|a, b| a.trajectory == b.trajectory) {
+                    let first = self.steps.len();
+                    let steps = demonstration.iter();
+                    let steps = steps.map(|step| (step.frame, Action::try_from(step.action).ok()));
+                    self.steps.extend(steps);
+                    self.items.push(PinnedItem::Steps(*kind, first..self.steps.len()));
+                }
+            }
+            ItemContent::Frame { frame, caption } => {
+                let caption = caption.as_ref().map(text).transpose()?;
+                self.steps.push((*frame, None));
+                self.items.push(PinnedItem::Frame(first, caption));
+            }
+        }
+        Ok(())
     }
 
     /// Identifies the request in its answer.
@@ -69,7 +145,7 @@ impl PinnedStep {
         }
     }
 
-    /// All frames of the request, in order: the current view, the window, the segment, the keyframes.
+    /// All frames of the request, in order: the current view, the window, the items.
     pub fn frames(&self) -> &[Arc<Frame>] {
         &self.frames
     }
@@ -77,34 +153,23 @@ impl PinnedStep {
     /// Calls `f` with the request.
     pub fn with_request<R>(&self, f: impl FnOnce(&Request<'_>) -> R) -> R {
         let views = self.views();
-        let trajectories = views.trajectories();
-        f(&self.request(&views, &trajectories))
+        let items = self.items(&views);
+        f(&self.request(&views, &items))
     }
 
     /// The ids of [`Self::frames`].
     pub(super) fn frame_ids(&self) -> Vec<FrameId> {
         let window = self.step.window.iter().map(|past| past.frame);
-        let segment = self.step.recalled.segment.iter().map(|&(frame, _)| frame);
-        let keyframes = self.demonstrations().flatten().map(|step| step.frame);
+        let supplied = self.steps.iter().map(|&(frame, _)| frame);
         std::iter::once(self.step.observed.frame)
             .chain(window)
-            .chain(segment)
-            .chain(keyframes.filter(|&frame| frame != NO_FRAME))
+            .chain(supplied.filter(|&frame| frame != NO_FRAME))
             .collect()
     }
 
     /// Sets the frames of [`Self::frame_ids`].
     pub(super) fn pin(&mut self, frames: Vec<Arc<Frame>>) {
         self.frames = frames;
-    }
-
-    /// The demonstrations in the documents, each from its start to its end.
-    fn demonstrations(&self) -> impl Iterator<Item = &[TrajectoryStep]> {
-        let steps = self.documents.iter().filter_map(|document| match &document.content {
-            Content::Trajectories(steps) => Some(steps),
-            Content::Summary(_) | Content::Semantic(_) => None,
-        });
-        steps.flat_map(|steps| steps.chunk_by(|a, b| a.trajectory == b.trajectory))
     }
 
     fn views(&self) -> StepViews<'_> {
@@ -116,32 +181,31 @@ impl PinnedStep {
         let window = window
             .map(|past| PastView { frame: next(), action: past.action, feedback: past.feedback })
             .collect();
-        let segment = self.step.recalled.segment.iter();
-        let segment = segment.map(|&(_, action)| SegmentView { frame: next(), action }).collect();
-        let mut view = |step: &TrajectoryStep| TrajectoryView {
-            frame: (step.frame != NO_FRAME).then(&mut next),
-            action: Action::try_from(step.action).ok(),
-        };
-        let demonstrations =
-            self.demonstrations().map(|steps| steps.iter().map(&mut view).collect()).collect();
-        let documents = self.documents.iter().filter_map(|document| {
-            let (kind, text) = match &document.content {
-                Content::Summary(text) => (DocumentKind::Summary, text),
-                Content::Semantic(text) => (DocumentKind::Semantic, text),
-                Content::Trajectories(_) => return None,
-            };
-            Some(DocumentView { id: document.id, kind, text })
-        });
-        StepViews { frame, window, segment, documents: documents.collect(), demonstrations }
+        let steps = self.steps.iter();
+        let steps = steps
+            .map(|&(frame, action)| StepView { frame: (frame != NO_FRAME).then(&mut next), action })
+            .collect();
+        StepViews { frame, window, steps }
     }
 
-    fn request<'a>(
-        &'a self,
-        views: &'a StepViews<'a>,
-        trajectories: &'a [Trajectory<'a>],
-    ) -> Request<'a> {
-        let Ready { lane, episode, observed, recalled, .. } = &self.step;
-        let segment = Segment { distance: recalled.distance, steps: &views.segment };
+    fn items<'a>(&'a self, views: &'a StepViews<'a>) -> Vec<Item<'a>> {
+        let item = |item: &'a PinnedItem| match item {
+            PinnedItem::Text(text) => Item::Text(text.view()),
+            PinnedItem::Steps(StepsKind { distance, is_whole }, steps) => Item::Steps(StepsView {
+                distance: *distance,
+                is_whole: *is_whole,
+                steps: &views.steps[steps.clone()],
+            }),
+            PinnedItem::Frame(step, caption) => Item::Frame(CaptionedView {
+                frame: views.steps[*step].frame.unwrap_or(FrameView::NONE),
+                caption: caption.as_ref().map_or("", PinnedText::text),
+            }),
+        };
+        self.items.iter().map(item).collect()
+    }
+
+    fn request<'a>(&'a self, views: &'a StepViews<'a>, items: &'a [Item<'a>]) -> Request<'a> {
+        let Ready { lane, episode, observed, .. } = &self.step;
         Request {
             lane: *lane,
             step: observed.step,
@@ -153,25 +217,45 @@ impl PinnedStep {
             feedback: observed.feedback,
             frame: views.frame,
             window: &views.window,
-            segment: (!views.segment.is_empty()).then_some(segment),
-            documents: &views.documents,
-            trajectories,
+            items,
             starts_as_demonstrated: episode.starts_as_demonstrated,
         }
     }
 }
 
-/// The lists that a [`Request`] borrows.
+impl PinnedText {
+    /// Checks that the document has this text; an error continues "item 2 ...".
+    fn check(&self) -> Result<(), String> {
+        let Document { id, content, .. } = &*self.document;
+        let Some(text) = content.text() else {
+            let kind = content.kind().word();
+            return Err(format!("has text of document {id}, which is of kind {kind}"));
+        };
+        match text.get(self.bytes.clone()) {
+            Some(_) => Ok(()),
+            None => Err(format!(
+                "has the bytes {:?} of document {id}, which has {} and no characters that begin and end there",
+                self.bytes,
+                text.len()
+            )),
+        }
+    }
+
+    fn text(&self) -> &str {
+        let text = self.document.content.text();
+        text.and_then(|text| text.get(self.bytes.clone())).unwrap_or_default()
+    }
+
+    fn view(&self) -> TextView<'_> {
+        let Range { start, end } = self.bytes;
+        let id = u128::from(self.document.id) << 64 | (start as u128) << 32 | (end - start) as u128;
+        TextView { id, kind: self.document.content.kind(), text: self.text() }
+    }
+}
+
+/// The lists that a [`Request`] and its items borrow.
 struct StepViews<'a> {
     frame: FrameView<'a>,
     window: Vec<PastView<'a>>,
-    segment: Vec<SegmentView<'a>>,
-    documents: Vec<DocumentView<'a>>,
-    demonstrations: Vec<Vec<TrajectoryView<'a>>>,
-}
-
-impl StepViews<'_> {
-    fn trajectories(&self) -> Vec<Trajectory<'_>> {
-        self.demonstrations.iter().map(|steps| Trajectory { steps }).collect()
-    }
+    steps: Vec<StepView<'a>>,
 }

@@ -6,14 +6,14 @@ use std::io::{self, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
 use domain::prompt_log::{
-    Hash, PromptLogEntry, RecordedDocument, RecordedPart, RecordedPast, RecordedRequest,
-    RecordedSegment, RecordedView, entries_file, hex, image_file, text_file, trajectories_file,
+    Hash, PromptLogEntry, RecordedItem, RecordedPart, RecordedPast, RecordedRequest, RecordedView,
+    entries_file, hex, image_file, text_file, trajectory_file,
 };
 use png_file::{Channels, encode};
 use serde::Serialize;
 use shm_types::Attach;
 
-use super::{FrameView, Request};
+use super::{CaptionedView, FrameView, Item, Request, StepView, TextView};
 
 /// Longer texts, in bytes, have a file of their own.
 const LONG_TEXT: usize = 1024;
@@ -66,23 +66,8 @@ impl PromptLog {
                 feedback: past.feedback.words().to_owned(),
             });
         }
-        let segment = match request.segment {
-            None => None,
-            Some(segment) => {
-                let steps = segment.steps.iter().map(|step| (Some(step.frame), step.action));
-                Some(RecordedSegment { distance: segment.distance, steps: self.views(steps)? })
-            }
-        };
-        let mut documents = Vec::with_capacity(request.documents.len());
-        for document in request.documents {
-            let kind = document.kind.word().to_owned();
-            documents.push(RecordedDocument { kind, text: self.text(document.text)? });
-        }
-        let mut trajectories = Vec::with_capacity(request.trajectories.len());
-        for trajectory in request.trajectories {
-            let steps = trajectory.steps.iter().map(|step| (step.frame, step.action));
-            trajectories.push(self.views(steps)?);
-        }
+        let items = request.items.iter().map(|item| self.item(item));
+        let items = items.collect::<Result<_, _>>()?;
         Ok(RecordedRequest {
             repeat: request.repeat,
             seed: request.episode_seed,
@@ -92,12 +77,7 @@ impl PromptLog {
             frame: self.view(&request.frame)?,
             starts_as_demonstrated: request.starts_as_demonstrated,
             window,
-            segment,
-            documents,
-            trajectories: match &trajectories[..] {
-                [] => None,
-                trajectories => Some(self.trajectories(trajectories)?),
-            },
+            items,
         })
     }
 
@@ -123,19 +103,32 @@ impl PromptLog {
         self.file.write_all(&line).map_err(at(&self.path))
     }
 
-    fn views<'a>(
-        &mut self,
-        steps: impl Iterator<Item = (Option<FrameView<'a>>, Option<domain::Action>)>,
-    ) -> Result<Vec<RecordedView>, PromptLogError> {
-        let mut views = Vec::new();
-        for (frame, action) in steps {
-            let frame = frame.map(|frame| self.view(&frame)).transpose()?;
-            views.push(RecordedView {
-                frame,
-                action: action.map(|action| action.words().to_owned()),
-            });
-        }
-        Ok(views)
+    fn item(&mut self, item: &Item<'_>) -> Result<RecordedItem, PromptLogError> {
+        Ok(match item {
+            Item::Text(TextView { kind, text, .. }) => {
+                RecordedItem::Text { kind: kind.word().to_owned(), text: self.text(text)? }
+            }
+            Item::Steps(supplied) => {
+                let steps = self.views(supplied.steps)?;
+                if supplied.is_trajectory() {
+                    RecordedItem::Trajectory(self.trajectory(&steps)?)
+                } else {
+                    RecordedItem::Segment { distance: supplied.distance, steps }
+                }
+            }
+            Item::Frame(CaptionedView { frame, caption }) => {
+                RecordedItem::Frame { frame: self.view(frame)?, caption: self.text(caption)? }
+            }
+        })
+    }
+
+    fn views(&mut self, steps: &[StepView<'_>]) -> Result<Vec<RecordedView>, PromptLogError> {
+        let view = |step: &StepView<'_>| {
+            let frame = step.frame.map(|frame| self.view(&frame)).transpose()?;
+            let action = step.action.map(|action| action.words().to_owned());
+            Ok(RecordedView { frame, action })
+        };
+        steps.iter().map(view).collect()
     }
 
     fn view(&mut self, view: &FrameView<'_>) -> Result<Hash, PromptLogError> {
@@ -153,10 +146,10 @@ impl PromptLog {
         Ok(hash)
     }
 
-    fn trajectories(&mut self, trajectories: &[Vec<RecordedView>]) -> Result<Hash, PromptLogError> {
-        let text = json(&trajectories, &self.path)?;
+    fn trajectory(&mut self, steps: &[RecordedView]) -> Result<Hash, PromptLogError> {
+        let text = json(&steps, &self.path)?;
         let hash = hash_of(&text);
-        self.store(trajectories_file(&self.prompts, &hash), || Ok(text))?;
+        self.store(trajectory_file(&self.prompts, &hash), || Ok(text))?;
         Ok(hash)
     }
 

@@ -4,7 +4,7 @@
 //! batch and any order, so a policy whose runs are to be reproducible decides from the request alone.
 
 use domain::{Action, DocumentKind, Feedback, Outcome, Pose};
-use shm_types::message::{DocumentId, FrameId, NO_FRAME, RequestId};
+use shm_types::message::{FrameId, NO_FRAME, RequestId};
 use shm_types::{Frame, FrameSize};
 
 /// An image in shared memory. It does not change while the request lives.
@@ -23,7 +23,7 @@ pub struct FrameView<'a> {
 }
 
 impl<'a> FrameView<'a> {
-    pub(super) fn of(frame: &'a Frame) -> Self {
+    pub(crate) fn of(frame: &'a Frame) -> Self {
         let FrameSize { width, height } = frame.size();
         let (id, content_hash) = (frame.id(), frame.content_hash());
         Self { id, content_hash, width, height, pixels: frame.pixels() }
@@ -63,49 +63,94 @@ pub struct PastView<'a> {
     pub feedback: Feedback,
 }
 
-/// One view of a retrieved segment.
+/// What memory supplies for a step is a list of items, the most important first.
 #[derive(Debug, Clone, Copy)]
-pub struct SegmentView<'a> {
-    /// The remembered view.
-    pub frame: FrameView<'a>,
-    /// The expert's action there; `None` at the end of the segment, and in a segment without actions.
-    pub action: Option<Action>,
+pub enum Item<'a> {
+    /// A text.
+    Text(TextView<'a>),
+    /// Steps of a demonstration.
+    Steps(StepsView<'a>),
+    /// A remembered view with a caption.
+    Frame(CaptionedView<'a>),
 }
 
-/// What memory retrieved for a step: the stored view nearest to the current one, and the views after it.
+/// A text that memory supplies.
 #[derive(Debug, Clone, Copy)]
-pub struct Segment<'a> {
-    /// Cosine distance between the embeddings of the matched view and the current one.
-    pub distance: f32,
-    /// The matched view, then the views after each of the expert's actions. Never empty.
-    pub steps: &'a [SegmentView<'a>],
-}
-
-/// A text document that memory supplies.
-#[derive(Debug, Clone, Copy)]
-pub struct DocumentView<'a> {
-    /// Identifies the document within the run; never reused.
-    pub id: DocumentId,
-    /// Summary or semantic.
+pub struct TextView<'a> {
+    /// Identifies the text within the run: equal ids, equal texts.
+    pub id: u128,
+    /// The kind: summary, semantic or note.
     pub kind: DocumentKind,
     /// The text.
     pub text: &'a str,
 }
 
+/// Consecutive steps of one demonstration.
+#[derive(Debug, Clone, Copy)]
+pub struct StepsView<'a> {
+    /// Distance between what was retrieved and the query; `None` if memory tells none. For episodic memory, the cosine
+    /// distance between the embeddings of the first view and the current one.
+    pub distance: Option<f32>,
+    /// Whether these are all steps of the demonstration.
+    pub is_whole: bool,
+    /// The steps, in order. Never empty.
+    pub steps: &'a [StepView<'a>],
+}
+
 /// One step of a demonstration.
 #[derive(Debug, Clone, Copy)]
-pub struct TrajectoryView<'a> {
-    /// The view before the action, if it is a keyframe.
+pub struct StepView<'a> {
+    /// The view before the action, if it is supplied: all views of a retrieved segment, the keyframes of a
+    /// demonstration.
     pub frame: Option<FrameView<'a>>,
-    /// The expert's action there; `None` at the end of the demonstration.
+    /// The expert's action there; `None` at the end of the item, and where actions are not supplied.
     pub action: Option<Action>,
 }
 
-/// A whole demonstration: all actions, and keyframes.
+/// A remembered view with a caption.
 #[derive(Debug, Clone, Copy)]
-pub struct Trajectory<'a> {
-    /// From its start to its end. Never empty.
-    pub steps: &'a [TrajectoryView<'a>],
+pub struct CaptionedView<'a> {
+    /// The view.
+    pub frame: FrameView<'a>,
+    /// The caption; may be empty.
+    pub caption: &'a str,
+}
+
+impl<'a> Item<'a> {
+    /// The text, if it is one.
+    pub const fn text(&self) -> Option<TextView<'a>> {
+        if let Self::Text(text) = *self { Some(text) } else { None }
+    }
+
+    /// Steps that were retrieved: those with a distance, or of a part of a demonstration. Episodic memory supplies these.
+    pub fn segment(&self) -> Option<StepsView<'a>> {
+        self.steps().filter(|steps| !steps.is_trajectory())
+    }
+
+    /// A whole demonstration. Full-context memory supplies these.
+    pub fn trajectory(&self) -> Option<StepsView<'a>> {
+        self.steps().filter(StepsView::is_trajectory)
+    }
+
+    const fn steps(&self) -> Option<StepsView<'a>> {
+        if let Self::Steps(steps) = *self { Some(steps) } else { None }
+    }
+
+    /// The number of images.
+    pub fn images(&self) -> usize {
+        match self {
+            Self::Text(_) => 0,
+            Self::Steps(steps) => steps.steps.iter().filter(|step| step.frame.is_some()).count(),
+            Self::Frame(_) => 1,
+        }
+    }
+}
+
+impl StepsView<'_> {
+    /// Whether this is a demonstration that is supplied whole, and was not retrieved by its distance.
+    pub const fn is_trajectory(&self) -> bool {
+        self.is_whole && self.distance.is_none()
+    }
 }
 
 /// All that a policy may use to decide a step: `x_t`, `W_t` and `m_t` (specification, section 1).
@@ -132,28 +177,37 @@ pub struct Request<'a> {
     pub frame: FrameView<'a>,
     /// The last steps, oldest first.
     pub window: &'a [PastView<'a>],
-    /// The segment that memory retrieved, if any.
-    pub segment: Option<Segment<'a>>,
-    /// Documents that memory supplies, in order.
-    pub documents: &'a [DocumentView<'a>],
-    /// Demonstrations that memory supplies whole.
-    pub trajectories: &'a [Trajectory<'a>],
+    /// What memory supplies, the most important first.
+    pub items: &'a [Item<'a>],
     /// Whether the prompt says that a demonstration started in this episode's start pose (paper, Design Choices).
     pub starts_as_demonstrated: bool,
 }
 
-impl Request<'_> {
+impl<'a> Request<'a> {
     /// Identifies the request in its answer.
     pub const fn id(&self) -> RequestId {
         RequestId { lane: self.lane, episode: self.episode, step: self.step }
     }
 
-    /// The number of images: the current view, the window, the segment and the keyframes.
+    /// The texts that memory supplies.
+    pub fn texts(&self) -> impl Iterator<Item = TextView<'a>> + use<'a> {
+        self.items.iter().filter_map(Item::text)
+    }
+
+    /// The retrieved segments that memory supplies ([`Item::segment`]).
+    pub fn segments(&self) -> impl Iterator<Item = StepsView<'a>> + use<'a> {
+        self.items.iter().filter_map(Item::segment)
+    }
+
+    /// The demonstrations that memory supplies whole ([`Item::trajectory`]).
+    pub fn trajectories(&self) -> impl Iterator<Item = StepsView<'a>> + use<'a> {
+        self.items.iter().filter_map(Item::trajectory)
+    }
+
+    /// The number of images: the current view, the window and the items.
     pub fn images(&self) -> u32 {
-        let retrieved = self.segment.map_or(0, |segment| segment.steps.len());
-        let steps = self.trajectories.iter().flat_map(|trajectory| trajectory.steps);
-        let keyframes = steps.filter(|step| step.frame.is_some()).count();
-        (1 + self.window.len() + retrieved + keyframes) as u32
+        let supplied: usize = self.items.iter().map(Item::images).sum();
+        (1 + self.window.len() + supplied) as u32
     }
 }
 

@@ -230,24 +230,25 @@ impl<'p, P: Decider + ?Sized> PolicySession<'p, P> {
         open.take_if(|open| open.id == id && self.join.is_running(id))
     }
 
-    /// Pins the documents and frames of `step`. If one is missing, the step cannot be decided: that is reported.
+    /// Pins the documents and frames of `step`. If one is missing or does not have what an item names, the step cannot be
+    /// decided: that is reported.
     fn pin(
         &mut self,
         step: Ready,
         connection: &mut Connection,
     ) -> Result<Option<PinnedStep>, ServeError> {
         let (lane, number) = (step.lane, step.observed.step);
-        let mut documents = Vec::with_capacity(step.recalled.documents.len());
-        for &id in &step.recalled.documents {
-            let Some(document) = self.document(id, &mut connection.errors)? else {
-                connection.errors.report(format_args!(
-                    "lane {lane}, step {number}: document {id} was never published"
-                ));
-                return Ok(None);
-            };
-            documents.push(document);
+        let mut documents = Vec::new();
+        for id in step.recalled.documents() {
+            documents.extend(self.document(id, &mut connection.errors)?);
         }
-        let mut pinned = PinnedStep::new(step, documents);
+        let mut pinned = match PinnedStep::new(step, &documents) {
+            Ok(pinned) => pinned,
+            Err(bad) => {
+                connection.errors.report(bad);
+                return Ok(None);
+            }
+        };
         let mut frames = Vec::new();
         for id in pinned.frame_ids() {
             let Some(frame) = connection.frame(id)? else {

@@ -5,17 +5,26 @@
 
 use std::collections::BTreeSet;
 
-use domain::Action;
+use domain::{Action, ExternalName};
 
-use super::{Ending, EpisodeRecord};
+use super::{Ending, EpisodeRecord, Manifest};
 use crate::conditions::{Condition, Route};
 use crate::key::EpisodeKey;
 
-/// Checks that records agree with themselves, and that none occurs twice.
-pub(super) fn check_records(max_steps: u32) -> impl FnMut(&EpisodeRecord) -> Result<(), String> {
+/// Checks that records agree with themselves, that their memories are those of the run, and that none occurs twice.
+pub(super) fn check_records(
+    manifest: &Manifest,
+) -> impl FnMut(&EpisodeRecord) -> Result<(), String> + use<> {
+    let max_steps = manifest.settings.max_steps;
+    let memories: BTreeSet<ExternalName> = manifest.memories.keys().copied().collect();
     let mut seen = BTreeSet::new();
     move |record| {
         record.check(max_steps)?;
+        if let Some(name) = record.memory.external()
+            && !memories.contains(&name)
+        {
+            return Err(format!("the run has no memory called {name}"));
+        }
         let is_new = seen.insert(record.key.clone());
         if is_new { Ok(()) } else { Err(format!("{} occurs twice", record.key)) }
     }

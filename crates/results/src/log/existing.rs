@@ -5,7 +5,7 @@ use std::path::Path;
 
 use rustix::fs::FlockOperation;
 
-use super::files::{CONTENTS, EPISODES_FILE, REQUESTS_FILE};
+use super::files::{CONTENTS, EPISODES_FILE, LOGS_FOLDER, REQUESTS_FILE};
 use super::manifest::MANIFEST_FILE;
 use super::{LogError, Manifest, system};
 
@@ -27,8 +27,8 @@ pub(super) fn existing(dir: &Path) -> Result<Option<Result<Manifest, LogError>>,
     }
     for entry in fs::read_dir(dir).map_err(system("list", dir))? {
         let name = entry.map_err(system("list", dir))?.file_name();
-        // Only a draft of the manifest: the run was killed when it had just begun.
-        if name != "manifest.json.new" {
+        // Only a draft of the manifest: the run was killed when it had just begun. Logs: external memories start earlier.
+        if name != "manifest.json.new" && name != LOGS_FOLDER {
             return Err(LogError::NotARun { dir: dir.to_owned() });
         }
     }
@@ -58,11 +58,29 @@ pub(super) fn remove_run(dir: &Path) -> Result<Vec<String>, LogError> {
     // The manifest goes last: what is left of a run stays recognisable as one.
     for name in CONTENTS.iter().rev() {
         let path = dir.join(name);
-        if path.is_dir() {
+        if *name == LOGS_FOLDER {
+            remove_logs(&path)?;
+        } else if path.is_dir() {
             fs::remove_dir_all(&path).map_err(system("remove", &path))?;
         } else if path.exists() {
             fs::remove_file(&path).map_err(system("remove", &path))?;
         }
     }
     Ok(vec![note])
+}
+
+/// Removes the logs of processes, except those of external memories: they start before the run's folder is opened, and
+/// write to theirs already.
+fn remove_logs(logs: &Path) -> Result<(), LogError> {
+    if !logs.exists() {
+        return Ok(());
+    }
+    for entry in fs::read_dir(logs).map_err(system("list", logs))? {
+        let entry = entry.map_err(system("list", logs))?;
+        if !entry.file_name().to_string_lossy().starts_with("external-memory-") {
+            let path = entry.path();
+            fs::remove_file(&path).map_err(system("remove", &path))?;
+        }
+    }
+    Ok(())
 }

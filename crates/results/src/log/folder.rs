@@ -86,8 +86,10 @@ impl RunFolder {
                 let prices = manifest.prices.or(there.prices);
                 let mut documents = there.documents;
                 documents.extend(manifest.documents);
+                let mut memories = there.memories;
+                memories.extend(manifest.memories);
                 let (processes, commit) = (there.processes, there.commit);
-                Manifest { processes, commit, prices, documents, ..manifest }
+                Manifest { processes, commit, prices, documents, memories, ..manifest }
             }
             Some(_) => {
                 notes.extend(remove_run(dir)?);
@@ -98,7 +100,7 @@ impl RunFolder {
         manifest.write(dir)?;
 
         let mut open = JournalOpener { dir, notes: &mut notes };
-        let check = check_records(manifest.settings.max_steps);
+        let check = check_records(&manifest);
         let (episodes, finished) = open.journal::<EpisodeRecord>(EPISODES_FILE, check)?;
         let (timings, _) = open.journal(TIMINGS_FILE, unchecked)?;
         let (requests, asked) = open.journal(REQUESTS_FILE, unchecked)?;
@@ -161,6 +163,11 @@ impl RunFolder {
     /// Where a run folder at `dir` keeps the requests to the policy and its answers.
     pub fn prompts_of(dir: &Path) -> PathBuf {
         dir.join(PROMPTS_FOLDER)
+    }
+
+    /// Where a run folder at `dir` keeps the logs of its processes.
+    pub fn logs_of(dir: &Path) -> PathBuf {
+        dir.join(LOGS_FOLDER)
     }
 
     /// The file that the process called `role` writes its stderr to.

@@ -6,6 +6,7 @@ use std::fs;
 use std::io::Write;
 use std::path::Path;
 
+use domain::ExternalName;
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
 
@@ -37,6 +38,9 @@ pub struct Manifest {
     /// The documents that memory supplies, by name: `summary/4`.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub documents: BTreeMap<String, DocumentFacts>,
+    /// The external memories, by name.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub memories: BTreeMap<ExternalName, ExternalMemoryFacts>,
     /// The prices of the model's tokens, if they were given.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub prices: Option<ModelPrices>,
@@ -61,6 +65,28 @@ pub struct DocumentFacts {
     pub bytes: u64,
     /// Words of its text.
     pub words: u64,
+}
+
+/// An external memory, as it describes itself.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct ExternalMemoryFacts {
+    /// Its index on the wire.
+    pub index: u8,
+    /// Its version.
+    pub version: String,
+    /// The command that started it; absent if the user did.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub command: Option<String>,
+    /// The demonstrations that one instance of it remembers: those of a `case`, or of `all` cases.
+    pub scope: String,
+    /// Whether it uses embeddings of views.
+    pub embeddings: bool,
+    /// Whether it looks at the pixels of remembered views.
+    pub frames: bool,
+    /// Whether equal queries have equal answers, whatever else it was asked before.
+    pub deterministic: bool,
+    /// Its SDK and that one's version.
+    pub sdk: String,
 }
 
 /// A key in which two manifests differ.
@@ -132,6 +158,23 @@ impl Manifest {
             if let Some(other) = there.documents.get(name) {
                 here.insert(format!("document {name}"), document.sha256.clone().into());
                 of_there.insert(format!("document {name}"), other.sha256.clone().into());
+            }
+        }
+        for (name, memory) in &self.memories {
+            let Some(other) = there.memories.get(name) else { continue };
+            // Command, index and SDK may change.
+            let said = |memory: &ExternalMemoryFacts| -> [(&str, Value); 5] {
+                [
+                    ("version", memory.version.clone().into()),
+                    ("scope", memory.scope.clone().into()),
+                    ("embeddings", memory.embeddings.into()),
+                    ("frames", memory.frames.into()),
+                    ("deterministic", memory.deterministic.into()),
+                ]
+            };
+            for ((fact, ours), (_, theirs)) in said(memory).into_iter().zip(said(other)) {
+                here.insert(format!("{fact} of memory {name}"), ours);
+                of_there.insert(format!("{fact} of memory {name}"), theirs);
             }
         }
         let shown = |value: Option<&Value>| value.map_or("not set".to_owned(), Value::to_string);

@@ -6,7 +6,7 @@
 
 use std::collections::BTreeMap;
 
-use domain::{Outcome, Pose, Representation};
+use domain::{ExternalName, MemoryKind, Outcome, Pose};
 use serde::{Deserialize, Serialize};
 
 use crate::conditions::{
@@ -33,7 +33,7 @@ pub struct EpisodeRecord {
     /// The [`EpisodeKey`](crate::key::EpisodeKey) as it is written: unique in the log.
     pub key: String,
     /// The memory.
-    pub memory: Representation,
+    pub memory: MemoryKind,
     /// The start.
     pub start: Start,
     /// The route.
@@ -112,14 +112,25 @@ pub struct EpisodeRecord {
     /// Answers in which no action could be read, by kind.
     #[serde(skip_serializing_if = "Unread::is_none", default)]
     pub unread: Unread,
-    /// The source of each recall, one word per request: the demonstration's letter (`o` original, `p` opposite, `n`
-    /// nearby, `d` distant) and the step in it, for example `o12`; with the case before it if it is another's
-    /// (`t03-07:o12`); `-` for no match. Absent when nothing was ever retrieved.
+    /// Where memory's answer came from, one word a request: demonstration's letter (`o` original, `p`
+    /// opposite, `n` nearby, `d` distant) and first step in it, for example `o12`; with the case before it when it
+    /// is another's (`t03-07:o12`); `-` for no match. Several sources are joined by `+`: `o12+n3`. Absent when
+    /// nothing was ever retrieved.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub retrieved: Option<String>,
-    /// Mean cosine distance of the matches, rounded to millionths.
+    /// Mean distance of the first match of each request that has one, rounded to millionths: the cosine distance for
+    /// episodic memory, whatever an external memory says.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub distance: Option<f64>,
+    /// Items that memory wanted to supply and that exceeded its budgets. Absent when there were none.
+    #[serde(skip_serializing_if = "is_none", default)]
+    pub memory_items_dropped: u64,
+    /// Images in them. Absent when there were none.
+    #[serde(skip_serializing_if = "is_none", default)]
+    pub memory_images_dropped: u64,
+    /// Bytes of text in them. Absent when there were none.
+    #[serde(skip_serializing_if = "is_none", default)]
+    pub memory_text_dropped: u64,
 }
 
 impl EpisodeRecord {
@@ -193,6 +204,42 @@ pub struct EpisodeTimings {
     pub invalid_messages: u32,
     /// Where the time went, summed over its steps.
     pub stages: Stages,
+    /// What memory supplied, summed over its steps. Absent where no memory was asked, and in earlier logs.
+    #[serde(skip_serializing_if = "RecallTotals::is_none", default)]
+    pub recalls: RecallTotals,
+}
+
+/// What memory supplied in an episode.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RecallTotals {
+    /// Requests that memory answered.
+    pub requests: u32,
+    /// Items that it supplied.
+    pub items: u64,
+    /// Images in them.
+    pub images: u64,
+    /// Bytes of text in them.
+    pub text: u64,
+    /// The largest size that it told for its store, in bytes. Absent if it told none.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub store_bytes: Option<u64>,
+    /// Nanoseconds that an external memory computed, by its own clock. Absent for a built-in one.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub method_ns: Option<u64>,
+    /// Nanoseconds from the query to the answer of an external memory. Absent for a built-in one.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub answer_ns: Option<u64>,
+    /// Tokens of its own requests to a model. Absent if it told none.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub tokens: Option<u64>,
+}
+
+impl RecallTotals {
+    /// Whether memory was never asked.
+    pub fn is_none(&self) -> bool {
+        self.requests == 0
+    }
 }
 
 fn is_zero(count: &u32) -> bool {
@@ -271,93 +318,62 @@ mod outcome_word {
     }
 }
 
-/// Nanoseconds in each stage of a step, in the order of the stages: together the time from a command to the
-/// next one. Several lanes are in different stages at once, and waiting for a busy process counts for the
-/// stage that waits, so with many lanes the sum is a step's latency and not its cost.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Stages {
+/// Declares the stages of a step, in order.
+macro_rules! stages {
+    ($($(#[$attribute:meta])* $stage:ident,)*) => {
+        /// Nanoseconds in each stage of a step, in the order of the stages: together the time from a command to the
+        /// next one. Several lanes are in different stages at once, and waiting for a busy process counts for the
+        /// stage that waits, so with many lanes the sum is a step's latency and not its cost.
+        #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+        #[serde(deny_unknown_fields)]
+        pub struct Stages { $($(#[$attribute])* pub $stage: u64,)* }
+
+        impl Stages {
+            /// The names, in order.
+            pub const NAMES: [&'static str; [$(stringify!($stage)),*].len()] =
+                [$(stringify!($stage)),*];
+
+            /// The values, in the order of [`Stages::NAMES`].
+            pub const fn values(&self) -> [u64; Self::NAMES.len()] {
+                [$(self.$stage),*]
+            }
+        }
+
+        impl std::ops::AddAssign for Stages {
+            fn add_assign(&mut self, other: Self) {
+                $(self.$stage += other.$stage;)*
+            }
+        }
+    };
+}
+
+stages! {
     /// From sending the command until the simulator received it.
-    pub command: u64,
+    command,
     /// Applying the dynamics.
-    pub dynamics: u64,
+    dynamics,
     /// Until the view was resident.
-    pub render: u64,
+    render,
     /// Until the observation was published.
     #[serde(default)]
-    pub publish: u64,
+    publish,
     /// Until memory received it.
-    pub observation: u64,
+    observation,
     /// Until the view's embedding was known.
-    pub embed: u64,
+    embed,
     /// Until the nearest remembered view was found.
-    pub search: u64,
+    search,
     /// Until the recall was put together.
     #[serde(default)]
-    pub assemble: u64,
+    assemble,
     /// Until the policy had observation and recall.
-    pub recall: u64,
+    recall,
     /// Until it began to decide.
-    pub queue: u64,
+    queue,
     /// Until it had decided.
-    pub decide: u64,
+    decide,
     /// Until the orchestrator received the decision.
-    pub decision: u64,
-}
-
-impl Stages {
-    /// The names, in order.
-    pub const NAMES: [&'static str; 12] = [
-        "command",
-        "dynamics",
-        "render",
-        "publish",
-        "observation",
-        "embed",
-        "search",
-        "assemble",
-        "recall",
-        "queue",
-        "decide",
-        "decision",
-    ];
-
-    /// The values, in the order of [`Stages::NAMES`].
-    pub const fn values(&self) -> [u64; 12] {
-        let Self { command, dynamics, render, publish, observation, embed, .. } = *self;
-        let Self { search, assemble, recall, queue, decide, decision, .. } = *self;
-        [
-            command,
-            dynamics,
-            render,
-            publish,
-            observation,
-            embed,
-            search,
-            assemble,
-            recall,
-            queue,
-            decide,
-            decision,
-        ]
-    }
-}
-
-impl std::ops::AddAssign for Stages {
-    fn add_assign(&mut self, other: Self) {
-        self.command += other.command;
-        self.dynamics += other.dynamics;
-        self.render += other.render;
-        self.publish += other.publish;
-        self.observation += other.observation;
-        self.embed += other.embed;
-        self.search += other.search;
-        self.assemble += other.assemble;
-        self.recall += other.recall;
-        self.queue += other.queue;
-        self.decide += other.decide;
-        self.decision += other.decision;
-    }
+    decision,
 }
 
 /// An episode that was given up because of a fault of the infrastructure. It is not scored; the same command runs it
@@ -405,6 +421,13 @@ pub enum SessionEvent {
         /// The generation that failed.
         generation: u32,
         /// The process and its failure.
+        reason: String,
+    },
+    /// An external memory takes part no longer.
+    Excluded {
+        /// The memory.
+        memory: ExternalName,
+        /// Why.
         reason: String,
     },
     /// The session is over.

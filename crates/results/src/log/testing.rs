@@ -5,7 +5,8 @@ use std::collections::BTreeMap;
 use domain::{Heading, Outcome, Pose, Representation};
 
 use super::{
-    Ending, EpisodeRecord, EpisodeTimings, FORMAT, Manifest, RequestRecord, RunLog, Stages, Unread,
+    Ending, EpisodeRecord, EpisodeTimings, FORMAT, Manifest, RecallTotals, RequestRecord, RunLog,
+    Stages, Unread,
 };
 use crate::conditions::{Condition, Demonstrations, Frames, PolicyKind, Route, Start, Variation};
 use crate::key::EpisodeKey;
@@ -21,6 +22,7 @@ pub fn manifest() -> Manifest {
         settings: settings(),
         hashes: BTreeMap::from([("layout".to_owned(), "00".to_owned())]),
         documents: BTreeMap::new(),
+        memories: BTreeMap::new(),
         prices: None,
         episodes: 4,
         processes: BTreeMap::new(),
@@ -33,9 +35,11 @@ pub fn settings() -> RunSettings {
         suite: SuiteName::quick(),
         policy: PolicyKind::Grounded,
         policy_cmd: None,
+        memory_cmd: Vec::new(),
+        external_memory: false,
         groups: vec![Group {
             name: None,
-            memory: Representation::ALL.to_vec(),
+            memory: Representation::ALL.iter().copied().map(Into::into).collect(),
             starts: Start::ALL.to_vec(),
             routes: vec![Route::Unchanged],
             demos: vec![Demonstrations::ORIGINAL],
@@ -49,7 +53,10 @@ pub fn settings() -> RunSettings {
         seed: 1,
         max_steps: 200,
         horizon: 6,
+        hits: 1,
         keyframes: 40,
+        memory_images: None,
+        memory_text_bytes: crate::settings::MEMORY_TEXT_BYTES,
         documents: DocumentSource::Extractive,
         frame_size: 448,
         frames: Frames::Rendered,
@@ -68,6 +75,7 @@ pub fn settings() -> RunSettings {
         warm_views: false,
         spin_us: 0,
         step_timeout: 120,
+        memory_timeout: crate::settings::MEMORY_TIMEOUT,
         start_timeout: 300,
     }
 }
@@ -75,7 +83,7 @@ pub fn settings() -> RunSettings {
 /// The record of `case` under episodic memory: a success is 10 steps for a reference of 8, a failure 200.
 pub fn record(case: &str, success: bool) -> EpisodeRecord {
     let condition = Condition {
-        memory: Representation::Episodic,
+        memory: Representation::Episodic.into(),
         start: Start::Original,
         route: Route::Unchanged,
         demonstrations: Demonstrations::ORIGINAL,
@@ -117,6 +125,9 @@ pub fn record(case: &str, success: bool) -> EpisodeRecord {
         unread: Unread::default(),
         retrieved: None,
         distance: None,
+        memory_items_dropped: 0,
+        memory_images_dropped: 0,
+        memory_text_dropped: 0,
     }
 }
 
@@ -148,6 +159,7 @@ pub fn timings(record: &EpisodeRecord) -> EpisodeTimings {
             decide: each,
             decision: each,
         },
+        recalls: RecallTotals::default(),
     }
 }
 

@@ -7,7 +7,7 @@ use super::view::ScoredRun;
 use crate::compare::run_name;
 use crate::conditions::Condition;
 use crate::key::EpisodeKey;
-use crate::log::{EpisodeError, EpisodeRecord, EpisodeTimings, RunLog, Stages};
+use crate::log::{EpisodeError, EpisodeRecord, EpisodeTimings, RecallTotals, RunLog, Stages};
 use crate::score::{ConditionScore, Derived, Failure, Spread, group_of, path_weight};
 
 /// An episode of a run: finished, or given up.
@@ -106,6 +106,33 @@ pub fn episodes_frame(logs: &[RunLog]) -> Frame {
     frame.whole("refused", |row| Some(of(row)?.unread.refused.into()));
     frame.text("retrieved", |row| of(row)?.retrieved.clone());
     frame.real("distance", |row| of(row)?.distance);
+    let dropped: [(&str, fn(&EpisodeRecord) -> u64); 3] = [
+        ("memory_items_dropped", |record| record.memory_items_dropped),
+        ("memory_images_dropped", |record| record.memory_images_dropped),
+        ("memory_text_dropped", |record| record.memory_text_dropped),
+    ];
+    for (name, count) in dropped {
+        frame.whole(name, |row| i64::try_from(count(of(row)?)).ok());
+    }
+    type Recalled = fn(&RecallTotals) -> Option<u64>;
+    let recalled: [(&str, Recalled); 8] = [
+        ("recalls", |recalls| Some(recalls.requests.into())),
+        ("recalled_items", |recalls| Some(recalls.items)),
+        ("recalled_images", |recalls| Some(recalls.images)),
+        ("recalled_text", |recalls| Some(recalls.text)),
+        ("store_bytes", |recalls| recalls.store_bytes),
+        ("method_ns", |recalls| recalls.method_ns),
+        ("answer_ns", |recalls| recalls.answer_ns),
+        ("model_tokens_of_memory", |recalls| recalls.tokens),
+    ];
+    for (name, count) in recalled {
+        frame.whole(name, |(_, episode)| match episode {
+            EpisodeRow::Finished(_, Some(timings)) if !timings.recalls.is_none() => {
+                i64::try_from(count(&timings.recalls)?).ok()
+            }
+            _ => None,
+        });
+    }
     for (index, stage) in Stages::NAMES.into_iter().enumerate() {
         frame.real(format!("{stage}_us"), |(_, episode)| match episode {
             EpisodeRow::Finished(_, Some(timings)) => {

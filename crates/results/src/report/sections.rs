@@ -13,6 +13,7 @@ mod overview;
 mod pairs;
 mod provenance;
 mod runs;
+mod supplied;
 mod time;
 mod transfer;
 
@@ -27,12 +28,13 @@ pub(super) use conditions::conditions_table;
 pub(super) use cost::requests_table;
 pub(super) use failures::{failures_table, worst_table};
 pub(super) use overview::{notices, steps_per_second};
+pub(super) use supplied::supplied_table;
 pub(super) use time::time_table;
 
 /// A section's name in links, its heading, and the function that makes its content.
 type Part = (&'static str, &'static str, fn(&ScoredRun<'_>) -> Vec<Block>);
 
-const PARTS: [Part; 12] = [
+const PARTS: [Part; 13] = [
     ("overview", "What was run", overview::blocks),
     ("conditions", "All conditions", conditions::blocks),
     ("main", "Success across the three questions", main_table::blocks),
@@ -43,6 +45,7 @@ const PARTS: [Part; 12] = [
     ("design", "Design choices", design::blocks),
     ("failures", "Why episodes failed", failures::blocks),
     ("cost", "Images, tokens, unreadable answers", cost::blocks),
+    ("supplied", "What memory supplied", supplied::blocks),
     ("time", "Time by stage", time::blocks),
     ("pairs", "Paired comparisons", pairs::blocks),
 ];

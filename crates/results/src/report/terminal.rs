@@ -6,7 +6,7 @@ use super::document::{Cell, Table};
 use super::published::Published;
 use super::sections::{
     blocked_table, conditions_table, failures_table, notices, requests_table, steps_per_second,
-    time_table, worst_table,
+    supplied_table, time_table, worst_table,
 };
 use super::view::{ScoredRun, interval_text, p_value, signed};
 use crate::compare::{differing_settings, run_name};
@@ -37,6 +37,7 @@ pub fn summary(log: &RunLog) -> String {
         ("Failed episodes by kind", failures_table(&view)),
         ("Cases that fail most", worst_table(&view, WORST)),
         ("Requests to the model, those of repeated episodes included", requests_table(&view)),
+        ("What memory supplied, means of an answer", supplied_table(&view)),
         ("Mean time of a step by stage, in microseconds", time),
     ] {
         if let Some(table) = table {
@@ -196,7 +197,8 @@ mod tests {
     fn the_summary_of_a_run() {
         let mut episodes = vec![record("t01-01", true), record("t01-02", false)];
         let mut without = record("t01-01", false);
-        (without.memory, without.demonstrations) = (Representation::Working, Demonstrations::NONE);
+        (without.memory, without.demonstrations) =
+            (Representation::Working.into(), Demonstrations::NONE);
         without.images = Some(1400);
         without.key = EpisodeKey { condition: without.condition(), run: 1, case: "t01-01".into() }
             .to_string();

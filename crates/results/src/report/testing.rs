@@ -1,12 +1,12 @@
 //! A made-up run of the whole paper suite, as plausible as a hash of names can make it.
 
-use domain::{Action, Heading, Pose, Representation};
+use domain::{Action, Heading, MemoryKind, Pose, Representation};
 
 use crate::conditions::{Condition, Demonstrations, Route, SegmentContent, Start, Variation};
 use crate::events::{Requirement, Visit};
 use crate::key::EpisodeKey;
 use crate::log::testing::{log, record, settings};
-use crate::log::{Ending, EpisodeRecord, RunLog, Unread};
+use crate::log::{Ending, EpisodeRecord, ExternalMemoryFacts, RecallTotals, RunLog, Unread};
 use crate::settings::{Group, RunSettings};
 
 /// Every condition of the shipped suite `paper`, each with its number of runs.
@@ -43,7 +43,33 @@ pub(crate) fn made_up(conditions: &[(Condition, u32)], tasks: &[u8]) -> RunLog {
     episodes.sort_by(|a, b| a.key.cmp(&b.key));
     let mut log = log(episodes);
     log.dir = "runs/made-up".into();
+    for name in conditions.iter().filter_map(|(condition, _)| condition.memory.external()) {
+        let facts = ExternalMemoryFacts {
+            index: log.manifest.memories.len() as u8,
+            version: "1".to_owned(),
+            command: Some(format!("python {name}.py")),
+            scope: "case".to_owned(),
+            embeddings: true,
+            frames: false,
+            deterministic: true,
+            sdk: "made up".to_owned(),
+        };
+        log.manifest.memories.entry(name).or_insert(facts);
+    }
     for (timings, record) in log.timings.iter_mut().zip(&log.episodes) {
+        let requests = record.steps;
+        timings.recalls = RecallTotals {
+            requests,
+            items: u64::from(requests),
+            images: u64::from(requests) * 7,
+            ..RecallTotals::default()
+        };
+        if record.memory.external().is_some() {
+            let each = u64::from(requests) * 1000;
+            (timings.recalls.method_ns, timings.recalls.answer_ns) =
+                (Some(40 * each), Some(90 * each));
+            timings.recalls.store_bytes = Some(123_456);
+        }
         let stages = &mut timings.stages;
         (stages.render, stages.decide) = (stages.render * 900, stages.decide * 2500);
         if record.memory == Representation::Episodic {
@@ -56,7 +82,7 @@ pub(crate) fn made_up(conditions: &[(Condition, u32)], tasks: &[u8]) -> RunLog {
 /// One episode. Its outcome follows from a hash of its key; the probability depends on its condition.
 fn episode(key: EpisodeKey, task: u8) -> EpisodeRecord {
     // The same chance for the same case under every condition, so that comparisons are paired.
-    let luck = hash(&key, |key| key.condition.memory = Representation::Working) % 60;
+    let luck = hash(&key, |key| key.condition.memory = Representation::Working.into()) % 60;
     let chance = (luck + hash(&key, |_| {}) % 40) as i64;
     let condition = key.condition;
     let success = chance < likely(&condition) - if task == 9 { 20 } else { 0 };
@@ -71,8 +97,10 @@ fn episode(key: EpisodeKey, task: u8) -> EpisodeRecord {
     record.steps = if success { 20 + chance as u32 } else { 200 };
     (record.reference, record.required) = (18, if task < 3 { 1 } else { 3 });
     record.requests = Some(record.steps);
-    record.images =
-        Some(u64::from(record.steps) * u64::from(condition.memory.images(window, 6, 40)));
+    record.images = Some(
+        u64::from(record.steps)
+            * u64::from(1 + window + settings().memory_images_of(condition.memory)),
+    );
     record.start_pose = Pose::new(8, 0, Heading::N);
     record.sub_goals =
         if success { vec![record.steps; record.required as usize] } else { Vec::new() };
@@ -116,7 +144,10 @@ fn likely(condition: &Condition) -> i64 {
     use Representation::{Episodic, FullContext, Hybrid, Semantic, Summary, Working};
     let original = condition.start == Start::Original;
     let exact = original && condition.demonstrations == Demonstrations::ORIGINAL;
-    let base = match condition.memory {
+    let MemoryKind::BuiltIn(representation) = condition.memory else {
+        return 40 + condition.memory.name().len() as i64 * 3;
+    };
+    let base = match representation {
         Working => 25 + condition.variation.window as i64,
         FullContext if exact => 97,
         FullContext => 60,

@@ -3,6 +3,7 @@
 use super::testing::{made_up, paper_conditions};
 use super::*;
 use crate::conditions::{Condition, PolicyKind};
+use crate::log::EpisodeRecord;
 
 fn published() -> Published {
     Published::load().unwrap()
@@ -89,6 +90,65 @@ fn what_was_not_run_is_left_out_and_named_in_one_line() {
     // Plots show the run's conditions, and call the published points published.
     let figure = document.figures().find(|figure| figure.id == "main-figure").unwrap();
     assert!(figure.svg.contains("published") && !figure.svg.contains("Hybrid"), "{}", figure.svg);
+}
+
+#[test]
+fn external_memories_stand_in_every_table_after_the_built_in_ones() {
+    let conditions = [
+        "working/new/unchanged/none",
+        "working/new/blocked/none",
+        "episodic/original/unchanged/original",
+        "episodic/new/unchanged/4",
+        "episodic/new/blocked/4",
+        "episodic/new/unchanged/irrelevant",
+        "top-3/original/unchanged/original",
+        "top-3/new/unchanged/4",
+        "top-3/new/blocked/4",
+        "top-3/new/unchanged/irrelevant",
+        "bm25/new/unchanged/4",
+        "bm25/new/blocked/4",
+    ]
+    .map(|name| (Condition::logged(name).unwrap(), 2));
+    let mut log = made_up(&conditions, &[1, 9]);
+    for record in log.episodes.iter_mut().filter(|record| record.memory.name() == "top-3") {
+        record.retrieved = Some("o1+n2 -".to_owned());
+    }
+    let document = document(std::slice::from_ref(&log), &published());
+    for id in ["main", "blocked", "mixed", "groups", "cost", "pairs", "conditions", "transfer"] {
+        let table = document.tables().find(|table| table.id == id).unwrap();
+        let labels: Vec<&str> =
+            table.groups.iter().filter_map(|group| group.label.as_deref()).collect();
+        let external: Vec<&str> =
+            labels.iter().copied().filter(|label| ["bm25", "top-3"].contains(label)).collect();
+        let expected: &[&str] = match id {
+            // One of them ran at the original start, and under mixed histories.
+            "transfer" => &["top-3"],
+            _ => &["bm25", "top-3"],
+        };
+        assert_eq!(external, expected, "{id}: {labels:?}");
+        assert!(labels.ends_with(expected), "{id}: {labels:?}");
+        for group in table
+            .groups
+            .iter()
+            .filter(|group| group.label.as_deref().is_some_and(|label| external.contains(&label)))
+        {
+            assert!(group.rows.iter().all(|row| !row.published), "{id}: the paper has none");
+        }
+    }
+    let supplied = document.tables().find(|table| table.id == "supplied").unwrap();
+    let labels: Vec<&str> = supplied.groups[0].rows.iter().map(|row| row.label.as_str()).collect();
+    assert_eq!(labels, ["Working memory", "Episodic", "bm25", "top-3"]);
+    let cells: Vec<String> = supplied.groups[0].rows[3].cells.iter().map(Cell::text).collect();
+    assert_eq!(cells[5..], ["40", "50", "120.6", "n/m"].map(str::to_owned));
+    let pairs = document.tables().find(|table| table.id == "external-pairs").unwrap();
+    let labels: Vec<&str> =
+        pairs.groups.iter().flat_map(|group| &group.rows).map(|row| row.label.as_str()).collect();
+    insta::assert_snapshot!(labels.join("\n"));
+    // What was made up once is read again: names in a log are known.
+    let text = serde_json::to_string(&log.episodes).unwrap();
+    assert_eq!(serde_json::from_str::<Vec<EpisodeRecord>>(&text).unwrap(), log.episodes);
+    let summary = summary(&log);
+    assert!(summary.lines().all(|line| line.chars().count() <= 100), "{summary}");
 }
 
 #[test]

@@ -1,6 +1,8 @@
 //! One run as the tables see it: its scores by condition beside the published ones; and how figures are written.
 
-use domain::Representation;
+use std::collections::BTreeSet;
+
+use domain::{ExternalName, MemoryKind, Representation};
 
 use super::document::{Cell, Column, Group, Missing, Row};
 use super::published::{Published, PublishedCondition, PublishedSpread};
@@ -26,11 +28,30 @@ impl ScoredRun<'_> {
 
     /// The run's scores of the condition called `name`.
     pub(super) fn score(&self, name: &str) -> Option<&ConditionScore> {
-        let condition: Condition = name.parse().ok()?;
+        let condition = Condition::logged(name).ok()?;
         self.scores.of(&condition)
     }
 
-    /// A cell of this run: the `figure` of the condition called `name`, or `not run`.
+    /// The built-in representations, and after them the external memories of the run.
+    pub(super) fn memories(&self) -> Vec<MemoryKind> {
+        let built_in = Representation::ALL.iter().copied().map(MemoryKind::BuiltIn);
+        built_in.chain(self.external_memories().into_iter().map(MemoryKind::External)).collect()
+    }
+
+    /// All memories but working memory.
+    pub(super) fn historical(&self) -> Vec<MemoryKind> {
+        self.memories().into_iter().filter(|memory| memory.uses_demonstrations()).collect()
+    }
+
+    /// The external memories that have a finished episode, by name.
+    pub(super) fn external_memories(&self) -> Vec<ExternalName> {
+        let conditions = self.scores.conditions.iter();
+        let names: BTreeSet<ExternalName> =
+            conditions.filter_map(|score| score.condition.memory.external()).collect();
+        names.into_iter().collect()
+    }
+
+    /// A cell of this run: the `figure` of the condition called `name`, or that it was not run.
     pub(super) fn ours(&self, name: &str, figure: impl Fn(&ConditionScore) -> Cell) -> Cell {
         self.score(name).map_or(Cell::Missing(Missing::NotRun), figure)
     }
@@ -45,21 +66,24 @@ impl ScoredRun<'_> {
         published.map_or_else(|| unpublished(name), Cell::Value)
     }
 
-    /// A row of this run and a published one for each representation.
+    /// A row of this run for each of `memories`, and a published one for each built-in memory.
     pub(super) fn pairs(
         &self,
-        representations: &[Representation],
-        ours: impl Fn(Representation) -> Vec<Cell>,
-        theirs: impl Fn(Representation) -> Vec<Cell>,
+        memories: &[MemoryKind],
+        ours: impl Fn(MemoryKind) -> Vec<Cell>,
+        theirs: impl Fn(MemoryKind) -> Vec<Cell>,
     ) -> Vec<Group> {
-        let group = |&representation: &Representation| Group {
-            label: Some(title(representation).to_owned()),
-            rows: vec![
-                Row { label: OURS.to_owned(), published: false, cells: ours(representation) },
-                Row { label: THEIRS.to_owned(), published: true, cells: theirs(representation) },
-            ],
+        let group = |&memory: &MemoryKind| {
+            let ours = Row { label: OURS.to_owned(), published: false, cells: ours(memory) };
+            let theirs = memory.built_in().map(|_| Row {
+                label: THEIRS.to_owned(),
+                published: true,
+                cells: theirs(memory),
+            });
+            let rows = [ours].into_iter().chain(theirs).collect();
+            Group { label: Some(title(memory)), rows }
         };
-        representations.iter().map(group).collect()
+        memories.iter().map(group).collect()
     }
 }
 
@@ -73,34 +97,37 @@ pub(super) fn pair_stubs() -> Vec<String> {
     vec!["Representation".to_owned(), "Source".to_owned()]
 }
 
-/// The name of a representation in the paper's tables.
-pub(super) const fn title(representation: Representation) -> &'static str {
-    match representation {
+/// The name of a memory in tables: of a representation as in the paper's, of an external memory its own.
+pub(super) fn title(memory: MemoryKind) -> String {
+    let representation = match memory {
+        MemoryKind::External(name) => return name.to_string(),
+        MemoryKind::BuiltIn(representation) => representation,
+    };
+    let title = match representation {
         Representation::Working => "Working memory",
         Representation::FullContext => "Full-context",
         Representation::Summary => "Summary",
         Representation::Semantic => "Semantic",
         Representation::Hybrid => "Hybrid",
         Representation::Episodic => "Episodic",
-    }
-}
-
-/// All representations but working memory.
-pub(super) fn historical() -> Vec<Representation> {
-    let uses = |representation: &Representation| representation.uses_demonstrations();
-    Representation::ALL.iter().copied().filter(uses).collect()
+    };
+    title.to_owned()
 }
 
 /// The condition's name: `rest` is `start/route`, and working memory has no demonstrations.
-pub(super) fn name(representation: Representation, rest: &str, demonstrations: &str) -> String {
-    let demonstrations = if representation.uses_demonstrations() { demonstrations } else { "none" };
-    format!("{}/{rest}/{demonstrations}", representation.name())
+pub(super) fn name(memory: MemoryKind, rest: &str, demonstrations: &str) -> String {
+    let demonstrations = if memory.uses_demonstrations() { demonstrations } else { "none" };
+    format!("{memory}/{rest}/{demonstrations}")
 }
 
 /// Why the paper prints no figure of the condition called `name`.
 fn unpublished(name: &str) -> Cell {
     let has = |part: &str| name.split('/').any(|word| word == part);
-    Cell::Missing(Missing::NotReported(if has("hybrid") && (has("4") || has("blocked")) {
+    let memory = name.split('/').next().and_then(|memory| memory.parse().ok());
+    let is_external = memory.is_some_and(|memory: MemoryKind| memory.external().is_some());
+    Cell::Missing(Missing::NotReported(if is_external {
+        "the paper has no such memory"
+    } else if has("hybrid") && (has("4") || has("blocked")) {
         "Hybrid with four demonstrations was not evaluated (serving constraints, section Limitations)"
     } else if has("irrelevant") || has("confusable") {
         "success under mixed histories is printed as a figure without numbers, and retrieval is reported for \

@@ -221,7 +221,7 @@ pub(super) fn relate(scores: &mut [ConditionScore], trials: &BTreeMap<Condition,
         let blocked = score.condition;
         let unchanged = Condition { route: Route::Unchanged, ..blocked };
         let baseline = [blocked, unchanged].map(|condition| Condition {
-            memory: Representation::Working,
+            memory: Representation::Working.into(),
             demonstrations: Demonstrations::NONE,
             ..condition
         });

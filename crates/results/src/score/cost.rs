@@ -31,9 +31,9 @@ pub(super) fn unread(records: &[&EpisodeRecord]) -> Option<f64> {
 }
 
 /// Percentage of one run's retrievals that came from another task's history (paper, section `sec:rq3`). `None`
-/// where nothing was retrieved; requests without a match are not retrievals.
+/// where nothing was retrieved; requests without a match are not retrievals, and each of several sources is one.
 pub(super) fn from_other_cases(records: &[&EpisodeRecord]) -> Option<f64> {
     let retrieved = records.iter().filter_map(|record| record.retrieved.as_deref());
-    let matches = retrieved.flat_map(str::split_whitespace).filter(|word| *word != "-");
+    let matches = retrieved.flat_map(|words| words.split([' ', '+'])).filter(|word| *word != "-");
     percentage(matches.map(|word| word.contains(':')))
 }

@@ -3,7 +3,7 @@
 
 use std::collections::BTreeMap;
 
-use domain::{Outcome, Representation};
+use domain::{MemoryKind, Outcome};
 use serde::Serialize;
 
 use crate::cost::Amount;
@@ -44,8 +44,8 @@ impl RequestScore {
     }
 
     /// The requests of each memory.
-    pub fn by_memory(log: &RunLog) -> Vec<(Representation, Self)> {
-        let mut by_memory: BTreeMap<Representation, Vec<&RequestRecord>> = BTreeMap::new();
+    pub fn by_memory(log: &RunLog) -> Vec<(MemoryKind, Self)> {
+        let mut by_memory: BTreeMap<MemoryKind, Vec<&RequestRecord>> = BTreeMap::new();
         for request in &log.requests {
             if let Some(key) = EpisodeKey::read(&request.key) {
                 by_memory.entry(key.condition.memory).or_default().push(request);
@@ -153,7 +153,10 @@ mod tests {
         assert_eq!((found.unread.empty, found.unread.total(), found.images_dropped), (1, 1, 2));
         // 10 x (900 x 1 + 3 x 10) millionths.
         assert_eq!(found.cost.unwrap().to_string(), "0.0093");
-        assert_eq!(RequestScore::by_memory(&log), [(Representation::Episodic, found)]);
+        assert_eq!(
+            RequestScore::by_memory(&log),
+            [(domain::Representation::Episodic.into(), found)]
+        );
 
         // A policy that does not count attempts and images.
         let request =

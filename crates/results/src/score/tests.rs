@@ -106,7 +106,7 @@ fn episode(
     tried: Option<bool>,
 ) -> EpisodeRecord {
     let mut record = record(id, success);
-    (record.memory, record.start) = (memory, Start::New);
+    (record.memory, record.start) = (memory.into(), Start::New);
     if memory == Representation::Working {
         record.demonstrations = Demonstrations::NONE;
     }
@@ -197,7 +197,7 @@ fn images_tokens_answers_and_retrievals_per_run() {
         measured("a", 1, 10, 70, 100, 3, "o0 o1 - t03-07:d4"),
         measured("b", 1, 5, 20, 300, 0, "n3"),
         // Run 2: 40 / 5 = 8; 500 * 100 = 50,000; 0 of 5: 0 %; 1 of 2: 50 %.
-        measured("a", 2, 5, 40, 500, 0, "o0 t03-07:o1"),
+        measured("a", 2, 5, 40, 500, 0, "o0+t03-07:o1 -"),
     ];
     let found = only(&log(records.clone()));
     let images = found.images_per_request.unwrap();
@@ -240,7 +240,7 @@ fn an_episode_that_was_given_up_is_not_scored_and_bounds_what_is() {
     // One condition of two runs on two cases: four episodes, one of them given up.
     log.manifest.episodes = 4;
     let group = &mut log.manifest.settings.groups[0];
-    group.memory = vec![Representation::Episodic];
+    group.memory = vec![Representation::Episodic.into()];
     (group.starts, group.runs) = (vec![Start::Original], 2);
     let key = in_run(2, record("b", true)).key;
     log.errors.push(EpisodeError { key, session: 1, error: "overdue".into() });

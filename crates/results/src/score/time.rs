@@ -1,12 +1,11 @@
 //! Time of a step by stage. Not a result: times depend on machine, lanes and chance.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use serde::Serialize;
 
 use crate::log::{EpisodeTimings, RunLog, Stages};
-use domain::Representation;
-use domain::representation::Trajectories;
+use domain::MemoryKind;
 
 /// Mean time of a step by stage, in microseconds.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -37,16 +36,18 @@ impl StageTimes {
     }
 
     /// The means of each memory that was timed, over all its conditions.
-    pub fn by_memory(log: &RunLog) -> Vec<(Representation, Self)> {
+    pub fn by_memory(log: &RunLog) -> Vec<(MemoryKind, Self)> {
         let timings: BTreeMap<&str, &EpisodeTimings> =
             log.timings.iter().map(|timings| (timings.key.as_str(), timings)).collect();
-        let of = |memory: Representation| {
+        let of = |memory: MemoryKind| {
             let records = || log.episodes.iter().filter(move |record| record.memory == memory);
             let timed = records().filter_map(|record| timings.get(record.key.as_str()).copied());
             let asked = records().any(|record| record.requests.is_some());
             Some((memory, Self::of(timed, |stage| exists(stage, memory, asked))?))
         };
-        Representation::ALL.iter().filter_map(|&memory| of(memory)).collect()
+        let memories: BTreeSet<MemoryKind> =
+            log.episodes.iter().map(|record| record.memory).collect();
+        memories.into_iter().filter_map(of).collect()
     }
 
     /// The stage called `name`; `None` when the episodes have no such stage.
@@ -57,10 +58,10 @@ impl StageTimes {
 
 /// Whether a step under `memory` has the stage. Where no policy is `asked` (the expert) there is nothing to
 /// wait for after the view; where no view is looked up, nothing is embedded and searched.
-pub(super) fn exists(stage: &str, memory: Representation, asked: bool) -> bool {
+pub(super) fn exists(stage: &str, memory: MemoryKind, asked: bool) -> bool {
     match stage {
         "command" | "dynamics" | "render" | "publish" => true,
-        "embed" | "search" => asked && memory.describe().trajectories == Trajectories::Segment,
+        "embed" | "search" => asked && memory.retrieves(),
         _ => asked,
     }
 }

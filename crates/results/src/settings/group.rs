@@ -1,6 +1,6 @@
 //! Groups of conditions: each is the product of the lists of one part of a suite.
 
-use domain::Representation;
+use domain::MemoryKind;
 use serde::{Deserialize, Serialize};
 
 use crate::conditions::{Condition, Demonstrations, Hint, Route, SegmentContent, Start, Variation};
@@ -14,7 +14,7 @@ pub struct Group {
     /// Its name in the suite file; `None` for the only group of a suite without named groups.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub name: Option<String>,
-    pub memory: Vec<Representation>,
+    pub memory: Vec<MemoryKind>,
     pub starts: Vec<Start>,
     pub routes: Vec<Route>,
     pub demos: Vec<Demonstrations>,
@@ -73,12 +73,14 @@ pub(super) fn union(groups: &[Group]) -> Vec<(Condition, u32)> {
 
 #[cfg(test)]
 mod tests {
+    use domain::Representation;
+
     use super::*;
 
     fn group() -> Group {
         Group {
             name: None,
-            memory: vec![Representation::Working, Representation::Episodic],
+            memory: vec![Representation::Working.into(), Representation::Episodic.into()],
             starts: Start::ALL.to_vec(),
             routes: Route::ALL.to_vec(),
             demos: vec![Demonstrations::ORIGINAL, Demonstrations::ALL],
@@ -140,14 +142,14 @@ mod tests {
     #[test]
     fn a_condition_of_two_groups_has_the_larger_number_of_runs() {
         let small = Group {
-            memory: vec![Representation::Working],
+            memory: vec![Representation::Working.into()],
             starts: vec![Start::New],
             routes: vec![Route::Unchanged],
             runs: 5,
             ..group()
         };
         let few = Group { runs: 1, ..small.clone() };
-        let fewer = Group { memory: vec![Representation::Summary], ..few.clone() };
+        let fewer = Group { memory: vec![Representation::Summary.into()], ..few.clone() };
         assert_eq!(
             shown(&union(&[few, small, fewer])),
             [

@@ -4,10 +4,13 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use domain::Representation;
 use shm_types::documents::Content;
-use shm_types::message::{NO_ACTION, NO_FRAME, ViewRequestKind};
+use shm_types::message::{
+    ItemKind, NO_ACTION, NO_FRAME, RecalledItem, RecalledSource, SegmentStep, ViewRequestKind,
+};
 use warehouse::{CaseSet, Demonstrations, History, Start};
 
 use super::super::*;
+use crate::external::{ExternalLimits, ExternalMemories};
 use crate::representation::testing::TestDocuments;
 
 /// Stands in for renderer and encoder: every pose has its own content and embedding.
@@ -29,14 +32,14 @@ pub(super) struct Script {
 }
 
 /// An answer, with poses in place of frames and texts in place of documents.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Default)]
 pub(super) struct Answer {
     /// Views and actions.
     pub(super) segment: Vec<(Pose, u8)>,
     /// The distance's bits.
     pub(super) distance: u32,
-    /// Case, demonstration and step of the match.
-    pub(super) source: (u32, u16, u16),
+    /// Case, demonstration and step of the match, if there is one.
+    pub(super) source: Option<(u32, u16, u16)>,
     pub(super) texts: Vec<String>,
     /// Keyframe, action and number of the demonstration.
     pub(super) trajectories: Vec<(Option<Pose>, u8, u8)>,
@@ -69,8 +72,14 @@ pub(super) struct Rig {
 
 impl Rig {
     pub(super) fn new(lanes: u32, room: usize) -> Self {
+        let none = ExternalMemories::new(BTreeMap::new(), ExternalLimits::default());
+        Self::with_externals(lanes, room, none)
+    }
+
+    pub(super) fn with_externals(lanes: u32, room: usize, externals: ExternalMemories) -> Self {
         let (warehouse, cases) = (Warehouse::shipped(), CaseSet::shipped());
-        let engine = Engine::new(warehouse, cases, lanes, room, EmbeddingCache::in_memory());
+        let embeddings = EmbeddingCache::in_memory();
+        let engine = Engine::new(warehouse, cases, lanes, room, embeddings, externals);
         Self {
             engine,
             frames: Vec::new(),
@@ -123,8 +132,11 @@ impl Rig {
                 representation: representation as u8,
                 horizon: 6,
                 keyframes: 40,
-                segment: 0,
-                reserved: [0; 8],
+                image_budget: 40,
+                text_budget: 65536,
+                hits: 1,
+                repeat: 1,
+                ..bytemuck::Zeroable::zeroed()
             },
             observations: (0..=last).map(observation).collect(),
             poses: replay.poses,
@@ -188,42 +200,63 @@ impl Rig {
     pub(super) fn collect(&mut self) -> Vec<u32> {
         let mut lanes = Vec::new();
         for (recall, trace) in self.engine.answers(|| 5, &mut self.documents).unwrap() {
-            let segment = &recall.segment[..recall.segment_len as usize];
-            let pose = |frame: FrameId| self.frames[frame as usize - 1];
-            let held = |frame: FrameId| {
-                assert!(!self.gone.contains(&frame), "frame {frame} is named and not pinned");
-                pose(frame)
-            };
-            let (mut texts, mut trajectories) = (Vec::new(), Vec::new());
-            for &id in &recall.documents[..recall.documents_len as usize] {
-                let (episode, content) = &self.documents.published[id as usize - 1];
-                match content {
-                    Content::Summary(text) | Content::Semantic(text) => {
-                        assert_eq!(*episode, None, "a text is for the whole run");
-                        texts.push(text.clone());
-                    }
-                    Content::Trajectories(steps) => {
-                        assert_eq!(*episode, Some((recall.lane, recall.episode)), "its own");
-                        let shown = |frame| (frame != NO_FRAME).then(|| held(frame));
-                        let steps = steps.iter();
-                        trajectories.extend(
-                            steps.map(|step| (shown(step.frame), step.action, step.trajectory)),
-                        );
-                    }
-                }
-            }
-            let answer = Answer {
-                segment: segment.iter().map(|step| (held(step.frame), step.action)).collect(),
-                distance: recall.distance.to_bits(),
-                source: (trace.case, trace.demonstration, trace.index),
-                texts,
-                trajectories,
-            };
+            let answer = self.answer(&recall, &trace);
             assert_eq!((recall.episode, recall.step), (trace.episode, trace.step));
             assert!(self.answers.insert((recall.episode, recall.step), answer).is_none());
             lanes.push(recall.lane);
         }
         lanes
+    }
+
+    /// An answer in terms of poses and texts.
+    fn answer(&self, recall: &Recall, trace: &RecallTrace) -> Answer {
+        let held = |frame: FrameId| {
+            assert!(!self.gone.contains(&frame), "frame {frame} is named and not pinned");
+            self.frames[frame as usize - 1]
+        };
+        let mut answer = Answer { distance: f32::NAN.to_bits(), ..Answer::default() };
+        for item in &recall.items[..recall.items_len as usize] {
+            let RecalledItem { document, first_step, steps, first_byte, bytes, .. } = *item;
+            let steps = first_step as usize..(first_step + steps) as usize;
+            let published = || &self.documents.published[document as usize - 1];
+            match ItemKind::try_from(item.kind).unwrap() {
+                ItemKind::Text => {
+                    let (episode, Content::Summary(text) | Content::Semantic(text)) = published()
+                    else {
+                        panic!("{:?}", published())
+                    };
+                    assert_eq!(*episode, None, "a text is for the whole run");
+                    assert_eq!((first_byte, bytes as usize), (0, text.len()), "the whole text");
+                    answer.texts.push(text.clone());
+                }
+                ItemKind::Steps => {
+                    let steps = recall.steps[steps].iter();
+                    let shown = |step: &SegmentStep| (held(step.frame), step.action);
+                    answer.segment.extend(steps.map(shown));
+                    answer.distance = item.distance.to_bits();
+                }
+                ItemKind::Trajectory => {
+                    let (episode, Content::Trajectories(all)) = published() else {
+                        panic!("{:?}", published())
+                    };
+                    assert_eq!(*episode, Some((recall.lane, recall.episode)), "its own");
+                    assert!(item.whole == 1 && item.distance.is_nan() && steps == (0..all.len()));
+                    let shown = |frame| (frame != NO_FRAME).then(|| held(frame));
+                    let steps = all.iter();
+                    answer.trajectories.extend(
+                        steps.map(|step| (shown(step.frame), step.action, step.trajectory)),
+                    );
+                }
+                ItemKind::Frame => panic!("no built-in memory supplies captioned frames"),
+            }
+        }
+        let sources = trace.sources[..trace.sources_len as usize].iter();
+        let matched = |source: &&RecalledSource| source.kind == ItemKind::Steps as u8;
+        let source = sources.clone().find(matched);
+        answer.source = source.map(|source| (source.case, source.demonstration, source.first));
+        assert_eq!((trace.images, trace.text), (trace.images_asked, trace.text_asked));
+        assert_eq!(trace.images as usize, answer.images() - 7);
+        answer
     }
 
     /// Runs episodes to their ends: the steps of a lane in order, everything else in the order of `choices`.

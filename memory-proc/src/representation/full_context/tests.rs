@@ -3,9 +3,11 @@
 use domain::Heading;
 use proptest::prelude::*;
 
-use super::super::testing::{TestDocuments, demonstration, spec};
-use super::super::{RecallQuery, StoredView};
+use super::super::testing::{build, demonstration, recall};
 use super::*;
+use crate::bank::{Bank, BankSteps};
+use crate::demonstrations::Demonstration;
+use domain::{Feedback, Pose};
 
 /// A demonstration that takes `actions`, completing a sub-goal at each of `goals`; pose `t` is unlike any other.
 fn acted(actions: &str, goals: &[usize]) -> Demonstration {
@@ -14,10 +16,18 @@ fn acted(actions: &str, goals: &[usize]) -> Demonstration {
     Demonstration {
         case: 0,
         number: 0,
+        instruction: String::new(),
+        feedback: steps.clone().map(|_| Feedback::Moved).collect(),
         poses: steps.clone().map(|t| Pose::new(t as u8, 0, Heading::N)).collect(),
         stages: steps.map(|t| goals.iter().filter(|&&goal| goal <= t).count() as u32).collect(),
         actions,
     }
+}
+
+/// The steps of `share` keyframes.
+fn chosen(demonstration: &Demonstration, share: usize) -> Vec<usize> {
+    let bank = Bank::new(vec![demonstration.clone()]);
+    keyframes(&BankSteps::without_views(&bank).demonstrations()[0], share)
 }
 
 #[test]
@@ -37,10 +47,10 @@ fn a_share_goes_to_start_end_sub_goals_turns_and_then_evenly() {
         (16, (0..16).collect()),
         (40, (0..16).collect()),
     ] {
-        assert_eq!(keyframes(&demonstration, share), expected, "a share of {share}");
+        assert_eq!(chosen(&demonstration, share), expected, "a share of {share}");
     }
     assert_eq!(
-        keyframes(&acted("", &[0]), 40),
+        chosen(&acted("", &[0]), 40),
         [0],
         "a demonstration of one frame consists of its start"
     );
@@ -63,35 +73,26 @@ fn the_budget_is_shared_fairly() {
     }
 }
 
-/// The published steps, and the document they are in.
-fn steps(demonstrations: &[Demonstration], keyframes: usize) -> (Vec<TrajectoryStep>, usize) {
-    let builder = FullContext::new(MemorySpec { keyframes, ..spec(demonstrations.to_vec()) });
-    assert!(builder.poses().is_sorted_by(|a, b| a < b));
-    let mut views = StoredViews::default();
-    for &pose in builder.poses() {
-        let frame = frame(pose);
-        views.insert(pose, StoredView { frame, content: [0; 16], embedding: None });
-    }
-    let mut documents = TestDocuments::default();
-    let memory = builder.build(&views, &mut documents).unwrap();
-    let supply = memory.recall(&RecallQuery { embedding: None, stage: 0, elapsed: 3 });
-    assert_eq!((supply.segment, supply.documents.as_slice()), (None, &[1][..]));
-    assert_eq!(documents.published.len(), 1);
-    let Some((Some((1, 7)), Content::Trajectories(steps))) = documents.published.pop() else {
-        panic!("a document of trajectories for the episode")
-    };
-    (steps, views.len())
-}
-
-fn frame(pose: Pose) -> u64 {
-    1000 * (1 + u64::from(pose.cell.y)) + u64::from(pose.cell.x)
+/// The keyframes of each demonstration.
+fn supplied(demonstrations: &[Demonstration], keyframes: usize) -> Vec<Vec<u32>> {
+    let mut memory = FullContext::new(keyframes);
+    build(&mut memory, demonstrations).unwrap();
+    let items = recall(&mut memory, None, 0, 3).unwrap();
+    let shown = items.into_iter().zip(0..).map(|(item, number)| match item {
+        Item::Steps { source, views: Views::Keyframes(shown), actions: true, distance: None } => {
+            let count = demonstrations[number as usize].poses.len() as u32;
+            assert_eq!(source, Source { demonstration: number, first: 0, count });
+            shown
+        }
+        other => panic!("{other:?}"),
+    });
+    shown.collect()
 }
 
 #[test]
-fn a_view_seen_twice_is_pinned_once_and_may_be_shown_twice() {
-    let (steps, views) = steps(&[demonstration(0, 5, 9), demonstration(3, 7, 4)], 40);
-    assert_eq!((steps.len(), views), (15, 10));
-    assert!(steps.iter().all(|step| step.frame != NO_FRAME));
+fn a_view_seen_twice_may_be_shown_twice() {
+    let shown = supplied(&[demonstration(0, 5, 9), demonstration(3, 7, 4)], 40);
+    assert_eq!(shown, [(0..10).collect::<Vec<_>>(), (0..5).collect()]);
 }
 
 proptest! {
@@ -106,35 +107,23 @@ proptest! {
             .iter()
             .map(|(actions, goals)| acted(actions, &goals.iter().copied().collect::<Vec<_>>()))
             .collect();
-        let (steps, _) = steps(&demonstrations, budget);
+        let shown = supplied(&demonstrations, budget);
         let all: usize = demonstrations.iter().map(|demonstration| demonstration.poses.len()).sum();
-        let shown = steps.iter().filter(|step| step.frame != NO_FRAME).count();
-        prop_assert_eq!(shown, budget.min(all), "the whole budget, and never more");
-        let chosen = steps.chunk_by(|a, b| a.trajectory == b.trajectory).collect::<Vec<_>>();
-        prop_assert_eq!(chosen.len(), demonstrations.len());
-        let shares: Vec<usize> = chosen
-            .iter()
-            .map(|steps| steps.iter().filter(|step| step.frame != NO_FRAME).count())
-            .collect();
-        for (number, (steps, demonstration)) in chosen.iter().zip(&demonstrations).enumerate() {
-            prop_assert_eq!(usize::from(steps[0].trajectory), number);
-            // Every action, in order, and none after the end.
-            let actions: Vec<u8> = demonstration.actions.iter().map(|&action| action as u8).collect();
-            let (last, before) = steps.split_last().unwrap();
-            prop_assert_eq!(before.iter().map(|step| step.action).collect::<Vec<_>>(), actions);
-            prop_assert_eq!(last.action, NO_ACTION);
-            for (step, &pose) in steps.iter().zip(&demonstration.poses) {
-                prop_assert!(step.frame == NO_FRAME || step.frame == frame(pose));
-            }
+        let shares: Vec<usize> = shown.iter().map(Vec::len).collect();
+        prop_assert_eq!(shares.iter().sum::<usize>(), budget.min(all), "the whole budget, and never more");
+        let bank = Bank::new(demonstrations.clone());
+        let steps = BankSteps::without_views(&bank);
+        for (number, demonstration) in steps.demonstrations().iter().enumerate() {
+            let length = demonstration.steps.len();
+            let is_kept = |step: usize| shown[number].contains(&(step as u32));
+            prop_assert!(shown[number].is_sorted_by(|a, b| a < b));
             if budget >= 2 * demonstrations.len() {
-                prop_assert!(steps[0].frame != NO_FRAME && last.frame != NO_FRAME);
+                prop_assert!(is_kept(0) && is_kept(length - 1));
             }
             // A moment is kept only if all more important moments are.
             let moments = |kept: bool| {
-                let these = steps.iter().enumerate();
-                these
-                    .filter(move |(_, step)| (step.frame != NO_FRAME) == kept)
-                    .map(|(at, _)| Moment::of(demonstration, at) as u8)
+                let these = (0..length).filter(move |&step| is_kept(step) == kept);
+                these.map(|step| Moment::of(demonstration, step) as u8)
             };
             if let (Some(least), Some(most)) = (moments(true).max(), moments(false).min()) {
                 prop_assert!(least <= most);

@@ -25,6 +25,8 @@ impl Args for SettingFlags {
                 Arg::new(key.name).long(key.name).help(key.help_text()).help_heading(key.heading);
             command.arg(if key.is_switch() {
                 arg.action(ArgAction::SetTrue)
+            } else if key.is_repeated() {
+                arg.value_name(key.value_name).action(ArgAction::Append)
             } else {
                 arg.value_name(key.value_name).action(ArgAction::Set)
             })
@@ -38,12 +40,16 @@ impl Args for SettingFlags {
 
 impl FromArgMatches for SettingFlags {
     fn from_arg_matches(matches: &ArgMatches) -> Result<Self, Error> {
-        let text = |key: &crate::settings::Key| match key.is_switch() {
-            true => matches.get_flag(key.name).then(|| "true".to_owned()),
-            false => matches.get_one::<String>(key.name).cloned(),
-        };
-        let given = KEYS.iter().filter_map(|key| Some((key.name, text(key)?)));
-        Ok(Self { given: given.collect() })
+        let mut given = Vec::new();
+        for key in KEYS {
+            if key.is_switch() {
+                given.extend(matches.get_flag(key.name).then(|| (key.name, "true".to_owned())));
+            } else {
+                let texts = matches.get_many::<String>(key.name).into_iter().flatten();
+                given.extend(texts.map(|text| (key.name, text.clone())));
+            }
+        }
+        Ok(Self { given })
     }
 
     fn update_from_arg_matches(&mut self, matches: &ArgMatches) -> Result<(), Error> {

@@ -7,7 +7,7 @@ use anyhow::{Context, Result};
 use askama::Template;
 use base64::Engine;
 use base64::prelude::BASE64_STANDARD;
-use domain::prompt_log::{RecordedPart, RecordedView};
+use domain::prompt_log::{RecordedItem, RecordedPart, RecordedView};
 
 use super::text;
 use results::step_view::{RecordedPrompt, StepView};
@@ -20,8 +20,9 @@ struct StepPage<'a> {
     hinted: bool,
     now: ImageFigure,
     window: Vec<ImageFigure>,
-    memory: Vec<ImageRow>,
-    documents: Vec<(String, &'a str)>,
+    memory: Vec<MemoryItem<'a>>,
+    /// Where the items come from, in words.
+    sources: Option<String>,
     messages: Vec<PromptMessage<'a>>,
     reply: Option<&'a str>,
     unread: Option<&'a str>,
@@ -36,9 +37,10 @@ struct ImageFigure {
     lines: Vec<String>,
 }
 
-/// A row of images.
-struct ImageRow {
+/// An item of memory: a text, or a row of images.
+struct MemoryItem<'a> {
     title: String,
+    text: Option<&'a str>,
     images: Vec<ImageFigure>,
 }
 
@@ -73,16 +75,19 @@ pub(super) fn render(shown: &StepView, prompt: &RecordedPrompt) -> Result<String
         let lines = vec![format!("{index}. {action}").trim_end().to_owned()];
         ImageFigure { url: seen.frame.as_ref().and_then(url), lines }
     };
-    let row = |title: String, steps: &[RecordedView]| {
-        let images = steps.iter().enumerate().map(image).collect();
-        ImageRow { title, images }
-    };
-    let retrieved = request.segment.iter().map(|segment| {
-        row(format!("Retrieved, at distance {:.4}", segment.distance), &segment.steps)
+    let row = |steps: &[RecordedView]| steps.iter().enumerate().map(image).collect();
+    let memory = request.items.iter().map(|item| {
+        let (text, images) = match item {
+            RecordedItem::Text { text, .. } => (Some(prompt.text(text)), Vec::new()),
+            RecordedItem::Segment { steps, .. } => (None, row(steps)),
+            RecordedItem::Trajectory(hash) => (None, row(prompt.trajectory(hash))),
+            RecordedItem::Frame { frame, caption } => {
+                let lines = vec![prompt.text(caption).to_owned()];
+                (None, vec![ImageFigure { url: url(frame), lines }])
+            }
+        };
+        MemoryItem { title: text::title(item, prompt), text, images }
     });
-    let whole = (1..).zip(&prompt.demonstrations);
-    let whole = whole.map(|(number, steps)| row(format!("Demonstration {number}"), steps));
-    let text = |hash: &String| prompt.texts.get(hash).map_or("", String::as_str);
     let exchange = prompt.entry.exchange.as_ref();
     let messages =
         exchange.iter().flat_map(|exchange| &exchange.messages).map(|message| PromptMessage {
@@ -92,7 +97,7 @@ pub(super) fn render(shown: &StepView, prompt: &RecordedPrompt) -> Result<String
                 .iter()
                 .filter_map(|part| match part {
                     RecordedPart::Text(text) => Some(MessagePart::Text(text)),
-                    RecordedPart::Stored(hash) => Some(MessagePart::Text(text(hash))),
+                    RecordedPart::Stored(hash) => Some(MessagePart::Text(prompt.text(hash))),
                     RecordedPart::Image(hash) => url(hash).map(MessagePart::Image),
                     // Never in a log: images are stored as files.
                     RecordedPart::Png(_) => None,
@@ -105,12 +110,8 @@ pub(super) fn render(shown: &StepView, prompt: &RecordedPrompt) -> Result<String
         hinted: request.starts_as_demonstrated,
         now: ImageFigure { url: url(&request.frame), lines: Vec::new() },
         window: window.collect(),
-        memory: retrieved.chain(whole).collect(),
-        documents: request
-            .documents
-            .iter()
-            .map(|document| (document.kind.clone(), text(&document.text)))
-            .collect(),
+        memory: memory.collect(),
+        sources: shown.retrieved.as_deref().map(text::in_words),
         messages: messages.collect(),
         reply: exchange.and_then(|exchange| exchange.reply.as_deref()),
         unread: exchange.and_then(|exchange| exchange.unread.as_deref()),

@@ -2,7 +2,7 @@
 
 use std::fmt::Write;
 
-use domain::prompt_log::{RecordedPart, RecordedUsage, RecordedView};
+use domain::prompt_log::{RecordedItem, RecordedPart, RecordedUsage, RecordedView};
 
 use results::step_view::{RecordedPrompt, StepView};
 
@@ -37,8 +37,13 @@ pub(super) fn render(shown: &StepView) -> String {
     text
 }
 
-/// Where a retrieved view comes from.
-fn in_words(retrieved: &str) -> String {
+/// Where what was retrieved comes from.
+pub(super) fn in_words(retrieved: &str) -> String {
+    retrieved.split('+').map(source_in_words).collect::<Vec<_>>().join("; ")
+}
+
+/// One source: `o12`, `t03-07:o12`, or `-` for none.
+fn source_in_words(retrieved: &str) -> String {
     let (case, view) = match retrieved.split_once(':') {
         Some((case, view)) => (format!(" of {case}, another task"), view),
         None => (String::new(), retrieved),
@@ -69,22 +74,23 @@ fn prompt_text(text: &mut String, prompt: &RecordedPrompt) {
         let _ = writeln!(text, "  image {}  {action:<14} {}", short(&past.frame), past.feedback);
     }
     let _ = writeln!(text, "\nMemory");
-    if let Some(segment) = &request.segment {
-        let _ = writeln!(text, "  retrieved, at distance {:.4}", segment.distance);
-        demonstration(text, &segment.steps);
-    }
-    for (number, steps) in (1..).zip(&prompt.demonstrations) {
-        let _ = writeln!(text, "  demonstration {number}");
-        demonstration(text, steps);
-    }
-    for document in &request.documents {
-        let content = prompt.texts.get(&document.text).map_or("", String::as_str);
-        let _ =
-            writeln!(text, "  {} document, {} characters", document.kind, content.chars().count());
-    }
-    if request.segment.is_none() && request.documents.is_empty() && prompt.demonstrations.is_empty()
-    {
+    if request.items.is_empty() {
         let _ = writeln!(text, "  nothing");
+    }
+    for item in &request.items {
+        let _ = writeln!(text, "  {}", title(item, prompt));
+        match item {
+            RecordedItem::Text { kind, text: hash } if kind == "note" => {
+                indented(text, prompt.text(hash));
+            }
+            RecordedItem::Text { .. } => {}
+            RecordedItem::Segment { steps, .. } => demonstration(text, steps),
+            RecordedItem::Trajectory(hash) => demonstration(text, prompt.trajectory(hash)),
+            RecordedItem::Frame { frame, caption } => {
+                let _ = writeln!(text, "    image {}", short(frame));
+                indented(text, prompt.text(caption));
+            }
+        }
     }
     if let Some(exchange) = &prompt.entry.exchange {
         for message in &exchange.messages {
@@ -92,10 +98,8 @@ fn prompt_text(text: &mut String, prompt: &RecordedPrompt) {
             for part in &message.parts {
                 match part {
                     RecordedPart::Text(content) => indented(text, content),
-                    RecordedPart::Stored(hash) => {
-                        indented(text, prompt.texts.get(hash).map_or("", String::as_str));
-                    }
-                    // Never in a log: images are stored as files.
+                    RecordedPart::Stored(hash) => indented(text, prompt.text(hash)),
+                    // Never in a log.
                     RecordedPart::Png(_) => {}
                     RecordedPart::Image(hash) => {
                         let _ = writeln!(text, "  [image {}]", short(hash));
@@ -115,7 +119,22 @@ fn prompt_text(text: &mut String, prompt: &RecordedPrompt) {
     }
 }
 
-/// Outcome, attempts, times and tokens of a request.
+/// What an item of memory is.
+pub(super) fn title(item: &RecordedItem, prompt: &RecordedPrompt) -> String {
+    match item {
+        RecordedItem::Text { kind, text } => {
+            format!("Text ({kind}), {} characters", prompt.text(text).chars().count())
+        }
+        RecordedItem::Segment { distance: Some(distance), .. } => {
+            format!("Retrieved, at distance {distance:.4}")
+        }
+        RecordedItem::Segment { distance: None, .. } => "Part of a demonstration".to_owned(),
+        RecordedItem::Trajectory(_) => "Demonstration".to_owned(),
+        RecordedItem::Frame { .. } => "Remembered view".to_owned(),
+    }
+}
+
+/// What came of the request and what it took.
 pub(super) fn facts(prompt: &RecordedPrompt) -> Vec<(&'static str, String)> {
     let entry = &prompt.entry;
     let mut facts = Vec::new();
@@ -193,5 +212,16 @@ fn indented(text: &mut String, content: &str) {
     let rest = content.chars().count().saturating_sub(MOST);
     if rest > 0 {
         let _ = writeln!(text, "  ... {rest} more characters (--html or --json have them)");
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_source_is_named() {
+        insta::assert_snapshot!(in_words("o12+t03-07:n3"), @"view 12 of the demonstration `original`; view 3 of the demonstration `nearby` of t03-07, another task");
+        assert_eq!(in_words("-"), "nothing");
     }
 }

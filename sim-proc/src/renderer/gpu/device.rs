@@ -4,9 +4,10 @@
 //! does not expose.
 #![expect(unsafe_code, reason = "opening a device with an extra extension goes through raw Vulkan")]
 
-use wgpu::hal::vulkan;
+use std::fmt::Display;
 
-use crate::renderer::error::RenderError;
+use anyhow::{Context, Error, Result, anyhow, ensure};
+use wgpu::hal::vulkan;
 
 /// An open device with its queue.
 pub(in crate::renderer) struct Gpu {
@@ -19,32 +20,38 @@ pub(in crate::renderer) struct Gpu {
 
 impl Gpu {
     /// Waits until the device has completed everything submitted so far.
-    pub(super) fn wait(&self) -> Result<(), RenderError> {
+    pub(super) fn wait(&self) -> Result<()> {
         let waited = self.device.poll(wgpu::PollType::wait_indefinitely());
-        waited.map(|_| ()).map_err(|error| RenderError::Device(error.to_string()))
+        waited.map(drop).map_err(device_failed)
     }
 }
 
+pub(super) fn device_failed(error: impl Display) -> Error {
+    anyhow!(
+        "the render device failed: {error}; start again, and if that fails too, update the driver"
+    )
+}
+
 /// Opens the best graphics card, if there is one.
-pub(in crate::renderer) fn open_graphics_card() -> Result<Option<Gpu>, RenderError> {
+pub(in crate::renderer) fn open_graphics_card() -> Result<Option<Gpu>> {
     let best = adapters().into_iter().next();
     let card = best.filter(|adapter| is_graphics_card(adapter.get_info().device_type));
     card.map(|adapter| open_adapter(&adapter)).transpose()
 }
 
 /// Opens the best of the adapters whose name contains `wanted` (case-insensitive).
-pub(in crate::renderer) fn open(wanted: &str) -> Result<Gpu, RenderError> {
+pub(in crate::renderer) fn open(wanted: &str) -> Result<Gpu> {
     let adapters = adapters();
-    if adapters.is_empty() {
-        return Err(RenderError::NoVulkan);
-    }
+    ensure!(!adapters.is_empty(), "no Vulkan driver found; --backend cpu renders without one");
     let names: Vec<String> = adapters.iter().map(|a| a.get_info().name).collect();
     let chosen = names
         .iter()
         .position(|name| name.to_lowercase().contains(&wanted.to_lowercase()))
-        .ok_or_else(|| RenderError::NoSuchAdapter {
-            wanted: wanted.to_owned(),
-            found: names.join(", "),
+        .with_context(|| {
+            format!(
+                "no Vulkan adapter's name contains {wanted:?}; there are: {}; --backend cpu renders without one",
+                names.join(", ")
+            )
         })?;
     open_adapter(&adapters[chosen])
 }
@@ -74,9 +81,10 @@ fn preference(kind: wgpu::DeviceType) -> u8 {
     }
 }
 
-fn open_adapter(adapter: &wgpu::Adapter) -> Result<Gpu, RenderError> {
+fn open_adapter(adapter: &wgpu::Adapter) -> Result<Gpu> {
     let info = adapter.get_info();
-    let no_device = |reason: String| RenderError::NoDevice { adapter: info.name.clone(), reason };
+    let no_device =
+        |reason: &dyn Display| anyhow!("cannot open the Vulkan adapter {:?}: {reason}", info.name);
     let features = wgpu::Features::empty();
     let limits = wgpu::Limits::defaults();
     let descriptor = wgpu::DeviceDescriptor {
@@ -87,7 +95,7 @@ fn open_adapter(adapter: &wgpu::Adapter) -> Result<Gpu, RenderError> {
     };
     // SAFETY: the hardware-layer adapter is only borrowed while it opens a device.
     let hal = unsafe { adapter.as_hal::<vulkan::Api>() }
-        .ok_or_else(|| no_device("it is not a Vulkan adapter".to_owned()))?;
+        .ok_or_else(|| no_device(&"it is not a Vulkan adapter"))?;
     let host_import_alignment = host_import_alignment(&hal);
     let extension = host_import_alignment.is_some().then_some(ash::ext::external_memory_host::NAME);
     // SAFETY: the callback only adds an extension that this adapter lists as supported.
@@ -99,10 +107,10 @@ fn open_adapter(adapter: &wgpu::Adapter) -> Result<Gpu, RenderError> {
             Some(Box::new(move |args| args.extensions.extend(extension))),
         )
     };
-    let open = open.map_err(|error| no_device(error.to_string()))?;
+    let open = open.map_err(|error| no_device(&error))?;
     // SAFETY: the device was opened from this adapter with the declared features.
     let (device, queue) = unsafe { adapter.create_device_from_hal(open, &descriptor) }
-        .map_err(|error| no_device(error.to_string()))?;
+        .map_err(|error| no_device(&error))?;
     drop(hal);
     Ok(Gpu { device, queue, adapter: info, host_import_alignment })
 }

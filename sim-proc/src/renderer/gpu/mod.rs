@@ -11,9 +11,9 @@ mod shader_tests;
 mod target;
 mod vertex;
 
+use anyhow::Result;
 use raster::{FOG_PER_M, FOG_RGB, Geometry, PreparedView};
 
-use super::error::RenderError;
 use super::job::Destination;
 use super::settings::{Backend, RenderReport, RenderSettings};
 use device::Gpu;
@@ -69,7 +69,7 @@ impl GpuBackend {
         views: &[PreparedView],
         background: [f32; 3],
         destinations: &mut [&mut Destination<'_>],
-    ) -> Result<(), RenderError> {
+    ) -> Result<()> {
         let batches = destinations.chunks_mut(BATCH_VIEWS);
         for (views, destinations) in views.chunks(BATCH_VIEWS).zip(batches) {
             self.submit(geometry, views, background, destinations)?;
@@ -83,7 +83,7 @@ impl GpuBackend {
         views: &[PreparedView],
         background: [f32; 3],
         destinations: &mut [&mut Destination<'_>],
-    ) -> Result<(), RenderError> {
+    ) -> Result<()> {
         self.batch.clear();
         for view in views {
             let uniform = ViewUniform {

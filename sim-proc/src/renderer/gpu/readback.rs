@@ -14,12 +14,12 @@
 
 use std::collections::HashMap;
 
+use anyhow::Result;
 use ash::vk;
 use wgpu::hal::vulkan;
 
-use super::device::Gpu;
+use super::device::{Gpu, device_failed};
 use super::target::RenderTarget;
-use crate::renderer::error::RenderError;
 use crate::renderer::job::Destination;
 use crate::renderer::settings::FramePath;
 
@@ -114,7 +114,7 @@ impl Readback {
         &mut self,
         gpu: &Gpu,
         frames: Vec<(Sink, &mut Destination<'_>)>,
-    ) -> Result<(), RenderError> {
+    ) -> Result<()> {
         let staged: Vec<(&wgpu::Buffer, &mut [u8])> = frames
             .into_iter()
             .filter_map(|(sink, destination)| match sink {
@@ -133,7 +133,7 @@ impl Readback {
         let frame_bytes = self.frame_bytes;
         for (buffer, pixels) in staged {
             let mapped = buffer.get_mapped_range(..).map_err(|error| {
-                RenderError::Device(format!("a frame could not be read back: {error}"))
+                device_failed(format_args!("a frame could not be read back: {error}"))
             })?;
             pixels[..frame_bytes as usize].copy_from_slice(&mapped);
             drop(mapped);

@@ -216,3 +216,54 @@ fn processes_that_changed_are_named() {
         ["sim: adapter was llvmpipe when the run began, now other"]
     );
 }
+
+#[test]
+fn an_external_memory_is_the_same_when_a_run_goes_on() {
+    use domain::MemoryKind;
+
+    use crate::log::ExternalMemoryFacts;
+
+    let dir = tempfile::tempdir().unwrap();
+    let facts = |version: &str| ExternalMemoryFacts {
+        index: 0,
+        version: version.to_owned(),
+        command: Some("python top_3.py".to_owned()),
+        scope: "case".to_owned(),
+        embeddings: true,
+        frames: false,
+        deterministic: true,
+        sdk: "memtransfer 1".to_owned(),
+    };
+    let with = |name: &str, facts: ExternalMemoryFacts| {
+        let memories = BTreeMap::from([(name.parse().unwrap(), facts)]);
+        RunFolder::open(dir.path(), Manifest { memories, ..manifest() }, false)
+    };
+    // Its log is older than the folder.
+    fs::create_dir(dir.path().join(LOGS_FOLDER)).unwrap();
+    fs::write(dir.path().join(LOGS_FOLDER).join("external-memory-0.log"), "x").unwrap();
+    let mut folder = with("top-3", facts("1")).unwrap().folder;
+    let mut episode = record("t01-01", true);
+    episode.memory = MemoryKind::External("top-3".parse().unwrap());
+    let condition = episode.condition();
+    episode.key = crate::key::EpisodeKey { condition, run: 1, case: "t01-01".into() }.to_string();
+    folder.finish(&[(episode.clone(), timings(&episode))]).unwrap();
+    drop(folder);
+    let changed = with("top-3", facts("2")).unwrap_err().to_string();
+    let lines: Vec<&str> = changed.lines().filter(|line| line.starts_with("  ")).collect();
+    assert_eq!(lines, [r#"  version of memory top-3: "1" there, "2" now"#]);
+    // Another command, another index: the same memory. A second one may join.
+    let moved = ExternalMemoryFacts { index: 3, command: None, ..facts("1") };
+    assert_eq!(with("top-3", moved).unwrap().finished, [episode.clone()]);
+    let opened = with("bm25", facts("1")).unwrap();
+    assert_eq!(opened.folder.manifest().memories.len(), 2);
+    drop(opened);
+    // A record of a memory that the run never had is damaged.
+    fs::remove_file(dir.path().join(MANIFEST_FILE)).unwrap();
+    manifest().write(dir.path()).unwrap();
+    let log = RunLog::read(dir.path()).unwrap();
+    assert!(log.episodes.is_empty());
+    assert!(log.damaged[0].to_string().ends_with("the run has no memory called top-3"));
+    let opened = RunFolder::open(dir.path(), manifest(), true).unwrap();
+    assert!(opened.finished.is_empty());
+    assert!(dir.path().join(LOGS_FOLDER).join("external-memory-0.log").exists());
+}

@@ -1,7 +1,5 @@
 //! Table `tab:rq2`: what a blocked route does to each representation.
 
-use domain::Representation;
-
 use crate::report::document::{Block, Cell, Column, Missing, Table};
 use crate::report::view::{
     ScoredRun, interval_text, name, pair_stubs, published_text, signed, sure_or,
@@ -62,7 +60,7 @@ pub(in crate::report) fn blocked_table(view: &ScoredRun<'_>) -> Option<Table> {
             .to_owned(),
         stubs: pair_stubs(),
         columns: ["Δ", "Retention", "Follow %", "Recovery %"].map(Column::new).to_vec(),
-        groups: view.pairs(Representation::ALL, ours, theirs),
+        groups: view.pairs(&view.memories(), ours, theirs),
     };
     table.pruned()
 }

@@ -33,7 +33,7 @@ pub(in crate::report) fn conditions_table(view: &ScoredRun<'_>) -> Table {
     let scores = &view.scores.conditions;
     let groups = scores.chunk_by(|a, b| a.condition.memory == b.condition.memory);
     let group = |scores: &[ConditionScore]| Group {
-        label: scores.first().map(|score| title(score.condition.memory).to_owned()),
+        label: scores.first().map(|score| title(score.condition.memory)),
         rows: scores.iter().map(row).collect(),
     };
     Table {

@@ -1,6 +1,6 @@
 //! Images, tokens and answers, for each representation.
 
-use domain::Representation;
+use domain::MemoryKind;
 
 use super::main_table::{NO_REQUESTS, mega};
 use crate::conditions::Variation;
@@ -23,9 +23,8 @@ pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<Block> {
     let names = |representation| {
         SETTINGS.map(|(_, rest, demonstrations)| name(representation, rest, demonstrations))
     };
-    let ours = |representation: Representation| {
-        let window = Variation::STANDARD.window;
-        let most = representation.images(window, settings.horizon, settings.keyframes);
+    let ours = |representation: MemoryKind| {
+        let most = 1 + Variation::STANDARD.window + settings.memory_images_of(representation);
         let was_run = names(representation).iter().any(|name| view.score(name).is_some());
         let full =
             if was_run { Cell::Value(most.to_string()) } else { Cell::Missing(Missing::NotRun) };
@@ -60,7 +59,7 @@ pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<Block> {
             .to_owned(),
         stubs: pair_stubs(),
         columns,
-        groups: view.pairs(Representation::ALL, ours, theirs),
+        groups: view.pairs(&view.memories(), ours, theirs),
     };
     let tables = [table.pruned(), requests_table(view)];
     tables.into_iter().flatten().map(Block::Table).collect()
@@ -103,7 +102,7 @@ pub(in crate::report) fn requests_table(view: &ScoredRun<'_>) -> Option<Table> {
         published: false,
         cells: scores.iter().map(|score| figure(score)).collect(),
     };
-    let columns = by_memory.iter().map(|(memory, _)| title(*memory)).chain(["All"]);
+    let columns = by_memory.iter().map(|(memory, _)| title(*memory)).chain(["All".to_owned()]);
     Some(Table {
         id: view.id("requests"),
         caption: "Requests to the model over all conditions of a memory, including those of episodes that were \

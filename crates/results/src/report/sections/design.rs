@@ -1,6 +1,6 @@
 //! Section Design Choices: the window, segments of images alone, the original-start hint.
 
-use domain::Representation;
+use domain::{MemoryKind, Representation};
 
 use crate::report::document::{Block, Group, Row, Table};
 use crate::report::plot::Dots;
@@ -12,7 +12,7 @@ use crate::report::view::{
 const ORIGINAL: &str = "original/unchanged";
 
 pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<Block> {
-    let choices = choices();
+    let choices = choices(view);
     let row = |(choice, name): &(String, String)| Row {
         label: choice.clone(),
         published: false,
@@ -46,27 +46,30 @@ pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<Block> {
 }
 
 /// The conditions by heading, each with what is varied and its name.
-fn choices() -> Vec<(String, Vec<(String, String)>)> {
-    let of = |representation: Representation, choices: &[(&str, &str)]| {
-        let standard = name(representation, ORIGINAL, "original");
+fn choices(view: &ScoredRun<'_>) -> Vec<(String, Vec<(String, String)>)> {
+    let of = |memory: MemoryKind, choices: &[(&str, &str)]| {
+        let standard = name(memory, ORIGINAL, "original");
         let named =
             |(choice, part): &(&str, &str)| ((*choice).to_owned(), format!("{standard}{part}"));
-        (title(representation).to_owned(), choices.iter().map(named).collect())
+        (title(memory), choices.iter().map(named).collect())
     };
     let hint = [("hint on (standard)", ""), ("hint off", "/no-hint")];
-    vec![
+    let mut choices = vec![
         of(
-            Representation::Working,
+            Representation::Working.into(),
             &[("window h = 0", "/h0"), ("window h = 6 (standard)", ""), ("window h = 20", "/h20")],
         ),
-        of(Representation::FullContext, &hint),
+        of(Representation::FullContext.into(), &hint),
         of(
-            Representation::Episodic,
+            Representation::Episodic.into(),
             &[
                 ("actions and images, hint on (standard)", ""),
                 ("images alone", "/images"),
                 ("hint off", "/no-hint"),
             ],
         ),
-    ]
+    ];
+    let external = view.external_memories().into_iter();
+    choices.extend(external.map(|memory| of(memory.into(), &hint)));
+    choices
 }

@@ -1,8 +1,10 @@
 //! Failures by kind, and the cases that fail most.
 
-use domain::Representation;
+use std::collections::BTreeSet;
 
-use crate::report::document::{Block, Column, Table};
+use domain::MemoryKind;
+
+use crate::report::document::{Block, Table};
 use crate::report::plot::{Stack, StackRow, stack};
 use crate::report::sections::conditions::setting;
 use crate::report::view::{ScoredRun, title};
@@ -47,12 +49,9 @@ fn shares(score: &ConditionScore) -> Vec<f64> {
 /// Counts of each kind that occurs, by memory; `None` when nothing failed.
 pub(in crate::report) fn failures_table(view: &ScoredRun<'_>) -> Option<Table> {
     let scores = &view.scores.conditions;
-    let memories: Vec<Representation> = Representation::ALL
-        .iter()
-        .copied()
-        .filter(|memory| scores.iter().any(|score| score.condition.memory == *memory))
-        .collect();
-    let count = |kind: Option<Failure>, memory: Option<Representation>| -> usize {
+    let memories: BTreeSet<MemoryKind> =
+        scores.iter().map(|score| score.condition.memory).collect();
+    let count = |kind: Option<Failure>, memory: Option<MemoryKind>| -> usize {
         let of_memory =
             scores.iter().filter(|score| memory.is_none_or(|m| score.condition.memory == m));
         let counts = of_memory.flat_map(|score| score.failures.iter());
@@ -69,16 +68,14 @@ pub(in crate::report) fn failures_table(view: &ScoredRun<'_>) -> Option<Table> {
         return None;
     }
     rows.push(row("all", None));
-    let mut columns: Vec<&str> = memories.iter().map(|memory| title(*memory)).collect();
-    columns.push("All");
-    let mut table = Table::of_text(
+    let titles: Vec<String> = memories.iter().map(|memory| title(*memory)).collect();
+    let columns: Vec<&str> = titles.iter().map(String::as_str).chain(["All"]).collect();
+    Some(Table::of_text(
         view.id("failures"),
         "Failed episodes by kind and memory, counts over all conditions and runs.",
         (&["Kind"], &columns),
         rows,
-    );
-    table.columns = columns.into_iter().map(Column::new).collect();
-    Some(table)
+    ))
 }
 
 /// The cases that fail most; `None` when nothing failed.

@@ -1,6 +1,5 @@
 //! Table `tab:tasks`: success rate by task group, unchanged and blocked.
 
-use domain::Representation;
 use warehouse::TaskGroup;
 
 use crate::report::document::{Block, Cell, Column, Missing, Table};
@@ -51,7 +50,7 @@ pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<Block> {
             .to_owned(),
         stubs: pair_stubs(),
         columns: columns.collect(),
-        groups: view.pairs(Representation::ALL, ours, theirs),
+        groups: view.pairs(&view.memories(), ours, theirs),
     };
     table.pruned().map(Block::Table).into_iter().collect()
 }

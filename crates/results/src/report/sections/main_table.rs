@@ -1,7 +1,5 @@
 //! Table `tab:main`: six representations in the four settings of the three questions, with what they cost.
 
-use domain::Representation;
-
 use crate::report::document::{Block, Cell, Column, Missing, Table};
 use crate::report::plot::{Dot, DotRow, Dots, dots};
 use crate::report::view::{
@@ -56,14 +54,14 @@ pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<Block> {
             .to_owned(),
         stubs: pair_stubs(),
         columns,
-        groups: view.pairs(Representation::ALL, ours, theirs),
+        groups: view.pairs(&view.memories(), ours, theirs),
     };
     let settings = |representation| {
         SETTINGS.map(|setting| (setting.0.to_owned(), of(representation, setting)))
     };
-    let rows = Representation::ALL.iter().flat_map(|&representation| {
-        rate_rows(view, title(representation), &settings(representation))
-    });
+    let memories = view.memories();
+    let rows =
+        memories.iter().flat_map(|&memory| rate_rows(view, &title(memory), &settings(memory)));
     let figure = dots_if_any(Dots {
         id: view.id("main-figure"),
         caption: "Success rate in the four settings. Filled: this run with its 95 % interval. Open: published, \

@@ -4,25 +4,25 @@ use crate::report::document::{Block, Cell, Column, Missing, Table};
 use crate::report::plot::Dots;
 use crate::report::sections::main_table::{dots_if_any, rate_rows};
 use crate::report::view::{
-    OURS, ScoredRun, THEIRS, historical, name, pair_stubs, published_text, sure, sure_or, title,
+    OURS, ScoredRun, THEIRS, name, pair_stubs, published_text, sure, sure_or, title,
 };
 
 const SETS: [(&str, &str); 3] =
     [("4 relevant", "4"), ("2 of 4 irrelevant", "irrelevant"), ("2 of 4 confusable", "confusable")];
 
 const NO_RETRIEVAL: Missing = Missing::NotApplicable(
-    "only Episodic retrieves; the other representations supply the same at each step",
+    "of the built-in memories only Episodic retrieves; the others supply the same at each step",
 );
 
 pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<Block> {
     let names = |representation| SETS.map(|(_, set)| name(representation, "new/unchanged", set));
-    let rows = historical().into_iter().flat_map(|representation| {
+    let rows = view.historical().into_iter().flat_map(|representation| {
         let labelled: Vec<_> = SETS
             .iter()
             .zip(names(representation))
             .map(|((label, _), name)| ((*label).to_owned(), name))
             .collect();
-        rate_rows(view, title(representation), &labelled)
+        rate_rows(view, &title(representation), &labelled)
     });
     let figure = dots_if_any(Dots {
         id: view.id("mixed-figure"),
@@ -35,9 +35,6 @@ pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<Block> {
         series: vec![OURS.to_owned(), THEIRS.to_owned()],
         rows: rows.collect(),
     });
-    let retrieves = |representation: domain::Representation| {
-        representation.describe().trajectories == domain::representation::Trajectories::Segment
-    };
     let mut columns = SETS.map(|(heading, _)| Column::under("SR %", heading)).to_vec();
     columns.extend(
         SETS[1..].iter().map(|(heading, _)| Column::under("From other tasks, %", *heading)),
@@ -46,7 +43,7 @@ pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<Block> {
         let names = names(representation);
         let mut cells: Vec<Cell> =
             names.iter().map(|name| view.ours(name, |score| sure(score.sr, 1))).collect();
-        cells.extend(names[1..].iter().map(|name| match retrieves(representation) {
+        cells.extend(names[1..].iter().map(|name| match representation.retrieves() {
             false => Cell::Missing(NO_RETRIEVAL),
             true => view.ours(name, |score| {
                 let missing = Missing::NotMeasured("nothing was retrieved");
@@ -59,7 +56,7 @@ pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<Block> {
         let names = names(representation);
         let mut cells: Vec<Cell> =
             names.iter().map(|name| view.theirs(name, |p| p.sr.map(published_text))).collect();
-        cells.extend(names[1..].iter().map(|name| match retrieves(representation) {
+        cells.extend(names[1..].iter().map(|name| match representation.retrieves() {
             false => Cell::Missing(NO_RETRIEVAL),
             true => view.theirs(name, |p| p.from_others.map(published_text)),
         }));
@@ -73,7 +70,7 @@ pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<Block> {
             .to_owned(),
         stubs: pair_stubs(),
         columns,
-        groups: view.pairs(&historical(), ours, theirs),
+        groups: view.pairs(&view.historical(), ours, theirs),
     };
     figure.into_iter().chain(table.pruned().map(Block::Table)).collect()
 }

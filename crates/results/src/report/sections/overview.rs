@@ -4,7 +4,7 @@ use domain::Representation;
 use domain::representation::RepresentationInfo;
 
 use crate::conditions::{Frames, PolicyKind};
-use crate::log::Manifest;
+use crate::log::{ExternalMemoryFacts, Manifest};
 use crate::report::document::{Block, Cell, Column, Group, Missing, Row, Table};
 use crate::report::view::{ScoredRun, title};
 
@@ -108,9 +108,22 @@ pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<Block> {
     let memory = |representation: &Representation| {
         let RepresentationInfo { stores, supplies, .. } = representation.describe();
         let meaning = format!("stores {stores}; supplies {supplies}");
-        (title(*representation).to_owned(), meaning)
+        (title((*representation).into()), meaning)
     };
-    blocks.push(Block::Terms(Representation::ALL.iter().map(memory).collect()));
+    let external = view.log.manifest.memories.iter().map(|(name, facts)| {
+        let ExternalMemoryFacts { version, command, scope, .. } = facts;
+        let started = match command {
+            Some(command) => format!("started with `{command}`"),
+            None => "started by the user".to_owned(),
+        };
+        let scope = match scope.as_str() {
+            "all" => "remembers the demonstrations of all cases",
+            _ => "remembers the demonstrations of the episode's case",
+        };
+        (name.to_string(), format!("external memory, version {version}, {started}; {scope}"))
+    });
+    let terms = Representation::ALL.iter().map(memory).chain(external);
+    blocks.push(Block::Terms(terms.collect()));
     blocks
 }
 

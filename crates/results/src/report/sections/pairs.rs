@@ -1,9 +1,11 @@
 //! The comparisons that the paper's questions ask for, paired by case.
 
-use domain::Representation;
+use domain::{ExternalName, MemoryKind, Representation};
 
 use crate::compare::compare_conditions;
+use crate::conditions::Condition;
 use crate::report::document::{Block, Cell, Column, Group, Missing, Row, Table};
+use crate::report::sections::conditions::setting;
 use crate::report::view::{ScoredRun, interval_text, name, p_value, signed, title};
 use crate::score::{Comparison, FigureDifference};
 
@@ -24,7 +26,7 @@ const COMPARED: [(&str, Setting, Setting); 5] = [
 ];
 
 pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<Block> {
-    let group = |&representation: &Representation| {
+    let group = |&representation: &MemoryKind| {
         let of = |(rest, demonstrations): (&str, &str)| name(representation, rest, demonstrations);
         let mut rows: Vec<Row> = COMPARED
             .iter()
@@ -34,11 +36,11 @@ pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<Block> {
             .map(|(label, a, b)| row(view, label, &a, &b))
             .collect();
         if representation.uses_demonstrations() {
-            let baseline = name(Representation::Working, "new/unchanged", "none");
+            let baseline = name(Representation::Working.into(), "new/unchanged", "none");
             let label = "memory − working memory (new start, 4 demos)";
             rows.push(row(view, label, &of(("new/unchanged", "4")), &baseline));
         }
-        Group { label: Some(title(representation).to_owned()), rows }
+        Group { label: Some(title(representation)), rows }
     };
     let table = Table {
         id: view.id("pairs"),
@@ -49,9 +51,43 @@ pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<Block> {
             .to_owned(),
         stubs: vec!["Representation".to_owned(), "Comparison".to_owned()],
         columns: columns(),
-        groups: Representation::ALL.iter().map(group).collect(),
+        groups: view.memories().iter().map(group).collect(),
     };
-    table.pruned().map(Block::Table).into_iter().collect()
+    [table.pruned(), against_others(view)].into_iter().flatten().map(Block::Table).collect()
+}
+
+/// Each external memory against every other memory of the run, in each setting that both have; `None` without external
+/// memories.
+fn against_others(view: &ScoredRun<'_>) -> Option<Table> {
+    let memories = view.memories();
+    let group = |name: ExternalName| {
+        let memory = MemoryKind::External(name);
+        let own = view.scores.conditions.iter().map(|score| score.condition);
+        let own = own.filter(|condition| condition.memory == memory);
+        // Two external memories are compared once.
+        let others = memories.iter().filter(|other| **other < memory);
+        let rows = own.flat_map(|condition| {
+            others.clone().filter_map(move |&other| {
+                let Condition { start, route, demonstrations, variation, .. } = condition;
+                let other = Condition::new(other, start, route, demonstrations, variation)?;
+                view.scores.of(&other)?;
+                let label = format!("{name} − {} ({})", other.memory, setting(&condition));
+                Some(row(view, &label, &condition.to_string(), &other.to_string()))
+            })
+        });
+        Group { label: Some(name.to_string()), rows: rows.collect() }
+    };
+    let groups = view.external_memories().into_iter().map(group);
+    let table = Table {
+        id: view.id("external-pairs"),
+        caption: "Each external memory against the other memories of the run, in the same setting and on the same cases: \
+                  first minus second, as above."
+            .to_owned(),
+        stubs: vec!["Memory".to_owned(), "Comparison".to_owned()],
+        columns: columns(),
+        groups: groups.filter(|group| !group.rows.is_empty()).collect(),
+    };
+    table.pruned()
 }
 
 pub(super) fn columns() -> Vec<Column> {

@@ -51,6 +51,14 @@ pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<Block> {
     let hash =
         |(name, hash): (&String, &String)| (format!("BLAKE3 of {name}"), Cell::Value(hash.clone()));
     facts.extend(manifest.hashes.iter().map(hash));
+    for (name, memory) in &manifest.memories {
+        if let Ok(Value::Object(said)) = serde_json::to_value(memory) {
+            let fact = |(fact, value): (&String, &Value)| {
+                (format!("memory {name} {fact}"), Cell::Value(words(value)))
+            };
+            facts.extend(said.iter().map(fact));
+        }
+    }
     for (role, said) in &manifest.processes {
         let fact = |(fact, value): (&String, &String)| {
             let value = if value.is_empty() { "nothing" } else { value };

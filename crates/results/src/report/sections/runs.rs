@@ -62,7 +62,7 @@ fn side_by_side(views: &[ScoredRun<'_>]) -> Table {
         Row { label: setting(condition), published: false, cells: cells.collect() }
     };
     let group = |conditions: &[Condition]| Group {
-        label: conditions.first().map(|condition| title(condition.memory).to_owned()),
+        label: conditions.first().map(|condition| title(condition.memory)),
         rows: conditions.iter().map(row).collect(),
     };
     let columns = views.iter().flat_map(|view| {

@@ -1,6 +1,6 @@
 //! The time of a step by stage.
 
-use domain::Representation;
+use domain::MemoryKind;
 
 use crate::log::Stages;
 use crate::report::document::{Block, Cell, Column, Group, Missing, Row, Table};
@@ -15,11 +15,11 @@ const NO_STAGE: Missing = Missing::NotApplicable("this memory or policy has no s
 
 pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<Block> {
     let Some(table) = time_table(view) else { return Vec::new() };
-    let bar = |(memory, times): (Representation, StageTimes)| {
+    let bar = |(memory, times): (MemoryKind, StageTimes)| {
         let work = WORK.map(|stage| times.stage(stage).unwrap_or(0.0) / 1000.0);
         let between = times.sum / 1000.0 - work.iter().sum::<f64>();
         StackRow {
-            label: title(memory).to_owned(),
+            label: title(memory),
             lengths: Some(work.into_iter().chain([between]).collect()),
         }
     };

@@ -4,8 +4,7 @@ use crate::report::document::{Block, Table};
 use crate::report::plot::Dots;
 use crate::report::sections::main_table::{dots_if_any, rate_rows};
 use crate::report::view::{
-    OURS, ScoredRun, THEIRS, historical, name, our_rates, pair_stubs, rate_columns, their_rates,
-    title,
+    OURS, ScoredRun, THEIRS, name, our_rates, pair_stubs, rate_columns, their_rates, title,
 };
 
 const DEMONSTRATIONS: [(&str, &str); 4] = [
@@ -28,7 +27,7 @@ pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<Block> {
         stubs: pair_stubs(),
         columns: rate_columns(&DEMONSTRATIONS.map(|(heading, _)| heading)),
         groups: view.pairs(
-            &historical(),
+            &view.historical(),
             |representation| {
                 names(representation).iter().flat_map(|name| our_rates(view, name)).collect()
             },
@@ -37,13 +36,13 @@ pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<Block> {
             },
         ),
     };
-    let rows = historical().into_iter().flat_map(|representation| {
+    let rows = view.historical().into_iter().flat_map(|representation| {
         let labelled: Vec<_> = DEMONSTRATIONS
             .iter()
             .zip(names(representation))
             .map(|((label, _), name)| ((*label).to_owned(), name))
             .collect();
-        rate_rows(view, title(representation), &labelled)
+        rate_rows(view, &title(representation), &labelled)
     });
     let figure = dots_if_any(Dots {
         id: view.id("transfer-figure"),

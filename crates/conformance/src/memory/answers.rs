@@ -1,0 +1,168 @@
+//! What an answer of an external memory supplies, and whether it may.
+//!
+//! Written from the wire document, apart from the host's own reading in the memory process: the two have to agree.
+
+use shm_types::message::{
+    AnswerItem, AnswerSource, ExternalAnswer, ItemKind, MAX_ITEMS, MAX_SOURCES,
+};
+
+/// Consecutive steps of a demonstration: its number, the first step, the number of steps.
+type Steps = (u32, u32, u32);
+
+/// One item of an answer.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Supplied {
+    kind: ItemKind,
+    /// The text or the caption.
+    pub(crate) text: String,
+    /// Where it comes from.
+    sources: Vec<Steps>,
+    /// The steps whose views are supplied.
+    pub(crate) views: Vec<u32>,
+    actions: bool,
+    distance: Option<f32>,
+}
+
+/// Reads an answer for an episode whose bank has demonstrations with these numbers of steps.
+///
+/// # Errors
+/// When it is not valid: why.
+pub(super) fn read(
+    message: &ExternalAnswer,
+    note: Result<&[u8], &String>,
+    demonstrations: &[u32],
+) -> Result<Vec<Supplied>, String> {
+    let note = note.map_err(Clone::clone)?;
+    if message.failed > 1 {
+        return Err(format!("`failed` is {}, and may be 0 or 1", message.failed));
+    }
+    let items = message.items.get(..message.items_len as usize).ok_or_else(|| {
+        format!("it has {} items, and at most {MAX_ITEMS} are allowed", message.items_len)
+    })?;
+    let sources = message.sources.get(..message.sources_len as usize).ok_or_else(|| {
+        format!("it has {} sources, and at most {MAX_SOURCES} are allowed", message.sources_len)
+    })?;
+    if let Some(source) = sources.iter().find(|source| source.item >= message.items_len) {
+        return Err(format!("a source is of item {}, which the answer does not have", source.item));
+    }
+    let reader = Reader { note, demonstrations, sources };
+    let items = (0..).zip(items).map(|(number, item)| {
+        reader.item(number, item).map_err(|what| format!("item {number} {what}"))
+    });
+    items.collect()
+}
+
+struct Reader<'a> {
+    note: &'a [u8],
+    demonstrations: &'a [u32],
+    sources: &'a [AnswerSource],
+}
+
+impl Reader<'_> {
+    fn item(&self, number: u32, item: &AnswerItem) -> Result<Supplied, String> {
+        let kind = ItemKind::try_from(item.kind)
+            .map_err(|_| format!("has kind {}, and there is none of that code", item.kind))?;
+        let distance = Some(item.distance).filter(|distance| !distance.is_nan());
+        if let Some(distance) = distance.filter(|distance| !distance.is_finite()) {
+            return Err(format!("has the distance {distance}"));
+        }
+        let nothing = Supplied {
+            kind,
+            text: String::new(),
+            sources: Vec::new(),
+            views: Vec::new(),
+            actions: false,
+            distance,
+        };
+        let its_own = || self.steps(item.demonstration, item.first_step, item.steps);
+        match kind {
+            ItemKind::Text => {
+                let sources = self.sources.iter().filter(|source| source.item == number);
+                let sources = sources.map(|source| {
+                    self.steps(source.demonstration, source.first_step, source.steps)
+                });
+                Ok(Supplied {
+                    text: self.text(item)?,
+                    sources: sources.collect::<Result<_, _>>()?,
+                    ..nothing
+                })
+            }
+            ItemKind::Frame if item.steps != 1 => {
+                Err(format!("is a captioned view of {} steps", item.steps))
+            }
+            ItemKind::Frame => Ok(Supplied {
+                text: self.text(item)?,
+                sources: vec![its_own()?],
+                views: vec![item.first_step],
+                ..nothing
+            }),
+            ItemKind::Steps => {
+                let steps = its_own()?;
+                let views = self.views(item)?;
+                if item.actions > 1 {
+                    return Err(format!("has `actions` {}, which may be 0 or 1", item.actions));
+                }
+                if views.is_empty() && item.actions == 0 {
+                    return Err("has neither views nor actions".to_owned());
+                }
+                Ok(Supplied { sources: vec![steps], views, actions: item.actions == 1, ..nothing })
+            }
+            ItemKind::Trajectory => {
+                Err("is a trajectory: steps of any length have the kind of steps".to_owned())
+            }
+        }
+    }
+
+    /// Steps of the bank.
+    fn steps(&self, demonstration: u32, first: u32, count: u32) -> Result<Steps, String> {
+        let all = self.demonstrations.len();
+        let length = self.demonstrations.get(demonstration as usize).ok_or_else(|| {
+            format!("names demonstration {demonstration}, and the bank has {all} (from 0)")
+        })?;
+        if count == 0 || u64::from(first) + u64::from(count) > u64::from(*length) {
+            return Err(format!(
+                "names {count} steps from step {first} of demonstration {demonstration}, which has {length} (from 0)"
+            ));
+        }
+        Ok((demonstration, first, count))
+    }
+
+    /// The numbers of the steps whose views an item supplies.
+    fn views(&self, item: &AnswerItem) -> Result<Vec<u32>, String> {
+        let steps = item.first_step..item.first_step + item.steps;
+        match item.views {
+            0 => Ok(Vec::new()),
+            1 => Ok(steps.collect()),
+            2 => {
+                let (numbers, rest) = self.bytes(item)?.as_chunks();
+                let views: Vec<u32> = numbers.iter().copied().map(u32::from_le_bytes).collect();
+                let inside = views.iter().all(|view| steps.contains(view));
+                if !rest.is_empty() || !inside || !views.is_sorted_by(|a, b| a < b) {
+                    return Err(format!(
+                        "lists the views {views:?} and {} bytes; expected: ascending numbers of its steps {steps:?}",
+                        rest.len()
+                    ));
+                }
+                Ok(views)
+            }
+            code => Err(format!("has `views` {code}, which may be 0 to 2")),
+        }
+    }
+
+    fn bytes(&self, item: &AnswerItem) -> Result<&[u8], String> {
+        let AnswerItem { first_byte, bytes, .. } = *item;
+        let end = u64::from(first_byte) + u64::from(bytes);
+        if end > self.note.len() as u64 {
+            return Err(format!(
+                "names {bytes} bytes from byte {first_byte} of the note, which has {}",
+                self.note.len()
+            ));
+        }
+        Ok(&self.note[first_byte as usize..end as usize])
+    }
+
+    fn text(&self, item: &AnswerItem) -> Result<String, String> {
+        let text = str::from_utf8(self.bytes(item)?);
+        text.map(str::to_owned).map_err(|error| format!("has a text that is not UTF-8: {error}"))
+    }
+}

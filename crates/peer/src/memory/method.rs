@@ -1,0 +1,38 @@
+//! A method of remembering, which makes one memory for each bank.
+
+use shm_types::MemoryDescription;
+
+use super::Memory;
+
+/// Makes memories.
+pub trait MemoryMethod {
+    /// What the method is called and needs. [`MemoryDescription::sdk`] is filled in if it is empty.
+    fn describe(&self) -> MemoryDescription;
+
+    /// A memory for one bank.
+    fn create(&self) -> Box<dyn Memory + '_>;
+}
+
+/// A [`MemoryMethod`] of a description and a function that makes memories.
+#[derive(Debug, Clone)]
+pub struct Method<F> {
+    description: MemoryDescription,
+    create: F,
+}
+
+impl<M: Memory + 'static, F: Fn() -> M> Method<F> {
+    /// Every memory is what `create` returns.
+    pub fn new(description: MemoryDescription, create: F) -> Self {
+        Self { description, create }
+    }
+}
+
+impl<M: Memory + 'static, F: Fn() -> M> MemoryMethod for Method<F> {
+    fn describe(&self) -> MemoryDescription {
+        self.description.clone()
+    }
+
+    fn create(&self) -> Box<dyn Memory + '_> {
+        Box::new((self.create)())
+    }
+}

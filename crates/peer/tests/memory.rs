@@ -1,0 +1,455 @@
+//! An external memory against a scripted host: orchestrator, simulator and memory process in this process.
+
+#![expect(clippy::unwrap_used, reason = "a test that cannot go on fails")]
+
+use std::path::PathBuf;
+use std::sync::mpsc;
+use std::thread::{self, JoinHandle};
+use std::time::{Duration, Instant};
+
+use bytemuck::Zeroable;
+use domain::{Action, Feedback, Heading, Pose};
+use peer::ServeError;
+use peer::memory::{
+    Demonstration, Episode, Item, Memory, MemoryDescription, MemoryError, Method, Query, Scope,
+    Source, Step, Views, serve,
+};
+use shm_types::banks::{BankDemonstration, BankStep};
+use shm_types::description::memory_folder;
+use shm_types::message::{
+    ErrorReport, Eviction, ExternalAnswer, ExternalBuilt, ExternalEpisode, ExternalQuery, FrameId,
+    Handshake, ItemKind, NO_ACTION, NO_FRAME, Role, ShutdownReport, Stop, read_text, write_text,
+};
+use shm_types::{
+    Attach, BankContent, BankPublisher, Bus, FramePublisher, FrameSize, Note, NoteReceiver,
+    Receiver, RunDir, Sender,
+};
+use tempfile::TempDir;
+
+const TIMEOUT: Duration = Duration::from_secs(60);
+
+/// The index of the external memory.
+const INDEX: u8 = 3;
+
+/// A memory that serves in a thread, and its neighbours. Fields are dropped in order: the run before its folder.
+struct Rig {
+    banks: BankPublisher,
+    episodes: Sender<ExternalEpisode>,
+    queries: Sender<ExternalQuery>,
+    built: Receiver<ExternalBuilt>,
+    answers: Receiver<ExternalAnswer>,
+    notes: NoteReceiver,
+    frames: FramePublisher,
+    evictions: Sender<Eviction>,
+    stop: Sender<Stop>,
+    error_reports: Receiver<ErrorReport>,
+    shutdown_reports: Receiver<ShutdownReport>,
+    handshake: Handshake,
+    told: mpsc::Receiver<String>,
+    folder: PathBuf,
+    serving: JoinHandle<Result<(), ServeError>>,
+    memory: Bus,
+    _others: [Bus; 2],
+    _run: RunDir,
+    _base: TempDir,
+}
+
+impl Rig {
+    fn new() -> Self {
+        let base = tempfile::Builder::new().prefix("mt").tempdir_in("/tmp").unwrap();
+        let run = RunDir::create(base.path()).unwrap();
+        let folder = memory_folder(run.path(), INDEX);
+        std::fs::create_dir(&folder).unwrap();
+        let (say, told) = mpsc::channel();
+        let serving = thread::spawn({
+            let folder = folder.clone();
+            let description = MemoryDescription {
+                name: "recorder".to_owned(),
+                version: "7".to_owned(),
+                scope: Scope::Case,
+                embeddings: true,
+                frames: true,
+                ..MemoryDescription::default()
+            };
+            move || {
+                let create = || Recorder { say: say.clone(), steps: 0 };
+                serve(&Method::new(description, create), &folder)
+            }
+        });
+        // The description is there before the run begins.
+        let deadline = Instant::now() + TIMEOUT;
+        while MemoryDescription::read(&folder).is_err() {
+            assert!(Instant::now() < deadline, "no description");
+            thread::sleep(Duration::from_millis(2));
+        }
+        let frame = FrameSize { width: 64, height: 64 };
+        let attach = Attach {
+            participants: Vec::new(),
+            external_memories: vec![INDEX],
+            frame,
+            frame_capacity: 32,
+            lanes: 4,
+            window: 2,
+            ..run.attach()
+        };
+        let [orchestrator, sim, memory] = [Role::Orchestrator, Role::Sim, Role::Memory]
+            .map(|role| Bus::join(attach.clone(), role).unwrap());
+        let handshakes: Receiver<Handshake> = orchestrator.receiver().unwrap();
+        let error_reports = orchestrator.receiver().unwrap();
+        let shutdown_reports = orchestrator.receiver().unwrap();
+        let mut rig = Self {
+            banks: BankPublisher::new(&memory, INDEX).unwrap(),
+            episodes: memory.sender_to(INDEX).unwrap(),
+            queries: memory.sender_to(INDEX).unwrap(),
+            built: memory.receiver_from(INDEX).unwrap(),
+            answers: memory.receiver_from(INDEX).unwrap(),
+            notes: NoteReceiver::new(&memory, INDEX).unwrap(),
+            frames: FramePublisher::new(&sim).unwrap(),
+            evictions: sim.sender().unwrap(),
+            stop: orchestrator.sender().unwrap(),
+            error_reports,
+            shutdown_reports,
+            handshake: Zeroable::zeroed(),
+            told,
+            folder,
+            serving,
+            memory,
+            _others: [orchestrator, sim],
+            _run: run,
+            _base: base,
+        };
+        attach.write(&attach.root).unwrap();
+        rig.handshake = until(|| handshakes.next().unwrap());
+        rig
+    }
+
+    fn publish(&mut self, grey: u8) -> FrameId {
+        let mut slot = self.frames.loan().unwrap();
+        slot.pixels_mut().fill(grey);
+        self.frames.publish(slot, [grey; 16]).unwrap()
+    }
+
+    fn notify(&self) {
+        self.memory.external_memory_notifier(INDEX).unwrap().notify().unwrap();
+    }
+
+    fn publish_bank(&mut self, id: u64, content: &BankContent) -> ExternalBuilt {
+        self.banks.publish(id, content).unwrap();
+        self.notify();
+        until(|| self.built.next().unwrap())
+    }
+
+    fn begin(&self, lane: u32, episode: u64, bank: u64) {
+        let mut message =
+            ExternalEpisode { lane, episode, bank, seed: 5, repeat: 1, ..Zeroable::zeroed() };
+        (message.image_budget, message.text_budget) = (9, 99);
+        message.instruction_len = write_text(&mut message.instruction, "Find a cone.");
+        self.episodes.send(&message).unwrap();
+    }
+
+    fn ask(&self, query: &ExternalQuery) {
+        self.queries.send(query).unwrap();
+        self.notify();
+    }
+
+    fn answer(&self) -> ExternalAnswer {
+        until(|| self.answers.next().unwrap())
+    }
+
+    fn note(&mut self) -> Note {
+        until(|| self.notes.drain().unwrap().pop())
+    }
+
+    fn error_report(&self) -> String {
+        let report = until(|| self.error_reports.next().unwrap());
+        assert_eq!((report.role, report.external), (Role::ExternalMemory as u32, u32::from(INDEX)));
+        read_text(&report.text, report.text_len).unwrap().to_owned()
+    }
+
+    fn told(&self) -> String {
+        self.told.recv_timeout(TIMEOUT).unwrap()
+    }
+
+    fn stop(self) {
+        self.stop.send(&Stop { reserved: 0 }).unwrap();
+        self.notify();
+        self.serving.join().unwrap().unwrap();
+        let report = self.shutdown_reports.next().unwrap().unwrap();
+        assert_eq!(report.external, u32::from(INDEX));
+    }
+}
+
+/// What `look` finds before the time is up.
+fn until<T>(mut look: impl FnMut() -> Option<T>) -> T {
+    let deadline = Instant::now() + TIMEOUT;
+    loop {
+        if let Some(found) = look() {
+            return found;
+        }
+        assert!(Instant::now() < deadline, "nothing came");
+        thread::sleep(Duration::from_millis(1));
+    }
+}
+
+/// Tells the test what it is given. It fails where an instruction or a step says so.
+struct Recorder {
+    say: mpsc::Sender<String>,
+    steps: u64,
+}
+
+impl Recorder {
+    fn say(&self, what: String) {
+        self.say.send(what).unwrap();
+    }
+}
+
+impl Memory for Recorder {
+    fn build(&mut self, demonstrations: &[Demonstration<'_>]) -> Result<(), MemoryError> {
+        for of in demonstrations {
+            if of.instruction == "Fail." {
+                return Err(MemoryError::new("as it was told"));
+            }
+            let greys: Vec<u8> =
+                (0..of.steps.len()).filter_map(|at| of.frame(at)).map(|f| f.pixels[0]).collect();
+            let rows: Vec<_> = (0..of.steps.len()).filter_map(|at| of.embedding(at)).collect();
+            let actions: Vec<_> = of.steps.iter().map(|step| step.action).collect();
+            assert!(of.stages.is_empty() && of.bank.is_some() && of.dimension() == 2);
+            self.say(format!(
+                "{} at {} sees {greys:?} as {rows:?} does {actions:?}",
+                of.instruction, of.steps[0].pose
+            ));
+        }
+        Ok(())
+    }
+
+    fn begin_episode(&mut self, episode: &Episode<'_>) -> Result<(), MemoryError> {
+        let Episode { lane, episode, instruction, seed, repeat, image_budget, text_budget } =
+            episode;
+        self.say(format!(
+            "episode {episode} in {lane}: {instruction} seed {seed} repeat {repeat} budgets {image_budget} {text_budget}"
+        ));
+        Ok(())
+    }
+
+    fn observe(&mut self, step: &Step<'_>) -> Result<(), MemoryError> {
+        self.steps += 1;
+        if step.frame.is_none() {
+            self.say(format!("{} ended at step {}", step.episode, step.step));
+        }
+        Ok(())
+    }
+
+    fn recall(&mut self, query: &Query<'_>) -> Result<Vec<Item>, MemoryError> {
+        let window: Vec<_> = query
+            .window
+            .iter()
+            .map(|past| (past.frame.pixels()[0], past.action, past.feedback))
+            .collect();
+        let Step { step, frame, embedding, pose, .. } = query.now;
+        let grey = frame.unwrap().pixels[0];
+        self.say(format!("step {step} at {pose} sees {grey} as {embedding:?} after {window:?}"));
+        assert_eq!((query.stage, query.instruction), (None, "Find a cone."));
+        let source = Source { demonstration: 0, first: 1, count: 2 };
+        match step {
+            0 => Ok(vec![
+                Item::Text { text: "left".into(), sources: vec![source] },
+                Item::Steps { source, views: Views::All, actions: true, distance: Some(0.5) },
+                Item::Steps {
+                    source,
+                    views: Views::Keyframes(vec![2]),
+                    actions: false,
+                    distance: None,
+                },
+                Item::Frame {
+                    demonstration: 0, step: 2, caption: "bärrel".into(), distance: None
+                },
+            ]),
+            1 => Ok(vec![Item::text("x"); 9]),
+            _ => Err(MemoryError::new("it is tired")),
+        }
+    }
+
+    fn end_episode(&mut self, episode: u64) {
+        self.say(format!("end of {episode}"));
+    }
+
+    fn store_bytes(&self) -> Option<u64> {
+        Some(1000 + self.steps)
+    }
+
+    fn tokens(&self) -> Option<u32> {
+        Some(17)
+    }
+}
+
+/// A bank of one demonstration of three steps, whose views are `frames`.
+fn bank(frames: [FrameId; 3], instruction: &str) -> BankContent {
+    let step = |(at, frame): (u8, FrameId)| BankStep {
+        frame,
+        content_hash: [at; 16],
+        pose: Pose::new(1, at, Heading::N).into(),
+        action: if at == 2 { NO_ACTION } else { Action::Forward as u8 },
+        feedback: Feedback::Moved as u8,
+        reserved: [0; 2],
+    };
+    let demonstration = BankDemonstration {
+        first_step: 0,
+        steps: 3,
+        first_byte: 0,
+        bytes: instruction.len() as u32,
+    };
+    BankContent {
+        demonstrations: vec![demonstration],
+        steps: (0..).zip(frames).map(step).collect(),
+        embeddings: vec![1.0, 0.0, 0.0, 1.0, 0.6, 0.8],
+        text: instruction.to_owned(),
+    }
+}
+
+fn query(lane: u32, episode: u64, step: u32, frame: FrameId) -> ExternalQuery {
+    let mut query = ExternalQuery {
+        lane,
+        episode,
+        step,
+        frame,
+        pose: Pose::new(2, 3, Heading::E).into(),
+        action: if step == 0 { NO_ACTION } else { Action::TurnLeft as u8 },
+        feedback: Feedback::Turned as u8,
+        embedding_len: 2,
+        ..Zeroable::zeroed()
+    };
+    query.embedding[..2].copy_from_slice(&[0.6, 0.8]);
+    query
+}
+
+#[test]
+fn a_memory_is_built_asked_and_ended() {
+    let mut rig = Rig::new();
+    let facts = rig.handshake.facts().unwrap();
+    assert_eq!(rig.handshake.external, u32::from(INDEX));
+    assert_eq!((facts["memory"].as_str(), facts["version"].as_str()), ("recorder", "7"));
+    assert!(MemoryDescription::read(&rig.folder).unwrap().sdk.starts_with("peer "));
+
+    let frames = [10, 20, 30].map(|grey| rig.publish(grey));
+    let built = rig.publish_bank(5, &bank(frames, "Find a barrel."));
+    assert_eq!((built.bank, built.failure, built.store_bytes), (5, 0, 1000));
+    assert_eq!(
+        rig.told(),
+        "Find a barrel. at 1,0,N sees [10, 20, 30] as [[1.0, 0.0], [0.0, 1.0], [0.6, 0.8]] does [Some(Forward), \
+         Some(Forward), None]"
+    );
+
+    rig.begin(2, 41, 5);
+    let now = rig.publish(40);
+    rig.ask(&query(2, 41, 0, now));
+    assert_eq!(rig.told(), "episode 41 in 2: Find a cone. seed 5 repeat 1 budgets 9 99");
+    assert_eq!(rig.told(), "step 0 at 2,3,E sees 40 as Some([0.6, 0.8]) after []");
+    let answer = rig.answer();
+    assert_eq!((answer.lane, answer.episode, answer.step, answer.failed), (2, 41, 0, 0));
+    assert_eq!((answer.items_len, answer.sources_len, answer.tokens), (4, 1, 17));
+    assert_eq!(answer.store_bytes, 1001);
+    assert!(answer.received_ns > 0 && answer.received_ns <= answer.sent_ns);
+    let kinds = answer.items[..4].iter().map(|item| item.kind).collect::<Vec<_>>();
+    let [text, steps, frame] = [ItemKind::Text, ItemKind::Steps, ItemKind::Frame].map(|k| k as u8);
+    assert_eq!(kinds, [text, steps, steps, frame]);
+    let note = rig.note();
+    assert_eq!((note.header.id, note.header.lane, note.header.episode), (answer.note, 2, 41));
+    assert_eq!(note.bytes, "left\u{2}\0\0\0bärrel".as_bytes());
+    let places = answer.items.map(|item| (item.first_byte, item.bytes, item.views, item.actions));
+    assert_eq!(places[..4], [(0, 4, 0, 0), (0, 0, 1, 1), (4, 4, 2, 0), (8, 7, 0, 0)]);
+    assert!(answer.items[1].distance == 0.5 && answer.items[2].distance.is_nan());
+
+    // Nine items do not fit, and the episode cannot go on after that.
+    let later = rig.publish(50);
+    rig.ask(&query(2, 41, 1, later));
+    assert_eq!(
+        rig.told(),
+        "step 1 at 2,3,E sees 50 as Some([0.6, 0.8]) after [(40, Some(TurnLeft), Turned)]"
+    );
+    for step in 1..3 {
+        let answer = rig.answer();
+        assert_eq!((answer.step, answer.failed, answer.items_len), (step, 1, 0));
+        assert_eq!(rig.note().bytes, b"9 items, and at most 8 fit");
+        if step == 1 {
+            rig.ask(&query(2, 41, 2, later));
+        }
+    }
+
+    // Another episode in the lane.
+    rig.begin(2, 42, 5);
+    rig.ask(&query(2, 42, 0, now));
+    assert_eq!(rig.told(), "end of 41");
+    rig.told();
+    rig.told();
+    assert_eq!(rig.answer().episode, 42);
+    rig.ask(&ExternalQuery { last: 1, ..query(2, 42, 1, NO_FRAME) });
+    assert_eq!(rig.told(), "42 ended at step 1");
+    assert_eq!(rig.told(), "end of 42");
+    rig.evictions.send(&Eviction { frame: now }).unwrap();
+    rig.stop();
+}
+
+#[test]
+fn what_cannot_be_built_or_is_not_known_is_answered_with_the_reason() {
+    let mut rig = Rig::new();
+    let frames = [10, 20, 30].map(|grey| rig.publish(grey));
+    let built = rig.publish_bank(5, &bank(frames, "Fail."));
+    let note = rig.note();
+    assert_eq!(
+        (built.failure, note.bytes.as_slice()),
+        (note.header.id, "as it was told".as_bytes())
+    );
+    let missing = frames[2] + 9;
+    let built = rig.publish_bank(6, &bank([missing; 3], "Find a barrel."));
+    let why = format!("frame {missing} is not in the store");
+    assert_eq!((built.failure > 0, rig.note().bytes), (true, why.into_bytes()));
+
+    for (lane, bank, why) in
+        [(0, 5, "the memory could not be built"), (1, 77, "bank 77 was not received")]
+    {
+        rig.begin(lane, 50 + u64::from(lane), bank);
+        rig.ask(&query(lane, 50 + u64::from(lane), 0, frames[0]));
+        assert_eq!(rig.answer().failed, 1);
+        assert_eq!(rig.note().bytes, why.as_bytes());
+    }
+
+    // A view that is not there, in an episode of a bank that is.
+    rig.publish_bank(7, &bank(frames, "Find a barrel."));
+    rig.begin(0, 60, 7);
+    rig.ask(&query(0, 60, 0, missing));
+    let (answer, note) = (rig.answer(), rig.note());
+    assert_eq!((answer.failed, answer.note), (1, note.header.id));
+    assert!(note.bytes.ends_with(b"is not in the store"));
+
+    // A query of no episode is reported; nothing answers it.
+    rig.ask(&query(3, 99, 0, frames[0]));
+    assert_eq!(rig.error_report(), "query of unknown episode 99 in lane 3");
+    rig.begin(900, 61, 7);
+    rig.notify();
+    assert_eq!(rig.error_report(), "episode 61 in lane 900: invalid values");
+    assert!(rig.answers.next().unwrap().is_none());
+
+    // A bank that is taken back is known no longer.
+    rig.banks.take_back(7).unwrap();
+    rig.begin(1, 62, 7);
+    rig.ask(&query(1, 62, 0, frames[0]));
+    assert_eq!(rig.answer().failed, 1);
+    assert_eq!(rig.note().bytes, b"bank 7 was not received");
+    rig.stop();
+}
+
+#[test]
+fn a_folder_that_is_not_a_memory_s_is_refused() {
+    let description = MemoryDescription { name: "x".to_owned(), ..MemoryDescription::default() };
+    let never = || -> Recorder { unreachable!() };
+    let method = Method::new(description, never);
+    let error = serve(&method, "/nowhere".as_ref()).unwrap_err().to_string();
+    assert_eq!(error, "/nowhere is not the folder of a run, or that run is over");
+    let base = tempfile::tempdir().unwrap();
+    let error = serve(&method, base.path()).unwrap_err().to_string();
+    assert!(error.contains("is not the folder of an external memory of a run"), "{error}");
+    let folder = memory_folder(base.path(), 1);
+    std::fs::create_dir(&folder).unwrap();
+    let error = serve(&method, &folder).unwrap_err().to_string();
+    assert!(error.ends_with("is not the folder of a run, or that run is over"), "{error}");
+}

@@ -1,0 +1,54 @@
+"""robotmem: what the expert did, found by BM25 and sorted by the distance to where the agent is.
+
+robotmem searches with a model of its own unless `embed_backend` is "none". It then needs SQLite only.
+"""
+
+import logging
+
+from robotmem.sdk import RobotMemory
+
+from memtransfer import Heading, Memory, Steps, run
+
+HITS = 100  # robotmem's most; it sorts by distance only what BM25 has found
+
+
+class Robotmem(Memory):
+    name = "robotmem"
+    embeddings = False
+
+    def build(self, demonstrations):
+        self.store = RobotMemory(db_path=":memory:", embed_backend="none")
+        for number, demonstration in enumerate(demonstrations):
+            for first, step in enumerate(demonstration):
+                if step.action is None:
+                    continue
+                note = (
+                    f"{demonstration.instruction} Demonstration {number}, step {first}: "
+                    f"{step.action.words} at column {step.pose.x}, row {step.pose.y}"
+                )
+                self.store.learn(
+                    note,
+                    context={
+                        "spatial": {"position": self.position(step.pose)},
+                        "params": {"demonstration": number, "first": first},
+                    },
+                )
+
+    def recall(self, query):
+        near = {"field": "spatial.position", "target": self.position(query.pose)}
+        found = self.store.recall(query.instruction, n=HITS, spatial_sort=near)
+        return [
+            Steps(**memory["params"], distance=memory["_spatial_distance"]) for memory in found[:1]
+        ]
+
+    @staticmethod
+    def position(pose):
+        # A quarter turn is as far as half a cell.
+        east, north = {Heading.N: (0, 1), Heading.E: (1, 0), Heading.S: (0, -1), Heading.W: (-1, 0)}[
+            pose.heading
+        ]
+        return [pose.x, pose.y, 0.35 * east, 0.35 * north]
+
+
+logging.getLogger("robotmem").setLevel(logging.ERROR)
+run(Robotmem)

@@ -1,0 +1,562 @@
+//! What the host knows about external memories: their banks, what is to be sent to them, and how their answers are read.
+//!
+//! An external memory is not trusted. It names demonstrations by their number in its bank and never learns their cases;
+//! whatever it sends is checked here and in [`crate::items`], and what cannot be used costs its own episode.
+
+use std::collections::{BTreeMap, BTreeSet, HashMap, VecDeque};
+use std::sync::Arc;
+use std::time::Duration;
+
+use bytemuck::Zeroable;
+use domain::Pose;
+use peer::memory::{Item, Source, Views};
+use search::Embedding;
+use shm_types::description::Scope;
+use shm_types::message::{
+    AnswerItem, AnswerSource, ExternalAnswer, ExternalBuilt, ExternalEpisode, ExternalQuery,
+    ItemKind, MAX_EMBEDDING, MAX_ITEMS, MAX_SOURCES, MemoryEpisodeConfig, NO_ACTION, write_text,
+};
+use shm_types::{BankContent, MemoryDescription, Note};
+use warehouse::{CaseSet, Demonstrations, Warehouse};
+
+use crate::bank::{Bank, BankSteps, KnownView};
+use crate::demonstrations;
+use crate::engine::LaneProgress;
+use crate::episode::{
+    CurrentStep, EpisodeMemory, ExternalBank, MemoryEpisode, PendingObservation, PendingStage,
+    Unusable, unusable,
+};
+
+/// How long an external memory may take.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct ExternalLimits {
+    /// To answer a query.
+    pub answer: Duration,
+    /// To build itself from a bank.
+    pub build: Duration,
+}
+
+impl Default for ExternalLimits {
+    fn default() -> Self {
+        Self { answer: Duration::from_secs(30), build: Duration::from_secs(600) }
+    }
+}
+
+/// A message to an external memory.
+#[derive(Debug)]
+pub enum ToExternal {
+    /// A bank to publish, with its id.
+    Bank(u64, BankContent),
+    /// The id of a bank to take back.
+    TakeBack(u64),
+    /// An episode begins.
+    Episode(Box<ExternalEpisode>),
+    /// A step.
+    Query(Box<ExternalQuery>),
+}
+
+/// Views that are pinned at the same time to embed a bank that is too large to be pinned as a whole.
+const PINNED_AT_ONCE: usize = 64;
+
+/// Banks without an episode that are kept built.
+const KEPT_BANKS: usize = 64;
+
+/// The lane in the header of a note that is no answer.
+const NO_LANE: u32 = u32::MAX;
+
+/// The external memories of a run.
+#[derive(Debug)]
+pub struct ExternalMemories {
+    descriptions: BTreeMap<u8, MemoryDescription>,
+    pub(crate) limits: ExternalLimits,
+    pub(crate) banks: BTreeMap<u64, HostBank>,
+    /// The banks that are not ready.
+    pub(crate) unbuilt: BTreeSet<u64>,
+    /// The banks that no episode uses, the least recently used first.
+    unused: VecDeque<u64>,
+    last_bank: u64,
+    /// By external memory and lane: the note that came last.
+    notes: HashMap<(u8, u32), Note>,
+    pub(crate) outbox: Vec<(u8, ToExternal)>,
+}
+
+/// A bank of an external memory.
+#[derive(Debug)]
+pub(crate) struct HostBank {
+    index: u8,
+    /// The case, unless the bank is of all cases, and the set.
+    of: (Option<u32>, Demonstrations),
+    pub(crate) bank: Arc<Bank>,
+    pub(crate) pins_bank: bool,
+    pub(crate) embeds: bool,
+    with_frames: bool,
+    users: u32,
+    pub(crate) state: BankState,
+}
+
+/// How far the building of a bank has got.
+#[derive(Debug)]
+pub(crate) enum BankState {
+    /// The first so many views are ready.
+    Waiting { ready: usize },
+    /// Views are pinned and embedded a few at a time.
+    Collecting(Collecting),
+    /// Published at this time.
+    Building { since_ns: u64 },
+    /// Built.
+    Ready { store_bytes: u64 },
+    /// Not built, and why.
+    Failed(String),
+}
+
+/// The views of a bank that is too large to be pinned as a whole.
+#[derive(Debug)]
+pub(crate) struct Collecting {
+    pub(crate) found: HashMap<Pose, KnownView>,
+    pub(crate) waiting: VecDeque<Pose>,
+    pub(crate) pinned: Vec<Pose>,
+}
+
+impl Collecting {
+    fn new(bank: &Bank) -> Self {
+        let waiting = bank.poses.iter().copied().collect();
+        Self { found: HashMap::new(), waiting, pinned: Vec::new() }
+    }
+
+    /// Whether further views may be pinned.
+    pub(crate) fn has_room(&self) -> bool {
+        self.pinned.len() < PINNED_AT_ONCE
+    }
+
+    pub(crate) fn is_complete(&self) -> bool {
+        self.waiting.is_empty() && self.pinned.is_empty()
+    }
+}
+
+impl HostBank {
+    /// What to do with the bank before anything is known about its views.
+    fn first_state(scope: Scope, embeds: bool, bank: &Bank) -> BankState {
+        match scope {
+            Scope::All if embeds => BankState::Collecting(Collecting::new(bank)),
+            Scope::Case | Scope::All => BankState::Waiting { ready: 0 },
+        }
+    }
+
+    /// Whether an episode waits for it.
+    pub(crate) fn is_wanted(&self) -> bool {
+        self.users > 0
+    }
+}
+
+impl ExternalMemories {
+    /// The external memories with these indices.
+    pub fn new(descriptions: BTreeMap<u8, MemoryDescription>, limits: ExternalLimits) -> Self {
+        Self {
+            descriptions,
+            limits,
+            banks: BTreeMap::new(),
+            unbuilt: BTreeSet::new(),
+            unused: VecDeque::new(),
+            last_bank: 0,
+            notes: HashMap::new(),
+            outbox: Vec::new(),
+        }
+    }
+
+    /// The indices.
+    pub fn indices(&self) -> impl Iterator<Item = u8> {
+        self.descriptions.keys().copied()
+    }
+
+    /// Whether the external memory with this index uses embeddings.
+    pub fn embeds(&self, index: u8) -> bool {
+        self.descriptions.get(&index).is_some_and(|description| description.embeddings)
+    }
+
+    /// The name of an external memory.
+    pub fn name(&self, index: u8) -> &str {
+        self.descriptions.get(&index).map_or("unknown", |description| &description.name)
+    }
+
+    /// The bank that an episode remembers.
+    pub(crate) fn bank(
+        &mut self,
+        config: &MemoryEpisodeConfig,
+        set: Demonstrations,
+        warehouse: &Warehouse,
+        cases: &CaseSet,
+    ) -> Result<ExternalBank, Unusable> {
+        let &MemoryEpisodeConfig { external: index, case, .. } = config;
+        let description = self.descriptions.get(&index).ok_or_else(|| {
+            unusable!("external memory {index}, which does not take part in the run")
+        })?;
+        let MemoryDescription { scope, embeddings: embeds, frames, .. } = *description;
+        let of = ((scope == Scope::Case).then_some(case), set);
+        let known = self.banks.iter().find(|(_, bank)| bank.index == index && bank.of == of);
+        let id = match known {
+            Some((&id, _)) => id,
+            None => {
+                let chosen = match scope {
+                    Scope::Case => demonstrations::selected(warehouse, cases, case, set.bits()),
+                    Scope::All => demonstrations::of_all_cases(warehouse, cases, set.bits()),
+                };
+                let chosen =
+                    chosen.ok_or_else(|| unusable!("demonstrations {set}, which do not exist"))?;
+                let bank = Arc::new(Bank::new(chosen));
+                let pins_bank = scope == Scope::Case && (embeds || frames);
+                let with_frames = pins_bank && frames;
+                let state = HostBank::first_state(scope, embeds, &bank);
+                self.last_bank += 1;
+                let id = self.last_bank;
+                let users = 0;
+                let bank =
+                    HostBank { index, of, bank, pins_bank, embeds, with_frames, users, state };
+                self.banks.insert(id, bank);
+                self.unbuilt.insert(id);
+                self.unused.push_back(id);
+                id
+            }
+        };
+        let HostBank { bank, pins_bank, embeds, .. } = &self.banks[&id];
+        Ok(ExternalBank { id, bank: bank.clone(), pins_bank: *pins_bank, embeds: *embeds })
+    }
+
+    /// An episode uses a bank from now on.
+    pub(crate) fn retain(&mut self, id: u64) {
+        if let Some(bank) = self.banks.get_mut(&id) {
+            bank.users += 1;
+            self.unused.retain(|unused| *unused != id);
+        }
+    }
+
+    /// An episode no longer uses a bank. Those that no episode has used for long are taken back.
+    pub(crate) fn release(&mut self, id: u64) {
+        let Some(bank) = self.banks.get_mut(&id) else { return };
+        bank.users = bank.users.saturating_sub(1);
+        if bank.users == 0 {
+            self.unused.push_back(id);
+        }
+        let in_use = |state: &BankState| {
+            matches!(state, BankState::Building { .. } | BankState::Collecting(_))
+        };
+        while self.unused.len() > KEPT_BANKS {
+            let oldest = self.unused.iter().position(|id| !in_use(&self.banks[id].state));
+            let Some(id) = oldest.and_then(|at| self.unused.remove(at)) else { return };
+            self.unbuilt.remove(&id);
+            if let Some(bank) = self.banks.remove(&id) {
+                self.outbox.push((bank.index, ToExternal::TakeBack(id)));
+            }
+        }
+    }
+
+    /// Publishes a bank whose views are known.
+    pub(crate) fn publish(
+        &mut self,
+        id: u64,
+        view: impl Fn(Pose) -> Option<KnownView>,
+        now_ns: u64,
+    ) {
+        let Some(bank) = self.banks.get_mut(&id) else { return };
+        let steps = if bank.embeds || bank.with_frames {
+            bank.bank.with_views(view)
+        } else {
+            Some(BankSteps::without_views(&bank.bank))
+        };
+        let Some(steps) = steps else { return };
+        let content = steps.content(bank.with_frames);
+        bank.state = BankState::Building { since_ns: now_ns };
+        self.outbox.push((bank.index, ToExternal::Bank(id, content)));
+    }
+
+    /// Ends the building of a bank. Returns the bank if its views were pinned to build it.
+    pub(crate) fn finish(&mut self, id: u64, outcome: Result<u64, String>) -> Option<Arc<Bank>> {
+        let bank = self.banks.get_mut(&id)?;
+        self.unbuilt.remove(&id);
+        let state = match outcome {
+            Ok(store_bytes) => BankState::Ready { store_bytes },
+            Err(why) => BankState::Failed(why),
+        };
+        let before = std::mem::replace(&mut bank.state, state);
+        let was_pinned = bank.pins_bank && matches!(before, BankState::Building { .. });
+        was_pinned.then(|| bank.bank.clone())
+    }
+
+    /// The name of the memory that a bank belongs to.
+    pub(crate) fn name_of_bank(&self, id: u64) -> &str {
+        self.banks.get(&id).map_or("unknown", |bank| self.name(bank.index))
+    }
+
+    /// Bytes that the memory of a bank stores; 0 if it does not tell.
+    pub(crate) fn store_bytes(&self, id: u64) -> u64 {
+        match self.banks.get(&id).map(|bank| &bank.state) {
+            Some(BankState::Ready { store_bytes }) => *store_bytes,
+            _ => 0,
+        }
+    }
+
+    /// Asks the memory of an episode about its pending observation, if its bank is built.
+    pub(crate) fn ask(
+        &mut self,
+        episode: &mut MemoryEpisode,
+        embedding: Option<&Embedding>,
+        now_ns: u64,
+    ) -> LaneProgress {
+        let EpisodeMemory::External { index, bank: id, begun } = episode.memory else {
+            return LaneProgress::Gone;
+        };
+        match self.banks.get(&id).map(|bank| &bank.state) {
+            Some(BankState::Ready { .. }) => {}
+            Some(BankState::Failed(why)) => return LaneProgress::Failed(why.clone()),
+            _ => return LaneProgress::Waiting,
+        }
+        if !begun {
+            self.outbox.push((index, ToExternal::Episode(episode_message(episode, id))));
+            episode.memory = EpisodeMemory::External { index, bank: id, begun: true };
+        }
+        let (Some(now), Some(pending)) = (&episode.current, &episode.pending) else {
+            return LaneProgress::Gone;
+        };
+        let query = query_message(episode, now, embedding, false);
+        self.outbox.push((index, ToExternal::Query(query)));
+        let PendingObservation { received_ns, content, .. } = *pending;
+        let stage = PendingStage::Asked { since_ns: now_ns };
+        episode.pending = Some(PendingObservation { received_ns, content, stage });
+        LaneProgress::Waiting
+    }
+
+    /// Waits for the answer to the question of `since_ns`, as long as the time limit allows.
+    pub(crate) fn wait(&self, episode: &MemoryEpisode, since_ns: u64, now_ns: u64) -> LaneProgress {
+        let limit = self.limits.answer;
+        if u128::from(now_ns.saturating_sub(since_ns)) <= limit.as_nanos() {
+            return LaneProgress::Waiting;
+        }
+        let name = match episode.memory {
+            EpisodeMemory::External { index, .. } => self.name(index),
+            EpisodeMemory::BuiltIn { .. } => "unknown",
+        };
+        let step = episode.current.as_ref().map_or(0, |now| now.step);
+        let seconds = limit.as_secs_f64();
+        LaneProgress::Failed(format!(
+            "external memory {name} has not answered step {step} within {seconds} s"
+        ))
+    }
+
+    /// Takes a note.
+    pub(crate) fn take_note(&mut self, index: u8, lanes: u32, note: Note) -> Result<(), Unusable> {
+        let lane = note.header.lane;
+        if lane >= lanes && lane != NO_LANE {
+            let name = self.name(index);
+            return Err(unusable!("note of external memory {name}: lane {lane} of {lanes}"));
+        }
+        self.notes.insert((index, lane), note);
+        Ok(())
+    }
+
+    /// The result of building a bank: bytes of the store, or why it failed.
+    pub(crate) fn built(
+        &mut self,
+        index: u8,
+        message: &ExternalBuilt,
+    ) -> Result<Result<u64, String>, Unusable> {
+        let &ExternalBuilt { bank: id, store_bytes, failure, .. } = message;
+        let is_building = self.banks.get(&id).is_some_and(|bank| {
+            bank.index == index && matches!(bank.state, BankState::Building { .. })
+        });
+        let name = self.name(index);
+        if !is_building {
+            return Err(unusable!(
+                "external memory {name} has built bank {id}, which it was not asked for"
+            ));
+        }
+        if failure == 0 {
+            return Ok(Ok(store_bytes));
+        }
+        let note = self.notes.remove(&(index, NO_LANE));
+        let note = note.filter(|note| note.header.id == failure);
+        let why = note.map_or_else(|| readable(&[]), |note| readable(&note.bytes));
+        Ok(Err(format!("external memory {} cannot be built: {why}", self.name(index))))
+    }
+
+    /// The items of an answer.
+    ///
+    /// # Errors
+    /// When the memory failed, or its answer is not valid: the reason.
+    pub(crate) fn items(
+        &mut self,
+        index: u8,
+        message: &ExternalAnswer,
+    ) -> Result<Vec<Item>, String> {
+        let note = self.notes.remove(&(index, message.lane));
+        let note = match note {
+            _ if message.note == 0 => None,
+            Some(note)
+                if (note.header.id, note.header.episode) == (message.note, message.episode) =>
+            {
+                Some(note)
+            }
+            Some(note) => {
+                return Err(format!(
+                    "it names note {}, but the last note of its lane is note {} of episode {}",
+                    message.note, note.header.id, note.header.episode
+                ));
+            }
+            None => return Err(format!("it names note {}, which was not published", message.note)),
+        };
+        let bytes = note.map_or_else(Vec::new, |note| note.bytes);
+        match message.failed {
+            0 => read_items(message, &bytes),
+            1 => Err(readable(&bytes)),
+            code => Err(format!("`failed` is {code}, expected 0 or 1")),
+        }
+    }
+
+    /// The messages that have arisen since the last call, in order.
+    pub(crate) fn take_messages(&mut self) -> Vec<(u8, ToExternal)> {
+        std::mem::take(&mut self.outbox)
+    }
+}
+
+/// A text of an external memory for an error message.
+fn readable(bytes: &[u8]) -> String {
+    match str::from_utf8(bytes) {
+        Ok("") => "it gives no reason".to_owned(),
+        Ok(text) => text.to_owned(),
+        Err(_) => "its reason is not UTF-8".to_owned(),
+    }
+}
+
+/// The message that announces an episode.
+fn episode_message(episode: &MemoryEpisode, bank: u64) -> Box<ExternalEpisode> {
+    let mut message = ExternalEpisode {
+        episode: episode.id,
+        bank,
+        seed: episode.seed,
+        lane: episode.lane,
+        text_budget: episode.budgets.text,
+        image_budget: episode.budgets.images,
+        repeat: episode.repeat,
+        ..Zeroable::zeroed()
+    };
+    message.instruction_len = write_text(&mut message.instruction, &episode.instruction);
+    Box::new(message)
+}
+
+/// The message that passes on the agent's state.
+pub(crate) fn query_message(
+    episode: &MemoryEpisode,
+    now: &CurrentStep,
+    embedding: Option<&Embedding>,
+    is_last: bool,
+) -> Box<ExternalQuery> {
+    let mut message = Box::new(ExternalQuery {
+        episode: episode.id,
+        frame: now.frame,
+        lane: episode.lane,
+        step: now.step,
+        pose: now.pose.into(),
+        feedback: now.feedback as u8,
+        action: now.action.map_or(NO_ACTION, |action| action as u8),
+        last: is_last.into(),
+        ..Zeroable::zeroed()
+    });
+    // Longer embeddings are refused before a run.
+    if let Some(numbers) =
+        embedding.map(Embedding::as_slice).filter(|all| all.len() <= MAX_EMBEDDING)
+    {
+        message.embedding[..numbers.len()].copy_from_slice(numbers);
+        message.embedding_len = numbers.len() as u32;
+    }
+    message
+}
+
+/// Reads the items of an answer with the note `note`. References are not checked.
+fn read_items(message: &ExternalAnswer, note: &[u8]) -> Result<Vec<Item>, String> {
+    let within = |what: &str, count: u32, most: usize| match count as usize {
+        count if count <= most => Ok(count),
+        count => Err(format!("it has {count} {what}, and at most {most} are allowed")),
+    };
+    let count = within("items", message.items_len, MAX_ITEMS)?;
+    let sources = &message.sources[..within("sources", message.sources_len, MAX_SOURCES)?];
+    let items = &message.items[..count];
+    for AnswerSource { item, .. } in sources {
+        let of = items.get(*item as usize);
+        if of.is_none_or(|of| of.kind != ItemKind::Text as u8) {
+            return Err(format!("a source is that of item {item}, which is no text"));
+        }
+    }
+    let read = |(number, item)| {
+        read_item(number, item, sources, note).map_err(|what| format!("item {number} {what}"))
+    };
+    (0..).zip(items).map(read).collect()
+}
+
+fn read_item(
+    number: u32,
+    item: &AnswerItem,
+    sources: &[AnswerSource],
+    note: &[u8],
+) -> Result<Item, String> {
+    let &AnswerItem { first_byte, bytes, demonstration, first_step: first, steps: count, .. } =
+        item;
+    let in_note = || {
+        let end = (first_byte as usize).checked_add(bytes as usize);
+        end.and_then(|end| note.get(first_byte as usize..end)).ok_or_else(|| {
+            format!("names {bytes} bytes from byte {first_byte} of a note of {} bytes", note.len())
+        })
+    };
+    let text = || -> Result<Arc<str>, String> {
+        let text = str::from_utf8(in_note()?);
+        text.map(Arc::from).map_err(|error| format!("holds a text that is not UTF-8: {error}"))
+    };
+    let distance = Some(item.distance).filter(|distance| !distance.is_nan());
+    match ItemKind::try_from(item.kind) {
+        Ok(ItemKind::Text) => {
+            let its_own = sources.iter().filter(|source| source.item == number);
+            let source = |source: &AnswerSource| Source {
+                demonstration: source.demonstration,
+                first: source.first_step,
+                count: source.steps,
+            };
+            Ok(Item::Text { text: text()?, sources: its_own.map(source).collect() })
+        }
+        Ok(ItemKind::Steps) => {
+            let views = match item.views {
+                0 => Views::None,
+                1 => Views::All,
+                2 => {
+                    let (numbers, []) = in_note()?.as_chunks() else {
+                        return Err(format!(
+                            "names its keyframes in {bytes} bytes, expected 4 for each"
+                        ));
+                    };
+                    let numbers = numbers.iter().map(|bytes| u32::from_le_bytes(*bytes));
+                    Views::Keyframes(numbers.collect())
+                }
+                code => return Err(format!("has the code {code} for its views, expected 0 to 2")),
+            };
+            let actions = match item.actions {
+                0 => false,
+                1 => true,
+                code => {
+                    return Err(format!("has the code {code} for its actions, expected 0 or 1"));
+                }
+            };
+            Ok(Item::Steps {
+                source: Source { demonstration, first, count },
+                views,
+                actions,
+                distance,
+            })
+        }
+        Ok(ItemKind::Frame) if count != 1 => {
+            Err(format!("is a captioned frame of {count} steps, expected 1"))
+        }
+        Ok(ItemKind::Frame) => {
+            Ok(Item::Frame { demonstration, step: first, caption: text()?, distance })
+        }
+        Ok(ItemKind::Trajectory) => {
+            Err("is a trajectory: steps of any length have the kind of steps".to_owned())
+        }
+        Err(error) => Err(format!("has no valid kind: {error}")),
+    }
+}

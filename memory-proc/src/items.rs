@@ -1,0 +1,505 @@
+//! From a memory's items to a recall: references are checked, budgets applied, views and actions looked up, texts
+//! published.
+//!
+//! This is the only place that knows what a memory may supply: steps of the demonstrations in its bank, and texts of its
+//! own. Every memory passes through it, the built-in ones too.
+
+use std::collections::HashMap;
+use std::sync::Arc;
+
+use bytemuck::Zeroable;
+use domain::Pose;
+use peer::memory::{Item, Source, Views};
+use shm_types::documents::Content;
+use shm_types::message::{
+    DocumentId, FrameId, ItemKind, MAX_ITEMS, MAX_SEGMENT, MAX_SOURCES, MAX_STEPS, NO_ACTION,
+    NO_DOCUMENT, NO_FRAME, RecalledItem, RecalledSource, SegmentStep, TrajectoryStep,
+};
+
+use crate::bank::Bank;
+use crate::demonstrations::Demonstration;
+
+/// Publishes the documents that recalls name.
+pub trait DocumentSupplier {
+    /// Publishes a document for one episode (lane and number).
+    ///
+    /// # Errors
+    /// When it cannot be published.
+    fn publish(&mut self, episode: (u32, u64), content: &Content) -> anyhow::Result<DocumentId>;
+
+    /// The text of a document over the demonstrations of all cases, which is published for the whole run.
+    ///
+    /// # Errors
+    /// When it is missing, not usable, or cannot be published.
+    fn consolidated(
+        &mut self,
+        kind: domain::DocumentKind,
+        set: warehouse::Demonstrations,
+    ) -> anyhow::Result<Arc<str>>;
+
+    /// The document that [`Self::consolidated`] published for this text; `None` for any other text.
+    fn published(&self, text: &Arc<str>) -> Option<DocumentId>;
+}
+
+/// Most of what one recall may contain.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Budgets {
+    /// Images.
+    pub images: u32,
+    /// Bytes of text.
+    pub text: u32,
+}
+
+/// How much a memory asked to supply, and how much is supplied.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Amount {
+    /// Items.
+    pub items: u16,
+    /// Images.
+    pub images: u32,
+    /// Bytes of text.
+    pub text: u32,
+}
+
+/// An answer whose references exist, cut to the budgets.
+#[derive(Debug, Clone, PartialEq)]
+pub struct CheckedAnswer {
+    /// The answer as it was given.
+    given: Vec<Item>,
+    /// What the recall will consist of.
+    parts: Vec<Part>,
+    /// What was asked for.
+    pub asked: Amount,
+    /// What is supplied.
+    pub supplied: Amount,
+    /// The poses of the views that are supplied, each once.
+    pub poses: Vec<Pose>,
+}
+
+/// One item of a recall: the memory's items with these numbers. Several only if they are whole demonstrations that the
+/// message has no room for: they are one document.
+#[derive(Debug, Clone, PartialEq)]
+struct Part {
+    kind: ItemKind,
+    whole: bool,
+    items: Vec<usize>,
+}
+
+impl CheckedAnswer {
+    /// Checks the items of a memory that was built from `bank`.
+    ///
+    /// # Errors
+    /// When an item names something that is not in the bank, or there are too many items or sources.
+    pub fn new(given: Vec<Item>, bank: &Bank, budgets: Budgets) -> Result<Self, String> {
+        let mut sources = 0;
+        for (number, item) in given.iter().enumerate() {
+            sources += check(item, bank).map_err(|what| format!("item {number} {what}"))?;
+        }
+        if sources > MAX_SOURCES {
+            return Err(format!("it has {sources} sources, and at most {MAX_SOURCES} are allowed"));
+        }
+        let (mut asked, mut supplied) = (Amount::default(), Amount::default());
+        let (mut kept, mut poses) = (Vec::new(), Vec::new());
+        for (number, item) in given.iter().enumerate() {
+            let Amount { images, text, .. } = amount(item);
+            asked.items += 1;
+            asked.images = asked.images.saturating_add(images);
+            asked.text = asked.text.saturating_add(text);
+            let fits =
+                images <= budgets.images - supplied.images && text <= budgets.text - supplied.text;
+            if fits {
+                supplied.items += 1;
+                supplied.images += images;
+                supplied.text += text;
+                kept.push(number);
+                poses.extend(views(item, bank));
+            }
+        }
+        poses.sort_unstable();
+        poses.dedup();
+        let parts = parts(&given, &kept, bank);
+        if parts.len() > MAX_ITEMS {
+            let count = parts.len();
+            return Err(format!("it has {count} items, and at most {MAX_ITEMS} are allowed"));
+        }
+        Ok(Self { given, parts, asked, supplied, poses })
+    }
+
+    /// Whether a memory gave just these items.
+    pub fn is_of(&self, items: &[Item]) -> bool {
+        self.given == items
+    }
+}
+
+/// The items of the recall for the kept ones of `given`.
+fn parts(given: &[Item], kept: &[usize], bank: &Bank) -> Vec<Part> {
+    let is_frame = |&&number: &&usize| matches!(given[number], Item::Frame { .. });
+    let mut room = MAX_STEPS.saturating_sub(kept.iter().filter(is_frame).count());
+    let mut parts: Vec<Part> = Vec::new();
+    for &number in kept {
+        let (mut kind, mut whole, mut joins) = (ItemKind::Text, false, false);
+        match &given[number] {
+            Item::Text { .. } => {}
+            Item::Frame { .. } => kind = ItemKind::Frame,
+            Item::Steps { source, views, distance, .. } => {
+                let count = source.count as usize;
+                let length = bank.demonstrations[source.demonstration as usize].poses.len();
+                whole = count == length;
+                if count > MAX_SEGMENT.min(room) || matches!(views, Views::Keyframes(_)) {
+                    kind = ItemKind::Trajectory;
+                    joins = whole && distance.is_none();
+                } else {
+                    kind = ItemKind::Steps;
+                    room -= count;
+                }
+            }
+        }
+        match parts.last_mut() {
+            Some(last) if joins && last.joins(given) => last.items.push(number),
+            _ => parts.push(Part { kind, whole, items: vec![number] }),
+        }
+    }
+    parts
+}
+
+impl Part {
+    /// Whether further whole demonstrations can become part of this item.
+    fn joins(&self, given: &[Item]) -> bool {
+        let is_close =
+            |&number: &usize| matches!(given[number], Item::Steps { distance: None, .. });
+        self.kind == ItemKind::Trajectory && self.whole && self.items.iter().all(is_close)
+    }
+}
+
+/// Checks the references of an item; returns the number of its sources.
+fn check(item: &Item, bank: &Bank) -> Result<usize, String> {
+    match item {
+        Item::Text { sources, .. } => {
+            sources.iter().try_for_each(|source| demonstration(source, bank).map(drop))?;
+            Ok(sources.len())
+        }
+        Item::Steps { source, views, actions, distance } => {
+            demonstration(source, bank)?;
+            let steps = source.first..source.first + source.count;
+            match views {
+                Views::None if !actions => {
+                    return Err("supplies neither views nor actions".to_owned());
+                }
+                Views::None | Views::All => {}
+                Views::Keyframes(shown) => {
+                    if let Some(step) = shown.iter().find(|step| !steps.contains(step)) {
+                        return Err(format!(
+                            "shows step {step}, which is not one of its steps {steps:?}"
+                        ));
+                    }
+                    if !shown.is_sorted_by(|a, b| a < b) {
+                        return Err("names its keyframes in no ascending order".to_owned());
+                    }
+                }
+            }
+            finite(*distance)
+        }
+        Item::Frame { demonstration: number, step, distance, .. } => {
+            let source = Source { demonstration: *number, first: *step, count: 1 };
+            demonstration(&source, bank)?;
+            finite(*distance)
+        }
+    }
+}
+
+fn finite(distance: Option<f32>) -> Result<usize, String> {
+    match distance {
+        Some(distance) if !distance.is_finite() => {
+            Err(format!("has the distance {distance}, expected a finite number"))
+        }
+        _ => Ok(1),
+    }
+}
+
+/// The demonstration of a source, if it has these steps.
+fn demonstration<'b>(source: &Source, bank: &'b Bank) -> Result<&'b Demonstration, String> {
+    let &Source { demonstration: number, first, count } = source;
+    let all = &bank.demonstrations;
+    let demonstration = all.get(number as usize).ok_or_else(|| {
+        format!("names demonstration {number}, but the bank has {} (from 0)", all.len())
+    })?;
+    let length = demonstration.poses.len();
+    let end = u64::from(first) + u64::from(count);
+    if count == 0 || end > length as u64 {
+        return Err(format!(
+            "names {count} steps from step {first} of demonstration {number}, which has {length} steps (from 0)"
+        ));
+    }
+    Ok(demonstration)
+}
+
+fn amount(item: &Item) -> Amount {
+    let (images, text) = match item {
+        Item::Text { text, .. } => (0, text.len()),
+        Item::Steps { source, views, .. } => match views {
+            Views::None => (0, 0),
+            Views::All => (source.count as usize, 0),
+            Views::Keyframes(shown) => (shown.len(), 0),
+        },
+        Item::Frame { caption, .. } => (1, caption.len()),
+    };
+    let short = |count: usize| u32::try_from(count).unwrap_or(u32::MAX);
+    Amount { items: 1, images: short(images), text: short(text) }
+}
+
+/// The poses of the views that a checked item shows.
+fn views<'b>(item: &Item, bank: &'b Bank) -> Vec<Pose> {
+    let poses = |of: u32| &bank.demonstrations[of as usize].poses;
+    match item {
+        Item::Text { .. } | Item::Steps { views: Views::None, .. } => Vec::new(),
+        Item::Steps { source, views: Views::All, .. } => poses(source.demonstration)
+            [source.first as usize..(source.first + source.count) as usize]
+            .to_vec(),
+        Item::Steps { source, views: Views::Keyframes(shown), .. } => {
+            shown.iter().map(|&step| poses(source.demonstration)[step as usize]).collect()
+        }
+        Item::Frame { demonstration, step, .. } => {
+            vec![poses(*demonstration)[*step as usize]]
+        }
+    }
+}
+
+/// The part of a recall and its trace that follows from an answer.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct AssembledRecall {
+    /// Items in use.
+    pub items_len: u32,
+    /// The items.
+    pub items: [RecalledItem; MAX_ITEMS],
+    /// Steps in use.
+    pub steps_len: u32,
+    /// The steps.
+    pub steps: [SegmentStep; MAX_STEPS],
+    /// Sources in use.
+    pub sources_len: u32,
+    /// The sources.
+    pub sources: [RecalledSource; MAX_SOURCES],
+}
+
+/// The texts that were published for an episode: document and first byte of each.
+pub type PublishedTexts = HashMap<Arc<str>, (DocumentId, u32)>;
+
+/// Puts recalls together.
+pub struct Assembler<'a> {
+    /// The demonstrations that the memory was built from.
+    pub bank: &'a Bank,
+    /// Lane and number of the episode.
+    pub episode: (u32, u64),
+    /// The texts that were published for the episode.
+    pub texts: &'a mut PublishedTexts,
+    /// Publishes further ones.
+    pub documents: &'a mut dyn DocumentSupplier,
+}
+
+impl Assembler<'_> {
+    /// Puts together what an answer supplies. `frame` returns the frame of a view; all those of the answer are resident.
+    ///
+    /// # Errors
+    /// When a document cannot be published.
+    pub fn assemble(
+        &mut self,
+        answer: &CheckedAnswer,
+        frame: impl Fn(Pose) -> Option<FrameId>,
+    ) -> anyhow::Result<AssembledRecall> {
+        self.publish_texts(answer)?;
+        let trajectories = self.publish_trajectories(answer, &frame)?;
+        let mut next_trajectory = 0;
+        let mut recall = AssembledRecall::empty();
+        for Part { kind, whole, items } in &answer.parts {
+            let mut item = RecalledItem { kind: *kind as u8, ..NOTHING };
+            item.whole = (*whole).into();
+            match &answer.given[items[0]] {
+                Item::Text { text, .. } => self.place(text, &mut item),
+                Item::Frame { caption, distance, .. } => {
+                    if !caption.is_empty() {
+                        self.place(caption, &mut item);
+                    }
+                    item.distance = distance.unwrap_or(f32::NAN);
+                }
+                Item::Steps { distance, .. } => item.distance = distance.unwrap_or(f32::NAN),
+            }
+            match kind {
+                ItemKind::Text => {}
+                ItemKind::Steps | ItemKind::Frame => {
+                    let steps = self.steps(&answer.given[items[0]], &frame);
+                    (item.first_step, item.steps) = recall.add_steps(&steps);
+                }
+                ItemKind::Trajectory => {
+                    let counts = items.iter().map(|&of| steps_of(&answer.given[of]));
+                    (item.first_step, item.steps) = (next_trajectory, counts.sum());
+                    item.document = trajectories;
+                    next_trajectory += item.steps;
+                }
+            }
+            let number = recall.items_len as u8;
+            for &of in items {
+                recall.add_sources(&answer.given[of], self.bank, number, *kind);
+            }
+            recall.items[usize::from(number)] = item;
+            recall.items_len += 1;
+        }
+        Ok(recall)
+    }
+
+    /// Publishes the texts that have not been published for the episode, as one document.
+    fn publish_texts(&mut self, answer: &CheckedAnswer) -> anyhow::Result<()> {
+        let mut note = String::new();
+        let mut new = Vec::new();
+        for &number in answer.parts.iter().flat_map(|part| &part.items) {
+            let text = match &answer.given[number] {
+                Item::Text { text, .. } | Item::Frame { caption: text, .. } => text,
+                Item::Steps { .. } => continue,
+            };
+            if self.texts.contains_key(text) || new.iter().any(|(known, _)| known == text) {
+                continue;
+            }
+            if let Some(document) = self.documents.published(text) {
+                self.texts.insert(text.clone(), (document, 0));
+            } else {
+                new.push((text.clone(), note.len() as u32));
+                note.push_str(text);
+            }
+        }
+        if !new.is_empty() {
+            let document = self.documents.publish(self.episode, &Content::Note(note))?;
+            let new = new.into_iter().map(|(text, first_byte)| (text, (document, first_byte)));
+            self.texts.extend(new);
+        }
+        Ok(())
+    }
+
+    /// Writes the place of a published text.
+    fn place(&self, text: &Arc<str>, item: &mut RecalledItem) {
+        let place = self.texts.get(text).copied();
+        (item.document, item.first_byte) = place.unwrap_or((NO_DOCUMENT, 0));
+        item.bytes = text.len() as u32;
+    }
+
+    /// Publishes the steps of all trajectories of an answer as one document.
+    fn publish_trajectories(
+        &mut self,
+        answer: &CheckedAnswer,
+        frame: &impl Fn(Pose) -> Option<FrameId>,
+    ) -> anyhow::Result<DocumentId> {
+        let long = answer.parts.iter().filter(|part| part.kind == ItemKind::Trajectory);
+        let mut steps = Vec::new();
+        for (trajectory, &number) in long.flat_map(|part| &part.items).enumerate() {
+            let trajectory = trajectory as u8;
+            let step = |SegmentStep { frame, action, .. }| TrajectoryStep {
+                frame,
+                action,
+                trajectory,
+                reserved: [0; 6],
+            };
+            steps.extend(self.steps(&answer.given[number], frame).into_iter().map(step));
+        }
+        if steps.is_empty() {
+            return Ok(NO_DOCUMENT);
+        }
+        self.documents.publish(self.episode, &Content::Trajectories(steps))
+    }
+
+    /// The views and actions of an item.
+    fn steps(&self, item: &Item, frame: &impl Fn(Pose) -> Option<FrameId>) -> Vec<SegmentStep> {
+        let (source, views, actions) = match item {
+            Item::Text { .. } => return Vec::new(),
+            Item::Steps { source, views, actions, .. } => (*source, views, *actions),
+            &Item::Frame { demonstration, step, .. } => {
+                (Source { demonstration, first: step, count: 1 }, &Views::All, false)
+            }
+        };
+        let demonstration = &self.bank.demonstrations[source.demonstration as usize];
+        let steps = source.first..source.first + source.count;
+        let last = steps.end - 1;
+        let step = |at: u32| {
+            let is_shown = match views {
+                Views::None => false,
+                Views::All => true,
+                Views::Keyframes(shown) => shown.binary_search(&at).is_ok(),
+            };
+            let view = is_shown.then(|| frame(demonstration.poses[at as usize])).flatten();
+            let action = demonstration.actions.get(at as usize).filter(|_| actions && at < last);
+            SegmentStep {
+                frame: view.unwrap_or(NO_FRAME),
+                action: action.map_or(NO_ACTION, |&action| action as u8),
+                reserved: [0; 7],
+            }
+        };
+        steps.map(step).collect()
+    }
+}
+
+/// An item without text, steps and distance.
+const NOTHING: RecalledItem = RecalledItem {
+    document: NO_DOCUMENT,
+    distance: f32::NAN,
+    first_step: 0,
+    steps: 0,
+    first_byte: 0,
+    bytes: 0,
+    kind: 0,
+    whole: 0,
+    reserved: [0; 2],
+};
+
+/// Number of steps of an item.
+const fn steps_of(item: &Item) -> u32 {
+    match item {
+        Item::Text { .. } => 0,
+        Item::Steps { source, .. } => source.count,
+        Item::Frame { .. } => 1,
+    }
+}
+
+impl AssembledRecall {
+    fn empty() -> Self {
+        Self {
+            items_len: 0,
+            items: [NOTHING; MAX_ITEMS],
+            steps_len: 0,
+            steps: [Zeroable::zeroed(); MAX_STEPS],
+            sources_len: 0,
+            sources: [Zeroable::zeroed(); MAX_SOURCES],
+        }
+    }
+
+    /// Adds steps, for which there is room; returns the first and their number.
+    fn add_steps(&mut self, steps: &[SegmentStep]) -> (u32, u32) {
+        let (first, count) = (self.steps_len, steps.len() as u32);
+        self.steps[first as usize..][..steps.len()].copy_from_slice(steps);
+        self.steps_len += count;
+        (first, count)
+    }
+
+    fn add_sources(&mut self, item: &Item, bank: &Bank, number: u8, kind: ItemKind) {
+        let (sources, distance) = match item {
+            Item::Text { sources, .. } => (sources.clone(), None),
+            Item::Steps { source, distance, .. } => (vec![*source], *distance),
+            &Item::Frame { demonstration, step, distance, .. } => {
+                (vec![Source { demonstration, first: step, count: 1 }], distance)
+            }
+        };
+        for Source { demonstration, first, count } in sources {
+            let &Demonstration { case, number: of, .. } =
+                &bank.demonstrations[demonstration as usize];
+            self.sources[self.sources_len as usize] = RecalledSource {
+                case,
+                distance: distance.unwrap_or(f32::NAN),
+                demonstration: of,
+                first: first as u16,
+                steps: count as u16,
+                item: number,
+                kind: kind as u8,
+            };
+            self.sources_len += 1;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;

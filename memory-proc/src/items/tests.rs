@@ -1,0 +1,260 @@
+//! What becomes of items: references, budgets, kinds, documents.
+
+use domain::Action;
+use proptest::prelude::*;
+
+use super::*;
+use crate::representation::testing::{TestDocuments, demonstration};
+
+const FORWARD: u8 = Action::Forward as u8;
+
+/// Demonstrations of 10, 5 and 61 steps.
+fn bank() -> Bank {
+    Bank::new(vec![demonstration(0, 5, 9), demonstration(3, 7, 4), demonstration(1, 0, 60)])
+}
+
+const AMPLE: Budgets = Budgets { images: 200, text: 200 };
+
+fn source(demonstration: u32, first: u32, count: u32) -> Source {
+    Source { demonstration, first, count }
+}
+
+fn steps(demonstration: u32, first: u32, count: u32) -> Item {
+    let source = source(demonstration, first, count);
+    Item::Steps { source, views: Views::All, actions: true, distance: Some(0.5) }
+}
+
+fn whole(demonstration: u32, count: u32, shown: &[u32]) -> Item {
+    let source = source(demonstration, 0, count);
+    let views = Views::Keyframes(shown.to_vec());
+    Item::Steps { source, views, actions: true, distance: None }
+}
+
+fn frame(demonstration: u32, step: u32, caption: &str) -> Item {
+    Item::Frame { demonstration, step, caption: caption.into(), distance: None }
+}
+
+fn refusal(items: Vec<Item>) -> String {
+    CheckedAnswer::new(items, &bank(), AMPLE).unwrap_err()
+}
+
+/// The recall of `items`, with frames that are numbered by row.
+fn assembled(
+    items: Vec<Item>,
+    texts: &mut PublishedTexts,
+    documents: &mut TestDocuments,
+) -> AssembledRecall {
+    let bank = bank();
+    let answer = CheckedAnswer::new(items, &bank, AMPLE).unwrap();
+    let mut assembler = Assembler { bank: &bank, episode: (1, 7), texts, documents };
+    let frame = |pose: Pose| {
+        assert!(answer.poses.contains(&pose), "{pose} was not asked for");
+        Some(1000 + u64::from(pose.cell.y))
+    };
+    assembler.assemble(&answer, frame).unwrap()
+}
+
+#[test]
+fn what_is_not_in_the_bank_is_refused_by_name() {
+    let distant = |distance| Item::Steps {
+        source: source(0, 0, 2),
+        views: Views::All,
+        actions: true,
+        distance: Some(distance),
+    };
+    let neither =
+        Item::Steps { source: source(0, 0, 2), views: Views::None, actions: false, distance: None };
+    let text = Item::Text { text: "cone".into(), sources: vec![source(0, 0, 2), source(1, 4, 2)] };
+    let sources = vec![source(0, 0, 1); 17];
+    for (item, expected) in [
+        (steps(3, 0, 1), "item 1 names demonstration 3, but the bank has 3 (from 0)"),
+        (steps(u32::MAX, 0, 1), "item 1 names demonstration 4294967295, but the bank has 3"),
+        (steps(1, 2, 4), "item 1 names 4 steps from step 2 of demonstration 1, which has 5 steps"),
+        (steps(1, u32::MAX, u32::MAX), "item 1 names 4294967295 steps from step 4294967295"),
+        (steps(1, 2, 0), "item 1 names 0 steps"),
+        (frame(1, 5, ""), "item 1 names 1 steps from step 5"),
+        (whole(1, 5, &[0, 5]), "item 1 shows step 5, which is not one of its steps 0..5"),
+        (whole(1, 5, &[3, 1]), "item 1 names its keyframes in no ascending order"),
+        (whole(1, 5, &[1, 1]), "item 1 names its keyframes in no ascending order"),
+        (neither, "item 1 supplies neither views nor actions"),
+        (distant(f32::INFINITY), "item 1 has the distance inf, expected a finite number"),
+        (text, "item 1 names 2 steps from step 4 of demonstration 1"),
+        (Item::Text { text: "".into(), sources }, "it has 17 sources, and at most 16 are allowed"),
+    ] {
+        let error = refusal(vec![Item::text("before"), item]);
+        assert!(error.starts_with(expected), "{error}");
+    }
+    let error = refusal(vec![Item::text("x"); 9]);
+    assert_eq!(error, "it has 9 items, and at most 8 are allowed");
+}
+
+#[test]
+fn an_item_that_does_not_fit_into_a_budget_is_dropped_whole() {
+    let items = vec![
+        Item::text("four"),
+        steps(0, 2, 5),
+        frame(0, 0, "it"),
+        steps(0, 0, 4),
+        Item::text("to"),
+        Item::text("long text"),
+    ];
+    for (images, text, kept, supplied) in [
+        (200, 200, vec![0, 1, 2, 3, 4, 5], (10, 17)),
+        (6, 8, vec![0, 1, 2, 4], (6, 8)),
+        (5, 8, vec![0, 1, 4], (5, 6)),
+        (4, 4, vec![0, 3], (4, 4)),
+        (1, 3, vec![2], (1, 2)),
+        (0, 0, vec![], (0, 0)),
+    ] {
+        let budgets = Budgets { images, text };
+        let answer = CheckedAnswer::new(items.clone(), &bank(), budgets).unwrap();
+        let numbers: Vec<usize> = answer.parts.iter().flat_map(|part| part.items.clone()).collect();
+        assert_eq!(numbers, kept, "{budgets:?}");
+        assert_eq!(answer.asked, Amount { items: 6, images: 10, text: 17 });
+        let (images, text) = supplied;
+        assert_eq!(answer.supplied, Amount { items: kept.len() as u16, images, text });
+    }
+}
+
+#[test]
+fn steps_show_what_the_item_asks_for() {
+    let with = |views, actions| Item::Steps {
+        source: source(0, 2, 3),
+        views,
+        actions,
+        distance: Some(0.5),
+    };
+    for (item, expected) in [
+        (with(Views::All, true), [(1007, FORWARD), (1008, FORWARD), (1009, NO_ACTION)]),
+        (with(Views::All, false), [(1007, NO_ACTION), (1008, NO_ACTION), (1009, NO_ACTION)]),
+        (with(Views::None, true), [(0, FORWARD), (0, FORWARD), (0, NO_ACTION)]),
+    ] {
+        let recall =
+            assembled(vec![item], &mut PublishedTexts::default(), &mut TestDocuments::default());
+        let item = recall.items[0];
+        assert_eq!((recall.items_len, recall.steps_len, item.first_step, item.steps), (1, 3, 0, 3));
+        assert_eq!((item.kind, item.whole, item.distance), (ItemKind::Steps as u8, 0, 0.5));
+        let shown = recall.steps[..3].iter().map(|step| (step.frame, step.action));
+        assert_eq!(shown.collect::<Vec<_>>(), expected);
+        let RecalledSource { case, demonstration, first, steps, item, .. } = recall.sources[0];
+        assert_eq!(
+            (recall.sources_len, case, demonstration, first, steps, item),
+            (1, 8, 0, 2, 3, 0)
+        );
+    }
+}
+
+#[test]
+fn long_items_and_keyframes_become_documents_and_neighbours_one_item() {
+    let (mut texts, mut documents) = (PublishedTexts::default(), TestDocuments::default());
+    let long = steps(2, 1, 33);
+    let items = vec![
+        steps(2, 0, 32),
+        whole(0, 10, &[0, 9]),
+        whole(1, 5, &[]),
+        frame(0, 3, "a cone"),
+        long,
+        steps(2, 7, 15),
+        steps(2, 7, 1),
+    ];
+    let recall = assembled(items, &mut texts, &mut documents);
+    let kinds = recall.items[..recall.items_len as usize].iter().map(|item| item.kind);
+    let expected = [ItemKind::Steps, ItemKind::Trajectory, ItemKind::Frame, ItemKind::Trajectory]
+        .into_iter()
+        .chain([ItemKind::Steps, ItemKind::Trajectory])
+        .map(|kind| kind as u8);
+    assert_eq!(kinds.collect::<Vec<_>>(), expected.collect::<Vec<_>>(), "48 steps fit");
+    assert_eq!(recall.steps_len, 48);
+    let places = |item: RecalledItem| (item.first_step, item.steps, item.whole, item.document);
+    assert_eq!(places(recall.items[1]), (0, 15, 1, 2));
+    assert_eq!(places(recall.items[2]), (32, 1, 0, 1));
+    assert_eq!(places(recall.items[3]), (15, 33, 0, 2));
+    assert_eq!(places(recall.items[5]), (48, 1, 0, 2));
+    assert_eq!(documents.published.len(), 2, "a note and the steps of all trajectories");
+    let Content::Trajectories(steps) = &documents.published[1].1 else { panic!() };
+    assert!(steps.is_sorted_by_key(|step| step.trajectory) && steps.len() == 49);
+    let shown = steps[..15].iter().filter(|step| step.frame != NO_FRAME).count();
+    assert_eq!((shown, steps[9].action, steps[14].action), (2, NO_ACTION, NO_ACTION));
+    let items = recall.sources[..recall.sources_len as usize].iter().map(|source| source.item);
+    assert_eq!(items.collect::<Vec<_>>(), [0, 1, 1, 2, 3, 4, 5]);
+}
+
+#[test]
+fn a_text_is_published_once_in_an_episode() {
+    let (mut texts, mut documents) = (PublishedTexts::default(), TestDocuments::default());
+    let known = documents
+        .consolidated(domain::DocumentKind::Summary, warehouse::Demonstrations::ALL)
+        .unwrap();
+    let items = vec![
+        Item::text("a cone"),
+        Item::text("a bärrel"),
+        Item::text("a cone"),
+        Item::Text { text: known, sources: Vec::new() },
+    ];
+    let first = assembled(items.clone(), &mut texts, &mut documents);
+    let places = first.items[..4].iter().map(|i| (i.document, i.first_byte, i.bytes));
+    let places = places.collect::<Vec<_>>();
+    assert_eq!(places, [(2, 0, 6), (2, 6, 9), (2, 0, 6), (1, 0, 12)]);
+    let again = items[1..].iter().cloned().chain([frame(0, 0, "a cone"), frame(0, 0, "new")]);
+    let second = assembled(again.collect(), &mut texts, &mut documents);
+    let places = second.items[..5].iter().map(|i| (i.document, i.first_byte));
+    assert_eq!(places.collect::<Vec<_>>(), [(2, 6), (2, 0), (1, 0), (2, 0), (3, 0)]);
+    assert_eq!(documents.published[1].1, Content::Note("a conea bärrel".to_owned()));
+    assert_eq!(documents.published[2].1, Content::Note("new".to_owned()));
+    assert_eq!(documents.published.len(), 3);
+}
+
+fn item() -> impl Strategy<Value = Item> {
+    let source = || {
+        (0..4_u32, prop_oneof![0..70_u32, any::<u32>()], prop_oneof![0..70_u32, any::<u32>()])
+            .prop_map(|(demonstration, first, count)| source(demonstration, first, count))
+    };
+    let views = prop_oneof![
+        Just(Views::None),
+        Just(Views::All),
+        prop::collection::btree_set(0..70_u32, 0..9)
+            .prop_map(|steps| Views::Keyframes(steps.into_iter().collect())),
+    ];
+    let distance = || prop_oneof![Just(None), any::<f32>().prop_map(Some)];
+    prop_oneof![
+        ("[a-zäö]{0,90}", prop::collection::vec(source(), 0..4))
+            .prop_map(|(text, sources)| Item::Text { text: text.into(), sources }),
+        (source(), views, any::<bool>(), distance()).prop_map(
+            |(source, views, actions, distance)| {
+                Item::Steps { source, views, actions, distance }
+            }
+        ),
+        (source(), "[a-z]{0,9}", distance()).prop_map(|(source, caption, distance)| {
+            let Source { demonstration, first: step, .. } = source;
+            Item::Frame { demonstration, step, caption: caption.into(), distance }
+        }),
+    ]
+}
+
+proptest! {
+    /// Whatever a memory answers is refused, or keeps within the budgets and the message.
+    #[test]
+    fn every_answer_is_refused_or_fits(
+        items in prop::collection::vec(item(), 0..10),
+        (images, text) in (0..150_u32, 0..200_u32),
+    ) {
+        let bank = bank();
+        let Ok(answer) = CheckedAnswer::new(items, &bank, Budgets { images, text }) else {
+            return Ok(());
+        };
+        prop_assert!(answer.supplied.images <= images && answer.supplied.text <= text);
+        prop_assert!(answer.supplied.items <= answer.asked.items);
+        let (mut texts, mut documents) = (PublishedTexts::default(), TestDocuments::default());
+        let (texts, documents) = (&mut texts, &mut documents);
+        let mut assembler = Assembler { bank: &bank, episode: (1, 7), texts, documents };
+        let recall = assembler.assemble(&answer, |_| Some(5)).unwrap();
+        let shown = recall.steps[..recall.steps_len as usize].iter().map(|step| step.frame);
+        let in_document = documents.published.iter().filter_map(|(_, content)| match content {
+            Content::Trajectories(steps) => Some(steps),
+            _ => None,
+        });
+        let in_document = in_document.flatten().map(|step| step.frame);
+        let shown = shown.chain(in_document).filter(|&frame| frame != NO_FRAME).count();
+        prop_assert_eq!(shown, answer.supplied.images as usize);
+    }
+}

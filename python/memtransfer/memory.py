@@ -1,0 +1,295 @@
+"""The memory interface: what a memory is given, and the items it supplies.
+
+    from memtransfer import Memory, Steps, run
+
+    class Nearest(Memory):
+        def build(self, demonstrations):
+            self.demonstrations = demonstrations
+
+        def recall(self, query):
+            similar = [d.embeddings @ query.embedding for d in self.demonstrations]
+            number = max(range(len(similar)), key=lambda number: similar[number].max())
+            return [Steps(number, first=similar[number].argmax())]
+
+    run(Nearest())
+
+A memory names steps of demonstrations by number. The run looks up their views and actions, so a memory cannot supply
+anything that it was not given. The guide is `docs/memory.md` of the project.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from memtransfer._native import Frame, MemoryStep
+from memtransfer.codes import Action, Feedback, Heading
+from memtransfer.request import Pose
+
+
+@dataclass(frozen=True, slots=True)
+class DemonstrationStep:
+    """One step of a demonstration."""
+
+    pose: Pose
+    """The expert's pose."""
+    action: Action | None
+    """The expert's action there; `None` at the end of the demonstration."""
+    feedback: Feedback
+    """The result of the action before."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Demonstration(Sequence[DemonstrationStep]):
+    """An expert's demonstration of a task: a sequence of steps, and the same steps as arrays.
+
+    Demonstrations are numbered from 0, in the order of `Memory.build`; steps from 0 within a demonstration.
+    """
+
+    instruction: str
+    """The demonstrated task, in English."""
+    poses: NDArray[np.int32]
+    """By step: column (from the west), row (from the south), and the code of the heading."""
+    actions: NDArray[np.int32]
+    """By step: the code of the expert's action; -1 at the end, where there is none."""
+    feedback: NDArray[np.int32]
+    """By step: the code of the feedback to the action before."""
+    embeddings: NDArray[np.float32]
+    """By step: the embedding of the view, of length 1. Read-only, and the run's own memory: nothing is copied. It has
+    no columns if `Memory.embeddings` is false."""
+    frames: Sequence[Frame] = ()
+    """By step: the view. Empty unless `Memory.frames` is true. Pixels are available while `Memory.build` runs: copy
+    what you keep."""
+
+    def __len__(self) -> int:
+        return len(self.poses)
+
+    def __getitem__(self, step: Any) -> Any:
+        if isinstance(step, slice):
+            return [self[number] for number in range(*step.indices(len(self)))]
+        x, y, heading = (int(number) for number in self.poses[step])
+        action = int(self.actions[step])
+        return DemonstrationStep(
+            Pose(x, y, _HEADINGS[heading]),
+            None if action < 0 else _ACTIONS[action],
+            _FEEDBACK[int(self.feedback[step])],
+        )
+
+    def __iter__(self) -> Iterator[DemonstrationStep]:
+        return (self[step] for step in range(len(self)))
+
+    def route(self) -> str:
+        """Returns the demonstration as a line of text: the task, the start, and the straight legs of the route.
+
+        For example `"Find a blue barrel." from (14, 11) facing S: south 3 to (14, 8), west 5 to (9, 8).`
+        """
+        cells: list[tuple[int, int]] = [(int(x), int(y)) for x, y, _ in self.poses]
+        legs: list[tuple[str, int, tuple[int, int]]] = []
+        for (x, y), here in zip(cells, cells[1:]):
+            if here == (x, y):
+                continue
+            direction = _DIRECTIONS.get((here[0] - x, here[1] - y), "on")
+            if legs and legs[-1][0] == direction:
+                legs[-1] = (direction, legs[-1][1] + 1, here)
+            else:
+                legs.append((direction, 1, here))
+        said = ", ".join(f"{direction} {count} to {cell}" for direction, count, cell in legs)
+        heading = _HEADINGS[int(self.poses[0][2])].name
+        return f'"{self.instruction}" from {cells[0]} facing {heading}: {said or "stay"}.'
+
+
+_HEADINGS, _ACTIONS, _FEEDBACK = tuple(Heading), tuple(Action), tuple(Feedback)
+
+_DIRECTIONS = {(0, 1): "north", (1, 0): "east", (0, -1): "south", (-1, 0): "west"}
+
+
+@dataclass(frozen=True, slots=True)
+class Episode:
+    """An episode that begins."""
+
+    id: int
+    """Identifies the episode within the run."""
+    lane: int
+    """The lane the episode runs in. Episodes of several lanes run at the same time."""
+    instruction: str
+    """The agent's task, in English."""
+    seed: int
+    """The seed for memories that draw at random."""
+    repeat: int
+    """The repetition of the run, from 1."""
+    image_budget: int
+    """Maximum number of images in an answer."""
+    text_budget: int
+    """Maximum number of bytes of text in an answer."""
+
+
+@dataclass(frozen=True, slots=True)
+class RecentStep:
+    """One of the agent's last steps."""
+
+    frame: Frame
+    """The view before the action."""
+    pose: Pose
+    """The pose before the action."""
+    action: Action | None
+    """The action taken; `None` if the policy's answer held none."""
+    feedback: Feedback
+    """The result of the action."""
+
+
+@dataclass(slots=True, eq=False)
+class Query:
+    """The agent's state at a step of an episode."""
+
+    episode: int
+    """Identifies the episode within the run."""
+    lane: int
+    """The lane the episode runs in."""
+    step: int
+    """Number of steps taken so far."""
+    instruction: str
+    """The agent's task, in English."""
+    pose: Pose
+    """The agent's position and heading."""
+    last_action: Action | None
+    """The action that led here; `None` at the start, and if the policy's answer held none."""
+    feedback: Feedback
+    """The result of the last action."""
+    frame: Frame | None = None
+    """The current view; `None` at the end of an episode, in `Memory.observe`."""
+    embedding: NDArray[np.float32] | None = None
+    """The embedding of the current view, of length 1; `None` at the end of an episode, and if `Memory.embeddings` is
+    false."""
+    window: Sequence[RecentStep] = ()
+    """The last steps, oldest first; empty in `Memory.observe`."""
+    image_budget: int = 0
+    """Maximum number of images in the answer."""
+    text_budget: int = 0
+    """Maximum number of bytes of text in the answer."""
+
+
+class ServedQuery(Query):
+    """A query of a run. Each field is read from the step when it is first used."""
+
+    __slots__ = ("_step",)
+
+    def __init__(self, step: MemoryStep) -> None:
+        self._step = step
+
+    def __getattr__(self, name: str) -> Any:
+        # Called only for slots that are not set yet.
+        value = self._step.field(name)
+        setattr(self, name, value)
+        return value
+
+
+@dataclass(frozen=True, slots=True)
+class Source:
+    """Consecutive steps of a demonstration, as the origin of a text."""
+
+    demonstration: int
+    """Number of the demonstration."""
+    first: int = 0
+    """The first step."""
+    count: int | None = None
+    """Maximum number of steps, which end with the demonstration; `None` for all."""
+
+
+@dataclass(frozen=True, slots=True)
+class Text:
+    """An item: a text."""
+
+    text: str
+    sources: Sequence[Source] = ()
+    """The steps that the text is about; none if it is about the memory as a whole."""
+
+
+@dataclass(frozen=True, slots=True)
+class Steps:
+    """An item: consecutive steps of a demonstration."""
+
+    demonstration: int
+    """Number of the demonstration."""
+    first: int = 0
+    """The first step."""
+    count: int | None = 7
+    """Maximum number of steps, which end with the demonstration; `None` for all. By default as many as episodic memory
+    supplies at the standard settings."""
+    views: bool | Sequence[int] = True
+    """Whether to supply the steps' views, or the numbers of the steps whose views are supplied. Each view counts
+    against the image budget."""
+    actions: bool = True
+    """Whether to supply the expert's actions. The last step is always supplied without one."""
+    distance: float | None = None
+    """The distance between the first step and the query, if there is one."""
+
+
+@dataclass(frozen=True, slots=True)
+class View:
+    """An item: one view of a demonstration, with a caption."""
+
+    demonstration: int
+    """Number of the demonstration."""
+    step: int
+    """The step."""
+    caption: str = ""
+    distance: float | None = None
+    """The distance between the view and the query, if there is one."""
+
+
+MemoryItem: TypeAlias = Text | Steps | View | str
+"""What `Memory.recall` may return a list of. A `str` stands for a `Text` without sources."""
+
+
+class Memory(ABC):
+    """A memory of one bank of demonstrations. Subclass it and pass an instance, or the class, to `memtransfer.run`.
+
+    A run has many banks: each gets a memory of its own, which is a deep copy of the instance, or a new instance of the
+    class.
+    """
+
+    name: str = ""
+    """The name in conditions, logs and tables: 1 to 24 lower-case letters, digits and hyphens. If empty, the name of
+    the class: `TopThree` is called `top-three`."""
+    version: str = "1"
+    """The version, for the run's manifest."""
+    scope: str = "case"
+    """What a bank holds: the demonstrations of one `case`, or those of `all` cases."""
+    embeddings: bool = True
+    """Whether the memory uses embeddings of views."""
+    frames: bool = False
+    """Whether the memory looks at pixels of demonstrations. With scope `all` there are none."""
+    deterministic: bool = True
+    """Whether equal episodes get equal answers, whatever else the memory was asked."""
+
+    def build(self, demonstrations: Sequence[Demonstration]) -> None:
+        """Builds the memory, once, before anything else."""
+
+    def begin_episode(self, episode: Episode) -> None:
+        """Called when an episode begins. Episodes of several lanes can use the same memory at the same time."""
+
+    def observe(self, step: Query) -> None:
+        """Called at each step of an episode before `recall`, and at the end of the episode, where `frame` is `None`."""
+
+    @abstractmethod
+    def recall(self, query: Query) -> Sequence[MemoryItem]:
+        """Returns what to supply for a step: at most 8 items, the most important first; an empty list for nothing.
+
+        An item that does not fit into what is left of the image or text budget is dropped whole.
+        """
+
+    def end_episode(self, episode: int) -> None:
+        """Called when the episode with this id is over."""
+
+    def store_bytes(self) -> int | None:
+        """Returns the size of what the memory stores, if it is known."""
+        return None
+
+    def tokens(self) -> int | None:
+        """Returns the tokens of the memory's own requests to a model in the last `recall`, if it counts them."""
+        return None

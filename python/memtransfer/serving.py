@@ -1,0 +1,98 @@
+"""The functions that connect a policy or a memory to a run."""
+
+from __future__ import annotations
+
+import copy
+import os
+import re
+import signal
+import sys
+import threading
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from types import FrameType
+from typing import TypeAlias
+
+from memtransfer import _native
+from memtransfer.errors import MemTransferError, PolicyError
+from memtransfer.memory import Memory
+from memtransfer.policy import Policy
+
+Program: TypeAlias = Policy | Memory | type[Memory]
+"""What can take part in a run. Of a memory each bank of demonstrations gets a deep copy, of a class an instance."""
+
+
+def run(program: Program) -> None:
+    """Serves the run that the environment variable `MEMTRANSFER_ATTACH` names, until the run ends.
+
+    Returns when the run is over. If the run cannot be joined, exits with status 2 and a message; if a policy
+    breaks its contract, with status 1. SIGINT and SIGTERM exit with status 128 plus the signal's number; a memory
+    ends by the signal itself, unless the program has handlers of its own.
+    """
+    in_main = threading.current_thread() is threading.main_thread()
+    previous = _set_handlers(program) if in_main else {}
+    try:
+        _serve(program, None)
+    except PolicyError as error:
+        sys.exit(_report(error, 1))
+    except MemTransferError as error:
+        sys.exit(_report(error, 2))
+    except KeyboardInterrupt:
+        sys.exit(128 + signal.SIGINT)
+    finally:
+        for number, handler in previous.items():
+            signal.signal(number, handler)
+
+
+def serve(program: Program, folder: str | Path) -> None:
+    """Serves the run in `folder` until the run ends, across restarts of the run's processes.
+
+    The folder of a memory is the one that `memtransfer run --memory external` prints.
+
+    Raises:
+        AttachError: The run cannot be joined, or the memory's name is not valid.
+        BusError: The run's transport failed.
+        PromptLogError: The run asks for a prompt log that cannot be created.
+        PolicyError: The policy broke its contract.
+    """
+    _serve(program, os.fspath(folder))
+
+
+def _serve(program: Program, folder: str | None) -> None:
+    if isinstance(program, Policy):
+        _native.serve(program, folder)
+    elif isinstance(program, Memory):
+        _serve_memory(program, partial(copy.deepcopy, program), folder)
+    elif isinstance(program, type) and issubclass(program, Memory):
+        _serve_memory(program, program, folder)
+    else:
+        raise TypeError(f"{program!r} is neither a Policy nor a Memory")
+
+
+def _serve_memory(
+    memory: Memory | type[Memory], create: Callable[[], Memory], folder: str | None
+) -> None:
+    kind = memory if isinstance(memory, type) else type(memory)
+    name = memory.name or re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "-", kind.__name__).lower()
+    if memory.scope not in ("case", "all"):
+        raise ValueError(f"scope of memory {name} is {memory.scope!r}, but must be 'case' or 'all'")
+    needs = (memory.embeddings, memory.frames, memory.deterministic)
+    _native.serve_memory(create, (name, memory.version, memory.scope, *needs), folder)
+
+
+def _set_handlers(program: Program) -> dict[int, signal._HANDLER]:
+    if isinstance(program, Policy):
+        return {signal.SIGTERM: signal.signal(signal.SIGTERM, _exit_on_signal)}
+    # Between two queries no Python code runs, so no Python handler would.
+    is_default = signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    return {signal.SIGINT: signal.signal(signal.SIGINT, signal.SIG_DFL)} if is_default else {}
+
+
+def _exit_on_signal(number: int, _frame: FrameType | None) -> None:
+    sys.exit(128 + number)
+
+
+def _report(error: MemTransferError, status: int) -> int:
+    print(f"memtransfer: {error}", file=sys.stderr)
+    return status

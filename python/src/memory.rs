@@ -1,0 +1,340 @@
+//! A Python memory as the SDK sees one: banks and queries go in as Python objects, answers come back as items.
+
+use std::sync::Arc;
+
+use peer::memory::{
+    Demonstration, Episode, Item, Memory, MemoryDescription, MemoryError, MemoryMethod, Query,
+    Scope, Source, Step, Views,
+};
+use pyo3::exceptions::PyValueError;
+use pyo3::intern;
+use pyo3::prelude::*;
+use pyo3::types::{PyBool, PyBytes, PyList, PyString, PyTuple, PyType};
+use shm_types::{Bank, Frame as SharedFrame};
+
+use crate::classes::Classes;
+use crate::frame::Frame;
+use crate::query::{MemoryStep, Numbers, as_array};
+
+/// Name, version, scope, whether it uses embeddings, whether it looks at frames, whether it is deterministic.
+pub(crate) type Described = (String, String, String, bool, bool, bool);
+
+/// A Python function that makes memories.
+pub(crate) struct PythonMethod {
+    create: Py<PyAny>,
+    description: MemoryDescription,
+}
+
+impl PythonMethod {
+    pub(crate) fn new(create: &Bound<'_, PyAny>, described: Described) -> PyResult<Self> {
+        let (name, version, scope, embeddings, frames, deterministic) = described;
+        let scope = match &*scope {
+            "case" => Scope::Case,
+            "all" => Scope::All,
+            scope => return Err(PyValueError::new_err(format!("{scope:?} is not a scope"))),
+        };
+        let sdk = "python".to_owned();
+        let description =
+            MemoryDescription { name, version, scope, embeddings, frames, deterministic, sdk };
+        Ok(Self { create: create.clone().unbind(), description })
+    }
+}
+
+impl MemoryMethod for PythonMethod {
+    fn describe(&self) -> MemoryDescription {
+        self.description.clone()
+    }
+
+    fn create(&self) -> Box<dyn Memory + '_> {
+        let name = &*self.description.name;
+        let object = Python::attach(|py| {
+            let object = self.create.bind(py).call0();
+            object
+                .and_then(|object| Object::new(&object))
+                .map_err(|raised| failure(py, name, &raised))
+        });
+        Box::new(PythonMemory { name, object, bank: None, lengths: Vec::new() })
+    }
+}
+
+/// A memory of one bank.
+struct PythonMemory<'m> {
+    name: &'m str,
+    /// The Python object, or why it could not be made.
+    object: Result<Object, MemoryError>,
+    /// Keeps the bank mapped as long as the memory exists.
+    bank: Option<Arc<Bank>>,
+    /// Number of steps of each demonstration.
+    lengths: Vec<u32>,
+}
+
+struct Object {
+    memory: Py<PyAny>,
+    /// The optional methods that its class overrides.
+    overrides: Overrides,
+}
+
+#[expect(clippy::struct_excessive_bools, reason = "one for each optional method")]
+struct Overrides {
+    begin_episode: bool,
+    observe: bool,
+    end_episode: bool,
+    store_bytes: bool,
+    tokens: bool,
+}
+
+impl Object {
+    fn new(memory: &Bound<'_, PyAny>) -> PyResult<Self> {
+        let py = memory.py();
+        let (class, base) = (memory.get_type(), Classes::get(py)?.memory.memory.bind(py));
+        let overrides = |name: &str| PyResult::Ok(!class.getattr(name)?.is(&base.getattr(name)?));
+        let overrides = Overrides {
+            begin_episode: overrides("begin_episode")?,
+            observe: overrides("observe")?,
+            end_episode: overrides("end_episode")?,
+            store_bytes: overrides("store_bytes")?,
+            tokens: overrides("tokens")?,
+        };
+        Ok(Self { memory: memory.clone().unbind(), overrides })
+    }
+}
+
+/// The classes of `memtransfer.memory`.
+pub(crate) struct MemoryClasses {
+    pub(crate) memory: Py<PyType>,
+    pub(crate) demonstration: Py<PyType>,
+    pub(crate) episode: Py<PyType>,
+    pub(crate) recent_step: Py<PyType>,
+    pub(crate) served_query: Py<PyType>,
+    pub(crate) text: Py<PyType>,
+    pub(crate) steps: Py<PyType>,
+    pub(crate) view: Py<PyType>,
+}
+
+impl<'m> PythonMemory<'m> {
+    /// Calls `work` with the Python object; an exception is printed to the log.
+    fn call<T>(
+        &self,
+        work: impl FnOnce(Python<'_>, &Bound<'_, PyAny>, &Overrides) -> PyResult<T>,
+    ) -> Result<T, MemoryError> {
+        let object = self.object.as_ref().map_err(Clone::clone)?;
+        Python::attach(|py| {
+            work(py, object.memory.bind(py), &object.overrides)
+                .map_err(|raised| failure(py, self.name, &raised))
+        })
+    }
+
+    fn items(&self, answer: &Bound<'_, PyAny>) -> PyResult<Vec<Item>> {
+        if answer.is_none() || answer.is_instance_of::<PyString>() {
+            let problem = format!(
+                "recall returned {}, but must return a list of items, which may be empty",
+                answer.repr()?
+            );
+            return Err(PyValueError::new_err(problem));
+        }
+        answer.try_iter()?.map(|item| self.item(&item?)).collect()
+    }
+
+    fn item(&self, item: &Bound<'_, PyAny>) -> PyResult<Item> {
+        let py = item.py();
+        let classes = &Classes::get(py)?.memory;
+        let distance = || item.getattr(intern!(py, "distance"))?.extract::<Option<f32>>();
+        if let Ok(text) = item.cast::<PyString>() {
+            return Ok(Item::text(text.to_str()?));
+        }
+        if item.is_instance(classes.steps.bind(py))? {
+            let views = item.getattr(intern!(py, "views"))?;
+            return Ok(Item::Steps {
+                source: self.source(item)?,
+                views: match views.cast::<PyBool>() {
+                    Ok(all) if all.is_true() => Views::All,
+                    Ok(_) => Views::None,
+                    Err(_) => {
+                        Views::Keyframes(views.try_iter()?.map(number).collect::<PyResult<_>>()?)
+                    }
+                },
+                actions: item.getattr(intern!(py, "actions"))?.is_truthy()?,
+                distance: distance()?,
+            });
+        }
+        if item.is_instance(classes.text.bind(py))? {
+            let sources = item.getattr(intern!(py, "sources"))?.try_iter()?;
+            let text = item.getattr(intern!(py, "text"))?;
+            return Ok(Item::Text {
+                text: text.cast::<PyString>()?.to_str()?.into(),
+                sources: sources.map(|source| self.source(&source?)).collect::<PyResult<_>>()?,
+            });
+        }
+        if item.is_instance(classes.view.bind(py))? {
+            let caption = item.getattr(intern!(py, "caption"))?;
+            return Ok(Item::Frame {
+                demonstration: number(item.getattr(intern!(py, "demonstration")))?,
+                step: number(item.getattr(intern!(py, "step")))?,
+                caption: caption.cast::<PyString>()?.to_str()?.into(),
+                distance: distance()?,
+            });
+        }
+        let problem = format!(
+            "recall returned {}, but an item is a Text, Steps, a View or a str",
+            item.repr()?
+        );
+        Err(PyValueError::new_err(problem))
+    }
+
+    /// The attributes `demonstration`, `first` and `count` of `of`.
+    fn source(&self, of: &Bound<'_, PyAny>) -> PyResult<Source> {
+        let py = of.py();
+        let demonstration = number(of.getattr(intern!(py, "demonstration")))?;
+        let first = number(of.getattr(intern!(py, "first")))?;
+        let most = of.getattr(intern!(py, "count"))?;
+        let most = if most.is_none() { u32::MAX } else { number(Ok(most))? };
+        // The host refuses a demonstration or step that does not exist.
+        let length = self.lengths.get(demonstration as usize).copied().unwrap_or_default();
+        let count = most.min(length.saturating_sub(first).max(1));
+        Ok(Source { demonstration, first, count })
+    }
+}
+
+impl Memory for PythonMemory<'_> {
+    fn build(&mut self, demonstrations: &[Demonstration<'_>]) -> Result<(), MemoryError> {
+        self.bank = demonstrations.first().and_then(|of| of.bank).cloned();
+        self.lengths = demonstrations.iter().map(|of| of.steps.len() as u32).collect();
+        self.call(|py, memory, _| {
+            let mut rows = 0;
+            let mut values = Vec::with_capacity(demonstrations.len());
+            for of in demonstrations {
+                values.push(demonstration(py, of, rows)?);
+                rows += of.steps.len();
+            }
+            memory.call_method1(intern!(py, "build"), (PyList::new(py, values)?,)).map(drop)
+        })
+    }
+
+    fn begin_episode(&mut self, episode: &Episode<'_>) -> Result<(), MemoryError> {
+        self.call(|py, memory, overrides| {
+            if !overrides.begin_episode {
+                return Ok(());
+            }
+            let &Episode { lane, episode, instruction, seed, repeat, image_budget, text_budget } =
+                episode;
+            let values = (episode, lane, instruction, seed, repeat, image_budget, text_budget);
+            let episode = Classes::get(py)?.memory.episode.bind(py).call1(values)?;
+            memory.call_method1(intern!(py, "begin_episode"), (episode,)).map(drop)
+        })
+    }
+
+    fn observe(&mut self, step: &Step<'_>) -> Result<(), MemoryError> {
+        if !self.object.as_ref().is_ok_and(|object| object.overrides.observe) {
+            return Ok(());
+        }
+        self.call(|py, memory, _| {
+            let step = MemoryStep::of_step(py, step)?;
+            memory.call_method1(intern!(py, "observe"), (served(py, step)?,)).map(drop)
+        })
+    }
+
+    fn recall(&mut self, query: &Query<'_>) -> Result<Vec<Item>, MemoryError> {
+        self.call(|py, memory, _| {
+            let query = served(py, MemoryStep::of_query(py, query)?)?;
+            self.items(&memory.call_method1(intern!(py, "recall"), (query,))?)
+        })
+    }
+
+    fn end_episode(&mut self, episode: u64) {
+        // The exception is in the log, and there is no episode that it could cost.
+        let _ = self.call(|py, memory, overrides| {
+            if !overrides.end_episode {
+                return Ok(());
+            }
+            memory.call_method1(intern!(py, "end_episode"), (episode,)).map(drop)
+        });
+    }
+
+    fn store_bytes(&self) -> Option<u64> {
+        let bytes = self.call(|py, memory, overrides| {
+            if !overrides.store_bytes {
+                return Ok(None);
+            }
+            memory.call_method0(intern!(py, "store_bytes"))?.extract()
+        });
+        bytes.ok().flatten()
+    }
+
+    fn tokens(&self) -> Option<u32> {
+        let tokens = self.call(|py, memory, overrides| {
+            if !overrides.tokens {
+                return Ok(None);
+            }
+            memory.call_method0(intern!(py, "tokens"))?.extract()
+        });
+        tokens.ok().flatten()
+    }
+}
+
+impl Drop for PythonMemory<'_> {
+    fn drop(&mut self) {
+        Python::attach(|py| {
+            self.object = Err(MemoryError::new("the memory is gone"));
+            // Arrays in reference cycles keep the bank mapped until they are collected.
+            if self.bank.as_ref().is_some_and(|bank| Arc::strong_count(bank) > 1) {
+                let _ = py.import("gc").and_then(|gc| gc.call_method0("collect"));
+            }
+        });
+    }
+}
+
+/// A `memtransfer.ServedQuery`.
+fn served(py: Python<'_>, step: MemoryStep) -> PyResult<Bound<'_, PyAny>> {
+    Classes::get(py)?.memory.served_query.bind(py).call1((step,))
+}
+
+/// A `memtransfer.Demonstration`, whose embeddings begin in the bank's row `first_row`.
+fn demonstration<'py>(
+    py: Python<'py>,
+    of: &Demonstration<'_>,
+    first_row: usize,
+) -> PyResult<Bound<'py, PyAny>> {
+    let steps = of.steps;
+    let poses = steps.iter().flat_map(|step| {
+        let cell = step.pose.cell;
+        [cell.x.into(), cell.y.into(), step.pose.heading as i32]
+    });
+    let actions = steps.iter().map(|step| step.action.map_or(-1, |action| action as i32));
+    let feedback = steps.iter().map(|step| step.feedback as i32);
+    let embeddings = Numbers::of_bank(of, first_row);
+    let frames: Vec<Frame> =
+        of.frames.iter().map(|frame: &Arc<SharedFrame>| Frame::shared(frame)).collect();
+    Classes::get(py)?.memory.demonstration.bind(py).call1((
+        of.instruction,
+        integers(py, poses)?.call_method1("reshape", (-1, 3))?,
+        integers(py, actions)?,
+        integers(py, feedback)?,
+        as_array(py, embeddings)?,
+        PyTuple::new(py, frames)?,
+    ))
+}
+
+/// A read-only array of `int32`.
+fn integers<'py>(
+    py: Python<'py>,
+    values: impl Iterator<Item = i32>,
+) -> PyResult<Bound<'py, PyAny>> {
+    let bytes: Vec<u8> = values.flat_map(i32::to_ne_bytes).collect();
+    let numpy = py.import("numpy")?;
+    numpy.call_method1("frombuffer", (PyBytes::new(py, &bytes), numpy.getattr("int32")?))
+}
+
+/// A number of a demonstration or step.
+fn number(value: PyResult<Bound<'_, PyAny>>) -> PyResult<u32> {
+    let value = value?;
+    value.extract().map_err(|_| {
+        let value = value.repr().map_or_else(|_| "?".to_owned(), |value| value.to_string());
+        PyValueError::new_err(format!("{value} is not the number of a demonstration or step"))
+    })
+}
+
+/// The failure that an exception is to the run. The traceback goes to the log.
+fn failure(py: Python<'_>, name: &str, raised: &PyErr) -> MemoryError {
+    raised.print(py);
+    MemoryError::new(format_args!("memory {name} raised {raised}"))
+}

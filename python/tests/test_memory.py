@@ -1,0 +1,95 @@
+"""Memories that are built and asked without a run."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from memtransfer import (
+    Action,
+    Demonstration,
+    DemonstrationStep,
+    Feedback,
+    Heading,
+    Memory,
+    Pose,
+    Query,
+    Steps,
+    serve,
+)
+
+
+class TopThree(Memory):
+    def build(self, demonstrations):
+        self.demonstrations = demonstrations
+
+    def recall(self, query):
+        rows = self.demonstrations[0].embeddings
+        return [Steps(0, int(step)) for step in np.argsort(-rows @ query.embedding)[:3]]
+
+
+def demonstration() -> Demonstration:
+    """North, north, a turn to the east, east."""
+    return Demonstration(
+        instruction="Find a blue barrel.",
+        poses=np.array([[3, 4, 0], [3, 5, 0], [3, 6, 0], [3, 6, 1], [4, 6, 1]], dtype=np.int32),
+        actions=np.array([0, 0, 5, 0, -1], dtype=np.int32),
+        feedback=np.array([0, 1, 1, 2, 1], dtype=np.int32),
+        embeddings=np.eye(5, dtype=np.float32),
+    )
+
+
+def test_a_demonstration_is_a_sequence_of_steps() -> None:
+    steps = demonstration()
+    assert len(steps) == 5
+    start = DemonstrationStep(Pose(3, 4, Heading.N), Action.FORWARD, Feedback.START)
+    end = DemonstrationStep(Pose(4, 6, Heading.E), None, Feedback.MOVED)
+    assert (steps[0], steps[-1]) == (start, end)
+    assert [step.action for step in steps[2:4]] == [Action.TURN_RIGHT, Action.FORWARD]
+    assert list(steps)[4] == end
+    with pytest.raises(IndexError):
+        steps[5]
+
+
+def test_a_route_names_the_task_the_start_and_the_corners() -> None:
+    route = demonstration().route()
+    assert route == '"Find a blue barrel." from (3, 4) facing N: north 2 to (3, 6), east 1 to (4, 6).'
+    stays = Demonstration(
+        "Stay.", *(getattr(demonstration(), name)[:1] for name in ("poses", "actions", "feedback", "embeddings"))
+    )
+    assert stays.route() == '"Stay." from (3, 4) facing N: stay.'
+
+
+def test_a_memory_can_be_asked_without_a_run() -> None:
+    memory = TopThree()
+    memory.build([demonstration()])
+    embedding = np.array([0, 0.2, 0.9, 0.1, 0], dtype=np.float32)
+    pose = Pose(3, 6, Heading.N)
+    query = Query(1, 0, 0, "Find a blue barrel.", pose, None, Feedback.START, embedding=embedding)
+    assert [item.first for item in memory.recall(query)] == [2, 1, 3]
+
+
+def test_what_cannot_be_served_is_named(tmp_path) -> None:
+    with pytest.raises(TypeError, match="neither a Policy nor a Memory"):
+        serve(3, tmp_path)
+    memory = TopThree()
+    memory.scope = "some"
+    with pytest.raises(ValueError, match="scope of memory top-three is 'some'"):
+        serve(memory, tmp_path)
+
+
+def test_a_memory_without_a_run_says_how_to_start_it() -> None:
+    program = (
+        "from memtransfer import Memory, run\n"
+        "class TopThree(Memory):\n"
+        "    def recall(self, query): return []\n"
+        "run(TopThree)"
+    )
+    variables = {name: value for name, value in os.environ.items() if name != "MEMTRANSFER_ATTACH"}
+    done = subprocess.run([sys.executable, "-c", program], env=variables, capture_output=True, text=True)
+    assert done.returncode == 2, done.stderr
+    assert "memtransfer run --memory-cmd" in done.stderr

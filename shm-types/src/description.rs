@@ -1,0 +1,147 @@
+//! What an external memory tells about itself before it joins a run: `description.json` in its folder.
+//!
+//! The external memory with index i of a run has the folder `memory-<i>` in the run's folder. It writes the file before it
+//! waits for `attach.json`, because the orchestrator plans with its name.
+
+use std::fs;
+use std::io::{self, Write};
+use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
+
+use domain::ExternalName;
+
+use crate::attach::AttachError;
+use crate::message::MAX_EXTERNAL_MEMORIES;
+
+/// Name of the file in the folder of an external memory.
+pub const DESCRIPTION_FILE: &str = "description.json";
+
+/// An external memory's description of itself.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+pub struct MemoryDescription {
+    /// Its name in conditions, logs and tables: 1 to 24 lower-case letters, digits and hyphens.
+    pub name: String,
+    /// Its version.
+    #[serde(default)]
+    pub version: String,
+    /// The demonstrations that one instance of it remembers.
+    #[serde(default)]
+    pub scope: Scope,
+    /// Whether it uses embeddings of views.
+    #[serde(default)]
+    pub embeddings: bool,
+    /// Whether it looks at the pixels of remembered views. With [`Scope::All`] it gets none.
+    #[serde(default)]
+    pub frames: bool,
+    /// Whether equal queries have equal answers, whatever else it was asked before.
+    #[serde(default)]
+    pub deterministic: bool,
+    /// The SDK and its version.
+    #[serde(default)]
+    pub sdk: String,
+}
+
+/// The demonstrations that one instance of an external memory remembers.
+#[derive(
+    Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Default, Serialize, Deserialize,
+)]
+#[serde(rename_all = "lowercase")]
+pub enum Scope {
+    /// Those of one case.
+    #[default]
+    Case,
+    /// Those of all cases.
+    All,
+}
+
+/// The folder of the external memory with this index, in the run's folder `run`.
+pub fn memory_folder(run: &Path, index: u8) -> PathBuf {
+    run.join(format!("memory-{index}"))
+}
+
+/// The run's folder and the index that the folder of an external memory names; `None` if it is not such a folder.
+pub fn run_of_memory_folder(folder: &Path) -> Option<(&Path, u8)> {
+    let index = folder.file_name()?.to_str()?.strip_prefix("memory-")?.parse().ok()?;
+    let run = folder.parent()?;
+    (usize::from(index) < MAX_EXTERNAL_MEMORIES).then_some((run, index))
+}
+
+impl MemoryDescription {
+    /// Reads and checks the description in the folder of an external memory.
+    ///
+    /// # Errors
+    /// When the file is missing or not the expected JSON, or the name is not valid.
+    pub fn read(folder: &Path) -> Result<Self, AttachError> {
+        let path = folder.join(DESCRIPTION_FILE);
+        let text = fs::read_to_string(&path)
+            .map_err(|cause| AttachError::File { path: path.clone(), cause })?;
+        let description: Self =
+            serde_json::from_str(&text).map_err(|cause| AttachError::Json { path, cause })?;
+        description.check()?;
+        Ok(description)
+    }
+
+    /// Checks the description and writes it into the folder of an external memory, atomically.
+    ///
+    /// # Errors
+    /// When the name is not valid, or the file cannot be written.
+    pub fn write(&self, folder: &Path) -> Result<(), AttachError> {
+        self.check()?;
+        let path = folder.join(DESCRIPTION_FILE);
+        let draft = folder.join("description.json.new");
+        let json_error = |cause| AttachError::Json { path: path.clone(), cause };
+        let text = serde_json::to_string_pretty(self).map_err(json_error)?;
+        fs::File::create(&draft)
+            .and_then(|mut file| writeln!(file, "{text}"))
+            .and_then(|()| fs::rename(&draft, &path))
+            .map_err(|cause: io::Error| AttachError::File { path: path.clone(), cause })
+    }
+
+    /// Checks the name.
+    ///
+    /// # Errors
+    /// When it is not valid.
+    pub fn check(&self) -> Result<(), AttachError> {
+        let checked = self.name.parse::<ExternalName>();
+        checked.map(drop).map_err(|error| AttachError::Value {
+            field: "name",
+            value: format!("{:?}", self.name),
+            expected: format!("a name that no other memory can have: {error}"),
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_description_round_trips_and_its_name_is_checked() {
+        let folder = tempfile::tempdir().unwrap();
+        let description = MemoryDescription {
+            name: "top-3".to_owned(),
+            version: "1".to_owned(),
+            scope: Scope::All,
+            embeddings: true,
+            frames: false,
+            deterministic: true,
+            sdk: "test".to_owned(),
+        };
+        description.write(folder.path()).unwrap();
+        assert_eq!(MemoryDescription::read(folder.path()).unwrap(), description);
+        for name in ["", "Top", "top 3", "external", "episodic", "a-name-of-twenty-five-byte"] {
+            let bad = MemoryDescription { name: name.to_owned(), ..description.clone() };
+            assert!(bad.check().unwrap_err().to_string().starts_with("name is "), "{name}");
+        }
+    }
+
+    #[test]
+    fn a_folder_names_its_run_and_index() {
+        let folder = memory_folder("/run".as_ref(), 3);
+        assert_eq!(run_of_memory_folder(&folder), Some(("/run".as_ref(), 3)));
+        for folder in ["/run", "/run/memory-8", "/run/memory-x"] {
+            assert_eq!(run_of_memory_folder(folder.as_ref()), None);
+        }
+    }
+}

@@ -1,0 +1,155 @@
+//! Notes: the texts of an external memory's answers, published before the answer that names them.
+//!
+//! A note belongs to one answer. The host copies what it supplies into [documents](crate::documents) and keeps no note
+//! after its answer.
+
+use iceoryx2::port::publisher::Publisher;
+use iceoryx2::port::subscriber::Subscriber;
+use iceoryx2::port::{BackpressureAction, LoanError};
+use iceoryx2::prelude::{AllocationStrategy, ZeroCopySend};
+use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
+
+use crate::bus::Bus;
+use crate::documents::MAX_DOCUMENT_BYTES;
+use crate::layout::wire_struct;
+use crate::message::{DocumentId, Role, Traffic};
+use crate::transport::{BusError, Ipc, delivered};
+
+/// First part of the name of the service that carries notes; the index of the external memory follows.
+pub const NOTE_SERVICE: &str = "note";
+
+/// Bytes of a note for which shared memory is reserved from the start.
+const INITIAL_BYTES: usize = 4 << 10;
+
+wire_struct! {
+    /// The header of a note.
+    NoteHeader: Eq Default, "memtransfer.NoteHeader", 24 bytes {
+        /// The note's id, which its sender never uses twice; not [`NO_DOCUMENT`](crate::message::NO_DOCUMENT).
+        id: DocumentId,
+        /// The episode of the answer; 0 for the failure to build a bank.
+        episode: u64,
+        /// The lane of the answer.
+        lane: u32,
+        /// Zero.
+        reserved: u32,
+    }
+}
+
+fn service(bus: &Bus, index: u8) -> Result<PortFactory<Ipc, [u8], NoteHeader>, BusError> {
+    bus.builder(&format!("{NOTE_SERVICE}-{index}"))?
+        .publish_subscribe::<[u8]>()
+        .user_header::<NoteHeader>()
+        .enable_safe_overflow(false)
+        .history_size(0)
+        .max_publishers(1)
+        .max_subscribers(1)
+        .max_nodes(2)
+        .subscriber_max_borrowed_samples(1)
+        .subscriber_max_buffer_size(bus.attach().queue_len(Traffic::Lanes))
+        .open_or_create()
+        .map_err(|e| BusError::open("cannot open the service of notes", e))
+}
+
+/// Publishes notes; for an external memory.
+#[derive(Debug)]
+pub struct NotePublisher {
+    publisher: Publisher<Ipc, [u8], NoteHeader>,
+    published: u64,
+}
+
+impl NotePublisher {
+    /// A publisher.
+    ///
+    /// # Errors
+    /// When this process is not an external memory, or the service cannot be opened.
+    pub fn new(bus: &Bus) -> Result<Self, BusError> {
+        let role = bus.role();
+        if role != Role::ExternalMemory {
+            return Err(BusError::WrongRole { service: NOTE_SERVICE, role, verb: "send" });
+        }
+        let publisher = service(bus, bus.index())?
+            .publisher_builder()
+            .initial_max_slice_len(INITIAL_BYTES)
+            .allocation_strategy(AllocationStrategy::PowerOfTwo)
+            .max_loaned_samples(1)
+            .set_backpressure_handler(|_| BackpressureAction::DiscardDataAndFail)
+            .create()
+            .map_err(|e| BusError::open("cannot publish notes", e))?;
+        Ok(Self { publisher, published: 0 })
+    }
+
+    /// Publishes the bytes of a note for an answer, and returns its id.
+    ///
+    /// # Errors
+    /// When it is too long, or memory does not receive it.
+    pub fn publish(
+        &mut self,
+        lane: u32,
+        episode: u64,
+        bytes: &[u8],
+    ) -> Result<DocumentId, BusError> {
+        if bytes.len() > MAX_DOCUMENT_BYTES {
+            let cause = format!("{} bytes, and at most {MAX_DOCUMENT_BYTES} fit", bytes.len());
+            return Err(BusError::transport("publishing a note", cause));
+        }
+        let loaned = self.publisher.loan_slice_uninit(bytes.len());
+        let failed = |e: LoanError| BusError::transport("loaning a note", e);
+        let mut sample = loaned.map_err(failed)?.write_from_slice(bytes);
+        self.published += 1;
+        let id = self.published;
+        *sample.user_header_mut() = NoteHeader { id, episode, lane, reserved: 0 };
+        delivered(NOTE_SERVICE, 1, sample.send())?;
+        Ok(id)
+    }
+}
+
+/// A received note.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Note {
+    /// Its id, episode and lane.
+    pub header: NoteHeader,
+    /// Its bytes.
+    pub bytes: Vec<u8>,
+}
+
+/// Receives the notes of one external memory; for memory.
+#[derive(Debug)]
+pub struct NoteReceiver {
+    subscriber: Subscriber<Ipc, [u8], NoteHeader>,
+    most: usize,
+}
+
+impl NoteReceiver {
+    /// A receiver of every note that the external memory with this index publishes from now on.
+    ///
+    /// # Errors
+    /// When this process is not the memory, or the service cannot be opened.
+    pub fn new(bus: &Bus, index: u8) -> Result<Self, BusError> {
+        let role = bus.role();
+        if role != Role::Memory {
+            return Err(BusError::WrongRole { service: NOTE_SERVICE, role, verb: "receive" });
+        }
+        let subscriber = service(bus, index)?
+            .subscriber_builder()
+            .create()
+            .map_err(|e| BusError::open("cannot receive notes", e))?;
+        Ok(Self { subscriber, most: bus.attach().queue_len(Traffic::Lanes) })
+    }
+
+    /// The waiting notes, in order; at most as many as the queue holds. Those longer than a document are empty.
+    ///
+    /// # Errors
+    /// When the transport fails.
+    pub fn drain(&mut self) -> Result<Vec<Note>, BusError> {
+        let mut notes = Vec::new();
+        while notes.len() < self.most {
+            let sample = self.subscriber.receive();
+            let sample = sample.map_err(|e| BusError::transport("receiving notes", e))?;
+            let Some(sample) = sample else { break };
+            let bytes = Some(sample.payload()).filter(|bytes| bytes.len() <= MAX_DOCUMENT_BYTES);
+            let bytes = bytes.map_or_else(Vec::new, <[u8]>::to_vec);
+            notes.push(Note { header: *sample.user_header(), bytes });
+        }
+        Ok(notes)
+    }
+}

@@ -1,0 +1,318 @@
+//! An external memory for tests with one fault, named by its argument; `well-behaved` has none.
+//!
+//! The SDK prevents most of the faults, so this uses the bus directly.
+
+#![expect(clippy::unwrap_used, reason = "a memory for tests may end by panicking")]
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::thread;
+use std::time::Duration;
+
+use bytemuck::Zeroable;
+use domain::Feedback;
+use shm_types::description::run_of_memory_folder;
+use shm_types::message::{
+    AnswerItem, ExternalAnswer, ExternalBuilt, ExternalEpisode, ExternalQuery, Handshake, ItemKind,
+    MAX_INSTRUCTION, NOT_MEASURED, Role, ShutdownReport, Stop, WIRE_VERSION, read_text,
+};
+use shm_types::process::{ProcessWatch, monotonic_ns};
+use shm_types::{
+    ATTACH_VARIABLE, Attach, AttachError, Bank, BankReceiver, Bus, ErrorReporter, FrameStore,
+    MemoryDescription, NotePublisher, registry,
+};
+
+/// The text that the memory supplies.
+const TEXT: &str = "Zurück zum Tor.";
+
+/// Text of a query that cannot be answered.
+const UNUSABLE: &str = "the query cannot be used";
+
+fn main() {
+    let mode = std::env::args().nth(1).unwrap();
+    let folder = PathBuf::from(std::env::var_os(ATTACH_VARIABLE).unwrap());
+    if mode == "leaves-a-lock" {
+        let lock = fs::File::create_new(folder.join("my.lock"));
+        lock.unwrap_or_else(|_| fail("I run already"));
+    }
+    describe(&mode, &folder);
+    let (run, index) = run_of_memory_folder(&folder).unwrap();
+    let attach = wait_for_run(&mode, run);
+    serve(&mode, attach, index);
+}
+
+fn fail(why: &str) -> ! {
+    eprintln!("{why}");
+    std::process::exit(3)
+}
+
+fn describe(mode: &str, folder: &Path) {
+    let description = MemoryDescription {
+        name: mode.to_owned(),
+        version: "1".to_owned(),
+        frames: mode == "keeps-frames",
+        deterministic: true,
+        ..MemoryDescription::default()
+    };
+    match mode {
+        "undescribed" => {}
+        "nameless" => {
+            let text = r#"{"name": "My Memory", "version": "1"}"#;
+            fs::write(folder.join("description.json"), text).unwrap();
+        }
+        _ => description.write(folder).unwrap(),
+    }
+}
+
+fn wait_for_run(mode: &str, run: &Path) -> Attach {
+    loop {
+        let attach = if mode == "ignores-the-wire-version" {
+            fs::read_to_string(run.join("attach.json")).ok().map(|text| {
+                let attach: Attach = serde_json::from_str(&text).unwrap();
+                Attach { wire_version: WIRE_VERSION, root: run.to_owned(), ..attach }
+            })
+        } else {
+            match Attach::read(run) {
+                Ok(attach) => Some(attach),
+                Err(AttachError::File { .. }) => None,
+                Err(error) => panic!("{error}"),
+            }
+        };
+        if let Some(attach) = attach {
+            return attach;
+        }
+        if mode == "hasty" {
+            fail("there is no run");
+        }
+        assert!(registry::is_alive(run) || mode == "waits-forever", "the run is over");
+        thread::sleep(Duration::from_millis(5));
+    }
+}
+
+/// The episode of a lane.
+#[derive(Clone, Copy)]
+struct Episode {
+    id: u64,
+    budgets: (u32, u32),
+    is_over: bool,
+    is_valid: bool,
+}
+
+fn serve(mode: &str, attach: Attach, index: u8) {
+    let watch = ProcessWatch::new(attach.orchestrator_pid).unwrap();
+    let lanes = attach.lanes;
+    let bus = Bus::join_external_memory(attach, index).unwrap();
+    let mut bank_queue = BankReceiver::new(&bus).unwrap();
+    let episode_queue = bus.receiver::<ExternalEpisode>().unwrap();
+    let query_queue = bus.receiver::<ExternalQuery>().unwrap();
+    let stops = bus.receiver::<Stop>().unwrap();
+    let mut frames = FrameStore::new(&bus).unwrap();
+    let mut notes = NotePublisher::new(&bus).unwrap();
+    let built = bus.sender::<ExternalBuilt>().unwrap();
+    let answers = bus.sender::<ExternalAnswer>().unwrap();
+    let mut errors = ErrorReporter::new(&bus).unwrap();
+    let orchestrator = bus.notifier(Role::Orchestrator).unwrap();
+    let host = bus.notifier(Role::Memory).unwrap();
+    if mode != "no-handshake" {
+        let handshake =
+            Handshake::new(Role::ExternalMemory, [("memory", mode.to_owned())]).unwrap();
+        let handshake = Handshake {
+            wire_version: handshake.wire_version + u32::from(mode == "old"),
+            external: u32::from(index) + u32::from(mode == "wrong-index"),
+            ..handshake
+        };
+        bus.sender().unwrap().send(&handshake).unwrap();
+        orchestrator.notify().unwrap();
+    }
+    // By id: the steps of each demonstration.
+    let mut banks: BTreeMap<u64, Vec<u32>> = BTreeMap::new();
+    let mut kept = Vec::new();
+    let mut episodes: BTreeMap<u32, Episode> = BTreeMap::new();
+    let mut answered = 0;
+    loop {
+        let (queries, begun) = (query_queue.drain().unwrap(), episode_queue.drain().unwrap());
+        while let Some(bank) = bank_queue.take().unwrap() {
+            let bank = match bank {
+                Ok(bank) => bank,
+                Err(error) => {
+                    errors.report(error);
+                    continue;
+                }
+            };
+            let id = bank.id();
+            if bank.demonstrations().is_empty() {
+                banks.remove(&id);
+                continue;
+            }
+            let message = ExternalBuilt { bank: id, ..Zeroable::zeroed() };
+            let reason = why_not(mode, &bank);
+            let failure =
+                reason.map_or(0, |why| notes.publish(u32::MAX, 0, why.as_bytes()).unwrap());
+            match mode {
+                "builds-nothing" => {}
+                "builds-another" => {
+                    built.send(&ExternalBuilt { bank: id + 1, ..message }).unwrap();
+                }
+                _ => built.send(&ExternalBuilt { failure, ..message }).unwrap(),
+            }
+            host.notify().unwrap();
+            let steps = bank.demonstrations().iter().map(|demonstration| demonstration.steps);
+            banks.insert(id, steps.collect());
+            if mode == "keeps-banks" {
+                kept.push(bank);
+            }
+        }
+        for message in begun {
+            let ExternalEpisode { lane, episode, bank, image_budget, text_budget, .. } = message;
+            let is_busy = episodes.get(&lane).is_some_and(|earlier| !earlier.is_over);
+            if mode == "keeps-old-episodes" && is_busy {
+                continue;
+            }
+            let instruction = read_text(&message.instruction, message.instruction_len);
+            let is_ascii = instruction.as_ref().is_ok_and(|text| text.is_ascii());
+            if mode == "ascii" && !is_ascii {
+                fail("I read ASCII only");
+            }
+            let is_valid =
+                banks.contains_key(&bank) && (message.instruction_len as usize) <= MAX_INSTRUCTION;
+            let budgets = (image_budget, text_budget);
+            let begun = Episode { id: episode, budgets, is_over: false, is_valid };
+            episodes.insert(lane, begun);
+        }
+        let last_step = queries.last().map_or(0, |query| query.step);
+        for query in queries {
+            let ExternalQuery { lane, episode, step, .. } = query;
+            let known = episodes.get_mut(&lane);
+            let late = Episode { id: episode, budgets: (0, 0), is_over: false, is_valid: true };
+            let (running, is_known) = match known {
+                Some(running) if running.id == episode => {
+                    running.is_over = query.last == 1;
+                    (*running, true)
+                }
+                _ => (late, false),
+            };
+            if !is_known && !matches!(mode, "answers-late" | "keeps-old-episodes") {
+                errors.report(format_args!("query of unknown episode {episode} in lane {lane}"));
+                continue;
+            }
+            if !is_known && mode == "keeps-old-episodes"
+                || query.last == 1 && mode != "answers-the-end"
+            {
+                continue;
+            }
+            let frame = frames.get(query.frame).ok().flatten();
+            let is_usable = frame.is_some()
+                && running.is_valid
+                && domain::Pose::try_from(query.pose).is_ok()
+                && Feedback::try_from(query.feedback).is_ok();
+            answered += 1;
+            let received_ns = monotonic_ns();
+            let mut usual = ExternalAnswer {
+                episode,
+                lane,
+                step,
+                received_ns,
+                tokens: NOT_MEASURED,
+                ..Zeroable::zeroed()
+            };
+            let (images, text) = running.budgets;
+            let mut note = TEXT.as_bytes().to_vec();
+            if !is_usable && is_known && query.last == 0 && mode != "believes" {
+                note = UNUSABLE.as_bytes().to_vec();
+                usual.failed = 1;
+            } else if mode == "fails" {
+                usual.failed = 1;
+            } else {
+                let nothing = AnswerItem { distance: f32::NAN, ..Zeroable::zeroed() };
+                let bytes = note.len() as u32;
+                let steps =
+                    AnswerItem { kind: ItemKind::Steps as u8, steps: 1, views: 1, ..nothing };
+                let text_item = AnswerItem { kind: ItemKind::Text as u8, bytes, ..nothing };
+                let mut items = Vec::new();
+                if images > 0 || mode == "ignores-budgets" {
+                    items.push(steps);
+                }
+                if text >= bytes {
+                    items.push(text_item);
+                }
+                match mode {
+                    "garbage" => items.push(AnswerItem { kind: 77, ..nothing }),
+                    "unknown-demonstration" => {
+                        items.push(AnswerItem { demonstration: 77, ..steps })
+                    }
+                    "past-the-end" => items.push(AnswerItem { steps: 1000, ..steps }),
+                    "past-the-note" => items.push(AnswerItem { bytes: bytes + 1, ..text_item }),
+                    "not-utf-8" => items.push(AnswerItem { bytes: 4, ..text_item }),
+                    "not-a-distance" => {
+                        items.push(AnswerItem { distance: f32::INFINITY, ..steps });
+                    }
+                    "one-bank" if images > 0 => {
+                        items.push(AnswerItem { demonstration: 1, first_step: 3, ..steps });
+                    }
+                    "draws" if images > 0 => {
+                        items.push(AnswerItem { distance: answered as f32, ..steps });
+                    }
+                    _ => {}
+                }
+                usual.items[..items.len()].copy_from_slice(&items);
+                usual.items_len = items.len() as u32 + if mode == "nine-items" { 9 } else { 0 };
+            }
+            let note_lane = if mode == "wrong-note" { lane + 1 } else { lane };
+            if lane < lanes {
+                usual.note = notes.publish(note_lane, episode, &note).unwrap();
+            }
+            usual.sent_ns = if mode == "no-times" { 0 } else { monotonic_ns() };
+            let sent = match mode {
+                "silent" => vec![],
+                "wrong-lane" => vec![ExternalAnswer { lane: lane + 1, ..usual }],
+                "no-such-lane" => vec![ExternalAnswer { lane: 4242, ..usual }],
+                "wrong-step" => vec![ExternalAnswer { step: step + 1, ..usual }],
+                "mixes-lanes" => vec![ExternalAnswer { step: last_step, ..usual }],
+                "twice" => vec![usual; 2],
+                "flood" => vec![usual; 5000],
+                "crash" if answered == 30 => {
+                    eprintln!("I am no good at this");
+                    std::process::abort();
+                }
+                _ => vec![usual],
+            };
+            // A flood fills the queue.
+            sent.iter().for_each(|answer| drop(answers.send(answer)));
+            host.notify().unwrap();
+        }
+        if mode != "keeps-frames" {
+            let _ = frames.apply_evictions();
+        }
+        if stops.next().unwrap().is_some() && mode != "ignores-stop" {
+            if mode != "no-shutdown-report" {
+                let shutdown_report = ShutdownReport {
+                    role: Role::ExternalMemory as u32,
+                    external: index.into(),
+                    ..Zeroable::zeroed()
+                };
+                bus.sender().unwrap().send(&shutdown_report).unwrap();
+                orchestrator.notify().unwrap();
+            }
+            return;
+        }
+        if watch.has_ended() && mode != "outlives" {
+            return;
+        }
+        bus.listener().wait(Duration::from_millis(200)).unwrap();
+    }
+}
+
+/// Why a memory with this fault cannot be built from a bank.
+fn why_not(mode: &str, bank: &Bank) -> Option<&'static str> {
+    let demonstrations = bank.demonstrations();
+    let first = bank.instruction(&demonstrations[0]);
+    let is_mixed =
+        demonstrations.iter().any(|demonstration| bank.instruction(demonstration) != first);
+    match mode {
+        "cannot-build" => Some("I have no idea"),
+        "small" if demonstrations.len() > 100 => Some("too many demonstrations"),
+        "one-task" if is_mixed && demonstrations.len() < 100 => Some("demonstrations of two tasks"),
+        _ => None,
+    }
+}

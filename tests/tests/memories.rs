@@ -1,0 +1,267 @@
+//! External memories in Python: the examples, what a memory is given, and what its faults cost.
+
+#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command};
+
+use memtransfer_tests::llama::{LlamaServer, MODEL};
+use memtransfer_tests::{
+    Bench, Ended, episodes, eventually, kill, needs, process_of, processes_of, processes_with,
+    records, sorted_log, success_rate,
+};
+use serde_json::Value;
+
+/// The examples that need no server.
+const EXAMPLES: [&str; 5] = ["top-k", "bm25", "robotmem", "langgraph", "mem0"];
+
+/// A file or folder of the repository.
+fn repository(path: &str) -> PathBuf {
+    let root = concat!(env!("CARGO_MANIFEST_DIR"), "/..");
+    PathBuf::from(root).join(path).canonicalize().unwrap()
+}
+
+/// The command that starts an example.
+fn example(name: &str) -> String {
+    let script = repository(&format!("examples/memories/{name}/memory.py"));
+    format!("{} {}", needs::memory_python(name).display(), script.display())
+}
+
+/// The command that starts the test memory with one trait.
+fn scripted(memory_trait: &str, argument: &str) -> String {
+    let script = repository("python/tests/memories/scripted.py");
+    let argument = argument.replace('\'', r"'\''");
+    format!("{} {} {memory_trait} '{argument}'", needs::python().display(), script.display())
+}
+
+/// `memtransfer` with these arguments and external memories, not started yet.
+fn command(bench: &Bench, args: &[&str], memories: &[String]) -> Command {
+    let mut command = bench.command(args);
+    command.args(memories.iter().flat_map(|memory| ["--memory-cmd", memory]));
+    command.env("PYTHONPATH", repository("python")).env("PYTHONDONTWRITEBYTECODE", "1");
+    command
+}
+
+fn start(bench: &Bench, args: &[&str], memories: &[String]) -> Child {
+    command(bench, args, memories).spawn().unwrap()
+}
+
+fn run(bench: &Bench, args: &[&str], memories: &[String]) -> Ended {
+    Ended::of(start(bench, args, memories))
+}
+
+/// Number of records of each memory.
+fn counts(records: &[Value]) -> BTreeMap<&str, usize> {
+    let mut counts = BTreeMap::new();
+    for record in records {
+        *counts.entry(record["memory"].as_str().unwrap()).or_default() += 1;
+    }
+    counts
+}
+
+#[test]
+fn the_examples_run_slices_of_rq1_and_rq2_beside_built_in_memories() {
+    let bench = Bench::new();
+    let memories = EXAMPLES.map(example);
+    for (suite, cases, episodes) in [("rq1", "t01-01", 5), ("rq2", "t01-01,t03-02", 4)] {
+        let args = [
+            "run",
+            "--suite",
+            suite,
+            "--cases",
+            cases,
+            "--runs",
+            "1",
+            "--memory",
+            "working,episodic",
+        ];
+        run(&bench, &[&args[..], &["--out", suite]].concat(), &memories).expect(0);
+        let records = records(&bench.out(suite));
+        let mut expected = BTreeMap::from(EXAMPLES.map(|name| (name, episodes)));
+        expected.insert("episodic", episodes);
+        expected.insert("working", counts(&records)["working"]);
+        assert_eq!(counts(&records), expected, "{suite}");
+
+        let report = run(&bench, &["report", suite], &[]).expect(0);
+        let tables = bench.out(suite).join("report/tables");
+        let table = fs::read_to_string(tables.join("conditions.csv")).unwrap();
+        for name in EXAMPLES {
+            assert!(table.contains(name), "{name} in {table}\n{}", report.stderr);
+        }
+    }
+    assert_eq!(bench.leftovers(), Vec::<String>::new());
+}
+
+#[test]
+fn a_memory_that_finds_the_demonstrated_step_transfers_it() {
+    let bench = Bench::new();
+    let args = ["run", "--limit", "5", "--memory", "working,episodic", "--starts", "original"];
+    let args = [&args[..], &["--out", "out"]].concat();
+    run(&bench, &args, &["top-k", "langgraph"].map(example)).expect(0);
+    let records = records(&bench.out("out"));
+    let rate = |memory| success_rate(&records, |record| record["memory"] == memory);
+    for memory in ["top-k", "langgraph"] {
+        assert!(rate(memory) > rate("working"), "{memory}: {} %", rate(memory));
+    }
+    // Four memories in every table of one report, and their differences.
+    let scored = run(&bench, &["score", "out"], &[]).expect(0).stdout.to_lowercase();
+    for memory in ["working", "episodic", "top-k", "langgraph"] {
+        assert!(scored.contains(memory), "{memory} in {scored}");
+    }
+    assert_eq!(bench.leftovers(), Vec::<String>::new());
+}
+
+#[test]
+fn notes_are_written_by_a_language_model() {
+    let bench = Bench::new();
+    let server = LlamaServer::start(2048, 1);
+    let args = ["run", "--cases", "t01-01", "--memory", "working", "--max-steps", "5"];
+    let args = [&args[..], &["--starts", "original", "--log-prompts", "--out", "out"]].concat();
+    let mut command = command(&bench, &args, &[example("model-notes")]);
+    command.env("OPENAI_BASE_URL", server.base_url()).env("NOTES_MODEL", MODEL);
+    Ended::of(command.spawn().unwrap()).expect(0);
+    assert_eq!(
+        counts(&records(&bench.out("out"))),
+        BTreeMap::from([("model-notes", 1), ("working", 1)])
+    );
+    let log = bench.out("out").join("prompts/session-1/generation-1.jsonl");
+    let log = fs::read_to_string(log).unwrap();
+    assert!(log.contains(r#""note""#), "{log}");
+    assert_eq!(bench.leftovers(), Vec::<String>::new());
+}
+
+/// The process that runs the script of an example in a run of this bench.
+fn process_of_example(bench: &Bench, name: &str) -> u32 {
+    let script = repository(&format!("examples/memories/{name}/memory.py"));
+    eventually(&format!("the memory {name} to start"), || {
+        let started = processes_with(script.as_os_str().as_encoded_bytes());
+        (&started & &processes_of(bench.registry.path())).into_iter().find(|pid| {
+            let exe = fs::read_link(format!("/proc/{pid}/exe")).unwrap_or_default();
+            exe.file_name().is_some_and(|name| name.to_string_lossy().contains("python"))
+        })
+    })
+}
+
+/// Waits until the first episodes are finished.
+fn wait_for_episodes(run: &Path) {
+    eventually("an episode to be finished", || (!episodes(run).is_empty()).then_some(()));
+}
+
+#[test]
+fn killing_any_process_of_a_run_with_external_memories_changes_no_log() {
+    let bench = Bench::new();
+    let memories = ["top-k", "bm25"].map(example);
+    let args = |out| {
+        let args =
+            ["run", "--cases", "t01-01,t03-02,t09-05", "--memory", "working", "--lanes", "3"];
+        [&args[..], &["--out", out]].concat()
+    };
+    run(&bench, &args("reference"), &memories).expect(0);
+    let reference = sorted_log(&bench.out("reference"));
+    assert_eq!(reference.len(), 18);
+    let kinds: [(&str, &dyn Fn() -> u32); 3] = [
+        ("external", &|| process_of_example(&bench, "top-k")),
+        ("memory", &|| process_of(bench.registry.path(), "memory")),
+        ("policy", &|| process_of(bench.registry.path(), "policy")),
+    ];
+    for (killed, process) in kinds {
+        let child = start(&bench, &args(killed), &memories);
+        wait_for_episodes(&bench.out(killed));
+        kill(process());
+        Ended::of(child).expect(0);
+        assert_eq!(sorted_log(&bench.out(killed)), reference, "{killed}");
+        assert_eq!(bench.leftovers(), Vec::<String>::new());
+    }
+}
+
+/// Two cases at the original start, with short episodes on small frames.
+const SHORT: [&str; 13] = [
+    "run",
+    "--cases",
+    "t01-01,t03-02",
+    "--memory",
+    "working",
+    "--starts",
+    "original",
+    "--frame-size",
+    "64",
+    "--max-steps",
+    "20",
+    "--out",
+    "out",
+];
+
+#[test]
+fn a_memory_is_given_demonstrations_and_queries_without_a_copy() {
+    let bench = Bench::new();
+    let seen = bench.out("seen");
+    let memory = scripted("Checks", seen.to_str().unwrap());
+    run(&bench, &SHORT, &[memory]).expect(0);
+    let records = records(&bench.out("out"));
+    assert_eq!(counts(&records), BTreeMap::from([("scripted", 2), ("working", 2)]));
+    let seen = fs::read_to_string(seen).unwrap();
+    assert!(seen.contains("'banks': 2"), "{seen}");
+    assert_eq!(bench.leftovers(), Vec::<String>::new());
+}
+
+/// The errors of a run with one memory, whose episodes all end without a result.
+fn failures(memory_trait: &str) -> (Vec<String>, String) {
+    let bench = Bench::new();
+    let ended = run(&bench, &SHORT, &[scripted(memory_trait, "")]).expect(1);
+    let out = bench.out("out");
+    assert_eq!(counts(&records(&out)), BTreeMap::from([("working", 2)]), "{memory_trait}");
+    let errors = fs::read_to_string(out.join("errors.jsonl")).unwrap();
+    let errors: Vec<String> = errors.lines().map(str::to_owned).collect();
+    assert_eq!(errors.len(), 2, "{memory_trait}: {errors:?}\n{}", ended.stderr);
+    assert_eq!(bench.leftovers(), Vec::<String>::new());
+    (errors, fs::read_to_string(out.join("logs/external-memory-0.log")).unwrap())
+}
+
+#[test]
+fn a_fault_of_a_memory_costs_its_own_episodes_and_is_named() {
+    for (memory_trait, said) in [
+        ("RaisesInBuild", "memory scripted raised RuntimeError: cannot build"),
+        ("Unmakable", "memory scripted raised RuntimeError: cannot be made"),
+        ("ReturnsNone", "recall returned None, but must return a list of items"),
+        ("ReturnsNumbers", "recall returned 3, but an item is a Text, Steps, a View or a str"),
+        ("Negative", "-1 is not the number of a demonstration or step"),
+        ("TooFar", "99999"),
+        ("TooMany", "9 items, and at most 8"),
+    ] {
+        let (errors, log) = failures(memory_trait);
+        for error in &errors {
+            assert!(error.contains(said), "{memory_trait}: {errors:?}");
+        }
+        let raised = memory_trait.starts_with("Raises") || memory_trait == "Unmakable";
+        assert!(!raised || log.contains("Traceback"), "{memory_trait}: {log}");
+    }
+}
+
+#[test]
+fn an_exception_in_one_episode_costs_that_episode() {
+    let bench = Bench::new();
+    let (warehouse, cases) = (warehouse::Warehouse::shipped(), warehouse::CaseSet::shipped());
+    let case = cases.cases.iter().find(|case| case.id == "t03-02").unwrap();
+    let instruction = case.task.instruction(&warehouse.catalogue);
+    run(&bench, &SHORT, &[scripted("RaisesInOne", &instruction)]).expect(1);
+    let records = records(&bench.out("out"));
+    assert_eq!(counts(&records), BTreeMap::from([("scripted", 1), ("working", 2)]));
+    assert_eq!(bench.leftovers(), Vec::<String>::new());
+}
+
+#[test]
+fn the_memory_of_the_tutorial_is_short_and_runs() {
+    let bench = Bench::new();
+    let page = fs::read_to_string(repository("docs/memory.md")).unwrap();
+    let (_, code) = page.split_once("```python\n").unwrap();
+    let (code, _) = code.split_once("```").unwrap();
+    assert!(code.lines().count() < 50, "{code}");
+    fs::write(bench.out("my_memory.py"), code).unwrap();
+    let memory = format!("{} my_memory.py", needs::python().display());
+    let args = ["run", "--limit", "2", "--memory", "working", "--out", "out"];
+    run(&bench, &args, &[memory]).expect(0);
+    assert_eq!(counts(&records(&bench.out("out"))), BTreeMap::from([("top-3", 4), ("working", 4)]));
+    assert_eq!(bench.leftovers(), Vec::<String>::new());
+}
