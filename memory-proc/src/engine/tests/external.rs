@@ -161,7 +161,7 @@ fn an_episode_is_built_announced_asked_and_ended() {
     assert!(rig.settle().is_empty());
     let (episode, query) = (rig.episodes[0], rig.queries[0]);
     assert_eq!((episode.episode, episode.lane, episode.bank), (7, 0, bank));
-    assert_eq!((episode.image_budget, episode.text_budget), (40, 65536));
+    assert_eq!((episode.image_budget, episode.text_budget), (60, 65536));
     assert_eq!((query.step, query.last, query.embedding_len > 0), (0, 0, true));
     assert_eq!(rig.rig.frames[query.frame as usize - 1], script.poses[0]);
 
@@ -224,7 +224,7 @@ fn a_memory_of_texts_pins_no_view_but_those_that_it_names() {
     rig.rig.observe(script.observations[2]).unwrap();
     let query = rig.queries()[0];
     let mut answer = steps_answer(&query);
-    (answer.items[0].first_step, answer.items[0].steps) = (0, 20);
+    (answer.items[0].first_step, answer.items[0].steps) = (0, 17);
     rig.answer(&answer).unwrap();
     rig.settle();
     let failures = rig.failures();

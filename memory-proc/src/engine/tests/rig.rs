@@ -132,7 +132,7 @@ impl Rig {
                 representation: representation as u8,
                 horizon: 6,
                 keyframes: 40,
-                image_budget: 40,
+                image_budget: 60,
                 text_budget: 65536,
                 hits: 1,
                 repeat: 1,
