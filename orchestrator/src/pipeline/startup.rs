@@ -25,6 +25,7 @@ impl Generation {
         attach: &Attach,
         run: &mut PipelineRun<'_, '_>,
     ) -> Result<Option<Self>, Failure> {
+        let launches = memory_launches(attach, run)?;
         attach.write(&attach.root)?;
         let bus = Bus::join(attach.clone(), Role::Orchestrator)?;
         let inbox = Inbox {
@@ -46,7 +47,7 @@ impl Generation {
             notifiers.insert(memory.name.into(), bus.external_memory_notifier(memory.index)?);
         }
         let (commands, stops) = (bus.sender()?, bus.sender()?);
-        let children = start_processes(attach, run)?;
+        let children = start_processes(attach, launches, run)?;
         let mut generation = Self {
             children,
             external: Vec::new(),
@@ -176,27 +177,35 @@ fn memories<'a>(
     options.memories.iter().filter(|memory| attach.external_memories.contains(&memory.index))
 }
 
-/// Starts the processes of a generation. The first one finds its external memories started.
-fn start_processes(attach: &Attach, run: &mut PipelineRun<'_, '_>) -> Result<Children, Failure> {
-    let mut launches = run.options.launches.clone();
-    let started = std::mem::take(&mut run.started);
-    if started.is_empty() {
-        for memory in memories(attach, run.options) {
-            let Some(launch) = memory.launch()? else { continue };
-            let folder = memory_folder(&attach.root, memory.index);
-            fs::create_dir_all(&folder)?;
-            // It is to be written again.
-            match fs::remove_file(folder.join(DESCRIPTION_FILE)) {
-                Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error.into()),
-                _ => {}
-            }
-            launches.push(launch);
+/// The external memories that a generation has to start, each with a folder in which it is to describe itself again. The
+/// first generation finds them started.
+fn memory_launches(attach: &Attach, run: &PipelineRun<'_, '_>) -> Result<Vec<Launch>, Failure> {
+    let mut launches = Vec::new();
+    if !run.started.is_empty() {
+        return Ok(launches);
+    }
+    for memory in memories(attach, run.options) {
+        let Some(launch) = memory.launch()? else { continue };
+        let folder = memory_folder(&attach.root, memory.index);
+        fs::create_dir_all(&folder)?;
+        match fs::remove_file(folder.join(DESCRIPTION_FILE)) {
+            Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error.into()),
+            _ => launches.push(launch),
         }
     }
-    let launches: Vec<Launch> =
-        launches.into_iter().map(|launch| launch.attached_to(&attach.root)).collect();
+    Ok(launches)
+}
+
+/// Starts the processes of a generation, with the external memories of `launches`.
+fn start_processes(
+    attach: &Attach,
+    launches: Vec<Launch>,
+    run: &mut PipelineRun<'_, '_>,
+) -> Result<Children, Failure> {
+    let all = run.options.launches.iter().cloned().chain(launches);
+    let launches: Vec<Launch> = all.map(|launch| launch.attached_to(&attach.root)).collect();
     let mut children = Children::start(&launches, &run.options.logs)?;
-    children.adopt(started);
+    children.adopt(std::mem::take(&mut run.started));
     Ok(children)
 }
 

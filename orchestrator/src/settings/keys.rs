@@ -177,10 +177,10 @@ pub const KEYS: &[Key] = keys! {
     "keyframes" "N" Number(1, MAX_IMAGES as u64, 1),
         "Keyframes of full-context memory, shared by the demonstrations of a case";
     "memory-images" "N" Number(0, 1000, 1),
-        "Most images that a memory supplies at a step; an item that does not fit is left out and \
+        "Maximum number of images that a memory supplies at a step; an item that does not fit is left out and \
          counted [default: as many as any built-in memory supplies]";
     "memory-text-bytes" "N" Number(0, 16_000_000, 1),
-        "Most bytes of text that a memory supplies at a step; an item that does not fit is left out \
+        "Maximum number of bytes of text that a memory supplies at a step; an item that does not fit is left out \
          and counted";
     "hint" "LIST" List(parses::<Hint>),
         "Whether the prompt says that the demonstration has the same starting pose, where it has: \
