@@ -65,7 +65,7 @@ pub(crate) fn another_wire_version<R: TestedRole>(kit: &mut Kit<'_, R>) -> Check
     fs::write(&file, text).context("cannot write attach.json")?;
     let folder = R::folder(run.path());
     fs::create_dir_all(&folder).context("cannot create its folder")?;
-    let launch = kit.terms.launch.clone().attached_to(&folder);
+    let launch = kit.terms.launch.clone().attached_to(run.path());
     let mut children = Children::start(&[launch], &run.path().join("logs"))?;
     let exit = wait_for_exit(&mut children, kit.terms)?;
     if exit.status.success() {

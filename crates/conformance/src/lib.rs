@@ -124,7 +124,7 @@ impl Conformance {
         stop: &AtomicBool,
         observer: &mut dyn FnMut(&CheckFinding),
     ) -> Result<Vec<CheckFinding>> {
-        let launch = Launch::command(R::ROLE, &self.command)?;
+        let launch = Launch { index: R::index(), ..Launch::command(R::ROLE, &self.command)? };
         let terms = Terms {
             launch: &launch,
             answer_timeout: self.answer_timeout,

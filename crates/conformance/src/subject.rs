@@ -210,7 +210,7 @@ impl<'a, R: TestedRole> Subject<'a, R> {
             attach.write(root).map_err(anyhow::Error::from)?;
         }
         let neighbours = R::join(attach).map_err(anyhow::Error::from)?;
-        let launch = terms.launch.clone().attached_to(&folder);
+        let launch = terms.launch.clone().attached_to(root);
         let mut subject = Self {
             children: Children::start(&[launch], &root.join("logs"))?,
             terms,

@@ -198,7 +198,7 @@ fn description(kit: &mut Kit<'_>) -> CheckResult<String> {
     let (run, _) = kit.another_run()?;
     let folder = MemoryRole::folder(run.path());
     fs::create_dir_all(&folder).map_err(anyhow::Error::from)?;
-    let launch = kit.terms.launch.clone().attached_to(&folder);
+    let launch = kit.terms.launch.clone().attached_to(run.path());
     let mut children = Children::start(&[launch], &run.path().join("logs"))?;
     let MemoryDescription { name, version, scope, embeddings, frames, deterministic, .. } =
         wait_for_description(&folder, &mut children, kit.terms)?;
@@ -659,7 +659,7 @@ fn run_does_not_begin(kit: &mut Kit<'_>) -> CheckResult<String> {
     let (run, _) = kit.another_run()?;
     let folder = MemoryRole::folder(run.path());
     fs::create_dir_all(&folder).map_err(anyhow::Error::from)?;
-    let launch = kit.terms.launch.clone().attached_to(&folder);
+    let launch = kit.terms.launch.clone().attached_to(run.path());
     // Its log outlives the run.
     let logs = kit.attach.root.join("logs-without-a-run");
     let mut children = Children::start(&[launch], &logs)?;
