@@ -1,7 +1,7 @@
 //! The grounded policy: a scripted stand-in for a model that needs no network and no key.
 //!
 //! It uses what a model would be given and nothing else. At each step it
-//! - perceives: reads plates from the frames (`perception`);
+//! - perceives: reads plates and barricades from the frames (`perception`, `barricade`);
 //! - remembers: locates the demonstrations that memory supplies by the views they share with the window
 //!   (`demonstration`), and parses documents (`document`); together that is its `knowledge`;
 //! - maps: marks free and occupied cells around the agent (`local_map`);
@@ -11,6 +11,7 @@
 //! It keeps no state of an episode: its `beliefs` are derived from each request anew. Its results show that
 //! the harness works; they say nothing about any model. It ignores the hint of the original start.
 
+mod barricade;
 mod beliefs;
 mod cache;
 mod demonstration;

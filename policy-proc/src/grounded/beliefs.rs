@@ -74,6 +74,7 @@ impl Beliefs {
         knowledge.mark(&mut map);
         for view in &views {
             view.free.iter().for_each(|&cell| map.mark_free(cell));
+            view.barricades.iter().for_each(|&cell| map.mark_occupied(cell));
         }
         for landmark in &seen {
             map.mark_free(landmark.standpoint);

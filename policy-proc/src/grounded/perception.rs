@@ -1,4 +1,4 @@
-//! What frames show: plates, and whether two frames show the same view.
+//! What frames show: plates, barricades, and whether two frames show the same view.
 //!
 //! The pixels of a frame never change, so each frame is read once.
 
@@ -8,6 +8,7 @@ use domain::{Cell, Pose};
 use peer::{FrameId, FrameView};
 use plates::{Landmark, Sighting};
 
+use super::barricade;
 use super::cache::BoundedCache;
 
 /// What a frame shows, relative to its camera.
@@ -17,6 +18,8 @@ pub(super) struct FrameContent {
     /// All pixels have the same colour.
     pub(super) is_blank: bool,
     pub(super) plates: Vec<Sighting>,
+    /// Cells with a barricade, as (cells ahead, cells to the right).
+    barricades: Vec<(i8, i8)>,
 }
 
 impl FrameContent {
@@ -27,6 +30,7 @@ impl FrameContent {
             hash: frame.content_hash,
             is_blank: pixels.all(|pixel| Some(pixel) == first),
             plates: plates::read(frame.width, frame.height, frame.pixels),
+            barricades: barricade::read(frame),
         }
     }
 
@@ -43,6 +47,8 @@ pub(super) struct PlacedFrame {
     pub(super) content: Arc<FrameContent>,
     pub(super) landmarks: Vec<Landmark>,
     pub(super) free: Vec<Cell>,
+    /// Cells with a barricade.
+    pub(super) barricades: Vec<Cell>,
 }
 
 impl PlacedFrame {
@@ -54,7 +60,10 @@ impl PlacedFrame {
             lines.filter_map(|(ahead, right)| pose.cell_at(ahead, right)).collect();
         free.sort_unstable();
         free.dedup();
-        Self { pose, content, landmarks, free }
+        let barricades = content.barricades.iter();
+        let barricades =
+            barricades.filter_map(|&(ahead, right)| pose.cell_at(ahead, right)).collect();
+        Self { pose, content, landmarks, free, barricades }
     }
 }
 

@@ -10,7 +10,7 @@ use proptest::prelude::*;
 
 use super::Grounded;
 use super::geometry::after;
-use super::testing::{blank_frame, content_hash, frame};
+use super::testing::{blank_frame, content_hash, frame, paint_barricade, square_frame};
 
 /// A request under construction, whose frames are painted views of the aisle.
 #[derive(Default)]
@@ -29,6 +29,8 @@ struct Ask {
     /// Where a captioned view was taken.
     captioned: Option<Pose>,
     is_blank: bool,
+    /// Where a barricade is in the current view, as (cells ahead, cells to the right).
+    barricade: Option<(i8, i8)>,
 }
 
 impl Ask {
@@ -75,10 +77,14 @@ impl Ask {
         let pose = self.pose.unwrap();
         let remembered = self.segments.iter().flatten().chain(&self.demonstration);
         let poses = self.window.iter().map(|past| past.0);
-        let poses = poses.chain(remembered.map(|step| step.0)).chain(self.captioned).chain([pose]);
+        let poses = poses.chain(remembered.map(|step| step.0)).chain(self.captioned);
         let pictures: Vec<_> = poses.map(|pose| aisle.picture(pose)).collect();
         let mut frames = (first_id..).zip(&pictures).map(|(id, picture)| frame(picture, id));
         let mut next = || frames.next().unwrap();
+        let mut current = aisle.picture(pose).pixels().to_vec();
+        if let Some(cell) = self.barricade {
+            paint_barricade(&mut current, cell);
+        }
 
         let window = self.window.iter().map(|&(_, action, feedback)| PastView {
             frame: next(),
@@ -115,7 +121,11 @@ impl Ask {
             instruction: &self.instruction,
             pose,
             feedback: window.last().map_or(Feedback::Start, |past| past.feedback),
-            frame: if self.is_blank { blank_frame(first_id + 500) } else { next() },
+            frame: if self.is_blank {
+                blank_frame(first_id + 500)
+            } else {
+                square_frame(&current, first_id + 400)
+            },
             window: &window,
             items: &items,
             starts_as_demonstrated: false,
@@ -290,6 +300,16 @@ fn a_blocked_route_is_left() {
         "- fork lift: stand at (10, 22) facing N\n## Passages\n- columns 10-11: rows 10-30\n";
     let blocked = (HERE, Action::Forward, Feedback::Blocked);
     assert_eq!(Ask::at(HERE).after(&[blocked]).with_document(text).action(), Action::Right);
+}
+
+#[test]
+fn a_barricade_in_sight_is_avoided() {
+    let text =
+        "- fork lift: stand at (10, 22) facing N\n## Passages\n- columns 10-11: rows 10-30\n";
+    let ask = || Ask::at(HERE).with_document(text);
+    assert_eq!(ask().action(), Action::Forward);
+    assert_eq!(Ask { barricade: Some((1, 0)), ..ask() }.action(), Action::Right);
+    assert_eq!(Ask { barricade: Some((2, 1)), ..ask() }.action(), Action::Forward);
 }
 
 #[test]

@@ -48,7 +48,7 @@ fn every_representation_helps_as_far_as_its_content_allows() {
         (
             "a summary, on a blocked route",
             Condition { start: Start::Blocked, ..new(Summary) },
-            0..=8,
+            1..=8,
         ),
         ("a whole demonstration, blank frames", blank(FullContext), 0..=2),
         ("a summary, blank frames", blank(Summary), 0..=2),
