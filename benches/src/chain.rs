@@ -125,8 +125,11 @@ fn many_lanes(session: &Session<'_>, id: &str, lanes: u32, runs: u32) -> Option<
     let command = format!("'{python}' -s '{}'", package.join(script).display());
     let flags = match id {
         "python" => [&WARM[..], &["--policy-cmd", &command]].concat(),
-        _ => [&WARM[..], &["--memory", "none", "--policy", "random", "--memory-cmd", &command]]
-            .concat(),
+        _ => [
+            &["--suite", "quick", "--warm-views", "--starts", "new", "--policy", "random"][..],
+            &["--memory", "none", "--memory-cmd", &command],
+        ]
+        .concat(),
     };
     let mut bench_run = BenchRun::new(lanes, runs, &flags);
     bench_run.env.push(("PYTHONPATH".to_owned(), package.display().to_string()));

@@ -5,8 +5,8 @@ import tempfile
 import zlib
 
 # mem0 reads these when it is imported. It would report to its makers, and keep files in the home folder.
-FOLDER = tempfile.mkdtemp(prefix="mem0-")
-os.environ.update(MEM0_TELEMETRY="false", MEM0_DIR=FOLDER)
+FOLDER = tempfile.TemporaryDirectory(prefix="mem0-")
+os.environ.update(MEM0_TELEMETRY="false", MEM0_DIR=FOLDER.name)
 
 import mem0  # noqa: E402
 import numpy as np  # noqa: E402
@@ -35,7 +35,7 @@ SETTINGS = {
     "embedder": {"provider": "langchain", "config": {}},
     "vector_store": {
         "provider": "qdrant",
-        "config": {"path": FOLDER, "embedding_model_dims": DIMENSIONS},
+        "config": {"path": FOLDER.name, "embedding_model_dims": DIMENSIONS},
     },
     # It is made but never asked.
     "llm": {"provider": "openai", "config": {"api_key": "unused"}},
