@@ -6,10 +6,12 @@
 
 use std::collections::BTreeMap;
 use std::fmt::Display;
+use std::io::ErrorKind;
 use std::num::NonZeroUsize;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::time::Duration;
+use std::thread;
+use std::time::{Duration, Instant};
 
 use anyhow::{Context, bail};
 use bytemuck::Zeroable;
@@ -22,8 +24,9 @@ use shm_types::message::{
 };
 use shm_types::process::{die_with_parent, monotonic_ns};
 use shm_types::{
-    Attach, BankPublisher, Bus, BusError, DocumentPublisher, ErrorReporter, Frame, FrameError,
-    FrameStore, Heartbeats, MemoryDescription, NoteReceiver, Notifier, Receiver, Sender, Spans,
+    Attach, AttachError, BankPublisher, Bus, BusError, DocumentPublisher, ErrorReporter, Frame,
+    FrameError, FrameStore, Heartbeats, MemoryDescription, NoteReceiver, Notifier, Receiver,
+    Sender, Spans,
 };
 use warehouse::case_file::CASES_FILE;
 use warehouse::{CaseSet, Warehouse};
@@ -42,6 +45,12 @@ use crate::paths::CacheFolder;
 
 /// The longest wait for an event. Nothing depends on it; it bounds the time until a lost event is noticed.
 const LONGEST_SLEEP: Duration = Duration::from_secs(1);
+
+/// How long to wait for the description of an external memory: longer than the orchestrator waits for the memory.
+const DESCRIPTION_TIMEOUT: Duration = Duration::from_secs(3600);
+
+/// How often to look for it.
+const DESCRIPTION_POLL: Duration = Duration::from_millis(20);
 
 /// How long to stay after reporting an error, so that the report is received.
 const LAST_WORDS: Duration = Duration::from_millis(500);
@@ -108,7 +117,7 @@ pub fn serve(settings: &ServeSettings) -> anyhow::Result<()> {
     if let Err(error) = &served {
         reporter.report(format_args!("the memory process failed: {error:#}"));
         bus.notifier(Role::Orchestrator)?.notify()?;
-        std::thread::sleep(LAST_WORDS);
+        thread::sleep(LAST_WORDS);
     }
     served
 }
@@ -530,6 +539,22 @@ impl<'a> MemoryServer<'a> {
     }
 }
 
+/// The description of the external memory in `folder`. When all processes are started again, this one may be ready before
+/// the memory has written it.
+fn read_description(folder: &Path) -> Result<MemoryDescription, AttachError> {
+    let deadline = Instant::now() + DESCRIPTION_TIMEOUT;
+    loop {
+        match MemoryDescription::read(folder) {
+            Err(AttachError::File { cause, .. })
+                if cause.kind() == ErrorKind::NotFound && Instant::now() < deadline =>
+            {
+                thread::sleep(DESCRIPTION_POLL);
+            }
+            outcome => return outcome,
+        }
+    }
+}
+
 /// The external memories of the run, as they describe themselves.
 ///
 /// # Errors
@@ -541,7 +566,7 @@ fn external_memories(
 ) -> anyhow::Result<ExternalMemories> {
     let mut descriptions = BTreeMap::new();
     for &index in &attach.external_memories {
-        let description = MemoryDescription::read(&memory_folder(&attach.root, index))?;
+        let description = read_description(&memory_folder(&attach.root, index))?;
         let name = &description.name;
         match encoder.map(|encoder| encoder.facts().dimension) {
             _ if !description.embeddings => {}

@@ -363,7 +363,7 @@ fn waiting_for_the_server_is_reported() {
         let decision = bench.decide(1)[0];
         assert_eq!(decision.action, Action::TurnRight as u8);
         if step == 1 {
-            // Defect 16: the latency is that of the attempt that was answered.
+            // The latency is that of the attempt that was answered.
             let waited_ns = decision.sent_ns - decision.prompted_ns;
             assert!(waited_ns > decision.decided_ns - decision.sent_ns, "{decision:?}");
         }

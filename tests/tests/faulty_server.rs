@@ -195,19 +195,28 @@ fn a_server_that_is_down_stops_the_run_and_the_same_command_continues_it() {
     assert_eq!(bench.leftovers(), Vec::<String>::new());
 }
 
-/// Defect 18: `doctor` sends the server one request of the run's size, and says how long it took.
+fn count_images(body: &Value) -> usize {
+    body.to_string().matches("data:image/png;base64,").count()
+}
+
+/// `doctor` sends the server one request of the run's size, and says how long it took.
 #[test]
 fn doctor_sends_a_request_of_the_runs_size_and_times_it() {
     let bench = Bench::new();
     let server = Server::concurrent(|request| {
-        let body = request.body.to_string();
         if request.line.starts_with("GET") {
-            Turn::json(200, &json!({"data": [{"id": "m"}]}))
-        } else if body.contains("You control a robot") {
-            Turn::says("move forward")
-        } else {
-            Turn::says(if body.contains("square") { "red or blue" } else { "42" })
+            return Turn::json(200, &json!({"data": [{"id": "m"}]}));
         }
+        let body = request.body.to_string();
+        let text = match () {
+            () if body.contains("You control a robot") => "move forward",
+            () if body.contains("square") => "red or blue",
+            () => "42",
+        };
+        // Images cost tokens: a server that drops them would be reported.
+        let mut reply = completion(text);
+        reply["usage"]["prompt_tokens"] = json!(10 + 50 * count_images(&request.body));
+        Turn::json(200, &reply)
     })
     .unwrap();
     let args = ["doctor", "--policy", "openai", "--model", "m", "--base-url", &server.base_url()];
@@ -220,8 +229,7 @@ fn doctor_sends_a_request_of_the_runs_size_and_times_it() {
     let sized = &report["data"]["run_sized"];
     assert_eq!(sized["images"], 9, "{findings:#}");
     assert!(sized["seconds"].as_f64() > Some(0.0), "{sized}");
-    let images = |body: &Value| body.to_string().matches("data:image/png;base64,").count();
     let prompts: Vec<Received> = server.received();
     let of_run = prompts.iter().filter(|r| r.body.to_string().contains("You control a robot"));
-    assert_eq!(of_run.map(|request| images(&request.body)).max(), Some(9));
+    assert_eq!(of_run.map(|request| count_images(&request.body)).max(), Some(9));
 }

@@ -297,7 +297,7 @@ impl Drop for Scratch {
 mod tests {
     use super::*;
 
-    /// Defect 18: the request that the probe sends and times has the size of the run's.
+    /// The request that the probe sends and times has the size of the run's.
     #[test]
     fn a_probe_has_the_size_of_the_run_and_says_what_it_lacks() {
         let empty = tempfile::tempdir().unwrap();
