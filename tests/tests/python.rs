@@ -436,7 +436,7 @@ fn without_a_run_a_policy_names_the_command_that_starts_one() {
     let ended = python(&[policy], &[("MEMTRANSFER_ATTACH", nowhere.to_str().unwrap())]).expect(2);
     assert!(ended.stderr.contains("wire version 999"), "{}", ended.stderr);
     assert!(!ended.stderr.contains("Traceback"), "{}", ended.stderr);
-    let classes = "import memtransfer as m\ntry: m.serve(None, 'x')\nexcept AttributeError: pass\n\
+    let classes = "import memtransfer as m\ntry: m.serve(None, 'x')\nexcept TypeError: pass\n\
         class P(m.Policy):\n  def act(self, batch): return []\n\
         try: m.serve(P(), '/nowhere')\nexcept m.AttachError as e: print(e)";
     let ended = python(&["-c", classes], &[]).expect(0);

@@ -328,8 +328,8 @@ mod tests {
             listing.rows[0][column].as_str().unwrap().to_owned()
         };
         assert_eq!(cell("policy"), "external (top-three)");
-        let year = cell("begun").split_once('-').unwrap().0.parse::<u32>().unwrap();
-        assert!((2024..2100).contains(&year), "{}", cell("begun"));
+        let year = cell("started").split_once('-').unwrap().0.parse::<u32>().unwrap();
+        assert!((2024..2100).contains(&year), "{}", cell("started"));
     }
 
     #[test]
