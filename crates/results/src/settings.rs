@@ -88,7 +88,7 @@ pub struct RunSettings {
 }
 
 /// Most bytes of text that memory supplies at a step, where nothing is said.
-pub const MEMORY_TEXT_BYTES: u32 = 65_536;
+pub const MEMORY_TEXT_BYTES: u32 = 1 << 20;
 
 /// Seconds in which an external memory answers, where nothing is said.
 pub const MEMORY_TIMEOUT: u32 = 30;

@@ -226,8 +226,9 @@ fn a_memory_of_texts_pins_no_view_but_those_that_it_names() {
     let mut answer = steps_answer(&query);
     (answer.items[0].first_step, answer.items[0].steps) = (0, 17);
     rig.answer(&answer).unwrap();
-    rig.settle();
+    let recalls = rig.settle();
     let failures = rig.failures();
+    assert!(recalls.is_empty(), "{recalls:?}");
     assert!(failures[0].1.contains("there is room for 10: raise --frame-budget"), "{failures:?}");
 }
 
