@@ -636,6 +636,7 @@ fn supply<I: Clone>(
         if !episode.pins_bank && !answer.pinned {
             let (needed, room) = (poses.len(), views.pinned.room());
             if needed > room {
+                episode.pending = Some(pending);
                 return Ok(LaneProgress::Failed(format!(
                     "its memory names {needed} views and there is room for {room}: raise --frame-budget or lower \
                      --memory-images"
