@@ -226,7 +226,7 @@ impl RenderWorker {
             destination: Destination::Slot(slot),
         };
         let mut jobs: Vec<RenderJob<'_>> = poses.iter().zip(slots).map(job).collect();
-        Ok(self.renderer.render(&mut jobs)?)
+        self.renderer.render(&mut jobs)
     }
 }
 

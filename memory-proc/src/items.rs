@@ -248,7 +248,7 @@ fn amount(item: &Item) -> Amount {
 }
 
 /// The poses of the views that a checked item shows.
-fn views<'b>(item: &Item, bank: &'b Bank) -> Vec<Pose> {
+fn views(item: &Item, bank: &Bank) -> Vec<Pose> {
     let poses = |of: u32| &bank.demonstrations[of as usize].poses;
     match item {
         Item::Text { .. } | Item::Steps { views: Views::None, .. } => Vec::new(),

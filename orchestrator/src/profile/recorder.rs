@@ -94,7 +94,7 @@ fn parts(stamps: &Stamps) -> Option<[u64; AccessPart::ALL.len()]> {
 }
 
 /// An [`Observer`] that records the latency of accesses, and nothing else.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub struct AccessRecorder {
     /// By memory and by class of steps.
     histograms: BTreeMap<MemoryKind, [PartHistograms; 2]>,
@@ -108,20 +108,6 @@ pub struct AccessRecorder {
     ended_ns: u64,
     /// Problems that occurred.
     pub problems: Vec<String>,
-}
-
-impl Default for AccessRecorder {
-    fn default() -> Self {
-        Self {
-            histograms: BTreeMap::new(),
-            episodes: 0,
-            steps: 0,
-            unordered: 0,
-            began_ns: 0,
-            ended_ns: 0,
-            problems: Vec::new(),
-        }
-    }
 }
 
 impl AccessRecorder {

@@ -48,6 +48,9 @@ impl<'a> EpisodeRow<'a> {
     }
 }
 
+/// A count of an episode.
+type Count = fn(&EpisodeRecord) -> u64;
+
 /// A row for each episode of the runs. An episode that was given up has the ending `given-up`, its key, its condition
 /// and its error, and no other figure.
 pub fn episodes_frame(logs: &[RunLog]) -> Frame {
@@ -106,7 +109,7 @@ pub fn episodes_frame(logs: &[RunLog]) -> Frame {
     frame.whole("refused", |row| Some(of(row)?.unread.refused.into()));
     frame.text("retrieved", |row| of(row)?.retrieved.clone());
     frame.real("distance", |row| of(row)?.distance);
-    let dropped: [(&str, fn(&EpisodeRecord) -> u64); 3] = [
+    let dropped: [(&str, Count); 3] = [
         ("memory_items_dropped", |record| record.memory_items_dropped),
         ("memory_images_dropped", |record| record.memory_images_dropped),
         ("memory_text_dropped", |record| record.memory_text_dropped),

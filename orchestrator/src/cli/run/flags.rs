@@ -14,7 +14,7 @@ pub(super) struct SettingFlags {
 impl SettingFlags {
     /// Their values.
     pub(super) fn layer(&self) -> Result<Layer> {
-        Ok(Layer::flags(self.given.iter().map(|(name, text)| (*name, text.as_str())))?)
+        Layer::flags(self.given.iter().map(|(name, text)| (*name, text.as_str())))
     }
 }
 
