@@ -4,6 +4,7 @@
 //! room that this process has. A lane gets all its views or none, so lanes cannot block each other with half of their
 //! views each.
 
+use bytemuck::Zeroable;
 use std::collections::HashMap;
 use std::collections::hash_map::Entry;
 
@@ -129,7 +130,7 @@ impl<I> PinnedViews<I> {
 }
 
 fn request(kind: ViewRequestKind, frame: FrameId, pose: Pose) -> ViewRequest {
-    ViewRequest { frame, pose: pose.into(), kind: kind as u8, reserved: [0; 3] }
+    ViewRequest { frame, pose: pose.into(), kind: kind as u8, ..Zeroable::zeroed() }
 }
 
 #[cfg(test)]

@@ -24,7 +24,7 @@ mod codes;
 pub use codes::{CODE_SETS, ErrorReportKind, ItemKind, Role, StepKind, ViewRequestKind};
 
 /// Version of everything that `docs/wire.md` describes; compared when a process attaches.
-pub const WIRE_VERSION: u32 = 7;
+pub const WIRE_VERSION: u32 = 8;
 
 /// Longest window of past steps.
 pub const MAX_WINDOW: usize = 32;
@@ -67,6 +67,9 @@ pub const NO_FRAME: FrameId = 0;
 
 /// Identifies a [`Document`](crate::documents::Document). Never reused within a run; 0 is no document.
 pub type DocumentId = u64;
+
+/// Identifies a snapshot of a memory by its content: the first bytes of the BLAKE3 hash of its files. Zeros are no snapshot.
+pub type SnapshotId = [u8; 16];
 
 /// The document id for "no document".
 pub const NO_DOCUMENT: DocumentId = 0;
@@ -344,7 +347,8 @@ messages! {
         lane: u32,
         /// Steps taken after this command: 0 for a reset.
         step: u32,
-        /// World variant: 0 is the unchanged world; in `1 + case index` that case's passage is closed.
+        /// World variant: 0 is the unchanged world; in `1 + case index` that case's passage is closed; after these come the
+        /// states of the run's streams.
         variant: u32,
         /// For a reset: the start pose. Otherwise ignored.
         start: WirePose,
@@ -392,7 +396,7 @@ messages! {
     }
 
     /// Orchestrator to memory, before a reset: the memory of the lane's next episode.
-    MemoryEpisodeConfig, "memtransfer.MemoryEpisodeConfig", "memory-config", 48 bytes,
+    MemoryEpisodeConfig, "memtransfer.MemoryEpisodeConfig", "memory-config", 88 bytes,
         [Orchestrator] to [Memory], Lanes {
         /// The episode.
         episode: u64,
@@ -423,8 +427,27 @@ messages! {
         external: u8,
         /// The repetition of the run, from 1.
         repeat: u32,
+        /// World variant of the episode, as in [`StepCommand`].
+        variant: u32,
+        /// Identifies the memory that persists from episode to episode of a stream; 0 outside of streams, where every
+        /// episode has a memory of its own.
+        sequence: u64,
+        /// The snapshot that a persistent memory continues from; zero if it is built anew.
+        snapshot: SnapshotId,
+        /// In a stream: its number in the run's list of streams.
+        stream: u32,
+        /// In a stream: the block of the stream's list of blocks that the episode belongs to.
+        block: u32,
+        /// In a stream: the episode's position in its sequence, from 0.
+        position: u32,
+        /// Code of the [`Arm`](domain::Arm).
+        arm: u8,
+        /// 1 if the memory learns from the episode: it observes it, is told of its end, and a snapshot is taken then.
+        learns: u8,
+        /// Code of the [`FeedbackLevel`](domain::FeedbackLevel): what a memory that learns is told at the end.
+        feedback: u8,
         /// Zero.
-        reserved: u32,
+        reserved: u8,
     }
 
     /// Orchestrator to policy, before a reset: the lane's next episode.
@@ -450,17 +473,19 @@ messages! {
         instruction: [u8; MAX_INSTRUCTION],
     }
 
-    /// Memory to simulator: pin or release a view of the unchanged world.
-    ViewRequest, "memtransfer.ViewRequest", "view-request", 16 bytes,
+    /// Memory to simulator: pin or release a view.
+    ViewRequest, "memtransfer.ViewRequest", "view-request", 24 bytes,
         [Memory] to [Sim], Frames {
         /// For a release: the frame. To pin: [`NO_FRAME`].
         frame: FrameId,
         /// To pin: the view's pose.
         pose: WirePose,
+        /// To pin: the view's world variant, as in [`StepCommand`].
+        variant: u32,
         /// A [`ViewRequestKind`] code.
         kind: u8,
         /// Zero.
-        reserved: [u8; 3],
+        reserved: [u8; 7],
     }
 
     /// Simulator to memory: the requested view is resident and pinned until it is released.
@@ -470,8 +495,8 @@ messages! {
         frame: FrameId,
         /// The requested pose.
         pose: WirePose,
-        /// Zero.
-        reserved: u32,
+        /// The requested world variant.
+        variant: u32,
     }
 
     /// Simulator to memory, policy and external memories: drop this frame. No running episode and no memory refers to it.
@@ -549,6 +574,22 @@ messages! {
         reserved: u32,
         /// Where the items come from, in order of the items.
         sources: [RecalledSource; MAX_SOURCES],
+    }
+
+    /// Memory to orchestrator: a memory has learned from an episode of a stream, and the snapshot of what it knows now is on
+    /// disk. Sent once for each episode that is learned from, after its last observation.
+    SnapshotReport, "memtransfer.SnapshotReport", "snapshot-report", 40 bytes,
+        [Memory] to [Orchestrator], Lanes {
+        /// The episode.
+        episode: u64,
+        /// The snapshot.
+        snapshot: SnapshotId,
+        /// Bytes of the memory's store, if it tells them; otherwise 0.
+        store_bytes: u64,
+        /// The lane.
+        lane: u32,
+        /// Zero.
+        reserved: u32,
     }
 
     /// Memory to an external memory: an episode begins.
@@ -851,7 +892,8 @@ mod tests {
     macro_rules! every_message {
         ($check:ident $(, $argument:expr)*) => {
             every_message!(@ $check, ($($argument),*), StepCommand Observation MemoryEpisodeConfig PolicyEpisodeConfig
-                ViewRequest View Eviction Recall RecallTrace ExternalEpisode ExternalQuery ExternalBuilt ExternalAnswer
+                ViewRequest View Eviction Recall RecallTrace SnapshotReport ExternalEpisode ExternalQuery ExternalBuilt
+                ExternalAnswer
                 Heartbeat Decision Handshake ErrorReport ShutdownReport Stop)
         };
         (@ $check:ident, $arguments:tt, $($message:ident)*) => {$($check::<$message>$arguments;)*};

@@ -77,7 +77,8 @@ struct Pending {
 #[derive(Debug)]
 enum PendingAnswer {
     Observation(Observation),
-    View(WirePose),
+    /// Pose and world variant of a requested view.
+    View(WirePose, u32),
 }
 
 struct Simulator<'a> {
@@ -246,7 +247,7 @@ impl<'a> Simulator<'a> {
                 }
                 let view = ViewKey::World { variant: 0, pose };
                 self.views.pin_for_memory(view);
-                let answer = PendingAnswer::View(pose.into());
+                let answer = PendingAnswer::View(pose.into(), request.variant);
                 self.pending.push(Pending { view: Some(view), answer });
             }
             ViewRequestKind::Release => {
@@ -346,8 +347,8 @@ impl<'a> Simulator<'a> {
             let frame = view.map_or(Some(NO_FRAME), |view| self.views.frame(view));
             match (frame, answer) {
                 (None, answer) => self.pending.push(Pending { view, answer }),
-                (Some(frame), PendingAnswer::View(pose)) => {
-                    self.resident.send(&View { frame, pose, reserved: 0 })?;
+                (Some(frame), PendingAnswer::View(pose, variant)) => {
+                    self.resident.send(&View { frame, pose, variant })?;
                     self.wakeups.add(Role::Memory);
                 }
                 (Some(frame), PendingAnswer::Observation(observation)) => {

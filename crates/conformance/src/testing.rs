@@ -353,7 +353,7 @@ impl SimRig {
     /// Asks for the view of `pose`, as memory. Does not notify.
     pub fn pin(&self, pose: Pose) {
         let (kind, frame) = (ViewRequestKind::Pin as u8, NO_FRAME);
-        let request = ViewRequest { frame, pose: pose.into(), kind, reserved: [0; 3] };
+        let request = ViewRequest { frame, pose: pose.into(), kind, ..Zeroable::zeroed() };
         self.neighbours.send(&request).unwrap();
     }
 
@@ -415,7 +415,7 @@ impl SubjectNeighbours for MemoryNeighbours {
         for request in self.requests.drain().unwrap() {
             if request.kind == ViewRequestKind::Pin as u8 {
                 let frame = self.publish(Pose::try_from(request.pose).unwrap());
-                self.send(&View { frame, pose: request.pose, reserved: 0 }).unwrap();
+                self.send(&View { frame, pose: request.pose, variant: request.variant }).unwrap();
                 self.notify().unwrap();
             } else {
                 assert_eq!(Pose::try_from(request.pose), Ok(self.shown[&request.frame]));

@@ -15,6 +15,6 @@ pub mod search_profile;
 
 pub use cache::{NoCacheFolder, cache_folder};
 pub use memory_kind::{ExternalName, MemoryKind};
-pub use outcome::{DocumentKind, Outcome, SegmentContent};
+pub use outcome::{Arm, DocumentKind, FeedbackLevel, Outcome, SegmentContent};
 pub use pose::{Action, Cell, Feedback, Heading, Pose, UnknownCode};
 pub use representation::Representation;

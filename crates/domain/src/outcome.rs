@@ -23,6 +23,28 @@ code_sets! {
         Images = 1,
     }
 
+    /// What the memory of an episode is built from, and whether it changes.
+    Arm, "an arm (0 frozen, 1 learning, 2 oracle, 3 wrong)" {
+        /// Built once, never changed: the paper's setting.
+        Frozen = 0,
+        /// Built once, and changed by the episodes of its stream.
+        Learning = 1,
+        /// Built anew for every block, from demonstrations in the world as it is: a control.
+        Oracle = 2,
+        /// Built once from demonstrations of other tasks: a control.
+        Wrong = 3,
+    }
+
+    /// What a memory is told at the end of an episode that it learns from.
+    FeedbackLevel, "a feedback level (0 none, 1 success, 2 sub-goals)" {
+        /// Nothing but the steps.
+        None = 0,
+        /// Whether the task was completed.
+        Success = 1,
+        /// Also the steps at which sub-goals were completed.
+        SubGoals = 2,
+    }
+
     /// The kind of a document.
     DocumentKind, "a document kind (0 summary, 1 semantic, 2 trajectories, 3 note)"
     #[derive(serde::Serialize, serde::Deserialize)]
@@ -46,6 +68,29 @@ impl Outcome {
             Self::Unreadable => "unreadable",
             Self::Empty => "empty",
             Self::Refused => "refused",
+        }
+    }
+}
+
+impl Arm {
+    /// The word used in files, on the command line and in tables.
+    pub const fn word(self) -> &'static str {
+        match self {
+            Self::Frozen => "frozen",
+            Self::Learning => "learning",
+            Self::Oracle => "oracle",
+            Self::Wrong => "wrong",
+        }
+    }
+}
+
+impl FeedbackLevel {
+    /// The word used in files, on the command line and in tables.
+    pub const fn word(self) -> &'static str {
+        match self {
+            Self::None => "none",
+            Self::Success => "success",
+            Self::SubGoals => "sub-goals",
         }
     }
 }

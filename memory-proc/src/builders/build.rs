@@ -201,7 +201,8 @@ impl<'a> BuildProcess<'a> {
     }
 
     fn request(&self, kind: ViewRequestKind, frame: u64, pose: Pose) -> Result<()> {
-        let request = ViewRequest { frame, pose: pose.into(), kind: kind as u8, reserved: [0; 3] };
+        let request =
+            ViewRequest { frame, pose: pose.into(), kind: kind as u8, ..Zeroable::zeroed() };
         Ok(self.requests.send(&request)?)
     }
 

@@ -196,7 +196,8 @@ impl ActiveEpisode {
             hits: rules.hits,
             external: external.unwrap_or_default(),
             repeat: episode.key.run,
-            reserved: 0,
+            variant: self.variant_code,
+            ..Zeroable::zeroed()
         };
         let start = self.pose.into();
         let command = StepCommand { start, ..self.command(StepKind::Reset, context.now_ns) };
