@@ -8,7 +8,7 @@ use plates::{ItemName, Landmark};
 
 use super::demonstration::{RelativePath, RelativePaths, Supplied};
 use super::instruction::NavigationGoal;
-use super::knowledge::{Knowledge, KnowledgeBase, standpoints_among};
+use super::knowledge::{Doubt, Knowledge, KnowledgeBase, standpoints_among};
 use super::local_map::LocalMap;
 use super::perception::{FrameCache, PlacedFrame, rack_of};
 use super::recent::RecentSteps;
@@ -71,7 +71,7 @@ impl Beliefs {
         let knowledge = caches.knowledge.get(task, &texts, &located);
 
         let mut map = LocalMap::around(request.pose.cell);
-        knowledge.mark(&mut map);
+        knowledge.mark(&mut map, Doubt::at(request.step, request.episode_seed));
         for view in &views {
             view.free.iter().for_each(|&cell| map.mark_free(cell));
             view.barricades.iter().for_each(|&cell| map.mark_occupied(cell));

@@ -2,11 +2,13 @@
 //!
 //! All of it is in world coordinates and stays the same from step to step.
 
+use std::hash::{Hash, Hasher};
 use std::sync::Arc;
 
 use domain::{Cell, Pose};
 use peer::TextView;
 use plates::{ItemName, Landmark};
+use rustc_hash::FxHasher;
 
 use super::cache::BoundedCache;
 use super::demonstration::RelativePath;
@@ -16,6 +18,32 @@ use super::instruction::NavigationGoal;
 use super::local_map::LocalMap;
 use super::perception::rack_of;
 use super::tour::Tour;
+
+/// Steps after which other parts of the floor are distrusted.
+const DOUBT_STEPS: u32 = 45;
+
+/// Distrust in parts of the known floor. A plan that has long been without success may lead through a barricade that has
+/// left the window. Distrusting some of the floor, another part each time, leads to other routes.
+#[derive(Debug, Clone, Copy, Hash)]
+pub(super) struct Doubt {
+    seed: u64,
+    period: u32,
+}
+
+impl Doubt {
+    pub(super) const fn at(step: u32, seed: u64) -> Self {
+        Self { seed, period: step / DOUBT_STEPS }
+    }
+
+    /// Whether `cell` is in one of the blocks of 4 x 4 cells, a third of all, that are distrusted. None is at first.
+    fn covers(self, cell: Cell) -> bool {
+        self.period > 0 && {
+            let mut hasher = FxHasher::default();
+            (self, cell.x / 4, cell.y / 4).hash(&mut hasher);
+            (hasher.finish() >> 32).is_multiple_of(3)
+        }
+    }
+}
 
 /// What is known about one instruction.
 #[derive(Debug)]
@@ -73,9 +101,12 @@ impl Knowledge {
         }
     }
 
-    /// Marks what is known on `map`.
-    pub(super) fn mark(&self, map: &mut LocalMap) {
-        self.floor.iter().for_each(|&cell| map.mark_free(cell));
+    /// Marks what is known on `map`, except the floor that is in doubt.
+    pub(super) fn mark(&self, map: &mut LocalMap, doubt: Doubt) {
+        self.floor
+            .iter()
+            .filter(|cell| !doubt.covers(**cell))
+            .for_each(|&cell| map.mark_free(cell));
         self.racks.iter().for_each(|&cell| map.mark_occupied(cell));
     }
 }
