@@ -3,7 +3,7 @@
 //! An instruction names types in the singular ("a blue barrel", "every blue barrel", "the same blue barrel") and
 //! categories in the plural ("of the category barrels"). This module knows only this wording.
 
-use crate::Plate;
+use crate::{Plate, code};
 
 /// Words in front of a type's name.
 const DETERMINERS: [&str; 4] = ["a ", "an ", "every ", "same "];
@@ -24,12 +24,19 @@ pub enum ItemName<'a> {
 }
 
 impl ItemName<'_> {
+    /// Tells whether the item labelled with a plate is of this kind.
+    pub fn matcher(self) -> impl Fn(Plate) -> bool + use<> {
+        let (name, bands) = match self {
+            Self::Category(name) => (name, 0..3),
+            Self::Type(name) => (name, 3..6),
+        };
+        let wanted = code(name);
+        move |plate| plate.0[bands.clone()] == wanted
+    }
+
     /// Whether the item labelled with `plate` is of this kind.
     pub fn matches(self, plate: Plate) -> bool {
-        match self {
-            Self::Type(name) => plate.is_type(name),
-            Self::Category(name) => plate.is_category(name),
-        }
+        self.matcher()(plate)
     }
 }
 
@@ -47,8 +54,9 @@ pub fn item_names(instruction: &str) -> impl Iterator<Item = ItemName<'_>> {
 
 /// What follows `words`, which may begin the clause or stand within it.
 fn name_after<'a>(words: &str, clause: &'a str) -> Option<&'a str> {
-    let within = || Some(clause.split_once(&format!(" {words}"))?.1);
-    clause.strip_prefix(words).or_else(within)
+    let mut places = clause.match_indices(words).map(|(at, _)| at);
+    let at = places.find(|&at| at == 0 || clause[..at].ends_with(' '))?;
+    Some(&clause[at + words.len()..])
 }
 
 #[cfg(test)]

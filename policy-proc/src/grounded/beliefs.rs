@@ -46,6 +46,7 @@ impl Beliefs {
         let views = placed_views(request, &recent, &mut caches.views);
         let mut seen: Vec<Landmark> = Vec::new();
         views.iter().for_each(|view| seen.extend_from_slice(&view.landmarks));
+        let in_views = seen.len();
 
         let (mut segments, mut located) = (Vec::new(), Vec::new());
         for item in request.items {
@@ -74,9 +75,9 @@ impl Beliefs {
         knowledge.mark(&mut map, Doubt::at(request.step, request.episode_seed));
         for view in &views {
             view.free.iter().for_each(|&cell| map.mark_free(cell));
-            view.barricades.iter().for_each(|&cell| map.mark_occupied(cell));
+            view.occupied.iter().for_each(|&cell| map.mark_occupied(cell));
         }
-        for landmark in &seen {
+        for landmark in &seen[in_views..] {
             map.mark_free(landmark.standpoint);
             rack_of(landmark).into_iter().for_each(|rack| map.mark_occupied(rack));
         }

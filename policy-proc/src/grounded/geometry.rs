@@ -1,6 +1,6 @@
 //! Moves and turns on the grid.
 
-use domain::{Action, Heading, Pose};
+use domain::{Action, Cell, Heading, Pose};
 
 /// A pose on a path and the action taken there; `None` where the path ends or the action is unknown.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -63,6 +63,14 @@ pub(super) fn path_along(
     }
     path.push(PathStep { pose, action: None });
     path
+}
+
+/// The cells in order, each once.
+pub(super) fn sorted(cells: impl Iterator<Item = Cell>) -> Vec<Cell> {
+    let mut cells: Vec<Cell> = cells.collect();
+    cells.sort_unstable();
+    cells.dedup();
+    cells
 }
 
 #[cfg(test)]

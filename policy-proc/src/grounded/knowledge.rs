@@ -13,7 +13,7 @@ use rustc_hash::FxHasher;
 use super::cache::BoundedCache;
 use super::demonstration::RelativePath;
 use super::document::ParsedDocument;
-use super::geometry::PathStep;
+use super::geometry::{PathStep, sorted};
 use super::instruction::NavigationGoal;
 use super::local_map::LocalMap;
 use super::perception::rack_of;
@@ -111,19 +111,13 @@ impl Knowledge {
     }
 }
 
-fn sorted(cells: impl Iterator<Item = Cell>) -> Vec<Cell> {
-    let mut cells: Vec<Cell> = cells.collect();
-    cells.sort_unstable();
-    cells.dedup();
-    cells
-}
-
 /// The standpoints of plates of the target kind.
 pub(super) fn standpoints_among(
     landmarks: &[Landmark],
     target: ItemName<'_>,
 ) -> impl Iterator<Item = Cell> {
-    let matching = landmarks.iter().filter(move |landmark| target.matches(landmark.plate));
+    let is_target = target.matcher();
+    let matching = landmarks.iter().filter(move |landmark| is_target(landmark.plate));
     matching.map(|landmark| landmark.standpoint)
 }
 

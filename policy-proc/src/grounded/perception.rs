@@ -10,6 +10,7 @@ use plates::{Landmark, Sighting};
 
 use super::barricade;
 use super::cache::BoundedCache;
+use super::geometry::sorted;
 
 /// What a frame shows, relative to its camera.
 #[derive(Debug)]
@@ -46,9 +47,10 @@ pub(super) struct PlacedFrame {
     pub(super) pose: Pose,
     pub(super) content: Arc<FrameContent>,
     pub(super) landmarks: Vec<Landmark>,
+    /// Cells without an obstacle, sorted: those before plates, and those between them and the camera.
     pub(super) free: Vec<Cell>,
-    /// Cells with a barricade.
-    pub(super) barricades: Vec<Cell>,
+    /// Cells with a rack or a barricade, sorted.
+    pub(super) occupied: Vec<Cell>,
 }
 
 impl PlacedFrame {
@@ -56,14 +58,12 @@ impl PlacedFrame {
         let landmarks: Vec<Landmark> =
             content.plates.iter().filter_map(|plate| plate.seen_from(pose)).collect();
         let lines = content.plates.iter().flat_map(|plate| line_of_sight(plate.ahead, plate.right));
-        let mut free: Vec<Cell> =
-            lines.filter_map(|(ahead, right)| pose.cell_at(ahead, right)).collect();
-        free.sort_unstable();
-        free.dedup();
+        let free = lines.filter_map(|(ahead, right)| pose.cell_at(ahead, right));
+        let free = sorted(free.chain(landmarks.iter().map(|landmark| landmark.standpoint)));
         let barricades = content.barricades.iter();
-        let barricades =
-            barricades.filter_map(|&(ahead, right)| pose.cell_at(ahead, right)).collect();
-        Self { pose, content, landmarks, free, barricades }
+        let barricades = barricades.filter_map(|&(ahead, right)| pose.cell_at(ahead, right));
+        let occupied = sorted(barricades.chain(landmarks.iter().filter_map(rack_of)));
+        Self { pose, content, landmarks, free, occupied }
     }
 }
 
