@@ -9,7 +9,8 @@ const GAP: usize = 2;
 /// Minimum width of a column of text that wraps.
 const NARROWEST: usize = 8;
 
-/// A table of text. Columns of text wrap where the table would be wider than [`WIDTH`].
+/// A table of text. Where it would be wider than [`WIDTH`], columns of text wrap; where that is not enough, the columns are
+/// printed in several parts.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct TextTable {
     header: Vec<String>,
@@ -40,8 +41,8 @@ impl TextTable {
         self.rows.push(row);
     }
 
-    /// The width of each column.
-    fn widths(&self) -> Vec<usize> {
+    /// The width of each column without wrapping.
+    fn natural_widths(&self) -> Vec<usize> {
         let mut widths = vec![0; self.header.len()];
         for row in self.rows.iter().chain([&self.header]) {
             for (width, cell) in widths.iter_mut().zip(row) {
@@ -49,18 +50,56 @@ impl TextTable {
                 *width = lines.max().unwrap_or(0).max(*width);
             }
         }
-        let gaps = GAP * widths.len().saturating_sub(1);
-        let mut excess = (widths.iter().sum::<usize>() + gaps).saturating_sub(WIDTH);
-        // The widest column of text shrinks, one character at a time.
-        while excess > 0 {
-            let text = widths.iter_mut().zip(&self.is_text).filter(|(_, is_text)| **is_text);
-            match text.max_by_key(|(width, _)| **width).filter(|(width, _)| **width > NARROWEST) {
-                Some((width, _)) => *width -= 1,
-                None => break,
-            }
-            excess -= 1;
-        }
         widths
+    }
+
+    /// The width of each column if columns of text wrap; `None` if the table is still wider than [`WIDTH`].
+    fn wrapped_widths(&self) -> Option<Vec<usize>> {
+        let mut widths = self.natural_widths();
+        // The widest column of text shrinks, one character at a time.
+        for _ in WIDTH..total_width(&widths) {
+            let text = widths.iter_mut().zip(&self.is_text).filter(|(_, is_text)| **is_text);
+            let widest = text.map(|(width, _)| width).max_by_key(|width| **width);
+            *widest.filter(|width| **width > NARROWEST)? -= 1;
+        }
+        Some(widths)
+    }
+
+    /// The table in parts that are not too wide: each has the first columns of text, and some of the others.
+    fn parts(&self) -> Vec<Self> {
+        let widths = self.natural_widths();
+        let labels = self.is_text.iter().take_while(|is_text| **is_text).count();
+        let mut parts: Vec<Vec<usize>> = Vec::new();
+        for column in labels..widths.len() {
+            let width_with = |part: &Vec<usize>| {
+                total_width(&part.iter().chain([&column]).map(|&at| widths[at]).collect::<Vec<_>>())
+            };
+            match parts.last_mut().filter(|part| width_with(part) <= WIDTH) {
+                Some(part) => part.push(column),
+                None => parts.push((0..labels).chain([column]).collect()),
+            }
+        }
+        parts.iter().map(|columns| self.with_columns(columns)).collect()
+    }
+
+    fn with_columns(&self, columns: &[usize]) -> Self {
+        let of = |row: &Vec<String>| columns.iter().map(|&column| row[column].clone()).collect();
+        Self {
+            header: of(&self.header),
+            rows: self.rows.iter().map(of).collect(),
+            is_text: columns.iter().map(|&column| self.is_text[column]).collect(),
+        }
+    }
+
+    fn write(&self, f: &mut fmt::Formatter<'_>, widths: &[usize]) -> fmt::Result {
+        let rule = "─".repeat(total_width(widths));
+        writeln!(f, "{rule}")?;
+        self.write_row(f, &self.header, widths)?;
+        writeln!(f, "{rule}")?;
+        for row in &self.rows {
+            self.write_row(f, row, widths)?;
+        }
+        write!(f, "{rule}")
     }
 
     /// Writes a row, on as many lines as its longest cell needs.
@@ -91,16 +130,21 @@ impl TextTable {
 
 impl fmt::Display for TextTable {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let widths = self.widths();
-        let rule = "─".repeat(widths.iter().sum::<usize>() + GAP * widths.len().saturating_sub(1));
-        writeln!(f, "{rule}")?;
-        self.write_row(f, &self.header, &widths)?;
-        writeln!(f, "{rule}")?;
-        for row in &self.rows {
-            self.write_row(f, row, &widths)?;
+        if let Some(widths) = self.wrapped_widths() {
+            return self.write(f, &widths);
         }
-        write!(f, "{rule}")
+        for (number, part) in self.parts().iter().enumerate() {
+            if number > 0 {
+                writeln!(f)?;
+            }
+            part.write(f, &part.wrapped_widths().unwrap_or_else(|| part.natural_widths()))?;
+        }
+        Ok(())
     }
+}
+
+fn total_width(widths: &[usize]) -> usize {
+    widths.iter().sum::<usize>() + GAP * widths.len().saturating_sub(1)
 }
 
 /// Breaks `text` into lines of at most `width` characters: after a space, a comma, a slash or a hyphen where there
@@ -148,5 +192,15 @@ mod tests {
         assert!(text.lines().all(|line| line.chars().count() <= WIDTH), "{text}");
         assert_eq!(text.matches("word").count(), 30);
         assert_eq!(text.matches('x').count(), 200);
+    }
+
+    #[test]
+    fn a_table_of_too_many_columns_is_printed_in_parts() {
+        let header: Vec<String> = (0..30).map(|column| format!("column {column}")).collect();
+        let mut table = table(&header, 1);
+        table.add_row((0..30).map(|column| format!("cell {column}")));
+        let text = table.to_string();
+        assert!(text.lines().all(|line| line.chars().count() <= WIDTH), "{text}");
+        assert_eq!((text.matches("column 0").count(), text.matches("cell 29").count()), (4, 1));
     }
 }

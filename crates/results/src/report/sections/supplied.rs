@@ -47,7 +47,8 @@ pub(in crate::report) fn supplied_table(view: &ScoredRun<'_>) -> Option<Table> {
         caption: "What each memory supplied, over all its conditions. Items, images, bytes of text: means of an answer, \
                   beside the current view and the window. Dropped: items that exceeded the memory's budgets. Recall: \
                   mean microseconds from the observation to the recall, embedding included. Of an external memory, \
-                  method: what it computed, by its own clock; wire: the messages to it and back. Store: the largest \
+                  method: what it computed, by its own clock; wire: the messages to it and back, and waiting \
+                  while it answers other lanes. Store: the largest \
                   size that the memory told. Tokens: of its own requests to a model, mean of an answer."
             .to_owned(),
         stubs: vec!["Memory".to_owned()],
