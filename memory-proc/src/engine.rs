@@ -540,6 +540,9 @@ impl<I: Clone> Engine<I> {
 
     /// Gets the banks of external memories as far as they can get now.
     fn build_banks(&mut self, clock: impl Fn() -> u64) {
+        if !self.externals.unbuilt.is_empty() {
+            self.externals.defer_clocks(clock());
+        }
         for id in self.externals.unbuilt.iter().copied().collect::<Vec<_>>() {
             let Self { externals, views, .. } = self;
             let limit = externals.limits.build;

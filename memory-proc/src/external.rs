@@ -77,6 +77,8 @@ pub struct ExternalMemories {
     last_bank: u64,
     /// By external memory and lane: the note that came last.
     notes: HashMap<(u8, u32), Note>,
+    /// When each external memory was last seen to have a bank to build: it answers nothing meanwhile.
+    last_building_ns: BTreeMap<u8, u64>,
     pub(crate) outbox: Vec<(u8, ToExternal)>,
 }
 
@@ -159,6 +161,7 @@ impl ExternalMemories {
             unused: VecDeque::new(),
             last_bank: 0,
             notes: HashMap::new(),
+            last_building_ns: BTreeMap::new(),
             outbox: Vec::new(),
         }
     }
@@ -268,6 +271,21 @@ impl ExternalMemories {
         self.outbox.push((bank.index, ToExternal::Bank(id, content)));
     }
 
+    /// Starts the clocks of building and answering anew for what a memory cannot have begun: it does one thing after the
+    /// other, and first builds the banks that it has got, in their order.
+    pub(crate) fn defer_clocks(&mut self, now_ns: u64) {
+        let mut is_building = BTreeSet::new();
+        for id in &self.unbuilt {
+            if let Some(HostBank { index, state: BankState::Building { since_ns }, .. }) =
+                self.banks.get_mut(id)
+                && !is_building.insert(*index)
+            {
+                *since_ns = now_ns;
+            }
+        }
+        self.last_building_ns.extend(is_building.into_iter().map(|index| (index, now_ns)));
+    }
+
     /// Ends the building of a bank. Returns the bank if its views were pinned to build it.
     pub(crate) fn finish(&mut self, id: u64, outcome: Result<u64, String>) -> Option<Arc<Bank>> {
         let bank = self.banks.get_mut(&id)?;
@@ -327,13 +345,15 @@ impl ExternalMemories {
     /// Waits for the answer to the question of `since_ns`, as long as the time limit allows.
     pub(crate) fn wait(&self, episode: &MemoryEpisode, since_ns: u64, now_ns: u64) -> LaneProgress {
         let limit = self.limits.answer;
+        let EpisodeMemory::External { index, .. } = episode.memory else {
+            return LaneProgress::Gone;
+        };
+        let since_ns =
+            self.last_building_ns.get(&index).map_or(since_ns, |last| since_ns.max(*last));
         if u128::from(now_ns.saturating_sub(since_ns)) <= limit.as_nanos() {
             return LaneProgress::Waiting;
         }
-        let name = match episode.memory {
-            EpisodeMemory::External { index, .. } => self.name(index),
-            EpisodeMemory::BuiltIn { .. } => "unknown",
-        };
+        let name = self.name(index);
         let step = episode.current.as_ref().map_or(0, |now| now.step);
         let seconds = limit.as_secs_f64();
         LaneProgress::Failed(format!(

@@ -283,24 +283,42 @@ fn time_limits_cost_the_episodes_that_wait() {
     rig.begin(0, 7, 3);
     rig.begin(1, 8, 3);
     let queries = rig.queries();
-    rig.begin(2, 9, 4);
-    rig.settle();
     rig.now_ns += 20 * SECOND;
     rig.answer(&answer_to(&queries[1])).unwrap();
     assert_eq!(rig.settle().len(), 1);
     rig.now_ns += 11 * SECOND;
     rig.settle();
-    let expected = "external memory test has not answered step 0 within 30 s".to_owned();
-    assert_eq!(rig.failures(), [(7, expected)]);
+    let unanswered = |episode| {
+        [(episode, "external memory test has not answered step 0 within 30 s".to_owned())]
+    };
+    assert_eq!(rig.failures(), unanswered(7));
     let late = rig.answer(&answer_to(&queries[0])).unwrap_err().to_string();
     assert!(
         late.ends_with("after it was answered or given up") && rig.failures().is_empty(),
         "{late}"
     );
-    rig.now_ns += 600 * SECOND;
+}
+
+#[test]
+fn a_memory_that_builds_has_time_to_answer_and_to_build_the_next_bank_afterwards() {
+    let mut rig = ExternalRig::new(3, 1000, description(Scope::Case, false, false));
+    rig.begin(0, 7, 3);
+    rig.queries();
+    for (lane, episode) in [(1, 8), (2, 9)] {
+        rig.begin(lane, episode, 3 + lane);
+    }
     rig.settle();
-    let expected = "external memory test was not built within 600 s".to_owned();
-    assert_eq!(rig.failures(), [(9, expected)]);
+    let unbuilt = |episode| (episode, "external memory test was not built within 600 s".to_owned());
+    for (seconds, expected) in
+        [(599, vec![]), (2, vec![unbuilt(8)]), (599, vec![]), (2, vec![unbuilt(9)])]
+    {
+        rig.now_ns += seconds * SECOND;
+        rig.settle();
+        assert_eq!(rig.failures(), expected);
+    }
+    rig.now_ns += 31 * SECOND;
+    rig.settle();
+    assert_eq!(rig.failures()[0].0, 7, "it was asked before, and is answered in 30 s after");
 }
 
 #[test]
