@@ -35,7 +35,8 @@ pub fn plan(
     for run in 1..=most_runs {
         for &case_index in cases {
             for &(condition, _) in conditions.iter().filter(|(_, runs)| run <= *runs) {
-                let key = EpisodeKey { condition, run, case: ids[case_index].to_owned() };
+                let case = ids[case_index].to_owned();
+                let key = EpisodeKey { condition, run, place: None, case };
                 let seed = seed_of(master_seed, &key);
                 episodes.push(PlannedEpisode { key, case_index, seed });
             }

@@ -84,6 +84,7 @@ impl ActiveEpisode {
             window: condition.variation.window,
             segment: condition.variation.segment,
             hint: condition.variation.hint,
+            arm: condition.arm,
             run: episode.key.run,
             case: episode.key.case.clone(),
             task: case.task.number(),
@@ -113,6 +114,7 @@ impl ActiveEpisode {
             memory_items_dropped: 0,
             memory_images_dropped: 0,
             memory_text_dropped: 0,
+            stream: None,
         };
         Self {
             variant_code: if is_blocked { 1 + episode.case_index as u32 } else { 0 },

@@ -205,7 +205,7 @@ impl EpisodeQueue {
 
 #[cfg(test)]
 mod tests {
-    use domain::Representation;
+    use domain::{Arm, Representation};
 
     use super::*;
     use results::conditions::{Condition, Demonstrations, Route, Start, Variation};
@@ -219,9 +219,11 @@ mod tests {
             route: Route::Unchanged,
             demonstrations: Demonstrations::NONE,
             variation: Variation::STANDARD,
+            arm: Arm::Frozen,
         };
         let of = |case_index| {
-            let key = EpisodeKey { condition, run: 1, case: format!("c{case_index:03}") };
+            let key =
+                EpisodeKey { condition, run: 1, place: None, case: format!("c{case_index:03}") };
             PlannedEpisode { key, case_index, seed: 1 }
         };
         (0..count).map(of).collect()
