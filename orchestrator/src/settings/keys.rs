@@ -87,8 +87,16 @@ fn is_memory(text: &str) -> Result<(), String> {
 }
 
 /// Accepts one of the words `known`.
-fn is_one_of<const N: usize>(what: &'static str, text: &str, known: [&str; N]) -> Result<(), String> {
-    if known.contains(&text) { Ok(()) } else { Err(UnknownName::new(what, text, known).to_string()) }
+fn is_one_of<const N: usize>(
+    what: &'static str,
+    text: &str,
+    known: [&str; N],
+) -> Result<(), String> {
+    if known.contains(&text) {
+        Ok(())
+    } else {
+        Err(UnknownName::new(what, text, known).to_string())
+    }
 }
 
 fn is_arm(text: &str) -> Result<(), String> {

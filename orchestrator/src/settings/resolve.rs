@@ -4,9 +4,9 @@ use std::collections::BTreeMap;
 use std::fmt;
 
 use anyhow::{Context, Result, anyhow, bail, ensure};
-use domain::{Arm, Representation};
 use domain::memory_kind::{EXTERNAL_WORD, NONE_WORD};
 use domain::representation::Trajectories;
+use domain::{Arm, Representation};
 use results::conditions::{Condition, Demonstrations, PolicyKind, Route, Start, Variation};
 use results::settings::{RunSettings, SuiteName};
 use serde_json::{Map, Value, json};
