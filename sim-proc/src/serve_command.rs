@@ -9,7 +9,7 @@ use shm_types::{Attach, Bus};
 use warehouse::case_file::CASES_FILE;
 use warehouse::{CaseSet, Warehouse};
 
-use crate::render_command::BackendArgs;
+use crate::render_command::RendererArgs;
 use crate::render_pool::RenderSetup;
 use crate::renderer::RenderSettings;
 use crate::serve::serve;
@@ -26,7 +26,7 @@ pub struct ServeArgs {
     assets: Option<PathBuf>,
 
     #[command(flatten)]
-    backend: BackendArgs,
+    renderer: RendererArgs,
 
     /// Render every view of the unchanged world before the first step.
     #[arg(long)]
@@ -51,7 +51,7 @@ pub fn run(args: ServeArgs) -> Result<()> {
             (warehouse, cases)
         }
     };
-    let settings = args.backend.apply(RenderSettings {
+    let settings = args.renderer.apply(RenderSettings {
         width_px: attach.frame.width,
         height_px: attach.frame.height,
         ..RenderSettings::default()

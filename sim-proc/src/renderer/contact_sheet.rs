@@ -30,7 +30,7 @@ const INK: [u8; 3] = [30, 34, 40];
 /// As [`Renderer::new`] and [`Renderer::render`].
 pub fn contact_sheet(warehouse: &Warehouse, settings: RenderSettings) -> Result<RgbaImage> {
     let types = &warehouse.catalogue.types;
-    let (scene, stands) = catalogue_scene(&warehouse.catalogue);
+    let (scene, stands) = catalogue_scene(&warehouse.catalogue, settings.appearance);
     let mut renderer = Renderer::of_scene(scene, warehouse.layout.clone(), settings)?;
     let tile = [LARGE_PX + SMALL_PX + GAP_PX, LARGE_PX + CAPTION_PX + GAP_PX];
     let rows = (types.len() as u32).div_ceil(COLUMNS);

@@ -10,6 +10,7 @@ mod contact_sheet;
 mod gpu;
 mod job;
 mod light;
+mod look;
 mod mesh;
 mod scene;
 mod scene_visibility;
@@ -81,7 +82,8 @@ impl Renderer {
     /// A frame size that cannot be rendered, no Vulkan driver, no adapter of the given name, or a device that cannot be
     /// opened.
     pub fn new(warehouse: &Warehouse, settings: RenderSettings) -> Result<Self> {
-        Self::of_scene(Scene::new(warehouse), warehouse.layout.clone(), settings)
+        let scene = Scene::new(warehouse, settings.appearance);
+        Self::of_scene(scene, warehouse.layout.clone(), settings)
     }
 
     /// Opens another renderer of the same scene.

@@ -1,11 +1,13 @@
 //! A scene under construction: meshes, label plates and texts are added object by object.
 
+use domain::Appearance;
 use nalgebra::{Isometry3, Point3};
 use plates::Plate;
 use raster::{Atlas, Geometry, Layer, PlateVertex, SolidVertex, TextVertex};
 
 use super::object::{Object, Occluder, Scene};
-use crate::renderer::light::{Light, baked};
+use crate::renderer::light::{Part, baked};
+use crate::renderer::look::Look;
 use crate::renderer::mesh::builder::Mesh;
 use crate::renderer::mesh::hall::barricade;
 use crate::renderer::text::{AtlasBuilder, PanelText};
@@ -26,8 +28,9 @@ struct PanelCorner {
 }
 
 /// A scene under construction.
-#[derive(Default)]
 pub(super) struct Assembly {
+    appearance: Appearance,
+    look: Look,
     solid: Layer<SolidVertex>,
     plate: Layer<PlateVertex>,
     text: Layer<PanelCorner>,
@@ -37,6 +40,25 @@ pub(super) struct Assembly {
 }
 
 impl Assembly {
+    /// An empty scene.
+    pub(super) fn new(appearance: Appearance) -> Self {
+        Self {
+            appearance,
+            look: Look::of(appearance.seed),
+            solid: Layer::default(),
+            plate: Layer::default(),
+            text: Layer::default(),
+            objects: Vec::new(),
+            occluders: Vec::new(),
+            atlas: AtlasBuilder::default(),
+        }
+    }
+
+    /// How the world looks.
+    pub(super) fn appearance(&self) -> Appearance {
+        self.appearance
+    }
+
     /// Makes everything that `add` adds one object.
     pub(super) fn object(&mut self, add: impl FnOnce(&mut Self)) {
         let counts =
@@ -82,11 +104,11 @@ impl Assembly {
     }
 
     /// Adds a mesh, lit.
-    pub(super) fn solid(&mut self, mesh: &Mesh, world_from_mesh: &Isometry3<f32>, light: Light) {
+    pub(super) fn solid(&mut self, mesh: &Mesh, world_from_mesh: &Isometry3<f32>, part: Part) {
         let first = self.solid.vertices.len() as u32;
         self.solid.vertices.extend(mesh.vertices.iter().map(|vertex| SolidVertex {
             position: (world_from_mesh * vertex.position).into(),
-            colour: baked(vertex, light),
+            colour: baked(vertex, part, &self.look),
         }));
         self.solid.indices.extend(mesh.indices.iter().map(|index| first + index));
     }
@@ -97,8 +119,11 @@ impl Assembly {
             .map(|[x, z]| (world_from_face * Point3::new(x, -out, z)).into())
     }
 
-    /// Adds a label plate above the face.
+    /// Adds a label plate above the face, if the world has plates.
     pub(super) fn plate(&mut self, world_from_face: &Isometry3<f32>, plate: Plate) {
+        if !self.appearance.plates {
+            return;
+        }
         let (half, centre) = (plates::SIZE_M / 2.0, plates::CENTRE_HEIGHT_M);
         let rect = [-half, centre - half, half, centre + half];
         let code = plate_code(plate);
@@ -112,7 +137,7 @@ impl Assembly {
         self.plate.indices.extend([0, 1, 2, 0, 2, 3].map(|i| first + i));
     }
 
-    /// Adds a panel with text, `out` metres in front of the face.
+    /// Adds a panel with text, `out` metres in front of the face, if the world has labels.
     pub(super) fn text(
         &mut self,
         world_from_face: &Isometry3<f32>,
@@ -120,6 +145,9 @@ impl Assembly {
         out: f32,
         label: &Label<'_>,
     ) {
+        if !self.appearance.labels {
+            return;
+        }
         let texels = |metres: f32| (metres * label.texels_per_m).round() as u32;
         let size = [texels(rect[2] - rect[0]), texels(rect[3] - rect[1])];
         let [l, t, r, b] = self.atlas.rect(PanelText { text: label.text.to_owned(), size });
@@ -154,7 +182,7 @@ impl Assembly {
     /// Draws the atlas and completes the scene.
     pub(super) fn finish(mut self) -> Scene {
         let first = self.solid.indices.len();
-        self.solid(&barricade(), &Isometry3::identity(), Light::Bay);
+        self.solid(&barricade(), &Isometry3::identity(), Part::Barricade);
         let barricade = first..self.solid.indices.len();
         let planes = planes(&self.solid);
         let atlas = self.atlas.draw();

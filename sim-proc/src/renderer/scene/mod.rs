@@ -10,6 +10,7 @@ mod hall;
 mod object;
 mod racks;
 
+use domain::Appearance;
 use warehouse::Warehouse;
 
 use assembly::Assembly;
@@ -20,8 +21,8 @@ pub(super) use object::{Object, Occluder, Scene};
 
 impl Scene {
     /// The scene of `warehouse`.
-    pub(super) fn new(warehouse: &Warehouse) -> Self {
-        let mut assembly = Assembly::default();
+    pub(super) fn new(warehouse: &Warehouse, appearance: Appearance) -> Self {
+        let mut assembly = Assembly::new(appearance);
         hall::build(&mut assembly, &warehouse.layout);
         racks::build(&mut assembly, warehouse);
         assembly.finish()

@@ -7,7 +7,7 @@ use warehouse::{Axis, Catalogue, Layout, Square, Warehouse};
 
 use super::assembly::{Assembly, Label};
 use super::frames::{side_of, world_from_face};
-use crate::renderer::light::Light;
+use crate::renderer::light::Part;
 use crate::renderer::mesh::builder::{Detail, Mesh};
 use crate::renderer::mesh::items::item;
 use crate::renderer::mesh::rack::{
@@ -18,7 +18,7 @@ use crate::renderer::mesh::rack::{
 /// Adds every rack face that borders floor: a bay where an item stands; elsewhere a bay or, at the end of a row, a sheet
 /// of steel.
 pub(super) fn build(assembly: &mut Assembly, warehouse: &Warehouse) {
-    let faces = RackFaces { warehouse };
+    let faces = RackFaces { warehouse, plates: assembly.appearance().plates };
     let layout = &warehouse.layout;
     for rack in layout.cells().filter(|&cell| layout.square(cell) == Square::Rack) {
         for face in Heading::ALL {
@@ -26,7 +26,7 @@ pub(super) fn build(assembly: &mut Assembly, warehouse: &Warehouse) {
             match faces.kind(rack, face) {
                 FaceKind::Inner => {}
                 FaceKind::Closed => {
-                    assembly.object(|a| a.solid(&closed_face(), &frame, Light::Bay));
+                    assembly.object(|a| a.solid(&closed_face(), &frame, Part::Rack));
                     let [from, to] = CLOSED_FACE_OCCLUDER_M;
                     assembly.occluder(&frame, from, to);
                 }
@@ -39,8 +39,8 @@ pub(super) fn build(assembly: &mut Assembly, warehouse: &Warehouse) {
                         stocked_bay(assembly, &frame, &bay, catalogue, stock.item_type, &number);
                     } else {
                         assembly.object_with_far(
-                            |a| a.solid(&bay.mesh(Detail::Near), &frame, Light::Bay),
-                            |a| a.solid(&bay.mesh(Detail::Far), &frame, Light::Bay),
+                            |a| a.solid(&bay.mesh(Detail::Near), &frame, Part::Rack),
+                            |a| a.solid(&bay.mesh(Detail::Far), &frame, Part::Rack),
                         );
                     }
                     for [from, to] in bay.occluders() {
@@ -65,8 +65,8 @@ pub(super) fn stocked_bay(
     let category = &catalogue.categories[kind.category];
     let solid = |a: &mut Assembly, detail| {
         let item = on_shelf(item(kind.shape, kind.colour, detail), bay.depth);
-        a.solid(&item, world_from_face, Light::Shelf);
-        a.solid(&bay.mesh(detail), world_from_face, Light::Bay);
+        a.solid(&item, world_from_face, Part::Item);
+        a.solid(&bay.mesh(detail), world_from_face, Part::Rack);
     };
     let near = |a: &mut Assembly| {
         solid(a, Detail::Near);
@@ -127,6 +127,8 @@ enum FaceKind {
 /// Decides for every rack square which of its faces are bays.
 struct RackFaces<'a> {
     warehouse: &'a Warehouse,
+    /// Whether a plate hangs above every item.
+    plates: bool,
 }
 
 impl RackFaces<'_> {
@@ -159,6 +161,7 @@ impl RackFaces<'_> {
             right: self.edge(rack, face, viewer.right()),
             depth: self.depth(rack),
             stocked: self.holds_item(rack, face),
+            plate: self.plates && self.holds_item(rack, face),
             seed: u32::from(rack.x) * 131 + u32::from(rack.y) * 4 + face as u32 + 1,
         }
     }
