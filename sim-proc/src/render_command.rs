@@ -133,7 +133,8 @@ pub fn run(args: &RenderArgs) -> Result<()> {
             );
         }
         let mut renderer = renderer(&warehouse, settings)?;
-        let image = renderer.render_image(ViewSpec { pose, variant: &Variant::UNCHANGED })?;
+        let image =
+            renderer.render_image(ViewSpec { pose, variant: &Variant::UNCHANGED, stock: 0 })?;
         return save(
             &image,
             &out(&format!("view-{}-{}-{}.png", pose.cell.x, pose.cell.y, pose.heading)),
@@ -171,7 +172,7 @@ fn trajectory(
     let mut renderer = renderer(warehouse, settings)?;
     let variant = case.variant(args.trajectory);
     for (step, pose) in case.replay(warehouse, args.trajectory).poses.into_iter().enumerate() {
-        let image = renderer.render_image(ViewSpec { pose, variant: &variant })?;
+        let image = renderer.render_image(ViewSpec { pose, variant: &variant, stock: 0 })?;
         save(&image, &folder.join(format!("{step:03}.png")))?;
     }
     Ok(())

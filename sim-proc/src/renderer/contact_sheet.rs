@@ -64,7 +64,7 @@ fn item_image(renderer: &mut Renderer, stand: ItemStand, distance_m: f32) -> Res
     let RenderSettings { width_px, height_px, .. } = renderer.settings;
     let camera = Camera::at(at, stand.viewer, width_px, height_px);
     let scene = renderer.visibility.scene();
-    let visible = VisibleSet::new(scene, &camera).objects;
+    let visible = VisibleSet::new(scene, &scene.stocks[0], &camera).objects;
     let list = draw_list(scene, &camera, &visible, Triangles::Facing);
     let clip_from_world = camera.clip_from_world().into();
     renderer.draw_image(PreparedView { clip_from_world, list, barricades: Vec::new() })

@@ -5,7 +5,7 @@ use nalgebra::{Isometry3, Point3};
 use plates::Plate;
 use raster::{Atlas, Geometry, Layer, PlateVertex, SolidVertex, TextVertex};
 
-use super::object::{Object, Occluder, Scene};
+use super::object::{Object, Scene, StockObjects};
 use crate::renderer::light::{Part, baked};
 use crate::renderer::look::Look;
 use crate::renderer::mesh::builder::Mesh;
@@ -35,7 +35,6 @@ pub(super) struct Assembly {
     plate: Layer<PlateVertex>,
     text: Layer<PanelCorner>,
     objects: Vec<Object>,
-    occluders: Vec<Occluder>,
     atlas: AtlasBuilder,
 }
 
@@ -49,7 +48,6 @@ impl Assembly {
             plate: Layer::default(),
             text: Layer::default(),
             objects: Vec::new(),
-            occluders: Vec::new(),
             atlas: AtlasBuilder::default(),
         }
     }
@@ -59,8 +57,13 @@ impl Assembly {
         self.appearance
     }
 
-    /// Makes everything that `add` adds one object.
-    pub(super) fn object(&mut self, add: impl FnOnce(&mut Self)) {
+    /// All objects so far, as a stock.
+    pub(super) fn stock(&self) -> StockObjects {
+        StockObjects { objects: (0..self.objects.len() as u32).collect(), occluders: Vec::new() }
+    }
+
+    /// Makes everything that `add` adds one object, and returns its index.
+    pub(super) fn object(&mut self, add: impl FnOnce(&mut Self)) -> u32 {
         let counts =
             |a: &Self| [a.solid.vertices.len(), a.plate.vertices.len(), a.text.vertices.len()];
         let ends = |a: &Self| [a.solid.indices.len(), a.plate.indices.len(), a.text.indices.len()];
@@ -85,6 +88,7 @@ impl Assembly {
             plate: start[1]..end[1],
             text: start[2]..end[2],
         });
+        self.objects.len() as u32 - 1
     }
 
     /// As [`Self::object`], with the lit meshes of `far` in place of those of `near` when seen from several metres. Both
@@ -93,14 +97,13 @@ impl Assembly {
         &mut self,
         near: impl FnOnce(&mut Self),
         far: impl FnOnce(&mut Self),
-    ) {
-        self.object(near);
+    ) -> u32 {
+        let object = self.object(near);
         let start = self.solid.indices.len();
         far(self);
         let end = self.solid.indices.len();
-        if let Some(object) = self.objects.last_mut() {
-            object.far = start..end;
-        }
+        self.objects[object as usize].far = start..end;
+        object
     }
 
     /// Adds a mesh, lit.
@@ -137,6 +140,13 @@ impl Assembly {
         self.plate.indices.extend([0, 1, 2, 0, 2, 3].map(|i| first + i));
     }
 
+    /// Reserves the text's place in the atlas, if it has none. Returns the place in texels: left, top, right, bottom.
+    pub(super) fn reserve_text(&mut self, rect: [f32; 4], label: &Label<'_>) -> [u32; 4] {
+        let texels = |metres: f32| (metres * label.texels_per_m).round() as u32;
+        let size = [texels(rect[2] - rect[0]), texels(rect[3] - rect[1])];
+        self.atlas.rect(PanelText { text: label.text.to_owned(), size })
+    }
+
     /// Adds a panel with text, `out` metres in front of the face, if the world has labels.
     pub(super) fn text(
         &mut self,
@@ -148,9 +158,7 @@ impl Assembly {
         if !self.appearance.labels {
             return;
         }
-        let texels = |metres: f32| (metres * label.texels_per_m).round() as u32;
-        let size = [texels(rect[2] - rect[0]), texels(rect[3] - rect[1])];
-        let [l, t, r, b] = self.atlas.rect(PanelText { text: label.text.to_owned(), size });
+        let [l, t, r, b] = self.reserve_text(rect, label);
         let opaque = |[r, g, b]: [u8; 3]| [r, g, b, 255];
         let first = self.text.vertices.len() as u32;
         for (position, texel) in Self::panel(world_from_face, rect, out).into_iter().zip([
@@ -170,17 +178,8 @@ impl Assembly {
         self.text.indices.extend([0, 1, 2, 0, 2, 3].map(|i| first + i));
     }
 
-    /// Adds an upright panel that hides what is behind it, by its ends in the face's frame.
-    pub(super) fn occluder(&mut self, frame: &Isometry3<f32>, from: [f32; 2], to: [f32; 2]) {
-        let at = |[x, y]: [f32; 2]| {
-            let point = frame * Point3::new(x, y, 0.0);
-            [point.x, point.y]
-        };
-        self.occluders.push(Occluder { from: at(from), to: at(to) });
-    }
-
     /// Draws the atlas and completes the scene.
-    pub(super) fn finish(mut self) -> Scene {
+    pub(super) fn finish(mut self, stocks: Vec<StockObjects>) -> Scene {
         let first = self.solid.indices.len();
         self.solid(&barricade(), &Isometry3::identity(), Part::Barricade);
         let barricade = first..self.solid.indices.len();
@@ -197,7 +196,7 @@ impl Assembly {
             geometry: Geometry { solid: self.solid, plate: self.plate, text, atlas, barricade },
             planes,
             objects: self.objects,
-            occluders: self.occluders,
+            stocks,
         }
     }
 }

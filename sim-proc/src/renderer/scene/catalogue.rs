@@ -48,5 +48,6 @@ pub(in crate::renderer) fn catalogue_scene(
         assembly.object(|a| a.solid(&floor, &Isometry3::identity(), Part::Floor));
         stands.push(stand);
     }
-    (assembly.finish(), stands)
+    let stock = assembly.stock();
+    (assembly.finish(vec![stock]), stands)
 }
