@@ -5,6 +5,7 @@
 //! - [`task`]: the ten task types; [`progress`]: the checker that decides which sub-goals a trajectory completes.
 //! - [`case`]: a task with its six trajectories; [`case_file`]: a set of cases as a text file.
 //! - [`demonstrations`]: which demonstrations a memory is built from; [`mixed`]: histories of other tasks.
+//! - [`WorldState`]: a warehouse after changes; [`stream`]: blocks of cases with events between them.
 //! - [`plan`]: expert trajectories and the fewest steps; [`sight`]: which items are in view, computed on the grid.
 //! - [`CaseSet::generate`]: cases from a seed; [`validate`](mod@validate): every constraint checked by replay; [`map`]:
 //!   maps as SVG.
@@ -28,6 +29,8 @@ pub mod plan;
 pub mod progress;
 mod route;
 pub mod sight;
+mod state;
+pub mod stream;
 pub mod task;
 #[cfg(test)]
 mod testing;
@@ -44,6 +47,8 @@ pub use generate::{GenerateError, SHIPPED_COUNT, SHIPPED_SEED};
 pub use layout::{Aisle, Axis, Layout, Square};
 pub use mixed::Overlap;
 pub use progress::Progress;
+pub use state::{StockChange, WorldChange, WorldChangeError, WorldState};
+pub use stream::{StreamError, StreamSet};
 pub use task::{Phase, Task, TaskGroup};
 pub use validate::validate;
 pub use world::{Item, Warehouse};

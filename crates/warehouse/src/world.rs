@@ -96,7 +96,7 @@ impl Warehouse {
     }
 
     /// Checks that every type has an item and no category has too many.
-    fn check_sizes(&self) -> Result<(), Problem> {
+    pub(crate) fn check_sizes(&self) -> Result<(), Problem> {
         for (index, item_type) in self.catalogue.types.iter().enumerate() {
             if self.instances(index).next().is_none() {
                 return Err(format!(
@@ -190,7 +190,7 @@ fn place(layout: &Layout, stock: &Stock) -> Result<Vec<Item>, Problem> {
 }
 
 /// The only rack square beside `cell`, and its side towards `cell`.
-fn faced_bay(layout: &Layout, cell: Cell) -> Result<(Cell, Heading), Problem> {
+pub(crate) fn faced_bay(layout: &Layout, cell: Cell) -> Result<(Cell, Heading), Problem> {
     let mut bays = Heading::ALL.into_iter().filter_map(|heading| {
         let rack = cell.step(heading).filter(|&next| layout.square(next) == Square::Rack)?;
         Some((rack, heading.opposite()))
