@@ -43,7 +43,12 @@ fn episode(cases: &CaseSet, case_index: usize, start: Start, route: Route) -> Pl
         arm: Arm::Frozen,
     };
     let case = cases.cases[case_index].id.clone();
-    PlannedEpisode { key: EpisodeKey { condition, run: 1, place: None, case }, case_index, seed: 7 }
+    PlannedEpisode {
+        key: EpisodeKey { condition, run: 1, place: None, case },
+        case_index,
+        seed: 7,
+        part: None,
+    }
 }
 
 /// The simulator: the same dynamics, from the commands alone.
@@ -219,7 +224,7 @@ fn an_episode_config_follows_from_its_condition() {
         let condition: Condition = condition.parse().unwrap();
         let case = cases.cases[3].id.clone();
         let key = EpisodeKey { condition, run: 1, place: None, case };
-        let opening = lanes.begin(0, PlannedEpisode { key, case_index: 3, seed: 7 });
+        let opening = lanes.begin(0, PlannedEpisode { key, case_index: 3, seed: 7, part: None });
         lanes.give_up(0);
         let MemoryEpisodeConfig { representation, demonstrations, horizon, .. } = opening.memory;
         let MemoryEpisodeConfig { keyframes, segment, case, .. } = opening.memory;
