@@ -235,4 +235,68 @@ mod tests {
         assert_eq!(seed_of(7, &key).to_le_bytes(), hash.as_bytes()[..8]);
         insta::assert_snapshot!(seed_of(7, &key), @"7419264810186364379");
     }
+
+    use warehouse::WorldChange;
+    use warehouse::stream::{Block, Stream};
+
+    /// A stream of two blocks with one case each.
+    fn set() -> StreamSet {
+        let block = |case| Block { world: case, cases: vec![case], events: Vec::new() };
+        let worlds = vec![WorldChange::default(); 2];
+        let streams = vec![Stream { blocks: vec![block(0), block(1)] }];
+        StreamSet { seed: 1, worlds, streams }
+    }
+
+    fn in_streams(conditions: &[&str], orders: &[Order], evaluate: bool) -> Vec<PlannedEpisode> {
+        let settings = StreamSettings {
+            streams: 1,
+            blocks: 2,
+            cases_per_block: 1,
+            rounds: 2,
+            events: Vec::new(),
+            orders: orders.to_vec(),
+            feedback: FeedbackLevel::Success,
+            evaluate,
+        };
+        let conditions: Vec<(Condition, u32)> =
+            conditions.iter().map(|written| (written.parse().unwrap(), 1)).collect();
+        let episodes = plan_streams(&conditions, &set(), &settings, &["a", "b"], 1);
+        assert_eq!(episodes.len(), settings.all_episodes() * conditions.len());
+        episodes
+    }
+
+    #[test]
+    fn a_sequence_evaluates_and_learns_in_turn() {
+        let episodes = in_streams(
+            &["adaptive/new/unchanged/original/learning"],
+            &[Order::Drawn, Order::Reversed, Order::Drawn],
+            true,
+        );
+        let shown = episodes.iter().map(|episode| {
+            let StreamPart { block, place, after, round, world, .. } = episode.part.unwrap();
+            let key = episode.key.to_string().replace("adaptive/new/unchanged/original/", "");
+            let round = round.map_or("evaluates".to_owned(), |round| format!("round {round}"));
+            assert_eq!(episode.learns(), round != "evaluates");
+            format!("{key} block {block} at {place} in world {world}, after {after}: {round}")
+        });
+        insta::assert_snapshot!(shown.collect::<Vec<_>>().join("\n"), @"");
+    }
+
+    #[test]
+    fn sequences_have_ids_of_their_own_and_equal_positions() {
+        let conditions = ["working/new/unchanged/none", "episodic/new/unchanged/original/wrong"];
+        let episodes = in_streams(&conditions, &[Order::Drawn], false);
+        let (one, other) = episodes.split_at(4);
+        assert_eq!(
+            one[0].sequence(),
+            Some(sequence_id("working/new/unchanged/none/run1/s0-drawn"))
+        );
+        assert!(one.iter().all(|episode| episode.sequence() == one[0].sequence()));
+        assert_ne!(one[0].sequence(), other[0].sequence());
+        let place = |episode: &PlannedEpisode| (episode.key.place, episode.case_index);
+        assert!(one.iter().map(place).eq(other.iter().map(place)));
+        assert!(!episodes.iter().any(PlannedEpisode::learns));
+        let hash = blake3::hash(b"x");
+        assert_eq!(sequence_id("x").to_le_bytes(), hash.as_bytes()[..8]);
+    }
 }

@@ -365,4 +365,70 @@ mod tests {
         }
         assert_eq!((queue.width(), queue.count_finished(), queue.is_empty()), (None, 3, true));
     }
+
+    /// Two sequences of three episodes each: cases 0 to 2 and 10 to 12.
+    fn sequences() -> Vec<PlannedEpisode> {
+        let part = |sequence| StreamPart {
+            sequence,
+            block: 0,
+            place: 0,
+            after: 0,
+            round: None,
+            world: 0,
+            feedback: FeedbackLevel::None,
+            snapshot: [0; 16],
+        };
+        let all = episodes(13).into_iter().filter(|episode| !(3..10).contains(&episode.case_index));
+        all.map(|episode| {
+            let part = Some(part(1 + episode.case_index as u64 / 10));
+            PlannedEpisode { part, ..episode }
+        })
+        .collect()
+    }
+
+    fn next(queue: &mut EpisodeQueue) -> Option<PlannedEpisode> {
+        queue.next(0)
+    }
+
+    #[test]
+    fn a_sequence_waits_for_its_episode_and_goes_on_from_its_snapshot() {
+        let mut queue = EpisodeQueue::new(sequences());
+        let (mut one, other) = (next(&mut queue).unwrap(), next(&mut queue).unwrap());
+        assert_eq!((one.case_index, other.case_index), (0, 10));
+        assert_eq!(next(&mut queue), None, "the others wait for these");
+        // What fails is repeated, and nothing else of its sequence.
+        queue.failed(vec![other]);
+        let other = next(&mut queue).unwrap();
+        assert_eq!((other.case_index, next(&mut queue)), (10, None));
+        one.part.as_mut().unwrap().snapshot = [7; 16];
+        queue.finish(&one);
+        let second = next(&mut queue).unwrap();
+        assert_eq!((second.case_index, second.part.unwrap().snapshot), (1, [7; 16]));
+        queue.finish(&second);
+        let third = next(&mut queue).unwrap();
+        assert_eq!((third.case_index, third.part.unwrap().snapshot), (2, [7; 16]));
+        queue.finish(&third);
+        queue.finish(&other);
+        assert_eq!(next(&mut queue).unwrap().case_index, 11);
+    }
+
+    #[test]
+    fn an_episode_without_a_result_ends_its_sequence() {
+        let mut queue = EpisodeQueue::new(sequences());
+        let (one, other) = (next(&mut queue).unwrap(), next(&mut queue).unwrap());
+        queue.give_up(one, "no answer".into());
+        queue.finish(&other);
+        let left: Vec<usize> = std::iter::from_fn(|| {
+            let episode = next(&mut queue)?;
+            queue.finish(&episode);
+            Some(episode.case_index)
+        })
+        .collect();
+        assert_eq!(left, [11, 12]);
+        let given_up = queue.into_unfinished();
+        let given_up: Vec<(usize, &str)> =
+            given_up.iter().map(|(episode, why)| (episode.case_index, why.as_str())).collect();
+        let not_run = "not run, because working/original/unchanged/none/run1/c000 of its sequence has no result";
+        assert_eq!(given_up, [(0, "no answer"), (1, not_run), (2, not_run)]);
+    }
 }

@@ -561,4 +561,56 @@ runs = 5
         working/new/unchanged/none x1
         ");
     }
+
+    const STREAM: &str = r#"
+memory = ["working", "episodic"]
+starts = ["new"]
+arms = ["frozen", "learning", "oracle"]
+
+[stream]
+streams = 3
+blocks = 2
+cases-per-block = 2
+rounds = 1
+events = ["swap"]
+orders = ["drawn"]
+feedback = "none"
+"#;
+
+    #[test]
+    fn flags_replace_parts_of_the_stream_table() {
+        let with = |text: &str, given: &[_]| {
+            merge([Layer::defaults().unwrap(), suite(text), flags(given)])
+        };
+        let given = [("streams", "7"), ("feedback", "sub-goals"), ("orders", "reversed,drawn")];
+        let resolved = with(STREAM, &given).unwrap();
+        let stream = resolved.settings.stream.as_ref().unwrap();
+        assert_eq!((stream.streams, stream.blocks, stream.rounds), (7, 2, 1));
+        assert_eq!((stream.feedback.word(), stream.orders.len()), ("sub-goals", 2));
+        assert!(stream.evaluate);
+        assert_eq!(stream.all_episodes(), 7 * 2 * (2 * 2 + 3 * 2 * 2));
+        let conditions: Vec<String> =
+            resolved.settings.conditions().iter().map(ToString::to_string).collect();
+        let frozen = "episodic/new/unchanged/original";
+        assert_eq!(conditions, ["working/new/unchanged/none", frozen, &format!("{frozen}/oracle")]);
+        // What is shown is a suite file with the same meaning.
+        let shown = resolved.to_string();
+        assert!(shown.contains("\n[stream]\n") && shown.contains("rounds = 1"), "{shown}");
+        let again = merge([Layer::defaults().unwrap(), suite(&shown)]).unwrap();
+        assert_eq!(again.settings.stream, resolved.settings.stream);
+
+        let error = |text: &str, given: &[_]| with(text, given).unwrap_err().to_string();
+        for (text, given, expected) in [
+            ("", &[("rounds", "2")][..], "--rounds is for a suite of streams"),
+            ("", &[("arms", "wrong")], "--arms is for a suite of streams"),
+            (STREAM, &[("starts", "original")], "in a suite of streams every episode begins"),
+        ] {
+            let error = error(text, given);
+            assert!(error.contains(expected), "{error}");
+        }
+        let variable = environment("MEMTRANSFER_ROUNDS", "2");
+        assert!(merge([Layer::defaults().unwrap(), variable]).is_ok(), "it is for other runs");
+        let unknown = Layer::suite("my.toml", &STREAM.replace("rounds", "turns")).unwrap_err();
+        assert!(unknown.to_string().starts_with("suite my.toml, stream: unknown field `turns`"));
+    }
 }

@@ -1,6 +1,6 @@
 //! Groups of conditions: each is the product of the lists of one part of a suite.
 
-use domain::{Arm, MemoryKind};
+use domain::{Arm, MemoryKind, Representation};
 use serde::{Deserialize, Serialize};
 
 use crate::conditions::{Condition, Demonstrations, Hint, Route, SegmentContent, Start, Variation};
@@ -74,7 +74,7 @@ fn is_frozen(arms: &[Arm]) -> bool {
 
 /// Whether there is such an arm of `memory`: of the built-in ones only `adaptive` learns.
 fn has_arm(memory: MemoryKind, arm: Arm) -> bool {
-    arm != Arm::Learning || memory.built_in().is_none_or(|one| one.name() == "adaptive")
+    arm != Arm::Learning || memory.built_in().is_none_or(|one| one == Representation::Adaptive)
 }
 
 /// The conditions of all groups, each once, with its repetitions: the largest number of the groups that have it.
@@ -93,7 +93,6 @@ pub(super) fn union(groups: &[Group]) -> Vec<(Condition, u32)> {
 
 #[cfg(test)]
 mod tests {
-    use domain::Representation;
 
     use super::*;
 

@@ -1,5 +1,7 @@
 //! The `[stream]` table of a suite.
 
+use std::collections::BTreeSet;
+
 use domain::FeedbackLevel;
 use serde::{Deserialize, Serialize};
 use warehouse::stream::{EventKind, StreamRules};
@@ -45,10 +47,12 @@ impl StreamSettings {
         }
     }
 
-    /// The episodes of one sequence.
-    pub fn episodes(&self) -> u32 {
-        let cases = self.blocks * self.cases_per_block;
+    /// The episodes of one condition in one repetition: all streams in all orders.
+    pub fn all_episodes(&self) -> usize {
         let evaluations = if self.evaluate { self.blocks + 1 } else { 0 };
-        cases * (self.rounds + evaluations)
+        let cases = self.blocks * self.cases_per_block;
+        let each = (cases * (self.rounds + evaluations)) as usize;
+        let orders: BTreeSet<Order> = self.orders.iter().copied().collect();
+        each * self.streams as usize * orders.len()
     }
 }
