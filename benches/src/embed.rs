@@ -123,7 +123,7 @@ pub(crate) fn drawn(warehouse: &Warehouse, poses: &[Pose]) -> Result<Vec<Frame>>
     let unchanged = Variant::UNCHANGED;
     let mut draw = |&pose: &Pose| {
         let mut rgba = vec![0; renderer.frame_bytes()];
-        let view = ViewSpec { pose, variant: &unchanged };
+        let view = ViewSpec { pose, variant: &unchanged, stock: 0 };
         renderer.render(&mut [RenderJob { view, destination: Destination::Memory(&mut rgba) }])?;
         Ok(Frame(rgba.into()))
     };

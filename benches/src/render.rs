@@ -22,6 +22,7 @@ use sim_proc::render_workers::open_renderers;
 use sim_proc::renderer::{Destination, RenderJob, RenderSettings, Renderer, Samples, ViewSpec};
 use sim_proc::view_cache::{ViewCache, ViewKey};
 use sim_proc::view_control::every_pose;
+use sim_proc::worlds::World;
 use warehouse::{Variant, Warehouse};
 
 use crate::Bench;
@@ -222,7 +223,7 @@ impl RenderWorker {
         let first = self.memory.as_ptr().align_offset(PAGE_BYTES);
         let slots = self.memory[first..].chunks_exact_mut(slot);
         let job = |(&pose, slot)| RenderJob {
-            view: ViewSpec { pose, variant: &UNCHANGED },
+            view: ViewSpec { pose, variant: &UNCHANGED, stock: 0 },
             destination: Destination::Slot(slot),
         };
         let mut jobs: Vec<RenderJob<'_>> = poses.iter().zip(slots).map(job).collect();
@@ -238,7 +239,7 @@ pub(crate) fn render_process(arguments: &[String]) -> Result<()> {
     let samples = if samples == "1" { Samples::One } else { Samples::Four };
     let warehouse = Warehouse::shipped();
     let settings = RenderSettings { samples, ..RenderSettings::default() };
-    let renderers = open_renderers(&warehouse, settings)?;
+    let renderers = open_renderers(std::slice::from_ref(&warehouse), settings)?;
     let mut workers: Vec<RenderWorker> = renderers.into_iter().map(RenderWorker::new).collect();
     let poses: Vec<Pose> = every_pose(&warehouse.layout).collect();
     let (first, rest) = poses.split_at(workers.len());
@@ -275,7 +276,7 @@ pub(crate) fn render_process(arguments: &[String]) -> Result<()> {
 fn repeated(session: &mut Session<'_>) -> Result<Figure> {
     let layout = Warehouse::shipped().layout;
     let keys: Vec<ViewKey> =
-        every_pose(&layout).map(|pose| ViewKey::World { variant: 0, pose }).collect();
+        every_pose(&layout).map(|pose| ViewKey::World { world: World::UNCHANGED, pose }).collect();
     let mut views = ViewCache::new(keys.len(), LANES, DEFAULT_WINDOW as usize);
     for (frame, &view) in (1..).zip(&keys) {
         views.pin_for_memory(view);

@@ -4,7 +4,7 @@
 use bytemuck::Zeroable;
 use conformance::messages::{self, recall_trace};
 use conformance::scripted::{ScriptedSim, request};
-use domain::{Action, Feedback, Outcome, Pose, Representation};
+use domain::{Action, Arm, Feedback, Outcome, Pose, Representation};
 use orchestrator::lanes::{AnswerError, EpisodeOpening, FinishedEpisode, Lanes, Rules, Turn};
 use orchestrator::plan::PlannedEpisode;
 use results::conditions::{Condition, Demonstrations, Route, Start, Variation};
@@ -40,9 +40,15 @@ fn episode(cases: &CaseSet, case_index: usize, start: Start, route: Route) -> Pl
         route,
         demonstrations,
         variation,
+        arm: Arm::Frozen,
     };
     let case = cases.cases[case_index].id.clone();
-    PlannedEpisode { key: EpisodeKey { condition, run: 1, case }, case_index, seed: 7 }
+    PlannedEpisode {
+        key: EpisodeKey { condition, run: 1, place: None, case },
+        case_index,
+        seed: 7,
+        part: None,
+    }
 }
 
 /// The simulator: the same dynamics, from the commands alone.
@@ -217,8 +223,8 @@ fn an_episode_config_follows_from_its_condition() {
     let mut told = |condition: &str| {
         let condition: Condition = condition.parse().unwrap();
         let case = cases.cases[3].id.clone();
-        let key = EpisodeKey { condition, run: 1, case };
-        let opening = lanes.begin(0, PlannedEpisode { key, case_index: 3, seed: 7 });
+        let key = EpisodeKey { condition, run: 1, place: None, case };
+        let opening = lanes.begin(0, PlannedEpisode { key, case_index: 3, seed: 7, part: None });
         lanes.give_up(0);
         let MemoryEpisodeConfig { representation, demonstrations, horizon, .. } = opening.memory;
         let MemoryEpisodeConfig { keyframes, segment, case, .. } = opening.memory;

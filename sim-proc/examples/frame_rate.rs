@@ -83,7 +83,7 @@ fn all_poses(renderer: &mut Renderer, poses: &[Pose], batch: usize) -> Result<Du
             .iter()
             .zip(pages.chunks_exact_mut(bytes))
             .map(|(&pose, slot)| RenderJob {
-                view: ViewSpec { pose, variant: &UNCHANGED },
+                view: ViewSpec { pose, variant: &UNCHANGED, stock: 0 },
                 destination: Destination::Slot(slot),
             })
             .collect();

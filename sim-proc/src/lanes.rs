@@ -1,19 +1,19 @@
 //! The lanes: which episode each runs, where its agent stands, and how commands change that.
 
-use std::collections::HashMap;
-
 use domain::UnknownCode;
 use domain::{Action, Feedback, Pose};
 use shm_types::message::{StepCommand, StepKind};
-use warehouse::{CaseSet, Layout, Variant, Warehouse, step};
+use warehouse::step;
+
+use crate::worlds::{World, Worlds};
 
 /// The outcome of a command.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Stepped {
     /// The lane.
     pub lane: usize,
-    /// World variant of its episode.
-    pub variant: u32,
+    /// World of its episode.
+    pub world: World,
     /// The agent's pose.
     pub pose: Pose,
     /// The response to the action.
@@ -28,51 +28,43 @@ pub struct Stepped {
 struct LaneEpisode {
     episode: u64,
     step: u32,
-    variant: u32,
+    world: World,
     pose: Pose,
 }
 
-/// All lanes of a run, and the world variants that their episodes are in.
+/// All lanes of a run, and the worlds that their episodes are in.
 #[derive(Debug)]
 pub struct Lanes {
-    layout: Layout,
-    /// By variant number: the unchanged world, then the world of each case.
-    variants: Vec<Variant>,
-    /// By variant number: the first variant that closes the same cells.
-    same_as: Vec<u32>,
+    worlds: Worlds,
     lanes: Vec<Option<LaneEpisode>>,
 }
 
 impl Lanes {
-    /// `lanes` idle lanes in the world of `warehouse` and `cases`.
-    pub fn new(warehouse: &Warehouse, cases: &CaseSet, lanes: usize) -> Self {
-        let closed =
-            cases.cases.iter().map(|case| Variant::closing(case.barricade.iter().copied()));
-        let variants: Vec<Variant> = std::iter::once(Variant::UNCHANGED).chain(closed).collect();
-        let mut first: HashMap<&Variant, u32> = HashMap::new();
-        let same_as = (0..).zip(&variants).map(|(n, v)| *first.entry(v).or_insert(n)).collect();
-        Self { layout: warehouse.layout.clone(), variants, same_as, lanes: vec![None; lanes] }
+    /// `lanes` idle lanes in `worlds`.
+    pub fn new(worlds: Worlds, lanes: usize) -> Self {
+        Self { worlds, lanes: vec![None; lanes] }
     }
 
-    /// The floor plan.
-    pub fn layout(&self) -> &Layout {
-        &self.layout
+    /// The worlds.
+    pub fn worlds(&self) -> &Worlds {
+        &self.worlds
     }
 
-    /// World variant `number`.
+    /// World variant `number`, if an agent can stand at `pose` in it.
     ///
-    /// # Panics
-    /// When there is no such variant.
-    pub fn variant(&self, number: u32) -> &Variant {
-        &self.variants[number as usize]
-    }
-
-    /// The first variant that closes the same cells as variant `number`.
-    ///
-    /// # Panics
-    /// When there is no such variant.
-    pub fn first_same(&self, number: u32) -> u32 {
-        self.same_as[number as usize]
+    /// # Errors
+    /// When there is no such variant, or no agent can stand there.
+    pub fn standing(&self, number: u32, pose: Pose) -> Result<World, String> {
+        let world = self
+            .worlds
+            .variant(number)
+            .ok_or_else(|| format!("variant {number} is not one of {}", self.worlds.len()))?;
+        if !self.worlds.layout().is_free(pose.cell)
+            || self.worlds.closed(world).is_closed(pose.cell)
+        {
+            return Err(format!("an agent cannot stand at {pose}"));
+        }
+        Ok(world)
     }
 
     /// Executes a command.
@@ -96,8 +88,8 @@ impl Lanes {
             StepKind::Act => {
                 let action = Action::try_from(command.action).map_err(text)?;
                 let now = following(command, now)?;
-                let variant = &self.variants[now.variant as usize];
-                let (pose, feedback) = step(&self.layout, variant, now.pose, action);
+                let closed = self.worlds.closed(now.world);
+                let (pose, feedback) = step(self.worlds.layout(), closed, now.pose, action);
                 (LaneEpisode { pose, step: command.step, ..now }, feedback)
             }
             StepKind::Stay => {
@@ -107,8 +99,8 @@ impl Lanes {
         };
         let ends = command.last != 0;
         self.lanes[lane] = (!ends).then_some(next);
-        let LaneEpisode { variant, pose, .. } = next;
-        Ok(Stepped { lane, variant, pose, feedback, begins: kind == StepKind::Reset, ends })
+        let LaneEpisode { world, pose, .. } = next;
+        Ok(Stepped { lane, world, pose, feedback, begins: kind == StepKind::Reset, ends })
     }
 
     fn reset(
@@ -116,19 +108,13 @@ impl Lanes {
         command: &StepCommand,
         now: Option<LaneEpisode>,
     ) -> Result<LaneEpisode, String> {
-        let &StepCommand { episode, step, variant: number, .. } = command;
+        let &StepCommand { episode, step, variant, .. } = command;
         let pose = Pose::try_from(command.start).map_err(|unknown| unknown.to_string())?;
-        let variant = self
-            .variants
-            .get(number as usize)
-            .ok_or_else(|| format!("variant {number} is not one of {}", self.variants.len()))?;
-        if !self.layout.is_free(pose.cell) || variant.is_closed(pose.cell) {
-            return Err(format!("an agent cannot stand at {pose}"));
-        }
+        let world = self.standing(variant, pose)?;
         if step != 0 {
             return Err(out_of_order(now));
         }
-        Ok(LaneEpisode { episode, step, variant: number, pose })
+        Ok(LaneEpisode { episode, step, world, pose })
     }
 }
 
@@ -155,15 +141,17 @@ mod tests {
     use domain::Heading;
     use proptest::prelude::*;
     use shm_types::message::{NO_ACTION, WirePose};
+    use warehouse::{CaseSet, Warehouse};
 
     use super::*;
 
     fn lanes() -> Lanes {
-        Lanes::new(&Warehouse::shipped(), &CaseSet::shipped(), 2)
+        let (warehouse, cases) = (Warehouse::shipped(), CaseSet::shipped());
+        Lanes::new(Worlds::new(&warehouse, &cases, Vec::new()), 2)
     }
 
     fn start(lanes: &Lanes) -> Pose {
-        Pose { cell: lanes.layout.free_cells().next().unwrap(), heading: Heading::N }
+        Pose { cell: lanes.worlds.layout().free_cells().next().unwrap(), heading: Heading::N }
     }
 
     fn reset(lanes: &Lanes, lane: u32, episode: u64) -> StepCommand {
@@ -198,19 +186,6 @@ mod tests {
         assert!(stayed.ends);
         let error = lanes.apply(&act(1, 7, 3, Action::Forward)).unwrap_err();
         assert_eq!(error, "command for lane 1, episode 7, step 3: the lane is in no episode");
-    }
-
-    #[test]
-    fn every_case_has_its_barricade() {
-        let (lanes, cases) = (lanes(), CaseSet::shipped());
-        assert_eq!((lanes.variant(0), lanes.first_same(0)), (&Variant::UNCHANGED, 0));
-        for (case, number) in cases.cases.iter().zip(1..) {
-            assert_eq!(lanes.variant(number).closed(), case.barricade);
-            let first = lanes.first_same(number);
-            assert!(first > 0 && lanes.variant(first) == lanes.variant(number));
-            assert!((0..first).all(|before| lanes.variant(before) != lanes.variant(number)));
-        }
-        assert_eq!(lanes.variants.len(), cases.cases.len() + 1);
     }
 
     #[test]
@@ -251,9 +226,9 @@ mod tests {
                     lane, episode, step, variant, start, kind, action, last, ..Zeroable::zeroed()
                 };
                 if let Ok(stepped) = lanes.apply(&command) {
-                    let variant = lanes.variant(stepped.variant);
-                    prop_assert!(lanes.layout.is_free(stepped.pose.cell));
-                    prop_assert!(!variant.is_closed(stepped.pose.cell));
+                    let closed = lanes.worlds.closed(stepped.world);
+                    prop_assert!(lanes.worlds.layout().is_free(stepped.pose.cell));
+                    prop_assert!(!closed.is_closed(stepped.pose.cell));
                 }
             }
         }

@@ -1,7 +1,7 @@
 //! The simulator: steps the world and renders what agents see into shared memory.
 //!
-//! - [`serve`]: the simulator's part in a run. [`lanes`] executes commands, [`view_control`] chooses the view to show,
-//!   [`view_cache`] keeps track of resident views; all three are pure.
+//! - [`serve`]: the simulator's part in a run. [`worlds`] numbers the worlds, [`lanes`] executes commands, [`view_control`]
+//!   chooses the view to show, [`view_cache`] keeps track of resident views; all four are pure.
 //! - [`render_pool`]: worker threads that render beside the serve loop; [`render_workers`] opens them.
 //! - [`renderer`]: poses in, pixels out, with two backends.
 //! - [`serve_command`] and [`render_command`]: the command line.
@@ -16,3 +16,4 @@ pub mod serve_command;
 pub mod view_cache;
 pub mod view_control;
 mod wakeups;
+pub mod worlds;

@@ -3,15 +3,17 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
-use domain::Pose;
+use clap::ArgAction;
+use clap::builder::BoolishValueParser;
+use domain::{Appearance, Pose};
 use png_file::RgbaImage;
 use warehouse::{CaseSet, Start, Variant, Warehouse};
 
 use crate::renderer::{Backend, RenderSettings, Renderer, Samples, ViewSpec, contact_sheet};
 
-/// The flags that choose a backend.
+/// The flags that choose a backend, and how the world looks.
 #[derive(Debug, clap::Args)]
-pub(crate) struct BackendArgs {
+pub(crate) struct RendererArgs {
     /// Render on the CPU, whose pixels are the same on every machine, or on a Vulkan device (wgpu); without this, on a
     /// graphics card if there is one and otherwise on the CPU.
     #[arg(long, value_name = "cpu|wgpu")]
@@ -20,12 +22,32 @@ pub(crate) struct BackendArgs {
     /// Render on the best Vulkan adapter whose name contains this.
     #[arg(long, value_name = "NAME")]
     adapter: Option<String>,
+
+    /// Whether a coloured plate hangs above every item.
+    #[arg(long, value_name = "on|off", default_value = "on", action = ArgAction::Set,
+          value_parser = BoolishValueParser::new())]
+    plates: bool,
+
+    /// Whether anything is written: names of items, numbers of bays, signs.
+    #[arg(long, value_name = "on|off", default_value = "on", action = ArgAction::Set,
+          value_parser = BoolishValueParser::new())]
+    labels: bool,
+
+    /// Vary the light and the tints of walls, floor and racks; 0 is the standard look.
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    appearance_seed: u64,
 }
 
-impl BackendArgs {
-    /// `settings` with this backend and adapter.
+impl RendererArgs {
+    /// `settings` with this backend, adapter and appearance.
     pub(crate) fn apply(&self, settings: RenderSettings) -> RenderSettings {
-        RenderSettings { backend: self.backend, adapter: self.adapter.clone(), ..settings }
+        let &Self { plates, labels, appearance_seed: seed, .. } = self;
+        RenderSettings {
+            backend: self.backend,
+            adapter: self.adapter.clone(),
+            appearance: Appearance { plates, labels, seed },
+            ..settings
+        }
     }
 }
 
@@ -52,7 +74,7 @@ pub struct RenderArgs {
     no_anti_aliasing: bool,
 
     #[command(flatten)]
-    backend: BackendArgs,
+    renderer: RendererArgs,
 
     /// The folder with layout.toml, catalogue.toml and cases.toml, instead of what is compiled in.
     #[arg(long, value_name = "DIR")]
@@ -97,7 +119,7 @@ pub fn run(args: &RenderArgs) -> Result<()> {
         Some(folder) => Warehouse::load(folder)?,
         None => Warehouse::shipped(),
     };
-    let settings = args.backend.apply(RenderSettings {
+    let settings = args.renderer.apply(RenderSettings {
         width_px: args.size.0,
         height_px: args.size.1,
         samples: if args.no_anti_aliasing { Samples::One } else { Samples::Four },
@@ -111,7 +133,8 @@ pub fn run(args: &RenderArgs) -> Result<()> {
             );
         }
         let mut renderer = renderer(&warehouse, settings)?;
-        let image = renderer.render_image(ViewSpec { pose, variant: &Variant::UNCHANGED })?;
+        let image =
+            renderer.render_image(ViewSpec { pose, variant: &Variant::UNCHANGED, stock: 0 })?;
         return save(
             &image,
             &out(&format!("view-{}-{}-{}.png", pose.cell.x, pose.cell.y, pose.heading)),
@@ -149,7 +172,7 @@ fn trajectory(
     let mut renderer = renderer(warehouse, settings)?;
     let variant = case.variant(args.trajectory);
     for (step, pose) in case.replay(warehouse, args.trajectory).poses.into_iter().enumerate() {
-        let image = renderer.render_image(ViewSpec { pose, variant: &variant })?;
+        let image = renderer.render_image(ViewSpec { pose, variant: &variant, stock: 0 })?;
         save(&image, &folder.join(format!("{step:03}.png")))?;
     }
     Ok(())

@@ -10,6 +10,7 @@ use shm_types::FrameSlot;
 use shm_types::process::monotonic_ns;
 use warehouse::Variant;
 
+use crate::renderer::{ViewSpec, VisibleChanges};
 use crate::view_cache::ViewKey;
 
 /// Requests that wait for each worker in addition to those it works on, so that it never idles. More would delay later
@@ -24,6 +25,8 @@ const GREY: [u8; 4] = [128, 128, 128, 255];
 /// A view and the slot that it is rendered into.
 #[derive(Debug)]
 pub struct RenderTask<'a> {
+    /// The index of what stands on the shelves.
+    pub stock: u32,
     /// Which passages are closed.
     pub variant: &'a Variant,
     /// The camera's pose.
@@ -42,9 +45,8 @@ pub trait RenderWorker: Send {
     fn render_into(&mut self, tasks: &mut [RenderTask<'_>]) -> Result<u64>;
 }
 
-/// Whether a barricade of the variant may be visible from the pose. Where none is, the frame of the unchanged world is
-/// used instead.
-pub type MayShowBarricade = Box<dyn FnMut(&Variant, Pose) -> bool>;
+/// Which changes of a world may be visible in a view. The frame of the world without the others is used instead.
+pub type FindChanges = Box<dyn FnMut(ViewSpec<'_>) -> VisibleChanges>;
 
 /// What a simulator renders with.
 pub struct RenderSetup {
@@ -52,8 +54,8 @@ pub struct RenderSetup {
     pub workers: Vec<Box<dyn RenderWorker>>,
     /// Maximum number of views in a batch of one worker: several where a device renders them faster together.
     pub batch_views: usize,
-    /// Which views need barricades.
-    pub may_show_barricade: MayShowBarricade,
+    /// Which views differ from those of the unchanged world.
+    pub find_changes: FindChanges,
     /// Backend and adapter, for the run's manifest.
     pub facts: Vec<(&'static str, String)>,
 }
@@ -62,8 +64,8 @@ pub struct RenderSetup {
 #[derive(Debug)]
 pub(crate) struct RenderRequest {
     pub(crate) view: ViewKey,
-    /// What the view shows; `None` is uniform grey.
-    pub(crate) world: Option<(Variant, Pose)>,
+    /// What the view shows (stock, closed passages, pose); `None` is uniform grey.
+    pub(crate) world: Option<(u32, Variant, Pose)>,
     pub(crate) slot: FrameSlot,
 }
 
@@ -175,7 +177,9 @@ fn render_batch(
     let mut tasks = Vec::with_capacity(requests.len());
     for RenderRequest { world, slot, .. } in &mut requests {
         match world {
-            Some((variant, pose)) => tasks.push(RenderTask { variant, pose: *pose, slot }),
+            Some((stock, variant, pose)) => {
+                tasks.push(RenderTask { stock: *stock, variant, pose: *pose, slot });
+            }
             None => slot.pixels_mut().as_chunks_mut().0.fill(GREY),
         }
     }

@@ -20,7 +20,7 @@ impl RenderWorker for Renderer {
         let mut jobs: Vec<RenderJob<'_>> = tasks
             .iter_mut()
             .map(|task| RenderJob {
-                view: ViewSpec { pose: task.pose, variant: task.variant },
+                view: ViewSpec { pose: task.pose, variant: task.variant, stock: task.stock },
                 destination: Destination::Slot(bytemuck::cast_slice_mut(task.slot.pages_mut())),
             })
             .collect();
@@ -32,9 +32,9 @@ impl RenderWorker for Renderer {
 /// Opens renderers that work at the same time: one per core, up to eight, with the CPU backend; otherwise one.
 ///
 /// # Errors
-/// As [`Renderer::new`].
-pub fn open_renderers(warehouse: &Warehouse, settings: RenderSettings) -> Result<Vec<Renderer>> {
-    let mut renderers = vec![Renderer::new(warehouse, settings)?];
+/// As [`Renderer::with_stocks`].
+pub fn open_renderers(stocks: &[Warehouse], settings: RenderSettings) -> Result<Vec<Renderer>> {
+    let mut renderers = vec![Renderer::with_stocks(stocks, settings)?];
     if renderers[0].report().backend == Backend::Cpu {
         let cores = thread::available_parallelism().map_or(1, usize::from);
         for _ in 1..cores.min(MAX_RENDERERS) {
@@ -45,12 +45,12 @@ pub fn open_renderers(warehouse: &Warehouse, settings: RenderSettings) -> Result
 }
 
 impl RenderSetup {
-    /// Opens the renderers of a simulator.
+    /// Opens the renderers of a simulator for all stocks of its worlds.
     ///
     /// # Errors
-    /// As [`Renderer::new`].
-    pub fn open(warehouse: &Warehouse, settings: RenderSettings) -> Result<Self> {
-        let renderers = open_renderers(warehouse, settings)?;
+    /// As [`Renderer::with_stocks`].
+    pub fn open(stocks: &[Warehouse], settings: RenderSettings) -> Result<Self> {
+        let renderers = open_renderers(stocks, settings)?;
         let report = renderers[0].report();
         let mut facts = vec![
             ("backend", report.backend.to_string()),
@@ -58,14 +58,16 @@ impl RenderSetup {
             ("renderers", renderers.len().to_string()),
         ];
         facts.extend(report.adapter.map(|adapter| ("adapter", adapter)));
+        if stocks.len() > 1 {
+            let mebibytes = renderers[0].scene_bytes() as f64 / f64::from(1 << 20);
+            facts.push(("scene", format!("{} stocks, {mebibytes:.1} MiB", stocks.len())));
+        }
         let mut visibility = renderers[0].visibility();
         let worker = |renderer| Box::new(renderer) as Box<dyn RenderWorker>;
         Ok(Self {
             workers: renderers.into_iter().map(worker).collect(),
             batch_views: if report.backend == Backend::Cpu { 1 } else { GPU_BATCH_VIEWS },
-            may_show_barricade: Box::new(move |variant, pose| {
-                visibility.may_show_barricade(ViewSpec { pose, variant })
-            }),
+            find_changes: Box::new(move |view| visibility.changes(view)),
             facts,
         })
     }

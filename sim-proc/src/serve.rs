@@ -25,15 +25,16 @@ use shm_types::{
     Bus, BusError, ErrorReporter, FrameError, FramePublisher, FrameSlot, Heartbeats, Receiver,
     Sender, Spans,
 };
-use warehouse::{CaseSet, Warehouse};
 
 use crate::lanes::{Lanes, Stepped};
 use crate::render_pool::{
-    MayShowBarricade, RenderPool, RenderRequest, RenderSetup, RenderedBatch, RenderedView,
+    FindChanges, RenderPool, RenderRequest, RenderSetup, RenderedBatch, RenderedView,
 };
+use crate::renderer::ViewSpec;
 use crate::view_cache::{ViewCache, ViewKey};
 use crate::view_control::{ViewControl, every_pose};
 use crate::wakeups::Wakeups;
+use crate::worlds::{World, Worlds};
 
 /// The longest sleep of the loop. Nothing relies on waking this often.
 const LONGEST_SLEEP: Duration = Duration::from_secs(1);
@@ -53,12 +54,11 @@ const CONSUMER_POLL: Duration = Duration::from_millis(1);
 /// first.
 pub fn serve(
     bus: &Bus,
-    warehouse: &Warehouse,
-    cases: &CaseSet,
+    worlds: Worlds,
     warm_views: bool,
     open: impl FnOnce() -> Result<RenderSetup>,
 ) -> Result<()> {
-    let mut simulator = Simulator::new(bus, warehouse, cases)?;
+    let mut simulator = Simulator::new(bus, worlds)?;
     let outcome = open().and_then(|setup| simulator.serve_until_stop(setup, warm_views));
     if let Err(error) = &outcome {
         simulator.reporter.report(error);
@@ -106,13 +106,13 @@ struct Simulator<'a> {
 /// The render workers, and which views need to be rendered.
 struct Rendering {
     pool: RenderPool,
-    may_show_barricade: MayShowBarricade,
+    find_changes: FindChanges,
     /// For every view asked for so far, the view with the same pixels that stands for it.
     same_as: FxHashMap<ViewKey, ViewKey>,
 }
 
 impl<'a> Simulator<'a> {
-    fn new(bus: &'a Bus, warehouse: &Warehouse, cases: &CaseSet) -> Result<Self> {
+    fn new(bus: &'a Bus, worlds: Worlds) -> Result<Self> {
         let attach = bus.attach();
         let (lanes, window) = (attach.lanes as usize, attach.window as usize);
         Ok(Self {
@@ -128,8 +128,8 @@ impl<'a> Simulator<'a> {
             reporter: ErrorReporter::new(bus)?,
             heartbeats: Heartbeats::new(bus)?,
             spans: Spans::open(attach, Role::Sim).context("cannot write spans for the trace")?,
-            lanes: Lanes::new(warehouse, cases, lanes),
-            control: ViewControl::new(attach.frame_control, &warehouse.layout),
+            control: ViewControl::new(attach.frame_control, worlds.layout()),
+            lanes: Lanes::new(worlds, lanes),
             views: ViewCache::new(attach.frame_capacity as usize, lanes, window),
             pending: Vec::new(),
             frames_rendered: 0,
@@ -140,7 +140,7 @@ impl<'a> Simulator<'a> {
 
     fn serve_until_stop(
         &mut self,
-        RenderSetup { workers, batch_views, may_show_barricade, facts }: RenderSetup,
+        RenderSetup { workers, batch_views, find_changes, facts }: RenderSetup,
         warm_views: bool,
     ) -> Result<()> {
         let notifier = Arc::new(self.bus.notifier(Role::Sim)?);
@@ -149,7 +149,7 @@ impl<'a> Simulator<'a> {
                 tracing::debug!(%error, "a render worker cannot wake the serve loop");
             }
         });
-        let mut rendering = Rendering { pool, may_show_barricade, same_as: FxHashMap::default() };
+        let mut rendering = Rendering { pool, find_changes, same_as: FxHashMap::default() };
         if warm_views {
             self.render_every_view(&mut rendering.pool)?;
         }
@@ -173,8 +173,9 @@ impl<'a> Simulator<'a> {
 
     /// Renders every view of the unchanged world. All are resident afterwards, and none is pinned.
     fn render_every_view(&mut self, pool: &mut RenderPool) -> Result<()> {
-        let poses = every_pose(self.lanes.layout());
-        let views: Vec<ViewKey> = poses.map(|pose| ViewKey::World { variant: 0, pose }).collect();
+        let poses = every_pose(self.lanes.worlds().layout());
+        let views: Vec<ViewKey> =
+            poses.map(|pose| ViewKey::World { world: World::UNCHANGED, pose }).collect();
         let (needed, capacity) = (views.len(), self.views.capacity());
         ensure!(
             needed <= capacity,
@@ -204,7 +205,7 @@ impl<'a> Simulator<'a> {
     /// One turn of the loop. Returns whether more commands may be waiting.
     fn turn(&mut self, rendering: &mut Rendering) -> Result<bool> {
         let reported = self.reporter.count();
-        self.take_requests()?;
+        self.take_requests(rendering)?;
         let more = self.take_commands(rendering)?;
         self.evict()?;
         self.publish_rendered(&mut rendering.pool)?;
@@ -228,24 +229,27 @@ impl<'a> Simulator<'a> {
         })
     }
 
-    fn take_requests(&mut self) -> Result<(), BusError> {
+    fn take_requests(&mut self, rendering: &mut Rendering) -> Result<(), BusError> {
         while let Some(request) = self.requests.next()? {
-            if let Err(bad) = self.take_request(&request) {
+            if let Err(bad) = self.take_request(&request, rendering) {
                 self.reporter.report(bad);
             }
         }
         Ok(())
     }
 
-    fn take_request(&mut self, request: &ViewRequest) -> Result<(), String> {
+    fn take_request(
+        &mut self,
+        request: &ViewRequest,
+        rendering: &mut Rendering,
+    ) -> Result<(), String> {
         let problem = |problem: &dyn Display| format!("view request: {problem}");
         match ViewRequestKind::try_from(request.kind).map_err(|unknown| problem(&unknown))? {
             ViewRequestKind::Pin => {
                 let pose = Pose::try_from(request.pose).map_err(|unknown| problem(&unknown))?;
-                if !self.lanes.layout().is_free(pose.cell) {
-                    return Err(problem(&format_args!("an agent cannot stand at {pose}")));
-                }
-                let view = ViewKey::World { variant: 0, pose };
+                let world =
+                    self.lanes.standing(request.variant, pose).map_err(|bad| problem(&bad))?;
+                let view = self.with_same_pixels(ViewKey::World { world, pose }, rendering);
                 self.views.pin_for_memory(view);
                 let answer = PendingAnswer::View(pose.into(), request.variant);
                 self.pending.push(Pending { view: Some(view), answer });
@@ -279,7 +283,7 @@ impl<'a> Simulator<'a> {
         woken_ns: u64,
         rendering: &mut Rendering,
     ) -> Result<(), String> {
-        let Stepped { lane, variant, pose, feedback, begins, ends } = self.lanes.apply(command)?;
+        let Stepped { lane, world, pose, feedback, begins, ends } = self.lanes.apply(command)?;
         let stepped_ns = monotonic_ns();
         if begins || ends {
             self.views.clear_lane(lane);
@@ -289,7 +293,7 @@ impl<'a> Simulator<'a> {
             });
         }
         let view = (!ends).then(|| {
-            let view = self.control.view(variant, self.lanes.variant(variant), pose);
+            let view = self.control.view(world, self.lanes.worlds().closed(world), pose);
             let view = self.with_same_pixels(view, rendering);
             self.views.show(lane, view);
             view
@@ -316,14 +320,20 @@ impl<'a> Simulator<'a> {
         Ok(())
     }
 
-    /// The view that stands for `view`: variants that close the same passage look the same, and where no barricade is
-    /// visible the world looks unchanged.
+    /// The view that stands for `view`: where no changed bay is visible the stock looks unchanged, and where no barricade
+    /// is visible no passage looks closed.
     fn with_same_pixels(&self, view: ViewKey, rendering: &mut Rendering) -> ViewKey {
-        let ViewKey::World { variant, pose } = view else { return view };
-        let Rendering { may_show_barricade, same_as, .. } = rendering;
+        let ViewKey::World { world, pose } = view else { return view };
+        let Rendering { find_changes, same_as, .. } = rendering;
         *same_as.entry(view).or_insert_with(|| {
-            let shows = may_show_barricade(self.lanes.variant(variant), pose);
-            ViewKey::World { variant: if shows { self.lanes.first_same(variant) } else { 0 }, pose }
+            let World { stock, closing } = world;
+            let variant = self.lanes.worlds().closed(world);
+            let shown = find_changes(ViewSpec { pose, variant, stock });
+            let world = World {
+                stock: if shown.stock { stock } else { 0 },
+                closing: if shown.barricades { closing } else { 0 },
+            };
+            ViewKey::World { world, pose }
         })
     }
 
@@ -365,8 +375,8 @@ impl<'a> Simulator<'a> {
     fn request_missing(&mut self, pool: &mut RenderPool) -> Result<()> {
         for view in self.views.take_missing(pool.room()) {
             let world = match view {
-                ViewKey::World { variant, pose } => {
-                    Some((self.lanes.variant(variant).clone(), pose))
+                ViewKey::World { world, pose } => {
+                    Some((world.stock, self.lanes.worlds().closed(world).clone(), pose))
                 }
                 ViewKey::Blank => None,
             };

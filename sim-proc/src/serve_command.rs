@@ -1,5 +1,6 @@
 //! `sim-proc serve`: the simulator of a run.
 
+use std::fs;
 use std::path::PathBuf;
 
 use anyhow::{Context, Result};
@@ -7,12 +8,13 @@ use shm_types::message::Role;
 use shm_types::process::{check_shared_memory, die_with_parent};
 use shm_types::{Attach, Bus};
 use warehouse::case_file::CASES_FILE;
-use warehouse::{CaseSet, Warehouse};
+use warehouse::{CaseSet, StreamSet, Warehouse};
 
-use crate::render_command::BackendArgs;
+use crate::render_command::RendererArgs;
 use crate::render_pool::RenderSetup;
 use crate::renderer::RenderSettings;
 use crate::serve::serve;
+use crate::worlds::Worlds;
 
 /// Arguments of `sim-proc serve`.
 #[derive(Debug, clap::Args)]
@@ -26,7 +28,11 @@ pub struct ServeArgs {
     assets: Option<PathBuf>,
 
     #[command(flatten)]
-    backend: BackendArgs,
+    renderer: RendererArgs,
+
+    /// The run's streams, whose world states are world variants after those of the cases.
+    #[arg(long, value_name = "FILE")]
+    streams: Option<PathBuf>,
 
     /// Render every view of the unchanged world before the first step.
     #[arg(long)]
@@ -51,12 +57,24 @@ pub fn run(args: ServeArgs) -> Result<()> {
             (warehouse, cases)
         }
     };
-    let settings = args.backend.apply(RenderSettings {
+    let states = match &args.streams {
+        None => Vec::new(),
+        Some(file) => {
+            let text = fs::read_to_string(file)
+                .with_context(|| format!("cannot read {}", file.display()))?;
+            let streams = StreamSet::parse(&text, &warehouse, &cases);
+            let states = streams.and_then(|streams| streams.states(&warehouse));
+            states.with_context(|| file.display().to_string())?
+        }
+    };
+    let worlds = Worlds::new(&warehouse, &cases, states);
+    let settings = args.renderer.apply(RenderSettings {
         width_px: attach.frame.width,
         height_px: attach.frame.height,
         ..RenderSettings::default()
     });
     let bus = Bus::join(attach, Role::Sim).context("cannot join the run")?;
-    serve(&bus, &warehouse, &cases, args.warm_views, || RenderSetup::open(&warehouse, settings))
+    let stocks = worlds.stocks().to_vec();
+    serve(&bus, worlds, args.warm_views, || RenderSetup::open(&stocks, settings))
         .context("the simulator failed")
 }

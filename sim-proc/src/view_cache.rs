@@ -10,13 +10,15 @@ use domain::Pose;
 use rustc_hash::FxHashMap;
 use shm_types::message::FrameId;
 
+use crate::worlds::World;
+
 /// What a frame shows.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum ViewKey {
-    /// A variant of the world, as numbered in [`StepCommand`](shm_types::message::StepCommand), from a pose.
+    /// A world from a pose.
     World {
-        /// The variant.
-        variant: u32,
+        /// The world.
+        world: World,
         /// The pose.
         pose: Pose,
     },
@@ -258,7 +260,7 @@ mod tests {
     use super::*;
 
     fn view(n: u8) -> ViewKey {
-        ViewKey::World { variant: 0, pose: Pose::new(n, 0, Heading::N) }
+        ViewKey::World { world: World::UNCHANGED, pose: Pose::new(n, 0, Heading::N) }
     }
 
     /// "Renders" everything that is missing; frames are numbered from `first`.

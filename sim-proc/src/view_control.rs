@@ -7,6 +7,7 @@ use shm_types::FrameControl;
 use warehouse::{Layout, Variant};
 
 use crate::view_cache::ViewKey;
+use crate::worlds::World;
 
 /// Chooses the view of an observation.
 #[derive(Debug)]
@@ -29,8 +30,8 @@ impl ViewControl {
         }
     }
 
-    /// The view that a lane at `pose` gets in world variant `number`, which is `variant`.
-    pub fn view(&self, number: u32, variant: &Variant, pose: Pose) -> ViewKey {
+    /// The view that a lane at `pose` gets in `world`, whose closed passages are `variant`.
+    pub fn view(&self, world: World, variant: &Variant, pose: Pose) -> ViewKey {
         let pose = match self {
             Self::Blank => return ViewKey::Blank,
             Self::Rendered => pose,
@@ -41,7 +42,7 @@ impl ViewControl {
                 others.find(|other| !variant.is_closed(other.cell)).unwrap_or(pose)
             }
         };
-        ViewKey::World { variant: number, pose }
+        ViewKey::World { world, pose }
     }
 }
 
@@ -81,11 +82,19 @@ mod tests {
     #[test]
     fn controls_choose_the_true_view_grey_or_another_view() {
         let Warehouse { layout, .. } = Warehouse::shipped();
-        let shown = |kind, pose| ViewControl::new(kind, &layout).view(0, &Variant::UNCHANGED, pose);
+        let shown = |kind, pose| {
+            ViewControl::new(kind, &layout).view(World::UNCHANGED, &Variant::UNCHANGED, pose)
+        };
         let pose = poses(&layout)[5];
-        assert_eq!(shown(FrameControl::Rendered, pose), ViewKey::World { variant: 0, pose });
+        assert_eq!(
+            shown(FrameControl::Rendered, pose),
+            ViewKey::World { world: World::UNCHANGED, pose }
+        );
         assert_eq!(shown(FrameControl::Blank, pose), ViewKey::Blank);
-        assert_ne!(shown(FrameControl::Swapped, pose), ViewKey::World { variant: 0, pose });
+        assert_ne!(
+            shown(FrameControl::Swapped, pose),
+            ViewKey::World { world: World::UNCHANGED, pose }
+        );
     }
 
     #[test]
@@ -105,15 +114,15 @@ mod tests {
     fn no_view_is_from_inside_a_barricade() {
         let Warehouse { layout, .. } = Warehouse::shipped();
         let control = ViewControl::new(FrameControl::Swapped, &layout);
-        for (case, number) in CaseSet::shipped().cases.iter().zip(1..) {
+        for (case, closing) in CaseSet::shipped().cases.iter().zip(1..) {
+            let world = World { stock: 0, closing };
             let variant = Variant::closing(case.barricade.iter().copied());
             for pose in poses(&layout) {
-                let ViewKey::World { variant: of, pose: other } =
-                    control.view(number, &variant, pose)
+                let ViewKey::World { world: of, pose: other } = control.view(world, &variant, pose)
                 else {
                     panic!("a view of the world")
                 };
-                assert!(of == number && other != pose && !variant.is_closed(other.cell));
+                assert!(of == world && other != pose && !variant.is_closed(other.cell));
             }
         }
     }

@@ -5,7 +5,7 @@
 
 use std::path::{Path, PathBuf};
 
-use domain::{Heading, Pose};
+use domain::{Appearance, Heading, Pose};
 use png_file::RgbaImage;
 use sim_proc::renderer::{RenderSettings, Renderer, ViewSpec};
 use warehouse::{CaseSet, Variant, Warehouse};
@@ -36,7 +36,7 @@ fn views_look_like_their_references() {
     let mut renderer = Renderer::new(&warehouse, RenderSettings::default()).unwrap();
     let mut wrong = Vec::new();
     for (name, pose) in VIEWS {
-        let view = ViewSpec { pose: pose.parse().unwrap(), variant: &Variant::UNCHANGED };
+        let view = ViewSpec { pose: pose.parse().unwrap(), variant: &Variant::UNCHANGED, stock: 0 };
         let image = renderer.render_image(view).unwrap();
         wrong.extend(compare(name, &image));
     }
@@ -44,8 +44,29 @@ fn views_look_like_their_references() {
     let cases = CaseSet::shipped();
     let closed = Variant::closing(cases.cases[0].barricade.iter().copied());
     let pose = pose_before(&warehouse, &closed);
-    let image = renderer.render_image(ViewSpec { pose, variant: &closed }).unwrap();
+    let image = renderer.render_image(ViewSpec { pose, variant: &closed, stock: 0 }).unwrap();
     wrong.extend(compare("barricade", &image));
+    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+}
+
+#[test]
+fn every_appearance_looks_like_its_reference() {
+    let warehouse = Warehouse::shipped();
+    let standard = Appearance::STANDARD;
+    let mut wrong = Vec::new();
+    for (name, pose, appearance) in [
+        ("no-plates", "9,15,S", Appearance { plates: false, ..standard }),
+        ("no-labels", "9,15,S", Appearance { labels: false, ..standard }),
+        ("no-plates-no-labels", "3,6,E", Appearance { plates: false, labels: false, seed: 0 }),
+        ("seed-1", "9,15,S", Appearance { seed: 1, ..standard }),
+        ("seed-4", "1,18,W", Appearance { seed: 4, ..standard }),
+    ] {
+        let settings = RenderSettings { appearance, ..RenderSettings::default() };
+        let mut renderer = Renderer::new(&warehouse, settings).unwrap();
+        let (pose, variant) = (pose.parse().unwrap(), &Variant::UNCHANGED);
+        let image = renderer.render_image(ViewSpec { pose, variant, stock: 0 }).unwrap();
+        wrong.extend(compare(name, &image));
+    }
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));
 }
 

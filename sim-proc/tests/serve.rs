@@ -9,23 +9,31 @@ use anyhow::Result;
 use bytemuck::Zeroable;
 use conformance::messages::{self, reset};
 use conformance::testing::SimRig;
-use domain::{Action, Feedback, Heading, Pose};
+use domain::{Action, Cell, Feedback, Heading, Pose};
 use shm_types::message::{
     FrameId, NO_FRAME, RequestId, Role, ShutdownReport, StepCommand, ViewRequest, WirePose,
 };
 use shm_types::{Attach, Bus, FrameControl, FrameSize};
 use sim_proc::render_pool::{RenderSetup, RenderTask, RenderWorker};
-use sim_proc::renderer::{Destination, RenderJob, RenderSettings, Renderer, ViewSpec};
+use sim_proc::renderer::{
+    Destination, RenderJob, RenderSettings, Renderer, ViewSpec, VisibleChanges,
+};
 use sim_proc::serve::serve;
-use warehouse::{CaseSet, Variant, Warehouse, step};
+use sim_proc::worlds::Worlds;
+use warehouse::{CaseSet, StockChange, Variant, Warehouse, WorldChange, WorldState, step};
 
-/// Fills a slot with pixels that encode the pose and the number of nearby closed cells.
+/// Fills a slot with pixels that encode the pose, the stock and the number of nearby closed cells.
 struct CodeWorker;
 
 fn code(variant: &Variant, pose: Pose) -> [u8; 4] {
+    code_with(0, variant, pose)
+}
+
+fn code_with(stock: u32, variant: &Variant, pose: Pose) -> [u8; 4] {
     let WirePose([x, y, heading, _]) = pose.into();
     let size = if is_near(variant, pose) { variant.closed().len() } else { 0 };
-    [x, y, heading, size as u8]
+    let stock = if shows_stock(pose) { stock as u8 } else { 0 };
+    [x, y, heading | stock << 4, size as u8]
 }
 
 /// Barricades are visible for four cells in all directions.
@@ -33,10 +41,15 @@ fn is_near(variant: &Variant, pose: Pose) -> bool {
     variant.closed().iter().any(|cell| cell.distance(pose.cell) <= 4)
 }
 
+/// Changed stock is visible in every other row.
+fn shows_stock(pose: Pose) -> bool {
+    pose.cell.y.is_multiple_of(2)
+}
+
 impl RenderWorker for CodeWorker {
     fn render_into(&mut self, tasks: &mut [RenderTask<'_>]) -> Result<u64> {
-        for RenderTask { variant, pose, slot } in &mut *tasks {
-            let code = code(variant, *pose);
+        for RenderTask { stock, variant, pose, slot } in &mut *tasks {
+            let code = code_with(*stock, variant, *pose);
             slot.pixels_mut().chunks_exact_mut(4).for_each(|pixel| pixel.copy_from_slice(&code));
         }
         // As if one byte had been copied for each.
@@ -49,7 +62,10 @@ fn setup() -> RenderSetup {
     RenderSetup {
         workers: vec![Box::new(CodeWorker), Box::new(CodeWorker)],
         batch_views: 3,
-        may_show_barricade: Box::new(is_near),
+        find_changes: Box::new(|ViewSpec { pose, variant, stock }| VisibleChanges {
+            stock: stock != 0 && shows_stock(pose),
+            barricades: is_near(variant, pose),
+        }),
         facts: vec![("backend", "test".to_owned())],
     }
 }
@@ -60,6 +76,22 @@ fn simulator(change: impl FnOnce(&mut Attach)) -> SimRig {
     let facts = rig.handshake().facts().unwrap();
     assert_eq!(facts, BTreeMap::from([("backend".into(), "test".into())]));
     rig
+}
+
+/// The states that follow the worlds of the shipped cases: an item is gone; also the passage of the fourth case is closed;
+/// another item is gone.
+fn states() -> Vec<WorldState> {
+    let warehouse = Warehouse::shipped();
+    let state = |closed: &[Cell], item: usize| {
+        let standpoint = warehouse.items[item].standpoint;
+        let stock = vec![StockChange { standpoint, item_type: None }];
+        WorldState::new(&warehouse, &WorldChange { closed: closed.to_vec(), stock }).unwrap()
+    };
+    vec![state(&[], 3), state(&CaseSet::shipped().cases[3].barricade, 3), state(&[], 4)]
+}
+
+fn worlds() -> Worlds {
+    Worlds::new(&Warehouse::shipped(), &CaseSet::shipped(), states())
 }
 
 fn simulator_with(
@@ -74,7 +106,7 @@ fn simulator_with(
     SimRig::in_thread(change, move |folder| {
         let bus = Bus::join(Attach::read(folder)?, Role::Sim)?;
         let open = || open(bus.attach().frame);
-        serve(&bus, &Warehouse::shipped(), &CaseSet::shipped(), warm_views, open)
+        serve(&bus, worlds(), warm_views, open)
     })
 }
 
@@ -199,6 +231,53 @@ fn lanes_share_a_frame_wherever_their_worlds_look_alike() {
     let shutdown_report = sim.stop();
     assert_eq!(shutdown_report.frames_rendered, looks.len() as u64);
     assert!(looks.len() > poses.len() && looks.len() < 2 * poses.len());
+}
+
+/// The variant number of entry `state` of [`states`].
+fn state(state: u32) -> u32 {
+    1 + CaseSet::shipped().cases.len() as u32 + state
+}
+
+#[test]
+fn lanes_and_memory_see_the_world_state_they_name() {
+    let mut sim = simulator(|attach| attach.frame_capacity = 2000);
+    let closed = Variant::closing(CaseSet::shipped().cases[3].barricade.iter().copied());
+    let open = Variant::UNCHANGED;
+    let worlds =
+        [(0, 0, &open), (state(0), 1, &open), (state(1), 1, &closed), (state(2), 2, &open)];
+    let (mut shown, mut seen) = (BTreeSet::new(), BTreeSet::new());
+    let free = |pose: &Pose| !closed.is_closed(pose.cell);
+    for (n, pose) in (0..).zip(poses().into_iter().filter(free).step_by(7)) {
+        let mut frames = Vec::new();
+        for (lane, &(variant, stock, closed)) in (0..).zip(&worlds) {
+            let expected = code_with(stock, closed, pose);
+            let frame = sim.ask(&reset(lane, 4 * n + u64::from(lane), variant, pose)).frame;
+            assert_eq!(shown_code(&mut sim, frame), expected, "variant {variant} at {pose}");
+            let request = ViewRequest { pose: pose.into(), variant, ..Zeroable::zeroed() };
+            sim.neighbours.send(&request).unwrap();
+            sim.notify();
+            let view = sim.view();
+            assert_eq!((view.frame, view.variant), (frame, variant));
+            sim.release(frame);
+            frames.push(frame);
+            seen.insert(expected);
+        }
+        // Views of different worlds are one where the worlds look alike.
+        assert_eq!(frames[1] == frames[0], !shows_stock(pose), "{pose}");
+        assert_eq!(frames[2] == frames[1], !is_near(&closed, pose), "{pose}");
+        shown.extend(frames);
+    }
+    assert_eq!(shown.len(), seen.len());
+    for (variant, pose, said) in [
+        (state(3), poses()[0], "variant 104 is not one of 104"),
+        (state(1), Pose { cell: closed.closed()[0], heading: Heading::N }, "an agent cannot stand"),
+    ] {
+        let request = ViewRequest { pose: pose.into(), variant, ..Zeroable::zeroed() };
+        sim.neighbours.send(&request).unwrap();
+        let report = error_report(&mut sim);
+        assert!(report.contains(said), "{report}");
+    }
+    assert_eq!(sim.stop().frames_rendered, shown.len() as u64);
 }
 
 #[test]
@@ -449,7 +528,7 @@ fn the_renderer_writes_into_the_frame_store() {
             (attach.frame, attach.frame_capacity, attach.lanes, attach.window) = (size, 6, 1, 2)
         },
         false,
-        move |frame| RenderSetup::open(&Warehouse::shipped(), settings(frame)),
+        move |frame| RenderSetup::open(worlds().stocks(), settings(frame)),
     );
     let handshake = sim.handshake();
     let facts = handshake.facts().unwrap();
@@ -462,7 +541,7 @@ fn the_renderer_writes_into_the_frame_store() {
         let seen = sim.ask(&command);
         let pose = Pose::try_from(seen.pose).unwrap();
         let destination = Destination::Memory(&mut expected);
-        let view = ViewSpec { pose, variant: &variant };
+        let view = ViewSpec { pose, variant: &variant, stock: 0 };
         renderer.render(&mut [RenderJob { view, destination }]).unwrap();
         for store in &mut sim.neighbours.stores {
             assert!(store.get(seen.frame).unwrap().unwrap().pixels() == expected, "{pose}");

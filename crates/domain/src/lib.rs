@@ -3,6 +3,7 @@
 //!
 //! Does not link iceoryx2. Knows neither the map nor the tasks nor messages.
 
+mod appearance;
 mod cache;
 pub mod camera;
 pub mod codes;
@@ -13,6 +14,7 @@ pub mod prompt_log;
 pub mod representation;
 pub mod search_profile;
 
+pub use appearance::Appearance;
 pub use cache::{NoCacheFolder, cache_folder};
 pub use memory_kind::{ExternalName, MemoryKind};
 pub use outcome::{Arm, DocumentKind, FeedbackLevel, Outcome, SegmentContent};

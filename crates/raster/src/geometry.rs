@@ -105,6 +105,17 @@ pub struct Geometry {
     pub barricade: Range<usize>,
 }
 
+impl Geometry {
+    /// Bytes of all triangles and of the atlas.
+    pub fn bytes(&self) -> usize {
+        let layer = |vertices: usize, indices: &[u32]| vertices + size_of_val(indices);
+        layer(size_of_val(&self.solid.vertices[..]), &self.solid.indices)
+            + layer(size_of_val(&self.plate.vertices[..]), &self.plate.indices)
+            + layer(size_of_val(&self.text.vertices[..]), &self.text.indices)
+            + self.atlas.levels.iter().map(Vec::len).sum::<usize>()
+    }
+}
+
 /// The vertex indices of the triangles that a view draws, layer by layer.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct DrawList {

@@ -7,12 +7,14 @@ mod cases;
 mod documents;
 mod group;
 mod model;
+mod stream;
 mod suite;
 
 pub use cases::CaseSelector;
 pub use documents::DocumentSource;
 pub use group::Group;
 pub use model::{ModelSettings, ResponseCache};
+pub use stream::StreamSettings;
 pub use suite::SuiteName;
 
 use std::collections::BTreeSet;
@@ -40,6 +42,9 @@ pub struct RunSettings {
     /// The groups of conditions, at least one.
     #[serde(rename = "group")]
     pub groups: Vec<Group>,
+    /// The streams, for a run that consists of streams.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub stream: Option<StreamSettings>,
     pub cases: Vec<CaseSelector>,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub limit: Option<u32>,

@@ -3,13 +3,16 @@
 //! A stream is a list of blocks. Between two blocks events change the world; within a block it stays as it is. This module
 //! holds streams as values and in their file.
 
+mod drawing;
+
+pub use drawing::StreamRules;
+
 use domain::Cell;
 use serde::{Deserialize, Serialize};
 
 use crate::asset::Problem;
 use crate::case::CaseSet;
 use crate::draw::Draw;
-use crate::dynamics::Variant;
 use crate::state::{WorldChange, WorldState};
 use crate::world::Warehouse;
 
@@ -287,6 +290,7 @@ impl Order {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::dynamics::Variant;
 
     fn set(blocks: u32) -> StreamSet {
         let block = |world| Block { world: world % 2, cases: vec![world], events: Vec::new() };

@@ -5,6 +5,9 @@
 //! many after each such failure, until one fails alone. That one is given up after [`SPOILED_ATTEMPTS`]; suspects that
 //! are finished are cleared, and when none is left, all lanes are used again. The order of episodes never changes
 //! their records.
+//!
+//! The episodes of a sequence run strictly one after the other: the next one waits until the one before is in the log, and
+//! is not run if that one has no result.
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
@@ -27,6 +30,8 @@ pub(super) const CULPRITS_IN_A_ROW: u32 = 2;
 #[derive(Debug, Default)]
 pub(super) struct EpisodeQueue {
     waiting: VecDeque<PlannedEpisode>,
+    /// Of each sequence, the episodes after the one that waits or is under way.
+    later: BTreeMap<u64, VecDeque<PlannedEpisode>>,
     failures: BTreeMap<EpisodeKey, Failures>,
     search: Option<CulpritSearch>,
     unfinished: Vec<(PlannedEpisode, String)>,
@@ -56,7 +61,17 @@ struct CulpritSearch {
 
 impl EpisodeQueue {
     pub(super) fn new(episodes: impl IntoIterator<Item = PlannedEpisode>) -> Self {
-        Self { waiting: episodes.into_iter().collect(), ..Self::default() }
+        let mut queue = Self::default();
+        for episode in episodes {
+            match episode.sequence().and_then(|sequence| queue.later.get_mut(&sequence)) {
+                Some(later) => later.push_back(episode),
+                None => {
+                    queue.later.extend(episode.sequence().map(|one| (one, VecDeque::new())));
+                    queue.waiting.push_back(episode);
+                }
+            }
+        }
+        queue
     }
 
     /// Whether no episode waits.
@@ -101,17 +116,30 @@ impl EpisodeQueue {
         self.waiting.remove(suspect)
     }
 
-    /// `episode` is in the log.
+    /// `episode` is in the log. The next one of its sequence waits from now on, and continues from its snapshot.
     pub(super) fn finish(&mut self, episode: &PlannedEpisode) {
         self.finished += 1;
         self.culprits = 0;
         self.clear(&episode.key);
+        let Some(part) = episode.part else { return };
+        let next = self.later.get_mut(&part.sequence).and_then(VecDeque::pop_front);
+        if let Some(mut next) = next {
+            if let Some(its) = &mut next.part {
+                its.snapshot = part.snapshot;
+            }
+            // First, so that the sequence goes on while its memory is at hand.
+            self.waiting.push_front(next);
+        }
     }
 
-    /// `episode` is not run again in this session.
+    /// `episode` is not run again in this session, and neither are the later ones of its sequence.
     pub(super) fn give_up(&mut self, episode: PlannedEpisode, why: String) {
         self.clear(&episode.key);
+        let later = episode.sequence().and_then(|sequence| self.later.remove(&sequence));
+        let not_run = format!("not run, because {} of its sequence has no result", episode.key);
         self.unfinished.push((episode, why));
+        let later = later.into_iter().flatten();
+        self.unfinished.extend(later.map(|episode| (episode, not_run.clone())));
     }
 
     /// The policy failed on `episode` and nothing else. Returns whether the episode is given up.
@@ -135,15 +163,15 @@ impl EpisodeQueue {
         }
     }
 
-    /// Gives up all waiting episodes with `memory`. Returns how many.
+    /// Gives up all waiting episodes with `memory`, and what would follow in their sequences. Returns how many.
     pub(super) fn exclude(&mut self, memory: MemoryKind, why: &str) -> usize {
         let waiting = std::mem::take(&mut self.waiting);
         let is_its = |episode: &PlannedEpisode| episode.key.condition.memory == memory;
         let (excluded, waiting): (Vec<_>, Vec<_>) = waiting.into_iter().partition(is_its);
         self.waiting = waiting.into();
-        let count = excluded.len();
+        let before = self.unfinished.len();
         excluded.into_iter().for_each(|episode| self.give_up(episode, why.to_owned()));
-        count
+        self.unfinished.len() - before
     }
 
     /// A generation failed with `under_way`, and not because of the policy.
@@ -205,7 +233,7 @@ impl EpisodeQueue {
 
 #[cfg(test)]
 mod tests {
-    use domain::Representation;
+    use domain::{Arm, Representation};
 
     use super::*;
     use results::conditions::{Condition, Demonstrations, Route, Start, Variation};
@@ -219,10 +247,12 @@ mod tests {
             route: Route::Unchanged,
             demonstrations: Demonstrations::NONE,
             variation: Variation::STANDARD,
+            arm: Arm::Frozen,
         };
         let of = |case_index| {
-            let key = EpisodeKey { condition, run: 1, case: format!("c{case_index:03}") };
-            PlannedEpisode { key, case_index, seed: 1 }
+            let key =
+                EpisodeKey { condition, run: 1, place: None, case: format!("c{case_index:03}") };
+            PlannedEpisode { key, case_index, seed: 1, part: None }
         };
         (0..count).map(of).collect()
     }

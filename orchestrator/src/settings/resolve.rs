@@ -4,15 +4,15 @@ use std::collections::BTreeMap;
 use std::fmt;
 
 use anyhow::{Context, Result, anyhow, bail, ensure};
-use domain::Representation;
 use domain::memory_kind::{EXTERNAL_WORD, NONE_WORD};
 use domain::representation::Trajectories;
-use results::conditions::{PolicyKind, Variation};
+use domain::{Arm, Representation};
+use results::conditions::{Condition, Demonstrations, PolicyKind, Route, Start, Variation};
 use results::settings::{RunSettings, SuiteName};
 use serde_json::{Map, Value, json};
 use shm_types::message::MAX_EXTERNAL_MEMORIES;
 
-use super::keys::{KEYS, MAX_IMAGES, MODEL_KEYS};
+use super::keys::{KEYS, MAX_IMAGES, MODEL_KEYS, STREAM_KEYS};
 use super::layer::{GROUP_KEYS, Layer, Origin};
 use super::load_suite;
 
@@ -57,6 +57,7 @@ pub(super) fn merge(layers: impl IntoIterator<Item = Layer>) -> Result<Resolved>
         origins.insert("out".to_owned(), Origin::Default);
     }
     await_external_memory(&mut merged, &mut origins, policy);
+    complete_stream(&mut merged, &mut origins)?;
     let groups = match merged.remove("group") {
         Some(Value::Array(groups)) => groups,
         // Without groups there is one, of the top-level keys.
@@ -143,6 +144,26 @@ fn await_external_memory(
     }
 }
 
+/// Puts what flags and variables say about streams into the suite's `[stream]` table.
+fn complete_stream(merged: &mut Map<String, Value>, origins: &mut Origins) -> Result<()> {
+    let mut stream = merged.remove("stream");
+    let mut table = stream.as_mut().and_then(Value::as_object_mut);
+    for key in STREAM_KEYS {
+        let Some(value) = merged.remove(*key) else { continue };
+        if let Some(table) = &mut table {
+            table.insert((*key).to_owned(), value);
+            continue;
+        }
+        // A variable may be set for other runs.
+        ensure!(
+            origins.remove(*key) != Some(Origin::CommandLine),
+            "--{key} is for a suite of streams, such as --suite stream"
+        );
+    }
+    merged.extend(stream.map(|stream| ("stream".to_owned(), stream)));
+    Ok(())
+}
+
 /// The default name of a run's folder: suite and policy, and the model of `openai`.
 fn folder_name(merged: &Map<String, Value>, policy: PolicyKind) -> Result<String> {
     let text = |key| merged.get(key).and_then(Value::as_str).unwrap_or_default();
@@ -226,6 +247,7 @@ pub fn check(settings: &RunSettings) -> Result<()> {
         "no condition is left: a blocked route needs the new start (add `new` to --starts), and a memory of \
          demonstrations needs some (--demos)"
     );
+    check_arms(settings)?;
     // With a model, what exceeds --image-budget is left out and counted.
     if settings.model.is_some() {
         return Ok(());
@@ -245,6 +267,30 @@ pub fn check(settings: &RunSettings) -> Result<()> {
                  {remembered} of memory), and a prompt holds at most {MAX_IMAGES}: lower --window or {flag}"
             );
         }
+    }
+    Ok(())
+}
+
+/// Checks that arms are those of a suite of streams, whose episodes all begin alike.
+fn check_arms(settings: &RunSettings) -> Result<()> {
+    let groups = &settings.groups;
+    if settings.stream.is_none() {
+        ensure!(
+            groups.iter().all(|group| group.arms == [Arm::Frozen]),
+            "--arms is for a suite of streams, such as --suite stream: outside of streams every memory is frozen"
+        );
+        return Ok(());
+    }
+    let is_standard = |condition: &Condition| {
+        condition.start == Start::New
+            && condition.route == Route::Unchanged
+            && [Demonstrations::NONE, Demonstrations::ORIGINAL].contains(&condition.demonstrations)
+    };
+    if let Some(other) = settings.conditions().iter().find(|condition| !is_standard(condition)) {
+        bail!(
+            "{other}: in a suite of streams every episode begins at the new start, on the unchanged route, with the \
+             original demonstrations: starts = [\"new\"], routes = [\"unchanged\"], demos = [\"original\"]"
+        );
     }
     Ok(())
 }
@@ -281,8 +327,15 @@ impl fmt::Display for Resolved {
                     writeln!(f, "{:<44} # {origin}", format!("# suite = {value}"))?;
                 }
                 (Some(value), Some(origin)) => write_line(f, key, value, *origin)?,
-                _ if GROUP_KEYS.contains(&key) => {}
+                _ if GROUP_KEYS.contains(&key) || STREAM_KEYS.contains(&key) => {}
                 _ => writeln!(f, "# {key}: not set")?,
+            }
+        }
+        if let Some(stream) = values.get("stream").and_then(Value::as_object) {
+            writeln!(f, "\n[stream]")?;
+            for (key, value) in stream {
+                let origin = self.origins.get(key).copied().unwrap_or(Origin::Suite);
+                write_line(f, key, value, origin)?;
             }
         }
         let all = groups.as_array().into_iter().flatten().zip(&self.group_origins);

@@ -28,7 +28,7 @@ fn both_backends_draw_the_same_images() {
         let mut wgpu = renderer(&warehouse, &settings, Backend::Wgpu);
         let mut worst = 0;
         for pose in poses(&warehouse).into_iter().step_by(step) {
-            let view = ViewSpec { pose, variant: &Variant::UNCHANGED };
+            let view = ViewSpec { pose, variant: &Variant::UNCHANGED, stock: 0 };
             let (cpu, wgpu) = (cpu.render_image(view).unwrap(), wgpu.render_image(view).unwrap());
             let is_off =
                 |(a, b): &([u8; 4], [u8; 4])| a.iter().zip(b).any(|(a, b)| a.abs_diff(*b) > 8);
@@ -68,7 +68,7 @@ fn neither_the_vector_width_nor_earlier_views_change_a_byte() {
         let views: Vec<ViewSpec<'_>> = poses(&warehouse)
             .into_iter()
             .step_by(61)
-            .flat_map(|pose| [&open, &blocked].map(|variant| ViewSpec { pose, variant }))
+            .flat_map(|pose| [&open, &blocked].map(|variant| ViewSpec { pose, variant, stock: 0 }))
             .filter(|view| !view.variant.is_closed(view.pose.cell))
             .collect();
         let draw = |level: Level, views: &mut dyn Iterator<Item = &ViewSpec<'_>>| {

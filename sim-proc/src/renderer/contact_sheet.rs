@@ -30,7 +30,7 @@ const INK: [u8; 3] = [30, 34, 40];
 /// As [`Renderer::new`] and [`Renderer::render`].
 pub fn contact_sheet(warehouse: &Warehouse, settings: RenderSettings) -> Result<RgbaImage> {
     let types = &warehouse.catalogue.types;
-    let (scene, stands) = catalogue_scene(&warehouse.catalogue);
+    let (scene, stands) = catalogue_scene(&warehouse.catalogue, settings.appearance);
     let mut renderer = Renderer::of_scene(scene, warehouse.layout.clone(), settings)?;
     let tile = [LARGE_PX + SMALL_PX + GAP_PX, LARGE_PX + CAPTION_PX + GAP_PX];
     let rows = (types.len() as u32).div_ceil(COLUMNS);
@@ -64,7 +64,7 @@ fn item_image(renderer: &mut Renderer, stand: ItemStand, distance_m: f32) -> Res
     let RenderSettings { width_px, height_px, .. } = renderer.settings;
     let camera = Camera::at(at, stand.viewer, width_px, height_px);
     let scene = renderer.visibility.scene();
-    let visible = VisibleSet::new(scene, &camera).objects;
+    let visible = VisibleSet::new(scene, &scene.stocks[0], &camera).objects;
     let list = draw_list(scene, &camera, &visible, Triangles::Facing);
     let clip_from_world = camera.clip_from_world().into();
     renderer.draw_image(PreparedView { clip_from_world, list, barricades: Vec::new() })

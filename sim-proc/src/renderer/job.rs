@@ -3,13 +3,15 @@
 use domain::Pose;
 use warehouse::Variant;
 
-/// A pose in a variant of the world.
+/// A pose in a world.
 #[derive(Debug, Clone, Copy)]
 pub struct ViewSpec<'a> {
     /// The camera's pose.
     pub pose: Pose,
     /// Which passages are closed.
     pub variant: &'a Variant,
+    /// The index of the renderer's stock.
+    pub stock: u32,
 }
 
 /// Memory that a frame is written to.

@@ -2,49 +2,61 @@
 //!
 //! Nothing in the warehouse moves, so light is computed once per vertex and shaders only add fog. There are two lights. In
 //! a bay, light comes from in front of the face, above and slightly from the left, whatever the direction of the face: an
-//! item looks the same wherever it stands. In the hall, light comes from above, and each wall has its own brightness.
+//! item looks the same wherever it stands. In the hall, light comes from above, and each wall has its own brightness. A
+//! [`Look`] varies both.
 
 use nalgebra::Vector3;
 
+use super::look::Look;
 use super::mesh::builder::Vertex;
 use super::mesh::rack::{BAY_DEPTH_M, SHELF_TOP_M};
 
-/// The light that a mesh stands in.
+/// What a mesh is part of. Determines the light that it stands in, and its tint.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Light {
-    /// In a bay. Positions are in the frame of its face.
-    Bay,
-    /// As [`Light::Bay`], for an item that stands on the shelf.
-    Shelf,
-    /// In the hall. Positions are in the world.
-    Hall,
+pub(super) enum Part {
+    /// A bay, or the closed face of a rack. Positions are in the frame of the face.
+    Rack,
+    /// As [`Part::Rack`], an item on the shelf of a bay.
+    Item,
+    /// Lit as a rack.
+    Barricade,
+    /// The floor, in the world.
+    Floor,
+    /// Walls and roof, in the world.
+    Wall,
+    /// What hangs or stands in the hall: lamps, signs, columns, gates, doors; in the world.
+    Fixture,
 }
 
 /// The baked colour: sRGB, and in alpha the share of fog that the vertex takes.
-pub(super) fn baked(vertex: &Vertex, light: Light) -> [u8; 4] {
+pub(super) fn baked(vertex: &Vertex, part: Part, look: &Look) -> [u8; 4] {
     let material = vertex.material;
     if material.glows {
         let [r, g, b] = material.rgb;
         return [r, g, b, 0];
     }
     let normal = vertex.normal;
-    let (strength, highlight) = match light {
-        Light::Bay | Light::Shelf => {
-            let key = Vector3::new(-0.42, -0.62, 0.66);
+    let ambient = look.ambient * ambient(normal);
+    let (strength, highlight) = match part {
+        Part::Rack | Part::Item | Part::Barricade => {
+            let key = look.turned(Vector3::new(-0.42, -0.62, 0.66));
             let viewer = Vector3::new(0.0, -1.0, 0.1);
             let towards = normal.dot(&key).max(0.0);
             let half = (key + viewer).normalize();
             let highlight = material.gloss * normal.dot(&half).max(0.0).powi(28);
-            (ambient(normal) + 0.78 * towards, highlight)
+            (ambient + look.key * 0.78 * towards, highlight)
         }
-        Light::Hall => {
-            let key = Vector3::new(-0.3, -0.5, 0.81);
-            (ambient(normal) + 0.52 * normal.dot(&key).max(0.0), 0.0)
+        Part::Floor | Part::Wall | Part::Fixture => {
+            let key = look.turned(Vector3::new(-0.3, -0.5, 0.81));
+            (ambient + look.key * 0.52 * normal.dot(&key).max(0.0), 0.0)
         }
     };
-    let strength = strength * openness(vertex, light);
-    let linear = material.rgb.map(linear_from_srgb);
-    let [r, g, b] = linear.map(|c| srgb_from_linear(c * strength + 0.75 * highlight));
+    let strength = strength * openness(vertex, part);
+    let tint = look.tint(part);
+    let [r, g, b] = [0, 1, 2].map(|i| {
+        let surface = linear_from_srgb(material.rgb[i]) * tint[i];
+        srgb_from_linear((surface * strength + 0.75 * highlight) * look.colour[i])
+    });
     [r, g, b, 255]
 }
 
@@ -54,16 +66,16 @@ fn ambient(normal: Vector3<f32>) -> f32 {
 }
 
 /// The share of light that reaches a place: less deep in a bay, near the floor and close to a shelf.
-fn openness(vertex: &Vertex, light: Light) -> f32 {
+fn openness(vertex: &Vertex, part: Part) -> f32 {
     let (p, n) = (vertex.position, vertex.normal);
-    match light {
-        Light::Hall => 1.0,
-        Light::Bay => {
+    match part {
+        Part::Floor | Part::Wall | Part::Fixture => 1.0,
+        Part::Rack | Part::Barricade => {
             let deep = (p.y / BAY_DEPTH_M).clamp(0.0, 1.0);
             let low = (p.z / 0.7).clamp(0.0, 1.0);
             (1.0 - 0.34 * deep) * (0.66 + 0.34 * low)
         }
-        Light::Shelf => {
+        Part::Item => {
             let above = ((p.z - SHELF_TOP_M) / 0.14).clamp(0.0, 1.0);
             let facing_away = (n.y * 0.5).max(0.0);
             (0.68 + 0.32 * above) * (1.0 - 0.4 * facing_away)

@@ -2,14 +2,16 @@
 //!
 //! A [`Renderer`] holds the warehouse as static meshes with baked light (`scene`) and draws it with one of two backends:
 //! a Vulkan device (`gpu`), or the CPU (crate `raster`). Both get the same lists of visible triangles (`visibility`) and
-//! write the pixels straight into their destinations. The bytes of a view depend on its pose and variant alone, never
-//! on the batch it is in.
+//! write the pixels straight into their destinations. A bay that holds different things in different worlds is there once
+//! for each, and a view draws the one of its stock. The bytes of a view depend on its pose and world alone, never on the
+//! batch it is in.
 
 mod camera;
 mod contact_sheet;
 mod gpu;
 mod job;
 mod light;
+mod look;
 mod mesh;
 mod scene;
 mod scene_visibility;
@@ -22,7 +24,7 @@ mod backend_tests;
 #[cfg(test)]
 mod tests;
 
-use anyhow::{Result, bail, ensure};
+use anyhow::{Context, Result, bail, ensure};
 use png_file::RgbaImage;
 use raster::{FOG_RGB, PreparedView, Rasterizer};
 use warehouse::{Layout, Warehouse};
@@ -31,7 +33,7 @@ pub use contact_sheet::contact_sheet;
 use gpu::GpuBackend;
 pub use job::{Destination, RenderJob, ViewSpec};
 use scene::Scene;
-pub use scene_visibility::SceneVisibility;
+pub use scene_visibility::{SceneVisibility, VisibleChanges};
 pub use settings::{Backend, FramePath, RenderReport, RenderSettings, Samples};
 use visibility::{Triangles, draw_list};
 
@@ -81,7 +83,17 @@ impl Renderer {
     /// A frame size that cannot be rendered, no Vulkan driver, no adapter of the given name, or a device that cannot be
     /// opened.
     pub fn new(warehouse: &Warehouse, settings: RenderSettings) -> Result<Self> {
-        Self::of_scene(Scene::new(warehouse), warehouse.layout.clone(), settings)
+        Self::with_stocks(std::slice::from_ref(warehouse), settings)
+    }
+
+    /// As [`Self::new`], for several stocks of a hall: warehouses that differ in their items only.
+    ///
+    /// # Errors
+    /// As [`Self::new`]; also when there is no stock.
+    pub fn with_stocks(stocks: &[Warehouse], settings: RenderSettings) -> Result<Self> {
+        let first = stocks.first().context("a renderer needs a warehouse")?;
+        let scene = Scene::new(stocks, settings.appearance);
+        Self::of_scene(scene, first.layout.clone(), settings)
     }
 
     /// Opens another renderer of the same scene.
@@ -119,6 +131,11 @@ impl Renderer {
                 bytes_copied: 0,
             },
         }
+    }
+
+    /// Bytes of the scene's triangles, which a renderer holds twice.
+    pub fn scene_bytes(&self) -> usize {
+        self.visibility.scene().geometry.bytes()
     }
 
     /// What is visible from where, as a value of its own.
@@ -177,9 +194,9 @@ impl Renderer {
         self
     }
 
-    fn prepare(&mut self, ViewSpec { pose, variant }: ViewSpec<'_>) -> PreparedView {
+    fn prepare(&mut self, ViewSpec { pose, variant, stock }: ViewSpec<'_>) -> PreparedView {
         let barricades = self.visibility.barricades(variant);
-        let (scene, camera, visible) = self.visibility.at_pose(pose);
+        let (scene, camera, visible) = self.visibility.at_pose(stock, pose);
         PreparedView {
             clip_from_world: camera.clip_from_world().into(),
             list: draw_list(scene, &camera, &visible.objects, Triangles::Facing),

@@ -4,6 +4,7 @@ use std::fmt;
 use std::str::FromStr;
 
 use anyhow::{Result, ensure};
+use domain::Appearance;
 pub use raster::Samples;
 
 /// Longest side of a frame, in pixels.
@@ -51,6 +52,8 @@ pub struct RenderSettings {
     pub height_px: u32,
     /// Anti-aliasing.
     pub samples: Samples,
+    /// Plates, labels, light and tints.
+    pub appearance: Appearance,
     /// Copy frames into slots even where the device can write them itself.
     pub force_copy: bool,
     /// The backend. `None` is wgpu with an adapter that is named or a graphics card, and otherwise the CPU.
@@ -65,6 +68,7 @@ impl Default for RenderSettings {
             width_px: 448,
             height_px: 448,
             samples: Samples::Four,
+            appearance: Appearance::STANDARD,
             force_copy: false,
             backend: None,
             adapter: None,

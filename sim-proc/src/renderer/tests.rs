@@ -4,9 +4,9 @@
 use std::path::Path;
 
 use domain::camera::{CAMERA_HEIGHT_M, focal_length_px};
-use domain::{Heading, Pose};
+use domain::{Appearance, Cell, Heading, Pose};
 use plates::Plate;
-use warehouse::{CaseSet, Variant};
+use warehouse::{CaseSet, StockChange, Variant, WorldChange, WorldState};
 
 use super::camera::Camera;
 use super::visibility::{VisibleSet, nearest_first};
@@ -79,9 +79,11 @@ fn losses(warehouse: &Warehouse, renderer: &mut Renderer, step: usize) -> Vec<St
     let mut wrong = Vec::new();
     for pose in poses(warehouse).into_iter().step_by(step) {
         let camera = Camera::new(pose, SIDE_PX, SIDE_PX);
-        let all = nearest_first(renderer.visibility.scene(), &camera, |_| true);
+        let scene = renderer.visibility.scene();
+        let stock = &scene.stocks[0];
+        let all = nearest_first(scene, stock, &camera, |_| true);
         let backwards: Vec<u32> = all.iter().rev().copied().collect();
-        let culled = VisibleSet::new(renderer.visibility.scene(), &camera).objects;
+        let culled = VisibleSet::new(scene, stock, &camera).objects;
         assert!(culled.len() < all.len() / 2, "{pose}: culling left out too little");
         let culled = draw_objects(renderer, &camera, &culled, Triangles::Facing);
         let whole = draw_objects(renderer, &camera, &all, Triangles::All);
@@ -141,7 +143,7 @@ fn neither_the_frame_path_nor_the_batch_changes_a_byte() {
         .into_iter()
         .step_by(47)
         .zip([&open, &blocked].into_iter().cycle())
-        .map(|(pose, variant)| ViewSpec { pose, variant })
+        .map(|(pose, variant)| ViewSpec { pose, variant, stock: 0 })
         .collect();
     let frame = direct.frame_bytes();
     let alone: Vec<RgbaImage> =
@@ -184,7 +186,9 @@ fn check_plates(warehouse: &Warehouse, renderer: &mut Renderer) {
         let category = &warehouse.catalogue.categories[kind.category];
         let bands = Plate::new(&category.name, &kind.name).0;
         let pose = Pose { cell: item.standpoint, heading: item.viewing_heading() };
-        let image = renderer.render_image(ViewSpec { pose, variant: &Variant::UNCHANGED }).unwrap();
+        let image = renderer
+            .render_image(ViewSpec { pose, variant: &Variant::UNCHANGED, stock: 0 })
+            .unwrap();
         let scale = focal_length_px(SIDE_PX) / (0.5 - plates::FACE_OFFSET_M);
         let rgb = |right: f32, up: f32| {
             let centre = SIDE_PX as f32 / 2.0;
@@ -232,10 +236,14 @@ fn a_nearby_barricade_is_visible() {
                 };
                 let pose = Pose { cell: stand, heading };
                 assert!(
-                    renderer.visibility.may_show_barricade(ViewSpec { pose, variant: &closed }),
+                    renderer
+                        .visibility
+                        .changes(ViewSpec { pose, variant: &closed, stock: 0 })
+                        .barricades,
                     "{pose}"
                 );
-                let image = renderer.render_image(ViewSpec { pose, variant: &closed }).unwrap();
+                let image =
+                    renderer.render_image(ViewSpec { pose, variant: &closed, stock: 0 }).unwrap();
                 let is_red = |p: &[u8; 4]| p[0] > 120 && p[1] < 60 && p[2] < 60;
                 let middle = image.crop(112, 150, 224, 200);
                 let red = middle.pixels().filter(is_red).count();
@@ -264,7 +272,7 @@ fn a_barricade_that_is_hidden_changes_no_byte() {
     for (number, variant) in barricades.iter().enumerate() {
         for pose in poses(&warehouse).into_iter().filter(|pose| !variant.is_closed(pose.cell)) {
             views += 1;
-            if !both[0].visibility.may_show_barricade(ViewSpec { pose, variant }) {
+            if !both[0].visibility.changes(ViewSpec { pose, variant, stock: 0 }).barricades {
                 let is_ahead = variant.closed().iter().any(|&cell| is_ahead(pose, cell));
                 if is_ahead { &mut ahead } else { &mut elsewhere }.push((number, pose));
             }
@@ -278,8 +286,8 @@ fn a_barricade_that_is_hidden_changes_no_byte() {
         for (number, pose) in hidden.into_iter().step_by(step) {
             let variant = &barricades[number];
             for renderer in &mut both {
-                let blocked = renderer.render_image(ViewSpec { pose, variant }).unwrap();
-                let open = ViewSpec { pose, variant: &Variant::UNCHANGED };
+                let blocked = renderer.render_image(ViewSpec { pose, variant, stock: 0 }).unwrap();
+                let open = ViewSpec { pose, variant: &Variant::UNCHANGED, stock: 0 };
                 let open = renderer.render_image(open).unwrap();
                 let differing = differing(pose, &open, &blocked);
                 assert_eq!(differing, 0, "{pose} with {:?} closed", variant.closed());
@@ -289,11 +297,131 @@ fn a_barricade_that_is_hidden_changes_no_byte() {
 }
 
 /// Whether the middle of `cell` lies in the field of view, on an empty floor.
-fn is_ahead(pose: Pose, cell: domain::Cell) -> bool {
+fn is_ahead(pose: Pose, cell: Cell) -> bool {
     let camera = Camera::new(pose, SIDE_PX, SIDE_PX);
     let (x, y) = cell.centre();
     let to = nalgebra::Vector3::new(x - camera.position.x, y - camera.position.y, 0.0);
     to.dot(&camera.right).abs() <= to.dot(&camera.ahead)
+}
+
+/// The shipped warehouse, and the same after `stock` has changed.
+fn stocks(stock: Vec<StockChange>) -> [Warehouse; 2] {
+    let base = Warehouse::shipped();
+    let mut stock = stock;
+    stock.sort_by_key(|change| change.standpoint);
+    let state = WorldState::new(&base, &WorldChange { closed: Vec::new(), stock }).unwrap();
+    [base, state.warehouse]
+}
+
+fn put(standpoint: Cell, item_type: Option<usize>) -> StockChange {
+    StockChange { standpoint, item_type }
+}
+
+/// Standpoints of bays that are empty.
+fn empty_bays(warehouse: &Warehouse) -> Vec<Cell> {
+    let change = |cell| WorldChange { closed: Vec::new(), stock: vec![put(cell, None)] };
+    let cells = warehouse.layout.free_cells();
+    let empty = cells.filter(|&cell| warehouse.item_at(cell).is_none());
+    empty.filter(|&cell| WorldState::new(warehouse, &change(cell)).is_ok()).collect()
+}
+
+/// The plate of the item that stands at `standpoint`, as it is read in a view from there.
+fn plate_read(renderer: &mut Renderer, warehouse: &Warehouse, stock: u32, at: Cell) -> Vec<Plate> {
+    let heading = Heading::ALL.into_iter().find(|&heading| {
+        let rack = at.step(heading);
+        rack.is_some_and(|rack| warehouse.layout.square(rack) == warehouse::Square::Rack)
+    });
+    let pose = Pose { cell: at, heading: heading.unwrap() };
+    let view = ViewSpec { pose, variant: &Variant::UNCHANGED, stock };
+    let image = renderer.render_image(view).unwrap();
+    let sightings = plates::read(SIDE_PX, SIDE_PX, image.as_bytes());
+    let ahead = sightings.iter().filter(|s| (s.ahead, s.right, s.face) == (0, 0, 0));
+    ahead.map(|sighting| sighting.plate).collect()
+}
+
+#[test]
+fn a_moved_item_is_seen_where_it_stands_now() {
+    let base = Warehouse::shipped();
+    let item = base.items[40];
+    let to = empty_bays(&base)[7];
+    let moved = stocks(vec![put(item.standpoint, None), put(to, Some(item.item_type))]);
+    let kind = &base.catalogue.types[item.item_type];
+    let plate = Plate::new(&base.catalogue.categories[kind.category].name, &kind.name);
+    for backend in [Backend::Cpu, Backend::Wgpu] {
+        let settings = RenderSettings { backend: Some(backend), ..RenderSettings::default() };
+        let mut renderer = Renderer::with_stocks(&moved, settings).unwrap();
+        let mut read = |stock, at| plate_read(&mut renderer, &base, stock, at);
+        assert_eq!((read(0, item.standpoint), read(0, to)), (vec![plate], vec![]));
+        assert_eq!((read(1, item.standpoint), read(1, to)), (vec![], vec![plate]));
+    }
+}
+
+/// Every 29th pose, and those around the changes; `POSE_STEP=1` tests all of them.
+#[test]
+fn a_stock_looks_as_in_a_scene_of_its_own_and_nothing_else_changes() {
+    let base = Warehouse::shipped();
+    let (empty, items) = (empty_bays(&base), &base.items);
+    let (a, b) = (items[10], items.iter().rev().find(|i| i.item_type != items[10].item_type));
+    let b = *b.unwrap();
+    let mut changes =
+        vec![put(items[40].standpoint, None), put(empty[7], Some(items[40].item_type))];
+    changes.extend([put(a.standpoint, Some(b.item_type)), put(b.standpoint, Some(a.item_type))]);
+    // Bays at the ends of rows change how their neighbours end.
+    let types = base.catalogue.types.len();
+    let added = empty.iter().step_by(9).enumerate();
+    changes.extend(added.map(|(n, &cell)| put(cell, Some(n * 5 % types))));
+    changes.sort_by_key(|change| change.standpoint);
+    changes.dedup_by_key(|change| change.standpoint);
+    let near = |pose: &Pose| changes.iter().any(|c| c.standpoint.distance(pose.cell) <= 1);
+    let step = std::env::var("POSE_STEP").map_or(29, |step| step.parse().unwrap());
+    let all = poses(&base).into_iter().enumerate();
+    let chosen: Vec<Pose> = all
+        .filter(|(n, pose)| n % step == 0 || (n % 3 == 0 && near(pose)))
+        .map(|(_, pose)| pose)
+        .collect();
+    let [base, changed] = stocks(changes.clone());
+    let [_, other] = stocks(vec![put(items[3].standpoint, None), put(empty[2], Some(0))]);
+    let with = |labels, stocks: &[Warehouse]| {
+        let appearance = Appearance { labels, ..Appearance::STANDARD };
+        let backend = Some(Backend::Cpu);
+        let settings = RenderSettings { backend, appearance, ..RenderSettings::default() };
+        Renderer::with_stocks(stocks, settings).unwrap()
+    };
+    // Where text lies in the atlas changes its pixels a little, so a scene of its own has the same pixels without labels.
+    let (base_alone, changed_alone) = ([base.clone()], [changed.clone()]);
+    let mut one = with(true, &[base.clone(), changed.clone()]);
+    let mut three = with(true, &[base.clone(), other, changed.clone()]);
+    let mut unlabelled = with(false, &[base, changed]);
+    let [mut base_alone, mut changed_alone] =
+        [with(true, &base_alone), with(false, &changed_alone)];
+    let (mut equal, mut different) = (0, 0);
+    for &pose in &chosen {
+        let image = |renderer: &mut Renderer, stock| {
+            let view = ViewSpec { pose, variant: &Variant::UNCHANGED, stock };
+            renderer.render_image(view).unwrap()
+        };
+        let (before, after) = (image(&mut one, 0), image(&mut one, 1));
+        for (place, (a, b)) in [
+            (&before, &image(&mut base_alone, 0)),
+            (&after, &image(&mut three, 2)),
+            (&image(&mut unlabelled, 1), &image(&mut changed_alone, 0)),
+        ]
+        .into_iter()
+        .enumerate()
+        {
+            assert_eq!(differing(pose, a, b), 0, "{pose}: comparison {place}");
+        }
+        let view = ViewSpec { pose, variant: &Variant::UNCHANGED, stock: 1 };
+        let pixels = differing(pose, &before, &after);
+        if one.visibility.changes(view).stock {
+            different += usize::from(pixels > 0);
+        } else {
+            assert_eq!(pixels, 0, "{pose} shows a change that was called invisible");
+            equal += 1;
+        }
+    }
+    println!("{equal} views are equal, {different} differ, of {}", chosen.len());
+    assert!(equal > 5 && different > 20, "{equal} equal, {different} different");
 }
 
 #[test]
@@ -311,7 +439,8 @@ fn unusable_settings_are_refused_with_a_reason() {
     assert!(refused(both).contains("which --backend cpu does not use"));
 
     let mut renderer = renderer(&warehouse, RenderSettings::default());
-    let view = ViewSpec { pose: Pose::new(2, 8, Heading::N), variant: &Variant::UNCHANGED };
+    let view =
+        ViewSpec { pose: Pose::new(2, 8, Heading::N), variant: &Variant::UNCHANGED, stock: 0 };
     let destination = Destination::Memory(&mut [0; 12]);
     let error = renderer.render(&mut [RenderJob { view, destination }]).unwrap_err().to_string();
     assert_eq!(error, "a frame takes 802816 bytes, but the destination of view 2,8,N has 12");

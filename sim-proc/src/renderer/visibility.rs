@@ -11,7 +11,7 @@ use raster::DrawList;
 
 use super::camera::Camera;
 use super::mesh::rack::RACK_HEIGHT_M;
-use super::scene::{Object, Occluder, Scene};
+use super::scene::{Object, Occluder, Scene, StockObjects};
 
 /// Columns of the depth buffer: several per pixel at common sizes.
 const COLUMNS: usize = 2048;
@@ -42,10 +42,11 @@ pub(super) struct VisibleSet {
 }
 
 impl VisibleSet {
-    /// What `camera` may see of `scene`.
-    pub(super) fn new(scene: &Scene, camera: &Camera) -> Self {
-        let columns = Columns::new(&scene.occluders, camera);
-        let objects = nearest_first(scene, camera, |object| columns.may_show(object, camera));
+    /// What `camera` may see of `scene` with one of its stocks.
+    pub(super) fn new(scene: &Scene, stock: &StockObjects, camera: &Camera) -> Self {
+        let columns = Columns::new(&stock.occluders, camera);
+        let objects =
+            nearest_first(scene, stock, camera, |object| columns.may_show(object, camera));
         Self { objects, columns }
     }
 
@@ -55,22 +56,25 @@ impl VisibleSet {
     }
 }
 
-/// Indices of the objects that `keep` accepts, nearest first. Of two surfaces at exactly the same depth the first one
-/// drawn wins, so the order must not depend on what is kept.
+/// Indices of the objects of `stock` that `keep` accepts, nearest first. Of two surfaces at exactly the same depth the first
+/// one drawn wins, so the order must not depend on what is kept.
 pub(super) fn nearest_first(
     scene: &Scene,
+    stock: &StockObjects,
     camera: &Camera,
     keep: impl Fn(&Object) -> bool,
 ) -> Vec<u32> {
-    let kept = scene.objects.iter().enumerate().filter(|(_, object)| keep(object));
-    let mut keyed: Vec<(f32, u32)> = kept
-        .map(|(index, object)| {
+    let objects = stock.objects.iter().map(|&index| (index, &scene.objects[index as usize]));
+    let mut keyed: Vec<(f32, usize, u32)> = objects
+        .enumerate()
+        .filter(|(_, (_, object))| keep(object))
+        .map(|(place, (index, object))| {
             let depths = footprint(object, camera).map(|corner| corner[1]);
-            (depths.into_iter().fold(f32::INFINITY, f32::min), index as u32)
+            (depths.into_iter().fold(f32::INFINITY, f32::min), place, index)
         })
         .collect();
     keyed.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-    keyed.into_iter().map(|(_, index)| index).collect()
+    keyed.into_iter().map(|(_, _, index)| index).collect()
 }
 
 /// The corners of an object's bounds on the floor plan, in camera space.

@@ -82,7 +82,7 @@ impl Views {
         let is_changed = !variant.closed().is_empty();
         let rendered = if is_changed { &mut self.rendered_closed } else { &mut self.rendered };
         let render = || {
-            let image = self.renderer.render_image(ViewSpec { pose, variant }).unwrap();
+            let image = self.renderer.render_image(ViewSpec { pose, variant, stock: 0 }).unwrap();
             let (width, height) = (image.width(), image.height());
             self.last_id += 1;
             Arc::new(Image::new(self.last_id, width, height, image.as_bytes().to_vec()))

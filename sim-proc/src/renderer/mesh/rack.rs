@@ -111,8 +111,10 @@ pub(crate) struct Bay {
     pub(crate) left: Edge,
     pub(crate) right: Edge,
     pub(crate) depth: f32,
-    /// Whether an item stands in it and a plate hangs above.
+    /// Whether an item stands in it.
     pub(crate) stocked: bool,
+    /// Whether a plate hangs in it.
+    pub(crate) plate: bool,
     /// Determines the loads above and below the item.
     pub(crate) seed: u32,
 }
@@ -136,7 +138,7 @@ impl Bay {
     pub(crate) fn mesh(&self, detail: Detail) -> Mesh {
         let mut b = MeshBuilder::new(detail);
         // Front to back, so that little is drawn over.
-        if self.stocked {
+        if self.plate {
             plate_holder(&mut b);
         }
         self.uprights(&mut b);

@@ -1,11 +1,13 @@
 //! A scene under construction: meshes, label plates and texts are added object by object.
 
+use domain::Appearance;
 use nalgebra::{Isometry3, Point3};
 use plates::Plate;
 use raster::{Atlas, Geometry, Layer, PlateVertex, SolidVertex, TextVertex};
 
-use super::object::{Object, Occluder, Scene};
-use crate::renderer::light::{Light, baked};
+use super::object::{Object, Scene, StockObjects};
+use crate::renderer::light::{Part, baked};
+use crate::renderer::look::Look;
 use crate::renderer::mesh::builder::Mesh;
 use crate::renderer::mesh::hall::barricade;
 use crate::renderer::text::{AtlasBuilder, PanelText};
@@ -26,19 +28,42 @@ struct PanelCorner {
 }
 
 /// A scene under construction.
-#[derive(Default)]
 pub(super) struct Assembly {
+    appearance: Appearance,
+    look: Look,
     solid: Layer<SolidVertex>,
     plate: Layer<PlateVertex>,
     text: Layer<PanelCorner>,
     objects: Vec<Object>,
-    occluders: Vec<Occluder>,
     atlas: AtlasBuilder,
 }
 
 impl Assembly {
-    /// Makes everything that `add` adds one object.
-    pub(super) fn object(&mut self, add: impl FnOnce(&mut Self)) {
+    /// An empty scene.
+    pub(super) fn new(appearance: Appearance) -> Self {
+        Self {
+            appearance,
+            look: Look::of(appearance.seed),
+            solid: Layer::default(),
+            plate: Layer::default(),
+            text: Layer::default(),
+            objects: Vec::new(),
+            atlas: AtlasBuilder::default(),
+        }
+    }
+
+    /// How the world looks.
+    pub(super) fn appearance(&self) -> Appearance {
+        self.appearance
+    }
+
+    /// All objects so far, as a stock.
+    pub(super) fn stock(&self) -> StockObjects {
+        StockObjects { objects: (0..self.objects.len() as u32).collect(), occluders: Vec::new() }
+    }
+
+    /// Makes everything that `add` adds one object, and returns its index.
+    pub(super) fn object(&mut self, add: impl FnOnce(&mut Self)) -> u32 {
         let counts =
             |a: &Self| [a.solid.vertices.len(), a.plate.vertices.len(), a.text.vertices.len()];
         let ends = |a: &Self| [a.solid.indices.len(), a.plate.indices.len(), a.text.indices.len()];
@@ -63,6 +88,7 @@ impl Assembly {
             plate: start[1]..end[1],
             text: start[2]..end[2],
         });
+        self.objects.len() as u32 - 1
     }
 
     /// As [`Self::object`], with the lit meshes of `far` in place of those of `near` when seen from several metres. Both
@@ -71,22 +97,21 @@ impl Assembly {
         &mut self,
         near: impl FnOnce(&mut Self),
         far: impl FnOnce(&mut Self),
-    ) {
-        self.object(near);
+    ) -> u32 {
+        let object = self.object(near);
         let start = self.solid.indices.len();
         far(self);
         let end = self.solid.indices.len();
-        if let Some(object) = self.objects.last_mut() {
-            object.far = start..end;
-        }
+        self.objects[object as usize].far = start..end;
+        object
     }
 
     /// Adds a mesh, lit.
-    pub(super) fn solid(&mut self, mesh: &Mesh, world_from_mesh: &Isometry3<f32>, light: Light) {
+    pub(super) fn solid(&mut self, mesh: &Mesh, world_from_mesh: &Isometry3<f32>, part: Part) {
         let first = self.solid.vertices.len() as u32;
         self.solid.vertices.extend(mesh.vertices.iter().map(|vertex| SolidVertex {
             position: (world_from_mesh * vertex.position).into(),
-            colour: baked(vertex, light),
+            colour: baked(vertex, part, &self.look),
         }));
         self.solid.indices.extend(mesh.indices.iter().map(|index| first + index));
     }
@@ -97,8 +122,11 @@ impl Assembly {
             .map(|[x, z]| (world_from_face * Point3::new(x, -out, z)).into())
     }
 
-    /// Adds a label plate above the face.
+    /// Adds a label plate above the face, if the world has plates.
     pub(super) fn plate(&mut self, world_from_face: &Isometry3<f32>, plate: Plate) {
+        if !self.appearance.plates {
+            return;
+        }
         let (half, centre) = (plates::SIZE_M / 2.0, plates::CENTRE_HEIGHT_M);
         let rect = [-half, centre - half, half, centre + half];
         let code = plate_code(plate);
@@ -112,7 +140,14 @@ impl Assembly {
         self.plate.indices.extend([0, 1, 2, 0, 2, 3].map(|i| first + i));
     }
 
-    /// Adds a panel with text, `out` metres in front of the face.
+    /// Reserves the text's place in the atlas, if it has none. Returns the place in texels: left, top, right, bottom.
+    pub(super) fn reserve_text(&mut self, rect: [f32; 4], label: &Label<'_>) -> [u32; 4] {
+        let texels = |metres: f32| (metres * label.texels_per_m).round() as u32;
+        let size = [texels(rect[2] - rect[0]), texels(rect[3] - rect[1])];
+        self.atlas.rect(PanelText { text: label.text.to_owned(), size })
+    }
+
+    /// Adds a panel with text, `out` metres in front of the face, if the world has labels.
     pub(super) fn text(
         &mut self,
         world_from_face: &Isometry3<f32>,
@@ -120,9 +155,10 @@ impl Assembly {
         out: f32,
         label: &Label<'_>,
     ) {
-        let texels = |metres: f32| (metres * label.texels_per_m).round() as u32;
-        let size = [texels(rect[2] - rect[0]), texels(rect[3] - rect[1])];
-        let [l, t, r, b] = self.atlas.rect(PanelText { text: label.text.to_owned(), size });
+        if !self.appearance.labels {
+            return;
+        }
+        let [l, t, r, b] = self.reserve_text(rect, label);
         let opaque = |[r, g, b]: [u8; 3]| [r, g, b, 255];
         let first = self.text.vertices.len() as u32;
         for (position, texel) in Self::panel(world_from_face, rect, out).into_iter().zip([
@@ -142,19 +178,10 @@ impl Assembly {
         self.text.indices.extend([0, 1, 2, 0, 2, 3].map(|i| first + i));
     }
 
-    /// Adds an upright panel that hides what is behind it, by its ends in the face's frame.
-    pub(super) fn occluder(&mut self, frame: &Isometry3<f32>, from: [f32; 2], to: [f32; 2]) {
-        let at = |[x, y]: [f32; 2]| {
-            let point = frame * Point3::new(x, y, 0.0);
-            [point.x, point.y]
-        };
-        self.occluders.push(Occluder { from: at(from), to: at(to) });
-    }
-
     /// Draws the atlas and completes the scene.
-    pub(super) fn finish(mut self) -> Scene {
+    pub(super) fn finish(mut self, stocks: Vec<StockObjects>) -> Scene {
         let first = self.solid.indices.len();
-        self.solid(&barricade(), &Isometry3::identity(), Light::Bay);
+        self.solid(&barricade(), &Isometry3::identity(), Part::Barricade);
         let barricade = first..self.solid.indices.len();
         let planes = planes(&self.solid);
         let atlas = self.atlas.draw();
@@ -169,7 +196,7 @@ impl Assembly {
             geometry: Geometry { solid: self.solid, plate: self.plate, text, atlas, barricade },
             planes,
             objects: self.objects,
-            occluders: self.occluders,
+            stocks,
         }
     }
 }

@@ -1,6 +1,6 @@
 //! The catalogue as a scene: every type in a bay of its own, far apart on an empty floor.
 
-use domain::Heading;
+use domain::{Appearance, Heading};
 use nalgebra::Isometry3;
 use warehouse::Catalogue;
 
@@ -8,7 +8,7 @@ use super::assembly::Assembly;
 use super::frames::world_from_face;
 use super::object::Scene;
 use super::racks;
-use crate::renderer::light::Light;
+use crate::renderer::light::Part;
 use crate::renderer::mesh::hall;
 use crate::renderer::mesh::rack::{BAY_DEPTH_M, Bay, Edge};
 
@@ -25,8 +25,11 @@ pub(in crate::renderer) struct ItemStand {
 }
 
 /// The scene, and the stand of every type in the order of the catalogue.
-pub(in crate::renderer) fn catalogue_scene(catalogue: &Catalogue) -> (Scene, Vec<ItemStand>) {
-    let mut assembly = Assembly::default();
+pub(in crate::renderer) fn catalogue_scene(
+    catalogue: &Catalogue,
+    appearance: Appearance,
+) -> (Scene, Vec<ItemStand>) {
+    let mut assembly = Assembly::new(appearance);
     let mut stands = Vec::new();
     for index in 0..catalogue.types.len() {
         let stand = ItemStand { at: [SPACING_M * index as f32, 0.0], viewer: Heading::N };
@@ -35,14 +38,16 @@ pub(in crate::renderer) fn catalogue_scene(catalogue: &Catalogue) -> (Scene, Vec
             right: Edge::Closed,
             depth: BAY_DEPTH_M,
             stocked: true,
+            plate: appearance.plates,
             seed: index as u32 + 1,
         };
         let frame = world_from_face(stand.at, stand.viewer);
         let number = format!("{:02}", index + 1);
         racks::stocked_bay(&mut assembly, &frame, &bay, catalogue, index, &number);
         let floor = hall::open_floor(stand.at, SPACING_M / 2.0);
-        assembly.object(|a| a.solid(&floor, &Isometry3::identity(), Light::Hall));
+        assembly.object(|a| a.solid(&floor, &Isometry3::identity(), Part::Floor));
         stands.push(stand);
     }
-    (assembly.finish(), stands)
+    let stock = assembly.stock();
+    (assembly.finish(vec![stock]), stands)
 }

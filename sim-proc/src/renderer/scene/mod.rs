@@ -10,20 +10,23 @@ mod hall;
 mod object;
 mod racks;
 
+use domain::Appearance;
 use warehouse::Warehouse;
 
 use assembly::Assembly;
 
 pub(super) use catalogue::{ItemStand, catalogue_scene};
 pub(super) use frames::barricade_sides;
-pub(super) use object::{Object, Occluder, Scene};
+pub(super) use object::{Object, Occluder, Scene, StockObjects};
 
 impl Scene {
-    /// The scene of `warehouse`.
-    pub(super) fn new(warehouse: &Warehouse) -> Self {
-        let mut assembly = Assembly::default();
-        hall::build(&mut assembly, &warehouse.layout);
-        racks::build(&mut assembly, warehouse);
-        assembly.finish()
+    /// The scene of a hall with each of `stocks`, which differ in their items only.
+    pub(super) fn new(stocks: &[Warehouse], appearance: Appearance) -> Self {
+        let mut assembly = Assembly::new(appearance);
+        if let Some(first) = stocks.first() {
+            hall::build(&mut assembly, &first.layout);
+        }
+        let stocks = racks::build(&mut assembly, stocks);
+        assembly.finish(stocks)
     }
 }

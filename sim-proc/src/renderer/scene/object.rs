@@ -30,6 +30,16 @@ pub(in crate::renderer) struct Scene {
     /// The plane of each lit triangle: its unit normal, and the normal's dot product with any point of the triangle.
     pub(in crate::renderer) planes: Vec<[f32; 4]>,
     pub(in crate::renderer) objects: Vec<Object>,
+    /// What each stock consists of.
+    pub(in crate::renderer) stocks: Vec<StockObjects>,
+}
+
+/// The objects that there are with one of a scene's stocks, and what hides others. Every stock has the same number of
+/// objects, and the objects at the same place of two stocks are the same side of a rack, or one object.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub(in crate::renderer) struct StockObjects {
+    /// Indices of the scene's objects.
+    pub(in crate::renderer) objects: Vec<u32>,
     pub(in crate::renderer) occluders: Vec<Occluder>,
 }
 

@@ -1,13 +1,16 @@
 //! Decides which rack faces are bays, how bays meet, and what stands in them.
 
+use std::collections::HashMap;
+
 use domain::{Cell, Heading};
 use nalgebra::{Isometry3, Point3};
 use plates::Plate;
-use warehouse::{Axis, Catalogue, Layout, Square, Warehouse};
+use warehouse::{Axis, Catalogue, Item, Layout, Square, Warehouse};
 
 use super::assembly::{Assembly, Label};
 use super::frames::{side_of, world_from_face};
-use crate::renderer::light::Light;
+use super::object::{Occluder, StockObjects};
+use crate::renderer::light::Part;
 use crate::renderer::mesh::builder::{Detail, Mesh};
 use crate::renderer::mesh::items::item;
 use crate::renderer::mesh::rack::{
@@ -16,39 +19,101 @@ use crate::renderer::mesh::rack::{
 };
 
 /// Adds every rack face that borders floor: a bay where an item stands; elsewhere a bay or, at the end of a row, a sheet
-/// of steel.
-pub(super) fn build(assembly: &mut Assembly, warehouse: &Warehouse) {
-    let faces = RackFaces { warehouse };
-    let layout = &warehouse.layout;
-    for rack in layout.cells().filter(|&cell| layout.square(cell) == Square::Rack) {
-        for face in Heading::ALL {
-            let frame = world_from_face(side_of(rack, face), face.opposite());
-            match faces.kind(rack, face) {
-                FaceKind::Inner => {}
-                FaceKind::Closed => {
-                    assembly.object(|a| a.solid(&closed_face(), &frame, Light::Bay));
-                    let [from, to] = CLOSED_FACE_OCCLUDER_M;
-                    assembly.occluder(&frame, from, to);
-                }
-                FaceKind::Bay => {
-                    let bay = faces.bay(rack, face);
-                    let stock = warehouse.items.iter().find(|i| i.rack == rack && i.face == face);
-                    if let Some(stock) = stock {
-                        let number = bay_number(layout, stock.standpoint);
-                        let catalogue = &warehouse.catalogue;
-                        stocked_bay(assembly, &frame, &bay, catalogue, stock.item_type, &number);
-                    } else {
-                        assembly.object_with_far(
-                            |a| a.solid(&bay.mesh(Detail::Near), &frame, Light::Bay),
-                            |a| a.solid(&bay.mesh(Detail::Far), &frame, Light::Bay),
-                        );
-                    }
-                    for [from, to] in bay.occluders() {
-                        assembly.occluder(&frame, from, to);
-                    }
-                }
-            }
+/// of steel. A face that is the same with several stocks is added once. Returns what each stock consists of, together with
+/// all that `assembly` holds already.
+pub(super) fn build(assembly: &mut Assembly, stocks: &[Warehouse]) -> Vec<StockObjects> {
+    let hall = assembly.stock();
+    let mut built: HashMap<(Cell, Heading), Vec<BuiltFace>> = HashMap::new();
+    let mut build = |assembly: &mut Assembly, warehouse: &Warehouse| {
+        let faces = RackFaces::new(warehouse, assembly.appearance().plates);
+        let mut stock = hall.clone();
+        for (rack, side) in sides(&warehouse.layout) {
+            let Some(face) = faces.face(rack, side) else { continue };
+            let built = built.entry((rack, side)).or_default();
+            let at = built.iter().position(|built| built.face == face).unwrap_or_else(|| {
+                let frame = world_from_face(side_of(rack, side), side.opposite());
+                built.push(face.build(assembly, &frame, &warehouse.catalogue));
+                built.len() - 1
+            });
+            stock.objects.push(built[at].object);
+            stock.occluders.extend(&built[at].occluders);
         }
+        stock
+    };
+    let Some((first, others)) = stocks.split_first() else { return Vec::new() };
+    let mut stocks = vec![build(assembly, first)];
+    if !others.is_empty() {
+        reserve_numbers(assembly, &first.layout);
+    }
+    stocks.extend(others.iter().map(|warehouse| build(assembly, warehouse)));
+    stocks
+}
+
+/// All sides of all rack squares.
+fn sides(layout: &Layout) -> impl Iterator<Item = (Cell, Heading)> + '_ {
+    let racks = layout.cells().filter(|&cell| layout.square(cell) == Square::Rack);
+    racks.flat_map(|rack| Heading::ALL.map(|side| (rack, side)))
+}
+
+/// Gives the number of every bay its place in the atlas, so that the pixels of a stock do not depend on the others. The
+/// names of all types are there with the first stock, in which every type has an item.
+fn reserve_numbers(assembly: &mut Assembly, layout: &Layout) {
+    if !assembly.appearance().labels {
+        return;
+    }
+    for (rack, side) in sides(layout) {
+        if let Some(standpoint) = layout.free_neighbour(rack, side) {
+            assembly.reserve_text(BAY_NUMBER_M, &number_label(&bay_number(layout, standpoint)));
+        }
+    }
+}
+
+/// What a side of a rack looks like.
+#[derive(Debug, Clone, PartialEq)]
+enum Face {
+    /// A sheet of steel.
+    Closed,
+    /// Shelves without an item.
+    Bay(Bay),
+    /// Shelves with an item of this type, under this number.
+    Stocked(Bay, usize, String),
+}
+
+/// A face that has been added.
+struct BuiltFace {
+    face: Face,
+    object: u32,
+    occluders: Vec<Occluder>,
+}
+
+impl Face {
+    /// Adds the face as one object.
+    fn build(
+        self,
+        assembly: &mut Assembly,
+        frame: &Isometry3<f32>,
+        catalogue: &Catalogue,
+    ) -> BuiltFace {
+        let object = match &self {
+            Self::Closed => assembly.object(|a| a.solid(&closed_face(), frame, Part::Rack)),
+            Self::Bay(bay) => assembly.object_with_far(
+                |a| a.solid(&bay.mesh(Detail::Near), frame, Part::Rack),
+                |a| a.solid(&bay.mesh(Detail::Far), frame, Part::Rack),
+            ),
+            Self::Stocked(bay, item_type, number) => {
+                stocked_bay(assembly, frame, bay, catalogue, *item_type, number)
+            }
+        };
+        let panels = match &self {
+            Self::Closed => vec![CLOSED_FACE_OCCLUDER_M],
+            Self::Bay(bay) | Self::Stocked(bay, ..) => bay.occluders(),
+        };
+        let at = |[x, y]: [f32; 2]| {
+            let point = frame * Point3::new(x, y, 0.0);
+            [point.x, point.y]
+        };
+        let occluder = |[from, to]: [[f32; 2]; 2]| Occluder { from: at(from), to: at(to) };
+        BuiltFace { object, occluders: panels.into_iter().map(occluder).collect(), face: self }
     }
 }
 
@@ -60,13 +125,13 @@ pub(super) fn stocked_bay(
     catalogue: &Catalogue,
     item_type: usize,
     number: &str,
-) {
+) -> u32 {
     let kind = &catalogue.types[item_type];
     let category = &catalogue.categories[kind.category];
     let solid = |a: &mut Assembly, detail| {
         let item = on_shelf(item(kind.shape, kind.colour, detail), bay.depth);
-        a.solid(&item, world_from_face, Light::Shelf);
-        a.solid(&bay.mesh(detail), world_from_face, Light::Bay);
+        a.solid(&item, world_from_face, Part::Item);
+        a.solid(&bay.mesh(detail), world_from_face, Part::Rack);
     };
     let near = |a: &mut Assembly| {
         solid(a, Detail::Near);
@@ -78,11 +143,13 @@ pub(super) fn stocked_bay(
             texels_per_m: 560.0,
         };
         a.text(world_from_face, LABEL_M, PANEL_OFFSET_M, &label);
-        let number =
-            Label { text: number, ink: [250, 250, 250], paper: [36, 44, 58], texels_per_m: 300.0 };
-        a.text(world_from_face, BAY_NUMBER_M, PANEL_OFFSET_M, &number);
+        a.text(world_from_face, BAY_NUMBER_M, PANEL_OFFSET_M, &number_label(number));
     };
-    assembly.object_with_far(near, |a| solid(a, Detail::Far));
+    assembly.object_with_far(near, |a| solid(a, Detail::Far))
+}
+
+fn number_label(number: &str) -> Label<'_> {
+    Label { text: number, ink: [250, 250, 250], paper: [36, 44, 58], texels_per_m: 300.0 }
 }
 
 /// Moves an item's mesh onto the shelf of a bay this deep. In a shallow bay it is scaled down.
@@ -126,20 +193,42 @@ enum FaceKind {
 
 /// Decides for every rack square which of its faces are bays.
 struct RackFaces<'a> {
-    warehouse: &'a Warehouse,
+    layout: &'a Layout,
+    /// By rack square and side.
+    items: HashMap<(Cell, Heading), &'a Item>,
+    /// Whether a plate hangs above every item.
+    plates: bool,
 }
 
-impl RackFaces<'_> {
+impl<'a> RackFaces<'a> {
+    fn new(warehouse: &'a Warehouse, plates: bool) -> Self {
+        let items = warehouse.items.iter().map(|item| ((item.rack, item.face), item)).collect();
+        Self { layout: &warehouse.layout, items, plates }
+    }
+
+    /// What the side looks like; `None` if it borders no floor.
+    fn face(&self, rack: Cell, face: Heading) -> Option<Face> {
+        match (self.kind(rack, face), self.items.get(&(rack, face))) {
+            (FaceKind::Inner, _) => None,
+            (FaceKind::Closed, _) => Some(Face::Closed),
+            (FaceKind::Bay, None) => Some(Face::Bay(self.bay(rack, face))),
+            (FaceKind::Bay, Some(item)) => {
+                let number = bay_number(self.layout, item.standpoint);
+                Some(Face::Stocked(self.bay(rack, face), item.item_type, number))
+            }
+        }
+    }
+
     fn is_open(&self, rack: Cell, face: Heading) -> bool {
-        self.warehouse.layout.free_neighbour(rack, face).is_some()
+        self.layout.free_neighbour(rack, face).is_some()
     }
 
     fn holds_item(&self, rack: Cell, face: Heading) -> bool {
-        self.warehouse.items.iter().any(|item| item.rack == rack && item.face == face)
+        self.items.contains_key(&(rack, face))
     }
 
     fn kind(&self, rack: Cell, face: Heading) -> FaceKind {
-        let is_rack = self.warehouse.layout.square(rack) == Square::Rack;
+        let is_rack = self.layout.square(rack) == Square::Rack;
         if !is_rack || !self.is_open(rack, face) {
             return FaceKind::Inner;
         }
@@ -159,6 +248,7 @@ impl RackFaces<'_> {
             right: self.edge(rack, face, viewer.right()),
             depth: self.depth(rack),
             stocked: self.holds_item(rack, face),
+            plate: self.plates && self.holds_item(rack, face),
             seed: u32::from(rack.x) * 131 + u32::from(rack.y) * 4 + face as u32 + 1,
         }
     }

@@ -1,0 +1,147 @@
+//! The worlds of a run: what stands on the shelves, and which passages are closed.
+
+use std::collections::HashMap;
+use std::hash::Hash;
+
+use warehouse::{CaseSet, Layout, Variant, Warehouse, WorldState};
+
+/// A world by its parts, each as an index into those of [`Worlds`].
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub struct World {
+    /// What stands on the shelves.
+    pub stock: u32,
+    /// Which passages are closed.
+    pub closing: u32,
+}
+
+impl World {
+    /// The unchanged world.
+    pub const UNCHANGED: Self = Self { stock: 0, closing: 0 };
+}
+
+/// All worlds of a run, and their parts, each once.
+#[derive(Debug, Clone)]
+pub struct Worlds {
+    /// The unchanged warehouse first. They differ in their items only.
+    stocks: Vec<Warehouse>,
+    /// No closed passage first.
+    closings: Vec<Variant>,
+    /// By number of the world variant on the wire.
+    variants: Vec<World>,
+}
+
+impl Worlds {
+    /// The unchanged warehouse, the warehouse with the barricade of each case, and `states` of it.
+    pub fn new(warehouse: &Warehouse, cases: &CaseSet, states: Vec<WorldState>) -> Self {
+        let closing = |cells: &[domain::Cell]| Variant::closing(cells.iter().copied());
+        let mut parts = vec![(warehouse.clone(), Variant::UNCHANGED)];
+        parts.extend(cases.cases.iter().map(|c| (warehouse.clone(), closing(&c.barricade))));
+        parts.extend(states.into_iter().map(|state| (state.warehouse, state.variant)));
+        let (stocks, closings): (Vec<_>, Vec<_>) = parts.into_iter().unzip();
+        let stock_key = |warehouse: &Warehouse| {
+            let items = warehouse.items.iter().map(|item| (item.standpoint, item.item_type));
+            items.collect::<Vec<_>>()
+        };
+        let (stocks, stock_of) = distinct(stocks, stock_key);
+        let (closings, closing_of) = distinct(closings, Variant::clone);
+        let variants = stock_of.into_iter().zip(closing_of);
+        let variants = variants.map(|(stock, closing)| World { stock, closing }).collect();
+        Self { stocks, closings, variants }
+    }
+
+    /// The floor plan.
+    pub fn layout(&self) -> &Layout {
+        &self.stocks[0].layout
+    }
+
+    /// The warehouse with each stock.
+    pub fn stocks(&self) -> &[Warehouse] {
+        &self.stocks
+    }
+
+    /// The number of world variants.
+    pub fn len(&self) -> usize {
+        self.variants.len()
+    }
+
+    /// Whether there is no world; never.
+    pub fn is_empty(&self) -> bool {
+        self.variants.is_empty()
+    }
+
+    /// World variant `number`, if there is one.
+    pub fn variant(&self, number: u32) -> Option<World> {
+        self.variants.get(number as usize).copied()
+    }
+
+    /// The closed passages of `world`.
+    ///
+    /// # Panics
+    /// When `world` is not one of these.
+    pub fn closed(&self, world: World) -> &Variant {
+        &self.closings[world.closing as usize]
+    }
+}
+
+/// The distinct values of `all` in the order of their first occurrence, and the index among them of each of `all`.
+fn distinct<T, K: Eq + Hash>(all: Vec<T>, key: impl Fn(&T) -> K) -> (Vec<T>, Vec<u32>) {
+    let (mut kept, mut known) = (Vec::new(), HashMap::new());
+    let index = |value: T| {
+        *known.entry(key(&value)).or_insert_with(|| {
+            kept.push(value);
+            kept.len() as u32 - 1
+        })
+    };
+    let indices = all.into_iter().map(index).collect();
+    (kept, indices)
+}
+
+#[cfg(test)]
+mod tests {
+    use domain::Cell;
+    use warehouse::{StockChange, WorldChange};
+
+    use super::*;
+
+    #[test]
+    fn every_case_has_its_barricade_and_equal_worlds_are_one() {
+        let (warehouse, cases) = (Warehouse::shipped(), CaseSet::shipped());
+        let worlds = Worlds::new(&warehouse, &cases, Vec::new());
+        assert_eq!(worlds.variant(0), Some(World::UNCHANGED));
+        assert_eq!(worlds.closed(World::UNCHANGED), &Variant::UNCHANGED);
+        for (case, number) in cases.cases.iter().zip(1..) {
+            let world = worlds.variant(number).unwrap();
+            assert_eq!(worlds.closed(world).closed(), case.barricade);
+            assert_eq!(world.stock, 0);
+        }
+        assert_eq!((worlds.len(), worlds.stocks().len()), (cases.cases.len() + 1, 1));
+        let closings = &worlds.closings;
+        assert!((1..closings.len()).all(|n| !closings[..n].contains(&closings[n])));
+    }
+
+    #[test]
+    fn states_come_after_the_cases_and_share_stocks_and_closings() {
+        let (warehouse, cases) = (Warehouse::shipped(), CaseSet::shipped());
+        let emptied = |at: usize| {
+            vec![StockChange { standpoint: warehouse.items[at].standpoint, item_type: None }]
+        };
+        let closed: Vec<Cell> = cases.cases[0].barricade.clone();
+        let changes = [
+            WorldChange { closed: closed.clone(), stock: Vec::new() },
+            WorldChange { closed: closed.clone(), stock: emptied(3) },
+            WorldChange { closed: Vec::new(), stock: emptied(4) },
+            WorldChange { closed: Vec::new(), stock: emptied(3) },
+        ];
+        let states = changes.iter().map(|change| WorldState::new(&warehouse, change).unwrap());
+        let worlds = Worlds::new(&warehouse, &cases, states.collect());
+        let first = cases.cases.len() as u32 + 1;
+        let closing = worlds.variant(1).unwrap().closing;
+        let expected = [(0, closing), (1, closing), (2, 0), (1, 0)];
+        for (number, (stock, closing)) in (first..).zip(expected) {
+            assert_eq!(worlds.variant(number), Some(World { stock, closing }));
+        }
+        assert_eq!(worlds.variant(first + 4), None);
+        let standpoint = warehouse.items[3].standpoint;
+        assert_eq!(worlds.stocks()[1].item_at(standpoint), None);
+    }
+}
