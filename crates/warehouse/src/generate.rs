@@ -47,10 +47,10 @@ const TESTS_TRIED: usize = 60;
 /// A placeholder until the whole set exists, from which histories are chosen.
 const NO_HISTORIES: [History; 2] = [History { case: usize::MAX, start: Start::Original }; 2];
 
-/// Why a set of cases cannot be generated.
+/// Why a warehouse or a set of cases cannot be generated.
 #[derive(Debug, thiserror::Error)]
 #[error("{0}")]
-pub struct GenerateError(String);
+pub struct GenerateError(pub(crate) String);
 
 impl CaseSet {
     /// Generates `count` cases, a tenth of each type, and one more of the first types if ten does not divide `count`. Ids

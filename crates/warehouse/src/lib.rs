@@ -6,7 +6,7 @@
 //! - [`case`]: a task with its six trajectories; [`case_file`]: a set of cases as a text file.
 //! - [`demonstrations`]: which demonstrations a memory is built from; [`mixed`]: histories of other tasks.
 //! - [`plan`]: expert trajectories and the fewest steps; [`sight`]: which items are in view, computed on the grid.
-//! - [`CaseSet::generate`]: cases from a seed; [`validate`](mod@validate): every constraint checked by replay; [`map`]:
+//! - [`GeneratedWorld`]: a warehouse from a seed; [`CaseSet::generate`]: cases from a seed; [`validate`](mod@validate): every constraint checked by replay; [`map`]:
 //!   maps as SVG.
 //!
 //! All arithmetic is in integers on a grid, so every machine computes the same.
@@ -20,6 +20,7 @@ pub mod demonstrations;
 mod draw;
 pub mod dynamics;
 mod generate;
+mod generate_world;
 pub mod layout;
 pub mod map;
 pub mod mixed;
@@ -40,10 +41,11 @@ pub use catalogue::{Catalogue, Category, ItemType, Shape};
 pub use constraints::MAX_DETOUR_PERCENT;
 pub use demonstrations::{Demonstrations, UnknownDemonstrations};
 pub use dynamics::{MAX_STEPS, Variant, step};
+pub use generate_world::{GeneratedWorld, MIN_SIDE, corridors};
 pub use generate::{GenerateError, SHIPPED_COUNT, SHIPPED_SEED};
-pub use layout::{Aisle, Axis, Layout, Square};
+pub use layout::{Aisle, Axis, Layout, MAX_SIDE, Square};
 pub use mixed::Overlap;
 pub use progress::Progress;
 pub use task::{Phase, Task, TaskGroup};
 pub use validate::validate;
-pub use world::{Item, Warehouse};
+pub use world::{CATALOGUE_FILE, Item, LAYOUT_FILE, Warehouse};

@@ -8,13 +8,17 @@ use crate::asset::{AssetError, Problem, invalid, read};
 use crate::catalogue::{self, Catalogue, Stock, StockCell};
 use crate::layout::{Layout, Square};
 
-const LAYOUT_FILE: &str = "layout.toml";
-const CATALOGUE_FILE: &str = "catalogue.toml";
-const SHIPPED_LAYOUT: &str = include_str!("../../../assets/layout.toml");
-const SHIPPED_CATALOGUE: &str = include_str!("../../../assets/catalogue.toml");
+/// The name of the floor plan's file in an assets folder.
+pub const LAYOUT_FILE: &str = "layout.toml";
+
+/// The name of the catalogue's file in an assets folder.
+pub const CATALOGUE_FILE: &str = "catalogue.toml";
+
+pub(crate) const SHIPPED_LAYOUT: &str = include_str!("../../../assets/layout.toml");
+pub(crate) const SHIPPED_CATALOGUE: &str = include_str!("../../../assets/catalogue.toml");
 
 /// Maximum number of items of one category, because planning searches all visit orders.
-const MAX_CATEGORY: usize = 16;
+pub(crate) const MAX_CATEGORY: usize = 16;
 
 /// One item in its bay.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
