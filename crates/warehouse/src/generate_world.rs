@@ -15,6 +15,7 @@ use crate::generate::GenerateError;
 use crate::layout::{Layout, MAX_SIDE, Square};
 use crate::world::{
     CATALOGUE_FILE, LAYOUT_FILE, MAX_CATEGORY, SHIPPED_CATALOGUE, SHIPPED_LAYOUT, Warehouse,
+    are_neighbours, groups,
 };
 
 /// Smallest side of a generated warehouse, in cells.
@@ -31,6 +32,9 @@ const BAYS_PER_CATEGORY: usize = 11;
 
 /// Types of a category that may be missing from no stock, and their least number of items.
 const LEAST_OF_TYPE: usize = 2;
+
+/// How much farther along the rack a category goes before it takes a bay of another face, in cells.
+const TURNED_CELLS: u32 = 8;
 
 /// The streams of the seed. Cases draw from streams with a task type in the upper half, so these are apart.
 const LAYOUT_STREAM: u64 = 1 << 56;
@@ -152,10 +156,8 @@ fn layout_text(draw: &mut Draw, width: usize, height: usize, corridors: Option<u
     rows.reverse();
     let mut text = format!("{}plan = \"\"\"\n{}\n\"\"\"\n", head(SHIPPED_LAYOUT), rows.join("\n"));
     for NamedAisle { mark, name, runs } in aisles {
-        let _ = write!(
-            text,
-            "\n[[aisle]]\nmark = \"{mark}\"\nname = \"{name}\"\nruns = \"{runs}\"\n"
-        );
+        let _ =
+            write!(text, "\n[[aisle]]\nmark = \"{mark}\"\nname = \"{name}\"\nruns = \"{runs}\"\n");
     }
     text
 }
@@ -214,7 +216,7 @@ impl Names {
 /// The text of `catalogue.toml`.
 fn catalogue_text(draw: &mut Draw, layout: &Layout) -> String {
     let shipped: Vec<&str> = SHIPPED_CATALOGUE.split("[[category]]").skip(1).collect();
-    let bays: Vec<Cell> = layout.free_cells().filter(|&cell| is_bay(layout, cell)).collect();
+    let bays: Vec<Bay> = layout.free_cells().filter_map(|cell| bay(layout, cell)).collect();
     let count = (bays.len() / BAYS_PER_CATEGORY).clamp(1, shipped.len());
     let mut chosen = draw.shuffled((0..shipped.len()).collect());
     chosen.truncate(count);
@@ -261,32 +263,46 @@ fn head(text: &str) -> String {
     comments.collect()
 }
 
-/// Whether an item can be reached from `cell`: there is one rack beside it.
-fn is_bay(layout: &Layout, cell: Cell) -> bool {
-    let racks = Heading::ALL
-        .into_iter()
-        .filter(|&heading| cell.step(heading).is_some_and(|c| layout.square(c) == Square::Rack));
-    racks.count() == 1
+/// A place for an item.
+#[derive(Clone, Copy)]
+struct Bay {
+    standpoint: Cell,
+    /// The direction from the standpoint to the rack.
+    towards: Heading,
 }
 
-/// A stretch of neighbouring bays for each of `count` categories. They start far apart and grow by turns, each by the bay that
-/// is nearest to where it started.
-fn stretches(draw: &mut Draw, bays: &[Cell], count: usize) -> Vec<Vec<Cell>> {
+/// The bay in front of `cell`, if there is one rack beside it.
+fn bay(layout: &Layout, cell: Cell) -> Option<Bay> {
+    let is_rack = |heading: &Heading| {
+        cell.step(*heading).is_some_and(|next| layout.square(next) == Square::Rack)
+    };
+    let mut racks = Heading::ALL.into_iter().filter(is_rack);
+    let bay = Bay { standpoint: cell, towards: racks.next()? };
+    racks.next().is_none().then_some(bay)
+}
+
+/// The standpoints of a stretch of neighbouring bays for each of `count` categories. They start far apart and grow by turns,
+/// each by the nearest bay to where it started, along the rack rather than across the aisle.
+fn stretches(draw: &mut Draw, bays: &[Bay], count: usize) -> Vec<Vec<Cell>> {
     let mut free = draw.shuffled(bays.to_vec());
-    let mut stretches: Vec<Vec<Cell>> = Vec::new();
+    let mut starts: Vec<Bay> = Vec::new();
     for _ in 0..count {
-        let room = |cell: &Cell| stretches.iter().map(|s| s[0].distance(*cell)).min();
-        // `max_by_key` keeps one of equals by their drawn order.
+        let room = |bay: &Bay| starts.iter().map(|s| s.standpoint.distance(bay.standpoint)).min();
         let Some(at) = (0..free.len()).max_by_key(|&at| room(&free[at])) else { break };
-        stretches.push(vec![free.remove(at)]);
+        starts.push(free.remove(at));
     }
+    let mut stretches: Vec<Vec<Cell>> = starts.iter().map(|bay| vec![bay.standpoint]).collect();
     let longest = (bays.len() / count).min(2 * MAX_CATEGORY);
     for _ in 1..longest {
-        for stretch in &mut stretches {
-            let nearest = (0..free.len())
-                .filter(|&at| stretch.iter().any(|cell| are_neighbours(*cell, free[at])))
-                .min_by_key(|&at| stretch[0].distance(free[at]));
-            stretch.extend(nearest.map(|at| free.remove(at)));
+        for (start, stretch) in starts.iter().zip(&mut stretches) {
+            let is_next = |bay: &Bay| stretch.iter().any(|&at| are_neighbours(at, bay.standpoint));
+            let away = |bay: &Bay| {
+                let turned = if bay.towards == start.towards { 0 } else { TURNED_CELLS };
+                bay.standpoint.distance(start.standpoint) + turned
+            };
+            let next = (0..free.len()).filter(|&at| is_next(&free[at]));
+            let nearest = next.min_by_key(|&at| away(&free[at]));
+            stretch.extend(nearest.map(|at| free.remove(at).standpoint));
         }
     }
     stretches
@@ -300,25 +316,9 @@ fn thinned(draw: &mut Draw, stretch: Vec<Cell>, count: usize) -> Vec<Cell> {
             break;
         }
         let rest: Vec<Cell> = kept.iter().copied().filter(|&other| other != cell).collect();
-        if is_one_group(&rest) {
+        if groups(rest.clone()).len() == 1 {
             kept = rest;
         }
     }
     kept
-}
-
-/// Whether bays with these standpoints are neighbours: beside each other, one apart, or around the corner of a rack.
-fn are_neighbours(one: Cell, other: Cell) -> bool {
-    one.distance(other) <= 2
-}
-
-fn is_one_group(cells: &[Cell]) -> bool {
-    let mut rest = cells.to_vec();
-    let mut group: Vec<Cell> = rest.pop().into_iter().collect();
-    let mut next = 0;
-    while let Some(&cell) = group.get(next) {
-        next += 1;
-        group.extend(rest.extract_if(.., |other| are_neighbours(cell, *other)));
-    }
-    rest.is_empty()
 }
