@@ -1,7 +1,8 @@
 //! Generates cases from a seed: draws a task and a start, then the other five starts and the barricade, until every
 //! constraint holds.
 //!
-//! Each case draws from its own stream, so the first cases of a larger set are those of a smaller one. The seed alone
+//! Each case draws from its own stream, so the first cases of a larger set are those of a smaller one, apart from cases that
+//! are drawn again because the set offers too few histories for them. The seed alone
 //! determines the order in which candidates are tried.
 
 use domain::{Cell, Heading, Pose};
@@ -44,19 +45,23 @@ const TARGETS_TRIED: usize = 50;
 /// Test starts tried for an original start.
 const TESTS_TRIED: usize = 60;
 
+/// Cases of a set that are drawn again for want of histories of other tasks.
+const REDRAWN: usize = 100;
+
 /// A placeholder until the whole set exists, from which histories are chosen.
 const NO_HISTORIES: [History; 2] = [History { case: usize::MAX, start: Start::Original }; 2];
 
-/// Why a set of cases cannot be generated.
+/// Why a warehouse or a set of cases cannot be generated.
 #[derive(Debug, thiserror::Error)]
 #[error("{0}")]
-pub struct GenerateError(String);
+pub struct GenerateError(pub(crate) String);
 
 impl CaseSet {
     /// Generates `count` cases, a tenth of each type, and one more of the first types if ten does not divide `count`. Ids
     /// count within the type: `t03-07` is the seventh case of type 3.
     ///
-    /// Histories of other tasks are chosen from the whole set, so they change with its size.
+    /// Histories of other tasks are chosen from the whole set, so they change with its size. A case for which the others
+    /// offer too few is drawn again, at most [`REDRAWN`] times over the whole set.
     ///
     /// # Errors
     /// When the warehouse allows no case of some type, or there are too few cases to choose histories from.
@@ -69,29 +74,35 @@ impl CaseSet {
             let choices = generator.target_choices(number);
             let first = cases.len();
             for index in 0..of_type {
-                let mut case = generator
-                    .case(number, index, &choices, &cases[first..])
-                    .ok_or_else(|| {
-                        let name = Task::type_name(number).unwrap_or_default();
-                        GenerateError(format!(
-                            "no case of type {number} ({name}) found for seed {seed} after {TARGETS_TRIED} choices of \
-                             targets with {STARTS_TRIED} starts each; the warehouse has too few items, aisles or \
-                             passages for it"
-                        ))
-                    })?;
+                let mut case = generator.case(number, index, 0, &choices, &cases[first..])?;
                 case.id = format!("t{number:02}-{:0width$}", index + 1);
                 cases.push(case);
             }
         }
         let mut set = Self { seed, cases };
-        let others = count.saturating_sub(1);
-        mixed::assign(warehouse, &mut set).map_err(|TooFew { case, mixture, found }| {
-            GenerateError(format!(
-                "case {case} needs two {} histories and the other {others} cases offer {found}; generate a larger set, \
-                 or use another seed",
-                mixture.name()
-            ))
-        })?;
+        for redrawn in 0.. {
+            let Err(TooFew { case: at, mixture, found }) = mixed::assign(warehouse, &mut set)
+            else {
+                break;
+            };
+            if redrawn == REDRAWN {
+                return Err(GenerateError(format!(
+                    "case {} needs two {} histories and the other {} cases offer {found}; generate a larger set, \
+                     or use another seed",
+                    set.cases[at].id,
+                    mixture.name(),
+                    count - 1
+                )));
+            }
+            let number = set.cases[at].task.number();
+            let is_of_type = |case: &Case| case.task.number() == number;
+            let first = set.cases.iter().position(is_of_type).unwrap_or(at);
+            let last = set.cases.iter().rposition(is_of_type).unwrap_or(at);
+            let choices = generator.target_choices(number);
+            let taken = &set.cases[first..=last];
+            let case = generator.case(number, at - first, redrawn + 1, &choices, taken)?;
+            set.cases[at] = Case { id: std::mem::take(&mut set.cases[at].id), ..case };
+        }
         Ok(set)
     }
 }
@@ -138,14 +149,21 @@ impl<'w> Generator<'w> {
         Draw::new(self.seed, u64::from(number) << 32).shuffled(choices)
     }
 
-    /// Case `index` of type `number`, different from those in `taken`.
-    fn case(&self, number: u8, index: usize, choices: &[usize], taken: &[Case]) -> Option<Case> {
-        let mut draw = Draw::new(self.seed, u64::from(number) << 32 | (index as u64 + 1));
-        if choices.is_empty() {
-            return None;
-        }
-        for turn in 0..TARGETS_TRIED {
-            let task = self.task(number, choices[(index + turn) % choices.len()], &mut draw);
+    /// Case `index` of type `number`, different from those in `taken`; another one for each value of `redrawn`.
+    fn case(
+        &self,
+        number: u8,
+        index: usize,
+        redrawn: usize,
+        choices: &[usize],
+        taken: &[Case],
+    ) -> Result<Case, GenerateError> {
+        let stream = (redrawn as u64) << 40 | u64::from(number) << 32 | (index as u64 + 1);
+        let mut draw = Draw::new(self.seed, stream);
+        let turns = if choices.is_empty() { 0 } else { TARGETS_TRIED };
+        for turn in 0..turns {
+            let choice = choices[(index + redrawn + turn) % choices.len()];
+            let task = self.task(number, choice, &mut draw);
             let Some(task) = task else { continue };
             for _ in 0..STARTS_TRIED {
                 let start = draw.pick(&self.poses);
@@ -154,11 +172,16 @@ impl<'w> Generator<'w> {
                     continue;
                 }
                 if let Some(case) = self.case_from(task, start, &mut draw) {
-                    return Some(case);
+                    return Ok(case);
                 }
             }
         }
-        None
+        let name = Task::type_name(number).unwrap_or_default();
+        Err(GenerateError(format!(
+            "no case of type {number} ({name}) found for seed {} after {TARGETS_TRIED} choices of targets with \
+             {STARTS_TRIED} starts each; the warehouse has too few items, aisles or passages for it",
+            self.seed
+        )))
     }
 
     /// A task of type `number` for `a`. A second type is drawn.
@@ -278,6 +301,10 @@ impl<'w> Generator<'w> {
                 && demonstrations.iter().any(|candidate| enters(&candidate.replay.poses, cells))
                 && !cells.contains(&start.cell)
                 && target_on(cells, targets).is_none()
+                && {
+                    let reached = self.warehouse.layout.reachable(start.cell, cells);
+                    targets.iter().all(|item| reached.binary_search(&item.standpoint).is_ok())
+                }
         };
         let passages = self.passages.iter().filter(fits).collect();
         draw.shuffled(passages).into_iter().find_map(|cells| {

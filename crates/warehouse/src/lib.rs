@@ -7,7 +7,7 @@
 //! - [`demonstrations`]: which demonstrations a memory is built from; [`mixed`]: histories of other tasks.
 //! - [`WorldState`]: a warehouse after changes; [`stream`]: blocks of cases with events between them.
 //! - [`plan`]: expert trajectories and the fewest steps; [`sight`]: which items are in view, computed on the grid.
-//! - [`CaseSet::generate`]: cases from a seed; [`validate`](mod@validate): every constraint checked by replay; [`map`]:
+//! - [`GeneratedWorld`]: a warehouse from a seed; [`CaseSet::generate`]: cases from a seed; [`validate`](mod@validate): every constraint checked by replay; [`map`]:
 //!   maps as SVG.
 //!
 //! All arithmetic is in integers on a grid, so every machine computes the same.
@@ -21,6 +21,7 @@ pub mod demonstrations;
 mod draw;
 pub mod dynamics;
 mod generate;
+mod generate_world;
 pub mod layout;
 pub mod map;
 pub mod mixed;
@@ -44,11 +45,12 @@ pub use constraints::MAX_DETOUR_PERCENT;
 pub use demonstrations::{Demonstrations, UnknownDemonstrations};
 pub use dynamics::{MAX_STEPS, Variant, step};
 pub use generate::{GenerateError, SHIPPED_COUNT, SHIPPED_SEED};
-pub use layout::{Aisle, Axis, Layout, Square};
+pub use generate_world::{GeneratedWorld, MIN_SIDE, corridors};
+pub use layout::{Aisle, Axis, Layout, MAX_SIDE, Square};
 pub use mixed::Overlap;
 pub use progress::Progress;
 pub use state::{StockChange, WorldChange, WorldChangeError, WorldState};
 pub use stream::{StreamError, StreamSet};
 pub use task::{Phase, Task, TaskGroup};
 pub use validate::validate;
-pub use world::{Item, Warehouse};
+pub use world::{CATALOGUE_FILE, Item, LAYOUT_FILE, Warehouse};

@@ -131,7 +131,8 @@ impl DenseActions {
 
 /// A case with too few candidates.
 pub(crate) struct TooFew {
-    pub(crate) case: String,
+    /// Its index in the set.
+    pub(crate) case: usize,
     pub(crate) mixture: Mixture,
     pub(crate) found: usize,
 }
@@ -174,11 +175,8 @@ pub(crate) fn assign(warehouse: &Warehouse, set: &mut CaseSet) -> Result<(), Too
             });
             let chosen = first_two(ranked.iter().map(|(history, _)| *history));
             let case = &mut set.cases[index];
-            let chosen = chosen.ok_or_else(|| TooFew {
-                case: case.id.clone(),
-                mixture,
-                found: ranked.len(),
-            })?;
+            let chosen =
+                chosen.ok_or_else(|| TooFew { case: index, mixture, found: ranked.len() })?;
             for history in &chosen {
                 served[place(history)] += 1;
             }

@@ -75,26 +75,30 @@ impl Table {
         let members = (0..).zip(sets).flat_map(|(goal, set)| set.iter().map(move |&id| (id, goal)));
         let mut items: Vec<(u16, u32)> = members.collect();
         items.sort_unstable();
-        let legs: Vec<Vec<u32>> = items
-            .iter()
-            .map(|&(from, _)| items.iter().map(|&(to, _)| leg(from, to)).collect())
-            .collect();
+        let count = items.len();
+        let pairs =
+            items.iter().flat_map(|&(from, _)| items.iter().map(move |&(to, _)| (from, to)));
+        let legs: Vec<u32> = pairs.map(|(from, to)| leg(from, to)).collect();
         let all = (1_u32 << sets.len()) - 1;
-        let mut table = Self { to_go: vec![NO_WAY; (all as usize + 1) * items.len()], items, all };
+        let mut table = Self { to_go: vec![NO_WAY; (all as usize + 1) * count], items, all };
+        // The items that may come next, and the cost that remains from each.
+        let mut open: Vec<(usize, u32)> = Vec::with_capacity(count);
         for met in (1..=all).rev() {
-            // The items that may come next, and the cost that remains from each.
-            let is_open = |&(_, &(_, goal)): &(usize, &(u16, u32))| met & (1 << goal) == 0;
-            let open = table.items.iter().enumerate().filter(is_open);
-            let open: Vec<(usize, u32)> =
-                open.map(|(next, &(_, goal))| (next, table.to_go(met | 1 << goal, next))).collect();
-            for last in 0..table.items.len() {
+            open.clear();
+            for (next, &(_, goal)) in table.items.iter().enumerate() {
+                if met & (1 << goal) == 0 {
+                    open.push((next, table.to_go(met | 1 << goal, next)));
+                }
+            }
+            for last in 0..count {
                 let (id, goal) = table.items[last];
                 if met & (1 << goal) == 0 {
                     continue;
                 }
-                let costs = open.iter().map(|&(next, left)| legs[last][next].saturating_add(left));
+                let legs = &legs[last * count..][..count];
+                let costs = open.iter().map(|&(next, left)| legs[next].saturating_add(left));
                 let cheapest = if met == all { after(id) } else { costs.min().unwrap_or(NO_WAY) };
-                table.to_go[met as usize * legs.len() + last] = cheapest;
+                table.to_go[met as usize * count + last] = cheapest;
             }
         }
         table

@@ -1,9 +1,6 @@
 //! Cheapest routes from any pose to a goal: a backward Dijkstra search over poses. [`plan`](crate::plan) decides which goals
 //! are visited in which order.
 
-use std::cmp::Reverse;
-use std::collections::BinaryHeap;
-
 use domain::{Action, Cell, Heading, Pose};
 
 use crate::dynamics::{Variant, step};
@@ -41,7 +38,21 @@ impl Prices {
             Action::Left | Action::Right | Action::Backward => self.sidestep + bay,
         }
     }
+
+    /// The price of the cheapest action.
+    const fn cheapest(&self) -> u32 {
+        if self.forward < self.turn { self.forward } else { self.turn }
+    }
+
+    /// The price of the dearest action in that of the cheapest, rounded up.
+    const fn spread(&self) -> usize {
+        (self.sidestep + self.bay).div_ceil(self.cheapest()) as usize
+    }
 }
+
+/// Buckets of the queue of a search: the cost of the dearest action in those of the cheapest, rounded up, and the current one.
+const BUCKETS: usize = 4;
+const _: () = assert!(Prices::EXPERT.spread() < BUCKETS && Prices::STEPS.spread() < BUCKETS);
 
 /// Of equally cheap actions the first of these is taken.
 const PREFERENCE: [Action; 7] = [
@@ -124,28 +135,42 @@ impl Graph {
     }
 
     /// Dijkstra backwards from `goals`, with no route from or through `avoid`.
+    ///
+    /// The queue is a ring of buckets, each as wide as the cheapest action: no pose leads to another of its own bucket, so the
+    /// order within a bucket does not matter.
     fn towards(&self, goals: &[Pose], avoid: &[Cell]) -> CostField {
         let mut avoided = vec![false; self.back.len()];
         for pose in avoid.iter().copied().flat_map(facing_anywhere) {
             avoided[self.index(pose)] = true;
         }
         let mut costs = vec![NO_WAY; self.back.len()];
-        let mut queue = BinaryHeap::new();
+        let width = self.prices.cheapest();
+        let mut buckets: [Vec<u16>; BUCKETS] = Default::default();
         for &goal in goals {
             costs[self.index(goal)] = 0;
-            queue.push(Reverse((0, self.index(goal) as u16)));
+            buckets[0].push(self.index(goal) as u16);
         }
-        while let Some(Reverse((cost, pose))) = queue.pop() {
-            if cost > costs[usize::from(pose)] {
-                continue;
-            }
-            for &(before, price) in &self.back[usize::from(pose)] {
-                let Some(known) = costs.get_mut(usize::from(before)) else { continue };
-                if cost + price < *known && !avoided[usize::from(before)] {
-                    *known = cost + price;
-                    queue.push(Reverse((cost + price, before)));
+        let mut number = 0;
+        while buckets.iter().any(|bucket| !bucket.is_empty()) {
+            let mut bucket = std::mem::take(&mut buckets[number % BUCKETS]);
+            for pose in bucket.drain(..) {
+                let cost = costs[usize::from(pose)];
+                // A cheaper route has been found since, and this pose is done.
+                if cost / width != number as u32 {
+                    continue;
+                }
+                for &(before, price) in &self.back[usize::from(pose)] {
+                    let Some(known) = costs.get_mut(usize::from(before)) else { continue };
+                    let cost = cost + price;
+                    if cost < *known && !avoided[usize::from(before)] {
+                        *known = cost;
+                        buckets[(cost / width) as usize % BUCKETS].push(before);
+                    }
                 }
             }
+            // Keeps the allocation.
+            buckets[number % BUCKETS] = bucket;
+            number += 1;
         }
         CostField(costs)
     }

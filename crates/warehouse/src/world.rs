@@ -8,13 +8,17 @@ use crate::asset::{AssetError, Problem, invalid, read};
 use crate::catalogue::{self, Catalogue, Stock, StockCell};
 use crate::layout::{Layout, Square};
 
-const LAYOUT_FILE: &str = "layout.toml";
-const CATALOGUE_FILE: &str = "catalogue.toml";
-const SHIPPED_LAYOUT: &str = include_str!("../../../assets/layout.toml");
-const SHIPPED_CATALOGUE: &str = include_str!("../../../assets/catalogue.toml");
+/// The name of the floor plan's file in an assets folder.
+pub const LAYOUT_FILE: &str = "layout.toml";
+
+/// The name of the catalogue's file in an assets folder.
+pub const CATALOGUE_FILE: &str = "catalogue.toml";
+
+pub(crate) const SHIPPED_LAYOUT: &str = include_str!("../../../assets/layout.toml");
+pub(crate) const SHIPPED_CATALOGUE: &str = include_str!("../../../assets/catalogue.toml");
 
 /// Maximum number of items of one category, because planning searches all visit orders.
-const MAX_CATEGORY: usize = 16;
+pub(crate) const MAX_CATEGORY: usize = 16;
 
 /// One item in its bay.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -189,6 +193,27 @@ fn place(layout: &Layout, stock: &Stock) -> Result<Vec<Item>, Problem> {
     Ok(items)
 }
 
+/// `standpoints` in groups whose bays are neighbours: beside each other, one apart, or around the corner of a rack.
+pub(crate) fn groups(standpoints: Vec<Cell>) -> Vec<Vec<Cell>> {
+    let mut rest = standpoints;
+    let mut groups = Vec::new();
+    while let Some(first) = rest.pop() {
+        let mut group = vec![first];
+        let mut next = 0;
+        while let Some(&cell) = group.get(next) {
+            next += 1;
+            group.extend(rest.extract_if(.., |other| are_neighbours(cell, *other)));
+        }
+        groups.push(group);
+    }
+    groups
+}
+
+/// Whether the bays with these standpoints are neighbours.
+pub(crate) fn are_neighbours(one: Cell, other: Cell) -> bool {
+    one.distance(other) <= 2
+}
+
 /// The only rack square beside `cell`, and its side towards `cell`.
 pub(crate) fn faced_bay(layout: &Layout, cell: Cell) -> Result<(Cell, Heading), Problem> {
     let mut bays = Heading::ALL.into_iter().filter_map(|heading| {
@@ -208,6 +233,7 @@ pub(crate) fn faced_bay(layout: &Layout, cell: Cell) -> Result<(Cell, Heading), 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::layout::Axis;
 
     const LAYOUT: &str = "plan = \"aaa\\naaa\\n###\"\n\
         [[aisle]]\nmark = \"a\"\nname = \"Aisle A\"\nruns = \"east-west\"\n";
@@ -236,7 +262,10 @@ mod tests {
     #[test]
     fn the_shipped_warehouse_parses_and_is_rich_enough() {
         let warehouse = Warehouse::shipped();
-        assert_eq!((warehouse.layout.width(), warehouse.layout.height()), (16, 30));
+        let layout = &warehouse.layout;
+        assert_eq!((layout.width(), layout.height()), (16, 30));
+        let running = |axis| layout.aisles().iter().filter(|aisle| aisle.runs == axis).count();
+        assert_eq!((running(Axis::NorthSouth), running(Axis::EastWest)), (6, 3));
         assert!(warehouse.catalogue.categories.len() >= 8);
         assert!(warehouse.catalogue.types.len() >= 24);
         assert!(warehouse.items.len() >= 150);

@@ -1,14 +1,17 @@
-//! `memtransfer generate`: generates a case file from a seed.
+//! `memtransfer generate`: generates a case file, or a warehouse with its cases, from a seed.
 
 use std::path::PathBuf;
 
 use anyhow::{Context, ensure};
-use clap::Args;
+use clap::{Args, Subcommand};
 use warehouse::{CaseSet, SHIPPED_COUNT, SHIPPED_SEED, Warehouse};
 
 use super::{Exit, WorldArgs, print};
 
+mod world;
+
 #[derive(Debug, Args)]
+#[command(args_conflicts_with_subcommands = true)]
 #[command(after_help = "\
 The same seed and count give the same file on every machine; the defaults give the built-in cases.
 To run other cases, put the file as cases.toml into a folder with layout.toml and catalogue.toml,
@@ -18,8 +21,11 @@ which is then named.
 
 Examples:
   memtransfer generate --seed 7 --count 1000 --out my-assets/cases.toml
-  memtransfer generate | diff - assets/cases.toml")]
+  memtransfer generate | diff - assets/cases.toml
+  memtransfer generate world --seed 7 --size 24x40 --out my-assets")]
 pub(super) struct GenerateArgs {
+    #[command(subcommand)]
+    what: Option<What>,
     /// The seed
     #[arg(long, value_name = "N", default_value_t = SHIPPED_SEED)]
     seed: u64,
@@ -33,7 +39,20 @@ pub(super) struct GenerateArgs {
     world: WorldArgs,
 }
 
+#[derive(Debug, Subcommand)]
+enum What {
+    /// Generate a warehouse and its cases: a folder for --assets
+    World(world::WorldGenerateArgs),
+}
+
 pub(super) fn run(args: &GenerateArgs) -> anyhow::Result<Exit> {
+    match &args.what {
+        Some(What::World(args)) => world::run(args),
+        None => cases(args),
+    }
+}
+
+fn cases(args: &GenerateArgs) -> anyhow::Result<Exit> {
     ensure!(args.count > 0, "--count is 0, but must be at least 1");
     // An existing case file is not read: it is to be replaced.
     let warehouse = match &args.world.assets {

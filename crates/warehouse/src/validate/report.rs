@@ -144,3 +144,7 @@ pub(super) fn equal<T: PartialEq + fmt::Debug>(
 ) -> Result<(), String> {
     ensure(found == expected, || format!("{what}: {found:?} instead of {expected:?}"))
 }
+
+pub(super) fn at_least(what: &str, found: usize, least: usize) -> Result<(), String> {
+    ensure(found >= least, || format!("{found} {what}; at least {least} are needed"))
+}
