@@ -52,6 +52,14 @@ impl AtlasBuilder {
         place
     }
 
+    /// Leaves so much room below the texts so far that those to come are mixed with them at no level of detail.
+    pub(super) fn leave_gap(&mut self) {
+        let coarsest = 1 << (MIP_LEVELS - 1);
+        self.cursor =
+            [0, (self.cursor[1] + self.row_height).next_multiple_of(coarsest) + 4 * coarsest];
+        self.row_height = 0;
+    }
+
     /// The rectangle, in texels, that shows the text: left, top, right, bottom.
     pub(super) fn rect(&mut self, text: PanelText) -> [u32; 4] {
         let [width, height] = text.size;

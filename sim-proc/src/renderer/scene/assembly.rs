@@ -140,6 +140,11 @@ impl Assembly {
         self.plate.indices.extend([0, 1, 2, 0, 2, 3].map(|i| first + i));
     }
 
+    /// Keeps the texts to come from changing a pixel of those so far.
+    pub(super) fn separate_texts(&mut self) {
+        self.atlas.leave_gap();
+    }
+
     /// Reserves the text's place in the atlas, if it has none. Returns the place in texels: left, top, right, bottom.
     pub(super) fn reserve_text(&mut self, rect: [f32; 4], label: &Label<'_>) -> [u32; 4] {
         let texels = |metres: f32| (metres * label.texels_per_m).round() as u32;

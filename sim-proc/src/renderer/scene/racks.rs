@@ -61,6 +61,7 @@ fn reserve_numbers(assembly: &mut Assembly, layout: &Layout) {
     if !assembly.appearance().labels {
         return;
     }
+    assembly.separate_texts();
     for (rack, side) in sides(layout) {
         if let Some(standpoint) = layout.free_neighbour(rack, side) {
             assembly.reserve_text(BAY_NUMBER_M, &number_label(&bay_number(layout, standpoint)));
