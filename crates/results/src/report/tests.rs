@@ -287,7 +287,7 @@ fn a_run_of_streams_has_its_own_sections_and_no_row_in_the_others() {
     let dir = tempfile::tempdir().unwrap();
     write(std::slice::from_ref(&log), dir.path()).unwrap();
     let rows = fs::read_to_string(dir.path().join("streams.csv")).unwrap();
-    assert_eq!(rows.lines().count(), 1 + 9);
+    assert_eq!(rows.lines().count(), 1 + 8);
     if let Some(kept) = std::env::var_os("MEMTRANSFER_KEEP_REPORT") {
         write(std::slice::from_ref(&log), Path::new(&kept)).unwrap();
     }
