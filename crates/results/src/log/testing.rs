@@ -10,7 +10,9 @@ use super::{
 };
 use crate::conditions::{Condition, Demonstrations, Frames, PolicyKind, Route, Start, Variation};
 use crate::key::{EpisodeKey, Order};
-use crate::settings::{CaseSelector, DocumentSource, Group, RunSettings, SuiteName};
+use crate::settings::{
+    CaseSelector, DocumentSource, Group, RunSettings, StreamSettings, SuiteName,
+};
 
 /// The manifest of a run with every setting at its default.
 pub fn manifest() -> Manifest {
@@ -217,6 +219,24 @@ pub fn sequence(
         (0..blocks.len()).for_each(|place| add(place, learned + 1, None));
     }
     episodes
+}
+
+/// The log of a run of streams, each of `blocks` blocks with `cases` cases, each learned `rounds` times.
+pub fn stream_log(episodes: Vec<EpisodeRecord>, [blocks, cases, rounds]: [u32; 3]) -> RunLog {
+    let streams = episodes.iter().filter_map(|record| Some(record.stream.as_ref()?.stream + 1));
+    let stream = StreamSettings {
+        streams: streams.max().unwrap_or(0),
+        blocks,
+        cases_per_block: cases,
+        rounds,
+        events: Vec::new(),
+        orders: Order::ALL.to_vec(),
+        feedback: FeedbackLevel::Success,
+        evaluate: true,
+    };
+    let mut log = log(episodes);
+    log.manifest.settings.stream = Some(stream);
+    log
 }
 
 /// Timings that go with `record`: every step spends 1 us in each stage.

@@ -308,7 +308,7 @@ pub(super) fn streams(views: &[ScoredRun<'_>]) -> Frame {
     add_condition(&mut frame, |(_, score)| Some(score.condition));
     frame.whole("streams", |(_, score)| Some(score.streams as i64));
     frame.whole("sequences", |(_, score)| Some(score.sequences as i64));
-    frame.whole("incomplete", |(_, score)| Some(score.incomplete as i64));
+    frame.whole("planned", |(_, score)| Some(score.planned as i64));
     type Figure = fn(&StreamScore) -> Option<Estimate>;
     let figures: [(&str, Figure); 14] = [
         ("success", |score| score.success),

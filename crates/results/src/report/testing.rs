@@ -5,7 +5,7 @@ use domain::{Action, Arm, Heading, MemoryKind, Pose, Representation};
 use crate::conditions::{Condition, Demonstrations, Route, SegmentContent, Start, Variation};
 use crate::events::{Requirement, Visit};
 use crate::key::{EpisodeKey, Order};
-use crate::log::testing::{log, record, sequence, settings};
+use crate::log::testing::{log, record, sequence, settings, stream_log};
 use crate::log::{
     Ending, EpisodeRecord, ExternalMemoryFacts, RecallTotals, RunLog, StreamRecord, Unread,
 };
@@ -143,7 +143,7 @@ fn fail(record: &mut EpisodeRecord, chance: i64) {
 }
 
 fn likely(condition: &Condition) -> i64 {
-    use Representation::{Episodic, FullContext, Hybrid, Semantic, Summary, Working};
+    use Representation::{Adaptive, Episodic, FullContext, Hybrid, Semantic, Summary, Working};
     let original = condition.start == Start::Original;
     let exact = original && condition.demonstrations == Demonstrations::ORIGINAL;
     let MemoryKind::BuiltIn(representation) = condition.memory else {
@@ -157,7 +157,7 @@ fn likely(condition: &Condition) -> i64 {
         Semantic => 32,
         Hybrid => 52,
         Episodic if exact => 120,
-        Episodic => 70,
+        Episodic | Adaptive => 70,
     };
     let blocked = if condition.route == Route::Blocked { 24 } else { 0 };
     let images = if condition.variation.segment == SegmentContent::Images { 60 } else { 0 };
@@ -176,8 +176,7 @@ fn hash(key: &EpisodeKey, change: impl Fn(&mut EpisodeKey)) -> u64 {
     u64::from_le_bytes(*hash.as_bytes().first_chunk().unwrap())
 }
 
-/// A made-up run of four streams in three orders: no memory, and frozen, learning, oracle and wrong arms of Episodic and
-/// of an external memory.
+/// A made-up run of four streams in three orders: no memory, and the arms of Episodic and Adaptive.
 pub(crate) fn made_up_streams() -> RunLog {
     const CASES: [&str; 4] = ["t01-01", "t02-03", "t03-07", "t09-02"];
     let blocks: Vec<(u32, &[&str])> = (0..4).map(|block| (block, &CASES[..])).collect();
@@ -187,11 +186,13 @@ pub(crate) fn made_up_streams() -> RunLog {
         Order::Shuffled => [2, 0, 3, 1].map(|block| blocks[block]).to_vec(),
     };
     let mut conditions = vec!["working/new/unchanged/none".to_owned()];
-    for memory in ["episodic", "keeper"] {
-        for arm in ["", "/learning", "/oracle", "/wrong"] {
+    for memory in ["episodic", "adaptive"] {
+        let learning = if memory == "adaptive" { "/learning" } else { "" };
+        for arm in ["", learning, "/oracle", "/wrong"] {
             conditions.push(format!("{memory}/new/unchanged/original{arm}"));
         }
     }
+    conditions.dedup();
     let mut episodes = Vec::new();
     for name in conditions {
         let condition = Condition::logged(&name).unwrap();
@@ -215,7 +216,18 @@ pub(crate) fn made_up_streams() -> RunLog {
             episodes.extend(sequence((condition, 1), (stream, of), &order(of), 3, succeeds));
         }
     }
-    let mut log = log(episodes);
+    for record in episodes.iter_mut().filter(|record| !record.memory.uses_demonstrations()) {
+        let stream = record.stream.as_mut().unwrap();
+        (stream.retrievals, stream.stale, stream.store_bytes) = (0, 0, None);
+    }
+    let mut log = stream_log(episodes, [4, 4, 3]);
+    let group = &mut log.manifest.settings.groups[0];
+    group.memory = vec![
+        Representation::Working.into(),
+        Representation::Episodic.into(),
+        Representation::Adaptive.into(),
+    ];
+    (group.starts, group.arms) = (vec![Start::New], Arm::ALL.to_vec());
     log.dir = "runs/made-up-streams".into();
     for (timings, record) in log.timings.iter_mut().zip(&log.episodes) {
         timings.recalls.requests = record.steps;

@@ -1,7 +1,7 @@
 //! Scores of streams, from the records that have a place in one (specification, section 9; `docs/streams.md`).
 //!
-//! A sequence is one stream in one order under one condition and repetition. Only complete sequences enter a figure; the
-//! others are counted. What is undefined for a sequence is left out of the mean of its stream, and what is defined for none
+//! A sequence is one stream in one order under one condition and repetition. Only complete sequences enter a figure,
+//! beside the number of planned ones. What is undefined for a sequence is left out of the mean of its stream, and what is defined for none
 //! is None.
 //!
 //! | figure | file |
@@ -51,8 +51,8 @@ pub struct StreamScores {
     pub streams: usize,
     /// Complete sequences.
     pub sequences: usize,
-    /// Sequences that have an episode and are not complete. They enter no figure.
-    pub incomplete: usize,
+    /// Sequences of the whole run. Those that are not complete enter no figure.
+    pub planned: usize,
     /// What memories that learn are told at the end of an episode.
     pub feedback: Vec<FeedbackLevel>,
     /// One entry for each condition that has a complete sequence.
@@ -73,8 +73,8 @@ pub struct StreamScore {
     pub streams: usize,
     /// Complete sequences.
     pub sequences: usize,
-    /// Sequences that are not complete.
-    pub incomplete: usize,
+    /// Sequences of the condition in the whole run.
+    pub planned: usize,
     /// Success over all learning episodes: stream success at the end of the stream.
     pub success: Option<Estimate>,
     /// Success of learning episodes before events: in block 0, as drawn.
@@ -174,7 +174,7 @@ pub(super) fn score(
     (!found.is_empty()).then(|| StreamScores {
         streams: streams.len(),
         sequences: complete().count(),
-        incomplete: found.values().map(|sequences| sequences.incomplete).sum(),
+        planned: planned(log),
         feedback: feedback.into_iter().collect(),
         conditions: scored
             .map(|(condition, _)| score_condition(*condition, &found, timings))
@@ -182,6 +182,13 @@ pub(super) fn score(
         differences: pairs(&found).into_iter().filter_map(|(a, b)| compare(&found, a, b)).collect(),
         necessity: necessity::necessity(&found),
     })
+}
+
+/// The sequences of the whole run.
+fn planned(log: &RunLog) -> usize {
+    let settings = &log.manifest.settings;
+    let runs: u32 = settings.runs().into_iter().map(|(_, runs)| runs).sum();
+    settings.stream.as_ref().map_or(0, |streams| runs as usize * streams.sequences())
 }
 
 fn score_condition(
@@ -208,7 +215,7 @@ fn score_condition(
         condition,
         streams: streams.len(),
         sequences: sequences.complete.len(),
-        incomplete: sequences.incomplete,
+        planned: sequences.planned,
         success: estimate(&|_, s| success_rate(s.learning())),
         before: estimate(&|_, s| success_rate(part(s, false))),
         after: estimate(&|_, s| success_rate(part(s, true))),
@@ -233,7 +240,7 @@ fn score_condition(
 /// The sequences in `order`.
 fn in_order<'a>(sequences: &Sequences<'a>, order: Order) -> Sequences<'a> {
     let of_order = sequences.complete.iter().filter(|(id, _)| id.order == order);
-    Sequences { complete: of_order.map(|(id, s)| (*id, s.clone())).collect(), incomplete: 0 }
+    Sequences { complete: of_order.map(|(id, s)| (*id, s.clone())).collect(), planned: 0 }
 }
 
 fn orders(sequences: &Sequences<'_>) -> Vec<OrderScore> {

@@ -108,10 +108,12 @@ pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<Block> {
         ("Speed", speed),
     ];
     let streams = scores.streams.iter().flat_map(|found| {
-        let all = found.sequences + found.incomplete;
         [
             ("Streams", Cell::Value(found.streams.to_string())),
-            ("Sequences complete", Cell::Value(format!("{} of {all} begun", found.sequences))),
+            (
+                "Sequences complete",
+                Cell::Value(format!("{} of {}", found.sequences, found.planned)),
+            ),
         ]
     });
     let facts = facts.into_iter().chain(streams);

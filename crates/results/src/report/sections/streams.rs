@@ -51,12 +51,12 @@ pub(super) fn sections(view: &ScoredRun<'_>) -> Vec<Section> {
 /// The notice about sequences that enter no figure.
 pub(in crate::report) fn incomplete(view: &ScoredRun<'_>) -> Option<String> {
     let scores = view.scores.streams.as_ref()?;
-    let StreamScores { sequences, incomplete, .. } = scores;
-    (*incomplete > 0).then(|| {
+    let StreamScores { sequences, planned, .. } = scores;
+    let missing = planned.saturating_sub(*sequences);
+    (missing > 0).then(|| {
         format!(
-            "Streams: {incomplete} of {} sequences are not complete and enter no figure; the same command continues \
-             the run.",
-            sequences + incomplete
+            "Streams: {missing} of {planned} sequences are not complete and enter no figure; the same command continues \
+             the run."
         )
     })
 }

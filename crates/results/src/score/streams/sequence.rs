@@ -1,6 +1,6 @@
 //! The sequences of a log: one stream in one order, under one condition and repetition.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 
 use crate::conditions::Condition;
 use crate::key::Order;
@@ -28,37 +28,36 @@ pub(super) struct Sequence<'a> {
     episodes: Vec<StreamEpisode<'a>>,
 }
 
-/// The complete sequences of each condition, and the number of the others.
+/// The complete sequences of a condition, and the number of all, those that have not begun included.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Sequences<'a> {
     pub(super) complete: BTreeMap<SequenceId, Sequence<'a>>,
-    pub(super) incomplete: usize,
+    pub(super) planned: usize,
 }
 
 impl<'a> Sequences<'a> {
     /// The sequences of each condition that has an episode of a stream in `log`.
     ///
-    /// A sequence is complete if its positions have no gap, it has as many episodes as any other sequence of its stream,
-    /// and the evaluation after its last block covers what the one before its first block covers.
+    /// A sequence is complete if it has every position, as many as the settings of the run say.
     pub(super) fn by_condition(log: &'a RunLog) -> BTreeMap<Condition, Self> {
+        let settings = &log.manifest.settings;
+        let Some(streams) = &settings.stream else { return BTreeMap::new() };
         let mut found: BTreeMap<(Condition, SequenceId), Sequence<'a>> = BTreeMap::new();
-        let mut lengths: BTreeMap<u32, usize> = BTreeMap::new();
         for record in &log.episodes {
             let Some(stream) = &record.stream else { continue };
             let id = SequenceId { stream: stream.stream, order: stream.order, run: record.run };
             let sequence = found.entry((record.condition(), id)).or_default();
             sequence.episodes.push(StreamEpisode { record, stream });
-            let longest = lengths.entry(id.stream).or_default();
-            *longest = sequence.episodes.len().max(*longest);
         }
+        let runs: BTreeMap<Condition, u32> = settings.runs().into_iter().collect();
         let mut conditions: BTreeMap<Condition, Self> = BTreeMap::new();
         for ((condition, id), mut sequence) in found {
             sequence.episodes.sort_by_key(|episode| episode.stream.position);
             let of = conditions.entry(condition).or_default();
-            if sequence.is_complete(lengths[&id.stream]) {
+            let runs = runs.get(&condition).copied().unwrap_or(0);
+            of.planned = runs as usize * streams.sequences();
+            if sequence.is_complete(streams.sequence_episodes()) {
                 of.complete.insert(id, sequence);
-            } else {
-                of.incomplete += 1;
             }
         }
         conditions
@@ -67,13 +66,9 @@ impl<'a> Sequences<'a> {
 
 impl<'a> Sequence<'a> {
     fn is_complete(&self, length: usize) -> bool {
-        let has_no_gap =
-            (0..).zip(&self.episodes).all(|(position, e)| e.stream.position == position);
-        let evaluated = |after: u32| -> BTreeSet<(u32, &str)> {
-            let evaluation = self.evaluations().filter(|e| e.stream.after == after);
-            evaluation.map(|e| (e.stream.place, e.record.case.as_str())).collect()
-        };
-        has_no_gap && self.episodes.len() == length && evaluated(0) == evaluated(self.blocks())
+        let mut positions = (0..).zip(&self.episodes);
+        self.episodes.len() == length
+            && positions.all(|(position, e)| e.stream.position == position)
     }
 
     /// The number of blocks, T.

@@ -1,7 +1,8 @@
 //! Every figure of streams, computed by hand for small logs.
 
 use super::*;
-use crate::log::testing::{log, sequence};
+use crate::conditions::Start;
+use crate::log::testing::{log, sequence, stream_log};
 use crate::log::{EpisodeRecord, StreamRecord};
 use crate::score::{Interval, Scores, score};
 
@@ -33,7 +34,7 @@ fn share(percent: u32, case: &str) -> bool {
 }
 
 fn scored(episodes: impl IntoIterator<Item = Vec<EpisodeRecord>>) -> Scores {
-    let log = log(episodes.into_iter().flatten().collect());
+    let log = stream_log(episodes.into_iter().flatten().collect(), [3, 2, 1]);
     for record in &log.episodes {
         assert_eq!(record.check(200), Ok(()));
     }
@@ -90,7 +91,8 @@ fn the_matrix_and_what_follows_from_it() {
 #[test]
 fn one_block_has_no_transfer_and_no_forgetting() {
     let one = |condition| sequence((condition, 1), (0, Order::Drawn), &BLOCKS[..1], 1, as_in_r);
-    let scores = streams([one(episodic(Arm::Learning)), one(none())]);
+    let episodes = [one(episodic(Arm::Learning)), one(none())].concat();
+    let scores = score(&stream_log(episodes, [1, 2, 1])).streams.unwrap();
     let score = of(&scores, episodic(Arm::Learning));
     near(score.average, 100.0);
     assert_eq!((score.backward, score.forward, score.forgetting), (None, None, None));
@@ -163,19 +165,41 @@ fn an_incomplete_sequence_is_counted_and_enters_no_figure() {
         assert_eq!(cut.len(), 30);
         cut.remove(left_out);
         let found = streams([whole(), cut.clone()]);
-        assert_eq!((found.sequences, found.incomplete), (1, 1), "{left_out}");
+        assert_eq!(found.sequences, 1, "{left_out}");
         assert_eq!(found.conditions[0].success, expected.conditions[0].success);
         let alone = streams([cut]);
-        assert_eq!((alone.sequences, alone.incomplete, alone.conditions.len()), (0, 1, 0));
+        assert_eq!((alone.sequences, alone.conditions.len()), (0, 0));
     }
-    // Cut at the end of an evaluation, where it looks whole by itself.
-    let mut cut = other();
-    cut.truncate(14);
-    assert_eq!(streams([cut]).sequences, 0);
     // A pair needs both sides.
     let mut frozen = drawn(episodic(Arm::Frozen), as_in_r);
     frozen.truncate(20);
     assert_eq!(streams([whole(), frozen]).differences, []);
+}
+
+#[test]
+fn sequences_that_have_not_begun_are_planned() {
+    let mut log = stream_log(drawn(episodic(Arm::Frozen), as_in_r), [3, 2, 1]);
+    let group = &mut log.manifest.settings.groups[0];
+    (group.memory, group.starts) = (vec![Representation::Episodic.into()], vec![Start::New]);
+    group.runs = 2;
+    // Two repetitions in three orders.
+    let scores = score(&log).streams.unwrap();
+    assert_eq!((scores.sequences, scores.planned, scores.conditions[0].planned), (1, 6, 6));
+}
+
+#[test]
+fn without_evaluations_there_is_no_matrix() {
+    let mut episodes = drawn(episodic(Arm::Frozen), as_in_r);
+    episodes.retain(|record| record.stream.as_ref().unwrap().learns());
+    for (position, record) in (0..).zip(&mut episodes) {
+        record.stream.as_mut().unwrap().position = position;
+    }
+    let mut log = stream_log(episodes, [3, 2, 1]);
+    log.manifest.settings.stream.as_mut().unwrap().evaluate = false;
+    let score = score(&log).streams.unwrap().conditions.remove(0);
+    near(score.success, 400.0 / 6.0);
+    assert_eq!((score.average, score.backward, score.forgetting), (None, None, None));
+    assert_eq!(score.costs, []);
 }
 
 /// Stream `stream` in `order`; the first `successes` of its six learning episodes succeed.
@@ -241,7 +265,7 @@ fn differences_are_paired_by_stream_and_all_orders_stay_together() {
 
 #[test]
 fn cost_against_the_number_of_episodes_given() {
-    let mut log = log(drawn(episodic(Arm::Learning), as_in_r));
+    let mut log = stream_log(drawn(episodic(Arm::Learning), as_in_r), [3, 2, 1]);
     for timings in &mut log.timings {
         timings.recalls.requests = timings.steps;
     }

@@ -28,7 +28,7 @@ fn cost_table(view: &ScoredRun<'_>, scores: &StreamScores) -> Option<Table> {
         cells: vec![
             Cell::Value(format!("{:.0}", cost.episodes)),
             plain_or(cost.recall_us, 1, NO_RECALL),
-            plain_or(cost.store_bytes.map(|bytes| bytes / 1000.0), 1, NO_STORE),
+            plain_or(cost.store_bytes.map(|bytes| bytes / 1024.0), 1, NO_STORE),
             plain_or(cost.tokens, 0, NO_TOKENS),
         ],
     };
@@ -40,11 +40,11 @@ fn cost_table(view: &ScoredRun<'_>, scores: &StreamScores) -> Option<Table> {
         id: view.id("stream-cost"),
         caption: "What memory costs in the evaluations after so many blocks. Episodes: demonstrations and learning episodes \
                   that it was given; a memory with a budget may hold fewer. Recall: microseconds from the view to the \
-                  answer; depends on the machine and its load. Store: kilobytes that the memory told. Tokens: injected \
+                  answer; depends on the machine and its load. Store: KiB that the memory told. Tokens: injected \
                   memory in a request, an estimate."
             .to_owned(),
         stubs: vec!["Memory, arm".to_owned(), "Blocks learned".to_owned()],
-        columns: ["Episodes", "Recall, us", "Store, kB", "Tokens"].map(Column::new).to_vec(),
+        columns: ["Episodes", "Recall, us", "Store, KiB", "Tokens"].map(Column::new).to_vec(),
         groups: tested(scores).map(group).collect(),
     };
     table.pruned()

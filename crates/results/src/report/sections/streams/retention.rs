@@ -30,8 +30,9 @@ pub(in crate::report) fn transfer_table(view: &ScoredRun<'_>) -> Option<Table> {
         groups: Vec::new(),
     };
     let row = |score: &StreamScore| {
+        score.average?;
         Some(vec![
-            sure(score.average, 1, NOT_EVALUATED),
+            sure(score.average, 1, ONE_BLOCK),
             sure(score.backward, 1, ONE_BLOCK),
             sure(score.forward, 1, NO_BASELINE),
             sure(score.forgetting, 1, ONE_BLOCK),
@@ -65,7 +66,7 @@ fn matrix_table(view: &ScoredRun<'_>, scores: &StreamScores) -> Option<Table> {
             .to_owned(),
         stubs: vec!["Memory, arm".to_owned(), "Blocks learned".to_owned()],
         columns: (1..=blocks).map(|block| Column::under("Block, by place", block.to_string())).collect(),
-        groups: scores.conditions.iter().map(group).collect(),
+        groups: scores.conditions.iter().filter(|score| score.average.is_some()).map(group).collect(),
     };
     table.pruned()
 }

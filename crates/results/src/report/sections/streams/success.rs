@@ -110,9 +110,9 @@ pub(in crate::report) fn success_table(view: &ScoredRun<'_>) -> Option<Table> {
     };
     let row = |score: &StreamScore| {
         Some(vec![
-            Cell::Value(match score.incomplete {
-                0 => score.sequences.to_string(),
-                incomplete => format!("{}/{}", score.sequences, score.sequences + incomplete),
+            Cell::Value(match score.planned > score.sequences {
+                true => format!("{}/{}", score.sequences, score.planned),
+                false => score.sequences.to_string(),
             }),
             sure(score.success, 1, NO_BLOCK),
             sure(score.before, 1, NO_BLOCK),
