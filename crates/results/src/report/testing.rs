@@ -156,7 +156,7 @@ fn likely(condition: &Condition) -> i64 {
         Summary => 55,
         Semantic => 32,
         Hybrid => 52,
-        Episodic if exact => 120,
+        Episodic | Adaptive if exact => 120,
         Episodic | Adaptive => 70,
     };
     let blocked = if condition.route == Route::Blocked { 24 } else { 0 };
