@@ -169,7 +169,7 @@ impl MemoryEpisode {
             }
             let settings = settings(config, representation).map_err(refused)?;
             let embeds = representation.matches_views();
-            if config.sequence != 0 {
+            if config.sequence != 0 && !none {
                 let memory = EpisodeMemory::Sequence { representation, settings, set };
                 (memory, Arc::default(), false, embeds)
             } else {
@@ -179,7 +179,9 @@ impl MemoryEpisode {
             }
         };
         let stream = match config.sequence {
+            // A memory of no demonstrations has nothing that could persist.
             0 => None,
+            _ if none => None,
             _ => Some(stream_part(config, set, worlds).map_err(refused)?),
         };
         Ok(Self {

@@ -279,7 +279,28 @@ mod tests {
             assert_eq!(episode.learns(), round != "evaluates");
             format!("{key} block {block} at {place} in world {world}, after {after}: {round}")
         });
-        insta::assert_snapshot!(shown.collect::<Vec<_>>().join("\n"), @"");
+        insta::assert_snapshot!(shown.collect::<Vec<_>>().join("\n"), @"
+        learning/run1/s0-drawn-000/a block 0 at 0 in world 0, after 0: evaluates
+        learning/run1/s0-drawn-001/b block 1 at 1 in world 1, after 0: evaluates
+        learning/run1/s0-drawn-002/a block 0 at 0 in world 0, after 0: round 1
+        learning/run1/s0-drawn-003/a block 0 at 0 in world 0, after 0: round 2
+        learning/run1/s0-drawn-004/a block 0 at 0 in world 0, after 1: evaluates
+        learning/run1/s0-drawn-005/b block 1 at 1 in world 1, after 1: evaluates
+        learning/run1/s0-drawn-006/b block 1 at 1 in world 1, after 1: round 1
+        learning/run1/s0-drawn-007/b block 1 at 1 in world 1, after 1: round 2
+        learning/run1/s0-drawn-008/a block 0 at 0 in world 0, after 2: evaluates
+        learning/run1/s0-drawn-009/b block 1 at 1 in world 1, after 2: evaluates
+        learning/run1/s0-reversed-000/b block 1 at 0 in world 1, after 0: evaluates
+        learning/run1/s0-reversed-001/a block 0 at 1 in world 0, after 0: evaluates
+        learning/run1/s0-reversed-002/b block 1 at 0 in world 1, after 0: round 1
+        learning/run1/s0-reversed-003/b block 1 at 0 in world 1, after 0: round 2
+        learning/run1/s0-reversed-004/b block 1 at 0 in world 1, after 1: evaluates
+        learning/run1/s0-reversed-005/a block 0 at 1 in world 0, after 1: evaluates
+        learning/run1/s0-reversed-006/a block 0 at 1 in world 0, after 1: round 1
+        learning/run1/s0-reversed-007/a block 0 at 1 in world 0, after 1: round 2
+        learning/run1/s0-reversed-008/b block 1 at 0 in world 1, after 2: evaluates
+        learning/run1/s0-reversed-009/a block 0 at 1 in world 0, after 2: evaluates
+        ");
     }
 
     #[test]

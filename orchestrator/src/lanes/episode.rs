@@ -241,7 +241,9 @@ impl ActiveEpisode {
             variant: self.variant_code,
             ..Zeroable::zeroed()
         };
-        if let Some((part, place)) = episode.part.zip(episode.key.place) {
+        // Working memory has nothing that could persist.
+        let persists = condition.memory.uses_demonstrations();
+        if let Some((part, place)) = episode.part.zip(episode.key.place).filter(|_| persists) {
             memory.sequence = part.sequence;
             memory.snapshot = part.snapshot;
             memory.stream = place.stream;

@@ -1,0 +1,107 @@
+//! Streams through the real processes: a memory persists over the episodes of its sequence, and no crash changes the log.
+
+#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::fs;
+use std::path::Path;
+
+use memtransfer_tests::{
+    Bench, Ended, episodes, eventually, kill, process_of, processes_of, records, sorted_log,
+};
+
+/// One stream of two blocks, with a memory that learns and one that does not.
+const SUITE: &str = r#"
+memory = ["working", "episodic", "adaptive"]
+arms = ["frozen", "learning", "oracle", "wrong"]
+starts = ["new"]
+max-steps = 60
+
+[stream]
+streams = 1
+blocks = 2
+cases-per-block = 2
+events = ["swap"]
+rounds = 2
+orders = ["drawn", "reversed"]
+feedback = "success"
+"#;
+
+/// Eight conditions, two orders, 4 learning episodes in two rounds and three times 4 evaluations.
+const EPISODES: usize = 8 * 2 * (2 * 4 + 3 * 4);
+
+fn bench() -> Bench {
+    let bench = Bench::new();
+    fs::write(bench.out("suite.toml"), SUITE).unwrap();
+    bench
+}
+
+fn arguments<'a>(out: &'a str, lanes: &'a str) -> Vec<&'a str> {
+    vec!["run", "--suite", "./suite.toml", "--policy", "grounded", "--lanes", lanes, "--out", out]
+}
+
+fn wait_for_episodes(run: &Path, count: usize) {
+    eventually("episodes in the log", || (episodes(run).lines().count() >= count).then_some(()));
+}
+
+#[test]
+fn the_log_of_streams_depends_neither_on_lanes_nor_on_crashes() {
+    let bench = bench();
+    bench.run(&arguments("one", "1")).expect(0);
+    let reference = sorted_log(&bench.out("one"));
+    assert_eq!(reference.len(), EPISODES);
+    bench.run(&arguments("wide", "16")).expect(0);
+    assert_eq!(sorted_log(&bench.out("wide")), reference, "1 lane or 16");
+
+    for (role, after) in [("sim", 40), ("memory", 90), ("policy", 150)] {
+        let out = format!("{role}-killed");
+        let child = bench.start(&arguments(&out, "4"));
+        wait_for_episodes(&bench.out(&out), after);
+        kill(process_of(bench.registry.path(), role));
+        Ended::of(child).expect(0);
+        assert_eq!(sorted_log(&bench.out(&out)), reference, "{role} killed");
+    }
+    for after in [30, 120, 200] {
+        let child = bench.start(&arguments("killed", "4"));
+        wait_for_episodes(&bench.out("killed"), after);
+        kill(child.id());
+        Ended::of(child);
+        eventually("the child processes to end", || {
+            processes_of(bench.registry.path()).is_empty().then_some(())
+        });
+    }
+    bench.run(&arguments("killed", "4")).expect(0);
+    assert_eq!(sorted_log(&bench.out("killed")), reference, "orchestrator killed");
+}
+
+#[test]
+fn episodes_of_a_sequence_run_in_order_and_only_those_that_learn_have_snapshots() {
+    let bench = bench();
+    bench.run(&arguments("run", "16")).expect(0);
+    let mut last: BTreeMap<String, i64> = BTreeMap::new();
+    let mut snapshots = BTreeSet::new();
+    for record in records(&bench.out("run")) {
+        let (place, _case) = record["key"].as_str().unwrap().rsplit_once('/').unwrap();
+        let (sequence, _position) = place.rsplit_once('-').unwrap();
+        let stream = &record["stream"];
+        let position = stream["position"].as_i64().unwrap();
+        let before = last.insert(sequence.to_owned(), position);
+        assert_eq!(before.unwrap_or(-1), position - 1, "{sequence}");
+        let learns = record["arm"] == "learning" && stream["round"].is_u64();
+        assert_eq!(stream["snapshot"].is_string(), learns, "{record}");
+        snapshots.extend(stream["snapshot"].as_str().map(str::to_owned));
+    }
+    assert_eq!(last.len(), 16);
+    assert!(snapshots.len() > 1, "the memory changes");
+    // A snapshot that is gone ends its sequence, and nothing else.
+    let log = bench.out("run").join("episodes.jsonl");
+    let text = fs::read_to_string(&log).unwrap();
+    let is_late = |line: &&str| line.contains("/learning/run1/s0-drawn-019/");
+    let kept: String =
+        text.lines().filter(|line| !is_late(line)).map(|line| format!("{line}\n")).collect();
+    fs::write(&log, kept).unwrap();
+    fs::remove_dir_all(bench.out("run").join("snapshots")).unwrap();
+    let ended = bench.run(&arguments("run", "16")).expect(1);
+    assert!(ended.stderr.contains("snapshot"), "{}", ended.stderr);
+    assert_eq!(sorted_log(&bench.out("run")).len(), EPISODES - 1);
+}
