@@ -5,6 +5,10 @@
 //! are drawn again because the set offers too few histories for them. The seed alone
 //! determines the order in which candidates are tried.
 
+use std::cell::RefCell;
+use std::collections::BTreeMap;
+use std::rc::Rc;
+
 use domain::{Cell, Heading, Pose};
 
 use crate::case::{Case, CaseSet, History, Replay, Start, Trajectory};
@@ -47,6 +51,9 @@ const TESTS_TRIED: usize = 60;
 
 /// Cases of a set that are drawn again for want of histories of other tasks.
 const REDRAWN: usize = 100;
+
+/// Planners that are kept at a time, of up to 7 MB each in the largest warehouse.
+const MOST_DETOURS: usize = 32;
 
 /// A placeholder until the whole set exists, from which histories are chosen.
 const NO_HISTORIES: [History; 2] = [History { case: usize::MAX, start: Start::Original }; 2];
@@ -114,6 +121,15 @@ struct Generator<'w> {
     fewest: Planner<'w>,
     poses: Vec<Pose>,
     passages: Vec<Vec<Cell>>,
+    detours: RefCell<Detours<'w>>,
+}
+
+/// Planners of the latest task with a passage closed, by the number of the passage. A task tries the same passages for many
+/// starts, and most of the work of a plan does not depend on the start.
+#[derive(Default)]
+struct Detours<'w> {
+    task: Option<Task>,
+    planners: BTreeMap<usize, Rc<Planner<'w>>>,
 }
 
 /// A planned trajectory with what the constraints need to know about it.
@@ -134,6 +150,7 @@ impl<'w> Generator<'w> {
             fewest: Planner::new(warehouse, Variant::UNCHANGED, Prices::STEPS),
             poses: warehouse.layout.free_cells().flat_map(facing).collect(),
             passages: warehouse.layout.passages(),
+            detours: RefCell::default(),
         }
     }
 
@@ -296,7 +313,8 @@ impl<'w> Generator<'w> {
         draw: &mut Draw,
     ) -> Option<(Trajectory, Vec<Cell>)> {
         let start = test.trajectory.start;
-        let fits = |cells: &&Vec<Cell>| {
+        let fits = |&passage: &usize| {
+            let cells = &self.passages[passage];
             enters(&test.replay.poses, cells)
                 && demonstrations.iter().any(|candidate| enters(&candidate.replay.poses, cells))
                 && !cells.contains(&start.cell)
@@ -306,10 +324,11 @@ impl<'w> Generator<'w> {
                     targets.iter().all(|item| reached.binary_search(&item.standpoint).is_ok())
                 }
         };
-        let passages = self.passages.iter().filter(fits).collect();
-        draw.shuffled(passages).into_iter().find_map(|cells| {
+        let passages = (0..self.passages.len()).filter(fits).collect();
+        draw.shuffled(passages).into_iter().find_map(|passage| {
+            let cells = &self.passages[passage];
             let variant = Variant::closing(cells.iter().copied());
-            let expert = Planner::new(self.warehouse, variant.clone(), Prices::EXPERT);
+            let expert = self.detour(task, passage);
             let candidate = self.candidate_in(&expert, &variant, task, start, |length| {
                 // Closing a passage never shortens a route, so the cheap bound decides in most cases.
                 let unchanged = self.fewest.cost(start, task)?;
@@ -321,6 +340,21 @@ impl<'w> Generator<'w> {
             let detours = candidate.length > test.length && candidate.length <= MOST_BLOCKED_STEPS;
             detours.then(|| (candidate.trajectory, cells.clone()))
         })
+    }
+
+    /// The expert with `passage` closed.
+    fn detour(&self, task: &Task, passage: usize) -> Rc<Planner<'w>> {
+        let mut detours = self.detours.borrow_mut();
+        let is_full =
+            detours.planners.len() == MOST_DETOURS && !detours.planners.contains_key(&passage);
+        if detours.task != Some(*task) || is_full {
+            *detours = Detours { task: Some(*task), planners: BTreeMap::new() };
+        }
+        let planner = detours.planners.entry(passage).or_insert_with(|| {
+            let variant = Variant::closing(self.passages[passage].iter().copied());
+            Rc::new(Planner::new(self.warehouse, variant, Prices::EXPERT))
+        });
+        Rc::clone(planner)
     }
 
     /// The expert's trajectory in the unchanged world, if it satisfies the constraints on all trajectories.

@@ -308,17 +308,20 @@ fn stretches(draw: &mut Draw, bays: &[Bay], count: usize) -> Vec<Vec<Cell>> {
     stretches
 }
 
-/// `count` cells of `stretch`, still all neighbours, the others drawn and left empty; all if there are fewer.
-fn thinned(draw: &mut Draw, stretch: Vec<Cell>, count: usize) -> Vec<Cell> {
-    let mut kept = stretch.clone();
-    for cell in draw.shuffled(stretch) {
-        if kept.len() <= count {
-            break;
+/// At most `count` cells of `stretch`, still all neighbours; which bays in between are left empty is drawn. Where that is not
+/// enough, the stretch is made shorter.
+fn thinned(draw: &mut Draw, mut stretch: Vec<Cell>, count: usize) -> Vec<Cell> {
+    loop {
+        let mut kept = stretch.clone();
+        for cell in draw.shuffled(stretch.clone()) {
+            if kept.len() <= count {
+                return kept;
+            }
+            let rest: Vec<Cell> = kept.iter().copied().filter(|&other| other != cell).collect();
+            if groups(rest.clone()).len() == 1 {
+                kept = rest;
+            }
         }
-        let rest: Vec<Cell> = kept.iter().copied().filter(|&other| other != cell).collect();
-        if groups(rest.clone()).len() == 1 {
-            kept = rest;
-        }
+        stretch.pop();
     }
-    kept
 }
