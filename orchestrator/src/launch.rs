@@ -132,11 +132,12 @@ fn launch(
 fn launches(settings: &RunSettings, memories: &[ExternalMemory]) -> Result<Vec<Launch>> {
     let path = |path: &Option<PathBuf>| path.as_ref().map(|path| path.display().to_string());
     let assets = ("--assets", path(&settings.assets));
-    let renderer = vec![
+    let mut renderer = vec![
         assets.clone(),
         ("--backend", settings.backend.clone()),
         ("--adapter", settings.adapter.clone()),
     ];
+    renderer.extend(settings.appearance().flags().map(|(flag, value)| (flag, Some(value))));
     let mut sim = launch(Role::Sim, "sim-proc", vec!["serve".into()], renderer)?;
     if settings.warm_views {
         sim.args.push("--warm-views".into());

@@ -10,7 +10,7 @@ use super::{
 };
 use crate::conditions::{Condition, Demonstrations, Frames, PolicyKind, Route, Start, Variation};
 use crate::key::EpisodeKey;
-use crate::settings::{CaseSelector, DocumentSource, Group, RunSettings, SuiteName};
+use crate::settings::{CaseSelector, DocumentSource, Drawn, Group, RunSettings, SuiteName};
 
 /// The manifest of a run with every setting at its default.
 pub fn manifest() -> Manifest {
@@ -60,6 +60,9 @@ pub fn settings() -> RunSettings {
         documents: DocumentSource::Extractive,
         frame_size: 448,
         frames: Frames::Rendered,
+        plates: Drawn::On,
+        labels: Drawn::On,
+        appearance_seed: 0,
         encoder: "dinov2-s14".to_owned(),
         encoder_file: None,
         model: None,

@@ -1,7 +1,7 @@
 //! What was run, and what a reader must know before looking at the figures.
 
-use domain::Representation;
 use domain::representation::RepresentationInfo;
+use domain::{Appearance, Representation};
 
 use crate::conditions::{Frames, PolicyKind};
 use crate::log::{ExternalMemoryFacts, Manifest};
@@ -72,6 +72,10 @@ fn standing(manifest: &Manifest) -> Vec<String> {
         control => lines.push(format!(
             "Control: observed frames were {control}. Compare with a run on rendered frames, not with the paper."
         )),
+    }
+    let appearance = settings.appearance();
+    if appearance != Appearance::STANDARD {
+        lines.push(format!("Appearance of the world: {appearance}."));
     }
     lines
 }
