@@ -6,8 +6,10 @@ use std::process::ExitCode;
 use std::time::Duration;
 
 use anyhow::Context;
-use clap::{Args, Parser, Subcommand, ValueEnum};
+use clap::builder::BoolishValueParser;
+use clap::{ArgAction, Args, Parser, Subcommand, ValueEnum};
 use documents::{DocumentName, ModelRecipe, Recipe};
+use domain::Appearance;
 use llm::{ChatClient, ChatSettings, Endpoint};
 use memory_proc::builders::build::{self, BuildSettings};
 use memory_proc::builders::{DocumentBuilder, Extractive, ModelBuilder, model};
@@ -94,6 +96,8 @@ enum MemoryVerb {
         /// Folder of layout, catalogue and cases [default: the built-in ones]
         #[arg(long, value_name = "DIR")]
         assets: Option<PathBuf>,
+        #[command(flatten)]
+        appearance: AppearanceArguments,
         /// The folder that the documents are written to
         #[arg(long, value_name = "DIR")]
         documents: PathBuf,
@@ -103,6 +107,22 @@ enum MemoryVerb {
         #[command(flatten)]
         builder: BuilderArguments,
     },
+}
+
+/// How the world looks in frames
+#[derive(Args)]
+struct AppearanceArguments {
+    /// Whether a coloured plate hangs above every item
+    #[arg(long, value_name = "on|off", default_value = "on", action = ArgAction::Set,
+          value_parser = BoolishValueParser::new())]
+    plates: bool,
+    /// Whether anything is written
+    #[arg(long, value_name = "on|off", default_value = "on", action = ArgAction::Set,
+          value_parser = BoolishValueParser::new())]
+    labels: bool,
+    /// Determines the light and the tints of walls, floor and racks
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    appearance_seed: u64,
 }
 
 #[derive(Args)]
@@ -305,9 +325,11 @@ fn run(verb: MemoryVerb) -> anyhow::Result<()> {
             let mut out = std::io::BufWriter::with_capacity(1 << 20, std::io::stdout().lock());
             search_profile::write_vectors(&vectors.vectors()?, entries.get(), queries, &mut out)
         }
-        MemoryVerb::Build { attach, assets, documents, wanted, builder } => {
+        MemoryVerb::Build { attach, assets, appearance, documents, wanted, builder } => {
+            let AppearanceArguments { plates, labels, appearance_seed: seed } = appearance;
+            let appearance = Appearance { plates, labels, seed };
             let (recipe, mut builder) = builder.builder()?;
-            let settings = BuildSettings { attach, assets, documents, wanted, recipe };
+            let settings = BuildSettings { attach, assets, appearance, documents, wanted, recipe };
             build::build(&settings, builder.as_mut())
         }
     }

@@ -17,7 +17,7 @@ use documents::{
     DocumentFolder, DocumentName, DocumentSelection, DocumentState, ModelRecipe, Recipe, Sources,
     StoredDocument,
 };
-use domain::cache_folder;
+use domain::{Appearance, cache_folder};
 use results::conditions::Condition;
 use results::log::DocumentFacts;
 
@@ -50,6 +50,8 @@ pub struct DocumentRequest {
     pub assets: Option<PathBuf>,
     /// Width and height of the frames that they are made from.
     pub frame_size: u32,
+    /// How the world looks in the frames.
+    pub appearance: Appearance,
     /// Which documents are acceptable. Missing ones are built if this is a recipe.
     pub selection: DocumentSelection,
     /// How a model is asked.
@@ -108,7 +110,7 @@ impl DocumentRequest {
     /// # Errors
     /// When the folder or the assets cannot be read.
     pub fn find(&self, wanted: &[DocumentName]) -> Result<Vec<StoredDocument>> {
-        let (folder, sources) = (self.folder()?, Sources::load(self.assets.as_deref())?);
+        let (folder, sources) = (self.folder()?, self.sources()?);
         let find =
             |&name: &DocumentName| folder.find(name, &self.selection, &sources, self.frame());
         let found: std::io::Result<_> = wanted.iter().map(find).collect();
@@ -120,7 +122,7 @@ impl DocumentRequest {
     /// # Errors
     /// When the folder or the assets cannot be read.
     pub fn list(&self) -> Result<Vec<StoredDocument>> {
-        let (folder, sources) = (self.folder()?, Sources::load(self.assets.as_deref())?);
+        let (folder, sources) = (self.folder()?, self.sources()?);
         let listed = folder.list(&sources, self.frame());
         listed.with_context(|| format!("cannot list {}", folder.path().display()))
     }
@@ -191,6 +193,10 @@ impl DocumentRequest {
             kind.word(),
             out.collect::<String>(),
         )
+    }
+
+    fn sources(&self) -> Result<Sources> {
+        Ok(Sources::load(self.assets.as_deref())?.seen_with(self.appearance))
     }
 
     fn frame(&self) -> [u32; 2] {
@@ -323,6 +329,7 @@ mod tests {
             folder: Some(folder.path().to_owned()),
             assets: None,
             frame_size: 448,
+            appearance: Appearance::STANDARD,
             selection: DocumentSelection::Model(Some("m".into())),
             server: ModelServer::default(),
         };

@@ -145,12 +145,13 @@ fn launches(settings: &RunSettings, memories: &[ExternalMemory]) -> Result<Vec<L
     // Not in the folder to which processes attach: a policy and external memories must not see it.
     let streams = settings.stream.is_some().then(|| RunFolder::streams_of(&settings.out));
     let streams = ("--streams", path(&streams));
-    let renderer = vec![
+    let mut renderer = vec![
         assets.clone(),
         streams.clone(),
         ("--backend", settings.backend.clone()),
         ("--adapter", settings.adapter.clone()),
     ];
+    renderer.extend(settings.appearance().flags().map(|(flag, value)| (flag, Some(value))));
     let mut sim = launch(Role::Sim, "sim-proc", vec!["serve".into()], renderer)?;
     if settings.warm_views {
         sim.args.push("--warm-views".into());

@@ -5,7 +5,7 @@ use std::fs;
 use std::path::Path;
 
 use anyhow::{Context, Result};
-use domain::Pose;
+use domain::{Appearance, Pose};
 use sha2::{Digest, Sha256};
 use warehouse::case_file::CASES_FILE;
 use warehouse::{CaseSet, Demonstrations, History, Warehouse};
@@ -27,6 +27,8 @@ pub struct Sources {
     pub cases: CaseSet,
     /// SHA-256 of the world's files, in hexadecimal digits.
     world_sha256: String,
+    /// How the world looks in frames.
+    appearance: Appearance,
 }
 
 impl Sources {
@@ -53,7 +55,13 @@ impl Sources {
                 (warehouse, cases)
             }
         };
-        Ok(Self { warehouse, cases, world_sha256: hex(&world.finalize()) })
+        let world_sha256 = hex(&world.finalize());
+        Ok(Self { warehouse, cases, world_sha256, appearance: Appearance::STANDARD })
+    }
+
+    /// The same sources, in frames with this appearance.
+    pub fn seen_with(self, appearance: Appearance) -> Self {
+        Self { appearance, ..self }
     }
 
     /// The demonstrations that `selection` names for any case, each once: in the order of the cases, and for each
@@ -79,8 +87,9 @@ impl Sources {
     }
 
     /// SHA-256, in hexadecimal digits, of everything that determines the demonstrations of `selection` and their views
-    /// and is known without rendering: layout, catalogue, the demonstrations, the frames' width and height, and this
-    /// program's version, which stands for how the world is drawn and how plates are read.
+    /// and is known without rendering: layout, catalogue, the demonstrations, the frames' width and height, their appearance
+    /// if it is not the standard one, and this program's version, which stands for how the world is drawn and how plates
+    /// are read.
     ///
     /// Test references and barricades are left out: a document does not depend on them.
     pub fn sha256(&self, selection: Demonstrations, frame: [u32; 2]) -> String {
@@ -91,6 +100,9 @@ impl Sources {
             self.world_sha256.clone(),
             frame,
         ];
+        if self.appearance != Appearance::STANDARD {
+            parts.push(self.appearance.to_string());
+        }
         for History { case, start } in self.histories(selection) {
             let case = &self.cases.cases[case];
             let trajectory = case.trajectory(start);
@@ -120,6 +132,9 @@ mod tests {
         assert_eq!(hash(&built_in), hash(&read));
         assert_ne!(hash(&built_in), built_in.sha256(Demonstrations::ALL, [224, 224]));
         assert_ne!(hash(&built_in), built_in.sha256(Demonstrations::ORIGINAL, FRAME));
+        let seeded = sources().seen_with(Appearance { seed: 7, ..Appearance::STANDARD });
+        assert_ne!(hash(&built_in), hash(&seeded));
+        assert_eq!(hash(&built_in), hash(&seeded.seen_with(Appearance::STANDARD)));
     }
 
     #[test]

@@ -3,6 +3,7 @@
 //! The orchestrator merges them from flags, environment variables and suite files, and checks them. A key has the same
 //! name in all of those places.
 
+mod appearance;
 mod cases;
 mod documents;
 mod group;
@@ -10,6 +11,7 @@ mod model;
 mod stream;
 mod suite;
 
+pub use appearance::Drawn;
 pub use cases::CaseSelector;
 pub use documents::DocumentSource;
 pub use group::Group;
@@ -20,7 +22,7 @@ pub use suite::SuiteName;
 use std::collections::BTreeSet;
 use std::path::PathBuf;
 
-use domain::{ExternalName, MemoryKind};
+use domain::{Appearance, ExternalName, MemoryKind};
 use serde::{Deserialize, Serialize};
 
 use crate::conditions::{Condition, Frames, PolicyKind};
@@ -61,6 +63,12 @@ pub struct RunSettings {
     pub documents: DocumentSource,
     pub frame_size: u32,
     pub frames: Frames,
+    #[serde(default)]
+    pub plates: Drawn,
+    #[serde(default)]
+    pub labels: Drawn,
+    #[serde(default)]
+    pub appearance_seed: u64,
     pub encoder: String,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub encoder_file: Option<PathBuf>,
@@ -138,6 +146,15 @@ impl RunSettings {
     pub fn memory_image_budget(&self) -> u32 {
         let most_built_in = self.keyframes.max(self.hits * (1 + self.horizon));
         self.memory_images.unwrap_or(most_built_in)
+    }
+
+    /// How the world looks in frames.
+    pub fn appearance(&self) -> Appearance {
+        Appearance {
+            plates: self.plates == Drawn::On,
+            labels: self.labels == Drawn::On,
+            seed: self.appearance_seed,
+        }
     }
 
     /// Whether the run has memories in processes of their own.

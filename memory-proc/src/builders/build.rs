@@ -11,7 +11,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, bail};
 use bytemuck::Zeroable;
-use domain::Pose;
+use domain::{Appearance, Pose};
 use shm_types::message::{
     Handshake, Heartbeat, NO_FRAME, Role, ShutdownReport, Stop, View, ViewRequest, ViewRequestKind,
 };
@@ -42,6 +42,8 @@ pub struct BuildSettings {
     pub attach: PathBuf,
     /// Folder of layout, catalogue and cases; `None`: those that are built in.
     pub assets: Option<PathBuf>,
+    /// How the world looks in the frames that they are built from.
+    pub appearance: Appearance,
     /// The folder that the documents are written to.
     pub documents: PathBuf,
     /// The documents, in the order of building.
@@ -66,7 +68,7 @@ pub fn build(settings: &BuildSettings, builder: &mut dyn DocumentBuilder) -> Res
     let bus = Bus::join(attach, Role::Memory)?;
     let mut reporter = ErrorReporter::new(&bus)?;
     let done = BuildProcess::new(&bus).and_then(|mut process| {
-        let sources = Sources::load(settings.assets.as_deref())?;
+        let sources = Sources::load(settings.assets.as_deref())?.seen_with(settings.appearance);
         bus.sender()?.send(&Handshake::new(
             Role::Memory,
             [

@@ -34,6 +34,7 @@ impl RunDocuments {
             folder,
             assets: settings.assets.clone(),
             frame_size: settings.frame_size,
+            appearance: settings.appearance(),
             selection,
             server: ModelServer::default(),
         };

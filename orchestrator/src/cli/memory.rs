@@ -8,7 +8,7 @@ use documents::{
     DocumentFile, DocumentName, DocumentSelection, DocumentState, ModelRecipe, Recipe,
     StoredDocument, kind,
 };
-use domain::DocumentKind;
+use domain::{Appearance, DocumentKind};
 use serde_json::json;
 use shm_types::FrameSize;
 use warehouse::Demonstrations;
@@ -18,6 +18,7 @@ use crate::documents::{DocumentRequest, ModelServer};
 use crate::progress::BuildProgress;
 use crate::settings::variable;
 use crate::signals::Signals;
+use results::settings::Drawn;
 use results::table::table;
 
 #[derive(Debug, Args)]
@@ -153,7 +154,7 @@ struct ShowArgs {
     made_for: MadeFor,
 }
 
-/// The world and frame size that documents are made for.
+/// The world, frame size and appearance that documents are made for.
 #[derive(Debug, Args)]
 struct MadeFor {
     /// Use the layout, catalogue and cases in DIR instead of the built-in ones
@@ -162,6 +163,12 @@ struct MadeFor {
     /// Width and height of the frames that are read [default: $MEMTRANSFER_FRAME_SIZE, else 448]
     #[arg(long, value_name = "PIXELS")]
     frame_size: Option<u32>,
+    /// Read frames without anything written in them, as in `run --labels off`
+    #[arg(long, value_name = "on|off")]
+    labels: Option<Drawn>,
+    /// Read frames with this light and these tints, as in `run --appearance-seed`
+    #[arg(long, value_name = "N")]
+    appearance_seed: Option<u64>,
 }
 
 /// A builder of documents.
@@ -179,12 +186,18 @@ impl MadeFor {
         folder: Option<PathBuf>,
         selection: DocumentSelection,
     ) -> Result<DocumentRequest> {
-        let Self { assets, frame_size } = self;
-        let variable = variable("frame-size")?;
-        let variable = variable.and_then(|size| u32::try_from(size.as_u64()?).ok());
-        let frame_size = frame_size.or(variable).unwrap_or(FrameSize::DEFAULT.width);
+        let Self { assets, frame_size, labels, appearance_seed } = self;
+        let size = variable("frame-size")?.and_then(|size| u32::try_from(size.as_u64()?).ok());
+        let frame_size = frame_size.or(size).unwrap_or(FrameSize::DEFAULT.width);
+        let drawn = variable("labels")?.and_then(|word| word.as_str()?.parse().ok());
+        let seed = variable("appearance-seed")?.and_then(|seed| seed.as_u64());
+        let appearance = Appearance {
+            labels: labels.or(drawn).unwrap_or_default() == Drawn::On,
+            seed: appearance_seed.or(seed).unwrap_or_default(),
+            ..Appearance::STANDARD
+        };
         let server = ModelServer::default();
-        Ok(DocumentRequest { folder, assets, frame_size, selection, server })
+        Ok(DocumentRequest { folder, assets, frame_size, appearance, selection, server })
     }
 }
 

@@ -72,6 +72,9 @@ fn launches(
         if let Some(assets) = &request.assets {
             args.extend(["--assets".into(), assets.into()]);
         }
+        for (flag, value) in request.appearance.flags() {
+            args.extend([flag.into(), value.into()]);
+        }
         Launch::sibling(role, program, args)
     };
     let sim = launch(Role::Sim, "sim-proc")?;

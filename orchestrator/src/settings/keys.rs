@@ -13,7 +13,7 @@ use results::conditions::{
 use results::cost::Amount;
 use results::key::Order;
 use results::names::UnknownName;
-use results::settings::{CaseSelector, DocumentSource, ResponseCache};
+use results::settings::{CaseSelector, DocumentSource, Drawn, ResponseCache};
 use serde_json::Value;
 use shm_types::message::{MAX_ITEMS, MAX_SEGMENT, MAX_WINDOW};
 
@@ -235,6 +235,13 @@ pub const KEYS: &[Key] = keys! {
         "Width and height of a frame, a multiple of 64";
     "frames" "KIND" Text(parses::<Frames>),
         "What frames show: rendered, or as a control blank (grey) or swapped (another pose)";
+    "plates" "on|off" Text(parses::<Drawn>),
+        "Whether a coloured plate hangs above every item; grounded and the builders of documents read \
+         nothing else";
+    "labels" "on|off" Text(parses::<Drawn>),
+        "Whether anything is written in the warehouse: names of items, numbers of bays, signs";
+    "appearance-seed" "N" Number(0, u64::MAX, 1),
+        "Vary the light and the tints of walls, floor and racks; 0 is the standard look";
     "encoder" "NAME" Text(any),
         "The model that embeds frames, by its name in models.toml";
     "encoder-file" "FILE" Text(any),
@@ -326,6 +333,9 @@ arms = ["frozen"]
 documents = "extractive"
 frame-size = 448
 frames = "rendered"
+plates = "on"
+labels = "on"
+appearance-seed = 0
 encoder = "dinov2-s14"
 image-format = "png"
 image-budget = 50

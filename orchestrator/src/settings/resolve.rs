@@ -8,7 +8,7 @@ use domain::memory_kind::{EXTERNAL_WORD, NONE_WORD};
 use domain::representation::Trajectories;
 use domain::{Arm, Representation};
 use results::conditions::{Condition, Demonstrations, PolicyKind, Route, Start, Variation};
-use results::settings::{RunSettings, SuiteName};
+use results::settings::{Drawn, RunSettings, SuiteName};
 use serde_json::{Map, Value, json};
 use shm_types::message::MAX_EXTERNAL_MEMORIES;
 
@@ -241,6 +241,9 @@ pub fn check(settings: &RunSettings) -> Result<()> {
         "--adapter chooses a graphics adapter, and --backend cpu uses none: give one of them"
     );
     let conditions = settings.conditions();
+    if settings.plates == Drawn::Off {
+        check_without_plates(settings.policy, &conditions)?;
+    }
     let is_complete = !settings.has_external_memories() || !settings.external_names().is_empty();
     ensure!(
         !(conditions.is_empty() && is_complete),
@@ -290,6 +293,26 @@ fn check_arms(settings: &RunSettings) -> Result<()> {
         bail!(
             "{other}: in a suite of streams every episode begins at the new start, on the unchanged route, with the \
              original demonstrations: starts = [\"new\"], routes = [\"unchanged\"], demos = [\"original\"]"
+        );
+    }
+    Ok(())
+}
+
+/// Checks that nothing in the run reads plates.
+fn check_without_plates(policy: PolicyKind, conditions: &[Condition]) -> Result<()> {
+    ensure!(
+        policy != PolicyKind::Grounded,
+        "--policy grounded sees nothing but plates, so it cannot run with --plates off: leave that out, or choose another \
+         --policy"
+    );
+    let reads = |condition: &&Condition| {
+        condition.memory.describe().is_some_and(|info| !info.documents.is_empty())
+    };
+    if let Some(condition) = conditions.iter().find(reads) {
+        bail!(
+            "the documents of {} memory are built from the plates in frames, and with --plates off there are none: leave \
+             that out, or choose memories without documents (--memory working,full-context,episodic)",
+            condition.memory
         );
     }
     Ok(())
@@ -411,6 +434,11 @@ mod tests {
         insta::assert_snapshot!(error(&[("model", "m")]), @"--model is for --policy openai, and the policy is grounded");
         insta::assert_snapshot!(error(&[("policy", "openai")]), @"--policy openai needs --model NAME: the model, by the name that the server knows");
         insta::assert_snapshot!(error(&[("backend", "cpu"), ("adapter", "x")]), @"--adapter chooses a graphics adapter, and --backend cpu uses none: give one of them");
+        insta::assert_snapshot!(error(&[("plates", "off")]), @"--policy grounded sees nothing but plates, so it cannot run with --plates off: leave that out, or choose another --policy");
+        let external = ("policy", "external");
+        insta::assert_snapshot!(error(&[("plates", "off"), external, ("memory", "hybrid")]), @"the documents of hybrid memory are built from the plates in frames, and with --plates off there are none: leave that out, or choose memories without documents (--memory working,full-context,episodic)");
+        assert!(with(&[("plates", "off"), external, ("memory", "working,episodic")]).is_ok());
+        assert!(with(&[("labels", "off"), ("appearance-seed", "7")]).is_ok());
         insta::assert_snapshot!(error(&[("window", "6,20")]), @"a request under full-context/original/unchanged/original/h20 may need 61 images (the current view, 20 of the window, 40 of memory), and a prompt holds at most 50: lower --window or --keyframes");
         let long = error(&[("window", "20"), ("horizon", "30"), ("keyframes", "20")]);
         assert!(long.ends_with("lower --window or --horizon"), "{long}");

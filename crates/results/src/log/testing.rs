@@ -11,7 +11,7 @@ use super::{
 use crate::conditions::{Condition, Demonstrations, Frames, PolicyKind, Route, Start, Variation};
 use crate::key::{EpisodeKey, Order};
 use crate::settings::{
-    CaseSelector, DocumentSource, Group, RunSettings, StreamSettings, SuiteName,
+    CaseSelector, DocumentSource, Drawn, Group, RunSettings, StreamSettings, SuiteName,
 };
 
 /// The manifest of a run with every setting at its default.
@@ -64,6 +64,9 @@ pub fn settings() -> RunSettings {
         documents: DocumentSource::Extractive,
         frame_size: 448,
         frames: Frames::Rendered,
+        plates: Drawn::On,
+        labels: Drawn::On,
+        appearance_seed: 0,
         encoder: "dinov2-s14".to_owned(),
         encoder_file: None,
         model: None,

@@ -2,8 +2,8 @@
 
 use std::collections::BTreeSet;
 
-use domain::Representation;
 use domain::representation::RepresentationInfo;
+use domain::{Appearance, Representation};
 
 use crate::conditions::{Condition, Frames, PolicyKind};
 use crate::log::{EpisodeRecord, ExternalMemoryFacts, Manifest};
@@ -74,6 +74,10 @@ fn standing(manifest: &Manifest) -> Vec<String> {
         control => lines.push(format!(
             "Control: observed frames were {control}. Compare with a run on rendered frames, not with the paper."
         )),
+    }
+    let appearance = settings.appearance();
+    if appearance != Appearance::STANDARD {
+        lines.push(format!("Appearance of the world: {appearance}."));
     }
     lines
 }

@@ -1,0 +1,19 @@
+//! How the world looks in frames: `--plates` and `--labels`.
+
+use crate::names::named;
+
+named! {
+    /// Whether something that a person might not find in a warehouse is drawn.
+    Drawn, "value" {
+        /// It is.
+        On = "on",
+        /// It is not.
+        Off = "off",
+    }
+}
+
+impl Default for Drawn {
+    fn default() -> Self {
+        Self::On
+    }
+}
