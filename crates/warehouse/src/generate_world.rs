@@ -325,3 +325,68 @@ fn thinned(draw: &mut Draw, mut stretch: Vec<Cell>, count: usize) -> Vec<Cell> {
         stretch.pop();
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The value of the first key of a file, a text over several lines.
+    fn drawing(text: &str) -> &str {
+        text.split("\"\"\"").nth(1).unwrap().trim()
+    }
+
+    #[test]
+    fn a_small_world() {
+        let world = GeneratedWorld::generate(1, 14, 15, None).unwrap();
+        insta::assert_snapshot!(drawing(&world.layout), @"");
+        insta::assert_snapshot!(drawing(&world.catalogue), @"");
+        assert!(world.layout.starts_with("# The warehouse floor"));
+        assert!(world.catalogue.starts_with("# What stands on the racks."));
+    }
+
+    #[test]
+    fn categories_stand_elsewhere_with_another_seed() {
+        let [one, two] = [1, 2].map(|seed| GeneratedWorld::generate(seed, 24, 40, None).unwrap());
+        let first = |world: &GeneratedWorld, name: &str| {
+            let category = world.warehouse.catalogue.category_named(name).unwrap();
+            world.warehouse.items_in(category).next().unwrap().standpoint
+        };
+        let names = one.warehouse.catalogue.categories.iter().map(|category| &category.name);
+        assert!(names.filter(|name| first(&one, name) == first(&two, name)).count() < 2);
+    }
+
+    #[test]
+    fn every_size_has_a_world_with_every_number_of_corridors() {
+        for (seed, width) in (MIN_SIDE..=MAX_SIDE).enumerate() {
+            for number in corridors(width) {
+                let height = MIN_SIDE + (7 * width + 11 * number) % (MAX_SIDE - MIN_SIDE + 1);
+                let world = GeneratedWorld::generate(seed as u64, width, height, Some(number));
+                let world = world.unwrap_or_else(|error| panic!("{width}x{height}: {error}"));
+                let layout = &world.warehouse.layout;
+                assert_eq!(
+                    (usize::from(layout.width()), usize::from(layout.height())),
+                    (width, height)
+                );
+                let categories = world.warehouse.catalogue.categories.len();
+                for category in 0..categories {
+                    let items = world.warehouse.items_in(category).count();
+                    assert!((6..=MAX_CATEGORY).contains(&items), "{width}x{height}: {items}");
+                }
+                assert!(categories >= 4, "{width}x{height}: {categories} categories");
+            }
+        }
+    }
+
+    #[test]
+    fn what_cannot_be_drawn_is_refused() {
+        let refused = |width, height, number| {
+            GeneratedWorld::generate(1, width, height, number).unwrap_err().to_string()
+        };
+        assert_eq!(refused(11, 40, None), "11x40 cells; each side must be 12 to 64");
+        assert_eq!(refused(40, 65, None), "40x65 cells; each side must be 12 to 64");
+        assert_eq!(
+            refused(24, 40, Some(7)),
+            "7 aisles in each bank; a warehouse 24 cells wide has 2 to 6"
+        );
+    }
+}
