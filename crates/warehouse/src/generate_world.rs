@@ -338,8 +338,40 @@ mod tests {
     #[test]
     fn a_small_world() {
         let world = GeneratedWorld::generate(1, 14, 15, None).unwrap();
-        insta::assert_snapshot!(drawing(&world.layout), @"");
-        insta::assert_snapshot!(drawing(&world.catalogue), @"");
+        insta::assert_snapshot!(drawing(&world.layout), @"
+        %############%
+        nnnnnnnnnnnnnn
+        nnnnnnnnnnnnnn
+        ###CC#####DD##
+        ###CC#####DD##
+        ###CC#####DD##
+        ###CC#####DD##
+        xxxxxxxxxxxxxx
+        xxxxxxxxxxxxxx
+        ##AA#####BB###
+        ##AA#####BB###
+        ##AA#####BB###
+        ssssssssssssss
+        ssssssssssssss
+        %############%
+        ");
+        insta::assert_snapshot!(drawing(&world.catalogue), @"
+        ## ## ## ## ## ## ## ## ## ## ## ## ## ##
+        .. r1 r1 r3 r3 h2 h1 h3 h1 h3 h1 h3 h2 ..
+        r2 r2 r3 .. .. y2 y3 y1 h2 h2 .. .. .. ..
+        ## ## ## r1 y1 ## ## ## ## ## h2 .. ## ##
+        ## ## ## y3 y3 ## ## ## ## ## .. .. ## ##
+        ## ## ## y2 y2 ## ## ## ## ## .. .. ## ##
+        ## ## ## b2 y2 ## ## ## ## ## .. .. ## ##
+        b3 b2 b1 .. .. y3 g1 g3 g2 g1 .. .. .. ..
+        b1 b2 .. .. g2 g1 g3 g2 g3 .. .. .. .. ..
+        ## ## b1 b3 ## ## ## ## ## g1 c2 ## ## ##
+        ## ## k3 b3 ## ## ## ## ## g1 c1 ## ## ##
+        ## ## k3 k3 ## ## ## ## ## c3 c2 ## ## ##
+        k1 k1 .. .. k1 k2 l2 l3 c1 .. .. c2 c3 c3
+        .. k2 k1 l2 l2 l1 l2 l1 l3 l1 c1 c3 c1 ..
+        ## ## ## ## ## ## ## ## ## ## ## ## ## ##
+        ");
         assert!(world.layout.starts_with("# The warehouse floor"));
         assert!(world.catalogue.starts_with("# What stands on the racks."));
     }
