@@ -82,7 +82,7 @@ enum MemtransferVerb {
     Clean(clean::CleanArgs),
     /// List or remove the cached replies of models
     Cache(passed_on::PassedOn),
-    /// Generate a case file from a seed
+    /// Generate a case file, or a warehouse with its cases, from a seed
     Generate(generate::GenerateArgs),
     /// Check what a run needs on this machine, and say how to get what is missing
     Doctor(doctor::DoctorArgs),

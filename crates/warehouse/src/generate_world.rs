@@ -325,3 +325,100 @@ fn thinned(draw: &mut Draw, mut stretch: Vec<Cell>, count: usize) -> Vec<Cell> {
         stretch.pop();
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The value of the first key of a file, a text over several lines.
+    fn drawing(text: &str) -> &str {
+        text.split("\"\"\"").nth(1).unwrap().trim()
+    }
+
+    #[test]
+    fn a_small_world() {
+        let world = GeneratedWorld::generate(1, 14, 15, None).unwrap();
+        insta::assert_snapshot!(drawing(&world.layout), @"
+        %############%
+        nnnnnnnnnnnnnn
+        nnnnnnnnnnnnnn
+        ###CC#####DD##
+        ###CC#####DD##
+        ###CC#####DD##
+        ###CC#####DD##
+        xxxxxxxxxxxxxx
+        xxxxxxxxxxxxxx
+        ##AA#####BB###
+        ##AA#####BB###
+        ##AA#####BB###
+        ssssssssssssss
+        ssssssssssssss
+        %############%
+        ");
+        insta::assert_snapshot!(drawing(&world.catalogue), @"
+        ## ## ## ## ## ## ## ## ## ## ## ## ## ##
+        .. r1 r1 r3 r3 h2 h1 h3 h1 h3 h1 h3 h2 ..
+        r2 r2 r3 .. .. y2 y3 y1 h2 h2 .. .. .. ..
+        ## ## ## r1 y1 ## ## ## ## ## h2 .. ## ##
+        ## ## ## y3 y3 ## ## ## ## ## .. .. ## ##
+        ## ## ## y2 y2 ## ## ## ## ## .. .. ## ##
+        ## ## ## b2 y2 ## ## ## ## ## .. .. ## ##
+        b3 b2 b1 .. .. y3 g1 g3 g2 g1 .. .. .. ..
+        b1 b2 .. .. g2 g1 g3 g2 g3 .. .. .. .. ..
+        ## ## b1 b3 ## ## ## ## ## g1 c2 ## ## ##
+        ## ## k3 b3 ## ## ## ## ## g1 c1 ## ## ##
+        ## ## k3 k3 ## ## ## ## ## c3 c2 ## ## ##
+        k1 k1 .. .. k1 k2 l2 l3 c1 .. .. c2 c3 c3
+        .. k2 k1 l2 l2 l1 l2 l1 l3 l1 c1 c3 c1 ..
+        ## ## ## ## ## ## ## ## ## ## ## ## ## ##
+        ");
+        assert!(world.layout.starts_with("# The warehouse floor"));
+        assert!(world.catalogue.starts_with("# What stands on the racks."));
+    }
+
+    #[test]
+    fn categories_stand_elsewhere_with_another_seed() {
+        let [one, two] = [1, 2].map(|seed| GeneratedWorld::generate(seed, 24, 40, None).unwrap());
+        let first = |world: &GeneratedWorld, name: &str| {
+            let category = world.warehouse.catalogue.category_named(name).unwrap();
+            world.warehouse.items_in(category).next().unwrap().standpoint
+        };
+        let names = one.warehouse.catalogue.categories.iter().map(|category| &category.name);
+        assert!(names.filter(|name| first(&one, name) == first(&two, name)).count() < 2);
+    }
+
+    #[test]
+    fn every_size_has_a_world_with_every_number_of_corridors() {
+        for (seed, width) in (MIN_SIDE..=MAX_SIDE).enumerate() {
+            for number in corridors(width) {
+                let height = MIN_SIDE + (7 * width + 11 * number) % (MAX_SIDE - MIN_SIDE + 1);
+                let world = GeneratedWorld::generate(seed as u64, width, height, Some(number));
+                let world = world.unwrap_or_else(|error| panic!("{width}x{height}: {error}"));
+                let layout = &world.warehouse.layout;
+                assert_eq!(
+                    (usize::from(layout.width()), usize::from(layout.height())),
+                    (width, height)
+                );
+                let categories = world.warehouse.catalogue.categories.len();
+                for category in 0..categories {
+                    let items = world.warehouse.items_in(category).count();
+                    assert!((6..=MAX_CATEGORY).contains(&items), "{width}x{height}: {items}");
+                }
+                assert!(categories >= 4, "{width}x{height}: {categories} categories");
+            }
+        }
+    }
+
+    #[test]
+    fn what_cannot_be_drawn_is_refused() {
+        let refused = |width, height, number| {
+            GeneratedWorld::generate(1, width, height, number).unwrap_err().to_string()
+        };
+        assert_eq!(refused(11, 40, None), "11x40 cells; each side must be 12 to 64");
+        assert_eq!(refused(40, 65, None), "40x65 cells; each side must be 12 to 64");
+        assert_eq!(
+            refused(24, 40, Some(7)),
+            "7 aisles in each bank; a warehouse 24 cells wide has 2 to 6"
+        );
+    }
+}

@@ -169,16 +169,18 @@ fn on_shelf(mut mesh: Mesh, depth: f32) -> Mesh {
     mesh
 }
 
-/// The number of a bay: the first letter of the aisle's name without the word "aisle", and the position along the aisle.
+/// The number of a bay: the first letter of the aisle's name without the word "aisle", the number in the name if there is one,
+/// and the position along the aisle.
 fn bay_number(layout: &Layout, standpoint: Cell) -> String {
     let Some(aisle) = layout.aisle(standpoint) else { return String::new() };
     let word = aisle.name.split([' ', '-']).find(|w| !w.eq_ignore_ascii_case("aisle"));
     let letter = word.and_then(|w| w.chars().next()).unwrap_or('?').to_ascii_uppercase();
+    let number: String = aisle.name.chars().filter(char::is_ascii_digit).collect();
     let along = match aisle.runs {
         Axis::NorthSouth => standpoint.y,
         Axis::EastWest => standpoint.x,
     };
-    format!("{letter}-{along:02}")
+    format!("{letter}{number}-{along:02}")
 }
 
 /// What a side of a rack square is.
