@@ -1,5 +1,6 @@
 //! A bank: the demonstrations that a memory is built from, in the form in which it is given them.
 
+use std::collections::{HashMap, VecDeque};
 use std::ops::Range;
 
 use domain::Pose;
@@ -11,13 +12,22 @@ use shm_types::message::{FrameId, NO_ACTION, NO_FRAME};
 
 use crate::demonstrations::Demonstration;
 
-/// Demonstrations, and the poses of their views.
+/// Where a view is seen from: a pose in a variant of the world.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub struct Viewpoint {
+    /// The variant, as in [`StepCommand`](shm_types::message::StepCommand).
+    pub variant: u32,
+    /// The pose.
+    pub pose: Pose,
+}
+
+/// Demonstrations, and where their views are seen from.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Bank {
     /// The demonstrations, numbered from 0.
     pub demonstrations: Vec<Demonstration>,
-    /// Their poses, each once, sorted.
-    pub poses: Vec<Pose>,
+    /// The viewpoints of those that the bank was made of, each once, sorted.
+    pub viewpoints: Vec<Viewpoint>,
 }
 
 /// What is known about a remembered view.
@@ -34,18 +44,22 @@ pub struct KnownView {
 impl Bank {
     /// A bank of these demonstrations.
     pub fn new(demonstrations: Vec<Demonstration>) -> Self {
-        let poses = demonstrations.iter().flat_map(|demonstration| &demonstration.poses);
-        let mut poses: Vec<Pose> = poses.copied().collect();
-        poses.sort_unstable();
-        poses.dedup();
-        Self { demonstrations, poses }
+        let mut viewpoints: Vec<Viewpoint> =
+            demonstrations.iter().flat_map(Demonstration::viewpoints).collect();
+        viewpoints.sort_unstable();
+        viewpoints.dedup();
+        Self { demonstrations, viewpoints }
     }
 
     /// The steps of all demonstrations with what is known about their views. `None` while a view is not known.
-    pub fn with_views(&self, view: impl Fn(Pose) -> Option<KnownView>) -> Option<BankSteps<'_>> {
+    pub fn with_views(
+        &self,
+        view: impl Fn(Viewpoint) -> Option<KnownView>,
+    ) -> Option<BankSteps<'_>> {
         let mut found = BankSteps::without_views(self);
-        for (at, pose) in self.demonstrations.iter().flat_map(|of| &of.poses).enumerate() {
-            let KnownView { frame, content, embedding } = view(*pose)?;
+        let viewpoints = self.demonstrations.iter().flat_map(Demonstration::viewpoints);
+        for (at, viewpoint) in viewpoints.enumerate() {
+            let KnownView { frame, content, embedding } = view(viewpoint)?;
             found.frames.push(frame);
             found.steps[at].content_hash = content;
             if let Some(embedding) = embedding {
@@ -53,6 +67,33 @@ impl Bank {
             }
         }
         Some(found)
+    }
+}
+
+/// Views that are pinned at the same time to embed a bank that is too large to be pinned as a whole.
+const PINNED_AT_ONCE: usize = 64;
+
+/// The views of a bank that is too large to be pinned as a whole.
+#[derive(Debug, Default)]
+pub(crate) struct Collecting {
+    pub(crate) found: HashMap<Viewpoint, KnownView>,
+    pub(crate) waiting: VecDeque<Viewpoint>,
+    pub(crate) pinned: Vec<Viewpoint>,
+}
+
+impl Collecting {
+    pub(crate) fn new(bank: &Bank) -> Self {
+        let waiting = bank.viewpoints.iter().copied().collect();
+        Self { found: HashMap::new(), waiting, pinned: Vec::new() }
+    }
+
+    /// Whether further views may be pinned.
+    pub(crate) fn has_room(&self) -> bool {
+        self.pinned.len() < PINNED_AT_ONCE
+    }
+
+    pub(crate) fn is_complete(&self) -> bool {
+        self.waiting.is_empty() && self.pinned.is_empty()
     }
 }
 
@@ -72,7 +113,7 @@ impl<'a> BankSteps<'a> {
             let states = demonstration.poses.iter().zip(&demonstration.feedback).enumerate();
             states.map(|(at, (&pose, &feedback))| DemonstrationStep {
                 pose,
-                action: demonstration.actions.get(at).copied(),
+                action: demonstration.actions.get(at).copied().flatten(),
                 feedback,
                 content_hash: [0; 16],
             })

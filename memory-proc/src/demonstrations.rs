@@ -1,23 +1,29 @@
 //! Demonstrations: the expert's views, actions and progress, step by step (specification, section 4).
 //!
-//! A demonstration is stored as actions and replayed here with the warehouse's dynamics. Its views are named by pose,
-//! because demonstrations take place in the unchanged world, where a pose has one view.
+//! A demonstration is stored as actions and replayed here with the warehouse's dynamics. Its views are named by pose and
+//! world variant. All but those of the oracle arm take place in the unchanged world.
 //!
 //! Memories are built from demonstrations only. Only [`Start::DEMONSTRATIONS`] are replayed: the two test references
-//! never get into a memory, whatever a set of cases contains.
+//! never get into a memory, whatever a set of cases contains. A memory that learns also has the episodes that it learned
+//! from, in the form of demonstrations.
 
 use std::collections::HashSet;
 
 use domain::{Action, Feedback, Pose};
 use warehouse::{CaseSet, Demonstrations, History, Start, Warehouse};
 
-/// A replayed demonstration.
+use crate::bank::Viewpoint;
+
+/// A replayed demonstration, or an episode that a memory has learned from.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Demonstration {
-    /// Its case's index.
+    /// Its case's index; of an episode, its position in its sequence.
     pub case: u32,
-    /// Its number in that case: 0 original, 1 opposite, 2 nearby, 3 distant.
+    /// Its number in that case: 0 original, 1 opposite, 2 nearby, 3 distant; [`EXPERIENCE`](shm_types::message::EXPERIENCE) for an
+    /// episode.
     pub number: u16,
+    /// The world variant in which it takes place.
+    pub variant: u32,
     /// Its task.
     pub instruction: String,
     /// The expert's pose after `t` steps.
@@ -26,8 +32,23 @@ pub struct Demonstration {
     pub feedback: Vec<Feedback>,
     /// Sub-goals completed after `t` steps.
     pub stages: Vec<u32>,
-    /// Action `t` leads from pose `t` to pose `t + 1`: one fewer than poses.
-    pub actions: Vec<Action>,
+    /// Action `t` leads from pose `t` to pose `t + 1`: one fewer than poses. `None` where an agent has taken none.
+    pub actions: Vec<Option<Action>>,
+}
+
+impl Demonstration {
+    /// Where its views are seen from.
+    pub fn viewpoints(&self) -> impl Iterator<Item = Viewpoint> + '_ {
+        self.poses.iter().map(|&pose| Viewpoint { variant: self.variant, pose })
+    }
+
+    /// Where the view of a step is seen from.
+    ///
+    /// # Panics
+    /// When there is no such step.
+    pub fn viewpoint(&self, step: u32) -> Viewpoint {
+        Viewpoint { variant: self.variant, pose: self.poses[step as usize] }
+    }
 }
 
 /// Replays the demonstrations of a set, given as [`Demonstrations::bits`], for the case at `index`. A mixed set includes
@@ -52,8 +73,17 @@ pub fn of_all_cases(
     selection: u32,
 ) -> Option<Vec<Demonstration>> {
     let selection = Demonstrations::from_bits(selection)?;
+    let of_all = (0..cases.cases.len()).flat_map(|case| cases.histories(case, selection));
+    histories(warehouse, cases, of_all)
+}
+
+/// Replays these demonstrations, each once. `None` when one of them is a test reference.
+pub(crate) fn histories(
+    warehouse: &Warehouse,
+    cases: &CaseSet,
+    histories: impl Iterator<Item = History>,
+) -> Option<Vec<Demonstration>> {
     let mut known = HashSet::new();
-    let histories = (0..cases.cases.len()).flat_map(|case| cases.histories(case, selection));
     let each_once = histories.filter(|history| known.insert(*history));
     each_once.map(|history| replayed(warehouse, cases, history)).collect()
 }
@@ -68,11 +98,12 @@ fn replayed(
     Some(Demonstration {
         case: case as u32,
         number: start as u16,
+        variant: 0,
         instruction: of.task.instruction(&warehouse.catalogue),
         poses: replay.poses,
         feedback: replay.feedback,
         stages: replay.stages,
-        actions: of.trajectory(start).actions.clone(),
+        actions: of.trajectory(start).actions.iter().copied().map(Some).collect(),
     })
 }
 
@@ -109,7 +140,8 @@ mod tests {
                     let replay = of.replay(&warehouse, history.start);
                     assert!(replay.length.is_some() && demonstration.stages == replay.stages);
                     assert_eq!(demonstration.poses, replay.poses);
-                    assert_eq!(demonstration.actions, of.trajectory(history.start).actions);
+                    let actions: Vec<_> = demonstration.actions.iter().copied().flatten().collect();
+                    assert_eq!(actions, of.trajectory(history.start).actions);
                 }
             }
         }

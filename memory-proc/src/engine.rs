@@ -4,35 +4,34 @@
 //! never waits: a lane whose views, embeddings or external memory are not ready stays pending while others are answered.
 //! Its answers depend on the messages only, not on their timing or on other lanes.
 //!
-//! Its only input and output is the embedding cache's file; [`crate::serve`] connects it to the bus, the encoder and the
-//! documents.
+//! Its only input and output are the embedding cache's file and the snapshots of memories that learn; [`crate::serve`]
+//! connects it to the bus, the encoder and the documents.
 
 use std::collections::{BTreeSet, HashSet, VecDeque};
 use std::sync::Arc;
 
-use domain::Pose;
-use shm_types::Note;
-use shm_types::message::{
-    ExternalAnswer, ExternalBuilt, FrameId, MemoryEpisodeConfig, Observation, Recall, RecallTrace,
-    ViewRequest,
-};
-use warehouse::{CaseSet, Warehouse};
-
-use crate::bank::KnownView;
+use crate::bank::{Collecting, KnownView, Viewpoint};
 use crate::embedding_cache::{CacheError, EmbeddingCache};
 use crate::episode::{
     EpisodeMemory, MemoryAnswer, MemoryEpisode, PendingObservation, PendingStage, Unusable,
     unusable,
 };
-use crate::external::{BankState, Collecting, ExternalMemories, ToExternal, query_message};
+use crate::external::{BankState, ExternalMemories, ToExternal, query_message};
 use crate::items::{Assembler, DocumentSupplier};
+use crate::sequences::{Bound, Sequences, StreamPart};
+use crate::snapshots::SnapshotFolder;
 use crate::views::{Arrival, PinnedView, PinnedViews};
+use crate::worlds::Worlds;
 use search::{ContentHash, Embedding};
+use shm_types::Note;
+use shm_types::message::{
+    ExternalAnswer, ExternalBuilt, FrameId, MemoryEpisodeConfig, Observation, Recall, RecallTrace,
+    SnapshotReport, ViewRequest,
+};
 
 /// The lanes of a run. `I` is a source of a frame's pixels, which the engine passes on to the encoder.
 pub struct Engine<I> {
-    warehouse: Warehouse,
-    cases: CaseSet,
+    worlds: Worlds,
     lanes: Vec<EngineLane>,
     /// Lanes with a pending observation.
     pending: BTreeSet<u32>,
@@ -43,6 +42,9 @@ pub struct Engine<I> {
     urgent: VecDeque<(ContentHash, I)>,
     in_flight: HashSet<ContentHash>,
     externals: ExternalMemories,
+    sequences: Sequences,
+    /// Reports of memories that have learned.
+    learned: Vec<SnapshotReport>,
     /// Episodes that cannot go on.
     failures: Vec<EpisodeFailure>,
 }
@@ -51,8 +53,8 @@ pub struct Engine<I> {
 struct EmbeddedViews<I> {
     pinned: PinnedViews<I>,
     embeddings: EmbeddingCache,
-    /// Poses of demonstration views to embed.
-    background: VecDeque<Pose>,
+    /// Demonstration views to embed.
+    background: VecDeque<Viewpoint>,
 }
 
 #[derive(Default)]
@@ -80,6 +82,8 @@ pub(crate) enum LaneProgress {
     Waiting,
     /// It is answered.
     Answered(Box<(Recall, RecallTrace)>),
+    /// Its episode is over, and its memory has learned from it.
+    Learned(SnapshotReport),
     /// Its episode cannot go on.
     Failed(String),
     /// There is none.
@@ -88,8 +92,8 @@ pub(crate) enum LaneProgress {
 
 impl<I: Clone> EmbeddedViews<I> {
     /// A view, once it is in the frame store, and embedded if `embeds`.
-    fn known(&self, pose: Pose, embeds: bool) -> Option<KnownView> {
-        let &PinnedView { frame, content, .. } = self.pinned.get(pose)?;
+    fn known(&self, viewpoint: Viewpoint, embeds: bool) -> Option<KnownView> {
+        let &PinnedView { frame, content, .. } = self.pinned.get(viewpoint)?;
         let embedding = embeds.then(|| self.embeddings.get(&content).cloned());
         match embedding {
             Some(None) => None,
@@ -97,28 +101,28 @@ impl<I: Clone> EmbeddedViews<I> {
         }
     }
 
-    /// Whether all of `poses` are [known](Self::known); `ready` counts those that are, the first ones.
-    fn are_known(&self, poses: &[Pose], ready: &mut usize, embeds: bool) -> bool {
-        let is_known = |&pose: &Pose| {
-            let view = self.pinned.get(pose);
+    /// Whether all of `viewpoints` are [known](Self::known); `ready` counts those that are, the first ones.
+    fn are_known(&self, viewpoints: &[Viewpoint], ready: &mut usize, embeds: bool) -> bool {
+        let is_known = |&viewpoint: &Viewpoint| {
+            let view = self.pinned.get(viewpoint);
             view.is_some_and(|view| !embeds || self.embeddings.get(&view.content).is_some())
         };
-        *ready += poses[*ready..].iter().take_while(|pose| is_known(pose)).count();
-        *ready == poses.len()
+        *ready += viewpoints[*ready..].iter().take_while(|viewpoint| is_known(viewpoint)).count();
+        *ready == viewpoints.len()
     }
 
-    /// Pins the views of all `poses`, or of none; returns whether there was room. `embeds`: they have to be embedded.
-    fn try_pin(&mut self, poses: &[Pose], embeds: bool) -> bool {
-        if !self.pinned.try_pin(poses, embeds) {
+    /// Pins all of these views, or none; returns whether there was room. `embeds`: they have to be embedded.
+    fn try_pin(&mut self, viewpoints: &[Viewpoint], embeds: bool) -> bool {
+        if !self.pinned.try_pin(viewpoints, embeds) {
             return false;
         }
         if embeds {
             // Views that are there already and have not been embedded for others.
-            let known = |pose: &Pose| self.pinned.get(*pose);
-            let is_new = |pose: &&Pose| {
-                known(pose).is_some_and(|view| self.embeddings.get(&view.content).is_none())
+            let known = |viewpoint: &Viewpoint| self.pinned.get(*viewpoint);
+            let is_new = |viewpoint: &&Viewpoint| {
+                known(viewpoint).is_some_and(|view| self.embeddings.get(&view.content).is_none())
             };
-            self.background.extend(poses.iter().filter(is_new));
+            self.background.extend(viewpoints.iter().filter(is_new));
         }
         true
     }
@@ -126,41 +130,41 @@ impl<I: Clone> EmbeddedViews<I> {
     /// Pins further views of a bank if it is `wanted`, and takes those that are embedded.
     fn collect(&mut self, collecting: &mut Collecting, wanted: bool) {
         let mut still = Vec::new();
-        for pose in std::mem::take(&mut collecting.pinned) {
-            match self.known(pose, true) {
-                None => still.push(pose),
+        for viewpoint in std::mem::take(&mut collecting.pinned) {
+            match self.known(viewpoint, true) {
+                None => still.push(viewpoint),
                 Some(view) => {
-                    collecting.found.insert(pose, view);
-                    self.pinned.release(&[pose]);
+                    collecting.found.insert(viewpoint, view);
+                    self.pinned.release(&[viewpoint]);
                 }
             }
         }
         collecting.pinned = still;
         while wanted
             && collecting.has_room()
-            && let Some(&pose) = collecting.waiting.front()
-            && self.try_pin(&[pose], true)
+            && let Some(&viewpoint) = collecting.waiting.front()
+            && self.try_pin(&[viewpoint], true)
         {
             collecting.waiting.pop_front();
-            collecting.pinned.push(pose);
+            collecting.pinned.push(viewpoint);
         }
     }
 }
 
 impl<I: Clone> Engine<I> {
-    /// Creates an engine for `lanes` lanes, with room for `views` demonstration views.
+    /// Creates an engine for `lanes` lanes, with room for `views` demonstration views. Without a folder for `snapshots`, no
+    /// memory can learn.
     pub fn new(
-        warehouse: Warehouse,
-        cases: CaseSet,
+        worlds: Worlds,
         lanes: u32,
         views: usize,
         embeddings: EmbeddingCache,
         externals: ExternalMemories,
+        snapshots: Option<SnapshotFolder>,
     ) -> Self {
         let pinned = PinnedViews::new(views);
         Self {
-            warehouse,
-            cases,
+            worlds,
             lanes: (0..lanes).map(|_| EngineLane::default()).collect(),
             pending: BTreeSet::new(),
             views: EmbeddedViews { pinned, embeddings, background: VecDeque::new() },
@@ -168,6 +172,8 @@ impl<I: Clone> Engine<I> {
             urgent: VecDeque::new(),
             in_flight: HashSet::new(),
             externals,
+            sequences: Sequences::new(snapshots, lanes),
+            learned: Vec::new(),
             failures: Vec::new(),
         }
     }
@@ -177,10 +183,16 @@ impl<I: Clone> Engine<I> {
     /// # Errors
     /// When a value in the message is invalid, or its views do not fit.
     pub fn config(&mut self, config: &MemoryEpisodeConfig) -> Result<(), Unusable> {
-        let Self { externals, warehouse, cases, .. } = self;
-        let external = |set| externals.bank(config, set, warehouse, cases);
-        let episode = MemoryEpisode::announced(config, warehouse, cases, external)?;
-        let (needed, room) = (episode.poses().len(), self.views.pinned.room());
+        let Self { externals, worlds, .. } = self;
+        let external = |set| externals.bank(config, set, &worlds.warehouse, &worlds.cases);
+        let episode = MemoryEpisode::announced(config, worlds, external)?;
+        if episode.learns() && !self.sequences.can_save() {
+            return Err(unusable!(
+                "config of episode {}: its memory learns, and memory-proc was started without --snapshots",
+                config.episode
+            ));
+        }
+        let (needed, room) = (episode.viewpoints().len(), self.views.pinned.room());
         if needed > room {
             return Err(unusable!(
                 "config of episode {}: its memory needs {needed} views and there is room for {room}: raise \
@@ -222,6 +234,17 @@ impl<I: Clone> Engine<I> {
             self.close(abandoned);
         }
         let running = &mut self.lanes[seen.lane as usize].running;
+        let is_its_own = |running: &&mut MemoryEpisode| running.id == seen.episode;
+        if seen.last == 1
+            && let Some(learned) =
+                running.as_mut().filter(is_its_own).filter(|running| running.learns())
+        {
+            learned.observe(seen, &self.worlds)?;
+            let stage = PendingStage::Ended;
+            learned.pending = Some(PendingObservation { received_ns, content: None, stage });
+            self.pending.insert(seen.lane);
+            return Ok(None);
+        }
         if seen.last == 1 {
             let done = running.take_if(|running| running.id == seen.episode);
             let mut done = done.ok_or_else(unknown)?;
@@ -229,9 +252,9 @@ impl<I: Clone> Engine<I> {
             self.close(done);
             return Ok(None);
         }
-        let running = running.as_mut().filter(|running| running.id == seen.episode);
+        let running = running.as_mut().filter(is_its_own);
         let running = running.ok_or_else(unknown)?;
-        running.observe(seen, &self.warehouse, &self.cases)?;
+        running.observe(seen, &self.worlds)?;
         let stage = PendingStage::New;
         running.pending = Some(PendingObservation { received_ns, content: None, stage });
         if running.embeds {
@@ -245,7 +268,7 @@ impl<I: Clone> Engine<I> {
     fn pass_on_last(&mut self, done: &mut MemoryEpisode, seen: &Observation) {
         let EpisodeMemory::External { index, begun: true, .. } = done.memory else { return };
         // What is wrong with the message changes nothing any more.
-        let _ = done.observe(seen, &self.warehouse, &self.cases);
+        let _ = done.observe(seen, &self.worlds);
         if let Some(now) = &done.current {
             let query = query_message(done, now, None, true);
             self.externals.outbox.push((index, ToExternal::Query(query)));
@@ -269,20 +292,23 @@ impl<I: Clone> Engine<I> {
     /// When it was not requested.
     pub fn view(
         &mut self,
-        pose: Pose,
+        viewpoint: Viewpoint,
         frame: FrameId,
         content: ContentHash,
         image: I,
     ) -> Result<(), Unusable> {
-        match self.views.pinned.arrived(pose, PinnedView { frame, content, image }) {
+        match self.views.pinned.arrived(viewpoint, PinnedView { frame, content, image }) {
             Arrival::Needed { embedded: true } if self.views.embeddings.get(&content).is_none() => {
-                self.views.background.push_back(pose);
+                self.views.background.push_back(viewpoint);
             }
             Arrival::Needed { .. } => {}
             // That leaves room for another.
             Arrival::Dismissed => self.admit(),
             Arrival::Unexpected => {
-                return Err(unusable!("view of {pose} as frame {frame}, which was not requested"));
+                let Viewpoint { variant, pose } = viewpoint;
+                return Err(unusable!(
+                    "view of {pose} in variant {variant} as frame {frame}, which was not requested"
+                ));
             }
         }
         Ok(())
@@ -323,7 +349,7 @@ impl<I: Clone> Engine<I> {
         let is_its_own = |running: &&mut MemoryEpisode| {
             let of = match running.memory {
                 EpisodeMemory::External { index, .. } => Some(index),
-                EpisodeMemory::BuiltIn { .. } => None,
+                EpisodeMemory::BuiltIn { .. } | EpisodeMemory::Sequence { .. } => None,
             };
             running.id == episode && of == Some(index)
         };
@@ -353,7 +379,7 @@ impl<I: Clone> Engine<I> {
             Ok((checked, embedded_ns)) => {
                 let bank_bytes = match running.memory {
                     EpisodeMemory::External { bank, .. } => self.externals.store_bytes(bank),
-                    EpisodeMemory::BuiltIn { .. } => 0,
+                    EpisodeMemory::BuiltIn { .. } | EpisodeMemory::Sequence { .. } => 0,
                 };
                 let store_bytes =
                     if message.store_bytes == 0 { bank_bytes } else { message.store_bytes };
@@ -414,6 +440,11 @@ impl<I: Clone> Engine<I> {
         std::mem::take(&mut self.failures)
     }
 
+    /// The reports of memories that have learned from an episode, since the last call.
+    pub fn take_snapshot_reports(&mut self) -> Vec<SnapshotReport> {
+        std::mem::take(&mut self.learned)
+    }
+
     /// The messages to external memories that have arisen since the last call, in order.
     pub fn take_external_messages(&mut self) -> Vec<(u8, ToExternal)> {
         self.externals.take_messages()
@@ -426,8 +457,9 @@ impl<I: Clone> Engine<I> {
                 return Some((content, image));
             }
         }
-        while let Some(pose) = self.views.background.pop_front() {
-            let view = self.views.pinned.get(pose).map(|view| (view.content, view.image.clone()));
+        while let Some(viewpoint) = self.views.background.pop_front() {
+            let view =
+                self.views.pinned.get(viewpoint).map(|view| (view.content, view.image.clone()));
             if let Some((content, image)) = view
                 && self.start_embedding(content)
             {
@@ -482,11 +514,20 @@ impl<I: Clone> Engine<I> {
         documents: &mut dyn DocumentSupplier,
     ) -> anyhow::Result<Vec<(Recall, RecallTrace)>> {
         self.build_banks(&clock);
+        for collecting in self.sequences.unfinished_banks() {
+            self.views.collect(collecting, true);
+        }
         let mut answers = Vec::new();
         for lane in std::mem::take(&mut self.pending) {
             match self.advance(lane, &clock, documents)? {
                 LaneProgress::Waiting => drop(self.pending.insert(lane)),
                 LaneProgress::Answered(messages) => answers.push(*messages),
+                LaneProgress::Learned(report) => {
+                    self.learned.push(report);
+                    if let Some(done) = self.lanes[lane as usize].running.take() {
+                        self.close(done);
+                    }
+                }
                 LaneProgress::Failed(why) => self.fail(lane, why),
                 LaneProgress::Gone => {}
             }
@@ -502,13 +543,27 @@ impl<I: Clone> Engine<I> {
         clock: impl Fn() -> u64,
         documents: &mut dyn DocumentSupplier,
     ) -> anyhow::Result<LaneProgress> {
-        let Self { lanes, views, externals, .. } = self;
+        let Self { lanes, views, externals, sequences, worlds, .. } = self;
         // The episode may have ended without an answer.
         let Some(episode) = &mut lanes[lane as usize].running else {
             return Ok(LaneProgress::Gone);
         };
+        let is_new = |part: &StreamPart| !part.begun;
+        if episode.pending.is_some() && episode.stream.as_ref().is_some_and(is_new) {
+            match sequences.bind(episode, worlds, documents)? {
+                Bound::Yes => {}
+                Bound::Waiting => return Ok(LaneProgress::Waiting),
+                Bound::Failed(why) => return Ok(LaneProgress::Failed(why)),
+            }
+        }
         let Some(pending) = &episode.pending else { return Ok(LaneProgress::Gone) };
         match pending.stage {
+            PendingStage::Ended => {
+                return Ok(match sequences.learn(episode) {
+                    Ok(report) => LaneProgress::Learned(report),
+                    Err(why) => LaneProgress::Failed(why),
+                });
+            }
             PendingStage::Answered(_) => {}
             PendingStage::Asked { since_ns } => {
                 return Ok(externals.wait(episode, since_ns, clock()));
@@ -523,14 +578,20 @@ impl<I: Clone> Engine<I> {
                     return Ok(externals.ask(episode, embedding, clock()));
                 }
                 let mut ready = episode.ready;
-                let is_ready = views.are_known(episode.poses(), &mut ready, episode.embeds);
+                let is_ready = views.are_known(episode.viewpoints(), &mut ready, episode.embeds);
                 episode.ready = ready;
                 if !is_ready {
                     return Ok(LaneProgress::Waiting);
                 }
                 let embeds = episode.embeds;
-                let view = |pose| views.known(pose, embeds);
-                let answer = episode.ask_built_in(embedding, view, documents, &clock)?;
+                let view = |viewpoint| views.known(viewpoint, embeds);
+                let answer = match &episode.stream {
+                    None => episode.ask_built_in(embedding, view, documents, &clock)?,
+                    Some(part) => match sequences.of(part.sequence) {
+                        Some(memory) => episode.ask_sequence(memory, embedding, &clock)?,
+                        None => return Ok(LaneProgress::Failed("its memory is gone".to_owned())),
+                    },
+                };
                 let Some(pending) = &mut episode.pending else { return Ok(LaneProgress::Gone) };
                 pending.stage = PendingStage::Answered(Box::new(answer));
             }
@@ -544,7 +605,8 @@ impl<I: Clone> Engine<I> {
             let Self { externals, views, .. } = self;
             let limit = externals.limits.build;
             let Some(bank) = externals.banks.get_mut(&id) else { continue };
-            let (wanted, embeds, poses) = (bank.is_wanted(), bank.embeds, &bank.bank.poses);
+            let (wanted, embeds, viewpoints) =
+                (bank.is_wanted(), bank.embeds, &bank.bank.viewpoints);
             match &mut bank.state {
                 BankState::Building { since_ns } => {
                     if clock().saturating_sub(*since_ns) > limit.as_nanos() as u64 {
@@ -559,17 +621,17 @@ impl<I: Clone> Engine<I> {
                 BankState::Waiting { ready } if wanted => {
                     if !bank.pins_bank {
                         externals.publish(id, |_| None, clock());
-                    } else if views.are_known(poses, ready, embeds) {
+                    } else if views.are_known(viewpoints, ready, embeds) {
                         // Pinned until it is built, whatever becomes of the episodes.
-                        views.pinned.try_pin(poses, embeds);
-                        externals.publish(id, |pose| views.known(pose, embeds), clock());
+                        views.pinned.try_pin(viewpoints, embeds);
+                        externals.publish(id, |viewpoint| views.known(viewpoint, embeds), clock());
                     }
                 }
                 BankState::Collecting(collecting) => {
                     views.collect(collecting, wanted);
                     if collecting.is_complete() {
                         let found = std::mem::take(&mut collecting.found);
-                        externals.publish(id, |pose| found.get(&pose).cloned(), clock());
+                        externals.publish(id, |viewpoint| found.get(&viewpoint).cloned(), clock());
                     }
                 }
                 BankState::Waiting { .. } | BankState::Ready { .. } | BankState::Failed(_) => {}
@@ -580,7 +642,7 @@ impl<I: Clone> Engine<I> {
     /// Ends the building of a bank.
     fn finish_bank(&mut self, id: u64, outcome: Result<u64, String>) {
         if let Some(bank) = self.externals.finish(id, outcome) {
-            self.views.pinned.release(&bank.poses);
+            self.views.pinned.release(&bank.viewpoints);
             self.admit();
         }
     }
@@ -596,7 +658,7 @@ impl<I: Clone> Engine<I> {
             let lane = &mut self.lanes[lane as usize];
             let mut episodes = [&mut lane.running, &mut lane.next].into_iter().flatten();
             if let Some(episode) = episodes.find(|episode| episode.id == id) {
-                if !self.views.try_pin(episode.poses(), episode.embeds) {
+                if !self.views.try_pin(episode.viewpoints(), episode.embeds) {
                     return;
                 }
                 episode.admitted = true;
@@ -608,9 +670,10 @@ impl<I: Clone> Engine<I> {
     /// Drops an episode that has left its lane.
     fn close(&mut self, episode: MemoryEpisode) {
         if episode.admitted {
-            self.views.pinned.release(episode.poses());
+            self.views.pinned.release(episode.viewpoints());
         }
         self.views.pinned.release(&episode.recalled);
+        self.sequences.release(&episode);
         if let EpisodeMemory::External { bank, .. } = episode.memory {
             self.externals.release(bank);
         }
@@ -632,9 +695,9 @@ fn supply<I: Clone>(
     let PendingStage::Answered(answer) = &mut pending.stage else { return Ok(LaneProgress::Gone) };
     let is_known = episode.last.as_ref().is_some_and(|last| Arc::ptr_eq(&last.0, &answer.checked));
     if !is_known {
-        let poses = &answer.checked.poses;
+        let viewpoints = &answer.checked.viewpoints;
         if !episode.pins_bank && !answer.pinned {
-            let (needed, room) = (poses.len(), views.pinned.room());
+            let (needed, room) = (viewpoints.len(), views.pinned.room());
             if needed > room {
                 episode.pending = Some(pending);
                 return Ok(LaneProgress::Failed(format!(
@@ -642,20 +705,20 @@ fn supply<I: Clone>(
                      --memory-images"
                 )));
             }
-            let mut is_pinned = views.try_pin(poses, false);
+            let mut is_pinned = views.try_pin(viewpoints, false);
             let earlier = std::mem::take(&mut episode.recalled);
             views.pinned.release(&earlier);
             if !is_pinned {
                 episode.last = None;
-                is_pinned = views.try_pin(poses, false);
+                is_pinned = views.try_pin(viewpoints, false);
             }
             if is_pinned {
-                episode.recalled.clone_from(poses);
+                episode.recalled.clone_from(viewpoints);
                 answer.pinned = true;
             }
         }
         let is_resident = (episode.pins_bank || answer.pinned)
-            && poses.iter().all(|&pose| views.pinned.get(pose).is_some());
+            && viewpoints.iter().all(|&viewpoint| views.pinned.get(viewpoint).is_some());
         if !is_resident {
             episode.pending = Some(pending);
             return Ok(LaneProgress::Waiting);
@@ -666,7 +729,7 @@ fn supply<I: Clone>(
             texts: &mut episode.texts,
             documents,
         };
-        let frame = |pose| views.pinned.get(pose).map(|view| view.frame);
+        let frame = |viewpoint| views.pinned.get(viewpoint).map(|view| view.frame);
         let assembled = assembler.assemble(&answer.checked, frame)?;
         episode.last = Some((answer.checked.clone(), assembled));
     }

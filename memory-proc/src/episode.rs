@@ -4,19 +4,21 @@ use std::sync::Arc;
 
 use anyhow::{Context, anyhow, bail};
 use bytemuck::Zeroable;
-use domain::{Action, Feedback, Pose, Representation, SegmentContent};
+use domain::{Action, Arm, Feedback, FeedbackLevel, Pose, Representation, SegmentContent};
 use peer::memory::{Item, Memory, Query, Step};
 use search::{ContentHash, Embedding};
 use shm_types::message::{
     EXTERNAL, FrameId, MAX_ITEMS, MAX_SEGMENT, MemoryEpisodeConfig, NO_ACTION, NO_FRAME,
     NOT_MEASURED, Observation, Recall, RecallTrace,
 };
-use warehouse::{CaseSet, Demonstrations, Progress, Warehouse};
+use warehouse::{Demonstrations, Progress};
 
-use crate::bank::{Bank, BankSteps, KnownView};
+use crate::bank::{Bank, BankSteps, KnownView, Viewpoint};
 use crate::demonstrations;
 use crate::items::{AssembledRecall, Budgets, CheckedAnswer, DocumentSupplier, PublishedTexts};
 use crate::representation::{MemorySettings, built_in};
+use crate::sequences::{Recording, SequenceMemory, StreamPart};
+use crate::worlds::{BankOrigin, Worlds};
 
 /// A message that cannot be used. The text names the value and what was expected.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -33,6 +35,8 @@ pub(crate) use unusable;
 pub(crate) enum EpisodeMemory {
     /// A built-in one.
     BuiltIn { representation: Representation, memory: BuiltInMemory },
+    /// A built-in one that it shares with the other episodes of its sequence.
+    Sequence { representation: Representation, settings: MemorySettings, set: Demonstrations },
     /// The external memory with this index, with the bank that the episode remembers.
     External {
         index: u8,
@@ -64,6 +68,8 @@ pub(crate) enum PendingStage {
     Asked { since_ns: u64 },
     /// The memory has answered.
     Answered(Box<MemoryAnswer>),
+    /// The episode is over, and the memory is to learn from it.
+    Ended,
 }
 
 /// A memory's answer.
@@ -82,7 +88,9 @@ pub(crate) struct MemoryEpisode {
     pub(crate) id: u64,
     pub(crate) lane: u32,
     pub(crate) memory: EpisodeMemory,
-    /// The demonstrations that the memory is built from.
+    /// Its part in a stream; `None` outside of streams.
+    pub(crate) stream: Option<StreamPart>,
+    /// What the memory can name: the demonstrations that it is built from. In a stream: from the first step on.
     pub(crate) bank: Arc<Bank>,
     /// Whether all views of the bank are pinned while the episode runs.
     pub(crate) pins_bank: bool,
@@ -93,7 +101,7 @@ pub(crate) struct MemoryEpisode {
     /// The first so many views of a pinned bank are ready.
     pub(crate) ready: usize,
     /// Views that are pinned for the last recall.
-    pub(crate) recalled: Vec<Pose>,
+    pub(crate) recalled: Vec<Viewpoint>,
     pub(crate) budgets: Budgets,
     pub(crate) seed: u64,
     pub(crate) repeat: u32,
@@ -129,12 +137,12 @@ impl MemoryEpisode {
     /// The episode that a message announces. `external` finds the bank of an external memory.
     pub(crate) fn announced(
         config: &MemoryEpisodeConfig,
-        warehouse: &Warehouse,
-        cases: &CaseSet,
+        worlds: &Worlds,
         external: impl FnOnce(Demonstrations) -> Result<ExternalBank, Unusable>,
     ) -> Result<Self, Unusable> {
         let MemoryEpisodeConfig { case, demonstrations, lane, .. } = *config;
         let refused = |what: String| unusable!("config of episode {}: {what}", config.episode);
+        let Worlds { warehouse, cases, .. } = worlds;
         let chosen = demonstrations::selected(warehouse, cases, case, demonstrations)
             .zip(Demonstrations::from_bits(demonstrations));
         let (chosen, set) = chosen.ok_or_else(|| {
@@ -161,14 +169,24 @@ impl MemoryEpisode {
             }
             let settings = settings(config, representation).map_err(refused)?;
             let embeds = representation.matches_views();
-            let memory = BuiltInMemory::Announced { settings, set };
-            let memory = EpisodeMemory::BuiltIn { representation, memory };
-            (memory, Arc::new(Bank::new(chosen)), embeds, embeds)
+            if config.sequence != 0 {
+                let memory = EpisodeMemory::Sequence { representation, settings, set };
+                (memory, Arc::default(), false, embeds)
+            } else {
+                let memory = BuiltInMemory::Announced { settings, set };
+                let memory = EpisodeMemory::BuiltIn { representation, memory };
+                (memory, Arc::new(Bank::new(chosen)), embeds, embeds)
+            }
+        };
+        let stream = match config.sequence {
+            0 => None,
+            _ => Some(stream_part(config, set, worlds).map_err(refused)?),
         };
         Ok(Self {
             id: config.episode,
             lane,
             memory,
+            stream,
             bank,
             pins_bank,
             embeds,
@@ -187,18 +205,13 @@ impl MemoryEpisode {
         })
     }
 
-    /// The poses whose views have to be resident while the episode runs.
-    pub(crate) fn poses(&self) -> &[Pose] {
-        if self.pins_bank { &self.bank.poses } else { &[] }
+    /// The views that have to be resident while the episode runs.
+    pub(crate) fn viewpoints(&self) -> &[Viewpoint] {
+        if self.pins_bank { &self.bank.viewpoints } else { &[] }
     }
 
     /// Checks and takes the next observation.
-    pub(crate) fn observe(
-        &mut self,
-        seen: &Observation,
-        warehouse: &Warehouse,
-        cases: &CaseSet,
-    ) -> Result<(), Unusable> {
+    pub(crate) fn observe(&mut self, seen: &Observation, worlds: &Worlds) -> Result<(), Unusable> {
         let Observation { episode, step, frame, .. } = *seen;
         let broken =
             |what: String| unusable!("observation of episode {episode}, step {step}: {what}");
@@ -216,13 +229,29 @@ impl MemoryEpisode {
         if step != expected {
             return Err(broken(format!("expected step {expected}")));
         }
-        let task = &cases.cases[self.case as usize].task;
         let mut progress = match self.current.take() {
             Some(now) => now.progress,
-            None => Progress::new(warehouse, task, pose.cell),
+            None => {
+                let task = &worlds.cases.cases[self.case as usize].task;
+                let variant = self.stream.as_ref().map_or(0, |part| part.variant);
+                let (warehouse, _) = worlds
+                    .state(variant)
+                    .ok_or_else(|| broken(format!("there is no world variant {variant}")))?;
+                Progress::new(warehouse, task, pose.cell)
+            }
         };
         if step > 0 {
             progress.visit(pose.cell);
+        }
+        let recording = self.stream.as_mut().and_then(|part| part.recording.as_mut());
+        if let Some(recording) = recording {
+            recording.poses.push(pose);
+            recording.feedback.push(feedback);
+            recording.stages.push(progress.stage());
+            if step > 0 {
+                recording.actions.push(action);
+            }
+            recording.is_complete = progress.is_complete();
         }
         self.current = Some(CurrentStep { step, pose, feedback, action, frame, progress });
         Ok(())
@@ -236,7 +265,7 @@ impl MemoryEpisode {
     pub(crate) fn ask_built_in(
         &mut self,
         embedding: Option<&Embedding>,
-        view: impl Fn(Pose) -> Option<KnownView>,
+        view: impl Fn(Viewpoint) -> Option<KnownView>,
         documents: &mut dyn DocumentSupplier,
         clock: impl Fn() -> u64,
     ) -> anyhow::Result<MemoryAnswer> {
@@ -247,32 +276,17 @@ impl MemoryEpisode {
         };
         let failed = format!("{representation} memory");
         if let BuiltInMemory::Announced { settings, set } = memory {
-            let kinds = representation.describe().documents.iter();
-            let texts: anyhow::Result<_> =
-                kinds.map(|&kind| documents.consolidated(kind, *set)).collect();
-            settings.documents = texts.context(failed.clone())?;
             let steps = match self.pins_bank {
                 true => self.bank.with_views(view).context("a view of the bank is missing")?,
                 false => BankSteps::without_views(&self.bank),
             };
-            let mut built = built_in(*representation, settings);
-            built.build(&steps.demonstrations()).context(failed.clone())?;
+            let built = build_built_in(*representation, settings, *set, &steps, documents)?;
             *memory = BuiltInMemory::Built(built);
         }
         let BuiltInMemory::Built(memory) = memory else { bail!("{failed} has not been built") };
         let embedded_ns = clock();
         let query = Query {
-            now: Step {
-                lane: self.lane,
-                episode: self.id,
-                step: now.step,
-                pose: now.pose,
-                last_action: now.action,
-                feedback: now.feedback,
-                frame: None,
-                embedding: embedding.map(Embedding::as_slice),
-                pinned: None,
-            },
+            now: now.step(self.lane, self.id, embedding),
             instruction: &self.instruction,
             window: &[],
             image_budget: self.budgets.images,
@@ -281,7 +295,49 @@ impl MemoryEpisode {
         };
         let items = memory.recall(&query).context(failed.clone())?;
         let store_bytes = memory.store_bytes().unwrap_or(0);
-        let searched_ns = clock();
+        self.answer(items, store_bytes, [embedded_ns, clock()], &failed)
+    }
+
+    /// Asks the memory of its sequence, which observes the step first if it learns from the episode.
+    ///
+    /// # Errors
+    /// When the memory fails.
+    pub(crate) fn ask_sequence(
+        &mut self,
+        known: &mut SequenceMemory,
+        embedding: Option<&Embedding>,
+        clock: impl Fn() -> u64,
+    ) -> anyhow::Result<MemoryAnswer> {
+        let (Some(now), EpisodeMemory::Sequence { representation, .. }) =
+            (&self.current, &self.memory)
+        else {
+            bail!("episode {} has no memory of a sequence, or has not begun", self.id);
+        };
+        let failed = format!("{representation} memory");
+        let embedded_ns = clock();
+        let query = Query {
+            now: now.step(self.lane, self.id, embedding),
+            instruction: &self.instruction,
+            window: &[],
+            image_budget: self.budgets.images,
+            text_budget: self.budgets.text,
+            stage: Some(now.progress.stage()),
+        };
+        if self.learns() {
+            known.memory.observe(&query.now).context(failed.clone())?;
+        }
+        let items = known.memory.recall(&query).context(failed.clone())?;
+        let store_bytes = known.memory.store_bytes().unwrap_or(0);
+        self.answer(items, store_bytes, [embedded_ns, clock()], &failed)
+    }
+
+    fn answer(
+        &self,
+        items: Vec<Item>,
+        store_bytes: u64,
+        [embedded_ns, searched_ns]: [u64; 2],
+        failed: &str,
+    ) -> anyhow::Result<MemoryAnswer> {
         let checked = self.checked(items).map_err(|what| anyhow!("{failed}: {what}"))?;
         Ok(MemoryAnswer {
             checked,
@@ -292,6 +348,16 @@ impl MemoryEpisode {
             tokens: NOT_MEASURED,
             pinned: false,
         })
+    }
+
+    /// Whether the memory learns from it.
+    pub(crate) fn learns(&self) -> bool {
+        self.stream.as_ref().is_some_and(|part| part.recording.is_some())
+    }
+
+    /// The last step, which has no view.
+    pub(crate) fn last_step(&self) -> Option<Step<'_>> {
+        self.current.as_ref().map(|now| now.step(self.lane, self.id, None))
     }
 
     /// Checks the items of the memory's answer.
@@ -359,6 +425,70 @@ impl MemoryEpisode {
         };
         (recall, trace)
     }
+}
+
+impl CurrentStep {
+    /// As a built-in memory is given it.
+    fn step<'a>(&self, lane: u32, episode: u64, embedding: Option<&'a Embedding>) -> Step<'a> {
+        Step {
+            lane,
+            episode,
+            step: self.step,
+            pose: self.pose,
+            last_action: self.action,
+            feedback: self.feedback,
+            frame: None,
+            embedding: embedding.map(Embedding::as_slice),
+            pinned: None,
+        }
+    }
+}
+
+/// Builds a built-in memory.
+///
+/// # Errors
+/// When a document is missing, or the memory cannot be built.
+pub(crate) fn build_built_in(
+    representation: Representation,
+    settings: &mut MemorySettings,
+    set: Demonstrations,
+    steps: &BankSteps<'_>,
+    documents: &mut dyn DocumentSupplier,
+) -> anyhow::Result<Box<dyn Memory>> {
+    let failed = || format!("{representation} memory");
+    let kinds = representation.describe().documents.iter();
+    let texts: anyhow::Result<_> = kinds.map(|&kind| documents.consolidated(kind, set)).collect();
+    settings.documents = texts.with_context(failed)?;
+    let mut built = built_in(representation, settings);
+    built.build(&steps.demonstrations()).with_context(failed)?;
+    Ok(built)
+}
+
+/// The part of an episode in its stream.
+fn stream_part(
+    config: &MemoryEpisodeConfig,
+    set: Demonstrations,
+    worlds: &Worlds,
+) -> Result<StreamPart, String> {
+    let arm = Arm::try_from(config.arm).map_err(|error| error.to_string())?;
+    let feedback = FeedbackLevel::try_from(config.feedback).map_err(|error| error.to_string())?;
+    if worlds.state(config.variant).is_none() {
+        return Err(format!(
+            "there is no world variant {}: is memory-proc started with the run's --streams?",
+            config.variant
+        ));
+    }
+    let learns = arm == Arm::Learning && config.learns == 1;
+    Ok(StreamPart {
+        sequence: config.sequence,
+        snapshot: config.snapshot,
+        origin: BankOrigin::new(arm, config.stream, config.block, set),
+        position: config.position,
+        variant: config.variant,
+        feedback,
+        recording: learns.then(Recording::default),
+        begun: false,
+    })
 }
 
 /// The settings of a built-in memory.

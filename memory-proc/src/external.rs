@@ -8,7 +8,6 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use bytemuck::Zeroable;
-use domain::Pose;
 use peer::memory::{Item, Source, Views};
 use search::Embedding;
 use shm_types::description::Scope;
@@ -19,7 +18,7 @@ use shm_types::message::{
 use shm_types::{BankContent, MemoryDescription, Note};
 use warehouse::{CaseSet, Demonstrations, Warehouse};
 
-use crate::bank::{Bank, BankSteps, KnownView};
+use crate::bank::{Bank, BankSteps, Collecting, KnownView, Viewpoint};
 use crate::demonstrations;
 use crate::engine::LaneProgress;
 use crate::episode::{
@@ -54,9 +53,6 @@ pub enum ToExternal {
     /// A step.
     Query(Box<ExternalQuery>),
 }
-
-/// Views that are pinned at the same time to embed a bank that is too large to be pinned as a whole.
-const PINNED_AT_ONCE: usize = 64;
 
 /// Banks without an episode that are kept built.
 const KEPT_BANKS: usize = 64;
@@ -107,30 +103,6 @@ pub(crate) enum BankState {
     Ready { store_bytes: u64 },
     /// Not built, and why.
     Failed(String),
-}
-
-/// The views of a bank that is too large to be pinned as a whole.
-#[derive(Debug)]
-pub(crate) struct Collecting {
-    pub(crate) found: HashMap<Pose, KnownView>,
-    pub(crate) waiting: VecDeque<Pose>,
-    pub(crate) pinned: Vec<Pose>,
-}
-
-impl Collecting {
-    fn new(bank: &Bank) -> Self {
-        let waiting = bank.poses.iter().copied().collect();
-        Self { found: HashMap::new(), waiting, pinned: Vec::new() }
-    }
-
-    /// Whether further views may be pinned.
-    pub(crate) fn has_room(&self) -> bool {
-        self.pinned.len() < PINNED_AT_ONCE
-    }
-
-    pub(crate) fn is_complete(&self) -> bool {
-        self.waiting.is_empty() && self.pinned.is_empty()
-    }
 }
 
 impl HostBank {
@@ -253,7 +225,7 @@ impl ExternalMemories {
     pub(crate) fn publish(
         &mut self,
         id: u64,
-        view: impl Fn(Pose) -> Option<KnownView>,
+        view: impl Fn(Viewpoint) -> Option<KnownView>,
         now_ns: u64,
     ) {
         let Some(bank) = self.banks.get_mut(&id) else { return };
@@ -332,7 +304,7 @@ impl ExternalMemories {
         }
         let name = match episode.memory {
             EpisodeMemory::External { index, .. } => self.name(index),
-            EpisodeMemory::BuiltIn { .. } => "unknown",
+            EpisodeMemory::BuiltIn { .. } | EpisodeMemory::Sequence { .. } => "unknown",
         };
         let step = episode.current.as_ref().map_or(0, |now| now.step);
         let seconds = limit.as_secs_f64();

@@ -8,7 +8,6 @@ use std::collections::HashMap;
 use std::sync::Arc;
 
 use bytemuck::Zeroable;
-use domain::Pose;
 use peer::memory::{Item, Source, Views};
 use shm_types::documents::Content;
 use shm_types::message::{
@@ -16,7 +15,7 @@ use shm_types::message::{
     NO_DOCUMENT, NO_FRAME, RecalledItem, RecalledSource, SegmentStep, TrajectoryStep,
 };
 
-use crate::bank::Bank;
+use crate::bank::{Bank, Viewpoint};
 use crate::demonstrations::Demonstration;
 
 /// Publishes the documents that recalls name.
@@ -72,8 +71,8 @@ pub struct CheckedAnswer {
     pub asked: Amount,
     /// What is supplied.
     pub supplied: Amount,
-    /// The poses of the views that are supplied, each once.
-    pub poses: Vec<Pose>,
+    /// Where the views that are supplied are seen from, each once.
+    pub viewpoints: Vec<Viewpoint>,
 }
 
 /// One item of a recall: the memory's items with these numbers. Several only if they are whole demonstrations that the
@@ -99,7 +98,7 @@ impl CheckedAnswer {
             return Err(format!("it has {sources} sources, and at most {MAX_SOURCES} are allowed"));
         }
         let (mut asked, mut supplied) = (Amount::default(), Amount::default());
-        let (mut kept, mut poses) = (Vec::new(), Vec::new());
+        let (mut kept, mut viewpoints) = (Vec::new(), Vec::new());
         for (number, item) in given.iter().enumerate() {
             let Amount { images, text, .. } = amount(item);
             asked.items += 1;
@@ -112,17 +111,17 @@ impl CheckedAnswer {
                 supplied.images += images;
                 supplied.text += text;
                 kept.push(number);
-                poses.extend(views(item, bank));
+                viewpoints.extend(views(item, bank));
             }
         }
-        poses.sort_unstable();
-        poses.dedup();
+        viewpoints.sort_unstable();
+        viewpoints.dedup();
         let parts = parts(&given, &kept, bank);
         if parts.len() > MAX_ITEMS {
             let count = parts.len();
             return Err(format!("it has {count} items, and at most {MAX_ITEMS} are allowed"));
         }
-        Ok(Self { given, parts, asked, supplied, poses })
+        Ok(Self { given, parts, asked, supplied, viewpoints })
     }
 
     /// Whether a memory gave just these items.
@@ -247,20 +246,19 @@ fn amount(item: &Item) -> Amount {
     Amount { items: 1, images: short(images), text: short(text) }
 }
 
-/// The poses of the views that a checked item shows.
-fn views(item: &Item, bank: &Bank) -> Vec<Pose> {
-    let poses = |of: u32| &bank.demonstrations[of as usize].poses;
+/// Where the views that a checked item shows are seen from.
+fn views(item: &Item, bank: &Bank) -> Vec<Viewpoint> {
+    let at = |of: u32, step: u32| bank.demonstrations[of as usize].viewpoint(step);
     match item {
         Item::Text { .. } | Item::Steps { views: Views::None, .. } => Vec::new(),
-        Item::Steps { source, views: Views::All, .. } => poses(source.demonstration)
-            [source.first as usize..(source.first + source.count) as usize]
-            .to_vec(),
+        Item::Steps { source, views: Views::All, .. } => {
+            let steps = source.first..source.first + source.count;
+            steps.map(|step| at(source.demonstration, step)).collect()
+        }
         Item::Steps { source, views: Views::Keyframes(shown), .. } => {
-            shown.iter().map(|&step| poses(source.demonstration)[step as usize]).collect()
+            shown.iter().map(|&step| at(source.demonstration, step)).collect()
         }
-        Item::Frame { demonstration, step, .. } => {
-            vec![poses(*demonstration)[*step as usize]]
-        }
+        Item::Frame { demonstration, step, .. } => vec![at(*demonstration, *step)],
     }
 }
 
@@ -304,7 +302,7 @@ impl Assembler<'_> {
     pub fn assemble(
         &mut self,
         answer: &CheckedAnswer,
-        frame: impl Fn(Pose) -> Option<FrameId>,
+        frame: impl Fn(Viewpoint) -> Option<FrameId>,
     ) -> anyhow::Result<AssembledRecall> {
         self.publish_texts(answer)?;
         let trajectories = self.publish_trajectories(answer, &frame)?;
@@ -384,7 +382,7 @@ impl Assembler<'_> {
     fn publish_trajectories(
         &mut self,
         answer: &CheckedAnswer,
-        frame: &impl Fn(Pose) -> Option<FrameId>,
+        frame: &impl Fn(Viewpoint) -> Option<FrameId>,
     ) -> anyhow::Result<DocumentId> {
         let long = answer.parts.iter().filter(|part| part.kind == ItemKind::Trajectory);
         let mut steps = Vec::new();
@@ -405,7 +403,11 @@ impl Assembler<'_> {
     }
 
     /// The views and actions of an item.
-    fn steps(&self, item: &Item, frame: &impl Fn(Pose) -> Option<FrameId>) -> Vec<SegmentStep> {
+    fn steps(
+        &self,
+        item: &Item,
+        frame: &impl Fn(Viewpoint) -> Option<FrameId>,
+    ) -> Vec<SegmentStep> {
         let (source, views, actions) = match item {
             Item::Text { .. } => return Vec::new(),
             Item::Steps { source, views, actions, .. } => (*source, views, *actions),
@@ -422,11 +424,12 @@ impl Assembler<'_> {
                 Views::All => true,
                 Views::Keyframes(shown) => shown.binary_search(&at).is_ok(),
             };
-            let view = is_shown.then(|| frame(demonstration.poses[at as usize])).flatten();
-            let action = demonstration.actions.get(at as usize).filter(|_| actions && at < last);
+            let view = is_shown.then(|| frame(demonstration.viewpoint(at))).flatten();
+            let action = demonstration.actions.get(at as usize).copied().flatten();
+            let action = action.filter(|_| actions && at < last);
             SegmentStep {
                 frame: view.unwrap_or(NO_FRAME),
-                action: action.map_or(NO_ACTION, |&action| action as u8),
+                action: action.map_or(NO_ACTION, |action| action as u8),
                 reserved: [0; 7],
             }
         };

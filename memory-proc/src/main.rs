@@ -41,6 +41,12 @@ enum MemoryVerb {
         /// The documents that summary, semantic and hybrid memory supply
         #[arg(long, value_name = "DIR")]
         documents: Option<PathBuf>,
+        /// The run's streams: the worlds and blocks in which memories persist
+        #[arg(long, value_name = "FILE")]
+        streams: Option<PathBuf>,
+        /// The folder for snapshots of memories that learn
+        #[arg(long, value_name = "DIR")]
+        snapshots: Option<PathBuf>,
         /// Start no encoder: for a run whose memories use no embeddings
         #[arg(long)]
         no_encoder: bool,
@@ -290,6 +296,8 @@ fn run(verb: MemoryVerb) -> anyhow::Result<()> {
         MemoryVerb::Serve {
             attach,
             documents,
+            streams,
+            snapshots,
             no_encoder,
             memory_timeout,
             memory_build_timeout,
@@ -301,7 +309,9 @@ fn run(verb: MemoryVerb) -> anyhow::Result<()> {
             };
             let assets = encoder.assets.clone();
             let encoder = if no_encoder { None } else { Some(encoder.settings()?) };
-            serve(&ServeSettings { attach, assets, documents, encoder, limits })
+            let settings =
+                ServeSettings { attach, assets, documents, encoder, streams, snapshots, limits };
+            serve(&settings)
         }
         MemoryVerb::Embed { files, repeat, encoder } => {
             let manifest = match &encoder.assets {

@@ -20,7 +20,7 @@ use shm_types::description::memory_folder;
 use shm_types::message::{
     EXTERNAL, ExternalAnswer, ExternalBuilt, ExternalEpisode, ExternalQuery, FrameId, Handshake,
     Heartbeat, MAX_EMBEDDING, MemoryEpisodeConfig, Observation, Recall, RecallTrace, Role,
-    ShutdownReport, Stop, View, ViewRequest,
+    ShutdownReport, SnapshotReport, Stop, View, ViewRequest,
 };
 use shm_types::process::{die_with_parent, monotonic_ns};
 use shm_types::{
@@ -29,8 +29,9 @@ use shm_types::{
     Sender, Spans,
 };
 use warehouse::case_file::CASES_FILE;
-use warehouse::{CaseSet, Warehouse};
+use warehouse::{CaseSet, StreamSet, Warehouse};
 
+use crate::bank::Viewpoint;
 use crate::document_loader::DocumentLoader;
 use crate::embedding_cache::EmbeddingCache;
 use crate::encoder::{
@@ -42,6 +43,8 @@ use crate::episode::{Unusable, unusable};
 use crate::external::{ExternalLimits, ExternalMemories, ToExternal};
 use crate::manifest::EncoderManifest;
 use crate::paths::CacheFolder;
+use crate::snapshots::SnapshotFolder;
+use crate::worlds::Worlds;
 
 /// The longest wait for an event. Nothing depends on it; it bounds the time until a lost event is noticed.
 const LONGEST_SLEEP: Duration = Duration::from_secs(1);
@@ -66,6 +69,10 @@ pub struct ServeSettings {
     pub documents: Option<PathBuf>,
     /// The encoder; `None`: no memory of the run matches views.
     pub encoder: Option<EncoderSettings>,
+    /// The file of the run's streams; `None`: the run has none.
+    pub streams: Option<PathBuf>,
+    /// The folder of the snapshots of memories that learn; `None`: no memory of the run learns.
+    pub snapshots: Option<PathBuf>,
     /// How long external memories may take.
     pub limits: ExternalLimits,
 }
@@ -138,6 +145,7 @@ struct Ports {
     frames: FrameStore,
     recalls: Sender<Recall>,
     traces: Sender<RecallTrace>,
+    snapshots: Sender<SnapshotReport>,
     requests: Sender<ViewRequest>,
     heartbeats: Heartbeats,
     sim: Notifier,
@@ -203,6 +211,7 @@ impl Ports {
             frames: FrameStore::new(bus)?,
             recalls: bus.sender()?,
             traces: bus.sender()?,
+            snapshots: bus.sender()?,
             requests: bus.sender()?,
             heartbeats: Heartbeats::new(bus)?,
             sim: bus.notifier(Role::Sim)?,
@@ -273,7 +282,18 @@ impl<'a> MemoryServer<'a> {
         let attach = bus.attach();
         let room = room_for_views(attach);
         let externals = external_memories(attach, settings.limits, encoder.as_ref())?;
-        let engine = Engine::new(warehouse, cases, attach.lanes, room, embeddings, externals);
+        let worlds = match &settings.streams {
+            None => Worlds::unchanging(warehouse, cases),
+            Some(file) => {
+                let text = std::fs::read_to_string(file)
+                    .with_context(|| format!("cannot read {}", file.display()))?;
+                let streams = StreamSet::parse(&text, &warehouse, &cases)
+                    .with_context(|| file.display().to_string())?;
+                Worlds::new(warehouse, cases, streams)?
+            }
+        };
+        let snapshots = settings.snapshots.clone().map(SnapshotFolder::new);
+        let engine = Engine::new(worlds, attach.lanes, room, embeddings, externals, snapshots);
         let spans = Spans::open(attach, Role::Memory).context("cannot record spans")?;
         let facts = encoder.as_ref().map_or_else(Vec::new, |encoder| facts(encoder.facts()));
         bus.sender()?.send(&Handshake::new(Role::Memory, facts)?)?;
@@ -308,6 +328,13 @@ impl<'a> MemoryServer<'a> {
         self.answer()?;
         self.send_to_externals()?;
         self.report_failures()?;
+        let learned = self.engine.take_snapshot_reports();
+        for report in &learned {
+            self.ports.snapshots.send(report)?;
+        }
+        if !learned.is_empty() {
+            self.ports.orchestrator.notify()?;
+        }
         let requests = self.engine.take_view_requests();
         for request in &requests {
             self.ports.requests.send(request)?;
@@ -338,13 +365,14 @@ impl<'a> MemoryServer<'a> {
             let outcome = self.can_serve(&config).and_then(|()| self.engine.config(&config));
             self.report_unusable(outcome);
         }
-        for View { frame, pose, .. } in views {
+        for View { frame, pose, variant } in views {
             match Pose::try_from(pose) {
                 Err(error) => self.reporter.report(format_args!("view as frame {frame}: {error}")),
                 Ok(pose) => {
                     if let Some(image) = self.find_frame(frame, &format_args!("view of {pose}"))? {
                         let content = image.content_hash();
-                        let outcome = self.engine.view(pose, frame, content, image);
+                        let viewpoint = Viewpoint { variant, pose };
+                        let outcome = self.engine.view(viewpoint, frame, content, image);
                         self.report_unusable(outcome);
                     }
                 }

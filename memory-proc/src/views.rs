@@ -8,10 +8,11 @@ use bytemuck::Zeroable;
 use std::collections::HashMap;
 use std::collections::hash_map::Entry;
 
-use domain::Pose;
 use shm_types::message::{FrameId, NO_FRAME, ViewRequest, ViewRequestKind};
 
 use search::ContentHash;
+
+use crate::bank::Viewpoint;
 
 /// A view in the frame store; `I` is a source of its pixels.
 #[derive(Debug, Clone)]
@@ -44,11 +45,11 @@ pub(crate) enum Arrival {
     Unexpected,
 }
 
-/// The pinned views, by pose.
+/// The pinned views, by viewpoint.
 #[derive(Debug)]
 pub(crate) struct PinnedViews<I> {
     room: usize,
-    views: HashMap<Pose, PinState<I>>,
+    views: HashMap<Viewpoint, PinState<I>>,
     requests: Vec<ViewRequest>,
 }
 
@@ -68,15 +69,15 @@ impl<I> PinnedViews<I> {
         self.views.len()
     }
 
-    /// Pins the views of all `poses`, each named once, or of none. Returns whether there was room. `embedded`: they have
+    /// Pins the views of all `viewpoints`, each named once, or of none. Returns whether there was room. `embedded`: they have
     /// to be embedded.
-    pub(crate) fn try_pin(&mut self, poses: &[Pose], embedded: bool) -> bool {
-        let missing = poses.iter().filter(|pose| !self.views.contains_key(pose)).count();
+    pub(crate) fn try_pin(&mut self, viewpoints: &[Viewpoint], embedded: bool) -> bool {
+        let missing = viewpoints.iter().filter(|of| !self.views.contains_key(of)).count();
         if self.views.len() + missing > self.room {
             return false;
         }
-        for &pose in poses {
-            match self.views.entry(pose) {
+        for &viewpoint in viewpoints {
+            match self.views.entry(viewpoint) {
                 Entry::Occupied(entry) => {
                     let held = entry.into_mut();
                     held.users += 1;
@@ -84,7 +85,7 @@ impl<I> PinnedViews<I> {
                 }
                 Entry::Vacant(entry) => {
                     entry.insert(PinState { users: 1, embedded, resident: None });
-                    self.requests.push(request(ViewRequestKind::Pin, NO_FRAME, pose));
+                    self.requests.push(request(ViewRequestKind::Pin, NO_FRAME, viewpoint));
                 }
             }
         }
@@ -92,35 +93,36 @@ impl<I> PinnedViews<I> {
     }
 
     /// Releases the views that [`Self::try_pin`] pinned for one lane.
-    pub(crate) fn release(&mut self, poses: &[Pose]) {
-        for &pose in poses {
-            let Some(held) = self.views.get_mut(&pose) else { continue };
+    pub(crate) fn release(&mut self, viewpoints: &[Viewpoint]) {
+        for &viewpoint in viewpoints {
+            let Some(held) = self.views.get_mut(&viewpoint) else { continue };
             held.users = held.users.saturating_sub(1);
             // A view that has not arrived is released when it does: until then its frame is unknown.
             if let (0, Some(resident)) = (held.users, &held.resident) {
-                self.requests.push(request(ViewRequestKind::Release, resident.frame, pose));
-                self.views.remove(&pose);
+                self.requests.push(request(ViewRequestKind::Release, resident.frame, viewpoint));
+                self.views.remove(&viewpoint);
             }
         }
     }
 
     /// Takes a view that is in the frame store now.
-    pub(crate) fn arrived(&mut self, pose: Pose, resident: PinnedView<I>) -> Arrival {
-        let Some(held) = self.views.get_mut(&pose).filter(|held| held.resident.is_none()) else {
+    pub(crate) fn arrived(&mut self, viewpoint: Viewpoint, resident: PinnedView<I>) -> Arrival {
+        let Some(held) = self.views.get_mut(&viewpoint).filter(|held| held.resident.is_none())
+        else {
             return Arrival::Unexpected;
         };
         if held.users == 0 {
-            self.requests.push(request(ViewRequestKind::Release, resident.frame, pose));
-            self.views.remove(&pose);
+            self.requests.push(request(ViewRequestKind::Release, resident.frame, viewpoint));
+            self.views.remove(&viewpoint);
             return Arrival::Dismissed;
         }
         held.resident = Some(resident);
         Arrival::Needed { embedded: held.embedded }
     }
 
-    /// The view from `pose`, if it is in the frame store.
-    pub(crate) fn get(&self, pose: Pose) -> Option<&PinnedView<I>> {
-        self.views.get(&pose)?.resident.as_ref()
+    /// The view from a viewpoint, if it is in the frame store.
+    pub(crate) fn get(&self, viewpoint: Viewpoint) -> Option<&PinnedView<I>> {
+        self.views.get(&viewpoint)?.resident.as_ref()
     }
 
     /// The requests that have arisen since the last call.
@@ -129,20 +131,22 @@ impl<I> PinnedViews<I> {
     }
 }
 
-fn request(kind: ViewRequestKind, frame: FrameId, pose: Pose) -> ViewRequest {
-    ViewRequest { frame, pose: pose.into(), kind: kind as u8, ..Zeroable::zeroed() }
+fn request(kind: ViewRequestKind, frame: FrameId, of: Viewpoint) -> ViewRequest {
+    let Viewpoint { variant, pose } = of;
+    ViewRequest { frame, pose: pose.into(), variant, kind: kind as u8, ..Zeroable::zeroed() }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use domain::Heading;
+    use domain::{Heading, Pose};
 
     const HOLD: u8 = ViewRequestKind::Pin as u8;
     const RELEASE: u8 = ViewRequestKind::Release as u8;
 
-    fn poses(cells: impl IntoIterator<Item = u8>) -> Vec<Pose> {
-        cells.into_iter().map(|x| Pose::new(x, 0, Heading::N)).collect()
+    fn poses(cells: impl IntoIterator<Item = u8>) -> Vec<Viewpoint> {
+        let viewpoint = |x| Viewpoint { variant: 0, pose: Pose::new(x, 0, Heading::N) };
+        cells.into_iter().map(viewpoint).collect()
     }
 
     /// (kind, column of the pose) of each new request.
@@ -151,10 +155,11 @@ mod tests {
     }
 
     fn arrive(views: &mut PinnedViews<()>, cells: impl IntoIterator<Item = u8>) {
-        for pose in poses(cells) {
+        for viewpoint in poses(cells) {
+            let pose = viewpoint.pose;
             let frame = 100 + u64::from(pose.cell.x);
             let resident = PinnedView { frame, content: [pose.cell.x; 16], image: () };
-            assert_eq!(views.arrived(pose, resident), Arrival::Needed { embedded: true });
+            assert_eq!(views.arrived(viewpoint, resident), Arrival::Needed { embedded: true });
         }
     }
 

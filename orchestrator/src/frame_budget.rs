@@ -10,6 +10,7 @@ use shm_types::{Attach, FrameSize};
 use warehouse::{CaseSet, History, Warehouse};
 
 use crate::plan::PlannedEpisode;
+use crate::streams::Streams;
 
 /// Free shared memory left to other programs, as far as it is not more than [`SHARE_LEFT`] of what is free.
 const HEADROOM_BYTES: u64 = 64 << 20;
@@ -36,11 +37,10 @@ pub struct Demand {
 
 impl Demand {
     /// What `episodes` can use with the window of `attach`, so many keyframes of full-context memory, and so many images
-    /// of an external memory's answer, which may come from any case.
+    /// of an external memory's answer, which may come from any case. The memory of a stream is built from all its cases.
     pub fn of(
         attach: &Attach,
-        warehouse: &Warehouse,
-        cases: &CaseSet,
+        (warehouse, cases, streams): (&Warehouse, &CaseSet, Option<&Streams>),
         episodes: &[PlannedEpisode],
         (keyframes, images): (u32, u32),
     ) -> Self {
@@ -48,9 +48,19 @@ impl Demand {
         let remembered = episodes.iter().map(|episode| {
             let condition = episode.key.condition;
             let mut views = || {
-                let set = (episode.case_index, condition.demonstrations);
+                let stream = episode.key.place.map(|place| place.stream);
+                let set =
+                    (stream, stream.map_or(episode.case_index, |_| 0), condition.demonstrations);
                 *views_of.entry(set).or_insert_with(|| {
-                    let histories = cases.histories(set.0, set.1).into_iter();
+                    let of_stream = stream.zip(streams);
+                    let bank: Vec<usize> = match of_stream {
+                        Some((stream, streams)) => {
+                            let listed = streams.set.streams[stream as usize].cases();
+                            listed.into_iter().map(|case| case as usize).collect()
+                        }
+                        None => vec![episode.case_index],
+                    };
+                    let histories = bank.into_iter().flat_map(|case| cases.histories(case, set.2));
                     let replay =
                         |History { case, start }| cases.cases[case].replay(warehouse, start);
                     let views: BTreeSet<Pose> = histories.flat_map(|h| replay(h).poses).collect();
@@ -67,7 +77,9 @@ impl Demand {
         let blocked = episodes.iter().filter(|e| e.key.condition.route == Route::Blocked);
         let barricades: BTreeSet<&[Cell]> =
             blocked.map(|episode| &*cases.cases[episode.case_index].barricade).collect();
-        let worlds = 1 + barricades.len() as u32;
+        let states: BTreeSet<u32> =
+            episodes.iter().filter_map(|episode| Some(episode.part?.world)).collect();
+        let worlds = (1 + barricades.len() + states.len()) as u32;
         Self {
             per_lane: attach.window + 2,
             remembered: remembered.max().unwrap_or(0),
@@ -246,7 +258,7 @@ mod tests {
                 conditions.iter().map(|written| (written.parse().unwrap(), 1)).collect();
             let ids: Vec<&str> = cases.cases.iter().map(|case| case.id.as_str()).collect();
             let episodes = plan(&conditions, &[0, 60], &ids, 1);
-            let demand = Demand::of(&attach, &warehouse, &cases, &episodes, (40, 40));
+            let demand = Demand::of(&attach, (&warehouse, &cases, None), &episodes, (40, 40));
             // The two cases close different passages.
             let worlds = if is_blocked { 3 } else { 1 };
             assert_eq!(demand.all_views, worlds * every_view(&warehouse));

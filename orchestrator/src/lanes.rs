@@ -9,15 +9,18 @@
 //! Every answer names its episode by an id that is used once. An answer to an earlier episode of the lane is
 //! late, and ignored.
 
-use domain::{ExternalName, MemoryKind};
+use std::collections::BTreeMap;
+
+use domain::{Action, ExternalName, MemoryKind};
 use results::log::{EpisodeRecord, RecallTotals, Stages};
 use shm_types::message::{
     Decision, MAX_EXTERNAL_MEMORIES, MemoryEpisodeConfig, Observation, PolicyEpisodeConfig,
-    RecallTrace, Role, StepCommand,
+    RecallTrace, Role, SnapshotReport, StepCommand,
 };
-use warehouse::{CaseSet, Warehouse};
+use warehouse::{CaseSet, Trajectory, Warehouse, WorldState};
 
 use crate::plan::PlannedEpisode;
+use crate::streams::Streams;
 
 mod answer_error;
 mod episode;
@@ -135,6 +138,37 @@ struct Context<'w> {
     cases: &'w CaseSet,
     rules: Rules,
     now_ns: u64,
+    /// The streams, if the run consists of some.
+    streams: Option<&'w Streams>,
+    /// By sequence and position: the episodes that a memory has learned from.
+    experience: BTreeMap<u64, BTreeMap<u32, Experience>>,
+}
+
+/// An episode that a memory has learned from, as a source of what it recalls.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Experience {
+    /// The case.
+    pub case_index: usize,
+    /// Its actions. Steps without one are left out: they changed nothing.
+    pub trajectory: Trajectory,
+    /// Whether it completed its task.
+    pub is_complete: bool,
+}
+
+impl Experience {
+    /// The episode of case number `case_index` with this record.
+    pub fn of(case_index: usize, record: &EpisodeRecord) -> Self {
+        let actions = record.actions.chars().filter_map(Action::from_letter).collect();
+        let trajectory = Trajectory { start: record.start_pose, actions };
+        Self { case_index, trajectory, is_complete: record.is_success() }
+    }
+}
+
+impl Context<'_> {
+    /// The world state of an episode in a stream.
+    fn state(&self, episode: &PlannedEpisode) -> Option<&WorldState> {
+        episode.part.zip(self.streams).map(|(part, streams)| streams.state(part.world))
+    }
 }
 
 /// The lanes of a run and the episodes in them.
@@ -151,12 +185,30 @@ impl<'w> Lanes<'w> {
     /// `count` free lanes.
     pub fn new(warehouse: &'w Warehouse, cases: &'w CaseSet, rules: Rules, count: usize) -> Self {
         Self {
-            context: Context { warehouse, cases, rules, now_ns: 0 },
+            context: Context {
+                warehouse,
+                cases,
+                rules,
+                now_ns: 0,
+                streams: None,
+                experience: BTreeMap::new(),
+            },
             lanes: std::iter::repeat_with(|| None).take(count).collect(),
             last_id: 0,
             answered: Vec::new(),
             stepped: Vec::new(),
         }
+    }
+
+    /// The same lanes for the episodes of `streams`.
+    pub fn in_streams(mut self, streams: &'w Streams) -> Self {
+        self.context.streams = Some(streams);
+        self
+    }
+
+    /// Adds an episode that is in the log and that the memory of its sequence has learned from.
+    pub fn remember(&mut self, sequence: u64, position: u32, experience: Experience) {
+        self.context.experience.entry(sequence).or_default().insert(position, experience);
     }
 
     /// Sets the time, CLOCK_MONOTONIC, that holds until the next call: reading the clock for every message would
@@ -200,9 +252,7 @@ impl<'w> Lanes<'w> {
             return Ok(Turn::Wait);
         };
         if active.observed(context, observation)? {
-            let finished = self.lanes[lane as usize].take();
-            let finished = finished.map(|active| Box::new(active.finish(self.context.now_ns)));
-            return Ok(finished.map_or(Turn::Wait, Turn::Finished));
+            return Ok(self.finish(lane));
         }
         let turn = if context.rules.expert {
             Some(active.expert_step(context)?)
@@ -236,6 +286,31 @@ impl<'w> Lanes<'w> {
         };
         active.decided(decision)?;
         Ok(taken(active.settle(&self.context, &mut self.answered)?, &mut self.stepped))
+    }
+
+    /// Takes memory's report that it has learned from an episode.
+    ///
+    /// # Errors
+    /// When it cannot be used.
+    pub fn learned(&mut self, report: &SnapshotReport) -> Result<Turn, AnswerError> {
+        let &SnapshotReport { lane, episode, .. } = report;
+        let Some(active) = find(&mut self.lanes, Role::Memory, lane, episode)? else {
+            return Ok(Turn::Wait);
+        };
+        Ok(if active.learned(report)? { self.finish(lane) } else { Turn::Wait })
+    }
+
+    /// Ends the episode of a lane.
+    fn finish(&mut self, lane: u32) -> Turn {
+        let Some(active) = self.lanes[lane as usize].take() else { return Turn::Wait };
+        let finished = active.finish(&self.context);
+        let FinishedEpisode { episode, record, .. } = &finished;
+        if let (true, Some(part), Some(place)) = (episode.learns(), episode.part, episode.key.place)
+        {
+            let experience = Experience::of(episode.case_index, record);
+            self.remember(part.sequence, place.position, experience);
+        }
+        Turn::Finished(Box::new(finished))
     }
 
     /// Whether a decision arrived before what it is based on, which is on its way.

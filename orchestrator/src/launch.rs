@@ -1,5 +1,6 @@
 //! What a run starts: which processes, with which arguments and limits, attached to what.
 
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -19,9 +20,11 @@ use crate::lanes::{ExternalNames, Rules};
 use crate::machine::memory_available;
 use crate::pipeline::PipelineOptions;
 use crate::plan::PlannedEpisode;
+use crate::streams::Streams;
 use crate::world::World;
 
-/// How the processes are started, with their logs in the folder `logs`, beside the external memories `memories`.
+/// How the processes are started, with their logs in the folder `logs`, beside the external memories `memories`. A run that
+/// consists of streams has them in its folder already.
 ///
 /// # Errors
 /// When a program is missing, or `--policy-cmd` is no command.
@@ -72,7 +75,7 @@ pub fn rules(settings: &RunSettings, memories: &[ExternalMemory]) -> Result<Rule
 /// When there is too little shared memory.
 pub fn attach(
     settings: &RunSettings,
-    world: &World,
+    (world, streams): (&World, Option<&Streams>),
     episodes: &[PlannedEpisode],
     (run, memories): (&RunDir, &[ExternalMemory]),
     prompts: Option<&Path>,
@@ -83,7 +86,7 @@ pub fn attach(
     let mut attach = Attach {
         participants: if has_process { Role::CHILDREN.to_vec() } else { vec![Role::Sim] },
         external_memories: memories.iter().map(|memory| memory.index).collect(),
-        lanes: settings.lanes.min(episodes.len() as u32),
+        lanes: settings.lanes.min(at_once(episodes)),
         window: windows.max().unwrap_or(0),
         frame: FrameSize { width: settings.frame_size, height: settings.frame_size },
         wait: Wait { spin_us: settings.spin_us },
@@ -98,7 +101,7 @@ pub fn attach(
     };
     let World { warehouse, cases, .. } = world;
     let most = (settings.keyframes, settings.memory_image_budget());
-    let demand = Demand::of(&attach, warehouse, cases, episodes, most);
+    let demand = Demand::of(&attach, (warehouse, cases, streams), episodes, most);
     let (free, _) = shared_memory_space().context("cannot tell how much shared memory is free")?;
     let given = settings.frame_budget;
     attach.frame_capacity = frame_budget::choose(&attach, demand, given, free, memory_available())?;
@@ -111,6 +114,13 @@ pub fn attach(
         );
     }
     Ok(attach)
+}
+
+/// The number of episodes that can run at the same time: of every sequence one.
+fn at_once(episodes: &[PlannedEpisode]) -> u32 {
+    let alone = episodes.iter().filter(|episode| episode.part.is_none()).count();
+    let sequences: BTreeSet<u64> = episodes.iter().filter_map(PlannedEpisode::sequence).collect();
+    (alone + sequences.len()) as u32
 }
 
 /// Arguments of a process, written as flags with values that may be missing.
@@ -132,8 +142,12 @@ fn launch(
 fn launches(settings: &RunSettings, memories: &[ExternalMemory]) -> Result<Vec<Launch>> {
     let path = |path: &Option<PathBuf>| path.as_ref().map(|path| path.display().to_string());
     let assets = ("--assets", path(&settings.assets));
+    // Not in the folder to which processes attach: a policy and external memories must not see it.
+    let streams = settings.stream.is_some().then(|| RunFolder::streams_of(&settings.out));
+    let streams = ("--streams", path(&streams));
     let mut renderer = vec![
         assets.clone(),
+        streams.clone(),
         ("--backend", settings.backend.clone()),
         ("--adapter", settings.adapter.clone()),
     ];
@@ -145,8 +159,11 @@ fn launches(settings: &RunSettings, memories: &[ExternalMemory]) -> Result<Vec<L
     if !settings.policy.has_process() {
         return Ok(vec![sim]);
     }
+    let snapshots = settings.stream.is_some().then(|| RunFolder::snapshots_of(&settings.out));
     let mut encoder = vec![
         assets,
+        streams,
+        ("--snapshots", path(&snapshots)),
         ("--encoder", Some(settings.encoder.clone())),
         ("--encoder-file", path(&settings.encoder_file)),
         ("--encoder-threads", settings.encoder_threads.map(|n| n.to_string())),

@@ -1,10 +1,15 @@
-//! Which episodes a run consists of: conditions x runs x cases, each with a stable key and its own seed.
+//! Which episodes a run consists of: conditions x runs x cases, or the sequences of its streams, each episode with a stable
+//! key and its own seed.
 //!
 //! Pure: the same settings and cases give the same list on every machine. Which of them are finished is in the
 //! run folder ([`results::log`]).
 
+use domain::{Arm, FeedbackLevel};
 use results::conditions::Condition;
-use results::key::EpisodeKey;
+use results::key::{EpisodeKey, Order, StreamPlace};
+use results::settings::StreamSettings;
+use shm_types::message::SnapshotId;
+use warehouse::StreamSet;
 
 /// One episode of a run.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -15,6 +20,43 @@ pub struct PlannedEpisode {
     pub case_index: usize,
     /// The seed for random choices of the policy.
     pub seed: u64,
+    /// Its part in a stream.
+    pub part: Option<StreamPart>,
+}
+
+/// The part of an episode in its sequence: one stream in one order under one condition and repetition. The episodes of a
+/// sequence share one memory and run strictly one after the other, in the order of their positions.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct StreamPart {
+    /// Identifies the sequence; never 0.
+    pub sequence: u64,
+    /// The block that its case belongs to, as drawn.
+    pub block: u32,
+    /// The place of that block in the sequence's order.
+    pub place: u32,
+    /// Blocks that were learned from before.
+    pub after: u32,
+    /// The learning round, from 1; `None` for an evaluation.
+    pub round: Option<u32>,
+    /// The index of the block's world state.
+    pub world: u32,
+    /// What a memory that learns is told at the end.
+    pub feedback: FeedbackLevel,
+    /// The snapshot that its memory continues from; zeros if it is built anew.
+    pub snapshot: SnapshotId,
+}
+
+impl PlannedEpisode {
+    /// The sequence that it belongs to.
+    pub fn sequence(&self) -> Option<u64> {
+        self.part.map(|part| part.sequence)
+    }
+
+    /// Whether its memory learns from it.
+    pub fn learns(&self) -> bool {
+        self.key.condition.arm == Arm::Learning
+            && self.part.is_some_and(|part| part.round.is_some())
+    }
 }
 
 /// The episodes of a run, in the order in which they are started.
@@ -35,13 +77,102 @@ pub fn plan(
     for run in 1..=most_runs {
         for &case_index in cases {
             for &(condition, _) in conditions.iter().filter(|(_, runs)| run <= *runs) {
-                let key = EpisodeKey { condition, run, case: ids[case_index].to_owned() };
+                let case = ids[case_index].to_owned();
+                let key = EpisodeKey { condition, run, place: None, case };
                 let seed = seed_of(master_seed, &key);
-                episodes.push(PlannedEpisode { key, case_index, seed });
+                episodes.push(PlannedEpisode { key, case_index, seed, part: None });
             }
         }
     }
     episodes
+}
+
+/// The episodes of a run that consists of the streams of `set`, sequence by sequence: for every run, stream and order the
+/// conditions next to each other, so any beginning of the list compares them on the same streams.
+///
+/// A sequence evaluates the cases of every block, if evaluations are asked for; then, block by block in its order, it learns
+/// from the block's cases in `rounds` rounds and evaluates every block again. Positions are the same in all arms, also in
+/// those that do not learn.
+pub fn plan_streams(
+    conditions: &[(Condition, u32)],
+    set: &StreamSet,
+    settings: &StreamSettings,
+    ids: &[&str],
+    master_seed: u64,
+) -> Vec<PlannedEpisode> {
+    let most_runs = conditions.iter().map(|(_, runs)| *runs).max().unwrap_or(0);
+    let mut orders: Vec<Order> = Vec::new();
+    for &order in &settings.orders {
+        if !orders.contains(&order) {
+            orders.push(order);
+        }
+    }
+    let mut episodes = Vec::new();
+    for run in 1..=most_runs {
+        for stream in 0..set.streams.len() as u32 {
+            for &order in &orders {
+                let steps = steps(set, settings, stream, order);
+                for &(condition, _) in conditions.iter().filter(|(_, runs)| run <= *runs) {
+                    let sequence = (0..).zip(&steps).map(|(position, &(case, part))| {
+                        let case_index = case as usize;
+                        let place = Some(StreamPlace { stream, order, position });
+                        let key =
+                            EpisodeKey { condition, run, place, case: ids[case_index].to_owned() };
+                        let sequence = key.sequence().map_or(0, |name| sequence_id(&name));
+                        let part = Some(StreamPart { sequence, ..part });
+                        let seed = seed_of(master_seed, &key);
+                        PlannedEpisode { key, case_index, seed, part }
+                    });
+                    episodes.extend(sequence);
+                }
+            }
+        }
+    }
+    episodes
+}
+
+/// The case and the part of every episode of a sequence; parts lack the id of the sequence.
+fn steps(
+    set: &StreamSet,
+    settings: &StreamSettings,
+    stream: u32,
+    order: Order,
+) -> Vec<(u32, StreamPart)> {
+    let blocks = &set.streams[stream as usize].blocks;
+    let order = set.order(stream, order);
+    let mut steps = Vec::new();
+    let mut visit = |place: usize, after: usize, round: Option<u32>| {
+        let block = order[place];
+        let drawn = &blocks[block as usize];
+        let part = StreamPart {
+            sequence: 0,
+            block,
+            place: place as u32,
+            after: after as u32,
+            round,
+            world: drawn.world,
+            feedback: settings.feedback,
+            snapshot: SnapshotId::default(),
+        };
+        steps.extend(drawn.cases.iter().map(|&case| (case, part)));
+    };
+    for after in 0..=order.len() {
+        if settings.evaluate {
+            (0..order.len()).for_each(|place| visit(place, after, None));
+        }
+        if after < order.len() {
+            (1..=settings.rounds).for_each(|round| visit(after, after, Some(round)));
+        }
+    }
+    steps
+}
+
+/// The id of the sequence with this [name](EpisodeKey::sequence): the first 8 bytes, as a little-endian number, of the BLAKE3
+/// hash of the name, and 1 instead of 0.
+pub fn sequence_id(name: &str) -> u64 {
+    let hash = blake3::hash(name.as_bytes());
+    let first = hash.as_bytes().first_chunk::<8>();
+    first.copied().map_or(0, u64::from_le_bytes).max(1)
 }
 
 /// The seed of an episode: the first 8 bytes, as a little-endian number, of the BLAKE3 hash of
@@ -103,5 +234,69 @@ mod tests {
         let hash = blake3::hash(&text);
         assert_eq!(seed_of(7, &key).to_le_bytes(), hash.as_bytes()[..8]);
         insta::assert_snapshot!(seed_of(7, &key), @"7419264810186364379");
+    }
+
+    use warehouse::WorldChange;
+    use warehouse::stream::{Block, Stream};
+
+    /// A stream of two blocks with one case each.
+    fn set() -> StreamSet {
+        let block = |case| Block { world: case, cases: vec![case], events: Vec::new() };
+        let worlds = vec![WorldChange::default(); 2];
+        let streams = vec![Stream { blocks: vec![block(0), block(1)] }];
+        StreamSet { seed: 1, worlds, streams }
+    }
+
+    fn in_streams(conditions: &[&str], orders: &[Order], evaluate: bool) -> Vec<PlannedEpisode> {
+        let settings = StreamSettings {
+            streams: 1,
+            blocks: 2,
+            cases_per_block: 1,
+            rounds: 2,
+            events: Vec::new(),
+            orders: orders.to_vec(),
+            feedback: FeedbackLevel::Success,
+            evaluate,
+        };
+        let conditions: Vec<(Condition, u32)> =
+            conditions.iter().map(|written| (written.parse().unwrap(), 1)).collect();
+        let episodes = plan_streams(&conditions, &set(), &settings, &["a", "b"], 1);
+        assert_eq!(episodes.len(), settings.all_episodes() * conditions.len());
+        episodes
+    }
+
+    #[test]
+    fn a_sequence_evaluates_and_learns_in_turn() {
+        let episodes = in_streams(
+            &["adaptive/new/unchanged/original/learning"],
+            &[Order::Drawn, Order::Reversed, Order::Drawn],
+            true,
+        );
+        let shown = episodes.iter().map(|episode| {
+            let StreamPart { block, place, after, round, world, .. } = episode.part.unwrap();
+            let key = episode.key.to_string().replace("adaptive/new/unchanged/original/", "");
+            let round = round.map_or("evaluates".to_owned(), |round| format!("round {round}"));
+            assert_eq!(episode.learns(), round != "evaluates");
+            format!("{key} block {block} at {place} in world {world}, after {after}: {round}")
+        });
+        insta::assert_snapshot!(shown.collect::<Vec<_>>().join("\n"), @"");
+    }
+
+    #[test]
+    fn sequences_have_ids_of_their_own_and_equal_positions() {
+        let conditions = ["working/new/unchanged/none", "episodic/new/unchanged/original/wrong"];
+        let episodes = in_streams(&conditions, &[Order::Drawn], false);
+        let (one, other) = episodes.split_at(4);
+        assert_eq!(
+            one[0].sequence(),
+            Some(sequence_id("working/new/unchanged/none/run1/s0-drawn"))
+        );
+        assert!(one.iter().all(|episode| episode.sequence() == one[0].sequence()));
+        assert_ne!(one[0].sequence(), other[0].sequence());
+        let place = |episode: &PlannedEpisode| (episode.key.place, episode.case_index);
+        assert!(one.iter().map(place).eq(other.iter().map(place)));
+        assert!(!episodes.iter().any(PlannedEpisode::learns));
+        let hash = blake3::hash(b"x");
+        assert_eq!(sequence_id("x").to_le_bytes(), hash.as_bytes()[..8]);
     }
 }

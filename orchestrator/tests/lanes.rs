@@ -4,17 +4,19 @@
 use bytemuck::Zeroable;
 use conformance::messages::{self, recall_trace};
 use conformance::scripted::{ScriptedSim, request};
-use domain::{Action, Feedback, Outcome, Pose, Representation};
+use domain::{Action, Arm, Feedback, FeedbackLevel, Outcome, Pose, Representation};
 use orchestrator::lanes::{AnswerError, EpisodeOpening, FinishedEpisode, Lanes, Rules, Turn};
-use orchestrator::plan::PlannedEpisode;
+use orchestrator::plan::{PlannedEpisode, StreamPart, sequence_id};
+use orchestrator::streams::{Remaining, Streams};
 use results::conditions::{Condition, Demonstrations, Route, Start, Variation};
-use results::key::EpisodeKey;
+use results::key::{EpisodeKey, Order, StreamPlace};
 use results::log::Ending;
 use shm_types::message::{
-    Decision, MAX_EXTERNAL_MEMORIES, MemoryEpisodeConfig, NOT_MEASURED, Observation, RecallTrace,
-    RecalledSource, Role,
+    Decision, EXPERIENCE, MAX_EXTERNAL_MEMORIES, MemoryEpisodeConfig, NOT_MEASURED, Observation,
+    RecallTrace, RecalledSource, Role, SnapshotReport,
 };
-use warehouse::{CaseSet, History, Mixture, Variant, Warehouse, step};
+use warehouse::stream::{Block, Stream};
+use warehouse::{CaseSet, History, Mixture, StreamSet, Variant, Warehouse, WorldChange, step};
 
 const RULES: Rules = Rules {
     horizon: 6,
@@ -40,9 +42,15 @@ fn episode(cases: &CaseSet, case_index: usize, start: Start, route: Route) -> Pl
         route,
         demonstrations,
         variation,
+        arm: Arm::Frozen,
     };
     let case = cases.cases[case_index].id.clone();
-    PlannedEpisode { key: EpisodeKey { condition, run: 1, case }, case_index, seed: 7 }
+    PlannedEpisode {
+        key: EpisodeKey { condition, run: 1, place: None, case },
+        case_index,
+        seed: 7,
+        part: None,
+    }
 }
 
 /// The simulator: the same dynamics, from the commands alone.
@@ -217,8 +225,8 @@ fn an_episode_config_follows_from_its_condition() {
     let mut told = |condition: &str| {
         let condition: Condition = condition.parse().unwrap();
         let case = cases.cases[3].id.clone();
-        let key = EpisodeKey { condition, run: 1, case };
-        let opening = lanes.begin(0, PlannedEpisode { key, case_index: 3, seed: 7 });
+        let key = EpisodeKey { condition, run: 1, place: None, case };
+        let opening = lanes.begin(0, PlannedEpisode { key, case_index: 3, seed: 7, part: None });
         lanes.give_up(0);
         let MemoryEpisodeConfig { representation, demonstrations, horizon, .. } = opening.memory;
         let MemoryEpisodeConfig { keyframes, segment, case, .. } = opening.memory;
@@ -403,4 +411,139 @@ fn a_simulator_that_disagrees_is_found() {
         let (mut lanes, _, _) = two_lanes(&warehouse, &cases);
         assert!(matches!(lanes.observed(&wrong), Err(AnswerError::Disagrees { .. })), "{wrong:?}");
     }
+}
+
+/// A stream of one case in two worlds: unchanged, and with its own barricade.
+fn streams(warehouse: &Warehouse, cases: &CaseSet, case: usize) -> Streams {
+    let closed = cases.cases[case].barricade.clone();
+    let block = |world| Block { world, cases: vec![case as u32], events: Vec::new() };
+    let set = StreamSet {
+        seed: 1,
+        worlds: vec![WorldChange::default(), WorldChange { closed, stock: Vec::new() }],
+        streams: vec![Stream { blocks: vec![block(0), block(1)] }],
+    };
+    Streams::new(warehouse, cases, set).unwrap()
+}
+
+/// A learning episode of that stream: its position is also that of its block.
+fn learning(cases: &CaseSet, case_index: usize, position: u32) -> PlannedEpisode {
+    let mut episode = episode(cases, case_index, Start::New, Route::Unchanged);
+    episode.key.condition.memory = Representation::Adaptive.into();
+    episode.key.condition.arm = Arm::Learning;
+    episode.key.place = Some(StreamPlace { stream: 0, order: Order::Drawn, position });
+    let part = StreamPart {
+        sequence: sequence_id(&episode.key.sequence().unwrap()),
+        block: position,
+        place: position,
+        after: position,
+        round: Some(1),
+        world: position,
+        feedback: FeedbackLevel::Success,
+        snapshot: [0; 16],
+    };
+    PlannedEpisode { part: Some(part), ..episode }
+}
+
+fn source(case: u32, demonstration: u16) -> RecalledSource {
+    RecalledSource { case, demonstration, first: 3, steps: 1, ..Zeroable::zeroed() }
+}
+
+/// Runs an episode of the stream in which the policy follows the reference and memory recalls `sources` at every step.
+fn learn(
+    lanes: &mut Lanes<'_>,
+    streams: &Streams,
+    episode: PlannedEpisode,
+    sources: &[RecalledSource],
+    snapshot: [u8; 16],
+) -> FinishedEpisode {
+    let (warehouse, _) = world();
+    let part = episode.part.unwrap();
+    let actions = streams.case(part.world, episode.case_index).reference.actions.clone();
+    let opening = lanes.begin(0, episode);
+    assert_eq!((opening.memory.learns, opening.memory.sequence), (1, part.sequence));
+    assert_eq!(opening.memory.variant, if part.world == 0 { 0 } else { 1 + 100 + part.world });
+    assert_eq!(opening.memory.variant, opening.command.variant);
+    let variant = streams.state(part.world).variant.clone();
+    let mut sim =
+        ScriptedSim::new(move |_, pose, action| step(&warehouse.layout, &variant, pose, action));
+    let report = SnapshotReport {
+        episode: opening.command.episode,
+        snapshot,
+        store_bytes: 99,
+        ..Zeroable::zeroed()
+    };
+    assert!(matches!(lanes.learned(&report), Err(AnswerError::Unexpected { .. })), "too early");
+    let mut command = opening.command;
+    loop {
+        let observation = sim.observe(&command);
+        assert!(matches!(lanes.observed(&observation).unwrap(), Turn::Wait), "memory has to learn");
+        if command.last != 0 {
+            assert_eq!(lanes.pending(0)[0].role, Role::Memory);
+            return match lanes.learned(&report).unwrap() {
+                Turn::Finished(finished) => *finished,
+                turn => panic!("{turn:?}"),
+            };
+        }
+        let mut trace = trace(&observation);
+        trace.sources_len = sources.len() as u32;
+        trace.sources[..sources.len()].copy_from_slice(sources);
+        lanes.recalled(&trace).unwrap();
+        let answer = decision(&observation, actions[observation.step as usize]);
+        match lanes.decided(&answer).unwrap() {
+            Turn::Command(next) => command = next,
+            turn => panic!("{turn:?}"),
+        }
+    }
+}
+
+#[test]
+fn an_episode_of_a_stream_takes_place_in_its_world_and_ends_with_its_snapshot() {
+    let (warehouse, cases) = world();
+    // A case whose original demonstration and test reference both use the passage.
+    let case = (0..cases.cases.len())
+        .find(|&index| {
+            let streams = streams(&warehouse, &cases, index);
+            let found = &cases.cases[index];
+            streams.case(1, index).invalidated
+                && !streams.state(1).completes(&found.test, &found.task)
+        })
+        .unwrap();
+    let streams = streams(&warehouse, &cases, case);
+    let mut lanes = Lanes::new(&warehouse, &cases, RULES, 1).in_streams(&streams);
+    let own = source(case as u32, 0);
+    let first = learn(&mut lanes, &streams, learning(&cases, case, 0), &[own], [1; 16]);
+    let record = &first.record;
+    assert_eq!(record.check(200), Ok(()));
+    assert!(record.is_success() && record.steps == record.reference);
+    let stream = record.stream.as_ref().unwrap();
+    assert_eq!((stream.retrievals, stream.stale, stream.invalidated), (record.steps, 0, false));
+    assert_eq!(stream.snapshot, Some("01".repeat(16)));
+    assert_eq!((stream.store_bytes, first.episode.part.unwrap().snapshot), (Some(99), [1; 16]));
+
+    // In the closed world the demonstration and the own experience are stale.
+    let sources = [own, source(0, EXPERIENCE)];
+    let second = learn(&mut lanes, &streams, learning(&cases, case, 1), &sources, [2; 16]);
+    let record = &second.record;
+    assert_eq!(record.check(200), Ok(()));
+    assert_eq!(record.reference, streams.case(1, case).length);
+    assert!(record.is_success() && record.reference > first.record.reference);
+    let stream = record.stream.as_ref().unwrap();
+    assert_eq!((stream.retrievals, stream.stale), (2 * record.steps, 2 * record.steps));
+    assert!(stream.invalidated && stream.after == 1 && stream.world == 1);
+    assert!(record.retrieved.as_ref().unwrap().starts_with("o3+e0:3 o3+e0:3"));
+
+    // The same from the log, in another session.
+    let planned = [learning(&cases, case, 0), learning(&cases, case, 1)];
+    let remaining = Remaining::of(&planned, std::slice::from_ref(&first.record)).unwrap();
+    assert_eq!(remaining.missing.len(), 1);
+    assert_eq!(remaining.missing[0].part.unwrap().snapshot, [1; 16]);
+    let mut resumed = Lanes::new(&warehouse, &cases, RULES, 1).in_streams(&streams);
+    for (sequence, position, experience) in remaining.learned {
+        resumed.remember(sequence, position, experience);
+    }
+    let again = learn(&mut resumed, &streams, remaining.missing[0].clone(), &sources, [2; 16]);
+    assert_eq!(again.record, second.record);
+    let error = Remaining::of(&planned, &[second.record]).unwrap_err().to_string();
+    let first = "the log lacks adaptive/new/unchanged/original/learning/run1/s0-drawn-000/";
+    assert!(error.starts_with(first), "{error}");
 }

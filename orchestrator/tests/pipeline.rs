@@ -10,7 +10,7 @@ use std::time::Duration;
 use anyhow::Result;
 use conformance::scripted::{self, ScriptedRun, ScriptedSim};
 use conformance::testing::ScratchRun;
-use domain::Representation;
+use domain::{Arm, Representation};
 use orchestrator::lanes::{FinishedEpisode, Lanes, Rules};
 use orchestrator::pipeline::{Ending, Facts, Observer, Participant, PipelineOptions, run_episodes};
 use orchestrator::plan::plan;
@@ -88,6 +88,7 @@ fn run(spoil: fn(Decision) -> Decision) -> (Seen, Ending) {
         route: Route::Unchanged,
         demonstrations: Demonstrations::NONE,
         variation: Variation::STANDARD,
+        arm: Arm::Frozen,
     };
     let episodes = plan(&[(condition, 1)], &[0, 1, 2, 3, 4, 5, 6, 7], &ids, 1);
     let rules = Rules { expert: false, ..RULES };

@@ -74,6 +74,9 @@ pub type SnapshotId = [u8; 16];
 /// The document id for "no document".
 pub const NO_DOCUMENT: DocumentId = 0;
 
+/// In [`RecalledSource::demonstration`]: the source is an earlier episode of the same stream, not a demonstration.
+pub const EXPERIENCE: u16 = u16::MAX;
+
 /// Identifies an episode. Grows, and is never reused within a run.
 pub type EpisodeId = u64;
 

@@ -24,7 +24,9 @@ code_sets! {
     }
 
     /// What the memory of an episode is built from, and whether it changes.
-    Arm, "an arm (0 frozen, 1 learning, 2 oracle, 3 wrong)" {
+    Arm, "an arm (0 frozen, 1 learning, 2 oracle, 3 wrong)"
+    #[derive(serde::Serialize, serde::Deserialize)]
+    #[serde(rename_all = "lowercase")] {
         /// Built once, never changed: the paper's setting.
         Frozen = 0,
         /// Built once, and changed by the episodes of its stream.
@@ -36,7 +38,9 @@ code_sets! {
     }
 
     /// What a memory is told at the end of an episode that it learns from.
-    FeedbackLevel, "a feedback level (0 none, 1 success, 2 sub-goals)" {
+    FeedbackLevel, "a feedback level (0 none, 1 success, 2 sub-goals)"
+    #[derive(serde::Serialize, serde::Deserialize)]
+    #[serde(rename_all = "kebab-case")] {
         /// Nothing but the steps.
         None = 0,
         /// Whether the task was completed.
@@ -81,6 +85,13 @@ impl Arm {
             Self::Oracle => "oracle",
             Self::Wrong => "wrong",
         }
+    }
+}
+
+impl Default for Arm {
+    /// The paper's setting.
+    fn default() -> Self {
+        Self::Frozen
     }
 }
 

@@ -26,6 +26,8 @@ coded_enum! {
         Hybrid = 4,
         /// The stored view nearest to the current one, and the expert's continuation.
         Episodic = 5,
+        /// Episodic memory that verifies, updates and forgets while it is used.
+        Adaptive = 6,
     }
 }
 
@@ -77,6 +79,7 @@ impl Representation {
         Self::Semantic,
         Self::Hybrid,
         Self::Episodic,
+        Self::Adaptive,
     ];
 
     /// Its properties.
@@ -131,6 +134,14 @@ impl Representation {
                 trajectories: Trajectories::Segment,
                 ..NOTHING
             },
+            Self::Adaptive => RepresentationInfo {
+                name: "adaptive",
+                stores: "the same of the task's demonstrations and, in a stream, of its own successful episodes",
+                supplies: "as episodic; in a stream what it has confirmed, and nothing that it has seen contradicted",
+                source: Source::Case,
+                trajectories: Trajectories::Segment,
+                ..NOTHING
+            },
         }
     }
 
@@ -170,7 +181,7 @@ impl TryFrom<u8> for Representation {
 
     fn try_from(code: u8) -> Result<Self, UnknownCode> {
         let found = Self::ALL.get(usize::from(code)).copied();
-        found.ok_or_else(|| UnknownCode::new(code, "a representation (0 to 5)"))
+        found.ok_or_else(|| UnknownCode::new(code, "a representation (0 to 6)"))
     }
 }
 
@@ -213,7 +224,7 @@ mod tests {
             assert_eq!(representation.name().parse(), Ok(representation));
         }
         assert!(
-            Representation::try_from(6).is_err() && "eidetic".parse::<Representation>().is_err()
+            Representation::try_from(7).is_err() && "eidetic".parse::<Representation>().is_err()
         );
     }
 
@@ -221,7 +232,7 @@ mod tests {
     fn images_of_a_request_are_those_of_the_paper() {
         let images = |hits| Representation::ALL.iter().map(|r| 7 + r.images(6, hits, 40)).collect();
         let (one, three): (Vec<u32>, Vec<u32>) = (images(1), images(3));
-        assert_eq!(one, [7, 47, 7, 7, 7, 14]);
-        assert_eq!(three, [7, 47, 7, 7, 7, 28]);
+        assert_eq!(one, [7, 47, 7, 7, 7, 14, 14]);
+        assert_eq!(three, [7, 47, 7, 7, 7, 28, 28]);
     }
 }

@@ -11,7 +11,7 @@ use std::fmt;
 use std::str::FromStr;
 
 use domain::representation::{RepresentationInfo, Trajectories};
-use domain::{MemoryKind, Representation};
+use domain::{Arm, MemoryKind, Representation};
 use serde::{Deserialize, Serialize};
 pub use warehouse::{Demonstrations, UnknownDemonstrations};
 
@@ -102,9 +102,10 @@ impl Start {
 }
 
 /// One cell of a table of results. Written `memory/start/route/demonstrations`, followed by the deviations from the
-/// standard [`Variation`]: `working/original/unchanged/none/h20`.
+/// standard [`Variation`] and by the arm where it is not `frozen`: `working/original/unchanged/none/h20`,
+/// `episodic/new/unchanged/original/learning`.
 ///
-/// Always in its normal form, see [`Condition::new`].
+/// Always in its normal form, see [`Condition::new`] and [`Condition::with_arm`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
 pub struct Condition {
     /// The memory.
@@ -118,10 +119,13 @@ pub struct Condition {
     /// The changes to the prompt.
     #[serde(flatten)]
     pub variation: Variation,
+    /// What the memory is built from, and whether it changes. Only streams have another arm than `frozen`.
+    #[serde(skip_serializing_if = "is_default", default)]
+    pub arm: Arm,
 }
 
 impl Condition {
-    /// Returns the condition in its normal form: settings without effect have their standard values, so that two
+    /// Returns the condition, in the arm `frozen`, in its normal form: settings without effect have their standard values, so that two
     /// conditions differ only if their episodes can. `None` if there is no such condition.
     ///
     /// - A memory that needs no demonstration has none; the others need at least one.
@@ -141,7 +145,8 @@ impl Condition {
             if memory.uses_demonstrations() { demonstrations } else { Demonstrations::NONE };
         let exists = (start, route) != (Start::Original, Route::Blocked)
             && (memory.uses_demonstrations() != (demonstrations == Demonstrations::NONE));
-        let mut condition = Self { memory, start, route, demonstrations, variation };
+        let arm = Arm::Frozen;
+        let mut condition = Self { memory, start, route, demonstrations, variation, arm };
         let varies = |info: RepresentationInfo| info.trajectories == Trajectories::Segment;
         if !memory.describe().is_some_and(varies) {
             condition.variation.segment = SegmentContent::default();
@@ -150,6 +155,12 @@ impl Condition {
             condition.variation.hint = Hint::default();
         }
         exists.then_some(condition)
+    }
+
+    /// The condition in `arm`. A memory that needs no demonstration is always `frozen`: no arm changes it.
+    pub fn with_arm(self, arm: Arm) -> Self {
+        let arm = if self.memory.uses_demonstrations() { arm } else { Arm::Frozen };
+        Self { arm, ..self }
     }
 
     /// Whether the demonstration starts where the episode does, and is supplied to the policy.
@@ -167,8 +178,9 @@ impl Condition {
 
 impl fmt::Display for Condition {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { memory, start, route, demonstrations, variation } = self;
-        write!(f, "{memory}/{start}/{route}/{demonstrations}{variation}")
+        let Self { memory, start, route, demonstrations, variation, arm } = self;
+        write!(f, "{memory}/{start}/{route}/{demonstrations}{variation}")?;
+        if is_default(arm) { Ok(()) } else { write!(f, "/{}", arm.word()) }
     }
 }
 
@@ -184,7 +196,7 @@ pub enum BadCondition {
     /// A part is missing, or there is one too many.
     #[error(
         "`{0}` is not a condition: write memory/start/route/demonstrations, then any deviation from the \
-         standard (/h20, /images, /no-hint)"
+         standard (/h20, /images, /no-hint) and the arm (/learning, /oracle, /wrong)"
     )]
     Parts(String),
     /// Not in its normal form, or there is no such condition.
@@ -227,11 +239,16 @@ impl Condition {
         let memory = memory(next()?)?;
         let (start, route) = (next()?.parse()?, next()?.parse()?);
         let demonstrations = next()?.parse()?;
-        let mut variation = Variation::STANDARD;
-        if !parts.all(|part| variation.read(part)) {
-            return Err(bad());
+        let (mut variation, mut arm) = (Variation::STANDARD, Arm::Frozen);
+        for part in parts {
+            match Arm::ALL.iter().find(|arm| arm.word() == part) {
+                Some(found) => arm = *found,
+                None if variation.read(part) => {}
+                None => return Err(bad()),
+            }
         }
         let normal = Self::new(memory, start, route, demonstrations, variation);
+        let normal = normal.map(|condition| condition.with_arm(arm));
         match normal {
             Some(condition) if condition.to_string() == text => Ok(condition),
             _ => Err(BadCondition::NotNormal { given: text.to_owned(), normal }),
@@ -318,8 +335,8 @@ mod tests {
     #[test]
     fn errors_name_the_condition_that_was_probably_meant() {
         let error = |text: &str| text.parse::<Condition>().unwrap_err().to_string();
-        insta::assert_snapshot!(error("episodic/new/unchanged"), @"`episodic/new/unchanged` is not a condition: write memory/start/route/demonstrations, then any deviation from the standard (/h20, /images, /no-hint)");
-        insta::assert_snapshot!(error("working/new/unchanged/none/h200"), @"`working/new/unchanged/none/h200` is not a condition: write memory/start/route/demonstrations, then any deviation from the standard (/h20, /images, /no-hint)");
+        insta::assert_snapshot!(error("episodic/new/unchanged"), @"`episodic/new/unchanged` is not a condition: write memory/start/route/demonstrations, then any deviation from the standard (/h20, /images, /no-hint) and the arm (/learning, /oracle, /wrong)");
+        insta::assert_snapshot!(error("working/new/unchanged/none/h200"), @"`working/new/unchanged/none/h200` is not a condition: write memory/start/route/demonstrations, then any deviation from the standard (/h20, /images, /no-hint) and the arm (/learning, /oracle, /wrong)");
         insta::assert_snapshot!(error("working/new/unchanged/4/h6"), @"there is no condition `working/new/unchanged/4/h6`; its episodes are those of `working/new/unchanged/none`");
         insta::assert_snapshot!(error("episodic/original/blocked/4"), @"there is no condition `episodic/original/blocked/4`");
         insta::assert_snapshot!(error("episodic/newer/blocked/4"), @"unknown start `newer`: did you mean `new`? (known: original, new)");

@@ -32,7 +32,7 @@ pub use journal::{DamagedLine, Journal, JournalContents, damaged_file, read_jour
 pub use manifest::{Difference, DocumentFacts, ExternalMemoryFacts, FORMAT, Manifest};
 pub use record::{
     Ending, EpisodeError, EpisodeRecord, EpisodeTimings, RecallTotals, RequestRecord, SessionEvent,
-    SessionRecord, Stages, Unread,
+    SessionRecord, Stages, StreamRecord, Unread,
 };
 pub use run_log::RunLog;
 

@@ -8,6 +8,7 @@ mod cases;
 mod documents;
 mod group;
 mod model;
+mod stream;
 mod suite;
 
 pub use appearance::Drawn;
@@ -15,6 +16,7 @@ pub use cases::CaseSelector;
 pub use documents::DocumentSource;
 pub use group::Group;
 pub use model::{ModelSettings, ResponseCache};
+pub use stream::StreamSettings;
 pub use suite::SuiteName;
 
 use std::collections::BTreeSet;
@@ -42,6 +44,9 @@ pub struct RunSettings {
     /// The groups of conditions, at least one.
     #[serde(rename = "group")]
     pub groups: Vec<Group>,
+    /// The streams, for a run that consists of streams.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub stream: Option<StreamSettings>,
     pub cases: Vec<CaseSelector>,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub limit: Option<u32>,

@@ -29,10 +29,10 @@ pub const SHIPPED_COUNT: usize = 100;
 const ORIGINAL_STEPS: std::ops::RangeInclusive<u32> = 10..=80;
 
 /// Minimum number of steps of any trajectory.
-const LEAST_STEPS: u32 = 6;
+pub(crate) const LEAST_STEPS: u32 = 6;
 
 /// Maximum number of steps of the blocked reference, which is longer than the test reference.
-const MOST_BLOCKED_STEPS: u32 = 120;
+pub(crate) const MOST_BLOCKED_STEPS: u32 = 120;
 
 /// Minimum distance between the test start and every demonstration's start, in cells.
 const TEST_CELLS: u32 = 3;

@@ -3,13 +3,16 @@
 //! A stream is a list of blocks. Between two blocks events change the world; within a block it stays as it is. This module
 //! holds streams as values and in their file.
 
+mod drawing;
+
+pub use drawing::StreamRules;
+
 use domain::Cell;
 use serde::{Deserialize, Serialize};
 
 use crate::asset::Problem;
 use crate::case::CaseSet;
 use crate::draw::Draw;
-use crate::dynamics::Variant;
 use crate::state::{WorldChange, WorldState};
 use crate::world::Warehouse;
 
@@ -234,7 +237,7 @@ impl Event {
         }
     }
 
-    /// What happens, in words.
+    /// What happens, in words: `close Corridor 2 at (14, 13)`, `swap red cone and blue tyre`.
     pub fn describe(&self, warehouse: &Warehouse) -> String {
         let name = |index: usize| {
             warehouse.catalogue.types.get(index).map_or("unknown type", |found| &found.name)
@@ -245,11 +248,13 @@ impl Event {
             format!("{aisle} at {first}")
         };
         match self {
-            Self::Close { cells } => format!("closes {}", passage(cells)),
-            Self::Open { cells } => format!("opens {}", passage(cells)),
-            Self::Move { item_type, from, to } => format!("{} {from} to {to}", name(*item_type)),
-            Self::Swap { a, b } => format!("{} and {} swap", name(*a), name(*b)),
-            Self::Add { item_type, at } => format!("{} added at {at}", name(*item_type)),
+            Self::Close { cells } => format!("close {}", passage(cells)),
+            Self::Open { cells } => format!("open {}", passage(cells)),
+            Self::Move { item_type, from, to } => {
+                format!("move {} from {from} to {to}", name(*item_type))
+            }
+            Self::Swap { a, b } => format!("swap {} and {}", name(*a), name(*b)),
+            Self::Add { item_type, at } => format!("add {} at {at}", name(*item_type)),
         }
     }
 }
@@ -287,6 +292,7 @@ impl Order {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::dynamics::Variant;
 
     fn set(blocks: u32) -> StreamSet {
         let block = |world| Block { world: world % 2, cases: vec![world], events: Vec::new() };

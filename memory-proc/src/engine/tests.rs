@@ -1,7 +1,7 @@
 //! The engine against a scripted simulator, orchestrator and encoder, in every order of events.
 
 use domain::Representation::{Episodic, FullContext, Working};
-use domain::{Feedback, Heading, Representation};
+use domain::{Feedback, Heading, Pose, Representation};
 use proptest::prelude::*;
 use shm_types::message::{EXTERNAL, NO_ACTION, NO_FRAME};
 use warehouse::{Demonstrations, Start};
@@ -187,8 +187,8 @@ fn unusable_messages_are_refused_with_a_reason() {
         Observation { pose: shm_types::message::WirePose([1, 1, 4, 0]), ..first },
         "4 is not a heading",
     );
-    let unexpected =
-        rig.engine.view(Pose::new(0, 0, Heading::N), 9, [0; 16], Pose::new(0, 0, Heading::N));
+    let pose = Pose::new(0, 0, Heading::N);
+    let unexpected = rig.engine.view(Viewpoint { variant: 0, pose }, 9, [0; 16], pose);
     assert!(unexpected.unwrap_err().to_string().contains("which was not requested"));
     assert_eq!(Feedback::Start as u8, first.feedback);
     rig.play(&[], std::iter::repeat_n(1, 4000));

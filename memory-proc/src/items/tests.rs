@@ -47,8 +47,9 @@ fn assembled(
     let bank = bank();
     let answer = CheckedAnswer::new(items, &bank, AMPLE).unwrap();
     let mut assembler = Assembler { bank: &bank, episode: (1, 7), texts, documents };
-    let frame = |pose: Pose| {
-        assert!(answer.poses.contains(&pose), "{pose} was not asked for");
+    let frame = |viewpoint: Viewpoint| {
+        let pose = viewpoint.pose;
+        assert!(answer.viewpoints.contains(&viewpoint), "{pose} was not asked for");
         Some(1000 + u64::from(pose.cell.y))
     };
     assembler.assemble(&answer, frame).unwrap()

@@ -14,6 +14,7 @@ use std::sync::Arc;
 use domain::{Representation, SegmentContent};
 use peer::memory::Memory;
 
+mod adaptive;
 mod consolidated;
 mod episodic;
 mod full_context;
@@ -25,6 +26,7 @@ pub fn built_in(representation: Representation, settings: &MemorySettings) -> Bo
     match representation {
         Representation::FullContext => Box::new(full_context::FullContext::new(settings.keyframes)),
         Representation::Episodic => Box::new(episodic::Episodic::new(settings)),
+        Representation::Adaptive => Box::new(adaptive::Adaptive::new(settings)),
         Representation::Working
         | Representation::Summary
         | Representation::Semantic

@@ -20,6 +20,7 @@ pub(crate) fn demonstration(number: u16, from: u8, steps: u8) -> Demonstration {
     Demonstration {
         case: 8,
         number,
+        variant: 0,
         instruction: "Find a cone.".to_owned(),
         poses: all.clone().map(|t| Pose::new(3, from + t, Heading::N)).collect(),
         feedback: all
@@ -27,7 +28,7 @@ pub(crate) fn demonstration(number: u16, from: u8, steps: u8) -> Demonstration {
             .map(|t| if t == 0 { Feedback::Start } else { Feedback::Moved })
             .collect(),
         stages: all.map(|t| u32::from(t >= 2)).collect(),
-        actions: vec![Action::Forward; usize::from(steps)],
+        actions: vec![Some(Action::Forward); usize::from(steps)],
     }
 }
 
@@ -58,7 +59,7 @@ pub(crate) fn build_with_views(
     view: impl Fn(Pose) -> KnownView,
 ) -> Result<(), MemoryError> {
     let bank = Bank::new(demonstrations.to_vec());
-    let steps = bank.with_views(|pose| Some(view(pose))).unwrap();
+    let steps = bank.with_views(|viewpoint| Some(view(viewpoint.pose))).unwrap();
     memory.build(&steps.demonstrations())
 }
 

@@ -1,4 +1,4 @@
-//! `memtransfer ls`: lists cases, tasks, items, suites and runs.
+//! `memtransfer ls`: lists cases, tasks, items, suites, streams and runs.
 
 use std::path::{Path, PathBuf};
 
@@ -6,12 +6,14 @@ use anyhow::Context;
 use clap::{Args, Subcommand};
 use results::log::RunLog;
 use results::score::score;
+use results::settings::StreamSettings;
 use results::table::table;
 use serde_json::{Value, json};
 use warehouse::{Mixture, Overlap, Start, Task};
 
 use super::{Exit, WorldArgs, print, print_json};
 use crate::settings::{Layer, SHIPPED_SUITES, resolve, select_cases};
+use crate::streams::Streams;
 use crate::world::World;
 
 #[derive(Debug, Args)]
@@ -40,6 +42,15 @@ enum What {
     Items(WorldArgs),
     /// The shipped suites: purpose and size
     Suites,
+    /// The streams of a suite: what happens before each block, and the block's cases
+    Streams {
+        /// A suite of streams, by name or file
+        #[arg(long, default_value = "stream", value_name = "NAME|FILE")]
+        suite: String,
+        /// The seed that the streams are drawn from [default: the suite's]
+        #[arg(long)]
+        seed: Option<u64>,
+    },
     /// The runs in a folder: policy, date, progress and success rate
     Runs {
         /// The folder of run folders
@@ -63,6 +74,7 @@ pub(super) fn run(args: &ListArgs) -> anyhow::Result<Exit> {
         What::Tasks(world) => tasks(&world.load()?),
         What::Items(world) => items(&world.load()?),
         What::Suites => suites()?,
+        What::Streams { suite, seed } => streams(suite, *seed)?,
         What::Runs { dir } => runs(dir)?,
     };
     if args.json {
@@ -204,11 +216,12 @@ fn suites() -> anyhow::Result<Listing> {
         let cases = select_cases(&world.case_ids(), &settings.cases, settings.limit)?.len();
         let conditions = settings.runs();
         let runs: u32 = conditions.iter().map(|(_, runs)| runs).sum();
+        let each = settings.stream.as_ref().map_or(cases, StreamSettings::all_episodes);
         rows.push(vec![
             json!(name),
             json!(about(text)),
             json!(conditions.len()),
-            json!(runs as usize * cases),
+            json!(runs as usize * each),
         ]);
     }
     Ok(Listing { header: vec!["suite", "about", "conditions", "episodes"], numbers: 2, rows })
@@ -229,6 +242,34 @@ fn runs(dir: &Path) -> anyhow::Result<Listing> {
     let header =
         vec!["run", "suite", "policy", "started", "state", "finished", "planned", "given up", "SR"];
     Ok(Listing { header, numbers: 5, rows })
+}
+
+/// The blocks of a suite's streams; a row for each event, or one for a block without.
+fn streams(suite: &str, seed: Option<u64>) -> anyhow::Result<Listing> {
+    let seed = seed.map(|seed| seed.to_string());
+    let flags = [("suite", Some(suite)), ("seed", seed.as_deref())];
+    let flags = flags.into_iter().filter_map(|(name, text)| Some((name, text?)));
+    let settings = resolve([Layer::flags(flags)?])?.settings;
+    let stream = settings.stream.as_ref();
+    let stream = stream.with_context(|| format!("the suite {suite} has no [stream] table"))?;
+    let world = World::load(settings.assets.as_deref())?;
+    let among = select_cases(&world.case_ids(), &settings.cases, settings.limit)?;
+    let set = Streams::draw(&world, stream, &among, settings.seed)?.set;
+    let ids = world.case_ids();
+    let mut rows = Vec::new();
+    for (number, stream) in set.streams.iter().enumerate() {
+        for (place, block) in stream.blocks.iter().enumerate() {
+            let cases: Vec<&str> = block.cases.iter().map(|&case| ids[case as usize]).collect();
+            let mut events: Vec<Value> =
+                block.events.iter().map(|event| json!(event.describe(&world.warehouse))).collect();
+            if events.is_empty() {
+                events.push(Value::Null);
+            }
+            let row = |event| vec![json!(number), json!(place), event, json!(cases.join(" "))];
+            rows.extend(events.into_iter().map(row));
+        }
+    }
+    Ok(Listing { header: vec!["stream", "block", "event before it", "cases"], numbers: 4, rows })
 }
 
 /// A run's row; of a run that cannot be read, the reason.
@@ -335,9 +376,14 @@ mod tests {
     #[test]
     fn lists_fit_a_terminal() {
         let world = World::load(None).unwrap();
-        for listing in
-            [cases(&world), histories(&world), tasks(&world), items(&world), suites().unwrap()]
-        {
+        for listing in [
+            cases(&world),
+            histories(&world),
+            tasks(&world),
+            items(&world),
+            suites().unwrap(),
+            streams("stream", None).unwrap(),
+        ] {
             let table = listing.table();
             assert!(table.lines().all(|line| line.chars().count() <= 100), "{table}");
         }

@@ -4,7 +4,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, ensure};
 use clap::Args;
 use domain::{ExternalName, Representation, cache_folder};
 use results::conditions::representation;
@@ -295,6 +295,10 @@ impl Profiler<'_> {
         let memories = memories.to_vec();
         let ids = world.case_ids();
         let cases = select_cases(&ids, &settings.cases, settings.limit)?;
+        ensure!(
+            settings.stream.is_none(),
+            "`memtransfer profile` measures single episodes: choose a suite without streams, such as quick"
+        );
         let episodes = plan(&settings.runs(), &cases, &ids, settings.seed);
         let mut run = AccessRun {
             caches: way.caches,
@@ -320,7 +324,8 @@ impl Profiler<'_> {
                 (RunDir::create(&base)?, Children::default())
             }
         };
-        let attach = launch::attach(&settings, world, &episodes, (&folder, &memories), None)?;
+        let attach =
+            launch::attach(&settings, (world, None), &episodes, (&folder, &memories), None)?;
         let mut options = launch::pipeline_options(&settings, &memories, logs)?;
         for launch in options.launches.iter_mut().filter(|launch| launch.role == Role::Memory) {
             launch.env.push(("MEMTRANSFER_CACHE".into(), scratch.cache().into()));

@@ -30,12 +30,13 @@ use crate::lanes::Lanes;
 use crate::launch;
 use crate::monitor::Monitor;
 use crate::pipeline::{self, Ending};
-use crate::plan::{PlannedEpisode, plan};
+use crate::plan::{PlannedEpisode, plan, plan_streams};
 use crate::progress::Progress;
 use crate::session::RunSession;
 use crate::settings::{self, Layer, resolve, select_cases};
 use crate::signals::{self, Signals};
 use crate::status::EpisodeCounts;
+use crate::streams::{Remaining, STREAMS_HASH, Streams};
 use crate::trace::RunTrace;
 use crate::world::World;
 use flags::SettingFlags;
@@ -87,6 +88,8 @@ pub(super) struct RunArgs {
 struct RunPlan {
     settings: RunSettings,
     world: World,
+    /// The streams, for a run that consists of streams.
+    streams: Option<Streams>,
     episodes: Vec<PlannedEpisode>,
     prices: Option<ModelPrices>,
     /// The external memories; `None` without any.
@@ -136,12 +139,22 @@ impl RunPlan {
         let ids = world.case_ids();
         // What can be wrong without the names of external memories is said before these start.
         let cases = select_cases(&ids, &settings.cases, settings.limit)?;
+        let streams = match &settings.stream {
+            Some(stream) => Some(Streams::draw(&world, stream, &cases, settings.seed)?),
+            None => None,
+        };
         let started = start_memories(&mut settings, args, signals)?;
         if settings.has_external_memories() && started.is_none() && !args.dry_run {
             return Ok(None);
         }
         note_omissions(&settings);
-        let episodes = plan(&settings.runs(), &cases, &ids, settings.seed);
+        let runs = settings.runs();
+        let episodes = match streams.as_ref().zip(settings.stream.as_ref()) {
+            Some((streams, stream)) => {
+                plan_streams(&runs, &streams.set, stream, &ids, settings.seed)
+            }
+            None => plan(&runs, &cases, &ids, settings.seed),
+        };
         if episodes.is_empty() {
             bail!("no case is left: --limit is 0, or --cases selects none");
         }
@@ -152,7 +165,7 @@ impl RunPlan {
                 file.map(|file| ModelPrices::read(file, &model.model)).transpose()?
             }
         };
-        Ok(Some(Self { settings, world, episodes, prices, started }))
+        Ok(Some(Self { settings, world, streams, episodes, prices, started }))
     }
 
     /// The external memories.
@@ -168,13 +181,15 @@ impl RunPlan {
     /// The run's manifest.
     fn manifest(&self) -> Manifest {
         let program = std::env::current_exe().ok();
+        let mut hashes = self.world.hashes.clone();
+        hashes.extend(self.streams.iter().map(|streams| (STREAMS_HASH.to_owned(), streams.hash())));
         Manifest {
             format: FORMAT,
             version: env!("CARGO_PKG_VERSION").to_owned(),
             wire_version: WIRE_VERSION,
             commit: program.as_deref().and_then(Path::parent).and_then(commit_of),
             settings: self.settings.clone(),
-            hashes: self.world.hashes.clone(),
+            hashes,
             documents: BTreeMap::new(),
             memories: self.memories().iter().map(|memory| (memory.name, memory.facts())).collect(),
             prices: self.prices.clone(),
@@ -203,9 +218,13 @@ impl RunPlan {
         }
         documents.copy_to(&RunFolder::documents_of(folder.dir()))?;
         drop(documents);
-        let is_missing = |episode: &&PlannedEpisode| !folder.is_finished(&episode.key.to_string());
-        let missing: Vec<PlannedEpisode> =
-            self.episodes.iter().filter(is_missing).cloned().collect();
+        if let Some(streams) = &self.streams {
+            let path = RunFolder::streams_of(folder.dir());
+            let written = std::fs::write(&path, streams.set.to_text());
+            written.with_context(|| format!("cannot write {}", path.display()))?;
+        }
+        let remaining = Remaining::of(&self.episodes, &finished)?;
+        let missing = &remaining.missing;
         if settings.log_prompts {
             let logged = RunFolder::prompts_of(folder.dir());
             let logged = logged.exists().then_some(&*logged);
@@ -232,7 +251,7 @@ impl RunPlan {
                 earlier: (finished.len() as u64, successes as u64),
                 ..EpisodeCounts::default()
             };
-            halted = self.session(missing, counts, &mut folder, budget, args, signals)?;
+            halted = self.session(remaining, counts, &mut folder, budget, args, signals)?;
         }
         // They are not needed while the table is made.
         self.started = None;
@@ -243,14 +262,15 @@ impl RunPlan {
     /// budget did so.
     fn session(
         &mut self,
-        missing: Vec<PlannedEpisode>,
+        remaining: Remaining,
         counts: EpisodeCounts,
         folder: &mut RunFolder,
         budget: Budget,
         args: &RunArgs,
         signals: &Signals,
     ) -> Result<Option<String>> {
-        let Self { settings, world, started, .. } = self;
+        let Self { settings, world, streams, started, .. } = self;
+        let Remaining { missing, learned } = remaining;
         let mut progress = Progress::new(args.quiet);
         let (own, children);
         let (run, memories): (&RunDir, &[ExternalMemory]) = match started {
@@ -270,8 +290,13 @@ impl RunPlan {
         };
         let prompts = RunFolder::prompts_of(&settings.out);
         let prompts = settings.log_prompts.then(|| session_folder(&prompts, folder.session()));
-        let mut attach =
-            launch::attach(settings, world, &missing, (run, memories), prompts.as_deref())?;
+        let mut attach = launch::attach(
+            settings,
+            (world, streams.as_ref()),
+            &missing,
+            (run, memories),
+            prompts.as_deref(),
+        )?;
         let trace = args.trace.as_deref().map(RunTrace::create).transpose()?;
         attach.spans = trace.as_ref().map(|trace| trace.spans().to_owned());
         if settings.warm_views {
@@ -282,6 +307,12 @@ impl RunPlan {
             launch::pipeline_options(settings, memories, RunFolder::logs_of(folder.dir()))?;
         let rules = launch::rules(settings, memories)?;
         let mut lanes = Lanes::new(&world.warehouse, &world.cases, rules, attach.lanes as usize);
+        if let Some(streams) = streams {
+            lanes = lanes.in_streams(streams);
+        }
+        for (sequence, position, experience) in learned {
+            lanes.remember(sequence, position, experience);
+        }
         let monitor = Monitor::new(folder.dir(), attach.lanes, counts, progress);
         let size = (attach.lanes, attach.frame_capacity);
         let mut session = RunSession::new(folder, monitor, budget, trace, size);

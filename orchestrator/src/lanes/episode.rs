@@ -4,13 +4,13 @@ use std::collections::BTreeMap;
 use std::fmt::Write as _;
 
 use bytemuck::Zeroable;
-use domain::{Action, Cell, Feedback, MemoryKind, Outcome, Pose};
+use domain::{Action, Arm, Cell, Feedback, MemoryKind, Outcome, Pose};
 use results::conditions::Route;
-use results::log::{Ending, EpisodeRecord, RecallTotals, Stages, Unread};
+use results::log::{Ending, EpisodeRecord, RecallTotals, Stages, StreamRecord, Unread};
 use shm_types::message::{
-    Decision, EXTERNAL, FrameId, MemoryEpisodeConfig, NO_ACTION, NO_FRAME, NOT_MEASURED,
-    Observation, PolicyEpisodeConfig, RecallTrace, RecalledSource, Role, StepCommand, StepKind,
-    WirePose, write_text,
+    Decision, EXPERIENCE, EXTERNAL, FrameId, MemoryEpisodeConfig, NO_ACTION, NO_FRAME,
+    NOT_MEASURED, Observation, PolicyEpisodeConfig, RecallTrace, RecalledSource, Role,
+    SnapshotReport, StepCommand, StepKind, WirePose, write_text,
 };
 use warehouse::{Progress, Start, Variant, step};
 
@@ -18,7 +18,8 @@ use super::{
     AnswerError, AnsweredRequest, Context, EpisodeOpening, FinishedEpisode, PendingAnswer, Stamps,
 };
 use crate::event_recorder::EventRecorder;
-use crate::plan::PlannedEpisode;
+use crate::plan::{PlannedEpisode, StreamPart};
+use crate::streams::snapshot_name;
 
 /// An episode under way.
 #[derive(Debug)]
@@ -46,6 +47,10 @@ pub(super) struct ActiveEpisode {
     retrieved: String,
     has_matches: bool,
     distances: Vec<f64>,
+    /// Whether a source is stale, by case or position and by demonstration.
+    stale: BTreeMap<(u32, u16), bool>,
+    /// Memory's report that it has learned from the episode.
+    snapshot: Option<SnapshotReport>,
     result: FinishedEpisode,
 }
 
@@ -58,16 +63,24 @@ enum Awaited {
     LastObservation,
     /// The policy's.
     Decision,
+    /// Memory's report that it has learned; the episode ends with it.
+    Snapshot,
 }
 
 impl ActiveEpisode {
     /// `episode` before its first step.
     pub(super) fn new(context: &Context<'_>, id: u64, lane: u32, episode: PlannedEpisode) -> Self {
-        let Context { warehouse, cases, rules, now_ns } = context;
+        let Context { cases, rules, now_ns, .. } = context;
+        let state = context.state(&episode);
+        let warehouse = state.map_or(context.warehouse, |state| &state.warehouse);
         let case = &cases.cases[episode.case_index];
         let condition = episode.key.condition;
         let from = condition.start.reference(condition.route);
-        let trajectory = case.trajectory(from);
+        let in_world = episode
+            .part
+            .zip(context.streams)
+            .map(|(part, streams)| streams.case(part.world, episode.case_index));
+        let trajectory = in_world.map_or(case.trajectory(from), |found| &found.reference);
         let start = trajectory.start;
         let progress = Progress::new(warehouse, &case.task, start.cell);
         let mut events = EventRecorder::new(warehouse, &case.task);
@@ -84,13 +97,17 @@ impl ActiveEpisode {
             window: condition.variation.window,
             segment: condition.variation.segment,
             hint: condition.variation.hint,
+            arm: condition.arm,
             run: episode.key.run,
             case: episode.key.case.clone(),
             task: case.task.number(),
             seed: episode.seed,
             ending: Ending::OutOfSteps,
             steps: 0,
-            reference: case.replay(warehouse, from).length.unwrap_or(0),
+            reference: match in_world {
+                Some(found) => found.length,
+                None => case.replay(warehouse, from).length.unwrap_or(0),
+            },
             actions: String::new(),
             sub_goals: vec![0; progress.stage() as usize],
             required: progress.total(),
@@ -113,10 +130,33 @@ impl ActiveEpisode {
             memory_items_dropped: 0,
             memory_images_dropped: 0,
             memory_text_dropped: 0,
+            stream: episode.part.zip(episode.key.place).map(|(part, place)| {
+                let StreamPart { block, place: at, after, round, feedback, world, .. } = part;
+                StreamRecord {
+                    stream: place.stream,
+                    order: place.order,
+                    position: place.position,
+                    block,
+                    place: at,
+                    after,
+                    round,
+                    feedback,
+                    world,
+                    invalidated: in_world.is_some_and(|found| found.invalidated),
+                    retrievals: 0,
+                    stale: 0,
+                    snapshot: None,
+                    store_bytes: None,
+                }
+            }),
         };
         Self {
-            variant_code: if is_blocked { 1 + episode.case_index as u32 } else { 0 },
-            variant: case.variant(from),
+            variant_code: match episode.part.zip(context.streams) {
+                Some((part, streams)) => streams.set.variant(part.world, cases.cases.len()),
+                None if is_blocked => 1 + episode.case_index as u32,
+                None => 0,
+            },
+            variant: state.map_or_else(|| case.variant(from), |state| state.variant.clone()),
             reference: if rules.expert { trajectory.actions.clone() } else { Vec::new() },
             progress,
             events,
@@ -131,6 +171,8 @@ impl ActiveEpisode {
             retrieved: String::new(),
             has_matches: false,
             distances: Vec::new(),
+            stale: BTreeMap::new(),
+            snapshot: None,
             result: FinishedEpisode {
                 episode,
                 record,
@@ -181,7 +223,7 @@ impl ActiveEpisode {
         policy.instruction_len = write_text(&mut policy.instruction, &instruction);
         let rules = &context.rules;
         let external = condition.memory.external().and_then(|name| rules.external_index(name));
-        let memory = MemoryEpisodeConfig {
+        let mut memory = MemoryEpisodeConfig {
             episode: id,
             seed: episode.seed,
             lane,
@@ -199,12 +241,22 @@ impl ActiveEpisode {
             variant: self.variant_code,
             ..Zeroable::zeroed()
         };
+        if let Some((part, place)) = episode.part.zip(episode.key.place) {
+            memory.sequence = part.sequence;
+            memory.snapshot = part.snapshot;
+            memory.stream = place.stream;
+            memory.block = part.block;
+            memory.position = place.position;
+            memory.arm = condition.arm as u8;
+            memory.learns = episode.learns().into();
+            memory.feedback = part.feedback as u8;
+        }
         let start = self.pose.into();
         let command = StepCommand { start, ..self.command(StepKind::Reset, context.now_ns) };
         EpisodeOpening { memory, policy, command }
     }
 
-    /// Takes the simulator's answer. Returns whether it was the last one.
+    /// Takes the simulator's answer. Returns whether the episode is over.
     pub(super) fn observed(
         &mut self,
         context: &Context<'_>,
@@ -213,15 +265,28 @@ impl ActiveEpisode {
         let is_last = match self.awaited {
             Awaited::Observation => false,
             Awaited::LastObservation => true,
-            Awaited::Decision => return Err(self.unexpected(Role::Sim, observation.step)),
+            Awaited::Decision | Awaited::Snapshot => {
+                return Err(self.unexpected(Role::Sim, observation.step));
+            }
         };
         self.compare(observation, is_last)?;
         self.stamps.observed(observation);
         self.since_ns = context.now_ns;
-        if !is_last {
-            self.awaited = Awaited::Decision;
+        let is_over = is_last && (!self.result.episode.learns() || self.snapshot.is_some());
+        if !is_over {
+            self.awaited = if is_last { Awaited::Snapshot } else { Awaited::Decision };
         }
-        Ok(is_last)
+        Ok(is_over)
+    }
+
+    /// Takes memory's report that it has learned. Returns whether the episode is over.
+    pub(super) fn learned(&mut self, report: &SnapshotReport) -> Result<bool, AnswerError> {
+        let is_last = matches!(self.awaited, Awaited::LastObservation | Awaited::Snapshot);
+        if !self.result.episode.learns() || !is_last || self.snapshot.is_some() {
+            return Err(self.unexpected(Role::Memory, self.result.record.steps));
+        }
+        self.snapshot = Some(*report);
+        Ok(self.awaited == Awaited::Snapshot)
     }
 
     /// Takes memory's trace of a recall.
@@ -326,7 +391,7 @@ impl ActiveEpisode {
         let kind = match answer {
             Ok(action) => {
                 let tried = entered(self.pose, action).is_some_and(|c| self.variant.is_closed(c));
-                if tried && record.tried_closed_at.is_none() {
+                if tried && record.tried_closed == Some(false) {
                     record.tried_closed_at = Some(record.steps);
                 }
                 record.tried_closed = record.tried_closed.map(|before| before || tried);
@@ -370,9 +435,19 @@ impl ActiveEpisode {
     }
 
     /// The finished episode.
-    pub(super) fn finish(self, now_ns: u64) -> FinishedEpisode {
-        let Self { mut result, events, retrieved, has_matches, distances, .. } = self;
-        result.ended_ns = now_ns;
+    pub(super) fn finish(self, context: &Context<'_>) -> FinishedEpisode {
+        let Self { mut result, events, retrieved, has_matches, distances, snapshot, .. } = self;
+        result.ended_ns = context.now_ns;
+        if let Some((SnapshotReport { snapshot, store_bytes, .. }, stream)) =
+            snapshot.zip(result.record.stream.as_mut())
+        {
+            stream.snapshot = Some(snapshot_name(snapshot));
+            stream.store_bytes =
+                Some(store_bytes).filter(|bytes| *bytes > 0).or(stream.store_bytes);
+            if let Some(part) = &mut result.episode.part {
+                part.snapshot = snapshot;
+            }
+        }
         result.record.visits = events.visits;
         result.record.first_seen = events.first_seen;
         if !distances.is_empty() {
@@ -387,7 +462,7 @@ impl ActiveEpisode {
     pub(super) fn pending(&self, lane: u32, memory_busy_ns: u64) -> PendingAnswer {
         let role = match (self.awaited, self.trace) {
             (Awaited::Observation | Awaited::LastObservation, _) => Role::Sim,
-            (Awaited::Decision, None) => Role::Memory,
+            (Awaited::Decision, None) | (Awaited::Snapshot, _) => Role::Memory,
             (Awaited::Decision, Some(_)) => Role::Policy,
         };
         let since_ns = match role {
@@ -425,15 +500,21 @@ impl ActiveEpisode {
     ) -> Result<(), String> {
         let own = self.result.episode.case_index;
         let mut words = String::new();
+        self.count_stale(context, sources)?;
         for &RecalledSource { case, demonstration, first, .. } in sources {
+            if !words.is_empty() {
+                words.push('+');
+            }
+            if demonstration == EXPERIENCE {
+                // Writing to a string cannot fail.
+                let _ = write!(words, "e{case}:{first}");
+                continue;
+            }
             let found = context.cases.cases.get(case as usize);
             let start = Start::DEMONSTRATIONS.get(usize::from(demonstration));
             let Some((found, start)) = found.zip(start) else {
                 return Err(format!("case {case}, demonstration {demonstration}"));
             };
-            if !words.is_empty() {
-                words.push('+');
-            }
             if case as usize != own {
                 words.push_str(&found.id);
                 words.push(':');
@@ -452,6 +533,50 @@ impl ActiveEpisode {
         Ok(())
     }
 
+    /// Counts the sources of an episode in a stream, and those that are stale: their trajectory completes its task in the world
+    /// that it was recorded in, and not in this one.
+    ///
+    /// # Errors
+    /// When a source does not exist.
+    fn count_stale(
+        &mut self,
+        context: &Context<'_>,
+        sources: &[RecalledSource],
+    ) -> Result<(), String> {
+        let episode = &self.result.episode;
+        let (Some(state), Some(part)) = (context.state(episode), episode.part) else {
+            return Ok(());
+        };
+        let Some(stream) = &mut self.result.record.stream else { return Ok(()) };
+        let own = context.experience.get(&part.sequence);
+        for &RecalledSource { case, demonstration, .. } in sources {
+            let known = self.stale.get(&(case, demonstration)).copied();
+            let is_stale = match known {
+                Some(is_stale) => is_stale,
+                None if demonstration == EXPERIENCE => {
+                    let source = own.and_then(|own| own.get(&case));
+                    let source = source.ok_or_else(|| format!("experience of position {case}"))?;
+                    let task = &context.cases.cases[source.case_index].task;
+                    source.is_complete && !state.completes(&source.trajectory, task)
+                }
+                None => {
+                    let found = context.cases.cases.get(case as usize);
+                    let start = Start::DEMONSTRATIONS.get(usize::from(demonstration));
+                    let found = found.zip(start);
+                    let (found, start) = found
+                        .ok_or_else(|| format!("case {case}, demonstration {demonstration}"))?;
+                    // The oracle's demonstrations take place in this world.
+                    episode.key.condition.arm != Arm::Oracle
+                        && !state.completes(found.trajectory(*start), &found.task)
+                }
+            };
+            self.stale.insert((case, demonstration), is_stale);
+            stream.retrievals += 1;
+            stream.stale += u32::from(is_stale);
+        }
+        Ok(())
+    }
+
     /// Adds what memory supplied.
     fn count_recall(&mut self, trace: &RecallTrace) {
         let record = &mut self.result.record;
@@ -464,6 +589,9 @@ impl ActiveEpisode {
         recalls.items += u64::from(trace.items);
         recalls.images += u64::from(trace.images);
         recalls.text += u64::from(trace.text);
+        if let Some(stream) = record.stream.as_mut().filter(|_| trace.store_bytes > 0) {
+            stream.store_bytes = Some(trace.store_bytes);
+        }
         if trace.store_bytes > 0 {
             recalls.store_bytes = recalls.store_bytes.max(Some(trace.store_bytes));
         }
@@ -479,7 +607,8 @@ impl ActiveEpisode {
 
     /// Whether an answer about `step` is, or will be, awaited.
     fn awaits(&self, step: u32) -> bool {
-        self.awaited != Awaited::LastObservation && step == self.result.record.steps
+        !matches!(self.awaited, Awaited::LastObservation | Awaited::Snapshot)
+            && step == self.result.record.steps
     }
 
     fn unexpected(&mut self, role: Role, step: u32) -> AnswerError {

@@ -9,7 +9,7 @@ use bytemuck::Zeroable;
 use domain::{ExternalName, MemoryKind};
 use shm_types::message::{
     Decision, ErrorReport, Handshake, Heartbeat, MemoryEpisodeConfig, Observation,
-    PolicyEpisodeConfig, RecallTrace, Role, ShutdownReport, StepCommand, Stop,
+    PolicyEpisodeConfig, RecallTrace, Role, ShutdownReport, SnapshotReport, StepCommand, Stop,
 };
 use shm_types::process::{ProcessWatch, monotonic_ns};
 use shm_types::{Bus, BusError, Notifier, Receiver, Sender};
@@ -54,6 +54,7 @@ pub(super) struct Generation {
 pub(super) struct Inbox {
     pub(super) observations: Receiver<Observation>,
     pub(super) traces: Receiver<RecallTrace>,
+    pub(super) snapshots: Receiver<SnapshotReport>,
     pub(super) heartbeats: Receiver<Heartbeat>,
     pub(super) decisions: Receiver<Decision>,
     pub(super) handshakes: Receiver<Handshake>,
@@ -133,12 +134,13 @@ impl Generation {
     fn turn(&mut self, run: &mut PipelineRun<'_, '_>) -> Result<TurnReport, Failure> {
         let batch = self.bus.attach().batch_len();
         let decisions = self.inbox.decisions.drain_some(batch)?;
+        let snapshots = self.inbox.snapshots.drain()?;
         let traces = self.inbox.traces.drain()?;
         let observations = self.inbox.observations.drain()?;
         let has_more = decisions.len() == batch;
         let lanes = &mut *run.lanes;
         lanes.set_time(monotonic_ns());
-        let mut turns = Vec::with_capacity(decisions.len() + observations.len());
+        let mut turns = Vec::with_capacity(decisions.len() + observations.len() + snapshots.len());
         turns.extend(observations.iter().map(|observation| lanes.observed(observation)));
         for trace in &traces {
             if !run.options.memories.is_empty()
@@ -155,6 +157,7 @@ impl Generation {
             }
             turns.push(turn);
         }
+        turns.extend(snapshots.iter().map(|report| lanes.learned(report)));
         lanes.take_stepped().try_for_each(|stamps| run.observer.stepped(&stamps))?;
         // What an answer cost is recorded before the step that it leads to.
         let mut halted = None;

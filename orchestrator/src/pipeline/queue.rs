@@ -5,6 +5,9 @@
 //! many after each such failure, until one fails alone. That one is given up after [`SPOILED_ATTEMPTS`]; suspects that
 //! are finished are cleared, and when none is left, all lanes are used again. The order of episodes never changes
 //! their records.
+//!
+//! The episodes of a sequence run strictly one after the other: the next one waits until the one before is in the log, and
+//! is not run if that one has no result.
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
@@ -27,6 +30,8 @@ pub(super) const CULPRITS_IN_A_ROW: u32 = 2;
 #[derive(Debug, Default)]
 pub(super) struct EpisodeQueue {
     waiting: VecDeque<PlannedEpisode>,
+    /// Of each sequence, the episodes after the one that waits or is under way.
+    later: BTreeMap<u64, VecDeque<PlannedEpisode>>,
     failures: BTreeMap<EpisodeKey, Failures>,
     search: Option<CulpritSearch>,
     unfinished: Vec<(PlannedEpisode, String)>,
@@ -56,7 +61,17 @@ struct CulpritSearch {
 
 impl EpisodeQueue {
     pub(super) fn new(episodes: impl IntoIterator<Item = PlannedEpisode>) -> Self {
-        Self { waiting: episodes.into_iter().collect(), ..Self::default() }
+        let mut queue = Self::default();
+        for episode in episodes {
+            match episode.sequence().and_then(|sequence| queue.later.get_mut(&sequence)) {
+                Some(later) => later.push_back(episode),
+                None => {
+                    queue.later.extend(episode.sequence().map(|one| (one, VecDeque::new())));
+                    queue.waiting.push_back(episode);
+                }
+            }
+        }
+        queue
     }
 
     /// Whether no episode waits.
@@ -101,17 +116,30 @@ impl EpisodeQueue {
         self.waiting.remove(suspect)
     }
 
-    /// `episode` is in the log.
+    /// `episode` is in the log. The next one of its sequence waits from now on, and continues from its snapshot.
     pub(super) fn finish(&mut self, episode: &PlannedEpisode) {
         self.finished += 1;
         self.culprits = 0;
         self.clear(&episode.key);
+        let Some(part) = episode.part else { return };
+        let next = self.later.get_mut(&part.sequence).and_then(VecDeque::pop_front);
+        if let Some(mut next) = next {
+            if let Some(its) = &mut next.part {
+                its.snapshot = part.snapshot;
+            }
+            // First, so that the sequence goes on while its memory is at hand.
+            self.waiting.push_front(next);
+        }
     }
 
-    /// `episode` is not run again in this session.
+    /// `episode` is not run again in this session, and neither are the later ones of its sequence.
     pub(super) fn give_up(&mut self, episode: PlannedEpisode, why: String) {
         self.clear(&episode.key);
+        let later = episode.sequence().and_then(|sequence| self.later.remove(&sequence));
+        let not_run = format!("not run, because {} of its sequence has no result", episode.key);
         self.unfinished.push((episode, why));
+        let later = later.into_iter().flatten();
+        self.unfinished.extend(later.map(|episode| (episode, not_run.clone())));
     }
 
     /// The policy failed on `episode` and nothing else. Returns whether the episode is given up.
@@ -135,15 +163,15 @@ impl EpisodeQueue {
         }
     }
 
-    /// Gives up all waiting episodes with `memory`. Returns how many.
+    /// Gives up all waiting episodes with `memory`, and what would follow in their sequences. Returns how many.
     pub(super) fn exclude(&mut self, memory: MemoryKind, why: &str) -> usize {
         let waiting = std::mem::take(&mut self.waiting);
         let is_its = |episode: &PlannedEpisode| episode.key.condition.memory == memory;
         let (excluded, waiting): (Vec<_>, Vec<_>) = waiting.into_iter().partition(is_its);
         self.waiting = waiting.into();
-        let count = excluded.len();
+        let before = self.unfinished.len();
         excluded.into_iter().for_each(|episode| self.give_up(episode, why.to_owned()));
-        count
+        self.unfinished.len() - before
     }
 
     /// A generation failed with `under_way`, and not because of the policy.
@@ -205,9 +233,10 @@ impl EpisodeQueue {
 
 #[cfg(test)]
 mod tests {
-    use domain::Representation;
+    use domain::{Arm, FeedbackLevel, Representation};
 
     use super::*;
+    use crate::plan::StreamPart;
     use results::conditions::{Condition, Demonstrations, Route, Start, Variation};
 
     const LANES: usize = 16;
@@ -219,10 +248,12 @@ mod tests {
             route: Route::Unchanged,
             demonstrations: Demonstrations::NONE,
             variation: Variation::STANDARD,
+            arm: Arm::Frozen,
         };
         let of = |case_index| {
-            let key = EpisodeKey { condition, run: 1, case: format!("c{case_index:03}") };
-            PlannedEpisode { key, case_index, seed: 1 }
+            let key =
+                EpisodeKey { condition, run: 1, place: None, case: format!("c{case_index:03}") };
+            PlannedEpisode { key, case_index, seed: 1, part: None }
         };
         (0..count).map(of).collect()
     }
@@ -334,5 +365,71 @@ mod tests {
             queue.finish(&episode);
         }
         assert_eq!((queue.width(), queue.count_finished(), queue.is_empty()), (None, 3, true));
+    }
+
+    /// Two sequences of three episodes each: cases 0 to 2 and 10 to 12.
+    fn sequences() -> Vec<PlannedEpisode> {
+        let part = |sequence| StreamPart {
+            sequence,
+            block: 0,
+            place: 0,
+            after: 0,
+            round: None,
+            world: 0,
+            feedback: FeedbackLevel::None,
+            snapshot: [0; 16],
+        };
+        let all = episodes(13).into_iter().filter(|episode| !(3..10).contains(&episode.case_index));
+        all.map(|episode| {
+            let part = Some(part(1 + episode.case_index as u64 / 10));
+            PlannedEpisode { part, ..episode }
+        })
+        .collect()
+    }
+
+    fn next(queue: &mut EpisodeQueue) -> Option<PlannedEpisode> {
+        queue.next(0)
+    }
+
+    #[test]
+    fn a_sequence_waits_for_its_episode_and_goes_on_from_its_snapshot() {
+        let mut queue = EpisodeQueue::new(sequences());
+        let (mut one, other) = (next(&mut queue).unwrap(), next(&mut queue).unwrap());
+        assert_eq!((one.case_index, other.case_index), (0, 10));
+        assert_eq!(next(&mut queue), None, "the others wait for these");
+        // What fails is repeated, and nothing else of its sequence.
+        queue.failed(vec![other]);
+        let other = next(&mut queue).unwrap();
+        assert_eq!((other.case_index, next(&mut queue)), (10, None));
+        one.part.as_mut().unwrap().snapshot = [7; 16];
+        queue.finish(&one);
+        let second = next(&mut queue).unwrap();
+        assert_eq!((second.case_index, second.part.unwrap().snapshot), (1, [7; 16]));
+        queue.finish(&second);
+        let third = next(&mut queue).unwrap();
+        assert_eq!((third.case_index, third.part.unwrap().snapshot), (2, [7; 16]));
+        queue.finish(&third);
+        queue.finish(&other);
+        assert_eq!(next(&mut queue).unwrap().case_index, 11);
+    }
+
+    #[test]
+    fn an_episode_without_a_result_ends_its_sequence() {
+        let mut queue = EpisodeQueue::new(sequences());
+        let (one, other) = (next(&mut queue).unwrap(), next(&mut queue).unwrap());
+        queue.give_up(one, "no answer".into());
+        queue.finish(&other);
+        let left: Vec<usize> = std::iter::from_fn(|| {
+            let episode = next(&mut queue)?;
+            queue.finish(&episode);
+            Some(episode.case_index)
+        })
+        .collect();
+        assert_eq!(left, [11, 12]);
+        let given_up = queue.into_unfinished();
+        let given_up: Vec<(usize, &str)> =
+            given_up.iter().map(|(episode, why)| (episode.case_index, why.as_str())).collect();
+        let not_run = "not run, because working/original/unchanged/none/run1/c000 of its sequence has no result";
+        assert_eq!(given_up, [(0, "no answer"), (1, not_run), (2, not_run)]);
     }
 }

@@ -31,6 +31,7 @@ impl Generation {
         let inbox = Inbox {
             observations: bus.receiver()?,
             traces: bus.receiver()?,
+            snapshots: bus.receiver()?,
             heartbeats: bus.receiver()?,
             decisions: bus.receiver()?,
             handshakes: bus.receiver()?,

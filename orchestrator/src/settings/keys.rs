@@ -5,11 +5,14 @@ use std::fmt;
 use std::str::FromStr;
 
 use domain::memory_kind::{EXTERNAL_WORD, NONE_WORD};
+use domain::{Arm, FeedbackLevel};
 use results::conditions::{
     Demonstrations, Frames, Hint, ImageFormat, PolicyKind, Route, SegmentContent, Start,
     representation,
 };
 use results::cost::Amount;
+use results::key::Order;
+use results::names::UnknownName;
 use results::settings::{CaseSelector, DocumentSource, Drawn, ResponseCache};
 use serde_json::Value;
 use shm_types::message::{MAX_ITEMS, MAX_SEGMENT, MAX_WINDOW};
@@ -83,6 +86,32 @@ fn is_memory(text: &str) -> Result<(), String> {
     representation(text).map(drop).map_err(|error| error.to_string())
 }
 
+/// Accepts one of the words `known`.
+fn is_one_of<const N: usize>(
+    what: &'static str,
+    text: &str,
+    known: [&str; N],
+) -> Result<(), String> {
+    if known.contains(&text) {
+        Ok(())
+    } else {
+        Err(UnknownName::new(what, text, known).to_string())
+    }
+}
+
+fn is_arm(text: &str) -> Result<(), String> {
+    is_one_of("arm", text, [Arm::Frozen, Arm::Learning, Arm::Oracle, Arm::Wrong].map(Arm::word))
+}
+
+fn is_order(text: &str) -> Result<(), String> {
+    is_one_of("order", text, Order::ALL.map(Order::word))
+}
+
+fn is_feedback(text: &str) -> Result<(), String> {
+    use FeedbackLevel::{None, SubGoals, Success};
+    is_one_of("feedback", text, [None, Success, SubGoals].map(FeedbackLevel::word))
+}
+
 /// Accepts any text but an empty one.
 fn any(text: &str) -> Result<(), String> {
     if text.is_empty() { Err("the value is empty".to_owned()) } else { Ok(()) }
@@ -98,9 +127,12 @@ fn is_command(text: &str) -> Result<(), String> {
 fn is_backend(text: &str) -> Result<(), String> {
     match text {
         "wgpu" | "cpu" => Ok(()),
-        _ => Err(results::names::UnknownName::new("backend", text, ["wgpu", "cpu"]).to_string()),
+        _ => Err(UnknownName::new("backend", text, ["wgpu", "cpu"]).to_string()),
     }
 }
+
+/// Keys that replace one of a suite's `[stream]` table, and are no keys of a suite file elsewhere.
+pub(super) const STREAM_KEYS: &[&str] = &["streams", "rounds", "orders", "feedback"];
 
 const WHAT: &str = "What is run";
 const GIVEN: &str = "What the agent is given";
@@ -156,6 +188,17 @@ pub const KEYS: &[Key] = keys! {
     "limit" "N" Number(0, 1_000_000, 1),
         "Run N of the selected cases, balanced over the tasks. A larger N includes the cases of a \
          smaller one";
+    "arms" "LIST" List(is_arm),
+        "What the memories of a suite of streams are built from: frozen (as demonstrated), learning (and it learns), \
+         oracle (demonstrations in the world as it is), wrong (of other tasks)";
+    "streams" "N" Number(1, 1000, 1),
+        "Number of streams of a suite of streams (see `memtransfer ls streams`)";
+    "rounds" "N" Number(0, 1000, 1),
+        "How often a memory learns from the cases of a block, in a suite of streams";
+    "orders" "LIST" List(is_order),
+        "Orders of the blocks of a suite of streams: drawn, reversed, shuffled";
+    "feedback" "LEVEL" Text(is_feedback),
+        "What a memory that learns is told at the end of an episode: none, success, sub-goals";
     "runs" "N" Number(1, 1000, 1),
         "Repetitions of every episode, each with its own seed";
     "seed" "N" Number(0, u64::MAX, 1),
@@ -286,6 +329,7 @@ segment = ["actions"]
 keyframes = 40
 memory-text-bytes = 1048576
 hint = ["on"]
+arms = ["frozen"]
 documents = "extractive"
 frame-size = 448
 frames = "rendered"

@@ -5,9 +5,10 @@ use std::fmt;
 
 use anyhow::{Result, anyhow};
 use results::names::{UnknownName, nearest};
+use results::settings::StreamSettings;
 use serde_json::{Map, Value};
 
-use super::keys::{DEFAULTS, KEYS, Key, VARIABLE_PREFIX};
+use super::keys::{DEFAULTS, KEYS, Key, STREAM_KEYS, VARIABLE_PREFIX};
 
 /// Variables with the prefix that are not settings: folders, and what tests use.
 const OTHER_VARIABLES: [&str; 4] = ["CACHE", "RUN_DIR", "ATTACH", "REGENERATE"];
@@ -116,8 +117,8 @@ impl Layer {
         let top: Vec<&str> = KEYS
             .iter()
             .map(|key| key.name)
-            .filter(|name| *name != "suite")
-            .chain(["group"])
+            .filter(|name| *name != "suite" && !STREAM_KEYS.contains(name))
+            .chain(["stream", "group"])
             .collect();
         let check = |table: &Map<String, Value>, known: &[&str], place: &str| {
             for (name, value) in table {
@@ -134,6 +135,10 @@ impl Layer {
             Ok(())
         };
         check(&values, &top, "")?;
+        if let Some(stream) = values.get("stream") {
+            serde_json::from_value::<StreamSettings>(stream.clone())
+                .map_err(|error| invalid(", stream", &error.to_string()))?;
+        }
         let groups = match values.get("group") {
             None => Vec::new(),
             Some(Value::Array(groups)) => groups.iter().filter_map(Value::as_object).collect(),
@@ -171,7 +176,7 @@ pub fn variable(name: &str) -> Result<Option<Value>> {
 
 /// Keys of a `[[group]]` beside its name.
 pub const GROUP_KEYS: &[&str] =
-    &["memory", "starts", "routes", "demos", "window", "segment", "hint", "runs"];
+    &["memory", "starts", "routes", "demos", "window", "segment", "hint", "arms", "runs"];
 
 #[cfg(test)]
 mod tests {
@@ -227,7 +232,7 @@ mod tests {
         insta::assert_snapshot!(error("memry = []"), @"suite my.toml: unknown key `memry`: did you mean `memory`?");
         insta::assert_snapshot!(error("runs = 1\nmemory = [\"episodik\"]"), @"suite my.toml: memory: unknown memory `episodik`: did you mean `episodic`? (known: working, full-context, summary, semantic, hybrid, episodic)");
         insta::assert_snapshot!(error("[[group]]\nname = \"a\"\n[[group]]\nstart = []"), @"suite my.toml, group 2: unknown key `start`: did you mean `starts`?");
-        insta::assert_snapshot!(error("[[group]]\nname = \"a\"\nlanes = 3"), @"suite my.toml, group 1: unknown key `lanes` (known: name, memory, starts, routes, demos, window, segment, hint, runs)");
+        insta::assert_snapshot!(error("[[group]]\nname = \"a\"\nlanes = 3"), @"suite my.toml, group 1: unknown key `lanes` (known: name, memory, starts, routes, demos, window, segment, hint, arms, runs)");
         insta::assert_snapshot!(error("[[group]]\nname = \"a\"\nruns = 0"), @"suite my.toml, group 1: runs: 0 is not a whole number from 1 to 1000");
         for nameless in ["[[group]]\nruns = 3", "[[group]]\nname = \"a\"\n[[group]]\nname = \"a\""]
         {

@@ -4,15 +4,15 @@ use std::collections::BTreeMap;
 use std::fmt;
 
 use anyhow::{Context, Result, anyhow, bail, ensure};
-use domain::Representation;
 use domain::memory_kind::{EXTERNAL_WORD, NONE_WORD};
 use domain::representation::Trajectories;
-use results::conditions::{Condition, PolicyKind, Variation};
+use domain::{Arm, Representation};
+use results::conditions::{Condition, Demonstrations, PolicyKind, Route, Start, Variation};
 use results::settings::{Drawn, RunSettings, SuiteName};
 use serde_json::{Map, Value, json};
 use shm_types::message::MAX_EXTERNAL_MEMORIES;
 
-use super::keys::{KEYS, MAX_IMAGES, MODEL_KEYS};
+use super::keys::{KEYS, MAX_IMAGES, MODEL_KEYS, STREAM_KEYS};
 use super::layer::{GROUP_KEYS, Layer, Origin};
 use super::load_suite;
 
@@ -57,6 +57,7 @@ pub(super) fn merge(layers: impl IntoIterator<Item = Layer>) -> Result<Resolved>
         origins.insert("out".to_owned(), Origin::Default);
     }
     await_external_memory(&mut merged, &mut origins, policy);
+    complete_stream(&mut merged, &mut origins)?;
     let groups = match merged.remove("group") {
         Some(Value::Array(groups)) => groups,
         // Without groups there is one, of the top-level keys.
@@ -141,6 +142,26 @@ fn await_external_memory(
     if is_awaited && policy.has_process() && (!ignores || memory) {
         merged.insert("external-memory".to_owned(), true.into());
     }
+}
+
+/// Puts what flags and variables say about streams into the suite's `[stream]` table.
+fn complete_stream(merged: &mut Map<String, Value>, origins: &mut Origins) -> Result<()> {
+    let mut stream = merged.remove("stream");
+    let mut table = stream.as_mut().and_then(Value::as_object_mut);
+    for key in STREAM_KEYS {
+        let Some(value) = merged.remove(*key) else { continue };
+        if let Some(table) = &mut table {
+            table.insert((*key).to_owned(), value);
+            continue;
+        }
+        // A variable may be set for other runs.
+        ensure!(
+            origins.remove(*key) != Some(Origin::CommandLine),
+            "--{key} is for a suite of streams, such as --suite stream"
+        );
+    }
+    merged.extend(stream.map(|stream| ("stream".to_owned(), stream)));
+    Ok(())
 }
 
 /// The default name of a run's folder: suite and policy, and the model of `openai`.
@@ -229,6 +250,7 @@ pub fn check(settings: &RunSettings) -> Result<()> {
         "no condition is left: a blocked route needs the new start (add `new` to --starts), and a memory of \
          demonstrations needs some (--demos)"
     );
+    check_arms(settings)?;
     // With a model, what exceeds --image-budget is left out and counted.
     if settings.model.is_some() {
         return Ok(());
@@ -272,6 +294,30 @@ fn check_without_plates(policy: PolicyKind, conditions: &[Condition]) -> Result<
     Ok(())
 }
 
+/// Checks that arms are those of a suite of streams, whose episodes all begin alike.
+fn check_arms(settings: &RunSettings) -> Result<()> {
+    let groups = &settings.groups;
+    if settings.stream.is_none() {
+        ensure!(
+            groups.iter().all(|group| group.arms == [Arm::Frozen]),
+            "--arms is for a suite of streams, such as --suite stream: outside of streams every memory is frozen"
+        );
+        return Ok(());
+    }
+    let is_standard = |condition: &Condition| {
+        condition.start == Start::New
+            && condition.route == Route::Unchanged
+            && [Demonstrations::NONE, Demonstrations::ORIGINAL].contains(&condition.demonstrations)
+    };
+    if let Some(other) = settings.conditions().iter().find(|condition| !is_standard(condition)) {
+        bail!(
+            "{other}: in a suite of streams every episode begins at the new start, on the unchanged route, with the \
+             original demonstrations: starts = [\"new\"], routes = [\"unchanged\"], demos = [\"original\"]"
+        );
+    }
+    Ok(())
+}
+
 impl fmt::Display for Resolved {
     /// As a suite file, each line with where it comes from. JSON scalars and arrays are TOML.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -304,8 +350,15 @@ impl fmt::Display for Resolved {
                     writeln!(f, "{:<44} # {origin}", format!("# suite = {value}"))?;
                 }
                 (Some(value), Some(origin)) => write_line(f, key, value, *origin)?,
-                _ if GROUP_KEYS.contains(&key) => {}
+                _ if GROUP_KEYS.contains(&key) || STREAM_KEYS.contains(&key) => {}
                 _ => writeln!(f, "# {key}: not set")?,
+            }
+        }
+        if let Some(stream) = values.get("stream").and_then(Value::as_object) {
+            writeln!(f, "\n[stream]")?;
+            for (key, value) in stream {
+                let origin = self.origins.get(key).copied().unwrap_or(Origin::Suite);
+                write_line(f, key, value, origin)?;
             }
         }
         let all = groups.as_array().into_iter().flatten().zip(&self.group_origins);
@@ -535,5 +588,57 @@ runs = 5
         working/original/unchanged/none x1
         working/new/unchanged/none x1
         ");
+    }
+
+    const STREAM: &str = r#"
+memory = ["working", "episodic"]
+starts = ["new"]
+arms = ["frozen", "learning", "oracle"]
+
+[stream]
+streams = 3
+blocks = 2
+cases-per-block = 2
+rounds = 1
+events = ["swap"]
+orders = ["drawn"]
+feedback = "none"
+"#;
+
+    #[test]
+    fn flags_replace_parts_of_the_stream_table() {
+        let with = |text: &str, given: &[_]| {
+            merge([Layer::defaults().unwrap(), suite(text), flags(given)])
+        };
+        let given = [("streams", "7"), ("feedback", "sub-goals"), ("orders", "reversed,drawn")];
+        let resolved = with(STREAM, &given).unwrap();
+        let stream = resolved.settings.stream.as_ref().unwrap();
+        assert_eq!((stream.streams, stream.blocks, stream.rounds), (7, 2, 1));
+        assert_eq!((stream.feedback.word(), stream.orders.len()), ("sub-goals", 2));
+        assert!(stream.evaluate);
+        assert_eq!(stream.all_episodes(), 7 * 2 * (2 * 2 + 3 * 2 * 2));
+        let conditions: Vec<String> =
+            resolved.settings.conditions().iter().map(ToString::to_string).collect();
+        let frozen = "episodic/new/unchanged/original";
+        assert_eq!(conditions, ["working/new/unchanged/none", frozen, &format!("{frozen}/oracle")]);
+        // What is shown is a suite file with the same meaning.
+        let shown = resolved.to_string();
+        assert!(shown.contains("\n[stream]\n") && shown.contains("rounds = 1"), "{shown}");
+        let again = merge([Layer::defaults().unwrap(), suite(&shown)]).unwrap();
+        assert_eq!(again.settings.stream, resolved.settings.stream);
+
+        let error = |text: &str, given: &[_]| with(text, given).unwrap_err().to_string();
+        for (text, given, expected) in [
+            ("", &[("rounds", "2")][..], "--rounds is for a suite of streams"),
+            ("", &[("arms", "wrong")], "--arms is for a suite of streams"),
+            (STREAM, &[("starts", "original")], "in a suite of streams every episode begins"),
+        ] {
+            let error = error(text, given);
+            assert!(error.contains(expected), "{error}");
+        }
+        let variable = environment("MEMTRANSFER_ROUNDS", "2");
+        assert!(merge([Layer::defaults().unwrap(), variable]).is_ok(), "it is for other runs");
+        let unknown = Layer::suite("my.toml", &STREAM.replace("rounds", "turns")).unwrap_err();
+        assert!(unknown.to_string().starts_with("suite my.toml, stream: unknown field `turns`"));
     }
 }

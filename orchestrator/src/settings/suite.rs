@@ -15,7 +15,8 @@ macro_rules! shipped {
 }
 
 /// The shipped suites by name, each with its text, in the order in which they are listed.
-pub const SHIPPED_SUITES: &[(&str, &str)] = shipped!("quick" "rq1" "rq2" "rq3" "design" "paper");
+pub const SHIPPED_SUITES: &[(&str, &str)] =
+    shipped!("quick" "rq1" "rq2" "rq3" "design" "paper" "stream");
 
 /// Reads a suite: a file by its path, else `suites/<name>.toml` in `assets`, else a shipped one.
 ///

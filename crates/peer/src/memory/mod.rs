@@ -4,6 +4,9 @@
 //! [`Item`]s: texts, steps of demonstrations, captioned frames. It names what it was given by number, so it cannot supply
 //! anything else; the host looks up views and actions, applies the budgets, and passes the items on to the policy.
 //!
+//! In a stream one memory serves many episodes. It learns from some of them ([`Episode::learns`]): it observes their steps,
+//! is told of their end ([`EpisodeEnd`]), can name their steps from then on, and is saved. The others only read it.
+//!
 //! The memories that MemTransfer is built with implement [`Memory`] in the host's process; [`serve`] runs any other in a
 //! process of its own.
 
@@ -14,13 +17,17 @@ mod serving;
 mod session;
 mod views;
 
+use std::path::Path;
+
 pub use shm_types::MemoryDescription;
 pub use shm_types::description::Scope;
 
 pub use self::items::{Item, Source, Views};
 pub use self::method::{MemoryMethod, Method};
 pub use self::serving::{serve, serve_from_environment};
-pub use self::views::{Demonstration, DemonstrationStep, Episode, PastStep, Query, Step};
+pub use self::views::{
+    Demonstration, DemonstrationStep, Episode, EpisodeEnd, PastStep, Query, Step,
+};
 
 /// A memory of one bank of demonstrations.
 ///
@@ -45,7 +52,7 @@ pub trait Memory {
     }
 
     /// The agent has taken a step: called before the [`Self::recall`] for the step, and for the last step of an episode,
-    /// which has no view and no recall.
+    /// which has no view and no recall. Not called in an episode of a stream that the memory does not learn from.
     ///
     /// # Errors
     /// As [`Self::begin_episode`].
@@ -62,8 +69,32 @@ pub trait Memory {
     fn recall(&mut self, query: &Query<'_>) -> Result<Vec<Item>, MemoryError>;
 
     /// An episode is over, or was given up.
-    fn end_episode(&mut self, episode: u64) {
-        let _ = episode;
+    ///
+    /// # Errors
+    /// When the memory cannot learn from the episode: it ends without a result.
+    fn end_episode(&mut self, end: &EpisodeEnd<'_>) -> Result<(), MemoryError> {
+        let _ = end;
+        Ok(())
+    }
+
+    /// Writes what it has learned into `folder`, which is empty: all that [`Self::load`] needs beside the demonstrations.
+    /// Called after each episode that it learns from.
+    ///
+    /// # Errors
+    /// When it cannot be written: the episode ends without a result.
+    fn save(&mut self, folder: &Path) -> Result<(), MemoryError> {
+        let _ = folder;
+        Ok(())
+    }
+
+    /// Restores what [`Self::save`] has written into `folder`. Called after [`Self::build`] with the same demonstrations,
+    /// before anything else. From then on the memory has to answer as the one that was saved.
+    ///
+    /// # Errors
+    /// When it cannot be read: all episodes that continue from it end without a result.
+    fn load(&mut self, folder: &Path) -> Result<(), MemoryError> {
+        let _ = folder;
+        Ok(())
     }
 
     /// Size of what it stores, if it is known.

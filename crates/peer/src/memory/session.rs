@@ -18,8 +18,8 @@ use shm_types::{
 
 use super::answer::Answer;
 use super::{
-    Demonstration, DemonstrationStep, Episode, Memory, MemoryError, MemoryMethod, PastStep, Query,
-    Step,
+    Demonstration, DemonstrationStep, Episode, EpisodeEnd, Memory, MemoryError, MemoryMethod,
+    PastStep, Query, Step,
 };
 use crate::connection::{Connection, Session};
 use crate::policy::FrameView;
@@ -155,10 +155,19 @@ impl<'s> MemorySession<'s> {
         if let Some(earlier) = place.take()
             && let Some(Some(memory)) = self.memories.get_mut(&earlier.bank)
         {
-            memory.end_episode(earlier.id);
+            // The end of an episode that nothing is learned from cannot fail it.
+            let _ = memory.end_episode(&EpisodeEnd::unlearned(lane, earlier.id));
         }
-        let announced =
-            Episode { lane, episode, instruction, seed, repeat, image_budget, text_budget };
+        let announced = Episode {
+            lane,
+            episode,
+            instruction,
+            seed,
+            repeat,
+            image_budget,
+            text_budget,
+            learns: false,
+        };
         let begun = match self.memories.get_mut(&bank) {
             Some(Some(memory)) => memory.begin_episode(&announced),
             Some(None) => Err(MemoryError::new("the memory could not be built")),
@@ -202,7 +211,7 @@ impl<'s> MemorySession<'s> {
             let ended = self.lanes[lane as usize].take();
             let memory = ended.and_then(|ended| self.memories.get_mut(&ended.bank));
             if let Some(Some(memory)) = memory {
-                memory.end_episode(episode);
+                let _ = memory.end_episode(&EpisodeEnd::unlearned(lane, episode));
             }
             return Ok(false);
         }

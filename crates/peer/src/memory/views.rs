@@ -74,6 +74,31 @@ pub struct Episode<'a> {
     pub image_budget: u32,
     /// Most bytes of text in one answer.
     pub text_budget: u32,
+    /// Whether the memory learns from the episode. If not, the episode must not change what it answers in later ones.
+    pub learns: bool,
+}
+
+/// The end of an episode.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct EpisodeEnd<'a> {
+    /// The lane.
+    pub lane: u32,
+    /// The episode.
+    pub episode: u64,
+    /// The number under which items can name the episode's steps from now on, as those of a demonstration; `None` unless
+    /// the memory learns from the episode. Episodes are numbered after the demonstrations, in order.
+    pub demonstration: Option<u32>,
+    /// Whether the task was completed; `None` if the memory is not told.
+    pub success: Option<bool>,
+    /// The steps at which sub-goals were completed, in order; `None` if the memory is not told.
+    pub sub_goals: Option<&'a [u32]>,
+}
+
+impl EpisodeEnd<'_> {
+    /// The end of an episode that the memory does not learn from.
+    pub const fn unlearned(lane: u32, episode: u64) -> Self {
+        Self { lane, episode, demonstration: None, success: None, sub_goals: None }
+    }
 }
 
 /// The agent's state after a step.

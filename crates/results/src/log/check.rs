@@ -5,9 +5,9 @@
 
 use std::collections::BTreeSet;
 
-use domain::{Action, ExternalName};
+use domain::{Action, Arm, ExternalName};
 
-use super::{Ending, EpisodeRecord, Manifest};
+use super::{Ending, EpisodeRecord, Manifest, StreamRecord};
 use crate::conditions::{Condition, Route};
 use crate::key::EpisodeKey;
 
@@ -39,15 +39,18 @@ impl EpisodeRecord {
         self.check_key()?;
         self.check_steps(max_steps)?;
         self.check_path()?;
-        self.check_events()
+        self.check_events()?;
+        self.check_stream()
     }
 
     fn check_key(&self) -> Result<(), String> {
-        let Condition { memory, start, route, demonstrations, variation } = self.condition();
+        let Condition { memory, start, route, demonstrations, variation, arm } = self.condition();
         let condition = Condition::new(memory, start, route, demonstrations, variation);
+        let condition = condition.map(|condition| condition.with_arm(arm));
         let condition = condition.filter(|condition| *condition == self.condition());
         let key = condition.map(|condition| {
-            EpisodeKey { condition, run: self.run, case: self.case.clone() }.to_string()
+            let place = self.stream.as_ref().map(StreamRecord::key_place);
+            EpisodeKey { condition, run: self.run, place, case: self.case.clone() }.to_string()
         });
         ensure(key.as_ref() == Some(&self.key), || {
             format!("its fields make the key {}", key.as_deref().unwrap_or("of no condition"))
@@ -119,6 +122,35 @@ impl EpisodeRecord {
             format!("{} requests, and {steps} steps", self.requests.unwrap_or(0))
         })
     }
+
+    fn check_stream(&self) -> Result<(), String> {
+        let Some(stream) = &self.stream else {
+            return ensure(self.arm == Arm::Frozen, || {
+                format!("the arm {} is of streams, and it has no \"stream\"", self.arm.word())
+            });
+        };
+        let StreamRecord { block, place, after, round, invalidated, retrievals, stale, .. } =
+            stream;
+        ensure(*round != Some(0), || "\"round\" is counted from 1".to_owned())?;
+        ensure(round.is_none() || after == place, || {
+            format!("it learns in place {place} after {after} blocks")
+        })?;
+        ensure(!(*block == 0 && *invalidated), || {
+            "no event precedes block 0, and \"invalidated\" is set".to_owned()
+        })?;
+        ensure(stale <= retrievals, || format!("{stale} of {retrievals} retrievals are stale"))?;
+        let learned = self.arm == Arm::Learning && stream.learns();
+        ensure(stream.snapshot.is_some() == learned, || {
+            "\"snapshot\" is for episodes that a memory learned from, and every one of them"
+                .to_owned()
+        })?;
+        let is_hex = |id: &String| {
+            id.len() == 32 && id.bytes().all(|c| matches!(c, b'0'..=b'9' | b'a'..=b'f'))
+        };
+        ensure(stream.snapshot.as_ref().is_none_or(is_hex), || {
+            "\"snapshot\" is not 32 hexadecimal digits".to_owned()
+        })
+    }
 }
 
 fn ensure(holds: bool, problem: impl FnOnce() -> String) -> Result<(), String> {
@@ -131,7 +163,8 @@ mod tests {
 
     use super::*;
     use crate::events::{Requirement, Visit};
-    use crate::log::testing::record;
+    use crate::key::Order;
+    use crate::log::testing::{record, stream_record};
 
     #[test]
     fn a_valid_record_passes_and_every_edit_is_noticed() {
@@ -160,6 +193,33 @@ mod tests {
             edit(&mut record);
             assert!(record.check(200).is_err(), "edit {index}");
         }
+        let learned = |edit: fn(&mut EpisodeRecord, &mut StreamRecord)| {
+            let mut record = stream_record("t01-01", true);
+            let mut stream = record.stream.take().unwrap();
+            edit(&mut record, &mut stream);
+            EpisodeRecord { stream: Some(stream), ..record }.check(200)
+        };
+        assert_eq!(learned(|_, _| ()), Ok(()));
+        let edits: [fn(&mut EpisodeRecord, &mut StreamRecord); 11] = [
+            |record, _| record.arm = Arm::Frozen,
+            |_, stream| stream.stream = 3,
+            |_, stream| stream.order = Order::Drawn,
+            |_, stream| stream.position = 18,
+            |_, stream| stream.round = Some(0),
+            |_, stream| stream.round = None,
+            |_, stream| stream.after = 0,
+            |_, stream| stream.block = 0,
+            |_, stream| stream.stale = 3,
+            |_, stream| stream.snapshot = None,
+            |_, stream| stream.snapshot = Some("AB".repeat(16)),
+        ];
+        for (index, edit) in edits.into_iter().enumerate() {
+            assert!(learned(edit).is_err(), "edit {index}");
+        }
+        let mut alone = stream_record("t01-01", true);
+        alone.stream = None;
+        alone.key = alone.key.replace("/s2-reversed-017", "");
+        insta::assert_snapshot!(alone.check(200).unwrap_err(), @r#"the arm learning is of streams, and it has no "stream""#);
         assert!(record("t01-01", false).check(300).is_err(), "stopped before the limit");
         let mut edited = record("t01-01", true);
         edited.steps = 931;

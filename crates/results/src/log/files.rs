@@ -11,6 +11,8 @@ pub(super) const REQUESTS_FILE: &str = "requests.jsonl";
 pub(super) const ERRORS_FILE: &str = "errors.jsonl";
 pub(super) const SESSIONS_FILE: &str = "sessions.jsonl";
 pub(super) const LATENCY_FILE: &str = "latency.jsonl";
+pub(super) const STREAMS_FILE: &str = "streams.json";
+pub(super) const SNAPSHOTS_FOLDER: &str = "snapshots";
 pub(super) const DOCUMENTS_FOLDER: &str = "documents";
 pub(super) const PROMPTS_FOLDER: &str = "prompts";
 pub(super) const LOGS_FOLDER: &str = "logs";
@@ -18,7 +20,7 @@ pub(super) const LOGS_FOLDER: &str = "logs";
 pub const REPORT_FOLDER: &str = "report";
 
 /// Everything that a run folder may hold. No other file in it is touched.
-pub(super) const CONTENTS: [&str; 21] = [
+pub(super) const CONTENTS: [&str; 23] = [
     MANIFEST_FILE,
     "manifest.json.new",
     EPISODES_FILE,
@@ -36,6 +38,8 @@ pub(super) const CONTENTS: [&str; 21] = [
     "errors.damaged.jsonl",
     "sessions.damaged.jsonl",
     "latency.damaged.jsonl",
+    STREAMS_FILE,
+    SNAPSHOTS_FOLDER,
     DOCUMENTS_FOLDER,
     PROMPTS_FOLDER,
     LOGS_FOLDER,

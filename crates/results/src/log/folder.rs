@@ -9,7 +9,7 @@ use super::check::check_records;
 use super::existing::{existing, has_episodes, has_requests, lock, remove_run};
 use super::files::{
     DOCUMENTS_FOLDER, EPISODES_FILE, ERRORS_FILE, LATENCY_FILE, LOGS_FOLDER, PROMPTS_FOLDER,
-    REQUESTS_FILE, SESSIONS_FILE, TIMINGS_FILE,
+    REQUESTS_FILE, SESSIONS_FILE, SNAPSHOTS_FOLDER, STREAMS_FILE, TIMINGS_FILE,
 };
 use super::journal::unchecked;
 use super::{
@@ -158,6 +158,16 @@ impl RunFolder {
     /// Where a run folder at `dir` keeps the documents that memory supplied.
     pub fn documents_of(dir: &Path) -> PathBuf {
         dir.join(DOCUMENTS_FOLDER)
+    }
+
+    /// Where a run folder at `dir` keeps its streams, if the run consists of streams.
+    pub fn streams_of(dir: &Path) -> PathBuf {
+        dir.join(STREAMS_FILE)
+    }
+
+    /// Where a run folder at `dir` keeps the snapshots of memories that learn.
+    pub fn snapshots_of(dir: &Path) -> PathBuf {
+        dir.join(SNAPSHOTS_FOLDER)
     }
 
     /// Where a run folder at `dir` keeps the requests to the policy and its answers.

@@ -6,7 +6,7 @@
 
 use std::collections::BTreeMap;
 
-use domain::{ExternalName, MemoryKind, Outcome, Pose};
+use domain::{Arm, ExternalName, FeedbackLevel, MemoryKind, Outcome, Pose};
 use serde::{Deserialize, Serialize};
 
 use crate::conditions::{
@@ -14,6 +14,7 @@ use crate::conditions::{
     is_standard_window, standard_window,
 };
 use crate::events::{Requirement, Visit};
+use crate::key::{Order, StreamPlace};
 use crate::names::named;
 
 named! {
@@ -49,6 +50,9 @@ pub struct EpisodeRecord {
     /// Whether the original-start hint was given where it is true. Absent where it is the standard, `on`.
     #[serde(skip_serializing_if = "is_default", default)]
     pub hint: Hint,
+    /// What the memory was built from, and whether it changed. Absent where it is the standard, `frozen`.
+    #[serde(skip_serializing_if = "is_default", default)]
+    pub arm: Arm,
     /// The repetition, from 1.
     pub run: u32,
     /// The case's id.
@@ -131,6 +135,61 @@ pub struct EpisodeRecord {
     /// Bytes of text in them. Absent when there were none.
     #[serde(skip_serializing_if = "is_none", default)]
     pub memory_text_dropped: u64,
+    /// Where the episode stands in its stream, and what its memory knew. Absent outside of streams.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub stream: Option<StreamRecord>,
+}
+
+/// What a record of an episode in a stream holds beside the rest.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct StreamRecord {
+    /// The stream.
+    pub stream: u32,
+    /// The order of its blocks.
+    pub order: Order,
+    /// The position of the episode in its sequence, from 0.
+    pub position: u32,
+    /// The block whose case it is, as drawn, from 0. Block 0 is the unchanged world.
+    pub block: u32,
+    /// The place of that block in this order, from 0.
+    pub place: u32,
+    /// Blocks that were learned before: i of R[i][j].
+    pub after: u32,
+    /// The learning round in the block, from 1. Absent for an evaluation, which changes no memory.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub round: Option<u32>,
+    /// What a memory that learns is told at the end of the episode.
+    pub feedback: FeedbackLevel,
+    /// The state of the world: an index into the `worlds` of `streams.json`.
+    pub world: u32,
+    /// Whether events have invalidated the case's original demonstration: replayed in this world, it does not complete
+    /// the task.
+    pub invalidated: bool,
+    /// Sources that memory retrieved.
+    pub retrievals: u32,
+    /// Those that are stale: the source completes its task in the world in which it was recorded, and does not in this
+    /// one.
+    pub stale: u32,
+    /// The snapshot of the memory after the episode, in hexadecimal digits. Only for a memory that learned from it.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub snapshot: Option<String>,
+    /// The size of the memory's store at the end of the episode, in bytes. Absent if it told none.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub store_bytes: Option<u64>,
+}
+
+impl StreamRecord {
+    /// The place that the episode's key names.
+    pub fn key_place(&self) -> StreamPlace {
+        let Self { stream, order, position, .. } = *self;
+        StreamPlace { stream, order, position }
+    }
+
+    /// Whether it is a learning episode, as opposed to an evaluation.
+    pub fn learns(&self) -> bool {
+        self.round.is_some()
+    }
 }
 
 impl EpisodeRecord {
@@ -142,6 +201,7 @@ impl EpisodeRecord {
             route: self.route,
             demonstrations: self.demonstrations,
             variation: Variation { window: self.window, segment: self.segment, hint: self.hint },
+            arm: self.arm,
         }
     }
 

@@ -2,14 +2,14 @@
 
 use std::collections::BTreeMap;
 
-use domain::{Heading, Outcome, Pose, Representation};
+use domain::{Arm, FeedbackLevel, Heading, Outcome, Pose, Representation};
 
 use super::{
     Ending, EpisodeRecord, EpisodeTimings, FORMAT, Manifest, RecallTotals, RequestRecord, RunLog,
-    Stages, Unread,
+    Stages, StreamRecord, Unread,
 };
 use crate::conditions::{Condition, Demonstrations, Frames, PolicyKind, Route, Start, Variation};
-use crate::key::EpisodeKey;
+use crate::key::{EpisodeKey, Order};
 use crate::settings::{CaseSelector, DocumentSource, Drawn, Group, RunSettings, SuiteName};
 
 /// The manifest of a run with every setting at its default.
@@ -46,8 +46,10 @@ pub fn settings() -> RunSettings {
             window: vec![Variation::STANDARD.window],
             segment: vec![Variation::STANDARD.segment],
             hint: vec![Variation::STANDARD.hint],
+            arms: vec![Arm::Frozen],
             runs: 1,
         }],
+        stream: None,
         cases: vec![CaseSelector::All],
         limit: None,
         seed: 1,
@@ -91,10 +93,11 @@ pub fn record(case: &str, success: bool) -> EpisodeRecord {
         route: Route::Unchanged,
         demonstrations: Demonstrations::ORIGINAL,
         variation: Variation::STANDARD,
+        arm: Arm::Frozen,
     };
     let steps = if success { 10 } else { 200 };
     EpisodeRecord {
-        key: EpisodeKey { condition, run: 1, case: case.to_owned() }.to_string(),
+        key: EpisodeKey { condition, run: 1, place: None, case: case.to_owned() }.to_string(),
         memory: condition.memory,
         start: condition.start,
         route: condition.route,
@@ -102,6 +105,7 @@ pub fn record(case: &str, success: bool) -> EpisodeRecord {
         window: condition.variation.window,
         segment: condition.variation.segment,
         hint: condition.variation.hint,
+        arm: condition.arm,
         run: 1,
         case: case.to_owned(),
         task: 1,
@@ -131,7 +135,38 @@ pub fn record(case: &str, success: bool) -> EpisodeRecord {
         memory_items_dropped: 0,
         memory_images_dropped: 0,
         memory_text_dropped: 0,
+        stream: None,
     }
+}
+
+/// The record of `case` as a learning episode: stream 2, reversed, position 17, in a block that events have changed.
+pub fn stream_record(case: &str, success: bool) -> EpisodeRecord {
+    let stream = StreamRecord {
+        stream: 2,
+        order: Order::Reversed,
+        position: 17,
+        block: 3,
+        place: 1,
+        after: 1,
+        round: Some(2),
+        feedback: FeedbackLevel::Success,
+        world: 1,
+        invalidated: true,
+        retrievals: 2,
+        stale: 1,
+        snapshot: Some("0123456789abcdef".repeat(2)),
+        store_bytes: Some(1000),
+    };
+    let mut record = EpisodeRecord {
+        start: Start::New,
+        arm: Arm::Learning,
+        stream: Some(stream.clone()),
+        ..record(case, success)
+    };
+    let place = Some(stream.key_place());
+    record.key = EpisodeKey { condition: record.condition(), run: 1, place, case: case.to_owned() }
+        .to_string();
+    record
 }
 
 /// Timings that go with `record`: every step spends 1 us in each stage.

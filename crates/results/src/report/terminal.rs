@@ -200,8 +200,13 @@ mod tests {
         (without.memory, without.demonstrations) =
             (Representation::Working.into(), Demonstrations::NONE);
         without.images = Some(1400);
-        without.key = EpisodeKey { condition: without.condition(), run: 1, case: "t01-01".into() }
-            .to_string();
+        without.key = EpisodeKey {
+            condition: without.condition(),
+            run: 1,
+            place: None,
+            case: "t01-01".into(),
+        }
+        .to_string();
         episodes.push(without);
         insta::assert_snapshot!(summary(&log(episodes)));
     }

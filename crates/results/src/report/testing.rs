@@ -35,7 +35,7 @@ pub(crate) fn made_up(conditions: &[(Condition, u32)], tasks: &[u8]) -> RunLog {
             for &task in tasks {
                 for number in 1..=10 {
                     let case = format!("t{task:02}-{number:02}");
-                    episodes.push(episode(EpisodeKey { condition, run, case }, task));
+                    episodes.push(episode(EpisodeKey { condition, run, place: None, case }, task));
                 }
             }
         }

@@ -110,6 +110,7 @@ pub(super) fn title(memory: MemoryKind) -> String {
         Representation::Semantic => "Semantic",
         Representation::Hybrid => "Hybrid",
         Representation::Episodic => "Episodic",
+        Representation::Adaptive => "Adaptive",
     };
     title.to_owned()
 }

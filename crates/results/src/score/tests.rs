@@ -4,7 +4,7 @@ use super::*;
 use crate::conditions::{Demonstrations, Route, Start};
 use crate::key::EpisodeKey;
 use crate::log::testing::{log, record};
-use crate::log::{EpisodeError, EpisodeRecord, Stages, Unread};
+use crate::log::{EpisodeError, EpisodeRecord, Stages, StreamRecord, Unread};
 use domain::Representation;
 
 fn only(log: &RunLog) -> ConditionScore {
@@ -21,7 +21,8 @@ fn near(found: f64, expected: f64) {
 /// Gives the record the key that its condition, run and case make.
 fn keyed(mut record: EpisodeRecord) -> EpisodeRecord {
     let (condition, case) = (record.condition(), record.case.clone());
-    record.key = EpisodeKey { condition, run: record.run, case }.to_string();
+    let place = record.stream.as_ref().map(StreamRecord::key_place);
+    record.key = EpisodeKey { condition, run: record.run, place, case }.to_string();
     record
 }
 

@@ -1,6 +1,6 @@
 //! Groups of conditions: each is the product of the lists of one part of a suite.
 
-use domain::MemoryKind;
+use domain::{Arm, MemoryKind, Representation};
 use serde::{Deserialize, Serialize};
 
 use crate::conditions::{Condition, Demonstrations, Hint, Route, SegmentContent, Start, Variation};
@@ -21,6 +21,8 @@ pub struct Group {
     pub window: Vec<u32>,
     pub segment: Vec<SegmentContent>,
     pub hint: Vec<Hint>,
+    #[serde(default = "frozen", skip_serializing_if = "is_frozen")]
+    pub arms: Vec<Arm>,
     pub runs: u32,
 }
 
@@ -35,8 +37,13 @@ impl Group {
                         for variation in self.variations() {
                             let condition =
                                 Condition::new(memory, start, route, demonstrations, variation);
-                            let new = condition.filter(|condition| !conditions.contains(condition));
-                            conditions.extend(new);
+                            let Some(condition) = condition else { continue };
+                            for arm in self.arms.iter().filter(|arm| has_arm(memory, **arm)) {
+                                let condition = condition.with_arm(*arm);
+                                if !conditions.contains(&condition) {
+                                    conditions.push(condition);
+                                }
+                            }
                         }
                     }
                 }
@@ -57,6 +64,19 @@ impl Group {
     }
 }
 
+fn frozen() -> Vec<Arm> {
+    vec![Arm::Frozen]
+}
+
+fn is_frozen(arms: &[Arm]) -> bool {
+    *arms == [Arm::Frozen]
+}
+
+/// Whether there is such an arm of `memory`: of the built-in ones only `adaptive` learns.
+fn has_arm(memory: MemoryKind, arm: Arm) -> bool {
+    arm != Arm::Learning || memory.built_in().is_none_or(|one| one == Representation::Adaptive)
+}
+
 /// The conditions of all groups, each once, with its repetitions: the largest number of the groups that have it.
 pub(super) fn union(groups: &[Group]) -> Vec<(Condition, u32)> {
     let mut union: Vec<(Condition, u32)> = Vec::new();
@@ -73,7 +93,6 @@ pub(super) fn union(groups: &[Group]) -> Vec<(Condition, u32)> {
 
 #[cfg(test)]
 mod tests {
-    use domain::Representation;
 
     use super::*;
 
@@ -87,6 +106,7 @@ mod tests {
             window: vec![6],
             segment: vec![SegmentContent::Actions],
             hint: vec![Hint::On],
+            arms: frozen(),
             runs: 3,
         }
     }
@@ -135,6 +155,31 @@ mod tests {
                 "episodic/original/unchanged/4/images x3",
                 "episodic/original/unchanged/4/h20 x3",
                 "episodic/original/unchanged/4/h20/images x3",
+            ]
+        );
+    }
+
+    #[test]
+    fn working_memory_has_one_arm_and_only_memories_that_learn_have_learning() {
+        let group = Group {
+            memory: ["working", "episodic", "mine"].map(|name| name.parse().unwrap()).to_vec(),
+            starts: vec![Start::New],
+            routes: vec![Route::Unchanged],
+            demos: vec![Demonstrations::ORIGINAL],
+            arms: Arm::ALL.to_vec(),
+            ..group()
+        };
+        assert_eq!(
+            shown(&union(&[group])),
+            [
+                "working/new/unchanged/none x3",
+                "episodic/new/unchanged/original x3",
+                "episodic/new/unchanged/original/oracle x3",
+                "episodic/new/unchanged/original/wrong x3",
+                "mine/new/unchanged/original x3",
+                "mine/new/unchanged/original/learning x3",
+                "mine/new/unchanged/original/oracle x3",
+                "mine/new/unchanged/original/wrong x3",
             ]
         );
     }

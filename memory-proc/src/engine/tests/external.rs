@@ -3,6 +3,7 @@
 use std::time::Duration;
 
 use bytemuck::Zeroable;
+use domain::Pose;
 use domain::Representation::Working;
 use shm_types::MemoryDescription;
 use shm_types::description::Scope;

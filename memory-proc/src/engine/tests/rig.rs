@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use domain::Representation;
+use domain::{Pose, Representation};
 use shm_types::documents::Content;
 use shm_types::message::{
     ItemKind, NO_ACTION, NO_FRAME, RecalledItem, RecalledSource, SegmentStep, ViewRequestKind,
@@ -57,7 +57,7 @@ pub(super) struct Rig {
     pub(super) engine: Engine<Pose>,
     /// Pose of frame `i + 1`.
     pub(super) frames: Vec<Pose>,
-    pub(super) arriving: VecDeque<Pose>,
+    pub(super) arriving: VecDeque<Viewpoint>,
     pub(super) embedding: Vec<ContentHash>,
     pub(super) pins: usize,
     pub(super) releases: usize,
@@ -79,7 +79,11 @@ impl Rig {
     pub(super) fn with_externals(lanes: u32, room: usize, externals: ExternalMemories) -> Self {
         let (warehouse, cases) = (Warehouse::shipped(), CaseSet::shipped());
         let embeddings = EmbeddingCache::in_memory();
-        let engine = Engine::new(warehouse, cases, lanes, room, embeddings, externals);
+        let worlds = Worlds::unchanging(warehouse, cases);
+        Self::with(Engine::new(worlds, lanes, room, embeddings, externals, None))
+    }
+
+    pub(super) fn with(engine: Engine<Pose>) -> Self {
         Self {
             engine,
             frames: Vec::new(),
@@ -104,9 +108,9 @@ impl Rig {
         start: Start,
         representation: Representation,
     ) -> Script {
-        let (case_index, case) = (case, &self.engine.cases.cases[case as usize]);
+        let (case_index, case) = (case, &self.engine.worlds.cases.cases[case as usize]);
         let replay = case.trajectory(start).replay(
-            &self.engine.warehouse,
+            &self.engine.worlds.warehouse,
             &case.task,
             &warehouse::Variant::UNCHANGED,
         );
@@ -165,7 +169,7 @@ impl Rig {
                 self.pins += 1;
                 let pose = Pose::try_from(request.pose).unwrap();
                 self.asked.insert(pose);
-                self.arriving.push_back(pose);
+                self.arriving.push_back(Viewpoint { variant: request.variant, pose });
             } else {
                 assert_eq!(
                     self.frames[request.frame as usize - 1],
@@ -189,9 +193,10 @@ impl Rig {
             let content = self.embedding.remove(choice);
             self.embedded += 1;
             self.engine.add_embedding(content, embedding(content)).unwrap();
-        } else if let Some(pose) = self.arriving.pop_front() {
+        } else if let Some(viewpoint) = self.arriving.pop_front() {
+            let pose = viewpoint.pose;
             let frame = self.frame(pose);
-            self.engine.view(pose, frame, content(pose), pose).unwrap();
+            self.engine.view(viewpoint, frame, content(pose), pose).unwrap();
         }
         true
     }
@@ -315,11 +320,11 @@ pub(super) fn replay_set(
     case: usize,
     set: Demonstrations,
 ) -> Vec<ReplayedDemonstration> {
-    let cases = &rig.engine.cases;
+    let cases = &rig.engine.worlds.cases;
     let demonstration = |of: History| {
         let case = &cases.cases[of.case];
         let actions = case.trajectory(of.start).actions.iter();
-        let poses = case.replay(&rig.engine.warehouse, of.start).poses;
+        let poses = case.replay(&rig.engine.worlds.warehouse, of.start).poses;
         let actions = actions.map(|&action| action as u8).chain([NO_ACTION]).collect();
         ReplayedDemonstration { of, poses, actions }
     };

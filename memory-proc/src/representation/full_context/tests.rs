@@ -16,11 +16,12 @@ fn acted(actions: &str, goals: &[usize]) -> Demonstration {
     Demonstration {
         case: 0,
         number: 0,
+        variant: 0,
         instruction: String::new(),
         feedback: steps.clone().map(|_| Feedback::Moved).collect(),
         poses: steps.clone().map(|t| Pose::new(t as u8, 0, Heading::N)).collect(),
         stages: steps.map(|t| goals.iter().filter(|&&goal| goal <= t).count() as u32).collect(),
-        actions,
+        actions: actions.into_iter().map(Some).collect(),
     }
 }
 

@@ -245,7 +245,8 @@ fn an_external_memory_is_the_same_when_a_run_goes_on() {
     let mut episode = record("t01-01", true);
     episode.memory = MemoryKind::External("top-3".parse().unwrap());
     let condition = episode.condition();
-    episode.key = crate::key::EpisodeKey { condition, run: 1, case: "t01-01".into() }.to_string();
+    episode.key = crate::key::EpisodeKey { condition, run: 1, place: None, case: "t01-01".into() }
+        .to_string();
     folder.finish(&[(episode.clone(), timings(&episode))]).unwrap();
     drop(folder);
     let changed = with("top-3", facts("2")).unwrap_err().to_string();

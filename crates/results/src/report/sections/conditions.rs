@@ -67,7 +67,7 @@ fn row(score: &ConditionScore) -> Row {
 
 /// A condition without its memory: `original, 1 demonstration`.
 pub(super) fn setting(condition: &Condition) -> String {
-    let Condition { start, route, demonstrations, variation, memory } = condition;
+    let Condition { start, route, demonstrations, variation, memory, arm: _ } = condition;
     let mut text = start.to_string();
     if *route == Route::Blocked {
         text += " blocked";

@@ -1,0 +1,463 @@
+//! Memories that persist from episode to episode of a stream.
+//!
+//! A sequence is one stream in one order with one condition. Its episodes run one after the other and share one memory,
+//! which is built from the bank of the stream and then continues from snapshot to snapshot: an episode that the memory
+//! learns from begins with the snapshot that its config names and ends with a new one. What a memory knows therefore
+//! depends on the log only, and not on crashes. A memory in another state than the one that is asked for is dropped, and
+//! built or loaded again.
+//!
+//! What is not here: which episodes are learned from, and in which order (the orchestrator).
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::fs;
+use std::path::Path;
+use std::sync::Arc;
+
+use anyhow::Context;
+use bytemuck::Zeroable;
+use domain::{Action, Feedback, FeedbackLevel, Pose, Representation};
+use peer::memory::{Episode, EpisodeEnd, Memory};
+use serde::{Deserialize, Serialize};
+use shm_types::message::{EXPERIENCE, SnapshotId, SnapshotReport};
+use warehouse::{Demonstrations, Progress, step};
+
+use crate::bank::{Bank, BankSteps, Collecting};
+use crate::demonstrations::Demonstration;
+use crate::episode::{EpisodeMemory, MemoryEpisode, build_built_in};
+use crate::items::DocumentSupplier;
+use crate::representation::MemorySettings;
+use crate::snapshots::SnapshotFolder;
+use crate::worlds::{BankOrigin, Worlds};
+
+/// Banks that are kept when no memory waits for them.
+const KEPT_BANKS: usize = 16;
+
+/// The host's part of a snapshot, and the folder of the memory's own files.
+const EXPERIENCE_FILE: &str = "experience.json";
+const MEMORY_FOLDER: &str = "memory";
+
+/// What an episode of a stream has beside what every episode has.
+pub(crate) struct StreamPart {
+    pub(crate) sequence: u64,
+    /// The snapshot that it begins with; zero: the memory as it was built.
+    pub(crate) snapshot: SnapshotId,
+    pub(crate) origin: BankOrigin,
+    pub(crate) position: u32,
+    pub(crate) variant: u32,
+    pub(crate) feedback: FeedbackLevel,
+    /// What has happened so far, if the memory learns from it.
+    pub(crate) recording: Option<Recording>,
+    /// Whether the memory has been told that the episode begins.
+    pub(crate) begun: bool,
+}
+
+/// An episode so far, step by step, as in a [`Demonstration`].
+#[derive(Debug, Default)]
+pub(crate) struct Recording {
+    pub(crate) poses: Vec<Pose>,
+    pub(crate) feedback: Vec<Feedback>,
+    pub(crate) stages: Vec<u32>,
+    pub(crate) actions: Vec<Option<Action>>,
+    pub(crate) is_complete: bool,
+}
+
+impl Recording {
+    /// The steps at which sub-goals were completed.
+    fn sub_goals(&self) -> Vec<u32> {
+        let mut reached = 0;
+        let mut steps = Vec::new();
+        for (at, &stage) in (0..).zip(&self.stages) {
+            steps.extend((reached..stage).map(|_| at));
+            reached = stage;
+        }
+        steps
+    }
+}
+
+/// An episode that a memory has learned from, as it is stored: it is acted out again when it is read.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Experience {
+    case: u32,
+    variant: u32,
+    position: u32,
+    /// Column, row, heading.
+    start: [u8; 3],
+    /// The letters of the actions; [`NO_LETTER`] where there was none.
+    actions: String,
+}
+
+/// Stands for an action that could not be read.
+const NO_LETTER: char = '-';
+
+impl Experience {
+    fn new(episode: &MemoryEpisode, part: &StreamPart, recording: &Recording) -> Self {
+        let letter = |action: &Option<Action>| action.map_or(NO_LETTER, Action::letter);
+        let Pose { cell, heading } = recording.poses[0];
+        Self {
+            case: episode.case,
+            variant: part.variant,
+            position: part.position,
+            start: [cell.x, cell.y, heading as u8],
+            actions: recording.actions.iter().map(letter).collect(),
+        }
+    }
+
+    /// Acts it out again.
+    fn replayed(&self, worlds: &Worlds) -> Option<Demonstration> {
+        let case = worlds.cases.cases.get(self.case as usize)?;
+        let (warehouse, variant) = worlds.state(self.variant)?;
+        let [x, y, heading] = self.start;
+        let mut pose = Pose::new(x, y, heading.try_into().ok()?);
+        let mut progress = Progress::new(warehouse, &case.task, pose.cell);
+        let mut made = Demonstration {
+            case: self.position,
+            number: EXPERIENCE,
+            variant: self.variant,
+            instruction: case.task.instruction(&worlds.warehouse.catalogue),
+            poses: vec![pose],
+            feedback: vec![Feedback::Start],
+            stages: vec![progress.stage()],
+            actions: Vec::new(),
+        };
+        for letter in self.actions.chars() {
+            let action = match letter {
+                NO_LETTER => None,
+                letter => Some(Action::from_letter(letter)?),
+            };
+            let mut feedback = Feedback::NotUnderstood;
+            if let Some(action) = action {
+                (pose, feedback) = step(&warehouse.layout, &variant, pose, action);
+            }
+            progress.visit(pose.cell);
+            made.poses.push(pose);
+            made.feedback.push(feedback);
+            made.stages.push(progress.stage());
+            made.actions.push(action);
+        }
+        Some(made)
+    }
+}
+
+/// The bank of a stream, and the embeddings of its views.
+#[derive(Debug)]
+pub(crate) struct StreamBank {
+    bank: Arc<Bank>,
+    pub(crate) collecting: Collecting,
+}
+
+/// The memory of a sequence.
+pub(crate) struct SequenceMemory {
+    origin: BankOrigin,
+    /// The demonstrations that it was built from, then the episodes that it has learned from.
+    pub(crate) bank: Arc<Bank>,
+    experiences: Vec<Experience>,
+    snapshot: SnapshotId,
+    /// The episode that it learns from now: until that ends it is in no state that a snapshot has.
+    learning: Option<u64>,
+    /// The episodes that use it.
+    users: BTreeSet<u64>,
+    pub(crate) memory: Box<dyn Memory>,
+}
+
+/// Whether an episode has its memory.
+pub(crate) enum Bound {
+    /// It has.
+    Yes,
+    /// Views of the bank are not known yet.
+    Waiting,
+    /// It cannot have it: the reason.
+    Failed(String),
+}
+
+/// The memories of the sequences that run, and the banks of their streams.
+pub(crate) struct Sequences {
+    snapshots: Option<SnapshotFolder>,
+    memories: BTreeMap<u64, SequenceMemory>,
+    /// Memories without an episode that are kept.
+    kept: usize,
+    /// Sequences, the last used last.
+    recent: Vec<u64>,
+    /// Banks, the last used last. The flag: with embeddings.
+    banks: Vec<((BankOrigin, bool), StreamBank)>,
+}
+
+impl Sequences {
+    pub(crate) fn new(snapshots: Option<SnapshotFolder>, lanes: u32) -> Self {
+        let kept = lanes as usize;
+        Self { snapshots, memories: BTreeMap::new(), kept, recent: Vec::new(), banks: Vec::new() }
+    }
+
+    /// Whether memories can learn.
+    pub(crate) fn can_save(&self) -> bool {
+        self.snapshots.is_some()
+    }
+
+    /// The banks whose views are not known.
+    pub(crate) fn unfinished_banks(&mut self) -> impl Iterator<Item = &mut Collecting> {
+        let collecting = self.banks.iter_mut().map(|(_, bank)| &mut bank.collecting);
+        collecting.filter(|collecting| !collecting.is_complete())
+    }
+
+    /// Gives an episode the memory of its sequence, in the state that the episode's config names.
+    ///
+    /// # Errors
+    /// When a document is missing or a built-in memory cannot be built.
+    pub(crate) fn bind(
+        &mut self,
+        episode: &mut MemoryEpisode,
+        worlds: &Worlds,
+        documents: &mut dyn DocumentSupplier,
+    ) -> anyhow::Result<Bound> {
+        let (Some(part), EpisodeMemory::Sequence { representation, settings, set }) =
+            (&mut episode.stream, &episode.memory)
+        else {
+            return Ok(Bound::Failed("it has no memory of a sequence".to_owned()));
+        };
+        let sequence = part.sequence;
+        let is_usable = |memory: &SequenceMemory| {
+            memory.origin == part.origin
+                && memory.snapshot == part.snapshot
+                && memory.learning.is_none()
+        };
+        if !self.memories.get(&sequence).is_some_and(is_usable) {
+            self.memories.remove(&sequence);
+            let of = (*representation, settings.clone(), *set);
+            match self.create(part, of, worlds, documents)? {
+                Ok(Some(memory)) => drop(self.memories.insert(sequence, memory)),
+                Ok(None) => return Ok(Bound::Waiting),
+                Err(why) => return Ok(Bound::Failed(why)),
+            }
+        }
+        let Some(known) = self.memories.get_mut(&sequence) else { return Ok(Bound::Waiting) };
+        let learns = part.recording.is_some();
+        known.memory.begin_episode(&Episode {
+            lane: episode.lane,
+            episode: episode.id,
+            instruction: &episode.instruction,
+            seed: episode.seed,
+            repeat: episode.repeat,
+            image_budget: episode.budgets.images,
+            text_budget: episode.budgets.text,
+            learns,
+        })?;
+        known.users.insert(episode.id);
+        known.learning = learns.then_some(episode.id);
+        part.begun = true;
+        episode.bank = known.bank.clone();
+        self.recent.retain(|other| *other != sequence);
+        self.recent.push(sequence);
+        self.drop_unused();
+        Ok(Bound::Yes)
+    }
+
+    /// Drops the memories that no episode has used for longest.
+    fn drop_unused(&mut self) {
+        let memories = &mut self.memories;
+        self.recent.retain(|sequence| memories.contains_key(sequence));
+        let is_unused = |sequence: &u64| memories[sequence].users.is_empty();
+        let unused: Vec<u64> = self.recent.iter().copied().filter(is_unused).collect();
+        for sequence in &unused[..unused.len().saturating_sub(self.kept)] {
+            memories.remove(sequence);
+        }
+    }
+
+    /// The memory of a sequence as its snapshot has it. `Ok(None)` while views of its bank are not known.
+    #[expect(
+        clippy::type_complexity,
+        reason = "failures of the process, then those of the episode"
+    )]
+    fn create(
+        &mut self,
+        part: &StreamPart,
+        (representation, mut settings, set): (Representation, MemorySettings, Demonstrations),
+        worlds: &Worlds,
+        documents: &mut dyn DocumentSupplier,
+    ) -> anyhow::Result<Result<Option<SequenceMemory>, String>> {
+        let embeds = representation.matches_views();
+        let StreamBank { bank, collecting } = match self.bank(part.origin, embeds, worlds) {
+            Ok(bank) => bank,
+            Err(why) => return Ok(Err(why)),
+        };
+        if !collecting.is_complete() {
+            return Ok(Ok(None));
+        }
+        let steps = match embeds {
+            true => bank.with_views(|viewpoint| collecting.found.get(&viewpoint).cloned()),
+            false => Some(BankSteps::without_views(bank)),
+        };
+        let steps = steps.context("a view of the bank is missing")?;
+        let memory = build_built_in(representation, &mut settings, set, &steps, documents)?;
+        let mut made = SequenceMemory {
+            origin: part.origin,
+            bank: bank.clone(),
+            experiences: Vec::new(),
+            snapshot: SnapshotId::default(),
+            learning: None,
+            users: BTreeSet::new(),
+            memory,
+        };
+        if part.snapshot == SnapshotId::default() {
+            return Ok(Ok(Some(made)));
+        }
+        let loaded = match &self.snapshots {
+            None => {
+                Err("it continues from a snapshot, and memory-proc was started without --snapshots"
+                    .to_owned())
+            }
+            Some(folder) => made.load(folder, part.sequence, part.snapshot, worlds),
+        };
+        Ok(loaded.map(|()| Some(made)))
+    }
+
+    /// The bank of a stream.
+    fn bank(
+        &mut self,
+        origin: BankOrigin,
+        embeds: bool,
+        worlds: &Worlds,
+    ) -> Result<&StreamBank, String> {
+        let key = (origin, embeds);
+        let made = match self.banks.iter().position(|(known, _)| *known == key) {
+            Some(at) => self.banks.remove(at),
+            None => {
+                let bank = Arc::new(Bank::new(worlds.demonstrations(origin)?));
+                let collecting =
+                    if embeds { Collecting::new(&bank) } else { Collecting::default() };
+                (key, StreamBank { bank, collecting })
+            }
+        };
+        while self.banks.len() >= KEPT_BANKS
+            && let Some(oldest) =
+                self.banks.iter().position(|(_, bank)| bank.collecting.is_complete())
+        {
+            self.banks.remove(oldest);
+        }
+        self.banks.push(made);
+        self.banks.last().map(|(_, bank)| bank).ok_or_else(|| "no bank".to_owned())
+    }
+
+    /// The memory that an episode has been given.
+    pub(crate) fn of(&mut self, sequence: u64) -> Option<&mut SequenceMemory> {
+        self.memories.get_mut(&sequence)
+    }
+
+    /// Ends an episode that its memory learns from, after its last observation: the memory learns, and is saved. If that
+    /// fails, the memory is dropped.
+    pub(crate) fn learn(&mut self, episode: &MemoryEpisode) -> Result<SnapshotReport, String> {
+        let (Some(part), Some(folder)) = (&episode.stream, &self.snapshots) else {
+            return Err(
+                "it is not part of a stream, or there is no folder for snapshots".to_owned()
+            );
+        };
+        let memory = self.memories.get_mut(&part.sequence);
+        let memory = memory.filter(|memory| memory.learning == Some(episode.id));
+        let memory = memory.ok_or("its memory has gone on with another episode")?;
+        let learned = memory.learn(episode, part, folder);
+        if learned.is_err() {
+            self.memories.remove(&part.sequence);
+        }
+        learned
+    }
+
+    /// An episode has left its lane. A memory that was learning from it is dropped.
+    pub(crate) fn release(&mut self, episode: &MemoryEpisode) {
+        let Some(part) = episode.stream.as_ref().filter(|part| part.begun) else { return };
+        let Some(memory) = self.memories.get_mut(&part.sequence) else { return };
+        if memory.learning == Some(episode.id) {
+            self.memories.remove(&part.sequence);
+        } else if memory.users.remove(&episode.id) && part.recording.is_none() {
+            // It was not told anything that it could fail at.
+            let _ = memory.memory.end_episode(&EpisodeEnd::unlearned(episode.lane, episode.id));
+        }
+    }
+}
+
+impl SequenceMemory {
+    fn learn(
+        &mut self,
+        episode: &MemoryEpisode,
+        part: &StreamPart,
+        folder: &SnapshotFolder,
+    ) -> Result<SnapshotReport, String> {
+        let recording = part.recording.as_ref().ok_or("nothing is learned from it")?;
+        let now = episode.last_step().ok_or("it has not begun")?;
+        self.memory.observe(&now).map_err(|error| error.to_string())?;
+        let sub_goals = recording.sub_goals();
+        let (success, sub_goals) = match part.feedback {
+            FeedbackLevel::None => (None, None),
+            FeedbackLevel::Success => (Some(recording.is_complete), None),
+            FeedbackLevel::SubGoals => (Some(recording.is_complete), Some(&*sub_goals)),
+        };
+        let end = EpisodeEnd {
+            lane: episode.lane,
+            episode: episode.id,
+            demonstration: Some(self.bank.demonstrations.len() as u32),
+            success,
+            sub_goals,
+        };
+        self.memory.end_episode(&end).map_err(|error| error.to_string())?;
+        let Recording { poses, feedback, stages, actions, .. } = recording;
+        Arc::make_mut(&mut self.bank).demonstrations.push(Demonstration {
+            case: part.position,
+            number: EXPERIENCE,
+            variant: part.variant,
+            instruction: episode.instruction.clone(),
+            poses: poses.clone(),
+            feedback: feedback.clone(),
+            stages: stages.clone(),
+            actions: actions.clone(),
+        });
+        self.experiences.push(Experience::new(episode, part, recording));
+        self.save(folder, part.sequence).map_err(|error| format!("{error:#}"))?;
+        self.learning = None;
+        Ok(SnapshotReport {
+            episode: episode.id,
+            snapshot: self.snapshot,
+            store_bytes: self.memory.store_bytes().unwrap_or(0),
+            lane: episode.lane,
+            ..Zeroable::zeroed()
+        })
+    }
+
+    fn save(&mut self, folder: &SnapshotFolder, sequence: u64) -> anyhow::Result<()> {
+        let unfinished = folder.begin(sequence)?;
+        let path = unfinished.join(EXPERIENCE_FILE);
+        fs::write(&path, serde_json::to_vec(&self.experiences)?)
+            .with_context(|| format!("cannot write {}", path.display()))?;
+        let own = unfinished.join(MEMORY_FOLDER);
+        fs::create_dir(&own).with_context(|| format!("cannot create {}", own.display()))?;
+        self.memory.save(&own).context("the memory cannot be saved")?;
+        self.snapshot = folder.finish(sequence, self.snapshot)?;
+        Ok(())
+    }
+
+    /// Brings a memory that has just been built into the state of a snapshot.
+    fn load(
+        &mut self,
+        folder: &SnapshotFolder,
+        sequence: u64,
+        snapshot: SnapshotId,
+        worlds: &Worlds,
+    ) -> Result<(), String> {
+        let found = folder.find(sequence, snapshot).map_err(|error| error.to_string())?;
+        let failed = |what: String| format!("snapshot {}: {what}", found.display());
+        self.experiences = read_experiences(&found).map_err(&failed)?;
+        for (number, experience) in self.experiences.iter().enumerate() {
+            let made = experience.replayed(worlds).ok_or_else(|| {
+                failed(format!(
+                    "episode {number} of {EXPERIENCE_FILE} cannot take place in this run"
+                ))
+            })?;
+            Arc::make_mut(&mut self.bank).demonstrations.push(made);
+        }
+        self.memory.load(&found.join(MEMORY_FOLDER)).map_err(|error| failed(error.to_string()))?;
+        self.snapshot = snapshot;
+        Ok(())
+    }
+}
+
+fn read_experiences(snapshot: &Path) -> Result<Vec<Experience>, String> {
+    let text = fs::read(snapshot.join(EXPERIENCE_FILE)).map_err(|error| error.to_string())?;
+    serde_json::from_slice(&text).map_err(|error| error.to_string())
+}
