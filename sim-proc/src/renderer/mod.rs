@@ -133,7 +133,7 @@ impl Renderer {
         }
     }
 
-    /// Bytes of the scene's triangles, which a renderer holds twice.
+    /// Bytes of the triangles and texts of the scene, of which every backend holds a copy of its own.
     pub fn scene_bytes(&self) -> usize {
         self.visibility.scene().geometry.bytes()
     }
