@@ -328,7 +328,7 @@ mod tests {
         assert_eq!(Condition::logged(&text), Ok(condition));
         let none = Demonstrations::NONE;
         assert_eq!(Condition::new(memory, Start::New, Route::Unchanged, none, all), None);
-        insta::assert_snapshot!(text.parse::<Condition>().unwrap_err(), @"unknown memory `top-3` (known: working, full-context, summary, semantic, hybrid, episodic)");
+        insta::assert_snapshot!(text.parse::<Condition>().unwrap_err(), @"unknown memory `top-3` (known: working, full-context, summary, semantic, hybrid, episodic, adaptive)");
         assert!(Condition::logged("Top 3/new/unchanged/4").is_err());
     }
 

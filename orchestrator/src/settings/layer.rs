@@ -230,7 +230,7 @@ mod tests {
     fn errors_in_a_suite_name_its_file() {
         let error = |text: &str| Layer::suite("my.toml", text).unwrap_err().to_string();
         insta::assert_snapshot!(error("memry = []"), @"suite my.toml: unknown key `memry`: did you mean `memory`?");
-        insta::assert_snapshot!(error("runs = 1\nmemory = [\"episodik\"]"), @"suite my.toml: memory: unknown memory `episodik`: did you mean `episodic`? (known: working, full-context, summary, semantic, hybrid, episodic)");
+        insta::assert_snapshot!(error("runs = 1\nmemory = [\"episodik\"]"), @"suite my.toml: memory: unknown memory `episodik`: did you mean `episodic`? (known: working, full-context, summary, semantic, hybrid, episodic, adaptive)");
         insta::assert_snapshot!(error("[[group]]\nname = \"a\"\n[[group]]\nstart = []"), @"suite my.toml, group 2: unknown key `start`: did you mean `starts`?");
         insta::assert_snapshot!(error("[[group]]\nname = \"a\"\nlanes = 3"), @"suite my.toml, group 1: unknown key `lanes` (known: name, memory, starts, routes, demos, window, segment, hint, arms, runs)");
         insta::assert_snapshot!(error("[[group]]\nname = \"a\"\nruns = 0"), @"suite my.toml, group 1: runs: 0 is not a whole number from 1 to 1000");
