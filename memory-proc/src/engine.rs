@@ -552,7 +552,12 @@ impl<I: Clone> Engine<I> {
         if episode.pending.is_some() && episode.stream.as_ref().is_some_and(is_new) {
             match sequences.bind(episode, worlds, documents)? {
                 Bound::Yes => {}
-                Bound::Waiting => return Ok(LaneProgress::Waiting),
+                Bound::Waiting => {
+                    for collecting in sequences.unfinished_banks() {
+                        views.collect(collecting, true);
+                    }
+                    return Ok(LaneProgress::Waiting);
+                }
                 Bound::Failed(why) => return Ok(LaneProgress::Failed(why)),
             }
         }

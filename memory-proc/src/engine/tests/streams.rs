@@ -18,7 +18,7 @@ use crate::external::{ExternalLimits, ExternalMemories};
 /// The cases of the stream, and the block in whose world the test passage of the first is closed.
 const CASES: [u32; 3] = [3, 5, 20];
 
-fn worlds() -> Worlds {
+pub(super) fn worlds() -> Worlds {
     let (warehouse, cases) = (Warehouse::shipped(), CaseSet::shipped());
     let mut closed: Vec<Cell> = cases.cases[3].barricade.clone();
     closed.sort_unstable();
@@ -112,6 +112,7 @@ impl StreamRig {
         while self.rig.work(0) {
             assert!(self.rig.collect().is_empty());
         }
+        assert!(self.rig.collect().is_empty());
         let failures = self.rig.engine.take_failures();
         let [EpisodeFailure { episode, why, .. }] = &failures[..] else { panic!("{failures:?}") };
         assert_eq!(*episode, script.config.episode);
