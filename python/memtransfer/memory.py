@@ -22,6 +22,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -126,6 +127,25 @@ class Episode:
     """Maximum number of images in an answer."""
     text_budget: int
     """Maximum number of bytes of text in an answer."""
+    learns: bool = False
+    """Whether the memory learns from the episode. If not, the episode must not change what it answers in later ones."""
+
+
+@dataclass(frozen=True, slots=True)
+class EpisodeEnd:
+    """The end of an episode."""
+
+    episode: int
+    """Identifies the episode within the run."""
+    lane: int
+    """The lane."""
+    demonstration: int | None = None
+    """The number under which items can name the episode's steps from now on, as those of a demonstration; `None` unless
+    the memory learns from the episode."""
+    success: bool | None = None
+    """Whether the task was completed; `None` if the memory is not told."""
+    sub_goals: tuple[int, ...] | None = None
+    """The steps at which sub-goals were completed, in order; `None` if the memory is not told."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -283,8 +303,15 @@ class Memory(ABC):
         An item that does not fit into what is left of the image or text budget is dropped whole.
         """
 
-    def end_episode(self, episode: int) -> None:
-        """Called when the episode with this id is over."""
+    def end_episode(self, end: EpisodeEnd) -> None:
+        """Called when an episode is over, or was given up."""
+
+    def save(self, folder: Path) -> None:
+        """Writes what the memory has learned into an empty folder: all that `load` needs beside the demonstrations."""
+
+    def load(self, folder: Path) -> None:
+        """Restores what `save` has written. Called after `build` with the same demonstrations. From then on the memory
+        has to answer as the one that was saved."""
 
     def store_bytes(self) -> int | None:
         """Returns the size of what the memory stores, if it is known."""

@@ -78,6 +78,7 @@ impl Classes {
                     memory: class(&memories, "Memory")?,
                     demonstration: class(&memories, "Demonstration")?,
                     episode: class(&memories, "Episode")?,
+                    episode_end: class(&memories, "EpisodeEnd")?,
                     recent_step: class(&memories, "RecentStep")?,
                     served_query: class(&memories, "ServedQuery")?,
                     text: class(&memories, "Text")?,

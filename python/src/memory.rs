@@ -1,10 +1,11 @@
 //! A Python memory as the SDK sees one: banks and queries go in as Python objects, answers come back as items.
 
+use std::path::Path;
 use std::sync::Arc;
 
 use peer::memory::{
-    Demonstration, Episode, Item, Memory, MemoryDescription, MemoryError, MemoryMethod, Query,
-    Scope, Source, Step, Views,
+    Demonstration, Episode, EpisodeEnd, Item, Memory, MemoryDescription, MemoryError, MemoryMethod,
+    Query, Scope, Source, Step, Views,
 };
 use pyo3::exceptions::PyValueError;
 use pyo3::intern;
@@ -104,6 +105,7 @@ pub(crate) struct MemoryClasses {
     pub(crate) memory: Py<PyType>,
     pub(crate) demonstration: Py<PyType>,
     pub(crate) episode: Py<PyType>,
+    pub(crate) episode_end: Py<PyType>,
     pub(crate) recent_step: Py<PyType>,
     pub(crate) served_query: Py<PyType>,
     pub(crate) text: Py<PyType>,
@@ -215,9 +217,18 @@ impl Memory for PythonMemory<'_> {
             if !overrides.begin_episode {
                 return Ok(());
             }
-            let &Episode { lane, episode, instruction, seed, repeat, image_budget, text_budget } =
-                episode;
-            let values = (episode, lane, instruction, seed, repeat, image_budget, text_budget);
+            let &Episode {
+                lane,
+                episode,
+                instruction,
+                seed,
+                repeat,
+                image_budget,
+                text_budget,
+                learns,
+            } = episode;
+            let values =
+                (episode, lane, instruction, seed, repeat, image_budget, text_budget, learns);
             let episode = Classes::get(py)?.memory.episode.bind(py).call1(values)?;
             memory.call_method1(intern!(py, "begin_episode"), (episode,)).map(drop)
         })
@@ -240,14 +251,25 @@ impl Memory for PythonMemory<'_> {
         })
     }
 
-    fn end_episode(&mut self, episode: u64) {
-        // The exception is in the log, and there is no episode that it could cost.
-        let _ = self.call(|py, memory, overrides| {
+    fn end_episode(&mut self, end: &EpisodeEnd<'_>) -> Result<(), MemoryError> {
+        self.call(|py, memory, overrides| {
             if !overrides.end_episode {
                 return Ok(());
             }
-            memory.call_method1(intern!(py, "end_episode"), (episode,)).map(drop)
-        });
+            let &EpisodeEnd { lane, episode, demonstration, success, sub_goals } = end;
+            let sub_goals = sub_goals.map(|steps| PyTuple::new(py, steps)).transpose()?;
+            let values = (episode, lane, demonstration, success, sub_goals);
+            let end = Classes::get(py)?.memory.episode_end.bind(py).call1(values)?;
+            memory.call_method1(intern!(py, "end_episode"), (end,)).map(drop)
+        })
+    }
+
+    fn save(&mut self, folder: &Path) -> Result<(), MemoryError> {
+        self.call(|py, memory, _| memory.call_method1(intern!(py, "save"), (folder,)).map(drop))
+    }
+
+    fn load(&mut self, folder: &Path) -> Result<(), MemoryError> {
+        self.call(|py, memory, _| memory.call_method1(intern!(py, "load"), (folder,)).map(drop))
     }
 
     fn store_bytes(&self) -> Option<u64> {

@@ -11,8 +11,8 @@ use bytemuck::Zeroable;
 use domain::{Action, Feedback, Heading, Pose};
 use peer::ServeError;
 use peer::memory::{
-    Demonstration, Episode, Item, Memory, MemoryDescription, MemoryError, Method, Query, Scope,
-    Source, Step, Views, serve,
+    Demonstration, Episode, EpisodeEnd, Item, Memory, MemoryDescription, MemoryError, Method,
+    Query, Scope, Source, Step, Views, serve,
 };
 use shm_types::banks::{BankDemonstration, BankStep};
 use shm_types::description::memory_folder;
@@ -223,8 +223,9 @@ impl Memory for Recorder {
     }
 
     fn begin_episode(&mut self, episode: &Episode<'_>) -> Result<(), MemoryError> {
-        let Episode { lane, episode, instruction, seed, repeat, image_budget, text_budget } =
+        let Episode { lane, episode, instruction, seed, repeat, image_budget, text_budget, learns } =
             episode;
+        assert!(!learns);
         self.say(format!(
             "episode {episode} in {lane}: {instruction} seed {seed} repeat {repeat} budgets {image_budget} {text_budget}"
         ));
@@ -269,8 +270,10 @@ impl Memory for Recorder {
         }
     }
 
-    fn end_episode(&mut self, episode: u64) {
-        self.say(format!("end of {episode}"));
+    fn end_episode(&mut self, end: &EpisodeEnd<'_>) -> Result<(), MemoryError> {
+        assert_eq!(*end, EpisodeEnd::unlearned(end.lane, end.episode));
+        self.say(format!("end of {}", end.episode));
+        Ok(())
     }
 
     fn store_bytes(&self) -> Option<u64> {

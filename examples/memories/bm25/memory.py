@@ -32,8 +32,8 @@ class Bm25(Memory):
     def recall(self, query):
         return self.found[query.episode]
 
-    def end_episode(self, episode):
-        self.found.pop(episode, None)
+    def end_episode(self, end):
+        self.found.pop(end.episode, None)
 
     def store_bytes(self):
         return sum(len(note.encode()) for note in self.notes)

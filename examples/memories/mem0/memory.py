@@ -71,8 +71,8 @@ class Mem0(Memory):
     def recall(self, query):
         return self.found[query.episode]
 
-    def end_episode(self, episode):
-        self.found.pop(episode, None)
+    def end_episode(self, end):
+        self.found.pop(end.episode, None)
 
 
 run(Mem0)

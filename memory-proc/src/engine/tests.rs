@@ -11,6 +11,7 @@ use super::*;
 
 mod external;
 mod rig;
+mod streams;
 mod supplied;
 
 #[test]
@@ -212,7 +213,7 @@ proptest! {
     #[test]
     fn no_order_of_events_changes_an_answer(
         episodes in prop::collection::vec(
-            (0..100_u32, 0..6_usize, 0..6_usize, 0..SETS.len(), 0..2_u8, 0..60_u8), 1..7
+            (0..100_u32, 0..6_usize, 0..7_usize, 0..SETS.len(), 0..2_u8, 0..60_u8), 1..7
         ),
         lanes in 1..4_u32,
         choices in prop::collection::vec(any::<usize>(), 0..600),

@@ -170,8 +170,8 @@ pub const KEYS: &[Key] = keys! {
         "The command that starts your own policy, for example \"python my_policy.py\"; implies \
          --policy external";
     "memory" "LIST" List(is_memory),
-        "Memories: working, full-context, summary, semantic, hybrid, episodic, adaptive; external for one of \
-         your own that you start yourself (the run prints how); none for external ones only";
+        "Memories: working, full-context, summary, semantic, hybrid, episodic, adaptive; external \
+         for one of your own that you start yourself (the run prints how); none for external ones only";
     "memory-cmd" "COMMAND" Repeated(is_command),
         "The command that starts a memory of your own, for example \"python my_memory.py\"; it runs \
          beside those of --memory, under the name that it tells. Can be repeated, up to 8 times";

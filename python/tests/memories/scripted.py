@@ -80,8 +80,8 @@ class Checks(Scripted):
             Steps(0, count=None, views=[0, 2]),
         ]
 
-    def end_episode(self, episode):
-        del self.episodes[episode]
+    def end_episode(self, end):
+        del self.episodes[end.episode]
 
     def store_bytes(self):
         return 1234

@@ -141,7 +141,7 @@ fn fail(record: &mut EpisodeRecord, chance: i64) {
 }
 
 fn likely(condition: &Condition) -> i64 {
-    use Representation::{Episodic, FullContext, Hybrid, Semantic, Summary, Working};
+    use Representation::{Adaptive, Episodic, FullContext, Hybrid, Semantic, Summary, Working};
     let original = condition.start == Start::Original;
     let exact = original && condition.demonstrations == Demonstrations::ORIGINAL;
     let MemoryKind::BuiltIn(representation) = condition.memory else {
@@ -154,8 +154,8 @@ fn likely(condition: &Condition) -> i64 {
         Summary => 55,
         Semantic => 32,
         Hybrid => 52,
-        Episodic if exact => 120,
-        Episodic => 70,
+        Episodic | Adaptive if exact => 120,
+        Episodic | Adaptive => 70,
     };
     let blocked = if condition.route == Route::Blocked { 24 } else { 0 };
     let images = if condition.variation.segment == SegmentContent::Images { 60 } else { 0 };

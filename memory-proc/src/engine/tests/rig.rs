@@ -7,7 +7,7 @@ use shm_types::documents::Content;
 use shm_types::message::{
     ItemKind, NO_ACTION, NO_FRAME, RecalledItem, RecalledSource, SegmentStep, ViewRequestKind,
 };
-use warehouse::{CaseSet, Demonstrations, History, Start};
+use warehouse::{CaseSet, Demonstrations, History, Start, Warehouse};
 
 use super::super::*;
 use crate::external::{ExternalLimits, ExternalMemories};
