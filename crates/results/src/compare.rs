@@ -20,6 +20,15 @@ pub enum CompareError {
         /// The other.
         b: String,
     },
+    /// Episodes of streams are not independent of each other, so their cases are no pairs.
+    #[error(
+        "{run} consists of streams, whose episodes cannot be paired case by case; `memtransfer score {run}` compares its \
+         conditions by stream"
+    )]
+    OfStreams {
+        /// The run's folder.
+        run: String,
+    },
     /// The same case ids mean different things.
     #[error(
         "{a} and {b} were run on different {what}, so their cases cannot be paired; run one of them again \
@@ -43,7 +52,7 @@ pub fn compare_conditions(
     a: (&RunLog, &str),
     b: (&RunLog, &str),
 ) -> Result<Comparison, CompareError> {
-    same_world(a.0, b.0)?;
+    can_be_paired(a.0, b.0)?;
     let (first, second) = (trials(a)?, trials(b)?);
     let same_run = std::ptr::eq(a.0, b.0);
     let name = |(log, name): (&RunLog, &str)| {
@@ -66,7 +75,7 @@ fn trials<'a>((log, name): (&'a RunLog, &str)) -> Result<Trials<'a>, UnknownName
 /// # Errors
 /// When they have none in common.
 pub fn compare_runs(a: &RunLog, b: &RunLog) -> Result<Vec<Comparison>, CompareError> {
-    same_world(a, b)?;
+    can_be_paired(a, b)?;
     let (name_a, name_b) = (run_name(a), run_name(b));
     let (trials_a, trials_b) = (Trials::by_condition(a), Trials::by_condition(b));
     let compared = trials_a.iter().filter_map(|(condition, first)| {
@@ -91,8 +100,11 @@ pub fn differing_settings(a: &RunLog, b: &RunLog) -> Vec<Difference> {
     differences
 }
 
-/// Whether cases with the same id are the same in both runs.
-fn same_world(a: &RunLog, b: &RunLog) -> Result<(), CompareError> {
+/// Whether cases with the same id are the same in both runs, and each episode stands for itself.
+fn can_be_paired(a: &RunLog, b: &RunLog) -> Result<(), CompareError> {
+    if let Some(log) = [a, b].into_iter().find(|log| log.manifest.settings.stream.is_some()) {
+        return Err(CompareError::OfStreams { run: log.dir.display().to_string() });
+    }
     let hash = |log: &RunLog, what: &str| log.manifest.hashes.get(what).cloned();
     for what in ["layout", "catalogue", "cases"] {
         if hash(a, what) != hash(b, what) {
@@ -112,7 +124,7 @@ pub fn run_name(log: &RunLog) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::log::testing::{log, record};
+    use crate::log::testing::{log, record, stream_log, stream_record};
 
     #[test]
     fn settings_that_differ_are_named_with_both_values() {
@@ -133,5 +145,8 @@ mod tests {
         ");
         let compared = compare_runs(&a, &b).unwrap();
         assert_eq!((compared[0].sr.a, compared[0].sr.b, compared[0].sr.mean), (100.0, 0.0, 100.0));
+        let streams = stream_log(vec![stream_record("a", true)], [2, 1, 2]);
+        let error = compare_runs(&a, &streams).unwrap_err();
+        insta::assert_snapshot!(error, @"run consists of streams, whose episodes cannot be paired case by case; `memtransfer score run` compares its conditions by stream");
     }
 }

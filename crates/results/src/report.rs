@@ -112,6 +112,7 @@ fn arrange(views: &[ScoredRun<'_>]) -> Document {
 /// | `tables/` | each table as it is printed, as CSV |
 /// | `conditions.csv`, `conditions.parquet` | a row for each condition with every figure, in full |
 /// | `episodes.csv`, `episodes.parquet` | a row for each episode |
+/// | `streams.csv`, `streams.parquet` | of streams: a row for each condition with every figure, in full |
 ///
 /// # Errors
 /// When an operation of the system fails.
@@ -132,9 +133,12 @@ pub fn write(logs: &[RunLog], dir: &Path) -> Result<PathBuf, ReportError> {
             csv::write_table(table, file).map_err(io::Error::other)
         })?;
     }
-    for (name, frame) in
-        [("conditions", data::conditions(&views)), ("episodes", data::episodes_frame(logs))]
-    {
+    let mut frames =
+        vec![("conditions", data::conditions(&views)), ("episodes", data::episodes_frame(logs))];
+    if views.iter().any(|view| view.scores.streams.is_some()) {
+        frames.push(("streams", data::streams(&views)));
+    }
+    for (name, frame) in frames {
         out.stream(&format!("{name}.csv"), |file| {
             csv::write_frame(&frame, file).map_err(io::Error::other)
         })?;

@@ -19,6 +19,10 @@
 //! | time of a step by stage, steps per second | `time.rs` |
 //! | 95 % intervals: of rates, of other figures | `interval.rs`, `bootstrap.rs` |
 //! | two configurations on the same cases | `compare.rs` |
+//! | streams | `streams.rs` |
+//!
+//! Episodes of streams enter the figures of their streams, and those of requests, memories and time. All other figures
+//! are of the other episodes.
 
 mod blocked;
 mod bootstrap;
@@ -30,6 +34,7 @@ mod interval;
 mod memory;
 mod requests;
 mod spread;
+mod streams;
 mod success;
 mod time;
 mod trial;
@@ -44,6 +49,10 @@ pub use interval::Interval;
 pub use memory::MemoryScore;
 pub use requests::RequestScore;
 pub use spread::Spread;
+pub use streams::{
+    Estimate, Necessity, NecessitySuccess, OrderScore, RoundScore, StreamCost, StreamDifference,
+    StreamScore, StreamScores,
+};
 pub use success::{GroupScore, group_of};
 pub use time::StageTimes;
 pub use trial::{Trials, path_weight};
@@ -72,6 +81,9 @@ pub struct Scores {
     /// Requests to the model; absent when there were none.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub requests: Option<RequestScore>,
+    /// The run's streams; absent when there are none.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub streams: Option<StreamScores>,
 }
 
 impl Scores {
@@ -91,7 +103,9 @@ pub fn score(log: &RunLog) -> Scores {
     let timings: BTreeMap<&str, &EpisodeTimings> =
         log.timings.iter().map(|timings| (timings.key.as_str(), timings)).collect();
     let trials = Trials::by_condition(log);
-    let planned = planned(&log.manifest);
+    let streams = streams::score(log, &timings);
+    // The manifest counts the episodes of streams, too, so beside them it says nothing about a condition.
+    let planned = if streams.is_some() { BTreeMap::new() } else { planned(&log.manifest) };
     let scored = trials.iter().filter_map(|(condition, trials)| {
         let planned = planned.get(condition).copied().unwrap_or(0);
         condition::score_condition(*condition, trials, planned, &timings)
@@ -105,6 +119,7 @@ pub fn score(log: &RunLog) -> Scores {
         errored: log.errors.len(),
         steps_per_s: time::steps_per_s(&log.timings),
         requests: RequestScore::of_run(log),
+        streams,
     }
 }
 

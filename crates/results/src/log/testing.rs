@@ -10,7 +10,9 @@ use super::{
 };
 use crate::conditions::{Condition, Demonstrations, Frames, PolicyKind, Route, Start, Variation};
 use crate::key::{EpisodeKey, Order};
-use crate::settings::{CaseSelector, DocumentSource, Group, RunSettings, SuiteName};
+use crate::settings::{
+    CaseSelector, DocumentSource, Group, RunSettings, StreamSettings, SuiteName,
+};
 
 /// The manifest of a run with every setting at its default.
 pub fn manifest() -> Manifest {
@@ -164,6 +166,77 @@ pub fn stream_record(case: &str, success: bool) -> EpisodeRecord {
     record.key = EpisodeKey { condition: record.condition(), run: 1, place, case: case.to_owned() }
         .to_string();
     record
+}
+
+/// A whole sequence: an evaluation of all `blocks`, and for each one round of learning and another evaluation. A block is
+/// its number as drawn and its cases. `outcome` says which episodes succeed.
+pub fn sequence(
+    (condition, run): (Condition, u32),
+    (stream, order): (u32, Order),
+    blocks: &[(u32, &[&str])],
+    rounds: u32,
+    outcome: impl Fn(&StreamRecord, &str) -> bool,
+) -> Vec<EpisodeRecord> {
+    let mut episodes = Vec::new();
+    let mut add = |place: usize, after: usize, round: Option<u32>| {
+        let (block, cases) = blocks[place];
+        for case in cases {
+            let learns = condition.arm == Arm::Learning && round.is_some();
+            let place = StreamRecord {
+                stream,
+                order,
+                position: episodes.len() as u32,
+                block,
+                place: place as u32,
+                after: after as u32,
+                round,
+                feedback: FeedbackLevel::Success,
+                world: block,
+                invalidated: block > 0,
+                retrievals: 2,
+                stale: u32::from(block > 0),
+                snapshot: learns.then(|| "0123456789abcdef".repeat(2)),
+                store_bytes: Some(1000 * (1 + after as u64)),
+            };
+            let key_place = Some(place.key_place());
+            let key = EpisodeKey { condition, run, place: key_place, case: (*case).to_owned() };
+            episodes.push(EpisodeRecord {
+                key: key.to_string(),
+                memory: condition.memory,
+                start: condition.start,
+                route: condition.route,
+                demonstrations: condition.demonstrations,
+                arm: condition.arm,
+                run,
+                stream: Some(place.clone()),
+                ..record(case, outcome(&place, case))
+            });
+        }
+    };
+    (0..blocks.len()).for_each(|place| add(place, 0, None));
+    for learned in 0..blocks.len() {
+        (1..=rounds).for_each(|round| add(learned, learned, Some(round)));
+        (0..blocks.len()).for_each(|place| add(place, learned + 1, None));
+    }
+    episodes
+}
+
+/// The log of a run of streams, each of `blocks` blocks with `cases` cases, each learned `rounds` times.
+pub fn stream_log(episodes: Vec<EpisodeRecord>, [blocks, cases, rounds]: [u32; 3]) -> RunLog {
+    let streams = episodes.iter().filter_map(|record| Some(record.stream.as_ref()?.stream + 1));
+    let stream = StreamSettings {
+        streams: streams.max().unwrap_or(0),
+        blocks,
+        cases_per_block: cases,
+        rounds,
+        events: Vec::new(),
+        orders: Order::ALL.to_vec(),
+        feedback: FeedbackLevel::Success,
+        evaluate: true,
+    };
+    let mut log = log(episodes);
+    log.manifest.settings.stream = Some(stream);
+    log
 }
 
 /// Timings that go with `record`: every step spends 1 us in each stage.

@@ -7,8 +7,12 @@ use super::view::ScoredRun;
 use crate::compare::run_name;
 use crate::conditions::Condition;
 use crate::key::EpisodeKey;
-use crate::log::{EpisodeError, EpisodeRecord, EpisodeTimings, RecallTotals, RunLog, Stages};
-use crate::score::{ConditionScore, Derived, Failure, Spread, group_of, path_weight};
+use crate::log::{
+    EpisodeError, EpisodeRecord, EpisodeTimings, RecallTotals, RunLog, Stages, StreamRecord,
+};
+use crate::score::{
+    ConditionScore, Derived, Estimate, Failure, Spread, StreamScore, group_of, path_weight,
+};
 
 /// An episode of a run: finished, or given up.
 #[derive(Debug)]
@@ -136,6 +140,7 @@ pub fn episodes_frame(logs: &[RunLog]) -> Frame {
             _ => None,
         });
     }
+    add_stream(&mut frame, |row| of(row)?.stream.as_ref());
     for (index, stage) in Stages::NAMES.into_iter().enumerate() {
         frame.real(format!("{stage}_us"), |(_, episode)| match episode {
             EpisodeRow::Finished(_, Some(timings)) => {
@@ -262,4 +267,78 @@ fn add_condition<T>(frame: &mut FrameBuilder<'_, T>, of: impl Fn(&T) -> Option<C
     frame.whole("window", |row| Some(of(row)?.variation.window.into()));
     frame.text("segment", |row| Some(of(row)?.variation.segment.to_string()));
     frame.text("hint", |row| Some(of(row)?.variation.hint.to_string()));
+    frame.text("arm", |row| Some(of(row)?.arm.word().to_owned()));
+}
+
+/// The columns that say where in a stream an episode stands, all absent outside of streams.
+fn add_stream<T>(frame: &mut FrameBuilder<'_, T>, of: impl Fn(&T) -> Option<&StreamRecord>) {
+    frame.whole("stream", |row| Some(of(row)?.stream.into()));
+    frame.text("order", |row| Some(of(row)?.order.word().to_owned()));
+    frame.text("feedback", |row| Some(of(row)?.feedback.word().to_owned()));
+    type Count = fn(&StreamRecord) -> Option<u64>;
+    let counts: [(&str, Count); 9] = [
+        ("position", |stream| Some(stream.position.into())),
+        ("block", |stream| Some(stream.block.into())),
+        ("place", |stream| Some(stream.place.into())),
+        ("blocks_learned", |stream| Some(stream.after.into())),
+        ("round", |stream| stream.round.map(u64::from)),
+        ("world", |stream| Some(stream.world.into())),
+        ("retrievals", |stream| Some(stream.retrievals.into())),
+        ("stale", |stream| Some(stream.stale.into())),
+        ("stored_bytes", |stream| stream.store_bytes),
+    ];
+    for (name, count) in counts {
+        frame.whole(name, |row| i64::try_from(count(of(row)?)?).ok());
+    }
+    frame.flag("invalidated", |row| Some(of(row)?.invalidated));
+    frame.text("snapshot", |row| of(row)?.snapshot.clone());
+}
+
+/// A row for each condition of the runs' streams, with every figure.
+pub(super) fn streams(views: &[ScoredRun<'_>]) -> Frame {
+    let rows: Vec<(&ScoredRun<'_>, &StreamScore)> = views
+        .iter()
+        .filter_map(|view| Some((view, view.scores.streams.as_ref()?)))
+        .flat_map(|(view, streams)| streams.conditions.iter().map(move |score| (view, score)))
+        .collect();
+    let mut frame = FrameBuilder::new(&rows);
+    frame.text("log", |(view, _)| Some(run_name(view.log)));
+    frame.text("policy", |(view, _)| Some(view.log.manifest.settings.policy.to_string()));
+    frame.text("condition", |(_, score)| Some(score.condition.to_string()));
+    add_condition(&mut frame, |(_, score)| Some(score.condition));
+    frame.whole("streams", |(_, score)| Some(score.streams as i64));
+    frame.whole("sequences", |(_, score)| Some(score.sequences as i64));
+    frame.whole("planned", |(_, score)| Some(score.planned as i64));
+    type Figure = fn(&StreamScore) -> Option<Estimate>;
+    let figures: [(&str, Figure); 14] = [
+        ("success", |score| score.success),
+        ("before_events", |score| score.before),
+        ("after_events", |score| score.after),
+        ("acc", |score| score.average),
+        ("bwt", |score| score.backward),
+        ("fwt", |score| score.forward),
+        ("forgetting", |score| score.forgetting),
+        ("regret", |score| score.regret),
+        ("lag", |score| score.lag),
+        ("adapted", |score| score.adapted),
+        ("stale", |score| score.stale),
+        ("stale_after_events", |score| score.stale_after),
+        ("order_range", |score| score.order_spread),
+        ("order_range_acc", |score| score.order_spread_average),
+    ];
+    for (name, figure) in figures {
+        frame.real(name, |(_, score)| Some(figure(score)?.mean));
+        frame.real(format!("{name}_low"), |(_, score)| Some(figure(score)?.interval?.low));
+        frame.real(format!("{name}_high"), |(_, score)| Some(figure(score)?.interval?.high));
+        frame.whole(format!("{name}_streams"), |(_, score)| Some(figure(score)?.streams as i64));
+    }
+    let most = rows.iter().map(|(_, score)| score.matrix.len()).max().unwrap_or(0);
+    for learned in 0..most {
+        for block in 1..most {
+            frame.real(format!("r_{learned}_{block}"), |(_, score)| {
+                *score.matrix.get(learned)?.get(block - 1)?
+            });
+        }
+    }
+    frame.finish()
 }

@@ -4,10 +4,12 @@
 //! gray, and a number that the legend explains. Ink and paper are classes that take the colors of the page, with black
 //! and white as attributes where there is no style sheet.
 
+mod course;
 mod curves;
 mod dots;
 mod stack;
 
+pub(super) use course::{Course, CourseCurve, course};
 pub use curves::{Curve, Curves, curves};
 pub(super) use dots::{Dot, DotRow, Dots, dots};
 pub use stack::{Stack, StackRow, stack};
@@ -138,6 +140,14 @@ impl Svg {
     fn line(&mut self, points: &[(i32, i32)], stroke: Stroke) {
         let (points, stroke) = (coordinates(points), stroke.attributes());
         self.element(format_args!(r#"<polyline points="{points}" fill="none" {stroke}/>"#));
+    }
+
+    /// A dashed gray line.
+    fn dashed(&mut self, points: [(i32, i32); 2]) {
+        let (points, stroke) = (coordinates(&points), Stroke::Gray.attributes());
+        self.element(format_args!(
+            r#"<polyline points="{points}" fill="none" {stroke} stroke-dasharray="6 4"/>"#
+        ));
     }
 
     fn circle(&mut self, (x, y): (i32, i32), paint: Paint) {

@@ -13,6 +13,7 @@ mod overview;
 mod pairs;
 mod provenance;
 mod runs;
+mod streams;
 mod supplied;
 mod time;
 mod transfer;
@@ -28,6 +29,10 @@ pub(super) use conditions::conditions_table;
 pub(super) use cost::requests_table;
 pub(super) use failures::{failures_table, worst_table};
 pub(super) use overview::{notices, steps_per_second};
+pub(super) use streams::{
+    adaptation_table, differences_table, incomplete, necessity_table, orders_table, success_table,
+    transfer_table,
+};
 pub(super) use supplied::supplied_table;
 pub(super) use time::time_table;
 
@@ -50,7 +55,8 @@ const PARTS: [Part; 13] = [
     ("pairs", "Paired comparisons", pairs::blocks),
 ];
 
-/// All sections about the run. Those without any figure of the run are named in one line of the first section.
+/// All sections about the run. Those of the paper without any figure of the run are named in one line of the first section,
+/// except where all its episodes are of streams.
 pub(super) fn sections(view: &ScoredRun<'_>) -> Vec<Section> {
     let mut sections = Vec::new();
     let mut not_run = Vec::new();
@@ -62,10 +68,15 @@ pub(super) fn sections(view: &ScoredRun<'_>) -> Vec<Section> {
             not_run.push(title);
         }
     }
-    if let (Some(first), false) = (sections.first_mut(), not_run.is_empty()) {
+    let is_of_streams = view.scores.streams.is_some() && view.scores.conditions.is_empty();
+    let is_silent = not_run.is_empty() || is_of_streams;
+    if let (Some(first), false) = (sections.first_mut(), is_silent) {
         let text = format!("This run has no conditions for: {}.", not_run.join("; "));
         first.blocks.push(Block::Text(text));
     }
+    // After the overview.
+    let at = sections.len().min(1);
+    sections.splice(at..at, streams::sections(view));
     sections
 }
 

@@ -5,8 +5,9 @@ use std::fmt::Write;
 use super::document::{Cell, Table};
 use super::published::Published;
 use super::sections::{
-    blocked_table, conditions_table, failures_table, notices, requests_table, steps_per_second,
-    supplied_table, time_table, worst_table,
+    adaptation_table, blocked_table, conditions_table, differences_table, failures_table,
+    incomplete, necessity_table, notices, orders_table, requests_table, steps_per_second,
+    success_table, supplied_table, time_table, transfer_table, worst_table,
 };
 use super::view::{ScoredRun, interval_text, p_value, signed};
 use crate::compare::{differing_settings, run_name};
@@ -29,7 +30,19 @@ pub fn summary(log: &RunLog) -> String {
     }
     let mut text = String::new();
     for (title, table) in [
-        ("", Some(conditions_table(&view))),
+        ("", conditions_table(&view).pruned()),
+        ("Streams: success of learning episodes, %", success_table(&view)),
+        ("Streams: paired differences, percentage points", differences_table(&view)),
+        (
+            "Streams: average success, backward and forward transfer, forgetting",
+            transfer_table(&view),
+        ),
+        (
+            "Streams: adaptation lag in episodes, blocks adapted, stale sources",
+            adaptation_table(&view),
+        ),
+        ("Streams: orders", orders_table(&view)),
+        ("Streams: cases that need memory", necessity_table(&view)),
         (
             "Blocked routes: change against working memory, retention, follow, recovery",
             blocked_table(&view),
@@ -46,17 +59,27 @@ pub fn summary(log: &RunLog) -> String {
             let _ = writeln!(text, "{title}{}\n", in_text(&table));
         }
     }
-    for line in notices(&view).into_iter().chain(closing(&view)) {
+    for line in notices(&view).into_iter().chain(incomplete(&view)).chain(closing(&view)) {
         text += &wrapped(&line);
     }
     text
 }
 
 fn closing(view: &ScoredRun<'_>) -> Vec<String> {
-    let mut lines = vec![
-        "N: finished episodes. SR: mean ± standard deviation over runs; CI: Wilson's interval over cases."
-            .to_owned(),
-    ];
+    let mut lines = Vec::new();
+    if !view.scores.conditions.is_empty() {
+        lines.push(
+            "N: finished episodes. SR: mean ± standard deviation over runs; CI: Wilson's interval over cases."
+                .to_owned(),
+        );
+    }
+    if view.scores.streams.is_some() {
+        lines.push(
+            "Streams: means over the sequences of a stream, then over streams; brackets: 95 % bootstrap over streams. \
+             docs/streams.md defines the figures."
+                .to_owned(),
+        );
+    }
     if let Some(rate) = view.scores.steps_per_s {
         let lanes = view.log.manifest.settings.lanes;
         lines.push(format!("Speed: {} steps/s with {lanes} lanes.", steps_per_second(rate)));
@@ -70,8 +93,11 @@ fn closing(view: &ScoredRun<'_>) -> Vec<String> {
 fn in_text(from: &Table) -> TextTable {
     let is_paired = from.groups.iter().flat_map(|group| &group.rows).any(|row| row.published);
     let stubs = if is_paired { &from.stubs[..1] } else { &from.stubs[..] };
-    let columns = from.columns.iter().map(|column| &column.name);
-    let header: Vec<&String> = stubs.iter().chain(columns).collect();
+    let columns = from.columns.iter().map(|column| match column.over.as_str() {
+        "" => column.name.clone(),
+        over => format!("{over}\n{}", column.name),
+    });
+    let header: Vec<String> = stubs.iter().cloned().chain(columns).collect();
     let mut to = table(&header, stubs.len());
     for (index, _) in from.columns.iter().enumerate().filter(|(_, column)| column.is_text) {
         to.set_text(stubs.len() + index);

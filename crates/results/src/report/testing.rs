@@ -1,12 +1,14 @@
-//! A made-up run of the whole paper suite, as plausible as a hash of names can make it.
+//! Made-up runs of the whole paper suite and of streams, as plausible as a hash of names can make them.
 
-use domain::{Action, Heading, MemoryKind, Pose, Representation};
+use domain::{Action, Arm, Heading, MemoryKind, Pose, Representation};
 
 use crate::conditions::{Condition, Demonstrations, Route, SegmentContent, Start, Variation};
 use crate::events::{Requirement, Visit};
-use crate::key::EpisodeKey;
-use crate::log::testing::{log, record, settings};
-use crate::log::{Ending, EpisodeRecord, ExternalMemoryFacts, RecallTotals, RunLog, Unread};
+use crate::key::{EpisodeKey, Order};
+use crate::log::testing::{log, record, sequence, settings, stream_log};
+use crate::log::{
+    Ending, EpisodeRecord, ExternalMemoryFacts, RecallTotals, RunLog, StreamRecord, Unread,
+};
 use crate::settings::{Group, RunSettings};
 
 /// Every condition of the shipped suite `paper`, each with its number of runs.
@@ -172,4 +174,64 @@ fn hash(key: &EpisodeKey, change: impl Fn(&mut EpisodeKey)) -> u64 {
     (key.condition.start, key.condition.route) = (Start::New, Route::Unchanged);
     let hash = blake3::hash(key.to_string().as_bytes());
     u64::from_le_bytes(*hash.as_bytes().first_chunk().unwrap())
+}
+
+/// A made-up run of four streams in three orders: no memory, and the arms of Episodic and Adaptive.
+pub(crate) fn made_up_streams() -> RunLog {
+    const CASES: [&str; 4] = ["t01-01", "t02-03", "t03-07", "t09-02"];
+    let blocks: Vec<(u32, &[&str])> = (0..4).map(|block| (block, &CASES[..])).collect();
+    let order = |order| match order {
+        Order::Drawn => blocks.clone(),
+        Order::Reversed => blocks.iter().rev().copied().collect(),
+        Order::Shuffled => [2, 0, 3, 1].map(|block| blocks[block]).to_vec(),
+    };
+    let mut conditions = vec!["working/new/unchanged/none".to_owned()];
+    for memory in ["episodic", "adaptive"] {
+        let learning = if memory == "adaptive" { "/learning" } else { "" };
+        for arm in ["", learning, "/oracle", "/wrong"] {
+            conditions.push(format!("{memory}/new/unchanged/original{arm}"));
+        }
+    }
+    conditions.dedup();
+    let mut episodes = Vec::new();
+    for name in conditions {
+        let condition = Condition::logged(&name).unwrap();
+        for (stream, of) in (0..4).flat_map(|stream| Order::ALL.map(|of| (stream, of))) {
+            let succeeds = |at: &StreamRecord, case: &str| {
+                let place = format!("{stream} {} {case}", at.block);
+                let luck = blake3::hash(place.as_bytes()).as_bytes()[0] % 60;
+                let own = blake3::hash(format!("{name} {place} {}", at.position).as_bytes());
+                let chance = i64::from(luck) + i64::from(own.as_bytes()[0] % 40);
+                let learned = 8 * i64::from(at.after * 3 + at.round.unwrap_or(0));
+                let changed = if at.block > 0 { 45 } else { 0 };
+                chance
+                    < match (condition.memory.uses_demonstrations(), condition.arm) {
+                        (false, _) => 25,
+                        (true, Arm::Frozen) => 85 - changed,
+                        (true, Arm::Learning) => 85 - (changed - learned.min(40)).max(0),
+                        (true, Arm::Oracle) => 92,
+                        (true, Arm::Wrong) => 20,
+                    }
+            };
+            episodes.extend(sequence((condition, 1), (stream, of), &order(of), 3, succeeds));
+        }
+    }
+    for record in episodes.iter_mut().filter(|record| !record.memory.uses_demonstrations()) {
+        let stream = record.stream.as_mut().unwrap();
+        (stream.retrievals, stream.stale, stream.store_bytes) = (0, 0, None);
+    }
+    let mut log = stream_log(episodes, [4, 4, 3]);
+    let group = &mut log.manifest.settings.groups[0];
+    group.memory = vec![
+        Representation::Working.into(),
+        Representation::Episodic.into(),
+        Representation::Adaptive.into(),
+    ];
+    (group.starts, group.arms) = (vec![Start::New], Arm::ALL.to_vec());
+    log.dir = "runs/made-up-streams".into();
+    for (timings, record) in log.timings.iter_mut().zip(&log.episodes) {
+        timings.recalls.requests = record.steps;
+        timings.stages.search *= 20 + 3 * u64::from(record.stream.as_ref().unwrap().after);
+    }
+    log
 }

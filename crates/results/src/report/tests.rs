@@ -1,6 +1,6 @@
 //! The report of a made-up run, and that it is complete.
 
-use super::testing::{made_up, paper_conditions};
+use super::testing::{made_up, made_up_streams, paper_conditions};
 use super::*;
 use crate::conditions::{Condition, PolicyKind};
 use crate::log::EpisodeRecord;
@@ -260,4 +260,44 @@ fn cases_that_fail_are_named() {
     let rows = &table.groups[0].rows;
     assert!((1..=10).contains(&rows.len()));
     assert!(rows[0].label.starts_with('t') && rows[0].cells[3].text().ends_with(&rows[0].label));
+}
+
+#[test]
+fn a_run_of_streams_has_its_own_sections_and_no_row_in_the_others() {
+    let mut log = made_up_streams();
+    let lost = log.episodes.pop().unwrap();
+    let document = document(std::slice::from_ref(&log), &published());
+    let titles: Vec<&str> =
+        document.sections.iter().map(|section| section.title.as_str()).collect();
+    insta::assert_snapshot!(titles.join("\n"), @"
+    What was run
+    Streams
+    Streams: what is kept and what carries over
+    Streams: adaptation, stale reuse and orders
+    Streams: cost against size
+    Streams: cases that need memory
+    What memory supplied
+    Time by stage
+    Definitions
+    Provenance
+    ");
+    let ids: Vec<&str> = document.tables().map(|table| table.id.as_str()).collect();
+    insta::assert_snapshot!(ids.join(" "), @"facts stream-success stream-differences stream-transfer stream-matrix stream-adaptation stream-orders stream-cost necessity supplied time provenance");
+    for table in document.tables() {
+        for row in table.groups.iter().flat_map(|group| &group.rows) {
+            assert_eq!(row.cells.len(), table.columns.len(), "{}: {}", table.id, row.label);
+        }
+    }
+    let notice = document.sections[1].blocks.first();
+    let expected = "Streams: 1 of 96 sequences are not complete and enter no figure; the same command continues the run.";
+    assert_eq!(notice, Some(&Block::Notice(expected.to_owned())));
+    let summary = summary(&log);
+    insta::assert_snapshot!("summary_of_streams", summary);
+    let wide = summary.lines().find(|line| line.chars().count() > 100);
+    assert_eq!(wide, None);
+    log.episodes.push(lost);
+    let dir = tempfile::tempdir().unwrap();
+    write(std::slice::from_ref(&log), dir.path()).unwrap();
+    let rows = fs::read_to_string(dir.path().join("streams.csv")).unwrap();
+    assert_eq!(rows.lines().count(), 1 + 8);
 }

@@ -8,7 +8,7 @@ use super::spread::Spread;
 use crate::conditions::Condition;
 use crate::log::{EpisodeRecord, RunLog};
 
-/// All finished episodes of one condition, ordered by case and run.
+/// All finished episodes of one condition outside of streams, ordered by case and run.
 #[derive(Debug, Clone, Default)]
 pub struct Trials<'a> {
     list: Vec<&'a EpisodeRecord>,
@@ -18,7 +18,7 @@ impl<'a> Trials<'a> {
     /// The episodes of each condition that has one in `log`.
     pub fn by_condition(log: &'a RunLog) -> BTreeMap<Condition, Self> {
         let mut trials: BTreeMap<Condition, Self> = BTreeMap::new();
-        for record in &log.episodes {
+        for record in log.episodes.iter().filter(|record| record.stream.is_none()) {
             trials.entry(record.condition()).or_default().list.push(record);
         }
         for Self { list } in trials.values_mut() {

@@ -24,10 +24,10 @@ pub struct CaseScore {
     pub example: String,
 }
 
-/// The cases with a failed episode, those with the largest share of failures first, at most `most`.
+/// The cases with a failed episode outside of streams, those with the largest share of failures first, at most `most`.
 pub fn worst_cases(log: &RunLog, most: usize) -> Vec<CaseScore> {
     let mut by_case: BTreeMap<&str, Vec<&EpisodeRecord>> = BTreeMap::new();
-    for record in &log.episodes {
+    for record in log.episodes.iter().filter(|record| record.stream.is_none()) {
         by_case.entry(&record.case).or_default().push(record);
     }
     let mut cases: Vec<CaseScore> =

@@ -49,10 +49,19 @@ impl StreamSettings {
 
     /// The episodes of one condition in one repetition: all streams in all orders.
     pub fn all_episodes(&self) -> usize {
+        self.sequence_episodes() * self.sequences()
+    }
+
+    /// The episodes of one sequence.
+    pub fn sequence_episodes(&self) -> usize {
         let evaluations = if self.evaluate { self.blocks + 1 } else { 0 };
         let cases = self.blocks * self.cases_per_block;
-        let each = (cases * (self.rounds + evaluations)) as usize;
+        (cases * (self.rounds + evaluations)) as usize
+    }
+
+    /// The sequences of one condition in one repetition.
+    pub fn sequences(&self) -> usize {
         let orders: BTreeSet<Order> = self.orders.iter().copied().collect();
-        each * self.streams as usize * orders.len()
+        self.streams as usize * orders.len()
     }
 }

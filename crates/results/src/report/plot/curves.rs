@@ -85,15 +85,10 @@ pub fn curves(plot: &Curves) -> Figure {
     let up = Scale::over(all().map(|(_, y)| y), bottom, top);
     let mut svg = Svg::new(bottom + BOTTOM);
     draw_axes(&mut svg, plot, &across, &up);
-    let mut shapes = 0..;
-    for (place, (curve, points)) in shown.iter().enumerate() {
-        let shape = if curve.is_bound { None } else { shapes.next() };
-        let (x, y) = (
-            AXIS + 360 * (place % LEGEND_COLUMNS) as i32,
-            TOP + LEGEND_ROW * (place / LEGEND_COLUMNS) as i32,
-        );
-        draw_curve(&mut svg, &[(x, y), (x + 28, y)], shape);
-        svg.text(&curve.name, (x + 40, y), TextAnchor::After, TextStyle::Plain);
+    let names: Vec<(&str, bool)> =
+        shown.iter().map(|(curve, _)| (curve.name.as_str(), curve.is_bound)).collect();
+    let (shapes, _) = legend(&mut svg, &names);
+    for ((_, points), shape) in shown.iter().zip(shapes) {
         let pixels: Vec<(i32, i32)> =
             points.iter().map(|(x, y)| (across.at(*x), up.at(*y))).collect();
         draw_curve(&mut svg, &pixels, shape);
@@ -124,8 +119,26 @@ fn draw_axes(svg: &mut Svg, plot: &Curves, across: &Scale, up: &Scale) {
     svg.text(&plot.up, (8, top - 12), TextAnchor::After, TextStyle::Faint);
 }
 
+/// Draws the names of curves, each with whether it is a bound. Returns their shapes, none for a bound, and the bottom of
+/// the legend.
+pub(super) fn legend(svg: &mut Svg, names: &[(&str, bool)]) -> (Vec<Option<usize>>, i32) {
+    let mut next = 0..;
+    let mut shapes = Vec::new();
+    for (place, (name, is_bound)) in names.iter().enumerate() {
+        let shape = if *is_bound { None } else { next.next() };
+        let (x, y) = (
+            AXIS + 360 * (place % LEGEND_COLUMNS) as i32,
+            TOP + LEGEND_ROW * (place / LEGEND_COLUMNS) as i32,
+        );
+        draw_curve(svg, &[(x, y), (x + 28, y)], shape);
+        svg.text(name, (x + 40, y), TextAnchor::After, TextStyle::Plain);
+        shapes.push(shape);
+    }
+    (shapes, TOP + LEGEND_ROW * names.len().div_ceil(LEGEND_COLUMNS) as i32)
+}
+
 /// Draws a curve with its points; a bound, which has no shape, without.
-fn draw_curve(svg: &mut Svg, pixels: &[(i32, i32)], shape: Option<usize>) {
+pub(super) fn draw_curve(svg: &mut Svg, pixels: &[(i32, i32)], shape: Option<usize>) {
     svg.line(pixels, if shape.is_some() { Stroke::Ink } else { Stroke::ThickGray });
     if let Some(shape) = shape {
         pixels.iter().for_each(|&point| draw_mark(svg, shape, point));

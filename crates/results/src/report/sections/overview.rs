@@ -1,10 +1,12 @@
 //! What was run, and what a reader must know before looking at the figures.
 
+use std::collections::BTreeSet;
+
 use domain::Representation;
 use domain::representation::RepresentationInfo;
 
-use crate::conditions::{Frames, PolicyKind};
-use crate::log::{ExternalMemoryFacts, Manifest};
+use crate::conditions::{Condition, Frames, PolicyKind};
+use crate::log::{EpisodeRecord, ExternalMemoryFacts, Manifest};
 use crate::report::document::{Block, Cell, Column, Group, Missing, Row, Table};
 use crate::report::view::{ScoredRun, title};
 
@@ -81,6 +83,13 @@ pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<Block> {
     let (settings, scores) = (&view.log.manifest.settings, &view.scores);
     let cases = scores.conditions.iter().map(|score| score.cases).max().unwrap_or(0);
     let runs = scores.conditions.iter().map(|score| score.runs).max().unwrap_or(0);
+    // Of streams, too.
+    let records = &view.log.episodes;
+    let conditions: BTreeSet<Condition> = records.iter().map(EpisodeRecord::condition).collect();
+    let of_streams = records.iter().filter(|record| record.stream.is_some());
+    let streamed: BTreeSet<&str> = of_streams.clone().map(|record| record.case.as_str()).collect();
+    let cases = cases.max(streamed.len());
+    let runs = runs.max(of_streams.map(|record| record.run as usize).max().unwrap_or(0));
     let speed = match scores.steps_per_s {
         Some(rate) => {
             let rate = steps_per_second(rate);
@@ -91,13 +100,23 @@ pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<Block> {
     let facts = [
         ("Policy", Cell::Value(settings.policy.to_string())),
         ("Suite", Cell::Value(settings.suite.to_string())),
-        ("Conditions", Cell::Value(scores.conditions.len().to_string())),
+        ("Conditions", Cell::Value(conditions.len().to_string())),
         ("Cases", Cell::Value(cases.to_string())),
         ("Runs of each condition, at most", Cell::Value(runs.to_string())),
         ("Episodes finished", Cell::Value(format!("{} of {}", scores.finished, scores.planned))),
         ("Episodes given up", Cell::Value(scores.errored.to_string())),
         ("Speed", speed),
     ];
+    let streams = scores.streams.iter().flat_map(|found| {
+        [
+            ("Streams", Cell::Value(found.streams.to_string())),
+            (
+                "Sequences complete",
+                Cell::Value(format!("{} of {}", found.sequences, found.planned)),
+            ),
+        ]
+    });
+    let facts = facts.into_iter().chain(streams);
     blocks.push(Block::Table(facts_table(view.id("facts"), "Summary of the run.", facts)));
     let task = "An agent has an instruction such as “Visit a blue barrel, then an orange cone.”, its pose and what it sees. \
                  Expert demonstrations of the same case were stored in a memory before, in one of six representations; \
