@@ -175,8 +175,7 @@ pub(crate) fn assign(warehouse: &Warehouse, set: &mut CaseSet) -> Result<(), Too
             });
             let chosen = first_two(ranked.iter().map(|(history, _)| *history));
             let case = &mut set.cases[index];
-            let chosen =
-                chosen.ok_or_else(|| TooFew { case: index, mixture, found: ranked.len() })?;
+            let chosen = chosen.ok_or(TooFew { case: index, mixture, found: ranked.len() })?;
             for history in &chosen {
                 served[place(history)] += 1;
             }
