@@ -263,10 +263,6 @@ impl Sequences {
     }
 
     /// The memory of a sequence as its snapshot has it. `Ok(None)` while views of its bank are not known.
-    #[expect(
-        clippy::type_complexity,
-        reason = "failures of the process, then those of the episode"
-    )]
     fn create(
         &mut self,
         part: &StreamPart,

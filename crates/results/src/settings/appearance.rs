@@ -12,6 +12,10 @@ named! {
     }
 }
 
+#[expect(
+    clippy::derivable_impls,
+    reason = "the macro that declares it marks no member as the default"
+)]
 impl Default for Drawn {
     fn default() -> Self {
         Self::On
