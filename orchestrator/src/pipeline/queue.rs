@@ -233,9 +233,10 @@ impl EpisodeQueue {
 
 #[cfg(test)]
 mod tests {
-    use domain::{Arm, Representation};
+    use domain::{Arm, FeedbackLevel, Representation};
 
     use super::*;
+    use crate::plan::StreamPart;
     use results::conditions::{Condition, Demonstrations, Route, Start, Variation};
 
     const LANES: usize = 16;
