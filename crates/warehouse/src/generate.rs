@@ -68,7 +68,7 @@ impl CaseSet {
     /// count within the type: `t03-07` is the seventh case of type 3.
     ///
     /// Histories of other tasks are chosen from the whole set, so they change with its size. A case for which the others
-    /// offer too few is drawn again, at most [`REDRAWN`] times over the whole set.
+    /// offer too few is drawn again, at most 100 times over the whole set.
     ///
     /// # Errors
     /// When the warehouse allows no case of some type, or there are too few cases to choose histories from.

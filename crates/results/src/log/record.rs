@@ -154,7 +154,7 @@ pub struct StreamRecord {
     pub block: u32,
     /// The place of that block in this order, from 0.
     pub place: u32,
-    /// Blocks that were learned before: i of R[i][j].
+    /// Blocks that were learned before: i of `R[i][j]`.
     pub after: u32,
     /// The learning round in the block, from 1. Absent for an evaluation, which changes no memory.
     #[serde(skip_serializing_if = "Option::is_none", default)]
