@@ -284,6 +284,11 @@ fn check_arms(settings: &RunSettings) -> Result<()> {
         );
         return Ok(());
     }
+    ensure!(
+        !settings.has_external_memories(),
+        "external memories cannot take part in a suite of streams: leave --memory-cmd and `--memory external` out, or \
+         choose another --suite"
+    );
     let is_standard = |condition: &Condition| {
         condition.start == Start::New
             && condition.route == Route::Unchanged
@@ -632,6 +637,7 @@ feedback = "none"
             ("", &[("rounds", "2")][..], "--rounds is for a suite of streams"),
             ("", &[("arms", "wrong")], "--arms is for a suite of streams"),
             (STREAM, &[("starts", "original")], "in a suite of streams every episode begins"),
+            (STREAM, &[("memory-cmd", "true")], "external memories cannot take part in a suite of"),
         ] {
             let error = error(text, given);
             assert!(error.contains(expected), "{error}");
