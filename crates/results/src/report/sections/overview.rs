@@ -123,10 +123,9 @@ pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<Block> {
     let facts = facts.into_iter().chain(streams);
     blocks.push(Block::Table(facts_table(view.id("facts"), "Summary of the run.", facts)));
     let task = "An agent has an instruction such as “Visit a blue barrel, then an orange cone.”, its pose and what it sees. \
-                 Expert demonstrations of the same case were stored in a memory before, in one of six representations; \
-                 at every step the policy gets a part of it in addition to the last few steps. The tables show how much \
-                 that helps where the demonstration matches, from a different start, with a passage blocked, and among \
-                 histories of other tasks.";
+                 A memory was built from expert demonstrations before; at every step the policy gets a part of it in \
+                 addition to the last few steps. The tables show how much that helps where a demonstration matches, and \
+                 where it does not.";
     blocks.push(Block::Text(task.to_owned()));
     let memory = |representation: &Representation| {
         let RepresentationInfo { stores, supplies, .. } = representation.describe();
@@ -145,7 +144,10 @@ pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<Block> {
         };
         (name.to_string(), format!("external memory, version {version}, {started}; {scope}"))
     });
-    let terms = Representation::ALL.iter().map(memory).chain(external);
+    let has_run = |representation: &&Representation| {
+        conditions.iter().any(|condition| condition.memory == **representation)
+    };
+    let terms = Representation::ALL.iter().filter(has_run).map(memory).chain(external);
     blocks.push(Block::Terms(terms.collect()));
     blocks
 }
