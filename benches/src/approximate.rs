@@ -10,9 +10,9 @@ use serde_json::json;
 
 use crate::Bench;
 use crate::baselines::Baseline;
-use crate::figure::{Better, Bound, Figure};
+use crate::figure::{Better, FigureBound, Measurement};
 use crate::search::{BATCH, load, profile, threads};
-use crate::session::Session;
+use crate::session::BenchSession;
 
 /// The bench.
 pub const BENCH: Bench = Bench {
@@ -40,18 +40,18 @@ const BASELINES: [(&str, &str); 2] =
 
 /// Result of one side in one round.
 #[derive(Debug, Clone, Copy)]
-struct Found {
+struct SideResult {
     one: f64,
     batch: f64,
     recall: f64,
     searching: usize,
 }
 
-fn run(session: &mut Session<'_>) -> Result<Vec<Figure>> {
+fn run(session: &mut BenchSession<'_>) -> Result<Vec<Measurement>> {
     let mut figures = Vec::new();
     for &size in session.size.pick(&[(300, 32)][..], SIZES) {
         let (mut exact, mut ours) = (Vec::new(), Vec::new());
-        let mut baselines: Vec<(Option<Baseline>, String, Vec<Found>)> =
+        let mut baselines: Vec<(Option<Baseline>, String, Vec<SideResult>)> =
             BASELINES.iter().map(|_| (None, String::new(), Vec::new())).collect();
         for round in 1..=session.rounds() {
             session.say(format_args!("{} of {}, round {round}", size.0, size.1));
@@ -81,7 +81,7 @@ fn run(session: &mut Session<'_>) -> Result<Vec<Figure>> {
 }
 
 /// Measures ours at the least effort that reaches the recall, and the median of an exact search of the same memory.
-fn our_round(session: &Session<'_>, size: (u32, u32)) -> Result<(Found, f64)> {
+fn our_round(session: &BenchSession<'_>, size: (u32, u32)) -> Result<(SideResult, f64)> {
     let searching = SEARCHING.map(|n| n.to_string()).join(",");
     let (connectivity, building) = (CONNECTIVITY.to_string(), BUILDING.to_string());
     let seconds = session.size.pick("0.02", "1");
@@ -106,7 +106,7 @@ fn our_round(session: &Session<'_>, size: (u32, u32)) -> Result<(Found, f64)> {
     let of =
         |batch| graph.iter().find(|line| line.searching == first.searching && line.batch == batch);
     let (one, batch) = (of(1).context("no single query")?, of(BATCH).context("no batch")?);
-    let found = Found {
+    let found = SideResult {
         one: one.seconds(),
         batch: batch.seconds(),
         recall: one.recall_at_10,
@@ -116,7 +116,7 @@ fn our_round(session: &Session<'_>, size: (u32, u32)) -> Result<(Found, f64)> {
 }
 
 /// Measures a baseline at the least effort that reaches the recall.
-fn their_round(session: &Session<'_>, baseline: &mut Baseline) -> Result<Found> {
+fn their_round(session: &BenchSession<'_>, baseline: &mut Baseline) -> Result<SideResult> {
     let mut query = |searching: usize, batch: usize, seconds: f64| -> Result<(f64, f64)> {
         let request =
             json!({"do": "query", "searching": searching, "batch": batch, "seconds": seconds});
@@ -134,26 +134,26 @@ fn their_round(session: &Session<'_>, baseline: &mut Baseline) -> Result<Found> 
     let seconds = session.size.pick(0.02, 1.0);
     let (recall, one) = query(searching, 1, seconds)?;
     let (_, batch) = query(searching, BATCH, seconds)?;
-    Ok(Found { one, batch, recall, searching })
+    Ok(SideResult { one, batch, recall, searching })
 }
 
 fn figures_of(
     (entries, dimension): (u32, u32),
     exact: &[f64],
-    ours: &[Found],
-    baselines: &[(Option<Baseline>, String, Vec<Found>)],
-) -> Vec<Figure> {
-    let of = |rounds: &[Found], value: fn(&Found) -> f64| -> Vec<f64> {
+    ours: &[SideResult],
+    baselines: &[(Option<Baseline>, String, Vec<SideResult>)],
+) -> Vec<Measurement> {
+    let of = |rounds: &[SideResult], value: fn(&SideResult) -> f64| -> Vec<f64> {
         rounds.iter().map(value).collect()
     };
-    let micros: fn(&Found) -> f64 = |found| found.one * 1e6;
-    let rate: fn(&Found) -> f64 = |found| BATCH as f64 / found.batch;
-    let last = |rounds: &[Found]| {
+    let micros: fn(&SideResult) -> f64 = |found| found.one * 1e6;
+    let rate: fn(&SideResult) -> f64 = |found| BATCH as f64 / found.batch;
+    let last = |rounds: &[SideResult]| {
         rounds.last().map_or_else(String::new, |found| {
             format!("{:.3} at ef {}", found.recall, found.searching)
         })
     };
-    let named = |figure: Figure| {
+    let named = |figure: Measurement| {
         figure
             .parameter("entries", entries)
             .parameter("dimension", dimension)
@@ -165,7 +165,7 @@ fn figures_of(
     };
     let id = |what: &str| format!("approximate.{entries}x{dimension}.{what}");
     let mut figures = vec![named(
-        Figure::new(
+        Measurement::new(
             id("one.exact"),
             format!("one approximate query of {entries} vectors, beside our exact search"),
             "us",
@@ -179,15 +179,16 @@ fn figures_of(
             continue;
         }
         let short = script.trim_start_matches("search_").trim_end_matches(".py");
-        let figure = |what: &str, text: String, unit: &str, better, value: fn(&Found) -> f64| {
-            named(
-                Figure::new(id(&format!("{what}.{short}")), text, unit, better)
-                    .ours(of(ours, value))
-                    .baseline(name, version.clone(), of(rounds, value))
-                    .target(Bound::Ratio(1.0), "same recall, no slower")
-                    .parameter("baseline found", last(rounds)),
-            )
-        };
+        let figure =
+            |what: &str, text: String, unit: &str, better, value: fn(&SideResult) -> f64| {
+                named(
+                    Measurement::new(id(&format!("{what}.{short}")), text, unit, better)
+                        .ours(of(ours, value))
+                        .baseline(name, version.clone(), of(rounds, value))
+                        .target(FigureBound::Ratio(1.0), "same recall, no slower")
+                        .parameter("baseline found", last(rounds)),
+                )
+            };
         let text = format!("one approximate query of {entries} vectors of {dimension}");
         figures.push(figure("one", text, "us", Better::Lower, micros));
         let text = format!("approximate queries, {BATCH} at once, of {entries} vectors");

@@ -15,7 +15,7 @@ use shm_types::message::{
 use shm_types::{Attach, Bus, RunDir};
 
 use crate::processes::BenchProcess;
-use crate::session::Session;
+use crate::session::BenchSession;
 
 /// Longest wait for a notification.
 const LONGEST_SLEEP: Duration = Duration::from_millis(50);
@@ -27,7 +27,7 @@ const PATIENCE: Duration = Duration::from_secs(20);
 ///
 /// # Errors
 /// When a process fails or hangs.
-pub fn steps_per_second(session: &Session<'_>, lanes: u32, length: Duration) -> Result<f64> {
+pub fn steps_per_second(session: &BenchSession<'_>, lanes: u32, length: Duration) -> Result<f64> {
     let run = RunDir::create(session.registry())?;
     let attach = Attach { lanes, ..run.attach() };
     attach.write(run.path())?;

@@ -10,9 +10,9 @@ use anyhow::Result;
 
 use crate::Bench;
 use crate::bare_chain;
-use crate::figure::{Better, Bound, Figure};
+use crate::figure::{Better, FigureBound, Measurement};
 use crate::runs::{BenchRun, steady_rate};
-use crate::session::Session;
+use crate::session::BenchSession;
 
 /// The bench.
 pub const BENCH: Bench = Bench {
@@ -36,7 +36,7 @@ const MANY_LANES: [(&str, &str, u32, f64); 4] = [
     ("memory", "policy `random`, a Python memory that supplies nothing", 6, 50_000.0),
 ];
 
-fn run(session: &mut Session<'_>) -> Result<Vec<Figure>> {
+fn run(session: &mut BenchSession<'_>) -> Result<Vec<Measurement>> {
     let length = Duration::from_millis(session.size.pick(50, 2000));
     let lanes = session.size.pick(4, LANES);
     // Fifty cases of up to 200 steps, repeated.
@@ -64,7 +64,7 @@ fn run(session: &mut Session<'_>) -> Result<Vec<Figure>> {
         }
     }
     let mut figures = vec![
-        Figure::new(
+        Measurement::new(
             "chain.1.random",
             "a step of one lane through four processes, warm, policy `random`",
             "us",
@@ -72,14 +72,14 @@ fn run(session: &mut Session<'_>) -> Result<Vec<Figure>> {
         )
         .ours(one)
         .baseline("the bare chain", "", bare_one.clone())
-        .target(Bound::Ratio(1.5), "within 1.5 x")
+        .target(FigureBound::Ratio(1.5), "within 1.5 x")
         .parameter("lanes", 1),
     ];
     if !added.is_empty() {
         // A step of the bare chain is four hops; a query and its answer are two.
         let two_hops: Vec<f64> = bare_one.iter().map(|step| step / 2.0).collect();
         figures.push(
-            Figure::new(
+            Measurement::new(
                 "chain.1.memory",
                 "what a Python memory that supplies nothing adds to a step of one lane",
                 "us",
@@ -87,7 +87,7 @@ fn run(session: &mut Session<'_>) -> Result<Vec<Figure>> {
             )
             .ours(added)
             .baseline("two hops of the bare chain", "", two_hops)
-            .target(Bound::Ratio(1.5), "within 1.5 x")
+            .target(FigureBound::Ratio(1.5), "within 1.5 x")
             .parameter("lanes", 1),
         );
     }
@@ -96,7 +96,7 @@ fn run(session: &mut Session<'_>) -> Result<Vec<Figure>> {
             continue;
         }
         figures.push(
-            Figure::new(
+            Measurement::new(
                 format!("chain.64.{id}"),
                 format!("steps of {lanes} lanes through four processes, warm, {what}"),
                 "steps/s",
@@ -104,7 +104,7 @@ fn run(session: &mut Session<'_>) -> Result<Vec<Figure>> {
             )
             .ours(rates)
             .baseline("the bare chain", "", bare_many.clone())
-            .target(Bound::Value(target), format!("{} steps/s", crate::figure::shown(target)))
+            .target(FigureBound::Value(target), format!("{} steps/s", crate::figure::shown(target)))
             .parameter("lanes", lanes),
         );
     }
@@ -112,7 +112,7 @@ fn run(session: &mut Session<'_>) -> Result<Vec<Figure>> {
 }
 
 /// The run `id` with many lanes; `None` when it needs a Python environment that was not given.
-fn many_lanes(session: &Session<'_>, id: &str, lanes: u32, runs: u32) -> Option<BenchRun> {
+fn many_lanes(session: &BenchSession<'_>, id: &str, lanes: u32, runs: u32) -> Option<BenchRun> {
     let script = match id {
         "python" => "examples/return_at_once.py",
         "memory" => "examples/supply_nothing.py",
@@ -137,7 +137,7 @@ fn many_lanes(session: &Session<'_>, id: &str, lanes: u32, runs: u32) -> Option<
 }
 
 /// Shrinks the run in a tiny session.
-fn shrunk(session: &Session<'_>, mut bench_run: BenchRun) -> BenchRun {
+fn shrunk(session: &BenchSession<'_>, mut bench_run: BenchRun) -> BenchRun {
     let few = ["--limit", "6", "--max-steps", "6", "--frame-size", "64"];
     bench_run.flags.extend(session.size.pick(&few[..], &[]).iter().map(|flag| (*flag).to_owned()));
     bench_run

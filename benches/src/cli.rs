@@ -6,14 +6,14 @@ use std::time::{Instant, SystemTime};
 
 use anyhow::{Context, Result, bail};
 use benches::results::{BenchOutcome, FILE, Results};
-use benches::{BENCHES, Baselines, Bench, Session, Size, compare, markdown, processes};
+use benches::{BENCHES, Baselines, Bench, BenchSession, Size, compare, markdown, processes};
 use clap::{Parser, Subcommand};
 use orchestrator::commit::commit_of;
 
 /// Measures this project beside other programs, alternating on the same machine.
 #[derive(Debug, Parser)]
 #[command(name = "memtransfer-bench", version, after_help = after_help())]
-struct Arguments {
+struct BenchArguments {
     /// Measure only these benches, separated by commas
     #[arg(long, value_name = "NAMES", value_delimiter = ',')]
     only: Vec<String>,
@@ -40,11 +40,11 @@ struct Arguments {
     #[arg(long, value_name = "FILE")]
     page: Option<PathBuf>,
     #[command(subcommand)]
-    verb: Option<Verb>,
+    verb: Option<BenchVerb>,
 }
 
 #[derive(Debug, Subcommand)]
-enum Verb {
+enum BenchVerb {
     /// Run a helper process of a bench
     #[command(hide = true)]
     Process { name: String, arguments: Vec<String> },
@@ -61,9 +61,11 @@ fn after_help() -> String {
 }
 
 pub(super) fn main() -> ExitCode {
-    let arguments = Arguments::parse();
+    let arguments = BenchArguments::parse();
     let done = match &arguments.verb {
-        Some(Verb::Process { name, arguments }) => processes::run(name, arguments).map(|()| true),
+        Some(BenchVerb::Process { name, arguments }) => {
+            processes::run(name, arguments).map(|()| true)
+        }
         None => run(&arguments),
     };
     match done {
@@ -77,7 +79,7 @@ pub(super) fn main() -> ExitCode {
 }
 
 /// Measures and writes the results after every bench. Returns whether every bench succeeded.
-fn run(arguments: &Arguments) -> Result<bool> {
+fn run(arguments: &BenchArguments) -> Result<bool> {
     let benches = chosen(&arguments.only)?;
     let earlier = arguments.compare.as_deref().map(Results::read).transpose()?;
     let baselines = arguments.python.clone().map(Baselines::new);
@@ -93,7 +95,7 @@ fn run(arguments: &Arguments) -> Result<bool> {
     let size = if arguments.tiny { Size::Tiny } else { Size::Full };
     for bench in benches {
         let session =
-            Session::new(bench.name, size, arguments.rounds, programs, baselines.as_ref())?;
+            BenchSession::new(bench.name, size, arguments.rounds, programs, baselines.as_ref())?;
         results.add(measure(bench, session));
         write(&results, earlier.as_ref(), &arguments.out)?;
     }
@@ -127,7 +129,7 @@ fn chosen(only: &[String]) -> Result<Vec<&'static Bench>> {
     Ok(BENCHES.iter().filter(|bench| only.iter().any(|name| name == bench.name)).collect())
 }
 
-fn measure(bench: &Bench, mut session: Session<'_>) -> BenchOutcome {
+fn measure(bench: &Bench, mut session: BenchSession<'_>) -> BenchOutcome {
     session.say(bench.about);
     let (began, clock) = (httpdate::fmt_http_date(SystemTime::now()), Instant::now());
     let figures = (bench.run)(&mut session);
@@ -164,7 +166,7 @@ mod tests {
 
     #[test]
     fn the_command_line_is_well_formed_and_knows_its_benches() {
-        Arguments::command().debug_assert();
+        BenchArguments::command().debug_assert();
         assert!(chosen(&["hop".to_owned()]).is_ok_and(|benches| benches.len() == 1));
         let error = chosen(&["hops".to_owned()]).unwrap_err().to_string();
         assert!(error.contains("hops") && error.contains("there are hop, "), "{error}");

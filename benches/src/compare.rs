@@ -1,6 +1,6 @@
 //! Comparison with earlier results: ratios, and a verdict that is only given where it exceeds the noise.
 
-use crate::figure::{Better, Figure, Summary};
+use crate::figure::{Better, Measurement, MeasurementSummary};
 use crate::results::Results;
 
 /// Rounds needed on both sides for a verdict.
@@ -14,9 +14,9 @@ pub struct Change {
     /// Unit.
     pub unit: String,
     /// Earlier value.
-    pub before: Summary,
+    pub before: MeasurementSummary,
     /// Present value.
-    pub now: Summary,
+    pub now: MeasurementSummary,
     /// Ratio of the medians, now to before.
     pub ratio: f64,
     /// The same ratio of the baseline, which shows changes of the machine.
@@ -52,7 +52,7 @@ impl Verdict {
 
 /// Compares every figure that both have, in the order of `now`.
 pub fn compare(before: &Results, now: &Results) -> Vec<Change> {
-    let change = |new: &Figure| {
+    let change = |new: &Measurement| {
         let old = before.figures().find(|old| {
             // With other parameters it is another figure.
             old.id == new.id && old.unit == new.unit && old.parameters == new.parameters
@@ -72,7 +72,12 @@ pub fn compare(before: &Results, now: &Results) -> Vec<Change> {
     now.figures().filter_map(change).collect()
 }
 
-fn verdict(before: Summary, now: Summary, better: Better, rounds: usize) -> Verdict {
+fn verdict(
+    before: MeasurementSummary,
+    now: MeasurementSummary,
+    better: Better,
+    rounds: usize,
+) -> Verdict {
     if rounds < ENOUGH_ROUNDS {
         return Verdict::TooFewRounds;
     }
@@ -91,7 +96,7 @@ mod tests {
     use crate::results::BenchOutcome;
 
     fn results(better: Better, ours: &[f64], bytes: u32) -> Results {
-        let figure = Figure::new("f", "f", "us", better)
+        let figure = Measurement::new("f", "f", "us", better)
             .ours(ours)
             .baseline("baseline", "1", [2.0, 2.0, 2.0])
             .parameter("bytes", bytes);

@@ -9,9 +9,9 @@ use anyhow::{Context, Result};
 
 use crate::Bench;
 use crate::chain::WARM;
-use crate::figure::{Better, Bound, Figure};
+use crate::figure::{Better, FigureBound, Measurement};
 use crate::runs::{BenchRun, ended_well, steady_rate};
-use crate::session::Session;
+use crate::session::BenchSession;
 
 /// The bench.
 pub const BENCH: Bench =
@@ -21,7 +21,7 @@ pub const BENCH: Bench =
 const FITTED: usize = 3;
 
 /// A curve to measure.
-struct Curve {
+struct MeasuredCurve {
     id: &'static str,
     plot: &'static str,
     axis: &'static str,
@@ -32,11 +32,11 @@ struct Curve {
     xs: &'static [u32],
     tiny: &'static [u32],
     /// Measures one point.
-    at: fn(&Session<'_>, u32) -> Result<f64>,
+    at: fn(&BenchSession<'_>, u32) -> Result<f64>,
 }
 
-const CURVES: [Curve; 3] = [
-    Curve {
+const CURVES: [MeasuredCurve; 3] = [
+    MeasuredCurve {
         id: "lanes",
         plot: "Steps per second against lanes (policy `random`, warm views)",
         axis: "lanes",
@@ -47,7 +47,7 @@ const CURVES: [Curve; 3] = [
         tiny: &[1, 2],
         at: lanes,
     },
-    Curve {
+    MeasuredCurve {
         id: "generate",
         plot: "Generating cases: `memtransfer generate` against their number",
         axis: "cases",
@@ -58,7 +58,7 @@ const CURVES: [Curve; 3] = [
         tiny: &[100, 120],
         at: generate,
     },
-    Curve {
+    MeasuredCurve {
         id: "report",
         plot: "A report: `memtransfer report` against episodes",
         axis: "episodes",
@@ -74,7 +74,7 @@ const CURVES: [Curve; 3] = [
 /// Tolerance of an exponent, for a logarithmic factor and noise.
 const SLACK: f64 = 0.15;
 
-fn run(session: &mut Session<'_>) -> Result<Vec<Figure>> {
+fn run(session: &mut BenchSession<'_>) -> Result<Vec<Measurement>> {
     execute(session)?;
     let rounds = session.rounds().min(3);
     let mut figures = Vec::new();
@@ -96,7 +96,7 @@ fn run(session: &mut Session<'_>) -> Result<Vec<Figure>> {
             .collect();
         let last = xs.len().min(FITTED);
         let fitted = format!("{} to {}", xs[xs.len() - last], xs[xs.len() - 1]);
-        let mut fit = Figure::new(
+        let mut fit = Measurement::new(
             format!("curves.{}.exponent", curve.id),
             format!("{}: the exponent", curve.plot),
             "",
@@ -106,13 +106,13 @@ fn run(session: &mut Session<'_>) -> Result<Vec<Figure>> {
         .parameter(curve.axis, fitted);
         if let Some(expected) = curve.expected {
             fit = fit.target(
-                Bound::Value(expected + SLACK),
+                FigureBound::Value(expected + SLACK),
                 format!("grows as its size ({expected}, at most {})", expected + SLACK),
             );
         }
         figures.push(fit);
         figures.extend(xs.iter().zip(values).map(|(&x, values)| {
-            Figure::new(
+            Measurement::new(
                 format!("curves.{}.{x}", curve.id),
                 format!("{}: {x} {}", curve.plot, curve.axis),
                 curve.unit,
@@ -141,7 +141,7 @@ pub(crate) fn fitted_slope(points: &[(f64, f64)]) -> Option<f64> {
     (across > 0.0).then(|| along / across)
 }
 
-fn lanes(session: &Session<'_>, lanes: u32) -> Result<f64> {
+fn lanes(session: &BenchSession<'_>, lanes: u32) -> Result<f64> {
     // Long enough for a second or more with any number of lanes.
     let runs = session.size.pick(1, 4 + lanes.min(50));
     let mut flags = [&WARM[..], &["--policy", "random"]].concat();
@@ -151,7 +151,7 @@ fn lanes(session: &Session<'_>, lanes: u32) -> Result<f64> {
     steady_rate(&BenchRun::new(lanes, runs, &flags).make(session, "lanes")?)
 }
 
-fn generate(session: &Session<'_>, cases: u32) -> Result<f64> {
+fn generate(session: &BenchSession<'_>, cases: u32) -> Result<f64> {
     let mut command = session.memtransfer()?;
     command.args(["generate", "--out", "cases.toml", "--count", &cases.to_string()]);
     timed(session, &mut command)
@@ -161,7 +161,7 @@ fn generate(session: &Session<'_>, cases: u32) -> Result<f64> {
 const BASE_RUN: &str = "base-run";
 
 /// Executes as many episodes as the longest report has. The expert needs only the simulator.
-fn execute(session: &Session<'_>) -> Result<()> {
+fn execute(session: &BenchSession<'_>) -> Result<()> {
     let few = ["--limit", "10", "--frame-size", "64"];
     let flags = ["--suite", "quick", "--policy", "expert", "--cases", "all", "--max-steps", "8"];
     let size = session.size.pick(&few[..], &["--frame-size", "64"]);
@@ -171,7 +171,7 @@ fn execute(session: &Session<'_>) -> Result<()> {
     Ok(())
 }
 
-fn report(session: &Session<'_>, episodes: u32) -> Result<f64> {
+fn report(session: &BenchSession<'_>, episodes: u32) -> Result<f64> {
     let (whole, part) = (session.scratch().join(BASE_RUN), session.scratch().join("part"));
     fs::create_dir_all(&part).context("cannot make a folder")?;
     for file in ["manifest.json", "sessions.jsonl"] {
@@ -194,7 +194,7 @@ fn copy(from: &Path, to: &Path, file: &str, lines: Option<usize>) -> Result<()> 
 }
 
 /// Duration of a command in seconds.
-fn timed(session: &Session<'_>, command: &mut std::process::Command) -> Result<f64> {
+fn timed(session: &BenchSession<'_>, command: &mut std::process::Command) -> Result<f64> {
     command.stdout(std::process::Stdio::null());
     let began = Instant::now();
     ended_well(command, &session.scratch().join("timed.log"))?;
@@ -219,7 +219,7 @@ mod tests {
 
     #[test]
     fn every_curve_has_enough_ascending_sizes() {
-        for Curve { xs, tiny, .. } in &CURVES {
+        for MeasuredCurve { xs, tiny, .. } in &CURVES {
             assert!(xs.is_sorted() && xs.len() > FITTED && tiny.len() > 1);
         }
     }

@@ -20,9 +20,9 @@ use warehouse::{Variant, Warehouse};
 
 use crate::Bench;
 use crate::baselines::Baseline;
-use crate::figure::{Better, Bound, Figure};
+use crate::figure::{Better, FigureBound, Measurement};
 use crate::search::threads;
-use crate::session::Session;
+use crate::session::BenchSession;
 
 /// The bench.
 pub const BENCH: Bench =
@@ -33,16 +33,16 @@ const IMAGES: usize = 128;
 
 /// A frame's pixels.
 #[derive(Clone)]
-pub(crate) struct Frame(Arc<[u8]>);
+pub(crate) struct FramePixels(Arc<[u8]>);
 
-impl ImageSource for Frame {
+impl ImageSource for FramePixels {
     fn image(&self) -> Image<'_> {
         let FrameSize { width, height } = FrameSize::DEFAULT;
         Image { width, height, rgba: &self.0 }
     }
 }
 
-fn run(session: &mut Session<'_>) -> Result<Vec<Figure>> {
+fn run(session: &mut BenchSession<'_>) -> Result<Vec<Measurement>> {
     let warehouse = Warehouse::shipped();
     let all: Vec<Pose> = every_pose(&warehouse.layout).collect();
     // Spread over the hall.
@@ -75,7 +75,7 @@ fn run(session: &mut Session<'_>) -> Result<Vec<Figure>> {
     drop(baseline);
 
     let facts = encoder.facts();
-    let mut figure = Figure::new("embed.cold", "embedding, cold", "images/s", Better::Higher)
+    let mut figure = Measurement::new("embed.cold", "embedding, cold", "images/s", Better::Higher)
         .ours(ours)
         .parameter("encoder", &facts.model)
         .parameter("provider", facts.provider.word())
@@ -86,7 +86,7 @@ fn run(session: &mut Session<'_>) -> Result<Vec<Figure>> {
         figure = figure
             .baseline("ONNX Runtime from Python", said("version"), theirs)
             .parameter("baseline's setting", said("setting"))
-            .target(Bound::Ratio(1.0), "no slower");
+            .target(FigureBound::Ratio(1.0), "no slower");
     }
     Ok(vec![figure])
 }
@@ -104,28 +104,28 @@ pub(crate) fn open() -> Result<Encoder> {
     let runtime = CacheFolder::from_environment()?.runtime();
     let prepared = PreparedEncoder::new(default_model()?, &runtime, threads, Provider::Cpu)?;
     let mut encoder = prepared.start(SessionOpening::Eagerly, || {});
-    let black = Frame(vec![0; FrameSize::DEFAULT.bytes()].into());
+    let black = FramePixels(vec![0; FrameSize::DEFAULT.bytes()].into());
     // One per worker, so that every worker opens its session.
     encoder.embed_all(std::iter::repeat_n(black, threads.get()))?;
     Ok(encoder)
 }
 
 /// Images per second while all of these are embedded.
-pub(crate) fn rate(encoder: &mut Encoder, frames: &[Frame]) -> Result<f64> {
+pub(crate) fn rate(encoder: &mut Encoder, frames: &[FramePixels]) -> Result<f64> {
     let began = Instant::now();
     encoder.embed_all(frames.iter().cloned())?;
     Ok(frames.len() as f64 / began.elapsed().as_secs_f64())
 }
 
 /// Views of the unchanged world, rendered with the settings of a run.
-pub(crate) fn drawn(warehouse: &Warehouse, poses: &[Pose]) -> Result<Vec<Frame>> {
+pub(crate) fn drawn(warehouse: &Warehouse, poses: &[Pose]) -> Result<Vec<FramePixels>> {
     let mut renderer = Renderer::new(warehouse, RenderSettings::default())?;
     let unchanged = Variant::UNCHANGED;
     let mut draw = |&pose: &Pose| {
         let mut rgba = vec![0; renderer.frame_bytes()];
         let view = ViewSpec { pose, variant: &unchanged, stock: 0 };
         renderer.render(&mut [RenderJob { view, destination: Destination::Memory(&mut rgba) }])?;
-        Ok(Frame(rgba.into()))
+        Ok(FramePixels(rgba.into()))
     };
     poses.iter().map(&mut draw).collect()
 }

@@ -16,7 +16,7 @@ pub enum Better {
 
 /// A measured quantity.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Figure {
+pub struct Measurement {
     /// Unique over all benches and stable between runs; figures are compared by it.
     pub id: String,
     /// Description.
@@ -56,7 +56,7 @@ pub struct BaselineFigure {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Target {
     /// The bound.
-    pub bound: Bound,
+    pub bound: FigureBound,
     /// Text in the table.
     pub text: String,
 }
@@ -64,14 +64,14 @@ pub struct Target {
 /// A bound in the direction of improvement.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
-pub enum Bound {
+pub enum FigureBound {
     /// On ours divided by the baseline's.
     Ratio(f64),
     /// On ours.
     Value(f64),
 }
 
-impl Figure {
+impl Measurement {
     /// Creates a figure without values.
     pub fn new(
         id: impl Into<String>,
@@ -114,7 +114,7 @@ impl Figure {
 
     /// Sets the target.
     #[must_use]
-    pub fn target(mut self, bound: Bound, text: impl Into<String>) -> Self {
+    pub fn target(mut self, bound: FigureBound, text: impl Into<String>) -> Self {
         self.target = Some(Target { bound, text: text.into() });
         self
     }
@@ -134,27 +134,27 @@ impl Figure {
     }
 
     /// Summary of our rounds.
-    pub fn summary(&self) -> Option<Summary> {
-        Summary::of(&self.ours)
+    pub fn summary(&self) -> Option<MeasurementSummary> {
+        MeasurementSummary::of(&self.ours)
     }
 
     /// Summary of the baseline's rounds.
-    pub fn baseline_summary(&self) -> Option<Summary> {
-        self.baseline.as_ref().and_then(|baseline| Summary::of(&baseline.values))
+    pub fn baseline_summary(&self) -> Option<MeasurementSummary> {
+        self.baseline.as_ref().and_then(|baseline| MeasurementSummary::of(&baseline.values))
     }
 
     /// Summary of ours divided by the baseline's, per round.
-    pub fn ratio(&self) -> Option<Summary> {
+    pub fn ratio(&self) -> Option<MeasurementSummary> {
         let baseline = self.baseline.as_ref()?;
         let both = self.ours.iter().zip(&baseline.values);
-        Summary::of(&both.map(|(ours, theirs)| ours / theirs).collect::<Vec<_>>())
+        MeasurementSummary::of(&both.map(|(ours, theirs)| ours / theirs).collect::<Vec<_>>())
     }
 
     /// Whether the median meets the target; `None` without a target or without the values it needs.
     pub fn meets_target(&self) -> Option<bool> {
         let (found, bound) = match self.target.as_ref()?.bound {
-            Bound::Ratio(bound) => (self.ratio()?.median, bound),
-            Bound::Value(bound) => (self.summary()?.median, bound),
+            FigureBound::Ratio(bound) => (self.ratio()?.median, bound),
+            FigureBound::Value(bound) => (self.summary()?.median, bound),
         };
         Some(match self.better {
             Better::Higher => found >= bound,
@@ -165,7 +165,7 @@ impl Figure {
 
 /// Summary of a figure's rounds.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct Summary {
+pub struct MeasurementSummary {
     /// Median.
     pub median: f64,
     /// Smallest value.
@@ -174,7 +174,7 @@ pub struct Summary {
     pub max: f64,
 }
 
-impl Summary {
+impl MeasurementSummary {
     /// Summarises `values`; `None` when there are none or one is not finite.
     pub fn of(values: &[f64]) -> Option<Self> {
         if values.is_empty() || !values.iter().all(|value| value.is_finite()) {
@@ -219,7 +219,7 @@ mod tests {
 
     #[test]
     fn a_summary_is_median_and_range() {
-        let of = |values: &[f64]| Summary::of(values).map(|s| (s.median, s.min, s.max));
+        let of = |values: &[f64]| MeasurementSummary::of(values).map(|s| (s.median, s.min, s.max));
         assert_eq!(of(&[3.0, 1.0, 2.0]), Some((2.0, 1.0, 3.0)));
         assert_eq!(of(&[4.0, 1.0]), Some((2.5, 1.0, 4.0)));
         assert_eq!((of(&[]), of(&[1.0, f64::NAN])), (None, None));
@@ -228,18 +228,18 @@ mod tests {
     #[test]
     fn ratios_are_taken_per_round_and_targets_in_the_direction_of_improvement() {
         let figure = |better| {
-            Figure::new("f", "f", "us", better)
+            Measurement::new("f", "f", "us", better)
                 .ours([10.0, 30.0, 20.0])
                 .baseline("baseline", "1", [10.0, 10.0, 10.0])
-                .target(Bound::Ratio(2.0), "within 2 x")
+                .target(FigureBound::Ratio(2.0), "within 2 x")
         };
         assert_eq!(figure(Better::Lower).ratio().map(|ratio| ratio.median), Some(2.0));
         assert_eq!(figure(Better::Lower).meets_target(), Some(true));
         assert_eq!(
-            figure(Better::Higher).target(Bound::Value(21.0), "").meets_target(),
+            figure(Better::Higher).target(FigureBound::Value(21.0), "").meets_target(),
             Some(false)
         );
-        assert_eq!(Figure::new("f", "f", "us", Better::Lower).meets_target(), None);
+        assert_eq!(Measurement::new("f", "f", "us", Better::Lower).meets_target(), None);
     }
 
     #[test]

@@ -14,9 +14,9 @@ use anyhow::{Context, Result, bail, ensure};
 use shm_types::process::SHARED_MEMORY;
 
 use crate::Bench;
-use crate::figure::{Better, Bound, Figure};
+use crate::figure::{Better, FigureBound, Measurement};
 use crate::runs::BenchRun;
-use crate::session::{Session, Size};
+use crate::session::{BenchSession, Size};
 
 /// The bench.
 pub const BENCH: Bench = Bench {
@@ -43,7 +43,7 @@ const PLACES: [(&str, &str); 5] = [
     ("shared-memory", "shared memory"),
 ];
 
-fn run(session: &mut Session<'_>) -> Result<Vec<Figure>> {
+fn run(session: &mut BenchSession<'_>) -> Result<Vec<Measurement>> {
     let (slopes, episodes) = {
         let mut slopes: BTreeMap<&str, Vec<f64>> = BTreeMap::new();
         let mut episodes = 0;
@@ -63,14 +63,14 @@ fn run(session: &mut Session<'_>) -> Result<Vec<Figure>> {
         (slopes, episodes)
     };
     let figure = |id: &str, what: &str| {
-        Figure::new(format!("growth.{id}"), what, "bytes/episode", Better::Lower)
+        Measurement::new(format!("growth.{id}"), what, "bytes/episode", Better::Lower)
             .ours(slopes.get(id).cloned().unwrap_or_default())
             .parameter("episodes", episodes)
             .parameter("samples from", format!("{:.0} %", WARM_UP * 100.0))
     };
     let mut figures = vec![
         figure("total", "growth of all processes and shared memory together")
-            .target(Bound::Value(NOTHING), "no growth: under 100 bytes per episode")
+            .target(FigureBound::Value(NOTHING), "no growth: under 100 bytes per episode")
             .note("slope of a line through samples taken every 50 ms"),
     ];
     figures.extend(PLACES.iter().map(|(id, what)| figure(id, &format!("growth of {what}"))));
@@ -86,7 +86,7 @@ struct Sample {
     bytes: BTreeMap<&'static str, u64>,
 }
 
-fn execute(session: &Session<'_>) -> Result<Vec<Sample>> {
+fn execute(session: &BenchSession<'_>) -> Result<Vec<Sample>> {
     let policy = ["--suite", "quick", "--policy", "random", "--starts", "original,new"];
     let size: &[&str] = match session.size {
         Size::Tiny => {
@@ -126,7 +126,7 @@ fn execute(session: &Session<'_>) -> Result<Vec<Sample>> {
 
 /// Samples until the run ends.
 fn sample_until_the_end(
-    session: &Session<'_>,
+    session: &BenchSession<'_>,
     child: &mut Child,
     journal: &Path,
 ) -> Result<Vec<Sample>> {

@@ -20,9 +20,9 @@ use shm_types::process::{SHARED_MEMORY, monotonic_ns};
 use shm_types::{Attach, Bus, Receiver, RunDir, Sender};
 
 use crate::Bench;
-use crate::figure::{Better, Bound, Figure};
+use crate::figure::{Better, FigureBound, Measurement};
 use crate::processes::BenchProcess;
-use crate::session::Session;
+use crate::session::BenchSession;
 
 /// The bench.
 pub const BENCH: Bench = Bench {
@@ -37,12 +37,12 @@ const BATCH: u32 = 100;
 /// Longest wait for an answer before the other process counts as gone.
 const PATIENCE: Duration = Duration::from_secs(20);
 
-fn run(session: &mut Session<'_>) -> Result<Vec<Figure>> {
+fn run(session: &mut BenchSession<'_>) -> Result<Vec<Measurement>> {
     let batches = session.size.pick(2, 3000);
     let (ours, theirs) =
         session.in_turns(|session| wire(session, batches), |session| iceoryx2(session, batches))?;
     let bytes = (size_of::<StepCommand>(), size_of::<Observation>());
-    let hop = Figure::new(
+    let hop = Measurement::new(
         "hop.one-way",
         "a polled hop through the wire types: half a round trip",
         "ns",
@@ -50,7 +50,7 @@ fn run(session: &mut Session<'_>) -> Result<Vec<Figure>> {
     )
     .ours(ours)
     .baseline("iceoryx2", "0.10", theirs)
-    .target(Bound::Ratio(1.5), "within 1.5 x")
+    .target(FigureBound::Ratio(1.5), "within 1.5 x")
     .parameter("bytes there", bytes.0)
     .parameter("bytes back", bytes.1);
     let mut figures = vec![hop, stamping(session)];
@@ -59,7 +59,7 @@ fn run(session: &mut Session<'_>) -> Result<Vec<Figure>> {
 }
 
 /// Cost of profiling a step, in all processes together: time stamps and histograms.
-fn stamping(session: &Session<'_>) -> Figure {
+fn stamping(session: &BenchSession<'_>) -> Measurement {
     let steps = session.size.pick(1_000, 1_000_000);
     let mut latency = StepLatencies::default();
     let mut round = || {
@@ -88,20 +88,25 @@ fn stamping(session: &Session<'_>) -> Figure {
         began.elapsed().as_nanos() as f64 / f64::from(steps)
     };
     let what = "profiling a step: 14 time stamps, 13 histograms";
-    Figure::new("hop.stamping", what, "ns", Better::Lower)
+    Measurement::new("hop.stamping", what, "ns", Better::Lower)
         .ours((0..session.rounds()).map(|_| round()).collect::<Vec<_>>())
         .note("all processes together; a run reads the clock once per batch where it can")
 }
 
 /// The machine's limits, as figures.
-fn floors(session: &Session<'_>) -> Vec<Figure> {
+fn floors(session: &BenchSession<'_>) -> Vec<Measurement> {
     let effort = session.size.pick(Effort::TINY, Effort::FULL);
     let rounds: Vec<_> = (0..session.rounds()).map(|_| measure(effort)).collect();
     let of = |value: fn(&orchestrator::machine::floors::Floors) -> f64| -> Vec<f64> {
         rounds.iter().map(value).collect()
     };
     let floor = |id: &str, what: &str, unit: &str, better| {
-        Figure::new(format!("hop.floor.{id}"), format!("the machine's floor: {what}"), unit, better)
+        Measurement::new(
+            format!("hop.floor.{id}"),
+            format!("the machine's floor: {what}"),
+            unit,
+            better,
+        )
     };
     let mib = effort.bytes >> 20;
     vec![
@@ -151,7 +156,7 @@ fn poll<T>(mut look: impl FnMut() -> Result<Option<T>>) -> Result<T> {
 }
 
 /// Round trips through our wire types with another process.
-fn wire(session: &Session<'_>, batches: u32) -> Result<f64> {
+fn wire(session: &BenchSession<'_>, batches: u32) -> Result<f64> {
     let run = RunDir::create(session.registry())?;
     let attach = Attach { participants: vec![Role::Sim], ..run.attach() };
     attach.write(run.path())?;
@@ -245,7 +250,7 @@ macro_rules! raw_service {
 }
 
 /// Round trips through iceoryx2 alone with another process.
-fn iceoryx2(session: &Session<'_>, batches: u32) -> Result<f64> {
+fn iceoryx2(session: &BenchSession<'_>, batches: u32) -> Result<f64> {
     let prefix = format!("mtb{}_", std::process::id());
     let _cleaner = Cleaner(&prefix);
     let node = raw_node(&prefix, session.registry())?;

@@ -31,8 +31,8 @@ pub mod search;
 pub mod suite;
 
 pub use baselines::{Baseline, Baselines};
-pub use figure::{Better, Figure};
-pub use session::{Session, Size};
+pub use figure::{Better, Measurement};
+pub use session::{BenchSession, Size};
 
 /// One group of measurements.
 #[derive(Debug, Clone, Copy)]
@@ -42,7 +42,7 @@ pub struct Bench {
     /// What it measures, in one line.
     pub about: &'static str,
     /// Runs the measurement.
-    pub run: fn(&mut Session<'_>) -> anyhow::Result<Vec<Figure>>,
+    pub run: fn(&mut BenchSession<'_>) -> anyhow::Result<Vec<Measurement>>,
 }
 
 /// Every bench, in execution order.

@@ -6,7 +6,7 @@ use std::path::Path;
 use anyhow::{Context, Result, bail};
 
 use crate::compare::Change;
-use crate::figure::{Figure, Summary, shown};
+use crate::figure::{Measurement, MeasurementSummary, shown};
 use crate::results::{BenchOutcome, Results, write_whole};
 
 /// Markers around the section of a page that [`insert`] replaces.
@@ -64,7 +64,7 @@ const TARGET_COLUMNS: [&str; 8] =
     ["what", "against", "target", "ours", "baseline", "ours / baseline", "target met", "command"];
 
 /// The row of a figure in the table of targets; `None` if it has no target.
-fn target_row(outcome: &BenchOutcome, figure: &Figure) -> Option<[String; 8]> {
+fn target_row(outcome: &BenchOutcome, figure: &Measurement) -> Option<[String; 8]> {
     let target = figure.target.as_ref()?;
     let [ours, baseline, ratio] = values(figure);
     let met = figure.meets_target().map(|met| if met { "yes" } else { "no" });
@@ -81,7 +81,7 @@ fn target_row(outcome: &BenchOutcome, figure: &Figure) -> Option<[String; 8]> {
 }
 
 /// The row of a figure in the table of its bench.
-fn figure_row(figure: &Figure) -> [String; 5] {
+fn figure_row(figure: &Measurement) -> [String; 5] {
     let parameters: Vec<String> =
         figure.parameters.iter().map(|(name, value)| format!("{name} {value}")).collect();
     let about: Vec<String> = std::iter::once(figure.what.clone())
@@ -99,7 +99,7 @@ fn figure_row(figure: &Figure) -> [String; 5] {
 const NONE: &str = "–";
 
 /// Our value, the baseline's, and their ratio.
-fn values(figure: &Figure) -> [String; 3] {
+fn values(figure: &Measurement) -> [String; 3] {
     let unit = figure.unit.as_str();
     [(figure.summary(), unit), (figure.baseline_summary(), unit), (figure.ratio(), "")].map(
         |(summary, unit)| summary.map_or_else(|| NONE.to_owned(), |found| with_unit(found, unit)),
@@ -107,13 +107,13 @@ fn values(figure: &Figure) -> [String; 3] {
 }
 
 /// A median with its unit, and the range unless it is a single value.
-fn with_unit(Summary { median, min, max }: Summary, unit: &str) -> String {
+fn with_unit(MeasurementSummary { median, min, max }: MeasurementSummary, unit: &str) -> String {
     let range = (min != max).then(|| format!("({} to {})", shown(min), shown(max)));
     let parts = [shown(median), unit.to_owned(), range.unwrap_or_default()];
     parts.into_iter().filter(|part| !part.is_empty()).collect::<Vec<_>>().join(" ")
 }
 
-fn baseline_name(figure: &Figure) -> Option<String> {
+fn baseline_name(figure: &Measurement) -> Option<String> {
     let baseline = figure.baseline.as_ref()?;
     Some(format!("{} {}", baseline.name, baseline.version).trim().to_owned())
 }
@@ -173,15 +173,15 @@ fn rows<const N: usize>(header: &[&str; N], rows: &[[String; N]]) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::figure::{Better, Bound};
+    use crate::figure::{Better, FigureBound};
 
     #[test]
     fn a_figure_with_a_target_has_a_row() {
-        let hop = Figure::new("hop.round-trip", "a round trip", "ns", Better::Lower)
+        let hop = Measurement::new("hop.round-trip", "a round trip", "ns", Better::Lower)
             .ours([500.0, 510.0, 490.0])
             .baseline("iceoryx2", "0.10", [400.0, 400.0, 400.0])
-            .target(Bound::Ratio(1.5), "within 1.5 x");
-        let floor = Figure::new("hop.floor", "no target", "ns", Better::Lower).ours([1.0]);
+            .target(FigureBound::Ratio(1.5), "within 1.5 x");
+        let floor = Measurement::new("hop.floor", "no target", "ns", Better::Lower).ours([1.0]);
         let outcome = BenchOutcome {
             name: "hop".to_owned(),
             about: String::new(),

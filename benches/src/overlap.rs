@@ -18,11 +18,11 @@ use warehouse::Warehouse;
 
 use crate::Bench;
 use crate::embed;
-use crate::figure::{Better, Bound, Figure};
+use crate::figure::{Better, FigureBound, Measurement};
 use crate::render;
 use crate::runs::{Timing, ended_well, lines, new_cache};
 use crate::search::threads;
-use crate::session::Session;
+use crate::session::BenchSession;
 
 /// The bench.
 pub const BENCH: Bench = Bench {
@@ -36,7 +36,7 @@ const TICKS_PER_SECOND: f64 = 100.0;
 
 /// Measurements, one value per round, in seconds.
 #[derive(Default)]
-struct Rounds {
+struct OverlapRounds {
     cold: Vec<f64>,
     busy: Vec<f64>,
     rendering: Vec<f64>,
@@ -44,14 +44,14 @@ struct Rounds {
     deciding: Vec<f64>,
 }
 
-fn run(session: &mut Session<'_>) -> Result<Vec<Figure>> {
+fn run(session: &mut BenchSession<'_>) -> Result<Vec<Measurement>> {
     let warehouse = Warehouse::shipped();
     let poses: Vec<_> =
         every_pose(&warehouse.layout).step_by(7).take(session.size.pick(2, 128)).collect();
     let frames = embed::drawn(&warehouse, &poses)?;
     let mut encoder = embed::open()?;
     let dimension = encoder.facts().dimension;
-    let (mut rounds, mut views) = (Rounds::default(), (0, 0));
+    let (mut rounds, mut views) = (OverlapRounds::default(), (0, 0));
     for round in 1..=session.rounds() {
         session.say(format_args!("round {round}"));
         let cache = session.scratch().join(format!("cache-{round}"));
@@ -71,15 +71,15 @@ fn run(session: &mut Session<'_>) -> Result<Vec<Figure>> {
     Ok(figures(&rounds, views))
 }
 
-fn figures(rounds: &Rounds, (drawn, embedded): (usize, usize)) -> Vec<Figure> {
-    let Rounds { cold, busy, rendering, embedding, deciding } = rounds;
+fn figures(rounds: &OverlapRounds, (drawn, embedded): (usize, usize)) -> Vec<Measurement> {
+    let OverlapRounds { cold, busy, rendering, embedding, deciding } = rounds;
     let stages = |round: usize| [rendering[round], embedding[round], deciding[round]];
     let share = |of: fn([f64; 3]) -> f64| -> Vec<f64> {
         cold.iter().enumerate().map(|(n, cold)| 100.0 * of(stages(n)) / cold).collect()
     };
     let figure = |id: &str, what: &str, unit: &str, values: &[f64]| {
         let better = if unit == "%" { Better::Higher } else { Better::Lower };
-        Figure::new(format!("overlap.{id}"), what, unit, better)
+        Measurement::new(format!("overlap.{id}"), what, unit, better)
             .ours(values)
             .parameter("views rendered", drawn)
             .parameter("embedded", embedded)
@@ -89,7 +89,7 @@ fn figures(rounds: &Rounds, (drawn, embedded): (usize, usize)) -> Vec<Figure> {
     let sum = share(|stages| stages.into_iter().sum());
     vec![
         figure("share", "the slowest stage alone, as a share of a cold run", "%", &slowest)
-            .target(Bound::Value(90.0), "overlap of 90 %"),
+            .target(FigureBound::Value(90.0), "overlap of 90 %"),
         figure(
             "work",
             "all stages alone, one after the other, as a share of a cold run",
@@ -116,7 +116,7 @@ struct RunMeasurement {
 }
 
 /// Runs cases with episodic memory and `cache` as the cache folder.
-fn execute(session: &Session<'_>, cache: &Path, flags: &[&str]) -> Result<RunMeasurement> {
+fn execute(session: &BenchSession<'_>, cache: &Path, flags: &[&str]) -> Result<RunMeasurement> {
     let mut command = session.memtransfer()?;
     command.env("MEMTRANSFER_CACHE", cache).args(["run", "--fresh", "--quiet", "--out", "run"]);
     command.args(["--policy", "grounded", "--memory", "episodic", "--starts", "new"]);

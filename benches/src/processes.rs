@@ -5,7 +5,7 @@ use std::process::{Child, Command, Stdio};
 use anyhow::{Context, Result, bail};
 use shm_types::process::die_with_parent;
 
-use crate::session::Session;
+use crate::session::BenchSession;
 
 /// The main function of a helper process.
 type Main = fn(&[String]) -> Result<()>;
@@ -39,7 +39,7 @@ pub fn run(name: &str, arguments: &[String]) -> Result<()> {
 /// # Errors
 /// When the program is not built, does not start, or fails.
 pub fn output_of(
-    session: &Session<'_>,
+    session: &BenchSession<'_>,
     name: &str,
     arguments: &[String],
     variables: &[(&str, &str)],
@@ -55,7 +55,7 @@ pub fn output_of(
     Ok(String::from_utf8(output.stdout)?)
 }
 
-fn command(session: &Session<'_>, name: &str, arguments: &[String]) -> Result<Command> {
+fn command(session: &BenchSession<'_>, name: &str, arguments: &[String]) -> Result<Command> {
     let mut command = Command::new(session.program("memtransfer-bench")?);
     command
         .args(["process", name, &std::process::id().to_string()])
@@ -76,7 +76,11 @@ impl BenchProcess {
     ///
     /// # Errors
     /// When the program is not built or does not start.
-    pub fn start(session: &Session<'_>, name: &'static str, arguments: &[String]) -> Result<Self> {
+    pub fn start(
+        session: &BenchSession<'_>,
+        name: &'static str,
+        arguments: &[String],
+    ) -> Result<Self> {
         let child = command(session, name, arguments)?
             .stdout(Stdio::null())
             .spawn()

@@ -27,10 +27,10 @@ use warehouse::{Variant, Warehouse};
 
 use crate::Bench;
 use crate::baselines::{Baseline, Baselines};
-use crate::figure::{Better, Bound, Figure, Summary};
+use crate::figure::{Better, FigureBound, Measurement, MeasurementSummary};
 use crate::processes;
 use crate::search::threads;
-use crate::session::Session;
+use crate::session::BenchSession;
 
 /// The bench.
 pub const BENCH: Bench = Bench {
@@ -85,7 +85,7 @@ const COLD: [Cold; 2] = [
     },
 ];
 
-fn run(session: &mut Session<'_>) -> Result<Vec<Figure>> {
+fn run(session: &mut BenchSession<'_>) -> Result<Vec<Measurement>> {
     let mut figures = Vec::new();
     for cold in &COLD {
         figures.push(measured(session, cold)?);
@@ -94,7 +94,7 @@ fn run(session: &mut Session<'_>) -> Result<Vec<Figure>> {
     Ok(figures)
 }
 
-fn measured(session: &Session<'_>, cold: &Cold) -> Result<Figure> {
+fn measured(session: &BenchSession<'_>, cold: &Cold) -> Result<Measurement> {
     let mut rival = match session.baselines {
         Some(baselines) => Some(Rival::start(session, baselines, cold)?),
         None => None,
@@ -110,9 +110,9 @@ fn measured(session: &Session<'_>, cold: &Cold) -> Result<Figure> {
     let Drawn { backend, renderers, views, .. } = drawn.first().context("no round")?;
     let rates: Vec<f64> = drawn.iter().map(|drawn| drawn.views_per_second).collect();
     let FrameSize { width, height } = FrameSize::DEFAULT;
-    let figure = Figure::new(cold.id, cold.what, "views/s", Better::Higher)
+    let figure = Measurement::new(cold.id, cold.what, "views/s", Better::Higher)
         .ours(rates)
-        .target(Bound::Ratio(cold.target.0), cold.target.1)
+        .target(FigureBound::Ratio(cold.target.0), cold.target.1)
         .parameter("size", format_args!("{width} x {height}"))
         .parameter("views", views)
         .parameter("backend", backend)
@@ -133,7 +133,7 @@ struct Rival {
 }
 
 impl Rival {
-    fn start(session: &Session<'_>, baselines: &Baselines, cold: &Cold) -> Result<Self> {
+    fn start(session: &BenchSession<'_>, baselines: &Baselines, cold: &Cold) -> Result<Self> {
         let (mut processes, mut said) = (Vec::new(), Value::Null);
         let (width, height) = cold.size_px;
         for number in 1..=threads() {
@@ -154,8 +154,8 @@ impl Rival {
     }
 
     /// The figure with the best rate of this baseline.
-    fn beside(self, figure: Figure, cold: &Cold) -> Figure {
-        let median = |rates: &[f64]| Summary::of(rates).map(|summary| summary.median);
+    fn beside(self, figure: Measurement, cold: &Cold) -> Measurement {
+        let median = |rates: &[f64]| MeasurementSummary::of(rates).map(|summary| summary.median);
         let (processes, rates) = if median(&self.alone) >= median(&self.together) {
             (1, self.alone)
         } else {
@@ -199,7 +199,7 @@ pub(crate) struct Drawn {
 }
 
 /// Measures ours in a new process without any resident view.
-pub(crate) fn ours(session: &Session<'_>, samples: Samples) -> Result<Drawn> {
+pub(crate) fn ours(session: &BenchSession<'_>, samples: Samples) -> Result<Drawn> {
     let arguments = [samples.count().to_string(), session.size.pick(8, usize::MAX).to_string()];
     let printed = processes::output_of(session, "render", &arguments, &[])?;
     serde_json::from_str(&printed)
@@ -207,12 +207,12 @@ pub(crate) fn ours(session: &Session<'_>, samples: Samples) -> Result<Drawn> {
 }
 
 /// A renderer and the memory it renders into, which must outlive it.
-struct RenderWorker {
+struct BenchRenderer {
     renderer: Renderer,
     memory: Vec<u8>,
 }
 
-impl RenderWorker {
+impl BenchRenderer {
     fn new(renderer: Renderer) -> Self {
         let slot = renderer.frame_bytes().next_multiple_of(PAGE_BYTES);
         Self { renderer, memory: vec![0; slot * VIEWS_AT_ONCE + PAGE_BYTES] }
@@ -240,7 +240,7 @@ pub(crate) fn render_process(arguments: &[String]) -> Result<()> {
     let warehouse = Warehouse::shipped();
     let settings = RenderSettings { samples, ..RenderSettings::default() };
     let renderers = open_renderers(std::slice::from_ref(&warehouse), settings)?;
-    let mut workers: Vec<RenderWorker> = renderers.into_iter().map(RenderWorker::new).collect();
+    let mut workers: Vec<BenchRenderer> = renderers.into_iter().map(BenchRenderer::new).collect();
     let poses: Vec<Pose> = every_pose(&warehouse.layout).collect();
     let (first, rest) = poses.split_at(workers.len());
     let rest = &rest[..rest.len().min(most.parse()?)];
@@ -249,7 +249,7 @@ pub(crate) fn render_process(arguments: &[String]) -> Result<()> {
     }
     let batches = Mutex::new(rest.chunks(VIEWS_AT_ONCE));
     let next = || batches.lock().unwrap_or_else(PoisonError::into_inner).next();
-    let work = |worker: &mut RenderWorker| -> Result<()> {
+    let work = |worker: &mut BenchRenderer| -> Result<()> {
         while let Some(poses) = next() {
             worker.draw(poses)?;
         }
@@ -273,7 +273,7 @@ pub(crate) fn render_process(arguments: &[String]) -> Result<()> {
 }
 
 /// A step to a resident view: the simulator's bookkeeping alone.
-fn repeated(session: &mut Session<'_>) -> Result<Figure> {
+fn repeated(session: &mut BenchSession<'_>) -> Result<Measurement> {
     let layout = Warehouse::shipped().layout;
     let keys: Vec<ViewKey> =
         every_pose(&layout).map(|pose| ViewKey::World { world: World::UNCHANGED, pose }).collect();
@@ -289,10 +289,10 @@ fn repeated(session: &mut Session<'_>) -> Result<Figure> {
         .in_turns(|_| look_up_ns(&mut views, &keys, steps), |_| Ok(frame_copy_ns(copies)))?;
     ensure!(views.missing() == 0, "a resident view was to be rendered");
     let what = "a step to a resident view: noted as shown, looked up, room checked";
-    Ok(Figure::new("render.repeated", what, "ns", Better::Lower)
+    Ok(Measurement::new("render.repeated", what, "ns", Better::Lower)
         .ours(ours)
         .baseline("a memcpy of the frame", "", copy)
-        .target(Bound::Ratio(1.0), "no work on pixels")
+        .target(FigureBound::Ratio(1.0), "no work on pixels")
         .parameter("lanes", LANES)
         .parameter("views", keys.len())
         .note("only the bookkeeping of views; pixels are not touched"))

@@ -7,7 +7,7 @@ use anyhow::{Context, Result, bail};
 use orchestrator::machine::Machine;
 use serde::{Deserialize, Serialize};
 
-use crate::figure::Figure;
+use crate::figure::Measurement;
 
 /// Version of the format.
 pub const SCHEMA: u32 = 1;
@@ -43,7 +43,7 @@ pub struct BenchOutcome {
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub error: Option<String>,
     /// Its figures.
-    pub figures: Vec<Figure>,
+    pub figures: Vec<Measurement>,
 }
 
 impl Results {
@@ -61,7 +61,7 @@ impl Results {
     }
 
     /// Every figure, in order.
-    pub fn figures(&self) -> impl Iterator<Item = &Figure> {
+    pub fn figures(&self) -> impl Iterator<Item = &Measurement> {
         self.benches.iter().flat_map(|outcome| &outcome.figures)
     }
 
@@ -107,15 +107,15 @@ pub(crate) fn write_whole(path: &Path, text: &str) -> Result<()> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::figure::{Better, Bound};
+    use crate::figure::{Better, FigureBound};
 
     #[test]
     fn results_round_trip_and_other_files_are_refused() {
         let dir = tempfile::tempdir().unwrap();
-        let figure = Figure::new("hop", "a hop", "ns", Better::Lower)
+        let figure = Measurement::new("hop", "a hop", "ns", Better::Lower)
             .ours([250.0, 260.0])
             .baseline("iceoryx2", "0.10", [240.0, 250.0])
-            .target(Bound::Ratio(1.5), "within 1.5 x")
+            .target(FigureBound::Ratio(1.5), "within 1.5 x")
             .parameter("bytes", 40);
         let mut results = Results::here();
         let outcome = |figures| BenchOutcome {
@@ -130,7 +130,7 @@ mod tests {
         results.add(outcome(Vec::new()));
         results.add(outcome(vec![figure]));
         assert_eq!(results.benches.len(), 1, "the later one counts");
-        assert_eq!(results.figures().next().and_then(Figure::meets_target), Some(true));
+        assert_eq!(results.figures().next().and_then(Measurement::meets_target), Some(true));
         results.write(dir.path()).unwrap();
         let path = dir.path().join(FILE);
         assert_eq!(Results::read(&path).unwrap(), results);

@@ -10,7 +10,7 @@ use domain::cache_folder;
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
 
-use crate::session::Session;
+use crate::session::BenchSession;
 
 /// Folders that a run adds to the cache folder; everything else comes from set-up.
 const MADE_BY_RUNS: [&str; 3] = ["embeddings", "documents", "responses"];
@@ -39,7 +39,7 @@ impl BenchRun {
     ///
     /// # Errors
     /// When `memtransfer` is not built.
-    pub fn command(&self, session: &Session<'_>, out: &str) -> Result<(Command, PathBuf)> {
+    pub fn command(&self, session: &BenchSession<'_>, out: &str) -> Result<(Command, PathBuf)> {
         let folder = session.scratch().join(out);
         let mut command = session.memtransfer()?;
         command
@@ -55,7 +55,7 @@ impl BenchRun {
     ///
     /// # Errors
     /// When it cannot be started or fails; the message quotes its output.
-    pub fn make(&self, session: &Session<'_>, out: &str) -> Result<PathBuf> {
+    pub fn make(&self, session: &BenchSession<'_>, out: &str) -> Result<PathBuf> {
         let (mut command, folder) = self.command(session, out)?;
         ended_well(&mut command, &session.scratch().join("run.log"))?;
         Ok(folder)

@@ -13,8 +13,8 @@ use serde_json::{Value, json};
 
 use crate::Bench;
 use crate::baselines::{Baseline, Baselines};
-use crate::figure::{Better, Bound, Figure};
-use crate::session::Session;
+use crate::figure::{Better, FigureBound, Measurement};
+use crate::session::BenchSession;
 
 /// The bench.
 pub const BENCH: Bench = Bench {
@@ -51,7 +51,7 @@ const BEYOND_CACHES: u64 = 300 << 20;
 
 /// Measurement of one memory by `memory-proc profile`.
 pub(crate) fn profile(
-    session: &Session<'_>,
+    session: &BenchSession<'_>,
     (entries, dimension): (u32, u32),
     flags: &[&str],
 ) -> Result<Vec<SearchMeasurement>> {
@@ -69,7 +69,7 @@ pub(crate) fn profile(
 }
 
 /// The request that makes a baseline load a memory.
-pub(crate) fn load(session: &Session<'_>, (entries, dimension): (u32, u32)) -> Result<Value> {
+pub(crate) fn load(session: &BenchSession<'_>, (entries, dimension): (u32, u32)) -> Result<Value> {
     let program = session.program("memory-proc")?.display().to_string();
     let (count, length, queries) =
         (entries.to_string(), dimension.to_string(), QUERIES.to_string());
@@ -90,7 +90,7 @@ pub(crate) fn threads() -> usize {
 
 /// Measurements of one memory, one value per round.
 #[derive(Default)]
-struct Rounds {
+struct SearchRounds {
     one: Vec<f64>,
     batch: Vec<f64>,
     read: Vec<f64>,
@@ -101,7 +101,7 @@ struct Rounds {
     real: u32,
 }
 
-fn run(session: &mut Session<'_>) -> Result<Vec<Figure>> {
+fn run(session: &mut BenchSession<'_>) -> Result<Vec<Measurement>> {
     let mut figures = Vec::new();
     for &size in session.size.pick(&[(300, 32)][..], SIZES) {
         let (entries, dimension) = size;
@@ -117,9 +117,9 @@ fn run(session: &mut Session<'_>) -> Result<Vec<Figure>> {
     Ok(figures)
 }
 
-fn measured(session: &Session<'_>, size: (u32, u32), bytes: u64) -> Result<Rounds> {
+fn measured(session: &BenchSession<'_>, size: (u32, u32), bytes: u64) -> Result<SearchRounds> {
     let huge = bytes > HUGE;
-    let mut rounds = Rounds::default();
+    let mut rounds = SearchRounds::default();
     let mut kept = None;
     let count = if huge { session.rounds().min(HUGE_ROUNDS) } else { session.rounds() };
     for round in 1..=count {
@@ -156,10 +156,10 @@ fn measured(session: &Session<'_>, size: (u32, u32), bytes: u64) -> Result<Round
 }
 
 fn loaded(
-    session: &Session<'_>,
+    session: &BenchSession<'_>,
     baselines: &Baselines,
     size: (u32, u32),
-    rounds: &mut Rounds,
+    rounds: &mut SearchRounds,
 ) -> Result<Baseline> {
     let mut baseline = Baseline::start(baselines, "search_faiss.py", session.scratch())?;
     let answer = baseline.ask(&load(session, size)?)?;
@@ -167,13 +167,13 @@ fn loaded(
     Ok(baseline)
 }
 
-fn figures_of((entries, dimension): (u32, u32), rounds: Rounds) -> Vec<Figure> {
-    let Rounds { one, batch, read, bandwidth, baseline_one, baseline_batch, version, real } =
+fn figures_of((entries, dimension): (u32, u32), rounds: SearchRounds) -> Vec<Measurement> {
+    let SearchRounds { one, batch, read, bandwidth, baseline_one, baseline_batch, version, real } =
         rounds;
     let micros = |seconds: Vec<f64>| seconds.into_iter().map(|s| s * 1e6).collect::<Vec<_>>();
     let rates =
         |seconds: Vec<f64>| seconds.into_iter().map(|s| BATCH as f64 / s).collect::<Vec<_>>();
-    let named = |figure: Figure| {
+    let named = |figure: Measurement| {
         figure
             .parameter("entries", entries)
             .parameter("dimension", dimension)
@@ -181,22 +181,22 @@ fn figures_of((entries, dimension): (u32, u32), rounds: Rounds) -> Vec<Figure> {
             .parameter("threads, at most", threads())
     };
     let id = |what: &str| format!("search.{entries}x{dimension}.{what}");
-    let mut single = Figure::new(
+    let mut single = Measurement::new(
         id("one"),
         format!("one exact query of {entries} vectors of {dimension}"),
         "us",
         Better::Lower,
     )
     .ours(micros(one))
-    .target(Bound::Ratio(1.0), "at or above FAISS");
-    let mut many = Figure::new(
+    .target(FigureBound::Ratio(1.0), "at or above FAISS");
+    let mut many = Measurement::new(
         id("batch"),
         format!("exact queries, {BATCH} at once, of {entries} vectors of {dimension}"),
         "queries/s",
         Better::Higher,
     )
     .ours(rates(batch))
-    .target(Bound::Ratio(5.0), "five times FAISS");
+    .target(FigureBound::Ratio(5.0), "five times FAISS");
     if !baseline_one.is_empty() {
         single = single.baseline("FAISS flat", version.clone(), micros(baseline_one));
         many = many.baseline("FAISS flat", version, rates(baseline_batch));
@@ -204,7 +204,7 @@ fn figures_of((entries, dimension): (u32, u32), rounds: Rounds) -> Vec<Figure> {
     let mut figures = vec![named(single), named(many)];
     if !read.is_empty() {
         let giga = |rates: Vec<f64>| rates.into_iter().map(|rate| rate / 1e9).collect::<Vec<_>>();
-        let figure = Figure::new(
+        let figure = Measurement::new(
             id("read"),
             format!("memory read by one exact query of {entries} vectors of {dimension}"),
             "GB/s",
@@ -212,7 +212,7 @@ fn figures_of((entries, dimension): (u32, u32), rounds: Rounds) -> Vec<Figure> {
         )
         .ours(giga(read))
         .baseline("a plain read loop", "", giga(bandwidth))
-        .target(Bound::Ratio(0.8), "80 % of the bandwidth")
+        .target(FigureBound::Ratio(0.8), "80 % of the bandwidth")
         .note("reads the quantized codes, a quarter of the vectors' size");
         figures.push(named(figure));
     }

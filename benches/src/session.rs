@@ -29,7 +29,7 @@ impl Size {
 
 /// The environment of one bench.
 #[derive(Debug)]
-pub struct Session<'a> {
+pub struct BenchSession<'a> {
     /// How much to measure.
     pub size: Size,
     /// The Python environment of the baselines; without it a bench measures only this project.
@@ -43,7 +43,7 @@ pub struct Session<'a> {
     registry: TempDir,
 }
 
-impl<'a> Session<'a> {
+impl<'a> BenchSession<'a> {
     /// A session for the bench called `bench`.
     ///
     /// # Errors

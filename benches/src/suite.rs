@@ -7,9 +7,9 @@ use std::time::Instant;
 use anyhow::Result;
 
 use crate::Bench;
-use crate::figure::{Better, Bound, Figure};
+use crate::figure::{Better, FigureBound, Measurement};
 use crate::runs::{ended_well, new_cache};
-use crate::session::{Session, Size};
+use crate::session::{BenchSession, Size};
 
 /// The bench.
 pub const BENCH: Bench =
@@ -18,7 +18,7 @@ pub const BENCH: Bench =
 /// Lanes of the suite's runs.
 const LANES: &str = "64";
 
-fn run(session: &mut Session<'_>) -> Result<Vec<Figure>> {
+fn run(session: &mut BenchSession<'_>) -> Result<Vec<Measurement>> {
     let cache = session.scratch().join("cache");
     new_cache(&cache)?;
     session.say("cold");
@@ -30,9 +30,9 @@ fn run(session: &mut Session<'_>) -> Result<Vec<Figure>> {
         warm.push(execute(session, &cache, "warm")?);
     }
     let figure = |id: &str, what: &str, seconds: Vec<f64>, target: (f64, &str)| {
-        Figure::new(id, what, "s", Better::Lower)
+        Measurement::new(id, what, "s", Better::Lower)
             .ours(seconds)
-            .target(Bound::Value(target.0), target.1)
+            .target(FigureBound::Value(target.0), target.1)
             .parameter("lanes", LANES)
     };
     Ok(vec![
@@ -52,7 +52,7 @@ fn run(session: &mut Session<'_>) -> Result<Vec<Figure>> {
 }
 
 /// Runs the suite and returns its duration in seconds.
-fn execute(session: &Session<'_>, cache: &Path, out: &str) -> Result<f64> {
+fn execute(session: &BenchSession<'_>, cache: &Path, out: &str) -> Result<f64> {
     let mut command = session.memtransfer()?;
     command.env("MEMTRANSFER_CACHE", cache);
     command.args(["run", "--quiet", "--fresh", "--policy", "grounded", "--lanes", LANES]);

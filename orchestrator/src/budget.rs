@@ -2,7 +2,7 @@
 //!
 //! Requests of earlier sessions count, also those of episodes that were repeated.
 
-use results::cost::{Amount, ModelPrices};
+use results::cost::{ModelPrices, Money};
 use results::log::RequestRecord;
 use results::settings::ModelSettings;
 use results::usage::UsageTotals;
@@ -12,7 +12,7 @@ use results::usage::UsageTotals;
 pub struct Budget {
     used: UsageTotals,
     max_tokens: Option<u64>,
-    max_cost: Option<(Amount, ModelPrices)>,
+    max_cost: Option<(Money, ModelPrices)>,
 }
 
 impl Budget {
@@ -67,7 +67,7 @@ mod tests {
     use results::log::testing::request;
 
     fn budget(max_tokens: Option<u64>, max_cost: Option<&str>, past: &[RequestRecord]) -> Budget {
-        let amount = |text: &str| text.parse::<Amount>().unwrap();
+        let amount = |text: &str| text.parse::<Money>().unwrap();
         let prices = ModelPrices {
             currency: "EUR".to_owned(),
             prompt: amount("1"),

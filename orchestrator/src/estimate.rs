@@ -15,8 +15,8 @@ use crate::documents::needed;
 use crate::plan::PlannedEpisode;
 use crate::world::World;
 use results::conditions::Condition;
-use results::cost::Amount;
 use results::cost::ModelPrices;
+use results::cost::Money;
 use results::log::EpisodeRecord;
 use results::settings::{ModelSettings, RunSettings};
 use results::usage::UsageTotals;
@@ -35,7 +35,7 @@ const IMAGE_TOKENS: u64 = 256;
 
 /// What the missing episodes of a condition would take.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Estimate {
+pub struct RunEstimate {
     /// Requests, at least and at most.
     pub requests: [u64; 2],
     /// Maximum number of images in a request.
@@ -50,7 +50,7 @@ pub struct Estimate {
     pub measured_tokens: bool,
 }
 
-impl Estimate {
+impl RunEstimate {
     /// Tokens of prompts and answers, at least and at most.
     pub fn tokens(&self) -> Option<[u64; 2]> {
         let each = self.prompt_each? + self.answer_each;
@@ -58,7 +58,7 @@ impl Estimate {
     }
 
     /// What they would cost, at least and at most, if the server's own cache served nothing.
-    pub fn cost(&self, prices: &ModelPrices) -> Option<[Amount; 2]> {
+    pub fn cost(&self, prices: &ModelPrices) -> Option<[Money; 2]> {
         let prompt_each = self.prompt_each?;
         Some(self.requests.map(|requests| {
             prices.cost(&UsageTotals {
@@ -87,7 +87,7 @@ pub struct Basis<'a> {
 
 impl Basis<'_> {
     /// What `missing`, all of `condition`, would take.
-    pub fn estimate(&self, condition: &Condition, missing: &[&PlannedEpisode]) -> Estimate {
+    pub fn estimate(&self, condition: &Condition, missing: &[&PlannedEpisode]) -> RunEstimate {
         let done = || self.done.iter().filter(|record| record.condition() == *condition);
         let requests: u64 = done().filter_map(|record| record.requests).map(u64::from).sum();
         let prompt = done().map(|record| record.prompt_tokens).sum::<Option<u64>>();
@@ -96,7 +96,7 @@ impl Basis<'_> {
             [(mean * missing.len() as f64).round() as u64; 2]
         });
         let measured_each = prompt.filter(|_| requests > 0).map(|prompt| prompt / requests);
-        Estimate {
+        RunEstimate {
             requests: measured.unwrap_or_else(|| self.bounds(condition, missing)),
             images_each: self.images(condition),
             prompt_each: measured_each.or_else(|| self.prompt(condition, missing)),

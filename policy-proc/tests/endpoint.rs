@@ -4,7 +4,7 @@
 
 use std::process::{Child, Command, Output, Stdio};
 
-use llm::scripted::{Server, Turn, completion};
+use llm::scripted::{Reaction, Server, completion};
 use llm::{ChatClient, ChatRequest, ChatSettings, Endpoint, ReplyCache};
 use serde_json::{Value, json};
 
@@ -48,7 +48,7 @@ fn value(output: &Output) -> Value {
 #[test]
 fn stored_replies_can_be_listed_and_removed() {
     let folder = tempfile::tempdir().unwrap();
-    let server = Server::start(|_| Turn::says("North.")).unwrap();
+    let server = Server::start(|_| Reaction::says("North.")).unwrap();
     let endpoint = Endpoint::new(&server.base_url(), None).unwrap();
     let cache = ReplyCache::at(folder.path());
     let client = ChatClient::new(endpoint, ChatSettings::new("m"), Some(cache));
@@ -86,12 +86,12 @@ fn the_folder_is_in_the_cache_that_the_environment_names() {
 #[test]
 fn a_probe_ends_with_a_status_and_hides_the_key() {
     let server = Server::start(|request| match &*request.line {
-        "GET /v1/models HTTP/1.1" => Turn::json(200, &json!({"data": [{"id": "m"}]})),
-        "GET /version HTTP/1.1" => Turn::json(200, &json!({"version": format!("0.11 {KEY}")})),
-        line if line.starts_with("GET") => Turn::json(404, &json!({"detail": "Not Found"})),
+        "GET /v1/models HTTP/1.1" => Reaction::json(200, &json!({"data": [{"id": "m"}]})),
+        "GET /version HTTP/1.1" => Reaction::json(200, &json!({"version": format!("0.11 {KEY}")})),
+        line if line.starts_with("GET") => Reaction::json(404, &json!({"detail": "Not Found"})),
         _ => match request.body.pointer("/messages/0/content") {
-            Some(Value::String(_)) => Turn::says(&format!("42 {KEY}")),
-            _ => Turn::json(400, &json!({"error": {"message": format!("not for {KEY}")}})),
+            Some(Value::String(_)) => Reaction::says(&format!("42 {KEY}")),
+            _ => Reaction::json(400, &json!({"error": {"message": format!("not for {KEY}")}})),
         },
     })
     .unwrap();
@@ -116,18 +116,20 @@ fn a_probe_ends_with_a_status_and_hides_the_key() {
 fn a_probe_sends_a_request_of_the_runs_size() {
     let server = Server::start(|request| {
         if request.line.starts_with("GET") {
-            return Turn::json(200, &json!({"data": [{"id": "m"}]}));
+            return Reaction::json(200, &json!({"data": [{"id": "m"}]}));
         }
         let body = request.body.to_string();
         if !body.contains("You control a robot") {
-            return Turn::says(if body.contains("square") { "red or blue" } else { "42" });
+            return Reaction::says(if body.contains("square") { "red or blue" } else { "42" });
         }
         let images = body.matches("data:image/png;base64,").count();
         let mut reply = completion("move forward");
         reply["usage"]["prompt_tokens"] = json!(1000 + 64 * images);
         match images {
-            0..=12 => Turn::json(200, &reply),
-            _ => Turn::json(400, &json!({"error": {"message": "context length is 8192 tokens"}})),
+            0..=12 => Reaction::json(200, &reply),
+            _ => {
+                Reaction::json(400, &json!({"error": {"message": "context length is 8192 tokens"}}))
+            }
         }
     })
     .unwrap();

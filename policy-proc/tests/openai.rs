@@ -8,7 +8,7 @@ use std::sync::{Arc, Condvar, Mutex};
 use conformance::messages::{self, config, observation, recall, supply};
 use conformance::testing::{LONG, PolicyRig};
 use domain::{Action, Feedback, Outcome};
-use llm::scripted::{Received, Server, Turn, completion};
+use llm::scripted::{Reaction, Received, Server, completion};
 use llm::{ChatClient, ChatSettings, Endpoint, ReplyCache};
 use peer::serve;
 use policy_proc::openai::{Openai, OpenaiSettings};
@@ -143,7 +143,7 @@ fn requests_of_all_lanes_are_in_flight_at_once() {
         assert!(!waited.timed_out(), "lane {lane} waits for the others");
         state.1 = lane;
         changed.notify_all();
-        Turn::says(Action::ALL[lane as usize % 7].words())
+        Reaction::says(Action::ALL[lane as usize % 7].words())
     })
     .unwrap();
     let mut bench = Bench::new(server, settings());
@@ -185,16 +185,16 @@ fn answers_without_an_action_have_different_outcomes() {
         let length = |text| {
             let mut body = completion(text);
             body["choices"][0]["finish_reason"] = json!("length");
-            Turn::json(200, &body)
+            Reaction::json(200, &body)
         };
         match lane_of(request) {
-            0 => Turn::says("left or right, who knows"),
-            1 => Turn::says(""),
-            2 => Turn::says("I'm sorry, but I can't assist with that."),
+            0 => Reaction::says("left or right, who knows"),
+            1 => Reaction::says(""),
+            2 => Reaction::says("I'm sorry, but I can't assist with that."),
             3 => length("I can see a warehouse with"),
             4 => length("Turn left. I can see"),
-            5 => Turn::json(400, &json!({"error": {"message": "at most 1 image"}})),
-            _ => Turn::says("**Turn around!**"),
+            5 => Reaction::json(400, &json!({"error": {"message": "at most 1 image"}})),
+            _ => Reaction::says("**Reaction around!**"),
         }
     })
     .unwrap();
@@ -226,7 +226,7 @@ fn images_are_kept_to_the_budget() {
     let server = Server::concurrent(|_| {
         let mut body = completion("move forward");
         body["usage"]["prompt_tokens"] = json!(2000);
-        Turn::json(200, &body)
+        Reaction::json(200, &body)
     })
     .unwrap();
     let budget = OpenaiSettings { image_budget: 3, image_format: ImageFormat::Jpeg, ..settings() };
@@ -265,7 +265,7 @@ fn without_images_a_model_gets_plain_text_and_memory_its_share() {
             "prompt_tokens": 1000, "completion_tokens": 2,
             "prompt_tokens_details": {"cached_tokens": 600},
         });
-        Turn::json(200, &body)
+        Reaction::json(200, &body)
     })
     .unwrap();
     let mut bench = Bench::new(server, OpenaiSettings { image_budget: 0, ..settings() });
@@ -290,8 +290,8 @@ fn without_images_a_model_gets_plain_text_and_memory_its_share() {
 #[test]
 fn a_request_that_hangs_delays_no_other_lane() {
     let server = Server::concurrent(|request| match lane_of(request) {
-        0 => Turn::Hang,
-        _ => Turn::says("turn right"),
+        0 => Reaction::Hang,
+        _ => Reaction::says("turn right"),
     })
     .unwrap();
     let mut bench = Bench::new(server, settings());
@@ -309,7 +309,7 @@ fn a_request_that_hangs_delays_no_other_lane() {
 #[test]
 fn a_stored_reply_costs_nothing_and_each_repetition_has_its_own() {
     let folder = tempfile::tempdir().unwrap();
-    let server = Server::concurrent(|_| Turn::says("turn right")).unwrap();
+    let server = Server::concurrent(|_| Reaction::says("turn right")).unwrap();
     let cache = ReplyCache::at(folder.path());
     let mut bench = Bench::with_cache(server, settings(), Some(cache));
     let frame = bench.publish(9);
@@ -337,7 +337,7 @@ fn a_stored_reply_costs_nothing_and_each_repetition_has_its_own() {
 
 #[test]
 fn a_server_that_refuses_the_key_stops_the_run() {
-    let server = Server::concurrent(|_| Turn::json(401, &json!({"error": "no"}))).unwrap();
+    let server = Server::concurrent(|_| Reaction::json(401, &json!({"error": "no"}))).unwrap();
     let mut bench = Bench::new(server, settings());
     let frame = bench.publish(9);
     bench.begin_lane(0);
@@ -352,8 +352,8 @@ fn a_server_that_refuses_the_key_stops_the_run() {
 /// While the server is gone, the policy reports it to the orchestrator; the decision comes when it is back.
 #[test]
 fn waiting_for_the_server_is_reported() {
-    let unavailable = Turn::json(503, &json!({"error": "loading the model"}));
-    let says = || Turn::says("turn right");
+    let unavailable = Reaction::json(503, &json!({"error": "loading the model"}));
+    let says = || Reaction::says("turn right");
     let server = Server::turns([says(), unavailable.clone(), unavailable, says()]).unwrap();
     let mut bench = Bench::new(server, settings());
     let frame = bench.publish(9);

@@ -31,7 +31,7 @@ use rustc_hash::FxHashMap;
 
 use crate::attach::{FrameSize, MAX_LOANED_FRAMES, PAGE_BYTES};
 use crate::bus::{Bus, Receiver};
-use crate::layout::{Field, Layout, Struct, WireType, wire_struct};
+use crate::layout::{Field, Struct, WireLayout, WireType, wire_struct};
 use crate::message::{Eviction, FrameId, NO_FRAME, Role};
 use crate::transport::{BusError, Ipc, delivered};
 
@@ -67,7 +67,7 @@ wire_struct! {
 
 const _: () = assert!(size_of::<Page>() == PAGE_BYTES);
 
-impl Layout for Page {
+impl WireLayout for Page {
     const LAYOUT: Struct = Struct {
         name: "Page",
         type_name: "memtransfer.Page",

@@ -2,7 +2,7 @@
 //! `docs/wire.md` from them.
 
 /// A wire struct.
-pub trait Layout {
+pub trait WireLayout {
     /// Its description.
     const LAYOUT: Struct;
 }
@@ -88,7 +88,7 @@ macro_rules! wire_struct {
             const SHAPE: $crate::layout::FieldType = $crate::layout::FieldType::Struct(stringify!($name));
         }
 
-        impl $crate::layout::Layout for $name {
+        impl $crate::layout::WireLayout for $name {
             const LAYOUT: $crate::layout::Struct = $crate::layout::Struct {
                 name: stringify!($name),
                 type_name: $type_name,

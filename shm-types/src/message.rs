@@ -16,7 +16,7 @@ use iceoryx2::prelude::ZeroCopySend;
 use domain::{Heading, Pose, UnknownCode};
 
 use crate::bus::{Bus, BusError};
-use crate::layout::{Field, FieldType, Layout, Struct, WireType, wire_struct};
+use crate::layout::{Field, FieldType, Struct, WireLayout, WireType, wire_struct};
 use crate::ports::{self, ReceiverPort, SenderPort};
 
 mod codes;
@@ -187,7 +187,7 @@ impl WireType for WirePose {
     const SHAPE: FieldType = FieldType::Struct("WirePose");
 }
 
-impl Layout for WirePose {
+impl WireLayout for WirePose {
     const LAYOUT: Struct = {
         const fn byte(offset: usize, name: &'static str, doc: &'static str) -> Field {
             Field { name, shape: u8::SHAPE, offset, bytes: 1, doc }

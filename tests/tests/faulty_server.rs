@@ -10,7 +10,7 @@ use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering::SeqCst};
 
-use llm::scripted::{Received, Server, Turn, completion};
+use llm::scripted::{Reaction, Received, Server, completion};
 use memtransfer_tests::{Bench, Ended, episodes, eventually, records, sorted_log};
 use serde_json::{Value, json};
 
@@ -41,12 +41,12 @@ struct ReplyTotals {
 }
 
 impl ReplyTotals {
-    fn answer(&self, request: &Received) -> Turn {
+    fn answer(&self, request: &Received) -> Reaction {
         let reply = reply(request);
         let tokens = |what: &str| reply["usage"][what].as_u64().unwrap();
         self.tokens.fetch_add(tokens("prompt_tokens") + tokens("completion_tokens"), SeqCst);
         self.replies.fetch_add(1, SeqCst);
-        Turn::json(200, &reply)
+        Reaction::json(200, &reply)
     }
 }
 
@@ -62,15 +62,15 @@ fn faulty(given: Arc<ReplyTotals>) -> Server {
     Server::concurrent(move |request| {
         let error = json!({"error": {"message": "not now"}});
         match count.fetch_add(1, SeqCst) % 21 {
-            0 => Turn::json(429, &error).with("Retry-After: 0"),
-            2 => Turn::json(500, &error),
-            4 => Turn::Half(reply(request).to_string()),
-            6 => Turn::json(200, &json!({"choices": []})),
-            8 => Turn::Close,
-            10 => Turn::json(503, &error).with("Retry-After: 0.1"),
-            12 => Turn::Answer { status: 502, headers: Vec::new(), body: "<html>".to_owned() },
-            14 => Turn::Hang,
-            16 => Turn::Trickle(reply(request).to_string()),
+            0 => Reaction::json(429, &error).with("Retry-After: 0"),
+            2 => Reaction::json(500, &error),
+            4 => Reaction::Half(reply(request).to_string()),
+            6 => Reaction::json(200, &json!({"choices": []})),
+            8 => Reaction::Close,
+            10 => Reaction::json(503, &error).with("Retry-After: 0.1"),
+            12 => Reaction::Answer { status: 502, headers: Vec::new(), body: "<html>".to_owned() },
+            14 => Reaction::Hang,
+            16 => Reaction::Trickle(reply(request).to_string()),
             _ => given.answer(request),
         }
     })
@@ -152,8 +152,8 @@ fn an_image_limit_of_the_server_is_reported_and_an_image_budget_respects_it() {
     let server = Server::concurrent(|request| {
         let images = request.body["messages"].to_string().matches("image_url").count() / 2;
         match images {
-            0..=2 => Turn::json(200, &reply(request)),
-            _ => Turn::json(400, &json!({"error": {"message": "at most 2 images"}})),
+            0..=2 => Reaction::json(200, &reply(request)),
+            _ => Reaction::json(400, &json!({"error": {"message": "at most 2 images"}})),
         }
     })
     .unwrap();
@@ -205,7 +205,7 @@ fn doctor_sends_a_request_of_the_runs_size_and_times_it() {
     let bench = Bench::new();
     let server = Server::concurrent(|request| {
         if request.line.starts_with("GET") {
-            return Turn::json(200, &json!({"data": [{"id": "m"}]}));
+            return Reaction::json(200, &json!({"data": [{"id": "m"}]}));
         }
         let body = request.body.to_string();
         let text = match () {
@@ -216,7 +216,7 @@ fn doctor_sends_a_request_of_the_runs_size_and_times_it() {
         // Images cost tokens: a server that drops them would be reported.
         let mut reply = completion(text);
         reply["usage"]["prompt_tokens"] = json!(10 + 50 * count_images(&request.body));
-        Turn::json(200, &reply)
+        Reaction::json(200, &reply)
     })
     .unwrap();
     let args = ["doctor", "--policy", "openai", "--model", "m", "--base-url", &server.base_url()];

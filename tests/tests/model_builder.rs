@@ -11,7 +11,7 @@ use std::sync::mpsc;
 use documents::ModelRecipe;
 use domain::DocumentKind;
 use domain::{Action, Cell, Feedback, Heading, Pose};
-use llm::scripted::{Received, Server, Turn};
+use llm::scripted::{Reaction, Received, Server};
 use llm::{ChatClient, ChatSettings, Endpoint};
 use memory_proc::builders::model::{ModelBuilder, ask_through};
 use memory_proc::builders::{DocumentBuilder, FrameReading, Transcript, TranscriptStep};
@@ -86,10 +86,10 @@ fn build(server: &Server, document: &Path) -> String {
 }
 
 /// A model whose answer depends only on the request.
-fn model(request: &Received) -> Turn {
+fn model(request: &Received) -> Reaction {
     let question = request.body.pointer("/messages/1/content").unwrap().as_str().unwrap();
     let sum = question.bytes().fold(0_u32, |sum, byte| sum.wrapping_mul(31) + u32::from(byte));
-    Turn::says(&format!("# Text {sum}\nof {} lines", question.lines().count()))
+    Reaction::says(&format!("# Text {sum}\nof {} lines", question.lines().count()))
 }
 
 #[test]
@@ -113,7 +113,7 @@ fn a_killed_build_resumes_where_it_stopped() {
                 return model(request);
             }
             third.send(()).unwrap();
-            Turn::Hang
+            Reaction::Hang
         })
         .unwrap();
         let mut process = start(&hanging, &document);

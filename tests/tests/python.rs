@@ -7,7 +7,7 @@ use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 
-use llm::scripted::{Server, Turn};
+use llm::scripted::{Reaction, Server};
 use memtransfer_tests::{
     Bench, Ended, episodes, eventually, kill, needs, processes_with, records, sorted_log,
 };
@@ -510,7 +510,7 @@ fn the_pixels_example_avoids_obstacles() {
 #[test]
 fn the_endpoint_example_asks_a_server() {
     let bench = Bench::new();
-    let server = Server::start(|_| Turn::says("Action: turn left")).unwrap();
+    let server = Server::start(|_| Reaction::says("Action: turn left")).unwrap();
     let policy = script("examples/endpoint_policy.py", "scripted");
     let more = ["--memory", "working", "--max-steps", "5", "--log-prompts"];
     let mut command = slice(&bench, "endpoint", &policy, &more);

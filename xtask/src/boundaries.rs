@@ -3,7 +3,6 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use anyhow::{Context, bail};
 use serde::Deserialize;
 
 use crate::workspace::Workspace;
@@ -50,12 +49,7 @@ pub(crate) fn check(workspace: &Workspace) -> anyhow::Result<bool> {
 type Links = BTreeMap<String, BTreeSet<String>>;
 
 #[derive(Deserialize)]
-struct Metadata {
-    packages: Vec<Package>,
-}
-
-#[derive(Deserialize)]
-struct Package {
+struct LinkedPackage {
     name: String,
     dependencies: Vec<Dependency>,
 }
@@ -70,20 +64,12 @@ struct Dependency {
 /// The workspace's crates with the dependencies in their manifests. A package from elsewhere cannot depend on one of
 /// ours, so following ours is enough.
 fn links(workspace: &Workspace) -> anyhow::Result<Links> {
-    let output = workspace
-        .cargo(&["metadata", "--format-version", "1", "--no-deps"])
-        .output()
-        .context("cannot start cargo metadata")?;
-    if !output.status.success() {
-        bail!("cargo metadata failed: {}", String::from_utf8_lossy(&output.stderr));
-    }
-    let metadata: Metadata =
-        serde_json::from_slice(&output.stdout).context("cannot read cargo metadata's output")?;
-    let linked = |package: Package| {
+    let packages: Vec<LinkedPackage> = workspace.packages(&["--no-deps"])?;
+    let linked = |package: LinkedPackage| {
         let names = package.dependencies.into_iter().filter(|it| it.kind.is_none());
         (package.name, names.map(|dependency| dependency.name).collect())
     };
-    Ok(metadata.packages.into_iter().map(linked).collect())
+    Ok(packages.into_iter().map(linked).collect())
 }
 
 /// Every broken rule, as a sentence.

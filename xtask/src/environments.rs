@@ -9,7 +9,7 @@ use std::fs;
 use anyhow::Context;
 
 use crate::cache::{Cache, LockedCache};
-use crate::files::Found;
+use crate::files::FileState;
 use crate::pins::EnvironmentPin;
 use crate::python;
 use crate::sha256::Sum;
@@ -23,19 +23,19 @@ pub(crate) fn look(
     environment: &EnvironmentPin,
     cache: &Cache,
     workspace: &Workspace,
-) -> anyhow::Result<Found> {
+) -> anyhow::Result<FileState> {
     let folder = cache.root().join(&environment.place);
     if !folder.exists() {
-        return Ok(Found::Nothing);
+        return Ok(FileState::Nothing);
     }
     // The interpreter is a link to the system's, which may have been removed.
     let whole = folder.join("bin/python").is_file();
     // An unreadable note counts as out of date.
     let note = fs::read_to_string(folder.join(NOTE)).unwrap_or_default();
     Ok(if whole && note == made_from(environment, workspace)? {
-        Found::Right
+        FileState::Right
     } else {
-        Found::Other
+        FileState::Other
     })
 }
 

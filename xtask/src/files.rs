@@ -14,7 +14,7 @@ use crate::workspace::Workspace;
 
 /// State of a file or environment.
 #[derive(PartialEq, Eq, Debug)]
-pub(crate) enum Found {
+pub(crate) enum FileState {
     /// It is the pinned one.
     Right,
     /// It is another one: outdated or damaged.
@@ -24,7 +24,7 @@ pub(crate) enum Found {
 }
 
 /// Inspects a file.
-pub(crate) fn look(file: &FilePin, cache: &Cache) -> anyhow::Result<Found> {
+pub(crate) fn look(file: &FilePin, cache: &Cache) -> anyhow::Result<FileState> {
     found(&cache.root().join(&file.place), file.here()?.sha256)
 }
 
@@ -89,9 +89,9 @@ fn download(
     Ok(downloaded)
 }
 
-fn found(path: &Path, pinned: Sum) -> anyhow::Result<Found> {
+fn found(path: &Path, pinned: Sum) -> anyhow::Result<FileState> {
     if !path.is_file() {
-        return Ok(Found::Nothing);
+        return Ok(FileState::Nothing);
     }
-    Ok(if Sum::of_file(path)? == pinned { Found::Right } else { Found::Other })
+    Ok(if Sum::of_file(path)? == pinned { FileState::Right } else { FileState::Other })
 }

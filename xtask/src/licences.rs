@@ -17,7 +17,7 @@ pub(crate) fn are_allowed(workspace: &Workspace) -> anyhow::Result<bool> {
     let path = workspace.root().join("deny.toml");
     let text = std::fs::read_to_string(&path)
         .with_context(|| format!("cannot read {}", path.display()))?;
-    let rules: Rules =
+    let rules: DenyRules =
         toml::from_str(&text).with_context(|| format!("cannot use {}", path.display()))?;
 
     let objections: Vec<String> = packages(workspace)?
@@ -31,7 +31,7 @@ pub(crate) fn are_allowed(workspace: &Workspace) -> anyhow::Result<bool> {
 }
 
 #[derive(Deserialize)]
-struct Rules {
+struct DenyRules {
     licenses: LicenceRules,
 }
 
@@ -41,12 +41,7 @@ struct LicenceRules {
 }
 
 #[derive(Deserialize)]
-struct Metadata {
-    packages: Vec<Package>,
-}
-
-#[derive(Deserialize)]
-struct Package {
+struct LicensedPackage {
     name: String,
     version: String,
     license: Option<String>,
@@ -54,23 +49,16 @@ struct Package {
     source: Option<String>,
 }
 
-fn packages(workspace: &Workspace) -> anyhow::Result<Vec<Package>> {
+fn packages(workspace: &Workspace) -> anyhow::Result<Vec<LicensedPackage>> {
     let platform = format!("{}-unknown-linux-gnu", std::env::consts::ARCH);
-    let output = workspace
-        .cargo(&["metadata", "--format-version", "1", "--locked", "--filter-platform", &platform])
-        .output()
-        .context("cannot start cargo metadata")?;
-    if !output.status.success() {
-        bail!("cargo metadata failed: {}", String::from_utf8_lossy(&output.stderr));
-    }
-    let metadata: Metadata =
-        serde_json::from_slice(&output.stdout).context("cannot read cargo metadata's answer")?;
+    let all: Vec<LicensedPackage> =
+        workspace.packages(&["--locked", "--filter-platform", &platform])?;
     let built = built_for(workspace, &platform)?;
-    let is_built = |package: &Package| {
+    let is_built = |package: &LicensedPackage| {
         let name = format!("{} v{}", package.name, package.version);
         built.lines().any(|line| line.trim_end() == name || line.starts_with(&format!("{name} ")))
     };
-    Ok(metadata.packages.into_iter().filter(is_built).collect())
+    Ok(all.into_iter().filter(is_built).collect())
 }
 
 /// The packages built for `platform`, one line each: `name v1.2.3`. `cargo metadata` also lists packages of features
@@ -88,8 +76,8 @@ fn built_for(workspace: &Workspace, platform: &str) -> anyhow::Result<String> {
 }
 
 /// Why a package is not allowed; `None` when it is.
-fn objection(package: &Package, allowed: &[String]) -> Option<String> {
-    let Package { name, version, license, source } = package;
+fn objection(package: &LicensedPackage, allowed: &[String]) -> Option<String> {
+    let LicensedPackage { name, version, license, source } = package;
     if source.as_ref().is_some_and(|source| !source.starts_with(SOURCE_PREFIX)) {
         return Some(format!("{name} {version} does not come from the registry"));
     }
@@ -127,7 +115,7 @@ mod tests {
             (Some("MIT"), &Some("git+elsewhere".to_owned()), false),
         ];
         for (license, source, expected) in cases {
-            let package = Package {
+            let package = LicensedPackage {
                 name: "some".to_owned(),
                 version: "1.0.0".to_owned(),
                 license: license.map(str::to_owned),

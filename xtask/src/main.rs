@@ -38,16 +38,16 @@ use crate::workspace::Workspace;
     bin_name = "cargo xtask",
     about = "Everything between a fresh clone and a result."
 )]
-struct Arguments {
+struct TaskArguments {
     #[command(subcommand)]
-    verb: Verb,
+    verb: Task,
     /// What set-up installs [default: xtask/setup.toml]
     #[arg(long, value_name = "FILE", global = true)]
     pins: Option<PathBuf>,
 }
 
 #[derive(Subcommand)]
-enum Verb {
+enum Task {
     /// Install what is missing: system packages, ONNX Runtime, the default encoder
     Setup {
         /// Also install what tests need: a Vulkan driver, Python packages and a small language model
@@ -79,7 +79,7 @@ enum Verb {
 }
 
 fn main() -> ExitCode {
-    let arguments = Arguments::parse();
+    let arguments = TaskArguments::parse();
     match run(&arguments) {
         Ok(true) => ExitCode::SUCCESS,
         Ok(false) => ExitCode::from(1),
@@ -91,7 +91,7 @@ fn main() -> ExitCode {
 }
 
 /// Executes the verb. Returns `false` when a check or a test failed.
-fn run(arguments: &Arguments) -> anyhow::Result<bool> {
+fn run(arguments: &TaskArguments) -> anyhow::Result<bool> {
     let cache = Cache::locate()?;
     let workspace = Workspace::locate(&cache)?;
     let pins_path =
@@ -99,31 +99,31 @@ fn run(arguments: &Arguments) -> anyhow::Result<bool> {
     let pins = Pins::load(&pins_path)?;
 
     match &arguments.verb {
-        Verb::Setup { tests } => {
+        Task::Setup { tests } => {
             let purpose = if *tests { Purpose::Tests } else { Purpose::Use };
             setup::install_missing(purpose, &pins, &cache, &workspace).map(|()| true)
         }
-        Verb::Demo { run_flags } => {
+        Task::Demo { run_flags } => {
             setup::install_missing(Purpose::Use, &pins, &cache, &workspace)?;
             demo::run(&workspace, run_flags)
         }
-        Verb::Test { test_arguments } => {
+        Task::Test { test_arguments } => {
             setup::install_missing(Purpose::Tests, &pins, &cache, &workspace)?;
             test::run(&workspace, test_arguments)
         }
-        Verb::Bench(arguments) => {
+        Task::Bench(arguments) => {
             let purpose = if arguments.no_baselines { Purpose::Use } else { Purpose::Benches };
             setup::install_missing(purpose, &pins, &cache, &workspace)?;
             bench::run(arguments, &pins, &cache, &workspace)
         }
-        Verb::Wheel => python::build_wheel(&workspace),
-        Verb::Check => check::run(&workspace),
-        Verb::Ci => {
+        Task::Wheel => python::build_wheel(&workspace),
+        Task::Check => check::run(&workspace),
+        Task::Ci => {
             let checked = check::run(&workspace)?;
             setup::install_missing(Purpose::Tests, &pins, &cache, &workspace)?;
             Ok(test::run(&workspace, &[])? && checked)
         }
-        Verb::VitB16Untrained => {
+        Task::VitB16Untrained => {
             setup::install_on_demand("vit-b16-untrained", &pins, &cache, &workspace).map(|()| true)
         }
     }

@@ -63,7 +63,7 @@ fn json_files(folder: &Path) -> Vec<PathBuf> {
 /// The library that a manifest names, if it exists: a bare name is looked up, a path is relative to the manifest.
 fn driver_library(manifest: &Path) -> Option<PathBuf> {
     #[derive(Deserialize)]
-    struct Manifest {
+    struct LibraryManifest {
         #[serde(rename = "ICD")]
         icd: Icd,
     }
@@ -72,7 +72,7 @@ fn driver_library(manifest: &Path) -> Option<PathBuf> {
         library_path: String,
     }
     let text = std::fs::read_to_string(manifest).ok()?;
-    let Manifest { icd: Icd { library_path } } = serde_json::from_str(&text).ok()?;
+    let LibraryManifest { icd: Icd { library_path } } = serde_json::from_str(&text).ok()?;
     if library_path.contains('/') {
         Some(manifest.parent()?.join(library_path)).filter(|path| path.is_file())
     } else {

@@ -7,7 +7,7 @@ use std::path::Path;
 use anyhow::bail;
 
 use crate::cache::Cache;
-use crate::files::{self, Found};
+use crate::files::{self, FileState};
 use crate::pins::{EnvironmentPin, FilePin, Pins, Purpose, SystemNeed};
 use crate::workspace::Workspace;
 use crate::{apt, environments};
@@ -114,13 +114,13 @@ fn report_environment(
 }
 
 /// Prints the state and the plan. Returns whether it is up to date.
-fn report(found: &Found, name: &str, place: &Path, plan: impl Fn() -> String) -> bool {
+fn report(found: &FileState, name: &str, place: &Path, plan: impl Fn() -> String) -> bool {
     match found {
-        Found::Right => line("there", name, &place.display().to_string()),
-        Found::Other => line("changed", name, &plan()),
-        Found::Nothing => line("missing", name, &plan()),
+        FileState::Right => line("there", name, &place.display().to_string()),
+        FileState::Other => line("changed", name, &plan()),
+        FileState::Nothing => line("missing", name, &plan()),
     }
-    *found == Found::Right
+    *found == FileState::Right
 }
 
 fn line(state: &str, name: &str, what: &str) {

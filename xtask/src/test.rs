@@ -24,7 +24,7 @@ pub(crate) fn run(workspace: &Workspace, test_arguments: &[String]) -> anyhow::R
         .context("cannot start cargo test")?;
     let output = child.stdout.take().context("cargo test has no output")?;
 
-    let mut summary = Summary::default();
+    let mut summary = TestTotals::default();
     let mut stdout = std::io::stdout().lock();
     for line in BufReader::new(output).split(b'\n') {
         let line = line.context("cannot read cargo test's output")?;
@@ -50,14 +50,14 @@ pub(crate) fn run(workspace: &Workspace, test_arguments: &[String]) -> anyhow::R
 
 /// Totals over all test binaries, parsed from their output.
 #[derive(Default, PartialEq, Eq, Debug)]
-struct Summary {
+struct TestTotals {
     passed: u64,
     failed: u64,
     ignored: u64,
     failed_names: Vec<String>,
 }
 
-impl Summary {
+impl TestTotals {
     /// Parses a line: `test result: ok. 3 passed; 0 failed; 1 ignored; ...` or `test NAME ... FAILED`.
     fn add(&mut self, line: &str) {
         if let Some(result) = line.strip_prefix("test result: ") {
@@ -86,7 +86,7 @@ mod tests {
 
     #[test]
     fn totals_add_up_over_test_binaries() {
-        let mut summary = Summary::default();
+        let mut summary = TestTotals::default();
         let output = "\
 running 3 tests
 test pose::turns ... ok
@@ -98,6 +98,6 @@ test result: ok. 2 passed; 0 failed; 0 ignored; 0 measured; 7 filtered out; fini
 ";
         output.lines().for_each(|line| summary.add(line));
         let failed_names = vec!["pose::moves".to_owned()];
-        assert_eq!(summary, Summary { passed: 3, failed: 1, ignored: 1, failed_names });
+        assert_eq!(summary, TestTotals { passed: 3, failed: 1, ignored: 1, failed_names });
     }
 }

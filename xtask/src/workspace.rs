@@ -3,7 +3,8 @@
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use anyhow::Context;
+use anyhow::{Context, bail};
+use serde::de::DeserializeOwned;
 
 use crate::cache::{self, Cache};
 
@@ -36,6 +37,25 @@ impl Workspace {
             std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into()).as_ref(),
             arguments,
         )
+    }
+
+    /// The packages that `cargo metadata` lists with these flags.
+    pub(crate) fn packages<P: DeserializeOwned>(&self, flags: &[&str]) -> anyhow::Result<Vec<P>> {
+        #[derive(serde::Deserialize)]
+        struct Metadata<P> {
+            packages: Vec<P>,
+        }
+        let output = self
+            .cargo(&["metadata", "--format-version", "1"])
+            .args(flags)
+            .output()
+            .context("cannot start cargo metadata")?;
+        if !output.status.success() {
+            bail!("cargo metadata failed: {}", String::from_utf8_lossy(&output.stderr));
+        }
+        let metadata: Metadata<P> = serde_json::from_slice(&output.stdout)
+            .context("cannot read cargo metadata's output")?;
+        Ok(metadata.packages)
     }
 
     /// Any program, run at the root with the cache folder in its environment.

@@ -121,7 +121,7 @@ fn shortened(value: &Value) -> Value {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scripted::{Server, Turn};
+    use crate::scripted::{Reaction, Server};
     use crate::{ApiKey, ChatSettings, Endpoint};
 
     const KEY: &str = "sk-very-secret";
@@ -134,7 +134,7 @@ mod tests {
     #[test]
     fn facts_are_copied_and_secrets_are_not() {
         let server = Server::start(|request| match &*request.line {
-            "GET /v1/models HTTP/1.1" => Turn::json(
+            "GET /v1/models HTTP/1.1" => Reaction::json(
                 200,
                 &json!({"data": [
                     {"id": "l", "owned_by": "us"},
@@ -142,14 +142,14 @@ mod tests {
                 ]}),
             )
             .with("Server: uvicorn"),
-            "GET /version HTTP/1.1" => Turn::json(200, &json!({"version": "0.11"})),
-            "GET /props HTTP/1.1" => Turn::json(
+            "GET /version HTTP/1.1" => Reaction::json(200, &json!({"version": "0.11"})),
+            "GET /props HTTP/1.1" => Reaction::json(
                 200,
                 &json!({"chat_template": "x".repeat(201), "api_key": KEY, "build_info": "b1",
                         "model_path": format!("/models/{KEY}")}),
             ),
-            "GET /get_server_info HTTP/1.1" => Turn::json(200, &json!("up")),
-            _ => Turn::json(404, &json!({"version": "of nothing"})),
+            "GET /get_server_info HTTP/1.1" => Reaction::json(200, &json!("up")),
+            _ => Reaction::json(404, &json!({"version": "of nothing"})),
         })
         .unwrap();
         let client = client(&server);
@@ -180,12 +180,12 @@ mod tests {
     fn a_server_without_these_pages_has_an_empty_fingerprint() {
         for (turn, expected) in [
             (
-                Turn::json(404, &json!({"detail": "Not Found"})),
+                Reaction::json(404, &json!({"detail": "Not Found"})),
                 ModelList::Refused(404, "Not Found".into()),
             ),
-            (Turn::json(200, &json!([])), ModelList::Unreadable),
+            (Reaction::json(200, &json!([])), ModelList::Unreadable),
             (
-                Turn::Answer { status: 200, headers: vec![], body: "<html>".into() },
+                Reaction::Answer { status: 200, headers: vec![], body: "<html>".into() },
                 ModelList::Unreadable,
             ),
         ] {

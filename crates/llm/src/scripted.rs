@@ -22,7 +22,7 @@ pub struct Received {
 
 /// How the server reacts to a request.
 #[derive(Debug, Clone)]
-pub enum Turn {
+pub enum Reaction {
     /// Sends a response.
     Answer {
         /// The HTTP status.
@@ -42,7 +42,7 @@ pub enum Turn {
     Close,
 }
 
-impl Turn {
+impl Reaction {
     /// A JSON response.
     pub fn json(status: u16, body: &Value) -> Self {
         let headers = vec!["Content-Type: application/json".to_owned()];
@@ -93,7 +93,7 @@ impl Server {
     ///
     /// # Errors
     /// When no port is free.
-    pub fn start(script: impl FnMut(&Received) -> Turn + Send + 'static) -> io::Result<Self> {
+    pub fn start(script: impl FnMut(&Received) -> Reaction + Send + 'static) -> io::Result<Self> {
         let script = Mutex::new(script);
         Self::concurrent(move |request| {
             let mut script = script.lock().unwrap_or_else(PoisonError::into_inner);
@@ -106,7 +106,7 @@ impl Server {
     /// # Errors
     /// When no port is free.
     pub fn concurrent(
-        script: impl Fn(&Received) -> Turn + Send + Sync + 'static,
+        script: impl Fn(&Received) -> Reaction + Send + Sync + 'static,
     ) -> io::Result<Self> {
         let listener = TcpListener::bind("127.0.0.1:0")?;
         let address = listener.local_addr()?;
@@ -132,9 +132,9 @@ impl Server {
     ///
     /// # Errors
     /// When no port is free.
-    pub fn turns(turns: impl IntoIterator<Item = Turn>) -> io::Result<Self> {
+    pub fn turns(turns: impl IntoIterator<Item = Reaction>) -> io::Result<Self> {
         let mut turns = turns.into_iter().collect::<Vec<_>>().into_iter();
-        Self::start(move |_| turns.next().unwrap_or(Turn::Close))
+        Self::start(move |_| turns.next().unwrap_or(Reaction::Close))
     }
 
     /// The base URL.
@@ -173,7 +173,7 @@ impl Drop for Server {
 fn serve(
     stream: &TcpStream,
     log: &ServerLog,
-    script: &(dyn Fn(&Received) -> Turn + Send + Sync),
+    script: &(dyn Fn(&Received) -> Reaction + Send + Sync),
 ) -> io::Result<()> {
     stream.set_nodelay(true)?;
     let mut reader = BufReader::new(stream);
@@ -209,20 +209,20 @@ fn read(reader: &mut impl BufRead) -> io::Result<Received> {
 }
 
 /// Takes a turn; returns an error to end the connection.
-fn answer(mut stream: &TcpStream, turn: Turn) -> io::Result<()> {
+fn answer(mut stream: &TcpStream, turn: Reaction) -> io::Result<()> {
     let json = || vec!["Content-Type: application/json".to_owned()];
     let over = || io::Error::from(io::ErrorKind::ConnectionAborted);
     match turn {
-        Turn::Answer { status, headers, body } => {
+        Reaction::Answer { status, headers, body } => {
             stream.write_all((head(status, &headers, body.len()) + &body).as_bytes())
         }
-        Turn::Half(body) => {
+        Reaction::Half(body) => {
             let answer = head(200, &json(), body.len()) + &body[..body.len() / 2];
             stream.write_all(answer.as_bytes())?;
             stream.shutdown(Shutdown::Both)?;
             Err(over())
         }
-        Turn::Trickle(body) => {
+        Reaction::Trickle(body) => {
             stream.write_all(head(200, &json(), body.len() + 1).as_bytes())?;
             for byte in body.into_bytes() {
                 stream.write_all(&[byte])?;
@@ -230,8 +230,8 @@ fn answer(mut stream: &TcpStream, turn: Turn) -> io::Result<()> {
             }
             await_close(stream)
         }
-        Turn::Hang => await_close(stream),
-        Turn::Close => {
+        Reaction::Hang => await_close(stream),
+        Reaction::Close => {
             stream.shutdown(Shutdown::Both)?;
             Err(over())
         }

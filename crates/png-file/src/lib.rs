@@ -38,12 +38,12 @@ pub struct PngFileError {
     /// The file.
     pub path: PathBuf,
     /// What went wrong.
-    pub problem: Problem,
+    pub problem: PngProblem,
 }
 
 /// Why a PNG file cannot be read or written.
 #[derive(Debug, thiserror::Error)]
-pub enum Problem {
+pub enum PngProblem {
     /// The file cannot be read or written.
     #[error(transparent)]
     Io(#[from] io::Error),
@@ -212,7 +212,7 @@ impl RgbaImage {
     /// When the file cannot be read or is no valid PNG image.
     pub fn read(path: &Path) -> Result<Self, PngFileError> {
         fs::read(path)
-            .map_err(Problem::from)
+            .map_err(PngProblem::from)
             .and_then(|bytes| Ok(Self::decode(&bytes)?))
             .map_err(|problem| PngFileError { path: path.to_owned(), problem })
     }
@@ -223,7 +223,7 @@ impl RgbaImage {
     /// When the file cannot be written or the image has no pixels.
     pub fn write(&self, path: &Path) -> Result<(), PngFileError> {
         encode(self.width, self.height, Channels::Rgba, &self.pixels)
-            .map_err(Problem::from)
+            .map_err(PngProblem::from)
             .and_then(|bytes| Ok(fs::write(path, bytes)?))
             .map_err(|problem| PngFileError { path: path.to_owned(), problem })
     }

@@ -10,7 +10,7 @@ pub(super) const SIDE: usize = 4;
 pub(super) const PIXELS: usize = SIDE * SIDE;
 
 /// A value for every pixel of a block, row by row.
-pub(super) type Lanes<T> = [T; PIXELS];
+pub(super) type PixelLanes<T> = [T; PIXELS];
 
 /// The depth of blocks that nothing has been drawn into.
 const UNTOUCHED: f32 = -1.0;
@@ -18,29 +18,29 @@ const UNTOUCHED: f32 = -1.0;
 /// The samples of a block.
 #[derive(Clone, Copy)]
 #[repr(C, align(64))]
-pub(super) struct Block<const M: usize> {
+pub(super) struct SampleBlock<const M: usize> {
     /// 1 / distance ahead in metres: larger is nearer, 0 is infinitely far away.
-    pub(super) depth: [Lanes<f32>; M],
+    pub(super) depth: [PixelLanes<f32>; M],
     /// RGBA with red in the lowest byte.
-    pub(super) colour: [Lanes<u32>; M],
+    pub(super) colour: [PixelLanes<u32>; M],
 }
 
 /// An image with `M` samples per pixel.
-pub(super) struct Canvas<const M: usize> {
+pub(super) struct SampledImage<const M: usize> {
     /// Blocks per row, and rows of blocks.
     pub(super) columns: usize,
     pub(super) rows: usize,
-    blocks: Vec<Block<M>>,
+    blocks: Vec<SampleBlock<M>>,
     /// The depth of each block's farthest sample. Nothing behind it is visible.
     farthest: Vec<f32>,
     background: u32,
 }
 
-impl<const M: usize> Canvas<M> {
+impl<const M: usize> SampledImage<M> {
     pub(super) fn new(width_px: u32, height_px: u32) -> Self {
         let columns = (width_px as usize).div_ceil(SIDE);
         let rows = (height_px as usize).div_ceil(SIDE);
-        let empty = Block { depth: [[0.0; PIXELS]; M], colour: [[0; PIXELS]; M] };
+        let empty = SampleBlock { depth: [[0.0; PIXELS]; M], colour: [[0; PIXELS]; M] };
         Self {
             columns,
             rows,
@@ -65,7 +65,7 @@ impl<const M: usize> Canvas<M> {
 
     /// Block `place`, to be drawn into, and the depth of its farthest sample, to be updated.
     #[inline(always)]
-    pub(super) fn block(&mut self, place: usize) -> (&mut Block<M>, &mut f32) {
+    pub(super) fn block(&mut self, place: usize) -> (&mut SampleBlock<M>, &mut f32) {
         let (block, farthest) = (&mut self.blocks[place], &mut self.farthest[place]);
         if *farthest == UNTOUCHED {
             *farthest = 0.0;
@@ -100,7 +100,7 @@ impl<const M: usize> Canvas<M> {
 
 /// The mean of the samples, rounded half up; two channels at a time.
 #[inline(always)]
-fn mix<V: Simd, const M: usize>(simd: V, samples: &[Lanes<u32>; M]) -> u32x16<V> {
+fn mix<V: Simd, const M: usize>(simd: V, samples: &[PixelLanes<u32>; M]) -> u32x16<V> {
     const EVERY_OTHER: u32 = 0x00ff_00ff;
     if M == 1 {
         return u32x16::load_array_ref(simd, &samples[0]);
@@ -122,7 +122,7 @@ mod tests {
 
     use super::*;
 
-    fn mixed<const M: usize>(samples: [Lanes<u32>; M]) -> Lanes<u32> {
+    fn mixed<const M: usize>(samples: [PixelLanes<u32>; M]) -> PixelLanes<u32> {
         dispatch!(Level::new(), simd => mix(simd, &samples).to_array())
     }
 
@@ -136,7 +136,7 @@ mod tests {
 
     #[test]
     fn untouched_blocks_show_the_background() {
-        let mut canvas = Canvas::<4>::new(64, 6);
+        let mut canvas = SampledImage::<4>::new(64, 6);
         let mut pixels = vec![0; 64 * 6 * 4];
         for _ in 0..2 {
             canvas.clear(0xff33_2211);

@@ -2,7 +2,7 @@
 
 use fearless_simd::{Select, Simd, SimdBase, SimdFloat, f32x16, i32x16};
 
-use super::canvas::{Lanes, PIXELS};
+use super::canvas::{PIXELS, PixelLanes};
 use super::geometry::{FOG_PER_M, FOG_RGB, NEAR_M, Placement};
 
 /// Triangles are clipped this far outside of the image, so that numbers stay small.
@@ -153,7 +153,7 @@ const COMPONENTS: usize = 7;
 /// Sixteen vertices, component by component.
 #[derive(Clone, Copy)]
 #[repr(C, align(64))]
-struct Sixteen([Lanes<f32>; COMPONENTS]);
+struct Sixteen([PixelLanes<f32>; COMPONENTS]);
 
 /// The vertices of a layer, and a cache of those that have been transformed for the current view.
 pub(super) struct Corners {

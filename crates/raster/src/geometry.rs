@@ -66,14 +66,14 @@ impl Placement {
 
 /// Indexed triangles with one kind of vertex.
 #[derive(Debug, Clone)]
-pub struct Layer<V> {
+pub struct TriangleLayer<V> {
     /// Vertices.
     pub vertices: Vec<V>,
     /// Three vertex indices for each triangle, counter-clockwise seen from its front.
     pub indices: Vec<u32>,
 }
 
-impl<V> Default for Layer<V> {
+impl<V> Default for TriangleLayer<V> {
     fn default() -> Self {
         Self { vertices: Vec::new(), indices: Vec::new() }
     }
@@ -94,11 +94,11 @@ pub struct Atlas {
 #[derive(Debug, Clone, Default)]
 pub struct Geometry {
     /// Lit triangles.
-    pub solid: Layer<SolidVertex>,
+    pub solid: TriangleLayer<SolidVertex>,
     /// Label plates.
-    pub plate: Layer<PlateVertex>,
+    pub plate: TriangleLayer<PlateVertex>,
     /// Panels with text.
-    pub text: Layer<TextVertex>,
+    pub text: TriangleLayer<TextVertex>,
     /// What is written on the panels.
     pub atlas: Atlas,
     /// Indices, in the solid layer, of one side of a barricade. Views place instances of it.

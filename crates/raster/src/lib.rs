@@ -18,11 +18,11 @@ mod triangle;
 pub use fearless_simd::Level;
 use fearless_simd::Simd;
 
-use canvas::Canvas;
+use canvas::SampledImage;
 use corner::{Corners, Grid, Transform};
 pub use geometry::{
-    Atlas, DrawList, FOG_PER_M, FOG_RGB, Geometry, Layer, NEAR_M, Placement, PlateVertex,
-    PreparedView, SolidVertex, TextVertex,
+    Atlas, DrawList, FOG_PER_M, FOG_RGB, Geometry, NEAR_M, Placement, PlateVertex, PreparedView,
+    SolidVertex, TextVertex, TriangleLayer,
 };
 use shade::{Lettering, LitShader, PlateShader, TextShader};
 
@@ -53,8 +53,8 @@ pub struct Rasterizer {
 }
 
 enum AnyCanvas {
-    One(Canvas<1>),
-    Four(Canvas<4>),
+    One(SampledImage<1>),
+    Four(SampledImage<4>),
 }
 
 /// The scene's vertices in the order that vector instructions read them.
@@ -89,8 +89,8 @@ impl Rasterizer {
             lettering: Lettering::new(&geometry.atlas),
         };
         let canvas = match samples {
-            Samples::One => AnyCanvas::One(Canvas::new(width_px, height_px)),
-            Samples::Four => AnyCanvas::Four(Canvas::new(width_px, height_px)),
+            Samples::One => AnyCanvas::One(SampledImage::new(width_px, height_px)),
+            Samples::Four => AnyCanvas::Four(SampledImage::new(width_px, height_px)),
         };
         Self { level: Level::new(), layers, canvas }
     }
@@ -133,7 +133,7 @@ impl Layers {
         level: Level,
         geometry: &Geometry,
         view: &PreparedView,
-        canvas: &mut Canvas<M>,
+        canvas: &mut SampledImage<M>,
         pixels: &mut [u8],
     ) {
         if let Some(simd) = level.as_avx512() {
@@ -160,7 +160,7 @@ impl Layers {
         level: Level,
         geometry: &Geometry,
         view: &PreparedView,
-        canvas: &mut Canvas<M>,
+        canvas: &mut SampledImage<M>,
         pixels: &mut [u8],
     ) {
         fearless_simd::dispatch!(level, simd => self.draw(simd, geometry, view, canvas, pixels));
@@ -172,7 +172,7 @@ impl Layers {
         simd: V,
         geometry: &Geometry,
         view: &PreparedView,
-        canvas: &mut Canvas<M>,
+        canvas: &mut SampledImage<M>,
         pixels: &mut [u8],
     ) {
         let Self { grid, solid, plate, text, lettering } = self;

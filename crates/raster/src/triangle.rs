@@ -7,7 +7,7 @@ use fearless_simd::{
     Bytes, Select, Simd, SimdBase, SimdMask, f32x4, f32x16, f64x4, i32x16, mask32x16, u32x16, u64x4,
 };
 
-use super::canvas::{Block, Canvas, Lanes, SIDE};
+use super::canvas::{PixelLanes, SIDE, SampleBlock, SampledImage};
 use super::corner::{Corner, Grid, Polygon, TO_CUT};
 use super::shade::Shader;
 
@@ -29,7 +29,7 @@ const fn samples<const M: usize>() -> [[i32; 2]; M] {
 #[inline(always)]
 pub(super) fn draw<V: Simd, const M: usize, H: Shader>(
     simd: V,
-    canvas: &mut Canvas<M>,
+    canvas: &mut SampledImage<M>,
     grid: &Grid,
     corners: &[Corner; 3],
     shader: &H,
@@ -116,8 +116,8 @@ impl<V: Simd> Edges<V> {
 /// The change of an edge function to each pixel of a block.
 #[inline(always)]
 fn edge_lanes<V: Simd>(simd: V, right: i32, down: i32, bits: u32) -> i32x16<V> {
-    const COLUMN: Lanes<i32> = [0, 1, 2, 3, 0, 1, 2, 3, 0, 1, 2, 3, 0, 1, 2, 3];
-    const LINE: Lanes<i32> = [0, 0, 0, 0, 1, 1, 1, 1, 2, 2, 2, 2, 3, 3, 3, 3];
+    const COLUMN: PixelLanes<i32> = [0, 1, 2, 3, 0, 1, 2, 3, 0, 1, 2, 3, 0, 1, 2, 3];
+    const LINE: PixelLanes<i32> = [0, 0, 0, 0, 1, 1, 1, 1, 2, 2, 2, 2, 3, 3, 3, 3];
     i32x16::load_array(simd, COLUMN) * (right << bits)
         + i32x16::load_array(simd, LINE) * (down << bits)
 }
@@ -221,13 +221,13 @@ pub(super) struct Triangle<V: Simd, const M: usize> {
 }
 
 /// Offsets of the pixels of a block from the first, to the right and downwards.
-const COLUMN: Lanes<f32> = [0., 1., 2., 3., 0., 1., 2., 3., 0., 1., 2., 3., 0., 1., 2., 3.];
-const LINE: Lanes<f32> = [0., 0., 0., 0., 1., 1., 1., 1., 2., 2., 2., 2., 3., 3., 3., 3.];
+const COLUMN: PixelLanes<f32> = [0., 1., 2., 3., 0., 1., 2., 3., 0., 1., 2., 3., 0., 1., 2., 3.];
+const LINE: PixelLanes<f32> = [0., 0., 0., 0., 1., 1., 1., 1., 2., 2., 2., 2., 3., 3., 3., 3.];
 
 #[inline(always)]
 fn fill<V: Simd, const M: usize, H: Shader>(
     simd: V,
-    canvas: &mut Canvas<M>,
+    canvas: &mut SampledImage<M>,
     grid: &Grid,
     [a, b, c]: [&Corner; 3],
     shader: &H,
@@ -351,7 +351,7 @@ pub(super) struct TrianglePart<'a, V: Simd, const M: usize> {
 impl<V: Simd, const M: usize> TrianglePart<'_, V, M> {
     /// Draws the samples that are nearer than those already there.
     #[inline(always)]
-    fn draw(&self, shader: &impl Shader, block: &mut Block<M>, farthest: &mut f32) {
+    fn draw(&self, shader: &impl Shader, block: &mut SampleBlock<M>, farthest: &mut f32) {
         let simd = self.simd;
         let mut shows = [mask32x16::splat(simd, false); M];
         let mut depths = [f32x16::splat(simd, 0.0); M];

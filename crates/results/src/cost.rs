@@ -25,9 +25,9 @@ struct PriceFile {
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 struct PriceEntry {
     name: String,
-    prompt: Amount,
-    cached_prompt: Option<Amount>,
-    completion: Amount,
+    prompt: Money,
+    cached_prompt: Option<Money>,
+    completion: Money,
 }
 
 /// The prices of a million tokens of one model.
@@ -37,12 +37,12 @@ pub struct ModelPrices {
     /// The currency, for example `USD`.
     pub currency: String,
     /// Prompt tokens.
-    pub prompt: Amount,
+    pub prompt: Money,
     /// Prompt tokens that the server took from its own cache. Absent: the price of `prompt`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub cached_prompt: Option<Amount>,
+    pub cached_prompt: Option<Money>,
     /// Completion tokens.
-    pub completion: Amount,
+    pub completion: Money,
 }
 
 impl ModelPrices {
@@ -76,7 +76,7 @@ impl ModelPrices {
 /// An amount of money in the currency of the prices, exact to a millionth.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Default, Serialize, Deserialize)]
 #[serde(try_from = "f64", into = "f64")]
-pub struct Amount {
+pub struct Money {
     /// Millionths.
     pub millionths: u64,
 }
@@ -86,7 +86,7 @@ pub struct Amount {
 #[error("`{0}` is not an amount of money (write it like 5 or 0.25)")]
 pub struct BadAmount(String);
 
-impl TryFrom<f64> for Amount {
+impl TryFrom<f64> for Money {
     type Error = BadAmount;
 
     fn try_from(amount: f64) -> Result<Self, BadAmount> {
@@ -98,13 +98,13 @@ impl TryFrom<f64> for Amount {
     }
 }
 
-impl From<Amount> for f64 {
-    fn from(amount: Amount) -> Self {
+impl From<Money> for f64 {
+    fn from(amount: Money) -> Self {
         amount.millionths as Self / 1e6
     }
 }
 
-impl FromStr for Amount {
+impl FromStr for Money {
     type Err = BadAmount;
 
     fn from_str(text: &str) -> Result<Self, BadAmount> {
@@ -113,7 +113,7 @@ impl FromStr for Amount {
     }
 }
 
-impl fmt::Display for Amount {
+impl fmt::Display for Money {
     /// Writes at least two digits after the point, and as many more as the amount has.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let fraction = format!("{:06}", self.millionths % 1_000_000);
@@ -175,11 +175,11 @@ completion = 15
         for (text, millionths, shown) in
             [("5", 5_000_000, "5.00"), ("0.25", 250_000, "0.25"), ("0.0001", 100, "0.0001")]
         {
-            let amount: Amount = text.parse().unwrap();
+            let amount: Money = text.parse().unwrap();
             assert_eq!((amount.millionths, amount.to_string().as_str()), (millionths, shown));
         }
         for text in ["-1", "NaN", "free", "1e30", ""] {
-            assert!(text.parse::<Amount>().is_err(), "{text}");
+            assert!(text.parse::<Money>().is_err(), "{text}");
         }
     }
 }

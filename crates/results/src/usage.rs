@@ -2,7 +2,7 @@
 
 use serde::Serialize;
 
-use crate::cost::{Amount, ModelPrices};
+use crate::cost::{ModelPrices, Money};
 use crate::log::RequestRecord;
 
 /// Sums over requests. Answers from the response cache cost nothing and are only counted.
@@ -63,15 +63,15 @@ impl UsageTotals {
 
 impl ModelPrices {
     /// The cost of `usage`, rounded to a millionth.
-    pub fn cost(&self, usage: &UsageTotals) -> Amount {
+    pub fn cost(&self, usage: &UsageTotals) -> Money {
         let UsageTotals { prompt_tokens, cached_tokens, completion_tokens, .. } = *usage;
         let cached = cached_tokens.min(prompt_tokens);
-        let each = |tokens: u64, price: Amount| u128::from(tokens) * u128::from(price.millionths);
+        let each = |tokens: u64, price: Money| u128::from(tokens) * u128::from(price.millionths);
         let sum = each(prompt_tokens - cached, self.prompt)
             + each(cached, self.cached_prompt.unwrap_or(self.prompt))
             + each(completion_tokens, self.completion);
         let millionths = (sum + 500_000) / 1_000_000;
-        Amount { millionths: u64::try_from(millionths).unwrap_or(u64::MAX) }
+        Money { millionths: u64::try_from(millionths).unwrap_or(u64::MAX) }
     }
 }
 

@@ -24,12 +24,12 @@ pub(crate) const TEST_LENGTH_PERCENT: std::ops::RangeInclusive<u32> = 75..=135;
 pub const MAX_DETOUR_PERCENT: u32 = 150;
 
 /// An undirected move between two neighbouring cells, the smaller cell first.
-pub(crate) type Edge = (Cell, Cell);
+pub(crate) type FloorEdge = (Cell, Cell);
 
 /// The edges of a trajectory, each once, sorted. Turns and blocked moves have none.
-pub(crate) fn edges(poses: &[Pose]) -> Vec<Edge> {
+pub(crate) fn edges(poses: &[Pose]) -> Vec<FloorEdge> {
     let moves = poses.windows(2).map(|pair| (pair[0].cell, pair[1].cell));
-    let mut edges: Vec<Edge> =
+    let mut edges: Vec<FloorEdge> =
         moves.filter(|(a, b)| a != b).map(|(a, b)| (a.min(b), a.max(b))).collect();
     edges.sort_unstable();
     edges.dedup();
@@ -37,7 +37,7 @@ pub(crate) fn edges(poses: &[Pose]) -> Vec<Edge> {
 }
 
 /// The number of edges in both lists.
-pub(crate) fn shared(one: &[Edge], other: &[Edge]) -> usize {
+pub(crate) fn shared(one: &[FloorEdge], other: &[FloorEdge]) -> usize {
     one.iter().filter(|edge| other.binary_search(edge).is_ok()).count()
 }
 
@@ -69,12 +69,12 @@ pub(crate) fn is_distant(layout: &Layout, original: Pose, distant: Pose) -> bool
 }
 
 /// At least half of the original's edges are in the other trajectory.
-pub(crate) fn shares_at_least_half(original: &[Edge], other: &[Edge]) -> bool {
+pub(crate) fn shares_at_least_half(original: &[FloorEdge], other: &[FloorEdge]) -> bool {
     2 * shared(original, other) >= original.len()
 }
 
 /// At most half of the original's edges are in the other trajectory.
-pub(crate) fn shares_at_most_half(original: &[Edge], other: &[Edge]) -> bool {
+pub(crate) fn shares_at_most_half(original: &[FloorEdge], other: &[FloorEdge]) -> bool {
     2 * shared(original, other) <= original.len()
 }
 

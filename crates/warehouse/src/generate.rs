@@ -13,8 +13,9 @@ use domain::{Cell, Heading, Pose};
 
 use crate::case::{Case, CaseSet, History, Replay, Start, Trajectory};
 use crate::constraints::{
-    Edge, completes_task, edges, enters, faces_targets, is_distant, is_near_optimal, is_nearby,
-    is_of_similar_length, shares_at_least_half, shares_at_most_half, target_in_view, target_on,
+    FloorEdge, completes_task, edges, enters, faces_targets, is_distant, is_near_optimal,
+    is_nearby, is_of_similar_length, shares_at_least_half, shares_at_most_half, target_in_view,
+    target_on,
 };
 use crate::draw::Draw;
 use crate::dynamics::Variant;
@@ -137,7 +138,7 @@ struct Candidate {
     trajectory: Trajectory,
     replay: Replay,
     length: u32,
-    edges: Vec<Edge>,
+    edges: Vec<FloorEdge>,
 }
 
 impl<'w> Generator<'w> {

@@ -21,13 +21,13 @@ pub(crate) struct Visits {
 /// The tables for the phases of a task.
 #[derive(Debug)]
 pub(crate) struct Order {
-    phases: Vec<Table>,
+    phases: Vec<PhaseTable>,
 }
 
 /// One phase. `to_go[met * items + last]` is the cost from `last` to the end of the plan when the sub-goals in the bit set
 /// `met`, that of `last` included, are completed.
 #[derive(Debug)]
-struct Table {
+struct PhaseTable {
     /// Item id and the sub-goal it serves, sorted.
     items: Vec<(u16, u32)>,
     /// All sub-goals, as a bit set.
@@ -38,13 +38,13 @@ struct Table {
 impl Order {
     /// Computes the tables from the last phase to the first. `tail` is the cost after the last item.
     pub(crate) fn new(phases: &[PhaseSets], leg: Leg<'_>, tail: &dyn Fn(u16) -> u32) -> Self {
-        let mut tables: Vec<Table> = Vec::new();
+        let mut tables: Vec<PhaseTable> = Vec::new();
         for sets in phases.iter().rev() {
             let after = |id| match tables.last() {
                 None => tail(id),
                 Some(next) => next.entry(&|to| leg(id, to)).map_or(NO_WAY, |(_, cost)| cost),
             };
-            let table = Table::new(sets, leg, &after);
+            let table = PhaseTable::new(sets, leg, &after);
             tables.push(table);
         }
         tables.reverse();
@@ -70,7 +70,7 @@ impl Order {
     }
 }
 
-impl Table {
+impl PhaseTable {
     fn new(sets: &[Vec<u16>], leg: Leg<'_>, after: &dyn Fn(u16) -> u32) -> Self {
         let members = (0..).zip(sets).flat_map(|(goal, set)| set.iter().map(move |&id| (id, goal)));
         let mut items: Vec<(u16, u32)> = members.collect();

@@ -17,7 +17,7 @@ const CELL: i32 = 20;
 /// Offsets of the sampled points from the middle of a rack face, along it.
 const SAMPLES: [i32; 10] = [-9, -7, -5, -3, -1, 1, 3, 5, 7, 9];
 
-type Point = (i32, i32);
+type FacePoint = (i32, i32);
 
 /// Whether the face of `item` is in view from `pose`.
 pub fn sees(layout: &Layout, pose: Pose, item: &Item) -> bool {
@@ -34,17 +34,17 @@ pub fn sees(layout: &Layout, pose: Pose, item: &Item) -> bool {
         })
 }
 
-fn centre(cell: Cell) -> Point {
+fn centre(cell: Cell) -> FacePoint {
     (i32::from(cell.x) * CELL + CELL / 2, i32::from(cell.y) * CELL + CELL / 2)
 }
 
-fn vector(heading: Heading) -> Point {
+fn vector(heading: Heading) -> FacePoint {
     let (x, y) = heading.vector();
     (i32::from(x), i32::from(y))
 }
 
 /// Within 45 degrees of the heading to either side.
-fn in_frustum(camera: Point, heading: Heading, point: Point) -> bool {
+fn in_frustum(camera: FacePoint, heading: Heading, point: FacePoint) -> bool {
     let (x, y) = vector(heading);
     let (dx, dy) = (point.0 - camera.0, point.1 - camera.1);
     let (ahead, aside) = (dx * x + dy * y, dx * y - dy * x);
@@ -53,7 +53,7 @@ fn in_frustum(camera: Point, heading: Heading, point: Point) -> bool {
 
 /// Whether the line from the centre of `from` to `point`, on the border of `last`, crosses free cells only.
 /// Passing exactly through a corner counts as clear when the cell beyond is free.
-fn is_clear(layout: &Layout, from: Cell, point: Point, last: Cell) -> bool {
+fn is_clear(layout: &Layout, from: Cell, point: FacePoint, last: Cell) -> bool {
     let camera = centre(from);
     let (dx, dy) = (point.0 - camera.0, point.1 - camera.1);
     let (towards_x, towards_y) = (
@@ -115,7 +115,7 @@ mod tests {
     }
 
     /// Whether the segment passes through the inside of `cell`, by clipping it to the cell.
-    fn crosses(from: Point, to: Point, cell: Cell) -> bool {
+    fn crosses(from: FacePoint, to: FacePoint, cell: Cell) -> bool {
         let (mut enter, mut leave) = (0.0_f64, 1.0_f64);
         let low = (i32::from(cell.x) * CELL, i32::from(cell.y) * CELL);
         for (from, to, low) in [(from.0, to.0, low.0), (from.1, to.1, low.1)] {

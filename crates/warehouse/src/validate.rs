@@ -13,7 +13,7 @@ use plates::Plate;
 
 use crate::case::{Case, CaseSet, Replay, Start};
 use crate::constraints::{
-    Edge, MAX_DETOUR_PERCENT, completes_task, edges, enters, faces_targets, is_distant,
+    FloorEdge, MAX_DETOUR_PERCENT, completes_task, edges, enters, faces_targets, is_distant,
     is_near_optimal, is_nearby, is_of_similar_length, is_opposite, shares_at_least_half,
     shares_at_most_half, target_in_view, target_on,
 };
@@ -190,7 +190,7 @@ impl<'a> Replayed<'a> {
         &self.replays[start as usize].1
     }
 
-    fn edges(&self, start: Start) -> Vec<Edge> {
+    fn edges(&self, start: Start) -> Vec<FloorEdge> {
         edges(&self.replay(start).poses)
     }
 

@@ -36,7 +36,7 @@ impl DocumentBuilder for Extractive {
                 summary.to_string()
             }
             DocumentKind::Semantic => {
-                let mut facts = semantic::Facts::default();
+                let mut facts = semantic::FoundFacts::default();
                 for (done, transcript) in transcripts.iter().enumerate() {
                     progress(done, transcripts.len());
                     facts.extract(transcript);

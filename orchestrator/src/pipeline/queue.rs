@@ -32,7 +32,7 @@ pub(super) struct EpisodeQueue {
     waiting: VecDeque<PlannedEpisode>,
     /// Of each sequence, the episodes after the one that waits or is under way.
     later: BTreeMap<u64, VecDeque<PlannedEpisode>>,
-    failures: BTreeMap<EpisodeKey, Failures>,
+    failures: BTreeMap<EpisodeKey, FailedAttempts>,
     search: Option<CulpritSearch>,
     unfinished: Vec<(PlannedEpisode, String)>,
     finished: u64,
@@ -42,7 +42,7 @@ pub(super) struct EpisodeQueue {
 
 /// Failed attempts at an episode.
 #[derive(Debug, Default, Clone, Copy)]
-struct Failures {
+struct FailedAttempts {
     /// For any reason.
     all: u32,
     /// Because a process other than the policy failed.

@@ -10,7 +10,6 @@ use results::conditions::{
     Demonstrations, Frames, Hint, ImageFormat, PolicyKind, Route, SegmentContent, Start,
     representation,
 };
-use results::cost::Amount;
 use results::key::Order;
 use results::names::UnknownName;
 use results::settings::{CaseSelector, DocumentSource, Drawn, ResponseCache};
@@ -63,15 +62,15 @@ enum ValueKind {
     /// An amount of money.
     Money,
     /// A text that the function accepts.
-    Text(Check),
+    Text(KeyCheck),
     /// A list of texts that the function accepts.
-    List(Check),
+    List(KeyCheck),
     /// A list of texts that the function accepts and that may hold commas: a flag gives one of them and can be repeated,
     /// a variable has one a line.
-    Repeated(Check),
+    Repeated(KeyCheck),
 }
 
-type Check = fn(&str) -> Result<(), String>;
+type KeyCheck = fn(&str) -> Result<(), String>;
 
 /// Accepts what parses as `T`.
 fn parses<T: FromStr<Err: fmt::Display>>(text: &str) -> Result<(), String> {
@@ -437,7 +436,8 @@ impl Key {
                 list()?.iter().try_for_each(|number| within(number, least, most, 1))
             }
             ValueKind::Money => {
-                let amount = value.as_f64().and_then(|amount| Amount::try_from(amount).ok());
+                let amount =
+                    value.as_f64().and_then(|amount| results::cost::Money::try_from(amount).ok());
                 amount.map(drop).ok_or_else(invalid)
             }
             ValueKind::Text(check) => check(value.as_str().ok_or_else(invalid)?),

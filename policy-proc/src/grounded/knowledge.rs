@@ -128,13 +128,13 @@ fn targets_reached(path: &[PathStep], standpoints: &[Vec<Cell>]) -> usize {
 }
 
 /// What knowledge is derived from: instruction, documents, and demonstrations by serial number and start.
-type Sources = (String, Vec<u128>, Vec<(u64, Pose)>);
+type KnowledgeSources = (String, Vec<u128>, Vec<(u64, Pose)>);
 
 /// Parsed documents, and the knowledge derived from them and from demonstrations.
 #[derive(Debug, Default)]
 pub(super) struct KnowledgeBase {
     documents: BoundedCache<u128, ParsedDocument, 64>,
-    known: BoundedCache<Sources, Knowledge, 1024>,
+    known: BoundedCache<KnowledgeSources, Knowledge, 1024>,
 }
 
 impl KnowledgeBase {

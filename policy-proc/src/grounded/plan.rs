@@ -32,10 +32,10 @@ pub(super) fn next_action(
     goal: Option<&NavigationGoal<'_>>,
     beliefs: &Beliefs,
 ) -> Action {
-    Planner { request, goal, beliefs, routes: OnceCell::new() }.next_action()
+    RoutePlanner { request, goal, beliefs, routes: OnceCell::new() }.next_action()
 }
 
-struct Planner<'a> {
+struct RoutePlanner<'a> {
     request: &'a Request<'a>,
     goal: Option<&'a NavigationGoal<'a>>,
     beliefs: &'a Beliefs,
@@ -43,7 +43,7 @@ struct Planner<'a> {
     routes: OnceCell<LocalRoutes>,
 }
 
-impl Planner<'_> {
+impl RoutePlanner<'_> {
     fn next_action(&self) -> Action {
         if self.beliefs.is_blind {
             return Action::TurnRight;

@@ -20,9 +20,9 @@ use prompt::image::{ImageFormat, data_url};
 const GENERATION_BYTES: usize = 128 << 20;
 
 /// The hash of a view's pixels.
-type ContentHash = [u8; 16];
+type PixelHash = [u8; 16];
 
-type Urls = HashMap<ContentHash, Arc<str>>;
+type Urls = HashMap<PixelHash, Arc<str>>;
 
 /// The encoded views.
 #[derive(Debug)]
@@ -62,7 +62,7 @@ impl EncodedViews {
         urls
     }
 
-    fn keep(&mut self, hash: ContentHash, url: &Arc<str>) {
+    fn keep(&mut self, hash: PixelHash, url: &Arc<str>) {
         if self.bytes > self.generation_bytes {
             self.older = std::mem::take(&mut self.younger);
             self.bytes = 0;

@@ -11,7 +11,7 @@ use shm_types::banks::{BANK_SERVICE, BankDemonstration, BankHeader, BankStep};
 use shm_types::description::DESCRIPTION_FILE;
 use shm_types::documents::{DOCUMENT_SERVICE, DocumentHeader, MAX_DOCUMENT_BYTES};
 use shm_types::frames::{FRAME_SERVICE, FrameHeader, Page};
-use shm_types::layout::{Layout, Struct};
+use shm_types::layout::{Struct, WireLayout};
 use shm_types::message::{
     AnswerItem, AnswerSource, CODE_SETS, Description, EXTERNAL, MAX_EMBEDDING,
     MAX_EXTERNAL_MEMORIES, MAX_INSTRUCTION, MAX_ITEMS, MAX_SEGMENT, MAX_SOURCES, MAX_STEPS,

@@ -8,15 +8,15 @@
 use nalgebra::Vector3;
 
 use super::look::Look;
-use super::mesh::builder::Vertex;
+use super::mesh::builder::MeshVertex;
 use super::mesh::rack::{BAY_DEPTH_M, SHELF_TOP_M};
 
 /// What a mesh is part of. Determines the light that it stands in, and its tint.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Part {
+pub(super) enum MeshPart {
     /// A bay, or the closed face of a rack. Positions are in the frame of the face.
     Rack,
-    /// As [`Part::Rack`], an item on the shelf of a bay.
+    /// As [`MeshPart::Rack`], an item on the shelf of a bay.
     Item,
     /// Lit as a rack.
     Barricade,
@@ -29,7 +29,7 @@ pub(super) enum Part {
 }
 
 /// The baked colour: sRGB, and in alpha the share of fog that the vertex takes.
-pub(super) fn baked(vertex: &Vertex, part: Part, look: &Look) -> [u8; 4] {
+pub(super) fn baked(vertex: &MeshVertex, part: MeshPart, look: &Look) -> [u8; 4] {
     let material = vertex.material;
     if material.glows {
         let [r, g, b] = material.rgb;
@@ -38,7 +38,7 @@ pub(super) fn baked(vertex: &Vertex, part: Part, look: &Look) -> [u8; 4] {
     let normal = vertex.normal;
     let ambient = look.ambient * ambient(normal);
     let (strength, highlight) = match part {
-        Part::Rack | Part::Item | Part::Barricade => {
+        MeshPart::Rack | MeshPart::Item | MeshPart::Barricade => {
             let key = look.turned(Vector3::new(-0.42, -0.62, 0.66));
             let viewer = Vector3::new(0.0, -1.0, 0.1);
             let towards = normal.dot(&key).max(0.0);
@@ -46,7 +46,7 @@ pub(super) fn baked(vertex: &Vertex, part: Part, look: &Look) -> [u8; 4] {
             let highlight = material.gloss * normal.dot(&half).max(0.0).powi(28);
             (ambient + look.key * 0.78 * towards, highlight)
         }
-        Part::Floor | Part::Wall | Part::Fixture => {
+        MeshPart::Floor | MeshPart::Wall | MeshPart::Fixture => {
             let key = look.turned(Vector3::new(-0.3, -0.5, 0.81));
             (ambient + look.key * 0.52 * normal.dot(&key).max(0.0), 0.0)
         }
@@ -66,16 +66,16 @@ fn ambient(normal: Vector3<f32>) -> f32 {
 }
 
 /// The share of light that reaches a place: less deep in a bay, near the floor and close to a shelf.
-fn openness(vertex: &Vertex, part: Part) -> f32 {
+fn openness(vertex: &MeshVertex, part: MeshPart) -> f32 {
     let (p, n) = (vertex.position, vertex.normal);
     match part {
-        Part::Floor | Part::Wall | Part::Fixture => 1.0,
-        Part::Rack | Part::Barricade => {
+        MeshPart::Floor | MeshPart::Wall | MeshPart::Fixture => 1.0,
+        MeshPart::Rack | MeshPart::Barricade => {
             let deep = (p.y / BAY_DEPTH_M).clamp(0.0, 1.0);
             let low = (p.z / 0.7).clamp(0.0, 1.0);
             (1.0 - 0.34 * deep) * (0.66 + 0.34 * low)
         }
-        Part::Item => {
+        MeshPart::Item => {
             let above = ((p.z - SHELF_TOP_M) / 0.14).clamp(0.0, 1.0);
             let facing_away = (n.y * 0.5).max(0.0);
             (0.68 + 0.32 * above) * (1.0 - 0.4 * facing_away)

@@ -4,7 +4,7 @@
 
 use nalgebra::Vector3;
 
-use super::light::Part;
+use super::light::MeshPart;
 
 /// How far the lights turn about the vertical axis, in degrees.
 const TURN_DEG: f32 = 40.0;
@@ -71,12 +71,12 @@ impl Look {
     }
 
     /// The factor for the colours of `part`.
-    pub(super) fn tint(&self, part: Part) -> [f32; 3] {
+    pub(super) fn tint(&self, part: MeshPart) -> [f32; 3] {
         match part {
-            Part::Floor => self.floor,
-            Part::Wall => self.wall,
-            Part::Rack => self.rack,
-            Part::Item | Part::Barricade | Part::Fixture => [1.0; 3],
+            MeshPart::Floor => self.floor,
+            MeshPart::Wall => self.wall,
+            MeshPart::Rack => self.rack,
+            MeshPart::Item | MeshPart::Barricade | MeshPart::Fixture => [1.0; 3],
         }
     }
 }

@@ -11,7 +11,7 @@ use raster::DrawList;
 
 use super::camera::Camera;
 use super::mesh::rack::RACK_HEIGHT_M;
-use super::scene::{Object, Occluder, Scene, StockObjects};
+use super::scene::{Occluder, Scene, SceneObject, StockObjects};
 
 /// Columns of the depth buffer: several per pixel at common sizes.
 const COLUMNS: usize = 2048;
@@ -51,7 +51,7 @@ impl VisibleSet {
     }
 
     /// Whether `camera`, for which this set was computed, may see an object that is not part of the scene.
-    pub(super) fn may_show(&self, object: &Object, camera: &Camera) -> bool {
+    pub(super) fn may_show(&self, object: &SceneObject, camera: &Camera) -> bool {
         self.columns.may_show(object, camera)
     }
 }
@@ -62,7 +62,7 @@ pub(super) fn nearest_first(
     scene: &Scene,
     stock: &StockObjects,
     camera: &Camera,
-    keep: impl Fn(&Object) -> bool,
+    keep: impl Fn(&SceneObject) -> bool,
 ) -> Vec<u32> {
     let objects = stock.objects.iter().map(|&index| (index, &scene.objects[index as usize]));
     let mut keyed: Vec<(f32, usize, u32)> = objects
@@ -78,7 +78,7 @@ pub(super) fn nearest_first(
 }
 
 /// The corners of an object's bounds on the floor plan, in camera space.
-fn footprint(object: &Object, camera: &Camera) -> [[f32; 2]; 4] {
+fn footprint(object: &SceneObject, camera: &Camera) -> [[f32; 2]; 4] {
     let (min, max) = (object.min, object.max);
     [[min[0], min[1]], [max[0], min[1]], [max[0], max[1]], [min[0], max[1]]]
         .map(|corner| in_camera(camera, corner))
@@ -140,7 +140,7 @@ fn add_facing(
 }
 
 /// The distance from the camera to the farthest corner of an object's bounds, in metres.
-fn reach(object: &Object, camera: &Camera) -> f32 {
+fn reach(object: &SceneObject, camera: &Camera) -> f32 {
     let axis = |i: usize| {
         let at = camera.position[i];
         (at - object.min[i]).abs().max((object.max[i] - at).abs())
@@ -156,15 +156,15 @@ fn in_camera(camera: &Camera, [x, y]: [f32; 2]) -> [f32; 2] {
 }
 
 /// What an object may cover: columns of the image (-1 to 1), from a depth on.
-struct Span {
+struct CoveredSpan {
     left: f32,
     right: f32,
     nearest: f32,
 }
 
-impl Span {
+impl CoveredSpan {
     /// `None` when the object is outside the image.
-    fn of(object: &Object, camera: &Camera) -> Option<Self> {
+    fn of(object: &SceneObject, camera: &Camera) -> Option<Self> {
         let (min, max) = (object.min, object.max);
         let corners = footprint(object, camera);
         let [across, up] = camera.half_extent;
@@ -241,13 +241,13 @@ impl Columns {
     }
 
     /// Whether any part of `object` may be visible.
-    fn may_show(&self, object: &Object, camera: &Camera) -> bool {
-        let Some(span) = Span::of(object, camera) else { return false };
+    fn may_show(&self, object: &SceneObject, camera: &Camera) -> bool {
+        let Some(span) = CoveredSpan::of(object, camera) else { return false };
         object.max[2] > RACK_HEIGHT_M || !self.hide(&span)
     }
 
     /// Whether panels hide the whole span.
-    fn hide(&self, span: &Span) -> bool {
+    fn hide(&self, span: &CoveredSpan) -> bool {
         if span.nearest < NEAR_M {
             return false;
         }

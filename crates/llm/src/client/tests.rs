@@ -13,7 +13,7 @@ use crate::ApiKey;
 use crate::error::{RequestError, Transient};
 use crate::reply::ReplyContent;
 use crate::request::Dialect;
-use crate::scripted::{Received, Server, Turn, completion};
+use crate::scripted::{Reaction, Received, Server, completion};
 
 const KEY: &str = "sk-very-secret";
 
@@ -24,8 +24,8 @@ fn text(request: &Received) -> &str {
     request.body.pointer("/messages/0/content").and_then(|text| text.as_str()).unwrap_or_default()
 }
 
-fn fails(status: u16, message: &str) -> Turn {
-    Turn::json(status, &json!({"error": {"message": message}}))
+fn fails(status: u16, message: &str) -> Reaction {
+    Reaction::json(status, &json!({"error": {"message": message}}))
 }
 
 fn settings(max_connections: u32, max_retries: u32) -> ChatSettings {
@@ -87,7 +87,7 @@ fn forty_requests_at_once_get_their_own_replies() {
     let server = Server::concurrent(move |request| {
         // No reply before all forty are here.
         together.wait();
-        Turn::says(&format!("re: {}", text(request)))
+        Reaction::says(&format!("re: {}", text(request)))
     })
     .unwrap();
     let bench = Bench::new(&server.base_url(), settings(40, 0));
@@ -106,7 +106,7 @@ fn forty_requests_at_once_get_their_own_replies() {
 
 #[test]
 fn a_request_carries_key_and_body() {
-    let server = Server::turns([Turn::says("North.")]).unwrap();
+    let server = Server::turns([Reaction::says("North.")]).unwrap();
     let bench = Bench::new(&server.base_url(), settings(1, 0));
     let request = ChatRequest { choices: vec!["go"], ..ChatRequest::text("Where?", 30) };
     let reply = bench.client.ask(&request, 0).unwrap().reply;
@@ -127,12 +127,12 @@ fn transient_failures_are_retried() {
     for turn in [
         fails(429, "slow down").with(past),
         fails(500, "oh"),
-        Turn::Close,
-        Turn::Half(completion("North.").to_string()),
-        Turn::json(200, &json!({"error": {"message": "upstream died"}})),
-        Turn::Answer { status: 200, headers: vec![], body: "{\"choices\": [".to_owned() },
+        Reaction::Close,
+        Reaction::Half(completion("North.").to_string()),
+        Reaction::json(200, &json!({"error": {"message": "upstream died"}})),
+        Reaction::Answer { status: 200, headers: vec![], body: "{\"choices\": [".to_owned() },
     ] {
-        let server = Server::turns([turn.clone(), Turn::says("North.")]).unwrap();
+        let server = Server::turns([turn.clone(), Reaction::says("North.")]).unwrap();
         let bench = Bench::new(&server.base_url(), settings(4, 2));
         bench.submit("a");
         let (_, answer) = bench.answer();
@@ -145,9 +145,9 @@ fn transient_failures_are_retried() {
 #[test]
 fn requests_that_hang_or_trickle_delay_no_others() {
     let server = Server::concurrent(|request| match text(request) {
-        "hang" => Turn::Hang,
-        "trickle" => Turn::Trickle(completion("never").to_string().repeat(99)),
-        _ => Turn::says("North."),
+        "hang" => Reaction::Hang,
+        "trickle" => Reaction::Trickle(completion("never").to_string().repeat(99)),
+        _ => Reaction::says("North."),
     })
     .unwrap();
     let timeout = Duration::from_secs(2);
@@ -175,7 +175,7 @@ fn requests_that_hang_or_trickle_delay_no_others() {
 fn a_slow_server_answers_every_request() {
     let server = Server::start(|_| {
         thread::sleep(Duration::from_millis(100));
-        Turn::says("North.")
+        Reaction::says("North.")
     })
     .unwrap();
     let timeout = Duration::from_millis(300);
@@ -195,7 +195,7 @@ fn status_429_reduces_requests_in_flight() {
     let server = Server::concurrent(move |_| {
         let turn = if now.fetch_add(1, Ordering::SeqCst) < 2 {
             thread::sleep(Duration::from_millis(30));
-            Turn::says("North.")
+            Reaction::says("North.")
         } else {
             counter.fetch_add(1, Ordering::SeqCst);
             fails(429, "slow down").with("Retry-After: 0")
@@ -220,7 +220,7 @@ fn a_retry_after_delays_every_request() {
         arrived.push(Instant::now());
         match arrived.len() {
             1 => fails(429, "slow down").with("Retry-After: 1"),
-            _ => Turn::says("North."),
+            _ => Reaction::says("North."),
         }
     })
     .unwrap();
@@ -238,7 +238,7 @@ fn a_refusal_concerns_one_request_and_is_not_retried() {
     let message = "At most 8 image(s) may be provided in one request.";
     let server = Server::start(move |request| match text(request) {
         "too many" => fails(400, message),
-        _ => Turn::says("North."),
+        _ => Reaction::says("North."),
     })
     .unwrap();
     let bench = Bench::new(&server.base_url(), settings(2, 5));
@@ -252,7 +252,7 @@ fn a_refusal_concerns_one_request_and_is_not_retried() {
 
 #[test]
 fn errors_that_concern_every_request_stop_the_client() {
-    let html = |status, header: &str| Turn::Answer {
+    let html = |status, header: &str| Reaction::Answer {
         status,
         headers: vec![header.to_owned()],
         body: "<html>".to_owned(),
@@ -299,7 +299,7 @@ fn a_refused_field_is_left_out_from_then_on() {
         let fields = ["chat_template_kwargs", "thinking"];
         match fields.iter().find(|field| request.body.get(**field).is_some()) {
             Some(field) => fails(400, &format!("Unknown parameter: '{field}'.")),
-            None => Turn::says("North."),
+            None => Reaction::says("North."),
         }
     })
     .unwrap();
@@ -330,9 +330,9 @@ fn a_server_that_is_not_there_stops_the_client() {
 /// A model server takes minutes to start again; `--max-retries` covers seconds.
 #[test]
 fn a_restarting_server_is_waited_for_and_reported() {
-    let mut turns = vec![Turn::says("North.")];
+    let mut turns = vec![Reaction::says("North.")];
     turns.extend(vec![fails(503, "loading the model"); 3]);
-    turns.push(Turn::says("South."));
+    turns.push(Reaction::says("South."));
     let server = Server::turns(turns).unwrap();
     let patient = ChatSettings { server_patience: WATCHDOG, ..settings(2, 0) };
     let bench = Bench::new(&server.base_url(), patient);
@@ -354,7 +354,7 @@ fn a_restarting_server_is_waited_for_and_reported() {
 
 #[test]
 fn stopping_ends_waiting_requests_at_once_and_the_others_after_their_attempt() {
-    let server = Server::concurrent(|_| Turn::Hang).unwrap();
+    let server = Server::concurrent(|_| Reaction::Hang).unwrap();
     let timeout = Duration::from_secs(2);
     let bench =
         Bench::new(&server.base_url(), ChatSettings { request_timeout: timeout, ..settings(1, 9) });
@@ -379,9 +379,9 @@ fn stored_replies_need_no_connection_and_failures_are_never_stored() {
     let cache = || Some(ReplyCache::at(folder.path()));
     let server = Server::turns([
         fails(400, "too long"),
-        Turn::says("North."),
-        Turn::json(200, &json!({"error": {"message": "upstream died"}})),
-        Turn::says("South."),
+        Reaction::says("North."),
+        Reaction::json(200, &json!({"error": {"message": "upstream died"}})),
+        Reaction::says("South."),
     ])
     .unwrap();
     let base_url = server.base_url();
@@ -411,8 +411,8 @@ fn stored_replies_come_while_every_connection_hangs() {
     let folder = tempfile::tempdir().unwrap();
     let cache = ReplyCache::at(folder.path());
     let server = Server::concurrent(|request| match text(request) {
-        "hang" => Turn::Hang,
-        _ => Turn::says("North."),
+        "hang" => Reaction::Hang,
+        _ => Reaction::says("North."),
     })
     .unwrap();
     let bench = Bench::with_cache(&server.base_url(), settings(2, 0), Some(cache));
@@ -428,7 +428,7 @@ fn a_cache_that_cannot_be_written_costs_no_reply() {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("file");
     std::fs::write(&file, "").unwrap();
-    let server = Server::start(|_| Turn::says("North.")).unwrap();
+    let server = Server::start(|_| Reaction::says("North.")).unwrap();
     let bench = Bench::with_cache(&server.base_url(), settings(2, 0), Some(ReplyCache::at(file)));
     ["a", "b"].into_iter().for_each(|name| bench.submit(name));
     for _ in 0..2 {

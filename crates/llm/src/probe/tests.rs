@@ -3,7 +3,7 @@
 use serde_json::{Value, json};
 
 use super::*;
-use crate::scripted::{Received, Server, Turn, completion};
+use crate::scripted::{Reaction, Received, Server, completion};
 use crate::{ApiKey, ChatSettings, Endpoint};
 
 const KEY: &str = "sk-very-secret";
@@ -17,18 +17,18 @@ fn images(request: &Received) -> Vec<&str> {
     parts.iter().filter_map(|part| part.pointer("/image_url/url")?.as_str()).collect()
 }
 
-fn refused(message: &str) -> Turn {
-    Turn::json(400, &json!({"error": {"message": message}}))
+fn refused(message: &str) -> Reaction {
+    Reaction::json(400, &json!({"error": {"message": message}}))
 }
 
 /// A server of a model that sees, and that takes at most `most` images.
-fn seeing(request: &Received, most: usize) -> Turn {
+fn seeing(request: &Received, most: usize) -> Reaction {
     if request.line.starts_with("GET /v1/models") {
         let list = json!({"data": [{"id": "m", "max_model_len": 8192}]});
-        return Turn::json(200, &list).with("Server: uvicorn");
+        return Reaction::json(200, &list).with("Server: uvicorn");
     }
     if request.line.starts_with("GET") {
-        return Turn::json(404, &json!({"detail": "Not Found"}));
+        return Reaction::json(404, &json!({"detail": "Not Found"}));
     }
     let images = images(request);
     if images.len() > most {
@@ -43,7 +43,7 @@ fn seeing(request: &Received, most: usize) -> Turn {
         None => "42",
     });
     body["usage"]["prompt_tokens"] = json!(20 + 64 * images.len());
-    Turn::json(200, &body)
+    Reaction::json(200, &body)
 }
 
 /// A request with `images` images and the text of a run.
@@ -142,7 +142,10 @@ fn a_model_that_does_not_see() {
     for status in [400, 500] {
         let server = Server::start(move |request| match images(request).len() {
             0 => seeing(request, 0),
-            _ => Turn::json(status, &json!({"error": {"message": "image input is not supported"}})),
+            _ => Reaction::json(
+                status,
+                &json!({"error": {"message": "image input is not supported"}}),
+            ),
         })
         .unwrap();
         let report = probe(&server);
@@ -158,11 +161,11 @@ fn a_server_with_peculiarities() {
     let server = Server::start(move |request| {
         asked += 1;
         if request.line.starts_with("GET /v1/models") {
-            return Turn::json(200, &json!({"data": [{"id": "n"}, {"id": "o"}]}));
+            return Reaction::json(200, &json!({"data": [{"id": "n"}, {"id": "o"}]}));
         }
         let mut body = completion(&format!("Answer {asked}."));
         body["choices"][0]["message"]["reasoning_content"] = json!("Hm.");
-        Turn::json(200, &body)
+        Reaction::json(200, &body)
     })
     .unwrap();
     insta::assert_snapshot!(story(&probe(&server)), @r#"
@@ -180,7 +183,7 @@ fn a_server_with_peculiarities() {
 
 #[test]
 fn a_server_that_cannot_be_asked() {
-    let turn = Turn::json(401, &json!({"error": {"message": "wrong key sk-very-secret"}}));
+    let turn = Reaction::json(401, &json!({"error": {"message": "wrong key sk-very-secret"}}));
     let server = Server::start(move |_| turn.clone()).unwrap();
     insta::assert_snapshot!(story(&probe(&server)), @r#"
     Ok reachable: ...

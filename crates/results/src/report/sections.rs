@@ -37,9 +37,9 @@ pub(super) use supplied::supplied_table;
 pub(super) use time::time_table;
 
 /// A section's name in links, its heading, and the function that makes its content.
-type Part = (&'static str, &'static str, fn(&ScoredRun<'_>) -> Vec<Block>);
+type SectionEntry = (&'static str, &'static str, fn(&ScoredRun<'_>) -> Vec<Block>);
 
-const PARTS: [Part; 13] = [
+const PARTS: [SectionEntry; 13] = [
     ("overview", "What was run", overview::blocks),
     ("conditions", "All conditions", conditions::blocks),
     ("main", "Success across the three questions", main_table::blocks),

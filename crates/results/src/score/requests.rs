@@ -6,7 +6,7 @@ use std::collections::BTreeMap;
 use domain::{MemoryKind, Outcome};
 use serde::Serialize;
 
-use crate::cost::Amount;
+use crate::cost::Money;
 use crate::key::EpisodeKey;
 use crate::log::{RequestRecord, RunLog, Unread};
 use crate::usage::UsageTotals;
@@ -34,7 +34,7 @@ pub struct RequestScore {
     /// 90th percentile of the same.
     pub latency_p90_ms: Option<f64>,
     /// The cost. Absent without prices, or where token counts are unknown.
-    pub cost: Option<Amount>,
+    pub cost: Option<Money>,
 }
 
 impl RequestScore {

@@ -7,7 +7,7 @@ use std::str::FromStr;
 use serde::{Deserialize, Serialize};
 
 use crate::conditions::ImageFormat;
-use crate::cost::Amount;
+use crate::cost::Money;
 use crate::names::{UnknownName, serde_as_text};
 
 /// How the model is asked. `memtransfer run --help` describes each field under the same name.
@@ -32,7 +32,7 @@ pub struct ModelSettings {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub max_tokens_total: Option<u64>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub max_cost: Option<Amount>,
+    pub max_cost: Option<Money>,
 }
 
 /// Where answers are cached. Written `on`, `off`, or as a path, which has a slash.

@@ -3,7 +3,7 @@
 use std::fmt::Write as _;
 
 /// A point of the drawing: right and down.
-pub(super) type Point = (f64, f64);
+pub(super) type DrawingPoint = (f64, f64);
 
 /// Side of a cell, in units of the drawing.
 pub(super) const CELL: f64 = 40.0;
@@ -19,9 +19,9 @@ pub(super) const PAPER: &str = "#ffffff";
 const FONT: &str = "Inter, 'Helvetica Neue', Helvetica, Arial, 'DejaVu Sans', sans-serif";
 
 /// An SVG document in progress. `style` arguments are attributes, written without change.
-pub(super) struct Canvas(String);
+pub(super) struct SvgCanvas(String);
 
-impl Canvas {
+impl SvgCanvas {
     pub(super) fn new(width: f64, height: f64, paper: &str) -> Self {
         let mut canvas = Self(format!(
             "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {width:.0} {height:.0}\" \
@@ -42,13 +42,18 @@ impl Canvas {
         self.0.push('\n');
     }
 
-    pub(super) fn rect(&mut self, (x, y): Point, (width, height): Point, style: &str) {
+    pub(super) fn rect(
+        &mut self,
+        (x, y): DrawingPoint,
+        (width, height): DrawingPoint,
+        style: &str,
+    ) {
         self.line(format_args!(
             "<rect x='{x:.1}' y='{y:.1}' width='{width:.1}' height='{height:.1}' {style}/>"
         ));
     }
 
-    pub(super) fn circle(&mut self, (x, y): Point, radius: f64, style: &str) {
+    pub(super) fn circle(&mut self, (x, y): DrawingPoint, radius: f64, style: &str) {
         self.line(format_args!("<circle cx='{x:.1}' cy='{y:.1}' r='{radius:.1}' {style}/>"));
     }
 
@@ -58,7 +63,7 @@ impl Canvas {
         self.line(format_args!("<path d='{d}' {fill}{style}/>"));
     }
 
-    pub(super) fn text(&mut self, (x, y): Point, text: &str, style: &str) {
+    pub(super) fn text(&mut self, (x, y): DrawingPoint, text: &str, style: &str) {
         let text = text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;");
         self.line(format_args!("<text x='{x:.1}' y='{y:.1}' {style}>{text}</text>"));
     }

@@ -2,7 +2,7 @@
 
 use domain::{Cell, Heading};
 
-use super::canvas::{CELL, Canvas, LEGEND, MARGIN, MUTED, PAPER, Point};
+use super::canvas::{CELL, DrawingPoint, LEGEND, MARGIN, MUTED, PAPER, SvgCanvas};
 use super::glyph;
 use super::marks::{badge, direction};
 use crate::case::Case;
@@ -27,14 +27,14 @@ const STANDPOINT: &str = "#fdecc0";
 /// A map in progress.
 pub(super) struct Map<'l> {
     pub(super) layout: &'l Layout,
-    pub(super) canvas: Canvas,
+    pub(super) canvas: SvgCanvas,
 }
 
 impl<'l> Map<'l> {
     pub(super) fn new(layout: &'l Layout) -> Self {
         let width = 2.0 * MARGIN + f64::from(layout.width()) * CELL + LEGEND;
         let height = 2.0 * MARGIN + f64::from(layout.height()) * CELL;
-        Self { layout, canvas: Canvas::new(width, height, PAPER) }
+        Self { layout, canvas: SvgCanvas::new(width, height, PAPER) }
     }
 
     pub(super) fn finish(self) -> String {
@@ -42,18 +42,18 @@ impl<'l> Map<'l> {
     }
 
     /// The north-west corner of `cell`.
-    pub(super) fn corner(&self, cell: Cell) -> Point {
+    pub(super) fn corner(&self, cell: Cell) -> DrawingPoint {
         let from_north = i32::from(self.layout.height()) - 1 - i32::from(cell.y);
         (MARGIN + f64::from(cell.x) * CELL, MARGIN + f64::from(from_north) * CELL)
     }
 
-    pub(super) fn centre(&self, cell: Cell) -> Point {
+    pub(super) fn centre(&self, cell: Cell) -> DrawingPoint {
         let (x, y) = self.corner(cell);
         (x + CELL / 2.0, y + CELL / 2.0)
     }
 
     /// A point in the rack of `item`, `depth` behind its face and clear of an item round the corner.
-    fn in_bay(&self, warehouse: &Warehouse, item: &Item, depth: f64) -> Point {
+    fn in_bay(&self, warehouse: &Warehouse, item: &Item, depth: f64) -> DrawingPoint {
         let (mut x, mut y) = self.centre(item.rack);
         let (dx, dy) = direction(item.face);
         x += dx * (CELL / 2.0 - depth);

@@ -1,13 +1,13 @@
 //! A glyph for every shape, seen from the side.
 
-use super::canvas::{Canvas, Point};
+use super::canvas::{DrawingPoint, SvgCanvas};
 use crate::catalogue::Shape;
 
 /// Outline of every glyph.
 const EDGE: &str = "#323f4b";
 
 /// Draws `shape` around `middle`, about 16 units wide and high.
-pub(super) fn draw(canvas: &mut Canvas, (x, y): Point, shape: Shape, [r, g, b]: [u8; 3]) {
+pub(super) fn draw(canvas: &mut SvgCanvas, (x, y): DrawingPoint, shape: Shape, [r, g, b]: [u8; 3]) {
     let fill =
         format!("fill='rgb({r},{g},{b})' stroke='{EDGE}' stroke-width='1' stroke-linejoin='round'");
     let thin = format!("stroke='{EDGE}' stroke-width='1' stroke-linecap='round'");

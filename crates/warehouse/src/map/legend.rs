@@ -1,6 +1,6 @@
 //! The legend: the task, the routes with their lengths, the targets, the catalogue.
 
-use super::canvas::{CELL, Canvas, INK, LEGEND, MARGIN, MUTED, PAPER};
+use super::canvas::{CELL, INK, LEGEND, MARGIN, MUTED, PAPER, SvgCanvas};
 use super::floor::Map;
 use super::glyph;
 use super::marks::{Style, badge, barricade, start_disc, style};
@@ -13,13 +13,13 @@ use crate::world::{Item, Warehouse};
 const LINE: usize = 36;
 
 /// Writes the legend from top to bottom.
-struct Column<'m> {
-    canvas: &'m mut Canvas,
+struct LegendColumn<'m> {
+    canvas: &'m mut SvgCanvas,
     x: f64,
     y: f64,
 }
 
-impl Column<'_> {
+impl LegendColumn<'_> {
     fn text(&mut self, indent: f64, text: &str, size: f64, colour: &str, weight: u32) {
         let style = format!("font-size='{size}' fill='{colour}' font-weight='{weight}'");
         self.canvas.text((self.x + indent, self.y), text, &style);
@@ -72,9 +72,9 @@ impl Column<'_> {
 }
 
 impl Map<'_> {
-    fn column(&mut self) -> Column<'_> {
+    fn column(&mut self) -> LegendColumn<'_> {
         let x = self.legend_x();
-        Column { canvas: &mut self.canvas, x, y: MARGIN }
+        LegendColumn { canvas: &mut self.canvas, x, y: MARGIN }
     }
 
     /// A north arrow and the scale, at the foot of the legend.
@@ -143,7 +143,7 @@ impl Map<'_> {
 }
 
 /// The letters of targets, what they stand for, and how many there are.
-fn targets(column: &mut Column<'_>, warehouse: &Warehouse, case: &Case) {
+fn targets(column: &mut LegendColumn<'_>, warehouse: &Warehouse, case: &Case) {
     let targets = case.task.targets(warehouse);
     for wanted in ['A', 'B', 'C'] {
         let has_letter = |item: &&&Item| case.task.letter(warehouse, item) == Some(wanted);
@@ -164,7 +164,7 @@ fn targets(column: &mut Column<'_>, warehouse: &Warehouse, case: &Case) {
 }
 
 /// A route's line style, start and length.
-fn route(column: &mut Column<'_>, warehouse: &Warehouse, case: &Case, start: Start) {
+fn route(column: &mut LegendColumn<'_>, warehouse: &Warehouse, case: &Case, start: Start) {
     column.y += 29.0;
     let (x, y) = (column.x, column.y - 5.0);
     let Style { colour, dashes, width, .. } = style(start);

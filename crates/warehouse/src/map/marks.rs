@@ -2,17 +2,17 @@
 
 use domain::Heading;
 
-use super::canvas::{Canvas, INK, PAPER, Point};
+use super::canvas::{DrawingPoint, INK, PAPER, SvgCanvas};
 use crate::case::Start;
 
 /// The unit vector of `heading` on the drawing, where y grows downwards.
-pub(super) fn direction(heading: Heading) -> Point {
+pub(super) fn direction(heading: Heading) -> DrawingPoint {
     let (x, y) = heading.vector();
     (f64::from(x), -f64::from(y))
 }
 
 /// The round badge with a target's letter.
-pub(super) fn badge(canvas: &mut Canvas, (x, y): Point, letter: char) {
+pub(super) fn badge(canvas: &mut SvgCanvas, (x, y): DrawingPoint, letter: char) {
     let fill = if letter == 'B' { "#0f766e" } else { INK };
     canvas.circle((x, y), 8.0, &format!("fill='{fill}'"));
     canvas.text(
@@ -44,7 +44,7 @@ pub(super) const fn style(start: Start) -> Style {
 }
 
 /// The mark of a start at `at`.
-pub(super) fn start_disc(canvas: &mut Canvas, at: Point, start: Start, heading: Heading) {
+pub(super) fn start_disc(canvas: &mut SvgCanvas, at: DrawingPoint, start: Start, heading: Heading) {
     let Style { colour, dashes, .. } = style(start);
     if start == Start::Blocked {
         let rim =
@@ -60,20 +60,26 @@ pub(super) fn start_disc(canvas: &mut Canvas, at: Point, start: Start, heading: 
 }
 
 /// An arrow head of about 15 units that points `angle` degrees clockwise from east.
-pub(super) fn pointer(canvas: &mut Canvas, (x, y): Point, angle: f64, size: f64, look: &str) {
+pub(super) fn pointer(
+    canvas: &mut SvgCanvas,
+    (x, y): DrawingPoint,
+    angle: f64,
+    size: f64,
+    look: &str,
+) {
     canvas.open(&format!("transform='translate({x:.1} {y:.1}) rotate({angle:.0}) scale({size})'"));
     canvas.path("M8.5 0L-6 7L-2.5 0L-6 -7Z", &format!("{look} stroke-linejoin='round'"));
     canvas.close();
 }
 
-pub(super) fn chevron(canvas: &mut Canvas, (x, y): Point, angle: f64, colour: &str) {
+pub(super) fn chevron(canvas: &mut SvgCanvas, (x, y): DrawingPoint, angle: f64, colour: &str) {
     canvas.open(&format!("transform='translate({x:.1} {y:.1}) rotate({angle:.0})'"));
     canvas.path("M5 0L-3.2 4.4L-1.2 0L-3.2 -4.4Z", &format!("fill='{colour}'"));
     canvas.close();
 }
 
 /// A square of red and white stripes, `size` wide.
-pub(super) fn barricade(canvas: &mut Canvas, (x, y): Point, size: f64) {
+pub(super) fn barricade(canvas: &mut SvgCanvas, (x, y): DrawingPoint, size: f64) {
     let (x, y, size) = (x + 1.5, y + 1.5, size - 3.0);
     canvas.rect((x, y), (size, size), "fill='#ffffff'");
     // Slanted stripes at 45 degrees, clipped to the square.

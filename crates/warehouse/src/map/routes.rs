@@ -2,7 +2,7 @@
 
 use domain::{Cell, Pose};
 
-use super::canvas::{CELL, PAPER, Point};
+use super::canvas::{CELL, DrawingPoint, PAPER};
 use super::floor::Map;
 use super::marks::{Style, barricade, chevron, direction, start_disc, style};
 use crate::case::{Case, Start};
@@ -35,7 +35,7 @@ impl Map<'_> {
 
     /// The middle of `cell` in the lane of `start`. A whole route is shifted along both axes, so routes neither cover each
     /// other nor break at corners.
-    fn in_lane(&self, start: Start, cell: Cell) -> Point {
+    fn in_lane(&self, start: Start, cell: Cell) -> DrawingPoint {
         let (x, y) = self.centre(cell);
         let shift = style(start).lane * LANE;
         (x + shift, y + shift)
@@ -44,7 +44,8 @@ impl Map<'_> {
     fn route(&mut self, start: Start, poses: &[Pose]) {
         let mut cells: Vec<Cell> = poses.iter().map(|pose| pose.cell).collect();
         cells.dedup();
-        let points: Vec<Point> = cells.iter().map(|&cell| self.in_lane(start, cell)).collect();
+        let points: Vec<DrawingPoint> =
+            cells.iter().map(|&cell| self.in_lane(start, cell)).collect();
         let mut line = String::new();
         for (index, (x, y)) in points.iter().enumerate() {
             line += &format!("{}{x:.1} {y:.1}", if index == 0 { "M" } else { "L" });

@@ -24,7 +24,7 @@ const REGION_GAP: u8 = 3;
 
 /// Facts as they are found.
 #[derive(Debug, Default)]
-pub(super) struct Facts {
+pub(super) struct FoundFacts {
     names: Names,
     survey: Survey,
     floor: Floor,
@@ -61,7 +61,7 @@ struct Kind {
     types: BTreeSet<String>,
 }
 
-impl Facts {
+impl FoundFacts {
     /// Extracts the facts of one demonstration.
     pub(super) fn extract(&mut self, transcript: &Transcript) {
         let steps = &transcript.steps;

@@ -8,7 +8,7 @@ use results::log::{EpisodeRecord, LogError, RunLog};
 use results::table;
 
 use super::{RunDocuments, RunPlan};
-use crate::estimate::{Basis, Estimate};
+use crate::estimate::{Basis, RunEstimate};
 use crate::plan::PlannedEpisode;
 
 /// What would run: conditions, episodes, requests, and the estimated cost of a model.
@@ -96,7 +96,7 @@ fn finished(plan: &RunPlan, documents: &RunDocuments) -> Result<Vec<EpisodeRecor
 }
 
 /// The estimate of what would be sent to a model.
-fn cost_table(estimates: &[(String, Estimate)], prices: Option<&ModelPrices>) -> String {
+fn cost_table(estimates: &[(String, RunEstimate)], prices: Option<&ModelPrices>) -> String {
     let absent = || "-".to_owned();
     let millions = |count: u64| format!("{:.2}", count as f64 / 1e6);
     let range = |range: Option<[u64; 2]>| match range {
@@ -142,7 +142,7 @@ fn cost_table(estimates: &[(String, Estimate)], prices: Option<&ModelPrices>) ->
 }
 
 /// What the figures of an estimate are based on.
-fn explanation(estimates: &[(String, Estimate)], has_tokens: bool, has_prices: bool) -> String {
+fn explanation(estimates: &[(String, RunEstimate)], has_tokens: bool, has_prices: bool) -> String {
     let all = estimates.len();
     let steps = estimates.iter().filter(|(_, one)| one.measured_steps).count();
     let tokens = estimates.iter().filter(|(_, one)| one.measured_tokens).count();

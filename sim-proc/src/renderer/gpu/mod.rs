@@ -18,7 +18,7 @@ use super::job::Destination;
 use super::settings::{Backend, RenderReport, RenderSettings};
 use device::Gpu;
 pub(super) use device::{open, open_graphics_card};
-use pipelines::{Batch, Pipelines};
+use pipelines::{Pipelines, ViewBatch};
 use readback::{Readback, Sink, host_read_barrier};
 use target::RenderTarget;
 use vertex::ViewUniform;
@@ -32,7 +32,7 @@ pub(super) struct GpuBackend {
     target: RenderTarget,
     readback: Readback,
     pipelines: Pipelines,
-    batch: Batch,
+    batch: ViewBatch,
 }
 
 impl GpuBackend {
@@ -42,7 +42,7 @@ impl GpuBackend {
         let target = RenderTarget::new(&gpu, settings.width_px, settings.height_px, samples);
         let readback = Readback::new(&gpu, &target, settings.force_copy);
         let pipelines = Pipelines::new(&gpu, geometry, samples);
-        let batch = Batch::new(&gpu, &pipelines, BATCH_VIEWS);
+        let batch = ViewBatch::new(&gpu, &pipelines, BATCH_VIEWS);
         Self { gpu, target, readback, pipelines, batch }
     }
 

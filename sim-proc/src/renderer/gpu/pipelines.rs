@@ -5,7 +5,7 @@ use std::ops::Range;
 use bytemuck::cast_slice;
 use plates;
 use raster::{
-    Atlas, Geometry, Layer, Placement, PlateVertex, PreparedView, SolidVertex, TextVertex,
+    Atlas, Geometry, Placement, PlateVertex, PreparedView, SolidVertex, TextVertex, TriangleLayer,
 };
 use wgpu::util::DeviceExt;
 
@@ -173,7 +173,7 @@ fn instances<V: Vertex>() -> Option<wgpu::VertexBufferLayout<'static>> {
     })
 }
 
-fn upload<V: Vertex>(gpu: &Gpu, label: &str, layer: &Layer<V>) -> wgpu::Buffer {
+fn upload<V: Vertex>(gpu: &Gpu, label: &str, layer: &TriangleLayer<V>) -> wgpu::Buffer {
     gpu.device.create_buffer_init(&wgpu::util::BufferInitDescriptor {
         label: Some(label),
         contents: cast_slice(&layer.vertices),
@@ -257,7 +257,7 @@ struct BatchView {
 }
 
 /// What a batch of views sends to the device: uniforms, indices of visible triangles, and placements of barricades.
-pub(super) struct Batch {
+pub(super) struct ViewBatch {
     uniforms: wgpu::Buffer,
     views: wgpu::BindGroup,
     indices: wgpu::Buffer,
@@ -268,7 +268,7 @@ pub(super) struct Batch {
     placement_list: Vec<Placement>,
 }
 
-impl Batch {
+impl ViewBatch {
     pub(super) fn new(gpu: &Gpu, pipelines: &Pipelines, capacity: usize) -> Self {
         let uniforms = gpu.device.create_buffer(&wgpu::BufferDescriptor {
             label: Some("views"),

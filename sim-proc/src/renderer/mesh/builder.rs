@@ -5,7 +5,7 @@
 use nalgebra::{Isometry3, Point3, Quaternion, Unit, UnitQuaternion, Vector3};
 
 /// A point in the space of the mesh, in metres: x right, y away from the viewer, z up.
-pub(crate) type Point = Point3<f32>;
+pub(crate) type MeshPoint = Point3<f32>;
 
 /// A surface: its colour and how it reflects light.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -42,8 +42,8 @@ impl Material {
 
 /// A corner of a triangle, before light is baked in.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Vertex {
-    pub(crate) position: Point,
+pub(crate) struct MeshVertex {
+    pub(crate) position: MeshPoint,
     pub(crate) normal: Vector3<f32>,
     pub(crate) material: Material,
 }
@@ -51,7 +51,7 @@ pub(crate) struct Vertex {
 /// Triangles, counter-clockwise seen from outside.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Mesh {
-    pub(crate) vertices: Vec<Vertex>,
+    pub(crate) vertices: Vec<MeshVertex>,
     pub(crate) indices: Vec<u32>,
 }
 
@@ -138,8 +138,8 @@ impl MeshBuilder {
         self.mesh_from_local = outer;
     }
 
-    fn vertex(&mut self, position: Point, normal: Vector3<f32>) -> u32 {
-        self.mesh.vertices.push(Vertex {
+    fn vertex(&mut self, position: MeshPoint, normal: Vector3<f32>) -> u32 {
+        self.mesh.vertices.push(MeshVertex {
             position: self.mesh_from_local * position,
             normal: self.mesh_from_local * normal,
             material: self.material,
@@ -154,7 +154,7 @@ impl MeshBuilder {
 
     /// As [`Self::polygon`], with a factor of brightness at each corner.
     pub(crate) fn shaded_polygon(&mut self, corners: &[[f32; 3]], shade: impl Fn([f32; 3]) -> f32) {
-        let points: Vec<Point> = corners.iter().map(|&c| Point::from(c)).collect();
+        let points: Vec<MeshPoint> = corners.iter().map(|&c| MeshPoint::from(c)).collect();
         let normal = (points[1] - points[0]).cross(&(points[2] - points[0])).normalize();
         let first = self.mesh.vertices.len() as u32;
         let material = self.material;
@@ -276,7 +276,7 @@ impl MeshBuilder {
             let angle = (i % segments) as f32 / segments as f32 * std::f32::consts::TAU;
             let (sin, cos) = angle.sin_cos();
             for ([radius, z], [out, up]) in ends.into_iter().zip(normals) {
-                let position = Point::new(radius * cos, radius * sin, z);
+                let position = MeshPoint::new(radius * cos, radius * sin, z);
                 self.vertex(position, Vector3::new(out * cos, out * sin, up));
             }
         }
@@ -294,7 +294,7 @@ impl MeshBuilder {
     /// Adds a bar through `path` with `sides` sides and flat ends.
     pub(crate) fn tube(&mut self, path: &[[f32; 3]], radius: f32, sides: u32) {
         let sides = if self.detail == Detail::Far { 3 } else { sides };
-        let points: Vec<Point> = path.iter().map(|&p| Point::from(p)).collect();
+        let points: Vec<MeshPoint> = path.iter().map(|&p| MeshPoint::from(p)).collect();
         let last = points.len() - 1;
         let direction = |i: usize| {
             let (from, to) = (i.max(1) - 1, (i + 1).min(last));

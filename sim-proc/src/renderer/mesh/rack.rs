@@ -53,7 +53,7 @@ const COVER_END_M: f32 = 0.48;
 
 /// How a bay ends to its left or right.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) enum Edge {
+pub(crate) enum BayEdge {
     /// The row continues with another bay.
     Joined,
     /// The row continues with a bay that is only this deep.
@@ -66,7 +66,7 @@ pub(crate) enum Edge {
     Narrowed(f32),
 }
 
-impl Edge {
+impl BayEdge {
     /// Where shelves, floor and back panel end, in metres from the bay's middle.
     fn inside(self) -> f32 {
         match self {
@@ -107,9 +107,9 @@ impl Edge {
 
 /// One bay of a rack.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Bay {
-    pub(crate) left: Edge,
-    pub(crate) right: Edge,
+pub(crate) struct RackBay {
+    pub(crate) left: BayEdge,
+    pub(crate) right: BayEdge,
     pub(crate) depth: f32,
     /// Whether an item stands in it.
     pub(crate) stocked: bool,
@@ -119,7 +119,7 @@ pub(crate) struct Bay {
     pub(crate) seed: u32,
 }
 
-impl Bay {
+impl RackBay {
     /// The bay's occluders on the floor plan: back panel, sides and uprights.
     pub(crate) fn occluders(&self) -> Vec<[[f32; 2]; 2]> {
         let d = self.depth;
@@ -127,7 +127,7 @@ impl Bay {
         for (edge, sign) in [(self.left, -1.0), (self.right, 1.0)] {
             occluders.push(edge.upright().map(|x| [sign * x, 0.04]));
             occluders.extend(edge.side_sheet().map(|(x, y)| [[sign * x, y], [sign * x, d]]));
-            if let Edge::Narrowed(_) = edge {
+            if let BayEdge::Narrowed(_) = edge {
                 occluders.push([[sign * edge.inside(), COVER_M], [sign * COVER_END_M, COVER_M]]);
             }
         }
@@ -149,7 +149,7 @@ impl Bay {
         b.finish()
     }
 
-    fn sides(&self) -> [(Edge, f32); 2] {
+    fn sides(&self) -> [(BayEdge, f32); 2] {
         [(self.left, -1.0), (self.right, 1.0)]
     }
 
@@ -158,7 +158,7 @@ impl Bay {
         for (edge, sign) in self.sides() {
             let [near, far] = edge.upright().map(|x| sign * x);
             // In front of a wall it protrudes slightly, to cover the end of the wall.
-            let front = if edge == Edge::Ended { -0.004 } else { 0.01 };
+            let front = if edge == BayEdge::Ended { -0.004 } else { 0.01 };
             let (min, max) =
                 ([near.min(far), front, BELOW_FLOOR_M], [near.max(far), 0.07, RACK_HEIGHT_M]);
             b.block_without(min, max, &[Side::Bottom, Side::Back, Side::Top]);
@@ -171,7 +171,7 @@ impl Bay {
         let sides = self.sides();
         // Slightly lower than the aisle's floor, and reaching slightly under it.
         let (near, z) = (-0.02, -0.003);
-        let under = |edge: Edge| if edge == Edge::Ended { 0.5 } else { edge.inside() };
+        let under = |edge: BayEdge| if edge == BayEdge::Ended { 0.5 } else { edge.inside() };
         b.material(FLOOR);
         let (left, right) = (-under(self.left), under(self.right));
         b.polygon(&[[left, near, z], [right, near, z], [right, d, z], [left, d, z]]);
@@ -193,7 +193,7 @@ impl Bay {
             }
         }
         for (edge, sign) in sides {
-            if let Edge::Narrowed(_) = edge {
+            if let BayEdge::Narrowed(_) = edge {
                 let (p, q) = (sign * edge.inside(), sign * COVER_END_M);
                 let (x0, x1) = (p.min(q), p.max(q));
                 b.material(END_SHEET);

@@ -3,10 +3,10 @@
 use domain::Appearance;
 use nalgebra::{Isometry3, Point3};
 use plates::Plate;
-use raster::{Atlas, Geometry, Layer, PlateVertex, SolidVertex, TextVertex};
+use raster::{Atlas, Geometry, PlateVertex, SolidVertex, TextVertex, TriangleLayer};
 
-use super::object::{Object, Scene, StockObjects};
-use crate::renderer::light::{Part, baked};
+use super::object::{Scene, SceneObject, StockObjects};
+use crate::renderer::light::{MeshPart, baked};
 use crate::renderer::look::Look;
 use crate::renderer::mesh::builder::Mesh;
 use crate::renderer::mesh::hall::barricade;
@@ -31,10 +31,10 @@ struct PanelCorner {
 pub(super) struct Assembly {
     appearance: Appearance,
     look: Look,
-    solid: Layer<SolidVertex>,
-    plate: Layer<PlateVertex>,
-    text: Layer<PanelCorner>,
-    objects: Vec<Object>,
+    solid: TriangleLayer<SolidVertex>,
+    plate: TriangleLayer<PlateVertex>,
+    text: TriangleLayer<PanelCorner>,
+    objects: Vec<SceneObject>,
     atlas: AtlasBuilder,
 }
 
@@ -44,9 +44,9 @@ impl Assembly {
         Self {
             appearance,
             look: Look::of(appearance.seed),
-            solid: Layer::default(),
-            plate: Layer::default(),
-            text: Layer::default(),
+            solid: TriangleLayer::default(),
+            plate: TriangleLayer::default(),
+            text: TriangleLayer::default(),
             objects: Vec::new(),
             atlas: AtlasBuilder::default(),
         }
@@ -80,7 +80,7 @@ impl Assembly {
                 max[axis] = max[axis].max(position[axis]);
             }
         }
-        self.objects.push(Object {
+        self.objects.push(SceneObject {
             min,
             max,
             near: start[0]..end[0],
@@ -107,7 +107,7 @@ impl Assembly {
     }
 
     /// Adds a mesh, lit.
-    pub(super) fn solid(&mut self, mesh: &Mesh, world_from_mesh: &Isometry3<f32>, part: Part) {
+    pub(super) fn solid(&mut self, mesh: &Mesh, world_from_mesh: &Isometry3<f32>, part: MeshPart) {
         let first = self.solid.vertices.len() as u32;
         self.solid.vertices.extend(mesh.vertices.iter().map(|vertex| SolidVertex {
             position: (world_from_mesh * vertex.position).into(),
@@ -186,7 +186,7 @@ impl Assembly {
     /// Draws the atlas and completes the scene.
     pub(super) fn finish(mut self, stocks: Vec<StockObjects>) -> Scene {
         let first = self.solid.indices.len();
-        self.solid(&barricade(), &Isometry3::identity(), Part::Barricade);
+        self.solid(&barricade(), &Isometry3::identity(), MeshPart::Barricade);
         let barricade = first..self.solid.indices.len();
         let planes = planes(&self.solid);
         let atlas = self.atlas.draw();
@@ -196,7 +196,7 @@ impl Assembly {
         let text = self.text.vertices.into_iter();
         let text =
             text.map(|corner| TextVertex { atlas: share(corner.texel, &atlas), ..corner.vertex });
-        let text = Layer { vertices: text.collect(), indices: self.text.indices };
+        let text = TriangleLayer { vertices: text.collect(), indices: self.text.indices };
         Scene {
             geometry: Geometry { solid: self.solid, plate: self.plate, text, atlas, barricade },
             planes,
@@ -219,7 +219,7 @@ fn plate_code(plate: Plate) -> u32 {
 }
 
 /// The plane of every triangle, as in [`Scene::planes`].
-fn planes(layer: &Layer<SolidVertex>) -> Vec<[f32; 4]> {
+fn planes(layer: &TriangleLayer<SolidVertex>) -> Vec<[f32; 4]> {
     let triangle = |corners: &[u32]| {
         let [a, b, c] =
             [0, 1, 2].map(|i| Point3::from(layer.vertices[corners[i] as usize].position));

@@ -8,9 +8,9 @@ use super::assembly::Assembly;
 use super::frames::world_from_face;
 use super::object::Scene;
 use super::racks;
-use crate::renderer::light::Part;
+use crate::renderer::light::MeshPart;
 use crate::renderer::mesh::hall;
-use crate::renderer::mesh::rack::{BAY_DEPTH_M, Bay, Edge};
+use crate::renderer::mesh::rack::{BAY_DEPTH_M, BayEdge, RackBay};
 
 /// Distance between two bays, in metres.
 const SPACING_M: f32 = 8.0;
@@ -33,9 +33,9 @@ pub(in crate::renderer) fn catalogue_scene(
     let mut stands = Vec::new();
     for index in 0..catalogue.types.len() {
         let stand = ItemStand { at: [SPACING_M * index as f32, 0.0], viewer: Heading::N };
-        let bay = Bay {
-            left: Edge::Closed,
-            right: Edge::Closed,
+        let bay = RackBay {
+            left: BayEdge::Closed,
+            right: BayEdge::Closed,
             depth: BAY_DEPTH_M,
             stocked: true,
             plate: appearance.plates,
@@ -45,7 +45,7 @@ pub(in crate::renderer) fn catalogue_scene(
         let number = format!("{:02}", index + 1);
         racks::stocked_bay(&mut assembly, &frame, &bay, catalogue, index, &number);
         let floor = hall::open_floor(stand.at, SPACING_M / 2.0);
-        assembly.object(|a| a.solid(&floor, &Isometry3::identity(), Part::Floor));
+        assembly.object(|a| a.solid(&floor, &Isometry3::identity(), MeshPart::Floor));
         stands.push(stand);
     }
     let stock = assembly.stock();

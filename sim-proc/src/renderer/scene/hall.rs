@@ -6,7 +6,7 @@ use warehouse::{Axis, Layout, Square};
 
 use super::assembly::{Assembly, Label};
 use super::frames::{side_of, world_from_face};
-use crate::renderer::light::Part;
+use crate::renderer::light::MeshPart;
 use crate::renderer::mesh::rack::RACK_HEIGHT_M;
 use crate::renderer::mesh::{hall, wall};
 
@@ -14,7 +14,7 @@ use crate::renderer::mesh::{hall, wall};
 pub(super) fn build(assembly: &mut Assembly, layout: &Layout) {
     for cell in layout.free_cells() {
         let mesh = hall::floor(layout, cell);
-        assembly.object(|a| a.solid(&mesh, &Isometry3::identity(), Part::Floor));
+        assembly.object(|a| a.solid(&mesh, &Isometry3::identity(), MeshPart::Floor));
     }
     for run in wall_runs(layout) {
         run.build(assembly);
@@ -68,7 +68,7 @@ impl WallRun {
         for &cell in &self.cells {
             let frame = world_from_face(side_of(cell, self.facing), self.facing);
             let mesh = wall::cladding(self.facing, top);
-            assembly.object(|a| a.solid(&mesh, &frame, Part::Wall));
+            assembly.object(|a| a.solid(&mesh, &frame, MeshPart::Wall));
         }
         // What hangs on a wall depends on its direction; columns stand in between.
         let length = self.cells.len() as f32;
@@ -79,7 +79,7 @@ impl WallRun {
         let pieces = (length / FEATURE_SPACING_M).round().max(1.0) as u32;
         for k in 1..pieces {
             let at = length * k as f32 / pieces as f32;
-            assembly.object(|a| a.solid(&wall::column(), &along(at), Part::Fixture));
+            assembly.object(|a| a.solid(&wall::column(), &along(at), MeshPart::Fixture));
         }
         for k in 0..pieces {
             let middle = along(length * (k as f32 + 0.5) / pieces as f32);
@@ -100,7 +100,7 @@ impl WallRun {
             (wall::exit(), "EXIT".to_owned(), [-0.36, 2.2, 0.36, 2.44], [20, 130, 70])
         };
         assembly.object(|a| {
-            a.solid(&mesh, frame, Part::Fixture);
+            a.solid(&mesh, frame, MeshPart::Fixture);
             let label = Label { text: &text, ink: [250, 250, 250], paper, texels_per_m: 240.0 };
             a.text(frame, rect, wall::BOARD_OFFSET_M, &label);
         });
@@ -115,7 +115,7 @@ impl WallRun {
             Heading::W => "WEST WALL",
         };
         assembly.object(|a| {
-            a.solid(&wall::notice_board(), frame, Part::Fixture);
+            a.solid(&wall::notice_board(), frame, MeshPart::Fixture);
             let label =
                 Label { text, ink: [36, 44, 58], paper: [236, 238, 238], texels_per_m: 200.0 };
             a.text(frame, wall::NOTICE_M, wall::BOARD_OFFSET_M, &label);
@@ -139,7 +139,7 @@ fn outer_walls(assembly: &mut Assembly, layout: &Layout) {
         };
         for k in 0..pieces {
             let mesh = hall::upper_wall(at(k), at(k + 1), bottom);
-            assembly.object(|a| a.solid(&mesh, &Isometry3::identity(), Part::Wall));
+            assembly.object(|a| a.solid(&mesh, &Isometry3::identity(), MeshPart::Wall));
         }
     }
 }
@@ -153,7 +153,7 @@ fn roof(assembly: &mut Assembly, layout: &Layout) {
         let out = 0.1;
         let at = |k: u32| -out + (h + 2.0 * out) * k as f32 / pieces as f32;
         let mesh = hall::roof(-out, w + out, at(k), at(k + 1));
-        assembly.object(|a| a.solid(&mesh, &Isometry3::identity(), Part::Wall));
+        assembly.object(|a| a.solid(&mesh, &Isometry3::identity(), MeshPart::Wall));
     }
 }
 
@@ -170,7 +170,7 @@ fn aisle(assembly: &mut Assembly, layout: &Layout, index: usize) {
         let along = area.start(north_south) + length * (k as f32 + 0.5) / lamps as f32;
         let (x, y) = if north_south { (middle, along) } else { (along, middle) };
         let mesh = hall::lamp(x, y, north_south);
-        assembly.object(|a| a.solid(&mesh, &Isometry3::identity(), Part::Fixture));
+        assembly.object(|a| a.solid(&mesh, &Isometry3::identity(), MeshPart::Fixture));
     }
     for along in area.sign_places(north_south) {
         let at = if north_south { [middle, along] } else { [along, middle] };
@@ -184,7 +184,7 @@ fn sign(assembly: &mut Assembly, at: [f32; 2], heading: Heading, text: &str) {
     let inset = 0.03;
     let rect = [left + inset, bottom + inset, right - inset, top - inset];
     assembly.object(|a| {
-        a.solid(&hall::sign_board(), &world_from_face(at, heading), Part::Fixture);
+        a.solid(&hall::sign_board(), &world_from_face(at, heading), MeshPart::Fixture);
         for viewer in [heading, heading.opposite()] {
             let label =
                 Label { text, ink: [250, 250, 250], paper: [24, 92, 150], texels_per_m: 200.0 };

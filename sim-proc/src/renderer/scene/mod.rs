@@ -17,7 +17,7 @@ use assembly::Assembly;
 
 pub(super) use catalogue::{ItemStand, catalogue_scene};
 pub(super) use frames::barricade_sides;
-pub(super) use object::{Object, Occluder, Scene, StockObjects};
+pub(super) use object::{Occluder, Scene, SceneObject, StockObjects};
 
 impl Scene {
     /// The scene of a hall with each of `stocks`, which differ in their items only.

@@ -6,7 +6,7 @@ use raster::{Geometry, Placement};
 
 /// A part of the scene that is drawn or left out as a whole: its bounds, and ranges of each layer's indices.
 #[derive(Debug, Clone, Default, PartialEq)]
-pub(in crate::renderer) struct Object {
+pub(in crate::renderer) struct SceneObject {
     pub(in crate::renderer) min: [f32; 3],
     pub(in crate::renderer) max: [f32; 3],
     /// Lit triangles in full detail.
@@ -29,7 +29,7 @@ pub(in crate::renderer) struct Scene {
     pub(in crate::renderer) geometry: Geometry,
     /// The plane of each lit triangle: its unit normal, and the normal's dot product with any point of the triangle.
     pub(in crate::renderer) planes: Vec<[f32; 4]>,
-    pub(in crate::renderer) objects: Vec<Object>,
+    pub(in crate::renderer) objects: Vec<SceneObject>,
     /// What each stock consists of.
     pub(in crate::renderer) stocks: Vec<StockObjects>,
 }
@@ -45,7 +45,7 @@ pub(in crate::renderer) struct StockObjects {
 
 impl Scene {
     /// The bounds of a barricade's side that stands at `side`.
-    pub(in crate::renderer) fn barricade_at(&self, side: Placement) -> Object {
+    pub(in crate::renderer) fn barricade_at(&self, side: Placement) -> SceneObject {
         let solid = &self.geometry.solid;
         let (mut min, mut max) = ([f32::INFINITY; 3], [f32::NEG_INFINITY; 3]);
         let [cos, sin] = side.turn;
@@ -58,6 +58,6 @@ impl Scene {
                 max[axis] = max[axis].max(position[axis]);
             }
         }
-        Object { min, max, ..Object::default() }
+        SceneObject { min, max, ..SceneObject::default() }
     }
 }

@@ -10,11 +10,11 @@ use warehouse::{Axis, Catalogue, Item, Layout, Square, Warehouse};
 use super::assembly::{Assembly, Label};
 use super::frames::{side_of, world_from_face};
 use super::object::{Occluder, StockObjects};
-use crate::renderer::light::Part;
+use crate::renderer::light::MeshPart;
 use crate::renderer::mesh::builder::{Detail, Mesh};
 use crate::renderer::mesh::items::item;
 use crate::renderer::mesh::rack::{
-    BAY_DEPTH_M, BAY_NUMBER_M, Bay, CLOSED_FACE_OCCLUDER_M, Edge, LABEL_M, PANEL_OFFSET_M,
+    BAY_DEPTH_M, BAY_NUMBER_M, BayEdge, CLOSED_FACE_OCCLUDER_M, LABEL_M, PANEL_OFFSET_M, RackBay,
     SHALLOW_BAY_DEPTH_M, SHELF_TOP_M, closed_face,
 };
 
@@ -75,9 +75,9 @@ enum Face {
     /// A sheet of steel.
     Closed,
     /// Shelves without an item.
-    Bay(Bay),
+    RackBay(RackBay),
     /// Shelves with an item of this type, under this number.
-    Stocked(Bay, usize, String),
+    Stocked(RackBay, usize, String),
 }
 
 /// A face that has been added.
@@ -96,10 +96,10 @@ impl Face {
         catalogue: &Catalogue,
     ) -> BuiltFace {
         let object = match &self {
-            Self::Closed => assembly.object(|a| a.solid(&closed_face(), frame, Part::Rack)),
-            Self::Bay(bay) => assembly.object_with_far(
-                |a| a.solid(&bay.mesh(Detail::Near), frame, Part::Rack),
-                |a| a.solid(&bay.mesh(Detail::Far), frame, Part::Rack),
+            Self::Closed => assembly.object(|a| a.solid(&closed_face(), frame, MeshPart::Rack)),
+            Self::RackBay(bay) => assembly.object_with_far(
+                |a| a.solid(&bay.mesh(Detail::Near), frame, MeshPart::Rack),
+                |a| a.solid(&bay.mesh(Detail::Far), frame, MeshPart::Rack),
             ),
             Self::Stocked(bay, item_type, number) => {
                 stocked_bay(assembly, frame, bay, catalogue, *item_type, number)
@@ -107,7 +107,7 @@ impl Face {
         };
         let panels = match &self {
             Self::Closed => vec![CLOSED_FACE_OCCLUDER_M],
-            Self::Bay(bay) | Self::Stocked(bay, ..) => bay.occluders(),
+            Self::RackBay(bay) | Self::Stocked(bay, ..) => bay.occluders(),
         };
         let at = |[x, y]: [f32; 2]| {
             let point = frame * Point3::new(x, y, 0.0);
@@ -122,7 +122,7 @@ impl Face {
 pub(super) fn stocked_bay(
     assembly: &mut Assembly,
     world_from_face: &Isometry3<f32>,
-    bay: &Bay,
+    bay: &RackBay,
     catalogue: &Catalogue,
     item_type: usize,
     number: &str,
@@ -131,8 +131,8 @@ pub(super) fn stocked_bay(
     let category = &catalogue.categories[kind.category];
     let solid = |a: &mut Assembly, detail| {
         let item = on_shelf(item(kind.shape, kind.colour, detail), bay.depth);
-        a.solid(&item, world_from_face, Part::Item);
-        a.solid(&bay.mesh(detail), world_from_face, Part::Rack);
+        a.solid(&item, world_from_face, MeshPart::Item);
+        a.solid(&bay.mesh(detail), world_from_face, MeshPart::Rack);
     };
     let near = |a: &mut Assembly| {
         solid(a, Detail::Near);
@@ -191,7 +191,7 @@ enum FaceKind {
     /// A sheet of steel.
     Closed,
     /// Shelves.
-    Bay,
+    RackBay,
 }
 
 /// Decides for every rack square which of its faces are bays.
@@ -214,8 +214,8 @@ impl<'a> RackFaces<'a> {
         match (self.kind(rack, face), self.items.get(&(rack, face))) {
             (FaceKind::Inner, _) => None,
             (FaceKind::Closed, _) => Some(Face::Closed),
-            (FaceKind::Bay, None) => Some(Face::Bay(self.bay(rack, face))),
-            (FaceKind::Bay, Some(item)) => {
+            (FaceKind::RackBay, None) => Some(Face::RackBay(self.bay(rack, face))),
+            (FaceKind::RackBay, Some(item)) => {
                 let number = bay_number(self.layout, item.standpoint);
                 Some(Face::Stocked(self.bay(rack, face), item.item_type, number))
             }
@@ -236,17 +236,17 @@ impl<'a> RackFaces<'a> {
             return FaceKind::Inner;
         }
         if self.holds_item(rack, face) {
-            return FaceKind::Bay;
+            return FaceKind::RackBay;
         }
         // Without an item, a face is a bay only if the square holds no other bay.
         let first_open = Heading::ALL.into_iter().find(|&other| self.is_open(rack, other));
         let any_item = Heading::ALL.into_iter().any(|other| self.holds_item(rack, other));
-        if !any_item && first_open == Some(face) { FaceKind::Bay } else { FaceKind::Closed }
+        if !any_item && first_open == Some(face) { FaceKind::RackBay } else { FaceKind::Closed }
     }
 
-    fn bay(&self, rack: Cell, face: Heading) -> Bay {
+    fn bay(&self, rack: Cell, face: Heading) -> RackBay {
         let viewer = face.opposite();
-        Bay {
+        RackBay {
             left: self.edge(rack, face, viewer.left()),
             right: self.edge(rack, face, viewer.right()),
             depth: self.depth(rack),
@@ -258,24 +258,25 @@ impl<'a> RackFaces<'a> {
 
     /// The depth of bays in this square: shallow where several share it, so that they do not overlap.
     fn depth(&self, rack: Cell) -> f32 {
-        let bays = Heading::ALL.into_iter().filter(|&face| self.kind(rack, face) == FaceKind::Bay);
+        let bays =
+            Heading::ALL.into_iter().filter(|&face| self.kind(rack, face) == FaceKind::RackBay);
         if bays.count() > 1 { SHALLOW_BAY_DEPTH_M } else { BAY_DEPTH_M }
     }
 
     /// How the bay at `face` ends towards `side`.
-    fn edge(&self, rack: Cell, face: Heading, side: Heading) -> Edge {
+    fn edge(&self, rack: Cell, face: Heading, side: Heading) -> BayEdge {
         match self.kind(rack, side) {
-            FaceKind::Closed => Edge::Closed,
+            FaceKind::Closed => BayEdge::Closed,
             // Of two bays around a corner, the one that faces east or west keeps its width. A sheet separates
             // them, so that an item is visible through its own face only.
-            FaceKind::Bay if matches!(face, Heading::E | Heading::W) => Edge::Closed,
-            FaceKind::Bay => Edge::Narrowed(self.depth(rack)),
+            FaceKind::RackBay if matches!(face, Heading::E | Heading::W) => BayEdge::Closed,
+            FaceKind::RackBay => BayEdge::Narrowed(self.depth(rack)),
             FaceKind::Inner => match rack.step(side) {
-                Some(next) if self.kind(next, face) == FaceKind::Bay => {
+                Some(next) if self.kind(next, face) == FaceKind::RackBay => {
                     let depth = self.depth(next);
-                    if depth < self.depth(rack) { Edge::Step(depth) } else { Edge::Joined }
+                    if depth < self.depth(rack) { BayEdge::Step(depth) } else { BayEdge::Joined }
                 }
-                _ => Edge::Ended,
+                _ => BayEdge::Ended,
             },
         }
     }
