@@ -25,8 +25,8 @@ use crate::worlds::Worlds;
 use search::{ContentHash, Embedding};
 use shm_types::Note;
 use shm_types::message::{
-    ExternalAnswer, ExternalBuilt, FrameId, MemoryEpisodeConfig, Observation, Recall, RecallTrace,
-    SnapshotReport, ViewRequest,
+    ExternalAnswer, ExternalBuilt, ExternalStored, FrameId, MemoryEpisodeConfig, Observation,
+    Recall, RecallTrace, SnapshotReport, ViewRequest,
 };
 
 /// The lanes of a run. `I` is a source of a frame's pixels, which the engine passes on to the encoder.
@@ -184,7 +184,10 @@ impl<I: Clone> Engine<I> {
     /// When a value in the message is invalid, or its views do not fit.
     pub fn config(&mut self, config: &MemoryEpisodeConfig) -> Result<(), Unusable> {
         let Self { externals, worlds, .. } = self;
-        let external = |set| externals.bank(config, set, &worlds.warehouse, &worlds.cases);
+        let external = |set| match config.sequence {
+            0 => externals.bank(config, set, &worlds.warehouse, &worlds.cases),
+            _ => externals.of_stream(config),
+        };
         let episode = MemoryEpisode::announced(config, worlds, external)?;
         if episode.learns() && !self.sequences.can_save() {
             return Err(unusable!(
@@ -204,8 +207,8 @@ impl<I: Clone> Engine<I> {
         let lane = self.lanes.get_mut(config.lane as usize).ok_or_else(|| {
             unusable!("config of episode {}: lane {} of {lanes}", config.episode, config.lane)
         })?;
-        if let EpisodeMemory::External { bank, .. } = episode.memory {
-            self.externals.retain(bank);
+        if let (EpisodeMemory::External { bank, .. }, None) = (&episode.memory, &episode.stream) {
+            self.externals.retain(*bank);
         }
         if let Some(dropped) = lane.next.replace(episode) {
             self.close(dropped);
@@ -332,6 +335,14 @@ impl<I: Clone> Engine<I> {
         Ok(())
     }
 
+    /// Takes the message that an external memory has saved or loaded.
+    ///
+    /// # Errors
+    /// When that is not expected.
+    pub fn external_stored(&mut self, index: u8, message: &ExternalStored) -> Result<(), Unusable> {
+        self.externals.has_stored(index, message)
+    }
+
     /// Takes the answer of an external memory. An invalid answer costs the episode that it belongs to.
     ///
     /// # Errors
@@ -411,7 +422,8 @@ impl<I: Clone> Engine<I> {
         let why = format!("external memory {}: {why}", self.externals.name(index));
         match message {
             ToExternal::Bank(id, _) => self.finish_bank(*id, Err(why)),
-            ToExternal::TakeBack(_) => {}
+            // What waits for it fails when its time is over.
+            ToExternal::TakeBack(_) | ToExternal::Store(_) => {}
             ToExternal::Episode(message) => self.fail_episode(message.lane, message.episode, why),
             ToExternal::Query(message) => self.fail_episode(message.lane, message.episode, why),
         }
@@ -513,6 +525,9 @@ impl<I: Clone> Engine<I> {
         clock: impl Fn() -> u64,
         documents: &mut dyn DocumentSupplier,
     ) -> anyhow::Result<Vec<(Recall, RecallTrace)>> {
+        for bank in self.sequences.take_dropped() {
+            self.externals.take_back(bank);
+        }
         self.build_banks(&clock);
         for collecting in self.sequences.unfinished_banks() {
             self.views.collect(collecting, true);
@@ -550,7 +565,7 @@ impl<I: Clone> Engine<I> {
         };
         let is_new = |part: &StreamPart| !part.begun;
         if episode.pending.is_some() && episode.stream.as_ref().is_some_and(is_new) {
-            match sequences.bind(episode, worlds, documents)? {
+            match sequences.bind(episode, worlds, documents, (externals, clock()))? {
                 Bound::Yes => {}
                 Bound::Waiting => {
                     for collecting in sequences.unfinished_banks() {
@@ -563,9 +578,15 @@ impl<I: Clone> Engine<I> {
         }
         let Some(pending) = &episode.pending else { return Ok(LaneProgress::Gone) };
         match pending.stage {
-            PendingStage::Ended => {
-                return Ok(match sequences.learn(episode) {
-                    Ok(report) => LaneProgress::Learned(report),
+            PendingStage::Ended | PendingStage::Saving => {
+                return Ok(match sequences.learn(episode, (externals, clock())) {
+                    Ok(Some(report)) => LaneProgress::Learned(report),
+                    Ok(None) => {
+                        if let Some(pending) = &mut episode.pending {
+                            pending.stage = PendingStage::Saving;
+                        }
+                        LaneProgress::Waiting
+                    }
                     Err(why) => LaneProgress::Failed(why),
                 });
             }
@@ -682,8 +703,8 @@ impl<I: Clone> Engine<I> {
         }
         self.views.pinned.release(&episode.recalled);
         self.sequences.release(&episode);
-        if let EpisodeMemory::External { bank, .. } = episode.memory {
-            self.externals.release(bank);
+        if let (EpisodeMemory::External { bank, .. }, None) = (&episode.memory, &episode.stream) {
+            self.externals.release(*bank);
         }
         self.admit();
     }

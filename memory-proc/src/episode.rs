@@ -17,7 +17,7 @@ use crate::bank::{Bank, BankSteps, KnownView, Viewpoint};
 use crate::demonstrations;
 use crate::items::{AssembledRecall, Budgets, CheckedAnswer, DocumentSupplier, PublishedTexts};
 use crate::representation::{MemorySettings, built_in};
-use crate::sequences::{Recording, SequenceMemory, StreamPart};
+use crate::sequences::{KeptMemory, Recording, SequenceMemory, StreamPart};
 use crate::worlds::{BankOrigin, Worlds};
 
 /// A message that cannot be used. The text names the value and what was expected.
@@ -70,6 +70,8 @@ pub(crate) enum PendingStage {
     Answered(Box<MemoryAnswer>),
     /// The episode is over, and the memory is to learn from it.
     Ended,
+    /// The episode is over, and its external memory saves what it has learned.
+    Saving,
 }
 
 /// A memory's answer.
@@ -316,6 +318,9 @@ impl MemoryEpisode {
             bail!("episode {} has no memory of a sequence, or has not begun", self.id);
         };
         let failed = format!("{representation} memory");
+        let KeptMemory::BuiltIn(memory) = &mut known.memory else {
+            bail!("{failed} is not that of the sequence");
+        };
         let embedded_ns = clock();
         let query = Query {
             now: now.step(self.lane, self.id, embedding),
@@ -326,10 +331,10 @@ impl MemoryEpisode {
             stage: Some(now.progress.stage()),
         };
         if self.learns() {
-            known.memory.observe(&query.now).context(failed.clone())?;
+            memory.observe(&query.now).context(failed.clone())?;
         }
-        let items = known.memory.recall(&query).context(failed.clone())?;
-        let store_bytes = known.memory.store_bytes().unwrap_or(0);
+        let items = memory.recall(&query).context(failed.clone())?;
+        let store_bytes = memory.store_bytes().unwrap_or(0);
         self.answer(items, store_bytes, [embedded_ns, clock()], &failed)
     }
 

@@ -21,6 +21,16 @@ code_sets! {
         Release = 1,
     }
 
+    /// Whether a memory learns from an [episode](super::ExternalEpisode).
+    Learning, "whether a memory learns (0 outside of streams, 1 learns, 2 reads only)" {
+        /// The episode is not part of a stream.
+        OutsideOfStreams = 0,
+        /// It observes the episode and is told of its end.
+        Learns = 1,
+        /// It answers, and the episode must not change what it answers in later ones.
+        ReadsOnly = 2,
+    }
+
     /// The kind of a [`RecalledItem`](super::RecalledItem).
     ItemKind, "an item kind (0 text, 1 steps, 2 trajectory, 3 frame)" {
         /// Text.
