@@ -521,8 +521,7 @@ fn stream_episode(
     for seen in &script.observations {
         rig.rig.observe(*seen).unwrap();
         let queries = rig.queries();
-        for store in std::mem::take(&mut rig.stores) {
-            assert_eq!(store.loads, 1, "it loads before it is asked");
+        for store in rig.stores.extract_if(.., |store| store.loads == 1).collect::<Vec<_>>() {
             let stored = ExternalStored { bank: store.bank, ..Zeroable::zeroed() };
             rig.rig.engine.external_stored(2, &stored).unwrap();
             asked.extend(rig.queries());
