@@ -59,9 +59,14 @@ impl MemoryMethod for PythonMethod {
                 .and_then(|object| Object::new(&object))
                 .map_err(|raised| failure(py, name, &raised))
         });
-        Box::new(PythonMemory { name, object, bank: None, lengths: Vec::new(),
+        Box::new(PythonMemory {
+            name,
+            object,
+            bank: None,
+            lengths: Vec::new(),
             demonstrations: 0,
-            observed: HashMap::new() })
+            observed: HashMap::new(),
+        })
     }
 }
 

@@ -24,7 +24,7 @@ mod codes;
 pub use codes::{CODE_SETS, ErrorReportKind, ItemKind, Learning, Role, StepKind, ViewRequestKind};
 
 /// Version of everything that `docs/wire.md` describes; compared when a process attaches.
-pub const WIRE_VERSION: u32 = 8;
+pub const WIRE_VERSION: u32 = 9;
 
 /// Longest window of past steps.
 pub const MAX_WINDOW: usize = 32;
@@ -815,7 +815,7 @@ messages! {
     /// All to orchestrator: an error, and what follows from it ([`ErrorReportKind`]).
     ErrorReport, "memtransfer.ErrorReport", "error-report", 512 bytes,
         [Sim Memory Policy ExternalMemory] to [Orchestrator], Few {
-        /// For [`ErrorReportKind::Episode`]: the episode. Otherwise 0.
+        /// For [`ErrorReportKind::Episode`] and [`ErrorReportKind::Overdue`]: the episode. Otherwise 0.
         episode: u64,
         /// Code of the sender's [`Role`].
         role: u32,
@@ -823,7 +823,7 @@ messages! {
         count: u32,
         /// Code of the [`ErrorReportKind`].
         kind: u32,
-        /// For [`ErrorReportKind::Episode`]: the episode's lane. Otherwise 0.
+        /// The lane of `episode`. Otherwise 0.
         lane: u32,
         /// Bytes of `text` in use.
         text_len: u32,

@@ -44,7 +44,7 @@ code_sets! {
     }
 
     /// What follows from an [`ErrorReport`](super::ErrorReport).
-    ErrorReportKind, "an error report kind (0 message, 1 episode, 2 run, 3 waiting)" {
+    ErrorReportKind, "an error report kind (0 message, 1 episode, 2 run, 3 waiting, 4 overdue)" {
         /// Nothing else: a message could not be used and was dropped.
         Message = 0,
         /// The episode ends without a result: there is no decision, for a reason that is not the model's, such as a
@@ -55,6 +55,8 @@ code_sets! {
         /// Not an error yet: decisions wait for something outside of the run, such as a model's server that does not
         /// answer. The text says for what; it is empty when the wait is over.
         Waiting = 3,
+        /// From the memory process: as `Episode`, because the episode's external memory has exceeded a time limit.
+        Overdue = 4,
     }
 
     /// The role of a process in a run.

@@ -52,6 +52,10 @@ pub(super) struct MemorySession<'s> {
     /// By the id of the bank: why the memory could not learn from its last episode.
     unlearned: HashMap<u64, MemoryError>,
     lanes: Vec<Option<LaneEpisode>>,
+    /// Episodes whose first query has not been read.
+    announced: Vec<ExternalEpisode>,
+    /// What is to be saved or loaded after the queries that wait.
+    storing: Vec<ExternalStore>,
     window: usize,
     batch: usize,
     answered: u64,
@@ -95,6 +99,8 @@ impl<'s> MemorySession<'s> {
             memories: HashMap::new(),
             unlearned: HashMap::new(),
             lanes: (0..attach.lanes).map(|_| None).collect(),
+            announced: Vec::new(),
+            storing: Vec::new(),
             window: attach.window as usize,
             batch: attach.batch_len(),
             answered: 0,
@@ -212,6 +218,11 @@ impl<'s> MemorySession<'s> {
     ) -> Result<bool, ServeError> {
         let &ExternalQuery { lane, episode, step, .. } = message;
         let id = RequestId { lane, episode, step };
+        // Only now, because the last query of the lane's earlier episode may have arrived together with the announcement.
+        if let Some(at) = self.announced.iter().position(|next| next.episode == episode) {
+            let next = self.announced.remove(at);
+            self.begin(&next, &mut connection.errors);
+        }
         let received_ns = monotonic_ns();
         let place = self.lanes.get_mut(lane as usize);
         let Some(running) = place.and_then(Option::as_mut).filter(|running| running.id == episode)
@@ -436,9 +447,9 @@ impl Session for MemorySession<'_> {
         for _ in 0..MAX_BATCHES {
             // Effects are read first: a query is sent after its episode, and that after its bank is built.
             // A memory is saved after the last query of its episode, and loaded after it is built.
-            let stores = self.stores.drain()?;
+            self.storing.extend(self.stores.drain()?);
             let queries = self.queries.drain_some(self.batch)?;
-            let episodes = self.episodes.drain()?;
+            self.announced.extend(self.episodes.drain()?);
             let mut banks = 0;
             while let Some(bank) = self.banks.take()? {
                 banks += 1;
@@ -446,9 +457,6 @@ impl Session for MemorySession<'_> {
                     Ok(bank) => self.take_bank(bank, connection)?,
                     Err(bad) => connection.errors.report(bad),
                 }
-            }
-            for episode in &episodes {
-                self.begin(episode, &mut connection.errors);
             }
             let began = connection.spans.begin();
             let mut answered = 0;
@@ -459,8 +467,10 @@ impl Session for MemorySession<'_> {
             if answered > 0 {
                 self.host.notify()?;
             }
-            for store in &stores {
-                self.store(store)?;
+            if queries.len() < self.batch {
+                for store in std::mem::take(&mut self.storing) {
+                    self.store(&store)?;
+                }
             }
             if queries.is_empty() && banks == 0 {
                 // The orchestrator learns of answers from the host.

@@ -232,6 +232,7 @@ fn an_external_memory_is_the_same_when_a_run_goes_on() {
         embeddings: true,
         frames: false,
         deterministic: true,
+        learns: false,
         sdk: "memtransfer 1".to_owned(),
     };
     let with = |name: &str, facts: ExternalMemoryFacts| {
