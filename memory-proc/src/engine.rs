@@ -13,7 +13,7 @@ use std::sync::Arc;
 use crate::bank::{Collecting, KnownView, Viewpoint};
 use crate::embedding_cache::{CacheError, EmbeddingCache};
 use crate::episode::{
-    EpisodeMemory, MemoryAnswer, MemoryEpisode, PendingObservation, PendingStage, Unusable,
+    EpisodeMemory, MemoryAnswer, MemoryEpisode, PendingObservation, PendingStage, Reason, Unusable,
     unusable,
 };
 use crate::external::{BankState, ExternalMemories, ToExternal, query_message};
@@ -74,6 +74,8 @@ pub struct EpisodeFailure {
     pub episode: u64,
     /// The reason.
     pub why: String,
+    /// Whether its external memory has exceeded a time limit.
+    pub is_overdue: bool,
 }
 
 /// What has become of a pending observation.
@@ -85,7 +87,7 @@ pub(crate) enum LaneProgress {
     /// Its episode is over, and its memory has learned from it.
     Learned(SnapshotReport),
     /// Its episode cannot go on.
-    Failed(String),
+    Failed(Reason),
     /// There is none.
     Gone,
 }
@@ -331,7 +333,7 @@ impl<I: Clone> Engine<I> {
     /// When that is not expected.
     pub fn external_built(&mut self, index: u8, message: &ExternalBuilt) -> Result<(), Unusable> {
         let outcome = self.externals.built(index, message)?;
-        self.finish_bank(message.bank, outcome);
+        self.finish_bank(message.bank, outcome.map_err(Into::into));
         Ok(())
     }
 
@@ -421,7 +423,7 @@ impl<I: Clone> Engine<I> {
     pub fn external_unreachable(&mut self, index: u8, message: &ToExternal, why: &str) {
         let why = format!("external memory {}: {why}", self.externals.name(index));
         match message {
-            ToExternal::Bank(id, _) => self.finish_bank(*id, Err(why)),
+            ToExternal::Bank(id, _) => self.finish_bank(*id, Err(why.into())),
             // What waits for it fails when its time is over.
             ToExternal::TakeBack(_) | ToExternal::Store(_) => {}
             ToExternal::Episode(message) => self.fail_episode(message.lane, message.episode, why),
@@ -437,13 +439,14 @@ impl<I: Clone> Engine<I> {
     }
 
     /// The running episode of a lane gets no answer.
-    fn fail(&mut self, lane: u32, why: String) {
+    fn fail(&mut self, lane: u32, why: impl Into<Reason>) {
         self.pending.remove(&lane);
         let running = self.lanes.get_mut(lane as usize).and_then(|lane| lane.running.as_mut());
         if let Some(running) = running
             && running.pending.take().is_some()
         {
-            self.failures.push(EpisodeFailure { lane, episode: running.id, why });
+            let Reason { text: why, is_overdue } = why.into();
+            self.failures.push(EpisodeFailure { lane, episode: running.id, why, is_overdue });
         }
     }
 
@@ -615,7 +618,7 @@ impl<I: Clone> Engine<I> {
                     None => episode.ask_built_in(embedding, view, documents, &clock)?,
                     Some(part) => match sequences.of(part.sequence) {
                         Some(memory) => episode.ask_sequence(memory, embedding, &clock)?,
-                        None => return Ok(LaneProgress::Failed("its memory is gone".to_owned())),
+                        None => return Ok(LaneProgress::Failed("its memory is gone".into())),
                     },
                 };
                 let Some(pending) = &mut episode.pending else { return Ok(LaneProgress::Gone) };
@@ -627,9 +630,7 @@ impl<I: Clone> Engine<I> {
 
     /// Gets the banks of external memories as far as they can get now.
     fn build_banks(&mut self, clock: impl Fn() -> u64) {
-        if !self.externals.unbuilt.is_empty() {
-            self.externals.defer_clocks(clock());
-        }
+        self.externals.defer_clocks(clock());
         for id in self.externals.unbuilt.iter().copied().collect::<Vec<_>>() {
             let Self { externals, views, .. } = self;
             let limit = externals.limits.build;
@@ -644,7 +645,7 @@ impl<I: Clone> Engine<I> {
                             "external memory {name} was not built within {} s",
                             limit.as_secs()
                         );
-                        self.finish_bank(id, Err(why));
+                        self.finish_bank(id, Err(Reason::overdue(why)));
                     }
                 }
                 BankState::Waiting { ready } if wanted => {
@@ -669,7 +670,7 @@ impl<I: Clone> Engine<I> {
     }
 
     /// Ends the building of a bank.
-    fn finish_bank(&mut self, id: u64, outcome: Result<u64, String>) {
+    fn finish_bank(&mut self, id: u64, outcome: Result<u64, Reason>) {
         if let Some(bank) = self.externals.finish(id, outcome) {
             self.views.pinned.release(&bank.viewpoints);
             self.admit();
@@ -729,10 +730,11 @@ fn supply<I: Clone>(
             let (needed, room) = (viewpoints.len(), views.pinned.room());
             if needed > room {
                 episode.pending = Some(pending);
-                return Ok(LaneProgress::Failed(format!(
+                let why = format!(
                     "its memory names {needed} views and there is room for {room}: raise --frame-budget or lower \
                      --memory-images"
-                )));
+                );
+                return Ok(LaneProgress::Failed(why.into()));
             }
             let mut is_pinned = views.try_pin(viewpoints, false);
             let earlier = std::mem::take(&mut episode.recalled);

@@ -31,6 +31,26 @@ macro_rules! unusable {
 }
 pub(crate) use unusable;
 
+/// Why something cannot go on.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) struct Reason {
+    pub(crate) text: String,
+    /// Whether an external memory has exceeded a time limit.
+    pub(crate) is_overdue: bool,
+}
+
+impl Reason {
+    pub(crate) const fn overdue(text: String) -> Self {
+        Self { text, is_overdue: true }
+    }
+}
+
+impl<T: Into<String>> From<T> for Reason {
+    fn from(text: T) -> Self {
+        Self { text: text.into(), is_overdue: false }
+    }
+}
+
 /// The memory that answers an episode's queries.
 pub(crate) enum EpisodeMemory {
     /// A built-in one.
@@ -289,14 +309,8 @@ impl MemoryEpisode {
         }
         let BuiltInMemory::Built(memory) = memory else { bail!("{failed} has not been built") };
         let embedded_ns = clock();
-        let query = Query {
-            now: now.step(self.lane, self.id, embedding),
-            instruction: &self.instruction,
-            window: &[],
-            image_budget: self.budgets.images,
-            text_budget: self.budgets.text,
-            stage: Some(now.progress.stage()),
-        };
+        let step = now.step(self.lane, self.id, embedding);
+        let query = now.query(step, &self.instruction, self.budgets);
         let items = memory.recall(&query).context(failed.clone())?;
         let store_bytes = memory.store_bytes().unwrap_or(0);
         self.answer(items, store_bytes, [embedded_ns, clock()], &failed)
@@ -322,14 +336,8 @@ impl MemoryEpisode {
             bail!("{failed} is not that of the sequence");
         };
         let embedded_ns = clock();
-        let query = Query {
-            now: now.step(self.lane, self.id, embedding),
-            instruction: &self.instruction,
-            window: &[],
-            image_budget: self.budgets.images,
-            text_budget: self.budgets.text,
-            stage: Some(now.progress.stage()),
-        };
+        let step = now.step(self.lane, self.id, embedding);
+        let query = now.query(step, &self.instruction, self.budgets);
         if self.learns() {
             memory.observe(&query.now).context(failed.clone())?;
         }
@@ -447,6 +455,18 @@ impl CurrentStep {
             frame: None,
             embedding: embedding.map(Embedding::as_slice),
             pinned: None,
+        }
+    }
+
+    /// A query of a built-in memory, at the step `now`.
+    fn query<'a>(&self, now: Step<'a>, instruction: &'a str, budgets: Budgets) -> Query<'a> {
+        Query {
+            now,
+            instruction,
+            window: &[],
+            image_budget: budgets.images,
+            text_budget: budgets.text,
+            stage: Some(self.progress.stage()),
         }
     }
 }

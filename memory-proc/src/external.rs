@@ -25,7 +25,7 @@ use crate::demonstrations;
 use crate::engine::LaneProgress;
 use crate::episode::{
     CurrentStep, EpisodeMemory, ExternalBank, MemoryEpisode, PendingObservation, PendingStage,
-    Unusable, unusable,
+    Reason, Unusable, unusable,
 };
 
 /// How long an external memory may take.
@@ -78,11 +78,11 @@ pub struct ExternalMemories {
     /// By bank: since when its memory saves or loads.
     storing: HashMap<u64, u64>,
     /// By bank: the outcome.
-    stored: HashMap<u64, Result<u64, String>>,
+    stored: HashMap<u64, Result<u64, Reason>>,
     /// By external memory and lane: the note that came last.
     notes: HashMap<(u8, u32), Note>,
-    /// When each external memory was last seen to have a bank to build: it answers nothing meanwhile.
-    last_building_ns: BTreeMap<u8, u64>,
+    /// When each external memory was last seen to build, save or load: it answers nothing meanwhile.
+    last_busy_ns: BTreeMap<u8, u64>,
     pub(crate) outbox: Vec<(u8, ToExternal)>,
 }
 
@@ -112,7 +112,7 @@ pub(crate) enum BankState {
     /// Built.
     Ready { store_bytes: u64 },
     /// Not built, and why.
-    Failed(String),
+    Failed(Reason),
 }
 
 impl HostBank {
@@ -143,7 +143,7 @@ impl ExternalMemories {
             storing: HashMap::new(),
             stored: HashMap::new(),
             notes: HashMap::new(),
-            last_building_ns: BTreeMap::new(),
+            last_busy_ns: BTreeMap::new(),
             outbox: Vec::new(),
         }
     }
@@ -266,16 +266,17 @@ impl ExternalMemories {
     /// Starts the clocks of building and answering anew for what a memory cannot have begun: it does one thing after the
     /// other, and first builds the banks that it has got, in their order.
     pub(crate) fn defer_clocks(&mut self, now_ns: u64) {
-        let mut is_building = BTreeSet::new();
+        let storing = self.storing.keys().filter_map(|id| self.banks.get(id));
+        let mut is_busy: BTreeSet<u8> = storing.map(|bank| bank.index).collect();
         for id in &self.unbuilt {
             if let Some(HostBank { index, state: BankState::Building { since_ns }, .. }) =
                 self.banks.get_mut(id)
-                && !is_building.insert(*index)
+                && !is_busy.insert(*index)
             {
                 *since_ns = now_ns;
             }
         }
-        self.last_building_ns.extend(is_building.into_iter().map(|index| (index, now_ns)));
+        self.last_busy_ns.extend(is_busy.into_iter().map(|index| (index, now_ns)));
     }
 
     /// Publishes a bank for the memory of a sequence. Returns its id.
@@ -308,7 +309,7 @@ impl ExternalMemories {
     ///
     /// # Errors
     /// When it cannot be built: the reason.
-    pub(crate) fn is_built(&self, id: u64) -> Result<bool, String> {
+    pub(crate) fn is_built(&self, id: u64) -> Result<bool, Reason> {
         match self.banks.get(&id).map(|bank| &bank.state) {
             Some(BankState::Ready { .. }) => Ok(true),
             Some(BankState::Failed(why)) => Err(why.clone()),
@@ -374,7 +375,7 @@ impl ExternalMemories {
     }
 
     /// What has become of saving or loading; `None` while it takes place.
-    pub(crate) fn take_stored(&mut self, id: u64, now_ns: u64) -> Option<Result<u64, String>> {
+    pub(crate) fn take_stored(&mut self, id: u64, now_ns: u64) -> Option<Result<u64, Reason>> {
         if let Some(outcome) = self.stored.remove(&id) {
             return Some(outcome);
         }
@@ -383,7 +384,8 @@ impl ExternalMemories {
         (u128::from(now_ns.saturating_sub(since_ns)) > limit.as_nanos()).then(|| {
             self.storing.remove(&id);
             let name = self.name_of_bank(id);
-            Err(format!("external memory {name} has not stored within {} s", limit.as_secs()))
+            let why = format!("external memory {name} has not stored within {} s", limit.as_secs());
+            Err(Reason::overdue(why))
         })
     }
 
@@ -407,14 +409,14 @@ impl ExternalMemories {
             let note = self.notes.remove(&(index, NO_LANE));
             let note = note.filter(|note| note.header.id == failure);
             let why = note.map_or_else(|| readable(&[]), |note| readable(&note.bytes));
-            Err(format!("external memory {name} cannot learn, save or load: {why}"))
+            Err(format!("external memory {name} cannot learn, save or load: {why}").into())
         };
         self.stored.insert(id, outcome);
         Ok(())
     }
 
     /// Ends the building of a bank. Returns the bank if its views were pinned to build it.
-    pub(crate) fn finish(&mut self, id: u64, outcome: Result<u64, String>) -> Option<Arc<Bank>> {
+    pub(crate) fn finish(&mut self, id: u64, outcome: Result<u64, Reason>) -> Option<Arc<Bank>> {
         let bank = self.banks.get_mut(&id)?;
         self.unbuilt.remove(&id);
         let state = match outcome {
@@ -475,17 +477,16 @@ impl ExternalMemories {
         let EpisodeMemory::External { index, .. } = episode.memory else {
             return LaneProgress::Gone;
         };
-        let since_ns =
-            self.last_building_ns.get(&index).map_or(since_ns, |last| since_ns.max(*last));
+        let since_ns = self.last_busy_ns.get(&index).map_or(since_ns, |last| since_ns.max(*last));
         if u128::from(now_ns.saturating_sub(since_ns)) <= limit.as_nanos() {
             return LaneProgress::Waiting;
         }
         let name = self.name(index);
         let step = episode.current.as_ref().map_or(0, |now| now.step);
         let seconds = limit.as_secs_f64();
-        LaneProgress::Failed(format!(
+        LaneProgress::Failed(Reason::overdue(format!(
             "external memory {name} has not answered step {step} within {seconds} s"
-        ))
+        )))
     }
 
     /// Takes a note.

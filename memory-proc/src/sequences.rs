@@ -23,7 +23,7 @@ use warehouse::{Demonstrations, Progress, step};
 
 use crate::bank::{Bank, BankSteps, Collecting};
 use crate::demonstrations::Demonstration;
-use crate::episode::{EpisodeMemory, MemoryEpisode, PendingStage, build_built_in};
+use crate::episode::{EpisodeMemory, MemoryEpisode, PendingStage, Reason, build_built_in};
 use crate::external::ExternalMemories;
 use crate::items::DocumentSupplier;
 use crate::representation::MemorySettings;
@@ -178,8 +178,8 @@ pub(crate) enum Bound {
     Yes,
     /// Views of the bank are not known yet.
     Waiting,
-    /// It cannot have it: the reason.
-    Failed(String),
+    /// It cannot have it.
+    Failed(Reason),
 }
 
 /// The memories of the sequences that run, and the banks of their streams.
@@ -245,7 +245,7 @@ impl Sequences {
         (externals, now_ns): (&mut ExternalMemories, u64),
     ) -> anyhow::Result<Bound> {
         let Some(part) = &mut episode.stream else {
-            return Ok(Bound::Failed("it is no part of a stream".to_owned()));
+            return Ok(Bound::Failed("it is no part of a stream".into()));
         };
         let sequence = part.sequence;
         let is_usable = |memory: &SequenceMemory| {
@@ -268,7 +268,7 @@ impl Sequences {
             match created {
                 Ok(Some(memory)) => drop(self.memories.insert(sequence, memory)),
                 Ok(None) => return Ok(Bound::Waiting),
-                Err(why) => return Ok(Bound::Failed(why)),
+                Err(why) => return Ok(Bound::Failed(why.into())),
             }
         }
         let Some(known) = self.memories.get_mut(&sequence) else { return Ok(Bound::Waiting) };
@@ -294,7 +294,7 @@ impl Sequences {
                     }
                 }
             }
-            _ => return Ok(Bound::Failed("its sequence has another memory".to_owned())),
+            _ => return Ok(Bound::Failed("its sequence has another memory".into())),
         }
         known.users.insert(episode.id);
         known.learning = learns.then_some(episode.id);
@@ -425,11 +425,9 @@ impl Sequences {
         &mut self,
         episode: &MemoryEpisode,
         externals: (&mut ExternalMemories, u64),
-    ) -> Result<Option<SnapshotReport>, String> {
+    ) -> Result<Option<SnapshotReport>, Reason> {
         let (Some(part), Some(folder)) = (&episode.stream, &self.snapshots) else {
-            return Err(
-                "it is not part of a stream, or there is no folder for snapshots".to_owned()
-            );
+            return Err("it is not part of a stream, or there is no folder for snapshots".into());
         };
         let memory = self.memories.get_mut(&part.sequence);
         let memory = memory.filter(|memory| memory.learning == Some(episode.id));
@@ -463,7 +461,7 @@ fn is_loaded(
     to_load: &mut Option<(PathBuf, bool)>,
     externals: &mut ExternalMemories,
     now_ns: u64,
-) -> Result<bool, String> {
+) -> Result<bool, Reason> {
     if !externals.is_built(bank)? {
         return Ok(false);
     }
@@ -491,7 +489,7 @@ impl SequenceMemory {
         part: &StreamPart,
         folder: &SnapshotFolder,
         (externals, now_ns): (&mut ExternalMemories, u64),
-    ) -> Result<Option<SnapshotReport>, String> {
+    ) -> Result<Option<SnapshotReport>, Reason> {
         let recording = part.recording.as_ref().ok_or("nothing is learned from it")?;
         let is_saving = episode
             .pending

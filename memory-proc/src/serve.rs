@@ -446,8 +446,14 @@ impl<'a> MemoryServer<'a> {
     /// Reports episodes that cannot go on. Those for which the queue has no room are reported in the next turn.
     fn report_failures(&mut self) -> Result<(), BusError> {
         self.failures.extend(self.engine.take_failures());
-        while let Some(EpisodeFailure { lane, episode, why }) = self.failures.last() {
-            match self.reporter.fail_episode(*lane, *episode, why) {
+        while let Some(failure) = self.failures.last() {
+            let &EpisodeFailure { lane, episode, ref why, is_overdue } = failure;
+            let reported = if is_overdue {
+                self.reporter.overdue(lane, episode, why)
+            } else {
+                self.reporter.fail_episode(lane, episode, why)
+            };
+            match reported {
                 Ok(()) => drop(self.failures.pop()),
                 Err(BusError::Full { .. }) => return Ok(()),
                 Err(error) => return Err(error),

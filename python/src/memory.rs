@@ -19,8 +19,9 @@ use crate::classes::Classes;
 use crate::frame::Frame;
 use crate::query::{MemoryStep, Numbers, as_array};
 
-/// Name, version, scope, whether it uses embeddings, whether it looks at frames, whether it is deterministic.
-pub(crate) type Described = (String, String, String, bool, bool, bool);
+/// Name, version, scope, whether it uses embeddings, whether it looks at frames, whether it is deterministic, whether it
+/// learns.
+pub(crate) type Described = (String, String, String, bool, bool, bool, bool);
 
 /// The file beside a memory's own that holds the number of steps of each episode it has learned from.
 const LENGTHS_FILE: &str = "steps-of-episodes.txt";
@@ -33,15 +34,23 @@ pub(crate) struct PythonMethod {
 
 impl PythonMethod {
     pub(crate) fn new(create: &Bound<'_, PyAny>, described: Described) -> PyResult<Self> {
-        let (name, version, scope, embeddings, frames, deterministic) = described;
+        let (name, version, scope, embeddings, frames, deterministic, learns) = described;
         let scope = match &*scope {
             "case" => Scope::Case,
             "all" => Scope::All,
             scope => return Err(PyValueError::new_err(format!("{scope:?} is not a scope"))),
         };
         let sdk = "python".to_owned();
-        let description =
-            MemoryDescription { name, version, scope, embeddings, frames, deterministic, sdk };
+        let description = MemoryDescription {
+            name,
+            version,
+            scope,
+            embeddings,
+            frames,
+            deterministic,
+            learns,
+            sdk,
+        };
         Ok(Self { create: create.clone().unbind(), description })
     }
 }

@@ -3,10 +3,9 @@
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use std::collections::BTreeMap;
-use std::path::PathBuf;
 use std::process::Command;
 
-use memtransfer_tests::{Bench, needs, program, records};
+use memtransfer_tests::{Bench, needs, program, records, repository};
 use serde_json::Value;
 
 /// A check's verdict and what happened, by its name.
@@ -59,12 +58,6 @@ fn assert_documented(heading: &str, checks: &[Value]) {
     let rows: String = checks.iter().map(row).collect();
     let count = format!("{} checks", checks.len());
     assert!(section.contains(&count) && section.contains(&rows), "expected: {count}\n{rows}");
-}
-
-/// A file or folder of the repository.
-fn repository(path: &str) -> PathBuf {
-    let root = concat!(env!("CARGO_MANIFEST_DIR"), "/..");
-    PathBuf::from(root).join(path)
 }
 
 #[test]

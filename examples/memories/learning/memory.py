@@ -7,6 +7,7 @@ from memtransfer import Memory, Steps, run
 
 class Learning(Memory):
     name = "learning"
+    learns = True
 
     def build(self, demonstrations):
         # For each task: number and embeddings of what was demonstrated and, before that, of what was learned.

@@ -421,6 +421,9 @@ fn start_memories(
         None
     } else {
         RunFolder::check(&settings.out)?;
+        if args.fresh {
+            RunFolder::remove_memory_logs(&settings.out)?;
+        }
         Some(RunFolder::logs_of(&settings.out))
     };
     let started =

@@ -123,7 +123,11 @@ impl ExternalRig {
     /// What the failed episodes of the last calls failed for.
     fn failures(&mut self) -> Vec<(u64, String)> {
         let failures = self.rig.engine.take_failures().into_iter();
-        failures.map(|failure| (failure.episode, failure.why)).collect()
+        let read = |EpisodeFailure { episode, why, is_overdue, .. }: EpisodeFailure| {
+            assert_eq!(is_overdue, why.contains(" within "), "{why}");
+            (episode, why)
+        };
+        failures.map(read).collect()
     }
 }
 
