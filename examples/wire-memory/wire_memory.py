@@ -130,7 +130,8 @@ class Run:
         self.orchestrator.notify()
 
     def serve(self):
-        memories, announced, episodes = {}, {}, {}
+        memories = {}
+        lanes = {}  # for each its episode, then those that are announced
         while True:
             # Effects before causes: what a message refers to was sent before it.
             stops, queries = drain(self.stops, Stop), drain(self.queries, ExternalQuery)
@@ -140,17 +141,19 @@ class Run:
             while (sample := self.frames.receive()) is not None:
                 self.received += 1  # this memory looks at no pixels, so it keeps no frame
             drain(self.evictions, Eviction)
-            announced.update((episode.episode, episode) for episode in begun)
+            for episode in begun:
+                lanes.setdefault(episode.lane, []).append(episode)
             for query in queries:
-                if query.episode in announced:
-                    episodes[query.lane] = announced.pop(query.episode)
-                episode = episodes.get(query.lane)
-                if not episode or episode.episode != query.episode:
+                known = lanes.get(query.lane, [])
+                if all(episode.episode != query.episode for episode in known):
                     self.report(f"query of unknown episode {query.episode} in lane {query.lane}")
-                elif query.last:
-                    del episodes[query.lane]
-                else:
-                    self.answer(query, episode, memories.get(episode.bank))
+                    continue
+                while known[0].episode != query.episode:  # its first query: the earlier ones are over
+                    known.pop(0)
+                if query.last:
+                    known.pop(0)
+                elif len(known) == 1:  # otherwise the lane awaits no answer: the next episode is announced
+                    self.answer(query, known[0], memories.get(known[0].bank))
             if queries:
                 self.host.notify()
             if stops:

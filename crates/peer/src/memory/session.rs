@@ -1,6 +1,6 @@
 //! An external memory in one generation: banks, episodes, queries, answers.
 
-use std::collections::HashMap;
+use std::collections::{HashMap, VecDeque};
 use std::path::Path;
 use std::sync::Arc;
 
@@ -52,8 +52,8 @@ pub(super) struct MemorySession<'s> {
     /// By the id of the bank: why the memory could not learn from its last episode.
     unlearned: HashMap<u64, MemoryError>,
     lanes: Vec<Option<LaneEpisode>>,
-    /// Episodes whose first query has not been read.
-    announced: Vec<ExternalEpisode>,
+    /// By lane: episodes whose first query has not been read.
+    announced: HashMap<u32, VecDeque<ExternalEpisode>>,
     /// What is to be saved or loaded after the queries that wait.
     storing: Vec<ExternalStore>,
     window: usize,
@@ -99,7 +99,7 @@ impl<'s> MemorySession<'s> {
             memories: HashMap::new(),
             unlearned: HashMap::new(),
             lanes: (0..attach.lanes).map(|_| None).collect(),
-            announced: Vec::new(),
+            announced: HashMap::new(),
             storing: Vec::new(),
             window: attach.window as usize,
             batch: attach.batch_len(),
@@ -219,9 +219,16 @@ impl<'s> MemorySession<'s> {
         let &ExternalQuery { lane, episode, step, .. } = message;
         let id = RequestId { lane, episode, step };
         // Only now, because the last query of the lane's earlier episode may have arrived together with the announcement.
-        if let Some(at) = self.announced.iter().position(|next| next.episode == episode) {
-            let next = self.announced.remove(at);
+        let announced = self.announced.entry(lane).or_default();
+        let at = announced.iter().position(|next| next.episode == episode);
+        let next = at.and_then(|at| announced.drain(..=at).next_back());
+        // A lane whose next episode is announced awaits no answer.
+        let is_over = !announced.is_empty();
+        if let Some(next) = next {
             self.begin(&next, &mut connection.errors);
+        }
+        if is_over && message.last == 0 {
+            return Ok(false);
         }
         let received_ns = monotonic_ns();
         let place = self.lanes.get_mut(lane as usize);
@@ -449,7 +456,9 @@ impl Session for MemorySession<'_> {
             // A memory is saved after the last query of its episode, and loaded after it is built.
             self.storing.extend(self.stores.drain()?);
             let queries = self.queries.drain_some(self.batch)?;
-            self.announced.extend(self.episodes.drain()?);
+            for episode in self.episodes.drain()? {
+                self.announced.entry(episode.lane).or_default().push_back(episode);
+            }
             let mut banks = 0;
             while let Some(bank) = self.banks.take()? {
                 banks += 1;
