@@ -13,18 +13,18 @@ from pathlib import Path
 
 import iceoryx2 as iox2
 
-WIRE_VERSION, EXTERNAL_MEMORY = 8, 4
+WIRE_VERSION, EXTERNAL_MEMORY = 9, 4
 TEXT, STEPS = 0, 1
 SEGMENT = 6
 NOT_MEASURED = 2**32 - 1
 PAGE_BYTES = 4096
-U8, U32, U64, F32 = ctypes.c_uint8, ctypes.c_uint32, ctypes.c_uint64, ctypes.c_float
+U8, U16, U32, U64, F32 = ctypes.c_uint8, ctypes.c_uint16, ctypes.c_uint32, ctypes.c_uint64, ctypes.c_float
 DESCRIPTION = {"name": "wire-places", "version": "1", "scope": "case", "embeddings": False, "frames": False, "deterministic": True}
 
 
 def struct(name, size, fields):
     """The structure of this name; `fields` are written as in the page's tables."""
-    types = {"u8": U8, "u32": U32, "u64": U64, "f32": F32}
+    types = {"u8": U8, "u16": U16, "u32": U32, "u64": U64, "f32": F32}
     members = []
     for field in fields.split(","):
         member, kind = field.strip().split(": ")
@@ -55,9 +55,10 @@ BankStep = struct("BankStep", 32, """frame: u64, content_hash: u8 x 16, pose: Wi
     reserved: u8 x 2""")
 NoteHeader = struct("NoteHeader", 24, "id: u64, episode: u64, lane: u32, reserved: u32")
 ExternalEpisode = struct("ExternalEpisode", 280, """episode: u64, bank: u64, seed: u64, lane: u32, text_budget: u32,
-    image_budget: u32, repeat: u32, instruction_len: u32, reserved: u32, instruction: u8 x 232""")
-ExternalQuery = struct("ExternalQuery", 4144, """episode: u64, frame: u64, sent_ns: u64, lane: u32, step: u32,
-    pose: WirePose, embedding_len: u32, feedback: u8, action: u8, last: u8, reserved: u8 x 5, embedding: f32 x 1024""")
+    image_budget: u32, repeat: u32, instruction_len: u32, learning: u32, instruction: u8 x 232""")
+ExternalQuery = struct("ExternalQuery", 4200, """episode: u64, frame: u64, sent_ns: u64, lane: u32, step: u32,
+    pose: WirePose, embedding_len: u32, feedback: u8, action: u8, last: u8, outcome: u8, reserved: u8 x 4,
+    demonstration: u32, sub_goals_len: u32, sub_goals: u16 x 24, embedding: f32 x 1024""")
 ExternalBuilt = struct("ExternalBuilt", 32, "bank: u64, store_bytes: u64, failure: u64, took_ns: u64")
 AnswerItem = struct("AnswerItem", 28, """first_byte: u32, bytes: u32, demonstration: u32, first_step: u32, steps: u32,
     distance: f32, kind: u8, views: u8, actions: u8, reserved: u8""")
@@ -129,7 +130,8 @@ class Run:
         self.orchestrator.notify()
 
     def serve(self):
-        memories, episodes = {}, {}
+        memories = {}
+        lanes = {}  # for each its episode, then those that are announced
         while True:
             # Effects before causes: what a message refers to was sent before it.
             stops, queries = drain(self.stops, Stop), drain(self.queries, ExternalQuery)
@@ -139,15 +141,19 @@ class Run:
             while (sample := self.frames.receive()) is not None:
                 self.received += 1  # this memory looks at no pixels, so it keeps no frame
             drain(self.evictions, Eviction)
-            episodes.update((episode.lane, episode) for episode in begun)
+            for episode in begun:
+                lanes.setdefault(episode.lane, []).append(episode)
             for query in queries:
-                episode = episodes.get(query.lane)
-                if not episode or episode.episode != query.episode:
+                known = lanes.get(query.lane, [])
+                if all(episode.episode != query.episode for episode in known):
                     self.report(f"query of unknown episode {query.episode} in lane {query.lane}")
-                elif query.last:
-                    del episodes[query.lane]
-                else:
-                    self.answer(query, episode, memories.get(episode.bank))
+                    continue
+                while known[0].episode != query.episode:  # its first query: the earlier ones are over
+                    known.pop(0)
+                if query.last:
+                    known.pop(0)
+                elif len(known) == 1:  # otherwise the lane awaits no answer: the next episode is announced
+                    self.answer(query, known[0], memories.get(known[0].bank))
             if queries:
                 self.host.notify()
             if stops:

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import iceoryx2 as iox2
 
-WIRE_VERSION = 8
+WIRE_VERSION = 9
 ROLES = ("orchestrator", "sim", "memory", "policy", "external-memory")
 POLICY = ROLES.index("policy")
 FORWARD, TURN_LEFT, NO_ACTION = 0, 4, 255

@@ -13,7 +13,7 @@ use std::sync::Arc;
 use crate::bank::{Collecting, KnownView, Viewpoint};
 use crate::embedding_cache::{CacheError, EmbeddingCache};
 use crate::episode::{
-    EpisodeMemory, MemoryAnswer, MemoryEpisode, PendingObservation, PendingStage, Unusable,
+    EpisodeMemory, MemoryAnswer, MemoryEpisode, PendingObservation, PendingStage, Reason, Unusable,
     unusable,
 };
 use crate::external::{BankState, ExternalMemories, ToExternal, query_message};
@@ -25,8 +25,8 @@ use crate::worlds::Worlds;
 use search::{ContentHash, Embedding};
 use shm_types::Note;
 use shm_types::message::{
-    ExternalAnswer, ExternalBuilt, FrameId, MemoryEpisodeConfig, Observation, Recall, RecallTrace,
-    SnapshotReport, ViewRequest,
+    ExternalAnswer, ExternalBuilt, ExternalStored, FrameId, MemoryEpisodeConfig, Observation,
+    Recall, RecallTrace, SnapshotReport, ViewRequest,
 };
 
 /// The lanes of a run. `I` is a source of a frame's pixels, which the engine passes on to the encoder.
@@ -74,6 +74,8 @@ pub struct EpisodeFailure {
     pub episode: u64,
     /// The reason.
     pub why: String,
+    /// Whether its external memory has exceeded a time limit.
+    pub is_overdue: bool,
 }
 
 /// What has become of a pending observation.
@@ -85,7 +87,7 @@ pub(crate) enum LaneProgress {
     /// Its episode is over, and its memory has learned from it.
     Learned(SnapshotReport),
     /// Its episode cannot go on.
-    Failed(String),
+    Failed(Reason),
     /// There is none.
     Gone,
 }
@@ -184,7 +186,10 @@ impl<I: Clone> Engine<I> {
     /// When a value in the message is invalid, or its views do not fit.
     pub fn config(&mut self, config: &MemoryEpisodeConfig) -> Result<(), Unusable> {
         let Self { externals, worlds, .. } = self;
-        let external = |set| externals.bank(config, set, &worlds.warehouse, &worlds.cases);
+        let external = |set| match config.sequence {
+            0 => externals.bank(config, set, &worlds.warehouse, &worlds.cases),
+            _ => externals.of_stream(config),
+        };
         let episode = MemoryEpisode::announced(config, worlds, external)?;
         if episode.learns() && !self.sequences.can_save() {
             return Err(unusable!(
@@ -204,8 +209,8 @@ impl<I: Clone> Engine<I> {
         let lane = self.lanes.get_mut(config.lane as usize).ok_or_else(|| {
             unusable!("config of episode {}: lane {} of {lanes}", config.episode, config.lane)
         })?;
-        if let EpisodeMemory::External { bank, .. } = episode.memory {
-            self.externals.retain(bank);
+        if let (EpisodeMemory::External { bank, .. }, None) = (&episode.memory, &episode.stream) {
+            self.externals.retain(*bank);
         }
         if let Some(dropped) = lane.next.replace(episode) {
             self.close(dropped);
@@ -328,8 +333,16 @@ impl<I: Clone> Engine<I> {
     /// When that is not expected.
     pub fn external_built(&mut self, index: u8, message: &ExternalBuilt) -> Result<(), Unusable> {
         let outcome = self.externals.built(index, message)?;
-        self.finish_bank(message.bank, outcome);
+        self.finish_bank(message.bank, outcome.map_err(Into::into));
         Ok(())
+    }
+
+    /// Takes the message that an external memory has saved or loaded.
+    ///
+    /// # Errors
+    /// When that is not expected.
+    pub fn external_stored(&mut self, index: u8, message: &ExternalStored) -> Result<(), Unusable> {
+        self.externals.has_stored(index, message)
     }
 
     /// Takes the answer of an external memory. An invalid answer costs the episode that it belongs to.
@@ -410,8 +423,9 @@ impl<I: Clone> Engine<I> {
     pub fn external_unreachable(&mut self, index: u8, message: &ToExternal, why: &str) {
         let why = format!("external memory {}: {why}", self.externals.name(index));
         match message {
-            ToExternal::Bank(id, _) => self.finish_bank(*id, Err(why)),
-            ToExternal::TakeBack(_) => {}
+            ToExternal::Bank(id, _) => self.finish_bank(*id, Err(why.into())),
+            // What waits for it fails when its time is over.
+            ToExternal::TakeBack(_) | ToExternal::Store(_) => {}
             ToExternal::Episode(message) => self.fail_episode(message.lane, message.episode, why),
             ToExternal::Query(message) => self.fail_episode(message.lane, message.episode, why),
         }
@@ -425,13 +439,14 @@ impl<I: Clone> Engine<I> {
     }
 
     /// The running episode of a lane gets no answer.
-    fn fail(&mut self, lane: u32, why: String) {
+    fn fail(&mut self, lane: u32, why: impl Into<Reason>) {
         self.pending.remove(&lane);
         let running = self.lanes.get_mut(lane as usize).and_then(|lane| lane.running.as_mut());
         if let Some(running) = running
             && running.pending.take().is_some()
         {
-            self.failures.push(EpisodeFailure { lane, episode: running.id, why });
+            let Reason { text: why, is_overdue } = why.into();
+            self.failures.push(EpisodeFailure { lane, episode: running.id, why, is_overdue });
         }
     }
 
@@ -513,6 +528,9 @@ impl<I: Clone> Engine<I> {
         clock: impl Fn() -> u64,
         documents: &mut dyn DocumentSupplier,
     ) -> anyhow::Result<Vec<(Recall, RecallTrace)>> {
+        for bank in self.sequences.take_dropped() {
+            self.externals.take_back(bank);
+        }
         self.build_banks(&clock);
         for collecting in self.sequences.unfinished_banks() {
             self.views.collect(collecting, true);
@@ -550,7 +568,7 @@ impl<I: Clone> Engine<I> {
         };
         let is_new = |part: &StreamPart| !part.begun;
         if episode.pending.is_some() && episode.stream.as_ref().is_some_and(is_new) {
-            match sequences.bind(episode, worlds, documents)? {
+            match sequences.bind(episode, worlds, documents, (externals, clock()))? {
                 Bound::Yes => {}
                 Bound::Waiting => {
                     for collecting in sequences.unfinished_banks() {
@@ -563,9 +581,15 @@ impl<I: Clone> Engine<I> {
         }
         let Some(pending) = &episode.pending else { return Ok(LaneProgress::Gone) };
         match pending.stage {
-            PendingStage::Ended => {
-                return Ok(match sequences.learn(episode) {
-                    Ok(report) => LaneProgress::Learned(report),
+            PendingStage::Ended | PendingStage::Saving => {
+                return Ok(match sequences.learn(episode, (externals, clock())) {
+                    Ok(Some(report)) => LaneProgress::Learned(report),
+                    Ok(None) => {
+                        if let Some(pending) = &mut episode.pending {
+                            pending.stage = PendingStage::Saving;
+                        }
+                        LaneProgress::Waiting
+                    }
                     Err(why) => LaneProgress::Failed(why),
                 });
             }
@@ -594,7 +618,7 @@ impl<I: Clone> Engine<I> {
                     None => episode.ask_built_in(embedding, view, documents, &clock)?,
                     Some(part) => match sequences.of(part.sequence) {
                         Some(memory) => episode.ask_sequence(memory, embedding, &clock)?,
-                        None => return Ok(LaneProgress::Failed("its memory is gone".to_owned())),
+                        None => return Ok(LaneProgress::Failed("its memory is gone".into())),
                     },
                 };
                 let Some(pending) = &mut episode.pending else { return Ok(LaneProgress::Gone) };
@@ -606,9 +630,7 @@ impl<I: Clone> Engine<I> {
 
     /// Gets the banks of external memories as far as they can get now.
     fn build_banks(&mut self, clock: impl Fn() -> u64) {
-        if !self.externals.unbuilt.is_empty() {
-            self.externals.defer_clocks(clock());
-        }
+        self.externals.defer_clocks(clock());
         for id in self.externals.unbuilt.iter().copied().collect::<Vec<_>>() {
             let Self { externals, views, .. } = self;
             let limit = externals.limits.build;
@@ -623,7 +645,7 @@ impl<I: Clone> Engine<I> {
                             "external memory {name} was not built within {} s",
                             limit.as_secs()
                         );
-                        self.finish_bank(id, Err(why));
+                        self.finish_bank(id, Err(Reason::overdue(why)));
                     }
                 }
                 BankState::Waiting { ready } if wanted => {
@@ -648,7 +670,7 @@ impl<I: Clone> Engine<I> {
     }
 
     /// Ends the building of a bank.
-    fn finish_bank(&mut self, id: u64, outcome: Result<u64, String>) {
+    fn finish_bank(&mut self, id: u64, outcome: Result<u64, Reason>) {
         if let Some(bank) = self.externals.finish(id, outcome) {
             self.views.pinned.release(&bank.viewpoints);
             self.admit();
@@ -682,8 +704,8 @@ impl<I: Clone> Engine<I> {
         }
         self.views.pinned.release(&episode.recalled);
         self.sequences.release(&episode);
-        if let EpisodeMemory::External { bank, .. } = episode.memory {
-            self.externals.release(bank);
+        if let (EpisodeMemory::External { bank, .. }, None) = (&episode.memory, &episode.stream) {
+            self.externals.release(*bank);
         }
         self.admit();
     }
@@ -708,10 +730,11 @@ fn supply<I: Clone>(
             let (needed, room) = (viewpoints.len(), views.pinned.room());
             if needed > room {
                 episode.pending = Some(pending);
-                return Ok(LaneProgress::Failed(format!(
+                let why = format!(
                     "its memory names {needed} views and there is room for {room}: raise --frame-budget or lower \
                      --memory-images"
-                )));
+                );
+                return Ok(LaneProgress::Failed(why.into()));
             }
             let mut is_pinned = views.try_pin(viewpoints, false);
             let earlier = std::mem::take(&mut episode.recalled);

@@ -17,7 +17,7 @@ use crate::bank::{Bank, BankSteps, KnownView, Viewpoint};
 use crate::demonstrations;
 use crate::items::{AssembledRecall, Budgets, CheckedAnswer, DocumentSupplier, PublishedTexts};
 use crate::representation::{MemorySettings, built_in};
-use crate::sequences::{Recording, SequenceMemory, StreamPart};
+use crate::sequences::{KeptMemory, Recording, SequenceMemory, StreamPart};
 use crate::worlds::{BankOrigin, Worlds};
 
 /// A message that cannot be used. The text names the value and what was expected.
@@ -30,6 +30,26 @@ macro_rules! unusable {
     ($($text:tt)*) => { $crate::episode::Unusable(format!($($text)*)) };
 }
 pub(crate) use unusable;
+
+/// Why something cannot go on.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) struct Reason {
+    pub(crate) text: String,
+    /// Whether an external memory has exceeded a time limit.
+    pub(crate) is_overdue: bool,
+}
+
+impl Reason {
+    pub(crate) const fn overdue(text: String) -> Self {
+        Self { text, is_overdue: true }
+    }
+}
+
+impl<T: Into<String>> From<T> for Reason {
+    fn from(text: T) -> Self {
+        Self { text: text.into(), is_overdue: false }
+    }
+}
 
 /// The memory that answers an episode's queries.
 pub(crate) enum EpisodeMemory {
@@ -70,6 +90,8 @@ pub(crate) enum PendingStage {
     Answered(Box<MemoryAnswer>),
     /// The episode is over, and the memory is to learn from it.
     Ended,
+    /// The episode is over, and its external memory saves what it has learned.
+    Saving,
 }
 
 /// A memory's answer.
@@ -287,14 +309,8 @@ impl MemoryEpisode {
         }
         let BuiltInMemory::Built(memory) = memory else { bail!("{failed} has not been built") };
         let embedded_ns = clock();
-        let query = Query {
-            now: now.step(self.lane, self.id, embedding),
-            instruction: &self.instruction,
-            window: &[],
-            image_budget: self.budgets.images,
-            text_budget: self.budgets.text,
-            stage: Some(now.progress.stage()),
-        };
+        let step = now.step(self.lane, self.id, embedding);
+        let query = now.query(step, &self.instruction, self.budgets);
         let items = memory.recall(&query).context(failed.clone())?;
         let store_bytes = memory.store_bytes().unwrap_or(0);
         self.answer(items, store_bytes, [embedded_ns, clock()], &failed)
@@ -316,20 +332,17 @@ impl MemoryEpisode {
             bail!("episode {} has no memory of a sequence, or has not begun", self.id);
         };
         let failed = format!("{representation} memory");
-        let embedded_ns = clock();
-        let query = Query {
-            now: now.step(self.lane, self.id, embedding),
-            instruction: &self.instruction,
-            window: &[],
-            image_budget: self.budgets.images,
-            text_budget: self.budgets.text,
-            stage: Some(now.progress.stage()),
+        let KeptMemory::BuiltIn(memory) = &mut known.memory else {
+            bail!("{failed} is not that of the sequence");
         };
+        let embedded_ns = clock();
+        let step = now.step(self.lane, self.id, embedding);
+        let query = now.query(step, &self.instruction, self.budgets);
         if self.learns() {
-            known.memory.observe(&query.now).context(failed.clone())?;
+            memory.observe(&query.now).context(failed.clone())?;
         }
-        let items = known.memory.recall(&query).context(failed.clone())?;
-        let store_bytes = known.memory.store_bytes().unwrap_or(0);
+        let items = memory.recall(&query).context(failed.clone())?;
+        let store_bytes = memory.store_bytes().unwrap_or(0);
         self.answer(items, store_bytes, [embedded_ns, clock()], &failed)
     }
 
@@ -442,6 +455,18 @@ impl CurrentStep {
             frame: None,
             embedding: embedding.map(Embedding::as_slice),
             pinned: None,
+        }
+    }
+
+    /// A query of a built-in memory, at the step `now`.
+    fn query<'a>(&self, now: Step<'a>, instruction: &'a str, budgets: Budgets) -> Query<'a> {
+        Query {
+            now,
+            instruction,
+            window: &[],
+            image_budget: budgets.images,
+            text_budget: budgets.text,
+            stage: Some(self.progress.stage()),
         }
     }
 }

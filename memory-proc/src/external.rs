@@ -4,16 +4,18 @@
 //! whatever it sends is checked here and in [`crate::items`], and what cannot be used costs its own episode.
 
 use std::collections::{BTreeMap, BTreeSet, HashMap, VecDeque};
+use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
 
 use bytemuck::Zeroable;
-use peer::memory::{Item, Source, Views};
+use peer::memory::{EpisodeEnd, Item, Source, Views};
 use search::Embedding;
 use shm_types::description::Scope;
 use shm_types::message::{
     AnswerItem, AnswerSource, ExternalAnswer, ExternalBuilt, ExternalEpisode, ExternalQuery,
-    ItemKind, MAX_EMBEDDING, MAX_ITEMS, MAX_SOURCES, MemoryEpisodeConfig, NO_ACTION, write_text,
+    ExternalStore, ExternalStored, ItemKind, Learning, MAX_EMBEDDING, MAX_FOLDER, MAX_ITEMS,
+    MAX_SOURCES, MAX_SUB_GOALS, MemoryEpisodeConfig, NO_ACTION, NOT_MEASURED, write_text,
 };
 use shm_types::{BankContent, MemoryDescription, Note};
 use warehouse::{CaseSet, Demonstrations, Warehouse};
@@ -23,7 +25,7 @@ use crate::demonstrations;
 use crate::engine::LaneProgress;
 use crate::episode::{
     CurrentStep, EpisodeMemory, ExternalBank, MemoryEpisode, PendingObservation, PendingStage,
-    Unusable, unusable,
+    Reason, Unusable, unusable,
 };
 
 /// How long an external memory may take.
@@ -52,6 +54,8 @@ pub enum ToExternal {
     Episode(Box<ExternalEpisode>),
     /// A step.
     Query(Box<ExternalQuery>),
+    /// What the memory of a bank knows is to be saved or loaded.
+    Store(Box<ExternalStore>),
 }
 
 /// Banks without an episode that are kept built.
@@ -71,10 +75,14 @@ pub struct ExternalMemories {
     /// The banks that no episode uses, the least recently used first.
     unused: VecDeque<u64>,
     last_bank: u64,
+    /// By bank: since when its memory saves or loads.
+    storing: HashMap<u64, u64>,
+    /// By bank: the outcome.
+    stored: HashMap<u64, Result<u64, Reason>>,
     /// By external memory and lane: the note that came last.
     notes: HashMap<(u8, u32), Note>,
-    /// When each external memory was last seen to have a bank to build: it answers nothing meanwhile.
-    last_building_ns: BTreeMap<u8, u64>,
+    /// When each external memory was last seen to build, save or load: it answers nothing meanwhile.
+    last_busy_ns: BTreeMap<u8, u64>,
     pub(crate) outbox: Vec<(u8, ToExternal)>,
 }
 
@@ -82,8 +90,8 @@ pub struct ExternalMemories {
 #[derive(Debug)]
 pub(crate) struct HostBank {
     index: u8,
-    /// The case, unless the bank is of all cases, and the set.
-    of: (Option<u32>, Demonstrations),
+    /// The case, unless the bank is of all cases, and the set; `None`: it belongs to a sequence.
+    of: Option<(Option<u32>, Demonstrations)>,
     pub(crate) bank: Arc<Bank>,
     pub(crate) pins_bank: bool,
     pub(crate) embeds: bool,
@@ -104,7 +112,7 @@ pub(crate) enum BankState {
     /// Built.
     Ready { store_bytes: u64 },
     /// Not built, and why.
-    Failed(String),
+    Failed(Reason),
 }
 
 impl HostBank {
@@ -132,8 +140,10 @@ impl ExternalMemories {
             unbuilt: BTreeSet::new(),
             unused: VecDeque::new(),
             last_bank: 0,
+            storing: HashMap::new(),
+            stored: HashMap::new(),
             notes: HashMap::new(),
-            last_building_ns: BTreeMap::new(),
+            last_busy_ns: BTreeMap::new(),
             outbox: Vec::new(),
         }
     }
@@ -166,7 +176,7 @@ impl ExternalMemories {
             unusable!("external memory {index}, which does not take part in the run")
         })?;
         let MemoryDescription { scope, embeddings: embeds, frames, .. } = *description;
-        let of = ((scope == Scope::Case).then_some(case), set);
+        let of = Some(((scope == Scope::Case).then_some(case), set));
         let known = self.banks.iter().find(|(_, bank)| bank.index == index && bank.of == of);
         let id = match known {
             Some((&id, _)) => id,
@@ -194,6 +204,16 @@ impl ExternalMemories {
         };
         let HostBank { bank, pins_bank, embeds, .. } = &self.banks[&id];
         Ok(ExternalBank { id, bank: bank.clone(), pins_bank: *pins_bank, embeds: *embeds })
+    }
+
+    /// What is known about the bank of a sequence before its first step.
+    pub(crate) fn of_stream(&self, config: &MemoryEpisodeConfig) -> Result<ExternalBank, Unusable> {
+        let index = config.external;
+        let known = self.descriptions.get(&index).ok_or_else(|| {
+            unusable!("external memory {index}, which does not take part in the run")
+        })?;
+        let embeds = known.embeddings;
+        Ok(ExternalBank { id: 0, bank: Arc::default(), pins_bank: false, embeds })
     }
 
     /// An episode uses a bank from now on.
@@ -246,20 +266,157 @@ impl ExternalMemories {
     /// Starts the clocks of building and answering anew for what a memory cannot have begun: it does one thing after the
     /// other, and first builds the banks that it has got, in their order.
     pub(crate) fn defer_clocks(&mut self, now_ns: u64) {
-        let mut is_building = BTreeSet::new();
+        let storing = self.storing.keys().filter_map(|id| self.banks.get(id));
+        let mut is_busy: BTreeSet<u8> = storing.map(|bank| bank.index).collect();
         for id in &self.unbuilt {
             if let Some(HostBank { index, state: BankState::Building { since_ns }, .. }) =
                 self.banks.get_mut(id)
-                && !is_building.insert(*index)
+                && !is_busy.insert(*index)
             {
                 *since_ns = now_ns;
             }
         }
-        self.last_building_ns.extend(is_building.into_iter().map(|index| (index, now_ns)));
+        self.last_busy_ns.extend(is_busy.into_iter().map(|index| (index, now_ns)));
+    }
+
+    /// Publishes a bank for the memory of a sequence. Returns its id.
+    pub(crate) fn publish_for_sequence(
+        &mut self,
+        index: u8,
+        bank: &Arc<Bank>,
+        steps: BankSteps<'_>,
+        now_ns: u64,
+    ) -> u64 {
+        self.last_bank += 1;
+        let id = self.last_bank;
+        let kept = HostBank {
+            index,
+            of: None,
+            bank: bank.clone(),
+            pins_bank: false,
+            embeds: self.embeds(index),
+            with_frames: false,
+            users: 1,
+            state: BankState::Building { since_ns: now_ns },
+        };
+        self.banks.insert(id, kept);
+        self.unbuilt.insert(id);
+        self.outbox.push((index, ToExternal::Bank(id, steps.content(false))));
+        id
+    }
+
+    /// Whether a bank is built.
+    ///
+    /// # Errors
+    /// When it cannot be built: the reason.
+    pub(crate) fn is_built(&self, id: u64) -> Result<bool, Reason> {
+        match self.banks.get(&id).map(|bank| &bank.state) {
+            Some(BankState::Ready { .. }) => Ok(true),
+            Some(BankState::Failed(why)) => Err(why.clone()),
+            _ => Ok(false),
+        }
+    }
+
+    /// Takes back the bank of a sequence.
+    pub(crate) fn take_back(&mut self, id: u64) {
+        self.unbuilt.remove(&id);
+        self.storing.remove(&id);
+        self.stored.remove(&id);
+        if let Some(bank) = self.banks.remove(&id) {
+            self.outbox.push((bank.index, ToExternal::TakeBack(id)));
+        }
+    }
+
+    /// Tells the memory of a bank the end of an episode that it learns from.
+    pub(crate) fn end(&mut self, episode: &MemoryEpisode, bank: u64, end: &EpisodeEnd<'_>) {
+        let (Some(now), Some(index)) =
+            (&episode.current, self.banks.get(&bank).map(|bank| bank.index))
+        else {
+            return;
+        };
+        if let EpisodeMemory::External { begun: false, .. } = episode.memory {
+            self.outbox.push((index, ToExternal::Episode(episode_message(episode, bank))));
+        }
+        let mut message = query_message(episode, now, None, true);
+        message.outcome = end.success.map_or(0, |success| 1 + u8::from(success));
+        message.demonstration = end.demonstration.unwrap_or_default();
+        message.sub_goals_len = NOT_MEASURED;
+        if let Some(steps) = end.sub_goals.filter(|steps| steps.len() <= MAX_SUB_GOALS) {
+            message.sub_goals_len = steps.len() as u32;
+            for (place, &step) in message.sub_goals.iter_mut().zip(steps) {
+                *place = step as u16;
+            }
+        }
+        self.outbox.push((index, ToExternal::Query(message)));
+    }
+
+    /// Has the memory of a bank save or load what it knows.
+    ///
+    /// # Errors
+    /// When the folder's path is too long.
+    pub(crate) fn store(
+        &mut self,
+        id: u64,
+        folder: &Path,
+        loads: bool,
+        now_ns: u64,
+    ) -> Result<(), String> {
+        let index = self.banks.get(&id).ok_or("its memory is gone")?.index;
+        let absolute = std::path::absolute(folder).map_err(|error| error.to_string())?;
+        let path = absolute.to_str().filter(|path| path.len() <= MAX_FOLDER).ok_or_else(|| {
+            format!("{} has no name of at most {MAX_FOLDER} bytes UTF-8", absolute.display())
+        })?;
+        let mut message =
+            Box::new(ExternalStore { bank: id, loads: loads.into(), ..Zeroable::zeroed() });
+        message.folder_len = write_text(&mut message.folder, path);
+        self.outbox.push((index, ToExternal::Store(message)));
+        self.storing.insert(id, now_ns);
+        Ok(())
+    }
+
+    /// What has become of saving or loading; `None` while it takes place.
+    pub(crate) fn take_stored(&mut self, id: u64, now_ns: u64) -> Option<Result<u64, Reason>> {
+        if let Some(outcome) = self.stored.remove(&id) {
+            return Some(outcome);
+        }
+        let since_ns = *self.storing.get(&id)?;
+        let limit = self.limits.build;
+        (u128::from(now_ns.saturating_sub(since_ns)) > limit.as_nanos()).then(|| {
+            self.storing.remove(&id);
+            let name = self.name_of_bank(id);
+            let why = format!("external memory {name} has not stored within {} s", limit.as_secs());
+            Err(Reason::overdue(why))
+        })
+    }
+
+    /// The memory of a bank has saved or loaded.
+    pub(crate) fn has_stored(
+        &mut self,
+        index: u8,
+        message: &ExternalStored,
+    ) -> Result<(), Unusable> {
+        let &ExternalStored { bank: id, store_bytes, failure } = message;
+        let is_its_own = self.banks.get(&id).is_some_and(|bank| bank.index == index);
+        let name = self.name(index).to_owned();
+        if !is_its_own || self.storing.remove(&id).is_none() {
+            return Err(unusable!(
+                "external memory {name} has stored bank {id}, which it was not asked for"
+            ));
+        }
+        let outcome = if failure == 0 {
+            Ok(store_bytes)
+        } else {
+            let note = self.notes.remove(&(index, NO_LANE));
+            let note = note.filter(|note| note.header.id == failure);
+            let why = note.map_or_else(|| readable(&[]), |note| readable(&note.bytes));
+            Err(format!("external memory {name} cannot learn, save or load: {why}").into())
+        };
+        self.stored.insert(id, outcome);
+        Ok(())
     }
 
     /// Ends the building of a bank. Returns the bank if its views were pinned to build it.
-    pub(crate) fn finish(&mut self, id: u64, outcome: Result<u64, String>) -> Option<Arc<Bank>> {
+    pub(crate) fn finish(&mut self, id: u64, outcome: Result<u64, Reason>) -> Option<Arc<Bank>> {
         let bank = self.banks.get_mut(&id)?;
         self.unbuilt.remove(&id);
         let state = match outcome {
@@ -320,17 +477,16 @@ impl ExternalMemories {
         let EpisodeMemory::External { index, .. } = episode.memory else {
             return LaneProgress::Gone;
         };
-        let since_ns =
-            self.last_building_ns.get(&index).map_or(since_ns, |last| since_ns.max(*last));
+        let since_ns = self.last_busy_ns.get(&index).map_or(since_ns, |last| since_ns.max(*last));
         if u128::from(now_ns.saturating_sub(since_ns)) <= limit.as_nanos() {
             return LaneProgress::Waiting;
         }
         let name = self.name(index);
         let step = episode.current.as_ref().map_or(0, |now| now.step);
         let seconds = limit.as_secs_f64();
-        LaneProgress::Failed(format!(
+        LaneProgress::Failed(Reason::overdue(format!(
             "external memory {name} has not answered step {step} within {seconds} s"
-        ))
+        )))
     }
 
     /// Takes a note.
@@ -427,6 +583,11 @@ fn episode_message(episode: &MemoryEpisode, bank: u64) -> Box<ExternalEpisode> {
         text_budget: episode.budgets.text,
         image_budget: episode.budgets.images,
         repeat: episode.repeat,
+        learning: match &episode.stream {
+            None => Learning::OutsideOfStreams,
+            Some(_) if episode.learns() => Learning::Learns,
+            Some(_) => Learning::ReadsOnly,
+        } as u32,
         ..Zeroable::zeroed()
     };
     message.instruction_len = write_text(&mut message.instruction, &episode.instruction);

@@ -10,7 +10,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use anyhow::Context;
@@ -23,7 +23,8 @@ use warehouse::{Demonstrations, Progress, step};
 
 use crate::bank::{Bank, BankSteps, Collecting};
 use crate::demonstrations::Demonstration;
-use crate::episode::{EpisodeMemory, MemoryEpisode, build_built_in};
+use crate::episode::{EpisodeMemory, MemoryEpisode, PendingStage, Reason, build_built_in};
+use crate::external::ExternalMemories;
 use crate::items::DocumentSupplier;
 use crate::representation::MemorySettings;
 use crate::snapshots::SnapshotFolder;
@@ -157,7 +158,18 @@ pub(crate) struct SequenceMemory {
     learning: Option<u64>,
     /// The episodes that use it.
     users: BTreeSet<u64>,
-    pub(crate) memory: Box<dyn Memory>,
+    pub(crate) memory: KeptMemory,
+}
+
+/// A memory that persists.
+pub(crate) enum KeptMemory {
+    BuiltIn(Box<dyn Memory>),
+    /// The external memory that was built from the host's bank with this id.
+    External {
+        bank: u64,
+        /// The folder that it has yet to load from, and whether it has been asked to.
+        to_load: Option<(PathBuf, bool)>,
+    },
 }
 
 /// Whether an episode has its memory.
@@ -166,8 +178,8 @@ pub(crate) enum Bound {
     Yes,
     /// Views of the bank are not known yet.
     Waiting,
-    /// It cannot have it: the reason.
-    Failed(String),
+    /// It cannot have it.
+    Failed(Reason),
 }
 
 /// The memories of the sequences that run, and the banks of their streams.
@@ -180,12 +192,34 @@ pub(crate) struct Sequences {
     recent: Vec<u64>,
     /// Banks, the last used last. The flag: with embeddings.
     banks: Vec<((BankOrigin, bool), StreamBank)>,
+    /// Banks of external memories that are not needed any more.
+    dropped: Vec<u64>,
 }
 
 impl Sequences {
     pub(crate) fn new(snapshots: Option<SnapshotFolder>, lanes: u32) -> Self {
         let kept = lanes as usize;
-        Self { snapshots, memories: BTreeMap::new(), kept, recent: Vec::new(), banks: Vec::new() }
+        Self {
+            snapshots,
+            memories: BTreeMap::new(),
+            kept,
+            recent: Vec::new(),
+            banks: Vec::new(),
+            dropped: Vec::new(),
+        }
+    }
+
+    /// The banks of external memories that have been dropped since the last call.
+    pub(crate) fn take_dropped(&mut self) -> Vec<u64> {
+        std::mem::take(&mut self.dropped)
+    }
+
+    fn drop_memory(&mut self, sequence: u64) {
+        if let Some(SequenceMemory { memory: KeptMemory::External { bank, .. }, .. }) =
+            self.memories.remove(&sequence)
+        {
+            self.dropped.push(bank);
+        }
     }
 
     /// Whether memories can learn.
@@ -208,11 +242,10 @@ impl Sequences {
         episode: &mut MemoryEpisode,
         worlds: &Worlds,
         documents: &mut dyn DocumentSupplier,
+        (externals, now_ns): (&mut ExternalMemories, u64),
     ) -> anyhow::Result<Bound> {
-        let (Some(part), EpisodeMemory::Sequence { representation, settings, set }) =
-            (&mut episode.stream, &episode.memory)
-        else {
-            return Ok(Bound::Failed("it has no memory of a sequence".to_owned()));
+        let Some(part) = &mut episode.stream else {
+            return Ok(Bound::Failed("it is no part of a stream".into()));
         };
         let sequence = part.sequence;
         let is_usable = |memory: &SequenceMemory| {
@@ -221,26 +254,48 @@ impl Sequences {
                 && memory.learning.is_none()
         };
         if !self.memories.get(&sequence).is_some_and(is_usable) {
-            self.memories.remove(&sequence);
-            let of = (*representation, settings.clone(), *set);
-            match self.create(part, of, worlds, documents)? {
+            self.drop_memory(sequence);
+            let created = match &episode.memory {
+                EpisodeMemory::Sequence { representation, settings, set } => {
+                    let of = (*representation, settings.clone(), *set);
+                    self.create(part, of, worlds, documents)?
+                }
+                EpisodeMemory::External { index, .. } => {
+                    self.create_external(part, *index, worlds, (externals, now_ns))
+                }
+                EpisodeMemory::BuiltIn { .. } => Err("it has no memory of a sequence".to_owned()),
+            };
+            match created {
                 Ok(Some(memory)) => drop(self.memories.insert(sequence, memory)),
                 Ok(None) => return Ok(Bound::Waiting),
-                Err(why) => return Ok(Bound::Failed(why)),
+                Err(why) => return Ok(Bound::Failed(why.into())),
             }
         }
         let Some(known) = self.memories.get_mut(&sequence) else { return Ok(Bound::Waiting) };
         let learns = part.recording.is_some();
-        known.memory.begin_episode(&Episode {
-            lane: episode.lane,
-            episode: episode.id,
-            instruction: &episode.instruction,
-            seed: episode.seed,
-            repeat: episode.repeat,
-            image_budget: episode.budgets.images,
-            text_budget: episode.budgets.text,
-            learns,
-        })?;
+        match (&mut known.memory, &mut episode.memory) {
+            (KeptMemory::BuiltIn(memory), _) => memory.begin_episode(&Episode {
+                lane: episode.lane,
+                episode: episode.id,
+                instruction: &episode.instruction,
+                seed: episode.seed,
+                repeat: episode.repeat,
+                image_budget: episode.budgets.images,
+                text_budget: episode.budgets.text,
+                learns,
+            })?,
+            (KeptMemory::External { bank: id, to_load }, EpisodeMemory::External { bank, .. }) => {
+                match is_loaded(*id, to_load, externals, now_ns) {
+                    Ok(true) => *bank = *id,
+                    Ok(false) => return Ok(Bound::Waiting),
+                    Err(why) => {
+                        self.drop_memory(sequence);
+                        return Ok(Bound::Failed(why));
+                    }
+                }
+            }
+            _ => return Ok(Bound::Failed("its sequence has another memory".into())),
+        }
         known.users.insert(episode.id);
         known.learning = learns.then_some(episode.id);
         part.begun = true;
@@ -257,8 +312,8 @@ impl Sequences {
         self.recent.retain(|sequence| memories.contains_key(sequence));
         let is_unused = |sequence: &u64| memories[sequence].users.is_empty();
         let unused: Vec<u64> = self.recent.iter().copied().filter(is_unused).collect();
-        for sequence in &unused[..unused.len().saturating_sub(self.kept)] {
-            memories.remove(sequence);
+        for &sequence in &unused[..unused.len().saturating_sub(self.kept)] {
+            self.drop_memory(sequence);
         }
     }
 
@@ -291,19 +346,44 @@ impl Sequences {
             snapshot: SnapshotId::default(),
             learning: None,
             users: BTreeSet::new(),
-            memory,
+            memory: KeptMemory::BuiltIn(memory),
         };
-        if part.snapshot == SnapshotId::default() {
-            return Ok(Ok(Some(made)));
+        Ok(made.load(self.snapshots.as_ref(), part, worlds).map(|()| Some(made)))
+    }
+
+    /// The same for an external memory, which is built and loads on its own.
+    fn create_external(
+        &mut self,
+        part: &StreamPart,
+        index: u8,
+        worlds: &Worlds,
+        (externals, now_ns): (&mut ExternalMemories, u64),
+    ) -> Result<Option<SequenceMemory>, String> {
+        let embeds = externals.embeds(index);
+        let StreamBank { bank, collecting } = self.bank(part.origin, embeds, worlds)?;
+        if !collecting.is_complete() {
+            return Ok(None);
         }
-        let loaded = match &self.snapshots {
-            None => {
-                Err("it continues from a snapshot, and memory-proc was started without --snapshots"
-                    .to_owned())
-            }
-            Some(folder) => made.load(folder, part.sequence, part.snapshot, worlds),
+        let steps = match embeds {
+            true => bank.with_views(|viewpoint| collecting.found.get(&viewpoint).cloned()),
+            false => Some(BankSteps::without_views(bank)),
         };
-        Ok(loaded.map(|()| Some(made)))
+        let steps = steps.ok_or("a view of the bank is missing")?;
+        let id = externals.publish_for_sequence(index, bank, steps, now_ns);
+        let mut made = SequenceMemory {
+            origin: part.origin,
+            bank: bank.clone(),
+            experiences: Vec::new(),
+            snapshot: SnapshotId::default(),
+            learning: None,
+            users: BTreeSet::new(),
+            memory: KeptMemory::External { bank: id, to_load: None },
+        };
+        if let Err(why) = made.load(self.snapshots.as_ref(), part, worlds) {
+            self.dropped.push(id);
+            return Err(why);
+        }
+        Ok(Some(made))
     }
 
     /// The bank of a stream.
@@ -340,18 +420,21 @@ impl Sequences {
 
     /// Ends an episode that its memory learns from, after its last observation: the memory learns, and is saved. If that
     /// fails, the memory is dropped.
-    pub(crate) fn learn(&mut self, episode: &MemoryEpisode) -> Result<SnapshotReport, String> {
+    /// `Ok(None)` while an external memory saves.
+    pub(crate) fn learn(
+        &mut self,
+        episode: &MemoryEpisode,
+        externals: (&mut ExternalMemories, u64),
+    ) -> Result<Option<SnapshotReport>, Reason> {
         let (Some(part), Some(folder)) = (&episode.stream, &self.snapshots) else {
-            return Err(
-                "it is not part of a stream, or there is no folder for snapshots".to_owned()
-            );
+            return Err("it is not part of a stream, or there is no folder for snapshots".into());
         };
         let memory = self.memories.get_mut(&part.sequence);
         let memory = memory.filter(|memory| memory.learning == Some(episode.id));
         let memory = memory.ok_or("its memory has gone on with another episode")?;
-        let learned = memory.learn(episode, part, folder);
+        let learned = memory.learn(episode, part, folder, externals);
         if learned.is_err() {
-            self.memories.remove(&part.sequence);
+            self.drop_memory(part.sequence);
         }
         learned
     }
@@ -361,12 +444,42 @@ impl Sequences {
         let Some(part) = episode.stream.as_ref().filter(|part| part.begun) else { return };
         let Some(memory) = self.memories.get_mut(&part.sequence) else { return };
         if memory.learning == Some(episode.id) {
-            self.memories.remove(&part.sequence);
-        } else if memory.users.remove(&episode.id) && part.recording.is_none() {
+            self.drop_memory(part.sequence);
+        } else if memory.users.remove(&episode.id)
+            && part.recording.is_none()
+            && let KeptMemory::BuiltIn(memory) = &mut memory.memory
+        {
             // It was not told anything that it could fail at.
-            let _ = memory.memory.end_episode(&EpisodeEnd::unlearned(episode.lane, episode.id));
+            let _ = memory.end_episode(&EpisodeEnd::unlearned(episode.lane, episode.id));
         }
     }
+}
+
+/// Whether an external memory is built and has loaded what it has to; asks it to load once it is built.
+fn is_loaded(
+    bank: u64,
+    to_load: &mut Option<(PathBuf, bool)>,
+    externals: &mut ExternalMemories,
+    now_ns: u64,
+) -> Result<bool, Reason> {
+    if !externals.is_built(bank)? {
+        return Ok(false);
+    }
+    match to_load {
+        None => return Ok(true),
+        Some((folder, asked @ false)) => {
+            externals.store(bank, folder, true, now_ns)?;
+            *asked = true;
+        }
+        Some((_, true)) => {
+            if let Some(outcome) = externals.take_stored(bank, now_ns) {
+                outcome?;
+                *to_load = None;
+                return Ok(true);
+            }
+        }
+    }
+    Ok(false)
 }
 
 impl SequenceMemory {
@@ -375,24 +488,65 @@ impl SequenceMemory {
         episode: &MemoryEpisode,
         part: &StreamPart,
         folder: &SnapshotFolder,
-    ) -> Result<SnapshotReport, String> {
+        (externals, now_ns): (&mut ExternalMemories, u64),
+    ) -> Result<Option<SnapshotReport>, Reason> {
         let recording = part.recording.as_ref().ok_or("nothing is learned from it")?;
-        let now = episode.last_step().ok_or("it has not begun")?;
-        self.memory.observe(&now).map_err(|error| error.to_string())?;
-        let sub_goals = recording.sub_goals();
-        let (success, sub_goals) = match part.feedback {
-            FeedbackLevel::None => (None, None),
-            FeedbackLevel::Success => (Some(recording.is_complete), None),
-            FeedbackLevel::SubGoals => (Some(recording.is_complete), Some(&*sub_goals)),
+        let is_saving = episode
+            .pending
+            .as_ref()
+            .is_some_and(|pending| matches!(pending.stage, PendingStage::Saving));
+        let store_bytes = match &mut self.memory {
+            KeptMemory::External { bank, .. } if is_saving => {
+                match externals.take_stored(*bank, now_ns) {
+                    None => return Ok(None),
+                    Some(outcome) => outcome?,
+                }
+            }
+            _ => {
+                let sub_goals = recording.sub_goals();
+                let (success, sub_goals) = match part.feedback {
+                    FeedbackLevel::None => (None, None),
+                    FeedbackLevel::Success => (Some(recording.is_complete), None),
+                    FeedbackLevel::SubGoals => (Some(recording.is_complete), Some(&*sub_goals)),
+                };
+                let end = EpisodeEnd {
+                    lane: episode.lane,
+                    episode: episode.id,
+                    demonstration: Some(self.bank.demonstrations.len() as u32),
+                    success,
+                    sub_goals,
+                };
+                self.record(episode, part, recording);
+                let own = self.begin_snapshot(folder, part.sequence)?;
+                match &mut self.memory {
+                    KeptMemory::BuiltIn(memory) => {
+                        let now = episode.last_step().ok_or("it has not begun")?;
+                        let told = memory.observe(&now).and_then(|()| memory.end_episode(&end));
+                        told.and_then(|()| memory.save(&own)).map_err(|error| error.to_string())?;
+                        memory.store_bytes().unwrap_or(0)
+                    }
+                    KeptMemory::External { bank, .. } => {
+                        externals.end(episode, *bank, &end);
+                        externals.store(*bank, &own, false, now_ns)?;
+                        return Ok(None);
+                    }
+                }
+            }
         };
-        let end = EpisodeEnd {
-            lane: episode.lane,
+        let saved = folder.finish(part.sequence, self.snapshot);
+        self.snapshot = saved.map_err(|error| error.to_string())?;
+        self.learning = None;
+        Ok(Some(SnapshotReport {
             episode: episode.id,
-            demonstration: Some(self.bank.demonstrations.len() as u32),
-            success,
-            sub_goals,
-        };
-        self.memory.end_episode(&end).map_err(|error| error.to_string())?;
+            snapshot: self.snapshot,
+            store_bytes,
+            lane: episode.lane,
+            ..Zeroable::zeroed()
+        }))
+    }
+
+    /// Appends an episode to the bank.
+    fn record(&mut self, episode: &MemoryEpisode, part: &StreamPart, recording: &Recording) {
         let Recording { poses, feedback, stages, actions, .. } = recording;
         Arc::make_mut(&mut self.bank).demonstrations.push(Demonstration {
             case: part.position,
@@ -405,38 +559,35 @@ impl SequenceMemory {
             actions: actions.clone(),
         });
         self.experiences.push(Experience::new(episode, part, recording));
-        self.save(folder, part.sequence).map_err(|error| format!("{error:#}"))?;
-        self.learning = None;
-        Ok(SnapshotReport {
-            episode: episode.id,
-            snapshot: self.snapshot,
-            store_bytes: self.memory.store_bytes().unwrap_or(0),
-            lane: episode.lane,
-            ..Zeroable::zeroed()
-        })
     }
 
-    fn save(&mut self, folder: &SnapshotFolder, sequence: u64) -> anyhow::Result<()> {
-        let unfinished = folder.begin(sequence)?;
+    /// Writes the host's part of a snapshot. Returns the folder for the memory's own.
+    fn begin_snapshot(&self, folder: &SnapshotFolder, sequence: u64) -> Result<PathBuf, String> {
+        let unfinished = folder.begin(sequence).map_err(|error| error.to_string())?;
         let path = unfinished.join(EXPERIENCE_FILE);
-        fs::write(&path, serde_json::to_vec(&self.experiences)?)
-            .with_context(|| format!("cannot write {}", path.display()))?;
+        let written = serde_json::to_vec(&self.experiences).map_err(|error| error.to_string())?;
+        fs::write(&path, written)
+            .map_err(|error| format!("cannot write {}: {error}", path.display()))?;
         let own = unfinished.join(MEMORY_FOLDER);
-        fs::create_dir(&own).with_context(|| format!("cannot create {}", own.display()))?;
-        self.memory.save(&own).context("the memory cannot be saved")?;
-        self.snapshot = folder.finish(sequence, self.snapshot)?;
-        Ok(())
+        fs::create_dir(&own)
+            .map_err(|error| format!("cannot create {}: {error}", own.display()))?;
+        Ok(own)
     }
 
-    /// Brings a memory that has just been built into the state of a snapshot.
+    /// Brings a memory that is built, or is being built, into the state that an episode begins with.
     fn load(
         &mut self,
-        folder: &SnapshotFolder,
-        sequence: u64,
-        snapshot: SnapshotId,
+        folder: Option<&SnapshotFolder>,
+        part: &StreamPart,
         worlds: &Worlds,
     ) -> Result<(), String> {
-        let found = folder.find(sequence, snapshot).map_err(|error| error.to_string())?;
+        if part.snapshot == SnapshotId::default() {
+            return Ok(());
+        }
+        let folder = folder.ok_or(
+            "it continues from a snapshot, and memory-proc was started without --snapshots",
+        )?;
+        let found = folder.find(part.sequence, part.snapshot).map_err(|error| error.to_string())?;
         let failed = |what: String| format!("snapshot {}: {what}", found.display());
         self.experiences = read_experiences(&found).map_err(&failed)?;
         for (number, experience) in self.experiences.iter().enumerate() {
@@ -447,8 +598,14 @@ impl SequenceMemory {
             })?;
             Arc::make_mut(&mut self.bank).demonstrations.push(made);
         }
-        self.memory.load(&found.join(MEMORY_FOLDER)).map_err(|error| failed(error.to_string()))?;
-        self.snapshot = snapshot;
+        let own = found.join(MEMORY_FOLDER);
+        match &mut self.memory {
+            KeptMemory::BuiltIn(memory) => {
+                memory.load(&own).map_err(|error| failed(error.to_string()))?;
+            }
+            KeptMemory::External { to_load, .. } => *to_load = Some((own, false)),
+        }
+        self.snapshot = part.snapshot;
         Ok(())
     }
 }

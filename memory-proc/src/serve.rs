@@ -18,9 +18,9 @@ use bytemuck::Zeroable;
 use domain::{Pose, Representation};
 use shm_types::description::memory_folder;
 use shm_types::message::{
-    EXTERNAL, ExternalAnswer, ExternalBuilt, ExternalEpisode, ExternalQuery, FrameId, Handshake,
-    Heartbeat, MAX_EMBEDDING, MemoryEpisodeConfig, Observation, Recall, RecallTrace, Role,
-    ShutdownReport, SnapshotReport, Stop, View, ViewRequest,
+    EXTERNAL, ExternalAnswer, ExternalBuilt, ExternalEpisode, ExternalQuery, ExternalStore,
+    ExternalStored, FrameId, Handshake, Heartbeat, MAX_EMBEDDING, MemoryEpisodeConfig, Observation,
+    Recall, RecallTrace, Role, ShutdownReport, SnapshotReport, Stop, View, ViewRequest,
 };
 use shm_types::process::{die_with_parent, monotonic_ns};
 use shm_types::{
@@ -160,7 +160,9 @@ struct ExternalPorts {
     banks: BankPublisher,
     episodes: Sender<ExternalEpisode>,
     queries: Sender<ExternalQuery>,
+    stores: Sender<ExternalStore>,
     built: Receiver<ExternalBuilt>,
+    stored: Receiver<ExternalStored>,
     answers: Receiver<ExternalAnswer>,
     notes: NoteReceiver,
     notifier: Notifier,
@@ -175,7 +177,9 @@ impl ExternalPorts {
             banks: BankPublisher::new(bus, index)?,
             episodes: bus.sender_to(index)?,
             queries: bus.sender_to(index)?,
+            stores: bus.sender_to(index)?,
             built: bus.receiver_from(index)?,
+            stored: bus.receiver_from(index)?,
             answers: bus.receiver_from(index)?,
             notes: NoteReceiver::new(bus, index)?,
             notifier: bus.external_memory_notifier(index)?,
@@ -197,6 +201,7 @@ impl ExternalPorts {
                 message.sent_ns = monotonic_ns();
                 self.queries.send(message)
             }
+            ToExternal::Store(message) => self.stores.send(message),
         }
     }
 }
@@ -401,12 +406,14 @@ impl<'a> MemoryServer<'a> {
             let index = external.index;
             // A note is published before the message that names it.
             let answers = external.answers.drain()?;
+            let stored = external.stored.drain()?;
             let built = external.built.drain()?;
             let notes = external.notes.drain()?;
             let now_ns = monotonic_ns();
             let notes = notes.into_iter().map(|note| engine.external_note(index, note));
             let mut outcomes: Vec<_> = notes.collect();
             outcomes.extend(built.iter().map(|message| engine.external_built(index, message)));
+            outcomes.extend(stored.iter().map(|message| engine.external_stored(index, message)));
             let answered = answers.iter();
             outcomes.extend(answered.map(|message| engine.external_answer(index, message, now_ns)));
             for unusable in outcomes.into_iter().filter_map(Result::err) {
@@ -439,8 +446,14 @@ impl<'a> MemoryServer<'a> {
     /// Reports episodes that cannot go on. Those for which the queue has no room are reported in the next turn.
     fn report_failures(&mut self) -> Result<(), BusError> {
         self.failures.extend(self.engine.take_failures());
-        while let Some(EpisodeFailure { lane, episode, why }) = self.failures.last() {
-            match self.reporter.fail_episode(*lane, *episode, why) {
+        while let Some(failure) = self.failures.last() {
+            let &EpisodeFailure { lane, episode, ref why, is_overdue } = failure;
+            let reported = if is_overdue {
+                self.reporter.overdue(lane, episode, why)
+            } else {
+                self.reporter.fail_episode(lane, episode, why)
+            };
+            match reported {
                 Ok(()) => drop(self.failures.pop()),
                 Err(BusError::Full { .. }) => return Ok(()),
                 Err(error) => return Err(error),

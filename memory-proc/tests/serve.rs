@@ -374,12 +374,11 @@ fn an_external_memory_supplies_what_it_names_and_fails_its_own_episodes_only() {
     // It fails; then it hangs. Each costs its own episode, and the other lane goes on.
     let failure = |rig: &mut MemoryRig| {
         let (failed, why) = rig.error_report();
-        assert_eq!(failed.kind, ErrorReportKind::Episode as u32);
-        (failed.episode, why)
+        (failed.kind, failed.episode, why)
     };
     rig.observe(Observation { episode: 1, ..seen(1) });
     let why = "external memory scripted, step 1: out of credit".to_owned();
-    assert_eq!(failure(&mut rig), (1, why));
+    assert_eq!(failure(&mut rig), (ErrorReportKind::Episode as u32, 1, why));
     rig.begin(&external(1, 2));
     rig.begin(&config(Representation::Working, 0, 3, Demonstrations::ORIGINAL));
     rig.observe(Observation { episode: 2, lane: 1, ..seen(0) });
@@ -388,7 +387,7 @@ fn an_external_memory_supplies_what_it_names_and_fails_its_own_episodes_only() {
     rig.observe(Observation { episode: 3, ..seen(0) });
     assert_eq!(rig.recall().0.episode, 3);
     let why = "external memory scripted has not answered step 1 within 1 s".to_owned();
-    assert_eq!(failure(&mut rig), (2, why));
+    assert_eq!(failure(&mut rig), (ErrorReportKind::Overdue as u32, 2, why));
     memory.ended.store(true, Relaxed);
     rig.stop();
 }

@@ -56,8 +56,16 @@ impl ExternalMemory {
 
     /// What the manifest says about it.
     pub fn facts(&self) -> ExternalMemoryFacts {
-        let MemoryDescription { version, scope, embeddings, frames, deterministic, sdk, .. } =
-            self.description.clone();
+        let MemoryDescription {
+            name: _,
+            version,
+            scope,
+            embeddings,
+            frames,
+            deterministic,
+            learns,
+            sdk,
+        } = self.description.clone();
         ExternalMemoryFacts {
             index: self.index,
             version,
@@ -69,6 +77,7 @@ impl ExternalMemory {
             embeddings,
             frames,
             deterministic,
+            learns,
             sdk,
         }
     }

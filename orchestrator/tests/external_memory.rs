@@ -123,7 +123,7 @@ fn host(run: &ScriptedRun<'_>, about_external: Host) {
         let is_due = |asked: &Instant| asked.elapsed() >= Duration::from_millis(after_ms);
         for (id, _) in asked.extract_if(.., |(_, asked)| is_due(asked)) {
             let text = format!("{MEMORY} has not answered step 0 within {after_ms} ms");
-            report(process, ErrorReportKind::Episode, (id.episode, id.lane), &text);
+            report(process, ErrorReportKind::Overdue, (id.episode, id.lane), &text);
         }
     });
 }

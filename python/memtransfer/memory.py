@@ -286,6 +286,8 @@ class Memory(ABC):
     """Whether the memory looks at pixels of demonstrations. With scope `all` there are none."""
     deterministic: bool = True
     """Whether equal episodes get equal answers, whatever else the memory was asked."""
+    learns: bool = False
+    """Whether the memory learns from episodes of streams. If so, override `save` and `load`."""
 
     def build(self, demonstrations: Sequence[Demonstration]) -> None:
         """Builds the memory, once, before anything else."""

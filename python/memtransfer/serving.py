@@ -77,7 +77,7 @@ def _serve_memory(
     name = memory.name or re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "-", kind.__name__).lower()
     if memory.scope not in ("case", "all"):
         raise ValueError(f"scope of memory {name} is {memory.scope!r}, but must be 'case' or 'all'")
-    needs = (memory.embeddings, memory.frames, memory.deterministic)
+    needs = (memory.embeddings, memory.frames, memory.deterministic, memory.learns)
     _native.serve_memory(create, (name, memory.version, memory.scope, *needs), folder)
 
 

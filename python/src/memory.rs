@@ -1,5 +1,7 @@
 //! A Python memory as the SDK sees one: banks and queries go in as Python objects, answers come back as items.
 
+use std::collections::HashMap;
+use std::fs;
 use std::path::Path;
 use std::sync::Arc;
 
@@ -17,8 +19,12 @@ use crate::classes::Classes;
 use crate::frame::Frame;
 use crate::query::{MemoryStep, Numbers, as_array};
 
-/// Name, version, scope, whether it uses embeddings, whether it looks at frames, whether it is deterministic.
-pub(crate) type Described = (String, String, String, bool, bool, bool);
+/// Name, version, scope, whether it uses embeddings, whether it looks at frames, whether it is deterministic, whether it
+/// learns.
+pub(crate) type Described = (String, String, String, bool, bool, bool, bool);
+
+/// The file beside a memory's own that holds the number of steps of each episode it has learned from.
+const LENGTHS_FILE: &str = "steps-of-episodes.txt";
 
 /// A Python function that makes memories.
 pub(crate) struct PythonMethod {
@@ -28,15 +34,23 @@ pub(crate) struct PythonMethod {
 
 impl PythonMethod {
     pub(crate) fn new(create: &Bound<'_, PyAny>, described: Described) -> PyResult<Self> {
-        let (name, version, scope, embeddings, frames, deterministic) = described;
+        let (name, version, scope, embeddings, frames, deterministic, learns) = described;
         let scope = match &*scope {
             "case" => Scope::Case,
             "all" => Scope::All,
             scope => return Err(PyValueError::new_err(format!("{scope:?} is not a scope"))),
         };
         let sdk = "python".to_owned();
-        let description =
-            MemoryDescription { name, version, scope, embeddings, frames, deterministic, sdk };
+        let description = MemoryDescription {
+            name,
+            version,
+            scope,
+            embeddings,
+            frames,
+            deterministic,
+            learns,
+            sdk,
+        };
         Ok(Self { create: create.clone().unbind(), description })
     }
 }
@@ -54,7 +68,14 @@ impl MemoryMethod for PythonMethod {
                 .and_then(|object| Object::new(&object))
                 .map_err(|raised| failure(py, name, &raised))
         });
-        Box::new(PythonMemory { name, object, bank: None, lengths: Vec::new() })
+        Box::new(PythonMemory {
+            name,
+            object,
+            bank: None,
+            lengths: Vec::new(),
+            demonstrations: 0,
+            observed: HashMap::new(),
+        })
     }
 }
 
@@ -65,8 +86,12 @@ struct PythonMemory<'m> {
     object: Result<Object, MemoryError>,
     /// Keeps the bank mapped as long as the memory exists.
     bank: Option<Arc<Bank>>,
-    /// Number of steps of each demonstration.
+    /// Number of steps of each demonstration, then of each episode that it has learned from.
     lengths: Vec<u32>,
+    /// Number of demonstrations.
+    demonstrations: usize,
+    /// Steps of the running episodes.
+    observed: HashMap<u64, u32>,
 }
 
 struct Object {
@@ -201,6 +226,7 @@ impl Memory for PythonMemory<'_> {
     fn build(&mut self, demonstrations: &[Demonstration<'_>]) -> Result<(), MemoryError> {
         self.bank = demonstrations.first().and_then(|of| of.bank).cloned();
         self.lengths = demonstrations.iter().map(|of| of.steps.len() as u32).collect();
+        self.demonstrations = self.lengths.len();
         self.call(|py, memory, _| {
             let mut rows = 0;
             let mut values = Vec::with_capacity(demonstrations.len());
@@ -235,6 +261,7 @@ impl Memory for PythonMemory<'_> {
     }
 
     fn observe(&mut self, step: &Step<'_>) -> Result<(), MemoryError> {
+        self.observed.insert(step.episode, step.step + 1);
         if !self.object.as_ref().is_ok_and(|object| object.overrides.observe) {
             return Ok(());
         }
@@ -252,6 +279,10 @@ impl Memory for PythonMemory<'_> {
     }
 
     fn end_episode(&mut self, end: &EpisodeEnd<'_>) -> Result<(), MemoryError> {
+        let steps = self.observed.remove(&end.episode);
+        if end.demonstration.is_some() {
+            self.lengths.push(steps.unwrap_or_default());
+        }
         self.call(|py, memory, overrides| {
             if !overrides.end_episode {
                 return Ok(());
@@ -265,10 +296,17 @@ impl Memory for PythonMemory<'_> {
     }
 
     fn save(&mut self, folder: &Path) -> Result<(), MemoryError> {
+        let learned = self.lengths[self.demonstrations..].iter().map(u32::to_string);
+        let lines: Vec<String> = learned.collect();
+        fs::write(folder.join(LENGTHS_FILE), lines.join("\n")).map_err(MemoryError::new)?;
         self.call(|py, memory, _| memory.call_method1(intern!(py, "save"), (folder,)).map(drop))
     }
 
     fn load(&mut self, folder: &Path) -> Result<(), MemoryError> {
+        let lines = fs::read_to_string(folder.join(LENGTHS_FILE)).map_err(MemoryError::new)?;
+        let learned: Result<Vec<u32>, _> = lines.lines().map(str::parse).collect();
+        self.lengths.truncate(self.demonstrations);
+        self.lengths.extend(learned.map_err(MemoryError::new)?);
         self.call(|py, memory, _| memory.call_method1(intern!(py, "load"), (folder,)).map(drop))
     }
 

@@ -37,6 +37,9 @@ pub struct MemoryDescription {
     /// Whether equal queries have equal answers, whatever else it was asked before.
     #[serde(default)]
     pub deterministic: bool,
+    /// Whether it learns from episodes of streams. Otherwise it has no arm `learning`.
+    #[serde(default)]
+    pub learns: bool,
     /// The SDK and its version.
     #[serde(default)]
     pub sdk: String,
@@ -126,6 +129,7 @@ mod tests {
             embeddings: true,
             frames: false,
             deterministic: true,
+            learns: true,
             sdk: "test".to_owned(),
         };
         description.write(folder.path()).unwrap();

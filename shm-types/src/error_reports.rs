@@ -40,8 +40,25 @@ impl ErrorReporter {
     /// # Errors
     /// When the report cannot be delivered.
     pub fn fail_episode(&mut self, lane: u32, episode: u64, why: &str) -> Result<(), BusError> {
-        let error_report =
-            ErrorReport { lane, episode, ..self.new_report(ErrorReportKind::Episode, why) };
+        self.end_episode(ErrorReportKind::Episode, lane, episode, why)
+    }
+
+    /// As [`Self::fail_episode`], because the episode's external memory has exceeded a time limit.
+    ///
+    /// # Errors
+    /// When the report cannot be delivered.
+    pub fn overdue(&mut self, lane: u32, episode: u64, why: &str) -> Result<(), BusError> {
+        self.end_episode(ErrorReportKind::Overdue, lane, episode, why)
+    }
+
+    fn end_episode(
+        &mut self,
+        kind: ErrorReportKind,
+        lane: u32,
+        episode: u64,
+        why: &str,
+    ) -> Result<(), BusError> {
+        let error_report = ErrorReport { lane, episode, ..self.new_report(kind, why) };
         self.sender.send(&error_report)
     }
 

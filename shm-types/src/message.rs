@@ -21,10 +21,10 @@ use crate::ports::{self, ReceiverPort, SenderPort};
 
 mod codes;
 
-pub use codes::{CODE_SETS, ErrorReportKind, ItemKind, Role, StepKind, ViewRequestKind};
+pub use codes::{CODE_SETS, ErrorReportKind, ItemKind, Learning, Role, StepKind, ViewRequestKind};
 
 /// Version of everything that `docs/wire.md` describes; compared when a process attaches.
-pub const WIRE_VERSION: u32 = 8;
+pub const WIRE_VERSION: u32 = 9;
 
 /// Longest window of past steps.
 pub const MAX_WINDOW: usize = 32;
@@ -73,6 +73,12 @@ pub type SnapshotId = [u8; 16];
 
 /// The document id for "no document".
 pub const NO_DOCUMENT: DocumentId = 0;
+
+/// Most sub-goals of a task that an external memory can be told.
+pub const MAX_SUB_GOALS: usize = 24;
+
+/// Longest path of a folder that an external memory saves into.
+pub const MAX_FOLDER: usize = 1024;
 
 /// In [`RecalledSource::demonstration`]: the source is an earlier episode of the same stream, not a demonstration.
 pub const EXPERIENCE: u16 = u16::MAX;
@@ -614,14 +620,14 @@ messages! {
         repeat: u32,
         /// Bytes of `instruction` in use.
         instruction_len: u32,
-        /// Zero.
-        reserved: u32,
+        /// A [`Learning`] code.
+        learning: u32,
         /// The instruction, UTF-8.
         instruction: [u8; MAX_INSTRUCTION],
     }
 
     /// Memory to an external memory: the agent's state after a step. Each is answered, except the last of an episode.
-    ExternalQuery, "memtransfer.ExternalQuery", "external-query", 4144 bytes,
+    ExternalQuery, "memtransfer.ExternalQuery", "external-query", 4200 bytes,
         [Memory] to [ExternalMemory], Lanes {
         /// The episode.
         episode: u64,
@@ -643,8 +649,16 @@ messages! {
         action: u8,
         /// 1 when the episode is over: no answer is awaited.
         last: u8,
+        /// With `last`, if the memory learns from the episode: 1 the task was not completed, 2 it was; 0: it is not told.
+        outcome: u8,
         /// Zero.
-        reserved: [u8; 5],
+        reserved: [u8; 4],
+        /// With `last`, if the memory learns from the episode: the number under which items can name its steps.
+        demonstration: u32,
+        /// With `last`: entries of `sub_goals` in use; [`NOT_MEASURED`] if the memory is not told.
+        sub_goals_len: u32,
+        /// The steps at which sub-goals were completed.
+        sub_goals: [u16; MAX_SUB_GOALS],
         /// The embedding of the view, of length 1.
         embedding: [f32; MAX_EMBEDDING],
     }
@@ -660,6 +674,31 @@ messages! {
         failure: DocumentId,
         /// Nanoseconds it took, by its own clock.
         took_ns: u64,
+    }
+
+    /// Memory to an external memory: save what the memory of a bank knows, or load it. Each is answered with an
+    /// [`ExternalStored`]. Nothing else is asked of the memory until then.
+    ExternalStore, "memtransfer.ExternalStore", "external-store", 1040 bytes,
+        [Memory] to [ExternalMemory], Lanes {
+        /// The bank.
+        bank: u64,
+        /// 0 to save, 1 to load.
+        loads: u32,
+        /// Bytes of `folder` in use.
+        folder_len: u32,
+        /// The folder to write into, which is empty, or to read from: an absolute path, UTF-8.
+        folder: [u8; MAX_FOLDER],
+    }
+
+    /// An external memory to memory: it has saved or loaded what it knows, or cannot.
+    ExternalStored, "memtransfer.ExternalStored", "external-stored", 24 bytes,
+        [ExternalMemory] to [Memory], Lanes {
+        /// The bank.
+        bank: u64,
+        /// Bytes of its store; 0 if it does not tell.
+        store_bytes: u64,
+        /// The note with the reason, if it failed; otherwise [`NO_DOCUMENT`].
+        failure: DocumentId,
     }
 
     /// An external memory to memory: the answer to a query.
@@ -776,7 +815,7 @@ messages! {
     /// All to orchestrator: an error, and what follows from it ([`ErrorReportKind`]).
     ErrorReport, "memtransfer.ErrorReport", "error-report", 512 bytes,
         [Sim Memory Policy ExternalMemory] to [Orchestrator], Few {
-        /// For [`ErrorReportKind::Episode`]: the episode. Otherwise 0.
+        /// For [`ErrorReportKind::Episode`] and [`ErrorReportKind::Overdue`]: the episode. Otherwise 0.
         episode: u64,
         /// Code of the sender's [`Role`].
         role: u32,
@@ -784,7 +823,7 @@ messages! {
         count: u32,
         /// Code of the [`ErrorReportKind`].
         kind: u32,
-        /// For [`ErrorReportKind::Episode`]: the episode's lane. Otherwise 0.
+        /// The lane of `episode`. Otherwise 0.
         lane: u32,
         /// Bytes of `text` in use.
         text_len: u32,
@@ -896,7 +935,7 @@ mod tests {
         ($check:ident $(, $argument:expr)*) => {
             every_message!(@ $check, ($($argument),*), StepCommand Observation MemoryEpisodeConfig PolicyEpisodeConfig
                 ViewRequest View Eviction Recall RecallTrace SnapshotReport ExternalEpisode ExternalQuery ExternalBuilt
-                ExternalAnswer
+                ExternalStore ExternalStored ExternalAnswer
                 Heartbeat Decision Handshake ErrorReport ShutdownReport Stop)
         };
         (@ $check:ident, $arguments:tt, $($message:ident)*) => {$($check::<$message>$arguments;)*};

@@ -5,6 +5,7 @@
 
 #![expect(clippy::expect_used, clippy::missing_panics_doc, reason = "a test may panic")]
 
+pub mod example_memories;
 pub mod llama;
 pub mod needs;
 
@@ -36,6 +37,12 @@ pub fn program(name: &str) -> PathBuf {
         program.display()
     );
     program
+}
+
+/// A file or folder of the repository.
+pub fn repository(path: &str) -> PathBuf {
+    let root = concat!(env!("CARGO_MANIFEST_DIR"), "/..");
+    PathBuf::from(root).join(path).canonicalize().expect("a file or folder of the repository")
 }
 
 /// Folders to run the program in, and the right to use the machine.

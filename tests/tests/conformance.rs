@@ -3,10 +3,9 @@
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use std::collections::BTreeMap;
-use std::path::PathBuf;
 use std::process::Command;
 
-use memtransfer_tests::{Bench, needs, program, records};
+use memtransfer_tests::{Bench, needs, program, records, repository};
 use serde_json::Value;
 
 /// A check's verdict and what happened, by its name.
@@ -59,12 +58,6 @@ fn assert_documented(heading: &str, checks: &[Value]) {
     let rows: String = checks.iter().map(row).collect();
     let count = format!("{} checks", checks.len());
     assert!(section.contains(&count) && section.contains(&rows), "expected: {count}\n{rows}");
-}
-
-/// A file or folder of the repository.
-fn repository(path: &str) -> PathBuf {
-    let root = concat!(env!("CARGO_MANIFEST_DIR"), "/..");
-    PathBuf::from(root).join(path)
 }
 
 #[test]
@@ -154,6 +147,10 @@ fn faults_of_a_memory_are_named() {
         ("keeps-banks", "releases banks", ""),
         ("believes", "survives invalid messages", "after a feedback code of 77: an answer"),
         ("draws", "answers the same again", "it calls itself deterministic"),
+        ("saves-nothing", "learns and saves", "it has not saved within 3 s"),
+        ("saves-the-time", "loads what it has saved", "other bytes after it was loaded: learned"),
+        ("loads-nothing", "loads what it has saved", "and after it was loaded with"),
+        ("learns-from-evaluations", "evaluates without learning", "it saves other bytes after an"),
         ("leaves-a-lock", "can be restarted", "I run already"),
         ("ignores-stop", "stops", "after 2 s it has neither sent a shutdown report nor ended"),
         ("no-shutdown-report", "stops", "it ended without a shutdown report"),

@@ -2,15 +2,7 @@
 
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
-use std::path::PathBuf;
-
-use memtransfer_tests::{Bench, Ended, needs, records, success_rate};
-
-/// A file or folder of the repository.
-fn repository(path: &str) -> PathBuf {
-    let root = concat!(env!("CARGO_MANIFEST_DIR"), "/..");
-    PathBuf::from(root).join(path).canonicalize().unwrap()
-}
+use memtransfer_tests::{Bench, Ended, needs, records, repository, success_rate};
 
 /// Runs ten cases of the quick suite with the script as the policy; it finds the package in `package`.
 fn run_script(bench: &Bench, script: &str, package: &str) -> Vec<serde_json::Value> {

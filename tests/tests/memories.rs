@@ -4,52 +4,24 @@
 
 use std::collections::BTreeMap;
 use std::fs;
-use std::path::{Path, PathBuf};
-use std::process::{Child, Command};
+use std::path::Path;
 
+use memtransfer_tests::example_memories::{command, example, process_of_example, run, start};
 use memtransfer_tests::llama::{LlamaServer, MODEL};
 use memtransfer_tests::{
-    Bench, Ended, episodes, eventually, kill, needs, process_of, processes_of, processes_with,
-    records, sorted_log, success_rate,
+    Bench, Ended, episodes, eventually, kill, needs, process_of, records, repository, sorted_log,
+    success_rate,
 };
 use serde_json::Value;
 
 /// The examples that need no server.
 const EXAMPLES: [&str; 5] = ["top-k", "bm25", "robotmem", "langgraph", "mem0"];
 
-/// A file or folder of the repository.
-fn repository(path: &str) -> PathBuf {
-    let root = concat!(env!("CARGO_MANIFEST_DIR"), "/..");
-    PathBuf::from(root).join(path).canonicalize().unwrap()
-}
-
-/// The command that starts an example.
-fn example(name: &str) -> String {
-    let script = repository(&format!("examples/memories/{name}/memory.py"));
-    format!("{} {}", needs::memory_python(name).display(), script.display())
-}
-
 /// The command that starts the test memory with one trait.
 fn scripted(memory_trait: &str, argument: &str) -> String {
     let script = repository("python/tests/memories/scripted.py");
     let argument = argument.replace('\'', r"'\''");
     format!("{} {} {memory_trait} '{argument}'", needs::python().display(), script.display())
-}
-
-/// `memtransfer` with these arguments and external memories, not started yet.
-fn command(bench: &Bench, args: &[&str], memories: &[String]) -> Command {
-    let mut command = bench.command(args);
-    command.args(memories.iter().flat_map(|memory| ["--memory-cmd", memory]));
-    command.env("PYTHONPATH", repository("python")).env("PYTHONDONTWRITEBYTECODE", "1");
-    command
-}
-
-fn start(bench: &Bench, args: &[&str], memories: &[String]) -> Child {
-    command(bench, args, memories).spawn().unwrap()
-}
-
-fn run(bench: &Bench, args: &[&str], memories: &[String]) -> Ended {
-    Ended::of(start(bench, args, memories))
 }
 
 /// Number of records of each memory.
@@ -130,18 +102,6 @@ fn notes_are_written_by_a_language_model() {
     let log = fs::read_to_string(log).unwrap();
     assert!(log.contains(r#""note""#), "{log}");
     assert_eq!(bench.leftovers(), Vec::<String>::new());
-}
-
-/// The process that runs the script of an example in a run of this bench.
-fn process_of_example(bench: &Bench, name: &str) -> u32 {
-    let script = repository(&format!("examples/memories/{name}/memory.py"));
-    eventually(&format!("the memory {name} to start"), || {
-        let started = processes_with(script.as_os_str().as_encoded_bytes());
-        (&started & &processes_of(bench.registry.path())).into_iter().find(|pid| {
-            let exe = fs::read_link(format!("/proc/{pid}/exe")).unwrap_or_default();
-            exe.file_name().is_some_and(|name| name.to_string_lossy().contains("python"))
-        })
-    })
 }
 
 /// Waits until the first episodes are finished.

@@ -6,6 +6,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::Path;
 
+use memtransfer_tests::example_memories::{example, process_of_example, run, start};
 use memtransfer_tests::{
     Bench, Ended, episodes, eventually, kill, process_of, processes_of, records, sorted_log,
 };
@@ -104,4 +105,57 @@ fn episodes_of_a_sequence_run_in_order_and_only_those_that_learn_have_snapshots(
     let ended = bench.run(&arguments("run", "16")).expect(1);
     assert!(ended.stderr.contains("snapshot"), "{}", ended.stderr);
     assert_eq!(sorted_log(&bench.out("run")).len(), EPISODES - 1);
+}
+
+/// The part of [`SUITE`] for the control of an external memory, in one order.
+fn external_bench() -> Bench {
+    let bench = Bench::new();
+    let suite = SUITE.replace(r#", "episodic", "adaptive""#, "").replace(r#", "reversed""#, "");
+    fs::write(bench.out("suite.toml"), suite).unwrap();
+    bench
+}
+
+#[test]
+fn a_memory_in_python_learns_and_no_crash_changes_the_log() {
+    let bench = external_bench();
+    let memories = [example("learning"), example("top-k")];
+    run(&bench, &arguments("one", "1"), &memories).expect(0);
+    let reference = sorted_log(&bench.out("one"));
+    let mut conditions: BTreeMap<String, usize> = BTreeMap::new();
+    let mut snapshots = BTreeSet::new();
+    for record in records(&bench.out("one")) {
+        let key = record["key"].as_str().unwrap();
+        let (condition, _) = key.split_once("/run1").unwrap();
+        *conditions.entry(condition.replace("/new/unchanged", "")).or_default() += 1;
+        snapshots.extend(record["stream"]["snapshot"].as_str().map(str::to_owned));
+    }
+    // Of the two, only one learns.
+    let arms = ["learning", "top-k"]
+        .map(|memory| ["", "/oracle", "/wrong"].map(|arm| (format!("{memory}/original{arm}"), 20)));
+    let others = [("learning/original/learning".to_owned(), 20), ("working/none".to_owned(), 20)];
+    assert_eq!(conditions, arms.into_iter().flatten().chain(others).collect());
+    assert!(snapshots.len() > 1, "the memory changes");
+
+    let kinds: [(&str, usize, &dyn Fn() -> u32); 2] = [
+        ("external", 60, &|| process_of_example(&bench, "learning")),
+        ("memory", 30, &|| process_of(bench.registry.path(), "memory")),
+    ];
+    for (killed, after, process) in kinds {
+        let child = start(&bench, &arguments(killed, "4"), &memories);
+        wait_for_episodes(&bench.out(killed), after);
+        kill(process());
+        Ended::of(child).expect(0);
+        assert_eq!(sorted_log(&bench.out(killed)), reference, "{killed} killed");
+    }
+    for after in [20, 90] {
+        let child = start(&bench, &arguments("killed", "4"), &memories);
+        wait_for_episodes(&bench.out("killed"), after);
+        kill(child.id());
+        Ended::of(child);
+        eventually("the child processes to end", || {
+            processes_of(bench.registry.path()).is_empty().then_some(())
+        });
+    }
+    run(&bench, &arguments("killed", "8"), &memories).expect(0);
+    assert_eq!(sorted_log(&bench.out("killed")), reference, "orchestrator killed");
 }

@@ -6,7 +6,8 @@ use std::time::Duration;
 use bytemuck::Zeroable;
 use shm_types::message::{
     Decision, ErrorReport, Eviction, ExternalAnswer, ExternalBuilt, ExternalEpisode, ExternalQuery,
-    FrameId, Handshake, Message, Observation, Role, ShutdownReport, Stop,
+    ExternalStore, ExternalStored, FrameId, Handshake, Message, Observation, Role, ShutdownReport,
+    Stop,
 };
 use shm_types::{
     Attach, BankPublisher, Bus, BusError, DocumentPublisher, FrameError, FramePublisher,
@@ -197,6 +198,10 @@ pub struct MemoryNeighbours {
     pub episodes: Sender<ExternalEpisode>,
     /// Sends its queries.
     pub queries: Sender<ExternalQuery>,
+    /// Asks it to save or load.
+    pub stores: Sender<ExternalStore>,
+    /// What it has saved or loaded.
+    pub stored: Receiver<ExternalStored>,
     pub(crate) frames: FramePublisher,
     neighbours: Neighbours,
 }
@@ -225,6 +230,8 @@ impl MemoryNeighbours {
             banks: BankPublisher::new(memory, index)?,
             episodes: memory.sender_to(index)?,
             queries: memory.sender_to(index)?,
+            stores: memory.sender_to(index)?,
+            stored: memory.receiver_from(index)?,
             frames: FramePublisher::new(neighbours.bus(&[Role::Sim]))?,
             neighbours,
         })

@@ -450,7 +450,7 @@ impl<'a, R: TestedRole> Subject<'a, R> {
             match kind {
                 Some(Ok(ErrorReportKind::Message)) => self.errors.push(text.to_owned()),
                 Some(Ok(ErrorReportKind::Waiting)) => {}
-                Some(Ok(ErrorReportKind::Episode)) => {
+                Some(Ok(ErrorReportKind::Episode | ErrorReportKind::Overdue)) => {
                     let lane = report.lane;
                     return wrong(format_args!("it gave up the episode of lane {lane}: {text}"));
                 }

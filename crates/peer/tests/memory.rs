@@ -2,7 +2,8 @@
 
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on fails")]
 
-use std::path::PathBuf;
+use std::fs;
+use std::path::{Path, PathBuf};
 use std::sync::mpsc;
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
@@ -17,8 +18,9 @@ use peer::memory::{
 use shm_types::banks::{BankDemonstration, BankStep};
 use shm_types::description::memory_folder;
 use shm_types::message::{
-    ErrorReport, Eviction, ExternalAnswer, ExternalBuilt, ExternalEpisode, ExternalQuery, FrameId,
-    Handshake, ItemKind, NO_ACTION, NO_FRAME, Role, ShutdownReport, Stop, read_text, write_text,
+    ErrorReport, Eviction, ExternalAnswer, ExternalBuilt, ExternalEpisode, ExternalQuery,
+    ExternalStore, ExternalStored, FrameId, Handshake, ItemKind, Learning, NO_ACTION, NO_FRAME,
+    NOT_MEASURED, Role, ShutdownReport, Stop, read_text, write_text,
 };
 use shm_types::{
     Attach, BankContent, BankPublisher, Bus, FramePublisher, FrameSize, Note, NoteReceiver,
@@ -37,6 +39,8 @@ struct Rig {
     episodes: Sender<ExternalEpisode>,
     queries: Sender<ExternalQuery>,
     built: Receiver<ExternalBuilt>,
+    stores: Sender<ExternalStore>,
+    stored: Receiver<ExternalStored>,
     answers: Receiver<ExternalAnswer>,
     notes: NoteReceiver,
     frames: FramePublisher,
@@ -102,6 +106,8 @@ impl Rig {
             episodes: memory.sender_to(INDEX).unwrap(),
             queries: memory.sender_to(INDEX).unwrap(),
             built: memory.receiver_from(INDEX).unwrap(),
+            stores: memory.sender_to(INDEX).unwrap(),
+            stored: memory.receiver_from(INDEX).unwrap(),
             answers: memory.receiver_from(INDEX).unwrap(),
             notes: NoteReceiver::new(&memory, INDEX).unwrap(),
             frames: FramePublisher::new(&sim).unwrap(),
@@ -140,8 +146,13 @@ impl Rig {
     }
 
     fn begin(&self, lane: u32, episode: u64, bank: u64) {
-        let mut message =
-            ExternalEpisode { lane, episode, bank, seed: 5, repeat: 1, ..Zeroable::zeroed() };
+        self.begin_as(Learning::OutsideOfStreams, lane, episode, bank);
+    }
+
+    fn begin_as(&self, learning: Learning, lane: u32, episode: u64, bank: u64) {
+        let learning = learning as u32;
+        let mut message = ExternalEpisode { lane, episode, bank, learning, ..Zeroable::zeroed() };
+        (message.seed, message.repeat) = (5, 1);
         (message.image_budget, message.text_budget) = (9, 99);
         message.instruction_len = write_text(&mut message.instruction, "Find a cone.");
         self.episodes.send(&message).unwrap();
@@ -150,6 +161,17 @@ impl Rig {
     fn ask(&self, query: &ExternalQuery) {
         self.queries.send(query).unwrap();
         self.notify();
+    }
+
+    fn send_store(&self, bank: u64, loads: bool, folder: &Path) {
+        let mut message = ExternalStore { bank, loads: loads.into(), ..Zeroable::zeroed() };
+        message.folder_len = write_text(&mut message.folder, folder.to_str().unwrap());
+        self.stores.send(&message).unwrap();
+        self.notify();
+    }
+
+    fn stored(&self) -> ExternalStored {
+        until(|| self.stored.next().unwrap())
     }
 
     fn answer(&self) -> ExternalAnswer {
@@ -225,9 +247,10 @@ impl Memory for Recorder {
     fn begin_episode(&mut self, episode: &Episode<'_>) -> Result<(), MemoryError> {
         let Episode { lane, episode, instruction, seed, repeat, image_budget, text_budget, learns } =
             episode;
-        assert!(!learns);
+        let learns = if *learns { " learns" } else { "" };
         self.say(format!(
-            "episode {episode} in {lane}: {instruction} seed {seed} repeat {repeat} budgets {image_budget} {text_budget}"
+            "episode {episode} in {lane}: {instruction} seed {seed} repeat {repeat} budgets {image_budget} \
+             {text_budget}{learns}"
         ));
         Ok(())
     }
@@ -271,8 +294,23 @@ impl Memory for Recorder {
     }
 
     fn end_episode(&mut self, end: &EpisodeEnd<'_>) -> Result<(), MemoryError> {
-        assert_eq!(*end, EpisodeEnd::unlearned(end.lane, end.episode));
-        self.say(format!("end of {}", end.episode));
+        let EpisodeEnd { lane, episode, demonstration, success, sub_goals } = *end;
+        if let Some(number) = demonstration {
+            self.say(format!("learned from {episode} as {number}: {success:?} {sub_goals:?}"));
+        } else {
+            assert_eq!(*end, EpisodeEnd::unlearned(lane, episode));
+            self.say(format!("end of {episode}"));
+        }
+        Ok(())
+    }
+
+    fn save(&mut self, folder: &Path) -> Result<(), MemoryError> {
+        fs::write(folder.join("steps"), self.steps.to_string()).map_err(MemoryError::new)
+    }
+
+    fn load(&mut self, folder: &Path) -> Result<(), MemoryError> {
+        let read = fs::read_to_string(folder.join("steps")).map_err(MemoryError::new)?;
+        self.steps = read.parse().map_err(MemoryError::new)?;
         Ok(())
     }
 
@@ -385,9 +423,17 @@ fn a_memory_is_built_asked_and_ended() {
     rig.told();
     rig.told();
     assert_eq!(rig.answer().episode, 42);
-    rig.ask(&ExternalQuery { last: 1, ..query(2, 42, 1, NO_FRAME) });
-    assert_eq!(rig.told(), "42 ended at step 1");
-    assert_eq!(rig.told(), "end of 42");
+
+    // The end of an episode and the beginning of the lane's next one can arrive together.
+    rig.queries.send(&ExternalQuery { last: 1, ..query(2, 42, 1, NO_FRAME) }).unwrap();
+    rig.begin(2, 43, 5);
+    rig.ask(&query(2, 43, 0, now));
+    for told in ["42 ended at step 1", "end of 42", "episode 43 in 2", "step 0"] {
+        let heard = rig.told();
+        assert!(heard.starts_with(told), "{heard}");
+    }
+    assert_eq!(rig.answer().episode, 43);
+    assert!(rig.error_reports.next().unwrap().is_none());
     rig.evictions.send(&Eviction { frame: now }).unwrap();
     rig.stop();
 }
@@ -428,8 +474,9 @@ fn what_cannot_be_built_or_is_not_known_is_answered_with_the_reason() {
     rig.ask(&query(3, 99, 0, frames[0]));
     assert_eq!(rig.error_report(), "query of unknown episode 99 in lane 3");
     rig.begin(900, 61, 7);
-    rig.notify();
+    rig.ask(&query(900, 61, 0, frames[0]));
     assert_eq!(rig.error_report(), "episode 61 in lane 900: invalid values");
+    assert_eq!(rig.error_report(), "query of unknown episode 61 in lane 900");
     assert!(rig.answers.next().unwrap().is_none());
 
     // A bank that is taken back is known no longer.
@@ -438,6 +485,66 @@ fn what_cannot_be_built_or_is_not_known_is_answered_with_the_reason() {
     rig.ask(&query(1, 62, 0, frames[0]));
     assert_eq!(rig.answer().failed, 1);
     assert_eq!(rig.note().bytes, b"bank 7 was not received");
+    rig.stop();
+}
+
+#[test]
+fn a_memory_learns_from_an_episode_and_is_saved_and_loaded() {
+    let mut rig = Rig::new();
+    let frames = [10, 20, 30].map(|grey| rig.publish(grey));
+    rig.publish_bank(5, &bank(frames, "Find a barrel."));
+    rig.told();
+
+    // It is saved after the last step of the episode, although both arrive together.
+    rig.begin_as(Learning::Learns, 0, 41, 5);
+    rig.ask(&query(0, 41, 0, frames[0]));
+    assert!(rig.told().ends_with(" learns"));
+    rig.told();
+    rig.answer();
+    let mut last = ExternalQuery { last: 1, ..query(0, 41, 1, NO_FRAME) };
+    (last.outcome, last.demonstration, last.sub_goals_len) = (2, 1, 2);
+    last.sub_goals[..2].copy_from_slice(&[0, 1]);
+    rig.queries.send(&last).unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    rig.send_store(5, false, folder.path());
+    assert_eq!(rig.told(), "41 ended at step 1");
+    assert_eq!(rig.told(), "learned from 41 as 1: Some(true) Some([0, 1])");
+    let stored = rig.stored();
+    assert_eq!((stored.bank, stored.failure, stored.store_bytes), (5, 0, 1002));
+    assert_eq!(fs::read_to_string(folder.path().join("steps")).unwrap(), "2");
+
+    // An evaluation: it observes nothing.
+    rig.begin_as(Learning::ReadsOnly, 1, 42, 5);
+    rig.ask(&query(1, 42, 0, frames[0]));
+    assert_eq!(rig.answer().store_bytes, 1002);
+    rig.ask(&ExternalQuery { last: 1, ..query(1, 42, 1, NO_FRAME) });
+    for told in ["episode 42", "step 0", "end of 42"] {
+        let heard = rig.told();
+        assert!(heard.starts_with(told), "{heard}");
+    }
+
+    // Another one of the same bank loads it. Nothing is told of how its next episode ended.
+    rig.publish_bank(6, &bank(frames, "Find a barrel."));
+    rig.told();
+    rig.send_store(6, true, folder.path());
+    assert_eq!(rig.stored().store_bytes, 1002);
+    rig.begin_as(Learning::Learns, 0, 43, 6);
+    let mut last = ExternalQuery { last: 1, ..query(0, 43, 0, NO_FRAME) };
+    (last.demonstration, last.sub_goals_len) = (2, NOT_MEASURED);
+    rig.ask(&last);
+    assert!(rig.told().ends_with(" learns"));
+    assert_eq!(rig.told(), "43 ended at step 0");
+    assert_eq!(rig.told(), "learned from 43 as 2: None None");
+
+    // What cannot be loaded, and a bank that is not there.
+    rig.send_store(6, true, &folder.path().join("missing"));
+    let (stored, note) = (rig.stored(), rig.note());
+    assert_eq!((stored.failure, note.header.lane), (note.header.id, u32::MAX));
+    rig.send_store(77, false, folder.path());
+    assert_eq!(
+        (rig.stored().bank, rig.note().bytes),
+        (77, b"there is no memory of the bank".to_vec())
+    );
     rig.stop();
 }
 

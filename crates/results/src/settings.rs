@@ -41,6 +41,9 @@ pub struct RunSettings {
     /// Whether an external memory is awaited that the user starts: the word `external` in `--memory`.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub external_memory: bool,
+    /// The external memories that learn in streams, as they describe themselves.
+    #[serde(default, skip_serializing_if = "BTreeSet::is_empty")]
+    pub learning_memories: BTreeSet<ExternalName>,
     /// The groups of conditions, at least one.
     #[serde(rename = "group")]
     pub groups: Vec<Group>,
@@ -126,7 +129,7 @@ impl RunSettings {
 
     /// The conditions with the number of repetitions of each.
     pub fn runs(&self) -> Vec<(Condition, u32)> {
-        group::union(&self.groups)
+        group::union(&self.groups, &self.learning_memories)
     }
 
     /// The largest number of images that a request under `condition` can hold: the current view, the window, and those
@@ -162,16 +165,18 @@ impl RunSettings {
         self.external_memory || !self.memory_cmd.is_empty()
     }
 
-    /// Adds the external memories called `names` to every group, except to a suite's groups without a memory of
-    /// demonstrations, unless all are such.
-    pub fn add_external_memories(&mut self, names: &[ExternalName]) {
+    /// Adds external memories, each with its name and whether it learns, to every group, except to a suite's groups
+    /// without a memory of demonstrations, unless all are such.
+    pub fn add_external_memories(&mut self, memories: &[(ExternalName, bool)]) {
         let is_for_working = |group: &Group| {
             group.name.is_some() && !group.memory.iter().any(|memory| memory.uses_demonstrations())
         };
         let all = self.groups.iter().all(is_for_working);
         for group in self.groups.iter_mut().filter(|group| all || !is_for_working(group)) {
-            group.memory.extend(names.iter().map(|name| MemoryKind::External(*name)));
+            group.memory.extend(memories.iter().map(|(name, _)| MemoryKind::External(*name)));
         }
+        let learning = memories.iter().filter(|(_, learns)| *learns);
+        self.learning_memories.extend(learning.map(|(name, _)| *name));
     }
 
     /// The names of the external memories that the groups have, each once.
@@ -205,6 +210,7 @@ pub const FREE_KEYS: &[&str] = &[
     "step-timeout",
     "memory-cmd",
     "external-memory",
+    "learning-memories",
     "memory-timeout",
     "start-timeout",
 ];

@@ -6,7 +6,7 @@ use std::time::{SystemTime, UNIX_EPOCH};
 
 use anyhow::{Context, Result, ensure};
 use clap::Args;
-use domain::{ExternalName, Representation, cache_folder};
+use domain::{Representation, cache_folder};
 use results::conditions::representation;
 use results::log::RunFolder;
 use results::settings::RunSettings;
@@ -290,8 +290,8 @@ impl Profiler<'_> {
             return Ok(None);
         }
         let memories = started.as_ref().map_or(&[][..], |started| &started.memories);
-        let names: Vec<ExternalName> = memories.iter().map(|memory| memory.name).collect();
-        settings.add_external_memories(&names);
+        let told = memories.iter().map(|memory| (memory.name, memory.description.learns));
+        settings.add_external_memories(&told.collect::<Vec<_>>());
         let memories = memories.to_vec();
         let ids = world.case_ids();
         let cases = select_cases(&ids, &settings.cases, settings.limit)?;

@@ -9,7 +9,6 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, anyhow, bail};
 use clap::Args;
-use domain::ExternalName;
 use domain::prompt_log::session_folder;
 use results::conditions::{Demonstrations, Route, Start};
 use results::cost::ModelPrices;
@@ -422,13 +421,16 @@ fn start_memories(
         None
     } else {
         RunFolder::check(&settings.out)?;
+        if args.fresh {
+            RunFolder::remove_memory_logs(&settings.out)?;
+        }
         Some(RunFolder::logs_of(&settings.out))
     };
     let started =
         external_memory::start(settings, logs, signals.stop(), &mut |note| progress.note(note))?;
     if let Some(started) = &started {
-        let names: Vec<ExternalName> = started.memories.iter().map(|memory| memory.name).collect();
-        settings.add_external_memories(&names);
+        let told = started.memories.iter().map(|memory| (memory.name, memory.description.learns));
+        settings.add_external_memories(&told.collect::<Vec<_>>());
     }
     // With the names all conditions are known.
     settings::check(settings)?;

@@ -11,10 +11,6 @@ use super::startup::{memory_exit, nobody_s, read_handshake, unexpected};
 use super::{Failure, MEMORY_BUILD_TIMEOUT, PipelineOptions, PipelineRun};
 use crate::lanes::PendingAnswer;
 
-/// In what the memory process reports about an external memory that has not kept its time limit. Other failures, however
-/// late, are answers.
-const OVERDUE: [&str; 2] = ["has not answered", "was not built within"];
-
 impl Generation {
     /// Checks all processes. Returns why the run has to stop early, if a process says so.
     pub(super) fn supervise(
@@ -117,8 +113,11 @@ impl Generation {
                 }
             }
             match kind {
-                Ok(Ok(ErrorReportKind::Episode)) => {
-                    self.check_silence(run, &report, &what)?;
+                Ok(Ok(kind @ (ErrorReportKind::Episode | ErrorReportKind::Overdue))) => {
+                    // Other failures, however late, are answers.
+                    if kind == ErrorReportKind::Overdue {
+                        self.check_silence(run, &report, &what)?;
+                    }
                     // `None`: the episode is over already.
                     let episode = run.lanes.give_up_episode(report.lane, report.episode);
                     let Some(episode) = episode else { continue };
@@ -138,7 +137,7 @@ impl Generation {
         Ok(halted)
     }
 
-    /// Whether the episode that is given up waited for an external memory that has not answered anything for as long as it
+    /// Whether the episode with an overdue answer waited for an external memory that has not answered anything for as long as it
     /// has time: then it hangs, and its other episodes would end the same way.
     fn check_silence(
         &self,
@@ -156,8 +155,7 @@ impl Generation {
         };
         let last_ns = self.recalled_ns.get(&name).copied().unwrap_or(0).max(waits.since_ns);
         let silence = Duration::from_nanos(monotonic_ns().saturating_sub(last_ns));
-        let is_overdue = OVERDUE.iter().any(|text| what.contains(text));
-        if !is_overdue || waits.role != Role::Memory || silence < run.options.memory_timeout {
+        if waits.role != Role::Memory || silence < run.options.memory_timeout {
             return Ok(());
         }
         let seconds = silence.as_secs();

@@ -284,11 +284,6 @@ fn check_arms(settings: &RunSettings) -> Result<()> {
         );
         return Ok(());
     }
-    ensure!(
-        !settings.has_external_memories(),
-        "external memories cannot take part in a suite of streams: leave --memory-cmd and `--memory external` out, or \
-         choose another --suite"
-    );
     let is_standard = |condition: &Condition| {
         condition.start == Start::New
             && condition.route == Route::Unchanged
@@ -479,7 +474,7 @@ mod tests {
         let mut settings = resolved.settings;
         assert_eq!(again, settings);
         assert_eq!((settings.memory_cmd.len(), settings.external_memory), (2, true));
-        settings.add_external_memories(&["a".parse().unwrap(), "top-3".parse().unwrap()]);
+        settings.add_external_memories(&["a", "top-3"].map(|name| (name.parse().unwrap(), false)));
         let conditions: Vec<String> =
             settings.conditions().iter().map(ToString::to_string).collect();
         assert_eq!(
@@ -501,7 +496,7 @@ mod tests {
                       memory = [\"episodic\"]";
         let layer = suite(&format!("memory-cmd = [\"a\"]\n{groups}"));
         let mut settings = merge([Layer::defaults().unwrap(), layer]).unwrap().settings;
-        settings.add_external_memories(&["a".parse().unwrap()]);
+        settings.add_external_memories(&[("a".parse().unwrap(), true)]);
         let counts: Vec<usize> = settings.groups.iter().map(|group| group.memory.len()).collect();
         assert_eq!(counts, [1, 2]);
     }
@@ -626,6 +621,15 @@ feedback = "none"
             resolved.settings.conditions().iter().map(ToString::to_string).collect();
         let frozen = "episodic/new/unchanged/original";
         assert_eq!(conditions, ["working/new/unchanged/none", frozen, &format!("{frozen}/oracle")]);
+        // An external memory has the arms that there are of it.
+        let mut settings = with(STREAM, &[("memory-cmd", "a,b")]).unwrap().settings;
+        settings
+            .add_external_memories(&["a", "b"].map(|name| (name.parse().unwrap(), name == "a")));
+        let conditions: Vec<String> =
+            settings.conditions().iter().map(ToString::to_string).skip(3).collect();
+        let [a, b] = ["a", "b"].map(|name| format!("{name}/new/unchanged/original"));
+        let expected = [a.clone(), format!("{a}/learning"), format!("{a}/oracle")];
+        assert_eq!(conditions, [&expected[..], &[b.clone(), format!("{b}/oracle")]].concat());
         // What is shown is a suite file with the same meaning.
         let shown = resolved.to_string();
         assert!(shown.contains("\n[stream]\n") && shown.contains("rounds = 1"), "{shown}");
@@ -637,7 +641,6 @@ feedback = "none"
             ("", &[("rounds", "2")][..], "--rounds is for a suite of streams"),
             ("", &[("arms", "wrong")], "--arms is for a suite of streams"),
             (STREAM, &[("starts", "original")], "in a suite of streams every episode begins"),
-            (STREAM, &[("memory-cmd", "true")], "external memories cannot take part in a suite of"),
         ] {
             let error = error(text, given);
             assert!(error.contains(expected), "{error}");

@@ -14,9 +14,10 @@ use shm_types::frames::{FRAME_SERVICE, FrameHeader, Page};
 use shm_types::layout::{Struct, WireLayout};
 use shm_types::message::{
     AnswerItem, AnswerSource, CODE_SETS, Description, EXTERNAL, MAX_EMBEDDING,
-    MAX_EXTERNAL_MEMORIES, MAX_INSTRUCTION, MAX_ITEMS, MAX_SEGMENT, MAX_SOURCES, MAX_STEPS,
-    MAX_WINDOW, MESSAGES, NO_ACTION, NO_DOCUMENT, NO_FRAME, NOT_MEASURED, RecalledItem,
-    RecalledSource, Role, SegmentStep, Traffic, TrajectoryStep, WIRE_VERSION, WirePose,
+    MAX_EXTERNAL_MEMORIES, MAX_FOLDER, MAX_INSTRUCTION, MAX_ITEMS, MAX_SEGMENT, MAX_SOURCES,
+    MAX_STEPS, MAX_SUB_GOALS, MAX_WINDOW, MESSAGES, NO_ACTION, NO_DOCUMENT, NO_FRAME, NOT_MEASURED,
+    RecalledItem, RecalledSource, Role, SegmentStep, Traffic, TrajectoryStep, WIRE_VERSION,
+    WirePose,
 };
 use shm_types::notes::{NOTE_SERVICE, NoteHeader};
 
@@ -94,6 +95,8 @@ pub(crate) fn constants() -> Vec<Constant> {
         MAX_EXTERNAL_MEMORIES: "Most external memories of a run.",
         EXTERNAL: "The representation code of an external memory.",
         MAX_INSTRUCTION: "Most bytes of an instruction.",
+        MAX_FOLDER: "Most bytes of the path of a folder.",
+        MAX_SUB_GOALS: "Most sub-goals of a task.",
         MAX_DOCUMENT_BYTES: "Most bytes of a document.",
         MAX_LANES: "Most lanes of a run.",
         MAX_FRAMES: "Most frames that a run keeps resident.",

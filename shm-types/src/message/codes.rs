@@ -21,6 +21,16 @@ code_sets! {
         Release = 1,
     }
 
+    /// Whether a memory learns from an [episode](super::ExternalEpisode).
+    Learning, "whether a memory learns (0 outside of streams, 1 learns, 2 reads only)" {
+        /// The episode is not part of a stream.
+        OutsideOfStreams = 0,
+        /// It observes the episode and is told of its end.
+        Learns = 1,
+        /// It answers, and the episode must not change what it answers in later ones.
+        ReadsOnly = 2,
+    }
+
     /// The kind of a [`RecalledItem`](super::RecalledItem).
     ItemKind, "an item kind (0 text, 1 steps, 2 trajectory, 3 frame)" {
         /// Text.
@@ -34,7 +44,7 @@ code_sets! {
     }
 
     /// What follows from an [`ErrorReport`](super::ErrorReport).
-    ErrorReportKind, "an error report kind (0 message, 1 episode, 2 run, 3 waiting)" {
+    ErrorReportKind, "an error report kind (0 message, 1 episode, 2 run, 3 waiting, 4 overdue)" {
         /// Nothing else: a message could not be used and was dropped.
         Message = 0,
         /// The episode ends without a result: there is no decision, for a reason that is not the model's, such as a
@@ -45,6 +55,8 @@ code_sets! {
         /// Not an error yet: decisions wait for something outside of the run, such as a model's server that does not
         /// answer. The text says for what; it is empty when the wait is over.
         Waiting = 3,
+        /// From the memory process: as `Episode`, because the episode's external memory has exceeded a time limit.
+        Overdue = 4,
     }
 
     /// The role of a process in a run.

@@ -14,8 +14,9 @@ use bytemuck::Zeroable;
 use domain::Feedback;
 use shm_types::description::run_of_memory_folder;
 use shm_types::message::{
-    AnswerItem, ExternalAnswer, ExternalBuilt, ExternalEpisode, ExternalQuery, Handshake, ItemKind,
-    MAX_INSTRUCTION, NOT_MEASURED, Role, ShutdownReport, Stop, WIRE_VERSION, read_text,
+    AnswerItem, ExternalAnswer, ExternalBuilt, ExternalEpisode, ExternalQuery, ExternalStore,
+    ExternalStored, Handshake, ItemKind, Learning, MAX_INSTRUCTION, NOT_MEASURED, Role,
+    ShutdownReport, Stop, WIRE_VERSION, read_text,
 };
 use shm_types::process::{ProcessWatch, monotonic_ns};
 use shm_types::{
@@ -25,6 +26,10 @@ use shm_types::{
 
 /// The text that the memory supplies.
 const TEXT: &str = "Zurück zum Tor.";
+
+/// Faults of a memory that learns.
+const LEARNING: [&str; 4] =
+    ["saves-nothing", "saves-the-time", "loads-nothing", "learns-from-evaluations"];
 
 /// Text of a query that cannot be answered.
 const UNUSABLE: &str = "the query cannot be used";
@@ -53,6 +58,7 @@ fn describe(mode: &str, folder: &Path) {
         version: "1".to_owned(),
         frames: mode == "keeps-frames",
         deterministic: true,
+        learns: mode == "well-behaved" || LEARNING.contains(&mode),
         ..MemoryDescription::default()
     };
     match mode {
@@ -97,6 +103,8 @@ struct Episode {
     budgets: (u32, u32),
     is_over: bool,
     is_valid: bool,
+    bank: u64,
+    learns: bool,
 }
 
 fn serve(mode: &str, attach: Attach, index: u8) {
@@ -110,6 +118,8 @@ fn serve(mode: &str, attach: Attach, index: u8) {
     let mut frames = FrameStore::new(&bus).unwrap();
     let mut notes = NotePublisher::new(&bus).unwrap();
     let built = bus.sender::<ExternalBuilt>().unwrap();
+    let stores = bus.receiver::<ExternalStore>().unwrap();
+    let stored = bus.sender::<ExternalStored>().unwrap();
     let answers = bus.sender::<ExternalAnswer>().unwrap();
     let mut errors = ErrorReporter::new(&bus).unwrap();
     let orchestrator = bus.notifier(Role::Orchestrator).unwrap();
@@ -127,10 +137,13 @@ fn serve(mode: &str, attach: Attach, index: u8) {
     }
     // By id: the steps of each demonstration.
     let mut banks: BTreeMap<u64, Vec<u32>> = BTreeMap::new();
+    // By id of the bank: the number of episodes that it was learned from.
+    let mut learned: BTreeMap<u64, u32> = BTreeMap::new();
     let mut kept = Vec::new();
     let mut episodes: BTreeMap<u32, Episode> = BTreeMap::new();
     let mut answered = 0;
     loop {
+        let to_store = stores.drain().unwrap();
         let (queries, begun) = (query_queue.drain().unwrap(), episode_queue.drain().unwrap());
         while let Some(bank) = bank_queue.take().unwrap() {
             let bank = match bank {
@@ -177,17 +190,29 @@ fn serve(mode: &str, attach: Attach, index: u8) {
             let is_valid =
                 banks.contains_key(&bank) && (message.instruction_len as usize) <= MAX_INSTRUCTION;
             let budgets = (image_budget, text_budget);
-            let begun = Episode { id: episode, budgets, is_over: false, is_valid };
+            let learns =
+                message.learning == Learning::Learns as u32 || mode == "learns-from-evaluations";
+            let begun = Episode { id: episode, budgets, is_over: false, is_valid, bank, learns };
             episodes.insert(lane, begun);
         }
         let last_step = queries.last().map_or(0, |query| query.step);
         for query in queries {
             let ExternalQuery { lane, episode, step, .. } = query;
             let known = episodes.get_mut(&lane);
-            let late = Episode { id: episode, budgets: (0, 0), is_over: false, is_valid: true };
+            let late = Episode {
+                id: episode,
+                budgets: (0, 0),
+                is_over: false,
+                is_valid: true,
+                bank: 0,
+                learns: false,
+            };
             let (running, is_known) = match known {
                 Some(running) if running.id == episode => {
                     running.is_over = query.last == 1;
+                    if running.is_over && running.learns {
+                        *learned.entry(running.bank).or_default() += 1;
+                    }
                     (*running, true)
                 }
                 _ => (late, false),
@@ -236,6 +261,10 @@ fn serve(mode: &str, attach: Attach, index: u8) {
                 if text >= bytes {
                     items.push(text_item);
                 }
+                if let (Some(&count), Some(first)) = (learned.get(&running.bank), items.first_mut())
+                {
+                    first.distance = count as f32;
+                }
                 match mode {
                     "garbage" => items.push(AnswerItem { kind: 77, ..nothing }),
                     "unknown-demonstration" => {
@@ -279,6 +308,27 @@ fn serve(mode: &str, attach: Attach, index: u8) {
             };
             // A flood fills the queue.
             sent.iter().for_each(|answer| drop(answers.send(answer)));
+            host.notify().unwrap();
+        }
+        for message in to_store {
+            let ExternalStore { bank, loads, folder_len, .. } = message;
+            let file = Path::new(read_text(&message.folder, folder_len).unwrap()).join("learned");
+            let known = learned.get(&bank).copied().unwrap_or(0);
+            let text = match mode {
+                "saves-the-time" => format!("{known} {}", monotonic_ns()),
+                _ => known.to_string(),
+            };
+            match (mode, loads) {
+                ("saves-nothing", 0) => continue,
+                ("loads-nothing", 1) => {}
+                (_, 0) => fs::write(file, text).unwrap(),
+                _ => {
+                    let text = fs::read_to_string(file).unwrap();
+                    let count = text.split(' ').next().unwrap().parse().unwrap();
+                    learned.insert(bank, count);
+                }
+            }
+            stored.send(&ExternalStored { bank, ..Zeroable::zeroed() }).unwrap();
             host.notify().unwrap();
         }
         if mode != "keeps-frames" {

@@ -10,12 +10,14 @@ use std::path::{Path, PathBuf};
 use std::thread;
 use std::time::Instant;
 
+use anyhow::Context;
+use bytemuck::Zeroable;
 use domain::{Action, Feedback, Heading, Pose};
 use shm_types::banks::{BankDemonstration, BankStep};
 use shm_types::description::{DESCRIPTION_FILE, Scope, memory_folder};
 use shm_types::message::{
-    ExternalAnswer, ExternalBuilt, ExternalEpisode, FrameId, NO_ACTION, NO_FRAME, RequestId, Role,
-    WirePose,
+    ExternalAnswer, ExternalBuilt, ExternalEpisode, ExternalStore, ExternalStored, FrameId,
+    MAX_FOLDER, NO_ACTION, NO_FRAME, RequestId, Role, WirePose, write_text,
 };
 use shm_types::{
     Attach, AttachError, BankContent, BusError, FramePublisher, MemoryDescription, Note,
@@ -49,6 +51,8 @@ pub(crate) struct MemoryRole {
     pending: BTreeSet<u64>,
     /// The banks that cannot be used: why the memory refused those it refused.
     unusable: BTreeMap<u64, Option<String>>,
+    /// The bank whose memory saves or loads.
+    storing: Option<u64>,
     /// By episode: the bank it remembers.
     episodes: BTreeMap<u64, u64>,
     /// By lane: the note that came last.
@@ -125,11 +129,15 @@ impl TestedRole for MemoryRole {
     ) -> CheckResult<Vec<(RequestId, MemoryAnswer)>> {
         // A note is published before the message that names it.
         let (built, answers) = (neighbours.built.drain()?, neighbours.answers.drain()?);
+        let stored = neighbours.stored.drain()?;
         for note in neighbours.notes.drain()? {
             self.notes.insert(note.header.lane, note);
         }
         for message in built {
             self.take_built(&message)?;
+        }
+        for message in stored {
+            self.take_stored(&message)?;
         }
         let answers = answers.into_iter().map(|message| {
             let ExternalAnswer { lane, episode, step, .. } = message;
@@ -161,17 +169,7 @@ impl MemoryRole {
         &mut self,
         &ExternalBuilt { bank, failure, .. }: &ExternalBuilt,
     ) -> CheckResult<()> {
-        let reason = (failure != 0).then(|| {
-            let note = self.notes.remove(&NO_LANE).filter(|note| note.header.id == failure);
-            note.map_or_else(
-                || {
-                    format!(
-                        "(note {failure} with the reason was not published, with lane {NO_LANE})"
-                    )
-                },
-                |note| String::from_utf8_lossy(&note.bytes).into_owned(),
-            )
-        });
+        let reason = self.reason(failure);
         if let Some(refused) = self.unusable.get_mut(&bank) {
             *refused = reason;
             return Ok(());
@@ -184,6 +182,28 @@ impl MemoryRole {
         reason.map_or(Ok(()), |reason| {
             wrong(format_args!("it cannot build itself from a bank: {reason}"))
         })
+    }
+
+    fn take_stored(
+        &mut self,
+        &ExternalStored { bank, failure, .. }: &ExternalStored,
+    ) -> CheckResult<()> {
+        if self.storing.take_if(|storing| *storing == bank).is_none() {
+            return wrong(format_args!(
+                "it has saved or loaded bank {bank}, which it was not asked for"
+            ));
+        }
+        self.reason(failure)
+            .map_or(Ok(()), |reason| wrong(format_args!("it cannot learn, save or load: {reason}")))
+    }
+
+    /// Why something failed, as the note `failure` says; `None` if it did not.
+    fn reason(&mut self, failure: u64) -> Option<String> {
+        let note = self.notes.remove(&NO_LANE).filter(|note| note.header.id == failure);
+        let missing =
+            || format!("(note {failure} with the reason was not published, with lane {NO_LANE})");
+        let text = |note: Note| String::from_utf8_lossy(&note.bytes).into_owned();
+        (failure != 0).then(|| note.map_or_else(missing, text))
     }
 
     /// The note that an answer names.
@@ -391,6 +411,39 @@ impl TestedMemory<'_> {
             self.check_alive()?;
             self.neighbours.wait()?;
         }
+    }
+
+    /// Has the memory of a bank save into `folder`, or load from it, and waits for that.
+    pub(crate) fn store(&mut self, bank: u64, folder: &Path, loads: bool) -> CheckResult<()> {
+        let mut message = ExternalStore { bank, loads: loads.into(), ..Zeroable::zeroed() };
+        let path = folder.to_str().filter(|path| path.len() <= MAX_FOLDER);
+        let path =
+            path.with_context(|| format!("{} is no folder to save into", folder.display()))?;
+        message.folder_len = write_text(&mut message.folder, path);
+        self.role.storing = Some(bank);
+        self.neighbours.stores.send(&message)?;
+        self.notify()?;
+        let deadline = Instant::now() + self.terms.start_timeout;
+        loop {
+            self.listen()?;
+            if self.role.storing.is_none() {
+                return Ok(());
+            }
+            if Instant::now() > deadline {
+                let verb = if loads { "loaded" } else { "saved" };
+                let seconds = self.terms.start_timeout.as_secs();
+                return wrong(format_args!("it has not {verb} within {seconds} s"));
+            }
+            self.check_alive()?;
+            self.neighbours.wait()?;
+        }
+    }
+
+    /// The memory of a bank can name the steps of another episode. Returns the number of the demonstration.
+    pub(crate) fn add_experience(&mut self, bank: u64, steps: u32) -> u32 {
+        let known = self.role.banks.entry(bank).or_default();
+        known.push(steps);
+        known.len() as u32 - 1
     }
 
     /// Takes back a bank.

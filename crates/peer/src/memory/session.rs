@@ -1,14 +1,15 @@
 //! An external memory in one generation: banks, episodes, queries, answers.
 
-use std::collections::HashMap;
+use std::collections::{HashMap, VecDeque};
+use std::path::Path;
 use std::sync::Arc;
 
 use bytemuck::Zeroable;
 use domain::{Action, Feedback, Pose, UnknownCode};
 use shm_types::banks::BankStep;
 use shm_types::message::{
-    DocumentId, ExternalAnswer, ExternalBuilt, ExternalEpisode, ExternalQuery, NO_ACTION,
-    NOT_MEASURED, RequestId, Role, read_text,
+    DocumentId, ExternalAnswer, ExternalBuilt, ExternalEpisode, ExternalQuery, ExternalStore,
+    ExternalStored, Learning, NO_ACTION, NOT_MEASURED, RequestId, Role, read_text,
 };
 use shm_types::process::monotonic_ns;
 use shm_types::{
@@ -38,6 +39,8 @@ pub(super) struct MemorySession<'s> {
     banks: BankReceiver,
     episodes: Receiver<ExternalEpisode>,
     queries: Receiver<ExternalQuery>,
+    stores: Receiver<ExternalStore>,
+    stored: Sender<ExternalStored>,
     built: Sender<ExternalBuilt>,
     answers: Sender<ExternalAnswer>,
     notes: NotePublisher,
@@ -46,7 +49,13 @@ pub(super) struct MemorySession<'s> {
     own: Notifier,
     /// By the id of the bank: the memory that was built from it.
     memories: HashMap<u64, Option<Box<dyn Memory + 's>>>,
+    /// By the id of the bank: why the memory could not learn from its last episode.
+    unlearned: HashMap<u64, MemoryError>,
     lanes: Vec<Option<LaneEpisode>>,
+    /// By lane: episodes whose first query has not been read.
+    announced: HashMap<u32, VecDeque<ExternalEpisode>>,
+    /// What is to be saved or loaded after the queries that wait.
+    storing: Vec<ExternalStore>,
     window: usize,
     batch: usize,
     answered: u64,
@@ -57,6 +66,7 @@ struct LaneEpisode {
     id: u64,
     bank: u64,
     instruction: String,
+    learning: Learning,
     image_budget: u32,
     text_budget: u32,
     window: Vec<PastStep>,
@@ -79,13 +89,18 @@ impl<'s> MemorySession<'s> {
             banks: BankReceiver::new(bus)?,
             episodes: bus.receiver()?,
             queries: bus.receiver()?,
+            stores: bus.receiver()?,
+            stored: bus.sender()?,
             built: bus.sender()?,
             answers: bus.sender()?,
             notes: NotePublisher::new(bus)?,
             host: bus.notifier(Role::Memory)?,
             own: bus.notifier(Role::ExternalMemory)?,
             memories: HashMap::new(),
+            unlearned: HashMap::new(),
             lanes: (0..attach.lanes).map(|_| None).collect(),
+            announced: HashMap::new(),
+            storing: Vec::new(),
             window: attach.window as usize,
             batch: attach.batch_len(),
             answered: 0,
@@ -144,11 +159,20 @@ impl<'s> MemorySession<'s> {
 
     fn begin(&mut self, message: &ExternalEpisode, errors: &mut ErrorReporter) {
         let &ExternalEpisode {
-            lane, episode, bank, seed, text_budget, image_budget, repeat, ..
+            lane,
+            episode,
+            bank,
+            seed,
+            text_budget,
+            image_budget,
+            repeat,
+            learning,
+            ..
         } = message;
+        let learning = u8::try_from(learning).ok().and_then(|code| Learning::try_from(code).ok());
         let instruction = read_text(&message.instruction, message.instruction_len);
         let place = self.lanes.get_mut(lane as usize);
-        let (Some(place), Ok(instruction)) = (place, instruction) else {
+        let (Some(place), Ok(instruction), Some(learning)) = (place, instruction, learning) else {
             errors.report(format_args!("episode {episode} in lane {lane}: invalid values"));
             return;
         };
@@ -166,7 +190,7 @@ impl<'s> MemorySession<'s> {
             repeat,
             image_budget,
             text_budget,
-            learns: false,
+            learns: learning == Learning::Learns,
         };
         let begun = match self.memories.get_mut(&bank) {
             Some(Some(memory)) => memory.begin_episode(&announced),
@@ -177,6 +201,7 @@ impl<'s> MemorySession<'s> {
             id: episode,
             bank,
             instruction: instruction.to_owned(),
+            learning,
             image_budget,
             text_budget,
             window: Vec::new(),
@@ -193,6 +218,18 @@ impl<'s> MemorySession<'s> {
     ) -> Result<bool, ServeError> {
         let &ExternalQuery { lane, episode, step, .. } = message;
         let id = RequestId { lane, episode, step };
+        // Only now, because the last query of the lane's earlier episode may have arrived together with the announcement.
+        let announced = self.announced.entry(lane).or_default();
+        let at = announced.iter().position(|next| next.episode == episode);
+        let next = at.and_then(|at| announced.drain(..=at).next_back());
+        // A lane whose next episode is announced awaits no answer.
+        let is_over = !announced.is_empty();
+        if let Some(next) = next {
+            self.begin(&next, &mut connection.errors);
+        }
+        if is_over && message.last == 0 {
+            return Ok(false);
+        }
         let received_ns = monotonic_ns();
         let place = self.lanes.get_mut(lane as usize);
         let Some(running) = place.and_then(Option::as_mut).filter(|running| running.id == episode)
@@ -208,15 +245,59 @@ impl<'s> MemorySession<'s> {
         let memory = self.memories.get_mut(&running.bank).and_then(Option::as_mut);
         let answer = running.answer(message, frame.as_ref(), memory, self.window);
         if message.last == 1 {
-            let ended = self.lanes[lane as usize].take();
-            let memory = ended.and_then(|ended| self.memories.get_mut(&ended.bank));
-            if let Some(Some(memory)) = memory {
+            let Some(ended) = self.lanes[lane as usize].take() else { return Ok(false) };
+            let Some(Some(memory)) = self.memories.get_mut(&ended.bank) else { return Ok(false) };
+            if ended.learning == Learning::Learns {
+                let sub_goals = sub_goals(message);
+                let learned = answer.and_then(|_| {
+                    memory.end_episode(&EpisodeEnd {
+                        lane,
+                        episode,
+                        demonstration: Some(message.demonstration),
+                        success: [None, Some(false), Some(true)]
+                            .get(usize::from(message.outcome))
+                            .copied()
+                            .flatten(),
+                        sub_goals: sub_goals.as_deref(),
+                    })
+                });
+                if let Err(error) = learned {
+                    self.unlearned.insert(ended.bank, error);
+                }
+            } else {
                 let _ = memory.end_episode(&EpisodeEnd::unlearned(lane, episode));
             }
             return Ok(false);
         }
         self.send(id, answer.unwrap_or_else(Answer::failed), received_ns)?;
         Ok(true)
+    }
+
+    /// Saves or loads what the memory of a bank knows.
+    fn store(&mut self, message: &ExternalStore) -> Result<(), ServeError> {
+        let &ExternalStore { bank, loads, folder_len, .. } = message;
+        let folder = read_text(&message.folder, folder_len).map(Path::new);
+        let unlearned = self.unlearned.remove(&bank);
+        let done = match (self.memories.get_mut(&bank), folder, unlearned) {
+            (_, _, Some(error)) => Err(error),
+            (_, Err(_), _) => Err(MemoryError::new("the name of the folder cannot be read")),
+            (Some(Some(memory)), Ok(folder), None) => {
+                let done = if loads == 1 { memory.load(folder) } else { memory.save(folder) };
+                done.map(|()| memory.store_bytes().unwrap_or(0))
+            }
+            _ => Err(MemoryError::new("there is no memory of the bank")),
+        };
+        let mut message = ExternalStored { bank, ..Zeroable::zeroed() };
+        match done {
+            Ok(store_bytes) => message.store_bytes = store_bytes,
+            Err(error) => {
+                tracing::warn!(bank, %error, "the memory cannot be saved or loaded");
+                message.failure = self.publish_note(NO_LANE, 0, error.to_string().as_bytes())?;
+            }
+        }
+        self.stored.send(&message)?;
+        self.host.notify()?;
+        Ok(())
     }
 
     fn send(&mut self, id: RequestId, answer: Answer, received_ns: u64) -> Result<(), ServeError> {
@@ -292,7 +373,9 @@ impl LaneEpisode {
             embedding,
             pinned: frame,
         };
-        memory.observe(&now)?;
+        if self.learning != Learning::ReadsOnly {
+            memory.observe(&now)?;
+        }
         if message.last == 1 {
             return Ok(Answer::empty());
         }
@@ -315,6 +398,12 @@ impl LaneEpisode {
         answer.message.tokens = memory.tokens().unwrap_or(NOT_MEASURED);
         Ok(answer)
     }
+}
+
+/// The sub-goals that the last query of an episode tells.
+fn sub_goals(message: &ExternalQuery) -> Option<Vec<u32>> {
+    let steps = message.sub_goals.get(..message.sub_goals_len as usize)?;
+    Some(steps.iter().copied().map(u32::from).collect())
 }
 
 /// A bank in the form in which a memory is given it.
@@ -364,8 +453,12 @@ impl Session for MemorySession<'_> {
     fn turn(&mut self, connection: &mut Connection) -> Result<bool, ServeError> {
         for _ in 0..MAX_BATCHES {
             // Effects are read first: a query is sent after its episode, and that after its bank is built.
+            // A memory is saved after the last query of its episode, and loaded after it is built.
+            self.storing.extend(self.stores.drain()?);
             let queries = self.queries.drain_some(self.batch)?;
-            let episodes = self.episodes.drain()?;
+            for episode in self.episodes.drain()? {
+                self.announced.entry(episode.lane).or_default().push_back(episode);
+            }
             let mut banks = 0;
             while let Some(bank) = self.banks.take()? {
                 banks += 1;
@@ -373,9 +466,6 @@ impl Session for MemorySession<'_> {
                     Ok(bank) => self.take_bank(bank, connection)?,
                     Err(bad) => connection.errors.report(bad),
                 }
-            }
-            for episode in &episodes {
-                self.begin(episode, &mut connection.errors);
             }
             let began = connection.spans.begin();
             let mut answered = 0;
@@ -385,6 +475,11 @@ impl Session for MemorySession<'_> {
             connection.spans.end(began, "external memory", "recall", answered);
             if answered > 0 {
                 self.host.notify()?;
+            }
+            if queries.len() < self.batch {
+                for store in std::mem::take(&mut self.storing) {
+                    self.store(&store)?;
+                }
             }
             if queries.is_empty() && banks == 0 {
                 // The orchestrator learns of answers from the host.

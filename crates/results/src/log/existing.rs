@@ -59,7 +59,7 @@ pub(super) fn remove_run(dir: &Path) -> Result<Vec<String>, LogError> {
     for name in CONTENTS.iter().rev() {
         let path = dir.join(name);
         if *name == LOGS_FOLDER {
-            remove_logs(&path)?;
+            remove_logs(&path, |name| !is_of_external_memory(name))?;
         } else if path.is_dir() {
             fs::remove_dir_all(&path).map_err(system("remove", &path))?;
         } else if path.exists() {
@@ -69,15 +69,20 @@ pub(super) fn remove_run(dir: &Path) -> Result<Vec<String>, LogError> {
     Ok(vec![note])
 }
 
-/// Removes the logs of processes, except those of external memories: they start before the run's folder is opened, and
-/// write to theirs already.
-fn remove_logs(logs: &Path) -> Result<(), LogError> {
+/// Whether a log is that of an external memory. These start before the run's folder is opened, and write to theirs already
+/// when an earlier run is removed.
+pub(super) fn is_of_external_memory(name: &str) -> bool {
+    name.starts_with("external-memory-")
+}
+
+/// Removes the logs of the processes whose names `which` selects.
+pub(super) fn remove_logs(logs: &Path, which: impl Fn(&str) -> bool) -> Result<(), LogError> {
     if !logs.exists() {
         return Ok(());
     }
     for entry in fs::read_dir(logs).map_err(system("list", logs))? {
         let entry = entry.map_err(system("list", logs))?;
-        if !entry.file_name().to_string_lossy().starts_with("external-memory-") {
+        if which(&entry.file_name().to_string_lossy()) {
             let path = entry.path();
             fs::remove_file(&path).map_err(system("remove", &path))?;
         }

@@ -6,7 +6,9 @@ use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use super::check::check_records;
-use super::existing::{existing, has_episodes, has_requests, lock, remove_run};
+use super::existing::{
+    existing, has_episodes, has_requests, is_of_external_memory, lock, remove_logs, remove_run,
+};
 use super::files::{
     DOCUMENTS_FOLDER, EPISODES_FILE, ERRORS_FILE, LATENCY_FILE, LOGS_FOLDER, PROMPTS_FOLDER,
     REQUESTS_FILE, SESSIONS_FILE, SNAPSHOTS_FOLDER, STREAMS_FILE, TIMINGS_FILE,
@@ -148,6 +150,19 @@ impl RunFolder {
     /// When it holds something else.
     pub fn check(dir: &Path) -> Result<(), LogError> {
         if dir.exists() { existing(dir).map(drop) } else { Ok(()) }
+    }
+
+    /// Removes the logs of the external memories of an earlier run in `dir`, before those of the next run start.
+    ///
+    /// # Errors
+    /// When another process is writing to the run; when the system refuses.
+    pub fn remove_memory_logs(dir: &Path) -> Result<(), LogError> {
+        let logs = dir.join(LOGS_FOLDER);
+        if !logs.exists() {
+            return Ok(());
+        }
+        let _lock = lock(dir)?;
+        remove_logs(&logs, is_of_external_memory)
     }
 
     /// Whether the run folder at `dir` has finished episodes.

@@ -85,6 +85,9 @@ pub struct ExternalMemoryFacts {
     pub frames: bool,
     /// Whether equal queries have equal answers, whatever else it was asked before.
     pub deterministic: bool,
+    /// Whether it learns from episodes of streams.
+    #[serde(default)]
+    pub learns: bool,
     /// Its SDK and that one's version.
     pub sdk: String,
 }
@@ -163,13 +166,14 @@ impl Manifest {
         for (name, memory) in &self.memories {
             let Some(other) = there.memories.get(name) else { continue };
             // Command, index and SDK may change.
-            let said = |memory: &ExternalMemoryFacts| -> [(&str, Value); 5] {
+            let said = |memory: &ExternalMemoryFacts| -> [(&str, Value); 6] {
                 [
                     ("version", memory.version.clone().into()),
                     ("scope", memory.scope.clone().into()),
                     ("embeddings", memory.embeddings.into()),
                     ("frames", memory.frames.into()),
                     ("deterministic", memory.deterministic.into()),
+                    ("learning", memory.learns.into()),
                 ]
             };
             for ((fact, ours), (_, theirs)) in said(memory).into_iter().zip(said(other)) {

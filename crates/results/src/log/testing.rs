@@ -1,6 +1,6 @@
 //! Manifests and records for tests.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use domain::{Arm, FeedbackLevel, Heading, Outcome, Pose, Representation};
 
@@ -39,6 +39,7 @@ pub fn settings() -> RunSettings {
         policy_cmd: None,
         memory_cmd: Vec::new(),
         external_memory: false,
+        learning_memories: BTreeSet::new(),
         groups: vec![Group {
             name: None,
             memory: Representation::ALL.iter().copied().map(Into::into).collect(),

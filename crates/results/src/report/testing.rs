@@ -54,6 +54,7 @@ pub(crate) fn made_up(conditions: &[(Condition, u32)], tasks: &[u8]) -> RunLog {
             embeddings: true,
             frames: false,
             deterministic: true,
+            learns: false,
             sdk: "made up".to_owned(),
         };
         log.manifest.memories.entry(name).or_insert(facts);

@@ -1,6 +1,8 @@
 //! Groups of conditions: each is the product of the lists of one part of a suite.
 
-use domain::{Arm, MemoryKind, Representation};
+use std::collections::BTreeSet;
+
+use domain::{Arm, ExternalName, MemoryKind, Representation};
 use serde::{Deserialize, Serialize};
 
 use crate::conditions::{Condition, Demonstrations, Hint, Route, SegmentContent, Start, Variation};
@@ -27,8 +29,9 @@ pub struct Group {
 }
 
 impl Group {
-    /// The conditions of the group, each once, in the order of the lists.
-    pub fn conditions(&self) -> Vec<Condition> {
+    /// The conditions of the group, each once, in the order of the lists. `learning`: the external memories that learn.
+    fn conditions(&self, learning: &BTreeSet<ExternalName>) -> Vec<Condition> {
+        let has_arm = |memory, arm| arm != Arm::Learning || learns(memory, learning);
         let mut conditions = Vec::new();
         for &memory in &self.memory {
             for &start in &self.starts {
@@ -72,16 +75,19 @@ fn is_frozen(arms: &[Arm]) -> bool {
     *arms == [Arm::Frozen]
 }
 
-/// Whether there is such an arm of `memory`: of the built-in ones only `adaptive` learns.
-fn has_arm(memory: MemoryKind, arm: Arm) -> bool {
-    arm != Arm::Learning || memory.built_in().is_none_or(|one| one == Representation::Adaptive)
+/// Whether `memory` can learn: of the built-in ones only `adaptive` does, of the others those of `learning`.
+fn learns(memory: MemoryKind, learning: &BTreeSet<ExternalName>) -> bool {
+    match memory {
+        MemoryKind::BuiltIn(one) => one == Representation::Adaptive,
+        MemoryKind::External(name) => learning.contains(&name),
+    }
 }
 
 /// The conditions of all groups, each once, with its repetitions: the largest number of the groups that have it.
-pub(super) fn union(groups: &[Group]) -> Vec<(Condition, u32)> {
+pub(super) fn union(groups: &[Group], learning: &BTreeSet<ExternalName>) -> Vec<(Condition, u32)> {
     let mut union: Vec<(Condition, u32)> = Vec::new();
     for group in groups {
-        for condition in group.conditions() {
+        for condition in group.conditions(learning) {
             match union.iter_mut().find(|(there, _)| *there == condition) {
                 Some((_, runs)) => *runs = group.runs.max(*runs),
                 None => union.push((condition, group.runs)),
@@ -118,7 +124,7 @@ mod tests {
     #[test]
     fn a_group_leaves_out_impossible_and_equivalent_conditions() {
         assert_eq!(
-            shown(&union(&[group()])),
+            shown(&union(&[group()], &BTreeSet::new())),
             [
                 "working/original/unchanged/none x3",
                 "working/new/unchanged/none x3",
@@ -139,7 +145,7 @@ mod tests {
             ..group()
         };
         assert_eq!(
-            shown(&union(&[varied])),
+            shown(&union(&[varied], &BTreeSet::new())),
             [
                 "working/original/unchanged/none x3",
                 "working/original/unchanged/none/h20 x3",
@@ -162,7 +168,9 @@ mod tests {
     #[test]
     fn working_memory_has_one_arm_and_only_memories_that_learn_have_learning() {
         let group = Group {
-            memory: ["working", "episodic", "mine"].map(|name| name.parse().unwrap()).to_vec(),
+            memory: ["working", "episodic", "mine", "fixed"]
+                .map(|name| name.parse().unwrap())
+                .to_vec(),
             starts: vec![Start::New],
             routes: vec![Route::Unchanged],
             demos: vec![Demonstrations::ORIGINAL],
@@ -170,7 +178,7 @@ mod tests {
             ..group()
         };
         assert_eq!(
-            shown(&union(&[group])),
+            shown(&union(&[group], &["mine".parse().unwrap()].into())),
             [
                 "working/new/unchanged/none x3",
                 "episodic/new/unchanged/original x3",
@@ -180,6 +188,9 @@ mod tests {
                 "mine/new/unchanged/original/learning x3",
                 "mine/new/unchanged/original/oracle x3",
                 "mine/new/unchanged/original/wrong x3",
+                "fixed/new/unchanged/original x3",
+                "fixed/new/unchanged/original/oracle x3",
+                "fixed/new/unchanged/original/wrong x3",
             ]
         );
     }
@@ -196,7 +207,7 @@ mod tests {
         let few = Group { runs: 1, ..small.clone() };
         let fewer = Group { memory: vec![Representation::Summary.into()], ..few.clone() };
         assert_eq!(
-            shown(&union(&[few, small, fewer])),
+            shown(&union(&[few, small, fewer], &BTreeSet::new())),
             [
                 "working/new/unchanged/none x5",
                 "summary/new/unchanged/original x1",

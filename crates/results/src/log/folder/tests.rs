@@ -232,6 +232,7 @@ fn an_external_memory_is_the_same_when_a_run_goes_on() {
         embeddings: true,
         frames: false,
         deterministic: true,
+        learns: false,
         sdk: "memtransfer 1".to_owned(),
     };
     let with = |name: &str, facts: ExternalMemoryFacts| {
@@ -266,5 +267,10 @@ fn an_external_memory_is_the_same_when_a_run_goes_on() {
     assert!(log.damaged[0].to_string().ends_with("the run has no memory called top-3"));
     let opened = RunFolder::open(dir.path(), manifest(), true).unwrap();
     assert!(opened.finished.is_empty());
-    assert!(dir.path().join(LOGS_FOLDER).join("external-memory-0.log").exists());
+    let log = dir.path().join(LOGS_FOLDER).join("external-memory-0.log");
+    assert!(log.exists());
+    assert!(RunFolder::remove_memory_logs(dir.path()).is_err(), "it is open");
+    drop(opened);
+    RunFolder::remove_memory_logs(dir.path()).unwrap();
+    assert!(!log.exists());
 }
