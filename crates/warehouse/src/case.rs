@@ -3,6 +3,7 @@
 use domain::{Action, Cell, Feedback, Pose};
 
 use crate::dynamics::{Variant, step};
+use crate::elsewhere::Elsewhere;
 use crate::progress::Progress;
 use crate::task::Task;
 use crate::world::Warehouse;
@@ -212,6 +213,8 @@ pub struct CaseSet {
     pub seed: u64,
     /// The cases, sorted by id.
     pub cases: Vec<Case>,
+    /// Another warehouse in which their tasks are demonstrated, if there is one.
+    pub elsewhere: Option<Elsewhere>,
 }
 
 impl CaseSet {

@@ -219,7 +219,8 @@ mod tests {
             assert_eq!((set.bits(), set.to_string().as_str()), (bits, shown));
             assert_eq!(set.to_string().parse(), Ok(set));
         }
-        let sets: Vec<Demonstrations> = (0..2 << 16).filter_map(Demonstrations::from_bits).collect();
+        let sets: Vec<Demonstrations> =
+            (0..2 << 16).filter_map(Demonstrations::from_bits).collect();
         assert_eq!(sets.len(), 16 + 2 + 4 + 1);
         for set in sets {
             assert_eq!(set.to_string().parse(), Ok(set));

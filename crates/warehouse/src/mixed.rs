@@ -224,7 +224,7 @@ mod tests {
             irrelevant: own,
             confusable: own,
         };
-        let set = CaseSet { seed: 0, cases: vec![case] };
+        let set = CaseSet { seed: 0, cases: vec![case], elsewhere: None };
         Overlap::of(&tiny(), &set, 0, own[0]).unwrap()
     }
 
