@@ -6,10 +6,8 @@ use std::process::ExitCode;
 use std::time::Duration;
 
 use anyhow::Context;
-use clap::builder::BoolishValueParser;
-use clap::{ArgAction, Args, Parser, Subcommand, ValueEnum};
+use clap::{Args, Parser, Subcommand, ValueEnum};
 use documents::{DocumentName, ModelRecipe, Recipe};
-use domain::Appearance;
 use llm::{ChatClient, ChatSettings, Endpoint};
 use memory_proc::builders::build::{self, BuildSettings};
 use memory_proc::builders::{DocumentBuilder, Extractive, ModelBuilder, model};
@@ -20,6 +18,7 @@ use memory_proc::manifest::EncoderManifest;
 use memory_proc::paths::CacheFolder;
 use memory_proc::search_profile::{self, ProfileSettings};
 use memory_proc::serve::{EncoderSettings, ServeSettings, serve};
+use program::AppearanceArgs;
 use search::GraphOptions;
 use search::synthetic::SyntheticVectors;
 
@@ -97,7 +96,7 @@ enum MemoryVerb {
         #[arg(long, value_name = "DIR")]
         assets: Option<PathBuf>,
         #[command(flatten)]
-        appearance: AppearanceArguments,
+        appearance: AppearanceArgs,
         /// The folder that the documents are written to
         #[arg(long, value_name = "DIR")]
         documents: PathBuf,
@@ -107,22 +106,6 @@ enum MemoryVerb {
         #[command(flatten)]
         builder: BuilderArguments,
     },
-}
-
-/// How the world looks in frames
-#[derive(Args)]
-struct AppearanceArguments {
-    /// Whether a coloured plate hangs above every item
-    #[arg(long, value_name = "on|off", default_value = "on", action = ArgAction::Set,
-          value_parser = BoolishValueParser::new())]
-    plates: bool,
-    /// Whether anything is written
-    #[arg(long, value_name = "on|off", default_value = "on", action = ArgAction::Set,
-          value_parser = BoolishValueParser::new())]
-    labels: bool,
-    /// Determines the light and the tints of walls, floor and racks
-    #[arg(long, value_name = "N", default_value_t = 0)]
-    appearance_seed: u64,
 }
 
 #[derive(Args)]
@@ -326,8 +309,7 @@ fn run(verb: MemoryVerb) -> anyhow::Result<()> {
             search_profile::write_vectors(&vectors.vectors()?, entries.get(), queries, &mut out)
         }
         MemoryVerb::Build { attach, assets, appearance, documents, wanted, builder } => {
-            let AppearanceArguments { plates, labels, appearance_seed: seed } = appearance;
-            let appearance = Appearance { plates, labels, seed };
+            let appearance = appearance.into();
             let (recipe, mut builder) = builder.builder()?;
             let settings = BuildSettings { attach, assets, appearance, documents, wanted, recipe };
             build::build(&settings, builder.as_mut())
