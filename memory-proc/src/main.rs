@@ -43,6 +43,9 @@ enum MemoryVerb {
         /// The run's streams: the worlds and blocks in which memories persist
         #[arg(long, value_name = "FILE")]
         streams: Option<PathBuf>,
+        /// The other warehouse in which tasks are demonstrated
+        #[arg(long, value_name = "FILE")]
+        elsewhere: Option<PathBuf>,
         /// The folder for snapshots of memories that learn
         #[arg(long, value_name = "DIR")]
         snapshots: Option<PathBuf>,
@@ -95,6 +98,9 @@ enum MemoryVerb {
         /// Folder of layout, catalogue and cases [default: the built-in ones]
         #[arg(long, value_name = "DIR")]
         assets: Option<PathBuf>,
+        /// The other warehouse in which tasks are demonstrated
+        #[arg(long, value_name = "FILE")]
+        elsewhere: Option<PathBuf>,
         #[command(flatten)]
         appearance: AppearanceArgs,
         /// The folder that the documents are written to
@@ -280,6 +286,7 @@ fn run(verb: MemoryVerb) -> anyhow::Result<()> {
             attach,
             documents,
             streams,
+            elsewhere,
             snapshots,
             no_encoder,
             memory_timeout,
@@ -292,8 +299,16 @@ fn run(verb: MemoryVerb) -> anyhow::Result<()> {
             };
             let assets = encoder.assets.clone();
             let encoder = if no_encoder { None } else { Some(encoder.settings()?) };
-            let settings =
-                ServeSettings { attach, assets, documents, encoder, streams, snapshots, limits };
+            let settings = ServeSettings {
+                attach,
+                assets,
+                documents,
+                encoder,
+                streams,
+                elsewhere,
+                snapshots,
+                limits,
+            };
             serve(&settings)
         }
         MemoryVerb::Embed { files, repeat, encoder } => {
@@ -308,10 +323,11 @@ fn run(verb: MemoryVerb) -> anyhow::Result<()> {
             let mut out = std::io::BufWriter::with_capacity(1 << 20, std::io::stdout().lock());
             search_profile::write_vectors(&vectors.vectors()?, entries.get(), queries, &mut out)
         }
-        MemoryVerb::Build { attach, assets, appearance, documents, wanted, builder } => {
+        MemoryVerb::Build { attach, assets, elsewhere, appearance, documents, wanted, builder } => {
             let appearance = appearance.into();
             let (recipe, mut builder) = builder.builder()?;
-            let settings = BuildSettings { attach, assets, appearance, documents, wanted, recipe };
+            let settings =
+                BuildSettings { attach, assets, elsewhere, appearance, documents, wanted, recipe };
             build::build(&settings, builder.as_mut())
         }
     }

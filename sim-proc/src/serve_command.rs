@@ -53,9 +53,6 @@ pub fn run(args: ServeArgs) -> Result<()> {
     die_with_parent(attach.orchestrator_pid)
         .context("cannot tie this process to its orchestrator")?;
     check_shared_memory(attach.shared_memory_bytes())?;
-    let read = |file: &PathBuf| {
-        fs::read_to_string(file).with_context(|| format!("cannot read {}", file.display()))
-    };
     let (warehouse, mut cases) = match &args.assets {
         None => (Warehouse::shipped(), CaseSet::shipped()),
         Some(folder) => {
@@ -67,15 +64,15 @@ pub fn run(args: ServeArgs) -> Result<()> {
     let states = match &args.streams {
         None => Vec::new(),
         Some(file) => {
-            let streams = StreamSet::parse(&read(file)?, &warehouse, &cases);
+            let text = fs::read_to_string(file)
+                .with_context(|| format!("cannot read {}", file.display()))?;
+            let streams = StreamSet::parse(&text, &warehouse, &cases);
             let states = streams.and_then(|streams| streams.states(&warehouse));
             states.with_context(|| file.display().to_string())?
         }
     };
     if let Some(file) = &args.elsewhere {
-        let text = read(file)?;
-        let elsewhere = Elsewhere::parse(&text, &warehouse, &cases);
-        cases.elsewhere = Some(elsewhere.with_context(|| file.display().to_string())?);
+        cases.elsewhere = Some(Elsewhere::read(file, &warehouse, &cases)?);
     }
     let worlds = Worlds::new(&warehouse, &cases, states);
     let settings = args.renderer.apply(RenderSettings {

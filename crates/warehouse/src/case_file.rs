@@ -14,6 +14,7 @@ use serde::Deserialize;
 use crate::asset::{AssetError, Problem, invalid, read, toml};
 use crate::case::{Case, CaseSet, History, Mixture, Start, Trajectory};
 use crate::catalogue::Catalogue;
+use crate::demonstrated::PlannedAfter;
 use crate::dynamics::MAX_STEPS;
 use crate::task::{Task, TaskSubject};
 use crate::world::Warehouse;
@@ -178,6 +179,7 @@ impl CaseEntry {
         Ok(Case {
             irrelevant: histories(Mixture::Irrelevant, &self.irrelevant)?,
             confusable: histories(Mixture::Confusable, &self.confusable)?,
+            after: PlannedAfter::default(),
             task,
             original: trajectory(Start::Original, &self.original)?,
             opposite: trajectory(Start::Opposite, &self.opposite)?,

@@ -1,12 +1,14 @@
 //! Which demonstrations a memory is built from, as text and as bits on the wire. [`CaseSet::histories`] lists them for a
 //! case.
 
+use std::collections::HashSet;
 use std::fmt;
 use std::str::FromStr;
 
 use serde::{Deserialize, Serialize};
 
 use crate::case::{CaseSet, History, Mixture, Start};
+use crate::draw::Draw;
 
 /// Some of the case's own four demonstrations; two of them and two of other cases (specification, section 6); one from before
 /// and one from after an event; one of another warehouse; or a bank of many.
@@ -116,6 +118,16 @@ impl Demonstrations {
         OWN.into_iter().filter(move |&start| self.0 & (1 << start as u32) != 0)
     }
 
+    /// Whether the demonstration after the event is in the set.
+    pub const fn take_place_after(self) -> bool {
+        self.0 & Self::AFTER.0 != 0
+    }
+
+    /// Whether the set takes place in another warehouse.
+    pub const fn take_place_elsewhere(self) -> bool {
+        self.0 & Self::ELSEWHERE.0 != 0
+    }
+
     /// The kind of histories of other cases in the set, if any.
     pub const fn mixture(self) -> Option<Mixture> {
         match self {
@@ -127,15 +139,58 @@ impl Demonstrations {
 }
 
 impl CaseSet {
-    /// The `demonstrations` of case number `case`: its own in the order of [`Start`], then its histories of other cases.
-    /// Empty if there is no such case.
+    /// The `demonstrations` of case number `case`: its own in the order of [`Start`], then its histories of other cases. A bank
+    /// begins with the case's original demonstration. Empty if there is no such case, and for a bank of more than
+    /// [`largest_bank`](Self::largest_bank).
     pub fn histories(&self, case: usize, demonstrations: Demonstrations) -> Vec<History> {
         let Some(listed) = self.cases.get(case) else { return Vec::new() };
+        if let Some(size) = demonstrations.bank_size() {
+            let first = History { case, start: Start::Original };
+            let others = self.bank_order().into_iter().filter(|history| *history != first);
+            let bank = [first].into_iter().chain(others).take(size.into());
+            return if usize::from(size) > self.largest_bank() {
+                Vec::new()
+            } else {
+                bank.collect()
+            };
+        }
         let own = demonstrations.own().map(|start| History { case, start });
         let others = demonstrations.mixture().map(|mixture| listed.mixed(mixture));
-        own.chain(others.into_iter().flatten()).collect()
+        if demonstrations.take_place_elsewhere() {
+            return vec![History { case, start: Start::Elsewhere }];
+        }
+        let after =
+            demonstrations.take_place_after().then_some(History { case, start: Start::After });
+        let mut found: Vec<History> =
+            own.chain(others.into_iter().flatten()).chain(after).collect();
+        if demonstrations == Demonstrations::AFTER_BEFORE {
+            found.reverse();
+        }
+        found
+    }
+
+    /// The `demonstrations` of all cases, each once, in the order of the cases.
+    pub fn histories_of_all(&self, demonstrations: Demonstrations) -> Vec<History> {
+        let mut known = HashSet::new();
+        let all = (0..self.cases.len()).flat_map(|case| self.histories(case, demonstrations));
+        all.filter(|history| known.insert(*history)).collect()
+    }
+
+    /// The size of the largest bank: all demonstrations that the cases have.
+    pub fn largest_bank(&self) -> usize {
+        Start::DEMONSTRATIONS.len() * self.cases.len()
+    }
+
+    /// The demonstrations of all cases in the order in which they join banks, drawn from the seed.
+    fn bank_order(&self) -> Vec<History> {
+        let of = |case| Start::DEMONSTRATIONS.map(|start| History { case, start });
+        let all = (0..self.cases.len()).flat_map(of).collect();
+        Draw::new(self.seed, BANK_STREAM).shuffled(all)
     }
 }
+
+/// Marks the draws of [`CaseSet::bank_order`].
+const BANK_STREAM: u64 = 3 << 56;
 
 impl fmt::Display for Demonstrations {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -237,14 +292,14 @@ mod tests {
             ("original+irrelevant", "irrelevant", "irrelevant"),
             ("5", "5", "1"),
             ("bank-0", "bank-0", "none"),
-            ("bank-70000", "bank-70000", "distant"),
+            ("bank-70000", "bank-70000", "none"),
         ] {
             let error = text.parse::<Demonstrations>().unwrap_err();
             assert_eq!((error.given.as_str(), error.nearest), (given, nearest), "{text}");
         }
         insta::assert_snapshot!(
             "origin".parse::<Demonstrations>().unwrap_err(),
-            @"unknown demonstrations `origin`: did you mean `original`? (known: 4 for a case's own four, some of original, opposite, nearby, distant joined by +, 1 for the first of them, irrelevant, confusable, none)"
+            @"unknown demonstrations `origin`: did you mean `original`? (known: 4 for a case's own four, some of original, opposite, nearby, distant joined by +, 1 for the first of them, irrelevant, confusable, after, before-after, after-before, elsewhere, bank-N, none)"
         );
     }
 
@@ -266,5 +321,32 @@ mod tests {
             [own(Start::Original), own(Start::Opposite), first, second]
         );
         assert_eq!(set.histories(set.cases.len(), Demonstrations::ALL), []);
+        let after = own(Start::After);
+        assert_eq!(histories(Demonstrations::AFTER), [after]);
+        assert_eq!(histories(Demonstrations::ELSEWHERE), [own(Start::Elsewhere)]);
+        assert_eq!(histories(Demonstrations::BEFORE_AFTER), [own(Start::Original), after]);
+        assert_eq!(histories(Demonstrations::AFTER_BEFORE), [after, own(Start::Original)]);
+    }
+
+    #[test]
+    fn a_bank_begins_with_the_smaller_ones_and_holds_the_same_others_for_all_cases() {
+        let set = CaseSet::shipped();
+        let bank = |case, size| set.histories(case, Demonstrations::bank(size));
+        let all: HashSet<History> = bank(0, 400).into_iter().collect();
+        assert_eq!(all.len(), 400);
+        let mut small = HashSet::new();
+        for case in 0..set.cases.len() {
+            let largest = bank(case, 400);
+            assert_eq!(largest[0], History { case, start: Start::Original });
+            assert_eq!(largest.iter().copied().collect::<HashSet<_>>(), all);
+            for size in [1, 4, 16, 64, 256] {
+                assert_eq!(bank(case, size), largest[..size.into()]);
+            }
+            small.extend(bank(case, 16));
+        }
+        assert_eq!(bank(0, 401), []);
+        assert_eq!(small, set.histories_of_all(Demonstrations::bank(16)).into_iter().collect());
+        // Every case's own, and the first fifteen or sixteen of the order.
+        assert!((100..=116).contains(&small.len()), "{}", small.len());
     }
 }

@@ -123,6 +123,20 @@ impl Elsewhere {
         Ok(Self { layout, catalogue, warehouse, shown })
     }
 
+    /// Reads the file at `path` for `cases` in the warehouse `tested`.
+    ///
+    /// # Errors
+    /// As [`parse`](Self::parse); also when there is no such file.
+    pub fn read(path: &Path, tested: &Warehouse, cases: &CaseSet) -> Result<Self, ElsewhereError> {
+        let in_file = |error| match error {
+            ElsewhereError::Unfit(problem) => {
+                ElsewhereError::Unfit(format!("{}: {problem}", path.display()))
+            }
+            other => other,
+        };
+        Self::parse(&asset::read(path)?, tested, cases).map_err(in_file)
+    }
+
     /// Reads [`to_text`](Self::to_text) for `cases` in the warehouse `tested`.
     ///
     /// # Errors
@@ -165,6 +179,11 @@ impl Elsewhere {
             Ok(text) => text + "\n",
             Err(error) => unreachable!("texts can always be written: {error}"),
         }
+    }
+
+    /// The texts of its `layout.toml` and `catalogue.toml`.
+    pub fn files(&self) -> [&str; 2] {
+        [&self.layout, &self.catalogue]
     }
 
     /// The other warehouse.

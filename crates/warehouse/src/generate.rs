@@ -16,6 +16,7 @@ use crate::constraints::{
     Edge, completes_task, edges, enters, faces_targets, is_distant, is_near_optimal, is_nearby,
     is_of_similar_length, shares_at_least_half, shares_at_most_half, target_in_view, target_on,
 };
+use crate::demonstrated::PlannedAfter;
 use crate::draw::Draw;
 use crate::dynamics::Variant;
 use crate::mixed::{self, TooFew};
@@ -277,6 +278,7 @@ impl<'w> Generator<'w> {
                     barricade,
                     irrelevant: NO_HISTORIES,
                     confusable: NO_HISTORIES,
+                    after: PlannedAfter::default(),
                 });
             }
         }

@@ -4,7 +4,7 @@
 //! - [`dynamics`]: one function from pose, action and variant to pose and feedback.
 //! - [`task`]: the ten task types; [`progress`]: the checker that decides which sub-goals a trajectory completes.
 //! - [`case`]: a task with its six trajectories; [`case_file`]: a set of cases as a text file.
-//! - [`demonstrations`]: which demonstrations a memory is built from; [`mixed`]: histories of other tasks.
+//! - [`demonstrations`]: which demonstrations a memory is built from; [`Demonstrated`]: one in its world; [`mixed`]: histories of other tasks.
 //! - [`Elsewhere`]: another warehouse, in which the tasks of cases are demonstrated.
 //! - [`WorldState`]: a warehouse after changes; [`stream`]: blocks of cases with events between them.
 //! - [`plan`]: expert trajectories and the fewest steps; [`sight`]: which items are in view, computed on the grid.
@@ -18,6 +18,7 @@ pub mod case;
 pub mod case_file;
 pub mod catalogue;
 mod constraints;
+mod demonstrated;
 pub mod demonstrations;
 mod draw;
 pub mod dynamics;
@@ -44,6 +45,7 @@ pub use asset::AssetError;
 pub use case::{Case, CaseSet, History, Mixture, Replay, Start, Trajectory};
 pub use catalogue::{Catalogue, Category, ItemType, Shape};
 pub use constraints::MAX_DETOUR_PERCENT;
+pub use demonstrated::{Demonstrated, PlannedAfter, Viewpoint};
 pub use demonstrations::{Demonstrations, UnknownDemonstrations};
 pub use dynamics::{MAX_STEPS, Variant, step};
 pub use elsewhere::{ELSEWHERE_VARIANT, Elsewhere, ElsewhereError};
