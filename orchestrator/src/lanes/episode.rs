@@ -214,6 +214,7 @@ impl ActiveEpisode {
             lane,
             repeat: episode.key.run,
             starts_as_demonstrated: condition.is_hinted().into(),
+            demonstrated_elsewhere: condition.demonstrations.take_place_elsewhere().into(),
             // At most `MAX_WINDOW`, which the settings check.
             window: condition.variation.window as u8,
             ..Zeroable::zeroed()

@@ -129,6 +129,7 @@ impl Ask {
             window: &window,
             items: &items,
             starts_as_demonstrated: false,
+            demonstrated_elsewhere: false,
         })
     }
 }
@@ -397,6 +398,7 @@ proptest! {
                     Item::Frame(CaptionedView { frame, caption: "noise" }),
                 ],
                 starts_as_demonstrated: false,
+                demonstrated_elsewhere: false,
             });
         }
     }
