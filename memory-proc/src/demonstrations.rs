@@ -104,7 +104,7 @@ fn replayed(warehouse: &Warehouse, cases: &CaseSet, history: History) -> Option<
 #[cfg(test)]
 mod tests {
     use super::*;
-    use warehouse::{Mixture, Start};
+    use warehouse::{ELSEWHERE_VARIANT, Elsewhere, Mixture, Start};
 
     #[test]
     fn a_demonstration_of_another_case_completes_that_case_s_task() {
@@ -139,6 +139,29 @@ mod tests {
                 }
             }
         }
+    }
+
+    #[test]
+    fn a_demonstration_elsewhere_is_seen_in_the_other_warehouse() {
+        let (warehouse, mut cases) = (Warehouse::shipped(), CaseSet::shipped());
+        let set = Demonstrations::ELSEWHERE.bits();
+        assert_eq!(selected(&warehouse, &cases, 0, set), None, "there is no other warehouse");
+        cases.elsewhere = Elsewhere::generate(&warehouse, &cases, 1).ok();
+        let other = cases.elsewhere.as_ref().unwrap().warehouse();
+        let all = of_all_cases(&warehouse, &cases, set).unwrap();
+        assert_eq!(all.len(), cases.cases.len());
+        for (index, demonstration) in all.iter().enumerate() {
+            let task = &cases.cases[index].task;
+            assert_eq!(demonstration.instruction, task.instruction(&warehouse.catalogue));
+            assert_eq!(demonstration.number, Start::Elsewhere as u16);
+            assert!(demonstration.viewpoints().all(|of| of.variant == ELSEWHERE_VARIANT));
+            assert!(demonstration.poses.iter().all(|pose| other.layout.is_free(pose.cell)));
+            let chosen = selected(&warehouse, &cases, index as u32, set);
+            assert_eq!(chosen, Some(vec![demonstration.clone()]));
+        }
+        // Where the expert went here, which references do too, makes no difference there.
+        let demonstrated = all.iter().flat_map(|demonstration| &demonstration.poses);
+        assert!(demonstrated.clone().any(|pose| !warehouse.layout.is_free(pose.cell)));
     }
 
     #[test]

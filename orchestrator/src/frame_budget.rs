@@ -193,6 +193,7 @@ mod tests {
     use domain::Representation;
     use results::conditions::Demonstrations;
     use shm_types::RunDir;
+    use warehouse::{Elsewhere, History};
 
     use super::*;
     use crate::plan::plan;
@@ -253,6 +254,24 @@ mod tests {
         let most = many.split(' ').nth(4).and_then(|word| word.parse().ok()).unwrap();
         assert_eq!(choose(&attach, DEMAND, Some(most), free, u64::MAX).unwrap(), most);
         assert!(choose(&attach, DEMAND, Some(most + 1), free, u64::MAX).is_err());
+    }
+
+    #[test]
+    fn the_other_warehouse_has_views_of_its_own() {
+        let (warehouse, mut cases) = (Warehouse::shipped(), CaseSet::shipped());
+        cases.elsewhere = Elsewhere::generate(&warehouse, &cases, 1).ok();
+        let demand = |condition: &str| {
+            let episodes = plan(&[(condition.parse().unwrap(), 1)], &[0], &["t01-01"], 1);
+            Demand::of(&attach(), (&warehouse, &cases, None), &episodes, (40, 40))
+        };
+        let of = History { case: 0, start: warehouse::Start::Elsewhere };
+        let elsewhere = demand("episodic/new/unchanged/elsewhere");
+        let views: BTreeSet<Viewpoint> =
+            cases.demonstrated(&warehouse, of).unwrap().viewpoints().collect();
+        assert_eq!(elsewhere.remembered as usize, views.len());
+        let other = cases.elsewhere.as_ref().unwrap().warehouse();
+        assert_eq!(elsewhere.all_views, every_view(&warehouse) + every_view(other));
+        assert_eq!(demand("episodic/new/unchanged/4").all_views, every_view(&warehouse));
     }
 
     #[test]

@@ -94,6 +94,8 @@ pub(super) fn sha256(transcripts: &[Transcript]) -> String {
 mod tests {
     use domain::Heading;
 
+    use warehouse::Elsewhere;
+
     use super::*;
 
     #[test]
@@ -140,15 +142,21 @@ mod tests {
     /// References cannot get into a document: nothing that a document depends on changes with them.
     #[test]
     fn test_references_and_barricades_make_no_difference() {
-        let (sources, mut other) = (sources(), sources());
+        let (mut sources, mut other) = (sources(), sources());
         for case in &mut other.cases.cases {
             case.test = case.original.clone();
             case.blocked = case.distant.clone();
             case.barricade.clear();
             case.id.push('x');
         }
+        for sources in [&mut sources, &mut other] {
+            let elsewhere = Elsewhere::generate(&sources.warehouse, &sources.cases, 1).unwrap();
+            sources.cases.elsewhere = Some(elsewhere);
+        }
         let nothing = |_| Some(Arc::default());
-        for word in ["original", "opposite", "nearby+distant", "4", "irrelevant", "confusable"] {
+        for word in
+            ["original", "opposite", "nearby+distant", "4", "irrelevant", "confusable", "elsewhere"]
+        {
             let selection: Demonstrations = word.parse().unwrap();
             assert_eq!(sources.viewpoints(selection), other.viewpoints(selection));
             assert_eq!(
