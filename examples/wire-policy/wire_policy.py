@@ -53,7 +53,7 @@ Handshake = struct("Handshake", 512, """wire_version: u32, role: u32, pid: u32, 
 ShutdownReport = struct("ShutdownReport", 48, """role: u32, external: u32, frames_rendered: u64,
     frames_evicted: u64, frames_received: u64, pixel_bytes_copied: u64, error_reports: u64""")
 PolicyEpisodeConfig = struct("PolicyEpisodeConfig", 264, """episode: u64, seed: u64, lane: u32, instruction_len: u32,
-    repeat: u32, starts_as_demonstrated: u8, window: u8, reserved: u8 x 2, instruction: u8 x 232""")
+    repeat: u32, starts_as_demonstrated: u8, window: u8, demonstrated_elsewhere: u8, reserved: u8, instruction: u8 x 232""")
 Observation = struct("Observation", 72, """episode: u64, frame: u64, commanded_ns: u64, woken_ns: u64,
     stepped_ns: u64, rendered_ns: u64, sent_ns: u64, lane: u32, step: u32, pose: WirePose, feedback: u8, action: u8,
     last: u8, reserved: u8""")

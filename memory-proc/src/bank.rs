@@ -3,23 +3,15 @@
 use std::collections::{HashMap, VecDeque};
 use std::ops::Range;
 
-use domain::Pose;
 use peer::memory::{self, DemonstrationStep};
 use search::{ContentHash, Embedding};
 use shm_types::BankContent;
 use shm_types::banks::{BankDemonstration, BankStep};
 use shm_types::message::{FrameId, NO_ACTION, NO_FRAME};
 
-use crate::demonstrations::Demonstration;
+pub use warehouse::Viewpoint;
 
-/// Where a view is seen from: a pose in a variant of the world.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
-pub struct Viewpoint {
-    /// The variant, as in [`StepCommand`](shm_types::message::StepCommand).
-    pub variant: u32,
-    /// The pose.
-    pub pose: Pose,
-}
+use crate::demonstrations::Demonstration;
 
 /// Demonstrations, and where their views are seen from.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]

@@ -1,16 +1,16 @@
 //! Demonstrations: the expert's views, actions and progress, step by step (specification, section 4).
 //!
-//! A demonstration is stored as actions and replayed here with the warehouse's dynamics. Its views are named by pose and
-//! world variant. All but those of the oracle arm take place in the unchanged world.
+//! A demonstration is stored as actions and replayed here with the warehouse's dynamics, in the world where it takes place.
+//! Its views are named by pose and world variant.
 //!
-//! Memories are built from demonstrations only. Only [`Start::DEMONSTRATIONS`] are replayed: the two test references
-//! never get into a memory, whatever a set of cases contains. A memory that learns also has the episodes that it learned
-//! from, in the form of demonstrations.
+//! Memories are built from demonstrations only. [`CaseSet::demonstrated`] knows none that is a test reference: those never
+//! get into a memory, whatever a set of cases contains. A memory that learns also has the episodes that it learned from, in
+//! the form of demonstrations.
 
 use std::collections::HashSet;
 
 use domain::{Action, Feedback, Pose};
-use warehouse::{CaseSet, Demonstrations, History, Start, Warehouse};
+use warehouse::{CaseSet, Demonstrations, History, Warehouse};
 
 use crate::bank::Viewpoint;
 
@@ -19,8 +19,7 @@ use crate::bank::Viewpoint;
 pub struct Demonstration {
     /// Its case's index; of an episode, its position in its sequence.
     pub case: u32,
-    /// Its number in that case: 0 original, 1 opposite, 2 nearby, 3 distant; [`EXPERIENCE`](shm_types::message::EXPERIENCE) for an
-    /// episode.
+    /// Its [number](warehouse::Start::demonstration) in that case; [`EXPERIENCE`](shm_types::message::EXPERIENCE) for an episode.
     pub number: u16,
     /// The world variant in which it takes place.
     pub variant: u32,
@@ -73,8 +72,7 @@ pub fn of_all_cases(
     selection: u32,
 ) -> Option<Vec<Demonstration>> {
     let selection = Demonstrations::from_bits(selection)?;
-    let of_all = (0..cases.cases.len()).flat_map(|case| cases.histories(case, selection));
-    histories(warehouse, cases, of_all)
+    histories(warehouse, cases, cases.histories_of_all(selection).into_iter())
 }
 
 /// Replays these demonstrations, each once. `None` when one of them is a test reference.
@@ -88,29 +86,25 @@ pub(crate) fn histories(
     each_once.map(|history| replayed(warehouse, cases, history)).collect()
 }
 
-fn replayed(
-    warehouse: &Warehouse,
-    cases: &CaseSet,
-    History { case, start }: History,
-) -> Option<Demonstration> {
-    let of = cases.cases.get(case).filter(|_| Start::DEMONSTRATIONS.contains(&start))?;
-    let replay = of.replay(warehouse, start);
+fn replayed(warehouse: &Warehouse, cases: &CaseSet, history: History) -> Option<Demonstration> {
+    let of = cases.demonstrated(warehouse, history)?;
+    let replay = of.replay();
     Some(Demonstration {
-        case: case as u32,
-        number: start as u16,
-        variant: 0,
-        instruction: of.task.instruction(&warehouse.catalogue),
+        case: history.case as u32,
+        number: history.start as u16,
+        variant: of.variant,
+        instruction: of.instruction(),
         poses: replay.poses,
         feedback: replay.feedback,
         stages: replay.stages,
-        actions: of.trajectory(start).actions.iter().copied().map(Some).collect(),
+        actions: of.trajectory.actions.iter().copied().map(Some).collect(),
     })
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use warehouse::Mixture;
+    use warehouse::{ELSEWHERE_VARIANT, Elsewhere, Mixture, Start};
 
     #[test]
     fn a_demonstration_of_another_case_completes_that_case_s_task() {
@@ -145,6 +139,29 @@ mod tests {
                 }
             }
         }
+    }
+
+    #[test]
+    fn a_demonstration_elsewhere_is_seen_in_the_other_warehouse() {
+        let (warehouse, mut cases) = (Warehouse::shipped(), CaseSet::shipped());
+        let set = Demonstrations::ELSEWHERE.bits();
+        assert_eq!(selected(&warehouse, &cases, 0, set), None, "there is no other warehouse");
+        cases.elsewhere = Elsewhere::generate(&warehouse, &cases, 1).ok();
+        let other = cases.elsewhere.as_ref().unwrap().warehouse();
+        let all = of_all_cases(&warehouse, &cases, set).unwrap();
+        assert_eq!(all.len(), cases.cases.len());
+        for (index, demonstration) in all.iter().enumerate() {
+            let task = &cases.cases[index].task;
+            assert_eq!(demonstration.instruction, task.instruction(&warehouse.catalogue));
+            assert_eq!(demonstration.number, Start::Elsewhere as u16);
+            assert!(demonstration.viewpoints().all(|of| of.variant == ELSEWHERE_VARIANT));
+            assert!(demonstration.poses.iter().all(|pose| other.layout.is_free(pose.cell)));
+            let chosen = selected(&warehouse, &cases, index as u32, set);
+            assert_eq!(chosen, Some(vec![demonstration.clone()]));
+        }
+        // Where the expert went here, which references do too, makes no difference there.
+        let demonstrated = all.iter().flat_map(|demonstration| &demonstration.poses);
+        assert!(demonstrated.clone().any(|pose| !warehouse.layout.is_free(pose.cell)));
     }
 
     #[test]

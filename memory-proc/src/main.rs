@@ -6,10 +6,8 @@ use std::process::ExitCode;
 use std::time::Duration;
 
 use anyhow::Context;
-use clap::builder::BoolishValueParser;
-use clap::{ArgAction, Args, Parser, Subcommand, ValueEnum};
+use clap::{Args, Parser, Subcommand, ValueEnum};
 use documents::{DocumentName, ModelRecipe, Recipe};
-use domain::Appearance;
 use llm::{ChatClient, ChatSettings, Endpoint};
 use memory_proc::builders::build::{self, BuildSettings};
 use memory_proc::builders::{DocumentBuilder, Extractive, ModelBuilder, model};
@@ -20,6 +18,7 @@ use memory_proc::manifest::EncoderManifest;
 use memory_proc::paths::CacheFolder;
 use memory_proc::search_profile::{self, ProfileSettings};
 use memory_proc::serve::{EncoderSettings, ServeSettings, serve};
+use program::AppearanceArgs;
 use search::GraphOptions;
 use search::synthetic::SyntheticVectors;
 
@@ -44,6 +43,9 @@ enum MemoryVerb {
         /// The run's streams: the worlds and blocks in which memories persist
         #[arg(long, value_name = "FILE")]
         streams: Option<PathBuf>,
+        /// The other warehouse in which tasks are demonstrated
+        #[arg(long, value_name = "FILE")]
+        elsewhere: Option<PathBuf>,
         /// The folder for snapshots of memories that learn
         #[arg(long, value_name = "DIR")]
         snapshots: Option<PathBuf>,
@@ -96,8 +98,11 @@ enum MemoryVerb {
         /// Folder of layout, catalogue and cases [default: the built-in ones]
         #[arg(long, value_name = "DIR")]
         assets: Option<PathBuf>,
+        /// The other warehouse in which tasks are demonstrated
+        #[arg(long, value_name = "FILE")]
+        elsewhere: Option<PathBuf>,
         #[command(flatten)]
-        appearance: AppearanceArguments,
+        appearance: AppearanceArgs,
         /// The folder that the documents are written to
         #[arg(long, value_name = "DIR")]
         documents: PathBuf,
@@ -107,22 +112,6 @@ enum MemoryVerb {
         #[command(flatten)]
         builder: BuilderArguments,
     },
-}
-
-/// How the world looks in frames
-#[derive(Args)]
-struct AppearanceArguments {
-    /// Whether a coloured plate hangs above every item
-    #[arg(long, value_name = "on|off", default_value = "on", action = ArgAction::Set,
-          value_parser = BoolishValueParser::new())]
-    plates: bool,
-    /// Whether anything is written
-    #[arg(long, value_name = "on|off", default_value = "on", action = ArgAction::Set,
-          value_parser = BoolishValueParser::new())]
-    labels: bool,
-    /// Determines the light and the tints of walls, floor and racks
-    #[arg(long, value_name = "N", default_value_t = 0)]
-    appearance_seed: u64,
 }
 
 #[derive(Args)]
@@ -297,6 +286,7 @@ fn run(verb: MemoryVerb) -> anyhow::Result<()> {
             attach,
             documents,
             streams,
+            elsewhere,
             snapshots,
             no_encoder,
             memory_timeout,
@@ -309,8 +299,16 @@ fn run(verb: MemoryVerb) -> anyhow::Result<()> {
             };
             let assets = encoder.assets.clone();
             let encoder = if no_encoder { None } else { Some(encoder.settings()?) };
-            let settings =
-                ServeSettings { attach, assets, documents, encoder, streams, snapshots, limits };
+            let settings = ServeSettings {
+                attach,
+                assets,
+                documents,
+                encoder,
+                streams,
+                elsewhere,
+                snapshots,
+                limits,
+            };
             serve(&settings)
         }
         MemoryVerb::Embed { files, repeat, encoder } => {
@@ -325,11 +323,11 @@ fn run(verb: MemoryVerb) -> anyhow::Result<()> {
             let mut out = std::io::BufWriter::with_capacity(1 << 20, std::io::stdout().lock());
             search_profile::write_vectors(&vectors.vectors()?, entries.get(), queries, &mut out)
         }
-        MemoryVerb::Build { attach, assets, appearance, documents, wanted, builder } => {
-            let AppearanceArguments { plates, labels, appearance_seed: seed } = appearance;
-            let appearance = Appearance { plates, labels, seed };
+        MemoryVerb::Build { attach, assets, elsewhere, appearance, documents, wanted, builder } => {
+            let appearance = appearance.into();
             let (recipe, mut builder) = builder.builder()?;
-            let settings = BuildSettings { attach, assets, appearance, documents, wanted, recipe };
+            let settings =
+                BuildSettings { attach, assets, elsewhere, appearance, documents, wanted, recipe };
             build::build(&settings, builder.as_mut())
         }
     }

@@ -29,7 +29,7 @@ use shm_types::{
     Sender, Spans,
 };
 use warehouse::case_file::CASES_FILE;
-use warehouse::{CaseSet, StreamSet, Warehouse};
+use warehouse::{CaseSet, Elsewhere, StreamSet, Warehouse};
 
 use crate::bank::Viewpoint;
 use crate::document_loader::DocumentLoader;
@@ -71,6 +71,8 @@ pub struct ServeSettings {
     pub encoder: Option<EncoderSettings>,
     /// The file of the run's streams; `None`: the run has none.
     pub streams: Option<PathBuf>,
+    /// The file of the other warehouse in which tasks are demonstrated; `None`: there is none.
+    pub elsewhere: Option<PathBuf>,
     /// The folder of the snapshots of memories that learn; `None`: no memory of the run learns.
     pub snapshots: Option<PathBuf>,
     /// How long external memories may take.
@@ -254,7 +256,7 @@ impl<'a> MemoryServer<'a> {
         let documents =
             DocumentLoader::new(settings.documents.clone(), DocumentPublisher::new(bus)?);
         let assets = settings.assets.as_deref();
-        let (warehouse, cases) = match assets {
+        let (warehouse, mut cases) = match assets {
             None => (Warehouse::shipped(), CaseSet::shipped()),
             Some(folder) => {
                 let warehouse = Warehouse::load(folder)?;
@@ -262,6 +264,9 @@ impl<'a> MemoryServer<'a> {
                 (warehouse, cases)
             }
         };
+        if let Some(file) = &settings.elsewhere {
+            cases.elsewhere = Some(Elsewhere::read(file, &warehouse, &cases)?);
+        }
         let (encoder, embeddings) = match &settings.encoder {
             None => (None, EmbeddingCache::in_memory()),
             Some(chosen) => {

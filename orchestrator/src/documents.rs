@@ -20,6 +20,7 @@ use documents::{
 use domain::{Appearance, cache_folder};
 use results::conditions::Condition;
 use results::log::DocumentFacts;
+use warehouse::Elsewhere;
 
 /// Locked while documents are built in a folder.
 const LOCK_FILE: &str = "lock";
@@ -48,6 +49,8 @@ pub struct DocumentRequest {
     pub folder: Option<PathBuf>,
     /// Folder of layout, catalogue and cases; `None`: the built-in ones.
     pub assets: Option<PathBuf>,
+    /// The other warehouse in which tasks are demonstrated, if there is one.
+    pub elsewhere: Option<Elsewhere>,
     /// Width and height of the frames that they are made from.
     pub frame_size: u32,
     /// How the world looks in the frames.
@@ -196,7 +199,8 @@ impl DocumentRequest {
     }
 
     fn sources(&self) -> Result<Sources> {
-        Ok(Sources::load(self.assets.as_deref())?.seen_with(self.appearance))
+        let sources = Sources::load(self.assets.as_deref())?.seen_with(self.appearance);
+        Ok(sources.with_elsewhere(self.elsewhere.clone()))
     }
 
     fn frame(&self) -> [u32; 2] {
@@ -328,6 +332,7 @@ mod tests {
         let request = DocumentRequest {
             folder: Some(folder.path().to_owned()),
             assets: None,
+            elsewhere: None,
             frame_size: 448,
             appearance: Appearance::STANDARD,
             selection: DocumentSelection::Model(Some("m".into())),

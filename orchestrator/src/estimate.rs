@@ -147,12 +147,10 @@ impl Basis<'_> {
 
     /// Actions of the demonstrations that an episode remembers.
     fn demonstrated(&self, condition: &Condition, episode: &PlannedEpisode) -> u64 {
-        let cases = &self.world.cases;
+        let World { warehouse, cases, .. } = self.world;
         let histories = cases.histories(episode.case_index, condition.demonstrations);
-        let length = |history: &warehouse::History| {
-            cases.cases[history.case].trajectory(history.start).actions.len() as u64
-        };
-        histories.iter().map(length).sum()
+        let of = histories.into_iter().filter_map(|of| cases.demonstrated(warehouse, of));
+        of.map(|of| of.trajectory.actions.len() as u64).sum()
     }
 }
 

@@ -3,11 +3,11 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use anyhow::{Result, ensure};
+use domain::Cell;
 use domain::representation::Trajectories;
-use domain::{Cell, Pose};
-use results::conditions::Route;
+use results::conditions::{Condition, Route};
 use shm_types::{Attach, FrameSize};
-use warehouse::{CaseSet, History, Warehouse};
+use warehouse::{CaseSet, Viewpoint, Warehouse};
 
 use crate::plan::PlannedEpisode;
 use crate::streams::Streams;
@@ -61,9 +61,8 @@ impl Demand {
                         None => vec![episode.case_index],
                     };
                     let histories = bank.into_iter().flat_map(|case| cases.histories(case, set.2));
-                    let replay =
-                        |History { case, start }| cases.cases[case].replay(warehouse, start);
-                    let views: BTreeSet<Pose> = histories.flat_map(|h| replay(h).poses).collect();
+                    let of = histories.filter_map(|of| cases.demonstrated(warehouse, of));
+                    let views: BTreeSet<Viewpoint> = of.flat_map(|of| of.viewpoints()).collect();
                     views.len() as u32
                 })
             };
@@ -74,16 +73,24 @@ impl Demand {
                 None => views().max(images),
             }
         });
-        let blocked = episodes.iter().filter(|e| e.key.condition.route == Route::Blocked);
+        let is_closed = |condition: &Condition| {
+            condition.route == Route::Blocked || condition.demonstrations.take_place_after()
+        };
+        let blocked = episodes.iter().filter(|episode| is_closed(&episode.key.condition));
         let barricades: BTreeSet<&[Cell]> =
             blocked.map(|episode| &*cases.cases[episode.case_index].barricade).collect();
         let states: BTreeSet<u32> =
             episodes.iter().filter_map(|episode| Some(episode.part?.world)).collect();
+        let elsewhere = cases.elsewhere.as_ref().filter(|_| {
+            let condition = |episode: &PlannedEpisode| episode.key.condition;
+            episodes.iter().any(|e| condition(e).demonstrations.take_place_elsewhere())
+        });
         let worlds = (1 + barricades.len() + states.len()) as u32;
         Self {
             per_lane: attach.window + 2,
             remembered: remembered.max().unwrap_or(0),
-            all_views: worlds * every_view(warehouse),
+            all_views: worlds * every_view(warehouse)
+                + elsewhere.map_or(0, |other| every_view(other.warehouse())),
         }
     }
 
@@ -184,8 +191,9 @@ fn advice(attach: &Attach, demand: Demand, room: u64) -> String {
 #[cfg(test)]
 mod tests {
     use domain::Representation;
-    use results::conditions::{Condition, Demonstrations};
+    use results::conditions::Demonstrations;
     use shm_types::RunDir;
+    use warehouse::{Elsewhere, History};
 
     use super::*;
     use crate::plan::plan;
@@ -246,6 +254,24 @@ mod tests {
         let most = many.split(' ').nth(4).and_then(|word| word.parse().ok()).unwrap();
         assert_eq!(choose(&attach, DEMAND, Some(most), free, u64::MAX).unwrap(), most);
         assert!(choose(&attach, DEMAND, Some(most + 1), free, u64::MAX).is_err());
+    }
+
+    #[test]
+    fn the_other_warehouse_has_views_of_its_own() {
+        let (warehouse, mut cases) = (Warehouse::shipped(), CaseSet::shipped());
+        cases.elsewhere = Elsewhere::generate(&warehouse, &cases, 1).ok();
+        let demand = |condition: &str| {
+            let episodes = plan(&[(condition.parse().unwrap(), 1)], &[0], &["t01-01"], 1);
+            Demand::of(&attach(), (&warehouse, &cases, None), &episodes, (40, 40))
+        };
+        let of = History { case: 0, start: warehouse::Start::Elsewhere };
+        let elsewhere = demand("episodic/new/unchanged/elsewhere");
+        let views: BTreeSet<Viewpoint> =
+            cases.demonstrated(&warehouse, of).unwrap().viewpoints().collect();
+        assert_eq!(elsewhere.remembered as usize, views.len());
+        let other = cases.elsewhere.as_ref().unwrap().warehouse();
+        assert_eq!(elsewhere.all_views, every_view(&warehouse) + every_view(other));
+        assert_eq!(demand("episodic/new/unchanged/4").all_views, every_view(&warehouse));
     }
 
     #[test]

@@ -145,9 +145,13 @@ fn launches(settings: &RunSettings, memories: &[ExternalMemory]) -> Result<Vec<L
     // Not in the folder to which processes attach: a policy and external memories must not see it.
     let streams = settings.stream.is_some().then(|| RunFolder::streams_of(&settings.out));
     let streams = ("--streams", path(&streams));
+    let elsewhere =
+        settings.demonstrates_elsewhere().then(|| RunFolder::elsewhere_of(&settings.out));
+    let elsewhere = ("--elsewhere", path(&elsewhere));
     let mut renderer = vec![
         assets.clone(),
         streams.clone(),
+        elsewhere.clone(),
         ("--backend", settings.backend.clone()),
         ("--adapter", settings.adapter.clone()),
     ];
@@ -163,6 +167,7 @@ fn launches(settings: &RunSettings, memories: &[ExternalMemory]) -> Result<Vec<L
     let mut encoder = vec![
         assets,
         streams,
+        elsewhere,
         ("--snapshots", path(&snapshots)),
         ("--encoder", Some(settings.encoder.clone())),
         ("--encoder-file", path(&settings.encoder_file)),

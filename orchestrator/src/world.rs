@@ -4,8 +4,9 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::path::Path;
 
+use results::log::ELSEWHERE_HASH;
 use warehouse::case_file::CASES_FILE;
-use warehouse::{AssetError, CaseSet, Warehouse};
+use warehouse::{AssetError, CaseSet, Elsewhere, ElsewhereError, Warehouse};
 
 /// Files whose contents determine the outcome of a run: name of the hash, file, built-in text.
 const HASHED: [(&str, &str, &[u8]); 4] = [
@@ -56,6 +57,26 @@ impl World {
             hashes.insert(name.to_owned(), hash.to_hex().to_string());
         }
         Ok(Self { warehouse, cases, hashes })
+    }
+
+    /// Adds the other warehouse in which tasks are demonstrated: the one in the folder `assets`, or one drawn from `seed`.
+    ///
+    /// # Errors
+    /// When a file cannot be used, or the tasks cannot be demonstrated there.
+    pub fn add_elsewhere(
+        &mut self,
+        assets: Option<&Path>,
+        seed: u64,
+    ) -> Result<(), ElsewhereError> {
+        let Self { warehouse, cases, hashes } = self;
+        let elsewhere = match assets {
+            Some(dir) => Elsewhere::load(dir, warehouse, cases, seed)?,
+            None => Elsewhere::generate(warehouse, cases, seed)?,
+        };
+        let hash = blake3::hash(elsewhere.to_text().as_bytes()).to_hex().to_string();
+        hashes.insert(ELSEWHERE_HASH.to_owned(), hash);
+        cases.elsewhere = Some(elsewhere);
+        Ok(())
     }
 
     /// The ids of all cases, in the order of the case file.

@@ -150,6 +150,65 @@ fn a_world_with_a_wrong_case_is_found_by_validate() {
 }
 
 #[test]
+fn a_generated_world_is_valid_runs_and_is_the_same_again() {
+    let dir = dir();
+    let generate = |out: &str| {
+        let arguments = format!("generate world --seed 5 --size 14x16 --cases 20 --out {out}");
+        let output = memtransfer(dir.path(), &arguments);
+        assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
+        let said = text(&output.stderr);
+        assert!(said.starts_with("14 x 16 cells, ") && said.contains(" 20 cases in "), "{said}");
+        ["layout.toml", "catalogue.toml", "cases.toml"]
+            .map(|file| fs::read_to_string(dir.path().join(out).join(file)).unwrap())
+    };
+    let files = generate("one");
+    assert_eq!(generate("two"), files);
+    // Its own folder may be written again, one with other files may not.
+    assert_eq!(generate("one"), files);
+    fs::write(dir.path().join("two/notes.txt"), "").unwrap();
+    let said = refused(dir.path(), "generate world --seed 5 --size 14x16 --out two");
+    assert!(said.contains("has other files, \"notes.txt\" for one"), "{said}");
+    let said = refused(dir.path(), "generate world --seed 5 --size 11x16 --out three");
+    assert!(said.contains("11x16 cells; each side must be 12 to 64"), "{said}");
+
+    let validated = memtransfer(dir.path(), "validate --assets one");
+    assert_eq!(validated.status.code(), Some(0), "{}", text(&validated.stdout));
+    let planned = memtransfer(dir.path(), "run --assets one --policy expert --dry-run");
+    assert!(text(&planned.stdout).contains("20 of 20 episodes"), "{}", text(&planned.stdout));
+}
+
+#[test]
+fn the_other_warehouse_is_drawn_or_named() {
+    let dir = dir();
+    let map = |arguments: &str| {
+        let output = memtransfer(dir.path(), arguments);
+        assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
+        text(&output.stdout)
+    };
+    let other = map("map --elsewhere");
+    assert!(
+        other.starts_with("<svg")
+            && other != map("map")
+            && other != map("map --elsewhere --seed 2")
+    );
+    assets(dir.path());
+    fs::create_dir(dir.path().join("empty")).unwrap();
+    for (arguments, said) in [
+        ("run --demos elsewhere --elsewhere assets", "assets: it is the warehouse that is tested"),
+        ("run --demos elsewhere --elsewhere empty", "cannot read empty/layout.toml"),
+        ("run --suite stream --demos elsewhere", "in a suite of streams every episode begins"),
+        ("map t01-01 --elsewhere", "cannot be used with"),
+    ] {
+        let message = refused(dir.path(), arguments);
+        assert!(message.contains(said), "{arguments}: {message}");
+    }
+    let planned = memtransfer(dir.path(), "run --suite transfer --limit 10 --dry-run");
+    let planned = text(&planned.stdout);
+    assert!(planned.contains("semantic/new/unchanged/elsewhere"), "{planned}");
+    assert!(planned.contains("190 of 190 episodes of 19 conditions"), "{planned}");
+}
+
+#[test]
 fn settings_come_from_all_sources_in_order() {
     let dir = dir();
     fs::write(dir.path().join("mine.toml"), "lanes = 3\nruns = 4\nseed = 5").unwrap();

@@ -123,6 +123,8 @@ class Request:
     """What memory supplies, the most important first."""
     starts_as_demonstrated: bool = False
     """Whether a demonstration is known to start in the pose in which this episode started."""
+    demonstrated_elsewhere: bool = False
+    """Whether the demonstrations are known to have taken place in another warehouse."""
 
     @property
     def documents(self) -> Sequence[Document]:

@@ -63,6 +63,7 @@ pub(crate) fn render<'py>(
         window: &read.window,
         items: &items,
         starts_as_demonstrated: read.starts_as_demonstrated,
+        demonstrated_elsewhere: read.demonstrated_elsewhere,
     };
     let prompt = Prompt::new(&request, image_budget);
     let parts = prompt.parts.into_iter().map(|part| {
@@ -99,6 +100,7 @@ struct ReadRequest {
     window: Vec<PastView<'static>>,
     items: Vec<ReadItem>,
     starts_as_demonstrated: bool,
+    demonstrated_elsewhere: bool,
 }
 
 impl ReadRequest {
@@ -127,6 +129,7 @@ impl ReadRequest {
             window,
             items,
             starts_as_demonstrated: request.getattr("starts_as_demonstrated")?.is_truthy()?,
+            demonstrated_elsewhere: request.getattr("demonstrated_elsewhere")?.is_truthy()?,
         })
     }
 }

@@ -69,6 +69,9 @@ fn field<'py>(
             "starts_as_demonstrated" => {
                 request.starts_as_demonstrated.into_pyobject(py)?.to_owned().into_any()
             }
+            "demonstrated_elsewhere" => {
+                request.demonstrated_elsewhere.into_pyobject(py)?.to_owned().into_any()
+            }
             "pose" => classes.pose_of(py, request.pose)?,
             "feedback" => classes.feedback_of(py, request.feedback).into_pyobject(py)?,
             "frame" => maker.frame(frames.next())?,

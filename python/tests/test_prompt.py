@@ -59,6 +59,7 @@ def request(plain: dict[str, Any]) -> Request:
         ],
         items=[item(it) for it in plain["items"]],
         starts_as_demonstrated=plain["starts_as_demonstrated"],
+        demonstrated_elsewhere=plain.get("demonstrated_elsewhere", False),
     )
 
 

@@ -476,8 +476,10 @@ messages! {
         starts_as_demonstrated: u8,
         /// Window length h, at most [`MAX_WINDOW`]: how many past steps belong to a request.
         window: u8,
+        /// 1 when the prompt says that the demonstrations took place in another warehouse.
+        demonstrated_elsewhere: u8,
         /// Zero.
-        reserved: [u8; 2],
+        reserved: u8,
         /// The instruction, UTF-8.
         instruction: [u8; MAX_INSTRUCTION],
     }

@@ -59,7 +59,7 @@ impl Lanes {
             .worlds
             .variant(number)
             .ok_or_else(|| format!("variant {number} is not one of {}", self.worlds.len()))?;
-        if !self.worlds.layout().is_free(pose.cell)
+        if !self.worlds.layout_of(world).is_free(pose.cell)
             || self.worlds.closed(world).is_closed(pose.cell)
         {
             return Err(format!("an agent cannot stand at {pose}"));
@@ -89,7 +89,8 @@ impl Lanes {
                 let action = Action::try_from(command.action).map_err(text)?;
                 let now = following(command, now)?;
                 let closed = self.worlds.closed(now.world);
-                let (pose, feedback) = step(self.worlds.layout(), closed, now.pose, action);
+                let layout = self.worlds.layout_of(now.world);
+                let (pose, feedback) = step(layout, closed, now.pose, action);
                 (LaneEpisode { pose, step: command.step, ..now }, feedback)
             }
             StepKind::Stay => {

@@ -3,10 +3,9 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
-use clap::ArgAction;
-use clap::builder::BoolishValueParser;
-use domain::{Appearance, Pose};
+use domain::Pose;
 use png_file::RgbaImage;
+use program::AppearanceArgs;
 use warehouse::{CaseSet, Start, Variant, Warehouse};
 
 use crate::renderer::{Backend, RenderSettings, Renderer, Samples, ViewSpec, contact_sheet};
@@ -23,29 +22,17 @@ pub(crate) struct RendererArgs {
     #[arg(long, value_name = "NAME")]
     adapter: Option<String>,
 
-    /// Whether a coloured plate hangs above every item.
-    #[arg(long, value_name = "on|off", default_value = "on", action = ArgAction::Set,
-          value_parser = BoolishValueParser::new())]
-    plates: bool,
-
-    /// Whether anything is written: names of items, numbers of bays, signs.
-    #[arg(long, value_name = "on|off", default_value = "on", action = ArgAction::Set,
-          value_parser = BoolishValueParser::new())]
-    labels: bool,
-
-    /// Vary the light and the tints of walls, floor and racks; 0 is the standard look.
-    #[arg(long, value_name = "N", default_value_t = 0)]
-    appearance_seed: u64,
+    #[command(flatten)]
+    appearance: AppearanceArgs,
 }
 
 impl RendererArgs {
     /// `settings` with this backend, adapter and appearance.
     pub(crate) fn apply(&self, settings: RenderSettings) -> RenderSettings {
-        let &Self { plates, labels, appearance_seed: seed, .. } = self;
         RenderSettings {
             backend: self.backend,
             adapter: self.adapter.clone(),
-            appearance: Appearance { plates, labels, seed },
+            appearance: self.appearance.clone().into(),
             ..settings
         }
     }

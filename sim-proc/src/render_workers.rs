@@ -6,7 +6,10 @@ use anyhow::Result;
 use warehouse::Warehouse;
 
 use crate::render_pool::{RenderSetup, RenderTask, RenderWorker};
-use crate::renderer::{Backend, Destination, RenderJob, RenderSettings, Renderer, ViewSpec};
+use crate::renderer::{
+    Backend, Destination, RenderJob, RenderSettings, Renderer, ViewSpec, VisibleChanges,
+};
+use crate::worlds::Worlds;
 
 /// Maximum number of renderers on the CPU.
 const MAX_RENDERERS: usize = 8;
@@ -14,19 +17,40 @@ const MAX_RENDERERS: usize = 8;
 /// Maximum number of views that a Vulkan device renders together.
 const GPU_BATCH_VIEWS: usize = 8;
 
-impl RenderWorker for Renderer {
+/// The renderers of a worker: each hall is a scene of its own.
+struct HallRenderers {
+    tested: Renderer,
+    /// Of the hall in which tasks are only demonstrated. Its stock has the number after those of the hall that is tested.
+    elsewhere: Option<Renderer>,
+    /// Number of stocks of the hall that is tested.
+    stocks: u32,
+}
+
+impl RenderWorker for HallRenderers {
     fn render_into(&mut self, tasks: &mut [RenderTask<'_>]) -> Result<u64> {
-        let before = self.report().bytes_copied;
-        let mut jobs: Vec<RenderJob<'_>> = tasks
-            .iter_mut()
-            .map(|task| RenderJob {
-                view: ViewSpec { pose: task.pose, variant: task.variant, stock: task.stock },
-                destination: Destination::Slot(bytemuck::cast_slice_mut(task.slot.pages_mut())),
-            })
-            .collect();
-        self.render(&mut jobs)?;
-        Ok(self.report().bytes_copied - before)
+        let (mut here, mut there) = (Vec::new(), Vec::new());
+        for RenderTask { stock, variant, pose, slot } in tasks {
+            let is_here = *stock < self.stocks;
+            let stock = if is_here { *stock } else { 0 };
+            let job = RenderJob {
+                view: ViewSpec { pose: *pose, variant, stock },
+                destination: Destination::Slot(bytemuck::cast_slice_mut(slot.pages_mut())),
+            };
+            if is_here { here.push(job) } else { there.push(job) }
+        }
+        let mut copied = rendered(&mut self.tested, &mut here)?;
+        if let Some(elsewhere) = &mut self.elsewhere {
+            copied += rendered(elsewhere, &mut there)?;
+        }
+        Ok(copied)
     }
+}
+
+/// Renders all `jobs`; returns how many bytes the program itself has copied.
+fn rendered(renderer: &mut Renderer, jobs: &mut [RenderJob<'_>]) -> Result<u64> {
+    let before = renderer.report().bytes_copied;
+    renderer.render(jobs)?;
+    Ok(renderer.report().bytes_copied - before)
 }
 
 /// Opens renderers that work at the same time: one per core, up to eight, with the CPU backend; otherwise one.
@@ -45,12 +69,13 @@ pub fn open_renderers(stocks: &[Warehouse], settings: RenderSettings) -> Result<
 }
 
 impl RenderSetup {
-    /// Opens the renderers of a simulator for all stocks of its worlds.
+    /// Opens the renderers of a simulator for all `worlds`.
     ///
     /// # Errors
     /// As [`Renderer::with_stocks`].
-    pub fn open(stocks: &[Warehouse], settings: RenderSettings) -> Result<Self> {
-        let renderers = open_renderers(stocks, settings)?;
+    pub fn open(worlds: &Worlds, settings: RenderSettings) -> Result<Self> {
+        let (stocks, other) = worlds.halls();
+        let renderers = open_renderers(stocks, settings.clone())?;
         let report = renderers[0].report();
         let mut facts = vec![
             ("backend", report.backend.to_string()),
@@ -58,16 +83,35 @@ impl RenderSetup {
             ("renderers", renderers.len().to_string()),
         ];
         facts.extend(report.adapter.map(|adapter| ("adapter", adapter)));
+        let mebibytes = |renderer: &Renderer| renderer.scene_bytes() as f64 / f64::from(1 << 20);
         if stocks.len() > 1 {
-            let mebibytes = renderers[0].scene_bytes() as f64 / f64::from(1 << 20);
-            facts.push(("scene", format!("{} stocks, {mebibytes:.1} MiB", stocks.len())));
+            let scene = mebibytes(&renderers[0]);
+            facts.push(("scene", format!("{} stocks, {scene:.1} MiB", stocks.len())));
+        }
+        let mut elsewhere = Vec::new();
+        if let Some(other) = other {
+            elsewhere.push(Renderer::new(other, settings)?);
+            for _ in 1..renderers.len() {
+                elsewhere.push(elsewhere[0].try_clone()?);
+            }
+            facts.push(("other warehouse", format!("{:.1} MiB", mebibytes(&elsewhere[0]))));
         }
         let mut visibility = renderers[0].visibility();
-        let worker = |renderer| Box::new(renderer) as Box<dyn RenderWorker>;
+        let stocks = stocks.len() as u32;
+        let mut elsewhere = elsewhere.into_iter();
+        let worker = |tested| -> Box<dyn RenderWorker> {
+            Box::new(HallRenderers { tested, elsewhere: elsewhere.next(), stocks })
+        };
         Ok(Self {
             workers: renderers.into_iter().map(worker).collect(),
             batch_views: if report.backend == Backend::Cpu { 1 } else { GPU_BATCH_VIEWS },
-            find_changes: Box::new(move |view| visibility.changes(view)),
+            find_changes: Box::new(move |view| {
+                if view.stock < stocks {
+                    visibility.changes(view)
+                } else {
+                    VisibleChanges { stock: true, barricades: false }
+                }
+            }),
             facts,
         })
     }

@@ -8,7 +8,7 @@ use shm_types::message::Role;
 use shm_types::process::{check_shared_memory, die_with_parent};
 use shm_types::{Attach, Bus};
 use warehouse::case_file::CASES_FILE;
-use warehouse::{CaseSet, StreamSet, Warehouse};
+use warehouse::{CaseSet, Elsewhere, StreamSet, Warehouse};
 
 use crate::render_command::RendererArgs;
 use crate::render_pool::RenderSetup;
@@ -34,6 +34,10 @@ pub struct ServeArgs {
     #[arg(long, value_name = "FILE")]
     streams: Option<PathBuf>,
 
+    /// The other warehouse, in which tasks are demonstrated: one more world variant.
+    #[arg(long, value_name = "FILE")]
+    elsewhere: Option<PathBuf>,
+
     /// Render every view of the unchanged world before the first step.
     #[arg(long)]
     warm_views: bool,
@@ -49,7 +53,7 @@ pub fn run(args: ServeArgs) -> Result<()> {
     die_with_parent(attach.orchestrator_pid)
         .context("cannot tie this process to its orchestrator")?;
     check_shared_memory(attach.shared_memory_bytes())?;
-    let (warehouse, cases) = match &args.assets {
+    let (warehouse, mut cases) = match &args.assets {
         None => (Warehouse::shipped(), CaseSet::shipped()),
         Some(folder) => {
             let warehouse = Warehouse::load(folder)?;
@@ -67,6 +71,9 @@ pub fn run(args: ServeArgs) -> Result<()> {
             states.with_context(|| file.display().to_string())?
         }
     };
+    if let Some(file) = &args.elsewhere {
+        cases.elsewhere = Some(Elsewhere::read(file, &warehouse, &cases)?);
+    }
     let worlds = Worlds::new(&warehouse, &cases, states);
     let settings = args.renderer.apply(RenderSettings {
         width_px: attach.frame.width,
@@ -74,7 +81,7 @@ pub fn run(args: ServeArgs) -> Result<()> {
         ..RenderSettings::default()
     });
     let bus = Bus::join(attach, Role::Sim).context("cannot join the run")?;
-    let stocks = worlds.stocks().to_vec();
-    serve(&bus, worlds, args.warm_views, || RenderSetup::open(&stocks, settings))
+    let rendered = worlds.clone();
+    serve(&bus, worlds, args.warm_views, || RenderSetup::open(&rendered, settings))
         .context("the simulator failed")
 }

@@ -1,14 +1,14 @@
-//! The worlds of a run: what stands on the shelves, and which passages are closed.
+//! The worlds of a run: the hall and what stands on its shelves, and which passages are closed.
 
 use std::collections::HashMap;
 use std::hash::Hash;
 
-use warehouse::{CaseSet, Layout, Variant, Warehouse, WorldState};
+use warehouse::{CaseSet, ELSEWHERE_VARIANT, Layout, Variant, Warehouse, WorldState};
 
 /// A world by its parts, each as an index into those of [`Worlds`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub struct World {
-    /// What stands on the shelves.
+    /// The hall and what stands on its shelves.
     pub stock: u32,
     /// Which passages are closed.
     pub closing: u32,
@@ -22,16 +22,19 @@ impl World {
 /// All worlds of a run, and their parts, each once.
 #[derive(Debug, Clone)]
 pub struct Worlds {
-    /// The unchanged warehouse first. They differ in their items only.
+    /// The unchanged warehouse first. They differ in their items only, but for the one of another hall, which is the last.
     stocks: Vec<Warehouse>,
     /// No closed passage first.
     closings: Vec<Variant>,
     /// By number of the world variant on the wire.
     variants: Vec<World>,
+    /// The warehouse in which tasks are only demonstrated, if there is one.
+    elsewhere: Option<World>,
 }
 
 impl Worlds {
-    /// The unchanged warehouse, the warehouse with the barricade of each case, and `states` of it.
+    /// The unchanged warehouse, the warehouse with the barricade of each case, `states` of it, and the other warehouse of the
+    /// cases.
     pub fn new(warehouse: &Warehouse, cases: &CaseSet, states: Vec<WorldState>) -> Self {
         let closing = |cells: &[domain::Cell]| Variant::closing(cells.iter().copied());
         let mut parts = vec![(warehouse.clone(), Variant::UNCHANGED)];
@@ -42,24 +45,42 @@ impl Worlds {
             let items = warehouse.items.iter().map(|item| (item.standpoint, item.item_type));
             items.collect::<Vec<_>>()
         };
-        let (stocks, stock_of) = distinct(stocks, stock_key);
+        let (mut stocks, stock_of) = distinct(stocks, stock_key);
         let (closings, closing_of) = distinct(closings, Variant::clone);
         let variants = stock_of.into_iter().zip(closing_of);
         let variants = variants.map(|(stock, closing)| World { stock, closing }).collect();
-        Self { stocks, closings, variants }
+        let elsewhere = cases.elsewhere.as_ref().map(|elsewhere| {
+            stocks.push(elsewhere.warehouse().clone());
+            World { stock: stocks.len() as u32 - 1, closing: 0 }
+        });
+        Self { stocks, closings, variants, elsewhere }
     }
 
-    /// The floor plan.
+    /// The floor plan of the warehouse that is tested.
     pub fn layout(&self) -> &Layout {
         &self.stocks[0].layout
     }
 
-    /// The warehouse with each stock.
-    pub fn stocks(&self) -> &[Warehouse] {
-        &self.stocks
+    /// The floor plan of `world`.
+    ///
+    /// # Panics
+    /// When `world` is not one of these.
+    pub fn layout_of(&self, world: World) -> &Layout {
+        &self.stocks[world.stock as usize].layout
     }
 
-    /// The number of world variants.
+    /// The warehouse with each stock, and the other warehouse, if there is one.
+    pub fn halls(&self) -> (&[Warehouse], Option<&Warehouse>) {
+        match self.elsewhere {
+            None => (&self.stocks, None),
+            Some(world) => {
+                let (stocks, other) = self.stocks.split_at(world.stock as usize);
+                (stocks, other.first())
+            }
+        }
+    }
+
+    /// The number of variants of the world that is tested.
     pub fn len(&self) -> usize {
         self.variants.len()
     }
@@ -71,6 +92,9 @@ impl Worlds {
 
     /// World variant `number`, if there is one.
     pub fn variant(&self, number: u32) -> Option<World> {
+        if number == ELSEWHERE_VARIANT {
+            return self.elsewhere;
+        }
         self.variants.get(number as usize).copied()
     }
 
@@ -99,7 +123,7 @@ fn distinct<T, K: Eq + Hash>(all: Vec<T>, key: impl Fn(&T) -> K) -> (Vec<T>, Vec
 #[cfg(test)]
 mod tests {
     use domain::Cell;
-    use warehouse::{StockChange, WorldChange};
+    use warehouse::{Elsewhere, StockChange, WorldChange};
 
     use super::*;
 
@@ -114,9 +138,23 @@ mod tests {
             assert_eq!(worlds.closed(world).closed(), case.barricade);
             assert_eq!(world.stock, 0);
         }
-        assert_eq!((worlds.len(), worlds.stocks().len()), (cases.cases.len() + 1, 1));
+        assert_eq!((worlds.len(), worlds.stocks.len()), (cases.cases.len() + 1, 1));
+        assert_eq!(worlds.variant(ELSEWHERE_VARIANT), None);
         let closings = &worlds.closings;
         assert!((1..closings.len()).all(|n| !closings[..n].contains(&closings[n])));
+    }
+
+    #[test]
+    fn the_other_warehouse_has_a_floor_plan_of_its_own() {
+        let (warehouse, mut cases) = (Warehouse::shipped(), CaseSet::shipped());
+        cases.elsewhere = Elsewhere::generate(&warehouse, &cases, 1).ok();
+        let worlds = Worlds::new(&warehouse, &cases, Vec::new());
+        let world = worlds.variant(ELSEWHERE_VARIANT).unwrap();
+        assert_eq!(worlds.len(), cases.cases.len() + 1);
+        assert_ne!(worlds.layout_of(world), worlds.layout());
+        let (stocks, other) = worlds.halls();
+        assert_eq!((stocks.len(), world.stock), (1, 1));
+        assert_eq!(other.unwrap().layout, *worlds.layout_of(world));
     }
 
     #[test]
@@ -142,6 +180,6 @@ mod tests {
         }
         assert_eq!(worlds.variant(first + 4), None);
         let standpoint = warehouse.items[3].standpoint;
-        assert_eq!(worlds.stocks()[1].item_at(standpoint), None);
+        assert_eq!(worlds.stocks[1].item_at(standpoint), None);
     }
 }

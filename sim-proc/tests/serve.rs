@@ -16,11 +16,14 @@ use shm_types::message::{
 use shm_types::{Attach, Bus, FrameControl, FrameSize};
 use sim_proc::render_pool::{RenderSetup, RenderTask, RenderWorker};
 use sim_proc::renderer::{
-    Destination, RenderJob, RenderSettings, Renderer, ViewSpec, VisibleChanges,
+    Backend, Destination, RenderJob, RenderSettings, Renderer, ViewSpec, VisibleChanges,
 };
 use sim_proc::serve::serve;
 use sim_proc::worlds::Worlds;
-use warehouse::{CaseSet, StockChange, Variant, Warehouse, WorldChange, WorldState, step};
+use warehouse::{
+    CaseSet, ELSEWHERE_VARIANT, Elsewhere, StockChange, Variant, Warehouse, WorldChange,
+    WorldState, step,
+};
 
 /// Fills a slot with pixels that encode the pose, the stock and the number of nearby closed cells.
 struct CodeWorker;
@@ -91,7 +94,14 @@ fn states() -> Vec<WorldState> {
 }
 
 fn worlds() -> Worlds {
-    Worlds::new(&Warehouse::shipped(), &CaseSet::shipped(), states())
+    let (warehouse, mut cases) = (Warehouse::shipped(), CaseSet::shipped());
+    cases.elsewhere = Some(elsewhere());
+    Worlds::new(&warehouse, &cases, states())
+}
+
+/// The other warehouse.
+fn elsewhere() -> Elsewhere {
+    Elsewhere::generate(&Warehouse::shipped(), &CaseSet::shipped(), 1).unwrap()
 }
 
 fn simulator_with(
@@ -528,7 +538,7 @@ fn the_renderer_writes_into_the_frame_store() {
             (attach.frame, attach.frame_capacity, attach.lanes, attach.window) = (size, 6, 1, 2)
         },
         false,
-        move |frame| RenderSetup::open(worlds().stocks(), settings(frame)),
+        move |frame| RenderSetup::open(&worlds(), settings(frame)),
     );
     let handshake = sim.handshake();
     let facts = handshake.facts().unwrap();
@@ -552,4 +562,55 @@ fn the_renderer_writes_into_the_frame_store() {
     assert!(frames_rendered > 6 && frames_evicted >= frames_rendered - 6);
     let copied = if facts["frame path"] == "direct" { 0 } else { frames_rendered };
     assert_eq!(pixel_bytes_copied, copied * size.bytes() as u64, "{facts:?}");
+}
+
+/// The other warehouse has its own floor plan, stock and scene, in one frame store with the tested one.
+#[test]
+fn views_of_the_other_warehouse_are_those_of_a_simulator_that_is_started_in_it() {
+    let size = FrameSize { width: 128, height: 96 };
+    let settings = RenderSettings {
+        width_px: size.width,
+        height_px: size.height,
+        backend: Some(Backend::Cpu),
+        ..RenderSettings::default()
+    };
+    let with = settings.clone();
+    let mut sim = simulator_with(
+        |attach| attach.frame = size,
+        false,
+        move |_| RenderSetup::open(&worlds(), with),
+    );
+    sim.handshake();
+    let (tested, other) = (Warehouse::shipped(), elsewhere());
+    let mut renderer = Renderer::new(other.warehouse(), settings.clone()).unwrap();
+    let mut here = Renderer::new(&tested, settings).unwrap();
+    let render = |renderer: &mut Renderer, pose| {
+        let mut pixels = vec![0; size.bytes()];
+        let destination = Destination::Memory(&mut pixels);
+        let view = ViewSpec { pose, variant: &Variant::UNCHANGED, stock: 0 };
+        renderer.render(&mut [RenderJob { view, destination }]).unwrap();
+        pixels
+    };
+    let (task, shown) = other.demonstration(0).unwrap();
+    let replay = shown.replay(other.warehouse(), task, &Variant::UNCHANGED);
+    assert!(replay.poses.iter().any(|pose| !tested.layout.is_free(pose.cell)));
+    let mut command = reset(0, 1, ELSEWHERE_VARIANT, shown.start);
+    let actions = shown.actions.iter().copied().map(Some).chain([None]);
+    for ((pose, action), step) in replay.poses.into_iter().zip(actions).zip(1..) {
+        let seen = sim.ask(&command);
+        assert_eq!(Pose::try_from(seen.pose), Ok(pose));
+        for store in &mut sim.neighbours.stores {
+            let frame = store.get(seen.frame).unwrap().unwrap();
+            assert!(frame.pixels() == render(&mut renderer, pose), "{pose}");
+        }
+        if tested.layout.is_free(pose.cell) {
+            let seen = sim.ask(&reset(1, 100 + u64::from(step), 0, pose));
+            let frame = sim.neighbours.stores[0].get(seen.frame).unwrap().unwrap();
+            assert!(frame.pixels() == render(&mut here, pose), "{pose}");
+        }
+        if let Some(action) = action {
+            command = act(0, 1, step, action);
+        }
+    }
+    sim.stop();
 }

@@ -116,6 +116,20 @@ fn views_are_rendered_with_the_requested_backend() {
 }
 
 #[test]
+fn without_plates_a_policy_runs_that_does_not_read_them() {
+    let bench = Bench::new();
+    let run = |policy, out| {
+        bench.run(&["run", "--policy", policy, "--plates", "off", "--limit", "1", "--out", out])
+    };
+    let Ended { stderr, .. } = run("grounded", "grounded").expect(2);
+    assert!(stderr.contains("sees nothing but plates"), "{stderr}");
+    assert!(!bench.out("grounded").exists());
+    run("random", "random").expect(0);
+    assert_eq!(records(&bench.out("random")).len(), 2);
+    assert_eq!(bench.leftovers(), Vec::<String>::new());
+}
+
+#[test]
 fn success_comes_from_pixels() {
     let bench = Bench::new();
     // Every fifth case: two of each task type.

@@ -1,14 +1,13 @@
 //! The sources of documents: the selected demonstrations of all cases, in a world that is rendered.
 
-use std::collections::HashSet;
 use std::fs;
 use std::path::Path;
 
 use anyhow::{Context, Result};
-use domain::{Appearance, Pose};
+use domain::Appearance;
 use sha2::{Digest, Sha256};
 use warehouse::case_file::CASES_FILE;
-use warehouse::{CaseSet, Demonstrations, History, Warehouse};
+use warehouse::{CaseSet, Demonstrated, Demonstrations, Elsewhere, Viewpoint, Warehouse};
 
 use crate::{hex, sha256_of_parts};
 
@@ -59,6 +58,24 @@ impl Sources {
         Ok(Self { warehouse, cases, world_sha256, appearance: Appearance::STANDARD })
     }
 
+    /// The same sources, with the other warehouse in which tasks are demonstrated, if there is one.
+    pub fn with_elsewhere(mut self, elsewhere: Option<Elsewhere>) -> Self {
+        self.cases.elsewhere = elsewhere;
+        self
+    }
+
+    /// SHA-256, in hexadecimal digits, of the files of the world in which the demonstrations of `selection` take place.
+    fn world_of(&self, selection: Demonstrations) -> String {
+        match self.cases.elsewhere.as_ref().filter(|_| selection.take_place_elsewhere()) {
+            None => self.world_sha256.clone(),
+            Some(elsewhere) => {
+                let mut world = Sha256::new();
+                elsewhere.files().into_iter().for_each(|text| world.update(Sha256::digest(text)));
+                hex(&world.finalize())
+            }
+        }
+    }
+
     /// The same sources, in frames with this appearance.
     pub fn seen_with(self, appearance: Appearance) -> Self {
         Self { appearance, ..self }
@@ -66,49 +83,47 @@ impl Sources {
 
     /// The demonstrations that `selection` names for any case, each once: in the order of the cases, and for each
     /// case in the order of its own set.
-    pub fn histories(&self, selection: Demonstrations) -> Vec<History> {
-        let mut known = HashSet::new();
-        (0..self.cases.cases.len())
-            .flat_map(|case| self.cases.histories(case, selection))
-            .filter(|history| known.insert(*history))
-            .collect()
+    pub fn demonstrations(&self, selection: Demonstrations) -> Vec<Demonstrated<'_>> {
+        let histories = self.cases.histories_of_all(selection).into_iter();
+        histories.filter_map(|of| self.cases.demonstrated(&self.warehouse, of)).collect()
     }
 
-    /// The poses of the views in the demonstrations of `selection`, sorted.
-    pub fn poses(&self, selection: Demonstrations) -> Vec<Pose> {
-        let replayed = |History { case, start }: History| {
-            self.cases.cases[case].replay(&self.warehouse, start).poses
-        };
-        let mut poses: Vec<Pose> =
-            self.histories(selection).into_iter().flat_map(replayed).collect();
-        poses.sort_unstable();
-        poses.dedup();
-        poses
+    /// Where the views in the demonstrations of `selection` are seen from, sorted.
+    pub fn viewpoints(&self, selection: Demonstrations) -> Vec<Viewpoint> {
+        let demonstrations = self.demonstrations(selection);
+        let mut viewpoints: Vec<Viewpoint> =
+            demonstrations.iter().flat_map(Demonstrated::viewpoints).collect();
+        viewpoints.sort_unstable();
+        viewpoints.dedup();
+        viewpoints
     }
 
     /// SHA-256, in hexadecimal digits, of everything that determines the demonstrations of `selection` and their views
-    /// and is known without rendering: layout, catalogue, the demonstrations, the frames' width and height, their appearance
-    /// if it is not the standard one, and this program's version, which stands for how the world is drawn and how plates
-    /// are read.
+    /// and is known without rendering: layout, catalogue, the demonstrations, the cells that are closed where one takes place,
+    /// the frames' width and height, their appearance if it is not the standard one, and this program's version, which stands
+    /// for how the world is drawn and how plates are read.
     ///
-    /// Test references and barricades are left out: a document does not depend on them.
+    /// Test references and other barricades are left out: a document does not depend on them.
     pub fn sha256(&self, selection: Demonstrations, frame: [u32; 2]) -> String {
         let frame = format!("{} x {}", frame[0], frame[1]);
         let mut parts = vec![
             "memtransfer sources v1".to_owned(),
             env!("CARGO_PKG_VERSION").to_owned(),
-            self.world_sha256.clone(),
+            self.world_of(selection),
             frame,
         ];
         if self.appearance != Appearance::STANDARD {
             parts.push(self.appearance.to_string());
         }
-        for History { case, start } in self.histories(selection) {
-            let case = &self.cases.cases[case];
-            let trajectory = case.trajectory(start);
-            parts.push(case.task.instruction(&self.warehouse.catalogue));
+        for demonstrated in self.demonstrations(selection) {
+            let Demonstrated { trajectory, closed, .. } = &demonstrated;
+            parts.push(demonstrated.instruction());
             parts.push(trajectory.start.to_string());
             parts.push(trajectory.actions.iter().map(|action| action.letter()).collect());
+            if !closed.is_empty() {
+                let cells: Vec<String> = closed.iter().map(ToString::to_string).collect();
+                parts.push(format!("closed {}", cells.join(" ")));
+            }
         }
         sha256_of_parts(parts.iter().map(String::as_str))
     }
@@ -116,6 +131,8 @@ impl Sources {
 
 #[cfg(test)]
 mod tests {
+    use warehouse::ELSEWHERE_VARIANT;
+
     use super::*;
 
     const FRAME: [u32; 2] = [448, 448];
@@ -141,11 +158,46 @@ mod tests {
     fn every_demonstration_of_a_set_is_listed_once() {
         let sources = sources();
         let cases = sources.cases.cases.len();
-        let count = |selection| sources.histories(selection).len();
+        let count = |selection| sources.demonstrations(selection).len();
         assert_eq!(count(Demonstrations::NONE), 0);
         assert_eq!(count(Demonstrations::ORIGINAL), cases);
         assert_eq!(count(Demonstrations::ALL), 4 * cases);
         // Every case's own two; the others belong to some case, too.
         assert!((2 * cases..4 * cases).contains(&count(Demonstrations::IRRELEVANT)));
+        assert_eq!(count(Demonstrations::BEFORE_AFTER), 2 * cases);
+    }
+
+    #[test]
+    fn documents_of_the_other_warehouse_depend_on_it_alone() {
+        let seen = |seed| {
+            let Sources { warehouse, cases, .. } = sources();
+            sources().with_elsewhere(Elsewhere::generate(&warehouse, &cases, seed).ok())
+        };
+        let hash = |of: &Sources, selection| of.sha256(selection, FRAME);
+        let (one, two) = (seen(1), seen(2));
+        let elsewhere = Demonstrations::ELSEWHERE;
+        assert_eq!(hash(&one, elsewhere), hash(&seen(1), elsewhere));
+        assert_ne!(hash(&one, elsewhere), hash(&two, elsewhere));
+        assert_eq!(hash(&one, Demonstrations::ALL), hash(&sources(), Demonstrations::ALL));
+        let viewpoints = one.viewpoints(elsewhere);
+        assert!(viewpoints.iter().all(|viewpoint| viewpoint.variant == ELSEWHERE_VARIANT));
+    }
+
+    #[test]
+    fn a_demonstration_after_the_event_depends_on_what_is_closed() {
+        let (sources, mut other) = (sources(), sources());
+        let hash = |of: &Sources, selection| of.sha256(selection, FRAME);
+        let passage = other.cases.cases[7].barricade.clone();
+        other.cases.cases[8].barricade = passage;
+        assert_eq!(hash(&sources, Demonstrations::ALL), hash(&other, Demonstrations::ALL));
+        for selection in [Demonstrations::AFTER, Demonstrations::BEFORE_AFTER] {
+            assert_ne!(hash(&sources, selection), hash(&other, selection));
+        }
+        assert_ne!(
+            hash(&sources, Demonstrations::AFTER_BEFORE),
+            hash(&sources, Demonstrations::BEFORE_AFTER)
+        );
+        let after = sources.viewpoints(Demonstrations::AFTER);
+        assert!(after.iter().all(|viewpoint| viewpoint.variant > 0));
     }
 }

@@ -104,6 +104,9 @@ pub struct RecordedRequest {
     pub frame: Hash,
     /// Whether the prompt says that a demonstration started in the episode's start pose.
     pub starts_as_demonstrated: bool,
+    /// Whether the prompt said that the demonstrations took place in another warehouse.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub demonstrated_elsewhere: bool,
     /// The last steps, oldest first.
     pub window: Vec<RecordedPast>,
     /// What memory supplied, in order.
@@ -280,6 +283,7 @@ mod tests {
                 feedback: "You moved.".to_owned(),
                 frame: hex([0xab; 16]),
                 starts_as_demonstrated: false,
+                demonstrated_elsewhere: false,
                 window: Vec::new(),
                 items: vec![RecordedItem::Trajectory(hex([1; 16]))],
             },

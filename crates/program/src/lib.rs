@@ -1,4 +1,7 @@
-//! What every program's main function does: logging to stderr, the message of a fatal error, the exit status.
+//! What programs have in common: logging to stderr, the message of a fatal error, the exit status, and the flags that
+//! several of them have.
+
+mod appearance;
 
 use std::io::{self, IsTerminal};
 use std::process::ExitCode;
@@ -6,6 +9,8 @@ use std::process::ExitCode;
 use tracing_subscriber::filter::{LevelFilter, Targets};
 use tracing_subscriber::layer::SubscriberExt;
 use tracing_subscriber::util::SubscriberInitExt;
+
+pub use appearance::AppearanceArgs;
 
 /// The environment variable that sets log levels: `debug`, or `warn,memory_proc=debug`.
 const LEVELS_VARIABLE: &str = "RUST_LOG";

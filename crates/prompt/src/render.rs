@@ -115,6 +115,8 @@ impl<'a> Writer<'a> {
         self.text(&texts.begin);
         if request.items.is_empty() {
             self.text(&texts.nothing);
+        } else if request.demonstrated_elsewhere {
+            self.text(&texts.elsewhere);
         }
         // The hint is about walks: after the demonstrations, before what was retrieved for this step.
         let has_walks = request.items.iter().any(|item| matches!(item, Item::Steps(_)));

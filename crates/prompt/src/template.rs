@@ -39,7 +39,7 @@ pub(super) struct Template {
 
 texts! {
     MemoryTexts {
-        begin, nothing, end, document, summary, semantic, note, captioned_begin, caption,
+        begin, nothing, end, elsewhere, document, summary, semantic, note, captioned_begin, caption,
         captioned_end, demonstration_begin, demonstration_view, demonstration_actions, then, several,
         demonstration_end, part_begin, part_end, hint, retrieved_begin, one_retrieved_begin,
         retrieved_action, retrieved_view, retrieved_view_alone, retrieved_end,

@@ -38,6 +38,8 @@ struct PlainRequest {
     window: Vec<PlainPast>,
     items: Vec<PlainItem>,
     starts_as_demonstrated: bool,
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    demonstrated_elsewhere: bool,
 }
 
 #[derive(Serialize, Deserialize)]
@@ -147,6 +149,7 @@ fn outcome(plain: &PlainRequest, image_budget: u32) -> (Value, String) {
         window: &window,
         items: &items,
         starts_as_demonstrated: plain.starts_as_demonstrated,
+        demonstrated_elsewhere: plain.demonstrated_elsewhere,
     };
     let prompt = Prompt::new(&request, image_budget);
     let sections: Vec<_> = prompt.parts.iter().map(|part| part.section.name()).collect();

@@ -29,7 +29,9 @@ mod run_log;
 pub use files::{REPORT_FOLDER, STATUS_FILE};
 pub use folder::{Opened, RunFolder};
 pub use journal::{DamagedLine, Journal, JournalContents, damaged_file, read_journal};
-pub use manifest::{Difference, DocumentFacts, ExternalMemoryFacts, FORMAT, Manifest};
+pub use manifest::{
+    Difference, DocumentFacts, ELSEWHERE_HASH, ExternalMemoryFacts, FORMAT, Manifest,
+};
 pub use record::{
     Ending, EpisodeError, EpisodeRecord, EpisodeTimings, RecallTotals, RequestRecord, SessionEvent,
     SessionRecord, Stages, StreamRecord, Unread,

@@ -80,6 +80,8 @@ pub struct RunSettings {
     pub model: Option<ModelSettings>,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub assets: Option<PathBuf>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub elsewhere: Option<PathBuf>,
     pub out: PathBuf,
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub log_prompts: bool,
@@ -160,6 +162,12 @@ impl RunSettings {
         }
     }
 
+    /// Whether tasks are demonstrated in another warehouse.
+    pub fn demonstrates_elsewhere(&self) -> bool {
+        let mut sets = self.groups.iter().flat_map(|group| &group.demos);
+        sets.any(|set| set.take_place_elsewhere())
+    }
+
     /// Whether the run has memories in processes of their own.
     pub const fn has_external_memories(&self) -> bool {
         self.external_memory || !self.memory_cmd.is_empty()
@@ -186,11 +194,12 @@ impl RunSettings {
     }
 }
 
-/// Keys that do not change any result, so that a run may be resumed with other values of them. `suite` and `assets` are
-/// among them because their contents are compared instead: settings, and hashes of files.
+/// Keys that do not change any result, so that a run may be resumed with other values of them. `suite`, `assets` and
+/// `elsewhere` are among them because their contents are compared instead: settings, and hashes of files.
 pub const FREE_KEYS: &[&str] = &[
     "suite",
     "assets",
+    "elsewhere",
     "out",
     "base-url",
     "max-connections",

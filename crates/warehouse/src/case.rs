@@ -2,12 +2,14 @@
 
 use domain::{Action, Cell, Feedback, Pose};
 
+use crate::demonstrated::PlannedAfter;
 use crate::dynamics::{Variant, step};
+use crate::elsewhere::Elsewhere;
 use crate::progress::Progress;
 use crate::task::Task;
 use crate::world::Warehouse;
 
-/// One of a case's six trajectories (specification, section 4).
+/// One of a case's six trajectories (specification, section 4), or a demonstration beside them.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub enum Start {
     /// The case's start.
@@ -22,16 +24,26 @@ pub enum Start {
     Test,
     /// The test start with a passage closed. Never part of a memory.
     Blocked,
+    /// The case's start with that passage closed: a demonstration by an expert who knows.
+    After,
+    /// The same task in another warehouse.
+    Elsewhere,
 }
 
 impl Start {
-    /// All six, demonstrations first.
+    /// The six that a case has, demonstrations first.
     pub const ALL: [Self; 6] =
         [Self::Original, Self::Opposite, Self::Nearby, Self::Distant, Self::Test, Self::Blocked];
 
-    /// The four demonstrations that memories are built from.
+    /// The four demonstrations that a case has.
     pub const DEMONSTRATIONS: [Self; 4] =
         [Self::Original, Self::Opposite, Self::Nearby, Self::Distant];
+
+    /// The kind of demonstration with this number on the wire, if there is one.
+    pub fn demonstration(number: u16) -> Option<Self> {
+        let kinds = Self::DEMONSTRATIONS.into_iter().chain([Self::After, Self::Elsewhere]);
+        kinds.into_iter().find(|&start| start as u16 == number)
+    }
 
     /// The name in files and tables.
     pub const fn name(self) -> &'static str {
@@ -42,6 +54,8 @@ impl Start {
             Self::Distant => "distant",
             Self::Test => "test",
             Self::Blocked => "blocked",
+            Self::After => "after",
+            Self::Elsewhere => "elsewhere",
         }
     }
 
@@ -54,6 +68,8 @@ impl Start {
             Self::Distant => 'd',
             Self::Test => 't',
             Self::Blocked => 'b',
+            Self::After => 'a',
+            Self::Elsewhere => 'w',
         }
     }
 }
@@ -138,7 +154,7 @@ impl Trajectory {
 pub struct History {
     /// Index of the case in its set.
     pub case: usize,
-    /// One of [`Start::DEMONSTRATIONS`].
+    /// Which of its demonstrations.
     pub start: Start,
 }
 
@@ -168,13 +184,16 @@ pub struct Case {
     pub irrelevant: [History; 2],
     /// Two demonstrations of other tasks that share poses with it and continue differently from there.
     pub confusable: [History; 2],
+    /// The demonstration after the passage has closed. [`CaseSet::demonstrated`] plans it.
+    pub after: PlannedAfter,
 }
 
 impl Case {
-    /// The trajectory from `start`.
+    /// The trajectory from `start`. Not for demonstrations beside the case's own ([`CaseSet::demonstrated`] has those): the
+    /// original stands for them here.
     pub fn trajectory(&self, start: Start) -> &Trajectory {
         match start {
-            Start::Original => &self.original,
+            Start::Original | Start::After | Start::Elsewhere => &self.original,
             Start::Opposite => &self.opposite,
             Start::Nearby => &self.nearby,
             Start::Distant => &self.distant,
@@ -212,6 +231,8 @@ pub struct CaseSet {
     pub seed: u64,
     /// The cases, sorted by id.
     pub cases: Vec<Case>,
+    /// Another warehouse in which their tasks are demonstrated, if there is one.
+    pub elsewhere: Option<Elsewhere>,
 }
 
 impl CaseSet {

@@ -14,6 +14,7 @@ use serde::Deserialize;
 use crate::asset::{AssetError, Problem, invalid, read, toml};
 use crate::case::{Case, CaseSet, History, Mixture, Start, Trajectory};
 use crate::catalogue::Catalogue;
+use crate::demonstrated::PlannedAfter;
 use crate::dynamics::MAX_STEPS;
 use crate::task::{Task, TaskSubject};
 use crate::world::Warehouse;
@@ -105,7 +106,7 @@ impl CaseSet {
             entry.read(warehouse, &indices).map_err(|problem| format!("case {id:?}: {problem}"))
         };
         let cases = file.case.into_iter().map(read).collect::<Result<_, Problem>>()?;
-        Ok(Self { seed: file.seed, cases })
+        Ok(Self { seed: file.seed, cases, elsewhere: None })
     }
 
     /// The text of the file, from which [`load`](Self::load) reads the same set.
@@ -134,9 +135,7 @@ fn write_case(text: &mut String, case: &Case, set: &CaseSet, catalogue: &Catalog
     ];
     lines.append(&mut names);
     for start in Start::ALL {
-        let Trajectory { start: pose, actions } = case.trajectory(start);
-        let letters: String = actions.iter().map(|action| action.letter()).collect();
-        lines.push(format!("{} = \"{pose} {letters}\"", start.name()));
+        lines.push(format!("{} = \"{}\"", start.name(), trajectory_text(case.trajectory(start))));
     }
     let cells: Vec<String> =
         case.barricade.iter().map(|cell| format!("[{}, {}]", cell.x, cell.y)).collect();
@@ -180,6 +179,7 @@ impl CaseEntry {
         Ok(Case {
             irrelevant: histories(Mixture::Irrelevant, &self.irrelevant)?,
             confusable: histories(Mixture::Confusable, &self.confusable)?,
+            after: PlannedAfter::default(),
             task,
             original: trajectory(Start::Original, &self.original)?,
             opposite: trajectory(Start::Opposite, &self.opposite)?,
@@ -256,7 +256,14 @@ fn unknown<'n>(
     format!("{field}: the catalogue has no {what} {name:?}; the nearest is {near:?}")
 }
 
-fn parse_trajectory(text: &str, warehouse: &Warehouse) -> Result<Trajectory, Problem> {
+/// A trajectory in a file: its start pose and a letter for each action.
+pub(crate) fn trajectory_text(Trajectory { start, actions }: &Trajectory) -> String {
+    let letters: String = actions.iter().map(|action| action.letter()).collect();
+    format!("{start} {letters}")
+}
+
+/// Reads [`trajectory_text`].
+pub(crate) fn parse_trajectory(text: &str, warehouse: &Warehouse) -> Result<Trajectory, Problem> {
     let (pose, letters) = text.split_once(' ').unwrap_or((text, ""));
     let start: Pose = pose.parse().map_err(|error: domain::pose::UnknownCode| error.to_string())?;
     if !warehouse.layout.is_free(start.cell) {

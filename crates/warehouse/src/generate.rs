@@ -17,6 +17,7 @@ use crate::constraints::{
     is_nearby, is_of_similar_length, shares_at_least_half, shares_at_most_half, target_in_view,
     target_on,
 };
+use crate::demonstrated::PlannedAfter;
 use crate::draw::Draw;
 use crate::dynamics::Variant;
 use crate::mixed::{self, TooFew};
@@ -87,7 +88,7 @@ impl CaseSet {
                 cases.push(case);
             }
         }
-        let mut set = Self { seed, cases };
+        let mut set = Self { seed, cases, elsewhere: None };
         for redrawn in 0.. {
             let Err(TooFew { case: at, mixture, found }) = mixed::assign(warehouse, &mut set)
             else {
@@ -115,7 +116,7 @@ impl CaseSet {
     }
 }
 
-struct Generator<'w> {
+pub(crate) struct Generator<'w> {
     warehouse: &'w Warehouse,
     seed: u64,
     expert: Planner<'w>,
@@ -142,7 +143,7 @@ struct Candidate {
 }
 
 impl<'w> Generator<'w> {
-    fn new(warehouse: &'w Warehouse, seed: u64) -> Self {
+    pub(crate) fn new(warehouse: &'w Warehouse, seed: u64) -> Self {
         let facing = |cell| Heading::ALL.map(|heading| Pose { cell, heading });
         Self {
             warehouse,
@@ -228,13 +229,7 @@ impl<'w> Generator<'w> {
     fn case_from(&self, task: Task, start: Pose, draw: &mut Draw) -> Option<Case> {
         let layout = &self.warehouse.layout;
         let targets = task.targets(self.warehouse);
-        if target_in_view(layout, start, &targets).is_some() {
-            return None;
-        }
-        let original = self.candidate(&task, start, &targets)?;
-        if !ORIGINAL_STEPS.contains(&original.length) {
-            return None;
-        }
+        let original = self.original(&task, start, &targets)?;
         let turned = Pose { heading: start.heading.opposite(), ..start };
         let opposite = self.candidate(&task, turned, &targets)?;
         let nearby = self.first_candidate(
@@ -284,10 +279,28 @@ impl<'w> Generator<'w> {
                     barricade,
                     irrelevant: NO_HISTORIES,
                     confusable: NO_HISTORIES,
+                    after: PlannedAfter::default(),
                 });
             }
         }
         None
+    }
+
+    /// A demonstration of `task` from a start that is drawn, with the constraints on an original demonstration.
+    pub(crate) fn demonstration(&self, task: &Task, draw: &mut Draw) -> Option<Trajectory> {
+        let targets = task.targets(self.warehouse);
+        let found = draw.shuffled(self.poses.clone()).into_iter();
+        let found = found.take(STARTS_TRIED).find_map(|start| self.original(task, start, &targets));
+        found.map(|candidate| candidate.trajectory)
+    }
+
+    /// The original demonstration from `start`, if no target is in view there and it is neither too short nor too long.
+    fn original(&self, task: &Task, start: Pose, targets: &[&Item]) -> Option<Candidate> {
+        if target_in_view(&self.warehouse.layout, start, targets).is_some() {
+            return None;
+        }
+        self.candidate(task, start, targets)
+            .filter(|original| ORIGINAL_STEPS.contains(&original.length))
     }
 
     /// The first trajectory, in random order of starts, with both properties.

@@ -69,6 +69,27 @@ impl GeneratedWorld {
         height: usize,
         corridors: Option<usize>,
     ) -> Result<Self, GenerateError> {
+        Self::stocked(seed, [width, height], corridors, None)
+    }
+
+    /// Draws a warehouse of the size of `other`, with its categories.
+    ///
+    /// # Errors
+    /// A side that is too short or too long, or a category that the shipped warehouse has not.
+    pub(crate) fn like(other: &Warehouse, seed: u64) -> Result<Self, GenerateError> {
+        let size = [other.layout.width(), other.layout.height()].map(usize::from);
+        let categories = other.catalogue.categories.iter();
+        let names: Vec<&str> = categories.map(|category| category.name.as_str()).collect();
+        Self::stocked(seed, size, None, Some(&names))
+    }
+
+    /// Draws a warehouse with these categories, or with some.
+    fn stocked(
+        seed: u64,
+        [width, height]: [usize; 2],
+        corridors: Option<usize>,
+        categories: Option<&[&str]>,
+    ) -> Result<Self, GenerateError> {
         let sides = MIN_SIDE..=MAX_SIDE;
         if !sides.contains(&width) || !sides.contains(&height) {
             return Err(GenerateError(format!(
@@ -86,7 +107,7 @@ impl GeneratedWorld {
         let layout = layout_text(&mut Draw::new(seed, LAYOUT_STREAM), width, height, corridors);
         let invalid = |problem| GenerateError(format!("{LAYOUT_FILE} of seed {seed}: {problem}"));
         let floor = Layout::parse(&layout).map_err(invalid)?;
-        let catalogue = catalogue_text(&mut Draw::new(seed, STOCK_STREAM), &floor);
+        let catalogue = catalogue_text(&mut Draw::new(seed, STOCK_STREAM), &floor, categories)?;
         let warehouse =
             Warehouse::parse(LAYOUT_FILE.into(), &layout, CATALOGUE_FILE.into(), &catalogue)
                 .map_err(|error| GenerateError(format!("seed {seed}: {error}")))?;
@@ -213,12 +234,34 @@ impl Names {
     }
 }
 
-/// The text of `catalogue.toml`.
-fn catalogue_text(draw: &mut Draw, layout: &Layout) -> String {
+/// The text of `catalogue.toml`, with the categories of these names, or as many as there is room for.
+fn catalogue_text(
+    draw: &mut Draw,
+    layout: &Layout,
+    names: Option<&[&str]>,
+) -> Result<String, GenerateError> {
     let shipped: Vec<&str> = SHIPPED_CATALOGUE.split("[[category]]").skip(1).collect();
     let bays: Vec<Bay> = layout.free_cells().filter_map(|cell| bay(layout, cell)).collect();
-    let count = (bays.len() / BAYS_PER_CATEGORY).clamp(1, shipped.len());
-    let mut chosen = draw.shuffled((0..shipped.len()).collect());
+    let mut chosen = match names {
+        None => draw.shuffled((0..shipped.len()).collect()),
+        Some(names) => {
+            let listed = |name: &&str| {
+                let line = format!("name = {name:?}");
+                shipped
+                    .iter()
+                    .position(|block| block.lines().any(|found| found == line))
+                    .ok_or_else(|| {
+                        GenerateError(format!(
+                            "{name} are not among the categories that can be generated"
+                        ))
+                    })
+            };
+            let listed: Result<_, _> = names.iter().map(listed).collect();
+            draw.shuffled(listed?)
+        }
+    };
+    let room = bays.len() / BAYS_PER_CATEGORY;
+    let count = if names.is_some() { chosen.len() } else { room.clamp(1, shipped.len()) };
     chosen.truncate(count);
     let mut stock: Vec<(Cell, String)> = Vec::new();
     for (category, stretch) in chosen.iter().zip(stretches(draw, &bays, count)) {
@@ -254,7 +297,11 @@ fn catalogue_text(draw: &mut Draw, layout: &Layout) -> String {
         .iter()
         .map(|&category| format!("\n[[category]]{}\n", shipped[category].trim_end()))
         .collect();
-    format!("{}stock = \"\"\"\n{}\n\"\"\"\n{categories}", head(SHIPPED_CATALOGUE), rows.join("\n"))
+    Ok(format!(
+        "{}stock = \"\"\"\n{}\n\"\"\"\n{categories}",
+        head(SHIPPED_CATALOGUE),
+        rows.join("\n")
+    ))
 }
 
 /// The comments before the first key of a shipped file.

@@ -4,7 +4,8 @@
 //! - [`dynamics`]: one function from pose, action and variant to pose and feedback.
 //! - [`task`]: the ten task types; [`progress`]: the checker that decides which sub-goals a trajectory completes.
 //! - [`case`]: a task with its six trajectories; [`case_file`]: a set of cases as a text file.
-//! - [`demonstrations`]: which demonstrations a memory is built from; [`mixed`]: histories of other tasks.
+//! - [`demonstrations`]: which demonstrations a memory is built from; [`Demonstrated`]: one in its world; [`mixed`]: histories of other tasks.
+//! - [`Elsewhere`]: another warehouse, in which the tasks of cases are demonstrated.
 //! - [`WorldState`]: a warehouse after changes; [`stream`]: blocks of cases with events between them.
 //! - [`plan`]: expert trajectories and the fewest steps; [`sight`]: which items are in view, computed on the grid.
 //! - [`GeneratedWorld`]: a warehouse from a seed; [`CaseSet::generate`]: cases from a seed; [`validate`](mod@validate): every constraint checked by replay; [`map`]:
@@ -17,9 +18,11 @@ pub mod case;
 pub mod case_file;
 pub mod catalogue;
 mod constraints;
+mod demonstrated;
 pub mod demonstrations;
 mod draw;
 pub mod dynamics;
+mod elsewhere;
 mod generate;
 mod generate_world;
 pub mod layout;
@@ -42,8 +45,10 @@ pub use asset::AssetError;
 pub use case::{Case, CaseSet, History, Mixture, Replay, Start, Trajectory};
 pub use catalogue::{Catalogue, Category, ItemType, Shape};
 pub use constraints::MAX_DETOUR_PERCENT;
+pub use demonstrated::{Demonstrated, PlannedAfter, Viewpoint};
 pub use demonstrations::{Demonstrations, UnknownDemonstrations};
 pub use dynamics::{MAX_STEPS, Variant, step};
+pub use elsewhere::{ELSEWHERE_VARIANT, Elsewhere, ElsewhereError};
 pub use generate::{GenerateError, SHIPPED_COUNT, SHIPPED_SEED};
 pub use generate_world::{GeneratedWorld, MIN_SIDE, corridors};
 pub use layout::{Aisle, Axis, Layout, MAX_SIDE, Square};

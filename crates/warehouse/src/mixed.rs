@@ -201,6 +201,7 @@ mod tests {
 
     use super::*;
     use crate::case::Trajectory;
+    use crate::demonstrated::PlannedAfter;
     use crate::testing::{BLUE_BARREL, CONES, GREEN_CONE, ORANGE_CONE, RED_BARREL, tiny};
 
     /// The overlap of a demonstration and a test reference in the tiny warehouse.
@@ -223,8 +224,9 @@ mod tests {
             barricade: Vec::new(),
             irrelevant: own,
             confusable: own,
+            after: PlannedAfter::default(),
         };
-        let set = CaseSet { seed: 0, cases: vec![case] };
+        let set = CaseSet { seed: 0, cases: vec![case], elsewhere: None };
         Overlap::of(&tiny(), &set, 0, own[0]).unwrap()
     }
 

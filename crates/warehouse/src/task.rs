@@ -216,6 +216,36 @@ impl Task {
         }
     }
 
+    /// The same task with the indices of another catalogue; the first name that it lacks, if there is one.
+    pub(crate) fn translated<'c>(
+        &self,
+        from: &'c Catalogue,
+        to: &Catalogue,
+    ) -> Result<Self, &'c str> {
+        let item_type = |index: usize| {
+            let name = from.types[index].name.as_str();
+            to.type_named(name).ok_or(name)
+        };
+        let category = |index: usize| {
+            let name = from.categories[index].name.as_str();
+            to.category_named(name).ok_or(name)
+        };
+        Ok(match *self {
+            Self::FindType { a } => Self::FindType { a: item_type(a)? },
+            Self::FindCategory { c } => Self::FindCategory { c: category(c)? },
+            Self::EveryOfType { a } => Self::EveryOfType { a: item_type(a)? },
+            Self::EveryOfCategory { c } => Self::EveryOfCategory { c: category(c)? },
+            Self::BothTypes { a, b } => Self::BothTypes { a: item_type(a)?, b: item_type(b)? },
+            Self::InOrder { a, b } => Self::InOrder { a: item_type(a)?, b: item_type(b)? },
+            Self::FindAndReturn { a } => Self::FindAndReturn { a: item_type(a)? },
+            Self::EveryAndReturn { a } => Self::EveryAndReturn { a: item_type(a)? },
+            Self::Revisit { a, b } => Self::Revisit { a: item_type(a)?, b: item_type(b)? },
+            Self::InOrderAndReturn { a, b } => {
+                Self::InOrderAndReturn { a: item_type(a)?, b: item_type(b)? }
+            }
+        })
+    }
+
     /// The letter of an item that counts: A, B or C, as in the descriptions of the types.
     pub(crate) fn letter(&self, warehouse: &Warehouse, item: &Item) -> Option<char> {
         let found = item.item_type;

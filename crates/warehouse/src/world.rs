@@ -314,7 +314,7 @@ mod tests {
                 parse(SHIPPED_LAYOUT, &mangle(SHIPPED_CATALOGUE))
             };
             if let Ok(warehouse) = read {
-                let none = crate::CaseSet { seed: 0, cases: Vec::new() };
+                let none = crate::CaseSet { seed: 0, cases: Vec::new(), elsewhere: None };
                 proptest::prop_assert!(!crate::validate::check(&warehouse, &none).lines.is_empty());
             }
         }

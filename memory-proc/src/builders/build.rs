@@ -19,7 +19,7 @@ use shm_types::process::die_with_parent;
 use shm_types::{
     Attach, Bus, ErrorReporter, Frame, FrameError, FrameStore, Notifier, Receiver, Sender,
 };
-use warehouse::Demonstrations;
+use warehouse::{Demonstrations, Elsewhere, Viewpoint};
 
 use documents::{DocumentFile, DocumentFolder, DocumentName, Provenance, Recipe, Sources};
 
@@ -42,6 +42,8 @@ pub struct BuildSettings {
     pub attach: PathBuf,
     /// Folder of layout, catalogue and cases; `None`: those that are built in.
     pub assets: Option<PathBuf>,
+    /// The file of the other warehouse in which tasks are demonstrated; `None`: there is none.
+    pub elsewhere: Option<PathBuf>,
     /// How the world looks in the frames that they are built from.
     pub appearance: Appearance,
     /// The folder that the documents are written to.
@@ -69,6 +71,9 @@ pub fn build(settings: &BuildSettings, builder: &mut dyn DocumentBuilder) -> Res
     let mut reporter = ErrorReporter::new(&bus)?;
     let done = BuildProcess::new(&bus).and_then(|mut process| {
         let sources = Sources::load(settings.assets.as_deref())?.seen_with(settings.appearance);
+        let read = |file: &PathBuf| Elsewhere::read(file, &sources.warehouse, &sources.cases);
+        let elsewhere = settings.elsewhere.as_ref().map(read).transpose()?;
+        let sources = sources.with_elsewhere(elsewhere);
         bus.sender()?.send(&Handshake::new(
             Role::Memory,
             [
@@ -79,9 +84,9 @@ pub fn build(settings: &BuildSettings, builder: &mut dyn DocumentBuilder) -> Res
         process.orchestrator.notify()?;
         let selections: BTreeSet<Demonstrations> =
             settings.wanted.iter().map(|name| name.demonstrations).collect();
-        let poses: BTreeSet<Pose> =
-            selections.iter().flat_map(|&selection| sources.poses(selection)).collect();
-        let seen = process.read_views(&poses.into_iter().collect::<Vec<_>>())?;
+        let viewpoints: BTreeSet<Viewpoint> =
+            selections.iter().flat_map(|&selection| sources.viewpoints(selection)).collect();
+        let seen = process.read_views(&viewpoints.into_iter().collect::<Vec<_>>())?;
         for &name in &settings.wanted {
             process.write(name, settings, &sources, &seen, builder)?;
         }
@@ -123,41 +128,45 @@ impl<'a> BuildProcess<'a> {
         })
     }
 
-    /// Reads the views from `poses`, as many at a time as fit into the frame store.
-    fn read_views(&mut self, poses: &[Pose]) -> Result<HashMap<Pose, Arc<FrameReading>>> {
+    /// Reads the views from `viewpoints`, as many at a time as fit into the frame store.
+    fn read_views(
+        &mut self,
+        viewpoints: &[Viewpoint],
+    ) -> Result<HashMap<Viewpoint, Arc<FrameReading>>> {
         let attach = self.bus.attach();
         let pinned = u64::from(attach.lanes) * (u64::from(attach.window) + 2);
         let room = u64::from(attach.frame_capacity).saturating_sub(pinned) as usize;
         if room == 0 {
             bail!("the frame store has no room for a view: raise --frame-budget");
         }
-        let mut seen = HashMap::with_capacity(poses.len());
-        let mut waiting = poses.iter();
+        let mut seen = HashMap::with_capacity(viewpoints.len());
+        let mut waiting = viewpoints.iter();
         let mut asked = 0;
         loop {
-            for &pose in waiting.by_ref().take(room - asked) {
-                self.request(ViewRequestKind::Pin, NO_FRAME, pose)?;
+            for &viewpoint in waiting.by_ref().take(room - asked) {
+                self.request(ViewRequestKind::Pin, NO_FRAME, viewpoint)?;
                 asked += 1;
             }
             self.sim.notify()?;
-            self.report_progress(seen.len(), poses.len(), false)?;
+            self.report_progress(seen.len(), viewpoints.len(), false)?;
             if asked == 0 {
                 break;
             }
             self.bus.listener().wait(LONGEST_SLEEP)?;
-            for View { frame: id, pose, .. } in self.views.drain()? {
+            for View { frame: id, pose, variant } in self.views.drain()? {
                 let pose = Pose::try_from(pose)
                     .context("the simulator sent a view with an invalid pose")?;
                 let Some(frame) = self.frames.get(id)?.cloned() else {
                     bail!("frame {id}, the view of {pose}, is not in the store");
                 };
-                seen.insert(pose, Arc::new(read_plates(&frame, pose)));
-                self.request(ViewRequestKind::Release, id, pose)?;
+                let viewpoint = Viewpoint { variant, pose };
+                seen.insert(viewpoint, Arc::new(read_plates(&frame, pose)));
+                self.request(ViewRequestKind::Release, id, viewpoint)?;
                 asked -= 1;
             }
             self.release_frames()?;
         }
-        self.report_progress(seen.len(), poses.len(), true)?;
+        self.report_progress(seen.len(), viewpoints.len(), true)?;
         Ok(seen)
     }
 
@@ -166,11 +175,11 @@ impl<'a> BuildProcess<'a> {
         name: DocumentName,
         BuildSettings { documents, recipe, .. }: &BuildSettings,
         sources: &Sources,
-        seen: &HashMap<Pose, Arc<FrameReading>>,
+        seen: &HashMap<Viewpoint, Arc<FrameReading>>,
         builder: &mut dyn DocumentBuilder,
     ) -> Result<()> {
         let DocumentName { kind, demonstrations } = name;
-        let transcripts = transcripts(sources, demonstrations, |pose| seen.get(&pose).cloned());
+        let transcripts = transcripts(sources, demonstrations, |from| seen.get(&from).cloned());
         let transcripts = transcripts.context("a view of a demonstration was not read")?;
         let frame = self.bus.attach().frame;
         let sources_sha256 = sources.sha256(demonstrations, [frame.width, frame.height]);
@@ -196,15 +205,16 @@ impl<'a> BuildProcess<'a> {
             sources_sha256,
             text_sha256: String::new(),
             trajectories: transcripts.len() as u64,
-            views: sources.poses(demonstrations).len() as u64,
+            views: sources.viewpoints(demonstrations).len() as u64,
             account,
         };
         Ok(DocumentFile::new(provenance, text).save(&path)?)
     }
 
-    fn request(&self, kind: ViewRequestKind, frame: u64, pose: Pose) -> Result<()> {
-        let request =
-            ViewRequest { frame, pose: pose.into(), kind: kind as u8, ..Zeroable::zeroed() };
+    fn request(&self, kind: ViewRequestKind, frame: u64, of: Viewpoint) -> Result<()> {
+        let Viewpoint { variant, pose } = of;
+        let kind = kind as u8;
+        let request = ViewRequest { frame, pose: pose.into(), variant, kind, ..Zeroable::zeroed() };
         Ok(self.requests.send(&request)?)
     }
 

@@ -11,7 +11,7 @@ use domain::{Action, Feedback, Pose};
 use plates::Landmark;
 use search::ContentHash;
 use sha2::{Digest, Sha256};
-use warehouse::{Demonstrations, History};
+use warehouse::{Demonstrated, Demonstrations, Viewpoint};
 
 /// One demonstration.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -46,30 +46,28 @@ pub struct FrameReading {
     pub landmarks: Vec<Landmark>,
 }
 
-/// The demonstrations of `selection`, given what is seen from each pose. `None` when `seen` does not know a pose.
+/// The demonstrations of `selection`, given what is seen from each viewpoint. `None` when `seen` does not know one.
 pub fn transcripts(
     sources: &Sources,
     selection: Demonstrations,
-    seen: impl Fn(Pose) -> Option<Arc<FrameReading>>,
+    seen: impl Fn(Viewpoint) -> Option<Arc<FrameReading>>,
 ) -> Option<Vec<Transcript>> {
-    let histories = sources.histories(selection).into_iter();
-    histories.map(|history| transcript(sources, history, &seen)).collect()
+    sources.demonstrations(selection).iter().map(|of| transcript(of, &seen)).collect()
 }
 
 fn transcript(
-    sources: &Sources,
-    History { case, start }: History,
-    seen: impl Fn(Pose) -> Option<Arc<FrameReading>>,
+    of: &Demonstrated<'_>,
+    seen: impl Fn(Viewpoint) -> Option<Arc<FrameReading>>,
 ) -> Option<Transcript> {
-    let case = &sources.cases.cases[case];
-    let replay = case.replay(&sources.warehouse, start);
-    let actions = case.trajectory(start).actions.iter().copied().map(Some).chain([None]);
+    let variant = of.variant;
+    let replay = of.replay();
+    let actions = of.trajectory.actions.iter().copied().map(Some).chain([None]);
     let states = replay.poses.into_iter().zip(replay.feedback).zip(replay.stages);
     let steps = states.zip(actions).map(|(((pose, feedback), completed), action)| {
-        Some(TranscriptStep { pose, feedback, seen: seen(pose)?, completed, action })
+        let seen = seen(Viewpoint { variant, pose })?;
+        Some(TranscriptStep { pose, feedback, seen, completed, action })
     });
-    let instruction = case.task.instruction(&sources.warehouse.catalogue);
-    Some(Transcript { instruction, steps: steps.collect::<Option<_>>()? })
+    Some(Transcript { instruction: of.instruction(), steps: steps.collect::<Option<_>>()? })
 }
 
 /// SHA-256, in hexadecimal digits, of everything in `transcripts`. Equal demonstrations have equal hashes, whatever
@@ -95,6 +93,8 @@ pub(super) fn sha256(transcripts: &[Transcript]) -> String {
 #[cfg(test)]
 mod tests {
     use domain::Heading;
+
+    use warehouse::Elsewhere;
 
     use super::*;
 
@@ -142,17 +142,23 @@ mod tests {
     /// References cannot get into a document: nothing that a document depends on changes with them.
     #[test]
     fn test_references_and_barricades_make_no_difference() {
-        let (sources, mut other) = (sources(), sources());
+        let (mut sources, mut other) = (sources(), sources());
         for case in &mut other.cases.cases {
             case.test = case.original.clone();
             case.blocked = case.distant.clone();
             case.barricade.clear();
             case.id.push('x');
         }
+        for sources in [&mut sources, &mut other] {
+            let elsewhere = Elsewhere::generate(&sources.warehouse, &sources.cases, 1).unwrap();
+            sources.cases.elsewhere = Some(elsewhere);
+        }
         let nothing = |_| Some(Arc::default());
-        for word in ["original", "opposite", "nearby+distant", "4", "irrelevant", "confusable"] {
+        for word in
+            ["original", "opposite", "nearby+distant", "4", "irrelevant", "confusable", "elsewhere"]
+        {
             let selection: Demonstrations = word.parse().unwrap();
-            assert_eq!(sources.poses(selection), other.poses(selection));
+            assert_eq!(sources.viewpoints(selection), other.viewpoints(selection));
             assert_eq!(
                 transcripts(&sources, selection, nothing),
                 transcripts(&other, selection, nothing)
@@ -174,7 +180,7 @@ mod tests {
         assert_eq!(actions, case.original.actions);
         assert_eq!((steps[0].pose, steps[0].completed), (case.original.start, 0));
         assert!(steps[steps.len() - 1].completed > 0);
-        let but_one = |pose| (pose != steps[3].pose).then(Arc::default);
+        let but_one = |seen: Viewpoint| (seen.pose != steps[3].pose).then(Arc::default);
         assert_eq!(transcripts(&sources, Demonstrations::ORIGINAL, but_one), None);
     }
 }

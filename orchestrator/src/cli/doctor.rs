@@ -191,7 +191,7 @@ fn endpoint(model: &str, base_url: Option<&str>) -> anyhow::Result<Vec<DoctorFin
     }
     let flags = Layer::flags([("policy", "openai"), ("model", model)])?;
     let settings = resolve([Layer::environment(std::env::vars_os())?, flags])?.settings;
-    let documents = RunDocuments::of(&settings, false);
+    let documents = RunDocuments::of(&settings, None, false);
     command.args(request_size(&settings, &documents));
     let output = command.output()?;
     if output.stdout.is_empty() {
@@ -312,7 +312,7 @@ mod tests {
         ]);
         let flags = Layer::flags([("policy", "openai"), ("model", "m")]);
         let settings = resolve([environment.unwrap(), flags.unwrap()]).unwrap().settings;
-        let documents = RunDocuments::of(&settings, false);
+        let documents = RunDocuments::of(&settings, None, false);
         insta::assert_snapshot!(
             request_size(&settings, &documents).join(" "),
             @"--frame-size 128 --document-chars 0 --keyframes 40 --window 9 --image-budget 12 --image-format png --request-timeout 77"

@@ -9,6 +9,8 @@ use documents::{
 use results::log::{DocumentFacts, RunFolder};
 use results::settings::{DocumentSource, RunSettings};
 
+use warehouse::Elsewhere;
+
 use crate::documents::{DocumentRequest, ModelServer, ReadyDocuments, facts, needed};
 use crate::progress::BuildProgress;
 use crate::signals::Signals;
@@ -23,8 +25,8 @@ pub(super) struct RunDocuments {
 }
 
 impl RunDocuments {
-    /// The documents of a run with `settings`, which starts over if `fresh`.
-    pub(super) fn of(settings: &RunSettings, fresh: bool) -> Self {
+    /// The documents of a run with `settings`, which starts over if `fresh`, and whose tasks may be demonstrated `elsewhere`.
+    pub(super) fn of(settings: &RunSettings, elsewhere: Option<&Elsewhere>, fresh: bool) -> Self {
         let (folder, selection) = match &settings.documents {
             DocumentSource::Extractive => (None, DocumentSelection::Recipe(Recipe::Extractive)),
             DocumentSource::Model(name) => (None, DocumentSelection::Model(name.clone())),
@@ -33,6 +35,7 @@ impl RunDocuments {
         let request = DocumentRequest {
             folder,
             assets: settings.assets.clone(),
+            elsewhere: elsewhere.cloned(),
             frame_size: settings.frame_size,
             appearance: settings.appearance(),
             selection,

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use anyhow::Context;
 use clap::Args;
 use results::names::UnknownName;
-use warehouse::map;
+use warehouse::{Elsewhere, map};
 
 use super::{Exit, WorldArgs, print};
 
@@ -13,11 +13,18 @@ use super::{Exit, WorldArgs, print};
 #[command(after_help = "\
 Examples:
   memtransfer map t03-07 --out map.svg     a case with its six routes
-  memtransfer map > floor.svg              the warehouse and its items")]
+  memtransfer map > floor.svg              the warehouse and its items
+  memtransfer map --elsewhere > other.svg  the other warehouse of `run --demos elsewhere`")]
 pub(super) struct MapArgs {
     /// The case [default: the warehouse alone]
     #[arg(value_name = "CASE")]
     case: Option<String>,
+    /// The warehouse in which `run --demos elsewhere` demonstrates tasks, drawn from --seed
+    #[arg(long, conflicts_with = "case")]
+    elsewhere: bool,
+    /// The seed of that run
+    #[arg(long, value_name = "N", default_value_t = 1, requires = "elsewhere")]
+    seed: u64,
     /// Write the SVG to FILE instead of stdout
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
@@ -28,6 +35,10 @@ pub(super) struct MapArgs {
 pub(super) fn run(args: &MapArgs) -> anyhow::Result<Exit> {
     let world = args.world.load()?;
     let svg = match &args.case {
+        None if args.elsewhere => {
+            let other = Elsewhere::generate(&world.warehouse, &world.cases, args.seed)?;
+            map::floor_svg(other.warehouse())
+        }
         None => map::floor_svg(&world.warehouse),
         Some(id) => {
             let case = world.cases.case(id);

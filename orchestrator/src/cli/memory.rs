@@ -18,6 +18,7 @@ use crate::documents::{DocumentRequest, ModelServer};
 use crate::progress::BuildProgress;
 use crate::settings::variable;
 use crate::signals::Signals;
+use crate::world::World;
 use results::settings::Drawn;
 use results::table::table;
 
@@ -160,6 +161,12 @@ struct MadeFor {
     /// Use the layout, catalogue and cases in DIR instead of the built-in ones
     #[arg(long, value_name = "DIR", env = "MEMTRANSFER_ASSETS")]
     assets: Option<PathBuf>,
+    /// The warehouse of --demos elsewhere, as in `run --elsewhere` [default: drawn from --seed]
+    #[arg(long, value_name = "DIR")]
+    elsewhere: Option<PathBuf>,
+    /// The seed of the run that the documents of --demos elsewhere are for [default: $MEMTRANSFER_SEED, else 1]
+    #[arg(long, value_name = "N")]
+    seed: Option<u64>,
     /// Width and height of the frames that are read [default: $MEMTRANSFER_FRAME_SIZE, else 448]
     #[arg(long, value_name = "PIXELS")]
     frame_size: Option<u32>,
@@ -170,6 +177,9 @@ struct MadeFor {
     #[arg(long, value_name = "N")]
     appearance_seed: Option<u64>,
 }
+
+/// The default of `run --seed`.
+const SEED: u64 = 1;
 
 /// A builder of documents.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
@@ -185,8 +195,17 @@ impl MadeFor {
         self,
         folder: Option<PathBuf>,
         selection: DocumentSelection,
+        demos: &[Demonstrations],
     ) -> Result<DocumentRequest> {
-        let Self { assets, frame_size, labels, appearance_seed } = self;
+        let Self { assets, elsewhere, seed, frame_size, labels, appearance_seed } = self;
+        let of_run = variable("seed")?.and_then(|seed| seed.as_u64());
+        let elsewhere = if demos.iter().any(|set| set.take_place_elsewhere()) {
+            let mut world = World::load(assets.as_deref())?;
+            world.add_elsewhere(elsewhere.as_deref(), seed.or(of_run).unwrap_or(SEED))?;
+            world.cases.elsewhere
+        } else {
+            None
+        };
         let size = variable("frame-size")?.and_then(|size| u32::try_from(size.as_u64()?).ok());
         let frame_size = frame_size.or(size).unwrap_or(FrameSize::DEFAULT.width);
         let drawn = variable("labels")?.and_then(|word| word.as_str()?.parse().ok());
@@ -197,7 +216,7 @@ impl MadeFor {
             ..Appearance::STANDARD
         };
         let server = ModelServer::default();
-        Ok(DocumentRequest { folder, assets, frame_size, appearance, selection, server })
+        Ok(DocumentRequest { folder, assets, elsewhere, frame_size, appearance, selection, server })
     }
 }
 
@@ -221,7 +240,8 @@ fn build(args: BuildArgs) -> Result<Exit> {
     wanted.sort_unstable();
     wanted.dedup();
     let signals = Signals::listen().context("cannot listen to signals")?;
-    let request = args.made_for.request(args.out, DocumentSelection::Recipe(recipe))?;
+    let request =
+        args.made_for.request(args.out, DocumentSelection::Recipe(recipe), &args.demos)?;
     let request = DocumentRequest { server, ..request };
     let mut progress = BuildProgress::new(args.quiet);
     let ready =
@@ -241,7 +261,7 @@ fn build(args: BuildArgs) -> Result<Exit> {
 }
 
 fn ls(args: LsArgs) -> Result<Exit> {
-    let request = args.made_for.request(args.documents, DocumentSelection::Any)?;
+    let request = args.made_for.request(args.documents, DocumentSelection::Any, &[])?;
     let documents = request.list()?;
     if args.json {
         print_json(&documents)?;
@@ -270,7 +290,7 @@ fn show(args: ShowArgs) -> Result<Exit> {
         (None, None) if args.documents.is_some() => DocumentSelection::Any,
         (None, None) => DocumentSelection::Recipe(Recipe::Extractive),
     };
-    let request = args.made_for.request(args.documents, selection)?;
+    let request = args.made_for.request(args.documents, selection, &[args.demos])?;
     let name = DocumentName { kind: args.kind, demonstrations: args.demos };
     let Some(stored) = request.find(&[name])?.pop() else { bail!("there is no document {name}") };
     let Some(DocumentFile { provenance, text, .. }) = &stored.document else {

@@ -311,7 +311,8 @@ impl Profiler<'_> {
         };
         let purpose = if way.is_warm_up { " (to fill the caches)" } else { "" };
         args.progress(format_args!("{}: {} episodes{purpose}", run.name(), episodes.len()));
-        let Some(supply) = RunDocuments::of(&settings, true).supply(signals, args.quiet)? else {
+        let Some(supply) = RunDocuments::of(&settings, None, true).supply(signals, args.quiet)?
+        else {
             return Ok(None);
         };
         supply.copy_to(&RunFolder::documents_of(&settings.out))?;

@@ -55,6 +55,7 @@ Examples:
   memtransfer run --policy expert --starts original,new --routes unchanged,blocked
   memtransfer run --memory episodic --demos original,4  one against four demonstrations
   memtransfer run --memory working,episodic --memory-cmd 'python my_memory.py'  and your own memory
+  memtransfer run --suite transfer                      demonstrations of this and of another warehouse
   memtransfer run --suite paper --dry-run               the paper's conditions, counted
   memtransfer run --frames blank --out runs/blank       a control: what remains without pixels?
   memtransfer run --cases t03,t09-01 --dry-run          what would run")]
@@ -134,7 +135,10 @@ impl RunPlan {
     /// The plan of a run with `settings`, once its external memories have told their names. `None` when a signal asked to
     /// stop meanwhile.
     fn new(mut settings: RunSettings, args: &RunArgs, signals: &Signals) -> Result<Option<Self>> {
-        let world = World::load(settings.assets.as_deref())?;
+        let mut world = World::load(settings.assets.as_deref())?;
+        if settings.demonstrates_elsewhere() {
+            world.add_elsewhere(settings.elsewhere.as_deref(), settings.seed)?;
+        }
         let ids = world.case_ids();
         // What can be wrong without the names of external memories is said before these start.
         let cases = select_cases(&ids, &settings.cases, settings.limit)?;
@@ -202,7 +206,8 @@ impl RunPlan {
         let settings = self.settings.clone();
         RunFolder::check(&settings.out)?;
         let mut manifest = self.manifest();
-        let documents = RunDocuments::of(&settings, args.fresh);
+        let documents =
+            RunDocuments::of(&settings, self.world.cases.elsewhere.as_ref(), args.fresh);
         let Some(documents) = documents.supply(signals, args.quiet)? else {
             return Ok(stopped_before_episodes(signals, "documents were being built"));
         };
@@ -220,6 +225,11 @@ impl RunPlan {
         if let Some(streams) = &self.streams {
             let path = RunFolder::streams_of(folder.dir());
             let written = std::fs::write(&path, streams.set.to_text());
+            written.with_context(|| format!("cannot write {}", path.display()))?;
+        }
+        if let Some(elsewhere) = &self.world.cases.elsewhere {
+            let path = RunFolder::elsewhere_of(folder.dir());
+            let written = std::fs::write(&path, elsewhere.to_text());
             written.with_context(|| format!("cannot write {}", path.display()))?;
         }
         let remaining = Remaining::of(&self.episodes, &finished)?;

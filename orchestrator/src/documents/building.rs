@@ -4,7 +4,7 @@ use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-use anyhow::{Result, bail};
+use anyhow::{Context, Result, bail};
 use bytemuck::Zeroable;
 use shm_types::message::{
     ErrorReport, Handshake, Heartbeat, Role, ShutdownReport, Stop, read_text,
@@ -66,11 +66,23 @@ fn launches(
     names: &[DocumentName],
     root: &Path,
 ) -> Result<Vec<Launch>> {
+    let elsewhere = match &request.elsewhere {
+        None => None,
+        Some(elsewhere) => {
+            let file = root.join("elsewhere.json");
+            std::fs::write(&file, elsewhere.to_text())
+                .with_context(|| format!("cannot write {}", file.display()))?;
+            Some(file)
+        }
+    };
     let launch = |role, program| {
         let verb = if role == Role::Sim { "serve" } else { "build" };
         let mut args = vec![verb.into(), "--attach".into(), root.into()];
         if let Some(assets) = &request.assets {
             args.extend(["--assets".into(), assets.into()]);
+        }
+        if let Some(file) = &elsewhere {
+            args.extend(["--elsewhere".into(), file.into()]);
         }
         for (flag, value) in request.appearance.flags() {
             args.extend([flag.into(), value.into()]);

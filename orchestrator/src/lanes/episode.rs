@@ -12,7 +12,7 @@ use shm_types::message::{
     NOT_MEASURED, Observation, PolicyEpisodeConfig, RecallTrace, RecalledSource, Role,
     SnapshotReport, StepCommand, StepKind, WirePose, write_text,
 };
-use warehouse::{Progress, Start, Variant, step};
+use warehouse::{History, Progress, Start, Variant, step};
 
 use super::{
     AnswerError, AnsweredRequest, Context, EpisodeOpening, FinishedEpisode, PendingAnswer, Stamps,
@@ -214,6 +214,7 @@ impl ActiveEpisode {
             lane,
             repeat: episode.key.run,
             starts_as_demonstrated: condition.is_hinted().into(),
+            demonstrated_elsewhere: condition.demonstrations.take_place_elsewhere().into(),
             // At most `MAX_WINDOW`, which the settings check.
             window: condition.variation.window as u8,
             ..Zeroable::zeroed()
@@ -513,7 +514,7 @@ impl ActiveEpisode {
                 continue;
             }
             let found = context.cases.cases.get(case as usize);
-            let start = Start::DEMONSTRATIONS.get(usize::from(demonstration));
+            let start = Start::demonstration(demonstration);
             let Some((found, start)) = found.zip(start) else {
                 return Err(format!("case {case}, demonstration {demonstration}"));
             };
@@ -562,14 +563,14 @@ impl ActiveEpisode {
                     source.is_complete && !state.completes(&source.trajectory, task)
                 }
                 None => {
-                    let found = context.cases.cases.get(case as usize);
-                    let start = Start::DEMONSTRATIONS.get(usize::from(demonstration));
-                    let found = found.zip(start);
-                    let (found, start) = found
-                        .ok_or_else(|| format!("case {case}, demonstration {demonstration}"))?;
+                    let start = Start::demonstration(demonstration);
+                    let of = start.map(|start| History { case: case as usize, start });
+                    let of = of.and_then(|of| context.cases.demonstrated(context.warehouse, of));
+                    let of =
+                        of.ok_or_else(|| format!("case {case}, demonstration {demonstration}"))?;
                     // The oracle's demonstrations take place in this world.
                     episode.key.condition.arm != Arm::Oracle
-                        && !state.completes(found.trajectory(*start), &found.task)
+                        && !state.completes(of.trajectory, of.task)
                 }
             };
             self.stale.insert((case, demonstration), is_stale);

@@ -180,7 +180,8 @@ pub const KEYS: &[Key] = keys! {
         "Routes: unchanged, blocked (a passage of the demonstrations is closed; new starts only)";
     "demos" "LIST" List(parses::<Demonstrations>),
         "Demonstrations in memory: original, opposite, nearby, distant, several joined by +, or 4 \
-         for all; irrelevant or confusable for original, opposite and two of other tasks. Each \
+         for all; irrelevant or confusable for original, opposite and two of other tasks; elsewhere \
+         for one of the same task in another warehouse. Each \
          entry of the list is a condition of its own";
     "cases" "LIST" List(parses::<CaseSelector>),
         "Cases by id (t03-07), task (t03), number (37) or range (1-10, t03-01..t04-10); `all`";
@@ -206,6 +207,8 @@ pub const KEYS: &[Key] = keys! {
         "Steps after which an episode ends, T_max";
     "assets" "DIR" Text(any),
         "Use the layout, catalogue, cases, suites and model manifest in DIR, not the built-in ones";
+    "elsewhere" "DIR" Text(any),
+        "The warehouse of --demos elsewhere: its layout and catalogue [default: drawn from --seed, of the same size]";
 
     GIVEN:
     "window" "LIST" Numbers(0, MAX_WINDOW as u64),

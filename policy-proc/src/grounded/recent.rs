@@ -114,6 +114,7 @@ mod tests {
                 window: &window,
                 items: &[],
                 starts_as_demonstrated: false,
+                demonstrated_elsewhere: false,
             };
             let recent = RecentSteps::of(&request);
             prop_assert_eq!(recent.past, past);

@@ -29,6 +29,7 @@ struct Ask {
     /// Where a captioned view was taken.
     captioned: Option<Pose>,
     is_blank: bool,
+    is_elsewhere: bool,
     /// Where a barricade is in the current view, as (cells ahead, cells to the right).
     barricade: Option<(i8, i8)>,
 }
@@ -129,6 +130,7 @@ impl Ask {
             window: &window,
             items: &items,
             starts_as_demonstrated: false,
+            demonstrated_elsewhere: self.is_elsewhere,
         })
     }
 }
@@ -165,6 +167,19 @@ fn a_segment_from_elsewhere_is_not_followed() {
     for expert in Action::ALL {
         let ask = Ask::at(HERE).with_segment(&[(elsewhere, Some(expert)), (elsewhere, None)]);
         assert_eq!(ask.action(), explored);
+    }
+}
+
+#[test]
+fn a_memory_of_another_warehouse_is_left_out() {
+    let explored = Ask::at(HERE).to("Find a blue barrel.").action();
+    let document = "- blue barrel [plate 554-246]: stand at (10, 5), facing W";
+    for expert in Action::ALL {
+        let steps = [(HERE, Some(expert)), (after(HERE, expert).unwrap(), None)];
+        let ask = Ask::at(HERE).to("Find a blue barrel.").with_document(document);
+        let ask = ask.with_segment(&steps).with_demonstration(&steps);
+        assert_eq!(ask.action(), expert);
+        assert_eq!(Ask { is_elsewhere: true, ..ask }.action(), explored);
     }
 }
 
@@ -397,6 +412,7 @@ proptest! {
                     Item::Frame(CaptionedView { frame, caption: "noise" }),
                 ],
                 starts_as_demonstrated: false,
+                demonstrated_elsewhere: false,
             });
         }
     }

@@ -65,6 +65,7 @@ impl LargestRequest {
             window: &window,
             items: if self.document_chars == 0 { &items[..1] } else { &items },
             starts_as_demonstrated: true,
+            demonstrated_elsewhere: true,
         };
         // A square view can be encoded.
         let url = data_url(&frame, self.image_format).unwrap_or_default().into();

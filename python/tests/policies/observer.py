@@ -43,6 +43,7 @@ def seen(request):
         "feedback": request.feedback.words,
         "frame": request.frame.content_hash.hex(),
         "starts_as_demonstrated": request.starts_as_demonstrated,
+        **({"demonstrated_elsewhere": True} if request.demonstrated_elsewhere else {}),
         "window": [{**step(past), "feedback": past.feedback.words} for past in request.window],
     }
     views = [past.frame for past in request.window]

@@ -7,7 +7,7 @@ use std::sync::Arc;
 use documents::Sources;
 use domain::{DocumentKind, Pose};
 use memory_proc::builders::{DocumentBuilder, Extractive, FrameReading, transcripts};
-use warehouse::{Demonstrations, Variant};
+use warehouse::{Demonstrations, Variant, Viewpoint};
 
 use crate::views::Views;
 
@@ -25,10 +25,10 @@ pub(crate) fn document(
         let landmarks = sightings.into_iter().filter_map(|sighting| sighting.seen_from(pose));
         Arc::new(FrameReading { frame: [0; 16], landmarks: landmarks.collect() })
     };
-    let poses = sources.poses(demonstrations);
-    let seen: HashMap<Pose, Arc<FrameReading>> =
-        poses.into_iter().map(|pose| (pose, look(pose))).collect();
+    let viewpoints = sources.viewpoints(demonstrations);
+    let seen: HashMap<Viewpoint, Arc<FrameReading>> =
+        viewpoints.into_iter().map(|from| (from, look(from.pose))).collect();
     let transcripts =
-        transcripts(&sources, demonstrations, |pose| seen.get(&pose).cloned()).unwrap();
+        transcripts(&sources, demonstrations, |from| seen.get(&from).cloned()).unwrap();
     Extractive.build(kind, &transcripts, Path::new(""), &mut |_, _| ()).unwrap().text
 }

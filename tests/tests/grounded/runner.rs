@@ -138,6 +138,7 @@ impl Runner {
                 window: &past,
                 items: &items,
                 starts_as_demonstrated: condition.hint,
+                demonstrated_elsewhere: false,
             };
             let answer = self.policy.act(&[request])[0].answer;
             let action = answer.action().expect("the grounded policy always acts");

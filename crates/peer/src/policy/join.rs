@@ -50,6 +50,7 @@ pub(super) struct LaneEpisode {
     pub(super) repeat: u32,
     pub(super) instruction: String,
     pub(super) starts_as_demonstrated: bool,
+    pub(super) demonstrated_elsewhere: bool,
     /// Window length.
     window: usize,
 }
@@ -257,6 +258,7 @@ impl Join {
             repeat: config.repeat,
             instruction: instruction.to_owned(),
             starts_as_demonstrated: config.starts_as_demonstrated != 0,
+            demonstrated_elsewhere: config.demonstrated_elsewhere != 0,
             window,
         };
         *lane = Lane { episode: Some(Arc::new(episode)), ..Lane::default() };

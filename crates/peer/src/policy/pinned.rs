@@ -219,6 +219,7 @@ impl PinnedStep {
             window: &views.window,
             items,
             starts_as_demonstrated: episode.starts_as_demonstrated,
+            demonstrated_elsewhere: episode.demonstrated_elsewhere,
         }
     }
 }

@@ -76,6 +76,7 @@ impl PromptLog {
             feedback: request.feedback.words().to_owned(),
             frame: self.view(&request.frame)?,
             starts_as_demonstrated: request.starts_as_demonstrated,
+            demonstrated_elsewhere: request.demonstrated_elsewhere,
             window,
             items,
         })

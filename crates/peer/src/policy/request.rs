@@ -181,6 +181,8 @@ pub struct Request<'a> {
     pub items: &'a [Item<'a>],
     /// Whether the prompt says that a demonstration started in this episode's start pose (paper, Design Choices).
     pub starts_as_demonstrated: bool,
+    /// Whether the prompt says that the demonstrations took place in another warehouse.
+    pub demonstrated_elsewhere: bool,
 }
 
 impl<'a> Request<'a> {

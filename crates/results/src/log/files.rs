@@ -12,6 +12,7 @@ pub(super) const ERRORS_FILE: &str = "errors.jsonl";
 pub(super) const SESSIONS_FILE: &str = "sessions.jsonl";
 pub(super) const LATENCY_FILE: &str = "latency.jsonl";
 pub(super) const STREAMS_FILE: &str = "streams.json";
+pub(super) const ELSEWHERE_FILE: &str = "elsewhere.json";
 pub(super) const SNAPSHOTS_FOLDER: &str = "snapshots";
 pub(super) const DOCUMENTS_FOLDER: &str = "documents";
 pub(super) const PROMPTS_FOLDER: &str = "prompts";
@@ -20,7 +21,7 @@ pub(super) const LOGS_FOLDER: &str = "logs";
 pub const REPORT_FOLDER: &str = "report";
 
 /// Everything that a run folder may hold. No other file in it is touched.
-pub(super) const CONTENTS: [&str; 23] = [
+pub(super) const CONTENTS: [&str; 24] = [
     MANIFEST_FILE,
     "manifest.json.new",
     EPISODES_FILE,
@@ -39,6 +40,7 @@ pub(super) const CONTENTS: [&str; 23] = [
     "sessions.damaged.jsonl",
     "latency.damaged.jsonl",
     STREAMS_FILE,
+    ELSEWHERE_FILE,
     SNAPSHOTS_FOLDER,
     DOCUMENTS_FOLDER,
     PROMPTS_FOLDER,

@@ -10,8 +10,8 @@ use super::existing::{
     existing, has_episodes, has_requests, is_of_external_memory, lock, remove_logs, remove_run,
 };
 use super::files::{
-    DOCUMENTS_FOLDER, EPISODES_FILE, ERRORS_FILE, LATENCY_FILE, LOGS_FOLDER, PROMPTS_FOLDER,
-    REQUESTS_FILE, SESSIONS_FILE, SNAPSHOTS_FOLDER, STREAMS_FILE, TIMINGS_FILE,
+    DOCUMENTS_FOLDER, ELSEWHERE_FILE, EPISODES_FILE, ERRORS_FILE, LATENCY_FILE, LOGS_FOLDER,
+    PROMPTS_FOLDER, REQUESTS_FILE, SESSIONS_FILE, SNAPSHOTS_FOLDER, STREAMS_FILE, TIMINGS_FILE,
 };
 use super::journal::unchecked;
 use super::{
@@ -178,6 +178,11 @@ impl RunFolder {
     /// Where a run folder at `dir` keeps its streams, if the run consists of streams.
     pub fn streams_of(dir: &Path) -> PathBuf {
         dir.join(STREAMS_FILE)
+    }
+
+    /// Where a run folder at `dir` keeps the other warehouse, if tasks are demonstrated in one.
+    pub fn elsewhere_of(dir: &Path) -> PathBuf {
+        dir.join(ELSEWHERE_FILE)
     }
 
     /// Where a run folder at `dir` keeps the snapshots of memories that learn.

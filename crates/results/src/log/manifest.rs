@@ -18,6 +18,9 @@ use crate::settings::{FREE_KEYS, RunSettings};
 pub const FORMAT: u32 = 2;
 
 /// Name of the file in a run folder.
+/// The name of the hash of the other warehouse in which tasks are demonstrated.
+pub const ELSEWHERE_HASH: &str = "elsewhere";
+
 pub(super) const MANIFEST_FILE: &str = "manifest.json";
 
 /// What a run is.
@@ -109,6 +112,11 @@ impl fmt::Display for Difference {
     }
 }
 
+/// The key of a hash among the [differences](Manifest::differences).
+fn contents_of(name: &str) -> String {
+    format!("contents of {name}")
+}
+
 impl Manifest {
     /// Reads the manifest in the run folder `dir`.
     ///
@@ -181,6 +189,12 @@ impl Manifest {
                 of_there.insert(format!("{fact} of memory {name}"), theirs);
             }
         }
+        // A run can grow by demonstrations in another warehouse.
+        let elsewhere = contents_of(ELSEWHERE_HASH);
+        if !(here.contains_key(&elsewhere) && of_there.contains_key(&elsewhere)) {
+            here.remove(&elsewhere);
+            of_there.remove(&elsewhere);
+        }
         let shown = |value: Option<&Value>| value.map_or("not set".to_owned(), Value::to_string);
         let mut keys: Vec<&String> = here.keys().chain(of_there.keys()).collect();
         keys.sort();
@@ -207,7 +221,7 @@ impl Manifest {
         }
         identity.insert("version".to_owned(), self.version.clone().into());
         for (name, hash) in &self.hashes {
-            identity.insert(format!("contents of {name}"), hash.clone().into());
+            identity.insert(contents_of(name), hash.clone().into());
         }
         identity
     }

@@ -72,6 +72,7 @@ pub fn settings() -> RunSettings {
         encoder_file: None,
         model: None,
         assets: None,
+        elsewhere: None,
         out: "runs/quick-grounded".into(),
         log_prompts: false,
         lanes: 16,

@@ -4,6 +4,7 @@ mod blocked;
 mod conditions;
 mod cost;
 mod design;
+mod elsewhere;
 mod failures;
 mod groups;
 mod main_table;
@@ -74,6 +75,7 @@ pub(super) fn sections(view: &ScoredRun<'_>) -> Vec<Section> {
         let text = format!("This run has no conditions for: {}.", not_run.join("; "));
         first.blocks.push(Block::Text(text));
     }
+    sections.extend(elsewhere::section(view));
     // After the overview.
     let at = sections.len().min(1);
     sections.splice(at..at, streams::sections(view));

@@ -93,6 +93,31 @@ fn what_was_not_run_is_left_out_and_named_in_one_line() {
 }
 
 #[test]
+fn demonstrations_elsewhere_are_compared_with_those_of_here_and_with_none() {
+    let conditions = [
+        "working/new/unchanged/none",
+        "semantic/new/unchanged/original",
+        "semantic/new/unchanged/elsewhere",
+        "episodic/new/unchanged/4",
+        "episodic/new/unchanged/elsewhere",
+        "hybrid/new/unchanged/4",
+    ];
+    let log = made_up(&only(&conditions), &[1, 9]);
+    let here = document(std::slice::from_ref(&log), &published());
+    let table = here.tables().find(|table| table.id == "elsewhere").unwrap();
+    let rows = table.groups.iter().flat_map(|group| {
+        group.rows.iter().map(move |row| {
+            let cells: Vec<String> = row.cells.iter().map(Cell::text).collect();
+            format!("{}: {}: {}", group.label.as_deref().unwrap(), row.label, cells.join(" | "))
+        })
+    });
+    insta::assert_snapshot!(rows.collect::<Vec<_>>().join("\n"));
+    let log = made_up(&only(&["working/new/unchanged/none", "episodic/new/unchanged/4"]), &[1]);
+    let without = document(&[log], &published());
+    assert!(without.tables().all(|table| table.id != "elsewhere"));
+}
+
+#[test]
 fn external_memories_stand_in_every_table_after_the_built_in_ones() {
     let conditions = [
         "working/new/unchanged/none",

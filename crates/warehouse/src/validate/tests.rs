@@ -130,7 +130,7 @@ fn a_corrupted_case_breaks_the_line_about_it() {
     ];
     for index in [8, 54] {
         let (case, other) = (&shipped.cases[index], &shipped.cases[(index + 30) % 100]);
-        let set = |case: &Case| CaseSet { seed: 1, cases: vec![case.clone()] };
+        let set = |case: &Case| CaseSet { seed: 1, cases: vec![case.clone()], elsewhere: None };
         let before = check(&warehouse, &set(case));
         for (what, corrupt, constraint) in &table {
             let mut corrupted = case.clone();
@@ -222,7 +222,7 @@ fn cases_that_their_seed_does_not_give_are_found() {
 #[test]
 fn a_corrupted_item_breaks_the_line_about_it() {
     let shipped = Warehouse::shipped();
-    let none = CaseSet { seed: 0, cases: Vec::new() };
+    let none = CaseSet { seed: 0, cases: Vec::new(), elsewhere: None };
     type Corruption = fn(&mut Warehouse);
     let table: [(&str, Corruption, &str); 8] = [
         ("no items", |w| w.items.clear(), "there are at least two categories"),

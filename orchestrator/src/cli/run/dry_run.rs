@@ -14,7 +14,7 @@ use crate::plan::PlannedEpisode;
 /// What would run: conditions, episodes, requests, and the estimated cost of a model.
 pub(super) fn describe(plan: &RunPlan, fresh: bool) -> Result<String> {
     let RunPlan { settings, world, episodes, prices, .. } = plan;
-    let documents = RunDocuments::of(settings, fresh);
+    let documents = RunDocuments::of(settings, world.cases.elsewhere.as_ref(), fresh);
     let done = if fresh { Vec::new() } else { finished(plan, &documents)? };
     let is_done = |episode: &PlannedEpisode| {
         let key = episode.key.to_string();

@@ -65,6 +65,9 @@ fn prompt_text(text: &mut String, prompt: &RecordedPrompt) {
     if request.starts_as_demonstrated {
         let _ = writeln!(text, "{:<10} a demonstration started where this episode did", "Hint");
     }
+    if request.demonstrated_elsewhere {
+        let _ = writeln!(text, "{:<10} the memory was made in another warehouse", "Hint");
+    }
     let _ = writeln!(text, "\nWindow, oldest first");
     if request.window.is_empty() {
         let _ = writeln!(text, "  empty");

@@ -99,7 +99,7 @@ pub(super) fn columns() -> Vec<Column> {
     columns
 }
 
-fn row(view: &ScoredRun<'_>, label: &str, a: &str, b: &str) -> Row {
+pub(super) fn row(view: &ScoredRun<'_>, label: &str, a: &str, b: &str) -> Row {
     let compared = compare_conditions((view.log, a), (view.log, b));
     let cells = match &compared {
         Ok(compared) => cells(compared),

@@ -1,0 +1,146 @@
+//! What a [`History`] stands for: a trajectory in a warehouse and a variant of it. This is the only place that knows; frames,
+//! documents, memories and the log all ask here.
+
+use std::sync::OnceLock;
+
+use domain::{Cell, Pose};
+
+use crate::case::{Case, CaseSet, History, Replay, Start, Trajectory};
+use crate::dynamics::Variant;
+use crate::elsewhere::ELSEWHERE_VARIANT;
+use crate::plan::{Planner, Prices};
+use crate::task::Task;
+use crate::world::Warehouse;
+
+/// Where a view is seen from: a pose in a variant of the world.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub struct Viewpoint {
+    /// The number of the variant on the wire.
+    pub variant: u32,
+    /// The pose.
+    pub pose: Pose,
+}
+
+/// A demonstration, and the world in which it takes place.
+#[derive(Debug, Clone)]
+pub struct Demonstrated<'a> {
+    /// The warehouse.
+    pub warehouse: &'a Warehouse,
+    /// The number of the world variant on the wire.
+    pub variant: u32,
+    /// The closed cells in that variant, sorted.
+    pub closed: &'a [Cell],
+    /// The task.
+    pub task: &'a Task,
+    /// The trajectory.
+    pub trajectory: &'a Trajectory,
+}
+
+impl Demonstrated<'_> {
+    /// Replays the demonstration where it takes place.
+    pub fn replay(&self) -> Replay {
+        let variant = Variant::closing(self.closed.iter().copied());
+        self.trajectory.replay(self.warehouse, self.task, &variant)
+    }
+
+    /// Where its views are seen from, in order.
+    pub fn viewpoints(&self) -> impl Iterator<Item = Viewpoint> + use<> {
+        let variant = self.variant;
+        self.replay().poses.into_iter().map(move |pose| Viewpoint { variant, pose })
+    }
+
+    /// The instruction that it carries out.
+    pub fn instruction(&self) -> String {
+        self.task.instruction(&self.warehouse.catalogue)
+    }
+}
+
+impl CaseSet {
+    /// The demonstration `history` of one of these cases, which are in `warehouse`. `None` if there is no such case, or it is
+    /// a test reference, or an expert who knows the closed passage has no way to complete the task, or there is no other warehouse.
+    pub fn demonstrated<'a>(
+        &'a self,
+        warehouse: &'a Warehouse,
+        History { case: index, start }: History,
+    ) -> Option<Demonstrated<'a>> {
+        let case = self.cases.get(index)?;
+        let unchanged = Demonstrated {
+            warehouse,
+            variant: 0,
+            closed: &[],
+            task: &case.task,
+            trajectory: &case.original,
+        };
+        match start {
+            Start::Original | Start::Opposite | Start::Nearby | Start::Distant => {
+                Some(Demonstrated { trajectory: case.trajectory(start), ..unchanged })
+            }
+            Start::Test | Start::Blocked => None,
+            Start::Elsewhere => {
+                let elsewhere = self.elsewhere.as_ref()?;
+                let (task, trajectory) = elsewhere.demonstration(index)?;
+                let (warehouse, variant) = (elsewhere.warehouse(), ELSEWHERE_VARIANT);
+                Some(Demonstrated { warehouse, variant, closed: &[], task, trajectory })
+            }
+            Start::After => Some(Demonstrated {
+                variant: 1 + index as u32,
+                closed: &case.barricade,
+                trajectory: case.after.get(warehouse, case)?,
+                ..unchanged
+            }),
+        }
+    }
+}
+
+/// The demonstration of [`Start::After`], which is planned when it is asked for first. No part of a case's value.
+#[derive(Debug, Clone, Default)]
+pub struct PlannedAfter(OnceLock<Option<Trajectory>>);
+
+impl PlannedAfter {
+    /// Planned from the first of the case's demonstrated starts that is not closed: with rare exceptions its original one.
+    fn get(&self, warehouse: &Warehouse, case: &Case) -> Option<&Trajectory> {
+        let planned = self.0.get_or_init(|| {
+            let variant = Variant::closing(case.barricade.iter().copied());
+            let planner = Planner::new(warehouse, variant.clone(), Prices::EXPERT);
+            let starts = Start::DEMONSTRATIONS.map(|start| case.trajectory(start).start);
+            let mut open = starts.into_iter().filter(|start| !variant.is_closed(start.cell));
+            planner.plan(open.next()?, &case.task)
+        });
+        planned.as_ref()
+    }
+}
+
+impl PartialEq for PlannedAfter {
+    fn eq(&self, _: &Self) -> bool {
+        true
+    }
+}
+
+impl Eq for PlannedAfter {}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_case_can_be_demonstrated_after_its_passage_has_closed() {
+        let (warehouse, set) = (Warehouse::shipped(), CaseSet::shipped());
+        let (mut moved, mut broken) = (0, 0);
+        for (index, case) in set.cases.iter().enumerate() {
+            let of = |start| set.demonstrated(&warehouse, History { case: index, start });
+            let after = of(Start::After).unwrap();
+            assert_eq!((after.variant, after.closed), (1 + index as u32, &*case.barricade));
+            assert!(after.replay().length.is_some(), "{}", case.id);
+            let original = of(Start::Original).unwrap();
+            assert_eq!((original.variant, original.trajectory), (0, &case.original));
+            let closed = Demonstrated { closed: &case.barricade, ..original };
+            broken += usize::from(closed.replay().length.is_none());
+            moved += usize::from(after.trajectory.start != case.original.start);
+            assert!(of(Start::Test).is_none() && of(Start::Blocked).is_none());
+        }
+        assert_eq!((moved, broken), (0, 69));
+        assert!(
+            set.demonstrated(&warehouse, History { case: 100, start: Start::Original }).is_none()
+        );
+    }
+}
