@@ -90,6 +90,16 @@ impl<'a> RunSession<'a> {
         let (finished, reason) = (self.finished, reason.to_owned());
         Ok(self.folder.note(SessionEvent::Ended { finished, errors, reason, shutdown_reports })?)
     }
+
+    /// The run waits for a process that the user starts.
+    fn awaiting(&mut self, what: &str) {
+        self.monitor.phase(&format!("waiting for {what} to attach"));
+        if self.generation > 1 {
+            // It may have joined this generation by itself, or have ended.
+            self.monitor
+                .note(&format!("Waiting for {what} to attach: start it again if it has ended"));
+        }
+    }
 }
 
 impl Observer for RunSession<'_> {
@@ -111,11 +121,11 @@ impl Observer for RunSession<'_> {
                 folder.display()
             ));
         }
-        self.monitor.phase("waiting for a policy to attach");
+        self.awaiting("a policy");
     }
 
     fn awaiting_memory(&mut self, name: ExternalName) {
-        self.monitor.phase(&format!("waiting for the memory {name} to attach"));
+        self.awaiting(&format!("the memory {name}"));
     }
 
     fn memory_state(&mut self, name: ExternalName, state: &MemoryState) -> Result<()> {

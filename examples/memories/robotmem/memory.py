@@ -10,6 +10,7 @@ from robotmem.sdk import RobotMemory
 from memtransfer import Heading, Memory, Steps, run
 
 HITS = 100  # robotmem's most; it sorts by distance only what BM25 has found
+LONGEST = 300  # characters of a note
 
 
 class Robotmem(Memory):
@@ -27,7 +28,7 @@ class Robotmem(Memory):
                     f"{step.action.words} at column {step.pose.x}, row {step.pose.y}"
                 )
                 self.store.learn(
-                    note,
+                    note[:LONGEST],
                     context={
                         "spatial": {"position": self.position(step.pose)},
                         "params": {"demonstration": number, "first": first},

@@ -227,9 +227,6 @@ impl<'s> MemorySession<'s> {
         if let Some(next) = next {
             self.begin(&next, &mut connection.errors);
         }
-        if is_over && message.last == 0 {
-            return Ok(false);
-        }
         let received_ns = monotonic_ns();
         let place = self.lanes.get_mut(lane as usize);
         let Some(running) = place.and_then(Option::as_mut).filter(|running| running.id == episode)
@@ -238,6 +235,9 @@ impl<'s> MemorySession<'s> {
             connection.errors.report(what);
             return Ok(false);
         };
+        if is_over && message.last == 0 {
+            return Ok(false);
+        }
         let frame = match message.last {
             1 => None,
             _ => connection.frame(message.frame)?,
