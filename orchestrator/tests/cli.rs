@@ -205,7 +205,7 @@ fn the_other_warehouse_is_drawn_or_named() {
     let planned = memtransfer(dir.path(), "run --suite transfer --limit 10 --dry-run");
     let planned = text(&planned.stdout);
     assert!(planned.contains("semantic/new/unchanged/elsewhere"), "{planned}");
-    assert!(planned.contains("190 of 190 episodes of 19 conditions"), "{planned}");
+    assert!(planned.contains("570 of 570 episodes of 19 conditions"), "{planned}");
 }
 
 #[test]
