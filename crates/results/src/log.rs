@@ -31,8 +31,8 @@ pub use folder::{Opened, RunFolder};
 pub use journal::{DamagedLine, Journal, JournalContents, damaged_file, read_journal};
 pub use manifest::{Difference, DocumentFacts, ExternalMemoryFacts, FORMAT, Manifest};
 pub use record::{
-    Ending, EpisodeError, EpisodeRecord, EpisodeTimings, RecallTotals, RequestRecord, SessionEvent,
-    SessionRecord, Stages, StreamRecord, Unread,
+    BlockedRecord, Ending, EpisodeError, EpisodeRecord, EpisodeTimings, RecallTotals,
+    RequestRecord, SessionEvent, SessionRecord, Stages, StreamRecord, Unread,
 };
 pub use run_log::RunLog;
 

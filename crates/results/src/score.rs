@@ -19,6 +19,7 @@
 //! | time of a step by stage, steps per second | `time.rs` |
 //! | 95 % intervals: of rates, of other figures | `interval.rs`, `bootstrap.rs` |
 //! | two configurations on the same cases | `compare.rs` |
+//! | demonstrations from before and after an event | `conflict.rs` |
 //! | streams | `streams.rs` |
 //!
 //! Episodes of streams enter the figures of their streams, and those of requests, memories and time. All other figures
@@ -28,6 +29,7 @@ mod blocked;
 mod bootstrap;
 mod compare;
 mod condition;
+mod conflict;
 mod cost;
 mod failure;
 mod interval;
@@ -44,6 +46,7 @@ pub use blocked::{BlockedScore, Derived};
 pub use bootstrap::{RESAMPLES, SEED};
 pub use compare::{Comparison, FigureDifference, compare};
 pub use condition::{Bounds, ConditionScore};
+pub use conflict::HISTORIES;
 pub use failure::{Failure, Failures, LOOP_STEPS, LOOP_VISITS, NEW_CELLS};
 pub use interval::Interval;
 pub use memory::MemoryScore;
@@ -81,6 +84,10 @@ pub struct Scores {
     /// Requests to the model; absent when there were none.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub requests: Option<RequestScore>,
+    /// The conditions with demonstrations from before and after a passage has closed, over the cases whose original
+    /// demonstration that invalidates; absent when there is no demonstration from after it.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub conflicts: Vec<ConditionScore>,
     /// The run's streams; absent when there are none.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub streams: Option<StreamScores>,
@@ -113,6 +120,7 @@ pub fn score(log: &RunLog) -> Scores {
     let mut conditions: Vec<ConditionScore> = scored.collect();
     condition::relate(&mut conditions, &trials);
     Scores {
+        conflicts: conflict::conflicts(log, &trials, &timings),
         conditions,
         planned: log.manifest.episodes as usize,
         finished: log.episodes.len(),
