@@ -19,6 +19,7 @@
 //! | time of a step by stage, steps per second | `time.rs` |
 //! | 95 % intervals: of rates, of other figures | `interval.rs`, `bootstrap.rs` |
 //! | two configurations on the same cases | `compare.rs` |
+//! | banks of different sizes | `growth.rs` |
 //! | demonstrations from before and after an event | `conflict.rs` |
 //! | streams | `streams.rs` |
 //!
@@ -32,6 +33,7 @@ mod condition;
 mod conflict;
 mod cost;
 mod failure;
+mod growth;
 mod interval;
 mod memory;
 mod requests;
@@ -48,6 +50,7 @@ pub use compare::{Comparison, FigureDifference, compare};
 pub use condition::{Bounds, ConditionScore};
 pub use conflict::HISTORIES;
 pub use failure::{Failure, Failures, LOOP_STEPS, LOOP_VISITS, NEW_CELLS};
+pub use growth::GrowthScore;
 pub use interval::Interval;
 pub use memory::MemoryScore;
 pub use requests::RequestScore;
@@ -88,6 +91,9 @@ pub struct Scores {
     /// demonstration that invalidates; absent when there is no demonstration from after it.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub conflicts: Vec<ConditionScore>,
+    /// The conditions with banks, by memory and size; absent without banks.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub growth: Vec<GrowthScore>,
     /// The run's streams; absent when there are none.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub streams: Option<StreamScores>,
@@ -120,6 +126,7 @@ pub fn score(log: &RunLog) -> Scores {
     let mut conditions: Vec<ConditionScore> = scored.collect();
     condition::relate(&mut conditions, &trials);
     Scores {
+        growth: growth::growth(&trials, &timings),
         conflicts: conflict::conflicts(log, &trials, &timings),
         conditions,
         planned: log.manifest.episodes as usize,

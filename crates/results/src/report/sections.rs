@@ -7,6 +7,7 @@ mod cost;
 mod design;
 mod failures;
 mod groups;
+mod growth;
 mod main_table;
 mod method;
 mod mixed;
@@ -30,6 +31,7 @@ pub(super) use conditions::conditions_table;
 pub(super) use conflict::conflict_table;
 pub(super) use cost::requests_table;
 pub(super) use failures::{failures_table, worst_table};
+pub(super) use growth::growth_table;
 pub(super) use overview::{notices, steps_per_second};
 pub(super) use streams::{
     adaptation_table, differences_table, incomplete, necessity_table, orders_table, success_table,
@@ -41,7 +43,7 @@ pub(super) use time::time_table;
 /// A section's name in links, its heading, and the function that makes its content.
 type Part = (&'static str, &'static str, fn(&ScoredRun<'_>) -> Vec<Block>);
 
-const PARTS: [Part; 14] = [
+const PARTS: [Part; 15] = [
     ("overview", "What was run", overview::blocks),
     ("conditions", "All conditions", conditions::blocks),
     ("main", "Success across the three questions", main_table::blocks),
@@ -49,6 +51,7 @@ const PARTS: [Part; 14] = [
     ("blocked", "RQ2: a blocked route", blocked::blocks),
     ("mixed", "RQ3: histories of other tasks", mixed::blocks),
     ("conflict", "Demonstrations from before and after an event", conflict::blocks),
+    ("growth", "Banks of different sizes", growth::blocks),
     ("groups", "Task groups", groups::blocks),
     ("design", "Design choices", design::blocks),
     ("failures", "Why episodes failed", failures::blocks),

@@ -6,8 +6,9 @@ use super::document::{Cell, Table};
 use super::published::Published;
 use super::sections::{
     adaptation_table, blocked_table, conditions_table, conflict_table, differences_table,
-    failures_table, incomplete, necessity_table, notices, orders_table, requests_table,
-    steps_per_second, success_table, supplied_table, time_table, transfer_table, worst_table,
+    failures_table, growth_table, incomplete, necessity_table, notices, orders_table,
+    requests_table, steps_per_second, success_table, supplied_table, time_table, transfer_table,
+    worst_table,
 };
 use super::view::{ScoredRun, interval_text, p_value, signed};
 use crate::compare::{differing_settings, run_name};
@@ -51,6 +52,7 @@ pub fn summary(log: &RunLog) -> String {
             "Blocked routes: demonstrations from before and after the passage closed",
             conflict_table(&view),
         ),
+        ("Banks of different sizes", growth_table(&view)),
         ("Failed episodes by kind", failures_table(&view)),
         ("Cases that fail most", worst_table(&view, WORST)),
         ("Requests to the model, those of repeated episodes included", requests_table(&view)),
