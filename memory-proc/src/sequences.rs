@@ -1,10 +1,12 @@
-//! Memories that persist from episode to episode of a stream.
+//! Memories that persist from episode to episode of a stream, and those that episodes share because their bank is large.
 //!
 //! A sequence is one stream in one order with one condition. Its episodes run one after the other and share one memory,
 //! which is built from the bank of the stream and then continues from snapshot to snapshot: an episode that the memory
 //! learns from begins with the snapshot that its config names and ends with a new one. What a memory knows therefore
 //! depends on the log only, and not on crashes. A memory in another state than the one that is asked for is dropped, and
 //! built or loaded again.
+//!
+//! Outside of streams, the episodes with one bank and one kind of memory share it as they would in the arm `frozen`.
 //!
 //! What is not here: which episodes are learned from, and in which order (the orchestrator).
 
@@ -32,6 +34,9 @@ use crate::worlds::{BankOrigin, Worlds};
 
 /// Banks that are kept when no memory waits for them.
 const KEPT_BANKS: usize = 16;
+
+/// Bytes of the memories that are kept without an episode.
+const KEPT_BYTES: u64 = 256 << 20;
 
 /// The host's part of a snapshot, and the folder of the memory's own files.
 const EXPERIENCE_FILE: &str = "experience.json";
@@ -170,6 +175,16 @@ pub(crate) enum KeptMemory {
         /// The folder that it has yet to load from, and whether it has been asked to.
         to_load: Option<(PathBuf, bool)>,
     },
+}
+
+impl KeptMemory {
+    /// Bytes of its store in this process, as far as it tells them.
+    fn store_bytes(&self) -> u64 {
+        match self {
+            Self::BuiltIn(memory) => memory.store_bytes().unwrap_or(0),
+            Self::External { .. } => 0,
+        }
+    }
 }
 
 /// Whether an episode has its memory.
@@ -311,9 +326,14 @@ impl Sequences {
         let memories = &mut self.memories;
         self.recent.retain(|sequence| memories.contains_key(sequence));
         let is_unused = |sequence: &u64| memories[sequence].users.is_empty();
-        let unused: Vec<u64> = self.recent.iter().copied().filter(is_unused).collect();
-        for &sequence in &unused[..unused.len().saturating_sub(self.kept)] {
-            self.drop_memory(sequence);
+        let unused: Vec<u64> = self.recent.iter().copied().filter(is_unused).rev().collect();
+        let (mut kept, mut bytes) = (0, 0);
+        for sequence in unused {
+            kept += 1;
+            bytes += self.memories[&sequence].memory.store_bytes();
+            if kept > self.kept || bytes > KEPT_BYTES {
+                self.drop_memory(sequence);
+            }
         }
     }
 
@@ -548,7 +568,7 @@ impl SequenceMemory {
     /// Appends an episode to the bank.
     fn record(&mut self, episode: &MemoryEpisode, part: &StreamPart, recording: &Recording) {
         let Recording { poses, feedback, stages, actions, .. } = recording;
-        Arc::make_mut(&mut self.bank).demonstrations.push(Demonstration {
+        let learned = Demonstration {
             case: part.position,
             number: EXPERIENCE,
             variant: part.variant,
@@ -557,7 +577,8 @@ impl SequenceMemory {
             feedback: feedback.clone(),
             stages: stages.clone(),
             actions: actions.clone(),
-        });
+        };
+        Arc::make_mut(&mut self.bank).demonstrations.push(Arc::new(learned));
         self.experiences.push(Experience::new(episode, part, recording));
     }
 
@@ -596,7 +617,7 @@ impl SequenceMemory {
                     "episode {number} of {EXPERIENCE_FILE} cannot take place in this run"
                 ))
             })?;
-            Arc::make_mut(&mut self.bank).demonstrations.push(made);
+            Arc::make_mut(&mut self.bank).demonstrations.push(Arc::new(made));
         }
         let own = found.join(MEMORY_FOLDER);
         match &mut self.memory {
