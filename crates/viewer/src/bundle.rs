@@ -24,7 +24,7 @@ pub enum Selection {
 
 impl Selection {
     /// What is chosen unless something else is asked for.
-    pub const DEFAULT: Self = Self::First(60);
+    pub const DEFAULT: Self = Self::First(100);
 }
 
 /// What was written.

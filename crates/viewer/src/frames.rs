@@ -15,7 +15,7 @@ use crate::site::ViewProgram;
 pub const EDGE: u16 = 320;
 
 /// Quality of the JPEG files, in percent.
-const QUALITY: u8 = 78;
+const QUALITY: u8 = 62;
 
 /// What a view shows: the number of the world variant, and the pose.
 pub type ViewKey = (u32, Pose);

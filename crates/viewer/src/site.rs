@@ -392,9 +392,8 @@ impl RunPages {
         let status = std::fs::read_to_string(self.log.dir.join(STATUS_FILE)).ok();
         let status = status.and_then(|text| serde_json::from_str::<Value>(&text).ok());
         // A session that was killed leaves its file behind.
-        let status = status.filter(|status| {
-            Path::new("/proc").join(status["pid"].to_string()).exists()
-        });
+        let status =
+            status.filter(|status| Path::new("/proc").join(status["pid"].to_string()).exists());
         let news = json!({ "restarted": from.is_none(), "rows": rows, "status": status });
         Ok(File::text("application/json", serde_json::to_vec(&news)?))
     }

@@ -52,14 +52,14 @@ memtransfer.EpisodeView = class {
     const { h } = memtransfer;
     const { episode, run } = this;
     const stale = h("span", { class: "stale" }, "stale");
-    const link = (index, at) => h("button", { type: "button", class: "source", onclick: () => this.onSource(this, index, at) },
-      `${episode.demonstrations[index].title}, step ${at}`);
+    const link = (index, at) => h("button", { type: "button", class: "source", onclick: () => this.onSource(this, index, at || 0) },
+      `${episode.demonstrations[index].title}${at === undefined ? "" : `, step ${at}`}`);
     if (supplied.length === 0) {
       if (step >= this.last) return [h("p", {}, "The episode is over.")];
       const known = episode.supplied.length > 0;
       if (episode.demonstrations.length === 0) return [h("p", {}, "This memory has no demonstrations.")];
       return [h("p", {}, known ? "Memory retrieved nothing for this step. It was built from:" : "The log has no sources for this memory. It was built from:"),
-        h("ul", {}, episode.demonstrations.map((one, index) => h("li", {}, link(index, 0), " ", one.stale && stale.cloneNode(true))))];
+        h("ul", {}, episode.demonstrations.map((one, index) => h("li", {}, link(index), " ", one.stale && stale.cloneNode(true))))];
     }
     return supplied.map(([index, at]) => {
       const one = episode.demonstrations[index];
@@ -119,10 +119,12 @@ memtransfer.EpisodeView = class {
     if (episode.led) {
       const { demonstration, from, enters } = episode.led;
       const one = episode.demonstrations[demonstration];
-      const source = h("button", { type: "button", class: "step-link", onclick: () => this.onSource(this, demonstration, from === null ? enters - 1 : from) },
-        from === null ? one.title : `step ${from} of the ${one.title}`);
-      sentences.push(h("p", {}, "Memory led the agent into the closed passage at ", step(episode.triedClosedAt), ": ",
-        from === null ? "it supplied the " : "it supplied ", source, `, which enters that passage at its step ${enters}.`));
+      const source = (text, at) => h("button", { type: "button", class: "step-link", onclick: () => this.onSource(this, demonstration, at) }, text);
+      sentences.push(from === null
+        ? h("p", {}, "The agent tried to enter the closed passage at ", step(episode.triedClosedAt), ". Memory was built from the ",
+          source(one.title, Math.max(enters - 1, 0)), `, which uses that passage from its step ${enters} on.`)
+        : h("p", {}, "Memory led the agent into the closed passage at ", step(episode.triedClosedAt), ": for that step it supplied ",
+          source(`step ${from} of the ${one.title}`, from), from === enters ? ", which is inside that passage." : `, which enters that passage at its step ${enters}.`));
     } else if (episode.triedClosedAt !== null) {
       sentences.push(h("p", {}, "The agent tried to enter the closed passage at ", step(episode.triedClosedAt), "; what memory supplied there does not enter it."));
     }
@@ -260,8 +262,8 @@ memtransfer.episodePage = async (current) => {
   }
 
   const controls = h("div", { class: "controls" },
-    button("First step (Home)", "⏮", () => 0), button("Previous mark (p)", "◂◂", previousMoment), button("Step back (left arrow)", "◂", () => step - 1),
-    play, button("Step on (right arrow)", "▸", () => step + 1), button("Next mark (n)", "▸▸", nextMoment), button("Last step (End)", "⏭", () => last), label);
+    button("First step (Home)", "|◂", () => 0), button("Previous mark (p)", "◂◂", previousMoment), button("Step back (left arrow)", "◂", () => step - 1),
+    play, button("Step on (right arrow)", "▸", () => step + 1), button("Next mark (n)", "▸▸", nextMoment), button("Last step (End)", "▸|", () => last), label);
   const back = h("nav", { "aria-label": "Path" }, h("a", { href: address({ run: runs.length > 1 ? current.run || 1 : "" }) }, `← ${main.run.name}`));
   const title = `${main.run.cases[main.row.case].id}, ${main.run.conditions[main.row.condition].name}`;
   const signs = h("p", { class: "signs" }, "▲ sub-goal  △ arrival before an item  × blocked  ■ closed passage  ? unreadable  ⚑ failure decided");
@@ -270,12 +272,13 @@ memtransfer.episodePage = async (current) => {
   if (isPair) {
     const words = divergence === null ? "Both act alike to the end." : divergenceWords(views, divergence);
     memtransfer.page(`${title} and another`, back,
-      h("header", {}, h("h1", {}, main.episode.instruction), h("p", { class: "soft" }, `Case ${main.run.cases[main.row.case].id}. The episodes are numbered in order: first left, then right.`),
+      h("header", {}, h("h1", {}, main.episode.instruction), h("p", { class: "soft" }, `Case ${main.run.cases[main.row.case].id}. The first is on the left, the second on the right.`), compare(),
         h("p", { class: "divergence" }, words, " ", divergence !== null && h("button", { type: "button", class: "step-link", onclick: () => go(divergence) }, `Go to step ${divergence}`))),
       h("section", { class: "transport", "aria-label": "Time" }, transport),
       h("div", { class: "pair" }, views.map((view) => h("section", { "aria-label": `${view.run.name}, ${view.run.conditions[view.row.condition].name}` },
-        view.heading("h2"), view.story(go), view.camera, h("h3", {}, "Memory at this step"), view.memory, view.map.element))),
-      memtransfer.EpisodeMap.legend(main.episode), source, compare());
+        view.heading("h2"), view.story(go) || h("div", {}), h("div", { class: "sight" }, view.camera, view.map.element),
+        h("div", {}, h("h3", {}, "Memory at this step"), view.memory)))),
+      memtransfer.EpisodeMap.legend(main.episode), source);
   } else {
     memtransfer.page(title, back, h("header", {}, main.heading("h1"), compare()), main.story(go),
       h("div", { class: "stage" },

@@ -146,8 +146,8 @@ memtransfer.runPage = (current) => {
     select("memory", "Memory", [["", "all"], ...memories.map((memory) => [memory, memory])]),
     select("group", "Tasks", [["", "all"], ...run.groups.map((group) => [group, group])]),
     select("outcome", "Outcome", outcomes),
-    select("a", "Where", conditionOptions),
-    select("b", "and … disagree", conditionOptions),
+    select("a", "Disagreement between", conditionOptions),
+    select("b", "and", conditionOptions),
     select("sort", "Sort by", [["", "case"], ["failures", "most failures"], ["steps", "most steps"]]),
     h("a", { class: "button", href: address({ run: filters.run }) }, "Clear"));
 

@@ -35,7 +35,7 @@ pub(super) struct ViewArgs {
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
     /// With --out: the number of episodes of a run with views and prompts, failures first, or `all`
-    #[arg(long, value_name = "N|all", requires = "out", default_value = "60", value_parser = parse_selection)]
+    #[arg(long, value_name = "N|all", requires = "out", default_value = "100", value_parser = parse_selection)]
     episodes: Selection,
     /// Serve the pages at ADDR [default without --out: a free port of this machine alone]
     #[arg(long, value_name = "ADDR", num_args = 0..=1, default_missing_value = "127.0.0.1:0", conflicts_with = "out")]

@@ -346,7 +346,7 @@ impl Remembered<'_> {
             let shown = if is_planned { state.variant.clone() } else { case.variant(start) };
             let replay = trajectory.replay(warehouse, &case.task, &shown);
             Demonstration {
-                title: format!("demonstration `{}`{other}{planned}", start.name()),
+                title: format!("{} demonstration{other}{planned}", start.name()),
                 episode: None,
                 stale: !is_planned && !state.completes(&trajectory, &case.task),
                 poses: replay.poses.iter().map(pose_data).collect(),
