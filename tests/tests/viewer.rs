@@ -13,12 +13,14 @@ use memtransfer_tests::{Bench, Ended, eventually, kill};
 use serde_json::Value;
 
 /// A run on blocked routes, in which some agents run into the barricade.
-fn blocked(bench: &Bench, out: &str, more: &[&str]) -> PathBuf {
+fn blocked(bench: &Bench, out: &str, memory: &str, more: &[&str]) -> PathBuf {
     let mut args = vec!["run", "--suite", "rq2", "--policy", "grounded", "--limit", "20"];
-    args.extend(["--runs", "1", "--memory", "working,full-context,episodic", "--out", out]);
+    args.extend(["--runs", "1", "--memory", memory, "--out", out]);
     bench.run(&[&args[..], more].concat()).expect(0);
     bench.out(out)
 }
+
+const MEMORIES: &str = "working,full-context,episodic";
 
 /// The pages of `runs` as files; returns the address of the first.
 fn bundle(bench: &Bench, runs: &[&Path], more: &[&str]) -> String {
@@ -40,7 +42,7 @@ const STEP: &str = ".transport output";
 #[test]
 fn five_clicks_lead_from_a_run_to_the_step_that_decided_a_failure() {
     let bench = Bench::new();
-    let run = blocked(&bench, "rq2", &[]);
+    let run = blocked(&bench, "rq2", MEMORIES, &[]);
     let url = bundle(&bench, &[&run], &["--episodes", "all"]);
     let mut browser = Browser::start(1300, 1000);
     browser.open(&url);
@@ -120,8 +122,8 @@ fn five_clicks_lead_from_a_run_to_the_step_that_decided_a_failure() {
 #[test]
 fn the_grid_is_filtered_sorted_and_used_with_keys_and_every_state_has_an_address() {
     let bench = Bench::new();
-    let run = blocked(&bench, "a", &[]);
-    let other = blocked(&bench, "b", &["--seed", "2"]);
+    let run = blocked(&bench, "a", MEMORIES, &[]);
+    let other = blocked(&bench, "b", MEMORIES, &["--seed", "2"]);
     let url = bundle(&bench, &[&run, &other], &["--episodes", "2"]);
     let mut browser = Browser::start(1300, 1000);
     browser.open(&url);
@@ -183,8 +185,7 @@ fn the_grid_is_filtered_sorted_and_used_with_keys_and_every_state_has_an_address
 fn text_of_a_run_is_never_read_as_a_page() {
     const TEXT: &str = "<img src=x onerror=window.hacked=1><script>window.hacked=1</script>";
     let bench = Bench::new();
-    let run =
-        blocked(&bench, "r", &["--log-prompts", "--cases", "t01-01", "--memory", "full-context"]);
+    let run = blocked(&bench, "r", "full-context", &["--log-prompts", "--cases", "t01-01"]);
     let quoted = serde_json::to_string(TEXT).unwrap();
     let error = format!("{{\"key\":{quoted},\"session\":1,\"error\":{quoted}}}\n");
     fs::write(run.join("errors.jsonl"), error).unwrap();
@@ -255,7 +256,7 @@ impl Drop for Served {
 #[test]
 fn a_server_shows_every_view_and_gives_nothing_else_away() {
     let bench = Bench::new();
-    let run = blocked(&bench, "r", &["--cases", "t02-02"]);
+    let run = blocked(&bench, "r", "episodic", &["--cases", "t02-02"]);
     let run = run.to_str().unwrap();
     let served = Served::start(&bench, &["view", run, "--serve"]);
     let mut browser = Browser::start(1300, 1000);
@@ -329,7 +330,7 @@ fn a_folder_that_is_no_run_or_not_empty_is_refused() {
     let bench = Bench::new();
     let ended = bench.run(&["view", "nothing", "--out", "pages"]).expect(2);
     assert!(ended.stderr.contains("holds no run"), "{}", ended.stderr);
-    let run = blocked(&bench, "r", &["--cases", "t02-02", "--memory", "working"]);
+    let run = blocked(&bench, "r", "working", &["--cases", "t02-02"]);
     let run = run.to_str().unwrap();
     let ended = bench.run(&["view", run, "--out", "r"]).expect(2);
     assert!(ended.stderr.contains("choose another --out"), "{}", ended.stderr);

@@ -126,7 +126,7 @@ impl Server {
 }
 
 /// The rules for what a page may load: only from this server. The report has its style inside.
-const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; connect-src 'self'; \
+const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; connect-src 'self'; \
                       frame-src 'self'; frame-ancestors 'self'; base-uri 'none'; form-action 'none'";
 const REPORT_POLICY: &str = "default-src 'none'; style-src 'unsafe-inline'; img-src data:; frame-ancestors 'self'; \
                              base-uri 'none'; form-action 'none'";
