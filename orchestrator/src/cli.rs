@@ -19,6 +19,7 @@ mod score;
 mod show;
 mod top;
 mod validate;
+mod view;
 
 use std::io::{self, Write};
 use std::path::PathBuf;
@@ -43,6 +44,7 @@ Examples:
   memtransfer run --limit 5 --policy random
   memtransfer score runs/quick-grounded    its table again, from the log alone
   memtransfer report runs/quick-grounded   its report: pages, tables and data files
+  memtransfer view runs/quick-grounded     its episodes step by step, in a browser
   memtransfer ls cases                     the cases
   memtransfer map t03-07 --out map.svg     one case from above
   memtransfer top                          the live status of the run in progress
@@ -72,6 +74,8 @@ enum MemtransferVerb {
     Score(score::ScoreArgs),
     /// Write a run's report from its log: the paper's tables, figures and data files
     Report(report::ReportArgs),
+    /// Show a run in a browser: every episode step by step, two side by side
+    View(view::ViewArgs),
     /// Print one step: what the policy received, and what it answered
     Show(show::ShowArgs),
     /// Measure how long an access to memory takes, part by part
@@ -128,6 +132,7 @@ pub fn main() -> ExitCode {
         MemtransferVerb::Memory(args) => memory::run(args),
         MemtransferVerb::Score(args) => score::run(&args),
         MemtransferVerb::Report(args) => report::run(&args),
+        MemtransferVerb::View(args) => view::run(&args),
         MemtransferVerb::Show(args) => show::run(&args),
         MemtransferVerb::Profile(args) => profile::run(&args),
         MemtransferVerb::Conformance(args) => conformance::run(&args),

@@ -4,7 +4,7 @@
 //!   chooses the view to show, [`view_cache`] keeps track of resident views; all four are pure.
 //! - [`render_pool`]: worker threads that render beside the serve loop; [`render_workers`] opens them.
 //! - [`renderer`]: poses in, pixels out, with two backends.
-//! - [`serve_command`] and [`render_command`]: the command line.
+//! - [`serve_command`], [`render_command`] and [`views_command`]: the command line.
 
 pub mod lanes;
 pub mod render_command;
@@ -15,5 +15,6 @@ pub mod serve;
 pub mod serve_command;
 pub mod view_cache;
 pub mod view_control;
+pub mod views_command;
 mod wakeups;
 pub mod worlds;

@@ -1,10 +1,11 @@
-//! The simulator's binary: `serve` runs the simulator of a run, `render` writes views to PNG files.
+//! The simulator's binary: `serve` runs the simulator of a run, `render` writes views to PNG files, `views` to stdout.
 
 use std::process::ExitCode;
 
 use clap::Parser;
 use sim_proc::render_command::{self, RenderArgs};
 use sim_proc::serve_command::{self, ServeArgs};
+use sim_proc::views_command::{self, ViewsArgs};
 
 /// The simulator of MemTransfer: steps the world and renders what the agent sees.
 #[derive(Debug, Parser)]
@@ -20,6 +21,8 @@ enum Command {
     Serve(ServeArgs),
     /// Write views of the warehouse as PNG files.
     Render(RenderArgs),
+    /// Write the views that stdin names to stdout, as pixels. Started by `memtransfer view`.
+    Views(ViewsArgs),
 }
 
 fn main() -> ExitCode {
@@ -27,6 +30,7 @@ fn main() -> ExitCode {
         match Cli::parse().command {
             Command::Serve(args) => serve_command::run(args)?,
             Command::Render(args) => render_command::run(&args)?,
+            Command::Views(args) => views_command::run(&args)?,
         }
         Ok(ExitCode::SUCCESS)
     })

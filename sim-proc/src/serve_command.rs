@@ -1,20 +1,17 @@
 //! `sim-proc serve`: the simulator of a run.
 
-use std::fs;
 use std::path::PathBuf;
 
 use anyhow::{Context, Result};
 use shm_types::message::Role;
 use shm_types::process::{check_shared_memory, die_with_parent};
 use shm_types::{Attach, Bus};
-use warehouse::case_file::CASES_FILE;
-use warehouse::{CaseSet, Elsewhere, StreamSet, Warehouse};
 
 use crate::render_command::RendererArgs;
 use crate::render_pool::RenderSetup;
 use crate::renderer::RenderSettings;
 use crate::serve::serve;
-use crate::worlds::Worlds;
+use crate::worlds::WorldsArgs;
 
 /// Arguments of `sim-proc serve`.
 #[derive(Debug, clap::Args)]
@@ -23,20 +20,11 @@ pub struct ServeArgs {
     #[arg(long, value_name = "DIR")]
     attach: PathBuf,
 
-    /// The folder with layout.toml, catalogue.toml and cases.toml, instead of what is compiled in.
-    #[arg(long, value_name = "DIR")]
-    assets: Option<PathBuf>,
+    #[command(flatten)]
+    worlds: WorldsArgs,
 
     #[command(flatten)]
     renderer: RendererArgs,
-
-    /// The run's streams, whose world states are world variants after those of the cases.
-    #[arg(long, value_name = "FILE")]
-    streams: Option<PathBuf>,
-
-    /// The other warehouse, in which tasks are demonstrated: one more world variant.
-    #[arg(long, value_name = "FILE")]
-    elsewhere: Option<PathBuf>,
 
     /// Render every view of the unchanged world before the first step.
     #[arg(long)]
@@ -53,28 +41,7 @@ pub fn run(args: ServeArgs) -> Result<()> {
     die_with_parent(attach.orchestrator_pid)
         .context("cannot tie this process to its orchestrator")?;
     check_shared_memory(attach.shared_memory_bytes())?;
-    let (warehouse, mut cases) = match &args.assets {
-        None => (Warehouse::shipped(), CaseSet::shipped()),
-        Some(folder) => {
-            let warehouse = Warehouse::load(folder)?;
-            let cases = CaseSet::load(&folder.join(CASES_FILE), &warehouse)?;
-            (warehouse, cases)
-        }
-    };
-    let states = match &args.streams {
-        None => Vec::new(),
-        Some(file) => {
-            let text = fs::read_to_string(file)
-                .with_context(|| format!("cannot read {}", file.display()))?;
-            let streams = StreamSet::parse(&text, &warehouse, &cases);
-            let states = streams.and_then(|streams| streams.states(&warehouse));
-            states.with_context(|| file.display().to_string())?
-        }
-    };
-    if let Some(file) = &args.elsewhere {
-        cases.elsewhere = Some(Elsewhere::read(file, &warehouse, &cases)?);
-    }
-    let worlds = Worlds::new(&warehouse, &cases, states);
+    let worlds = args.worlds.load()?;
     let settings = args.renderer.apply(RenderSettings {
         width_px: attach.frame.width,
         height_px: attach.frame.height,

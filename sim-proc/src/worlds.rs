@@ -1,9 +1,62 @@
 //! The worlds of a run: the hall and what stands on its shelves, and which passages are closed.
 
 use std::collections::HashMap;
+use std::fs;
 use std::hash::Hash;
+use std::path::PathBuf;
 
-use warehouse::{CaseSet, ELSEWHERE_VARIANT, Layout, Variant, Warehouse, WorldState};
+use anyhow::{Context, Result};
+use warehouse::case_file::CASES_FILE;
+use warehouse::{
+    CaseSet, ELSEWHERE_VARIANT, Elsewhere, Layout, StreamSet, Variant, Warehouse, WorldState,
+};
+
+/// The flags that name the files of the worlds.
+#[derive(Debug, clap::Args)]
+pub struct WorldsArgs {
+    /// The folder with layout.toml, catalogue.toml and cases.toml, instead of what is compiled in.
+    #[arg(long, value_name = "DIR")]
+    assets: Option<PathBuf>,
+
+    /// The run's streams, whose world states are world variants after those of the cases.
+    #[arg(long, value_name = "FILE")]
+    streams: Option<PathBuf>,
+
+    /// The other warehouse, in which tasks are demonstrated: one more world variant.
+    #[arg(long, value_name = "FILE")]
+    elsewhere: Option<PathBuf>,
+}
+
+impl WorldsArgs {
+    /// Reads the files.
+    ///
+    /// # Errors
+    /// A file that cannot be read or is invalid.
+    pub fn load(&self) -> Result<Worlds> {
+        let (warehouse, mut cases) = match &self.assets {
+            None => (Warehouse::shipped(), CaseSet::shipped()),
+            Some(folder) => {
+                let warehouse = Warehouse::load(folder)?;
+                let cases = CaseSet::load(&folder.join(CASES_FILE), &warehouse)?;
+                (warehouse, cases)
+            }
+        };
+        let states = match &self.streams {
+            None => Vec::new(),
+            Some(file) => {
+                let text = fs::read_to_string(file)
+                    .with_context(|| format!("cannot read {}", file.display()))?;
+                let streams = StreamSet::parse(&text, &warehouse, &cases);
+                let states = streams.and_then(|streams| streams.states(&warehouse));
+                states.with_context(|| file.display().to_string())?
+            }
+        };
+        if let Some(file) = &self.elsewhere {
+            cases.elsewhere = Some(Elsewhere::read(file, &warehouse, &cases)?);
+        }
+        Ok(Worlds::new(&warehouse, &cases, states))
+    }
+}
 
 /// A world by its parts, each as an index into those of [`Worlds`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]

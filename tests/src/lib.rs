@@ -5,6 +5,7 @@
 
 #![expect(clippy::expect_used, clippy::missing_panics_doc, reason = "a test may panic")]
 
+pub mod browser;
 pub mod example_memories;
 pub mod llama;
 pub mod needs;

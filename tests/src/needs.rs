@@ -21,6 +21,18 @@ pub fn language_model() -> PathBuf {
     installed("language-models/smollm2-135m-instruct-q4_1.gguf")
 }
 
+/// Chromium, or a browser of its family.
+pub fn chromium() -> PathBuf {
+    let path = std::env::var_os("PATH").unwrap_or_default();
+    let names = ["chromium", "chromium-browser", "google-chrome"];
+    let found = std::env::split_paths(&path)
+        .flat_map(|folder| names.map(|name| folder.join(name)))
+        .find(|program| program.is_file());
+    found.expect(
+        "no Chromium: run `cargo xtask setup --tests`, or the tests with `cargo xtask test`",
+    )
+}
+
 fn installed(place: &str) -> PathBuf {
     let path = CacheFolder::from_environment().expect("a cache folder").root().join(place);
     assert!(

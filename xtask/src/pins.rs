@@ -68,6 +68,8 @@ pub(crate) struct SystemNeed {
 pub(crate) enum Probe {
     /// `python3 -m MODULE --version` works.
     PythonModule(String),
+    /// A program with one of these names is in PATH.
+    Program(Vec<String>),
     /// A shared library of this name is in one of the usual folders.
     Library(String),
     /// One of these folders has a Vulkan driver's manifest whose library is there.

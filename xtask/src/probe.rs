@@ -13,12 +13,20 @@ impl Probe {
     pub(crate) fn look(&self) -> Option<String> {
         match self {
             Self::PythonModule(module) => python::module_version(module),
+            Self::Program(names) => find_program(names).map(|path| path.display().to_string()),
             Self::Library(name) => find_library(name).map(|path| path.display().to_string()),
             Self::VulkanManifests(folders) => {
                 find_vulkan_driver(folders).map(|path| path.display().to_string())
             }
         }
     }
+}
+
+fn find_program(names: &[String]) -> Option<PathBuf> {
+    let path = std::env::var_os("PATH").unwrap_or_default();
+    std::env::split_paths(&path)
+        .flat_map(|folder| names.iter().map(move |name| folder.join(name)))
+        .find(|program| program.is_file())
 }
 
 /// Where the dynamic linker would find a library: its environment variable first, then the folders of Debian, Fedora and

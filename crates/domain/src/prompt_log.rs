@@ -53,9 +53,11 @@ pub fn trajectory_file(prompts: &Path, hash: &str) -> PathBuf {
     prompts.join("documents").join(format!("{hash}.json"))
 }
 
-/// The start of an entry's line, to find it without parsing the others.
-pub fn line_start(episode: u64, step: u32) -> String {
-    format!("{{\"episode\":{episode},\"step\":{step},")
+/// The episode id and the step of an entry, from the start of its line: finds it without parsing the others.
+pub fn line_key(line: &str) -> Option<(u64, u32)> {
+    let (episode, rest) = line.strip_prefix("{\"episode\":")?.split_once(",\"step\":")?;
+    let (step, _) = rest.split_once(',')?;
+    Some((episode.parse().ok()?, step.parse().ok()?))
 }
 
 /// A request and its answer.
@@ -294,7 +296,8 @@ mod tests {
             timing: RecordedTiming::default(),
         };
         let line = serde_json::to_string(&entry).unwrap();
-        assert!(line.starts_with(&line_start(57, 12)), "{line}");
+        assert_eq!(line_key(&line), Some((57, 12)), "{line}");
+        assert_eq!(line_key("{\"episode\":57,\"lane\":1}"), None);
         assert_eq!(serde_json::from_str::<PromptLogEntry>(&line).unwrap(), entry);
         assert_eq!(entry.request.frame, "ab".repeat(16));
     }

@@ -15,6 +15,7 @@ pub mod names;
 pub mod report;
 pub mod score;
 pub mod settings;
+pub mod source;
 pub mod step_view;
 pub mod table;
 pub mod usage;

@@ -28,7 +28,7 @@ mod run_log;
 
 pub use files::{REPORT_FOLDER, STATUS_FILE};
 pub use folder::{Opened, RunFolder};
-pub use journal::{DamagedLine, Journal, JournalContents, damaged_file, read_journal};
+pub use journal::{DamagedLine, Journal, JournalContents, JournalTail, damaged_file, read_journal};
 pub use manifest::{
     Difference, DocumentFacts, ELSEWHERE_HASH, ExternalMemoryFacts, FORMAT, Manifest,
 };

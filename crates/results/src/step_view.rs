@@ -3,15 +3,19 @@
 //! Pose, feedback, retrieval and action come from the run's log; the request, the exchange with the model and the
 //! answer from its prompt log, where it has one.
 
+mod words;
+
+pub use words::{facts, title};
+
 use std::collections::BTreeMap;
 use std::fs::File;
-use std::io::{BufRead, BufReader};
-use std::path::PathBuf;
+use std::io::{self, BufRead, BufReader, Read, Seek, SeekFrom};
+use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
 use domain::prompt_log::{
     Hash, PromptLogEntry, RecordedItem, RecordedPart, RecordedView, entries_file, image_file,
-    line_start, session_folder, text_file, trajectory_file,
+    line_key, session_folder, text_file, trajectory_file,
 };
 use domain::{Action, Pose};
 use serde::Serialize;
@@ -93,7 +97,10 @@ pub fn look_up(log: &RunLog, record: &EpisodeRecord, step: u32) -> Result<StepVi
         retrieved: retrieved
             .and_then(|words| words.split_whitespace().nth(step as usize))
             .map(str::to_owned),
-        prompt: timings.map(|timings| prompt(log, timings, step)).transpose()?.flatten(),
+        prompt: timings
+            .map(|timings| PromptLog::of(log).entry(timings, step))
+            .transpose()?
+            .flatten(),
     })
 }
 
@@ -101,29 +108,79 @@ fn action_at(record: &EpisodeRecord, step: u32) -> Option<Action> {
     Action::from_letter(record.actions.chars().nth(step as usize)?)
 }
 
-/// Reads the prompt log's entry about a step of the episode of `timings`.
-fn prompt(log: &RunLog, timings: &EpisodeTimings, step: u32) -> Result<Option<RecordedPrompt>> {
-    let folder = RunFolder::prompts_of(&log.dir);
-    let file = entries_file(&session_folder(&folder, timings.session), timings.generation);
-    if !file.exists() {
-        return Ok(None);
+/// Where the entries of a prompt log's file are, by episode id and step: offset and length of the line.
+type EntryPlaces = BTreeMap<(u64, u32), (u64, usize)>;
+
+/// The prompt log of a run. Each of its files is searched once, however many steps are read.
+#[derive(Debug)]
+pub struct PromptLog {
+    folder: PathBuf,
+    files: BTreeMap<PathBuf, EntryPlaces>,
+}
+
+impl PromptLog {
+    /// The prompt log of `log`, which may have none.
+    pub fn of(log: &RunLog) -> Self {
+        Self { folder: RunFolder::prompts_of(&log.dir), files: BTreeMap::new() }
     }
-    let unreadable = || format!("cannot read {}", file.display());
-    let start = line_start(timings.episode, step);
-    let mut found = None;
-    for line in BufReader::new(File::open(&file).with_context(unreadable)?).lines() {
-        let line = line.with_context(unreadable)?;
-        if line.starts_with(&start) {
-            found = Some(line);
+
+    /// Whether the run has one.
+    pub fn exists(&self) -> bool {
+        self.folder.exists()
+    }
+
+    /// The entry about a step of the episode of `timings`, with everything that it refers to; `None` if there is none.
+    ///
+    /// # Errors
+    /// When a file cannot be used.
+    pub fn entry(&mut self, timings: &EpisodeTimings, step: u32) -> Result<Option<RecordedPrompt>> {
+        let file = entries_file(&session_folder(&self.folder, timings.session), timings.generation);
+        if !file.exists() {
+            return Ok(None);
         }
+        let unreadable = || format!("cannot read {}", file.display());
+        if !self.files.contains_key(&file) {
+            self.files.insert(file.clone(), entry_places(&file).with_context(unreadable)?);
+        }
+        let places = self.files.get(&file);
+        let place = places.and_then(|places| places.get(&(timings.episode, step)));
+        let Some(&(offset, length)) = place else { return Ok(None) };
+        let mut line = vec![0; length];
+        File::open(&file)
+            .and_then(|mut opened| {
+                opened.seek(SeekFrom::Start(offset))?;
+                opened.read_exact(&mut line)
+            })
+            .with_context(unreadable)?;
+        let entry = serde_json::from_slice(&line).with_context(|| {
+            format!(
+                "step {step} in {} cannot be read: another version of MemTransfer wrote it",
+                file.display()
+            )
+        })?;
+        resolve(&self.folder, entry).map(Some)
     }
-    let Some(line) = found else { return Ok(None) };
-    let entry: PromptLogEntry = serde_json::from_str(&line).with_context(|| {
-        format!(
-            "step {step} in {} cannot be read: another version of MemTransfer wrote it",
-            file.display()
-        )
-    })?;
+}
+
+/// Of several entries about the same step, the last counts.
+fn entry_places(file: &Path) -> io::Result<EntryPlaces> {
+    let mut places = EntryPlaces::new();
+    let mut lines = BufReader::new(File::open(file)?);
+    let (mut offset, mut line) = (0, Vec::new());
+    while lines.read_until(b'\n', &mut line)? > 0 {
+        let start = String::from_utf8_lossy(&line[..line.len().min(64)]);
+        // A last line without an end is still being written.
+        if let Some(key) = line_key(&start).filter(|_| line.ends_with(b"\n")) {
+            places.insert(key, (offset, line.len()));
+        }
+        offset += line.len() as u64;
+        line.clear();
+    }
+    Ok(places)
+}
+
+/// Reads what `entry` of the prompt log in `folder` refers to.
+fn resolve(folder: &Path, entry: PromptLogEntry) -> Result<RecordedPrompt> {
     let read = |path: PathBuf| {
         std::fs::read_to_string(&path).with_context(|| format!("cannot read {}", path.display()))
     };
@@ -138,7 +195,7 @@ fn prompt(log: &RunLog, timings: &EpisodeTimings, step: u32) -> Result<Option<Re
                 images.extend(steps.iter().filter_map(|step| step.frame.as_ref()));
             }
             RecordedItem::Trajectory(hash) => {
-                let steps = serde_json::from_str(&read(trajectory_file(&folder, hash))?)?;
+                let steps = serde_json::from_str(&read(trajectory_file(folder, hash))?)?;
                 trajectories.insert(hash.clone(), steps);
             }
             RecordedItem::Frame { frame, caption } => {
@@ -157,8 +214,8 @@ fn prompt(log: &RunLog, timings: &EpisodeTimings, step: u32) -> Result<Option<Re
     }
     let keyframes = trajectories.values().flatten().filter_map(|step| step.frame.as_ref());
     let images = images.into_iter().chain(keyframes);
-    let images = images.map(|hash| (hash.clone(), image_file(&folder, hash))).collect();
-    let read_text = |hash: &Hash| Ok((hash.clone(), read(text_file(&folder, hash))?));
+    let images = images.map(|hash| (hash.clone(), image_file(folder, hash))).collect();
+    let read_text = |hash: &Hash| Ok((hash.clone(), read(text_file(folder, hash))?));
     let texts = texts.into_iter().map(read_text).collect::<Result<_>>()?;
-    Ok(Some(RecordedPrompt { entry, trajectories, texts, images }))
+    Ok(RecordedPrompt { entry, trajectories, texts, images })
 }

@@ -39,10 +39,13 @@ impl Start {
     pub const DEMONSTRATIONS: [Self; 4] =
         [Self::Original, Self::Opposite, Self::Nearby, Self::Distant];
 
+    /// All that a memory can be built from.
+    pub const REMEMBERED: [Self; 6] =
+        [Self::Original, Self::Opposite, Self::Nearby, Self::Distant, Self::After, Self::Elsewhere];
+
     /// The kind of demonstration with this number on the wire, if there is one.
     pub fn demonstration(number: u16) -> Option<Self> {
-        let kinds = Self::DEMONSTRATIONS.into_iter().chain([Self::After, Self::Elsewhere]);
-        kinds.into_iter().find(|&start| start as u16 == number)
+        Self::REMEMBERED.into_iter().find(|&start| start as u16 == number)
     }
 
     /// The name in files and tables.

@@ -22,6 +22,18 @@ pub fn svg(warehouse: &Warehouse, case: &Case) -> String {
     map.finish()
 }
 
+/// The floor of `warehouse` with its items and without a legend, as the ground of other drawings.
+pub fn ground_svg(warehouse: &Warehouse) -> String {
+    let mut map = Map::without_legend(&warehouse.layout);
+    map.floor(warehouse, None);
+    map.aisle_names();
+    map.items(warehouse, None);
+    map.finish()
+}
+
+/// The side of a cell and the width of the border around the floor, in the units of every map.
+pub const MEASURES: (f64, f64) = (canvas::CELL, canvas::MARGIN);
+
 /// A map of `warehouse`.
 pub fn floor_svg(warehouse: &Warehouse) -> String {
     let mut map = Map::new(&warehouse.layout);
@@ -58,6 +70,7 @@ mod tests {
         let cases = CaseSet::shipped();
         let floor = floor_svg(&warehouse);
         check_nesting(&floor);
+        check_nesting(&ground_svg(&warehouse));
         for aisle in warehouse.layout.aisles() {
             assert!(floor.contains(&aisle.name.to_uppercase()));
         }

@@ -34,6 +34,16 @@ pub fn sees(layout: &Layout, pose: Pose, item: &Item) -> bool {
         })
 }
 
+/// The free cells whose middle is in view from `pose`, its own first.
+pub fn cells(layout: &Layout, pose: Pose) -> impl Iterator<Item = Cell> + '_ {
+    let camera = centre(pose.cell);
+    let in_view = move |cell: &Cell| {
+        let point = centre(*cell);
+        in_frustum(camera, pose.heading, point) && is_clear(layout, pose.cell, point, *cell)
+    };
+    [pose.cell].into_iter().chain(layout.free_cells().filter(in_view))
+}
+
 fn centre(cell: Cell) -> FacePoint {
     (i32::from(cell.x) * CELL + CELL / 2, i32::from(cell.y) * CELL + CELL / 2)
 }
@@ -112,6 +122,15 @@ mod tests {
         ] {
             assert_eq!(sees(&warehouse.layout, pose, item), expected, "{pose}: {why}");
         }
+    }
+
+    #[test]
+    fn cells_in_view_are_ahead_and_not_behind_racks() {
+        let warehouse = tiny();
+        let seen: Vec<Cell> = cells(&warehouse.layout, Pose::new(3, 1, N)).collect();
+        assert_eq!(seen[0], Cell::new(3, 1));
+        assert!(seen.contains(&Cell::new(3, 3)), "{seen:?}");
+        assert!(!seen.contains(&Cell::new(0, 3)) && !seen.contains(&Cell::new(2, 1)), "{seen:?}");
     }
 
     /// Whether the segment passes through the inside of `cell`, by clipping it to the cell.

@@ -247,7 +247,7 @@ impl Task {
     }
 
     /// The letter of an item that counts: A, B or C, as in the descriptions of the types.
-    pub(crate) fn letter(&self, warehouse: &Warehouse, item: &Item) -> Option<char> {
+    pub fn letter(&self, warehouse: &Warehouse, item: &Item) -> Option<char> {
         let found = item.item_type;
         match self.subject() {
             TaskSubject::Category(c) => (warehouse.category_of(item) == c).then_some('C'),

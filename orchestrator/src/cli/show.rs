@@ -1,6 +1,5 @@
 //! `memtransfer show`: one step of an episode, as the policy received it.
 
-mod page;
 mod text;
 
 use std::fs;
@@ -21,11 +20,11 @@ use crate::world::World;
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Of a run with --log-prompts, this prints the prompt, its images and the answer; of any other run,
-the pose, the action and what was retrieved.
+the pose, the action and what was retrieved. `memtransfer view` shows the same as pages.
 
 Examples:
   memtransfer show runs/quick-grounded t01-01 0 --condition episodic,new
-  memtransfer show runs/quick-grounded t01-01 12 --condition episodic,new --html step.html
+  memtransfer show runs/quick-grounded t01-01 12 --condition episodic,new --json
   memtransfer show runs/quick-grounded t01-01 12 --condition working,new --images views/")]
 pub(super) struct ShowArgs {
     /// The run's folder
@@ -46,9 +45,6 @@ pub(super) struct ShowArgs {
     /// Write the images of the prompt into DIR
     #[arg(long, value_name = "DIR")]
     images: Option<PathBuf>,
-    /// Write one page with everything, images included, to FILE
-    #[arg(long, value_name = "FILE")]
-    html: Option<PathBuf>,
     /// Print JSON
     #[arg(long)]
     json: bool,
@@ -62,9 +58,7 @@ pub(super) fn run(args: &ShowArgs) -> Result<Exit> {
     } else {
         print(&text::render(&shown))?;
     }
-    if args.images.is_none() && args.html.is_none() {
-        return Ok(Exit::Complete);
-    }
+    let Some(folder) = &args.images else { return Ok(Exit::Complete) };
     let Some(prompt) = &shown.prompt else {
         bail!(
             "{} has no prompt log of this step, so there are no images. Prompts are logged while episodes run: give \
@@ -73,14 +67,7 @@ pub(super) fn run(args: &ShowArgs) -> Result<Exit> {
             args.case
         );
     };
-    if let Some(folder) = &args.images {
-        write_images(folder, prompt)?;
-    }
-    if let Some(file) = &args.html {
-        let page = page::render(&shown, prompt)?;
-        fs::write(file, page).with_context(|| format!("cannot write {}", file.display()))?;
-        eprintln!("wrote {}", file.display());
-    }
+    write_images(folder, prompt)?;
     Ok(Exit::Complete)
 }
 

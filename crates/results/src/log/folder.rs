@@ -195,6 +195,21 @@ impl RunFolder {
         dir.join(PROMPTS_FOLDER)
     }
 
+    /// The journal of finished episodes in a run folder at `dir`.
+    pub fn episodes_of(dir: &Path) -> PathBuf {
+        dir.join(EPISODES_FILE)
+    }
+
+    /// The journal of their timings in a run folder at `dir`.
+    pub fn timings_of(dir: &Path) -> PathBuf {
+        dir.join(TIMINGS_FILE)
+    }
+
+    /// The journal of requests to a model in a run folder at `dir`.
+    pub fn requests_of(dir: &Path) -> PathBuf {
+        dir.join(REQUESTS_FILE)
+    }
+
     /// Where a run folder at `dir` keeps the logs of its processes.
     pub fn logs_of(dir: &Path) -> PathBuf {
         dir.join(LOGS_FOLDER)

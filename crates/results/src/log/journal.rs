@@ -1,7 +1,7 @@
 //! An append-only file of JSON lines that survives a kill at any moment, and damage to any line.
 
 use std::fs::{self, File, OpenOptions};
-use std::io::{self, Write};
+use std::io::{self, Read, Seek, SeekFrom, Write};
 use std::marker::PhantomData;
 use std::path::{Path, PathBuf};
 use std::thread::{self, JoinHandle};
@@ -179,6 +179,52 @@ pub fn read_journal<T: DeserializeOwned>(
     Ok(parse(path, &text, check))
 }
 
+/// Reads a journal as it grows: each byte once.
+#[derive(Debug)]
+pub struct JournalTail<T> {
+    path: PathBuf,
+    /// Bytes of whole lines that were read.
+    read: u64,
+    entries: PhantomData<fn() -> T>,
+}
+
+impl<T: DeserializeOwned> JournalTail<T> {
+    /// Reads the journal in `path` from its start.
+    pub fn new(path: PathBuf) -> Self {
+        Self { path, read: 0, entries: PhantomData }
+    }
+
+    /// The entries of the lines that were added since the last call. Lines that are no entry are left out. `None` when the
+    /// journal has become shorter, because the run was started afresh or damaged lines were moved: the next call begins at
+    /// its start.
+    ///
+    /// # Errors
+    /// When an operation of the system fails.
+    pub fn read_new(&mut self) -> Result<Option<Vec<T>>, LogError> {
+        let mut file = match File::open(&self.path) {
+            Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(Some(Vec::new())),
+            file => file.map_err(system("read", &self.path))?,
+        };
+        let mut read = || {
+            if file.metadata()?.len() < self.read {
+                return Ok(None);
+            }
+            let mut text = Vec::new();
+            file.seek(SeekFrom::Start(self.read))?;
+            file.read_to_end(&mut text)?;
+            Ok(Some(text))
+        };
+        let Some(text) = read().map_err(system("read", &self.path))? else {
+            self.read = 0;
+            return Ok(None);
+        };
+        let whole = whole_lines(&text);
+        self.read += whole.len() as u64;
+        let lines = whole.split_inclusive(|&byte| byte == b'\n');
+        Ok(Some(lines.filter_map(|line| serde_json::from_slice(line).ok()).collect()))
+    }
+}
+
 /// The file that damaged lines of the journal in `path` are moved to: `episodes.damaged.jsonl` for
 /// `episodes.jsonl`.
 pub fn damaged_file(path: &Path) -> PathBuf {
@@ -265,6 +311,24 @@ mod tests {
 
     fn read(path: &Path) -> Vec<Entry> {
         read_journal(path, |_| Ok(())).unwrap().entries
+    }
+
+    #[test]
+    fn a_growing_journal_is_read_line_by_line_and_each_once() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("j.jsonl");
+        let mut tail = JournalTail::<Entry>::new(path.clone());
+        assert_eq!(tail.read_new().unwrap(), Some(vec![]));
+        let text = b"[0,\"\"]\n[1,\"x\"]\n?\n[2,\"\"]\n";
+        let mut read = Vec::new();
+        for length in 0..=text.len() {
+            std::fs::write(&path, &text[..length]).unwrap();
+            read.extend(tail.read_new().unwrap().unwrap());
+        }
+        assert_eq!(read, [(0, String::new()), (1, "x".to_owned()), (2, String::new())]);
+        std::fs::write(&path, b"[7,\"\"]\n").unwrap();
+        assert_eq!(tail.read_new().unwrap(), None);
+        assert_eq!(tail.read_new().unwrap(), Some(vec![(7, String::new())]));
     }
 
     #[test]

@@ -4,8 +4,9 @@
 //! episode went wrong, where that shows (answers, barricade, loops), because an agent that is stuck says nothing
 //! about what it knew; then *what* was missing. The bounds are conventions, the same for every memory and policy.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 
+use domain::Pose;
 use serde::Serialize;
 
 use crate::events::Requirement;
@@ -51,6 +52,34 @@ impl Failure {
     pub fn of(record: &EpisodeRecord) -> Option<Self> {
         let rule = |kind: &&Self| kind.applies(record);
         (!record.is_success()).then(|| Self::ALL.iter().find(rule).copied().unwrap_or(Self::Other))
+    }
+
+    /// The number of steps after which this failure of `record` was decided: that of the try to enter the closed cell,
+    /// of the last visit to the pose of a loop, of the arrival or sight after which the agent came no further. The end of
+    /// the episode where only the steps ran out.
+    pub fn decided_at(self, record: &EpisodeRecord) -> u32 {
+        let last_met = record.sub_goals.last().copied();
+        let found = match self {
+            Self::Unreadable => {
+                let unread = (1..).zip(record.actions.chars()).filter(|(_, letter)| *letter == '?');
+                let half = record.requests.unwrap_or(record.steps).div_ceil(2).max(1);
+                unread.map(|(step, _)| step).nth(half as usize - 1)
+            }
+            Self::Blocked => record.tried_closed_at,
+            Self::Looped => looped_at(record),
+            Self::WrongOrder => {
+                let early = record.visits.iter().find(|visit| visit.requirement == Requirement::B);
+                early.map(|visit| visit.step)
+            }
+            Self::NoReturn | Self::NoRevisit | Self::MissedInstance => last_met,
+            Self::SawAndLeft => {
+                let open = next(record).unwrap_or_default();
+                let seen = open.iter().filter_map(|one| record.first_seen.get(one).copied());
+                seen.min().max(last_met)
+            }
+            Self::NeverSaw | Self::Other => None,
+        };
+        found.unwrap_or(record.steps)
     }
 
     /// A short description for a legend.
@@ -134,6 +163,20 @@ fn looped(record: &EpisodeRecord) -> bool {
     last.chunk_by(|a, b| a == b).any(|same| same.len() >= LOOP_VISITS)
 }
 
+/// The step of the [`LOOP_VISITS`]th visit to a pose within the last [`LOOP_STEPS`] steps, the first such.
+fn looped_at(record: &EpisodeRecord) -> Option<u32> {
+    let poses = record.poses();
+    let first = poses.len().saturating_sub(LOOP_STEPS);
+    let mut visits = BTreeMap::new();
+    let again = |pose: &Pose| {
+        let count = visits.entry(*pose).or_insert(0);
+        *count += 1;
+        *count == LOOP_VISITS
+    };
+    let last = poses[first..].iter().position(again)?;
+    u32::try_from(first + last).ok()
+}
+
 /// Counts of failures by kind.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize)]
 pub struct Failures(Vec<(Failure, usize)>);
@@ -162,9 +205,7 @@ impl Failures {
 
 #[cfg(test)]
 mod tests {
-    use std::collections::BTreeMap;
-
-    use domain::{Cell, Heading, Pose};
+    use domain::{Cell, Heading};
 
     use super::*;
     use crate::events::Visit;
@@ -244,6 +285,32 @@ mod tests {
             assert_eq!(Failure::of(&record), Some(expected), "{record:?}");
         }
         assert_eq!(Failure::of(&record("a", true)), None);
+    }
+
+    #[test]
+    fn a_failure_says_after_which_step_it_was_decided() {
+        use Requirement::{A, B};
+        let mut unread = failed(1, 1, &[]);
+        unread.unread = Unread { unreadable: 3, empty: 0, refused: 0 };
+        (unread.actions, unread.steps, unread.requests) = ("f?f??".to_owned(), 5, Some(5));
+        let mut spins = failed(1, 1, &[]);
+        (spins.actions, spins.steps) = (format!("{}{}", "f".repeat(180), "L".repeat(20)), 200);
+        for (expected, record) in [
+            (5, unread),
+            (5, at_barricade("Lfffffffff")),
+            // The first pose is left once and met again after 4, 8, 12 and 16 turns.
+            (196, spins),
+            (20, visits(failed(6, 2, &[50]), &[(20, B), (50, A)])),
+            (50, failed(7, 2, &[50])),
+            (60, failed(9, 3, &[50, 60])),
+            (50, failed(3, 3, &[50])),
+            (1, sees(failed(1, 1, &[]), &[A])),
+            (50, visits(sees(failed(5, 2, &[50]), &[A, B]), &[(50, A)])),
+        ] {
+            assert_eq!(Failure::of(&record).unwrap().decided_at(&record), expected, "{record:?}");
+        }
+        let never = failed(1, 1, &[]);
+        assert_eq!(Failure::of(&never).unwrap().decided_at(&never), never.steps);
     }
 
     #[test]

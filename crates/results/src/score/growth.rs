@@ -9,6 +9,7 @@ use super::spread::{mean, percentage};
 use super::trial::Trials;
 use crate::conditions::Condition;
 use crate::log::{EpisodeRecord, EpisodeTimings};
+use crate::source::{Source, sources};
 
 /// A memory with a bank of one size.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -65,15 +66,23 @@ fn of_condition(
     trials: &Trials<'_>,
     timings: &BTreeMap<&str, &EpisodeTimings>,
 ) -> Option<GrowthScore> {
-    let sources: Vec<(&EpisodeRecord, &str)> = trials
+    let sources: Vec<(&EpisodeRecord, Option<String>)> = trials
         .iter()
         .flat_map(|record| {
-            let words = record.retrieved.as_deref().unwrap_or_default().split([' ', '+']);
-            words.filter(|word| !matches!(*word, "" | "-")).map(move |word| (record, word))
+            let words = record.retrieved.as_deref().unwrap_or_default().split(' ');
+            words.flat_map(sources).filter_map(move |source| match source {
+                Source::Demonstration { case, .. } => Some((record, case)),
+                Source::Experience { .. } => None,
+            })
         })
         .collect();
-    let same_type: Option<Vec<bool>> =
-        sources.iter().map(|(record, word)| Some(type_of(word, record)? == record.task)).collect();
+    let same_type: Option<Vec<bool>> = sources
+        .iter()
+        .map(|(record, other)| match other {
+            None => Some(true),
+            Some(case) => Some(task_type(case)? == record.task),
+        })
+        .collect();
     let timed = || trials.iter().filter_map(|record| timings.get(record.key.as_str()).copied());
     let per_recall = |value: &dyn Fn(&EpisodeTimings) -> u64| {
         let (sum, recalls) = timed().fold((0, 0), |(sum, recalls), of| {
@@ -92,7 +101,7 @@ fn of_condition(
     Some(GrowthScore {
         size: condition.demonstrations.bank_size().unwrap_or(0),
         score: score_condition(condition, trials, 0, timings)?,
-        from_own_case: percentage(sources.iter().map(|(_, word)| !word.contains(':'))),
+        from_own_case: percentage(sources.iter().map(|(_, other)| other.is_none())),
         from_same_type: same_type.and_then(|same| percentage(same.into_iter())),
         search_us: us(per_recall(&|of| of.stages.search)),
         recall_us: us(per_recall(&|of| of.stages.embed + of.stages.search + of.stages.assemble)),
@@ -104,12 +113,9 @@ fn of_condition(
     })
 }
 
-/// The type of the task that a word of [`EpisodeRecord::retrieved`] comes from.
-fn type_of(word: &str, record: &EpisodeRecord) -> Option<u8> {
-    match word.split_once(':') {
-        None => Some(record.task),
-        Some((case, _)) => case.strip_prefix('t')?.split_once('-')?.0.parse().ok(),
-    }
+/// The type of the task of a case, by its id.
+fn task_type(case: &str) -> Option<u8> {
+    case.strip_prefix('t')?.split_once('-')?.0.parse().ok()
 }
 
 #[cfg(test)]

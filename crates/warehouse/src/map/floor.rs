@@ -32,7 +32,16 @@ pub(super) struct Map<'l> {
 
 impl<'l> Map<'l> {
     pub(super) fn new(layout: &'l Layout) -> Self {
-        let width = 2.0 * MARGIN + f64::from(layout.width()) * CELL + LEGEND;
+        Self::beside(layout, LEGEND)
+    }
+
+    pub(super) fn without_legend(layout: &'l Layout) -> Self {
+        Self::beside(layout, 0.0)
+    }
+
+    /// A floor with `legend` units of room to its right.
+    fn beside(layout: &'l Layout, legend: f64) -> Self {
+        let width = 2.0 * MARGIN + f64::from(layout.width()) * CELL + legend;
         let height = 2.0 * MARGIN + f64::from(layout.height()) * CELL;
         Self { layout, canvas: SvgCanvas::new(width, height, PAPER) }
     }

@@ -2,11 +2,12 @@
 
 use std::fmt::Write;
 
-use domain::prompt_log::{RecordedItem, RecordedPart, RecordedUsage, RecordedView};
+use domain::prompt_log::{RecordedItem, RecordedPart, RecordedView};
 
-use results::step_view::{RecordedPrompt, StepView};
+use results::source::{Source, sources};
+use results::step_view::{RecordedPrompt, StepView, facts, title};
 
-/// Characters of a text that are printed; page and JSON have all.
+/// Characters of a text that are printed; JSON has all.
 const MOST: usize = 2000;
 
 /// Hexadecimal digits that identify an image.
@@ -25,7 +26,9 @@ pub(super) fn render(shown: &StepView) -> String {
     fact("Feedback", shown.feedback);
     fact("Action", shown.action.unwrap_or("none that could be read: the agent stayed"));
     if let Some(retrieved) = &shown.retrieved {
-        fact("Retrieved", &in_words(retrieved));
+        let words: Vec<String> = sources(retrieved).iter().map(Source::in_words).collect();
+        let words = words.join("; ");
+        fact("Retrieved", if words.is_empty() { "nothing" } else { &words });
     }
     match &shown.prompt {
         Some(prompt) => prompt_text(&mut text, prompt),
@@ -35,28 +38,6 @@ pub(super) fn render(shown: &StepView) -> String {
         ),
     }
     text
-}
-
-/// Where what was retrieved comes from.
-pub(super) fn in_words(retrieved: &str) -> String {
-    retrieved.split('+').map(source_in_words).collect::<Vec<_>>().join("; ")
-}
-
-/// One source: `o12`, `t03-07:o12`, or `-` for none.
-fn source_in_words(retrieved: &str) -> String {
-    let (case, view) = match retrieved.split_once(':') {
-        Some((case, view)) => (format!(" of {case}, another task"), view),
-        None => (String::new(), retrieved),
-    };
-    let (letter, step) = view.split_at(view.len().min(1));
-    let which = match letter {
-        "o" => "original",
-        "p" => "opposite",
-        "n" => "nearby",
-        "d" => "distant",
-        _ => return "nothing".to_owned(),
-    };
-    format!("view {step} of the demonstration `{which}`{case}")
 }
 
 fn prompt_text(text: &mut String, prompt: &RecordedPrompt) {
@@ -122,76 +103,6 @@ fn prompt_text(text: &mut String, prompt: &RecordedPrompt) {
     }
 }
 
-/// What an item of memory is.
-pub(super) fn title(item: &RecordedItem, prompt: &RecordedPrompt) -> String {
-    match item {
-        RecordedItem::Text { kind, text } => {
-            format!("Text ({kind}), {} characters", prompt.text(text).chars().count())
-        }
-        RecordedItem::Segment { distance: Some(distance), .. } => {
-            format!("Retrieved, at distance {distance:.4}")
-        }
-        RecordedItem::Segment { distance: None, .. } => "Part of a demonstration".to_owned(),
-        RecordedItem::Trajectory(_) => "Demonstration".to_owned(),
-        RecordedItem::Frame { .. } => "Remembered view".to_owned(),
-    }
-}
-
-/// What came of the request and what it took.
-pub(super) fn facts(prompt: &RecordedPrompt) -> Vec<(&'static str, String)> {
-    let entry = &prompt.entry;
-    let mut facts = Vec::new();
-    if let Some(answer) = &entry.answer {
-        let action = answer.action.as_ref().map(|action| format!(": {action}"));
-        facts.push(("Outcome", format!("{}{}", answer.outcome, action.unwrap_or_default())));
-        let left_out = match answer.images_asked.saturating_sub(answer.images) {
-            0 => String::new(),
-            some => format!(", {some} left out"),
-        };
-        facts.push(("Images", format!("{} shown{left_out}", answer.images)));
-    }
-    if let Some(why) = &entry.failed {
-        facts.push(("Failed", why.clone()));
-    }
-    if let Some(usage) = &entry.usage {
-        facts.push(("Tokens", tokens(usage)));
-        let asked = match (usage.replayed, usage.attempts) {
-            (true, _) => "answered from the response cache".to_owned(),
-            (false, 1) => "1 attempt".to_owned(),
-            (false, attempts) => format!("{attempts} attempts"),
-        };
-        facts.push(("Asked", asked));
-    }
-    let timing = &entry.timing;
-    let ms = |from: u64, to: u64| format!("{:.1} ms", to.saturating_sub(from) as f64 / 1e6);
-    let mut times = format!("decided after {}", ms(timing.received_ns, timing.decided_ns));
-    if timing.prompted_ns > 0 {
-        times += &format!(", prompt built in {}", ms(timing.started_ns, timing.prompted_ns));
-    }
-    if timing.sent_ns > 0 {
-        times += &format!(", {} from sending to decision", ms(timing.sent_ns, timing.decided_ns));
-    }
-    facts.push(("Time", times));
-    facts
-}
-
-fn tokens(usage: &RecordedUsage) -> String {
-    let mut text = Vec::new();
-    let of_prompt: Vec<String> = [
-        ("cached", usage.cached_tokens),
-        ("images", usage.image_tokens),
-        ("memory, estimated", usage.memory_tokens),
-    ]
-    .into_iter()
-    .filter_map(|(what, count)| Some(format!("{what} {}", count?)))
-    .collect();
-    let parts =
-        if of_prompt.is_empty() { String::new() } else { format!(" ({})", of_prompt.join(", ")) };
-    text.extend(usage.prompt_tokens.map(|count| format!("prompt {count}{parts}")));
-    text.extend(usage.completion_tokens.map(|count| format!("answer {count}")));
-    if text.is_empty() { "not reported".to_owned() } else { text.join(", ") }
-}
-
 fn demonstration(text: &mut String, steps: &[RecordedView]) {
     for (index, seen) in steps.iter().enumerate() {
         let view = seen
@@ -214,17 +125,6 @@ fn indented(text: &mut String, content: &str) {
     }
     let rest = content.chars().count().saturating_sub(MOST);
     if rest > 0 {
-        let _ = writeln!(text, "  ... {rest} more characters (--html or --json have them)");
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn every_source_is_named() {
-        insta::assert_snapshot!(in_words("o12+t03-07:n3"), @"view 12 of the demonstration `original`; view 3 of the demonstration `nearby` of t03-07, another task");
-        assert_eq!(in_words("-"), "nothing");
+        let _ = writeln!(text, "  ... {rest} more characters (--json has them)");
     }
 }

@@ -1,0 +1,94 @@
+//! Where an item of memory comes from, as the column `retrieved` of the log writes it.
+
+use std::str::FromStr;
+
+use warehouse::Start;
+
+/// A step of a demonstration, or of an earlier episode of the same sequence.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Source {
+    /// `o12`: step 12 of the case's original demonstration; `t03-07:o12`: of another case's.
+    Demonstration {
+        /// The id of the other case.
+        case: Option<String>,
+        /// The demonstration.
+        start: Start,
+        /// The step: how many were taken before.
+        step: u32,
+    },
+    /// `e12:3`: step 3 of the episode at position 12 of the sequence.
+    Experience {
+        /// The position.
+        position: u32,
+        /// The step.
+        step: u32,
+    },
+}
+
+/// The sources of one request: a word of the column. Empty for `-`. A part that cannot be read is left out.
+pub fn sources(word: &str) -> Vec<Source> {
+    word.split('+').filter_map(|part| part.parse().ok()).collect()
+}
+
+/// A text that is not a source.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("`{0}` is not a source (write it like o12, t03-07:o12 or e12:3)")]
+pub struct BadSource(String);
+
+impl FromStr for Source {
+    type Err = BadSource;
+
+    fn from_str(text: &str) -> Result<Self, BadSource> {
+        let read = || {
+            let (before, view) = match text.rsplit_once(':') {
+                Some((before, view)) => (Some(before), view),
+                None => (None, text),
+            };
+            if let Some(position) = before.and_then(|before| before.strip_prefix('e'))
+                && let (Ok(position), Ok(step)) = (position.parse(), view.parse())
+            {
+                return Some(Self::Experience { position, step });
+            }
+            let letter = view.chars().next()?;
+            let start = Start::REMEMBERED.into_iter().find(|one| one.letter() == letter)?;
+            let step = view.get(1..)?.parse().ok()?;
+            Some(Self::Demonstration { case: before.map(str::to_owned), start, step })
+        };
+        read().ok_or_else(|| BadSource(text.to_owned()))
+    }
+}
+
+impl Source {
+    /// It in words.
+    pub fn in_words(&self) -> String {
+        match self {
+            Self::Demonstration { case, start, step } => {
+                let of = case.as_ref().map(|case| format!(" of {case}, another task"));
+                let name = start.name();
+                format!("view {step} of the demonstration `{name}`{}", of.unwrap_or_default())
+            }
+            Self::Experience { position, step } => {
+                format!("view {step} of the episode at position {position} of this sequence")
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_source_is_named() {
+        let words = |word| sources(word).iter().map(Source::in_words).collect::<Vec<_>>();
+        insta::assert_snapshot!(words("o12+t03-07:n3+e4:0+?").join("\n"), @"
+        view 12 of the demonstration `original`
+        view 3 of the demonstration `nearby` of t03-07, another task
+        view 0 of the episode at position 4 of this sequence
+        ");
+        assert!(words("-").is_empty());
+        for text in ["", "o", "x3", "t3", "e4:", "é"] {
+            assert_eq!(text.parse::<Source>(), Err(BadSource(text.to_owned())));
+        }
+    }
+}

@@ -1,0 +1,75 @@
+//! An entry of the prompt log in words.
+
+use domain::prompt_log::{RecordedItem, RecordedUsage};
+
+use super::RecordedPrompt;
+
+/// What an item of memory is.
+pub fn title(item: &RecordedItem, prompt: &RecordedPrompt) -> String {
+    match item {
+        RecordedItem::Text { kind, text } => {
+            format!("Text ({kind}), {} characters", prompt.text(text).chars().count())
+        }
+        RecordedItem::Segment { distance: Some(distance), .. } => {
+            format!("Retrieved, at distance {distance:.4}")
+        }
+        RecordedItem::Segment { distance: None, .. } => "Part of a demonstration".to_owned(),
+        RecordedItem::Trajectory(_) => "Demonstration".to_owned(),
+        RecordedItem::Frame { .. } => "Remembered view".to_owned(),
+    }
+}
+
+/// What came of the request and what it took.
+pub fn facts(prompt: &RecordedPrompt) -> Vec<(&'static str, String)> {
+    let entry = &prompt.entry;
+    let mut facts = Vec::new();
+    if let Some(answer) = &entry.answer {
+        let action = answer.action.as_ref().map(|action| format!(": {action}"));
+        facts.push(("Outcome", format!("{}{}", answer.outcome, action.unwrap_or_default())));
+        let left_out = match answer.images_asked.saturating_sub(answer.images) {
+            0 => String::new(),
+            some => format!(", {some} left out"),
+        };
+        facts.push(("Images", format!("{} shown{left_out}", answer.images)));
+    }
+    if let Some(why) = &entry.failed {
+        facts.push(("Failed", why.clone()));
+    }
+    if let Some(usage) = &entry.usage {
+        facts.push(("Tokens", tokens(usage)));
+        let asked = match (usage.replayed, usage.attempts) {
+            (true, _) => "answered from the response cache".to_owned(),
+            (false, 1) => "1 attempt".to_owned(),
+            (false, attempts) => format!("{attempts} attempts"),
+        };
+        facts.push(("Asked", asked));
+    }
+    let timing = &entry.timing;
+    let ms = |from: u64, to: u64| format!("{:.1} ms", to.saturating_sub(from) as f64 / 1e6);
+    let mut times = format!("decided after {}", ms(timing.received_ns, timing.decided_ns));
+    if timing.prompted_ns > 0 {
+        times += &format!(", prompt built in {}", ms(timing.started_ns, timing.prompted_ns));
+    }
+    if timing.sent_ns > 0 {
+        times += &format!(", {} from sending to decision", ms(timing.sent_ns, timing.decided_ns));
+    }
+    facts.push(("Time", times));
+    facts
+}
+
+fn tokens(usage: &RecordedUsage) -> String {
+    let mut text = Vec::new();
+    let of_prompt: Vec<String> = [
+        ("cached", usage.cached_tokens),
+        ("images", usage.image_tokens),
+        ("memory, estimated", usage.memory_tokens),
+    ]
+    .into_iter()
+    .filter_map(|(what, count)| Some(format!("{what} {}", count?)))
+    .collect();
+    let parts =
+        if of_prompt.is_empty() { String::new() } else { format!(" ({})", of_prompt.join(", ")) };
+    text.extend(usage.prompt_tokens.map(|count| format!("prompt {count}{parts}")));
+    text.extend(usage.completion_tokens.map(|count| format!("answer {count}")));
+    if text.is_empty() { "not reported".to_owned() } else { text.join(", ") }
+}

@@ -1,0 +1,222 @@
+//! A site as a folder of files that a browser opens from the disk.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result, bail};
+use domain::Pose;
+use results::log::RunLog;
+use results::step_view::PromptLog;
+
+use crate::data::{image_hashes, view_keys};
+use crate::frames::file_name;
+use crate::site::{FRONT_END, File, RunPages, Site, folder_of, image};
+
+/// The episodes that a bundle shows with views and prompts. All others have their page without them.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Selection {
+    /// So many of a run: failures first, the conditions in turn.
+    First(usize),
+    /// All of them.
+    All,
+}
+
+impl Selection {
+    /// What is chosen unless something else is asked for.
+    pub const DEFAULT: Self = Self::First(100);
+}
+
+/// What was written.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Bundle {
+    /// The page to open.
+    pub page: PathBuf,
+    /// Episodes.
+    pub episodes: usize,
+    /// Those with views.
+    pub shown: usize,
+    /// Files of views.
+    pub views: usize,
+    /// Bytes of all files.
+    pub bytes: u64,
+}
+
+/// A file that only bundles have, so that a folder is known as one.
+const MARK: &str = "runs.js";
+
+/// Writes `site` into the folder `dir`, which is made if need be; an earlier bundle in it is replaced.
+///
+/// # Errors
+/// When the folder holds something else, a run cannot be read, the renderer fails, or the system refuses.
+pub fn write_bundle(site: &mut Site, dir: &Path, selection: Selection) -> Result<Bundle> {
+    let is_empty = fs::read_dir(dir)
+        .map_or(Ok(true), |mut all| all.next().transpose().map(|first| first.is_none()))?;
+    if !is_empty && !dir.join(MARK).is_file() {
+        bail!("{} holds files and no earlier pages of a run: choose another --out", dir.display());
+    }
+    let mut folder = Folder { dir, bundle: Bundle::default() };
+    if !is_empty {
+        for place in 1..=2 {
+            let earlier = dir.join(folder_of(place));
+            if earlier.is_dir() {
+                fs::remove_dir_all(&earlier)
+                    .with_context(|| format!("cannot remove {}", earlier.display()))?;
+            }
+        }
+    }
+    for name in FRONT_END.iter().map(|(name, _)| *name).chain([MARK]) {
+        let file = site.file(name)?.with_context(|| format!("there is no {name}"))?;
+        folder.write(name, &file)?;
+    }
+    let mut keys = BTreeSet::new();
+    for (place, run) in (1..).zip(&mut site.runs) {
+        let chosen = choose(&run.log, &keys, selection);
+        keys.extend(chosen.iter().map(|&index| run.log.episodes[index].key.clone()));
+        folder.run(&folder_of(place), run, &chosen)?;
+    }
+    folder.bundle.page = dir.join("index.html");
+    Ok(folder.bundle)
+}
+
+/// The numbers of the chosen episodes: those with one of `keys` first, then failures, the conditions in turn.
+fn choose(log: &RunLog, keys: &BTreeSet<String>, selection: Selection) -> BTreeSet<usize> {
+    let Selection::First(most) = selection else { return (0..log.episodes.len()).collect() };
+    let mut turns = BTreeMap::new();
+    let mut ranked: Vec<_> = log
+        .episodes
+        .iter()
+        .enumerate()
+        .map(|(index, record)| {
+            let turn: &mut usize =
+                turns.entry((record.is_success(), record.condition())).or_default();
+            *turn += 1;
+            (!keys.contains(&record.key), record.is_success(), *turn, index)
+        })
+        .collect();
+    ranked.sort_unstable();
+    ranked.into_iter().take(most).map(|(_, _, _, index)| index).collect()
+}
+
+/// The folder that is written into.
+struct Folder<'a> {
+    dir: &'a Path,
+    bundle: Bundle,
+}
+
+impl Folder<'_> {
+    fn write(&mut self, path: &str, file: &File) -> Result<()> {
+        let target = self.dir.join(path);
+        let write = || {
+            if let Some(parent) = target.parent() {
+                fs::create_dir_all(parent)?;
+            }
+            fs::write(&target, &file.bytes)
+        };
+        write().with_context(|| format!("cannot write {}", target.display()))?;
+        self.bundle.bytes += file.bytes.len() as u64;
+        Ok(())
+    }
+
+    fn run(&mut self, name: &str, run: &mut RunPages, chosen: &BTreeSet<usize>) -> Result<()> {
+        self.write(&format!("{name}/run.js"), &run.run(name, |index| chosen.contains(&index))?)?;
+        self.write(&format!("{name}/report.html"), &run.report()?)?;
+        let looks = self.views(name, run, chosen)?;
+        let mut prompt_log = PromptLog::of(&run.log);
+        let (mut images, mut grounds) = (BTreeMap::new(), BTreeSet::new());
+        for index in 0..run.log.episodes.len() {
+            let is_chosen = chosen.contains(&index);
+            let mut data = run.episode(index)?;
+            data.rename_views(|view| {
+                is_chosen.then(|| looks.get(view).cloned().unwrap_or_else(|| view.to_owned()))
+            });
+            if is_chosen && prompt_log.exists() {
+                let prompts = run.prompts(index, &mut prompt_log)?;
+                images.extend(image_hashes(&prompts));
+                let file = RunPages::prompts_file(name, index, &prompts)?;
+                self.write(&format!("{name}/prompts/{index}.js"), &file)?;
+            } else {
+                data.without_prompts();
+            }
+            grounds.insert(data.ground());
+            let file = RunPages::episode_file(name, index, &data)?;
+            self.write(&format!("{name}/episodes/{index}.js"), &file)?;
+        }
+        for (hash, path) in images {
+            self.write(&format!("{name}/images/{hash}.jpg"), &image(&path)?)?;
+        }
+        for ground in grounds {
+            let map = run.map(ground).with_context(|| format!("there is no world {ground}"))?;
+            self.write(&format!("{name}/maps/{ground}.svg"), &map)?;
+        }
+        self.bundle.episodes += run.log.episodes.len();
+        self.bundle.shown += chosen.len();
+        Ok(())
+    }
+
+    /// Writes the views of the chosen episodes, each picture once. Returns the file of each view that looks as it does in the
+    /// unchanged world.
+    fn views(
+        &mut self,
+        name: &str,
+        run: &mut RunPages,
+        chosen: &BTreeSet<usize>,
+    ) -> Result<BTreeMap<String, String>> {
+        let mut names = BTreeSet::new();
+        for &index in chosen {
+            names.extend(run.episode(index)?.view_names().into_iter().map(str::to_owned));
+        }
+        let wanted = view_keys(names.iter().map(String::as_str));
+        let poses: BTreeSet<Pose> = wanted.iter().map(|(_, pose)| *pose).collect();
+        // The unchanged world first: another world's view is left out where it looks the same.
+        let mut views: Vec<_> = poses.into_iter().map(|pose| (0, pose)).collect();
+        views.extend(wanted.iter().filter(|(variant, _)| *variant != 0));
+        let (mut unchanged, mut same) = (BTreeMap::new(), BTreeMap::new());
+        let used: BTreeSet<Pose> =
+            wanted.iter().filter(|(variant, _)| *variant == 0).map(|(_, pose)| *pose).collect();
+        let mut written = BTreeSet::new();
+        run.render(&views, |view, bytes| {
+            let (variant, pose) = view;
+            let (mut view, mut file) = (view, File { kind: "image/jpeg", bytes });
+            if variant == 0 && !used.contains(&pose) {
+                unchanged.insert(pose, file.bytes);
+                return Ok(());
+            }
+            if variant != 0 && unchanged.get(&pose) == Some(&file.bytes) {
+                same.insert(file_name(view), file_name((0, pose)));
+                view = (0, pose);
+            }
+            if written.insert(view) {
+                self.write(&format!("{name}/views/{}", file_name(view)), &file)?;
+                self.bundle.views += 1;
+            }
+            if variant == 0 {
+                unchanged.insert(pose, std::mem::take(&mut file.bytes));
+            }
+            Ok(())
+        })?;
+        Ok(same)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use results::log::testing::{log, record};
+
+    use super::*;
+
+    #[test]
+    fn failures_are_chosen_first_and_the_conditions_take_turns() {
+        let mut records = Vec::new();
+        for (case, success) in [("a", true), ("b", false), ("c", false), ("d", false)] {
+            records.push(record(case, success));
+        }
+        let log = log(records);
+        let none = BTreeSet::new();
+        assert_eq!(choose(&log, &none, Selection::First(2)), BTreeSet::from([1, 2]));
+        assert_eq!(choose(&log, &none, Selection::First(9)), BTreeSet::from([0, 1, 2, 3]));
+        assert_eq!(choose(&log, &none, Selection::All).len(), 4);
+        let known = BTreeSet::from([log.episodes[0].key.clone()]);
+        assert_eq!(choose(&log, &known, Selection::First(2)), BTreeSet::from([0, 1]));
+    }
+}

@@ -1,0 +1,464 @@
+//! The data of an episode's page.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use anyhow::Result;
+use domain::{Arm, Cell, Pose};
+use results::events::Requirement;
+use results::key::EpisodeKey;
+use results::log::{EpisodeRecord, EpisodeTimings, RequestRecord, Stages};
+use results::score::Failure;
+use results::source::{Source, sources};
+use serde::Serialize;
+use warehouse::{History, Start, Trajectory, WorldState, sight};
+
+use super::{PoseData, cell_data, pose_data};
+use crate::frames::{ViewKey, file_name};
+use crate::world::RunWorld;
+
+/// What the log has about an episode.
+#[derive(Debug)]
+pub struct LoggedEpisode<'a> {
+    /// Its record.
+    pub record: &'a EpisodeRecord,
+    /// Its times, unless a crash lost them.
+    pub timings: Option<&'a EpisodeTimings>,
+    /// Its requests to a model.
+    pub requests: Vec<&'a RequestRecord>,
+    /// Steps of a retrieved segment.
+    pub horizon: u32,
+    /// Whether its prompts were logged.
+    pub prompts: bool,
+}
+
+/// The data of an episode. Step `t` is the moment after `t` actions; lists by step have an element for each, the start
+/// included.
+#[derive(Debug, Serialize)]
+#[serde(rename_all = "camelCase")]
+pub struct EpisodeData {
+    key: String,
+    instruction: String,
+    ending: &'static str,
+    steps: u32,
+    reference: u32,
+    failure: Option<FailureData>,
+    /// By step.
+    poses: Vec<PoseData>,
+    /// By step, as a number.
+    feedback: Vec<u8>,
+    /// A letter for each action.
+    actions: String,
+    /// The steps whose move was blocked.
+    blocked_moves: Vec<u32>,
+    sub_goals: Vec<u32>,
+    required: u32,
+    visits: Vec<VisitData>,
+    first_seen: BTreeMap<Requirement, u32>,
+    /// The step at which the agent first tried to enter a closed cell.
+    tried_closed_at: Option<u32>,
+    /// The closed cells.
+    closed: Vec<(u8, u8)>,
+    /// What changed in the world before the episode, in words.
+    changes: Vec<String>,
+    /// The items that the task is about.
+    targets: Vec<TargetData>,
+    /// The drawing of the floor.
+    ground: u32,
+    reference_path: Vec<(u8, u8)>,
+    /// By step: the cells that came into view, as row * columns + column.
+    seen: Vec<Vec<u16>>,
+    /// What memory was built from, as far as it is known.
+    demonstrations: Vec<Demonstration>,
+    /// By step: what memory supplied for the next action, as an index into the demonstrations and a step in it. Empty where the
+    /// log has no sources.
+    supplied: Vec<Vec<(usize, u32)>>,
+    /// The mean distance of the first source.
+    distance: Option<f64>,
+    /// What memory supplied when the agent tried to enter a closed cell.
+    led: Option<LedData>,
+    /// By step: the file of the view. Empty where there are none.
+    views: Vec<String>,
+    facts: Vec<(&'static str, String)>,
+    /// Mean microseconds of a step by stage.
+    stages: Vec<(&'static str, u64)>,
+    requests: Vec<RequestData>,
+    /// Whether there is a file with its prompts.
+    prompts: bool,
+}
+
+/// Why the episode failed.
+#[derive(Debug, Serialize)]
+pub struct FailureData {
+    kind: String,
+    meaning: &'static str,
+    /// The step after which it was decided.
+    step: u32,
+}
+
+#[derive(Debug, Serialize)]
+struct VisitData {
+    step: u32,
+    letter: Requirement,
+    cell: (u8, u8),
+}
+
+#[derive(Debug, Serialize)]
+struct TargetData {
+    letter: char,
+    name: String,
+    cell: (u8, u8),
+}
+
+/// A demonstration, or an earlier episode of the sequence.
+#[derive(Debug, Serialize)]
+pub struct Demonstration {
+    title: String,
+    /// The key of the earlier episode.
+    episode: Option<String>,
+    /// Whether it completes its task where it was recorded and not in the world of this episode.
+    stale: bool,
+    poses: Vec<PoseData>,
+    actions: String,
+    views: Vec<String>,
+    #[serde(skip)]
+    variant: u32,
+    #[serde(skip)]
+    at: Vec<Pose>,
+}
+
+/// The source that led into a closed cell.
+#[derive(Debug, Serialize)]
+struct LedData {
+    demonstration: usize,
+    /// The step that was supplied; absent if the demonstration was supplied whole.
+    from: Option<u32>,
+    /// The step at which the demonstration enters a closed cell.
+    enters: u32,
+}
+
+#[derive(Debug, Serialize)]
+#[serde(rename_all = "camelCase")]
+struct RequestData {
+    step: u32,
+    outcome: &'static str,
+    latency_us: Option<u64>,
+    images: Option<u32>,
+    prompt_tokens: Option<u32>,
+    completion_tokens: Option<u32>,
+    memory_tokens: Option<u32>,
+    attempts: Option<u32>,
+    replayed: bool,
+}
+
+/// What makes a demonstration one of several.
+#[derive(PartialEq, Eq, PartialOrd, Ord)]
+enum Origin {
+    Demonstration(usize, Start),
+    Episode(u32),
+}
+
+impl EpisodeData {
+    /// The data of `episode`. `experience` finds the record at a position of its sequence.
+    ///
+    /// # Errors
+    /// When the episode does not fit the world.
+    pub fn new<'r>(
+        world: &RunWorld,
+        episode: &LoggedEpisode<'_>,
+        experience: impl Fn(u32) -> Option<&'r EpisodeRecord>,
+    ) -> Result<Self> {
+        let &LoggedEpisode { record, timings, horizon, prompts, .. } = episode;
+        let (case_index, case) = world.case(record)?;
+        let state = world.state(record, case)?;
+        let layout = &state.warehouse.layout;
+        let replay = record.replay();
+        let poses: Vec<Pose> = replay.iter().map(|(pose, _)| *pose).collect();
+        let reference = world.reference(record, case_index);
+        let reference_path = reference.iter().flat_map(|trajectory| {
+            let replay = trajectory.replay(&state.warehouse, &case.task, &state.variant);
+            replay.poses.into_iter().map(|pose| cell_data(&pose.cell)).collect::<Vec<_>>()
+        });
+        let targets = case.task.targets(&state.warehouse).into_iter().filter_map(|item| {
+            let letter = case.task.letter(&state.warehouse, item)?;
+            let name = state.warehouse.catalogue.types[item.item_type].name.clone();
+            Some(TargetData { letter, name, cell: cell_data(&item.standpoint) })
+        });
+        let mut known = BTreeSet::new();
+        let seen = poses.iter().map(|pose| {
+            let index =
+                |cell: Cell| u16::from(cell.y) * u16::from(layout.width()) + u16::from(cell.x);
+            let new = sight::cells(layout, *pose).map(index).filter(|cell| known.insert(*cell));
+            new.collect()
+        });
+        let seen = seen.collect();
+        let mut memory = Remembered { world, record, state: &state, found: Vec::new() };
+        let supplied = memory.supplied(case_index, experience);
+        let failure = Failure::of(record);
+        let changes = world.block(record).map(|block| {
+            let words = block.events.iter().map(|event| event.describe(&world.warehouse));
+            words.collect()
+        });
+        let stages = timings.map(|timings| {
+            let mean = |total: u64| total / u64::from(timings.steps.max(1)) / 1000;
+            Stages::NAMES.into_iter().zip(timings.stages.values().map(mean)).collect()
+        });
+        let mut demonstrations: Vec<Demonstration> =
+            memory.found.into_iter().map(|(_, demonstration)| demonstration).collect();
+        for one in &mut demonstrations {
+            one.views = one.at.iter().map(|pose| file_name((one.variant, *pose))).collect();
+        }
+        let variant = world.variant(record, case_index);
+        Ok(Self {
+            key: record.key.clone(),
+            instruction: case.task.instruction(&state.warehouse.catalogue),
+            ending: record.ending.name(),
+            steps: record.steps,
+            reference: record.reference,
+            failure: failure.map(|kind| FailureData {
+                kind: kind.to_string(),
+                meaning: kind.meaning(),
+                step: kind.decided_at(record),
+            }),
+            poses: poses.iter().map(pose_data).collect(),
+            feedback: replay.iter().map(|(_, feedback)| *feedback as u8).collect(),
+            actions: record.actions.clone(),
+            blocked_moves: record.blocked_moves.clone(),
+            sub_goals: record.sub_goals.clone(),
+            required: record.required,
+            visits: record
+                .visits
+                .iter()
+                .map(|visit| VisitData {
+                    step: visit.step,
+                    letter: visit.requirement,
+                    cell: cell_data(&visit.cell),
+                })
+                .collect(),
+            first_seen: record.first_seen.clone(),
+            tried_closed_at: record.tried_closed_at,
+            closed: state.variant.closed().iter().map(cell_data).collect(),
+            changes: changes.unwrap_or_default(),
+            targets: targets.collect(),
+            ground: RunWorld::ground(record),
+            reference_path: reference_path.collect(),
+            seen,
+            led: led(horizon, record, &state, &demonstrations, &supplied),
+            demonstrations,
+            supplied,
+            distance: record.distance,
+            views: poses.iter().map(|pose| file_name((variant, *pose))).collect(),
+            facts: facts(record),
+            stages: stages.unwrap_or_default(),
+            requests: episode.requests.iter().map(|request| request_data(request)).collect(),
+            prompts,
+        })
+    }
+
+    /// The views that it names: those of the episode, and those of what memory supplied.
+    pub fn view_names(&self) -> BTreeSet<&str> {
+        let demonstrations = self.demonstrations.iter().flat_map(|one| &one.views);
+        self.views.iter().chain(demonstrations).map(String::as_str).collect()
+    }
+
+    /// The drawing of the floor.
+    pub fn ground(&self) -> u32 {
+        self.ground
+    }
+
+    /// Says that there is no file with its prompts.
+    pub fn without_prompts(&mut self) {
+        self.prompts = false;
+    }
+
+    /// Replaces the names of views by those that `name` gives; empty ones are left out.
+    pub fn rename_views(&mut self, name: impl Fn(&str) -> Option<String>) {
+        let lists = self.demonstrations.iter_mut().map(|one| &mut one.views);
+        for list in lists.chain([&mut self.views]) {
+            let renamed: Option<Vec<String>> = list.iter().map(|view| name(view)).collect();
+            *list = renamed.unwrap_or_default();
+        }
+    }
+}
+
+/// Collects the demonstrations that an episode's memory had.
+struct Remembered<'a> {
+    world: &'a RunWorld,
+    record: &'a EpisodeRecord,
+    state: &'a WorldState,
+    found: Vec<(Origin, Demonstration)>,
+}
+
+impl Remembered<'_> {
+    /// The sources by step.
+    fn supplied<'r>(
+        &mut self,
+        case: usize,
+        experience: impl Fn(u32) -> Option<&'r EpisodeRecord>,
+    ) -> Vec<Vec<(usize, u32)>> {
+        if self.record.stream.is_none() {
+            for history in self.world.cases.histories(case, self.record.demonstrations) {
+                self.demonstration(history.case, history.start, case);
+            }
+        }
+        let words = self.record.retrieved.as_deref().unwrap_or_default();
+        let of_step = |word: &str| {
+            let found = sources(word).into_iter().filter_map(|source| match source {
+                Source::Demonstration { case: other, start, step } => {
+                    let index = match other {
+                        Some(id) => self.world.cases.index(&id)?,
+                        None => case,
+                    };
+                    Some((self.demonstration(index, start, case), step))
+                }
+                Source::Experience { position, step } => {
+                    Some((self.episode(position, experience(position)?), step))
+                }
+            });
+            found.collect()
+        };
+        words.split_whitespace().map(of_step).collect()
+    }
+
+    fn find(&mut self, origin: Origin, make: impl FnOnce() -> Demonstration) -> usize {
+        self.found.iter().position(|(known, _)| *known == origin).unwrap_or_else(|| {
+            self.found.push((origin, make()));
+            self.found.len() - 1
+        })
+    }
+
+    /// The index of a demonstration of case number `of`; `own` is the episode's case.
+    fn demonstration(&mut self, of: usize, start: Start, own: usize) -> usize {
+        let (world, state, record) = (self.world, self.state, self.record);
+        self.find(Origin::Demonstration(of, start), || {
+            let case = &world.cases.cases[of];
+            let is_planned = record.arm == Arm::Oracle;
+            let from = case.trajectory(start);
+            // The oracle's demonstrations take place in the world of the episode.
+            let planned = is_planned
+                .then(|| state.reference(&state.expert(), &case.task, from.start))
+                .flatten();
+            let demonstrated =
+                world.cases.demonstrated(&world.warehouse, History { case: of, start });
+            let (trajectory, replay, variant) = match (planned, demonstrated) {
+                (Some((planned, _)), _) => {
+                    let replay = planned.replay(&state.warehouse, &case.task, &state.variant);
+                    (planned, replay, world.variant(record, own))
+                }
+                (None, Some(found)) => (found.trajectory.clone(), found.replay(), found.variant),
+                (None, None) => (from.clone(), case.replay(&world.warehouse, start), 0),
+            };
+            let other = if of == own { String::new() } else { format!(" of {}", case.id) };
+            let planned = if is_planned { ", planned in this world" } else { "" };
+            let can_be_stale = !is_planned && start != Start::Elsewhere;
+            Demonstration {
+                title: format!("{} demonstration{other}{planned}", start.name()),
+                episode: None,
+                stale: can_be_stale && !state.completes(&trajectory, &case.task),
+                poses: replay.poses.iter().map(pose_data).collect(),
+                actions: trajectory.actions.iter().map(|action| action.letter()).collect(),
+                views: Vec::new(),
+                variant,
+                at: replay.poses,
+            }
+        })
+    }
+
+    /// The index of the episode at `position` of the sequence, whose record is `past`.
+    fn episode(&mut self, position: u32, past: &EpisodeRecord) -> usize {
+        let (world, state) = (self.world, self.state);
+        self.find(Origin::Episode(position), || {
+            let at = past.poses();
+            let actions = past.actions.chars().filter_map(domain::Action::from_letter);
+            let trajectory = Trajectory { start: past.start_pose, actions: actions.collect() };
+            let case = world.case(past).ok();
+            let stale = past.is_success()
+                && case.is_some_and(|(_, case)| !state.completes(&trajectory, &case.task));
+            Demonstration {
+                title: format!("episode at position {position}, {}", past.case),
+                episode: Some(past.key.clone()),
+                stale,
+                poses: at.iter().map(pose_data).collect(),
+                actions: past.actions.clone(),
+                views: Vec::new(),
+                variant: case.map_or(0, |(index, _)| world.variant(past, index)),
+                at,
+            }
+        })
+    }
+}
+
+/// Looks for the source that led the agent into a closed cell: what was supplied for that step and enters a closed cell within
+/// the supplied steps; where demonstrations are supplied whole, the first that enters one.
+fn led(
+    horizon: u32,
+    record: &EpisodeRecord,
+    state: &WorldState,
+    demonstrations: &[Demonstration],
+    supplied: &[Vec<(usize, u32)>],
+) -> Option<LedData> {
+    let tried_at = record.tried_closed_at? as usize;
+    let enters = |demonstration: usize, from: u32, most: u32| {
+        let poses = demonstrations.get(demonstration)?.at.iter().enumerate();
+        let mut ahead = poses.skip(from as usize).take(most as usize + 1);
+        let (step, _) = ahead.find(|(_, pose)| state.variant.is_closed(pose.cell))?;
+        u32::try_from(step).ok()
+    };
+    if supplied.is_empty() {
+        let found =
+            (0..demonstrations.len()).find_map(|one| Some((one, enters(one, 0, u32::MAX - 1)?)));
+        return found.map(|(demonstration, enters)| LedData { demonstration, from: None, enters });
+    }
+    let sources = supplied.get(tried_at.checked_sub(1)?)?;
+    sources.iter().find_map(|&(demonstration, from)| {
+        let enters = enters(demonstration, from, horizon)?;
+        Some(LedData { demonstration, from: Some(from), enters })
+    })
+}
+
+fn facts(record: &EpisodeRecord) -> Vec<(&'static str, String)> {
+    let mut facts = Vec::new();
+    let mut count = |name, value: Option<u64>| {
+        facts.extend(value.map(|value| (name, value.to_string())));
+    };
+    count("Requests", record.requests.map(u64::from));
+    count("Images", record.images);
+    count("Images left out", Some(record.images_dropped).filter(|&count| count > 0));
+    count("Prompt tokens", record.prompt_tokens);
+    count("Answer tokens", record.completion_tokens);
+    count("Memory tokens, estimated", record.memory_tokens);
+    let unread = Some(u64::from(record.unread.total())).filter(|&count| count > 0);
+    count("Unreadable answers", unread);
+    let dropped = Some(record.memory_items_dropped).filter(|&count| count > 0);
+    count("Memory items over budget", dropped);
+    if let Some(stream) = &record.stream {
+        count("Block of the stream", Some(stream.block.into()));
+        count("Learning round", stream.round.map(u64::from));
+        count("Sources retrieved", Some(stream.retrievals.into()));
+        count("Of them stale", Some(stream.stale.into()));
+        count("Memory's store, bytes", stream.store_bytes);
+    }
+    if let Some(key) = EpisodeKey::read(&record.key).and_then(|key| key.sequence()) {
+        facts.push(("Sequence", key));
+    }
+    facts.push(("Seed", record.seed.to_string()));
+    facts
+}
+
+fn request_data(request: &RequestRecord) -> RequestData {
+    RequestData {
+        step: request.step,
+        outcome: request.outcome.word(),
+        latency_us: request.latency_us,
+        images: request.images,
+        prompt_tokens: request.prompt_tokens,
+        completion_tokens: request.completion_tokens,
+        memory_tokens: request.memory_tokens,
+        attempts: request.attempts,
+        replayed: request.replayed,
+    }
+}
+
+/// The views that an episode's data names, to be rendered.
+pub(crate) fn view_keys<'a>(names: impl IntoIterator<Item = &'a str>) -> Vec<ViewKey> {
+    names.into_iter().filter_map(crate::frames::of_file_name).collect()
+}

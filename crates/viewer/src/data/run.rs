@@ -1,0 +1,177 @@
+//! The data of the run page: conditions, cases, and a row for each episode.
+
+use std::collections::BTreeMap;
+
+use domain::{Action, Feedback};
+use results::compare::run_name;
+use results::conditions::{Condition, Frames};
+use results::log::{EpisodeRecord, RunLog};
+use results::score::Failure;
+use serde::Serialize;
+use warehouse::map::MEASURES;
+use warehouse::{Case, Task, TaskGroup};
+
+use crate::world::RunWorld;
+
+/// The data of a run.
+#[derive(Debug, Serialize)]
+#[serde(rename_all = "camelCase")]
+pub struct RunData {
+    name: String,
+    facts: Vec<(&'static str, String)>,
+    /// Episodes of the whole run.
+    planned: u32,
+    conditions: Vec<ConditionData>,
+    groups: [&'static str; TaskGroup::ALL.len()],
+    cases: Vec<CaseData>,
+    /// Every kind of failure with its meaning. An episode's outcome is 0 for a success, and otherwise 1 + the index of its
+    /// failure.
+    failures: Vec<(String, &'static str)>,
+    /// By the letter in an episode's actions.
+    actions: BTreeMap<char, &'static str>,
+    /// In words, by number.
+    feedback: Vec<&'static str>,
+    /// Side of a cell, width of the border, columns and rows of the map.
+    map: (f64, f64, u8, u8),
+    /// The folder of its views.
+    views: String,
+    episodes: Vec<EpisodeRow>,
+    /// Key and error of each episode that was given up.
+    given_up: Vec<(String, String)>,
+    /// What the reader must know.
+    pub(crate) notices: Vec<String>,
+}
+
+#[derive(Debug, Serialize)]
+struct ConditionData {
+    name: String,
+    memory: String,
+    /// The rest of the name.
+    rest: String,
+}
+
+#[derive(Debug, Serialize)]
+struct CaseData {
+    id: String,
+    /// Index of its group.
+    group: usize,
+    /// The name of its type.
+    task: &'static str,
+    instruction: String,
+}
+
+/// An episode: key, index of the condition, index of the case, repetition, outcome, steps, length of the reference, whether
+/// its views are there, and its place in a stream or nothing.
+pub type EpisodeRow = (String, usize, usize, u32, usize, u32, u32, u8, String);
+
+impl RunData {
+    /// The data of `log` with these `conditions`, whose views are in the folder `views`.
+    pub fn new(
+        log: &RunLog,
+        world: &RunWorld,
+        conditions: &[Condition],
+        views: String,
+        has_views: impl Fn(usize) -> bool,
+    ) -> Self {
+        let episodes = log.episodes.iter().enumerate();
+        let layout = &world.warehouse.layout;
+        let condition = |condition: &Condition| {
+            let (name, memory) = (condition.to_string(), condition.memory.to_string());
+            let rest = name.strip_prefix(&format!("{memory}/")).unwrap_or_default().to_owned();
+            ConditionData { name, memory, rest }
+        };
+        Self {
+            name: run_name(log),
+            facts: facts(log),
+            planned: log.manifest.episodes,
+            conditions: conditions.iter().map(condition).collect(),
+            groups: TaskGroup::ALL.map(TaskGroup::name),
+            cases: world.cases.cases.iter().map(|case| case_data(world, case)).collect(),
+            failures: Failure::ALL.iter().map(|kind| (kind.to_string(), kind.meaning())).collect(),
+            actions: Action::ALL.iter().map(|action| (action.letter(), action.words())).collect(),
+            feedback: Feedback::ALL.iter().map(|feedback| feedback.words()).collect(),
+            map: (MEASURES.0, MEASURES.1, layout.width(), layout.height()),
+            views,
+            episodes: episodes
+                .filter_map(|(index, record)| row(world, conditions, record, has_views(index)))
+                .collect(),
+            given_up: log.errors.iter().map(|one| (one.key.clone(), one.error.clone())).collect(),
+            notices: notices(log),
+        }
+    }
+}
+
+fn case_data(world: &RunWorld, case: &Case) -> CaseData {
+    let group = TaskGroup::ALL.iter().position(|group| *group == case.task.group());
+    CaseData {
+        id: case.id.clone(),
+        group: group.unwrap_or(0),
+        task: Task::type_name(case.task.number()).unwrap_or_default(),
+        instruction: case.task.instruction(&world.warehouse.catalogue),
+    }
+}
+
+/// The row of `record`; `None` if its case or condition is not of this run.
+pub fn row(
+    world: &RunWorld,
+    conditions: &[Condition],
+    record: &EpisodeRecord,
+    has_views: bool,
+) -> Option<EpisodeRow> {
+    let condition = record.condition();
+    let place = record.stream.as_ref().map(|stream| stream.key_place().to_string());
+    Some((
+        record.key.clone(),
+        conditions.iter().position(|one| *one == condition)?,
+        world.cases.index(&record.case)?,
+        record.run,
+        outcome(record),
+        record.steps,
+        record.reference,
+        has_views.into(),
+        place.unwrap_or_default(),
+    ))
+}
+
+/// 0 for a success, otherwise 1 + the index of the failure.
+pub(super) fn outcome(record: &EpisodeRecord) -> usize {
+    Failure::of(record).map_or(0, |failure| 1 + failure as usize)
+}
+
+fn facts(log: &RunLog) -> Vec<(&'static str, String)> {
+    let settings = &log.manifest.settings;
+    let mut facts = vec![
+        ("Suite", settings.suite.to_string()),
+        ("Policy", log.policy_name().unwrap_or(settings.policy.name()).to_owned()),
+    ];
+    facts.extend(settings.model.as_ref().map(|model| ("Model", model.model.clone())));
+    facts.push(("Seed", settings.seed.to_string()));
+    facts.push(("Most steps", settings.max_steps.to_string()));
+    facts.push(("Folder", log.dir.display().to_string()));
+    facts
+}
+
+fn notices(log: &RunLog) -> Vec<String> {
+    let mut notices = Vec::new();
+    let policy = log.manifest.processes.get("policy");
+    if policy.and_then(|facts| facts.get("stand_in")).is_some_and(|fact| fact == "true") {
+        notices.push(
+            "The policy is a scripted stand-in: it tests the harness, and its results are no claim about any model."
+                .to_owned(),
+        );
+    }
+    match log.manifest.settings.frames {
+        Frames::Rendered => {}
+        control => notices.push(format!(
+            "The frames of this run are the control `{control}`: the policy did not see the views shown here."
+        )),
+    }
+    if !log.damaged.is_empty() {
+        notices.push(format!(
+            "{} damaged lines of the log are left out, the first: {}.",
+            log.damaged.len(),
+            log.damaged[0]
+        ));
+    }
+    notices
+}

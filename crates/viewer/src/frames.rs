@@ -1,0 +1,134 @@
+//! Views of poses, rendered by a child process, as JPEG.
+
+use std::ffi::OsString;
+use std::io::{self, BufReader, Read, Write};
+use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
+use std::thread;
+
+use anyhow::{Context, Result, anyhow};
+use domain::Pose;
+use jpeg_encoder::{ColorType, Encoder};
+
+use crate::site::ViewProgram;
+
+/// Width and height of a view, in pixels.
+pub const EDGE: u16 = 320;
+
+/// Quality of the JPEG files, in percent.
+const QUALITY: u8 = 62;
+
+/// What a view shows: the number of the world variant, and the pose.
+pub type ViewKey = (u32, Pose);
+
+/// `sim-proc views` as a child process. It ends when this is dropped.
+#[derive(Debug)]
+pub struct ViewRenderer {
+    child: Child,
+    requests: Option<ChildStdin>,
+    pixels: BufReader<ChildStdout>,
+}
+
+impl ViewRenderer {
+    /// Starts `program` with `arguments`, which say what the world is and how it looks.
+    ///
+    /// # Errors
+    /// When it cannot be started.
+    pub fn start(program: &ViewProgram, arguments: &[OsString]) -> Result<Self> {
+        let mut child = Command::new(&program.path)
+            .args(["views", "--size", &format!("{EDGE}x{EDGE}")])
+            .args(arguments)
+            .env(program.variable.0, program.variable.1)
+            .stdin(Stdio::piped())
+            .stdout(Stdio::piped())
+            .spawn()
+            .with_context(|| format!("cannot start {}", program.path.display()))?;
+        let pipes = child.stdin.take().zip(child.stdout.take());
+        let (requests, pixels) = pipes.context("a child process without pipes")?;
+        Ok(Self { child, requests: Some(requests), pixels: BufReader::new(pixels) })
+    }
+
+    /// Renders `views` and passes each to `take`, in order, as a JPEG file.
+    ///
+    /// # Errors
+    /// When the child process ends early, or `take` fails.
+    pub fn render(
+        &mut self,
+        views: &[ViewKey],
+        mut take: impl FnMut(ViewKey, Vec<u8>) -> Result<()>,
+    ) -> Result<()> {
+        let ended = || anyhow!("the renderer ended early; its messages are above");
+        let mut requests = self.requests.take().ok_or_else(ended)?;
+        let requests = thread::scope(|scope| {
+            // Asked for from another thread, so that rendering and encoding overlap and neither pipe is stuck.
+            let asking = scope.spawn(move || {
+                for (variant, pose) in views {
+                    writeln!(requests, "{variant} {pose}")?;
+                }
+                requests.flush()?;
+                Ok::<_, io::Error>(requests)
+            });
+            let mut rgba = vec![0; usize::from(EDGE) * usize::from(EDGE) * 4];
+            for &view in views {
+                self.pixels.read_exact(&mut rgba).map_err(|_| ended())?;
+                take(view, jpeg(EDGE, EDGE, &rgba)?)?;
+            }
+            asking.join().map_err(|_| ended())?.map_err(|_| ended())
+        })?;
+        self.requests = Some(requests);
+        Ok(())
+    }
+}
+
+impl Drop for ViewRenderer {
+    fn drop(&mut self) {
+        // Its input ends, and so does it.
+        self.requests = None;
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+/// Encodes red, green, blue and alpha; the alpha channel is left out.
+///
+/// # Errors
+/// When there are fewer pixels than the size says.
+pub fn jpeg(width: u16, height: u16, rgba: &[u8]) -> Result<Vec<u8>> {
+    let mut bytes = Vec::new();
+    Encoder::new(&mut bytes, QUALITY).encode(rgba, width, height, ColorType::Rgba)?;
+    Ok(bytes)
+}
+
+/// The name of the file of a view.
+pub fn file_name((variant, pose): ViewKey) -> String {
+    format!("{variant}-{}-{}-{}.jpg", pose.cell.x, pose.cell.y, pose.heading)
+}
+
+/// The view whose file has this name.
+pub fn of_file_name(name: &str) -> Option<ViewKey> {
+    let (variant, pose) = name.strip_suffix(".jpg")?.split_once('-')?;
+    let view = (variant.parse().ok()?, pose.replace('-', ",").parse().ok()?);
+    (file_name(view) == name).then_some(view)
+}
+
+#[cfg(test)]
+mod tests {
+    use domain::Heading;
+
+    use super::*;
+
+    #[test]
+    fn a_view_is_found_by_the_name_of_its_file() {
+        let view = (17, Pose::new(3, 12, Heading::W));
+        assert_eq!(file_name(view), "17-3-12-W.jpg");
+        assert_eq!(of_file_name("17-3-12-W.jpg"), Some(view));
+        for name in ["", "..", "17-3-12-W", "17-3-12-w.jpg", "-3-12-W.jpg", "017-3-12-W.jpg"] {
+            assert_eq!(of_file_name(name), None, "{name}");
+        }
+    }
+
+    #[test]
+    fn pixels_become_a_jpeg_file() {
+        let bytes = jpeg(8, 8, &[90; 4 * 64]).unwrap();
+        assert_eq!(bytes[..3], [0xff, 0xd8, 0xff]);
+    }
+}

@@ -1,0 +1,456 @@
+//! The files of the pages, by their path.
+//!
+//! | path | holds |
+//! |---|---|
+//! | `index.html`, `*.js`, `style.css` | the front end |
+//! | `runs.js` | the runs, and whether a server answers |
+//! | `run1/run.js` | the data of the run page |
+//! | `run1/report.html` | the report |
+//! | `run1/episodes/N.js`, `run1/prompts/N.js` | episode number N, and its prompts |
+//! | `run1/maps/N.svg` | the floor with the items of world state N |
+//! | `run1/views/V-X-Y-H.jpg` | the view of a pose in world variant V |
+//! | `run1/images/HASH.jpg` | an image of a prompt |
+//! | `run1/new.json?from=N` | what has happened since N episodes, only from a server |
+//!
+//! Data are scripts that pass their value to `memtransfer.receive`, because a page from the disk may load scripts and
+//! images and nothing else.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::ffi::OsString;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result};
+use domain::prompt_log::image_file;
+use png_file::RgbaImage;
+use results::conditions::Condition;
+use results::key::EpisodeKey;
+use results::log::{
+    ELSEWHERE_HASH, EpisodeRecord, EpisodeTimings, JournalTail, RequestRecord, RunFolder, RunLog,
+    STATUS_FILE,
+};
+use results::report::{self, Published};
+use results::step_view::PromptLog;
+use serde::Serialize;
+use serde_json::{Value, json};
+use warehouse::{CaseSet, Warehouse, map};
+
+use crate::data::{EpisodeData, EpisodeRow, LoggedEpisode, PromptData, RunData, prompts, row};
+use crate::frames::{self, ViewKey, ViewRenderer, jpeg};
+use crate::world::RunWorld;
+
+/// The files of the front end.
+pub(crate) const FRONT_END: [(&str, &[u8]); 6] = [
+    ("index.html", include_bytes!("../web/index.html")),
+    ("style.css", include_bytes!("../web/style.css")),
+    ("app.js", include_bytes!("../web/app.js")),
+    ("run-page.js", include_bytes!("../web/run-page.js")),
+    ("episode-page.js", include_bytes!("../web/episode-page.js")),
+    ("map.js", include_bytes!("../web/map.js")),
+];
+
+/// A file of the site.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct File {
+    /// Its MIME type.
+    pub kind: &'static str,
+    /// Its content.
+    pub bytes: Vec<u8>,
+}
+
+impl File {
+    fn text(kind: &'static str, text: impl Into<Vec<u8>>) -> Self {
+        Self { kind, bytes: text.into() }
+    }
+
+    /// A script that passes `value` to the front end as `name`.
+    fn script(name: &str, value: &impl Serialize) -> Result<Self> {
+        let (name, value) = (serde_json::to_string(name)?, serde_json::to_string(value)?);
+        Ok(Self::text("text/javascript", format!("memtransfer.receive({name},{value});\n")))
+    }
+}
+
+/// A run to show, and what is needed to render its views.
+#[derive(Debug)]
+pub struct ShownRun {
+    /// The run's log.
+    pub log: RunLog,
+    /// The warehouse that it took place in.
+    pub warehouse: Warehouse,
+    /// Its cases.
+    pub cases: CaseSet,
+    /// What the user must know about it.
+    pub notices: Vec<String>,
+}
+
+/// The pages of one or two runs.
+#[derive(Debug)]
+pub struct Site {
+    pub(crate) runs: Vec<RunPages>,
+    is_served: bool,
+}
+
+impl Site {
+    /// The pages of `runs`, whose views `program` renders. If the site `is_served`, it shows every view and
+    /// what a run in progress adds; otherwise a bundle decides.
+    ///
+    /// # Errors
+    /// When the files of a run do not fit.
+    pub fn new(runs: Vec<ShownRun>, program: &ViewProgram, is_served: bool) -> Result<Self> {
+        let pages = runs.into_iter().map(|run| RunPages::new(run, program, is_served));
+        Ok(Self { runs: pages.collect::<Result<_>>()?, is_served })
+    }
+
+    /// The file at `path`, which may have a query; `None` if there is none.
+    ///
+    /// # Errors
+    /// When a file of a run cannot be read, or the renderer fails.
+    pub fn file(&mut self, path: &str) -> Result<Option<File>> {
+        let (path, query) = path.split_once('?').unwrap_or((path, ""));
+        let path = if path.is_empty() { "index.html" } else { path };
+        if let Some((name, bytes)) = FRONT_END.iter().find(|(name, _)| *name == path) {
+            return Ok(Some(File { kind: kind_of(name), bytes: bytes.to_vec() }));
+        }
+        if path == "runs.js" {
+            return self.list().map(Some);
+        }
+        let Some((folder, rest)) = path.split_once('/') else { return Ok(None) };
+        let place = (1..).zip(&mut self.runs).find(|(place, _)| folder == folder_of(*place));
+        let Some((place, run)) = place else { return Ok(None) };
+        run.file(&folder_of(place), rest, query)
+    }
+
+    fn list(&self) -> Result<File> {
+        let runs: Vec<String> = (1..=self.runs.len()).map(folder_of).collect();
+        File::script("runs", &json!({ "folders": runs, "served": self.is_served }))
+    }
+}
+
+/// The folder of the run at `place`, from 1.
+pub(crate) fn folder_of(place: usize) -> String {
+    format!("run{place}")
+}
+
+fn kind_of(name: &str) -> &'static str {
+    match name.rsplit('.').next() {
+        Some("html") => "text/html; charset=utf-8",
+        Some("css") => "text/css; charset=utf-8",
+        _ => "text/javascript; charset=utf-8",
+    }
+}
+
+/// The pages of one run.
+#[derive(Debug)]
+pub(crate) struct RunPages {
+    pub(crate) log: RunLog,
+    pub(crate) world: RunWorld,
+    pub(crate) conditions: Vec<Condition>,
+    notices: Vec<String>,
+    /// By key.
+    timings: BTreeMap<String, usize>,
+    /// By key, in order.
+    requests: BTreeMap<String, Vec<usize>>,
+    /// Episodes of streams, by sequence and position.
+    sequences: BTreeMap<(String, u32), usize>,
+    growth: Option<Growth>,
+    renderer: LazyRenderer,
+}
+
+/// The journals of a run that may go on.
+#[derive(Debug)]
+struct Growth {
+    episodes: JournalTail<EpisodeRecord>,
+    timings: JournalTail<EpisodeTimings>,
+    requests: JournalTail<RequestRecord>,
+    /// Requests at the start of their journal that the log has already.
+    known_requests: usize,
+    keys: BTreeSet<String>,
+}
+
+/// The program that renders views, `sim-proc`, and a variable that it needs.
+#[derive(Debug, Clone)]
+pub struct ViewProgram {
+    /// Its path.
+    pub path: PathBuf,
+    /// Name and value of the variable.
+    pub variable: (&'static str, &'static str),
+}
+
+/// The renderer, started when the first view is needed.
+#[derive(Debug)]
+struct LazyRenderer {
+    program: ViewProgram,
+    arguments: Vec<OsString>,
+    running: Option<ViewRenderer>,
+}
+
+impl LazyRenderer {
+    fn render(
+        &mut self,
+        views: &[ViewKey],
+        take: impl FnMut(ViewKey, Vec<u8>) -> Result<()>,
+    ) -> Result<()> {
+        let mut renderer = match self.running.take() {
+            Some(renderer) => renderer,
+            None => ViewRenderer::start(&self.program, &self.arguments)?,
+        };
+        renderer.render(views, take)?;
+        // After an error the next view starts another.
+        self.running = Some(renderer);
+        Ok(())
+    }
+}
+
+impl RunPages {
+    fn new(run: ShownRun, program: &ViewProgram, is_served: bool) -> Result<Self> {
+        let ShownRun { log, warehouse, cases, notices } = run;
+        let settings = &log.manifest.settings;
+        let mut arguments: Vec<OsString> = Vec::new();
+        let mut flag = |name: &str, value: OsString| arguments.extend([name.into(), value]);
+        if let Some(assets) = &settings.assets {
+            flag("--assets", assets.into());
+        }
+        if settings.stream.is_some() {
+            flag("--streams", RunFolder::streams_of(&log.dir).into());
+        }
+        if log.manifest.hashes.contains_key(ELSEWHERE_HASH) {
+            flag("--elsewhere", RunFolder::elsewhere_of(&log.dir).into());
+        }
+        for (name, value) in settings.appearance().flags() {
+            flag(name, value.into());
+        }
+        let growth = is_served.then(|| Growth::new(&log));
+        let renderer = LazyRenderer { program: program.clone(), arguments, running: None };
+        let world = RunWorld::new(&log, warehouse, cases)?;
+        let mut conditions = settings.conditions();
+        for record in &log.episodes {
+            if !conditions.contains(&record.condition()) {
+                conditions.push(record.condition());
+            }
+        }
+        let mut pages = Self {
+            log,
+            world,
+            conditions,
+            notices,
+            timings: BTreeMap::new(),
+            requests: BTreeMap::new(),
+            sequences: BTreeMap::new(),
+            growth,
+            renderer,
+        };
+        pages.index((0, 0, 0));
+        Ok(pages)
+    }
+
+    /// Enters the episodes, timings and requests from these numbers on under their keys.
+    fn index(&mut self, from: (usize, usize, usize)) {
+        let episodes = self.log.episodes.iter().enumerate().skip(from.0);
+        self.sequences.extend(episodes.filter_map(|(index, record)| {
+            let position = record.stream.as_ref()?.position;
+            Some(((EpisodeKey::read(&record.key)?.sequence()?, position), index))
+        }));
+        let timings = self.log.timings.iter().enumerate().skip(from.1);
+        self.timings.extend(timings.map(|(index, timings)| (timings.key.clone(), index)));
+        for (index, request) in self.log.requests.iter().enumerate().skip(from.2) {
+            self.requests.entry(request.key.clone()).or_default().push(index);
+        }
+    }
+
+    fn file(&mut self, folder: &str, path: &str, query: &str) -> Result<Option<File>> {
+        let number = |name: &str, end: &str| -> Option<usize> {
+            name.strip_suffix(end)?.parse().ok().filter(|number| format!("{number}{end}") == name)
+        };
+        let file = match path.split_once('/') {
+            None if path == "run.js" => Some(self.run(folder, |_| true)?),
+            None if path == "report.html" => Some(self.report()?),
+            None if path == "new.json" => Some(self.news(query)?),
+            Some(("episodes", name)) => match number(name, ".js") {
+                Some(index) if index < self.log.episodes.len() => {
+                    Some(Self::episode_file(folder, index, &self.episode(index)?)?)
+                }
+                _ => None,
+            },
+            Some(("prompts", name)) => match number(name, ".js") {
+                Some(index) if index < self.log.episodes.len() => {
+                    let prompts = self.prompts(index, &mut PromptLog::of(&self.log))?;
+                    Some(Self::prompts_file(folder, index, &prompts)?)
+                }
+                _ => None,
+            },
+            Some(("maps", name)) => {
+                number(name, ".svg").and_then(|ground| self.map(u32::try_from(ground).ok()?))
+            }
+            Some(("views", name)) => match frames::of_file_name(name) {
+                Some(view) => self.view(view)?,
+                None => None,
+            },
+            Some(("images", name)) => match name.strip_suffix(".jpg") {
+                Some(hash) if hash.len() == 32 && hash.bytes().all(|b| b.is_ascii_hexdigit()) => {
+                    let folder = RunFolder::prompts_of(&self.log.dir);
+                    let file = image_file(&folder, hash);
+                    if file.exists() { Some(image(&file)?) } else { None }
+                }
+                _ => None,
+            },
+            _ => None,
+        };
+        Ok(file)
+    }
+
+    /// `run.js`, where `has_views` says of which episodes views are there.
+    pub(crate) fn run(&self, folder: &str, has_views: impl Fn(usize) -> bool) -> Result<File> {
+        let views = format!("{folder}/views/");
+        let mut data = RunData::new(&self.log, &self.world, &self.conditions, views, has_views);
+        data.notices.extend(self.notices.iter().cloned());
+        File::script(&format!("{folder}/run"), &data)
+    }
+
+    /// `report.html`.
+    pub(crate) fn report(&self) -> Result<File> {
+        let logs = std::slice::from_ref(&self.log);
+        let page = report::page(&report::document(logs, &Published::load()?))?;
+        Ok(File::text("text/html; charset=utf-8", page))
+    }
+
+    /// The data of episode number `index`.
+    pub(crate) fn episode(&self, index: usize) -> Result<EpisodeData> {
+        let record = &self.log.episodes[index];
+        let timings = self.timings_of(record);
+        let requests = self.requests.get(&record.key);
+        let episode = LoggedEpisode {
+            record,
+            timings,
+            requests: requests.into_iter().flatten().map(|&at| &self.log.requests[at]).collect(),
+            horizon: self.log.manifest.settings.horizon,
+            prompts: timings.is_some() && PromptLog::of(&self.log).exists(),
+        };
+        let sequence = EpisodeKey::read(&record.key).and_then(|key| key.sequence());
+        let experience = |position: u32| {
+            let index = self.sequences.get(&(sequence.clone()?, position))?;
+            self.log.episodes.get(*index)
+        };
+        EpisodeData::new(&self.world, &episode, experience)
+            .with_context(|| format!("cannot show {}", record.key))
+    }
+
+    fn timings_of(&self, record: &EpisodeRecord) -> Option<&EpisodeTimings> {
+        self.timings.get(&record.key).and_then(|&at| self.log.timings.get(at))
+    }
+
+    pub(crate) fn episode_file(folder: &str, index: usize, data: &EpisodeData) -> Result<File> {
+        File::script(&format!("{folder}/episodes/{index}"), data)
+    }
+
+    /// The logged prompts of episode number `index`.
+    pub(crate) fn prompts(&self, index: usize, log: &mut PromptLog) -> Result<Vec<PromptData>> {
+        let record = &self.log.episodes[index];
+        let timings = self.timings_of(record);
+        timings.map_or(Ok(Vec::new()), |timings| prompts(log, timings, record.steps))
+    }
+
+    pub(crate) fn prompts_file(folder: &str, index: usize, data: &[PromptData]) -> Result<File> {
+        File::script(&format!("{folder}/prompts/{index}"), &data)
+    }
+
+    /// The drawing of the floor of world state `ground`.
+    pub(crate) fn map(&self, ground: u32) -> Option<File> {
+        let stock = self.world.stock(ground)?;
+        Some(File::text("image/svg+xml", map::ground_svg(stock)))
+    }
+
+    /// Renders `views` and passes each to `take`, in order.
+    pub(crate) fn render(
+        &mut self,
+        views: &[ViewKey],
+        take: impl FnMut(ViewKey, Vec<u8>) -> Result<()>,
+    ) -> Result<()> {
+        self.renderer.render(views, take)
+    }
+
+    fn view(&mut self, view: ViewKey) -> Result<Option<File>> {
+        let (variant, pose) = view;
+        let worlds = 1 + self.world.cases.cases.len() as u32 + self.world.states();
+        if variant >= worlds || !self.world.warehouse.layout.is_free(pose.cell) {
+            return Ok(None);
+        }
+        let mut file = None;
+        self.render(&[view], |_, bytes| {
+            file = Some(File { kind: "image/jpeg", bytes });
+            Ok(())
+        })?;
+        Ok(file)
+    }
+
+    /// What the run has added since it had as many episodes as `query` says.
+    fn news(&mut self, query: &str) -> Result<File> {
+        let from: Option<usize> = query.strip_prefix("from=").and_then(|from| from.parse().ok());
+        let restarted = self.read_growth()?;
+        let from = from.filter(|&from| from <= self.log.episodes.len() && !restarted);
+        let rows: Vec<EpisodeRow> = self
+            .log
+            .episodes
+            .iter()
+            .skip(from.unwrap_or(0))
+            .filter_map(|record| row(&self.world, &self.conditions, record, true))
+            .collect();
+        let status = std::fs::read_to_string(self.log.dir.join(STATUS_FILE)).ok();
+        let status = status.and_then(|text| serde_json::from_str::<Value>(&text).ok());
+        // A session that was killed leaves its file behind.
+        let status =
+            status.filter(|status| Path::new("/proc").join(status["pid"].to_string()).exists());
+        let news = json!({ "restarted": from.is_none(), "rows": rows, "status": status });
+        Ok(File::text("application/json", serde_json::to_vec(&news)?))
+    }
+
+    /// Reads what the journals have gained. Returns whether the run was started afresh.
+    fn read_growth(&mut self) -> Result<bool> {
+        let Some(growth) = &mut self.growth else { return Ok(false) };
+        let (Some(episodes), Some(timings), Some(requests)) =
+            (growth.episodes.read_new()?, growth.timings.read_new()?, growth.requests.read_new()?)
+        else {
+            self.log = RunLog::read(&self.log.dir)?;
+            self.growth = Some(Growth::new(&self.log));
+            self.sequences.clear();
+            self.timings.clear();
+            self.requests.clear();
+            self.index((0, 0, 0));
+            return Ok(true);
+        };
+        let log = &mut self.log;
+        let from = (log.episodes.len(), log.timings.len(), log.requests.len());
+        for record in episodes {
+            if growth.keys.insert(record.key.clone()) {
+                log.errors.retain(|error| error.key != record.key);
+                log.episodes.push(record);
+            }
+        }
+        let known = &self.timings;
+        log.timings.extend(timings.into_iter().filter(|one| !known.contains_key(&one.key)));
+        let known = growth.known_requests.min(requests.len());
+        growth.known_requests -= known;
+        log.requests.extend(requests.into_iter().skip(known));
+        self.index(from);
+        Ok(false)
+    }
+}
+
+impl Growth {
+    /// What the run folder of `log` gains; what `log` has is read again once, and left out.
+    fn new(log: &RunLog) -> Self {
+        Self {
+            episodes: JournalTail::new(RunFolder::episodes_of(&log.dir)),
+            timings: JournalTail::new(RunFolder::timings_of(&log.dir)),
+            requests: JournalTail::new(RunFolder::requests_of(&log.dir)),
+            known_requests: log.requests.len(),
+            keys: log.episodes.iter().map(|record| record.key.clone()).collect(),
+        }
+    }
+}
+
+/// A PNG file as JPEG.
+pub(crate) fn image(path: &Path) -> Result<File> {
+    let image = RgbaImage::read(path)?;
+    let edge = |edge: u32| u16::try_from(edge).context("the image is too large");
+    let bytes = jpeg(edge(image.width())?, edge(image.height())?, image.as_bytes())?;
+    Ok(File { kind: "image/jpeg", bytes })
+}

@@ -1,0 +1,130 @@
+//! The worlds that the episodes of a run took place in.
+
+use std::cell::RefCell;
+use std::collections::BTreeMap;
+use std::fs;
+
+use anyhow::{Context, Result};
+use results::conditions::Route;
+use results::log::{ELSEWHERE_HASH, EpisodeRecord, RunFolder, RunLog};
+use warehouse::stream::Block;
+use warehouse::{Case, CaseSet, Elsewhere, StreamSet, Trajectory, Variant, Warehouse, WorldState};
+
+/// The warehouse and the cases of a run, and its streams if it has any.
+#[derive(Debug)]
+pub struct RunWorld {
+    /// The unchanged warehouse.
+    pub warehouse: Warehouse,
+    /// The cases.
+    pub cases: CaseSet,
+    streams: Option<StreamSet>,
+    /// Those of the streams.
+    states: Vec<WorldState>,
+    /// References in worlds of the streams, by world and case: planned when they are needed.
+    references: RefCell<BTreeMap<(u32, usize), Option<Trajectory>>>,
+}
+
+impl RunWorld {
+    /// The worlds of the run `log`, which ran in `warehouse` with `cases`.
+    ///
+    /// # Errors
+    /// When the file of the run's streams, or of its other warehouse, is missing or does not fit.
+    pub fn new(log: &RunLog, warehouse: Warehouse, mut cases: CaseSet) -> Result<Self> {
+        let mut streams = None;
+        if log.manifest.settings.stream.is_some() {
+            let file = RunFolder::streams_of(&log.dir);
+            let text = fs::read_to_string(&file)
+                .with_context(|| format!("cannot read {}", file.display()))?;
+            let set = StreamSet::parse(&text, &warehouse, &cases);
+            streams = Some(set.with_context(|| file.display().to_string())?);
+        }
+        if log.manifest.hashes.contains_key(ELSEWHERE_HASH) {
+            let file = RunFolder::elsewhere_of(&log.dir);
+            cases.elsewhere = Some(Elsewhere::read(&file, &warehouse, &cases)?);
+        }
+        let states = streams.as_ref().map(|set| set.states(&warehouse)).transpose()?;
+        let states = states.unwrap_or_default();
+        Ok(Self { warehouse, cases, streams, states, references: RefCell::default() })
+    }
+
+    /// The case of `record`.
+    ///
+    /// # Errors
+    /// When there is no such case.
+    pub fn case(&self, record: &EpisodeRecord) -> Result<(usize, &Case)> {
+        let index = self.cases.index(&record.case);
+        let index = index.with_context(|| format!("there is no case {}", record.case))?;
+        Ok((index, &self.cases.cases[index]))
+    }
+
+    /// The number of the world variant in which the episode of `record`, of case number `case`, took place: as the simulator
+    /// counts them.
+    pub fn variant(&self, record: &EpisodeRecord, case: usize) -> u32 {
+        match (&record.stream, &self.streams, record.route) {
+            (Some(stream), Some(set), _) => set.variant(stream.world, self.cases.cases.len()),
+            (_, _, Route::Blocked) => 1 + case as u32,
+            (_, _, Route::Unchanged) => 0,
+        }
+    }
+
+    /// The state of the world in which it took place.
+    ///
+    /// # Errors
+    /// When a stream has no such world.
+    pub fn state(&self, record: &EpisodeRecord, case: &Case) -> Result<WorldState> {
+        if let Some(stream) = &record.stream {
+            let state = self.states.get(stream.world as usize);
+            return state.cloned().with_context(|| format!("there is no world {}", stream.world));
+        }
+        let variant = match record.route {
+            Route::Blocked => Variant::closing(case.barricade.iter().copied()),
+            Route::Unchanged => Variant::UNCHANGED,
+        };
+        Ok(WorldState { warehouse: self.warehouse.clone(), variant })
+    }
+
+    /// The block of the stream in which it took place.
+    pub fn block(&self, record: &EpisodeRecord) -> Option<&Block> {
+        let stream = record.stream.as_ref()?;
+        self.streams
+            .as_ref()?
+            .streams
+            .get(stream.stream as usize)?
+            .blocks
+            .get(stream.block as usize)
+    }
+
+    /// The number of world states of the streams.
+    pub fn states(&self) -> u32 {
+        self.states.len() as u32
+    }
+
+    /// The index of the drawing of the floor with the items of its world: 0 is the unchanged one.
+    pub fn ground(record: &EpisodeRecord) -> u32 {
+        record.stream.as_ref().map_or(0, |stream| stream.world)
+    }
+
+    /// The warehouse of drawing `ground`.
+    pub fn stock(&self, ground: u32) -> Option<&Warehouse> {
+        match self.states.get(ground as usize) {
+            Some(state) => Some(&state.warehouse),
+            None => (ground == 0).then_some(&self.warehouse),
+        }
+    }
+
+    /// The reference of the episode of `record`, of case number `case`: what the expert does from the same start in the same
+    /// world. `None` if the task cannot be completed there.
+    pub fn reference(&self, record: &EpisodeRecord, case: usize) -> Option<Trajectory> {
+        let found = self.cases.cases.get(case)?;
+        let Some(stream) = &record.stream else {
+            return Some(found.trajectory(record.start.reference(record.route)).clone());
+        };
+        let state = self.states.get(stream.world as usize)?;
+        let mut known = self.references.borrow_mut();
+        let planned = known.entry((stream.world, case)).or_insert_with(|| {
+            let expert = state.expert();
+            Some(state.reference(&expert, &found.task, record.start_pose)?.0)
+        });
+        planned.clone()
+    }
+}

@@ -1,0 +1,207 @@
+//! A headless Chromium, driven through its DevTools protocol over pipes: real clicks and keys, and every error that a page
+//! reports.
+
+use std::fs::File;
+use std::io::{BufRead, BufReader, Write};
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+
+use rustix::fs::{CWD, FileType, Mode, mknodat};
+use serde_json::{Value, json};
+use tempfile::TempDir;
+
+use crate::{eventually, needs};
+
+/// A browser with one page.
+pub struct Browser {
+    child: Child,
+    commands: File,
+    answers: BufReader<File>,
+    sent: u64,
+    session: Option<String>,
+    problems: Vec<String>,
+    /// Its profile, removed last.
+    _profile: TempDir,
+}
+
+impl Browser {
+    /// Starts one whose page is `width` by `height` pixels.
+    pub fn start(width: u32, height: u32) -> Self {
+        let profile = tempfile::tempdir().expect("a folder");
+        let [commands, answers] = ["commands", "answers"].map(|name| profile.path().join(name));
+        for pipe in [&commands, &answers] {
+            mknodat(CWD, pipe, FileType::Fifo, Mode::RUSR | Mode::WUSR, 0).expect("a pipe");
+        }
+        // Chromium reads commands from descriptor 3 and answers on descriptor 4.
+        let child = Command::new("sh")
+            .args(["-c", "exec \"$@\" 3<\"$0/commands\" 4>\"$0/answers\""])
+            .arg(profile.path())
+            .arg(needs::chromium())
+            .args(["--headless=new", "--no-sandbox", "--disable-gpu", "--no-first-run"])
+            .args(["--remote-debugging-pipe", "--disable-dev-shm-usage"])
+            .arg(format!("--window-size={width},{height}"))
+            .arg(format!("--user-data-dir={}", profile.path().display()))
+            .stdin(Stdio::null())
+            .stdout(Stdio::null())
+            .stderr(Stdio::null())
+            .spawn()
+            .expect("Chromium starts");
+        let commands = File::options().write(true).open(commands).expect("its commands");
+        let answers = BufReader::new(File::open(answers).expect("its answers"));
+        let (sent, session, problems) = (0, None, Vec::new());
+        let mut browser =
+            Self { child, commands, answers, sent, session, problems, _profile: profile };
+        let target = browser.send("Target.createTarget", json!({ "url": "about:blank" }));
+        let attach = json!({ "targetId": target["targetId"], "flatten": true });
+        let attached = browser.send("Target.attachToTarget", attach);
+        browser.session = attached["sessionId"].as_str().map(str::to_owned);
+        for domain in ["Page.enable", "Runtime.enable", "Log.enable"] {
+            browser.send(domain, json!({}));
+        }
+        browser.resize(width, height);
+        browser
+    }
+
+    /// Gives the page another size.
+    pub fn resize(&mut self, width: u32, height: u32) {
+        let size =
+            json!({ "width": width, "height": height, "deviceScaleFactor": 1, "mobile": false });
+        self.send("Emulation.setDeviceMetricsOverride", size);
+    }
+
+    /// Sends a command and returns its result; notes the problems that the page reports meanwhile.
+    pub fn send(&mut self, method: &str, params: Value) -> Value {
+        self.sent += 1;
+        let mut command = json!({ "id": self.sent, "method": method, "params": params });
+        if let Some(session) = &self.session {
+            command["sessionId"] = session.as_str().into();
+        }
+        self.commands.write_all(format!("{command}\0").as_bytes()).expect("Chromium listens");
+        loop {
+            let mut answer = Vec::new();
+            self.answers.read_until(0, &mut answer).expect("Chromium answers");
+            answer.pop();
+            let answer: Value = serde_json::from_slice(&answer).expect("Chromium ended early");
+            if answer["id"] == self.sent {
+                assert!(answer.get("error").is_none(), "{method}: {}", answer["error"]);
+                return answer["result"].clone();
+            }
+            self.note(&answer);
+        }
+    }
+
+    fn note(&mut self, event: &Value) {
+        let params = &event["params"];
+        let is_problem = match event["method"].as_str() {
+            Some("Runtime.exceptionThrown") => true,
+            Some("Runtime.consoleAPICalled") => params["type"] == "error",
+            Some("Log.entryAdded") => params["entry"]["level"] == "error",
+            _ => false,
+        };
+        if is_problem {
+            self.problems.push(params.to_string());
+        }
+    }
+
+    /// Goes to `url`.
+    pub fn open(&mut self, url: &str) {
+        self.send("Page.navigate", json!({ "url": url }));
+    }
+
+    /// The value of a JavaScript expression.
+    pub fn value(&mut self, expression: &str) -> Value {
+        let params =
+            json!({ "expression": expression, "returnByValue": true, "awaitPromise": true });
+        let result = self.send("Runtime.evaluate", params);
+        assert!(result.get("exceptionDetails").is_none(), "{expression}: {result}");
+        result["result"]["value"].clone()
+    }
+
+    /// Waits until a JavaScript expression is true.
+    pub fn wait_for(&mut self, expression: &str) {
+        eventually(expression, || (self.value(expression) == true).then_some(()));
+    }
+
+    /// The text of the first element that `selector` finds; waits for it.
+    pub fn text(&mut self, selector: &str) -> String {
+        self.wait_for(&format!("document.querySelector({selector:?}) !== null"));
+        let text = self.value(&format!("document.querySelector({selector:?}).textContent"));
+        text.as_str().unwrap_or_default().to_owned()
+    }
+
+    /// Clicks the middle of the first element that `selector` finds; waits for it.
+    pub fn click(&mut self, selector: &str) {
+        self.wait_for(&format!("document.querySelector({selector:?}) !== null"));
+        let middle = self.value(&format!(
+            "(() => {{ const e = document.querySelector({selector:?}); e.scrollIntoView({{block: 'center'}}); \
+             const r = e.getBoundingClientRect(); return [r.x + r.width / 2, r.y + r.height / 2]; }})()"
+        ));
+        for (kind, buttons) in [("mousePressed", 1), ("mouseReleased", 0)] {
+            let click = json!({
+                "type": kind, "x": middle[0], "y": middle[1], "button": "left", "buttons": buttons, "clickCount": 1
+            });
+            self.send("Input.dispatchMouseEvent", click);
+        }
+    }
+
+    /// Presses a key, by its name in JavaScript: `ArrowRight`, `n`.
+    pub fn press(&mut self, key: &str) {
+        let code = match key {
+            "Tab" => 9,
+            "Enter" => 13,
+            " " => 32,
+            "End" => 35,
+            "Home" => 36,
+            "ArrowLeft" => 37,
+            "ArrowUp" => 38,
+            "ArrowRight" => 39,
+            "ArrowDown" => 40,
+            letter => u32::from(letter.to_ascii_uppercase().as_bytes()[0]),
+        };
+        for kind in ["keyDown", "keyUp"] {
+            let mut press = json!({ "type": kind, "key": key, "windowsVirtualKeyCode": code });
+            if kind == "keyDown" && (key.len() == 1 || key == "Enter") {
+                press["text"] = if key == "Enter" { "\r" } else { key }.into();
+            }
+            self.send("Input.dispatchKeyEvent", press);
+        }
+    }
+
+    /// Chooses `value` in the list that `selector` finds, as a user does.
+    pub fn choose(&mut self, selector: &str, value: &str) {
+        self.wait_for(&format!("document.querySelector({selector:?}) !== null"));
+        self.value(&format!(
+            "(() => {{ const e = document.querySelector({selector:?}); e.value = {value:?}; \
+             e.dispatchEvent(new Event('change', {{bubbles: true}})); }})()"
+        ));
+    }
+
+    /// Writes what the page shows to a PNG file.
+    pub fn screenshot(&mut self, file: &Path) {
+        let image = self.send("Page.captureScreenshot", json!({ "format": "png" }));
+        let image = image["data"].as_str().expect("an image");
+        let mut base64 = Command::new("base64")
+            .arg("-d")
+            .stdin(Stdio::piped())
+            .stdout(File::create(file).expect("a file"))
+            .spawn()
+            .expect("base64 starts");
+        base64.stdin.take().expect("its input").write_all(image.as_bytes()).expect("written");
+        assert!(base64.wait().expect("it ends").success());
+    }
+
+    /// Every error that the page has reported: exceptions, and messages in the console.
+    pub fn problems(&mut self) -> &[String] {
+        // Events before this answer have arrived.
+        self.value("0");
+        &self.problems
+    }
+}
+
+impl Drop for Browser {
+    fn drop(&mut self) {
+        // It may have ended already.
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}

@@ -1,0 +1,348 @@
+//! The pages of `memtransfer view` in a real browser.
+
+#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
+
+use std::fs;
+use std::io::{BufRead, BufReader, Read, Write};
+use std::net::TcpStream;
+use std::path::{Path, PathBuf};
+use std::process::Child;
+
+use memtransfer_tests::browser::Browser;
+use memtransfer_tests::{Bench, Ended, eventually, kill};
+use serde_json::Value;
+
+/// A run on blocked routes, in which some agents run into the barricade.
+fn blocked(bench: &Bench, out: &str, memory: &str, more: &[&str]) -> PathBuf {
+    let mut args = vec!["run", "--suite", "rq2", "--policy", "grounded", "--limit", "20"];
+    args.extend(["--runs", "1", "--memory", memory, "--out", out]);
+    bench.run(&[&args[..], more].concat()).expect(0);
+    bench.out(out)
+}
+
+const MEMORIES: &str = "working,full-context,episodic";
+
+/// The pages of `runs` as files; returns the address of the first.
+fn bundle(bench: &Bench, runs: &[&Path], more: &[&str]) -> String {
+    let mut args = vec!["view"];
+    args.extend(runs.iter().map(|run| run.to_str().unwrap()));
+    let pages = bench.out("pages");
+    args.extend(["--out", pages.to_str().unwrap()]);
+    let ended = bench.run(&[&args[..], more].concat()).expect(0);
+    format!("file://{}", ended.stdout.trim())
+}
+
+fn assert_no_problem(browser: &mut Browser) {
+    assert_eq!(browser.problems(), [""; 0]);
+}
+
+const EPISODE: &str = "document.querySelector('.transport output') !== null";
+const STEP: &str = ".transport output";
+
+#[test]
+fn five_clicks_lead_from_a_run_to_the_step_that_decided_a_failure() {
+    let bench = Bench::new();
+    let run = blocked(&bench, "rq2", MEMORIES, &[]);
+    let url = bundle(&bench, &[&run], &["--episodes", "all"]);
+    let mut browser = Browser::start(1300, 1000);
+    browser.open(&url);
+    browser.wait_for("document.querySelectorAll('td a.mark').length === 120");
+
+    // 1: the failures of one kind. 2: an episode.
+    browser.click(".outcomes button:has(.failure-blocked)");
+    let left = browser.value("document.querySelectorAll('td a.mark:not(.faded)').length");
+    assert!(left.as_u64().unwrap() > 0 && left.as_u64().unwrap() < 120, "{left}");
+    browser.click("td a.mark.failure-blocked");
+    browser.wait_for(EPISODE);
+    let story = browser.text(".story");
+    assert!(story.contains("closed passage") && story.contains("Failed, blocked"), "{story}");
+    // 3: the step.
+    browser.click(".story .step-link");
+    let decided: u32 = story
+        .split("at step ")
+        .nth(1)
+        .unwrap()
+        .split(|c: char| !c.is_ascii_digit())
+        .next()
+        .unwrap()
+        .parse()
+        .unwrap();
+    assert!(browser.text(STEP).starts_with(&format!("Step {decided} of")), "{story}");
+    assert!(browser.text(".happening").contains("Tried to enter the closed passage."));
+    browser.wait_for("document.querySelector('img.view').naturalWidth === 320");
+    // 4: where memory has it from.
+    browser.click("section[aria-label=Memory] .source");
+    browser.wait_for("document.querySelectorAll('.source-panel .film img').length > 0");
+    browser.wait_for("[...document.querySelectorAll('.source-panel .film img')].every((i) => i.naturalWidth === 320)");
+    assert!(browser.text(".source-panel h2").contains("demonstration"));
+
+    // The address has the state: another page that opens it shows the same.
+    let address = browser.value("location.href");
+    let step = browser.text(STEP);
+    browser.open("about:blank");
+    browser.open(address.as_str().unwrap());
+    browser.wait_for(EPISODE);
+    assert_eq!(browser.text(STEP), step);
+    browser.wait_for("document.querySelector('.source-panel').hidden === false");
+
+    // Keys.
+    browser.value("document.getElementById('main').focus()");
+    for (key, expected) in [
+        ("End", "Step 200 of 200"),
+        ("Home", "Step 0 of 200"),
+        ("ArrowRight", "Step 1 of 200"),
+        ("ArrowRight", "Step 2 of 200"),
+        ("ArrowLeft", "Step 1 of 200"),
+        ("f", &format!("Step {decided} of 200")),
+        ("p", ""),
+        ("n", &format!("Step {decided} of 200")),
+    ] {
+        browser.press(key);
+        let shown = browser.text(STEP);
+        assert!(expected.is_empty() || shown == expected, "{key}: {shown}");
+    }
+    browser.press("Home");
+    browser.press(" ");
+    browser.wait_for("Number(document.querySelector('.transport input').value) > 2");
+    browser.press(" ");
+    assert_eq!(browser.text(".play"), "Play");
+
+    // Side by side, at the first difference.
+    let other = browser.value("document.querySelector('.compare option:nth-child(2)').value");
+    browser.choose(".compare select", other.as_str().unwrap());
+    browser.wait_for("document.querySelectorAll('.pair > section').length === 2");
+    let words = browser.text(".divergence");
+    let same = words.split("until step ").nth(1).unwrap().split('.').next().unwrap().to_owned();
+    assert!(browser.text(STEP).starts_with(&format!("Step {same} of")), "{words}");
+    let poses = "memtransfer.state().step";
+    assert_eq!(browser.value(poses), same.as_str());
+    assert_no_problem(&mut browser);
+}
+
+#[test]
+fn the_grid_is_filtered_sorted_and_used_with_keys_and_every_state_has_an_address() {
+    let bench = Bench::new();
+    let run = blocked(&bench, "a", MEMORIES, &[]);
+    let other = blocked(&bench, "b", MEMORIES, &["--seed", "2"]);
+    let url = bundle(&bench, &[&run, &other], &["--episodes", "2"]);
+    let mut browser = Browser::start(1300, 1000);
+    browser.open(&url);
+    browser.wait_for("document.querySelectorAll('td a.mark').length === 120");
+    // Tab reaches one episode; arrow keys move among the others.
+    assert_eq!(browser.value("document.querySelectorAll('td a.mark[tabindex=\"0\"]').length"), 1);
+    browser.value("document.querySelector('td a.mark[tabindex=\"0\"]').focus()");
+    browser.press("ArrowRight");
+    browser.press("ArrowDown");
+    let focused = "(() => { const c = document.activeElement.closest('td'); return [c.cellIndex, c.parentElement.rowIndex]; })()";
+    assert_eq!(browser.value(focused), serde_json::json!([2, 2]));
+    browser.press("Enter");
+    browser.wait_for(EPISODE);
+    browser.value("history.back()");
+    browser.wait_for("document.querySelectorAll('td a.mark').length === 120");
+
+    browser.choose("select[name=memory]", "episodic");
+    browser.wait_for("document.querySelectorAll('td a.mark').length === 40");
+    browser.choose("select[name=memory]", "");
+    let conditions: Vec<String> =
+        serde_json::from_value(browser.value("memtransfer.runs[0].conditions.map((c) => c.name)"))
+            .unwrap();
+    browser.choose("select[name=a]", &conditions[0]);
+    browser.choose("select[name=b]", &conditions[1]);
+    browser.wait_for("document.querySelectorAll('td a.mark').length < 120");
+    let rows = browser.value("document.querySelectorAll('tbody tr').length");
+    assert_eq!(browser.value("document.querySelectorAll('a.pair').length"), rows);
+    let address = browser.value("location.href");
+    browser.open("about:blank");
+    browser.open(address.as_str().unwrap());
+    browser.wait_for("document.querySelectorAll('tbody tr').length > 0");
+    assert_eq!(browser.value("document.querySelectorAll('tbody tr').length"), rows);
+    browser.click("a.pair");
+    browser.wait_for("document.querySelectorAll('.pair > section').length === 2");
+
+    // The other run, and the report's tables.
+    browser.open(&format!("{url}#run=2"));
+    browser.wait_for("document.querySelector('h1').textContent === 'b'");
+    browser.click(".tables summary");
+    browser.wait_for("document.querySelector('iframe') !== null");
+
+    // On a phone nothing is wider than the page.
+    browser.resize(390, 800);
+    for state in ["#run=1", "#page=episode&run=1&key=", "#page=episode&run=2&key="] {
+        let key = browser.value("encodeURIComponent(memtransfer.runs[0].episodes[0][0])");
+        let key = if state.ends_with('=') { key.as_str().unwrap() } else { "" };
+        browser.open(&format!("{url}{state}{key}"));
+        browser.wait_for("document.querySelector('h1') !== null");
+        let overflow = "document.documentElement.scrollWidth <= 390";
+        assert_eq!(browser.value(overflow), true, "{state}");
+    }
+    // An address of nothing says so.
+    browser.open(&format!("{url}#page=episode&run=1&key=nothing"));
+    browser.wait_for("document.querySelector('[role=alert]') !== null");
+    assert_no_problem(&mut browser);
+}
+
+#[test]
+fn text_of_a_run_is_never_read_as_a_page() {
+    const TEXT: &str = "<img src=x onerror=window.hacked=1><script>window.hacked=1</script>";
+    let bench = Bench::new();
+    let run = blocked(&bench, "r", "full-context", &["--log-prompts", "--cases", "t01-01"]);
+    let quoted = serde_json::to_string(TEXT).unwrap();
+    let error = format!("{{\"key\":{quoted},\"session\":1,\"error\":{quoted}}}\n");
+    fs::write(run.join("errors.jsonl"), error).unwrap();
+    let manifest = run.join("manifest.json");
+    let mut json: Value = serde_json::from_str(&fs::read_to_string(&manifest).unwrap()).unwrap();
+    json["processes"]["policy"]["policy"] = TEXT.into();
+    fs::write(&manifest, json.to_string()).unwrap();
+    let log = run.join("prompts/session-1/generation-1.jsonl");
+    let exchange = format!(
+        "\"exchange\":{{\"messages\":[{{\"role\":{quoted},\"parts\":[{{\"text\":{quoted}}}]}}],\"reply\":{quoted}}},\"timing\""
+    );
+    let text = fs::read_to_string(&log).unwrap().replace("\"timing\"", &exchange);
+    fs::write(&log, text).unwrap();
+
+    let url = bundle(&bench, &[&run], &[]);
+    let mut browser = Browser::start(1000, 800);
+    browser.open(&url);
+    browser.wait_for("document.querySelectorAll('td a.mark').length > 0");
+    let page = browser.text("main");
+    assert_eq!(page.matches(TEXT).count(), 3, "{page}");
+    browser.click("td a.mark");
+    browser.click(".prompts summary");
+    browser.wait_for("document.querySelectorAll('.prompts pre').length >= 2");
+    let prompts = browser.text(".prompts");
+    assert_eq!(prompts.matches(TEXT).count(), 3, "{prompts}");
+    assert!(prompts.contains("Window of past steps"));
+    assert_eq!(browser.value("window.hacked === undefined"), true);
+    assert_no_problem(&mut browser);
+}
+
+/// `memtransfer view` as a server.
+struct Served {
+    child: Child,
+    url: String,
+}
+
+impl Served {
+    fn start(bench: &Bench, args: &[&str]) -> Self {
+        let mut child = bench.start(args);
+        let mut line = String::new();
+        BufReader::new(child.stdout.take().unwrap()).read_line(&mut line).unwrap();
+        Self { child, url: line.trim().to_owned() }
+    }
+
+    fn host(&self) -> &str {
+        self.url.strip_prefix("http://").unwrap().split('/').next().unwrap()
+    }
+
+    /// The status and the text of the answer to a raw request.
+    fn ask(&self, line: &str, host: &str) -> (u16, String) {
+        let port = self.host().rsplit(':').next().unwrap();
+        let mut stream = TcpStream::connect(format!("127.0.0.1:{port}")).unwrap();
+        write!(stream, "{line} HTTP/1.1\r\nHost: {host}\r\nConnection: close\r\n\r\n").unwrap();
+        let mut answer = Vec::new();
+        stream.read_to_end(&mut answer).unwrap();
+        let answer = String::from_utf8_lossy(&answer).into_owned();
+        (answer.split(' ').nth(1).unwrap().parse().unwrap(), answer)
+    }
+}
+
+impl Drop for Served {
+    fn drop(&mut self) {
+        kill(self.child.id());
+        self.child.wait().unwrap();
+    }
+}
+
+#[test]
+fn a_server_shows_every_view_and_gives_nothing_else_away() {
+    let bench = Bench::new();
+    let run = blocked(&bench, "r", "episodic", &["--cases", "t02-02"]);
+    let run = run.to_str().unwrap();
+    let served = Served::start(&bench, &["view", run, "--serve"]);
+    let mut browser = Browser::start(1300, 1000);
+    browser.open(&served.url);
+    browser.click("td a.mark");
+    browser.wait_for("document.querySelector('img.view') && document.querySelector('img.view').naturalWidth === 320");
+    browser.wait_for("document.querySelector('.map > img').naturalWidth > 100");
+    browser.open(&format!("{}#tables=1", served.url));
+    browser.wait_for("document.querySelector('iframe') !== null");
+    assert_no_problem(&mut browser);
+    drop(browser);
+
+    let host = served.host();
+    assert_eq!(served.ask("GET /", host).0, 200);
+    let (_, page) = served.ask("GET /index.html", host);
+    for header in ["Content-Security-Policy: default-src 'none'", "X-Content-Type-Options: nosniff"]
+    {
+        assert!(page.contains(header), "{page}");
+    }
+    for path in [
+        "/../../../../etc/passwd",
+        "/%2e%2e/%2e%2e/etc/passwd",
+        "/run1/../../etc/passwd",
+        "/run1/images/../manifest.json",
+        "/run1/manifest.json",
+        "/run1/views/0-5-8-N.jpg",
+        "/run1/views/9999-1-1-N.jpg",
+        "/run1/episodes/99999999999999999999.js",
+        "/run2/run.js",
+        "//etc/passwd",
+    ] {
+        assert_eq!(served.ask(&format!("GET {path}"), host).0, 404, "{path}");
+    }
+    assert_eq!(served.ask("POST /", host).0, 405);
+    // A page of another site that reaches this server under its own name.
+    assert_eq!(served.ask("GET /", "example.org").0, 403);
+
+    let open = Served::start(&bench, &["view", run, "--serve", "0.0.0.0:0"]);
+    assert_eq!(open.ask("GET /run1/run.js", open.host()).0, 403);
+    let (status, answer) = open.ask(&format!("GET /?{}", open.url.split('?').nth(1).unwrap()), "x");
+    assert!(status == 303 && answer.contains("HttpOnly"), "{answer}");
+}
+
+#[test]
+fn new_episodes_of_a_run_in_progress_appear() {
+    let bench = Bench::new();
+    let args = [
+        "run", "--suite", "quick", "--limit", "30", "--policy", "grounded", "--lanes", "1",
+        "--out", "r",
+    ];
+    let running = bench.start(&args);
+    let run = bench.out("r");
+    eventually("an episode", || (!memtransfer_tests::episodes(&run).is_empty()).then_some(()));
+    let served = Served::start(&bench, &["view", run.to_str().unwrap(), "--serve"]);
+    let mut browser = Browser::start(1000, 800);
+    browser.open(&served.url);
+    browser.wait_for("document.querySelectorAll('td a.mark').length > 0");
+    let first = browser.value("memtransfer.runs[0].episodes.length").as_u64().unwrap();
+    Ended::of(running).expect(0);
+    browser.wait_for("document.querySelectorAll('td a.mark').length === 360");
+    assert!(first < 360, "{first}");
+    assert_eq!(browser.value("new Set(memtransfer.runs[0].episodes.map((e) => e[0])).size"), 360);
+    // One of those that came later.
+    browser.click("tbody tr:last-child td:last-child a.mark");
+    browser.wait_for(EPISODE);
+    assert_no_problem(&mut browser);
+}
+
+#[test]
+fn a_folder_that_is_no_run_or_not_empty_is_refused() {
+    let bench = Bench::new();
+    let ended = bench.run(&["view", "nothing", "--out", "pages"]).expect(2);
+    assert!(ended.stderr.contains("holds no run"), "{}", ended.stderr);
+    let run = blocked(&bench, "r", "working", &["--cases", "t02-02"]);
+    let run = run.to_str().unwrap();
+    let ended = bench.run(&["view", run, "--out", "r"]).expect(2);
+    assert!(ended.stderr.contains("choose another --out"), "{}", ended.stderr);
+    // Twice into the same folder; a damaged line is left out and told.
+    bench.run(&["view", run, "--out", "pages"]).expect(0);
+    let log = bench.out("r/episodes.jsonl");
+    let text = fs::read_to_string(&log).unwrap();
+    fs::write(&log, text.replacen("{\"key\"", "{\"kez\"", 1)).unwrap();
+    bench.run(&["view", run, "--out", "pages"]).expect(0);
+    let data = fs::read_to_string(bench.out("pages/run1/run.js")).unwrap();
+    assert!(data.contains("1 damaged lines"), "{data}");
+    let manifest = bench.out("r/manifest.json");
+    fs::write(manifest, "{").unwrap();
+    bench.run(&["view", run, "--out", "pages"]).expect(2);
+}
