@@ -60,6 +60,7 @@ class Lanes:
         lanes: int,
         size_px: tuple[int, int],
         appearance: tuple[bool, bool, int],
+        anti_aliasing: bool,
         assets: str | PathLike[str] | None,
     ) -> None: ...
     @property

@@ -62,6 +62,8 @@ class Settings:
     """Whether anything is written in the warehouse."""
     appearance_seed: int = 0
     """Varies the light and the tints of walls, floor and racks; 0 is the standard look."""
+    anti_aliasing: bool = True
+    """Without it rendering takes less time, and the views differ from those of a run."""
     max_steps: int = 200
     """Steps after which an episode is truncated."""
     assets: str | os.PathLike[str] | None = None
@@ -77,7 +79,7 @@ class _Episodes:
         size = settings.frame_size
         width, height = (size, size) if isinstance(size, int) else size
         look = (settings.plates, settings.labels, settings.appearance_seed)
-        self.lanes = Lanes(lanes, (width, height), look, settings.assets)
+        self.lanes = Lanes(lanes, (width, height), look, settings.anti_aliasing, settings.assets)
         cases = _several(settings.case) if settings.case is not None else self.lanes.cases
         unknown = sorted(set(cases) - set(self.lanes.cases))
         if unknown:
@@ -179,7 +181,7 @@ class MemTransferEnv(gymnasium.Env[Observation, np.int64]):
         success, truncated = self._episodes.act(0, action)
         return self._observe(), float(success), success, truncated, {"is_success": success}
 
-    def render(self) -> Pixels | None:  # type: ignore[override]
+    def render(self) -> Pixels | None:
         """Returns the view with `render_mode="rgb_array"`."""
         return self._episodes.pixels[0].copy() if self.render_mode == "rgb_array" else None
 
@@ -249,7 +251,7 @@ class MemTransferVectorEnv(VectorEnv[Observation, NDArray[np.int64], NDArray[Any
         chosen = np.asarray((options or {}).get("reset_mask", np.ones(self.num_envs, np.bool_)))
         if chosen.shape != (self.num_envs,) or chosen.dtype != np.bool_:
             raise ValueError(f"reset_mask must be an array of {self.num_envs} booleans")
-        for lane in np.flatnonzero(chosen):
+        for lane in np.flatnonzero(chosen).tolist():
             if seeds is not None and seeds[lane] is not None:
                 self._randoms[lane], _ = gymnasium.utils.seeding.np_random(seeds[lane])
             self._begin(lane, options)
@@ -271,7 +273,7 @@ class MemTransferVectorEnv(VectorEnv[Observation, NDArray[np.int64], NDArray[Any
                 infos = self._add_info(infos, {"is_success": bool(terminations[lane])}, lane)
         if self.autoreset_mode is AutoresetMode.SAME_STEP and self._ended.any():
             self._episodes.lanes.draw()
-            for lane in np.flatnonzero(self._ended):
+            for lane in np.flatnonzero(self._ended).tolist():
                 # The buffer gets the view of the next episode.
                 last = {**self._episodes.observation(lane), "pixels": self._episodes.pixels[lane].copy()}
                 final = {"final_obs": last, "final_info": {"is_success": bool(terminations[lane])}}

@@ -12,7 +12,9 @@ use domain::{Action, Appearance, Feedback, Pose};
 use pyo3::exceptions::{PyIndexError, PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
-use sim_proc::renderer::{Backend, Destination, RenderJob, RenderSettings, Renderer, ViewSpec};
+use sim_proc::renderer::{
+    Backend, Destination, RenderJob, RenderSettings, Renderer, Samples, ViewSpec,
+};
 use warehouse::{CaseSet, Progress, Start, Variant, Warehouse, step};
 
 /// Maximum number of renderers, as in the simulator.
@@ -82,6 +84,7 @@ impl Lanes {
         lanes: usize,
         size_px: (u32, u32),
         appearance: (bool, bool, u64),
+        anti_aliasing: bool,
         assets: Option<PathBuf>,
     ) -> PyResult<Self> {
         let ((width_px, height_px), (plates, labels, seed)) = (size_px, appearance);
@@ -97,6 +100,7 @@ impl Lanes {
         let settings = RenderSettings {
             width_px,
             height_px,
+            samples: if anti_aliasing { Samples::Four } else { Samples::One },
             appearance: Appearance { plates, labels, seed },
             backend: Some(Backend::Cpu),
             ..RenderSettings::default()
