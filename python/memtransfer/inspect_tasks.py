@@ -150,7 +150,7 @@ def episode_scorer() -> Scorer:
     async def score(state: TaskState, target: Target) -> Score:
         episode = state.metadata["episode"]
         value = {name: float(episode[name]) for name in ("success", "spl", "steps")}
-        return Score(value=value, answer=episode["ending"], metadata=episode)
+        return Score(value=value, answer=episode["ending"])
 
     return score
 

@@ -133,7 +133,7 @@ fn the_package_can_be_installed_from_the_checkout() {
     assert_eq!(loaded.parent().unwrap(), place.join("memtransfer"));
 }
 
-/// Two samples of a suite with a model of Inspect that never answers with an action.
+/// Two samples of a suite with a model of Inspect that always turns left.
 #[test]
 fn a_suite_runs_in_inspect_and_its_log_can_be_read() {
     let bench = Bench::new();
@@ -160,25 +160,23 @@ fn a_suite_runs_in_inspect_and_its_log_can_be_read() {
             .stderr(Stdio::piped());
         Ended::of(command.spawn().expect("Python starts")).expect(0).stdout
     };
-    let mut eval = vec!["-m", "inspect_ai", "eval", "memtransfer/rq1", "--model", "mockllm/model"];
-    eval.extend(["--limit", "2", "--epochs", "1", "--display", "plain", "-T", "out=runs"]);
-    inspect(&eval);
-    let logs: Vec<_> = fs::read_dir(bench.out("logs")).unwrap().collect();
-    let [Ok(log)] = &logs[..] else { panic!("{logs:?}") };
-    let dump = inspect(&["-m", "inspect_ai", "log", "dump", log.path().to_str().unwrap()]);
+    let script = package().join("tests/inspect_suite.py");
+    let log = inspect(&[script.to_str().unwrap()]);
+    let dump = inspect(&["-m", "inspect_ai", "log", "dump", log.trim()]);
     let dump: Value = serde_json::from_str(&dump).unwrap();
-    assert_eq!((&dump["status"], &dump["eval"]["task"]), (&json!("success"), &json!("rq1")));
+    assert_eq!(dump["eval"]["task_registry_name"], "memtransfer/rq1");
     let samples = dump["samples"].as_array().unwrap();
-    let ids: Vec<_> = samples.iter().map(|sample| sample["id"].as_str().unwrap()).collect();
+    let mut ids: Vec<_> = samples.iter().map(|sample| sample["id"].as_str().unwrap()).collect();
+    ids.sort_unstable();
     assert_eq!(
         ids,
-        ["t01-01.working.original.unchanged.none", "t01-01.working.new.unchanged.none"]
+        ["t01-01.working.new.unchanged.none", "t01-01.working.original.unchanged.none"]
     );
     for sample in samples {
         assert_eq!(sample["input"], "Find a yellow fire extinguisher.");
         let score = &sample["scores"]["episode_scorer"];
         assert_eq!(score["value"], json!({"success": 0.0, "spl": 0.0, "steps": 5.0}));
-        assert_eq!(score["metadata"]["unreadable"], 5);
+        assert_eq!(sample["metadata"]["episode"]["actions"], "LLLLL");
         let calls = sample["events"].as_array().unwrap().iter();
         assert_eq!(calls.filter(|event| event["event"] == "model").count(), 5);
         let [system, user, reply] = &sample["messages"].as_array().unwrap()[..] else { panic!() };
