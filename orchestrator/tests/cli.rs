@@ -327,6 +327,7 @@ fn lists_are_tables_and_json() {
         ("tasks", 10),
         ("items", 150),
         ("suites", 6),
+        ("conditions --suite paper", 50),
         ("runs", 0),
     ] {
         let output = memtransfer(dir.path(), &format!("ls {list} --json"));

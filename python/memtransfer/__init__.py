@@ -11,9 +11,11 @@
     run(AlwaysForward())
 
 `memtransfer.prompt` renders the benchmark's own prompt and reads a model's answers; `memtransfer.results` reads
-the folder of a run. `Memory` is a memory of your own. The guides are `docs/python.md` and `docs/memory.md` of
-the project.
+the folder of a run. `Memory` is a memory of your own. `gymnasium.make("memtransfer:MemTransfer-v0")` makes an
+environment. The guides are `docs/python.md`, `docs/memory.md` and `docs/gymnasium.md` of the project.
 """
+
+from contextlib import suppress
 
 from memtransfer._native import Frame
 from memtransfer.codes import Action, DocumentKind, Feedback, Heading, Outcome
@@ -61,6 +63,15 @@ from memtransfer.serving import run, serve
 EMPTY = Outcome.EMPTY
 REFUSED = Outcome.REFUSED
 UNREADABLE = Outcome.UNREADABLE
+
+with suppress(ModuleNotFoundError):
+    from gymnasium.envs.registration import register
+
+    register(
+        id="MemTransfer-v0",
+        entry_point="memtransfer.gym:MemTransferEnv",
+        vector_entry_point="memtransfer.gym:MemTransferVectorEnv",
+    )
 
 __all__ = [
     "EMPTY",

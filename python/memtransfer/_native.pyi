@@ -52,6 +52,27 @@ class Frame:
     ) -> Frame:
         """Returns a frame with a copy of `pixels` (height x width x 4), for tests of a policy."""
 
+class Lanes:
+    """Episodes in one world, one in each lane. As an array: their views, of shape (lanes, height, width, 3)."""
+
+    def __init__(
+        self,
+        lanes: int,
+        size_px: tuple[int, int],
+        appearance: tuple[bool, bool, int],
+        anti_aliasing: bool,
+        assets: str | PathLike[str] | None,
+    ) -> None: ...
+    @property
+    def __array_interface__(self) -> dict[str, Any]: ...
+    @property
+    def cases(self) -> list[str]: ...
+    @property
+    def longest_instruction(self) -> int: ...
+    def begin(self, lane: int, case: str, reference: str) -> tuple[str, tuple[int, int, int]]: ...
+    def act(self, lane: int, action: int) -> tuple[tuple[int, int, int], int, bool]: ...
+    def draw(self) -> None: ...
+
 class Step:
     """The step behind a served request."""
 

@@ -2,11 +2,12 @@
 //!
 //! The package itself is in `memtransfer/`: plain data classes, the policy interface and the data frames. This
 //! crate serves a Python policy or memory (`serve`), gives numpy the frames in shared memory (`frame`), renders prompts
-//! and reads answers (`prompt`), and reads a run's folder (`results`).
+//! and reads answers (`prompt`), reads a run's folder (`results`), and steps the Gymnasium environment (`lanes`).
 
 mod classes;
 mod exchange;
 mod frame;
+mod lanes;
 mod logging;
 mod memory;
 mod policy;
@@ -24,6 +25,8 @@ mod _native {
 
     #[pymodule_export]
     use crate::frame::{Frame, SharedPixels};
+    #[pymodule_export]
+    use crate::lanes::Lanes;
     #[pymodule_export]
     use crate::prompt::{image_name, png, read_answer, render, settings, template, version};
     #[pymodule_export]

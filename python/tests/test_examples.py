@@ -18,6 +18,7 @@ from memtransfer import Action, Decision, Failed, Feedback, Frame, Heading, Outc
 sys.path.insert(0, str(Path(__file__).parent.parent / "examples"))
 
 import endpoint_policy  # noqa: E402
+import gym_random  # noqa: E402
 import pixels_policy  # noqa: E402
 import random_policy  # noqa: E402
 
@@ -49,6 +50,14 @@ def test_bare_floor_is_distinguished_from_objects() -> None:
     assert free.count(Action.FORWARD) > 30
     blocked = policy.act([request(step, value=60) for step in range(50)])
     assert Action.FORWARD not in blocked
+
+
+def test_a_random_agent_acts_in_the_environment(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(sys, "argv", ["gym_random.py", "--episodes", "1", "--frame-size", "64"])
+    gym_random.main()
+    assert " of 1 episodes succeeded, " in capsys.readouterr().out
 
 
 class Server:

@@ -11,6 +11,11 @@ pub fn python() -> PathBuf {
     installed("python-tests/bin/python")
 }
 
+/// The Python with Inspect: the packages of `xtask/python/requirements-inspect.txt`.
+pub fn inspect_python() -> PathBuf {
+    installed("python-inspect/bin/python")
+}
+
 /// The Python with the packages of the example memory in `examples/memories/NAME`.
 pub fn memory_python(name: &str) -> PathBuf {
     installed(&format!("python-memories/{name}/bin/python"))

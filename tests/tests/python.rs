@@ -9,7 +9,7 @@ use std::process::{Child, Command, Stdio};
 
 use llm::scripted::{Reaction, Server};
 use memtransfer_tests::{
-    Bench, Ended, episodes, eventually, kill, needs, processes_with, records, sorted_log,
+    Bench, Ended, episodes, eventually, kill, needs, processes_with, program, records, sorted_log,
 };
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::{Value, json};
@@ -108,11 +108,9 @@ fn the_package_is_typed() {
     python(&["-m", "mypy", "--cache-dir", cache.to_str().unwrap(), "memtransfer"], &[]).expect(0);
 }
 
-/// As `pip install ./python` does, but without the network: maturin is among the tests' packages.
-#[test]
-fn the_package_can_be_installed_from_the_checkout() {
-    let bench = Bench::new();
-    let place = bench.out("installed");
+/// Installs the package into `place` as `pip install ./python` does, but without the network: maturin is among the
+/// tests' packages.
+fn install(place: &Path) {
     let mut args = vec!["-m", "pip", "install", "--quiet", "--disable-pip-version-check"];
     args.extend(["--no-index", "--no-deps", "--no-build-isolation", "--no-compile", "--target"]);
     args.extend([place.to_str().unwrap(), "."]);
@@ -120,12 +118,102 @@ fn the_package_can_be_installed_from_the_checkout() {
     let maturin = Path::new(packages.stdout.trim()).with_file_name("bin");
     let path = format!("{}:{}", maturin.display(), std::env::var("PATH").unwrap());
     python(&args, &[("PATH", &path), ("CARGO_NET_OFFLINE", "true")]).expect(0);
+}
+
+#[test]
+fn the_package_can_be_installed_from_the_checkout() {
+    let bench = Bench::new();
+    let place = bench.out("installed");
+    install(&place);
     assert!(place.join("memtransfer/py.typed").is_file());
     assert!(place.join("memtransfer/_native.pyi").is_file());
     let look = "import memtransfer._native; print(memtransfer._native.__file__)";
     let ended = python(&["-P", "-c", look], &[("PYTHONPATH", place.to_str().unwrap())]).expect(0);
     let loaded = Path::new(ended.stdout.trim());
     assert_eq!(loaded.parent().unwrap(), place.join("memtransfer"));
+}
+
+/// Two samples of a suite with a model of Inspect that always turns left.
+#[test]
+fn a_suite_runs_in_inspect_and_its_log_can_be_read() {
+    let bench = Bench::new();
+    // Inspect names the tasks of packages in folders of this name only.
+    let place = bench.out("site-packages");
+    install(&place);
+    let inspect = |args: &[&str]| {
+        let programs = program("memtransfer").with_file_name("");
+        let path = format!("{}:{}", programs.display(), std::env::var("PATH").unwrap());
+        let mut command = Command::new(needs::inspect_python());
+        command
+            .args(args)
+            .current_dir(bench.folder.path())
+            .env("PYTHONPATH", &place)
+            .env("PYTHONDONTWRITEBYTECODE", "1")
+            .env("PATH", path)
+            .env("MEMTRANSFER_RUN_DIR", bench.registry.path())
+            .env("MEMTRANSFER_MAX_STEPS", "5")
+            .env("MEMTRANSFER_FRAME_SIZE", "64")
+            .env("INSPECT_LOG_DIR", bench.out("logs"))
+            .env("XDG_DATA_HOME", bench.out("data"))
+            .stdin(Stdio::null())
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped());
+        Ended::of(command.spawn().expect("Python starts")).expect(0).stdout
+    };
+    let script = package().join("tests/inspect_suite.py");
+    let log = inspect(&[script.to_str().unwrap()]);
+    let dump = inspect(&["-m", "inspect_ai", "log", "dump", log.trim()]);
+    let dump: Value = serde_json::from_str(&dump).unwrap();
+    assert_eq!(dump["eval"]["task_registry_name"], "memtransfer/rq1");
+    let samples = dump["samples"].as_array().unwrap();
+    let mut ids: Vec<_> = samples.iter().map(|sample| sample["id"].as_str().unwrap()).collect();
+    ids.sort_unstable();
+    assert_eq!(
+        ids,
+        ["t01-01.working.new.unchanged.none", "t01-01.working.original.unchanged.none"]
+    );
+    for sample in samples {
+        assert_eq!(sample["input"], "Find a yellow fire extinguisher.");
+        let score = &sample["scores"]["episode_scorer"];
+        assert_eq!(score["value"], json!({"success": 0.0, "spl": 0.0, "steps": 5.0}));
+        assert_eq!(sample["metadata"]["episode"]["actions"], "LLLLL");
+        let calls = sample["events"].as_array().unwrap().iter();
+        assert_eq!(calls.filter(|event| event["event"] == "model").count(), 5);
+        let [system, user, reply] = &sample["messages"].as_array().unwrap()[..] else { panic!() };
+        assert!(
+            system["content"].as_str().unwrap().contains("You control a robot in a warehouse.")
+        );
+        let images = user["content"].as_array().unwrap().iter();
+        assert_eq!(images.filter(|part| part["type"] == "image").count(), 5);
+        assert_eq!(reply["role"], "assistant");
+        // The run is kept, and is one of the harness.
+        let run = bench.out("runs").join(format!("{}.1", sample["id"].as_str().unwrap()));
+        assert_eq!(records(&run).len(), 1);
+    }
+    assert_eq!(bench.leftovers(), Vec::<String>::new());
+}
+
+/// A policy steps the environment beside the run, and compares pixels, pose, instruction and feedback.
+#[test]
+fn the_gymnasium_environment_shows_what_a_run_shows() {
+    let bench = Bench::new();
+    let cases = [
+        ("t01-01", "original", "unchanged"),
+        ("t03-07", "new", "unchanged"),
+        ("t07-02", "new", "blocked"),
+    ];
+    for (case, start, route) in cases {
+        let compared = bench.out(&format!("{case}.txt"));
+        let arguments = format!("{} {case} {start} {route}", compared.display());
+        let policy = script("tests/policies/environment.py", &arguments);
+        let mut args = vec!["run", "--policy-cmd", &policy, "--cases", case, "--starts", start];
+        args.extend(["--routes", route, "--memory", "working", "--frame-size", "128"]);
+        args.extend(["--max-steps", "60", "--backend", "cpu", "--out", case]);
+        let mut command = bench.command(&args);
+        command.env("PYTHONPATH", package()).env("PYTHONDONTWRITEBYTECODE", "1");
+        finish(command).expect(0);
+        assert_eq!(fs::read_to_string(compared).unwrap(), "60", "{case}");
+    }
 }
 
 #[test]

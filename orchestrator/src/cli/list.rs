@@ -1,9 +1,10 @@
-//! `memtransfer ls`: lists cases, tasks, items, suites, streams and runs.
+//! `memtransfer ls`: lists cases, tasks, items, suites, conditions, streams and runs.
 
 use std::path::{Path, PathBuf};
 
-use anyhow::Context;
+use anyhow::{Context, bail};
 use clap::{Args, Subcommand};
+use results::conditions::Condition;
 use results::log::RunLog;
 use results::score::score;
 use results::settings::StreamSettings;
@@ -42,6 +43,12 @@ enum What {
     Items(WorldArgs),
     /// The shipped suites: purpose and size
     Suites,
+    /// The conditions of a suite, as values of the flags of `memtransfer run`
+    Conditions {
+        /// A suite, by name or file
+        #[arg(long, default_value = "quick", value_name = "NAME|FILE")]
+        suite: String,
+    },
     /// The streams of a suite: what happens before each block, and the block's cases
     Streams {
         /// A suite of streams, by name or file
@@ -74,6 +81,7 @@ pub(super) fn run(args: &ListArgs) -> anyhow::Result<Exit> {
         What::Tasks(world) => tasks(&world.load()?),
         What::Items(world) => items(&world.load()?),
         What::Suites => suites()?,
+        What::Conditions { suite } => conditions(suite)?,
         What::Streams { suite, seed } => streams(suite, *seed)?,
         What::Runs { dir } => runs(dir)?,
     };
@@ -245,6 +253,30 @@ fn runs(dir: &Path) -> anyhow::Result<Listing> {
 }
 
 /// The blocks of a suite's streams; a row for each event, or one for a block without.
+fn conditions(suite: &str) -> anyhow::Result<Listing> {
+    let settings = resolve([Layer::flags([("suite", suite)])?])?.settings;
+    if settings.stream.is_some() {
+        bail!(
+            "{suite} is a suite of streams: `memtransfer ls streams --suite {suite}` lists its blocks"
+        );
+    }
+    let rows = settings.runs().into_iter().map(|(condition, runs)| {
+        let Condition { memory, start, route, demonstrations, variation, arm: _ } = condition;
+        vec![
+            json!(memory.to_string()),
+            json!(start.to_string()),
+            json!(route.to_string()),
+            json!(demonstrations.to_string()),
+            json!(variation.segment.to_string()),
+            json!(variation.hint.to_string()),
+            json!(variation.window),
+            json!(runs),
+        ]
+    });
+    let header = vec!["memory", "starts", "routes", "demos", "segment", "hint", "window", "runs"];
+    Ok(Listing { header, numbers: 6, rows: rows.collect() })
+}
+
 fn streams(suite: &str, seed: Option<u64>) -> anyhow::Result<Listing> {
     let seed = seed.map(|seed| seed.to_string());
     let flags = [("suite", Some(suite)), ("seed", seed.as_deref())];

@@ -8,6 +8,10 @@
 
 mod camera;
 mod contact_sheet;
+#[cfg(feature = "wgpu")]
+mod gpu;
+#[cfg(not(feature = "wgpu"))]
+#[path = "no_gpu.rs"]
 mod gpu;
 mod job;
 mod light;

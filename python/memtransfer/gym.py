@@ -1,0 +1,343 @@
+"""The benchmark's episodes as a Gymnasium environment, alone and vectorised.
+
+    import gymnasium
+
+    env = gymnasium.make("memtransfer:MemTransfer-v0", case="t01-01", render_mode="rgb_array")
+    envs = gymnasium.make_vec("memtransfer:MemTransfer-v0", num_envs=64, frame_size=128)
+
+Both step and render in this process, without the processes of a run, and show what a policy of a run is shown: view,
+pose, instruction and feedback. There is no memory of demonstrations. Needs Gymnasium: `pip install
+'./python[gym]'`. The guide is `docs/gymnasium.md` of the project.
+"""
+
+from __future__ import annotations
+
+import os
+import string
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import product
+from typing import Any, TypeAlias
+
+import gymnasium
+import numpy as np
+from gymnasium import spaces
+from gymnasium.error import DependencyNotInstalled, ResetNeeded
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+from numpy.typing import NDArray
+
+from memtransfer._native import Lanes
+from memtransfer.codes import Action, Feedback, Heading
+
+Observation: TypeAlias = dict[str, Any]
+Pixels: TypeAlias = NDArray[np.uint8]
+
+_REFERENCES = {
+    ("original", "unchanged"): "original",
+    ("new", "unchanged"): "test",
+    ("new", "blocked"): "blocked",
+}
+"""The reference of a case that starts as an episode with this start and route does."""
+
+_LARGEST_COORDINATE = 63
+"""Worlds have at most 64 columns and rows."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Settings:
+    """The keyword arguments of both environments. Where one takes several values, each episode draws one of them."""
+
+    case: str | Sequence[str] | None = None
+    """The ids of cases (`memtransfer ls cases`); `None` for all."""
+    start: str | Sequence[str] = "original"
+    """`original` (where a demonstration starts) or `new`."""
+    route: str | Sequence[str] = "unchanged"
+    """`unchanged`, or `blocked` (a passage of the demonstrations is closed; new starts only)."""
+    frame_size: int | tuple[int, int] = 448
+    """Width and height of the view in pixels; the width is a multiple of 64."""
+    plates: bool = True
+    """Whether a coloured plate hangs above every item."""
+    labels: bool = True
+    """Whether anything is written in the warehouse."""
+    appearance_seed: int = 0
+    """Varies the light and the tints of walls, floor and racks; 0 is the standard look."""
+    anti_aliasing: bool = True
+    """Without it rendering takes less time, and the views differ from those of a run."""
+    max_steps: int = 200
+    """Steps after which an episode is truncated."""
+    assets: str | os.PathLike[str] | None = None
+    """The folder of another world (`memtransfer generate world`)."""
+
+
+class _Episodes:
+    """Episodes in lanes, one for each environment."""
+
+    def __init__(self, lanes: int, copy: bool, settings: Settings) -> None:
+        if lanes < 1 or settings.max_steps < 1:
+            raise ValueError(f"num_envs ({lanes}) and max_steps ({settings.max_steps}) must be at least 1")
+        size = settings.frame_size
+        width, height = (size, size) if isinstance(size, int) else size
+        look = (settings.plates, settings.labels, settings.appearance_seed)
+        self.lanes = Lanes(lanes, (width, height), look, settings.anti_aliasing, settings.assets)
+        cases = _several(settings.case) if settings.case is not None else self.lanes.cases
+        unknown = sorted(set(cases) - set(self.lanes.cases))
+        if unknown:
+            raise ValueError(f"there is no case {unknown[0]!r}; `memtransfer ls cases` lists the cases")
+        starts, routes = _several(settings.start), _several(settings.route)
+        pairs = list(product(starts, routes))
+        references = [_REFERENCES[pair] for pair in pairs if pair in _REFERENCES]
+        if not references or {*starts} - {"original", "new"} or {*routes} - {"unchanged", "blocked"}:
+            raise ValueError(
+                f"no episode has start {settings.start!r} and route {settings.route!r}: starts are original and "
+                "new, routes are unchanged and, from new starts only, blocked"
+            )
+        self.choices = list(product(cases, references))
+        self.copy = copy
+        self.max_steps = settings.max_steps
+        self.pixels: Pixels = np.asarray(self.lanes)
+        self.poses = np.zeros((lanes, 3), np.int32)
+        self.feedback = np.zeros(lanes, np.int64)
+        self.instructions = [""] * lanes
+        # The steps taken; `None` if no episode is running.
+        self.steps: list[int | None] = [None] * lanes
+        pose = np.array([_LARGEST_COORDINATE, _LARGEST_COORDINATE, len(Heading) - 1], np.int32)
+        self.observation_space = spaces.Dict(
+            {
+                "pixels": spaces.Box(0, 255, (height, width, 3), np.uint8),
+                "pose": spaces.Box(np.zeros(3, np.int32), pose, dtype=np.int32),
+                "instruction": spaces.Text(
+                    self.lanes.longest_instruction, charset=string.ascii_letters + " -,."
+                ),
+                "feedback": spaces.Discrete(len(Feedback)),
+            }
+        )
+        self.action_space = spaces.Discrete(len(Action))
+
+    def begin(self, lane: int, random: np.random.Generator, options: dict[str, Any] | None) -> None:
+        """Begins an episode."""
+        choices = self.choices
+        wanted = (options or {}).get("case")
+        if wanted is not None:
+            choices = [choice for choice in choices if choice[0] == wanted]
+            if not choices:
+                raise ValueError(f"the case {wanted!r} of the options is not one of the environment's")
+        case, reference = choices[random.integers(len(choices))]
+        self.instructions[lane], self.poses[lane] = self.lanes.begin(lane, case, reference)
+        self.feedback[lane] = Feedback.START
+        self.steps[lane] = 0
+
+    def act(self, lane: int, action: Any) -> tuple[bool, bool]:
+        """Executes an action. Returns whether the task is complete, and whether the episode is truncated."""
+        steps = self.steps[lane]
+        if steps is None:
+            raise ResetNeeded("the episode has ended or has not begun: call reset()")
+        self.poses[lane], self.feedback[lane], success = self.lanes.act(lane, int(action))
+        truncated = not success and steps + 1 >= self.max_steps
+        self.steps[lane] = None if success or truncated else steps + 1
+        return success, truncated
+
+    def observation(self, lane: int) -> Observation:
+        """What the agent of a lane observes; its view must have been drawn."""
+        pixels = self.pixels[lane]
+        return {
+            "pixels": pixels.copy() if self.copy else pixels,
+            "pose": self.poses[lane].copy(),
+            "instruction": self.instructions[lane],
+            "feedback": self.feedback[lane],
+        }
+
+
+class MemTransferEnv(gymnasium.Env[Observation, np.int64]):
+    """One episode at a time. The reward is 1 for the step that completes the task, and otherwise 0."""
+
+    metadata = {"render_modes": ["human", "rgb_array"], "render_fps": 10}
+
+    def __init__(self, *, render_mode: str | None = None, copy: bool = True, **settings: Any) -> None:
+        """Opens the environment.
+
+        Args:
+            render_mode: `human` shows the view in a window, which needs pygame; `rgb_array` is for `render()`.
+            copy: With `False`, `pixels` is the read-only buffer itself, and every step overwrites it.
+            **settings: The fields of `Settings`.
+        """
+        _check_render_mode(render_mode, self.metadata)
+        self.render_mode = render_mode
+        self._window = _Window(self.metadata["render_fps"]) if render_mode == "human" else None
+        self._episodes = _Episodes(1, copy, Settings(**settings))
+        self.observation_space = self._episodes.observation_space
+        self.action_space = self._episodes.action_space
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Begins an episode. The seed determines which one; `options={"case": "t03-07"}` names its case."""
+        super().reset(seed=seed)
+        self._episodes.begin(0, self.np_random, options)
+        return self._observe(), {}
+
+    def step(self, action: np.int64) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """Executes an action; see `memtransfer.Action`."""
+        success, truncated = self._episodes.act(0, action)
+        return self._observe(), float(success), success, truncated, {"is_success": success}
+
+    def render(self) -> Pixels | None:
+        """Returns the view with `render_mode="rgb_array"`."""
+        return self._episodes.pixels[0].copy() if self.render_mode == "rgb_array" else None
+
+    def close(self) -> None:
+        """Closes the window, if there is one."""
+        if self._window is not None:
+            self._window.close()
+
+    def _observe(self) -> Observation:
+        self._episodes.lanes.draw()
+        if self._window is not None:
+            self._window.show(self._episodes.pixels[0])
+        return self._episodes.observation(0)
+
+
+class MemTransferVectorEnv(VectorEnv[Observation, NDArray[np.int64], NDArray[Any]]):
+    """Many episodes at the same time, whose views are rendered by all cores."""
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        *,
+        render_mode: str | None = None,
+        copy: bool = True,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+        **settings: Any,
+    ) -> None:
+        """Opens the environment.
+
+        Args:
+            num_envs: The number of episodes at the same time.
+            render_mode: `rgb_array` is for `render()`.
+            copy: With `False`, `pixels` is the read-only buffer itself, and every step overwrites it.
+            autoreset_mode: When the next episode begins, as for Gymnasium's own vector environments.
+            **settings: The fields of `Settings`.
+        """
+        self.autoreset_mode = AutoresetMode(autoreset_mode)
+        self.metadata = {
+            "render_modes": ["rgb_array"],
+            "render_fps": MemTransferEnv.metadata["render_fps"],
+            "autoreset_mode": self.autoreset_mode,
+        }
+        _check_render_mode(render_mode, self.metadata)
+        self.render_mode = render_mode
+        self.num_envs = num_envs
+        self._episodes = _Episodes(num_envs, copy, Settings(**settings))
+        self.single_observation_space = self._episodes.observation_space
+        self.single_action_space = self._episodes.action_space
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        self._randoms = [np.random.default_rng() for _ in range(num_envs)]
+        self._ended = np.zeros(num_envs, np.bool_)
+
+    def reset(
+        self,
+        *,
+        seed: int | Sequence[int | None] | None = None,
+        options: dict[str, Any] | None = None,
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Begins an episode in every environment, or in those of `options["reset_mask"]`.
+
+        Environment `i` is seeded with `seed + i`, or with `seed[i]`. `options["case"]` names the case.
+        """
+        seeds = [seed + lane for lane in range(self.num_envs)] if isinstance(seed, int) else seed
+        if seeds is not None and len(seeds) != self.num_envs:
+            raise ValueError(f"there are {len(seeds)} seeds for {self.num_envs} environments")
+        chosen = np.asarray((options or {}).get("reset_mask", np.ones(self.num_envs, np.bool_)))
+        if chosen.shape != (self.num_envs,) or chosen.dtype != np.bool_:
+            raise ValueError(f"reset_mask must be an array of {self.num_envs} booleans")
+        for lane in np.flatnonzero(chosen).tolist():
+            if seeds is not None and seeds[lane] is not None:
+                self._randoms[lane], _ = gymnasium.utils.seeding.np_random(seeds[lane])
+            self._begin(lane, options)
+        return self._observe(), {}
+
+    def step(
+        self, actions: NDArray[np.int64]
+    ) -> tuple[Observation, NDArray[Any], NDArray[Any], NDArray[Any], dict[str, Any]]:
+        """Executes an action in every environment."""
+        terminations, truncations = (np.zeros(self.num_envs, np.bool_) for _ in range(2))
+        infos: dict[str, Any] = {}
+        for lane, action in enumerate(actions):
+            if self._ended[lane] and self.autoreset_mode is AutoresetMode.NEXT_STEP:
+                self._begin(lane)
+                continue
+            terminations[lane], truncations[lane] = self._episodes.act(lane, action)
+            self._ended[lane] = terminations[lane] or truncations[lane]
+            if not (self._ended[lane] and self.autoreset_mode is AutoresetMode.SAME_STEP):
+                infos = self._add_info(infos, {"is_success": bool(terminations[lane])}, lane)
+        if self.autoreset_mode is AutoresetMode.SAME_STEP and self._ended.any():
+            self._episodes.lanes.draw()
+            for lane in np.flatnonzero(self._ended).tolist():
+                # The buffer gets the view of the next episode.
+                last = {**self._episodes.observation(lane), "pixels": self._episodes.pixels[lane].copy()}
+                final = {"final_obs": last, "final_info": {"is_success": bool(terminations[lane])}}
+                infos = self._add_info(infos, final, lane)
+                self._begin(lane)
+        return self._observe(), terminations.astype(np.float64), terminations, truncations, infos
+
+    def render(self) -> tuple[Pixels, ...] | None:
+        """Returns the views with `render_mode="rgb_array"`."""
+        return tuple(self._episodes.pixels.copy()) if self.render_mode == "rgb_array" else None
+
+    def _begin(self, lane: int, options: dict[str, Any] | None = None) -> None:
+        self._episodes.begin(lane, self._randoms[lane], options)
+        self._ended[lane] = False
+
+    def _observe(self) -> Observation:
+        episodes = self._episodes
+        episodes.lanes.draw()
+        return {
+            "pixels": episodes.pixels.copy() if episodes.copy else episodes.pixels,
+            "pose": episodes.poses.copy(),
+            "instruction": tuple(episodes.instructions),
+            "feedback": episodes.feedback.copy(),
+        }
+
+
+class _Window:
+    """A window that shows a view."""
+
+    def __init__(self, fps: int) -> None:
+        try:
+            import pygame
+        except ModuleNotFoundError as error:
+            raise DependencyNotInstalled(
+                'render_mode="human" needs pygame: pip install pygame'
+            ) from error
+        self._pygame = pygame
+        self._fps = fps
+        self._clock = pygame.time.Clock()
+        self._screen: Any = None
+
+    def show(self, view: Pixels) -> None:
+        pygame = self._pygame
+        across_first = view.transpose(1, 0, 2)
+        if self._screen is None:
+            pygame.display.init()
+            pygame.display.set_caption("MemTransfer")
+            self._screen = pygame.display.set_mode(across_first.shape[:2])
+        pygame.event.pump()
+        self._screen.blit(pygame.surfarray.make_surface(across_first), (0, 0))
+        pygame.display.flip()
+        self._clock.tick(self._fps)
+
+    def close(self) -> None:
+        if self._screen is not None:
+            self._pygame.display.quit()
+            self._screen = None
+
+
+def _several(values: str | Sequence[str]) -> Sequence[str]:
+    return [values] if isinstance(values, str) else values
+
+
+def _check_render_mode(mode: str | None, metadata: dict[str, Any]) -> None:
+    modes = metadata["render_modes"]
+    if mode is not None and mode not in modes:
+        raise ValueError(f"render_mode {mode!r} is not one of {', '.join(modes)}")

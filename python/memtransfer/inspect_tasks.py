@@ -1,0 +1,279 @@
+"""Suites as tasks of Inspect: the model is Inspect's, the harness ours.
+
+    inspect eval memtransfer/rq1 --model openai/gpt-4o --sample-id "t03-01.*"
+
+A sample is a case under a condition. It is run by a `memtransfer run` of its own, whose requests go to the model that
+Inspect evaluates, as the prompt of `--policy openai`. Needs `pip install './python[inspect]'`, and `memtransfer` on the
+PATH. The guide is `docs/inspect.md` of the project.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import anyio
+import anyio.abc
+import anyio.from_thread
+import anyio.to_thread
+from inspect_ai import Task, task
+from inspect_ai.dataset import Sample
+from inspect_ai.model import (
+    ChatMessage,
+    ChatMessageSystem,
+    ChatMessageUser,
+    Content,
+    ContentImage,
+    ContentText,
+    GenerateConfig,
+    ModelOutput,
+    get_model,
+)
+from inspect_ai.scorer import Score, Scorer, Target, grouped, mean, scorer, stderr
+from inspect_ai.solver import Generate, Solver, TaskState, solver
+
+from memtransfer import _native
+from memtransfer.codes import Action, Outcome
+from memtransfer.errors import MemTransferError
+from memtransfer.policy import Policy
+from memtransfer.prompt import IMAGE_BUDGET, SETTINGS, VERSION, Prompt, data_url, read_answer, render
+from memtransfer.request import Answer, Decision, Failed, Request, Usage
+from memtransfer.serving import serve
+
+_FLAGS = ("memory", "starts", "routes", "demos", "segment", "hint", "window")
+"""The flags of `memtransfer run` that make a condition."""
+
+_PATIENCE_SECONDS = 86400
+"""How long a run waits for an answer. Inspect has limits of its own."""
+
+
+@task
+def quick(image_budget: int = IMAGE_BUDGET, out: str | None = None) -> Task:
+    """Every memory, from an original and from a new start."""
+    return suite("quick", image_budget, out)
+
+
+@task
+def rq1(image_budget: int = IMAGE_BUDGET, out: str | None = None) -> Task:
+    """RQ1, a new starting pose."""
+    return suite("rq1", image_budget, out)
+
+
+@task
+def rq2(image_budget: int = IMAGE_BUDGET, out: str | None = None) -> Task:
+    """RQ2, outdated memory."""
+    return suite("rq2", image_budget, out)
+
+
+@task
+def rq3(image_budget: int = IMAGE_BUDGET, out: str | None = None) -> Task:
+    """RQ3, demonstrations of other tasks."""
+    return suite("rq3", image_budget, out)
+
+
+@task
+def suite(name: str, image_budget: int = IMAGE_BUDGET, out: str | None = None) -> Task:
+    """Any suite.
+
+    Args:
+        name: The name of a shipped suite, or a suite file.
+        image_budget: The maximum number of images in a request.
+        out: The folder that keeps the runs; without it they are removed.
+    """
+    conditions = _listed("conditions", "--suite", name)
+    samples = [
+        _sample(case, condition) for case in _listed("cases") for condition in conditions
+    ]
+    return Task(
+        dataset=samples,
+        solver=episode(name, image_budget, out),
+        scorer=episode_scorer(),
+        config=GenerateConfig(**SETTINGS),
+        epochs=max(condition["runs"] for condition in conditions),
+        name=Path(name).stem,
+        metadata={"suite": name, "prompt": VERSION},
+    )
+
+
+def _sample(case: dict[str, Any], condition: dict[str, Any]) -> Sample:
+    flags = {name: str(condition[name]) for name in _FLAGS if condition[name] != "none"}
+    parts = [condition[name] for name in ("memory", "starts", "routes", "demos")]
+    standard = {"segment": "actions", "hint": "on", "window": 6}
+    parts += [f"{name}-{condition[name]}" for name in standard if condition[name] != standard[name]]
+    return Sample(
+        id=".".join([case["case"], *parts]),
+        input=case["instruction"],
+        metadata={"case": case["case"], "condition": "/".join(parts), "flags": flags},
+    )
+
+
+@solver
+def episode(suite: str, image_budget: int = IMAGE_BUDGET, out: str | None = None) -> Solver:
+    """Runs the episode of a sample."""
+
+    async def solve(state: TaskState, generate: Generate) -> TaskState:
+        with tempfile.TemporaryDirectory(prefix="memtransfer-inspect-") as scratch:
+            run = Path(out or scratch, f"{state.sample_id}.{state.epoch}").absolute()
+            command = [_program(), "run", "--suite", suite, "--cases", state.metadata["case"]]
+            for name, value in state.metadata["flags"].items():
+                command += [f"--{name}", value]
+            command += ["--runs", "1", "--seed", str(state.epoch), "--lanes", "1", "--fresh"]
+            command += ["--policy", "external", "--step-timeout", str(_PATIENCE_SECONDS)]
+            policy = _Model(image_budget)
+            log = await _execute([*command, "--out", str(run)], policy)
+            if policy.raised is not None:
+                raise policy.raised
+            state.metadata["episode"] = _result(run, log)
+        state.messages = policy.messages
+        state.output = policy.output
+        state.completed = True
+        return state
+
+    return solve
+
+
+@scorer(
+    metrics={
+        "success": [grouped(mean(), "condition"), stderr()],
+        "spl": [grouped(mean(), "condition"), stderr()],
+        "steps": [mean()],
+    }
+)
+def episode_scorer() -> Scorer:
+    """The result of the episode: success, success weighted by path length, steps."""
+
+    async def score(state: TaskState, target: Target) -> Score:
+        episode = state.metadata["episode"]
+        value = {name: float(episode[name]) for name in ("success", "spl", "steps")}
+        return Score(value=value, answer=episode["ending"])
+
+    return score
+
+
+class _Model(Policy):
+    """Asks the model that Inspect evaluates. Used in a worker thread of the solver."""
+
+    def __init__(self, image_budget: int) -> None:
+        self.image_budget = image_budget
+        self.name = "inspect"
+        self.messages: list[ChatMessage] = []
+        self.output = ModelOutput()
+        self.raised: Exception | None = None
+
+    def facts(self) -> dict[str, str]:
+        return {"model": str(get_model()), "prompt": VERSION}
+
+    def act(self, batch: Sequence[Request]) -> Sequence[Answer]:
+        return [self._ask(request) for request in batch]
+
+    def _ask(self, request: Request) -> Answer:
+        prompt = render(request, self.image_budget)
+        messages = _messages(prompt)
+        try:
+            output = anyio.from_thread.run(get_model().generate, messages)
+        except Exception as error:  # Inspect decides what it means for the sample.
+            self.raised = error
+            return Failed(f"{type(error).__name__}: {error}")
+        self.messages, self.output = [*messages, output.message], output
+        tokens = output.usage
+        usage = Usage(
+            prompt_tokens=tokens.input_tokens if tokens else None,
+            completion_tokens=tokens.output_tokens if tokens else None,
+            cached_tokens=tokens.input_tokens_cache_read if tokens else None,
+        )
+        refused = output.stop_reason == "content_filter"
+        answer = Outcome.REFUSED if refused else read_answer(output.completion)
+        rest: dict[str, Any] = {"images": prompt.images_sent, "usage": usage}
+        return Decision(answer, **rest) if isinstance(answer, Action) else Decision(None, answer, **rest)
+
+
+def _messages(prompt: Prompt) -> list[ChatMessage]:
+    content: list[Content] = [
+        ContentText(text=part.text or "") if part.frame is None else ContentImage(image=data_url(part.frame))
+        for part in prompt.parts
+    ]
+    user: str | list[Content] = content
+    if prompt.images_sent == 0:
+        user = "".join(part.text or "" for part in prompt.parts)
+    return [ChatMessageSystem(content=prompt.system), ChatMessageUser(content=user)]
+
+
+async def _execute(command: Sequence[str], policy: _Model) -> str:
+    """Executes a run with `policy`. Returns what it printed about itself."""
+    process = await anyio.open_process(command, stdout=subprocess.DEVNULL)
+    log: list[str] = []
+    try:
+        folder = await _folder(process, log)
+        async with anyio.create_task_group() as group:
+            group.start_soon(_read, process, log)
+            if folder is not None:
+                # Of its own, because it is occupied until the run ends.
+                thread = anyio.CapacityLimiter(1)
+                try:
+                    await anyio.to_thread.run_sync(
+                        serve, policy, folder, abandon_on_cancel=True, limiter=thread
+                    )
+                except MemTransferError as error:
+                    log.append(str(error))
+        await process.wait()
+    finally:
+        if process.returncode is None:
+            process.terminate()
+            with anyio.CancelScope(shield=True):
+                await process.wait()
+    return "".join(log)
+
+
+async def _folder(process: anyio.abc.Process, log: list[str]) -> str | None:
+    """The folder that the run prints for its policy; `None` if it ends before that."""
+    while "MEMTRANSFER_ATTACH=" not in "".join(log).rpartition(" ")[0]:
+        if not await _read_some(process, log):
+            return None
+    return "".join(log).split("MEMTRANSFER_ATTACH=")[1].split()[0]
+
+
+async def _read(process: anyio.abc.Process, log: list[str]) -> None:
+    while await _read_some(process, log):
+        pass
+
+
+async def _read_some(process: anyio.abc.Process, log: list[str]) -> bool:
+    assert process.stderr is not None
+    try:
+        log.append((await process.stderr.receive()).decode(errors="replace"))
+    except anyio.EndOfStream:
+        return False
+    return True
+
+
+def _result(run: Path, log: str) -> dict[str, Any]:
+    """The result of the only episode of `run`."""
+    try:
+        _, _, columns, _ = _native.read_run(run)
+    except (FileNotFoundError, ValueError):
+        raise RuntimeError(f"memtransfer did not run the episode:\n{log}") from None
+    episode = {name: values[0] for name, _, values in columns if values}
+    if episode.get("success") is None:
+        raise RuntimeError(f"the episode has no result: {episode.get('error')}\n{log}")
+    return {name: value for name, value in episode.items() if value is not None}
+
+
+def _listed(*arguments: str) -> list[dict[str, Any]]:
+    command = [_program(), "ls", *arguments, "--json"]
+    listed = subprocess.run(command, capture_output=True, text=True)
+    if listed.returncode != 0:
+        raise RuntimeError(f"{' '.join(command)} failed: {listed.stderr.strip()}")
+    rows: list[dict[str, Any]] = json.loads(listed.stdout)
+    return rows
+
+
+def _program() -> str:
+    program = shutil.which("memtransfer")
+    if program is None:
+        raise RuntimeError("memtransfer is not on the PATH: build it, and add the folder target/release")
+    return program

@@ -1,0 +1,227 @@
+//! Lanes of the Gymnasium environment: the dynamics and the CPU renderer in this process.
+//!
+//! Each lane has a slot for its view, and the slots are one array, which numpy reads through `__array_interface__`
+//! without a copy. Nothing that leaves this module says where targets are or how far an episode has got, but whether it
+//! has succeeded.
+
+use std::path::PathBuf;
+use std::sync::{Mutex, PoisonError};
+use std::thread;
+
+use domain::{Action, Appearance, Feedback, Pose};
+use pyo3::exceptions::{PyIndexError, PyRuntimeError, PyValueError};
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+use sim_proc::renderer::{
+    Backend, Destination, RenderJob, RenderSettings, Renderer, Samples, ViewSpec,
+};
+use warehouse::{CaseSet, Progress, Start, Variant, Warehouse, step};
+
+/// Maximum number of renderers, as in the simulator.
+const MAX_RENDERERS: usize = 8;
+
+/// Episodes in one world, one in each lane.
+#[pyclass(module = "memtransfer._native")]
+pub(crate) struct Lanes {
+    warehouse: Warehouse,
+    cases: CaseSet,
+    lanes: Vec<Option<Episode>>,
+    painters: Vec<Painter>,
+    /// The views of all lanes, RGB. Never reallocated, because arrays show it.
+    views: Box<[u8]>,
+    /// Height and width of a view, in pixels.
+    size: (usize, usize),
+}
+
+/// The episode of a lane.
+struct Episode {
+    variant: Variant,
+    pose: Pose,
+    progress: Progress,
+    /// Whether the lane's slot holds the view from `pose`.
+    is_drawn: bool,
+}
+
+/// A renderer and the memory that it renders into, RGBA.
+struct Painter {
+    renderer: Renderer,
+    pixels: Vec<u8>,
+}
+
+impl Painter {
+    /// Draws what the agent of `episode` sees into `view`, RGB.
+    fn draw(&mut self, episode: &mut Episode, view: &mut [u8]) -> anyhow::Result<()> {
+        let Episode { variant, pose, .. } = &*episode;
+        let view_spec = ViewSpec { pose: *pose, variant, stock: 0 };
+        let destination = Destination::Memory(&mut self.pixels);
+        self.renderer.render(&mut [RenderJob { view: view_spec, destination }])?;
+        let (from, to) = (self.pixels.as_chunks::<4>().0, view.as_chunks_mut::<3>().0);
+        for (to, &[r, g, b, _]) in to.iter_mut().zip(from) {
+            *to = [r, g, b];
+        }
+        episode.is_drawn = true;
+        Ok(())
+    }
+}
+
+/// Column, row and heading of a pose.
+type Place = (u8, u8, u8);
+
+fn place(pose: Pose) -> Place {
+    (pose.cell.x, pose.cell.y, pose.heading as u8)
+}
+
+fn invalid(problem: impl ToString) -> PyErr {
+    PyValueError::new_err(problem.to_string())
+}
+
+#[pymethods]
+impl Lanes {
+    /// `lanes` idle lanes in the world of the folder `assets`, or in the shipped one.
+    #[new]
+    fn new(
+        py: Python<'_>,
+        lanes: usize,
+        size_px: (u32, u32),
+        appearance: (bool, bool, u64),
+        anti_aliasing: bool,
+        assets: Option<PathBuf>,
+    ) -> PyResult<Self> {
+        let ((width_px, height_px), (plates, labels, seed)) = (size_px, appearance);
+        let (warehouse, cases) = match &assets {
+            None => (Warehouse::shipped(), CaseSet::shipped()),
+            Some(folder) => {
+                let warehouse = Warehouse::load(folder).map_err(invalid)?;
+                let file = folder.join(warehouse::case_file::CASES_FILE);
+                let cases = CaseSet::load(&file, &warehouse).map_err(invalid)?;
+                (warehouse, cases)
+            }
+        };
+        let settings = RenderSettings {
+            width_px,
+            height_px,
+            samples: if anti_aliasing { Samples::Four } else { Samples::One },
+            appearance: Appearance { plates, labels, seed },
+            backend: Some(Backend::Cpu),
+            ..RenderSettings::default()
+        };
+        let cores = thread::available_parallelism().map_or(1, usize::from);
+        let count = lanes.min(cores).clamp(1, MAX_RENDERERS);
+        let open = || -> anyhow::Result<Vec<Renderer>> {
+            let mut renderers = vec![Renderer::new(&warehouse, settings)?];
+            for _ in 1..count {
+                renderers.push(renderers[0].try_clone()?);
+            }
+            Ok(renderers)
+        };
+        let renderers = py.detach(open).map_err(|error| invalid(format!("{error:#}")))?;
+        let painter = |renderer: Renderer| {
+            let pixels = vec![0; renderer.frame_bytes()];
+            Painter { renderer, pixels }
+        };
+        let size = (height_px as usize, width_px as usize);
+        Ok(Self {
+            painters: renderers.into_iter().map(painter).collect(),
+            views: vec![0; lanes * size.0 * size.1 * 3].into(),
+            lanes: std::iter::repeat_with(|| None).take(lanes).collect(),
+            warehouse,
+            cases,
+            size,
+        })
+    }
+
+    /// The ids of the cases, in order.
+    #[getter]
+    fn cases(&self) -> Vec<&str> {
+        self.cases.cases.iter().map(|case| case.id.as_str()).collect()
+    }
+
+    /// The length of the longest instruction.
+    #[getter]
+    fn longest_instruction(&self) -> usize {
+        let instructions = self.cases.cases.iter();
+        let lengths =
+            instructions.map(|case| case.task.instruction(&self.warehouse.catalogue).len());
+        lengths.max().unwrap_or_default()
+    }
+
+    /// Version 3 of numpy's array interface: the views, as (lanes, height, width, 3), read-only.
+    #[getter]
+    fn __array_interface__<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        let interface = PyDict::new(py);
+        interface.set_item("version", 3)?;
+        interface.set_item("shape", (self.lanes.len(), self.size.0, self.size.1, 3))?;
+        interface.set_item("typestr", "|u1")?;
+        interface.set_item("data", (self.views.as_ptr() as usize, true))?;
+        Ok(interface)
+    }
+
+    /// Begins an episode where the reference `reference` of case `case` starts. Returns the instruction and the pose.
+    fn begin(&mut self, lane: usize, case: &str, reference: &str) -> PyResult<(String, Place)> {
+        let case = self.cases.case(case);
+        let case = case.ok_or_else(|| invalid("there is no such case"))?;
+        let start = Start::ALL.into_iter().find(|start| start.name() == reference);
+        let start = start.ok_or_else(|| invalid("there is no such reference"))?;
+        let pose = case.trajectory(start).start;
+        let episode = Episode {
+            variant: case.variant(start),
+            pose,
+            progress: Progress::new(&self.warehouse, &case.task, pose.cell),
+            is_drawn: false,
+        };
+        let instruction = case.task.instruction(&self.warehouse.catalogue);
+        *self.lanes.get_mut(lane).ok_or_else(|| no_lane(lane))? = Some(episode);
+        Ok((instruction, place(pose)))
+    }
+
+    /// Executes an action. Returns the pose, the feedback and whether the task is complete.
+    fn act(&mut self, lane: usize, action: u8) -> PyResult<(Place, u8, bool)> {
+        let action = Action::try_from(action).map_err(invalid)?;
+        let episode = self.lanes.get_mut(lane).and_then(Option::as_mut);
+        let episode = episode.ok_or_else(|| no_lane(lane))?;
+        let (pose, feedback) = step(&self.warehouse.layout, &episode.variant, episode.pose, action);
+        episode.is_drawn &= feedback == Feedback::Blocked;
+        episode.pose = pose;
+        episode.progress.visit(pose.cell);
+        Ok((place(pose), feedback as u8, episode.progress.is_complete()))
+    }
+
+    /// Draws the views that have changed.
+    fn draw(&mut self, py: Python<'_>) -> PyResult<()> {
+        let Self { lanes, painters, views, size, .. } = self;
+        let slots = lanes.iter_mut().zip(views.chunks_exact_mut(size.0 * size.1 * 3));
+        let stale: Vec<_> = slots
+            .filter_map(|(lane, view)| Some((lane.as_mut().filter(|it| !it.is_drawn)?, view)))
+            .collect();
+        let drawn = py.detach(|| draw_all(painters, stale));
+        drawn.map_err(|error| PyRuntimeError::new_err(format!("{error:#}")))
+    }
+}
+
+fn no_lane(lane: usize) -> PyErr {
+    PyIndexError::new_err(format!("lane {lane} has no episode"))
+}
+
+/// Shares the views among the painters, each on a thread of its own.
+fn draw_all(painters: &mut [Painter], stale: Vec<(&mut Episode, &mut [u8])>) -> anyhow::Result<()> {
+    if let ([painter, ..], 1) | ([painter], _) = (&mut *painters, stale.len()) {
+        return stale.into_iter().try_for_each(|(episode, view)| painter.draw(episode, view));
+    }
+    let count = stale.len();
+    let queue = Mutex::new(stale.into_iter());
+    let next = || queue.lock().unwrap_or_else(PoisonError::into_inner).next();
+    let work = |painter: &mut Painter| {
+        while let Some((episode, view)) = next() {
+            painter.draw(episode, view)?;
+        }
+        anyhow::Ok(())
+    };
+    thread::scope(|scope| {
+        let painters = painters.iter_mut().take(count);
+        let threads: Vec<_> = painters.map(|painter| scope.spawn(|| work(painter))).collect();
+        threads.into_iter().try_for_each(|thread| match thread.join() {
+            Ok(drawn) => drawn,
+            Err(panic) => std::panic::resume_unwind(panic),
+        })
+    })
+}

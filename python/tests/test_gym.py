@@ -1,0 +1,227 @@
+"""The Gymnasium environment. That it shows what a run shows is tested with a run (`policies/environment.py`)."""
+
+from __future__ import annotations
+
+import re
+import sys
+import warnings
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.error import DependencyNotInstalled, ResetNeeded
+from gymnasium.utils.env_checker import check_env, data_equivalence
+from gymnasium.vector import AutoresetMode, SyncVectorEnv
+
+from memtransfer import Action, Feedback
+from memtransfer.gym import MemTransferEnv, MemTransferVectorEnv
+
+NAME = "memtransfer:MemTransfer-v0"
+CASES = ["t01-01", "t03-07", "t07-02"]
+SMALL: dict[str, Any] = {"case": CASES, "start": ["original", "new"], "frame_size": 64}
+
+
+def expert(case: str, reference: str) -> tuple[tuple[int, int, int], list[int]]:
+    """The start and the actions of a reference, from the file of the cases."""
+    text = (Path(__file__).parents[2] / "assets/cases.toml").read_text()
+    entry = text.split(f'id = "{case}"')[1]
+    found = re.search(rf'^{reference} = "(\d+),(\d+),(\w) (\w*)"', entry, re.MULTILINE)
+    assert found is not None
+    x, y, heading, letters = found.groups()
+    return (int(x), int(y), "NESW".index(heading)), ["fblrLRU".index(letter) for letter in letters]
+
+
+def test_check_env_has_nothing_to_say(monkeypatch: pytest.MonkeyPatch) -> None:
+    # It tries every render mode.
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        check_env(gymnasium.make(NAME, render_mode="rgb_array", **SMALL).unwrapped)
+
+
+def test_both_environments_are_registered() -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        env = gymnasium.make(NAME, case="t01-01", frame_size=(128, 64), render_mode="rgb_array")
+        assert isinstance(env.unwrapped, MemTransferEnv)
+        observation, info = env.reset(seed=1)
+        assert observation["pixels"].shape == (64, 128, 3)
+        assert (env.render() == observation["pixels"]).all()
+        assert observation["instruction"] == "Find a yellow fire extinguisher."
+        assert observation["feedback"] == Feedback.START and info == {}
+        envs = gymnasium.make_vec(NAME, num_envs=3, render_mode="rgb_array", **SMALL)
+        assert isinstance(envs, MemTransferVectorEnv)
+        assert envs.metadata["autoreset_mode"] is AutoresetMode.NEXT_STEP
+        observations, _ = envs.reset(seed=1)
+        assert observations in envs.observation_space
+        assert len(envs.render()) == 3
+        assert gymnasium.make_vec(envs.spec).num_envs == 3
+
+
+@pytest.mark.parametrize(
+    ("start", "route", "reference"),
+    [("original", "unchanged", "original"), ("new", "unchanged", "test"), ("new", "blocked", "blocked")],
+)
+@pytest.mark.parametrize("case", CASES)
+def test_the_actions_of_the_expert_succeed(case: str, start: str, route: str, reference: str) -> None:
+    env = MemTransferEnv(case=case, start=start, route=route, frame_size=64)
+    pose, actions = expert(case, reference)
+    observation, info = env.reset()
+    assert tuple(observation["pose"]) == pose
+    for taken, action in enumerate(actions):
+        before = set(observation), set(info)
+        assert before == ({"pixels", "pose", "instruction", "feedback"}, {"is_success"} if taken else set())
+        observation, reward, terminated, truncated, info = env.step(action)
+        assert observation in env.observation_space and not truncated
+        assert (reward, info["is_success"]) == (float(terminated), terminated)
+        if terminated:
+            # Only a turn towards the rack may follow.
+            assert len(actions) - taken <= 3
+            break
+    assert terminated
+    with pytest.raises(ResetNeeded):
+        env.step(0)
+
+
+def test_a_closed_passage_blocks_what_the_expert_does_without_it() -> None:
+    env = MemTransferEnv(case="t01-01", start="new", route="blocked", frame_size=64)
+    env.reset()
+    _, actions = expert("t01-01", "test")
+    feedback = []
+    for action in actions:
+        observation, _, terminated, _, _ = env.step(action)
+        assert not terminated
+        feedback.append(observation["feedback"])
+    assert Feedback.BLOCKED in feedback
+
+
+def test_seeds_reproduce_episodes_and_draw_all_of_them() -> None:
+    one, other = MemTransferEnv(**SMALL), MemTransferEnv(**SMALL)
+    seen = set()
+    for seed in range(40):
+        assert data_equivalence(one.reset(seed=seed), other.reset(seed=seed), exact=True)
+        observation, _ = one.reset()
+        assert data_equivalence(observation, other.reset()[0], exact=True)
+        seen.add((observation["instruction"], *observation["pose"]))
+    assert len(seen) == 6
+    for case in CASES:
+        (observation, _), (again, _) = (one.reset(options={"case": case}) for _ in range(2))
+        assert observation["instruction"] == again["instruction"]
+    with pytest.raises(ValueError, match="t09-09"):
+        one.reset(options={"case": "t09-09"})
+
+
+@pytest.mark.parametrize("mode", AutoresetMode)
+def test_a_vector_environment_equals_single_ones(mode: AutoresetMode) -> None:
+    settings = {**SMALL, "max_steps": 20}
+    singles = SyncVectorEnv([lambda: MemTransferEnv(**settings)] * 5, autoreset_mode=mode)
+    vector = MemTransferVectorEnv(5, autoreset_mode=mode, **settings)
+    assert vector.observation_space == singles.observation_space
+    assert vector.action_space == singles.action_space
+    assert data_equivalence(vector.reset(seed=3), singles.reset(seed=3))
+    vector.action_space.seed(1)
+    ended = 0
+    for step in range(50):
+        actions = vector.action_space.sample()
+        expected = singles.step(actions)
+        assert data_equivalence(vector.step(actions), expected), step
+        over = expected[2] | expected[3]
+        ended += over.sum()
+        if mode is AutoresetMode.DISABLED and over.any():
+            masked = [env.reset(options={"reset_mask": over.copy()}) for env in (vector, singles)]
+            assert data_equivalence(*masked)
+    assert ended >= 10
+
+
+def test_a_success_ends_the_episode_of_its_lane_alone() -> None:
+    vector = MemTransferVectorEnv(2, case="t01-01", frame_size=64)
+    vector.reset(seed=1)
+    for action in expert("t01-01", "original")[1]:
+        _, rewards, terminations, truncations, infos = vector.step(np.array([action, Action.TURN_LEFT]))
+        if terminations.any():
+            break
+    assert terminations.tolist() == infos["is_success"].tolist() == [True, False]
+    assert rewards.tolist() == [1.0, 0.0] and not truncations.any()
+    assert set(infos) == {"is_success", "_is_success"}
+
+
+def test_observations_are_copies_unless_asked_otherwise() -> None:
+    env = MemTransferEnv(**SMALL)
+    first, _ = env.reset(seed=1)
+    kept = first["pixels"].copy()
+    second = env.step(Action.TURN_AROUND)[0]
+    assert (first["pixels"] == kept).all() and (second["pixels"] != kept).any()
+    env = MemTransferEnv(copy=False, **SMALL)
+    first, _ = env.reset(seed=1)
+    second = env.step(Action.TURN_AROUND)[0]
+    assert np.shares_memory(first["pixels"], second["pixels"])
+    assert not second["pixels"].flags.writeable
+    vector = MemTransferVectorEnv(2, copy=False, **SMALL)
+    first, _ = vector.reset(seed=1)
+    del vector
+    assert first["pixels"].any()
+
+
+def test_an_episode_is_truncated_after_its_steps() -> None:
+    env = MemTransferEnv(case="t03-07", frame_size=64, max_steps=3)
+    for _ in range(2):
+        env.reset()
+        ends = [env.step(Action.TURN_LEFT)[2:4] for _ in range(3)]
+        assert ends == [(False, False), (False, False), (False, True)]
+
+
+def test_appearance_changes_pixels_only() -> None:
+    reset = [
+        MemTransferEnv(**SMALL, **look).reset(seed=5)[0]
+        for look in ({}, {"plates": False}, {"labels": False}, {"appearance_seed": 7}, {"anti_aliasing": False})
+    ]
+    for other in reset[1:]:
+        assert data_equivalence(reset[0]["pose"], other["pose"])
+        assert (reset[0]["pixels"] != other["pixels"]).any()
+
+
+@pytest.mark.parametrize(
+    ("settings", "said"),
+    [
+        ({"case": "t99-01"}, "there is no case 't99-01'; `memtransfer ls cases` lists the cases"),
+        ({"start": "original", "route": "blocked"}, "from new starts only, blocked"),
+        ({"start": "old"}, "starts are original and new"),
+        ({"frame_size": 100}, "the width must be a multiple of 64"),
+        ({"max_steps": 0}, "must be at least 1"),
+        ({"assets": "nowhere"}, "nowhere"),
+        ({"render_mode": "ansi"}, "human, rgb_array"),
+    ],
+)
+def test_settings_that_make_no_environment(settings: dict[str, Any], said: str) -> None:
+    with pytest.raises(ValueError, match=re.escape(said)):
+        MemTransferEnv(**settings)
+
+
+def test_an_invalid_action_is_refused() -> None:
+    env = MemTransferEnv(**SMALL)
+    with pytest.raises(ResetNeeded):
+        env.step(Action.FORWARD)
+    env.reset()
+    with pytest.raises(ValueError, match="7 is not an action"):
+        env.step(7)
+
+
+def test_a_person_sees_a_window(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+    env = MemTransferEnv(render_mode="human", **SMALL)
+    observation, _ = env.reset(seed=1)
+    import pygame
+
+    shown = pygame.surfarray.array3d(pygame.display.get_surface())
+    assert (shown.transpose(1, 0, 2) == observation["pixels"]).all()
+    env.step(Action.TURN_LEFT)
+    env.close()
+    assert pygame.display.get_surface() is None
+
+
+def test_without_pygame_there_is_no_window(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pygame", None)
+    with pytest.raises(DependencyNotInstalled, match="pip install pygame"):
+        MemTransferEnv(render_mode="human", **SMALL)
