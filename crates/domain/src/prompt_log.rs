@@ -1,6 +1,6 @@
 //! The prompt log: every request of a policy and its answer, as files.
 //!
-//! The policy process writes it if the run asks for it (`--log-prompts`); `memtransfer show` reads it.
+//! The policy process writes it if the run asks for it (`--log-prompts`); `memtransfer show` and `view` read it.
 //!
 //! | file below the run's `prompts/` | holds |
 //! |---|---|

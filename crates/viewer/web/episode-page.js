@@ -123,10 +123,10 @@ memtransfer.EpisodeView = class {
       sentences.push(from === null
         ? h("p", {}, "The agent tried to enter the closed passage at ", step(episode.triedClosedAt), ". Memory was built from the ",
           source(one.title, Math.max(enters - 1, 0)), `, which uses that passage from its step ${enters} on.`)
-        : h("p", {}, "Memory led the agent into the closed passage at ", step(episode.triedClosedAt), ": for that step it supplied ",
+        : h("p", {}, "The agent tried to enter the closed passage at ", step(episode.triedClosedAt), ". What memory supplied for that step leads into it: ",
           source(`step ${from} of the ${one.title}`, from), from === enters ? ", which is inside that passage." : `, which enters that passage at its step ${enters}.`));
     } else if (episode.triedClosedAt !== null) {
-      sentences.push(h("p", {}, "The agent tried to enter the closed passage at ", step(episode.triedClosedAt), "; what memory supplied there does not enter it."));
+      sentences.push(h("p", {}, "The agent tried to enter the closed passage at ", step(episode.triedClosedAt), "; what memory supplied for that step does not lead into it."));
     }
     if (episode.failure) {
       sentences.push(h("p", {}, h("b", {}, `Failed, ${episode.failure.kind}: `), `${episode.failure.meaning}. Decided at `, step(episode.failure.step), "."));

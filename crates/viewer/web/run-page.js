@@ -159,7 +159,7 @@ memtransfer.runPage = (current) => {
     memtransfer.note(Object.assign(filters, { tables: details.open ? "1" : "" }));
   }
 
-  const live = h("div", { class: "live", role: "status" });
+  const live = h("div", { class: "live", "aria-live": "off" });
   const switcher = runs.length > 1 && h("nav", { "aria-label": "Runs" }, h("ul", { class: "switcher" }, runs.map((one, index) =>
     h("li", {}, h("a", { href: address({ run: index + 1 }), "aria-current": index + 1 === number ? "page" : null }, one.name)))));
   memtransfer.page(run.name,
@@ -181,6 +181,8 @@ memtransfer.follow = (run, live, grown) => {
   let timer = null;
   let isOver = false;
   async function ask() {
+    // A page that nobody looks at leaves the cores to the run.
+    if (document.hidden) { timer = setTimeout(ask, 2000); return; }
     try {
       const answer = await fetch(`${run.folder}/new.json?from=${run.episodes.length}`);
       if (!answer.ok) throw new Error(`the server answered ${answer.status}`);
@@ -190,7 +192,7 @@ memtransfer.follow = (run, live, grown) => {
       run.episodes.push(...rows);
       if (rows.length || restarted) grown();
       live.replaceChildren(...(status ? [memtransfer.liveStatus(h, status)] : []));
-      timer = setTimeout(ask, status ? 1000 : 5000);
+      timer = setTimeout(ask, status ? 2000 : 5000);
     } catch (error) {
       if (isOver) return;
       live.replaceChildren(h("p", {}, `The server does not answer: ${error.message}`));

@@ -74,7 +74,7 @@ pub struct EpisodeData {
     supplied: Vec<Vec<(usize, u32)>>,
     /// The mean distance of the first source.
     distance: Option<f64>,
-    /// What memory supplied when the agent tried to enter a closed cell.
+    /// What leads into a closed cell of what memory supplied when the agent tried to enter one.
     led: Option<LedData>,
     /// By step: the file of the view. Empty where there are none.
     views: Vec<String>,
@@ -126,7 +126,7 @@ pub struct Demonstration {
     at: Vec<Pose>,
 }
 
-/// The source that led into a closed cell.
+/// A source that leads into a closed cell.
 #[derive(Debug, Serialize)]
 struct LedData {
     demonstration: usize,
@@ -387,7 +387,7 @@ impl Remembered<'_> {
     }
 }
 
-/// Looks for the source that led the agent into a closed cell: what was supplied for that step and enters a closed cell within
+/// Looks for the source that leads into a closed cell where the agent tried to enter one: what was supplied for that step and enters a closed cell within
 /// the supplied steps; where demonstrations are supplied whole, the first that enters one.
 fn led(
     horizon: u32,
