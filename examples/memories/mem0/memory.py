@@ -65,7 +65,7 @@ class Mem0(Memory):
     def begin_episode(self, episode):
         filters = {"user_id": self.user}
         found = []
-        if episode.instruction:  # mem0 refuses to search for nothing
+        if episode.instruction.strip():  # mem0 refuses to search for nothing
             found = self.store.search(episode.instruction, filters=filters, top_k=HITS)["results"]
         numbers = [memory["metadata"]["number"] for memory in found]
         self.found[episode.id] = [Text(self.routes[n], [Source(n)]) for n in numbers]

@@ -36,6 +36,8 @@ class Robotmem(Memory):
                 )
 
     def recall(self, query):
+        if not query.instruction.strip():
+            return []  # robotmem refuses to search for nothing
         near = {"field": "spatial.position", "target": self.position(query.pose)}
         found = self.store.recall(query.instruction, n=HITS, spatial_sort=near)
         return [
