@@ -2,6 +2,7 @@
 
 use std::collections::{HashMap, VecDeque};
 use std::ops::Range;
+use std::sync::Arc;
 
 use peer::memory::{self, DemonstrationStep};
 use search::{ContentHash, Embedding};
@@ -17,7 +18,7 @@ use crate::demonstrations::Demonstration;
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Bank {
     /// The demonstrations, numbered from 0.
-    pub demonstrations: Vec<Demonstration>,
+    pub demonstrations: Vec<Arc<Demonstration>>,
     /// The viewpoints of those that the bank was made of, each once, sorted.
     pub viewpoints: Vec<Viewpoint>,
 }
@@ -35,9 +36,11 @@ pub struct KnownView {
 
 impl Bank {
     /// A bank of these demonstrations.
-    pub fn new(demonstrations: Vec<Demonstration>) -> Self {
+    pub fn new(demonstrations: impl IntoIterator<Item: Into<Arc<Demonstration>>>) -> Self {
+        let demonstrations: Vec<Arc<Demonstration>> =
+            demonstrations.into_iter().map(Into::into).collect();
         let mut viewpoints: Vec<Viewpoint> =
-            demonstrations.iter().flat_map(Demonstration::viewpoints).collect();
+            demonstrations.iter().flat_map(|demonstration| demonstration.viewpoints()).collect();
         viewpoints.sort_unstable();
         viewpoints.dedup();
         Self { demonstrations, viewpoints }
@@ -49,15 +52,18 @@ impl Bank {
         view: impl Fn(Viewpoint) -> Option<KnownView>,
     ) -> Option<BankSteps<'_>> {
         let mut found = BankSteps::without_views(self);
-        let viewpoints = self.demonstrations.iter().flat_map(Demonstration::viewpoints);
+        let mut embeddings = Embeddings::new();
+        let viewpoints =
+            self.demonstrations.iter().flat_map(|demonstration| demonstration.viewpoints());
         for (at, viewpoint) in viewpoints.enumerate() {
             let KnownView { frame, content, embedding } = view(viewpoint)?;
             found.frames.push(frame);
             found.steps[at].content_hash = content;
             if let Some(embedding) = embedding {
-                found.embeddings.extend_from_slice(embedding.as_slice());
+                embeddings.entry(content).or_insert(embedding);
             }
         }
+        found.embeddings = Arc::new(embeddings);
         Some(found)
     }
 }
@@ -94,9 +100,12 @@ impl Collecting {
 pub struct BankSteps<'a> {
     bank: &'a Bank,
     steps: Vec<DemonstrationStep>,
-    embeddings: Vec<f32>,
+    embeddings: Arc<Embeddings>,
     frames: Vec<FrameId>,
 }
+
+/// Embeddings of views by content, each once.
+pub type Embeddings = HashMap<ContentHash, Embedding>;
 
 impl<'a> BankSteps<'a> {
     /// The steps without views.
@@ -110,7 +119,7 @@ impl<'a> BankSteps<'a> {
                 content_hash: [0; 16],
             })
         });
-        Self { bank, steps: steps.collect(), embeddings: Vec::new(), frames: Vec::new() }
+        Self { bank, steps: steps.collect(), embeddings: Arc::default(), frames: Vec::new() }
     }
 
     /// Each demonstration with its place in the lists.
@@ -119,16 +128,20 @@ impl<'a> BankSteps<'a> {
         self.bank.demonstrations.iter().map(move |demonstration| {
             let place = first..first + demonstration.poses.len();
             first = place.end;
-            (demonstration, place)
+            (&**demonstration, place)
         })
+    }
+
+    /// The embeddings of the views, which a built-in memory is given apart from the demonstrations: many steps share a view.
+    pub fn embeddings(&self) -> Arc<Embeddings> {
+        self.embeddings.clone()
     }
 
     /// As a built-in memory is given them.
     pub fn demonstrations(&self) -> Vec<memory::Demonstration<'_>> {
-        let dimension = self.embeddings.len().checked_div(self.steps.len()).unwrap_or(0);
         let given = self.places().map(|(demonstration, place)| memory::Demonstration {
             instruction: &demonstration.instruction,
-            embeddings: &self.embeddings[place.start * dimension..place.end * dimension],
+            embeddings: &[],
             steps: &self.steps[place],
             frames: &[],
             stages: &demonstration.stages,
@@ -159,7 +172,8 @@ impl<'a> BankSteps<'a> {
             reserved: [0; 2],
         });
         content.steps = steps.collect();
-        content.embeddings = self.embeddings;
+        let views = self.steps.iter().filter_map(|step| self.embeddings.get(&step.content_hash));
+        content.embeddings = views.flat_map(|view| view.as_slice()).copied().collect();
         content
     }
 }

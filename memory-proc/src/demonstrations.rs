@@ -86,7 +86,12 @@ pub(crate) fn histories(
     each_once.map(|history| replayed(warehouse, cases, history)).collect()
 }
 
-fn replayed(warehouse: &Warehouse, cases: &CaseSet, history: History) -> Option<Demonstration> {
+/// Replays a demonstration. `None` when it is a test reference.
+pub(crate) fn replayed(
+    warehouse: &Warehouse,
+    cases: &CaseSet,
+    history: History,
+) -> Option<Demonstration> {
     let of = cases.demonstrated(warehouse, history)?;
     let replay = of.replay();
     Some(Demonstration {

@@ -7,7 +7,7 @@
 //! Its only input and output are the embedding cache's file and the snapshots of memories that learn; [`crate::serve`]
 //! connects it to the bus, the encoder and the documents.
 
-use std::collections::{BTreeSet, HashSet, VecDeque};
+use std::collections::{BTreeSet, HashMap, HashSet, VecDeque};
 use std::sync::Arc;
 
 use crate::bank::{Collecting, KnownView, Viewpoint};
@@ -25,8 +25,8 @@ use crate::worlds::Worlds;
 use search::{ContentHash, Embedding};
 use shm_types::Note;
 use shm_types::message::{
-    ExternalAnswer, ExternalBuilt, FrameId, MemoryEpisodeConfig, Observation, Recall, RecallTrace,
-    SnapshotReport, ViewRequest,
+    ExternalAnswer, ExternalBuilt, FrameId, MemoryEpisodeConfig, NO_FRAME, Observation, Recall,
+    RecallTrace, SnapshotReport, ViewRequest,
 };
 
 /// The lanes of a run. `I` is a source of a frame's pixels, which the engine passes on to the encoder.
@@ -53,6 +53,8 @@ pub struct Engine<I> {
 struct EmbeddedViews<I> {
     pinned: PinnedViews<I>,
     embeddings: EmbeddingCache,
+    /// The content of the views of banks that are not pinned as a whole.
+    contents: HashMap<Viewpoint, ContentHash>,
     /// Demonstration views to embed.
     background: VecDeque<Viewpoint>,
 }
@@ -134,20 +136,30 @@ impl<I: Clone> EmbeddedViews<I> {
             match self.known(viewpoint, true) {
                 None => still.push(viewpoint),
                 Some(view) => {
+                    self.contents.insert(viewpoint, view.content);
                     collecting.found.insert(viewpoint, view);
                     self.pinned.release(&[viewpoint]);
                 }
             }
         }
         collecting.pinned = still;
-        while wanted
-            && collecting.has_room()
-            && let Some(&viewpoint) = collecting.waiting.front()
-            && self.try_pin(&[viewpoint], true)
-        {
+        while wanted && let Some(&viewpoint) = collecting.waiting.front() {
+            if let Some(view) = self.collected(viewpoint) {
+                collecting.found.insert(viewpoint, view);
+            } else if collecting.has_room() && self.try_pin(&[viewpoint], true) {
+                collecting.pinned.push(viewpoint);
+            } else {
+                return;
+            }
             collecting.waiting.pop_front();
-            collecting.pinned.push(viewpoint);
         }
+    }
+
+    /// A view that has been collected before, without its frame.
+    fn collected(&self, viewpoint: Viewpoint) -> Option<KnownView> {
+        let content = *self.contents.get(&viewpoint)?;
+        let embedding = Some(self.embeddings.get(&content)?.clone());
+        Some(KnownView { frame: NO_FRAME, content, embedding })
     }
 }
 
@@ -167,7 +179,12 @@ impl<I: Clone> Engine<I> {
             worlds,
             lanes: (0..lanes).map(|_| EngineLane::default()).collect(),
             pending: BTreeSet::new(),
-            views: EmbeddedViews { pinned, embeddings, background: VecDeque::new() },
+            views: EmbeddedViews {
+                pinned,
+                embeddings,
+                contents: HashMap::new(),
+                background: VecDeque::new(),
+            },
             admission: VecDeque::new(),
             urgent: VecDeque::new(),
             in_flight: HashSet::new(),
@@ -550,14 +567,17 @@ impl<I: Clone> Engine<I> {
         };
         let is_new = |part: &StreamPart| !part.begun;
         if episode.pending.is_some() && episode.stream.as_ref().is_some_and(is_new) {
-            match sequences.bind(episode, worlds, documents)? {
-                Bound::Yes => {}
-                Bound::Waiting => {
-                    for collecting in sequences.unfinished_banks() {
-                        views.collect(collecting, true);
-                    }
-                    return Ok(LaneProgress::Waiting);
+            let mut bound = sequences.bind(episode, worlds, documents)?;
+            if let Bound::Waiting = bound {
+                for collecting in sequences.unfinished_banks() {
+                    views.collect(collecting, true);
                 }
+                // All views may be those of another bank.
+                bound = sequences.bind(episode, worlds, documents)?;
+            }
+            match bound {
+                Bound::Yes => {}
+                Bound::Waiting => return Ok(LaneProgress::Waiting),
                 Bound::Failed(why) => return Ok(LaneProgress::Failed(why)),
             }
         }

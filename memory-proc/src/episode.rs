@@ -1,5 +1,6 @@
 //! An episode: its memory, its progress, and its pending observation.
 
+use std::hash::{DefaultHasher, Hash, Hasher};
 use std::sync::Arc;
 
 use anyhow::{Context, anyhow, bail};
@@ -143,16 +144,18 @@ impl MemoryEpisode {
         let MemoryEpisodeConfig { case, demonstrations, lane, .. } = *config;
         let refused = |what: String| unusable!("config of episode {}: {what}", config.episode);
         let Worlds { warehouse, cases, .. } = worlds;
-        let chosen = demonstrations::selected(warehouse, cases, case, demonstrations)
-            .zip(Demonstrations::from_bits(demonstrations));
-        let (chosen, set) = chosen.ok_or_else(|| {
+        let unknown = || {
             refused(format!(
                 "case {case} with demonstrations {demonstrations:#b}, but there are {} cases, and no such set for \
                  them; are both processes started with the same assets?",
                 cases.cases.len()
             ))
-        })?;
-        let none = chosen.is_empty();
+        };
+        let set = Demonstrations::from_bits(demonstrations).ok_or_else(unknown)?;
+        cases.cases.get(case as usize).ok_or_else(unknown)?;
+        let none = cases.histories(case as usize, set).is_empty();
+        // Memories of large banks are shared, as those of sequences are.
+        let is_shared = config.sequence != 0 || set.bank_size().is_some();
         let (memory, bank, pins_bank, embeds) = if config.representation == EXTERNAL {
             if none {
                 return Err(refused("external memory of no demonstrations".to_owned()));
@@ -169,20 +172,25 @@ impl MemoryEpisode {
             }
             let settings = settings(config, representation).map_err(refused)?;
             let embeds = representation.matches_views();
-            if config.sequence != 0 && !none {
+            if is_shared && !none {
                 let memory = EpisodeMemory::Sequence { representation, settings, set };
                 (memory, Arc::default(), false, embeds)
             } else {
+                let chosen = demonstrations::selected(warehouse, cases, case, demonstrations)
+                    .ok_or_else(unknown)?;
                 let memory = BuiltInMemory::Announced { settings, set };
                 let memory = EpisodeMemory::BuiltIn { representation, memory };
                 (memory, Arc::new(Bank::new(chosen)), embeds, embeds)
             }
         };
-        let stream = match config.sequence {
+        let stream = match &memory {
             // A memory of no demonstrations has nothing that could persist.
-            0 => None,
             _ if none => None,
-            _ => Some(stream_part(config, set, worlds).map_err(refused)?),
+            _ if config.sequence != 0 => Some(stream_part(config, set, worlds).map_err(refused)?),
+            EpisodeMemory::Sequence { representation, settings, .. } => {
+                Some(bank_part(config, set, worlds, (*representation, settings)))
+            }
+            _ => None,
         };
         Ok(Self {
             id: config.episode,
@@ -461,6 +469,7 @@ pub(crate) fn build_built_in(
     let kinds = representation.describe().documents.iter();
     let texts: anyhow::Result<_> = kinds.map(|&kind| documents.consolidated(kind, set)).collect();
     settings.documents = texts.with_context(failed)?;
+    settings.embeddings = steps.embeddings();
     let mut built = built_in(representation, settings);
     built.build(&steps.demonstrations()).with_context(failed)?;
     Ok(built)
@@ -493,6 +502,30 @@ fn stream_part(
     })
 }
 
+/// The part of an episode outside of streams with a memory that it shares: no episode changes it.
+fn bank_part(
+    config: &MemoryEpisodeConfig,
+    set: Demonstrations,
+    worlds: &Worlds,
+    (representation, settings): (Representation, &MemorySettings),
+) -> StreamPart {
+    let origin = BankOrigin::bank(&worlds.cases, config.case, set);
+    let MemorySettings { horizon, segment, hits, keyframes, .. } = settings;
+    let mut hasher = DefaultHasher::new();
+    (origin, representation as u8, horizon, *segment as u8, hits, keyframes).hash(&mut hasher);
+    StreamPart {
+        // Outside of the numbers of sequences.
+        sequence: hasher.finish() | 1 << 63,
+        snapshot: Default::default(),
+        origin,
+        position: 0,
+        variant: config.variant,
+        feedback: FeedbackLevel::None,
+        recording: None,
+        begun: false,
+    }
+}
+
 /// The settings of a built-in memory.
 fn settings(
     config: &MemoryEpisodeConfig,
@@ -512,6 +545,7 @@ fn settings(
         segment,
         hits: hits.into(),
         keyframes: keyframes.into(),
+        embeddings: Arc::default(),
         documents: Vec::new(),
     })
 }

@@ -489,7 +489,7 @@ impl AssembledRecall {
         };
         for Source { demonstration, first, count } in sources {
             let &Demonstration { case, number: of, .. } =
-                &bank.demonstrations[demonstration as usize];
+                &*bank.demonstrations[demonstration as usize];
             self.sources[self.sources_len as usize] = RecalledSource {
                 case,
                 distance: distance.unwrap_or(f32::NAN),

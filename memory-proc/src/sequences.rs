@@ -1,10 +1,12 @@
-//! Memories that persist from episode to episode of a stream.
+//! Memories that persist from episode to episode of a stream, and those that episodes share because their bank is large.
 //!
 //! A sequence is one stream in one order with one condition. Its episodes run one after the other and share one memory,
 //! which is built from the bank of the stream and then continues from snapshot to snapshot: an episode that the memory
 //! learns from begins with the snapshot that its config names and ends with a new one. What a memory knows therefore
 //! depends on the log only, and not on crashes. A memory in another state than the one that is asked for is dropped, and
 //! built or loaded again.
+//!
+//! Outside of streams, the episodes with one bank and one kind of memory share it as they would in the arm `frozen`.
 //!
 //! What is not here: which episodes are learned from, and in which order (the orchestrator).
 
@@ -31,6 +33,9 @@ use crate::worlds::{BankOrigin, Worlds};
 
 /// Banks that are kept when no memory waits for them.
 const KEPT_BANKS: usize = 16;
+
+/// Bytes of the memories that are kept without an episode.
+const KEPT_BYTES: u64 = 256 << 20;
 
 /// The host's part of a snapshot, and the folder of the memory's own files.
 const EXPERIENCE_FILE: &str = "experience.json";
@@ -256,9 +261,14 @@ impl Sequences {
         let memories = &mut self.memories;
         self.recent.retain(|sequence| memories.contains_key(sequence));
         let is_unused = |sequence: &u64| memories[sequence].users.is_empty();
-        let unused: Vec<u64> = self.recent.iter().copied().filter(is_unused).collect();
-        for sequence in &unused[..unused.len().saturating_sub(self.kept)] {
-            memories.remove(sequence);
+        let unused = self.recent.iter().copied().filter(is_unused).rev();
+        let (mut kept, mut bytes) = (0, 0);
+        for sequence in unused.collect::<Vec<_>>() {
+            kept += 1;
+            bytes += memories[&sequence].memory.store_bytes().unwrap_or(0);
+            if kept > self.kept || bytes > KEPT_BYTES {
+                memories.remove(&sequence);
+            }
         }
     }
 
@@ -394,7 +404,7 @@ impl SequenceMemory {
         };
         self.memory.end_episode(&end).map_err(|error| error.to_string())?;
         let Recording { poses, feedback, stages, actions, .. } = recording;
-        Arc::make_mut(&mut self.bank).demonstrations.push(Demonstration {
+        let learned = Demonstration {
             case: part.position,
             number: EXPERIENCE,
             variant: part.variant,
@@ -403,7 +413,8 @@ impl SequenceMemory {
             feedback: feedback.clone(),
             stages: stages.clone(),
             actions: actions.clone(),
-        });
+        };
+        Arc::make_mut(&mut self.bank).demonstrations.push(Arc::new(learned));
         self.experiences.push(Experience::new(episode, part, recording));
         self.save(folder, part.sequence).map_err(|error| format!("{error:#}"))?;
         self.learning = None;
@@ -445,7 +456,7 @@ impl SequenceMemory {
                     "episode {number} of {EXPERIENCE_FILE} cannot take place in this run"
                 ))
             })?;
-            Arc::make_mut(&mut self.bank).demonstrations.push(made);
+            Arc::make_mut(&mut self.bank).demonstrations.push(Arc::new(made));
         }
         self.memory.load(&found.join(MEMORY_FOLDER)).map_err(|error| failed(error.to_string()))?;
         self.snapshot = snapshot;

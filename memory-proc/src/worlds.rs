@@ -1,13 +1,17 @@
 //! The worlds of a run: what a world variant stands for, and what the memory of a stream is built from.
 
+use std::cell::RefCell;
+use std::collections::HashMap;
+use std::sync::Arc;
+
 use domain::Arm;
 use warehouse::plan::{Planner, Prices};
 use warehouse::{
-    CaseSet, Demonstrations, Mixture, StreamError, StreamSet, Trajectory, Variant, Warehouse,
-    WorldState,
+    CaseSet, Demonstrations, History, Mixture, StreamError, StreamSet, Trajectory, Variant,
+    Warehouse, WorldState,
 };
 
-use crate::demonstrations::{Demonstration, histories};
+use crate::demonstrations::{Demonstration, histories, replayed};
 
 /// The warehouse, its cases, and the world states and streams of a run.
 #[derive(Debug)]
@@ -16,17 +20,19 @@ pub struct Worlds {
     pub(crate) cases: CaseSet,
     streams: StreamSet,
     states: Vec<WorldState>,
+    /// The demonstrations of banks.
+    replayed: RefCell<HashMap<History, Arc<Demonstration>>>,
 }
 
-/// What the bank of a stream is made of.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+/// What a bank is made of.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub(crate) struct BankOrigin {
     stream: u32,
     set: Demonstrations,
     kind: OriginKind,
 }
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 enum OriginKind {
     /// The demonstrations of the stream's cases.
     Demonstrated,
@@ -34,6 +40,8 @@ enum OriginKind {
     Irrelevant,
     /// Demonstrations of the cases by an expert who knows the world of this block.
     Planned { block: u32 },
+    /// Outside of streams: the bank of this case; `None`: the one that most cases have.
+    OfCase { case: Option<u32> },
 }
 
 impl BankOrigin {
@@ -46,13 +54,20 @@ impl BankOrigin {
         };
         Self { stream, set, kind }
     }
+
+    /// The bank `set` of a case outside of streams.
+    pub(crate) fn bank(cases: &CaseSet, case: u32, set: Demonstrations) -> Self {
+        let common = set.bank_size().map_or_else(Vec::new, |size| cases.common_bank(size));
+        let is_common = cases.histories(case as usize, set) == common;
+        Self { stream: 0, set, kind: OriginKind::OfCase { case: (!is_common).then_some(case) } }
+    }
 }
 
 impl Worlds {
     /// The worlds of a run without streams.
     pub fn unchanging(warehouse: Warehouse, cases: CaseSet) -> Self {
         let streams = StreamSet { seed: 0, worlds: Vec::new(), streams: Vec::new() };
-        Self { warehouse, cases, streams, states: Vec::new() }
+        Self { warehouse, cases, streams, states: Vec::new(), replayed: RefCell::default() }
     }
 
     /// The worlds of a run with these streams.
@@ -66,7 +81,7 @@ impl Worlds {
     ) -> Result<Self, StreamError> {
         streams.check(&warehouse, &cases)?;
         let states = streams.states(&warehouse)?;
-        Ok(Self { warehouse, cases, streams, states })
+        Ok(Self { warehouse, cases, streams, states, replayed: RefCell::default() })
     }
 
     /// The stock and the closed cells in a world variant; `None` if there is no such variant.
@@ -88,8 +103,14 @@ impl Worlds {
     ///
     /// # Errors
     /// When there is no such stream or block, or nothing that the bank could be made of.
-    pub(crate) fn demonstrations(&self, origin: BankOrigin) -> Result<Vec<Demonstration>, String> {
+    pub(crate) fn demonstrations(
+        &self,
+        origin: BankOrigin,
+    ) -> Result<Vec<Arc<Demonstration>>, String> {
         let BankOrigin { stream: number, set, kind } = origin;
+        if let OriginKind::OfCase { case } = kind {
+            return self.of_case(case, set).ok_or_else(|| format!("there is no bank {set}"));
+        }
         let count = self.streams.streams.len();
         let stream = self.streams.streams.get(number as usize).ok_or_else(|| {
             format!("stream {number} of {count}: is memory-proc started with the run's --streams?")
@@ -108,11 +129,30 @@ impl Worlds {
                 histories(&self.warehouse, &self.cases, other)
             }
             OriginKind::Planned { block } => self.planned(number, block, &of, set),
+            OriginKind::OfCase { .. } => None,
         };
         match made {
-            Some(made) if !made.is_empty() => Ok(made),
+            Some(made) if !made.is_empty() => Ok(made.into_iter().map(Arc::new).collect()),
             _ => Err(format!("stream {number} has no demonstrations of the set {set} ({kind:?})")),
         }
+    }
+
+    /// The demonstrations of a bank outside of streams. Each is replayed once, however many banks hold it.
+    fn of_case(&self, case: Option<u32>, set: Demonstrations) -> Option<Vec<Arc<Demonstration>>> {
+        let of = match case {
+            Some(case) => self.cases.histories(case as usize, set),
+            None => self.cases.common_bank(set.bank_size()?),
+        };
+        let mut known = self.replayed.borrow_mut();
+        let made = of.into_iter().map(|history| match known.get(&history) {
+            Some(made) => Some(made.clone()),
+            None => {
+                let made = Arc::new(replayed(&self.warehouse, &self.cases, history)?);
+                known.insert(history, made.clone());
+                Some(made)
+            }
+        });
+        made.collect()
     }
 
     /// Demonstrations planned in the world of a block, from where the demonstrations of the set begin. One that cannot be

@@ -21,6 +21,9 @@ const SHARE_LEFT: u64 = 8;
 /// Share of the available memory that frames may take beyond the least number.
 const SHARE_OF_MEMORY: f64 = 0.5;
 
+/// Views of banks that are pinned at once while they are embedded, at least.
+const BANK_VIEWS: u32 = 64;
+
 /// Frame sizes that a message suggests are multiples of this.
 const FRAME_SIZE_STEP: u32 = 64;
 
@@ -66,8 +69,13 @@ impl Demand {
                     views.len() as u32
                 })
             };
+            // A bank is not pinned as a whole, but what each lane recalls is.
+            let is_bank = condition.demonstrations.bank_size().is_some();
+            let recalled = (BANK_VIEWS + attach.lanes * images).min(every_view(warehouse));
             match condition.memory.describe().map(|info| info.trajectories) {
                 Some(Trajectories::Nothing) => 0,
+                Some(Trajectories::Whole) if is_bank => attach.lanes * keyframes,
+                Some(Trajectories::Segment) if is_bank => recalled,
                 Some(Trajectories::Whole) => views().min(keyframes),
                 Some(Trajectories::Segment) => views(),
                 None => views().max(images),

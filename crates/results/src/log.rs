@@ -33,8 +33,8 @@ pub use manifest::{
     Difference, DocumentFacts, ELSEWHERE_HASH, ExternalMemoryFacts, FORMAT, Manifest,
 };
 pub use record::{
-    Ending, EpisodeError, EpisodeRecord, EpisodeTimings, RecallTotals, RequestRecord, SessionEvent,
-    SessionRecord, Stages, StreamRecord, Unread,
+    BlockedRecord, Ending, EpisodeError, EpisodeRecord, EpisodeTimings, RecallTotals,
+    RequestRecord, SessionEvent, SessionRecord, Stages, StreamRecord, Unread,
 };
 pub use run_log::RunLog;
 

@@ -19,6 +19,8 @@
 //! | time of a step by stage, steps per second | `time.rs` |
 //! | 95 % intervals: of rates, of other figures | `interval.rs`, `bootstrap.rs` |
 //! | two configurations on the same cases | `compare.rs` |
+//! | banks of different sizes | `growth.rs` |
+//! | demonstrations from before and after an event | `conflict.rs` |
 //! | streams | `streams.rs` |
 //!
 //! Episodes of streams enter the figures of their streams, and those of requests, memories and time. All other figures
@@ -28,8 +30,10 @@ mod blocked;
 mod bootstrap;
 mod compare;
 mod condition;
+mod conflict;
 mod cost;
 mod failure;
+mod growth;
 mod interval;
 mod memory;
 mod requests;
@@ -44,7 +48,9 @@ pub use blocked::{BlockedScore, Derived};
 pub use bootstrap::{RESAMPLES, SEED};
 pub use compare::{Comparison, FigureDifference, compare};
 pub use condition::{Bounds, ConditionScore};
+pub use conflict::HISTORIES;
 pub use failure::{Failure, Failures, LOOP_STEPS, LOOP_VISITS, NEW_CELLS};
+pub use growth::GrowthScore;
 pub use interval::Interval;
 pub use memory::MemoryScore;
 pub use requests::RequestScore;
@@ -81,6 +87,13 @@ pub struct Scores {
     /// Requests to the model; absent when there were none.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub requests: Option<RequestScore>,
+    /// The conditions with demonstrations from before and after a passage has closed, over the cases whose original
+    /// demonstration that invalidates; absent when there is no demonstration from after it.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub conflicts: Vec<ConditionScore>,
+    /// The conditions with banks, by memory and size; absent without banks.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub growth: Vec<GrowthScore>,
     /// The run's streams; absent when there are none.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub streams: Option<StreamScores>,
@@ -113,6 +126,8 @@ pub fn score(log: &RunLog) -> Scores {
     let mut conditions: Vec<ConditionScore> = scored.collect();
     condition::relate(&mut conditions, &trials);
     Scores {
+        growth: growth::growth(&trials, &timings),
+        conflicts: conflict::conflicts(log, &trials, &timings),
         conditions,
         planned: log.manifest.episodes as usize,
         finished: log.episodes.len(),

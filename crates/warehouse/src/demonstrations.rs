@@ -139,20 +139,21 @@ impl Demonstrations {
 }
 
 impl CaseSet {
-    /// The `demonstrations` of case number `case`: its own in the order of [`Start`], then its histories of other cases. A bank
-    /// begins with the case's original demonstration. Empty if there is no such case, and for a bank of more than
-    /// [`largest_bank`](Self::largest_bank).
+    /// The `demonstrations` of case number `case`: its own in the order of [`Start`], then its histories of other cases. Empty if
+    /// there is no such case, and for a bank of more than [`largest_bank`](Self::largest_bank).
+    ///
+    /// A bank of N demonstrations holds the first N - 1 of an order of all demonstrations of all cases, which is drawn from the
+    /// seed, and the case's original one; the N-th if that is among them. So a larger bank holds the smaller ones, and cases
+    /// whose original demonstration comes early have the same bank.
     pub fn histories(&self, case: usize, demonstrations: Demonstrations) -> Vec<History> {
         let Some(listed) = self.cases.get(case) else { return Vec::new() };
         if let Some(size) = demonstrations.bank_size() {
-            let first = History { case, start: Start::Original };
-            let others = self.bank_order().into_iter().filter(|history| *history != first);
-            let bank = [first].into_iter().chain(others).take(size.into());
-            return if usize::from(size) > self.largest_bank() {
-                Vec::new()
-            } else {
-                bank.collect()
-            };
+            let own = History { case, start: Start::Original };
+            let mut bank = self.common_bank(size);
+            if let (false, Some(last)) = (bank.contains(&own), bank.last_mut()) {
+                *last = own;
+            }
+            return if usize::from(size) > self.largest_bank() { Vec::new() } else { bank };
         }
         let own = demonstrations.own().map(|start| History { case, start });
         let others = demonstrations.mixture().map(|mixture| listed.mixed(mixture));
@@ -174,6 +175,13 @@ impl CaseSet {
         let mut known = HashSet::new();
         let all = (0..self.cases.len()).flat_map(|case| self.histories(case, demonstrations));
         all.filter(|history| known.insert(*history)).collect()
+    }
+
+    /// The first `size` of the order of banks: what the bank of each case holds whose original demonstration is among them.
+    pub fn common_bank(&self, size: u16) -> Vec<History> {
+        let mut order = self.bank_order();
+        order.truncate(size.into());
+        order
     }
 
     /// The size of the largest bank: all demonstrations that the cases have.
@@ -336,11 +344,15 @@ mod tests {
         assert_eq!(all.len(), 400);
         let mut small = HashSet::new();
         for case in 0..set.cases.len() {
-            let largest = bank(case, 400);
-            assert_eq!(largest[0], History { case, start: Start::Original });
-            assert_eq!(largest.iter().copied().collect::<HashSet<_>>(), all);
-            for size in [1, 4, 16, 64, 256] {
-                assert_eq!(bank(case, size), largest[..size.into()]);
+            assert_eq!(bank(case, 400), bank(0, 400));
+            let mut smaller = HashSet::new();
+            for size in [1, 4, 16, 64, 256, 400] {
+                let of: HashSet<History> = bank(case, size).into_iter().collect();
+                assert_eq!(of.len(), usize::from(size));
+                assert!(of.contains(&History { case, start: Start::Original }));
+                assert!(smaller.is_subset(&of) && of.is_subset(&all));
+                assert_eq!(bank(case, size)[..usize::from(size) - 1], set.common_bank(size - 1));
+                smaller = of;
             }
             small.extend(bank(case, 16));
         }

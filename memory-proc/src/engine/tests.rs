@@ -199,12 +199,29 @@ fn unusable_messages_are_refused_with_a_reason() {
 }
 
 /// Sets of demonstrations.
-const SETS: [Demonstrations; 4] = [
+const SETS: [Demonstrations; 5] = [
     Demonstrations::ORIGINAL,
     Demonstrations::ALL,
     Demonstrations::IRRELEVANT,
     Demonstrations::CONFUSABLE,
+    Demonstrations::bank(16),
 ];
+
+#[test]
+fn episodes_with_one_bank_share_its_memory_and_pin_few_of_its_views() {
+    let mut rig = Rig::new(2, 100);
+    let scripts = [0, 1].map(|lane| {
+        let script = rig.script(lane, lane.into(), 7 * lane, Start::Test, Representation::Episodic);
+        script.remembering(Demonstrations::bank(400))
+    });
+    rig.play(&scripts, 0..);
+    let steps: usize = scripts.iter().map(|script| script.poses.len() - 1).sum();
+    assert_eq!(rig.answers.len(), steps);
+    // Every view once, and at each step those of a segment.
+    let views = rig.asked.len();
+    assert!(views > 500 && rig.pins <= views + 7 * steps, "{} pins of {views} views", rig.pins);
+    assert_eq!(rig.pins, rig.releases);
+}
 
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(48))]

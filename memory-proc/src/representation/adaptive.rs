@@ -35,18 +35,20 @@
 //! [`BUDGET`] steps together, the one with the lowest `(confirmed, number)` is dropped, until they fit.
 
 use std::cmp::Reverse;
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::{BTreeMap, BTreeSet, HashSet};
 use std::fs;
 use std::path::Path;
+use std::sync::Arc;
 
 use domain::{Action, Feedback, Pose, SegmentContent};
 use peer::memory::{
     Demonstration, Episode, EpisodeEnd, Item, Memory, MemoryError, Query, Source, Step, Views,
 };
-use search::{Index, IndexBuilder, Neighbour, ViewEntry, distance};
+use search::{Embedding, Index, IndexBuilder, Neighbour, ViewEntry, distance};
 use serde::{Deserialize, Serialize};
 
-use super::MemorySettings;
+use super::{MemorySettings, dimension};
+use crate::bank::Embeddings;
 
 /// The distance by which a preferred view may be farther than the nearest. Neighbouring views of an aisle differ by 0.004 and
 /// more.
@@ -113,13 +115,13 @@ struct Trajectory {
     steps: Vec<StoredStep>,
     /// The embeddings of the first steps' views. The last step of an own episode has none.
     #[serde(skip)]
-    views: Vec<f32>,
+    views: Vec<Embedding>,
 }
 
 impl Trajectory {
     /// The embedding of a step's view.
-    fn view(&self, step: usize, dimension: usize) -> Option<&[f32]> {
-        self.views.get(step * dimension..(step + 1) * dimension).filter(|view| !view.is_empty())
+    fn view(&self, step: usize) -> Option<&[f32]> {
+        self.views.get(step).map(Embedding::as_slice)
     }
 
     /// Whether a transition can be supplied.
@@ -144,7 +146,7 @@ impl Trajectory {
 struct Running {
     instruction: String,
     steps: Vec<StoredStep>,
-    views: Vec<f32>,
+    views: Vec<Embedding>,
     /// Trajectories of which a transition was verified.
     verified: BTreeSet<u32>,
 }
@@ -167,6 +169,10 @@ pub(super) struct Adaptive {
     dimension: usize,
     /// Episodes that were learned from.
     episodes: u32,
+    /// What is stored, in bytes.
+    bytes: u64,
+    /// Of the demonstrations, until it is built.
+    embeddings: Arc<Embeddings>,
     /// In the order of their numbers.
     trajectories: Vec<Trajectory>,
     running: BTreeMap<u64, Running>,
@@ -185,6 +191,8 @@ impl Adaptive {
             budget: BUDGET,
             dimension: 0,
             episodes: 0,
+            bytes: 0,
+            embeddings: settings.embeddings.clone(),
             trajectories: Vec::new(),
             running: BTreeMap::new(),
             indexes: BTreeMap::new(),
@@ -200,7 +208,7 @@ impl Adaptive {
             }
             for (at, step) in of.steps.iter().enumerate() {
                 let is_last = at + 1 == of.steps.len();
-                let view = of.view(at, self.dimension).filter(|_| is_last || of.continues(at));
+                let view = of.view(at).filter(|_| is_last || of.continues(at));
                 let Some(view) = view else { continue };
                 let stage = step.stage.unwrap_or(0);
                 let entry = ViewEntry { demonstration: position, step: at as u16, stage };
@@ -289,7 +297,7 @@ impl Adaptive {
                 if (from.pose, from.action) != (before.pose, Some(action)) {
                     continue;
                 }
-                let views = of.view(at, self.dimension).zip(now.embedding);
+                let views = of.view(at).zip(now.embedding);
                 let shows_same = views.map(|(known, seen)| distance(known, seen) <= TAU);
                 let is_same =
                     (to.pose, to.feedback) == (pose, feedback) && shows_same != Some(false);
@@ -333,6 +341,14 @@ impl Adaptive {
 
     /// Drops trajectories until the others fit into the budget.
     fn forget(&mut self) {
+        self.drop_oldest();
+        let steps: usize = self.trajectories.iter().map(|of| size_of_val(&*of.steps)).sum();
+        let all = self.trajectories.iter().flat_map(|of| &of.views);
+        let views: HashSet<*const f32> = all.map(|view| view.as_slice().as_ptr()).collect();
+        self.bytes = (steps + views.len() * self.dimension * size_of::<f32>()) as u64;
+    }
+
+    fn drop_oldest(&mut self) {
         let mut steps: usize = self.trajectories.iter().map(|of| of.steps.len()).sum();
         if steps <= self.budget {
             return;
@@ -353,11 +369,13 @@ impl Adaptive {
 
 impl Memory for Adaptive {
     fn build(&mut self, demonstrations: &[Demonstration<'_>]) -> Result<(), MemoryError> {
-        self.dimension = demonstrations.first().map_or(0, Demonstration::dimension);
+        let embeddings = std::mem::take(&mut self.embeddings);
+        self.dimension = dimension(&embeddings);
         for (number, of) in (0..).zip(demonstrations) {
-            if of.embeddings.len() != of.steps.len() * self.dimension || self.dimension == 0 {
-                return Err(MemoryError::new("the views have not been embedded"));
-            }
+            let views = of.steps.iter().map(|step| embeddings.get(&step.content_hash).cloned());
+            let views: Option<Vec<Embedding>> = views.collect();
+            let views =
+                views.ok_or_else(|| MemoryError::new("the views have not been embedded"))?;
             let steps = of.steps.iter().zip(of.stages).map(|(step, &stage)| StoredStep {
                 stage: Some(stage),
                 content: step.content_hash,
@@ -369,7 +387,7 @@ impl Memory for Adaptive {
                 is_own: false,
                 confirmed: 0,
                 steps: steps.collect(),
-                views: of.embeddings.to_vec(),
+                views,
             });
         }
         self.forget();
@@ -391,7 +409,7 @@ impl Memory for Adaptive {
             running.verified.extend(self.verify(*before, step));
         }
         running.steps.push(StoredStep::new(step.pose, None, step.feedback));
-        running.views.extend_from_slice(step.embedding.unwrap_or_default());
+        running.views.extend(step.embedding.and_then(|view| Embedding::restored(view.to_vec())));
         self.running.insert(step.episode, running);
         Ok(())
     }
@@ -423,8 +441,11 @@ impl Memory for Adaptive {
             trajectories: self.trajectories.clone(),
         };
         let own = self.trajectories.iter().filter(|of| of.is_own);
-        let views: Vec<u8> =
-            own.flat_map(|of| &of.views).flat_map(|number| number.to_le_bytes()).collect();
+        let views: Vec<u8> = own
+            .flat_map(|of| &of.views)
+            .flat_map(Embedding::as_slice)
+            .flat_map(|number| number.to_le_bytes())
+            .collect();
         let written =
             serde_json::to_vec(&state).map_err(|error| error.to_string()).and_then(|state| {
                 let files = [(STATE_FILE, state), (VIEWS_FILE, views)];
@@ -443,25 +464,34 @@ impl Memory for Adaptive {
         let (views, []) = views.as_chunks() else {
             return Err(MemoryError::new(format_args!("{VIEWS_FILE} is cut off")));
         };
-        let mut views = views.iter().map(|bytes| f32::from_le_bytes(*bytes));
-        let mut built: BTreeMap<u32, Vec<f32>> =
+        let views: Vec<f32> = views.iter().map(|bytes| f32::from_le_bytes(*bytes)).collect();
+        let mut views = views.chunks(state.dimension.max(1));
+        let mut built: BTreeMap<u32, Vec<Embedding>> =
             self.trajectories.drain(..).map(|of| (of.number, of.views)).collect();
         (self.episodes, self.dimension) = (state.episodes, state.dimension);
         for mut of in state.trajectories {
             of.views = match of.is_own {
                 false => built.remove(&of.number).unwrap_or_default(),
-                true => views.by_ref().take((of.steps.len() - 1) * self.dimension).collect(),
+                true => {
+                    let own = views.by_ref().take(of.steps.len().saturating_sub(1));
+                    let own = own.map(|view| Embedding::restored(view.to_vec()));
+                    own.collect::<Option<_>>().ok_or_else(|| {
+                        MemoryError::new(format_args!(
+                            "{VIEWS_FILE} has a vector of another length than 1"
+                        ))
+                    })?
+                }
             };
             self.trajectories.push(of);
         }
+        self.forget();
         self.indexes.clear();
         Ok(())
     }
 
-    /// Steps and views. Indexes are left out: they are made as needed.
+    /// Steps and views, a view of several steps once. Indexes are left out: they are made as needed.
     fn store_bytes(&self) -> Option<u64> {
-        let bytes = |of: &Trajectory| size_of_val(&*of.steps) + size_of_val(&*of.views);
-        Some(self.trajectories.iter().map(bytes).sum::<usize>() as u64)
+        Some(self.bytes)
     }
 }
 

@@ -5,11 +5,14 @@
 //! of sub-goals that *its own* demonstration had completed of *its own* task. In a set that mixes in histories of other
 //! tasks, stages of different tasks are compared as numbers: retrieval does not know whose history a view comes from.
 
+use std::sync::Arc;
+
 use domain::SegmentContent;
 use peer::memory::{Demonstration, Item, Memory, MemoryError, Query, Source, Views};
 use search::{Index, IndexBuilder, Neighbour, ViewEntry};
 
-use super::MemorySettings;
+use super::{MemorySettings, dimension};
+use crate::bank::Embeddings;
 
 /// An index of the demonstrations' views.
 #[derive(Debug)]
@@ -20,12 +23,15 @@ pub(super) struct Episodic {
     index: Option<Index>,
     /// Steps of each demonstration.
     lengths: Vec<u32>,
+    /// Until the index is built.
+    embeddings: Arc<Embeddings>,
 }
 
 impl Episodic {
     pub(super) fn new(settings: &MemorySettings) -> Self {
         let &MemorySettings { horizon, segment: content, hits, .. } = settings;
-        Self { horizon, content, hits, index: None, lengths: Vec::new() }
+        let embeddings = settings.embeddings.clone();
+        Self { horizon, content, hits, index: None, lengths: Vec::new(), embeddings }
     }
 
     /// The view at `entry`, and at most `horizon` actions from there, with the views that they lead to.
@@ -45,19 +51,18 @@ impl Episodic {
 
 impl Memory for Episodic {
     fn build(&mut self, demonstrations: &[Demonstration<'_>]) -> Result<(), MemoryError> {
-        let views = demonstrations.iter().map(|demonstration| demonstration.steps.len()).sum();
-        let dimension = demonstrations.first().map_or(0, Demonstration::dimension);
-        let mut index = IndexBuilder::with_capacity(dimension, views);
+        let embeddings = std::mem::take(&mut self.embeddings);
+        let mut index = IndexBuilder::with_capacity(dimension(&embeddings), embeddings.len());
         for (number, of) in (0..).zip(demonstrations) {
             for (at, (step, &stage)) in of.steps.iter().zip(of.stages).enumerate() {
-                let embedding = of.embedding(at).ok_or_else(|| {
+                let embedding = embeddings.get(&step.content_hash).ok_or_else(|| {
                     MemoryError::new(format_args!(
                         "the view of {} has not been embedded",
                         step.pose
                     ))
                 })?;
                 let entry = ViewEntry { demonstration: number, step: at as u16, stage };
-                index.add(entry, step.content_hash, embedding);
+                index.add(entry, step.content_hash, embedding.as_slice());
             }
             self.lengths.push(of.steps.len() as u32);
         }
@@ -101,9 +106,7 @@ mod tests {
     }
 
     fn memory(demonstrations: &[Demonstration], settings: &MemorySettings) -> Episodic {
-        let mut memory = Episodic::new(settings);
-        build_with_views(&mut memory, demonstrations, view).unwrap();
-        memory
+        build_with_views(Episodic::new, settings, demonstrations, view)
     }
 
     /// Demonstration, first step, number of steps and distance of each hit.

@@ -14,6 +14,8 @@ use std::sync::Arc;
 use domain::{Representation, SegmentContent};
 use peer::memory::Memory;
 
+use crate::bank::Embeddings;
+
 mod adaptive;
 mod consolidated;
 mod episodic;
@@ -36,6 +38,11 @@ pub fn built_in(representation: Representation, settings: &MemorySettings) -> Bo
     }
 }
 
+/// The numbers in each of the embeddings; 0 if there are none.
+fn dimension(embeddings: &Embeddings) -> usize {
+    embeddings.values().next().map_or(0, |embedding| embedding.as_slice().len())
+}
+
 /// The settings of built-in memories.
 #[derive(Debug, Clone)]
 pub struct MemorySettings {
@@ -47,6 +54,8 @@ pub struct MemorySettings {
     pub hits: usize,
     /// Keyframes of all demonstrations together, at most.
     pub keyframes: usize,
+    /// The embeddings of the demonstrations' views.
+    pub embeddings: Arc<Embeddings>,
     /// The texts that [`RepresentationInfo::documents`](domain::representation::RepresentationInfo) names, in order.
     pub documents: Vec<Arc<str>>,
 }

@@ -39,6 +39,7 @@ pub(crate) fn settings() -> MemorySettings {
         segment: SegmentContent::Actions,
         hits: 1,
         keyframes: 40,
+        embeddings: Arc::default(),
         documents: Vec::new(),
     }
 }
@@ -52,15 +53,18 @@ pub(crate) fn build(
     memory.build(&BankSteps::without_views(&bank).demonstrations())
 }
 
-/// Builds a memory whose views are those of `view`.
-pub(crate) fn build_with_views(
-    memory: &mut dyn Memory,
+/// Builds the memory that `new` makes, whose views are those of `view`.
+pub(crate) fn build_with_views<M: Memory>(
+    new: impl FnOnce(&MemorySettings) -> M,
+    settings: &MemorySettings,
     demonstrations: &[Demonstration],
     view: impl Fn(Pose) -> KnownView,
-) -> Result<(), MemoryError> {
+) -> M {
     let bank = Bank::new(demonstrations.to_vec());
     let steps = bank.with_views(|viewpoint| Some(view(viewpoint.pose))).unwrap();
-    memory.build(&steps.demonstrations())
+    let mut memory = new(&MemorySettings { embeddings: steps.embeddings(), ..settings.clone() });
+    memory.build(&steps.demonstrations()).unwrap();
+    memory
 }
 
 /// What a memory supplies for a view, sub-goals completed and steps taken.

@@ -7,16 +7,17 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::io;
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, Result, anyhow, bail};
+use anyhow::{Context, Result, anyhow, bail, ensure};
 use clap::Args;
 use domain::ExternalName;
 use domain::prompt_log::session_folder;
+use domain::representation::Trajectories;
 use results::conditions::{Demonstrations, Route, Start};
 use results::cost::ModelPrices;
 use results::log::{FORMAT, Manifest, Opened, RunFolder, RunLog};
 use results::settings::{Group, RunSettings};
 use rustix::io::Errno;
-use shm_types::message::WIRE_VERSION;
+use shm_types::message::{MAX_SOURCES, WIRE_VERSION};
 use shm_types::{RunDir, registry};
 use supervise::Children;
 
@@ -132,6 +133,30 @@ fn is_disk_full(error: &anyhow::Error) -> bool {
     })
 }
 
+/// Checks that the cases have as many demonstrations as each bank holds, and that every memory can name them.
+fn check_banks(settings: &RunSettings, World { cases, .. }: &World) -> Result<()> {
+    let most = cases.largest_bank();
+    for set in settings.groups.iter().flat_map(|group| &group.demos) {
+        ensure!(
+            usize::from(set.bank_size().unwrap_or(0)) <= most,
+            "{set}: the largest bank is bank-{most}, four demonstrations of each case; a world with more cases has a larger one \
+             (`memtransfer generate world --cases N`, then --assets)"
+        );
+    }
+    for condition in settings.conditions() {
+        let size = condition.demonstrations.bank_size().unwrap_or(0);
+        let info = condition.memory.describe();
+        let is_whole = info.is_some_and(|info| info.trajectories == Trajectories::Whole);
+        ensure!(
+            !is_whole || usize::from(size) <= MAX_SOURCES,
+            "{condition}: {} memory names every demonstration at every step, and an answer has at most {MAX_SOURCES} sources: \
+             give it a bank of its own in a [[group]]",
+            condition.memory
+        );
+    }
+    Ok(())
+}
+
 impl RunPlan {
     /// The plan of a run with `settings`, once its external memories have told their names. `None` when a signal asked to
     /// stop meanwhile.
@@ -147,6 +172,7 @@ impl RunPlan {
             Some(stream) => Some(Streams::draw(&world, stream, &cases, settings.seed)?),
             None => None,
         };
+        check_banks(&settings, &world)?;
         let started = start_memories(&mut settings, args, signals)?;
         if settings.has_external_memories() && started.is_none() && !args.dry_run {
             return Ok(None);

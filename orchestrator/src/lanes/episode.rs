@@ -6,13 +6,15 @@ use std::fmt::Write as _;
 use bytemuck::Zeroable;
 use domain::{Action, Arm, Cell, Feedback, MemoryKind, Outcome, Pose};
 use results::conditions::Route;
-use results::log::{Ending, EpisodeRecord, RecallTotals, Stages, StreamRecord, Unread};
+use results::log::{
+    BlockedRecord, Ending, EpisodeRecord, RecallTotals, Stages, StreamRecord, Unread,
+};
 use shm_types::message::{
     Decision, EXPERIENCE, EXTERNAL, FrameId, MemoryEpisodeConfig, NO_ACTION, NO_FRAME,
     NOT_MEASURED, Observation, PolicyEpisodeConfig, RecallTrace, RecalledSource, Role,
     SnapshotReport, StepCommand, StepKind, WirePose, write_text,
 };
-use warehouse::{History, Progress, Start, Variant, step};
+use warehouse::{History, Progress, Start, Trajectory, Variant, step};
 
 use super::{
     AnswerError, AnsweredRequest, Context, EpisodeOpening, FinishedEpisode, PendingAnswer, Stamps,
@@ -125,6 +127,14 @@ impl ActiveEpisode {
             completion_tokens: has_policy.then_some(0),
             memory_tokens: has_policy.then_some(0),
             unread: Unread::default(),
+            blocked: is_blocked.then(|| BlockedRecord {
+                invalidated: case
+                    .original
+                    .replay(warehouse, &case.task, &case.variant(from))
+                    .length
+                    .is_none(),
+                ..BlockedRecord::default()
+            }),
             retrieved: None,
             distance: None,
             memory_items_dropped: 0,
@@ -143,6 +153,7 @@ impl ActiveEpisode {
                     feedback,
                     world,
                     invalidated: in_world.is_some_and(|found| found.invalidated),
+                    reference_actions: trajectory.actions.iter().map(|a| a.letter()).collect(),
                     retrievals: 0,
                     stale: 0,
                     snapshot: None,
@@ -536,8 +547,8 @@ impl ActiveEpisode {
         Ok(())
     }
 
-    /// Counts the sources of an episode in a stream, and those that are stale: their trajectory completes its task in the world
-    /// that it was recorded in, and not in this one.
+    /// Counts the sources of an episode in a stream or on a blocked route, and those that are stale: their trajectory
+    /// completes its task in the world that it was recorded in, and not in this one.
     ///
     /// # Errors
     /// When a source does not exist.
@@ -547,12 +558,22 @@ impl ActiveEpisode {
         sources: &[RecalledSource],
     ) -> Result<(), String> {
         let episode = &self.result.episode;
-        let (Some(state), Some(part)) = (context.state(episode), episode.part) else {
-            return Ok(());
+        let EpisodeRecord { stream, blocked, .. } = &mut self.result.record;
+        let (retrievals, stale) = match (stream, blocked) {
+            (Some(stream), _) => (&mut stream.retrievals, &mut stream.stale),
+            (None, Some(blocked)) => (&mut blocked.retrievals, &mut blocked.stale),
+            (None, None) => return Ok(()),
         };
-        let Some(stream) = &mut self.result.record.stream else { return Ok(()) };
-        let own = context.experience.get(&part.sequence);
+        let warehouse = context.state(episode).map_or(context.warehouse, |state| &state.warehouse);
+        let completes = |trajectory: &Trajectory, task| {
+            trajectory.replay(warehouse, task, &self.variant).length.is_some()
+        };
+        let own = episode.part.and_then(|part| context.experience.get(&part.sequence));
         for &RecalledSource { case, demonstration, .. } in sources {
+            // What took place in another warehouse was never true of this one.
+            if demonstration == Start::Elsewhere as u16 {
+                continue;
+            }
             let known = self.stale.get(&(case, demonstration)).copied();
             let is_stale = match known {
                 Some(is_stale) => is_stale,
@@ -560,7 +581,7 @@ impl ActiveEpisode {
                     let source = own.and_then(|own| own.get(&case));
                     let source = source.ok_or_else(|| format!("experience of position {case}"))?;
                     let task = &context.cases.cases[source.case_index].task;
-                    source.is_complete && !state.completes(&source.trajectory, task)
+                    source.is_complete && !completes(&source.trajectory, task)
                 }
                 None => {
                     let start = Start::demonstration(demonstration);
@@ -569,13 +590,12 @@ impl ActiveEpisode {
                     let of =
                         of.ok_or_else(|| format!("case {case}, demonstration {demonstration}"))?;
                     // The oracle's demonstrations take place in this world.
-                    episode.key.condition.arm != Arm::Oracle
-                        && !state.completes(of.trajectory, of.task)
+                    episode.key.condition.arm != Arm::Oracle && !completes(of.trajectory, of.task)
                 }
             };
             self.stale.insert((case, demonstration), is_stale);
-            stream.retrievals += 1;
-            stream.stale += u32::from(is_stale);
+            *retrievals += 1;
+            *stale += u32::from(is_stale);
         }
         Ok(())
     }

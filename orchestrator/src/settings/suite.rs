@@ -16,7 +16,7 @@ macro_rules! shipped {
 
 /// The shipped suites by name, each with its text, in the order in which they are listed.
 pub const SHIPPED_SUITES: &[(&str, &str)] =
-    shipped!("quick" "rq1" "rq2" "rq3" "design" "paper" "stream" "transfer");
+    shipped!("quick" "rq1" "rq2" "rq3" "design" "paper" "stream" "growth" "conflict" "transfer");
 
 /// Reads a suite: a file by its path, else `suites/<name>.toml` in `assets`, else a shipped one.
 ///

@@ -7,7 +7,7 @@ use std::collections::BTreeSet;
 
 use domain::{Action, Arm, ExternalName};
 
-use super::{Ending, EpisodeRecord, Manifest, StreamRecord};
+use super::{BlockedRecord, Ending, EpisodeRecord, Manifest, StreamRecord};
 use crate::conditions::{Condition, Route};
 use crate::key::EpisodeKey;
 
@@ -40,6 +40,7 @@ impl EpisodeRecord {
         self.check_steps(max_steps)?;
         self.check_path()?;
         self.check_events()?;
+        self.check_blocked()?;
         self.check_stream()
     }
 
@@ -123,6 +124,14 @@ impl EpisodeRecord {
         })
     }
 
+    fn check_blocked(&self) -> Result<(), String> {
+        let Some(BlockedRecord { retrievals, stale, .. }) = self.blocked else { return Ok(()) };
+        ensure(self.route == Route::Blocked, || {
+            "\"blocked\" is of blocked routes, and its route is unchanged".to_owned()
+        })?;
+        ensure(stale <= retrievals, || format!("{stale} of {retrievals} retrievals are stale"))
+    }
+
     fn check_stream(&self) -> Result<(), String> {
         let Some(stream) = &self.stream else {
             return ensure(self.arm == Arm::Frozen, || {
@@ -139,6 +148,10 @@ impl EpisodeRecord {
             "no event precedes block 0, and \"invalidated\" is set".to_owned()
         })?;
         ensure(stale <= retrievals, || format!("{stale} of {retrievals} retrievals are stale"))?;
+        let is_action = |letter| Action::from_letter(letter).is_some();
+        ensure(stream.reference_actions.chars().all(is_action), || {
+            "\"reference_actions\" has a letter that is no action".to_owned()
+        })?;
         let learned = self.arm == Arm::Learning && stream.learns();
         ensure(stream.snapshot.is_some() == learned, || {
             "\"snapshot\" is for episodes that a memory learned from, and every one of them"

@@ -116,8 +116,11 @@ pub struct EpisodeRecord {
     /// Answers in which no action could be read, by kind.
     #[serde(skip_serializing_if = "Unread::is_none", default)]
     pub unread: Unread,
+    /// On a blocked route: what the closed passage does to demonstrations. Absent elsewhere.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub blocked: Option<BlockedRecord>,
     /// Where memory's answer came from, one word a request: demonstration's letter (`o` original, `p`
-    /// opposite, `n` nearby, `d` distant) and first step in it, for example `o12`; with the case before it when it
+    /// opposite, `n` nearby, `d` distant, `a` after the event) and first step in it, for example `o12`; with the case before it when it
     /// is another's (`t03-07:o12`); `-` for no match. Several sources are joined by `+`: `o12+n3`. Absent when
     /// nothing was ever retrieved.
     #[serde(skip_serializing_if = "Option::is_none", default)]
@@ -138,6 +141,19 @@ pub struct EpisodeRecord {
     /// Where the episode stands in its stream, and what its memory knew. Absent outside of streams.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub stream: Option<StreamRecord>,
+}
+
+/// What a record of an episode on a blocked route holds beside the rest.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct BlockedRecord {
+    /// Whether the closed passage has invalidated the case's original demonstration: replayed on this route, it does not
+    /// complete the task.
+    pub invalidated: bool,
+    /// Sources that memory retrieved.
+    pub retrievals: u32,
+    /// Those that are stale, as in [`StreamRecord::stale`].
+    pub stale: u32,
 }
 
 /// What a record of an episode in a stream holds beside the rest.
@@ -166,6 +182,9 @@ pub struct StreamRecord {
     /// Whether events have invalidated the case's original demonstration: replayed in this world, it does not complete
     /// the task.
     pub invalidated: bool,
+    /// The actions of the reference, a letter for each, from `start_pose` on. Absent in earlier logs.
+    #[serde(skip_serializing_if = "String::is_empty", default)]
+    pub reference_actions: String,
     /// Sources that memory retrieved.
     pub retrievals: u32,
     /// Those that are stale: the source completes its task in the world in which it was recorded, and does not in this

@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 
 use domain::{Action, Feedback, Pose};
 
-use super::EpisodeRecord;
+use super::{EpisodeRecord, StreamRecord};
 
 impl EpisodeRecord {
     /// The pose at the start and after each step, with the feedback.
@@ -28,6 +28,23 @@ impl EpisodeRecord {
     /// The poses of [`EpisodeRecord::replay`].
     pub fn poses(&self) -> Vec<Pose> {
         self.replay().into_iter().map(|(pose, _)| pose).collect()
+    }
+}
+
+impl StreamRecord {
+    /// The poses of the reference of an episode that begins at `start`. Empty if the record does not have its actions.
+    pub fn reference_poses(&self, start: Pose) -> Vec<Pose> {
+        let mut pose = start;
+        let actions = self.reference_actions.chars().filter_map(Action::from_letter);
+        let visited = actions.map(|action| {
+            apply(&mut pose, action);
+            pose
+        });
+        let mut poses: Vec<Pose> = visited.collect();
+        if !poses.is_empty() {
+            poses.insert(0, start);
+        }
+        poses
     }
 }
 

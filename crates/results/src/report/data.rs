@@ -140,6 +140,9 @@ pub fn episodes_frame(logs: &[RunLog]) -> Frame {
             _ => None,
         });
     }
+    frame.whole("original_invalidated", |row| Some(of(row)?.blocked?.invalidated.into()));
+    frame.whole("sources_blocked", |row| Some(of(row)?.blocked?.retrievals.into()));
+    frame.whole("stale_blocked", |row| Some(of(row)?.blocked?.stale.into()));
     add_stream(&mut frame, |row| of(row)?.stream.as_ref());
     for (index, stage) in Stages::NAMES.into_iter().enumerate() {
         frame.real(format!("{stage}_us"), |(_, episode)| match episode {
@@ -200,10 +203,11 @@ pub(super) fn conditions(views: &[ScoredRun<'_>]) -> Frame {
     frame.whole("runs", |(_, score)| Some(score.runs as i64));
     frame.whole("cases", |(_, score)| Some(score.cases as i64));
     type OfSpread = fn(&ConditionScore) -> Option<Spread>;
-    let spreads: [(&str, OfSpread); 8] = [
+    let spreads: [(&str, OfSpread); 9] = [
         ("sr", |score| Some(score.sr)),
         ("spl", |score| Some(score.spl)),
         ("follow", |score| score.blocked?.follow),
+        ("stale", |score| score.blocked?.stale),
         ("recovery", |score| score.blocked?.recovery),
         ("images_per_request", |score| score.images_per_request),
         ("tokens_per_100", |score| score.tokens_per_100),
@@ -310,7 +314,7 @@ pub(super) fn streams(views: &[ScoredRun<'_>]) -> Frame {
     frame.whole("sequences", |(_, score)| Some(score.sequences as i64));
     frame.whole("planned", |(_, score)| Some(score.planned as i64));
     type Figure = fn(&StreamScore) -> Option<Estimate>;
-    let figures: [(&str, Figure); 14] = [
+    let figures: [(&str, Figure); 15] = [
         ("success", |score| score.success),
         ("before_events", |score| score.before),
         ("after_events", |score| score.after),
@@ -318,6 +322,7 @@ pub(super) fn streams(views: &[ScoredRun<'_>]) -> Frame {
         ("bwt", |score| score.backward),
         ("fwt", |score| score.forward),
         ("forgetting", |score| score.forgetting),
+        ("t_ndtw", |score| score.t_ndtw),
         ("regret", |score| score.regret),
         ("lag", |score| score.lag),
         ("adapted", |score| score.adapted),

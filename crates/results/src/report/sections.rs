@@ -2,11 +2,13 @@
 
 mod blocked;
 mod conditions;
+mod conflict;
 mod cost;
 mod design;
 mod elsewhere;
 mod failures;
 mod groups;
+mod growth;
 mod main_table;
 mod method;
 mod mixed;
@@ -27,8 +29,10 @@ use super::view::ScoredRun;
 
 pub(super) use blocked::blocked_table;
 pub(super) use conditions::conditions_table;
+pub(super) use conflict::conflict_table;
 pub(super) use cost::requests_table;
 pub(super) use failures::{failures_table, worst_table};
+pub(super) use growth::growth_table;
 pub(super) use overview::{notices, steps_per_second};
 pub(super) use streams::{
     adaptation_table, differences_table, incomplete, necessity_table, orders_table, success_table,
@@ -40,13 +44,15 @@ pub(super) use time::time_table;
 /// A section's name in links, its heading, and the function that makes its content.
 type Part = (&'static str, &'static str, fn(&ScoredRun<'_>) -> Vec<Block>);
 
-const PARTS: [Part; 13] = [
+const PARTS: [Part; 15] = [
     ("overview", "What was run", overview::blocks),
     ("conditions", "All conditions", conditions::blocks),
     ("main", "Success across the three questions", main_table::blocks),
     ("transfer", "RQ1: a start that was not demonstrated", transfer::blocks),
     ("blocked", "RQ2: a blocked route", blocked::blocks),
     ("mixed", "RQ3: histories of other tasks", mixed::blocks),
+    ("conflict", "Demonstrations from before and after an event", conflict::blocks),
+    ("growth", "Banks of different sizes", growth::blocks),
     ("groups", "Task groups", groups::blocks),
     ("design", "Design choices", design::blocks),
     ("failures", "Why episodes failed", failures::blocks),

@@ -5,9 +5,10 @@ use std::fmt::Write;
 use super::document::{Cell, Table};
 use super::published::Published;
 use super::sections::{
-    adaptation_table, blocked_table, conditions_table, differences_table, failures_table,
-    incomplete, necessity_table, notices, orders_table, requests_table, steps_per_second,
-    success_table, supplied_table, time_table, transfer_table, worst_table,
+    adaptation_table, blocked_table, conditions_table, conflict_table, differences_table,
+    failures_table, growth_table, incomplete, necessity_table, notices, orders_table,
+    requests_table, steps_per_second, success_table, supplied_table, time_table, transfer_table,
+    worst_table,
 };
 use super::view::{ScoredRun, interval_text, p_value, signed};
 use crate::compare::{differing_settings, run_name};
@@ -47,6 +48,11 @@ pub fn summary(log: &RunLog) -> String {
             "Blocked routes: change against working memory, retention, follow, recovery",
             blocked_table(&view),
         ),
+        (
+            "Blocked routes: demonstrations from before and after the passage closed",
+            conflict_table(&view),
+        ),
+        ("Banks of different sizes", growth_table(&view)),
         ("Failed episodes by kind", failures_table(&view)),
         ("Cases that fail most", worst_table(&view, WORST)),
         ("Requests to the model, those of repeated episodes included", requests_table(&view)),

@@ -15,6 +15,8 @@ pub struct BlockedScore {
     pub follow: Option<Spread>,
     /// C in percent, over the runs in which it is defined; `None` when it is in none.
     pub recovery: Option<Spread>,
+    /// Percentage of the retrieved sources that are stale, over runs; `None` where nothing was retrieved.
+    pub stale: Option<Spread>,
     /// Delta_r in percentage points. `None` when the unchanged route or working memory was not run.
     pub change: Option<Derived>,
     /// R_r, a fraction. `None` when the unchanged route was not run, or nothing succeeds there.
@@ -39,6 +41,16 @@ pub(super) fn follow(records: &[&EpisodeRecord]) -> Option<f64> {
 pub(super) fn recovery(records: &[&EpisodeRecord]) -> Option<f64> {
     let tried = records.iter().filter(|record| record.tried_closed == Some(true));
     percentage(tried.map(|record| record.is_success()))
+}
+
+/// The percentage of the sources retrieved in one run that are stale: replayed on the blocked route, they do not complete their
+/// task.
+pub(super) fn stale(records: &[&EpisodeRecord]) -> Option<f64> {
+    let blocked = records.iter().filter_map(|record| record.blocked);
+    let (stale, all) = blocked.fold((0_u64, 0_u64), |(stale, all), blocked| {
+        (stale + u64::from(blocked.stale), all + u64::from(blocked.retrievals))
+    });
+    (all > 0).then(|| 100.0 * stale as f64 / all as f64)
 }
 
 /// `Delta_r = (S_{r,blocked} - S_{r,unchanged}) - (S_{w,blocked} - S_{w,unchanged})`, where S are mean success

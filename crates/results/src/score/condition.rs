@@ -146,6 +146,7 @@ pub(super) fn score_condition(
             BlockedScore {
                 follow: within(trials.over_runs(blocked::follow), intervals.follow),
                 recovery: within(trials.over_runs(blocked::recovery), intervals.recovery),
+                stale: trials.over_runs(blocked::stale),
                 change: None,
                 retention: None,
             }

@@ -8,18 +8,17 @@
 //! |---|---|
 //! | R, average success, backward and forward transfer, forgetting | `matrix.rs` |
 //! | success, regret, adaptation lag, stale reuse | `online.rs` |
+//! | t-nDTW | `path.rs` |
 //! | latency, bytes, tokens against the number of episodes given | `cost.rs` |
 //! | cases that need memory | `necessity.rs` |
 //! | means and intervals over streams, paired differences | `estimate.rs` |
-//!
-//! t-nDTW (J. Krantz et al., "Iterative vision-and-language navigation", CVPR 2023) is not computed: it compares the path with
-//! the reference path, of which a record holds only the length.
 
 mod cost;
 mod estimate;
 mod matrix;
 mod necessity;
 mod online;
+mod path;
 mod sequence;
 
 #[cfg(test)]
@@ -89,6 +88,8 @@ pub struct StreamScore {
     pub forward: Option<Estimate>,
     /// Forgetting.
     pub forgetting: Option<Estimate>,
+    /// t-nDTW, from 0 to 1.
+    pub t_ndtw: Option<Estimate>,
     /// Regret against the oracle arm of the same memory, in episodes.
     pub regret: Option<Estimate>,
     /// Learning episodes from an event to the first success of a case that it invalidated.
@@ -223,6 +224,7 @@ fn score_condition(
         backward: of_matrix(Matrix::backward),
         forward: estimate(&|id, s| Matrix::of(s).forward(&Matrix::of(paired(baseline, id)?))),
         forgetting: of_matrix(Matrix::forgetting),
+        t_ndtw: estimate(&|_, s| path::t_ndtw(s)),
         regret: estimate(&|id, s| online::regret(s, paired(oracle, id)?)),
         lag: estimate(&|_, s| online::lag(s)),
         adapted: estimate(&|_, s| online::adapted(s)),

@@ -2,7 +2,7 @@
 //!
 //! An episode that was given up because of a fault is not here: infrastructure is never scored.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use super::spread::Spread;
 use crate::conditions::Condition;
@@ -25,6 +25,12 @@ impl<'a> Trials<'a> {
             list.sort_by_key(|record| (&record.case, record.run));
         }
         trials
+    }
+
+    /// The episodes of these cases.
+    pub fn of_cases(&self, cases: &BTreeSet<&str>) -> Self {
+        let is_of = |record: &&EpisodeRecord| cases.contains(record.case.as_str());
+        Self { list: self.iter().filter(is_of).collect() }
     }
 
     /// All episodes, by case and run.

@@ -126,9 +126,10 @@ fn an_arm_decides_what_the_memory_is_built_from() {
     let bank = |arm, block| {
         all.demonstrations(crate::worlds::BankOrigin::new(arm, 0, block, Demonstrations::ORIGINAL))
     };
-    let of = |made: &[crate::demonstrations::Demonstration]| -> Vec<(u32, u16, u32)> {
-        made.iter().map(|made| (made.case, made.number, made.variant)).collect()
-    };
+    let of =
+        |made: &[std::sync::Arc<crate::demonstrations::Demonstration>]| -> Vec<(u32, u16, u32)> {
+            made.iter().map(|made| (made.case, made.number, made.variant)).collect()
+        };
     let original = [(3, 0, 0), (5, 0, 0), (20, 0, 0)];
     for (arm, block) in [(Arm::Frozen, 0), (Arm::Frozen, 1), (Arm::Learning, 1), (Arm::Oracle, 0)] {
         assert_eq!(of(&bank(arm, block).unwrap()), original, "{arm:?}");

@@ -23,14 +23,12 @@ fn at(x: u8, y: u8) -> Pose {
 fn memory(routes: &[(u8, u8)]) -> Adaptive {
     let demonstrations: Vec<demonstrations::Demonstration> =
         routes.iter().map(|&(from, steps)| demonstration(0, from, steps)).collect();
-    let mut memory = Adaptive::new(&settings());
     let view = |pose: Pose| KnownView {
         frame: 1,
         content: [pose.cell.y; 16],
         embedding: Embedding::normalised(&angle(pose, 0.0)),
     };
-    build_with_views(&mut memory, &demonstrations, view).unwrap();
-    memory
+    build_with_views(Adaptive::new, &settings(), &demonstrations, view)
 }
 
 /// A step of an episode: pose, action that led there, feedback, and how much the view differs.

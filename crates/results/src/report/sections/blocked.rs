@@ -11,7 +11,7 @@ const NEEDS_BOTH: Missing = Missing::NotMeasured(
 );
 const NOTHING_TO_RETAIN: Missing =
     Missing::Undefined("no episode succeeds on the unchanged route, so there is nothing to retain");
-const NONE_TRIED: Missing =
+pub(super) const NONE_TRIED: Missing =
     Missing::Undefined("no episode tried to enter a closed cell, so none could recover");
 
 pub(super) fn blocks(view: &ScoredRun<'_>) -> Vec<Block> {

@@ -10,7 +10,7 @@ use crate::report::view::{
 const SETS: [(&str, &str); 3] =
     [("4 relevant", "4"), ("2 of 4 irrelevant", "irrelevant"), ("2 of 4 confusable", "confusable")];
 
-const NO_RETRIEVAL: Missing = Missing::NotApplicable(
+pub(super) const NO_RETRIEVAL: Missing = Missing::NotApplicable(
     "of the built-in memories only Episodic retrieves; the others supply the same at each step",
 );
 

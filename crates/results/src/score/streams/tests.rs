@@ -123,6 +123,15 @@ fn success_regret_lag_and_stale_reuse_of_learning_episodes() {
     let all = [(0, 1, 100.0, 100.0), (1, 1, 50.0, 75.0), (2, 1, 50.0, 400.0 / 6.0)];
     assert_eq!(rounds, all);
     assert_eq!(of(&scores, episodic(Arm::Oracle)).regret, None, "not compared with itself");
+    // All six go ten cells north where the reference goes eight: distances 1 + 2, against 3 m for each of its nine cells.
+    near(of(&scores, episodic(Arm::Oracle)).t_ndtw, (-6.0 * 3.0 / (3.0 * 6.0 * 9.0_f64)).exp());
+    // Two go on for 200 cells: 1 + 2 + ... + 192 each.
+    near(score.t_ndtw, (-(4.0 * 3.0 + 2.0 * 18_528.0) / (3.0 * 6.0 * 9.0_f64)).exp());
+    let mut earlier = drawn(episodic(Arm::Frozen), as_in_r);
+    for stream in earlier.iter_mut().filter_map(|record| record.stream.as_mut()) {
+        stream.reference_actions.clear();
+    }
+    assert_eq!(streams([earlier]).conditions[0].t_ndtw, None, "not recorded");
 }
 
 #[test]
