@@ -174,7 +174,7 @@ fn a_generated_world_is_valid_runs_and_is_the_same_again() {
     let validated = memtransfer(dir.path(), "validate --assets one");
     assert_eq!(validated.status.code(), Some(0), "{}", text(&validated.stdout));
     let planned = memtransfer(dir.path(), "run --assets one --policy expert --dry-run");
-    assert!(text(&planned.stdout).contains("20 of 20 episodes"), "{}", text(&planned.stdout));
+    assert!(text(&planned.stdout).contains("40 of 40 episodes"), "{}", text(&planned.stdout));
 }
 
 #[test]

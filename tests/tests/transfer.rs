@@ -1,7 +1,5 @@
 //! Demonstrations in another warehouse, through the real processes.
 
-#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
-
 use std::fs;
 
 use memtransfer_tests::{

@@ -56,7 +56,7 @@ Examples:
   memtransfer run --policy expert --starts original,new --routes unchanged,blocked
   memtransfer run --memory episodic --demos original,4  one against four demonstrations
   memtransfer run --memory working,episodic --memory-cmd 'python my_memory.py'  and your own memory
-  memtransfer run --suite transfer                      demonstrations of this and of another warehouse
+  memtransfer run --suite transfer                      demonstrations of two warehouses
   memtransfer run --suite paper --dry-run               the paper's conditions, counted
   memtransfer run --frames blank --out runs/blank       a control: what remains without pixels?
   memtransfer run --cases t03,t09-01 --dry-run          what would run")]

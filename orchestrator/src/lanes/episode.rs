@@ -570,6 +570,10 @@ impl ActiveEpisode {
         };
         let own = episode.part.and_then(|part| context.experience.get(&part.sequence));
         for &RecalledSource { case, demonstration, .. } in sources {
+            // What took place in another warehouse was never true of this one.
+            if demonstration == Start::Elsewhere as u16 {
+                continue;
+            }
             let known = self.stale.get(&(case, demonstration)).copied();
             let is_stale = match known {
                 Some(is_stale) => is_stale,

@@ -180,10 +180,10 @@ pub const KEYS: &[Key] = keys! {
         "Routes: unchanged, blocked (a passage of the demonstrations is closed; new starts only)";
     "demos" "LIST" List(parses::<Demonstrations>),
         "Demonstrations in memory: original, opposite, nearby, distant, several joined by +, or 4 \
-         for all; irrelevant or confusable for original, opposite and two of other tasks; elsewhere for one of the \
-         same task in another warehouse; after for one by an expert who knows the closed passage, before-after or \
-         after-before for original and that one; bank-N for N of all cases, the case's original among them. Each \
-         entry of the list is a condition of its own";
+         for all; irrelevant or confusable for original, opposite and two of other tasks; after for one \
+         by an expert who knows the closed passage, before-after or after-before for original and that one; \
+         bank-N for N of all cases, the case's original among them; elsewhere for one of the same task in another \
+         warehouse. Each entry of the list is a condition of its own";
     "cases" "LIST" List(parses::<CaseSelector>),
         "Cases by id (t03-07), task (t03), number (37) or range (1-10, t03-01..t04-10); `all`";
     "limit" "N" Number(0, 1_000_000, 1),

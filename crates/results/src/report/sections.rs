@@ -62,6 +62,9 @@ const PARTS: [SectionEntry; 15] = [
     ("pairs", "Paired comparisons", pairs::blocks),
 ];
 
+/// Parts that the paper does not have: they are not named where they were not run.
+const BEYOND_THE_PAPER: [&str; 2] = ["conflict", "growth"];
+
 /// All sections about the run. Those of the paper without any figure of the run are named in one line of the first section,
 /// except where all its episodes are of streams.
 pub(super) fn sections(view: &ScoredRun<'_>) -> Vec<Section> {
@@ -71,7 +74,7 @@ pub(super) fn sections(view: &ScoredRun<'_>) -> Vec<Section> {
         let blocks = blocks(view);
         if blocks.iter().any(|block| matches!(block, Block::Table(_) | Block::Figure(_))) {
             sections.push(Section::new(view.id(&format!("s-{id}")), title, blocks));
-        } else {
+        } else if !BEYOND_THE_PAPER.contains(&id) {
             not_run.push(title);
         }
     }

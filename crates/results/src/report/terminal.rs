@@ -39,7 +39,7 @@ pub fn summary(log: &RunLog) -> String {
             transfer_table(&view),
         ),
         (
-            "Streams: adaptation lag in episodes, blocks adapted, stale sources",
+            "Streams: adaptation lag in episodes, blocks adapted, stale sources, t-nDTW",
             adaptation_table(&view),
         ),
         ("Streams: orders", orders_table(&view)),

@@ -116,7 +116,7 @@ pub(in crate::report) fn growth_table(view: &ScoredRun<'_>) -> Option<Table> {
         id: view.id("growth"),
         caption: "The same cases by the number of demonstrations in the bank; a larger bank holds the smaller ones. Sources: \
                   percentage of the retrieved sources that are demonstrations of the episode's own case, or of a case with a \
-                  task of the same type. Search and recall: means of a step; recall includes embedding the view. Both depend on \
+                  task of the same type. Search and recall: means of a step; recall includes embedding the view, and the wait for the memory at the first step. Both depend on \
                   the machine and its load. Store: the largest size that the memory told. Images and tokens: injected memory in \
                   a request; tokens are an estimate."
             .to_owned(),

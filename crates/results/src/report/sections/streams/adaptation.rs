@@ -8,6 +8,8 @@ use crate::score::{OrderScore, StreamScore, StreamScores};
 
 const NEVER: Missing = Missing::Undefined("no case that an event invalidated ever succeeded");
 const NO_EVENT: Missing = Missing::Undefined("no event invalidated a case");
+const NO_REFERENCE: Missing =
+    Missing::NotMeasured("an episode's record does not have the actions of its reference");
 const TWO_ORDERS: Missing = Missing::Undefined("no stream was run in three orders");
 
 pub(super) fn blocks(view: &ScoredRun<'_>, _: &StreamScores) -> Vec<Block> {
@@ -20,13 +22,14 @@ pub(in crate::report) fn adaptation_table(view: &ScoredRun<'_>) -> Option<Table>
     let scores = view.scores.streams.as_ref()?;
     let mut columns = vec![Column::new("Lag"), Column::new("Adapted %")];
     columns.extend(["all", "after events"].map(|name| Column::under("Stale %", name)));
+    columns.push(Column::new("t-nDTW"));
     let table = Table {
         id: view.id("stream-adaptation"),
         caption: "Learning episodes. Lag: episodes from the start of a block to the first success of a case whose \
                   demonstration an event has invalidated, that one included; over the blocks in which there is one. Adapted: \
                   share of the blocks with an invalidated case that have such a success. A lag counts only together with \
                   that share. Stale: share of the retrieved sources that complete their task in the world in which they were \
-                  recorded, and not in the episode's."
+                  recorded, and not in the episode's. t-nDTW: how closely paths follow the references, from 0 to 1."
             .to_owned(),
         stubs: Vec::new(),
         columns,
@@ -39,6 +42,7 @@ pub(in crate::report) fn adaptation_table(view: &ScoredRun<'_>) -> Option<Table>
             sure(score.adapted, 1, NO_EVENT),
             sure(score.stale, 1, NOTHING_RETRIEVED),
             sure(score.stale_after, 1, NOTHING_RETRIEVED),
+            sure(score.t_ndtw, 3, NO_REFERENCE),
         ])
     };
     by_condition(scores, table, row).pruned()

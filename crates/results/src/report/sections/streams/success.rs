@@ -10,8 +10,6 @@ use crate::report::view::{ScoredRun, interval_text, signed, title};
 use crate::score::{FigureDifference, RoundScore, StreamScore, StreamScores};
 
 const NO_BLOCK: Missing = Missing::Undefined("the streams have no such block");
-const NO_REFERENCE: Missing =
-    Missing::NotMeasured("an episode's record does not have the actions of its reference");
 const NO_ORACLE: Missing = Missing::NotApplicable(
     "regret is against the oracle arm of the same memory, where that was run",
 );
@@ -99,12 +97,11 @@ pub(in crate::report) fn success_table(view: &ScoredRun<'_>) -> Option<Table> {
     columns.extend(
         ["all", "before events", "after events"].map(|name| Column::under("Success %", name)),
     );
-    columns.extend(["t-nDTW", "Regret"].map(Column::new));
+    columns.push(Column::new("Regret"));
     let table = Table {
         id: view.id("stream-success"),
         caption: "Success of the learning episodes, in percent. All: stream success at the end. Before events: in block 0; \
-                  after events: in the other blocks, in whatever order they come. t-nDTW: \
-                  how closely paths follow the references, from 0 to 1. Regret: successes of the oracle arm of the \
+                  after events: in the other blocks, in whatever order they come. Regret: successes of the oracle arm of the \
                   same memory minus its own, summed over the learning episodes of a sequence."
             .to_owned(),
         stubs: Vec::new(),
@@ -120,7 +117,6 @@ pub(in crate::report) fn success_table(view: &ScoredRun<'_>) -> Option<Table> {
             sure(score.success, 1, NO_BLOCK),
             sure(score.before, 1, NO_BLOCK),
             sure(score.after, 1, NO_BLOCK),
-            sure(score.t_ndtw, 3, NO_REFERENCE),
             sure(score.regret, 1, NO_ORACLE),
         ])
     };
