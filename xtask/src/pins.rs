@@ -218,7 +218,7 @@ mod tests {
     }
 
     #[test]
-    fn only_tests_need_vulkan() {
+    fn only_tests_need_vulkan_and_a_browser() {
         let pins = shipped();
         let wanted = |purpose| -> Vec<&str> {
             let needs = pins.system.iter().filter(|need| need.wanted.now(purpose));
@@ -227,7 +227,7 @@ mod tests {
         for purpose in [Purpose::Use, Purpose::Benches] {
             assert_eq!(wanted(purpose), ["Python 3 with pip"], "{purpose:?}");
         }
-        let of_tests = ["Python 3 with pip", "Vulkan loader", "Vulkan driver"];
+        let of_tests = ["Python 3 with pip", "Vulkan loader", "Vulkan driver", "Chromium"];
         assert_eq!(wanted(Purpose::Tests), of_tests);
     }
 

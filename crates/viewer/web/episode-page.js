@@ -131,7 +131,7 @@ memtransfer.EpisodeView = class {
     if (episode.failure) {
       sentences.push(h("p", {}, h("b", {}, `Failed, ${episode.failure.kind}: `), `${episode.failure.meaning}. Decided at `, step(episode.failure.step), "."));
     }
-    if (episode.changes.length) sentences.push(h("p", {}, `The world has changed before this block of the stream: ${episode.changes.join("; ")}.`));
+    if (episode.changes.length) sentences.push(h("p", {}, `In the stream as drawn, the world changes before this block: ${episode.changes.join("; ")}.`));
     return sentences.length ? h("div", { class: "story" }, sentences) : null;
   }
 };

@@ -462,3 +462,78 @@ fn request_data(request: &RequestRecord) -> RequestData {
 pub(crate) fn view_keys<'a>(names: impl IntoIterator<Item = &'a str>) -> Vec<ViewKey> {
     names.into_iter().filter_map(crate::frames::of_file_name).collect()
 }
+
+#[cfg(test)]
+mod tests {
+    use domain::Representation;
+    use results::conditions::Route;
+    use results::log::testing::{log, record};
+    use serde_json::Value;
+    use warehouse::{CaseSet, Variant, Warehouse};
+
+    use super::*;
+
+    /// The data of an episode of the first case on its blocked route that retrieves `retrieved` and tries to enter the closed
+    /// passage at step 2.
+    fn data(retrieved: Option<&str>) -> Value {
+        let (warehouse, cases) = (Warehouse::shipped(), CaseSet::shipped());
+        let case = &cases.cases[0];
+        let mut record = record(&case.id, false);
+        record.memory = Representation::Episodic.into();
+        record.route = Route::Blocked;
+        (record.start_pose, record.actions) = (case.test.start, "LR".to_owned());
+        (record.steps, record.tried_closed_at) = (2, Some(2));
+        record.retrieved = retrieved.map(str::to_owned);
+        let world = RunWorld::new(&log(Vec::new()), warehouse, cases).unwrap();
+        let episode = LoggedEpisode {
+            record: &record,
+            timings: None,
+            requests: Vec::new(),
+            horizon: 6,
+            prompts: false,
+        };
+        let data = EpisodeData::new(&world, &episode, |_| None).unwrap();
+        serde_json::to_value(data).unwrap()
+    }
+
+    /// The first step at which the original demonstration of the first case is in its barricade.
+    fn entered() -> u64 {
+        let (warehouse, cases) = (Warehouse::shipped(), CaseSet::shipped());
+        let case = &cases.cases[0];
+        let closed = Variant::closing(case.barricade.iter().copied());
+        let poses = case.replay(&warehouse, Start::Original).poses;
+        poses.iter().position(|pose| closed.is_closed(pose.cell)).unwrap() as u64
+    }
+
+    #[test]
+    fn what_leads_into_a_closed_passage_is_named_with_its_step() {
+        let entered = entered();
+        let from = entered.saturating_sub(3);
+        let shown = data(Some(&format!("- o{from}")));
+        let demonstrations = shown["demonstrations"].as_array().unwrap();
+        let original =
+            demonstrations.iter().position(|one| one["title"] == "original demonstration").unwrap();
+        assert_eq!(shown["demonstrations"][original]["stale"], true);
+        assert_eq!(shown["supplied"], serde_json::json!([[], [[original, from]]]));
+        assert_eq!(shown["led"]["from"], from);
+        assert_eq!(shown["led"]["enters"], entered);
+        // Beyond the supplied steps, or without sources.
+        assert_eq!(data(Some(&format!("o{from} -")))["led"], Value::Null);
+        assert_eq!(data(None)["led"]["from"], Value::Null);
+        assert_eq!(data(None)["led"]["enters"], entered);
+    }
+
+    #[test]
+    fn every_step_has_a_pose_a_view_of_its_world_and_what_came_into_view() {
+        let shown = data(None);
+        for list in ["poses", "views", "seen", "feedback"] {
+            assert_eq!(shown[list].as_array().unwrap().len(), 3, "{list}");
+        }
+        assert!(shown["views"][0].as_str().unwrap().starts_with("1-"));
+        assert!(!shown["closed"].as_array().unwrap().is_empty());
+        let seen: Vec<u64> = serde_json::from_value(shown["seen"][0].clone()).unwrap();
+        let again: Vec<u64> = serde_json::from_value(shown["seen"][2].clone()).unwrap();
+        assert!(!seen.is_empty() && again.is_empty());
+        assert_eq!(shown["failure"]["step"], 2);
+    }
+}
