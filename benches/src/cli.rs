@@ -13,7 +13,7 @@ use orchestrator::commit::commit_of;
 /// Measures this project beside other programs, alternating on the same machine.
 #[derive(Debug, Parser)]
 #[command(name = "memtransfer-bench", version, after_help = after_help())]
-struct BenchArguments {
+struct BenchFlags {
     /// Measure only these benches, separated by commas
     #[arg(long, value_name = "NAMES", value_delimiter = ',')]
     only: Vec<String>,
@@ -61,7 +61,7 @@ fn after_help() -> String {
 }
 
 pub(super) fn main() -> ExitCode {
-    let arguments = BenchArguments::parse();
+    let arguments = BenchFlags::parse();
     let done = match &arguments.verb {
         Some(BenchVerb::Process { name, arguments }) => {
             processes::run(name, arguments).map(|()| true)
@@ -79,7 +79,7 @@ pub(super) fn main() -> ExitCode {
 }
 
 /// Measures and writes the results after every bench. Returns whether every bench succeeded.
-fn run(arguments: &BenchArguments) -> Result<bool> {
+fn run(arguments: &BenchFlags) -> Result<bool> {
     let benches = chosen(&arguments.only)?;
     let earlier = arguments.compare.as_deref().map(Results::read).transpose()?;
     let baselines = arguments.python.clone().map(Baselines::new);
@@ -166,7 +166,7 @@ mod tests {
 
     #[test]
     fn the_command_line_is_well_formed_and_knows_its_benches() {
-        BenchArguments::command().debug_assert();
+        BenchFlags::command().debug_assert();
         assert!(chosen(&["hop".to_owned()]).is_ok_and(|benches| benches.len() == 1));
         let error = chosen(&["hops".to_owned()]).unwrap_err().to_string();
         assert!(error.contains("hops") && error.contains("there are hop, "), "{error}");

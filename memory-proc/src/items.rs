@@ -188,7 +188,9 @@ fn check(item: &Item, bank: &Bank) -> Result<usize, String> {
                 Views::Keyframes(shown) => {
                     if let Some(step) = shown.iter().find(|step| !steps.contains(step)) {
                         return Err(format!(
-                            "shows step {step}, which is not one of its steps {steps:?}"
+                            "shows step {step}, which is not one of its steps {} to {}",
+                            steps.start,
+                            steps.end.saturating_sub(1)
                         ));
                     }
                     if !shown.is_sorted_by(|a, b| a < b) {

@@ -228,6 +228,11 @@ class Text:
     sources: Sequence[Source] = ()
     """The steps that the text is about; none if it is about the memory as a whole."""
 
+    def __post_init__(self) -> None:
+        for source in self.sources:
+            if not isinstance(source, Source):
+                raise TypeError(f"sources are Source objects, not {source!r}: write Source(demonstration, first, count)")
+
 
 @dataclass(frozen=True, slots=True)
 class Steps:

@@ -31,7 +31,7 @@ pub struct MemoryDescription {
     /// Whether it uses embeddings of views.
     #[serde(default)]
     pub embeddings: bool,
-    /// Whether it looks at the pixels of remembered views. With [`Scope::All`] it gets none.
+    /// Whether it looks at the pixels of remembered views. With [`Scope::All`] there are none.
     #[serde(default)]
     pub frames: bool,
     /// Whether equal queries have equal answers, whatever else it was asked before.
@@ -74,7 +74,7 @@ impl MemoryDescription {
     /// Reads and checks the description in the folder of an external memory.
     ///
     /// # Errors
-    /// When the file is missing or not the expected JSON, or the name is not valid.
+    /// When the file is missing or not the expected JSON, or a value is not valid.
     pub fn read(folder: &Path) -> Result<Self, AttachError> {
         let path = folder.join(DESCRIPTION_FILE);
         let text = fs::read_to_string(&path)
@@ -88,7 +88,7 @@ impl MemoryDescription {
     /// Checks the description and writes it into the folder of an external memory, atomically.
     ///
     /// # Errors
-    /// When the name is not valid, or the file cannot be written.
+    /// When a value is not valid, or the file cannot be written.
     pub fn write(&self, folder: &Path) -> Result<(), AttachError> {
         self.check()?;
         let path = folder.join(DESCRIPTION_FILE);
@@ -101,11 +101,19 @@ impl MemoryDescription {
             .map_err(|cause: io::Error| AttachError::File { path: path.clone(), cause })
     }
 
-    /// Checks the name.
+    /// Checks the name, and that no pixels are expected where there are none.
     ///
     /// # Errors
-    /// When it is not valid.
+    /// When a value is not valid.
     pub fn check(&self) -> Result<(), AttachError> {
+        if self.frames && self.scope == Scope::All {
+            return Err(AttachError::Value {
+                field: "frames",
+                value: "true".to_owned(),
+                expected: "false with the scope `all`: only memories of one case get pixels"
+                    .to_owned(),
+            });
+        }
         let checked = self.name.parse::<ExternalName>();
         checked.map(drop).map_err(|error| AttachError::Value {
             field: "name",
@@ -138,6 +146,8 @@ mod tests {
             let bad = MemoryDescription { name: name.to_owned(), ..description.clone() };
             assert!(bad.check().unwrap_err().to_string().starts_with("name is "), "{name}");
         }
+        let blind = MemoryDescription { frames: true, ..description };
+        assert!(blind.check().unwrap_err().to_string().starts_with("frames is true"));
     }
 
     #[test]

@@ -57,7 +57,8 @@ struct ElsewhereFile {
 
 impl Elsewhere {
     /// Draws a warehouse from `seed`, of the same size and with the same categories as `tested`, and demonstrations of the
-    /// tasks of `cases` there. Where a task cannot be demonstrated, another warehouse is drawn.
+    /// tasks of `cases` there. Where a task cannot be demonstrated, or the floor plan is that of `tested`, another warehouse
+    /// is drawn.
     ///
     /// # Errors
     /// When the categories of `tested` cannot be drawn, or none of 20 warehouses fits.
@@ -71,6 +72,9 @@ impl Elsewhere {
             let world = Draw::new(seed, WORLDS | attempt).below(u32::MAX as usize) as u64;
             let drawn = GeneratedWorld::like(tested, world).map_err(|error| error.to_string());
             let shown = drawn.and_then(|GeneratedWorld { layout, catalogue, warehouse }| {
+                if warehouse.layout.free_cells().eq(tested.layout.free_cells()) {
+                    return Err("its floor plan is that of the tested warehouse".to_owned());
+                }
                 Self::demonstrate((layout, catalogue, warehouse), tested, cases, seed)
             });
             shown.map_err(|why| problem = why).ok()

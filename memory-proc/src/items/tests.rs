@@ -74,7 +74,7 @@ fn what_is_not_in_the_bank_is_refused_by_name() {
         (steps(1, u32::MAX, u32::MAX), "item 1 names 4294967295 steps from step 4294967295"),
         (steps(1, 2, 0), "item 1 names 0 steps"),
         (frame(1, 5, ""), "item 1 names 1 steps from step 5"),
-        (whole(1, 5, &[0, 5]), "item 1 shows step 5, which is not one of its steps 0..5"),
+        (whole(1, 5, &[0, 5]), "item 1 shows step 5, which is not one of its steps 0 to 4"),
         (whole(1, 5, &[3, 1]), "item 1 names its keyframes in no ascending order"),
         (whole(1, 5, &[1, 1]), "item 1 names its keyframes in no ascending order"),
         (neither, "item 1 supplies neither views nor actions"),

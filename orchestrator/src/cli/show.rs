@@ -17,6 +17,9 @@ use super::{Exit, print, print_json};
 use crate::settings::select_cases;
 use crate::world::World;
 
+/// Maximum number of cases that a message names.
+const MOST_NAMED: usize = 8;
+
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Of a run with --log-prompts, this prints the prompt, its images and the answer; of any other run,
@@ -133,9 +136,11 @@ impl ShowArgs {
         if planned.contains(&index) {
             anyhow!("no episode of {case} is finished yet in {run}: the run's command resumes it")
         } else {
+            let chosen: Vec<&str> = planned.iter().take(MOST_NAMED).map(|&at| ids[at]).collect();
+            let more = if planned.len() > MOST_NAMED { ", ..." } else { "" };
             anyhow!(
-                "{case} is not one of the cases of {run}, which its --cases and --limit chose; `memtransfer ls \
-                 cases` lists all"
+                "{case} is not one of the cases of {run}, which its --cases and --limit chose: {}{more}",
+                chosen.join(", ")
             )
         }
     }

@@ -141,6 +141,7 @@ fn serve(mode: &str, attach: Attach, index: u8) {
     let mut learned: BTreeMap<u64, u32> = BTreeMap::new();
     let mut kept = Vec::new();
     let mut episodes: BTreeMap<u32, Episode> = BTreeMap::new();
+    let mut announced: Vec<ExternalEpisode> = Vec::new();
     let mut answered = 0;
     loop {
         let to_store = stores.drain().unwrap();
@@ -176,28 +177,40 @@ fn serve(mode: &str, attach: Attach, index: u8) {
                 kept.push(bank);
             }
         }
-        for message in begun {
-            let ExternalEpisode { lane, episode, bank, image_budget, text_budget, .. } = message;
-            let is_busy = episodes.get(&lane).is_some_and(|earlier| !earlier.is_over);
-            if mode == "keeps-old-episodes" && is_busy {
-                continue;
-            }
-            let instruction = read_text(&message.instruction, message.instruction_len);
-            let is_ascii = instruction.as_ref().is_ok_and(|text| text.is_ascii());
-            if mode == "ascii" && !is_ascii {
-                fail("I read ASCII only");
-            }
-            let is_valid =
-                banks.contains_key(&bank) && (message.instruction_len as usize) <= MAX_INSTRUCTION;
-            let budgets = (image_budget, text_budget);
-            let learns =
-                message.learning == Learning::Learns as u32 || mode == "learns-from-evaluations";
-            let begun = Episode { id: episode, budgets, is_over: false, is_valid, bank, learns };
-            episodes.insert(lane, begun);
-        }
+        announced.extend(begun);
         let last_step = queries.last().map_or(0, |query| query.step);
         for query in queries {
             let ExternalQuery { lane, episode, step, .. } = query;
+            // Only now, because the last query of the lane's earlier episode may have arrived together with the announcement.
+            let is_first = |next: &ExternalEpisode| (next.lane, next.episode) == (lane, episode);
+            if let Some(at) = announced.iter().position(is_first) {
+                let message = announced[at];
+                // Those of the lane that came before are over.
+                let later = announced.split_off(at + 1);
+                announced.retain(|next| next.lane != lane);
+                announced.extend(later);
+                let ExternalEpisode { lane, episode, bank, image_budget, text_budget, .. } =
+                    message;
+                let is_busy = episodes.get(&lane).is_some_and(|earlier| !earlier.is_over);
+                if mode == "keeps-old-episodes" && is_busy {
+                    continue;
+                }
+                let instruction = read_text(&message.instruction, message.instruction_len);
+                let is_ascii = instruction.as_ref().is_ok_and(|text| text.is_ascii());
+                if mode == "ascii" && !is_ascii {
+                    fail("I read ASCII only");
+                }
+                let is_valid = banks.contains_key(&bank)
+                    && (message.instruction_len as usize) <= MAX_INSTRUCTION;
+                let budgets = (image_budget, text_budget);
+                let learns = message.learning == Learning::Learns as u32
+                    || mode == "learns-from-evaluations";
+                let begun =
+                    Episode { id: episode, budgets, is_over: false, is_valid, bank, learns };
+                episodes.insert(lane, begun);
+            }
+            // A lane whose next episode is announced awaits no answer.
+            let is_over = announced.iter().any(|next| next.lane == lane);
             let known = episodes.get_mut(&lane);
             let late = Episode {
                 id: episode,
@@ -222,6 +235,7 @@ fn serve(mode: &str, attach: Attach, index: u8) {
                 continue;
             }
             if !is_known && mode == "keeps-old-episodes"
+                || is_over && mode != "answers-late"
                 || query.last == 1 && mode != "answers-the-end"
             {
                 continue;

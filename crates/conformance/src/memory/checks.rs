@@ -123,7 +123,7 @@ pub(crate) const CHECKS: &[Check<MemoryRole>] = &[
     Check {
         name: "reads any text",
         expected: "banks and episodes with instructions in other scripts, of full length, and empty ones",
-        advice: "an instruction is UTF-8 without a terminating zero",
+        advice: "an instruction is UTF-8 in any script, without a terminating zero, and may be empty",
         run: texts,
     },
     Check {
