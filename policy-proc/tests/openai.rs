@@ -194,7 +194,7 @@ fn answers_without_an_action_have_different_outcomes() {
             3 => length("I can see a warehouse with"),
             4 => length("Turn left. I can see"),
             5 => Reaction::json(400, &json!({"error": {"message": "at most 1 image"}})),
-            _ => Reaction::says("**Reaction around!**"),
+            _ => Reaction::says("**Turn around!**"),
         }
     })
     .unwrap();

@@ -15,7 +15,8 @@ pub struct BlockedScore {
     pub follow: Option<Spread>,
     /// C in percent, over the runs in which it is defined; `None` when it is in none.
     pub recovery: Option<Spread>,
-    /// Percentage of the retrieved sources that are stale, over runs; `None` where nothing was retrieved.
+    /// Percentage of the retrieved sources that are stale, over runs; absent where nothing was retrieved.
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub stale: Option<Spread>,
     /// Delta_r in percentage points. `None` when the unchanged route or working memory was not run.
     pub change: Option<Derived>,
