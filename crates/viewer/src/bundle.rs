@@ -8,6 +8,7 @@ use anyhow::{Context, Result, bail};
 use domain::Pose;
 use results::log::RunLog;
 use results::step_view::PromptLog;
+use warehouse::ELSEWHERE_VARIANT;
 
 use crate::data::{image_hashes, view_keys};
 use crate::frames::file_name;
@@ -167,7 +168,8 @@ impl Folder<'_> {
             names.extend(run.episode(index)?.view_names().into_iter().map(str::to_owned));
         }
         let wanted = view_keys(names.iter().map(String::as_str));
-        let poses: BTreeSet<Pose> = wanted.iter().map(|(_, pose)| *pose).collect();
+        let here = wanted.iter().filter(|(variant, _)| *variant != ELSEWHERE_VARIANT);
+        let poses: BTreeSet<Pose> = here.map(|(_, pose)| *pose).collect();
         // The unchanged world first: another world's view is left out where it looks the same.
         let mut views: Vec<_> = poses.into_iter().map(|pose| (0, pose)).collect();
         views.extend(wanted.iter().filter(|(variant, _)| *variant != 0));

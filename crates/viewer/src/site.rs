@@ -369,8 +369,7 @@ impl RunPages {
 
     fn view(&mut self, view: ViewKey) -> Result<Option<File>> {
         let (variant, pose) = view;
-        let worlds = 1 + self.world.cases.cases.len() as u32 + self.world.states();
-        if variant >= worlds || !self.world.warehouse.layout.is_free(pose.cell) {
+        if !self.world.layout(variant).is_some_and(|layout| layout.is_free(pose.cell)) {
             return Ok(None);
         }
         let mut file = None;

@@ -8,7 +8,10 @@ use anyhow::{Context, Result};
 use results::conditions::Route;
 use results::log::{ELSEWHERE_HASH, EpisodeRecord, RunFolder, RunLog};
 use warehouse::stream::Block;
-use warehouse::{Case, CaseSet, Elsewhere, StreamSet, Trajectory, Variant, Warehouse, WorldState};
+use warehouse::{
+    Case, CaseSet, ELSEWHERE_VARIANT, Elsewhere, Layout, StreamSet, Trajectory, Variant, Warehouse,
+    WorldState,
+};
 
 /// The warehouse and the cases of a run, and its streams if it has any.
 #[derive(Debug)]
@@ -94,9 +97,13 @@ impl RunWorld {
             .get(stream.block as usize)
     }
 
-    /// The number of world states of the streams.
-    pub fn states(&self) -> u32 {
-        self.states.len() as u32
+    /// The floor plan of the world variant with this number, if there is one.
+    pub fn layout(&self, variant: u32) -> Option<&Layout> {
+        if variant == ELSEWHERE_VARIANT {
+            return self.cases.elsewhere.as_ref().map(|elsewhere| &elsewhere.warehouse().layout);
+        }
+        let count = 1 + self.cases.cases.len() + self.states.len();
+        ((variant as usize) < count).then_some(&self.warehouse.layout)
     }
 
     /// The index of the drawing of the floor with the items of its world: 0 is the unchanged one.

@@ -70,6 +70,7 @@ memtransfer.EpisodeMap = class {
 
   demonstration([demonstration, at]) {
     const { h } = memtransfer;
+    if (demonstration.elsewhere) return [];
     const poses = demonstration.poses;
     return [h("polyline", { points: poses.map((pose) => this.point(pose)).join(" ") }), poses[at] && this.arrow(poses[at], "source")].filter(Boolean);
   }

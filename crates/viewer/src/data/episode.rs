@@ -117,6 +117,8 @@ pub struct Demonstration {
     episode: Option<String>,
     /// Whether it completes its task where it was recorded and not in the world of this episode.
     stale: bool,
+    /// Whether it took place in another warehouse, whose map is not shown.
+    elsewhere: bool,
     poses: Vec<PoseData>,
     actions: String,
     views: Vec<String>,
@@ -354,6 +356,7 @@ impl Remembered<'_> {
                 title: format!("{} demonstration{other}{planned}", start.name()),
                 episode: None,
                 stale: can_be_stale && !state.completes(&trajectory, &case.task),
+                elsewhere: start == Start::Elsewhere,
                 poses: replay.poses.iter().map(pose_data).collect(),
                 actions: trajectory.actions.iter().map(|action| action.letter()).collect(),
                 views: Vec::new(),
@@ -377,6 +380,7 @@ impl Remembered<'_> {
                 title: format!("episode at position {position}, {}", past.case),
                 episode: Some(past.key.clone()),
                 stale,
+                elsewhere: false,
                 poses: at.iter().map(pose_data).collect(),
                 actions: past.actions.clone(),
                 views: Vec::new(),
@@ -398,7 +402,8 @@ fn led(
 ) -> Option<LedData> {
     let tried_at = record.tried_closed_at? as usize;
     let enters = |demonstration: usize, from: u32, most: u32| {
-        let poses = demonstrations.get(demonstration)?.at.iter().enumerate();
+        let supplied = demonstrations.get(demonstration).filter(|one| !one.elsewhere)?;
+        let poses = supplied.at.iter().enumerate();
         let mut ahead = poses.skip(from as usize).take(most as usize + 1);
         let (step, _) = ahead.find(|(_, pose)| state.variant.is_closed(pose.cell))?;
         u32::try_from(step).ok()
