@@ -152,6 +152,16 @@ pub(crate) struct StreamBank {
     pub(crate) collecting: Collecting,
 }
 
+impl StreamBank {
+    /// Its steps, with the views that have been collected if they are `embedded`. `None` while one is missing.
+    fn steps(&self, embedded: bool) -> Option<BankSteps<'_>> {
+        match embedded {
+            true => self.bank.with_views(|at| self.collecting.found.get(&at).cloned()),
+            false => Some(BankSteps::without_views(&self.bank)),
+        }
+    }
+}
+
 /// The memory of a sequence.
 pub(crate) struct SequenceMemory {
     origin: BankOrigin,
@@ -346,28 +356,17 @@ impl Sequences {
         documents: &mut dyn DocumentSupplier,
     ) -> anyhow::Result<Result<Option<SequenceMemory>, String>> {
         let embeds = representation.matches_views();
-        let StreamBank { bank, collecting } = match self.bank(part.origin, embeds, worlds) {
-            Ok(bank) => bank,
+        let known = match self.bank(part.origin, embeds, worlds) {
+            Ok(known) => known,
             Err(why) => return Ok(Err(why)),
         };
-        if !collecting.is_complete() {
+        if !known.collecting.is_complete() {
             return Ok(Ok(None));
         }
-        let steps = match embeds {
-            true => bank.with_views(|viewpoint| collecting.found.get(&viewpoint).cloned()),
-            false => Some(BankSteps::without_views(bank)),
-        };
-        let steps = steps.context("a view of the bank is missing")?;
+        let steps = known.steps(embeds).context("a view of the bank is missing")?;
         let memory = build_built_in(representation, &mut settings, set, &steps, documents)?;
-        let mut made = SequenceMemory {
-            origin: part.origin,
-            bank: bank.clone(),
-            experiences: Vec::new(),
-            snapshot: SnapshotId::default(),
-            learning: None,
-            users: BTreeSet::new(),
-            memory: KeptMemory::BuiltIn(memory),
-        };
+        let mut made =
+            SequenceMemory::new(part.origin, known.bank.clone(), KeptMemory::BuiltIn(memory));
         Ok(made.load(self.snapshots.as_ref(), part, worlds).map(|()| Some(made)))
     }
 
@@ -380,25 +379,17 @@ impl Sequences {
         (externals, now_ns): (&mut ExternalMemories, u64),
     ) -> Result<Option<SequenceMemory>, String> {
         let embeds = externals.embeds(index);
-        let StreamBank { bank, collecting } = self.bank(part.origin, embeds, worlds)?;
-        if !collecting.is_complete() {
+        let known = self.bank(part.origin, embeds, worlds)?;
+        if !known.collecting.is_complete() {
             return Ok(None);
         }
-        let steps = match embeds {
-            true => bank.with_views(|viewpoint| collecting.found.get(&viewpoint).cloned()),
-            false => Some(BankSteps::without_views(bank)),
-        };
-        let steps = steps.ok_or("a view of the bank is missing")?;
-        let id = externals.publish_for_sequence(index, bank, steps, now_ns);
-        let mut made = SequenceMemory {
-            origin: part.origin,
-            bank: bank.clone(),
-            experiences: Vec::new(),
-            snapshot: SnapshotId::default(),
-            learning: None,
-            users: BTreeSet::new(),
-            memory: KeptMemory::External { bank: id, to_load: None },
-        };
+        let steps = known.steps(embeds).ok_or("a view of the bank is missing")?;
+        let id = externals.publish_for_sequence(index, &known.bank, steps, now_ns);
+        let mut made = SequenceMemory::new(
+            part.origin,
+            known.bank.clone(),
+            KeptMemory::External { bank: id, to_load: None },
+        );
         if let Err(why) = made.load(self.snapshots.as_ref(), part, worlds) {
             self.dropped.push(id);
             return Err(why);
@@ -503,6 +494,19 @@ fn is_loaded(
 }
 
 impl SequenceMemory {
+    /// A memory that has been built, or is being built, and has not learned.
+    const fn new(origin: BankOrigin, bank: Arc<Bank>, memory: KeptMemory) -> Self {
+        Self {
+            origin,
+            bank,
+            experiences: Vec::new(),
+            snapshot: [0; 16],
+            learning: None,
+            users: BTreeSet::new(),
+            memory,
+        }
+    }
+
     fn learn(
         &mut self,
         episode: &MemoryEpisode,

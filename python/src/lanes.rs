@@ -26,7 +26,7 @@ pub(crate) struct Lanes {
     warehouse: Warehouse,
     cases: CaseSet,
     lanes: Vec<Option<Episode>>,
-    painters: Vec<Painter>,
+    renderers: Vec<LaneRenderer>,
     /// The views of all lanes, RGB. Never reallocated, because arrays show it.
     views: Box<[u8]>,
     /// Height and width of a view, in pixels.
@@ -43,12 +43,12 @@ struct Episode {
 }
 
 /// A renderer and the memory that it renders into, RGBA.
-struct Painter {
+struct LaneRenderer {
     renderer: Renderer,
     pixels: Vec<u8>,
 }
 
-impl Painter {
+impl LaneRenderer {
     /// Draws what the agent of `episode` sees into `view`, RGB.
     fn draw(&mut self, episode: &mut Episode, view: &mut [u8]) -> anyhow::Result<()> {
         let Episode { variant, pose, .. } = &*episode;
@@ -114,14 +114,14 @@ impl Lanes {
             }
             Ok(renderers)
         };
-        let renderers = py.detach(open).map_err(|error| invalid(format!("{error:#}")))?;
-        let painter = |renderer: Renderer| {
+        let opened = py.detach(open).map_err(|error| invalid(format!("{error:#}")))?;
+        let with_buffer = |renderer: Renderer| {
             let pixels = vec![0; renderer.frame_bytes()];
-            Painter { renderer, pixels }
+            LaneRenderer { renderer, pixels }
         };
         let size = (height_px as usize, width_px as usize);
         Ok(Self {
-            painters: renderers.into_iter().map(painter).collect(),
+            renderers: opened.into_iter().map(with_buffer).collect(),
             views: vec![0; lanes * size.0 * size.1 * 3].into(),
             lanes: std::iter::repeat_with(|| None).take(lanes).collect(),
             warehouse,
@@ -188,12 +188,12 @@ impl Lanes {
 
     /// Draws the views that have changed.
     fn draw(&mut self, py: Python<'_>) -> PyResult<()> {
-        let Self { lanes, painters, views, size, .. } = self;
+        let Self { lanes, renderers, views, size, .. } = self;
         let slots = lanes.iter_mut().zip(views.chunks_exact_mut(size.0 * size.1 * 3));
         let stale: Vec<_> = slots
             .filter_map(|(lane, view)| Some((lane.as_mut().filter(|it| !it.is_drawn)?, view)))
             .collect();
-        let drawn = py.detach(|| draw_all(painters, stale));
+        let drawn = py.detach(|| draw_all(renderers, stale));
         drawn.map_err(|error| PyRuntimeError::new_err(format!("{error:#}")))
     }
 }
@@ -202,23 +202,26 @@ fn no_lane(lane: usize) -> PyErr {
     PyIndexError::new_err(format!("lane {lane} has no episode"))
 }
 
-/// Shares the views among the painters, each on a thread of its own.
-fn draw_all(painters: &mut [Painter], stale: Vec<(&mut Episode, &mut [u8])>) -> anyhow::Result<()> {
-    if let ([painter, ..], 1) | ([painter], _) = (&mut *painters, stale.len()) {
-        return stale.into_iter().try_for_each(|(episode, view)| painter.draw(episode, view));
+/// Shares the views among the renderers, each on a thread of its own.
+fn draw_all(
+    renderers: &mut [LaneRenderer],
+    stale: Vec<(&mut Episode, &mut [u8])>,
+) -> anyhow::Result<()> {
+    if let ([renderer, ..], 1) | ([renderer], _) = (&mut *renderers, stale.len()) {
+        return stale.into_iter().try_for_each(|(episode, view)| renderer.draw(episode, view));
     }
     let count = stale.len();
     let queue = Mutex::new(stale.into_iter());
     let next = || queue.lock().unwrap_or_else(PoisonError::into_inner).next();
-    let work = |painter: &mut Painter| {
+    let work = |renderer: &mut LaneRenderer| {
         while let Some((episode, view)) = next() {
-            painter.draw(episode, view)?;
+            renderer.draw(episode, view)?;
         }
         anyhow::Ok(())
     };
     thread::scope(|scope| {
-        let painters = painters.iter_mut().take(count);
-        let threads: Vec<_> = painters.map(|painter| scope.spawn(|| work(painter))).collect();
+        let renderers = renderers.iter_mut().take(count);
+        let threads: Vec<_> = renderers.map(|renderer| scope.spawn(|| work(renderer))).collect();
         threads.into_iter().try_for_each(|thread| match thread.join() {
             Ok(drawn) => drawn,
             Err(panic) => std::panic::resume_unwind(panic),

@@ -97,7 +97,7 @@ fn shown(dir: &Path) -> Result<ShownRun> {
 }
 
 impl ViewArgs {
-    /// Opens the page where somebody sits before a screen.
+    /// Opens the page in the browser of a user at a terminal with a display.
     fn open(&self, page: &str) {
         let has_screen =
             ["DISPLAY", "WAYLAND_DISPLAY"].iter().any(|name| std::env::var_os(name).is_some());
