@@ -5,12 +5,14 @@ use std::fs::File;
 use std::io::{BufRead, BufReader, Write};
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
+use std::thread::sleep;
+use std::time::{Duration, Instant};
 
 use rustix::fs::{CWD, FileType, Mode, mknodat};
 use serde_json::{Value, json};
 use tempfile::TempDir;
 
-use crate::{eventually, needs};
+use crate::{WATCHDOG, needs};
 
 /// A browser with one page.
 pub struct Browser {
@@ -119,7 +121,15 @@ impl Browser {
 
     /// Waits until a JavaScript expression is true.
     pub fn wait_for(&mut self, expression: &str) {
-        eventually(expression, || (self.value(expression) == true).then_some(()));
+        let start = Instant::now();
+        while self.value(expression) != true {
+            if start.elapsed() > WATCHDOG {
+                let page = "[location.href, document.readyState, document.visibilityState, document.body.innerText]";
+                let page = self.value(page);
+                panic!("timed out waiting for {expression}\n{page}\n{:?}", self.problems);
+            }
+            sleep(Duration::from_millis(5));
+        }
     }
 
     /// The text of the first element that `selector` finds; waits for it.

@@ -272,7 +272,7 @@ fn a_server_shows_every_view_and_gives_nothing_else_away() {
     let host = served.host();
     assert_eq!(served.ask("GET /", host).0, 200);
     let (_, page) = served.ask("GET /index.html", host);
-    for header in ["Content-Security-Policy: default-src 'none'", "X-Content-Type-Options: nosniff"]
+    for header in ["content-security-policy: default-src 'none'", "x-content-type-options: nosniff"]
     {
         assert!(page.contains(header), "{page}");
     }
@@ -291,6 +291,16 @@ fn a_server_shows_every_view_and_gives_nothing_else_away() {
         assert_eq!(served.ask(&format!("GET {path}"), host).0, 404, "{path}");
     }
     assert_eq!(served.ask("POST /", host).0, 405);
+    // A browser opens several connections at once and keeps them: every one is answered.
+    let mut kept: Vec<TcpStream> = (0..32).map(|_| TcpStream::connect(host).unwrap()).collect();
+    for stream in &mut kept {
+        write!(stream, "GET /app.js HTTP/1.1\r\nHost: {host}\r\n\r\n").unwrap();
+    }
+    for stream in &mut kept {
+        let mut start = [0; 15];
+        stream.read_exact(&mut start).unwrap();
+        assert_eq!(&start, b"HTTP/1.1 200 OK");
+    }
     // A page of another site that reaches this server under its own name.
     assert_eq!(served.ask("GET /", "example.org").0, 403);
 

@@ -1,12 +1,23 @@
 //! A site over HTTP: on the loopback interface without, elsewhere with a token.
 
+use std::cell::RefCell;
+use std::convert::Infallible;
 use std::fs::File as SystemFile;
-use std::io::Read;
-use std::net::{IpAddr, SocketAddr};
+use std::io::{ErrorKind, Read};
+use std::net::{IpAddr, SocketAddr, TcpListener};
+use std::rc::Rc;
 use std::str::FromStr;
 
-use anyhow::{Context, Result, anyhow};
-use tiny_http::{Header, Method, Request, Response};
+use anyhow::{Context, Result};
+use http_body_util::Full;
+use hyper::body::{Bytes, Incoming};
+use hyper::header::{self, HeaderName, HeaderValue};
+use hyper::server::conn::http1;
+use hyper::service::service_fn;
+use hyper::{Method, Request, Response, StatusCode};
+use hyper_util::rt::TokioIo;
+use tokio::runtime;
+use tokio::task::{LocalSet, spawn_local};
 
 use crate::site::{File, Site};
 
@@ -34,7 +45,7 @@ impl FromStr for Address {
 
 /// A server that listens, and serves nothing yet.
 pub struct Server {
-    http: tiny_http::Server,
+    listener: TcpListener,
     address: SocketAddr,
     /// What a client must know, if the server listens beyond this machine.
     token: Option<String>,
@@ -56,11 +67,12 @@ impl Server {
     /// When the address is in use or not this machine's.
     pub fn listen(address: Address) -> Result<Self> {
         let Address(wanted) = address;
-        let http = tiny_http::Server::http(wanted)
-            .map_err(|error| anyhow!("cannot listen at {wanted}: {error}"))?;
-        let address = http.server_addr().to_ip().context("a server without an address")?;
+        let listener =
+            TcpListener::bind(wanted).with_context(|| format!("cannot listen at {wanted}"))?;
+        listener.set_nonblocking(true).context("cannot listen")?;
+        let address = listener.local_addr().context("a server without an address")?;
         let token = if wanted.ip().is_loopback() { None } else { Some(random_token()?) };
-        Ok(Self { http, address, token })
+        Ok(Self { listener, address, token })
     }
 
     /// The address to open in a browser.
@@ -69,59 +81,92 @@ impl Server {
         format!("http://{}/{}", self.address, query.unwrap_or_default())
     }
 
-    /// Answers requests until the process ends.
-    pub fn serve(self, site: &mut Site) {
-        for request in self.http.incoming_requests() {
-            let response = self.answer(site, &request);
-            // A client that has gone needs no answer.
-            let _ = request.respond(response);
-        }
+    /// Answers requests, one at a time, until the process ends.
+    ///
+    /// # Errors
+    /// When no connection can be accepted.
+    pub fn serve(self, site: Site) -> Result<()> {
+        let runtime = runtime::Builder::new_current_thread().enable_io().build();
+        let runtime = runtime.context("cannot serve")?;
+        LocalSet::new().block_on(&runtime, self.accept(site)).context("cannot accept a connection")
     }
 
-    fn answer(&self, site: &mut Site, request: &Request) -> Response<std::io::Cursor<Vec<u8>>> {
-        if !matches!(request.method(), Method::Get | Method::Head) {
-            return status(405, "only GET is answered");
+    async fn accept(self, site: Site) -> std::io::Result<()> {
+        let listener = tokio::net::TcpListener::from_std(self.listener)?;
+        let answers =
+            Rc::new(Answers { address: self.address, token: self.token, site: RefCell::new(site) });
+        loop {
+            let stream = match listener.accept().await {
+                Ok((stream, _)) => stream,
+                Err(error) if error.kind() == ErrorKind::ConnectionAborted => continue,
+                Err(error) => return Err(error),
+            };
+            let answers = Rc::clone(&answers);
+            spawn_local(async move {
+                let answer = service_fn(|request| {
+                    let answer = answers.answer(&request);
+                    async { Ok::<_, Infallible>(answer) }
+                });
+                // A client that has gone needs no answer.
+                let _ = http1::Builder::new().serve_connection(TokioIo::new(stream), answer).await;
+            });
         }
-        let path = request.url().trim_start_matches('/');
+    }
+}
+
+type Answer = Response<Full<Bytes>>;
+
+/// What is answered to whom.
+struct Answers {
+    address: SocketAddr,
+    token: Option<String>,
+    site: RefCell<Site>,
+}
+
+impl Answers {
+    fn answer(&self, request: &Request<Incoming>) -> Answer {
+        if !matches!(*request.method(), Method::GET | Method::HEAD) {
+            return status(StatusCode::METHOD_NOT_ALLOWED, "only GET is answered");
+        }
+        let url = request.uri().path_and_query().map_or("", |url| url.as_str());
+        let path = url.trim_start_matches('/');
         match &self.token {
             // Another site's page may reach a loopback server under a name of its own: only ours is answered.
             None if !self.is_own_name(request) => {
-                return status(403, "this server is for this machine only");
+                return status(StatusCode::FORBIDDEN, "this server is for this machine only");
             }
             Some(token) => {
                 if path.strip_prefix("?token=").is_some_and(|given| is_same(given, token)) {
                     let cookie = format!("{COOKIE}={token}; HttpOnly; SameSite=Strict; Path=/");
-                    return headed(
-                        Response::from_data(Vec::new()).with_status_code(303),
-                        &[("Set-Cookie", &cookie), ("Location", "/")],
-                    );
+                    let headers = [(header::SET_COOKIE, cookie.as_str()), (header::LOCATION, "/")];
+                    return answer(StatusCode::SEE_OTHER, Vec::new(), &headers);
                 }
-                let cookies = header(request, "Cookie").unwrap_or_default();
+                let cookies = text(request, &header::COOKIE);
                 let given =
                     cookies.split("; ").find_map(|one| one.strip_prefix(COOKIE)?.strip_prefix('='));
                 if !given.is_some_and(|given| is_same(given, token)) {
                     return status(
-                        403,
+                        StatusCode::FORBIDDEN,
                         "open the address that `memtransfer view` printed: it has the token",
                     );
                 }
             }
             None => {}
         }
-        match site.file(path) {
+        match self.site.borrow_mut().file(path) {
             Ok(Some(file)) => page(path, file),
-            Ok(None) => status(404, "there is no such file"),
+            Ok(None) => status(StatusCode::NOT_FOUND, "there is no such file"),
             Err(error) => {
                 eprintln!("memtransfer: {path}: {error:#}");
-                status(500, &format!("{error:#}"))
+                status(StatusCode::INTERNAL_SERVER_ERROR, &format!("{error:#}"))
             }
         }
     }
 
-    fn is_own_name(&self, request: &Request) -> bool {
+    fn is_own_name(&self, request: &Request<Incoming>) -> bool {
         let port = self.address.port();
         let own = [self.address.to_string(), format!("localhost:{port}")];
-        header(request, "Host").is_some_and(|host| own.contains(&host))
+        own.iter().any(|own| own == text(request, &header::HOST))
     }
 }
 
@@ -131,50 +176,44 @@ const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; i
 const REPORT_POLICY: &str = "default-src 'none'; style-src 'unsafe-inline'; img-src data:; frame-ancestors 'self'; \
                              base-uri 'none'; form-action 'none'";
 
-fn page(path: &str, file: File) -> Response<std::io::Cursor<Vec<u8>>> {
+fn page(path: &str, file: File) -> Answer {
     let policy = if path.ends_with("report.html") { REPORT_POLICY } else { POLICY };
     let cache = if path.contains("/views/") { "max-age=3600" } else { "no-store" };
-    headed(
-        Response::from_data(file.bytes),
-        &[
-            ("Content-Type", file.kind),
-            ("Content-Security-Policy", policy),
-            ("Cache-Control", cache),
-        ],
-    )
-}
-
-fn status(code: u16, text: &str) -> Response<std::io::Cursor<Vec<u8>>> {
-    let response = Response::from_data(format!("{text}\n")).with_status_code(code);
-    headed(
-        response,
-        &[
-            ("Content-Type", "text/plain; charset=utf-8"),
-            ("Content-Security-Policy", "default-src 'none'"),
-        ],
-    )
-}
-
-fn headed(
-    mut response: Response<std::io::Cursor<Vec<u8>>>,
-    headers: &[(&str, &str)],
-) -> Response<std::io::Cursor<Vec<u8>>> {
-    let always = [
-        ("X-Content-Type-Options", "nosniff"),
-        ("Referrer-Policy", "no-referrer"),
-        ("Cross-Origin-Resource-Policy", "same-origin"),
+    let headers = [
+        (header::CONTENT_TYPE, file.kind),
+        (header::CONTENT_SECURITY_POLICY, policy),
+        (header::CACHE_CONTROL, cache),
     ];
+    answer(StatusCode::OK, file.bytes, &headers)
+}
+
+fn status(code: StatusCode, text: &str) -> Answer {
+    let headers = [
+        (header::CONTENT_TYPE, "text/plain; charset=utf-8"),
+        (header::CONTENT_SECURITY_POLICY, "default-src 'none'"),
+    ];
+    answer(code, format!("{text}\n").into_bytes(), &headers)
+}
+
+fn answer(code: StatusCode, content: Vec<u8>, headers: &[(HeaderName, &str)]) -> Answer {
+    let always = [
+        (header::X_CONTENT_TYPE_OPTIONS, "nosniff"),
+        (header::REFERRER_POLICY, "no-referrer"),
+        (HeaderName::from_static("cross-origin-resource-policy"), "same-origin"),
+    ];
+    let mut answer = Response::new(Full::from(content));
+    *answer.status_mut() = code;
     for (name, value) in headers.iter().chain(&always) {
-        if let Ok(header) = Header::from_bytes(name.as_bytes(), value.as_bytes()) {
-            response.add_header(header);
+        if let Ok(value) = HeaderValue::from_str(value) {
+            answer.headers_mut().insert(name, value);
         }
     }
-    response
+    answer
 }
 
-fn header(request: &Request, name: &'static str) -> Option<String> {
-    let found = request.headers().iter().find(|header| header.field.equiv(name));
-    found.map(|header| header.value.as_str().to_owned())
+/// The value of a header; empty if there is none.
+fn text<'a>(request: &'a Request<Incoming>, name: &HeaderName) -> &'a str {
+    request.headers().get(name).and_then(|value| value.to_str().ok()).unwrap_or_default()
 }
 
 /// Compares in a time that does not depend on where the texts differ.

@@ -77,7 +77,7 @@ pub(super) fn run(args: &ViewArgs) -> Result<Exit> {
     print(&server.url())?;
     eprintln!("serving until Ctrl-C");
     args.open(&server.url());
-    server.serve(&mut site);
+    server.serve(site)?;
     Ok(Exit::Complete)
 }
 
