@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, bail};
 use clap::{Args, Subcommand};
 use results::conditions::Condition;
+use results::date::date;
 use results::log::RunLog;
 use results::score::score;
 use results::settings::StreamSettings;
@@ -324,7 +325,7 @@ fn run_row(folder: &Path) -> Vec<Value> {
     vec![
         name,
         json!(log.manifest.settings.suite.word()),
-        json!(policy_name(&log)),
+        json!(log.policy_label()),
         json!(log.sessions.first().map(|session| date(session.unix_s))),
         json!(state),
         json!(scores.finished),
@@ -332,18 +333,6 @@ fn run_row(folder: &Path) -> Vec<Value> {
         json!(log.errors.len()),
         json!(sr),
     ]
-}
-
-/// The run's policy, with the name that an external one gives itself, or the model of `openai`.
-fn policy_name(log: &RunLog) -> String {
-    let settings = &log.manifest.settings;
-    let own = log.manifest.processes.get("policy").and_then(|facts| facts.get("policy"));
-    let model = settings.model.as_ref().map(|model| &model.model);
-    let kind = settings.policy.to_string();
-    match model.or(own) {
-        Some(name) if *name != kind => format!("{kind} ({name})"),
-        _ => kind,
-    }
 }
 
 #[cfg(test)]

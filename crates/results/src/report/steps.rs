@@ -111,7 +111,8 @@ mod tests {
         (one.tried_closed, one.tried_closed_at) = (Some(true), Some(4));
         let mut csv = Vec::new();
         steps_frame(&log(vec![one])).write_csv(&mut csv).unwrap();
-        let text = String::from_utf8(csv).unwrap().replace("episodic/original/unchanged/original/", "");
+        let text =
+            String::from_utf8(csv).unwrap().replace("episodic/original/unchanged/original/", "");
         insta::assert_snapshot!(text, @"");
     }
 }
