@@ -79,7 +79,7 @@ enum MemtransferVerb {
     Report(report::ReportArgs),
     /// Show a run in a browser: every episode step by step, two side by side
     View(view::ViewArgs),
-    /// Write a run as files for other programs: MCAP, MP4, CSV, Parquet, leaderboard, Hugging Face
+    /// Write a run for other programs: MCAP, MP4, CSV, Parquet, leaderboard, Hugging Face
     Export(export::ExportArgs),
     /// Compare many runs in one table and one page
     Leaderboard(leaderboard::LeaderboardArgs),

@@ -193,7 +193,13 @@ mod tests {
             .into_iter()
             .map(|(step, level, words)| format!("{step} {level:?} {words}"))
             .collect();
-        insta::assert_snapshot!(shown.join("\n"), @"");
+        insta::assert_snapshot!(shown.join("\n"), @"
+        1 Info sub-goal 1 of 2 is met
+        2 Warning no action could be read in the answer
+        3 Warning the move was blocked
+        3 Warning tried to enter the closed passage
+        3 Error failed: blocked (tried to enter a closed cell, then met no requirement and hardly went anywhere new)
+        ");
         let shown = events(&record("a", true));
         assert_eq!(shown.last(), Some(&(10, Level::Info, "the task is complete".to_owned())));
     }

@@ -138,7 +138,15 @@ mod tests {
         assert!(path.ends_with("memtransfer-quick.yaml"), "{}", path.display());
         let text = fs::read_to_string(path).unwrap();
         let protocol = text.split("protocol ").nth(1).and_then(|rest| rest.get(..8)).unwrap();
-        insta::assert_snapshot!(text.replace(protocol, "ID"), @"");
+        insta::assert_snapshot!(text.replace(protocol, "ID"), @r#"
+        - dataset:
+            id: "team/memtransfer"
+            task_id: "quick_episodic_original_unchanged_original"
+          value: 50.00
+          source:
+            url: "team/\"x\""
+          notes: "success rate in percent, n = 2; MemTransfer 1.2.3, protocol ID; policy grounded; 95 % interval 9.5 to 90.5"
+        "#);
         for wrong in ["", "team", "a/b/c", "a/ b", "/x"] {
             assert!(wrong.parse::<HubDataset>().is_err(), "{wrong}");
         }

@@ -89,7 +89,7 @@ fn entry_at(path: &Path) -> Result<Entry> {
 
 impl Found {
     fn add(&mut self, entry: Entry) {
-        if !self.entries.contains(&entry) {
+        if !self.entries.iter().any(|known| known.is_of_same_run(&entry)) {
             self.entries.push(entry);
         }
     }

@@ -24,7 +24,8 @@ impl Film {
             .args(["-hide_banner", "-loglevel", "error", "-nostdin", "-y"])
             .args(["-f", "image2pipe", "-c:v", "mjpeg", "-framerate", &rate, "-i", "pipe:0"])
             // Players of all kinds know H.264 with these pixels; the index comes first, so that it can be streamed.
-            .args(["-c:v", "libx264", "-pix_fmt", "yuv420p", "-movflags", "+faststart"])
+            .args(["-c:v", "libx264", "-preset", "veryfast", "-pix_fmt", "yuv420p"])
+            .args(["-movflags", "+faststart"])
             .args(["-f", "mp4"])
             .arg(path)
             .stdin(Stdio::piped())

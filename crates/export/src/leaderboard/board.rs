@@ -176,7 +176,7 @@ impl Board {
                 text.push_str(&format!("  not comparable: {differs}\n"));
             }
             for one in &section.tables {
-                text.push_str(&format!("\n{}\n{}", one.title, one.text()));
+                text.push_str(&format!("\n{}\n{}\n", one.title, one.text().trim_end()));
             }
             text.push('\n');
         }
@@ -312,7 +312,27 @@ mod tests {
         let text = board.text();
         let ids: Vec<&str> = board.sections.iter().map(|section| section.id.as_str()).collect();
         let text = text.replace(ids[0], "FIRST").replace(ids[1], "SECOND");
-        insta::assert_snapshot!(text, @"");
+        insta::assert_snapshot!(text, @"
+        Suite quick, protocol FIRST
+
+        original start, unchanged route
+        ──────────────────────────────────────────────────────────────────────────────────
+        run     policy    memory    demos     n           Success, %                   SPL
+        ──────────────────────────────────────────────────────────────────────────────────
+        strong  grounded  episodic  original  2  100.0 [34.2, 100.0]  0.800 [0.223, 0.982]
+        weak    grounded  episodic  original  2     50.0 [9.5, 90.5]  0.400 [0.000, 0.800]
+        ──────────────────────────────────────────────────────────────────────────────────
+
+        Suite quick, protocol SECOND
+          not comparable: seed is 2 here and 1 in protocol FIRST
+
+        original start, unchanged route
+        ─────────────────────────────────────────────────────────────────────────────────
+        run    policy    memory    demos     n           Success, %                   SPL
+        ─────────────────────────────────────────────────────────────────────────────────
+        other  grounded  episodic  original  2  100.0 [34.2, 100.0]  0.800 [0.223, 0.982]
+        ─────────────────────────────────────────────────────────────────────────────────
+        ");
         assert!(text.lines().all(|line| line.chars().count() <= 100));
     }
 }
