@@ -52,7 +52,7 @@ def read_mcap(path, records):
             assert abs(pose.orientation.z - z) < 1e-9 and abs(pose.orientation.w - w) < 1e-9
         images = [one for topic, _, one in messages if topic == "/camera"]
         image = Image.open(io.BytesIO(images[-1].data))
-        assert images[-1].format == "jpeg" and image.size == (96, 96), image
+        assert images[-1].format == "jpeg" and image.size == (128, 128), image
         image.load()
         for topic, time, one in messages:
             assert one.timestamp.seconds * 10**9 + one.timestamp.nanos == time

@@ -27,9 +27,9 @@ fn export(bench: &Bench, format: &str, out: &str, more: &[&str]) -> Ended {
 fn every_format_is_read_by_the_programs_it_is_for() {
     let bench = Bench::new();
     small(&bench, "r", &[]);
-    let written = export(&bench, "mcap", "x/all.mcap", &["--episodes", "all", "--size", "96"]);
+    let written = export(&bench, "mcap", "x/all.mcap", &["--episodes", "all", "--size", "128"]);
     assert_eq!(written.expect(0).stdout.trim(), "x/all.mcap");
-    let one = ["--condition", "episodic,blocked", "--episodes", "1", "--size", "96"];
+    let one = ["--condition", "episodic,blocked", "--episodes", "1", "--size", "128"];
     let written = export(&bench, "mcap", "x/episodes", &one).expect(0);
     let name = written.stdout.trim().to_owned();
     assert!(name.starts_with("x/episodes/episodic_new_blocked_4_run1_t"), "{name}");
@@ -49,7 +49,7 @@ fn every_format_is_read_by_the_programs_it_is_for() {
 
     // The same log gives the same files.
     let first = fs::read(bench.out("x/all.mcap")).unwrap();
-    export(&bench, "mcap", "x/all.mcap", &["--episodes", "all", "--size", "96"]).expect(0);
+    export(&bench, "mcap", "x/all.mcap", &["--episodes", "all", "--size", "128"]).expect(0);
     assert!(first == fs::read(bench.out("x/all.mcap")).unwrap());
 }
 
@@ -57,7 +57,7 @@ fn every_format_is_read_by_the_programs_it_is_for() {
 fn a_film_has_a_picture_for_every_moment() {
     let bench = Bench::new();
     small(&bench, "r", &["--memory", "working"]);
-    let args = ["--size", "96", "--fps", "4", "--episodes", "2"];
+    let args = ["--size", "128", "--fps", "4", "--episodes", "2"];
     let film = export(&bench, "mp4", "film.mp4", &args).expect(0);
     assert_eq!(film.stdout.trim(), "film.mp4");
     let probe = Command::new("ffprobe")
@@ -68,7 +68,7 @@ fn a_film_has_a_picture_for_every_moment() {
     let shown: Value = serde_json::from_slice(&probe.unwrap().stdout).unwrap();
     let stream = &shown["streams"][0];
     assert_eq!(stream["codec_name"], "h264");
-    assert_eq!((&stream["width"], &stream["height"]), (&json!(96), &json!(96)));
+    assert_eq!((&stream["width"], &stream["height"]), (&json!(128), &json!(128)));
     assert_eq!((&stream["pix_fmt"], &stream["r_frame_rate"]), (&json!("yuv420p"), &json!("4/1")));
     export(&bench, "csv", "tables", &["--episodes", "2"]).expect(0);
     let moments = fs::read_to_string(bench.out("tables/steps.csv")).unwrap().lines().count() - 1;

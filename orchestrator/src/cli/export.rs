@@ -66,8 +66,8 @@ pub(super) struct ExportArgs {
     /// With mcap and mp4: steps a second [default: 2]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=60))]
     fps: Option<u32>,
-    /// With mcap and mp4: width and height of a view in pixels, an even number [default: 448]
-    #[arg(long, value_name = "PIXELS", value_parser = clap::value_parser!(u16).range(64..=2048).try_map(even))]
+    /// With mcap and mp4: width and height of a view in pixels, a multiple of 64 [default: 448]
+    #[arg(long, value_name = "PIXELS", value_parser = clap::value_parser!(u16).range(64..=2048).try_map(renderable))]
     size: Option<u16>,
     /// With hugging-face: the id of the benchmark's data set on the Hub
     #[arg(long, value_name = "TEAM/NAME", required_if_eq("format", "hugging-face"))]
@@ -87,8 +87,9 @@ enum Format {
     HuggingFace,
 }
 
-fn even(size: u16) -> Result<u16, &'static str> {
-    if size.is_multiple_of(2) { Ok(size) } else { Err("expected an even number") }
+/// The simulator renders rows of whole blocks of 64 pixels.
+fn renderable(size: u16) -> Result<u16, &'static str> {
+    if size.is_multiple_of(64) { Ok(size) } else { Err("expected a multiple of 64") }
 }
 
 pub(super) fn run(args: &ExportArgs) -> Result<Exit> {
