@@ -7,7 +7,9 @@ mod clean;
 mod conformance;
 mod doctor;
 mod documents;
+mod export;
 mod generate;
+mod leaderboard;
 mod list;
 mod map;
 mod memory;
@@ -45,6 +47,7 @@ Examples:
   memtransfer score runs/quick-grounded    its table again, from the log alone
   memtransfer report runs/quick-grounded   its report: pages, tables and data files
   memtransfer view runs/quick-grounded     its episodes step by step, in a browser
+  memtransfer export runs/quick-grounded --format parquet --out tables
   memtransfer ls cases                     the cases
   memtransfer map t03-07 --out map.svg     one case from above
   memtransfer top                          the live status of the run in progress
@@ -76,6 +79,10 @@ enum MemtransferVerb {
     Report(report::ReportArgs),
     /// Show a run in a browser: every episode step by step, two side by side
     View(view::ViewArgs),
+    /// Write a run for other programs: MCAP, MP4, CSV, Parquet, leaderboard, Hugging Face
+    Export(export::ExportArgs),
+    /// Compare many runs in one table and one page
+    Leaderboard(leaderboard::LeaderboardArgs),
     /// Print one step: what the policy received, and what it answered
     Show(show::ShowArgs),
     /// Measure how long an access to memory takes, part by part
@@ -133,6 +140,8 @@ pub fn main() -> ExitCode {
         MemtransferVerb::Score(args) => score::run(&args),
         MemtransferVerb::Report(args) => report::run(&args),
         MemtransferVerb::View(args) => view::run(&args),
+        MemtransferVerb::Export(args) => export::run(&args),
+        MemtransferVerb::Leaderboard(args) => leaderboard::run(&args),
         MemtransferVerb::Show(args) => show::run(&args),
         MemtransferVerb::Profile(args) => profile::run(&args),
         MemtransferVerb::Conformance(args) => conformance::run(&args),

@@ -16,6 +16,11 @@ pub fn inspect_python() -> PathBuf {
     installed("python-inspect/bin/python")
 }
 
+/// The Python with the readers of exports: the packages of `xtask/python/requirements-exports.txt`.
+pub fn exports_python() -> PathBuf {
+    installed("python-exports/bin/python")
+}
+
 /// The Python with the packages of the example memory in `examples/memories/NAME`.
 pub fn memory_python(name: &str) -> PathBuf {
     installed(&format!("python-memories/{name}/bin/python"))

@@ -50,7 +50,7 @@ struct TaskArguments {
 enum Task {
     /// Install what is missing: system packages, ONNX Runtime, the default encoder
     Setup {
-        /// Also install what tests need: a Vulkan driver, Chromium, Python packages and a small language model
+        /// Also install what tests need: a Vulkan driver, Chromium, ffmpeg, Python packages and a small language model
         #[arg(long)]
         tests: bool,
     },

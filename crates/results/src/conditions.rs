@@ -125,6 +125,13 @@ pub struct Condition {
 }
 
 impl Condition {
+    /// Whether all of `words`, which are separated by `,` or `/`, are words of its name: `episodic,new`.
+    pub fn has_words(&self, words: &str) -> bool {
+        let name = self.to_string();
+        let own: Vec<&str> = name.split('/').collect();
+        words.split([',', '/']).all(|word| own.contains(&word.trim()))
+    }
+
     /// Returns the condition, in the arm `frozen`, in its normal form: settings without effect have their standard values, so that two
     /// conditions differ only if their episodes can. `None` if there is no such condition.
     ///

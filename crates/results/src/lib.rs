@@ -7,6 +7,7 @@
 pub mod compare;
 pub mod conditions;
 pub mod cost;
+pub mod date;
 pub mod events;
 pub mod key;
 pub mod latency;

@@ -16,6 +16,7 @@ mod parquet;
 mod plot;
 mod published;
 mod sections;
+mod steps;
 mod terminal;
 mod view;
 
@@ -30,7 +31,7 @@ pub use frame::{Frame, Series, Values};
 pub use plot::{Curve, Curves, curves};
 pub use plot::{Stack, StackRow, stack};
 pub use published::{Published, PublishedCondition, PublishedSpread};
-
+pub use steps::steps_frame;
 pub use terminal::{compared_runs, comparison, summary};
 
 use std::fs::{self, File};
@@ -139,10 +140,8 @@ pub fn write(logs: &[RunLog], dir: &Path) -> Result<PathBuf, ReportError> {
         frames.push(("streams", data::streams(&views)));
     }
     for (name, frame) in frames {
-        out.stream(&format!("{name}.csv"), |file| {
-            csv::write_frame(&frame, file).map_err(io::Error::other)
-        })?;
-        out.stream(&format!("{name}.parquet"), |file| parquet::write_frame(&frame, file))?;
+        out.stream(&format!("{name}.csv"), |file| frame.write_csv(file))?;
+        out.stream(&format!("{name}.parquet"), |file| frame.write_parquet(file))?;
     }
     Ok(page)
 }

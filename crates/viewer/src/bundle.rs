@@ -6,27 +6,13 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
 use domain::Pose;
-use results::log::RunLog;
+use replay::Selection;
+use replay::frames::file_name;
 use results::step_view::PromptLog;
 use warehouse::ELSEWHERE_VARIANT;
 
 use crate::data::{image_hashes, view_keys};
-use crate::frames::file_name;
 use crate::site::{FRONT_END, File, RunPages, Site, folder_of, image};
-
-/// The episodes that a bundle shows with views and prompts. All others have their page without them.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Selection {
-    /// So many of a run: failures first, the conditions in turn.
-    First(usize),
-    /// All of them.
-    All,
-}
-
-impl Selection {
-    /// What is chosen unless something else is asked for.
-    pub const DEFAULT: Self = Self::First(100);
-}
 
 /// What was written.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
@@ -46,7 +32,8 @@ pub struct Bundle {
 /// A file that only bundles have, so that a folder is known as one.
 const MARK: &str = "runs.js";
 
-/// Writes `site` into the folder `dir`, which is made if need be; an earlier bundle in it is replaced.
+/// Writes `site` into the folder `dir`, which is made if need be; an earlier bundle in it is replaced. The selected episodes
+/// have views and prompts, all others a page without them.
 ///
 /// # Errors
 /// When the folder holds something else, a run cannot be read, the renderer fails, or the system refuses.
@@ -72,31 +59,12 @@ pub fn write_bundle(site: &mut Site, dir: &Path, selection: Selection) -> Result
     }
     let mut keys = BTreeSet::new();
     for (place, run) in (1..).zip(&mut site.runs) {
-        let chosen = choose(&run.log, &keys, selection);
+        let chosen = selection.choose(&run.log, &keys);
         keys.extend(chosen.iter().map(|&index| run.log.episodes[index].key.clone()));
         folder.run(&folder_of(place), run, &chosen)?;
     }
     folder.bundle.page = dir.join("index.html");
     Ok(folder.bundle)
-}
-
-/// The numbers of the chosen episodes: those with one of `keys` first, then failures, the conditions in turn.
-fn choose(log: &RunLog, keys: &BTreeSet<String>, selection: Selection) -> BTreeSet<usize> {
-    let Selection::First(most) = selection else { return (0..log.episodes.len()).collect() };
-    let mut turns = BTreeMap::new();
-    let mut ranked: Vec<_> = log
-        .episodes
-        .iter()
-        .enumerate()
-        .map(|(index, record)| {
-            let turn: &mut usize =
-                turns.entry((record.is_success(), record.condition())).or_default();
-            *turn += 1;
-            (!keys.contains(&record.key), record.is_success(), *turn, index)
-        })
-        .collect();
-    ranked.sort_unstable();
-    ranked.into_iter().take(most).map(|(_, _, _, index)| index).collect()
 }
 
 /// The folder that is written into.
@@ -198,27 +166,5 @@ impl Folder<'_> {
             Ok(())
         })?;
         Ok(same)
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use results::log::testing::{log, record};
-
-    use super::*;
-
-    #[test]
-    fn failures_are_chosen_first_and_the_conditions_take_turns() {
-        let mut records = Vec::new();
-        for (case, success) in [("a", true), ("b", false), ("c", false), ("d", false)] {
-            records.push(record(case, success));
-        }
-        let log = log(records);
-        let none = BTreeSet::new();
-        assert_eq!(choose(&log, &none, Selection::First(2)), BTreeSet::from([1, 2]));
-        assert_eq!(choose(&log, &none, Selection::First(9)), BTreeSet::from([0, 1, 2, 3]));
-        assert_eq!(choose(&log, &none, Selection::All).len(), 4);
-        let known = BTreeSet::from([log.episodes[0].key.clone()]);
-        assert_eq!(choose(&log, &known, Selection::First(2)), BTreeSet::from([0, 1]));
     }
 }

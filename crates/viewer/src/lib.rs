@@ -1,6 +1,6 @@
 //! Pages that show a run: a grid of its episodes, each episode step by step, two of them side by side.
 //!
-//! [`Site`] turns run folders into files: data as scripts ([`data`]), views rendered from poses ([`frames`]), and a front
+//! [`Site`] turns run folders into files: data as scripts ([`data`]), views rendered from poses ([`replay::frames`]), and a front
 //! end without a build step (`web/`). [`write_bundle`] writes them to a folder that opens from the disk, [`Server`] answers
 //! requests with the same files, made when they are asked for.
 //!
@@ -8,12 +8,9 @@
 
 mod bundle;
 pub mod data;
-pub mod frames;
 mod server;
 mod site;
-mod world;
 
-pub use bundle::{Bundle, Selection, write_bundle};
+pub use bundle::{Bundle, write_bundle};
 pub use server::{Address, Server};
-pub use site::{File, ShownRun, Site, ViewProgram};
-pub use world::RunWorld;
+pub use site::{File, Site};

@@ -17,26 +17,28 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::ffi::OsString;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use anyhow::{Context, Result};
 use domain::prompt_log::image_file;
 use png_file::RgbaImage;
+use replay::frames::{self, ViewFormat, ViewKey, ViewProgram, ViewRenderer, jpeg, world_arguments};
+use replay::{RecordedRun, RunWorld};
 use results::conditions::Condition;
 use results::key::EpisodeKey;
 use results::log::{
-    ELSEWHERE_HASH, EpisodeRecord, EpisodeTimings, JournalTail, RequestRecord, RunFolder, RunLog,
-    STATUS_FILE,
+    EpisodeRecord, EpisodeTimings, JournalTail, RequestRecord, RunFolder, RunLog, STATUS_FILE,
 };
 use results::report::{self, Published};
 use results::step_view::PromptLog;
 use serde::Serialize;
 use serde_json::{Value, json};
-use warehouse::{CaseSet, Warehouse, map};
+use warehouse::map;
 
 use crate::data::{EpisodeData, EpisodeRow, LoggedEpisode, PromptData, RunData, prompts, row};
-use crate::frames::{self, ViewKey, ViewRenderer, jpeg};
-use crate::world::RunWorld;
+
+/// Views and the images of prompts.
+const VIEW_FORMAT: ViewFormat = ViewFormat { edge: 320, quality: 62 };
 
 /// The files of the front end.
 pub(crate) const FRONT_END: [(&str, &[u8]); 6] = [
@@ -69,19 +71,6 @@ impl File {
     }
 }
 
-/// A run to show, and what is needed to render its views.
-#[derive(Debug)]
-pub struct ShownRun {
-    /// The run's log.
-    pub log: RunLog,
-    /// The warehouse that it took place in.
-    pub warehouse: Warehouse,
-    /// Its cases.
-    pub cases: CaseSet,
-    /// What the user must know about it.
-    pub notices: Vec<String>,
-}
-
 /// The pages of one or two runs.
 #[derive(Debug)]
 pub struct Site {
@@ -95,7 +84,7 @@ impl Site {
     ///
     /// # Errors
     /// When the files of a run do not fit.
-    pub fn new(runs: Vec<ShownRun>, program: &ViewProgram, is_served: bool) -> Result<Self> {
+    pub fn new(runs: Vec<RecordedRun>, program: &ViewProgram, is_served: bool) -> Result<Self> {
         let pages = runs.into_iter().map(|run| RunPages::new(run, program, is_served));
         Ok(Self { runs: pages.collect::<Result<_>>()?, is_served })
     }
@@ -166,15 +155,6 @@ struct Growth {
     keys: BTreeSet<String>,
 }
 
-/// The program that renders views, `sim-proc`, and a variable that it needs.
-#[derive(Debug, Clone)]
-pub struct ViewProgram {
-    /// Its path.
-    pub path: PathBuf,
-    /// Name and value of the variable.
-    pub variable: (&'static str, &'static str),
-}
-
 /// The renderer, started when the first view is needed.
 #[derive(Debug)]
 struct LazyRenderer {
@@ -191,7 +171,7 @@ impl LazyRenderer {
     ) -> Result<()> {
         let mut renderer = match self.running.take() {
             Some(renderer) => renderer,
-            None => ViewRenderer::start(&self.program, &self.arguments)?,
+            None => ViewRenderer::start(&self.program, &self.arguments, VIEW_FORMAT)?,
         };
         renderer.render(views, take)?;
         // After an error the next view starts another.
@@ -201,23 +181,10 @@ impl LazyRenderer {
 }
 
 impl RunPages {
-    fn new(run: ShownRun, program: &ViewProgram, is_served: bool) -> Result<Self> {
-        let ShownRun { log, warehouse, cases, notices } = run;
+    fn new(run: RecordedRun, program: &ViewProgram, is_served: bool) -> Result<Self> {
+        let RecordedRun { log, warehouse, cases, notices } = run;
         let settings = &log.manifest.settings;
-        let mut arguments: Vec<OsString> = Vec::new();
-        let mut flag = |name: &str, value: OsString| arguments.extend([name.into(), value]);
-        if let Some(assets) = &settings.assets {
-            flag("--assets", assets.into());
-        }
-        if settings.stream.is_some() {
-            flag("--streams", RunFolder::streams_of(&log.dir).into());
-        }
-        if log.manifest.hashes.contains_key(ELSEWHERE_HASH) {
-            flag("--elsewhere", RunFolder::elsewhere_of(&log.dir).into());
-        }
-        for (name, value) in settings.appearance().flags() {
-            flag(name, value.into());
-        }
+        let arguments = world_arguments(&log);
         let growth = is_served.then(|| Growth::new(&log));
         let renderer = LazyRenderer { program: program.clone(), arguments, running: None };
         let world = RunWorld::new(&log, warehouse, cases)?;
@@ -450,6 +417,7 @@ impl Growth {
 pub(crate) fn image(path: &Path) -> Result<File> {
     let image = RgbaImage::read(path)?;
     let edge = |edge: u32| u16::try_from(edge).context("the image is too large");
-    let bytes = jpeg(edge(image.width())?, edge(image.height())?, image.as_bytes())?;
+    let size = (edge(image.width())?, edge(image.height())?);
+    let bytes = jpeg(size, VIEW_FORMAT.quality, image.as_bytes())?;
     Ok(File { kind: "image/jpeg", bytes })
 }

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, bail};
 use clap::{Args, Subcommand};
 use results::conditions::Condition;
+use results::date::date;
 use results::log::RunLog;
 use results::score::score;
 use results::settings::StreamSettings;
@@ -324,7 +325,7 @@ fn run_row(folder: &Path) -> Vec<Value> {
     vec![
         name,
         json!(log.manifest.settings.suite.word()),
-        json!(policy_name(&log)),
+        json!(log.policy_label()),
         json!(log.sessions.first().map(|session| date(session.unix_s))),
         json!(state),
         json!(scores.finished),
@@ -332,33 +333,6 @@ fn run_row(folder: &Path) -> Vec<Value> {
         json!(log.errors.len()),
         json!(sr),
     ]
-}
-
-/// The run's policy, with the name that an external one gives itself, or the model of `openai`.
-fn policy_name(log: &RunLog) -> String {
-    let settings = &log.manifest.settings;
-    let own = log.manifest.processes.get("policy").and_then(|facts| facts.get("policy"));
-    let model = settings.model.as_ref().map(|model| &model.model);
-    let kind = settings.policy.to_string();
-    match model.or(own) {
-        Some(name) if *name != kind => format!("{kind} ({name})"),
-        _ => kind,
-    }
-}
-
-/// The UTC date and time of seconds since 1970: `2026-03-01 12:30`.
-fn date(unix_s: u64) -> String {
-    let (days, minutes) = (unix_s / 86_400, unix_s % 86_400 / 60);
-    // Days are counted from March 1 of year 0, so that leap days come last (Howard Hinnant's algorithm).
-    let shifted = days + 719_468;
-    let (era, of_era) = (shifted / 146_097, shifted % 146_097);
-    let year = (of_era - of_era / 1460 + of_era / 36_524 - of_era / 146_096) / 365;
-    let of_year = of_era - (365 * year + year / 4 - year / 100);
-    let month = (5 * of_year + 2) / 153;
-    let day = of_year - (153 * month + 2) / 5 + 1;
-    let month = if month < 10 { month + 3 } else { month - 9 };
-    let year = year + 400 * era + u64::from(month <= 2);
-    format!("{year}-{month:02}-{day:02} {:02}:{:02}", minutes / 60, minutes % 60)
 }
 
 #[cfg(test)]
@@ -370,19 +344,6 @@ mod tests {
     use results::log::{RunFolder, SessionEvent};
 
     use super::*;
-
-    #[test]
-    fn dates_are_those_of_the_calendar() {
-        for (unix_s, expected) in [
-            (0, "1970-01-01 00:00"),
-            (951_782_399, "2000-02-28 23:59"),
-            (951_782_400, "2000-02-29 00:00"),
-            (1_772_368_200, "2026-03-01 12:30"),
-            (4_102_444_799, "2099-12-31 23:59"),
-        ] {
-            assert_eq!(date(unix_s), expected);
-        }
-    }
 
     #[test]
     fn a_run_is_listed_with_the_name_of_its_policy_and_a_date() {

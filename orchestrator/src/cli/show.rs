@@ -85,11 +85,7 @@ impl ShowArgs {
         let condition = |record: &EpisodeRecord| record.condition().to_string();
         let mut found = of_case.clone();
         if let Some(asked) = &self.condition {
-            let has_words = |record: &&EpisodeRecord| {
-                let condition = condition(record);
-                let words: Vec<&str> = condition.split('/').collect();
-                asked.split([',', '/']).all(|word| words.contains(&word.trim()))
-            };
+            let has_words = |record: &&EpisodeRecord| record.condition().has_words(asked);
             // A condition in full does not stand for its variations.
             let exact = found.iter().copied().filter(|record| condition(record) == *asked);
             let exact: Vec<&EpisodeRecord> = exact.collect();

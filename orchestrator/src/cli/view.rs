@@ -6,9 +6,11 @@ use std::process::{Command, Stdio};
 
 use anyhow::Result;
 use clap::Args;
+use replay::frames::ViewProgram;
+use replay::{RecordedRun, Selection};
 use results::log::RunLog;
 use supervise::{QUIET_DRIVER, sibling};
-use viewer::{Address, Selection, Server, ShownRun, Site, ViewProgram, write_bundle};
+use viewer::{Address, Server, Site, write_bundle};
 
 use super::{Exit, print};
 use crate::world::World;
@@ -35,7 +37,7 @@ pub(super) struct ViewArgs {
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
     /// With --out: the number of episodes of a run with views and prompts, failures first, or `all`
-    #[arg(long, value_name = "N|all", requires = "out", default_value = "100", value_parser = parse_selection)]
+    #[arg(long, value_name = "N|all", requires = "out", default_value = "100")]
     episodes: Selection,
     /// Serve the pages at ADDR [default without --out: a free port of this machine alone]
     #[arg(long, value_name = "ADDR", num_args = 0..=1, default_missing_value = "127.0.0.1:0", conflicts_with = "out")]
@@ -45,21 +47,10 @@ pub(super) struct ViewArgs {
     no_browser: bool,
 }
 
-fn parse_selection(text: &str) -> Result<Selection, String> {
-    match text {
-        "all" => Ok(Selection::All),
-        count => count
-            .parse()
-            .map(Selection::First)
-            .map_err(|_| "expected a number, or `all`".to_owned()),
-    }
-}
-
 pub(super) fn run(args: &ViewArgs) -> Result<Exit> {
     let runs = [Some(&args.run), args.other.as_ref()].into_iter().flatten();
-    let runs = runs.map(|dir| shown(dir)).collect::<Result<_>>()?;
-    let program = ViewProgram { path: sibling("sim-proc")?, variable: QUIET_DRIVER };
-    let mut site = Site::new(runs, &program, args.out.is_none())?;
+    let runs = runs.map(|dir| recorded(dir)).collect::<Result<_>>()?;
+    let mut site = Site::new(runs, &view_program()?, args.out.is_none())?;
     if let Some(out) = &args.out {
         let bundle = write_bundle(&mut site, out, args.episodes)?;
         eprintln!(
@@ -81,7 +72,13 @@ pub(super) fn run(args: &ViewArgs) -> Result<Exit> {
     Ok(Exit::Complete)
 }
 
-fn shown(dir: &Path) -> Result<ShownRun> {
+/// The program that renders views.
+pub(super) fn view_program() -> Result<ViewProgram> {
+    Ok(ViewProgram { path: sibling("sim-proc")?, variable: QUIET_DRIVER })
+}
+
+/// The run in `dir` with its world.
+pub(super) fn recorded(dir: &Path) -> Result<RecordedRun> {
     let log = RunLog::read(dir)?;
     let World { warehouse, cases, hashes } = World::load(log.manifest.settings.assets.as_deref())?;
     let differs = |name: &&str| log.manifest.hashes.get(*name) != hashes.get(*name);
@@ -93,7 +90,7 @@ fn shown(dir: &Path) -> Result<ShownRun> {
             changed.join(", another ")
         ));
     }
-    Ok(ShownRun { log, warehouse, cases, notices })
+    Ok(RecordedRun { log, warehouse, cases, notices })
 }
 
 impl ViewArgs {

@@ -209,6 +209,38 @@ impl Manifest {
             .collect()
     }
 
+    /// What two runs must have in common for their figures to be comparable: the suite, the world and how it looks, the
+    /// cases, the seed, the limits of an episode, and the version of the program. Policy and memory are not among it, because
+    /// they are what is compared; neither are conditions and repetitions, which a figure names.
+    pub fn protocol(&self) -> BTreeMap<String, Value> {
+        const SETTINGS: [&str; 10] = [
+            "cases",
+            "limit",
+            "seed",
+            "max-steps",
+            "frame-size",
+            "frames",
+            "plates",
+            "labels",
+            "appearance-seed",
+            "stream",
+        ];
+        const CONTENTS: [&str; 4] = ["layout", "catalogue", "cases", ELSEWHERE_HASH];
+        let mut settings = match serde_json::to_value(&self.settings) {
+            Ok(Value::Object(settings)) => settings,
+            _ => Map::new(),
+        };
+        let mut protocol: BTreeMap<String, Value> = SETTINGS
+            .iter()
+            .filter_map(|key| Some(((*key).to_owned(), settings.remove(*key)?)))
+            .collect();
+        let contents = self.hashes.iter().filter(|(name, _)| CONTENTS.contains(&name.as_str()));
+        protocol.extend(contents.map(|(name, hash)| (contents_of(name), hash.clone().into())));
+        protocol.insert("suite".to_owned(), self.settings.suite.word().into());
+        protocol.insert("version".to_owned(), self.version.clone().into());
+        protocol
+    }
+
     /// The settings and contents that determine the outcome of an episode, by name.
     fn identity(&self) -> Map<String, Value> {
         let mut identity = match serde_json::to_value(&self.settings) {

@@ -85,6 +85,17 @@ impl RunLog {
         self.manifest.policy_name()
     }
 
+    /// The policy, with the name that an external one gives itself, or the model of `openai`.
+    pub fn policy_label(&self) -> String {
+        let settings = &self.manifest.settings;
+        let model = settings.model.as_ref().map(|model| model.model.as_str());
+        let kind = settings.policy.to_string();
+        match model.or(self.policy_name()) {
+            Some(name) if name != kind => format!("{kind} ({name})"),
+            _ => kind,
+        }
+    }
+
     /// When the run began, in seconds since 1970.
     pub fn began_unix_s(&self) -> Option<u64> {
         self.sessions.iter().map(|record| record.unix_s).min()

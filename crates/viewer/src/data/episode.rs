@@ -4,6 +4,8 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use anyhow::Result;
 use domain::{Arm, Cell, Pose};
+use replay::RunWorld;
+use replay::frames::{ViewKey, file_name};
 use results::events::Requirement;
 use results::key::EpisodeKey;
 use results::log::{EpisodeRecord, EpisodeTimings, RequestRecord, Stages};
@@ -13,8 +15,6 @@ use serde::Serialize;
 use warehouse::{History, Start, Trajectory, WorldState, sight};
 
 use super::{PoseData, cell_data, pose_data};
-use crate::frames::{ViewKey, file_name};
-use crate::world::RunWorld;
 
 /// What the log has about an episode.
 #[derive(Debug)]
@@ -465,7 +465,7 @@ fn request_data(request: &RequestRecord) -> RequestData {
 
 /// The views that an episode's data names, to be rendered.
 pub(crate) fn view_keys<'a>(names: impl IntoIterator<Item = &'a str>) -> Vec<ViewKey> {
-    names.into_iter().filter_map(crate::frames::of_file_name).collect()
+    names.into_iter().filter_map(replay::frames::of_file_name).collect()
 }
 
 #[cfg(test)]

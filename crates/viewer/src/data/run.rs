@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 
 use domain::{Action, Feedback};
+use replay::RunWorld;
 use results::compare::run_name;
 use results::conditions::{Condition, Frames};
 use results::log::{EpisodeRecord, RunLog};
@@ -10,8 +11,6 @@ use results::score::Failure;
 use serde::Serialize;
 use warehouse::map::MEASURES;
 use warehouse::{Case, Task, TaskGroup};
-
-use crate::world::RunWorld;
 
 /// The data of a run.
 #[derive(Debug, Serialize)]

@@ -2,20 +2,32 @@
 
 use std::ffi::OsString;
 use std::io::{self, BufReader, Read, Write};
+use std::path::PathBuf;
 use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
 use std::thread;
 
 use anyhow::{Context, Result, anyhow};
 use domain::Pose;
 use jpeg_encoder::{ColorType, Encoder};
+use results::log::{ELSEWHERE_HASH, RunFolder, RunLog};
 
-use crate::site::ViewProgram;
+/// The program that renders views, `sim-proc`, and a variable that it needs.
+#[derive(Debug, Clone)]
+pub struct ViewProgram {
+    /// Its path.
+    pub path: PathBuf,
+    /// Name and value of the variable.
+    pub variable: (&'static str, &'static str),
+}
 
-/// Width and height of a view, in pixels.
-pub const EDGE: u16 = 320;
-
-/// Quality of the JPEG files, in percent.
-const QUALITY: u8 = 62;
+/// Size and quality of the JPEG files of views.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct ViewFormat {
+    /// Width and height, in pixels.
+    pub edge: u16,
+    /// Quality, in percent.
+    pub quality: u8,
+}
 
 /// What a view shows: the number of the world variant, and the pose.
 pub type ViewKey = (u32, Pose);
@@ -26,16 +38,42 @@ pub struct ViewRenderer {
     child: Child,
     requests: Option<ChildStdin>,
     pixels: BufReader<ChildStdout>,
+    format: ViewFormat,
+}
+
+/// The arguments of the renderer that say what the world of the run `log` is, and how it looks.
+pub fn world_arguments(log: &RunLog) -> Vec<OsString> {
+    let settings = &log.manifest.settings;
+    let mut arguments: Vec<OsString> = Vec::new();
+    let mut flag = |name: &str, value: OsString| arguments.extend([name.into(), value]);
+    if let Some(assets) = &settings.assets {
+        flag("--assets", assets.into());
+    }
+    if settings.stream.is_some() {
+        flag("--streams", RunFolder::streams_of(&log.dir).into());
+    }
+    if log.manifest.hashes.contains_key(ELSEWHERE_HASH) {
+        flag("--elsewhere", RunFolder::elsewhere_of(&log.dir).into());
+    }
+    for (name, value) in settings.appearance().flags() {
+        flag(name, value.into());
+    }
+    arguments
 }
 
 impl ViewRenderer {
-    /// Starts `program` with `arguments`, which say what the world is and how it looks.
+    /// Starts `program` with `arguments`, which are the [`world_arguments`] of a run.
     ///
     /// # Errors
     /// When it cannot be started.
-    pub fn start(program: &ViewProgram, arguments: &[OsString]) -> Result<Self> {
+    pub fn start(
+        program: &ViewProgram,
+        arguments: &[OsString],
+        format: ViewFormat,
+    ) -> Result<Self> {
+        let edge = format.edge;
         let mut child = Command::new(&program.path)
-            .args(["views", "--size", &format!("{EDGE}x{EDGE}")])
+            .args(["views", "--size", &format!("{edge}x{edge}")])
             .args(arguments)
             .env(program.variable.0, program.variable.1)
             .stdin(Stdio::piped())
@@ -44,7 +82,7 @@ impl ViewRenderer {
             .with_context(|| format!("cannot start {}", program.path.display()))?;
         let pipes = child.stdin.take().zip(child.stdout.take());
         let (requests, pixels) = pipes.context("a child process without pipes")?;
-        Ok(Self { child, requests: Some(requests), pixels: BufReader::new(pixels) })
+        Ok(Self { child, requests: Some(requests), pixels: BufReader::new(pixels), format })
     }
 
     /// Renders `views` and passes each to `take`, in order, as a JPEG file.
@@ -56,6 +94,7 @@ impl ViewRenderer {
         views: &[ViewKey],
         mut take: impl FnMut(ViewKey, Vec<u8>) -> Result<()>,
     ) -> Result<()> {
+        let ViewFormat { edge, quality } = self.format;
         let ended = || anyhow!("the renderer ended early; its messages are above");
         let mut requests = self.requests.take().ok_or_else(ended)?;
         let requests = thread::scope(|scope| {
@@ -67,10 +106,10 @@ impl ViewRenderer {
                 requests.flush()?;
                 Ok::<_, io::Error>(requests)
             });
-            let mut rgba = vec![0; usize::from(EDGE) * usize::from(EDGE) * 4];
+            let mut rgba = vec![0; usize::from(edge) * usize::from(edge) * 4];
             for &view in views {
                 self.pixels.read_exact(&mut rgba).map_err(|_| ended())?;
-                take(view, jpeg(EDGE, EDGE, &rgba)?)?;
+                take(view, jpeg((edge, edge), quality, &rgba)?)?;
             }
             asking.join().map_err(|_| ended())?.map_err(|_| ended())
         })?;
@@ -88,13 +127,13 @@ impl Drop for ViewRenderer {
     }
 }
 
-/// Encodes red, green, blue and alpha; the alpha channel is left out.
+/// Encodes red, green, blue and alpha of an image of `size` pixels; the alpha channel is left out.
 ///
 /// # Errors
 /// When there are fewer pixels than the size says.
-pub fn jpeg(width: u16, height: u16, rgba: &[u8]) -> Result<Vec<u8>> {
+pub fn jpeg((width, height): (u16, u16), quality: u8, rgba: &[u8]) -> Result<Vec<u8>> {
     let mut bytes = Vec::new();
-    Encoder::new(&mut bytes, QUALITY).encode(rgba, width, height, ColorType::Rgba)?;
+    Encoder::new(&mut bytes, quality).encode(rgba, width, height, ColorType::Rgba)?;
     Ok(bytes)
 }
 
@@ -128,7 +167,7 @@ mod tests {
 
     #[test]
     fn pixels_become_a_jpeg_file() {
-        let bytes = jpeg(8, 8, &[90; 4 * 64]).unwrap();
+        let bytes = jpeg((8, 8), 62, &[90; 4 * 64]).unwrap();
         assert_eq!(bytes[..3], [0xff, 0xd8, 0xff]);
     }
 }

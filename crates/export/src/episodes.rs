@@ -1,0 +1,206 @@
+//! Episodes with their views, a moment after the other.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result};
+use domain::{Action, Feedback, Pose};
+use replay::frames::{ViewFormat, ViewKey, ViewProgram, ViewRenderer, world_arguments};
+use replay::{RecordedRun, RunWorld};
+use results::log::{EpisodeRecord, RunLog};
+use results::score::Failure;
+
+use crate::files::{is_file, write_whole};
+use crate::{mcap, video};
+
+/// How views are encoded beyond their size, in percent.
+const QUALITY: u8 = 85;
+
+/// A format that shows episodes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum EpisodeFormat {
+    /// Views, poses, events and decisions, for Foxglove and Rerun.
+    Mcap,
+    /// The views as a film.
+    Mp4,
+}
+
+impl EpisodeFormat {
+    /// The extension of its files.
+    pub const fn extension(self) -> &'static str {
+        match self {
+            Self::Mcap => "mcap",
+            Self::Mp4 => "mp4",
+        }
+    }
+}
+
+/// How steps, which have no duration, are laid out in time, and how large views are.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Timing {
+    /// Steps a second.
+    pub steps_per_s: u32,
+    /// Width and height of a view, in pixels.
+    pub edge: u16,
+}
+
+/// The episodes of a run with what is needed to show them.
+#[derive(Debug)]
+pub struct Episodes {
+    log: RunLog,
+    world: RunWorld,
+    timing: Timing,
+    renderer: ViewRenderer,
+}
+
+/// An episode to be written.
+pub(crate) struct Moments<'a> {
+    pub(crate) record: &'a EpisodeRecord,
+    pub(crate) instruction: String,
+    /// Poses with the feedback on the action before: at the start, and after every step.
+    pub(crate) poses: Vec<(Pose, Feedback)>,
+    /// The view of each of them.
+    pub(crate) views: Vec<ViewKey>,
+    /// JPEG files.
+    pub(crate) images: BTreeMap<ViewKey, Vec<u8>>,
+}
+
+/// A file that episodes are written into.
+pub(crate) trait EpisodeSink {
+    fn episode(&mut self, moments: &Moments<'_>) -> Result<()>;
+    fn finish(self: Box<Self>) -> Result<()>;
+}
+
+impl Episodes {
+    /// The episodes in the log of `run`; `program` renders their views.
+    ///
+    /// # Errors
+    /// When the run's files do not fit, or the renderer does not start.
+    pub fn new(run: RecordedRun, program: &ViewProgram, timing: Timing) -> Result<Self> {
+        let RecordedRun { log, warehouse, cases, notices: _ } = run;
+        let format = ViewFormat { edge: timing.edge, quality: QUALITY };
+        let renderer = ViewRenderer::start(program, &world_arguments(&log), format)?;
+        let world = RunWorld::new(&log, warehouse, cases)?;
+        Ok(Self { log, world, timing, renderer })
+    }
+
+    /// Writes the episodes, one after the other in one file if `out` has the extension of `format`, otherwise each into a
+    /// file of its own in the folder `out`. Returns the files.
+    ///
+    /// # Errors
+    /// When an episode does not fit the world, the renderer or ffmpeg fails, or the system refuses.
+    pub fn write(&mut self, format: EpisodeFormat, out: &Path) -> Result<Vec<PathBuf>> {
+        let all = 0..self.log.episodes.len();
+        let files: Vec<(PathBuf, Vec<usize>)> = if is_file(out, format.extension()) {
+            vec![(out.to_owned(), all.collect())]
+        } else {
+            let name = |index: usize| {
+                let key = self.log.episodes[index].key.replace('/', "_");
+                out.join(format!("{key}.{}", format.extension()))
+            };
+            all.map(|index| (name(index), vec![index])).collect()
+        };
+        let timing = self.timing;
+        for (path, episodes) in &files {
+            write_whole(path, |draft| {
+                let mut sink: Box<dyn EpisodeSink> = match format {
+                    EpisodeFormat::Mcap => {
+                        Box::new(mcap::Recording::create(draft, &self.log, timing)?)
+                    }
+                    EpisodeFormat::Mp4 => Box::new(video::Film::create(draft, timing)?),
+                };
+                for &index in episodes {
+                    sink.episode(&self.moments(index)?)?;
+                }
+                sink.finish()
+            })?;
+        }
+        Ok(files.into_iter().map(|(path, _)| path).collect())
+    }
+
+    fn moments(&mut self, index: usize) -> Result<Moments<'_>> {
+        let record = &self.log.episodes[index];
+        let (case_index, case) = self.world.case(record)?;
+        let state = self.world.state(record, case)?;
+        let variant = self.world.variant(record, case_index);
+        let poses = record.replay();
+        let views: Vec<ViewKey> = poses.iter().map(|(pose, _)| (variant, *pose)).collect();
+        let distinct: Vec<ViewKey> =
+            views.iter().copied().collect::<BTreeSet<_>>().into_iter().collect();
+        let mut images = BTreeMap::new();
+        self.renderer
+            .render(&distinct, |view, bytes| {
+                images.insert(view, bytes);
+                Ok(())
+            })
+            .with_context(|| format!("cannot render the views of {}", record.key))?;
+        let instruction = case.task.instruction(&state.warehouse.catalogue);
+        Ok(Moments { record, instruction, poses, views, images })
+    }
+}
+
+/// How much attention an event deserves.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Level {
+    Info,
+    Warning,
+    Error,
+}
+
+/// What happened in an episode beside its moves: step, level, words. In the order of steps.
+pub(crate) fn events(record: &EpisodeRecord) -> Vec<(u32, Level, String)> {
+    let mut events = Vec::new();
+    for (step, letter) in (1..).zip(record.actions.chars()) {
+        if Action::from_letter(letter).is_none() {
+            events.push((step, Level::Warning, "no action could be read in the answer".to_owned()));
+        }
+    }
+    for &step in &record.blocked_moves {
+        events.push((step, Level::Warning, "the move was blocked".to_owned()));
+    }
+    if let Some(step) = record.tried_closed_at {
+        events.push((step, Level::Warning, "tried to enter the closed passage".to_owned()));
+    }
+    for (met, &step) in (1..).zip(&record.sub_goals) {
+        let words = format!("sub-goal {met} of {} is met", record.required);
+        events.push((step, Level::Info, words));
+    }
+    match Failure::of(record) {
+        None => events.push((record.steps, Level::Info, "the task is complete".to_owned())),
+        Some(failure) => {
+            let decided = failure.decided_at(record);
+            let words = format!("failed: {failure} ({})", failure.meaning());
+            events.push((decided, Level::Error, words));
+        }
+    }
+    events.sort_by_key(|(step, ..)| *step);
+    events
+}
+
+#[cfg(test)]
+mod tests {
+    use results::log::testing::record;
+
+    use super::*;
+
+    #[test]
+    fn events_are_in_the_order_of_steps() {
+        let mut one = record("a", false);
+        (one.actions, one.steps, one.required) = ("f?ff".to_owned(), 4, 2);
+        (one.blocked_moves, one.tried_closed_at) = (vec![3], Some(3));
+        one.sub_goals = vec![1];
+        let shown: Vec<String> = events(&one)
+            .into_iter()
+            .map(|(step, level, words)| format!("{step} {level:?} {words}"))
+            .collect();
+        insta::assert_snapshot!(shown.join("\n"), @"
+        1 Info sub-goal 1 of 2 is met
+        2 Warning no action could be read in the answer
+        3 Warning the move was blocked
+        3 Warning tried to enter the closed passage
+        3 Error failed: blocked (tried to enter a closed cell, then met no requirement and hardly went anywhere new)
+        ");
+        let shown = events(&record("a", true));
+        assert_eq!(shown.last(), Some(&(10, Level::Info, "the task is complete".to_owned())));
+    }
+}

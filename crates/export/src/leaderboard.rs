@@ -1,0 +1,139 @@
+//! A leaderboard of runs: an entry for each run, a page and a table of many.
+//!
+//! An entry holds what a comparison needs, and nothing of the episodes. Entries are comparable where they have the same
+//! [protocol](results::log::Manifest::protocol); a page has a section for each protocol and says in what they differ.
+
+mod board;
+mod entry;
+mod page;
+
+pub use board::{Board, Section, Table};
+pub use entry::{Entry, Figure, Policy, Score};
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result};
+use results::compare::run_name;
+use results::log::RunLog;
+
+use crate::files::{is_file, write_whole};
+
+/// Entries that were read.
+#[derive(Debug, Default)]
+pub struct Found {
+    /// The entries, in the order of their files.
+    pub entries: Vec<Entry>,
+    /// Files that are left out, and why.
+    pub left_out: Vec<String>,
+}
+
+/// Writes the entry of `log` to the file `out`, or into the folder `out` under the name of the run. Returns the file.
+///
+/// # Errors
+/// When the system refuses.
+pub fn write_entry(log: &RunLog, out: &Path) -> Result<PathBuf> {
+    let path = match is_file(out, "json") {
+        true => out.to_owned(),
+        false => out.join(format!("{}.json", run_name(log))),
+    };
+    let mut text = serde_json::to_string_pretty(&Entry::of(log)?)?;
+    text.push('\n');
+    write_text(&path, &text)?;
+    Ok(path)
+}
+
+/// Writes the page of `board`.
+///
+/// # Errors
+/// When the system refuses.
+pub fn write_page(board: &Board, path: &Path) -> Result<()> {
+    write_text(path, &page::render(board)?)
+}
+
+fn write_text(path: &Path, text: &str) -> Result<()> {
+    write_whole(path, |draft| {
+        fs::write(draft, text).with_context(|| format!("cannot write {}", path.display()))
+    })
+}
+
+/// Reads the entries that `paths` name: files of entries, run folders, and folders that hold either. The same entry twice
+/// counts once.
+///
+/// # Errors
+/// When a path does not exist, or names a file that is no entry.
+pub fn read(paths: &[PathBuf]) -> Result<Found> {
+    let mut found = Found::default();
+    for path in paths {
+        if path.is_dir() && !is_run(path) {
+            found.folder(path)?;
+        } else {
+            found.add(entry_at(path)?);
+        }
+    }
+    Ok(found)
+}
+
+fn is_run(path: &Path) -> bool {
+    path.join("manifest.json").is_file()
+}
+
+fn entry_at(path: &Path) -> Result<Entry> {
+    if path.is_dir() {
+        return Entry::of(&RunLog::read(path)?);
+    }
+    let text =
+        fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
+    Entry::parse(&text).with_context(|| path.display().to_string())
+}
+
+impl Found {
+    fn add(&mut self, entry: Entry) {
+        if !self.entries.iter().any(|known| known.is_of_same_run(&entry)) {
+            self.entries.push(entry);
+        }
+    }
+
+    fn folder(&mut self, folder: &Path) -> Result<()> {
+        let cannot = || format!("cannot list {}", folder.display());
+        let listed = fs::read_dir(folder).with_context(cannot)?;
+        let paths = listed.map(|entry| entry.map(|entry| entry.path()));
+        let mut paths = paths.collect::<Result<Vec<_>, _>>().with_context(cannot)?;
+        paths.sort();
+        for path in paths {
+            if !is_run(&path) && !(path.is_file() && is_file(&path, "json")) {
+                continue;
+            }
+            match entry_at(&path) {
+                Ok(entry) => self.add(entry),
+                Err(error) => self.left_out.push(format!("{}: {error:#}", path.display())),
+            }
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use results::log::testing::{log, record};
+
+    use super::*;
+
+    #[test]
+    fn entries_are_read_from_files_and_folders_each_once() {
+        let dir = tempfile::tempdir().unwrap();
+        let one = log(vec![record("t01-01", true)]);
+        let first = write_entry(&one, &dir.path().join("a.json")).unwrap();
+        let second = write_entry(&one, dir.path()).unwrap();
+        assert!(second.ends_with("run.json"), "{}", second.display());
+        fs::write(dir.path().join("notes.json"), "{}").unwrap();
+        fs::write(dir.path().join("notes.txt"), "").unwrap();
+        let found = read(&[dir.path().to_owned(), first]).unwrap();
+        assert_eq!(found.entries.len(), 1);
+        assert_eq!(found.left_out.len(), 1, "{:?}", found.left_out);
+        assert!(found.left_out[0].contains("no entry of a leaderboard"), "{:?}", found.left_out);
+        assert!(read(&[dir.path().join("nothing")]).is_err());
+        let leftovers = fs::read_dir(dir.path()).unwrap();
+        assert!(leftovers.flatten().all(|one| !one.path().ends_with(".part")));
+    }
+}

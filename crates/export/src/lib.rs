@@ -1,0 +1,24 @@
+//! Runs as files for other programs.
+//!
+//! | format | for | file |
+//! |---|---|---|
+//! | MCAP | Foxglove, Rerun | `mcap.rs` |
+//! | MP4 | any player | `video.rs` |
+//! | CSV, Parquet | pandas, DuckDB, spreadsheets | `tables.rs` |
+//! | an entry of a leaderboard, and its page | a browser | `leaderboard.rs` |
+//! | YAML of results | a hub of models | `hub.rs` |
+//!
+//! The first two show episodes with their views, which `sim-proc views`, a child process, renders again. The others are
+//! computed from the log. The same log gives the same files, except for a video, which is ffmpeg's.
+
+mod episodes;
+mod files;
+mod hub;
+pub mod leaderboard;
+mod mcap;
+mod tables;
+mod video;
+
+pub use episodes::{EpisodeFormat, Episodes, Timing};
+pub use hub::{HubDataset, write_results};
+pub use tables::{TableFormat, write_tables};

@@ -1,0 +1,244 @@
+//! Episodes as MCAP, with channels that Foxglove and Rerun show without set-up.
+//!
+//! | topic | message |
+//! |---|---|
+//! | `/camera` | `foxglove.CompressedImage`: the view, as JPEG |
+//! | `/tf` | `foxglove.FrameTransform`: `warehouse` to `agent` to `camera` |
+//! | `/pose` | `foxglove.PoseInFrame`: the agent in the warehouse |
+//! | `/events` | `foxglove.Log`: sub-goals, blocked moves, unreadable answers, why it failed |
+//! | `/step` | `memtransfer.Step`, JSON: pose, feedback, action, what memory supplied |
+//! | `/episode` | `memtransfer.Episode`, JSON: instruction, condition, outcome; once |
+//!
+//! One metre is one cell, x points east, y north, z up; the origin is the centre of cell 0,0. Steps have no duration, so the
+//! time line is logical: it begins at 0, a step takes the same time everywhere, and episodes follow each other with a gap of
+//! one step.
+
+mod file;
+mod foxglove;
+mod protobuf;
+
+use std::fs::File;
+use std::io::BufWriter;
+use std::path::Path;
+
+use anyhow::{Context, Result};
+use domain::Action;
+use results::compare::run_name;
+use results::log::RunLog;
+use results::score::Failure;
+use results::source::{Source, sources};
+use serde::Serialize;
+use serde_json::{Value, json};
+
+use crate::episodes::{EpisodeSink, Moments, Timing, events};
+use file::{ChannelId, McapFile};
+use foxglove::Instant;
+
+/// Nanoseconds in a second.
+const SECOND: u64 = 1_000_000_000;
+
+/// An MCAP file of episodes.
+pub(crate) struct Recording {
+    file: McapFile<BufWriter<File>>,
+    channels: Channels,
+    step_ns: u64,
+    /// When the next episode begins.
+    begins_ns: u64,
+}
+
+struct Channels {
+    camera: ChannelId,
+    transforms: ChannelId,
+    pose: ChannelId,
+    events: ChannelId,
+    step: ChannelId,
+    episode: ChannelId,
+}
+
+#[derive(Serialize)]
+struct Step<'a> {
+    episode: &'a str,
+    step: u32,
+    x: u8,
+    y: u8,
+    heading: char,
+    feedback: &'static str,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    action: Option<&'static str>,
+    sub_goals_met: usize,
+    sub_goals: u32,
+    sources: Vec<String>,
+}
+
+#[derive(Serialize)]
+struct Episode<'a> {
+    key: &'a str,
+    instruction: &'a str,
+    condition: String,
+    case: &'a str,
+    run: u32,
+    success: bool,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    failure: Option<&'static str>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    decided_at: Option<u32>,
+    steps: u32,
+    reference: u32,
+}
+
+impl Recording {
+    /// A file at `path` of episodes of `log`.
+    pub(crate) fn create(path: &Path, log: &RunLog, timing: Timing) -> Result<Self> {
+        let file =
+            File::create(path).with_context(|| format!("cannot write {}", path.display()))?;
+        let mut file = McapFile::new(BufWriter::new(file))?;
+        let mut foxglove = |topic: &str, message: &str| {
+            let schema = foxglove::descriptor_set();
+            file.channel(topic, &format!("foxglove.{message}"), "protobuf", &schema, "protobuf")
+        };
+        let channels = Channels {
+            camera: foxglove("/camera", "CompressedImage"),
+            transforms: foxglove("/tf", "FrameTransform"),
+            pose: foxglove("/pose", "PoseInFrame"),
+            events: foxglove("/events", "Log"),
+            step: json_channel(&mut file, "/step", "Step", &step_schema())?,
+            episode: json_channel(&mut file, "/episode", "Episode", &episode_schema())?,
+        };
+        let settings = &log.manifest.settings;
+        file.metadata(
+            "memtransfer",
+            &[
+                ("run", &run_name(log)),
+                ("version", &log.manifest.version),
+                ("suite", settings.suite.word()),
+                ("policy", &log.policy_label()),
+                ("seed", &settings.seed.to_string()),
+                ("steps_per_second", &timing.steps_per_s.to_string()),
+            ],
+        )?;
+        let step_ns = SECOND / u64::from(timing.steps_per_s.max(1));
+        Ok(Self { file, channels, step_ns, begins_ns: 0 })
+    }
+
+    fn instant(&self, step: u32) -> Instant {
+        Instant { ns: self.begins_ns + u64::from(step) * self.step_ns }
+    }
+}
+
+fn json_channel(
+    file: &mut McapFile<BufWriter<File>>,
+    topic: &str,
+    name: &str,
+    schema: &Value,
+) -> Result<ChannelId> {
+    let schema = serde_json::to_vec(schema)?;
+    Ok(file.channel(topic, &format!("memtransfer.{name}"), "jsonschema", &schema, "json"))
+}
+
+fn schema(title: &str, properties: &[(&str, &str)]) -> Value {
+    let properties = properties.iter().map(|(name, kind)| {
+        let value = match *kind {
+            "strings" => json!({ "type": "array", "items": { "type": "string" } }),
+            kind => json!({ "type": kind }),
+        };
+        ((*name).to_owned(), value)
+    });
+    let properties: serde_json::Map<String, Value> = properties.collect();
+    json!({ "title": format!("memtransfer.{title}"), "type": "object", "properties": properties })
+}
+
+fn step_schema() -> Value {
+    schema(
+        "Step",
+        &[
+            ("episode", "string"),
+            ("step", "integer"),
+            ("x", "integer"),
+            ("y", "integer"),
+            ("heading", "string"),
+            ("feedback", "string"),
+            ("action", "string"),
+            ("sub_goals_met", "integer"),
+            ("sub_goals", "integer"),
+            ("sources", "strings"),
+        ],
+    )
+}
+
+fn episode_schema() -> Value {
+    schema(
+        "Episode",
+        &[
+            ("key", "string"),
+            ("instruction", "string"),
+            ("condition", "string"),
+            ("case", "string"),
+            ("run", "integer"),
+            ("success", "boolean"),
+            ("failure", "string"),
+            ("decided_at", "integer"),
+            ("steps", "integer"),
+            ("reference", "integer"),
+        ],
+    )
+}
+
+impl EpisodeSink for Recording {
+    fn episode(&mut self, moments: &Moments<'_>) -> Result<()> {
+        let record = moments.record;
+        let failure = Failure::of(record);
+        let about = Episode {
+            key: &record.key,
+            instruction: &moments.instruction,
+            condition: record.condition().to_string(),
+            case: &record.case,
+            run: record.run,
+            success: record.is_success(),
+            failure: failure.map(Failure::name),
+            decided_at: failure.map(|failure| failure.decided_at(record)),
+            steps: record.steps,
+            reference: record.reference,
+        };
+        let begins = self.instant(0);
+        self.file.message(self.channels.episode, begins.ns, &serde_json::to_vec(&about)?);
+        self.file.message(self.channels.transforms, begins.ns, &foxglove::camera_mount(begins));
+        let events = events(record);
+        let mut events = events.iter().peekable();
+        let retrieved = record.retrieved.as_deref().unwrap_or_default();
+        let mut words = retrieved.split_whitespace();
+        let mut actions = record.actions.chars();
+        for ((step, &(pose, feedback)), view) in (0..).zip(&moments.poses).zip(&moments.views) {
+            let at = self.instant(step);
+            let image = moments.images.get(view).context("a view was not rendered")?;
+            self.file.message(self.channels.camera, at.ns, &foxglove::image(at, image));
+            self.file.message(self.channels.transforms, at.ns, &foxglove::agent(at, pose));
+            self.file.message(self.channels.pose, at.ns, &foxglove::pose(at, pose));
+            let supplied = sources(words.next().unwrap_or_default());
+            let data = Step {
+                episode: &record.key,
+                step,
+                x: pose.cell.x,
+                y: pose.cell.y,
+                heading: pose.heading.letter(),
+                feedback: feedback.words(),
+                action: actions.next().and_then(Action::from_letter).map(Action::words),
+                sub_goals_met: record.sub_goals.iter().filter(|met| **met <= step).count(),
+                sub_goals: record.required,
+                sources: supplied.iter().map(Source::in_words).collect(),
+            };
+            self.file.message(self.channels.step, at.ns, &serde_json::to_vec(&data)?);
+            while let Some((_, level, words)) = events.next_if(|(happened, ..)| *happened <= step) {
+                let name = &record.key;
+                let message = foxglove::log(at, *level, &format!("step {step}: {words}"), name);
+                self.file.message(self.channels.events, at.ns, &message);
+            }
+        }
+        self.begins_ns = self.instant(moments.poses.len() as u32).ns;
+        self.file.end_chunk()?;
+        Ok(())
+    }
+
+    fn finish(self: Box<Self>) -> Result<()> {
+        self.file.finish().context("cannot finish the MCAP file")
+    }
+}

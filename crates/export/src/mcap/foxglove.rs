@@ -1,0 +1,245 @@
+//! Messages of Foxglove's well-known schemas, in Protocol Buffers: Rerun reads these and not their JSON form. Field numbers
+//! and types are those of <https://github.com/foxglove/foxglove-sdk/tree/main/schemas/proto>; fields that are not written
+//! are left out of the descriptors.
+
+use domain::{Heading, Pose};
+
+use super::protobuf::Message;
+use crate::episodes::Level;
+
+/// Height of the camera above the floor, in metres (specification, section 2).
+const CAMERA_HEIGHT: f64 = 1.2;
+
+/// A time, in nanoseconds from the beginning of the file.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Instant {
+    pub(super) ns: u64,
+}
+
+/// The type of a field, with the name of a message or enum.
+#[derive(Clone, Copy)]
+enum Type {
+    Double,
+    Int64,
+    Int32,
+    String,
+    Message(&'static str),
+    Bytes,
+    Enum(&'static str),
+}
+
+impl Type {
+    /// The number in `FieldDescriptorProto.Type`.
+    const fn code(self) -> u64 {
+        match self {
+            Self::Double => 1,
+            Self::Int64 => 3,
+            Self::Int32 => 5,
+            Self::String => 9,
+            Self::Message(_) => 11,
+            Self::Bytes => 12,
+            Self::Enum(_) => 14,
+        }
+    }
+}
+
+type Fields = &'static [(&'static str, u32, Type)];
+
+const TIME: Type = Type::Message(".google.protobuf.Timestamp");
+const VECTOR: Type = Type::Message(".foxglove.Vector3");
+const QUATERNION: Type = Type::Message(".foxglove.Quaternion");
+
+const TIMESTAMP: (&str, Fields) =
+    ("Timestamp", &[("seconds", 1, Type::Int64), ("nanos", 2, Type::Int32)]);
+
+const MESSAGES: [(&str, Fields); 7] = [
+    ("Vector3", &[("x", 1, Type::Double), ("y", 2, Type::Double), ("z", 3, Type::Double)]),
+    (
+        "Quaternion",
+        &[
+            ("x", 1, Type::Double),
+            ("y", 2, Type::Double),
+            ("z", 3, Type::Double),
+            ("w", 4, Type::Double),
+        ],
+    ),
+    ("Pose", &[("position", 1, VECTOR), ("orientation", 2, QUATERNION)]),
+    (
+        "PoseInFrame",
+        &[
+            ("timestamp", 1, TIME),
+            ("frame_id", 2, Type::String),
+            ("pose", 3, Type::Message(".foxglove.Pose")),
+        ],
+    ),
+    (
+        "FrameTransform",
+        &[
+            ("timestamp", 1, TIME),
+            ("parent_frame_id", 2, Type::String),
+            ("child_frame_id", 3, Type::String),
+            ("translation", 4, VECTOR),
+            ("rotation", 5, QUATERNION),
+        ],
+    ),
+    (
+        "CompressedImage",
+        &[
+            ("timestamp", 1, TIME),
+            ("data", 2, Type::Bytes),
+            ("format", 3, Type::String),
+            ("frame_id", 4, Type::String),
+        ],
+    ),
+    (
+        "Log",
+        &[
+            ("timestamp", 1, TIME),
+            ("level", 2, Type::Enum(".foxglove.Log.Level")),
+            ("message", 3, Type::String),
+            ("name", 4, Type::String),
+        ],
+    ),
+];
+
+/// The levels of a log message, by number.
+const LEVELS: [&str; 6] = ["UNKNOWN", "DEBUG", "INFO", "WARNING", "ERROR", "FATAL"];
+
+/// The `FileDescriptorSet` that describes all messages.
+pub(super) fn descriptor_set() -> Vec<u8> {
+    Message::of(|set| {
+        set.nested(1, |file| {
+            file.text(1, "google/protobuf/timestamp.proto");
+            file.text(2, "google.protobuf");
+            file.nested(4, |message| describe(message, TIMESTAMP));
+            file.text(12, "proto3");
+        });
+        set.nested(1, |file| {
+            file.text(1, "foxglove/memtransfer.proto");
+            file.text(2, "foxglove");
+            file.text(3, "google/protobuf/timestamp.proto");
+            for message in MESSAGES {
+                file.nested(4, |out| describe(out, message));
+            }
+            file.text(12, "proto3");
+        });
+    })
+}
+
+/// Writes a `DescriptorProto`.
+fn describe(out: &mut Message, (name, fields): (&str, Fields)) {
+    out.text(1, name);
+    for &(name, number, kind) in fields {
+        out.nested(2, |field| {
+            field.text(1, name);
+            field.whole(3, number.into());
+            field.whole(4, 1); // LABEL_OPTIONAL
+            field.whole(5, kind.code());
+            if let Type::Message(of) | Type::Enum(of) = kind {
+                field.text(6, of);
+            }
+        });
+    }
+    if name == "Log" {
+        out.nested(4, |levels| {
+            levels.text(1, "Level");
+            for (number, name) in (0..).zip(LEVELS) {
+                levels.nested(2, |level| {
+                    level.text(1, name);
+                    level.whole(2, number);
+                });
+            }
+        });
+    }
+}
+
+fn timestamp(out: &mut Message, at: Instant) {
+    out.nested(1, |time| {
+        time.whole(1, at.ns / super::SECOND);
+        time.whole(2, at.ns % super::SECOND);
+    });
+}
+
+fn vector(out: &mut Message, field: u32, values: &[f64]) {
+    out.nested(field, |vector| {
+        (1..).zip(values).for_each(|(axis, value)| vector.double(axis, *value));
+    });
+}
+
+/// The rotation about z, as x, y, z, w, that turns east into `heading`.
+fn yaw(heading: Heading) -> [f64; 4] {
+    const HALF: f64 = std::f64::consts::FRAC_1_SQRT_2;
+    let (z, w) = match heading {
+        Heading::E => (0.0, 1.0),
+        Heading::N => (HALF, HALF),
+        Heading::W => (1.0, 0.0),
+        Heading::S => (-HALF, HALF),
+    };
+    [0.0, 0.0, z, w]
+}
+
+fn position(pose: Pose) -> [f64; 3] {
+    [pose.cell.x.into(), pose.cell.y.into(), 0.0]
+}
+
+/// `foxglove.CompressedImage`: a view.
+pub(super) fn image(at: Instant, jpeg: &[u8]) -> Vec<u8> {
+    Message::of(|message| {
+        timestamp(message, at);
+        message.data(2, jpeg);
+        message.text(3, "jpeg");
+        message.text(4, "camera");
+    })
+}
+
+/// `foxglove.FrameTransform`: where the agent is.
+pub(super) fn agent(at: Instant, pose: Pose) -> Vec<u8> {
+    transform(at, ["warehouse", "agent"], position(pose), yaw(pose.heading))
+}
+
+/// `foxglove.FrameTransform`: where the camera is on the agent. Its z axis points forward, its x axis to the right.
+pub(super) fn camera_mount(at: Instant) -> Vec<u8> {
+    transform(at, ["agent", "camera"], [0.0, 0.0, CAMERA_HEIGHT], [-0.5, 0.5, -0.5, 0.5])
+}
+
+fn transform(
+    at: Instant,
+    [parent, child]: [&str; 2],
+    translation: [f64; 3],
+    rotation: [f64; 4],
+) -> Vec<u8> {
+    Message::of(|message| {
+        timestamp(message, at);
+        message.text(2, parent);
+        message.text(3, child);
+        vector(message, 4, &translation);
+        vector(message, 5, &rotation);
+    })
+}
+
+/// `foxglove.PoseInFrame`: the pose of the agent.
+pub(super) fn pose(at: Instant, pose: Pose) -> Vec<u8> {
+    Message::of(|message| {
+        timestamp(message, at);
+        message.text(2, "warehouse");
+        message.nested(3, |inner| {
+            vector(inner, 1, &position(pose));
+            vector(inner, 2, &yaw(pose.heading));
+        });
+    })
+}
+
+/// `foxglove.Log`: an event of the episode `name`.
+pub(super) fn log(at: Instant, level: Level, text: &str, name: &str) -> Vec<u8> {
+    let level = match level {
+        Level::Info => 2,
+        Level::Warning => 3,
+        Level::Error => 4,
+    };
+    Message::of(|message| {
+        timestamp(message, at);
+        message.whole(2, level);
+        message.text(3, text);
+        message.text(4, name);
+    })
+}

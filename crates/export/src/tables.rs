@@ -1,0 +1,67 @@
+//! Tables of episodes and steps.
+
+use std::fs::File;
+use std::io::{self, BufWriter, Write};
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result};
+use results::log::RunLog;
+use results::report::{Frame, episodes_frame, steps_frame};
+
+use crate::files::write_whole;
+
+/// A format of tables.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum TableFormat {
+    /// Text; an absent value is an empty field.
+    Csv,
+    /// Typed columns with nulls.
+    Parquet,
+}
+
+/// Writes `episodes` and `steps` of `log` into the folder `dir`. Returns the files.
+///
+/// # Errors
+/// When the system refuses.
+pub fn write_tables(log: &RunLog, format: TableFormat, dir: &Path) -> Result<Vec<PathBuf>> {
+    let (extension, write): (&str, fn(&Frame, &mut BufWriter<File>) -> io::Result<()>) =
+        match format {
+            TableFormat::Csv => ("csv", |frame, file| frame.write_csv(file)),
+            TableFormat::Parquet => ("parquet", |frame, file| frame.write_parquet(file)),
+        };
+    let frames =
+        [("episodes", episodes_frame(std::slice::from_ref(log))), ("steps", steps_frame(log))];
+    let mut files = Vec::new();
+    for (name, frame) in frames {
+        let path = dir.join(format!("{name}.{extension}"));
+        write_whole(&path, |draft| {
+            let file = || {
+                let mut file = BufWriter::new(File::create(draft)?);
+                write(&frame, &mut file)?;
+                file.flush()
+            };
+            file().with_context(|| format!("cannot write {}", path.display()))
+        })?;
+        files.push(path);
+    }
+    Ok(files)
+}
+
+#[cfg(test)]
+mod tests {
+    use results::log::testing::{log, record};
+
+    use super::*;
+
+    #[test]
+    fn every_column_is_described() {
+        let page = include_str!("../../../docs/exports.md");
+        let log = log(vec![record("t01-01", true)]);
+        for frame in [episodes_frame(std::slice::from_ref(&log)), steps_frame(&log)] {
+            for column in &frame.columns {
+                let name = format!("`{}`", column.name);
+                assert!(page.contains(&name), "docs/exports.md does not describe {name}");
+            }
+        }
+    }
+}

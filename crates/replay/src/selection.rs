@@ -1,0 +1,73 @@
+//! Which episodes of a run to take, where all of them would be too many.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::str::FromStr;
+
+use results::log::RunLog;
+
+/// Episodes of a run.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Selection {
+    /// So many: failures first, the conditions in turn.
+    First(usize),
+    /// All of them.
+    All,
+}
+
+impl FromStr for Selection {
+    type Err = &'static str;
+
+    fn from_str(text: &str) -> Result<Self, Self::Err> {
+        match text {
+            "all" => Ok(Self::All),
+            count => count.parse().map(Self::First).map_err(|_| "expected a number, or `all`"),
+        }
+    }
+}
+
+impl Selection {
+    /// The numbers of the selected episodes of `log`: those with one of `keys` first, then failures, the conditions in
+    /// turn.
+    pub fn choose(self, log: &RunLog, keys: &BTreeSet<String>) -> BTreeSet<usize> {
+        let Self::First(most) = self else { return (0..log.episodes.len()).collect() };
+        let mut turns = BTreeMap::new();
+        let mut ranked: Vec<_> = log
+            .episodes
+            .iter()
+            .enumerate()
+            .map(|(index, record)| {
+                let turn: &mut usize =
+                    turns.entry((record.is_success(), record.condition())).or_default();
+                *turn += 1;
+                (!keys.contains(&record.key), record.is_success(), *turn, index)
+            })
+            .collect();
+        ranked.sort_unstable();
+        ranked.into_iter().take(most).map(|(_, _, _, index)| index).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use results::log::testing::{log, record};
+
+    use super::*;
+
+    #[test]
+    fn failures_are_chosen_first_and_the_conditions_take_turns() {
+        let mut records = Vec::new();
+        for (case, success) in [("a", true), ("b", false), ("c", false), ("d", false)] {
+            records.push(record(case, success));
+        }
+        let log = log(records);
+        let none = BTreeSet::new();
+        assert_eq!(Selection::First(2).choose(&log, &none), BTreeSet::from([1, 2]));
+        assert_eq!(Selection::First(9).choose(&log, &none), BTreeSet::from([0, 1, 2, 3]));
+        assert_eq!(Selection::All.choose(&log, &none).len(), 4);
+        let known = BTreeSet::from([log.episodes[0].key.clone()]);
+        assert_eq!(Selection::First(2).choose(&log, &known), BTreeSet::from([0, 1]));
+        assert_eq!("all".parse(), Ok(Selection::All));
+        assert_eq!("7".parse(), Ok(Selection::First(7)));
+        assert!("some".parse::<Selection>().is_err());
+    }
+}

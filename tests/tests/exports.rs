@@ -1,0 +1,167 @@
+//! What `memtransfer export` writes, read by the programs it is for.
+
+#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
+
+use std::fs;
+use std::process::{Command, Stdio};
+
+use memtransfer_tests::browser::Browser;
+use memtransfer_tests::{Bench, Ended, needs, repository};
+use serde_json::{Value, json};
+
+/// A small run in the folder `out`.
+fn small(bench: &Bench, out: &str, more: &[&str]) {
+    let mut args = vec!["run", "--suite", "rq2", "--policy", "grounded", "--limit", "2"];
+    args.extend(["--runs", "1", "--memory", "working,episodic", "--max-steps", "40"]);
+    args.extend(["--frame-size", "64", "--out", out]);
+    args.extend(more);
+    bench.run(&args).expect(0);
+}
+
+fn export(bench: &Bench, format: &str, out: &str, more: &[&str]) -> Ended {
+    let args = ["export", "r", "--format", format, "--out", out];
+    bench.run(&[&args[..], more].concat())
+}
+
+#[test]
+fn every_format_is_read_by_the_programs_it_is_for() {
+    let bench = Bench::new();
+    small(&bench, "r", &[]);
+    let written = export(&bench, "mcap", "x/all.mcap", &["--episodes", "all", "--size", "128"]);
+    assert_eq!(written.expect(0).stdout.trim(), "x/all.mcap");
+    let one = ["--condition", "episodic,blocked", "--episodes", "1", "--size", "128"];
+    let written = export(&bench, "mcap", "x/episodes", &one).expect(0);
+    let name = written.stdout.trim().to_owned();
+    assert!(name.starts_with("x/episodes/episodic_new_blocked_4_run1_t"), "{name}");
+    for format in ["csv", "parquet"] {
+        export(&bench, format, "x/tables", &[]).expect(0);
+    }
+    export(&bench, "hugging-face", "x/hub", &["--dataset", "team/memtransfer"]).expect(0);
+    let python = Command::new(needs::exports_python())
+        .arg(repository("tests/python/read_exports.py"))
+        .args([bench.out("r"), bench.out("x")])
+        .env("PYTHONDONTWRITEBYTECODE", "1")
+        .stdin(Stdio::null())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn();
+    Ended::of(python.unwrap()).expect(0);
+
+    // The same log gives the same files.
+    let first = fs::read(bench.out("x/all.mcap")).unwrap();
+    export(&bench, "mcap", "x/all.mcap", &["--episodes", "all", "--size", "128"]).expect(0);
+    assert!(first == fs::read(bench.out("x/all.mcap")).unwrap());
+}
+
+#[test]
+fn a_film_has_a_picture_for_every_moment() {
+    let bench = Bench::new();
+    small(&bench, "r", &["--memory", "working"]);
+    let args = ["--size", "128", "--fps", "4", "--episodes", "2"];
+    let film = export(&bench, "mp4", "film.mp4", &args).expect(0);
+    assert_eq!(film.stdout.trim(), "film.mp4");
+    let probe = Command::new("ffprobe")
+        .args(["-v", "error", "-of", "json", "-show_entries"])
+        .arg("stream=codec_name,width,height,pix_fmt,r_frame_rate,nb_frames")
+        .arg(bench.out("film.mp4"))
+        .output();
+    let shown: Value = serde_json::from_slice(&probe.unwrap().stdout).unwrap();
+    let stream = &shown["streams"][0];
+    assert_eq!(stream["codec_name"], "h264");
+    assert_eq!((&stream["width"], &stream["height"]), (&json!(128), &json!(128)));
+    assert_eq!((&stream["pix_fmt"], &stream["r_frame_rate"]), (&json!("yuv420p"), &json!("4/1")));
+    export(&bench, "csv", "tables", &["--episodes", "2"]).expect(0);
+    let moments = fs::read_to_string(bench.out("tables/steps.csv")).unwrap().lines().count() - 1;
+    assert_eq!(stream["nb_frames"], moments.to_string());
+
+    let args = ["export", "r", "--format", "mp4", "--out", "other.mp4"];
+    let mut without = bench.command(&args);
+    let ended = Ended::of(without.env("PATH", bench.folder.path()).spawn().unwrap()).expect(2);
+    assert!(ended.stderr.contains("apt-get install ffmpeg"), "{}", ended.stderr);
+    // Nothing is left of a failed attempt.
+    assert!(!bench.out("other.mp4").exists() && !bench.out("other.mp4.part").exists());
+}
+
+#[test]
+fn what_an_export_cannot_do_is_said_with_what_to_do_instead() {
+    let bench = Bench::new();
+    small(&bench, "r", &["--memory", "working"]);
+    for (format, more, words) in [
+        ("csv", &["--fps", "4"][..], "--fps is for the formats mcap and mp4"),
+        (
+            "leaderboard",
+            &["--cases", "t01"],
+            "--cases is for the formats mcap, mp4, csv and parquet",
+        ),
+        ("mcap", &["--condition", "summary"], "none of them was chosen"),
+        ("csv", &["--cases", "t99"], "t99"),
+        ("hugging-face", &[], "--dataset"),
+        ("hugging-face", &["--dataset", "x"], "my-team/memtransfer"),
+    ] {
+        let ended = export(&bench, format, "x", more).expect(2);
+        assert!(ended.stderr.contains(words), "{format} {more:?}: {}", ended.stderr);
+    }
+    let manifest = bench.out("r/manifest.json");
+    let mut json: Value = serde_json::from_str(&fs::read_to_string(&manifest).unwrap()).unwrap();
+    json["episodes"] = 100.into();
+    fs::write(&manifest, json.to_string()).unwrap();
+    let ended = export(&bench, "hugging-face", "x", &["--dataset", "a/b"]).expect(2);
+    assert!(ended.stderr.contains("complete runs only"), "{}", ended.stderr);
+    assert!(!bench.out("x").exists());
+}
+
+#[test]
+fn a_leaderboard_is_sorted_and_filtered_in_a_browser_and_keeps_protocols_apart() {
+    let bench = Bench::new();
+    small(&bench, "r", &[]);
+    small(&bench, "random", &["--policy", "random"]);
+    small(&bench, "longer", &["--max-steps", "50"]);
+    fs::create_dir(bench.out("board")).unwrap();
+    for run in ["r", "random", "longer"] {
+        bench.run(&["export", run, "--format", "leaderboard", "--out", "board"]).expect(0);
+    }
+    fs::write(bench.out("board/notes.json"), "{}").unwrap();
+    let ended = bench.run(&["leaderboard", "board", "r", "--out", "board.html"]).expect(0);
+    assert!(ended.stderr.contains("left out: board/notes.json"), "{}", ended.stderr);
+    assert!(ended.stdout.contains("not comparable: max-steps is"), "{}", ended.stdout);
+    assert!(ended.stdout.lines().all(|line| line.chars().count() <= 110), "{}", ended.stdout);
+
+    let mut browser = Browser::start(1300, 1000);
+    browser.open(&format!("file://{}", bench.out("board.html").display()));
+    // Two sections, in each a table for each route, in each a row for each run and memory.
+    browser.wait_for("document.querySelectorAll('section').length === 2");
+    assert_eq!(browser.text("output"), "12 results");
+    assert_eq!(browser.value("document.querySelectorAll('.notice li').length"), 1);
+    let first = "document.querySelector('table')";
+    let column = |column: usize| {
+        format!("[...{first}.tBodies[0].rows].map((row) => row.cells[{column}].textContent)")
+    };
+    let policies: Vec<String> = serde_json::from_value(browser.value(&column(1))).unwrap();
+    assert_eq!(policies.len(), 4);
+    let memories = |browser: &mut Browser| -> Vec<String> {
+        serde_json::from_value(browser.value(&column(2))).unwrap()
+    };
+    browser.click("thead th:nth-child(3) button");
+    assert_eq!(memories(&mut browser), ["episodic", "episodic", "working", "working"]);
+    browser.click("thead th:nth-child(3) button");
+    assert_eq!(memories(&mut browser), ["working", "working", "episodic", "episodic"]);
+    let order = format!("{first}.querySelector('th:nth-child(3)').getAttribute('aria-sort')");
+    assert_eq!(browser.value(&order), "descending");
+    // By key, too.
+    browser.value("document.querySelector('thead th:nth-child(8) button').focus()");
+    browser.press("Enter");
+    let numbers =
+        format!("[...{first}.tBodies[0].rows].map((row) => Number(row.cells[7].dataset.value))");
+    let shown: Vec<f64> = serde_json::from_value(browser.value(&numbers)).unwrap();
+    assert!(shown.is_sorted_by(|a, b| a >= b), "{shown:?}");
+    browser.value(
+        "(() => { const e = document.querySelector('input[type=search]'); e.value = 'random work'; \
+         e.dispatchEvent(new Event('input', {bubbles: true})); })()",
+    );
+    assert_eq!(browser.text("output"), "2 results");
+    browser.resize(390, 800);
+    assert_eq!(browser.value("document.documentElement.scrollWidth <= 390"), true);
+    assert_eq!(browser.problems(), [""; 0]);
+    let nothing = bench.run(&["leaderboard", "x"]).expect(2);
+    assert!(nothing.stderr.contains("cannot read x"), "{}", nothing.stderr);
+}
