@@ -1,7 +1,7 @@
 //! `memtransfer view`: a run as pages in a browser.
 
 use std::io::IsTerminal;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::process::{Command, Stdio};
 
 use anyhow::Result;
