@@ -20,7 +20,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from memtransfer import _native
-from memtransfer.codes import Action, Feedback
+from memtransfer.codes import Action, Feedback, Heading
+
+_ACTIONS, _FEEDBACK, _HEADINGS = tuple(Action), tuple(Feedback), tuple(Heading)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,6 +63,11 @@ class Trajectory:
     """The cells of the expert's path from the same start."""
     record: dict[str, Any] | None
     """The episode's line in the log; `None` for a demonstration."""
+
+    @property
+    def headings(self) -> list[Heading]:
+        """The heading at every step."""
+        return [_HEADINGS[heading] for heading in self.poses[:, 2]]
 
     @property
     def decided(self) -> list[int]:
@@ -126,10 +133,10 @@ class Recording:
 
 def _trajectories(text: str) -> list[Trajectory]:
     def trajectory(fields: dict[str, Any]) -> Trajectory:
-        actions = (None if action is None else Action(action) for action in fields.pop("actions"))
+        actions = (None if code is None else _ACTIONS[code] for code in fields.pop("actions"))
         return Trajectory(
             poses=np.array(fields.pop("poses"), np.uint8),
-            feedback=tuple(Feedback(code) for code in fields.pop("feedback")),
+            feedback=tuple(_FEEDBACK[code] for code in fields.pop("feedback")),
             actions=tuple(actions),
             **{
                 name: _tuples(value) if isinstance(value, list) else value

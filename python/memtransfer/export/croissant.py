@@ -9,7 +9,6 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from memtransfer.codes import Heading
 from memtransfer.export.common import Selected, library, new, progress, refuse_existing
 from memtransfer.trajectories import Trajectory
 
@@ -95,9 +94,9 @@ def _summary(trajectory: Trajectory) -> list[Any]:
 def _rows(trajectory: Trajectory) -> list[list[Any]]:
     actions = ["unread" if action is None else action.words for action in trajectory.actions]
     return [
-        [trajectory.id, step, column, row, Heading(heading).words, feedback.name.lower(), action]
-        for step, ((column, row, heading), feedback, action) in enumerate(
-            zip(trajectory.poses.tolist(), trajectory.feedback, [*actions, None])
+        [trajectory.id, step, column, row, heading.words, feedback.name.lower(), action]
+        for step, ((column, row, _), heading, feedback, action) in enumerate(
+            zip(trajectory.poses.tolist(), trajectory.headings, trajectory.feedback, [*actions, None])
         )
     ]
 

@@ -38,7 +38,8 @@ def write(selected: Selected, folder: Path) -> str:
     refuse_existing(folder)
     # Its encoder, its muxer and its tables each report every episode.
     os.environ.setdefault("SVT_LOG", "1")
-    library("av", "--lerobot").logging.set_level(None)
+    av = library("av", "--lerobot")
+    av.logging.set_libav_level(av.logging.ERROR)
     library("datasets", "--lerobot").disable_progress_bars()
     lerobot = library("lerobot.datasets.lerobot_dataset", "--lerobot")
     recording, trajectories = selected.recording, selected.playable()

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from memtransfer.codes import Feedback, Heading
+from memtransfer.codes import Feedback
 from memtransfer.export.common import Selected, library, new, progress, refuse_existing
 from memtransfer.trajectories import Trajectory
 
@@ -29,7 +29,10 @@ def write(selected: Selected, file: Path) -> str:
     trajectories = selected.trajectories
     with new(file) as partial:
         tabs = [_tab(rr, blueprint, trajectory) for trajectory in trajectories]
-        with rr.RecordingStream("memtransfer", recording_id=file.stem) as stream:
+        with rr.RecordingStream("memtransfer", recording_id=file.stem, send_properties=False) as stream:
+            # Steps are the only time line: when the file was written is none.
+            stream.set_log_time_enabled(False)
+            stream.set_log_tick_enabled(False)
             stream.save(partial, blueprint.Blueprint(blueprint.Tabs(*tabs), collapse_panels=True))
             for trajectory in progress("Rerun", trajectories):
                 _log(rr, pillow, stream, selected, trajectory)
@@ -109,8 +112,8 @@ def _log(rr: Any, pillow: Any, stream: Any, selected: Selected, trajectory: Traj
 
 def events(trajectory: Trajectory) -> list[tuple[int, str, str]]:
     """What happened, as step, level and words."""
-    column, row, heading = trajectory.poses[0].tolist()
-    start = f"{trajectory.instruction} From column {column}, row {row}, facing {Heading(heading).words}."
+    column, row, _ = trajectory.poses[0].tolist()
+    start = f"{trajectory.instruction} From column {column}, row {row}, facing {trajectory.headings[0].words}."
     found = [(0, "INFO", start)]
     recalled = ((trajectory.record or {}).get("retrieved") or "").split()
     found += [(step, "DEBUG", f"memory supplied {source}") for step, source in enumerate(recalled)]
