@@ -3,6 +3,7 @@
     python open_datasets.py RUN MINARI-ID RRD CROISSANT
 """
 
+import io
 import subprocess
 import sys
 
@@ -57,8 +58,7 @@ for trajectory, episode, about in zip(trajectories, dataset, metadata):
 demonstration = next(episode for episode, of in zip(dataset, trajectories) if of.record is None)
 (case,) = {trajectory.case for trajectory in trajectories}
 observation, _ = again.reset(options={"case": case})
-while observation["instruction"] != demonstration.observations["instruction"][0]:
-    raise AssertionError("another task")
+assert observation["instruction"] == demonstration.observations["instruction"][0]
 for action, reward in zip(demonstration.actions, demonstration.rewards):
     assert again.step(action)[1] == reward
 
@@ -79,8 +79,6 @@ for trajectory in trajectories:
     frames = columns[f"{entity}/camera", "EncodedImage:blob"]
     assert sorted(frames) == list(range(len(views)))
     for step, [blob] in frames.items():
-        import io
-
         assert close(Image.open(io.BytesIO(bytes(blob))), views[step])
     for axis, name in enumerate(("column", "row", "heading")):
         logged = columns[f"{entity}/pose/{name}", "Scalars:scalars"]
