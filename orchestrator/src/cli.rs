@@ -29,7 +29,7 @@ use std::process::ExitCode;
 
 use clap::{Args, Parser, Subcommand};
 
-use crate::world::World;
+use replay::World;
 
 /// A benchmark of embodied memory: a hundred navigation cases in a rendered warehouse, run by four
 /// processes over shared memory.

@@ -13,7 +13,7 @@ use prompt::tokens;
 
 use crate::documents::needed;
 use crate::plan::PlannedEpisode;
-use crate::world::World;
+use replay::World;
 use results::conditions::Condition;
 use results::cost::ModelPrices;
 use results::cost::Money;

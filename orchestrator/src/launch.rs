@@ -21,7 +21,7 @@ use crate::machine::memory_available;
 use crate::pipeline::PipelineOptions;
 use crate::plan::PlannedEpisode;
 use crate::streams::Streams;
-use crate::world::World;
+use replay::World;
 
 /// How the processes are started, with their logs in the folder `logs`, beside the external memories `memories`. A run that
 /// consists of streams has them in its folder already.

@@ -1,6 +1,6 @@
 //! The program `memtransfer`: settings, lanes, child processes, command line.
 //!
-//! - Before a run: [`settings`] (sources, resolved once), [`world`] (warehouse and cases), [`plan`] (episodes and
+//! - Before a run: [`settings`] (sources, resolved once), [`plan`] (episodes and
 //!   their seeds), [`streams`] (world states and references), [`documents`] (built where they are missing), [`estimate`] (of tokens and costs), [`external_memory`] (started, and asked for
 //!   their names), [`launch`] (which processes, with which limits), [`frame_budget`] (room in shared memory).
 //! - During a run: [`lanes`] (episodes step by step, pure), [`event_recorder`] (what an episode's record needs beside
@@ -36,4 +36,3 @@ pub mod signals;
 pub mod status;
 pub mod streams;
 pub mod trace;
-pub mod world;

@@ -11,7 +11,7 @@ use warehouse::{CaseSet, StreamSet, Trajectory, Warehouse, WorldState};
 
 use crate::lanes::Experience;
 use crate::plan::{PlannedEpisode, StreamPart};
-use crate::world::World;
+use replay::World;
 
 /// Name of the hash of the streams in a run's manifest.
 pub const STREAMS_HASH: &str = "streams";

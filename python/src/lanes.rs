@@ -12,6 +12,7 @@ use domain::{Action, Appearance, Feedback, Pose};
 use pyo3::exceptions::{PyIndexError, PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
+use replay::World;
 use sim_proc::renderer::{
     Backend, Destination, RenderJob, RenderSettings, Renderer, Samples, ViewSpec,
 };
@@ -88,15 +89,7 @@ impl Lanes {
         assets: Option<PathBuf>,
     ) -> PyResult<Self> {
         let ((width_px, height_px), (plates, labels, seed)) = (size_px, appearance);
-        let (warehouse, cases) = match &assets {
-            None => (Warehouse::shipped(), CaseSet::shipped()),
-            Some(folder) => {
-                let warehouse = Warehouse::load(folder).map_err(invalid)?;
-                let file = folder.join(warehouse::case_file::CASES_FILE);
-                let cases = CaseSet::load(&file, &warehouse).map_err(invalid)?;
-                (warehouse, cases)
-            }
-        };
+        let World { warehouse, cases, .. } = World::load(assets.as_deref()).map_err(invalid)?;
         let settings = RenderSettings {
             width_px,
             height_px,

@@ -2,7 +2,7 @@
 //!
 //! The package itself is in `memtransfer/`: plain data classes, the policy interface and the data frames. This
 //! crate serves a Python policy or memory (`serve`), gives numpy the frames in shared memory (`frame`), renders prompts
-//! and reads answers (`prompt`), reads a run's folder (`results`), and steps the Gymnasium environment (`lanes`).
+//! and reads answers (`prompt`), reads a run's folder (`results`) and its trajectories (`recorded_run`), and steps the Gymnasium environment (`lanes`).
 
 mod classes;
 mod exchange;
@@ -13,6 +13,7 @@ mod memory;
 mod policy;
 mod prompt;
 mod query;
+mod recorded_run;
 mod results;
 mod serve;
 mod step;
@@ -31,6 +32,8 @@ mod _native {
     use crate::prompt::{image_name, png, read_answer, render, settings, template, version};
     #[pymodule_export]
     use crate::query::{MemoryStep, Numbers};
+    #[pymodule_export]
+    use crate::recorded_run::RecordedRun;
     #[pymodule_export]
     use crate::results::read_run;
     #[pymodule_export]

@@ -4,6 +4,7 @@
 //!   chooses the view to show, [`view_cache`] keeps track of resident views; all four are pure.
 //! - [`render_pool`]: worker threads that render beside the serve loop; [`render_workers`] opens them.
 //! - [`renderer`]: poses in, pixels out, with two backends.
+//! - [`view_source`]: single views, outside a run.
 //! - [`serve_command`], [`render_command`] and [`views_command`]: the command line.
 
 pub mod lanes;
@@ -15,6 +16,7 @@ pub mod serve;
 pub mod serve_command;
 pub mod view_cache;
 pub mod view_control;
+pub mod view_source;
 pub mod views_command;
 mod wakeups;
 pub mod worlds;

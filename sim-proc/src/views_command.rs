@@ -2,11 +2,12 @@
 
 use std::io::{BufRead, Write};
 
-use anyhow::{Context, Result, ensure};
+use anyhow::{Context, Result};
 use domain::Pose;
 
 use crate::render_command::{RendererArgs, parse_size};
-use crate::renderer::{RenderSettings, Renderer, ViewSpec};
+use crate::renderer::RenderSettings;
+use crate::view_source::ViewSource;
 use crate::worlds::WorldsArgs;
 
 /// Arguments of `sim-proc views`. Every line of stdin names a view: the number of a world variant and a pose, for example
@@ -30,15 +31,12 @@ pub struct ViewsArgs {
 /// # Errors
 /// Assets that cannot be read, an adapter that does not exist, a line that names no view, a device that failed.
 pub fn run(args: &ViewsArgs) -> Result<()> {
-    let worlds = args.worlds.load()?;
     let settings = args.renderer.apply(RenderSettings {
         width_px: args.size.0,
         height_px: args.size.1,
         ..RenderSettings::default()
     });
-    let (stocks, other) = worlds.halls();
-    let mut renderer = Renderer::with_stocks(stocks, settings.clone())?;
-    let mut elsewhere = other.map(|other| Renderer::new(other, settings)).transpose()?;
+    let mut views = ViewSource::new(args.worlds.load()?, settings)?;
     let mut stdout = std::io::stdout().lock();
     for line in std::io::stdin().lock().lines() {
         let line = line.context("cannot read the names of views")?;
@@ -46,20 +44,7 @@ pub fn run(args: &ViewsArgs) -> Result<()> {
             .split_once(' ')
             .and_then(|(variant, pose)| Some((variant.parse().ok()?, pose.parse::<Pose>().ok()?)))
             .with_context(|| format!("{line:?} is no view: write VARIANT X,Y,H"))?;
-        let world = worlds.variant(variant);
-        let world = world.with_context(|| format!("there is no world variant {variant}"))?;
-        let is_free = worlds.layout_of(world).is_free(pose.cell);
-        ensure!(is_free, "the cell of pose {pose} is not free floor");
-        let image = match &mut elsewhere {
-            Some(other) if world.stock as usize == stocks.len() => {
-                other.render_image(ViewSpec { pose, variant: worlds.closed(world), stock: 0 })?
-            }
-            _ => renderer.render_image(ViewSpec {
-                pose,
-                variant: worlds.closed(world),
-                stock: world.stock,
-            })?,
-        };
+        let image = views.render(variant, pose)?;
         // A pipe that closed means that no more views are wanted.
         if stdout.write_all(image.as_bytes()).and_then(|()| stdout.flush()).is_err() {
             break;

@@ -21,6 +21,16 @@ pub fn exports_python() -> PathBuf {
     installed("python-exports/bin/python")
 }
 
+/// The Python with the readers of data sets: the packages of `xtask/python/requirements-datasets.txt`.
+pub fn datasets_python() -> PathBuf {
+    installed("python-datasets/bin/python")
+}
+
+/// The Python with LeRobot: the packages of `xtask/python/requirements-lerobot.txt`, which `cargo xtask setup --lerobot` installs.
+pub fn lerobot_python() -> PathBuf {
+    installed("python-lerobot/bin/python")
+}
+
 /// The Python with the packages of the example memory in `examples/memories/NAME`.
 pub fn memory_python(name: &str) -> PathBuf {
     installed(&format!("python-memories/{name}/bin/python"))

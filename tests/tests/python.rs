@@ -193,6 +193,65 @@ fn a_suite_runs_in_inspect_and_its_log_can_be_read() {
     assert_eq!(bench.leftovers(), Vec::<String>::new());
 }
 
+/// Runs `export` with `flags` and then the script that opens what it wrote, for two episodes of each of two starts and their
+/// demonstration.
+fn export_and_open(python: &Path, flags: &[(&str, &str)], opener: &str) {
+    let bench = Bench::new();
+    let mut command = slice(&bench, "run", &scripted("every_answer"), &[]);
+    command.args([
+        "--cases",
+        "t01-01",
+        "--starts",
+        "original,new",
+        "--memory",
+        "working,full-context",
+    ]);
+    command.args(["--frame-size", "64", "--max-steps", "20", "--lanes", "4"]);
+    finish(command).expect(0);
+    let run = bench.out("run").display().to_string();
+    let call = |args: &[&str]| {
+        let mut command = Command::new(python);
+        command
+            .args(args)
+            .current_dir(bench.folder.path())
+            .env("PYTHONPATH", package())
+            .env("PYTHONDONTWRITEBYTECODE", "1")
+            .env("MINARI_DATASETS_PATH", bench.out("minari"))
+            .env("HF_HOME", bench.out("hugging-face"))
+            .env("HF_HUB_OFFLINE", "1")
+            .env("HOME", bench.folder.path())
+            .stdin(Stdio::null())
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped());
+        Ended::of(command.spawn().expect("Python starts"))
+    };
+    let mut export = vec!["-m", "memtransfer.export", &run, "--demonstrations"];
+    export.extend(flags.iter().flat_map(|(flag, place)| [flag, place]));
+    call(&export).expect(0);
+    let refused = call(&export).expect(2);
+    assert!(refused.stderr.contains("name another"), "{}", refused.stderr);
+    let opener = package().join("tests").join(opener);
+    let mut open = vec![opener.to_str().unwrap(), &run];
+    open.extend(flags.iter().map(|(_, place)| place));
+    call(&open).expect(0);
+}
+
+#[test]
+fn data_sets_are_opened_by_the_readers_of_their_formats() {
+    let flags = [
+        ("--minari", "memtransfer/test-v0"),
+        ("--rrd", "out/test.rrd"),
+        ("--croissant", "out/tables"),
+    ];
+    export_and_open(&needs::datasets_python(), &flags, "open_datasets.py");
+}
+
+#[test]
+#[ignore = "LeRobot takes 8 GB: `cargo xtask setup --lerobot`, then `cargo xtask test -- --ignored lerobot`"]
+fn a_lerobot_data_set_is_opened_by_lerobot() {
+    export_and_open(&needs::lerobot_python(), &[("--lerobot", "out/lerobot")], "open_lerobot.py");
+}
+
 /// A policy steps the environment beside the run, and compares pixels, pose, instruction and feedback.
 #[test]
 fn the_gymnasium_environment_shows_what_a_run_shows() {

@@ -2,9 +2,10 @@
 
     python3 make_environment.py OUTPUT REQUIREMENTS WHEELS
 
-Every package is a wheel whose SHA-256 is in REQUIREMENTS; pip refuses any other. A wheel that lies in
-the folder WHEELS is not downloaded. Needs Python's standard library and pip; Debian's `python3-venv` is
-not needed, because the environment contains the pip that REQUIREMENTS names.
+REQUIREMENTS names all packages. Each is a wheel whose SHA-256 is there; pip refuses any other. A package
+without a wheel is named there with `--no-binary`, and built from its sources. A wheel that lies in the folder
+WHEELS is not downloaded. Needs Python's standard library and pip; Debian's `python3-venv` is not needed,
+because the environment contains the pip that REQUIREMENTS names.
 
 OUTPUT can be moved once it is finished. So nothing in it names its place: there are no `activate`
 scripts, and programs of packages are run as `OUTPUT/bin/python -m NAME`.
@@ -26,7 +27,7 @@ def main(output, requirements, wheels):
     Movable(symlinks=True, with_pip=False).create(output)
     (packages,) = pathlib.Path(output, "lib").glob("python3.*/site-packages")
     install = [sys.executable, "-m", "pip", "install", "--target", packages]
-    install += ["--require-hashes", "--only-binary", ":all:", "--find-links", wheels]
+    install += ["--require-hashes", "--no-deps", "--only-binary", ":all:", "--find-links", wheels]
     install += ["--no-cache-dir", "--no-input", "--disable-pip-version-check", "--quiet"]
     # Bytecode comes with the first import of what is used; packages of the machine are not in play.
     install += ["--no-compile", "--no-warn-conflicts"]

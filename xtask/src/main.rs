@@ -53,6 +53,9 @@ enum Task {
         /// Also install what tests need: a Vulkan driver, Chromium, ffmpeg, Python packages and a small language model
         #[arg(long)]
         tests: bool,
+        /// Also install LeRobot with PyTorch, 8 GB, for the test of its data sets
+        #[arg(long)]
+        lerobot: bool,
     },
     /// Set up, build, run the quick suite, print its table
     Demo {
@@ -99,9 +102,13 @@ fn run(arguments: &TaskArguments) -> anyhow::Result<bool> {
     let pins = Pins::load(&pins_path)?;
 
     match &arguments.verb {
-        Task::Setup { tests } => {
+        Task::Setup { tests, lerobot } => {
             let purpose = if *tests { Purpose::Tests } else { Purpose::Use };
-            setup::install_missing(purpose, &pins, &cache, &workspace).map(|()| true)
+            setup::install_missing(purpose, &pins, &cache, &workspace)?;
+            if *lerobot {
+                setup::install_environment("Python of LeRobot", &pins, &cache, &workspace)?;
+            }
+            Ok(true)
         }
         Task::Demo { run_flags } => {
             setup::install_missing(Purpose::Use, &pins, &cache, &workspace)?;

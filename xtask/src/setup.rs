@@ -69,6 +69,21 @@ pub(crate) fn install_on_demand(
     locked.tidy()
 }
 
+/// Creates an environment that is only wanted on demand.
+pub(crate) fn install_environment(
+    name: &str,
+    pins: &Pins,
+    cache: &Cache,
+    workspace: &Workspace,
+) -> anyhow::Result<()> {
+    let environment = pins.environment(name)?;
+    let locked = cache.lock()?;
+    if !report_environment(environment, cache, workspace)? {
+        environments::install(environment, &locked, workspace)?;
+    }
+    locked.tidy()
+}
+
 /// Prints whether a need is met.
 fn report_system(need: &SystemNeed) -> bool {
     let found = need.probe.look();

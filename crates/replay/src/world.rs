@@ -50,6 +50,11 @@ impl RunWorld {
         Ok(Self { warehouse, cases, streams, states, references: RefCell::default() })
     }
 
+    /// The states of its streams' worlds: world variants after those of the cases.
+    pub fn states(&self) -> &[WorldState] {
+        &self.states
+    }
+
     /// The case of `record`.
     ///
     /// # Errors

@@ -10,16 +10,14 @@ use export::{
     EpisodeFormat, Episodes, HubDataset, TableFormat, Timing, leaderboard, write_results,
     write_tables,
 };
-use replay::Selection;
+use replay::{RecordedRun, Selection, World};
 use results::key::EpisodeKey;
 use results::log::RunLog;
 use results::settings::CaseSelector;
 
-use super::view::{recorded, view_program};
+use super::view::view_program;
 use super::{Exit, print};
 use crate::settings::select_cases;
-use crate::world::World;
-
 /// Episodes of MCAP and MP4, unless something else is asked for.
 const FEW: Selection = Selection::First(10);
 
@@ -138,7 +136,7 @@ impl ExportArgs {
     }
 
     fn write_episodes(&self, format: EpisodeFormat) -> Result<Vec<PathBuf>> {
-        let mut run = recorded(&self.run)?;
+        let mut run = RecordedRun::read(&self.run)?;
         for notice in &run.notices {
             eprintln!("{notice}");
         }

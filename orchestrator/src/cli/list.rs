@@ -16,7 +16,7 @@ use warehouse::{Mixture, Overlap, Start, Task};
 use super::{Exit, WorldArgs, print, print_json};
 use crate::settings::{Layer, SHIPPED_SUITES, resolve, select_cases};
 use crate::streams::Streams;
-use crate::world::World;
+use replay::World;
 
 #[derive(Debug, Args)]
 #[command(after_help = "\

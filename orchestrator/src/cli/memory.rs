@@ -18,7 +18,7 @@ use crate::documents::{DocumentRequest, ModelServer};
 use crate::progress::BuildProgress;
 use crate::settings::variable;
 use crate::signals::Signals;
-use crate::world::World;
+use replay::World;
 use results::settings::Drawn;
 use results::table::table;
 

@@ -28,7 +28,7 @@ use crate::profile::summary::summary;
 use crate::profile::{AccessRun, CacheState, Profile, SCHEMA, search};
 use crate::settings::{Layer, resolve, select_cases, variable};
 use crate::signals::Signals;
-use crate::world::World;
+use replay::World;
 
 /// The folder of temporary files.
 const SCRATCH: &str = "scratch";

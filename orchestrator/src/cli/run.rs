@@ -38,8 +38,8 @@ use crate::signals::{self, Signals};
 use crate::status::EpisodeCounts;
 use crate::streams::{Remaining, STREAMS_HASH, Streams};
 use crate::trace::RunTrace;
-use crate::world::World;
 use flags::SettingFlags;
+use replay::World;
 
 #[derive(Debug, Args)]
 #[command(after_help = "\

@@ -15,7 +15,7 @@ use results::step_view::{RecordedPrompt, look_up};
 
 use super::{Exit, print, print_json};
 use crate::settings::select_cases;
-use crate::world::World;
+use replay::World;
 
 /// Maximum number of cases that a message names.
 const MOST_NAMED: usize = 8;

@@ -1,19 +1,17 @@
 //! `memtransfer view`: a run as pages in a browser.
 
 use std::io::IsTerminal;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::process::{Command, Stdio};
 
 use anyhow::Result;
 use clap::Args;
 use replay::frames::ViewProgram;
 use replay::{RecordedRun, Selection};
-use results::log::RunLog;
 use supervise::{QUIET_DRIVER, sibling};
 use viewer::{Address, Server, Site, write_bundle};
 
 use super::{Exit, print};
-use crate::world::World;
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
@@ -49,7 +47,7 @@ pub(super) struct ViewArgs {
 
 pub(super) fn run(args: &ViewArgs) -> Result<Exit> {
     let runs = [Some(&args.run), args.other.as_ref()].into_iter().flatten();
-    let runs = runs.map(|dir| recorded(dir)).collect::<Result<_>>()?;
+    let runs = runs.map(|dir| RecordedRun::read(dir)).collect::<Result<_>>()?;
     let mut site = Site::new(runs, &view_program()?, args.out.is_none())?;
     if let Some(out) = &args.out {
         let bundle = write_bundle(&mut site, out, args.episodes)?;
@@ -75,22 +73,6 @@ pub(super) fn run(args: &ViewArgs) -> Result<Exit> {
 /// The program that renders views.
 pub(super) fn view_program() -> Result<ViewProgram> {
     Ok(ViewProgram { path: sibling("sim-proc")?, variable: QUIET_DRIVER })
-}
-
-/// The run in `dir` with its world.
-pub(super) fn recorded(dir: &Path) -> Result<RecordedRun> {
-    let log = RunLog::read(dir)?;
-    let World { warehouse, cases, hashes } = World::load(log.manifest.settings.assets.as_deref())?;
-    let differs = |name: &&str| log.manifest.hashes.get(*name) != hashes.get(*name);
-    let changed: Vec<&str> = ["layout", "catalogue", "cases"].into_iter().filter(differs).collect();
-    let mut notices = Vec::new();
-    if !changed.is_empty() {
-        notices.push(format!(
-            "This program has another {} than the run had: maps, views and demonstrations may be others.",
-            changed.join(", another ")
-        ));
-    }
-    Ok(RecordedRun { log, warehouse, cases, notices })
 }
 
 impl ViewArgs {

@@ -10,10 +10,10 @@ use warehouse::{AssetError, CaseSet, Elsewhere, ElsewhereError, Warehouse};
 
 /// Files whose contents determine the outcome of a run: name of the hash, file, built-in text.
 const HASHED: [(&str, &str, &[u8]); 4] = [
-    ("layout", "layout.toml", include_bytes!("../../assets/layout.toml")),
-    ("catalogue", "catalogue.toml", include_bytes!("../../assets/catalogue.toml")),
-    ("cases", CASES_FILE, include_bytes!("../../assets/cases.toml")),
-    ("models", "models.toml", include_bytes!("../../assets/models.toml")),
+    ("layout", "layout.toml", include_bytes!("../../../assets/layout.toml")),
+    ("catalogue", "catalogue.toml", include_bytes!("../../../assets/catalogue.toml")),
+    ("cases", CASES_FILE, include_bytes!("../../../assets/cases.toml")),
+    ("models", "models.toml", include_bytes!("../../../assets/models.toml")),
 ];
 
 /// The warehouse, its cases, and the hashes that identify them.
@@ -91,7 +91,7 @@ mod tests {
 
     #[test]
     fn the_built_in_world_and_a_copy_of_it_have_the_same_hashes() {
-        let assets = Path::new(env!("CARGO_MANIFEST_DIR")).join("../assets");
+        let assets = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../assets");
         let (built_in, read) = (World::load(None).unwrap(), World::load(Some(&assets)).unwrap());
         assert_eq!(built_in.hashes, read.hashes);
         assert_eq!(built_in.case_ids(), read.case_ids());

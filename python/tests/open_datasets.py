@@ -1,0 +1,107 @@
+"""Opens what `memtransfer.export` wrote of a run, with the reader of each format, and compares it with the run.
+
+    python open_datasets.py RUN MINARI-ID RRD CROISSANT
+"""
+
+import io
+import subprocess
+import sys
+
+import minari
+import mlcroissant
+import numpy as np
+import rerun.chunk
+from PIL import Image
+
+from memtransfer.gym import MemTransferEnv
+from memtransfer.trajectories import Recording
+
+run, minari_id, rrd, croissant = sys.argv[1:]
+recording = Recording(run)
+trajectories = recording.episodes() + recording.demonstrations()
+assert len(trajectories) == 5
+assert any(trajectory.unread for trajectory in trajectories)
+
+
+def close(picture, view):
+    """Whether a lossy picture shows the view."""
+    return np.abs(np.asarray(picture, float) - view).mean() < 6
+
+
+# Minari
+dataset = minari.load_dataset(minari_id)
+env = MemTransferEnv(frame_size=64)
+assert dataset.observation_space == env.observation_space
+assert dataset.action_space == env.action_space
+again = dataset.recover_environment()
+assert again.observation_space == env.observation_space
+assert len(dataset) == len(trajectories)
+metadata = dataset.storage.get_episode_metadata(range(len(dataset)))
+for trajectory, episode, about in zip(trajectories, dataset, metadata):
+    steps = trajectory.decided
+    views = recording.views(trajectory)
+    assert about["trajectory"] == trajectory.id and about["unread"] == trajectory.unread
+    assert episode.actions.tolist() == [trajectory.actions[step] for step in steps]
+    assert len(episode.rewards) == len(steps) and episode.rewards.sum() == trajectory.success
+    assert (bool(episode.terminations[-1]), bool(episode.truncations[-1])) == (
+        trajectory.success,
+        not trajectory.success,
+    )
+    for index, step in enumerate([*steps, len(trajectory.actions)]):
+        observation = {name: values[index] for name, values in episode.observations.items()}
+        assert observation in env.observation_space
+        assert observation["pose"].tolist() == trajectory.poses[step].tolist()
+        assert observation["feedback"] == trajectory.feedback[step]
+        assert observation["instruction"] == trajectory.instruction
+        assert close(observation["pixels"], views[step])
+# The environment does what the demonstration says.
+demonstration = next(episode for episode, of in zip(dataset, trajectories) if of.record is None)
+(case,) = {trajectory.case for trajectory in trajectories}
+observation, _ = again.reset(options={"case": case})
+assert observation["instruction"] == demonstration.observations["instruction"][0]
+for action, reward in zip(demonstration.actions, demonstration.rewards):
+    assert again.step(action)[1] == reward
+
+# Rerun
+verified = subprocess.run([sys.executable, "-m", "rerun", "rrd", "verify", rrd])
+assert verified.returncode == 0
+columns = {}
+for chunk in rerun.chunk.RrdReader(rrd).stream():
+    assert set(chunk.timeline_names) <= {"step"}
+    table = chunk.to_record_batch()
+    for name in table.schema.names:
+        if "step" in table.schema.names and ":" in name:
+            cells = zip(table.column("step").to_pylist(), table.column(name).to_pylist())
+            columns.setdefault((chunk.entity_path, name), {}).update(cells)
+for trajectory in trajectories:
+    entity = "/" + trajectory.id
+    views = recording.views(trajectory)
+    frames = columns[f"{entity}/camera", "EncodedImage:blob"]
+    assert sorted(frames) == list(range(len(views)))
+    for step, [blob] in frames.items():
+        assert close(Image.open(io.BytesIO(bytes(blob))), views[step])
+    for axis, name in enumerate(("column", "row", "heading")):
+        logged = columns[f"{entity}/pose/{name}", "Scalars:scalars"]
+        assert [value for _, [value] in sorted(logged.items())] == trajectory.poses[:, axis].tolist()
+    assert len(columns[f"{entity}/map/path", "LineStrips2D:strips"]) == len(views)
+    words = [text for [text] in columns[f"{entity}/events", "TextLog:text"].values()]
+    assert words
+
+# Croissant
+validated = subprocess.run(
+    [sys.executable, "-m", "mlcroissant.scripts.cli", "validate", "--jsonld", f"{croissant}/croissant.json"],
+    capture_output=True,
+    text=True,
+)
+print(validated.stderr)
+assert validated.returncode == 0 and "error" not in validated.stderr.lower()
+tables = mlcroissant.Dataset(f"{croissant}/croissant.json")
+summaries = list(tables.records("trajectories"))
+assert [row["trajectories/id"].decode() for row in summaries] == [one.id for one in trajectories]
+assert [row["trajectories/success"] for row in summaries] == [one.success for one in trajectories]
+rows = iter(tables.records("steps"))
+for trajectory in trajectories:
+    for step, pose in enumerate(trajectory.poses.tolist()):
+        row = next(rows)
+        assert (row["steps/step"], row["steps/column"], row["steps/row"]) == (step, pose[0], pose[1])
+assert next(rows, None) is None
