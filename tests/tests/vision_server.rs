@@ -193,3 +193,31 @@ fn a_killed_and_a_stopped_server_cost_no_episode() {
     assert!(retried.count() >= 2, "the faults met no request");
     assert_eq!(bench.leftovers(), Vec::<String>::new());
 }
+
+/// Two servers share the requests; one is killed, comes back, and is asked again.
+#[test]
+fn a_lost_server_leaves_its_requests_to_the_other() {
+    let bench = Bench::new();
+    let mut servers = [(); 2].map(|()| LlamaServer::seeing(1536, 2));
+    let base_urls = servers.each_ref().map(LlamaServer::base_url).join(",");
+    let slice = ["--cases", "t01-01,t03-01,t05-01,t07-01", "--memory", "working"];
+    let how = ["--max-steps", "12", "--lanes", "4", "--frame-size", "64"];
+    let args = run(&base_urls, "run", &[&slice[..], &how].concat());
+    let child = bench.start(&args);
+    let log = bench.out("run").join("requests.jsonl");
+    let answered = || fs::read_to_string(&log).unwrap_or_default().lines().count();
+    let until = |count: usize| {
+        eventually("requests to be answered", || (answered() >= count).then_some(()));
+    };
+    let served = |server: &LlamaServer| server.log().matches("stop processing").count();
+    until(6);
+    let before = servers.each_ref().map(served);
+    assert!(before.iter().all(|count| *count > 0), "{before:?}");
+    servers[0].kill();
+    until(16);
+    servers[0].restart();
+    Ended::of(child).expect(0);
+    assert!(served(&servers[0]) > before[0], "the server that came back was not asked");
+    assert_eq!((records(&bench.out("run")).len(), answered()), (4, 48));
+    assert!(lines(&bench.out("run").join("errors.jsonl")).is_empty());
+}
