@@ -13,7 +13,7 @@ from pathlib import Path
 
 import iceoryx2 as iox2
 
-WIRE_VERSION = 9
+WIRE_VERSION = 10
 ROLES = ("orchestrator", "sim", "memory", "policy", "external-memory")
 POLICY = ROLES.index("policy")
 FORWARD, TURN_LEFT, NO_ACTION = 0, 4, 255
@@ -61,8 +61,8 @@ Recall = struct("Recall", 1064, """episode: u64, received_ns: u64, sent_ns: u64,
     steps_len: u32, items: RecalledItem x 8, steps: SegmentStep x 48""")
 Decision = struct("Decision", 112, """episode: u64, received_ns: u64, started_ns: u64, prompted_ns: u64, sent_ns: u64,
     decided_ns: u64, lane: u32, step: u32, prompt_tokens: u32, completion_tokens: u32, cached_tokens: u32,
-    image_tokens: u32, memory_tokens: u32, images_asked: u32, images: u32, attempts: u32, outcome: u8, action: u8,
-    replayed: u8, reserved: u8 x 21""")
+    image_tokens: u32, memory_tokens: u32, reusable_tokens: u32, images_asked: u32, images: u32, attempts: u32, outcome: u8,
+    action: u8, replayed: u8, reserved: u8 x 17""")
 
 
 class Run:
@@ -159,7 +159,8 @@ class Run:
     def answer(self, observation, recall, frame):
         started = time.monotonic_ns()
         action = self.decide(observation, recall, frame)
-        unknown = ("images_asked", "attempts", "prompt_tokens", "completion_tokens", "cached_tokens", "image_tokens", "memory_tokens")
+        unknown = ("images_asked", "attempts", "prompt_tokens", "completion_tokens", "cached_tokens", "image_tokens", "memory_tokens",
+                   "reusable_tokens")
         send(self.decisions, Decision(
             episode=observation.episode, lane=observation.lane, step=observation.step, received_ns=started,
             started_ns=started, decided_ns=time.monotonic_ns(), images=1, outcome=ACTED,

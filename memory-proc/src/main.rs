@@ -215,14 +215,14 @@ impl BuilderArguments {
             BuilderKind::Extractive => return Ok((Recipe::Extractive, Box::new(Extractive))),
             BuilderKind::Model => self.model.context("--builder model needs --model NAME")?,
         };
-        let endpoint = Endpoint::from_environment(self.base_url.as_deref(), Path::new("."))?;
+        let (first, others) = Endpoint::from_environment(self.base_url.as_deref(), Path::new("."))?;
         let settings = ChatSettings {
             request_timeout: Duration::from_secs(self.request_timeout.into()),
             max_retries: self.max_retries,
             max_connections: 1,
             ..ChatSettings::new(&*model)
         };
-        let client = ChatClient::new(endpoint, settings, None);
+        let client = ChatClient::balanced(first, others, settings, None);
         let (context_chars, max_tokens) = (self.context_chars, self.max_tokens);
         let recipe = ModelRecipe { model, context_chars, max_tokens };
         let builder = ModelBuilder::new(model::ask_through(client), recipe.clone());

@@ -204,6 +204,7 @@ fn policy_launch(settings: &RunSettings) -> Result<Option<Launch>> {
 
 /// The policy process's flags about the model.
 fn model_flags(model: &ModelSettings) -> Flags {
+    let limit_folder = model.endpoint_limit_folder.as_ref().map(|path| path.display().to_string());
     vec![
         ("--model", Some(model.model.clone())),
         ("--base-url", model.base_url.clone()),
@@ -211,6 +212,8 @@ fn model_flags(model: &ModelSettings) -> Flags {
         ("--image-budget", Some(model.image_budget.to_string())),
         ("--answer-tokens", Some(model.answer_tokens.to_string())),
         ("--max-connections", Some(model.max_connections.to_string())),
+        ("--endpoint-limit", model.endpoint_limit.map(|limit| limit.to_string())),
+        ("--endpoint-limit-folder", limit_folder),
         ("--max-retries", Some(model.max_retries.to_string())),
         ("--request-timeout", Some(model.request_timeout.to_string())),
         ("--server-patience", Some(model.server_patience.to_string())),

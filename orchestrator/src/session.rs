@@ -253,5 +253,6 @@ fn request_record(request: &AnsweredRequest, session: u32) -> RequestRecord {
         cached_tokens: counts.cached_tokens,
         image_tokens: counts.image_tokens,
         memory_tokens: counts.memory_tokens,
+        reusable_tokens: counts.reusable_tokens,
     }
 }

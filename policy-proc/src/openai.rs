@@ -2,13 +2,14 @@
 //!
 //! Each request becomes a prompt with encoded images (`images`) and goes to the chat client, which calls back with the
 //! reply. The action is read from the reply, its cost is recorded (`usage`), and that is the decision. Nothing is kept
-//! between requests but encoded images and the token counts of the running episodes.
+//! between requests but encoded images, and of each running episode its token counts and its last prompt (`reuse`).
 //!
 //! Every reply counts as the model's decision. A missing reply does not: a request that fails for good ends its episode
 //! without a result, and a server that is gone stops the run.
 
 mod images;
 pub mod largest;
+mod reuse;
 mod usage;
 
 use std::collections::HashMap;
@@ -25,6 +26,7 @@ use prompt::{PartContent, Prompt, UnreadAnswer, read_answer};
 use shm_types::process::monotonic_ns;
 
 use images::EncodedViews;
+use reuse::EarlierPrompt;
 use usage::{PromptSize, TokenFit};
 
 /// The settings that determine a model's answers.
@@ -45,6 +47,8 @@ pub struct Openai {
     settings: OpenaiSettings,
     images: EncodedViews,
     token_fits: TokenFits,
+    /// The last prompt of each lane's episode.
+    earlier: HashMap<u32, (u64, EarlierPrompt)>,
     /// Reports that the server is waited for: the channel of the latest batch.
     answers: Arc<Mutex<Option<Answers>>>,
 }
@@ -63,7 +67,18 @@ impl Openai {
                 answers.waiting(reason.unwrap_or_default());
             }
         });
-        Self { client, settings, images, token_fits: TokenFits::default(), answers }
+        let (token_fits, earlier) = (TokenFits::default(), HashMap::new());
+        Self { client, settings, images, token_fits, earlier, answers }
+    }
+
+    /// The server's address; of several the first one's and their number, since there is little room for facts.
+    fn endpoint(&self) -> String {
+        let mut endpoints = self.client.endpoints();
+        let first = endpoints.next().map(ToString::to_string).unwrap_or_default();
+        match endpoints.count() {
+            0 => first,
+            more => format!("{first} and {more} more"),
+        }
     }
 }
 
@@ -82,7 +97,7 @@ impl Decider for Openai {
         let OpenaiSettings { image_format, image_budget, answer_tokens } = &self.settings;
         vec![
             ("model", self.client.settings().model.clone()),
-            ("endpoint", self.client.endpoint().to_string()),
+            ("endpoint", self.endpoint()),
             ("prompt", prompt::version().to_owned()),
             // There is little room for facts, and 16 digits tell any two templates apart.
             ("prompt_hash", prompt::template_hash()[..16].to_owned()),
@@ -106,10 +121,13 @@ impl Decider for Openai {
                 answers.fail(id, format!("{view:?} cannot be encoded as an image"));
                 continue;
             }
+            let now = (id.episode, EarlierPrompt::new(&prompt));
+            let earlier = self.earlier.insert(id.lane, now);
+            let earlier = earlier.filter(|(episode, _)| *episode == id.episode);
             let pending = PendingRequest {
                 id,
                 images: prompt.images_sent(),
-                size: PromptSize::of(request, &prompt),
+                size: PromptSize::of(request, &prompt, earlier.as_ref().map(|(_, prompt)| prompt)),
                 token_fits: Arc::clone(&self.token_fits),
                 prompted_ns: monotonic_ns(),
                 exchange: answers.logs_prompts().then(|| exchange(&prompt)),
@@ -205,12 +223,14 @@ impl PendingRequest {
         if *fitted != episode {
             (*fitted, *fit) = (episode, TokenFit::default());
         }
+        let parts = fit.parts(self.size, prompt_tokens, image_tokens);
         Usage {
             prompt_tokens,
             completion_tokens: count(reply.completion_tokens),
             cached_tokens: count(reply.cached_tokens),
             image_tokens,
-            memory_tokens: fit.memory_tokens(self.size, prompt_tokens, image_tokens),
+            memory_tokens: parts.map(|parts| parts.memory),
+            reusable_tokens: parts.map(|parts| parts.reusable),
             attempts: *attempts,
             replayed: *from_cache,
             prompted_ns: self.prompted_ns,

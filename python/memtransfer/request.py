@@ -187,6 +187,8 @@ class Usage:
     """Tokens of the prompt's images."""
     memory_tokens: int | None = None
     """Tokens of the prompt that memory supplied; an estimate."""
+    reusable_tokens: int | None = None
+    """Tokens of the prompt that a server with a prefix cache can reuse; an estimate."""
     attempts: int = 1
     """Requests sent to the server, failed ones included."""
     replayed: bool = False

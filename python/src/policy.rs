@@ -311,6 +311,7 @@ fn read_usage(value: &Bound<'_, PyAny>) -> PyResult<Usage> {
         cached_tokens: count("cached_tokens")?,
         image_tokens: count("image_tokens")?,
         memory_tokens: count("memory_tokens")?,
+        reusable_tokens: count("reusable_tokens")?,
         attempts: value.getattr("attempts")?.extract()?,
         replayed: value.getattr("replayed")?.is_truthy()?,
         prompted_ns: value.getattr("prompted_ns")?.extract()?,

@@ -24,7 +24,7 @@ mod codes;
 pub use codes::{CODE_SETS, ErrorReportKind, ItemKind, Learning, Role, StepKind, ViewRequestKind};
 
 /// Version of everything that `docs/wire.md` describes; compared when a process attaches.
-pub const WIRE_VERSION: u32 = 9;
+pub const WIRE_VERSION: u32 = 10;
 
 /// Longest window of past steps.
 pub const MAX_WINDOW: usize = 32;
@@ -781,6 +781,9 @@ messages! {
         image_tokens: u32,
         /// Tokens of the prompt that are memory; an estimate.
         memory_tokens: u32,
+        /// Tokens of the prompt that a server can reuse: the previous prompt of the episode began with them too. 0 for the
+        /// first one; an estimate.
+        reusable_tokens: u32,
         /// Images that the request held.
         images_asked: u32,
         /// Images that the policy used: fewer if its budget is smaller. At most `images_asked`.
@@ -794,7 +797,7 @@ messages! {
         /// 1 when the reply came from the response cache.
         replayed: u8,
         /// Zero.
-        reserved: [u8; 21],
+        reserved: [u8; 17],
     }
 
     /// All to orchestrator, once, when ready.
@@ -881,6 +884,8 @@ pub struct DecisionCounts {
     pub image_tokens: Option<u32>,
     /// Tokens of the prompt that are memory.
     pub memory_tokens: Option<u32>,
+    /// Tokens of the prompt that a server can reuse.
+    pub reusable_tokens: Option<u32>,
 }
 
 /// Larger counts of images, attempts or tokens in one decision are not possible.
@@ -901,6 +906,7 @@ impl Decision {
             cached_tokens: known(self.cached_tokens),
             image_tokens: known(self.image_tokens),
             memory_tokens: known(self.memory_tokens),
+            reusable_tokens: known(self.reusable_tokens),
         }
     }
 }

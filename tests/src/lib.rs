@@ -9,6 +9,7 @@ pub mod browser;
 pub mod example_memories;
 pub mod llama;
 pub mod needs;
+pub mod proxy;
 
 use std::collections::BTreeSet;
 use std::ffi::OsStr;

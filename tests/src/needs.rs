@@ -41,6 +41,16 @@ pub fn language_model() -> PathBuf {
     installed("language-models/smollm2-135m-instruct-q4_1.gguf")
 }
 
+/// The first layers of [`language_model`], with the names of tokens around images.
+pub fn short_language_model() -> PathBuf {
+    installed("language-models/smollm2-2-layers.gguf")
+}
+
+/// An encoder with which [`short_language_model`] sees the colours of images, as llama.cpp's mmproj file.
+pub fn vision_encoder() -> PathBuf {
+    installed("language-models/colours-mmproj.gguf")
+}
+
 /// Chromium, or a browser of its family.
 pub fn chromium() -> PathBuf {
     let path = std::env::var_os("PATH").unwrap_or_default();

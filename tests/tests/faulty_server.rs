@@ -195,6 +195,42 @@ fn a_server_that_is_down_stops_the_run_and_the_same_command_continues_it() {
     assert_eq!(bench.leftovers(), Vec::<String>::new());
 }
 
+/// Two runs ask one server, and one of them is killed: no more requests are in flight than the limit says, and the slots
+/// of the dead run are free.
+#[test]
+fn runs_keep_to_one_limit_of_their_server() {
+    let bench = Bench::new();
+    let (now, most) = (Arc::new(AtomicU64::new(0)), Arc::new(AtomicU64::new(0)));
+    let (counted, highest) = (now.clone(), most.clone());
+    let server = Server::concurrent(move |request| {
+        highest.fetch_max(1 + counted.fetch_add(1, SeqCst), SeqCst);
+        std::thread::sleep(std::time::Duration::from_millis(20));
+        counted.fetch_sub(1, SeqCst);
+        Reaction::json(200, &reply(request))
+    })
+    .unwrap();
+    let base_url = server.base_url();
+    let limited = |out| {
+        let limit = ["--endpoint-limit", "2", "--endpoint-limit-folder", "limits"];
+        [slice(&base_url, out, "off"), limit.to_vec()].concat()
+    };
+    let mut killed = bench.start(&limited("killed"));
+    let other = bench.start(&limited("other"));
+    for out in ["killed", "other"] {
+        let log = bench.out(out).join("requests.jsonl");
+        eventually("a request", || fs::metadata(&log).is_ok_and(|log| log.len() > 0).then_some(()));
+    }
+    memtransfer_tests::kill(killed.id());
+    killed.wait().unwrap();
+    // The server does not notice that nothing waits for the replies to the dead run.
+    eventually("them to end", || (now.load(SeqCst) <= 2).then_some(()));
+    assert!(most.swap(0, SeqCst) <= 4);
+    Ended::of(other).expect(0);
+    assert_eq!(records(&bench.out("other")).len(), EPISODES);
+    assert_eq!(most.load(SeqCst), 2);
+    bench.run(&limited("killed")).expect(0);
+}
+
 fn count_images(body: &Value) -> usize {
     body.to_string().matches("data:image/png;base64,").count()
 }

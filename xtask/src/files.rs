@@ -39,7 +39,8 @@ pub(crate) fn install(
 
     eprintln!("set-up: making {}", file.place.display());
     let made = cache.tmp()?.join("made");
-    let mut arguments: Vec<&OsStr> = wheel.iter().map(|path| path.as_os_str()).collect();
+    let from = file.from.as_ref().map(|from| cache.place(from));
+    let mut arguments: Vec<&OsStr> = wheel.iter().chain(&from).map(|it| it.as_os_str()).collect();
     arguments.push(made.as_os_str());
     arguments.extend(file.arguments.iter().map(OsStr::new));
     python::run_script(&workspace.root().join(&file.script), &arguments)?;

@@ -84,8 +84,10 @@ pub(crate) struct FilePin {
     pub(crate) why: String,
     /// Relative to the cache folder.
     pub(crate) place: PathBuf,
-    /// Relative to the workspace; called as `python3 SCRIPT [WHEEL] OUTPUT ARGUMENTS...`.
+    /// Relative to the workspace; called as `python3 SCRIPT [WHEEL] [FROM] OUTPUT ARGUMENTS...`.
     pub(crate) script: PathBuf,
+    /// An earlier file of the list that it is made from, relative to the cache folder.
+    pub(crate) from: Option<PathBuf>,
     #[serde(default)]
     pub(crate) arguments: Vec<String>,
     #[serde(default)]

@@ -132,6 +132,7 @@ pub fn decision(id: RequestId, action: Action) -> Decision {
         cached_tokens: NOT_MEASURED,
         image_tokens: NOT_MEASURED,
         memory_tokens: NOT_MEASURED,
+        reusable_tokens: NOT_MEASURED,
         ..Zeroable::zeroed()
     }
 }

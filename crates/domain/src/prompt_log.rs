@@ -244,6 +244,10 @@ pub struct RecordedUsage {
     /// Tokens of the prompt that are memory; an estimate.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub memory_tokens: Option<u32>,
+    /// Tokens of the prompt that a server can reuse, since the previous prompt of the episode began with them too; an
+    /// estimate.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub reusable_tokens: Option<u32>,
     /// Requests sent, including failed ones.
     pub attempts: u32,
     /// Whether the reply came from the response cache.

@@ -1,4 +1,4 @@
-//! The client: many requests to one model of one endpoint, each on a thread that waits for its own reply.
+//! The client: many requests to one model of one or several endpoints, each on a thread that waits for its own reply.
 
 use std::fmt;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -12,9 +12,11 @@ use crate::cache::{CacheKey, ReplyCache};
 use crate::endpoint::Endpoint;
 use crate::error::{AskError, AttemptError};
 use crate::http::{HttpClient, jitter};
+use crate::pool::{ServerPool, Turn};
 use crate::reply::ChatReply;
 use crate::request::ChatRequest;
 use crate::server::{Attempts, Next, ServerState};
+use crate::slots::{EndpointLimit, Slots};
 
 /// How a model is asked.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -26,8 +28,10 @@ pub struct ChatSettings {
     pub request_timeout: Duration,
     /// How many times a request is sent again after a transient failure.
     pub max_retries: u32,
-    /// Maximum number of requests in flight, at least 1. Fewer while the server cannot keep up.
+    /// Maximum number of requests in flight to one endpoint, at least 1. Fewer while the server cannot keep up.
     pub max_connections: u32,
+    /// A limit that holds for other processes too.
+    pub endpoint_limit: Option<EndpointLimit>,
     /// How long to wait for a server that has answered before and is unreachable now.
     pub server_patience: Duration,
 }
@@ -40,6 +44,7 @@ impl ChatSettings {
             request_timeout: Duration::from_secs(120),
             max_retries: 5,
             max_connections: 16,
+            endpoint_limit: None,
             server_patience: Duration::from_secs(600),
         }
     }
@@ -63,19 +68,21 @@ pub struct ChatAnswer {
 /// Receives a text for the user while the client waits for its server, and `None` when the server answers again.
 type WaitingListener = Box<dyn Fn(Option<&str>) + Send + Sync>;
 
-/// Asks one model of one endpoint. Clones share connections, cache and what is known about the server.
+/// Asks one model of one or several endpoints. Clones share connections, cache and what is known about the servers.
 #[derive(Clone)]
 pub struct ChatClient {
     shared: Arc<Shared>,
 }
 
 struct Shared {
-    http: HttpClient,
+    /// The endpoints, in the order of the pool.
+    http: Vec<HttpClient>,
+    settings: ChatSettings,
     cache: Option<ReplyCache>,
     /// A reply could not be stored, and a warning was logged.
     unwritable: AtomicBool,
     requests: AtomicU64,
-    state: Mutex<ServerState>,
+    pool: Mutex<ServerPool>,
     changed: Condvar,
     listener: OnceLock<WaitingListener>,
     /// Whether the listener knows that the server is waited for.
@@ -91,13 +98,30 @@ impl fmt::Debug for ChatClient {
 impl ChatClient {
     /// A client without connections yet, which looks up replies in `cache` and stores them there.
     pub fn new(endpoint: Endpoint, settings: ChatSettings, cache: Option<ReplyCache>) -> Self {
-        let state = Mutex::new(ServerState::new(endpoint.to_string(), &settings));
+        Self::balanced(endpoint, Vec::new(), settings, cache)
+    }
+
+    /// A client of several endpoints of one model, which share the requests.
+    pub fn balanced(
+        first: Endpoint,
+        others: Vec<Endpoint>,
+        settings: ChatSettings,
+        cache: Option<ReplyCache>,
+    ) -> Self {
+        let endpoints: Vec<Endpoint> = std::iter::once(first).chain(others).collect();
+        let pool = ServerPool::new(endpoints.iter().map(|endpoint| {
+            let address = endpoint.to_string();
+            let slots = settings.endpoint_limit.as_ref().map(|limit| Slots::of(limit, &address));
+            (ServerState::new(address, &settings), slots)
+        }));
+        let client = |endpoint| HttpClient::new(endpoint, settings.clone());
         let shared = Shared {
-            http: HttpClient::new(endpoint, settings),
+            http: endpoints.into_iter().map(client).collect(),
+            settings,
             cache,
             unwritable: AtomicBool::new(false),
             requests: AtomicU64::new(0),
-            state,
+            pool: Mutex::new(pool),
             changed: Condvar::new(),
             listener: OnceLock::new(),
             told: AtomicBool::new(false),
@@ -114,17 +138,17 @@ impl ChatClient {
 
     /// The settings.
     pub fn settings(&self) -> &ChatSettings {
-        self.shared.http.settings()
+        &self.shared.settings
     }
 
-    /// The address of the server.
-    pub fn endpoint(&self) -> &Endpoint {
-        self.shared.http.endpoint()
+    /// The addresses of the servers, at least one.
+    pub fn endpoints(&self) -> impl Iterator<Item = &Endpoint> {
+        self.shared.http.iter().map(HttpClient::endpoint)
     }
 
-    /// Single attempts, without retries.
+    /// Single attempts on the first server, without retries.
     pub(crate) fn http(&self) -> &HttpClient {
-        &self.shared.http
+        &self.shared.http[0]
     }
 
     /// The reply to a request, from the cache or from the server. Blocks until there is one. `repeat` tells repetitions
@@ -165,19 +189,19 @@ impl ChatClient {
 
     /// Ends every request that waits, and those in flight when their attempt ends.
     pub fn stop(&self, why: &str) {
-        self.shared.lock().stop(why.to_owned());
+        self.shared.lock().stop(why);
         self.shared.changed.notify_all();
     }
 }
 
 impl Shared {
-    fn lock(&self) -> MutexGuard<'_, ServerState> {
-        // Nothing that runs under the lock leaves the state half changed.
-        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    fn lock(&self) -> MutexGuard<'_, ServerPool> {
+        // Nothing that runs under the lock leaves the pool half changed.
+        self.pool.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     fn ask(&self, request: &ChatRequest, repeat: u32) -> Result<ChatAnswer, AskError> {
-        let model = &self.http.settings().model;
+        let model = &self.settings.model;
         let key = self.cache.as_ref().and_then(|_| CacheKey::of(model, request, repeat));
         let stored = self.cache.as_ref().zip(key.as_ref());
         if let Some(reply) = stored.and_then(|(cache, key)| cache.get(key)) {
@@ -193,12 +217,14 @@ impl Shared {
         let number = self.requests.fetch_add(1, Ordering::Relaxed);
         let mut attempts = Attempts::new(number, Instant::now());
         loop {
-            let deadline = self.wait_for_turn(&mut attempts)?;
+            let Turn { server, deadline, slot } = self.wait_for_turn(&mut attempts)?;
             let (sent, sent_ns) = (Instant::now(), monotonic_ns());
-            match self.http.attempt(request, deadline) {
+            let outcome = self.http[server].attempt(request, deadline);
+            drop(slot);
+            match outcome {
                 Ok(reply) => {
                     let answered_ns = monotonic_ns();
-                    self.lock().replied(sent.elapsed());
+                    self.lock().replied(server, sent.elapsed(), Instant::now());
                     self.changed.notify_all();
                     self.report(None);
                     self.store(key.as_ref(), &reply);
@@ -211,38 +237,38 @@ impl Shared {
                         answered_ns,
                     });
                 }
-                Err(failure) => self.failed(&mut attempts, failure, sent)?,
+                Err(failure) => self.failed(server, &mut attempts, failure, sent)?,
             }
         }
     }
 
-    /// Waits until the request may be sent; returns the attempt's deadline.
-    fn wait_for_turn(&self, attempts: &mut Attempts) -> Result<Duration, AskError> {
-        let mut state = self.lock();
-        state.enqueue(attempts);
+    /// Waits until the request may be sent.
+    fn wait_for_turn(&self, attempts: &mut Attempts) -> Result<Turn, AskError> {
+        let mut pool = self.lock();
+        pool.enqueue(attempts);
         loop {
             let now = Instant::now();
-            match state.start(attempts, now)? {
-                Ok(deadline) => {
-                    drop(state);
+            match pool.start(attempts, now)? {
+                Ok(turn) => {
+                    drop(pool);
                     // There may be room for another one.
                     self.changed.notify_all();
-                    return Ok(deadline);
+                    return Ok(turn);
                 }
-                Err(until) => state = self.wait(state, until.map(|until| until - now)),
+                Err(until) => pool = self.wait(pool, until.map(|until| until - now)),
             }
         }
     }
 
     fn wait<'a>(
         &self,
-        state: MutexGuard<'a, ServerState>,
+        pool: MutexGuard<'a, ServerPool>,
         timeout: Option<Duration>,
-    ) -> MutexGuard<'a, ServerState> {
+    ) -> MutexGuard<'a, ServerPool> {
         match timeout {
-            None => self.changed.wait(state).unwrap_or_else(PoisonError::into_inner),
+            None => self.changed.wait(pool).unwrap_or_else(PoisonError::into_inner),
             Some(timeout) => {
-                let waited = self.changed.wait_timeout(state, timeout);
+                let waited = self.changed.wait_timeout(pool, timeout);
                 waited.unwrap_or_else(PoisonError::into_inner).0
             }
         }
@@ -251,15 +277,14 @@ impl Shared {
     /// Records a failed attempt; returns an error when there is no further attempt.
     fn failed(
         &self,
+        server: usize,
         attempts: &mut Attempts,
         failure: AttemptError,
         sent: Instant,
     ) -> Result<(), AskError> {
         let (made, now) = (attempts.made, Instant::now());
-        let mut state = self.lock();
-        let next = state.failed(attempts, failure.clone(), (sent, now), jitter(made));
-        let waiting = state.waiting_for_server(now, &failure);
-        drop(state);
+        let (next, waiting) =
+            self.lock().failed(server, attempts, failure.clone(), (sent, now), jitter(made));
         // The pause and the limit may have changed for all of them.
         self.changed.notify_all();
         self.report(waiting.as_deref());
@@ -288,7 +313,7 @@ impl Shared {
     /// Stores a reply. A failure costs at most another request later, so it is logged once.
     fn store(&self, key: Option<&CacheKey>, reply: &ChatReply) {
         let Some((cache, key)) = self.cache.as_ref().zip(key) else { return };
-        let Err(error) = cache.put(key, &self.http.settings().model, reply) else { return };
+        let Err(error) = cache.put(key, &self.settings.model, reply) else { return };
         if !self.unwritable.swap(true, Ordering::Relaxed) {
             let folder = cache.folder().display();
             tracing::warn!(

@@ -92,12 +92,16 @@ impl Endpoint {
         Ok(Self { completions, authorization, key })
     }
 
-    /// The endpoint at `base_url`, else at the URL in the environment, else at the URL in `folder/.env`; the key is
-    /// looked up in the same order. A blank variable counts as not set.
+    /// The endpoints at `base_url`, else at the URL in the environment, else at the URL in `folder/.env`; the key is
+    /// looked up in the same order. A blank variable counts as not set. Several URLs are separated by commas; they share
+    /// the key.
     ///
     /// # Errors
     /// When none of them names a base URL, or a value cannot be used.
-    pub fn from_environment(base_url: Option<&str>, folder: &Path) -> Result<Self, EndpointError> {
+    pub fn from_environment(
+        base_url: Option<&str>,
+        folder: &Path,
+    ) -> Result<(Self, Vec<Self>), EndpointError> {
         Self::resolve(base_url, |name| std::env::var(name).ok(), &folder.join(ENV_FILE))
     }
 
@@ -105,7 +109,7 @@ impl Endpoint {
         base_url: Option<&str>,
         environment: impl Fn(&str) -> Option<String>,
         env_file: &Path,
-    ) -> Result<Self, EndpointError> {
+    ) -> Result<(Self, Vec<Self>), EndpointError> {
         let file = read_env_file(env_file)?;
         let given = |value: &String| !value.trim().is_empty();
         let variable = |name: &str| {
@@ -114,12 +118,14 @@ impl Endpoint {
                 Some(value.clone()).filter(given)
             })
         };
-        let base_url = base_url
+        let base_urls = base_url
             .map(str::to_owned)
             .or_else(|| BASE_URL_VARIABLES.into_iter().find_map(variable))
             .ok_or(EndpointError::NoBaseUrl)?;
         let key = variable(KEY_VARIABLE).as_deref().and_then(ApiKey::new);
-        Self::new(&base_url, key)
+        let mut endpoints = base_urls.split(',').map(|base_url| Self::new(base_url, key.clone()));
+        let first = endpoints.next().ok_or(EndpointError::NoBaseUrl)??;
+        Ok((first, endpoints.collect::<Result<_, _>>()?))
     }
 
     /// The URL of chat completions.
@@ -213,7 +219,7 @@ mod tests {
         let variable = |name: &str| {
             environment.iter().find(|(key, _)| *key == name).map(|(_, value)| (*value).to_owned())
         };
-        Endpoint::resolve(flag, variable, &path)
+        Endpoint::resolve(flag, variable, &path).map(|(first, _)| first)
     }
 
     #[test]
@@ -236,6 +242,20 @@ mod tests {
         ] {
             assert_eq!(resolve(flag, environment, env_file).unwrap().to_string(), expected);
         }
+    }
+
+    #[test]
+    fn several_urls_are_separated_by_commas_and_share_the_key() {
+        let key = |name: &str| (name == KEY_VARIABLE).then(|| KEY.to_owned());
+        let urls = "http://a/v1, http://b:2/v1/";
+        let (first, others) = Endpoint::resolve(Some(urls), key, Path::new("/none")).unwrap();
+        let all: Vec<_> = std::iter::once(&first).chain(&others).collect();
+        assert_eq!(
+            all.iter().map(|endpoint| endpoint.to_string()).collect::<Vec<_>>(),
+            ["http://a/v1/chat/completions", "http://b:2/v1/chat/completions"]
+        );
+        assert!(all.iter().all(|endpoint| endpoint.authorization().is_some()));
+        assert!(Endpoint::resolve(Some("http://a/v1,"), key, Path::new("/none")).is_err());
     }
 
     #[test]

@@ -3,7 +3,8 @@
 //! - [`Endpoint`]: the address of a server and the key for it ([`ApiKey`]), from flags, environment or `.env`;
 //! - [`ChatRequest`] and [`ChatReply`]: messages of text and images; an answer and the tokens it took;
 //! - [`ChatClient`]: sends requests, many at once, with retries, a deadline for each attempt and a cache. What one
-//!   request learns about the server holds for all;
+//!   request learns about a server holds for all, and several servers of one model share the requests;
+//! - [`EndpointLimit`]: a limit on requests in flight that holds for all processes;
 //! - [`ReplyCache`]: replies on disk;
 //! - [`probe`] and [`fingerprint`]: what a server can do, and what it tells about itself.
 //!
@@ -16,12 +17,14 @@ mod endpoint;
 mod error;
 pub mod fingerprint;
 mod http;
+mod pool;
 pub mod probe;
 mod reply;
 mod request;
 #[cfg(any(test, feature = "scripted-server"))]
 pub mod scripted;
 mod server;
+mod slots;
 
 pub use api_key::ApiKey;
 pub use cache::{CacheListing, CacheSize, ModelReplies, Pruned, ReplyCache};
@@ -31,3 +34,4 @@ pub use error::{AskError, RequestError, Transient};
 pub use fingerprint::Fingerprint;
 pub use reply::{ChatReply, ReplyContent};
 pub use request::{ChatMessage, ChatRequest, ChatRole, ContentPart, ImageUrl, MessageContent};
+pub use slots::EndpointLimit;

@@ -97,7 +97,7 @@ pub fn run(client: &ChatClient, together: u32, run: &RunRequest<'_>) -> ProbeRep
     let mut probe = ServerProbe {
         client,
         report: ProbeReport {
-            endpoint: client.endpoint().to_string(),
+            endpoint: client.http().endpoint().to_string(),
             model: client.settings().model.clone(),
             findings: Vec::new(),
             run_sized: None,

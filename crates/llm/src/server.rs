@@ -157,6 +157,11 @@ impl Attempts {
     pub(crate) const fn new(number: u64, now: Instant) -> Self {
         Self { number, made: 0, counted: 0, replies: None, due: now }
     }
+
+    /// The next attempt goes to another server, and may go there at once.
+    pub(crate) fn move_on(&mut self, now: Instant) {
+        *self = Self { made: self.made, ..Self::new(self.number, now) };
+    }
 }
 
 /// A time without an answer from the server.
@@ -185,7 +190,7 @@ pub(crate) struct ServerState {
     in_flight: usize,
     /// By number: the requests that wait, and until when at least.
     waiting: BTreeMap<u64, Instant>,
-    /// Until when the server asked for a pause.
+    /// Until when no request is sent: the server asked for a pause, or others are asked while it is gone.
     quiet_until: Option<Instant>,
     replies: u64,
     /// Requests refused for their content.
@@ -199,6 +204,8 @@ pub(crate) struct ServerState {
     /// Requests given up since the last sign of life.
     given_up: u32,
     outage: Option<Outage>,
+    /// Whether another server of the same model answers, so that nothing has to wait for this one.
+    pub(crate) replaceable: bool,
     stopped: Option<String>,
 }
 
@@ -219,7 +226,44 @@ impl ServerState {
             unreachable: true,
             given_up: 0,
             outage: None,
+            replaceable: false,
             stopped: None,
+        }
+    }
+
+    pub(crate) fn endpoint(&self) -> &str {
+        &self.endpoint
+    }
+
+    pub(crate) fn in_flight(&self) -> usize {
+        self.in_flight
+    }
+
+    pub(crate) fn is_stopped(&self) -> bool {
+        self.stopped.is_some()
+    }
+
+    /// Whether the server has answered and not been gone since, or has not been asked yet.
+    pub(crate) fn is_up(&self) -> bool {
+        !self.is_stopped() && self.outage.is_none()
+    }
+
+    /// Whether a request may be sent now, as far as the server is concerned.
+    pub(crate) fn is_ready(&self, now: Instant) -> bool {
+        self.is_up() && self.quiet_until.is_none_or(|until| until <= now)
+    }
+
+    /// While the server is gone, sends it no request until `until`.
+    pub(crate) fn rest(&mut self, until: Instant) {
+        if self.outage.is_some() {
+            self.quiet_until = self.quiet_until.max(Some(until));
+        }
+    }
+
+    /// Another server has answered, so an outage of all of them begins now at the earliest.
+    pub(crate) fn another_replied(&mut self, now: Instant) {
+        if let Some(outage) = &mut self.outage {
+            outage.since = now;
         }
     }
 
@@ -239,29 +283,35 @@ impl ServerState {
         self.waiting.insert(attempts.number, attempts.due);
     }
 
-    /// Starts the next attempt of a request that waits, if it is its turn: returns the attempt's deadline, or until when
-    /// to wait at least.
+    /// Whether it is the turn of a request that waits; if not, until when to wait at least.
     ///
     /// # Errors
     /// When the client has stopped.
-    pub(crate) fn start(
-        &mut self,
-        attempts: &mut Attempts,
+    pub(crate) fn turn(
+        &self,
+        attempts: &Attempts,
         now: Instant,
-    ) -> Result<Result<Duration, Option<Instant>>, AskError> {
+    ) -> Result<Result<(), Option<Instant>>, AskError> {
         if let Some(why) = &self.stopped {
-            self.waiting.remove(&attempts.number);
             return Err(AskError::Stopped(why.clone()));
         }
         let from = self.quiet_until.max(Some(attempts.due)).filter(|from| *from > now);
         let earlier = self.waiting.range(..attempts.number).any(|(_, due)| *due <= now);
-        if from.is_some() || earlier || self.in_flight >= self.allowed() {
-            return Ok(Err(from));
-        }
-        self.waiting.remove(&attempts.number);
+        let full = self.in_flight >= self.allowed();
+        Ok(if from.is_some() || earlier || full { Err(from) } else { Ok(()) })
+    }
+
+    /// Starts the next attempt of a request whose turn it is; returns the attempt's deadline.
+    pub(crate) fn start(&mut self, attempts: &mut Attempts) -> Duration {
+        self.forget(attempts);
         self.in_flight += 1;
         attempts.made += 1;
-        Ok(Ok(self.load.deadline()))
+        self.load.deadline()
+    }
+
+    /// Removes a request from those that wait.
+    pub(crate) fn forget(&mut self, attempts: &Attempts) {
+        self.waiting.remove(&attempts.number);
     }
 
     /// The server has given a sign of life.
@@ -284,6 +334,9 @@ impl ServerState {
     /// What to tell the user while the server is waited for.
     pub(crate) fn waiting_for_server(&self, now: Instant, reason: &AttemptError) -> Option<String> {
         let AttemptError::Transient(reason, _) = reason else { return None };
+        if self.replaceable {
+            return None;
+        }
         let since = now.duration_since(self.outage?.since).as_secs();
         let most = self.patience.as_secs();
         Some(format!(
@@ -316,7 +369,7 @@ impl ServerState {
                 self.outage.unwrap_or(Outage { since: now, failures: 0 });
             self.outage = Some(Outage { since, failures: failures + 1 });
             let waited = now.duration_since(since);
-            if waited >= self.patience {
+            if waited >= self.patience && !self.replaceable {
                 let error = self.exhausted(attempts, reason);
                 return Next::End(self.gone(&error, &format!("for {} s", waited.as_secs())));
             }
@@ -391,7 +444,7 @@ impl ServerState {
             Transient::Timeout(_) => self.outage.is_some(),
             Transient::Busy { .. } | Transient::Unreadable(_) => false,
         };
-        down && self.answered && !self.patience.is_zero()
+        down && (self.replaceable || (self.answered && !self.patience.is_zero()))
     }
 
     fn retry(&self, attempts: &mut Attempts, now: Instant, pause: Duration) -> Next {

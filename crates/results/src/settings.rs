@@ -203,6 +203,8 @@ pub const FREE_KEYS: &[&str] = &[
     "out",
     "base-url",
     "max-connections",
+    "endpoint-limit",
+    "endpoint-limit-folder",
     "max-retries",
     "request-timeout",
     "server-patience",

@@ -119,9 +119,15 @@ pub(super) fn run(args: &DoctorArgs) -> anyhow::Result<Exit> {
         DoctorFinding::of("leftovers of killed runs", leftovers()),
     ];
     if let (Some(ModelPolicy::Openai), Some(model)) = (args.policy, &args.model) {
-        match endpoint(model, args.base_url.as_deref()) {
-            Ok(found) => findings.extend(found),
-            Err(error) => findings.push(DoctorFinding::of(ENDPOINT, Err(error))),
+        let servers = match &args.base_url {
+            None => vec![None],
+            Some(base_urls) => base_urls.split(',').map(Some).collect(),
+        };
+        for server in servers {
+            match endpoint(model, server) {
+                Ok(found) => findings.extend(found),
+                Err(error) => findings.push(DoctorFinding::of(ENDPOINT, Err(error))),
+            }
         }
     }
     if args.json {

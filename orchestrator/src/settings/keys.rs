@@ -27,6 +27,8 @@ pub(super) const MODEL_KEYS: &[&str] = &[
     "image-budget",
     "answer-tokens",
     "max-connections",
+    "endpoint-limit",
+    "endpoint-limit-folder",
     "max-retries",
     "request-timeout",
     "server-patience",
@@ -253,9 +255,10 @@ pub const KEYS: &[Key] = keys! {
     MODEL:
     "model" "NAME" Text(any),
         "The model, by the name that the server knows";
-    "base-url" "URL" Text(any),
-        "The server, up to /v1 [default: $OPENAI_BASE_URL, else $OPENAI_API_BASE]. The key is \
-         $OPENAI_API_KEY; a file .env may hold all three";
+    "base-url" "URL,..." Text(any),
+        "The server, up to /v1 [default: $OPENAI_BASE_URL, else $OPENAI_API_BASE]. Several servers of \
+         the same model, separated by commas, share the requests. The key is $OPENAI_API_KEY; a file \
+         .env may hold all three";
     "image-format" "FORMAT" Text(parses::<ImageFormat>),
         "Encoding of images in requests: png (lossless) or jpeg";
     "image-budget" "N" Number(0, 1000, 1),
@@ -264,7 +267,12 @@ pub const KEYS: &[Key] = keys! {
     "answer-tokens" "N" Number(1, 100_000, 1),
         "Maximum number of tokens in an answer";
     "max-connections" "N" Number(1, 1024, 1),
-        "Maximum number of requests in flight; fewer while the server is overloaded or slow";
+        "Maximum number of requests in flight to one server; fewer while it is overloaded or slow";
+    "endpoint-limit" "N" Number(1, 1024, 1),
+        "Maximum number of requests in flight to one server from all runs together that have this flag";
+    "endpoint-limit-folder" "DIR" Text(any),
+        "Where runs agree on --endpoint-limit; machines that share the folder share the limit \
+         [default: endpoint-limits in the cache folder]";
     "max-retries" "N" Number(0, 100, 1),
         "How often a request is repeated after status 429 or 5xx, a timeout or a failed connection";
     "request-timeout" "SECONDS" SECONDS,

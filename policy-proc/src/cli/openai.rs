@@ -1,11 +1,11 @@
 //! `policy-proc serve --policy openai`: the flags of a policy that asks a model.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use anyhow::Context;
 use clap::Args;
-use llm::{ChatClient, ChatSettings, Endpoint, ReplyCache};
+use llm::{ChatClient, ChatSettings, Endpoint, EndpointLimit, ReplyCache};
 use policy_proc::openai::{Openai, OpenaiSettings};
 use prompt::image::ImageFormat;
 
@@ -16,8 +16,9 @@ pub(crate) struct ModelArguments {
     /// The model, by the name that the server knows it by
     #[arg(long, value_name = "NAME", required_if_eq("policy", "openai"))]
     model: Option<String>,
-    /// The server, up to /v1 [default: $OPENAI_BASE_URL, else $OPENAI_API_BASE, also from .env]
-    #[arg(long, value_name = "URL")]
+    /// The server, up to /v1, or several of the same model, separated by commas [default: $OPENAI_BASE_URL, else
+    /// $OPENAI_API_BASE, also from .env]
+    #[arg(long, value_name = "URL,...")]
     base_url: Option<String>,
     /// Image encoding: png, or jpeg (smaller, with loss)
     #[arg(long, value_name = "FORMAT", default_value_t = ImageFormat::Png)]
@@ -28,9 +29,15 @@ pub(crate) struct ModelArguments {
     /// Maximum number of tokens of an answer
     #[arg(long, value_name = "N", default_value_t = prompt::ANSWER_TOKENS, value_parser = clap::value_parser!(u32).range(1..))]
     answer_tokens: u32,
-    /// Maximum number of requests in flight
+    /// Maximum number of requests in flight to one server
     #[arg(long, value_name = "N", default_value = "16", value_parser = clap::value_parser!(u32).range(1..))]
     max_connections: u32,
+    /// Maximum number of requests in flight to one server from all processes together
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    endpoint_limit: Option<u32>,
+    /// Where processes agree on --endpoint-limit [default: endpoint-limits in the cache folder]
+    #[arg(long, value_name = "DIR")]
+    endpoint_limit_folder: Option<PathBuf>,
     /// How often a request is sent again after a transient failure
     #[arg(long, value_name = "N", default_value = "5")]
     max_retries: u32,
@@ -52,7 +59,18 @@ pub(crate) struct ModelArguments {
 /// When no server or no cache folder is known.
 pub(crate) fn policy(arguments: ModelArguments) -> anyhow::Result<Openai> {
     let model = arguments.model.context("--policy openai needs --model")?;
-    let endpoint = Endpoint::from_environment(arguments.base_url.as_deref(), Path::new("."))?;
+    let (first, others) =
+        Endpoint::from_environment(arguments.base_url.as_deref(), Path::new("."))?;
+    let limit = |most| {
+        let folder = match arguments.endpoint_limit_folder {
+            Some(folder) => folder,
+            None => domain::cache_folder()
+                .context("pass --endpoint-limit-folder")?
+                .join("endpoint-limits"),
+        };
+        Ok::<_, anyhow::Error>(EndpointLimit { most, folder })
+    };
+    let endpoint_limit = arguments.endpoint_limit.map(limit).transpose()?;
     let cache = ReplyCache::from_setting(&arguments.response_cache)
         .context("pass --response-cache off, or a folder")?;
     let settings = OpenaiSettings {
@@ -65,7 +83,8 @@ pub(crate) fn policy(arguments: ModelArguments) -> anyhow::Result<Openai> {
         request_timeout: Duration::from_secs(arguments.request_timeout.into()),
         max_retries: arguments.max_retries,
         max_connections: arguments.max_connections,
+        endpoint_limit,
         server_patience: Duration::from_secs(arguments.server_patience.into()),
     };
-    Ok(Openai::new(ChatClient::new(endpoint, chat, cache), settings))
+    Ok(Openai::new(ChatClient::balanced(first, others, chat, cache), settings))
 }

@@ -4,6 +4,7 @@ use std::path::Path;
 use std::process::ExitCode;
 use std::time::Duration;
 
+use anyhow::ensure;
 use clap::Args;
 use llm::probe::{self, ProbeFinding, ProbeMark, ProbeReport, RunRequest};
 use llm::{ChatClient, ChatSettings, Endpoint};
@@ -56,7 +57,9 @@ pub(crate) struct ProbeArguments {
 const MAX_RETRIES: u32 = 2;
 
 pub(crate) fn run(arguments: &ProbeArguments) -> anyhow::Result<ExitCode> {
-    let endpoint = Endpoint::from_environment(arguments.base_url.as_deref(), Path::new("."))?;
+    let (endpoint, others) =
+        Endpoint::from_environment(arguments.base_url.as_deref(), Path::new("."))?;
+    ensure!(others.is_empty(), "one server can be checked at a time: pass --base-url URL");
     let settings = ChatSettings {
         request_timeout: Duration::from_secs(arguments.request_timeout.into()),
         max_retries: MAX_RETRIES,

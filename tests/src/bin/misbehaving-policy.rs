@@ -155,6 +155,7 @@ fn raw(mode: &str) {
                 cached_tokens: NOT_MEASURED,
                 image_tokens: NOT_MEASURED,
                 memory_tokens: NOT_MEASURED,
+                reusable_tokens: NOT_MEASURED,
                 ..Zeroable::zeroed()
             };
             let sent = match mode {

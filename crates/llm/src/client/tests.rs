@@ -435,3 +435,70 @@ fn a_cache_that_cannot_be_written_costs_no_reply() {
         assert!(!bench.answer().1.from_cache);
     }
 }
+
+/// A server that closes every connection while `down` is true.
+fn fragile(down: &Arc<AtomicBool>) -> Server {
+    let down = Arc::clone(down);
+    let answer = move |request: &Received| match down.load(Ordering::SeqCst) {
+        true => Reaction::Close,
+        false => Reaction::says(text(request)),
+    };
+    Server::concurrent(answer).unwrap()
+}
+
+#[test]
+fn servers_share_the_requests_and_a_lost_one_returns() {
+    let downs = [(); 2].map(|()| Arc::new(AtomicBool::new(false)));
+    let servers = downs.each_ref().map(fragile);
+    let [first, second] =
+        servers.each_ref().map(|server| Endpoint::new(&server.base_url(), None).unwrap());
+    let mut bench = Bench::new(&servers[0].base_url(), settings(4, 0));
+    bench.client = ChatClient::balanced(first, vec![second], settings(4, 0), None);
+    let ask = |count: usize| {
+        let received = || servers.each_ref().map(|server| server.received().len());
+        let before = received();
+        (0..count).for_each(|number| bench.submit(&number.to_string()));
+        for _ in 0..count {
+            let (name, answer) = bench.answer();
+            assert_eq!(answer.reply.text(), name);
+        }
+        [0, 1].map(|server| received()[server] - before[server])
+    };
+    assert!(ask(40).iter().all(|count| *count > 0), "both are asked");
+
+    // Without retries and patience of its own, each request is answered by the other server.
+    downs[1].store(true, Ordering::SeqCst);
+    let [served, tried] = ask(40);
+    assert!(served == 40 && tried < 10, "{served} served, {tried} lost");
+
+    downs[1].store(false, Ordering::SeqCst);
+    let start = Instant::now();
+    while ask(8)[1] < 2 {
+        assert!(start.elapsed() < WATCHDOG, "the server that is back is not asked");
+        thread::sleep(Duration::from_millis(50));
+    }
+}
+
+#[test]
+fn a_limit_holds_for_all_clients_that_share_its_folder() {
+    let (now, most) = (Arc::new(AtomicUsize::new(0)), Arc::new(AtomicUsize::new(0)));
+    let (counted, highest) = (Arc::clone(&now), Arc::clone(&most));
+    let server = Server::concurrent(move |_| {
+        highest.fetch_max(1 + counted.fetch_add(1, Ordering::SeqCst), Ordering::SeqCst);
+        thread::sleep(Duration::from_millis(10));
+        counted.fetch_sub(1, Ordering::SeqCst);
+        Reaction::says("North.")
+    })
+    .unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    let limit = EndpointLimit { most: 3, folder: folder.path().to_owned() };
+    let settings = ChatSettings { endpoint_limit: Some(limit), ..settings(16, 0) };
+    let benches = [(); 2].map(|()| Bench::new(&server.base_url(), settings.clone()));
+    for bench in &benches {
+        (0..30).for_each(|number| bench.submit(&number.to_string()));
+    }
+    for bench in &benches {
+        (0..30).for_each(|_| drop(bench.answer()));
+    }
+    assert_eq!(most.load(Ordering::SeqCst), 3);
+}

@@ -63,11 +63,12 @@ impl Story {
 
     /// Starts the next attempt, which has to be possible now; returns its deadline.
     fn start(&mut self, attempts: &mut Attempts) -> Duration {
-        self.state.start(attempts, self.now).unwrap().unwrap()
+        self.state.turn(attempts, self.now).unwrap().unwrap();
+        self.state.start(attempts)
     }
 
     fn is_held_back(&mut self, attempts: &mut Attempts) -> bool {
-        self.state.start(attempts, self.now).unwrap().is_err()
+        self.state.turn(attempts, self.now).unwrap().is_err()
     }
 
     fn fail(&mut self, attempts: &mut Attempts, failure: AttemptError, sent: Instant) -> Next {
@@ -171,7 +172,7 @@ fn retry_after_holds_back_every_request() {
     let sent = story.now;
     let reason = Transient::Status { status: 503, message: "no".into() };
     story.fail(&mut first, AttemptError::Transient(reason, Some(seconds(7))), sent);
-    let until = story.state.start(&mut second, story.now).unwrap().unwrap_err();
+    let until = story.state.turn(&second, story.now).unwrap().unwrap_err();
     assert_eq!(until, Some(sent + seconds(7)));
     story.now += seconds(7);
     assert!(story.is_held_back(&mut second), "the one that failed goes first");
@@ -330,8 +331,8 @@ fn without_patience_three_requests_in_a_row_stop_the_client() {
         let stopped = matches!(story.until_end(&status(503)), AskError::Stopped(_));
         assert_eq!(stopped, expected);
     }
-    let mut next = story.request();
-    assert!(story.state.start(&mut next, story.now).is_err());
+    let next = story.request();
+    assert!(story.state.turn(&next, story.now).is_err());
 }
 
 /// A server that refuses every request stops the run, and the message says what to do.
@@ -387,14 +388,16 @@ proptest! {
         while !waiting.is_empty() || !in_flight.is_empty() {
             let (mut earliest, mut started) = (None::<Instant>, false);
             for index in (0..waiting.len()).rev() {
-                match story.state.start(&mut waiting[index], story.now) {
+                match story.state.turn(&waiting[index], story.now) {
                     Err(_) => {
                         waiting.swap_remove(index);
                         (ended, started) = (ended + 1, true);
                     }
-                    Ok(Ok(deadline)) => {
+                    Ok(Ok(())) => {
+                        let mut attempts = waiting.swap_remove(index);
+                        let deadline = story.state.start(&mut attempts);
                         prop_assert!(deadline <= TIMEOUT * MOST_PATIENCE);
-                        in_flight.push((waiting.swap_remove(index), story.now));
+                        in_flight.push((attempts, story.now));
                         started = true;
                     }
                     Ok(Err(until)) => earliest = earliest.into_iter().chain(until).min(),

@@ -260,6 +260,9 @@ pub struct Usage {
     pub image_tokens: Option<u32>,
     /// Tokens of the prompt that are memory; an estimate.
     pub memory_tokens: Option<u32>,
+    /// Tokens of the prompt that a server can reuse: the previous prompt of the episode began with them too. 0 for the first
+    /// one; an estimate.
+    pub reusable_tokens: Option<u32>,
     /// Requests sent, including failed ones.
     pub attempts: u32,
     /// Whether the reply came from the response cache.

@@ -324,13 +324,14 @@ impl OpenRequest {
             cached_tokens: count(usage.cached_tokens),
             image_tokens: count(usage.image_tokens),
             memory_tokens: count(usage.memory_tokens),
+            reusable_tokens: count(usage.reusable_tokens),
             images_asked: images,
             images: decision.images,
             attempts: usage.attempts,
             outcome: decision.answer.outcome() as u8,
             action: decision.answer.action().map_or(NO_ACTION, |action| action as u8),
             replayed: usage.replayed.into(),
-            reserved: [0; 21],
+            reserved: [0; 17],
         }
     }
 
@@ -359,6 +360,7 @@ impl OpenRequest {
                 cached_tokens: usage.cached_tokens,
                 image_tokens: usage.image_tokens,
                 memory_tokens: usage.memory_tokens,
+                reusable_tokens: usage.reusable_tokens,
                 attempts: usage.attempts,
                 replayed: usage.replayed,
             }),

@@ -373,6 +373,10 @@ pub struct RequestRecord {
     /// Tokens of the prompt that are injected memory, an estimate.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub memory_tokens: Option<u32>,
+    /// Tokens of the prompt that a server can reuse, since the previous prompt of the episode began with them too; an
+    /// estimate.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub reusable_tokens: Option<u32>,
 }
 
 /// Reads a count. Earlier versions wrote the wire's mark for "not measured", the largest number, into the log.

@@ -296,6 +296,7 @@ pub fn request(key: &str, step: u32) -> RequestRecord {
         cached_tokens: Some(200),
         image_tokens: Some(400),
         memory_tokens: Some(300),
+        reusable_tokens: Some(250),
     }
 }
 

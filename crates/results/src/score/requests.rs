@@ -21,6 +21,8 @@ pub struct RequestScore {
     pub prompt_tokens_each: Option<f64>,
     /// Percentage of the prompt tokens that are injected memory, as the policy estimates it.
     pub memory_share: Option<f64>,
+    /// Percentage of the prompt tokens that a server can reuse from the request before, as the policy estimates it.
+    pub reusable_share: Option<f64>,
     /// Percentage of the prompt tokens that the server took from its own cache.
     pub cached_share: Option<f64>,
     /// Images that the policy was asked to look at.
@@ -75,6 +77,7 @@ impl RequestScore {
         Some(Self {
             prompt_tokens_each: prompt.map(|tokens| tokens as f64 / usage.requests as f64),
             memory_share: share(sum(|request| request.memory_tokens)),
+            reusable_share: share(sum(|request| request.reusable_tokens)),
             cached_share: share(sum(|request| request.cached_tokens)),
             images_asked: images(|request| request.images_asked),
             images_dropped: images(|request| {
@@ -148,7 +151,7 @@ mod tests {
         let found = RequestScore::of_run(&log).unwrap();
         assert_eq!((found.usage.requests, found.usage.replayed), (10, 1));
         assert_eq!((found.prompt_tokens_each, found.memory_share), (Some(1000.0), Some(30.0)));
-        assert_eq!(found.cached_share, Some(10.0));
+        assert_eq!((found.reusable_share, found.cached_share), (Some(25.0), Some(10.0)));
         assert_eq!((found.latency_p50_ms, found.latency_p90_ms), (Some(5.0), Some(9.0)));
         assert_eq!((found.unread.empty, found.unread.total(), found.images_dropped), (1, 1, 2));
         // 10 x (900 x 1 + 3 x 10) millionths.

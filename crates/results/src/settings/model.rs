@@ -22,6 +22,10 @@ pub struct ModelSettings {
     pub image_budget: u32,
     pub answer_tokens: u32,
     pub max_connections: u32,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub endpoint_limit: Option<u32>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub endpoint_limit_folder: Option<PathBuf>,
     pub max_retries: u32,
     pub request_timeout: u32,
     #[serde(default)]

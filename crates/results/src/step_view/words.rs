@@ -63,6 +63,7 @@ fn tokens(usage: &RecordedUsage) -> String {
         ("cached", usage.cached_tokens),
         ("images", usage.image_tokens),
         ("memory, estimated", usage.memory_tokens),
+        ("reusable, estimated", usage.reusable_tokens),
     ]
     .into_iter()
     .filter_map(|(what, count)| Some(format!("{what} {}", count?)))

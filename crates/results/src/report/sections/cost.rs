@@ -78,6 +78,7 @@ pub(in crate::report) fn requests_table(view: &ScoredRun<'_>) -> Option<Table> {
         ("Retries", |s| Cell::Value(s.usage.retries().to_string())),
         ("Tokens of a prompt", |s| plain_or(s.prompt_tokens_each, 0, UNKNOWN)),
         ("of which memory, %", |s| plain_or(s.memory_share, 1, UNKNOWN)),
+        ("of which reusable, %", |s| plain_or(s.reusable_share, 1, UNKNOWN)),
         ("of which cached, %", |s| plain_or(s.cached_share, 1, UNKNOWN)),
         ("Images left out", |s| Cell::Value(s.images_dropped.to_string())),
         ("Unreadable answers", |s| Cell::Value(s.unread.unreadable.to_string())),
