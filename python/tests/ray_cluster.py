@@ -1,7 +1,7 @@
-"""Loses nodes of a Ray cluster during a run: python ray_cluster.py OUT PROGRAM FOLDER SETTINGS...
+"""Loses nodes of a Ray cluster during a run: python ray_cluster.py OUT PROGRAM SETTINGS...
 
 Three raylets on this machine execute `python -m memtransfer.ray run`. Two of them are killed, and one is added. Ray's files
-go to FOLDER, whose path is short.
+go to TMPDIR, whose path is short.
 """
 
 import os
@@ -26,9 +26,9 @@ def wait_for(units: Path, count: int, run: "subprocess.Popen[bytes]") -> None:
         time.sleep(0.02)
 
 
-def main(out: str, program: str, folder: str, *settings: str) -> int:
+def main(out: str, program: str, *settings: str) -> int:
     os.environ["RAY_USAGE_STATS_ENABLED"] = "0"
-    head = {"num_cpus": 0, "object_store_memory": OBJECTS, "include_dashboard": False, "_temp_dir": folder}
+    head = {"num_cpus": 0, "object_store_memory": OBJECTS, "include_dashboard": False}
     cluster = Cluster(initialize_head=True, head_node_args=head)
     nodes = [cluster.add_node(num_cpus=1, object_store_memory=OBJECTS, wait=False) for _ in range(3)]
     cluster.wait_for_nodes()

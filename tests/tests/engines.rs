@@ -41,7 +41,8 @@ fn the_slurm_script_executes_all_units_and_merges_them() {
     let text = script(&bench, "--slurm");
     assert!(text.contains("#SBATCH --array=0-1\n"), "{text}");
     let programs = program("memtransfer");
-    let path = format!("{}:{}", programs.parent().unwrap().display(), std::env::var("PATH").unwrap());
+    let path =
+        format!("{}:{}", programs.parent().unwrap().display(), std::env::var("PATH").unwrap());
     // As Slurm starts it: once for each index of the array, and for the second job.
     let bash = |args: &[&str], index: &str| {
         let mut command = Command::new("bash");

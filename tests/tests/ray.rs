@@ -12,7 +12,7 @@ use memtransfer_tests::{
 const SUITE: &str = r#"
 memory = ["working", "episodic"]
 starts = ["original", "new"]
-routes = ["unchanged", "blocked"]
+routes = ["unchanged"]
 demos = ["original"]
 limit = 10
 max-steps = 40
@@ -33,11 +33,10 @@ fn nodes_that_are_lost_and_added_do_not_change_the_log() {
         .arg(package.join("tests/ray_cluster.py"))
         .arg("merged")
         .arg(program("memtransfer"))
-        .arg(ray.path())
         .args(settings)
         .current_dir(bench.folder.path())
         .env("MEMTRANSFER_RUN_DIR", bench.registry.path())
-        // Units that are being executed.
+        // Ray's files, and units that are being executed.
         .env("TMPDIR", ray.path())
         .env("PYTHONPATH", &package)
         .env("PYTHONDONTWRITEBYTECODE", "1")
