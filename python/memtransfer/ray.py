@@ -149,7 +149,7 @@ def main(given: Sequence[str] | None = None) -> int:
     )
     run.add_argument("--address", default="auto", help="the cluster's address [default: auto]")
     run.add_argument("--out", type=Path, required=True, help="the run folder to make; units lie in OUT.units")
-    run.add_argument("--unit-episodes", default="100", help="episodes of a unit [default: 100]")
+    run.add_argument("--unit-episodes", default="500", help="episodes of a unit [default: 500]")
     run.add_argument("--cpus", type=float, default=2, help="cores that Ray reserves for a unit [default: 2]")
     run.add_argument("--retries", type=int, default=20, help="losses of nodes that a unit survives [default: 20]")
     run.add_argument("--program", default="memtransfer", help="the program on every node [default: memtransfer]")

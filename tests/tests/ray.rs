@@ -1,7 +1,5 @@
 //! A run on a Ray cluster that loses nodes is the run of one machine.
 
-#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
-
 use std::fs;
 use std::process::{Command, Stdio};
 

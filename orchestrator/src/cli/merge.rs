@@ -81,9 +81,8 @@ pub(super) fn run(args: &MergeArgs) -> Result<Exit> {
     {
         bail!("the {name} here is not that of the plan: give its folder with --assets");
     }
-    let division = plan.division();
     let merged = selection.with_episodes(&settings, |episodes| {
-        merge(&manifest, &folders, division.assign(episodes), &args.out)
+        merge(&manifest, &folders, plan.assign(episodes), &args.out)
     })?;
     eprintln!(
         "{}: {merged} episodes of {} units; `memtransfer score {0}` prints its tables",

@@ -11,7 +11,7 @@ use results::settings::RunSettings;
 
 use super::run::flags::SettingFlags;
 use super::run::{
-    BUILDING_DOCUMENTS, RunOptions, RunPlan, STARTING_MEMORIES, stopped_before_episodes,
+    ALL, BUILDING_DOCUMENTS, RunOptions, RunPlan, STARTING_MEMORIES, stopped_before_episodes,
 };
 use super::{Exit, print};
 use crate::settings::{Layer, resolve};
@@ -20,9 +20,9 @@ use crate::units::{UNIT_EPISODES, UnitPlan};
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
-A unit has episodes of one condition; in a suite of streams, whole sequences. Units are executed in
-any order, on any machine that has this version of the programs and the cache folder that
-`cargo xtask setup` fills. Executing a unit again is harmless. docs/machines.md has more.
+A unit has consecutive episodes of the run; in a suite of streams, whole sequences. Units are
+executed in any order, on any machine that has this version of the programs and the cache folder
+that `cargo xtask setup` fills. Executing a unit again is harmless. docs/machines.md has more.
 
 Examples:
   memtransfer plan --suite paper --out plan.json     settings as for `memtransfer run`
@@ -76,7 +76,7 @@ pub(super) fn run(args: PlanArgs) -> Result<Exit> {
     let signals = Signals::listen().context("cannot listen to signals")?;
     // External memories start, so that their names are known, and end with the plan.
     let options = RunOptions { dry_run: true, quiet: args.quiet, ..RunOptions::default() };
-    let Some(run) = RunPlan::new(settings, &options, &signals)? else {
+    let Some(run) = RunPlan::new(settings, ALL, &options, &signals)? else {
         return Ok(stopped_before_episodes(&signals, STARTING_MEMORIES));
     };
     let Some(documents) = run.documents(&options, &signals)? else {
@@ -84,7 +84,7 @@ pub(super) fn run(args: PlanArgs) -> Result<Exit> {
     };
     let mut manifest = run.manifest();
     manifest.documents = documents.facts();
-    let plan = UnitPlan::new(manifest, run.cases, args.unit_episodes);
+    let plan = UnitPlan::new(manifest, args.unit_episodes);
     plan.write(&path)?;
     if !args.quiet {
         let (units, episodes) = (plan.units, plan.manifest.episodes);

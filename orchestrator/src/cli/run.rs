@@ -5,6 +5,7 @@ pub(super) mod flags;
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::io;
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, anyhow, bail, ensure};
@@ -100,8 +101,6 @@ pub(super) struct RunPlan {
     world: World,
     /// The streams, for a run that consists of streams.
     streams: Option<Streams>,
-    /// The selected cases.
-    pub(super) cases: usize,
     pub(super) episodes: Vec<PlannedEpisode>,
     /// The unit of a plan that it is.
     pub(super) unit: Option<UnitId>,
@@ -119,7 +118,7 @@ pub(super) fn run(args: RunArgs) -> Result<Exit> {
         return Ok(Exit::Complete);
     }
     let signals = Signals::listen().context("cannot listen to signals")?;
-    let Some(mut plan) = RunPlan::new(resolved.settings, &options, &signals)? else {
+    let Some(mut plan) = RunPlan::new(resolved.settings, ALL, &options, &signals)? else {
         return Ok(stopped_before_episodes(&signals, STARTING_MEMORIES));
     };
     if options.dry_run {
@@ -131,6 +130,9 @@ pub(super) fn run(args: RunArgs) -> Result<Exit> {
         Executed::ToTheEnd { halted } => plan.conclude(halted, &signals),
     }
 }
+
+/// All episodes of a run.
+pub(super) const ALL: Range<usize> = 0..usize::MAX;
 
 /// What a signal can interrupt before the first episode.
 pub(super) const STARTING_MEMORIES: &str = "external memories were being started";
@@ -181,10 +183,11 @@ fn check_banks(settings: &RunSettings, World { cases, .. }: &World) -> Result<()
 }
 
 impl RunPlan {
-    /// The plan of a run with `settings`, once its external memories have told their names. `None` when a signal asked to
-    /// stop meanwhile.
+    /// The plan of a run with `settings`, or of those of its episodes in `range`, once its external memories have told their
+    /// names. `None` when a signal asked to stop meanwhile.
     pub(super) fn new(
         mut settings: RunSettings,
+        range: Range<usize>,
         options: &RunOptions,
         signals: &Signals,
     ) -> Result<Option<Self>> {
@@ -196,8 +199,9 @@ impl RunPlan {
             return Ok(None);
         }
         note_omissions(&settings);
-        let episodes: Vec<PlannedEpisode> =
-            selection.with_episodes(&settings, |episodes| episodes.collect());
+        let episodes: Vec<PlannedEpisode> = selection.with_episodes(&settings, |episodes| {
+            episodes.skip(range.start).take(range.len()).collect()
+        });
         if episodes.is_empty() {
             bail!("no case is left: --limit is 0, or --cases selects none");
         }
@@ -208,9 +212,8 @@ impl RunPlan {
                 file.map(|file| ModelPrices::read(file, &model.model)).transpose()?
             }
         };
-        let Selection { world, cases, streams } = selection;
-        let (cases, unit) = (cases.len(), None);
-        Ok(Some(Self { settings, world, streams, cases, episodes, unit, prices, started }))
+        let Selection { world, streams, .. } = selection;
+        Ok(Some(Self { settings, world, streams, episodes, unit: None, prices, started }))
     }
 
     /// The external memories.

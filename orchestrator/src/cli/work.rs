@@ -103,16 +103,16 @@ fn unit_run(
     options: &RunOptions,
     signals: &Signals,
 ) -> Result<Option<RunPlan>> {
-    let (mut settings, episodes) = plan.unit_settings(args.unit)?;
+    let (mut settings, episodes) = plan.unit(args.unit)?;
     settings.out = part;
     let environment = Layer::environment(std::env::vars_os())?;
     let settings = on_this_machine(&settings, [environment, args.machine.layer()?])?;
     RunFolder::check(&settings.out)?;
-    let Some(mut run) = RunPlan::new(settings, options, signals)? else { return Ok(None) };
+    let Some(mut run) = RunPlan::new(settings, episodes, options, signals)? else {
+        return Ok(None);
+    };
     check_machine(&run.manifest(), plan, args)?;
     run.unit = Some(plan.unit_id(args.unit));
-    run.episodes.truncate(episodes.end);
-    run.episodes.drain(..episodes.start.min(run.episodes.len()));
     Ok(Some(run))
 }
 

@@ -1,8 +1,8 @@
 //! Joins the run folders of units into the run folder that one machine would have written.
 //!
 //! Episodes come in the order of the plan. They are the same bytes as in the units' logs, which must agree where a unit was
-//! executed more than once; times are those of the first folder that has the unit. Sessions are numbered anew. At any moment
-//! at most one unit of each condition is in memory.
+//! executed more than once; times are those of the first folder that has the unit. Sessions are numbered anew. One unit
+//! at a time is in memory.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -218,11 +218,9 @@ pub struct UnitEpisode {
     pub key: String,
     /// The unit that it is part of.
     pub unit: u32,
-    /// The index of its condition. The units of a condition have their episodes one after the other.
-    pub condition: usize,
 }
 
-/// Writes the run that consists of `episodes`, which are all episodes of `units`, into the folder `out`. Returns their number.
+/// Writes the run that consists of `episodes`, which are all episodes of `units`, unit by unit, into the folder `out`. Returns their number.
 ///
 /// # Errors
 /// When a unit's log is broken, incomplete, or two executions of it disagree; when `out` is not empty.
@@ -241,21 +239,21 @@ pub fn merge(
     fs::create_dir_all(&draft).map_err(system("make", &draft))?;
     let _lock = lock(&draft)?;
     let mut run = MergedRun::new(&draft, manifest.settings.max_steps)?;
-    let mut loaded: BTreeMap<usize, LoadedUnit> = BTreeMap::new();
+    let mut loaded: Option<LoadedUnit> = None;
     let mut count = 0;
-    for UnitEpisode { key, unit, condition } in episodes {
-        let current = match loaded.remove(&condition) {
+    for UnitEpisode { key, unit } in episodes {
+        let mut current = match loaded.take() {
             Some(current) if current.number == unit => current,
             before => {
                 before.map_or(Ok(()), LoadedUnit::check_written)?;
                 run.load(unit, &units.of(unit))?
             }
         };
-        let current = loaded.entry(condition).or_insert(current);
-        run.write(current, &key)?;
+        run.write(&mut current, &key)?;
+        loaded = Some(current);
         count += 1;
     }
-    loaded.into_values().try_for_each(LoadedUnit::check_written)?;
+    loaded.map_or(Ok(()), LoadedUnit::check_written)?;
     run.finish()?;
     manifest.write(&draft)?;
     sync_all(&draft).map_err(system("flush", &draft))?;

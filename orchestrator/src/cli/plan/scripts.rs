@@ -15,7 +15,7 @@ pub(super) fn slurm(plan: &Path, units: u32, workers: u32) -> Result<String> {
     Ok(format!(
         r#"#!/bin/bash
 # Executes the {units} units of a plan, and merges them:
-#   jobid=$(sbatch --parsable THIS_FILE) && sbatch --dependency=afterany:$jobid THIS_FILE merge
+#   job=$(sbatch --parsable FILE) && sbatch --array=0 --dependency=afterany:$job FILE merge
 #SBATCH --job-name=memtransfer
 #SBATCH --array=0-{last}
 #SBATCH --requeue
@@ -28,8 +28,6 @@ plan={plan}
 units=${{MEMTRANSFER_UNITS:-units}}
 
 if [ "${{1-}}" = merge ]; then
-    # Every task of the array starts this script.
-    [ "${{SLURM_ARRAY_TASK_ID:-0}}" = 0 ] || exit 0
     exec memtransfer merge --plan "$plan" "$units" --out "${{MEMTRANSFER_MERGED:-merged}}"
 fi
 

@@ -39,11 +39,7 @@ fn cases(units: u32, size: u32) -> Vec<Vec<String>> {
 
 fn planned(cases: &[Vec<String>]) -> impl Iterator<Item = UnitEpisode> {
     (0..).zip(cases).flat_map(|(unit, cases)| {
-        cases.iter().map(move |case| UnitEpisode {
-            key: record(case, true).key,
-            unit,
-            condition: 0,
-        })
+        cases.iter().map(move |case| UnitEpisode { key: record(case, true).key, unit })
     })
 }
 
@@ -161,11 +157,8 @@ fn merge_in_constant_memory() {
     assert!(units.missing(count).is_empty());
     let mut whole = manifest();
     units.check(count, PLAN, &mut whole).unwrap();
-    let planned = (0..records).map(|number| UnitEpisode {
-        key: record(&case(number), true).key,
-        unit: number / 100,
-        condition: 0,
-    });
+    let planned = (0..records)
+        .map(|number| UnitEpisode { key: record(&case(number), true).key, unit: number / 100 });
     let merged = merge(&whole, &units, planned, &dir.path().join("run")).unwrap();
     let seconds = start.elapsed().as_secs_f64();
     println!("{merged} records in {seconds:.1} s; before {before}, after {}", peak());
