@@ -1,7 +1,7 @@
 //! The command line: the verbs, and one exit point.
 //!
 //! Data goes to stdout, progress and messages go to stderr. The exit status is 0 when everything is complete, 1 when
-//! something is incomplete or failed, 2 on an error, and 128 + n when signal n ended the program.
+//! something is incomplete or failed, 2 on an error, 3 when units of a plan are missing, and 128 + n when signal n ended the program.
 
 mod clean;
 mod conformance;
@@ -13,7 +13,9 @@ mod leaderboard;
 mod list;
 mod map;
 mod memory;
+mod merge;
 mod passed_on;
+mod plan;
 mod profile;
 mod report;
 mod run;
@@ -22,6 +24,7 @@ mod show;
 mod top;
 mod validate;
 mod view;
+mod work;
 
 use std::io::{self, Write};
 use std::path::PathBuf;
@@ -51,16 +54,24 @@ Examples:
   memtransfer ls cases                     the cases
   memtransfer map t03-07 --out map.svg     one case from above
   memtransfer top                          the live status of the run in progress
+  memtransfer plan --out plan.json         units of the run for `work` and `merge` on many machines
   memtransfer profile                      measure how long an access to memory takes
   memtransfer doctor                       check what is missing on this machine
 
-Exit status: 0 complete, 1 incomplete or failed, 2 error, 128 + n ended by signal n.
+Exit status: 0 complete, 1 incomplete or failed, 2 error, 3 units missing, 128 + n ended by
+signal n.
 Every flag of `run` can be given as a MEMTRANSFER_* variable, or as a key of a suite file.";
 
 #[derive(Debug, Subcommand)]
 enum MemtransferVerb {
     /// Run a suite: start the processes, run the episodes, print the table
     Run(Box<run::RunArgs>),
+    /// Divide a run into units for several machines
+    Plan(Box<plan::PlanArgs>),
+    /// Execute one unit of a plan
+    Work(Box<work::WorkArgs>),
+    /// Join finished units into one run folder
+    Merge(merge::MergeArgs),
     /// Show the live status of a run: rates, queues, lanes, frames, latencies
     Top(top::TopArgs),
     /// List cases, tasks, items, suites or runs
@@ -108,6 +119,8 @@ pub enum Exit {
     Failed,
     /// An error prevented it.
     CouldNot,
+    /// Units are missing.
+    Missing,
     /// A signal ended it.
     Signal(u8),
     /// The exit status of the program that did the work.
@@ -120,6 +133,7 @@ impl From<Exit> for ExitCode {
             Exit::Complete => 0,
             Exit::Failed => 1,
             Exit::CouldNot => 2,
+            Exit::Missing => 3,
             Exit::Signal(signal) => 128_u8.saturating_add(signal),
             Exit::Code(code) => code,
         })
@@ -131,6 +145,9 @@ pub fn main() -> ExitCode {
     program::log_to_stderr();
     let outcome = match Cli::parse().verb {
         MemtransferVerb::Run(args) => run::run(*args),
+        MemtransferVerb::Plan(args) => plan::run(*args),
+        MemtransferVerb::Work(args) => work::run(*args),
+        MemtransferVerb::Merge(args) => merge::run(&args),
         MemtransferVerb::Top(args) => top::run(&args),
         MemtransferVerb::Ls(args) => list::run(&args),
         MemtransferVerb::Validate(args) => validate::run(&args),
@@ -250,6 +267,7 @@ mod tests {
             (Exit::Complete, 0),
             (Exit::Failed, 1),
             (Exit::CouldNot, 2),
+            (Exit::Missing, 3),
             (Exit::Signal(2), 130),
             (Exit::Signal(15), 143),
         ] {

@@ -184,7 +184,7 @@ mod tests {
         let model = settings.model.as_ref().unwrap();
         let condition: Condition = "episodic/original/unchanged/original".parse().unwrap();
         let ids = world.case_ids();
-        let episodes = plan(&[(condition, 1)], &[0, 1], &ids, 1);
+        let episodes: Vec<_> = plan(&[(condition, 1)], &[0, 1], &ids, 1).collect();
         let missing: Vec<&PlannedEpisode> = episodes.iter().collect();
         let documents = BTreeMap::new();
         let mut done = [record("t01-01", true)];

@@ -269,7 +269,8 @@ mod tests {
         let (warehouse, mut cases) = (Warehouse::shipped(), CaseSet::shipped());
         cases.elsewhere = Elsewhere::generate(&warehouse, &cases, 1).ok();
         let demand = |condition: &str| {
-            let episodes = plan(&[(condition.parse().unwrap(), 1)], &[0], &["t01-01"], 1);
+            let conditions = [(condition.parse().unwrap(), 1)];
+            let episodes: Vec<_> = plan(&conditions, &[0], &["t01-01"], 1).collect();
             Demand::of(&attach(), (&warehouse, &cases, None), &episodes, (40, 40))
         };
         let of = History { case: 0, start: warehouse::Start::Elsewhere };
@@ -291,7 +292,7 @@ mod tests {
             let conditions: Vec<(Condition, u32)> =
                 conditions.iter().map(|written| (written.parse().unwrap(), 1)).collect();
             let ids: Vec<&str> = cases.cases.iter().map(|case| case.id.as_str()).collect();
-            let episodes = plan(&conditions, &[0, 60], &ids, 1);
+            let episodes: Vec<_> = plan(&conditions, &[0, 60], &ids, 1).collect();
             let demand = Demand::of(&attach, (&warehouse, &cases, None), &episodes, (40, 40));
             // The two cases close different passages.
             let worlds = if is_blocked { 3 } else { 1 };

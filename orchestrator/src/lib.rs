@@ -1,7 +1,7 @@
 //! The program `memtransfer`: settings, lanes, child processes, command line.
 //!
 //! - Before a run: [`settings`] (sources, resolved once), [`plan`] (episodes and
-//!   their seeds), [`streams`] (world states and references), [`documents`] (built where they are missing), [`estimate`] (of tokens and costs), [`external_memory`] (started, and asked for
+//!   their seeds), [`selection`] (of a world's cases and streams), [`units`] (parts for other machines), [`streams`] (world states and references), [`documents`] (built where they are missing), [`estimate`] (of tokens and costs), [`external_memory`] (started, and asked for
 //!   their names), [`launch`] (which processes, with which limits), [`frame_budget`] (room in shared memory).
 //! - During a run: [`lanes`] (episodes step by step, pure), [`event_recorder`] (what an episode's record needs beside
 //!   its steps), [`pipeline`] (through the processes), [`session`] (into the run folder), [`budget`] (when to stop),
@@ -30,9 +30,11 @@ pub mod pipeline;
 pub mod plan;
 pub mod profile;
 pub mod progress;
+pub mod selection;
 pub mod session;
 pub mod settings;
 pub mod signals;
 pub mod status;
 pub mod streams;
 pub mod trace;
+pub mod units;

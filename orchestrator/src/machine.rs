@@ -80,6 +80,11 @@ impl Machine {
             self.flags.join(" ")
         )
     }
+
+    /// The processor and its instruction sets: what floating-point results may depend on.
+    pub fn processor_and_flags(&self) -> String {
+        format!("{}; {}", self.processor, self.flags.join(" "))
+    }
 }
 
 /// Bytes of available memory; `u64::MAX` where the system does not tell.

@@ -66,25 +66,23 @@ impl PlannedEpisode {
 /// views of a case are used while they are resident.
 ///
 /// Each condition comes with the number of its runs. `cases` are indices into `ids`, the ids of all cases.
-pub fn plan(
-    conditions: &[(Condition, u32)],
-    cases: &[usize],
-    ids: &[&str],
+pub fn plan<'a>(
+    conditions: &'a [(Condition, u32)],
+    cases: &'a [usize],
+    ids: &'a [&'a str],
     master_seed: u64,
-) -> Vec<PlannedEpisode> {
+) -> impl Iterator<Item = PlannedEpisode> + 'a {
     let most_runs = conditions.iter().map(|(_, runs)| *runs).max().unwrap_or(0);
-    let mut episodes = Vec::new();
-    for run in 1..=most_runs {
-        for &case_index in cases {
-            for &(condition, _) in conditions.iter().filter(|(_, runs)| run <= *runs) {
-                let case = ids[case_index].to_owned();
-                let key = EpisodeKey { condition, run, place: None, case };
-                let seed = seed_of(master_seed, &key);
-                episodes.push(PlannedEpisode { key, case_index, seed, part: None });
-            }
-        }
-    }
-    episodes
+    let places = (1..=most_runs).flat_map(|run| cases.iter().map(move |&case| (run, case)));
+    places.flat_map(move |(run, case_index)| {
+        let repeated = conditions.iter().filter(move |(_, runs)| run <= *runs);
+        repeated.map(move |&(condition, _)| {
+            let case = ids[case_index].to_owned();
+            let key = EpisodeKey { condition, run, place: None, case };
+            let seed = seed_of(master_seed, &key);
+            PlannedEpisode { key, case_index, seed, part: None }
+        })
+    })
 }
 
 /// The episodes of a run that consists of the streams of `set`, sequence by sequence: for every run, stream and order the
@@ -93,13 +91,13 @@ pub fn plan(
 /// A sequence evaluates the cases of every block, if evaluations are asked for; then, block by block in its order, it learns
 /// from the block's cases in `rounds` rounds and evaluates every block again. Positions are the same in all arms, also in
 /// those that do not learn.
-pub fn plan_streams(
-    conditions: &[(Condition, u32)],
-    set: &StreamSet,
-    settings: &StreamSettings,
-    ids: &[&str],
+pub fn plan_streams<'a>(
+    conditions: &'a [(Condition, u32)],
+    set: &'a StreamSet,
+    settings: &'a StreamSettings,
+    ids: &'a [&'a str],
     master_seed: u64,
-) -> Vec<PlannedEpisode> {
+) -> impl Iterator<Item = PlannedEpisode> + 'a {
     let most_runs = conditions.iter().map(|(_, runs)| *runs).max().unwrap_or(0);
     let mut orders: Vec<Order> = Vec::new();
     for &order in &settings.orders {
@@ -107,28 +105,29 @@ pub fn plan_streams(
             orders.push(order);
         }
     }
-    let mut episodes = Vec::new();
-    for run in 1..=most_runs {
-        for stream in 0..set.streams.len() as u32 {
-            for &order in &orders {
-                let steps = steps(set, settings, stream, order);
-                for &(condition, _) in conditions.iter().filter(|(_, runs)| run <= *runs) {
-                    let sequence = (0..).zip(&steps).map(|(position, &(case, part))| {
-                        let case_index = case as usize;
-                        let place = Some(StreamPlace { stream, order, position });
-                        let key =
-                            EpisodeKey { condition, run, place, case: ids[case_index].to_owned() };
-                        let sequence = key.sequence().map_or(0, |name| sequence_id(&name));
-                        let part = Some(StreamPart { sequence, ..part });
-                        let seed = seed_of(master_seed, &key);
-                        PlannedEpisode { key, case_index, seed, part }
-                    });
-                    episodes.extend(sequence);
-                }
-            }
-        }
-    }
-    episodes
+    let streams = 0..set.streams.len() as u32;
+    let visits = (1..=most_runs).flat_map(move |run| {
+        let orders = orders.clone();
+        let of_run =
+            move |stream| orders.clone().into_iter().map(move |order| (run, stream, order));
+        streams.clone().flat_map(of_run)
+    });
+    visits.flat_map(move |(run, stream, order)| {
+        let steps = steps(set, settings, stream, order);
+        let repeated = conditions.iter().filter(move |(_, runs)| run <= *runs);
+        repeated.flat_map(move |&(condition, _)| {
+            let sequence = (0..).zip(&steps).map(|(position, &(case, part))| {
+                let case_index = case as usize;
+                let place = Some(StreamPlace { stream, order, position });
+                let key = EpisodeKey { condition, run, place, case: ids[case_index].to_owned() };
+                let sequence = key.sequence().map_or(0, |name| sequence_id(&name));
+                let part = Some(StreamPart { sequence, ..part });
+                let seed = seed_of(master_seed, &key);
+                PlannedEpisode { key, case_index, seed, part }
+            });
+            sequence.collect::<Vec<_>>()
+        })
+    })
 }
 
 /// The case and the part of every episode of a sequence; parts lack the id of the sequence.
@@ -207,7 +206,7 @@ mod tests {
 
     #[test]
     fn a_plan_goes_case_by_case_through_the_conditions() {
-        let episodes = plan(&conditions(), &[0, 2], &["a", "b", "c"], 1);
+        let episodes: Vec<_> = plan(&conditions(), &[0, 2], &["a", "b", "c"], 1).collect();
         let keys: Vec<String> = episodes.iter().map(|e| e.key.to_string()).collect();
         insta::assert_snapshot!(keys[..5].join("\n"), @"
         working/original/unchanged/none/run1/a
@@ -227,7 +226,7 @@ mod tests {
 
     #[test]
     fn seeds_follow_the_documented_formula() {
-        let key = plan(&conditions(), &[0], &["t01-01"], 1).remove(0).key;
+        let key = plan(&conditions(), &[0], &["t01-01"], 1).next().unwrap().key;
         let mut text = b"memtransfer episode seed v1\0".to_vec();
         text.extend(7_u64.to_le_bytes());
         text.extend(b"working/original/unchanged/none/run1/t01-01");
@@ -260,7 +259,8 @@ mod tests {
         };
         let conditions: Vec<(Condition, u32)> =
             conditions.iter().map(|written| (written.parse().unwrap(), 1)).collect();
-        let episodes = plan_streams(&conditions, &set(), &settings, &["a", "b"], 1);
+        let episodes: Vec<_> =
+            plan_streams(&conditions, &set(), &settings, &["a", "b"], 1).collect();
         assert_eq!(episodes.len(), settings.all_episodes() * conditions.len());
         episodes
     }

@@ -13,6 +13,7 @@ use shm_types::process::monotonic_ns;
 
 use crate::budget::Budget;
 use crate::lanes::{AnsweredRequest, FinishedEpisode, PendingAnswer, Stamps};
+use crate::machine::Machine;
 use crate::monitor::Monitor;
 use crate::pipeline::{Ending, Facts, MemoryState, Observer, Participant};
 use crate::trace::RunTrace;
@@ -138,8 +139,11 @@ impl Observer for RunSession<'_> {
     }
 
     fn ready(&mut self, facts: &BTreeMap<Participant, Facts>) -> Result<()> {
-        let processes: BTreeMap<String, Facts> =
+        let mut processes: BTreeMap<String, Facts> =
             facts.iter().map(|(sender, facts)| (sender.to_string(), facts.clone())).collect();
+        // Pixels and embeddings may depend on it in the last bits.
+        let processor = Machine::here().processor_and_flags();
+        processes.insert("machine".to_owned(), Facts::from([("processor".to_owned(), processor)]));
         for name in facts.keys().filter_map(|sender| sender.memory) {
             self.monitor.memory_state(name, &MemoryState::Ready);
         }

@@ -31,6 +31,11 @@ pub fn lerobot_python() -> PathBuf {
     installed("python-lerobot/bin/python")
 }
 
+/// The Python with Ray: the packages of `xtask/python/requirements-ray.txt`.
+pub fn ray_python() -> PathBuf {
+    installed("python-ray/bin/python")
+}
+
 /// The Python with the packages of the example memory in `examples/memories/NAME`.
 pub fn memory_python(name: &str) -> PathBuf {
     installed(&format!("python-memories/{name}/bin/python"))

@@ -22,6 +22,7 @@ mod files;
 mod folder;
 mod journal;
 mod manifest;
+mod merge;
 mod record;
 mod replay;
 mod run_log;
@@ -30,7 +31,10 @@ pub use files::{REPORT_FOLDER, STATUS_FILE};
 pub use folder::{Opened, RunFolder};
 pub use journal::{DamagedLine, Journal, JournalContents, JournalTail, damaged_file, read_journal};
 pub use manifest::{
-    Difference, DocumentFacts, ELSEWHERE_HASH, ExternalMemoryFacts, FORMAT, Manifest,
+    Difference, DocumentFacts, ELSEWHERE_HASH, ExternalMemoryFacts, FORMAT, Manifest, UnitId,
+};
+pub use merge::{
+    FactDifference, MergeError, UnitEpisode, UnitFolders, finish_unit, merge, unit_folder,
 };
 pub use record::{
     BlockedRecord, Ending, EpisodeError, EpisodeRecord, EpisodeTimings, RecallTotals,

@@ -299,7 +299,7 @@ impl Profiler<'_> {
             settings.stream.is_none(),
             "`memtransfer profile` measures single episodes: choose a suite without streams, such as quick"
         );
-        let episodes = plan(&settings.runs(), &cases, &ids, settings.seed);
+        let episodes: Vec<_> = plan(&settings.runs(), &cases, &ids, settings.seed).collect();
         let mut run = AccessRun {
             caches: way.caches,
             lanes: way.lanes,

@@ -1,10 +1,11 @@
 //! `memtransfer run`: settings, plan, run folder, processes, table, in this order.
 
 mod dry_run;
-mod flags;
+pub(super) mod flags;
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::io;
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, anyhow, bail, ensure};
@@ -13,7 +14,7 @@ use domain::prompt_log::session_folder;
 use domain::representation::Trajectories;
 use results::conditions::{Demonstrations, Route, Start};
 use results::cost::ModelPrices;
-use results::log::{FORMAT, Manifest, Opened, RunFolder, RunLog};
+use results::log::{FORMAT, Manifest, Opened, RunFolder, RunLog, UnitId};
 use results::settings::{Group, RunSettings};
 use rustix::io::Errno;
 use shm_types::message::{MAX_SOURCES, WIRE_VERSION};
@@ -24,16 +25,18 @@ use super::documents::RunDocuments;
 use super::{Exit, in_one_line, print};
 use crate::budget::Budget;
 use crate::commit::commit_of;
+use crate::documents::ReadyDocuments;
 use crate::external_memory::{self, ExternalMemory, StartedMemories};
 use crate::frame_budget;
 use crate::lanes::Lanes;
 use crate::launch;
 use crate::monitor::Monitor;
 use crate::pipeline::{self, Ending};
-use crate::plan::{PlannedEpisode, plan, plan_streams};
+use crate::plan::PlannedEpisode;
 use crate::progress::Progress;
+use crate::selection::SelectedCases;
 use crate::session::RunSession;
-use crate::settings::{self, Layer, resolve, select_cases};
+use crate::settings::{self, Layer, resolve};
 use crate::signals::{self, Signals};
 use crate::status::EpisodeCounts;
 use crate::streams::{Remaining, STREAMS_HASH, Streams};
@@ -64,62 +67,85 @@ pub(super) struct RunArgs {
     #[command(flatten)]
     flags: SettingFlags,
 
+    #[command(flatten)]
+    options: RunOptions,
+
+    /// Print the resolved settings, each with its source, and stop
+    #[arg(long, conflicts_with = "dry_run")]
+    show_settings: bool,
+}
+
+/// What concerns one invocation, and not the run.
+#[derive(Debug, Default, Args)]
+pub(super) struct RunOptions {
     /// Remove an earlier run from the run's folder, and start over
     #[arg(long)]
-    fresh: bool,
+    pub(super) fresh: bool,
 
     /// Show no progress, only problems
     #[arg(long)]
-    quiet: bool,
+    pub(super) quiet: bool,
 
     /// Write a trace of every process and step for Perfetto (https://ui.perfetto.dev)
     #[arg(long, value_name = "FILE")]
-    trace: Option<PathBuf>,
-
-    /// Print the resolved settings, each with its source, and stop
-    #[arg(long)]
-    show_settings: bool,
+    pub(super) trace: Option<PathBuf>,
 
     /// Print what would run, and stop
-    #[arg(long, conflicts_with = "show_settings")]
-    dry_run: bool,
+    #[arg(long)]
+    pub(super) dry_run: bool,
 }
 
 /// A run before it starts: its settings and the episodes that follow from them.
-struct RunPlan {
-    settings: RunSettings,
+pub(super) struct RunPlan {
+    pub(super) settings: RunSettings,
     world: World,
     /// The streams, for a run that consists of streams.
     streams: Option<Streams>,
-    episodes: Vec<PlannedEpisode>,
+    pub(super) episodes: Vec<PlannedEpisode>,
+    /// The unit of a plan that it is.
+    pub(super) unit: Option<UnitId>,
     prices: Option<ModelPrices>,
     /// The external memories; `None` without any.
     started: Option<StartedMemories>,
 }
 
 pub(super) fn run(args: RunArgs) -> Result<Exit> {
+    let RunArgs { flags, options, show_settings } = args;
     let environment = Layer::environment(std::env::vars_os())?;
-    let resolved = resolve([environment, args.flags.layer()?])?;
-    if args.show_settings {
+    let resolved = resolve([environment, flags.layer()?])?;
+    if show_settings {
         print(&resolved.to_string())?;
         return Ok(Exit::Complete);
     }
     let signals = Signals::listen().context("cannot listen to signals")?;
-    let Some(plan) = RunPlan::new(resolved.settings, &args, &signals)? else {
-        return Ok(stopped_before_episodes(&signals, "external memories were being started"));
+    let Some(mut plan) = RunPlan::new(resolved.settings, ALL, &options, &signals)? else {
+        return Ok(stopped_before_episodes(&signals, STARTING_MEMORIES));
     };
-    if args.dry_run {
-        print(&dry_run::describe(&plan, args.fresh)?)?;
+    if options.dry_run {
+        print(&dry_run::describe(&plan, options.fresh)?)?;
         return Ok(Exit::Complete);
     }
-    plan.execute(&args, &signals).map_err(|error| match is_disk_full(&error) {
-        false => error,
-        true => anyhow!(
-            "{}\nThe disk is full. Finished episodes are kept: free some space, then give the same command again:\n  {}",
-            in_one_line(&error),
-            same_command()
-        ),
-    })
+    match plan.execute(&options, &signals)? {
+        Executed::Stopped(exit) => Ok(exit),
+        Executed::ToTheEnd { halted } => plan.conclude(halted, &signals),
+    }
+}
+
+/// All episodes of a run.
+pub(super) const ALL: Range<usize> = 0..usize::MAX;
+
+/// What a signal can interrupt before the first episode.
+pub(super) const STARTING_MEMORIES: &str = "external memories were being started";
+
+/// How the execution of a run ended.
+pub(super) enum Executed {
+    /// A signal came before the first episode.
+    Stopped(Exit),
+    /// The processes have ended.
+    ToTheEnd {
+        /// Why it stopped early, if a process or the budget did so.
+        halted: Option<String>,
+    },
 }
 
 /// Whether a full disk caused the error, here or in a child process, whose error is a text.
@@ -157,33 +183,25 @@ fn check_banks(settings: &RunSettings, World { cases, .. }: &World) -> Result<()
 }
 
 impl RunPlan {
-    /// The plan of a run with `settings`, once its external memories have told their names. `None` when a signal asked to
-    /// stop meanwhile.
-    fn new(mut settings: RunSettings, args: &RunArgs, signals: &Signals) -> Result<Option<Self>> {
-        let mut world = World::load(settings.assets.as_deref())?;
-        if settings.demonstrates_elsewhere() {
-            world.add_elsewhere(settings.elsewhere.as_deref(), settings.seed)?;
-        }
-        let ids = world.case_ids();
+    /// The plan of a run with `settings`, or of those of its episodes in `range`, once its external memories have told their
+    /// names. `None` when a signal asked to stop meanwhile.
+    pub(super) fn new(
+        mut settings: RunSettings,
+        range: Range<usize>,
+        options: &RunOptions,
+        signals: &Signals,
+    ) -> Result<Option<Self>> {
         // What can be wrong without the names of external memories is said before these start.
-        let cases = select_cases(&ids, &settings.cases, settings.limit)?;
-        let streams = match &settings.stream {
-            Some(stream) => Some(Streams::draw(&world, stream, &cases, settings.seed)?),
-            None => None,
-        };
-        check_banks(&settings, &world)?;
-        let started = start_memories(&mut settings, args, signals)?;
-        if settings.has_external_memories() && started.is_none() && !args.dry_run {
+        let selection = SelectedCases::of(&settings)?;
+        check_banks(&settings, &selection.world)?;
+        let started = start_memories(&mut settings, options, signals)?;
+        if settings.has_external_memories() && started.is_none() && !options.dry_run {
             return Ok(None);
         }
         note_omissions(&settings);
-        let runs = settings.runs();
-        let episodes = match streams.as_ref().zip(settings.stream.as_ref()) {
-            Some((streams, stream)) => {
-                plan_streams(&runs, &streams.set, stream, &ids, settings.seed)
-            }
-            None => plan(&runs, &cases, &ids, settings.seed),
-        };
+        let episodes: Vec<PlannedEpisode> = selection.with_episodes(&settings, |episodes| {
+            episodes.skip(range.start).take(range.len()).collect()
+        });
         if episodes.is_empty() {
             bail!("no case is left: --limit is 0, or --cases selects none");
         }
@@ -194,7 +212,8 @@ impl RunPlan {
                 file.map(|file| ModelPrices::read(file, &model.model)).transpose()?
             }
         };
-        Ok(Some(Self { settings, world, streams, episodes, prices, started }))
+        let SelectedCases { world, streams, .. } = selection;
+        Ok(Some(Self { settings, world, streams, episodes, unit: None, prices, started }))
     }
 
     /// The external memories.
@@ -208,7 +227,7 @@ impl RunPlan {
     }
 
     /// The run's manifest.
-    fn manifest(&self) -> Manifest {
+    pub(super) fn manifest(&self) -> Manifest {
         let program = std::env::current_exe().ok();
         let mut hashes = self.world.hashes.clone();
         hashes.extend(self.streams.iter().map(|streams| (STREAMS_HASH.to_owned(), streams.hash())));
@@ -223,25 +242,46 @@ impl RunPlan {
             memories: self.memories().iter().map(|memory| (memory.name, memory.facts())).collect(),
             prices: self.prices.clone(),
             episodes: self.episodes.len() as u32,
+            unit: self.unit.clone(),
             processes: BTreeMap::new(),
         }
     }
 
-    /// Runs what is missing, and prints the table.
-    fn execute(mut self, args: &RunArgs, signals: &Signals) -> Result<Exit> {
+    /// The documents of the run, built if they are missing. `None` when a signal asked to stop.
+    pub(super) fn documents(
+        &self,
+        options: &RunOptions,
+        signals: &Signals,
+    ) -> Result<Option<ReadyDocuments>> {
+        let elsewhere = self.world.cases.elsewhere.as_ref();
+        RunDocuments::of(&self.settings, elsewhere, options.fresh).supply(signals, options.quiet)
+    }
+
+    /// Runs what is missing.
+    pub(super) fn execute(&mut self, options: &RunOptions, signals: &Signals) -> Result<Executed> {
+        self.execute_missing(options, signals).map_err(|error| match is_disk_full(&error) {
+            false => error,
+            true => anyhow!(
+                "{}\nThe disk is full. Finished episodes are kept: free some space, then give the same command \
+                 again:\n  {}",
+                in_one_line(&error),
+                same_command()
+            ),
+        })
+    }
+
+    fn execute_missing(&mut self, options: &RunOptions, signals: &Signals) -> Result<Executed> {
         let settings = self.settings.clone();
         RunFolder::check(&settings.out)?;
         let mut manifest = self.manifest();
-        let documents =
-            RunDocuments::of(&settings, self.world.cases.elsewhere.as_ref(), args.fresh);
-        let Some(documents) = documents.supply(signals, args.quiet)? else {
-            return Ok(stopped_before_episodes(signals, "documents were being built"));
+        let Some(documents) = self.documents(options, signals)? else {
+            return Ok(Executed::Stopped(stopped_before_episodes(signals, BUILDING_DOCUMENTS)));
         };
         manifest.documents = documents.facts();
-        if !args.fresh && RunFolder::has_episodes(&settings.out) {
+        if !options.fresh && RunFolder::has_episodes(&settings.out) {
             RunLog::read(&settings.out)?.check_planned(&self.keys())?;
         }
-        let opened = RunFolder::open(&settings.out, manifest, args.fresh)?;
+        let opened = RunFolder::open(&settings.out, manifest, options.fresh)?;
         let Opened { mut folder, finished, requests, notes } = opened;
         for note in notes {
             eprintln!("{note}");
@@ -277,7 +317,7 @@ impl RunPlan {
         if !missing.is_empty() && halted.is_none() {
             let successes = finished.iter().filter(|record| record.is_success()).count();
             let total = finished.len() + missing.len();
-            if !finished.is_empty() && !args.quiet {
+            if !finished.is_empty() && !options.quiet {
                 let (out, done) = (settings.out.display(), finished.len());
                 eprintln!("resuming {out}: {done} of {total} episodes are finished");
             }
@@ -286,11 +326,11 @@ impl RunPlan {
                 earlier: (finished.len() as u64, successes as u64),
                 ..EpisodeCounts::default()
             };
-            halted = self.session(remaining, counts, &mut folder, budget, args, signals)?;
+            halted = self.session(remaining, counts, &mut folder, budget, options, signals)?;
         }
         // They are not needed while the table is made.
         self.started = None;
-        self.conclude(halted, signals)
+        Ok(Executed::ToTheEnd { halted })
     }
 
     /// Runs the missing episodes, and records how that ended. Returns why it stopped early, if a process or the
@@ -301,12 +341,12 @@ impl RunPlan {
         counts: EpisodeCounts,
         folder: &mut RunFolder,
         budget: Budget,
-        args: &RunArgs,
+        options: &RunOptions,
         signals: &Signals,
     ) -> Result<Option<String>> {
         let Self { settings, world, streams, started, .. } = self;
         let Remaining { missing, learned } = remaining;
-        let mut progress = Progress::new(args.quiet);
+        let mut progress = Progress::new(options.quiet);
         let (own, children);
         let (run, memories): (&RunDir, &[ExternalMemory]) = match started {
             Some(started) => {
@@ -332,13 +372,13 @@ impl RunPlan {
             (run, memories),
             prompts.as_deref(),
         )?;
-        let trace = args.trace.as_deref().map(RunTrace::create).transpose()?;
+        let trace = options.trace.as_deref().map(RunTrace::create).transpose()?;
         attach.spans = trace.as_ref().map(|trace| trace.spans().to_owned());
         if settings.warm_views {
             let views = frame_budget::every_view(&world.warehouse);
             progress.note(&format!("rendering {views} views before the first step"));
         }
-        let options =
+        let pipeline_options =
             launch::pipeline_options(settings, memories, RunFolder::logs_of(folder.dir()))?;
         let rules = launch::rules(settings, memories)?;
         let mut lanes = Lanes::new(&world.warehouse, &world.cases, rules, attach.lanes as usize);
@@ -356,7 +396,7 @@ impl RunPlan {
             &mut lanes,
             missing,
             &attach,
-            &options,
+            &pipeline_options,
             children,
             stop,
             &mut session,
@@ -444,11 +484,11 @@ fn note_omissions(settings: &RunSettings) {
 /// stop, and for one that the user starts in a dry run, which does not wait.
 fn start_memories(
     settings: &mut RunSettings,
-    args: &RunArgs,
+    options: &RunOptions,
     signals: &Signals,
 ) -> Result<Option<StartedMemories>> {
-    let mut progress = Progress::new(args.quiet);
-    let logs = if args.dry_run {
+    let mut progress = Progress::new(options.quiet);
+    let logs = if options.dry_run {
         if std::mem::take(&mut settings.external_memory) {
             progress.note(
                 "a dry run does not wait for a memory that you start yourself: its conditions are not listed",
@@ -457,7 +497,7 @@ fn start_memories(
         None
     } else {
         RunFolder::check(&settings.out)?;
-        if args.fresh {
+        if options.fresh {
             RunFolder::remove_memory_logs(&settings.out)?;
         }
         Some(RunFolder::logs_of(&settings.out))
@@ -474,7 +514,7 @@ fn start_memories(
 }
 
 /// Reports that a signal came while something was being done before the first episode.
-fn stopped_before_episodes(signals: &Signals, meanwhile: &str) -> Exit {
+pub(super) fn stopped_before_episodes(signals: &Signals, meanwhile: &str) -> Exit {
     let signal = signals.received().unwrap_or_default();
     eprintln!(
         "stopped by {} while {meanwhile}, before the first episode. Documents that were complete are kept. To \
@@ -485,8 +525,11 @@ fn stopped_before_episodes(signals: &Signals, meanwhile: &str) -> Exit {
     Exit::Signal(signal)
 }
 
+/// What a signal can interrupt before the first episode.
+pub(super) const BUILDING_DOCUMENTS: &str = "documents were being built";
+
 /// The command line that resumes the run: without `--fresh`, which would start over.
-fn same_command() -> String {
+pub(super) fn same_command() -> String {
     let plain = |c: char| c.is_ascii_alphanumeric() || "-_./,=+:".contains(c);
     let quoted = |argument: String| {
         if !argument.is_empty() && argument.chars().all(plain) {

@@ -160,6 +160,11 @@ impl Layer {
     pub fn text(&self, key: &str) -> Option<&str> {
         self.values.get(key)?.as_str()
     }
+
+    /// Removes a key and returns its text, if the layer has it.
+    pub fn take_text(&mut self, key: &str) -> Option<String> {
+        self.values.remove(key)?.as_str().map(str::to_owned)
+    }
 }
 
 /// The value that the environment gives to the one setting called `name`, for verbs that have few.

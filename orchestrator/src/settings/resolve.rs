@@ -42,6 +42,44 @@ pub fn resolve(above: impl IntoIterator<Item = Layer>) -> Result<Resolved> {
     merge([defaults, suite].into_iter().chain(above))
 }
 
+/// Keys that another machine may need other values of, and that change no result.
+pub const MACHINE_KEYS: &[&str] = &[
+    "assets",
+    "elsewhere",
+    "base-url",
+    "max-connections",
+    "max-retries",
+    "request-timeout",
+    "server-patience",
+    "response-cache",
+    "lanes",
+    "encoder-threads",
+    "frame-budget",
+    "warm-views",
+    "spin-us",
+    "step-timeout",
+    "memory-timeout",
+    "start-timeout",
+];
+
+/// The settings of a plan with the values of [`MACHINE_KEYS`] that `layers`, weakest first, give.
+///
+/// # Errors
+/// Never: the values have been checked.
+pub fn on_this_machine(
+    settings: &RunSettings,
+    layers: impl IntoIterator<Item = Layer>,
+) -> Result<RunSettings> {
+    let mut values = serde_json::to_value(settings)?;
+    for layer in layers {
+        let given = layer.values.into_iter();
+        for (key, value) in given.filter(|(key, _)| MACHINE_KEYS.contains(&key.as_str())) {
+            values[key] = value;
+        }
+    }
+    serde_json::from_value(values).context("the settings cannot be put together")
+}
+
 /// Settings of `layers`, weakest first, and of nothing else.
 pub(super) fn merge(layers: impl IntoIterator<Item = Layer>) -> Result<Resolved> {
     let mut merged = Map::new();

@@ -17,10 +17,10 @@ use crate::settings::{FREE_KEYS, RunSettings};
 /// Changes when programs that read the old files cannot read the new ones.
 pub const FORMAT: u32 = 2;
 
-/// Name of the file in a run folder.
 /// The name of the hash of the other warehouse in which tasks are demonstrated.
 pub const ELSEWHERE_HASH: &str = "elsewhere";
 
+/// Name of the file in a run folder.
 pub(super) const MANIFEST_FILE: &str = "manifest.json";
 
 /// What a run is.
@@ -49,9 +49,21 @@ pub struct Manifest {
     pub prices: Option<ModelPrices>,
     /// Episodes of the whole run.
     pub episodes: u32,
+    /// The unit of a plan that the run is, if it is one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub unit: Option<UnitId>,
     /// The facts that each process reported when the run began: adapter, encoder and its hash, policy, ... Empty until
     /// then.
     pub processes: BTreeMap<String, BTreeMap<String, String>>,
+}
+
+/// A part of a run that is executed by itself, on any machine.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct UnitId {
+    /// The BLAKE3 hash of the plan's file, as hexadecimal digits.
+    pub plan: String,
+    /// Its number, from 0.
+    pub number: u32,
 }
 
 /// A document that memory supplies.
@@ -252,6 +264,9 @@ impl Manifest {
             identity.remove(*key);
         }
         identity.insert("version".to_owned(), self.version.clone().into());
+        if let Some(UnitId { plan, number }) = &self.unit {
+            identity.insert("unit".to_owned(), format!("{number} of {plan}").into());
+        }
         for (name, hash) in &self.hashes {
             identity.insert(contents_of(name), hash.clone().into());
         }

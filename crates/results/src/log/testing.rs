@@ -27,6 +27,7 @@ pub fn manifest() -> Manifest {
         memories: BTreeMap::new(),
         prices: None,
         episodes: 4,
+        unit: None,
         processes: BTreeMap::new(),
     }
 }

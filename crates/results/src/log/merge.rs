@@ -1,0 +1,495 @@
+//! Joins the run folders of units into the run folder that one machine would have written.
+//!
+//! Episodes come in the order of the plan. They are the same bytes as in the units' logs, which must agree where a unit was
+//! executed more than once; times are those of the first folder that has the unit. Sessions are numbered anew. One unit
+//! at a time is in memory.
+
+use std::collections::BTreeMap;
+use std::fmt;
+use std::fs::{self, File};
+use std::io::{self, BufRead, BufReader, BufWriter, Write};
+use std::path::{Path, PathBuf};
+
+use domain::prompt_log::session_folder;
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+
+use super::existing::lock;
+use super::files::{
+    DOCUMENTS_FOLDER, ELSEWHERE_FILE, EPISODES_FILE, ERRORS_FILE, LATENCY_FILE, PROMPTS_FOLDER,
+    REQUESTS_FILE, SESSIONS_FILE, SNAPSHOTS_FOLDER, STREAMS_FILE, TIMINGS_FILE,
+};
+use super::{
+    Difference, EpisodeError, EpisodeRecord, EpisodeTimings, LogError, Manifest, RequestRecord,
+    SessionRecord, UnitId, system,
+};
+use crate::latency::LatencyRecord;
+
+/// Facts that a process reports and that may change pixels or embeddings in the last bits: role and name.
+const FACTS: [(&str, &str); 6] = [
+    ("sim", "backend"),
+    ("sim", "adapter"),
+    ("memory", "encoder_sha256"),
+    ("memory", "encoder_provider"),
+    ("memory", "onnxruntime"),
+    ("machine", "processor"),
+];
+
+/// A fact that says where embeddings were computed.
+const EMBEDS: (&str, &str) = ("memory", "encoder_sha256");
+
+/// Why units cannot be merged.
+#[derive(Debug, thiserror::Error)]
+pub enum MergeError {
+    /// A folder cannot be read or written.
+    #[error(transparent)]
+    Log(#[from] LogError),
+    /// A unit is part of another plan.
+    #[error("{} is not unit {number} of this plan: {problem}", dir.display())]
+    OtherPlan {
+        /// The unit's folder.
+        dir: PathBuf,
+        /// The unit that it was taken for.
+        number: u32,
+        /// What differs.
+        problem: String,
+    },
+    /// A unit's log cannot be used.
+    #[error("{}: {problem}; remove this folder and execute the unit again", dir.display())]
+    Broken {
+        /// The unit's folder.
+        dir: PathBuf,
+        /// What is wrong.
+        problem: String,
+    },
+    /// Two executions of a unit differ.
+    #[error(
+        "{} and {} disagree about {key}: find out which machine is wrong, and remove its folder of the unit",
+        one.display(), other.display()
+    )]
+    Disagree {
+        /// The folder of one execution.
+        one: PathBuf,
+        /// That of the other.
+        other: PathBuf,
+        /// The key of an episode with different records.
+        key: String,
+    },
+    /// The folder of the merged run has files.
+    #[error("{} is not empty: choose another --out, or remove it", dir.display())]
+    NotEmpty {
+        /// The folder.
+        dir: PathBuf,
+    },
+}
+
+/// A machine's part in the run differs from another's in a fact that may change results in the last bits.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct FactDifference {
+    /// Role and name of the fact.
+    pub fact: (&'static str, &'static str),
+    /// The values, each with the folder of a unit that has it.
+    pub values: Vec<(String, PathBuf)>,
+}
+
+impl fmt::Display for FactDifference {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let (role, name) = self.fact;
+        write!(f, "{role}, {name}:")?;
+        self.values
+            .iter()
+            .try_for_each(|(value, dir)| write!(f, "\n  {value} in {}", dir.display()))
+    }
+}
+
+/// The name of the folder of a finished unit.
+pub fn unit_folder(unit: u32) -> String {
+    format!("unit-{unit:06}")
+}
+
+/// Makes the run folder `part` the finished folder `whole` of a unit: everything in it is on the disk before it has its name.
+/// If the unit was finished elsewhere meanwhile, `part` is removed.
+///
+/// # Errors
+/// When the system refuses.
+pub fn finish_unit(part: &Path, whole: &Path) -> Result<(), LogError> {
+    sync_all(part).map_err(system("flush", part))?;
+    if let Err(error) = fs::rename(part, whole) {
+        if !whole.exists() {
+            return Err(system("rename", part)(error));
+        }
+        if part.exists() {
+            fs::remove_dir_all(part).map_err(system("remove", part))?;
+        }
+    }
+    let parent = whole.parent().unwrap_or(whole);
+    File::open(parent).and_then(|dir| dir.sync_all()).map_err(system("flush", parent))
+}
+
+fn sync_all(dir: &Path) -> io::Result<()> {
+    for entry in fs::read_dir(dir)? {
+        let entry = entry?;
+        if entry.file_type()?.is_dir() {
+            sync_all(&entry.path())?;
+        } else {
+            File::open(entry.path())?.sync_all()?;
+        }
+    }
+    File::open(dir)?.sync_all()
+}
+
+/// Folders with finished units.
+#[derive(Debug, Clone)]
+pub struct UnitFolders(pub Vec<PathBuf>);
+
+impl UnitFolders {
+    /// The folders of the executions of a unit.
+    pub fn of(&self, unit: u32) -> Vec<PathBuf> {
+        let name = unit_folder(unit);
+        self.0.iter().map(|dir| dir.join(&name)).filter(|dir| dir.is_dir()).collect()
+    }
+
+    /// The units below `units` that have no folder.
+    pub fn missing(&self, units: u32) -> Vec<u32> {
+        (0..units).filter(|&unit| self.of(unit).is_empty()).collect()
+    }
+
+    /// Checks that all units below `units` are of the plan with the hash `plan` and the manifest `of_plan`. Adds to that what
+    /// processes reported about themselves and returns in what machines differ. No unit is missing.
+    ///
+    /// # Errors
+    /// When a unit is of another plan, or has no manifest.
+    pub fn check(
+        &self,
+        units: u32,
+        plan: &str,
+        of_plan: &mut Manifest,
+    ) -> Result<Vec<FactDifference>, MergeError> {
+        let mut values: BTreeMap<(&str, &str), Vec<(String, PathBuf)>> = BTreeMap::new();
+        for number in 0..units {
+            for dir in self.of(number) {
+                let unit = Manifest::read(&dir)?;
+                let id = UnitId { plan: plan.to_owned(), number };
+                let differs = unit_difference(&unit, &id, of_plan);
+                if let Some(problem) = differs {
+                    return Err(MergeError::OtherPlan { dir, number, problem });
+                }
+                let fact = |(role, name): (&str, &str)| unit.processes.get(role)?.get(name);
+                for of_machine in FACTS {
+                    let Some(value) = fact(of_machine) else { continue };
+                    let known = values.entry(of_machine).or_default();
+                    let matters = of_machine.0 != "machine" || fact(EMBEDS).is_some();
+                    if matters && known.iter().all(|(known, _)| known != value) {
+                        known.push((value.clone(), dir.clone()));
+                    }
+                }
+                for (role, facts) in unit.processes {
+                    let known = of_plan.processes.entry(role).or_default();
+                    facts.into_iter().for_each(|(name, value)| {
+                        known.entry(name).or_insert(value);
+                    });
+                }
+            }
+        }
+        let differing = values.into_iter().filter(|(_, values)| values.len() > 1);
+        Ok(differing.map(|(fact, values)| FactDifference { fact, values }).collect())
+    }
+}
+
+/// In what a unit's manifest is not that of the unit `id` of a plan.
+fn unit_difference(unit: &Manifest, id: &UnitId, plan: &Manifest) -> Option<String> {
+    match &unit.unit {
+        None => return Some("it is a run of its own".to_owned()),
+        Some(own) if own != id => {
+            return Some(format!("it is unit {} of the plan {}", own.number, own.plan));
+        }
+        Some(_) => {}
+    }
+    let as_plan = Manifest { unit: None, ..unit.clone() };
+    let differences: Vec<Difference> = as_plan.differences(plan);
+    (!differences.is_empty())
+        .then(|| differences.iter().map(ToString::to_string).collect::<Vec<_>>().join("; "))
+}
+
+/// An episode of the plan.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct UnitEpisode {
+    /// Its key.
+    pub key: String,
+    /// The unit that it is part of.
+    pub unit: u32,
+}
+
+/// Writes the run that consists of `episodes`, which are all episodes of `units`, unit by unit, into the folder `out`. Returns their number.
+///
+/// # Errors
+/// When a unit's log is broken, incomplete, or two executions of it disagree; when `out` is not empty.
+pub fn merge(
+    manifest: &Manifest,
+    units: &UnitFolders,
+    episodes: impl IntoIterator<Item = UnitEpisode>,
+    out: &Path,
+) -> Result<u64, MergeError> {
+    if fs::read_dir(out).is_ok_and(|mut entries| entries.next().is_some()) {
+        return Err(MergeError::NotEmpty { dir: out.to_owned() });
+    }
+    let mut draft = out.as_os_str().to_owned();
+    draft.push(".merging");
+    let draft = PathBuf::from(draft);
+    fs::create_dir_all(&draft).map_err(system("make", &draft))?;
+    let _lock = lock(&draft)?;
+    let mut run = MergedRun::new(&draft, manifest.settings.max_steps)?;
+    let mut loaded: Option<LoadedUnit> = None;
+    let mut count = 0;
+    for UnitEpisode { key, unit } in episodes {
+        let mut current = match loaded.take() {
+            Some(current) if current.number == unit => current,
+            before => {
+                before.map_or(Ok(()), LoadedUnit::check_written)?;
+                run.load(unit, &units.of(unit))?
+            }
+        };
+        run.write(&mut current, &key)?;
+        loaded = Some(current);
+        count += 1;
+    }
+    loaded.map_or(Ok(()), LoadedUnit::check_written)?;
+    run.finish()?;
+    manifest.write(&draft)?;
+    sync_all(&draft).map_err(system("flush", &draft))?;
+    fs::rename(&draft, out).map_err(system("rename", &draft))?;
+    let parent = out.parent().filter(|parent| *parent != Path::new("")).unwrap_or(Path::new("."));
+    File::open(parent).and_then(|dir| dir.sync_all()).map_err(system("flush", parent))?;
+    Ok(count)
+}
+
+/// The episodes of a unit that are not written yet.
+struct LoadedUnit {
+    number: u32,
+    dir: PathBuf,
+    /// Sessions of the units before.
+    sessions: u32,
+    /// Lines of the log, by key.
+    episodes: BTreeMap<String, Vec<u8>>,
+    timings: BTreeMap<String, EpisodeTimings>,
+}
+
+impl LoadedUnit {
+    /// Checks that everything was written: the unit has no other episodes than the plan.
+    fn check_written(self) -> Result<(), MergeError> {
+        match self.episodes.into_keys().next() {
+            None => Ok(()),
+            Some(key) => {
+                let problem =
+                    format!("the unit has no episode {key} in the plan, and one in its log");
+                Err(MergeError::Broken { dir: self.dir, problem })
+            }
+        }
+    }
+}
+
+/// The files of the merged run.
+struct MergedRun<'a> {
+    dir: &'a Path,
+    max_steps: u32,
+    episodes: BufWriter<File>,
+    timings: BufWriter<File>,
+    requests: BufWriter<File>,
+    errors: BufWriter<File>,
+    sessions: BufWriter<File>,
+    latency: BufWriter<File>,
+    /// Sessions so far.
+    session_count: u32,
+}
+
+impl<'a> MergedRun<'a> {
+    /// Starts the files in `dir`, over those of a merge that was interrupted.
+    fn new(dir: &'a Path, max_steps: u32) -> Result<Self, LogError> {
+        for entry in fs::read_dir(dir).map_err(system("list", dir))? {
+            let path = entry.map_err(system("list", dir))?.path();
+            let removed =
+                if path.is_dir() { fs::remove_dir_all(&path) } else { fs::remove_file(&path) };
+            removed.map_err(system("remove", &path))?;
+        }
+        let create = |file: &str| {
+            let path = dir.join(file);
+            File::create(&path).map(BufWriter::new).map_err(system("make", &path))
+        };
+        Ok(Self {
+            dir,
+            max_steps,
+            episodes: create(EPISODES_FILE)?,
+            timings: create(TIMINGS_FILE)?,
+            requests: create(REQUESTS_FILE)?,
+            errors: create(ERRORS_FILE)?,
+            sessions: create(SESSIONS_FILE)?,
+            latency: create(LATENCY_FILE)?,
+            session_count: 0,
+        })
+    }
+
+    /// Reads the episodes of a unit, whose executions are in `dirs`, and copies everything else of the first one.
+    fn load(&mut self, number: u32, dirs: &[PathBuf]) -> Result<LoadedUnit, MergeError> {
+        let Some((dir, others)) = dirs.split_first() else {
+            let dir = PathBuf::from(unit_folder(number));
+            return Err(MergeError::Broken { dir, problem: "it has gone".to_owned() });
+        };
+        let episodes = self.lines_by_key(dir)?;
+        for other in others {
+            let again = self.lines_by_key(other)?;
+            let mut keys = episodes.keys().chain(again.keys());
+            if let Some(key) = keys.find(|key| episodes.get(*key) != again.get(*key)) {
+                let (one, other) = (dir.clone(), other.clone());
+                return Err(MergeError::Disagree { one, other, key: key.clone() });
+            }
+        }
+        let sessions = self.session_count;
+        let mut last = 0;
+        copy_lines::<SessionRecord>(dir, SESSIONS_FILE, &mut self.sessions, |mut record| {
+            last = last.max(record.session);
+            record.session += sessions;
+            record
+        })?;
+        copy_lines::<RequestRecord>(dir, REQUESTS_FILE, &mut self.requests, |mut record| {
+            record.session += sessions;
+            record
+        })?;
+        copy_lines::<EpisodeError>(dir, ERRORS_FILE, &mut self.errors, |mut record| {
+            record.session += sessions;
+            record
+        })?;
+        copy_lines::<LatencyRecord>(dir, LATENCY_FILE, &mut self.latency, |mut record| {
+            record.session += sessions;
+            record
+        })?;
+        let mut timings = BTreeMap::new();
+        read_lines(dir, TIMINGS_FILE, |_, line| {
+            let record: EpisodeTimings = serde_json::from_slice(line)?;
+            timings.insert(record.key.clone(), record);
+            Ok(())
+        })?;
+        for name in [DOCUMENTS_FOLDER, SNAPSHOTS_FOLDER, STREAMS_FILE, ELSEWHERE_FILE] {
+            copy(&dir.join(name), &self.dir.join(name))?;
+        }
+        let (theirs, ours) = (dir.join(PROMPTS_FOLDER), self.dir.join(PROMPTS_FOLDER));
+        for session in 1..=last {
+            copy(&session_folder(&theirs, session), &session_folder(&ours, sessions + session))?;
+        }
+        self.session_count += last;
+        Ok(LoadedUnit { number, dir: dir.clone(), sessions, episodes, timings })
+    }
+
+    /// The lines of the episode log in `dir`, checked.
+    fn lines_by_key(&self, dir: &Path) -> Result<BTreeMap<String, Vec<u8>>, MergeError> {
+        let mut lines = BTreeMap::new();
+        let mut twice = None;
+        read_lines(dir, EPISODES_FILE, |_, line| {
+            let record: EpisodeRecord = serde_json::from_slice(line)?;
+            record.check(self.max_steps).map_err(io::Error::other)?;
+            if lines.insert(record.key.clone(), line.to_vec()).is_some() {
+                twice = Some(record.key);
+            }
+            Ok(())
+        })?;
+        match twice {
+            None => Ok(lines),
+            Some(key) => Err(MergeError::Broken {
+                dir: dir.to_owned(),
+                problem: format!("its log has {key} twice"),
+            }),
+        }
+    }
+
+    /// Writes the episode `key` of `unit`.
+    fn write(&mut self, unit: &mut LoadedUnit, key: &str) -> Result<(), MergeError> {
+        let Some(line) = unit.episodes.remove(key) else {
+            let problem = format!("its log lacks {key}");
+            return Err(MergeError::Broken { dir: unit.dir.clone(), problem });
+        };
+        let failed = system("write to", self.dir);
+        let timings = unit.timings.remove(key).map(|mut timings| {
+            timings.session += unit.sessions;
+            timings
+        });
+        let write = || {
+            self.episodes.write_all(&line)?;
+            timings.map_or(Ok(()), |timings| write_line(&mut self.timings, &timings))
+        };
+        write().map_err(failed).map_err(Into::into)
+    }
+
+    fn finish(mut self) -> Result<(), LogError> {
+        let files = [
+            &mut self.episodes,
+            &mut self.timings,
+            &mut self.requests,
+            &mut self.errors,
+            &mut self.sessions,
+            &mut self.latency,
+        ];
+        files.into_iter().try_for_each(Write::flush).map_err(system("write to", self.dir))
+    }
+}
+
+/// Calls `each` with the number, from 1, and the bytes of every line of a unit's file; a missing one is empty.
+fn read_lines(
+    dir: &Path,
+    file: &str,
+    mut each: impl FnMut(usize, &[u8]) -> io::Result<()>,
+) -> Result<(), MergeError> {
+    let path = dir.join(file);
+    let mut lines = match File::open(&path) {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(()),
+        opened => BufReader::new(opened.map_err(system("read", &path))?),
+    };
+    let mut line = Vec::new();
+    for number in 1.. {
+        line.clear();
+        let read = lines.read_until(b'\n', &mut line).map_err(system("read", &path))?;
+        if read == 0 {
+            break;
+        }
+        let torn = || io::Error::other("the line is torn");
+        let used = line.ends_with(b"\n").then_some(()).ok_or_else(torn);
+        used.and_then(|()| each(number, &line)).map_err(|error| MergeError::Broken {
+            dir: dir.to_owned(),
+            problem: format!("{file}, line {number}: {error}"),
+        })?;
+    }
+    Ok(())
+}
+
+/// Copies the entries of a unit's journal, each changed by `change`.
+fn copy_lines<T: Serialize + DeserializeOwned>(
+    dir: &Path,
+    file: &str,
+    to: &mut BufWriter<File>,
+    mut change: impl FnMut(T) -> T,
+) -> Result<(), MergeError> {
+    read_lines(dir, file, |_, line| write_line(to, &change(serde_json::from_slice(line)?)))
+}
+
+fn write_line(to: &mut BufWriter<File>, entry: &impl Serialize) -> io::Result<()> {
+    serde_json::to_writer(&mut *to, entry)?;
+    to.write_all(b"\n")
+}
+
+/// Copies a file or folder, if it is there, and nothing that is there already: the names of equal things are equal.
+fn copy(from: &Path, to: &Path) -> Result<(), LogError> {
+    if !from.exists() {
+        return Ok(());
+    }
+    if !from.is_dir() {
+        let copied = if to.exists() { Ok(0) } else { fs::copy(from, to) };
+        return copied.map(drop).map_err(system("copy", from));
+    }
+    fs::create_dir_all(to).map_err(system("make", to))?;
+    for entry in fs::read_dir(from).map_err(system("list", from))? {
+        let entry = entry.map_err(system("list", from))?;
+        copy(&entry.path(), &to.join(entry.file_name()))?;
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,165 @@
+use std::path::Path;
+
+use super::*;
+use crate::log::testing::{manifest, record, timings};
+use crate::log::{Opened, RunFolder, RunLog, SessionEvent};
+
+const PLAN: &str = "ab";
+
+/// A finished unit in `dir`, with successful episodes of these cases, on this processor.
+fn write_unit(dir: &Path, number: u32, cases: &[String], processor: &str) {
+    let part = dir.join(format!("{number}.part"));
+    let unit = Some(UnitId { plan: PLAN.to_owned(), number });
+    let opened = RunFolder::open(&part, Manifest { unit, ..manifest() }, false).unwrap();
+    let Opened { mut folder, .. } = opened;
+    let facts = |name: &str, value: &str| BTreeMap::from([(name.to_owned(), value.to_owned())]);
+    let processes = BTreeMap::from([
+        ("memory".to_owned(), facts("encoder_sha256", "12")),
+        ("machine".to_owned(), facts("processor", processor)),
+    ]);
+    folder.introduce(processes).unwrap();
+    for case in cases {
+        let record = record(case, true);
+        let timings = timings(&record);
+        folder.finish(&[(record, timings)]).unwrap();
+    }
+    let shutdown_reports = BTreeMap::new();
+    let reason = "complete".to_owned();
+    folder.note(SessionEvent::Ended { finished: 1, errors: 0, reason, shutdown_reports }).unwrap();
+    drop(folder);
+    finish_unit(&part, &dir.join(unit_folder(number))).unwrap();
+}
+
+/// Cases by unit, in the order of the plan.
+fn cases(units: u32, size: u32) -> Vec<Vec<String>> {
+    (0..units)
+        .map(|unit| (0..size).map(|case| format!("t01-{:08}", unit * size + case)).collect())
+        .collect()
+}
+
+fn planned(cases: &[Vec<String>]) -> impl Iterator<Item = UnitEpisode> {
+    (0..).zip(cases).flat_map(|(unit, cases)| {
+        cases.iter().map(move |case| UnitEpisode { key: record(case, true).key, unit })
+    })
+}
+
+#[test]
+fn units_in_several_folders_become_one_run_in_the_order_of_the_plan() {
+    let dir = tempfile::tempdir().unwrap();
+    let (one, two) = (dir.path().join("one"), dir.path().join("two"));
+    let cases = cases(3, 2);
+    write_unit(&one, 2, &[cases[2][1].clone(), cases[2][0].clone()], "a");
+    write_unit(&two, 0, &cases[0], "b");
+    let units = UnitFolders(vec![one.clone(), two]);
+    assert_eq!(units.missing(3), [1]);
+    write_unit(&one, 1, &cases[1], "a");
+    // The same again is harmless.
+    write_unit(&one, 1, &cases[1], "a");
+    assert!(units.missing(3).is_empty());
+
+    let mut whole = manifest();
+    let differences = units.check(3, PLAN, &mut whole).unwrap();
+    let shown = differences.iter().map(ToString::to_string).collect::<Vec<_>>().join("\n");
+    let shown = shown.replace(&*dir.path().to_string_lossy(), "");
+    insta::assert_snapshot!(shown, @"
+    machine, processor:
+      b in /two/unit-000000
+      a in /one/unit-000001
+    ");
+    assert_eq!(whole.processes["machine"]["processor"], "b");
+
+    let out = dir.path().join("run");
+    assert_eq!(merge(&whole, &units, planned(&cases), &out).unwrap(), 6);
+    let expected: String = cases
+        .concat()
+        .iter()
+        .map(|case| serde_json::to_string(&record(case, true)).unwrap() + "\n")
+        .collect();
+    assert_eq!(fs::read_to_string(out.join(EPISODES_FILE)).unwrap(), expected);
+    let log = RunLog::read(&out).unwrap();
+    assert_eq!((log.episodes.len(), log.timings.len(), log.damaged.len()), (6, 6, 0));
+    let sessions: Vec<u32> = log.timings.iter().map(|timings| timings.session).collect();
+    assert_eq!(sessions, [1, 1, 2, 2, 3, 3]);
+    assert_eq!(log.sessions.len(), 3);
+    assert!(matches!(
+        merge(&whole, &units, planned(&cases), &out),
+        Err(MergeError::NotEmpty { .. })
+    ));
+}
+
+#[test]
+fn what_disagrees_is_named() {
+    let dir = tempfile::tempdir().unwrap();
+    let (one, two, out) = (dir.path().join("one"), dir.path().join("two"), dir.path().join("run"));
+    let cases = cases(1, 2);
+    write_unit(&one, 0, &cases[0], "a");
+    write_unit(&two, 0, &cases[0], "a");
+    let units = UnitFolders(vec![one, two.clone()]);
+    let shown = |error: MergeError| error.to_string().replace(&*dir.path().to_string_lossy(), "");
+    let refused = || shown(merge(&manifest(), &units, planned(&cases), &out).unwrap_err());
+
+    let log = two.join("unit-000000").join(EPISODES_FILE);
+    let text = fs::read_to_string(&log).unwrap();
+    fs::write(&log, text.replacen("\"seed\":5", "\"seed\":6", 1)).unwrap();
+    insta::assert_snapshot!(refused(), @"/one/unit-000000 and /two/unit-000000 disagree about episodic/original/unchanged/original/run1/t01-00000000: find out which machine is wrong, and remove its folder of the unit");
+    fs::write(&log, &text[..text.len() - 1]).unwrap();
+    insta::assert_snapshot!(refused(), @"/two/unit-000000: episodes.jsonl, line 2: the line is torn; remove this folder and execute the unit again");
+    fs::write(&log, &text).unwrap();
+    let more = [cases[0].clone(), vec!["t01-9".to_owned()]].concat();
+    let error = merge(&manifest(), &units, planned(&[more]), &out).unwrap_err();
+    insta::assert_snapshot!(shown(error), @"/one/unit-000000: its log lacks episodic/original/unchanged/original/run1/t01-9; remove this folder and execute the unit again");
+    let error = merge(&manifest(), &units, planned(&[cases[0][..1].to_vec()]), &out).unwrap_err();
+    insta::assert_snapshot!(shown(error), @"/one/unit-000000: the unit has no episode episodic/original/unchanged/original/run1/t01-00000001 in the plan, and one in its log; remove this folder and execute the unit again");
+
+    insta::assert_snapshot!(shown(units.check(1, "cd", &mut manifest()).unwrap_err()), @"/one/unit-000000 is not unit 0 of this plan: it is unit 0 of the plan ab");
+    let mut other = manifest();
+    other.hashes.insert("layout".to_owned(), "11".to_owned());
+    insta::assert_snapshot!(shown(units.check(1, PLAN, &mut other).unwrap_err()), @r#"/one/unit-000000 is not unit 0 of this plan: contents of layout: "11" there, "00" now"#);
+    assert_eq!(merge(&manifest(), &units, planned(&cases), &out).unwrap(), 2, "after all that");
+}
+
+/// Prints time and memory of a merge of as many records as `MEMTRANSFER_TEST_RECORDS` says, in units of 100.
+#[test]
+#[ignore = "a measurement: cargo test --release -p results --lib merge_in_constant_memory -- --ignored --nocapture"]
+fn merge_in_constant_memory() {
+    let records = std::env::var("MEMTRANSFER_TEST_RECORDS");
+    let records: u32 = records.map_or(1_000_000, |text| text.parse().unwrap());
+    let dir = tempfile::tempdir_in(std::env::var("MEMTRANSFER_TEST_DIR").unwrap()).unwrap();
+    let units = UnitFolders(vec![dir.path().join("units")]);
+    let case = |number: u32| format!("t01-{number:08}");
+    let count = records / 100;
+    let text = |values: &mut dyn Iterator<Item = Vec<u8>>| {
+        values.fold(Vec::new(), |mut all, one| {
+            all.extend(one);
+            all.push(b'\n');
+            all
+        })
+    };
+    for number in 0..count {
+        let unit = units.0[0].join(unit_folder(number));
+        fs::create_dir_all(&unit).unwrap();
+        let id = UnitId { plan: PLAN.to_owned(), number };
+        let manifest = Manifest { unit: Some(id), ..manifest() };
+        fs::write(unit.join("manifest.json"), serde_json::to_vec(&manifest).unwrap()).unwrap();
+        let cases = (number * 100..(number + 1) * 100).map(|number| record(&case(number), true));
+        let records: Vec<EpisodeRecord> = cases.collect();
+        let mut lines = records.iter().map(|record| serde_json::to_vec(record).unwrap());
+        fs::write(unit.join(EPISODES_FILE), text(&mut lines)).unwrap();
+        let mut lines = records.iter().map(|record| serde_json::to_vec(&timings(record)).unwrap());
+        fs::write(unit.join(TIMINGS_FILE), text(&mut lines)).unwrap();
+    }
+    let peak = || {
+        let status = fs::read_to_string("/proc/self/status").unwrap();
+        let line = status.lines().find(|line| line.starts_with("VmHWM")).unwrap().to_owned();
+        line.split_whitespace().collect::<Vec<_>>().join(" ")
+    };
+    let (before, start) = (peak(), std::time::Instant::now());
+    assert!(units.missing(count).is_empty());
+    let mut whole = manifest();
+    units.check(count, PLAN, &mut whole).unwrap();
+    let planned = (0..records)
+        .map(|number| UnitEpisode { key: record(&case(number), true).key, unit: number / 100 });
+    let merged = merge(&whole, &units, planned, &dir.path().join("run")).unwrap();
+    let seconds = start.elapsed().as_secs_f64();
+    println!("{merged} records in {seconds:.1} s; before {before}, after {}", peak());
+}

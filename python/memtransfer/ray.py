@@ -1,0 +1,179 @@
+"""A run on the machines of a Ray cluster.
+
+    python -m memtransfer.ray run --suite paper --policy grounded --address auto --out runs/paper
+
+Every node needs the programs and the cache folder of `cargo xtask setup`, and Ray; this package is needed only where the
+command is given. The plan and the finished units travel through Ray, so no folder is shared. A unit whose node is lost is
+executed again on another one. The same command again goes on after an interruption. The guide is `docs/machines.md` of the
+project.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import io
+import json
+import os
+import shutil
+import subprocess
+import sys
+import tarfile
+import tempfile
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import ray
+
+_ERROR_LINES = 20
+"""The last lines of a worker's messages that an error shows."""
+
+
+def _unit_name(unit: int) -> str:
+    return f"unit-{unit:06}"
+
+
+def _work(plan: bytes, unit: int, program: str, flags: Sequence[str]) -> bytes:
+    """Executes a unit on this node. Returns its folder as a compressed archive.
+
+    Its folder stays on the node until it is finished, so that another attempt on this node goes on from there.
+    """
+    digest = hashlib.sha256(plan).hexdigest()[:16]
+    folder = Path(tempfile.gettempdir()) / f"memtransfer-ray-{os.getuid()}" / digest
+    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    file = folder / "plan.json"
+    if not file.exists():
+        draft = folder / f"plan.json.{os.getpid()}"
+        draft.write_bytes(plan)
+        draft.rename(file)
+    command = [program, "work", "--plan", str(file), "--unit", str(unit), "--out", str(folder)]
+    # It ends with this process, which Ray ends with the node.
+    command += ["--quiet", "--die-with", str(os.getpid()), *flags]
+    done = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, text=True)
+    if done.returncode != 0:
+        messages = "\n".join(done.stderr.splitlines()[-_ERROR_LINES:])
+        raise RuntimeError(f"unit {unit} on {os.uname().nodename}: exit status {done.returncode}\n{messages}")
+    whole = folder / _unit_name(unit)
+    archive = io.BytesIO()
+    with tarfile.open(fileobj=archive, mode="w:gz", compresslevel=1) as files:
+        files.add(whole, arcname=whole.name)
+    shutil.rmtree(whole)
+    return archive.getvalue()
+
+
+def _store(archive: bytes, unit: int, units: Path) -> None:
+    """Writes the folder of a unit, all of it or nothing."""
+    draft = units / f"{_unit_name(unit)}.draft"
+    shutil.rmtree(draft, ignore_errors=True)
+    with tarfile.open(fileobj=io.BytesIO(archive), mode="r:gz") as files:
+        files.extractall(draft, filter="data")
+    for path in draft.rglob("*"):
+        descriptor = os.open(path, os.O_RDONLY)
+        os.fsync(descriptor)
+        os.close(descriptor)
+    (draft / _unit_name(unit)).rename(units / _unit_name(unit))
+    draft.rmdir()
+
+
+def _make_plan(program: str, settings: Sequence[str], units: Path) -> Path:
+    """The plan of these settings, in the folder of its units."""
+    units.mkdir(parents=True, exist_ok=True)
+    plan, draft = units / "plan.json", units / "plan.json.draft"
+    subprocess.run([program, "plan", *settings, "--out", str(draft)], check=True)
+    if plan.exists() and plan.read_bytes() != draft.read_bytes():
+        draft.unlink()
+        raise SystemExit(f"{units} has units of another plan: give the same settings, or another --out")
+    draft.rename(plan)
+    return plan
+
+
+class _Progress:
+    """A line about all nodes on stderr, at most one a second."""
+
+    def __init__(self, total: int, done: int) -> None:
+        self.total, self.done, self.began_with = total, done, done
+        self.began = self.shown = time.monotonic()
+
+    def show(self, running: int) -> None:
+        now = time.monotonic()
+        if now - self.shown < 1 and self.done < self.total:
+            return
+        self.shown = now
+        nodes = sum(1 for node in ray.nodes() if node["Alive"])
+        rate = (self.done - self.began_with) / max(now - self.began, 1e-9)
+        left = f", {(self.total - self.done) / rate / 60:.0f} min left" if rate else ""
+        line = f"{self.done} of {self.total} units, {nodes} nodes, {running} queued or running{left}"
+        end = "\r" if sys.stderr.isatty() else "\n"
+        print(f"{line}   " if end == "\r" else line, end=end, file=sys.stderr, flush=True)
+
+
+def _execute(arguments: argparse.Namespace, plan: Path, units: Path) -> list[str]:
+    """Executes the units that are missing. Returns the messages of those that failed."""
+    count = json.loads(plan.read_bytes())["units"]
+    waiting = [unit for unit in range(count) if not (units / _unit_name(unit)).is_dir()]
+    progress = _Progress(count, count - len(waiting))
+    waiting.reverse()
+    content = ray.put(plan.read_bytes())
+    work: Any = ray.remote(_work).options(num_cpus=arguments.cpus, max_retries=arguments.retries)
+    running: dict[Any, int] = {}
+    failed = []
+    while waiting or running:
+        # Few at a time: finished units do not wait in the object store, and nodes may come and go.
+        room = 2 + 2 * int(ray.cluster_resources().get("CPU", 0) / arguments.cpus)
+        while waiting and len(running) < room:
+            unit = waiting.pop()
+            running[work.remote(content, unit, arguments.program, arguments.flags)] = unit
+        finished, _ = ray.wait(list(running), num_returns=1, timeout=1)
+        for one in finished:
+            unit = running.pop(one)
+            try:
+                _store(ray.get(one), unit, units)
+                progress.done += 1
+            except ray.exceptions.RayError as error:
+                failed.append(str(error))
+        progress.show(len(running))
+    return failed
+
+
+def main(given: Sequence[str] | None = None) -> int:
+    """The command line. Returns the exit status: 0 merged, 1 units failed, 2 error."""
+    parser = argparse.ArgumentParser(prog="python -m memtransfer.ray", allow_abbrev=False)
+    verbs = parser.add_subparsers(required=True)
+    run = verbs.add_parser(
+        "run",
+        allow_abbrev=False,
+        help="execute a run on a Ray cluster",
+        epilog="All other flags are settings, as of `memtransfer run`.",
+    )
+    run.add_argument("--address", default="auto", help="the cluster's address [default: auto]")
+    run.add_argument("--out", type=Path, required=True, help="the run folder to make; units lie in OUT.units")
+    run.add_argument("--unit-episodes", default="500", help="episodes of a unit [default: 500]")
+    run.add_argument("--cpus", type=float, default=2, help="cores that Ray reserves for a unit [default: 2]")
+    run.add_argument("--retries", type=int, default=20, help="losses of nodes that a unit survives [default: 20]")
+    run.add_argument("--program", default="memtransfer", help="the program on every node [default: memtransfer]")
+    run.add_argument("--work", default="", help="flags for `memtransfer work`, for example '--lanes 32'")
+    run.add_argument("--strict", action="store_true", help="as of `memtransfer merge`")
+    arguments, settings = parser.parse_known_args(given)
+    arguments.flags = arguments.work.split()
+    units = Path(f"{arguments.out}.units")
+    settings = [*settings, "--unit-episodes", arguments.unit_episodes]
+    try:
+        plan = _make_plan(arguments.program, settings, units)
+    except subprocess.CalledProcessError as error:
+        # It has said why.
+        return int(error.returncode)
+    ray.init(address=arguments.address, log_to_driver=False, configure_logging=False)
+    failed = _execute(arguments, plan, units)
+    for message in failed:
+        print(message, file=sys.stderr)
+    if failed:
+        print(f"{len(failed)} units failed; the same command executes them again", file=sys.stderr)
+        return 1
+    merge = [arguments.program, "merge", "--plan", str(plan), str(units), "--out", str(arguments.out)]
+    return subprocess.run([*merge, *(["--strict"] if arguments.strict else [])]).returncode
+
+
+if __name__ == "__main__":
+    sys.exit(main())
