@@ -9,14 +9,15 @@ use memtransfer_tests::browser::Browser;
 use memtransfer_tests::{Bench, Ended, needs, repository};
 use serde_json::{Value, json};
 
-/// A small run in the folder `out`.
-fn small(bench: &Bench, out: &str, more: &[&str]) {
-    let mut args = vec!["run", "--suite", "rq2", "--policy", "grounded", "--limit", "2"];
-    args.extend(["--runs", "1", "--memory", "working,episodic", "--max-steps", "40"]);
+/// A small run of `policy` with `memory` in the folder `out`, of at most `steps` steps an episode.
+fn small(bench: &Bench, out: &str, policy: &str, memory: &str, steps: &str) {
+    let mut args = vec!["run", "--suite", "rq2", "--limit", "2", "--runs", "1"];
+    args.extend(["--policy", policy, "--memory", memory, "--max-steps", steps]);
     args.extend(["--frame-size", "64", "--out", out]);
-    args.extend(more);
     bench.run(&args).expect(0);
 }
+
+const MEMORIES: &str = "working,episodic";
 
 fn export(bench: &Bench, format: &str, out: &str, more: &[&str]) -> Ended {
     let args = ["export", "r", "--format", format, "--out", out];
@@ -26,7 +27,7 @@ fn export(bench: &Bench, format: &str, out: &str, more: &[&str]) -> Ended {
 #[test]
 fn every_format_is_read_by_the_programs_it_is_for() {
     let bench = Bench::new();
-    small(&bench, "r", &[]);
+    small(&bench, "r", "grounded", MEMORIES, "40");
     let written = export(&bench, "mcap", "x/all.mcap", &["--episodes", "all", "--size", "128"]);
     assert_eq!(written.expect(0).stdout.trim(), "x/all.mcap");
     let one = ["--condition", "episodic,blocked", "--episodes", "1", "--size", "128"];
@@ -56,7 +57,7 @@ fn every_format_is_read_by_the_programs_it_is_for() {
 #[test]
 fn a_film_has_a_picture_for_every_moment() {
     let bench = Bench::new();
-    small(&bench, "r", &["--memory", "working"]);
+    small(&bench, "r", "grounded", "working", "40");
     let args = ["--size", "128", "--fps", "4", "--episodes", "2"];
     let film = export(&bench, "mp4", "film.mp4", &args).expect(0);
     assert_eq!(film.stdout.trim(), "film.mp4");
@@ -85,7 +86,7 @@ fn a_film_has_a_picture_for_every_moment() {
 #[test]
 fn what_an_export_cannot_do_is_said_with_what_to_do_instead() {
     let bench = Bench::new();
-    small(&bench, "r", &["--memory", "working"]);
+    small(&bench, "r", "grounded", "working", "40");
     for (format, more, words) in [
         ("csv", &["--fps", "4"][..], "--fps is for the formats mcap and mp4"),
         (
@@ -113,9 +114,9 @@ fn what_an_export_cannot_do_is_said_with_what_to_do_instead() {
 #[test]
 fn a_leaderboard_is_sorted_and_filtered_in_a_browser_and_keeps_protocols_apart() {
     let bench = Bench::new();
-    small(&bench, "r", &[]);
-    small(&bench, "random", &["--policy", "random"]);
-    small(&bench, "longer", &["--max-steps", "50"]);
+    small(&bench, "r", "grounded", MEMORIES, "40");
+    small(&bench, "random", "random", MEMORIES, "40");
+    small(&bench, "longer", "grounded", MEMORIES, "50");
     fs::create_dir(bench.out("board")).unwrap();
     for run in ["r", "random", "longer"] {
         bench.run(&["export", run, "--format", "leaderboard", "--out", "board"]).expect(0);

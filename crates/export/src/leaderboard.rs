@@ -101,7 +101,8 @@ impl Found {
         let mut paths = paths.collect::<Result<Vec<_>, _>>().with_context(cannot)?;
         paths.sort();
         for path in paths {
-            if !is_run(&path) && !(path.is_file() && is_file(&path, "json")) {
+            let is_entry = path.is_file() && is_file(&path, "json");
+            if !is_entry && !is_run(&path) {
                 continue;
             }
             match entry_at(&path) {

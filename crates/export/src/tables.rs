@@ -19,16 +19,28 @@ pub enum TableFormat {
     Parquet,
 }
 
+impl TableFormat {
+    const fn extension(self) -> &'static str {
+        match self {
+            Self::Csv => "csv",
+            Self::Parquet => "parquet",
+        }
+    }
+
+    fn write(self, frame: &Frame, out: impl Write) -> io::Result<()> {
+        match self {
+            Self::Csv => frame.write_csv(out),
+            Self::Parquet => frame.write_parquet(out),
+        }
+    }
+}
+
 /// Writes `episodes` and `steps` of `log` into the folder `dir`. Returns the files.
 ///
 /// # Errors
 /// When the system refuses.
 pub fn write_tables(log: &RunLog, format: TableFormat, dir: &Path) -> Result<Vec<PathBuf>> {
-    let (extension, write): (&str, fn(&Frame, &mut BufWriter<File>) -> io::Result<()>) =
-        match format {
-            TableFormat::Csv => ("csv", |frame, file| frame.write_csv(file)),
-            TableFormat::Parquet => ("parquet", |frame, file| frame.write_parquet(file)),
-        };
+    let extension = format.extension();
     let frames =
         [("episodes", episodes_frame(std::slice::from_ref(log))), ("steps", steps_frame(log))];
     let mut files = Vec::new();
@@ -37,7 +49,7 @@ pub fn write_tables(log: &RunLog, format: TableFormat, dir: &Path) -> Result<Vec
         write_whole(&path, |draft| {
             let file = || {
                 let mut file = BufWriter::new(File::create(draft)?);
-                write(&frame, &mut file)?;
+                format.write(&frame, &mut file)?;
                 file.flush()
             };
             file().with_context(|| format!("cannot write {}", path.display()))

@@ -113,6 +113,13 @@ mod tests {
         steps_frame(&log(vec![one])).write_csv(&mut csv).unwrap();
         let text =
             String::from_utf8(csv).unwrap().replace("episodic/original/unchanged/original/", "");
-        insta::assert_snapshot!(text, @"");
+        insta::assert_snapshot!(text, @"
+        log,key,memory,case,run,step,x,y,heading,feedback,action,is_last,sub_goals_met,sub_goals,tried_closed,sources,outcome,latency_us,images,prompt_tokens,completion_tokens,memory_tokens
+        run,run1/t01-01,episodic,t01-01,1,0,5,0,N,The episode has just begun.,move forward,false,0,1,false,o3,,,,,,
+        run,run1/t01-01,episodic,t01-01,1,1,5,1,N,You moved.,turn right,false,1,1,false,,,,,,,
+        run,run1/t01-01,episodic,t01-01,1,2,5,1,E,You turned.,,false,1,1,false,n1+o2,,,,,,
+        run,run1/t01-01,episodic,t01-01,1,3,5,1,E,Your last answer was not understood: you did not move.,move forward,false,1,1,false,o4,,,,,,
+        run,run1/t01-01,episodic,t01-01,1,4,5,1,E,Something blocks the way: you did not move.,,true,1,1,true,,,,,,,
+        ");
     }
 }
