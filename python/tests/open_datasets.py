@@ -24,8 +24,8 @@ assert any(trajectory.unread for trajectory in trajectories)
 
 
 def close(picture, view):
-    """Whether a lossy picture shows the view."""
-    return np.abs(np.asarray(picture, float) - view).mean() < 6
+    """Whether a lossy picture shows the view; others differ by 40 and more."""
+    return np.abs(np.asarray(picture, float) - view).mean() < 16
 
 
 # Minari
@@ -36,7 +36,7 @@ assert dataset.action_space == env.action_space
 again = dataset.recover_environment()
 assert again.observation_space == env.observation_space
 assert len(dataset) == len(trajectories)
-metadata = dataset.storage.get_episode_metadata(range(len(dataset)))
+metadata = list(dataset.storage.get_episode_metadata(range(len(dataset))))
 for trajectory, episode, about in zip(trajectories, dataset, metadata):
     steps = trajectory.decided
     views = recording.views(trajectory)

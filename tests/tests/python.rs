@@ -193,20 +193,16 @@ fn a_suite_runs_in_inspect_and_its_log_can_be_read() {
     assert_eq!(bench.leftovers(), Vec::<String>::new());
 }
 
-/// Runs `export` with `flags` and then the script that opens what it wrote, for two episodes of each of two starts and their
-/// demonstration.
+/// Runs `export` with `flags` and then the script that opens what it wrote, for four episodes of a
+/// case and its demonstration.
 fn export_and_open(python: &Path, flags: &[(&str, &str)], opener: &str) {
     let bench = Bench::new();
-    let mut command = slice(&bench, "run", &scripted("every_answer"), &[]);
-    command.args([
-        "--cases",
-        "t01-01",
-        "--starts",
-        "original,new",
-        "--memory",
-        "working,full-context",
-    ]);
-    command.args(["--frame-size", "64", "--max-steps", "20", "--lanes", "4"]);
+    let policy = scripted("every_answer");
+    let mut args = vec!["run", "--policy-cmd", &policy, "--cases", "t01-01"];
+    args.extend(["--starts", "original,new", "--memory", "working,full-context"]);
+    args.extend(["--frame-size", "64", "--max-steps", "20", "--lanes", "4", "--out", "run"]);
+    let mut command = bench.command(&args);
+    command.env("PYTHONPATH", package()).env("PYTHONDONTWRITEBYTECODE", "1");
     finish(command).expect(0);
     let run = bench.out("run").display().to_string();
     let call = |args: &[&str]| {

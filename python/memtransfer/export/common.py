@@ -1,4 +1,4 @@
-"""What the formats share: a trajectory set, its temporary place, and the errors."""
+"""What the formats share: the selected trajectories, temporary places, and errors."""
 
 from __future__ import annotations
 
@@ -37,21 +37,20 @@ class Selected:
         return playable
 
 
-def library(module: str, flag: str) -> Any:
-    """Imports the library of a format."""
+def library(module: str, extra: str) -> Any:
+    """Imports a module of the library that the package's `extra` brings."""
     try:
         return importlib.import_module(module)
     except ImportError as error:
-        extra = flag.removeprefix("--")
         raise ExportError(
-            f"{flag} cannot import {module} ({error}): pip install './python[{extra}]' in the project's folder"
+            f"cannot import {module} ({error}): run pip install './python[{extra}]' in the project's folder"
         ) from error
 
 
 def refuse_existing(path: Path) -> None:
     """Raises unless nothing is at `path`."""
     if path.exists():
-        raise ExportError(f"{path} exists: name another place, or remove it")
+        raise ExportError(f"{path} exists: name another, or remove it")
 
 
 @contextmanager

@@ -44,7 +44,7 @@ _STEPS = {
 def write(selected: Selected, folder: Path) -> str:
     """Writes the tables and their description into a new folder. Returns what was written, in words."""
     refuse_existing(folder)
-    mlc = library("mlcroissant", "--croissant")
+    mlc = library("mlcroissant", "croissant")
     trajectories = selected.trajectories
     steps = 0
     with new(folder) as partial:

@@ -38,10 +38,10 @@ def write(selected: Selected, folder: Path) -> str:
     refuse_existing(folder)
     # Its encoder, its muxer and its tables each report every episode.
     os.environ.setdefault("SVT_LOG", "1")
-    av = library("av", "--lerobot")
+    av = library("av", "lerobot")
     av.logging.set_libav_level(av.logging.ERROR)
-    library("datasets", "--lerobot").disable_progress_bars()
-    lerobot = library("lerobot.datasets.lerobot_dataset", "--lerobot")
+    library("datasets", "lerobot").disable_progress_bars()
+    lerobot = library("lerobot.datasets.lerobot_dataset", "lerobot")
     recording, trajectories = selected.recording, selected.playable()
     frames = 0
     with new(folder) as partial:

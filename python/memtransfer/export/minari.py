@@ -15,10 +15,10 @@ from memtransfer.trajectories import Trajectory
 
 def write(selected: Selected, name: str) -> str:
     """Writes the data set `name` into Minari's folder. Returns what was written, in words."""
-    minari = library("minari", "--minari")
-    library("h5py", "--minari")
-    gymnasium = library("gymnasium", "--minari")
-    storage = library("minari.storage", "--minari")
+    minari = library("minari", "minari")
+    library("h5py", "minari")
+    gymnasium = library("gymnasium", "minari")
+    storage = library("minari.storage", "minari")
     folder = Path(storage.get_dataset_path(name))
     if folder.exists():
         raise ExportError(f"Minari has a data set {name} in {folder}: name another, or remove it")

@@ -23,9 +23,9 @@ _NORTH_EAST_SOUTH_WEST = np.array([(0, -1), (1, 0), (0, 1), (-1, 0)])
 def write(selected: Selected, file: Path) -> str:
     """Writes the recording into a new file. Returns what was written, in words."""
     refuse_existing(file)
-    rr = library("rerun", "--rerun")
-    blueprint = library("rerun.blueprint", "--rerun")
-    pillow = library("PIL.Image", "--rerun")
+    rr = library("rerun", "rerun")
+    blueprint = library("rerun.blueprint", "rerun")
+    pillow = library("PIL.Image", "rerun")
     trajectories = selected.trajectories
     with new(file) as partial:
         tabs = [_tab(rr, blueprint, trajectory) for trajectory in trajectories]
