@@ -70,6 +70,11 @@ impl UnitPlan {
             plan.format,
             plan.manifest.version
         );
+        ensure!(
+            plan.unit_episodes > 0 && plan.units > 0,
+            "{} has no units: write the plan again",
+            path.display()
+        );
         Ok(ReadPlan { plan, digest: blake3::hash(&bytes).to_hex().to_string() })
     }
 
@@ -125,8 +130,8 @@ impl ReadPlan {
         for group in &mut settings.groups {
             group.memory.retain(|memory| memory.external().is_none());
         }
-        let start = number * unit_episodes;
-        let end = (start + unit_episodes).min(manifest.episodes);
+        let start = number.saturating_mul(*unit_episodes);
+        let end = start.saturating_add(*unit_episodes).min(manifest.episodes);
         Ok((settings, start as usize..end as usize))
     }
 }
