@@ -1,7 +1,5 @@
 //! What `memtransfer export` writes, read by the programs it is for.
 
-#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
-
 use std::fs;
 use std::process::{Command, Stdio};
 
