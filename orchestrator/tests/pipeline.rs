@@ -90,7 +90,8 @@ fn run(spoil: fn(Decision) -> Decision) -> (Seen, Ending) {
         variation: Variation::STANDARD,
         arm: Arm::Frozen,
     };
-    let episodes = plan(&[(condition, 1)], &[0, 1, 2, 3, 4, 5, 6, 7], &ids, 1);
+    let conditions = [(condition, 1)];
+    let episodes = plan(&conditions, &[0, 1, 2, 3, 4, 5, 6, 7], &ids, 1);
     let rules = Rules { expert: false, ..RULES };
     let mut lanes = Lanes::new(&warehouse, &cases, rules, LANES as usize);
     // The peers are threads; the process that the pipeline watches only has to live.
@@ -166,7 +167,8 @@ fn run_with_simulator(script: &str) -> (u32, String) {
     let scratch = ScratchRun::new(&[Role::Sim], |attach| attach.lanes = 1);
     let (warehouse, cases) = (Warehouse::shipped(), CaseSet::shipped());
     let condition = "working/original/unchanged/none".parse().unwrap();
-    let episodes = plan(&[(condition, 1)], &[0], &["t01-01"], 1);
+    let conditions = [(condition, 1)];
+    let episodes = plan(&conditions, &[0], &["t01-01"], 1);
     let rules = Rules { expert: true, ..RULES };
     let mut lanes = Lanes::new(&warehouse, &cases, rules, 1);
     let options = PipelineOptions {
