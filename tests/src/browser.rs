@@ -12,7 +12,7 @@ use rustix::fs::{CWD, FileType, Mode, mknodat};
 use serde_json::{Value, json};
 use tempfile::TempDir;
 
-use crate::{WATCHDOG, needs};
+use crate::{WATCHDOG, eventually, needs};
 
 /// A browser with one page.
 pub struct Browser {
@@ -139,13 +139,26 @@ impl Browser {
         text.as_str().unwrap_or_default().to_owned()
     }
 
-    /// Clicks the middle of the first element that `selector` finds; waits for it.
+    /// Clicks the middle of the first element that `selector` finds; waits until it is there, stands still and is not covered.
     pub fn click(&mut self, selector: &str) {
         self.wait_for(&format!("document.querySelector({selector:?}) !== null"));
-        let middle = self.value(&format!(
-            "(() => {{ const e = document.querySelector({selector:?}); e.scrollIntoView({{block: 'center'}}); \
-             const r = e.getBoundingClientRect(); return [r.x + r.width / 2, r.y + r.height / 2]; }})()"
-        ));
+        let place = format!(
+            "(async () => {{ \
+               const e = document.querySelector({selector:?}); \
+               if (e === null) return null; \
+               e.scrollIntoView({{block: 'center'}}); \
+               const before = e.getBoundingClientRect(); \
+               await new Promise((resolve) => setTimeout(resolve, 50)); \
+               const r = e.getBoundingClientRect(); \
+               const [x, y] = [r.x + r.width / 2, r.y + r.height / 2]; \
+               const stands = e.isConnected && r.x === before.x && r.y === before.y; \
+               return stands && e.contains(document.elementFromPoint(x, y)) ? [x, y] : null; \
+             }})()"
+        );
+        let middle = eventually(&format!("a place to click {selector}"), || {
+            let middle = self.value(&place);
+            (!middle.is_null()).then_some(middle)
+        });
         for (kind, buttons) in [("mousePressed", 1), ("mouseReleased", 0)] {
             let click = json!({
                 "type": kind, "x": middle[0], "y": middle[1], "button": "left", "buttons": buttons, "clickCount": 1
