@@ -175,6 +175,8 @@ fn the_grid_is_filtered_sorted_and_used_with_keys_and_every_state_has_an_address
         let overflow = "document.documentElement.scrollWidth <= 390";
         assert_eq!(browser.value(overflow), true, "{state}");
     }
+    // The episode has been shown, so that it does not come after the next page.
+    browser.wait_for("location.href.includes('step=')");
     // An address of nothing says so.
     browser.open(&format!("{url}#page=episode&run=1&key=nothing"));
     browser.wait_for("document.querySelector('[role=alert]') !== null");
