@@ -28,30 +28,47 @@ pub struct CodeSetMember {
     pub doc: &'static str,
 }
 
-/// Declares enums whose `u8` codes are positions in `ALL`.
+/// Declares enums whose `u8` codes are positions in `ALL`, each member with the word for it in files and messages.
 #[macro_export]
 macro_rules! code_sets {
     ($($(#[doc = $doc:literal])* $name:ident, $what:literal $(#[$attribute:meta])* {
-        $($(#[doc = $variant_doc:literal])* $variant:ident = $code:literal,)*
+        $(#[doc = $first_doc:literal])* $first:ident = $first_code:literal $first_word:literal,
+        $($(#[doc = $other_doc:literal])* $other:ident = $other_code:literal $other_word:literal,)*
     })*) => {
         $(
             $crate::coded_enum! {
                 $(#[doc = $doc])*
-                $name $(#[$attribute])* { $($(#[doc = $variant_doc])* $variant = $code,)* }
+                $name $(#[$attribute])* {
+                    $(#[doc = $first_doc])* $first = $first_code,
+                    $($(#[doc = $other_doc])* $other = $other_code,)*
+                }
             }
 
             impl $name {
                 /// All members, in code order.
-                pub const ALL: &'static [Self] = &[$(Self::$variant),*];
+                pub const ALL: &'static [Self] = &[Self::$first, $(Self::$other),*];
+
+                /// The word for it in files, on the command line and in messages.
+                pub const fn word(self) -> &'static str {
+                    match self {
+                        Self::$first => $first_word,
+                        $(Self::$other => $other_word,)*
+                    }
+                }
             }
 
             impl TryFrom<u8> for $name {
                 type Error = $crate::UnknownCode;
 
                 fn try_from(code: u8) -> Result<Self, $crate::UnknownCode> {
+                    const WHAT: &str = concat!(
+                        $what, " (", $first_code, " ", $first_word,
+                        $(", ", $other_code, " ", $other_word,)* ")"
+                    );
                     match code {
-                        $($code => Ok(Self::$variant),)*
-                        _ => Err($crate::UnknownCode::new(code, $what)),
+                        $first_code => Ok(Self::$first),
+                        $($other_code => Ok(Self::$other),)*
+                        _ => Err($crate::UnknownCode::new(code, WHAT)),
                     }
                 }
             }

@@ -4,90 +4,79 @@ use domain::code_sets;
 
 code_sets! {
     /// The kind of a [`StepCommand`](super::StepCommand).
-    StepKind, "a step kind (0 reset, 1 act, 2 stay)" {
+    StepKind, "a step kind" {
         /// Put the agent at the start pose.
-        Reset = 0,
+        Reset = 0 "reset",
         /// Take the action.
-        Act = 1,
+        Act = 1 "act",
         /// Do not move: the policy's answer could not be read.
-        Stay = 2,
+        Stay = 2 "stay",
     }
 
     /// The kind of a [`ViewRequest`](super::ViewRequest).
-    ViewRequestKind, "a view request kind (0 pin, 1 release)" {
+    ViewRequestKind, "a view request kind" {
         /// Make the view resident and keep it.
-        Pin = 0,
+        Pin = 0 "pin",
         /// The view may be evicted again.
-        Release = 1,
+        Release = 1 "release",
     }
 
     /// Whether a memory learns from an [episode](super::ExternalEpisode).
-    Learning, "whether a memory learns (0 outside of streams, 1 learns, 2 reads only)" {
+    Learning, "whether a memory learns" {
         /// The episode is not part of a stream.
-        OutsideOfStreams = 0,
+        OutsideOfStreams = 0 "outside of streams",
         /// It observes the episode and is told of its end.
-        Learns = 1,
+        Learns = 1 "learns",
         /// It answers, and the episode must not change what it answers in later ones.
-        ReadsOnly = 2,
+        ReadsOnly = 2 "reads only",
     }
 
     /// The kind of a [`RecalledItem`](super::RecalledItem).
-    ItemKind, "an item kind (0 text, 1 steps, 2 trajectory, 3 frame)" {
+    ItemKind, "an item kind" {
         /// Text.
-        Text = 0,
+        Text = 0 "text",
         /// Steps of a demonstration, in the message.
-        Steps = 1,
+        Steps = 1 "steps",
         /// Steps of a demonstration, in a document.
-        Trajectory = 2,
+        Trajectory = 2 "trajectory",
         /// One remembered view with a caption.
-        Frame = 3,
+        Frame = 3 "frame",
     }
 
     /// What follows from an [`ErrorReport`](super::ErrorReport).
-    ErrorReportKind, "an error report kind (0 message, 1 episode, 2 run, 3 waiting, 4 overdue)" {
+    ErrorReportKind, "an error report kind" {
         /// Nothing else: a message could not be used and was dropped.
-        Message = 0,
+        Message = 0 "message",
         /// The episode ends without a result: there is no decision, for a reason that is not the model's, such as a
         /// server that refuses the request.
-        Episode = 1,
+        Episode = 1 "episode",
         /// The run stops: no episode can continue, for example because the server is down.
-        Run = 2,
+        Run = 2 "run",
         /// Not an error yet: decisions wait for something outside of the run, such as a model's server that does not
         /// answer. The text says for what; it is empty when the wait is over.
-        Waiting = 3,
+        Waiting = 3 "waiting",
         /// From the memory process: as `Episode`, because the episode's external memory has exceeded a time limit.
-        Overdue = 4,
+        Overdue = 4 "overdue",
     }
 
     /// The role of a process in a run.
-    Role, "a role (0 orchestrator, 1 sim, 2 memory, 3 policy, 4 external memory)"
+    Role, "a role"
     #[derive(serde::Serialize, serde::Deserialize)]
     #[serde(rename_all = "kebab-case")] {
         /// Schedules the steps; the program `memtransfer`.
-        Orchestrator = 0,
+        Orchestrator = 0 "orchestrator",
         /// Steps the world and renders.
-        Sim = 1,
+        Sim = 1 "sim",
         /// Embeds views and retrieves from memory.
-        Memory = 2,
+        Memory = 2 "memory",
         /// Decides on actions.
-        Policy = 3,
+        Policy = 3 "policy",
         /// A memory outside of the memory process, which asks it. A run can have several, each with an index.
-        ExternalMemory = 4,
+        ExternalMemory = 4 "external-memory",
     }
 }
 
 impl Role {
     /// The roles of the processes that every run with a policy has, apart from the orchestrator.
     pub const CHILDREN: [Self; 3] = [Self::Sim, Self::Memory, Self::Policy];
-
-    /// The word used in logs, service names and messages.
-    pub const fn word(self) -> &'static str {
-        match self {
-            Self::Orchestrator => "orchestrator",
-            Self::Sim => "sim",
-            Self::Memory => "memory",
-            Self::Policy => "policy",
-            Self::ExternalMemory => "external-memory",
-        }
-    }
 }
