@@ -7,10 +7,11 @@
 //! Its only input and output are the embedding cache's file and the snapshots of memories that learn; [`crate::serve`]
 //! connects it to the bus, the encoder and the documents.
 
-use std::collections::{BTreeSet, HashMap, HashSet, VecDeque};
+use std::collections::{BTreeSet, HashSet, VecDeque};
 use std::sync::Arc;
 
-use crate::bank::{Collecting, KnownView, Viewpoint};
+use crate::bank::Viewpoint;
+use crate::embedded_views::EmbeddedViews;
 use crate::embedding_cache::{CacheError, EmbeddingCache};
 use crate::episode::{
     EpisodeMemory, MemoryAnswer, MemoryEpisode, PendingObservation, PendingStage, Reason, Unusable,
@@ -20,12 +21,12 @@ use crate::external::{BankState, ExternalMemories, ToExternal, query_message};
 use crate::items::{Assembler, DocumentSupplier};
 use crate::sequences::{Bound, Sequences, StreamPart};
 use crate::snapshots::SnapshotFolder;
-use crate::views::{Arrival, PinnedView, PinnedViews};
+use crate::views::{Arrival, PinnedView};
 use crate::worlds::Worlds;
 use search::{ContentHash, Embedding};
 use shm_types::Note;
 use shm_types::message::{
-    ExternalAnswer, ExternalBuilt, ExternalStored, FrameId, MemoryEpisodeConfig, NO_FRAME,
+    ExternalAnswer, ExternalBuilt, ExternalStored, FrameId, MemoryEpisodeConfig,
     Observation, Recall, RecallTrace, SnapshotReport, ViewRequest,
 };
 
@@ -47,16 +48,6 @@ pub struct Engine<I> {
     learned: Vec<SnapshotReport>,
     /// Episodes that cannot go on.
     failures: Vec<EpisodeFailure>,
-}
-
-/// Demonstration views in the frame store, and embeddings.
-struct EmbeddedViews<I> {
-    pinned: PinnedViews<I>,
-    embeddings: EmbeddingCache,
-    /// The content of the views of banks that are not pinned as a whole.
-    contents: HashMap<Viewpoint, ContentHash>,
-    /// Demonstration views to embed.
-    background: VecDeque<Viewpoint>,
 }
 
 #[derive(Default)]
@@ -94,77 +85,6 @@ pub(crate) enum LaneProgress {
     Gone,
 }
 
-impl<I: Clone> EmbeddedViews<I> {
-    /// A view, once it is in the frame store, and embedded if `embeds`.
-    fn known(&self, viewpoint: Viewpoint, embeds: bool) -> Option<KnownView> {
-        let &PinnedView { frame, content, .. } = self.pinned.get(viewpoint)?;
-        let embedding = embeds.then(|| self.embeddings.get(&content).cloned());
-        match embedding {
-            Some(None) => None,
-            embedding => Some(KnownView { frame, content, embedding: embedding.flatten() }),
-        }
-    }
-
-    /// Whether all of `viewpoints` are [known](Self::known); `ready` counts those that are, the first ones.
-    fn are_known(&self, viewpoints: &[Viewpoint], ready: &mut usize, embeds: bool) -> bool {
-        let is_known = |&viewpoint: &Viewpoint| {
-            let view = self.pinned.get(viewpoint);
-            view.is_some_and(|view| !embeds || self.embeddings.get(&view.content).is_some())
-        };
-        *ready += viewpoints[*ready..].iter().take_while(|viewpoint| is_known(viewpoint)).count();
-        *ready == viewpoints.len()
-    }
-
-    /// Pins all of these views, or none; returns whether there was room. `embeds`: they have to be embedded.
-    fn try_pin(&mut self, viewpoints: &[Viewpoint], embeds: bool) -> bool {
-        if !self.pinned.try_pin(viewpoints, embeds) {
-            return false;
-        }
-        if embeds {
-            // Views that are there already and have not been embedded for others.
-            let known = |viewpoint: &Viewpoint| self.pinned.get(*viewpoint);
-            let is_new = |viewpoint: &&Viewpoint| {
-                known(viewpoint).is_some_and(|view| self.embeddings.get(&view.content).is_none())
-            };
-            self.background.extend(viewpoints.iter().filter(is_new));
-        }
-        true
-    }
-
-    /// Pins further views of a bank if it is `wanted`, and takes those that are embedded.
-    fn collect(&mut self, collecting: &mut Collecting, wanted: bool) {
-        let mut still = Vec::new();
-        for viewpoint in std::mem::take(&mut collecting.pinned) {
-            match self.known(viewpoint, true) {
-                None => still.push(viewpoint),
-                Some(view) => {
-                    self.contents.insert(viewpoint, view.content);
-                    collecting.found.insert(viewpoint, view);
-                    self.pinned.release(&[viewpoint]);
-                }
-            }
-        }
-        collecting.pinned = still;
-        while wanted && let Some(&viewpoint) = collecting.waiting.front() {
-            if let Some(view) = self.collected(viewpoint) {
-                collecting.found.insert(viewpoint, view);
-            } else if collecting.has_room() && self.try_pin(&[viewpoint], true) {
-                collecting.pinned.push(viewpoint);
-            } else {
-                return;
-            }
-            collecting.waiting.pop_front();
-        }
-    }
-
-    /// A view that has been collected before, without its frame.
-    fn collected(&self, viewpoint: Viewpoint) -> Option<KnownView> {
-        let content = *self.contents.get(&viewpoint)?;
-        let embedding = Some(self.embeddings.get(&content)?.clone());
-        Some(KnownView { frame: NO_FRAME, content, embedding })
-    }
-}
-
 impl<I: Clone> Engine<I> {
     /// Creates an engine for `lanes` lanes, with room for `views` demonstration views. Without a folder for `snapshots`, no
     /// memory can learn.
@@ -176,17 +96,11 @@ impl<I: Clone> Engine<I> {
         externals: ExternalMemories,
         snapshots: Option<SnapshotFolder>,
     ) -> Self {
-        let pinned = PinnedViews::new(views);
         Self {
             worlds,
             lanes: (0..lanes).map(|_| EngineLane::default()).collect(),
             pending: BTreeSet::new(),
-            views: EmbeddedViews {
-                pinned,
-                embeddings,
-                contents: HashMap::new(),
-                background: VecDeque::new(),
-            },
+            views: EmbeddedViews::new(views, embeddings),
             admission: VecDeque::new(),
             urgent: VecDeque::new(),
             in_flight: HashSet::new(),

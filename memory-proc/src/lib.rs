@@ -1,6 +1,7 @@
 //! The memory: embeds frames, builds the representations, retrieves.
 //!
-//! - [`serve`] is the process in a run; [`engine`] knows what each lane waits for, [`episode`] is one of them;
+//! - [`serve`] is the process in a run; [`engine`] knows what each lane waits for, [`episode`] is one of them, `embedded_views`
+//!   are the views that they share;
 //! - [`representation`]: the built-in memories; [`external`]: what the host knows about external ones;
 //! - a [`bank`] is what a memory is built from: [`demonstrations`] and their views; [`items`] turns what a memory supplies
 //!   into a recall, and [`document_loader`] publishes its documents;
@@ -17,6 +18,7 @@ pub mod builders;
 pub mod demonstrations;
 pub mod document_loader;
 pub mod embed_command;
+mod embedded_views;
 pub mod embedding_cache;
 pub mod encoder;
 pub mod engine;

@@ -1,7 +1,7 @@
 //! Checks whether an external policy or memory follows the protocol of the wire, in difficult situations over the real bus.
 //!
-//! This process plays the other roles ([`neighbours`]). The crates' own tests use them, too: with the feature `testing`
-//! there are rigs around one process of a run (`testing`) and scripted processes (`scripted`). The quality of decisions
+//! This process plays the other roles ([`neighbours`]). The crates' own tests use them, too: there are rigs around one
+//! process of a run ([`testing`]) and scripted processes ([`scripted`]). The quality of decisions
 //! and of what a memory supplies is not checked.
 
 mod checks;
@@ -9,10 +9,8 @@ mod memory;
 pub mod messages;
 pub mod neighbours;
 mod policy;
-#[cfg(feature = "testing")]
 pub mod scripted;
 mod subject;
-#[cfg(feature = "testing")]
 pub mod testing;
 
 use std::sync::atomic::AtomicBool;

@@ -21,7 +21,6 @@ mod pool;
 pub mod probe;
 mod reply;
 mod request;
-#[cfg(any(test, feature = "scripted-server"))]
 pub mod scripted;
 mod server;
 mod slots;

@@ -9,7 +9,6 @@
 //! The simulator draws plates; [`read()`] finds them in an image, and [`item_names()`] the names in an instruction.
 
 mod names;
-#[cfg(any(test, feature = "painter"))]
 pub mod painter;
 mod read;
 

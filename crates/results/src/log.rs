@@ -42,7 +42,6 @@ pub use record::{
 };
 pub use run_log::RunLog;
 
-#[cfg(any(test, feature = "testing"))]
 pub mod testing;
 
 use std::io;
