@@ -47,6 +47,13 @@ pub fn pipeline_options(
     })
 }
 
+/// Lets the simulator share its views with those of other units, through `folder`.
+pub fn share_views(options: &mut PipelineOptions, folder: &Path) {
+    for sim in options.launches.iter_mut().filter(|launch| launch.role == Role::Sim) {
+        sim.args.extend(["--views".into(), folder.into()]);
+    }
+}
+
 /// What all episodes have in common.
 ///
 /// # Errors

@@ -16,6 +16,7 @@ pub mod serve;
 pub mod serve_command;
 pub mod view_cache;
 pub mod view_control;
+mod view_folder;
 pub mod view_source;
 pub mod views_command;
 mod wakeups;

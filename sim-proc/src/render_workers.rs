@@ -1,5 +1,7 @@
 //! Renderers as render workers: one per core with the CPU backend, one in all with a Vulkan device.
 
+use std::path::Path;
+use std::sync::Arc;
 use std::thread;
 
 use anyhow::Result;
@@ -9,6 +11,7 @@ use crate::render_pool::{RenderSetup, RenderTask, RenderWorker};
 use crate::renderer::{
     Backend, Destination, RenderJob, RenderSettings, Renderer, ViewSpec, VisibleChanges,
 };
+use crate::view_folder::{KeepingWorker, ViewFolder};
 use crate::worlds::Worlds;
 
 /// Maximum number of renderers on the CPU.
@@ -29,7 +32,7 @@ struct HallRenderers {
 impl RenderWorker for HallRenderers {
     fn render_into(&mut self, tasks: &mut [RenderTask<'_>]) -> Result<u64> {
         let (mut here, mut there) = (Vec::new(), Vec::new());
-        for RenderTask { stock, variant, pose, slot } in tasks {
+        for RenderTask { stock, variant, pose, slot, .. } in tasks {
             let is_here = *stock < self.stocks;
             let stock = if is_here { *stock } else { 0 };
             let job = RenderJob {
@@ -69,14 +72,18 @@ pub fn open_renderers(stocks: &[Warehouse], settings: RenderSettings) -> Result<
 }
 
 impl RenderSetup {
-    /// Opens the renderers of a simulator for all `worlds`.
+    /// Opens the renderers of a simulator for all `worlds`. With the CPU backend they share their views with other processes
+    /// through the folder `views`, if there is one.
     ///
     /// # Errors
-    /// As [`Renderer::with_stocks`].
-    pub fn open(worlds: &Worlds, settings: RenderSettings) -> Result<Self> {
+    /// As [`Renderer::with_stocks`]; also when the folder cannot be used.
+    pub fn open(worlds: &Worlds, settings: RenderSettings, views: Option<&Path>) -> Result<Self> {
         let (stocks, other) = worlds.halls();
         let renderers = open_renderers(stocks, settings.clone())?;
         let report = renderers[0].report();
+        let views = views.filter(|_| report.backend == Backend::Cpu);
+        let views = views.map(|root| ViewFolder::open(root, worlds, &settings)).transpose()?;
+        let views = views.map(Arc::new);
         let mut facts = vec![
             ("backend", report.backend.to_string()),
             ("frame path", report.frame_path.to_string()),
@@ -99,11 +106,15 @@ impl RenderSetup {
         let mut visibility = renderers[0].visibility();
         let stocks = stocks.len() as u32;
         let mut elsewhere = elsewhere.into_iter();
-        let worker = |tested| -> Box<dyn RenderWorker> {
-            Box::new(HallRenderers { tested, elsewhere: elsewhere.next(), stocks })
+        let worker = |(number, tested)| -> Box<dyn RenderWorker> {
+            let renderers = Box::new(HallRenderers { tested, elsewhere: elsewhere.next(), stocks });
+            match &views {
+                None => renderers,
+                Some(views) => Box::new(KeepingWorker::new(renderers, views.clone(), number)),
+            }
         };
         Ok(Self {
-            workers: renderers.into_iter().map(worker).collect(),
+            workers: renderers.into_iter().enumerate().map(worker).collect(),
             batch_views: if report.backend == Backend::Cpu { 1 } else { GPU_BATCH_VIEWS },
             find_changes: Box::new(move |view| {
                 if view.stock < stocks {

@@ -29,6 +29,10 @@ pub struct ServeArgs {
     /// Render every view of the unchanged world before the first step.
     #[arg(long)]
     warm_views: bool,
+
+    /// Share rendered views with other processes through this folder.
+    #[arg(long, value_name = "DIR")]
+    views: Option<PathBuf>,
 }
 
 /// Serves the run until it stops.
@@ -49,6 +53,8 @@ pub fn run(args: ServeArgs) -> Result<()> {
     });
     let bus = Bus::join(attach, Role::Sim).context("cannot join the run")?;
     let rendered = worlds.clone();
-    serve(&bus, worlds, args.warm_views, || RenderSetup::open(&rendered, settings))
-        .context("the simulator failed")
+    serve(&bus, worlds, args.warm_views, || {
+        RenderSetup::open(&rendered, settings, args.views.as_deref())
+    })
+    .context("the simulator failed")
 }

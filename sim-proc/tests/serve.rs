@@ -51,7 +51,7 @@ fn shows_stock(pose: Pose) -> bool {
 
 impl RenderWorker for CodeWorker {
     fn render_into(&mut self, tasks: &mut [RenderTask<'_>]) -> Result<u64> {
-        for RenderTask { stock, variant, pose, slot } in &mut *tasks {
+        for RenderTask { stock, variant, pose, slot, .. } in &mut *tasks {
             let code = code_with(*stock, variant, *pose);
             slot.pixels_mut().chunks_exact_mut(4).for_each(|pixel| pixel.copy_from_slice(&code));
         }
@@ -538,7 +538,7 @@ fn the_renderer_writes_into_the_frame_store() {
             (attach.frame, attach.frame_capacity, attach.lanes, attach.window) = (size, 6, 1, 2)
         },
         false,
-        move |frame| RenderSetup::open(&worlds(), settings(frame)),
+        move |frame| RenderSetup::open(&worlds(), settings(frame), None),
     );
     let handshake = sim.handshake();
     let facts = handshake.facts().unwrap();
@@ -578,7 +578,7 @@ fn views_of_the_other_warehouse_are_those_of_a_simulator_that_is_started_in_it()
     let mut sim = simulator_with(
         |attach| attach.frame = size,
         false,
-        move |_| RenderSetup::open(&worlds(), with),
+        move |_| RenderSetup::open(&worlds(), with, None),
     );
     sim.handshake();
     let (tested, other) = (Warehouse::shipped(), elsewhere());

@@ -22,6 +22,8 @@ pub struct Browser {
     sent: u64,
     session: Option<String>,
     problems: Vec<String>,
+    /// The requests of the page that wait for [`Self::answer_held`].
+    held: Vec<Value>,
     /// Its profile, removed last.
     _profile: TempDir,
 }
@@ -50,9 +52,9 @@ impl Browser {
             .expect("Chromium starts");
         let commands = File::options().write(true).open(commands).expect("its commands");
         let answers = BufReader::new(File::open(answers).expect("its answers"));
-        let (sent, session, problems) = (0, None, Vec::new());
+        let (sent, session, problems, held) = (0, None, Vec::new(), Vec::new());
         let mut browser =
-            Self { child, commands, answers, sent, session, problems, _profile: profile };
+            Self { child, commands, answers, sent, session, problems, held, _profile: profile };
         let target = browser.send("Target.createTarget", json!({ "url": "about:blank" }));
         let attach = json!({ "targetId": target["targetId"], "flatten": true });
         let attached = browser.send("Target.attachToTarget", attach);
@@ -94,6 +96,9 @@ impl Browser {
 
     fn note(&mut self, event: &Value) {
         let params = &event["params"];
+        if event["method"] == "Fetch.requestPaused" {
+            self.held.push(params["requestId"].clone());
+        }
         let is_problem = match event["method"].as_str() {
             Some("Runtime.exceptionThrown") => true,
             Some("Runtime.consoleAPICalled") => params["type"] == "error",
@@ -108,6 +113,28 @@ impl Browser {
     /// Goes to `url`.
     pub fn open(&mut self, url: &str) {
         self.send("Page.navigate", json!({ "url": url }));
+    }
+
+    /// Holds every request of the page whose address fits `pattern`, until [`Self::answer_held`].
+    pub fn hold(&mut self, pattern: &str) {
+        self.send("Fetch.enable", json!({ "patterns": [{ "urlPattern": pattern }] }));
+    }
+
+    /// Waits until a request is held.
+    pub fn wait_for_held(&mut self) {
+        let start = Instant::now();
+        while self.held.is_empty() {
+            assert!(start.elapsed() < WATCHDOG, "the page sends no request");
+            self.value("0");
+            sleep(Duration::from_millis(5));
+        }
+    }
+
+    /// Lets the requests that are held go on.
+    pub fn answer_held(&mut self) {
+        for request in std::mem::take(&mut self.held) {
+            self.send("Fetch.continueRequest", json!({ "requestId": request }));
+        }
     }
 
     /// The value of a JavaScript expression.

@@ -175,8 +175,6 @@ fn the_grid_is_filtered_sorted_and_used_with_keys_and_every_state_has_an_address
         let overflow = "document.documentElement.scrollWidth <= 390";
         assert_eq!(browser.value(overflow), true, "{state}");
     }
-    // The episode has been shown, so that it does not come after the next page.
-    browser.wait_for("location.href.includes('step=')");
     // An address of nothing says so.
     browser.open(&format!("{url}#page=episode&run=1&key=nothing"));
     browser.wait_for("document.querySelector('[role=alert]') !== null");
@@ -310,6 +308,31 @@ fn a_server_shows_every_view_and_gives_nothing_else_away() {
     assert_eq!(open.ask("GET /run1/run.js", open.host()).0, 403);
     let (status, answer) = open.ask(&format!("GET /?{}", open.url.split('?').nth(1).unwrap()), "x");
     assert!(status == 303 && answer.contains("HttpOnly"), "{answer}");
+}
+
+#[test]
+fn an_episode_that_arrives_late_does_not_replace_the_page_opened_since() {
+    let bench = Bench::new();
+    let run = blocked(&bench, "r", "working", &["--cases", "t02-02"]);
+    let served = Served::start(&bench, &["view", run.to_str().unwrap(), "--serve"]);
+    let mut browser = Browser::start(1000, 800);
+    browser.open(&served.url);
+    browser.wait_for("document.querySelectorAll('td a.mark').length > 0");
+    browser.hold("*/episodes/*");
+    browser.click("td a.mark");
+    browser.wait_for_held();
+    browser.value("location.hash = 'sort=steps'");
+    let sorted = "document.querySelector('select[name=sort]').value === 'steps'";
+    browser.wait_for(sorted);
+    browser.answer_held();
+    // The episode arrives, and everything that waited for it goes on.
+    browser.wait_for("memtransfer.load('run1/episodes/0').then(() => new Promise((done) => setTimeout(() => done(true))))");
+    assert_eq!(browser.value(&format!("document.querySelector('.transport') === null && {sorted}")), true);
+    assert_eq!(browser.value("location.hash"), "#sort=steps");
+    // Loaded now, it is shown at once.
+    browser.click("td a.mark");
+    browser.wait_for(EPISODE);
+    assert_no_problem(&mut browser);
 }
 
 #[test]

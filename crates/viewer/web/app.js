@@ -80,16 +80,22 @@ const memtransfer = (() => {
   }
 
   let leave = () => {};
+  let navigation = 0;
 
   async function show() {
+    navigation += 1;
+    const ours = navigation;
     leave();
     leave = () => {};
     const current = state();
     try {
-      if (current.page === "episode") leave = await memtransfer.episodePage(current);
-      else leave = memtransfer.runPage(current);
+      if (current.page === "episode") {
+        const episodes = await memtransfer.loadEpisodes(current);
+        // Another address may have been opened meanwhile.
+        if (ours === navigation) leave = memtransfer.episodePage(current, episodes);
+      } else leave = memtransfer.runPage(current);
     } catch (error) {
-      fail(error);
+      if (ours === navigation) fail(error);
     }
   }
 

@@ -136,17 +136,21 @@ memtransfer.EpisodeView = class {
   }
 };
 
-memtransfer.episodePage = async (current) => {
-  const { h, runs, note, load, address, episodeAddress } = memtransfer;
-  async function open(number, key) {
-    const run = runs[(Number(number) || 1) - 1];
-    const row = run && memtransfer.episodes(run).find((episode) => episode.key === key);
-    if (!row) throw new Error(`This run has no episode ${key}.`);
-    const episode = await load(`${run.folder}/episodes/${row.index}`);
-    return new memtransfer.EpisodeView(run, row, episode, openSource);
+/** The one or two episodes that the address `current` names. */
+memtransfer.loadEpisodes = ({ run, key, run2, key2 }) => {
+  async function load(number, name) {
+    const run = memtransfer.runs[(Number(number) || 1) - 1];
+    const row = run && memtransfer.episodes(run).find((episode) => episode.key === name);
+    if (!row) throw new Error(`This run has no episode ${name}.`);
+    return { run, row, episode: await memtransfer.load(`${run.folder}/episodes/${row.index}`) };
   }
-  const views = [await open(current.run, current.key)];
-  if (current.key2) views.push(await open(current.run2, current.key2));
+  return Promise.all(key2 ? [load(run, key), load(run2, key2)] : [load(run, key)]);
+};
+
+/** Shows `episodes`, which `loadEpisodes` has loaded. */
+memtransfer.episodePage = (current, episodes) => {
+  const { h, runs, note, load, address, episodeAddress } = memtransfer;
+  const views = episodes.map(({ run, row, episode }) => new memtransfer.EpisodeView(run, row, episode, openSource));
   const isPair = views.length === 2;
   const [main] = views;
   const last = Math.max(...views.map((view) => view.last));

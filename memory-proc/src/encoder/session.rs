@@ -1,10 +1,14 @@
 //! ONNX Runtime sessions.
 //!
-//! A model file is read once, its SHA-256 compared with the manifest's, and every session is created from those bytes.
+//! A model file's SHA-256 is compared with the manifest's, and every session is created from bytes that have it. The hash of
+//! a file that has not changed since it was read is taken from a record in the cache folder: a process whose images all have
+//! known embeddings never reads the model.
 //! A session computes on one thread and takes one image a call, so an embedding cannot depend on other images.
 
+use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
-use std::sync::OnceLock;
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
+use std::time::Duration;
 
 use anyhow::{Context, Result, anyhow, bail, ensure};
 use ort::environment::Environment;
@@ -28,11 +32,51 @@ pub struct ModelFile {
     pub path: PathBuf,
     /// SHA-256 of its bytes, in hexadecimal.
     pub sha256: String,
-    bytes: Vec<u8>,
+    /// Its bytes, once they have been read.
+    bytes: Mutex<Option<Arc<[u8]>>>,
+}
+
+/// A file may change twice at the same recorded time: hashes of files this young are not kept.
+const SETTLED: Duration = Duration::from_secs(10);
+
+fn sha256_of(bytes: &[u8]) -> String {
+    Sha256::digest(bytes).iter().map(|b| format!("{b:02x}")).collect()
+}
+
+/// The record of the SHA-256 of the file `path` as it is now; `None` if it may still be changing.
+fn hash_record(path: &Path, cache: &CacheFolder) -> Option<PathBuf> {
+    let path = path.canonicalize().ok()?;
+    let facts = path.metadata().ok()?;
+    let is_settled = facts.modified().ok()?.elapsed().is_ok_and(|age| age > SETTLED);
+    let identity = format!(
+        "{path:?} {} {} {} {}.{} {}.{}",
+        facts.dev(),
+        facts.ino(),
+        facts.size(),
+        facts.mtime(),
+        facts.mtime_nsec(),
+        facts.ctime(),
+        facts.ctime_nsec()
+    );
+    let name = blake3::hash(identity.as_bytes()).to_hex();
+    is_settled.then(|| cache.root().join("model-hashes").join(&name[..32]))
+}
+
+/// Writes a record. Without it the file is only read again.
+fn keep_record(record: &Path, sha256: &str) {
+    let write = || {
+        std::fs::create_dir_all(record.parent().unwrap_or(record))?;
+        let draft = record.with_extension(std::process::id().to_string());
+        std::fs::write(&draft, sha256)?;
+        std::fs::rename(draft, record)
+    };
+    if let Err(error) = write() {
+        tracing::debug!(%error, "cannot keep the hash of the model");
+    }
 }
 
 impl ModelFile {
-    /// Reads a model's file: `given`, else the one that setup put into the cache folder.
+    /// A model's file: `given`, else the one that setup put into the cache folder. It is read if its hash is not known.
     ///
     /// # Errors
     /// When there is no such file, or its SHA-256 is not the manifest's.
@@ -47,14 +91,25 @@ impl ModelFile {
         };
         let bringing = model.brought_by.as_ref().filter(|_| given.is_none());
         let shown = path.display();
-        let bytes = std::fs::read(&path).map_err(|error| match bringing {
+        let record = hash_record(&path, cache);
+        let known = record.as_ref().and_then(|record| std::fs::read_to_string(record).ok());
+        let known = known.filter(|known| known.len() == 64);
+        let read = || std::fs::read(&path).map(Arc::<[u8]>::from);
+        let bytes = known.is_none().then(read).transpose().map_err(|error| match bringing {
             Some(command) if error.kind() == std::io::ErrorKind::NotFound => anyhow!(
                 "the encoder {} needs {shown}, which is not there; run `{command}`",
                 model.name
             ),
             _ => anyhow!("cannot read the model file {shown}: {error}"),
         })?;
-        let sha256: String = Sha256::digest(&bytes).iter().map(|b| format!("{b:02x}")).collect();
+        let sha256 = match &bytes {
+            None => known.unwrap_or_default(),
+            Some(bytes) => {
+                let sha256 = sha256_of(bytes);
+                record.iter().for_each(|record| keep_record(record, &sha256));
+                sha256
+            }
+        };
         if let Some(expected) = model.sha256.as_ref().filter(|expected| **expected != sha256) {
             let next = match bringing {
                 Some(command) => format!("delete it and run `{command}`"),
@@ -64,7 +119,23 @@ impl ModelFile {
                 "{shown} is not the model that the manifest describes: its SHA-256 is {sha256}, not {expected}; {next}"
             );
         }
-        Ok(Self { model: model.clone(), path, sha256, bytes })
+        Ok(Self { model: model.clone(), path, sha256, bytes: Mutex::new(bytes) })
+    }
+
+    /// The bytes, read now unless they have been.
+    fn bytes(&self) -> Result<Arc<[u8]>> {
+        let mut bytes = self.bytes.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(bytes) = &*bytes {
+            return Ok(bytes.clone());
+        }
+        let path = self.path.display();
+        let read = std::fs::read(&self.path)
+            .with_context(|| format!("cannot read the model file {path}"))?;
+        ensure!(
+            sha256_of(&read) == self.sha256,
+            "the model file {path} has changed since this process started: start the run again"
+        );
+        Ok(bytes.insert(read.into()).clone())
     }
 }
 
@@ -120,7 +191,7 @@ impl EncoderSession {
             anyhow!("ONNX Runtime rejects the model file {path}: {}", error.message())
         };
         let mut builder = builder(runtime.environment, provider).map_err(rejected)?;
-        let session = builder.commit_from_memory(&file.bytes).map_err(rejected)?;
+        let session = builder.commit_from_memory(&file.bytes()?).map_err(rejected)?;
         let model = &file.model;
         let says_untrained = |session: &OrtSession| {
             session.metadata().ok()?.custom("memtransfer.trained").map(|trained| trained == "false")

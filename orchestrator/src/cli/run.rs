@@ -10,6 +10,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, anyhow, bail, ensure};
 use clap::Args;
+use domain::cache_folder;
 use domain::prompt_log::session_folder;
 use domain::representation::Trajectories;
 use results::conditions::{Demonstrations, Route, Start};
@@ -344,7 +345,7 @@ impl RunPlan {
         options: &RunOptions,
         signals: &Signals,
     ) -> Result<Option<String>> {
-        let Self { settings, world, streams, started, .. } = self;
+        let Self { settings, world, streams, started, unit, .. } = self;
         let Remaining { missing, learned } = remaining;
         let mut progress = Progress::new(options.quiet);
         let (own, children);
@@ -378,8 +379,11 @@ impl RunPlan {
             let views = frame_budget::every_view(&world.warehouse);
             progress.note(&format!("rendering {views} views before the first step"));
         }
-        let pipeline_options =
+        let mut pipeline_options =
             launch::pipeline_options(settings, memories, RunFolder::logs_of(folder.dir()))?;
+        if unit.is_some() {
+            launch::share_views(&mut pipeline_options, &cache_folder()?.join("views"));
+        }
         let rules = launch::rules(settings, memories)?;
         let mut lanes = Lanes::new(&world.warehouse, &world.cases, rules, attach.lanes as usize);
         if let Some(streams) = streams {
