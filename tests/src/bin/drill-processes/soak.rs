@@ -7,7 +7,7 @@ use std::path::Path;
 use std::thread;
 use std::time::{Duration, Instant};
 
-use memtransfer_tests::{episodes, processes_of, program, shared_memory_of};
+use memtransfer_tests::{episodes, processes_of, shared_memory_of};
 
 use crate::Extent;
 use crate::report::Report;
