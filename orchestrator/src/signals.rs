@@ -1,10 +1,12 @@
-//! SIGINT and SIGTERM: the first one asks to stop, the second one ends the program at once.
+//! SIGINT and SIGTERM: the first one asks to stop, the second one ends the program at once. SIGHUP, which a closed terminal
+//! sends, asks to stop; it is sent more than once, so no later one ends the program.
 
+use std::fs;
 use std::io;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
-use signal_hook::consts::{SIGINT, SIGTERM};
+use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 
 /// The signals received since [`Signals::listen`].
 #[derive(Debug, Clone)]
@@ -27,6 +29,11 @@ impl Signals {
             signal_hook::flag::register(signal, Arc::clone(&stop))?;
             signal_hook::flag::register_usize(signal, Arc::clone(&received), signal as usize)?;
         }
+        // Under nohup, the run is to go on without the terminal.
+        if !is_ignored(SIGHUP) {
+            signal_hook::flag::register(SIGHUP, Arc::clone(&stop))?;
+            signal_hook::flag::register_usize(SIGHUP, Arc::clone(&received), SIGHUP as usize)?;
+        }
         Ok(Self { stop, received })
     }
 
@@ -44,8 +51,17 @@ impl Signals {
 /// The name of a signal that [`Signals`] listens to.
 pub fn name(signal: u8) -> &'static str {
     match i32::from(signal) {
+        SIGHUP => "SIGHUP",
         SIGINT => "SIGINT",
         SIGTERM => "SIGTERM",
         _ => "a signal",
     }
+}
+
+/// Whether this process ignores the signal, as a program does that `nohup` started.
+fn is_ignored(signal: i32) -> bool {
+    let status = fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let mask = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
+    let mask = mask.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok());
+    mask.is_some_and(|mask| mask >> (signal - 1) & 1 == 1)
 }

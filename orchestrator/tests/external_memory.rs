@@ -23,10 +23,10 @@ use orchestrator::plan::plan;
 use results::conditions::Condition;
 use shm_types::description::{DESCRIPTION_FILE, memory_folder};
 use shm_types::message::{
-    EXTERNAL, ErrorReport, ErrorReportKind, MAX_EXTERNAL_MEMORIES, MemoryEpisodeConfig,
+    EXTERNAL, ErrorReport, ErrorReportKind, Handshake, MAX_EXTERNAL_MEMORIES, MemoryEpisodeConfig,
     Observation, RequestId, Role, write_text,
 };
-use shm_types::{Attach, MemoryDescription};
+use shm_types::{Attach, Bus, MemoryDescription};
 use supervise::{Children, Launch};
 use warehouse::{CaseSet, Variant, Warehouse, step};
 
@@ -253,6 +253,53 @@ fn check_only_the_memory_suffers(seen: &Seen, ending: &Ending, said: &[&str]) {
         assert_eq!(episode.key.condition.memory.name(), MEMORY);
         assert!(said.iter().all(|said| why.contains(said)), "{why}");
     }
+}
+
+/// Otherwise an external memory that is killed while it creates one of them ends the run.
+#[test]
+fn the_orchestrator_creates_its_services_before_others_can_join() {
+    let scratch = ScratchRun::new(&Role::CHILDREN, |attach| attach.external_memories = vec![0]);
+    let (warehouse, cases) = (Warehouse::shipped(), CaseSet::shipped());
+    let condition = Condition::logged("working/original/unchanged/none").unwrap();
+    let ids: Vec<&str> = cases.cases.iter().map(|case| case.id.as_str()).collect();
+    let episodes = plan(&[(condition, 1)], &[0], &ids, 1);
+    let mut lanes = Lanes::new(&warehouse, &cases, RULES, 1);
+    let name: ExternalName = MEMORY.parse().unwrap();
+    let description = MemoryDescription { name: MEMORY.to_owned(), ..MemoryDescription::default() };
+    let long = Duration::from_secs(120);
+    let options = PipelineOptions {
+        launches: Vec::new(),
+        external_policy: true,
+        logs: scratch.base().join("logs"),
+        start_timeout: long,
+        answer_timeout: long,
+        decision_timeout: Some(long),
+        memories: vec![ExternalMemory { index: 0, name, description, command: None }],
+        memory_timeout: long,
+    };
+    let stop = AtomicBool::new(false);
+    let attached = thread::scope(|scope| {
+        let stop = &stop;
+        let memory = scope.spawn(|| {
+            let attach = loop {
+                match Attach::read(&scratch.attach().root) {
+                    Ok(attach) => break attach,
+                    Err(_) => thread::yield_now(),
+                }
+            };
+            let bus = Bus::join_external_memory(attach, 0).unwrap();
+            let handshakes = bus.sender::<Handshake>().unwrap();
+            let attached = handshakes.is_complete();
+            stop.store(true, Ordering::Relaxed);
+            attached
+        });
+        let none = Children::default();
+        let mut seen = Seen::default();
+        run_episodes(&mut lanes, episodes, scratch.attach(), &options, none, stop, &mut seen)
+            .unwrap();
+        memory.join().unwrap()
+    });
+    assert!(attached, "the orchestrator does not receive yet");
 }
 
 #[test]

@@ -28,6 +28,10 @@ const LOCK_FILE: &str = "lock";
 /// process that is being started holds its parent's locks for a moment.)
 const EXIT_TIMEOUT: Duration = Duration::from_secs(1);
 
+/// How often to look whether a process has an unfinished segment open, and the time between two looks.
+const LOOKS_AT_UNFINISHED: u32 = 100;
+const TIME_BETWEEN_LOOKS: Duration = Duration::from_millis(2);
+
 /// How long to wait for another process that cleans the same node.
 const CLEANER_TIMEOUT: Duration = Duration::from_secs(5);
 
@@ -298,18 +302,70 @@ fn has_living_node(run: &Path) -> bool {
     alive
 }
 
+/// Removes the segments of the run in `root` that have no size and that no process has open. A process that is killed
+/// while it creates a segment leaves one, and whoever opens it later waits for its size without end.
+///
+/// # Errors
+/// When shared memory cannot be listed, or a segment cannot be removed.
+pub fn remove_unfinished(root: &Path) -> Result<(), RegistryError> {
+    let folder = Path::new(SHARED_MEMORY);
+    for path in names_with_prefix(&prefix(root))?.into_iter().map(|name| folder.join(name)) {
+        if has_no_size(&path) && is_abandoned(&path) {
+            tracing::debug!(segment = %path.display(), "removing a segment without a size");
+            remove_segment(&path)?;
+        }
+    }
+    Ok(())
+}
+
+fn has_no_size(segment: &Path) -> bool {
+    fs::symlink_metadata(segment).is_ok_and(|about| about.is_file() && about.len() == 0)
+}
+
+/// Whether the process that created the segment without a size has ended. It would have it open all the time, and others
+/// that wait for its size have it open for a moment, again and again.
+fn is_abandoned(segment: &Path) -> bool {
+    for _ in 0..LOOKS_AT_UNFINISHED {
+        if !has_no_size(segment) {
+            return false;
+        }
+        if !is_open_somewhere(segment) {
+            // Looked at again: it may have been given its size and closed meanwhile.
+            return has_no_size(segment);
+        }
+        thread::sleep(TIME_BETWEEN_LOOKS);
+    }
+    false
+}
+
+/// Whether a process of this user has `file` open.
+fn is_open_somewhere(file: &Path) -> bool {
+    let processes = fs::read_dir("/proc").into_iter().flatten().flatten();
+    processes
+        .filter(|process| process.file_name().as_encoded_bytes().iter().all(u8::is_ascii_digit))
+        .filter_map(|process| fs::read_dir(process.path().join("fd")).ok())
+        .any(|open| {
+            let mut targets = open.flatten().filter_map(|fd| fs::read_link(fd.path()).ok());
+            targets.any(|target| target == file)
+        })
+}
+
+fn remove_segment(path: &Path) -> Result<(), RegistryError> {
+    match fs::remove_file(path) {
+        Err(e) if e.kind() == io::ErrorKind::NotFound => Ok(()),
+        outcome => outcome.map_err(system("cannot remove", path)),
+    }
+}
+
 /// Removes a run; the caller has its lock. Returns `false` when a process that does not lock is still alive.
 fn remove_if_dead(run: &Path) -> Result<bool, RegistryError> {
     if has_living_node(run) {
         return Ok(false);
     }
+    remove_unfinished(run)?;
     remove_dead_nodes(run);
     for name in names_with_prefix(&prefix(run))? {
-        let path = Path::new(SHARED_MEMORY).join(name);
-        match fs::remove_file(&path) {
-            Err(e) if e.kind() == io::ErrorKind::NotFound => {}
-            outcome => outcome.map_err(system("cannot remove", &path))?,
-        }
+        remove_segment(&Path::new(SHARED_MEMORY).join(name))?;
     }
     fs::remove_dir_all(run).map_err(system("cannot remove", run))?;
     Ok(true)

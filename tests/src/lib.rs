@@ -28,11 +28,13 @@ pub const WATCHDOG: Duration = Duration::from_secs(300);
 /// Tests that start processes run one at a time, since each uses all cores.
 static MACHINE: Mutex<()> = Mutex::new(());
 
-/// The path of the program `name`, which was built beside the running test.
+/// The path of the program `name`, which was built beside the running test or program.
 pub fn program(name: &str) -> PathBuf {
-    let test = std::env::current_exe().expect("the path of the test");
-    let release = test.parent().and_then(Path::parent).expect("target/release/deps/<test>");
-    let program = release.join(name);
+    let here = std::env::current_exe().expect("the path of the running program");
+    let folder = here.parent().expect("a program is in a folder");
+    // Tests are in target/release/deps, programs one level above.
+    let release = if folder.ends_with("deps") { folder.parent() } else { Some(folder) };
+    let program = release.expect("target/release").join(name);
     assert!(
         program.is_file(),
         "{} is missing: run the tests with `cargo xtask test`, which builds the programs first",

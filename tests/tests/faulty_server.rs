@@ -8,7 +8,8 @@ use std::fs;
 use std::hash::{Hash, Hasher};
 use std::path::Path;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering::SeqCst};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering::SeqCst};
+use std::time::{Duration, Instant};
 
 use llm::scripted::{Reaction, Received, Server, completion};
 use memtransfer_tests::{Bench, Ended, episodes, eventually, records, sorted_log};
@@ -19,6 +20,9 @@ const LANES: u64 = 4;
 
 /// Cases times memories.
 const EPISODES: usize = 6;
+
+/// How long a request of [`runs_keep_to_one_limit_of_their_server`] may wait for another one.
+const PATIENCE: Duration = Duration::from_secs(240);
 
 /// The server's reply, which depends on the request alone: an action and token counts.
 fn reply(request: &Received) -> Value {
@@ -195,40 +199,71 @@ fn a_server_that_is_down_stops_the_run_and_the_same_command_continues_it() {
     assert_eq!(bench.leftovers(), Vec::<String>::new());
 }
 
-/// Two runs ask one server, and one of them is killed: no more requests are in flight than the limit says, and the slots
-/// of the dead run are free.
+/// Two runs share one server and its limit of two requests. The first run's two requests hang until it is killed, and
+/// meanwhile the second sends none; then the slots of the dead run are free, and the second run has two in flight.
 #[test]
 fn runs_keep_to_one_limit_of_their_server() {
+    const LIMIT: u64 = 2;
     let bench = Bench::new();
-    let (now, most) = (Arc::new(AtomicU64::new(0)), Arc::new(AtomicU64::new(0)));
-    let (counted, highest) = (now.clone(), most.clone());
-    let server = Server::concurrent(move |request| {
-        highest.fetch_max(1 + counted.fetch_add(1, SeqCst), SeqCst);
-        std::thread::sleep(std::time::Duration::from_millis(20));
-        counted.fetch_sub(1, SeqCst);
-        Reaction::json(200, &reply(request))
-    })
-    .unwrap();
-    let base_url = server.base_url();
-    let limited = |out| {
-        let limit = ["--endpoint-limit", "2", "--endpoint-limit-folder", "limits"];
-        [slice(&base_url, out, "off"), limit.to_vec()].concat()
+    let hangs = Arc::new(AtomicBool::new(true));
+    let [hanging, second, most] = [(); 3].map(|()| Arc::new(AtomicU64::new(0)));
+    let server = {
+        let (hangs, hanging) = (hangs.clone(), hanging.clone());
+        let (second, most) = (second.clone(), most.clone());
+        let in_flight = AtomicU64::new(0);
+        Server::concurrent(move |request| {
+            if request.body["model"] == "first" {
+                if hangs.load(SeqCst) {
+                    hanging.fetch_add(1, SeqCst);
+                    return Reaction::Hang;
+                }
+                return Reaction::json(200, &reply(request));
+            }
+            second.fetch_add(1, SeqCst);
+            most.fetch_max(1 + in_flight.fetch_add(1, SeqCst), SeqCst);
+            // The first request waits for a second one, so that both are in flight. If none comes, the test fails below.
+            let deadline = Instant::now() + PATIENCE;
+            while most.load(SeqCst) < LIMIT && Instant::now() < deadline {
+                std::thread::sleep(Duration::from_millis(1));
+            }
+            in_flight.fetch_sub(1, SeqCst);
+            Reaction::json(200, &reply(request))
+        })
+        .unwrap()
     };
-    let mut killed = bench.start(&limited("killed"));
-    let other = bench.start(&limited("other"));
-    for out in ["killed", "other"] {
-        let log = bench.out(out).join("requests.jsonl");
-        eventually("a request", || fs::metadata(&log).is_ok_and(|log| log.len() > 0).then_some(()));
-    }
-    memtransfer_tests::kill(killed.id());
-    killed.wait().unwrap();
-    // The server does not notice that nothing waits for the replies to the dead run.
-    eventually("them to end", || (now.load(SeqCst) <= 2).then_some(()));
-    assert!(most.swap(0, SeqCst) <= 4);
+    let base_url = server.base_url();
+    let patience = PATIENCE.as_secs().to_string();
+    let limited = |name| {
+        let mut args = slice(&base_url, name, "off");
+        let mut set = |flag: &str, value| {
+            let at = args.iter().position(|arg| *arg == flag).unwrap();
+            args[at + 1] = value;
+        };
+        set("--model", name);
+        // A request that hangs is not given up: its slot is free when the run is dead, and no sooner.
+        set("--request-timeout", &patience);
+        args.extend(["--endpoint-limit", "2", "--endpoint-limit-folder", "limits"]);
+        bench.command(&args)
+    };
+    let mut first = limited("first").spawn().unwrap();
+    eventually("two requests of the first run", || {
+        (hanging.load(SeqCst) == LIMIT).then_some(())
+    });
+    let other = limited("second").spawn().unwrap();
+    let sessions = bench.out("second").join("sessions.jsonl");
+    eventually("the second run to be ready", || {
+        let events = fs::read_to_string(&sessions).unwrap_or_default();
+        events.contains("\"ready\"").then_some(())
+    });
+    assert_eq!((hanging.load(SeqCst), second.load(SeqCst)), (LIMIT, 0));
+    hangs.store(false, SeqCst);
+    memtransfer_tests::kill(first.id());
+    first.wait().unwrap();
     Ended::of(other).expect(0);
-    assert_eq!(records(&bench.out("other")).len(), EPISODES);
-    assert_eq!(most.load(SeqCst), 2);
-    bench.run(&limited("killed")).expect(0);
+    assert_eq!(records(&bench.out("second")).len(), EPISODES);
+    assert_eq!(most.load(SeqCst), LIMIT);
+    Ended::of(limited("first").spawn().unwrap()).expect(0);
+    assert_eq!(records(&bench.out("first")).len(), EPISODES);
 }
 
 fn count_images(body: &Value) -> usize {

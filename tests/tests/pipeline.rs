@@ -2,11 +2,13 @@
 
 use std::fs;
 use std::path::Path;
+use std::process::{Command, Stdio};
 
 use memtransfer_tests::{
     Bench, Ended, episodes, eventually, kill, process_of, processes_of, records, shared_memory_of,
     sorted_log, success_rate,
 };
+use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;
 
 /// Cases of three kinds of tasks: single, exhaustive, revisit.
@@ -72,6 +74,38 @@ fn the_log_depends_neither_on_lanes_nor_on_crashes() {
 /// Waits until the first episodes are finished.
 fn wait_for_episodes(run: &Path) {
     eventually("an episode to be finished", || (episodes(run).lines().count() >= 2).then_some(()));
+}
+
+/// A closed terminal sends SIGHUP, and usually twice: once for the shell and once for its jobs.
+#[test]
+fn a_closed_terminal_stops_a_run_and_nohup_lets_it_go_on() {
+    let bench = Bench::new();
+    let args = |out| [&slice(out, "4")[..], &["--frame-size", "64"]].concat();
+    let mut child = bench.start(&args("closed"));
+    wait_for_episodes(&bench.out("closed"));
+    hang_up(child.id());
+    hang_up(child.id());
+    child.wait().unwrap();
+    let ended = Ended::of(child);
+    assert!(ended.stderr.contains("SIGHUP"), "{}", ended.stderr);
+    assert_eq!(bench.leftovers(), Vec::<String>::new());
+    bench.run(&args("closed")).expect(0);
+
+    let command = bench.command(&args("kept"));
+    let mut nohup = Command::new("nohup");
+    nohup.arg(command.get_program()).args(command.get_args());
+    nohup.current_dir(bench.folder.path()).env("MEMTRANSFER_RUN_DIR", bench.registry.path());
+    nohup.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
+    let child = nohup.spawn().unwrap();
+    wait_for_episodes(&bench.out("kept"));
+    hang_up(child.id());
+    Ended::of(child).expect(0);
+    assert_eq!(sorted_log(&bench.out("kept")), sorted_log(&bench.out("closed")));
+}
+
+fn hang_up(pid: u32) {
+    let pid = Pid::from_raw(pid.cast_signed()).unwrap();
+    kill_process(pid, Signal::HUP).unwrap();
 }
 
 #[test]

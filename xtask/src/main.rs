@@ -12,6 +12,7 @@ mod cache;
 mod check;
 mod citations;
 mod demo;
+mod drill;
 mod environments;
 mod files;
 mod licences;
@@ -71,6 +72,8 @@ enum Task {
     },
     /// Set up with the baselines' packages, build, measure, write target/bench
     Bench(bench::BenchArguments),
+    /// Build, disturb runs on purpose, write target/drill (docs/reliability.md)
+    Drill(drill::DrillArguments),
     /// Build a wheel of the Python package into target/wheels
     Wheel,
     /// Check links between crates, citations, format, lints, docs and licences
@@ -122,6 +125,10 @@ fn run(arguments: &TaskArguments) -> anyhow::Result<bool> {
             let purpose = if arguments.no_baselines { Purpose::Use } else { Purpose::Benches };
             setup::install_missing(purpose, &pins, &cache, &workspace)?;
             bench::run(arguments, &pins, &cache, &workspace)
+        }
+        Task::Drill(arguments) => {
+            setup::install_missing(Purpose::Use, &pins, &cache, &workspace)?;
+            drill::run(arguments, &workspace)
         }
         Task::Wheel => python::build_wheel(&workspace),
         Task::Check => check::run(&workspace),

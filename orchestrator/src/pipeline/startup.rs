@@ -12,7 +12,7 @@ use domain::ExternalName;
 use shm_types::description::{DESCRIPTION_FILE, memory_folder};
 use shm_types::message::{Handshake, Role, WIRE_VERSION, read_text};
 use shm_types::process::{ProcessWatch, monotonic_ns};
-use shm_types::{Attach, Bus, BusError, MemoryDescription};
+use shm_types::{Attach, Bus, BusError, MemoryDescription, registry};
 use supervise::{ChildExit, Children, Launch};
 
 use super::generation::{Generation, Inbox, TICK, role};
@@ -26,7 +26,8 @@ impl Generation {
         run: &mut PipelineRun<'_, '_>,
     ) -> Result<Option<Self>, Failure> {
         let launches = memory_launches(attach, run)?;
-        attach.write(&attach.root)?;
+        // What a killed process of an earlier generation left would otherwise stop this process, too.
+        registry::remove_unfinished(&attach.root)?;
         let bus = Bus::join(attach.clone(), Role::Orchestrator)?;
         let inbox = Inbox {
             observations: bus.receiver()?,
@@ -48,6 +49,9 @@ impl Generation {
             notifiers.insert(memory.name.into(), bus.external_memory_notifier(memory.index)?);
         }
         let (commands, stops) = (bus.sender()?, bus.sender()?);
+        // Only now may others join: this process creates every service that it uses, and so depends on none that another
+        // process is killed while creating.
+        attach.write(&attach.root)?;
         let children = start_processes(attach, launches, run)?;
         let mut generation = Self {
             children,

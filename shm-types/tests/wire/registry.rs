@@ -7,7 +7,8 @@ use std::thread;
 
 use bytemuck::Zeroable;
 use shm_types::message::{Role, StepCommand};
-use shm_types::registry::{RegistryError, clean, list};
+use shm_types::process::SHARED_MEMORY;
+use shm_types::registry::{RegistryError, clean, list, remove_unfinished};
 use shm_types::{Attach, FramePublisher, FrameStore, RunDir};
 
 use crate::child::sleeper;
@@ -79,6 +80,35 @@ fn a_new_generation_gets_the_memory_of_a_killed_process_back() {
     let next = Attach { generation: 2, ..attach.clone() };
     let _orchestrator = bus(&next, Role::Orchestrator);
     assert!(shared_memory(&dir.prefix()).0 < empty + frames);
+}
+
+/// A process that is killed between the two calls that create a segment leaves one without a size.
+#[test]
+fn a_segment_without_a_size_is_removed() {
+    let Run { base, dir, .. } = &run();
+    let child = sleeper("run", base.path());
+    let killed = PathBuf::from(&child.word);
+    drop(child);
+    let prefix = format!("mt{}_", killed.file_name().unwrap().to_str().unwrap());
+    for entry in fs::read_dir(SHARED_MEMORY).unwrap().flatten() {
+        if entry.file_name().to_string_lossy().starts_with(&prefix) {
+            fs::File::create(entry.path()).unwrap();
+        }
+    }
+    assert_eq!(clean(base.path()).unwrap().removed, [killed]);
+    assert_eq!(shared_memory(&prefix), (0, 0));
+
+    // In a run that goes on, a segment with a size stays, and one that a process is still creating.
+    let segment = |name| Path::new(SHARED_MEMORY).join(format!("{}{name}", dir.prefix()));
+    let [left, sized, created] = ["left", "sized", "created"].map(segment);
+    fs::write(&left, "").unwrap();
+    fs::write(&sized, "x").unwrap();
+    let creator = fs::File::create(&created).unwrap();
+    remove_unfinished(dir.path()).unwrap();
+    assert_eq!([&left, &sized, &created].map(|segment| segment.exists()), [false, true, true]);
+    drop(creator);
+    remove_unfinished(dir.path()).unwrap();
+    assert!(!created.exists());
 }
 
 #[test]

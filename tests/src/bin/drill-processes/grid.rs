@@ -1,0 +1,164 @@
+//! The kill grid: each process of a run is killed before and after each kind of call with which it changes a file, shared
+//! memory or a socket; and each kind of call fails once.
+
+use std::collections::BTreeMap;
+use std::fs;
+
+use memtransfer_tests::Ended;
+
+use crate::report::Report;
+use crate::runs::Sandbox;
+use crate::{Extent, Random};
+
+const TITLE: &str = "Kills and failing calls at every point of the protocol";
+const TEXT: &str =
+    "A library that is loaded into every process of a run lists the calls that change a file, shared memory or a socket. \
+     Then, for each program, each call and each kind of path, one process is killed before or after the first, second, \
+     middle or last such call, or the call fails with ENOSPC, EIO or EMFILE. The run, or the same command again, must end \
+     with the log of an undisturbed run, and leave nothing behind.";
+
+/// Cells of a quick drill.
+const QUICK: usize = 10;
+
+/// Errors with which a call fails: EIO, EMFILE, ENOSPC.
+const ERRORS: [(&str, i32); 3] = [("EIO", 5), ("EMFILE", 24), ("ENOSPC", 28)];
+
+/// A call of a program: what the library needs to find it.
+#[derive(Clone, PartialEq, Eq, PartialOrd, Ord)]
+struct Call {
+    program: String,
+    /// The operation and the pattern of the path.
+    call: String,
+}
+
+/// A disturbance at one point of the protocol.
+#[derive(Clone)]
+struct Cell {
+    call: Call,
+    number: u64,
+    action: String,
+    class: String,
+}
+
+pub(crate) fn drill(extent: &Extent) -> Result<Report, String> {
+    let mut report = Report::new(TITLE, TEXT);
+    let mut sandbox = Sandbox::new()?;
+    let calls = calls(&mut sandbox)?;
+    let mut cells = cells(&calls);
+    report.add("points of the protocol", calls.len() as f64);
+    // In an order that depends on the seed, so that a drill that is ended early has tried a bit of everything.
+    let mut random = Random::new(extent.seed);
+    for place in (1..cells.len()).rev() {
+        cells.swap(place, random.below(place as u64 + 1) as usize);
+    }
+    if extent.is_quick {
+        cells.truncate(QUICK);
+    }
+    let all = cells.len();
+    for (index, cell) in cells.into_iter().enumerate() {
+        if extent.is_over(&report) {
+            break;
+        }
+        let what = format!(
+            "{} {} no. {} of {}",
+            cell.action, cell.call.call, cell.number, cell.call.program
+        );
+        eprintln!("{} of {all}: {what}", index + 1);
+        let outcome = disturb(&mut sandbox, &cell);
+        report.add("cells", 1.0);
+        match outcome {
+            Ok(true) => report.fault(&cell.class),
+            Ok(false) => report.add("cells whose point was not reached", 1.0),
+            Err(violation) => {
+                report.fault(&cell.class);
+                report.outcome(&what, Err(violation));
+            }
+        }
+    }
+    Ok(report)
+}
+
+/// The calls of each program in an undisturbed run, and how often one process makes each.
+fn calls(sandbox: &mut Sandbox) -> Result<BTreeMap<Call, u64>, String> {
+    let list = sandbox.folder().join("calls.txt");
+    let run = sandbox.run();
+    let ended = Ended::of(sandbox.start(&run, &[("DRILL_LIST", list.display().to_string())])?);
+    if ended.status != Some(0) {
+        return Err(format!("a run whose calls are listed fails: {}", ended.stderr));
+    }
+    sandbox.check_log(&run)?;
+    let text = fs::read_to_string(&list).map_err(|error| format!("no calls are listed: {error}"))?;
+    let mut calls = BTreeMap::new();
+    for line in text.lines() {
+        if let Some((program, call)) = line.split_once(' ') {
+            let (program, call) = (program.to_owned(), call.to_owned());
+            *calls.entry(Call { program, call }).or_default() += 1;
+        }
+    }
+    let programs: std::collections::BTreeSet<&str> =
+        calls.keys().map(|call: &Call| call.program.as_str()).collect();
+    for program in ["memtransfer", "sim-proc", "memory-proc", "policy-proc", "misbehaving-mem"] {
+        if !programs.iter().any(|name| name.starts_with(program)) {
+            return Err(format!("no call of {program} is listed, only those of {programs:?}"));
+        }
+    }
+    Ok(calls)
+}
+
+fn cells(calls: &BTreeMap<Call, u64>) -> Vec<Cell> {
+    let mut cells = Vec::new();
+    for (call, &count) in calls {
+        let mut numbers = vec![1, 2, count / 2, count];
+        numbers.retain(|&number| (1..=count).contains(&number));
+        numbers.sort_unstable();
+        numbers.dedup();
+        for &number in &numbers {
+            for action in ["kill-before", "kill-after"] {
+                let class = format!("{} killed", role(&call.program));
+                let action = action.to_owned();
+                cells.push(Cell { call: call.clone(), number, action, class });
+            }
+        }
+        for (name, error) in ERRORS {
+            let number = numbers.last().copied().unwrap_or(1);
+            for number in [1, number] {
+                let (class, action) = (format!("a call fails with {name}"), error.to_string());
+                cells.push(Cell { call: call.clone(), number, action, class });
+                if count == 1 {
+                    break;
+                }
+            }
+        }
+    }
+    cells
+}
+
+/// What a program is in a run.
+fn role(program: &str) -> &str {
+    match program {
+        "memtransfer" => "orchestrator",
+        "sim-proc" => "simulator",
+        "memory-proc" => "memory",
+        "policy-proc" => "policy",
+        _ => "external memory",
+    }
+}
+
+/// Executes a cell. Returns whether its point was reached.
+fn disturb(sandbox: &mut Sandbox, cell: &Cell) -> Result<bool, String> {
+    let run = sandbox.run();
+    let token = sandbox.folder().join("acted");
+    let _ = fs::remove_file(&token);
+    let faults = [
+        ("DRILL_PROGRAM", cell.call.program.clone()),
+        ("DRILL_CALL", cell.call.call.clone()),
+        ("DRILL_NUMBER", cell.number.to_string()),
+        ("DRILL_ACTION", cell.action.clone()),
+        ("DRILL_TOKEN", token.display().to_string()),
+    ];
+    let ended = Ended::of(sandbox.start(&run, &faults)?);
+    let was_reached = token.exists();
+    let was_killed = was_reached && cell.action.starts_with("kill");
+    sandbox.check_recovery(&run, &ended, was_killed)?;
+    Ok(was_reached)
+}

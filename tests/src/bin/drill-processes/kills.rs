@@ -1,0 +1,222 @@
+//! Kills at random moments: of each process of a run, and of the process that started it; processes that are stopped for a
+//! while or for good; and a second run in the same folder at the same time.
+
+use std::ffi::OsStr;
+use std::fs;
+use std::path::Path;
+use std::process::{Child, Command};
+use std::thread;
+use std::time::{Duration, Instant};
+
+use memtransfer_tests::{Ended, processes_of};
+use rustix::process::{Pid, Signal, kill_process};
+
+use crate::report::Report;
+use crate::runs::{Run, Sandbox};
+use crate::{Extent, Random};
+
+const TITLE: &str = "Kills at random moments";
+const TEXT: &str =
+    "Short runs, each disturbed once at a random moment. The run, or the same command again, must end with the log of an \
+     undisturbed run; then `memtransfer clean` must leave no shared memory, no folder and no process.";
+
+/// The programs of a run, as what they are in it.
+const VICTIMS: [(&str, &str); 5] = [
+    ("orchestrator", "memtransfer"),
+    ("simulator", "sim-proc"),
+    ("memory", "memory-proc"),
+    ("policy", "policy-proc"),
+    ("external memory", "misbehaving-memory"),
+];
+
+/// Disturbances of a quick drill.
+const QUICK: u64 = 10;
+
+/// Disturbances of a whole drill, if its time allows: with none that does harm, fewer than one in a thousand does (at 95 %
+/// confidence).
+const WHOLE: u64 = 3000;
+
+/// The longest wait for a message, in seconds, of a run in which a process is stopped for good.
+const IMPATIENT: &str = "5";
+
+#[derive(Clone, Copy, PartialEq)]
+enum Disturbance {
+    Kill,
+    StopAndContinue,
+    StopForGood,
+    KillParent,
+    SecondRun,
+}
+
+pub(crate) fn drill(extent: &Extent) -> Result<Report, String> {
+    let mut report = Report::new(TITLE, TEXT);
+    let mut sandbox = Sandbox::new()?;
+    let mut random = Random::new(extent.seed);
+    let most = if extent.is_quick { QUICK } else { WHOLE };
+    let mut turn = 0;
+    while report.faults() < most && !extent.is_over(&report) {
+        let (role, program) = VICTIMS[turn % VICTIMS.len()];
+        let disturbance = match (turn / VICTIMS.len()) % 6 {
+            3 => Disturbance::StopAndContinue,
+            5 => match turn % VICTIMS.len() {
+                0 => Disturbance::KillParent,
+                1 => Disturbance::SecondRun,
+                _ => Disturbance::StopForGood,
+            },
+            _ => Disturbance::Kill,
+        };
+        // A quick drill has one turn of each kind.
+        turn += 1;
+        if extent.is_quick && turn == VICTIMS.len() {
+            turn = 5 * VICTIMS.len();
+        }
+        // Also shortly after the end of an undisturbed run: runs that are disturbed, or listed, take longer.
+        let moment = random.fraction() * 1.1 * sandbox.usual;
+        let what = format!("{} at {moment:.3} s, seed {}", class(disturbance, role), extent.seed);
+        let outcome = disturb(&mut sandbox, disturbance, program, Duration::from_secs_f64(moment));
+        report.add("runs", 1.0);
+        match outcome {
+            Ok(true) => report.fault(&class(disturbance, role)),
+            Ok(false) => report.add("runs over before the disturbance", 1.0),
+            Err(violation) => {
+                report.fault(&class(disturbance, role));
+                report.outcome(&what, Err(violation));
+            }
+        }
+    }
+    report.add("episodes", report_episodes(&report, &sandbox));
+    Ok(report)
+}
+
+fn report_episodes(report: &Report, sandbox: &Sandbox) -> f64 {
+    report.faults() as f64 * sandbox.episodes() as f64
+}
+
+fn class(disturbance: Disturbance, role: &str) -> String {
+    match disturbance {
+        Disturbance::Kill => format!("{role} killed"),
+        Disturbance::StopAndContinue => format!("{role} stopped and continued"),
+        Disturbance::StopForGood => format!("{role} stopped for good"),
+        Disturbance::KillParent => "the parent of the orchestrator killed".to_owned(),
+        Disturbance::SecondRun => "a second run in the same folder".to_owned(),
+    }
+}
+
+/// Executes a run with one disturbance. Returns whether it took place before the run was over.
+fn disturb(
+    sandbox: &mut Sandbox,
+    disturbance: Disturbance,
+    program: &str,
+    moment: Duration,
+) -> Result<bool, String> {
+    let mut run = sandbox.run();
+    if disturbance == Disturbance::StopForGood {
+        // In front of the other flags, which `clean` and the second command have as well.
+        run.args.extend(["--step-timeout", IMPATIENT, "--memory-timeout", IMPATIENT].map(str::to_owned));
+    }
+    if disturbance == Disturbance::KillParent {
+        return kill_parent(sandbox, &run, moment);
+    }
+    let mut child = sandbox.start(&run, &[])?;
+    thread::sleep(moment);
+    let has_ended = |child: &mut Child| child.try_wait().is_ok_and(|status| status.is_some());
+    if has_ended(&mut child) {
+        sandbox.check_recovery(&run, &Ended::of(child), false)?;
+        return Ok(false);
+    }
+    let is_orchestrator = program == "memtransfer";
+    let mut was_killed = false;
+    let took_place = match disturbance {
+        Disturbance::SecondRun => {
+            let second = Ended::of(sandbox.start(&run, &[])?);
+            // The first one may be over meanwhile; then the second has nothing to do.
+            if second.status != Some(0) && second.status != Some(2) {
+                return Err(format!("the second run ended with {:?}: {}", second.status, second.stderr));
+            }
+            second.status == Some(2)
+        }
+        _ => match victim(sandbox, &child, program) {
+            None => false,
+            Some(pid) => {
+                let took_place = match disturbance {
+                    Disturbance::Kill => signal(pid, Signal::KILL),
+                    Disturbance::StopAndContinue => {
+                        let stopped = signal(pid, Signal::STOP);
+                        thread::sleep(moment.min(Duration::from_millis(700)));
+                        stopped && signal(pid, Signal::CONT)
+                    }
+                    // A stopped orchestrator is the user's wish, and continues.
+                    _ if is_orchestrator => false,
+                    _ => signal(pid, Signal::STOP),
+                };
+                was_killed = is_orchestrator && disturbance == Disturbance::Kill && took_place;
+                took_place
+            }
+        },
+    };
+    let ended = Ended::of(child);
+    sandbox.check_recovery(&run, &ended, was_killed)?;
+    Ok(took_place)
+}
+
+/// The process of the run that has this program.
+fn victim(sandbox: &Sandbox, orchestrator: &Child, program: &str) -> Option<Pid> {
+    if program == "memtransfer" {
+        return Some(Pid::from_child(orchestrator));
+    }
+    let is_it = |pid: &u32| {
+        let exe = fs::read_link(format!("/proc/{pid}/exe")).unwrap_or_default();
+        exe.file_name() == Some(OsStr::new(program))
+    };
+    let pid = processes_of(&sandbox.registry()).into_iter().find(is_it)?;
+    Pid::from_raw(i32::try_from(pid).ok()?)
+}
+
+/// Sends a signal; returns whether the process was there.
+fn signal(pid: Pid, signal: Signal) -> bool {
+    kill_process(pid, signal).is_ok()
+}
+
+/// Kills the shell that started a run. The orchestrator goes on by itself, as it does without a terminal.
+fn kill_parent(sandbox: &Sandbox, run: &Run, moment: Duration) -> Result<bool, String> {
+    let command = sandbox.command(&run.args);
+    let pid_file = sandbox.folder().join("pid");
+    let _ = fs::remove_file(&pid_file);
+    let mut shell = Command::new("/bin/sh");
+    shell.args(["-c", "\"$@\" & echo $! > \"$PID_FILE.new\"; mv \"$PID_FILE.new\" \"$PID_FILE\"; wait", "sh"]);
+    shell.arg(command.get_program()).args(command.get_args());
+    sandbox.in_sandbox(&mut shell);
+    shell.env("PID_FILE", &pid_file);
+    let mut child = shell.spawn().map_err(|error| format!("cannot start a shell: {error}"))?;
+    let began = Instant::now();
+    let pid = loop {
+        match fs::read_to_string(&pid_file).ok().and_then(|pid| pid.trim().parse::<i32>().ok()) {
+            Some(pid) => break pid,
+            None if began.elapsed() > Duration::from_secs(60) => {
+                return Err("the shell does not start the run".to_owned());
+            }
+            None => thread::sleep(Duration::from_millis(2)),
+        }
+    };
+    thread::sleep(moment.saturating_sub(began.elapsed()));
+    let took_place = child.try_wait().is_ok_and(|status| status.is_none());
+    let _ = child.kill();
+    let is_there = |pid: i32| {
+        let stat = fs::read_to_string(Path::new("/proc").join(pid.to_string()).join("stat"));
+        stat.is_ok_and(|stat| stat.contains("(memtransfer)") && !stat.contains(") Z "))
+    };
+    let deadline = Instant::now() + memtransfer_tests::WATCHDOG;
+    while is_there(pid) {
+        if Instant::now() > deadline {
+            memtransfer_tests::kill(pid.cast_unsigned());
+            return Err("the orchestrator does not end without its parent".to_owned());
+        }
+        thread::sleep(Duration::from_millis(5));
+    }
+    // The output of the shell ends when the orchestrator's does.
+    let shell = Ended::of(child);
+    sandbox.check_log(run).map_err(|why| format!("{why}: {}", shell.stderr))?;
+    let over = Ended { status: Some(0), ..shell };
+    sandbox.check_recovery(run, &over, false)?;
+    Ok(took_place)
+}

@@ -1,0 +1,113 @@
+//! Drills of real processes: short runs that are disturbed on purpose, and must end with the log of an undisturbed one.
+//!
+//! `drill-processes grid|kills|disk|soak [--quick] [--seed N] [--minutes M] --json FILE`. `cargo xtask drill` starts it.
+//! Exit status: 0 no violation, 1 violations, 2 error.
+
+mod disk;
+mod grid;
+mod kills;
+mod report;
+mod runs;
+mod soak;
+
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+use report::Report;
+
+/// How much a drill does, and where it writes what it finds.
+pub(crate) struct Extent {
+    /// A small part, in about half a minute.
+    is_quick: bool,
+    seed: u64,
+    /// Ends the drill after so many minutes, if it is not done before.
+    minutes: f64,
+    json: PathBuf,
+    command: String,
+}
+
+impl Extent {
+    /// Whether the drill has to end; records what it has found so far.
+    fn is_over(&self, report: &Report) -> bool {
+        if let Err(error) = report.write(&self.json, &self.command) {
+            eprintln!("{error}");
+        }
+        report.seconds() > self.minutes * 60.0
+    }
+}
+
+fn main() -> ExitCode {
+    match run() {
+        Ok(true) => ExitCode::SUCCESS,
+        Ok(false) => ExitCode::from(1),
+        Err(error) => {
+            eprintln!("error: {error}");
+            ExitCode::from(2)
+        }
+    }
+}
+
+/// Returns whether no violation was found.
+fn run() -> Result<bool, String> {
+    let mut arguments = std::env::args().skip(1);
+    let drill = arguments.next().unwrap_or_default();
+    let mut extent = Extent {
+        is_quick: false,
+        seed: 1,
+        minutes: 600.0,
+        json: PathBuf::from("/dev/null"),
+        command: format!("cargo xtask drill {drill}"),
+    };
+    while let Some(flag) = arguments.next() {
+        if flag == "--quick" {
+            extent.is_quick = true;
+            extent.minutes = extent.minutes.min(2.0);
+            extent.command += " --quick";
+            continue;
+        }
+        let value = arguments.next().ok_or_else(|| format!("{flag} needs a value"))?;
+        let wrong = || format!("{flag} is {value}, and must be a number");
+        match flag.as_str() {
+            "--json" => extent.json = value.into(),
+            "--seed" => extent.seed = value.parse().map_err(|_| wrong())?,
+            "--minutes" => extent.minutes = value.parse().map_err(|_| wrong())?,
+            _ => return Err(format!("unknown flag {flag}")),
+        }
+    }
+    let report = match drill.as_str() {
+        "grid" => grid::drill(&extent)?,
+        "kills" => kills::drill(&extent)?,
+        "disk" => disk::drill(&extent)?,
+        "soak" => soak::drill(&extent)?,
+        _ => return Err(format!("{drill:?} is none of grid, kills, disk, soak")),
+    };
+    report.write(&extent.json, &extent.command)?;
+    Ok(report.is_clean())
+}
+
+/// Numbers that follow from a seed alone (SplitMix64).
+pub(crate) struct Random(u64);
+
+impl Random {
+    pub(crate) fn new(seed: u64) -> Self {
+        Self(seed)
+    }
+
+    pub(crate) fn next(&mut self) -> u64 {
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let mut z = self.0;
+        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        z ^ (z >> 31)
+    }
+
+    /// A number below `end`.
+    pub(crate) fn below(&mut self, end: u64) -> u64 {
+        self.next() % end.max(1)
+    }
+
+    /// A number from 0 to 1.
+    pub(crate) fn fraction(&mut self) -> f64 {
+        (self.next() >> 11) as f64 / (1u64 << 53) as f64
+    }
+}

@@ -1,0 +1,267 @@
+//! Runs in a sandbox, and what must be true after one that was disturbed.
+
+use std::fs;
+use std::io;
+use std::os::unix::fs::symlink;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+
+use memtransfer_tests::{Ended, kill, processes_of, program, shared_memory_of, sorted_log};
+
+/// The shared library that counts calls and disturbs processes.
+const FAULTS: &str = include_str!("faults.c");
+
+/// How long processes may take to end that nothing keeps alive. Machines that run drills are loaded.
+const PATIENCE: Duration = Duration::from_secs(180);
+
+/// How often a command is repeated until its run is complete. A fault can end a run more than once: it stays excluded for a
+/// session.
+const REPETITIONS: u32 = 3;
+
+/// The folders of a drill's runs. Numbers in their names do not count for the patterns of paths.
+pub(crate) struct Sandbox {
+    folder: PathBuf,
+    runs: u32,
+    /// The log of an undisturbed run, sorted.
+    reference: Vec<String>,
+    /// Seconds that the undisturbed run took.
+    pub(crate) usual: f64,
+}
+
+/// One run: the arguments of its command, and where it is recorded.
+pub(crate) struct Run {
+    pub(crate) out: PathBuf,
+    pub(crate) args: Vec<String>,
+}
+
+impl Sandbox {
+    /// New folders, and an undisturbed run in them.
+    pub(crate) fn new() -> Result<Self, String> {
+        let folder = PathBuf::from(format!("/tmp/mtd{}", std::process::id()));
+        let mut sandbox = Self { folder, runs: 0, reference: Vec::new(), usual: 0.0 };
+        sandbox.prepare().map_err(|error| {
+            format!("cannot prepare {}: {error}", sandbox.folder.display())
+        })?;
+        // The first run also fills the cache of embeddings.
+        for _ in 0..2 {
+            let run = sandbox.run();
+            let began = Instant::now();
+            let ended = Ended::of(sandbox.start(&run, &[])?);
+            sandbox.usual = began.elapsed().as_secs_f64();
+            if ended.status != Some(0) {
+                return Err(format!("an undisturbed run fails: {}", ended.stderr));
+            }
+            sandbox.reference = sorted_log(&run.out);
+            sandbox.check_clean()?;
+        }
+        Ok(sandbox)
+    }
+
+    /// The folders, the library, and a cache that shares the models with the user's, and nothing that is written.
+    fn prepare(&self) -> io::Result<()> {
+        fs::create_dir(&self.folder)?;
+        fs::create_dir(self.folder.join("runs"))?;
+        let cache = self.cache();
+        fs::create_dir(&cache)?;
+        let users = memory_proc::paths::CacheFolder::from_environment();
+        let users = users.map_err(|error| io::Error::other(error.to_string()))?;
+        for name in ["models", "onnxruntime"] {
+            symlink(users.root().join(name), cache.join(name))?;
+        }
+        let source = self.folder.join("faults.c");
+        fs::write(&source, FAULTS)?;
+        let mut cc = Command::new("cc");
+        cc.args(["-shared", "-fPIC", "-O1", "-o"]).arg(self.library()).arg(&source).arg("-ldl");
+        match cc.status()?.success() {
+            true => Ok(()),
+            false => Err(io::Error::other("cc cannot compile faults.c")),
+        }
+    }
+
+    pub(crate) fn folder(&self) -> &Path {
+        &self.folder
+    }
+
+    pub(crate) fn cache(&self) -> PathBuf {
+        self.folder.join("cache")
+    }
+
+    /// Where live runs are registered.
+    pub(crate) fn registry(&self) -> PathBuf {
+        self.folder.join("r")
+    }
+
+    fn library(&self) -> PathBuf {
+        self.folder.join("faults.so")
+    }
+
+    /// Episodes of an undisturbed run.
+    pub(crate) fn episodes(&self) -> usize {
+        self.reference.len()
+    }
+
+    /// A short run that has not begun: all kinds of processes, built-in memories and an external one.
+    pub(crate) fn run(&mut self) -> Run {
+        self.runs += 1;
+        let out = self.folder.join("runs").join(self.runs.to_string());
+        self.run_in(out)
+    }
+
+    /// As [`Self::run`], in this folder.
+    pub(crate) fn run_in(&self, out: PathBuf) -> Run {
+        let memory = format!("{} well-behaved", program("misbehaving-memory").display());
+        let args = [
+            "run --policy grounded --cases t01-01,t03-02 --starts original,new --demos original \
+             --memory working,episodic --frame-size 64 --max-steps 6 --lanes 3 --backend cpu",
+            "--memory-cmd",
+        ];
+        let mut args: Vec<String> =
+            args.iter().flat_map(|some| some.split_whitespace()).map(str::to_owned).collect();
+        args.extend([memory, "--out".to_owned(), out.display().to_string()]);
+        Run { out, args }
+    }
+
+    /// The command `memtransfer` with `args` in the sandbox.
+    pub(crate) fn command(&self, args: &[String]) -> Command {
+        let mut command = Command::new(program("memtransfer"));
+        command.args(args);
+        self.in_sandbox(&mut command);
+        command
+    }
+
+    /// Makes a command use the sandbox.
+    pub(crate) fn in_sandbox(&self, command: &mut Command) {
+        command
+            .current_dir(&self.folder)
+            .env("MEMTRANSFER_RUN_DIR", self.registry())
+            .env("MEMTRANSFER_CACHE", self.cache())
+            .stdin(Stdio::null())
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped());
+    }
+
+    /// Starts a run, with [`FAULTS`] loaded if `faults` are given to it.
+    pub(crate) fn start(&self, run: &Run, faults: &[(&str, String)]) -> Result<Child, String> {
+        let mut command = self.command(&run.args);
+        if !faults.is_empty() {
+            command.env("LD_PRELOAD", self.library());
+            command.envs(faults.iter().map(|(name, value)| (name, value)));
+        }
+        command.spawn().map_err(|error| format!("cannot start memtransfer: {error}"))
+    }
+
+    /// What must be true when the command of a disturbed run has ended, with `was_killed` by the drill: it said why, no
+    /// process goes on, and the same command completes the run with the log of an undisturbed one.
+    pub(crate) fn check_recovery(
+        &self,
+        run: &Run,
+        ended: &Ended,
+        was_killed: bool,
+    ) -> Result<(), String> {
+        check_message(ended, was_killed)?;
+        self.wait_for_processes()?;
+        let mut status = ended.status;
+        for _ in 0..REPETITIONS {
+            if status == Some(0) {
+                break;
+            }
+            let again = Ended::of(self.start(run, &[])?);
+            check_message(&again, false)?;
+            status = again.status;
+        }
+        if status != Some(0) {
+            return Err(format!("not complete after {REPETITIONS} more times; at first: {}", ended.stderr));
+        }
+        self.check_log(run)?;
+        fs::remove_dir_all(&run.out).map_err(|error| format!("{}: {error}", run.out.display()))?;
+        self.check_clean()
+    }
+
+    /// The log is that of an undisturbed run.
+    pub(crate) fn check_log(&self, run: &Run) -> Result<(), String> {
+        let log = sorted_log(&run.out);
+        if log == self.reference {
+            return Ok(());
+        }
+        let differs = log.iter().zip(&self.reference).find(|(one, other)| one != other);
+        Err(format!(
+            "the log has {} lines and differs from that of an undisturbed run, which has {}; the first difference: \
+             {differs:?}",
+            log.len(),
+            self.reference.len()
+        ))
+    }
+
+    /// Waits for all processes of all runs to end.
+    pub(crate) fn wait_for_processes(&self) -> Result<(), String> {
+        let deadline = Instant::now() + PATIENCE;
+        loop {
+            let left = processes_of(&self.registry());
+            if left.is_empty() {
+                return Ok(());
+            }
+            if Instant::now() > deadline {
+                let named: Vec<String> = left.iter().map(|pid| describe(*pid)).collect();
+                left.into_iter().for_each(kill);
+                return Err(format!("processes go on: {}", named.join("; ")));
+            }
+            std::thread::sleep(Duration::from_millis(5));
+        }
+    }
+
+    /// `memtransfer clean` leaves nothing.
+    pub(crate) fn check_clean(&self) -> Result<(), String> {
+        let runs = self.registered();
+        let clean = self.command(&["clean".to_owned()]).spawn();
+        let clean = Ended::of(clean.map_err(|error| format!("cannot start memtransfer: {error}"))?);
+        if clean.status != Some(0) {
+            return Err(format!("`memtransfer clean` fails: {}", clean.stderr));
+        }
+        let mut left = shared_memory_of(&runs);
+        left.extend(self.registered());
+        if left.is_empty() {
+            return Ok(());
+        }
+        let said = clean.stdout;
+        Err(format!("left after `memtransfer clean`, which said {said:?}: {}", left.join(", ")))
+    }
+
+    /// The names of all registered runs.
+    pub(crate) fn registered(&self) -> Vec<String> {
+        let entries = fs::read_dir(self.registry()).into_iter().flatten().flatten();
+        let folders = entries.filter(|entry| entry.path().is_dir());
+        folders.map(|entry| entry.file_name().to_string_lossy().into_owned()).collect()
+    }
+}
+
+impl Drop for Sandbox {
+    fn drop(&mut self) {
+        processes_of(&self.registry()).into_iter().for_each(kill);
+        if let Err(error) = fs::remove_dir_all(&self.folder) {
+            eprintln!("cannot remove {}: {error}", self.folder.display());
+        }
+    }
+}
+
+/// A process that fails says why, and no process panics.
+fn check_message(ended: &Ended, was_killed: bool) -> Result<(), String> {
+    if ended.stderr.contains("panicked at") {
+        return Err(format!("a panic: {}", ended.stderr));
+    }
+    match ended.status {
+        Some(0) => Ok(()),
+        None if was_killed => Ok(()),
+        None => Err(format!("ended on a signal, or did not end in time: {}", ended.stderr)),
+        Some(_) if ended.stderr.trim().is_empty() => Err("failed without a message".to_owned()),
+        Some(_) => Ok(()),
+    }
+}
+
+/// A process for a message: its number, command line, and state.
+fn describe(pid: u32) -> String {
+    let read = |file: &str| fs::read(format!("/proc/{pid}/{file}")).unwrap_or_default();
+    let line = String::from_utf8_lossy(&read("cmdline")).replace('\0', " ");
+    let waits = String::from_utf8_lossy(&read("wchan")).into_owned();
+    format!("{pid} ({line}, in {waits})")
+}

@@ -1,0 +1,201 @@
+//! One long run of many short episodes, in which a process is killed again and again: nothing grows.
+
+use std::collections::BTreeMap;
+use std::ffi::OsStr;
+use std::fs;
+use std::path::Path;
+use std::thread;
+use std::time::{Duration, Instant};
+
+use memtransfer_tests::{episodes, processes_of, shared_memory_of};
+
+use crate::Extent;
+use crate::report::Report;
+use crate::runs::{Run, Sandbox};
+
+const TITLE: &str = "A long run with kills";
+const TEXT: &str =
+    "One run of many short episodes with built-in memories and an external one. The simulator, memory, the policy and the \
+     external memory are killed in turn. What the run holds is measured twice a second; the median of the last quarter \
+     must not exceed that of the first.";
+
+/// Time between two measurements.
+const INTERVAL: Duration = Duration::from_millis(500);
+
+/// Processes that are killed in turn.
+const VICTIMS: [(&str, &str); 4] = [
+    ("simulator", "sim-proc"),
+    ("memory", "memory-proc"),
+    ("policy", "policy-proc"),
+    ("external memory", "misbehaving-memory"),
+];
+
+/// What is measured, and by how much it may vary.
+const MEASURES: [(&str, f64); 6] = [
+    ("MiB of the orchestrator", 24.0),
+    ("open files of the orchestrator", 16.0),
+    ("threads of the orchestrator", 3.0),
+    ("open files of all processes", 64.0),
+    ("MiB of shared memory", 24.0),
+    ("names in shared memory", 48.0),
+];
+
+/// Cases times repetitions, and seconds between kills.
+struct Size {
+    cases: u32,
+    repetitions: u32,
+    pause: Duration,
+}
+
+pub(crate) fn drill(extent: &Extent) -> Result<Report, String> {
+    let mut report = Report::new(TITLE, TEXT);
+    let sandbox = &mut Sandbox::new()?;
+    let size = match extent.is_quick {
+        true => Size { cases: 20, repetitions: 3, pause: Duration::from_secs(4) },
+        false => Size { cases: 100, repetitions: 167, pause: Duration::from_secs(15) },
+    };
+    let run = soak_run(sandbox, &size);
+    let memories_and_starts = 6;
+    let planned = size.cases * size.repetitions * memories_and_starts;
+
+    let command = sandbox.command(&run.args);
+    let mut command = command;
+    let errors = sandbox.folder().join("soak.txt");
+    let file = fs::File::create(&errors).map_err(|error| error.to_string())?;
+    command.stdout(std::process::Stdio::null()).stderr(file);
+    let mut child = command.spawn().map_err(|error| format!("cannot start memtransfer: {error}"))?;
+    let began = Instant::now();
+    let (mut killed, mut kills) = (Instant::now(), 0);
+    let mut samples: Vec<[f64; 6]> = Vec::new();
+    let status = loop {
+        if let Some(status) = child.try_wait().map_err(|error| error.to_string())? {
+            break status;
+        }
+        if extent.is_over(&report) && !extent.is_quick {
+            memtransfer_tests::kill(child.id());
+        }
+        thread::sleep(INTERVAL);
+        samples.extend(sample(child.id(), sandbox));
+        if killed.elapsed() >= size.pause {
+            let (role, program) = VICTIMS[kills % VICTIMS.len()];
+            if let Some(pid) = process(sandbox.registry().as_path(), program) {
+                memtransfer_tests::kill(pid);
+                report.fault(&format!("{role} killed"));
+            }
+            kills += 1;
+            killed = Instant::now();
+        }
+    };
+    let seconds = began.elapsed().as_secs_f64();
+    let done = episodes(&run.out).lines().count();
+    report.add("episodes", done as f64);
+    report.add("episodes a second", (done as f64 / seconds).round());
+    let said = fs::read_to_string(&errors).unwrap_or_default();
+    let complete = match status.code() {
+        Some(0) if done == planned as usize => Ok(()),
+        code => Err(format!("ended with {code:?} and {done} of {planned} episodes: {said}")),
+    };
+    report.outcome("the run", complete);
+    let lines = episodes(&run.out);
+    let keys: std::collections::BTreeSet<String> = lines
+        .lines()
+        .filter_map(|line| serde_json::from_str::<serde_json::Value>(line).ok())
+        .map(|record| record["key"].to_string())
+        .collect();
+    let doubled = match keys.len() == done {
+        true => Ok(()),
+        false => Err(format!("{done} lines of the log name {} episodes", keys.len())),
+    };
+    report.outcome("the log", doubled);
+    for (what, outcome) in flatness(&samples) {
+        let outcome = outcome.map(|(first, last)| {
+            report.add(&format!("{what}, first quarter"), first);
+            report.add(&format!("{what}, last quarter"), last);
+        });
+        report.outcome(what, outcome);
+    }
+    report.outcome("the processes", sandbox.wait_for_processes());
+    report.outcome("what is left", sandbox.check_clean());
+    Ok(report)
+}
+
+/// Many short episodes.
+fn soak_run(sandbox: &mut Sandbox, size: &Size) -> Run {
+    let mut run = sandbox.run();
+    let replaced = BTreeMap::from([
+        ("--lanes", "16".to_owned()),
+        ("--max-steps", "12".to_owned()),
+    ]);
+    let mut args: Vec<String> = Vec::new();
+    let mut rest = run.args.into_iter();
+    while let Some(arg) = rest.next() {
+        if arg == "--cases" {
+            rest.next();
+            args.extend(["--limit".to_owned(), size.cases.to_string()]);
+            args.extend(["--runs".to_owned(), size.repetitions.to_string()]);
+            continue;
+        }
+        let value = replaced.get(arg.as_str()).cloned();
+        args.push(arg);
+        if let Some(value) = value {
+            rest.next();
+            args.push(value);
+        }
+    }
+    run.args = args;
+    run
+}
+
+fn process(registry: &Path, program: &str) -> Option<u32> {
+    processes_of(registry).into_iter().find(|pid| {
+        let exe = fs::read_link(format!("/proc/{pid}/exe")).unwrap_or_default();
+        exe.file_name() == Some(OsStr::new(program))
+    })
+}
+
+/// The measures, in the order of [`MEASURES`]; `None` when the run is over.
+fn sample(orchestrator: u32, sandbox: &Sandbox) -> Option<[f64; 6]> {
+    let open = |pid: u32| {
+        fs::read_dir(format!("/proc/{pid}/fd")).map_or(0, |open| open.flatten().count())
+    };
+    let status = fs::read_to_string(format!("/proc/{orchestrator}/status")).ok()?;
+    let value = |key: &str| {
+        let line = status.lines().find_map(|line| line.strip_prefix(key))?;
+        line.split_whitespace().next()?.parse::<f64>().ok()
+    };
+    let (resident, threads) = (value("VmRSS:")? / 1024.0, value("Threads:")?);
+    let all: usize = processes_of(&sandbox.registry()).into_iter().map(open).sum();
+    let names = shared_memory_of(&sandbox.registered());
+    let bytes: u64 = names.iter().map(|name| used(&Path::new("/dev/shm").join(name))).sum();
+    let own = open(orchestrator);
+    let shared = bytes as f64 / f64::from(1 << 20);
+    Some([resident, own as f64, threads, (own + all) as f64, shared, names.len() as f64])
+}
+
+fn used(segment: &Path) -> u64 {
+    use std::os::unix::fs::MetadataExt;
+    segment.metadata().map_or(0, |about| about.blocks() * 512)
+}
+
+/// For each measure the medians of the first and the last quarter, or what is wrong with them.
+fn flatness(samples: &[[f64; 6]]) -> Vec<(&'static str, Result<(f64, f64), String>)> {
+    let quarter = samples.len() / 4;
+    let median = |samples: &[[f64; 6]], index: usize| {
+        let mut values: Vec<f64> = samples.iter().map(|sample| sample[index]).collect();
+        values.sort_by(f64::total_cmp);
+        (values[values.len() / 2] * 10.0).round() / 10.0
+    };
+    let compare = |(index, (what, slack)): (usize, (&'static str, f64))| {
+        let first = median(&samples[..quarter], index);
+        let last = median(&samples[samples.len() - quarter..], index);
+        let outcome = match last <= first + slack {
+            true => Ok((first, last)),
+            false => Err(format!("{first} in the first quarter, {last} in the last")),
+        };
+        (what, outcome)
+    };
+    if quarter == 0 {
+        return vec![("the measurements", Err("the run was too short to measure".to_owned()))];
+    }
+    MEASURES.into_iter().enumerate().map(compare).collect()
+}

@@ -1,0 +1,265 @@
+//! `drill`: runs the drills, each of which writes what it found as JSON, and puts that into `docs/reliability.md`.
+
+use std::collections::BTreeMap;
+use std::fmt::Write;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, ensure};
+use clap::Args;
+use serde::Deserialize;
+
+use crate::workspace::{Workspace, succeeds};
+
+/// A drill: a program of the workspace and its arguments. The program also gets `--json FILE`.
+struct Drill {
+    name: &'static str,
+    /// The crate that has the program.
+    package: &'static str,
+    program: &'static str,
+    arguments: &'static [&'static str],
+    /// Further arguments of a quick drill, of some half a minute.
+    quick: &'static [&'static str],
+}
+
+/// All drills, in the order in which they run. One whose program the workspace does not have is left out.
+const DRILLS: &[Drill] = &[
+    Drill {
+        name: "sim",
+        package: "drill-sim",
+        program: "drill-sim",
+        arguments: &[],
+        quick: &["--seeds", "20"],
+    },
+    Drill {
+        name: "fuzz",
+        package: "drill-fuzz",
+        program: "drill-fuzz",
+        arguments: &[],
+        quick: &["--quick"],
+    },
+    of_processes("grid", &["grid"]),
+    of_processes("kills", &["kills"]),
+    of_processes("disk", &["disk"]),
+    of_processes("soak", &["soak"]),
+];
+
+const fn of_processes(name: &'static str, arguments: &'static [&'static str]) -> Drill {
+    Drill {
+        name,
+        package: "memtransfer-tests",
+        program: "drill-processes",
+        arguments,
+        quick: &["--quick"],
+    }
+}
+
+/// The page, and the lines in it between which the results stand.
+const PAGE: &str = "docs/reliability.md";
+const BEGIN: &str = "<!-- results: begin -->";
+const END: &str = "<!-- results: end -->";
+
+#[derive(Args)]
+pub(crate) struct DrillArguments {
+    /// The drills to run [default: all]
+    #[arg(value_parser = names())]
+    drills: Vec<String>,
+    /// A small part of each drill, together in under three minutes
+    #[arg(long)]
+    quick: bool,
+    /// Write the results into docs/reliability.md, also those of drills that ran before
+    #[arg(long)]
+    write: bool,
+    /// Run no drill: only `--write`
+    #[arg(long, requires = "write")]
+    only_write: bool,
+    /// Further flags for the program of one drill, for example `-- --seed 2 --minutes 30`
+    #[arg(last = true)]
+    flags: Vec<String>,
+}
+
+fn names() -> Vec<&'static str> {
+    DRILLS.iter().map(|drill| drill.name).collect()
+}
+
+/// What a drill found.
+#[derive(Deserialize)]
+struct Results {
+    title: String,
+    command: String,
+    text: String,
+    faults: BTreeMap<String, u64>,
+    figures: BTreeMap<String, f64>,
+    violations: Vec<String>,
+}
+
+/// Runs the drills. Returns whether none found a violation.
+pub(crate) fn run(arguments: &DrillArguments, workspace: &Workspace) -> anyhow::Result<bool> {
+    let folder = results_folder(workspace)?;
+    let mut passed = true;
+    if !arguments.only_write {
+        passed = run_drills(arguments, workspace, &folder)?;
+    }
+    if arguments.write {
+        let page = workspace.root().join(PAGE);
+        let text = fs::read_to_string(&page).with_context(|| page.display().to_string())?;
+        let text = with_results(&text, &results(&folder)?)?;
+        fs::write(&page, text).with_context(|| format!("cannot write {}", page.display()))?;
+        eprintln!("wrote {PAGE}");
+    }
+    Ok(passed)
+}
+
+fn run_drills(
+    arguments: &DrillArguments,
+    workspace: &Workspace,
+    folder: &Path,
+) -> anyhow::Result<bool> {
+    #[derive(Deserialize)]
+    struct Package {
+        name: String,
+    }
+    let chosen: Vec<&Drill> = DRILLS
+        .iter()
+        .filter(|drill| arguments.drills.is_empty() || arguments.drills.iter().any(|name| name == drill.name))
+        .collect();
+    ensure!(
+        arguments.flags.is_empty() || chosen.len() == 1,
+        "flags after `--` are those of one drill: name it"
+    );
+    let packages: Vec<Package> = workspace.packages(&["--no-deps"])?;
+    let (there, missing): (Vec<&Drill>, Vec<&Drill>) = chosen
+        .into_iter()
+        .partition(|drill| packages.iter().any(|package| package.name == drill.package));
+    for drill in missing {
+        eprintln!("drill {}: left out, the workspace has no crate {}", drill.name, drill.package);
+    }
+    let mut crates: Vec<&str> = there.iter().map(|drill| drill.package).collect();
+    crates.dedup();
+    if !workspace.build_programs(&crates)? {
+        return Ok(false);
+    }
+    let mut failed = Vec::new();
+    for drill in there {
+        eprintln!("drill {}", drill.name);
+        let mut command = workspace.at_root(&workspace.program(drill.program)?, drill.arguments);
+        command.args(if arguments.quick { drill.quick } else { &[] });
+        command.args(&arguments.flags);
+        command.arg("--json").arg(folder.join(drill.name).with_extension("json"));
+        if !succeeds(&mut command)? {
+            failed.push(drill.name);
+        }
+    }
+    match failed.is_empty() {
+        true => eprintln!("drill: no violation"),
+        false => eprintln!("drill: violations or errors in {}; they are above", failed.join(", ")),
+    }
+    Ok(failed.is_empty())
+}
+
+/// The folder of the drills' results, which exists afterwards.
+fn results_folder(workspace: &Workspace) -> anyhow::Result<PathBuf> {
+    let program = workspace.program("xtask")?;
+    let target = program.parent().and_then(Path::parent);
+    let folder = target.context("the programs have no parent folder")?.join("drill");
+    fs::create_dir_all(&folder).with_context(|| format!("cannot make {}", folder.display()))?;
+    Ok(folder)
+}
+
+/// The results in `folder`, in the order of the drills.
+fn results(folder: &Path) -> anyhow::Result<Vec<Results>> {
+    let mut all = Vec::new();
+    for drill in DRILLS {
+        let path = folder.join(drill.name).with_extension("json");
+        match fs::read_to_string(&path) {
+            Err(error) if error.kind() == std::io::ErrorKind::NotFound => {}
+            text => {
+                let results = text.map_err(anyhow::Error::from).and_then(|text| {
+                    serde_json::from_str(&text).map_err(anyhow::Error::from)
+                });
+                all.push(results.with_context(|| path.display().to_string())?);
+            }
+        }
+    }
+    ensure!(!all.is_empty(), "no drill has run: `cargo xtask drill`");
+    Ok(all)
+}
+
+/// The page with these results in place of the earlier ones.
+fn with_results(page: &str, results: &[Results]) -> anyhow::Result<String> {
+    let parts = page.split_once(BEGIN).and_then(|(before, rest)| {
+        rest.split_once(END).map(|(_, after)| (before, after))
+    });
+    let (before, after) = parts.with_context(|| format!("{PAGE} has no lines {BEGIN} and {END}"))?;
+    let mut text = String::new();
+    for result in results {
+        write_result(&mut text, result)?;
+    }
+    Ok(format!("{before}{BEGIN}\n\n{text}{END}{after}"))
+}
+
+fn write_result(text: &mut String, result: &Results) -> std::fmt::Result {
+    let Results { title, command, text: about, faults, figures, violations } = result;
+    writeln!(text, "### {title}\n\n{about}\n\n    {command}\n")?;
+    writeln!(text, "| figure | |\n|---|---:|")?;
+    for (name, value) in figures {
+        writeln!(text, "| {name} | {} |", number(*value))?;
+    }
+    if !faults.is_empty() {
+        writeln!(text, "\n| fault | times |\n|---|---:|")?;
+        for (class, count) in faults {
+            writeln!(text, "| {class} | {} |", number(*count as f64))?;
+        }
+    }
+    match violations.as_slice() {
+        [] => writeln!(text, "\nViolations: none.\n"),
+        violations => {
+            writeln!(text, "\nViolations:\n")?;
+            for violation in violations {
+                writeln!(text, "- {}", violation.lines().next().unwrap_or_default())?;
+            }
+            writeln!(text)
+        }
+    }
+}
+
+/// A number with commas between thousands, and one decimal if it needs it.
+fn number(value: f64) -> String {
+    let text = if value.fract() == 0.0 { format!("{value:.0}") } else { format!("{value:.1}") };
+    let (whole, rest) = text.split_once('.').map_or((&*text, None), |(a, b)| (a, Some(b)));
+    let mut grouped = String::new();
+    for (index, digit) in whole.chars().enumerate() {
+        if index > 0 && (whole.len() - index).is_multiple_of(3) {
+            grouped.push(',');
+        }
+        grouped.push(digit);
+    }
+    rest.map_or(grouped.clone(), |rest| format!("{grouped}.{rest}"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn results_replace_those_between_the_marks() {
+        let json = r#"{"title": "Kills", "command": "cargo xtask drill kills", "text": "Runs.",
+            "faults": {"memory killed": 12}, "figures": {"runs": 3000, "minutes": 2.5}, "violations": []}"#;
+        let results: Results = serde_json::from_str(json).unwrap();
+        let page = format!("# Page\n{BEGIN}\nold\n{END}\nend\n");
+        let page = with_results(&page, &[results]).unwrap();
+        let expected = format!(
+            "# Page\n{BEGIN}\n\n### Kills\n\nRuns.\n\n    cargo xtask drill kills\n\n| figure | |\n|---|---:|\n\
+             | minutes | 2.5 |\n| runs | 3,000 |\n\n| fault | times |\n|---|---:|\n| memory killed | 12 |\n\n\
+             Violations: none.\n\n{END}\nend\n"
+        );
+        assert_eq!(page, expected);
+        assert!(with_results("no marks", &[]).is_err());
+    }
+
+    #[test]
+    fn the_page_has_the_marks() {
+        let page = include_str!("../../docs/reliability.md");
+        assert!(with_results(page, &[]).is_ok());
+    }
+}
